@@ -6,7 +6,7 @@ use std::num::NonZeroU8;
 use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
 
 use wimu_link::auth::{DeviceKey, KeyState, Lock, Session};
-use wimu_link::batch::{self, Batch, Stream};
+use wimu_link::batch::{self, Batch, Layout, Stream};
 use wimu_link::frame::{self, Deframer, Frame, Kind, MAX_BODY, MAX_FRAME};
 use wimu_link::hello::{self, Hello, LinkRole, WhoAreYou};
 use wimu_link::message::{
@@ -190,7 +190,7 @@ fn with_body(line: &[u8], check: impl FnOnce(&[u8])) {
 
 /// Any body of a batch: a decoded batch is packed again without loss.
 pub fn batch_body(data: &[u8]) {
-    let Ok(batch) = Batch::decode(data) else {
+    let Ok(batch) = Batch::decode(Kind::Batch, data) else {
         return;
     };
     let mut line = [0; MAX_FRAME];
@@ -203,16 +203,28 @@ pub fn batch_body(data: &[u8]) {
         Stream::Raw => {
             let mut samples = [Counts::default(); batch::MAX_BATCH];
             let count = fill(&mut samples, batch.counts());
-            batch::encode_every(every, sequence, time, &samples[..count], &mut line)
+            batch::encode_with(
+                Layout { sensor: 0, every },
+                sequence,
+                time,
+                &samples[..count],
+                &mut line,
+            )
         }
         Stream::Corrected => {
             let mut samples = [SpecificForceQ16::default(); batch::MAX_BATCH];
             let count = fill(&mut samples, batch.specific_forces());
-            batch::encode_every(every, sequence, time, &samples[..count], &mut line)
+            batch::encode_with(
+                Layout { sensor: 0, every },
+                sequence,
+                time,
+                &samples[..count],
+                &mut line,
+            )
         }
     };
     with_body(&line[..length.expect("room")], |body| {
-        let again = Batch::decode(body).expect("own batch");
+        let again = Batch::decode(Kind::Batch, body).expect("own batch");
         assert_eq!(again.stream(), batch.stream());
         assert_eq!(again.every(), batch.every());
         assert_eq!(again.samples(), batch.samples());
@@ -248,7 +260,7 @@ pub fn batch_samples(data: &[u8]) {
     let mut line = [0; MAX_FRAME];
     let length = batch::encode(sequence, time, &raw[..count], &mut line).expect("room");
     with_body(&line[..length], |body| {
-        let batch = Batch::decode(body).expect("own batch");
+        let batch = Batch::decode(Kind::Batch, body).expect("own batch");
         assert!(batch.counts().eq(raw[..count].iter().copied()));
         assert_eq!(
             batch::extend_sequence(batch.sequence_low(), sequence),
@@ -258,7 +270,7 @@ pub fn batch_samples(data: &[u8]) {
     });
     let length = batch::encode(sequence, time, &corrected[..count], &mut line).expect("room");
     with_body(&line[..length], |body| {
-        let batch = Batch::decode(body).expect("own batch");
+        let batch = Batch::decode(Kind::Batch, body).expect("own batch");
         assert!(
             batch
                 .specific_forces()

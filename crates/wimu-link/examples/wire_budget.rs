@@ -68,7 +68,8 @@ fn report(name: &str, samples: &[Counts]) -> Result<f64, Box<dyn Error>> {
         bytes += length;
         for &byte in line.get(..length).unwrap_or_default() {
             if let Some(frame) = deframer.push(byte) {
-                let back = Batch::decode(frame?.body)?;
+                let frame = frame?;
+                let back = Batch::decode(frame.kind, frame.body)?;
                 assert!(
                     back.counts().eq(chunk.iter().copied()),
                     "packing lost something"

@@ -31,7 +31,7 @@ use heapless::VecView;
 use crate::checksum::{Digest, crc_32c};
 
 /// The version of the wire protocol, independent of the crate's version.
-pub const WIRE_VERSION: u8 = 1;
+pub const WIRE_VERSION: u8 = 2;
 
 /// The longest body, bytes: a complete signed parameter set. The longest epoch has 540.
 pub const MAX_BODY: usize = 896;
@@ -52,7 +52,7 @@ pub enum Kind {
     Hello = 1,
     /// [`WhoAreYou`](crate::WhoAreYou), host to device; readable in every version.
     WhoAreYou = 2,
-    /// A [`Batch`](crate::Batch) of samples, device to host.
+    /// A [`Batch`](crate::Batch) of samples of the first accelerometer, device to host.
     Batch = 3,
     /// [`Telemetry`](crate::Telemetry), device to host.
     Telemetry = 4,
@@ -60,6 +60,8 @@ pub enum Kind {
     Request = 5,
     /// [`Reply`](crate::Reply), device to host.
     Reply = 6,
+    /// A [`Batch`](crate::Batch) of samples of any sensor, device to host.
+    Inertial = 7,
 }
 
 impl Kind {
@@ -71,13 +73,23 @@ impl Kind {
             4 => Self::Telemetry,
             5 => Self::Request,
             6 => Self::Reply,
+            7 => Self::Inertial,
             _ => return None,
         })
     }
 
-    /// Whether this kind has the same layout in every version.
-    fn is_timeless(self) -> bool {
-        matches!(self, Self::Hello | Self::WhoAreYou)
+    /// Whether this kind holds samples: [`Batch::decode`](crate::Batch::decode) reads it.
+    pub fn is_batch(self) -> bool {
+        matches!(self, Self::Batch | Self::Inertial)
+    }
+
+    /// Whether this crate reads this kind in `version`: recordings of version 1 stay readable.
+    fn is_readable_in(self, version: u8) -> bool {
+        match self {
+            Self::Hello | Self::WhoAreYou => true,
+            Self::Batch | Self::Telemetry => matches!(version, 1..=WIRE_VERSION),
+            Self::Request | Self::Reply | Self::Inertial => version == WIRE_VERSION,
+        }
     }
 }
 
@@ -154,8 +166,8 @@ pub(crate) fn fill(
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Frame<'a> {
-    /// The sender's wire version, 0..=15: this crate's own, except on the kinds that every version
-    /// reads.
+    /// The sender's wire version, 0..=15: this crate's own, 1 on batches and telemetry of recordings, any on
+    /// the kinds that every version reads.
     pub version: u8,
     /// The kind of the body.
     pub kind: Kind,
@@ -351,7 +363,7 @@ fn check(plain: &[u8]) -> Result<Frame<'_>, FrameError> {
     let (first, body) = undamaged(plain)?;
     let (version, number) = (first >> 4, first & 15);
     match Kind::from_number(number) {
-        Some(kind) if version == WIRE_VERSION || kind.is_timeless() => Ok(Frame {
+        Some(kind) if kind.is_readable_in(version) => Ok(Frame {
             version,
             kind,
             body,
@@ -454,6 +466,11 @@ pub enum EncodeError {
         /// Most samples in a batch.
         most: usize,
     },
+    /// A sensor's index that is too large.
+    Sensor {
+        /// The largest index.
+        most: u8,
+    },
 }
 
 impl fmt::Display for EncodeError {
@@ -465,6 +482,7 @@ impl fmt::Display for EncodeError {
                 "the frame does not fit the given buffer; {MAX_FRAME} bytes always do"
             ),
             Self::BatchLength { most } => write!(out, "a batch holds 1 to {most} samples"),
+            Self::Sensor { most } => write!(out, "a sensor's index is at most {most}"),
         }
     }
 }

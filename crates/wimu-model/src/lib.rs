@@ -36,5 +36,5 @@ pub use quality::{
 pub use quantities::{
     AngularRateQ20, CentiCelsius, Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs, PositionNm,
     STANDARD_GRAVITY_MPS2, Sensitivity, SensitivityError, SpecificForceMps2, SpecificForceQ16,
-    VelocityNmps,
+    VelocityNmps, WideCounts,
 };

@@ -17,7 +17,70 @@ impl Counts {
     /// A sensor that sends 12 bits left-justified saturates at 32752 and −32768: its `full_scale`
     /// is 32752.
     #[inline]
-    pub fn saturated(self, full_scale: i16) -> bool {
+    pub fn saturated(self, full_scale: i32) -> bool {
+        WideCounts::from(self).saturated(full_scale)
+    }
+}
+
+/// Output of a sensor of up to 20 bits as read: X, Y, Z in LSB, sensor axes,
+/// [`MIN`](Self::MIN)..=[`MAX`](Self::MAX).
+///
+/// Values outside that range are possible in the type. Correction and the wire clamp them to it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct WideCounts(pub [i32; 3]);
+
+impl WideCounts {
+    /// The lowest count: −2¹⁹.
+    pub const MIN: i32 = -(1 << 19);
+
+    /// The highest count: 2¹⁹ − 1.
+    pub const MAX: i32 = (1 << 19) - 1;
+
+    /// Whether any axis is at or beyond ± `full_scale`, LSB.
+    #[inline]
+    pub fn saturated(self, full_scale: i32) -> bool {
+        self.0
+            .iter()
+            .any(|&c| c >= full_scale || c <= full_scale.saturating_neg())
+    }
+
+    /// The nearest counts of 20 bits.
+    #[inline]
+    pub fn clamped(self) -> Self {
+        Self(self.0.map(|c| c.clamp(Self::MIN, Self::MAX)))
+    }
+}
+
+impl From<Counts> for WideCounts {
+    #[inline]
+    fn from(counts: Counts) -> Self {
+        Self(counts.0.map(i32::from))
+    }
+}
+
+/// Output of a sensor of more than 16 bits: X, Y, Z in LSB, sensor axes, −2¹⁹..=2¹⁹ − 1 (20 bits).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct WideCounts(pub [i32; 3]);
+
+impl WideCounts {
+    /// Smallest count: −2¹⁹.
+    pub const MIN: i32 = -(1 << 19);
+    /// Largest count: 2¹⁹ − 1.
+    pub const MAX: i32 = (1 << 19) - 1;
+
+    /// The nearest counts of 20 bits.
+    #[inline]
+    pub fn clamped(self) -> Self {
+        Self(self.0.map(|count| count.clamp(Self::MIN, Self::MAX)))
+    }
+
+    /// Whether any axis is at or beyond `full_scale`, LSB, or the negative limit.
+    #[inline]
+    pub fn saturated(self, full_scale: i32) -> bool {
         self.0
             .iter()
             .any(|&c| c >= full_scale || c <= full_scale.saturating_neg())

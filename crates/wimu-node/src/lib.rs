@@ -32,6 +32,7 @@ pub use adxl345::Adxl345;
 pub use bus::{BusError, TimeoutBus};
 pub use control::Control;
 pub use data_ready::DataReady;
+pub use fifo::{FifoState, SensorFifo};
 #[cfg(feature = "flash-store")]
 pub use flash_store::{FlashLayout, FlashStore};
 pub use link::{LinkReader, LinkWriter};
@@ -44,3 +45,4 @@ pub use sensor::InertialSensor;
 pub use shared::{Health, Shared};
 pub use store::{Key, MAX_RECORD, Store, StoreFault};
 pub use timer::Timer;
+pub use wimu_adxl345;

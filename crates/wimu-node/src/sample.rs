@@ -58,7 +58,6 @@ impl sealed::Process for Counts {
         plan: &SensorPlan,
         integrator: &mut Integrator,
     ) -> Transition {
-        let full_scale = plan.full_scale.clamp(0, i16::MAX.into()) as i16;
-        integrator.step(corrected, self.saturated(full_scale))
+        integrator.step(corrected, self.saturated(plan.full_scale))
     }
 }

@@ -9,6 +9,7 @@ mod array;
 mod calibration;
 mod counter;
 mod float;
+mod inertial;
 mod signals;
 
 use core::hint::black_box;
@@ -33,7 +34,7 @@ const BATCH: usize = 16;
 /// Sample period: 10 ms.
 const PERIOD: PeriodNs = PeriodNs(10_000_000);
 /// Positive full scale of the 12-bit LSM303AGR, LSB of the left-justified 16-bit counts.
-const FULL_SCALE: i16 = 32752;
+const FULL_SCALE: i32 = 32752;
 /// Gravity, 2⁻¹⁶ m/s², body axes.
 const GRAVITY: [i32; 3] = [1_234, -567, 642_689];
 
@@ -252,6 +253,7 @@ fn samples(counter: &mut Counter) -> Result<(), &'static str> {
         }
         report(name, sum, SAMPLES as u32, most);
     }
+    inertial::measure(counter, corrector, &rest, &motion)?;
     #[cfg(target_abi = "eabihf")]
     calibration::measure(counter)?;
     #[cfg(not(target_abi = "eabihf"))]

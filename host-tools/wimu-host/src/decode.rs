@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 
 use wimu_link::batch;
 use wimu_link::message::{Environment, Epoch, Navigation};
-use wimu_link::{Batch, Deframer, FrameError, Hello, Kind};
+use wimu_link::{Batch, Deframer, FrameError, Hello};
 use wimu_model::{DeviceTimeUs, PeriodNs};
 
 mod anchor;
@@ -135,12 +135,15 @@ impl Decoder {
             };
             let event = match result {
                 // The most frequent kind: not moved as a message.
-                Ok(frame) if frame.kind == Kind::Batch => {
+                Ok(frame) if frame.kind.is_batch() => {
                     self.statistics.frames += 1;
                     self.listening = true;
-                    match Batch::decode(frame.body) {
+                    match Batch::decode(frame.kind, frame.body) {
                         Ok(batch) => {
-                            self.take_batch(received, &batch, &mut each);
+                            // Further sensors have sequence numbers of their own.
+                            if batch.sensor() == 0 {
+                                self.take_batch(received, &batch, &mut each);
+                            }
                             continue;
                         }
                         Err(why) => {
@@ -174,6 +177,7 @@ impl Decoder {
             };
             match event {
                 Message::Hello(hello) => self.take_hello(received, hello, &mut each),
+                Message::Epoch(epoch) if epoch.sensor != 0 => {}
                 Message::Epoch(epoch) => self.take_epoch(received, epoch, &mut each),
                 Message::Event(event) if self.start.order.holds() && event.is_of_a_start() => {
                     self.start

@@ -322,7 +322,7 @@ impl LinkHistory {
                     self.complaints.push(why.clone());
                 }
             }
-            Event::Damaged(_) => {}
+            Event::Attitude(_) | Event::Damaged(_) => {}
         }
     }
 }
@@ -405,7 +405,7 @@ mod tests {
     use std::fmt;
     use std::io::Cursor;
 
-    use wimu_link::message::{EpochReason, WireState};
+    use wimu_link::message::EpochReason;
     use wimu_link::{MAX_FRAME, Telemetry, batch};
     use wimu_model::Counts;
 
@@ -442,7 +442,7 @@ mod tests {
             full_scale: 32752,
             parameters: 0,
             temperature_centi_c: None,
-            state: WireState::default(),
+            ..Epoch::default()
         });
         let length = epoch.encode(&mut frame).unwrap();
         bytes.extend(&frame[..length]);

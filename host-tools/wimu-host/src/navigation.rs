@@ -53,6 +53,7 @@ fn from_wire(sent: &message::Navigation) -> Navigation {
         },
         flags: wimu_integrator::Flags(sent.flags),
         heading_sd_mrad: sent.heading_sd_mrad,
+        attitude: None,
     }
 }
 

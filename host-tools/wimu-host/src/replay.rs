@@ -71,7 +71,7 @@ pub struct Replay<'a> {
 struct Running {
     corrector: Corrector,
     integrator: Integrator,
-    full_scale: i16,
+    full_scale: i32,
     next_sequence: u32,
     /// Samples since the latest epoch, and their largest number without another one.
     since_epoch: u64,

@@ -15,7 +15,7 @@ pub struct RawUnit {
     /// Nominal sensitivity.
     pub sensitivity: Sensitivity,
     /// Values at or beyond ± this are saturated, LSB.
-    pub full_scale: u16,
+    pub full_scale: u32,
 }
 
 impl RawUnit {

@@ -19,6 +19,7 @@ use wimu_link::hello::{Capabilities, Part, board, sensor};
 use wimu_link::{Hello, LinkRole};
 use wimu_model::DeviceTimeUs;
 use wimu_node::sensor::RawSample;
+use wimu_node::wimu_adxl345::{Address, I2cBus};
 use wimu_node::{DataReady, InertialSensor, RateKeeper, Shared, TimeoutBus, Timer};
 
 use crate::clock::{Until, VirtualClock};
@@ -328,7 +329,9 @@ fn boot(
             node(hello, sensor, timer, storage, links, rates)
         }
         SensorPart::Adxl345 => {
-            let sensor = wimu_node::Adxl345::new(i2c, line, timer.clone());
+            let address = Address::Low;
+            let bus = I2cBus { i2c, address };
+            let sensor = wimu_node::Adxl345::new(bus, line, timer.clone());
             node(hello, sensor, timer, storage, links, rates)
         }
     };

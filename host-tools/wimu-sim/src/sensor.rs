@@ -10,7 +10,7 @@ use std::task::{Context, Poll, Waker};
 use embedded_hal::digital::{ErrorType, InputPin};
 use embedded_hal_async::digital::Wait;
 
-use crate::adxl345::Adxl345;
+use crate::adxl345::{self, Adxl345};
 use crate::chip::Chip;
 pub use crate::chip::GyroscopeFault;
 use crate::clock::{Until, VirtualClock};
@@ -55,9 +55,14 @@ impl Sensor {
         Self::of(clock, source, Box::new(Lsm303agr::default()))
     }
 
-    /// An ADXL345 after power-on, with samples from `source`; its interrupt line is INT1.
+    /// An ADXL345 at 0x53 after power-on, with samples from `source`; its interrupt line is INT1.
     pub fn adxl345(clock: &VirtualClock, source: impl Source + 'static) -> Self {
-        Self::of(clock, source, Box::new(Adxl345::default()))
+        Self::adxl345_at(clock, adxl345::ADDRESS, source)
+    }
+
+    /// An ADXL345 at `address` (0x53 or 0x1D), likewise.
+    pub fn adxl345_at(clock: &VirtualClock, address: u8, source: impl Source + 'static) -> Self {
+        Self::of(clock, source, Box::new(Adxl345::new(address)))
     }
 
     /// An LSM6DSO at `address` (0x6A or 0x6B) after power-on, with samples from `source`; its interrupt

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use kit::folder;
 use wimu_link::message::{
     ActiveParameters, Environment, Epoch, EpochReason, Event, Navigation, Payload, Reply,
-    Signature, WireParameters, WireState,
+    Signature, WireParameters,
 };
 use wimu_link::{Answer, Hello, LinkRole, MAX_FRAME, Telemetry, batch, frame::EncodeError};
 use wimu_model::{Counts, DeviceTimeUs, ParameterSet, Sensitivity};
@@ -127,7 +127,7 @@ fn epoch(out: &mut Vec<u8>, sequence: u32, time_us: u64, period_ns: u32) {
             full_scale: 32752,
             parameters: 0,
             temperature_centi_c: None,
-            state: WireState::default(),
+            ..Epoch::default()
         }),
     );
 }

@@ -109,6 +109,13 @@ pub enum ParameterFault {
         /// The device's, likewise.
         device: u16,
     },
+    /// The parameters are for a sensor of another index.
+    OtherSensorIndex {
+        /// That of the parameters.
+        parameters: u8,
+        /// That of the sensor which the device corrects.
+        device: u8,
+    },
 }
 
 impl From<QualityError> for ParameterFault {
@@ -211,6 +218,10 @@ impl fmt::Display for ParameterFault {
                 "made for sensor {parameters} ({}), but the device has {device} ({})",
                 sensor::name(parameters),
                 sensor::name(device)
+            ),
+            Self::OtherSensorIndex { parameters, device } => write!(
+                out,
+                "made for the sensor with index {parameters}, but the device corrects that with index {device}"
             ),
         }
     }

@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::frame::{self, EncodeError, Kind};
 
+mod epoch;
 mod exchange;
 mod fault;
 mod parameters;
@@ -26,6 +27,7 @@ mod settings;
 mod state;
 mod telemetry;
 
+pub use epoch::{Epoch, EpochGyroscope, EpochReason};
 pub use fault::{ParameterFault, WireMagnetometerFault, WireQualityFault, WireTerm};
 pub use parameters::{EncodedParameters, WireParameters, parameter_id};
 pub use quality::{WireMagnetometer, WireMagnetometerRotation, WireMethod, WireQuality};
@@ -34,8 +36,8 @@ pub use request::{Answer, Command, Payload, Refusal, Reply, Request, Signature};
 pub use settings::{Resolution, Settings, Streams};
 pub use state::{ARITHMETIC_REVISION, WirePhase, WireRun, WireSegment, WireState, WireWindow};
 pub use telemetry::{
-    ActiveParameters, BusFault, Environment, Epoch, EpochReason, Event, LinkStatus, Navigation,
-    Record, SensorStatus, Status, Telemetry,
+    ActiveParameters, Attitude, BusFault, Environment, Event, LinkStatus, Navigation, Record,
+    SensorStatus, Status, Telemetry,
 };
 
 macro_rules! framed {

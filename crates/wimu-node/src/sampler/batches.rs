@@ -5,7 +5,7 @@ use core::num::NonZeroU8;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use heapless::Vec;
 use wimu_link::LinkRole;
-use wimu_link::batch::{self, MAX_BATCH, Sample, Stream};
+use wimu_link::batch::{self, Layout, MAX_BATCH, Sample, Stream};
 use wimu_link::frame::MAX_FRAME;
 use wimu_link::message::{Settings, Streams};
 use wimu_model::DeviceTimeUs;
@@ -111,7 +111,8 @@ impl<S: Sample> Batcher<S> {
     fn flush<M: RawMutex>(&mut self, shared: &Common<M>, roles: [bool; 2], every: NonZeroU8) {
         let mut frame = [0; MAX_FRAME];
         let (sequence, time) = (self.first_sequence, self.first_time);
-        let encoded = batch::encode_every(every, sequence, time, &self.samples, &mut frame);
+        let layout = Layout { sensor: 0, every };
+        let encoded = batch::encode_with(layout, sequence, time, &self.samples, &mut frame);
         self.samples.clear();
         if let Ok(length) = encoded {
             let wanted: fn(&Streams) -> bool = match S::STREAM {

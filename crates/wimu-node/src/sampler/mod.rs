@@ -270,10 +270,11 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             period_ns: running.clock.period.0,
             range_g: running.plan.settings.range_g,
             sensitivity_lsb_per_g: running.plan.sensor.sensitivity.lsb_per_g(),
-            full_scale: running.plan.sensor.full_scale.clamp(0, i16::MAX.into()) as i16,
+            full_scale: running.plan.sensor.full_scale,
             parameters: running.correction.parameters.0,
             temperature_centi_c: running.correction.temperature.map(|t| t.0),
             state: running.integrator.state().into(),
+            ..Epoch::default()
         });
         self.shared.announce(&epoch, roles);
     }

@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use wimu_calib::Orientation;
-use wimu_link::message::{Epoch, EpochReason, WireState};
+use wimu_link::message::{Epoch, EpochReason};
 use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry, batch};
 use wimu_model::{Counts, DeviceTimeUs, ErrorModel, ErrorTerms, SpecificForceMps2};
 use wimu_testkit::Random;
@@ -338,7 +338,7 @@ fn a_recording_and_a_csv_file_of_the_same_counts_give_the_same_calibration() {
         full_scale: 32752,
         parameters: 0,
         temperature_centi_c: None,
-        state: WireState::default(),
+        ..Epoch::default()
     });
     let length = epoch.encode(&mut frame).unwrap();
     push(&frame[..length]);

@@ -1,7 +1,7 @@
 //! Events of a link, and their statistics.
 
 use wimu_link::batch::Stream;
-use wimu_link::message::{ActiveParameters, Environment, Epoch, Navigation, Status};
+use wimu_link::message::{ActiveParameters, Attitude, Environment, Epoch, Navigation, Status};
 use wimu_link::{FrameError, Hello, Reply, Settings};
 use wimu_model::{DeviceTimeUs, PeriodNs};
 
@@ -34,6 +34,8 @@ pub enum Event {
     Environment(Environment),
     /// Velocity and position.
     Navigation(Navigation),
+    /// Attitude, of a sensor with a gyroscope.
+    Attitude(Attitude),
     /// Parameters in use.
     Parameters(ActiveParameters),
     /// Settings in use.

@@ -30,6 +30,7 @@ pub fn read(kind: Kind, body: &[u8]) -> Result<Message, String> {
             Telemetry::Epoch(epoch) => return Ok(Message::Epoch(epoch)),
             Telemetry::Environment(environment) => Event::Environment(environment),
             Telemetry::Navigation(navigation) => Event::Navigation(navigation),
+            Telemetry::Attitude(attitude) => Event::Attitude(attitude),
             Telemetry::Parameters(parameters) => Event::Parameters(parameters),
             Telemetry::Settings(settings) => Event::Settings(settings),
             Telemetry::Status(status) => Event::Status(status),

@@ -1,6 +1,6 @@
 use proptest::prelude::*;
 use wimu_link::hello::LinkRole;
-use wimu_link::message::{EpochReason, WireState};
+use wimu_link::message::EpochReason;
 use wimu_link::{MAX_FRAME, Telemetry};
 use wimu_model::Counts;
 
@@ -46,7 +46,7 @@ fn numbered_epoch(number: u8, sequence: u32, time_us: u64) -> Vec<u8> {
         full_scale: 32752,
         parameters: 0,
         temperature_centi_c: None,
-        state: WireState::default(),
+        ..Epoch::default()
     });
     framed(|frame| epoch.encode(frame))
 }
@@ -484,7 +484,7 @@ fn strangers_are_told_from_damage() {
     let mut decoder = Decoder::new();
     let mut frames = vec![hello(1)];
     frames.push(framed(|frame| {
-        wimu_link::frame::encode(Kind::Telemetry, &[0xff; 9], frame)
+        wimu_link::frame::encode(wimu_link::Kind::Telemetry, &[0xff; 9], frame)
     }));
     frames.push(framed(|frame| {
         wimu_link::WhoAreYou::default().encode(frame)
@@ -537,7 +537,15 @@ fn decimated(first: u32, count: u32, every: u8) -> Vec<u8> {
         .map(|s| Counts(value(first + s * u32::from(every)).map(|v| v as i16)))
         .collect();
     let every = std::num::NonZeroU8::new(every).unwrap();
-    framed(|frame| batch::encode_every(every, first, DeviceTimeUs(time(first)), &counts, frame))
+    framed(|frame| {
+        batch::encode_with(
+            batch::Layout { sensor: 0, every },
+            first,
+            DeviceTimeUs(time(first)),
+            &counts,
+            frame,
+        )
+    })
 }
 
 #[test]
@@ -771,7 +779,7 @@ fn absurd() -> impl Strategy<Value = Vec<u8>> {
                     full_scale: 32752,
                     parameters: 0,
                     temperature_centi_c: None,
-                    state: WireState::default(),
+                    ..Epoch::default()
                 });
                 framed(|frame| epoch.encode(frame))
             }
@@ -784,7 +792,15 @@ fn absurd() -> impl Strategy<Value = Vec<u8>> {
                 let every =
                     std::num::NonZeroU8::new(values[1] as u8).unwrap_or(std::num::NonZeroU8::MIN);
                 let time = DeviceTimeUs(two);
-                framed(|frame| batch::encode_every(every, one as u32, time, &counts, frame))
+                framed(|frame| {
+                    batch::encode_with(
+                        batch::Layout { sensor: 0, every },
+                        one as u32,
+                        time,
+                        &counts,
+                        frame,
+                    )
+                })
             }
         })
 }

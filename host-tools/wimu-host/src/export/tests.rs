@@ -1,4 +1,4 @@
-use wimu_link::message::{Epoch, EpochReason, WireState};
+use wimu_link::message::{Epoch, EpochReason};
 use wimu_link::{MAX_FRAME, Telemetry, batch};
 use wimu_model::Counts;
 
@@ -38,7 +38,7 @@ fn every_position_has_its_time_where_numbers_wrap() {
                 full_scale: 32752,
                 parameters: 0,
                 temperature_centi_c: None,
-                state: WireState::default(),
+                ..Epoch::default()
             });
             let length = epoch.encode(&mut frame).unwrap();
             append(length, &frame);

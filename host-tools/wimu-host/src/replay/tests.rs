@@ -107,6 +107,7 @@ impl Device {
                 parameters: parameter_id(&self.set).0,
                 temperature_centi_c: Some(self.temperature.0),
                 state: self.integrator.state().into(),
+                ..Epoch::default()
             });
             self.send(|frame| epoch.encode(frame));
         }

@@ -516,6 +516,7 @@ fn fuzz_order(seeded: &mut Random) {
                 sequence,
                 time,
                 value: [start, number, _],
+                ..
             } in samples.iter()
             {
                 assert_eq!((number as u32, time.0), (sequence, time_us(sequence)));

@@ -250,17 +250,27 @@ impl Integrator {
     /// If the body has moved and the heading changes by more than 10°, it rotated during the motion
     /// or north was unknown: the position is flagged.
     pub fn set_heading(&mut self, heading: MagneticHeading) -> bool {
+        self.hold(self.from_body(heading.east), heading.sd_mrad)
+    }
+
+    /// The same with the heading of the state after [`set_heading`](Self::set_heading) elsewhere, so that
+    /// a replay is bit-exact.
+    pub fn adopt_heading(&mut self, state: &State) -> bool {
+        (state.heading_sd_mrad).is_some_and(|sd_mrad| self.hold(state.east, sd_mrad))
+    }
+
+    /// Holds a direction of east, integration axes.
+    fn hold(&mut self, east: [i32; 3], sd_mrad: u16) -> bool {
         if self.state.phase != Phase::Resting {
             return false;
         }
         let held = self.attitude;
-        let east = self.from_body(heading.east);
         let before = core::mem::replace(&mut self.state.east, east);
         if self.align().is_none() {
             self.state.east = before;
             return false;
         }
-        self.state.heading_sd_mrad = Some(heading.sd_mrad);
+        self.state.heading_sd_mrad = Some(sd_mrad);
         if self.state.base_position_nm != [0; 3] && !self.attitude.is_headed_as(&held) {
             self.state.flags = self.state.flags.with(Flags::POSITION_LOST);
         }

@@ -6,8 +6,8 @@ use wimu_link::message::{
     ARITHMETIC_REVISION, ActiveParameters, Answer, BusFault, Command, EncodedParameters, Epoch,
     EpochGyroscope, EpochReason, Event, MessageError, Navigation, ParameterFault, Payload, Refusal,
     Reply, Request, Settings, Signature, Telemetry, WireMagnetometer, WireMagnetometerFault,
-    WireParameters, WirePhase, WireQuality, WireQualityFault, WireRun, WireSegment, WireState,
-    WireTerm, WireWindow, parameter_id,
+    WireParameters, WirePhase, WireQuality, WireQualityFault, WireRotation, WireRun, WireSegment,
+    WireState, WireTerm, WireWindow, parameter_id,
 };
 use wimu_link::{Deframer, MAX_FRAME, batch};
 use wimu_model::{
@@ -144,6 +144,15 @@ fn longest_epoch() -> Epoch {
                 start: segment,
             }),
             heading_sd_mrad: Some(u16::MAX),
+            rotation: Some(WireRotation {
+                quaternion: [i64::MIN; 4],
+                previous: Some(wide),
+                remainder: [u32::MAX; 3],
+                bias: wide,
+                window: far,
+                sum: far,
+                latest: far,
+            }),
         },
         sensor: batch::MAX_SENSOR,
         gyroscope: Some(EpochGyroscope {
@@ -444,6 +453,15 @@ proptest! {
                 start: run,
             }),
             heading_sd_mrad: has_run.then_some(words[0] as u16),
+            rotation: (!has_run).then_some(WireRotation {
+                quaternion: [i64::MIN, sums[0][0], sums[1][1], sums[2][2]],
+                previous: has_run.then_some(axes[0]),
+                remainder: [words[0], words[1], words[2]],
+                bias: axes[1],
+                window: sums[3],
+                sum: sums[4],
+                latest: sums[0],
+            }),
         };
         prop_assert_eq!(WireState::from(wimu_integrator::State::from(state)), state);
         let telemetry = Telemetry::Epoch(Epoch { state, ..longest_epoch() });

@@ -519,6 +519,7 @@ fn epoch(reason: EpochReason) -> Epoch {
                 start: segment,
             }),
             heading_sd_mrad: Some(37),
+            rotation: None,
         },
         ..Epoch::default()
     }

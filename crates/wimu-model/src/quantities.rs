@@ -60,33 +60,6 @@ impl From<Counts> for WideCounts {
     }
 }
 
-/// Output of a sensor of more than 16 bits: X, Y, Z in LSB, sensor axes, −2¹⁹..=2¹⁹ − 1 (20 bits).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct WideCounts(pub [i32; 3]);
-
-impl WideCounts {
-    /// Smallest count: −2¹⁹.
-    pub const MIN: i32 = -(1 << 19);
-    /// Largest count: 2¹⁹ − 1.
-    pub const MAX: i32 = (1 << 19) - 1;
-
-    /// The nearest counts of 20 bits.
-    #[inline]
-    pub fn clamped(self) -> Self {
-        Self(self.0.map(|count| count.clamp(Self::MIN, Self::MAX)))
-    }
-
-    /// Whether any axis is at or beyond `full_scale`, LSB, or the negative limit.
-    #[inline]
-    pub fn saturated(self, full_scale: i32) -> bool {
-        self.0
-            .iter()
-            .any(|&c| c >= full_scale || c <= full_scale.saturating_neg())
-    }
-}
-
 /// Specific force, m/s², f64: +g upward at rest.
 ///
 /// In sensor axes before correction, in body axes (right-handed, REP 103) after it.

@@ -9,7 +9,7 @@ use wimu_model::{
 };
 
 use crate::counter::Counter;
-use crate::{FULL_SCALE, PERIOD};
+use crate::{FULL_SCALE, GRAVITY, PERIOD, SAMPLES, signals};
 
 /// ±2000 °/s in 16 bits, rad/s per LSB.
 const RAD_S_PER_LSB: f64 = 0.00122;
@@ -61,12 +61,11 @@ impl Unit {
 }
 
 /// Correction with g-sensitivity, attitude, and the complete sample with position.
-pub fn measure(
-    counter: &Counter,
-    accelerometer: Corrector,
-    rest: &[Counts],
-    motion: &[Counts],
-) -> Result<(), &'static str> {
+#[inline(never)]
+pub fn measure(counter: &Counter) -> Result<(), &'static str> {
+    let motion = signals::motion::<SAMPLES>();
+    let parameters = crate::parameters().ok_or("the parameters are refused")?;
+    let accelerometer = Corrector::compile(&parameters, None).map_err(|_| "no corrector")?;
     let model = GyroscopeModel::new(GyroscopeTerms {
         bias_rad_s: [0.01, -0.02, 0.03],
         matrix: [
@@ -87,10 +86,9 @@ pub fn measure(
         gyroscope,
     });
     // The rotation is integrated from the first rest on.
-    for &counts in rest {
-        let force = unit.accelerometer.correct(counts);
-        let still = AngularRateQ20([0; 3]);
-        (unit.integrator).step_inertial(force, still, Saturation::default());
+    for _ in 0..SAMPLES {
+        let (force, rate) = (SpecificForceQ16(GRAVITY), AngularRateQ20([0; 3]));
+        (unit.integrator).step_inertial(force, rate, Saturation::default());
     }
     let mut each = |name: &str, code: &mut dyn FnMut(&mut Unit, Sample)| {
         let (mut sum, mut most) = (0, 0);
@@ -100,7 +98,7 @@ pub fn measure(
             sum += cost;
             most = most.max(cost);
         }
-        crate::report(name, sum, motion.len() as u32, most);
+        crate::report(name, sum, SAMPLES as u32, most);
     };
     each("six-correction", &mut |unit, sample| unit.corrected(sample));
     each("six-attitude", &mut |unit, (_, rate)| {

@@ -146,6 +146,7 @@ fn measure() -> Result<(), &'static str> {
         .ok_or("time does not follow instructions: run QEMU with -icount shift=10")?;
     // In separate functions: the smaller processor has 16 kB of RAM for both.
     array::measure(&counter)?;
+    inertial::measure(&counter)?;
     samples(&mut counter)
 }
 
@@ -253,7 +254,6 @@ fn samples(counter: &mut Counter) -> Result<(), &'static str> {
         }
         report(name, sum, SAMPLES as u32, most);
     }
-    inertial::measure(counter, corrector, &rest, &motion)?;
     #[cfg(target_abi = "eabihf")]
     calibration::measure(counter)?;
     #[cfg(not(target_abi = "eabihf"))]

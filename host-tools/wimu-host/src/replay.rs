@@ -1,7 +1,7 @@
 //! Replay of the device's arithmetic: corrected samples, velocity and position from raw samples and epochs,
 //! bit for bit.
 
-use wimu_integrator::{Integrator, MagneticHeading, Navigation, State};
+use wimu_integrator::{Integrator, Navigation, State};
 use wimu_link::message::{ARITHMETIC_REVISION, EpochReason};
 use wimu_model::{CentiCelsius, Corrector, Counts, PeriodNs, SpecificForceQ16};
 
@@ -105,11 +105,9 @@ impl Running {
         self.integrator
             .set_period(PeriodNs(mark.epoch.period_ns))
             .map_err(unusable)?;
-        let state = &mark.epoch.state;
-        if let (EpochReason::Heading, Some(sd_mrad)) = (mark.epoch.reason, state.heading_sd_mrad) {
-            let east = state.east;
+        if mark.epoch.reason == EpochReason::Heading {
             self.integrator
-                .set_heading(MagneticHeading { east, sd_mrad });
+                .adopt_heading(&State::from(mark.epoch.state));
         }
         self.full_scale = mark.epoch.full_scale;
         self.since_epoch = 0;

@@ -34,7 +34,9 @@ pub use quality::{WireMagnetometer, WireMagnetometerRotation, WireMethod, WireQu
 pub(crate) use request::Head;
 pub use request::{Answer, Command, Payload, Refusal, Reply, Request, Signature};
 pub use settings::{Resolution, Settings, Streams};
-pub use state::{ARITHMETIC_REVISION, WirePhase, WireRun, WireSegment, WireState, WireWindow};
+pub use state::{
+    ARITHMETIC_REVISION, WirePhase, WireRotation, WireRun, WireSegment, WireState, WireWindow,
+};
 pub use telemetry::{
     ActiveParameters, Attitude, BusFault, Environment, Event, LinkStatus, Navigation, Record,
     SensorStatus, Status, Telemetry,

@@ -3,7 +3,7 @@
 use serde::de::{Error as _, SeqAccess};
 use serde::ser::SerializeTuple;
 use serde::{Deserialize, Serialize};
-use wimu_integrator::{Config, Flags, Phase, Run, Segment, State, Window};
+use wimu_integrator::{Config, Flags, Phase, RotationState, Run, Segment, State, Window};
 use wimu_model::PeriodNs;
 
 /// Wire form of [`wimu_integrator::State`].
@@ -26,9 +26,10 @@ pub struct WireState {
     pub phase: WirePhase,
     /// The bits of [`Flags`].
     pub flags: u8,
-    /// Mean specific force over the latest rest, 2⁻³² m/s², body axes.
+    /// Mean specific force over the latest rest, 2⁻³² m/s², integration axes: body axes without a
+    /// gyroscope, with one the body axes of the first rest, fixed to the earth.
     pub rest_mean: [i64; 3],
-    /// Direction of east in body axes, 2⁻³⁰ per LSB.
+    /// Direction of east in integration axes, 2⁻³⁰ per LSB.
     pub east: [i32; 3],
     /// Position at the start of the segment, nm, east-north-up.
     pub base_position_nm: [i64; 3],
@@ -44,6 +45,8 @@ pub struct WireState {
     pub run: Option<WireRun>,
     /// Standard deviation of the heading against magnetic north, mrad; `None`: uncalibrated.
     pub heading_sd_mrad: Option<u16>,
+    /// Rotation, since revision 2; `None`: no gyroscope.
+    pub rotation: Option<WireRotation>,
 }
 
 /// Revision of the results of `wimu_model::Corrector` and `wimu_integrator::Integrator`, bit for bit, and of
@@ -51,6 +54,9 @@ pub struct WireState {
 ///
 /// The results of revision 1 are those of revision 2 without a gyroscope.
 pub const ARITHMETIC_REVISION: u8 = 2;
+
+/// The first revision with a rotation.
+const ROTATION_SINCE: u8 = 2;
 
 /// The fields of a state of revision 1.
 type Fields = (
@@ -84,7 +90,11 @@ impl WireState {
             ),
             (self.segment, self.window, self.run, self.heading_sd_mrad),
         );
-        fields.serialize_element(&state)
+        fields.serialize_element(&state)?;
+        match self.revision {
+            0..ROTATION_SINCE => Ok(()),
+            _ => fields.serialize_element(&self.rotation),
+        }
     }
 
     /// Reads what [`write`](Self::write) writes; nothing of an unknown revision.
@@ -101,6 +111,11 @@ impl WireState {
         let (period_ns, zupt, gravity_um_s2, phase, flags) = first;
         let (rest_mean, east, base_position_nm, base_velocity_nmps, base_since_rest_ns) = second;
         let (segment, window, run, heading_sd_mrad) = third;
+        let missing = || A::Error::missing_field("rotation");
+        let rotation = match revision {
+            0..ROTATION_SINCE => None,
+            _ => fields.next_element()?.ok_or_else(missing)?,
+        };
         Ok(Self {
             revision,
             period_ns,
@@ -117,6 +132,7 @@ impl WireState {
             window,
             run,
             heading_sd_mrad,
+            rotation,
         })
     }
 
@@ -138,6 +154,7 @@ impl WireState {
             window: WireWindow::default(),
             run: None,
             heading_sd_mrad: None,
+            rotation: None,
         }
     }
 }
@@ -167,9 +184,9 @@ pub enum WirePhase {
 pub struct WireSegment {
     /// Steps taken.
     pub steps: u32,
-    /// Velocity, 2⁻¹⁷·Δt m/s, body axes.
+    /// Velocity, 2⁻¹⁷·Δt m/s, integration axes.
     pub velocity_sum: [i64; 3],
-    /// Position, 2⁻¹⁸·Δt² m, body axes.
+    /// Position, 2⁻¹⁸·Δt² m, integration axes.
     pub position_sum: [i64; 3],
     /// Latest sample minus gravity (rounded to 2⁻¹⁶ m/s²), 2⁻¹⁶ m/s².
     pub previous: Option<[i32; 3]>,
@@ -203,6 +220,26 @@ pub struct WireRun {
     pub latest: [i64; 3],
     /// The segment at the end of the first window.
     pub start: WireSegment,
+}
+
+/// Wire form of [`RotationState`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct WireRotation {
+    /// Quaternion w, x, y, z from body to integration axes, 2⁻⁶¹.
+    pub quaternion: [i64; 4],
+    /// Latest angular rate minus bias, 2⁻²⁰ rad/s.
+    pub previous: Option<[i32; 3]>,
+    /// Part of the latest half angle below 2⁻³¹ rad, 2⁻⁶³ rad.
+    pub remainder: [u32; 3],
+    /// Bias of the gyroscope at the latest rest, 2⁻²⁰ rad/s.
+    pub bias: [i32; 3],
+    /// Σ of the angular rates of the window, 2⁻²⁰ rad/s.
+    pub window: [i64; 3],
+    /// Σ of the angular rates over all windows of the run except the latest, 2⁻²⁰ rad/s.
+    pub sum: [i64; 3],
+    /// Σ of the angular rates over the latest window of the run, 2⁻²⁰ rad/s.
+    pub latest: [i64; 3],
 }
 
 impl From<Phase> for WirePhase {
@@ -257,6 +294,12 @@ mirror!(
     [start]
 );
 mirror!(WireRun, Run, [windows, sum, latest], [start]);
+mirror!(
+    WireRotation,
+    RotationState,
+    [quaternion, previous, remainder, bias, window, sum, latest],
+    []
+);
 
 impl From<State> for WireState {
     fn from(state: State) -> Self {
@@ -276,6 +319,7 @@ impl From<State> for WireState {
             window: state.window.into(),
             run: state.run.map(WireRun::from),
             heading_sd_mrad: state.heading_sd_mrad,
+            rotation: state.rotation.map(WireRotation::from),
         }
     }
 }
@@ -299,7 +343,7 @@ impl From<WireState> for State {
             window: wire.window.into(),
             run: wire.run.map(Run::from),
             heading_sd_mrad: wire.heading_sd_mrad,
-            rotation: None,
+            rotation: wire.rotation.map(RotationState::from),
         }
     }
 }

@@ -1,5 +1,6 @@
 //! Decoding of a frame's body.
 
+use wimu_link::batch::MAX_SENSOR;
 use wimu_link::message::Epoch;
 use wimu_link::{Hello, Kind, Reply, Telemetry};
 use wimu_model::DeviceTimeUs;
@@ -27,6 +28,9 @@ pub fn read(kind: Kind, body: &[u8]) -> Result<Message, String> {
             body: body.to_vec(),
         },
         Kind::Telemetry => match Telemetry::decode(body).map_err(|e| text(&e))? {
+            Telemetry::Epoch(epoch) if epoch.sensor > MAX_SENSOR => {
+                return Err(format!("an epoch of sensor {}", epoch.sensor));
+            }
             Telemetry::Epoch(epoch) => return Ok(Message::Epoch(epoch)),
             Telemetry::Environment(environment) => Event::Environment(environment),
             Telemetry::Navigation(navigation) => Event::Navigation(navigation),

@@ -616,6 +616,8 @@ fn a_late_batch_fills_a_gap_over_the_wrap() {
     let mut statistics = StreamStatistics::default();
     gaps.add(start, start.wrapping_add(80));
     let samples = Samples {
+        sensor: 0,
+        rates: Vec::new(),
         stream: batch::Stream::Raw,
         first_sequence: start.wrapping_add(32),
         first_time: DeviceTimeUs(0),
@@ -744,7 +746,7 @@ fn what_is_held_in_doubt_is_bounded_whatever_comes() {
         decoder.push(time(1_600) * 1000, &unplaced, |_| {});
     }
     assert!(
-        decoder.start.order.held().len() <= 2048 && decoder.start.unplaced.len() <= MAX_UNPLACED
+        decoder.start.order.held().len() <= 2048 && decoder.start.unplaced() <= MAX_UNPLACED
     );
 }
 
@@ -821,7 +823,7 @@ proptest! {
                 readings.push(&arrival.event, |_| {});
             });
             prop_assert!(decoder.start.order.held().len() <= 2049);
-            prop_assert!(decoder.start.unplaced.len() <= MAX_UNPLACED);
+            prop_assert!(decoder.start.unplaced() <= MAX_UNPLACED);
         }
         for boot in &history.boots {
             for mark in &boot.epochs {

@@ -26,6 +26,8 @@ fn epoch() -> Event {
 
 fn samples(stream: Stream, first: u32) -> Event {
     Event::Samples(Samples {
+        sensor: 0,
+        rates: Vec::new(),
         stream,
         first_sequence: first,
         first_time: DeviceTimeUs(u64::from(first) * 10_000),

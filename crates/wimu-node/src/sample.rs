@@ -1,31 +1,46 @@
-//! Counts of one sample, and what the sampler does with them.
+//! Counts of one sample: their correction and integration.
 
-use wimu_integrator::{Integrator, Transition};
+use wimu_integrator::{Integrator, Saturation, Transition};
 use wimu_link::batch;
-use wimu_model::{CentiCelsius, CompileError, Corrector, Counts, ParameterSet, SpecificForceQ16};
+use wimu_model::{
+    AngularRateQ20, CentiCelsius, CompileError, Corrector, Counts, GyroscopeCorrector,
+    GyroscopeModel, ParameterSet, SpecificForceQ16, WideCounts,
+};
 
 use crate::sensor::SensorPlan;
 
-/// Counts of one sample of a sensor: [`Counts`] for a three-axis accelerometer.
+/// Counts of one sample of a sensor: [`Counts`] of a three-axis accelerometer, [`WideCounts`] of one with up to
+/// 20 bits, or a pair of the same type, accelerometer and gyroscope at the same instant.
+///
+/// Counts beyond 20 bits are clamped.
 pub trait RawSample: batch::Sample + Default + sealed::Process + 'static {}
 
 impl RawSample for Counts {}
+impl RawSample for WideCounts {}
+impl RawSample for (Counts, Counts) {}
+impl RawSample for (WideCounts, WideCounts) {}
 
 pub(crate) mod sealed {
     use super::*;
 
-    /// Correction and integration of a sample.
+    /// What the node does with a sample.
     pub trait Process: Copy {
+        /// Counts of the accelerometer.
+        type Accelerometer: batch::Sample;
         /// The corrected sample.
         type Corrected: batch::Sample;
         /// The compiled corrector of the gyroscope; `()` without one.
         type Gyroscope: Copy;
 
-        /// Compiles the gyroscope's part of `set`.
+        /// Compiles the gyroscope's part of `set`; without one, the nominal scale of `plan`.
         fn compile_gyroscope(
             set: &ParameterSet,
+            plan: &SensorPlan,
             temperature: Option<CentiCelsius>,
         ) -> Result<Self::Gyroscope, CompileError>;
+
+        /// The sample without a gyroscope's counts.
+        fn accelerometer(self) -> Self::Accelerometer;
 
         /// Corrects the sample, body axes.
         fn correct(self, corrector: &Corrector, gyroscope: &Self::Gyroscope) -> Self::Corrected;
@@ -38,18 +53,63 @@ pub(crate) mod sealed {
             integrator: &mut Integrator,
         ) -> Transition;
     }
+
+    /// Counts of three axes.
+    pub trait Triad: batch::Sample {
+        fn saturated(self, full_scale: i32) -> bool;
+        fn force(self, corrector: &Corrector) -> SpecificForceQ16;
+        fn rate(self, corrector: &GyroscopeCorrector, force: SpecificForceQ16) -> AngularRateQ20;
+    }
+}
+use sealed::Triad;
+
+impl Triad for Counts {
+    fn saturated(self, full_scale: i32) -> bool {
+        Counts::saturated(self, full_scale)
+    }
+
+    fn force(self, corrector: &Corrector) -> SpecificForceQ16 {
+        corrector.correct(self)
+    }
+
+    fn rate(self, corrector: &GyroscopeCorrector, force: SpecificForceQ16) -> AngularRateQ20 {
+        corrector.correct(self, force)
+    }
 }
 
-impl sealed::Process for Counts {
+impl Triad for WideCounts {
+    fn saturated(self, full_scale: i32) -> bool {
+        WideCounts::saturated(self, full_scale)
+    }
+
+    fn force(self, corrector: &Corrector) -> SpecificForceQ16 {
+        corrector.correct_wide(self)
+    }
+
+    fn rate(self, corrector: &GyroscopeCorrector, force: SpecificForceQ16) -> AngularRateQ20 {
+        corrector.correct_wide(self, force)
+    }
+}
+
+impl<C: Triad> sealed::Process for C {
+    type Accelerometer = C;
     type Corrected = SpecificForceQ16;
     type Gyroscope = ();
 
-    fn compile_gyroscope(_: &ParameterSet, _: Option<CentiCelsius>) -> Result<(), CompileError> {
+    fn compile_gyroscope(
+        _: &ParameterSet,
+        _: &SensorPlan,
+        _: Option<CentiCelsius>,
+    ) -> Result<(), CompileError> {
         Ok(())
     }
 
+    fn accelerometer(self) -> C {
+        self
+    }
+
     fn correct(self, corrector: &Corrector, (): &()) -> SpecificForceQ16 {
-        corrector.correct(self)
+        self.force(corrector)
     }
 
     fn integrate(
@@ -59,5 +119,47 @@ impl sealed::Process for Counts {
         integrator: &mut Integrator,
     ) -> Transition {
         integrator.step(corrected, self.saturated(plan.full_scale))
+    }
+}
+
+impl<C: Triad> sealed::Process for (C, C)
+where
+    (C, C): batch::Sample,
+{
+    type Accelerometer = C;
+    type Corrected = (SpecificForceQ16, AngularRateQ20);
+    type Gyroscope = GyroscopeCorrector;
+
+    fn compile_gyroscope(
+        set: &ParameterSet,
+        plan: &SensorPlan,
+        temperature: Option<CentiCelsius>,
+    ) -> Result<GyroscopeCorrector, CompileError> {
+        let nominal = plan.gyroscope.map_or(0.0, |nominal| nominal.rad_s_per_lsb);
+        let model = GyroscopeModel::default();
+        GyroscopeCorrector::compile(&model, nominal, set.alignment, temperature)
+    }
+
+    fn accelerometer(self) -> C {
+        self.0
+    }
+
+    fn correct(self, corrector: &Corrector, gyroscope: &GyroscopeCorrector) -> Self::Corrected {
+        let force = self.0.force(corrector);
+        (force, self.1.rate(gyroscope, force))
+    }
+
+    fn integrate(
+        self,
+        (force, rate): Self::Corrected,
+        plan: &SensorPlan,
+        integrator: &mut Integrator,
+    ) -> Transition {
+        let saturation = Saturation {
+            accelerometer: self.0.saturated(plan.full_scale),
+            // Angular rates of unknown scale are not valid.
+            gyroscope: (plan.gyroscope).is_none_or(|plan| self.1.saturated(plan.full_scale)),
+        };
+        integrator.step_inertial(force, rate, saturation)
     }
 }

@@ -69,7 +69,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
     ) -> Result<Correction<A::Sample>, Refusal> {
         let range_g = plan.settings.range_g;
         if let Some(set) = committed {
-            match self.compiled(set) {
+            match self.compiled(plan, set) {
                 Ok((correction, of)) if of == range_g => {
                     self.clear_fault(PersistentFault::Parameters);
                     return Ok(correction);
@@ -83,28 +83,30 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
             }
         }
         let uncalibrated = ParameterSet::uncalibrated(range_g, plan.sensor.sensitivity);
-        self.compile(&uncalibrated, ParameterId::UNCALIBRATED)
+        self.compile(plan, &uncalibrated, ParameterId::UNCALIBRATED)
     }
 
     /// The corrector of a set, and its full-scale range, ± *g*.
     pub(super) fn compiled(
         &self,
+        plan: &Plan,
         set: EncodedParameters,
     ) -> Result<(Correction<A::Sample>, u8), Refusal> {
         let wire = set.decode().map_err(|_| Refusal::NothingStaged)?;
         let decoded = ParameterSet::try_from(&wire).map_err(Refusal::InvalidParameters)?;
-        Ok((self.compile(&decoded, set.id())?, decoded.range_g))
+        Ok((self.compile(plan, &decoded, set.id())?, decoded.range_g))
     }
 
     pub(super) fn compile(
         &self,
+        plan: &Plan,
         set: &ParameterSet,
         parameters: ParameterId,
     ) -> Result<Correction<A::Sample>, Refusal> {
         Ok(Correction {
             corrector: Corrector::compile(set, self.latched)
                 .map_err(|fault| Refusal::InvalidParameters(fault.into()))?,
-            gyroscope: A::Sample::compile_gyroscope(set, self.latched)
+            gyroscope: A::Sample::compile_gyroscope(set, &plan.sensor, self.latched)
                 .map_err(|fault| Refusal::InvalidParameters(fault.into()))?,
             parameters,
             temperature: self.latched,

@@ -201,7 +201,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                 staging.id = Some(id);
                 Ok(Payload::Staged { hash: id.0 })
             }
-            Command::CommitParameters { hash } => self.commit(ParameterId(hash)).await,
+            Command::CommitParameters { hash } => self.commit(plan, ParameterId(hash)).await,
             Command::SetSettings(wanted) => {
                 let new = plan::or_refusal(&self.planner, &wanted)?;
                 self.change(plan, new).await?;
@@ -310,7 +310,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         }
     }
 
-    async fn commit(&mut self, named: ParameterId) -> Result<ShortPayload, Refusal> {
+    async fn commit(&mut self, plan: &Plan, named: ParameterId) -> Result<ShortPayload, Refusal> {
         let shared = self.shared;
         let mut staging = shared.staging.lock().await;
         let Staged { set, id, .. } = &mut *staging;
@@ -325,7 +325,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         if staged != named {
             return Err(Refusal::HashMismatch { staged: staged.0 });
         }
-        let range_g = self.compiled(set)?.1;
+        let range_g = self.compiled(plan, set)?.1;
         let length = parameters_record(set, &mut self.record);
         self.announce_pause().await;
         self.save_record(Key::Parameters { range_g }, length)
@@ -335,7 +335,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         self.parameters_changed = true;
         self.clear_fault(PersistentFault::Parameters);
         self.orders.room().await;
-        let correction = self.compiled(set)?.0;
+        let correction = self.compiled(plan, set)?.0;
         self.orders.give(Order::Correct(correction));
         Ok(Payload::None)
     }

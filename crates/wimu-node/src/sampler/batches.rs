@@ -65,24 +65,53 @@ impl<S: RawSample> Lane<S> {
         if self.roles == [false; 2] {
             return;
         }
-        if self.every == 1 || sequence.is_multiple_of(self.every.into()) {
+        if self.takes(sequence) {
             self.raw.add(sequence, time, sample);
             self.corrected.add(sequence, time, corrected);
         }
         let age = time.0.saturating_sub(self.raw.first_time.0);
-        if self.raw.samples.len() >= self.length || age >= OLDEST_BATCH_US {
+        if self.raw.samples.len() >= self.length::<S>() || age >= OLDEST_BATCH_US {
             self.flush(shared);
         }
     }
 
+    /// Whether the sample with this sequence number is sent.
+    pub(super) fn takes(&self, sequence: u32) -> bool {
+        match self.every {
+            0 | 1 => self.every == 1,
+            every => sequence.is_multiple_of(every.into()),
+        }
+    }
+
+    /// Length of batches of samples `B`.
+    pub(super) fn length<B: Sample>(&self) -> usize {
+        self.length.min(B::MOST)
+    }
+
     pub(super) fn flush<M: RawMutex>(&mut self, shared: &Common<M>) {
-        let every = NonZeroU8::new(self.every).unwrap_or(NonZeroU8::MIN);
-        self.raw.flush(shared, self.roles, every);
-        self.corrected.flush(shared, self.roles, every);
+        let every = self.every();
+        let layout = Layout { sensor: 0, every };
+        self.raw.flush(shared, self.roles, layout);
+        self.corrected.flush(shared, self.roles, layout);
+    }
+
+    /// Sends the samples in `batcher` as those of `sensor`.
+    pub(super) fn send<B: Sample, M: RawMutex>(
+        &self,
+        shared: &Common<M>,
+        sensor: u8,
+        batcher: &mut Batcher<B>,
+    ) {
+        let every = self.every();
+        batcher.flush(shared, self.roles, Layout { sensor, every });
+    }
+
+    fn every(&self) -> NonZeroU8 {
+        NonZeroU8::new(self.every).unwrap_or(NonZeroU8::MIN)
     }
 }
 
-struct Batcher<S> {
+pub(super) struct Batcher<S> {
     samples: Vec<S, MAX_BATCH>,
     first_sequence: u32,
     first_time: DeviceTimeUs,
@@ -99,7 +128,11 @@ impl<S> Default for Batcher<S> {
 }
 
 impl<S: Sample> Batcher<S> {
-    fn add(&mut self, sequence: u32, time: DeviceTimeUs, sample: S) {
+    pub(super) fn len(&self) -> usize {
+        self.samples.len()
+    }
+
+    pub(super) fn add(&mut self, sequence: u32, time: DeviceTimeUs, sample: S) {
         if self.samples.is_empty() {
             self.first_sequence = sequence;
             self.first_time = time;
@@ -108,10 +141,9 @@ impl<S: Sample> Batcher<S> {
         let _ = self.samples.push(sample);
     }
 
-    fn flush<M: RawMutex>(&mut self, shared: &Common<M>, roles: [bool; 2], every: NonZeroU8) {
+    fn flush<M: RawMutex>(&mut self, shared: &Common<M>, roles: [bool; 2], layout: Layout) {
         let mut frame = [0; MAX_FRAME];
         let (sequence, time) = (self.first_sequence, self.first_time);
-        let layout = Layout { sensor: 0, every };
         let encoded = batch::encode_with(layout, sequence, time, &self.samples, &mut frame);
         self.samples.clear();
         if let Ok(length) = encoded {

@@ -2,17 +2,23 @@
 
 mod batches;
 mod clock;
+mod secondary;
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use wimu_integrator::{Config, FieldMean, Integrator, Phase, Transition};
-use wimu_link::message::{BusFault, Environment, Epoch, EpochReason, Event, Navigation, Settings};
+use wimu_link::batch;
+use wimu_link::message::{
+    Attitude, BusFault, Environment, Epoch, EpochGyroscope, EpochReason, Event, Navigation,
+    Settings,
+};
 use wimu_model::{DeviceTimeUs, MagneticFieldNt, PeriodNs};
 
 use self::batches::Lane;
 use self::clock::SampleClock;
+use self::secondary::Secondary;
 use crate::sample::RawSample;
 use crate::sample::sealed::Process as _;
-use crate::sensor::{Batch, InertialSensor, Plan, SensorFault, Surroundings};
+use crate::sensor::{Batch, InertialSensor, Plan, SensorFault, SensorPlan, Surroundings};
 use crate::shared::{Common, Correction, Message, Order, Orders, PersistentFault, ROLES, Shared};
 use crate::timer::Timer;
 
@@ -39,6 +45,8 @@ pub struct Sampler<'a, A: InertialSensor, T, M: RawMutex> {
     shared: &'a Common<M>,
     orders: &'a Orders<M, A::Sample>,
     lanes: [Lane<A::Sample>; 2],
+    /// Sensors 1 to 3.
+    secondary: [Secondary; 3],
     next_sequence: u32,
     /// Epochs sent on both links, modulo 256.
     epochs: u8,
@@ -70,6 +78,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             shared: &shared.common,
             orders: &shared.orders,
             lanes: [Lane::default(), Lane::default()],
+            secondary: [Secondary::default(); 3],
             next_sequence: 0,
             epochs: 0,
             next_surroundings: DeviceTimeUs(0),
@@ -110,7 +119,10 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             match self.sensor.next(&mut samples).await {
                 Ok(read) => {
                     let samples = samples.get(..read.count).unwrap_or(&samples);
-                    self.process(&mut running, read, samples);
+                    match read.sensor {
+                        0 => self.process(&mut running, read, samples),
+                        _ => self.process_secondary(&running, read, samples),
+                    }
                 }
                 Err(fault) => self.fail(&mut running, fault),
             }
@@ -142,6 +154,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             (Ok(()), Some(Order::Configure(plan, correction))) => {
                 *running = Running::new(plan, correction, EpochReason::Settings);
                 self.lanes = Lane::of(&plan.settings);
+                self.secondary.iter_mut().for_each(Secondary::restart);
             }
             // The state of the sensor is unknown: `retry` configures it under the previous plan.
             (Err(fault), _) => self.fail(running, fault),
@@ -172,10 +185,13 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
                 .set_fault(PersistentFault::Sensor, self.timer.now(), None);
             self.shared.report(self.timer.now(), Event::SensorFound);
         }
-        let missed = running.clock.missed_before(&read, samples.len());
-        let mut spacing_ns = u64::from(running.clock.period.0);
-        if missed == 0 && running.clock.is_after_last(read.last_time) {
-            spacing_ns = running.clock.spacing_ns(&read, spacing_ns);
+        let (reads, period) = (&running.clock.reads, running.clock.period);
+        let missed = reads.missed_before(&read, samples.len(), period);
+        let mut spacing_ns = u64::from(period.0);
+        if missed == 0
+            && let Some(measured_ns) = reads.spacing_ns(&read)
+        {
+            spacing_ns = measured_ns;
         } else {
             self.flush();
             running.clock.restart_measurement();
@@ -194,13 +210,28 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             published.jitter_ns = running.clock.jitter_ns;
         });
         for (index, &sample) in samples.iter().enumerate() {
-            let newer = (samples.len() - 1 - index) as u64;
-            let time = DeviceTimeUs(
-                (read.last_time.0).saturating_sub(newer.saturating_mul(spacing_ns) / 1000),
-            );
+            let newer = samples.len() - 1 - index;
+            let time = clock::sample_time(&read, newer, spacing_ns);
             self.sample(running, sample, time);
         }
         running.clock.count(read.last_time, samples.len() as u32);
+    }
+
+    /// Sends samples of another sensor than the first.
+    fn process_secondary(
+        &mut self,
+        running: &Running<A::Sample>,
+        read: Batch,
+        samples: &[A::Sample],
+    ) {
+        let Some(plan) = self.sensor.secondary(&running.plan, read.sensor) else {
+            return;
+        };
+        let index = usize::from(read.sensor).wrapping_sub(1);
+        if let Some(secondary) = self.secondary.get_mut(index) {
+            let temperature = running.correction.temperature.map(|t| t.0);
+            secondary.process(&plan, &read, samples, &self.lanes, self.shared, temperature);
+        }
     }
 
     fn sample(&mut self, running: &mut Running<A::Sample>, sample: A::Sample, time: DeviceTimeUs) {
@@ -238,7 +269,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             if running.correction.compass.is_some() {
                 self.next_surroundings = time;
             }
-            let mean = running.integrator.state().rest_mean;
+            let mean = running.integrator.rest_force();
             self.shared
                 .rest
                 .signal((mean, running.correction.parameters));
@@ -274,16 +305,28 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             parameters: running.correction.parameters.0,
             temperature_centi_c: running.correction.temperature.map(|t| t.0),
             state: running.integrator.state().into(),
+            gyroscope: epoch_gyroscope(&running.plan.sensor),
             ..Epoch::default()
         });
         self.shared.announce(&epoch, roles);
     }
 
     fn send_navigation(&self, running: &Running<A::Sample>, sequence: u32) {
-        let message =
-            Message::Navigation(Navigation::new(sequence, &running.integrator.navigation()));
+        let navigation = running.integrator.navigation();
+        let message = Message::Navigation(Navigation::new(sequence, &navigation));
         self.shared
             .stream([true; 2], &message, |streams| streams.navigation);
+        if let Some(quaternion) = navigation
+            .attitude
+            .filter(|_| <A::Sample as batch::Sample>::AXES == 6)
+        {
+            let message = Message::Attitude(Attitude {
+                sequence,
+                quaternion,
+            });
+            self.shared
+                .stream([true; 2], &message, |streams| streams.navigation);
+        }
     }
 
     async fn read_surroundings(&mut self, running: &mut Running<A::Sample>) {
@@ -318,7 +361,8 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         self.flush();
         running.integrator.gap();
         running.begin_epoch(EpochReason::Gap);
-        running.clock.broken = true;
+        running.clock.reads.broken = true;
+        self.secondary.iter_mut().for_each(Secondary::restart);
         running.lost = true;
         self.shared.publish(|published| {
             let errors = &mut published.sensor.bus_errors;
@@ -344,9 +388,8 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         let event = match fault {
             SensorFault::NotAnswering => Event::SensorLost(BusFault::NoAnswer),
             SensorFault::Transfer => Event::SensorLost(BusFault::Transfer),
-            SensorFault::NoData | SensorFault::GyroscopeStopped => {
-                Event::SensorLost(BusFault::Timeout)
-            }
+            SensorFault::NoData => Event::SensorLost(BusFault::Timeout),
+            SensorFault::GyroscopeStopped => Event::GyroscopeLost(BusFault::Timeout),
             SensorFault::WrongIdentity { expected, found } => {
                 Event::WrongSensor { expected, found }
             }
@@ -362,6 +405,13 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             lane.flush(self.shared);
         }
     }
+}
+
+fn epoch_gyroscope(plan: &SensorPlan) -> Option<EpochGyroscope> {
+    plan.gyroscope.map(|gyroscope| EpochGyroscope {
+        rad_s_per_lsb: gyroscope.rad_s_per_lsb,
+        full_scale: gyroscope.full_scale,
+    })
 }
 
 fn integrator(settings: &Settings, period: PeriodNs) -> Integrator {
@@ -416,7 +466,7 @@ impl<S: RawSample> Running<S> {
         if state.phase != Phase::Resting || !self.field.push(field) {
             return;
         }
-        if let Some(heading) = compass.heading(&self.field, state.rest_mean)
+        if let Some(heading) = compass.heading(&self.field, self.integrator.rest_force())
             && self.integrator.set_heading(heading)
         {
             self.begin_epoch(EpochReason::Heading);

@@ -18,6 +18,7 @@ use wimu_host::{ErrorCode, replay};
 use wimu_link::LinkRole;
 use wimu_link::message::{EpochReason, Event as DeviceEvent, Settings};
 use wimu_model::{Alignment, ParameterId, ParameterSet, Sensitivity};
+use wimu_sim::board::SensorPart;
 use wimu_sim::motion;
 use wimu_sim::scenario::{Calibration, FirstLight, Host, Outcome};
 use wimu_sim::scene::{Scene, Temperature, World};
@@ -27,19 +28,21 @@ use wimu_testkit::figure;
 use wimu_tests::behind_faults::BehindFaults;
 use wimu_tests::qemu::{Machine, QemuBoard};
 
-/// A board whose memory and log are in `folder`.
+/// A board with an LSM303AGR whose memory and log are in `folder`.
 fn machine(folder: &Path) -> Machine {
+    machine_with(SensorPart::Lsm303agr, folder)
+}
+
+fn machine_with(sensor: SensorPart, folder: &Path) -> Machine {
     let built = "../firmware/qemu-mps2/target/thumbv7em-none-eabihf/release/wimu-qemu-mps2";
     let image = std::env::var_os("WIMU_QEMU_FIRMWARE").map_or_else(
         || Path::new(env!("CARGO_MANIFEST_DIR")).join(built),
         PathBuf::from,
     );
     Machine {
-        image,
         memory: Some(memory(folder)),
         log: Some(folder.join("log")),
-        power_loss_after: None,
-        slow_flash: None,
+        ..Machine::new(&image, sensor)
     }
 }
 

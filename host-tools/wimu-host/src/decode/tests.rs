@@ -745,9 +745,7 @@ fn what_is_held_in_doubt_is_bounded_whatever_comes() {
     for _ in 0..sent {
         decoder.push(time(1_600) * 1000, &unplaced, |_| {});
     }
-    assert!(
-        decoder.start.order.held().len() <= 2048 && decoder.start.unplaced() <= MAX_UNPLACED
-    );
+    assert!(decoder.start.order.held().len() <= 2048 && decoder.start.unplaced() <= MAX_UNPLACED);
 }
 
 /// A frame of a device, or of nobody's, with any numbers.

@@ -3,7 +3,7 @@ use wimu_link::batch;
 use wimu_link::message::{ActiveParameters, Epoch, WireParameters, parameter_id};
 use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry};
 use wimu_model::{
-    DeviceTimeUs, ErrorModel, ErrorTerms, ParameterSet, Sensitivity, TemperatureTerms,
+    Counts, DeviceTimeUs, ErrorModel, ErrorTerms, ParameterSet, Sensitivity, TemperatureTerms,
 };
 use wimu_testkit::Random;
 

@@ -259,7 +259,7 @@ impl GyroscopeCorrector {
 /// Fraction bits of a g-sensitivity coefficient: 16 · 0.02 · 3 / 0.5 LSB per LSB fits 32 bits.
 const G_BITS: u32 = 28;
 
-fn check(
+pub(crate) fn check(
     term: GyroscopeTerm,
     axis: usize,
     value: f64,
@@ -281,7 +281,6 @@ fn check(
 /// A term of the gyroscope's error model, as errors name it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
 pub enum GyroscopeTerm {
     /// b₀, rad/s.
     Bias,
@@ -297,12 +296,17 @@ pub enum GyroscopeTerm {
     BiasSlope,
     /// s₁, 1/K.
     ScaleSlope,
+    /// Nominal sensitivity, rad/s per LSB.
+    Sensitivity,
+    /// Full-scale range, °/s.
+    Range,
+    /// Standard deviation of a term, in the term's unit.
+    Deviation,
 }
 
 /// Why numbers are not a gyroscope's error model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
 pub enum GyroscopeError {
     /// A term is not a number, or outside its bounds.
     OutOfBounds {
@@ -342,6 +346,9 @@ impl fmt::Display for GyroscopeError {
                     GyroscopeTerm::ReferenceTemperature => ("reference temperature", " °C"),
                     GyroscopeTerm::BiasSlope => ("bias slope", " rad/s/K"),
                     GyroscopeTerm::ScaleSlope => ("scale-factor slope", " 1/K"),
+                    GyroscopeTerm::Sensitivity => ("sensitivity", " rad/s/LSB"),
+                    GyroscopeTerm::Range => ("range", " °/s"),
+                    GyroscopeTerm::Deviation => ("standard deviation", ""),
                 };
                 let axis = ["X", "Y", "Z"].get(axis).copied().unwrap_or("?");
                 write!(

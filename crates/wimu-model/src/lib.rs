@@ -28,7 +28,9 @@ pub use magnetometer::{
     MagnetometerError, MagnetometerModel, MagnetometerRotation, MagnetometerTerms,
 };
 pub use matrix::Matrix3;
-pub use parameters::{Alignment, AlignmentError, ParameterId, ParameterSet, SensorId};
+pub use parameters::{
+    Alignment, AlignmentError, GyroscopeParameters, ParameterId, ParameterSet, SensorId,
+};
 pub use quality::{
     CalibratedTemperature, CalibrationMethod, CalibrationQuality, QualityError, QualityTerms,
     TermDeviations,

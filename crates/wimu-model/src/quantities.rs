@@ -196,8 +196,8 @@ impl PeriodNs {
 
 /// Nominal sensitivity of a sensor at its current range, LSB per unit *g* (9.80665 m/s²).
 ///
-/// Always finite and within 160..=65536: below, one count is worth more than the corrector's
-/// fixed point can hold to one LSB over 16 bits of input; above, ±½ g would saturate it.
+/// Always finite and within 160..=1048576: below, one count is worth more than the corrector's
+/// fixed point can hold to one LSB over 16 bits of input; above, ±½ g would saturate 20 bits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(try_from = "f64", into = "f64"))]
@@ -208,9 +208,9 @@ impl Sensitivity {
     /// A sensitivity in LSB per *g*.
     ///
     /// # Errors
-    /// [`SensitivityError`] when it is not finite or outside 160..=65536.
+    /// [`SensitivityError`] when it is not finite or outside 160..=1048576.
     pub fn from_lsb_per_g(lsb_per_g: f64) -> Result<Self, SensitivityError> {
-        if (160.0..=65536.0).contains(&lsb_per_g) {
+        if (160.0..=1_048_576.0).contains(&lsb_per_g) {
             Ok(Self(lsb_per_g))
         } else {
             Err(SensitivityError(lsb_per_g))
@@ -248,7 +248,7 @@ impl From<Sensitivity> for f64 {
     }
 }
 
-/// A sensitivity outside 160..=65536 LSB/g; holds the value, LSB/g.
+/// A sensitivity outside 160..=1048576 LSB/g; holds the value, LSB/g.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SensitivityError(pub f64);
@@ -257,7 +257,7 @@ impl fmt::Display for SensitivityError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             out,
-            "sensitivity {} LSB/g is outside 160 to 65536 LSB/g",
+            "sensitivity {} LSB/g is outside 160 to 1048576 LSB/g",
             self.0
         )
     }

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use wimu_host::compare::compare;
-use wimu_host::export::{ExportStream, to_csv};
+use wimu_host::export::{ExportSource, ExportStream, to_csv};
 use wimu_host::mcap_file::{ClockAnchor, RecordingReader, RecordingWriter};
 use wimu_host::overview::Overview;
 use wimu_link::message::{Epoch, EpochReason};
@@ -105,8 +105,11 @@ fn do_step(step: &str, path: &Path, minutes: u32) -> u64 {
         "info" => Overview::read(path).unwrap().links[1].raw() as u64,
         _ => {
             let table = path.with_extension("csv");
-            let wireless = Some(LinkRole::Wireless);
-            let rows = to_csv(path, wireless, None, ExportStream::Raw, &table)
+            let wireless = ExportSource {
+                role: Some(LinkRole::Wireless),
+                ..ExportSource::default()
+            };
+            let rows = to_csv(path, &wireless, ExportStream::Raw, &table)
                 .unwrap()
                 .rows;
             std::fs::remove_file(table).unwrap();

@@ -349,6 +349,9 @@ pub struct Export {
     /// Stream to write. Only `corrected` has the corrected magnetic field, where `Field Calibrated` is 1
     #[arg(long, value_enum, default_value_t = Stream::Raw)]
     pub stream: Stream,
+    /// Index of the sensor whose samples a CSV table has; those above 0 have raw samples only
+    #[arg(long, value_name = "INDEX", default_value_t = 0)]
+    pub sensor: u8,
     /// Link of the recording to use [default: the cable if it was recorded]
     #[arg(long, value_enum)]
     pub link: Option<Role>,

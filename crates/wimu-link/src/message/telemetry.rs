@@ -160,6 +160,14 @@ pub struct Attitude {
     pub quaternion: [i32; 4],
 }
 
+impl Attitude {
+    /// The unit quaternion W, X, Y, Z.
+    pub fn to_quaternion(&self) -> [f64; 4] {
+        self.quaternion
+            .map(|part| f64::from(part) / (1 << 30) as f64)
+    }
+}
+
 /// The parameters in use. Sent at start and whenever they change.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

@@ -53,7 +53,13 @@ fn every_position_has_its_time_where_numbers_wrap() {
         append(length, &frame);
     }
     writer.finish().unwrap();
-    let exported = to_csv(&file, None, None, ExportStream::Navigation, &table).unwrap();
+    let exported = to_csv(
+        &file,
+        &ExportSource::default(),
+        ExportStream::Navigation,
+        &table,
+    )
+    .unwrap();
     assert_eq!(exported.rows, steps as usize / 16);
     let text = std::fs::read_to_string(&table).unwrap();
     let mut lines = text.lines();

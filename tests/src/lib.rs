@@ -20,7 +20,7 @@ use wimu_host::mcap_file::{ClockAnchor, Received, RecordingReader, RecordingWrit
 use wimu_host::replay;
 use wimu_link::batch;
 use wimu_link::frame::EncodeError;
-use wimu_link::message::{Event as DeviceEvent, Payload, Status};
+use wimu_link::message::{Event as DeviceEvent, Payload, Status, WireParameters};
 use wimu_link::{
     Answer, Command, Deframer, Hello, Kind, LinkRole, MAX_FRAME, Reply, Request, Settings,
     WIRE_VERSION, WhoAreYou,
@@ -338,6 +338,17 @@ pub fn encoded<E: std::fmt::Debug>(encode: impl FnOnce(&mut [u8]) -> Result<usiz
     let mut frame = [0; MAX_FRAME];
     let length = encode(&mut frame).expect("room");
     frame[..length].to_vec()
+}
+
+/// The command that stages a set which fits a piece.
+///
+/// # Panics
+/// When it does not fit.
+pub fn staging(set: &WireParameters) -> Command {
+    let mut commands = set.stage();
+    let command = commands.next().expect("a piece");
+    assert!(commands.next().is_none(), "{set:?} does not fit a piece");
+    command
 }
 
 /// The question who is there.

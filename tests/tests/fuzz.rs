@@ -42,7 +42,7 @@ fn anything(seeded: &mut Random, rig: &mut Rig) -> Vec<u8> {
             let command = [
                 Command::GetStatus,
                 Command::GetTime,
-                Command::GetParameters,
+                Command::GetParameters { offset: 0 },
                 Command::FactoryReset,
                 Command::CommitParameters { hash: 5 },
             ][seeded.below(4)];

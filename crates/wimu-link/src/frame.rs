@@ -29,18 +29,33 @@ use cobs::{CobsEncoder, DecodeResult, DecoderState};
 use heapless::VecView;
 
 use crate::checksum::{Digest, crc_32c};
+use crate::message::WireParameters;
 
 /// The version of the wire protocol, independent of the crate's version.
 pub const WIRE_VERSION: u8 = 2;
 
-/// The longest body, bytes: a complete signed parameter set. The longest epoch has 540.
-pub const MAX_BODY: usize = 896;
+/// The longest body, bytes: the longest epoch has 743.
+pub const MAX_BODY: usize = 752;
+
+/// The longest body of wire version 1, bytes: a complete parameter set.
+const MAX_BODY_V1: usize = 896;
 
 /// The longest frame, bytes, with its closing zero.
-pub const MAX_FRAME: usize = cobs::max_encoding_length(MAX_PLAIN) + 1;
+pub const MAX_FRAME: usize = frame_of(MAX_BODY);
+
+/// The longest stored frame, bytes, with its closing zero: a record of the longest parameter set.
+pub const MAX_RECORD: usize = frame_of(MAX_RECORD_BODY);
+
+/// The body of that record: variant, id, flag, set.
+pub(crate) const MAX_RECORD_BODY: usize = 1 + 5 + 1 + WireParameters::MAX;
 
 /// Kind byte, body, CRC.
 const MAX_PLAIN: usize = 1 + MAX_BODY + CRC_BYTES;
+
+/// The longest frame of a body of `body` bytes.
+const fn frame_of(body: usize) -> usize {
+    cobs::max_encoding_length(1 + body + CRC_BYTES) + 1
+}
 const CRC_BYTES: usize = 4;
 
 /// The kind of a frame's body.
@@ -109,10 +124,20 @@ pub(crate) fn build(
     frame: &mut [u8],
     write: &mut dyn FnMut(&mut BodyWriter) -> Result<(), EncodeError>,
 ) -> Result<usize, EncodeError> {
+    build_within(MAX_BODY, kind, frame, write)
+}
+
+/// The same with a body of at most `longest` bytes.
+pub(crate) fn build_within(
+    longest: usize,
+    kind: Kind,
+    frame: &mut [u8],
+    write: &mut dyn FnMut(&mut BodyWriter) -> Result<(), EncodeError>,
+) -> Result<usize, EncodeError> {
     let mut writer = BodyWriter {
         cobs: CobsEncoder::new(frame),
         digest: Digest::new(),
-        body: 0,
+        left: longest,
     };
     writer.code(&[(WIRE_VERSION << 4) | kind as u8])?;
     write(&mut writer)?;
@@ -130,7 +155,8 @@ pub(crate) fn build(
 pub(crate) struct BodyWriter<'a> {
     cobs: CobsEncoder<'a>,
     digest: Digest,
-    body: usize,
+    /// Bytes that may follow.
+    left: usize,
 }
 
 impl BodyWriter<'_> {
@@ -139,10 +165,7 @@ impl BodyWriter<'_> {
         if bytes.is_empty() {
             return Ok(());
         }
-        self.body = self.body.saturating_add(bytes.len());
-        if self.body > MAX_BODY {
-            return Err(EncodeError::BodyTooLong);
-        }
+        self.left = (self.left.checked_sub(bytes.len())).ok_or(EncodeError::BodyTooLong)?;
         self.code(bytes)
     }
 
@@ -175,22 +198,32 @@ pub struct Frame<'a> {
     pub body: &'a [u8],
 }
 
-/// Finds frames in a stream of bytes. Its only state is one frame, so reading can pause after any byte.
+/// Finds frames in a stream of bytes. Its only state is one frame of up to `PLAIN` bytes, so reading can
+/// pause after any byte.
 #[derive(Debug)]
-pub struct Deframer {
+pub struct Deframer<const PLAIN: usize = MAX_PLAIN> {
     cobs: DecoderState,
     length: usize,
-    plain: [u8; MAX_PLAIN],
+    plain: [u8; PLAIN],
 }
+
+/// A [`Deframer`] with room for the longest frame of wire version 1 too, for recordings.
+pub type RecordedDeframer = Deframer<{ 1 + MAX_BODY_V1 + CRC_BYTES }>;
 
 impl Deframer {
     /// A deframer for a stream. In the middle of a stream, the bytes before the first zero are reported as
     /// one damaged frame.
     pub const fn new() -> Self {
+        Self::empty()
+    }
+}
+
+impl<const PLAIN: usize> Deframer<PLAIN> {
+    const fn empty() -> Self {
         Self {
             cobs: DecoderState::Idle,
             length: 0,
-            plain: [0; MAX_PLAIN],
+            plain: [0; PLAIN],
         }
     }
 
@@ -260,7 +293,7 @@ impl Deframer {
         while let Some((&code, rest)) = coded.split_first() {
             let run = usize::from(code).saturating_sub(1);
             let Some((run, rest)) = rest.split_at_checked(run) else {
-                return Err(if length + rest.len() > MAX_PLAIN {
+                return Err(if length + rest.len() > PLAIN {
                     FrameError::TooLong
                 } else {
                     FrameError::Cobs
@@ -294,12 +327,12 @@ impl Deframer {
                 if let Some(place) = self.plain.get_mut(self.length) {
                     *place = data;
                 }
-                // `MAX_PLAIN + 1` marks a frame that is too long.
-                self.length = (self.length + 1).min(MAX_PLAIN + 1);
+                // `PLAIN + 1` marks a frame that is too long.
+                self.length = (self.length + 1).min(PLAIN + 1);
                 None
             }
             Ok(DecodeResult::DataComplete) => Some(Ok(self.length)),
-            Err(_) => Some(Err(if self.length > MAX_PLAIN {
+            Err(_) => Some(Err(if self.length > PLAIN {
                 FrameError::TooLong
             } else {
                 FrameError::Cobs
@@ -308,9 +341,9 @@ impl Deframer {
     }
 }
 
-impl Default for Deframer {
+impl<const PLAIN: usize> Default for Deframer<PLAIN> {
     fn default() -> Self {
-        Self::new()
+        Self::empty()
     }
 }
 

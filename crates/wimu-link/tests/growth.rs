@@ -13,15 +13,15 @@ use wimu_link::message::{
 };
 use wimu_link::responder::{Decision, Responder};
 use wimu_link::{
-    Answer, Command, Deframer, Hello, Kind, LinkRole, MAX_FRAME, Reply, Request, Requester,
-    Telemetry, WIRE_VERSION, WhoAreYou,
+    Answer, Command, Hello, Kind, LinkRole, MAX_FRAME, Reply, Request, Requester, Telemetry,
+    WIRE_VERSION, WhoAreYou,
 };
 
 const KEY: DeviceKey = DeviceKey::new([7; 32]);
 
 /// What comes of a frame.
 fn heard<T>(line: &[u8], each: impl Fn(Result<Frame<'_>, FrameError>) -> T) -> T {
-    let mut deframer = Deframer::new();
+    let mut deframer = frame::RecordedDeframer::default();
     let mut bytes = line;
     each(deframer.next(&mut bytes).expect("a frame"))
 }

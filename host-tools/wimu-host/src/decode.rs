@@ -4,8 +4,9 @@ use std::cmp::Ordering;
 use std::collections::VecDeque;
 
 use wimu_link::batch;
+use wimu_link::frame::RecordedDeframer;
 use wimu_link::message::{Attitude, Environment, Epoch, Navigation};
-use wimu_link::{Batch, Deframer, FrameError, Hello};
+use wimu_link::{Batch, FrameError, Hello};
 use wimu_model::{DeviceTimeUs, PeriodNs};
 
 mod anchor;
@@ -13,9 +14,11 @@ mod event;
 mod gaps;
 mod message;
 mod order;
+mod pieces;
 mod repeats;
 
 pub use event::{Arrival, Event, LinkStatistics, Samples, StreamStatistics, TimedSample};
+pub use pieces::Pieces;
 
 use anchor::Anchor;
 use gaps::Gaps;
@@ -80,7 +83,7 @@ impl Received {
 /// ```
 #[derive(Debug, Default)]
 pub struct Decoder {
-    deframer: Deframer,
+    deframer: RecordedDeframer,
     statistics: LinkStatistics,
     start: Start,
     /// Whether an undamaged frame has arrived since reception began.
@@ -93,6 +96,7 @@ pub struct Decoder {
     identity: Option<(u64, u32)>,
     identity_before: Option<(u64, u32)>,
     foreign_version: Option<u8>,
+    pieces: Pieces,
 }
 
 /// Number of sensor indices.
@@ -189,7 +193,15 @@ impl Decoder {
                 Ok(frame) => {
                     self.statistics.frames += 1;
                     self.listening = true;
-                    match read(frame.kind, frame.body) {
+                    let message = match read(frame.kind, frame.body) {
+                        Ok(Message::Piece(piece)) => match self.pieces.take(&piece) {
+                            Ok(None) => continue,
+                            Ok(Some(active)) => Ok(Message::Event(Event::Parameters(active))),
+                            Err(why) => Err(why.to_string()),
+                        },
+                        message => message,
+                    };
+                    match message {
                         Ok(message) => message,
                         Err(why) => {
                             self.statistics.frames_unreadable += 1;
@@ -212,6 +224,7 @@ impl Decoder {
             match event {
                 Message::Hello(hello) => self.take_hello(received, hello, &mut each),
                 Message::Epoch(epoch) => self.take_epoch(received, epoch, &mut each),
+                Message::Piece(_) => {}
                 Message::Event(event) if self.start.order.holds() && event.is_of_a_start() => {
                     self.start
                         .order
@@ -227,7 +240,7 @@ impl Decoder {
 
     /// The link was lost: later data do not continue earlier ones.
     pub fn interrupt(&mut self) {
-        self.deframer = Deframer::new();
+        self.deframer = RecordedDeframer::default();
         self.listening = false;
         self.began_ns = None;
         // A reopened link does not repeat earlier data.
@@ -237,7 +250,7 @@ impl Decoder {
 
     /// A part of the link's data is unknown: it is not counted as missing or damaged.
     pub fn skip(&mut self) {
-        self.deframer = Deframer::new();
+        self.deframer = RecordedDeframer::default();
         self.listening = false;
         self.began_ns = None;
         for track in &mut self.start.tracks {

@@ -191,11 +191,6 @@ impl Boot {
                 }];
             }
             Event::Parameters(parameters) => self.use_parameters(*parameters),
-            Event::Reply { reply, .. } => {
-                if let Answer::Accepted(Payload::Parameters(parameters)) = reply.answer {
-                    self.use_parameters(parameters);
-                }
-            }
             _ => {}
         }
     }
@@ -343,9 +338,6 @@ impl LinkHistory {
                 push_new(&mut boot.events, &mut boot.known_events, (*time, *event));
             }
             Event::Reply { reply, .. } => match reply.answer {
-                Answer::Accepted(Payload::Parameters(parameters)) => {
-                    boot.use_parameters(parameters)
-                }
                 Answer::Accepted(Payload::Settings(settings)) => boot.use_settings(settings),
                 Answer::Accepted(Payload::Status(status)) => boot.status = Some(status),
                 _ => {}

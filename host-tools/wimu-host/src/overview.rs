@@ -218,7 +218,6 @@ impl Listen for LinkOverview {
             Event::Status(status) => self.status = Some(*status),
             Event::Reply { reply, .. } => match reply.answer {
                 Answer::Accepted(Payload::Status(status)) => self.status = Some(status),
-                Answer::Accepted(Payload::Parameters(set)) => boot.use_parameters(set),
                 _ => {}
             },
             Event::Parameters(set) => boot.use_parameters(*set),

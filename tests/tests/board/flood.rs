@@ -19,7 +19,7 @@ use wimu_model::{
 use wimu_sim::board::{Board, BoardConfig, SimLink};
 use wimu_sim::scene::World;
 use wimu_testkit::{Lane, figure};
-use wimu_tests::{Random, encoded, frame_of, sensor, who_are_you};
+use wimu_tests::{Random, encoded, frame_of, sensor, staging, who_are_you};
 
 const KEY: DeviceKey = DeviceKey::new([0x11; 32]);
 const CABLE: LinkRole = LinkRole::Cable;
@@ -64,8 +64,8 @@ const IDS: [Ids; 4] = [Ids::NewSessions, Ids::Counted, Ids::Repeated, Ids::Owner
 /// One of each kind.
 fn commands() -> Vec<Command> {
     let all = vec![
-        Command::GetParameters,
-        Command::StageParameters((&set_of(0.4)).into()),
+        Command::GetParameters { offset: 0 },
+        staging(&(&set_of(0.4)).into()),
         Command::CommitParameters { hash: 1 },
         Command::FactoryReset,
         Command::GetSettings,
@@ -84,8 +84,8 @@ fn commands() -> Vec<Command> {
     for (index, command) in all.iter().enumerate() {
         // Does not compile when there is another one: give it its number here, and add it above.
         let number = match command {
-            Command::GetParameters => 0,
-            Command::StageParameters(_) => 1,
+            Command::GetParameters { .. } => 0,
+            Command::StageParameters { .. } => 1,
             Command::CommitParameters { .. } => 2,
             Command::FactoryReset => 3,
             Command::GetSettings => 4,
@@ -109,7 +109,7 @@ fn attacks() -> Vec<Attack> {
         .flat_map(|command| IDS.map(|ids| Attack::Unsigned(command, ids)));
     let others = [
         Attack::Unknown,
-        Attack::Forged(Command::GetParameters),
+        Attack::Forged(Command::GetParameters { offset: 0 }),
         Attack::Forged(Command::FactoryReset),
         Attack::Replayed,
         Attack::WhoAreYou,

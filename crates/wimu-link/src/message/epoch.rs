@@ -7,7 +7,7 @@ use serde::ser::SerializeTuple;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use wimu_model::ParameterId;
 
-use super::request::Signature;
+use super::bytes::Signature;
 use super::state::WireState;
 
 /// Why an epoch begins. Append only.

@@ -7,10 +7,10 @@ use serde::{Deserialize, Serialize};
 use super::MessageError;
 use super::epoch::Epoch;
 use super::fault::ParameterFault;
-use super::parameters::{EncodedParameters, WireParameters};
+use super::parameters::{EncodedParameters, ParametersPiece, WireParameters};
 use super::settings::Settings;
 use super::state::WirePhase;
-use crate::frame::{Kind, WIRE_VERSION};
+use crate::frame::{EncodeError, Kind, MAX_RECORD_BODY, WIRE_VERSION};
 
 /// Messages that a device sends without a request, other than samples. Append only.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -23,7 +23,7 @@ pub enum Telemetry<P = WireParameters> {
     Environment(Environment),
     /// Velocity and position.
     Navigation(Navigation),
-    /// The parameters in use.
+    /// The parameters in use: in recordings of wire version 1 and in a device's store only.
     Parameters(ActiveParameters<P>),
     /// The settings in use.
     Settings(Settings),
@@ -38,6 +38,8 @@ pub enum Telemetry<P = WireParameters> {
     },
     /// The attitude, with [`Navigation`] where there is a gyroscope.
     Attitude(Attitude),
+    /// A piece of the parameters in use.
+    ParametersPiece(ParametersPiece),
 }
 
 /// The messages that a device also stores. All later firmware can read them.
@@ -51,6 +53,22 @@ pub enum Record<'a> {
 }
 
 impl<'a> Record<'a> {
+    /// Encodes a parameter set into a frame for a store, of which
+    /// [`MAX_RECORD`](crate::frame::MAX_RECORD) bytes are enough; returns its length, bytes.
+    ///
+    /// # Errors
+    /// [`EncodeError`] when the set is too long or the frame does not fit.
+    pub fn encode_parameters(
+        set: EncodedParameters,
+        frame: &mut [u8],
+    ) -> Result<usize, EncodeError> {
+        let message = Telemetry::Parameters(ActiveParameters {
+            active: Some(set),
+            id: set.id().0,
+        });
+        super::encode_within(MAX_RECORD_BODY, Kind::Telemetry, &message, frame)
+    }
+
     /// Decodes an [opened](crate::frame::open) record of this wire version or an earlier one.
     ///
     /// # Errors

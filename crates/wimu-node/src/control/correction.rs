@@ -4,7 +4,6 @@ use core::ops::Range;
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use wimu_integrator::Compass;
-use wimu_link::LinkRole;
 use wimu_link::hello::sensor;
 use wimu_link::message::{EncodedParameters, Event, ParameterFault, Refusal, WireParameters};
 use wimu_model::{CentiCelsius, Corrector, ParameterId, ParameterSet, SensorId};
@@ -18,6 +17,8 @@ use crate::timer::Timer;
 
 /// Change of the temperature after which the corrector is compiled again, 0.01 °C.
 const TEMPERATURE_STEP: u16 = 50;
+/// Index of the sensor whose samples the device corrects.
+const CORRECTED: u8 = 0;
 /// Allowed ratio of a parameter set's sensitivity to the sensor's nominal one: covers the tolerance of a
 /// sensor, excludes another range.
 const SENSITIVITY_RATIO: core::ops::RangeInclusive<f64> = 0.8..=1.25;
@@ -123,16 +124,11 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
     pub(super) fn check_staged(
         &self,
         plan: &Plan,
-        role: LinkRole,
         staging: &mut Staged,
     ) -> Result<ParameterId, Refusal> {
-        // A set from the other link has replaced it.
-        if staging.from.as_ref() != Some(&role) {
-            return Err(Refusal::NothingStaged);
-        }
-        staging.from.take();
-        let wire = staging.set.get().and_then(|set| set.decode().ok());
-        let mut wire = wire.ok_or(Refusal::NothingStaged)?;
+        let set = staging.set.get().ok_or(Refusal::NothingStaged)?;
+        let wire = set.decode().map_err(ParameterFault::from);
+        let mut wire = wire.map_err(Refusal::InvalidParameters)?;
         let set = self.checked(&wire).map_err(Refusal::InvalidParameters)?;
         wire.take_rotations(&set);
         if set.range_g != plan.settings.range_g {
@@ -141,8 +137,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                 device_g: plan.settings.range_g,
             });
         }
-        Corrector::compile(&set, self.latched)
-            .map_err(|fault| Refusal::InvalidParameters(fault.into()))?;
+        self.compile(plan, &set, ParameterId::UNCALIBRATED)?;
         let ratio = set.sensitivity.lsb_per_g() / plan.sensor.sensitivity.lsb_per_g();
         let known = (self.shared).with_published(|published| published.hello.sensitivity_known);
         if known && !SENSITIVITY_RATIO.contains(&ratio) {
@@ -154,9 +149,15 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         Ok(staging.set.encode(&wire))
     }
 
-    /// The set, if its values are valid and it was made for this model of accelerometer.
+    /// The set, if its values are valid and it was made for sensor 0 and this model of accelerometer.
     pub(super) fn checked(&self, wire: &WireParameters) -> Result<ParameterSet, ParameterFault> {
         let set = ParameterSet::try_from(wire)?;
+        if set.sensor_index != CORRECTED {
+            return Err(ParameterFault::OtherSensorIndex {
+                parameters: set.sensor_index,
+                device: CORRECTED,
+            });
+        }
         let device = self
             .shared
             .with_published(|published| published.hello.sensor.number);

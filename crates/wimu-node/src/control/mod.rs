@@ -6,17 +6,14 @@ mod records;
 
 use embassy_futures::select::{Either, Either4, select, select4};
 use embassy_sync::blocking_mutex::raw::RawMutex;
+use wimu_link::LinkRole;
 use wimu_link::auth::{DeviceKey, KeyState};
 use wimu_link::frame::MAX_FRAME;
-use wimu_link::message::{Answer, Command, EncodedParameters, Event, Payload, Refusal, Settings};
-use wimu_link::{LinkRole, Responder};
+use wimu_link::message::{Answer, Command, Event, Payload, Record, Refusal, Settings};
 use wimu_model::{CentiCelsius, DeviceTimeUs, ParameterId};
 
-use self::records::parameters_record;
 use crate::sensor::{InertialSensor, Plan};
-use crate::shared::{
-    Common, Message, Order, Orders, PersistentFault, ROLES, RateOrder, Staged, active_parameters,
-};
+use crate::shared::{Common, Message, Order, Orders, PersistentFault, ROLES, RateOrder, Staged};
 use crate::slot::put;
 use crate::store::{Key, MAX_RECORD, Store, StoreFault};
 use crate::timer::Timer;
@@ -27,7 +24,7 @@ const DRAIN_US: u64 = 100_000;
 const STATUS_US: u64 = 5_000_000;
 
 /// A payload without parameters.
-type ShortPayload = Payload<EncodedParameters<'static>>;
+type ShortPayload = Payload<&'static [u8]>;
 
 /// Executes requests, and stores parameters and settings.
 pub struct Control<'a, A: InertialSensor, T, S, M: RawMutex> {
@@ -83,20 +80,24 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                         Ok(_) => Answer::Accepted(Payload::None),
                         Err(refusal) => Answer::Refused(refusal),
                     };
-                    self.answer(role, Some(&answer)).await;
+                    self.answer(role, &answer).await;
                     // If the request came on this line, `RateKeeper` changes the rate after the answer has been
                     // sent.
                     if let Ok((line, order)) = outcome {
                         self.shared.rate_signals(line).order.signal(order);
                     }
                 }
-                Either4::First((role, Command::GetParameters)) => self.answer(role, None).await,
+                Either4::First((role, Command::GetParameters { offset })) => {
+                    let piece = self.shared.active_piece(offset);
+                    let answer = Answer::Accepted(Payload::Parameters(piece.borrowed()));
+                    self.answer(role, &answer).await;
+                }
                 Either4::First((role, command)) => {
                     let answer = match self.execute(&mut plan, role, command).await {
                         Ok(payload) => Answer::Accepted(payload),
                         Err(refusal) => Answer::Refused(refusal),
                     };
-                    self.answer(role, Some(&answer)).await;
+                    self.answer(role, &answer).await;
                     // After the answer, because a host waits for it and parameters are long.
                     if core::mem::take(&mut self.parameters_changed) {
                         self.announce_parameters();
@@ -118,25 +119,9 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         self.shared.stream([true; 2], &status, |_| true);
     }
 
-    /// Answers a request; `None` answers with the parameters in use.
-    async fn answer(&self, role: LinkRole, answer: Option<&Answer<EncodedParameters<'_>>>) {
+    /// Answers a request.
+    async fn answer(&self, role: LinkRole, answer: &Answer<&[u8]>) {
         let mut responder = self.shared.responder(role).await;
-        match answer {
-            Some(answer) => self.reply(role, &mut responder, answer),
-            None => {
-                let active = self.shared.active();
-                let active = Payload::Parameters(active_parameters(&active));
-                self.reply(role, &mut responder, &Answer::Accepted(active));
-            }
-        }
-    }
-
-    fn reply(
-        &self,
-        role: LinkRole,
-        responder: &mut Responder,
-        answer: &Answer<EncodedParameters<'_>>,
-    ) {
         let mut frame = [0; MAX_FRAME];
         match responder.is_signed() {
             true => self.shared.keep(role, responder.reply(answer, &mut frame)),
@@ -173,11 +158,11 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         &mut self,
         plan: &mut Plan,
         role: LinkRole,
-        command: Command<()>,
+        command: Command<Result<(), Refusal>>,
     ) -> Result<ShortPayload, Refusal> {
         match command {
             // Answered by `run`.
-            Command::GetParameters => Ok(Payload::None),
+            Command::GetParameters { .. } => Ok(Payload::None),
             Command::SetLineRate { .. } => Err(Refusal::FixedLineRate),
             // Answered by the responder.
             Command::OpenSession => Err(Refusal::KeyNeeded),
@@ -195,9 +180,13 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                 uptime_us: self.timer.now().0,
             }),
             Command::GetStatus => Ok(Payload::Status(self.shared.status(self.timer.now()))),
-            Command::StageParameters(()) => {
+            Command::StageParameters { piece: taken, .. } => {
+                taken?;
                 let mut staging = self.shared.staging.lock().await;
-                let id = self.check_staged(plan, role, &mut staging)?;
+                if !staging.is_whole(role)? {
+                    return Ok(Payload::None);
+                }
+                let id = self.check_staged(plan, &mut staging)?;
                 staging.id = Some(id);
                 Ok(Payload::Staged { hash: id.0 })
             }
@@ -326,7 +315,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
             return Err(Refusal::HashMismatch { staged: staged.0 });
         }
         let range_g = self.compiled(plan, set)?.1;
-        let length = parameters_record(set, &mut self.record);
+        let length = Record::encode_parameters(set, &mut self.record).unwrap_or(0);
         self.announce_pause().await;
         self.save_record(Key::Parameters { range_g }, length)
             .await?;

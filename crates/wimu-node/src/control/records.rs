@@ -4,7 +4,7 @@ use core::ops::Range;
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use wimu_link::auth::{DeviceKey, KeyState};
-use wimu_link::message::{ActiveParameters, EncodedParameters, Event, Record, Refusal, Settings};
+use wimu_link::message::{EncodedParameters, Event, Record, Refusal, Settings};
 use wimu_link::{Kind, LinkRole, frame};
 
 use super::{Control, plan};
@@ -186,15 +186,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
     }
 }
 
-// Not async: an async function would keep the messages in the task. Both messages fit.
-
-pub(super) fn parameters_record(set: EncodedParameters, record: &mut [u8]) -> usize {
-    let parameters = ActiveParameters {
-        active: Some(set),
-        id: set.id().0,
-    };
-    Message::Parameters(parameters).encode(record).unwrap_or(0)
-}
+// Not async: an async function would keep the message in the task. It fits.
 
 fn settings_record(settings: Settings, record: &mut [u8]) -> usize {
     Message::Settings(settings).encode(record).unwrap_or(0)

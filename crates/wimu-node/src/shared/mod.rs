@@ -12,12 +12,14 @@ use embassy_sync::channel::Channel;
 use embassy_sync::mutex::{MappedMutexGuard, Mutex as AsyncMutex, MutexGuard};
 use embassy_sync::signal::Signal;
 use wimu_link::auth::Lock;
-use wimu_link::message::{Command, EncodedParameters, Event, SensorStatus, Settings, Telemetry};
+use wimu_link::message::{
+    Command, EncodedParameters, Event, ParametersPiece, Refusal, SensorStatus, Settings, Telemetry,
+};
 use wimu_link::{Hello, LinkRole, Responder};
 use wimu_model::{CentiCelsius, Counts, DeviceTimeUs, ParameterId};
 
 pub(crate) use self::orders::{Correction, Order, Orders};
-pub(crate) use self::parameters::{Staged, active_parameters};
+pub(crate) use self::parameters::Staged;
 
 use self::parameters::{Set, Staging};
 use crate::queue::FrameQueue;
@@ -79,8 +81,8 @@ pub(crate) struct Common<M: RawMutex> {
     links: [LinkShared<M>; 2],
     pub(crate) configured: Signal<M, Result<(), SensorFault>>,
     pub(crate) temperature: Signal<M, CentiCelsius>,
-    /// Accepted requests. The parameters to stage are in `staging`.
-    pub(crate) requests: Channel<M, (LinkRole, Command<()>), 1>,
+    /// Accepted requests. A piece of parameters to stage is in `staging`, unless it was refused.
+    pub(crate) requests: Channel<M, (LinkRole, Command<Result<(), Refusal>>), 1>,
     pub(crate) staging: Staging<M>,
     /// The parameter set in use.
     active: Mutex<M, RefCell<Set>>,
@@ -154,8 +156,8 @@ pub(crate) struct Heard {
     pub(crate) repeated: u32,
     /// The link needs an epoch: it has a new listener, or frames were dropped.
     epoch_wanted: bool,
-    /// The parameters in use have to be sent as soon as there is room.
-    parameters_wanted: bool,
+    /// The parameters in use have to be sent from this byte on, as soon as there is room.
+    parameters_from: Option<u16>,
 }
 
 impl Heard {
@@ -163,7 +165,7 @@ impl Heard {
         damaged: 0,
         repeated: 0,
         epoch_wanted: false,
-        parameters_wanted: false,
+        parameters_from: None,
     };
 }
 
@@ -239,11 +241,7 @@ impl<M: RawMutex> Common<M> {
             configured: Signal::new(),
             temperature: Signal::new(),
             requests: Channel::new(),
-            staging: Staging::new(Staged {
-                set: Set::NONE,
-                from: Slot::Empty,
-                id: None,
-            }),
+            staging: Staging::new(Staged::NONE),
             active: Mutex::new(RefCell::new(Set::NONE)),
             key_lost: Signal::new(),
             rates: Channel::new(),
@@ -305,6 +303,16 @@ impl<M: RawMutex> Common<M> {
     /// A copy of the set in use.
     pub(crate) fn active(&self) -> Set {
         self.active.lock(|active| active.borrow().copy())
+    }
+
+    /// The piece from `offset` on of the set in use.
+    pub(crate) fn active_piece(&self, offset: u16) -> ParametersPiece {
+        let id = self.parameters();
+        self.active.lock(|active| {
+            let active = active.borrow();
+            let set = active.get().unwrap_or(EncodedParameters(&[]));
+            set.piece(id, offset)
+        })
     }
 
     /// Uses a set from now on, or none.

@@ -3,7 +3,9 @@ use std::rc::Rc;
 
 use wimu_link::auth::{KeyState, Lock};
 use wimu_link::hello::LinkRole;
-use wimu_link::message::{Environment, ParameterFault, Reply, Request, Signature};
+use wimu_link::message::{
+    EncodedParameters, Environment, ParameterFault, Piece, Reply, Request, Signature,
+};
 use wimu_link::responder::Decision;
 use wimu_link::{Deframer, Kind, Responder, Telemetry, WriteAccess};
 use wimu_model::{ErrorModel, ErrorTerms, Sensitivity};
@@ -17,6 +19,7 @@ struct Board {
     responder: Responder,
     hello: Hello,
     settings: Settings,
+    pieces: Vec<u8>,
     staged: Option<WireParameters>,
     active: Option<WireParameters>,
     commits: u32,
@@ -58,6 +61,7 @@ impl Line {
                 ..Hello::new(role)
             },
             settings: Settings::default(),
+            pieces: Vec::new(),
             staged: None,
             active: None,
             commits: 0,
@@ -145,7 +149,7 @@ impl Board {
             }
             Decision::Ignore => return,
         };
-        let answer = self.execute(command.decoded().unwrap());
+        let answer = self.execute(command.map(|piece| Piece::new(piece).unwrap()));
         let frame = self.responder.reply(&answer, &mut frame).to_vec();
         self.send(&frame);
     }
@@ -153,7 +157,17 @@ impl Board {
     fn execute(&mut self, command: Command) -> Answer {
         let id = |wire: &WireParameters| parameter_id(&ParameterSet::try_from(wire).unwrap()).0;
         Answer::Accepted(match command {
-            Command::StageParameters(mut wire) => {
+            Command::StageParameters {
+                offset,
+                total,
+                piece,
+            } => {
+                self.pieces.truncate(offset.into());
+                self.pieces.extend(piece.as_bytes());
+                if self.pieces.len() < total.into() {
+                    return Answer::Accepted(Payload::None);
+                }
+                let mut wire = WireParameters::decode(&self.pieces).unwrap();
                 if self.forgetful {
                     wire.bias_mps2[0] += 1e-9;
                 }
@@ -183,10 +197,12 @@ impl Board {
                 }
                 _ => return Answer::Refused(Refusal::NothingStaged),
             },
-            Command::GetParameters => Payload::Parameters(ActiveParameters {
-                active: self.active,
-                id: self.active.as_ref().map_or(0, id),
-            }),
+            Command::GetParameters { offset } => {
+                let mut bytes = [0; WireParameters::MAX];
+                let length = self.active.map_or(0, |set| set.encode(&mut bytes).unwrap());
+                let id = ParameterId(self.active.as_ref().map_or(0, id));
+                Payload::Parameters(EncodedParameters(&bytes[..length]).piece(id, offset))
+            }
             Command::GetSettings => Payload::Settings(self.settings),
             Command::SetSettings(settings) => {
                 self.settings = settings;

@@ -1,7 +1,7 @@
 //! Decoding of a frame's body.
 
 use wimu_link::batch::MAX_SENSOR;
-use wimu_link::message::Epoch;
+use wimu_link::message::{Epoch, ParametersPiece};
 use wimu_link::{Hello, Kind, Reply, Telemetry};
 use wimu_model::DeviceTimeUs;
 
@@ -12,6 +12,7 @@ use super::event::Event;
 pub enum Message {
     Hello(Hello),
     Epoch(Epoch),
+    Piece(ParametersPiece),
     Event(Event),
 }
 
@@ -32,6 +33,7 @@ pub fn read(kind: Kind, body: &[u8]) -> Result<Message, String> {
                 return Err(format!("an epoch of sensor {}", epoch.sensor));
             }
             Telemetry::Epoch(epoch) => return Ok(Message::Epoch(epoch)),
+            Telemetry::ParametersPiece(piece) => return Ok(Message::Piece(piece)),
             Telemetry::Environment(environment) => Event::Environment(environment),
             Telemetry::Navigation(navigation) => Event::Navigation(navigation),
             Telemetry::Attitude(attitude) => Event::Attitude(attitude),

@@ -36,6 +36,11 @@ impl Attitude {
         Self([w, y / (2.0 * w), -x / (2.0 * w), 0.0]).normalised()
     }
 
+    /// The attitude with the quaternion W, X, Y, Z, which is not zero.
+    pub fn from_quaternion(quaternion: [f64; 4]) -> Self {
+        Self(quaternion).normalised()
+    }
+
     /// The unit quaternion, W, X, Y, Z.
     pub fn quaternion(self) -> [f64; 4] {
         self.0

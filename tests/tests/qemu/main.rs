@@ -74,9 +74,13 @@ fn parameters(seed: u64) -> ParameterSet {
 
 fn first_light(seed: u64, calibration: Calibration) -> Outcome {
     let folder = folder();
-    FirstLight { seed, calibration }
-        .run_on(|source| QemuBoard::start(machine(folder.path()), source))
-        .unwrap_or_else(|error| panic!("{error}"))
+    FirstLight {
+        seed,
+        sensor: SensorPart::Lsm303agr,
+        calibration,
+    }
+    .run_on(|source| QemuBoard::start(machine(folder.path()), source))
+    .unwrap_or_else(|error| panic!("{error}"))
 }
 
 #[test]

@@ -398,6 +398,7 @@ mod tests {
             datasheet: None,
             outputs: (0..1100).map(output).collect(),
             sensor: None,
+            has_gyroscope: false,
         }
     }
 

@@ -141,9 +141,10 @@ impl Correction {
         temperature: Option<CentiCelsius>,
     ) -> std::result::Result<Self, CompileError> {
         let gyroscope = epoch.gyroscope.map(|nominal| {
-            let model = GyroscopeModel::default();
-            let scale = nominal.rad_s_per_lsb;
-            GyroscopeCorrector::compile(&model, scale, set.alignment, temperature)
+            let calibrated = (set.gyroscope).map(|known| (known.model, known.rad_s_per_lsb));
+            let uncalibrated = (GyroscopeModel::default(), nominal.rad_s_per_lsb);
+            let (model, rad_s_per_lsb) = calibrated.unwrap_or(uncalibrated);
+            GyroscopeCorrector::compile(&model, rad_s_per_lsb, set.alignment, temperature)
                 .map(|corrector| (corrector, nominal.full_scale))
         });
         Ok(Self {

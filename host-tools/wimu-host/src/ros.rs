@@ -18,7 +18,7 @@ use serde::Serialize;
 use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
 use wimu_link::message::Attitude;
-use wimu_model::{AngularRateQ20, DeviceTimeUs, SpecificForceQ16};
+use wimu_model::{AngularRateQ20, DeviceTimeUs, Matrix3, SpecificForceQ16};
 
 use crate::compare::LinkModel;
 use crate::decode::Event;
@@ -198,6 +198,29 @@ fn imu(force: [f64; 3], rate: Option<[f64; 3]>, attitude: Option<&Attitude>) -> 
     fields
 }
 
+/// Standard deviations of the gyroscope's terms and its rotation to the body, by the parameters in use.
+fn gyroscope_of(boot: &Boot) -> Option<([f64; 12], Matrix3)> {
+    let set = boot.parameters_of(&boot.epochs.last()?.epoch).ok()?;
+    Some((set.gyroscope?.sd?.map(f64::from), set.alignment.matrix()))
+}
+
+/// Covariance of a corrected angular rate, rad²/s², body axes: of the bias, and of the scale factors and
+/// misalignments at this rate. Noise is not known.
+fn rate_covariance(rate: [f64; 3], sd: &[f64; 12], rotation: &Matrix3) -> Matrix3 {
+    let rate = [0, 1, 2].map(|axis| (0..3).map(|k| rotation[k][axis] * rate[k]).sum::<f64>());
+    let variance = [0, 1, 2].map(|axis| {
+        let matrix = &sd[3 + 3 * axis..];
+        let terms = (matrix.iter().zip(rate)).map(|(sd, rate)| (sd * rate).powi(2));
+        sd[axis].powi(2) + terms.sum::<f64>()
+    });
+    let element = |i: usize, j: usize| {
+        (0..3)
+            .map(|k| rotation[i][k] * variance[k] * rotation[j][k])
+            .sum()
+    };
+    [0, 1, 2].map(|i| [0, 1, 2].map(|j| element(i, j)))
+}
+
 struct Writer<'a> {
     out: RecordingWriter<std::fs::File>,
     topics: BTreeMap<(u8, u8, Kind), Topic>,
@@ -248,6 +271,7 @@ impl Writer<'_> {
                     Stream::Corrected => Kind::Corrected,
                 };
                 let model = self.link_model.filter(|model| model.is_of(role));
+                let gyroscope = gyroscope_of(held).filter(|_| samples.stream == Stream::Corrected);
                 let attitudes = std::mem::take(&mut held.attitude);
                 for sample in samples.iter() {
                     let units = self.units.get(&(start, sensor));
@@ -270,7 +294,12 @@ impl Writer<'_> {
                         Stream::Raw => None,
                         Stream::Corrected => find(&attitudes, sample.sequence, |a| a.sequence),
                     };
-                    write(self, kind, sample.time, &imu(force, rate, attitude))?;
+                    let mut fields = imu(force, rate, attitude);
+                    if let (Some(rate), Some((sd, alignment))) = (rate, &gyroscope) {
+                        let covariance = rate_covariance(rate, sd, alignment);
+                        fields[16..25].copy_from_slice(covariance.as_flattened());
+                    }
+                    write(self, kind, sample.time, &fields)?;
                 }
                 if let Some(held) = self.parameters.get_mut(&(role.number(), start)) {
                     held.attitude = attitudes;

@@ -43,6 +43,7 @@ fn pose_means(unit: OutputUnit, per_mps2: f64) -> Dataset {
         datasheet: None,
         outputs: Orientation::ALL.into_iter().map(output).collect(),
         sensor: None,
+        has_gyroscope: false,
     }
 }
 

@@ -295,6 +295,9 @@ pub(super) fn remarks(
         ));
     }
     remarks.extend(data.gaps_remark());
+    if data.has_gyroscope {
+        remarks.push("the gyroscope is not calibrated, only the accelerometer".to_owned());
+    }
     let Some(estimate) = estimate else {
         return remarks;
     };

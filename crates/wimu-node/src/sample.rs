@@ -1,13 +1,20 @@
 //! Counts of one sample: their correction and integration.
 
+use core::ops::RangeInclusive;
+
 use wimu_integrator::{Integrator, Saturation, Transition};
 use wimu_link::batch;
+use wimu_link::message::ParameterFault;
 use wimu_model::{
-    AngularRateQ20, CentiCelsius, CompileError, Corrector, Counts, GyroscopeCorrector,
-    GyroscopeModel, ParameterSet, SpecificForceQ16, WideCounts,
+    AngularRateQ20, CentiCelsius, Corrector, Counts, GyroscopeCorrector, GyroscopeError,
+    GyroscopeModel, GyroscopeTerm, ParameterSet, SpecificForceQ16, WideCounts,
 };
 
 use crate::sensor::SensorPlan;
+
+/// Allowed ratio of a parameter set's sensitivity to the sensor's nominal one: covers the tolerance of a
+/// sensor, excludes another range.
+pub(crate) const SENSITIVITY_RATIO: RangeInclusive<f64> = 0.8..=1.25;
 
 /// Counts of one sample of a sensor: [`Counts`] of a three-axis accelerometer, [`WideCounts`] of one with up to
 /// 20 bits, or a pair of the same type, accelerometer and gyroscope at the same instant.
@@ -33,11 +40,14 @@ pub(crate) mod sealed {
         type Gyroscope: Copy;
 
         /// Compiles the gyroscope's part of `set`; without one, the nominal scale of `plan`.
+        ///
+        /// # Errors
+        /// The part is for another scale than `plan`'s, or cannot be compiled.
         fn compile_gyroscope(
             set: &ParameterSet,
             plan: &SensorPlan,
             temperature: Option<CentiCelsius>,
-        ) -> Result<Self::Gyroscope, CompileError>;
+        ) -> Result<Self::Gyroscope, ParameterFault>;
 
         /// The sample without a gyroscope's counts.
         fn accelerometer(self) -> Self::Accelerometer;
@@ -100,7 +110,7 @@ impl<C: Triad> sealed::Process for C {
         _: &ParameterSet,
         _: &SensorPlan,
         _: Option<CentiCelsius>,
-    ) -> Result<(), CompileError> {
+    ) -> Result<(), ParameterFault> {
         Ok(())
     }
 
@@ -134,10 +144,31 @@ where
         set: &ParameterSet,
         plan: &SensorPlan,
         temperature: Option<CentiCelsius>,
-    ) -> Result<GyroscopeCorrector, CompileError> {
+    ) -> Result<GyroscopeCorrector, ParameterFault> {
         let nominal = plan.gyroscope.map_or(0.0, |nominal| nominal.rad_s_per_lsb);
-        let model = GyroscopeModel::default();
-        GyroscopeCorrector::compile(&model, nominal, set.alignment, temperature)
+        let Some(calibrated) = &set.gyroscope else {
+            let ideal = GyroscopeModel::default();
+            return Ok(GyroscopeCorrector::compile(
+                &ideal,
+                nominal,
+                set.alignment,
+                temperature,
+            )?);
+        };
+        let scale = calibrated.rad_s_per_lsb;
+        let [low, high] = [SENSITIVITY_RATIO.start(), SENSITIVITY_RATIO.end()].map(|r| r * nominal);
+        if !(low..=high).contains(&scale) {
+            return Err(ParameterFault::from(GyroscopeError::OutOfBounds {
+                term: GyroscopeTerm::Sensitivity,
+                axis: 0,
+                value: scale,
+                low,
+                high,
+            }));
+        }
+        let compiled =
+            GyroscopeCorrector::compile(&calibrated.model, scale, set.alignment, temperature);
+        Ok(compiled?)
     }
 
     fn accelerometer(self) -> C {

@@ -14,9 +14,15 @@ use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embedded_io_async::{ErrorType, Read, Write};
 use wimu_integrator::Flags;
 use wimu_link::batch::Stream;
-use wimu_link::message::{BusFault, Epoch, EpochReason, Event, Settings, Telemetry};
+use wimu_link::message::{
+    BusFault, EncodedParameters, Epoch, EpochReason, Event, ParameterFault, Record, Settings,
+    Telemetry, WireGyroscopeTerm, WireParameters,
+};
 use wimu_link::{Batch as WireBatch, Deframer, Hello, LinkRole};
-use wimu_model::{Counts, DeviceTimeUs, PeriodNs, Sensitivity, WideCounts};
+use wimu_model::{
+    Counts, DeviceTimeUs, GyroscopeModel, GyroscopeParameters, GyroscopeTerms, ParameterSet,
+    PeriodNs, Sensitivity, WideCounts,
+};
 use wimu_node::sensor::{Batch, Plan, RawSample, SensorFault, SensorPlan, Surroundings};
 use wimu_node::{Board, InertialSensor, Key, Shared, Store, StoreFault, Timer};
 
@@ -41,11 +47,19 @@ impl Timer for Clock {
     }
 }
 
-struct NoStore;
+/// A memory that holds at most a parameter set for ±2 g.
+struct Memory(Option<ParameterSet>);
 
-impl Store for NoStore {
-    async fn load(&mut self, _: Key, _: &mut [u8]) -> Result<Option<usize>, StoreFault> {
-        Ok(None)
+impl Store for Memory {
+    async fn load(&mut self, key: Key, record: &mut [u8]) -> Result<Option<usize>, StoreFault> {
+        let Some(set) = self.0.filter(|_| key == Key::Parameters { range_g: 2 }) else {
+            return Ok(None);
+        };
+        let mut bytes = [0; WireParameters::MAX];
+        let length = WireParameters::from(&set).encode(&mut bytes);
+        let set = EncodedParameters(&bytes[..length.expect("it fits")]);
+        let length = Record::encode_parameters(set, record);
+        Ok(Some(length.expect("it fits")))
     }
 
     async fn save(&mut self, _: Key, _: &[u8]) -> Result<(), StoreFault> {
@@ -179,6 +193,15 @@ impl Received {
 
 /// Runs a node with a sensor that follows `steps`.
 fn run<S: RawSample>(plans: &[SensorPlan], steps: impl IntoIterator<Item = Step<S>>) -> Received {
+    run_with(None, plans, steps)
+}
+
+/// Runs it with stored parameters.
+fn run_with<S: RawSample>(
+    parameters: Option<ParameterSet>,
+    plans: &[SensorPlan],
+    steps: impl IntoIterator<Item = Step<S>>,
+) -> Received {
     let (clock, cable, done) = (Clock::default(), Line::default(), Rc::default());
     let board = Board {
         hello: Hello::new(LinkRole::Cable),
@@ -190,7 +213,7 @@ fn run<S: RawSample>(plans: &[SensorPlan], steps: impl IntoIterator<Item = Step<
             done: Rc::clone(&done),
         },
         timer: clock,
-        store: NoStore,
+        store: Memory(parameters),
         entropy: [0; 16],
         cable: (Line::default(), cable.clone()),
         wireless: (Line::default(), Line::default()),
@@ -411,4 +434,44 @@ fn three_axes_stay_in_batches_of_version_1() {
     assert_eq!(received.samples(0, Stream::Raw).0.len(), 96);
     assert_eq!(received.quaternion, None);
     assert_eq!(received.epochs[0].gyroscope, None);
+}
+
+#[test]
+fn a_calibrated_gyroscope_is_corrected_and_a_set_for_another_scale_is_refused() {
+    let calibrated = |rad_s_per_lsb| {
+        let terms = GyroscopeTerms {
+            bias_rad_s: [0.0, 0.0, 0.25],
+            ..GyroscopeTerms::default()
+        };
+        let model = GyroscopeModel::new(terms).expect("within bounds");
+        let gyroscope = GyroscopeParameters::new(2000, rad_s_per_lsb, model, None);
+        let set = ParameterSet::uncalibrated(2, three_axes().sensitivity);
+        let gyroscope = Some(gyroscope.expect("within bounds"));
+        Some(ParameterSet { gyroscope, ..set })
+    };
+    let corrected = |parameters| {
+        let steps = reads(6, level([0, 0, 500]));
+        let received = run_with(parameters, &[six_axes()], steps);
+        let (_, rates) = received.samples(0, Stream::Corrected);
+        (
+            rates[0],
+            received.epochs[0].parameters != 0,
+            received.events,
+        )
+    };
+    let rad_s = |rate: f64| [0, 0, (rate * f64::from(1 << 20)).round() as i32];
+    assert_eq!(corrected(None), (rad_s(0.5), false, vec![]));
+    assert_eq!(
+        corrected(calibrated(RAD_S_PER_LSB)),
+        (rad_s(0.25), true, vec![])
+    );
+    let (rate, _, events) = corrected(calibrated(RAD_S_PER_LSB / 2.0));
+    assert_eq!(rate, rad_s(0.5), "nominal");
+    let refused = |event: &Event| {
+        let Event::ModelRejected(ParameterFault::Gyroscope { term, .. }) = event else {
+            return false;
+        };
+        *term == WireGyroscopeTerm::Sensitivity
+    };
+    assert!(events.iter().any(refused), "{events:?}");
 }

@@ -9,6 +9,7 @@ use wimu_link::message::{EncodedParameters, Event, ParameterFault, Refusal, Wire
 use wimu_model::{CentiCelsius, Corrector, ParameterId, ParameterSet, SensorId};
 
 use super::Control;
+use crate::sample::SENSITIVITY_RATIO;
 use crate::sample::sealed::Process as _;
 use crate::sensor::{InertialSensor, Plan};
 use crate::shared::{Correction, Order, PersistentFault, Staged};
@@ -19,9 +20,6 @@ use crate::timer::Timer;
 const TEMPERATURE_STEP: u16 = 50;
 /// Index of the sensor whose samples the device corrects.
 const CORRECTED: u8 = 0;
-/// Allowed ratio of a parameter set's sensitivity to the sensor's nominal one: covers the tolerance of a
-/// sensor, excludes another range.
-const SENSITIVITY_RATIO: core::ops::RangeInclusive<f64> = 0.8..=1.25;
 
 impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> {
     /// Configures the sensor for `plan`, corrected with the set in use, or with the set at the given position
@@ -108,7 +106,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
             corrector: Corrector::compile(set, self.latched)
                 .map_err(|fault| Refusal::InvalidParameters(fault.into()))?,
             gyroscope: A::Sample::compile_gyroscope(set, &plan.sensor, self.latched)
-                .map_err(|fault| Refusal::InvalidParameters(fault.into()))?,
+                .map_err(Refusal::InvalidParameters)?,
             parameters,
             temperature: self.latched,
             compass: if A::MAGNETOMETER {

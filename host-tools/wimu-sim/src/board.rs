@@ -19,28 +19,20 @@ use wimu_link::hello::{Capabilities, Part, board, sensor};
 use wimu_link::{Hello, LinkRole};
 use wimu_model::DeviceTimeUs;
 use wimu_node::sensor::RawSample;
-use wimu_node::wimu_adxl345::{Address, I2cBus};
-use wimu_node::{DataReady, InertialSensor, RateKeeper, Shared, TimeoutBus, Timer};
+use wimu_node::{
+    DataReady, InertialSensor, RateKeeper, Shared, TimeoutBus, Timer, wimu_adxl345, wimu_lsm6dso,
+};
 
 use crate::clock::{Until, VirtualClock};
 use crate::faults::LinkFaults;
 use crate::i2c::{Faults, SimI2c, Target};
+pub use crate::part::SensorPart;
 use crate::pipe::{
     Channels, DeviceRate, DeviceReader, DeviceWriter, HostEnd, LinkConfig, faulty_link,
 };
 use crate::sensor::{DataReadyPin, Sensor};
 use crate::source::Source;
 use crate::storage::Storage;
-
-/// Sensor of a simulated board.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum SensorPart {
-    /// Accelerometer, magnetometer and thermometer, read by data-ready.
-    #[default]
-    Lsm303agr,
-    /// Accelerometer only, read through its FIFO.
-    Adxl345,
-}
 
 /// Configuration of a simulated board.
 #[derive(Clone, Debug)]
@@ -112,10 +104,7 @@ impl Board {
     /// Starts a board whose sensor takes its samples from `source`.
     pub fn start(config: BoardConfig, source: impl Source + 'static) -> Self {
         let clock = VirtualClock::new();
-        let sensor = match config.sensor {
-            SensorPart::Lsm303agr => Sensor::lsm303agr(&clock, source),
-            SensorPart::Adxl345 => Sensor::adxl345(&clock, source),
-        };
+        let sensor = config.sensor.power_on(&clock, source);
         let channels = [
             (&config.cable_faults, config.fault_seed),
             (&config.wireless_faults, config.fault_seed.wrapping_add(1)),
@@ -289,18 +278,11 @@ fn boot(
     let (wireless_reader, wireless_writer, wireless) =
         link(config.wireless, &config.wireless_faults, wireless_channels);
     let timer = BoardTimer::new(clock, clock.now(), config);
-    let (part, capabilities) = match config.sensor {
-        SensorPart::Lsm303agr => (
-            Part::new(sensor::LSM303AGR, "LSM303AGR"),
-            Capabilities::MAGNETOMETER.with(Capabilities::TEMPERATURE),
-        ),
-        SensorPart::Adxl345 => (Part::new(sensor::ADXL345, "ADXL345"), Capabilities(0)),
-    };
+    let (part, quantities) = config.sensor.identity();
     let hello = Hello {
         device_id: config.device_id,
         firmware: firmware_version(),
-        capabilities: capabilities
-            .with(Capabilities::ACCELEROMETER)
+        capabilities: quantities
             .with(Capabilities::DATA_READY)
             .with(Capabilities::STORE),
         sensitivity_known: !config.replay,
@@ -329,9 +311,15 @@ fn boot(
             node(hello, sensor, timer, storage, links, rates)
         }
         SensorPart::Adxl345 => {
-            let address = Address::Low;
-            let bus = I2cBus { i2c, address };
+            let address = wimu_adxl345::Address::Low;
+            let bus = wimu_adxl345::I2cBus { i2c, address };
             let sensor = wimu_node::Adxl345::new(bus, line, timer.clone());
+            node(hello, sensor, timer, storage, links, rates)
+        }
+        SensorPart::Lsm6dso => {
+            let address = wimu_lsm6dso::Address::Low;
+            let bus = wimu_lsm6dso::I2cBus { i2c, address };
+            let sensor = wimu_node::Lsm6dso::new(bus, line, timer.clone());
             node(hello, sensor, timer, storage, links, rates)
         }
     };

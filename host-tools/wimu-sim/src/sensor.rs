@@ -12,8 +12,10 @@ use embedded_hal_async::digital::Wait;
 
 use crate::adxl345::{self, Adxl345};
 use crate::chip::Chip;
+pub use crate::chip::GyroscopeFault;
 use crate::clock::{Until, VirtualClock};
 use crate::i2c::Target;
+use crate::lsm6dso::Lsm6dso;
 use crate::lsm303agr::Lsm303agr;
 use crate::source::Source;
 
@@ -63,6 +65,12 @@ impl Sensor {
         Self::of(clock, source, Box::new(Adxl345::new(address)))
     }
 
+    /// An LSM6DSO at `address` (0x6A or 0x6B) after power-on, with samples from `source`; its interrupt
+    /// line is INT1.
+    pub fn lsm6dso(clock: &VirtualClock, address: u8, source: impl Source + 'static) -> Self {
+        Self::of(clock, source, Box::new(Lsm6dso::new(address)))
+    }
+
     pub(crate) fn of(
         clock: &VirtualClock,
         source: impl Source + 'static,
@@ -101,6 +109,11 @@ impl Sensor {
     /// Makes the accelerometer identify itself as `id`, also after power-on.
     pub fn set_who_am_i(&self, id: u8) {
         self.change(|state, _| state.chip.set_identity(id));
+    }
+
+    /// Breaks its gyroscope, or repairs it; nothing for a sensor without one.
+    pub fn set_gyroscope_fault(&self, fault: GyroscopeFault) {
+        self.change(|state, _| state.chip.set_gyroscope_fault(fault));
     }
 
     /// Switches power off and on: all registers are reset.

@@ -1,20 +1,18 @@
 //! The node's LSM6DSO on the simulated sensor, on I²C and on SPI, in virtual time.
 
-use std::cell::Cell;
 use std::rc::Rc;
 
 use embedded_hal_async::digital::Wait;
 use wimu_link::message::{Resolution, Settings};
-use wimu_model::{Counts, DeviceTimeUs, STANDARD_GRAVITY_MPS2};
+use wimu_model::{Counts, DeviceTimeUs, GyroscopeModel, GyroscopeTerms, STANDARD_GRAVITY_MPS2};
 use wimu_node::sensor::{Batch, Plan, SensorFault};
 use wimu_node::wimu_lsm6dso::{Address, Bus, I2cBus, SpiBus};
 use wimu_node::{DataReady, InertialSensor, Lsm6dso, Timer};
 use wimu_sim::clock::VirtualClock;
 use wimu_sim::i2c::SimI2c;
-use wimu_sim::lsm6dso::{Gyroscope, GyroscopeFault, GyroscopeTruth, RateSource};
 use wimu_sim::scene::{Scene, World};
-use wimu_sim::sensor::{DataReadyPin, Sensor};
-use wimu_sim::source::{Physics, Replay, Source};
+use wimu_sim::sensor::{DataReadyPin, GyroscopeFault, Sensor};
+use wimu_sim::source::{Conversion, Physics, Source};
 use wimu_sim::spi::SimSpi;
 use wimu_sim::truth::SensorTruth;
 
@@ -41,37 +39,40 @@ impl DataReady for Line {
     }
 }
 
-/// A gyroscope whose samples tell their number.
+/// Samples of both sensors that tell their number.
 #[derive(Debug)]
 struct Numbered;
 
-impl RateSource for Numbered {
-    fn counts(&mut self, index: u64, _: f64, _: f64, _: f64) -> [i16; 3] {
-        [index as i16, 0, 0]
+impl Source for Numbered {
+    fn acceleration(&mut self, conversion: &Conversion) -> Option<Counts> {
+        let k = conversion.index as i16;
+        Some(Counts([k, -k, 0]))
     }
-}
 
-fn numbered() -> Replay {
-    Replay::new((0..5000).map(|k| Counts([k, -k, 0])))
+    fn angular_rate(&mut self, index: u64, _: f64, _: f64, _: f64) -> Counts {
+        Counts([index as i16, 0, 0])
+    }
+
+    fn magnetic_field_nt(&mut self, _: u64, _: f64) -> [f64; 3] {
+        [0.0; 3]
+    }
+
+    fn temperature_c(&mut self, _: f64) -> f64 {
+        25.0
+    }
 }
 
 /// A chip, and what a test holds beside the driver.
 struct Bench {
     clock: VirtualClock,
     sensor: Sensor,
-    gyroscope: Rc<Cell<GyroscopeFault>>,
 }
 
 impl Bench {
-    fn new(source: impl Source + 'static, rates: impl RateSource + 'static) -> Self {
+    fn new(source: impl Source + 'static) -> Self {
         let clock = VirtualClock::new();
-        let gyroscope = Rc::default();
-        let sensor = Sensor::lsm6dso(&clock, 0x6A, source, rates, &gyroscope);
-        Self {
-            clock,
-            sensor,
-            gyroscope,
-        }
+        let sensor = Sensor::lsm6dso(&clock, 0x6A, source);
+        Self { clock, sensor }
     }
 
     fn driver<B: Bus>(&self, bus: B) -> Lsm6dso<B, Line, Clock> {
@@ -118,13 +119,14 @@ fn every_range_and_rate_reads_one_g_and_the_angular_rate() {
     for range_g in [2, 4, 8, 16] {
         for rate_hz in [13, 26, 52, 104, 208, 416, 833, 1666] {
             let scene = Scene::new(World::default());
-            let bias_dps = [10.0, -20.0, 0.0];
-            let truth = GyroscopeTruth {
-                bias_dps,
-                ..GyroscopeTruth::ideal()
-            };
-            let gyroscope = Gyroscope::new(truth, scene.clone(), 1);
-            let bench = Bench::new(Physics::new(SensorTruth::ideal(), scene, 1), gyroscope);
+            let bias_dps: [f64; 3] = [10.0, -20.0, 0.0];
+            let mut truth = SensorTruth::ideal();
+            let model = GyroscopeModel::new(GyroscopeTerms {
+                bias_rad_s: bias_dps.map(f64::to_radians),
+                ..GyroscopeTerms::default()
+            });
+            truth.gyroscope.model = model.expect("in range");
+            let bench = Bench::new(Physics::new(truth, scene, 1));
             let mut driver = bench.on_i2c();
             let plan = plan(&driver, range_g, rate_hz);
             let (batch, read) = bench
@@ -183,15 +185,15 @@ fn every_pair_comes_once_with_its_time_on_either_bus() {
             last = Some((newest, batch.last_time.0));
         }
     }
-    let bench = Bench::new(numbered(), Numbered);
+    let bench = Bench::new(Numbered);
     bench.run(read(&bench, bench.on_i2c()));
-    let bench = Bench::new(numbered(), Numbered);
+    let bench = Bench::new(Numbered);
     bench.run(read(&bench, bench.on_spi()));
 }
 
 #[test]
 fn pairs_that_the_fifo_dropped_are_reported() {
-    let bench = Bench::new(numbered(), Numbered);
+    let bench = Bench::new(Numbered);
     let mut driver = bench.on_i2c();
     let plan = plan(&driver, 2, 1666);
     bench.run(async {
@@ -208,19 +210,19 @@ fn pairs_that_the_fifo_dropped_are_reported() {
 #[test]
 fn a_gyroscope_that_stops_and_one_that_saturates_are_told_apart() {
     for rate_hz in [13, 104, 833] {
-        let bench = Bench::new(numbered(), Numbered);
+        let bench = Bench::new(Numbered);
         let mut driver = bench.on_i2c();
         let plan = plan(&driver, 2, rate_hz);
         bench.run(async {
             driver.configure(&plan).await.expect("it works");
             next(&mut driver).await.expect("it works");
-            bench.gyroscope.set(GyroscopeFault::Saturates);
+            bench.sensor.set_gyroscope_fault(GyroscopeFault::Saturates);
             next(&mut driver).await.expect("it works");
             let (_, read) = next(&mut driver).await.expect("it works");
             assert_eq!(read[0].1, Counts([i16::MAX; 3]));
             let full_scale = plan.sensor.gyroscope.expect("it has one").full_scale;
             assert!(read[0].1.saturated(full_scale) && !read[0].0.saturated(full_scale));
-            bench.gyroscope.set(GyroscopeFault::Stops);
+            bench.sensor.set_gyroscope_fault(GyroscopeFault::Stops);
             let mut ended = next(&mut driver).await;
             for _ in 0..3 {
                 if ended.is_ok() {
@@ -236,7 +238,7 @@ fn a_gyroscope_that_stops_and_one_that_saturates_are_told_apart() {
             driver.configure(&plan).await.expect("the chip answers");
             let still = next(&mut driver).await.map(|_| ());
             assert_eq!(still, Err(SensorFault::GyroscopeStopped));
-            bench.gyroscope.set(GyroscopeFault::None);
+            bench.sensor.set_gyroscope_fault(GyroscopeFault::None);
             driver.configure(&plan).await.expect("the chip answers");
             next(&mut driver).await.expect("it works");
         });
@@ -245,7 +247,7 @@ fn a_gyroscope_that_stops_and_one_that_saturates_are_told_apart() {
 
 #[test]
 fn another_chip_and_no_chip_are_told_apart() {
-    let bench = Bench::new(numbered(), Numbered);
+    let bench = Bench::new(Numbered);
     let (mut on_i2c, mut on_spi) = (bench.on_i2c(), bench.on_spi());
     let plan = plan(&on_i2c, 2, 104);
     let wrong = SensorFault::WrongIdentity {
@@ -269,7 +271,7 @@ fn another_chip_and_no_chip_are_told_apart() {
 #[test]
 fn it_measures_temperature_and_no_field() {
     let physics = Physics::new(SensorTruth::ideal(), Scene::new(World::default()), 1);
-    let bench = Bench::new(physics, Numbered);
+    let bench = Bench::new(physics);
     let mut driver = bench.on_i2c();
     let plan = plan(&driver, 2, 104);
     let read = bench.run(async {

@@ -7,6 +7,7 @@ mod flood;
 mod heading;
 mod keys;
 mod links;
+mod lsm6dso;
 mod middleman;
 mod pieces;
 mod rates;

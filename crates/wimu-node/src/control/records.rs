@@ -40,7 +40,9 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         let loaded = self.load(Key::Settings).await;
         let wanted = match loaded.map(|place| place.map(|at| Record::decode(self.content(&at)))) {
             Ok(Some(Ok(Record::Settings(settings)))) => settings,
-            Ok(None) => Settings::default(),
+            // Nothing is stored: the sensor's settings nearest to the default ones are its default.
+            Ok(None) => plan::nearest(&self.planner, &Settings::default())
+                .map_or_else(Settings::default, |plan| plan.settings),
             _ => {
                 self.set_fault(PersistentFault::Settings, Event::StoreUnreadable);
                 Settings::default()

@@ -20,7 +20,7 @@ use wimu_sim::motion;
 use wimu_sim::scenario::Host;
 use wimu_sim::scene::{Scene, World};
 use wimu_sim::source::Physics;
-use wimu_sim::truth::{Gauge, SensorTruth};
+use wimu_sim::truth::Gauge;
 pub use wimu_testkit::spread;
 
 /// Time limit of a command: far beyond what a busy machine needs, so that only a hang reaches it.
@@ -407,11 +407,8 @@ fn record_board(
     pushed: Option<&ParameterSet>,
 ) {
     let scene = Scene::new(World::default());
-    let truth = match sensor {
-        SensorPart::Lsm303agr => SensorTruth::random,
-        SensorPart::Adxl345 => SensorTruth::random_adxl345,
-    };
-    let source = Physics::new(truth(seed, Gauge::LowerTriangular), scene.clone(), seed);
+    let truth = sensor.random_truth(seed, Gauge::LowerTriangular);
+    let source = Physics::new(truth, scene.clone(), seed);
     let config = BoardConfig {
         sensor,
         ..BoardConfig::default()

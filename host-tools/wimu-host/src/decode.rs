@@ -21,7 +21,6 @@ pub use event::{Arrival, Event, LinkStatistics, Samples, StreamStatistics, Timed
 pub use pieces::Pieces;
 
 use anchor::Anchor;
-
 use message::{Message, read};
 use order::{Moment, Place, Verdict};
 use repeats::Repeats;

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use wimu_calib::Parameter;
+use wimu_link::message::parameter_id;
 use wimu_model::{
     Alignment, CalibratedTemperature, CalibrationMethod, CalibrationQuality, ErrorModel,
     ErrorTerms, GyroscopeParameters, MagnetometerModel, ModelCovariance, ParameterSet,
@@ -19,6 +20,11 @@ use crate::error::{ErrorCode, HostError, Result};
 
 /// How to make a file that can be read.
 pub(super) const REMEDY: &str = "make it with `wimu calibrate … -o CAL.json`";
+
+/// A calibration that has no sensitivity of a board.
+pub(super) const NOT_FOR_A_BOARD: &str = "it has no parameters for a board";
+pub(super) const SENSITIVITY_REMEDY: &str =
+    "calibrate again with --sensitivity, the nominal LSB/g of the board's range";
 
 /// A calibration file: every value once.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -46,6 +52,8 @@ pub struct StoredSensor {
     pub gyroscope: Option<GyroscopeParameters>,
     /// The magnetometer beside it; null if uncalibrated.
     pub magnetometer: Option<MagnetometerModel>,
+    /// Id of its parameter set; null without parameters for a board. A file with another one was edited.
+    parameter_id: Option<String>,
 }
 
 /// An accelerometer in a calibration file.
@@ -98,33 +106,44 @@ fn total(sessions: &[Session]) -> u32 {
     poses.fold(0, u32::saturating_add)
 }
 
-/// A covariance matrix and the order of its parameters.
+/// A covariance matrix L Lᵀ and the order of its parameters.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Covariance {
     order: Vec<String>,
-    matrix: Vec<Vec<f64>>,
+    /// L, lower triangular, row by row: exactly as a board stores it.
+    cholesky: Vec<Vec<f32>>,
 }
 
 impl Covariance {
-    fn new<const N: usize>(order: [String; N], matrix: [[f64; N]; N]) -> Self {
+    fn new<const N: usize>(order: [String; N], factor: &[f32]) -> Self {
+        let row = |row: usize| factor.iter().skip(row * (row + 1) / 2).take(row + 1);
         Self {
             order: order.into(),
-            matrix: matrix.map(Vec::from).into(),
+            cholesky: (0..N).map(|n| row(n).copied().collect()).collect(),
         }
     }
 
-    /// The matrix, if it has this order.
-    fn matrix<const N: usize>(
-        &self,
-        order: [String; N],
-    ) -> std::result::Result<[[f64; N]; N], String> {
-        let square = |rows: &[Vec<f64>]| -> Option<[[f64; N]; N]> {
-            let rows = rows.iter().map(|row| row.as_slice().try_into().ok());
-            rows.collect::<Option<Vec<[f64; N]>>>()?.try_into().ok()
-        };
-        square(&self.matrix)
-            .filter(|_| self.order == order)
-            .ok_or_else(|| format!("a covariance is not one of {}", order.join(", ")))
+    /// The elements of L, if it has this order.
+    fn factor<const N: usize>(&self, order: [String; N]) -> std::result::Result<Vec<f32>, String> {
+        let rows = self.cholesky.iter().map(Vec::len);
+        if self.order != order || !rows.eq(1..=N) {
+            return Err(format!("a covariance is not one of {}", order.join(", ")));
+        }
+        Ok(self.cholesky.concat())
+    }
+
+    fn of_model(&self) -> std::result::Result<ModelCovariance, String> {
+        let factor = self.factor(model_order())?;
+        let mut rows = [[0.0; 13]; 6];
+        rows.as_flattened_mut().copy_from_slice(&factor);
+        ModelCovariance::from_factor(rows).map_err(|error| error.to_string())
+    }
+
+    fn of_rotation(&self) -> std::result::Result<RotationCovariance, String> {
+        let factor = self.factor(rotation_order())?;
+        let mut rows = [[0.0; 6]];
+        rows.as_flattened_mut().copy_from_slice(&factor);
+        RotationCovariance::from_factor(rows).map_err(|error| error.to_string())
     }
 }
 
@@ -155,27 +174,30 @@ impl CalibrationFile {
                 poses: poses - known,
             });
         }
+        let mut sensor = StoredSensor {
+            index: set.sensor_index,
+            sensor: set.sensor,
+            alignment_wxyz: set.alignment,
+            alignment_covariance: set.alignment_covariance.map(|covariance| {
+                Covariance::new(rotation_order(), covariance.factor().as_flattened())
+            }),
+            accelerometer: StoredAccelerometer {
+                unit: AccelerationUnit::Lsb.as_str().to_owned(),
+                range_g: Some(set.range_g),
+                range_source: None,
+                sensitivity_lsb_per_g: Some(set.sensitivity.lsb_per_g()),
+                model: *set.model.terms(),
+                quality: quality.map(StoredQuality::new),
+                sessions,
+            },
+            gyroscope: set.gyroscope,
+            magnetometer: set.magnetometer,
+            parameter_id: None,
+        };
+        sensor.seal();
         Self {
             schema: Self::SCHEMA.to_owned(),
-            sensors: vec![StoredSensor {
-                index: set.sensor_index,
-                sensor: set.sensor,
-                alignment_wxyz: set.alignment,
-                alignment_covariance: set
-                    .alignment_covariance
-                    .map(|covariance| Covariance::new(rotation_order(), covariance.matrix())),
-                accelerometer: StoredAccelerometer {
-                    unit: AccelerationUnit::Lsb.as_str().to_owned(),
-                    range_g: Some(set.range_g),
-                    range_source: None,
-                    sensitivity_lsb_per_g: Some(set.sensitivity.lsb_per_g()),
-                    model: *set.model.terms(),
-                    quality: quality.map(StoredQuality::new),
-                    sessions,
-                },
-                gyroscope: set.gyroscope,
-                magnetometer: set.magnetometer,
-            }],
+            sensors: vec![sensor],
         }
     }
 
@@ -198,11 +220,13 @@ impl CalibrationFile {
             ..ParameterSet::uncalibrated(1, sensitivity)
         };
         let mut file = Self::new(&set, &[], source);
-        let stored = &mut file.sensors.first_mut()?.accelerometer;
+        let entry = file.sensors.first_mut()?;
+        let stored = &mut entry.accelerometer;
         stored.unit = unit.as_str().to_owned();
         stored.sensitivity_lsb_per_g = lsb_per_g;
         stored.range_g = range.map(|range| range.g);
         stored.range_source = range.map(|range| range.source);
+        entry.seal();
         Some(file)
     }
 
@@ -238,13 +262,12 @@ impl StoredQuality {
             rms_mps2: terms.rms_mps2,
             loo_rms_mps2: terms.loo_rms_mps2,
             condition: terms.condition,
-            covariance: Covariance::new(model_order(), terms.covariance.matrix()),
+            covariance: Covariance::new(model_order(), terms.covariance.factor().as_flattened()),
             other_sd: terms.other_sd,
         }
     }
 
     fn read(&self, sessions: &[Session]) -> std::result::Result<CalibrationQuality, String> {
-        let matrix = self.covariance.matrix(model_order())?;
         CalibrationQuality::new(QualityTerms {
             method: self.method,
             utc_s: sessions.last().and_then(|session| session.utc_s),
@@ -254,7 +277,7 @@ impl StoredQuality {
             rms_mps2: self.rms_mps2,
             loo_rms_mps2: self.loo_rms_mps2,
             condition: self.condition,
-            covariance: ModelCovariance::from_matrix(&matrix).map_err(|e| e.to_string())?,
+            covariance: self.covariance.of_model()?,
             other_sd: self.other_sd,
         })
         .map_err(|error| error.to_string())
@@ -266,25 +289,35 @@ impl StoredSensor {
         ErrorModel::new(self.accelerometer.model).map_err(|error| error.to_string())
     }
 
+    /// Names the set that it holds.
+    fn seal(&mut self) {
+        let id = self.values().map(|set| parameter_id(&set).to_string());
+        self.parameter_id = id.ok();
+    }
+
     /// The set for a board.
     fn set(&self) -> std::result::Result<ParameterSet, String> {
+        let set = self.values()?;
+        match &self.parameter_id {
+            Some(id) if *id == parameter_id(&set).to_string() => Ok(set),
+            _ => Err("the file was edited: its values and parameter_id differ".to_owned()),
+        }
+    }
+
+    fn values(&self) -> std::result::Result<ParameterSet, String> {
         let accelerometer = &self.accelerometer;
         let (Some(range_g), Some(lsb_per_g)) =
             (accelerometer.range_g, accelerometer.sensitivity_lsb_per_g)
         else {
-            return Err(
-                "it has no parameters for a board: its data were in m/s² or g, or of unknown range"
-                    .to_owned(),
-            );
+            let why = match accelerometer.sensitivity_lsb_per_g {
+                Some(own) => format!("{own:.1} LSB/g is outside the range of boards"),
+                None => "its data were in m/s² or g".to_owned(),
+            };
+            return Err(format!("{NOT_FOR_A_BOARD}: {why}"));
         };
         let sensitivity = Sensitivity::from_lsb_per_g(lsb_per_g);
         let quality = accelerometer.quality.as_ref();
         let covariance = self.alignment_covariance.as_ref();
-        let covariance = covariance.map(|known| known.matrix(rotation_order()));
-        let covariance = covariance
-            .transpose()?
-            .as_ref()
-            .map(RotationCovariance::from_matrix);
         // Its range and sensitivity have not been checked.
         let gyroscope = self.gyroscope.map(|gyroscope| {
             let GyroscopeParameters {
@@ -302,7 +335,7 @@ impl StoredSensor {
                 .map(|quality| quality.read(&accelerometer.sessions))
                 .transpose()?,
             alignment: self.alignment_wxyz,
-            alignment_covariance: covariance.transpose().map_err(|e| e.to_string())?,
+            alignment_covariance: covariance.map(Covariance::of_rotation).transpose()?,
             magnetometer: self.magnetometer,
             sensor: self.sensor,
             sensor_index: self.index,
@@ -353,8 +386,12 @@ pub(super) fn parse<'a, T: Deserialize<'a>>(name: &str, text: &'a str) -> Result
 /// The error of a file whose values are not a calibration.
 fn invalid(path: &Path) -> impl Fn(String) -> HostError {
     move |message| {
+        let remedy = match message.starts_with(NOT_FOR_A_BOARD) {
+            true => SENSITIVITY_REMEDY,
+            false => "undo the change, or calibrate again",
+        };
         ErrorCode::BadCalibration
-            .error(message, "undo the change, or calibrate again")
+            .error(message, remedy)
             .at(path.display().to_string())
     }
 }
@@ -421,16 +458,13 @@ pub fn read_model(path: &Path) -> Result<StoredModel> {
     let stored = |sensor: &StoredSensor| {
         let accelerometer = &sensor.accelerometer;
         let quality = accelerometer.quality.as_ref();
-        let covariance = quality.map(|quality| quality.covariance.matrix(model_order()));
+        let covariance = quality.map(|quality| quality.covariance.of_model());
         let covariance = covariance.transpose()?;
         Ok(StoredModel {
             model: sensor.model()?,
             sensitivity_lsb_per_g: accelerometer.sensitivity_lsb_per_g,
             of_counts: accelerometer.unit == AccelerationUnit::Lsb.as_str(),
-            bias_sd_mps2: covariance.map_or(0.0, |matrix| {
-                let sd = |place: usize| matrix[place][place].max(0.0).sqrt();
-                worst_sd(sd)
-            }),
+            bias_sd_mps2: covariance.map_or(0.0, |known| worst_sd(|place| known.sd(place))),
             alignment: sensor.alignment_wxyz,
             magnetometer: sensor.magnetometer,
         })

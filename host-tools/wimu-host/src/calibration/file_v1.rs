@@ -3,7 +3,7 @@
 use serde::Deserialize;
 use wimu_model::{Alignment, ErrorModel, ErrorTerms, ParameterSet};
 
-use super::file::{REMEDY, StoredModel, parse, worst_sd};
+use super::file::{NOT_FOR_A_BOARD, REMEDY, SENSITIVITY_REMEDY, StoredModel, parse, worst_sd};
 use super::report::{CalibrationReport, HELD_SCHEMA};
 use crate::csv::AccelerationUnit;
 use crate::error::{ErrorCode, Result};
@@ -44,10 +44,7 @@ fn set(name: &str, file: File) -> Result<ParameterSet> {
             Some(own) => format!("{own:.1} LSB/g is outside the range of boards"),
             None => "its data were in m/s² or g".to_owned(),
         };
-        bad(
-            format!("it has no parameters for a board: {why}"),
-            "calibrate again with --sensitivity, the nominal LSB/g of the board's range",
-        )
+        bad(format!("{NOT_FOR_A_BOARD}: {why}"), SENSITIVITY_REMEDY)
     })?;
     // The file contains the model twice; where both differ, it is unknown which one is meant.
     let id_agrees =

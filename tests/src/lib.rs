@@ -154,6 +154,18 @@ impl Rig {
         panic!("no answer on the {role} link to {command:?}");
     }
 
+    /// Stages a set; returns the answer to its last piece, or the first that is not accepted.
+    pub fn stage(&mut self, role: LinkRole, set: &WireParameters) -> Answer {
+        let mut answer = Answer::Unknown;
+        for command in set.stage() {
+            answer = self.ask(role, command);
+            if !matches!(answer, Answer::Accepted(_)) {
+                break;
+            }
+        }
+        answer
+    }
+
     /// The board's settings.
     pub fn settings(&mut self) -> Settings {
         match self.ask(LinkRole::Cable, Command::GetSettings) {

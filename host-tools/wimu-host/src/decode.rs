@@ -97,6 +97,7 @@ pub struct Decoder {
     identity_before: Option<(u64, u32)>,
     foreign_version: Option<u8>,
     pieces: Pieces,
+    latest_version: Option<u8>,
 }
 
 /// State of a decoder within one start of the device.
@@ -159,6 +160,7 @@ impl Decoder {
                 Ok(frame) => {
                     self.statistics.frames += 1;
                     self.listening = true;
+                    self.latest_version = Some(frame.version);
                     let message = match read(frame.kind, frame.body) {
                         Ok(Message::Piece(piece)) => match self.pieces.take(&piece) {
                             Ok(None) => continue,
@@ -243,6 +245,11 @@ impl Decoder {
     /// The wire version of the latest undamaged frame that is of another version than ours.
     pub fn foreign_version(&self) -> Option<u8> {
         self.foreign_version
+    }
+
+    /// The wire version of the latest readable frame other than batches: of recordings, 1 too.
+    pub fn latest_version(&self) -> Option<u8> {
+        self.latest_version
     }
 
     /// The device has restarted before the held data. If its greeting has the time of the restart, older

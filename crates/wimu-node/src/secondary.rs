@@ -23,8 +23,8 @@ pub struct Secondary {
     epochs: u8,
     reads: Reads,
     last_epoch: DeviceTimeUs,
-    /// Whether an epoch has been sent since the latest configuration.
-    begun: bool,
+    /// Why the next sample begins an epoch.
+    due: Option<EpochReason>,
 }
 
 impl Secondary {
@@ -36,13 +36,13 @@ impl Secondary {
             epochs: 0,
             reads: Reads::default(),
             last_epoch: DeviceTimeUs(0),
-            begun: false,
+            due: Some(EpochReason::Start),
         }
     }
 
-    /// The sensor has been configured again.
-    pub(crate) fn restart(&mut self) {
-        self.begun = false;
+    /// The sensor has failed, or has been configured again.
+    pub(crate) fn restart(&mut self, reason: EpochReason) {
+        self.due.get_or_insert(reason);
         self.reads.broken = true;
     }
 
@@ -61,9 +61,9 @@ impl Secondary {
         let spacing_ns = measured_ns.unwrap_or(plan.period.0.into());
         let time = sample_time(read, samples.len().saturating_sub(1), spacing_ns);
         self.next_sequence = self.next_sequence.wrapping_add(missed);
-        let reason = match (self.begun, measured_ns) {
-            (false, _) => Some(EpochReason::Settings),
-            (true, None) => Some(EpochReason::Gap),
+        let reason = match (self.due.take(), measured_ns) {
+            (Some(reason), _) => Some(reason),
+            (None, None) => Some(EpochReason::Gap),
             // Before the read that would be later than hosts expect an epoch.
             _ if time.0.saturating_sub(self.last_epoch.0) >= EPOCH_DUE_US => {
                 Some(EpochReason::Periodic)
@@ -71,7 +71,6 @@ impl Secondary {
             _ => None,
         };
         if let Some(reason) = reason {
-            self.begun = true;
             self.last_epoch = time;
             self.epochs = self.epochs.wrapping_add(1);
             let lsb_per_g = plan.sensitivity.lsb_per_g();

@@ -16,7 +16,6 @@ use self::batches::Lane;
 use self::clock::SampleClock;
 use crate::sample::RawSample;
 use crate::sample::sealed::Process as _;
-use crate::secondary::Secondary;
 use crate::sensor::{Batch, InertialSensor, Plan, SensorFault, SensorPlan, Surroundings};
 use crate::shared::{Common, Correction, Message, Order, Orders, PersistentFault, ROLES, Shared};
 use crate::timer::Timer;
@@ -150,8 +149,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             (Ok(()), Some(Order::Configure(plan, correction))) => {
                 *running = Running::new(plan, correction, EpochReason::Settings);
                 self.lanes = Lane::of(&plan.settings);
-                let secondary = self.sensor.secondary();
-                secondary.iter_mut().for_each(Secondary::restart);
+                self.restart_secondary(EpochReason::Settings);
             }
             // The state of the sensor is unknown: `retry` configures it under the previous plan.
             (Err(fault), _) => self.fail(running, fault),
@@ -350,14 +348,19 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         }
     }
 
+    fn restart_secondary(&mut self, reason: EpochReason) {
+        for secondary in self.sensor.secondary() {
+            secondary.restart(reason);
+        }
+    }
+
     /// The sensor has failed: sends the samples read so far, marks a gap and schedules a restart.
     fn fail(&mut self, running: &mut Running<A::Sample>, fault: SensorFault) {
         self.flush();
         running.integrator.gap();
         running.begin_epoch(EpochReason::Gap);
         running.clock.reads.broken = true;
-        let secondary = self.sensor.secondary();
-        secondary.iter_mut().for_each(Secondary::restart);
+        self.restart_secondary(EpochReason::Gap);
         running.lost = true;
         self.shared.publish(|published| {
             let errors = &mut published.sensor.bus_errors;

@@ -78,7 +78,8 @@ pub struct Exported {
 /// time. The link model is applied. Reads the recording twice, in memory that does not grow with its length.
 ///
 /// # Errors
-/// Those of [`Overview::read`]; `no_rows` when the link or the sensor has no such stream; `data_refused` when
+/// Those of [`Overview::read`]; `no_rows` when the link or the sensor has no such stream; `usage` for a link model and
+/// a sensor above 0; `data_refused` when
 /// the link model is of another device or link; `file_failed`, `file_unreadable`.
 pub fn to_csv(
     recording: &Path,
@@ -112,6 +113,15 @@ pub fn to_csv(
         return Err(ErrorCode::NoRows.error(message, remedy));
     }
     if let Some(model) = source.link_model {
+        if source.sensor > 0 {
+            return Err(ErrorCode::Usage.error(
+                format!(
+                    "a link's error model does not apply to sensor {}",
+                    source.sensor
+                ),
+                "leave out --link-model, or --sensor",
+            ));
+        }
         model.check_role(role)?;
         if let Some(hello) = &link.hello {
             model.check_device(hello.device_id)?;

@@ -95,10 +95,7 @@ pub struct TrackOverview {
 impl BootOverview {
     /// Takes the samples or the epoch of any sensor.
     fn use_track(&mut self, event: &Event) {
-        let event = match event {
-            Event::Further(event) => event,
-            event => event,
-        };
+        let event = event.of_any_sensor();
         let Some(sensor) = event.sensor() else {
             return;
         };
@@ -216,10 +213,11 @@ impl Listen for LinkOverview {
             Event::Navigation(_) => boot.navigation += 1,
             Event::Attitude(_) => boot.attitudes += 1,
             Event::Status(status) => self.status = Some(*status),
-            Event::Reply { reply, .. } => match reply.answer {
-                Answer::Accepted(Payload::Status(status)) => self.status = Some(status),
-                _ => {}
-            },
+            Event::Reply { reply, .. } => {
+                if let Answer::Accepted(Payload::Status(status)) = reply.answer {
+                    self.status = Some(status);
+                }
+            }
             Event::Parameters(set) => boot.use_parameters(*set),
             Event::Device { time, event } => {
                 // Persistent faults are reported again to each new listener.

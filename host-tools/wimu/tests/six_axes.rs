@@ -573,6 +573,15 @@ fn exported_tables_have_rates_and_attitudes_and_serve_as_input() {
         "{none}"
     );
 
+    let model = folder.path().join("link.json").display().to_string();
+    let text = serde_json::json!({
+        "schema": "wimu.link_model/1", "link": "cable", "device_id": "", "pairs": 9,
+        "bias_mps2": ([0.0; 3]), "scale": ([1.0; 3]), "bias_sd_mps2": ([0.1; 3]), "scale_sd": ([0.1; 3]),
+    });
+    fs::write(&model, text.to_string()).unwrap();
+    let both = ["export", &session, "--sensor", "1", "--link-model", &model];
+    wimu(&[&both[..], &["-o", &out]].concat()).fails(2, "usage");
+
     for input in [&raw_path, &corrected_path, &session] {
         let mut arguments = vec!["navigate", input, "--method", "strapdown"];
         if input == &raw_path {

@@ -289,8 +289,8 @@ fn run(stops: bool) -> (Vec<Frame>, Vec<Pair>) {
         }
         if raw.len() == BATCH {
             let first = step + 1 - BATCH as u32;
-            let raw: Vec<Pair> = raw.drain(..).collect();
-            let corrected: Vec<Corrected> = corrected.drain(..).collect();
+            let raw = std::mem::take(&mut raw);
+            let corrected = std::mem::take(&mut corrected);
             let at = time(first);
             if is_stopped {
                 let forces: Vec<Counts> = raw.iter().map(|(force, _)| *force).collect();

@@ -167,10 +167,11 @@ impl Listen for LinkOverview {
             }
             Event::Navigation(_) => boot.navigation += 1,
             Event::Status(status) => self.status = Some(*status),
-            Event::Reply { reply, .. } => match reply.answer {
-                Answer::Accepted(Payload::Status(status)) => self.status = Some(status),
-                _ => {}
-            },
+            Event::Reply { reply, .. } => {
+                if let Answer::Accepted(Payload::Status(status)) = reply.answer {
+                    self.status = Some(status);
+                }
+            }
             Event::Parameters(set) => boot.use_parameters(*set),
             Event::Device { time, event } => {
                 // Persistent faults are reported again to each new listener.

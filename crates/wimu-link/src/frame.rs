@@ -37,7 +37,7 @@ pub const WIRE_VERSION: u8 = 2;
 /// parameters. Nothing else is exchanged with a device of another version.
 pub const OLDEST_RECORDED: u8 = 1;
 
-/// The longest body, bytes: a complete signed parameter set. The longest epoch has 540.
+/// The longest body, bytes: a complete signed parameter set. The longest epoch has 566.
 pub const MAX_BODY: usize = 896;
 
 /// The longest frame, bytes, with its closing zero.

@@ -97,13 +97,17 @@ fn opened(frame: &[u8]) -> Result<(u8, Kind, Vec<u8>), FrameError> {
 }
 
 /// The frozen frames: version, file, number of its first frames, and the CRC-32C of their hex digits.
-const FROZEN: [(u8, &str, usize, u32); 6] = [
+const FROZEN: [(u8, &str, usize, u32); 10] = [
     (1, "batch", 9, 0xe476_f54d),
     (1, "hello", 2, 0x981e_9c73),
     (1, "reply", 51, 0xabe2_2c4d),
     (1, "request", 12, 0x8197_c3da),
     (1, "telemetry", 30, 0xa9e1_79c3),
     (1, "who_are_you", 1, 0xb2fa_aa2e),
+    (2, "batch", 9, 0xc602_ccda),
+    (2, "hello", 2, 0xe82a_bbdd),
+    (2, "inertial", 10, 0x9495_f6e2),
+    (2, "who_are_you", 1, 0xcd76_9215),
 ];
 
 #[test]

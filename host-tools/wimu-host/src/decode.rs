@@ -136,13 +136,15 @@ impl Decoder {
                     self.statistics.frames += 1;
                     self.listening = true;
                     self.latest_version = Some(frame.version);
-                    let message = match read(frame.kind, frame.body) {
-                        Ok(Message::Piece(piece)) => match self.pieces.take(&piece) {
+                    let message = match read(&frame) {
+                        Ok(None) => continue,
+                        Ok(Some(Message::Piece(piece))) => match self.pieces.take(&piece) {
                             Ok(None) => continue,
                             Ok(Some(active)) => Ok(Message::Event(Event::Parameters(active))),
                             Err(why) => Err(why.to_string()),
                         },
-                        message => message,
+                        Ok(Some(message)) => Ok(message),
+                        Err(why) => Err(why),
                     };
                     match message {
                         Ok(message) => message,

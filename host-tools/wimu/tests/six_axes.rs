@@ -9,9 +9,11 @@ use std::path::Path;
 
 use kit::{folder, python_with_rosbags, remarks, wimu};
 use serde_json::Value;
+use wimu_host::calibration::StoredModel;
 use wimu_host::decode::{Decoder, LinkStatistics};
 use wimu_host::history::{Boot, LinkHistory};
 use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
+use wimu_host::motion::{MotionRecording, TableOptions};
 use wimu_host::replay::{ReplayReport, verify};
 use wimu_integrator::{Config, Flags, Integrator, Saturation, Transition};
 use wimu_link::batch::{self, Layout};
@@ -572,6 +574,27 @@ fn exported_tables_have_rates_and_attitudes_and_serve_as_input() {
         none["remedy"].as_str().unwrap().contains("[0, 1]"),
         "{none}"
     );
+
+    let set = parameters();
+    let options = TableOptions {
+        calibration: Some(StoredModel {
+            model: set.model,
+            sensitivity_lsb_per_g: Some(LSB_PER_G),
+            of_counts: true,
+            bias_sd_mps2: 0.0,
+            alignment: set.alignment,
+            magnetometer: None,
+            gyroscope: set.gyroscope,
+        }),
+        ..TableOptions::default()
+    };
+    let motion = MotionRecording::from_csv_with(Path::new(&raw_path), &options).unwrap();
+    for (found, sample) in motion.samples.iter().zip(&boot.corrected) {
+        let expected = AngularRateQ20(sample.rate.unwrap()).to_rad_s();
+        for (found, expected) in found.rate_rad_s.unwrap().iter().zip(expected) {
+            assert!((found - expected).abs() < 3e-6, "{found} {expected}");
+        }
+    }
 
     let model = folder.path().join("link.json").display().to_string();
     let text = serde_json::json!({

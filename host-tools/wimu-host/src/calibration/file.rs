@@ -304,6 +304,21 @@ impl StoredSensor {
         }
     }
 
+    /// The gyroscope, whose range and sensitivity have not been checked at reading.
+    fn gyroscope(&self) -> std::result::Result<Option<GyroscopeParameters>, String> {
+        let gyroscope = self.gyroscope.map(|gyroscope| {
+            let GyroscopeParameters {
+                range_dps,
+                rad_s_per_lsb,
+                model,
+                sd,
+                ..
+            } = gyroscope;
+            GyroscopeParameters::new(range_dps, rad_s_per_lsb, model, sd)
+        });
+        gyroscope.transpose().map_err(|error| error.to_string())
+    }
+
     fn values(&self) -> std::result::Result<ParameterSet, String> {
         let accelerometer = &self.accelerometer;
         let (Some(range_g), Some(lsb_per_g)) =
@@ -318,17 +333,6 @@ impl StoredSensor {
         let sensitivity = Sensitivity::from_lsb_per_g(lsb_per_g);
         let quality = accelerometer.quality.as_ref();
         let covariance = self.alignment_covariance.as_ref();
-        // Its range and sensitivity have not been checked.
-        let gyroscope = self.gyroscope.map(|gyroscope| {
-            let GyroscopeParameters {
-                range_dps,
-                rad_s_per_lsb,
-                model,
-                sd,
-                ..
-            } = gyroscope;
-            GyroscopeParameters::new(range_dps, rad_s_per_lsb, model, sd)
-        });
         Ok(ParameterSet {
             model: self.model()?,
             quality: quality
@@ -339,7 +343,7 @@ impl StoredSensor {
             magnetometer: self.magnetometer,
             sensor: self.sensor,
             sensor_index: self.index,
-            gyroscope: gyroscope.transpose().map_err(|e| e.to_string())?,
+            gyroscope: self.gyroscope()?,
             ..ParameterSet::uncalibrated(range_g, sensitivity.map_err(|e| e.to_string())?)
         })
     }
@@ -443,6 +447,8 @@ pub struct StoredModel {
     pub alignment: Alignment,
     /// Model of the magnetometer beside it.
     pub magnetometer: Option<MagnetometerModel>,
+    /// Model of the gyroscope, for its counts.
+    pub gyroscope: Option<GyroscopeParameters>,
 }
 
 /// Reads the error model of a calibration file, of any sensor.
@@ -467,6 +473,7 @@ pub fn read_model(path: &Path) -> Result<StoredModel> {
             bias_sd_mps2: covariance.map_or(0.0, |known| worst_sd(|place| known.sd(place))),
             alignment: sensor.alignment_wxyz,
             magnetometer: sensor.magnetometer,
+            gyroscope: sensor.gyroscope()?,
         })
     };
     file.sensor().and_then(stored).map_err(invalid(path))

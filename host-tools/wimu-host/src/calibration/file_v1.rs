@@ -92,6 +92,7 @@ pub(super) fn model(name: &str, text: &str) -> Result<StoredModel> {
             bias_sd_mps2,
             alignment: Alignment::IDENTITY,
             magnetometer: None,
+            gyroscope: None,
         });
     }
     set(name, file).map(|set| StoredModel {
@@ -101,5 +102,6 @@ pub(super) fn model(name: &str, text: &str) -> Result<StoredModel> {
         bias_sd_mps2,
         alignment: set.alignment,
         magnetometer: set.magnetometer,
+        gyroscope: None,
     })
 }

@@ -22,7 +22,7 @@ use wimu_host::{Input, Result};
 use wimu_link::batch::Stream;
 use wimu_link::hello::board;
 use wimu_link::message::Event as Happened;
-use wimu_model::{Counts, ParameterSet, Sensitivity};
+use wimu_model::{ParameterSet, Sensitivity};
 
 use crate::arguments::{Calibrate, Calibrated, Method};
 use crate::command::{Connection, connect_for, interrupted, not_over_input, params};
@@ -394,9 +394,9 @@ struct LivePoses {
 impl LivePoses {
     /// Takes a raw sample.
     fn push(&mut self, counts: [i32; 3]) {
-        let counts = Counts(counts.map(|axis| axis as i16));
-        let output = self.sensitivity.to_mps2(counts);
-        if let Phase::Captured { pose } = self.session.push(output.0) {
+        let scale = self.sensitivity.mps2_per_lsb();
+        let output = counts.map(|axis| f64::from(axis) * scale);
+        if let Phase::Captured { pose } = self.session.push(output) {
             self.captured(pose);
         }
     }

@@ -14,7 +14,7 @@ use std::time::Instant;
 use mavlink::dialects::common::{MavMessage, RAW_IMU_DATA};
 use mavlink::{MAVLinkV2MessageRaw, MavHeader, MavlinkVersion, Message};
 use wimu_host::decode::{Decoder, Event};
-use wimu_link::message::{Epoch, EpochReason, WireState};
+use wimu_link::message::{Epoch, EpochReason};
 use wimu_link::{MAX_FRAME, Telemetry, batch};
 use wimu_model::{Counts, DeviceTimeUs};
 use wimu_testkit::{Random, figure};
@@ -149,7 +149,7 @@ fn wimu_bytes(samples: &[[i16; 3]]) -> Result<Vec<u8>, Box<dyn Error>> {
                 full_scale: 32_752,
                 parameters: 0,
                 temperature_centi_c: Some(2500),
-                state: WireState::default(),
+                ..Epoch::default()
             });
             let length = epoch.encode(&mut frame)?;
             bytes.extend_from_slice(&frame[..length]);

@@ -4,15 +4,16 @@
 #[cfg(unix)]
 mod running {
     use std::net::{SocketAddr, TcpListener};
-    use std::path::{Path, PathBuf};
+    use std::path::Path;
     use std::sync::Arc;
     use std::sync::atomic::{AtomicBool, Ordering};
 
     use wimu_host::{ErrorCode, HostError, Result};
+    use wimu_sim::board::SensorPart;
     use wimu_sim::motion;
     use wimu_sim::scene::{Scene, World};
     use wimu_sim::source::Physics;
-    use wimu_sim::truth::{Gauge, SensorTruth};
+    use wimu_sim::truth::Gauge;
     use wimu_tests::qemu::{FreeRunning, Machine};
 
     const USAGE: &str = "\
@@ -21,8 +22,9 @@ Usage: qemu IMAGE [OPTION VALUE]…
   --memory FILE        where the board keeps parameters and settings; without it, it forgets
   --log FILE           where its defmt log goes (default IMAGE.log); read it with
                        `defmt-print -e IMAGE < FILE`
+  --sensor NAME        the board's sensor: lsm303agr (default) or lsm6dso
   --motion NAMES       what moves the sensor (default twelve-poses,slide): rest, six-positions,
-                       twelve-poses, tilts, slide, hand
+                       twelve-poses, tilts, slide, carry, hand
   --seed N             the sensor's errors and noise (default 1)
   --cable ADDRESS      where the cable listens (default 127.0.0.1:7100)
   --wireless ADDRESS   where the wireless link listens (default 127.0.0.1:7101)";
@@ -54,7 +56,8 @@ Usage: qemu IMAGE [OPTION VALUE]…
         let motion = motion::named(&options.motion, options.seed)
             .map_err(|unknown| usage(unknown.to_string()))?;
         scene.play(1.0, motion);
-        let truth = SensorTruth::random(options.seed, Gauge::LowerTriangular);
+        let part = options.machine.sensor;
+        let truth = part.random_truth(options.seed, Gauge::LowerTriangular);
         let source = Physics::new(truth, scene, options.seed);
         let stop = Arc::new(AtomicBool::new(false));
         let set = stop.clone();
@@ -80,11 +83,8 @@ Usage: qemu IMAGE [OPTION VALUE]…
         };
         let mut parsed = Options {
             machine: Machine {
-                image: PathBuf::from(image),
-                memory: None,
                 log: Some(Path::new(image).with_extension("log")),
-                power_loss_after: None,
-                slow_flash: None,
+                ..Machine::new(Path::new(image), SensorPart::Lsm303agr)
             },
             motion: "twelve-poses,slide".into(),
             seed: 1,
@@ -98,6 +98,12 @@ Usage: qemu IMAGE [OPTION VALUE]…
             let wrong = |_| usage(format!("{name} {value} is not understood"));
             match name.as_str() {
                 "--memory" => parsed.machine.memory = Some(value.into()),
+                "--sensor" if value == "lsm303agr" => {}
+                "--sensor" if value == "lsm6dso" => {
+                    let with_sensor = Machine::new(Path::new(image), SensorPart::Lsm6dso);
+                    (parsed.machine.image, parsed.machine.sensor) =
+                        (with_sensor.image, with_sensor.sensor);
+                }
                 "--log" => parsed.machine.log = Some(value.into()),
                 "--motion" => parsed.motion.clone_from(value),
                 "--seed" => parsed.seed = value.parse().map_err(|_| wrong(()))?,

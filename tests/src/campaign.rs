@@ -6,7 +6,7 @@ use std::collections::{HashMap, VecDeque};
 use wimu_host::decode::{Decoder, Event, LinkStatistics};
 use wimu_link::batch::{self, Stream};
 use wimu_link::frame::EncodeError;
-use wimu_link::message::{Epoch, EpochReason, WireState};
+use wimu_link::message::{Epoch, EpochReason};
 use wimu_link::{MAX_FRAME, Telemetry};
 use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
 use wimu_sim::faults::{Channel, Fate, FaultCounts, FrameTruth, LinkFaults};
@@ -242,6 +242,6 @@ pub(crate) fn epoch_at(sequence: u32, time_us: u64, period_us: u64, every: u32) 
         full_scale: 32_752,
         parameters: 0,
         temperature_centi_c: Some(2500),
-        state: WireState::default(),
+        ..Epoch::default()
     })
 }

@@ -1,13 +1,18 @@
 //! The whole loop on a simulated board in virtual time, over the real driver, node and wire.
 
 use wimu_host::ErrorCode;
+use wimu_sim::board::SensorPart;
 use wimu_sim::scenario::{Calibration, FirstLight, Outcome};
 use wimu_testkit::{Lane, figure};
 
 fn run(seed: u64, calibration: Calibration) -> Outcome {
-    FirstLight { seed, calibration }
-        .run()
-        .unwrap_or_else(|error| panic!("seed {seed}, {calibration:?}: {error}"))
+    FirstLight {
+        seed,
+        sensor: SensorPart::Lsm303agr,
+        calibration,
+    }
+    .run()
+    .unwrap_or_else(|error| panic!("seed {seed}, {calibration:?}: {error}"))
 }
 
 fn holds_for_one_board(outcome: &Outcome) {
@@ -108,6 +113,52 @@ fn six_squared_positions_make_boards_true() {
 #[test]
 fn twelve_poses_by_hand_make_boards_true() {
     holds_over_many_boards(Calibration::TwelvePoses, "twelve poses");
+}
+
+#[test]
+fn six_axes_follow_a_path_of_1_m_with_a_rotation_by_90_degrees() {
+    let boards = Lane::current().choose([2, 10, 100]);
+    let outcomes: Vec<Outcome> = (1..=boards)
+        .map(|seed| {
+            let first_light = FirstLight {
+                seed,
+                sensor: SensorPart::Lsm6dso,
+                calibration: Calibration::TwelvePoses,
+            };
+            first_light
+                .run()
+                .unwrap_or_else(|error| panic!("seed {seed}: {error}"))
+        })
+        .collect();
+    outcomes.iter().for_each(holds_for_one_board);
+    let of = |pick: &dyn Fn(&Outcome) -> f64| median(outcomes.iter().map(pick).collect());
+    let degrees = |k: usize| of(&|o: &Outcome| o.attitude_deg.expect("attitudes")[k]);
+    let position_mm = [
+        of(&|o| o.slide.uncalibrated_m * 1e3),
+        of(&|o| o.slide.calibrated_m * 1e3),
+        of(&|o| o.slide.zupt_m * 1e3),
+    ];
+    let [uncalibrated, calibrated, zupt] = position_mm;
+    let attitude = [0, 1, 2].map(degrees);
+    figure(
+        &format!(
+            "{boards} boards, six axes: 1 m with a rotation by 90°, uncalibrated, calibrated, with ZUPT, median, mm"
+        ),
+        format!("{uncalibrated:.0} / {calibrated:.1} / {zupt:.1}"),
+        "calibrated below 150, with ZUPT below 50",
+        calibrated < 150.0 && zupt < 50.0,
+    );
+    figure(
+        "six axes: attitude after it, uncalibrated, calibrated, with ZUPT, median, °",
+        format!(
+            "{:.2} / {:.2} / {:.2}",
+            attitude[0], attitude[1], attitude[2]
+        ),
+        "calibrated below 0.3",
+        attitude[1] < 0.3 && attitude[2] < 0.3,
+    );
+    assert!(calibrated < 150.0 && zupt < 50.0, "{position_mm:?} mm");
+    assert!(attitude[1] < 0.3 && attitude[2] < 0.3, "{attitude:?}°");
 }
 
 #[test]

@@ -1,28 +1,5 @@
-use embedded_hal_async::i2c::I2c;
-
 use crate::registers::*;
-use crate::{DataFormat, Error, Fifo, Interrupts, Rate, Setup};
-
-/// The chip's address, by the level of its pin SDO/ALT ADDRESS.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Address {
-    /// The pin is low: 0x53, as on most breakout boards.
-    #[default]
-    Low,
-    /// The pin is high: 0x1D.
-    High,
-}
-
-impl Address {
-    /// 0x53 or 0x1D.
-    pub const fn number(self) -> u8 {
-        match self {
-            Self::Low => 0x53,
-            Self::High => 0x1D,
-        }
-    }
-}
+use crate::{Bus, DataFormat, Error, Fifo, Interrupts, Rate, Setup};
 
 /// Content of FIFO_STATUS.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -36,45 +13,42 @@ pub struct FifoLevel {
 ///
 /// Dropping a future may interrupt a bus transfer; the next call works normally.
 #[derive(Debug)]
-pub struct Adxl345<I2C> {
-    i2c: I2C,
-    address: u8,
+pub struct Adxl345<B> {
+    bus: B,
 }
 
-impl<I2C> Adxl345<I2C> {
+impl<B> Adxl345<B> {
     /// Content of register DEVID.
     pub const IDENTITY: u8 = 0xE5;
 
-    /// A chip on `i2c`; nothing is sent yet.
-    pub fn new(i2c: I2C, address: Address) -> Self {
-        Self {
-            i2c,
-            address: address.number(),
-        }
+    /// A chip on `bus`; nothing is sent yet.
+    pub fn new(bus: B) -> Self {
+        Self { bus }
     }
 
     /// Returns the bus.
-    pub fn release(self) -> I2C {
-        self.i2c
+    pub fn release(self) -> B {
+        self.bus
     }
 }
 
-impl<I2C: I2c> Adxl345<I2C> {
+impl<B: Bus> Adxl345<B> {
     /// Reads register DEVID.
     ///
     /// # Errors
-    /// [`Error::Bus`].
-    pub async fn device_id(&mut self) -> Result<u8, Error<I2C::Error>> {
+    /// [`Error::NotAnswering`], [`Error::Bus`].
+    pub async fn device_id(&mut self) -> Result<u8, Error<B::Error>> {
         self.read(DEVID).await
     }
 
     /// Verifies that the chip is an ADXL345.
     ///
     /// # Errors
-    /// [`Error::WrongIdentity`] if it is not; [`Error::Bus`].
-    pub async fn check_identity(&mut self) -> Result<(), Error<I2C::Error>> {
+    /// [`Error::WrongIdentity`] if it is not; [`Error::NotAnswering`], [`Error::Bus`].
+    pub async fn check_identity(&mut self) -> Result<(), Error<B::Error>> {
         match self.device_id().await? {
             Self::IDENTITY => Ok(()),
+            0x00 | 0xFF => Err(Error::NotAnswering),
             found => Err(Error::WrongIdentity { found }),
         }
     }
@@ -83,8 +57,8 @@ impl<I2C: I2c> Adxl345<I2C> {
     /// The first sample is valid after 1.1 ms + one sample period.
     ///
     /// # Errors
-    /// [`Error::Bus`]: some registers may have been written.
-    pub async fn start(&mut self, setup: &Setup) -> Result<(), Error<I2C::Error>> {
+    /// [`Error::NotAnswering`], [`Error::Bus`]: some registers may have been written.
+    pub async fn start(&mut self, setup: &Setup) -> Result<(), Error<B::Error>> {
         let registers = [
             (POWER_CTL, 0),
             (OFSX, 0),
@@ -107,40 +81,40 @@ impl<I2C: I2c> Adxl345<I2C> {
     /// Stops measuring. Change settings in standby.
     ///
     /// # Errors
-    /// [`Error::Bus`].
-    pub async fn standby(&mut self) -> Result<(), Error<I2C::Error>> {
+    /// [`Error::NotAnswering`], [`Error::Bus`].
+    pub async fn standby(&mut self) -> Result<(), Error<B::Error>> {
         self.write(POWER_CTL, 0).await
     }
 
     /// Starts measuring. The first sample is valid after 1.1 ms + one sample period.
     ///
     /// # Errors
-    /// [`Error::Bus`].
-    pub async fn measure(&mut self) -> Result<(), Error<I2C::Error>> {
+    /// [`Error::NotAnswering`], [`Error::Bus`].
+    pub async fn measure(&mut self) -> Result<(), Error<B::Error>> {
         self.write(POWER_CTL, POWER_CTL_MEASURE).await
     }
 
     /// Sets range, resolution and justification; ends a self-test.
     ///
     /// # Errors
-    /// [`Error::Bus`].
-    pub async fn set_data_format(&mut self, format: DataFormat) -> Result<(), Error<I2C::Error>> {
+    /// [`Error::NotAnswering`], [`Error::Bus`].
+    pub async fn set_data_format(&mut self, format: DataFormat) -> Result<(), Error<B::Error>> {
         self.write(DATA_FORMAT, format.register()).await
     }
 
     /// Sets the rate, and low-power mode (more noise), which has an effect only where [`Rate::has_low_power`].
     ///
     /// # Errors
-    /// [`Error::Bus`].
-    pub async fn set_rate(&mut self, rate: Rate, low_power: bool) -> Result<(), Error<I2C::Error>> {
+    /// [`Error::NotAnswering`], [`Error::Bus`].
+    pub async fn set_rate(&mut self, rate: Rate, low_power: bool) -> Result<(), Error<B::Error>> {
         self.write(BW_RATE, rate.register(low_power)).await
     }
 
     /// Empties the FIFO and sets its mode.
     ///
     /// # Errors
-    /// [`Error::Bus`].
-    pub async fn set_fifo(&mut self, fifo: Fifo) -> Result<(), Error<I2C::Error>> {
+    /// [`Error::NotAnswering`], [`Error::Bus`].
+    pub async fn set_fifo(&mut self, fifo: Fifo) -> Result<(), Error<B::Error>> {
         self.write(FIFO_CTL, Fifo::Bypass.register()).await?;
         if fifo == Fifo::Bypass {
             return Ok(());
@@ -151,12 +125,12 @@ impl<I2C: I2c> Adxl345<I2C> {
     /// Enables interrupts on the pins, active high; those in `on_int2` on INT2, the others on INT1.
     ///
     /// # Errors
-    /// [`Error::Bus`].
+    /// [`Error::NotAnswering`], [`Error::Bus`].
     pub async fn set_interrupts(
         &mut self,
         enabled: Interrupts,
         on_int2: Interrupts,
-    ) -> Result<(), Error<I2C::Error>> {
+    ) -> Result<(), Error<B::Error>> {
         self.write(INT_MAP, on_int2.0).await?;
         self.write(INT_ENABLE, enabled.0).await
     }
@@ -164,16 +138,16 @@ impl<I2C: I2c> Adxl345<I2C> {
     /// Reads the active interrupts, enabled or not. Clears those that reading data does not clear.
     ///
     /// # Errors
-    /// [`Error::Bus`].
-    pub async fn interrupts(&mut self) -> Result<Interrupts, Error<I2C::Error>> {
+    /// [`Error::NotAnswering`], [`Error::Bus`].
+    pub async fn interrupts(&mut self) -> Result<Interrupts, Error<B::Error>> {
         self.read(INT_SOURCE).await.map(Interrupts)
     }
 
     /// Reads the number of samples available.
     ///
     /// # Errors
-    /// [`Error::Bus`].
-    pub async fn fifo_level(&mut self) -> Result<FifoLevel, Error<I2C::Error>> {
+    /// [`Error::NotAnswering`], [`Error::Bus`].
+    pub async fn fifo_level(&mut self) -> Result<FifoLevel, Error<B::Error>> {
         let status = self.read(FIFO_STATUS).await?;
         Ok(FifoLevel {
             samples: status & FIFO_STATUS_ENTRIES,
@@ -184,12 +158,10 @@ impl<I2C: I2c> Adxl345<I2C> {
     /// [`DataFormat::lsb_per_g`]. One burst, which removes it from the FIFO.
     ///
     /// # Errors
-    /// [`Error::Bus`]: the sample may be lost.
-    pub async fn sample(&mut self) -> Result<[i16; 3], Error<I2C::Error>> {
+    /// [`Error::NotAnswering`], [`Error::Bus`]: the sample may be lost.
+    pub async fn sample(&mut self) -> Result<[i16; 3], Error<B::Error>> {
         let mut bytes = [0; 6];
-        self.i2c
-            .write_read(self.address, &[DATAX0], &mut bytes)
-            .await?;
+        self.read_registers(DATAX0, &mut bytes).await?;
         let [x0, x1, y0, y1, z0, z1] = bytes;
         Ok([[x0, x1], [y0, y1], [z0, z1]].map(i16::from_le_bytes))
     }
@@ -197,21 +169,37 @@ impl<I2C: I2c> Adxl345<I2C> {
     /// Sets the offset that the chip adds to each axis, 15.6 m*g*/LSB: registers OFSX to OFSZ.
     ///
     /// # Errors
-    /// [`Error::Bus`].
-    pub async fn set_offset(&mut self, offset: [i8; 3]) -> Result<(), Error<I2C::Error>> {
-        let [x, y, z] = offset.map(|axis| axis as u8);
-        Ok(self.i2c.write(self.address, &[OFSX, x, y, z]).await?)
+    /// [`Error::NotAnswering`], [`Error::Bus`].
+    pub async fn set_offset(&mut self, offset: [i8; 3]) -> Result<(), Error<B::Error>> {
+        for (register, axis) in [OFSX, OFSY, OFSZ].into_iter().zip(offset) {
+            self.write(register, axis as u8).await?;
+        }
+        Ok(())
     }
 
-    pub(crate) async fn write(&mut self, register: u8, value: u8) -> Result<(), Error<I2C::Error>> {
-        Ok(self.i2c.write(self.address, &[register, value]).await?)
+    pub(crate) async fn write(&mut self, register: u8, value: u8) -> Result<(), Error<B::Error>> {
+        self.bus.write(register, value).await.map_err(fault::<B>)
     }
 
-    async fn read(&mut self, register: u8) -> Result<u8, Error<I2C::Error>> {
+    async fn read(&mut self, register: u8) -> Result<u8, Error<B::Error>> {
         let mut value = [0];
-        self.i2c
-            .write_read(self.address, &[register], &mut value)
-            .await?;
+        self.read_registers(register, &mut value).await?;
         Ok(value[0])
+    }
+
+    async fn read_registers(
+        &mut self,
+        register: u8,
+        values: &mut [u8],
+    ) -> Result<(), Error<B::Error>> {
+        self.bus.read(register, values).await.map_err(fault::<B>)
+    }
+}
+
+fn fault<B: Bus>(error: B::Error) -> Error<B::Error> {
+    if B::not_answering(&error) {
+        Error::NotAnswering
+    } else {
+        Error::Bus(error)
     }
 }

@@ -1,8 +1,7 @@
 use embedded_hal_async::delay::DelayNs;
-use embedded_hal_async::i2c::I2c;
 
 use crate::registers::*;
-use crate::{Adxl345, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution};
+use crate::{Adxl345, Bus, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution};
 
 /// ±16 *g* at full resolution: 256 LSB/*g*, the sensitivity that [`LIMITS`] are for.
 const FORMAT: DataFormat = DataFormat {
@@ -72,16 +71,16 @@ fn scales(supply_mv: i32) -> (i32, i32) {
     (last.1, last.2)
 }
 
-impl<I2C: I2c> Adxl345<I2C> {
+impl<B: Bus> Adxl345<B> {
     /// Measures the shift of each axis in 0.34 s. The chip must be at rest. Afterwards it is in standby, and
     /// format, rate and FIFO must be configured again.
     ///
     /// # Errors
-    /// [`Error::Bus`].
+    /// [`Error::NotAnswering`], [`Error::Bus`].
     pub async fn self_test(
         &mut self,
         delay: &mut impl DelayNs,
-    ) -> Result<SelfTest, Error<I2C::Error>> {
+    ) -> Result<SelfTest, Error<B::Error>> {
         self.standby().await?;
         self.set_interrupts(Interrupts::NONE, Interrupts::NONE)
             .await?;
@@ -103,7 +102,7 @@ impl<I2C: I2c> Adxl345<I2C> {
         Ok(SelfTest { shift })
     }
 
-    async fn mean(&mut self, delay: &mut impl DelayNs) -> Result<[i32; 3], Error<I2C::Error>> {
+    async fn mean(&mut self, delay: &mut impl DelayNs) -> Result<[i32; 3], Error<B::Error>> {
         delay.delay_us(SETTLING * PERIOD_US).await;
         let mut sum = [0; 3];
         for _ in 0..AVERAGED {

@@ -4,8 +4,10 @@ use embassy_futures::block_on;
 use embedded_hal_async::i2c::{ErrorKind, NoAcknowledgeSource};
 use embedded_hal_mock::eh1::delay::NoopDelay;
 use embedded_hal_mock::eh1::i2c::{Mock, Transaction};
+use embedded_hal_mock::eh1::spi::{Mock as SpiMock, Transaction as SpiTransaction};
 use wimu_adxl345::{
-    Address, Adxl345, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution, Setup,
+    Address, Adxl345, DataFormat, Error, Fifo, I2cBus, Interrupts, Justify, Range, Rate,
+    Resolution, Setup, SpiBus,
 };
 
 const AT: u8 = 0x53;
@@ -19,10 +21,14 @@ fn read(register: u8, values: &[u8]) -> Transaction {
 }
 
 /// Runs `use_it` on a chip whose bus sees exactly `expected`.
-fn on_bus<R>(expected: &[Transaction], use_it: impl AsyncFnOnce(&mut Adxl345<Mock>) -> R) -> R {
-    let mut sensor = Adxl345::new(Mock::new(expected), Address::Low);
+fn on_bus<R>(
+    expected: &[Transaction],
+    use_it: impl AsyncFnOnce(&mut Adxl345<I2cBus<Mock>>) -> R,
+) -> R {
+    let (i2c, address) = (Mock::new(expected), Address::Low);
+    let mut sensor = Adxl345::new(I2cBus { i2c, address });
     let result = block_on(use_it(&mut sensor));
-    sensor.release().done();
+    sensor.release().i2c.done();
     result
 }
 
@@ -51,9 +57,10 @@ fn another_chip_at_the_address_is_named() {
 #[test]
 fn the_other_address_is_0x1d() {
     let expected = [Transaction::write_read(0x1D, vec![0x00], vec![0xE5])];
-    let mut sensor = Adxl345::new(Mock::new(&expected), Address::High);
+    let (i2c, address) = (Mock::new(&expected), Address::High);
+    let mut sensor = Adxl345::new(I2cBus { i2c, address });
     assert_eq!(block_on(sensor.check_identity()), Ok(()));
-    sensor.release().done();
+    sensor.release().i2c.done();
 }
 
 #[test]
@@ -220,8 +227,8 @@ fn interrupts_are_mapped_before_they_are_enabled() {
 }
 
 #[test]
-fn offsets_are_one_burst_of_twos_complement() {
-    let expected = [Transaction::write(AT, vec![0x1E, 0x01, 0xFF, 0x80])];
+fn offsets_are_twos_complement() {
+    let expected = [write(0x1E, 0x01), write(0x1F, 0xFF), write(0x20, 0x80)];
     let outcome = on_bus(&expected, async |sensor| {
         sensor.set_offset([1, -1, -128]).await
     });
@@ -234,8 +241,49 @@ fn a_bus_that_fails_says_how() {
     let expected = [read(0x32, &[0; 6]).with_error(nobody)];
     let outcome = on_bus(&expected, async |sensor| sensor.sample().await);
     let error = outcome.expect_err("nobody answers");
-    assert_eq!(error, Error::Bus(nobody));
-    assert!(error.to_string().contains("NoAcknowledge"), "{error}");
+    assert_eq!(error, Error::NotAnswering);
+    assert!(error.to_string().contains("address"), "{error}");
+    let expected = [read(0x32, &[0; 6]).with_error(ErrorKind::ArbitrationLoss)];
+    let outcome = on_bus(&expected, async |sensor| sensor.sample().await);
+    let error = outcome.expect_err("the transfer failed");
+    assert!(error.to_string().contains("ArbitrationLoss"), "{error}");
+}
+
+#[test]
+fn on_spi_a_read_has_its_bits_and_the_fifo_its_delay() {
+    let read = |command: u8, values: &[u8]| {
+        vec![
+            SpiTransaction::transaction_start(),
+            SpiTransaction::delay(5_000),
+            SpiTransaction::write_vec(vec![command]),
+            SpiTransaction::read_vec(values.to_vec()),
+            SpiTransaction::transaction_end(),
+        ]
+    };
+    let write = vec![
+        SpiTransaction::transaction_start(),
+        SpiTransaction::write_vec(vec![0x2D, 0x08]),
+        SpiTransaction::transaction_end(),
+    ];
+    let expected = [
+        read(0x80, &[0xE5]),
+        write,
+        read(0xB9, &[1]),
+        read(0xF2, &[1, 0, 2, 0, 0xFF, 0xFF]),
+        read(0x80, &[0xFF]),
+    ]
+    .concat();
+    let mut sensor = Adxl345::new(SpiBus(SpiMock::new(&expected)));
+    let outcome = block_on(async {
+        sensor.check_identity().await?;
+        sensor.measure().await?;
+        let level = sensor.fifo_level().await?.samples;
+        let sample = sensor.sample().await?;
+        let absent = sensor.check_identity().await;
+        Ok::<_, Error<_>>((level, sample, absent))
+    });
+    sensor.release().0.done();
+    assert_eq!(outcome, Ok((1, [1, 2, -1], Err(Error::NotAnswering))));
 }
 
 #[test]

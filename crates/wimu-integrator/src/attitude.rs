@@ -63,9 +63,38 @@ impl Attitude {
         self.axes[0]
     }
 
-    /// Angle of the body's x clockwise from north, rad, −π..=π; 0 where it is vertical.
-    pub(crate) fn heading_rad(&self) -> f64 {
-        libm::atan2(f64::from(self.axes[0][0]), f64::from(self.axes[1][0]))
+    /// Angle of the direction `forward` clockwise from north, rad, −π..=π; 0 where it is vertical.
+    pub(crate) fn heading_rad(&self, forward: [i32; 3]) -> f64 {
+        let forward = forward.map(f64::from);
+        let [east, north, _] = self.axes.map(|axis| dot(axis.map(f64::from), forward));
+        libm::atan2(east, north)
+    }
+
+    /// The quaternion w, x, y, z of the same rotation [Shepperd 1978].
+    pub(crate) fn quaternion(&self) -> [f64; 4] {
+        let m = (self.axes).map(|row| row.map(|r| f64::from(r) / (1_u32 << DIRECTION_BITS) as f64));
+        // 4 q_i² of each component; division by the largest is safe.
+        let squares: [f64; 4] = [
+            1.0 + m[0][0] + m[1][1] + m[2][2],
+            1.0 + m[0][0] - m[1][1] - m[2][2],
+            1.0 - m[0][0] + m[1][1] - m[2][2],
+            1.0 - m[0][0] - m[1][1] + m[2][2],
+        ];
+        let wx = m[2][1] - m[1][2];
+        let wy = m[0][2] - m[2][0];
+        let wz = m[1][0] - m[0][1];
+        let xy = m[1][0] + m[0][1];
+        let xz = m[0][2] + m[2][0];
+        let yz = m[2][1] + m[1][2];
+        let largest = (0..4).fold(0, |l, i| if squares[i] > squares[l] { i } else { l });
+        let column = match largest {
+            0 => [squares[0], wx, wy, wz],
+            1 => [wx, squares[1], xy, xz],
+            2 => [wy, xy, squares[2], yz],
+            _ => [wz, xz, yz, squares[3]],
+        };
+        let scale = 2.0 * root::sqrt(squares[largest]);
+        column.map(|q| q / scale)
     }
 
     /// Whether this east is within 10° of another attitude's.
@@ -131,6 +160,10 @@ mod tests {
         let nose_up = Attitude::from_rest([642_688, 0, 0], Attitude::LEVEL.east()).unwrap();
         assert_eq!(nose_up.axes[2], [1 << 30, 0, 0]);
         assert_eq!(nose_up.rotate([5, 0, 0]), [0, 0, 5]);
+        assert_eq!(
+            nose_up.quaternion().map(|q| q * q),
+            [0.25; 4].map(|_: f64| 0.5 * 0.5)
+        );
     }
 
     #[test]

@@ -2,11 +2,14 @@
 
 use wimu_model::{PeriodNs, PositionNm, SpecificForceQ16, VelocityNmps};
 
-use crate::attitude::{Attitude, unit};
+use crate::attitude::{Attitude, DIRECTION_BITS, unit};
 use crate::compass::MagneticHeading;
+use crate::inertial::{Inertial, RateTest, RotationState};
 use crate::segment::{Segment, billionth, product};
 use crate::state::{Config, ConfigError, Flags, Phase, State, StateError};
-use crate::stationarity::{REST_WINDOWS, Run, TURNED_REST_WINDOWS, Window, window_steps};
+use crate::stationarity::{
+    LONGEST_RUN, REST_WINDOWS, Run, TURNED_REST_WINDOWS, Window, window_steps,
+};
 
 /// Cosine of the largest change of the direction of gravity within a leg: 1°.
 const TURN_COSINE: f64 = 0.999_847_695;
@@ -46,10 +49,21 @@ pub struct Navigation {
     /// Standard deviation of the heading at the latest rest relative to magnetic north, mrad;
     /// `None` if uncalibrated: north is held from the first rest or from the last compass heading.
     pub heading_sd_mrad: Option<u16>,
+    /// Attitude with a gyroscope, after the first rest: quaternion w, x, y, z from body to navigation
+    /// axes, 2⁻³⁰.
+    pub attitude: Option<[i32; 4]>,
+}
+
+/// How far a sample completed the window of the stationarity detector.
+pub(crate) enum Progress {
+    /// The first sample after a gap: the window starts here.
+    Restarted,
+    Within,
+    Complete,
 }
 
 /// Integrates specific force to velocity and position in integers, with the attitude held between
-/// rests.
+/// rests, or with a gyroscope ([`step_inertial`](Self::step_inertial)) measured.
 ///
 /// Pass every corrected sample in order, and call [`gap`](Self::gap) where some are missing. Rests
 /// are detected automatically. The first one aligns (attitude from gravity, velocity zero). With
@@ -72,14 +86,17 @@ pub struct Navigation {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Integrator {
-    state: State,
+    /// Without its rotation.
+    pub(crate) state: State,
+    pub(crate) inertial: Option<Inertial>,
     // Derived from the state.
-    attitude: Attitude,
+    /// Of the integration axes.
+    pub(crate) attitude: Attitude,
     /// Gravity subtracted from each sample, 2⁻³² m/s².
     gravity: [i64; 3],
     /// `gravity` rounded to 2⁻¹⁶ m/s².
     whole_gravity: [i32; 3],
-    window_steps: u16,
+    pub(crate) window_steps: u16,
 }
 
 impl Integrator {
@@ -99,7 +116,9 @@ impl Integrator {
                 window: Window::default(),
                 run: None,
                 heading_sd_mrad: None,
+                rotation: None,
             },
+            inertial: None,
             attitude: Attitude::LEVEL,
             gravity: [0; 3],
             whole_gravity: [0; 3],
@@ -113,8 +132,13 @@ impl Integrator {
     /// [`StateError`] when the state cannot have come from an integrator.
     pub fn from_state(state: State) -> Result<Self, StateError> {
         let config = state.config.checked().map_err(StateError::Config)?;
+        let rotation = state.rotation.map(RotationState::checked).transpose()?;
         let mut integrator = Self {
-            state,
+            state: State {
+                rotation: None,
+                ..state
+            },
+            inertial: rotation.map(|rotation| Inertial::from_state(rotation, config.period)),
             ..Self::new(config)
         };
         if state.phase != Phase::Searching {
@@ -145,12 +169,25 @@ impl Integrator {
 
     /// Everything that determines the future outputs.
     pub fn state(&self) -> State {
-        self.state
+        State {
+            rotation: self.inertial.map(|inertial| inertial.state()),
+            ..self.state
+        }
     }
 
-    /// Adds the next corrected sample, body axes; `saturated` if any axis was at full scale.
+    /// Adds the next corrected sample, body axes; `saturated` if any axis was at full scale. For a
+    /// sensor without a gyroscope.
     #[inline]
     pub fn step(&mut self, force: SpecificForceQ16, saturated: bool) -> Transition {
+        match self.advance(force, saturated) {
+            Progress::Complete => self.end_window(RateTest::PASSED),
+            Progress::Restarted | Progress::Within => Transition::None,
+        }
+    }
+
+    /// Adds the next sample, integration axes.
+    #[inline]
+    pub(crate) fn advance(&mut self, force: SpecificForceQ16, saturated: bool) -> Progress {
         let stepped = self.state.segment.step(force, self.whole_gravity);
         if saturated {
             self.state.flags = self.state.flags.with(Flags::SATURATED);
@@ -158,18 +195,21 @@ impl Integrator {
         if !stepped {
             self.state.window = Window::starting_at(&self.state.segment);
             self.state.run = None;
-            return Transition::None;
+            return Progress::Restarted;
         }
         if self.state.window.add(force) < self.window_steps {
-            return Transition::None;
+            return Progress::Within;
         }
-        self.end_window()
+        Progress::Complete
     }
 
     /// Marks missing samples, or a change of range, rate or parameters, before the next sample. The
-    /// leg is flagged; nothing is interpolated.
+    /// leg is flagged; nothing is interpolated, and the attitude is held.
     pub fn gap(&mut self) {
         self.state.segment.previous = None;
+        if let Some(inertial) = &mut self.inertial {
+            inertial.rotation.gap();
+        }
         if self.state.phase == Phase::Moving {
             self.state.flags = self.state.flags.with(Flags::GAP);
         }
@@ -197,6 +237,7 @@ impl Integrator {
             previous: self.state.segment.previous,
             ..Segment::default()
         };
+        self.inertial = (self.inertial).map(|inertial| inertial.with_period(period));
         self.window_steps = window_steps(period);
         self.state.window = Window::starting_at(&self.state.segment);
         self.state.run = None;
@@ -209,26 +250,38 @@ impl Integrator {
     /// If the body has moved and the heading changes by more than 10°, it rotated during the motion
     /// or north was unknown: the position is flagged.
     pub fn set_heading(&mut self, heading: MagneticHeading) -> bool {
+        self.hold(self.from_body(heading.east), heading.sd_mrad)
+    }
+
+    /// The same with the heading of the state after [`set_heading`](Self::set_heading) elsewhere, so that
+    /// a replay is bit-exact.
+    pub fn adopt_heading(&mut self, state: &State) -> bool {
+        (state.heading_sd_mrad).is_some_and(|sd_mrad| self.hold(state.east, sd_mrad))
+    }
+
+    /// Holds a direction of east, integration axes.
+    fn hold(&mut self, east: [i32; 3], sd_mrad: u16) -> bool {
         if self.state.phase != Phase::Resting {
             return false;
         }
         let held = self.attitude;
-        let before = core::mem::replace(&mut self.state.east, heading.east);
+        let before = core::mem::replace(&mut self.state.east, east);
         if self.align().is_none() {
             self.state.east = before;
             return false;
         }
-        self.state.heading_sd_mrad = Some(heading.sd_mrad);
+        self.state.heading_sd_mrad = Some(sd_mrad);
         if self.state.base_position_nm != [0; 3] && !self.attitude.is_headed_as(&held) {
             self.state.flags = self.state.flags.with(Flags::POSITION_LOST);
         }
         true
     }
 
-    /// Angle of body x clockwise from north, rad, −π..=π, held since the latest rest; `None` before
-    /// the first. 0 if body x is vertical.
+    /// Angle of body x clockwise from north, rad, −π..=π, without a gyroscope held since the latest
+    /// rest; `None` before the first. 0 if body x is vertical.
     pub fn heading_rad(&self) -> Option<f64> {
-        (self.state.phase != Phase::Searching).then(|| self.attitude.heading_rad())
+        let x = self.from_body([1 << DIRECTION_BITS, 0, 0]);
+        (self.state.phase != Phase::Searching).then(|| self.attitude.heading_rad(x))
     }
 
     /// Velocity and position after the latest sample.
@@ -241,6 +294,7 @@ impl Integrator {
                 phase,
                 flags: state.flags,
                 heading_sd_mrad: state.heading_sd_mrad,
+                attitude: self.quaternion(),
                 ..Navigation::default()
             },
         }
@@ -275,6 +329,7 @@ impl Integrator {
             phase: state.phase,
             flags: state.flags,
             heading_sd_mrad: state.heading_sd_mrad,
+            attitude: self.quaternion(),
         }
     }
 
@@ -286,7 +341,7 @@ impl Integrator {
 
     /// Evaluates the complete window and starts the next one.
     #[cold]
-    fn end_window(&mut self) -> Transition {
+    pub(crate) fn end_window(&mut self, rate: RateTest) -> Transition {
         let window = self.state.window;
         let steps = i64::from(self.window_steps);
         let total: [i64; 3] = core::array::from_fn(|axis| {
@@ -294,12 +349,12 @@ impl Integrator {
                 .wrapping_sub(window.start.velocity_sum[axis])
                 .wrapping_add(2 * steps * i64::from(self.whole_gravity[axis]))
         });
-        let quiet = window.is_quiet(total);
+        let quiet = rate.quiet && window.is_quiet(total);
         let goes_on = match &self.state.run {
-            Some(run) => quiet && run.agrees(total, window.tolerance()),
+            Some(run) => quiet && rate.agrees && run.agrees(total, window.tolerance()),
             // After a gap or a change of period there is no run, but the previous rest may
             // continue.
-            None => quiet && self.is_as_held(&window, total),
+            None => quiet && rate.as_held && self.is_as_held(&window, total),
         };
         let run = quiet.then(|| match self.state.run {
             Some(run) if goes_on => run.with(total),
@@ -321,8 +376,10 @@ impl Integrator {
                 self.state.phase = Phase::Moving;
                 Transition::Motion
             }
-            (Phase::Moving, Some(run)) if windows >= self.windows_of_a_rest(&window, total) => {
-                if self.attitude.cosine_to(run.sum) < TURN_COSINE {
+            (Phase::Moving, Some(run))
+                if windows >= self.windows_of_a_rest(&window, total, rate.as_held) =>
+            {
+                if self.inertial.is_none() && self.attitude.cosine_to(run.sum) < TURN_COSINE {
                     self.state.flags = self.state.flags.with(Flags::TURNED);
                 }
                 if self.state.config.zupt {
@@ -362,9 +419,12 @@ impl Integrator {
         })
     }
 
-    /// Number of windows that are a rest after a motion.
-    fn windows_of_a_rest(&self, window: &Window, total: [i64; 3]) -> u16 {
-        if self.is_as_held(window, total) {
+    /// Number of windows that are a rest after a motion; `rate_as_held`: whether the angular rate is the
+    /// bias of the latest rest. If not, the body may rotate about the vertical.
+    fn windows_of_a_rest(&self, window: &Window, total: [i64; 3], rate_as_held: bool) -> u16 {
+        if !rate_as_held {
+            LONGEST_RUN
+        } else if self.is_as_held(window, total) {
             REST_WINDOWS
         } else {
             TURNED_REST_WINDOWS

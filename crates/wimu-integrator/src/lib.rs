@@ -7,6 +7,7 @@ extern crate std;
 
 mod attitude;
 mod compass;
+mod inertial;
 mod integrator;
 mod rotation;
 mod segment;
@@ -14,6 +15,7 @@ mod state;
 mod stationarity;
 
 pub use compass::{Compass, FieldMean, MagneticHeading};
+pub use inertial::{RotationState, Saturation};
 pub use integrator::{Integrator, Navigation, Transition};
 pub use rotation::Rotation;
 pub use segment::Segment;

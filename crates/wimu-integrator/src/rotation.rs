@@ -69,6 +69,16 @@ impl Factor {
     }
 }
 
+impl Factor {
+    /// The rate of which [`apply`](Self::apply) is the result.
+    fn invert(self, half: [i64; 3]) -> [i32; 3] {
+        half.map(|axis| {
+            let product = axis >> self.shift;
+            product.checked_div(self.mantissa.into()).unwrap_or(0) as i32
+        })
+    }
+}
+
 impl Rotation {
     /// Starts at a quaternion w, x, y, z from body to navigation axes, which is normalised; (1, 0, 0, 0)
     /// where its length is zero or not finite.
@@ -84,6 +94,28 @@ impl Rotation {
             remainder: [0; 3],
             factor: Factor::of(period),
         }
+    }
+
+    /// Continues from the parts of another one.
+    pub(crate) fn resumed(
+        quaternion: [i64; 4],
+        previous: Option<[i32; 3]>,
+        remainder: [u32; 3],
+        period: PeriodNs,
+    ) -> Self {
+        let factor = Factor::of(period);
+        Self {
+            quaternion,
+            previous: previous.map(|rate| factor.apply(AngularRateQ20(rate)).0),
+            remainder,
+            factor,
+        }
+    }
+
+    /// Quaternion, latest angular rate and remainder.
+    pub(crate) fn parts(&self) -> ([i64; 4], Option<[i32; 3]>, [u32; 3]) {
+        let previous = self.previous.map(|half| self.factor.invert(half));
+        (self.quaternion, previous, self.remainder)
     }
 
     /// w, x, y, z from body to navigation axes.
@@ -111,15 +143,13 @@ impl Rotation {
     /// A vector in body axes, in navigation axes: v + 2 w (u × v) + 2 u × (u × v). Within 2 LSB.
     #[inline]
     pub fn rotate(&self, body: [i32; 3]) -> [i32; 3] {
+        turned(body, self.short())
+    }
+
+    /// A vector in navigation axes, in body axes. Within 2 LSB.
+    pub(crate) fn to_body(&self, vector: [i32; 3]) -> [i32; 3] {
         let [w, x, y, z] = self.short();
-        let u = [x, y, z];
-        let t = cross(u, body).map(|t| rounded(t, 29));
-        let along = cross(u, t).map(|a| rounded(a, 30));
-        core::array::from_fn(|i| {
-            body[i]
-                .wrapping_add(rounded(long(w, t[i]), 30))
-                .wrapping_add(along[i])
-        })
+        turned(vector, [w, -x, -y, -z])
     }
 
     /// The quaternion in 2⁻³⁰.
@@ -174,6 +204,28 @@ impl Rotation {
     }
 }
 
+/// v + 2 w (u × v) + 2 u × (u × v) for the quaternion w, u in 2⁻³⁰.
+#[inline]
+fn turned(v: [i32; 3], [w, x, y, z]: [i32; 4]) -> [i32; 3] {
+    let u = [x, y, z];
+    let t = cross(u, v).map(|t| rounded(t, 29));
+    let along = cross(u, t).map(|a| rounded(a, 30));
+    core::array::from_fn(|i| {
+        v[i].wrapping_add(rounded(long(w, t[i]), 30))
+            .wrapping_add(along[i])
+    })
+}
+
+/// Product of quaternions w, x, y, z.
+pub(crate) fn times(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
+    [
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] + a[2] * b[0] + a[3] * b[1] - a[1] * b[3],
+        a[0] * b[3] + a[3] * b[0] + a[1] * b[2] - a[2] * b[1],
+    ]
+}
+
 /// 2/3 · 2¹⁶.
 const TWO_THIRDS: i64 = 43_691;
 
@@ -214,15 +266,6 @@ mod tests {
             a[1] * b[2] - a[2] * b[1],
             a[2] * b[0] - a[0] * b[2],
             a[0] * b[1] - a[1] * b[0],
-        ]
-    }
-
-    fn times(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
-        [
-            a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-            a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-            a[0] * b[2] + a[2] * b[0] + a[3] * b[1] - a[1] * b[3],
-            a[0] * b[3] + a[3] * b[0] + a[1] * b[2] - a[2] * b[1],
         ]
     }
 

@@ -4,6 +4,7 @@ use core::fmt;
 
 use wimu_model::PeriodNs;
 
+use crate::inertial::RotationState;
 use crate::segment::Segment;
 use crate::stationarity::{Run, Window};
 
@@ -72,12 +73,15 @@ impl Flags {
     pub const GAP: Self = Self(1);
     /// An axis was saturated in this leg.
     pub const SATURATED: Self = Self(2);
-    /// The direction of gravity changed since the start of the leg: the unit rotated.
+    /// The direction of gravity changed since the start of the leg: the unit rotated. Not with a
+    /// gyroscope.
     pub const TURNED: Self = Self(4);
     /// The position exceeded the numeric range.
     pub const OUT_OF_RANGE: Self = Self(8);
     /// An earlier leg was invalid: the position includes its error.
     pub const POSITION_LOST: Self = Self(16);
+    /// An axis of the gyroscope was saturated in this leg: the attitude is lost.
+    pub const GYROSCOPE_SATURATED: Self = Self(32);
 
     /// The union of both sets.
     #[must_use]
@@ -110,6 +114,9 @@ impl Flags {
 /// [`Integrator::state`](crate::Integrator::state) returns it, and
 /// [`Integrator::from_state`](crate::Integrator::from_state) continues from it, bit for bit, on any
 /// target.
+///
+/// Vectors are in integration axes: body axes without a gyroscope, with one the body axes of the first
+/// rest, fixed to the earth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct State {
@@ -119,9 +126,9 @@ pub struct State {
     pub phase: Phase,
     /// Faults.
     pub flags: Flags,
-    /// Mean specific force over the latest rest, 2⁻³² m/s², body axes.
+    /// Mean specific force over the latest rest, 2⁻³² m/s², integration axes.
     pub rest_mean: [i64; 3],
-    /// Direction of east in body axes, 2⁻³⁰ per LSB: held from the previous rest, or from the
+    /// Direction of east in integration axes, 2⁻³⁰ per LSB: held from the previous rest, or from the
     /// compass at this one.
     pub east: [i32; 3],
     /// Position at the start of the segment, nm, navigation frame.
@@ -139,6 +146,8 @@ pub struct State {
     /// Standard deviation of the heading at the latest rest relative to magnetic north, mrad;
     /// `None` if uncalibrated: the heading is held from the previous rest.
     pub heading_sd_mrad: Option<u16>,
+    /// Rotation from a gyroscope, if there is one.
+    pub rotation: Option<RotationState>,
 }
 
 /// A configuration outside its range.
@@ -179,6 +188,8 @@ pub enum StateError {
     Attitude,
     /// The window of the stationarity detector is impossible.
     Stationarity,
+    /// The quaternion has not length 1, or a bias or sum of angular rates is out of range.
+    Rotation,
 }
 
 impl fmt::Display for StateError {
@@ -186,6 +197,7 @@ impl fmt::Display for StateError {
         match self {
             Self::Config(error) => write!(out, "the integrator's state: {error}"),
             Self::Attitude => out.write_str("the integrator's state has no attitude"),
+            Self::Rotation => out.write_str("the integrator's state has an impossible rotation"),
             Self::Stationarity => out.write_str("the integrator's state has an impossible window"),
         }
     }

@@ -21,7 +21,7 @@ pub(crate) const REST_WINDOWS: u16 = 4;
 pub(crate) const TURNED_REST_WINDOWS: u16 = 16;
 /// Number of windows (16 s) after which the sums of a rest are halved, so that a drifting bias is
 /// followed.
-const LONGEST_RUN: u16 = 128;
+pub(crate) const LONGEST_RUN: u16 = 128;
 
 /// [`REST_SD_MPS2`], 2⁻¹⁰ m/s².
 const SPREAD_LSB: u64 = 128;

@@ -29,18 +29,37 @@ use cobs::{CobsEncoder, DecodeResult, DecoderState};
 use heapless::VecView;
 
 use crate::checksum::{Digest, crc_32c};
+use crate::message::WireParameters;
 
 /// The version of the wire protocol, independent of the crate's version.
-pub const WIRE_VERSION: u8 = 1;
+pub const WIRE_VERSION: u8 = 2;
 
-/// The longest body, bytes: a complete signed parameter set. The longest epoch has 540.
-pub const MAX_BODY: usize = 896;
+/// The oldest version whose recordings are readable: batches and telemetry, and replies except those with
+/// parameters. Nothing else is exchanged with a device of another version.
+pub const OLDEST_RECORDED: u8 = 1;
+
+/// The longest body, bytes: the longest epoch has 743.
+pub const MAX_BODY: usize = 752;
+
+/// The longest body of wire version 1, bytes: a complete parameter set.
+const MAX_BODY_V1: usize = 896;
 
 /// The longest frame, bytes, with its closing zero.
-pub const MAX_FRAME: usize = cobs::max_encoding_length(MAX_PLAIN) + 1;
+pub const MAX_FRAME: usize = frame_of(MAX_BODY);
+
+/// The longest stored frame, bytes, with its closing zero: a record of the longest parameter set.
+pub const MAX_RECORD: usize = frame_of(MAX_RECORD_BODY);
+
+/// The body of that record: variant, id, flag, set.
+pub(crate) const MAX_RECORD_BODY: usize = 1 + 5 + 1 + WireParameters::MAX;
 
 /// Kind byte, body, CRC.
 const MAX_PLAIN: usize = 1 + MAX_BODY + CRC_BYTES;
+
+/// The longest frame of a body of `body` bytes.
+const fn frame_of(body: usize) -> usize {
+    cobs::max_encoding_length(1 + body + CRC_BYTES) + 1
+}
 const CRC_BYTES: usize = 4;
 
 /// The kind of a frame's body.
@@ -52,7 +71,7 @@ pub enum Kind {
     Hello = 1,
     /// [`WhoAreYou`](crate::WhoAreYou), host to device; readable in every version.
     WhoAreYou = 2,
-    /// A [`Batch`](crate::Batch) of samples, device to host.
+    /// A [`Batch`](crate::Batch) of samples of the first accelerometer, device to host.
     Batch = 3,
     /// [`Telemetry`](crate::Telemetry), device to host.
     Telemetry = 4,
@@ -60,6 +79,8 @@ pub enum Kind {
     Request = 5,
     /// [`Reply`](crate::Reply), device to host.
     Reply = 6,
+    /// A [`Batch`](crate::Batch) of samples of any sensor, device to host.
+    Inertial = 7,
 }
 
 impl Kind {
@@ -71,13 +92,25 @@ impl Kind {
             4 => Self::Telemetry,
             5 => Self::Request,
             6 => Self::Reply,
+            7 => Self::Inertial,
             _ => return None,
         })
     }
 
-    /// Whether this kind has the same layout in every version.
-    fn is_timeless(self) -> bool {
-        matches!(self, Self::Hello | Self::WhoAreYou)
+    /// Whether this kind holds samples: [`Batch::decode`](crate::Batch::decode) reads it.
+    pub fn is_batch(self) -> bool {
+        matches!(self, Self::Batch | Self::Inertial)
+    }
+
+    /// Whether this crate reads this kind in `version`: what devices sent stays readable in recordings.
+    fn is_readable_in(self, version: u8) -> bool {
+        match self {
+            Self::Hello | Self::WhoAreYou => true,
+            Self::Batch | Self::Telemetry | Self::Reply => {
+                matches!(version, OLDEST_RECORDED..=WIRE_VERSION)
+            }
+            Self::Request | Self::Inertial => version == WIRE_VERSION,
+        }
     }
 }
 
@@ -97,10 +130,20 @@ pub(crate) fn build(
     frame: &mut [u8],
     write: &mut dyn FnMut(&mut BodyWriter) -> Result<(), EncodeError>,
 ) -> Result<usize, EncodeError> {
+    build_within(MAX_BODY, kind, frame, write)
+}
+
+/// The same with a body of at most `longest` bytes.
+pub(crate) fn build_within(
+    longest: usize,
+    kind: Kind,
+    frame: &mut [u8],
+    write: &mut dyn FnMut(&mut BodyWriter) -> Result<(), EncodeError>,
+) -> Result<usize, EncodeError> {
     let mut writer = BodyWriter {
         cobs: CobsEncoder::new(frame),
         digest: Digest::new(),
-        body: 0,
+        left: longest,
     };
     writer.code(&[(WIRE_VERSION << 4) | kind as u8])?;
     write(&mut writer)?;
@@ -118,7 +161,8 @@ pub(crate) fn build(
 pub(crate) struct BodyWriter<'a> {
     cobs: CobsEncoder<'a>,
     digest: Digest,
-    body: usize,
+    /// Bytes that may follow.
+    left: usize,
 }
 
 impl BodyWriter<'_> {
@@ -127,10 +171,7 @@ impl BodyWriter<'_> {
         if bytes.is_empty() {
             return Ok(());
         }
-        self.body = self.body.saturating_add(bytes.len());
-        if self.body > MAX_BODY {
-            return Err(EncodeError::BodyTooLong);
-        }
+        self.left = (self.left.checked_sub(bytes.len())).ok_or(EncodeError::BodyTooLong)?;
         self.code(bytes)
     }
 
@@ -154,8 +195,8 @@ pub(crate) fn fill(
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Frame<'a> {
-    /// The sender's wire version, 0..=15: this crate's own, except on the kinds that every version
-    /// reads.
+    /// The sender's wire version, 0..=15: this crate's own; down to [`OLDEST_RECORDED`] on batches, telemetry and
+    /// replies of recordings; any on the kinds that every version reads.
     pub version: u8,
     /// The kind of the body.
     pub kind: Kind,
@@ -163,22 +204,32 @@ pub struct Frame<'a> {
     pub body: &'a [u8],
 }
 
-/// Finds frames in a stream of bytes. Its only state is one frame, so reading can pause after any byte.
+/// Finds frames in a stream of bytes. Its only state is one frame of up to `PLAIN` bytes, so reading can
+/// pause after any byte.
 #[derive(Debug)]
-pub struct Deframer {
+pub struct Deframer<const PLAIN: usize = MAX_PLAIN> {
     cobs: DecoderState,
     length: usize,
-    plain: [u8; MAX_PLAIN],
+    plain: [u8; PLAIN],
 }
+
+/// A [`Deframer`] with room for the longest frame of wire version 1 too, for recordings.
+pub type RecordedDeframer = Deframer<{ 1 + MAX_BODY_V1 + CRC_BYTES }>;
 
 impl Deframer {
     /// A deframer for a stream. In the middle of a stream, the bytes before the first zero are reported as
     /// one damaged frame.
     pub const fn new() -> Self {
+        Self::empty()
+    }
+}
+
+impl<const PLAIN: usize> Deframer<PLAIN> {
+    const fn empty() -> Self {
         Self {
             cobs: DecoderState::Idle,
             length: 0,
-            plain: [0; MAX_PLAIN],
+            plain: [0; PLAIN],
         }
     }
 
@@ -248,7 +299,7 @@ impl Deframer {
         while let Some((&code, rest)) = coded.split_first() {
             let run = usize::from(code).saturating_sub(1);
             let Some((run, rest)) = rest.split_at_checked(run) else {
-                return Err(if length + rest.len() > MAX_PLAIN {
+                return Err(if length + rest.len() > PLAIN {
                     FrameError::TooLong
                 } else {
                     FrameError::Cobs
@@ -282,12 +333,12 @@ impl Deframer {
                 if let Some(place) = self.plain.get_mut(self.length) {
                     *place = data;
                 }
-                // `MAX_PLAIN + 1` marks a frame that is too long.
-                self.length = (self.length + 1).min(MAX_PLAIN + 1);
+                // `PLAIN + 1` marks a frame that is too long.
+                self.length = (self.length + 1).min(PLAIN + 1);
                 None
             }
             Ok(DecodeResult::DataComplete) => Some(Ok(self.length)),
-            Err(_) => Some(Err(if self.length > MAX_PLAIN {
+            Err(_) => Some(Err(if self.length > PLAIN {
                 FrameError::TooLong
             } else {
                 FrameError::Cobs
@@ -296,9 +347,9 @@ impl Deframer {
     }
 }
 
-impl Default for Deframer {
+impl<const PLAIN: usize> Default for Deframer<PLAIN> {
     fn default() -> Self {
-        Self::new()
+        Self::empty()
     }
 }
 
@@ -351,7 +402,7 @@ fn check(plain: &[u8]) -> Result<Frame<'_>, FrameError> {
     let (first, body) = undamaged(plain)?;
     let (version, number) = (first >> 4, first & 15);
     match Kind::from_number(number) {
-        Some(kind) if version == WIRE_VERSION || kind.is_timeless() => Ok(Frame {
+        Some(kind) if kind.is_readable_in(version) => Ok(Frame {
             version,
             kind,
             body,
@@ -454,6 +505,11 @@ pub enum EncodeError {
         /// Most samples in a batch.
         most: usize,
     },
+    /// A sensor's index that is too large.
+    Sensor {
+        /// The largest index.
+        most: u8,
+    },
 }
 
 impl fmt::Display for EncodeError {
@@ -465,6 +521,7 @@ impl fmt::Display for EncodeError {
                 "the frame does not fit the given buffer; {MAX_FRAME} bytes always do"
             ),
             Self::BatchLength { most } => write!(out, "a batch holds 1 to {most} samples"),
+            Self::Sensor { most } => write!(out, "a sensor's index is at most {most}"),
         }
     }
 }

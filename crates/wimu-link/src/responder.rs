@@ -7,9 +7,7 @@ use crate::auth::{KeyState, Lock, Session, Sessions, Standing, put_first};
 use crate::checksum::crc_32c;
 use crate::frame::{MAX_FRAME, fill};
 use crate::hello::LinkRole;
-use crate::message::{
-    Answer, Command, EncodedParameters, Head, Payload, Refusal, Reply, Signature,
-};
+use crate::message::{Answer, Command, Head, Payload, Refusal, Reply, Signature};
 
 /// Unsigned sessions whose latest request is remembered.
 const SESSIONS: usize = 4;
@@ -38,9 +36,9 @@ enum Class {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Decision<'a, 'b> {
-    /// Execute this command, then send the frame that [`Responder::reply`] returns. Parameters refer to the
-    /// request's body.
-    Execute(Command<EncodedParameters<'b>>),
+    /// Execute this command, then send the frame that [`Responder::reply`] returns. A piece of parameters refers to
+    /// the request's body.
+    Execute(Command<&'b [u8]>),
     /// Send this frame: the request was answered before, or is refused.
     Send(&'a [u8]),
     /// Do nothing: the bytes are not a request, another one is being executed, or the rate limit is reached
@@ -125,7 +123,7 @@ pub struct Responder {
 const REFUSAL_FRAME: usize = 5 + 5 + 9 + 16 + 2 + 1 + 4 + 1 + 1;
 
 /// An answer without parameters.
-type ShortAnswer = Answer<EncodedParameters<'static>>;
+type ShortAnswer = Answer<&'static [u8]>;
 
 /// Longest frame of an answer to a write, bytes.
 const KEPT_FRAME: usize = 80;
@@ -264,7 +262,7 @@ impl Responder {
         // Ids wrap: the nearer half of them is later.
         let is_old = !repeats
             && latest.is_some_and(|latest| (request.id.wrapping_sub(latest.id) as i32) <= 0);
-        let command = Command::take(command);
+        let command = Command::decode(command);
         // An old read is answered: another host may have used ids of this session.
         if is_old && !command.as_ref().is_ok_and(|command| !command.is_write()) {
             return self.refuse(class, request.answer(&Answer::Refused(Refusal::Stale)));
@@ -350,7 +348,7 @@ impl Responder {
         }
         self.sessions.note(request.session, request.id);
         self.latest_signed = Some(request);
-        let outcome = match Command::take(command) {
+        let outcome = match Command::decode(command) {
             Err(_) => Err(Answer::Unknown),
             Ok(command) if repeats && command.is_write() => return Decision::Ignore,
             Ok(Command::OpenSession) => Err(self.open_session(lock)),
@@ -378,11 +376,7 @@ impl Responder {
         }
     }
 
-    fn refuse<'b>(
-        &mut self,
-        class: Class,
-        reply: Reply<EncodedParameters<'static>>,
-    ) -> Decision<'_, 'b> {
+    fn refuse<'b>(&mut self, class: Class, reply: Reply<&'static [u8]>) -> Decision<'_, 'b> {
         if self.is_spent(class) {
             return Decision::Ignore;
         }

@@ -5,7 +5,9 @@ use std::time::Duration;
 
 use wimu_link::auth::{DeviceKey, KeyState, Lock, Session};
 use wimu_link::hello::{LinkRole, WriteAccess};
-use wimu_link::message::{Answer, Command, Payload, Refusal, Reply, Request, Settings, Signature};
+use wimu_link::message::{
+    Answer, Command, Payload, Piece, Refusal, Reply, Request, Settings, Signature,
+};
 use wimu_link::requester::Requester;
 use wimu_link::responder::{Decision, Responder};
 use wimu_link::{Deframer, MAX_FRAME};
@@ -64,7 +66,8 @@ impl Device {
             Decision::Send(frame) => frame,
             Decision::Execute(command) => {
                 if command.is_write() {
-                    self.writes.push(command.decoded().expect("checked"));
+                    self.writes
+                        .push(command.map(|piece| Piece::new(piece).expect("checked")));
                 }
                 let answer: Answer = Answer::Accepted(Payload::None);
                 link.reply(&answer, &mut room)

@@ -2,19 +2,21 @@
 
 use proptest::prelude::*;
 use wimu_integrator::{Config, Integrator};
+use wimu_link::frame::{self, MAX_RECORD};
 use wimu_link::message::{
-    ARITHMETIC_REVISION, ActiveParameters, Answer, BusFault, Command, EncodedParameters, Epoch,
-    EpochReason, Event, MessageError, Navigation, ParameterFault, Payload, Refusal, Reply, Request,
-    Settings, Signature, Telemetry, WireMagnetometer, WireMagnetometerFault, WireParameters,
-    WirePhase, WireQuality, WireQualityFault, WireRun, WireSegment, WireState, WireTerm,
+    ARITHMETIC_REVISION, Answer, BusFault, Command, EncodedParameters, Epoch, EpochGyroscope,
+    EpochReason, Event, MessageError, Navigation, ParameterFault, ParametersPiece, Payload, Piece,
+    Record, Refusal, Reply, Request, Settings, Signature, Telemetry, WireGyroscope,
+    WireGyroscopeTerm, WireMagnetometer, WireMagnetometerFault, WireParameters, WirePhase,
+    WireQuality, WireQualityFault, WireRotation, WireRun, WireSegment, WireState, WireTerm,
     WireWindow, parameter_id,
 };
-use wimu_link::{Deframer, MAX_FRAME};
+use wimu_link::{Deframer, MAX_FRAME, batch};
 use wimu_model::{
     Alignment, CalibratedTemperature, CalibrationMethod, CalibrationQuality, CompileError,
-    ErrorModel, ErrorTerms, MagnetometerModel, MagnetometerRotation, MagnetometerTerms,
-    ModelCovariance, ParameterId, ParameterSet, PeriodNs, QualityTerms, RotationCovariance,
-    Sensitivity, SensorId, SpecificForceQ16, TermDeviations,
+    ErrorModel, ErrorTerms, GyroscopeModel, GyroscopeParameters, GyroscopeTerms, MagnetometerModel,
+    MagnetometerRotation, MagnetometerTerms, ModelCovariance, ParameterId, ParameterSet, PeriodNs,
+    QualityTerms, RotationCovariance, Sensitivity, SensorId, SpecificForceQ16, TermDeviations,
 };
 
 fn body_of(
@@ -92,8 +94,20 @@ fn calibrated() -> ParameterSet {
             .unwrap(),
         ),
         sensor: Some(SensorId(2)),
+        sensor_index: 7,
+        gyroscope: Some(gyroscope()),
         ..ParameterSet::uncalibrated(4, Sensitivity::from_lsb_per_g(8192.0).unwrap())
     }
+}
+
+fn gyroscope() -> GyroscopeParameters {
+    let terms = GyroscopeTerms {
+        bias_rad_s: [0.1, -0.02, 0.003],
+        g_sensitivity: [[1e-4; 3]; 3],
+        ..GyroscopeTerms::default()
+    };
+    let model = GyroscopeModel::new(terms).unwrap();
+    GyroscopeParameters::new(2000, 0.00122, model, Some([0.001; 12])).unwrap()
 }
 
 /// Every number as long as it gets on the wire.
@@ -114,7 +128,7 @@ fn longest_epoch() -> Epoch {
         period_ns: u32::MAX,
         range_g: u8::MAX,
         sensitivity_lsb_per_g: f64::MAX,
-        full_scale: 32752,
+        full_scale: i32::MIN,
         parameters: u32::MAX,
         temperature_centi_c: Some(i16::MIN),
         state: WireState {
@@ -144,7 +158,22 @@ fn longest_epoch() -> Epoch {
                 start: segment,
             }),
             heading_sd_mrad: Some(u16::MAX),
+            rotation: Some(WireRotation {
+                quaternion: [i64::MIN; 4],
+                previous: Some(wide),
+                remainder: [u32::MAX; 3],
+                bias: wide,
+                window: far,
+                sum: far,
+                latest: far,
+            }),
         },
+        sensor: batch::MAX_SENSOR,
+        gyroscope: Some(EpochGyroscope {
+            rad_s_per_lsb: f64::MAX,
+            full_scale: i32::MIN,
+        }),
+        tag: Signature::new(&[0xff; Signature::MAX]).unwrap(),
     }
 }
 
@@ -161,9 +190,11 @@ fn the_longest_reply_fits_a_frame() {
         session: u32::MAX,
         id: u32::MAX,
         signature: Signature::new(&[0xff; 8]).unwrap(),
-        answer: Answer::Accepted(Payload::Parameters(ActiveParameters {
-            active: Some(WireParameters::from(&calibrated())),
+        answer: Answer::Accepted(Payload::Parameters(ParametersPiece {
             id: u32::MAX,
+            offset: u16::MAX,
+            total: u16::MAX,
+            piece: Piece::new(&[0xff; Piece::MAX]).unwrap(),
         })),
     };
     let body = body_of(|line| reply.encode(line));
@@ -212,24 +243,83 @@ fn a_parameter_set_comes_back_bit_for_bit() {
 }
 
 #[test]
-fn the_longest_parameter_set_leaves_room_for_a_signed_request() {
+fn the_longest_parameter_set_fits_a_record_and_its_pieces_fit_signed_requests() {
     let wire = WireParameters::from(&calibrated());
-    let command = Command::StageParameters(wire);
-    let request = Request {
-        session: u32::MAX,
-        id: u32::MAX,
-        signature: Signature::new(&[0xff; 8]).unwrap(),
-        command,
-    };
-    let body = body_of(|line| request.encode(line));
-    assert_eq!(Request::decode(&body), Ok(request));
-    println!("{} bytes", body.len());
-    assert!(body.len() <= 864, "{}", body.len());
+    let mut pieces = Vec::new();
+    for command in wire.stage() {
+        let request = Request {
+            session: u32::MAX,
+            id: u32::MAX,
+            signature: Signature::new(&[0xff; 8]).unwrap(),
+            command,
+        };
+        let body = body_of(|line| request.encode(line));
+        assert_eq!(Request::decode(&body), Ok(request));
+        assert!(body.len() <= 284, "{}", body.len());
+        let Command::StageParameters {
+            offset,
+            total,
+            piece,
+        } = command
+        else {
+            panic!("{command:?}");
+        };
+        assert_eq!(usize::from(offset), pieces.len());
+        assert_eq!(usize::from(total), WireParameters::MAX);
+        pieces.extend_from_slice(piece.as_bytes());
+    }
     let mut bytes = [0; WireParameters::MAX];
     assert_eq!(wire.encode(&mut bytes), Ok(WireParameters::MAX));
     let encoded = EncodedParameters(&bytes);
     assert_eq!(encoded.decode(), Ok(wire));
     assert_eq!(encoded.id(), parameter_id(&calibrated()));
+    assert_eq!(pieces, bytes);
+    let mut record = [0; MAX_RECORD];
+    let length = Record::encode_parameters(encoded, &mut record).unwrap();
+    let opened = frame::open(&mut record[..length]).unwrap();
+    assert_eq!(
+        Record::decode(&record[..opened]),
+        Ok(Record::Parameters(encoded))
+    );
+}
+
+#[test]
+fn a_set_may_end_before_its_later_fields() {
+    let encoded = |wire: &WireParameters| {
+        let mut bytes = [0; WireParameters::MAX];
+        let length = wire.encode(&mut bytes).unwrap();
+        bytes[..length].to_vec()
+    };
+    let whole = WireParameters::from(&calibrated());
+    let of_version_1 = WireParameters {
+        sensor_index: 0,
+        gyroscope: None,
+        ..whole
+    };
+    let unknown_sensor = WireParameters {
+        sensor: None,
+        ..whole
+    };
+    let oldest = WireParameters {
+        sensor: None,
+        ..of_version_1
+    };
+    for set in [whole, of_version_1, unknown_sensor, oldest] {
+        assert_eq!(WireParameters::decode(&encoded(&set)), Ok(set));
+    }
+    // Version 1 has the same bytes.
+    let [bytes, of_version_1] = [whole, of_version_1].map(|set| encoded(&set));
+    assert_eq!(of_version_1, bytes[..of_version_1.len()]);
+    // Cut anywhere else, or with fields that are not known, it is none.
+    for length in 0..bytes.len() {
+        let cut = WireParameters::decode(&bytes[..length]);
+        let ends = [of_version_1.len(), of_version_1.len() - 2].contains(&length);
+        assert_eq!(cut.is_ok(), ends, "{length}");
+    }
+    let newer = [bytes, vec![1, 2, 3]].concat();
+    let fault = ParameterFault::from(WireParameters::decode(&newer).unwrap_err());
+    assert_eq!(fault, ParameterFault::Unknown { bytes: 3 });
+    assert!(fault.to_string().ends_with("; update the firmware"));
 }
 
 #[test]
@@ -273,6 +363,16 @@ fn invalid_parameters_name_the_fault() {
     fn quality(wire: &mut WireParameters) -> &mut WireQuality {
         wire.quality.as_mut().unwrap()
     }
+    fn gyroscope_of(wire: &mut WireParameters) -> &mut WireGyroscope {
+        wire.gyroscope.as_mut().unwrap()
+    }
+    let beyond = |term, axis, value, low, high| ParameterFault::Gyroscope {
+        term,
+        axis,
+        value,
+        low,
+        high,
+    };
     fn magnetometer(wire: &mut WireParameters) -> &mut WireMagnetometer {
         wire.magnetometer.as_mut().unwrap()
     }
@@ -308,6 +408,28 @@ fn invalid_parameters_name_the_fault() {
         (
             fault(&|p| magnetometer(p).soft_iron = [1.0, 1.0, 1.0, 2.0, 0.0, 0.0]),
             ParameterFault::Magnetometer(WireMagnetometerFault::SoftIron),
+        ),
+        (
+            fault(&|p| {
+                gyroscope_of(p).matrix = [[0.5, 0.3, 0.3], [0.3, 0.5, 0.3], [0.3, 0.3, 0.5]]
+            }),
+            ParameterFault::GyroscopeSingular(0.044),
+        ),
+        (
+            fault(&|p| gyroscope_of(p).sd = Some([-1.0; 12])),
+            beyond(WireGyroscopeTerm::Deviation, 0, -1.0, 0.0, 1.0),
+        ),
+        (
+            fault(&|p| gyroscope_of(p).range_dps = 0),
+            beyond(WireGyroscopeTerm::Range, 0, 0.0, 1.0, 65535.0),
+        ),
+        (
+            fault(&|p| gyroscope_of(p).rad_s_per_lsb = f64::INFINITY),
+            beyond(WireGyroscopeTerm::Sensitivity, 0, f64::INFINITY, 1e-8, 1e-2),
+        ),
+        (
+            fault(&|p| gyroscope_of(p).g_sensitivity[2][0] = 0.1),
+            beyond(WireGyroscopeTerm::GSensitivity, 2, 0.1, -0.02, 0.02),
         ),
         (
             fault(&|p| magnetometer(p).field_nt = 0.0),
@@ -351,7 +473,7 @@ fn unknown_missing_and_left_over_bytes_are_told_apart() {
     assert_eq!(body, [6, 5, 0, 0]);
     assert_eq!(Telemetry::decode(&body), Ok(event));
     assert_eq!(Telemetry::decode(&body[..3]), Err(MessageError::TooShort));
-    assert_eq!(Telemetry::decode(&[7]), Err(MessageError::Malformed));
+    assert_eq!(Telemetry::decode(&[99]), Err(MessageError::Malformed));
     assert_eq!(Telemetry::decode(&[0, 1, 99]), Err(MessageError::TooShort));
     assert_eq!(
         Request::decode(&[1, 1, 0, 6, 7]),
@@ -362,6 +484,10 @@ fn unknown_missing_and_left_over_bytes_are_told_apart() {
     request.extend([0; 10]);
     assert_eq!(Request::decode(&request), Err(MessageError::Malformed));
     assert_eq!(Signature::new(&[0; 9]), None);
+    // A piece of 257 bytes.
+    let mut request = vec![1, 1, 0, 1, 0, 0xff, 3, 0x81, 2];
+    request.extend([0; 257]);
+    assert_eq!(Request::decode(&request), Err(MessageError::Malformed));
 }
 
 #[test]
@@ -438,6 +564,15 @@ proptest! {
                 start: run,
             }),
             heading_sd_mrad: has_run.then_some(words[0] as u16),
+            rotation: (!has_run).then_some(WireRotation {
+                quaternion: [i64::MIN, sums[0][0], sums[1][1], sums[2][2]],
+                previous: has_run.then_some(axes[0]),
+                remainder: [words[0], words[1], words[2]],
+                bias: axes[1],
+                window: sums[3],
+                sum: sums[4],
+                latest: sums[0],
+            }),
         };
         prop_assert_eq!(WireState::from(wimu_integrator::State::from(state)), state);
         let telemetry = Telemetry::Epoch(Epoch { state, ..longest_epoch() });
@@ -479,5 +614,5 @@ fn the_arithmetic_is_that_of_its_revision() {
         integrator.navigation()
     );
     let computed = (ARITHMETIC_REVISION, digest.finalize());
-    assert_eq!(computed, (1, 0x5459_5701_2858_47a1));
+    assert_eq!(computed, (2, 0x5459_5701_2858_47a1));
 }

@@ -6,13 +6,13 @@ use proptest::prelude::*;
 use wimu_link::auth::{DeviceKey, KeyId, KeyState, Lock, Session};
 use wimu_link::hello::LinkRole;
 use wimu_link::message::{
-    ActiveParameters, Answer, Command, ParameterFault, Payload, Refusal, Reply, Request,
-    Resolution, Settings, Signature, Streams, WireParameters, WireTerm,
+    Answer, Command, EncodedParameters, ParameterFault, ParametersPiece, Payload, Piece, Refusal,
+    Reply, Request, Resolution, Settings, Signature, Streams, WireParameters, WireTerm,
 };
 use wimu_link::requester::{Next, Requester};
 use wimu_link::responder::{Decision, Responder};
 use wimu_link::{Deframer, Kind, MAX_FRAME};
-use wimu_model::{ParameterSet, Sensitivity};
+use wimu_model::{ParameterId, ParameterSet, Sensitivity};
 use wimu_testkit::trials;
 
 const NOW: Duration = Duration::from_secs(5);
@@ -49,9 +49,14 @@ fn uncalibrated() -> WireParameters {
     WireParameters::from(&ParameterSet::uncalibrated(2, sensitivity))
 }
 
+/// A long answer.
+fn piece() -> ParametersPiece {
+    EncodedParameters(&[7; 300]).piece(ParameterId(1), 0)
+}
+
 fn writes() -> [Command; 4] {
     [
-        Command::StageParameters(uncalibrated()),
+        uncalibrated().stage().next().unwrap(),
         Command::CommitParameters { hash: 1 },
         Command::FactoryReset,
         Command::SetSettings(Settings::default()),
@@ -85,16 +90,13 @@ impl Device {
 
     fn hear(&mut self, body: &[u8]) -> Vec<u8> {
         let command = match self.responder.accept(body, &open()) {
-            Decision::Execute(command) => command.decoded().unwrap(),
+            Decision::Execute(command) => command.map(|piece| Piece::new(piece).unwrap()),
             Decision::Send(frame) => return frame.to_vec(),
             Decision::Ignore => return Vec::new(),
         };
         self.effects.push(command);
         let answer: Answer = match command {
-            Command::GetParameters => Answer::Accepted(Payload::Parameters(ActiveParameters {
-                active: Some(uncalibrated()),
-                id: 1,
-            })),
+            Command::GetParameters { .. } => Answer::Accepted(Payload::Parameters(piece())),
             Command::SetSettings(settings) => {
                 self.settings = settings;
                 Answer::Accepted(Payload::None)
@@ -123,11 +125,11 @@ fn a_repeated_request_has_one_effect_and_gets_the_same_bytes() {
 #[test]
 fn a_long_answer_to_a_read_is_made_anew_when_it_was_lost() {
     let mut device = Device::new(LinkRole::Cable);
-    let read = request(1, 1, Command::GetParameters);
+    let read = request(1, 1, Command::GetParameters { offset: 0 });
     let first = device.hear(&read);
     assert!(first.len() > 200, "{}", first.len());
     assert_eq!(device.hear(&read), first);
-    assert_eq!(device.effects, [Command::GetParameters; 2]);
+    assert_eq!(device.effects, [Command::GetParameters { offset: 0 }; 2]);
 }
 
 #[test]
@@ -292,10 +294,7 @@ fn with_session(responder: &mut Responder) -> (Lock, Requester) {
 
 /// Bytes of answers to requests that come every millisecond for 20 s.
 fn answered(responder: &mut Responder, lock: &Lock, mut ask: impl FnMut(u32) -> Vec<u8>) -> usize {
-    let long: Answer = Answer::Accepted(Payload::Parameters(ActiveParameters {
-        active: Some(uncalibrated()),
-        id: 1,
-    }));
+    let long: Answer = Answer::Accepted(Payload::Parameters(piece()));
     let asked = (0..20_000_u32).map(|ms| {
         let body = ask(ms);
         match responder.accept_at(&body, lock, u64::from(ms) * 1000) {
@@ -315,7 +314,7 @@ fn answers_that_take_no_key_are_limited_where_there_is_one() {
     for (command, rate) in [
         (Command::OpenSession, 500),
         (Command::GetKeyStatus, 500),
-        (Command::GetParameters, 2000),
+        (Command::GetParameters { offset: 0 }, 2000),
         (Command::FactoryReset, 2000),
     ] {
         let mut responder = Responder::new(LinkRole::Wireless);
@@ -342,7 +341,7 @@ fn answers_that_take_no_key_are_limited_where_there_is_one() {
     }
     // Each new one that the owner signs is taken, whatever is between.
     for ms in 0..2000_u64 {
-        let garbage = request(ms as u32, 1, Command::GetParameters);
+        let garbage = request(ms as u32, 1, Command::GetParameters { offset: 0 });
         if let Decision::Execute(_) = responder.accept_at(&garbage, &lock, ms * 1000) {
             responder.reply(&Answer::<WireParameters>::Unknown, &mut [0; MAX_FRAME]);
         }
@@ -458,7 +457,8 @@ fn an_unsigned_write_passes_only_on_the_cable_of_a_device_without_a_key() {
             let mut responder = Responder::new(role);
             match (responder.accept(&request(1, 1, command), &lock), expected) {
                 (Decision::Execute(executed), None) => {
-                    assert_eq!(executed.decoded(), Ok(command));
+                    let executed = executed.map(|piece| Piece::new(piece).unwrap());
+                    assert_eq!(executed, command);
                 }
                 (Decision::Send(frame), Some(refusal)) => {
                     assert_eq!(answer(frame), Answer::Refused(refusal));

@@ -1,36 +1,39 @@
-//! Golden vectors: whole frames in `tests/vectors/v1`, one a line in hex, each under a comment that
+//! Golden vectors: whole frames in `tests/vectors/v2`, one a line in hex, each under a comment that
 //! says what it is. They keep the wire from changing unnoticed, and other hosts can be tested on
 //! them.
 //!
-//! Those of version 1 are frozen: `WRITE_VECTORS=1 cargo test -p wimu-link --test all vectors` adds frames that
-//! are new, and changes none.
+//! Frozen ones never change: `WRITE_VECTORS=1 cargo test -p wimu-link --test all vectors` adds frames that
+//! are new, and changes none. Those of version 1 are recordings, which stay readable.
 
 use std::fmt::Write as _;
 use std::num::NonZeroU8;
 use std::path::PathBuf;
 
 use wimu_link::auth::{DeviceKey, KeyId};
-use wimu_link::frame::EncodeError;
+use wimu_link::batch::Layout;
+use wimu_link::frame::{self, EncodeError, FrameError, RecordedDeframer};
 use wimu_link::hello::{Capabilities, LinkRole, Part, ResetReason, WriteAccess, board, sensor};
 use wimu_link::message::{
-    ARITHMETIC_REVISION, ActiveParameters, Answer, BusFault, Command, Environment, Epoch,
-    EpochReason, Event, LinkStatus, Navigation, ParameterFault, Payload, Refusal, Reply, Request,
-    Resolution, SensorStatus, Settings, Signature, Status, Streams, Telemetry, WireMagnetometer,
-    WireMagnetometerFault, WireMagnetometerRotation, WireMethod, WireParameters, WirePhase,
-    WireQuality, WireQualityFault, WireRun, WireSegment, WireState, WireTerm, WireWindow,
+    ARITHMETIC_REVISION, ActiveParameters, Answer, Attitude, BusFault, Command, EncodedParameters,
+    Environment, Epoch, EpochGyroscope, EpochReason, Event, LinkStatus, Navigation, ParameterFault,
+    ParametersPiece, Payload, Piece, Record, Refusal, Reply, Request, Resolution, SensorStatus,
+    Settings, Signature, Status, Streams, Telemetry, WireGyroscope, WireGyroscopeTerm,
+    WireMagnetometer, WireMagnetometerFault, WireMagnetometerRotation, WireMethod, WireParameters,
+    WirePhase, WireQuality, WireQualityFault, WireRun, WireSegment, WireState, WireTerm,
+    WireWindow,
 };
-use wimu_link::{Batch, Deframer, Hello, Kind, MAX_FRAME, WIRE_VERSION, WhoAreYou, batch};
+use wimu_link::{Batch, Hello, Kind, MAX_FRAME, WIRE_VERSION, WhoAreYou, batch};
 use wimu_model::{Counts, DeviceTimeUs, ParameterId, SpecificForceQ16};
 
 /// A file of frames, each with what it is.
-struct Vectors {
+pub struct Vectors {
     name: &'static str,
     kind: Kind,
     frames: Vec<(String, Vec<u8>)>,
 }
 
 impl Vectors {
-    fn new(name: &'static str, kind: Kind) -> Self {
+    pub fn new(name: &'static str, kind: Kind) -> Self {
         Self {
             name,
             kind,
@@ -38,7 +41,7 @@ impl Vectors {
         }
     }
 
-    fn add(
+    pub fn add(
         &mut self,
         what: impl Into<String>,
         encode: impl FnOnce(&mut [u8]) -> Result<usize, EncodeError>,
@@ -50,9 +53,9 @@ impl Vectors {
 
     /// Makes sure that the file has each frame, and none that is not made any more; returns their
     /// bodies.
-    fn check(self) -> Vec<Vec<u8>> {
-        let path = folder().join(self.name).with_extension("hex");
-        let mut golden = std::fs::read_to_string(&path).unwrap();
+    pub fn check(self) -> Vec<Vec<u8>> {
+        let path = folder(WIRE_VERSION).join(self.name).with_extension("hex");
+        let mut golden = std::fs::read_to_string(&path).unwrap_or_default();
         let made: Vec<String> = self.frames.iter().map(|(_, frame)| hex(frame)).collect();
         for ((what, _), digits) in self.frames.iter().zip(&made) {
             let is_new = !frames_of(&golden).any(|kept| kept == digits);
@@ -67,8 +70,8 @@ impl Vectors {
             assert!(made.iter().any(|digits| digits == kept), "no more: {kept}");
         }
         let body = |(_, frame): &(String, Vec<u8>)| {
-            let (kind, body) = opened(frame);
-            assert_eq!(kind, self.kind);
+            let (version, kind, body) = opened(frame).unwrap();
+            assert_eq!((version, kind), (WIRE_VERSION, self.kind));
             body
         };
         self.frames.iter().map(body).collect()
@@ -86,69 +89,180 @@ fn frames_of(text: &str) -> impl Iterator<Item = &str> {
     text.lines().filter(|line| !line.starts_with('#'))
 }
 
-/// Kind and body of a frame of this version.
-fn opened(frame: &[u8]) -> (Kind, Vec<u8>) {
-    let mut deframer = Deframer::new();
+/// Version, kind and body of a frame.
+fn opened(frame: &[u8]) -> Result<(u8, Kind, Vec<u8>), FrameError> {
+    let mut deframer = RecordedDeframer::default();
     let mut bytes = frame;
-    let frame = deframer.next(&mut bytes).unwrap().unwrap();
-    assert_eq!(frame.version, WIRE_VERSION);
-    (frame.kind, frame.body.to_vec())
+    let frame = deframer.next(&mut bytes).unwrap()?;
+    Ok((frame.version, frame.kind, frame.body.to_vec()))
 }
 
-/// The frozen frames of version 1: the number of first frames of each file, and the CRC-32C of their hex
-/// digits. A change of a number here is a new version of the wire.
-const FROZEN: [(&str, usize, u32); 6] = [
-    ("batch", 9, 0xe476_f54d),
-    ("hello", 2, 0x981e_9c73),
-    ("reply", 51, 0xabe2_2c4d),
-    ("request", 12, 0x8197_c3da),
-    ("telemetry", 30, 0xa9e1_79c3),
-    ("who_are_you", 1, 0xb2fa_aa2e),
+/// The frozen frames: version, file, number of its first frames, and the CRC-32C of their hex digits.
+const FROZEN: [(u8, &str, usize, u32); 10] = [
+    (1, "batch", 9, 0xe476_f54d),
+    (1, "hello", 2, 0x981e_9c73),
+    (1, "reply", 51, 0xabe2_2c4d),
+    (1, "request", 12, 0x8197_c3da),
+    (1, "telemetry", 30, 0xa9e1_79c3),
+    (1, "who_are_you", 1, 0xb2fa_aa2e),
+    (2, "batch", 9, 0xc602_ccda),
+    (2, "hello", 2, 0xe82a_bbdd),
+    (2, "inertial", 10, 0x9495_f6e2),
+    (2, "who_are_you", 1, 0xcd76_9215),
 ];
 
 #[test]
 fn what_was_frozen_is_what_it_was_and_is_read() {
-    for (name, count, crc) in FROZEN {
-        let path = folder().join(name).with_extension("hex");
+    for (version, name, count, crc) in FROZEN {
+        let path = folder(version).join(name).with_extension("hex");
         let text = std::fs::read_to_string(&path).unwrap();
         let frozen: Vec<&str> = frames_of(&text).take(count).collect();
         assert_eq!(frozen.len(), count, "{name}: frames are gone");
         let found = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI).checksum(frozen.concat().as_bytes());
-        assert_eq!(found, crc, "{name}: frames have changed");
+        assert_eq!(found, crc, "v{version} {name}: {found:#x}");
         for digits in frozen {
-            let bytes: Vec<u8> = (0..digits.len() / 2)
-                .map(|at| u8::from_str_radix(&digits[2 * at..2 * at + 2], 16).unwrap())
-                .collect();
-            let (kind, body) = opened(&bytes);
-            let mut line = [0; MAX_FRAME];
-            let length = match kind {
-                Kind::Hello => Hello::decode(&body).unwrap().encode(&mut line),
-                Kind::WhoAreYou => WhoAreYou::decode(&body).unwrap().encode(&mut line),
-                Kind::Telemetry => Telemetry::decode(&body).unwrap().encode(&mut line),
-                Kind::Request => Request::decode(&body).unwrap().encode(&mut line),
-                Kind::Reply => Reply::decode(&body).unwrap().encode(&mut line),
-                // Others may pack the same samples in another way.
-                _ => {
-                    Batch::decode(&body).unwrap();
-                    continue;
-                }
-            };
-            // Said again, it may have gained fields behind what it had.
-            let (_, again) = opened(&line[..length.unwrap()]);
-            assert!(again.starts_with(&body), "{name}: {digits}");
+            is_read(version, digits);
         }
     }
 }
 
-fn folder() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/vectors/v1")
+/// Reads a frozen frame. Encoded again, it may have gained fields at its end.
+fn is_read(frozen_version: u8, digits: &str) {
+    let (kind, body) = match opened(&bytes_of(digits)) {
+        Ok((version, kind, body)) => {
+            assert_eq!(version, frozen_version);
+            (kind, body)
+        }
+        // Requests are executed in their own version only.
+        Err(error) => {
+            let FrameError::UnknownVersion { version, kind } = error else {
+                panic!("{error}");
+            };
+            assert!(version == frozen_version && version < WIRE_VERSION);
+            assert_eq!(kind, Kind::Request as u8);
+            return;
+        }
+    };
+    let mut line = [0; MAX_FRAME];
+    let length = match kind {
+        Kind::Reply if frozen_version < WIRE_VERSION => return,
+        Kind::Hello => Hello::decode(&body).unwrap().encode(&mut line),
+        Kind::WhoAreYou => WhoAreYou::decode(&body).unwrap().encode(&mut line),
+        Kind::Telemetry => match Telemetry::decode(&body).unwrap() {
+            Telemetry::Parameters(ActiveParameters {
+                active: Some(set), ..
+            }) => {
+                // A device stores it, and does not send it.
+                let (bytes, length) = encoded(&set);
+                assert!(body.ends_with(&bytes[..length]), "{digits}");
+                return;
+            }
+            message => message.encode(&mut line),
+        },
+        Kind::Request => Request::decode(&body).unwrap().encode(&mut line),
+        Kind::Reply => Reply::decode(&body).unwrap().encode(&mut line),
+        // Others may pack the same samples in another way.
+        _ => {
+            Batch::decode(kind, &body).unwrap();
+            return;
+        }
+    };
+    let (_, _, again) = opened(&line[..length.unwrap()]).unwrap();
+    assert!(again.starts_with(&body), "{digits}");
+}
+
+/// The wire form of a set, and its length.
+fn encoded(set: &WireParameters) -> ([u8; WireParameters::MAX], usize) {
+    let mut bytes = [0; WireParameters::MAX];
+    let length = set.encode(&mut bytes).unwrap();
+    (bytes, length)
+}
+
+fn bytes_of(digits: &str) -> Vec<u8> {
+    (0..digits.len() / 2)
+        .map(|at| u8::from_str_radix(&digits[2 * at..2 * at + 2], 16).unwrap())
+        .collect()
+}
+
+#[test]
+fn a_batch_of_three_axes_has_the_bytes_of_version_1() {
+    let [first, second] = [1, WIRE_VERSION].map(|version| {
+        let text = std::fs::read_to_string(folder(version).join("batch.hex")).unwrap();
+        let bodies = frames_of(&text).map(|digits| opened(&bytes_of(digits)).unwrap().2);
+        bodies.collect::<Vec<_>>()
+    });
+    assert_eq!(first, second);
+}
+
+/// What firmware of each version stored on its board: parameters and settings.
+#[test]
+fn stored_records_of_every_version_are_read() {
+    for version in 0..=WIRE_VERSION {
+        let text = std::fs::read_to_string(folder(version).join("telemetry.hex")).unwrap();
+        let (mut sets, mut settings) = (0, 0);
+        for digits in frames_of(&text) {
+            let mut stored = bytes_of(digits);
+            let length = frame::open(&mut stored).unwrap();
+            assert_eq!(stored[0] >> 4, version);
+            match Record::decode(&stored[..length]) {
+                Ok(Record::Parameters(set)) => {
+                    set.decode().unwrap();
+                    sets += 1;
+                }
+                Ok(Record::Settings(_)) => settings += 1,
+                Err(_) => {}
+            }
+        }
+        assert!(sets >= 1 && settings == 1, "version {version}");
+    }
+    // A record of later firmware.
+    assert!(Record::decode(&[(WIRE_VERSION + 1) << 4 | 4, 4, 0]).is_err());
+}
+
+/// Recordings of version 1 hold the samples and messages that their descriptions name.
+#[test]
+fn what_devices_of_version_1_sent_is_read_as_what_it_is() {
+    for name in ["batch", "telemetry", "reply"] {
+        let path = folder(1).join(name).with_extension("hex");
+        let text = std::fs::read_to_string(path).unwrap();
+        let lines: Vec<&str> = text.lines().collect();
+        for pair in lines.chunks_exact(2) {
+            let (_, kind, body) = opened(&bytes_of(pair[1])).unwrap();
+            // A parameter set has gained fields since, and replies hold pieces of sets.
+            if pair[0].starts_with("# Parameters(") || pair[0].contains("Accepted(Parameters") {
+                continue;
+            }
+            match Batch::decode(kind, &body) {
+                Ok(batch) => {
+                    assert!(pair[0].ends_with(&format!("{:?}", batch.samples())));
+                    assert!(batch.sensor() == 0 && batch.angular_rates().is_empty());
+                }
+                Err(_) => {
+                    let message = match kind {
+                        Kind::Reply => format!("# {:?}", Reply::decode(&body).unwrap()),
+                        _ => format!("# {:?}", Telemetry::decode(&body).unwrap()),
+                    };
+                    // What version 1 does not have is absent.
+                    let added = ", sensor: 0, gyroscope: None, tag: Signature { length: 0, bytes: [0, 0, 0, 0, 0, 0, 0, 0] }";
+                    let message = message.replace(added, "");
+                    let message = message.replace(", sensor_index: 0, gyroscope: None", "");
+                    assert_eq!(message, pair[0]);
+                }
+            }
+        }
+    }
+}
+
+fn folder(version: u8) -> PathBuf {
+    let vectors = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/vectors");
+    vectors.join(format!("v{version}"))
 }
 
 /// Flash as firmware of each version left it, which later firmware reads (a test of whole boards does).
 #[test]
 fn stored_images_are_what_they_were() {
     for (name, crc) in [("v0.hex", 0x3cc0_c1bc), ("v1.hex", 0x0dfb_02da)] {
-        let image = std::fs::read(folder().join("../store").join(name)).unwrap();
+        let image = std::fs::read(folder(1).join("../store").join(name)).unwrap();
         let found = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI).checksum(&image);
         assert_eq!(found, crc, "{name} has changed");
     }
@@ -156,7 +270,7 @@ fn stored_images_are_what_they_were() {
 
 #[test]
 fn every_file_is_checked() {
-    let mut names: Vec<_> = std::fs::read_dir(folder())
+    let mut names: Vec<_> = std::fs::read_dir(folder(WIRE_VERSION))
         .unwrap()
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
         .collect();
@@ -166,6 +280,7 @@ fn every_file_is_checked() {
         [
             "batch.hex",
             "hello.hex",
+            "inertial.hex",
             "reply.hex",
             "request.hex",
             "telemetry.hex",
@@ -207,7 +322,7 @@ fn hello_is_as_it_was() {
 #[test]
 fn who_are_you_is_as_it_was() {
     let mut vectors = Vectors::new("who_are_you", Kind::WhoAreYou);
-    vectors.add("WhoAreYou { wire_version: 1 }", |line| {
+    vectors.add("WhoAreYou { wire_version: 2 }", |line| {
         WhoAreYou::default().encode(line)
     });
     for body in vectors.check() {
@@ -270,16 +385,22 @@ fn batches_are_as_they_were() {
         format!("raw, every fourth, sequence 8, time 80000 µs: {axes:?}"),
         |line| {
             let every = NonZeroU8::new(4).unwrap();
-            batch::encode_every(every, 8, DeviceTimeUs(80_000), &fourth, line)
+            batch::encode_with(
+                Layout { sensor: 0, every },
+                8,
+                DeviceTimeUs(80_000),
+                &fourth,
+                line,
+            )
         },
     );
     let mut bodies = vectors.check();
-    let decimated = Batch::decode(&bodies.pop().unwrap()).unwrap();
+    let decimated = Batch::decode(Kind::Batch, &bodies.pop().unwrap()).unwrap();
     assert_eq!((decimated.every(), decimated.sequence_low()), (4, 8));
     assert!(decimated.counts().eq(fourth));
     let (raw_bodies, corrected_bodies) = bodies.split_at(raw.len());
     for (body, samples) in raw_bodies.iter().zip(raw) {
-        let batch = Batch::decode(body).unwrap();
+        let batch = Batch::decode(Kind::Batch, body).unwrap();
         assert_eq!(
             (batch.sequence_low(), batch.time_low()),
             (0x5678, 0xde_f012)
@@ -288,7 +409,7 @@ fn batches_are_as_they_were() {
         assert_eq!(batch.every(), 1);
     }
     for (body, samples) in corrected_bodies.iter().zip(corrected) {
-        let batch = Batch::decode(body).unwrap();
+        let batch = Batch::decode(Kind::Batch, body).unwrap();
         assert!(batch.specific_forces().eq(samples.iter().copied()));
     }
 }
@@ -338,7 +459,38 @@ fn parameters() -> WireParameters {
             }),
         }),
         sensor: Some(1),
+        sensor_index: 0,
+        gyroscope: None,
     }
+}
+
+/// All fields of a set.
+fn six_axes() -> WireParameters {
+    WireParameters {
+        sensor: None,
+        sensor_index: 1,
+        gyroscope: Some(WireGyroscope {
+            range_dps: 500,
+            rad_s_per_lsb: 0.000_305,
+            bias_rad_s: [0.01, -0.02, 0.03],
+            matrix: [[1.0, 0.01, 0.0], [0.0, 0.99, 0.0], [0.02, 0.0, 1.01]],
+            g_sensitivity: [[1e-5, 0.0, 0.0], [0.0, 2e-5, 0.0], [0.0, 0.0, 3e-5]],
+            reference_c: 25.0,
+            bias_rad_s_per_k: [1e-4, 2e-4, 3e-4],
+            scale_per_k: [1e-5, 2e-5, 3e-5],
+            sd: Some([0.001; 12]),
+        }),
+        ..parameters()
+    }
+}
+
+/// The pieces that a device sends of a set.
+fn pieces(set: &WireParameters) -> impl Iterator<Item = ParametersPiece> {
+    let (bytes, length) = encoded(set);
+    (0..length).step_by(Piece::MAX).map(move |offset| {
+        let set = EncodedParameters(&bytes[..length]);
+        set.piece(set.id(), offset as u16)
+    })
 }
 
 fn settings() -> Settings {
@@ -430,7 +582,9 @@ fn epoch(reason: EpochReason) -> Epoch {
                 start: segment,
             }),
             heading_sd_mrad: Some(37),
+            rotation: None,
         },
+        ..Epoch::default()
     }
 }
 
@@ -471,10 +625,6 @@ fn telemetry_is_as_it_was() {
             }),
         }),
         Telemetry::Parameters(ActiveParameters {
-            active: Some(parameters()),
-            id: 0xdead_beef,
-        }),
-        Telemetry::Parameters(ActiveParameters {
             active: None,
             id: 0,
         }),
@@ -513,12 +663,33 @@ fn telemetry_is_as_it_was() {
                 residual_um_s2: -56_000,
                 expected_um_s2: 9_000,
             },
+            Event::GyroscopeLost(BusFault::Timeout),
         ]
         .map(|event| Telemetry::Event {
             time_us: 1_000_000,
             event,
         }),
     );
+    messages.extend([
+        Telemetry::Epoch(Epoch {
+            sensor: 3,
+            gyroscope: Some(EpochGyroscope {
+                rad_s_per_lsb: 0.001_25,
+                full_scale: 524_287,
+            }),
+            tag: Signature::new(&[1, 2, 3, 4, 5, 6, 7, 8]).unwrap(),
+            full_scale: 524_287,
+            ..epoch(EpochReason::Periodic)
+        }),
+        Telemetry::Attitude(Attitude {
+            sequence: 360_001,
+            quaternion: [1 << 30, -1, 0, -(1 << 29)],
+        }),
+    ]);
+    messages.extend(pieces(&six_axes()).map(Telemetry::ParametersPiece));
+    messages.push(Telemetry::ParametersPiece(
+        EncodedParameters(&[]).piece(ParameterId::UNCALIBRATED, 0),
+    ));
     let mut vectors = Vectors::new("telemetry", Kind::Telemetry);
     for message in &messages {
         vectors.add(format!("{message:?}"), |line| message.encode(line));
@@ -530,9 +701,9 @@ fn telemetry_is_as_it_was() {
 
 #[test]
 fn requests_are_as_they_were() {
-    let mut requests = [
-        Command::GetParameters,
-        Command::StageParameters(parameters()),
+    let mut commands = vec![
+        Command::GetParameters { offset: 0 },
+        Command::GetParameters { offset: 512 },
         Command::CommitParameters { hash: 0xdead_beef },
         Command::FactoryReset,
         Command::GetSettings,
@@ -547,13 +718,17 @@ fn requests_are_as_they_were() {
         Command::SetKey(DeviceKey::new(core::array::from_fn(|at| at as u8))),
         Command::ForgetKey,
         Command::GetTime,
-    ]
-    .map(|command| Request {
-        session: 0x1234_5678,
-        id: 200,
-        signature: Signature::NONE,
-        command,
-    });
+    ];
+    commands.extend(six_axes().stage());
+    let mut requests: Vec<_> = commands
+        .into_iter()
+        .map(|command| Request {
+            session: 0x1234_5678,
+            id: 200,
+            signature: Signature::NONE,
+            command,
+        })
+        .collect();
     requests[6].signature = Signature::new(&[1, 2, 3, 4, 5, 6, 7, 8]).unwrap();
     let mut vectors = Vectors::new("request", Kind::Request);
     for request in &requests {
@@ -568,10 +743,7 @@ fn requests_are_as_they_were() {
 fn replies_are_as_they_were() {
     let mut answers: Vec<_> = [
         Payload::None,
-        Payload::Parameters(ActiveParameters {
-            active: Some(parameters()),
-            id: 1,
-        }),
+        Payload::Parameters(pieces(&six_axes()).last().unwrap()),
         Payload::Staged { hash: 0xdead_beef },
         Payload::Settings(settings()),
         Payload::Status(status()),
@@ -618,6 +790,7 @@ fn replies_are_as_they_were() {
             Refusal::WrongSignature,
             Refusal::SessionEnded,
             Refusal::CableOnly,
+            Refusal::WrongPiece { received: 256 },
         ]
         .map(Answer::Refused),
     );
@@ -661,7 +834,34 @@ fn replies_are_as_they_were() {
                 parameters: 2,
                 device: 1,
             },
+            ParameterFault::OtherSensorIndex {
+                parameters: 2,
+                device: 0,
+            },
+            ParameterFault::GyroscopeSingular(-1.0),
+            ParameterFault::Unknown { bytes: 300 },
         ])
+        .chain(
+            [
+                WireGyroscopeTerm::Bias,
+                WireGyroscopeTerm::Scale,
+                WireGyroscopeTerm::Misalignment,
+                WireGyroscopeTerm::GSensitivity,
+                WireGyroscopeTerm::ReferenceTemperature,
+                WireGyroscopeTerm::BiasSlope,
+                WireGyroscopeTerm::ScaleSlope,
+                WireGyroscopeTerm::Sensitivity,
+                WireGyroscopeTerm::Range,
+                WireGyroscopeTerm::Deviation,
+            ]
+            .map(|term| ParameterFault::Gyroscope {
+                term,
+                axis: 1,
+                value: 2.5,
+                low: -1.0,
+                high: 1.0,
+            }),
+        )
         .map(|fault| Answer::Refused(Refusal::InvalidParameters(fault))),
     );
     answers.push(Answer::Unknown);

@@ -4,7 +4,7 @@ use core::fmt;
 
 use crate::kernel::{Fixed, Kernel, LOW_BITS, Split};
 use crate::matrix::{self, Matrix3};
-use crate::{CentiCelsius, Counts, ParameterSet, SpecificForceQ16};
+use crate::{CentiCelsius, Counts, ParameterSet, SpecificForceQ16, WideCounts};
 
 /// Fraction bits of the high part: with fewer than the minimum the error can exceed 1 LSB.
 const MIN_SHIFT: u32 = 3;
@@ -67,6 +67,14 @@ impl Corrector {
     #[inline]
     pub fn correct(&self, counts: Counts) -> SpecificForceQ16 {
         SpecificForceQ16(self.kernel.apply(counts.0))
+    }
+
+    /// The same for counts of 20 bits; counts beyond are clamped, and so is the result, to ±2²⁹ LSB.
+    ///
+    /// Within that range at most 1 LSB from the f64 result, if no row of M is longer than 511 LSB per
+    /// count, which holds for sensors of 2000 LSB/g and more (±262 g).
+    pub fn correct_wide(&self, counts: WideCounts) -> SpecificForceQ16 {
+        SpecificForceQ16(self.kernel.apply_wide(counts))
     }
 }
 

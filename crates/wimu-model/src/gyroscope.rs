@@ -6,7 +6,7 @@ use core::fmt;
 use crate::corrector::{CompileError, kernel, round};
 use crate::kernel::Kernel;
 use crate::matrix::{self, Matrix3};
-use crate::{Alignment, AngularRateQ20, CentiCelsius, Counts, SpecificForceQ16};
+use crate::{Alignment, AngularRateQ20, CentiCelsius, Counts, SpecificForceQ16, WideCounts};
 
 /// Temperature terms about a reference temperature T₀: b(T) = b₀ + b₁ (T−T₀), S(T) = S₀ (1 + s₁ (T−T₀)).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -183,7 +183,7 @@ impl From<GyroscopeModel> for GyroscopeTerms {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GyroscopeCorrector {
     kernel: Kernel,
-    /// −R A⁻¹ G Rᵀ, LSB of rate per LSB of force, 2⁻³⁰; `None` if G is zero.
+    /// −R A⁻¹ G Rᵀ, LSB of rate per LSB of force, 2⁻²⁸; `None` if G is zero.
     g_sensitivity: Option<[[i32; 3]; 3]>,
 }
 
@@ -226,7 +226,21 @@ impl GyroscopeCorrector {
     /// sample, body axes.
     #[inline]
     pub fn correct(&self, counts: Counts, force: SpecificForceQ16) -> AngularRateQ20 {
-        let mut rate = self.kernel.apply(counts.0);
+        self.compensated(self.kernel.apply(counts.0), force)
+    }
+
+    /// The same for counts of 20 bits; counts beyond are clamped, and so is the result without
+    /// g-sensitivity, to ±2²⁹ LSB (512 rad/s).
+    ///
+    /// Within that range the error is that of [`correct`](Self::correct) for a scale of up to
+    /// 3 · 10⁻⁴ rad/s per LSB (±157 rad/s).
+    pub fn correct_wide(&self, counts: WideCounts, force: SpecificForceQ16) -> AngularRateQ20 {
+        self.compensated(self.kernel.apply_wide(counts), force)
+    }
+
+    /// `rate` without the effect of specific force.
+    #[inline]
+    fn compensated(&self, mut rate: [i32; 3], force: SpecificForceQ16) -> AngularRateQ20 {
         if let Some(g) = &self.g_sensitivity {
             for (axis, row) in rate.iter_mut().zip(g) {
                 let sum = row
@@ -245,7 +259,7 @@ impl GyroscopeCorrector {
 /// Fraction bits of a g-sensitivity coefficient: 16 · 0.02 · 3 / 0.5 LSB per LSB fits 32 bits.
 const G_BITS: u32 = 28;
 
-fn check(
+pub(crate) fn check(
     term: GyroscopeTerm,
     axis: usize,
     value: f64,
@@ -267,7 +281,6 @@ fn check(
 /// A term of the gyroscope's error model, as errors name it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
 pub enum GyroscopeTerm {
     /// b₀, rad/s.
     Bias,
@@ -283,12 +296,17 @@ pub enum GyroscopeTerm {
     BiasSlope,
     /// s₁, 1/K.
     ScaleSlope,
+    /// Nominal sensitivity, rad/s per LSB.
+    Sensitivity,
+    /// Full-scale range, °/s.
+    Range,
+    /// Standard deviation of a term, in the term's unit.
+    Deviation,
 }
 
 /// Why numbers are not a gyroscope's error model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
 pub enum GyroscopeError {
     /// A term is not a number, or outside its bounds.
     OutOfBounds {
@@ -328,6 +346,9 @@ impl fmt::Display for GyroscopeError {
                     GyroscopeTerm::ReferenceTemperature => ("reference temperature", " °C"),
                     GyroscopeTerm::BiasSlope => ("bias slope", " rad/s/K"),
                     GyroscopeTerm::ScaleSlope => ("scale-factor slope", " 1/K"),
+                    GyroscopeTerm::Sensitivity => ("sensitivity", " rad/s/LSB"),
+                    GyroscopeTerm::Range => ("range", " °/s"),
+                    GyroscopeTerm::Deviation => ("standard deviation", ""),
                 };
                 let axis = ["X", "Y", "Z"].get(axis).copied().unwrap_or("?");
                 write!(
@@ -401,6 +422,40 @@ mod tests {
             for axis in 0..3 {
                 let error = f64::from(found.0[axis]) - exact[axis];
                 prop_assert!(error.abs() <= 2.0, "{error}");
+            }
+        }
+
+        #[test]
+        fn wide_counts_are_within_1_lsb_of_the_model_and_clamped_beyond_20_bits(
+            terms in terms(),
+            counts in prop::array::uniform3(WideCounts::MIN..=WideCounts::MAX),
+            force in prop::array::uniform3(-(1 << 24)..1_i32 << 24),
+            rad_s_per_lsb in 1e-6..3e-4_f64,
+            celsius in -20.0..60.0_f64,
+        ) {
+            let edge = |beyond: i32| {
+                counts.map(|c| if c < 0 { WideCounts::MIN - beyond } else { WideCounts::MAX + beyond })
+            };
+            let temperature = Some(CentiCelsius::from_celsius(celsius));
+            let force = SpecificForceQ16(force);
+            let g_sensitivity = [[0.0; 3]; 3];
+            for (terms, bound) in [(GyroscopeTerms { g_sensitivity, ..terms }, 1.0), (terms, 2.0)] {
+                let model = GyroscopeModel::new(terms).expect("within bounds");
+                let identity = Alignment::IDENTITY;
+                let corrector =
+                    GyroscopeCorrector::compile(&model, rad_s_per_lsb, identity, temperature).expect("in range");
+                for counts in [counts, edge(0), [WideCounts::MIN; 3], [WideCounts::MAX; 3]] {
+                    let output = counts.map(|c| f64::from(c) * rad_s_per_lsb);
+                    let exact = model.correct(output, force.to_mps2().0, temperature);
+                    let found = corrector.correct_wide(WideCounts(counts), force);
+                    for axis in 0..3 {
+                        let error = f64::from(found.0[axis]) - exact[axis] * AngularRateQ20::LSB_PER_RAD_S;
+                        prop_assert!(error.abs() <= bound, "{error}");
+                    }
+                }
+                let wide = |counts| corrector.correct_wide(WideCounts(counts), force);
+                prop_assert_eq!(wide(edge(1)), wide(edge(0)));
+                prop_assert_eq!(wide(edge(i32::MAX / 2)), wide(edge(0)));
             }
         }
 

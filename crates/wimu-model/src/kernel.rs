@@ -4,6 +4,8 @@
 // A target uses one of the two.
 #![cfg_attr(not(test), allow(dead_code))]
 
+use crate::WideCounts;
+
 /// Cortex-M0 and M0+ have only a 32-bit product of 32-bit factors. They are also the ARM cores
 /// without atomic read-modify-write, which is the property that a target declares.
 #[cfg(all(target_arch = "arm", not(target_has_atomic = "32")))]
@@ -35,6 +37,27 @@ pub(crate) struct Split {
     pub(crate) low: i32,
 }
 
+/// Largest magnitude of an output from wide counts, LSB: the integrator adds two samples in 32 bits.
+const WIDE_LIMIT: i64 = 1 << 29;
+
+/// An output axis for counts of 20 bits: whole coefficients and `offset` in 2^−`bits` LSB. Counts and the
+/// result are clamped.
+#[inline]
+fn wide(coefficients: [i32; 3], offset: i64, bits: u32, counts: WideCounts) -> i32 {
+    let counts = counts.clamped().0;
+    let mut sum = offset;
+    for axis in 0..3 {
+        sum += i64::from(coefficients[axis]) * i64::from(counts[axis]);
+    }
+    (sum >> bits).clamp(-WIDE_LIMIT, WIDE_LIMIT) as i32
+}
+
+/// high · 2¹⁵ + low.
+#[inline]
+fn whole(high: i32, low: i32) -> i32 {
+    (high << LOW_BITS) + low
+}
+
 /// Kernel with nine multiplications of 32 by 32 to 64 bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -51,10 +74,13 @@ pub(crate) struct Long {
 
 impl Long {
     pub(crate) fn new(fixed: &Fixed) -> Self {
-        let whole = |k: Split| (k.high << LOW_BITS) + k.low;
         Self {
             offset: fixed.offset.map(|o| i64::from(o) << (32 - fixed.shift)),
-            columns: [0, 1, 2].map(|column| fixed.coefficients.map(|row| whole(row[column]))),
+            columns: [0, 1, 2].map(|column| {
+                fixed
+                    .coefficients
+                    .map(|row| whole(row[column].high, row[column].low))
+            }),
             scale: 1 << (32 - LOW_BITS - fixed.shift),
         }
     }
@@ -69,6 +95,15 @@ impl Long {
             }
         }
         sums.map(|sum| (sum >> 32) as i32)
+    }
+
+    pub(crate) fn apply_wide(&self, counts: WideCounts) -> [i32; 3] {
+        // Without the scale the products are in 2^−(shift + 15) output LSB.
+        let excess = self.scale.trailing_zeros();
+        core::array::from_fn(|axis| {
+            let row = self.columns.map(|column| column[axis]);
+            wide(row, self.offset[axis] >> excess, 32 - excess, counts)
+        })
     }
 }
 
@@ -116,6 +151,15 @@ impl Short {
             output(&self.rows[2]),
         ]
     }
+
+    pub(crate) fn apply_wide(&self, counts: WideCounts) -> [i32; 3] {
+        [0, 1, 2].map(|axis| {
+            let row = &self.rows[axis];
+            let coefficients = [0, 1, 2].map(|i| whole(row.high[i], row.low[i]));
+            let offset = i64::from(row.offset) << LOW_BITS;
+            wide(coefficients, offset, self.shift + LOW_BITS, counts)
+        })
+    }
 }
 
 #[cfg(test)]
@@ -143,10 +187,17 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(20_000))]
 
         #[test]
-        fn both_ways_agree_on_every_input(fixed in fixed(), counts: [i16; 3]) {
+        fn both_ways_agree_on_every_input(fixed in fixed(), counts: [i16; 3], wide: [i32; 3]) {
+            let (long, short) = (Long::new(&fixed), Short::new(&fixed));
             let extreme = counts.map(|c| if c < 0 { i16::MIN } else { i16::MAX });
             for counts in [counts, extreme] {
-                prop_assert_eq!(Long::new(&fixed).apply(counts), Short::new(&fixed).apply(counts));
+                let narrow = long.apply(counts);
+                prop_assert_eq!(narrow, short.apply(counts));
+                prop_assert_eq!(narrow, long.apply_wide(WideCounts(counts.map(i32::from))));
+            }
+            for counts in [wide, wide.map(|c| c >> 12), wide.map(|c| c | i32::MAX)] {
+                let counts = WideCounts(counts);
+                prop_assert_eq!(long.apply_wide(counts), short.apply_wide(counts));
             }
         }
     }

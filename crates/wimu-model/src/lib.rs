@@ -28,7 +28,9 @@ pub use magnetometer::{
     MagnetometerError, MagnetometerModel, MagnetometerRotation, MagnetometerTerms,
 };
 pub use matrix::Matrix3;
-pub use parameters::{Alignment, AlignmentError, ParameterId, ParameterSet, SensorId};
+pub use parameters::{
+    Alignment, AlignmentError, GyroscopeParameters, ParameterId, ParameterSet, SensorId,
+};
 pub use quality::{
     CalibratedTemperature, CalibrationMethod, CalibrationQuality, QualityError, QualityTerms,
     TermDeviations,
@@ -36,5 +38,5 @@ pub use quality::{
 pub use quantities::{
     AngularRateQ20, CentiCelsius, Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs, PositionNm,
     STANDARD_GRAVITY_MPS2, Sensitivity, SensitivityError, SpecificForceMps2, SpecificForceQ16,
-    VelocityNmps,
+    VelocityNmps, WideCounts,
 };

@@ -5,8 +5,9 @@ use core::fmt;
 use crate::matrix::{self, Matrix3};
 use crate::root;
 use crate::{
-    CalibrationQuality, Counts, ErrorModel, MagneticFieldNt, MagnetometerModel, RotationCovariance,
-    Sensitivity, SpecificForceMps2,
+    CalibrationQuality, Counts, ErrorModel, GyroscopeError, GyroscopeModel, GyroscopeTerm,
+    MagneticFieldNt, MagnetometerModel, RotationCovariance, Sensitivity, SpecificForceMps2,
+    gyroscope,
 };
 
 /// The rotation from the sensor's axes to those of the body it is mounted on, as a unit
@@ -138,8 +139,52 @@ impl fmt::Display for ParameterId {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SensorId(pub u16);
 
+/// The calibration of the gyroscope beside an accelerometer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub struct GyroscopeParameters {
+    /// Full-scale range of the calibration, ± °/s.
+    pub range_dps: u16,
+    /// Nominal sensitivity that turns counts into the model's output y, rad/s per LSB,
+    /// 10⁻⁸..=10⁻².
+    pub rad_s_per_lsb: f64,
+    /// The error model, gyroscope axes, which are those of the accelerometer.
+    pub model: GyroscopeModel,
+    /// Standard deviations, 1 σ, each 0..=1: the bias X, Y, Z, rad/s, then A row by row; `None` if not
+    /// estimated.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub sd: Option<[f32; 12]>,
+}
+
+impl GyroscopeParameters {
+    /// Checks the values; those of the model have been checked.
+    ///
+    /// # Errors
+    /// [`GyroscopeError::OutOfBounds`] names the value that is out of bounds (a NaN is).
+    pub fn new(
+        range_dps: u16,
+        rad_s_per_lsb: f64,
+        model: GyroscopeModel,
+        sd: Option<[f32; 12]>,
+    ) -> Result<Self, GyroscopeError> {
+        gyroscope::check(GyroscopeTerm::Range, 0, range_dps.into(), 1.0, 65535.0)?;
+        gyroscope::check(GyroscopeTerm::Sensitivity, 0, rad_s_per_lsb, 1e-8, 1e-2)?;
+        for (place, sd) in sd.iter().flatten().enumerate() {
+            gyroscope::check(GyroscopeTerm::Deviation, place % 3, (*sd).into(), 0.0, 1.0)?;
+        }
+        Ok(Self {
+            range_dps,
+            rad_s_per_lsb,
+            model,
+            sd,
+        })
+    }
+}
+
 /// A calibration as stored on a device: error model, sensitivity and range at the calibration,
-/// quality record, alignment to the body, and magnetometer model.
+/// quality record, alignment to the body, gyroscope and magnetometer model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -165,6 +210,12 @@ pub struct ParameterSet {
     /// of this range and sensitivity.
     #[cfg_attr(feature = "serde", serde(default))]
     pub sensor: Option<SensorId>,
+    /// Index of the sensor on its board; a device corrects with the set of sensor 0.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub sensor_index: u8,
+    /// The gyroscope of the sensor; `None` if it has none, or one that is uncalibrated.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub gyroscope: Option<GyroscopeParameters>,
 }
 
 impl ParameterSet {
@@ -179,6 +230,8 @@ impl ParameterSet {
             alignment_covariance: None,
             magnetometer: None,
             sensor: None,
+            sensor_index: 0,
+            gyroscope: None,
         }
     }
 

@@ -17,10 +17,46 @@ impl Counts {
     /// A sensor that sends 12 bits left-justified saturates at 32752 and −32768: its `full_scale`
     /// is 32752.
     #[inline]
-    pub fn saturated(self, full_scale: i16) -> bool {
+    pub fn saturated(self, full_scale: i32) -> bool {
+        WideCounts::from(self).saturated(full_scale)
+    }
+}
+
+/// Output of a sensor of up to 20 bits as read: X, Y, Z in LSB, sensor axes,
+/// [`MIN`](Self::MIN)..=[`MAX`](Self::MAX).
+///
+/// Values outside that range are possible in the type. Correction and the wire clamp them to it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct WideCounts(pub [i32; 3]);
+
+impl WideCounts {
+    /// The lowest count: −2¹⁹.
+    pub const MIN: i32 = -(1 << 19);
+
+    /// The highest count: 2¹⁹ − 1.
+    pub const MAX: i32 = (1 << 19) - 1;
+
+    /// Whether any axis is at or beyond ± `full_scale`, LSB.
+    #[inline]
+    pub fn saturated(self, full_scale: i32) -> bool {
         self.0
             .iter()
             .any(|&c| c >= full_scale || c <= full_scale.saturating_neg())
+    }
+
+    /// The nearest counts of 20 bits.
+    #[inline]
+    pub fn clamped(self) -> Self {
+        Self(self.0.map(|c| c.clamp(Self::MIN, Self::MAX)))
+    }
+}
+
+impl From<Counts> for WideCounts {
+    #[inline]
+    fn from(counts: Counts) -> Self {
+        Self(counts.0.map(i32::from))
     }
 }
 
@@ -160,8 +196,8 @@ impl PeriodNs {
 
 /// Nominal sensitivity of a sensor at its current range, LSB per unit *g* (9.80665 m/s²).
 ///
-/// Always finite and within 160..=65536: below, one count is worth more than the corrector's
-/// fixed point can hold to one LSB over 16 bits of input; above, ±½ g would saturate it.
+/// Always finite and within 160..=1048576: below, one count is worth more than the corrector's
+/// fixed point can hold to one LSB over 16 bits of input; above, ±½ g would saturate 20 bits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(try_from = "f64", into = "f64"))]
@@ -172,9 +208,9 @@ impl Sensitivity {
     /// A sensitivity in LSB per *g*.
     ///
     /// # Errors
-    /// [`SensitivityError`] when it is not finite or outside 160..=65536.
+    /// [`SensitivityError`] when it is not finite or outside 160..=1048576.
     pub fn from_lsb_per_g(lsb_per_g: f64) -> Result<Self, SensitivityError> {
-        if (160.0..=65536.0).contains(&lsb_per_g) {
+        if (160.0..=1_048_576.0).contains(&lsb_per_g) {
             Ok(Self(lsb_per_g))
         } else {
             Err(SensitivityError(lsb_per_g))
@@ -212,7 +248,7 @@ impl From<Sensitivity> for f64 {
     }
 }
 
-/// A sensitivity outside 160..=65536 LSB/g; holds the value, LSB/g.
+/// A sensitivity outside 160..=1048576 LSB/g; holds the value, LSB/g.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SensitivityError(pub f64);
@@ -221,7 +257,7 @@ impl fmt::Display for SensitivityError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             out,
-            "sensitivity {} LSB/g is outside 160 to 65536 LSB/g",
+            "sensitivity {} LSB/g is outside 160 to 1048576 LSB/g",
             self.0
         )
     }

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 use wimu_model::{
     Alignment, CentiCelsius, CompileError, Corrector, Counts, ErrorModel, ErrorTerms, ParameterSet,
-    Sensitivity, TemperatureTerms,
+    Sensitivity, SpecificForceMps2, TemperatureTerms, WideCounts,
 };
 use wimu_testkit::{figure, trials};
 
@@ -94,6 +94,63 @@ fn is_within_1_lsb_of_f64_on_every_input() {
         run.is_ok(),
     );
     run.unwrap_or_else(|error| panic!("{error}"));
+}
+
+#[test]
+fn wide_counts_are_within_1_lsb_of_f64_and_clamped_beyond_20_bits() {
+    let inputs = (
+        parameters().prop_map(|set| ParameterSet {
+            sensitivity: Sensitivity::from_lsb_per_g(set.sensitivity.lsb_per_g().max(2000.0))
+                .unwrap(),
+            ..set
+        }),
+        -4000_i16..8500,
+        prop::array::uniform3(WideCounts::MIN..=WideCounts::MAX),
+    );
+    let run = TestRunner::new(cases()).run(&inputs, |(parameters, at, counts)| {
+        let at = Some(CentiCelsius(at));
+        let corrector = Corrector::compile(&parameters, at).unwrap();
+        let wide = |counts| corrector.correct_wide(WideCounts(counts));
+        let edge = |beyond: i32| {
+            counts.map(|c| match c < 0 {
+                true => WideCounts::MIN - beyond,
+                false => WideCounts::MAX + beyond,
+            })
+        };
+        for counts in [
+            counts,
+            edge(0),
+            [WideCounts::MIN; 3],
+            [WideCounts::MAX; 3],
+            counts.map(|c| c >> 4),
+        ] {
+            let scale = parameters.sensitivity.mps2_per_lsb();
+            let output = SpecificForceMps2(counts.map(|c| f64::from(c) * scale));
+            let exact = parameters
+                .alignment
+                .rotate(parameters.model.correct(output, at).0);
+            for axis in 0..3 {
+                let off = (f64::from(wide(counts).0[axis]) - exact[axis] * 65536.0).abs();
+                prop_assert!(off <= 1.0, "{off} LSB at {counts:?}");
+            }
+        }
+        prop_assert_eq!(wide(edge(1)), wide(edge(0)));
+        prop_assert_eq!(wide(edge(i32::MAX / 2)), wide(edge(0)));
+        let narrow = counts.map(|c| c as i16);
+        let same = wide(narrow.map(i32::from));
+        prop_assert_eq!(same, corrector.correct(Counts(narrow)));
+        Ok(())
+    });
+    run.unwrap_or_else(|error| panic!("{error}"));
+}
+
+#[test]
+fn wide_counts_of_a_coarse_sensor_saturate_at_the_output_range() {
+    let sensitivity = Sensitivity::from_lsb_per_g(160.0).unwrap();
+    let parameters = ParameterSet::uncalibrated(2, sensitivity);
+    let corrector = Corrector::compile(&parameters, None).unwrap();
+    let force = corrector.correct_wide(WideCounts([i32::MIN, 0, i32::MAX]));
+    assert_eq!(force.0, [-(1 << 29), 0, 1 << 29]);
 }
 
 #[test]

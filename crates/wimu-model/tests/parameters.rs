@@ -3,9 +3,9 @@
 use proptest::prelude::*;
 use wimu_model::{
     Alignment, CalibratedTemperature, CalibrationMethod, CalibrationQuality, CovarianceError,
-    MagneticFieldNt, MagnetometerError, MagnetometerModel, MagnetometerRotation, MagnetometerTerms,
-    ModelCovariance, ParameterSet, QualityError, QualityTerms, RotationCovariance, Sensitivity,
-    TermDeviations,
+    GyroscopeError, GyroscopeModel, GyroscopeParameters, GyroscopeTerm, MagneticFieldNt,
+    MagnetometerError, MagnetometerModel, MagnetometerRotation, MagnetometerTerms, ModelCovariance,
+    ParameterSet, QualityError, QualityTerms, RotationCovariance, Sensitivity, TermDeviations,
 };
 
 fn quality() -> QualityTerms {
@@ -50,6 +50,14 @@ fn magnetometer() -> MagnetometerTerms {
     }
 }
 
+fn gyroscope(
+    range_dps: u16,
+    rad_s_per_lsb: f64,
+    sd: Option<[f32; 12]>,
+) -> Result<GyroscopeParameters, GyroscopeError> {
+    GyroscopeParameters::new(range_dps, rad_s_per_lsb, GyroscopeModel::default(), sd)
+}
+
 fn set() -> ParameterSet {
     ParameterSet {
         quality: Some(CalibrationQuality::new(quality()).unwrap()),
@@ -63,6 +71,8 @@ fn set() -> ParameterSet {
             .unwrap(),
         ),
         magnetometer: Some(MagnetometerModel::new(magnetometer()).unwrap()),
+        sensor_index: 1,
+        gyroscope: Some(gyroscope(500, 0.0003, Some([0.01; 12])).unwrap()),
         ..ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0 / 12.0).unwrap())
     }
 }
@@ -152,6 +162,23 @@ fn what_a_calibration_says_of_itself_is_within_bounds() {
         wrong(&|q| q.other_sd.nonlinearity[2] = 2.0),
         QualityError::Deviation
     );
+}
+
+#[test]
+fn a_gyroscopes_parameters_are_within_bounds() {
+    let term = |found| match found {
+        Err(GyroscopeError::OutOfBounds { term, .. }) => term,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(term(gyroscope(0, 0.001, None)), GyroscopeTerm::Range);
+    for rad_s_per_lsb in [0.0, -0.001, 0.1, f64::NAN] {
+        let found = gyroscope(500, rad_s_per_lsb, None);
+        assert_eq!(term(found), GyroscopeTerm::Sensitivity);
+    }
+    for sd in [-1.0, 2.0, f32::NAN] {
+        let found = gyroscope(500, 0.001, Some([sd; 12]));
+        assert_eq!(term(found), GyroscopeTerm::Deviation);
+    }
 }
 
 #[test]

@@ -1,15 +1,14 @@
-//! The ADXL345 (accelerometer) behind [`Accelerometer`], through its FIFO.
+//! The ADXL345 (accelerometer) behind [`InertialSensor`], through its FIFO.
 
-use embedded_hal_async::i2c::{self, I2c};
 use wimu_adxl345::{
-    Address, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution as Step, Setup,
+    Bus, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution as Step, Setup,
 };
 use wimu_link::message::{Resolution, Settings};
 use wimu_model::{Counts, PeriodNs, Sensitivity};
 
-use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
 use crate::data_ready::DataReady;
-use crate::fifo::{DEPTH, FifoState, SensorFifo};
+use crate::fifo::{FifoState, SensorFifo};
+use crate::sensor::{Batch, InertialSensor, Plan, SensorFault, SensorPlan, Surroundings};
 use crate::timer::Timer;
 
 /// Ranges, ± g.
@@ -30,32 +29,37 @@ const RATES: [(u16, Rate); 6] = [
     (800, Rate::Hz800),
 ];
 
-/// Time to read a sample on a bus of 400 kHz, µs.
-const TRANSFER_US: u64 = 240;
+/// Capacity of the FIFO, samples.
+const DEPTH: u8 = 32;
+/// Time to read a sample, µs, on an I²C bus of 400 kHz, and on an SPI bus of 1 MHz.
+const fn transfer_us<B: Bus>() -> u64 {
+    if B::I2C { 240 } else { 65 }
+}
 
-/// An ADXL345 on an I²C bus with its INT1 line.
+/// An ADXL345 on an I²C or SPI bus, with its INT1 line.
 ///
 /// Samples are read from the sensor's FIFO when INT1 signals the watermark: 40 ms of samples, at most 16. The
 /// other half of the FIFO covers delays.
-pub struct Adxl345<I2C, D, T> {
-    device: wimu_adxl345::Adxl345<I2C>,
+pub struct Adxl345<B, D, T> {
+    device: wimu_adxl345::Adxl345<B>,
     data_ready: D,
     timer: T,
     fifo: SensorFifo,
 }
 
-impl<I2C: I2c, D: DataReady, T: Timer> Adxl345<I2C, D, T> {
-    /// A sensor on `i2c` at 0x53, whose INT1 is `data_ready`.
-    pub fn new(i2c: I2C, data_ready: D, timer: T) -> Self {
+impl<B: Bus, D: DataReady, T: Timer> Adxl345<B, D, T> {
+    /// A sensor on `bus` (an [`I2cBus`](wimu_adxl345::I2cBus) or [`SpiBus`](wimu_adxl345::SpiBus)) whose INT1 is
+    /// `data_ready`.
+    pub fn new(bus: B, data_ready: D, timer: T) -> Self {
         Self {
-            device: wimu_adxl345::Adxl345::new(i2c, Address::Low),
+            device: wimu_adxl345::Adxl345::new(bus),
             data_ready,
             timer,
-            fifo: SensorFifo::new(PeriodNs(10_000_000), TRANSFER_US),
+            fifo: SensorFifo::new(DEPTH.into(), PeriodNs(10_000_000), transfer_us::<B>()),
         }
     }
 
-    async fn start(&mut self, plan: &Plan) -> Result<(), Error<I2C::Error>> {
+    async fn start(&mut self, plan: &Plan) -> Result<(), Error<B::Error>> {
         let range_g = plan.settings.range_g;
         let range = RANGES.iter().find(|(g, _)| *g == range_g);
         let rate_hz = plan.settings.rate_hz;
@@ -68,7 +72,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> Adxl345<I2C, D, T> {
             rate,
             low_power: plan.settings.resolution == Resolution::LowPower,
             fifo: Fifo::Stream {
-                watermark: self.fifo.watermark(),
+                watermark: self.fifo.watermark() as u8,
             },
             interrupts: Interrupts::WATERMARK,
             on_int2: Interrupts::NONE,
@@ -78,20 +82,13 @@ impl<I2C: I2c, D: DataReady, T: Timer> Adxl345<I2C, D, T> {
     }
 
     /// Waits for the watermark or a timeout, and reads the state of the FIFO.
-    async fn read_state(&mut self) -> Result<FifoState, Error<I2C::Error>> {
-        let deadline = self.fifo.deadline(self.timer.now());
-        let edge = self.timer.before(deadline, self.data_ready.ready()).await;
-        let woken = self.timer.now();
+    async fn read_state(&mut self) -> Result<FifoState, Error<B::Error>> {
+        let edge_time = self.fifo.wait(&self.timer, &mut self.data_ready).await;
         let level = self.device.fifo_level().await?.samples;
         let at = self.timer.now();
         let overrun =
             level >= DEPTH && (self.device.interrupts().await?).contains(Interrupts::OVERRUN);
-        Ok(FifoState {
-            edge_time: edge.flatten().unwrap_or(woken),
-            at,
-            level,
-            overrun,
-        })
+        Ok(FifoState::new(edge_time, at, level.into()).with_overrun(overrun))
     }
 }
 
@@ -106,10 +103,12 @@ fn format(range: Range, resolution: Resolution) -> DataFormat {
     }
 }
 
-impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Adxl345<I2C, D, T> {
-    const MAGNETOMETER: bool = false;
-
-    fn plan(wanted: &Settings) -> Result<Plan, Settings> {
+impl<B, D, T> Adxl345<B, D, T> {
+    /// The plan for `wanted`.
+    ///
+    /// # Errors
+    /// The nearest supported settings.
+    pub fn plan(wanted: &Settings) -> Result<Plan, Settings> {
         let nearest_range = RANGES
             .iter()
             .min_by_key(|(g, _)| g.abs_diff(wanted.range_g));
@@ -129,18 +128,28 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Adxl345<I2C, D, T> {
         };
         let format = format(range, settings.resolution);
         match Sensitivity::from_lsb_per_g(f64::from(format.lsb_per_g())) {
-            Ok(sensitivity) if settings == *wanted => Ok(Plan {
-                settings,
-                period: PeriodNs(rate.period_ns()),
-                sensitivity,
-                full_scale: i16::MAX << (16 - format.bits()),
-            }),
+            Ok(sensitivity) if settings == *wanted => {
+                let period = PeriodNs(rate.period_ns());
+                let full_scale = i16::MAX << (16 - format.bits());
+                let sensor = SensorPlan::new(period, sensitivity, full_scale.into());
+                Ok(Plan::new(settings, sensor))
+            }
             _ => Err(settings),
         }
     }
+}
+
+impl<B: Bus, D: DataReady, T: Timer> InertialSensor for Adxl345<B, D, T> {
+    type Sample = Counts;
+    type Planner = fn(&Settings) -> Result<Plan, Settings>;
+    const MAGNETOMETER: bool = false;
+
+    fn planner(&self) -> Self::Planner {
+        Self::plan
+    }
 
     async fn configure(&mut self, plan: &Plan) -> Result<(), SensorFault> {
-        self.fifo = SensorFifo::new(plan.period, TRANSFER_US);
+        self.fifo = SensorFifo::new(DEPTH.into(), plan.sensor.period, transfer_us::<B>());
         self.start(plan).await.map_err(fault)
     }
 
@@ -157,12 +166,8 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Adxl345<I2C, D, T> {
                 *sample = Counts(self.device.sample().await.map_err(fault)?);
             }
             if self.fifo.kept_up(&state, self.timer.now()) {
-                let unread = state.level - count as u8;
-                let state = FifoState {
-                    overrun: lost,
-                    ..state
-                };
-                return Ok(self.fifo.read(state, count, unread));
+                let unread = state.level - count as u16;
+                return Ok(self.fifo.read(state.with_overrun(lost), count, unread));
             }
             lost = true;
         }
@@ -174,9 +179,10 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Adxl345<I2C, D, T> {
     }
 }
 
-fn fault<E: i2c::Error>(error: Error<E>) -> SensorFault {
+fn fault<E>(error: Error<E>) -> SensorFault {
     match error {
-        Error::Bus(error) => SensorFault::of_bus(&error),
+        Error::NotAnswering => SensorFault::NotAnswering,
+        Error::Bus(_) => SensorFault::Transfer,
         Error::WrongIdentity { found } => SensorFault::WrongIdentity {
             expected: wimu_adxl345::Adxl345::<()>::IDENTITY,
             found,

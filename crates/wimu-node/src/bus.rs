@@ -7,7 +7,7 @@ use wimu_model::DeviceTimeUs;
 
 use crate::timer::Timer;
 
-/// Timeout of a transaction, µs. The longest one, a FIFO burst of 16 samples, takes 2.3 ms at 400 kHz.
+/// Timeout of a transaction, µs. The longest one, a FIFO burst of 16 samples of six axes, takes 5.1 ms at 400 kHz.
 const TIMEOUT_US: u64 = 25_000;
 
 /// An I²C bus with a timeout of 25 ms per transaction.

@@ -2,12 +2,12 @@
 
 use wimu_model::{DeviceTimeUs, PeriodNs};
 
-use crate::accelerometer::Batch;
+use crate::data_ready::DataReady;
+use crate::sensor::Batch;
+use crate::timer::Timer;
 
-/// Capacity of the FIFO of each supported sensor, samples.
-pub(crate) const DEPTH: u8 = 32;
-/// Maximum watermark, samples: half of the FIFO, so that the other half covers the latency of a read.
-pub(crate) const MAX_WATERMARK: u8 = 16;
+/// Maximum watermark, samples, and at most half of the FIFO, so that the other half covers the latency of a read.
+pub(crate) const MAX_WATERMARK: u16 = 16;
 /// Target duration of the samples at the watermark, ns; the watermark is limited to [`MAX_WATERMARK`]. It limits
 /// the latency of samples at low rates.
 const LATENCY_NS: u32 = 40_000_000;
@@ -17,76 +17,110 @@ const LATE_PERIODS: u64 = 3;
 /// Second part of that delay, µs: margin for the latency of interrupts and tasks.
 const LATE_US: u64 = 20_000;
 
-/// Watermark and sample times of a FIFO.
-pub(crate) struct SensorFifo {
+/// Watermark and sample times of a sensor's FIFO.
+///
+/// A driver sets the sensor's watermark to [`watermark`](Self::watermark), waits for the data-ready line with
+/// [`wait`](Self::wait), reads the level ([`FifoState`]) and the samples, and gets from [`read`](Self::read) the
+/// [`Batch`] with the time of the newest sample. If [`kept_up`](Self::kept_up) is false, it reads again: samples
+/// were overwritten meanwhile.
+#[derive(Debug)]
+pub struct SensorFifo {
     period: PeriodNs,
+    /// Capacity, samples.
+    depth: u16,
     /// Time to read a sample, µs.
     transfer_us: u64,
-    watermark: u8,
+    watermark: u16,
     /// Time of the newest sample read.
     last: Option<DeviceTimeUs>,
 }
 
-/// State of the FIFO before a read.
-#[derive(Clone, Copy)]
-pub(crate) struct FifoState {
+/// State of a FIFO before a read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct FifoState {
     /// Time of the data-ready edge, or of the wake-up without a captured edge.
     pub edge_time: DeviceTimeUs,
     /// Time at which the FIFO level was read.
     pub at: DeviceTimeUs,
     /// Samples in the FIFO.
-    pub level: u8,
+    pub level: u16,
     /// Whether earlier samples were lost.
     pub overrun: bool,
 }
 
-impl SensorFifo {
-    /// An empty FIFO with a sample every `period`, each of which is read in `transfer_us`.
-    pub(crate) fn new(period: PeriodNs, transfer_us: u64) -> Self {
+impl FifoState {
+    /// `level` samples at the time `at`, after the data-ready edge at `edge_time`; no samples were lost.
+    pub fn new(edge_time: DeviceTimeUs, at: DeviceTimeUs, level: u16) -> Self {
         Self {
+            edge_time,
+            at,
+            level,
+            overrun: false,
+        }
+    }
+
+    /// Whether earlier samples were lost.
+    #[must_use]
+    pub fn with_overrun(self, overrun: bool) -> Self {
+        Self { overrun, ..self }
+    }
+}
+
+impl SensorFifo {
+    /// An empty FIFO of `depth` samples with a sample every `period`, each of which is read in `transfer_us` µs.
+    pub fn new(depth: u16, period: PeriodNs, transfer_us: u64) -> Self {
+        let most = (depth / 2).clamp(1, MAX_WATERMARK);
+        Self {
+            depth,
             period,
             transfer_us,
-            watermark: (LATENCY_NS / period.0.max(1)).clamp(1, MAX_WATERMARK.into()) as u8,
+            watermark: (LATENCY_NS / period.0.max(1)).clamp(1, most.into()) as u16,
             last: None,
         }
     }
 
-    /// The watermark, samples, 1..=16.
-    pub(crate) fn watermark(&self) -> u8 {
+    /// The watermark, samples: those of 40 ms, 1..=16, and at most half of the FIFO.
+    pub fn watermark(&self) -> u16 {
         self.watermark
     }
 
     /// Duration of `count` sample periods, µs.
-    pub(crate) fn micros(&self, count: u8) -> u64 {
+    pub fn micros(&self, count: u16) -> u64 {
         u64::from(count) * u64::from(self.period.0) / 1000
     }
 
+    /// Waits for the edge of `line` at the watermark; returns its time, or that of the wake-up without a captured
+    /// edge or after the [`deadline`](Self::deadline).
+    pub async fn wait(&self, timer: &impl Timer, line: &mut impl DataReady) -> DeviceTimeUs {
+        let deadline = self.deadline(timer.now());
+        let edge = timer.before(deadline, line.ready()).await.flatten();
+        edge.unwrap_or_else(|| timer.now())
+    }
+
     /// The time at which the line must have risen.
-    pub(crate) fn deadline(&self, now: DeviceTimeUs) -> DeviceTimeUs {
+    pub fn deadline(&self, now: DeviceTimeUs) -> DeviceTimeUs {
         let late = LATE_PERIODS * u64::from(self.period.0) / 1000 + LATE_US;
         DeviceTimeUs((now.0).saturating_add(self.micros(self.watermark) + late))
     }
 
     /// Whether the samples read by `now` are those counted in `state`: if the read was delayed for long, newer
     /// samples have overwritten them.
-    pub(crate) fn kept_up(&self, state: &FifoState, now: DeviceTimeUs) -> bool {
+    pub fn kept_up(&self, state: &FifoState, now: DeviceTimeUs) -> bool {
         let took = now.0.saturating_sub(state.at.0);
         let expected = u64::from(state.level).saturating_add(1) * self.transfer_us;
         let more = took.saturating_sub(expected) / self.micros(1).max(1);
-        u64::from(state.level) + more <= state.level.max(DEPTH).into()
+        u64::from(state.level) + more <= state.level.max(self.depth).into()
     }
 
     /// The result of a read of `count` samples, with `unread` newer ones left in the FIFO.
-    pub(crate) fn read(&mut self, state: FifoState, count: usize, unread: u8) -> Batch {
+    pub fn read(&mut self, state: FifoState, count: usize, unread: u16) -> Batch {
         let newest = self.newest(state).0;
         let last_time = DeviceTimeUs(newest.saturating_sub(self.micros(unread)));
         self.last = Some(last_time);
-        Batch {
-            count,
-            last_time,
-            overrun: state.overrun,
-            queued: true,
-        }
+        Batch::new(count, last_time)
+            .with_overrun(state.overrun)
+            .queued()
     }
 
     /// Time of the newest sample in the FIFO.
@@ -107,5 +141,27 @@ impl SensorFifo {
             _ => state.at.0.saturating_sub(period / 2),
         };
         DeviceTimeUs(expected.clamp(oldest, state.at.0))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_watermark_is_40_ms_at_most_16_samples_and_half_of_the_fifo() {
+        let watermark =
+            |depth, hz: u32| SensorFifo::new(depth, PeriodNs(1_000_000_000 / hz), 100).watermark();
+        for (depth, hz, samples) in [
+            (32, 1, 1),
+            (32, 100, 4),
+            (32, 400, 16),
+            (512, 6400, 16),
+            (8, 400, 4),
+            (1, 400, 1),
+            (0, 400, 1),
+        ] {
+            assert_eq!(watermark(depth, hz), samples, "{depth} at {hz} Hz");
+        }
     }
 }

@@ -5,7 +5,6 @@
 #[cfg(test)]
 extern crate std;
 
-pub mod accelerometer;
 mod adxl345;
 mod bus;
 mod control;
@@ -15,31 +14,39 @@ mod fifo;
 mod flash_store;
 mod link;
 mod lsm303agr;
+mod lsm6dso;
 mod mounting;
 mod node;
 mod queue;
 mod rate;
+mod sample;
 mod sampler;
+mod secondary;
 #[cfg(feature = "self-check")]
 mod self_check;
+pub mod sensor;
 mod shared;
 mod slot;
 mod store;
 mod timer;
 
-pub use accelerometer::Accelerometer;
 pub use adxl345::Adxl345;
 pub use bus::{BusError, TimeoutBus};
 pub use control::Control;
 pub use data_ready::DataReady;
+pub use fifo::{FifoState, SensorFifo};
 #[cfg(feature = "flash-store")]
 pub use flash_store::{FlashLayout, FlashStore};
 pub use link::{LinkReader, LinkWriter};
+pub use lsm6dso::Lsm6dso;
 pub use lsm303agr::Lsm303agr;
 pub use mounting::{Axis, Mounting};
 pub use node::{Board, Node};
 pub use rate::{LineRate, RateKeeper};
 pub use sampler::Sampler;
+pub use secondary::Secondary;
+pub use sensor::InertialSensor;
 pub use shared::{Health, Shared};
 pub use store::{Key, MAX_RECORD, Store, StoreFault};
 pub use timer::Timer;
+pub use {wimu_adxl345, wimu_lsm6dso};

@@ -1,17 +1,14 @@
 //! The two halves of a link.
 
-use core::convert::Infallible;
-
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_io_async::{Read, Write};
-use wimu_link::message::{Command, EncodedParameters};
+use wimu_link::message::Command;
 use wimu_link::responder::Decision;
 use wimu_link::{Deframer, Kind, LinkRole};
 use wimu_model::DeviceTimeUs;
 
 use crate::queue::PIECE;
-use crate::shared::Shared;
-use crate::slot::Slot;
+use crate::shared::Common;
 use crate::timer::Timer;
 
 /// Shortest interval between answers to [`Kind::WhoAreYou`], µs.
@@ -21,7 +18,7 @@ const INTRODUCED_US: u64 = 250_000;
 pub struct LinkWriter<'a, W, M: RawMutex> {
     pub(crate) role: LinkRole,
     pub(crate) line: W,
-    pub(crate) shared: &'a Shared<M>,
+    pub(crate) shared: &'a Common<M>,
 }
 
 impl<W: Write, M: RawMutex> LinkWriter<'_, W, M> {
@@ -49,7 +46,7 @@ pub struct LinkReader<'a, R, T, M: RawMutex> {
     pub(crate) role: LinkRole,
     pub(crate) line: R,
     pub(crate) timer: T,
-    pub(crate) shared: &'a Shared<M>,
+    pub(crate) shared: &'a Common<M>,
 }
 
 impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
@@ -90,14 +87,17 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
                         let Some(command) = self.accept(frame.body).await else {
                             continue;
                         };
-                        if let Command::StageParameters(set) = command {
+                        let mut taken = Ok(());
+                        if let Command::StageParameters {
+                            offset,
+                            total,
+                            piece,
+                        } = command
+                        {
                             let mut staging = self.shared.staging.lock().await;
-                            staging.set.put(Some(set));
-                            staging.from = Slot::Full(self.role);
-                            staging.id = None;
+                            taken = staging.take(self.role, offset, total, piece);
                         }
-                        // The parameters are in `staging`.
-                        let Ok(command) = command.try_map(|_| Ok::<_, Infallible>(()));
+                        let command = command.map(|_| taken);
                         self.shared.requests.send((self.role, command)).await;
                     }
                     // Frames of a device, looped back.
@@ -114,7 +114,7 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
     }
 
     /// The command to execute; a request that needs none is answered here.
-    async fn accept<'b>(&self, request: &'b [u8]) -> Option<Command<EncodedParameters<'b>>> {
+    async fn accept<'b>(&self, request: &'b [u8]) -> Option<Command<&'b [u8]>> {
         let lock = self.shared.lock();
         let mut responder = self.shared.responder(self.role).await;
         let command = match responder.accept_at(request, &lock, self.timer.now().0) {

@@ -1,4 +1,4 @@
-//! The LSM303AGR (accelerometer, magnetometer, temperature) behind [`Accelerometer`], through its
+//! The LSM303AGR (accelerometer, magnetometer, temperature) behind [`InertialSensor`], through its
 //! FIFO.
 //!
 //! The `lsm303agr` crate is not used: it reads neither the FIFO level nor several samples at once, keeps a
@@ -9,10 +9,10 @@ use embedded_hal_async::i2c::I2c;
 use wimu_link::message::{Resolution, Settings};
 use wimu_model::{CentiCelsius, Counts, MagneticFieldNt, PeriodNs, Sensitivity};
 
-use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
 use crate::data_ready::DataReady;
-use crate::fifo::{DEPTH, FifoState, MAX_WATERMARK, SensorFifo};
+use crate::fifo::{FifoState, MAX_WATERMARK, SensorFifo};
 use crate::mounting::Mounting;
+use crate::sensor::{Batch, InertialSensor, Plan, SensorFault, SensorPlan, Surroundings};
 use crate::timer::Timer;
 
 /// I²C addresses of the accelerometer (with thermometer) and of the magnetometer.
@@ -79,6 +79,8 @@ const RATES: [(u16, u8, u32); 8] = [
 
 /// Bytes of a sample: x, y, z, little-endian.
 const SAMPLE: usize = 6;
+/// Capacity of the FIFO, samples.
+const DEPTH: u16 = 32;
 /// Time to read a sample on a bus of 400 kHz, µs.
 const TRANSFER_US: u64 = 140;
 
@@ -103,7 +105,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
             i2c,
             data_ready,
             timer,
-            fifo: SensorFifo::new(PeriodNs(10_000_000), TRANSFER_US),
+            fifo: SensorFifo::new(DEPTH, PeriodNs(10_000_000), TRANSFER_US),
             mounting: Mounting::STRAIGHT,
             field_measured: false,
         }
@@ -160,16 +162,12 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
             let level = if overrun {
                 DEPTH
             } else {
-                source & FIFO_SRC_LEVEL
+                u16::from(source & FIFO_SRC_LEVEL)
             };
             let missing = self.fifo.watermark().saturating_sub(level);
             if missing == 0 || at >= deadline {
-                return Ok(FifoState {
-                    edge_time: edge.flatten().unwrap_or(woken),
-                    at,
-                    level,
-                    overrun,
-                });
+                let edge_time = edge.flatten().unwrap_or(woken);
+                return Ok(FifoState::new(edge_time, at, level).with_overrun(overrun));
             }
             // Another chip drives the shared line: poll the sensor.
             self.timer.after_us(self.fifo.micros(missing)).await;
@@ -177,8 +175,12 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
     }
 }
 
-impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
-    fn plan(wanted: &Settings) -> Result<Plan, Settings> {
+impl<I2C, D, T> Lsm303agr<I2C, D, T> {
+    /// The plan for `wanted`.
+    ///
+    /// # Errors
+    /// The nearest supported settings.
+    pub fn plan(wanted: &Settings) -> Result<Plan, Settings> {
         let nearest_range = RANGES
             .iter()
             .min_by_key(|(g, ..)| g.abs_diff(wanted.range_g));
@@ -198,22 +200,29 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
         };
         let sensitivity = Sensitivity::from_lsb_per_g(lsb_per_g);
         match sensitivity {
-            Ok(sensitivity) if settings == *wanted => Ok(Plan {
-                settings,
-                period: PeriodNs(period),
-                sensitivity,
-                full_scale: match settings.resolution {
+            Ok(sensitivity) if settings == *wanted => {
+                let full_scale = match settings.resolution {
                     Resolution::LowPower => 0x7F00,
                     Resolution::Normal => 0x7FC0,
                     Resolution::High => 0x7FF0,
-                },
-            }),
+                };
+                let sensor = SensorPlan::new(PeriodNs(period), sensitivity, full_scale);
+                Ok(Plan::new(settings, sensor))
+            }
             _ => Err(settings),
         }
     }
+}
+
+impl<I2C: I2c, D: DataReady, T: Timer> InertialSensor for Lsm303agr<I2C, D, T> {
+    type Sample = Counts;
+    type Planner = fn(&Settings) -> Result<Plan, Settings>;
+    fn planner(&self) -> Self::Planner {
+        Self::plan
+    }
 
     async fn configure(&mut self, plan: &Plan) -> Result<(), SensorFault> {
-        self.fifo = SensorFifo::new(plan.period, TRANSFER_US);
+        self.fifo = SensorFifo::new(DEPTH, plan.sensor.period, TRANSFER_US);
         self.field_measured = false;
         let Settings {
             range_g,
@@ -250,7 +259,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
             0,
         ];
         // The line rises when the level exceeds the register's value.
-        let stream = FIFO_CTRL_STREAM | (self.fifo.watermark() - 1);
+        let stream = FIFO_CTRL_STREAM | (self.fifo.watermark() - 1) as u8;
         let magnetometer = [CFG_A_M | INCREMENT, CFG_A_M_RUN, 0, CFG_C_M_BLOCK_UPDATE];
         // Switched off, with an empty FIFO, during the configuration.
         let writes: [(u8, &[u8]); 7] = [
@@ -287,12 +296,8 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
             self.drain(counts.get_mut(..count).unwrap_or_default())
                 .await?;
             if self.fifo.kept_up(&state, self.timer.now()) {
-                let unread = state.level - count as u8;
-                let state = FifoState {
-                    overrun: lost,
-                    ..state
-                };
-                return Ok(self.fifo.read(state, count, unread));
+                let unread = state.level - count as u16;
+                return Ok(self.fifo.read(state.with_overrun(lost), count, unread));
             }
             lost = true;
         }

@@ -1,15 +1,13 @@
 //! The node and its parts.
 
-use core::marker::PhantomData;
-
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_io_async::{Read, Write};
 use wimu_link::{Hello, LinkRole};
 
-use crate::accelerometer::Accelerometer;
 use crate::control::Control;
 use crate::link::{LinkReader, LinkWriter};
 use crate::sampler::Sampler;
+use crate::sensor::InertialSensor;
 use crate::shared::Shared;
 use crate::store::Store;
 use crate::timer::Timer;
@@ -19,7 +17,7 @@ pub struct Board<A, T, S, CR, CW, WR, WW> {
     /// Identity of the device. The node fills in role, boot count, uptime and parameters.
     pub hello: Hello,
     /// The sensor.
-    pub accelerometer: A,
+    pub sensor: A,
     /// The clock.
     pub timer: T,
     /// Non-volatile memory.
@@ -35,7 +33,7 @@ pub struct Board<A, T, S, CR, CW, WR, WW> {
 
 /// The tasks of a node. Each has a `run` that never ends. Spawn `sampler` at a higher priority than the others;
 /// it never waits for them.
-pub struct Node<'a, A, T, S, CR, CW, WR, WW, M: RawMutex> {
+pub struct Node<'a, A: InertialSensor, T, S, CR, CW, WR, WW, M: RawMutex> {
     /// Reads, corrects, integrates and packs samples.
     pub sampler: Sampler<'a, A, T, M>,
     /// Executes requests, and stores parameters and settings.
@@ -52,7 +50,7 @@ pub struct Node<'a, A, T, S, CR, CW, WR, WW, M: RawMutex> {
 
 impl<A, T, S, CR, CW, WR, WW> Board<A, T, S, CR, CW, WR, WW>
 where
-    A: Accelerometer,
+    A: InertialSensor,
     T: Timer,
     S: Store,
     CR: Read,
@@ -61,8 +59,13 @@ where
     WW: Write,
 {
     /// Builds the node's tasks, which share `shared`.
-    pub fn split<M: RawMutex>(self, shared: &Shared<M>) -> Node<'_, A, T, S, CR, CW, WR, WW, M> {
-        shared.publish(|published| {
+    pub fn split<M: RawMutex>(
+        self,
+        shared: &Shared<M, A::Sample>,
+    ) -> Node<'_, A, T, S, CR, CW, WR, WW, M> {
+        let Shared { common, orders } = shared;
+        let planner = self.sensor.planner();
+        common.publish(|published| {
             published.hello = self.hello;
             published.lock.device_id = self.hello.device_id;
             published.lock.entropy = self.entropy;
@@ -72,35 +75,36 @@ where
                 role: LinkRole::Cable,
                 line: self.cable.0,
                 timer: self.timer.clone(),
-                shared,
+                shared: common,
             },
             cable_writer: LinkWriter {
                 role: LinkRole::Cable,
                 line: self.cable.1,
-                shared,
+                shared: common,
             },
             wireless_reader: LinkReader {
                 role: LinkRole::Wireless,
                 line: self.wireless.0,
                 timer: self.timer.clone(),
-                shared,
+                shared: common,
             },
             wireless_writer: LinkWriter {
                 role: LinkRole::Wireless,
                 line: self.wireless.1,
-                shared,
+                shared: common,
             },
-            sampler: Sampler::new(self.accelerometer, self.timer.clone(), shared),
+            sampler: Sampler::new(self.sensor, self.timer.clone(), shared),
             control: Control {
+                planner,
+                orders,
                 store: self.store,
                 timer: self.timer,
-                shared,
+                shared: common,
                 record: [0; _],
                 parameters_changed: false,
                 #[cfg(feature = "self-check")]
                 self_check: Default::default(),
                 latched: None,
-                sensor: PhantomData,
             },
         }
     }
@@ -108,7 +112,7 @@ where
 
 impl<A, T, S, CR, CW, WR, WW, M> Node<'_, A, T, S, CR, CW, WR, WW, M>
 where
-    A: Accelerometer,
+    A: InertialSensor,
     T: Timer,
     S: Store,
     CR: Read,

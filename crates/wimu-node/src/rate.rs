@@ -5,7 +5,8 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use wimu_link::LinkRole;
 use wimu_model::DeviceTimeUs;
 
-use crate::shared::{RateOrder, Shared};
+use crate::sample::RawSample;
+use crate::shared::{Common, RateOrder, Shared};
 use crate::timer::Timer;
 
 /// Usual rates of radio adapters, bit/s, tried after the stored one.
@@ -43,7 +44,7 @@ pub struct RateKeeper<'a, L, T, M: RawMutex> {
     role: LinkRole,
     line: L,
     timer: T,
-    shared: &'a Shared<M>,
+    shared: &'a Common<M>,
     /// The present rate, bit/s.
     rate: u32,
 }
@@ -51,7 +52,14 @@ pub struct RateKeeper<'a, L, T, M: RawMutex> {
 impl<'a, L: LineRate, T: Timer, M: RawMutex> RateKeeper<'a, L, T, M> {
     /// For the line of the link `role`, which the board has opened at `opened` bit/s. To be called before the
     /// node runs.
-    pub fn new(role: LinkRole, line: L, opened: u32, timer: T, shared: &'a Shared<M>) -> Self {
+    pub fn new<S: RawSample>(
+        role: LinkRole,
+        line: L,
+        opened: u32,
+        timer: T,
+        shared: &'a Shared<M, S>,
+    ) -> Self {
+        let shared = &shared.common;
         shared.has_rate(role, L::nearest);
         Self {
             role,

@@ -86,7 +86,7 @@ pub trait Store {
 }
 
 /// Longest record, bytes.
-pub const MAX_RECORD: usize = wimu_link::frame::MAX_FRAME;
+pub const MAX_RECORD: usize = wimu_link::frame::MAX_RECORD;
 
 /// The memory could not be read or written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -9,8 +9,8 @@ use embedded_hal_async::i2c::{ErrorKind, NoAcknowledgeSource};
 use embedded_hal_mock::eh1::i2c::{Mock, Transaction};
 use wimu_link::message::{Resolution, Settings};
 use wimu_model::{CentiCelsius, Counts, DeviceTimeUs, MagneticFieldNt};
-use wimu_node::accelerometer::{Batch, Plan, SensorFault, Surroundings};
-use wimu_node::{Accelerometer, DataReady, Lsm303agr, Timer};
+use wimu_node::sensor::{Batch, Plan, SensorFault, Surroundings};
+use wimu_node::{DataReady, InertialSensor, Lsm303agr, Timer};
 
 const ACCELEROMETER: u8 = 0x19;
 const MAGNETOMETER: u8 = 0x1E;
@@ -184,12 +184,7 @@ fn one_burst_reads_all_that_wait_and_the_line_gives_the_time_of_the_newest() {
         start(bench).await;
         let (batch, read) = next(bench, 41_000, 41_300).await;
         assert_eq!(read, counts(0, 16));
-        let on_time = Batch {
-            count: 16,
-            last_time: DeviceTimeUs(41_000),
-            overrun: false,
-            queued: true,
-        };
+        let on_time = Batch::new(16, DeviceTimeUs(41_000)).queued();
         assert_eq!(batch, on_time);
         let (batch, read) = next(bench, 81_000, 86_100).await;
         assert_eq!(read, counts(16, 18));

@@ -8,7 +8,7 @@ use wimu_integrator::{Config, Integrator, Navigation};
 use wimu_model::{Corrector, Counts, ParameterSet, PeriodNs};
 
 /// Positive full scale of your sensor, LSB: this is that of 12 bits left-justified.
-const FULL_SCALE: i16 = 32752;
+const FULL_SCALE: i32 = 32752;
 
 /// Integrates until `read` ends; `report` sees velocity and position after every sample. A driver
 /// that knows when it missed a sample calls [`Integrator::gap`] there.

@@ -9,6 +9,7 @@ mod array;
 mod calibration;
 mod counter;
 mod float;
+mod inertial;
 mod signals;
 
 use core::hint::black_box;
@@ -33,7 +34,7 @@ const BATCH: usize = 16;
 /// Sample period: 10 ms.
 const PERIOD: PeriodNs = PeriodNs(10_000_000);
 /// Positive full scale of the 12-bit LSM303AGR, LSB of the left-justified 16-bit counts.
-const FULL_SCALE: i16 = 32752;
+const FULL_SCALE: i32 = 32752;
 /// Gravity, 2⁻¹⁶ m/s², body axes.
 const GRAVITY: [i32; 3] = [1_234, -567, 642_689];
 
@@ -145,6 +146,7 @@ fn measure() -> Result<(), &'static str> {
         .ok_or("time does not follow instructions: run QEMU with -icount shift=10")?;
     // In separate functions: the smaller processor has 16 kB of RAM for both.
     array::measure(&counter)?;
+    inertial::measure(&counter)?;
     samples(&mut counter)
 }
 

@@ -210,7 +210,7 @@ fn start(spawner: Spawner) {
             Part::new(board::MICROBIT_V2, "micro:bit v2"),
             Part::new(sensor::LSM303AGR, "LSM303AGR"),
         ),
-        accelerometer: Sensor::new(TimeoutBus::new(Bus(i2c), BoardTimer), line, BoardTimer)
+        sensor: Sensor::new(TimeoutBus::new(Bus(i2c), BoardTimer), line, BoardTimer)
             .mounted(MOUNTING),
         timer: BoardTimer,
         store: FlashStore::new(StoreFlash(Nvmc::new(chip.NVMC)), LAYOUT, PAUSE_MS),

@@ -29,6 +29,7 @@ use embassy_rp::{bind_interrupts, pac};
 use embassy_time::Duration;
 use static_cell::StaticCell;
 use wimu_link::hello::{Capabilities, Fault, Part, ResetReason, board, sensor};
+use wimu_node::wimu_adxl345::{Address, I2cBus};
 use wimu_node::{Adxl345, Board, FlashStore, Shared, TimeoutBus};
 
 use crate::clock::BoardTimer;
@@ -45,7 +46,7 @@ bind_interrupts!(struct Interrupts {
 });
 
 /// The types of the node.
-type Bus = TimeoutBus<I2c<'static, I2C0, i2c::Async>, BoardTimer>;
+type Bus = I2cBus<TimeoutBus<I2c<'static, I2C0, i2c::Async>, BoardTimer>>;
 type Sensor = Adxl345<Bus, Line, BoardTimer>;
 type Memory = FlashStore<StoreFlash>;
 type Receiver = BufferedUartRx;
@@ -87,6 +88,8 @@ fn start(spawner: Spawner) {
     let mut bus = i2c::Config::default();
     bus.frequency = 400_000;
     let i2c = I2c::new_async(chip.I2C0, chip.PIN_5, chip.PIN_4, Interrupts, bus);
+    let i2c = TimeoutBus::new(i2c, BoardTimer);
+    let address = Address::Low;
     let line = Line(Input::new(chip.PIN_6, Pull::Down));
     let [a, b, c, d] = BUFFERS.init([[0; 128]; 4]);
     let uart = || {
@@ -106,7 +109,7 @@ fn start(spawner: Spawner) {
             Part::new(board::PICO_ADXL345, "Pico"),
             Part::new(sensor::ADXL345, "ADXL345"),
         ),
-        accelerometer: Sensor::new(TimeoutBus::new(i2c, BoardTimer), line, BoardTimer),
+        sensor: Sensor::new(I2cBus { i2c, address }, line, BoardTimer),
         timer: BoardTimer,
         store: FlashStore::new(StoreFlash::new(flash), flash::LAYOUT, PAUSE_MS),
         entropy: entropy(),

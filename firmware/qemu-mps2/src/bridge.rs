@@ -25,8 +25,8 @@ const STATUS_NACK_DATA: u8 = 0xF2;
 const TIMEOUT_US: u64 = 1_000_000;
 /// Idle time of the line after which the bridge has answered every request, µs.
 const IDLE_US: u64 = 100_000;
-/// Capacity for a message, bytes: the longest one is 16 samples of 6 bytes and the status.
-const MESSAGE: usize = 128;
+/// Capacity for a message, bytes: the longest one is 16 samples of 14 bytes and the status.
+const MESSAGE: usize = 256;
 
 /// The line to the bridge, which answers the requests in order.
 pub struct Bridge {

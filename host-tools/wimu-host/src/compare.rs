@@ -66,6 +66,10 @@ pub struct Comparison {
     pub pairs: u64,
     /// Of these, those with equal values.
     pub identical: u64,
+    /// Pairs with an angular rate on both links.
+    pub with_rates: u64,
+    /// Pairs with different angular rates.
+    pub rates_differ: u64,
     /// Of these, those with a saturated axis on either; excluded from the values.
     pub saturated: u64,
     /// Of these, raw ones of unknown range; excluded from the values.
@@ -239,6 +243,8 @@ pub fn compare<R: Read>(
         },
         pairs: counted.pairs,
         identical: counted.identical,
+        with_rates: counted.with_rates,
+        rates_differ: counted.rates_differ,
         saturated: counted.saturated,
         without_unit: counted.without_unit,
         links,

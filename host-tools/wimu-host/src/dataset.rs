@@ -94,6 +94,8 @@ pub struct Dataset {
     pub outputs: Vec<Output>,
     /// The accelerometer, where a device identified it.
     pub sensor: Option<SensorId>,
+    /// Whether the data have a gyroscope, too.
+    pub has_gyroscope: bool,
 }
 
 impl Dataset {
@@ -184,6 +186,10 @@ impl Dataset {
             datasheet: None,
             outputs,
             sensor: None,
+            has_gyroscope: header
+                .other
+                .iter()
+                .any(|name| name.starts_with("Gyroscope ")),
         })
     }
 

@@ -1,11 +1,11 @@
 //! Decoding of one link's bytes into typed events: frames, complete sequence numbers, loss statistics.
 
 use std::cmp::Ordering;
-use std::collections::VecDeque;
 
 use wimu_link::batch;
-use wimu_link::message::{Environment, Epoch, Navigation};
-use wimu_link::{Batch, Deframer, FrameError, Hello, Kind};
+use wimu_link::frame::RecordedDeframer;
+use wimu_link::message::{Attitude, Environment, Epoch, Navigation};
+use wimu_link::{Batch, FrameError, Hello};
 use wimu_model::{DeviceTimeUs, PeriodNs};
 
 mod anchor;
@@ -13,15 +13,18 @@ mod event;
 mod gaps;
 mod message;
 mod order;
+mod pieces;
 mod repeats;
+mod start;
 
 pub use event::{Arrival, Event, LinkStatistics, Samples, StreamStatistics, TimedSample};
+pub use pieces::Pieces;
 
 use anchor::Anchor;
-use gaps::Gaps;
 use message::{Message, read};
-use order::{Moment, Order, Place, Verdict};
+use order::{Moment, Place, Verdict};
 use repeats::Repeats;
+use start::{Held, Start};
 
 /// Largest number of batches kept until an epoch defines their numbers: more than arrive between two epochs.
 const MAX_UNPLACED: usize = 512;
@@ -80,7 +83,7 @@ impl Received {
 /// ```
 #[derive(Debug, Default)]
 pub struct Decoder {
-    deframer: Deframer,
+    deframer: RecordedDeframer,
     statistics: LinkStatistics,
     start: Start,
     /// Whether an undamaged frame has arrived since reception began.
@@ -93,28 +96,8 @@ pub struct Decoder {
     identity: Option<(u64, u32)>,
     identity_before: Option<(u64, u32)>,
     foreign_version: Option<u8>,
-}
-
-/// State of a decoder within one start of the device.
-#[derive(Debug, Default)]
-struct Start {
-    /// The latest and the one before: epochs may overtake samples.
-    anchors: [Option<Anchor>; 2],
-    /// The latest epoch, if it jumped: accepted once the next one continues it.
-    jumped: Option<Anchor>,
-    unplaced: VecDeque<(Received, Batch)>,
-    /// The latest sequence number of raw and corrected samples, and the decimation.
-    latest: [Option<(u32, u8)>; 2],
-    /// Missing samples of each that may still arrive.
-    gaps: [Gaps; 2],
-    /// Whether what preceded the next samples of each is unknown.
-    skipped: [bool; 2],
-    order: Order<(Received, Held)>,
-    last_epoch_time: Option<DeviceTimeUs>,
-    last_epoch_number: Option<u8>,
-    /// Time of the latest magnetic field and temperature, number of the latest position.
-    last_environment: Option<u64>,
-    last_navigation: Option<u32>,
+    pieces: Pieces,
+    latest_version: Option<u8>,
 }
 
 impl Decoder {
@@ -135,10 +118,10 @@ impl Decoder {
             };
             let event = match result {
                 // The most frequent kind: not moved as a message.
-                Ok(frame) if frame.kind == Kind::Batch => {
+                Ok(frame) if frame.kind.is_batch() => {
                     self.statistics.frames += 1;
                     self.listening = true;
-                    match Batch::decode(frame.body) {
+                    match Batch::decode(frame.kind, frame.body) {
                         Ok(batch) => {
                             self.take_batch(received, &batch, &mut each);
                             continue;
@@ -152,7 +135,18 @@ impl Decoder {
                 Ok(frame) => {
                     self.statistics.frames += 1;
                     self.listening = true;
-                    match read(frame.kind, frame.body) {
+                    self.latest_version = Some(frame.version);
+                    let message = match read(&frame) {
+                        Ok(None) => continue,
+                        Ok(Some(Message::Piece(piece))) => match self.pieces.take(&piece) {
+                            Ok(None) => continue,
+                            Ok(Some(active)) => Ok(Message::Event(Event::Parameters(active))),
+                            Err(why) => Err(why.to_string()),
+                        },
+                        Ok(Some(message)) => Ok(message),
+                        Err(why) => Err(why),
+                    };
+                    match message {
                         Ok(message) => message,
                         Err(why) => {
                             self.statistics.frames_unreadable += 1;
@@ -175,6 +169,7 @@ impl Decoder {
             match event {
                 Message::Hello(hello) => self.take_hello(received, hello, &mut each),
                 Message::Epoch(epoch) => self.take_epoch(received, epoch, &mut each),
+                Message::Piece(_) => {}
                 Message::Event(event) if self.start.order.holds() && event.is_of_a_start() => {
                     self.start
                         .order
@@ -190,7 +185,7 @@ impl Decoder {
 
     /// The link was lost: later data do not continue earlier ones.
     pub fn interrupt(&mut self) {
-        self.deframer = Deframer::new();
+        self.deframer = RecordedDeframer::default();
         self.listening = false;
         self.began_ns = None;
         // A reopened link does not repeat earlier data.
@@ -200,17 +195,19 @@ impl Decoder {
 
     /// A part of the link's data is unknown: it is not counted as missing or damaged.
     pub fn skip(&mut self) {
-        self.deframer = Deframer::new();
+        self.deframer = RecordedDeframer::default();
         self.listening = false;
         self.began_ns = None;
-        self.start.skipped = [true; 2];
+        for track in &mut self.start.tracks {
+            track.skipped = [true; 2];
+        }
     }
 
     /// Statistics of the link.
     pub fn statistics(&self) -> LinkStatistics {
         let held = self.start.order.held().iter();
         let held = held.filter(|(_, held)| matches!(held, Held::Batch(_)));
-        let waiting = self.start.unplaced.len() + held.count();
+        let waiting = self.start.unplaced() + held.count();
         LinkStatistics {
             batches_unplaced: self.statistics.batches_unplaced + waiting as u64,
             ..self.statistics
@@ -226,6 +223,11 @@ impl Decoder {
     /// The wire version of the latest undamaged frame that is of another version than ours.
     pub fn foreign_version(&self) -> Option<u8> {
         self.foreign_version
+    }
+
+    /// The wire version of the latest readable frame other than batches: of recordings, 1 too.
+    pub fn latest_version(&self) -> Option<u8> {
+        self.latest_version
     }
 
     /// The device has restarted before the held data. If its greeting has the time of the restart, older
@@ -259,7 +261,7 @@ impl Decoder {
             }
         }
         self.repeats.restart();
-        self.statistics.batches_unplaced += self.start.unplaced.len() as u64;
+        self.statistics.batches_unplaced += self.start.unplaced() as u64;
         self.start = Start::default();
         let first = held.first().map_or(received, |(first, _)| *first);
         each(first.with(Event::Restart { boot_count }));
@@ -286,11 +288,12 @@ impl Decoder {
 
     /// Hands on an event: each reading once, and none that the device cannot have sent yet.
     fn take_event(&mut self, received: Received, event: Event, each: &mut impl FnMut(Arrival)) {
-        let possible = self.start.anchors[0].is_none_or(|anchor| {
+        let possible = self.start.tracks[0].anchors[0].is_none_or(|anchor| {
             let by_us = anchor.latest_us(received.host_ns);
             match &event {
                 Event::Environment(reading) => reading.time_us <= by_us,
                 Event::Navigation(reading) => anchor.reaches(reading.sequence, by_us),
+                Event::Attitude(reading) => anchor.reaches(reading.sequence, by_us),
                 _ => true,
             }
         });
@@ -304,6 +307,9 @@ impl Decoder {
             }
             Event::Navigation(Navigation { sequence, .. }) => {
                 is_later(&mut self.start.last_navigation, *sequence, sequence_order)
+            }
+            Event::Attitude(Attitude { sequence, .. }) => {
+                is_later(&mut self.start.last_attitude, *sequence, sequence_order)
             }
             _ => true,
         };
@@ -345,15 +351,17 @@ impl Decoder {
             period: PeriodNs(epoch.period_ns),
             host_ns: received.host_ns,
         };
-        let goes_on = self.start.anchors[0].is_none_or(|before| before.leads_to(&anchor));
-        let jumped = self.start.jumped.take();
+        let sensor = usize::from(epoch.sensor);
+        let track = &mut self.start.tracks[sensor];
+        let goes_on = track.anchors[0].is_none_or(|before| before.leads_to(&anchor));
+        let jumped = track.jumped.take();
         if !goes_on && jumped.is_none_or(|jumped| time <= jumped.time || !jumped.leads_to(&anchor))
         {
-            self.start.jumped = Some(anchor);
+            track.jumped = Some(anchor);
             self.statistics.frames_rejected += 1;
             return;
         }
-        let place = match self.start.last_epoch_time {
+        let place = match track.last_epoch_time {
             Some(last) if time < last => Place::Back,
             _ => Place::Ahead,
         };
@@ -370,23 +378,28 @@ impl Decoder {
                 return self.take_epoch(received, epoch, each);
             }
         }
-        self.start.last_epoch_time = Some(time);
-        self.anchor(anchor);
-        // No reading is that far ahead of an epoch: the latest one was invalid.
-        let ahead_us = time.0.saturating_add(EXPECTED_US);
-        self.start
-            .last_environment
-            .take_if(|latest| *latest > ahead_us);
-        self.start.last_navigation.take_if(|latest| {
-            sequence_order(*latest, epoch.sequence).is_gt() && !anchor.reaches(*latest, ahead_us)
-        });
-        for (received, batch) in std::mem::take(&mut self.start.unplaced) {
+        if sensor == 0 {
+            // No reading is that far ahead of an epoch: the latest one was invalid.
+            let ahead_us = time.0.saturating_add(EXPECTED_US);
+            let start = &mut self.start;
+            start.last_environment.take_if(|latest| *latest > ahead_us);
+            for last in [&mut start.last_navigation, &mut start.last_attitude] {
+                last.take_if(|latest| {
+                    sequence_order(*latest, epoch.sequence).is_gt()
+                        && !anchor.reaches(*latest, ahead_us)
+                });
+            }
+        }
+        let track = &mut self.start.tracks[sensor];
+        track.last_epoch_time = Some(time);
+        track.anchors = [Some(anchor), track.anchors[0]];
+        // An epoch repeated for a new listener has the number of the one before.
+        let last = track.last_epoch_number.replace(epoch.number);
+        let after_loss = last.is_some_and(|last| epoch.number.wrapping_sub(last) > 1);
+        for (received, batch) in std::mem::take(&mut track.unplaced) {
             self.take_batch(received, &batch, each);
         }
-        // An epoch repeated for a new listener has the number of the one before.
-        let last = self.start.last_epoch_number.replace(epoch.number);
-        let after_loss = last.is_some_and(|last| epoch.number.wrapping_sub(last) > 1);
-        each(received.with(Event::Epoch { epoch, after_loss }));
+        each(received.with(Event::Epoch { epoch, after_loss }.of_sensor(epoch.sensor)));
     }
 
     /// The device has restarted, and its greeting has not arrived.
@@ -395,52 +408,33 @@ impl Decoder {
         self.restart(received, None, each);
     }
 
-    fn anchor(&mut self, anchor: Anchor) {
-        self.start.anchors = [Some(anchor), self.start.anchors[0]];
-    }
-
-    /// First number, first time and period of a batch; `None` if no epoch defines them.
-    fn place(&self, batch: &Batch) -> Option<Anchor> {
-        self.start.anchors.iter().flatten().find_map(|anchor| {
-            let (sequence, time) = anchor.place(batch)?;
-            Some(Anchor {
-                sequence,
-                time,
-                ..*anchor
-            })
-        })
-    }
-
     fn take_batch(&mut self, received: Received, batch: &Batch, each: &mut impl FnMut(Arrival)) {
         if self.repeats.is_of_a_start_before(batch, received.host_ns) {
-            self.statistics.stream(batch.stream()).duplicated += batch.len() as u64;
+            let statistics = self.statistics.stream(batch.sensor(), batch.stream());
+            statistics.duplicated += batch.len() as u64;
             return;
         }
-        let Some(first) = self.place(batch) else {
+        let track = &mut self.start.tracks[usize::from(batch.sensor())];
+        let Some(mut samples) = track.place(batch) else {
             if self.start.order.holds() {
                 return self
                     .start
                     .order
                     .hold((received, Held::Batch(Box::new(*batch))));
             }
-            self.start.unplaced.push_back((received, *batch));
-            if self.start.unplaced.len() > MAX_UNPLACED {
-                self.start.unplaced.pop_front();
+            track.unplaced.push_back((received, *batch));
+            if track.unplaced.len() > MAX_UNPLACED {
+                track.unplaced.pop_front();
                 self.statistics.batches_unplaced += 1;
             }
             return;
         };
-        let Anchor {
-            sequence,
-            time,
-            period,
-            ..
-        } = first;
+        let (sequence, time) = (samples.first_sequence, samples.first_time);
         let every = u32::from(batch.every());
         let index = batch.stream() as usize;
         let before_last = (batch.len() as u32).saturating_sub(1) * every;
         let last = sequence.wrapping_add(before_last);
-        let latest = self.start.latest[index];
+        let latest = track.latest[index];
         let place = latest.map_or(Place::Ahead, |(latest, _)| {
             // Samples taken by the sensor from the latest one to these.
             let ahead = |number: u32| number.wrapping_sub(latest) as i32;
@@ -451,7 +445,7 @@ impl Decoder {
                 _ => Place::Ahead,
             }
         });
-        let last_us = u64::from(before_last) * u64::from(period.0) / 1000;
+        let last_us = u64::from(before_last) * u64::from(samples.period.0) / 1000;
         let moment = received.at(DeviceTimeUs(time.0.saturating_add(last_us)));
         match self.start.order.judge(moment, place) {
             Verdict::InOrder => {}
@@ -468,24 +462,17 @@ impl Decoder {
                 return self.take_batch(received, batch, each);
             }
         }
+        let track = &mut self.start.tracks[usize::from(batch.sensor())];
         // Follows the samples, so that numbers can be completed even if an epoch is lost.
-        if let Some(latest) = &mut self.start.anchors[0]
+        if let Some(latest) = &mut track.anchors[0]
             && time > latest.time
         {
             latest.sequence = sequence;
             latest.time = time;
             latest.host_ns = received.host_ns;
         }
-        let statistics = self.statistics.stream(batch.stream());
-        let mut samples = Samples {
-            stream: batch.stream(),
-            first_sequence: sequence,
-            first_time: time,
-            period,
-            every: batch.every(),
-            values: batch.samples().to_vec(),
-        };
-        let skipped = std::mem::take(&mut self.start.skipped[index]);
+        let statistics = self.statistics.stream(batch.sensor(), batch.stream());
+        let skipped = std::mem::take(&mut track.skipped[index]);
         if let Some((latest, every_before)) = latest {
             let ahead = sequence.wrapping_sub(latest) as i32;
             if ahead > 0 && skipped {
@@ -495,64 +482,44 @@ impl Decoder {
                 let missing = (ahead as u32 - 1) / every.max(every_before.into());
                 statistics.missing += u64::from(missing);
                 if missing > 0 {
-                    self.start.gaps[index].add(latest.wrapping_add(1), sequence);
+                    track.gaps[index].add(latest.wrapping_add(1), sequence);
                 }
             } else {
                 let known = (ahead.unsigned_abs() / every + 1) as usize;
-                for late in self.start.gaps[index].take(&samples, known, statistics) {
-                    each(received.with(Event::Late(late)));
+                for late in track.gaps[index].take(&samples, known, statistics) {
+                    each(received.with(Event::Late(late).of_sensor(batch.sensor())));
                 }
-                let first = samples.iter().nth(known);
-                samples.values.drain(..known.min(samples.values.len()));
-                if let Some(first) = first {
-                    samples.first_sequence = first.sequence;
-                    samples.first_time = first.time;
-                }
+                samples.drop_first(known);
             }
         }
         statistics.received += samples.values.len() as u64;
-        self.start.latest[index] = Some((last, samples.every));
+        track.latest[index] = Some((last, samples.every));
         self.repeats.add(batch, received.host_ns);
         // Constructed in place: events are large.
         each(Arrival {
             host_ns: received.host_ns,
             began_ns: received.began_ns,
-            event: Event::Samples(samples),
+            event: Event::Samples(samples).of_sensor(batch.sensor()),
         });
     }
 
     /// Takes a batch whose samples fill gaps, or are repeated.
     fn take_late(&mut self, received: Received, batch: &Batch, each: &mut impl FnMut(Arrival)) {
-        let Some(first) = self.place(batch) else {
+        let track = &mut self.start.tracks[usize::from(batch.sensor())];
+        let Some(samples) = track.place(batch) else {
             self.statistics.batches_unplaced += 1;
             return;
         };
-        let samples = Samples {
-            stream: batch.stream(),
-            first_sequence: first.sequence,
-            first_time: first.time,
-            period: first.period,
-            every: batch.every(),
-            values: batch.samples().to_vec(),
-        };
-        let gaps = &mut self.start.gaps[batch.stream() as usize];
-        let statistics = self.statistics.stream(batch.stream());
+        let statistics = self.statistics.stream(batch.sensor(), batch.stream());
+        let gaps = &mut track.gaps[batch.stream() as usize];
         let late = gaps.take(&samples, usize::MAX, statistics);
         if !late.is_empty() {
             self.repeats.add(batch, received.host_ns);
         }
         for late in late {
-            each(received.with(Event::Late(late)));
+            each(received.with(Event::Late(late).of_sensor(batch.sensor())));
         }
     }
-}
-
-/// Data held until their start is known.
-#[derive(Debug)]
-enum Held {
-    Epoch(Box<Epoch>),
-    Batch(Box<Batch>),
-    Event(Box<Event>),
 }
 
 /// Whether `now` is after `latest`; if so, replaces it.

@@ -7,29 +7,31 @@ use std::path::Path;
 
 use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
-use wimu_link::message::{Environment, Navigation};
-use wimu_model::{DeviceTimeUs, SpecificForceQ16};
+use wimu_link::message::{Attitude, Environment, Navigation};
+use wimu_model::{AngularRateQ20, DeviceTimeUs, SpecificForceQ16};
 
 use crate::clock::ClockModel;
 use crate::compare::LinkModel;
-use crate::csv::{AccelerationUnit, CsvWriter, Header, Row, SENSITIVITY};
+use crate::csv::{CsvWriter, Row};
 use crate::decode::{Arrival, Decoder, Event, TimedSample, sequence_order};
 use crate::history::Boot;
 use crate::mcap_file::{ClockAnchor, Recorded, RecordingReader, Wholeness};
-use crate::motion::FIELD_CALIBRATED;
 use crate::overview::{BootOverview, Overview};
 use crate::units::RawUnits;
 use crate::{ErrorCode, OutputFile, Result};
 
-/// The column with the standard deviation of the heading, empty where it is uncalibrated.
-const HEADING_SD: &str = "Heading SD (deg)";
+mod columns;
+
+pub(crate) use columns::GYROSCOPE_SCALE;
+use columns::header;
+
 /// Time that samples wait for data that belong to them and arrive later, µs of device time.
 const WAIT_US: u64 = 3_000_000;
 /// Times of samples kept for the positions computed from them, at most; positions that wait for their sample, at most.
 const MAX_TIMES: usize = 16_384;
 const MAX_WAITING: usize = 4096;
 
-/// Content of a table.
+/// Content of a table. With a gyroscope, samples have its axes, too, and positions an attitude.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExportStream {
     /// Counts, LSB, with the raw output of the magnetometer, temperature, and the sensor's nominal
@@ -43,8 +45,19 @@ pub enum ExportStream {
     Navigation,
 }
 
+/// Source of a table.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ExportSource<'a> {
+    /// The link; `None` takes the cable if it has raw samples, else the link with the most.
+    pub role: Option<LinkRole>,
+    /// Index of the sensor. Those above 0 have raw samples only, in columns with this number.
+    pub sensor: u8,
+    /// Corrects the accelerometer.
+    pub link_model: Option<&'a LinkModel>,
+}
+
 /// Result of an export.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Exported {
     /// The link.
     pub role: LinkRole,
@@ -55,54 +68,79 @@ pub struct Exported {
     pub without_unit: usize,
     /// Whether the range changes between rows.
     pub ranges_differ: bool,
+    /// Indices of the sensors with raw samples.
+    pub sensors: Vec<u8>,
     /// Completeness of the recording.
     pub wholeness: Wholeness,
 }
 
-/// Writes a stream of a recording's link as a CSV file: of the link of `role`; `None` takes the
-/// cable if it has raw samples, else the link with the most. Times are UTC where the recording has an anchor,
-/// else device time. The link model is applied. Reads the recording twice, in memory that does not
-/// grow with its length.
+/// Writes a stream of a recording as a CSV file. Times are UTC where the recording has an anchor, else device
+/// time. The link model is applied. Reads the recording twice, in memory that does not grow with its length.
 ///
 /// # Errors
-/// Those of [`Overview::read`]; `no_rows` when the link has no such stream; `data_refused` when
+/// Those of [`Overview::read`]; `no_rows` when the link or the sensor has no such stream; `usage` for a link model and
+/// a sensor above 0; `data_refused` when
 /// the link model is of another device or link; `file_failed`, `file_unreadable`.
 pub fn to_csv(
     recording: &Path,
-    role: Option<LinkRole>,
-    link_model: Option<&LinkModel>,
+    source: &ExportSource,
     stream: ExportStream,
     path: &Path,
 ) -> Result<Exported> {
     let overview = Overview::read(recording)?;
     let link = overview
-        .link(role)
+        .link(source.role)
         .map_err(|error| error.at(recording.display().to_string()))?;
     let role = link.role;
-    let count = |boot: &BootOverview| match stream {
-        ExportStream::Raw => boot.raw,
-        ExportStream::Corrected => boot.corrected,
-        ExportStream::Navigation => boot.navigation,
+    let sensors = link.sensors();
+    let count = |boot: &BootOverview| match (stream, source.sensor) {
+        (ExportStream::Raw, sensor) => boot.tracks.get(&sensor).map_or(0, |track| track.raw),
+        (_, 1..) => 0,
+        (ExportStream::Corrected, 0) => boot.corrected,
+        (ExportStream::Navigation, 0) => boot.navigation,
     };
     if link.boots.iter().map(count).sum::<usize>() == 0 {
-        return Err(ErrorCode::NoRows.error(format!("the {role} link carried no such samples"),
-            "export another stream or the other link, or switch the stream on with `wimu settings set`",
-        ));
+        let (message, remedy) = match source.sensor {
+            0 => (
+                format!("the {role} link carried no such samples"),
+                "export another stream or the other link, or switch the stream on with `wimu settings set`".to_owned(),
+            ),
+            sensor => (
+                format!("the {role} link carried no such samples of sensor {sensor}"),
+                format!("export the raw stream of one of the sensors {sensors:?}"),
+            ),
+        };
+        return Err(ErrorCode::NoRows.error(message, remedy));
     }
-    if let Some(model) = link_model {
+    if let Some(model) = source.link_model {
+        if source.sensor > 0 {
+            return Err(ErrorCode::Usage.error(
+                format!(
+                    "a link's error model does not apply to sensor {}",
+                    source.sensor
+                ),
+                "leave out --link-model, or --sensor",
+            ));
+        }
         model.check_role(role)?;
         if let Some(hello) = &link.hello {
             model.check_device(hello.device_id)?;
         }
     }
     let (output, file) = OutputFile::create(path)?;
+    let rates = |boot: &BootOverview| boot.tracks.get(&source.sensor).map_or(0, |t| t.rates);
+    let has_gyroscope = link.boots.iter().any(|boot| rates(boot) > 0);
+    let has_attitude = link.boots.iter().any(|boot| boot.attitudes > 0);
+    let header = header(stream, source.sensor, has_gyroscope, has_attitude);
     let mut boots = link.boots.iter();
     let mut table = Table {
         stream,
         anchor: overview.anchor,
-        link_model,
+        source,
+        has_gyroscope,
+        has_attitude,
         clock: None,
-        writer: CsvWriter::new(BufWriter::new(file), output.name(), header(stream))?,
+        writer: CsvWriter::new(BufWriter::new(file), output.name(), header)?,
         rows: 0,
         sensitivity: None,
         ranges_differ: false,
@@ -137,6 +175,7 @@ pub fn to_csv(
         rows: table.rows,
         without_unit: table.without_unit,
         ranges_differ: table.ranges_differ,
+        sensors,
         wholeness: overview.wholeness,
     })
 }
@@ -150,52 +189,12 @@ impl From<Stream> for ExportStream {
     }
 }
 
-fn header(stream: ExportStream) -> Header {
-    let samples = |acceleration_unit| Header {
-        time: true,
-        accelerometers: vec![None],
-        acceleration_unit,
-        magnetometer: true,
-        temperature: true,
-        other: vec!["Sequence".to_owned()],
-    };
-    match stream {
-        ExportStream::Raw => Header {
-            other: vec!["Sequence".to_owned(), SENSITIVITY.to_owned()],
-            ..samples(AccelerationUnit::Lsb)
-        },
-        ExportStream::Corrected => Header {
-            other: vec!["Sequence".to_owned(), FIELD_CALIBRATED.to_owned()],
-            ..samples(AccelerationUnit::Mps2)
-        },
-        ExportStream::Navigation => Header {
-            accelerometers: Vec::new(),
-            magnetometer: false,
-            temperature: false,
-            other: [
-                "Position E (m)",
-                "Position N (m)",
-                "Position U (m)",
-                "Velocity E (m/s)",
-                "Velocity N (m/s)",
-                "Velocity U (m/s)",
-                "Since Rest (s)",
-                "Valid",
-                HEADING_SD,
-                "Sequence",
-            ]
-            .map(str::to_owned)
-            .to_vec(),
-            ..samples(AccelerationUnit::Mps2)
-        },
-    }
-}
-
 /// Data of one start of the device that are still needed.
 #[derive(Default)]
 struct Start {
     samples: VecDeque<TimedSample>,
     navigation: VecDeque<Navigation>,
+    attitude: VecDeque<Attitude>,
     environment: VecDeque<Environment>,
     /// Times of samples, by number.
     times: VecDeque<(u32, DeviceTimeUs)>,
@@ -222,7 +221,9 @@ impl Start {
 struct Table<'a> {
     stream: ExportStream,
     anchor: Option<ClockAnchor>,
-    link_model: Option<&'a LinkModel>,
+    source: &'a ExportSource<'a>,
+    has_gyroscope: bool,
+    has_attitude: bool,
     clock: Option<&'a ClockModel>,
     writer: CsvWriter<BufWriter<File>>,
     rows: usize,
@@ -239,7 +240,8 @@ impl<'a> Table<'a> {
     fn begin(&mut self, boot: Option<&'a BootOverview>) {
         self.start = Start::default();
         self.clock = boot.and_then(|boot| boot.clock.as_ref());
-        self.units = boot.map(|boot| &boot.units);
+        let track = boot.and_then(|boot| boot.tracks.get(&self.source.sensor));
+        self.units = track.map(|track| &track.units);
         self.start.boot.parameters = boot.map_or_else(Vec::new, |boot| boot.parameters.clone());
     }
 
@@ -249,8 +251,13 @@ impl<'a> Table<'a> {
         arrival: &Arrival,
         boots: &mut impl Iterator<Item = &'a BootOverview>,
     ) -> Result<()> {
+        let sensor = self.source.sensor;
         let start = &mut self.start;
-        match &arrival.event {
+        let event = match &arrival.event {
+            Event::Further(event) if event.sensor() == Some(sensor) => event,
+            event => event,
+        };
+        match event {
             // The same condition as in the overview.
             Event::Restart { .. } if !start.boot.is_empty() => {
                 self.write_until(u64::MAX)?;
@@ -260,7 +267,9 @@ impl<'a> Table<'a> {
             Event::Epoch { epoch, .. } => {
                 start.latest_us = start.latest_us.max(epoch.time_us);
                 let before = start.latest_us.saturating_sub(2 * WAIT_US);
-                start.boot.add_epoch(&arrival.event, before);
+                if epoch.sensor == 0 {
+                    start.boot.add_epoch(event, before);
+                }
             }
             Event::Environment(environment) => {
                 start.environment.push_back(*environment);
@@ -268,10 +277,18 @@ impl<'a> Table<'a> {
                     start.environment.pop_front();
                 }
             }
+            Event::Attitude(attitude) if self.has_attitude => {
+                start.attitude.push_back(*attitude);
+                if start.attitude.len() > MAX_WAITING {
+                    start.attitude.pop_front();
+                }
+            }
             Event::Navigation(navigation) if self.stream == ExportStream::Navigation => {
                 start.navigation.push_back(*navigation);
             }
-            Event::Late(samples) if self.stream == samples.stream.into() => {
+            Event::Late(samples)
+                if self.stream == samples.stream.into() && samples.sensor == sensor =>
+            {
                 for late in samples.iter() {
                     let is_behind = |number| sequence_order(late.sequence, number).is_gt();
                     if start.written.is_none_or(is_behind) {
@@ -284,12 +301,12 @@ impl<'a> Table<'a> {
             }
             Event::Samples(samples) => {
                 let wanted = ExportStream::from(samples.stream);
-                if wanted == ExportStream::Raw {
+                if wanted == ExportStream::Raw && samples.sensor == 0 {
                     // One sample marks the start as begun.
                     start.boot.raw.clear();
                     start.boot.raw.extend(samples.iter().next());
                 }
-                if self.stream == wanted {
+                if self.stream == wanted && samples.sensor == sensor {
                     start.samples.extend(samples.iter());
                 } else if self.stream == ExportStream::Navigation {
                     for sample in samples.iter() {
@@ -359,10 +376,16 @@ impl<'a> Table<'a> {
         let value = if self.stream == ExportStream::Corrected {
             other.push(u8::from(start.field_calibrated).to_string());
             let unit = 1.0 / SpecificForceQ16::LSB_PER_MPS2;
-            let value = match self.link_model {
+            let value = match self.source.link_model {
                 Some(model) => model.correct_lsb(sample.value, unit),
                 None => sample.value,
             };
+            if self.has_gyroscope {
+                push_axes(
+                    &mut other,
+                    sample.rate.map(|rate| AngularRateQ20(rate).to_rad_s()),
+                );
+            }
             SpecificForceQ16(value).to_mps2().0
         } else {
             let unit = self.units.and_then(|units| units.of(sample.sequence));
@@ -373,7 +396,13 @@ impl<'a> Table<'a> {
                 self.ranges_differ |= before.is_some_and(|before| before != sensitivity);
             }
             other.push(lsb_per_g.map_or(String::new(), |sensitivity| sensitivity.to_string()));
-            let value = match (self.link_model, unit) {
+            if self.has_gyroscope {
+                push_axes(&mut other, sample.rate.map(|rate| rate.map(f64::from)));
+                let scale = unit.and_then(|unit| unit.gyroscope);
+                other
+                    .push(scale.map_or(String::new(), |nominal| nominal.rad_s_per_lsb.to_string()));
+            }
+            let value = match (self.source.link_model, unit) {
                 (Some(model), Some(unit)) => model.correct_lsb(sample.value, unit.mps2_per_lsb()),
                 (Some(_), None) => return Ok(()),
                 (None, _) => sample.value,
@@ -402,6 +431,13 @@ impl<'a> Table<'a> {
             .map(|mrad| f64::from(mrad) * 1e-3);
         other.push(heading_sd.map_or(String::new(), |sd| format!("{:.2}", sd.to_degrees())));
         other.push(navigation.sequence.to_string());
+        let attitude = &mut self.start.attitude;
+        let is_before =
+            |next: &Attitude| sequence_order(next.sequence, navigation.sequence).is_lt();
+        while pop_if(attitude, is_before).is_some() {}
+        if let Some(attitude) = pop_if(attitude, |next| next.sequence == navigation.sequence) {
+            other.extend(attitude.to_quaternion().map(|part| part.to_string()));
+        }
         let row = Row {
             time_ns: time.and_then(|time| self.time_ns(time)),
             other,
@@ -421,6 +457,13 @@ impl<'a> Table<'a> {
             .zip(self.clock)
             .map(|(anchor, clock)| anchor.to_utc_ns(clock.host_ns(time)));
         i64::try_from(utc.unwrap_or(time.0.saturating_mul(1000))).ok()
+    }
+}
+
+fn push_axes(fields: &mut Vec<String>, axes: Option<[f64; 3]>) {
+    match axes {
+        Some(axes) => fields.extend(axes.map(|axis| axis.to_string())),
+        None => fields.extend([const { String::new() }; 3]),
     }
 }
 

@@ -1,18 +1,19 @@
 //! Decoded data of links, from a recording or from a live board.
 
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 
 use wimu_link::batch::Stream;
 use wimu_link::hello::sensor;
 use wimu_link::message::{
-    ActiveParameters, Answer, Environment, Epoch, Event as DeviceEvent, Navigation, Payload, Status,
+    ActiveParameters, Answer, Attitude, Environment, Epoch, Event as DeviceEvent, Navigation,
+    Payload, Status,
 };
 use wimu_link::{Hello, LinkRole, Settings};
 use wimu_model::{DeviceTimeUs, MagneticFieldNt, ParameterSet, Sensitivity, SensorId};
 
 use crate::clock::{ClockEstimator, ClockModel};
-use crate::decode::{Arrival, Event, LinkStatistics, TimedSample, sequence_order};
+use crate::decode::{Arrival, Event, LinkStatistics, Samples, TimedSample, sequence_order};
 use crate::error::{ErrorCode, Result};
 use crate::mcap_file::{ClockAnchor, RecordingReader, Wholeness};
 use crate::overview::{Listen, choose, listen};
@@ -30,6 +31,29 @@ pub struct EpochMark {
     pub after_loss: bool,
 }
 
+/// Data of a further sensor, index 1 to 7.
+#[derive(Clone, Debug, Default)]
+pub struct Track {
+    /// Raw samples, LSB, by sequence number.
+    pub raw: Vec<TimedSample>,
+    /// Epochs, by sequence number; they define the unit of the samples.
+    pub epochs: Vec<EpochMark>,
+}
+
+impl Track {
+    fn take(&mut self, event: &Event) {
+        match event {
+            Event::Samples(samples) => self.raw.extend(samples.iter()),
+            Event::Late(samples) => insert_late(&mut self.raw, samples),
+            Event::Epoch { epoch, after_loss } => self.epochs.push(EpochMark {
+                epoch: *epoch,
+                after_loss: *after_loss,
+            }),
+            _ => {}
+        }
+    }
+}
+
 /// Data of one link in one start of the device.
 #[derive(Clone, Debug, Default)]
 pub struct Boot {
@@ -37,16 +61,20 @@ pub struct Boot {
     pub start: Option<Start>,
     /// Latest identification.
     pub hello: Option<Hello>,
-    /// Raw samples, LSB, by sequence number.
+    /// Raw samples of sensor 0, LSB, by sequence number.
     pub raw: Vec<TimedSample>,
-    /// Corrected samples, 2⁻¹⁶ m/s², by sequence number.
+    /// Corrected samples of sensor 0, 2⁻¹⁶ m/s² and 2⁻²⁰ rad/s, by sequence number.
     pub corrected: Vec<TimedSample>,
     /// Epochs, by sequence number.
     pub epochs: Vec<EpochMark>,
+    /// Further sensors, by index, 1 to 7.
+    pub further: BTreeMap<u8, Track>,
     /// Magnetic field and temperature, by time.
     pub environment: Vec<Environment>,
     /// Velocity and position, by sequence number.
     pub navigation: Vec<Navigation>,
+    /// Attitude, by sequence number.
+    pub attitude: Vec<Attitude>,
     /// Parameters in use, as reported: the latest 4096 changes.
     pub parameters: Vec<ActiveParameters>,
     /// Settings in use, as reported: the latest 4096 changes.
@@ -163,11 +191,6 @@ impl Boot {
                 }];
             }
             Event::Parameters(parameters) => self.use_parameters(*parameters),
-            Event::Reply { reply, .. } => {
-                if let Answer::Accepted(Payload::Parameters(parameters)) = reply.answer {
-                    self.use_parameters(parameters);
-                }
-            }
             _ => {}
         }
     }
@@ -196,6 +219,14 @@ impl Boot {
 
     fn use_parameters(&mut self, parameters: ActiveParameters) {
         push_change(&mut self.parameters, parameters);
+    }
+}
+
+fn insert_late(known: &mut Vec<TimedSample>, samples: &Samples) {
+    for late in samples.iter() {
+        let at =
+            known.partition_point(|sample| sequence_order(sample.sequence, late.sequence).is_lt());
+        known.insert(at, late);
     }
 }
 
@@ -284,16 +315,13 @@ impl LinkHistory {
                 Stream::Raw => boot.raw.extend(samples.iter()),
                 Stream::Corrected => boot.corrected.extend(samples.iter()),
             },
-            Event::Late(samples) => {
-                let known = match samples.stream {
-                    Stream::Raw => &mut boot.raw,
-                    Stream::Corrected => &mut boot.corrected,
-                };
-                for late in samples.iter() {
-                    let at = known.partition_point(|sample| {
-                        sequence_order(sample.sequence, late.sequence).is_lt()
-                    });
-                    known.insert(at, late);
+            Event::Late(samples) => match samples.stream {
+                Stream::Raw => insert_late(&mut boot.raw, samples),
+                Stream::Corrected => insert_late(&mut boot.corrected, samples),
+            },
+            Event::Further(event) => {
+                if let Some(sensor) = event.sensor() {
+                    boot.further.entry(sensor).or_default().take(event);
                 }
             }
             Event::Epoch { epoch, after_loss } => boot.epochs.push(EpochMark {
@@ -310,9 +338,6 @@ impl LinkHistory {
                 push_new(&mut boot.events, &mut boot.known_events, (*time, *event));
             }
             Event::Reply { reply, .. } => match reply.answer {
-                Answer::Accepted(Payload::Parameters(parameters)) => {
-                    boot.use_parameters(parameters)
-                }
                 Answer::Accepted(Payload::Settings(settings)) => boot.use_settings(settings),
                 Answer::Accepted(Payload::Status(status)) => boot.status = Some(status),
                 _ => {}
@@ -322,6 +347,7 @@ impl LinkHistory {
                     self.complaints.push(why.clone());
                 }
             }
+            Event::Attitude(attitude) => boot.attitude.push(*attitude),
             Event::Damaged(_) => {}
         }
     }
@@ -405,7 +431,7 @@ mod tests {
     use std::fmt;
     use std::io::Cursor;
 
-    use wimu_link::message::{EpochReason, WireState};
+    use wimu_link::message::EpochReason;
     use wimu_link::{MAX_FRAME, Telemetry, batch};
     use wimu_model::Counts;
 
@@ -442,7 +468,7 @@ mod tests {
             full_scale: 32752,
             parameters: 0,
             temperature_centi_c: None,
-            state: WireState::default(),
+            ..Epoch::default()
         });
         let length = epoch.encode(&mut frame).unwrap();
         bytes.extend(&frame[..length]);

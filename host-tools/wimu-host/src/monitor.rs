@@ -4,8 +4,8 @@ use std::collections::VecDeque;
 
 use wimu_integrator::{Integrator, State};
 use wimu_link::batch::{MAX_BATCH, Stream};
-use wimu_link::message::{Environment, Epoch, Navigation};
-use wimu_model::{Counts, DeviceTimeUs, ParameterId, SpecificForceMps2, SpecificForceQ16};
+use wimu_link::message::{Attitude, Environment, Epoch, Navigation};
+use wimu_model::{AngularRateQ20, DeviceTimeUs, ParameterId, SpecificForceMps2, SpecificForceQ16};
 
 use crate::decode::{Event, TimedSample, sequence_order};
 use crate::history::Boot;
@@ -55,11 +55,13 @@ pub struct Reading {
     pub sequence: u32,
     /// Its time, device clock.
     pub time: DeviceTimeUs,
-    /// Raw output, if the link carries it.
-    pub raw: Option<Counts>,
+    /// Raw sample, LSB, if the link carries it.
+    pub raw: Option<TimedSample>,
     /// Specific force, body axes: corrected by the device, or from the counts at nominal
     /// sensitivity where [`corrected`](Self::corrected) is false.
     pub specific_force: SpecificForceMps2,
+    /// Angular rate, rad/s, body axes: as the specific force; `None` without a gyroscope.
+    pub angular_rate: Option<[f64; 3]>,
     /// Whether the device has corrected it. An uncalibrated device corrects with an ideal model.
     pub corrected: bool,
     /// The device's parameters; `None` before the first epoch.
@@ -72,6 +74,8 @@ pub struct Reading {
     pub heading: Option<Heading>,
     /// The latest velocity and position.
     pub navigation: Option<Navigation>,
+    /// The latest attitude; `None` without a gyroscope, and before the first rest.
+    pub attitude: Option<Attitude>,
 }
 
 /// Combines a link's events to [`Reading`]s: one for each corrected sample, or for each raw sample of
@@ -88,6 +92,7 @@ pub struct Readings {
     field: Option<Field>,
     heading: Option<Heading>,
     navigation: Option<Navigation>,
+    attitude: Option<Attitude>,
     /// Whether the link carries corrected samples; `None` if unknown.
     corrected_come: Option<bool>,
 }
@@ -112,6 +117,7 @@ impl Readings {
                 });
             }
             Event::Navigation(navigation) => self.navigation = Some(*navigation),
+            Event::Attitude(attitude) => self.attitude = Some(*attitude),
             Event::Epoch { epoch, .. } => {
                 self.parameters = Some(epoch.parameter_id());
                 self.heading = Heading::of(epoch);
@@ -136,7 +142,8 @@ impl Readings {
                     for sample in samples.iter() {
                         let raw = self.twin_of(&sample);
                         let force = SpecificForceQ16(sample.value).to_mps2();
-                        each(self.reading(&sample, raw, force));
+                        let rate = sample.rate.map(|rate| AngularRateQ20(rate).to_rad_s());
+                        each(self.reading(&sample, raw, force, rate));
                     }
                 }
             },
@@ -146,11 +153,11 @@ impl Readings {
             && let Some(sample) = self.raw.pop_front()
         {
             if let Some(unit) = self.units.of(sample.sequence) {
-                let raw = counts(&sample);
-                let force = unit.sensitivity.to_mps2(raw);
+                let force = SpecificForceMps2(unit.mps2(sample.value));
+                let rate = unit.rad_s(sample.rate);
                 each(Reading {
                     corrected: false,
-                    ..self.reading(&sample, Some(raw), force)
+                    ..self.reading(&sample, Some(sample), force, rate)
                 });
             }
         }
@@ -159,38 +166,37 @@ impl Readings {
     }
 
     /// Removes the raw samples up to that of a corrected one's number, and returns it.
-    fn twin_of(&mut self, corrected: &TimedSample) -> Option<Counts> {
+    fn twin_of(&mut self, corrected: &TimedSample) -> Option<TimedSample> {
         let is_before =
             |raw: &TimedSample| sequence_order(raw.sequence, corrected.sequence).is_lt();
         let before = self.raw.partition_point(is_before);
         self.raw.drain(..before);
         let twin = self.raw.front()?.sequence == corrected.sequence;
-        twin.then(|| self.raw.pop_front())?.as_ref().map(counts)
+        twin.then(|| self.raw.pop_front())?
     }
 
     fn reading(
         &self,
         sample: &TimedSample,
-        raw: Option<Counts>,
+        raw: Option<TimedSample>,
         specific_force: SpecificForceMps2,
+        angular_rate: Option<[f64; 3]>,
     ) -> Reading {
         Reading {
             sequence: sample.sequence,
             time: sample.time,
             raw,
             specific_force,
+            angular_rate,
             corrected: true,
             parameters: self.parameters,
             environment: self.environment,
             field: self.field,
             heading: self.heading,
             navigation: self.navigation,
+            attitude: self.attitude,
         }
     }
-}
-
-fn counts(sample: &TimedSample) -> Counts {
-    Counts(sample.value.map(|axis| axis as i16))
 }
 
 #[cfg(test)]

@@ -3,14 +3,15 @@
 use wimu_integrator::{Config, Integrator, Navigation, Phase};
 use wimu_link::message::{self, WirePhase};
 use wimu_model::{
-    CentiCelsius, Corrector, Counts, DeviceTimeUs, MagneticFieldNt, ParameterSet, PeriodNs,
+    AngularRateQ20, CentiCelsius, DeviceTimeUs, MagneticFieldNt, ParameterSet, PeriodNs,
     PositionNm, SpecificForceQ16, VelocityNmps,
 };
 use wimu_nav::unit::UnitSample;
 
+use crate::decode::TimedSample;
 use crate::history::Boot;
 use crate::motion::MotionRecording;
-use crate::replay::{Replay, Step};
+use crate::replay::{Correction, Replay, Step, find};
 use crate::{ErrorCode, Result};
 
 /// Largest specific force after correction per *g* of full-scale range, m/s²: 1.5 g.
@@ -32,16 +33,17 @@ pub fn device(boot: &Boot) -> Vec<Point> {
     boot.navigation
         .iter()
         .filter_map(|sent| {
+            let attitude = find(&boot.attitude, sent.sequence, |sent| sent.sequence);
             Some(Point {
                 sequence: sent.sequence,
                 time: boot.time_of(sent.sequence)?,
-                navigation: from_wire(sent),
+                navigation: from_wire(sent, attitude.map(|sent| sent.quaternion)),
             })
         })
         .collect()
 }
 
-fn from_wire(sent: &message::Navigation) -> Navigation {
+fn from_wire(sent: &message::Navigation, attitude: Option<[i32; 4]>) -> Navigation {
     Navigation {
         position: PositionNm(sent.position_nm),
         velocity: VelocityNmps(sent.velocity_nmps),
@@ -53,6 +55,7 @@ fn from_wire(sent: &message::Navigation) -> Navigation {
         },
         flags: wimu_integrator::Flags(sent.flags),
         heading_sd_mrad: sent.heading_sd_mrad,
+        attitude,
     }
 }
 
@@ -90,8 +93,8 @@ pub fn recomputed(boot: &Boot, parameters: &ParameterSet, zupt: bool) -> Result<
         .iter()
         .find_map(|e| e.temperature_centi_c)
         .map(CentiCelsius);
-    let corrector =
-        Corrector::compile(parameters, temperature).map_err(|e| refused(e.to_string()))?;
+    let correction = Correction::compile(parameters, &first.epoch, temperature)
+        .map_err(|e| refused(e.to_string()))?;
     // The latest epoch has the best estimate of the true period.
     let period = boot
         .epochs
@@ -110,14 +113,13 @@ pub fn recomputed(boot: &Boot, parameters: &ParameterSet, zupt: bool) -> Result<
     Ok(boot
         .raw
         .iter()
+        .filter(|raw| correction.takes(raw))
         .map(|raw| {
             if next.is_some_and(|next| next != raw.sequence) {
                 integrator.gap();
             }
             next = Some(raw.sequence.wrapping_add(1));
-            let counts = Counts(raw.value.map(|axis| axis as i16));
-            let saturated = counts.saturated(first.epoch.full_scale);
-            integrator.step(corrector.correct(counts), saturated);
+            correction.integrate(raw, &mut integrator);
             Point {
                 sequence: raw.sequence,
                 time: raw.time,
@@ -137,33 +139,34 @@ pub fn motion(
     boot: &Boot,
     parameters: Option<&ParameterSet>,
 ) -> Result<MotionRecording> {
-    let forces: Vec<(DeviceTimeUs, SpecificForceQ16)> = match parameters {
-        Some(parameters) => {
+    type Corrected = (DeviceTimeUs, (SpecificForceQ16, Option<AngularRateQ20>));
+    let forces: Vec<Corrected> = match (parameters, boot.epochs.first()) {
+        (Some(parameters), Some(first)) => {
             let temperature = boot
                 .environment
                 .iter()
                 .find_map(|e| e.temperature_centi_c)
                 .map(CentiCelsius);
-            let corrector = Corrector::compile(parameters, temperature).map_err(|error| {
-                ErrorCode::DataRefused
-                    .error(error.to_string(), "give the calibration of this sensor")
-            })?;
-            let counts = boot
-                .raw
-                .iter()
-                .map(|raw| (raw.time, Counts(raw.value.map(|axis| axis as i16))));
-            counts
-                .map(|(time, counts)| (time, corrector.correct(counts)))
-                .collect()
+            let correction =
+                Correction::compile(parameters, &first.epoch, temperature).map_err(|error| {
+                    ErrorCode::DataRefused
+                        .error(error.to_string(), "give the calibration of this sensor")
+                })?;
+            let correct = |raw: &TimedSample| (raw.time, correction.correct(raw));
+            boot.raw.iter().map(correct).collect()
         }
-        None if boot.epochs.is_empty() || boot.raw.is_empty() => boot
+        (Some(_), None) => Vec::new(),
+        (None, first) if first.is_none() || boot.raw.is_empty() => boot
             .corrected
             .iter()
-            .map(|sent| (sent.time, SpecificForceQ16(sent.value)))
+            .map(|sent| {
+                let rate = sent.rate.map(AngularRateQ20);
+                (sent.time, (SpecificForceQ16(sent.value), rate))
+            })
             .collect(),
-        None => Replay::new(boot, 0)
+        (None, _) => Replay::new(boot, 0)
             .filter_map(|step| match step {
-                Step::Sample(sample) => Some((sample.raw.time, sample.force)),
+                Step::Sample(sample) => Some((sample.raw.time, (sample.force, sample.rate))),
                 _ => None,
             })
             .collect(),
@@ -189,7 +192,7 @@ pub fn motion(
         .peekable();
     let mut times_s = Vec::with_capacity(forces.len());
     let mut samples = Vec::with_capacity(forces.len());
-    for (time, force) in &forces {
+    for (time, (force, rate)) in &forces {
         // Each field belongs to the first sample after it.
         let mut field_ut = None;
         while let Some((_, field)) = fields.next_if(|(at, _)| *at <= time.0) {
@@ -200,7 +203,7 @@ pub fn motion(
             step_s: now - times_s.last().copied().unwrap_or(now),
             force_mps2: force.to_mps2().0,
             field_ut,
-            rate_rad_s: None,
+            rate_rad_s: rate.map(|rate| rate.to_rad_s()),
         });
         times_s.push(now);
     }

@@ -1,10 +1,11 @@
 //! Summary of a recording, in memory that does not grow with its length.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 use std::path::Path;
 
 use wimu_link::batch::Stream;
+use wimu_link::frame::OLDEST_RECORDED;
 use wimu_link::message::{ActiveParameters, Answer, Payload, Status};
 use wimu_link::{Hello, LinkRole, WIRE_VERSION};
 use wimu_model::ParameterId;
@@ -58,11 +59,11 @@ pub struct LinkOverview {
 /// Summary of a link in one start of the device.
 #[derive(Clone, Debug, Default)]
 pub struct BootOverview {
-    /// Raw samples.
+    /// Raw samples of sensor 0.
     pub raw: usize,
-    /// Corrected samples.
+    /// Corrected samples of sensor 0.
     pub corrected: usize,
-    /// Epochs.
+    /// Epochs of sensor 0.
     pub epochs: usize,
     /// Velocities and positions.
     pub navigation: usize,
@@ -71,13 +72,50 @@ pub struct BootOverview {
     /// The parameter sets in use, each once: the first 500. A set is often reported after the first samples corrected
     /// with it.
     pub parameters: Vec<ActiveParameters>,
-    /// Units of the raw samples.
-    pub units: RawUnits,
+    /// Attitudes.
+    pub attitudes: usize,
+    /// The sensors, by index.
+    pub tracks: BTreeMap<u8, TrackOverview>,
     greeted: bool,
     estimator: ClockEstimator,
 }
 
+/// Summary of a sensor in one start of the device.
+#[derive(Clone, Debug, Default)]
+pub struct TrackOverview {
+    /// Raw samples.
+    pub raw: usize,
+    /// Raw and corrected samples with an angular rate.
+    pub rates: usize,
+    /// Latest sample period, ns; 0 before an epoch.
+    pub period_ns: u32,
+    /// Units of the raw samples.
+    pub units: RawUnits,
+}
+
 impl BootOverview {
+    /// Takes the samples or the epoch of any sensor.
+    fn use_track(&mut self, event: &Event) {
+        let event = event.of_any_sensor();
+        let Some(sensor) = event.sensor() else {
+            return;
+        };
+        let track = self.tracks.entry(sensor).or_default();
+        match event {
+            Event::Samples(samples) => {
+                track.rates += samples.rates.len();
+                if samples.stream == Stream::Raw {
+                    track.raw += samples.values.len();
+                }
+            }
+            Event::Epoch { epoch, .. } => {
+                track.period_ns = epoch.period_ns;
+                track.units.see(epoch);
+            }
+            _ => {}
+        }
+    }
+
     fn use_parameters(&mut self, set: ActiveParameters) {
         if !self.parameters.contains(&set) && self.parameters.len() < MAX_PARAMETERS {
             self.parameters.push(set);
@@ -124,6 +162,14 @@ impl LinkOverview {
         }
     }
 
+    /// Indices of the sensors with raw samples.
+    pub fn sensors(&self) -> Vec<u8> {
+        let tracks = self.boots.iter().flat_map(|boot| &boot.tracks);
+        let with_samples = tracks.filter(|(_, track)| track.raw > 0);
+        let sensors: BTreeSet<u8> = with_samples.map(|(sensor, _)| *sensor).collect();
+        sensors.into_iter().collect()
+    }
+
     /// Raw samples of all starts.
     pub fn raw(&self) -> usize {
         self.boots.iter().map(|boot| boot.raw).sum()
@@ -143,6 +189,7 @@ impl Listen for LinkOverview {
         let role = self.role;
         let boot = self.latest();
         boot.estimator.heard(role, arrival);
+        boot.use_track(&arrival.event);
         match &arrival.event {
             Event::Restart { .. } if boot.greeted || boot.raw + boot.epochs > 0 => {
                 self.boots.push(BootOverview::default());
@@ -157,7 +204,6 @@ impl Listen for LinkOverview {
             },
             Event::Epoch { epoch, .. } => {
                 boot.epochs += 1;
-                boot.units.see(epoch);
                 let id = epoch.parameter_id();
                 if self.parameter_ids.last() != Some(&id)
                     && self.parameter_ids.len() < MAX_PARAMETERS
@@ -166,12 +212,13 @@ impl Listen for LinkOverview {
                 }
             }
             Event::Navigation(_) => boot.navigation += 1,
+            Event::Attitude(_) => boot.attitudes += 1,
             Event::Status(status) => self.status = Some(*status),
-            Event::Reply { reply, .. } => match reply.answer {
-                Answer::Accepted(Payload::Status(status)) => self.status = Some(status),
-                Answer::Accepted(Payload::Parameters(set)) => boot.use_parameters(set),
-                _ => {}
-            },
+            Event::Reply { reply, .. } => {
+                if let Answer::Accepted(Payload::Status(status)) = reply.answer {
+                    self.status = Some(status);
+                }
+            }
             Event::Parameters(set) => boot.use_parameters(*set),
             Event::Device { time, event } => {
                 // Persistent faults are reported again to each new listener.
@@ -256,12 +303,16 @@ pub(crate) fn listen<R: Read, L: Listen>(
         let link = links.entry(role.number()).or_insert_with(|| new(role));
         link.finish(carried);
     }
-    let foreign = |(role, link): (&u8, &L)| versions.get(role).filter(|_| !link.has_epochs());
+    let readable = OLDEST_RECORDED..=WIRE_VERSION;
+    let foreign = |(role, link): (&u8, &L)| {
+        let version = versions.get(role)?;
+        (!link.has_epochs() && !readable.contains(version)).then_some(version)
+    };
     if !links.is_empty()
         && let Some(versions) = links.iter().map(foreign).collect::<Option<Vec<&u8>>>()
     {
         return Err(ErrorCode::BadRecording.error(format!(
-                "the board uses version {} of the protocol, this wimu reads version {WIRE_VERSION}",
+                "the board uses version {} of the protocol, this wimu reads versions {OLDEST_RECORDED} to {WIRE_VERSION}",
                 versions[0]
             ),
             "read it with the version of wimu that recorded it",

@@ -1,9 +1,12 @@
-//! Replay of the device's arithmetic: corrected samples, velocity and position from raw samples and epochs,
-//! bit for bit.
+//! Replay of the device's arithmetic: corrected samples, velocity, position and attitude from raw samples and
+//! epochs, bit for bit.
 
-use wimu_integrator::{Integrator, MagneticHeading, Navigation, State};
-use wimu_link::message::{ARITHMETIC_REVISION, EpochReason};
-use wimu_model::{CentiCelsius, Corrector, Counts, PeriodNs, SpecificForceQ16};
+use wimu_integrator::{Integrator, Navigation, Saturation, State};
+use wimu_link::message::{ARITHMETIC_REVISION, Epoch, EpochReason};
+use wimu_model::{
+    AngularRateQ20, CentiCelsius, CompileError, Corrector, GyroscopeCorrector, GyroscopeModel,
+    ParameterSet, PeriodNs, SpecificForceQ16, WideCounts,
+};
 
 use crate::decode::{TimedSample, sequence_order};
 use crate::error::{ErrorCode, HostError, Result};
@@ -30,7 +33,7 @@ pub enum Step {
         /// because the replay or the device started here.
         agrees: Option<bool>,
     },
-    /// Replay stops until the next epoch: a raw sample or an epoch is missing.
+    /// Replay stops until the next epoch: a raw sample, its angular rate or an epoch is missing.
     Break {
         /// Sequence number of the first sample that is not replayed.
         sequence: u32,
@@ -51,7 +54,9 @@ pub struct Replayed {
     pub raw: TimedSample,
     /// Corrected specific force.
     pub force: SpecificForceQ16,
-    /// Velocity and position after it.
+    /// Corrected angular rate; `None` without a gyroscope.
+    pub rate: Option<AngularRateQ20>,
+    /// Velocity, position and, with a gyroscope, attitude after it.
     pub navigation: Navigation,
 }
 
@@ -69,9 +74,8 @@ pub struct Replay<'a> {
 }
 
 struct Running {
-    corrector: Corrector,
+    correction: Correction,
     integrator: Integrator,
-    full_scale: i16,
     next_sequence: u32,
     /// Samples since the latest epoch, and their largest number without another one.
     since_epoch: u64,
@@ -90,9 +94,8 @@ impl Running {
         }
         let state = State::from(mark.epoch.state);
         Ok(Self {
-            corrector: corrector(boot, mark)?,
+            correction: Correction::of(boot, mark)?,
             integrator: Integrator::from_state(state).map_err(unusable)?,
-            full_scale: mark.epoch.full_scale,
             next_sequence: mark.epoch.sequence,
             since_epoch: 0,
             most: most_samples(mark),
@@ -101,26 +104,91 @@ impl Running {
 
     /// Continues with the parameters, temperature, period and range of an epoch.
     fn adopt(&mut self, boot: &Boot, mark: &EpochMark) -> Result<()> {
-        self.corrector = corrector(boot, mark)?;
+        self.correction = Correction::of(boot, mark)?;
         self.integrator
             .set_period(PeriodNs(mark.epoch.period_ns))
             .map_err(unusable)?;
-        let state = &mark.epoch.state;
-        if let (EpochReason::Heading, Some(sd_mrad)) = (mark.epoch.reason, state.heading_sd_mrad) {
-            let east = state.east;
+        if mark.epoch.reason == EpochReason::Heading {
             self.integrator
-                .set_heading(MagneticHeading { east, sd_mrad });
+                .adopt_heading(&State::from(mark.epoch.state));
         }
-        self.full_scale = mark.epoch.full_scale;
         self.since_epoch = 0;
         self.most = most_samples(mark);
         Ok(())
     }
 }
 
-fn corrector(boot: &Boot, mark: &EpochMark) -> Result<Corrector> {
-    let temperature = mark.epoch.temperature_centi_c.map(CentiCelsius);
-    Corrector::compile(&boot.parameters_of(&mark.epoch)?, temperature).map_err(unusable)
+/// Correction of the samples after an epoch.
+pub(crate) struct Correction {
+    accelerometer: Corrector,
+    full_scale: i32,
+    /// With the full scale of its counts; `None` without a gyroscope.
+    gyroscope: Option<(GyroscopeCorrector, i32)>,
+}
+
+impl Correction {
+    /// As the device corrects.
+    fn of(boot: &Boot, mark: &EpochMark) -> Result<Self> {
+        let set = boot.parameters_of(&mark.epoch)?;
+        let temperature = mark.epoch.temperature_centi_c.map(CentiCelsius);
+        Self::compile(&set, &mark.epoch, temperature).map_err(unusable)
+    }
+
+    /// With a set, for the sensor of an epoch.
+    pub fn compile(
+        set: &ParameterSet,
+        epoch: &Epoch,
+        temperature: Option<CentiCelsius>,
+    ) -> std::result::Result<Self, CompileError> {
+        let gyroscope = epoch.gyroscope.map(|nominal| {
+            let calibrated = (set.gyroscope).map(|known| (known.model, known.rad_s_per_lsb));
+            let uncalibrated = (GyroscopeModel::default(), nominal.rad_s_per_lsb);
+            let (model, rad_s_per_lsb) = calibrated.unwrap_or(uncalibrated);
+            GyroscopeCorrector::compile(&model, rad_s_per_lsb, set.alignment, temperature)
+                .map(|corrector| (corrector, nominal.full_scale))
+        });
+        Ok(Self {
+            accelerometer: Corrector::compile(set, temperature)?,
+            full_scale: epoch.full_scale,
+            gyroscope: gyroscope.transpose()?,
+        })
+    }
+
+    /// Whether all axes of a sample are there.
+    pub fn takes(&self, raw: &TimedSample) -> bool {
+        self.gyroscope.is_none() || raw.rate.is_some()
+    }
+
+    /// Corrected specific force and, with a gyroscope, angular rate. Counts of 16 bits give the same results by
+    /// either width.
+    pub fn correct(&self, raw: &TimedSample) -> (SpecificForceQ16, Option<AngularRateQ20>) {
+        let force = self.accelerometer.correct_wide(WideCounts(raw.value));
+        let rate = self.gyroscope.zip(raw.rate);
+        let rate =
+            rate.map(|((gyroscope, _), rate)| gyroscope.correct_wide(WideCounts(rate), force));
+        (force, rate)
+    }
+
+    /// Corrects a sample and adds it to the integration.
+    pub fn integrate(
+        &self,
+        raw: &TimedSample,
+        integrator: &mut Integrator,
+    ) -> (SpecificForceQ16, Option<AngularRateQ20>) {
+        let (force, rate) = self.correct(raw);
+        let accelerometer = WideCounts(raw.value).saturated(self.full_scale);
+        match (rate, self.gyroscope.zip(raw.rate)) {
+            (Some(rate), Some(((_, full_scale), counts))) => {
+                let saturated = Saturation {
+                    accelerometer,
+                    gyroscope: WideCounts(counts).saturated(full_scale),
+                };
+                integrator.step_inertial(force, rate, saturated)
+            }
+            _ => integrator.step(force, accelerometer),
+        };
+        (force, rate)
+    }
 }
 
 fn most_samples(mark: &EpochMark) -> u64 {
@@ -196,18 +264,19 @@ impl Iterator for Replay<'_> {
         }
         let raw = self.boot.raw.get(self.raw).copied();
         match raw {
-            Some(raw) if raw.sequence == sequence && running.since_epoch < running.most => {
-                let counts = Counts(raw.value.map(|axis| axis as i16));
-                let force = running.corrector.correct(counts);
-                running
-                    .integrator
-                    .step(force, counts.saturated(running.full_scale));
+            Some(raw)
+                if raw.sequence == sequence
+                    && running.since_epoch < running.most
+                    && running.correction.takes(&raw) =>
+            {
+                let (force, rate) = running.correction.integrate(&raw, &mut running.integrator);
                 running.next_sequence = sequence.wrapping_add(1);
                 running.since_epoch += 1;
                 self.raw += 1;
                 Some(Step::Sample(Replayed {
                     raw,
                     force,
+                    rate,
                     navigation: running.integrator.navigation(),
                 }))
             }
@@ -235,12 +304,20 @@ pub struct ReplayReport {
     pub samples: u64,
     /// Corrected samples compared.
     pub corrected_compared: u64,
-    /// Of these, different in any bit.
+    /// Of these, with a specific force that differs in any bit.
     pub corrected_differ: u64,
+    /// Of the corrected samples, those with an angular rate.
+    pub rates_compared: u64,
+    /// Of these, with an angular rate that differs in any bit.
+    pub rates_differ: u64,
     /// Velocities and positions compared.
     pub navigation_compared: u64,
     /// Of these, different in any bit.
     pub navigation_differ: u64,
+    /// Attitudes compared.
+    pub attitudes_compared: u64,
+    /// Of these, different in any bit.
+    pub attitudes_differ: u64,
     /// Integrator states in epochs compared with those replayed from an earlier epoch.
     pub states_compared: u64,
     /// Of these, different in any bit.
@@ -258,14 +335,29 @@ pub struct ReplayReport {
 impl ReplayReport {
     /// Whether all compared data are equal, and there are any.
     pub fn is_exact(&self) -> bool {
-        self.corrected_compared + self.navigation_compared + self.states_compared > 0
-            && self.corrected_differ + self.navigation_differ + self.states_differ == 0
+        let compared = self.corrected_compared
+            + self.navigation_compared
+            + self.attitudes_compared
+            + self.states_compared;
+        compared > 0 && self.differences() == 0
+    }
+
+    fn differences(&self) -> u64 {
+        self.corrected_differ
+            + self.rates_differ
+            + self.navigation_differ
+            + self.attitudes_differ
+            + self.states_differ
     }
 
     fn add(&mut self, span: &Self) {
         self.samples += span.samples;
         self.corrected_compared += span.corrected_compared;
         self.corrected_differ += span.corrected_differ;
+        self.rates_compared += span.rates_compared;
+        self.rates_differ += span.rates_differ;
+        self.attitudes_compared += span.attitudes_compared;
+        self.attitudes_differ += span.attitudes_differ;
         self.navigation_compared += span.navigation_compared;
         self.navigation_differ += span.navigation_differ;
         self.first_difference = self.first_difference.or(span.first_difference);
@@ -273,7 +365,7 @@ impl ReplayReport {
 }
 
 /// Replays from the epoch of this index to the end of the start, and compares with every corrected
-/// sample, velocity, position and state that the device sent.
+/// sample, velocity, position, attitude and state that the device sent.
 pub fn verify(boot: &Boot, epoch: usize) -> ReplayReport {
     let mut report = ReplayReport::default();
     // Compared since the latest epoch: counts once the next one has arrived without a loss.
@@ -308,31 +400,34 @@ pub fn verify(boot: &Boot, epoch: usize) -> ReplayReport {
 fn compare(boot: &Boot, replayed: &Replayed, span: &mut ReplayReport) {
     let sequence = replayed.raw.sequence;
     span.samples += 1;
-    let mut differs = false;
-    if let Ok(found) = boot
-        .corrected
-        .binary_search_by(|sample| sequence_order(sample.sequence, sequence))
-    {
+    let before = span.differences();
+    if let Some(sent) = find(&boot.corrected, sequence, |sample| sample.sequence) {
         span.corrected_compared += 1;
-        if boot.corrected[found].value != replayed.force.0 {
-            span.corrected_differ += 1;
-            differs = true;
+        span.corrected_differ += u64::from(sent.value != replayed.force.0);
+        if let Some(rate) = sent.rate {
+            span.rates_compared += 1;
+            span.rates_differ += u64::from(replayed.rate != Some(AngularRateQ20(rate)));
         }
     }
-    if let Ok(found) = boot
-        .navigation
-        .binary_search_by(|navigation| sequence_order(navigation.sequence, sequence))
-    {
-        span.navigation_compared += 1;
+    if let Some(sent) = find(&boot.navigation, sequence, |sent| sent.sequence) {
         let ours = wimu_link::message::Navigation::new(sequence, &replayed.navigation);
-        if boot.navigation[found] != ours {
-            span.navigation_differ += 1;
-            differs = true;
-        }
+        span.navigation_compared += 1;
+        span.navigation_differ += u64::from(*sent != ours);
     }
-    if differs {
+    if let Some(sent) = find(&boot.attitude, sequence, |sent| sent.sequence) {
+        let differs = replayed.navigation.attitude != Some(sent.quaternion);
+        span.attitudes_compared += 1;
+        span.attitudes_differ += u64::from(differs);
+    }
+    if span.differences() > before {
         span.first_difference.get_or_insert(sequence);
     }
+}
+
+/// The item with this sequence number, which `of` returns.
+pub(crate) fn find<T>(items: &[T], sequence: u32, of: impl Fn(&T) -> u32) -> Option<&T> {
+    let found = items.binary_search_by(|item| sequence_order(of(item), sequence));
+    items.get(found.ok()?)
 }
 
 #[cfg(test)]

@@ -5,6 +5,9 @@
 //! (raw output of the magnetometer, its axes) and, where the parameters in use have a magnetometer,
 //! `imu/mag_corrected` (body axes), both `sensor_msgs/msg/MagneticField` in tesla; `imu/temperature`
 //! (`sensor_msgs/msg/Temperature`, °C).
+//! Further sensors of the board are `imu_1/data_raw`, …, with the frame `imu_1_link`. With a gyroscope, messages have
+//! the angular velocity in rad/s; `imu/data` has the orientation, east-north-up, at the samples for which the device
+//! sent its attitude.
 //! Stamps are device times through the clock model, in UTC; messages are in the order of arrival. An absent quantity
 //! has −1 as the first element of its covariance; a covariance of zeros is unknown.
 
@@ -14,17 +17,20 @@ use std::path::Path;
 use serde::Serialize;
 use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
-use wimu_model::{DeviceTimeUs, SpecificForceQ16};
+use wimu_link::message::Attitude;
+use wimu_model::{AngularRateQ20, DeviceTimeUs, Matrix3, SpecificForceQ16};
 
 use crate::compare::LinkModel;
 use crate::decode::Event;
 use crate::history::Boot;
 use crate::mcap_file::{RecordingReader, RecordingWriter, Topic, Wholeness};
+use crate::replay::find;
 use crate::units::RawUnits;
 use crate::walk::{Clocks, Start, Step, Walker, walk};
 use crate::{ErrorCode, OutputFile, Result};
 
-const FRAME_ID: &str = "imu_link";
+/// Attitudes kept for the samples that follow them.
+const MAX_ATTITUDES: usize = 256;
 /// ROS's separator between a message's definition and those of its parts.
 const NEXT: &str =
     "================================================================================\nMSG: ";
@@ -60,11 +66,11 @@ enum Kind {
 impl Kind {
     fn topic(self) -> &'static str {
         match self {
-            Self::Raw => "imu/data_raw",
-            Self::Corrected => "imu/data",
-            Self::Magnetic => "imu/mag",
-            Self::MagneticCorrected => "imu/mag_corrected",
-            Self::Temperature => "imu/temperature",
+            Self::Raw => "data_raw",
+            Self::Corrected => "data",
+            Self::Magnetic => "mag",
+            Self::MagneticCorrected => "mag_corrected",
+            Self::Temperature => "temperature",
         }
     }
 
@@ -109,13 +115,15 @@ impl Kind {
 /// model is of another device.
 pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<Decoded> {
     let mut clocks = Clocks::default();
-    let mut units: BTreeMap<Start, RawUnits> = BTreeMap::new();
+    let mut units: BTreeMap<(Start, u8), RawUnits> = BTreeMap::new();
     walk(&mut RecordingReader::open(from)?, |role, start, step| {
         if let Step::Arrival(arrival) = &step {
-            match (&arrival.event, link_model) {
+            match (arrival.event.of_any_sensor(), link_model) {
                 (Event::Hello(hello), Some(model)) => model.check_device(hello.device_id)?,
                 // An epoch that one link lost may have arrived on the other.
-                (Event::Epoch { epoch, .. }, _) => units.entry(start).or_default().see(epoch),
+                (Event::Epoch { epoch, .. }, _) => {
+                    units.entry((start, epoch.sensor)).or_default().see(epoch);
+                }
                 _ => {}
             }
         }
@@ -161,11 +169,55 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
     Ok(decoder.decoded)
 }
 
+/// The numbers of a `sensor_msgs/msg/Imu`. What is absent has −1 as the first element of its covariance.
+fn imu(force: [f64; 3], rate: Option<[f64; 3]>, attitude: Option<&Attitude>) -> [f64; 37] {
+    let mut fields = [0.0; 37];
+    match attitude {
+        Some(attitude) => {
+            let [w, x, y, z] = attitude.to_quaternion();
+            fields[..4].copy_from_slice(&[x, y, z, w]);
+        }
+        None => {
+            fields[3] = 1.0;
+            fields[4] = -1.0;
+        }
+    }
+    match rate {
+        Some(rate) => fields[13..16].copy_from_slice(&rate),
+        None => fields[16] = -1.0,
+    }
+    fields[25..28].copy_from_slice(&force);
+    fields
+}
+
+/// Standard deviations of the gyroscope's terms and its rotation to the body, by the parameters in use.
+fn gyroscope_of(boot: &Boot) -> Option<([f64; 12], Matrix3)> {
+    let set = boot.parameters_of(&boot.epochs.last()?.epoch).ok()?;
+    Some((set.gyroscope?.sd?.map(f64::from), set.alignment.matrix()))
+}
+
+/// Covariance of a corrected angular rate, rad²/s², body axes: of the bias, and of the scale factors and
+/// misalignments at this rate. Noise is not known.
+fn rate_covariance(rate: [f64; 3], sd: &[f64; 12], rotation: &Matrix3) -> Matrix3 {
+    let rate = [0, 1, 2].map(|axis| (0..3).map(|k| rotation[k][axis] * rate[k]).sum::<f64>());
+    let variance = [0, 1, 2].map(|axis| {
+        let matrix = &sd[3 + 3 * axis..];
+        let terms = (matrix.iter().zip(rate)).map(|(sd, rate)| (sd * rate).powi(2));
+        sd[axis].powi(2) + terms.sum::<f64>()
+    });
+    let element = |i: usize, j: usize| {
+        (0..3)
+            .map(|k| rotation[i][k] * variance[k] * rotation[j][k])
+            .sum()
+    };
+    [0, 1, 2].map(|i| [0, 1, 2].map(|j| element(i, j)))
+}
+
 struct Writer<'a> {
     out: RecordingWriter<std::fs::File>,
-    topics: BTreeMap<(u8, Kind), Topic>,
-    /// Of raw samples.
-    units: BTreeMap<Start, RawUnits>,
+    topics: BTreeMap<(u8, u8, Kind), Topic>,
+    /// Of raw samples, by sensor.
+    units: BTreeMap<(Start, u8), RawUnits>,
     /// Parameters and the latest epoch, by which the field is corrected.
     parameters: BTreeMap<(u8, Start), Boot>,
     link_model: Option<&'a LinkModel>,
@@ -185,48 +237,70 @@ impl Writer<'_> {
             return Ok(());
         };
         let arrived_ns = arrival.host_ns;
+        let event = arrival.event.of_any_sensor();
+        let sensor = event.sensor().unwrap_or_default();
         let write = |writer: &mut Self, kind: Kind, time: DeviceTimeUs, fields: &[f64]| {
             let Some(clock) = clock else {
                 writer.decoded.without_time += 1;
                 return Ok(());
             };
-            writer.write(role, kind, arrived_ns, clock.host_ns(time), fields)
+            writer.write(
+                (role, sensor, kind),
+                arrived_ns,
+                clock.host_ns(time),
+                fields,
+            )
         };
         let held = self.parameters.entry((role.number(), start)).or_default();
         held.take_parameters(&arrival.event);
-        match &arrival.event {
+        match event {
             Event::Samples(samples) | Event::Late(samples) => {
-                if matches!(arrival.event, Event::Late(_)) {
+                if matches!(event, Event::Late(_)) {
                     self.decoded.late += samples.values.len() as u64;
                 }
                 let kind = match samples.stream {
                     Stream::Raw => Kind::Raw,
                     Stream::Corrected => Kind::Corrected,
                 };
-                let model = self.link_model.filter(|model| model.is_of(role));
+                let model = (self.link_model).filter(|model| sensor == 0 && model.is_of(role));
+                let gyroscope = gyroscope_of(held).filter(|_| samples.stream == Stream::Corrected);
+                let attitudes = std::mem::take(&mut held.attitude);
                 for sample in samples.iter() {
-                    let unit = match samples.stream {
-                        Stream::Raw => {
-                            let units = self.units.get(&start);
-                            let Some(unit) = units.and_then(|units| units.of(sample.sequence))
-                            else {
-                                self.decoded.without_unit += 1;
-                                continue;
-                            };
-                            unit.mps2_per_lsb()
+                    let units = self.units.get(&(start, sensor));
+                    let unit = units.and_then(|units| units.of(sample.sequence));
+                    let (force, rate) = match (samples.stream, unit) {
+                        (Stream::Raw, None) => {
+                            self.decoded.without_unit += 1;
+                            continue;
                         }
-                        Stream::Corrected => 1.0 / SpecificForceQ16::LSB_PER_MPS2,
+                        (Stream::Raw, Some(unit)) => {
+                            (unit.mps2(sample.value), unit.rad_s(sample.rate))
+                        }
+                        (Stream::Corrected, _) => (
+                            SpecificForceQ16(sample.value).to_mps2().0,
+                            sample.rate.map(|rate| AngularRateQ20(rate).to_rad_s()),
+                        ),
                     };
-                    let force = sample.value.map(|v| f64::from(v) * unit);
                     let force = model.map_or(force, |model| model.correct(force));
-                    let mut fields = [0.0; 37];
-                    // Neither orientation nor angular velocity.
-                    fields[3] = 1.0;
-                    fields[4] = -1.0;
-                    fields[16] = -1.0;
-                    fields[25..28].copy_from_slice(&force);
+                    let attitude = match samples.stream {
+                        Stream::Raw => None,
+                        Stream::Corrected => find(&attitudes, sample.sequence, |a| a.sequence),
+                    };
+                    let mut fields = imu(force, rate, attitude);
+                    if let (Some(rate), Some((sd, alignment))) = (rate, &gyroscope) {
+                        let covariance = rate_covariance(rate, sd, alignment);
+                        fields[16..25].copy_from_slice(covariance.as_flattened());
+                    }
                     write(self, kind, sample.time, &fields)?;
                 }
+                if let Some(held) = self.parameters.get_mut(&(role.number(), start)) {
+                    held.attitude = attitudes;
+                }
+            }
+            Event::Attitude(attitude) => {
+                held.attitude.push(*attitude);
+                let old = held.attitude.len().saturating_sub(MAX_ATTITUDES);
+                held.attitude.drain(..old);
             }
             Event::Environment(environment) => {
                 let time = DeviceTimeUs(environment.time_us);
@@ -260,18 +334,23 @@ impl Writer<'_> {
     /// One message: a header and numbers, in little-endian CDR.
     fn write(
         &mut self,
-        role: LinkRole,
-        kind: Kind,
+        (role, sensor, kind): (LinkRole, u8, Kind),
         arrived_ns: u64,
         taken_ns: u64,
         fields: &[f64],
     ) -> Result<()> {
-        let name = format!("/{role}/{}", kind.topic());
-        let topic = match self.topics.get(&(role.number(), kind)) {
+        let sensor_name = match sensor {
+            0 => "imu".to_owned(),
+            further => format!("imu_{further}"),
+        };
+        let frame_id = format!("{sensor_name}_link");
+        let name = format!("/{role}/{sensor_name}/{}", kind.topic());
+        let key = (role.number(), sensor, kind);
+        let topic = match self.topics.get(&key) {
             Some(topic) => *topic,
             None => {
                 let topic = self.out.topic(&name, kind.schema_name(), &kind.schema());
-                self.topics.insert((role.number(), kind), topic);
+                self.topics.insert(key, topic);
                 topic
             }
         };
@@ -281,8 +360,8 @@ impl Writer<'_> {
         message.extend([0, 1, 0, 0]);
         message.extend(((stamp_ns / 1_000_000_000) as i32).to_le_bytes());
         message.extend(((stamp_ns % 1_000_000_000) as u32).to_le_bytes());
-        message.extend((FRAME_ID.len() as u32 + 1).to_le_bytes());
-        message.extend(FRAME_ID.as_bytes());
+        message.extend((frame_id.len() as u32 + 1).to_le_bytes());
+        message.extend(frame_id.as_bytes());
         message.push(0);
         // Numbers of eight bytes are aligned relative to the body, which begins after four bytes.
         message.resize((message.len() - 4).next_multiple_of(8) + 4, 0);

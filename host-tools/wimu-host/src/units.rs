@@ -1,7 +1,7 @@
 //! Unit of raw samples. The range may change during a recording: the unit is that of the epoch which covers
 //! the sample's number, not of the latest one.
 
-use wimu_link::message::{Epoch, EpochReason};
+use wimu_link::message::{Epoch, EpochGyroscope, EpochReason};
 use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
 use crate::decode::sequence_order;
@@ -15,7 +15,9 @@ pub struct RawUnit {
     /// Nominal sensitivity.
     pub sensitivity: Sensitivity,
     /// Values at or beyond ± this are saturated, LSB.
-    pub full_scale: u16,
+    pub full_scale: u32,
+    /// The gyroscope's; `None` without one.
+    pub gyroscope: Option<EpochGyroscope>,
 }
 
 impl RawUnit {
@@ -23,6 +25,7 @@ impl RawUnit {
         Some(Self {
             sensitivity: Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g).ok()?,
             full_scale: epoch.full_scale.unsigned_abs(),
+            gyroscope: epoch.gyroscope,
         })
     }
 
@@ -34,6 +37,18 @@ impl RawUnit {
     /// A value in m/s².
     pub fn mps2(&self, value: [i32; 3]) -> [f64; 3] {
         value.map(|v| f64::from(v) * self.mps2_per_lsb())
+    }
+
+    /// An angular rate in rad/s; `None` without a gyroscope.
+    pub fn rad_s(&self, rate: Option<[i32; 3]>) -> Option<[f64; 3]> {
+        let rad_s_per_lsb = self.gyroscope?.rad_s_per_lsb;
+        Some(rate?.map(|lsb| f64::from(lsb) * rad_s_per_lsb))
+    }
+
+    /// The full-scale range of the gyroscope, rad/s; `None` without one.
+    pub fn range_rad_s(&self) -> Option<f64> {
+        let gyroscope = self.gyroscope?;
+        Some(f64::from(gyroscope.full_scale) * gyroscope.rad_s_per_lsb)
     }
 
     /// The full-scale range, m/s².
@@ -167,6 +182,11 @@ impl RawUnits {
             self.runs.remove(at);
         }
         self.runs.insert(at, run);
+    }
+
+    /// The latest unit.
+    pub fn latest(&self) -> Option<RawUnit> {
+        self.runs.last().map(|run| run.unit)
     }
 
     /// Keeps the latest four runs only: for endless data of which only the newest samples are used.

@@ -1,8 +1,8 @@
-//! The ADXL345 at register level: accelerometer at 0x53.
+//! The ADXL345 at register level: accelerometer at 0x53 or 0x1D, or on SPI.
 //!
 //! Modelled: identity, output data rates 0.10 to 3200 Hz, standby and measuring, ranges, 10 bits
 //! and full resolution, both justifications, the lowest bit that is 0 at 1600 and 3200 Hz, the FIFO of 32
-//! samples (bypass, FIFO, stream) that moves on when a sample was read, watermark, overrun,
+//! samples (bypass, FIFO, stream) that moves on within 5 µs of reading a sample, watermark, overrun,
 //! data-ready, interrupt enable, map and invert on INT1, self-test at 2.5 V. Other registers keep
 //! what is written to them and do nothing: offsets, tap, activity, free fall, sleep, trigger mode,
 //! INT2. Low power changes no noise.
@@ -12,9 +12,12 @@ use std::collections::VecDeque;
 use crate::chip::Chip;
 use crate::sampling::SampleClock;
 use crate::source::{Conversion, Source};
+use crate::spi;
 
 /// Its I²C address, with SDO low.
 pub const ADDRESS: u8 = 0x53;
+/// Its I²C address, with SDO high.
+pub const HIGH_ADDRESS: u8 = 0x1D;
 
 const DEVID: u8 = 0x00;
 const ACT_TAP_STATUS: u8 = 0x2B;
@@ -40,6 +43,10 @@ const WATERMARK: u8 = 0x02;
 const OVERRUN: u8 = 0x01;
 
 const FIFO_SAMPLES: usize = 32;
+/// Bit of an SPI command: the register advances after each byte.
+const MULTIPLE: u8 = 0x40;
+/// Time that the FIFO needs to advance, µs. On I²C it has always passed.
+const ADVANCE_US: u64 = 5;
 /// From standby to the first conversion, µs.
 const WAKE_UP_US: u64 = 1_100;
 /// What the self-test adds at 2.5 V, *g*: in the middle of the datasheet's limits.
@@ -47,10 +54,14 @@ const SELF_TEST_G: [f64; 3] = [1.15, -1.15, 1.85];
 
 #[derive(Debug)]
 pub(crate) struct Adxl345 {
+    address: u8,
     identity: u8,
     registers: [u8; 0x40],
     pointer: u8,
+    /// How far the register advances after each byte.
+    step: u8,
     expects_register: bool,
+    now: u64,
     sampling: Option<SampleClock>,
     taken: u64,
     fifo: VecDeque<[i16; 3]>,
@@ -58,6 +69,8 @@ pub(crate) struct Adxl345 {
     latest: [i16; 3],
     /// A sample whose reading has begun: it does not change until the message ends.
     reading: Option<[i16; 3]>,
+    /// Sample that the FIFO still shows, until this time, µs.
+    leaving: Option<([i16; 3], u64)>,
     /// In bypass mode: not read yet.
     fresh: bool,
     overrun: bool,
@@ -70,27 +83,29 @@ enum Mode {
     Stream,
 }
 
-impl Default for Adxl345 {
-    fn default() -> Self {
+impl Adxl345 {
+    pub(crate) fn new(address: u8) -> Self {
         let mut chip = Self {
+            address,
             identity: 0xE5,
             registers: [0; 0x40],
             pointer: 0,
+            step: 1,
             expects_register: false,
+            now: 0,
             sampling: None,
             taken: 0,
             fifo: VecDeque::new(),
             latest: [0; 3],
             reading: None,
+            leaving: None,
             fresh: false,
             overrun: false,
         };
         chip.reset();
         chip
     }
-}
 
-impl Adxl345 {
     fn register(&self, register: u8) -> u8 {
         self.registers
             .get(usize::from(register))
@@ -195,7 +210,10 @@ impl Adxl345 {
 
     /// A byte of the sample being read.
     fn data(&mut self, register: u8) -> u8 {
-        let shown = self.fifo.front().copied().unwrap_or(self.latest);
+        let shown = match self.leaving {
+            Some((leaving, _)) => leaving,
+            None => self.fifo.front().copied().unwrap_or(self.latest),
+        };
         let sample = *self.reading.get_or_insert(shown);
         let byte = usize::from(register - DATAX0);
         let value = sample[byte / 2].to_le_bytes()[byte % 2];
@@ -209,8 +227,12 @@ impl Adxl345 {
 
     /// The FIFO advances when a sample has been read, or the message has ended within it.
     fn end_reading(&mut self) {
-        if self.reading.take().is_some() {
+        let Some(sample) = self.reading.take() else {
+            return;
+        };
+        if self.leaving.is_none() {
             self.fifo.pop_front();
+            self.leaving = Some((sample, self.now + ADVANCE_US));
         }
     }
 
@@ -230,6 +252,8 @@ impl Adxl345 {
 
 impl Chip for Adxl345 {
     fn settle(&mut self, now: u64, source: &mut dyn Source) {
+        self.now = now;
+        self.leaving = self.leaving.filter(|(_, until)| now < *until);
         let Some(mut sampling) = self.sampling else {
             return;
         };
@@ -250,7 +274,7 @@ impl Chip for Adxl345 {
     }
 
     fn acknowledges(&self, address: u8) -> bool {
-        address == ADDRESS
+        address == self.address || address == spi::ADDRESS
     }
 
     fn begin_write(&mut self, _address: u8) {
@@ -258,13 +282,14 @@ impl Chip for Adxl345 {
         self.expects_register = true;
     }
 
-    fn write(&mut self, _address: u8, byte: u8, now: u64, period_error_ppm: f64) {
+    fn write(&mut self, address: u8, byte: u8, now: u64, period_error_ppm: f64) {
         if std::mem::take(&mut self.expects_register) {
             self.pointer = byte & 0x3F;
+            self.step = u8::from(address != spi::ADDRESS || byte & MULTIPLE != 0);
             return;
         }
         let register = self.pointer;
-        self.pointer = (register + 1) & 0x3F;
+        self.pointer = (register + self.step) & 0x3F;
         let read_only = matches!(
             register,
             DEVID | ACT_TAP_STATUS | INT_SOURCE | DATAX0..=DATAZ1 | FIFO_STATUS
@@ -291,12 +316,12 @@ impl Chip for Adxl345 {
 
     fn read(&mut self, _address: u8) -> u8 {
         let register = self.pointer;
-        self.pointer = (register + 1) & 0x3F;
+        self.pointer = (register + self.step) & 0x3F;
         match register {
             DEVID => self.identity,
             INT_SOURCE => self.interrupts(),
             DATAX0..=DATAZ1 => self.data(register),
-            FIFO_STATUS => self.fifo.len() as u8,
+            FIFO_STATUS => self.fifo.len() as u8 + u8::from(self.leaving.is_some()),
             _ => self.register(register),
         }
     }

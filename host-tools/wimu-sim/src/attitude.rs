@@ -36,6 +36,11 @@ impl Attitude {
         Self([w, y / (2.0 * w), -x / (2.0 * w), 0.0]).normalised()
     }
 
+    /// The attitude with the quaternion W, X, Y, Z, which is not zero.
+    pub fn from_quaternion(quaternion: [f64; 4]) -> Self {
+        Self(quaternion).normalised()
+    }
+
     /// The unit quaternion, W, X, Y, Z.
     pub fn quaternion(self) -> [f64; 4] {
         self.0
@@ -72,17 +77,22 @@ impl Attitude {
         2.0 * libm::atan2(norm([x, y, z]), w.abs())
     }
 
-    /// The attitude at `fraction` (0..=1) of the shortest rotation to `other`: constant rate about
-    /// one axis, "slerp".
-    pub fn toward(self, other: Self, fraction: f64) -> Self {
+    /// The shortest rotation from this attitude to `other` as a rotation vector, rad, body axes.
+    pub fn rotation_vector_to(self, other: Self) -> [f64; 3] {
         let [w, x, y, z] = self.inverse().turned(other).0;
         let half = libm::atan2(norm([x, y, z]), w.abs());
         let sign = if w < 0.0 { -1.0 } else { 1.0 };
         let length = norm([x, y, z]);
         if length < 1e-15 {
-            return self;
+            return [0.0; 3];
         }
-        let vector = [x, y, z].map(|v| sign * v / length * 2.0 * half * fraction);
+        [x, y, z].map(|v| sign * v / length * 2.0 * half)
+    }
+
+    /// The attitude at `fraction` (0..=1) of the shortest rotation to `other`: constant rate about
+    /// one axis, "slerp".
+    pub fn toward(self, other: Self, fraction: f64) -> Self {
+        let vector = self.rotation_vector_to(other).map(|v| v * fraction);
         self.turned(Self::from_rotation_vector(vector))
     }
 
@@ -96,6 +106,23 @@ impl Attitude {
         let length = libm::sqrt(w * w + x * x + y * y + z * z);
         Self(self.0.map(|q| q / length))
     }
+}
+
+/// Angular rate, rad/s, body axes, of a body whose attitude has the rotation vector `radians`, which changes
+/// by `per_s` rad/s: the right Jacobian of the rotation group.
+pub(crate) fn angular_rate(radians: [f64; 3], per_s: [f64; 3]) -> [f64; 3] {
+    let angle = norm(radians);
+    let [first, second] = match angle {
+        // The terms of lowest order: the next ones are below 10⁻⁹ of them.
+        ..1e-4 => [1.0 / 2.0, 1.0 / 6.0],
+        _ => [
+            (1.0 - libm::cos(angle)) / (angle * angle),
+            (angle - libm::sin(angle)) / (angle * angle * angle),
+        ],
+    };
+    let once = cross(radians, per_s);
+    let twice = cross(radians, once);
+    [0, 1, 2].map(|i| per_s[i] - first * once[i] + second * twice[i])
 }
 
 pub(crate) fn norm([x, y, z]: [f64; 3]) -> f64 {

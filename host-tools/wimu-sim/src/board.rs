@@ -18,27 +18,21 @@ use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::hello::{Capabilities, Part, board, sensor};
 use wimu_link::{Hello, LinkRole};
 use wimu_model::DeviceTimeUs;
-use wimu_node::{Accelerometer, DataReady, RateKeeper, Shared, TimeoutBus, Timer};
+use wimu_node::sensor::RawSample;
+use wimu_node::{
+    DataReady, InertialSensor, RateKeeper, Shared, TimeoutBus, Timer, wimu_adxl345, wimu_lsm6dso,
+};
 
 use crate::clock::{Until, VirtualClock};
 use crate::faults::LinkFaults;
 use crate::i2c::{Faults, SimI2c, Target};
+pub use crate::part::SensorPart;
 use crate::pipe::{
     Channels, DeviceRate, DeviceReader, DeviceWriter, HostEnd, LinkConfig, faulty_link,
 };
 use crate::sensor::{DataReadyPin, Sensor};
 use crate::source::Source;
 use crate::storage::Storage;
-
-/// Sensor of a simulated board.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum SensorPart {
-    /// Accelerometer, magnetometer and thermometer, read by data-ready.
-    #[default]
-    Lsm303agr,
-    /// Accelerometer only, read through its FIFO.
-    Adxl345,
-}
 
 /// Configuration of a simulated board.
 #[derive(Clone, Debug)]
@@ -101,7 +95,7 @@ pub struct Board {
     wireless: HostEnd,
     /// Faults of the links, the cable's first.
     channels: [Option<Channels>; 2],
-    shared: SharedMemory,
+    buttons: Rc<dyn Buttons>,
     node: Pin<Box<dyn Future<Output = ()>>>,
     woken: Arc<Woken>,
 }
@@ -110,18 +104,14 @@ impl Board {
     /// Starts a board whose sensor takes its samples from `source`.
     pub fn start(config: BoardConfig, source: impl Source + 'static) -> Self {
         let clock = VirtualClock::new();
-        let sensor = match config.sensor {
-            SensorPart::Lsm303agr => Sensor::lsm303agr(&clock, source),
-            SensorPart::Adxl345 => Sensor::adxl345(&clock, source),
-        };
+        let sensor = config.sensor.power_on(&clock, source);
         let channels = [
             (&config.cable_faults, config.fault_seed),
             (&config.wireless_faults, config.fault_seed.wrapping_add(1)),
         ]
         .map(|(faults, seed)| (!faults.is_none()).then(|| Channels::new(faults, seed)));
-        let shared = SharedMemory::default();
-        let (node, bus_faults, cable, wireless) =
-            boot(&clock, &config, &sensor, &channels, &shared);
+        let ((node, buttons), bus_faults, cable, wireless) =
+            boot(&clock, &config, &sensor, &channels);
         Self {
             clock,
             started_us: 0,
@@ -131,7 +121,7 @@ impl Board {
             cable,
             wireless,
             channels,
-            shared,
+            buttons,
             node,
             woken: Arc::new(Woken(AtomicBool::new(true))),
         }
@@ -146,14 +136,12 @@ impl Board {
             channels.clear();
         }
         let bauds = [self.cable.baud(), self.wireless.baud()];
-        self.shared = SharedMemory::default();
-        (self.node, self.bus_faults, self.cable, self.wireless) = boot(
-            &self.clock,
-            &self.config,
-            &self.sensor,
-            &self.channels,
-            &self.shared,
-        );
+        (
+            (self.node, self.buttons),
+            self.bus_faults,
+            self.cable,
+            self.wireless,
+        ) = boot(&self.clock, &self.config, &self.sensor, &self.channels);
         // The other ends keep their baud rates.
         for (link, baud) in [&mut self.cable, &mut self.wireless].into_iter().zip(bauds) {
             if let Some(baud) = baud {
@@ -209,12 +197,12 @@ impl Board {
     /// Presses button A for the `count`th time.
     pub fn press(&self, count: u16) {
         let timer = BoardTimer::new(&self.clock, self.started_us, &self.config);
-        self.shared.mark(timer.now(), count);
+        self.buttons.mark(timer.now(), count);
     }
 
     /// The gesture that erases a lost key.
     pub fn forget_key(&self) {
-        self.shared.forget_key();
+        self.buttons.forget_key();
     }
 
     /// The board's memory.
@@ -249,19 +237,32 @@ impl Board {
     }
 }
 
-/// Memory shared by the node's tasks.
-type SharedMemory = Rc<Shared<NoopRawMutex>>;
+/// The board's buttons, of a node with any sensor.
+trait Buttons {
+    fn mark(&self, now: DeviceTimeUs, count: u16);
+    fn forget_key(&self);
+}
 
-type Boot = (Pin<Box<dyn Future<Output = ()>>>, Faults, HostEnd, HostEnd);
+impl<S: RawSample> Buttons for Shared<NoopRawMutex, S> {
+    fn mark(&self, now: DeviceTimeUs, count: u16) {
+        self.mark(now, count);
+    }
+
+    fn forget_key(&self) {
+        self.forget_key();
+    }
+}
+
+/// A running node.
+type Running = (Pin<Box<dyn Future<Output = ()>>>, Rc<dyn Buttons>);
+type Boot = (Running, Faults, HostEnd, HostEnd);
 
 fn boot(
     clock: &VirtualClock,
     config: &BoardConfig,
     device: &Sensor,
     channels: &[Option<Channels>; 2],
-    shared: &SharedMemory,
 ) -> Boot {
-    let shared = shared.clone();
     let i2c = SimI2c::new(clock, [Rc::new(device.clone()) as Rc<dyn Target>]);
     let faults = i2c.faults();
     let link = |config: LinkConfig, faults: &LinkFaults, channels: &Option<Channels>| {
@@ -277,18 +278,11 @@ fn boot(
     let (wireless_reader, wireless_writer, wireless) =
         link(config.wireless, &config.wireless_faults, wireless_channels);
     let timer = BoardTimer::new(clock, clock.now(), config);
-    let (part, capabilities) = match config.sensor {
-        SensorPart::Lsm303agr => (
-            Part::new(sensor::LSM303AGR, "LSM303AGR"),
-            Capabilities::MAGNETOMETER.with(Capabilities::TEMPERATURE),
-        ),
-        SensorPart::Adxl345 => (Part::new(sensor::ADXL345, "ADXL345"), Capabilities(0)),
-    };
+    let (part, quantities) = config.sensor.identity();
     let hello = Hello {
         device_id: config.device_id,
         firmware: firmware_version(),
-        capabilities: capabilities
-            .with(Capabilities::ACCELEROMETER)
+        capabilities: quantities
             .with(Capabilities::DATA_READY)
             .with(Capabilities::STORE),
         sensitivity_known: !config.replay,
@@ -313,12 +307,20 @@ fn boot(
     };
     let node = match config.sensor {
         SensorPart::Lsm303agr => {
-            let accelerometer = wimu_node::Lsm303agr::new(i2c, line, timer.clone());
-            node(hello, accelerometer, timer, storage, links, rates, shared)
+            let sensor = wimu_node::Lsm303agr::new(i2c, line, timer.clone());
+            node(hello, sensor, timer, storage, links, rates)
         }
         SensorPart::Adxl345 => {
-            let accelerometer = wimu_node::Adxl345::new(i2c, line, timer.clone());
-            node(hello, accelerometer, timer, storage, links, rates, shared)
+            let address = wimu_adxl345::Address::Low;
+            let bus = wimu_adxl345::I2cBus { i2c, address };
+            let sensor = wimu_node::Adxl345::new(bus, line, timer.clone());
+            node(hello, sensor, timer, storage, links, rates)
+        }
+        SensorPart::Lsm6dso => {
+            let address = wimu_lsm6dso::Address::Low;
+            let bus = wimu_lsm6dso::I2cBus { i2c, address };
+            let sensor = wimu_node::Lsm6dso::new(bus, line, timer.clone());
+            node(hello, sensor, timer, storage, links, rates)
         }
     };
     (node, faults, cable, wireless)
@@ -326,26 +328,27 @@ fn boot(
 
 fn node(
     hello: Hello,
-    accelerometer: impl Accelerometer + 'static,
+    sensor: impl InertialSensor + 'static,
     timer: BoardTimer,
     storage: Storage,
     [cable, wireless]: [(DeviceReader, DeviceWriter); 2],
     rates: [Option<(DeviceRate, u32)>; 2],
-    shared: SharedMemory,
-) -> Pin<Box<dyn Future<Output = ()>>> {
+) -> Running {
     // Different at each start, and the same in every run: a simulation has no secrets.
     let entropy = u128::from(hello.device_id) << 64 | u128::from(timer.started_us);
     let clock = timer.clone();
     let board = wimu_node::Board {
         hello,
-        accelerometer,
+        sensor,
         timer,
         store: storage.store(),
         entropy: entropy.to_le_bytes(),
         cable,
         wireless,
     };
-    Box::pin(async move {
+    let shared = Rc::new(Shared::new());
+    let buttons = shared.clone();
+    let node = Box::pin(async move {
         let [cable, wireless] = rates;
         let keep = async |role, rate| match rate {
             Some((rate, opened)) => {
@@ -360,7 +363,8 @@ fn node(
         );
         // The keepers are polled first, so that they are ready for a request.
         join(keepers, board.split(&shared).run()).await;
-    })
+    });
+    (node, buttons)
 }
 
 fn firmware_version() -> [u16; 3] {

@@ -4,6 +4,20 @@ use std::fmt;
 
 use crate::source::Source;
 
+/// How a gyroscope fails.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GyroscopeFault {
+    /// It works.
+    #[default]
+    None,
+    /// It takes no samples: no new words in the FIFO, output registers unchanged.
+    Stops,
+    /// It repeats its last sample for ever.
+    Stuck,
+    /// Every axis reads positive full scale.
+    Saturates,
+}
+
 /// The registers of a chip and their behaviour.
 pub(crate) trait Chip: fmt::Debug {
     /// Takes the samples that are due by `now` (µs).
@@ -24,6 +38,8 @@ pub(crate) trait Chip: fmt::Debug {
     fn next_change(&self) -> Option<u64>;
     /// Makes it identify itself as `identity`.
     fn set_identity(&mut self, identity: u8);
+    /// Breaks its gyroscope, or repairs it.
+    fn set_gyroscope_fault(&mut self, _fault: GyroscopeFault) {}
     /// Accelerometer samples taken since it was made, read or not.
     fn samples_taken(&self) -> u64;
     /// Whether unread samples are waiting.

@@ -6,10 +6,10 @@ use std::rc::Rc;
 
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
-use crate::attitude::{Attitude, norm};
+use crate::attitude::{Attitude, angular_rate, norm};
 use crate::random::Random;
 
-/// Position and its derivatives in east-north-up, and attitude, at one time.
+/// Position and attitude against east-north-up with their derivatives, at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     /// m, from where the motion began.
@@ -20,6 +20,8 @@ pub struct Pose {
     pub acceleration_mps2: [f64; 3],
     /// Body axes against east-north-up.
     pub attitude: Attitude,
+    /// Angular rate against east-north-up, rad/s, body axes.
+    pub angular_rate_radps: [f64; 3],
 }
 
 impl Pose {
@@ -30,6 +32,7 @@ impl Pose {
             velocity_mps: [0.0; 3],
             acceleration_mps2: [0.0; 3],
             attitude,
+            angular_rate_radps: [0.0; 3],
         }
     }
 }
@@ -46,7 +49,7 @@ pub trait Motion: fmt::Debug {
 }
 
 /// The names accepted by [`named`], with descriptions.
-pub const NAMES: [(&str, &str); 6] = [
+pub const NAMES: [(&str, &str); 7] = [
     ("rest", "level, for 10 s"),
     (
         "six-positions",
@@ -60,6 +63,10 @@ pub const NAMES: [(&str, &str); 6] = [
     (
         "slide",
         "1.000 m along body x in 3 s, 3 s of rest at both ends",
+    ),
+    (
+        "carry",
+        "1.000 m in 3 s, rotated by 90° about a tilted axis meanwhile, 3 s of rest at both ends",
     ),
     ("hand", "waved about by hand for 10 s, up to 20 m/s²"),
 ];
@@ -78,6 +85,7 @@ pub fn named(names: &str, seed: u64) -> Result<Rc<dyn Motion>, UnknownMotion> {
             "twelve-poses" => Rc::new(Poses::twelve_by_hand(seed, 2.0, 4.0)),
             "tilts" => Rc::new(Poses::tilts(seed, 4.0)),
             "slide" => Rc::new(Slide::default()),
+            "carry" => Rc::new(Slide::carry()),
             "hand" => Rc::new(Hand::new(seed, 10.0, 20.0)),
             _ => return Err(UnknownMotion(name.into())),
         };
@@ -130,8 +138,12 @@ struct Turn {
 
 impl Motion for Turn {
     fn pose(&self, t: f64) -> Pose {
-        let [fraction, ..] = smooth_step(t / self.seconds);
-        Pose::resting(self.from.toward(self.to, fraction))
+        let [fraction, per_duration, _] = smooth_step(t / self.seconds);
+        let rotation = self.from.rotation_vector_to(self.to);
+        Pose {
+            angular_rate_radps: rotation.map(|angle| angle * per_duration / self.seconds),
+            ..Pose::resting(self.from.toward(self.to, fraction))
+        }
     }
 
     fn duration(&self) -> f64 {
@@ -317,7 +329,7 @@ pub fn sphere(count: usize) -> Vec<[f64; 3]> {
     (0..count).map(point).collect()
 }
 
-/// A minimum-jerk straight move along body x, between two rests: equation (31).
+/// A minimum-jerk straight move along the first direction of body x, between two rests: equation (31).
 #[derive(Clone, Copy, Debug)]
 pub struct Slide {
     /// Distance, m; negative is backward.
@@ -328,12 +340,24 @@ pub struct Slide {
     pub rest_before_s: f64,
     /// Rest after it, s.
     pub rest_after_s: f64,
-    /// Attitude of the body.
+    /// Attitude of the body before the move.
     pub attitude: Attitude,
+    /// Rotation vector of the body during the move, rad, body axes.
+    pub rotation_rad: [f64; 3],
+}
+
+impl Slide {
+    /// The default slide, while the body rotates by 90° about an axis 53° from the vertical.
+    pub fn carry() -> Self {
+        Self {
+            rotation_rad: [0.64, -0.48, 0.6].map(|axis| axis * PI / 2.0),
+            ..Self::default()
+        }
+    }
 }
 
 impl Default for Slide {
-    /// 1.000 m in 3 s, level, to the east, 3 s of rest at both ends.
+    /// 1.000 m in 3 s, level, to the east, without a rotation, 3 s of rest at both ends.
     fn default() -> Self {
         Self {
             distance_m: 1.0,
@@ -341,6 +365,7 @@ impl Default for Slide {
             rest_before_s: 3.0,
             rest_after_s: 3.0,
             attitude: Attitude::LEVEL,
+            rotation_rad: [0.0; 3],
         }
     }
 }
@@ -353,7 +378,14 @@ impl Motion for Slide {
             position_m: along(s),
             velocity_mps: along(rate / self.move_s),
             acceleration_mps2: along(acceleration / (self.move_s * self.move_s)),
-            attitude: self.attitude,
+            attitude: match self.rotation_rad {
+                [0.0, 0.0, 0.0] => self.attitude,
+                rotation => {
+                    let rotated = Attitude::from_rotation_vector(rotation.map(|angle| angle * s));
+                    self.attitude.turned(rotated)
+                }
+            },
+            angular_rate_radps: self.rotation_rad.map(|angle| angle * rate / self.move_s),
         }
     }
 
@@ -427,12 +459,17 @@ impl Motion for Hand {
             [w * s, w * s1 + w1 * s, w * s2 + 2.0 * w1 * s1 + w2 * s]
         });
         let derivative = |order: usize| translation.map(|axis| axis[order]);
-        let rotation = self.rotation.each_ref().map(|tones| w * tones.at(t)[0]);
+        let rotation = self.rotation.each_ref().map(|tones| {
+            let [s, s1, _] = tones.at(t);
+            [w * s, w * s1 + w1 * s]
+        });
+        let [angles, rates] = [0, 1].map(|order| rotation.map(|axis| axis[order]));
         Pose {
             position_m: derivative(0),
             velocity_mps: derivative(1),
             acceleration_mps2: derivative(2),
-            attitude: Attitude::from_rotation_vector(rotation),
+            attitude: Attitude::from_rotation_vector(angles),
+            angular_rate_radps: angular_rate(angles, rates),
         }
     }
 

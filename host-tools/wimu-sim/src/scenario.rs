@@ -1,5 +1,6 @@
 //! The complete workflow on a simulated board in virtual time, for `wimu demo` and the end-to-end test.
 
+mod gyroscope;
 mod host;
 
 use std::cell::RefCell;
@@ -13,11 +14,13 @@ use wimu_host::navigation::{self, Point};
 use wimu_host::replay::{self, ReplayReport};
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::auth::DeviceKey;
+use wimu_link::hello::Capabilities;
 use wimu_link::message::Settings;
 use wimu_link::{Hello, LinkRole};
 use wimu_model::{DeviceTimeUs, ParameterId, ParameterSet, SpecificForceMps2, SpecificForceQ16};
 
-use crate::board::{Board, BoardConfig, VirtualBoard};
+use crate::attitude::Attitude;
+use crate::board::{Board, BoardConfig, SensorPart, VirtualBoard};
 use crate::motion::{Hold, Motion, Poses, Rest, Slide};
 use crate::scene::{Scene, World};
 use crate::source::Physics;
@@ -51,11 +54,14 @@ pub enum Calibration {
 pub struct FirstLight {
     /// Seed of the hidden errors and noise.
     pub seed: u64,
+    /// Sensor on the board. With a gyroscope the board also rotates, and the gyroscope is calibrated.
+    pub sensor: SensorPart,
     /// Method of the calibration.
     pub calibration: Calibration,
 }
 
-/// Distance error of a 1.000 m slide in 3 s between two rests, 3-D, m.
+/// Errors of the displacement of a 1.000 m slide in 3 s between two rests, 3-D, m. With a gyroscope the board
+/// rotates by 90° meanwhile.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlideErrors {
     /// Uncalibrated, without ZUPT: position at the end of the move.
@@ -93,6 +99,11 @@ pub struct Outcome {
     pub tilts: Vec<[f64; 2]>,
     /// Position errors.
     pub slide: SlideErrors,
+    /// Attitude errors at the same times, degrees: uncalibrated, calibrated, with ZUPT. `None` without a
+    /// gyroscope.
+    pub attitude_deg: Option<[f64; 3]>,
+    /// The parameters found and pushed.
+    pub parameters: ParameterSet,
     /// The uncalibrated slide without ZUPT, from the start of its first rest.
     pub uncalibrated_path: Vec<Point>,
     /// The calibrated one without ZUPT.
@@ -113,7 +124,11 @@ impl FirstLight {
     /// # Errors
     /// Those of the host.
     pub fn run(&self) -> Result<Outcome> {
-        self.run_on(|source| Ok(Board::start(BoardConfig::default(), source)))
+        let config = BoardConfig {
+            sensor: self.sensor,
+            ..BoardConfig::default()
+        };
+        self.run_on(|source| Ok(Board::start(config, source)))
     }
 
     /// Runs it on the board made by `start`, with a sensor whose samples come from
@@ -129,19 +144,28 @@ impl FirstLight {
             Calibration::SixPositions => Gauge::Full,
             Calibration::TwelvePoses => Gauge::LowerTriangular,
         };
-        let truth = SensorTruth::random(self.seed, gauge);
+        let truth = self.sensor.random_truth(self.seed, gauge);
         let scene = Scene::new(World::default());
         let source = Physics::new(truth, scene.clone(), self.seed);
         let board = RefCell::new(start(source)?);
         let mut host = Host::connect(&board, scene)?;
         let hello = *host.cable.hello();
 
-        let uncalibrated = host.slide(false)?;
+        let has_gyroscope = hello.capabilities.contains(Capabilities::GYROSCOPE);
+        let slide = match has_gyroscope {
+            true => Slide::carry(),
+            false => Slide::default(),
+        };
+        let uncalibrated = host.slide(slide, false)?;
         host.set_zupt(true)?;
         host.play(Rc::new(match self.calibration {
             Calibration::SixPositions => Poses::six_positions(HOLD_S),
             Calibration::TwelvePoses => Poses::twelve_by_hand(self.seed, PLACEMENT_DEG, HOLD_S),
         }))?;
+        let rotations = match has_gyroscope {
+            true => Some(host.rotate()?),
+            false => None,
+        };
         let recording = host.recording()?;
         let samples = recording
             .links
@@ -149,7 +173,10 @@ impl FirstLight {
             .flat_map(|link| &link.boots)
             .map(|boot| boot.raw.len())
             .sum();
-        let (report, set) = self.calibrate(&recording)?;
+        let (report, mut set) = self.calibrate(&recording)?;
+        if let Some(rotations) = rotations {
+            set.gyroscope = Some(gyroscope::calibrate(rotations, &recording)?);
+        }
 
         let mut refusals = vec![host.wireless.push_parameters(&set).err()];
         // A simulation has no secrets: the key is the same in every run.
@@ -174,8 +201,8 @@ impl FirstLight {
 
         let tilts = Poses::tilts(self.seed, HOLD_S);
         let held = host.play(Rc::new(tilts.clone()))?;
-        let calibrated = host.slide(false)?;
-        let with_zupt = host.slide(true)?;
+        let calibrated = host.slide(slide, false)?;
+        let with_zupt = host.slide(slide, true)?;
 
         let recording = host.recording()?;
         let uncalibrated_path = uncalibrated.path(&recording)?;
@@ -187,6 +214,23 @@ impl FirstLight {
             .flat_map(|link| &link.boots)
             .map(|boot| replay::verify(boot, 0))
             .collect();
+        // Without ZUPT position is only good while it is fresh; with it, at the rest afterwards.
+        let paths = [
+            (&uncalibrated_path, uncalibrated, MOVED_S),
+            (&calibrated_path, calibrated, MOVED_S),
+            (&zupt_path, with_zupt, f64::INFINITY),
+        ];
+        let mut errors_m = [0.0; 3];
+        let mut errors_deg = [None; 3];
+        for (index, (path, played, end_s)) in paths.into_iter().enumerate() {
+            errors_m[index] = host.slide_error_m(path, played, end_s)?;
+            errors_deg[index] = host.attitude_error_deg(path, played, end_s)?;
+        }
+        let [uncalibrated_m, calibrated_m, zupt_m] = errors_m;
+        let attitude_deg = match errors_deg {
+            [Some(a), Some(b), Some(c)] => Some([a, b, c]),
+            _ => None,
+        };
         Ok(Outcome {
             hello,
             truth,
@@ -199,11 +243,12 @@ impl FirstLight {
             boot_counts,
             tilts: held.tilts(&recording, tilts.holds(), &set)?,
             slide: SlideErrors {
-                // Without ZUPT position is only good while it is fresh; with it, at the rest afterwards.
-                uncalibrated_m: host.slide_error_m(&uncalibrated_path, uncalibrated, MOVED_S)?,
-                calibrated_m: host.slide_error_m(&calibrated_path, calibrated, MOVED_S)?,
-                zupt_m: host.slide_error_m(&zupt_path, with_zupt, f64::INFINITY)?,
+                uncalibrated_m,
+                calibrated_m,
+                zupt_m,
             },
+            attitude_deg,
+            parameters: set,
             uncalibrated_path,
             calibrated_path,
             zupt_path,
@@ -267,6 +312,13 @@ impl Played {
     /// Time of a sample or a point, s since the motion began.
     fn since_begin_s(self, time: DeviceTimeUs) -> f64 {
         time.to_seconds() + self.started_s - self.begin_s
+    }
+
+    /// The first point of a path at least `time_s` after the motion began, or its last one.
+    fn point(self, path: &[Point], time_s: f64) -> Result<&Point> {
+        let reached = |point: &&Point| self.since_begin_s(point.time) >= time_s;
+        let point = path.iter().find(reached).or(path.last());
+        point.ok_or_else(|| lacks("a position"))
     }
 
     /// The path computed by the device.
@@ -344,8 +396,8 @@ impl<R: VirtualBoard> Host<'_, R> {
         })
     }
 
-    /// Slides by a metre along body x between two rests.
-    fn slide(&mut self, zupt: bool) -> Result<Played> {
+    /// Moves as `slide` does, between two rests.
+    fn slide(&mut self, slide: Slide, zupt: bool) -> Result<Played> {
         // Level first: a change of settings restarts navigation, with body x as east.
         self.play(Rc::new(Rest::level(0.5)))?;
         self.set_zupt(zupt)?;
@@ -353,23 +405,31 @@ impl<R: VirtualBoard> Host<'_, R> {
             rest_before_s: REST_S,
             move_s: MOVE_S,
             rest_after_s: REST_S,
-            ..Slide::default()
+            ..slide
         }))
     }
 
     /// Error of the displacement of a slide, from a second before its move to `end_s`, m.
     fn slide_error_m(&self, path: &[Point], slide: Played, end_s: f64) -> Result<f64> {
         let at = |time_s: f64| {
-            let reached = |point: &&Point| slide.since_begin_s(point.time) >= time_s;
-            let point = path.iter().find(reached).or(path.last());
-            point
-                .map(|point| point.navigation.position.to_m())
-                .ok_or_else(|| lacks("a position"))
+            let point = slide.point(path, time_s)?;
+            Ok::<_, HostError>(point.navigation.position.to_m())
         };
         let truth = |time_s| self.scene.state(slide.begin_s + time_s).position_m;
         let moved = |from: [f64; 3], to: [f64; 3]| [0, 1, 2].map(|axis| to[axis] - from[axis]);
         let measured = moved(at(REST_S - 1.0)?, at(end_s)?);
         let true_move = moved(truth(0.0), truth(MOVED_S));
         Ok(navigation::distance_m(measured, true_move))
+    }
+
+    /// Error of the attitude at `end_s`, degrees; `None` without one.
+    fn attitude_error_deg(&self, path: &[Point], slide: Played, end_s: f64) -> Result<Option<f64>> {
+        let point = slide.point(path, end_s)?;
+        let truth = self.scene.state(point.time.to_seconds() + slide.started_s);
+        Ok(point.navigation.attitude.map(|quaternion| {
+            let quaternion = quaternion.map(|q| f64::from(q) / (1_u64 << 30) as f64);
+            let found = Attitude::from_quaternion(quaternion);
+            found.angle_to(truth.attitude).to_degrees()
+        }))
     }
 }

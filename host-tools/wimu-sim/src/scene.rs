@@ -23,6 +23,8 @@ pub struct BodyState {
     pub acceleration_mps2: [f64; 3],
     /// Body axes against east-north-up.
     pub attitude: Attitude,
+    /// Angular rate against east-north-up, rad/s, body axes. The Earth's rotation is not simulated.
+    pub angular_rate_radps: [f64; 3],
     /// Temperature of the sensor, °C.
     pub temperature_c: f64,
 }
@@ -146,6 +148,7 @@ impl Scene {
             velocity_mps: pose.velocity_mps,
             acceleration_mps2: pose.acceleration_mps2,
             attitude: pose.attitude,
+            angular_rate_radps: pose.angular_rate_radps,
             temperature_c: self.world.temperature.at(time_s),
         }
     }

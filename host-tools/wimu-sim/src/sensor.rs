@@ -10,10 +10,12 @@ use std::task::{Context, Poll, Waker};
 use embedded_hal::digital::{ErrorType, InputPin};
 use embedded_hal_async::digital::Wait;
 
-use crate::adxl345::Adxl345;
+use crate::adxl345::{self, Adxl345};
 use crate::chip::Chip;
+pub use crate::chip::GyroscopeFault;
 use crate::clock::{Until, VirtualClock};
 use crate::i2c::Target;
+use crate::lsm6dso::Lsm6dso;
 use crate::lsm303agr::Lsm303agr;
 use crate::source::Source;
 
@@ -53,9 +55,20 @@ impl Sensor {
         Self::of(clock, source, Box::new(Lsm303agr::default()))
     }
 
-    /// An ADXL345 after power-on, with samples from `source`; its interrupt line is INT1.
+    /// An ADXL345 at 0x53 after power-on, with samples from `source`; its interrupt line is INT1.
     pub fn adxl345(clock: &VirtualClock, source: impl Source + 'static) -> Self {
-        Self::of(clock, source, Box::new(Adxl345::default()))
+        Self::adxl345_at(clock, adxl345::ADDRESS, source)
+    }
+
+    /// An ADXL345 at `address` (0x53 or 0x1D), likewise.
+    pub fn adxl345_at(clock: &VirtualClock, address: u8, source: impl Source + 'static) -> Self {
+        Self::of(clock, source, Box::new(Adxl345::new(address)))
+    }
+
+    /// An LSM6DSO at `address` (0x6A or 0x6B) after power-on, with samples from `source`; its interrupt
+    /// line is INT1.
+    pub fn lsm6dso(clock: &VirtualClock, address: u8, source: impl Source + 'static) -> Self {
+        Self::of(clock, source, Box::new(Lsm6dso::new(address)))
     }
 
     pub(crate) fn of(
@@ -96,6 +109,11 @@ impl Sensor {
     /// Makes the accelerometer identify itself as `id`, also after power-on.
     pub fn set_who_am_i(&self, id: u8) {
         self.change(|state, _| state.chip.set_identity(id));
+    }
+
+    /// Breaks its gyroscope, or repairs it; nothing for a sensor without one.
+    pub fn set_gyroscope_fault(&self, fault: GyroscopeFault) {
+        self.change(|state, _| state.chip.set_gyroscope_fault(fault));
     }
 
     /// Switches power off and on: all registers are reset.

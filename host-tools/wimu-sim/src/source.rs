@@ -31,6 +31,13 @@ pub trait Source: fmt::Debug {
     /// The register content of one accelerometer sample; `None` when there are no more.
     fn acceleration(&mut self, conversion: &Conversion) -> Option<Counts>;
 
+    /// The register content of the gyroscope's sample `index`, at nominally `rate_hz` samples a second.
+    /// 0 without a gyroscope.
+    fn angular_rate(&mut self, index: u64, time_s: f64, rate_hz: f64, lsb_per_dps: f64) -> Counts {
+        let _ = (index, time_s, rate_hz, lsb_per_dps);
+        Counts([0; 3])
+    }
+
     /// Magnetic flux density that the magnetometer sees at its sample `index`, nT.
     fn magnetic_field_nt(&mut self, index: u64, time_s: f64) -> [f64; 3];
 
@@ -62,6 +69,7 @@ pub struct Physics {
     pub scene: Scene,
     acceleration_noise: Random,
     magnetic_noise: Random,
+    rate_noise: Random,
 }
 
 impl Physics {
@@ -72,6 +80,7 @@ impl Physics {
             scene,
             acceleration_noise: Random::new(seed, 4),
             magnetic_noise: Random::new(seed, 5),
+            rate_noise: Random::new(seed, 9),
         }
     }
 }
@@ -90,6 +99,20 @@ impl Source for Physics {
             let noise = sigma * self.acceleration_noise.gaussian_at(draw);
             quantise((output[axis] + noise) * lsb_per_mps2, conversion.bits)
         })))
+    }
+
+    /// Equations (25) and (35).
+    fn angular_rate(&mut self, index: u64, time_s: f64, rate_hz: f64, lsb_per_dps: f64) -> Counts {
+        let state = self.scene.state(time_s);
+        let truth = &self.truth.gyroscope;
+        let temperature = Some(CentiCelsius::from_celsius(state.temperature_c));
+        let (rate, force) = (state.angular_rate_radps, state.specific_force_mps2);
+        let output = truth.model.distort(rate, force, temperature);
+        let sigma = truth.noise_radps_per_rthz * libm::sqrt(rate_hz / 2.0);
+        Counts(std::array::from_fn(|axis| {
+            let noise = sigma * self.rate_noise.gaussian_at(3 * index + axis as u64);
+            quantise((output[axis] + noise).to_degrees() * lsb_per_dps, 16)
+        }))
     }
 
     /// Equation (37).

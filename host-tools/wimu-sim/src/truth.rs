@@ -1,6 +1,8 @@
 //! The true errors of a simulated sensor, unknown to the device.
 
-use wimu_model::{ErrorModel, ErrorTerms, STANDARD_GRAVITY_MPS2, TemperatureTerms};
+use wimu_model::{
+    ErrorModel, ErrorTerms, GyroscopeModel, GyroscopeTerms, STANDARD_GRAVITY_MPS2, TemperatureTerms,
+};
 
 use crate::random::Random;
 
@@ -18,6 +20,43 @@ pub struct SensorTruth {
     pub thermometer_error_k: f64,
     /// The magnetometer's errors.
     pub magnetometer: MagnetometerTruth,
+    /// The gyroscope's errors.
+    pub gyroscope: GyroscopeTruth,
+}
+
+/// The true errors of a gyroscope.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GyroscopeTruth {
+    /// Bias, scale factor, misalignment, g-sensitivity: equation (25).
+    pub model: GyroscopeModel,
+    /// Noise density, rad/s/√Hz, one-sided and white up to half the sample rate.
+    pub noise_radps_per_rthz: f64,
+}
+
+impl GyroscopeTruth {
+    /// A poor but plausible LSM6DSO, the same for the same `seed`: uniform bias within ±2 °/s, scale
+    /// factor within ±2 %, misalignments within ±0.02 rad, g-sensitivity within ±0.1 °/s/g; noise
+    /// 3.8 m°/s/√Hz.
+    pub fn random(seed: u64) -> Self {
+        let mut random = Random::new(seed, 7);
+        let mut axes = |most: f64| [(); 3].map(|()| random.uniform(-most, most));
+        let bias_rad_s = axes(2_f64.to_radians());
+        let mut matrix = [axes(0.02), axes(0.02), axes(0.02)];
+        for axis in 0..3 {
+            matrix[axis][axis] += 1.0;
+        }
+        let per_mps2 = 0.1_f64.to_radians() / STANDARD_GRAVITY_MPS2;
+        let model = GyroscopeModel::new(GyroscopeTerms {
+            bias_rad_s,
+            matrix,
+            g_sensitivity: [axes(per_mps2), axes(per_mps2), axes(per_mps2)],
+            ..GyroscopeTerms::default()
+        });
+        Self {
+            model: model.expect("these ranges lie within the model's bounds"),
+            noise_radps_per_rthz: LSM6DSO_GYROSCOPE_NOISE_DPS_PER_RTHZ.to_radians(),
+        }
+    }
 }
 
 /// The true errors of a magnetometer: it reads S B + h + noise, equation (37).
@@ -45,6 +84,10 @@ pub enum Gauge {
 const LSM303AGR_NOISE_MPS2_PER_RTHZ: f64 = 220e-6 * STANDARD_GRAVITY_MPS2;
 /// 0.75 LSB of 3.9 mg in the 50 Hz of a rate of 100 Hz: the datasheet's x and y axes of an ADXL345.
 const ADXL345_NOISE_MPS2_PER_RTHZ: f64 = 414e-6 * STANDARD_GRAVITY_MPS2;
+/// DS12140 Table 2: 70 µg/√Hz at ±2 g.
+const LSM6DSO_NOISE_MPS2_PER_RTHZ: f64 = 70e-6 * STANDARD_GRAVITY_MPS2;
+/// DS12140 Table 2: 3.8 m°/s/√Hz.
+const LSM6DSO_GYROSCOPE_NOISE_DPS_PER_RTHZ: f64 = 3.8e-3;
 /// 3 mG: the LSM303AGR's magnetometer in high-resolution mode.
 const LSM303AGR_MAGNETIC_NOISE_NT: f64 = 300.0;
 
@@ -61,6 +104,7 @@ impl SensorTruth {
                 soft_iron: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
                 noise_nt: 0.0,
             },
+            gyroscope: GyroscopeTruth::default(),
         }
     }
 
@@ -118,6 +162,7 @@ impl SensorTruth {
                 soft_iron,
                 noise_nt: LSM303AGR_MAGNETIC_NOISE_NT,
             },
+            gyroscope: GyroscopeTruth::default(),
         }
     }
 
@@ -128,6 +173,17 @@ impl SensorTruth {
         Self {
             noise_mps2_per_rthz: ADXL345_NOISE_MPS2_PER_RTHZ,
             period_error_ppm: random.uniform(-50_000.0, 50_000.0),
+            ..Self::random(seed, gauge)
+        }
+    }
+
+    /// A typical uncalibrated LSM6DSO: an accelerometer as [`random`](Self::random), but with noise of
+    /// 70 µg/√Hz and a sample period within ±2 %, and [`GyroscopeTruth::random`].
+    pub fn random_lsm6dso(seed: u64, gauge: Gauge) -> Self {
+        Self {
+            noise_mps2_per_rthz: LSM6DSO_NOISE_MPS2_PER_RTHZ,
+            period_error_ppm: Random::new(seed, 8).uniform(-20_000.0, 20_000.0),
+            gyroscope: GyroscopeTruth::random(seed),
             ..Self::random(seed, gauge)
         }
     }

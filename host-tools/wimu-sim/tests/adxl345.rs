@@ -4,8 +4,10 @@ use std::rc::Rc;
 
 use embedded_hal_async::digital::Wait;
 use embedded_hal_async::i2c::I2c;
+use embedded_hal_async::spi::SpiDevice;
 use wimu_adxl345::{
-    Address, Adxl345, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution,
+    Address, Adxl345, Bus, DataFormat, Error, Fifo, I2cBus, Interrupts, Justify, Range, Rate,
+    Resolution, SpiBus,
 };
 use wimu_model::Counts;
 use wimu_sim::clock::VirtualClock;
@@ -13,6 +15,7 @@ use wimu_sim::i2c::{I2cError, SimI2c};
 use wimu_sim::scene::{Scene, World};
 use wimu_sim::sensor::Sensor;
 use wimu_sim::source::{Physics, Replay, Source};
+use wimu_sim::spi::SimSpi;
 use wimu_sim::truth::SensorTruth;
 
 type Outcome = Result<(), Error<I2cError>>;
@@ -20,12 +23,13 @@ type Outcome = Result<(), Error<I2cError>>;
 /// Runs `use_it` with a driver on a bus with a sensor that takes its samples from `source`.
 fn on_bench(
     source: impl Source + 'static,
-    use_it: impl AsyncFnOnce(&VirtualClock, &Sensor, &mut Adxl345<SimI2c>) -> Outcome,
+    use_it: impl AsyncFnOnce(&VirtualClock, &Sensor, &mut Adxl345<I2cBus<SimI2c>>) -> Outcome,
 ) {
     let clock = VirtualClock::new();
     let sensor = Sensor::adxl345(&clock, source);
-    let bus = SimI2c::new(&clock, [Rc::new(sensor.clone()) as Rc<_>]);
-    let mut driver = Adxl345::new(bus, Address::Low);
+    let i2c = SimI2c::new(&clock, [Rc::new(sensor.clone()) as Rc<_>]);
+    let address = Address::Low;
+    let mut driver = Adxl345::new(I2cBus { i2c, address });
     let outcome = clock.run(use_it(&clock, &sensor, &mut driver));
     outcome.expect("nothing stalls").expect("the bus works");
 }
@@ -45,7 +49,11 @@ const LEFT: DataFormat = DataFormat {
     justify: Justify::Left,
 };
 
-async fn start(driver: &mut Adxl345<SimI2c>, rate: Rate, fifo: Fifo) -> Outcome {
+async fn start<B: Bus>(
+    driver: &mut Adxl345<B>,
+    rate: Rate,
+    fifo: Fifo,
+) -> Result<(), Error<B::Error>> {
     driver.check_identity().await?;
     driver.set_data_format(LEFT).await?;
     driver.set_rate(rate, false).await?;
@@ -56,7 +64,7 @@ async fn start(driver: &mut Adxl345<SimI2c>, rate: Rate, fifo: Fifo) -> Outcome 
     driver.measure().await
 }
 
-async fn number(driver: &mut Adxl345<SimI2c>) -> Result<i16, Error<I2cError>> {
+async fn number<B: Bus>(driver: &mut Adxl345<B>) -> Result<i16, Error<B::Error>> {
     Ok(driver.sample().await?[0] >> 6)
 }
 
@@ -189,10 +197,73 @@ fn another_chip_and_no_chip_are_told_apart() {
         assert_eq!(wrong, Err(Error::WrongIdentity { found: 0x33 }));
         sensor.set_present(false);
         let gone = driver.check_identity().await;
-        assert_eq!(
-            gone,
-            Err(Error::Bus(I2cError::NoAcknowledge { address: 0x53 }))
-        );
+        assert_eq!(gone, Err(Error::NotAnswering));
         Ok(())
     });
+}
+
+#[test]
+fn each_address_answers_alone() {
+    for (address, other) in [(Address::Low, Address::High), (Address::High, Address::Low)] {
+        let clock = VirtualClock::new();
+        let sensor = Sensor::adxl345_at(&clock, address as u8, at_rest());
+        for (asked, answer) in [(address, Ok(())), (other, Err(Error::NotAnswering))] {
+            let i2c = SimI2c::new(&clock, [Rc::new(sensor.clone()) as Rc<_>]);
+            let mut driver = Adxl345::new(I2cBus {
+                i2c,
+                address: asked,
+            });
+            let checked = clock.run(driver.check_identity());
+            assert_eq!(checked.expect("nothing stalls"), answer, "{asked:?}");
+        }
+    }
+}
+
+/// At the fastest clock, where the FIFO advances more slowly than a driver can read.
+#[test]
+fn on_spi_the_fifo_gives_every_sample_once() {
+    let clock = VirtualClock::new();
+    let sensor = Sensor::adxl345(&clock, numbered(500));
+    let mut driver = Adxl345::new(SpiBus(SimSpi::new(
+        &clock,
+        Rc::new(sensor.clone()),
+        5_000_000,
+    )));
+    let outcome = clock.run(async {
+        start(&mut driver, Rate::Hz3200, Fifo::Stream { watermark: 16 }).await?;
+        let mut expected = 0;
+        for _ in 0..20 {
+            sensor.data_ready().wait_for_high().await.unwrap();
+            for _ in 0..driver.fifo_level().await?.samples {
+                // At this rate the lowest bit is 0.
+                assert_eq!(number(&mut driver).await?, expected & !1);
+                expected += 1;
+            }
+        }
+        assert!(expected >= 320);
+        sensor.set_present(false);
+        assert_eq!(driver.check_identity().await, Err(Error::NotAnswering));
+        Ok::<_, Error<_>>(())
+    });
+    outcome.expect("nothing stalls").expect("the bus works");
+}
+
+#[test]
+fn on_spi_a_sample_read_within_5_us_is_the_one_before() {
+    let clock = VirtualClock::new();
+    let sensor = Sensor::adxl345(&clock, numbered(500));
+    let mut spi = SimSpi::new(&clock, Rc::new(sensor), 5_000_000);
+    let outcome = clock.run(async {
+        for register in [[0x38, 0x90], [0x31, 0x04], [0x2D, 0x08]] {
+            spi.write(&register).await?;
+        }
+        clock.until(100_000).await;
+        let mut first = [0; 7];
+        spi.transfer(&mut first, &[0xF2]).await?;
+        let mut again = [0; 7];
+        spi.transfer(&mut again, &[0xF2]).await?;
+        Ok::<_, std::convert::Infallible>((first, again))
+    });
+    let (first, again) = outcome.expect("nothing stalls").expect("the bus works");
+    assert_eq!(first, again, "the FIFO has not advanced");
 }

@@ -8,6 +8,7 @@ mod faults;
 mod long_files;
 mod lsm303agr_fifo;
 mod lsm6dso;
+mod lsm6dso_node;
 mod motion;
 mod physics;
 mod pipe;

@@ -521,7 +521,7 @@ fn batches_with_changed_values_are_still_batches() {
     for byte in bytes {
         match deframer.push(byte) {
             Some(Ok(frame)) if frame.kind == Kind::Batch => {
-                Batch::decode(frame.body).expect("a batch");
+                Batch::decode(frame.kind, frame.body).expect("a batch");
                 batches += 1;
             }
             Some(Err(error)) => panic!("{error}"),

@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use wimu_host::compare::compare;
-use wimu_host::export::{ExportStream, to_csv};
+use wimu_host::export::{ExportSource, ExportStream, to_csv};
 use wimu_host::mcap_file::{ClockAnchor, RecordingReader, RecordingWriter};
 use wimu_host::overview::Overview;
-use wimu_link::message::{Epoch, EpochReason, WireState};
+use wimu_link::message::{Epoch, EpochReason};
 use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry, batch};
 use wimu_model::{Counts, DeviceTimeUs};
 use wimu_testkit::{Lane, Random, figure};
@@ -61,7 +61,7 @@ fn write_long_file(path: &Path, minutes: u32) {
                     full_scale: 32752,
                     parameters: 0,
                     temperature_centi_c: None,
-                    state: WireState::default(),
+                    ..Epoch::default()
                 });
                 let length = epoch.encode(&mut frame).unwrap();
                 write(role, at_ns, &frame[..length]);
@@ -105,8 +105,11 @@ fn do_step(step: &str, path: &Path, minutes: u32) -> u64 {
         "info" => Overview::read(path).unwrap().links[1].raw() as u64,
         _ => {
             let table = path.with_extension("csv");
-            let wireless = Some(LinkRole::Wireless);
-            let rows = to_csv(path, wireless, None, ExportStream::Raw, &table)
+            let wireless = ExportSource {
+                role: Some(LinkRole::Wireless),
+                ..ExportSource::default()
+            };
+            let rows = to_csv(path, &wireless, ExportStream::Raw, &table)
                 .unwrap()
                 .rows;
             std::fs::remove_file(table).unwrap();

@@ -1,6 +1,5 @@
 //! The `wimu-lsm6dso` driver on the simulated sensor, in virtual time.
 
-use std::cell::Cell;
 use std::fmt::Debug;
 use std::rc::Rc;
 
@@ -14,12 +13,9 @@ use wimu_model::{Counts, STANDARD_GRAVITY_MPS2};
 use wimu_sim::attitude::Attitude;
 use wimu_sim::clock::VirtualClock;
 use wimu_sim::i2c::{Faults, I2cError, SimI2c};
-use wimu_sim::lsm6dso::{
-    Gyroscope, GyroscopeFault, GyroscopeTruth, RateSource, accelerometer_truth, angular_rate_radps,
-};
 use wimu_sim::motion::{Hand, Motion, Pose};
 use wimu_sim::scene::{Scene, Temperature, World};
-use wimu_sim::sensor::Sensor;
+use wimu_sim::sensor::{GyroscopeFault, Sensor};
 use wimu_sim::source::{Physics, Source};
 use wimu_sim::spi::SimSpi;
 use wimu_sim::truth::{Gauge, SensorTruth};
@@ -52,19 +48,13 @@ const SPI_HZ: u32 = 10_000_000;
 struct Bench {
     clock: VirtualClock,
     sensor: Sensor,
-    gyroscope: Rc<Cell<GyroscopeFault>>,
 }
 
 impl Bench {
-    fn new(address: u8, source: impl Source + 'static, rates: impl RateSource + 'static) -> Self {
+    fn new(address: u8, source: impl Source + 'static) -> Self {
         let clock = VirtualClock::new();
-        let gyroscope = Rc::default();
-        let sensor = Sensor::lsm6dso(&clock, address, source, rates, &gyroscope);
-        Self {
-            clock,
-            sensor,
-            gyroscope,
-        }
+        let sensor = Sensor::lsm6dso(&clock, address, source);
+        Self { clock, sensor }
     }
 
     fn i2c(&self) -> (SimI2c, Faults) {
@@ -106,7 +96,10 @@ struct Spin([f64; 3]);
 impl Motion for Spin {
     fn pose(&self, t: f64) -> Pose {
         let angle = self.0.map(|dps| dps.to_radians() * t);
-        Pose::resting(Attitude::from_rotation_vector(angle))
+        Pose {
+            angular_rate_radps: self.0.map(f64::to_radians),
+            ..Pose::resting(Attitude::from_rotation_vector(angle))
+        }
     }
 
     fn duration(&self) -> f64 {
@@ -122,12 +115,7 @@ fn spinning(dps: [f64; 3]) -> Scene {
 
 /// An ideal sensor in `scene`.
 fn ideal(scene: Scene) -> Bench {
-    let physics = Physics::new(SensorTruth::ideal(), scene.clone(), 1);
-    Bench::new(
-        0x6A,
-        physics,
-        Gyroscope::new(GyroscopeTruth::ideal(), scene, 1),
-    )
+    Bench::new(0x6A, Physics::new(SensorTruth::ideal(), scene, 1))
 }
 
 /// Samples that tell their number on every axis of both sensors.
@@ -138,6 +126,10 @@ impl Source for Numbered {
     fn acceleration(&mut self, conversion: &wimu_sim::source::Conversion) -> Option<Counts> {
         Some(Counts([conversion.index as i16; 3]))
     }
+    fn angular_rate(&mut self, index: u64, _: f64, _: f64, _: f64) -> Counts {
+        // The gyroscope's samples during its turn-on time come from the model itself.
+        Counts([index as i16; 3])
+    }
     fn magnetic_field_nt(&mut self, _index: u64, _time_s: f64) -> [f64; 3] {
         [0.0; 3]
     }
@@ -146,15 +138,8 @@ impl Source for Numbered {
     }
 }
 
-impl RateSource for Numbered {
-    fn counts(&mut self, index: u64, _: f64, _: f64, _: f64) -> [i16; 3] {
-        // The gyroscope's samples during its turn-on time come from the model itself.
-        [index as i16; 3]
-    }
-}
-
 fn numbered() -> Bench {
-    Bench::new(0x6A, Numbered, Numbered)
+    Bench::new(0x6A, Numbered)
 }
 
 /// The number of a sample, whose words must be of the same instant.
@@ -393,12 +378,12 @@ fn a_gyroscope_that_stops_is_reported_and_recovers() {
         driver.start(&SETUP, &mut bench.clock.clone()).await?;
         bench.wait_us(50_000).await;
         assert!(!drain(driver).await?.1.is_empty());
-        bench.gyroscope.set(GyroscopeFault::Stops);
+        bench.sensor.set_gyroscope_fault(GyroscopeFault::Stops);
         bench.wait_us(50_000).await;
         let (batches, samples) = drain(driver).await?;
         assert_eq!(samples, []);
         assert_eq!(batches[0].fault, Some(FifoFault::GyroscopeMissing));
-        bench.gyroscope.set(GyroscopeFault::None);
+        bench.sensor.set_gyroscope_fault(GyroscopeFault::None);
         bench.wait_us(50_000).await;
         let (batches, samples) = drain(driver).await?;
         assert!(samples.len() >= 9);
@@ -417,7 +402,7 @@ fn a_stuck_and_a_saturated_gyroscope_are_visible_in_the_counts() {
         bench.wait_us(3_000_000).await;
         drain(driver).await?;
         let mut rates = async |fault| {
-            bench.gyroscope.set(fault);
+            bench.sensor.set_gyroscope_fault(fault);
             bench.wait_us(50_000).await;
             let (_, samples) = drain(driver).await?;
             Ok::<_, Error<I2cError>>(samples.into_iter().skip(2).collect::<Vec<_>>())
@@ -477,7 +462,7 @@ fn another_chip_no_chip_and_a_broken_bus_are_told_apart() {
 
 #[test]
 fn the_other_address_answers_and_spi_turns_i2c_off() {
-    let bench = Bench::new(0x6B, Numbered, Numbered);
+    let bench = Bench::new(0x6B, Numbered);
     let (i2c, _) = bench.i2c();
     let address = Address::High;
     let mut driver = Lsm6dso::new(I2cBus { i2c, address });
@@ -546,7 +531,7 @@ fn the_self_test_is_within_the_datasheets_limits() {
     bench.on_i2c(async |driver| {
         let test = driver.self_test(&mut bench.clock.clone()).await?;
         assert_eq!(test.passed(), [[true; 3]; 2], "{test:?}");
-        bench.gyroscope.set(GyroscopeFault::Stuck);
+        bench.sensor.set_gyroscope_fault(GyroscopeFault::Stuck);
         let test = driver.self_test(&mut bench.clock.clone()).await?;
         assert_eq!(test.passed(), [[true; 3], [false; 3]]);
         Ok(())
@@ -582,13 +567,9 @@ fn output_registers_keep_the_bytes_of_a_value_together() {
 #[test]
 fn the_oscillator_sets_the_rate() {
     let scene = Scene::new(World::default());
-    let mut physics = Physics::new(SensorTruth::ideal(), scene.clone(), 1);
+    let mut physics = Physics::new(SensorTruth::ideal(), scene, 1);
     physics.truth.period_error_ppm = -15_000.0;
-    let bench = Bench::new(
-        0x6A,
-        physics,
-        Gyroscope::new(GyroscopeTruth::ideal(), scene, 1),
-    );
+    let bench = Bench::new(0x6A, physics);
     bench.on_i2c(async |driver| {
         driver.start(&SETUP, &mut bench.clock.clone()).await?;
         let before = bench.sensor.samples_taken();
@@ -599,32 +580,12 @@ fn the_oscillator_sets_the_rate() {
     });
 }
 
-/// The angular rate that the model derives from attitudes, integrated again.
-#[test]
-fn the_angular_rate_of_hand_motion_integrates_to_its_attitude() {
-    let scene = Scene::new(World::default());
-    scene.play(0.0, Rc::new(Hand::new(5, 10.0, 20.0)));
-    let mut attitude = scene.state(0.0).attitude;
-    let steps = 40_000_u32;
-    let dt = 10.0 / f64::from(steps);
-    for step in 0..steps {
-        // The midpoint rule.
-        let rate = angular_rate_radps(&scene, (f64::from(step) + 0.5) * dt);
-        attitude = attitude.turned(Attitude::from_rotation_vector(rate.map(|w| w * dt)));
-    }
-    let error = attitude.angle_to(scene.state(10.0).attitude);
-    assert!(error < 1e-6, "{error} rad");
-    let [x, y, z] = angular_rate_radps(&spinning([0.0, 700.0, 0.0]), 2.0);
-    assert!(x.abs() < 1e-9 && z.abs() < 1e-9, "{x} {z}");
-    assert!((y - 700_f64.to_radians()).abs() < 1e-7, "{y}");
-}
-
 #[test]
 fn hidden_errors_and_noise_appear_in_the_counts() {
     let scene = Scene::new(World::default());
-    let truth = GyroscopeTruth::random(7);
-    let physics = Physics::new(accelerometer_truth(7, Gauge::Full), scene.clone(), 7);
-    let bench = Bench::new(0x6A, physics, Gyroscope::new(truth, scene, 7));
+    let truth = SensorTruth::random_lsm6dso(7, Gauge::Full);
+    let bench = Bench::new(0x6A, Physics::new(truth, scene, 7));
+    let (truth, terms) = (truth.gyroscope, truth.gyroscope.model.terms());
     bench.on_spi(async |driver| {
         let setup = Setup {
             angular_rate: AngularRateRange::Dps125,
@@ -645,13 +606,12 @@ fn hidden_errors_and_noise_appear_in_the_counts() {
                 .map(|rate| f64::from(rate[axis]) * 4.375e-3)
                 .collect();
             let mean = dps.iter().sum::<f64>() / n;
-            let g_sensitivity = truth.g_sensitivity_dps_per_mps2[axis][2] * STANDARD_GRAVITY_MPS2;
-            assert!(
-                (mean - truth.bias_dps[axis] - g_sensitivity).abs() < 3e-3,
-                "{mean}"
-            );
+            let g_sensitivity = terms.g_sensitivity[axis][2] * STANDARD_GRAVITY_MPS2;
+            let expected = (terms.bias_rad_s[axis] + g_sensitivity).to_degrees();
+            assert!((mean - expected).abs() < 3e-3, "{mean}");
             let sd = (dps.iter().map(|rate| (rate - mean).powi(2)).sum::<f64>() / n).sqrt();
-            let expected = truth.noise_dps_per_rthz * (1e9 / 4_800_000.0 / 2.0_f64).sqrt();
+            let density = truth.noise_radps_per_rthz.to_degrees();
+            let expected = density * (1e9 / 4_800_000.0 / 2.0_f64).sqrt();
             assert!(
                 (sd / expected - 1.0).abs() < 0.05,
                 "{sd}, expected {expected}"

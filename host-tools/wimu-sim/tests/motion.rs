@@ -49,6 +49,21 @@ fn velocity_and_acceleration_are_the_derivatives_of_position() {
 }
 
 #[test]
+fn angular_rate_is_the_derivative_of_attitude() {
+    for (name, motion) in all() {
+        let h = 1e-4;
+        let steps = (motion.duration() / 0.01) as usize;
+        for t in (0..steps).map(|i| i as f64 * 0.01) {
+            let [before, after] = [t - h, t + h].map(|t| motion.pose(t).attitude);
+            let expected = before.rotation_vector_to(after).map(|r| r / (2.0 * h));
+            let found = motion.pose(t).angular_rate_radps;
+            let error = norm([0, 1, 2].map(|axis| found[axis] - expected[axis]));
+            assert!(error < 1e-5, "{name} at {t} s: {found:?}, {expected:?}");
+        }
+    }
+}
+
+#[test]
 fn nothing_jumps() {
     for (name, motion) in all() {
         let h = 1e-4;
@@ -216,6 +231,6 @@ fn an_unknown_name_says_which_are_known() {
     let error = named("rest,jump", 1).unwrap_err().to_string();
     assert_eq!(
         error,
-        "there is no motion `jump`; known are rest, six-positions, twelve-poses, tilts, slide, hand"
+        "there is no motion `jump`; known are rest, six-positions, twelve-poses, tilts, slide, carry, hand"
     );
 }

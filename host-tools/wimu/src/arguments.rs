@@ -17,6 +17,8 @@ use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use wimu_host::csv::Filter;
+use wimu_sim::board::SensorPart;
+use wimu_sim::faults::SensorFault;
 
 use self::values::{from_to, seconds};
 
@@ -123,8 +125,14 @@ pub enum Board {
 }
 
 #[derive(Args)]
-#[command(after_help = "Example: wimu demo --seed 7")]
+#[command(after_help = "\
+Examples:
+  wimu demo --seed 7
+  wimu demo --sensor lsm6dso")]
 pub struct Demo {
+    /// Sensor on the board
+    #[arg(long, value_enum, default_value_t = Sensor::Lsm303agr)]
+    pub sensor: Sensor,
     /// Seed of the simulated sensor's errors and noise
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -165,6 +173,7 @@ FAULTS is a list of presets and faults:
 Examples:
   wimu simulate --motion twelve-poses,slide --seed 3
   wimu simulate --replay recording.csv --speed 10 --exit-when-done
+  wimu simulate --sensor lsm6dso --motion carry,hand --sensor-fault gyroscope-stops=2s@10s
   wimu simulate --faults noisy --clock-ppm 35
   wimu simulate --faults loss=2%,burst=20,bits=1e-4,jitter=50ms,stall=3s@30s
   wimu simulate --faults other-unit --faults cable:latency=2ms")]
@@ -172,8 +181,12 @@ pub struct Simulate {
     /// Sensor on the board
     #[arg(long, value_enum, default_value_t = Sensor::Lsm303agr)]
     pub sensor: Sensor,
+    /// Fault of the sensor, may be given again: absent, identity (WHO_AM_I of another chip),
+    /// gyroscope-stops, gyroscope-stuck or gyroscope-saturates, with duration and start as for stalls
+    #[arg(long, value_name = "FAULT=3s@30s")]
+    pub sensor_fault: Vec<SensorFault>,
     /// Motions of the board, in order and repeated: rest, six-positions, twelve-poses, tilts, slide,
-    /// hand
+    /// carry, hand
     #[arg(long, default_value = "twelve-poses,slide", value_name = "NAMES")]
     pub motion: String,
     /// Replay the raw counts of this CSV file instead; it starts when a host connects
@@ -223,6 +236,18 @@ pub enum Sensor {
     Lsm303agr,
     /// Accelerometer with a FIFO
     Adxl345,
+    /// Accelerometer, gyroscope and temperature sensor
+    Lsm6dso,
+}
+
+impl From<Sensor> for SensorPart {
+    fn from(sensor: Sensor) -> Self {
+        match sensor {
+            Sensor::Lsm303agr => Self::Lsm303agr,
+            Sensor::Adxl345 => Self::Adxl345,
+            Sensor::Lsm6dso => Self::Lsm6dso,
+        }
+    }
 }
 
 #[derive(Args)]
@@ -324,6 +349,9 @@ pub struct Export {
     /// Stream to write. Only `corrected` has the corrected magnetic field, where `Field Calibrated` is 1
     #[arg(long, value_enum, default_value_t = Stream::Raw)]
     pub stream: Stream,
+    /// Index of the sensor whose samples a CSV table has; those above 0 have raw samples only
+    #[arg(long, value_name = "INDEX", default_value_t = 0)]
+    pub sensor: u8,
     /// Link of the recording to use [default: the cable if it was recorded]
     #[arg(long, value_enum)]
     pub link: Option<Role>,

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use kit::{Transcript, folder, wimu};
 use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
-use wimu_link::message::{Epoch, EpochReason, WireState};
+use wimu_link::message::{Epoch, EpochReason};
 use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry, batch};
 use wimu_model::{Counts, DeviceTimeUs};
 
@@ -82,7 +82,7 @@ impl Part {
                     full_scale: 32_752,
                     parameters: 0,
                     temperature_centi_c: None,
-                    state: WireState::default(),
+                    ..Epoch::default()
                 });
                 let length = epoch.encode(&mut frame).unwrap();
                 frames.push((role, host_ns(time_us(number)), frame[..length].to_vec()));

@@ -12,8 +12,8 @@ use std::time::{Duration, Instant};
 
 use kit::folder;
 use wimu_link::message::{
-    ActiveParameters, Environment, Epoch, EpochReason, Event, Navigation, Payload, Reply,
-    Signature, WireParameters, WireState,
+    EncodedParameters, Environment, Epoch, EpochReason, Event, Navigation, ParametersPiece,
+    Payload, Reply, Signature, WireParameters,
 };
 use wimu_link::{Answer, Hello, LinkRole, MAX_FRAME, Telemetry, batch, frame::EncodeError};
 use wimu_model::{Counts, DeviceTimeUs, ParameterSet, Sensitivity};
@@ -78,14 +78,14 @@ const INPUTS: [(&str, Step); 10] = [
     }),
     ("ever new parameters", |n, out| {
         telemetry(n, out);
-        put_message(out, &Telemetry::Parameters(parameters(n)));
+        put_message(out, &Telemetry::ParametersPiece(piece(n)));
     }),
     ("answers that nobody asked for", |n, out| {
         let reply = Reply {
             session: any(n) as u32,
             id: n as u32,
             signature: Signature::NONE,
-            answer: Answer::Accepted(Payload::Parameters(parameters(n))),
+            answer: Answer::Accepted(Payload::Parameters(piece(n))),
         };
         put(out, |frame| reply.encode(frame));
     }),
@@ -127,7 +127,7 @@ fn epoch(out: &mut Vec<u8>, sequence: u32, time_us: u64, period_ns: u32) {
             full_scale: 32752,
             parameters: 0,
             temperature_centi_c: None,
-            state: WireState::default(),
+            ..Epoch::default()
         }),
     );
 }
@@ -154,14 +154,15 @@ fn telemetry(n: u64, out: &mut Vec<u8>) {
     samples(out, first);
 }
 
-fn parameters(n: u64) -> ActiveParameters {
+/// A set that fits a piece.
+fn piece(n: u64) -> ParametersPiece {
     let sensitivity = Sensitivity::from_lsb_per_g(16384.0).expect("one");
-    let mut active = WireParameters::from(&ParameterSet::uncalibrated(2, sensitivity));
-    active.bias_mps2[0] = n as f64;
-    ActiveParameters {
-        active: Some(active),
-        id: n as u32,
-    }
+    let mut wire = WireParameters::from(&ParameterSet::uncalibrated(2, sensitivity));
+    wire.bias_mps2[0] = n as f64;
+    let mut bytes = [0; WireParameters::MAX];
+    let length = wire.encode(&mut bytes).expect("room");
+    let set = EncodedParameters(&bytes[..length]);
+    set.piece(set.id(), 0)
 }
 
 /// Some number, the same in every run.

@@ -12,11 +12,10 @@ use std::thread;
 
 use kit::{Background, Ran, Simulator, Transcript, folder};
 use wimu_link::message::{
-    ActiveParameters, Payload, Refusal, Reply, Request, Settings, Signature, WireParameters,
-    parameter_id,
+    EncodedParameters, Payload, Refusal, Reply, Request, Settings, Signature,
 };
 use wimu_link::{Answer, Command, Deframer, Kind, MAX_FRAME};
-use wimu_model::ParameterSet;
+use wimu_model::ParameterId;
 
 /// What the attacker does, who knows no key. He answers unsigned requests himself, as the host expects.
 #[derive(Clone, Copy, Debug)]
@@ -59,7 +58,7 @@ fn middleman(board: &str, attack: Attack) -> String {
 /// Forwards the host's requests except those that the attacker keeps.
 fn carry(mut host: TcpStream, mut board: &TcpStream, attack: Attack) -> std::io::Result<()> {
     let mut deframer = Deframer::new();
-    let (mut set, mut settings, mut begun) = (None, Settings::default(), false);
+    let (mut set, mut settings, mut begun) = (Vec::new(), Settings::default(), false);
     let (mut bytes, mut frame) = ([0; 4096], Vec::new());
     loop {
         let count = host.read(&mut bytes)?;
@@ -78,12 +77,15 @@ fn carry(mut host: TcpStream, mut board: &TcpStream, attack: Attack) -> std::io:
             let whole = std::mem::take(&mut frame);
             let answer = heard.and_then(|request| {
                 let effect = request.command.is_write()
-                    && !matches!(request.command, Command::StageParameters(_));
+                    && !matches!(request.command, Command::StageParameters { .. });
                 begun |= effect;
                 match request.command {
-                    Command::StageParameters(new) => set = Some(new),
+                    Command::StageParameters { offset, piece, .. } => {
+                        set.truncate(offset.into());
+                        set.extend(piece.as_bytes());
+                    }
                     Command::SetSettings(new) => settings = new,
-                    Command::FactoryReset => set = None,
+                    Command::FactoryReset => set.clear(),
                     _ => {}
                 }
                 let unsigned = request.signature == Signature::NONE;
@@ -116,21 +118,19 @@ fn carry(mut host: TcpStream, mut board: &TcpStream, attack: Attack) -> std::io:
 }
 
 /// The answer that the host expects.
-fn forged(
-    command: &Command,
-    attack: Attack,
-    set: &Option<WireParameters>,
-    settings: Settings,
-) -> Option<Answer> {
-    let id =
-        |set: &WireParameters| ParameterSet::try_from(set).map_or(0, |set| parameter_id(&set).0);
+fn forged(command: &Command, attack: Attack, set: &[u8], settings: Settings) -> Option<Answer> {
+    let set = EncodedParameters(set);
+    let id = match set.0 {
+        [] => ParameterId::UNCALIBRATED,
+        _ => set.id(),
+    };
     Some(Answer::Accepted(match (command, attack) {
         (Command::GetKeyStatus, Attack::NoKey) => Payload::KeyStatus { key: None },
-        (Command::StageParameters(set), _) => Payload::Staged { hash: id(set) },
-        (Command::GetParameters, _) => Payload::Parameters(ActiveParameters {
-            active: *set,
-            id: set.as_ref().map_or(0, id),
-        }),
+        (Command::StageParameters { total, .. }, _) if set.0.len() == usize::from(*total) => {
+            Payload::Staged { hash: id.0 }
+        }
+        (Command::StageParameters { .. }, _) => Payload::None,
+        (Command::GetParameters { offset }, _) => Payload::Parameters(set.piece(id, *offset)),
         (Command::GetSettings | Command::SetSettings(_), _) => Payload::Settings(settings),
         (Command::CommitParameters { .. } | Command::FactoryReset, _) => Payload::None,
         _ => return None,

@@ -10,7 +10,7 @@ use std::path::Path;
 use kit::{Transcript, folder, line_number, wimu};
 use wimu_host::array::{Board, BoardOptions};
 use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
-use wimu_link::message::{Epoch, EpochReason, WireState};
+use wimu_link::message::{Epoch, EpochReason};
 use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry, batch};
 use wimu_model::{Counts, DeviceTimeUs, STANDARD_GRAVITY_MPS2};
 
@@ -43,7 +43,7 @@ fn epoch(number: u8, sequence: u32, reason: EpochReason) -> Vec<u8> {
         full_scale: 32_752,
         parameters: 0,
         temperature_centi_c: None,
-        state: WireState::default(),
+        ..Epoch::default()
     });
     let length = epoch.encode(&mut frame).unwrap();
     frame[..length].to_vec()

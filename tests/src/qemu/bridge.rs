@@ -25,7 +25,6 @@ use embedded_hal_async::i2c::{I2c, Operation};
 use wimu_sim::clock::VirtualClock;
 use wimu_sim::i2c::{Faults, I2cError, SimI2c, Target};
 use wimu_sim::sensor::Sensor;
-use wimu_sim::source::Source;
 
 /// Registers of the chip.
 const IO_STATE: u8 = 0x04;
@@ -53,7 +52,7 @@ pub struct Traffic {
     pub sent: [u16; 2],
 }
 
-/// A bridge, its bus at 400 kHz, and an LSM303AGR on it, in virtual time.
+/// A bridge, its bus at 400 kHz, and a sensor on it, in virtual time.
 pub struct Bridge {
     clock: VirtualClock,
     sensor: Sensor,
@@ -99,9 +98,8 @@ enum Part {
 }
 
 impl Bridge {
-    /// A bridge to a sensor that takes its samples from `source`.
-    pub fn new(clock: &VirtualClock, source: impl Source + 'static) -> Self {
-        let sensor = Sensor::lsm303agr(clock, source);
+    /// A bridge to `sensor`, which runs on `clock`.
+    pub fn new(clock: &VirtualClock, sensor: Sensor) -> Self {
         Self {
             clock: clock.clone(),
             i2c: SimI2c::new(clock, [Rc::new(sensor.clone()) as Rc<dyn Target>]),
@@ -384,7 +382,9 @@ mod tests {
 
     fn bridge(samples: usize) -> Bridge {
         let counts = (0..samples).map(|n| Counts([n as i16 * 16 + 16; 3]));
-        let mut bridge = Bridge::new(&VirtualClock::new(), Replay::new(counts));
+        let clock = VirtualClock::new();
+        let sensor = Sensor::lsm303agr(&clock, Replay::new(counts));
+        let mut bridge = Bridge::new(&clock, sensor);
         assert!(bridge.receive(START).is_empty());
         bridge
     }

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::LinkRole;
 
-use wimu_sim::board::VirtualBoard;
+use wimu_sim::board::{SensorPart, VirtualBoard};
 use wimu_sim::clock::VirtualClock;
 use wimu_sim::i2c::Faults;
 use wimu_sim::sensor::Sensor;
@@ -40,6 +40,8 @@ const PIECE: usize = 512;
 pub struct Machine {
     /// The firmware, an ELF file for mps2-an386.
     pub image: PathBuf,
+    /// The sensor that it drives.
+    pub sensor: SensorPart,
     /// File of its non-volatile memory, created if missing; `None`: content is lost at the end.
     pub memory: Option<PathBuf>,
     /// Where its `defmt` log goes.
@@ -51,6 +53,35 @@ pub struct Machine {
 }
 
 impl Machine {
+    /// A machine that runs the `image` for a board with `sensor`, without memory and log. The images are in
+    /// one folder: an LSM303AGR's has the name of the firmware, another one's ends with the sensor's name.
+    pub fn new(image: &Path, sensor: SensorPart) -> Self {
+        let image = match sensor {
+            SensorPart::Lsm303agr => image.to_owned(),
+            other => {
+                let (part, _) = other.identity();
+                let mut name = image.file_name().unwrap_or_default().to_owned();
+                name.push(format!("-{}", part.name).to_lowercase());
+                image.with_file_name(name)
+            }
+        };
+        Self {
+            image,
+            sensor,
+            memory: None,
+            log: None,
+            power_loss_after: None,
+            slow_flash: None,
+        }
+    }
+
+    /// A bridge to the sensor, with samples from `source`.
+    fn bridge(&self, source: impl Source + 'static) -> Bridge {
+        let clock = VirtualClock::new();
+        let sensor = self.sensor.power_on(&clock, source);
+        Bridge::new(&clock, sensor)
+    }
+
     /// QEMU with the board's UARTs on character devices described as QEMU does.
     fn start(&self, mode: &str, [cable, wireless, sensor_bus]: [&str; 3]) -> Result<Process> {
         if !self.image.is_file() {
@@ -267,7 +298,7 @@ impl QemuBoard {
         let folder = Folder::new()?;
         let mut board = Self {
             lines: Lines::open(&machine, &folder)?,
-            bridge: Bridge::new(&VirtualClock::new(), source),
+            bridge: machine.bridge(source),
             machine,
             folder,
         };
@@ -549,7 +580,7 @@ impl FreeRunning {
         ];
         let mut process = machine.start("free-running", devices.each_ref().map(String::as_str))?;
         Ok(Self {
-            bridge: Bridge::new(&VirtualClock::new(), source),
+            bridge: machine.bridge(source),
             sensor_bus: listener.accept(&mut process)?,
             started: Instant::now(),
             process,

@@ -37,7 +37,7 @@ fn rig() -> Rig {
 
 /// Writes a parameter set; returns its id.
 fn push(rig: &mut Rig, set: &ParameterSet) -> u32 {
-    let staged = rig.ask(LinkRole::Cable, Command::StageParameters(set.into()));
+    let staged = rig.stage(LinkRole::Cable, &set.into());
     let Answer::Accepted(Payload::Staged { hash }) = staged else {
         panic!("{staged:?}");
     };

@@ -3,13 +3,13 @@
 use std::time::Duration;
 
 use wimu_link::auth::{DeviceKey, Session};
-use wimu_link::message::{ActiveParameters, Payload, WireParameters, parameter_id};
+use wimu_link::message::{ParametersPiece, Payload, WireParameters, parameter_id};
 use wimu_link::requester::Next;
 use wimu_link::{Answer, Command, Deframer, Kind, LinkRole, Requester};
 use wimu_model::{ErrorModel, ErrorTerms, ParameterSet, Sensitivity};
 use wimu_sim::board::{Board, BoardConfig};
 use wimu_sim::scene::World;
-use wimu_tests::{ROLES, sensor};
+use wimu_tests::{ROLES, sensor, staging};
 
 const KEY: DeviceKey = DeviceKey::new([0x11; 32]);
 /// How often the hosts look at their links, µs.
@@ -142,7 +142,7 @@ fn of_two_pushes_at_once_one_gets_through_and_both_are_told_the_truth() {
                 let answer = host.look(&mut board);
                 *push = match (&*push, answer) {
                     (Push::At(at), _) if board.now_us() >= *at => {
-                        host.ask(&mut board, Command::StageParameters(wires[which]));
+                        host.ask(&mut board, staging(&wires[which]));
                         Push::Staging
                     }
                     (Push::Staging, Some(Answer::Accepted(Payload::Staged { hash }))) => {
@@ -162,8 +162,8 @@ fn of_two_pushes_at_once_one_gets_through_and_both_are_told_the_truth() {
             }
         }
         let last = last.unwrap_or_else(|| panic!("offset {offset}: both are refused"));
-        match hosts[0].answer(&mut board, Command::GetParameters) {
-            Answer::Accepted(Payload::Parameters(ActiveParameters { id, .. })) => {
+        match hosts[0].answer(&mut board, Command::GetParameters { offset: 0 }) {
+            Answer::Accepted(Payload::Parameters(ParametersPiece { id, .. })) => {
                 // When both got through, the later one of them.
                 let both = pushes.iter().all(|push| matches!(push, Push::Ended(true)));
                 assert!(

@@ -64,8 +64,11 @@ const IDS: [Ids; 4] = [Ids::NewSessions, Ids::Counted, Ids::Repeated, Ids::Owner
 /// One of each kind.
 fn commands() -> Vec<Command> {
     let all = vec![
-        Command::GetParameters,
-        Command::StageParameters((&set_of(0.4)).into()),
+        Command::GetParameters { offset: 0 },
+        WireParameters::from(&set_of(0.4))
+            .stage()
+            .next()
+            .expect("a piece"),
         Command::CommitParameters { hash: 1 },
         Command::FactoryReset,
         Command::GetSettings,
@@ -84,8 +87,8 @@ fn commands() -> Vec<Command> {
     for (index, command) in all.iter().enumerate() {
         // Does not compile when there is another one: give it its number here, and add it above.
         let number = match command {
-            Command::GetParameters => 0,
-            Command::StageParameters(_) => 1,
+            Command::GetParameters { .. } => 0,
+            Command::StageParameters { .. } => 1,
             Command::CommitParameters { .. } => 2,
             Command::FactoryReset => 3,
             Command::GetSettings => 4,
@@ -109,7 +112,7 @@ fn attacks() -> Vec<Attack> {
         .flat_map(|command| IDS.map(|ids| Attack::Unsigned(command, ids)));
     let others = [
         Attack::Unknown,
-        Attack::Forged(Command::GetParameters),
+        Attack::Forged(Command::GetParameters { offset: 0 }),
         Attack::Forged(Command::FactoryReset),
         Attack::Replayed,
         Attack::WhoAreYou,

@@ -16,7 +16,7 @@ use wimu_node::Key;
 use wimu_sim::board::{Board, BoardConfig, SimLink};
 use wimu_sim::scene::World;
 use wimu_sim::storage::Storage;
-use wimu_tests::sensor;
+use wimu_tests::{sensor, staging};
 
 type Link<'a> = Client<SimLink<'a, Board>>;
 
@@ -167,7 +167,7 @@ fn a_host_killed_between_stage_and_commit_leaves_what_was_there() {
     let board = start_with_key();
     let mut killed = owner(&board, WIRELESS, 2);
     let before = killed.push_parameters(&set_of(0.1)).expect("pushed");
-    let staged = Command::StageParameters((&set_of(0.2)).into());
+    let staged = staging(&(&set_of(0.2)).into());
     killed.request(staged).expect("staged");
     drop(killed);
     // Another's push is its own, and so is the same host's next one.

@@ -10,11 +10,10 @@ use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::auth::{DeviceKey, KeyId};
 use wimu_link::message::{
-    ActiveParameters, Payload, Refusal, Reply, Request, Settings, Signature, WireParameters,
-    parameter_id,
+    EncodedParameters, Payload, Piece, Refusal, Reply, Request, Settings, Signature, parameter_id,
 };
 use wimu_link::{Answer, Command, Deframer, Kind, LinkRole};
-use wimu_model::{ErrorModel, ErrorTerms, ParameterSet, Sensitivity};
+use wimu_model::{ErrorModel, ErrorTerms, ParameterId, ParameterSet, Sensitivity};
 use wimu_sim::board::{Board, BoardConfig, SimLink};
 use wimu_sim::scene::World;
 use wimu_tests::{ROLES, encoded, sensor};
@@ -51,7 +50,7 @@ struct Middleman<'a> {
     /// On its way to the host.
     forged: VecDeque<u8>,
     /// What the host wants to be told that the board holds.
-    set: Option<WireParameters>,
+    set: Piece,
     settings: Settings,
     /// A write with an effect has come by.
     begun: bool,
@@ -66,7 +65,7 @@ impl<'a> Middleman<'a> {
             key,
             from_host: Deframer::new(),
             forged: VecDeque::new(),
-            set: None,
+            set: Piece::NONE,
             settings: Settings::default(),
             begun: false,
             cut: false,
@@ -88,16 +87,17 @@ impl<'a> Middleman<'a> {
     /// What the host wants to hear.
     fn pleasing(&mut self, command: &Command) -> Option<Payload> {
         Some(match *command {
-            Command::StageParameters(set) => Payload::Staged {
-                hash: parameter_id(&ParameterSet::try_from(&set).ok()?).0,
+            Command::StageParameters { piece, .. } => Payload::Staged {
+                hash: EncodedParameters(piece.as_bytes()).id().0,
             },
-            Command::GetParameters => Payload::Parameters(ActiveParameters {
-                active: self.set,
-                id: match &self.set {
-                    Some(set) => parameter_id(&ParameterSet::try_from(set).ok()?).0,
-                    None => 0,
-                },
-            }),
+            Command::GetParameters { offset } => {
+                let set = EncodedParameters(self.set.as_bytes());
+                let id = match set.0 {
+                    [] => ParameterId::UNCALIBRATED,
+                    _ => set.id(),
+                };
+                Payload::Parameters(set.piece(id, offset))
+            }
             Command::SetSettings(_) | Command::GetSettings => Payload::Settings(self.settings),
             Command::CommitParameters { .. } | Command::FactoryReset => Payload::None,
             _ => return None,
@@ -106,13 +106,13 @@ impl<'a> Middleman<'a> {
 
     /// Whether a request goes on to the board.
     fn lets_through(&mut self, request: &Request) -> bool {
-        let effect =
-            request.command.is_write() && !matches!(request.command, Command::StageParameters(_));
+        let effect = request.command.is_write()
+            && !matches!(request.command, Command::StageParameters { .. });
         self.begun |= effect;
         match request.command {
-            Command::StageParameters(set) => self.set = Some(set),
+            Command::StageParameters { piece, .. } => self.set = piece,
             Command::SetSettings(settings) => self.settings = settings,
-            Command::FactoryReset => self.set = None,
+            Command::FactoryReset => self.set = Piece::NONE,
             _ => {}
         }
         if request.signature == Signature::NONE {

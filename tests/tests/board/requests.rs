@@ -1,5 +1,6 @@
 //! Parameters, settings and the memory that keeps them: refused with a reason, done once, kept.
 
+use wimu_host::decode::Pieces;
 use wimu_link::hello::sensor;
 use wimu_link::message::{
     ActiveParameters, EpochReason, Event, ParameterFault, Payload, Refusal, Resolution, Settings,
@@ -8,7 +9,7 @@ use wimu_link::message::{
 use wimu_link::{Answer, Command, LinkRole, Request, WIRE_VERSION};
 use wimu_model::{ErrorModel, ErrorTerms, ParameterSet, Sensitivity, TemperatureTerms};
 use wimu_node::Key;
-use wimu_tests::{ROLES, Rig, assert_replays, encoded, frame_of, reply_frames};
+use wimu_tests::{ROLES, Rig, assert_replays, encoded, frame_of, reply_frames, staging};
 
 const CABLE: LinkRole = LinkRole::Cable;
 
@@ -21,7 +22,7 @@ pub fn parameters(range_g: u8, lsb_per_g: f64, terms: ErrorTerms) -> WireParamet
         .into()
 }
 
-fn usual_parameters(bias: f64) -> WireParameters {
+pub fn usual_parameters(bias: f64) -> WireParameters {
     let terms = ErrorTerms {
         bias_mps2: [bias, -bias, bias / 2.0],
         matrix: [[1.02, 0.0, 0.0], [0.01, 0.98, 0.0], [-0.02, 0.005, 1.01]],
@@ -32,7 +33,7 @@ fn usual_parameters(bias: f64) -> WireParameters {
 }
 
 fn stage(rig: &mut Rig, set: &WireParameters) -> u32 {
-    match rig.ask(CABLE, Command::StageParameters(*set)) {
+    match rig.stage(CABLE, set) {
         Answer::Accepted(Payload::Staged { hash }) => hash,
         other => panic!("{other:?}"),
     }
@@ -47,10 +48,17 @@ pub fn push(rig: &mut Rig, set: &WireParameters) {
 }
 
 /// The parameters in use and their id.
-fn active(rig: &mut Rig) -> (Option<WireParameters>, u32) {
-    match rig.ask(CABLE, Command::GetParameters) {
-        Answer::Accepted(Payload::Parameters(ActiveParameters { active, id })) => (active, id),
-        other => panic!("{other:?}"),
+pub fn active(rig: &mut Rig) -> (Option<WireParameters>, u32) {
+    let mut pieces = Pieces::default();
+    loop {
+        let offset = pieces.received();
+        let answer = rig.ask(CABLE, Command::GetParameters { offset });
+        let Answer::Accepted(Payload::Parameters(piece)) = answer else {
+            panic!("{answer:?}");
+        };
+        if let Some(ActiveParameters { active, id }) = pieces.take(&piece).expect("a set") {
+            return (active, id);
+        }
     }
 }
 
@@ -136,11 +144,11 @@ fn parameters_that_are_none_are_refused_with_what_is_wrong_and_change_nothing() 
         (overflowing, ParameterFault::Overflow),
         (singular_when_warm, ParameterFault::SingularAtTemperature),
     ] {
-        let answer = rig.ask(CABLE, Command::StageParameters(set));
+        let answer = rig.stage(CABLE, &set);
         let refusal = Answer::Refused(Refusal::InvalidParameters(fault));
         assert_eq!(answer, refusal, "{set:?}");
     }
-    let answer = rig.ask(CABLE, Command::StageParameters(singular));
+    let answer = rig.stage(CABLE, &singular);
     assert!(
         matches!(
             answer,
@@ -148,10 +156,7 @@ fn parameters_that_are_none_are_refused_with_what_is_wrong_and_change_nothing() 
         ),
         "{answer:?}"
     );
-    let answer = rig.ask(
-        CABLE,
-        Command::StageParameters(WireParameters { range_g: 4, ..good }),
-    );
+    let answer = rig.stage(CABLE, &WireParameters { range_g: 4, ..good });
     let wrong_range = Refusal::WrongRange {
         parameters_g: 4,
         device_g: 2,
@@ -161,7 +166,7 @@ fn parameters_that_are_none_are_refused_with_what_is_wrong_and_change_nothing() 
         sensitivity_lsb_per_g: 2048.0,
         ..good
     };
-    let answer = rig.ask(CABLE, Command::StageParameters(eightfold));
+    let answer = rig.stage(CABLE, &eightfold);
     let wrong_sensitivity = Refusal::WrongSensitivity {
         parameters_lsb_per_g: 2048.0,
         device_lsb_per_g: 16384.0,
@@ -171,7 +176,7 @@ fn parameters_that_are_none_are_refused_with_what_is_wrong_and_change_nothing() 
         sensor: Some(sensor::ADXL345),
         ..good
     };
-    let answer = rig.ask(CABLE, Command::StageParameters(others));
+    let answer = rig.stage(CABLE, &others);
     let fault = ParameterFault::OtherSensor {
         parameters: sensor::ADXL345,
         device: sensor::LSM303AGR,
@@ -208,7 +213,7 @@ fn the_wireless_link_reads_but_does_not_write_without_a_key() {
     let mut rig = Rig::usual();
     rig.run(1.0);
     for write in [
-        Command::StageParameters(usual_parameters(0.5)),
+        staging(&usual_parameters(0.5)),
         Command::CommitParameters { hash: 1 },
         Command::SetSettings(Settings::default()),
         Command::FactoryReset,
@@ -217,7 +222,7 @@ fn the_wireless_link_reads_but_does_not_write_without_a_key() {
         assert_eq!(answer, Answer::Refused(Refusal::KeyNeeded), "{write:?}");
     }
     for read in [
-        Command::GetParameters,
+        Command::GetParameters { offset: 0 },
         Command::GetSettings,
         Command::GetStatus,
     ] {
@@ -251,10 +256,7 @@ fn a_request_that_is_repeated_has_one_effect_and_the_same_answer() {
         (Command::CommitParameters { hash }, EpochReason::Parameters),
         (Command::SetSettings(faster), EpochReason::Settings),
         (Command::FactoryReset, EpochReason::Settings),
-        (
-            Command::StageParameters(usual_parameters(0.3)),
-            EpochReason::Start,
-        ),
+        (staging(&usual_parameters(0.3)), EpochReason::Start),
     ] {
         let effects = |rig: &Rig| {
             let epochs = &rig.boot(CABLE).epochs;

@@ -3,7 +3,7 @@
 use wimu_link::LinkRole;
 use wimu_link::message::{Event, WireParameters};
 use wimu_model::{ErrorModel, ErrorTerms, ParameterSet};
-use wimu_sim::board::BoardConfig;
+use wimu_sim::board::{BoardConfig, SensorPart};
 use wimu_sim::scenario::{Calibration, FirstLight};
 use wimu_sim::scene::World;
 use wimu_tests::{Rig, sensor};
@@ -11,7 +11,13 @@ use wimu_tests::{Rig, sensor};
 /// What the sensor of `seed` was calibrated to, and that off by `error` m/s² along Z.
 fn parameters(seed: u64, error: f64) -> WireParameters {
     let calibration = Calibration::TwelvePoses;
-    let outcome = FirstLight { seed, calibration }.run().expect("calibrated");
+    let outcome = FirstLight {
+        seed,
+        sensor: SensorPart::Lsm303agr,
+        calibration,
+    }
+    .run()
+    .expect("calibrated");
     let set = outcome.report.parameters.expect("calibrated");
     let mut terms: ErrorTerms = *set.model.terms();
     terms.bias_mps2[2] += error;

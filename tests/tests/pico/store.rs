@@ -4,7 +4,7 @@ use wimu_link::message::{Event, Payload, SensorStatus, Status, parameter_id};
 use wimu_link::{Answer, Command, LinkRole, Settings};
 use wimu_model::{ParameterId, ParameterSet, Sensitivity};
 use wimu_testkit::figure;
-use wimu_tests::{ROLES, who_are_you};
+use wimu_tests::{ROLES, staging, who_are_you};
 
 use super::run::{CABLE, Run, WIRELESS, cut, happens, rate, request, run, send};
 
@@ -20,7 +20,7 @@ fn set(lsb_per_g: f64) -> ParameterSet {
 fn push(set: &ParameterSet, id: u32) -> [Vec<u8>; 2] {
     let hash = parameter_id(set).0;
     [
-        request(id, Command::StageParameters(set.into())),
+        request(id, staging(&set.into())),
         request(id + 1, Command::CommitParameters { hash }),
     ]
 }
@@ -36,7 +36,11 @@ fn a_set_that_was_pushed_is_in_use_after_the_power_was_off() {
             send(1_000, CABLE, &stage),
             send(1_300, CABLE, &commit),
             happens(2_500, "power"),
-            send(3_300, CABLE, &request(1, Command::GetParameters)),
+            send(
+                3_300,
+                CABLE,
+                &request(1, Command::GetParameters { offset: 0 }),
+            ),
         ],
     );
     let stack = run.report["stack_bytes"].as_u64().expect("a number");

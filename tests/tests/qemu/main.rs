@@ -17,29 +17,33 @@ use std::thread;
 use wimu_host::{ErrorCode, replay};
 use wimu_link::LinkRole;
 use wimu_link::message::{EpochReason, Event as DeviceEvent, Settings};
-use wimu_model::{Alignment, ParameterId, ParameterSet, Sensitivity};
+use wimu_model::{Alignment, GyroscopeParameters, ParameterId, ParameterSet, Sensitivity};
+use wimu_sim::board::SensorPart;
 use wimu_sim::motion;
 use wimu_sim::scenario::{Calibration, FirstLight, Host, Outcome};
 use wimu_sim::scene::{Scene, Temperature, World};
+use wimu_sim::sensor::GyroscopeFault;
 use wimu_sim::source::Physics;
-use wimu_sim::truth::{Gauge, SensorTruth};
-use wimu_testkit::figure;
+use wimu_sim::truth::Gauge;
+use wimu_testkit::{Lane, figure};
 use wimu_tests::behind_faults::BehindFaults;
 use wimu_tests::qemu::{Machine, QemuBoard};
 
-/// A board whose memory and log are in `folder`.
+/// A board with an LSM303AGR whose memory and log are in `folder`.
 fn machine(folder: &Path) -> Machine {
+    machine_with(SensorPart::Lsm303agr, folder)
+}
+
+fn machine_with(sensor: SensorPart, folder: &Path) -> Machine {
     let built = "../firmware/qemu-mps2/target/thumbv7em-none-eabihf/release/wimu-qemu-mps2";
     let image = std::env::var_os("WIMU_QEMU_FIRMWARE").map_or_else(
         || Path::new(env!("CARGO_MANIFEST_DIR")).join(built),
         PathBuf::from,
     );
     Machine {
-        image,
         memory: Some(memory(folder)),
         log: Some(folder.join("log")),
-        power_loss_after: None,
-        slow_flash: None,
+        ..Machine::new(&image, sensor)
     }
 }
 
@@ -53,27 +57,51 @@ fn folder() -> tempfile::TempDir {
 
 /// A sensor that is moved as [`motion::named`] says, and where it is.
 fn sensor(names: &str, world: World, seed: u64) -> (Physics, Scene) {
+    moved(SensorPart::Lsm303agr, names, world, seed)
+}
+
+/// The same with another part.
+fn moved(part: SensorPart, names: &str, world: World, seed: u64) -> (Physics, Scene) {
     let scene = Scene::new(world);
     scene.play(0.0, motion::named(names, seed).expect("a known motion"));
-    let truth = SensorTruth::random(seed, Gauge::LowerTriangular);
+    let truth = part.random_truth(seed, Gauge::LowerTriangular);
     (Physics::new(truth, scene.clone(), seed), scene)
 }
 
 /// What a perfect calibration of the sensor of `seed` finds.
 fn parameters(seed: u64) -> ParameterSet {
-    let sensitivity = Sensitivity::from_lsb_per_g(16384.0).expect("the sensor's");
+    parameters_of(SensorPart::Lsm303agr, seed)
+}
+
+fn parameters_of(part: SensorPart, seed: u64) -> ParameterSet {
+    let lsb_per_g = match part {
+        SensorPart::Lsm6dso => 1e6 / 61.0,
+        _ => 16384.0,
+    };
+    let sensitivity = Sensitivity::from_lsb_per_g(lsb_per_g).expect("the sensor's");
+    let truth = part.random_truth(seed, Gauge::LowerTriangular);
+    let gyroscope = (part == SensorPart::Lsm6dso).then(|| {
+        let rad_s_per_lsb = 0.07_f64.to_radians();
+        GyroscopeParameters::new(2000, rad_s_per_lsb, truth.gyroscope.model, None)
+            .expect("in range")
+    });
     ParameterSet {
-        model: SensorTruth::random(seed, Gauge::LowerTriangular).model,
+        model: truth.model,
         alignment: Alignment::IDENTITY,
+        gyroscope,
         ..ParameterSet::uncalibrated(2, sensitivity)
     }
 }
 
-fn first_light(seed: u64, calibration: Calibration) -> Outcome {
+fn first_light(sensor: SensorPart, seed: u64, calibration: Calibration) -> Outcome {
     let folder = folder();
-    FirstLight { seed, calibration }
-        .run_on(|source| QemuBoard::start(machine(folder.path()), source))
-        .unwrap_or_else(|error| panic!("{error}"))
+    FirstLight {
+        seed,
+        sensor,
+        calibration,
+    }
+    .run_on(|source| QemuBoard::start(machine_with(sensor, folder.path()), source))
+    .unwrap_or_else(|error| panic!("{error}"))
 }
 
 #[test]
@@ -84,7 +112,7 @@ fn first_light_on_a_cortex_m() {
         (1, Calibration::TwelvePoses),
         (2, Calibration::SixPositions),
     ] {
-        let outcome = first_light(seed, calibration);
+        let outcome = first_light(SensorPart::Lsm303agr, seed, calibration);
         assert_eq!(outcome.hello.board.name.as_str(), "QEMU mps2-an386");
         let [before, after] = outcome.tilts_rms_mps2();
         assert!(
@@ -127,8 +155,38 @@ fn first_light_on_a_cortex_m() {
 
 #[test]
 #[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+fn first_light_with_six_axes_on_a_cortex_m() {
+    let outcome = first_light(SensorPart::Lsm6dso, 1, Calibration::TwelvePoses);
+    assert_eq!(outcome.hello.sensor.name.as_str(), "LSM6DSO");
+    assert_eq!(outcome.pushed, outcome.after_restart);
+    assert!(outcome.parameters.gyroscope.is_some());
+    assert_eq!(outcome.replays.len(), 4, "two links, two starts");
+    for replay in &outcome.replays {
+        assert!(replay.is_exact() && replay.breaks <= 1, "{replay:?}");
+        assert!(replay.corrected_compared > 4000 && replay.navigation_compared > 400);
+    }
+    let [calibrated_mm, zupt_mm] =
+        [outcome.slide.calibrated_m, outcome.slide.zupt_m].map(|m| m * 1e3);
+    let [_, calibrated_deg, zupt_deg] = outcome.attitude_deg.expect("attitudes");
+    figure(
+        "six axes in QEMU: 1 m with a rotation by 90°, without and with ZUPT",
+        format!("{calibrated_mm:.1} mm {calibrated_deg:.2}° / {zupt_mm:.1} mm {zupt_deg:.2}°"),
+        "below 150 mm, 0.3°",
+        calibrated_mm < 150.0 && zupt_mm < 150.0 && calibrated_deg < 0.3 && zupt_deg < 0.3,
+    );
+    assert!(
+        calibrated_mm < 150.0 && zupt_mm < 150.0,
+        "{:?}",
+        outcome.slide
+    );
+    assert!(calibrated_deg < 0.3 && zupt_deg < 0.3);
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
 fn the_same_seed_gives_the_same_bytes_however_busy_the_computer_is() {
-    let run = || first_light(3, Calibration::TwelvePoses).recording;
+    let part = SensorPart::Lsm303agr;
+    let run = || first_light(part, 3, Calibration::TwelvePoses).recording;
     // Two at once are in each other's way.
     let (one, other) = thread::scope(|scope| {
         let other = scope.spawn(run);
@@ -141,20 +199,32 @@ fn the_same_seed_gives_the_same_bytes_however_busy_the_computer_is() {
 #[test]
 #[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
 fn ten_minutes_replay_bit_for_bit_over_gaps_temperature_parameters_and_settings() {
+    long_replay(SensorPart::Lsm303agr, 1.0);
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+fn six_axes_replay_bit_for_bit_over_gaps_temperature_parameters_and_settings() {
+    long_replay(SensorPart::Lsm6dso, Lane::current().choose([0.2, 0.2, 1.0]));
+}
+
+/// 620 s times `scale` with faults of all kinds.
+fn long_replay(part: SensorPart, scale: f64) {
     let folder = folder();
     let world = World {
         temperature: Temperature::Step {
             before_c: 20.0,
             after_c: 31.0,
-            at_s: 150.0,
+            at_s: 150.0 * scale,
         },
         ..World::default()
     };
-    let (source, scene) = sensor("twelve-poses,hand,slide,tilts,hand,slide", world, 4);
-    let board = QemuBoard::start(machine(folder.path()), source);
+    let (source, scene) = moved(part, "twelve-poses,hand,slide,tilts,hand,slide", world, 4);
+    let board = QemuBoard::start(machine_with(part, folder.path()), source);
     let board = RefCell::new(board.unwrap_or_else(|error| panic!("{error}")));
     let mut host = Host::connect(&board, scene.clone()).expect("a board");
     let at = |host: &mut Host<'_, QemuBoard>, end_s: f64| {
+        let end_s = scale * end_s;
         // It moves all the time.
         while scene.end_s() < end_s {
             let again = motion::named("hand,rest,slide,tilts", end_s as u64);
@@ -163,19 +233,41 @@ fn ten_minutes_replay_bit_for_bit_over_gaps_temperature_parameters_and_settings(
         host.run_until(end_s).expect("the board goes on");
     };
     at(&mut host, 60.0);
-    host.cable.push_parameters(&parameters(4)).expect("pushed");
+    host.cable
+        .push_parameters(&parameters_of(part, 4))
+        .expect("pushed");
+    let wait = |host: &mut Host<'_, QemuBoard>, seconds: f64| {
+        let end_s = host.now_s() + seconds;
+        host.run_until(end_s).expect("the board goes on");
+    };
     at(&mut host, 100.0);
     board.borrow().sensor().set_present(false);
-    at(&mut host, 101.5);
+    wait(&mut host, 1.5);
     board.borrow().sensor().set_present(true);
     // The temperature steps meanwhile.
     at(&mut host, 200.0);
     board.borrow().bus_faults().set_stuck(true);
-    at(&mut host, 200.7);
+    wait(&mut host, 0.7);
     board.borrow().bus_faults().set_stuck(false);
+    at(&mut host, 250.0);
+    // Without effect on a sensor without a gyroscope.
+    for fault in [GyroscopeFault::Saturates, GyroscopeFault::Stops] {
+        board.borrow().sensor().set_gyroscope_fault(fault);
+        wait(&mut host, 1.0);
+        board
+            .borrow()
+            .sensor()
+            .set_gyroscope_fault(GyroscopeFault::None);
+        wait(&mut host, 3.0);
+    }
     at(&mut host, 300.0);
     let settings = host.cable.settings().expect("settings");
-    for (end_s, rate_hz, range_g) in [(400.0, 50, 2), (500.0, 200, 4), (620.0, 100, 2)] {
+    let rates_hz = match part {
+        SensorPart::Lsm6dso => [52, 208, 104],
+        _ => [50, 200, 100],
+    };
+    let times_and_ranges = [(400.0, 2), (500.0, 4), (620.0, 2)];
+    for ((end_s, range_g), rate_hz) in times_and_ranges.into_iter().zip(rates_hz) {
         let changed = host.cable.set_settings(Settings {
             rate_hz,
             range_g,
@@ -194,7 +286,13 @@ fn ten_minutes_replay_bit_for_bit_over_gaps_temperature_parameters_and_settings(
         println!("{:?}: {replay:?}", link.role);
         figure(
             &format!(
-                "replay of 620 s of a Cortex-M4F, {}: values that differ",
+                "replay of {:.0} s of a Cortex-M4F{}, {}: values that differ",
+                620.0 * scale,
+                if part == SensorPart::Lsm6dso {
+                    " with six axes"
+                } else {
+                    ""
+                },
                 link.role
             ),
             format!(
@@ -205,7 +303,8 @@ fn ten_minutes_replay_bit_for_bit_over_gaps_temperature_parameters_and_settings(
             replay.is_exact(),
         );
         assert!(replay.is_exact(), "{replay:?}");
-        assert!(replay.corrected_compared > 60_000 && replay.navigation_compared > 5_500);
+        let least = [60_000.0, 5_500.0].map(|count| (count * scale * 0.9) as u64);
+        assert!(replay.corrected_compared > least[0] && replay.navigation_compared > least[1]);
         let compared = boot.corrected.len() as u64 - replay.corrected_compared;
         assert_eq!(compared, 0, "corrected samples not compared");
         let has = |reason| boot.epochs.iter().any(|mark| mark.epoch.reason == reason);

@@ -5,7 +5,8 @@ use core::num::NonZeroU8;
 use wimu_model::DeviceTimeUs;
 
 use super::predict::{Coding, MEAN_GAINS, Mean, fold, unfold};
-use super::{CORRECTED_BIT, DECIMATED_BIT, ESCAPE, HEADER, MAX_BATCH, SHIFT_BIT, Sample, Stream};
+use super::sample::{Sample, Stream, Width};
+use super::{CORRECTED_BIT, DECIMATED_BIT, ESCAPE, HEADER, MAX_BATCH, SHIFT_BIT};
 use crate::bits::BitWriter;
 use crate::frame::EncodeError;
 
@@ -20,22 +21,24 @@ pub(super) fn encode_body<S: Sample>(
     samples: &[S],
     body: &mut [u8],
 ) -> Result<usize, EncodeError> {
-    if samples.is_empty() || samples.len() > MAX_BATCH {
-        return Err(EncodeError::BatchLength { most: MAX_BATCH });
+    if samples.is_empty() || samples.len() > S::MOST {
+        return Err(EncodeError::BatchLength { most: S::MOST });
     }
-    let stream = S::STREAM;
-    let shift = common_shift(samples);
+    let shifts = [0, 3].map(|from| match from < S::AXES {
+        true => common_shift(samples, from),
+        false => 0,
+    });
 
     let (header, bits) = body
         .split_first_chunk_mut::<HEADER>()
         .ok_or(EncodeError::NoRoom)?;
     let [sequence_0, sequence_1, ..] = first_sequence.to_le_bytes();
     let [time_0, time_1, time_2, ..] = first_time.0.to_le_bytes();
-    let stream_bit = match stream {
+    let stream_bit = match S::STREAM {
         Stream::Raw => 0,
         Stream::Corrected => CORRECTED_BIT,
     };
-    let shift_bit = if shift > 0 { SHIFT_BIT } else { 0 };
+    let shift_bit = if shifts != [0; 2] { SHIFT_BIT } else { 0 };
     let decimated = every > NonZeroU8::MIN;
     let decimated_bit = if decimated { DECIMATED_BIT } else { 0 };
     let first = (samples.len() - 1) as u8 | stream_bit | shift_bit | decimated_bit;
@@ -53,26 +56,32 @@ pub(super) fn encode_body<S: Sample>(
         coding: None,
         latest_k: None,
     };
-    if shift > 0 {
-        packer.writer.push(shift, stream.field());
+    let sensors = shifts.iter().take(S::AXES / 3);
+    if shift_bit != 0 {
+        for shift in sensors.clone() {
+            packer.writer.push(*shift, S::WIDTH.field());
+        }
     }
-    for axis in 0..3 {
-        packer.pack(Axis {
-            samples,
-            axis,
-            shift,
-        });
+    for (sensor, &shift) in sensors.enumerate() {
+        packer.coding = None;
+        for axis in 3 * sensor..3 * sensor + 3 {
+            packer.pack(Axis {
+                samples,
+                axis,
+                shift,
+            });
+        }
     }
     let packed = packer.writer.finish().ok_or(EncodeError::NoRoom)?;
     Ok(HEADER + usize::from(decimated) + packed)
 }
 
-/// Number of low bits that are zero in all samples: equation (20).
-fn common_shift<S: Sample>(samples: &[S]) -> u32 {
+/// Number of low bits that are zero in all samples of the three axes that begin with `from`: equation (20).
+fn common_shift<S: Sample>(samples: &[S], from: usize) -> u32 {
     let mut used = 0;
     for few in samples.chunks(4) {
         used = few.iter().fold(used, |used, sample| {
-            used | sample.axis(0) | sample.axis(1) | sample.axis(2)
+            used | sample.axis(from) | sample.axis(from + 1) | sample.axis(from + 2)
         });
         if used & 1 == 1 {
             return 0;
@@ -92,8 +101,8 @@ fn bit_length(magnitude: u32) -> u32 {
 }
 
 /// An axis's Rice parameter on the wire: a number of at most 7 bits.
-fn k_code(stream: Stream, k: u32, latest: Option<u32>) -> (u32, u32) {
-    let field = stream.field();
+fn k_code(width: Width, k: u32, latest: Option<u32>) -> (u32, u32) {
+    let field = width.field();
     match latest {
         None => (k, field),
         Some(latest) if k == latest => (0, 1),
@@ -133,9 +142,9 @@ impl<S: Sample> Axis<'_, S> {
         for sample in self.samples.iter().take(TRIED) {
             let value = self.value(sample);
             let step = value.wrapping_sub(previous);
-            first_differences = S::STREAM.add(first_differences, magnitude(step));
+            first_differences = S::WIDTH.add(first_differences, magnitude(step));
             second_differences =
-                S::STREAM.add(second_differences, magnitude(step.wrapping_sub(slope)));
+                S::WIDTH.add(second_differences, magnitude(step.wrapping_sub(slope)));
             (previous, slope) = (value, step);
         }
         if second_differences < first_differences {
@@ -154,7 +163,7 @@ impl<S: Sample> Axis<'_, S> {
         for ((sample, folded), gain) in self.samples.iter().zip(residuals).zip(&MEAN_GAINS) {
             let residual = self.value(sample).wrapping_sub(mean.rounded());
             *folded = fold(residual);
-            sum = S::STREAM.add(sum, *folded);
+            sum = S::WIDTH.add(sum, *folded);
             mean.correct(residual, *gain);
         }
         sum
@@ -169,7 +178,7 @@ impl<S: Sample> Axis<'_, S> {
             let value = self.value(sample);
             let step = value.wrapping_sub(previous);
             *folded = fold(step.wrapping_sub(slope));
-            sum = S::STREAM.add(sum, *folded);
+            sum = S::WIDTH.add(sum, *folded);
             (previous, slope) = (value, step);
         }
         sum
@@ -183,7 +192,7 @@ type Residuals = [u32; MAX_BATCH - 1];
 struct Packer<'a> {
     writer: BitWriter<'a>,
     residuals: Residuals,
-    /// Chosen from the first axis, used for all.
+    /// Chosen from a sensor's first axis, used for its others.
     coding: Option<Coding>,
     latest_k: Option<u32>,
 }
@@ -192,8 +201,8 @@ impl Packer<'_> {
     // Not inlined, to keep the code small.
     #[inline(never)]
     fn pack<S: Sample>(&mut self, all: Axis<'_, S>) {
-        let stream = S::STREAM;
-        let field = stream.field();
+        let width = S::WIDTH;
+        let field = width.field();
         let Some((first, rest)) = all.samples.split_first() else {
             return;
         };
@@ -211,16 +220,16 @@ impl Packer<'_> {
             .residuals
             .get_mut(..rest.samples.len())
             .unwrap_or_default();
-        if stream.can_be_exceeded_in(sum) {
+        if width.can_be_exceeded_in(sum) {
             for folded in &mut *residuals {
-                *folded = fold(stream.wrap(unfold(*folded)));
+                *folded = fold(width.wrap(unfold(*folded)));
             }
         }
 
         // k = floor(log2 of the mean residual). k − 1 is sometimes better, by one or two bits.
         let average = sum / (residuals.len() as u32).max(1);
-        let k = average.max(1).ilog2().min(stream.largest_k());
-        let (code, code_bits) = k_code(stream, k, self.latest_k);
+        let k = average.max(1).ilog2().min(width.largest_k());
+        let (code, code_bits) = k_code(width, k, self.latest_k);
         let first_magnitude = magnitude(first);
         let first_length = bit_length(first_magnitude);
         let head = ((coding as u32) << code_bits | code) << field | first_length;
@@ -230,15 +239,15 @@ impl Packer<'_> {
         let tail = first_magnitude & !(1 << tail_bits);
         let writer = &mut self.writer;
         let start = writer.place();
-        match stream {
+        match width {
             // At most 13 and 14 bits.
-            Stream::Raw => writer.push(head << tail_bits | tail, head_bits + tail_bits),
-            Stream::Corrected => {
+            Width::W16 => writer.push(head << tail_bits | tail, head_bits + tail_bits),
+            Width::W20 | Width::W32 => {
                 writer.push(head, head_bits);
                 writer.push(tail, tail_bits);
             }
         }
-        writer.push_rice(residuals, k, ESCAPE, stream.width());
+        writer.push_rice(residuals, k, ESCAPE, width.bits() as u32);
 
         // Fixed width if that is not longer. The longest sample is searched only if the length of the first
         // one does not decide.

@@ -1,37 +1,44 @@
 //! The decoder: values from bits.
 
 use super::predict::{Coding, Linear, MEAN_WEIGHTS, Mean, Predictor, unfold};
-use super::{BatchError, ESCAPE, MAX_BATCH, Sample, Stream};
+use super::sample::{Sealed, Width};
+use super::{BatchError, ESCAPE, MAX_BATCH};
 use crate::bits::BitReader;
 
-/// Reads all three axes, their samples shifted left by `shift`.
-pub(super) fn decode_axes<S: Sample>(
+/// Reads three axes, their samples shifted left by `shift`.
+pub(super) fn decode_axes<S: Sealed>(
     samples: &mut [[i32; 3]],
     shift: u32,
+    latest_k: &mut Option<u32>,
     reader: &mut BitReader<'_>,
 ) -> Result<(), BatchError> {
-    let mut latest_k = None;
+    if shift >= S::WIDTH.bits() as u32 {
+        return Err(BatchError::Value);
+    }
     for axis in 0..3 {
-        decode_axis::<S>(samples, axis, shift, &mut latest_k, reader)?;
+        decode_axis::<S>(samples, axis, shift, latest_k, reader)?;
     }
     Ok(())
 }
 
-fn decode_axis<S: Sample>(
+fn decode_axis<S: Sealed>(
     samples: &mut [[i32; 3]],
     axis: usize,
     shift: u32,
     latest_k: &mut Option<u32>,
     reader: &mut BitReader<'_>,
 ) -> Result<(), BatchError> {
-    let stream = S::STREAM;
-    let field = stream.field();
+    let bits = S::WIDTH.bits() as u32;
+    let field = S::WIDTH.field();
     // The fields before the residuals have at most 45 bits.
     reader.refill();
     let coding = Coding::from_bits(reader.take(2)).ok_or(BatchError::Value)?;
-    let shifted = |value: i32| stream.wrap(value << shift);
+    let shifted = |value: i32| S::WIDTH.wrap(value << shift);
     if coding == Coding::Fixed {
         let width = reader.take(field) + 1;
+        if width > bits {
+            return Err(BatchError::Value);
+        }
         for sample in samples {
             let spare = 32 - width;
             sample[axis] = shifted((reader.pull(width) << spare) as i32 >> spare);
@@ -50,15 +57,18 @@ fn decode_axis<S: Sample>(
                     .wrapping_add(differs & !code)
                     .wrapping_sub(differs & code)
             }
-            _ => reader.take(2 + field) & (stream.width() - 1),
+            _ => reader.take(2 + field) & ((1 << field) - 1),
         },
     };
-    if k >= stream.width() {
+    if k >= bits {
         return Err(BatchError::Value);
     }
     *latest_k = Some(k);
 
     let length = reader.take(field);
+    if length >= bits {
+        return Err(BatchError::Value);
+    }
     let negative = reader.take(1) as i32;
     let magnitude = (1_u32 << length >> 1) | reader.take(length.saturating_sub(1));
     let first = magnitude as i32 ^ -negative;
@@ -80,19 +90,19 @@ struct Axis {
 impl Axis {
     // Not inlined, so that each loop can use all registers.
     #[inline(never)]
-    fn decode<S: Sample, P: Predictor>(
+    fn decode<S: Sealed, P: Predictor>(
         self,
         first: i32,
         samples: &mut [[i32; 3]],
         reader: &mut BitReader<'_>,
     ) -> Result<(), BatchError> {
         let Self { axis, shift, k } = self;
-        let (stream, axis) = (S::STREAM, axis.min(2));
-        let width = stream.width();
+        let axis = axis.min(2);
+        let width = S::WIDTH.bits() as u32;
         let Some((first_sample, rest)) = samples.split_first_mut() else {
             return Ok(());
         };
-        first_sample[axis] = stream.wrap(first << shift);
+        first_sample[axis] = S::WIDTH.wrap(first << shift);
         // First all residuals, then all values: the two loops have independent dependency chains.
         let mut folded = [0; MAX_BATCH];
         let folded = folded.get_mut(..rest.len()).unwrap_or_default();
@@ -103,12 +113,12 @@ impl Axis {
             all |= number;
             *residual = number as u32;
         };
-        // A raw residual has at most 27 bits, a corrected one 43.
+        // A residual of 16 bits has at most 27 bits, one of 20 bits 31, a corrected one 43.
         let (pairs, last) = folded.as_chunks_mut::<2>();
         for [one, other] in pairs {
             bits.refill();
             next(one, &mut bits);
-            if stream == Stream::Corrected {
+            if S::WIDTH != Width::W16 {
                 bits.refill();
             }
             next(other, &mut bits);
@@ -135,7 +145,7 @@ impl Axis {
             let mut predictor = P::of(first);
             for ((sample, &residual), &weight) in rest.iter_mut().zip(&*folded).zip(&MEAN_WEIGHTS) {
                 let residual = unfold(residual);
-                let value = stream.wrap(predictor.predict().wrapping_add(residual));
+                let value = S::WIDTH.wrap(predictor.predict().wrapping_add(residual));
                 sample[axis] = value;
                 predictor.add(value, weight);
             }
@@ -143,7 +153,7 @@ impl Axis {
         *reader = bits;
         if shift > 0 {
             for sample in rest {
-                sample[axis] = stream.wrap(sample[axis] << shift);
+                sample[axis] = S::WIDTH.wrap(sample[axis] << shift);
             }
         }
         Ok(())

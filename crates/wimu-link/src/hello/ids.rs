@@ -24,6 +24,8 @@ pub mod sensor {
     pub const ADXL345: u16 = 2;
     /// The samples of a recording.
     pub const REPLAY: u16 = 3;
+    /// ST LSM6DSO.
+    pub const LSM6DSO: u16 = 4;
 
     /// The sensor's name.
     pub const fn name(number: u16) -> &'static str {
@@ -31,6 +33,7 @@ pub mod sensor {
             LSM303AGR => "LSM303AGR",
             ADXL345 => "ADXL345",
             REPLAY => "of a recording",
+            LSM6DSO => "LSM6DSO",
             _ => "unknown",
         }
     }
@@ -145,6 +148,8 @@ impl Capabilities {
     pub const DATA_READY: Self = Self(1 << 3);
     /// Parameters and settings survive a restart.
     pub const STORE: Self = Self(1 << 4);
+    /// A gyroscope.
+    pub const GYROSCOPE: Self = Self(1 << 5);
 
     /// Both sets.
     #[must_use]

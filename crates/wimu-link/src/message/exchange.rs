@@ -126,19 +126,18 @@ pub(super) fn option<T>(
     Ok(())
 }
 
-/// An optional number at the end of a message, without a flag.
-pub(super) fn at_the_end(wire: &mut dyn Wire, value: &mut Option<u16>) -> Result<(), MessageError> {
-    if value.is_none() && !wire.reads() {
-        return Ok(());
+/// The first byte of fields that a message may end before; returns whether they follow. A writer writes
+/// them if `present`.
+pub(super) fn begins(
+    wire: &mut dyn Wire,
+    present: bool,
+    first: &mut u8,
+) -> Result<bool, MessageError> {
+    if !present && !wire.reads() {
+        return Ok(false);
     }
-    let [mut low, mut high] = value.unwrap_or(0).to_le_bytes();
-    match byte(wire, &mut low) {
-        Err(MessageError::TooShort) if wire.reads() => *value = None,
-        outcome => {
-            outcome?;
-            byte(wire, &mut high)?;
-            *value = Some(u16::from_le_bytes([low, high]));
-        }
+    match byte(wire, first) {
+        Err(MessageError::TooShort) if wire.reads() => Ok(false),
+        outcome => outcome.map(|()| true),
     }
-    Ok(())
 }

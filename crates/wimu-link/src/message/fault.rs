@@ -4,10 +4,11 @@ use core::fmt;
 
 use serde::{Deserialize, Serialize};
 use wimu_model::{
-    AlignmentError, CompileError, CovarianceError, MagnetometerError, ModelError, QualityError,
-    SensitivityError, Term,
+    AlignmentError, CompileError, CovarianceError, GyroscopeError, GyroscopeTerm,
+    MagnetometerError, ModelError, QualityError, SensitivityError, Term,
 };
 
+use super::MessageError;
 use crate::hello::sensor;
 
 /// The wire form of an enum of the model, with both conversions. The wire holds the variant's index, so
@@ -47,6 +48,23 @@ mirrored! {
         BiasCurvature,
         ScaleSlope,
         Nonlinearity,
+    }
+}
+
+mirrored! {
+    /// A term of the gyroscope's error model. Append only.
+    #[derive(Serialize, Deserialize)]
+    WireGyroscopeTerm of GyroscopeTerm {
+        Bias,
+        Scale,
+        Misalignment,
+        GSensitivity,
+        ReferenceTemperature,
+        BiasSlope,
+        ScaleSlope,
+        Sensitivity,
+        Range,
+        Deviation,
     }
 }
 
@@ -109,6 +127,64 @@ pub enum ParameterFault {
         /// The device's, likewise.
         device: u16,
     },
+    /// The parameters are for a sensor of another index.
+    OtherSensorIndex {
+        /// That of the parameters.
+        parameters: u8,
+        /// That of the sensor which the device corrects.
+        device: u8,
+    },
+    /// A term of the gyroscope's model is not a number, or outside its bounds.
+    Gyroscope {
+        /// Which term.
+        term: WireGyroscopeTerm,
+        /// Its axis (its row in a matrix), 0 = X.
+        axis: u8,
+        /// Its value, in the term's unit.
+        value: f64,
+        /// The lowest allowed.
+        low: f64,
+        /// The highest allowed.
+        high: f64,
+    },
+    /// The gyroscope's matrix is singular or a reflection; holds its determinant.
+    GyroscopeSingular(f64),
+    /// The set has fields or values that the firmware does not know, or is truncated.
+    Unknown {
+        /// Number of bytes beyond the fields that the firmware knows.
+        bytes: u16,
+    },
+}
+
+impl From<GyroscopeError> for ParameterFault {
+    fn from(error: GyroscopeError) -> Self {
+        match error {
+            GyroscopeError::OutOfBounds {
+                term,
+                axis,
+                value,
+                low,
+                high,
+            } => Self::Gyroscope {
+                term: term.into(),
+                axis: axis as u8,
+                value,
+                low,
+                high,
+            },
+            GyroscopeError::Singular { determinant } => Self::GyroscopeSingular(determinant),
+        }
+    }
+}
+
+impl From<MessageError> for ParameterFault {
+    fn from(error: MessageError) -> Self {
+        let bytes = match error {
+            MessageError::TooLong { extra } => u16::try_from(extra).unwrap_or(u16::MAX),
+            _ => 0,
+        };
+        Self::Unknown { bytes }
+    }
 }
 
 impl From<QualityError> for ParameterFault {
@@ -211,6 +287,32 @@ impl fmt::Display for ParameterFault {
                 "made for sensor {parameters} ({}), but the device has {device} ({})",
                 sensor::name(parameters),
                 sensor::name(device)
+            ),
+            Self::OtherSensorIndex { parameters, device } => write!(
+                out,
+                "made for the sensor with index {parameters}, but the device corrects that with index {device}"
+            ),
+            Self::Gyroscope {
+                term,
+                axis,
+                value,
+                low,
+                high,
+            } => GyroscopeError::OutOfBounds {
+                term: term.into(),
+                axis: axis.into(),
+                value,
+                low,
+                high,
+            }
+            .fmt(out),
+            Self::GyroscopeSingular(determinant) => GyroscopeError::Singular { determinant }.fmt(out),
+            Self::Unknown { bytes: 0 } => out.write_str(
+                "the set is truncated or has values unknown to the device's firmware; update the firmware",
+            ),
+            Self::Unknown { bytes } => write!(
+                out,
+                "{bytes} bytes of the set are unknown to the device's firmware; update the firmware"
             ),
         }
     }

@@ -17,6 +17,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::frame::{self, EncodeError, Kind};
 
+mod bytes;
+mod epoch;
 mod exchange;
 mod fault;
 mod parameters;
@@ -26,16 +28,24 @@ mod settings;
 mod state;
 mod telemetry;
 
-pub use fault::{ParameterFault, WireMagnetometerFault, WireQualityFault, WireTerm};
-pub use parameters::{EncodedParameters, WireParameters, parameter_id};
+pub use bytes::{Piece, Signature};
+pub use epoch::{Epoch, EpochGyroscope, EpochReason};
+pub use fault::{
+    ParameterFault, WireGyroscopeTerm, WireMagnetometerFault, WireQualityFault, WireTerm,
+};
+pub use parameters::{
+    EncodedParameters, ParametersPiece, WireGyroscope, WireParameters, parameter_id,
+};
 pub use quality::{WireMagnetometer, WireMagnetometerRotation, WireMethod, WireQuality};
 pub(crate) use request::Head;
-pub use request::{Answer, Command, Payload, Refusal, Reply, Request, Signature};
+pub use request::{Answer, Command, Payload, Refusal, Reply, Request};
 pub use settings::{Resolution, Settings, Streams};
-pub use state::{ARITHMETIC_REVISION, WirePhase, WireRun, WireSegment, WireState, WireWindow};
+pub use state::{
+    ARITHMETIC_REVISION, WirePhase, WireRotation, WireRun, WireSegment, WireState, WireWindow,
+};
 pub use telemetry::{
-    ActiveParameters, BusFault, Environment, Epoch, EpochReason, Event, LinkStatus, Navigation,
-    Record, SensorStatus, Status, Telemetry,
+    ActiveParameters, Attitude, BusFault, Environment, Event, LinkStatus, Navigation, Record,
+    SensorStatus, Status, Telemetry,
 };
 
 macro_rules! framed {
@@ -57,7 +67,17 @@ framed!(Request, Request);
 framed!(Reply<P>, Reply);
 
 fn encode<T: Serialize>(kind: Kind, message: &T, frame: &mut [u8]) -> Result<usize, EncodeError> {
-    frame::build(kind, frame, &mut |body| {
+    encode_within(frame::MAX_BODY, kind, message, frame)
+}
+
+/// The same with a body of up to `longest` bytes.
+fn encode_within<T: Serialize>(
+    longest: usize,
+    kind: Kind,
+    message: &T,
+    frame: &mut [u8],
+) -> Result<usize, EncodeError> {
+    frame::build_within(longest, kind, frame, &mut |body| {
         let mut outcome = Ok(());
         let written = serialize(message, &mut |bytes| {
             outcome = body.push(bytes);

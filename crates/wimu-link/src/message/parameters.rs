@@ -6,14 +6,17 @@ use serde::de::{self, Deserializer, SeqAccess, Visitor};
 use serde::ser::{SerializeTuple, Serializer};
 use serde::{Deserialize, Serialize};
 use wimu_model::{
-    Alignment, ErrorModel, ErrorTerms, ParameterId, ParameterSet, Sensitivity, SensorId,
+    Alignment, ErrorModel, ErrorTerms, GyroscopeModel, GyroscopeParameters,
+    GyroscopeTemperatureTerms, GyroscopeTerms, ParameterId, ParameterSet, Sensitivity, SensorId,
     TemperatureTerms,
 };
 
 use super::MessageError;
-use super::exchange::{Reader, Wire, Writer, at_the_end, byte, doubles, floats, option};
+use super::bytes::Piece;
+use super::exchange::{Reader, Wire, Writer, begins, byte, doubles, floats, option};
 use super::fault::ParameterFault;
 use super::quality::{WireMagnetometer, WireQuality, rotation_covariance, rotation_factor};
+use super::request::Command;
 use crate::checksum::{Digest, crc_32c};
 use crate::frame::EncodeError;
 
@@ -62,13 +65,75 @@ pub struct WireParameters {
     /// The magnetometer's model.
     pub magnetometer: Option<WireMagnetometer>,
     /// The accelerometer that was calibrated, a number of [`sensor`](crate::hello::sensor). `None` if the
-    /// set ends before it. Later fields will be optional in the same way.
+    /// set ends before it, or where later fields follow and it is 0.
     pub sensor: Option<u16>,
+    /// Index of the sensor on its board; 0 if the set ends before it.
+    pub sensor_index: u8,
+    /// The gyroscope's model; `None` if the set ends before it. A set may gain fields at its end only.
+    pub gyroscope: Option<WireGyroscope>,
+}
+
+/// Wire form of [`GyroscopeParameters`], not validated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct WireGyroscope {
+    /// Full-scale range, ± °/s.
+    pub range_dps: u16,
+    /// Nominal sensitivity, rad/s per LSB.
+    pub rad_s_per_lsb: f64,
+    /// b₀, rad/s.
+    pub bias_rad_s: [f64; 3],
+    /// A, row by row.
+    pub matrix: [[f64; 3]; 3],
+    /// G, rad/s per m/s², row by row.
+    pub g_sensitivity: [[f64; 3]; 3],
+    /// T₀, °C.
+    pub reference_c: f64,
+    /// b₁, rad/s per K.
+    pub bias_rad_s_per_k: [f64; 3],
+    /// s₁, 1/K.
+    pub scale_per_k: [f64; 3],
+    /// Standard deviations: b₀, rad/s; A row by row.
+    pub sd: Option<[f32; 12]>,
+}
+
+impl WireGyroscope {
+    const BLANK: Self = Self {
+        range_dps: 0,
+        rad_s_per_lsb: 0.0,
+        bias_rad_s: [0.0; 3],
+        matrix: [[0.0; 3]; 3],
+        g_sensitivity: [[0.0; 3]; 3],
+        reference_c: 0.0,
+        bias_rad_s_per_k: [0.0; 3],
+        scale_per_k: [0.0; 3],
+        sd: None,
+    };
+
+    fn exchange(wire: &mut dyn Wire, gyroscope: &mut Self) -> Result<(), MessageError> {
+        let mut range_dps = gyroscope.range_dps.to_le_bytes();
+        wire.exchange(&mut range_dps)?;
+        gyroscope.range_dps = u16::from_le_bytes(range_dps);
+        for values in [
+            core::slice::from_mut(&mut gyroscope.rad_s_per_lsb),
+            &mut gyroscope.bias_rad_s,
+            gyroscope.matrix.as_flattened_mut(),
+            gyroscope.g_sensitivity.as_flattened_mut(),
+            core::slice::from_mut(&mut gyroscope.reference_c),
+            &mut gyroscope.bias_rad_s_per_k,
+            &mut gyroscope.scale_per_k,
+        ] {
+            doubles(wire, values)?;
+        }
+        option(wire, &mut gyroscope.sd, [0.0; 12], |wire, sd| {
+            floats(wire, sd)
+        })
+    }
 }
 
 impl WireParameters {
     /// Longest wire form, bytes.
-    pub const MAX: usize = 837;
+    pub const MAX: usize = 1122;
 
     const BLANK: Self = Self {
         range_g: 0,
@@ -85,11 +150,29 @@ impl WireParameters {
         quality: None,
         magnetometer: None,
         sensor: None,
+        sensor_index: 0,
+        gyroscope: None,
     };
 
     fn exchange(&mut self, wire: &mut dyn Wire) -> Result<(), MessageError> {
         self.exchange_v0(wire)?;
-        at_the_end(wire, &mut self.sensor)
+        let more = self.sensor_index != 0 || self.gyroscope.is_some();
+        let [mut low, mut high] = self.sensor.unwrap_or(0).to_le_bytes();
+        if !begins(wire, more || self.sensor.is_some(), &mut low)? {
+            return Ok(());
+        }
+        byte(wire, &mut high)?;
+        self.sensor = Some(u16::from_le_bytes([low, high]));
+        if !begins(wire, more, &mut self.sensor_index)? {
+            return Ok(());
+        }
+        self.sensor = self.sensor.filter(|number| *number != 0);
+        option(
+            wire,
+            &mut self.gyroscope,
+            WireGyroscope::BLANK,
+            WireGyroscope::exchange,
+        )
     }
 
     /// The fields of wire version 0.
@@ -150,6 +233,20 @@ impl WireParameters {
         let written = copy.exchange(&mut writer);
         written.map_err(|_| EncodeError::NoRoom)?;
         Ok(writer.1)
+    }
+
+    /// The commands that stage it, in order.
+    pub fn stage(&self) -> impl Iterator<Item = Command> {
+        let mut bytes = [0; Self::MAX];
+        let total = self.encode(&mut bytes).unwrap_or(0);
+        (0..total).step_by(Piece::MAX).map(move |offset| {
+            let piece = bytes.get(offset..total.min(offset + Piece::MAX));
+            Command::StageParameters {
+                offset: offset as u16,
+                total: total as u16,
+                piece: Piece::new(piece.unwrap_or_default()).unwrap_or_default(),
+            }
+        })
     }
 
     /// Reads a wire form.
@@ -231,6 +328,32 @@ impl<'de> Deserialize<'de> for WireParameters {
     }
 }
 
+/// A piece of the parameters in use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct ParametersPiece<P = Piece> {
+    /// The id of the committed set, 0 without one.
+    pub id: u32,
+    /// The piece's first byte.
+    pub offset: u16,
+    /// Length of the set's wire form, bytes; 0 if the device is uncalibrated.
+    pub total: u16,
+    /// At most 256 bytes; none from the set's end on.
+    pub piece: P,
+}
+
+impl ParametersPiece {
+    /// The same with borrowed bytes.
+    pub fn borrowed(&self) -> ParametersPiece<&[u8]> {
+        ParametersPiece {
+            id: self.id,
+            offset: self.offset,
+            total: self.total,
+            piece: self.piece.as_bytes(),
+        }
+    }
+}
+
 /// A parameter set as the bytes of its wire form. A device keeps this form because it does not use most of
 /// the content.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -253,6 +376,18 @@ impl<'a> EncodedParameters<'a> {
     /// [`MessageError`] when the bytes are not exactly one.
     pub fn decode(self) -> Result<WireParameters, MessageError> {
         WireParameters::decode(self.0)
+    }
+
+    /// The piece from `offset` on, of a set with this `id`.
+    pub fn piece(self, id: ParameterId, offset: u16) -> ParametersPiece {
+        let rest = self.0.get(offset.into()..).unwrap_or_default();
+        let piece = rest.get(..Piece::MAX).unwrap_or(rest);
+        ParametersPiece {
+            id: id.0,
+            offset,
+            total: self.0.len() as u16,
+            piece: Piece::new(piece).unwrap_or_default(),
+        }
     }
 
     /// The set's id, equal to [`parameter_id`].
@@ -296,6 +431,8 @@ impl From<&ParameterSet> for WireParameters {
             quality: set.quality.as_ref().map(WireQuality::from),
             magnetometer: set.magnetometer.as_ref().map(WireMagnetometer::from),
             sensor: set.sensor.map(|SensorId(number)| number),
+            sensor_index: set.sensor_index,
+            gyroscope: set.gyroscope.as_ref().map(WireGyroscope::from),
         }
     }
 }
@@ -329,7 +466,49 @@ impl TryFrom<&WireParameters> for ParameterSet {
                 .map(TryInto::try_into)
                 .transpose()?,
             sensor: wire.sensor.map(SensorId),
+            sensor_index: wire.sensor_index,
+            gyroscope: wire.gyroscope.as_ref().map(TryInto::try_into).transpose()?,
         })
+    }
+}
+
+impl From<&GyroscopeParameters> for WireGyroscope {
+    fn from(gyroscope: &GyroscopeParameters) -> Self {
+        let terms = gyroscope.model.terms();
+        Self {
+            range_dps: gyroscope.range_dps,
+            rad_s_per_lsb: gyroscope.rad_s_per_lsb,
+            bias_rad_s: terms.bias_rad_s,
+            matrix: terms.matrix,
+            g_sensitivity: terms.g_sensitivity,
+            reference_c: terms.temperature.reference_c,
+            bias_rad_s_per_k: terms.temperature.bias_rad_s_per_k,
+            scale_per_k: terms.temperature.scale_per_k,
+            sd: gyroscope.sd,
+        }
+    }
+}
+
+impl TryFrom<&WireGyroscope> for GyroscopeParameters {
+    type Error = ParameterFault;
+
+    fn try_from(wire: &WireGyroscope) -> Result<Self, ParameterFault> {
+        let model = GyroscopeModel::new(GyroscopeTerms {
+            bias_rad_s: wire.bias_rad_s,
+            matrix: wire.matrix,
+            g_sensitivity: wire.g_sensitivity,
+            temperature: GyroscopeTemperatureTerms {
+                reference_c: wire.reference_c,
+                bias_rad_s_per_k: wire.bias_rad_s_per_k,
+                scale_per_k: wire.scale_per_k,
+            },
+        })?;
+        Ok(Self::new(
+            wire.range_dps,
+            wire.rad_s_per_lsb,
+            model,
+            wire.sd,
+        )?)
     }
 }
 

@@ -2,83 +2,15 @@
 
 use core::fmt;
 
-use serde::de::{self, Deserializer, Visitor};
-use serde::{Deserialize, Serialize, Serializer};
+use serde::{Deserialize, Serialize};
 
 use super::MessageError;
+use super::bytes::{Piece, Signature};
 use super::fault::ParameterFault;
-use super::parameters::{EncodedParameters, WireParameters};
+use super::parameters::ParametersPiece;
 use super::settings::Settings;
-use super::telemetry::{ActiveParameters, Status};
+use super::telemetry::Status;
 use crate::auth::{DeviceKey, KeyId, Nonce};
-
-/// The signature of a request or reply, 8 bytes ([`auth`](crate::auth)), or none.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Signature {
-    length: u8,
-    bytes: [u8; Self::MAX],
-}
-
-impl Signature {
-    /// The longest signature, bytes.
-    pub const MAX: usize = 8;
-
-    /// No signature.
-    pub const NONE: Self = Self {
-        length: 0,
-        bytes: [0; Self::MAX],
-    };
-
-    /// From its bytes; `None` if there are more than 8.
-    pub fn new(signature: &[u8]) -> Option<Self> {
-        let mut bytes = [0; Self::MAX];
-        bytes.get_mut(..signature.len())?.copy_from_slice(signature);
-        Some(Self {
-            length: signature.len() as u8,
-            bytes,
-        })
-    }
-
-    /// A signature of 8 bytes.
-    pub(crate) const fn whole(bytes: [u8; Self::MAX]) -> Self {
-        Self {
-            length: Self::MAX as u8,
-            bytes,
-        }
-    }
-
-    /// Its bytes.
-    pub fn as_bytes(&self) -> &[u8] {
-        self.bytes.get(..self.length.into()).unwrap_or_default()
-    }
-}
-
-impl Serialize for Signature {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_bytes(self.as_bytes())
-    }
-}
-
-impl<'de> Deserialize<'de> for Signature {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Bytes;
-
-        impl Visitor<'_> for Bytes {
-            type Value = Signature;
-
-            fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-                out.write_str("at most 8 bytes")
-            }
-
-            fn visit_bytes<E: de::Error>(self, bytes: &[u8]) -> Result<Signature, E> {
-                Signature::new(bytes).ok_or_else(|| E::invalid_length(bytes.len(), &self))
-            }
-        }
-
-        deserializer.deserialize_bytes(Bytes)
-    }
-}
 
 /// A request of a host. [`Requester`](crate::Requester) makes requests and
 /// [`Responder`](crate::Responder) processes them.
@@ -105,6 +37,13 @@ impl Request {
     }
 }
 
+impl<'a> Command<&'a [u8]> {
+    /// Decodes the part of a request after its head.
+    pub(crate) fn decode(bytes: &'a [u8]) -> Result<Self, MessageError> {
+        super::decode(bytes)
+    }
+}
+
 /// The fields before the command of a [`Request`], and before the answer of a [`Reply`].
 #[derive(Serialize, Deserialize)]
 pub(crate) struct Head {
@@ -123,15 +62,26 @@ impl Head {
 /// A command, and the payload that it returns. Commands set absolute values, so that repeating one has no
 /// further effect. Append only.
 ///
-/// `P` is a parameter set; a device keeps it in its wire form ([`EncodedParameters`]).
+/// `P` is a piece of a parameter set; a device borrows it from the request's body.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
-pub enum Command<P = WireParameters> {
-    /// The parameters in use: [`Payload::Parameters`].
-    GetParameters,
-    /// Check these parameters and keep them for a commit: [`Payload::Staged`].
-    StageParameters(P),
+pub enum Command<P = Piece> {
+    /// A piece of the parameters in use: [`Payload::Parameters`].
+    GetParameters {
+        /// Its first byte.
+        offset: u16,
+    },
+    /// A piece of parameters to check and keep for a commit, in order: [`Payload::None`], and after the
+    /// last one [`Payload::Staged`]. The piece at 0 begins a new set.
+    StageParameters {
+        /// Its first byte.
+        offset: u16,
+        /// Length of the set, bytes.
+        total: u16,
+        /// At most 256 bytes.
+        piece: P,
+    },
     /// Store the staged parameters and use them: [`Payload::None`].
     CommitParameters {
         /// The id that staging them returned.
@@ -168,38 +118,20 @@ pub enum Command<P = WireParameters> {
     GetTime,
 }
 
-impl<'a> Command<EncodedParameters<'a>> {
-    /// Decodes a command, except for its parameters.
-    pub(crate) fn take(bytes: &'a [u8]) -> Result<Self, MessageError> {
-        match bytes {
-            // The index of the variant; its only field is the rest.
-            [1, parameters @ ..] => {
-                let parameters = EncodedParameters(parameters);
-                parameters.decode()?;
-                Ok(Self::StageParameters(parameters))
-            }
-            _ => super::decode(bytes),
-        }
-    }
-
-    /// The same with decoded parameters.
-    ///
-    /// # Errors
-    /// [`MessageError`] when the parameters are not exactly one set.
-    pub fn decoded(self) -> Result<Command, MessageError> {
-        self.try_map(EncodedParameters::decode)
-    }
-}
-
 impl<P> Command<P> {
-    /// The same with converted parameters.
-    ///
-    /// # Errors
-    /// Those of `change`.
-    pub fn try_map<Q, E>(self, change: impl FnOnce(P) -> Result<Q, E>) -> Result<Command<Q>, E> {
-        Ok(match self {
-            Self::StageParameters(parameters) => Command::StageParameters(change(parameters)?),
-            Self::GetParameters => Command::GetParameters,
+    /// The same with another form of the piece.
+    pub fn map<Q>(self, change: impl FnOnce(P) -> Q) -> Command<Q> {
+        match self {
+            Self::StageParameters {
+                offset,
+                total,
+                piece,
+            } => Command::StageParameters {
+                offset,
+                total,
+                piece: change(piece),
+            },
+            Self::GetParameters { offset } => Command::GetParameters { offset },
             Self::CommitParameters { hash } => Command::CommitParameters { hash },
             Self::FactoryReset => Command::FactoryReset,
             Self::GetSettings => Command::GetSettings,
@@ -211,19 +143,19 @@ impl<P> Command<P> {
             Self::SetKey(key) => Command::SetKey(key),
             Self::ForgetKey => Command::ForgetKey,
             Self::GetTime => Command::GetTime,
-        })
+        }
     }
 
     /// Whether it changes the device's state.
     pub fn is_write(&self) -> bool {
         match self {
-            Self::GetParameters
+            Self::GetParameters { .. }
             | Self::GetSettings
             | Self::GetStatus
             | Self::OpenSession
             | Self::GetKeyStatus
             | Self::GetTime => false,
-            Self::StageParameters(_)
+            Self::StageParameters { .. }
             | Self::CommitParameters { .. }
             | Self::FactoryReset
             | Self::SetSettings(_)
@@ -241,7 +173,7 @@ impl<P> Command<P> {
 /// A device's answer to a request.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Reply<P = WireParameters> {
+pub struct Reply<P = Piece> {
     /// The request's.
     pub session: u32,
     /// The request's.
@@ -288,7 +220,7 @@ impl Answer {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
-pub enum Answer<P = WireParameters> {
+pub enum Answer<P = Piece> {
     /// It was executed.
     Accepted(Payload<P>),
     /// It was not executed.
@@ -301,11 +233,11 @@ pub enum Answer<P = WireParameters> {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
-pub enum Payload<P = WireParameters> {
+pub enum Payload<P = Piece> {
     /// Nothing.
     None,
-    /// The parameters in use.
-    Parameters(ActiveParameters<P>),
+    /// A piece of the parameters in use.
+    Parameters(ParametersPiece<P>),
     /// The parameters are staged.
     Staged {
         /// Their id, for the commit.
@@ -393,6 +325,11 @@ pub enum Refusal {
     SessionEnded,
     /// Keys are set and forgotten over the cable only.
     CableOnly,
+    /// The piece of parameters does not continue the pieces that the device has.
+    WrongPiece {
+        /// Number of bytes that it has.
+        received: u16,
+    },
     /// A reason that is unknown to this version; never sent. Keep it last.
     #[serde(skip)]
     Other {
@@ -468,6 +405,10 @@ impl fmt::Display for Refusal {
             Self::Other { number } => write!(
                 out,
                 "the device refuses for a reason unknown to this version (refusal {number}); update this end"
+            ),
+            Self::WrongPiece { received } => write!(
+                out,
+                "the piece does not continue the {received} bytes of parameters received on this link: another host may be pushing; push again from the start"
             ),
             Self::FixedLineRate => {
                 out.write_str("this link's rate cannot be set on the device; use its present rate")

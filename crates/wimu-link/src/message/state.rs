@@ -1,18 +1,17 @@
 //! The integrator's state on the wire.
 
-use core::fmt;
-
-use serde::de::{self, Deserializer, SeqAccess, Visitor};
+use serde::de::{Error as _, SeqAccess};
+use serde::ser::SerializeTuple;
 use serde::{Deserialize, Serialize};
-use wimu_integrator::{Config, Flags, Phase, Run, Segment, State, Window};
+use wimu_integrator::{Config, Flags, Phase, RotationState, Run, Segment, State, Window};
 use wimu_model::PeriodNs;
 
 /// Wire form of [`wimu_integrator::State`].
 /// [`Integrator::from_state`](wimu_integrator::Integrator::from_state) validates it.
 ///
-/// It is the last field of an epoch and begins with its revision, so that a host with another revision can
-/// decode the epoch: [`is_ours`](Self::is_ours) is false then, and all other fields are 0.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+/// In an epoch its revision precedes it, and it is the last field, so that a host that does not know the
+/// revision can decode the epoch: [`is_ours`](Self::is_ours) is false then, and all other fields are 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct WireState {
     /// Revision of the arithmetic, and of the following fields.
@@ -27,9 +26,10 @@ pub struct WireState {
     pub phase: WirePhase,
     /// The bits of [`Flags`].
     pub flags: u8,
-    /// Mean specific force over the latest rest, 2⁻³² m/s², body axes.
+    /// Mean specific force over the latest rest, 2⁻³² m/s², integration axes: body axes without a
+    /// gyroscope, with one the body axes of the first rest, fixed to the earth.
     pub rest_mean: [i64; 3],
-    /// Direction of east in body axes, 2⁻³⁰ per LSB.
+    /// Direction of east in integration axes, 2⁻³⁰ per LSB.
     pub east: [i32; 3],
     /// Position at the start of the segment, nm, east-north-up.
     pub base_position_nm: [i64; 3],
@@ -45,16 +45,95 @@ pub struct WireState {
     pub run: Option<WireRun>,
     /// Standard deviation of the heading against magnetic north, mrad; `None`: uncalibrated.
     pub heading_sd_mrad: Option<u16>,
+    /// Rotation, since revision 2; `None`: no gyroscope.
+    pub rotation: Option<WireRotation>,
 }
 
 /// Revision of the results of `wimu_model::Corrector` and `wimu_integrator::Integrator`, bit for bit, and of
 /// their state. It changes with any change of a result.
-pub const ARITHMETIC_REVISION: u8 = 1;
+///
+/// The results of revision 1 are those of revision 2 without a gyroscope.
+pub const ARITHMETIC_REVISION: u8 = 2;
+
+/// The first revision with a rotation.
+const ROTATION_SINCE: u8 = 2;
+
+/// The fields of a state of revision 1.
+type Fields = (
+    (u32, bool, u32, WirePhase, u8),
+    ([i64; 3], [i32; 3], [i64; 3], [i64; 3], u64),
+    (WireSegment, WireWindow, Option<WireRun>, Option<u16>),
+);
 
 impl WireState {
-    /// Whether it has this crate's revision, so that samples can be replayed from it.
+    /// Whether this crate has the arithmetic of its revision, so that samples can be replayed from it.
     pub fn is_ours(&self) -> bool {
-        self.revision == ARITHMETIC_REVISION
+        matches!(self.revision, 1..=ARITHMETIC_REVISION)
+    }
+
+    /// Writes all fields except the revision.
+    pub(super) fn write<T: SerializeTuple>(&self, fields: &mut T) -> Result<(), T::Error> {
+        let state: Fields = (
+            (
+                self.period_ns,
+                self.zupt,
+                self.gravity_um_s2,
+                self.phase,
+                self.flags,
+            ),
+            (
+                self.rest_mean,
+                self.east,
+                self.base_position_nm,
+                self.base_velocity_nmps,
+                self.base_since_rest_ns,
+            ),
+            (self.segment, self.window, self.run, self.heading_sd_mrad),
+        );
+        fields.serialize_element(&state)?;
+        match self.revision {
+            0..ROTATION_SINCE => Ok(()),
+            _ => fields.serialize_element(&self.rotation),
+        }
+    }
+
+    /// Reads what [`write`](Self::write) writes; nothing of an unknown revision.
+    pub(super) fn read<'de, A: SeqAccess<'de>>(
+        revision: u8,
+        fields: &mut A,
+    ) -> Result<Self, A::Error> {
+        let state = Self::of_revision(revision);
+        if !state.is_ours() {
+            return Ok(state);
+        }
+        let read: Option<Fields> = fields.next_element()?;
+        let (first, second, third) = read.ok_or_else(|| A::Error::missing_field("state"))?;
+        let (period_ns, zupt, gravity_um_s2, phase, flags) = first;
+        let (rest_mean, east, base_position_nm, base_velocity_nmps, base_since_rest_ns) = second;
+        let (segment, window, run, heading_sd_mrad) = third;
+        let missing = || A::Error::missing_field("rotation");
+        let rotation = match revision {
+            0..ROTATION_SINCE => None,
+            _ => fields.next_element()?.ok_or_else(missing)?,
+        };
+        Ok(Self {
+            revision,
+            period_ns,
+            zupt,
+            gravity_um_s2,
+            phase,
+            flags,
+            rest_mean,
+            east,
+            base_position_nm,
+            base_velocity_nmps,
+            base_since_rest_ns,
+            segment,
+            window,
+            run,
+            heading_sd_mrad,
+            rotation,
+        })
     }
 
     /// A state with only a revision.
@@ -75,6 +154,7 @@ impl WireState {
             window: WireWindow::default(),
             run: None,
             heading_sd_mrad: None,
+            rotation: None,
         }
     }
 }
@@ -82,58 +162,6 @@ impl WireState {
 impl Default for WireState {
     fn default() -> Self {
         Self::of_revision(ARITHMETIC_REVISION)
-    }
-}
-
-impl<'de> Deserialize<'de> for WireState {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        /// The fields after the revision, in order.
-        type Fields = (
-            (u32, bool, u32, WirePhase, u8),
-            ([i64; 3], [i32; 3], [i64; 3], [i64; 3], u64),
-            (WireSegment, WireWindow, Option<WireRun>, Option<u16>),
-        );
-        struct Revised;
-
-        impl<'de> Visitor<'de> for Revised {
-            type Value = WireState;
-
-            fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-                out.write_str("an integrator's state")
-            }
-
-            fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<WireState, A::Error> {
-                let missing = || de::Error::missing_field("state");
-                let revision = seq.next_element()?.ok_or_else(missing)?;
-                if revision != ARITHMETIC_REVISION {
-                    return Ok(WireState::of_revision(revision));
-                }
-                let fields: Fields = seq.next_element()?.ok_or_else(missing)?;
-                let (first, second, (segment, window, run, heading_sd_mrad)) = fields;
-                let (period_ns, zupt, gravity_um_s2, phase, flags) = first;
-                let (rest_mean, east, base_position_nm, base_velocity_nmps, base_since_rest_ns) =
-                    second;
-                Ok(WireState {
-                    revision,
-                    period_ns,
-                    zupt,
-                    gravity_um_s2,
-                    phase,
-                    flags,
-                    rest_mean,
-                    east,
-                    base_position_nm,
-                    base_velocity_nmps,
-                    base_since_rest_ns,
-                    segment,
-                    window,
-                    run,
-                    heading_sd_mrad,
-                })
-            }
-        }
-
-        deserializer.deserialize_tuple(2, Revised)
     }
 }
 
@@ -156,9 +184,9 @@ pub enum WirePhase {
 pub struct WireSegment {
     /// Steps taken.
     pub steps: u32,
-    /// Velocity, 2⁻¹⁷·Δt m/s, body axes.
+    /// Velocity, 2⁻¹⁷·Δt m/s, integration axes.
     pub velocity_sum: [i64; 3],
-    /// Position, 2⁻¹⁸·Δt² m, body axes.
+    /// Position, 2⁻¹⁸·Δt² m, integration axes.
     pub position_sum: [i64; 3],
     /// Latest sample minus gravity (rounded to 2⁻¹⁶ m/s²), 2⁻¹⁶ m/s².
     pub previous: Option<[i32; 3]>,
@@ -192,6 +220,26 @@ pub struct WireRun {
     pub latest: [i64; 3],
     /// The segment at the end of the first window.
     pub start: WireSegment,
+}
+
+/// Wire form of [`RotationState`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct WireRotation {
+    /// Quaternion w, x, y, z from body to integration axes, 2⁻⁶¹.
+    pub quaternion: [i64; 4],
+    /// Latest angular rate minus bias, 2⁻²⁰ rad/s.
+    pub previous: Option<[i32; 3]>,
+    /// Part of the latest half angle below 2⁻³¹ rad, 2⁻⁶³ rad.
+    pub remainder: [u32; 3],
+    /// Bias of the gyroscope at the latest rest, 2⁻²⁰ rad/s.
+    pub bias: [i32; 3],
+    /// Σ of the angular rates of the window, 2⁻²⁰ rad/s.
+    pub window: [i64; 3],
+    /// Σ of the angular rates over all windows of the run except the latest, 2⁻²⁰ rad/s.
+    pub sum: [i64; 3],
+    /// Σ of the angular rates over the latest window of the run, 2⁻²⁰ rad/s.
+    pub latest: [i64; 3],
 }
 
 impl From<Phase> for WirePhase {
@@ -246,6 +294,12 @@ mirror!(
     [start]
 );
 mirror!(WireRun, Run, [windows, sum, latest], [start]);
+mirror!(
+    WireRotation,
+    RotationState,
+    [quaternion, previous, remainder, bias, window, sum, latest],
+    []
+);
 
 impl From<State> for WireState {
     fn from(state: State) -> Self {
@@ -265,6 +319,7 @@ impl From<State> for WireState {
             window: state.window.into(),
             run: state.run.map(WireRun::from),
             heading_sd_mrad: state.heading_sd_mrad,
+            rotation: state.rotation.map(WireRotation::from),
         }
     }
 }
@@ -288,6 +343,7 @@ impl From<WireState> for State {
             window: wire.window.into(),
             run: wire.run.map(Run::from),
             heading_sd_mrad: wire.heading_sd_mrad,
+            rotation: wire.rotation.map(RotationState::from),
         }
     }
 }

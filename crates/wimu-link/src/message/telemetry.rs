@@ -2,15 +2,15 @@
 
 use core::fmt;
 
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
-use wimu_model::ParameterId;
+use serde::{Deserialize, Serialize};
 
 use super::MessageError;
+use super::epoch::Epoch;
 use super::fault::ParameterFault;
-use super::parameters::{EncodedParameters, WireParameters};
+use super::parameters::{EncodedParameters, ParametersPiece, WireParameters};
 use super::settings::Settings;
-use super::state::{WirePhase, WireState};
-use crate::frame::{Kind, WIRE_VERSION};
+use super::state::WirePhase;
+use crate::frame::{EncodeError, Kind, MAX_RECORD_BODY, WIRE_VERSION};
 
 /// Messages that a device sends without a request, other than samples. Append only.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -23,7 +23,7 @@ pub enum Telemetry<P = WireParameters> {
     Environment(Environment),
     /// Velocity and position.
     Navigation(Navigation),
-    /// The parameters in use.
+    /// The parameters in use: in recordings of wire version 1 and in a device's store only.
     Parameters(ActiveParameters<P>),
     /// The settings in use.
     Settings(Settings),
@@ -36,6 +36,10 @@ pub enum Telemetry<P = WireParameters> {
         /// The event.
         event: Event,
     },
+    /// The attitude, with [`Navigation`] where there is a gyroscope.
+    Attitude(Attitude),
+    /// A piece of the parameters in use.
+    ParametersPiece(ParametersPiece),
 }
 
 /// The messages that a device also stores. All later firmware can read them.
@@ -49,6 +53,22 @@ pub enum Record<'a> {
 }
 
 impl<'a> Record<'a> {
+    /// Encodes a parameter set into a frame for a store, of which
+    /// [`MAX_RECORD`](crate::frame::MAX_RECORD) bytes are enough; returns its length, bytes.
+    ///
+    /// # Errors
+    /// [`EncodeError`] when the set is too long or the frame does not fit.
+    pub fn encode_parameters(
+        set: EncodedParameters,
+        frame: &mut [u8],
+    ) -> Result<usize, EncodeError> {
+        let message = Telemetry::Parameters(ActiveParameters {
+            active: Some(set),
+            id: set.id().0,
+        });
+        super::encode_within(MAX_RECORD_BODY, Kind::Telemetry, &message, frame)
+    }
+
     /// Decodes an [opened](crate::frame::open) record of this wire version or an earlier one.
     ///
     /// # Errors
@@ -56,10 +76,11 @@ impl<'a> Record<'a> {
     pub fn decode(opened: &'a [u8]) -> Result<Self, MessageError> {
         const TELEMETRY: u8 = Kind::Telemetry as u8;
         const V0: u8 = TELEMETRY;
-        const V1: u8 = (WIRE_VERSION << 4) | TELEMETRY;
+        const V1: u8 = (1 << 4) | TELEMETRY;
+        const V2: u8 = (WIRE_VERSION << 4) | TELEMETRY;
         match opened {
             // The index of the variant, the id, and a set.
-            [V1, 3, rest @ ..] => match postcard::take_from_bytes::<u32>(rest)? {
+            [V1 | V2, 3, rest @ ..] => match postcard::take_from_bytes::<u32>(rest)? {
                 (_, [1, set @ ..]) => {
                     let parameters = EncodedParameters(set);
                     parameters.decode()?;
@@ -73,7 +94,7 @@ impl<'a> Record<'a> {
                 super::decode::<u32>(id)?;
                 Ok(Self::Parameters(parameters))
             }
-            [V0 | V1, 4, settings @ ..] => super::decode(settings).map(Self::Settings),
+            [V0 | V1 | V2, 4, settings @ ..] => super::decode(settings).map(Self::Settings),
             _ => Err(MessageError::Malformed),
         }
     }
@@ -96,100 +117,6 @@ impl Telemetry {
                 _ => Err(error),
             }
         })
-    }
-}
-
-/// Why an epoch begins. Append only.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum EpochReason {
-    /// The device has started.
-    Start,
-    /// Regular interval, at most 1 s.
-    Periodic,
-    /// Samples were missed.
-    Gap,
-    /// The integrator found a rest, or the end of one.
-    Stillness,
-    /// The latched temperature has moved by a step.
-    Temperature,
-    /// The settings have changed.
-    Settings,
-    /// The parameters have changed.
-    Parameters,
-    /// The magnetometer has updated the heading.
-    Heading,
-    /// A number that is unknown to this version.
-    Other(u32),
-}
-
-impl EpochReason {
-    const KNOWN: [Self; 8] = [
-        Self::Start,
-        Self::Periodic,
-        Self::Gap,
-        Self::Stillness,
-        Self::Temperature,
-        Self::Settings,
-        Self::Parameters,
-        Self::Heading,
-    ];
-}
-
-impl Serialize for EpochReason {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let index = Self::KNOWN.iter().position(|known| known == self);
-        serializer.serialize_u32(match (index, self) {
-            (None, Self::Other(number)) => *number,
-            (index, _) => index.unwrap_or(0) as u32,
-        })
-    }
-}
-
-impl<'de> Deserialize<'de> for EpochReason {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let number = u32::deserialize(deserializer)?;
-        let known = Self::KNOWN.get(number as usize);
-        Ok(known.copied().unwrap_or(Self::Other(number)))
-    }
-}
-
-/// The complete state that determines the device's corrected samples, velocities and positions from a sample
-/// on. A host that runs the same crates over the raw samples reproduces them bit for bit, until the next
-/// epoch or a missing sample. Kept: dropped only when the link has stalled.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Epoch {
-    /// Why it begins.
-    pub reason: EpochReason,
-    /// Number of the epoch, modulo 256: a missing number is a lost epoch. An epoch for a new listener only
-    /// repeats the latest number.
-    pub number: u8,
-    /// Sequence number of its first sample.
-    pub sequence: u32,
-    /// Expected device time of that sample, µs.
-    pub time_us: u64,
-    /// Sample period, ns.
-    pub period_ns: u32,
-    /// Full-scale range, ± *g*.
-    pub range_g: u8,
-    /// Nominal sensitivity of the sensor at that range, LSB/*g*. With parameter id 0 samples are corrected with
-    /// this sensitivity only.
-    pub sensitivity_lsb_per_g: f64,
-    /// Positive full scale of the counts, LSB: at or beyond it an axis is saturated.
-    pub full_scale: i16,
-    /// The parameters in use: their id, 0 if uncalibrated.
-    pub parameters: u32,
-    /// Temperature that the corrector is compiled at, 0.01 °C; `None` without a thermometer.
-    pub temperature_centi_c: Option<i16>,
-    /// The integrator before that sample.
-    pub state: WireState,
-}
-
-impl Epoch {
-    /// The parameters in use.
-    pub fn parameter_id(&self) -> ParameterId {
-        ParameterId(self.parameters)
     }
 }
 
@@ -238,6 +165,24 @@ impl Navigation {
             flags: navigation.flags.0,
             heading_sd_mrad: navigation.heading_sd_mrad,
         }
+    }
+}
+
+/// The attitude after a sample.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Attitude {
+    /// The sample's sequence number.
+    pub sequence: u32,
+    /// Rotation from body to navigation axes (east-north-up): unit quaternion W, X, Y, Z, 2⁻³⁰.
+    pub quaternion: [i32; 4],
+}
+
+impl Attitude {
+    /// The unit quaternion W, X, Y, Z.
+    pub fn to_quaternion(&self) -> [f64; 4] {
+        self.quaternion
+            .map(|part| f64::from(part) / (1 << 30) as f64)
     }
 }
 
@@ -351,6 +296,9 @@ pub enum Event {
         /// Standard deviation of that residual under the calibration, µm/s².
         expected_um_s2: u32,
     },
+    /// The gyroscope has failed; the device keeps trying to restart the sensor. [`SensorFound`](Self::SensorFound)
+    /// reports that it works again.
+    GyroscopeLost(BusFault),
     /// An event that is unknown to this version; never sent. Keep it last.
     #[serde(skip)]
     Other {
@@ -370,6 +318,12 @@ impl fmt::Display for Event {
             ),
             Self::SensorLost(BusFault::Timeout) => out.write_str(
                 "the accelerometer has no new data in time; check its wiring; the device keeps trying",
+            ),
+            Self::GyroscopeLost(BusFault::NoAnswer | BusFault::Transfer) => out.write_str(
+                "the gyroscope cannot be read; check its wiring; the device keeps trying",
+            ),
+            Self::GyroscopeLost(BusFault::Timeout) => out.write_str(
+                "the gyroscope has no new data in time; the device keeps trying",
             ),
             Self::SensorFound => out.write_str("the accelerometer answers"),
             Self::WrongSensor { expected, found } => write!(

@@ -4,24 +4,24 @@ use core::ops::Range;
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use wimu_integrator::Compass;
-use wimu_link::LinkRole;
 use wimu_link::hello::sensor;
 use wimu_link::message::{EncodedParameters, Event, ParameterFault, Refusal, WireParameters};
 use wimu_model::{CentiCelsius, Corrector, ParameterId, ParameterSet, SensorId};
 
 use super::Control;
-use crate::accelerometer::{Accelerometer, Plan};
+use crate::sample::SENSITIVITY_RATIO;
+use crate::sample::sealed::Process as _;
+use crate::sensor::{InertialSensor, Plan};
 use crate::shared::{Correction, Order, PersistentFault, Staged};
 use crate::store::Store;
 use crate::timer::Timer;
 
 /// Change of the temperature after which the corrector is compiled again, 0.01 °C.
 const TEMPERATURE_STEP: u16 = 50;
-/// Allowed ratio of a parameter set's sensitivity to the sensor's nominal one: covers the tolerance of a
-/// sensor, excludes another range.
-const SENSITIVITY_RATIO: core::ops::RangeInclusive<f64> = 0.8..=1.25;
+/// Index of the sensor whose samples the device corrects.
+const CORRECTED: u8 = 0;
 
-impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> {
+impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> {
     /// Configures the sensor for `plan`, corrected with the set in use, or with the set at the given position
     /// in `record`, if there is one.
     pub(super) async fn configure(
@@ -29,13 +29,13 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         plan: &Plan,
         with: Option<&Option<Range<usize>>>,
     ) -> Result<(), Refusal> {
-        self.shared.orders.room().await;
+        self.orders.room().await;
         self.shared.configured.reset();
         let correction = match with {
             None => self.correction_in_use(plan)?,
             Some(position) => self.correction(plan, self.set_at(position))?,
         };
-        self.shared.orders.give(Order::Configure(*plan, correction));
+        self.orders.give(Order::Configure(*plan, correction));
         let outcome = self.shared.configured.wait().await;
         outcome.map_err(|_| Refusal::SensorFailed)
     }
@@ -47,15 +47,15 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             .is_none_or(|latched| latched.0.abs_diff(temperature.0) >= TEMPERATURE_STEP);
         if moved {
             self.latched = Some(temperature);
-            self.shared.orders.room().await;
+            self.orders.room().await;
             if let Ok(correction) = self.correction_in_use(plan) {
-                self.shared.orders.give(Order::Correct(correction));
+                self.orders.give(Order::Correct(correction));
             }
         }
     }
 
     /// The corrector for `plan` with the set in use.
-    pub(super) fn correction_in_use(&self, plan: &Plan) -> Result<Correction, Refusal> {
+    pub(super) fn correction_in_use(&self, plan: &Plan) -> Result<Correction<A::Sample>, Refusal> {
         self.correction(plan, self.shared.active().get())
     }
 
@@ -65,10 +65,10 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         &self,
         plan: &Plan,
         committed: Option<EncodedParameters>,
-    ) -> Result<Correction, Refusal> {
+    ) -> Result<Correction<A::Sample>, Refusal> {
         let range_g = plan.settings.range_g;
         if let Some(set) = committed {
-            match self.compiled(set) {
+            match self.compiled(plan, set) {
                 Ok((correction, of)) if of == range_g => {
                     self.clear_fault(PersistentFault::Parameters);
                     return Ok(correction);
@@ -81,25 +81,32 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 _ => {}
             }
         }
-        let uncalibrated = ParameterSet::uncalibrated(range_g, plan.sensitivity);
-        self.compile(&uncalibrated, ParameterId::UNCALIBRATED)
+        let uncalibrated = ParameterSet::uncalibrated(range_g, plan.sensor.sensitivity);
+        self.compile(plan, &uncalibrated, ParameterId::UNCALIBRATED)
     }
 
     /// The corrector of a set, and its full-scale range, ± *g*.
-    pub(super) fn compiled(&self, set: EncodedParameters) -> Result<(Correction, u8), Refusal> {
+    pub(super) fn compiled(
+        &self,
+        plan: &Plan,
+        set: EncodedParameters,
+    ) -> Result<(Correction<A::Sample>, u8), Refusal> {
         let wire = set.decode().map_err(|_| Refusal::NothingStaged)?;
         let decoded = ParameterSet::try_from(&wire).map_err(Refusal::InvalidParameters)?;
-        Ok((self.compile(&decoded, set.id())?, decoded.range_g))
+        Ok((self.compile(plan, &decoded, set.id())?, decoded.range_g))
     }
 
     pub(super) fn compile(
         &self,
+        plan: &Plan,
         set: &ParameterSet,
         parameters: ParameterId,
-    ) -> Result<Correction, Refusal> {
+    ) -> Result<Correction<A::Sample>, Refusal> {
         Ok(Correction {
             corrector: Corrector::compile(set, self.latched)
                 .map_err(|fault| Refusal::InvalidParameters(fault.into()))?,
+            gyroscope: A::Sample::compile_gyroscope(set, &plan.sensor, self.latched)
+                .map_err(Refusal::InvalidParameters)?,
             parameters,
             temperature: self.latched,
             compass: if A::MAGNETOMETER {
@@ -115,16 +122,11 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
     pub(super) fn check_staged(
         &self,
         plan: &Plan,
-        role: LinkRole,
         staging: &mut Staged,
     ) -> Result<ParameterId, Refusal> {
-        // A set from the other link has replaced it.
-        if staging.from.as_ref() != Some(&role) {
-            return Err(Refusal::NothingStaged);
-        }
-        staging.from.take();
-        let wire = staging.set.get().and_then(|set| set.decode().ok());
-        let mut wire = wire.ok_or(Refusal::NothingStaged)?;
+        let set = staging.set.get().ok_or(Refusal::NothingStaged)?;
+        let wire = set.decode().map_err(ParameterFault::from);
+        let mut wire = wire.map_err(Refusal::InvalidParameters)?;
         let set = self.checked(&wire).map_err(Refusal::InvalidParameters)?;
         wire.take_rotations(&set);
         if set.range_g != plan.settings.range_g {
@@ -133,22 +135,27 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 device_g: plan.settings.range_g,
             });
         }
-        Corrector::compile(&set, self.latched)
-            .map_err(|fault| Refusal::InvalidParameters(fault.into()))?;
-        let ratio = set.sensitivity.lsb_per_g() / plan.sensitivity.lsb_per_g();
+        self.compile(plan, &set, ParameterId::UNCALIBRATED)?;
+        let ratio = set.sensitivity.lsb_per_g() / plan.sensor.sensitivity.lsb_per_g();
         let known = (self.shared).with_published(|published| published.hello.sensitivity_known);
         if known && !SENSITIVITY_RATIO.contains(&ratio) {
             return Err(Refusal::WrongSensitivity {
                 parameters_lsb_per_g: set.sensitivity.lsb_per_g(),
-                device_lsb_per_g: plan.sensitivity.lsb_per_g(),
+                device_lsb_per_g: plan.sensor.sensitivity.lsb_per_g(),
             });
         }
         Ok(staging.set.encode(&wire))
     }
 
-    /// The set, if its values are valid and it was made for this model of accelerometer.
+    /// The set, if its values are valid and it was made for sensor 0 and this model of accelerometer.
     pub(super) fn checked(&self, wire: &WireParameters) -> Result<ParameterSet, ParameterFault> {
         let set = ParameterSet::try_from(wire)?;
+        if set.sensor_index != CORRECTED {
+            return Err(ParameterFault::OtherSensorIndex {
+                parameters: set.sensor_index,
+                device: CORRECTED,
+            });
+        }
         let device = self
             .shared
             .with_published(|published| published.hello.sensor.number);

@@ -4,21 +4,16 @@ mod correction;
 mod plan;
 mod records;
 
-use core::marker::PhantomData;
-
 use embassy_futures::select::{Either, Either4, select, select4};
 use embassy_sync::blocking_mutex::raw::RawMutex;
+use wimu_link::LinkRole;
 use wimu_link::auth::{DeviceKey, KeyState};
 use wimu_link::frame::MAX_FRAME;
-use wimu_link::message::{Answer, Command, EncodedParameters, Event, Payload, Refusal, Settings};
-use wimu_link::{LinkRole, Responder};
+use wimu_link::message::{Answer, Command, Event, Payload, Record, Refusal, Settings};
 use wimu_model::{CentiCelsius, DeviceTimeUs, ParameterId};
 
-use self::records::parameters_record;
-use crate::accelerometer::{Accelerometer, Plan};
-use crate::shared::{
-    Message, Order, PersistentFault, ROLES, RateOrder, Shared, Staged, active_parameters,
-};
+use crate::sensor::{InertialSensor, Plan};
+use crate::shared::{Common, Message, Order, Orders, PersistentFault, ROLES, RateOrder, Staged};
 use crate::slot::put;
 use crate::store::{Key, MAX_RECORD, Store, StoreFault};
 use crate::timer::Timer;
@@ -29,13 +24,15 @@ const DRAIN_US: u64 = 100_000;
 const STATUS_US: u64 = 5_000_000;
 
 /// A payload without parameters.
-type ShortPayload = Payload<EncodedParameters<'static>>;
+type ShortPayload = Payload<&'static [u8]>;
 
 /// Executes requests, and stores parameters and settings.
-pub struct Control<'a, A, T, S, M: RawMutex> {
+pub struct Control<'a, A: InertialSensor, T, S, M: RawMutex> {
+    pub(crate) planner: A::Planner,
     pub(crate) store: S,
     pub(crate) timer: T,
-    pub(crate) shared: &'a Shared<M>,
+    pub(crate) shared: &'a Common<M>,
+    pub(crate) orders: &'a Orders<M, A::Sample>,
     /// A record on its way to the store or from it.
     pub(crate) record: [u8; MAX_RECORD],
     /// The new parameters have to be announced.
@@ -43,10 +40,9 @@ pub struct Control<'a, A, T, S, M: RawMutex> {
     #[cfg(feature = "self-check")]
     pub(crate) self_check: crate::self_check::CalibrationCheck,
     pub(crate) latched: Option<CentiCelsius>,
-    pub(crate) sensor: PhantomData<A>,
 }
 
-impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> {
+impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> {
     /// Runs for ever.
     pub async fn run(&mut self) -> ! {
         let mut plan = self.start().await;
@@ -84,20 +80,24 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                         Ok(_) => Answer::Accepted(Payload::None),
                         Err(refusal) => Answer::Refused(refusal),
                     };
-                    self.answer(role, Some(&answer)).await;
+                    self.answer(role, &answer).await;
                     // If the request came on this line, `RateKeeper` changes the rate after the answer has been
                     // sent.
                     if let Ok((line, order)) = outcome {
                         self.shared.rate_signals(line).order.signal(order);
                     }
                 }
-                Either4::First((role, Command::GetParameters)) => self.answer(role, None).await,
+                Either4::First((role, Command::GetParameters { offset })) => {
+                    let piece = self.shared.active_piece(offset);
+                    let answer = Answer::Accepted(Payload::Parameters(piece.borrowed()));
+                    self.answer(role, &answer).await;
+                }
                 Either4::First((role, command)) => {
                     let answer = match self.execute(&mut plan, role, command).await {
                         Ok(payload) => Answer::Accepted(payload),
                         Err(refusal) => Answer::Refused(refusal),
                     };
-                    self.answer(role, Some(&answer)).await;
+                    self.answer(role, &answer).await;
                     // After the answer, because a host waits for it and parameters are long.
                     if core::mem::take(&mut self.parameters_changed) {
                         self.announce_parameters();
@@ -119,25 +119,9 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         self.shared.stream([true; 2], &status, |_| true);
     }
 
-    /// Answers a request; `None` answers with the parameters in use.
-    async fn answer(&self, role: LinkRole, answer: Option<&Answer<EncodedParameters<'_>>>) {
+    /// Answers a request.
+    async fn answer(&self, role: LinkRole, answer: &Answer<&[u8]>) {
         let mut responder = self.shared.responder(role).await;
-        match answer {
-            Some(answer) => self.reply(role, &mut responder, answer),
-            None => {
-                let active = self.shared.active();
-                let active = Payload::Parameters(active_parameters(&active));
-                self.reply(role, &mut responder, &Answer::Accepted(active));
-            }
-        }
-    }
-
-    fn reply(
-        &self,
-        role: LinkRole,
-        responder: &mut Responder,
-        answer: &Answer<EncodedParameters<'_>>,
-    ) {
         let mut frame = [0; MAX_FRAME];
         match responder.is_signed() {
             true => self.shared.keep(role, responder.reply(answer, &mut frame)),
@@ -174,11 +158,11 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         &mut self,
         plan: &mut Plan,
         role: LinkRole,
-        command: Command<()>,
+        command: Command<Result<(), Refusal>>,
     ) -> Result<ShortPayload, Refusal> {
         match command {
             // Answered by `run`.
-            Command::GetParameters => Ok(Payload::None),
+            Command::GetParameters { .. } => Ok(Payload::None),
             Command::SetLineRate { .. } => Err(Refusal::FixedLineRate),
             // Answered by the responder.
             Command::OpenSession => Err(Refusal::KeyNeeded),
@@ -196,20 +180,25 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 uptime_us: self.timer.now().0,
             }),
             Command::GetStatus => Ok(Payload::Status(self.shared.status(self.timer.now()))),
-            Command::StageParameters(()) => {
+            Command::StageParameters { piece: taken, .. } => {
+                taken?;
                 let mut staging = self.shared.staging.lock().await;
-                let id = self.check_staged(plan, role, &mut staging)?;
+                if !staging.is_whole(role)? {
+                    return Ok(Payload::None);
+                }
+                let id = self.check_staged(plan, &mut staging)?;
                 staging.id = Some(id);
                 Ok(Payload::Staged { hash: id.0 })
             }
-            Command::CommitParameters { hash } => self.commit(ParameterId(hash)).await,
+            Command::CommitParameters { hash } => self.commit(plan, ParameterId(hash)).await,
             Command::SetSettings(wanted) => {
-                let new = plan::or_refusal::<A>(&wanted)?;
+                let new = plan::or_refusal(&self.planner, &wanted)?;
                 self.change(plan, new).await?;
                 Ok(Payload::Settings(plan.settings))
             }
             Command::FactoryReset => {
-                let new = plan::nearest::<A>(&Settings::default()).ok_or(Refusal::SensorFailed)?;
+                let new = plan::nearest(&self.planner, &Settings::default())
+                    .ok_or(Refusal::SensorFailed)?;
                 self.configure(&new, Some(&None)).await?;
                 self.announce_pause().await;
                 if let Err(StoreFault) = self.store.remove(is_calibration_or_settings).await {
@@ -241,7 +230,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             self.shared.report(self.timer.now(), Event::StoreUnreadable);
             return;
         }
-        if let Some(new) = plan::nearest::<A>(&Settings::default()) {
+        if let Some(new) = plan::nearest(&self.planner, &Settings::default()) {
             let parameters = self.load_parameters(new.settings.range_g).await;
             // A failed sensor is restarted with these settings later.
             let _ = self.configure(&new, Some(&parameters)).await;
@@ -310,7 +299,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         }
     }
 
-    async fn commit(&mut self, named: ParameterId) -> Result<ShortPayload, Refusal> {
+    async fn commit(&mut self, plan: &Plan, named: ParameterId) -> Result<ShortPayload, Refusal> {
         let shared = self.shared;
         let mut staging = shared.staging.lock().await;
         let Staged { set, id, .. } = &mut *staging;
@@ -325,8 +314,8 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         if staged != named {
             return Err(Refusal::HashMismatch { staged: staged.0 });
         }
-        let range_g = self.compiled(set)?.1;
-        let length = parameters_record(set, &mut self.record);
+        let range_g = self.compiled(plan, set)?.1;
+        let length = Record::encode_parameters(set, &mut self.record).unwrap_or(0);
         self.announce_pause().await;
         self.save_record(Key::Parameters { range_g }, length)
             .await?;
@@ -334,9 +323,9 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         *id = None;
         self.parameters_changed = true;
         self.clear_fault(PersistentFault::Parameters);
-        shared.orders.room().await;
-        let correction = self.compiled(set)?.0;
-        shared.orders.give(Order::Correct(correction));
+        self.orders.room().await;
+        let correction = self.compiled(plan, set)?.0;
+        self.orders.give(Order::Correct(correction));
         Ok(Payload::None)
     }
 

@@ -3,13 +3,13 @@
 use wimu_link::batch::MAX_BATCH;
 use wimu_link::message::{Refusal, Settings, Streams};
 
-use crate::accelerometer::{Accelerometer, Plan};
+use crate::sensor::{Plan, Planner};
 
 /// The plan for `wanted`.
 ///
 /// # Errors
 /// The nearest settings that the device supports.
-pub(super) fn for_settings<A: Accelerometer>(wanted: &Settings) -> Result<Plan, Settings> {
+pub(super) fn for_settings(planner: &impl Planner, wanted: &Settings) -> Result<Plan, Settings> {
     let streams = |streams: Streams| Streams {
         batch: streams.batch.clamp(1, MAX_BATCH as u8),
         every: streams.every.max(1),
@@ -21,7 +21,7 @@ pub(super) fn for_settings<A: Accelerometer>(wanted: &Settings) -> Result<Plan, 
         wireless: streams(wanted.wireless),
         ..*wanted
     };
-    A::plan(&possible).and_then(|plan| {
+    planner.plan(&possible).and_then(|plan| {
         if possible == *wanted {
             Ok(plan)
         } else {
@@ -31,13 +31,13 @@ pub(super) fn for_settings<A: Accelerometer>(wanted: &Settings) -> Result<Plan, 
 }
 
 /// The plan for `wanted`, or a refusal that names the nearest settings.
-pub(super) fn or_refusal<A: Accelerometer>(wanted: &Settings) -> Result<Plan, Refusal> {
-    for_settings::<A>(wanted).map_err(|nearest| Refusal::UnsupportedSettings { nearest })
+pub(super) fn or_refusal(planner: &impl Planner, wanted: &Settings) -> Result<Plan, Refusal> {
+    for_settings(planner, wanted).map_err(|nearest| Refusal::UnsupportedSettings { nearest })
 }
 
 /// The plan for the settings nearest to `wanted`.
-pub(super) fn nearest<A: Accelerometer>(wanted: &Settings) -> Option<Plan> {
-    for_settings::<A>(wanted)
-        .or_else(|nearest| for_settings::<A>(&nearest))
+pub(super) fn nearest(planner: &impl Planner, wanted: &Settings) -> Option<Plan> {
+    for_settings(planner, wanted)
+        .or_else(|nearest| for_settings(planner, &nearest))
         .ok()
 }

@@ -4,11 +4,11 @@ use core::ops::Range;
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use wimu_link::auth::{DeviceKey, KeyState};
-use wimu_link::message::{ActiveParameters, EncodedParameters, Event, Record, Refusal, Settings};
+use wimu_link::message::{EncodedParameters, Event, Record, Refusal, Settings};
 use wimu_link::{Kind, LinkRole, frame};
 
 use super::{Control, plan};
-use crate::accelerometer::{Accelerometer, Plan};
+use crate::sensor::{InertialSensor, Plan};
 use crate::shared::{Message, PersistentFault, ROLES, RateOrder};
 use crate::store::{Key, Store, StoreFault};
 use crate::timer::Timer;
@@ -16,7 +16,7 @@ use crate::timer::Timer;
 /// Longest record that holds no parameter set, bytes.
 const SHORT_RECORD: usize = 64;
 
-impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> {
+impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> {
     /// Reads the store and starts the sensor. Records that cannot be read or used are reported and ignored.
     pub(super) async fn start(&mut self) -> Plan {
         let mut bytes = [0; 4];
@@ -40,21 +40,23 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         let loaded = self.load(Key::Settings).await;
         let wanted = match loaded.map(|place| place.map(|at| Record::decode(self.content(&at)))) {
             Ok(Some(Ok(Record::Settings(settings)))) => settings,
-            Ok(None) => Settings::default(),
+            // Nothing is stored: the sensor's settings nearest to the default ones are its default.
+            Ok(None) => plan::nearest(&self.planner, &Settings::default())
+                .map_or_else(Settings::default, |plan| plan.settings),
             _ => {
                 self.set_fault(PersistentFault::Settings, Event::StoreUnreadable);
                 Settings::default()
             }
         };
-        let plan = match plan::for_settings::<A>(&wanted) {
+        let plan = match plan::for_settings(&self.planner, &wanted) {
             Ok(plan) => Some(plan),
             Err(nearest) => {
                 self.set_fault(PersistentFault::Settings, Event::SettingsAdjusted);
-                plan::for_settings::<A>(&nearest).ok()
+                plan::for_settings(&self.planner, &nearest).ok()
             }
         };
         // Every sensor supports the settings nearest to the default ones.
-        let plan = match plan.or_else(|| plan::nearest::<A>(&Settings::default())) {
+        let plan = match plan.or_else(|| plan::nearest(&self.planner, &Settings::default())) {
             Some(plan) => plan,
             None => core::future::pending().await,
         };
@@ -186,15 +188,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
     }
 }
 
-// Not async: an async function would keep the messages in the task. Both messages fit.
-
-pub(super) fn parameters_record(set: EncodedParameters, record: &mut [u8]) -> usize {
-    let parameters = ActiveParameters {
-        active: Some(set),
-        id: set.id().0,
-    };
-    Message::Parameters(parameters).encode(record).unwrap_or(0)
-}
+// Not async: an async function would keep the message in the task. It fits.
 
 fn settings_record(settings: Settings, record: &mut [u8]) -> usize {
     Message::Settings(settings).encode(record).unwrap_or(0)

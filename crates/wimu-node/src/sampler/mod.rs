@@ -1,17 +1,23 @@
 //! Samples: read, number, correct, integrate, pack.
 
-mod batches;
-mod clock;
+pub(crate) mod batches;
+pub(crate) mod clock;
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use wimu_integrator::{Config, FieldMean, Integrator, Phase, Transition};
-use wimu_link::message::{BusFault, Environment, Epoch, EpochReason, Event, Navigation, Settings};
-use wimu_model::{Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs};
+use wimu_link::batch;
+use wimu_link::message::{
+    Attitude, BusFault, Environment, Epoch, EpochGyroscope, EpochReason, Event, Navigation,
+    Settings,
+};
+use wimu_model::{DeviceTimeUs, MagneticFieldNt, PeriodNs};
 
 use self::batches::Lane;
 use self::clock::SampleClock;
-use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
-use crate::shared::{Correction, Message, Order, PersistentFault, ROLES, Shared};
+use crate::sample::RawSample;
+use crate::sample::sealed::Process as _;
+use crate::sensor::{Batch, InertialSensor, Plan, SensorFault, SensorPlan, Surroundings};
+use crate::shared::{Common, Correction, Message, Order, Orders, PersistentFault, ROLES, Shared};
 use crate::timer::Timer;
 
 /// Most samples in one read.
@@ -20,7 +26,7 @@ const MAX_READ: usize = 32;
 const NAVIGATION_NS: u32 = 100_000_000;
 /// Minimum age of an epoch, µs, after which the next end of a detector window begins a new one. The state is
 /// shortest there.
-const EPOCH_DUE_US: u64 = 800_000;
+pub(crate) const EPOCH_DUE_US: u64 = 800_000;
 /// Age of an epoch, µs, from which any sample begins a new one: less than the 1 s that hosts expect.
 const EPOCH_LATEST_US: u64 = 950_000;
 /// Interval between reads of magnetic field and temperature, µs.
@@ -31,11 +37,12 @@ const RETRY_US: u64 = 200_000;
 const PERIOD_CHANGE_PPM: u64 = 50;
 
 /// Reads the sensor, corrects and integrates the samples, and sends them.
-pub struct Sampler<'a, A, T, M: RawMutex> {
-    accelerometer: A,
+pub struct Sampler<'a, A: InertialSensor, T, M: RawMutex> {
+    sensor: A,
     timer: T,
-    shared: &'a Shared<M>,
-    lanes: [Lane; 2],
+    shared: &'a Common<M>,
+    orders: &'a Orders<M, A::Sample>,
+    lanes: [Lane<A::Sample>; 2],
     next_sequence: u32,
     /// Epochs sent on both links, modulo 256.
     epochs: u8,
@@ -45,9 +52,9 @@ pub struct Sampler<'a, A, T, M: RawMutex> {
 }
 
 /// The state of a configured sampler.
-struct Running {
+struct Running<S: RawSample> {
     plan: Plan,
-    correction: Correction,
+    correction: Correction<S>,
     integrator: Integrator,
     clock: SampleClock,
     epoch_reason: Option<EpochReason>,
@@ -59,12 +66,13 @@ struct Running {
     lost: bool,
 }
 
-impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
-    pub(crate) fn new(accelerometer: A, timer: T, shared: &'a Shared<M>) -> Self {
+impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
+    pub(crate) fn new(sensor: A, timer: T, shared: &'a Shared<M, A::Sample>) -> Self {
         Self {
-            accelerometer,
+            sensor,
             timer,
-            shared,
+            shared: &shared.common,
+            orders: &shared.orders,
             lanes: [Lane::default(), Lane::default()],
             next_sequence: 0,
             epochs: 0,
@@ -76,24 +84,24 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
     /// Runs for ever. Never waits for a link or for the store.
     pub async fn run(&mut self) -> ! {
         let mut running = loop {
-            self.shared.orders.given.wait().await;
-            if let Some(plan) = self.shared.orders.plan() {
-                let outcome = self.accelerometer.configure(&plan).await;
+            self.orders.given.wait().await;
+            if let Some(plan) = self.orders.plan() {
+                let outcome = self.sensor.configure(&plan).await;
                 if let Some(running) = self.start(outcome) {
                     break running;
                 }
             } else {
                 // A correction before the first configuration has no effect.
-                self.shared.orders.take();
+                self.orders.take();
             }
         };
-        let mut counts = [Counts::default(); MAX_READ];
+        let mut samples = [A::Sample::default(); MAX_READ];
         loop {
-            if self.shared.orders.given.try_take().is_some() {
-                match self.shared.orders.plan() {
+            if self.orders.given.try_take().is_some() {
+                match self.orders.plan() {
                     Some(plan) => {
                         self.flush();
-                        let outcome = self.accelerometer.configure(&plan).await;
+                        let outcome = self.sensor.configure(&plan).await;
                         self.configured(&mut running, outcome);
                     }
                     None => self.correct(&mut running),
@@ -103,10 +111,13 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
                 self.retry(&mut running).await;
                 continue;
             }
-            match self.accelerometer.next(&mut counts).await {
+            match self.sensor.next(&mut samples).await {
                 Ok(read) => {
-                    let counts = counts.get(..read.count).unwrap_or(&counts);
-                    self.process(&mut running, read, counts);
+                    let samples = samples.get(..read.count).unwrap_or(&samples);
+                    match read.sensor {
+                        0 => self.process(&mut running, read, samples),
+                        _ => self.process_secondary(&running, read, samples),
+                    }
                 }
                 Err(fault) => self.fail(&mut running, fault),
             }
@@ -118,8 +129,8 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
 
     /// After the first attempt to configure the sensor.
     #[inline(never)]
-    fn start(&mut self, outcome: Result<(), SensorFault>) -> Option<Running> {
-        let Some(Order::Configure(plan, correction)) = self.shared.orders.take() else {
+    fn start(&mut self, outcome: Result<(), SensorFault>) -> Option<Running<A::Sample>> {
+        let Some(Order::Configure(plan, correction)) = self.orders.take() else {
             return None;
         };
         let mut running = Running::new(plan, correction, EpochReason::Start);
@@ -133,11 +144,12 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
 
     /// After a later attempt to configure the sensor.
     #[inline(never)] // Keeps the new state off the stack while samples are taken.
-    fn configured(&mut self, running: &mut Running, outcome: Result<(), SensorFault>) {
-        match (outcome, self.shared.orders.take()) {
+    fn configured(&mut self, running: &mut Running<A::Sample>, outcome: Result<(), SensorFault>) {
+        match (outcome, self.orders.take()) {
             (Ok(()), Some(Order::Configure(plan, correction))) => {
                 *running = Running::new(plan, correction, EpochReason::Settings);
                 self.lanes = Lane::of(&plan.settings);
+                self.restart_secondary(EpochReason::Settings);
             }
             // The state of the sensor is unknown: `retry` configures it under the previous plan.
             (Err(fault), _) => self.fail(running, fault),
@@ -147,8 +159,8 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
     }
 
     #[inline(never)]
-    fn correct(&mut self, running: &mut Running) {
-        let Some(Order::Correct(correction)) = self.shared.orders.take() else {
+    fn correct(&mut self, running: &mut Running<A::Sample>) {
+        let Some(Order::Correct(correction)) = self.orders.take() else {
             return;
         };
         let reason = if correction.parameters == running.correction.parameters {
@@ -162,16 +174,19 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
     }
 
     /// Processes samples, oldest first.
-    fn process(&mut self, running: &mut Running, read: Batch, counts: &[Counts]) {
+    fn process(&mut self, running: &mut Running<A::Sample>, read: Batch, samples: &[A::Sample]) {
         if self.reported.take().is_some() {
             self.shared
                 .set_fault(PersistentFault::Sensor, self.timer.now(), None);
             self.shared.report(self.timer.now(), Event::SensorFound);
         }
-        let missed = running.clock.missed_before(&read, counts.len());
-        let mut spacing_ns = u64::from(running.clock.period.0);
-        if missed == 0 && running.clock.is_after_last(read.last_time) {
-            spacing_ns = running.clock.spacing_ns(&read, spacing_ns);
+        let (reads, period) = (&running.clock.reads, running.clock.period);
+        let missed = reads.missed_before(&read, samples.len(), period);
+        let mut spacing_ns = u64::from(period.0);
+        if missed == 0
+            && let Some(measured_ns) = reads.spacing_ns(&read)
+        {
+            spacing_ns = measured_ns;
         } else {
             self.flush();
             running.clock.restart_measurement();
@@ -183,23 +198,35 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         running.clock.update_jitter(&read, measured);
         self.shared.publish(|published| {
             let sensor = &mut published.sensor;
-            sensor.samples = sensor.samples.wrapping_add(counts.len() as u32);
+            sensor.samples = sensor.samples.wrapping_add(samples.len() as u32);
             sensor.missed = sensor.missed.wrapping_add(missed);
             sensor.overruns = sensor.overruns.wrapping_add(read.overrun.into());
             published.measured_period_ns = measured.map(|period| period.0);
             published.jitter_ns = running.clock.jitter_ns;
         });
-        for (index, &sample) in counts.iter().enumerate() {
-            let newer = (counts.len() - 1 - index) as u64;
-            let time = DeviceTimeUs(
-                (read.last_time.0).saturating_sub(newer.saturating_mul(spacing_ns) / 1000),
-            );
+        for (index, &sample) in samples.iter().enumerate() {
+            let newer = samples.len() - 1 - index;
+            let time = clock::sample_time(&read, newer, spacing_ns);
             self.sample(running, sample, time);
         }
-        running.clock.count(read.last_time, counts.len() as u32);
+        running.clock.count(read.last_time, samples.len() as u32);
     }
 
-    fn sample(&mut self, running: &mut Running, counts: Counts, time: DeviceTimeUs) {
+    /// Sends samples of another sensor than the first.
+    fn process_secondary(
+        &mut self,
+        running: &Running<A::Sample>,
+        read: Batch,
+        samples: &[A::Sample],
+    ) {
+        let index = usize::from(read.sensor).wrapping_sub(1);
+        if let Some(secondary) = self.sensor.secondary().get_mut(index) {
+            let temperature = running.correction.temperature.map(|t| t.0);
+            secondary.process(&read, samples, &self.lanes, self.shared, temperature);
+        }
+    }
+
+    fn sample(&mut self, running: &mut Running<A::Sample>, sample: A::Sample, time: DeviceTimeUs) {
         let wanted = ROLES.map(|role| self.shared.take_epoch_wanted(role));
         match running.epoch_reason.take() {
             Some(reason) => {
@@ -214,11 +241,12 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             None => {}
         }
         let sequence = self.next_sequence;
-        let force = running.correction.corrector.correct(counts);
-        let saturated = counts.saturated(running.plan.full_scale);
-        let transition = running.integrator.step(force, saturated);
+        let correction = &running.correction;
+        let corrected = sample.correct(&correction.corrector, &correction.gyroscope);
+        let sensor = &running.plan.sensor;
+        let transition = sample.integrate(corrected, sensor, &mut running.integrator);
         for lane in &mut self.lanes {
-            lane.add(self.shared, sequence, time, counts, force);
+            lane.add(self.shared, sequence, time, sample, corrected);
         }
         self.next_sequence = sequence.wrapping_add(1);
 
@@ -233,7 +261,7 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             if running.correction.compass.is_some() {
                 self.next_surroundings = time;
             }
-            let mean = running.integrator.state().rest_mean;
+            let mean = running.integrator.rest_force();
             self.shared
                 .rest
                 .signal((mean, running.correction.parameters));
@@ -252,7 +280,7 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
 
     fn send_epoch(
         &self,
-        running: &Running,
+        running: &Running<A::Sample>,
         reason: EpochReason,
         time: DeviceTimeUs,
         roles: [bool; 2],
@@ -264,26 +292,39 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             time_us: time.0,
             period_ns: running.clock.period.0,
             range_g: running.plan.settings.range_g,
-            sensitivity_lsb_per_g: running.plan.sensitivity.lsb_per_g(),
-            full_scale: running.plan.full_scale,
+            sensitivity_lsb_per_g: running.plan.sensor.sensitivity.lsb_per_g(),
+            full_scale: running.plan.sensor.full_scale,
             parameters: running.correction.parameters.0,
             temperature_centi_c: running.correction.temperature.map(|t| t.0),
             state: running.integrator.state().into(),
+            gyroscope: epoch_gyroscope(&running.plan.sensor),
+            ..Epoch::default()
         });
         self.shared.announce(&epoch, roles);
     }
 
-    fn send_navigation(&self, running: &Running, sequence: u32) {
-        let message =
-            Message::Navigation(Navigation::new(sequence, &running.integrator.navigation()));
+    fn send_navigation(&self, running: &Running<A::Sample>, sequence: u32) {
+        let navigation = running.integrator.navigation();
+        let message = Message::Navigation(Navigation::new(sequence, &navigation));
         self.shared
             .stream([true; 2], &message, |streams| streams.navigation);
+        if let Some(quaternion) = navigation
+            .attitude
+            .filter(|_| <A::Sample as batch::Sample>::AXES == 6)
+        {
+            let message = Message::Attitude(Attitude {
+                sequence,
+                quaternion,
+            });
+            self.shared
+                .stream([true; 2], &message, |streams| streams.navigation);
+        }
     }
 
-    async fn read_surroundings(&mut self, running: &mut Running) {
+    async fn read_surroundings(&mut self, running: &mut Running<A::Sample>) {
         let now = self.timer.now();
         self.next_surroundings = DeviceTimeUs(now.0.saturating_add(SURROUNDINGS_US));
-        match self.accelerometer.surroundings().await {
+        match self.sensor.surroundings().await {
             // The sensor measures neither: no message.
             Ok(nothing) if nothing == Surroundings::default() => {}
             Ok(surroundings) => {
@@ -307,12 +348,19 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         }
     }
 
+    fn restart_secondary(&mut self, reason: EpochReason) {
+        for secondary in self.sensor.secondary() {
+            secondary.restart(reason);
+        }
+    }
+
     /// The sensor has failed: sends the samples read so far, marks a gap and schedules a restart.
-    fn fail(&mut self, running: &mut Running, fault: SensorFault) {
+    fn fail(&mut self, running: &mut Running<A::Sample>, fault: SensorFault) {
         self.flush();
         running.integrator.gap();
         running.begin_epoch(EpochReason::Gap);
-        running.clock.broken = true;
+        running.clock.reads.broken = true;
+        self.restart_secondary(EpochReason::Gap);
         running.lost = true;
         self.shared.publish(|published| {
             let errors = &mut published.sensor.bus_errors;
@@ -321,9 +369,9 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         self.report(fault);
     }
 
-    async fn retry(&mut self, running: &mut Running) {
+    async fn retry(&mut self, running: &mut Running<A::Sample>) {
         self.timer.after_us(RETRY_US).await;
-        match self.accelerometer.configure(&running.plan).await {
+        match self.sensor.configure(&running.plan).await {
             // The first sample confirms that it works.
             Ok(()) => running.lost = false,
             Err(fault) => self.report(fault),
@@ -339,6 +387,7 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             SensorFault::NotAnswering => Event::SensorLost(BusFault::NoAnswer),
             SensorFault::Transfer => Event::SensorLost(BusFault::Transfer),
             SensorFault::NoData => Event::SensorLost(BusFault::Timeout),
+            SensorFault::GyroscopeStopped => Event::GyroscopeLost(BusFault::Timeout),
             SensorFault::WrongIdentity { expected, found } => {
                 Event::WrongSensor { expected, found }
             }
@@ -356,6 +405,13 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
     }
 }
 
+pub(crate) fn epoch_gyroscope(plan: &SensorPlan) -> Option<EpochGyroscope> {
+    plan.gyroscope.map(|gyroscope| EpochGyroscope {
+        rad_s_per_lsb: gyroscope.rad_s_per_lsb,
+        full_scale: gyroscope.full_scale,
+    })
+}
+
 fn integrator(settings: &Settings, period: PeriodNs) -> Integrator {
     let config = Config {
         period,
@@ -365,13 +421,13 @@ fn integrator(settings: &Settings, period: PeriodNs) -> Integrator {
     Integrator::new(config)
 }
 
-impl Running {
-    fn new(plan: Plan, correction: Correction, reason: EpochReason) -> Self {
+impl<S: RawSample> Running<S> {
+    fn new(plan: Plan, correction: Correction<S>, reason: EpochReason) -> Self {
         Self {
             plan,
             correction,
-            integrator: integrator(&plan.settings, plan.period),
-            clock: SampleClock::new(plan.period),
+            integrator: integrator(&plan.settings, plan.sensor.period),
+            clock: SampleClock::new(plan.sensor.period),
             epoch_reason: Some(reason),
             last_epoch: DeviceTimeUs(0),
             until_navigation: 1,
@@ -408,7 +464,7 @@ impl Running {
         if state.phase != Phase::Resting || !self.field.push(field) {
             return;
         }
-        if let Some(heading) = compass.heading(&self.field, state.rest_mean)
+        if let Some(heading) = compass.heading(&self.field, self.integrator.rest_force())
             && self.integrator.set_heading(heading)
         {
             self.begin_epoch(EpochReason::Heading);

@@ -12,17 +12,19 @@ use embassy_sync::channel::Channel;
 use embassy_sync::mutex::{MappedMutexGuard, Mutex as AsyncMutex, MutexGuard};
 use embassy_sync::signal::Signal;
 use wimu_link::auth::Lock;
-use wimu_link::message::{Command, EncodedParameters, Event, SensorStatus, Settings, Telemetry};
+use wimu_link::message::{
+    Command, EncodedParameters, Event, ParametersPiece, Refusal, SensorStatus, Settings, Telemetry,
+};
 use wimu_link::{Hello, LinkRole, Responder};
-use wimu_model::{CentiCelsius, DeviceTimeUs, ParameterId};
+use wimu_model::{CentiCelsius, Counts, DeviceTimeUs, ParameterId};
 
-pub(crate) use self::orders::{Correction, Order};
-pub(crate) use self::parameters::{Staged, active_parameters};
+pub(crate) use self::orders::{Correction, Order, Orders};
+pub(crate) use self::parameters::Staged;
 
-use self::orders::Orders;
 use self::parameters::{Set, Staging};
-use crate::accelerometer::SensorFault;
 use crate::queue::FrameQueue;
+use crate::sample::RawSample;
+use crate::sensor::SensorFault;
 use crate::slot::Slot;
 
 /// A message of the device, with parameters in their wire form.
@@ -34,14 +36,53 @@ pub(crate) const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
 /// Memory that a node's tasks share. Put it in a `static` or where it outlives them.
 ///
 /// `M` is `CriticalSectionRawMutex` if the sampler runs at a higher interrupt priority than the other
-/// tasks, `NoopRawMutex` if one executor polls all tasks.
-pub struct Shared<M: RawMutex> {
+/// tasks, `NoopRawMutex` if one executor polls all tasks. `S` is the sensor's
+/// [`Sample`](crate::InertialSensor::Sample).
+pub struct Shared<M: RawMutex, S: RawSample = Counts> {
+    pub(crate) common: Common<M>,
+    pub(crate) orders: Orders<M, S>,
+}
+
+impl<M: RawMutex, S: RawSample> Shared<M, S> {
+    /// Memory for one node. Its initial value is all zeros, so that a `static` takes no flash.
+    pub const fn new() -> Self {
+        Self {
+            common: Common::new(),
+            orders: Orders::new(),
+        }
+    }
+
+    /// Makes the device forget its key and its settings, but not its calibration. A board calls it after a
+    /// gesture that takes physical access, such as a button held down for seconds: the owner has lost
+    /// the key.
+    pub fn forget_key(&self) {
+        self.common.key_lost.signal(());
+    }
+
+    /// Reports on both links that the button was pressed, for the `count`-th time.
+    pub fn mark(&self, now: DeviceTimeUs, count: u16) {
+        self.common.report(now, Event::Marked { count });
+    }
+
+    /// Summary of the device's state, for its indicator.
+    pub fn health(&self) -> Health {
+        self.common.health()
+    }
+}
+
+impl<M: RawMutex, S: RawSample> Default for Shared<M, S> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Memory of all tasks, whatever the sensor.
+pub(crate) struct Common<M: RawMutex> {
     links: [LinkShared<M>; 2],
-    pub(crate) orders: Orders<M>,
     pub(crate) configured: Signal<M, Result<(), SensorFault>>,
     pub(crate) temperature: Signal<M, CentiCelsius>,
-    /// Accepted requests. The parameters to stage are in `staging`.
-    pub(crate) requests: Channel<M, (LinkRole, Command<()>), 1>,
+    /// Accepted requests. A piece of parameters to stage is in `staging`, unless it was refused.
+    pub(crate) requests: Channel<M, (LinkRole, Command<Result<(), Refusal>>), 1>,
     pub(crate) staging: Staging<M>,
     /// The parameter set in use.
     active: Mutex<M, RefCell<Set>>,
@@ -115,8 +156,8 @@ pub(crate) struct Heard {
     pub(crate) repeated: u32,
     /// The link needs an epoch: it has a new listener, or frames were dropped.
     epoch_wanted: bool,
-    /// The parameters in use have to be sent as soon as there is room.
-    parameters_wanted: bool,
+    /// The parameters in use have to be sent from this byte on, as soon as there is room.
+    parameters_from: Option<u16>,
 }
 
 impl Heard {
@@ -124,7 +165,7 @@ impl Heard {
         damaged: 0,
         repeated: 0,
         epoch_wanted: false,
-        parameters_wanted: false,
+        parameters_from: None,
     };
 }
 
@@ -193,20 +234,14 @@ impl Published {
     }
 }
 
-impl<M: RawMutex> Shared<M> {
-    /// Memory for one node. Its initial value is all zeros, so that a `static` takes no flash.
-    pub const fn new() -> Self {
+impl<M: RawMutex> Common<M> {
+    const fn new() -> Self {
         Self {
             links: [const { LinkShared::new() }; 2],
-            orders: Orders::new(),
             configured: Signal::new(),
             temperature: Signal::new(),
             requests: Channel::new(),
-            staging: Staging::new(Staged {
-                set: Set::NONE,
-                from: Slot::Empty,
-                id: None,
-            }),
+            staging: Staging::new(Staged::NONE),
             active: Mutex::new(RefCell::new(Set::NONE)),
             key_lost: Signal::new(),
             rates: Channel::new(),
@@ -221,13 +256,6 @@ impl<M: RawMutex> Shared<M> {
             LinkRole::Cable => cable,
             _ => wireless,
         }
-    }
-
-    /// Makes the device forget its key and its settings, but not its calibration. A board calls it after a
-    /// gesture that takes physical access, such as a button held down for seconds: the owner has lost
-    /// the key.
-    pub fn forget_key(&self) {
-        self.key_lost.signal(());
     }
 
     pub(crate) fn has_rate(&self, role: LinkRole, nearest: NearestRate) {
@@ -275,6 +303,16 @@ impl<M: RawMutex> Shared<M> {
     /// A copy of the set in use.
     pub(crate) fn active(&self) -> Set {
         self.active.lock(|active| active.borrow().copy())
+    }
+
+    /// The piece from `offset` on of the set in use.
+    pub(crate) fn active_piece(&self, offset: u16) -> ParametersPiece {
+        let id = self.parameters();
+        self.active.lock(|active| {
+            let active = active.borrow();
+            let set = active.get().unwrap_or(EncodedParameters(&[]));
+            set.piece(id, offset)
+        })
     }
 
     /// Uses a set from now on, or none.
@@ -326,8 +364,7 @@ impl<M: RawMutex> Shared<M> {
         self.with_heard(role, |heard| heard.epoch_wanted = true);
     }
 
-    /// Summary of the device's state, for its indicator.
-    pub fn health(&self) -> Health {
+    fn health(&self) -> Health {
         self.with_published(|published| {
             let shed = ROLES.map(|role| {
                 let outbox = &self.link(role).outbox;
@@ -344,11 +381,5 @@ impl<M: RawMutex> Shared<M> {
                 shed: cable.wrapping_add(wireless),
             }
         })
-    }
-}
-
-impl<M: RawMutex> Default for Shared<M> {
-    fn default() -> Self {
-        Self::new()
     }
 }

@@ -8,27 +8,28 @@ use embassy_sync::signal::Signal;
 use wimu_integrator::Compass;
 use wimu_model::{CentiCelsius, Corrector, ParameterId};
 
-use crate::accelerometer::Plan;
+use crate::sample::RawSample;
+use crate::sensor::Plan;
 use crate::slot::Slot;
 
 /// An order to the sampler.
 #[allow(clippy::large_enum_variant, reason = "only one exists")]
-pub(crate) enum Order {
+pub(crate) enum Order<S: RawSample> {
     /// Configure the sensor and signal the result.
-    Configure(Plan, Correction),
+    Configure(Plan, Correction<S>),
     /// Use this corrector from the next sample on. Navigation restarts if the parameters changed.
-    Correct(Correction),
+    Correct(Correction<S>),
 }
 
 /// One order at a time. It stays here until it is executed, so that the sampler needs no memory for it
 /// while it configures the sensor.
-pub(crate) struct Orders<M: RawMutex> {
-    order: Mutex<M, RefCell<Slot<Order>>>,
+pub(crate) struct Orders<M: RawMutex, S: RawSample> {
+    order: Mutex<M, RefCell<Slot<Order<S>>>>,
     pub(crate) given: Signal<M, ()>,
     taken: Signal<M, ()>,
 }
 
-impl<M: RawMutex> Orders<M> {
+impl<M: RawMutex, S: RawSample> Orders<M, S> {
     pub(super) const fn new() -> Self {
         Self {
             order: Mutex::new(RefCell::new(Slot::Empty)),
@@ -44,7 +45,7 @@ impl<M: RawMutex> Orders<M> {
         }
     }
 
-    pub(crate) fn give(&self, new: Order) {
+    pub(crate) fn give(&self, new: Order<S>) {
         self.order
             .lock(|order| *order.borrow_mut() = Slot::Full(new));
         self.given.signal(());
@@ -58,7 +59,7 @@ impl<M: RawMutex> Orders<M> {
         })
     }
 
-    pub(crate) fn take(&self) -> Option<Order> {
+    pub(crate) fn take(&self) -> Option<Order<S>> {
         let order = self.order.lock(|order| order.borrow_mut().take());
         self.taken.signal(());
         order
@@ -66,9 +67,9 @@ impl<M: RawMutex> Orders<M> {
 }
 
 /// A corrector and what it was compiled from.
-#[derive(Clone, Copy)]
-pub(crate) struct Correction {
+pub(crate) struct Correction<S: RawSample> {
     pub(crate) corrector: Corrector,
+    pub(crate) gyroscope: S::Gyroscope,
     pub(crate) parameters: ParameterId,
     pub(crate) temperature: Option<CentiCelsius>,
     /// `None` without a calibrated magnetometer.

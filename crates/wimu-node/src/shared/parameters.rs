@@ -3,7 +3,7 @@
 use embassy_sync::mutex::Mutex;
 use heapless::Vec;
 use wimu_link::LinkRole;
-use wimu_link::message::{ActiveParameters, EncodedParameters, WireParameters};
+use wimu_link::message::{EncodedParameters, ParameterFault, Refusal, WireParameters};
 use wimu_model::ParameterId;
 
 use crate::slot::Slot;
@@ -39,28 +39,83 @@ impl Set {
     }
 }
 
-/// The parameter set that a host has sent, and then the staged one. A lock may be held across an await.
+/// The pieces of a parameter set that a host has sent, and then the staged set. A lock may be held across an await.
 pub(crate) type Staging<M> = Mutex<M, Staged>;
 
-/// A set that a host has sent.
+/// A set that a host has sent, or its first pieces.
 pub(crate) struct Staged {
     pub(crate) set: Set,
-    /// The link that it came on, until its request is answered.
-    pub(crate) from: Slot<LinkRole>,
+    /// The link that it comes on.
+    from: Slot<LinkRole>,
+    /// Length of the whole set, bytes.
+    total: u16,
     /// Its id, once it has been checked.
     pub(crate) id: Option<ParameterId>,
+}
+
+impl Staged {
+    pub(super) const NONE: Self = Self {
+        set: Set::NONE,
+        from: Slot::Empty,
+        total: 0,
+        id: None,
+    };
+
+    /// Takes the piece at `offset` of a set of `total` bytes. The piece at 0 begins a set; others continue
+    /// it, or repeat what has been received.
+    pub(crate) fn take(
+        &mut self,
+        role: LinkRole,
+        offset: u16,
+        total: u16,
+        piece: &[u8],
+    ) -> Result<(), Refusal> {
+        if usize::from(total) > WireParameters::MAX {
+            let bytes = total - WireParameters::MAX as u16;
+            return Err(Refusal::InvalidParameters(ParameterFault::Unknown {
+                bytes,
+            }));
+        }
+        if offset == 0 {
+            *self = Self {
+                from: Slot::Full(role),
+                total,
+                ..Self::NONE
+            };
+        }
+        let received = match self.is_from(role) && self.total == total {
+            true => self.set.0.len(),
+            false => 0,
+        };
+        let start = usize::from(offset);
+        let end = start + piece.len();
+        let repeats = self.set.0.get(start..end) == Some(piece) && end <= received;
+        let continues = start == received && end <= total.into() && self.id.is_none();
+        if piece.is_empty() || !(repeats || continues && self.is_from(role)) {
+            let received = received as u16;
+            return Err(Refusal::WrongPiece { received });
+        }
+        if continues {
+            let _ = self.set.0.extend_from_slice(piece);
+        }
+        Ok(())
+    }
+
+    fn is_from(&self, role: LinkRole) -> bool {
+        self.from.as_ref() == Some(&role)
+    }
+
+    /// Whether all pieces have come on a link.
+    pub(crate) fn is_whole(&self, role: LinkRole) -> Result<bool, Refusal> {
+        match self.is_from(role) {
+            true => Ok(self.set.0.len() == self.total.into()),
+            // A set from the other link has replaced it.
+            false => Err(Refusal::NothingStaged),
+        }
+    }
 }
 
 /// The id of a set; that of the uncalibrated device without one.
 pub(crate) fn id(set: Option<EncodedParameters>) -> ParameterId {
     set.map_or(ParameterId::UNCALIBRATED, EncodedParameters::id)
-}
-
-/// The message that reports the parameters in use.
-pub(crate) fn active_parameters(set: &Set) -> ActiveParameters<EncodedParameters<'_>> {
-    let active = set.get();
-    ActiveParameters {
-        active,
-        id: id(active).0,
-    }
 }

@@ -6,13 +6,13 @@ use wimu_link::message::{Event, LinkStatus, Status, Streams, Telemetry};
 use wimu_link::{Hello, LinkRole};
 use wimu_model::DeviceTimeUs;
 
-use super::{Message, ROLES, Shared, active_parameters};
+use super::{Common, Message, ROLES};
 use crate::queue::{FrameQueue, PIECE};
 
 /// Longest telemetry message (a status) in its frame, bytes.
 const MAX_TELEMETRY: usize = 192;
 
-impl<M: RawMutex> Shared<M> {
+impl<M: RawMutex> Common<M> {
     fn with_outbox<R>(&self, role: LinkRole, f: impl FnOnce(&mut FrameQueue) -> R) -> R {
         let link = self.link(role);
         let result = link.outbox.lock(|outbox| f(&mut outbox.borrow_mut()));
@@ -72,15 +72,19 @@ impl<M: RawMutex> Shared<M> {
         self.announce(message, ROLES.map(|other| other == role));
     }
 
-    /// Queues the parameters in use on one link, now or as soon as there is room.
+    /// Sends the parameters in use on one link, one piece whenever no kept frame is queued.
     pub(crate) fn send_parameters(&self, role: LinkRole) {
-        let active = self.active();
-        let message: Message = Telemetry::Parameters(active_parameters(&active));
-        let mut frame = [0; MAX_FRAME];
-        let length = message.encode(&mut frame).unwrap_or(0);
-        let frame = frame.get(..length).unwrap_or_default();
-        let queued = self.with_outbox(role, |outbox| outbox.push_kept_if_room(frame));
-        self.with_heard(role, |heard| heard.parameters_wanted = !queued);
+        self.with_heard(role, |heard| heard.parameters_from = Some(0));
+        self.link(role).waiting.signal(());
+    }
+
+    /// Queues the piece of the parameters in use that begins at `offset`.
+    fn send_piece(&self, role: LinkRole, offset: u16) {
+        let piece = self.active_piece(offset);
+        let next = offset.saturating_add(piece.piece.as_bytes().len() as u16);
+        let rest = (next < piece.total).then_some(next);
+        self.with_heard(role, |heard| heard.parameters_from = rest);
+        self.send(role, &Telemetry::ParametersPiece(piece));
     }
 
     /// Sends an event on both links.
@@ -166,8 +170,8 @@ impl<M: RawMutex> Shared<M> {
         let link = self.link(role);
         loop {
             let room = link.outbox.lock(|outbox| outbox.borrow().has_all_room());
-            if room && self.with_heard(role, |heard| heard.parameters_wanted) {
-                self.send_parameters(role);
+            if room && let Some(offset) = self.with_heard(role, |heard| heard.parameters_from) {
+                self.send_piece(role, offset);
             }
             let (taken, stalled) = link.outbox.lock(|outbox| {
                 let mut outbox = outbox.borrow_mut();
@@ -186,10 +190,5 @@ impl<M: RawMutex> Shared<M> {
             }
             link.waiting.wait().await;
         }
-    }
-
-    /// Reports on both links that the button was pressed, for the `count`-th time.
-    pub fn mark(&self, now: DeviceTimeUs, count: u16) {
-        self.report(now, Event::Marked { count });
     }
 }

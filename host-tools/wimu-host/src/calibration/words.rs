@@ -295,6 +295,9 @@ pub(super) fn remarks(
         ));
     }
     remarks.extend(data.gaps_remark());
+    if data.has_gyroscope {
+        remarks.push("the gyroscope is not calibrated, only the accelerometer".to_owned());
+    }
     let Some(estimate) = estimate else {
         return remarks;
     };
@@ -389,7 +392,7 @@ pub(super) fn remarks(
     remarks.extend(board.and_then(|(sensitivity, range)| range.remark(sensitivity)));
     if let (None, Some(lsb_per_g)) = (board, lsb_per_g) {
         remarks.push(format!(
-                "{lsb_per_g:.1} LSB/g is outside the range of boards (160 to 65536): this calibration cannot be pushed or exported"
+                "{lsb_per_g:.1} LSB/g is outside the range of boards (160 to 1048576): this calibration cannot be pushed or exported"
         ));
     }
     if lsb_per_g.is_none() {

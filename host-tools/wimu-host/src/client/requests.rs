@@ -1,9 +1,12 @@
 //! Requests to a board: parameters, settings, keys.
 
 use super::*;
+use crate::decode::Pieces;
 
 /// Largest number of sessions in which a request is repeated when they end.
 const SESSIONS: usize = 4;
+/// Largest number of pieces in which a parameter set is read.
+const MAX_PIECES: usize = 64;
 
 impl<T: Transport> Client<T> {
     /// Signs with this key from the next write on; with `None`, signs nothing.
@@ -72,7 +75,7 @@ impl<T: Transport> Client<T> {
         }
         let answer = self.insist(command);
         // Staging has no effect before the commit.
-        let has_effect = command.is_write() && !matches!(command, Command::StageParameters(_));
+        let has_effect = command.is_write() && !matches!(command, Command::StageParameters { .. });
         let signs = self.requester.signs();
         let certain = answer.is_ok() && (!signs || self.requester.is_authenticated());
         let unsigned_write = command.is_write() && !signs && self.hello.role != LinkRole::Cable;
@@ -304,8 +307,30 @@ impl<T: Transport> Client<T> {
     /// # Errors
     /// Those of [`Client::request`].
     pub fn parameters(&mut self) -> Result<ActiveParameters> {
-        match self.request(Command::GetParameters)? {
-            Payload::Parameters(parameters) => Ok(parameters),
+        let mut pieces = Pieces::default();
+        // It begins again when they change meanwhile.
+        for _ in 0..MAX_PIECES {
+            let offset = pieces.received();
+            let Payload::Parameters(piece) = self.request(Command::GetParameters { offset })?
+            else {
+                return Err(self.unexpected());
+            };
+            let taken = pieces.take(&piece);
+            if let Some(active) = taken.map_err(|_| self.unexpected())? {
+                return Ok(active);
+            }
+        }
+        Err(self.unexpected())
+    }
+
+    /// Sends a parameter set in pieces; returns the id that the board has staged it with.
+    fn stage(&mut self, wire: &WireParameters) -> Result<u32> {
+        let mut payload = Payload::None;
+        for command in wire.stage() {
+            payload = self.request(command)?;
+        }
+        match payload {
+            Payload::Staged { hash } => Ok(hash),
             _ => Err(self.unexpected()),
         }
     }
@@ -388,12 +413,9 @@ impl<T: Transport> Client<T> {
                 "push again; if it repeats, update firmware and wimu to one version",
             )
         };
-        match self.request(Command::StageParameters(wire))? {
-            Payload::Staged { hash } if hash == id.0 => {}
-            Payload::Staged { hash } => {
-                return Err(differs("the board has staged the parameters", hash).at(&self.name));
-            }
-            _ => return Err(self.unexpected()),
+        let staged = self.stage(&wire)?;
+        if staged != id.0 {
+            return Err(differs("the board has staged the parameters", staged).at(&self.name));
         }
         // When the board accepts, it has read the set back from its flash; the commit names it by hash.
         let error = match self.request(Command::CommitParameters { hash: id.0 }) {

@@ -3,7 +3,9 @@ use std::rc::Rc;
 
 use wimu_link::auth::{KeyState, Lock};
 use wimu_link::hello::LinkRole;
-use wimu_link::message::{Environment, ParameterFault, Reply, Request, Signature};
+use wimu_link::message::{
+    EncodedParameters, Environment, ParameterFault, Piece, Reply, Request, Signature,
+};
 use wimu_link::responder::Decision;
 use wimu_link::{Deframer, Kind, Responder, Telemetry, WriteAccess};
 use wimu_model::{ErrorModel, ErrorTerms, Sensitivity};
@@ -17,6 +19,7 @@ struct Board {
     responder: Responder,
     hello: Hello,
     settings: Settings,
+    pieces: Vec<u8>,
     staged: Option<WireParameters>,
     active: Option<WireParameters>,
     commits: u32,
@@ -58,6 +61,7 @@ impl Line {
                 ..Hello::new(role)
             },
             settings: Settings::default(),
+            pieces: Vec::new(),
             staged: None,
             active: None,
             commits: 0,
@@ -145,7 +149,7 @@ impl Board {
             }
             Decision::Ignore => return,
         };
-        let answer = self.execute(command.decoded().unwrap());
+        let answer = self.execute(command.map(|piece| Piece::new(piece).unwrap()));
         let frame = self.responder.reply(&answer, &mut frame).to_vec();
         self.send(&frame);
     }
@@ -153,7 +157,17 @@ impl Board {
     fn execute(&mut self, command: Command) -> Answer {
         let id = |wire: &WireParameters| parameter_id(&ParameterSet::try_from(wire).unwrap()).0;
         Answer::Accepted(match command {
-            Command::StageParameters(mut wire) => {
+            Command::StageParameters {
+                offset,
+                total,
+                piece,
+            } => {
+                self.pieces.truncate(offset.into());
+                self.pieces.extend(piece.as_bytes());
+                if self.pieces.len() < total.into() {
+                    return Answer::Accepted(Payload::None);
+                }
+                let mut wire = WireParameters::decode(&self.pieces).unwrap();
                 if self.forgetful {
                     wire.bias_mps2[0] += 1e-9;
                 }
@@ -183,10 +197,12 @@ impl Board {
                 }
                 _ => return Answer::Refused(Refusal::NothingStaged),
             },
-            Command::GetParameters => Payload::Parameters(ActiveParameters {
-                active: self.active,
-                id: self.active.as_ref().map_or(0, id),
-            }),
+            Command::GetParameters { offset } => {
+                let mut bytes = [0; WireParameters::MAX];
+                let length = self.active.map_or(0, |set| set.encode(&mut bytes).unwrap());
+                let id = ParameterId(self.active.as_ref().map_or(0, id));
+                Payload::Parameters(EncodedParameters(&bytes[..length]).piece(id, offset))
+            }
             Command::GetSettings => Payload::Settings(self.settings),
             Command::SetSettings(settings) => {
                 self.settings = settings;
@@ -433,24 +449,31 @@ fn garbage_before_the_greeting_does_not_hide_it() {
 
 #[test]
 fn a_board_of_another_version_is_named() {
-    let line = Line::new(LinkRole::Cable);
-    line.board().hello.wire_version = 3;
-    let error = line.connect().err().unwrap();
-    assert_eq!(error.code(), ErrorCode::ProtocolVersion);
-    assert!(error.message().contains("version 3"), "{error}");
+    for (version, older) in [(1, "the board's firmware"), (3, "wimu on this computer")] {
+        let line = Line::new(LinkRole::Cable);
+        line.board().hello.wire_version = version;
+        let error = line.connect().err().unwrap();
+        assert_eq!(error.code(), ErrorCode::ProtocolVersion);
+        let says = format!("version {version} of the protocol, this wimu version 2");
+        assert!(error.message().contains(&says), "{error}");
+        assert!(error.remedy().contains(older), "{error}");
+    }
 }
 
 #[test]
 fn a_board_of_another_version_is_named_even_if_it_does_not_hear() {
-    let line = Line::new(LinkRole::Cable);
-    line.board().silent = true;
-    // Telemetry of version 3, empty, and its CRC-32C.
-    line.board()
-        .outgoing
-        .extend([6, 0x34, 0xFF, 0x8D, 0x04, 0xA5, 0]);
-    let error = line.connect().err().unwrap();
-    assert_eq!(error.code(), ErrorCode::ProtocolVersion, "{error}");
-    assert!(error.message().contains("version 3"), "{error}");
+    // Telemetry of version 3, empty, and its CRC-32C; an event of version 1, which recordings hold.
+    let later = vec![6, 0x34, 0xFF, 0x8D, 0x04, 0xA5, 0];
+    let earlier = vec![9, 0x14, 6, 5, 1, 0xB6, 0x47, 0xD3, 0xA4, 0];
+    for (version, sent) in [(3, later), (1, earlier)] {
+        let line = Line::new(LinkRole::Cable);
+        line.board().silent = true;
+        line.board().outgoing.extend(sent);
+        let error = line.connect().err().unwrap();
+        assert_eq!(error.code(), ErrorCode::ProtocolVersion, "{error}");
+        let says = format!("version {version} ");
+        assert!(error.message().contains(&says), "{error}");
+    }
 }
 
 #[test]

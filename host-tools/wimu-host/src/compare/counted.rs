@@ -54,6 +54,8 @@ pub(super) struct Counted {
     pub meters: [LinkMeter; 2],
     pub pairs: u64,
     pub identical: u64,
+    pub with_rates: u64,
+    pub rates_differ: u64,
     pub saturated: u64,
     pub without_unit: u64,
     pub transfer: ReferenceTransfer,
@@ -72,6 +74,8 @@ impl Counted {
             meters: [(); 2].map(|()| LinkMeter::new(overview.slicing())),
             pairs: 0,
             identical: 0,
+            with_rates: 0,
+            rates_differ: 0,
             saturated: 0,
             without_unit: 0,
             transfer: ReferenceTransfer::new(ratio).of_one_sensor(),
@@ -132,7 +136,7 @@ impl Counted {
             }
             for sample in samples.iter() {
                 let twin = pairing.pair(link, start, &sample, samples.every, is_late, clock);
-                let Some(twin) = twin else {
+                let Some((twin, twin_rate)) = twin else {
                     continue;
                 };
                 let (cable, wireless) = if link == 0 {
@@ -141,7 +145,10 @@ impl Counted {
                     (twin, sample.value)
                 };
                 counted.pairs += 1;
-                counted.identical += u64::from(cable == wireless);
+                let rates_differ = sample.rate != twin_rate;
+                counted.with_rates += u64::from(sample.rate.is_some() && twin_rate.is_some());
+                counted.rates_differ += u64::from(rates_differ);
+                counted.identical += u64::from(cable == wireless && !rates_differ);
                 let Some(unit) = overview.units.of(start, sample.sequence) else {
                     counted.without_unit += 1;
                     continue;

@@ -16,13 +16,15 @@ const MAX_STARTS: usize = 4;
 /// Largest number of missing samples of a link that may still arrive late.
 const MAX_LACKED: usize = 1 << 14;
 
+/// X, Y, Z of the accelerometer and, if there is one, of the gyroscope, LSB.
+pub(super) type Values = ([i32; 3], Option<[i32; 3]>);
+
 /// A sample of a link.
 #[derive(Clone, Copy, Debug)]
 struct Taken {
     /// Its sequence number.
     number: u32,
-    /// X, Y, Z, LSB.
-    value: [i32; 3],
+    values: Values,
     /// Host time, ns: negative for samples taken before that clock began.
     taken_ns: i64,
 }
@@ -137,7 +139,7 @@ impl<'a> Pairing<'a> {
         }
     }
 
-    /// Takes a sample of a link, late or not; returns the other link's value, if it has
+    /// Takes a sample of a link, late or not; returns the other link's values, if it has
     /// arrived.
     pub fn pair(
         &mut self,
@@ -147,10 +149,10 @@ impl<'a> Pairing<'a> {
         every: u8,
         is_late: bool,
         clock: &ClockModel,
-    ) -> Option<[i32; 3]> {
+    ) -> Option<Values> {
         let taken = Taken {
             number: sample.sequence,
-            value: sample.value,
+            values: (sample.value, sample.rate),
             taken_ns: clock.host_ns(sample.time) as i64,
         };
         if is_late {
@@ -160,9 +162,9 @@ impl<'a> Pairing<'a> {
         }
     }
 
-    /// Takes a link's next sample, with decimation `every`; returns the other link's value, if it has
+    /// Takes a link's next sample, with decimation `every`; returns the other link's values, if it has
     /// arrived.
-    fn take(&mut self, link: usize, start: Start, sample: Taken, every: u8) -> Option<[i32; 3]> {
+    fn take(&mut self, link: usize, start: Start, sample: Taken, every: u8) -> Option<Values> {
         self.heard[link].every = every;
         let [own, other] = self.links(link, start);
         let number = sample.number;
@@ -178,7 +180,7 @@ impl<'a> Pairing<'a> {
             }
             other.samples.pop_front();
             if before.number == number {
-                twin = Some(before.value);
+                twin = Some(before.values);
             } else if own.lacks(before, number) {
                 lacked[link].push(before);
             }
@@ -214,14 +216,14 @@ impl<'a> Pairing<'a> {
         twin
     }
 
-    /// Takes a late sample of a link; returns the other link's value, if it has arrived.
-    fn take_late(&mut self, link: usize, start: Start, sample: Taken) -> Option<[i32; 3]> {
+    /// Takes a late sample of a link; returns the other link's values, if it has arrived.
+    fn take_late(&mut self, link: usize, start: Start, sample: Taken) -> Option<Values> {
         let number = sample.number;
         let lacked = &mut self.lacked[link];
         let is_it = |(of, lacked): &(Start, Taken)| *of == start && lacked.number == number;
         if let Some(at) = lacked.iter().position(is_it) {
             self.lost[link] -= 1;
-            return lacked.remove(at).map(|(_, twin)| twin.value);
+            return lacked.remove(at).map(|(_, twin)| twin.values);
         }
         let [own, other] = self.links(link, start);
         let is_before = |known: &Taken| sequence_order(known.number, number).is_lt();
@@ -231,7 +233,7 @@ impl<'a> Pairing<'a> {
             .get(at)
             .is_some_and(|twin| twin.number == number)
         {
-            return other.samples.remove(at).map(|twin| twin.value);
+            return other.samples.remove(at).map(|twin| twin.values);
         }
         let at = own.samples.partition_point(is_before);
         own.samples.insert(at, sample);
@@ -319,7 +321,7 @@ mod tests {
             for (number, link) in turns {
                 let sample = Taken {
                     number,
-                    value: [0; 3],
+                    values: ([0; 3], None),
                     taken_ns: 1 + i64::from(start) * STARTS_APART + i64::from(number),
                 };
                 pairing.take(link, start, sample, 1);
@@ -371,7 +373,7 @@ mod tests {
         }; 2];
         let sample = |number: u32| Taken {
             number,
-            value: [number as i32; 3],
+            values: ([number as i32; 3], None),
             taken_ns: 1 + i64::from(number),
         };
         for cable_ahead in [true, false] {
@@ -390,7 +392,7 @@ mod tests {
             }
             for number in [2, 3] {
                 let twin = pairing.take_late(1, 0, sample(number));
-                assert!(twin.is_none_or(|twin| twin == sample(number).value));
+                assert!(twin.is_none_or(|twin| twin == sample(number).values));
                 pairs += usize::from(twin.is_some());
             }
             if !cable_ahead {

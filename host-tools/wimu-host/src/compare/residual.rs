@@ -82,7 +82,7 @@ impl Residual {
             };
             for sample in samples.iter() {
                 let twin = pairing.pair(link, start, &sample, samples.every, is_late, clock);
-                if let Some(twin) = twin {
+                if let Some((twin, _)) = twin {
                     let (cable, wireless) = if link == 0 {
                         (sample.value, twin)
                     } else {

@@ -39,7 +39,7 @@ impl Units {
                 let unit = starts.get(&start)?.of(sequence)?;
                 Unit {
                     mps2_per_lsb: unit.mps2_per_lsb(),
-                    full_scale: unit.full_scale.into(),
+                    full_scale: unit.full_scale,
                 }
             }
             Self::Corrected => Unit {

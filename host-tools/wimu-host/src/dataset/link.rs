@@ -100,6 +100,7 @@ impl Dataset {
             }),
             outputs,
             sensor: first.sensor(),
+            has_gyroscope: first.raw.iter().any(|sample| sample.rate.is_some()),
         })
     }
 }

@@ -1,7 +1,7 @@
 //! Events of a link, and their statistics.
 
 use wimu_link::batch::Stream;
-use wimu_link::message::{ActiveParameters, Environment, Epoch, Navigation, Status};
+use wimu_link::message::{ActiveParameters, Attitude, Environment, Epoch, Navigation, Status};
 use wimu_link::{FrameError, Hello, Reply, Settings};
 use wimu_model::{DeviceTimeUs, PeriodNs};
 
@@ -30,10 +30,14 @@ pub enum Event {
         /// Whether epochs before it were lost.
         after_loss: bool,
     },
+    /// Samples, late samples or an epoch of a further sensor, index 1 to 7: raw only.
+    Further(Box<Event>),
     /// Magnetic field and temperature.
     Environment(Environment),
     /// Velocity and position.
     Navigation(Navigation),
+    /// Attitude, of a sensor with a gyroscope.
+    Attitude(Attitude),
     /// Parameters in use.
     Parameters(ActiveParameters),
     /// Settings in use.
@@ -61,6 +65,33 @@ pub enum Event {
 }
 
 impl Event {
+    /// Separates the data of further sensors.
+    #[inline]
+    pub(super) fn of_sensor(self, sensor: u8) -> Self {
+        match sensor {
+            0 => self,
+            _ => Self::Further(Box::new(self)),
+        }
+    }
+
+    /// The event itself, or that of a further sensor.
+    pub fn of_any_sensor(&self) -> &Self {
+        match self {
+            Self::Further(event) => event,
+            event => event,
+        }
+    }
+
+    /// Index of the sensor of samples or an epoch.
+    pub fn sensor(&self) -> Option<u8> {
+        match self {
+            Self::Samples(samples) | Self::Late(samples) => Some(samples.sensor),
+            Self::Epoch { epoch, .. } => Some(epoch.sensor),
+            Self::Further(event) => event.sensor(),
+            _ => None,
+        }
+    }
+
     /// Whether it depends on the start in which it was sent.
     pub(super) fn is_of_a_start(&self) -> bool {
         !matches!(
@@ -73,7 +104,9 @@ impl Event {
 /// Consecutive samples of one stream without gaps or repetitions.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Samples {
-    /// Raw counts or corrected specific force.
+    /// Index of the sensor, 0 to 7.
+    pub sensor: u8,
+    /// Raw counts or corrected specific force and angular rate.
     pub stream: Stream,
     /// Sequence number of the first.
     pub first_sequence: u32,
@@ -83,8 +116,10 @@ pub struct Samples {
     pub period: PeriodNs,
     /// Difference of consecutive sequence numbers: 1 unless the stream is decimated.
     pub every: u8,
-    /// X, Y, Z in LSB or 2⁻¹⁶ m/s².
+    /// X, Y, Z of the accelerometer, LSB or 2⁻¹⁶ m/s².
     pub values: Vec<[i32; 3]>,
+    /// X, Y, Z of the gyroscope, LSB or 2⁻²⁰ rad/s, one for each of `values`; empty without a gyroscope.
+    pub rates: Vec<[i32; 3]>,
 }
 
 impl Samples {
@@ -97,8 +132,21 @@ impl Samples {
                 sequence: self.first_sequence.wrapping_add(later),
                 time: DeviceTimeUs(self.first_time.0.wrapping_add(later_us)),
                 value: *value,
+                rate: self.rates.get(index).copied(),
             }
         })
+    }
+
+    /// Removes the first `count` samples.
+    pub(super) fn drop_first(&mut self, count: usize) {
+        let first = self.iter().nth(count);
+        if let Some(first) = first {
+            self.first_sequence = first.sequence;
+            self.first_time = first.time;
+        }
+        for axes in [&mut self.values, &mut self.rates] {
+            axes.drain(..count.min(axes.len()));
+        }
     }
 }
 
@@ -109,8 +157,10 @@ pub struct TimedSample {
     pub sequence: u32,
     /// When it was taken.
     pub time: DeviceTimeUs,
-    /// X, Y, Z in LSB or 2⁻¹⁶ m/s².
+    /// X, Y, Z of the accelerometer, LSB or 2⁻¹⁶ m/s².
     pub value: [i32; 3],
+    /// X, Y, Z of the gyroscope, LSB or 2⁻²⁰ rad/s; `None` without one.
+    pub rate: Option<[i32; 3]>,
 }
 
 /// An event with the time of arrival of its last byte.
@@ -143,6 +193,8 @@ pub struct LinkStatistics {
     pub raw: StreamStatistics,
     /// The corrected samples.
     pub corrected: StreamStatistics,
+    /// The samples of all further sensors, index 1 to 7.
+    pub further: StreamStatistics,
     /// Batches whose sequence numbers no epoch defines.
     pub batches_unplaced: u64,
     /// Environment and navigation messages that were repeated or arrived after later ones; left out.
@@ -152,10 +204,11 @@ pub struct LinkStatistics {
 }
 
 impl LinkStatistics {
-    pub(super) fn stream(&mut self, stream: Stream) -> &mut StreamStatistics {
-        match stream {
-            Stream::Raw => &mut self.raw,
-            Stream::Corrected => &mut self.corrected,
+    pub(super) fn stream(&mut self, sensor: u8, stream: Stream) -> &mut StreamStatistics {
+        match (sensor, stream) {
+            (0, Stream::Raw) => &mut self.raw,
+            (0, Stream::Corrected) => &mut self.corrected,
+            _ => &mut self.further,
         }
     }
 }

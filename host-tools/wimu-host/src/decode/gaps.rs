@@ -47,11 +47,15 @@ impl Gaps {
                 self.0.insert(index, (from, number));
             }
             match found.last_mut().filter(|_| follows) {
-                Some(run) => run.values.push(sample.value),
+                Some(run) => {
+                    run.values.push(sample.value);
+                    run.rates.extend(sample.rate);
+                }
                 None => found.push(Samples {
                     first_sequence: number,
                     first_time: sample.time,
                     values: vec![sample.value],
+                    rates: sample.rate.into_iter().collect(),
                     ..*samples
                 }),
             }

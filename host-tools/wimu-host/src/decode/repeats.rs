@@ -17,6 +17,7 @@ const REPEATED_NS: u64 = 25_000_000_000;
 /// Identification of a batch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 struct Mark {
+    sensor: u8,
     stream: Stream,
     sequence_low: u16,
     time_low: u32,
@@ -72,6 +73,7 @@ fn mark(batch: &Batch) -> Option<Mark> {
     let samples = batch.samples();
     let (first, last) = (*samples.first()?, *samples.last()?);
     (first != last).then(|| Mark {
+        sensor: batch.sensor(),
         stream: batch.stream(),
         sequence_low: batch.sequence_low(),
         time_low: batch.time_low(),

@@ -1,10 +1,11 @@
 use proptest::prelude::*;
 use wimu_link::hello::LinkRole;
-use wimu_link::message::{EpochReason, WireState};
+use wimu_link::message::EpochReason;
 use wimu_link::{MAX_FRAME, Telemetry};
 use wimu_model::Counts;
 
 use super::anchor::MAX_AHEAD_US;
+use super::gaps::Gaps;
 use super::*;
 
 const PERIOD_US: u64 = 10_000;
@@ -46,7 +47,7 @@ fn numbered_epoch(number: u8, sequence: u32, time_us: u64) -> Vec<u8> {
         full_scale: 32752,
         parameters: 0,
         temperature_centi_c: None,
-        state: WireState::default(),
+        ..Epoch::default()
     });
     framed(|frame| epoch.encode(frame))
 }
@@ -123,6 +124,97 @@ fn sequences(events: &[Event]) -> Vec<u32> {
         }
     }
     found
+}
+
+/// Sensor 1 with its own numbers: `ahead` of those of sensor 0 at the same times.
+fn further_epoch(ahead: u32, sequence: u32) -> Vec<u8> {
+    let epoch = <Telemetry>::Epoch(Epoch {
+        sequence: sequence + ahead,
+        time_us: time(sequence),
+        period_ns: PERIOD_US as u32 * 1000,
+        range_g: 200,
+        sensitivity_lsb_per_g: 160.0,
+        full_scale: 32767,
+        sensor: 1,
+        ..Epoch::default()
+    });
+    framed(|frame| epoch.encode(frame))
+}
+
+fn further(ahead: u32, first: u32, count: u32) -> Vec<u8> {
+    let pair = |s| (Counts([s as i16; 3]), Counts([-(s as i16); 3]));
+    let samples: Vec<_> = (first..first + count).map(pair).collect();
+    let layout = batch::Layout {
+        sensor: 1,
+        every: std::num::NonZeroU8::MIN,
+    };
+    let at = DeviceTimeUs(time(first));
+    framed(|frame| batch::encode_with(layout, first + ahead, at, &samples, frame))
+}
+
+#[test]
+fn a_further_sensor_has_its_own_numbers_gaps_and_repeats() {
+    let mut decoder = Decoder::new();
+    let mut heard = Vec::new();
+    let mut late = Vec::new();
+    for (boot, ahead) in [(1, 70_000), (2, 5)] {
+        let frames = [
+            hello(boot),
+            further(ahead, 0, 8),
+            epoch(0, time(0)),
+            samples_of(boot as i16, 0, 16),
+            further_epoch(ahead, 0),
+            further(ahead, 16, 8),
+            samples_of(boot as i16, 16, 16),
+            further(ahead, 8, 8),
+            further(ahead, 16, 8),
+            further_epoch(ahead, 100),
+        ];
+        let events = decode(&mut decoder, &frames);
+        assert_eq!(sequences(&events), (0..32).collect::<Vec<_>>());
+        for event in events {
+            let Event::Further(event) = event else {
+                continue;
+            };
+            assert_eq!(event.sensor(), Some(1));
+            let (found, samples) = match *event {
+                Event::Samples(samples) => (&mut heard, samples),
+                Event::Late(samples) => (&mut late, samples),
+                _ => continue,
+            };
+            for sample in samples.iter() {
+                let number = sample.sequence - ahead;
+                assert_eq!(sample.time.0, time(number));
+                assert_eq!(sample.value, [number as i32; 3]);
+                assert_eq!(sample.rate, Some([-(number as i32); 3]));
+                found.push(number);
+            }
+        }
+    }
+    let once: Vec<_> = (0..8).chain(16..24).collect();
+    assert_eq!(heard, once.repeat(2));
+    assert_eq!(late, (8..16).collect::<Vec<_>>().repeat(2));
+    let statistics = decoder.statistics();
+    let further = StreamStatistics {
+        received: 32,
+        missing: 0,
+        duplicated: 16,
+        late: 16,
+    };
+    assert_eq!(statistics.further, further);
+    assert_eq!((statistics.raw.received, statistics.raw.missing), (64, 0));
+    assert_eq!(statistics.frames_rejected, 0);
+}
+
+#[test]
+fn an_epoch_of_an_impossible_sensor_is_unreadable() {
+    let mut decoder = Decoder::new();
+    let epoch = <Telemetry>::Epoch(Epoch {
+        sensor: 8,
+        ..Epoch::default()
+    });
+    let events = decode(&mut decoder, &[framed(|frame| epoch.encode(frame))]);
+    assert!(matches!(events[..], [Event::Unreadable(_)]), "{events:?}");
 }
 
 #[test]
@@ -484,7 +576,7 @@ fn strangers_are_told_from_damage() {
     let mut decoder = Decoder::new();
     let mut frames = vec![hello(1)];
     frames.push(framed(|frame| {
-        wimu_link::frame::encode(Kind::Telemetry, &[0xff; 9], frame)
+        wimu_link::frame::encode(wimu_link::Kind::Telemetry, &[0xff; 9], frame)
     }));
     frames.push(framed(|frame| {
         wimu_link::WhoAreYou::default().encode(frame)
@@ -537,7 +629,15 @@ fn decimated(first: u32, count: u32, every: u8) -> Vec<u8> {
         .map(|s| Counts(value(first + s * u32::from(every)).map(|v| v as i16)))
         .collect();
     let every = std::num::NonZeroU8::new(every).unwrap();
-    framed(|frame| batch::encode_every(every, first, DeviceTimeUs(time(first)), &counts, frame))
+    framed(|frame| {
+        batch::encode_with(
+            batch::Layout { sensor: 0, every },
+            first,
+            DeviceTimeUs(time(first)),
+            &counts,
+            frame,
+        )
+    })
 }
 
 #[test]
@@ -608,6 +708,8 @@ fn a_late_batch_fills_a_gap_over_the_wrap() {
     let mut statistics = StreamStatistics::default();
     gaps.add(start, start.wrapping_add(80));
     let samples = Samples {
+        sensor: 0,
+        rates: Vec::new(),
         stream: batch::Stream::Raw,
         first_sequence: start.wrapping_add(32),
         first_time: DeviceTimeUs(0),
@@ -735,9 +837,7 @@ fn what_is_held_in_doubt_is_bounded_whatever_comes() {
     for _ in 0..sent {
         decoder.push(time(1_600) * 1000, &unplaced, |_| {});
     }
-    assert!(
-        decoder.start.order.held().len() <= 2048 && decoder.start.unplaced.len() <= MAX_UNPLACED
-    );
+    assert!(decoder.start.order.held().len() <= 2048 && decoder.start.unplaced() <= MAX_UNPLACED);
 }
 
 /// A frame of a device, or of nobody's, with any numbers.
@@ -771,7 +871,7 @@ fn absurd() -> impl Strategy<Value = Vec<u8>> {
                     full_scale: 32752,
                     parameters: 0,
                     temperature_centi_c: None,
-                    state: WireState::default(),
+                    ..Epoch::default()
                 });
                 framed(|frame| epoch.encode(frame))
             }
@@ -784,7 +884,15 @@ fn absurd() -> impl Strategy<Value = Vec<u8>> {
                 let every =
                     std::num::NonZeroU8::new(values[1] as u8).unwrap_or(std::num::NonZeroU8::MIN);
                 let time = DeviceTimeUs(two);
-                framed(|frame| batch::encode_every(every, one as u32, time, &counts, frame))
+                framed(|frame| {
+                    batch::encode_with(
+                        batch::Layout { sensor: 0, every },
+                        one as u32,
+                        time,
+                        &counts,
+                        frame,
+                    )
+                })
             }
         })
 }
@@ -805,7 +913,7 @@ proptest! {
                 readings.push(&arrival.event, |_| {});
             });
             prop_assert!(decoder.start.order.held().len() <= 2049);
-            prop_assert!(decoder.start.unplaced.len() <= MAX_UNPLACED);
+            prop_assert!(decoder.start.unplaced() <= MAX_UNPLACED);
         }
         for boot in &history.boots {
             for mark in &boot.epochs {

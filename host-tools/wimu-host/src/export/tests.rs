@@ -1,4 +1,4 @@
-use wimu_link::message::{Epoch, EpochReason, WireState};
+use wimu_link::message::{Epoch, EpochReason};
 use wimu_link::{MAX_FRAME, Telemetry, batch};
 use wimu_model::Counts;
 
@@ -38,7 +38,7 @@ fn every_position_has_its_time_where_numbers_wrap() {
                 full_scale: 32752,
                 parameters: 0,
                 temperature_centi_c: None,
-                state: WireState::default(),
+                ..Epoch::default()
             });
             let length = epoch.encode(&mut frame).unwrap();
             append(length, &frame);
@@ -53,7 +53,13 @@ fn every_position_has_its_time_where_numbers_wrap() {
         append(length, &frame);
     }
     writer.finish().unwrap();
-    let exported = to_csv(&file, None, None, ExportStream::Navigation, &table).unwrap();
+    let exported = to_csv(
+        &file,
+        &ExportSource::default(),
+        ExportStream::Navigation,
+        &table,
+    )
+    .unwrap();
     assert_eq!(exported.rows, steps as usize / 16);
     let text = std::fs::read_to_string(&table).unwrap();
     let mut lines = text.lines();

@@ -1,5 +1,5 @@
 use wimu_link::Settings;
-use wimu_link::message::{EpochReason, WireState};
+use wimu_link::message::EpochReason;
 use wimu_model::PeriodNs;
 
 use super::*;
@@ -18,7 +18,7 @@ fn epoch() -> Event {
             full_scale: 32752,
             parameters: 0,
             temperature_centi_c: None,
-            state: WireState::default(),
+            ..Epoch::default()
         },
         after_loss: false,
     }
@@ -26,6 +26,8 @@ fn epoch() -> Event {
 
 fn samples(stream: Stream, first: u32) -> Event {
     Event::Samples(Samples {
+        sensor: 0,
+        rates: Vec::new(),
         stream,
         first_sequence: first,
         first_time: DeviceTimeUs(u64::from(first) * 10_000),

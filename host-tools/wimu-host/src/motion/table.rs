@@ -9,6 +9,7 @@ use super::{FIELD_CALIBRATED, MotionRecording, Truth};
 use crate::calibration::StoredModel;
 use crate::csv::{CsvReader, Header, Row, SENSITIVITY};
 use crate::dataset::{LoadOptions, one_sensor};
+use crate::export::GYROSCOPE_SCALE;
 use crate::{ErrorCode, HostError, Result};
 
 /// Two sensitivities that differ by more than this share are of two ranges.
@@ -28,6 +29,9 @@ const RATE_UNITS: [(&str, f64); 3] = [
     ("deg/s", std::f64::consts::PI / 180.0),
     ("dps", std::f64::consts::PI / 180.0),
 ];
+
+/// The unit of a gyroscope's counts in a table with a column [`GYROSCOPE_SCALE`].
+const COUNTS: [(&str, f64); 1] = [("LSB", 1.0)];
 
 /// The column called `name` and the factor of its unit; `None` where there is none.
 fn unit_of(names: &[String], name: &str, units: &[(&str, f64)]) -> Result<Option<(usize, f64)>> {
@@ -84,7 +88,8 @@ impl MotionRecording {
         Self::from_csv_with(path, &TableOptions::default())
     }
 
-    /// Reads a CSV file with times and one accelerometer, whose empty fields are not a number; `Gyroscope X (rad/s)` or `(deg/s)`, the magnetometer and
+    /// Reads a CSV file with times and one accelerometer, whose empty fields are not a number; `Gyroscope X (rad/s)` or `(deg/s)`, or
+    /// counts with the nominal scale as exported, the magnetometer and
     /// `Truth Position E (m)`, `Truth Quaternion W`, … if there are. A magnetic field whose `Field Calibrated` is 0 is
     /// left out, unless the calibration has a model of the magnetometer. A calibration is of the unit in which the
     /// accelerations are: of counts, or of m/s² and g.
@@ -123,9 +128,16 @@ impl MotionRecording {
         let column = |name: String, units: &[(&str, f64)]| {
             unit_of(&header.other, &name, units).map_err(in_header)
         };
+        let find = |name: &str| header.other.iter().position(|n| n == name);
+        let scale = find(GYROSCOPE_SCALE).filter(|_| find("Gyroscope X (LSB)").is_some());
+        let units = if scale.is_some() {
+            &COUNTS[..]
+        } else {
+            &RATE_UNITS
+        };
         let rate = complete(
             "Gyroscope",
-            ["X", "Y", "Z"].map(|axis| column(format!("Gyroscope {axis}"), &RATE_UNITS)),
+            ["X", "Y", "Z"].map(|axis| column(format!("Gyroscope {axis}"), units)),
         )
         .map_err(in_header)?;
         let strange = |n: &&String| {
@@ -140,7 +152,6 @@ impl MotionRecording {
         let metres = |axis| column(format!("Truth Position {axis}"), &[("m", 1.0)]);
         let position =
             complete("Truth Position", ["E", "N", "U"].map(metres)).map_err(in_header)?;
-        let find = |name: &str| header.other.iter().position(|n| n == name);
         let quaternion = ["W", "X", "Y", "Z"].map(|a| find(&format!("Truth Quaternion {a}")));
         let calibrated = find(FIELD_CALIBRATED);
         let mut last = None;
@@ -163,11 +174,18 @@ impl MotionRecording {
                 .map(|flag| flag != 0.0);
             let time = row.time_ns.unwrap_or_default() as f64 * 1e-9;
             let field_ut = correction.field(&row, is_calibrated);
+            let force = correction.force(&row);
+            let rate_rad_s = match scale {
+                None => all(rate),
+                Some(scale) => all(rate)
+                    .zip(value(Some(scale)))
+                    .map(|(counts, nominal)| correction.rate(counts, nominal, force)),
+            };
             recording.samples.push(UnitSample {
                 step_s: time - last.unwrap_or(time),
-                force_mps2: correction.force(&row),
+                force_mps2: correction.turned(force),
                 field_ut,
-                rate_rad_s: all(rate).map(|rate| correction.turned(rate)),
+                rate_rad_s: rate_rad_s.map(|rate| correction.turned(rate)),
             });
             recording.field_uncalibrated |= row.magnetic_field_ut.is_some() && field_ut.is_none();
             recording.times_s.push(time);
@@ -275,7 +293,7 @@ impl Correction {
         ))
     }
 
-    /// Specific force, m/s², body axes.
+    /// Specific force, m/s², sensor axes.
     fn force(&mut self, row: &Row) -> [f64; 3] {
         let output = row.accelerations.first().copied().unwrap_or_default();
         let output = output.map(|axis| axis * self.mps2_per_unit);
@@ -287,7 +305,18 @@ impl Correction {
         let force = stored
             .model
             .correct(SpecificForceMps2(output), self.temperature);
-        stored.alignment.rotate(force.0)
+        force.0
+    }
+
+    /// Angular rate, rad/s, sensor axes, from counts of a nominal scale, rad/s per LSB, at a specific force.
+    fn rate(&self, counts: [f64; 3], nominal: f64, force: [f64; 3]) -> [f64; 3] {
+        match self.stored.and_then(|stored| stored.gyroscope) {
+            Some(gyroscope) => {
+                let output = counts.map(|axis| axis * gyroscope.rad_s_per_lsb);
+                gyroscope.model.correct(output, force, self.temperature)
+            }
+            None => counts.map(|axis| axis * nominal),
+        }
     }
 
     /// Magnetic field, µT, body axes: as a magnetometer put it out that is not calibrated, it says nothing of

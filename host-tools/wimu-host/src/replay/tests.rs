@@ -3,7 +3,7 @@ use wimu_link::batch;
 use wimu_link::message::{ActiveParameters, Epoch, WireParameters, parameter_id};
 use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry};
 use wimu_model::{
-    DeviceTimeUs, ErrorModel, ErrorTerms, ParameterSet, Sensitivity, TemperatureTerms,
+    Counts, DeviceTimeUs, ErrorModel, ErrorTerms, ParameterSet, Sensitivity, TemperatureTerms,
 };
 use wimu_testkit::Random;
 
@@ -107,6 +107,7 @@ impl Device {
                 parameters: parameter_id(&self.set).0,
                 temperature_centi_c: Some(self.temperature.0),
                 state: self.integrator.state().into(),
+                ..Epoch::default()
             });
             self.send(|frame| epoch.encode(frame));
         }

@@ -1,5 +1,4 @@
 use proptest::prelude::*;
-use wimu_link::message::WireState;
 
 use super::*;
 
@@ -16,7 +15,7 @@ fn epoch(number: u8, sequence: u32, range_g: u8, reason: EpochReason) -> Epoch {
         full_scale: 32_752,
         parameters: 0,
         temperature_centi_c: None,
-        state: WireState::default(),
+        ..Epoch::default()
     }
 }
 

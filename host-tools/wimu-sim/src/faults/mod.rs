@@ -15,11 +15,13 @@
 //! ```
 
 mod channel;
+mod sensor;
 mod spec;
 mod truth;
 mod values;
 
 pub use channel::Channel;
+pub use sensor::{SensorFault, SensorFaultError};
 pub use spec::{FaultSpecError, PRESETS};
 pub use truth::{Fate, FaultCounts, FrameTruth};
 

@@ -216,7 +216,7 @@ fn duration(text: &str) -> Option<Duration> {
     (duration <= LONGEST).then_some(duration)
 }
 
-fn outage(text: &str) -> Option<Outage> {
+pub(super) fn outage(text: &str) -> Option<Outage> {
     let (length, when) = text.split_once('@')?;
     let (start, every) = match when.split_once('/') {
         Some((start, every)) => (start, Some(duration(every)?)),

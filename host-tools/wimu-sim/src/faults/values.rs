@@ -3,6 +3,7 @@
 use std::num::NonZeroU8;
 
 use wimu_host::units::RawUnits;
+use wimu_link::batch::Layout;
 use wimu_link::{Batch, Deframer, Kind, MAX_FRAME, Telemetry, batch};
 use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
 
@@ -50,7 +51,9 @@ impl ValueChanger {
         if let Some(Ok(frame)) = received {
             match frame.kind {
                 Kind::Telemetry => {
-                    if let Ok(Telemetry::Epoch(epoch)) = Telemetry::decode(frame.body) {
+                    if let Ok(Telemetry::Epoch(epoch)) = Telemetry::decode(frame.body)
+                        && epoch.sensor == 0
+                    {
                         if epoch.sequence < self.latest {
                             // The board has restarted.
                             self.units = RawUnits::default();
@@ -61,7 +64,7 @@ impl ValueChanger {
                     }
                 }
                 Kind::Batch => {
-                    if let Ok(batch) = Batch::decode(frame.body) {
+                    if let Ok(batch) = Batch::decode(frame.kind, frame.body) {
                         self.change(&batch);
                     }
                 }
@@ -79,6 +82,7 @@ impl ValueChanger {
         let Some(every) = NonZeroU8::new(batch.every()) else {
             return;
         };
+        let layout = Layout { sensor: 0, every };
         let encoded = match batch.stream() {
             batch::Stream::Raw => {
                 let number = batch::extend_sequence(batch.sequence_low(), self.latest);
@@ -95,7 +99,7 @@ impl ValueChanger {
                         Counts(lsb.map(|value| libm::round(value) as i16))
                     })
                     .collect();
-                batch::encode_every(every, sequence, time, &samples, &mut frame)
+                batch::encode_with(layout, sequence, time, &samples, &mut frame)
             }
             batch::Stream::Corrected => {
                 let samples: Vec<SpecificForceQ16> = batch
@@ -106,7 +110,7 @@ impl ValueChanger {
                         SpecificForceQ16(lsb.map(|value| libm::round(value) as i32))
                     })
                     .collect();
-                batch::encode_every(every, sequence, time, &samples, &mut frame)
+                batch::encode_with(layout, sequence, time, &samples, &mut frame)
             }
         };
         if let Ok(length) = encoded {

@@ -11,19 +11,11 @@
 //! empty FIFO are not in the datasheet.
 
 mod fifo;
-mod gyroscope;
 
-pub use gyroscope::{
-    Gyroscope, GyroscopeFault, GyroscopeTruth, RateSource, accelerometer_truth, angular_rate_radps,
-};
+use wimu_model::Counts;
 
-use std::cell::Cell;
-use std::rc::Rc;
-
-use crate::chip::Chip;
-use crate::clock::VirtualClock;
+use crate::chip::{Chip, GyroscopeFault};
 use crate::sampling::SampleClock;
-use crate::sensor::Sensor;
 use crate::source::{Conversion, Source, quantise};
 use crate::spi;
 use fifo::{ACCELEROMETER, Fifo, GYROSCOPE, TEMPERATURE, WORDS};
@@ -65,35 +57,11 @@ const TURN_ON_S: f64 = 0.070;
 const SELF_TEST_G: f64 = 0.29;
 const SELF_TEST_DPS: f64 = 320.0;
 
-impl Sensor {
-    /// An LSM6DSO at `address` (0x6A or 0x6B) that has just got power, with accelerometer samples from
-    /// `source` and gyroscope samples from `rates`; its interrupt line is INT1. `fault` breaks its
-    /// gyroscope, also while it runs.
-    pub fn lsm6dso(
-        clock: &VirtualClock,
-        address: u8,
-        source: impl Source + 'static,
-        rates: impl RateSource + 'static,
-        fault: &Rc<Cell<GyroscopeFault>>,
-    ) -> Self {
-        let mut chip = Lsm6dso {
-            address,
-            identity: 0x6C,
-            rates: Some(Box::new(rates)),
-            fault: fault.clone(),
-            ..Lsm6dso::default()
-        };
-        chip.reset();
-        Self::of(clock, source, Box::new(chip))
-    }
-}
-
 #[derive(Debug, Default)]
-struct Lsm6dso {
+pub(crate) struct Lsm6dso {
     address: u8,
     identity: u8,
-    rates: Option<Box<dyn RateSource>>,
-    fault: Rc<Cell<GyroscopeFault>>,
+    fault: GyroscopeFault,
     registers: Vec<u8>,
     pointer: u8,
     expects_register: bool,
@@ -117,6 +85,17 @@ struct Lsm6dso {
 }
 
 impl Lsm6dso {
+    /// A chip at `address` after power-on.
+    pub(crate) fn new(address: u8) -> Self {
+        let mut chip = Self {
+            address,
+            identity: 0x6C,
+            ..Self::default()
+        };
+        chip.reset();
+        chip
+    }
+
     fn register(&self, register: u8) -> u8 {
         self.registers[usize::from(register)]
     }
@@ -172,9 +151,9 @@ impl Lsm6dso {
         if force && !self.sample_force(time_s, source) {
             return;
         }
-        rate &= self.fault.get() != GyroscopeFault::Stops;
+        rate &= self.fault != GyroscopeFault::Stops;
         if rate {
-            self.sample_rate(time_s);
+            self.sample_rate(time_s, source);
         }
         self.output[0] = quantise(256.0 * (source.temperature_c(time_s) - 25.0), 16);
         self.fresh |= 0b100;
@@ -184,15 +163,15 @@ impl Lsm6dso {
         self.ticks += 1;
     }
 
-    fn sample_rate(&mut self, time_s: f64) {
+    fn sample_rate(&mut self, time_s: f64, source: &mut dyn Source) {
         let turned_on = time_s >= self.gyroscope_on_us as f64 * 1e-6 + TURN_ON_S;
         let rate_hz = FASTEST_HZ / f64::from(1 << (10 - self.codes()[0]));
         let (index, lsb_per_dps) = (self.taken[0], self.lsb_per_dps());
-        let counts = match (self.fault.get(), &mut self.rates) {
-            (GyroscopeFault::None, Some(rates)) if turned_on => {
-                rates.counts(index, time_s, rate_hz, lsb_per_dps)
+        let Counts(counts) = match self.fault {
+            GyroscopeFault::None if turned_on => {
+                source.angular_rate(index, time_s, rate_hz, lsb_per_dps)
             }
-            _ => [i16::MAX; 3],
+            _ => Counts([i16::MAX; 3]),
         };
         let shift = match self.register(CTRL5_C) >> 2 & 0b11 {
             0b01 => SELF_TEST_DPS * lsb_per_dps,
@@ -200,7 +179,7 @@ impl Lsm6dso {
             _ => 0.0,
         };
         let counts = counts.map(|axis| axis.saturating_add(shift as i16));
-        if self.fault.get() != GyroscopeFault::Stuck {
+        if self.fault != GyroscopeFault::Stuck {
             self.output[1..4].copy_from_slice(&counts);
         }
         self.taken[0] += 1;
@@ -382,6 +361,10 @@ impl Chip for Lsm6dso {
 
     fn set_identity(&mut self, identity: u8) {
         self.identity = identity;
+    }
+
+    fn set_gyroscope_fault(&mut self, fault: GyroscopeFault) {
+        self.fault = fault;
     }
 
     fn samples_taken(&self) -> u64 {

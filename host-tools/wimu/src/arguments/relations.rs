@@ -20,7 +20,7 @@ struct Table {
 const MAGNETOMETER: &str = "magnetometer";
 
 #[rustfmt::skip]
-const TABLES: [Table; 3] = [
+const TABLES: [Table; 4] = [
     Table {
         command: "calibrate",
         decided_by: "method",
@@ -61,6 +61,15 @@ const TABLES: [Table; 3] = [
         values: &["csv", "mcap", "rust", "c", "kalibr"],
         rows: &[
             ("noise",                 "· · · · ×"),
+        ],
+    },
+    // A replayed CSV file has no angular rates.
+    Table {
+        command: "simulate",
+        decided_by: "sensor",
+        values: &["lsm303agr", "adxl345", "lsm6dso"],
+        rows: &[
+            ("replay",                "× × ·"),
         ],
     },
 ];

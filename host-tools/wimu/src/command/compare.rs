@@ -73,7 +73,7 @@ fn recording(path: &Path, arguments: &Compare, output: Output) -> Result<()> {
 /// The comparison as text.
 fn text(found: &Comparison) -> String {
     let mut text = format!(
-        "{}: {:.1} s, {} {} samples on both links, {} of them identical{}",
+        "{}: {:.1} s, {} {} samples on both links, {} of them identical{}{}",
         found.source,
         found.duration_s,
         found.pairs,
@@ -82,6 +82,11 @@ fn text(found: &Comparison) -> String {
             "all".to_owned()
         } else {
             found.identical.to_string()
+        },
+        match (found.with_rates, found.rates_differ) {
+            (0, 0) => String::new(),
+            (with, 0) => format!(", {with} with equal angular rates"),
+            (with, differ) => format!(", {differ} of {with} angular rates differ"),
         },
         match found.starts {
             1 => String::new(),

@@ -26,6 +26,9 @@ struct Demonstrated {
     slide_uncalibrated_m: f64,
     slide_calibrated_m: f64,
     slide_zupt_m: f64,
+    /// Attitude errors at the same times: uncalibrated, calibrated, with ZUPT.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    attitude_deg: Option<[f64; 3]>,
     samples_replayed: u64,
     replay_exact: bool,
     parameter_id: String,
@@ -35,8 +38,10 @@ struct Demonstrated {
 
 pub fn run(arguments: &Demo, output: Output) -> Result<()> {
     let began = Instant::now();
+    let sensor = arguments.sensor.into();
     let outcome = FirstLight {
         seed: arguments.seed,
+        sensor,
         calibration: Calibration::TwelvePoses,
     }
     .run_on(|source| {
@@ -49,6 +54,7 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
                 )
             })?,
             fault_seed: arguments.seed,
+            sensor,
             ..BoardConfig::default()
         };
         Ok(Board::start(config, source))
@@ -71,11 +77,15 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
         chart::write_all(folder, &charts)?;
     }
     output.print(format!(
-        "{:.0} s of board time in {:.1} s. Pictures: {}; recording: {} (try `wimu navigate --method slide` on it).",
+        "{:.0} s of board time in {:.1} s. Pictures: {}; recording: {} (try `{}` on it).",
         outcome.duration_s,
         began.elapsed().as_secs_f64(),
         arguments.report.display(),
-        recording.display()
+        recording.display(),
+        match outcome.attitude_deg {
+            Some(_) => "wimu export --stream navigation",
+            None => "wimu navigate --method slide",
+        }
     ));
     let [before, after] = outcome.tilts_rms_mps2();
     let exact = outcome.replays.iter().all(|replay| replay.is_exact());
@@ -86,6 +96,7 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
         slide_uncalibrated_m: outcome.slide.uncalibrated_m,
         slide_calibrated_m: outcome.slide.calibrated_m,
         slide_zupt_m: outcome.slide.zupt_m,
+        attitude_deg: outcome.attitude_deg,
         samples_replayed: outcome.replays.iter().map(|r| r.corrected_compared).sum(),
         replay_exact: exact,
         parameter_id: outcome.after_restart.to_string(),
@@ -120,7 +131,8 @@ fn story(outcome: &Outcome, links: &Comparison, seed: u64) -> Vec<String> {
             .map(|axis| mg(fit.model.bias_mps2[axis]) - mg(hidden.bias_mps2[axis]))
             .fold(0.0_f64, |worst, error| worst.max(error.abs()))
     });
-    vec![
+    let six = SixAxes::of(outcome);
+    let mut lines = vec![
         format!(
             "A simulated board ({}, seed {seed}). Its accelerometer has errors that wimu does not know:",
             outcome.hello.sensor.name
@@ -129,19 +141,25 @@ fn story(outcome: &Outcome, links: &Comparison, seed: u64) -> Vec<String> {
             "  bias {bx:+.0} {by:+.0} {bz:+.0} mg, scale {:+.1} {:+.1} {:+.1} %, misaligned axes, noise as in the datasheet.",
             scale[0], scale[1], scale[2]
         ),
-        "1 stream     raw samples, corrected samples and position, over a cable and a wireless link that loses bytes"
-            .to_owned(),
+    ];
+    lines.extend(six.hidden);
+    lines.extend([
         format!(
-            "2 move       a 1 m slide, uncalibrated: position error {:.2} m after 3 s",
-            slide.uncalibrated_m
+            "1 stream     raw samples, corrected samples{} and position, over a cable and a wireless link that loses bytes",
+            six.and_attitude
         ),
         format!(
-            "3 record     {} samples while the board is held in {} poses",
-            outcome.samples, outcome.report.poses
+            "2 move       {}, uncalibrated: position error {:.2} m{} after 3 s",
+            six.path, slide.uncalibrated_m, six.errors[0]
         ),
         format!(
-            "4 calibrate  9 parameters from gravity alone ({}); bias error {worst_bias_mg:.2} mg",
-            outcome.report.terms.join(", ")
+            "3 record     {} samples while the board is held in {} poses{}",
+            outcome.samples, outcome.report.poses, six.rotations
+        ),
+        format!(
+            "4 calibrate  9 parameters from gravity alone ({}); bias error {worst_bias_mg:.2} mg{}",
+            outcome.report.terms.join(", "),
+            six.calibrated
         ),
         format!(
             "5 push       over the wireless link: {}; signed with the board's key: accepted in {:.0} ms",
@@ -161,12 +179,16 @@ fn story(outcome: &Outcome, links: &Comparison, seed: u64) -> Vec<String> {
             before / after
         ),
         format!(
-            "8 navigate   the same slide: position error {:.1} mm; with zero-velocity updates {:.1} mm",
+            "8 navigate   the same {}: position error {:.1} mm{}; with zero-velocity updates {:.1} mm{}",
+            six.again,
             slide.calibrated_m * 1e3,
-            slide.zupt_m * 1e3
+            six.errors[1],
+            slide.zupt_m * 1e3,
+            six.errors[2]
         ),
         format!(
-            "9 replay     {replayed} corrected samples and all positions recomputed on the host: {}",
+            "9 replay     {replayed} corrected samples and all positions{} recomputed on the host: {}",
+            six.and_attitudes,
             if outcome.replays.iter().all(|replay| replay.is_exact()) {
                 "bit for bit equal"
             } else {
@@ -185,7 +207,61 @@ fn story(outcome: &Outcome, links: &Comparison, seed: u64) -> Vec<String> {
             links.links[1].latency.median_ms,
             links.links[1].latency.max_ms
         ),
-    ]
+    ]);
+    lines
+}
+
+/// The parts of the story that a gyroscope changes.
+#[derive(Default)]
+struct SixAxes {
+    hidden: Option<String>,
+    and_attitude: &'static str,
+    and_attitudes: &'static str,
+    path: &'static str,
+    again: &'static str,
+    rotations: &'static str,
+    calibrated: String,
+    errors: [String; 3],
+}
+
+impl SixAxes {
+    fn of(outcome: &Outcome) -> Self {
+        let Some(errors_deg) = outcome.attitude_deg else {
+            return Self {
+                path: "a 1 m slide",
+                again: "slide",
+                ..Self::default()
+            };
+        };
+        let hidden = outcome.truth.gyroscope.model.terms();
+        let [bx, by, bz] = hidden.bias_rad_s.map(f64::to_degrees);
+        let scale = [0, 1, 2].map(|axis| (hidden.matrix[axis][axis] - 1.0) * 100.0);
+        let found = outcome.parameters.gyroscope.map(|found| found.model);
+        let matrix = found.map_or(hidden.matrix, |model| model.terms().matrix);
+        let errors = matrix
+            .as_flattened()
+            .iter()
+            .zip(hidden.matrix.as_flattened());
+        let worst = errors.fold(0.0_f64, |worst, (found, truth)| {
+            worst.max((found - truth).abs())
+        });
+        Self {
+            hidden: Some(format!(
+                "  gyroscope: bias {bx:+.1} {by:+.1} {bz:+.1} °/s, scale {:+.1} {:+.1} {:+.1} %, misaligned axes, g-sensitivity, noise.",
+                scale[0], scale[1], scale[2]
+            )),
+            and_attitude: ", attitude",
+            and_attitudes: " and attitudes",
+            path: "1 m while the board rotates by 90°",
+            again: "path",
+            rotations: " and rotated by 360° about each axis",
+            calibrated: format!(
+                "; gyroscope: scale and misalignment from the rotations, largest error {:.2} %",
+                worst * 100.0
+            ),
+            errors: errors_deg.map(|error| format!(", attitude error {error:.2}°")),
+        }
+    }
 }
 
 /// The demo's own pictures, with their file names.
@@ -227,8 +303,14 @@ fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
         }
     };
     let slide = Chart {
-        title: "Distance computed by the board, for a slide of 1 m in 3 s between two rests"
-            .to_owned(),
+        title: format!(
+            "Distance computed by the board, for a {} of 1 m in 3 s between two rests",
+            if outcome.attitude_deg.is_some() {
+                "path"
+            } else {
+                "slide"
+            }
+        ),
         x: "time (s)".to_owned(),
         y: "distance from the start (m)".to_owned(),
         y_range: Some((0.0, 3.0)),

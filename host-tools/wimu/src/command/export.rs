@@ -6,7 +6,7 @@ use wimu_host::calibration::{
 };
 use wimu_host::compare::LinkModel;
 use wimu_host::csv::SENSITIVITY;
-use wimu_host::export::{self, ExportStream};
+use wimu_host::export::{self, ExportSource, ExportStream};
 use wimu_host::mcap_file::Wholeness;
 use wimu_host::ros::{self, Decoded};
 use wimu_host::{HostError, OutputFile, Result};
@@ -22,6 +22,8 @@ struct Exported {
     rows: usize,
     /// Raw samples of unknown range.
     without_unit: usize,
+    /// Indices of the sensors with raw samples.
+    sensors: Vec<u8>,
     #[serde(flatten)]
     wholeness: Wholeness,
 }
@@ -78,8 +80,12 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
         Stream::Corrected => ExportStream::Corrected,
         Stream::Navigation => ExportStream::Navigation,
     };
-    let role = arguments.link.map(Into::into);
-    let table = export::to_csv(&arguments.input, role, model.as_ref(), stream, to)?;
+    let source = ExportSource {
+        role: arguments.link.map(Into::into),
+        sensor: arguments.sensor,
+        link_model: model.as_ref(),
+    };
+    let table = export::to_csv(&arguments.input, &source, stream, to)?;
     if table.ranges_differ {
         output.print(format!(
             "{file}: the range changes; column `{SENSITIVITY}` gives the value of each row"
@@ -87,6 +93,12 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
     }
     let (rows, link) = (table.rows, table.role.to_string());
     output.print(format!("{file}: {rows} rows of the {link} link"));
+    if table.sensors.len() > 1 {
+        output.print(format!(
+            "  it has the sensors {:?}; --sensor selects one of them",
+            table.sensors
+        ));
+    }
     if table.without_unit > 0 {
         output.print(format!(
             "  {} raw samples {}: their range is unknown because a time-reference message (Epoch) was lost",
@@ -103,6 +115,7 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
         link,
         rows,
         without_unit: table.without_unit,
+        sensors: table.sensors,
         wholeness: table.wholeness,
     };
     output.answer("wimu.export/1", &exported);

@@ -1,12 +1,13 @@
 //! `wimu info`.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
 use serde::Serialize;
 use wimu_host::decode::{self, LinkStatistics};
 use wimu_host::mcap_file::Wholeness;
-use wimu_host::overview::{BootOverview, Overview};
+use wimu_host::overview::{BootOverview, LinkOverview, Overview};
 use wimu_host::{ErrorCode, HostError, Input, Result};
 use wimu_link::Hello;
 use wimu_link::message::{SensorStatus, Status};
@@ -35,11 +36,66 @@ struct Link {
     corrected_samples: usize,
     epochs: usize,
     navigation: usize,
+    attitudes: usize,
+    sensors: Vec<Sensor>,
     parameter_ids: Vec<String>,
     events: Vec<String>,
     sampling: Option<Sampling>,
     more_events: u64,
     statistics: LinkStatistics,
+}
+
+/// A sensor of a board.
+#[derive(Serialize)]
+struct Sensor {
+    index: u8,
+    raw_samples: usize,
+    /// Raw and corrected samples with an angular rate.
+    angular_rates: usize,
+    /// By the latest sample period.
+    rate_hz: Option<f64>,
+    /// Latest full-scale ranges.
+    range_m_s2: Option<f64>,
+    gyroscope_range_dps: Option<f64>,
+}
+
+impl Sensor {
+    fn of_link(link: &LinkOverview) -> Vec<Self> {
+        let mut sensors: BTreeMap<u8, Self> = BTreeMap::new();
+        for (index, track) in link.boots.iter().flat_map(|boot| &boot.tracks) {
+            let unit = track.units.latest();
+            let before = sensors.get(index);
+            let sensor = Self {
+                index: *index,
+                raw_samples: track.raw + before.map_or(0, |before| before.raw_samples),
+                angular_rates: track.rates + before.map_or(0, |before| before.angular_rates),
+                rate_hz: (track.period_ns > 0).then(|| 1e9 / f64::from(track.period_ns)),
+                range_m_s2: unit.map(|unit| unit.range_mps2()),
+                gyroscope_range_dps: unit
+                    .and_then(|unit| unit.range_rad_s())
+                    .map(f64::to_degrees),
+            };
+            sensors.insert(*index, sensor);
+        }
+        sensors.into_values().collect()
+    }
+
+    fn text(&self) -> String {
+        let mut text = format!("sensor {}: {} raw", self.index, self.raw_samples);
+        if self.angular_rates > 0 {
+            text += " with angular rates";
+        }
+        if let Some(rate) = self.rate_hz {
+            text += &format!(", {rate:.1} Hz");
+        }
+        if let Some(range) = self.range_m_s2 {
+            text += &format!(", ±{range:.1} m/s²");
+        }
+        if let Some(range) = self.gyroscope_range_dps {
+            text += &format!(", ±{range:.0} °/s");
+        }
+        text
+    }
 }
 
 /// Sampling statistics of a device.
@@ -199,6 +255,8 @@ fn recording(path: &Path, output: Output) -> Result<()> {
                 corrected_samples: sum(|boot| boot.corrected),
                 epochs: sum(|boot| boot.epochs),
                 navigation: sum(|boot| boot.navigation),
+                attitudes: sum(|boot| boot.attitudes),
+                sensors: Sensor::of_link(&link),
                 parameter_ids: link.parameter_ids.iter().map(ToString::to_string).collect(),
                 events: link.events,
                 more_events: link.more_events,
@@ -232,6 +290,13 @@ fn recording(path: &Path, output: Output) -> Result<()> {
                 starts => format!("; {starts} starts of the board"),
             }
         ));
+        // One sensor of three axes is described by the line of its link.
+        let is_usual = |sensor: &Sensor| sensor.index == 0 && sensor.angular_rates == 0;
+        if !link.sensors.iter().all(is_usual) {
+            for sensor in &link.sensors {
+                output.print(format!("         {}", sensor.text()));
+            }
+        }
         if let Some(device) = &link.device {
             output.print(format!("         {}", device.text()));
         }

@@ -27,8 +27,10 @@ struct Line {
     schema: &'static str,
     sequence: u32,
     time_s: f64,
-    raw_lsb: Option<[i16; 3]>,
+    raw_lsb: Option<[i32; 3]>,
+    raw_angular_rate_lsb: Option<[i32; 3]>,
     specific_force_m_s2: [f64; 3],
+    angular_rate_rad_s: Option<[f64; 3]>,
     corrected: bool,
     /// Parameters in use; "00000000" on an uncalibrated device.
     parameter_id: Option<String>,
@@ -45,6 +47,8 @@ struct Line {
     position_m: Option<[f64; 3]>,
     since_rest_s: Option<f64>,
     valid: Option<bool>,
+    /// Attitude W, X, Y, Z, body axes to east-north-up.
+    quaternion: Option<[f64; 4]>,
 }
 
 impl From<&Reading> for Line {
@@ -56,8 +60,10 @@ impl From<&Reading> for Line {
             schema: "wimu.reading/1",
             sequence: reading.sequence,
             time_s: reading.time.to_seconds(),
-            raw_lsb: reading.raw.map(|counts| counts.0),
+            raw_lsb: reading.raw.map(|sample| sample.value),
+            raw_angular_rate_lsb: reading.raw.and_then(|sample| sample.rate),
             specific_force_m_s2: reading.specific_force.0,
+            angular_rate_rad_s: reading.angular_rate,
             corrected: reading.corrected,
             parameter_id: reading.parameters.map(|id| id.to_string()),
             magnetic_field_ut: reading.field.map(|field| field.nt.map(|nt| nt * 1e-3)),
@@ -77,6 +83,7 @@ impl From<&Reading> for Line {
             position_m: navigation.map(|n| scaled(n.position_nm)),
             since_rest_s: navigation.map(|n| f64::from(n.since_rest_ms) / 1000.0),
             valid: navigation.map(|n| n.flags == 0),
+            quaternion: reading.attitude.map(|attitude| attitude.to_quaternion()),
         }
     }
 }
@@ -106,6 +113,14 @@ impl Line {
             (8, format!("  f {x:+7.3} {y:+7.3} {z:+7.3} m/s²")),
             (3, format!("  |f| {norm:7.3}")),
         ];
+        if let Some([x, y, z]) = self.angular_rate_rad_s {
+            parts.push((5, format!("  ω {x:+7.3} {y:+7.3} {z:+7.3} rad/s")));
+        }
+        if let Some(quaternion) = self.quaternion {
+            let [roll, pitch, yaw] = euler_deg(quaternion);
+            let text = format!("  roll {roll:+4.0}° pitch {pitch:+3.0}° yaw {yaw:+4.0}°");
+            parts.push((5, text));
+        }
         if let Some([x, y, z]) = self.magnetic_field_ut {
             let calibrated = self.magnetic_field_calibrated == Some(true);
             let note = if calibrated { "" } else { " uncalibrated" };
@@ -129,6 +144,14 @@ impl Line {
         }
         parts
     }
+}
+
+/// Roll, pitch and yaw of a quaternion W, X, Y, Z, degrees: rotations about x, then y, then z.
+fn euler_deg([w, x, y, z]: [f64; 4]) -> [f64; 3] {
+    let roll = (2.0 * (w * x + y * z)).atan2(1.0 - 2.0 * (x * x + y * y));
+    let pitch = (2.0 * (w * y - x * z)).clamp(-1.0, 1.0).asin();
+    let yaw = (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z));
+    [roll, pitch, yaw].map(f64::to_degrees)
 }
 
 pub fn run(arguments: &Monitor, output: Output) -> Result<()> {
@@ -293,7 +316,9 @@ mod tests {
             sequence: 1,
             time_s: 12_345.67,
             raw_lsb: None,
+            raw_angular_rate_lsb: None,
             specific_force_m_s2: [-19.123, 19.123, -9.807],
+            angular_rate_rad_s: Some([-34.123, 34.123, -10.001]),
             corrected: true,
             parameter_id: None,
             magnetic_field_ut: Some([-120.5, 20.5, 43.0]),
@@ -306,6 +331,7 @@ mod tests {
             position_m: Some([-1234.567, 1234.567, -12.345]),
             since_rest_s: Some(1.0),
             valid: Some(false),
+            quaternion: Some([0.5, -0.5, -0.5, 0.5]),
         }
     }
 

@@ -267,17 +267,23 @@ fn start(boot: &Boot, arguments: &Navigate, calibration: Option<&ParameterSet>) 
 
 fn replay_text(replay: &ReplayReport) -> String {
     if replay.is_exact() {
+        let attitudes = match replay.attitudes_compared {
+            0 => String::new(),
+            count => format!("{count} attitudes, "),
+        };
         format!(
-            "bit for bit equal to the device's: {} corrected samples, {} positions, {} states compared",
+            "bit for bit equal to the device's: {} corrected samples, {} positions, {attitudes}{} states compared",
             replay.corrected_compared, replay.navigation_compared, replay.states_compared
         )
     } else {
         format!(
-            "differs from the device's: {} of {} corrected samples, {} of {} positions, first at sample {}",
-            replay.corrected_differ,
+            "differs from the device's: {} of {} corrected samples, {} of {} positions, {} of {} attitudes, first at sample {}",
+            replay.corrected_differ.max(replay.rates_differ),
             replay.corrected_compared,
             replay.navigation_differ,
             replay.navigation_compared,
+            replay.attitudes_differ,
+            replay.attitudes_compared,
             replay
                 .first_difference
                 .map_or("?".to_owned(), |s| s.to_string())

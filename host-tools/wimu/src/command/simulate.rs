@@ -16,9 +16,9 @@ use wimu_sim::scene::{Scene, World};
 use wimu_sim::server::Server;
 use wimu_sim::source::{Physics, Replay};
 use wimu_sim::storage::Storage;
-use wimu_sim::truth::{Gauge, SensorTruth};
+use wimu_sim::truth::Gauge;
 
-use crate::arguments::{Sensor, Simulate};
+use crate::arguments::Simulate;
 use crate::command::interrupted;
 use crate::output::{Output, usage};
 
@@ -57,6 +57,7 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
             .map_err(|error| HostError::file(&path.display().to_string(), "read", &error))?,
         None => Storage::in_memory(),
     };
+    let part = SensorPart::from(arguments.sensor);
     let config = BoardConfig {
         // TCP has no baud rate; a slow client makes the board shed telemetry.
         cable: LinkConfig::default(),
@@ -66,10 +67,7 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
         fault_seed: arguments.seed,
         clock_error_ppb: (arguments.clock_ppm * 1e3).round() as i32,
         storage,
-        sensor: match arguments.sensor {
-            Sensor::Lsm303agr => SensorPart::Lsm303agr,
-            Sensor::Adxl345 => SensorPart::Adxl345,
-        },
+        sensor: part,
         replay: arguments.replay.is_some(),
         ..BoardConfig::default()
     };
@@ -96,10 +94,7 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
                 )
             })?;
             scene.play(0.0, motion.clone());
-            let truth = match arguments.sensor {
-                Sensor::Lsm303agr => SensorTruth::random,
-                Sensor::Adxl345 => SensorTruth::random_adxl345,
-            }(arguments.seed, Gauge::LowerTriangular);
+            let truth = part.random_truth(arguments.seed, Gauge::LowerTriangular);
             let physics = Physics::new(truth, scene.clone(), arguments.seed);
             (Board::start(config, physics), Some((scene, motion)))
         }
@@ -140,8 +135,13 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
     let mut presses = arguments.press.clone();
     presses.sort_by(f64::total_cmp);
     let mut presses = (1..).zip(presses).peekable();
+    let mut before_us = None;
     server.run(|board| {
         let now_us = board.now_us();
+        for fault in &arguments.sensor_fault {
+            fault.apply(part, board.sensor(), before_us, now_us);
+        }
+        before_us = Some(now_us);
         let is_due = |(_, at_s): &(u16, f64)| *at_s <= now_us as f64 * 1e-6;
         while let Some((count, _)) = presses.next_if(is_due) {
             board.press(count);

@@ -20,7 +20,7 @@ use wimu_sim::motion;
 use wimu_sim::scenario::Host;
 use wimu_sim::scene::{Scene, World};
 use wimu_sim::source::Physics;
-use wimu_sim::truth::{Gauge, SensorTruth};
+use wimu_sim::truth::Gauge;
 pub use wimu_testkit::spread;
 
 /// Time limit of a command: far beyond what a busy machine needs, so that only a hang reaches it.
@@ -407,11 +407,8 @@ fn record_board(
     pushed: Option<&ParameterSet>,
 ) {
     let scene = Scene::new(World::default());
-    let truth = match sensor {
-        SensorPart::Lsm303agr => SensorTruth::random,
-        SensorPart::Adxl345 => SensorTruth::random_adxl345,
-    };
-    let source = Physics::new(truth(seed, Gauge::LowerTriangular), scene.clone(), seed);
+    let truth = sensor.random_truth(seed, Gauge::LowerTriangular);
+    let source = Physics::new(truth, scene.clone(), seed);
     let config = BoardConfig {
         sensor,
         ..BoardConfig::default()
@@ -488,4 +485,26 @@ pub fn wait_until(what: &str, holds: impl Fn() -> bool) {
         assert!(Instant::now() < until, "{what}: not in time");
         thread::sleep(Duration::from_millis(20));
     }
+}
+
+/// A Python with `rosbags` in it, kept for the next run; `None`, with the reason printed, without one.
+pub fn python_with_rosbags() -> Option<std::path::PathBuf> {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("rosbags");
+    let python = folder.join("bin/python");
+    let works = |command: &mut std::process::Command| {
+        let ran = command.output();
+        ran.is_ok_and(|ran| ran.status.success())
+    };
+    let mut import = std::process::Command::new(&python);
+    if works(import.args(["-c", "import rosbags"])) {
+        return Some(python);
+    }
+    let mut make = std::process::Command::new("python3");
+    let mut install = std::process::Command::new(&python);
+    let made = works(make.args(["-m", "venv"]).arg(&folder))
+        && works(install.args(["-m", "pip", "install", "--quiet", "rosbags"]));
+    if !made {
+        println!("skipped: python3 with venv, pip and a network is needed for `rosbags`");
+    }
+    made.then_some(python)
 }

@@ -1,0 +1,104 @@
+//! Byte strings of a bounded length.
+
+use core::fmt;
+
+use serde::de::{self, Deserializer, Visitor};
+use serde::{Deserialize, Serialize, Serializer};
+
+/// A string of up to `$max` bytes.
+macro_rules! short_bytes {
+    ($(#[$attribute:meta])* $name:ident, $max:literal, $length:ident) => {
+        $(#[$attribute])*
+        #[derive(Clone, Copy, PartialEq, Eq)]
+        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        pub struct $name {
+            length: $length,
+            bytes: [u8; Self::MAX],
+        }
+
+        impl $name {
+            /// The greatest length, bytes.
+            pub const MAX: usize = $max;
+
+            /// No bytes.
+            pub const NONE: Self = Self {
+                length: 0,
+                bytes: [0; Self::MAX],
+            };
+
+            /// From its bytes; `None` if there are more than [`MAX`](Self::MAX).
+            pub fn new(content: &[u8]) -> Option<Self> {
+                let mut bytes = [0; Self::MAX];
+                bytes.get_mut(..content.len())?.copy_from_slice(content);
+                Some(Self {
+                    length: content.len() as $length,
+                    bytes,
+                })
+            }
+
+            /// Its bytes.
+            pub fn as_bytes(&self) -> &[u8] {
+                self.bytes.get(..self.length.into()).unwrap_or_default()
+            }
+        }
+
+        impl Default for $name {
+            fn default() -> Self {
+                Self::NONE
+            }
+        }
+
+        impl Serialize for $name {
+            fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                serializer.serialize_bytes(self.as_bytes())
+            }
+        }
+
+        impl<'de> Deserialize<'de> for $name {
+            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                struct Bytes;
+
+                impl Visitor<'_> for Bytes {
+                    type Value = $name;
+
+                    fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+                        out.write_str(concat!("at most ", $max, " bytes"))
+                    }
+
+                    fn visit_bytes<E: de::Error>(self, bytes: &[u8]) -> Result<$name, E> {
+                        $name::new(bytes).ok_or_else(|| E::invalid_length(bytes.len(), &self))
+                    }
+                }
+
+                deserializer.deserialize_bytes(Bytes)
+            }
+        }
+    };
+}
+
+short_bytes!(
+    /// The signature of a request or reply, 8 bytes ([`auth`](crate::auth)), or none.
+    #[derive(Debug)]
+    Signature, 8, u8
+);
+
+short_bytes!(
+    /// A piece of a parameter set's wire form.
+    Piece, 256, u16
+);
+
+impl Signature {
+    /// A signature of 8 bytes.
+    pub(crate) const fn whole(bytes: [u8; Self::MAX]) -> Self {
+        Self {
+            length: Self::MAX as u8,
+            bytes,
+        }
+    }
+}
+
+impl fmt::Debug for Piece {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_list().entries(self.as_bytes()).finish()
+    }
+}

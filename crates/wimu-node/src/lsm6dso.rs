@@ -1,0 +1,188 @@
+//! The LSM6DSO (accelerometer, gyroscope, temperature) behind [`InertialSensor`], through its FIFO.
+
+use wimu_link::message::{Resolution, Settings};
+use wimu_lsm6dso::{
+    AccelerationRange, AngularRateRange, Bus, Error, FifoFault, Power, Rate, Sample, Setup,
+};
+use wimu_model::{CentiCelsius, Counts, PeriodNs, Sensitivity};
+
+use crate::data_ready::DataReady;
+use crate::fifo::{FifoState, MAX_WATERMARK, SensorFifo};
+use crate::sensor::{Batch, InertialSensor, Plan, SensorFault, SensorPlan, Surroundings};
+use crate::timer::{Delay, Timer};
+
+/// Ranges, ± g.
+const RANGES: [(u8, AccelerationRange); 4] = [
+    (2, AccelerationRange::G2),
+    (4, AccelerationRange::G4),
+    (8, AccelerationRange::G8),
+    (16, AccelerationRange::G16),
+];
+
+/// Rates, Hz, up to the fastest on an I²C bus of 400 kHz; the first is 12.5 Hz by its name, 13.02 Hz by the
+/// datasheet's formula.
+const RATES: [(u16, Rate); 8] = [
+    (13, Rate::Hz12_5),
+    (26, Rate::Hz26),
+    (52, Rate::Hz52),
+    (104, Rate::Hz104),
+    (208, Rate::Hz208),
+    (416, Rate::Hz416),
+    (833, Rate::Hz833),
+    (1666, Rate::Hz1666),
+];
+
+/// Range of the gyroscope: the widest, because a hand exceeds 1000 °/s, and a saturated rate ends the attitude.
+/// Its LSB, 70 m°/s, is as large as the noise at 208 Hz.
+const ANGULAR_RATE: AngularRateRange = AngularRateRange::Dps2000;
+
+/// Capacity of the FIFO, pairs.
+const DEPTH: u16 = 256;
+/// Time to read a pair on an I²C bus of 400 kHz, µs.
+const TRANSFER_US: u64 = 350;
+/// Reads in succession without a gyroscope word after which the gyroscope has stopped.
+const WITHOUT_GYROSCOPE: u8 = 2;
+
+/// An LSM6DSO on an I²C or SPI bus, with its INT1 line.
+///
+/// Pairs of both sensors are read from the FIFO when INT1 signals the watermark: 40 ms of samples, at most 16.
+/// The gyroscope's range is ±2000 °/s.
+pub struct Lsm6dso<B, D, T> {
+    device: wimu_lsm6dso::Lsm6dso<B>,
+    data_ready: D,
+    timer: T,
+    fifo: SensorFifo,
+}
+
+impl<B, D, T> Lsm6dso<B, D, T> {
+    /// A sensor on `bus` (an [`I2cBus`](wimu_lsm6dso::I2cBus) or [`SpiBus`](wimu_lsm6dso::SpiBus)) whose INT1 is
+    /// `data_ready`.
+    pub fn new(bus: B, data_ready: D, timer: T) -> Self {
+        Self {
+            device: wimu_lsm6dso::Lsm6dso::new(bus),
+            data_ready,
+            timer,
+            fifo: SensorFifo::new(DEPTH, PeriodNs(10_000_000), TRANSFER_US),
+        }
+    }
+
+    /// The plan for `wanted`.
+    ///
+    /// # Errors
+    /// The nearest supported settings.
+    pub fn plan(wanted: &Settings) -> Result<Plan, Settings> {
+        let nearest_range = RANGES
+            .iter()
+            .min_by_key(|(g, _)| g.abs_diff(wanted.range_g));
+        let low_power = wanted.resolution == Resolution::LowPower;
+        let nearest_rate = RATES
+            .iter()
+            .filter(|(_, rate)| !low_power || rate.has_low_power())
+            .min_by_key(|(hz, _)| hz.abs_diff(wanted.rate_hz));
+        let (Some(&(range_g, range)), Some(&(rate_hz, rate))) = (nearest_range, nearest_rate)
+        else {
+            return Err(*wanted);
+        };
+        let settings = Settings {
+            range_g,
+            rate_hz,
+            ..*wanted
+        };
+        match Sensitivity::from_lsb_per_g(1e6 / f64::from(range.ug_per_lsb())) {
+            Ok(sensitivity) if settings == *wanted => {
+                let period = PeriodNs(rate.period_ns());
+                let rad_s_per_lsb = (f64::from(ANGULAR_RATE.udps_per_lsb()) * 1e-6).to_radians();
+                let sensor = SensorPlan::new(period, sensitivity, i16::MAX.into())
+                    .with_gyroscope(rad_s_per_lsb, i16::MAX.into());
+                Ok(Plan::new(settings, sensor))
+            }
+            _ => Err(settings),
+        }
+    }
+}
+
+impl<B: Bus, D: DataReady, T: Timer> InertialSensor for Lsm6dso<B, D, T> {
+    type Sample = (Counts, Counts);
+    type Planner = fn(&Settings) -> Result<Plan, Settings>;
+    const MAGNETOMETER: bool = false;
+
+    fn planner(&self) -> Self::Planner {
+        Self::plan
+    }
+
+    async fn configure(&mut self, plan: &Plan) -> Result<(), SensorFault> {
+        self.fifo = SensorFifo::new(DEPTH, plan.sensor.period, TRANSFER_US);
+        let settings = &plan.settings;
+        let range = RANGES.iter().find(|(g, _)| *g == settings.range_g);
+        let rate = RATES.iter().find(|(hz, _)| *hz == settings.rate_hz);
+        let (Some(&(_, acceleration)), Some(&(_, rate))) = (range, rate) else {
+            return Ok(()); // Not a plan of this sensor.
+        };
+        let setup = Setup {
+            acceleration,
+            angular_rate: ANGULAR_RATE,
+            rate,
+            power: match settings.resolution {
+                Resolution::LowPower => Power::Low,
+                Resolution::Normal | Resolution::High => Power::High,
+            },
+            watermark: self.fifo.watermark() as u8,
+            temperature: false,
+        };
+        self.device.check_identity().await.map_err(fault)?;
+        let started = self.device.start(&setup, &mut Delay(&self.timer)).await;
+        started.map_err(fault)
+    }
+
+    async fn next(&mut self, samples: &mut [(Counts, Counts)]) -> Result<Batch, SensorFault> {
+        let mut lost = false;
+        let mut without_gyroscope = 0;
+        loop {
+            let edge_time = self.fifo.wait(&self.timer, &mut self.data_ready).await;
+            let mut pairs = [Sample::default(); MAX_WATERMARK as usize];
+            let room = samples.len().min(pairs.len());
+            let pairs = pairs.get_mut(..room).unwrap_or_default();
+            let read = self.device.read(pairs).await.map_err(fault)?;
+            let at = self.timer.now();
+            lost |= read.gap;
+            if read.count > 0 {
+                for (sample, pair) in samples.iter_mut().zip(&*pairs) {
+                    *sample = (Counts(pair.acceleration), Counts(pair.angular_rate));
+                }
+                let unread = read.words_left / 2;
+                let state = FifoState::new(edge_time, at, read.count as u16 + unread);
+                return Ok(self.fifo.read(state.with_overrun(lost), read.count, unread));
+            }
+            match read.fault {
+                Some(FifoFault::GyroscopeMissing) => without_gyroscope += 1,
+                // The FIFO overran during the burst, or a bit of a tag was changed.
+                _ if read.gap => without_gyroscope = 0,
+                _ => return Err(SensorFault::NoData),
+            }
+            if without_gyroscope >= WITHOUT_GYROSCOPE {
+                return Err(SensorFault::GyroscopeStopped);
+            }
+        }
+    }
+
+    async fn surroundings(&mut self) -> Result<Surroundings, SensorFault> {
+        let raw = self.device.temperature().await.map_err(fault)?;
+        // 1/256 °C per LSB, relative to 25 °C.
+        let centi = 2500 + i32::from(raw) * 100 / 256;
+        Ok(Surroundings {
+            magnetic_field: None,
+            temperature: Some(CentiCelsius(centi as i16)),
+        })
+    }
+}
+
+fn fault<E>(error: Error<E>) -> SensorFault {
+    match error {
+        Error::NotAnswering => SensorFault::NotAnswering,
+        Error::Bus(_) | Error::ResetTimeout => SensorFault::Transfer,
+        Error::WrongIdentity { found } => SensorFault::WrongIdentity {
+            expected: wimu_lsm6dso::Lsm6dso::<()>::IDENTITY,
+            found,
+        },
+    }
+}

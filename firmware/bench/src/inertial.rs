@@ -1,0 +1,113 @@
+//! Cost of a sample of six axes.
+
+use core::hint::black_box;
+
+use wimu_integrator::{Config, Integrator, Rotation, Saturation};
+use wimu_model::{
+    Alignment, AngularRateQ20, Corrector, Counts, GyroscopeCorrector, GyroscopeModel,
+    GyroscopeTerms, SpecificForceQ16,
+};
+
+use crate::counter::Counter;
+use crate::{FULL_SCALE, GRAVITY, PERIOD, SAMPLES, signals};
+
+/// ±2000 °/s in 16 bits, rad/s per LSB.
+const RAD_S_PER_LSB: f64 = 0.00122;
+
+/// A sample's counts: accelerometer, gyroscope.
+type Sample = (Counts, Counts);
+
+#[repr(C)]
+struct Unit {
+    integrator: Integrator,
+    rotation: Rotation,
+    accelerometer: Corrector,
+    gyroscope: GyroscopeCorrector,
+}
+
+impl Unit {
+    #[inline]
+    fn correct(&self, (force, rate): Sample) -> (SpecificForceQ16, AngularRateQ20) {
+        let force = self.accelerometer.correct(force);
+        (force, self.gyroscope.correct(rate, force))
+    }
+
+    #[inline(never)]
+    fn corrected(&self, sample: Sample) {
+        black_box(self.correct(sample));
+    }
+
+    #[inline(never)]
+    fn attitude(&mut self, rate: AngularRateQ20) {
+        self.rotation.step(rate);
+    }
+
+    #[inline(never)]
+    fn corrected_attitude(&mut self, sample: Sample) {
+        let (force, rate) = self.correct(sample);
+        self.rotation.step(rate);
+        black_box(force);
+    }
+
+    #[inline(never)]
+    fn navigate(&mut self, sample: Sample) {
+        let (force, rate) = self.correct(sample);
+        let saturated = Saturation {
+            accelerometer: sample.0.saturated(FULL_SCALE),
+            gyroscope: sample.1.saturated(FULL_SCALE),
+        };
+        self.integrator.step_inertial(force, rate, saturated);
+    }
+}
+
+/// Correction with g-sensitivity, attitude, and the complete sample with position.
+#[inline(never)]
+pub fn measure(counter: &Counter) -> Result<(), &'static str> {
+    let motion = signals::motion::<SAMPLES>();
+    let parameters = crate::parameters().ok_or("the parameters are refused")?;
+    let accelerometer = Corrector::compile(&parameters, None).map_err(|_| "no corrector")?;
+    let model = GyroscopeModel::new(GyroscopeTerms {
+        bias_rad_s: [0.01, -0.02, 0.03],
+        matrix: [
+            [1.02, 0.01, -0.02],
+            [0.015, 0.98, 0.01],
+            [-0.01, 0.02, 1.01],
+        ],
+        g_sensitivity: [[0.001, 0.0, 0.0], [0.0, 0.002, 0.0], [0.0, 0.0, -0.001]],
+        ..GyroscopeTerms::default()
+    })
+    .map_err(|_| "the gyroscope's terms are refused")?;
+    let gyroscope = GyroscopeCorrector::compile(&model, RAD_S_PER_LSB, Alignment::IDENTITY, None)
+        .map_err(|_| "no corrector of the gyroscope")?;
+    let mut unit = black_box(Unit {
+        integrator: Integrator::new(Config::new(PERIOD).map_err(|_| "no period")?),
+        rotation: Rotation::new([1.0, 0.0, 0.0, 0.0], PERIOD),
+        accelerometer,
+        gyroscope,
+    });
+    // The rotation is integrated from the first rest on.
+    for _ in 0..SAMPLES {
+        let (force, rate) = (SpecificForceQ16(GRAVITY), AngularRateQ20([0; 3]));
+        (unit.integrator).step_inertial(force, rate, Saturation::default());
+    }
+    let mut each = |name: &str, code: &mut dyn FnMut(&mut Unit, Sample)| {
+        let (mut sum, mut most) = (0, 0);
+        let pairs = motion.iter().zip(motion.iter().rev());
+        for (&force, &rate) in pairs {
+            let cost = counter.count(|| code(&mut unit, (force, rate)));
+            sum += cost;
+            most = most.max(cost);
+        }
+        crate::report(name, sum, SAMPLES as u32, most);
+    };
+    each("six-correction", &mut |unit, sample| unit.corrected(sample));
+    each("six-attitude", &mut |unit, (_, rate)| {
+        unit.attitude(AngularRateQ20(rate.0.map(|axis| i32::from(axis) << 8)));
+    });
+    each("six-correction+attitude", &mut |unit, sample| {
+        unit.corrected_attitude(sample);
+    });
+    each("six-complete", &mut |unit, sample| unit.navigate(sample));
+    black_box(&unit);
+    Ok(())
+}

@@ -14,18 +14,22 @@ use std::path::{Path, PathBuf};
 use std::pin::pin;
 use std::task::{Context, Poll, Waker};
 
-use wimu_host::decode::{Decoder, Event, TimedSample};
+use wimu_host::decode::{Decoder, Event, Pieces, TimedSample};
 use wimu_host::history::{Boot, LinkHistory, Recording};
 use wimu_host::mcap_file::{ClockAnchor, Received, RecordingReader, RecordingWriter};
 use wimu_host::replay;
 use wimu_link::batch;
 use wimu_link::frame::EncodeError;
-use wimu_link::message::{Event as DeviceEvent, Payload, Status, WireParameters};
+use wimu_link::message::{
+    EncodedParameters, Event as DeviceEvent, Payload, Piece, Status, WireParameters,
+};
 use wimu_link::{
     Answer, Command, Deframer, Hello, Kind, LinkRole, MAX_FRAME, Reply, Request, Settings,
     WIRE_VERSION, WhoAreYou,
 };
-use wimu_model::{Counts, DeviceTimeUs};
+use wimu_model::{
+    Counts, DeviceTimeUs, GyroscopeModel, GyroscopeParameters, ParameterSet, Sensitivity,
+};
 use wimu_node::{FlashLayout, FlashStore, Key, MAX_RECORD, Store, StoreFault};
 use wimu_sim::board::{Board, BoardConfig};
 use wimu_sim::motion;
@@ -152,6 +156,18 @@ impl Rig {
             }
         }
         panic!("no answer on the {role} link to {command:?}");
+    }
+
+    /// Stages a set; returns the answer to its last piece, or the first that is not accepted.
+    pub fn stage(&mut self, role: LinkRole, set: &WireParameters) -> Answer {
+        let mut answer = Answer::Unknown;
+        for command in set.stage() {
+            answer = self.ask(role, command);
+            if !matches!(answer, Answer::Accepted(_)) {
+                break;
+            }
+        }
+        answer
     }
 
     /// The board's settings.
@@ -441,6 +457,44 @@ pub fn fuzz_once(seeded: &mut Random) {
     let statistics = decoder.statistics();
     assert_eq!(statistics.bytes, line.len() as u64);
     fuzz_order(seeded);
+    fuzz_pieces(seeded);
+}
+
+/// Pieces of two parameter sets that are lost, repeated, exchanged and damaged: a set that becomes complete is
+/// one of them.
+///
+/// # Panics
+/// When it is not.
+fn fuzz_pieces(seeded: &mut Random) {
+    let sets: Vec<WireParameters> = (0..2)
+        .map(|_| {
+            let sensitivity = Sensitivity::from_lsb_per_g(16384.0).expect("in range");
+            let mut set = WireParameters::from(&ParameterSet::uncalibrated(2, sensitivity));
+            set.bias_mps2[seeded.below(3)] = seeded.below(100) as f64 / 100.0;
+            let gyroscope = GyroscopeModel::default();
+            let gyroscope = GyroscopeParameters::new(500, 0.0003, gyroscope, Some([0.01; 12]));
+            set.gyroscope = Some((&gyroscope.expect("in range")).into());
+            set
+        })
+        .collect();
+    let mut pieces = Pieces::default();
+    for _ in 0..seeded.below(40) {
+        let mut bytes = [0; WireParameters::MAX];
+        let length = sets[seeded.below(2)].encode(&mut bytes).expect("room");
+        let set = EncodedParameters(&bytes[..length]);
+        let offset = match seeded.below(8) {
+            0 => seeded.below(length + 20),
+            _ => seeded.below(3) * Piece::MAX,
+        };
+        let mut piece = set.piece(set.id(), offset as u16);
+        if seeded.below(30) == 0 {
+            let length = seeded.below(Piece::MAX);
+            piece.piece = Piece::new(&seeded.bytes(length)).expect("room");
+        }
+        if let Ok(Some(complete)) = pieces.take(&piece) {
+            assert!(complete.active.is_some_and(|set| sets.contains(&set)));
+        }
+    }
 }
 
 /// One to three starts of a device whose frames are lost, repeated, exchanged, damaged and held up, each

@@ -3,7 +3,9 @@
 
 use std::num::NonZeroU8;
 
-use wimu_model::{AngularRateQ20, Counts, DeviceTimeUs, SpecificForceQ16, WideCounts};
+use wimu_model::{
+    AngularRateQ20, Counts, DeviceTimeUs, ParameterSet, SpecificForceQ16, WideCounts,
+};
 
 use wimu_link::auth::{DeviceKey, KeyState, Lock, Session};
 use wimu_link::batch::{self, Batch, Layout, Sample, Stream};
@@ -11,6 +13,7 @@ use wimu_link::frame::{self, Deframer, Frame, Kind, MAX_BODY, MAX_FRAME};
 use wimu_link::hello::{self, Hello, LinkRole, WhoAreYou};
 use wimu_link::message::{
     Answer, Command, Event, Payload, Refusal, Reply, Request, Settings, Signature, Telemetry,
+    WireParameters,
 };
 use wimu_link::responder::{Decision, Responder};
 
@@ -20,6 +23,7 @@ pub fn all(data: &[u8]) {
     damage(data);
     batch_samples(data);
     bodies(data);
+    parameters(data);
     requests(data);
     signed_requests(data);
 }
@@ -186,6 +190,33 @@ fn with_body(line: &[u8], check: impl FnOnce(&[u8])) {
         }
     }
     panic!("a frame did not end");
+}
+
+/// Any bytes of a parameter set: what is read is written again with the same values, and validating it does
+/// not panic.
+pub fn parameters(data: &[u8]) {
+    let Ok(set) = WireParameters::decode(data) else {
+        return;
+    };
+    let encoded = |set: &WireParameters| {
+        let mut bytes = [0; WireParameters::MAX];
+        let length = set.encode(&mut bytes).expect("room");
+        bytes[..length].to_vec()
+    };
+    let bytes = encoded(&set);
+    assert!(bytes.len() <= data.len());
+    let again = WireParameters::decode(&bytes).expect("own set");
+    // As bytes, because NaN differs from itself.
+    assert_eq!(encoded(&again), bytes);
+    let _ = ParameterSet::try_from(&set);
+    let staged: Vec<u8> = set.stage().fold(Vec::new(), |mut staged, command| {
+        if let Command::StageParameters { offset, piece, .. } = command {
+            assert_eq!(usize::from(offset), staged.len());
+            staged.extend_from_slice(piece.as_bytes());
+        }
+        staged
+    });
+    assert_eq!(staged, bytes);
 }
 
 /// Any body of a batch: a decoded batch is packed again without loss.

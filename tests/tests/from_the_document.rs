@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 /// The messages as the document has them. A line is a name and what it holds, one after another:
 /// fields for a struct; for an enum `|` before each variant. `T?` may be absent, `T*3` is three of them.
 const DOCUMENT: &str = "
-Telemetry: | Epoch Epoch | Environment u64 i32*3? i16? | Navigation u32 i64*3 i64*3 u32 Phase u8 u16? | Parameters u32 Parameters? | Settings Settings | Status Status | Event u64 Event | Attitude u32 i32*4
+Telemetry: | Epoch Epoch | Environment u64 i32*3? i16? | Navigation u32 i64*3 i64*3 u32 Phase u8 u16? | Parameters u32 Parameters? | Settings Settings | Status Status | Event u64 Event | Attitude u32 i32*4 | ParametersPiece Piece
+Piece: u32 u16 u16 bytes
 Epoch: Reason u8 u32 u64 u32 u8 f64 i32 u32 i16? revision
 Gyroscope: f64 i32
 Reason: | Start | Periodic | Gap | Stillness | Temperature | Settings | Parameters | Heading
@@ -17,6 +18,7 @@ Window: Segment u16 i32*3 i32*3 u64
 Run: u16 i64*3 i64*3 Segment
 Phase: | Searching | Resting | Moving
 Parameters: u8 f64 f64*3 f64*9 f64 f64*3 f64*3 f64*3 f64*3 f64*4 f32*6? Quality? Magnetometer? sensor
+GyroscopeModel: range f64 f64*3 f64*9 f64*9 f64 f64*3 f64*3 f32*12?
 Quality: Method u64? f32*3? u32 u32 f32 f32? f32? f32*78 f32*12
 Method: | MultiPosition | SixPosition | FourAngle | ThreeAngle | Reference | Updated
 Magnetometer: f32*3 f32*3 f32*6 f32*6 f32 u32 f32 f32 f32 Mounting?
@@ -29,21 +31,22 @@ LinkStatus: u32 u64 u32 u32 u32
 SensorStatus: u32 u32 u32 u32
 Event: | SensorLost Lost | SensorFound | WrongSensor u8 u8 | StoreUnreadable | ModelRejected ParameterFault | SettingsAdjusted | Pause u16 | Marked u16 | CalibrationContradicted i32 u32 | GyroscopeLost Lost
 Lost: | NoAnswer | Transfer | Timeout
-ParameterFault: | NotFinite Term u8 | OutOfBounds Term u8 f64 f64 f64 | Singular f64 | Sensitivity f64 | Alignment f64 | Overflow | SingularAtTemperature | Covariance | Quality QualityFault | Magnetometer MagnetometerFault | OtherSensor u16 u16 | OtherSensorIndex u8 u8
+ParameterFault: | NotFinite Term u8 | OutOfBounds Term u8 f64 f64 f64 | Singular f64 | Sensitivity f64 | Alignment f64 | Overflow | SingularAtTemperature | Covariance | Quality QualityFault | Magnetometer MagnetometerFault | OtherSensor u16 u16 | OtherSensorIndex u8 u8 | Gyroscope GyroscopeTerm u8 f64 f64 f64 | GyroscopeSingular f64 | Unknown u16
+GyroscopeTerm: | Bias | Scale | Misalignment | GSensitivity | ReferenceTemperature | BiasSlope | ScaleSlope | Sensitivity | Range | Deviation
 QualityFault: | Temperature | Residual | Condition | Deviation
 MagnetometerFault: | HardIron | SoftIron | Field | Quality | Dip
 Term: | Bias | Scale | Misalignment | ReferenceTemperature | BiasSlope | BiasCurvature | ScaleSlope | Nonlinearity
 Request: u32 u32 signature Command
-Command: | GetParameters | StageParameters Parameters | CommitParameters u32 | FactoryReset | GetSettings | SetSettings Settings | GetStatus | SetLineRate u8 u32 | OpenSession | GetKeyStatus | SetKey key | ForgetKey | GetTime
+Command: | GetParameters u16 | StageParameters u16 u16 bytes | CommitParameters u32 | FactoryReset | GetSettings | SetSettings Settings | GetStatus | SetLineRate u8 u32 | OpenSession | GetKeyStatus | SetKey key | ForgetKey | GetTime
 Reply: u32 u32 signature Answer
 Answer: | Accepted Payload | Refused Refusal | Unknown
-Payload: | None | Parameters u32 Parameters? | Staged u32 | Settings Settings | Status Status | Session u32 u8*16 | KeyStatus KeyId? | Time u64
+Payload: | None | Parameters Piece | Staged u32 | Settings Settings | Status Status | Session u32 u8*16 | KeyStatus KeyId? | Time u64
 KeyId: u8*4
-Refusal: | KeyNeeded | Locked | InvalidParameters ParameterFault | WrongRange u8 u8 | NothingStaged | HashMismatch u32 | UnsupportedSettings Settings | StoreFailed | SensorFailed | Stale | WrongSensitivity f64 f64 | FixedLineRate | AdapterLineRate | UnsupportedLineRate u32 | SignatureNeeded | WrongSignature | SessionEnded | CableOnly
+Refusal: | KeyNeeded | Locked | InvalidParameters ParameterFault | WrongRange u8 u8 | NothingStaged | HashMismatch u32 | UnsupportedSettings Settings | StoreFailed | SensorFailed | Stale | WrongSensitivity f64 f64 | FixedLineRate | AdapterLineRate | UnsupportedLineRate u32 | SignatureNeeded | WrongSignature | SessionEnded | CableOnly | WrongPiece u16
 ";
 
 /// Names that the examples give their structs, which the wire does not know.
-const STRUCTS: [&str; 17] = [
+const STRUCTS: [&str; 18] = [
     "ActiveParameters",
     "Attitude",
     "DeviceKey",
@@ -53,6 +56,7 @@ const STRUCTS: [&str; 17] = [
     "KeyId",
     "LinkStatus",
     "Navigation",
+    "ParametersPiece",
     "Part",
     "Reply",
     "Request",
@@ -175,12 +179,27 @@ impl Reader<'_> {
                     }
                 }
             }
-            // A set that does not say its sensor ends before it, and so does the message.
-            "sensor" if self.rest.is_empty() => self.note("None"),
+            // A set may end before its sensor, and before the sensor's index.
             "sensor" => {
-                let number = u16::from_le_bytes(self.bytes());
-                self.note(format!("Some({number})"));
+                let number = match self.rest {
+                    [] => 0,
+                    _ => u16::from_le_bytes(self.bytes()),
+                };
+                match number {
+                    0 => self.note("None"),
+                    number => self.note(format!("Some({number})")),
+                }
+                if self.rest.is_empty() {
+                    return self.note("0 None");
+                }
+                self.read("u8");
+                self.read("GyroscopeModel?");
             }
+            "range" => {
+                let number = u16::from_le_bytes(self.bytes());
+                self.note(number);
+            }
+            "bytes" => (0..self.varint()).for_each(|_| self.read("u8")),
             // Three fields follow the revision, unless it is 1, then the state: the examples show them after it.
             "revision" => {
                 self.read("u8");
@@ -288,6 +307,52 @@ fn every_telemetry_request_and_reply_reads_as_the_document_says() {
             assert_eq!(said(&reader.found.join(" ")), said(&text), "{text}");
         }
     }
+}
+
+/// The pieces of the examples are one set; the bytes of an uncalibrated device are none.
+#[test]
+fn the_set_of_the_pieces_reads_as_the_document_says() {
+    let (mut set, mut ids) = (Vec::new(), Vec::new());
+    for (text, frame) in examples("telemetry") {
+        let (_, body) = plain(&frame);
+        let Some(piece) = body.strip_prefix(&[8]) else {
+            continue;
+        };
+        let mut reader = Reader {
+            rest: piece,
+            found: Vec::new(),
+        };
+        let [id, offset, length] = [(); 3].map(|()| reader.varint());
+        assert_eq!(reader.varint() as usize, reader.rest.len(), "{text}");
+        if id == 0 {
+            assert!(length == 0 && reader.rest.is_empty());
+            continue;
+        }
+        assert_eq!(offset as usize, set.len());
+        set.extend_from_slice(reader.rest);
+        ids.push((id, length as usize));
+    }
+    assert!(
+        ids.len() > 3
+            && ids
+                .iter()
+                .all(|id| *id == (crc_32c(&set).into(), set.len()))
+    );
+    let mut reader = Reader {
+        rest: &set,
+        found: Vec::new(),
+    };
+    reader.read("Parameters");
+    assert!(reader.rest.is_empty());
+    // No sensor, index 1, a gyroscope of ±500 °/s.
+    let end = [
+        "None", "1", "Some", "500", "0.000305", "0.01", "-0.02", "0.03",
+    ];
+    assert!(
+        reader.found.windows(end.len()).any(|some| some == end),
+        "{:?}",
+        reader.found
+    );
 }
 
 #[test]

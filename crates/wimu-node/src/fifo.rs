@@ -120,7 +120,7 @@ impl SensorFifo {
         self.last = Some(last_time);
         Batch::new(count, last_time)
             .with_overrun(state.overrun)
-            .from_queue()
+            .queued()
     }
 
     /// Time of the newest sample in the FIFO.
@@ -141,5 +141,27 @@ impl SensorFifo {
             _ => state.at.0.saturating_sub(period / 2),
         };
         DeviceTimeUs(expected.clamp(oldest, state.at.0))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_watermark_is_40_ms_at_most_16_samples_and_half_of_the_fifo() {
+        let watermark =
+            |depth, hz: u32| SensorFifo::new(depth, PeriodNs(1_000_000_000 / hz), 100).watermark();
+        for (depth, hz, samples) in [
+            (32, 1, 1),
+            (32, 100, 4),
+            (32, 400, 16),
+            (512, 6400, 16),
+            (8, 400, 4),
+            (1, 400, 1),
+            (0, 400, 1),
+        ] {
+            assert_eq!(watermark(depth, hz), samples, "{depth} at {hz} Hz");
+        }
     }
 }

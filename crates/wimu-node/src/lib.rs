@@ -21,6 +21,7 @@ mod queue;
 mod rate;
 mod sample;
 mod sampler;
+mod secondary;
 #[cfg(feature = "self-check")]
 mod self_check;
 pub mod sensor;
@@ -43,6 +44,7 @@ pub use mounting::{Axis, Mounting};
 pub use node::{Board, Node};
 pub use rate::{LineRate, RateKeeper};
 pub use sampler::Sampler;
+pub use secondary::Secondary;
 pub use sensor::InertialSensor;
 pub use shared::{Health, Shared};
 pub use store::{Key, MAX_RECORD, Store, StoreFault};

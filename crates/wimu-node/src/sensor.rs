@@ -7,6 +7,7 @@ use wimu_link::message::Settings;
 use wimu_model::{CentiCelsius, DeviceTimeUs, MagneticFieldNt, PeriodNs, Sensitivity};
 
 pub use crate::sample::RawSample;
+use crate::secondary::Secondary;
 
 /// Operation of a sensor under given settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -86,7 +87,7 @@ pub struct Batch {
     pub count: usize,
     /// Time of the newest sample, device clock.
     pub last_time: DeviceTimeUs,
-    /// Index of the sensor that took them, 0..=3.
+    /// Index of the sensor that took them, 0..=7.
     pub sensor: u8,
     /// Whether the sensor reports that earlier samples were lost.
     pub overrun: bool,
@@ -121,7 +122,7 @@ impl Batch {
 
     /// The sensor queues its samples.
     #[must_use]
-    pub fn from_queue(self) -> Self {
+    pub fn queued(self) -> Self {
         let queued = true;
         Self { queued, ..self }
     }
@@ -155,11 +156,10 @@ pub trait InertialSensor {
     /// What knows the supported settings. The control task asks it; the sampler has the sensor.
     fn planner(&self) -> Self::Planner;
 
-    /// The operation of the sensor with `index`, 1..=3, under `plan`; `None` if there is none. Its samples are
-    /// sent without correction, and are corrected on the host.
-    fn secondary(&self, plan: &Plan, index: u8) -> Option<SensorPlan> {
-        let _ = (plan, index);
-        None
+    /// The sensors with index 1 and up, at most 7. Their samples are sent without correction, and are corrected on
+    /// the host.
+    fn secondary(&mut self) -> &mut [Secondary] {
+        &mut []
     }
 
     /// Starts or restarts the sensor under `plan`.

@@ -184,7 +184,7 @@ fn one_burst_reads_all_that_wait_and_the_line_gives_the_time_of_the_newest() {
         start(bench).await;
         let (batch, read) = next(bench, 41_000, 41_300).await;
         assert_eq!(read, counts(0, 16));
-        let on_time = Batch::new(16, DeviceTimeUs(41_000)).from_queue();
+        let on_time = Batch::new(16, DeviceTimeUs(41_000)).queued();
         assert_eq!(batch, on_time);
         let (batch, read) = next(bench, 81_000, 86_100).await;
         assert_eq!(read, counts(16, 18));

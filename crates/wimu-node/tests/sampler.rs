@@ -24,7 +24,7 @@ use wimu_model::{
     PeriodNs, Sensitivity, WideCounts,
 };
 use wimu_node::sensor::{Batch, Plan, RawSample, SensorFault, SensorPlan, Surroundings};
-use wimu_node::{Board, InertialSensor, Key, Shared, Store, StoreFault, Timer};
+use wimu_node::{Board, InertialSensor, Key, Secondary, Shared, Store, StoreFault, Timer};
 
 /// A clock that moves while somebody waits.
 #[derive(Clone, Default)]
@@ -103,8 +103,8 @@ type Step<S> = Result<(u8, Vec<S>), SensorFault>;
 struct Scripted<S> {
     clock: Clock,
     steps: VecDeque<Step<S>>,
-    /// Of sensor 0, then of sensor 1.
-    plans: Vec<SensorPlan>,
+    plan: SensorPlan,
+    secondary: Vec<Secondary>,
     /// Time of the newest sample of either.
     times: [u64; 2],
     done: Rc<Cell<bool>>,
@@ -123,11 +123,11 @@ impl<S: RawSample> InertialSensor for Scripted<S> {
     type Planner = Planner;
 
     fn planner(&self) -> Planner {
-        Planner(self.plans[0])
+        Planner(self.plan)
     }
 
-    fn secondary(&self, _: &Plan, index: u8) -> Option<SensorPlan> {
-        self.plans.get(usize::from(index)).copied()
+    fn secondary(&mut self) -> &mut [Secondary] {
+        &mut self.secondary
     }
 
     async fn configure(&mut self, _: &Plan) -> Result<(), SensorFault> {
@@ -148,9 +148,7 @@ impl<S: RawSample> InertialSensor for Scripted<S> {
         *time += 10_000 * new.len() as u64;
         let last_time = DeviceTimeUs(*time);
         self.clock.until(last_time).await;
-        Ok(Batch::new(new.len(), last_time)
-            .of_sensor(sensor)
-            .from_queue())
+        Ok(Batch::new(new.len(), last_time).of_sensor(sensor).queued())
     }
 
     async fn surroundings(&mut self) -> Result<Surroundings, SensorFault> {
@@ -191,7 +189,7 @@ impl Received {
     }
 }
 
-/// Runs a node with a sensor that follows `steps`.
+/// Runs a node with sensors of `plans` that follow `steps`.
 fn run<S: RawSample>(plans: &[SensorPlan], steps: impl IntoIterator<Item = Step<S>>) -> Received {
     run_with(None, plans, steps)
 }
@@ -208,7 +206,11 @@ fn run_with<S: RawSample>(
         sensor: Scripted {
             clock: clock.clone(),
             steps: steps.into_iter().collect(),
-            plans: plans.to_vec(),
+            plan: plans[0],
+            secondary: plans[1..]
+                .iter()
+                .map(|plan| Secondary::new(*plan))
+                .collect(),
             times: [0; 2],
             done: Rc::clone(&done),
         },
@@ -392,6 +394,11 @@ fn a_second_sensor_is_sent_raw_with_its_own_numbers_and_epochs() {
             Ok((1, new))
         }
     });
+    // A fault after 960 samples of either sensor, of which 0.2 s are lost.
+    let steps: Vec<_> = steps.collect();
+    let (before, after) = steps.split_at(288);
+    let fault = [Err(SensorFault::Transfer)];
+    let steps = [before, &fault, after].concat();
     let received = run(&[six_axes(), coarse], steps);
     let (counts, rates) = received.samples(1, Stream::Raw);
     let expected: Vec<[i32; 3]> = (0..1200).map(|k| [k, 0, 164]).collect();
@@ -402,7 +409,7 @@ fn a_second_sensor_is_sent_raw_with_its_own_numbers_and_epochs() {
     assert_eq!(received.samples(0, Stream::Raw).0.len(), 1200);
     let epochs = received.epochs_of(1);
     assert!(
-        (12..=15).contains(&epochs.len()),
+        (13..=16).contains(&epochs.len()),
         "one a second: {}",
         epochs.len()
     );
@@ -412,14 +419,24 @@ fn a_second_sensor_is_sent_raw_with_its_own_numbers_and_epochs() {
         assert_eq!((epoch.range_g, epoch.full_scale), (200, 0x7FFF));
         assert_eq!(epoch.parameters, 0);
     }
-    assert_eq!(epochs[0].sequence, 0);
-    assert!(epochs[1].sequence.is_multiple_of(10));
-    let reasons: Vec<_> = received
-        .epochs_of(0)
-        .iter()
-        .map(|epoch| epoch.reason)
-        .collect();
-    assert!(!reasons.contains(&EpochReason::Gap), "{reasons:?}");
+    assert_eq!(
+        (epochs[0].reason, epochs[0].sequence),
+        (EpochReason::Start, 0)
+    );
+    for sensor in [0, 1] {
+        let epochs = received.epochs_of(sensor);
+        let gaps = epochs
+            .iter()
+            .filter(|epoch| epoch.reason == EpochReason::Gap);
+        let gaps: Vec<_> = gaps.map(|epoch| epoch.sequence).collect();
+        let [sequence] = gaps[..] else {
+            panic!("sensor {sensor}: gaps before {gaps:?}");
+        };
+        assert!(
+            (970..1000).contains(&sequence),
+            "sensor {sensor}: {sequence}"
+        );
+    }
 }
 
 #[test]

@@ -62,7 +62,7 @@ pub struct AlignOptions {
     pub placement_sd_rad: f64,
 }
 
-/// The report of `wimu align`, and a file that `wimu params push` reads.
+/// The report of `wimu align`.
 #[derive(Clone, Debug, Serialize)]
 pub struct AlignmentReport {
     /// [`HELD_SCHEMA`].

@@ -5,6 +5,7 @@ mod bend;
 mod datasheet;
 mod export;
 mod file;
+mod file_v1;
 mod input;
 mod magnetometer;
 mod numbers;
@@ -20,7 +21,9 @@ mod words;
 
 pub use datasheet::{DatasheetReport, LimitReport, datasheet};
 pub use export::{KalibrNoise, not_in_kalibr, to_c, to_kalibr, to_rust};
-pub use file::{StoredModel, range_remark, read_model, read_parameters, write_report};
+pub use file::{
+    CalibrationFile, Session, StoredModel, range_remark, read_model, read_parameters, sessions,
+};
 pub use magnetometer::{FieldPose, MagneticHalfWidths, MagnetometerReport, calibrate_magnetometer};
 pub use paired::Paired;
 pub use reference::{AxisReport, NoiseSource, ReferenceReport, compare_with_reference};
@@ -284,6 +287,10 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
             sd * 1e3
         )
     }));
+    let unit = match data.unit {
+        OutputUnit::Counts { .. } => AccelerationUnit::Lsb,
+        OutputUnit::Mps2 => AccelerationUnit::Mps2,
+    };
     Ok(CalibrationReport {
         schema: CalibrationReport::SCHEMA,
         status: if estimate.is_some() { "ok" } else { "refused" },
@@ -300,10 +307,7 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         gravity_m_s2: gravity.mps2(),
         gravity_sd_m_s2: gravity.sd_mps2(),
         gravity_source,
-        unit: match data.unit {
-            OutputUnit::Counts { .. } => AccelerationUnit::Lsb.as_str(),
-            OutputUnit::Mps2 => AccelerationUnit::Mps2.as_str(),
-        },
+        unit: unit.as_str(),
         sensitivity_lsb_per_g: lsb_per_g,
         sensitivity_source: source.filter(|_| lsb_per_g.is_some()),
         range_g: range.map(|range| range.g),
@@ -341,6 +345,18 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
                 };
                 DatasheetReport::new(datasheet, estimate, used, range)
             }),
+        file: estimate.as_ref().and_then(|estimate| {
+            let quality = estimate.quality(options.utc_s, &fitted);
+            CalibrationFile::of_model(
+                estimate.model,
+                quality,
+                data.sensor,
+                unit,
+                lsb_per_g,
+                range,
+                &data.name,
+            )
+        }),
         fit: estimate.map(|estimate| numbers(&estimate, range)),
         parameter_id: parameters.as_ref().map(|set| parameter_id(set).to_string()),
         parameters,

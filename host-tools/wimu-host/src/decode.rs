@@ -1,7 +1,6 @@
 //! Decoding of one link's bytes into typed events: frames, complete sequence numbers, loss statistics.
 
 use std::cmp::Ordering;
-use std::collections::VecDeque;
 
 use wimu_link::batch;
 use wimu_link::frame::RecordedDeframer;
@@ -16,15 +15,16 @@ mod message;
 mod order;
 mod pieces;
 mod repeats;
+mod start;
 
 pub use event::{Arrival, Event, LinkStatistics, Samples, StreamStatistics, TimedSample};
 pub use pieces::Pieces;
 
 use anchor::Anchor;
-use gaps::Gaps;
 use message::{Message, read};
-use order::{Moment, Order, Place, Verdict};
+use order::{Moment, Place, Verdict};
 use repeats::Repeats;
+use start::{Held, Start};
 
 /// Largest number of batches kept until an epoch defines their numbers: more than arrive between two epochs.
 const MAX_UNPLACED: usize = 512;
@@ -97,65 +97,7 @@ pub struct Decoder {
     identity_before: Option<(u64, u32)>,
     foreign_version: Option<u8>,
     pieces: Pieces,
-}
-
-/// Number of sensor indices.
-const SENSORS: usize = batch::MAX_SENSOR as usize + 1;
-
-/// State of a decoder within one start of the device.
-#[derive(Debug, Default)]
-struct Start {
-    /// By sensor index.
-    tracks: [Track; SENSORS],
-    order: Order<(Received, Held)>,
-    /// Time of the latest magnetic field and temperature, numbers of the latest position and attitude.
-    last_environment: Option<u64>,
-    last_navigation: Option<u32>,
-    last_attitude: Option<u32>,
-}
-
-/// The same of one sensor: it has its own sequence numbers and epochs.
-#[derive(Debug, Default)]
-struct Track {
-    /// The latest and the one before: epochs may overtake samples.
-    anchors: [Option<Anchor>; 2],
-    /// The latest epoch, if it jumped: accepted once the next one continues it.
-    jumped: Option<Anchor>,
-    unplaced: VecDeque<(Received, Batch)>,
-    /// The latest sequence number of raw and corrected samples, and the decimation.
-    latest: [Option<(u32, u8)>; 2],
-    /// Missing samples of each that may still arrive.
-    gaps: [Gaps; 2],
-    /// Whether what preceded the next samples of each is unknown.
-    skipped: [bool; 2],
-    last_epoch_time: Option<DeviceTimeUs>,
-    last_epoch_number: Option<u8>,
-}
-
-impl Start {
-    /// Batches that wait for an epoch.
-    fn unplaced(&self) -> usize {
-        self.tracks.iter().map(|track| track.unplaced.len()).sum()
-    }
-}
-
-impl Track {
-    /// Samples of a batch; `None` if no epoch defines their numbers.
-    fn place(&self, batch: &Batch) -> Option<Samples> {
-        self.anchors.iter().flatten().find_map(|anchor| {
-            let (first_sequence, first_time) = anchor.place(batch)?;
-            Some(Samples {
-                sensor: batch.sensor(),
-                stream: batch.stream(),
-                first_sequence,
-                first_time,
-                period: anchor.period,
-                every: batch.every(),
-                values: batch.samples().to_vec(),
-                rates: batch.angular_rates().to_vec(),
-            })
-        })
-    }
+    latest_version: Option<u8>,
 }
 
 impl Decoder {
@@ -193,13 +135,16 @@ impl Decoder {
                 Ok(frame) => {
                     self.statistics.frames += 1;
                     self.listening = true;
-                    let message = match read(frame.kind, frame.body) {
-                        Ok(Message::Piece(piece)) => match self.pieces.take(&piece) {
+                    self.latest_version = Some(frame.version);
+                    let message = match read(&frame) {
+                        Ok(None) => continue,
+                        Ok(Some(Message::Piece(piece))) => match self.pieces.take(&piece) {
                             Ok(None) => continue,
                             Ok(Some(active)) => Ok(Message::Event(Event::Parameters(active))),
                             Err(why) => Err(why.to_string()),
                         },
-                        message => message,
+                        Ok(Some(message)) => Ok(message),
+                        Err(why) => Err(why),
                     };
                     match message {
                         Ok(message) => message,
@@ -278,6 +223,11 @@ impl Decoder {
     /// The wire version of the latest undamaged frame that is of another version than ours.
     pub fn foreign_version(&self) -> Option<u8> {
         self.foreign_version
+    }
+
+    /// The wire version of the latest readable frame other than batches: of recordings, 1 too.
+    pub fn latest_version(&self) -> Option<u8> {
+        self.latest_version
     }
 
     /// The device has restarted before the held data. If its greeting has the time of the restart, older
@@ -570,14 +520,6 @@ impl Decoder {
             each(received.with(Event::Late(late).of_sensor(batch.sensor())));
         }
     }
-}
-
-/// Data held until their start is known.
-#[derive(Debug)]
-enum Held {
-    Epoch(Box<Epoch>),
-    Batch(Box<Batch>),
-    Event(Box<Event>),
 }
 
 /// Whether `now` is after `latest`; if so, replaces it.

@@ -12,30 +12,24 @@ use wimu_model::{AngularRateQ20, DeviceTimeUs, SpecificForceQ16};
 
 use crate::clock::ClockModel;
 use crate::compare::LinkModel;
-use crate::csv::{AccelerationUnit, CsvWriter, Header, Row, SENSITIVITY};
+use crate::csv::{CsvWriter, Row};
 use crate::decode::{Arrival, Decoder, Event, TimedSample, sequence_order};
 use crate::history::Boot;
 use crate::mcap_file::{ClockAnchor, Recorded, RecordingReader, Wholeness};
-use crate::motion::FIELD_CALIBRATED;
 use crate::overview::{BootOverview, Overview};
 use crate::units::RawUnits;
 use crate::{ErrorCode, OutputFile, Result};
 
-/// The column with the standard deviation of the heading, empty where it is uncalibrated.
-const HEADING_SD: &str = "Heading SD (deg)";
+mod columns;
+
+pub(crate) use columns::GYROSCOPE_SCALE;
+use columns::header;
+
 /// Time that samples wait for data that belong to them and arrive later, µs of device time.
 const WAIT_US: u64 = 3_000_000;
 /// Times of samples kept for the positions computed from them, at most; positions that wait for their sample, at most.
 const MAX_TIMES: usize = 16_384;
 const MAX_WAITING: usize = 4096;
-
-/// Columns with the nominal scale of a gyroscope's counts and with its axes.
-pub(crate) const GYROSCOPE_SCALE: &str = "Gyroscope Scale (rad/s/LSB)";
-fn gyroscope(unit: &str) -> impl Iterator<Item = String> + '_ {
-    ["X", "Y", "Z"]
-        .into_iter()
-        .map(move |axis| format!("Gyroscope {axis} ({unit})"))
-}
 
 /// Content of a table. With a gyroscope, samples have its axes, too, and positions an attitude.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -84,7 +78,8 @@ pub struct Exported {
 /// time. The link model is applied. Reads the recording twice, in memory that does not grow with its length.
 ///
 /// # Errors
-/// Those of [`Overview::read`]; `no_rows` when the link or the sensor has no such stream; `data_refused` when
+/// Those of [`Overview::read`]; `no_rows` when the link or the sensor has no such stream; `usage` for a link model and
+/// a sensor above 0; `data_refused` when
 /// the link model is of another device or link; `file_failed`, `file_unreadable`.
 pub fn to_csv(
     recording: &Path,
@@ -118,6 +113,15 @@ pub fn to_csv(
         return Err(ErrorCode::NoRows.error(message, remedy));
     }
     if let Some(model) = source.link_model {
+        if source.sensor > 0 {
+            return Err(ErrorCode::Usage.error(
+                format!(
+                    "a link's error model does not apply to sensor {}",
+                    source.sensor
+                ),
+                "leave out --link-model, or --sensor",
+            ));
+        }
         model.check_role(role)?;
         if let Some(hello) = &link.hello {
             model.check_device(hello.device_id)?;
@@ -182,55 +186,6 @@ impl From<Stream> for ExportStream {
             Stream::Raw => Self::Raw,
             Stream::Corrected => Self::Corrected,
         }
-    }
-}
-
-fn header(stream: ExportStream, sensor: u8, has_gyroscope: bool, has_attitude: bool) -> Header {
-    let mut other: Vec<String> = Vec::new();
-    let mut acceleration_unit = AccelerationUnit::Mps2;
-    match stream {
-        ExportStream::Raw => {
-            acceleration_unit = AccelerationUnit::Lsb;
-            other.extend(["Sequence", SENSITIVITY].map(str::to_owned));
-            if has_gyroscope {
-                other.extend(gyroscope("LSB"));
-                other.push(GYROSCOPE_SCALE.to_owned());
-            }
-        }
-        ExportStream::Corrected => {
-            other.extend(["Sequence", FIELD_CALIBRATED].map(str::to_owned));
-            if has_gyroscope {
-                other.extend(gyroscope("rad/s"));
-            }
-        }
-        ExportStream::Navigation => {
-            let columns = [
-                "Position E (m)",
-                "Position N (m)",
-                "Position U (m)",
-                "Velocity E (m/s)",
-                "Velocity N (m/s)",
-                "Velocity U (m/s)",
-                "Since Rest (s)",
-                "Valid",
-                HEADING_SD,
-                "Sequence",
-            ];
-            other.extend(columns.map(str::to_owned));
-            if has_attitude {
-                other.extend(["W", "X", "Y", "Z"].map(|part| format!("Quaternion {part}")));
-            }
-        }
-    }
-    let samples = stream != ExportStream::Navigation;
-    let number = (sensor > 0).then_some(sensor.into());
-    Header {
-        time: true,
-        accelerometers: samples.then_some(number).into_iter().collect(),
-        acceleration_unit,
-        magnetometer: samples,
-        temperature: samples,
-        other,
     }
 }
 

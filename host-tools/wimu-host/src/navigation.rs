@@ -113,6 +113,7 @@ pub fn recomputed(boot: &Boot, parameters: &ParameterSet, zupt: bool) -> Result<
     Ok(boot
         .raw
         .iter()
+        .filter(|raw| correction.takes(raw))
         .map(|raw| {
             if next.is_some_and(|next| next != raw.sequence) {
                 integrator.gap();

@@ -155,7 +155,7 @@ impl Correction {
     }
 
     /// Whether all axes of a sample are there.
-    fn takes(&self, raw: &TimedSample) -> bool {
+    pub fn takes(&self, raw: &TimedSample) -> bool {
         self.gyroscope.is_none() || raw.rate.is_some()
     }
 

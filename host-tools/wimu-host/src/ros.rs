@@ -118,7 +118,7 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
     let mut units: BTreeMap<(Start, u8), RawUnits> = BTreeMap::new();
     walk(&mut RecordingReader::open(from)?, |role, start, step| {
         if let Step::Arrival(arrival) = &step {
-            match (any_sensor(&arrival.event), link_model) {
+            match (arrival.event.of_any_sensor(), link_model) {
                 (Event::Hello(hello), Some(model)) => model.check_device(hello.device_id)?,
                 // An epoch that one link lost may have arrived on the other.
                 (Event::Epoch { epoch, .. }, _) => {
@@ -167,14 +167,6 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
     drop(reader);
     output.finish()?;
     Ok(decoder.decoded)
-}
-
-/// The event itself, or that of a further sensor.
-fn any_sensor(event: &Event) -> &Event {
-    match event {
-        Event::Further(event) => event,
-        event => event,
-    }
 }
 
 /// The numbers of a `sensor_msgs/msg/Imu`. What is absent has −1 as the first element of its covariance.
@@ -245,7 +237,7 @@ impl Writer<'_> {
             return Ok(());
         };
         let arrived_ns = arrival.host_ns;
-        let event = any_sensor(&arrival.event);
+        let event = arrival.event.of_any_sensor();
         let sensor = event.sensor().unwrap_or_default();
         let write = |writer: &mut Self, kind: Kind, time: DeviceTimeUs, fields: &[f64]| {
             let Some(clock) = clock else {
@@ -270,7 +262,7 @@ impl Writer<'_> {
                     Stream::Raw => Kind::Raw,
                     Stream::Corrected => Kind::Corrected,
                 };
-                let model = self.link_model.filter(|model| model.is_of(role));
+                let model = (self.link_model).filter(|model| sensor == 0 && model.is_of(role));
                 let gyroscope = gyroscope_of(held).filter(|_| samples.stream == Stream::Corrected);
                 let attitudes = std::mem::take(&mut held.attitude);
                 for sample in samples.iter() {

@@ -37,4 +37,5 @@ mod reference_input;
 mod round_trip;
 mod session;
 mod single_axes;
+mod six_axes;
 mod writes;

@@ -45,7 +45,7 @@ fn a_stream_against_a_reference_has_bias_and_scale_where_it_moves() {
     assert!((number("/model/bias_m_s2/2") - 0.4962).abs() < 1e-9);
     assert_eq!(number("/model/matrix/2/2"), 1.0);
     let written: Value = serde_json::from_str(&fs::read_to_string(&cal).unwrap()).unwrap();
-    assert_eq!(written["schema"], "wimu.calibration/1");
+    assert_eq!(written["schema"], "wimu.calibration/2");
 
     // The other way round.
     let swapped = wimu(&[&reference[..], &["--reference", "1"]].concat()).succeeds();

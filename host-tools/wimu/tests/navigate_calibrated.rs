@@ -155,7 +155,10 @@ fn what_a_calibration_leaves_unknown_is_in_the_paths_deviation() {
     let known = sigma();
     // The same model from a worse session.
     let mut file: Value = serde_json::from_str(&fs::read_to_string(&model).unwrap()).unwrap();
-    file["sd"]["bias_m_s2"] = serde_json::json!([0.3, 0.3, 0.3]);
+    let quality = &mut file["sensors"][0]["accelerometer"]["quality"];
+    for bias in 0..3 {
+        quality["covariance"]["cholesky"][bias][bias] = serde_json::json!(0.3);
+    }
     fs::write(&model, file.to_string()).unwrap();
     let vague = sigma();
     // Level, a bias and the tilt that it makes one believe cancel: little of it is left.

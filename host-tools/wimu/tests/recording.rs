@@ -5,9 +5,8 @@ use crate::kit;
 use std::fs;
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
-use std::path::Path;
 
-use kit::{Background, Simulator, folder, record_until, wimu};
+use kit::{Background, Simulator, folder, python_with_rosbags, record_until, wimu};
 use serde_json::Value;
 use wimu_testkit::Lane;
 
@@ -173,28 +172,6 @@ fn a_link_that_is_lost_comes_back_without_the_other_or_the_file_being_lost() {
         let sd = clock["rate_sd_ppm"].as_f64().unwrap();
         assert!(rate.abs() < 5.0 * sd + 100.0, "{clock}");
     }
-}
-
-/// A Python with `rosbags` in it, kept for the next run; `None`, with the reason printed, without one.
-fn python_with_rosbags() -> Option<std::path::PathBuf> {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("rosbags");
-    let python = folder.join("bin/python");
-    let works = |command: &mut std::process::Command| {
-        let ran = command.output();
-        ran.is_ok_and(|ran| ran.status.success())
-    };
-    let mut import = std::process::Command::new(&python);
-    if works(import.args(["-c", "import rosbags"])) {
-        return Some(python);
-    }
-    let mut make = std::process::Command::new("python3");
-    let mut install = std::process::Command::new(&python);
-    let made = works(make.args(["-m", "venv"]).arg(&folder))
-        && works(install.args(["-m", "pip", "install", "--quiet", "rosbags"]));
-    if !made {
-        println!("skipped: python3 with venv, pip and a network is needed for `rosbags`");
-    }
-    made.then_some(python)
 }
 
 /// Reads every message with `rosbags`, which knows ROS's message types by itself, and prints a line

@@ -82,6 +82,19 @@ fn a_file_that_was_edited_by_hand_is_not_pushed() {
 }
 
 #[test]
+fn params_get_of_an_uncalibrated_device_prints_one_object_with_or_without_a_file() {
+    let folder = folder();
+    let file = folder.path().join("CAL.json");
+    let board = Simulator::start(&["--motion", "rest"]);
+    let get = ["params", "get", &board.cable];
+    assert_eq!(wimu(&get).succeeds()["calibrated"], false);
+    let ran = wimu(&[&get[..], &["-o", file.to_str().expect("text")]].concat());
+    assert_eq!(ran.objects().len(), 1);
+    ran.fails(3, "data_refused");
+    assert!(!file.exists());
+}
+
+#[test]
 fn a_push_lists_the_changes_and_a_dry_run_changes_nothing() {
     let folder = folder();
     let [(first, a), (second, b)] = [100, 200].map(|bias| calibration(folder.path(), bias));

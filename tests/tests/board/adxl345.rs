@@ -13,7 +13,7 @@ use wimu_sim::pipe::LinkConfig;
 use wimu_sim::scene::{Scene, World};
 use wimu_sim::source::Physics;
 use wimu_sim::truth::{Gauge, SensorTruth};
-use wimu_tests::{ROLES, Rig, assert_replays, gaps, staging, who_are_you};
+use wimu_tests::{ROLES, Rig, assert_replays, gaps, who_are_you};
 
 fn config() -> BoardConfig {
     BoardConfig {
@@ -37,7 +37,7 @@ fn rig() -> Rig {
 
 /// Writes a parameter set; returns its id.
 fn push(rig: &mut Rig, set: &ParameterSet) -> u32 {
-    let staged = rig.ask(LinkRole::Cable, staging(&set.into()));
+    let staged = rig.stage(LinkRole::Cable, &set.into());
     let Answer::Accepted(Payload::Staged { hash }) = staged else {
         panic!("{staged:?}");
     };

@@ -19,7 +19,7 @@ use wimu_model::{
 use wimu_sim::board::{Board, BoardConfig, SimLink};
 use wimu_sim::scene::World;
 use wimu_testkit::{Lane, figure};
-use wimu_tests::{Random, encoded, frame_of, sensor, staging, who_are_you};
+use wimu_tests::{Random, encoded, frame_of, sensor, who_are_you};
 
 const KEY: DeviceKey = DeviceKey::new([0x11; 32]);
 const CABLE: LinkRole = LinkRole::Cable;
@@ -65,7 +65,10 @@ const IDS: [Ids; 4] = [Ids::NewSessions, Ids::Counted, Ids::Repeated, Ids::Owner
 fn commands() -> Vec<Command> {
     let all = vec![
         Command::GetParameters { offset: 0 },
-        staging(&(&set_of(0.4)).into()),
+        WireParameters::from(&set_of(0.4))
+            .stage()
+            .next()
+            .expect("a piece"),
         Command::CommitParameters { hash: 1 },
         Command::FactoryReset,
         Command::GetSettings,

@@ -22,7 +22,7 @@ pub fn parameters(range_g: u8, lsb_per_g: f64, terms: ErrorTerms) -> WireParamet
         .into()
 }
 
-fn usual_parameters(bias: f64) -> WireParameters {
+pub fn usual_parameters(bias: f64) -> WireParameters {
     let terms = ErrorTerms {
         bias_mps2: [bias, -bias, bias / 2.0],
         matrix: [[1.02, 0.0, 0.0], [0.01, 0.98, 0.0], [-0.02, 0.005, 1.01]],
@@ -32,20 +32,8 @@ fn usual_parameters(bias: f64) -> WireParameters {
     parameters(2, 16384.0, terms)
 }
 
-/// The answer to the last piece, or the first that is not accepted.
-fn ask_to_stage(rig: &mut Rig, set: &WireParameters) -> Answer {
-    let mut answer = Answer::Unknown;
-    for command in set.stage() {
-        answer = rig.ask(CABLE, command);
-        if !matches!(answer, Answer::Accepted(_)) {
-            break;
-        }
-    }
-    answer
-}
-
 fn stage(rig: &mut Rig, set: &WireParameters) -> u32 {
-    match ask_to_stage(rig, set) {
+    match rig.stage(CABLE, set) {
         Answer::Accepted(Payload::Staged { hash }) => hash,
         other => panic!("{other:?}"),
     }
@@ -60,7 +48,7 @@ pub fn push(rig: &mut Rig, set: &WireParameters) {
 }
 
 /// The parameters in use and their id.
-fn active(rig: &mut Rig) -> (Option<WireParameters>, u32) {
+pub fn active(rig: &mut Rig) -> (Option<WireParameters>, u32) {
     let mut pieces = Pieces::default();
     loop {
         let offset = pieces.received();
@@ -156,11 +144,11 @@ fn parameters_that_are_none_are_refused_with_what_is_wrong_and_change_nothing() 
         (overflowing, ParameterFault::Overflow),
         (singular_when_warm, ParameterFault::SingularAtTemperature),
     ] {
-        let answer = ask_to_stage(&mut rig, &set);
+        let answer = rig.stage(CABLE, &set);
         let refusal = Answer::Refused(Refusal::InvalidParameters(fault));
         assert_eq!(answer, refusal, "{set:?}");
     }
-    let answer = ask_to_stage(&mut rig, &singular);
+    let answer = rig.stage(CABLE, &singular);
     assert!(
         matches!(
             answer,
@@ -168,7 +156,7 @@ fn parameters_that_are_none_are_refused_with_what_is_wrong_and_change_nothing() 
         ),
         "{answer:?}"
     );
-    let answer = ask_to_stage(&mut rig, &WireParameters { range_g: 4, ..good });
+    let answer = rig.stage(CABLE, &WireParameters { range_g: 4, ..good });
     let wrong_range = Refusal::WrongRange {
         parameters_g: 4,
         device_g: 2,
@@ -178,7 +166,7 @@ fn parameters_that_are_none_are_refused_with_what_is_wrong_and_change_nothing() 
         sensitivity_lsb_per_g: 2048.0,
         ..good
     };
-    let answer = ask_to_stage(&mut rig, &eightfold);
+    let answer = rig.stage(CABLE, &eightfold);
     let wrong_sensitivity = Refusal::WrongSensitivity {
         parameters_lsb_per_g: 2048.0,
         device_lsb_per_g: 16384.0,
@@ -188,7 +176,7 @@ fn parameters_that_are_none_are_refused_with_what_is_wrong_and_change_nothing() 
         sensor: Some(sensor::ADXL345),
         ..good
     };
-    let answer = ask_to_stage(&mut rig, &others);
+    let answer = rig.stage(CABLE, &others);
     let fault = ParameterFault::OtherSensor {
         parameters: sensor::ADXL345,
         device: sensor::LSM303AGR,

@@ -17,7 +17,7 @@ use crate::shared::{Common, ROLES};
 const OLDEST_BATCH_US: u64 = 250_000;
 
 /// Batches for one link, or for both if their lengths and decimations are equal.
-pub(super) struct Lane<S: RawSample> {
+pub(crate) struct Lane<S: RawSample> {
     roles: [bool; 2],
     raw: Batcher<S>,
     corrected: Batcher<S::Corrected>,
@@ -76,7 +76,7 @@ impl<S: RawSample> Lane<S> {
     }
 
     /// Whether the sample with this sequence number is sent.
-    pub(super) fn takes(&self, sequence: u32) -> bool {
+    pub(crate) fn takes(&self, sequence: u32) -> bool {
         match self.every {
             0 | 1 => self.every == 1,
             every => sequence.is_multiple_of(every.into()),
@@ -84,7 +84,7 @@ impl<S: RawSample> Lane<S> {
     }
 
     /// Length of batches of samples `B`.
-    pub(super) fn length<B: Sample>(&self) -> usize {
+    pub(crate) fn length<B: Sample>(&self) -> usize {
         self.length.min(B::MOST)
     }
 
@@ -96,7 +96,7 @@ impl<S: RawSample> Lane<S> {
     }
 
     /// Sends the samples in `batcher` as those of `sensor`.
-    pub(super) fn send<B: Sample, M: RawMutex>(
+    pub(crate) fn send<B: Sample, M: RawMutex>(
         &self,
         shared: &Common<M>,
         sensor: u8,
@@ -111,7 +111,7 @@ impl<S: RawSample> Lane<S> {
     }
 }
 
-pub(super) struct Batcher<S> {
+pub(crate) struct Batcher<S> {
     samples: Vec<S, MAX_BATCH>,
     first_sequence: u32,
     first_time: DeviceTimeUs,
@@ -128,11 +128,11 @@ impl<S> Default for Batcher<S> {
 }
 
 impl<S: Sample> Batcher<S> {
-    pub(super) fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.samples.len()
     }
 
-    pub(super) fn add(&mut self, sequence: u32, time: DeviceTimeUs, sample: S) {
+    pub(crate) fn add(&mut self, sequence: u32, time: DeviceTimeUs, sample: S) {
         if self.samples.is_empty() {
             self.first_sequence = sequence;
             self.first_time = time;

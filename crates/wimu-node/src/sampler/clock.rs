@@ -12,17 +12,17 @@ const BELIEVABLE_PER_MILLE: u64 = 200;
 const JITTER_WEIGHT: u32 = 16;
 
 /// Times of the reads of a sensor.
-#[derive(Clone, Copy, Default)]
-pub(super) struct Reads {
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Reads {
     /// Time of the latest sample.
     pub(super) last: Option<DeviceTimeUs>,
     /// The sensor has failed since the last sample, so its queue was restarted.
-    pub(super) broken: bool,
+    pub(crate) broken: bool,
 }
 
 impl Reads {
     /// Samples lost between the last one and this read of `count` samples, one every `period`.
-    pub(super) fn missed_before(&self, read: &Batch, count: usize, period: PeriodNs) -> u32 {
+    pub(crate) fn missed_before(&self, read: &Batch, count: usize, period: PeriodNs) -> u32 {
         let Some(last) = self.last else {
             return 0;
         };
@@ -39,20 +39,20 @@ impl Reads {
 
     /// Mean time between the samples of a read that follows the latest sample without a gap, ns; `None` if there
     /// was no sample before it.
-    pub(super) fn spacing_ns(&self, read: &Batch) -> Option<u64> {
+    pub(crate) fn spacing_ns(&self, read: &Batch) -> Option<u64> {
         let last = self.last.filter(|last| read.last_time > *last)?;
         let since = read.last_time.0.saturating_sub(last.0);
         since.checked_mul(1000)?.checked_div(read.count as u64)
     }
 
-    pub(super) fn count(&mut self, last: DeviceTimeUs) {
+    pub(crate) fn count(&mut self, last: DeviceTimeUs) {
         self.last = Some(last);
         self.broken = false;
     }
 }
 
 /// Time of the sample `newer` samples before the newest of a read.
-pub(super) fn sample_time(read: &Batch, newer: usize, spacing_ns: u64) -> DeviceTimeUs {
+pub(crate) fn sample_time(read: &Batch, newer: usize, spacing_ns: u64) -> DeviceTimeUs {
     let before_us = (newer as u64).saturating_mul(spacing_ns) / 1000;
     DeviceTimeUs(read.last_time.0.saturating_sub(before_us))
 }

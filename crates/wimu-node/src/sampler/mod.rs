@@ -1,8 +1,7 @@
 //! Samples: read, number, correct, integrate, pack.
 
-mod batches;
-mod clock;
-mod secondary;
+pub(crate) mod batches;
+pub(crate) mod clock;
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use wimu_integrator::{Config, FieldMean, Integrator, Phase, Transition};
@@ -15,7 +14,6 @@ use wimu_model::{DeviceTimeUs, MagneticFieldNt, PeriodNs};
 
 use self::batches::Lane;
 use self::clock::SampleClock;
-use self::secondary::Secondary;
 use crate::sample::RawSample;
 use crate::sample::sealed::Process as _;
 use crate::sensor::{Batch, InertialSensor, Plan, SensorFault, SensorPlan, Surroundings};
@@ -28,7 +26,7 @@ const MAX_READ: usize = 32;
 const NAVIGATION_NS: u32 = 100_000_000;
 /// Minimum age of an epoch, µs, after which the next end of a detector window begins a new one. The state is
 /// shortest there.
-const EPOCH_DUE_US: u64 = 800_000;
+pub(crate) const EPOCH_DUE_US: u64 = 800_000;
 /// Age of an epoch, µs, from which any sample begins a new one: less than the 1 s that hosts expect.
 const EPOCH_LATEST_US: u64 = 950_000;
 /// Interval between reads of magnetic field and temperature, µs.
@@ -45,8 +43,6 @@ pub struct Sampler<'a, A: InertialSensor, T, M: RawMutex> {
     shared: &'a Common<M>,
     orders: &'a Orders<M, A::Sample>,
     lanes: [Lane<A::Sample>; 2],
-    /// Sensors 1 to 3.
-    secondary: [Secondary; 3],
     next_sequence: u32,
     /// Epochs sent on both links, modulo 256.
     epochs: u8,
@@ -78,7 +74,6 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             shared: &shared.common,
             orders: &shared.orders,
             lanes: [Lane::default(), Lane::default()],
-            secondary: [Secondary::default(); 3],
             next_sequence: 0,
             epochs: 0,
             next_surroundings: DeviceTimeUs(0),
@@ -154,7 +149,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             (Ok(()), Some(Order::Configure(plan, correction))) => {
                 *running = Running::new(plan, correction, EpochReason::Settings);
                 self.lanes = Lane::of(&plan.settings);
-                self.secondary.iter_mut().for_each(Secondary::restart);
+                self.restart_secondary(EpochReason::Settings);
             }
             // The state of the sensor is unknown: `retry` configures it under the previous plan.
             (Err(fault), _) => self.fail(running, fault),
@@ -224,13 +219,10 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         read: Batch,
         samples: &[A::Sample],
     ) {
-        let Some(plan) = self.sensor.secondary(&running.plan, read.sensor) else {
-            return;
-        };
         let index = usize::from(read.sensor).wrapping_sub(1);
-        if let Some(secondary) = self.secondary.get_mut(index) {
+        if let Some(secondary) = self.sensor.secondary().get_mut(index) {
             let temperature = running.correction.temperature.map(|t| t.0);
-            secondary.process(&plan, &read, samples, &self.lanes, self.shared, temperature);
+            secondary.process(&read, samples, &self.lanes, self.shared, temperature);
         }
     }
 
@@ -356,13 +348,19 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         }
     }
 
+    fn restart_secondary(&mut self, reason: EpochReason) {
+        for secondary in self.sensor.secondary() {
+            secondary.restart(reason);
+        }
+    }
+
     /// The sensor has failed: sends the samples read so far, marks a gap and schedules a restart.
     fn fail(&mut self, running: &mut Running<A::Sample>, fault: SensorFault) {
         self.flush();
         running.integrator.gap();
         running.begin_epoch(EpochReason::Gap);
         running.clock.reads.broken = true;
-        self.secondary.iter_mut().for_each(Secondary::restart);
+        self.restart_secondary(EpochReason::Gap);
         running.lost = true;
         self.shared.publish(|published| {
             let errors = &mut published.sensor.bus_errors;
@@ -407,7 +405,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
     }
 }
 
-fn epoch_gyroscope(plan: &SensorPlan) -> Option<EpochGyroscope> {
+pub(crate) fn epoch_gyroscope(plan: &SensorPlan) -> Option<EpochGyroscope> {
     plan.gyroscope.map(|gyroscope| EpochGyroscope {
         rad_s_per_lsb: gyroscope.rad_s_per_lsb,
         full_scale: gyroscope.full_scale,

@@ -3,89 +3,432 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use wimu_calib::Parameter;
+use wimu_link::message::parameter_id;
 use wimu_model::{
-    Alignment, ErrorModel, ErrorTerms, MagnetometerModel, ParameterSet, STANDARD_GRAVITY_MPS2,
+    Alignment, CalibratedTemperature, CalibrationMethod, CalibrationQuality, ErrorModel,
+    ErrorTerms, GyroscopeParameters, MagnetometerModel, ModelCovariance, ParameterSet,
+    QualityTerms, RotationCovariance, STANDARD_GRAVITY_MPS2, Sensitivity, SensorId, TermDeviations,
 };
 
 use super::Source;
+use super::file_v1::{self, SCHEMAS_V1};
 use super::range::Range;
-use super::report::{CalibrationReport, HELD_SCHEMA};
 use crate::OutputFile;
 use crate::csv::AccelerationUnit;
 use crate::error::{ErrorCode, HostError, Result};
 
-/// Reads the parameters of a calibration file, for a board.
+/// How to make a file that can be read.
+pub(super) const REMEDY: &str = "make it with `wimu calibrate … -o CAL.json`";
+
+/// A calibration that has no sensitivity of a board.
+pub(super) const NOT_FOR_A_BOARD: &str = "it has no parameters for a board";
+pub(super) const SENSITIVITY_REMEDY: &str =
+    "calibrate again with --sensitivity, the nominal LSB/g of the board's range";
+
+/// A calibration file: every value once.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct CalibrationFile {
+    /// [`CalibrationFile::SCHEMA`].
+    schema: String,
+    /// The sensors of a board.
+    pub sensors: Vec<StoredSensor>,
+}
+
+/// A sensor in a calibration file.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct StoredSensor {
+    /// Its index on its board, from 0.
+    pub index: u8,
+    /// Its type, as numbered in the protocol; null if unknown.
+    pub sensor: Option<SensorId>,
+    /// Sensor axes to body axes, quaternion W, X, Y, Z.
+    pub alignment_wxyz: Alignment,
+    /// Covariance of the alignment's error about body axes, rad²; null if not measured.
+    pub alignment_covariance: Option<Covariance>,
+    /// Its accelerometer.
+    pub accelerometer: StoredAccelerometer,
+    /// Its gyroscope; null if it has none, or one that is uncalibrated.
+    pub gyroscope: Option<GyroscopeParameters>,
+    /// The magnetometer beside it; null if uncalibrated.
+    pub magnetometer: Option<MagnetometerModel>,
+    /// Id of its parameter set; null without parameters for a board. A file with another one was edited.
+    parameter_id: Option<String>,
+}
+
+/// An accelerometer in a calibration file.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct StoredAccelerometer {
+    /// Unit of the output that was calibrated: `LSB`, or `m/s²` for g too.
+    pub unit: String,
+    /// Full-scale range, ± *g*; null if unknown.
+    pub range_g: Option<u8>,
+    /// Source of the range.
+    pub range_source: Option<Source>,
+    /// Nominal sensitivity, LSB/*g*; null for data in m/s² where none was given.
+    pub sensitivity_lsb_per_g: Option<f64>,
+    /// The error model, sensor axes.
+    pub model: ErrorTerms,
+    /// Its uncertainty; null if it was not estimated.
+    pub quality: Option<StoredQuality>,
+    /// Where the data come from, in order.
+    pub sessions: Vec<Session>,
+}
+
+/// Uncertainty of an error model in a calibration file, as in [`QualityTerms`].
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct StoredQuality {
+    method: CalibrationMethod,
+    /// Temperatures of the data, between which the model is valid.
+    temperature: Option<CalibratedTemperature>,
+    dof: u32,
+    rms_mps2: f32,
+    loo_rms_mps2: Option<f32>,
+    condition: Option<f32>,
+    covariance: Covariance,
+    other_sd: TermDeviations,
+}
+
+/// Data of a calibration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Session {
+    /// When it was made, s since 1970 UTC.
+    pub utc_s: Option<u64>,
+    /// The file or link.
+    pub file: Option<String>,
+    /// Number of poses.
+    pub poses: u32,
+}
+
+/// Poses of all sessions.
+fn total(sessions: &[Session]) -> u32 {
+    let poses = sessions.iter().map(|session| session.poses);
+    poses.fold(0, u32::saturating_add)
+}
+
+/// A covariance matrix L Lᵀ and the order of its parameters.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Covariance {
+    order: Vec<String>,
+    /// L, lower triangular, row by row: exactly as a board stores it.
+    cholesky: Vec<Vec<f32>>,
+}
+
+impl Covariance {
+    fn new<const N: usize>(order: [String; N], factor: &[f32]) -> Self {
+        let row = |row: usize| factor.iter().skip(row * (row + 1) / 2).take(row + 1);
+        Self {
+            order: order.into(),
+            cholesky: (0..N).map(|n| row(n).copied().collect()).collect(),
+        }
+    }
+
+    /// The elements of L, if it has this order.
+    fn factor<const N: usize>(&self, order: [String; N]) -> std::result::Result<Vec<f32>, String> {
+        let rows = self.cholesky.iter().map(Vec::len);
+        if self.order != order || !rows.eq(1..=N) {
+            return Err(format!("a covariance is not one of {}", order.join(", ")));
+        }
+        Ok(self.cholesky.concat())
+    }
+
+    fn of_model(&self) -> std::result::Result<ModelCovariance, String> {
+        let factor = self.factor(model_order())?;
+        let mut rows = [[0.0; 13]; 6];
+        rows.as_flattened_mut().copy_from_slice(&factor);
+        ModelCovariance::from_factor(rows).map_err(|error| error.to_string())
+    }
+
+    fn of_rotation(&self) -> std::result::Result<RotationCovariance, String> {
+        let factor = self.factor(rotation_order())?;
+        let mut rows = [[0.0; 6]];
+        rows.as_flattened_mut().copy_from_slice(&factor);
+        RotationCovariance::from_factor(rows).map_err(|error| error.to_string())
+    }
+}
+
+/// The order of the covariance of an error model, and of an alignment.
+fn model_order() -> [String; Parameter::COUNT] {
+    Parameter::ALL.map(|parameter| parameter.to_string())
+}
+
+fn rotation_order() -> [String; 3] {
+    ["X", "Y", "Z"].map(|axis| format!("rotation about {axis}"))
+}
+
+impl CalibrationFile {
+    /// Name of the JSON object.
+    pub const SCHEMA: &'static str = "wimu.calibration/2";
+
+    /// The file of `set`, whose accelerometer was calibrated with the data of the sessions `before` and, if it has
+    /// more poses, with those of `source`.
+    pub fn new(set: &ParameterSet, before: &[Session], source: &str) -> Self {
+        let quality = set.quality.as_ref().map(CalibrationQuality::terms);
+        let poses = quality.map_or(0, |terms| terms.poses);
+        let known = total(before);
+        let mut sessions = before.to_vec();
+        if poses > known {
+            sessions.push(Session {
+                utc_s: quality.and_then(|terms| terms.utc_s),
+                file: Some(source.to_owned()),
+                poses: poses - known,
+            });
+        }
+        let mut sensor = StoredSensor {
+            index: set.sensor_index,
+            sensor: set.sensor,
+            alignment_wxyz: set.alignment,
+            alignment_covariance: set.alignment_covariance.map(|covariance| {
+                Covariance::new(rotation_order(), covariance.factor().as_flattened())
+            }),
+            accelerometer: StoredAccelerometer {
+                unit: AccelerationUnit::Lsb.as_str().to_owned(),
+                range_g: Some(set.range_g),
+                range_source: None,
+                sensitivity_lsb_per_g: Some(set.sensitivity.lsb_per_g()),
+                model: *set.model.terms(),
+                quality: quality.map(StoredQuality::new),
+                sessions,
+            },
+            gyroscope: set.gyroscope,
+            magnetometer: set.magnetometer,
+            parameter_id: None,
+        };
+        sensor.seal();
+        Self {
+            schema: Self::SCHEMA.to_owned(),
+            sensors: vec![sensor],
+        }
+    }
+
+    /// The file of an accelerometer that may have no parameters for a board.
+    pub(super) fn of_model(
+        model: ErrorModel,
+        quality: Option<CalibrationQuality>,
+        sensor: Option<SensorId>,
+        unit: AccelerationUnit,
+        lsb_per_g: Option<f64>,
+        range: Option<Range>,
+        source: &str,
+    ) -> Option<Self> {
+        // Any in bounds: replaced below.
+        let sensitivity = Sensitivity::from_lsb_per_g(16384.0).ok()?;
+        let set = ParameterSet {
+            model,
+            quality,
+            sensor,
+            ..ParameterSet::uncalibrated(1, sensitivity)
+        };
+        let mut file = Self::new(&set, &[], source);
+        let entry = file.sensors.first_mut()?;
+        let stored = &mut entry.accelerometer;
+        stored.unit = unit.as_str().to_owned();
+        stored.sensitivity_lsb_per_g = lsb_per_g;
+        stored.range_g = range.map(|range| range.g);
+        stored.range_source = range.map(|range| range.source);
+        entry.seal();
+        Some(file)
+    }
+
+    /// Writes it.
+    ///
+    /// # Errors
+    /// `file_failed`, `file_unreadable`.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let json = serde_json::to_string_pretty(self).map_err(|error| {
+            ErrorCode::FileFailed.error(
+                format!("the calibration cannot be written as JSON: {error}"),
+                "report this as a fault of wimu",
+            )
+        })?;
+        OutputFile::write(path, json + "\n")
+    }
+
+    /// The sensor that a device corrects: that with index 0, else the first.
+    fn sensor(&self) -> std::result::Result<&StoredSensor, String> {
+        let mut sensors = self.sensors.iter();
+        let first = sensors.clone().find(|sensor| sensor.index == 0);
+        let first = first.or_else(|| sensors.next());
+        first.ok_or_else(|| "it has no sensor".to_owned())
+    }
+}
+
+impl StoredQuality {
+    fn new(terms: &QualityTerms) -> Self {
+        Self {
+            method: terms.method,
+            temperature: terms.temperature,
+            dof: terms.dof,
+            rms_mps2: terms.rms_mps2,
+            loo_rms_mps2: terms.loo_rms_mps2,
+            condition: terms.condition,
+            covariance: Covariance::new(model_order(), terms.covariance.factor().as_flattened()),
+            other_sd: terms.other_sd,
+        }
+    }
+
+    fn read(&self, sessions: &[Session]) -> std::result::Result<CalibrationQuality, String> {
+        CalibrationQuality::new(QualityTerms {
+            method: self.method,
+            utc_s: sessions.last().and_then(|session| session.utc_s),
+            temperature: self.temperature,
+            poses: total(sessions),
+            dof: self.dof,
+            rms_mps2: self.rms_mps2,
+            loo_rms_mps2: self.loo_rms_mps2,
+            condition: self.condition,
+            covariance: self.covariance.of_model()?,
+            other_sd: self.other_sd,
+        })
+        .map_err(|error| error.to_string())
+    }
+}
+
+impl StoredSensor {
+    fn model(&self) -> std::result::Result<ErrorModel, String> {
+        ErrorModel::new(self.accelerometer.model).map_err(|error| error.to_string())
+    }
+
+    /// Names the set that it holds.
+    fn seal(&mut self) {
+        let id = self.values().map(|set| parameter_id(&set).to_string());
+        self.parameter_id = id.ok();
+    }
+
+    /// The set for a board.
+    fn set(&self) -> std::result::Result<ParameterSet, String> {
+        let set = self.values()?;
+        match &self.parameter_id {
+            Some(id) if *id == parameter_id(&set).to_string() => Ok(set),
+            _ => Err("the file was edited: its values and parameter_id differ".to_owned()),
+        }
+    }
+
+    /// The gyroscope, whose range and sensitivity have not been checked at reading.
+    fn gyroscope(&self) -> std::result::Result<Option<GyroscopeParameters>, String> {
+        let gyroscope = self.gyroscope.map(|gyroscope| {
+            let GyroscopeParameters {
+                range_dps,
+                rad_s_per_lsb,
+                model,
+                sd,
+                ..
+            } = gyroscope;
+            GyroscopeParameters::new(range_dps, rad_s_per_lsb, model, sd)
+        });
+        gyroscope.transpose().map_err(|error| error.to_string())
+    }
+
+    fn values(&self) -> std::result::Result<ParameterSet, String> {
+        let accelerometer = &self.accelerometer;
+        let (Some(range_g), Some(lsb_per_g)) =
+            (accelerometer.range_g, accelerometer.sensitivity_lsb_per_g)
+        else {
+            let why = match accelerometer.sensitivity_lsb_per_g {
+                Some(own) => format!("{own:.1} LSB/g is outside the range of boards"),
+                None => "its data were in m/s² or g".to_owned(),
+            };
+            return Err(format!("{NOT_FOR_A_BOARD}: {why}"));
+        };
+        let sensitivity = Sensitivity::from_lsb_per_g(lsb_per_g);
+        let quality = accelerometer.quality.as_ref();
+        let covariance = self.alignment_covariance.as_ref();
+        Ok(ParameterSet {
+            model: self.model()?,
+            quality: quality
+                .map(|quality| quality.read(&accelerometer.sessions))
+                .transpose()?,
+            alignment: self.alignment_wxyz,
+            alignment_covariance: covariance.map(Covariance::of_rotation).transpose()?,
+            magnetometer: self.magnetometer,
+            sensor: self.sensor,
+            sensor_index: self.index,
+            gyroscope: self.gyroscope()?,
+            ..ParameterSet::uncalibrated(range_g, sensitivity.map_err(|e| e.to_string())?)
+        })
+    }
+}
+
+/// A file of either schema.
+enum Read {
+    V1(String),
+    V2(CalibrationFile),
+}
+
+fn read(path: &Path) -> Result<Read> {
+    #[derive(Deserialize)]
+    struct Head {
+        schema: Option<String>,
+    }
+    let name = path.display().to_string();
+    let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
+    let head: Head = parse(&name, &text)?;
+    let schema = head.schema.as_deref();
+    if schema == Some(CalibrationFile::SCHEMA) {
+        return Ok(Read::V2(parse(&name, &text)?));
+    }
+    if schema.is_some_and(|schema| SCHEMAS_V1.contains(&schema)) {
+        return Ok(Read::V1(text));
+    }
+    let schema = schema.unwrap_or("missing");
+    let remedy = match schema.starts_with("wimu.calibration/") {
+        true => "update wimu on this computer",
+        false => REMEDY,
+    };
+    let message = format!("its schema is {schema}, not {}", CalibrationFile::SCHEMA);
+    Err(ErrorCode::BadCalibration.error(message, remedy).at(name))
+}
+
+pub(super) fn parse<'a, T: Deserialize<'a>>(name: &str, text: &'a str) -> Result<T> {
+    serde_json::from_str(text).map_err(|error| {
+        let at = format!("{name} line {}, column {}", error.line(), error.column());
+        let message = format!("this is not a calibration file: {error}");
+        ErrorCode::BadCalibration.error(message, REMEDY).at(at)
+    })
+}
+
+/// The error of a file whose values are not a calibration.
+fn invalid(path: &Path) -> impl Fn(String) -> HostError {
+    move |message| {
+        let remedy = match message.starts_with(NOT_FOR_A_BOARD) {
+            true => SENSITIVITY_REMEDY,
+            false => "undo the change, or calibrate again",
+        };
+        ErrorCode::BadCalibration
+            .error(message, remedy)
+            .at(path.display().to_string())
+    }
+}
+
+/// Reads the parameters of a calibration file, for a board: those of the sensor with index 0, else of the first.
 ///
 /// # Errors
 /// `file_unreadable`; `bad_calibration` when it is not a calibration, was refused, has no sensitivity
 /// or contains numbers that are out of bounds.
 pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
-    #[derive(Deserialize)]
-    struct File {
-        schema: Option<String>,
-        status: Option<String>,
-        reason: Option<String>,
-        parameters: Option<ParameterSet>,
-        parameter_id: Option<String>,
-        model: Option<ErrorTerms>,
-        sensitivity_lsb_per_g: Option<f64>,
+    match read(path)? {
+        Read::V1(text) => file_v1::parameters(&path.display().to_string(), &text),
+        Read::V2(file) => file
+            .sensor()
+            .and_then(StoredSensor::set)
+            .map_err(invalid(path)),
     }
-    let name = path.display().to_string();
-    let bad = |message: String, remedy: &str| ErrorCode::BadCalibration.error(message, remedy);
-    let held = |file: &File| file.schema.as_deref() == Some(HELD_SCHEMA);
-    let make = "make it with `wimu calibrate … -o CAL.json`";
-    let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
-    let file: File = serde_json::from_str(&text).map_err(|error| {
-        bad(format!("this is not a calibration file: {error}"), make).at(format!(
-            "{name} line {}, column {}",
-            error.line(),
-            error.column()
-        ))
-    })?;
-    if file.schema.as_deref() != Some(CalibrationReport::SCHEMA) && !held(&file) {
-        return Err(bad(
-            format!(
-                "its schema is {}, not {}",
-                file.schema.as_deref().unwrap_or("missing"),
-                CalibrationReport::SCHEMA
-            ),
-            make,
-        )
-        .at(name));
+}
+
+/// The sessions of the calibration `set`: those in the file `path` that it was read from, if there is one.
+pub fn sessions(path: Option<&Path>, set: &ParameterSet) -> Vec<Session> {
+    if let Some(Ok(Read::V2(file))) = path.map(read)
+        && let Ok(sensor) = file.sensor()
+    {
+        return sensor.accelerometer.sessions.clone();
     }
-    if file.status.as_deref() != Some("ok") {
-        let reason = file
-            .reason
-            .unwrap_or_else(|| "no reason is given".to_owned());
-        return Err(bad(
-            format!("the calibration was refused: {reason}"),
-            "calibrate again with other poses",
-        )
-        .at(name));
-    }
-    let has_model = !held(&file);
-    let set = file.parameters.ok_or_else(|| {
-        let why = match file.sensitivity_lsb_per_g {
-            Some(own) => format!("{own:.1} LSB/g is outside the range of boards"),
-            None => "its data were in m/s² or g".to_owned(),
-        };
-        bad(
-            format!("it has no parameters for a board: {why}"),
-            "calibrate again with --sensitivity, the nominal LSB/g of the board's range",
-        )
-        .at(&name)
-    })?;
-    // The file contains the model twice; where both differ, it is unknown which one is meant.
-    let id_agrees =
-        file.parameter_id.as_deref() == Some(&wimu_link::message::parameter_id(&set).to_string());
-    if !id_agrees || (has_model && file.model.as_ref() != Some(set.model.terms())) {
-        return Err(bad(
-            "the file was edited: its model, parameters and parameter_id differ".to_owned(),
-            "undo the change, or calibrate again",
-        )
-        .at(name));
-    }
-    Ok(set)
+    let quality = set.quality.iter().map(CalibrationQuality::terms);
+    let session = |terms: &QualityTerms| Session {
+        utc_s: terms.utc_s,
+        file: None,
+        poses: terms.poses,
+    };
+    quality.map(session).collect()
 }
 
 /// The error model in a calibration file.
@@ -104,6 +447,8 @@ pub struct StoredModel {
     pub alignment: Alignment,
     /// Model of the magnetometer beside it.
     pub magnetometer: Option<MagnetometerModel>,
+    /// Model of the gyroscope, for its counts.
+    pub gyroscope: Option<GyroscopeParameters>,
 }
 
 /// Reads the error model of a calibration file, of any sensor.
@@ -112,88 +457,51 @@ pub struct StoredModel {
 /// `file_unreadable`; `bad_calibration` when it is not a calibration, was refused, or contains numbers that are
 /// out of bounds.
 pub fn read_model(path: &Path) -> Result<StoredModel> {
-    #[derive(Deserialize)]
-    struct File {
-        schema: Option<String>,
-        status: Option<String>,
-        unit: Option<String>,
-        model: Option<ErrorModel>,
-        sd: Option<ErrorTerms>,
-        sensitivity_lsb_per_g: Option<f64>,
-        parameters: Option<serde_json::Value>,
-    }
-    let name = path.display().to_string();
-    let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
-    let file = serde_json::from_str::<File>(&text).ok();
-    let of_counts = match file.as_ref().and_then(|file| file.unit.as_deref()) {
-        Some(unit) => unit == AccelerationUnit::Lsb.as_str(),
-        // A board's, or a file of an earlier version.
-        None => file.as_ref().is_none_or(|file| {
-            let parameters = file.parameters.as_ref().is_some_and(|p| !p.is_null());
-            parameters || file.sensitivity_lsb_per_g.is_some()
-        }),
+    let file = match read(path)? {
+        Read::V1(text) => return file_v1::model(&path.display().to_string(), &text),
+        Read::V2(file) => file,
     };
-    let bias_sd_mps2 = file.as_ref().and_then(|f| f.sd).map_or(0.0, |sd| {
-        let of_axis = |axis: usize| {
-            let row = sd.matrix[axis].iter().map(|s| s * STANDARD_GRAVITY_MPS2);
-            row.fold(sd.bias_mps2[axis], f64::hypot)
-        };
-        (0..3).map(of_axis).fold(0.0, f64::max)
-    });
-    let plain = file.filter(|file| {
-        file.schema.as_deref() == Some(CalibrationReport::SCHEMA)
-            && file.status.as_deref() == Some("ok")
-            && file
-                .parameters
-                .as_ref()
-                .is_none_or(serde_json::Value::is_null)
-    });
-    match plain {
-        Some(File {
-            model: Some(model),
-            sensitivity_lsb_per_g,
-            ..
-        }) => Ok(StoredModel {
-            model,
-            sensitivity_lsb_per_g,
-            of_counts,
-            bias_sd_mps2,
-            alignment: Alignment::IDENTITY,
-            magnetometer: None,
-        }),
-        // It contains a board's parameters, or an error.
-        _ => read_parameters(path).map(|set| StoredModel {
-            model: set.model,
-            sensitivity_lsb_per_g: Some(set.sensitivity.lsb_per_g()),
-            of_counts,
-            bias_sd_mps2,
-            alignment: set.alignment,
-            magnetometer: set.magnetometer,
-        }),
-    }
+    let stored = |sensor: &StoredSensor| {
+        let accelerometer = &sensor.accelerometer;
+        let quality = accelerometer.quality.as_ref();
+        let covariance = quality.map(|quality| quality.covariance.of_model());
+        let covariance = covariance.transpose()?;
+        Ok(StoredModel {
+            model: sensor.model()?,
+            sensitivity_lsb_per_g: accelerometer.sensitivity_lsb_per_g,
+            of_counts: accelerometer.unit == AccelerationUnit::Lsb.as_str(),
+            bias_sd_mps2: covariance.map_or(0.0, |known| worst_sd(|place| known.sd(place))),
+            alignment: sensor.alignment_wxyz,
+            magnetometer: sensor.magnetometer,
+            gyroscope: sensor.gyroscope()?,
+        })
+    };
+    file.sensor().and_then(stored).map_err(invalid(path))
+}
+
+/// Standard deviation of the specific force at 1 *g* on the worst axis, m/s², from those of the parameters.
+pub(super) fn worst_sd(sd: impl Fn(usize) -> f64) -> f64 {
+    let of_axis = |axis: usize| {
+        let row = (3 + 3 * axis..6 + 3 * axis).map(|place| sd(place) * STANDARD_GRAVITY_MPS2);
+        row.fold(sd(axis), f64::hypot)
+    };
+    (0..3).map(of_axis).fold(0.0, f64::max)
 }
 
 /// Remark on a calibration file whose range was assumed.
 pub fn range_remark(path: &Path, set: &ParameterSet) -> Option<String> {
-    let text = std::fs::read_to_string(path).ok()?;
-    let file: serde_json::Value = serde_json::from_str(&text).ok()?;
+    let assumed = match read(path).ok()? {
+        Read::V1(text) => {
+            let file: serde_json::Value = serde_json::from_str(&text).ok()?;
+            file["range_source"] == "sixteen_bits"
+        }
+        Read::V2(file) => {
+            file.sensor().ok()?.accelerometer.range_source == Some(Source::SixteenBits)
+        }
+    };
     let likely = Range {
         g: set.range_g,
         source: Source::SixteenBits,
     };
-    (file["range_source"] == "sixteen_bits").then(|| likely.remark(set.sensitivity))?
-}
-
-/// Writes a report as the file that [`read_parameters`] reads.
-///
-/// # Errors
-/// `file_failed`, `file_unreadable`.
-pub fn write_report(path: &Path, report: &impl Serialize) -> Result<()> {
-    let json = serde_json::to_string_pretty(report).map_err(|error| {
-        ErrorCode::FileFailed.error(
-            format!("the report cannot be written as JSON: {error}"),
-            "report this as a fault of wimu",
-        )
-    })?;
-    OutputFile::write(path, json + "\n")
+    assumed.then(|| likely.remark(set.sensitivity))?
 }

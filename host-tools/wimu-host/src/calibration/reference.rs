@@ -14,7 +14,8 @@ use wimu_model::{
 use super::input::{magnitude, median};
 use super::paired::Paired;
 use super::range::Range;
-use super::{CalibrationReport, Source};
+use super::{CalibrationFile, CalibrationReport, Source};
+use crate::csv::AccelerationUnit;
 use crate::digits::{signed_with_sd, with_sd};
 use crate::error::{ErrorCode, Result};
 use crate::plural::counted;
@@ -52,7 +53,7 @@ pub enum NoiseSource {
     Bounds,
 }
 
-/// The report of `wimu calibrate --method reference`, and the file that `wimu params push` reads.
+/// The report of `wimu calibrate --method reference`.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct ReferenceReport {
     /// [`CalibrationReport::SCHEMA`].
@@ -99,6 +100,9 @@ pub struct ReferenceReport {
     pub parameters: Option<ParameterSet>,
     /// Id of that set.
     pub parameter_id: Option<String>,
+    /// The calibration file.
+    #[serde(skip)]
+    pub file: Option<CalibrationFile>,
 }
 
 impl ReferenceReport {
@@ -251,9 +255,22 @@ pub fn compare_with_reference(
     let board = data.sensitivity.zip(range);
     report.range_source = board.map(|(_, range)| range.source);
     (report.remarks).extend(board.and_then(|(sensitivity, range)| range.remark(sensitivity)));
+    let quality = quality(&found, &covariance, utc_s);
+    report.file = CalibrationFile::of_model(
+        model,
+        quality,
+        data.sensor,
+        match data.sensitivity {
+            Some(_) => AccelerationUnit::Lsb,
+            None => AccelerationUnit::Mps2,
+        },
+        data.sensitivity.map(Sensitivity::lsb_per_g),
+        range.filter(|_| board.is_some()),
+        &data.name,
+    );
     report.parameters = board.map(|(sensitivity, range)| ParameterSet {
         model,
-        quality: quality(&found, &covariance, utc_s),
+        quality,
         sensor: data.sensor,
         ..ParameterSet::uncalibrated(range.g, sensitivity)
     });

@@ -2,17 +2,17 @@
 
 use std::fmt;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use wimu_calib::{Orientation, Parameter};
 use wimu_link::hello::sensor;
 use wimu_model::{CalibrationMethod, ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, SensorId};
 
-use super::{DatasheetReport, MethodChoice};
+use super::{CalibrationFile, DatasheetReport, MethodChoice};
 use crate::dataset::RateSource;
 use crate::plural::counted;
 
 /// Where a number comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Source {
     /// Given by the user.
@@ -138,7 +138,7 @@ pub struct StaticPose {
     pub residual_mm_s2: Option<f64>,
 }
 
-/// The result of a calibration: the JSON of `wimu calibrate`, and the file that `wimu params push` reads.
+/// The result of a calibration: the JSON of `wimu calibrate --json`, with the numbers of the fit.
 #[derive(Clone, Debug, Serialize)]
 pub struct CalibrationReport {
     /// [`CalibrationReport::SCHEMA`].
@@ -198,6 +198,9 @@ pub struct CalibrationReport {
     pub parameters: Option<ParameterSet>,
     /// Id of that set.
     pub parameter_id: Option<String>,
+    /// The calibration file.
+    #[serde(skip)]
+    pub file: Option<CalibrationFile>,
 }
 
 impl CalibrationReport {
@@ -505,6 +508,16 @@ pub fn describe(set: &ParameterSet) -> Vec<String> {
     lines.push(format!(
         "alignment quaternion (w x y z), sensor to body: {w:+.5} {x:+.5} {y:+.5} {z:+.5}{known}"
     ));
+    if let Some(gyroscope) = &set.gyroscope {
+        let [x, y, z] = gyroscope.model.terms().bias_rad_s;
+        let sd = gyroscope.sd.map_or(String::new(), |sd| {
+            format!(" ± {:.5} {:.5} {:.5} (1 σ)", sd[0], sd[1], sd[2])
+        });
+        lines.push(format!(
+            "gyroscope, ±{} °/s: bias {x:+.5} {y:+.5} {z:+.5}{sd} rad/s",
+            gyroscope.range_dps
+        ));
+    }
     match &set.magnetometer {
         None => lines.push("magnetometer not calibrated: no heading".to_owned()),
         Some(model) => {

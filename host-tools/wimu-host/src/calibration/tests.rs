@@ -1,9 +1,12 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use wimu_calib::Orientation;
 use wimu_link::message::{Epoch, EpochReason};
 use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry, batch};
-use wimu_model::{Counts, DeviceTimeUs, ErrorModel, ErrorTerms, SpecificForceMps2};
+use wimu_model::{
+    Alignment, Counts, DeviceTimeUs, ErrorModel, ErrorTerms, GyroscopeModel, GyroscopeParameters,
+    GyroscopeTerms, RotationCovariance, SpecificForceMps2,
+};
 use wimu_testkit::Random;
 
 use super::range::likely_range_g;
@@ -238,12 +241,21 @@ fn a_calibration_file_comes_back_bit_for_bit_and_others_are_refused() {
     let path = folder.join("CAL.json");
     let data = pose_means(UNKNOWN_COUNTS, 208.937_123);
     let report = calibrate(&data, &CalibrateOptions::default()).unwrap();
-    write_report(&path, &report).unwrap();
-    let set = read_parameters(&path).unwrap();
-    assert_eq!(Some(set), report.parameters);
-    assert_eq!(report.parameter_id, Some(parameter_id(&set).to_string()));
-
+    let same = |path: &Path| {
+        let set = read_parameters(path).unwrap();
+        assert_eq!(Some(set), report.parameters);
+        assert_eq!(report.parameter_id, Some(parameter_id(&set).to_string()));
+        let model = read_model(path).unwrap();
+        assert_eq!((model.model, model.of_counts), (set.model, true));
+        model.bias_sd_mps2
+    };
+    report.file.as_ref().unwrap().write(&path).unwrap();
+    let sd = same(&path);
     let good = std::fs::read_to_string(&path).unwrap();
+    // A report has the form of schema 1.
+    let report_1 = serde_json::to_string(&report).unwrap();
+    std::fs::write(&path, &report_1).unwrap();
+    assert!((same(&path) - sd).abs() < 1e-5 * sd, "{sd}");
     let refused = calibrate(
         &Dataset {
             outputs: data.outputs[..3].to_vec(),
@@ -261,14 +273,31 @@ fn a_calibration_file_comes_back_bit_for_bit_and_others_are_refused() {
         ("{".to_owned(), "not a calibration"),
         ("{\"status\": \"ok\"}".to_owned(), "schema is missing"),
         (
-            good.replace("calibration/1", "calibration/9"),
+            good.replace("calibration/2", "calibration/9"),
             "calibration/9",
         ),
-        (good.replace("\"range_g\"", "\"range\""), "range_g"),
         (
-            good.replace("\"sensitivity\":", "\"sensitivity\": 1e9, \"x\":"),
+            good.replace("\"range_g\"", "\"range\""),
+            "no parameters for a board",
+        ),
+        (
+            good.replace("lsb_per_g\":", "lsb_per_g\": 1e9, \"x\":"),
             "1000000000",
         ),
+        (good.replace("\"bias X\"", "\"bias Y\""), "a covariance"),
+        (
+            good.replace("\"condition\":", "\"condition\": -1, \"x\":"),
+            "condition",
+        ),
+        (
+            good.replace("\"sensors\":", "\"sensors\": [], \"x\":"),
+            "no sensor",
+        ),
+        (
+            good.replace("\"accelerometer\":", "\"x\":"),
+            "accelerometer",
+        ),
+        (report_1.replace("\"range_g\"", "\"range\""), "range_g"),
         (
             serde_json::to_string(&refused).unwrap(),
             "was refused: 3 static poses",
@@ -286,6 +315,77 @@ fn a_calibration_file_comes_back_bit_for_bit_and_others_are_refused() {
     }
     let error = read_parameters(&folder.join("absent.json")).unwrap_err();
     assert_eq!(error.code(), ErrorCode::FileUnreadable);
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+/// A set with everything, of the second sensor of a board.
+fn six_axes(set: &ParameterSet) -> ParameterSet {
+    let gyroscope = GyroscopeTerms {
+        bias_rad_s: [0.01, -0.02, 0.03],
+        ..GyroscopeTerms::default()
+    };
+    let gyroscope = GyroscopeModel::new(gyroscope).unwrap();
+    let covariance = [[4e-6, 1e-6, 0.0], [1e-6, 9e-6, 0.0], [0.0, 0.0, 1e-4]];
+    ParameterSet {
+        sensor_index: 1,
+        gyroscope: GyroscopeParameters::new(500, 0.0003, gyroscope, Some([0.001; 12])).ok(),
+        alignment: Alignment::from_quaternion([0.9, 0.1, -0.2, 0.3]).unwrap(),
+        alignment_covariance: RotationCovariance::from_matrix(&covariance).ok(),
+        ..*set
+    }
+}
+
+#[test]
+fn a_file_holds_several_sensors_and_the_sessions_of_each() {
+    let folder = std::env::temp_dir().join(format!("wimu-host-six-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("CAL.json");
+    let data = pose_means(UNKNOWN_COUNTS, 208.937_123);
+    let report = calibrate(&data, &CalibrateOptions::default()).unwrap();
+    let first = report.parameters.unwrap();
+    let second = six_axes(&first);
+    let mut file = CalibrationFile::new(&second, &[], "second.csv");
+    file.write(&path).unwrap();
+    assert_eq!(read_parameters(&path).unwrap(), second);
+    let before = sessions(Some(&path), &second);
+    let poses = first.quality.unwrap().terms().poses;
+    let session = Session {
+        utc_s: None,
+        file: Some("second.csv".to_owned()),
+        poses,
+    };
+    assert_eq!(before, [session]);
+    // Without new poses the sessions stay; with some there is another.
+    let again = CalibrationFile::new(&second, &before, "third.csv");
+    assert_eq!(again.sensors[0].accelerometer.sessions, before);
+    let more = [Session {
+        poses: 3,
+        ..before[0].clone()
+    }];
+    let updated = &CalibrationFile::new(&second, &more, "third.csv").sensors[0];
+    assert_eq!(updated.accelerometer.sessions.len(), 2);
+    assert_eq!(updated.accelerometer.sessions[1].poses, poses - 3);
+    // A board takes the set of sensor 0, wherever it stands.
+    file.sensors.extend(report.file.unwrap().sensors);
+    file.write(&path).unwrap();
+    assert_eq!(read_parameters(&path).unwrap(), first);
+    let good = std::fs::read_to_string(&path).unwrap();
+    for (value, bad, part) in [
+        ("\"range_dps\": 500", "\"range_dps\": 0", "gyroscope range"),
+        (
+            "\"rad_s_per_lsb\": 0.0003",
+            "\"rad_s_per_lsb\": 3",
+            "gyroscope sensitivity",
+        ),
+        ("\"range_dps\": 500", "\"range_dps\": 250", "was edited"),
+    ] {
+        assert!(good.contains(value), "{good}");
+        // Then the second sensor is the first of those in the file.
+        let bad = good.replace(value, bad);
+        std::fs::write(&path, bad.replace("\"index\": 0", "\"index\": 2")).unwrap();
+        let error = read_parameters(&path).unwrap_err();
+        assert!(error.message().contains(part), "{part}: {error}");
+    }
     std::fs::remove_dir_all(&folder).unwrap();
 }
 

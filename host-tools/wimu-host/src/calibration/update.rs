@@ -26,7 +26,7 @@ pub struct RestReport {
     pub holds: bool,
 }
 
-/// The report of `wimu calibrate --method update`, and the file that `wimu params push` reads.
+/// The report of `wimu calibrate --method update`.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct UpdateReport {
     /// [`CalibrationReport::SCHEMA`].

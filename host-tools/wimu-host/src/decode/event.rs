@@ -74,6 +74,14 @@ impl Event {
         }
     }
 
+    /// The event itself, or that of a further sensor.
+    pub fn of_any_sensor(&self) -> &Self {
+        match self {
+            Self::Further(event) => event,
+            event => event,
+        }
+    }
+
     /// Index of the sensor of samples or an epoch.
     pub fn sensor(&self) -> Option<u8> {
         match self {

@@ -5,6 +5,7 @@ use wimu_link::{MAX_FRAME, Telemetry};
 use wimu_model::Counts;
 
 use super::anchor::MAX_AHEAD_US;
+use super::gaps::Gaps;
 use super::*;
 
 const PERIOD_US: u64 = 10_000;
@@ -123,6 +124,97 @@ fn sequences(events: &[Event]) -> Vec<u32> {
         }
     }
     found
+}
+
+/// Sensor 1 with its own numbers: `ahead` of those of sensor 0 at the same times.
+fn further_epoch(ahead: u32, sequence: u32) -> Vec<u8> {
+    let epoch = <Telemetry>::Epoch(Epoch {
+        sequence: sequence + ahead,
+        time_us: time(sequence),
+        period_ns: PERIOD_US as u32 * 1000,
+        range_g: 200,
+        sensitivity_lsb_per_g: 160.0,
+        full_scale: 32767,
+        sensor: 1,
+        ..Epoch::default()
+    });
+    framed(|frame| epoch.encode(frame))
+}
+
+fn further(ahead: u32, first: u32, count: u32) -> Vec<u8> {
+    let pair = |s| (Counts([s as i16; 3]), Counts([-(s as i16); 3]));
+    let samples: Vec<_> = (first..first + count).map(pair).collect();
+    let layout = batch::Layout {
+        sensor: 1,
+        every: std::num::NonZeroU8::MIN,
+    };
+    let at = DeviceTimeUs(time(first));
+    framed(|frame| batch::encode_with(layout, first + ahead, at, &samples, frame))
+}
+
+#[test]
+fn a_further_sensor_has_its_own_numbers_gaps_and_repeats() {
+    let mut decoder = Decoder::new();
+    let mut heard = Vec::new();
+    let mut late = Vec::new();
+    for (boot, ahead) in [(1, 70_000), (2, 5)] {
+        let frames = [
+            hello(boot),
+            further(ahead, 0, 8),
+            epoch(0, time(0)),
+            samples_of(boot as i16, 0, 16),
+            further_epoch(ahead, 0),
+            further(ahead, 16, 8),
+            samples_of(boot as i16, 16, 16),
+            further(ahead, 8, 8),
+            further(ahead, 16, 8),
+            further_epoch(ahead, 100),
+        ];
+        let events = decode(&mut decoder, &frames);
+        assert_eq!(sequences(&events), (0..32).collect::<Vec<_>>());
+        for event in events {
+            let Event::Further(event) = event else {
+                continue;
+            };
+            assert_eq!(event.sensor(), Some(1));
+            let (found, samples) = match *event {
+                Event::Samples(samples) => (&mut heard, samples),
+                Event::Late(samples) => (&mut late, samples),
+                _ => continue,
+            };
+            for sample in samples.iter() {
+                let number = sample.sequence - ahead;
+                assert_eq!(sample.time.0, time(number));
+                assert_eq!(sample.value, [number as i32; 3]);
+                assert_eq!(sample.rate, Some([-(number as i32); 3]));
+                found.push(number);
+            }
+        }
+    }
+    let once: Vec<_> = (0..8).chain(16..24).collect();
+    assert_eq!(heard, once.repeat(2));
+    assert_eq!(late, (8..16).collect::<Vec<_>>().repeat(2));
+    let statistics = decoder.statistics();
+    let further = StreamStatistics {
+        received: 32,
+        missing: 0,
+        duplicated: 16,
+        late: 16,
+    };
+    assert_eq!(statistics.further, further);
+    assert_eq!((statistics.raw.received, statistics.raw.missing), (64, 0));
+    assert_eq!(statistics.frames_rejected, 0);
+}
+
+#[test]
+fn an_epoch_of_an_impossible_sensor_is_unreadable() {
+    let mut decoder = Decoder::new();
+    let epoch = <Telemetry>::Epoch(Epoch {
+        sensor: 8,
+        ..Epoch::default()
+    });
+    let events = decode(&mut decoder, &[framed(|frame| epoch.encode(frame))]);
+    assert!(matches!(events[..], [Event::Unreadable(_)]), "{events:?}");
 }
 
 #[test]

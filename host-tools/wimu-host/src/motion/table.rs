@@ -174,13 +174,18 @@ impl MotionRecording {
                 .map(|flag| flag != 0.0);
             let time = row.time_ns.unwrap_or_default() as f64 * 1e-9;
             let field_ut = correction.field(&row, is_calibrated);
+            let force = correction.force(&row);
+            let rate_rad_s = match scale {
+                None => all(rate),
+                Some(scale) => all(rate)
+                    .zip(value(Some(scale)))
+                    .map(|(counts, nominal)| correction.rate(counts, nominal, force)),
+            };
             recording.samples.push(UnitSample {
                 step_s: time - last.unwrap_or(time),
-                force_mps2: correction.force(&row),
+                force_mps2: correction.turned(force),
                 field_ut,
-                rate_rad_s: all(rate)
-                    .zip(scale.map_or(Some(1.0), |scale| value(Some(scale))))
-                    .map(|(rate, unit)| correction.turned(rate.map(|axis| axis * unit))),
+                rate_rad_s: rate_rad_s.map(|rate| correction.turned(rate)),
             });
             recording.field_uncalibrated |= row.magnetic_field_ut.is_some() && field_ut.is_none();
             recording.times_s.push(time);
@@ -288,7 +293,7 @@ impl Correction {
         ))
     }
 
-    /// Specific force, m/s², body axes.
+    /// Specific force, m/s², sensor axes.
     fn force(&mut self, row: &Row) -> [f64; 3] {
         let output = row.accelerations.first().copied().unwrap_or_default();
         let output = output.map(|axis| axis * self.mps2_per_unit);
@@ -300,7 +305,18 @@ impl Correction {
         let force = stored
             .model
             .correct(SpecificForceMps2(output), self.temperature);
-        stored.alignment.rotate(force.0)
+        force.0
+    }
+
+    /// Angular rate, rad/s, sensor axes, from counts of a nominal scale, rad/s per LSB, at a specific force.
+    fn rate(&self, counts: [f64; 3], nominal: f64, force: [f64; 3]) -> [f64; 3] {
+        match self.stored.and_then(|stored| stored.gyroscope) {
+            Some(gyroscope) => {
+                let output = counts.map(|axis| axis * gyroscope.rad_s_per_lsb);
+                gyroscope.model.correct(output, force, self.temperature)
+            }
+            None => counts.map(|axis| axis * nominal),
+        }
     }
 
     /// Magnetic field, µT, body axes: as a magnetometer put it out that is not calibrated, it says nothing of

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use wimu_host::Result;
 use wimu_host::alignment::{self, AlignOptions};
+use wimu_host::calibration::{CalibrationFile, sessions};
 use wimu_host::dataset::{Dataset, LoadOptions};
 use wimu_host::decode::Event;
 use wimu_host::history::LinkHistory;
@@ -62,10 +63,13 @@ pub fn run(arguments: &Align, output: Output) -> Result<u8> {
     )?;
     let report = alignment::alignment(&data, &set, &options);
     let code = report.exit_code();
+    let before = sessions(arguments.calibration.as_deref(), &set);
+    let file = |set| CalibrationFile::new(set, &before, &report.source);
     finish(
         &report,
         code,
         arguments.output.as_deref(),
+        report.parameters.as_ref().map(file),
         output,
         || match (&mut client, &report.parameters) {
             (Some(client), Some(set)) if arguments.push => params::push(client, set, output),

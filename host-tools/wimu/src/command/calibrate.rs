@@ -12,7 +12,9 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
 use wimu_calib::{Face, Model, Phase, Session, Term, Terms};
-use wimu_host::calibration::{self, CalibrateOptions, MethodChoice, ModelChoice, Paired};
+use wimu_host::calibration::{
+    self, CalibrateOptions, CalibrationFile, MethodChoice, ModelChoice, Paired,
+};
 use wimu_host::dataset::{Dataset, LoadOptions};
 use wimu_host::decode::Event;
 use wimu_host::history::{LinkHistory, Recording};
@@ -20,7 +22,7 @@ use wimu_host::{Input, Result};
 use wimu_link::batch::Stream;
 use wimu_link::hello::board;
 use wimu_link::message::Event as Happened;
-use wimu_model::{Counts, ParameterSet, Sensitivity};
+use wimu_model::{ParameterSet, Sensitivity};
 
 use crate::arguments::{Calibrate, Calibrated, Method};
 use crate::command::{Connection, connect_for, interrupted, not_over_input, params};
@@ -38,17 +40,18 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
     }
 }
 
-/// Prints a report, writes it to `file` if it holds an answer, and does the rest. Returns the exit code.
+/// Prints a report, writes the calibration to `path` if there is one, and does the rest. Returns the exit code.
 pub fn finish<R: Display + Serialize>(
     report: &R,
     exit_code: u8,
-    file: Option<&Path>,
+    path: Option<&Path>,
+    file: Option<CalibrationFile>,
     output: Output,
     rest: impl FnOnce() -> Result<()>,
 ) -> Result<u8> {
     output.print(report.to_string());
-    if let Some(file) = file.filter(|_| exit_code == 0) {
-        calibration::write_report(file, report)?;
+    if let (0, Some(path), Some(file)) = (exit_code, path, file) {
+        file.write(path)?;
     }
     rest()?;
     output.object(report);
@@ -108,7 +111,8 @@ fn with_gravity(arguments: &Calibrate, output: Output) -> Result<u8> {
     };
     let report = calibration::calibrate(&data, &options)?;
     let code = report.exit_code();
-    finish(&report, code, arguments.output.as_deref(), output, || {
+    let (path, file) = (arguments.output.as_deref(), report.file.clone());
+    finish(&report, code, path, file, output, || {
         if let Some(path) = &arguments.report {
             report.page()?.write(path)?;
         }
@@ -147,13 +151,8 @@ fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
     };
     let report = calibration::compare_with_reference(&data, arguments.noise_ratio, utc_s())?;
     let code = report.exit_code();
-    finish(
-        &report,
-        code,
-        arguments.output.as_deref(),
-        output,
-        || Ok(()),
-    )
+    let (path, file) = (arguments.output.as_deref(), report.file.clone());
+    finish(&report, code, path, file, output, || Ok(()))
 }
 
 /// Checks and updates a stored calibration with later rests.
@@ -180,13 +179,13 @@ fn update(arguments: &Calibrate, output: Output) -> Result<u8> {
     )?;
     let report = calibration::update(&data, &stored, arguments.gravity, utc_s())?;
     let code = report.exit_code();
-    finish(
-        &report,
-        code,
+    let before = calibration::sessions(arguments.with.as_deref(), &stored);
+    let file = |set| CalibrationFile::new(set, &before, &report.source);
+    let (path, file) = (
         arguments.output.as_deref(),
-        output,
-        || Ok(()),
-    )
+        report.parameters.as_ref().map(file),
+    );
+    finish(&report, code, path, file, output, || Ok(()))
 }
 
 /// Now, s since 1970 UTC.
@@ -395,9 +394,9 @@ struct LivePoses {
 impl LivePoses {
     /// Takes a raw sample.
     fn push(&mut self, counts: [i32; 3]) {
-        let counts = Counts(counts.map(|axis| axis as i16));
-        let output = self.sensitivity.to_mps2(counts);
-        if let Phase::Captured { pose } = self.session.push(output.0) {
+        let scale = self.sensitivity.mps2_per_lsb();
+        let output = counts.map(|axis| f64::from(axis) * scale);
+        if let Phase::Captured { pose } = self.session.push(output) {
             self.captured(pose);
         }
     }

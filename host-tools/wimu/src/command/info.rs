@@ -83,7 +83,7 @@ impl Sensor {
     fn text(&self) -> String {
         let mut text = format!("sensor {}: {} raw", self.index, self.raw_samples);
         if self.angular_rates > 0 {
-            text += &format!(", {} with angular rates", self.angular_rates);
+            text += " with angular rates";
         }
         if let Some(rate) = self.rate_hz {
             text += &format!(", {rate:.1} Hz");
@@ -290,8 +290,12 @@ fn recording(path: &Path, output: Output) -> Result<()> {
                 starts => format!("; {starts} starts of the board"),
             }
         ));
-        for sensor in &link.sensors {
-            output.print(format!("         {}", sensor.text()));
+        // One sensor of three axes is described by the line of its link.
+        let is_usual = |sensor: &Sensor| sensor.index == 0 && sensor.angular_rates == 0;
+        if !link.sensors.iter().all(is_usual) {
+            for sensor in &link.sensors {
+                output.print(format!("         {}", sensor.text()));
+            }
         }
         if let Some(device) = &link.device {
             output.print(format!("         {}", device.text()));

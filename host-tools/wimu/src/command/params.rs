@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use serde::Serialize;
-use wimu_host::calibration::{self, HELD_SCHEMA, read_parameters};
+use wimu_host::calibration::{self, CalibrationFile, HELD_SCHEMA, read_parameters};
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::message::ActiveParameters;
 use wimu_model::{ParameterId, ParameterSet};
@@ -30,11 +30,7 @@ pub fn run(action: &Params, output: Output) -> Result<()> {
     match action {
         Params::Get { link, output: file } => {
             let (mut client, authenticated) = connect_to_read(link, output)?;
-            let held = show(&mut client, authenticated, output)?;
-            match file {
-                Some(path) => save(path, &held),
-                None => Ok(()),
-            }
+            show(&mut client, authenticated, file.as_deref(), output)
         }
         Params::Push {
             link,
@@ -51,14 +47,14 @@ pub fn run(action: &Params, output: Output) -> Result<()> {
                 push(&mut client, &set, output)?;
             }
             let signed = client.signs().then_some(true);
-            show(&mut client, signed, output).map(drop)
+            show(&mut client, signed, None, output)
         }
         Params::FactoryReset { link } => {
             let mut client = connect_to_write(link)?;
             client.factory_reset()?;
             output.print("calibration and settings of the device are erased");
             let signed = client.signs().then_some(true);
-            show(&mut client, signed, output).map(drop)
+            show(&mut client, signed, None, output)
         }
     }
 }
@@ -131,6 +127,10 @@ fn print_difference(before: Option<&ParameterSet>, after: &ParameterSet, output:
         ),
         ("fit statistics differ", before.quality != after.quality),
         ("sensor differs", before.sensor != after.sensor),
+        (
+            "gyroscope calibration differs",
+            before.gyroscope != after.gyroscope,
+        ),
     ];
     for (text, differs) in others {
         if differs {
@@ -175,19 +175,29 @@ pub fn held(client: &mut Connection) -> Result<Option<ParameterSet>> {
 }
 
 /// Writes the parameters to a file for `params push`.
-fn save(path: &Path, held: &Held) -> Result<()> {
-    if !held.calibrated {
+fn save(path: &Path, parameters: Option<&ParameterSet>) -> Result<()> {
+    let Some(set) = parameters else {
         return Err(HostError::new(
             ErrorCode::DataRefused,
             "the device is uncalibrated, so there are no parameters to write",
             "calibrate with `wimu calibrate LINK --push`",
         ));
-    }
-    calibration::write_report(path, held)
+    };
+    CalibrationFile::new(set, &calibration::sessions(None, set), "").write(path)
 }
 
-fn show(client: &mut Connection, authenticated: Option<bool>, output: Output) -> Result<Held> {
+/// Prints the parameters that a device holds, and writes them to `file`.
+fn show(
+    client: &mut Connection,
+    authenticated: Option<bool>,
+    file: Option<&Path>,
+    output: Output,
+) -> Result<()> {
     let parameters = held(client)?;
+    // Before anything is printed: an error is the only JSON object.
+    if let Some(file) = file {
+        save(file, parameters.as_ref())?;
+    }
     let in_use = applies(parameters.as_ref(), client.settings()?.range_g, output);
     let id = parameters.map_or(ParameterId::UNCALIBRATED, |set| {
         wimu_link::message::parameter_id(&set)
@@ -210,7 +220,7 @@ fn show(client: &mut Connection, authenticated: Option<bool>, output: Output) ->
             }
         }
     }
-    let held = Held {
+    output.object(&Held {
         schema: HELD_SCHEMA,
         status: "ok",
         calibrated: parameters.is_some(),
@@ -218,9 +228,8 @@ fn show(client: &mut Connection, authenticated: Option<bool>, output: Output) ->
         parameters,
         in_use,
         authenticated,
-    };
-    output.object(&held);
-    Ok(held)
+    });
+    Ok(())
 }
 
 /// Whether a device set to `range_g` uses these parameters; prints a note if not.

@@ -486,3 +486,25 @@ pub fn wait_until(what: &str, holds: impl Fn() -> bool) {
         thread::sleep(Duration::from_millis(20));
     }
 }
+
+/// A Python with `rosbags` in it, kept for the next run; `None`, with the reason printed, without one.
+pub fn python_with_rosbags() -> Option<std::path::PathBuf> {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("rosbags");
+    let python = folder.join("bin/python");
+    let works = |command: &mut std::process::Command| {
+        let ran = command.output();
+        ran.is_ok_and(|ran| ran.status.success())
+    };
+    let mut import = std::process::Command::new(&python);
+    if works(import.args(["-c", "import rosbags"])) {
+        return Some(python);
+    }
+    let mut make = std::process::Command::new("python3");
+    let mut install = std::process::Command::new(&python);
+    let made = works(make.args(["-m", "venv"]).arg(&folder))
+        && works(install.args(["-m", "pip", "install", "--quiet", "rosbags"]));
+    if !made {
+        println!("skipped: python3 with venv, pip and a network is needed for `rosbags`");
+    }
+    made.then_some(python)
+}

@@ -1,6 +1,6 @@
 //! `wimu calibrate --sensor magnetometer`.
 
-use wimu_host::calibration::{CalibrateOptions, calibrate_magnetometer};
+use wimu_host::calibration::{CalibrateOptions, CalibrationFile, calibrate_magnetometer, sessions};
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_model::ParameterSet;
 
@@ -21,7 +21,13 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
     )?;
     let report = calibrate_magnetometer(&data, &set, arguments.dip.map(f64::to_radians))?;
     let code = report.exit_code();
-    finish(&report, code, arguments.output.as_deref(), output, || {
+    let before = sessions(arguments.with.as_deref(), &set);
+    let file = |set| CalibrationFile::new(set, &before, &report.source);
+    let (path, file) = (
+        arguments.output.as_deref(),
+        report.parameters.as_ref().map(file),
+    );
+    finish(&report, code, path, file, output, || {
         if let Some(path) = &arguments.report {
             report.page()?.write(path)?;
         }

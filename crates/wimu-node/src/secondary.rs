@@ -1,54 +1,69 @@
-//! Sensors with index 1 to 3: their samples are sent without correction.
+//! Sensors with index 1 and up: their samples are sent without correction.
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use wimu_link::batch;
 use wimu_link::message::{Epoch, EpochReason};
 use wimu_model::DeviceTimeUs;
 
-use super::batches::{Batcher, Lane};
-use super::clock::{Reads, sample_time};
-use super::{EPOCH_DUE_US, epoch_gyroscope};
 use crate::sample::RawSample;
+use crate::sampler::batches::{Batcher, Lane};
+use crate::sampler::clock::{Reads, sample_time};
+use crate::sampler::{EPOCH_DUE_US, epoch_gyroscope};
 use crate::sensor::{Batch, SensorPlan};
 use crate::shared::{Common, Message};
 
-/// Numbers and times of one sensor.
-#[derive(Clone, Copy, Default)]
-pub(super) struct Secondary {
+/// A sensor with index 1 and up: its samples are sent without correction, with their own numbers and epochs, and
+/// corrected on the host.
+#[derive(Debug)]
+pub struct Secondary {
+    /// Its operation. Changes are made in [`configure`](crate::InertialSensor::configure).
+    pub plan: SensorPlan,
     next_sequence: u32,
     /// Epochs sent, modulo 256.
     epochs: u8,
     reads: Reads,
     last_epoch: DeviceTimeUs,
-    /// Whether an epoch has been sent since the latest configuration.
-    begun: bool,
+    /// Why the next sample begins an epoch.
+    due: Option<EpochReason>,
 }
 
 impl Secondary {
-    /// The sensor has been configured again.
-    pub(super) fn restart(&mut self) {
-        self.begun = false;
+    /// A sensor that operates as `plan` says.
+    pub fn new(plan: SensorPlan) -> Self {
+        Self {
+            plan,
+            next_sequence: 0,
+            epochs: 0,
+            reads: Reads::default(),
+            last_epoch: DeviceTimeUs(0),
+            due: Some(EpochReason::Start),
+        }
+    }
+
+    /// The sensor has failed, or has been configured again.
+    pub(crate) fn restart(&mut self, reason: EpochReason) {
+        self.due.get_or_insert(reason);
         self.reads.broken = true;
     }
 
     /// Sends the samples of a read, and an epoch before them where one is due. Batches end with the read.
-    pub(super) fn process<S: RawSample, M: RawMutex>(
+    pub(crate) fn process<S: RawSample, M: RawMutex>(
         &mut self,
-        plan: &SensorPlan,
         read: &Batch,
         samples: &[S],
         lanes: &[Lane<S>],
         shared: &Common<M>,
         temperature_centi_c: Option<i16>,
     ) {
+        let plan = self.plan;
         let missed = self.reads.missed_before(read, samples.len(), plan.period);
         let measured_ns = self.reads.spacing_ns(read).filter(|_| missed == 0);
         let spacing_ns = measured_ns.unwrap_or(plan.period.0.into());
         let time = sample_time(read, samples.len().saturating_sub(1), spacing_ns);
         self.next_sequence = self.next_sequence.wrapping_add(missed);
-        let reason = match (self.begun, measured_ns) {
-            (false, _) => Some(EpochReason::Settings),
-            (true, None) => Some(EpochReason::Gap),
+        let reason = match (self.due.take(), measured_ns) {
+            (Some(reason), _) => Some(reason),
+            (None, None) => Some(EpochReason::Gap),
             // Before the read that would be later than hosts expect an epoch.
             _ if time.0.saturating_sub(self.last_epoch.0) >= EPOCH_DUE_US => {
                 Some(EpochReason::Periodic)
@@ -56,7 +71,6 @@ impl Secondary {
             _ => None,
         };
         if let Some(reason) = reason {
-            self.begun = true;
             self.last_epoch = time;
             self.epochs = self.epochs.wrapping_add(1);
             let lsb_per_g = plan.sensitivity.lsb_per_g();
@@ -71,7 +85,7 @@ impl Secondary {
                 full_scale: plan.full_scale,
                 temperature_centi_c,
                 sensor: read.sensor,
-                gyroscope: epoch_gyroscope(plan),
+                gyroscope: epoch_gyroscope(&plan),
                 ..Epoch::default()
             });
             shared.announce(&epoch, [true; 2]);

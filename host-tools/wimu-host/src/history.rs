@@ -404,7 +404,8 @@ impl Recording {
     /// # Errors
     /// Those of [`RecordingReader`]; `bad_recording` when all boards in it use another wire version.
     pub fn read<R: std::io::Read>(reader: RecordingReader<R>, name: &str) -> Result<Self> {
-        let heard = listen(reader, name, LinkHistory::new)?;
+        let mut heard = listen(reader, name, LinkHistory::new)?;
+        share_parameters(&mut heard.links);
         Ok(Self {
             name: name.to_owned(),
             links: heard.links,
@@ -422,6 +423,26 @@ impl Recording {
         let raw = |link: &LinkHistory| link.boots.iter().map(|boot| boot.raw.len()).sum();
         choose(&self.links, role, |link| (link.role, raw(link)))
             .map_err(|error| error.at(&self.name))
+    }
+}
+
+/// Gives each start the parameter sets that its epochs name and that only other starts or links have: a link may
+/// have lost them. A set is identified by its content.
+fn share_parameters(links: &mut [LinkHistory]) {
+    let boots = || links.iter().flat_map(|link| &link.boots);
+    let known: Vec<ActiveParameters> = boots()
+        .flat_map(|boot| &boot.parameters)
+        .filter(|set| set.active.is_some())
+        .copied()
+        .collect();
+    for boot in links.iter_mut().flat_map(|link| &mut link.boots) {
+        for set in &known {
+            let uses = |mark: &EpochMark| mark.epoch.parameters == set.id;
+            let has = |own: &ActiveParameters| own.id == set.id && own.active.is_some();
+            if boot.epochs.iter().any(uses) && !boot.parameters.iter().any(has) {
+                boot.parameters.insert(0, *set);
+            }
+        }
     }
 }
 

@@ -12,12 +12,47 @@ use wimu_host::units::RawUnits;
 use wimu_link::frame::{self, Deframer, Kind, MAX_FRAME};
 use wimu_link::{Batch, LinkRole, batch};
 use wimu_model::STANDARD_GRAVITY_MPS2;
-use wimu_sim::board::{Board, BoardConfig, SimLink};
-use wimu_sim::faults::{Channel, Fate, FaultSpecError, Jitter, LinkFaults, Loss, Outage, PRESETS};
+use wimu_sim::board::{Board, BoardConfig, SensorPart, SimLink};
+use wimu_sim::faults::{
+    Channel, Fate, FaultSpecError, Jitter, LinkFaults, Loss, Outage, PRESETS, SensorFault,
+};
+use wimu_sim::i2c::Target;
 use wimu_sim::motion::named;
 use wimu_sim::scene::{Scene, World};
 use wimu_sim::source::Physics;
 use wimu_sim::truth::{Gauge, SensorTruth};
+
+/// Each second from 0 to 9: whether the sensor is there.
+fn presence(spec: &str) -> [bool; 10] {
+    let fault: SensorFault = spec.parse().expect("a fault");
+    let board = board(BoardConfig::default());
+    let mut before = None;
+    std::array::from_fn(|second| {
+        let now = second as u64 * 1_000_000;
+        fault.apply(SensorPart::Lsm303agr, board.sensor(), before, now);
+        before = Some(now);
+        board.sensor().acknowledges(0x19)
+    })
+}
+
+#[test]
+fn a_sensor_fault_begins_and_ends_at_its_time() {
+    let at = |absent: &[usize]| std::array::from_fn(|second| !absent.contains(&second));
+    assert_eq!(presence("absent=2s@3s"), at(&[3, 4]));
+    assert_eq!(presence("absent=1s@0s"), at(&[0]));
+    assert_eq!(presence("absent=1s@1s/4s"), at(&[1, 5, 9]));
+    for wrong in [
+        "absent",
+        "absent=3s",
+        "absent=0s@3s",
+        "gyroscope=1s@2s",
+        "gyroscope-stops=5s@1s/4s",
+        "identity=1@2s",
+    ] {
+        let error = wrong.parse::<SensorFault>().expect_err(wrong).to_string();
+        assert!(error.contains("gyroscope-stops=3s@30s"), "{error}");
+    }
+}
 
 const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
 const END: u64 = u64::MAX;

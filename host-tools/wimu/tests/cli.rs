@@ -33,6 +33,14 @@ fn wrong_usage_ends_with_2_and_one_object() {
         (&["simulate", "--faults", "loss=200%"], "usage"),
         (&["simulate", "--faults", "cable:lossy"], "usage"),
         (&["simulate", "--clock-ppm", "1e9"], "usage"),
+        (
+            &["simulate", "--sensor-fault", "gyroscope-bends=1s@1s"],
+            "usage",
+        ),
+        (
+            &["simulate", "--sensor", "lsm6dso", "--replay", "a.csv"],
+            "usage",
+        ),
         (&["calibrate", "a.csv", "--model", "12"], "usage"),
         (&["monitor", "tcp://127.0.0.1"], "bad_link"),
         (&["monitor", "carrier-pigeon://coop"], "bad_link"),

@@ -8,6 +8,31 @@ use std::path::Path;
 use kit::{Transcript, folder, snapshot, wimu};
 
 #[test]
+fn six_axes_give_attitude_and_position_bit_for_bit() {
+    let folder = folder();
+    let report = folder.path().join("demo.html");
+    let ran = wimu(&[
+        "demo",
+        "--sensor",
+        "lsm6dso",
+        "--report",
+        report.to_str().unwrap(),
+    ]);
+    let object = ran.succeeds();
+    assert_eq!(object["replay_exact"], true);
+    let number = |value: &serde_json::Value| value.as_f64().unwrap();
+    let degrees = [1, 2].map(|k| number(&object["attitude_deg"][k]));
+    assert!(degrees.iter().all(|error| *error < 0.3), "{degrees:?}");
+    let metres = ["slide_calibrated_m", "slide_zupt_m"].map(|key| number(&object[key]));
+    assert!(metres.iter().all(|error| *error < 0.15), "{metres:?}");
+    let mut texts = Transcript::default();
+    texts.text("demo --sensor lsm6dso", &ran);
+    // The run time.
+    let time = [(r"\d+(\.\d+)? s\b", "# s")];
+    snapshot("demo_six_axes", texts.as_str(), &time);
+}
+
+#[test]
 fn readme_shows_what_the_demo_prints_and_draws() {
     let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let folder = folder();

@@ -4,6 +4,7 @@
 use core::fmt;
 
 use crate::corrector::{CompileError, kernel, round};
+use crate::fixed::scaled_dot;
 use crate::kernel::Kernel;
 use crate::matrix::{self, Matrix3};
 use crate::{Alignment, AngularRateQ20, CentiCelsius, Counts, SpecificForceQ16, WideCounts};
@@ -192,8 +193,8 @@ impl GyroscopeCorrector {
     /// `alignment` (sensor to body).
     ///
     /// # Errors
-    /// [`CompileError::Overflow`] when full-scale counts exceed ±128 rad/s; [`CompileError::Singular`]
-    /// when A(T) cannot be inverted at this temperature.
+    /// [`CompileError::Overflow`] when full-scale counts exceed ±128 rad/s, or the g-sensitivity in body
+    /// axes 0.125 rad/s per m/s²; [`CompileError::Singular`] when A(T) cannot be inverted at this temperature.
     pub fn compile(
         model: &GyroscopeModel,
         rad_s_per_lsb: f64,
@@ -215,10 +216,17 @@ impl GyroscopeCorrector {
         let transposed = [0, 1, 2].map(|row| [0, 1, 2].map(|column| rotation[column][row]));
         let g_body = matrix::multiply(&matrix::multiply(&inverse, g), &transposed);
         let unit = (1_u32 << G_BITS) as f64 * lsb / SpecificForceQ16::LSB_PER_MPS2;
+        let g_sensitivity = g_body.map(|row| row.map(|k| round(-k * unit)));
+        if g_sensitivity
+            .as_flattened()
+            .iter()
+            .any(|k| k.unsigned_abs() > LARGEST_G)
+        {
+            return Err(CompileError::Overflow);
+        }
         Ok(Self {
             kernel,
-            g_sensitivity: (*g != [[0.0; 3]; 3])
-                .then(|| g_body.map(|row| row.map(|k| round(-k * unit)))),
+            g_sensitivity: (*g != [[0.0; 3]; 3]).then_some(g_sensitivity),
         })
     }
 
@@ -243,21 +251,17 @@ impl GyroscopeCorrector {
     fn compensated(&self, mut rate: [i32; 3], force: SpecificForceQ16) -> AngularRateQ20 {
         if let Some(g) = &self.g_sensitivity {
             for (axis, row) in rate.iter_mut().zip(g) {
-                let sum = row
-                    .iter()
-                    .zip(force.0)
-                    .fold(1_i64 << (G_BITS - 1), |sum, (k, f)| {
-                        sum.wrapping_add(i64::from(*k) * i64::from(f))
-                    });
-                *axis = axis.saturating_add((sum >> G_BITS) as i32);
+                *axis = axis.saturating_add(scaled_dot(*row, force.0));
             }
         }
         AngularRateQ20(rate)
     }
 }
 
-/// Fraction bits of a g-sensitivity coefficient: 16 · 0.02 · 3 / 0.5 LSB per LSB fits 32 bits.
+/// Fraction bits of a g-sensitivity coefficient.
 const G_BITS: u32 = 28;
+/// Largest g-sensitivity coefficient, 2⁻²⁸: 0.125 rad/s per m/s².
+const LARGEST_G: u32 = 1 << 29;
 
 fn check(
     term: GyroscopeTerm,

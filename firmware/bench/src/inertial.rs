@@ -26,7 +26,7 @@ struct Unit {
 }
 
 impl Unit {
-    #[inline]
+    #[inline(always)]
     fn correct(&self, (force, rate): Sample) -> (SpecificForceQ16, AngularRateQ20) {
         let force = self.accelerometer.correct(force);
         (force, self.gyroscope.correct(rate, force))
@@ -90,24 +90,28 @@ pub fn measure(counter: &Counter) -> Result<(), &'static str> {
         let (force, rate) = (SpecificForceQ16(GRAVITY), AngularRateQ20([0; 3]));
         (unit.integrator).step_inertial(force, rate, Saturation::default());
     }
-    let mut each = |name: &str, code: &mut dyn FnMut(&mut Unit, Sample)| {
+    let mut each = |name: &str, code: &mut dyn FnMut(&mut Unit, Sample) -> u32| {
         let (mut sum, mut most) = (0, 0);
-        let pairs = motion.iter().zip(motion.iter().rev());
-        for (&force, &rate) in pairs {
-            let cost = counter.count(|| code(&mut unit, (force, rate)));
+        for (&force, &rate) in motion.iter().zip(motion.iter().rev()) {
+            let cost = code(&mut unit, (force, rate));
             sum += cost;
             most = most.max(cost);
         }
         crate::report(name, sum, SAMPLES as u32, most);
     };
-    each("six-correction", &mut |unit, sample| unit.corrected(sample));
+    each("six-correction", &mut |unit, sample| {
+        counter.count(|| unit.corrected(sample))
+    });
     each("six-attitude", &mut |unit, (_, rate)| {
-        unit.attitude(AngularRateQ20(rate.0.map(|axis| i32::from(axis) << 8)));
+        let rate = AngularRateQ20(rate.0.map(|axis| i32::from(axis) << 8));
+        counter.count(|| unit.attitude(rate))
     });
     each("six-correction+attitude", &mut |unit, sample| {
-        unit.corrected_attitude(sample);
+        counter.count(|| unit.corrected_attitude(sample))
     });
-    each("six-complete", &mut |unit, sample| unit.navigate(sample));
+    each("six-complete", &mut |unit, sample| {
+        counter.count(|| unit.navigate(sample))
+    });
     black_box(&unit);
     Ok(())
 }

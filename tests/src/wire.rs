@@ -3,10 +3,10 @@
 
 use std::num::NonZeroU8;
 
-use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
+use wimu_model::{AngularRateQ20, Counts, DeviceTimeUs, SpecificForceQ16, WideCounts};
 
 use wimu_link::auth::{DeviceKey, KeyState, Lock, Session};
-use wimu_link::batch::{self, Batch, Layout, Stream};
+use wimu_link::batch::{self, Batch, Layout, Sample, Stream};
 use wimu_link::frame::{self, Deframer, Frame, Kind, MAX_BODY, MAX_FRAME};
 use wimu_link::hello::{self, Hello, LinkRole, WhoAreYou};
 use wimu_link::message::{
@@ -18,7 +18,6 @@ use wimu_link::responder::{Decision, Responder};
 pub fn all(data: &[u8]) {
     deframe(data);
     damage(data);
-    batch_body(data);
     batch_samples(data);
     bodies(data);
     requests(data);
@@ -105,6 +104,7 @@ pub fn bodies(data: &[u8]) {
         Kind::Telemetry,
         Kind::Request,
         Kind::Reply,
+        Kind::Inertial,
     ] {
         body(&Frame {
             version: frame::WIRE_VERSION,
@@ -129,7 +129,7 @@ fn body(frame: &Frame<'_>) {
         Kind::WhoAreYou => {
             let _ = WhoAreYou::decode(frame.body);
         }
-        Kind::Batch => batch_body(frame.body),
+        Kind::Batch | Kind::Inertial => batch_body(frame.kind, frame.body),
         // Compared as bytes, because NaN differs from itself.
         Kind::Telemetry => {
             if let Ok(telemetry) = Telemetry::decode(frame.body)
@@ -189,93 +189,118 @@ fn with_body(line: &[u8], check: impl FnOnce(&[u8])) {
 }
 
 /// Any body of a batch: a decoded batch is packed again without loss.
-pub fn batch_body(data: &[u8]) {
-    let Ok(batch) = Batch::decode(Kind::Batch, data) else {
+pub fn batch_body(kind: Kind, data: &[u8]) {
+    let Ok(batch) = Batch::decode(kind, data) else {
         return;
     };
-    let mut line = [0; MAX_FRAME];
+    match (batch.stream(), batch.is_wide()) {
+        (Stream::Raw, false) => packed_again(&batch, counts, counts),
+        (Stream::Raw, true) => packed_again(&batch, WideCounts, WideCounts),
+        (Stream::Corrected, _) => packed_again(&batch, SpecificForceQ16, AngularRateQ20),
+    }
+}
+
+fn counts(axes: [i32; 3]) -> Counts {
+    Counts(axes.map(|value| value as i16))
+}
+
+fn packed_again<F: Sample, R>(
+    batch: &Batch,
+    force: impl Fn([i32; 3]) -> F,
+    rate: impl Fn([i32; 3]) -> R,
+) where
+    (F, R): Sample,
+{
+    let forces: Vec<F> = batch.samples().iter().map(|&axes| force(axes)).collect();
+    let rates = batch.angular_rates().iter().map(|&axes| rate(axes));
+    let pairs: Vec<(F, R)> = forces.iter().copied().zip(rates).collect();
+    let layout = Layout {
+        sensor: batch.sensor(),
+        every: NonZeroU8::new(batch.every()).expect("at least 1"),
+    };
     let (sequence, time) = (
         batch.sequence_low().into(),
         DeviceTimeUs(batch.time_low().into()),
     );
-    let every = NonZeroU8::new(batch.every()).expect("at least 1");
-    let length = match batch.stream() {
-        Stream::Raw => {
-            let mut samples = [Counts::default(); batch::MAX_BATCH];
-            let count = fill(&mut samples, batch.counts());
-            batch::encode_with(
-                Layout { sensor: 0, every },
-                sequence,
-                time,
-                &samples[..count],
-                &mut line,
-            )
-        }
-        Stream::Corrected => {
-            let mut samples = [SpecificForceQ16::default(); batch::MAX_BATCH];
-            let count = fill(&mut samples, batch.specific_forces());
-            batch::encode_with(
-                Layout { sensor: 0, every },
-                sequence,
-                time,
-                &samples[..count],
-                &mut line,
-            )
-        }
+    let mut line = [0; MAX_FRAME];
+    let length = match pairs.is_empty() {
+        true => batch::encode_with(layout, sequence, time, &forces, &mut line),
+        false => batch::encode_with(layout, sequence, time, &pairs, &mut line),
     };
-    with_body(&line[..length.expect("room")], |body| {
-        let again = Batch::decode(Kind::Batch, body).expect("own batch");
+    with_batch(&line[..length.expect("room")], |again| {
         assert_eq!(again.stream(), batch.stream());
+        assert_eq!(again.is_wide(), batch.is_wide());
+        assert_eq!(again.sensor(), batch.sensor());
         assert_eq!(again.every(), batch.every());
         assert_eq!(again.samples(), batch.samples());
+        assert_eq!(again.angular_rates(), batch.angular_rates());
         assert_eq!(again.sequence_low(), batch.sequence_low());
         assert_eq!(again.time_low(), batch.time_low());
     });
 }
 
-fn fill<T>(places: &mut [T], values: impl Iterator<Item = T>) -> usize {
-    places
-        .iter_mut()
-        .zip(values)
-        .map(|(place, value)| *place = value)
-        .count()
+fn with_batch(line: &[u8], check: impl FnOnce(Batch)) {
+    let mut deframer = Deframer::new();
+    let frame = deframer.next(&mut &*line).expect("a frame");
+    let frame = frame.expect("own frame");
+    check(Batch::decode(frame.kind, frame.body).expect("own batch"));
 }
 
-/// Any samples: packing and unpacking is lossless.
+/// Any samples of any sensor: packing and unpacking is lossless.
 pub fn batch_samples(data: &[u8]) {
     let mut source = Source(data);
     let count = 1 + source.below(batch::MAX_BATCH);
-    let start: [u32; 3] = std::array::from_fn(|_| source.word());
+    let start: [u32; 6] = std::array::from_fn(|_| source.word());
     let narrow = source.below(33) as u32;
-    let mut raw = [Counts::default(); batch::MAX_BATCH];
-    let mut corrected = [SpecificForceQ16::default(); batch::MAX_BATCH];
-    for (raw, corrected) in raw.iter_mut().zip(&mut corrected) {
-        let near =
-            start.map(|start| start.wrapping_add(source.word().checked_shr(narrow).unwrap_or(0)));
-        corrected.0 = near.map(|value| value as i32);
-        raw.0 = near.map(|value| value as i16);
-    }
+    let layout = Layout {
+        sensor: source.byte() % 8,
+        every: NonZeroU8::MIN,
+    };
     let sequence = source.word();
     let time = DeviceTimeUs(source.word().into());
+    let mut near = || {
+        start.map(|start| start.wrapping_add(source.word().checked_shr(narrow).unwrap_or(0)) as i32)
+    };
+    let samples: Vec<[[i32; 3]; 2]> = (0..count)
+        .map(|_| {
+            let [x, y, z, p, q, r] = near();
+            [[x, y, z], [p, q, r]]
+        })
+        .collect();
+    let raw: Vec<_> = samples.iter().map(|s| counts(s[0])).collect();
+    lossless(layout, sequence, time, &raw);
+    let corrected: Vec<_> = samples.iter().map(|s| SpecificForceQ16(s[0])).collect();
+    lossless(layout, sequence, time, &corrected);
+    let wide: Vec<_> = samples.iter().map(|s| WideCounts(s[0])).collect();
+    lossless(layout, sequence, time, &wide);
+    let six: Vec<_> = samples
+        .iter()
+        .map(|s| (counts(s[0]), counts(s[1])))
+        .collect();
+    lossless(layout, sequence, time, &six);
+    let six = samples.iter().map(|s| s.map(WideCounts).into());
+    lossless::<(_, _)>(layout, sequence, time, &six.collect::<Vec<_>>());
+    let six = samples
+        .iter()
+        .map(|s| (SpecificForceQ16(s[0]), AngularRateQ20(s[1])));
+    lossless(layout, sequence, time, &six.collect::<Vec<_>>());
+}
+
+fn lossless<S: Sample>(layout: Layout, sequence: u32, time: DeviceTimeUs, samples: &[S]) {
+    let samples = &samples[..samples.len().min(S::MOST)];
     let mut line = [0; MAX_FRAME];
-    let length = batch::encode(sequence, time, &raw[..count], &mut line).expect("room");
-    with_body(&line[..length], |body| {
-        let batch = Batch::decode(Kind::Batch, body).expect("own batch");
-        assert!(batch.counts().eq(raw[..count].iter().copied()));
+    let length = batch::encode_with(layout, sequence, time, samples, &mut line).expect("room");
+    with_batch(&line[..length], |batch| {
+        let found = [batch.samples(), batch.angular_rates()];
+        for axis in 0..S::AXES {
+            let found = found[axis / 3].iter().map(|axes| axes[axis % 3]);
+            assert!(found.eq(samples.iter().map(|sample| sample.axis(axis))));
+        }
         assert_eq!(
             batch::extend_sequence(batch.sequence_low(), sequence),
             sequence
         );
         assert_eq!(batch::extend_time(batch.time_low(), time), time);
-    });
-    let length = batch::encode(sequence, time, &corrected[..count], &mut line).expect("room");
-    with_body(&line[..length], |body| {
-        let batch = Batch::decode(Kind::Batch, body).expect("own batch");
-        assert!(
-            batch
-                .specific_forces()
-                .eq(corrected[..count].iter().copied())
-        );
     });
 }
 

@@ -7,8 +7,9 @@ use std::path::{Path, PathBuf};
 /// The messages as the document has them. A line is a name and what it holds, one after another:
 /// fields for a struct; for an enum `|` before each variant. `T?` may be absent, `T*3` is three of them.
 const DOCUMENT: &str = "
-Telemetry: | Epoch Epoch | Environment u64 i32*3? i16? | Navigation u32 i64*3 i64*3 u32 Phase u8 u16? | Parameters u32 Parameters? | Settings Settings | Status Status | Event u64 Event
-Epoch: Reason u8 u32 u64 u32 u8 f64 i16 u32 i16? u8 State
+Telemetry: | Epoch Epoch | Environment u64 i32*3? i16? | Navigation u32 i64*3 i64*3 u32 Phase u8 u16? | Parameters u32 Parameters? | Settings Settings | Status Status | Event u64 Event | Attitude u32 i32*4
+Epoch: Reason u8 u32 u64 u32 u8 f64 i32 u32 i16? revision
+Gyroscope: f64 i32
 Reason: | Start | Periodic | Gap | Stillness | Temperature | Settings | Parameters | Heading
 State: u32 bool u32 Phase u8 i64*3 i32*3 i64*3 i64*3 u64 Segment Window Run? u16?
 Segment: u32 i64*3 i64*3 i32*3?
@@ -26,9 +27,9 @@ Streams: bool bool bool bool u8 u8
 Status: u64 LinkStatus? LinkStatus? SensorStatus u32? u32?
 LinkStatus: u32 u64 u32 u32 u32
 SensorStatus: u32 u32 u32 u32
-Event: | SensorLost Lost | SensorFound | WrongSensor u8 u8 | StoreUnreadable | ModelRejected ParameterFault | SettingsAdjusted | Pause u16 | Marked u16 | CalibrationContradicted i32 u32
+Event: | SensorLost Lost | SensorFound | WrongSensor u8 u8 | StoreUnreadable | ModelRejected ParameterFault | SettingsAdjusted | Pause u16 | Marked u16 | CalibrationContradicted i32 u32 | GyroscopeLost Lost
 Lost: | NoAnswer | Transfer | Timeout
-ParameterFault: | NotFinite Term u8 | OutOfBounds Term u8 f64 f64 f64 | Singular f64 | Sensitivity f64 | Alignment f64 | Overflow | SingularAtTemperature | Covariance | Quality QualityFault | Magnetometer MagnetometerFault | OtherSensor u16 u16
+ParameterFault: | NotFinite Term u8 | OutOfBounds Term u8 f64 f64 f64 | Singular f64 | Sensitivity f64 | Alignment f64 | Overflow | SingularAtTemperature | Covariance | Quality QualityFault | Magnetometer MagnetometerFault | OtherSensor u16 u16 | OtherSensorIndex u8 u8
 QualityFault: | Temperature | Residual | Condition | Deviation
 MagnetometerFault: | HardIron | SoftIron | Field | Quality | Dip
 Term: | Bias | Scale | Misalignment | ReferenceTemperature | BiasSlope | BiasCurvature | ScaleSlope | Nonlinearity
@@ -42,11 +43,13 @@ Refusal: | KeyNeeded | Locked | InvalidParameters ParameterFault | WrongRange u8
 ";
 
 /// Names that the examples give their structs, which the wire does not know.
-const STRUCTS: [&str; 15] = [
+const STRUCTS: [&str; 17] = [
     "ActiveParameters",
+    "Attitude",
     "DeviceKey",
     "Environment",
     "Epoch",
+    "EpochGyroscope",
     "KeyId",
     "LinkStatus",
     "Navigation",
@@ -177,6 +180,23 @@ impl Reader<'_> {
             "sensor" => {
                 let number = u16::from_le_bytes(self.bytes());
                 self.note(format!("Some({number})"));
+            }
+            // Three fields follow the revision, unless it is 1, then the state: the examples show them after it.
+            "revision" => {
+                self.read("u8");
+                let mut added = Reader {
+                    rest: self.rest,
+                    found: Vec::new(),
+                };
+                let is_first = self.found.last().is_some_and(|revision| revision == "1");
+                if !is_first {
+                    for of in ["u8", "Gyroscope?", "signature"] {
+                        added.read(of);
+                    }
+                    self.rest = added.rest;
+                }
+                self.read("State");
+                self.found.append(&mut added.found);
             }
             // The examples do not show it.
             "key" => self.rest = &self.rest[32..],
@@ -325,13 +345,19 @@ fn a_greeting_and_its_question_read_as_the_document_says() {
 /// The document's Python on the document's batches.
 #[test]
 fn every_batch_reads_as_the_document_says() {
+    for file in ["batch", "inertial"] {
+        python_reads(file);
+    }
+}
+
+fn python_reads(file: &str) {
     let document = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/PROTOCOL.md");
     let text = fs::read_to_string(document).expect("the document");
     let code = text.split("```python\n").nth(1).expect("Python");
     let code = code.split("```").next().expect("its end");
     let python = std::process::Command::new("python3")
         .args(["-c", code])
-        .arg(folder().join("batch.hex"))
+        .arg(folder().join(file).with_extension("hex"))
         .output();
     let Ok(ran) = python else {
         println!("skipped: there is no python3");
@@ -343,6 +369,6 @@ fn every_batch_reads_as_the_document_says() {
         "{}",
         String::from_utf8_lossy(&ran.stderr)
     );
-    assert_eq!(said.lines().count(), examples("batch").len(), "{said}");
+    assert_eq!(said.lines().count(), examples(file).len(), "{said}");
     assert!(said.lines().all(|line| line.starts_with("ok ")), "{said}");
 }

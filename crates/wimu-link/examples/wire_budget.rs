@@ -4,13 +4,15 @@
 //!
 //! Without files it makes its own signals: a 12-bit sensor at rest, a 16-bit one at rest and in
 //! a moving hand. In a FOLDER it looks for the recordings that it knows. A CSV is read by its columns `Accelerometer X (LSB)`, `Y`, `Z`, or
-//! `Accelerometer 0 X (LSB)`, …; a negative FROM counts from the end.
+//! `Accelerometer 0 X (LSB)`, …, for six axes also `Gyroscope X (LSB)`, …; a negative FROM counts from the end.
+//! Recordings in m/s² and rad/s are quantised at the sensitivities of an LSM6DSO, 0.061 mg and 17.5 mdps
+//! per LSB (±2 *g*, ±500 °/s).
 
 use std::error::Error;
 use std::f64::consts::TAU;
 use std::path::Path;
 
-use wimu_link::batch::{self, Batch};
+use wimu_link::batch::{self, Batch, Sample};
 use wimu_link::{Deframer, MAX_FRAME};
 use wimu_model::{Counts, DeviceTimeUs};
 use wimu_testkit::{Random, figure};
@@ -23,6 +25,33 @@ const RECORDINGS: [&str; 4] = [
     "array/mimu4444_run1.csv",
     "array/mimu4444_run1.csv:-7500",
     "calibration/six_position_sections.csv",
+];
+/// Recordings of six axes, and the most bytes a sample: sensors at rest, an array in poses and then in violent motion,
+/// translations by hand.
+const SIX_AXES: [(&str, Option<f64>); 7] = [
+    ("static/mpu6050_449s.csv", Some(REST)),
+    ("calibration/six_position_sections.csv", Some(REST)),
+    ("array/mimu4444_run1.csv", None),
+    ("array/mimu4444_run1.csv:-7500", None),
+    ("motion/broad_slow_translation_A.csv", Some(HAND)),
+    ("motion/broad_slow_translation_breaks_B.csv", Some(HAND)),
+    ("motion/broad_fast_translation_A.csv", Some(HAND)),
+];
+/// Most bytes a sample of six axes, at rest and in hand motion.
+const REST: f64 = 7.5;
+const HAND: f64 = 10.0;
+/// Units of columns, and LSB of an LSM6DSO in one unit.
+const UNITS: [[(&str, f64); 3]; 2] = [
+    [
+        ("LSB", 1.0),
+        ("m/s²", 1.0 / (0.061e-3 * 9.80665)),
+        ("g", 1.0 / 0.061e-3),
+    ],
+    [
+        ("LSB", 1.0),
+        ("rad/s", 360.0 / TAU / 17.5e-3),
+        ("deg/s", 1.0 / 17.5e-3),
+    ],
 ];
 /// 115200 baud, 8N1: ten bits to a byte.
 const LINE_BYTES_PER_S: f64 = 11_520.0;
@@ -38,26 +67,36 @@ fn main() -> Result<(), Box<dyn Error>> {
     if files.is_empty() {
         for (name, samples) in signals() {
             let cost = report(name, &samples)?;
-            record(name, cost, name.contains("hand motion"));
+            record("", name, cost, name.contains("hand motion").then_some(5.0));
         }
     }
-    if let Some(folder) = folder {
+    if let Some(folder) = &folder {
         for name in RECORDINGS {
-            record(
-                name,
-                report(name, &read(&format!("{folder}/{name}"))?)?,
-                false,
-            );
+            let samples = three_axes(&format!("{folder}/{name}"))?;
+            record("", name, report(name, &samples)?, None);
+        }
+    }
+    for file in &files {
+        report(file, &three_axes(file)?)?;
+    }
+    println!("\nraw samples of six axes");
+    if let Some(folder) = folder {
+        for (name, most) in SIX_AXES {
+            let samples = six_axes(&format!("{folder}/{name}"))?;
+            record(" of six axes", name, report(name, &samples)?, most);
         }
     }
     for file in files {
-        report(&file, &read(&file)?)?;
+        match six_axes(&file) {
+            Ok(samples) => report(&file, &samples).map(|_| ())?,
+            Err(why) => println!("{why}"),
+        }
     }
     Ok(())
 }
 
 /// Packs all of `samples`, checks that they come back, and prints the cost.
-fn report(name: &str, samples: &[Counts]) -> Result<f64, Box<dyn Error>> {
+fn report<S: Sample>(name: &str, samples: &[S]) -> Result<f64, Box<dyn Error>> {
     let mut line = [0; MAX_FRAME];
     let mut deframer = Deframer::new();
     let mut bytes = 0;
@@ -70,10 +109,12 @@ fn report(name: &str, samples: &[Counts]) -> Result<f64, Box<dyn Error>> {
             if let Some(frame) = deframer.push(byte) {
                 let frame = frame?;
                 let back = Batch::decode(frame.kind, frame.body)?;
-                assert!(
-                    back.counts().eq(chunk.iter().copied()),
-                    "packing lost something"
-                );
+                let found = [back.samples(), back.angular_rates()];
+                let lost = (0..S::AXES).any(|axis| {
+                    let found = found[axis / 3].iter().map(|axes| axes[axis % 3]);
+                    !found.eq(chunk.iter().map(|sample| sample.axis(axis)))
+                });
+                assert!(!lost, "packing lost something");
             }
         }
     }
@@ -86,15 +127,16 @@ fn report(name: &str, samples: &[Counts]) -> Result<f64, Box<dyn Error>> {
     Ok(cost)
 }
 
-/// Records bytes a sample. The target is that of a hand's motion.
-fn record(name: &str, cost: f64, barred: bool) {
+/// Records bytes a sample, and whether they are few enough.
+fn record(axes: &str, name: &str, cost: f64, most: Option<f64>) {
     let name = name
         .strip_suffix(".csv")
         .unwrap_or(name)
         .replace(".csv:-7500", ", end");
-    let target = if barred { "at most 5" } else { "–" };
-    let claim = format!("bytes a sample, frames of {BATCH}: {name}");
-    figure(&claim, format!("{cost:.3}"), target, !barred || cost <= 5.0);
+    let target = most.map_or("–".to_owned(), |most| format!("at most {most}"));
+    let claim = format!("bytes a sample{axes}, frames of {BATCH}: {name}");
+    let met = most.is_none_or(|most| cost <= most);
+    figure(&claim, format!("{cost:.3}"), &target, met);
 }
 
 fn signals() -> [(&'static str, Vec<Counts>); 5] {
@@ -145,7 +187,17 @@ fn signals() -> [(&'static str, Vec<Counts>); 5] {
     ]
 }
 
-fn read(argument: &str) -> Result<Vec<Counts>, Box<dyn Error>> {
+fn three_axes(argument: &str) -> Result<Vec<Counts>, Box<dyn Error>> {
+    Ok(read::<3>(argument)?.into_iter().map(Counts).collect())
+}
+
+fn six_axes(argument: &str) -> Result<Vec<(Counts, Counts)>, Box<dyn Error>> {
+    let pair = |[x, y, z, p, q, r]: [i16; 6]| (Counts([x, y, z]), Counts([p, q, r]));
+    Ok(read(argument)?.into_iter().map(pair).collect())
+}
+
+/// The first axes of the accelerometer and the gyroscope.
+fn read<const AXES: usize>(argument: &str) -> Result<Vec<[i16; AXES]>, Box<dyn Error>> {
     let mut parts = argument.split(':');
     let path = parts.next().unwrap_or_default();
     let from: i64 = parts.next().map_or(Ok(0), str::parse)?;
@@ -153,28 +205,39 @@ fn read(argument: &str) -> Result<Vec<Counts>, Box<dyn Error>> {
     let text = std::fs::read_to_string(path).map_err(|error| format!("{path}: {error}"))?;
     let mut lines = text.lines();
     let header: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
-    let mut columns = [0; 3];
-    for (column, axis) in columns.iter_mut().zip(["X", "Y", "Z"]) {
-        let names = [
-            format!("Accelerometer {axis} (LSB)"),
-            format!("Accelerometer 0 {axis} (LSB)"),
-        ];
-        *column = header
+    let mut columns = [(0, 1.0); AXES];
+    for (index, column) in columns.iter_mut().enumerate() {
+        let (sensor, axis) = (
+            ["Accelerometer", "Gyroscope"][index / 3],
+            ["X", "Y", "Z"][index % 3],
+        );
+        *column = UNITS[index / 3]
             .iter()
-            .position(|name| names.iter().any(|wanted| wanted == name))
-            .ok_or_else(|| format!("{path}: no column `{}`", names[0]))?;
+            .find_map(|(unit, lsb)| {
+                let names = [
+                    format!("{sensor} {axis} ({unit})"),
+                    format!("{sensor} 0 {axis} ({unit})"),
+                ];
+                let place = header
+                    .iter()
+                    .position(|name| names.iter().any(|wanted| wanted == name))?;
+                Some((place, *lsb))
+            })
+            .ok_or_else(|| format!("{path}: no column `{sensor} {axis} (LSB)`"))?;
     }
     let mut samples = Vec::new();
     for (number, line) in lines.enumerate() {
         let fields: Vec<&str> = line.split(',').collect();
-        let mut counts = [0; 3];
-        for (value, &column) in counts.iter_mut().zip(&columns) {
-            *value = fields
+        let mut counts = [0; AXES];
+        for (value, &(column, lsb)) in counts.iter_mut().zip(&columns) {
+            let field: f64 = fields
                 .get(column)
                 .and_then(|field| field.parse().ok())
-                .ok_or_else(|| format!("{path}:{}: not three 16-bit counts", number + 2))?;
+                .ok_or_else(|| format!("{path}:{}: not {AXES} numbers", number + 2))?;
+            // Saturates at the ends of the range.
+            *value = (field * lsb).round() as i16;
         }
-        samples.push(Counts(counts));
+        samples.push(counts);
     }
     let from = if from < 0 {
         samples.len().saturating_sub(from.unsigned_abs() as usize)

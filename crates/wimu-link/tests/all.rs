@@ -4,6 +4,7 @@ mod auth;
 mod batches;
 mod frames;
 mod growth;
+mod inertial_vectors;
 mod messages;
 mod requests;
 mod vectors;

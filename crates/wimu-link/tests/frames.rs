@@ -1,15 +1,18 @@
 //! What frames keep out, and what they let through.
 
 use proptest::prelude::*;
-use wimu_link::frame::{self, Deframer, EncodeError, FrameError, Kind, MAX_BODY, MAX_FRAME};
+use wimu_link::frame::{
+    self, Deframer, EncodeError, FrameError, Kind, MAX_BODY, MAX_FRAME, WIRE_VERSION,
+};
 
-const KINDS: [Kind; 6] = [
+const KINDS: [Kind; 7] = [
     Kind::Hello,
     Kind::WhoAreYou,
     Kind::Batch,
     Kind::Telemetry,
     Kind::Request,
     Kind::Reply,
+    Kind::Inertial,
 ];
 
 type Received = Result<(u8, Kind, Vec<u8>), FrameError>;
@@ -58,7 +61,7 @@ proptest! {
     fn a_frame_arrives_as_it_was_sent(kind in prop::sample::select(&KINDS[..]), body in bodies()) {
         let line = framed(kind, &body);
         prop_assert_eq!(line.iter().position(|&byte| byte == 0), Some(line.len() - 1));
-        prop_assert_eq!(receive(&line), [Ok((1, kind, body.clone()))]);
+        prop_assert_eq!(receive(&line), [Ok((WIRE_VERSION, kind, body.clone()))]);
         // A buffer that is one byte short is refused, never overrun.
         let mut short = vec![0; line.len() - 1];
         prop_assert_eq!(frame::encode(kind, &body, &mut short), Err(EncodeError::NoRoom));
@@ -97,7 +100,7 @@ proptest! {
         let frame = framed(Kind::Telemetry, b"after");
         let line = [&garbage[..], &[0], &frame].concat();
         let last = receive(&line).pop();
-        prop_assert_eq!(last, Some(Ok((1, Kind::Telemetry, b"after".to_vec()))));
+        prop_assert_eq!(last, Some(Ok((WIRE_VERSION, Kind::Telemetry, b"after".to_vec()))));
     }
 }
 
@@ -144,26 +147,49 @@ fn a_lost_zero_is_one_damaged_frame() {
     let line = [&line[..], &line, &[0], &whole].concat();
     let received = receive(&line);
     assert_eq!(received[0], Err(FrameError::TooLong));
-    assert_eq!(received[1..], [Ok((1, Kind::Batch, b"whole".to_vec()))]);
+    assert_eq!(
+        received[1..],
+        [Ok((WIRE_VERSION, Kind::Batch, b"whole".to_vec()))]
+    );
 }
 
 #[test]
 fn strangers_are_named() {
     let unknown = FrameError::UnknownKind {
-        version: 1,
+        version: WIRE_VERSION,
         kind: 9,
     };
-    assert_eq!(receive(&framed_as(0x19, b"?")), [Err(unknown)]);
+    assert_eq!(
+        receive(&framed_as(WIRE_VERSION << 4 | 9, b"?")),
+        [Err(unknown)]
+    );
     let newer = FrameError::UnknownVersion {
-        version: 2,
+        version: WIRE_VERSION + 1,
         kind: 3,
     };
-    assert_eq!(receive(&framed_as(0x23, b"?")), [Err(newer)]);
+    assert_eq!(
+        receive(&framed_as((WIRE_VERSION + 1) << 4 | 3, b"?")),
+        [Err(newer)]
+    );
     assert!(!unknown.is_damage() && !newer.is_damage());
     assert_eq!(
         receive(&framed_as(0xf1, b"later")),
         [Ok((15, Kind::Hello, b"later".to_vec()))]
     );
+}
+
+#[test]
+fn of_version_1_samples_and_telemetry_are_read_and_nothing_else() {
+    for kind in 3..=7 {
+        let received = receive(&framed_as(1 << 4 | kind, b"old"));
+        match kind {
+            3 | 4 => assert!(matches!(&received[..], [Ok((1, _, _))])),
+            _ => assert_eq!(
+                received,
+                [Err(FrameError::UnknownVersion { version: 1, kind })]
+            ),
+        }
+    }
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! What ends of wire version 1 make of what later ones of version 1 may say, and of other versions.
+//! What ends of a wire version make of what later ones of that version may say, and of other versions.
 
 use std::path::Path;
 use std::time::Duration;
@@ -8,7 +8,8 @@ use sha2::Sha256;
 use wimu_link::auth::{DeviceKey, KeyState, Lock, Session};
 use wimu_link::frame::{self, Frame, FrameError};
 use wimu_link::message::{
-    Epoch, EpochReason, Event, Payload, Refusal, Signature, Status, WireState,
+    Epoch, EpochGyroscope, EpochReason, Event, MessageError, Payload, Refusal, Signature, Status,
+    WireState,
 };
 use wimu_link::responder::{Decision, Responder};
 use wimu_link::{
@@ -182,21 +183,25 @@ fn an_epoch_of_other_arithmetic_still_places_samples() {
             revision: 200,
             ..WireState::default()
         },
-        ..Epoch::default()
+        sensor: 7,
+        gyroscope: Some(EpochGyroscope {
+            rad_s_per_lsb: 0.5,
+            full_scale: 8,
+        }),
+        tag: Signature::new(&[9; 8]).expect("short enough"),
     };
     let telemetry = Telemetry::Epoch(epoch);
     let body = body_of(|line| telemetry.encode(line));
     assert_eq!(Telemetry::decode(&body), Ok(telemetry));
     assert!(!epoch.state.is_ours());
-    // Whatever its state looks like.
-    let revision = body
-        .iter()
-        .position(|&byte| byte == 200)
-        .expect("not folded");
-    let mut other = body[..revision].to_vec();
-    other.extend([200, 1]);
+    // Whatever its state looks like: it follows the tag.
+    let tag = body.iter().rposition(|&byte| byte == 9).expect("a tag");
+    let mut other = body[..=tag].to_vec();
     other.extend([0xFF; 30]);
     assert_eq!(Telemetry::decode(&other), Ok(telemetry));
+    for cut in 0..=tag {
+        assert_eq!(Telemetry::decode(&body[..cut]), Err(MessageError::TooShort));
+    }
 }
 
 /// The wire of before: who is there is read for ever, nothing else.

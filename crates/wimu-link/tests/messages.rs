@@ -366,7 +366,7 @@ fn unknown_missing_and_left_over_bytes_are_told_apart() {
     assert_eq!(body, [6, 5, 0, 0]);
     assert_eq!(Telemetry::decode(&body), Ok(event));
     assert_eq!(Telemetry::decode(&body[..3]), Err(MessageError::TooShort));
-    assert_eq!(Telemetry::decode(&[7]), Err(MessageError::Malformed));
+    assert_eq!(Telemetry::decode(&[99]), Err(MessageError::Malformed));
     assert_eq!(Telemetry::decode(&[0, 1, 99]), Err(MessageError::TooShort));
     assert_eq!(
         Request::decode(&[1, 1, 0, 6, 7]),

@@ -1,9 +1,9 @@
-//! Golden vectors: whole frames in `tests/vectors/v1`, one a line in hex, each under a comment that
+//! Golden vectors: whole frames in `tests/vectors/v2`, one a line in hex, each under a comment that
 //! says what it is. They keep the wire from changing unnoticed, and other hosts can be tested on
 //! them.
 //!
-//! Those of version 1 are frozen: `WRITE_VECTORS=1 cargo test -p wimu-link --test all vectors` adds frames that
-//! are new, and changes none.
+//! Frozen ones never change: `WRITE_VECTORS=1 cargo test -p wimu-link --test all vectors` adds frames that
+//! are new, and changes none. Those of version 1 are recordings, which stay readable.
 
 use std::fmt::Write as _;
 use std::num::NonZeroU8;
@@ -11,27 +11,28 @@ use std::path::PathBuf;
 
 use wimu_link::auth::{DeviceKey, KeyId};
 use wimu_link::batch::Layout;
-use wimu_link::frame::EncodeError;
+use wimu_link::frame::{self, EncodeError, FrameError};
 use wimu_link::hello::{Capabilities, LinkRole, Part, ResetReason, WriteAccess, board, sensor};
 use wimu_link::message::{
-    ARITHMETIC_REVISION, ActiveParameters, Answer, BusFault, Command, Environment, Epoch,
-    EpochReason, Event, LinkStatus, Navigation, ParameterFault, Payload, Refusal, Reply, Request,
-    Resolution, SensorStatus, Settings, Signature, Status, Streams, Telemetry, WireMagnetometer,
-    WireMagnetometerFault, WireMagnetometerRotation, WireMethod, WireParameters, WirePhase,
-    WireQuality, WireQualityFault, WireRun, WireSegment, WireState, WireTerm, WireWindow,
+    ARITHMETIC_REVISION, ActiveParameters, Answer, Attitude, BusFault, Command, Environment, Epoch,
+    EpochGyroscope, EpochReason, Event, LinkStatus, Navigation, ParameterFault, Payload, Record,
+    Refusal, Reply, Request, Resolution, SensorStatus, Settings, Signature, Status, Streams,
+    Telemetry, WireMagnetometer, WireMagnetometerFault, WireMagnetometerRotation, WireMethod,
+    WireParameters, WirePhase, WireQuality, WireQualityFault, WireRun, WireSegment, WireState,
+    WireTerm, WireWindow,
 };
 use wimu_link::{Batch, Deframer, Hello, Kind, MAX_FRAME, WIRE_VERSION, WhoAreYou, batch};
 use wimu_model::{Counts, DeviceTimeUs, ParameterId, SpecificForceQ16};
 
 /// A file of frames, each with what it is.
-struct Vectors {
+pub struct Vectors {
     name: &'static str,
     kind: Kind,
     frames: Vec<(String, Vec<u8>)>,
 }
 
 impl Vectors {
-    fn new(name: &'static str, kind: Kind) -> Self {
+    pub fn new(name: &'static str, kind: Kind) -> Self {
         Self {
             name,
             kind,
@@ -39,7 +40,7 @@ impl Vectors {
         }
     }
 
-    fn add(
+    pub fn add(
         &mut self,
         what: impl Into<String>,
         encode: impl FnOnce(&mut [u8]) -> Result<usize, EncodeError>,
@@ -51,9 +52,9 @@ impl Vectors {
 
     /// Makes sure that the file has each frame, and none that is not made any more; returns their
     /// bodies.
-    fn check(self) -> Vec<Vec<u8>> {
-        let path = folder().join(self.name).with_extension("hex");
-        let mut golden = std::fs::read_to_string(&path).unwrap();
+    pub fn check(self) -> Vec<Vec<u8>> {
+        let path = folder(WIRE_VERSION).join(self.name).with_extension("hex");
+        let mut golden = std::fs::read_to_string(&path).unwrap_or_default();
         let made: Vec<String> = self.frames.iter().map(|(_, frame)| hex(frame)).collect();
         for ((what, _), digits) in self.frames.iter().zip(&made) {
             let is_new = !frames_of(&golden).any(|kept| kept == digits);
@@ -68,8 +69,8 @@ impl Vectors {
             assert!(made.iter().any(|digits| digits == kept), "no more: {kept}");
         }
         let body = |(_, frame): &(String, Vec<u8>)| {
-            let (kind, body) = opened(frame);
-            assert_eq!(kind, self.kind);
+            let (version, kind, body) = opened(frame).unwrap();
+            assert_eq!((version, kind), (WIRE_VERSION, self.kind));
             body
         };
         self.frames.iter().map(body).collect()
@@ -87,69 +88,149 @@ fn frames_of(text: &str) -> impl Iterator<Item = &str> {
     text.lines().filter(|line| !line.starts_with('#'))
 }
 
-/// Kind and body of a frame of this version.
-fn opened(frame: &[u8]) -> (Kind, Vec<u8>) {
+/// Version, kind and body of a frame.
+fn opened(frame: &[u8]) -> Result<(u8, Kind, Vec<u8>), FrameError> {
     let mut deframer = Deframer::new();
     let mut bytes = frame;
-    let frame = deframer.next(&mut bytes).unwrap().unwrap();
-    assert_eq!(frame.version, WIRE_VERSION);
-    (frame.kind, frame.body.to_vec())
+    let frame = deframer.next(&mut bytes).unwrap()?;
+    Ok((frame.version, frame.kind, frame.body.to_vec()))
 }
 
-/// The frames of version 1 as they were frozen: the first so many of each file, and the CRC-32C of
-/// their hex digits. Whoever has to change a number here makes another version of the wire.
-const FROZEN: [(&str, usize, u32); 6] = [
-    ("batch", 9, 0xe476_f54d),
-    ("hello", 2, 0x981e_9c73),
-    ("reply", 51, 0xabe2_2c4d),
-    ("request", 12, 0x8197_c3da),
-    ("telemetry", 30, 0xa9e1_79c3),
-    ("who_are_you", 1, 0xb2fa_aa2e),
+/// The frozen frames: version, file, number of its first frames, and the CRC-32C of their hex digits.
+const FROZEN: [(u8, &str, usize, u32); 6] = [
+    (1, "batch", 9, 0xe476_f54d),
+    (1, "hello", 2, 0x981e_9c73),
+    (1, "reply", 51, 0xabe2_2c4d),
+    (1, "request", 12, 0x8197_c3da),
+    (1, "telemetry", 30, 0xa9e1_79c3),
+    (1, "who_are_you", 1, 0xb2fa_aa2e),
 ];
 
 #[test]
 fn what_was_frozen_is_what_it_was_and_is_read() {
-    for (name, count, crc) in FROZEN {
-        let path = folder().join(name).with_extension("hex");
+    for (version, name, count, crc) in FROZEN {
+        let path = folder(version).join(name).with_extension("hex");
         let text = std::fs::read_to_string(&path).unwrap();
         let frozen: Vec<&str> = frames_of(&text).take(count).collect();
         assert_eq!(frozen.len(), count, "{name}: frames are gone");
         let found = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI).checksum(frozen.concat().as_bytes());
-        assert_eq!(found, crc, "{name}: frames have changed");
+        assert_eq!(found, crc, "v{version} {name}: {found:#x}");
         for digits in frozen {
-            let bytes: Vec<u8> = (0..digits.len() / 2)
-                .map(|at| u8::from_str_radix(&digits[2 * at..2 * at + 2], 16).unwrap())
-                .collect();
-            let (kind, body) = opened(&bytes);
-            let mut line = [0; MAX_FRAME];
-            let length = match kind {
-                Kind::Hello => Hello::decode(&body).unwrap().encode(&mut line),
-                Kind::WhoAreYou => WhoAreYou::decode(&body).unwrap().encode(&mut line),
-                Kind::Telemetry => Telemetry::decode(&body).unwrap().encode(&mut line),
-                Kind::Request => Request::decode(&body).unwrap().encode(&mut line),
-                Kind::Reply => Reply::decode(&body).unwrap().encode(&mut line),
-                // Others may pack the same samples in another way.
-                _ => {
-                    Batch::decode(Kind::Batch, &body).unwrap();
-                    continue;
-                }
-            };
-            // Said again, it may have gained fields behind what it had.
-            let (_, again) = opened(&line[..length.unwrap()]);
-            assert!(again.starts_with(&body), "{name}: {digits}");
+            is_read(version, digits);
         }
     }
 }
 
-fn folder() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/vectors/v1")
+/// Reads a frozen frame. Encoded again, it may have gained fields at its end.
+fn is_read(frozen_version: u8, digits: &str) {
+    let (kind, body) = match opened(&bytes_of(digits)) {
+        Ok((version, kind, body)) => {
+            assert_eq!(version, frozen_version);
+            (kind, body)
+        }
+        // Requests and replies are exchanged between ends of the same version only.
+        Err(error) => {
+            let FrameError::UnknownVersion { version, kind } = error else {
+                panic!("{error}");
+            };
+            assert!(version == frozen_version && version < WIRE_VERSION);
+            assert!(kind == Kind::Request as u8 || kind == Kind::Reply as u8);
+            return;
+        }
+    };
+    let mut line = [0; MAX_FRAME];
+    let length = match kind {
+        Kind::Hello => Hello::decode(&body).unwrap().encode(&mut line),
+        Kind::WhoAreYou => WhoAreYou::decode(&body).unwrap().encode(&mut line),
+        Kind::Telemetry => Telemetry::decode(&body).unwrap().encode(&mut line),
+        Kind::Request => Request::decode(&body).unwrap().encode(&mut line),
+        Kind::Reply => Reply::decode(&body).unwrap().encode(&mut line),
+        // Others may pack the same samples in another way.
+        _ => {
+            Batch::decode(kind, &body).unwrap();
+            return;
+        }
+    };
+    let (_, _, again) = opened(&line[..length.unwrap()]).unwrap();
+    assert!(again.starts_with(&body), "{digits}");
+}
+
+fn bytes_of(digits: &str) -> Vec<u8> {
+    (0..digits.len() / 2)
+        .map(|at| u8::from_str_radix(&digits[2 * at..2 * at + 2], 16).unwrap())
+        .collect()
+}
+
+#[test]
+fn a_batch_of_three_axes_has_the_bytes_of_version_1() {
+    let [first, second] = [1, WIRE_VERSION].map(|version| {
+        let text = std::fs::read_to_string(folder(version).join("batch.hex")).unwrap();
+        let bodies = frames_of(&text).map(|digits| opened(&bytes_of(digits)).unwrap().2);
+        bodies.collect::<Vec<_>>()
+    });
+    assert_eq!(first, second);
+}
+
+/// What firmware of each version stored on its board: parameters and settings.
+#[test]
+fn stored_records_of_every_version_are_read() {
+    for version in 0..=WIRE_VERSION {
+        let text = std::fs::read_to_string(folder(version).join("telemetry.hex")).unwrap();
+        let (mut sets, mut settings) = (0, 0);
+        for digits in frames_of(&text) {
+            let mut stored = bytes_of(digits);
+            let length = frame::open(&mut stored).unwrap();
+            assert_eq!(stored[0] >> 4, version);
+            match Record::decode(&stored[..length]) {
+                Ok(Record::Parameters(set)) => {
+                    set.decode().unwrap();
+                    sets += 1;
+                }
+                Ok(Record::Settings(_)) => settings += 1,
+                Err(_) => {}
+            }
+        }
+        assert!(sets >= 1 && settings == 1, "version {version}");
+    }
+    // A record of later firmware.
+    assert!(Record::decode(&[(WIRE_VERSION + 1) << 4 | 4, 4, 0]).is_err());
+}
+
+/// Recordings of version 1 hold the samples and messages that their descriptions name.
+#[test]
+fn batches_and_telemetry_of_version_1_are_read_as_what_they_are() {
+    for name in ["batch", "telemetry"] {
+        let path = folder(1).join(name).with_extension("hex");
+        let text = std::fs::read_to_string(path).unwrap();
+        let lines: Vec<&str> = text.lines().collect();
+        for pair in lines.chunks_exact(2) {
+            let (_, kind, body) = opened(&bytes_of(pair[1])).unwrap();
+            match Batch::decode(kind, &body) {
+                Ok(batch) => {
+                    assert!(pair[0].ends_with(&format!("{:?}", batch.samples())));
+                    assert!(batch.sensor() == 0 && batch.angular_rates().is_empty());
+                }
+                Err(_) => {
+                    let message = format!("# {:?}", Telemetry::decode(&body).unwrap());
+                    // What version 1 does not have is absent.
+                    let added = ", sensor: 0, gyroscope: None, tag: Signature { length: 0, bytes: [0, 0, 0, 0, 0, 0, 0, 0] }";
+                    assert_eq!(message.replace(added, ""), pair[0]);
+                }
+            }
+        }
+    }
+}
+
+fn folder(version: u8) -> PathBuf {
+    let vectors = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/vectors");
+    vectors.join(format!("v{version}"))
 }
 
 /// Flash as firmware of each version left it, which later firmware reads (a test of whole boards does).
 #[test]
 fn stored_images_are_what_they_were() {
     for (name, crc) in [("v0.hex", 0x3cc0_c1bc), ("v1.hex", 0x0dfb_02da)] {
-        let image = std::fs::read(folder().join("../store").join(name)).unwrap();
+        let image = std::fs::read(folder(1).join("../store").join(name)).unwrap();
         let found = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI).checksum(&image);
         assert_eq!(found, crc, "{name} has changed");
     }
@@ -157,7 +238,7 @@ fn stored_images_are_what_they_were() {
 
 #[test]
 fn every_file_is_checked() {
-    let mut names: Vec<_> = std::fs::read_dir(folder())
+    let mut names: Vec<_> = std::fs::read_dir(folder(WIRE_VERSION))
         .unwrap()
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
         .collect();
@@ -167,6 +248,7 @@ fn every_file_is_checked() {
         [
             "batch.hex",
             "hello.hex",
+            "inertial.hex",
             "reply.hex",
             "request.hex",
             "telemetry.hex",
@@ -208,7 +290,7 @@ fn hello_is_as_it_was() {
 #[test]
 fn who_are_you_is_as_it_was() {
     let mut vectors = Vectors::new("who_are_you", Kind::WhoAreYou);
-    vectors.add("WhoAreYou { wire_version: 1 }", |line| {
+    vectors.add("WhoAreYou { wire_version: 2 }", |line| {
         WhoAreYou::default().encode(line)
     });
     for body in vectors.check() {
@@ -522,12 +604,29 @@ fn telemetry_is_as_it_was() {
                 residual_um_s2: -56_000,
                 expected_um_s2: 9_000,
             },
+            Event::GyroscopeLost(BusFault::Timeout),
         ]
         .map(|event| Telemetry::Event {
             time_us: 1_000_000,
             event,
         }),
     );
+    messages.extend([
+        Telemetry::Epoch(Epoch {
+            sensor: 3,
+            gyroscope: Some(EpochGyroscope {
+                rad_s_per_lsb: 0.001_25,
+                full_scale: 524_287,
+            }),
+            tag: Signature::new(&[1, 2, 3, 4, 5, 6, 7, 8]).unwrap(),
+            full_scale: 524_287,
+            ..epoch(EpochReason::Periodic)
+        }),
+        Telemetry::Attitude(Attitude {
+            sequence: 360_001,
+            quaternion: [1 << 30, -1, 0, -(1 << 29)],
+        }),
+    ]);
     let mut vectors = Vectors::new("telemetry", Kind::Telemetry);
     for message in &messages {
         vectors.add(format!("{message:?}"), |line| message.encode(line));
@@ -669,6 +768,10 @@ fn replies_are_as_they_were() {
             ParameterFault::OtherSensor {
                 parameters: 2,
                 device: 1,
+            },
+            ParameterFault::OtherSensorIndex {
+                parameters: 2,
+                device: 0,
             },
         ])
         .map(|fault| Answer::Refused(Refusal::InvalidParameters(fault))),

@@ -342,7 +342,9 @@ impl<T: Transport> Client<T> {
     }
 
     fn no_greeting(&self) -> HostError {
-        if let Some(version) = self.decoder.foreign_version() {
+        let older = self.decoder.latest_version();
+        let older = older.filter(|version| *version < WIRE_VERSION);
+        if let Some(version) = self.decoder.foreign_version().or(older) {
             return self.foreign(version);
         }
         let statistics = self.decoder.statistics();

@@ -93,6 +93,7 @@ pub struct Decoder {
     identity: Option<(u64, u32)>,
     identity_before: Option<(u64, u32)>,
     foreign_version: Option<u8>,
+    latest_version: Option<u8>,
 }
 
 /// State of a decoder within one start of the device.
@@ -155,6 +156,7 @@ impl Decoder {
                 Ok(frame) => {
                     self.statistics.frames += 1;
                     self.listening = true;
+                    self.latest_version = Some(frame.version);
                     match read(frame.kind, frame.body) {
                         Ok(message) => message,
                         Err(why) => {
@@ -230,6 +232,11 @@ impl Decoder {
     /// The wire version of the latest undamaged frame that is of another version than ours.
     pub fn foreign_version(&self) -> Option<u8> {
         self.foreign_version
+    }
+
+    /// The wire version of the latest readable frame other than batches: of recordings, 1 too.
+    pub fn latest_version(&self) -> Option<u8> {
+        self.latest_version
     }
 
     /// The device has restarted before the held data. If its greeting has the time of the restart, older

@@ -142,7 +142,7 @@ fn unknown_kinds_and_versions_are_counted_and_not_fatal() {
             let body = seeded.bytes(40);
             match seeded.below(2) {
                 0 => frame_of(1 + seeded.below(15) as u8, 5, &body),
-                _ => frame_of(WIRE_VERSION, 7 + seeded.below(9) as u8, &body),
+                _ => frame_of(WIRE_VERSION, 8 + seeded.below(8) as u8, &body),
             }
         });
         assert!(passes(&frame_of(
@@ -177,7 +177,7 @@ fn intact_frames_with_random_bodies_harm_nothing() {
         let (mut rig, _) = flood(role, |_| {
             let length = seeded.below(60);
             let body = seeded.bytes(length);
-            frame_of(WIRE_VERSION, 1 + seeded.below(6) as u8, &body)
+            frame_of(WIRE_VERSION, 1 + seeded.below(7) as u8, &body)
         });
         assert_eq!(rig.settings(), Settings::default());
         rig.link(role).assert_perfect();

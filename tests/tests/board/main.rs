@@ -12,3 +12,4 @@ mod rates;
 mod requests;
 mod self_check;
 mod sensor;
+mod versions;

@@ -429,8 +429,9 @@ fn a_flash_that_is_erased_at_once_costs_no_sample_up_to_200_hz_and_each_one_is_c
         for rate_hz in [25, 50, 100, 200] {
             assert_eq!(missed(rate_hz), 0, "{rate_hz} Hz");
         }
-        // 35 and 117 are taken meanwhile; 31 and what the FIFO had room for are left.
+        // 35 and 117 are taken meanwhile; 31 and what the FIFO had room for are left, or none of them if the erase
+        // interrupts a read.
         assert!((1..=20).contains(&missed(400)), "{}", missed(400));
-        assert!((86..=103).contains(&missed(1344)), "{}", missed(1344));
+        assert!((86..=117).contains(&missed(1344)), "{}", missed(1344));
     }
 }

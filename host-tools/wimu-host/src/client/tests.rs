@@ -433,24 +433,31 @@ fn garbage_before_the_greeting_does_not_hide_it() {
 
 #[test]
 fn a_board_of_another_version_is_named() {
-    let line = Line::new(LinkRole::Cable);
-    line.board().hello.wire_version = 3;
-    let error = line.connect().err().unwrap();
-    assert_eq!(error.code(), ErrorCode::ProtocolVersion);
-    assert!(error.message().contains("version 3"), "{error}");
+    for (version, older) in [(1, "the board's firmware"), (3, "wimu on this computer")] {
+        let line = Line::new(LinkRole::Cable);
+        line.board().hello.wire_version = version;
+        let error = line.connect().err().unwrap();
+        assert_eq!(error.code(), ErrorCode::ProtocolVersion);
+        let says = format!("version {version} of the protocol, this wimu version 2");
+        assert!(error.message().contains(&says), "{error}");
+        assert!(error.remedy().contains(older), "{error}");
+    }
 }
 
 #[test]
 fn a_board_of_another_version_is_named_even_if_it_does_not_hear() {
-    let line = Line::new(LinkRole::Cable);
-    line.board().silent = true;
-    // Telemetry of version 3, empty, and its CRC-32C.
-    line.board()
-        .outgoing
-        .extend([6, 0x34, 0xFF, 0x8D, 0x04, 0xA5, 0]);
-    let error = line.connect().err().unwrap();
-    assert_eq!(error.code(), ErrorCode::ProtocolVersion, "{error}");
-    assert!(error.message().contains("version 3"), "{error}");
+    // Telemetry of version 3, empty, and its CRC-32C; an event of version 1, which recordings hold.
+    let later = vec![6, 0x34, 0xFF, 0x8D, 0x04, 0xA5, 0];
+    let earlier = vec![9, 0x14, 6, 5, 1, 0xB6, 0x47, 0xD3, 0xA4, 0];
+    for (version, sent) in [(3, later), (1, earlier)] {
+        let line = Line::new(LinkRole::Cable);
+        line.board().silent = true;
+        line.board().outgoing.extend(sent);
+        let error = line.connect().err().unwrap();
+        assert_eq!(error.code(), ErrorCode::ProtocolVersion, "{error}");
+        let says = format!("version {version} ");
+        assert!(error.message().contains(&says), "{error}");
+    }
 }
 
 #[test]

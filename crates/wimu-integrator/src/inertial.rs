@@ -259,12 +259,15 @@ impl Integrator {
         let mean = self.state.rest_mean;
         self.inertial.map_or(mean, |inertial| {
             let short = mean.map(|mean| (mean >> 8) as i32);
-            inertial.rotation.to_body(short).map(|f| i64::from(f) << 8)
+            inertial
+                .rotation
+                .rotate_back(short)
+                .map(|f| i64::from(f) << 8)
         })
     }
 
     /// A vector in present body axes, in integration axes.
-    pub(crate) fn from_body(&self, body: [i32; 3]) -> [i32; 3] {
+    pub(crate) fn in_integration_axes(&self, body: [i32; 3]) -> [i32; 3] {
         (self.inertial).map_or(body, |inertial| inertial.rotation.rotate(body))
     }
 

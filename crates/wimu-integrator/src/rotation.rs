@@ -139,7 +139,7 @@ impl Rotation {
     }
 
     /// A vector in navigation axes, in body axes. Within 2 LSB.
-    pub(crate) fn to_body(&self, vector: [i32; 3]) -> [i32; 3] {
+    pub(crate) fn rotate_back(&self, vector: [i32; 3]) -> [i32; 3] {
         let [w, x, y, z] = self.short();
         turned(vector, [w, -x, -y, -z])
     }

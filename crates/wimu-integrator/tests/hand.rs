@@ -1,13 +1,19 @@
 //! A simulated hand motion between two rests, as accelerometer and gyroscope measure it.
 
+// The tests and the example `accuracy` use parts of it.
+#![allow(dead_code)]
+
 use std::f64::consts::{PI, TAU};
 
 use wimu_integrator::{Navigation, Saturation, State};
-use wimu_model::{AngularRateQ20, SpecificForceQ16};
+use wimu_model::{AngularRateQ20, PeriodNs, SpecificForceQ16};
 
 pub const G: f64 = 9.80665;
 /// Duration of each rest, s.
 pub const REST_S: f64 = 3.0;
+/// Sample rate and period.
+pub const HZ: f64 = 200.0;
+pub const PERIOD: PeriodNs = PeriodNs(5_000_000);
 const NONE: Saturation = Saturation {
     accelerometer: false,
     gyroscope: false,
@@ -24,6 +30,18 @@ pub struct Errors {
     pub rate_noise: f64,
     /// Constant, rad/s, body axes.
     pub rate_bias: [f64; 3],
+}
+
+impl Errors {
+    /// An LSM6DSO at [`HZ`]: 0.1 mg/√Hz and 4 mdps/√Hz, calibrated but for the gyroscope's bias.
+    pub fn lsm6dso() -> Self {
+        Self {
+            force_noise: 0.01,
+            force_bias: [0.003, -0.002, 0.004],
+            rate_noise: 0.04_f64.to_radians(),
+            rate_bias: [2.0, -1.0, 0.5].map(f64::to_radians),
+        }
+    }
 }
 
 /// A path of about a metre with loops, turned by up to 70° on the way and to another attitude at its end.
@@ -118,6 +136,10 @@ pub fn times(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
         a[0] * b[2] + a[2] * b[0] + a[3] * b[1] - a[1] * b[3],
         a[0] * b[3] + a[3] * b[0] + a[1] * b[2] - a[2] * b[1],
     ]
+}
+
+pub fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt()
 }
 
 pub fn conjugate(q: [f64; 4]) -> [f64; 4] {

@@ -194,7 +194,7 @@ impl GyroscopeCorrector {
     ///
     /// # Errors
     /// [`CompileError::Overflow`] when full-scale counts exceed ±128 rad/s, or the g-sensitivity in body
-    /// axes 0.125 rad/s per m/s²; [`CompileError::Singular`] when A(T) cannot be inverted at this temperature.
+    /// axes 0.0625 rad/s per m/s²; [`CompileError::Singular`] when A(T) cannot be inverted at this temperature.
     pub fn compile(
         model: &GyroscopeModel,
         rad_s_per_lsb: f64,
@@ -251,7 +251,8 @@ impl GyroscopeCorrector {
     fn compensated(&self, mut rate: [i32; 3], force: SpecificForceQ16) -> AngularRateQ20 {
         if let Some(g) = &self.g_sensitivity {
             for (axis, row) in rate.iter_mut().zip(g) {
-                *axis = axis.saturating_add(scaled_dot(*row, force.0));
+                // Within 2³¹: three products of 2²⁹ each, and the rate.
+                *axis = axis.wrapping_add(scaled_dot(*row, force.0));
             }
         }
         AngularRateQ20(rate)
@@ -260,8 +261,8 @@ impl GyroscopeCorrector {
 
 /// Fraction bits of a g-sensitivity coefficient.
 const G_BITS: u32 = 28;
-/// Largest g-sensitivity coefficient, 2⁻²⁸: 0.125 rad/s per m/s².
-const LARGEST_G: u32 = 1 << 29;
+/// Largest g-sensitivity coefficient, 2⁻²⁸: 0.0625 rad/s per m/s².
+const LARGEST_G: u32 = (1 << 28) - 1;
 
 fn check(
     term: GyroscopeTerm,

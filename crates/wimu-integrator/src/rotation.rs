@@ -87,10 +87,10 @@ impl Rotation {
         period: PeriodNs,
     ) -> Self {
         let factor = Factor::of(period);
-        let shifted = |rate: i32| rate.min(factor.limit).max(-factor.limit) << factor.shift;
         Self {
             quaternion,
-            previous: previous.map(|rate| rate.map(shifted)),
+            previous: previous
+                .map(|rate| clamped(rate, factor.limit).map(|axis| axis << factor.shift)),
             remainder,
             factor,
         }
@@ -114,12 +114,13 @@ impl Rotation {
     #[inline]
     pub fn step(&mut self, rate: AngularRateQ20) -> bool {
         let Factor { limit, shift, .. } = self.factor;
-        let mut in_range = true;
-        let next = rate.0.map(|axis| {
-            let clamped = axis.min(limit).max(-limit);
-            in_range &= clamped == axis;
-            clamped << shift
-        });
+        let in_range =
+            (rate.0.iter()).all(|axis| axis.wrapping_add(limit) as u32 <= 2 * limit as u32);
+        let rate = match in_range {
+            true => rate.0,
+            false => clamped(rate.0, limit),
+        };
+        let next = rate.map(|axis| axis << shift);
         if let Some(previous) = self.previous.replace(next) {
             let half_angle = self.half_angle(previous, next);
             self.turn(half_angle);
@@ -225,6 +226,11 @@ pub(crate) fn times(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
         a[0] * b[2] + a[2] * b[0] + a[3] * b[1] - a[1] * b[3],
         a[0] * b[3] + a[3] * b[0] + a[1] * b[2] - a[2] * b[1],
     ]
+}
+
+#[cold]
+fn clamped(rate: [i32; 3], limit: i32) -> [i32; 3] {
+    rate.map(|axis| axis.min(limit).max(-limit))
 }
 
 #[inline]

@@ -27,7 +27,9 @@ struct Unit {
 }
 
 impl Unit {
-    #[inline(always)]
+    // With so few registers a call takes fewer instructions.
+    #[cfg_attr(target_abi = "eabihf", inline(always))]
+    #[cfg_attr(not(target_abi = "eabihf"), inline(never))]
     fn correct(&self, (force, rate): Sample) -> (SpecificForceQ16, AngularRateQ20) {
         let force = self.accelerometer.correct(force);
         (force, self.gyroscope.correct(rate, force))

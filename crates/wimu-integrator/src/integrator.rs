@@ -185,8 +185,8 @@ impl Integrator {
         }
     }
 
-    /// Adds the next sample, integration axes.
-    #[inline]
+    /// Adds the next sample, integration axes. Inlined into both kinds of step: an image has one of them.
+    #[inline(always)]
     pub(crate) fn advance(&mut self, force: SpecificForceQ16, saturated: bool) -> Progress {
         let stepped = self.state.segment.step(force, self.whole_gravity);
         if saturated {

@@ -491,6 +491,21 @@ mod tests {
     }
 
     #[test]
+    fn a_g_sensitivity_beyond_its_range_in_body_axes_is_refused() {
+        let compiled = |g| {
+            let model = GyroscopeModel::new(GyroscopeTerms {
+                matrix: [[0.52, 0.3, 0.3], [0.3, 0.52, 0.3], [0.3, 0.3, 0.52]],
+                g_sensitivity: [[g, -g, -g], [-g, g, -g], [-g, -g, g]],
+                ..GyroscopeTerms::default()
+            })
+            .expect("within bounds");
+            GyroscopeCorrector::compile(&model, 0.0011, Alignment::IDENTITY, None)
+        };
+        assert!(compiled(0.005).is_ok());
+        assert_eq!(compiled(0.02), Err(CompileError::Overflow));
+    }
+
+    #[test]
     fn a_sensor_beyond_128_rad_s_is_refused() {
         let compiled = |rad_s_per_lsb| {
             GyroscopeCorrector::compile(

@@ -33,7 +33,11 @@ use crate::checksum::{Digest, crc_32c};
 /// The version of the wire protocol, independent of the crate's version.
 pub const WIRE_VERSION: u8 = 2;
 
-/// The longest body, bytes: a complete signed parameter set. The longest epoch has 540.
+/// The oldest version whose recordings are readable: batches and telemetry, and replies except those with
+/// parameters. Nothing else is exchanged with a device of another version.
+pub const OLDEST_RECORDED: u8 = 1;
+
+/// The longest body, bytes: a complete signed parameter set. The longest epoch has 566.
 pub const MAX_BODY: usize = 896;
 
 /// The longest frame, bytes, with its closing zero.
@@ -83,12 +87,14 @@ impl Kind {
         matches!(self, Self::Batch | Self::Inertial)
     }
 
-    /// Whether this crate reads this kind in `version`: recordings of version 1 stay readable.
+    /// Whether this crate reads this kind in `version`: what devices sent stays readable in recordings.
     fn is_readable_in(self, version: u8) -> bool {
         match self {
             Self::Hello | Self::WhoAreYou => true,
-            Self::Batch | Self::Telemetry => matches!(version, 1..=WIRE_VERSION),
-            Self::Request | Self::Reply | Self::Inertial => version == WIRE_VERSION,
+            Self::Batch | Self::Telemetry | Self::Reply => {
+                matches!(version, OLDEST_RECORDED..=WIRE_VERSION)
+            }
+            Self::Request | Self::Inertial => version == WIRE_VERSION,
         }
     }
 }
@@ -166,8 +172,8 @@ pub(crate) fn fill(
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Frame<'a> {
-    /// The sender's wire version, 0..=15: this crate's own, 1 on batches and telemetry of recordings, any on
-    /// the kinds that every version reads.
+    /// The sender's wire version, 0..=15: this crate's own; down to [`OLDEST_RECORDED`] on batches, telemetry and
+    /// replies of recordings; any on the kinds that every version reads.
     pub version: u8,
     /// The kind of the body.
     pub kind: Kind,

@@ -97,13 +97,17 @@ fn opened(frame: &[u8]) -> Result<(u8, Kind, Vec<u8>), FrameError> {
 }
 
 /// The frozen frames: version, file, number of its first frames, and the CRC-32C of their hex digits.
-const FROZEN: [(u8, &str, usize, u32); 6] = [
+const FROZEN: [(u8, &str, usize, u32); 10] = [
     (1, "batch", 9, 0xe476_f54d),
     (1, "hello", 2, 0x981e_9c73),
     (1, "reply", 51, 0xabe2_2c4d),
     (1, "request", 12, 0x8197_c3da),
     (1, "telemetry", 30, 0xa9e1_79c3),
     (1, "who_are_you", 1, 0xb2fa_aa2e),
+    (2, "batch", 9, 0xc602_ccda),
+    (2, "hello", 2, 0xe82a_bbdd),
+    (2, "inertial", 10, 0x9495_f6e2),
+    (2, "who_are_you", 1, 0xcd76_9215),
 ];
 
 #[test]
@@ -128,18 +132,19 @@ fn is_read(frozen_version: u8, digits: &str) {
             assert_eq!(version, frozen_version);
             (kind, body)
         }
-        // Requests and replies are exchanged between ends of the same version only.
+        // Requests are executed in their own version only.
         Err(error) => {
             let FrameError::UnknownVersion { version, kind } = error else {
                 panic!("{error}");
             };
             assert!(version == frozen_version && version < WIRE_VERSION);
-            assert!(kind == Kind::Request as u8 || kind == Kind::Reply as u8);
+            assert_eq!(kind, Kind::Request as u8);
             return;
         }
     };
     let mut line = [0; MAX_FRAME];
     let length = match kind {
+        Kind::Reply if frozen_version < WIRE_VERSION => return,
         Kind::Hello => Hello::decode(&body).unwrap().encode(&mut line),
         Kind::WhoAreYou => WhoAreYou::decode(&body).unwrap().encode(&mut line),
         Kind::Telemetry => Telemetry::decode(&body).unwrap().encode(&mut line),
@@ -198,20 +203,27 @@ fn stored_records_of_every_version_are_read() {
 
 /// Recordings of version 1 hold the samples and messages that their descriptions name.
 #[test]
-fn batches_and_telemetry_of_version_1_are_read_as_what_they_are() {
-    for name in ["batch", "telemetry"] {
+fn what_devices_of_version_1_sent_is_read_as_what_it_is() {
+    for name in ["batch", "telemetry", "reply"] {
         let path = folder(1).join(name).with_extension("hex");
         let text = std::fs::read_to_string(path).unwrap();
         let lines: Vec<&str> = text.lines().collect();
         for pair in lines.chunks_exact(2) {
             let (_, kind, body) = opened(&bytes_of(pair[1])).unwrap();
+            // A parameter set has gained fields since, and replies hold pieces of sets.
+            if pair[0].starts_with("# Parameters(") || pair[0].contains("Accepted(Parameters") {
+                continue;
+            }
             match Batch::decode(kind, &body) {
                 Ok(batch) => {
                     assert!(pair[0].ends_with(&format!("{:?}", batch.samples())));
                     assert!(batch.sensor() == 0 && batch.angular_rates().is_empty());
                 }
                 Err(_) => {
-                    let message = format!("# {:?}", Telemetry::decode(&body).unwrap());
+                    let message = match kind {
+                        Kind::Reply => format!("# {:?}", Reply::decode(&body).unwrap()),
+                        _ => format!("# {:?}", Telemetry::decode(&body).unwrap()),
+                    };
                     // What version 1 does not have is absent.
                     let added = ", sensor: 0, gyroscope: None, tag: Signature { length: 0, bytes: [0, 0, 0, 0, 0, 0, 0, 0] }";
                     let message = message.replace(added, "").replace(", rotation: None", "");

@@ -157,8 +157,9 @@ impl Decoder {
                     self.statistics.frames += 1;
                     self.listening = true;
                     self.latest_version = Some(frame.version);
-                    match read(frame.kind, frame.body) {
-                        Ok(message) => message,
+                    match read(&frame) {
+                        Ok(Some(message)) => message,
+                        Ok(None) => continue,
                         Err(why) => {
                             self.statistics.frames_unreadable += 1;
                             Message::Event(Event::Unreadable(why))

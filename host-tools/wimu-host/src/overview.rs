@@ -5,6 +5,7 @@ use std::io::Read;
 use std::path::Path;
 
 use wimu_link::batch::Stream;
+use wimu_link::frame::OLDEST_RECORDED;
 use wimu_link::message::{ActiveParameters, Answer, Payload, Status};
 use wimu_link::{Hello, LinkRole, WIRE_VERSION};
 use wimu_model::ParameterId;
@@ -256,12 +257,16 @@ pub(crate) fn listen<R: Read, L: Listen>(
         let link = links.entry(role.number()).or_insert_with(|| new(role));
         link.finish(carried);
     }
-    let foreign = |(role, link): (&u8, &L)| versions.get(role).filter(|_| !link.has_epochs());
+    let readable = OLDEST_RECORDED..=WIRE_VERSION;
+    let foreign = |(role, link): (&u8, &L)| {
+        let version = versions.get(role)?;
+        (!link.has_epochs() && !readable.contains(version)).then_some(version)
+    };
     if !links.is_empty()
         && let Some(versions) = links.iter().map(foreign).collect::<Option<Vec<&u8>>>()
     {
         return Err(ErrorCode::BadRecording.error(format!(
-                "the board uses version {} of the protocol, this wimu reads version {WIRE_VERSION}",
+                "the board uses version {} of the protocol, this wimu reads versions {OLDEST_RECORDED} to {WIRE_VERSION}",
                 versions[0]
             ),
             "read it with the version of wimu that recorded it",

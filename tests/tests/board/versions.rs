@@ -70,6 +70,8 @@ fn as_version_1(bytes: &[u8]) -> Vec<u8> {
 fn a_recording_of_version_1_is_read_and_replayed_bit_for_bit() {
     let mut rig = Rig::usual();
     rig.run(20.0);
+    // Answers that a recording is read for.
+    rig.status();
     let new = rig.link(LinkRole::Cable);
     let old = Listener::heard(LinkRole::Cable, &as_version_1(&new.bytes()));
     old.assert_perfect();
@@ -80,6 +82,7 @@ fn a_recording_of_version_1_is_read_and_replayed_bit_for_bit() {
     assert_eq!(old.raw, new.raw);
     assert_eq!(old.corrected, new.corrected);
     assert_eq!(old.navigation, new.navigation);
+    assert!(old.status.is_some() && old.status == new.status);
     assert_eq!(old.epochs.len(), new.epochs.len());
     for (old, new) in old.epochs.iter().zip(&new.epochs) {
         assert_eq!((old.epoch.state.revision, new.epoch.state.revision), (1, 2));

@@ -30,11 +30,11 @@ pub struct Saturation {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RotationState {
-    /// Quaternion w, x, y, z from body to integration axes, 2⁻⁶¹.
+    /// Quaternion w, x, y, z from body to integration axes, 2⁻⁵⁹.
     pub quaternion: [i64; 4],
     /// Latest angular rate minus bias, 2⁻²⁰ rad/s; `None` before the first rest and after a gap.
     pub previous: Option<[i32; 3]>,
-    /// Part of the latest half angle below 2⁻³¹ rad, 2⁻⁶³ rad.
+    /// Part of the latest half angle below 2⁻²⁹ rad, 2⁻⁶¹ rad.
     pub remainder: [u32; 3],
     /// Bias of the gyroscope at the latest rest, 2⁻²⁰ rad/s, within ±0.1 rad/s.
     pub bias: [i32; 3],
@@ -50,7 +50,7 @@ impl RotationState {
     /// Checks the ranges.
     pub(crate) fn checked(self) -> Result<Self, StateError> {
         // |q|² in 2⁻⁶⁰; a step keeps it within 2⁻⁸ of 1 even at the largest rate.
-        let square = |q: i64| u128::from((q >> 31).unsigned_abs()).pow(2);
+        let square = |q: i64| u128::from((q >> 29).unsigned_abs()).pow(2);
         let length: u128 = self.quaternion.into_iter().map(square).sum();
         let sums = [self.window, self.sum, self.latest];
         if length.abs_diff(1 << 60) > 1 << 52
@@ -201,7 +201,7 @@ impl Integrator {
     /// of them had an axis at full scale.
     ///
     /// The first call starts the rotation: from then on every sample comes with an angular rate. Rates
-    /// beyond 1.5 rad per axis and sample period are clamped and flagged as saturated.
+    /// beyond 1.25 rad per axis and sample period are clamped and flagged as saturated.
     #[inline]
     pub fn step_inertial(
         &mut self,
@@ -259,12 +259,15 @@ impl Integrator {
         let mean = self.state.rest_mean;
         self.inertial.map_or(mean, |inertial| {
             let short = mean.map(|mean| (mean >> 8) as i32);
-            inertial.rotation.to_body(short).map(|f| i64::from(f) << 8)
+            inertial
+                .rotation
+                .rotate_back(short)
+                .map(|f| i64::from(f) << 8)
         })
     }
 
     /// A vector in present body axes, in integration axes.
-    pub(crate) fn from_body(&self, body: [i32; 3]) -> [i32; 3] {
+    pub(crate) fn in_integration_axes(&self, body: [i32; 3]) -> [i32; 3] {
         (self.inertial).map_or(body, |inertial| inertial.rotation.rotate(body))
     }
 

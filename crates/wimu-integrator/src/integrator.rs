@@ -185,8 +185,8 @@ impl Integrator {
         }
     }
 
-    /// Adds the next sample, integration axes.
-    #[inline]
+    /// Adds the next sample, integration axes. Inlined into both kinds of step: an image has one of them.
+    #[inline(always)]
     pub(crate) fn advance(&mut self, force: SpecificForceQ16, saturated: bool) -> Progress {
         let stepped = self.state.segment.step(force, self.whole_gravity);
         if saturated {
@@ -250,7 +250,7 @@ impl Integrator {
     /// If the body has moved and the heading changes by more than 10°, it rotated during the motion
     /// or north was unknown: the position is flagged.
     pub fn set_heading(&mut self, heading: MagneticHeading) -> bool {
-        self.hold(self.from_body(heading.east), heading.sd_mrad)
+        self.hold(self.in_integration_axes(heading.east), heading.sd_mrad)
     }
 
     /// The same with the heading of the state after [`set_heading`](Self::set_heading) elsewhere, so that
@@ -280,7 +280,7 @@ impl Integrator {
     /// Angle of body x clockwise from north, rad, −π..=π, without a gyroscope held since the latest
     /// rest; `None` before the first. 0 if body x is vertical.
     pub fn heading_rad(&self) -> Option<f64> {
-        let x = self.from_body([1 << DIRECTION_BITS, 0, 0]);
+        let x = self.in_integration_axes([1 << DIRECTION_BITS, 0, 0]);
         (self.state.phase != Phase::Searching).then(|| self.attitude.heading_rad(x))
     }
 

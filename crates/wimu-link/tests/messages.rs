@@ -616,3 +616,57 @@ fn the_arithmetic_is_that_of_its_revision() {
     let computed = (ARITHMETIC_REVISION, digest.finalize());
     assert_eq!(computed, (2, 0x5459_5701_2858_47a1));
 }
+
+/// The same with a gyroscope, and of wide counts.
+#[test]
+fn the_arithmetic_of_six_axes_is_that_of_its_revision() {
+    use wimu_model::{Alignment, Corrector, Counts, GyroscopeCorrector, GyroscopeModel};
+    let corrector = Corrector::compile(&calibrated(), None).unwrap();
+    let model = GyroscopeModel::new(wimu_model::GyroscopeTerms {
+        bias_rad_s: [0.02, -0.01, 0.005],
+        matrix: [[1.02, 0.01, 0.0], [0.0, 0.98, -0.02], [0.01, 0.0, 1.01]],
+        g_sensitivity: [[0.001, 0.0, -0.0005], [0.0, 0.002, 0.0], [0.0, 0.0, 0.001]],
+        ..Default::default()
+    });
+    let gyroscope =
+        GyroscopeCorrector::compile(&model.unwrap(), 0.001_22, Alignment::IDENTITY, None).unwrap();
+    let mut integrator = Integrator::new(Config::new(wimu_model::PeriodNs(2_500_000)).unwrap());
+    let mut state = 1_u32;
+    let mut noise = |bits: u32| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> (32 - bits)) as i16
+    };
+    let crc = crc::Crc::<u64>::new(&crc::CRC_64_XZ);
+    let mut digest = crc.digest();
+    for step in 0..4000_i32 {
+        let moving = (1500..1700).contains(&step);
+        let (push, turn) = if moving { (900, 1000) } else { (0, 0) };
+        let counts = Counts([push + noise(4), noise(4), 8192 + noise(4)]);
+        let rates = Counts([noise(3), turn + noise(3), -2 * turn + noise(3)]);
+        let force = corrector.correct(counts);
+        let rate = gyroscope.correct(rates, force);
+        integrator.step_inertial(force, rate, wimu_integrator::Saturation::default());
+        let wide = wimu_model::WideCounts(rates.0.map(|c| i32::from(c) << 4));
+        let wide = [
+            corrector.correct_wide(wide).0,
+            gyroscope.correct_wide(wide, force).0,
+        ];
+        let out = integrator.navigation();
+        let attitude = out.attitude.unwrap_or_default();
+        for axis in [force.0, rate.0]
+            .iter()
+            .chain(&wide)
+            .flatten()
+            .chain(&attitude)
+        {
+            digest.update(&axis.to_le_bytes());
+        }
+        for value in out.position.0.into_iter().chain(out.velocity.0) {
+            digest.update(&value.to_le_bytes());
+        }
+    }
+    let turned = integrator.navigation().attitude.unwrap();
+    assert!(turned[0].abs() < 1_020_000_000, "{turned:?}");
+    let computed = (ARITHMETIC_REVISION, digest.finalize());
+    assert_eq!(computed, (2, 0x175f_d35c_4b12_b43c));
+}

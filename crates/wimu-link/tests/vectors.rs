@@ -19,8 +19,8 @@ use wimu_link::message::{
     ParametersPiece, Payload, Piece, Record, Refusal, Reply, Request, Resolution, SensorStatus,
     Settings, Signature, Status, Streams, Telemetry, WireGyroscope, WireGyroscopeTerm,
     WireMagnetometer, WireMagnetometerFault, WireMagnetometerRotation, WireMethod, WireParameters,
-    WirePhase, WireQuality, WireQualityFault, WireRun, WireSegment, WireState, WireTerm,
-    WireWindow,
+    WirePhase, WireQuality, WireQualityFault, WireRotation, WireRun, WireSegment, WireState,
+    WireTerm, WireWindow,
 };
 use wimu_link::{Batch, Hello, Kind, MAX_FRAME, WIRE_VERSION, WhoAreYou, batch};
 use wimu_model::{Counts, DeviceTimeUs, ParameterId, SpecificForceQ16};
@@ -246,6 +246,7 @@ fn what_devices_of_version_1_sent_is_read_as_what_it_is() {
                     let added = ", sensor: 0, gyroscope: None, tag: Signature { length: 0, bytes: [0, 0, 0, 0, 0, 0, 0, 0] }";
                     let message = message.replace(added, "");
                     let message = message.replace(", sensor_index: 0, gyroscope: None", "");
+                    let message = message.replace(", rotation: None", "");
                     assert_eq!(message, pair[0]);
                 }
             }
@@ -679,6 +680,25 @@ fn telemetry_is_as_it_was() {
             }),
             tag: Signature::new(&[1, 2, 3, 4, 5, 6, 7, 8]).unwrap(),
             full_scale: 524_287,
+            ..epoch(EpochReason::Periodic)
+        }),
+        Telemetry::Epoch(Epoch {
+            gyroscope: Some(EpochGyroscope {
+                rad_s_per_lsb: 0.001_25,
+                full_scale: 32_767,
+            }),
+            state: WireState {
+                rotation: Some(WireRotation {
+                    quaternion: [1 << 59, -1, 0, -(1 << 58)],
+                    previous: Some([1_048_576, -2, 3]),
+                    remainder: [u32::MAX, 0, 1],
+                    bias: [91_506, -5, 6],
+                    window: [7 << 40, -8, 9],
+                    sum: [-10, 11 << 40, 12],
+                    latest: [13, 14, -15],
+                }),
+                ..epoch(EpochReason::Periodic).state
+            },
             ..epoch(EpochReason::Periodic)
         }),
         Telemetry::Attitude(Attitude {

@@ -4,6 +4,7 @@
 use core::fmt;
 
 use crate::corrector::{CompileError, kernel, round};
+use crate::fixed::scaled_dot;
 use crate::kernel::Kernel;
 use crate::matrix::{self, Matrix3};
 use crate::{Alignment, AngularRateQ20, CentiCelsius, Counts, SpecificForceQ16, WideCounts};
@@ -192,8 +193,8 @@ impl GyroscopeCorrector {
     /// `alignment` (sensor to body).
     ///
     /// # Errors
-    /// [`CompileError::Overflow`] when full-scale counts exceed ±128 rad/s; [`CompileError::Singular`]
-    /// when A(T) cannot be inverted at this temperature.
+    /// [`CompileError::Overflow`] when full-scale counts exceed ±128 rad/s, or the g-sensitivity in body
+    /// axes 0.0625 rad/s per m/s²; [`CompileError::Singular`] when A(T) cannot be inverted at this temperature.
     pub fn compile(
         model: &GyroscopeModel,
         rad_s_per_lsb: f64,
@@ -215,10 +216,17 @@ impl GyroscopeCorrector {
         let transposed = [0, 1, 2].map(|row| [0, 1, 2].map(|column| rotation[column][row]));
         let g_body = matrix::multiply(&matrix::multiply(&inverse, g), &transposed);
         let unit = (1_u32 << G_BITS) as f64 * lsb / SpecificForceQ16::LSB_PER_MPS2;
+        let g_sensitivity = g_body.map(|row| row.map(|k| round(-k * unit)));
+        if g_sensitivity
+            .as_flattened()
+            .iter()
+            .any(|k| k.unsigned_abs() > LARGEST_G)
+        {
+            return Err(CompileError::Overflow);
+        }
         Ok(Self {
             kernel,
-            g_sensitivity: (*g != [[0.0; 3]; 3])
-                .then(|| g_body.map(|row| row.map(|k| round(-k * unit)))),
+            g_sensitivity: (*g != [[0.0; 3]; 3]).then_some(g_sensitivity),
         })
     }
 
@@ -243,21 +251,18 @@ impl GyroscopeCorrector {
     fn compensated(&self, mut rate: [i32; 3], force: SpecificForceQ16) -> AngularRateQ20 {
         if let Some(g) = &self.g_sensitivity {
             for (axis, row) in rate.iter_mut().zip(g) {
-                let sum = row
-                    .iter()
-                    .zip(force.0)
-                    .fold(1_i64 << (G_BITS - 1), |sum, (k, f)| {
-                        sum.wrapping_add(i64::from(*k) * i64::from(f))
-                    });
-                *axis = axis.saturating_add((sum >> G_BITS) as i32);
+                // Within 2³¹: three products of 2²⁹ each, and the rate.
+                *axis = axis.wrapping_add(scaled_dot(*row, force.0));
             }
         }
         AngularRateQ20(rate)
     }
 }
 
-/// Fraction bits of a g-sensitivity coefficient: 16 · 0.02 · 3 / 0.5 LSB per LSB fits 32 bits.
+/// Fraction bits of a g-sensitivity coefficient.
 const G_BITS: u32 = 28;
+/// Largest g-sensitivity coefficient, 2⁻²⁸: 0.0625 rad/s per m/s².
+const LARGEST_G: u32 = (1 << 28) - 1;
 
 pub(crate) fn check(
     term: GyroscopeTerm,
@@ -490,6 +495,21 @@ mod tests {
         let mut terms = GyroscopeTerms::default();
         terms.bias_rad_s[1] = 1.0;
         assert!(GyroscopeModel::new(terms).is_ok());
+    }
+
+    #[test]
+    fn a_g_sensitivity_beyond_its_range_in_body_axes_is_refused() {
+        let compiled = |g| {
+            let model = GyroscopeModel::new(GyroscopeTerms {
+                matrix: [[0.52, 0.3, 0.3], [0.3, 0.52, 0.3], [0.3, 0.3, 0.52]],
+                g_sensitivity: [[g, -g, -g], [-g, g, -g], [-g, -g, g]],
+                ..GyroscopeTerms::default()
+            })
+            .expect("within bounds");
+            GyroscopeCorrector::compile(&model, 0.0011, Alignment::IDENTITY, None)
+        };
+        assert!(compiled(0.005).is_ok());
+        assert_eq!(compiled(0.02), Err(CompileError::Overflow));
     }
 
     #[test]

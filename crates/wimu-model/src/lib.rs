@@ -8,6 +8,7 @@ extern crate std;
 mod corrector;
 mod covariance;
 mod error_model;
+pub mod fixed;
 mod gyroscope;
 mod kernel;
 mod magnetometer;

@@ -63,7 +63,7 @@ const fn barred(key: &'static str, about: &'static str, bars: [f64; 2]) -> Row {
     }
 }
 
-const ROWS: [Row; 16] = [
+const ROWS: [Row; 20] = [
     row("correction", "correction"),
     row("integration", "integration"),
     barred(
@@ -77,6 +77,14 @@ const ROWS: [Row; 16] = [
         "integrator in whole: with stillness and gaps",
     ),
     row("gap", "a gap, when there is one"),
+    row("six-correction", "six axes: correction with g-sensitivity"),
+    row("six-attitude", "six axes: attitude"),
+    barred(
+        "six-correction+attitude",
+        "six axes: correction and attitude",
+        [400.0, 1500.0],
+    ),
+    row("six-complete", "six axes: complete, with position"),
     barred(
         "packing-rest",
         "packing 16 samples at rest, 12 bits",

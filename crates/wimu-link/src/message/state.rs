@@ -226,11 +226,11 @@ pub struct WireRun {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct WireRotation {
-    /// Quaternion w, x, y, z from body to integration axes, 2⁻⁶¹.
+    /// Quaternion w, x, y, z from body to integration axes, 2⁻⁵⁹.
     pub quaternion: [i64; 4],
     /// Latest angular rate minus bias, 2⁻²⁰ rad/s.
     pub previous: Option<[i32; 3]>,
-    /// Part of the latest half angle below 2⁻³¹ rad, 2⁻⁶³ rad.
+    /// Part of the latest half angle below 2⁻²⁹ rad, 2⁻⁶¹ rad.
     pub remainder: [u32; 3],
     /// Bias of the gyroscope at the latest rest, 2⁻²⁰ rad/s.
     pub bias: [i32; 3],

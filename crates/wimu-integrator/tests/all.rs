@@ -1,0 +1,5 @@
+//! All integration tests of `wimu-integrator` in one binary: one module a file.
+
+mod behaviour;
+mod hand;
+mod inertial;

@@ -16,6 +16,7 @@ State: u32 bool u32 Phase u8 i64*3 i32*3 i64*3 i64*3 u64 Segment Window Run? u16
 Segment: u32 i64*3 i64*3 i32*3?
 Window: Segment u16 i32*3 i32*3 u64
 Run: u16 i64*3 i64*3 Segment
+Rotation: i64*4 i32*3? u32*3 i32*3 i64*3 i64*3 i64*3
 Phase: | Searching | Resting | Moving
 Parameters: u8 f64 f64*3 f64*9 f64 f64*3 f64*3 f64*3 f64*3 f64*4 f32*6? Quality? Magnetometer? sensor
 GyroscopeModel: range f64 f64*3 f64*9 f64*9 f64 f64*3 f64*3 f32*12?
@@ -215,6 +216,10 @@ impl Reader<'_> {
                     self.rest = added.rest;
                 }
                 self.read("State");
+                match is_first {
+                    true => self.note("None"),
+                    false => self.read("Rotation?"),
+                }
                 self.found.append(&mut added.found);
             }
             // The examples do not show it.

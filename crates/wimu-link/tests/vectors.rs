@@ -98,7 +98,7 @@ fn opened(frame: &[u8]) -> Result<(u8, Kind, Vec<u8>), FrameError> {
 }
 
 /// The frozen frames: version, file, number of its first frames, and the CRC-32C of their hex digits.
-const FROZEN: [(u8, &str, usize, u32); 10] = [
+const FROZEN: [(u8, &str, usize, u32); 13] = [
     (1, "batch", 9, 0xe476_f54d),
     (1, "hello", 2, 0x981e_9c73),
     (1, "reply", 51, 0xabe2_2c4d),
@@ -108,6 +108,9 @@ const FROZEN: [(u8, &str, usize, u32); 10] = [
     (2, "batch", 9, 0xc602_ccda),
     (2, "hello", 2, 0xe82a_bbdd),
     (2, "inertial", 10, 0x9495_f6e2),
+    (2, "reply", 66, 0xae2e_a0bc),
+    (2, "request", 18, 0x868b_0143),
+    (2, "telemetry", 39, 0x1e6e_2ee6),
     (2, "who_are_you", 1, 0xcd76_9215),
 ];
 

@@ -3,7 +3,7 @@
 /// `a` · `b`, exact.
 ///
 /// Cortex-M0 and M0+ have only a 32-bit product of 32-bit factors; the call of the compiler's 64-bit
-/// product takes more than twice the instructions of [`short`].
+/// product takes more than twice the instructions of two short ones.
 #[inline(always)]
 pub fn product(a: i32, b: i32) -> i64 {
     #[cfg(all(target_arch = "arm", not(target_has_atomic = "32")))]

@@ -155,9 +155,9 @@ fn interrupts_are_never_off_for_long_not_for_keys_either() {
     figure(
         "Pico: interrupts masked at most, µs",
         format!("{:.0}", ns as f64 / 1000.0),
-        "at most 50",
-        ns <= 50_000,
+        "at most 52",
+        ns <= 52_000,
     );
-    // The data-ready line's time is taken in one. A frame is queued in 19 µs, a new correction in 40.
-    assert!(ns <= 50_000, "{ns} ns");
+    // The data-ready line's time is taken in one. A frame is queued in 19 µs, a new correction or parameter set in 50.
+    assert!(ns <= 52_000, "{ns} ns");
 }

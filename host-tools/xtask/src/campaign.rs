@@ -106,7 +106,7 @@ pub const CAMPAIGNS: [Campaign; 9] = [
                 sources: &ARITHMETIC,
             },
             Run {
-                command: "test --release -p wimu-integrator --test behaviour -- --include-ignored",
+                command: "test --release -p wimu-integrator --test all -- --include-ignored",
                 sources: &ARITHMETIC,
             },
             Run {

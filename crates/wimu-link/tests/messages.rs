@@ -310,7 +310,7 @@ fn a_set_may_end_before_its_later_fields() {
     // Version 1 has the same bytes.
     let [bytes, of_version_1] = [whole, of_version_1].map(|set| encoded(&set));
     assert_eq!(of_version_1, bytes[..of_version_1.len()]);
-    // Cut anywhere else, or with fields that are not known, it is none.
+    // Truncated anywhere else, or with unknown fields, it is refused.
     for length in 0..bytes.len() {
         let cut = WireParameters::decode(&bytes[..length]);
         let ends = [of_version_1.len(), of_version_1.len() - 2].contains(&length);

@@ -40,7 +40,7 @@ const STEPS: u32 = 75 * BATCH as u32;
 const SATURATED: std::ops::Range<u32> = 450..460;
 const WARMER: u32 = 333;
 const STOPPED: std::ops::Range<u32> = 640..720;
-/// The second sensor: a sample for so many of the first.
+/// Number of samples of the first sensor for each sample of the second.
 const SECOND_EVERY: u32 = 5;
 
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -158,6 +158,6 @@ fn interrupts_are_never_off_for_long_not_for_keys_either() {
         "at most 52",
         ns <= 52_000,
     );
-    // The data-ready line's time is taken in one. A frame is queued in 19 µs, a new correction or parameter set in 50.
+    // The data-ready line's time is taken in one. A frame is queued in 19 µs, a new correction in 40.
     assert!(ns <= 52_000, "{ns} ns");
 }

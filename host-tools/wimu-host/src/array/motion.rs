@@ -277,7 +277,7 @@ fn filtered<const M: usize>(
         zupt,
         &uses,
         |filter, index, state| {
-            // An even turn about the vertical may look like a rest: where the rate is known not to be zero, it is none.
+            // An even turn about the vertical may look like a rest: a window with a measured rate other than zero is not a rest.
             if calibration.offset_of(index) != offset && may_rest(state) {
                 offset = calibration.offset_of(index);
                 filter.residual_biases_taken_off();

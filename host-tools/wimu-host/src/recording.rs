@@ -1,0 +1,317 @@
+//! A recording: tracks of measured quantities over time, from any format.
+//!
+//! A loader (see [`formats`](crate::formats)) hands tracks and rows to a [`Sink`]; [`Recording`] is the sink that
+//! keeps them. Values are in SI where the file names or implies the unit.
+//!
+//! ```
+//! use wimu_host::recording::{Quantity, Recording, Sink, TrackInfo, Unit};
+//!
+//! let mut recording = Recording::new("example");
+//! let track = recording.track(TrackInfo::new("/imu/data", Quantity::SpecificForce, Unit::Si));
+//! recording.row(track, 0, &[0.0, 0.0, 9.81]);
+//! recording.row(track, 10_000_000, &[0.0, f64::NAN, 9.81]);
+//! recording.row(track, 20_000_000, &[0.0, 0.1, 9.80]);
+//! let force = recording.first(Quantity::SpecificForce).expect("a track");
+//! assert_eq!((force.len(), force.valid().count()), (3, 2));
+//! ```
+
+use crate::finding::Finding;
+
+/// What a track measures, with the SI unit of its values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Quantity {
+    /// Specific force, m/s², sensor axes.
+    SpecificForce,
+    /// Acceleration without gravity, m/s², sensor axes.
+    LinearAcceleration,
+    /// Gravity as a device estimated it, m/s², sensor axes, +g upwards.
+    Gravity,
+    /// Angular rate, rad/s, sensor axes.
+    AngularRate,
+    /// Magnetic flux density, T, sensor axes.
+    MagneticField,
+    /// Temperature, °C.
+    Temperature,
+    /// Attitude, quaternion W, X, Y, Z, body to navigation axes.
+    Attitude,
+    /// Position, m, navigation axes.
+    Position,
+    /// Velocity, m/s, navigation axes.
+    Velocity,
+}
+
+impl Quantity {
+    /// Number of values in a row.
+    pub fn width(self) -> usize {
+        match self {
+            Self::Temperature => 1,
+            Self::Attitude => 4,
+            _ => 3,
+        }
+    }
+
+    /// The standard term.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::SpecificForce => "specific force",
+            Self::LinearAcceleration => "linear acceleration",
+            Self::Gravity => "gravity",
+            Self::AngularRate => "angular rate",
+            Self::MagneticField => "magnetic field",
+            Self::Temperature => "temperature",
+            Self::Attitude => "attitude",
+            Self::Position => "position",
+            Self::Velocity => "velocity",
+        }
+    }
+}
+
+/// Unit of a track's values.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum Unit {
+    /// That of its [`Quantity`].
+    Si,
+    /// LSB.
+    Counts {
+        /// SI units of one LSB, where the file gives it.
+        si_per_lsb: Option<f64>,
+    },
+    /// The file does not say.
+    Unknown,
+}
+
+/// Who or what made the values of a track.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Origin {
+    /// A sensor.
+    Sensor,
+    /// A filter on the device.
+    Estimate,
+    /// A reference system.
+    Truth,
+}
+
+/// Description of a track.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct TrackInfo {
+    /// Topic, message or columns in the file.
+    pub name: String,
+    /// What it measures.
+    pub quantity: Quantity,
+    /// Unit of its values.
+    pub unit: Unit,
+    /// Index of the sensor, from 0.
+    pub sensor: u8,
+    /// Who made it.
+    pub origin: Origin,
+}
+
+impl TrackInfo {
+    /// A track of sensor 0.
+    pub fn new(name: impl Into<String>, quantity: Quantity, unit: Unit) -> Self {
+        Self {
+            name: name.into(),
+            quantity,
+            unit,
+            sensor: 0,
+            origin: Origin::Sensor,
+        }
+    }
+
+    /// The same of another sensor.
+    #[must_use]
+    pub fn of_sensor(mut self, sensor: u8) -> Self {
+        self.sensor = sensor;
+        self
+    }
+
+    /// The same of another origin.
+    #[must_use]
+    pub fn made_by(mut self, origin: Origin) -> Self {
+        self.origin = origin;
+        self
+    }
+}
+
+/// Number of a track of a [`Sink`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct TrackId(pub usize);
+
+/// Receives the content of a file in its order.
+pub trait Sink {
+    /// A new track.
+    fn track(&mut self, info: TrackInfo) -> TrackId;
+    /// A row of a track: time, ns on the clock of the file, and values (as many as
+    /// [`Quantity::width`]).
+    fn row(&mut self, track: TrackId, time_ns: i64, values: &[f64]);
+    /// Something noticed.
+    fn finding(&mut self, finding: Finding);
+}
+
+/// Values of one quantity over time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Track {
+    /// What it is.
+    pub info: TrackInfo,
+    times_ns: Vec<i64>,
+    values: Vec<f64>,
+    valid: Vec<bool>,
+}
+
+impl Track {
+    /// Number of rows, valid or not.
+    pub fn len(&self) -> usize {
+        self.times_ns.len()
+    }
+
+    /// Whether there is no row.
+    pub fn is_empty(&self) -> bool {
+        self.times_ns.is_empty()
+    }
+
+    /// Time of each row, ns on the clock of the file.
+    pub fn times_ns(&self) -> &[i64] {
+        &self.times_ns
+    }
+
+    /// The values of a row.
+    pub fn row(&self, index: usize) -> Option<&[f64]> {
+        let width = self.info.quantity.width();
+        self.values.get(index * width..(index + 1) * width)
+    }
+
+    /// Whether each row may be used.
+    pub fn mask(&self) -> &[bool] {
+        &self.valid
+    }
+
+    /// Time, ns, and values of the valid rows.
+    pub fn valid(&self) -> impl Iterator<Item = (i64, &[f64])> {
+        let rows = self.values.chunks_exact(self.info.quantity.width());
+        let rows = self.times_ns.iter().zip(rows).zip(&self.valid);
+        rows.filter(|(_, valid)| **valid)
+            .map(|((time, row), _)| (*time, row))
+    }
+
+    /// [`valid`](Self::valid) rows of three values.
+    pub fn vectors(&self) -> impl Iterator<Item = (i64, [f64; 3])> {
+        self.valid()
+            .filter_map(|(time, row)| Some((time, row.try_into().ok()?)))
+    }
+
+    /// Multiplies the values by `factor` and names their unit SI.
+    pub fn scale_to_si(&mut self, factor: f64) {
+        self.values.iter_mut().for_each(|value| *value *= factor);
+        self.info.unit = Unit::Si;
+    }
+
+    /// Masks the rows for which `wrong` holds; returns how many were valid before.
+    pub fn mask_where(&mut self, mut wrong: impl FnMut(usize, i64, &[f64]) -> bool) -> usize {
+        let width = self.info.quantity.width();
+        let mut masked = 0;
+        for (index, valid) in self.valid.iter_mut().enumerate() {
+            let row = &self.values[index * width..(index + 1) * width];
+            if *valid && wrong(index, self.times_ns[index], row) {
+                *valid = false;
+                masked += 1;
+            }
+        }
+        masked
+    }
+
+    /// Median time between rows, s; `None` with fewer than two.
+    pub fn median_step_s(&self) -> Option<f64> {
+        let steps = self.times_ns.windows(2).map(|pair| pair[1] - pair[0]);
+        let mut steps: Vec<i64> = steps.filter(|step| *step > 0).collect();
+        let middle = steps.len() / 2;
+        (!steps.is_empty()).then(|| *steps.select_nth_unstable(middle).1 as f64 * 1e-9)
+    }
+}
+
+/// Everything in a file that wimu reads.
+#[derive(Clone, Debug, Default)]
+pub struct Recording {
+    /// What messages call it.
+    pub name: String,
+    /// Its format, as docs/FORMATS.md names it.
+    pub format: &'static str,
+    tracks: Vec<Track>,
+    /// What was noticed at reading.
+    pub findings: Vec<Finding>,
+}
+
+impl Recording {
+    /// One without tracks.
+    pub fn new(name: impl Into<String>) -> Self {
+        Self {
+            name: name.into(),
+            ..Self::default()
+        }
+    }
+
+    /// Its tracks, in the order in which the file brings them.
+    pub fn tracks(&self) -> &[Track] {
+        &self.tracks
+    }
+
+    /// The same, to mask or scale them.
+    pub fn tracks_mut(&mut self) -> &mut [Track] {
+        &mut self.tracks
+    }
+
+    /// Tracks of a quantity.
+    pub fn of(&self, quantity: Quantity) -> impl Iterator<Item = &Track> {
+        self.tracks
+            .iter()
+            .filter(move |track| track.info.quantity == quantity)
+    }
+
+    /// The track of a quantity with the lowest sensor index, which is not an estimate or truth.
+    pub fn first(&self, quantity: Quantity) -> Option<&Track> {
+        self.of(quantity)
+            .filter(|track| track.info.origin == Origin::Sensor)
+            .min_by_key(|track| track.info.sensor)
+    }
+
+    /// Time of the first row of any track, ns on the clock of the file.
+    pub fn start_ns(&self) -> Option<i64> {
+        let first = |track: &Track| track.times_ns.iter().min().copied();
+        self.tracks.iter().filter_map(first).min()
+    }
+}
+
+impl Sink for Recording {
+    fn track(&mut self, info: TrackInfo) -> TrackId {
+        self.tracks.push(Track {
+            info,
+            times_ns: Vec::new(),
+            values: Vec::new(),
+            valid: Vec::new(),
+        });
+        TrackId(self.tracks.len() - 1)
+    }
+
+    /// Rows that are not finite or have another number of values are kept as invalid.
+    fn row(&mut self, track: TrackId, time_ns: i64, values: &[f64]) {
+        let Some(track) = self.tracks.get_mut(track.0) else {
+            return;
+        };
+        let width = track.info.quantity.width();
+        let fits = values.len() == width;
+        track.times_ns.push(time_ns);
+        track
+            .values
+            .extend((0..width).map(|k| values.get(k).copied().unwrap_or(f64::NAN)));
+        track
+            .valid
+            .push(fits && values.iter().all(|value| value.is_finite()));
+    }
+
+    fn finding(&mut self, finding: Finding) {
+        self.findings.push(finding);
+    }
+}

@@ -39,13 +39,15 @@ pub enum Quantity {
     Position,
     /// Velocity, m/s, navigation axes.
     Velocity,
+    /// One number of any other column, in the unit that its name says.
+    Scalar,
 }
 
 impl Quantity {
     /// Number of values in a row.
     pub fn width(self) -> usize {
         match self {
-            Self::Temperature => 1,
+            Self::Temperature | Self::Scalar => 1,
             Self::Attitude => 4,
             _ => 3,
         }
@@ -63,6 +65,7 @@ impl Quantity {
             Self::Attitude => "attitude",
             Self::Position => "position",
             Self::Velocity => "velocity",
+            Self::Scalar => "scalar",
         }
     }
 }
@@ -108,10 +111,16 @@ pub struct TrackInfo {
     pub sensor: u8,
     /// Who made it.
     pub origin: Origin,
+    /// Whether the device corrected the values by a calibration.
+    pub corrected: bool,
+    /// Nominal sample rate, Hz, where the file gives it.
+    pub rate_hz: Option<f64>,
+    /// Full scale of an axis, SI, where the file gives it.
+    pub full_scale: Option<f64>,
 }
 
 impl TrackInfo {
-    /// A track of sensor 0.
+    /// A track of sensor 0, not corrected.
     pub fn new(name: impl Into<String>, quantity: Quantity, unit: Unit) -> Self {
         Self {
             name: name.into(),
@@ -119,6 +128,9 @@ impl TrackInfo {
             unit,
             sensor: 0,
             origin: Origin::Sensor,
+            corrected: false,
+            rate_hz: None,
+            full_scale: None,
         }
     }
 

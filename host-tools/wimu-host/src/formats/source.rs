@@ -1,4 +1,4 @@
-//! Bytes of a recording: a file, or a member of an archive.
+//! Bytes of a recording: a file, a folder, or a member of an archive.
 
 use std::fs::File;
 use std::io::{BufReader, Cursor, Read, Seek};
@@ -22,6 +22,8 @@ pub struct Source {
 enum Content {
     File(PathBuf),
     Bytes(Arc<[u8]>),
+    /// Files of a folder or archive, sorted by name.
+    Members(Vec<Source>),
 }
 
 /// What [`Source::reader`] returns.
@@ -29,13 +31,23 @@ pub trait ReadSeek: Read + Seek {}
 impl<T: Read + Seek> ReadSeek for T {}
 
 impl Source {
-    /// A file.
+    /// A file, or a folder with its files.
     ///
     /// # Errors
     /// `file_unreadable`, `file_failed`.
     pub fn open(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let failed = |error| HostError::file(&name, "read", &error);
+        if path.is_dir() {
+            let entries = std::fs::read_dir(path).map_err(failed)?;
+            let paths: std::io::Result<Vec<PathBuf>> =
+                entries.map(|entry| Ok(entry?.path())).collect();
+            let mut paths = paths.map_err(failed)?;
+            paths.retain(|path| path.is_file());
+            paths.sort();
+            let members: Result<Vec<Self>> = paths.iter().map(|path| Self::open(path)).collect();
+            return Ok(Self::of_members(name, members?));
+        }
         let mut start = Vec::new();
         let file = File::open(path).map_err(failed)?;
         file.take(START).read_to_end(&mut start).map_err(failed)?;
@@ -56,6 +68,23 @@ impl Source {
         }
     }
 
+    /// A folder or archive.
+    pub fn of_members(name: impl Into<String>, members: Vec<Self>) -> Self {
+        Self {
+            name: name.into(),
+            start: Vec::new(),
+            content: Content::Members(members),
+        }
+    }
+
+    /// The files of a folder or archive, sorted by name; empty for a file.
+    pub fn members(&self) -> &[Self] {
+        match &self.content {
+            Content::Members(members) => members,
+            Content::File(_) | Content::Bytes(_) => &[],
+        }
+    }
+
     /// What messages call it.
     pub fn name(&self) -> &str {
         &self.name
@@ -70,11 +99,11 @@ impl Source {
     pub fn path(&self) -> Option<&Path> {
         match &self.content {
             Content::File(path) => Some(path),
-            Content::Bytes(_) => None,
+            Content::Bytes(_) | Content::Members(_) => None,
         }
     }
 
-    /// Reads it from the beginning.
+    /// Reads it from the beginning; a folder or archive has no bytes of its own.
     ///
     /// # Errors
     /// `file_unreadable`, `file_failed`.
@@ -86,6 +115,7 @@ impl Source {
                 Ok(Box::new(BufReader::new(file)))
             }
             Content::Bytes(bytes) => Ok(Box::new(Cursor::new(bytes.clone()))),
+            Content::Members(_) => Ok(Box::new(std::io::empty())),
         }
     }
 }

@@ -6,8 +6,9 @@ use wimu_host::calibration::{
     CalibrateOptions, CalibrationReport, MethodChoice, ModelChoice, calibrate,
 };
 use wimu_host::csv::Filter;
-use wimu_host::dataset::{Dataset, LoadOptions};
-use wimu_host::history::Recording;
+use wimu_host::formats::{self, ReadOptions};
+use wimu_host::history;
+use wimu_host::recording::{Recording, Selection};
 use wimu_link::LinkRole;
 use wimu_model::Counts;
 use wimu_sim::board::BoardConfig;
@@ -16,7 +17,7 @@ use wimu_testkit::figure;
 use wimu_tests::{ROLES, Rig, assert_replays, data};
 
 /// Replays counts on a board until the last has arrived.
-fn replayed(counts: &[Counts]) -> Recording {
+fn replayed(counts: &[Counts]) -> history::Recording {
     let config = BoardConfig {
         replay: true,
         ..BoardConfig::default()
@@ -86,7 +87,8 @@ fn options() -> [(&'static str, CalibrateOptions); 6] {
 /// rest being refused, or `None` without the file.
 fn alike(file: &str) -> Option<Vec<&'static str>> {
     let path = data(file)?;
-    let from_file = Dataset::from_csv(&path, &LoadOptions::default()).unwrap();
+    let from_file = formats::load(&path, &ReadOptions::default()).unwrap();
+    let from_file = from_file.samples(Selection::default()).unwrap();
     let counts = from_file.counts().unwrap();
     let recording = replayed(&counts);
     let mut answered = Vec::new();
@@ -110,7 +112,8 @@ fn alike(file: &str) -> Option<Vec<&'static str>> {
         assert!(arrived == counts, "every count, bit for bit");
         assert_replays(boot);
 
-        let from_recording = Dataset::from_link(link, "the recording").unwrap();
+        let from_recording = Recording::of_link(link, "the recording").unwrap();
+        let from_recording = from_recording.samples(Selection::default()).unwrap();
         answered.clear();
         for (name, options) in options() {
             let [ours, theirs] = [&from_recording, &from_file].map(|data| {
@@ -155,12 +158,14 @@ fn array(run: u32) -> Option<[f64; 2]> {
     let mut sums = [0.0; 2];
     for imu in 0..8 {
         let filter: Filter = format!("Run={run},IMU={imu}").parse().unwrap();
-        let load = LoadOptions {
-            filter: Some(filter),
+        let mut load = ReadOptions::default();
+        (load.filter, load.poses) = (Some(filter), true);
+        let data = formats::load(&path, &load).unwrap();
+        let selection = Selection {
+            accelerometer: None,
             poses: true,
-            ..LoadOptions::default()
         };
-        let data = Dataset::from_csv(&path, &load).unwrap();
+        let data = data.samples(selection).unwrap();
         let report = calibrate(&data, &options).unwrap();
         let fit = report.fit.unwrap_or_else(|| panic!("{:?}", report.reason));
         assert!((1.5..4.0).contains(&fit.condition), "{}", fit.condition);
@@ -197,8 +202,12 @@ fn only_raw_counts_are_replayed() {
     let Some(path) = data("calibration/six_position.csv") else {
         return;
     };
-    let in_si = Dataset::from_csv(&path, &LoadOptions::default()).unwrap();
-    let error = in_si.counts().unwrap_err();
+    let in_si = formats::load(&path, &ReadOptions::default()).unwrap();
+    let error = in_si
+        .samples(Selection::default())
+        .unwrap()
+        .counts()
+        .unwrap_err();
     assert_eq!(error.exit_code(), 2);
     assert!(error.remedy().contains("LSB"), "{error}");
 }
@@ -208,11 +217,12 @@ fn a_recording_of_real_counts_is_perfect_on_both_links_at_once() {
     let Some(path) = data("array/mimu4444_run1.csv") else {
         return;
     };
-    let load = LoadOptions {
+    let selection = Selection {
         accelerometer: Some(0),
-        ..LoadOptions::default()
+        poses: false,
     };
-    let counts = Dataset::from_csv(&path, &load).unwrap().counts().unwrap();
+    let data = formats::load(&path, &ReadOptions::default()).unwrap();
+    let counts = data.samples(selection).unwrap().counts().unwrap();
     let tail = &counts[counts.len() - 7500..];
     let recording = replayed(tail);
     for role in [LinkRole::Cable, LinkRole::Wireless] {

@@ -8,8 +8,8 @@ use wimu_link::message::parameter_id;
 use wimu_model::ParameterSet;
 
 use crate::calibration::{HELD_SCHEMA, describe};
-use crate::dataset::{Dataset, Output};
 use crate::error::{ErrorCode, HostError, Result};
+use crate::recording::Samples;
 
 /// Largest number of rests that are listed.
 const MAX_RESTS: usize = 64;
@@ -113,7 +113,11 @@ impl AlignmentReport {
 /// alignment in `set`.
 ///
 /// Data that do not support an answer give a report with status `refused`.
-pub fn alignment(data: &Dataset, set: &ParameterSet, options: &AlignOptions) -> AlignmentReport {
+pub fn alignment(
+    data: &Samples<'_>,
+    set: &ParameterSet,
+    options: &AlignOptions,
+) -> AlignmentReport {
     let forces = data.corrected(set);
     let rests = data.rests(&forces);
     let outcome = directions(data, &forces, &rests, options)
@@ -123,7 +127,7 @@ pub fn alignment(data: &Dataset, set: &ParameterSet, options: &AlignOptions) -> 
         status: "refused",
         reason: None,
         remarks: data.temperature_remark(set).into_iter().collect(),
-        source: data.name.clone(),
+        source: data.name.to_owned(),
         rests: rests.len(),
         found: rests
             .iter()
@@ -164,7 +168,7 @@ pub fn alignment(data: &Dataset, set: &ParameterSet, options: &AlignOptions) -> 
 
 /// The known directions at the rests and between them.
 fn directions(
-    data: &Dataset,
+    data: &Samples<'_>,
     forces: &[[f64; 3]],
     rests: &[Pose],
     options: &AlignOptions,
@@ -233,7 +237,7 @@ fn again(rests: &[Pose], first: usize) -> Option<&Pose> {
 /// A straight move does not change the attitude. The stationarity detector finds the rests before and after it as one
 /// after a move with a small acceleration, and as two otherwise.
 fn forward(
-    data: &Dataset,
+    data: &Samples<'_>,
     forces: &[[f64; 3]],
     rests: &[Pose],
     first: usize,
@@ -291,9 +295,7 @@ fn forward(
     let second = STAND_BLOCKS * block;
     let before = from - (before - GENTLE_BLOCKS).min(2 * STAND_BLOCKS) * block;
     let after = (to + ((blocks - GENTLE_BLOCKS) * block).min(2 * second)).min(part.len());
-    let missing = |output: &Output| output.after_gap;
-    let outputs = data.outputs.get(start + before + 1..start + after);
-    if outputs.is_some_and(|outputs| outputs.iter().any(missing)) {
+    if data.has_gap(start + before + 1..start + after) {
         return Err("samples are missing during the move: record it again".to_owned());
     }
     straight_move(
@@ -351,7 +353,7 @@ mod tests {
     };
 
     use super::*;
-    use crate::dataset::{OutputUnit, RateSource};
+    use crate::recording::{Quantity, Recording, Selection, Sink, TrackInfo, Unit};
 
     /// A sensor whose bias goes with the temperature by 1 and 2 mg/K.
     fn warm() -> ParameterSet {
@@ -373,33 +375,29 @@ mod tests {
 
     /// Two rests at 5 °C of a sensor in body axes, its z and then its x up; the temperature in every
     /// tenth row only, where it is known.
-    fn cold(told: bool) -> Dataset {
-        let output = |k: u32| {
+    fn cold(told: bool) -> Recording {
+        let mut recording = Recording::new("cold");
+        let force = TrackInfo::new("cold", Quantity::SpecificForce, Unit::Si);
+        let force = recording.track(force);
+        let celsius = TrackInfo::new("cold", Quantity::Temperature, Unit::Si);
+        let celsius = recording.track(celsius);
+        for k in 0..1100_u32 {
             let turned = (f64::from(k) * 0.01 - 5.0).clamp(0.0, 1.0) * std::f64::consts::FRAC_PI_2;
             let rough = 0.005 * (f64::from(k) * 2.4).sin();
-            let force = [turned.sin(), 0.0, turned.cos()].map(|up| 9.80665 * up + rough);
+            let up = [turned.sin(), 0.0, turned.cos()].map(|up| 9.80665 * up + rough);
             let at = Some(CentiCelsius::from_celsius(5.0));
-            let sensed = warm().model.distort(SpecificForceMps2(force), at);
-            Output {
-                value: sensed.0,
-                temperature_c: (told && k % 10 == 3).then_some(5.0),
-                samples: 1,
-                after_gap: false,
-                time_s: Some(f64::from(k) * 0.01),
-                magnetic_field_nt: None,
+            let sensed = warm().model.distort(SpecificForceMps2(up), at);
+            let time_ns = i64::from(k) * 10_000_000;
+            recording.row(force, time_ns, &sensed.0);
+            if told && k % 10 == 3 {
+                recording.row(celsius, time_ns, &[5.0]);
             }
-        };
-        Dataset {
-            name: "cold".to_owned(),
-            unit: OutputUnit::Mps2,
-            poses: false,
-            rate_hz: 100.0,
-            rate_source: RateSource::Times,
-            datasheet: None,
-            outputs: (0..1100).map(output).collect(),
-            sensor: None,
-            has_gyroscope: false,
         }
+        recording
+    }
+
+    fn aligned(data: &Recording, set: &ParameterSet, options: &AlignOptions) -> AlignmentReport {
+        alignment(&data.samples(Selection::default()).unwrap(), set, options)
     }
 
     #[test]
@@ -414,7 +412,7 @@ mod tests {
             let [_, x, y, z] = report.alignment_wxyz.unwrap();
             [x, y, z].map(|half| (2.0 * half).to_degrees().abs())
         };
-        let report = alignment(&cold(true), &warm(), &options);
+        let report = aligned(&cold(true), &warm(), &options);
         assert!(
             off_deg(&report).iter().all(|off| *off < 0.02),
             "{:?}",
@@ -423,7 +421,7 @@ mod tests {
         assert_eq!(report.remarks, [""; 0]);
 
         // Without a thermometer it cannot be, and that is said.
-        let report = alignment(&cold(false), &warm(), &options);
+        let report = aligned(&cold(false), &warm(), &options);
         assert!(
             report.remarks.iter().any(|r| r.contains("28.0 °C")),
             "{report}"
@@ -437,30 +435,24 @@ mod tests {
 
     /// A level rest, a push along the body's x of a whole sine, the same rest, and then, where it is
     /// turned, the body's x up; in body axes.
-    fn pushed(peak: f64, seconds: f64, stands: [f64; 2], turned: bool) -> Dataset {
+    fn pushed(peak: f64, seconds: f64, stands: [f64; 2], turned: bool) -> Recording {
         let [before, after] = stands;
         let turns_at = before + seconds + after;
-        let output = |k: u32| {
+        let length = turns_at + if turned { 4.0 } else { 0.0 };
+        let mut recording = Recording::new("pushed");
+        let force = TrackInfo::new("pushed", Quantity::SpecificForce, Unit::Si);
+        let force = recording.track(force);
+        for k in 0..(100.0 * length) as u32 {
             let t = f64::from(k) * 0.01;
             let u = ((t - before) / seconds).clamp(0.0, 1.0);
             let turn = (t - turns_at).clamp(0.0, 1.0) * std::f64::consts::FRAC_PI_2;
             let rough = 0.01 * (f64::from(k) * 2.4).sin();
             let ahead = peak * (std::f64::consts::TAU * u).sin();
             let up = [turn.sin(), 0.0, turn.cos()].map(|up| 9.80665 * up + rough);
-            Output {
-                value: [up[0] + ahead, up[1], up[2]],
-                temperature_c: None,
-                samples: 1,
-                after_gap: false,
-                time_s: Some(t),
-                magnetic_field_nt: None,
-            }
-        };
-        let length = turns_at + if turned { 4.0 } else { 0.0 };
-        Dataset {
-            outputs: (0..(100.0 * length) as u32).map(output).collect(),
-            ..cold(false)
+            let time_ns = i64::from(k) * 10_000_000;
+            recording.row(force, time_ns, &[up[0] + ahead, up[1], up[2]]);
         }
+        recording
     }
 
     #[test]
@@ -486,7 +478,7 @@ mod tests {
                         placement_sd_rad: 0.02,
                     };
                     let data = pushed(peak, seconds, stands, turned);
-                    let report = alignment(&data, &set, &options);
+                    let report = aligned(&data, &set, &options);
                     let case = format!("{peak} m/s² {seconds} s {stands:?} {turned}: {report}");
                     let [w, x, y, z] = report.alignment_wxyz.expect(&case);
                     let off = [x, y, z].map(|half| (2.0 * half).to_degrees().abs());
@@ -494,7 +486,7 @@ mod tests {
                     // As it says itself where it is told which the first is.
                     if !turned {
                         options.rests = Some(vec![0]);
-                        let told = alignment(&data, &set, &options);
+                        let told = aligned(&data, &set, &options);
                         assert_eq!(told.alignment_wxyz, report.alignment_wxyz, "{told}");
                     }
                 }

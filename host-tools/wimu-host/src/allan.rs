@@ -9,10 +9,10 @@ use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
 use crate::calibration::mps2_per_unit;
 use crate::chart::{Chart, Series};
-use crate::dataset::{Dataset, RateSource};
 use crate::decode::Event;
 use crate::error::{ErrorCode, Result};
 use crate::html::Report;
+use crate::recording::{RateSource, Samples};
 
 /// A number and its standard deviation, 1 σ.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -146,16 +146,16 @@ pub struct NoiseReport {
 /// magnitude is taken as 1 g.
 ///
 /// Data that do not support an answer give a report with status `refused`.
-pub fn noise(data: &Dataset, sensitivity: Option<Sensitivity>) -> NoiseReport {
+pub fn noise(data: &Samples<'_>, sensitivity: Option<Sensitivity>) -> NoiseReport {
     let scale = mps2_per_unit(data, sensitivity, STANDARD_GRAVITY_MPS2);
     let mut allan = Box::new(AllanVariance::new(data.rate_hz));
-    for output in &data.outputs {
+    for output in data.iter() {
         if output.after_gap {
             allan.gap();
         }
         allan.push(output.value.map(|axis| axis * scale));
     }
-    let mut report = NoiseReport::new(&data.name, data.rate_hz, data.rate_source, &allan);
+    let mut report = NoiseReport::new(data.name, data.rate_hz, data.rate_source, &allan);
     report.remarks.extend(data.gaps_remark());
     report
 }

@@ -43,8 +43,8 @@ use wimu_link::message::parameter_id;
 use wimu_model::{ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity};
 
 use crate::csv::AccelerationUnit;
-use crate::dataset::{Dataset, OutputUnit};
 use crate::error::{ErrorCode, Result};
+use crate::recording::{OutputUnit, Samples};
 use advice::{advice, next_poses};
 pub(crate) use input::mps2_per_unit;
 use input::{magnitude, median_magnitude, poses, rms, wrong_unit};
@@ -129,7 +129,7 @@ pub struct CalibrateOptions {
 ///
 /// # Errors
 /// `usage` when an option is out of bounds.
-pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<CalibrationReport> {
+pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<CalibrationReport> {
     let usage =
         |message: String, flag: &str| ErrorCode::Usage.error(message, format!("check {flag}"));
     let (gravity, gravity_source) = match options.gravity_mps2 {
@@ -298,7 +298,7 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
             .as_ref()
             .map(|refusal| reason(refusal, &fitted, data, options)),
         remarks,
-        source: data.name.clone(),
+        source: data.name.to_owned(),
         method: options.method.name(),
         terms: terms(estimate.as_ref(), options),
         poses: fitted.len(),
@@ -336,7 +336,7 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         static_poses: static_poses(&fitted, estimate.as_ref()),
         datasheet: options
             .datasheet
-            .or(data.datasheet)
+            .or(data.datasheet())
             .zip(estimate.as_ref())
             .map(|(datasheet, estimate)| {
                 let (used, range) = match data.unit {
@@ -354,7 +354,7 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
                 unit,
                 lsb_per_g,
                 range,
-                &data.name,
+                data.name,
             )
         }),
         fit: estimate.map(|estimate| numbers(&estimate, range)),

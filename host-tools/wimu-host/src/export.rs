@@ -22,7 +22,6 @@ use crate::{ErrorCode, OutputFile, Result};
 
 mod columns;
 
-pub(crate) use columns::GYROSCOPE_SCALE;
 use columns::header;
 
 /// Time that samples wait for data that belong to them and arrive later, µs of device time.

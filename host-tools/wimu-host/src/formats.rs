@@ -7,7 +7,11 @@ use std::path::Path;
 
 pub use source::Source;
 
+use wimu_link::LinkRole;
+
+use crate::csv::Filter;
 use crate::error::{ErrorCode, Result};
+use crate::history;
 use crate::recording::{Recording, Sink};
 
 /// How to read a file whose content does not say enough.
@@ -24,6 +28,12 @@ pub struct ReadOptions {
     pub units: Option<String>,
     /// Output at zero, LSB.
     pub zero_count: Option<f64>,
+    /// Rows of a table to keep.
+    pub filter: Option<Filter>,
+    /// Whether the rows of a table are means over static poses, in any order of time.
+    pub poses: bool,
+    /// Link of a recording of wimu; see [`history::Recording::link`].
+    pub role: Option<LinkRole>,
 }
 
 /// A format that wimu reads.
@@ -72,11 +82,27 @@ pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Resu
     Ok(format.name)
 }
 
+/// Whether a file is a recording of wimu.
+fn is_recording(path: &Path) -> Result<bool> {
+    let text = path.display().to_string();
+    Ok(matches!(
+        crate::Input::parse(&text),
+        Ok(crate::Input::Recording(_))
+    ))
+}
+
 /// Reads a file: [`read`] into a [`Recording`].
 ///
 /// # Errors
 /// Those of [`read`].
 pub fn load(path: &Path, options: &ReadOptions) -> Result<Recording> {
+    if is_recording(path)? {
+        let links = history::Recording::load(path)?;
+        return Recording::of_link(links.link(options.role)?, &links.name);
+    }
+    if true {
+        return crate::recording::temp_csv(path, options);
+    }
     let source = Source::open(path)?;
     let mut recording = Recording::new(source.name());
     recording.format = read(&source, options, &mut recording)?;

@@ -10,7 +10,6 @@ pub mod client;
 pub mod clock;
 pub mod compare;
 pub mod csv;
-pub mod dataset;
 pub mod decode;
 pub mod digits;
 mod error;

@@ -158,20 +158,20 @@ impl fmt::Display for LinkUrl {
 pub enum Input {
     /// A live board.
     Link(LinkUrl),
-    /// A recording, detected by content.
+    /// A recording of wimu, detected by content.
     Recording(PathBuf),
-    /// A CSV file.
-    Csv(PathBuf),
+    /// Any other file or folder.
+    File(PathBuf),
 }
 
 impl Input {
-    /// Distinguishes a LINK from a file, and a recording from a CSV file by its first bytes.
+    /// Distinguishes a LINK from a file, and a recording of wimu from others by its first bytes.
     ///
     /// # Errors
     /// A LINK's own errors; `file_unreadable` when it is neither a LINK nor a readable file.
     pub fn parse(text: &str) -> Result<Self> {
         let path = Path::new(text);
-        if text == "auto" || text.contains("://") || !path.is_file() {
+        if text == "auto" || text.contains("://") || !path.exists() {
             return match text.parse() {
                 Ok(link) => Ok(Self::Link(link)),
                 Err(error) if text.contains("://") => Err(error),
@@ -193,7 +193,7 @@ impl Input {
             if named_mcap || mcap::MAGIC.starts_with(&start) && !start.is_empty() {
                 Self::Recording(path.to_owned())
             } else {
-                Self::Csv(path.to_owned())
+                Self::File(path.to_owned())
             },
         )
     }

@@ -59,8 +59,6 @@ pub struct MotionRecording {
     /// Full scale of its accelerometer, m/s², where the recording gives it. A sample beyond it, or else beyond
     /// [`FULL_SCALE_MPS2`], was not measured.
     pub full_scale_mps2: Option<f64>,
-    /// Line of each sample in the file, from 1; empty where it has none.
-    lines: Vec<u64>,
     /// Whether a magnetic field was left out because its magnetometer is not calibrated.
     pub field_uncalibrated: bool,
     other: Vec<(String, Vec<f64>)>,
@@ -76,13 +74,6 @@ impl MotionRecording {
             samples,
             ..Self::default()
         }
-    }
-
-    /// Time of a sample, and its line where it is from a table: for messages.
-    pub(crate) fn place_of(&self, index: usize) -> String {
-        let line = self.lines.get(index).map(|line| format!(" (line {line})"));
-        let time_s = self.times_s.get(index).copied().unwrap_or_default();
-        format!("{time_s:.2} s{}", line.unwrap_or_default())
     }
 
     /// Why there is no magnetic field, for a remark.

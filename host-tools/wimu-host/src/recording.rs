@@ -15,7 +15,20 @@
 //! assert_eq!((force.len(), force.valid().count()), (3, 2));
 //! ```
 
+mod beside;
+mod checks;
+mod csv;
+pub(crate) use csv::read as temp_csv;
+mod link;
+mod samples;
+mod summary;
+mod times;
+
+use wimu_model::SensorId;
+
 use crate::finding::Finding;
+pub use samples::{Output, OutputUnit, RateSource, Samples, Selection};
+pub use summary::{Summary, TrackSummary};
 
 /// What a track measures, with the SI unit of its values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -50,6 +63,19 @@ impl Quantity {
             Self::Temperature | Self::Scalar => 1,
             Self::Attitude => 4,
             _ => 3,
+        }
+    }
+
+    /// Symbol of the unit.
+    pub fn si(self) -> &'static str {
+        match self {
+            Self::SpecificForce | Self::LinearAcceleration | Self::Gravity => "m/s²",
+            Self::AngularRate => "rad/s",
+            Self::MagneticField => "T",
+            Self::Temperature => "°C",
+            Self::Attitude | Self::Scalar => "1",
+            Self::Position => "m",
+            Self::Velocity => "m/s",
         }
     }
 
@@ -97,6 +123,17 @@ pub enum Origin {
     Truth,
 }
 
+impl Origin {
+    /// Its name in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Sensor => "sensor",
+            Self::Estimate => "estimate",
+            Self::Truth => "truth",
+        }
+    }
+}
+
 /// Description of a track.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
@@ -115,6 +152,10 @@ pub struct TrackInfo {
     pub corrected: bool,
     /// Nominal sample rate, Hz, where the file gives it.
     pub rate_hz: Option<f64>,
+    /// Whether the file has no times, and those of the rows follow from an assumed rate.
+    pub timeless: bool,
+    /// The sensor, where a device identified it.
+    pub device: Option<SensorId>,
     /// Full scale of an axis, SI, where the file gives it.
     pub full_scale: Option<f64>,
 }
@@ -130,6 +171,8 @@ impl TrackInfo {
             origin: Origin::Sensor,
             corrected: false,
             rate_hz: None,
+            timeless: false,
+            device: None,
             full_scale: None,
         }
     }
@@ -160,6 +203,8 @@ pub trait Sink {
     /// A row of a track: time, ns on the clock of the file, and values (as many as
     /// [`Quantity::width`]).
     fn row(&mut self, track: TrackId, time_ns: i64, values: &[f64]);
+    /// Samples of a track are missing before its next row.
+    fn gap(&mut self, _track: TrackId) {}
     /// Something noticed.
     fn finding(&mut self, finding: Finding);
 }
@@ -172,6 +217,7 @@ pub struct Track {
     times_ns: Vec<i64>,
     values: Vec<f64>,
     valid: Vec<bool>,
+    gaps: Vec<usize>,
 }
 
 impl Track {
@@ -196,13 +242,18 @@ impl Track {
         self.values.get(index * width..(index + 1) * width)
     }
 
+    /// Rows before which the file says that samples are missing, ascending.
+    pub fn gaps(&self) -> &[usize] {
+        &self.gaps
+    }
+
     /// Whether each row may be used.
     pub fn mask(&self) -> &[bool] {
         &self.valid
     }
 
     /// Time, ns, and values of the valid rows.
-    pub fn valid(&self) -> impl Iterator<Item = (i64, &[f64])> {
+    pub fn valid(&self) -> impl Iterator<Item = (i64, &[f64])> + Clone {
         let rows = self.values.chunks_exact(self.info.quantity.width());
         let rows = self.times_ns.iter().zip(rows).zip(&self.valid);
         rows.filter(|(_, valid)| **valid)
@@ -210,7 +261,7 @@ impl Track {
     }
 
     /// [`valid`](Self::valid) rows of three values.
-    pub fn vectors(&self) -> impl Iterator<Item = (i64, [f64; 3])> {
+    pub fn vectors(&self) -> impl Iterator<Item = (i64, [f64; 3])> + Clone {
         self.valid()
             .filter_map(|(time, row)| Some((time, row.try_into().ok()?)))
     }
@@ -303,6 +354,7 @@ impl Sink for Recording {
             times_ns: Vec::new(),
             values: Vec::new(),
             valid: Vec::new(),
+            gaps: Vec::new(),
         });
         TrackId(self.tracks.len() - 1)
     }
@@ -321,6 +373,12 @@ impl Sink for Recording {
         track
             .valid
             .push(fits && values.iter().all(|value| value.is_finite()));
+    }
+
+    fn gap(&mut self, track: TrackId) {
+        if let Some(track) = self.tracks.get_mut(track.0) {
+            track.gaps.push(track.times_ns.len());
+        }
     }
 
     fn finding(&mut self, finding: Finding) {

@@ -7,10 +7,10 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use wimu_host::calibration::{CalibrateOptions, CalibrationReport, MethodChoice, calibrate};
-use wimu_host::dataset::Dataset;
 use wimu_host::decode::TimedSample;
 use wimu_host::history::{Boot, Recording};
 use wimu_host::navigation::{self, Point};
+use wimu_host::recording::{self, Selection};
 use wimu_host::replay::{self, ReplayReport};
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::auth::DeviceKey;
@@ -270,7 +270,8 @@ impl FirstLight {
             ..CalibrateOptions::default()
         };
         let cable = recording.link(Some(LinkRole::Cable))?;
-        let report = calibrate(&Dataset::from_link(cable, "the simulated board")?, &options)?;
+        let data = recording::Recording::of_link(cable, "the simulated board")?;
+        let report = calibrate(&data.samples(Selection::default())?, &options)?;
         match report.parameters {
             Some(set) => Ok((report, set)),
             None => Err(HostError::new(

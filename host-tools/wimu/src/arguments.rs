@@ -3,12 +3,14 @@
 mod calibration;
 mod device;
 mod navigate;
+mod reading;
 mod relations;
 mod values;
 
 pub use calibration::{Align, Allan, Calibrate, Calibrated, Method};
 pub use device::{Carried, Change, Key, KeyAction, Params, Resolution, Settings};
 pub use navigate::{Navigate, NavigateMethod, ZeroVelocity};
+pub use reading::Reading;
 pub use relations::check;
 
 use std::net::SocketAddr;
@@ -57,7 +59,7 @@ pub enum Command {
     Monitor(Monitor),
     /// Record everything a board sends, byte for byte
     Record(Record),
-    /// Show what a recording contains, or which device is on a link
+    /// Show what a recording of any format contains, or which device is on a link
     Info(Info),
     /// Convert a recording to a table, or a calibration to a source file
     Export(Export),
@@ -197,7 +199,7 @@ pub struct Simulate {
     pub filter: Option<Filter>,
     /// Number (from 0) of the accelerometer in a CSV file that has several
     #[arg(long, value_name = "N", requires = "replay")]
-    pub accelerometer: Option<u32>,
+    pub accelerometer: Option<u8>,
     /// Seed of the sensor's errors and noise
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -299,8 +301,10 @@ pub struct Record {
 #[derive(Args)]
 #[command(after_help = "Example: wimu info session.mcap")]
 pub struct Info {
-    /// A recording, or a LINK
+    /// A recording of any format, or a LINK
     pub input: String,
+    #[command(flatten)]
+    pub reading: Reading,
 }
 
 #[derive(Args)]

@@ -5,7 +5,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::Serialize;
 use terminal_size::terminal_size;
+use wimu_host::finding::{Finding, most_severe};
 use wimu_host::{ErrorCode, HostError, Result};
+
+/// Largest number of findings in a text.
+const MOST_FINDINGS: usize = 5;
 
 /// Set when a write to stdout has failed.
 static FAILED: AtomicBool = AtomicBool::new(false);
@@ -74,6 +78,17 @@ impl Output {
             ));
         }
         Ok(())
+    }
+
+    /// Prints the most severe findings.
+    pub fn findings(self, findings: &[Finding]) {
+        let (shown, left) = most_severe(findings, MOST_FINDINGS);
+        for finding in shown {
+            self.print(format!("  {}: {finding}", finding.severity.name()));
+        }
+        if left > 0 {
+            self.print(format!("  and {left} less severe findings: see --json"));
+        }
     }
 
     /// Width of the terminal on stdout, characters, without the last column: some terminals wrap after it.

@@ -2,7 +2,7 @@
 //! by percents, and a FIFO.
 
 use wimu_host::calibration::{CalibrateOptions, calibrate};
-use wimu_host::dataset::Dataset;
+use wimu_host::recording::{Recording, Selection};
 use wimu_link::hello::Capabilities;
 use wimu_link::message::{BusFault, EpochReason, Event, Payload, Refusal, Resolution, Settings};
 use wimu_link::{Answer, Command, LinkRole};
@@ -203,8 +203,9 @@ fn it_is_calibrated_and_keeps_what_was_pushed() {
     let link = recording
         .link(Some(LinkRole::Cable))
         .expect("it was recorded");
-    let dataset = Dataset::from_link(link, "the simulated board").expect("samples");
-    let report = calibrate(&dataset, &CalibrateOptions::default()).expect("readable");
+    let data = Recording::of_link(link, "the simulated board").expect("samples");
+    let samples = data.samples(Selection::default()).expect("samples");
+    let report = calibrate(&samples, &CalibrateOptions::default()).expect("readable");
     let set = report
         .parameters
         .unwrap_or_else(|| panic!("{:?}", report.reason));

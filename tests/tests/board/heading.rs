@@ -1,8 +1,8 @@
 //! Heading from a magnetometer that was calibrated on the board itself.
 
 use wimu_host::calibration::{CalibrateOptions, calibrate, calibrate_magnetometer};
-use wimu_host::dataset::Dataset;
 use wimu_host::monitor::Heading;
+use wimu_host::recording::{Recording, Selection};
 use wimu_link::LinkRole;
 use wimu_link::message::{Epoch, EpochReason, WirePhase};
 use wimu_model::ParameterSet;
@@ -24,7 +24,8 @@ fn calibrated(seed: u64) -> ParameterSet {
     assert!(rig.boot(LinkRole::Cable).epochs.iter().all(|mark| {
         mark.epoch.state.heading_sd_mrad.is_none() && mark.epoch.reason != EpochReason::Heading
     }));
-    let data = Dataset::from_link(rig.link(LinkRole::Cable).record(), "a session").unwrap();
+    let data = Recording::of_link(rig.link(LinkRole::Cable).record(), "a session").unwrap();
+    let data = data.samples(Selection::default()).unwrap();
     let accelerometer = calibrate(&data, &CalibrateOptions::default()).unwrap();
     let set = accelerometer.parameters.expect("calibrated");
     let both = calibrate_magnetometer(&data, &set, None).unwrap();

@@ -6,7 +6,7 @@ use wimu_calib::{Gravity, Model, MultiPosition, Pose, Refusal, UnitHint, multi_p
 use wimu_model::Sensitivity;
 
 use super::saturation;
-use crate::dataset::{Dataset, Output, OutputUnit};
+use crate::recording::{Output, OutputUnit, Samples};
 
 /// Static poses at an assumed scale.
 pub(super) struct Poses {
@@ -73,20 +73,20 @@ fn same_orientation(a: &Pose, b: &Pose) -> bool {
     dot > SAME_ORIENTATION_COS * magnitude(a) * magnitude(b)
 }
 
-pub(super) fn poses(data: &Dataset, scale: f64, gravity_mps2: f64) -> Poses {
-    let si = |output: &Output| output.value.map(|axis| axis * scale);
-    let forces: Vec<[f64; 3]> = data.outputs.iter().map(si).collect();
+pub(super) fn poses(data: &Samples<'_>, scale: f64, gravity_mps2: f64) -> Poses {
+    let si = |value: [f64; 3]| value.map(|axis| axis * scale);
+    let forces: Vec<[f64; 3]> = data.values().map(si).collect();
     let lsb_mps2 = matches!(data.unit, OutputUnit::Counts { .. }).then_some(scale);
     let poses: Vec<Pose> = if data.poses {
-        let pose = |(index, output): (usize, &Output)| Pose {
+        let pose = |(index, output): (usize, Output)| Pose {
             samples: output.samples,
             temperature_c: output.temperature_c,
             first_sample: index as u64,
             // Without times no drift can be fitted.
-            time_s: output.time_s.unwrap_or(0.0),
+            time_s: data.time_s(index).unwrap_or(0.0),
             ..Pose::from_mean(output.value.map(|axis| axis * scale))
         };
-        data.outputs.iter().enumerate().map(pose).collect()
+        data.iter().enumerate().map(pose).collect()
     } else {
         data.rests(&forces)
     };
@@ -104,7 +104,7 @@ pub(super) fn poses(data: &Dataset, scale: f64, gravity_mps2: f64) -> Poses {
 }
 
 /// A wrong unit of samples in which few poses were found: in it, noise looks like motion.
-pub(super) fn wrong_unit(data: &Dataset, found: &Poses, gravity: Gravity) -> Option<Refusal> {
+pub(super) fn wrong_unit(data: &Samples<'_>, found: &Poses, gravity: Gravity) -> Option<Refusal> {
     let known = match data.unit {
         OutputUnit::Mps2 => true,
         OutputUnit::Counts { nominal, .. } => nominal.is_some(),
@@ -132,7 +132,11 @@ fn not_gravity(mps2: f64, gravity: Gravity) -> Option<UnitHint> {
 
 /// m/s² per unit of a dataset: by the given sensitivity, else the board's, else so that the median magnitude is
 /// `gravity_mps2`.
-pub(crate) fn mps2_per_unit(data: &Dataset, given: Option<Sensitivity>, gravity_mps2: f64) -> f64 {
+pub(crate) fn mps2_per_unit(
+    data: &Samples<'_>,
+    given: Option<Sensitivity>,
+    gravity_mps2: f64,
+) -> f64 {
     match (data.unit, given) {
         (OutputUnit::Mps2, _) => 1.0,
         (_, Some(known))
@@ -147,8 +151,8 @@ pub(crate) fn mps2_per_unit(data: &Dataset, given: Option<Sensitivity>, gravity_
     }
 }
 
-pub(super) fn median_magnitude(data: &Dataset) -> f64 {
-    median(data.outputs.iter().map(|output| magnitude(output.value)))
+pub(super) fn median_magnitude(data: &Samples<'_>) -> f64 {
+    median(data.values().map(magnitude))
         .filter(|median| *median > 0.0)
         .unwrap_or(1.0)
 }

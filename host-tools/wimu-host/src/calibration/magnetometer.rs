@@ -13,9 +13,9 @@ use super::HELD_SCHEMA;
 use super::input::magnitude;
 use super::report::NextPose;
 use crate::chart::{Chart, Series};
-use crate::dataset::{Dataset, OutputUnit, RateSource};
 use crate::error::{ErrorCode, Result};
 use crate::html::Report;
+use crate::recording::{OutputUnit, RateSource, Samples};
 
 /// The report of `wimu calibrate --sensor magnetometer`, and a file that `wimu params push` reads.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -97,7 +97,7 @@ impl MagnetometerReport {
 /// `csv_missing_column`, `data_refused` without a magnetic field; `data_refused` when the data were
 /// taken at another range than that of `set`.
 pub fn calibrate_magnetometer(
-    data: &Dataset,
+    data: &Samples<'_>,
     set: &ParameterSet,
     dip_rad: Option<f64>,
 ) -> Result<MagnetometerReport> {
@@ -112,16 +112,18 @@ pub fn calibrate_magnetometer(
     } else {
         data.rests(&forces)
     };
+    let all_fields: Vec<Option<[f64; 3]>> = data.iter().map(|o| o.magnetic_field_nt).collect();
     let mut fitted = Vec::new();
     let mut guide = Guide::new(Model::Full9);
     let mut poses = Vec::new();
     for rest in &rests {
         let first = rest.first_sample as usize;
-        let part = data.outputs.get(first..).unwrap_or(&[]);
+        let part = all_fields.get(first..).unwrap_or(&[]);
         let part = &part[..part.len().min(rest.samples as usize)];
         let fields: Vec<[f64; 3]> = part
             .iter()
-            .filter_map(|output| output.magnetic_field_nt)
+            .flatten()
+            .copied()
             // Registers read before the first conversion hold zeros.
             .filter(|field| *field != [0.0; 3] && field.iter().all(|axis| axis.is_finite()))
             .collect();
@@ -144,7 +146,7 @@ pub fn calibrate_magnetometer(
         schema: HELD_SCHEMA,
         status: "refused",
         remarks: data.temperature_remark(set).into_iter().collect(),
-        source: data.name.clone(),
+        source: data.name.to_owned(),
         sensor: "magnetometer",
         rests: rests.len(),
         poses,
@@ -178,8 +180,8 @@ pub fn calibrate_magnetometer(
     Ok(report)
 }
 
-fn check(data: &Dataset, set: &ParameterSet) -> Result<()> {
-    if data.outputs.iter().all(|o| o.magnetic_field_nt.is_none()) {
+fn check(data: &Samples<'_>, set: &ParameterSet) -> Result<()> {
+    if data.iter().all(|o| o.magnetic_field_nt.is_none()) {
         let error = match data.rate_source {
             RateSource::Device => ErrorCode::DataRefused.error("the link carried no magnetic field: the board has no magnetometer, or does not send it",
                 "use a board that has one, and have its link carry `environment`: see `wimu settings set --help`",
@@ -188,7 +190,7 @@ fn check(data: &Dataset, set: &ParameterSet) -> Result<()> {
                 "name the columns `Magnetometer X (µT)`, `Magnetometer Y (µT)` and `Magnetometer Z (µT)`",
             ),
         };
-        return Err(error.at(&data.name));
+        return Err(error.at(data.name));
     }
     match data.unit {
         OutputUnit::Counts {
@@ -200,7 +202,7 @@ fn check(data: &Dataset, set: &ParameterSet) -> Result<()> {
             ),
             "calibrate the accelerometer at that range first",
         )
-        .at(&data.name)),
+        .at(data.name)),
         _ => Ok(()),
     }
 }
@@ -235,7 +237,7 @@ fn median(fields: &[[f64; 3]]) -> Option<[f64; 3]> {
 }
 
 impl MagnetometerReport {
-    fn remarks(&self, data: &Dataset, dip_rad: Option<f64>) -> Vec<String> {
+    fn remarks(&self, data: &Samples<'_>, dip_rad: Option<f64>) -> Vec<String> {
         let mut remarks = Vec::new();
         if data.rate_source == RateSource::Assumed && !data.poses {
             remarks.push(format!(

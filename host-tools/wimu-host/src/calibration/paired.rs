@@ -1,6 +1,4 @@
-//! Two streams of samples of one motion: the wireless link and the cable, or two accelerometers of a CSV file.
-
-use std::path::Path;
+//! Two streams of samples of one motion: the wireless link and the cable, or two accelerometers of a recording.
 
 use wimu_calib::{Pose, find_poses};
 use wimu_link::LinkRole;
@@ -8,11 +6,10 @@ use wimu_model::{Sensitivity, SensorId};
 
 use super::input::median_magnitude;
 use super::numbers::MAX_POSES;
-use crate::csv::{CsvReader, Filter};
-use crate::dataset::{Dataset, LoadOptions, OutputUnit};
 use crate::decode::sequence_order;
 use crate::error::{ErrorCode, Result};
-use crate::history::Recording;
+use crate::history;
+use crate::recording::{OutputUnit, Quantity, Recording, Selection};
 use crate::units::RawUnits;
 
 /// Two streams of one motion, sample by sample.
@@ -43,101 +40,85 @@ pub struct Paired {
 }
 
 impl Paired {
-    /// Rows of a CSV file with several accelerometers: `reference` (the first of the file if
-    /// `None`) and `output` (the other one if `None` and there are two).
+    /// Two accelerometers of a recording: `reference` (the first if `None`) and `output` (the other one if `None` and
+    /// there are two).
     ///
     /// `sensitivity`, LSB/g, is the output's, and the reference's too unless `reference_sensitivity` is
     /// given; without it, the median magnitude of the reference's counts is taken as 1 g.
     /// For data in m/s² it is only stored for a board.
     ///
     /// # Errors
-    /// Those of [`Dataset::from_csv`]; `usage` when the file does not have the two.
-    pub fn from_csv(
-        path: &Path,
-        filter: Option<&Filter>,
-        reference: Option<u32>,
-        output: Option<u32>,
+    /// Those of [`Samples`]; `usage` when the recording does not have the two.
+    pub fn of_recording(
+        recording: &Recording,
+        [reference, output]: [Option<u8>; 2],
         sensitivity: Option<Sensitivity>,
         reference_sensitivity: Option<Sensitivity>,
     ) -> Result<Self> {
-        let sensors: Vec<u32> = {
-            let reader = CsvReader::open(path)?;
-            let all = &reader.header().accelerometers;
-            all.iter().copied().flatten().collect()
+        let usage = |message: String, remedy: String| {
+            Err(ErrorCode::Usage.error(message, remedy).at(&recording.name))
         };
-        let name = path.display().to_string();
-        let usage =
-            |message: String, remedy: String| ErrorCode::Usage.error(message, remedy).at(&name);
-        let list = || {
-            sensors
-                .iter()
-                .map(u32::to_string)
-                .collect::<Vec<_>>()
-                .join(", ")
-        };
+        let sensors: Vec<u8> = recording
+            .of(Quantity::SpecificForce)
+            .map(|track| track.info.sensor)
+            .collect();
         let [first, _, ..] = sensors[..] else {
-            return Err(usage(
+            return usage(
                 "it has one accelerometer: a reference is missing".to_owned(),
                 "name the columns of two `Accelerometer 0 X (…)`, `Accelerometer 1 X (…)`"
                     .to_owned(),
-            ));
+            );
         };
+        let list: Vec<String> = sensors.iter().map(u8::to_string).collect();
+        let list = list.join(", ");
         let reference = reference.unwrap_or(first);
-        let others: Vec<u32> = sensors
-            .iter()
-            .copied()
-            .filter(|s| *s != reference)
-            .collect();
-        let output = match (output, &others[..]) {
-            (Some(output), _) => output,
-            (None, [other]) => *other,
-            (None, _) => {
-                return Err(usage(
+        let others = || sensors.iter().copied().filter(|s| *s != reference);
+        let output = match (output, others().next(), others().nth(1)) {
+            (Some(output), ..) => output,
+            (None, Some(other), None) => other,
+            _ => {
+                return usage(
                     format!("it has {} accelerometers", sensors.len()),
-                    format!(
-                        "choose the one to calibrate with --accelerometer: {}",
-                        list()
-                    ),
-                ));
+                    format!("choose the one to calibrate with --accelerometer: {list}"),
+                );
             }
         };
         if output == reference {
-            return Err(usage(
+            return usage(
                 format!("accelerometer {output} cannot be its own reference"),
-                format!(
-                    "choose two of {} with --accelerometer and --reference",
-                    list()
-                ),
-            ));
+                format!("choose two of {list} with --accelerometer and --reference"),
+            );
         }
-        let load = |sensor| {
-            let options = LoadOptions {
-                filter: filter.cloned(),
+        let samples = |sensor| {
+            recording.samples(Selection {
                 accelerometer: Some(sensor),
-                ..LoadOptions::default()
-            };
-            Dataset::from_csv(path, &options)
+                poses: false,
+            })
         };
-        let (x, y) = (load(reference)?, load(output)?);
+        let (x, y) = (samples(reference)?, samples(output)?);
         let sensitivity = match (x.unit, sensitivity) {
             (_, Some(given)) => Some(given),
             (OutputUnit::Mps2, None) => None,
             (OutputUnit::Counts { .. }, None) if reference_sensitivity.is_some() => {
-                return Err(usage(
+                return usage(
                     "--reference-sensitivity is given without --sensitivity".to_owned(),
                     "give --sensitivity, the LSB/g of the output, too".to_owned(),
-                ));
+                );
             }
-            (OutputUnit::Counts { .. }, None) => Some(
-                Sensitivity::from_lsb_per_g(median_magnitude(&x)).map_err(|error| {
-                    usage(
-                        format!(
-                            "the median of the reference's counts is not a sensitivity: {error}"
-                        ),
-                        "give --sensitivity".to_owned(),
-                    )
-                })?,
-            ),
+            (OutputUnit::Counts { nominal, .. }, None) => match nominal {
+                Some(nominal) => Some(nominal),
+                None => match Sensitivity::from_lsb_per_g(median_magnitude(&x)) {
+                    Ok(found) => Some(found),
+                    Err(error) => {
+                        return usage(
+                            format!(
+                                "the median of the reference's counts is not a sensitivity: {error}"
+                            ),
+                            "give --sensitivity".to_owned(),
+                        );
+                    }
+                },
+            },
         };
         let scale = |known: Option<Sensitivity>| match (x.unit, known) {
             (OutputUnit::Counts { .. }, Some(known)) => known.mps2_per_lsb(),
@@ -147,20 +128,17 @@ impl Paired {
             scale(reference_sensitivity.or(sensitivity)),
             scale(sensitivity),
         ];
+        let scaled = |(x, y): ([f64; 3], [f64; 3])| {
+            [
+                x.map(|axis| axis * scales[0]),
+                y.map(|axis| axis * scales[1]),
+            ]
+        };
         Ok(Self {
+            name: recording.name.clone(),
             reference: format!("accelerometer {reference}"),
             output: format!("accelerometer {output}"),
-            pairs: x
-                .outputs
-                .iter()
-                .zip(&y.outputs)
-                .map(|(x, y)| {
-                    [
-                        x.value.map(|v| v * scales[0]),
-                        y.value.map(|v| v * scales[1]),
-                    ]
-                })
-                .collect(),
+            pairs: x.values_with(&y).map(scaled).collect(),
             without_unit: 0,
             rate_hz: x.rate_hz,
             one_sensor: false,
@@ -168,7 +146,6 @@ impl Paired {
             unit: x.unit,
             range_g: None,
             sensor: None,
-            name,
         })
     }
 
@@ -184,8 +161,8 @@ impl Paired {
     /// The raw samples of a recording that came over both links, the cable's as reference.
     ///
     /// # Errors
-    /// Those of [`Recording::link`]; `no_rows` when no sample came over both.
-    pub fn from_recording(recording: &Recording) -> Result<Self> {
+    /// Those of [`history::Recording::link`]; `no_rows` when no sample came over both.
+    pub fn of_links(recording: &history::Recording) -> Result<Self> {
         let cable = recording.link(Some(LinkRole::Cable))?;
         let wireless = recording.link(Some(LinkRole::Wireless))?;
         let same_start = wireless.boots.iter().filter_map(|theirs| {

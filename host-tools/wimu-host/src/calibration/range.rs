@@ -3,7 +3,7 @@
 use wimu_model::Sensitivity;
 
 use super::Source;
-use crate::dataset::OutputUnit;
+use crate::recording::OutputUnit;
 
 /// A full-scale range, and its source.
 #[derive(Clone, Copy)]

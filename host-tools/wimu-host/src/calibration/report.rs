@@ -8,8 +8,8 @@ use wimu_link::hello::sensor;
 use wimu_model::{CalibrationMethod, ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, SensorId};
 
 use super::{CalibrationFile, DatasheetReport, MethodChoice};
-use crate::dataset::RateSource;
 use crate::plural::counted;
+use crate::recording::RateSource;
 
 /// Where a number comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

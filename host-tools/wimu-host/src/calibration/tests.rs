@@ -11,9 +11,10 @@ use wimu_testkit::Random;
 
 use super::range::likely_range_g;
 use super::*;
-use crate::dataset::{LoadOptions, Output, RateSource};
 use crate::decode::Decoder;
+use crate::formats::{self, ReadOptions};
 use crate::history::LinkHistory;
+use crate::recording::{Quantity, Recording, Selection, Sink, TrackInfo, Unit};
 
 fn truth() -> ErrorModel {
     ErrorModel::new(ErrorTerms {
@@ -24,44 +25,53 @@ fn truth() -> ErrorModel {
     .unwrap()
 }
 
-/// Pose means of a sensor with these errors, 26 orientations.
-fn pose_means(unit: OutputUnit, per_mps2: f64) -> Dataset {
-    let output = |orientation: Orientation| {
-        let force = SpecificForceMps2(orientation.up().map(|axis| axis * STANDARD_GRAVITY_MPS2));
-        Output {
-            value: truth().distort(force, None).0.map(|axis| axis * per_mps2),
-            temperature_c: Some(21.5),
-            samples: 100,
-            after_gap: false,
-            time_s: None,
-            magnetic_field_nt: None,
-        }
-    };
-    Dataset {
-        name: "poses".to_owned(),
-        unit,
-        poses: true,
-        rate_hz: 100.0,
-        rate_source: RateSource::Assumed,
-        datasheet: None,
-        outputs: Orientation::ALL.into_iter().map(output).collect(),
-        sensor: None,
-        has_gyroscope: false,
+/// Force and temperature of pose means.
+fn recording_of(unit: Unit, values: impl IntoIterator<Item = [f64; 3]>) -> Recording {
+    let mut recording = Recording::new("poses");
+    let mut info = TrackInfo::new("poses", Quantity::SpecificForce, unit);
+    info.timeless = true;
+    let force = recording.track(info);
+    let temperature = TrackInfo::new("poses", Quantity::Temperature, Unit::Si);
+    let temperature = recording.track(temperature);
+    for (time, value) in (0..).zip(values) {
+        recording.row(force, time, &value);
+        recording.row(temperature, time, &[21.5]);
     }
+    recording
 }
 
-const UNKNOWN_COUNTS: OutputUnit = OutputUnit::Counts {
-    nominal: None,
-    range_g: None,
-};
+/// Pose means of a sensor with these errors, 26 orientations.
+fn pose_means(unit: Unit, per_mps2: f64) -> Recording {
+    let value = |orientation: Orientation| {
+        let force = SpecificForceMps2(orientation.up().map(|axis| axis * STANDARD_GRAVITY_MPS2));
+        truth().distort(force, None).0.map(|axis| axis * per_mps2)
+    };
+    recording_of(unit, Orientation::ALL.into_iter().map(value))
+}
+
+const UNKNOWN_COUNTS: Unit = Unit::Counts { si_per_lsb: None };
+
+/// Calibrates with all rows, which are means over poses if they have no times.
+fn calibrate(data: &Recording, options: &CalibrateOptions) -> Result<CalibrationReport> {
+    let poses = data.tracks().iter().any(|track| track.info.timeless);
+    calibrate_rows(data, poses, options)
+}
+
+fn calibrate_rows(
+    data: &Recording,
+    poses: bool,
+    options: &CalibrateOptions,
+) -> Result<CalibrationReport> {
+    let selection = Selection {
+        accelerometer: None,
+        poses,
+    };
+    super::calibrate(&data.samples(selection)?, options)
+}
 
 #[test]
 fn the_error_model_comes_back() {
-    let report = calibrate(
-        &pose_means(OutputUnit::Mps2, 1.0),
-        &CalibrateOptions::default(),
-    )
-    .unwrap();
+    let report = calibrate(&pose_means(Unit::Si, 1.0), &CalibrateOptions::default()).unwrap();
     assert_eq!((report.status, report.exit_code()), ("ok", 0));
     let fit = report.fit.as_ref().unwrap();
     assert!(fit.rms_mm_s2 < 1e-6);
@@ -98,21 +108,19 @@ fn counts_of_unknown_worth_are_scaled_so_that_the_mean_scale_factor_is_1() {
         assert_eq!(report.sensitivity_source, Some(Source::Fit));
         // The set corrects the counts that it was made from.
         let set = report.parameters.unwrap();
-        let up = set.correct(
-            Counts(data.outputs[0].value.map(|v| v.round() as i16)),
-            None,
-        );
+        let (_, first) = data.tracks()[0].vectors().next().unwrap();
+        let up = set.correct(Counts(first.map(|v| v.round() as i16)), None);
         assert!((up.norm() - STANDARD_GRAVITY_MPS2).abs() < 0.03);
     }
 }
 
 #[test]
 fn a_sensitivity_is_the_given_one_or_the_boards_before_the_fits() {
-    let board = OutputUnit::Counts {
-        nominal: Some(Sensitivity::from_lsb_per_g(16384.0).unwrap()),
-        range_g: Some(2),
+    let board = Unit::Counts {
+        si_per_lsb: Some(STANDARD_GRAVITY_MPS2 / 16384.0),
     };
-    let data = pose_means(board, 16384.0 / STANDARD_GRAVITY_MPS2);
+    let mut data = pose_means(board, 16384.0 / STANDARD_GRAVITY_MPS2);
+    data.tracks_mut()[0].info.full_scale = Some(2.0 * STANDARD_GRAVITY_MPS2);
     let report = calibrate(&data, &CalibrateOptions::default()).unwrap();
     assert_eq!(report.sensitivity_source, Some(Source::Board));
     assert_eq!(report.parameters.unwrap().range_g, 2);
@@ -148,7 +156,7 @@ fn the_range_follows_from_the_sensitivity_as_usual() {
 
 #[test]
 fn options_out_of_bounds_are_wrong_usage() {
-    let data = pose_means(OutputUnit::Mps2, 1.0);
+    let data = pose_means(Unit::Si, 1.0);
     for options in [
         CalibrateOptions {
             gravity_mps2: Some(1.0),
@@ -170,8 +178,9 @@ fn options_out_of_bounds_are_wrong_usage() {
 
 #[test]
 fn a_refusal_says_why_and_which_poses_would_help() {
-    let mut data = pose_means(OutputUnit::Mps2, 1.0);
-    data.outputs.truncate(7);
+    let all = pose_means(Unit::Si, 1.0);
+    let values: Vec<[f64; 3]> = all.tracks()[0].vectors().map(|(_, value)| value).collect();
+    let data = recording_of(Unit::Si, values[..7].iter().copied());
     let report = calibrate(&data, &CalibrateOptions::default()).unwrap();
     assert_eq!((report.status, report.exit_code()), ("refused", 3));
     assert!(report.reason.as_ref().unwrap().contains("7 static poses"));
@@ -189,11 +198,10 @@ fn a_refusal_says_why_and_which_poses_would_help() {
         .into_iter()
         .map(|face| Orientation::from(face).up())
         .collect();
-    data.outputs.truncate(6);
-    for (output, up) in data.outputs.iter_mut().zip(&faces[..5]) {
-        output.value = up.map(|axis| axis * STANDARD_GRAVITY_MPS2);
-    }
-    data.outputs.truncate(5);
+    let up = faces[..5]
+        .iter()
+        .map(|up| up.map(|axis| axis * STANDARD_GRAVITY_MPS2));
+    let data = recording_of(Unit::Si, up);
     let report = calibrate(&data, &options).unwrap();
     assert_eq!(report.next_poses.len(), 1);
     assert_eq!(report.next_poses[0].text, "Z down");
@@ -257,18 +265,14 @@ fn a_calibration_file_comes_back_bit_for_bit_and_others_are_refused() {
     std::fs::write(&path, &report_1).unwrap();
     assert!((same(&path) - sd).abs() < 1e-5 * sd, "{sd}");
     let refused = calibrate(
-        &Dataset {
-            outputs: data.outputs[..3].to_vec(),
-            ..data.clone()
-        },
+        &recording_of(
+            UNKNOWN_COUNTS,
+            data.tracks()[0].vectors().map(|(_, v)| v).take(3),
+        ),
         &CalibrateOptions::default(),
     )
     .unwrap();
-    let without = calibrate(
-        &pose_means(OutputUnit::Mps2, 1.0),
-        &CalibrateOptions::default(),
-    )
-    .unwrap();
+    let without = calibrate(&pose_means(Unit::Si, 1.0), &CalibrateOptions::default()).unwrap();
     for (text, part) in [
         ("{".to_owned(), "not a calibration"),
         ("{\"status\": \"ok\"}".to_owned(), "schema is missing"),
@@ -419,7 +423,7 @@ fn a_recording_and_a_csv_file_of_the_same_counts_give_the_same_calibration() {
         text.push_str(&format!("{},{x},{y},{z}\n", 10 * k));
     }
     std::fs::write(&path, text).unwrap();
-    let from_csv = Dataset::from_csv(&path, &LoadOptions::default()).unwrap();
+    let from_csv = formats::load(&path, &ReadOptions::default()).unwrap();
     std::fs::remove_dir_all(&folder).unwrap();
 
     let mut record = LinkHistory::new(LinkRole::Wireless);
@@ -450,10 +454,13 @@ fn a_recording_and_a_csv_file_of_the_same_counts_give_the_same_calibration() {
         let length = batch::encode(first, time, &samples, &mut frame).unwrap();
         push(&frame[..length]);
     }
-    let from_link = Dataset::from_link(&record, "link").unwrap();
-    assert_eq!(from_link.outputs, from_csv.outputs);
+    let from_link = Recording::of_link(&record, "link").unwrap();
+    let outputs = |data: &Recording| -> Vec<_> {
+        data.samples(Selection::default()).unwrap().iter().collect()
+    };
+    assert_eq!(outputs(&from_link), outputs(&from_csv));
 
-    let json = |data: &Dataset| {
+    let json = |data: &Recording| {
         let report = calibrate(data, &CalibrateOptions::default()).unwrap();
         assert_eq!(report.poses, 13, "{report}");
         let mut json = serde_json::to_value(&report).unwrap();
@@ -480,21 +487,15 @@ fn a_recording_and_a_csv_file_of_the_same_counts_give_the_same_calibration() {
     let boot = gap.latest();
     let cut = boot.raw.len() - 100;
     boot.raw.drain(cut..cut + 5);
-    let data = Dataset::from_link(&gap, "link").unwrap();
-    assert_eq!(
-        data.outputs
-            .iter()
-            .filter(|output| output.after_gap)
-            .count(),
-        1
-    );
+    let data = Recording::of_link(&gap, "link").unwrap();
+    assert_eq!(data.samples(Selection::default()).unwrap().gaps().0, 1);
 
     // Another range half-way is no calibration.
     let boot = gap.latest();
     let mut mark = boot.epochs[0].clone();
     mark.epoch.range_g = 8;
     boot.epochs.push(mark);
-    let error = Dataset::from_link(&gap, "link").unwrap_err();
+    let error = Recording::of_link(&gap, "link").unwrap_err();
     assert_eq!(
         (error.code(), error.exit_code()),
         (ErrorCode::DataRefused, 3)
@@ -514,13 +515,13 @@ fn recording(name: &str) -> Option<PathBuf> {
     }
 }
 
-fn load(path: &std::path::Path, filter: Option<&str>, poses: bool) -> Dataset {
-    let options = LoadOptions {
+fn load(path: &std::path::Path, filter: Option<&str>, poses: bool) -> Recording {
+    let options = ReadOptions {
         filter: filter.map(|f| f.parse().unwrap()),
         poses,
-        ..LoadOptions::default()
+        ..ReadOptions::default()
     };
-    Dataset::from_csv(path, &options).unwrap()
+    formats::load(path, &options).unwrap()
 }
 
 #[test]
@@ -542,7 +543,7 @@ fn eight_real_sensors_reach_the_floor_of_a_float64_reference() {
         let (mut rms, mut loo) = (0.0, 0.0);
         for imu in 0..8 {
             let data = load(&path, Some(&format!("Run={run},IMU={imu}")), true);
-            let report = calibrate(&data, &options).unwrap();
+            let report = calibrate_rows(&data, true, &options).unwrap();
             let fit = report.fit.as_ref().unwrap_or_else(|| panic!("{report}"));
             rms += fit.rms_mm_s2 / 8.0;
             loo += fit.loo_rms_mm_s2.unwrap() / 8.0;
@@ -565,7 +566,7 @@ fn a_navigation_grade_sensor_needs_nine_parameters() {
             model,
             ..CalibrateOptions::default()
         };
-        calibrate(&data, &options).unwrap()
+        calibrate_rows(&data, true, &options).unwrap()
     };
     let nine = fit(ModelChoice::default());
     assert!(
@@ -606,7 +607,7 @@ fn six_real_positions_in_counts_and_in_si_are_calibrated() {
         let Some(path) = recording(&format!("calibration/{name}")) else {
             return;
         };
-        let report = calibrate(&load(&path, None, false), &options).unwrap();
+        let report = calibrate_rows(&load(&path, None, false), false, &options).unwrap();
         let fit = report.fit.as_ref().unwrap_or_else(|| panic!("{report}"));
         println!("{report}");
         assert!(

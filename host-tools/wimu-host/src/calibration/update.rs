@@ -9,9 +9,9 @@ use wimu_model::{CalibrationQuality, ErrorTerms, ModelCovariance, ParameterSet, 
 
 use super::CalibrationReport;
 use super::input::poses;
-use crate::dataset::{Dataset, OutputUnit};
 use crate::digits::signed_with_sd;
 use crate::error::{ErrorCode, Result};
+use crate::recording::{OutputUnit, Samples};
 
 /// A rest compared with the stored calibration.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -75,7 +75,7 @@ impl UpdateReport {
 /// # Errors
 /// `usage` when gravity is out of bounds; `data_refused` when `stored` has no quality information.
 pub fn update(
-    data: &Dataset,
+    data: &Samples<'_>,
     stored: &ParameterSet,
     gravity_mps2: Option<f64>,
     utc_s: Option<u64>,
@@ -111,7 +111,7 @@ pub fn update(
     let mut report = UpdateReport {
         schema: CalibrationReport::SCHEMA,
         status: "refused",
-        source: data.name.clone(),
+        source: data.name.to_owned(),
         method: "update",
         stored_id: parameter_id(stored).to_string(),
         gravity_m_s2: gravity.mps2(),

@@ -6,9 +6,9 @@ use wimu_model::Sensitivity;
 use super::input::{magnitude, median, median_magnitude};
 use super::range::Range;
 use super::{CalibrateOptions, MethodChoice, ModelChoice, bend};
-use crate::dataset::{Dataset, Output, RateSource};
 use crate::digits::significant;
 use crate::plural::counted;
+use crate::recording::{RateSource, Samples};
 
 /// How many poses repeat another one exactly and were left out.
 pub(super) fn repeated_remark(poses: usize) -> Option<String> {
@@ -31,7 +31,7 @@ pub(super) fn closing_remark(poses: usize) -> Option<String> {
 }
 
 /// Start times of the poses, so that a person can find them; empty where there are none or too many.
-pub(super) fn start_times(data: &Dataset, poses: &[Pose]) -> String {
+pub(super) fn start_times(data: &Samples<'_>, poses: &[Pose]) -> String {
     if data.poses || poses.is_empty() || poses.len() > 40 {
         return String::new();
     }
@@ -44,7 +44,7 @@ pub(super) fn start_times(data: &Dataset, poses: &[Pose]) -> String {
 pub(super) fn reason(
     refusal: &Refusal,
     poses: &[Pose],
-    data: &Dataset,
+    data: &Samples<'_>,
     options: &CalibrateOptions,
 ) -> String {
     let has = poses.len();
@@ -143,14 +143,14 @@ const MAX_MEANS: usize = 2000;
 const SLOW_ROTATION: std::ops::RangeInclusive<f64> = 0.5..=30.0;
 
 /// Median angular rate, degrees per second, of a sensor that was rotated slowly and never held still.
-fn slow_rotation(data: &Dataset) -> Option<f64> {
+fn slow_rotation(data: &Samples<'_>) -> Option<f64> {
     let second = data.rate_hz.round().max(1.0) as usize;
-    let means: Vec<[f64; 3]> = data
-        .outputs
+    let values: Vec<[f64; 3]> = data.values().collect();
+    let means: Vec<[f64; 3]> = values
         .chunks_exact(second)
         .filter(|_| !data.poses)
         .map(|samples| {
-            let sum = |axis: usize| samples.iter().map(|sample| sample.value[axis]).sum::<f64>();
+            let sum = |axis: usize| samples.iter().map(|value| value[axis]).sum::<f64>();
             [0, 1, 2].map(|axis| sum(axis) / second as f64)
         })
         .collect();
@@ -170,14 +170,14 @@ fn slow_rotation(data: &Dataset) -> Option<f64> {
 
 /// Whether the rows are pose means instead of samples: no times, few poses found, and nearly all of the magnitude of
 /// gravity.
-fn looks_like_means(data: &Dataset, found: usize) -> bool {
-    if data.poses || found > 1 || data.outputs.len() > MAX_MEANS {
+fn looks_like_means(data: &Samples<'_>, found: usize) -> bool {
+    if data.poses || found > 1 || data.len() > MAX_MEANS {
         return false;
     }
     let median = median_magnitude(data);
-    let near = |output: &&Output| (magnitude(output.value) / median - 1.0).abs() < 0.2;
-    let alike = data.outputs.iter().filter(near).count();
-    data.rate_source == RateSource::Assumed && 10 * alike >= 9 * data.outputs.len()
+    let near = |value: &[f64; 3]| (magnitude(*value) / median - 1.0).abs() < 0.2;
+    let alike = data.values().filter(near).count();
+    data.rate_source == RateSource::Assumed && 10 * alike >= 9 * data.len()
 }
 
 /// Rejected poses that appear to be in g among poses in m/s².
@@ -274,7 +274,7 @@ fn pose_noise_mps2(poses: &[Pose]) -> f64 {
 
 /// What a user should know beside the numbers.
 pub(super) fn remarks(
-    data: &Dataset,
+    data: &Samples<'_>,
     options: &CalibrateOptions,
     poses: &[Pose],
     estimate: Option<&Estimate>,
@@ -283,10 +283,9 @@ pub(super) fn remarks(
 ) -> Vec<String> {
     let mut remarks = Vec::new();
     if data.rate_source == RateSource::Assumed && !data.poses {
-        let timed = data.outputs.iter().any(|output| output.time_s.is_some());
         remarks.push(format!(
             "{}: {} Hz assumed",
-            if timed {
+            if data.is_timed() {
                 "the times are more than a second apart (check their unit)"
             } else {
                 "the data have no times"

@@ -84,7 +84,7 @@ pub struct Alignment {
 /// compares their values. In LSB, the median magnitude is taken as 1 g.
 ///
 /// # Errors
-/// Those of [`CsvReader`](crate::csv::CsvReader); `no_rows`, `csv_missing_column`; `data_refused` when no alignment, or more
+/// Those of [`formats::load`](crate::formats::load); `no_rows`, `csv_missing_column`; `data_refused` when no alignment, or more
 /// than one, fits.
 pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
     let names = [reference, other].map(|path| path.display().to_string());

@@ -132,9 +132,9 @@ fn beyond(
     let is_beyond = |k: &usize| sense(&recording.samples[*k]).is_some_and(|v| !is_within(&v, most));
     let found: Vec<usize> = (0..recording.samples.len()).filter(is_beyond).collect();
     let said = format!(
-        "the {sensor} gives more than its full scale, {most:.0} {unit}, in {}, first at {}",
+        "the {sensor} gives more than its full scale, {most:.0} {unit}, in {}, first at {:.2} s",
         counted(found.len(), "sample"),
-        recording.place_of(*found.first()?)
+        recording.times_s[*found.first()?]
     );
     Some((found, said))
 }

@@ -5,10 +5,9 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum, value_parser};
 use wimu_calib::Face;
-use wimu_host::csv::Filter;
 use wimu_model::Sensitivity;
 
-use super::Role;
+use super::reading::Reading;
 use super::values::{from_to, positive, seconds, sensitivity, side};
 
 #[derive(Args)]
@@ -26,24 +25,20 @@ Examples:
   wimu calibrate session.mcap --sensor magnetometer --with CAL.json -o BOTH.json
   wimu calibrate board.csv --geometry positions.csv -o ARRAY.json")]
 pub struct Calibrate {
-    /// A LINK, a recording or a CSV file
+    /// A LINK, or a recording of any format
     pub input: String,
     /// With --geometry: recordings of further boards on the same body, in the order of the geometry
     #[arg(value_name = "BOARD", requires = "geometry")]
     pub boards: Vec<PathBuf>,
 
-    /// Rows of the CSV file to use: those whose columns have these values, such as "Run=2,IMU=0"
-    #[arg(long = "where", value_name = "COLUMN=VALUE,…", help_heading = "Input")]
-    pub filter: Option<Filter>,
-    /// Number (from 0) of the accelerometer to calibrate in a CSV file that has several
+    #[command(flatten)]
+    pub reading: Reading,
+    /// Number (from 0) of the accelerometer to calibrate in a file that has several
     #[arg(long, value_name = "N", help_heading = "Input")]
-    pub accelerometer: Option<u32>,
-    /// Each row of the CSV file is the mean of one static pose
+    pub accelerometer: Option<u8>,
+    /// Each row of the table is the mean of one static pose
     #[arg(long, help_heading = "Input")]
     pub poses: bool,
-    /// Link of the recording to use [default: the cable if it was recorded]
-    #[arg(long, value_enum, help_heading = "Input")]
-    pub link: Option<Role>,
     /// Nominal sensitivity, LSB/g [default: the board's; for a CSV file the mean scale factor of the fit]
     #[arg(long, value_name = "LSB_PER_G", value_parser = positive, help_heading = "Input")]
     pub sensitivity: Option<f64>,
@@ -52,7 +47,7 @@ pub struct Calibrate {
     pub range: Option<u8>,
     /// For method reference: number of the accelerometer of a CSV file that is the reference [default: the first]
     #[arg(long, value_name = "N", help_heading = "Input")]
-    pub reference: Option<u32>,
+    pub reference: Option<u8>,
     /// For method reference: nominal sensitivity of the reference, LSB/g [default: --sensitivity]
     #[arg(long, value_name = "LSB_PER_G", value_parser = sensitivity, help_heading = "Input")]
     pub reference_sensitivity: Option<Sensitivity>,
@@ -141,8 +136,10 @@ Examples:
       listens until both rests were found
 Push a written result with `wimu params push LINK CAL.json`.")]
 pub struct Align {
-    /// A LINK, a recording or a CSV file
+    /// A LINK, or a recording of any format
     pub input: String,
+    #[command(flatten)]
+    pub reading: Reading,
     /// Body axis that points up at each rest, in order: z is level, -x is nose down
     #[arg(
         long,
@@ -167,9 +164,6 @@ pub struct Align {
     /// Write the calibration with the alignment to this file
     #[arg(short, long, value_name = "CAL.json")]
     pub output: Option<PathBuf>,
-    /// Link of the recording to use [default: the cable if it was recorded]
-    #[arg(long, value_enum)]
-    pub link: Option<Role>,
     /// Longest time to listen, s (LINK only) [default: until the alignment is known, or Ctrl-C]
     #[arg(long = "for", value_name = "SECONDS", value_parser = seconds)]
     pub seconds: Option<Duration>,
@@ -193,15 +187,11 @@ pub struct Allan {
     /// Nominal sensitivity, LSB/g [default: the board's; for a CSV file such that gravity is 1 g]
     #[arg(long, value_name = "LSB_PER_G", value_parser = sensitivity)]
     pub sensitivity: Option<Sensitivity>,
-    /// Rows of the CSV file to use: those whose columns have these values, such as "Run=2,IMU=0"
-    #[arg(long = "where", value_name = "COLUMN=VALUE,…")]
-    pub filter: Option<Filter>,
-    /// Number (from 0) of the accelerometer in a CSV file that has several
+    #[command(flatten)]
+    pub reading: Reading,
+    /// Number (from 0) of the accelerometer in a file that has several
     #[arg(long, value_name = "N")]
-    pub accelerometer: Option<u32>,
-    /// Link of the recording to use [default: the cable if it was recorded]
-    #[arg(long, value_enum)]
-    pub link: Option<Role>,
+    pub accelerometer: Option<u8>,
     /// Time to listen, s (LINK only) [default: until Ctrl-C]
     #[arg(long = "for", value_name = "SECONDS", value_parser = seconds)]
     pub seconds: Option<Duration>,

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use wimu_host::inertial::Zupt;
 
-use super::Role;
+use super::reading::Reading;
 use super::values::positive;
 
 #[derive(Args)]
@@ -29,15 +29,14 @@ Examples:
   wimu navigate cube.csv --geometry cube:100mm
   wimu navigate a.mcap b.mcap c.mcap d.mcap --geometry boards.json")]
 pub struct Navigate {
-    /// A recording, or a CSV file of corrected samples (with --calibration: of the sensor's output)
+    /// A recording of any format; of other programs: corrected samples, or with --calibration the sensor's output
     pub input: PathBuf,
     /// With --geometry: recordings of further boards on the same body, in the order of the geometry
     #[arg(value_name = "BOARD", requires = "geometry")]
     pub boards: Vec<PathBuf>,
 
-    /// Link of the recording to use [default: the cable if it was recorded]
-    #[arg(long, value_enum, help_heading = "Input")]
-    pub link: Option<Role>,
+    #[command(flatten)]
+    pub reading: Reading,
     /// Calibration that `wimu calibrate -o` wrote. Counts need a calibration made from counts; m/s² or g need one made from
     /// m/s² or g. It replaces the calibration in a recording. For an array, give one for each sensor, in the order of
     /// --geometry

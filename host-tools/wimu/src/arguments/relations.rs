@@ -74,14 +74,22 @@ const TABLES: [Table; 4] = [
     },
 ];
 
-/// Options of `align`, `allan`, `calibrate` and `navigate` that one kind of input has.
-const INPUTS: [(&str, &str); 9] = [
-    ("where", "a CSV file"),
-    ("poses", "a CSV file"),
-    ("accelerometer", "a CSV file"),
-    ("range", "a CSV file"),
-    ("reference-sensitivity", "a CSV file"),
-    ("link", "a recording"),
+/// What is read by its format.
+const TABLE: &str = "a table or a recording of another program";
+
+/// Options of `align`, `allan`, `calibrate`, `info` and `navigate` that one kind of input has.
+const INPUTS: [(&str, &str); 14] = [
+    ("where", TABLE),
+    ("poses", TABLE),
+    ("accelerometer", TABLE),
+    ("range", TABLE),
+    ("reference-sensitivity", TABLE),
+    ("input-format", TABLE),
+    ("topic", TABLE),
+    ("columns", TABLE),
+    ("units", TABLE),
+    ("zero-count", TABLE),
+    ("link", "a recording of wimu"),
     ("count", "a LINK"),
     ("for", "a LINK"),
     ("push", "a LINK"),
@@ -109,7 +117,8 @@ pub fn check(matches: &ArgMatches) -> Result<()> {
     for table in TABLES.iter().filter(|table| table.command == name) {
         by_value(table, matches, &given)?;
     }
-    if matches!(name, "align" | "allan" | "calibrate" | "navigate") && !given.contains(&"geometry")
+    if matches!(name, "align" | "allan" | "calibrate" | "info" | "navigate")
+        && !given.contains(&"geometry")
     {
         by_input(matches, &given)?;
     }
@@ -155,8 +164,8 @@ fn by_input(matches: &ArgMatches, given: &[&str]) -> Result<()> {
     let input = matches.get_raw("input").and_then(|mut raw| raw.next());
     let input = input.unwrap_or_default().to_string_lossy();
     let kind = match Input::parse(&input) {
-        Ok(Input::Csv(_)) => "a CSV file",
-        Ok(Input::Recording(_)) => "a recording",
+        Ok(Input::File(_)) => TABLE,
+        Ok(Input::Recording(_)) => "a recording of wimu",
         Ok(Input::Link(_)) => "a LINK",
         // The command reports it when it reads the input.
         Err(_) => return Ok(()),

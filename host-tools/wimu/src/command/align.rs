@@ -5,9 +5,9 @@ use std::path::Path;
 use wimu_host::Result;
 use wimu_host::alignment::{self, AlignOptions};
 use wimu_host::calibration::{CalibrationFile, sessions};
-use wimu_host::dataset::{Dataset, LoadOptions};
 use wimu_host::decode::Event;
 use wimu_host::history::LinkHistory;
+use wimu_host::recording::{Recording, Selection};
 use wimu_model::ParameterSet;
 
 use crate::arguments::Align;
@@ -42,13 +42,9 @@ pub fn run(arguments: &Align, output: Output) -> Result<u8> {
         ));
     }
     not_over_input(Path::new(&arguments.input), arguments.output.as_deref())?;
-    let load = LoadOptions {
-        role: arguments.link.map(Into::into),
-        ..LoadOptions::default()
-    };
     let (data, set, mut client) = read_calibrated(
         &arguments.input,
-        &load,
+        &arguments.reading.options(false),
         arguments.calibration.as_deref(),
         arguments.push,
         |set| {
@@ -61,7 +57,7 @@ pub fn run(arguments: &Align, output: Output) -> Result<u8> {
         },
         |client, set| listen(client, arguments, set, &options, output),
     )?;
-    let report = alignment::alignment(&data, &set, &options);
+    let report = alignment::alignment(&data.samples(Selection::default())?, &set, &options);
     let code = report.exit_code();
     let before = sessions(arguments.calibration.as_deref(), &set);
     let file = |set| CalibrationFile::new(set, &before, &report.source);
@@ -85,7 +81,7 @@ fn listen(
     set: &ParameterSet,
     options: &AlignOptions,
     output: Output,
-) -> Result<Dataset> {
+) -> Result<Recording> {
     let ask = |rests: usize| match arguments.up.get(rests) {
         Some(up) => output.print(format!("hold the body still with its {up} axis up")),
         None if options.forward => {
@@ -108,12 +104,13 @@ fn listen(
             return Ok(true);
         }
         looked = samples;
-        let report = alignment::alignment(&Dataset::from_link(&record, &name)?, set, options);
+        let data = Recording::of_link(&record, &name)?;
+        let report = alignment::alignment(&data.samples(Selection::default())?, set, options);
         if report.rests > asked {
             asked = report.rests;
             ask(asked);
         }
         Ok(report.exit_code() != 0)
     })?;
-    Dataset::from_link(&record, &name)
+    Recording::of_link(&record, &name)
 }

@@ -15,9 +15,10 @@ use wimu_calib::{Face, Model, Phase, Session, Term, Terms};
 use wimu_host::calibration::{
     self, CalibrateOptions, CalibrationFile, MethodChoice, ModelChoice, Paired,
 };
-use wimu_host::dataset::{Dataset, LoadOptions};
 use wimu_host::decode::Event;
-use wimu_host::history::{LinkHistory, Recording};
+use wimu_host::formats::{self, ReadOptions};
+use wimu_host::history::{self, LinkHistory};
+use wimu_host::recording::{Recording, Selection};
 use wimu_host::{Input, Result};
 use wimu_link::batch::Stream;
 use wimu_link::hello::board;
@@ -62,19 +63,19 @@ pub fn finish<R: Display + Serialize>(
 /// device. `checked` refuses a calibration that does not serve, before `listen` collects the samples of a LINK.
 pub fn read_calibrated(
     input: &str,
-    load: &LoadOptions,
+    load: &ReadOptions,
     given: Option<&Path>,
     push: bool,
     checked: impl Fn(Option<ParameterSet>) -> Result<ParameterSet>,
-    listen: impl FnOnce(&mut Connection, &ParameterSet) -> Result<Dataset>,
-) -> Result<(Dataset, ParameterSet, Option<Connection>)> {
+    listen: impl FnOnce(&mut Connection, &ParameterSet) -> Result<Recording>,
+) -> Result<(Recording, ParameterSet, Option<Connection>)> {
     let given = given.map(calibration::read_parameters).transpose()?;
     match Input::parse(input)? {
-        Input::Csv(path) => Ok((Dataset::from_csv(&path, load)?, checked(given)?, None)),
+        Input::File(path) => Ok((formats::load(&path, load)?, checked(given)?, None)),
         Input::Recording(path) => {
-            let recording = Recording::load(&path)?;
+            let recording = history::Recording::load(&path)?;
             let link = recording.link(load.role)?;
-            let data = Dataset::from_link(link, &recording.name)?;
+            let data = Recording::of_link(link, &recording.name)?;
             let set = given.map_or_else(|| link.last_parameters(), |set| Ok(Some(set)))?;
             Ok((data, checked(set)?, None))
         }
@@ -87,29 +88,28 @@ pub fn read_calibrated(
     }
 }
 
-fn load_options(arguments: &Calibrate) -> LoadOptions {
-    LoadOptions {
-        filter: arguments.filter.clone(),
+/// How to read the input, and which of its samples.
+fn reading(arguments: &Calibrate) -> (ReadOptions, Selection) {
+    let selection = Selection {
         accelerometer: arguments.accelerometer,
         poses: arguments.poses,
-        role: arguments.link.map(Into::into),
-    }
+    };
+    (arguments.reading.options(arguments.poses), selection)
 }
 
 /// Calibrates with poses, by the magnitude or the direction of gravity.
 fn with_gravity(arguments: &Calibrate, output: Output) -> Result<u8> {
     let options = options(arguments)?;
-    let load = load_options(arguments);
+    let (load, selection) = reading(arguments);
     let mut client = None;
     let data = match Input::parse(&arguments.input)? {
-        Input::Csv(path) => Dataset::from_csv(&path, &load)?,
-        Input::Recording(path) => Dataset::from_recording(&path, &load)?,
+        Input::File(path) | Input::Recording(path) => formats::load(&path, &load)?,
         Input::Link(_) => {
             let client = client.insert(connect_for(&arguments.input, arguments.push)?);
             collect(client, arguments, &options, output)?
         }
     };
-    let report = calibration::calibrate(&data, &options)?;
+    let report = calibration::calibrate(&data.samples(selection)?, &options)?;
     let code = report.exit_code();
     let (path, file) = (arguments.output.as_deref(), report.file.clone());
     finish(&report, code, path, file, output, || {
@@ -132,16 +132,14 @@ fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
         .transpose()
         .map_err(|error| usage(error.to_string(), "check --sensitivity"))?;
     let data = match Input::parse(&arguments.input)? {
-        Input::Csv(path) => Paired::from_csv(
-            &path,
-            arguments.filter.as_ref(),
-            arguments.reference,
-            arguments.accelerometer,
+        Input::File(path) => Paired::of_recording(
+            &formats::load(&path, &reading(arguments).0)?,
+            [arguments.reference, arguments.accelerometer],
             sensitivity,
             arguments.reference_sensitivity,
         )?
         .at_range(arguments.range),
-        Input::Recording(path) => Paired::from_recording(&Recording::load(&path)?)?,
+        Input::Recording(path) => Paired::of_links(&history::Recording::load(&path)?)?,
         Input::Link(_) => {
             return Err(usage(
                 "--method reference needs a recording of both links, or a CSV file",
@@ -169,15 +167,21 @@ fn update(arguments: &Calibrate, output: Output) -> Result<u8> {
     let checked = |set: Option<_>| {
         set.ok_or_else(|| usage("there is no calibration to update", "add --with CAL.json"))
     };
+    let (load, selection) = reading(arguments);
     let (data, stored, _) = read_calibrated(
         &arguments.input,
-        &load_options(arguments),
+        &load,
         arguments.with.as_deref(),
         false,
         checked,
         |_, _| Err(not_live()),
     )?;
-    let report = calibration::update(&data, &stored, arguments.gravity, utc_s())?;
+    let report = calibration::update(
+        &data.samples(selection)?,
+        &stored,
+        arguments.gravity,
+        utc_s(),
+    )?;
     let code = report.exit_code();
     let before = calibration::sessions(arguments.with.as_deref(), &stored);
     let file = |set| CalibrationFile::new(set, &before, &report.source);
@@ -284,7 +288,7 @@ fn collect(
     arguments: &Calibrate,
     options: &CalibrateOptions,
     output: Output,
-) -> Result<Dataset> {
+) -> Result<Recording> {
     let six = arguments.method == Method::SixPosition;
     let count = arguments.count.map_or(POSES, usize::from);
     let fewest = match options.model {
@@ -361,7 +365,7 @@ fn collect(
             _ => {}
         }
     }
-    Dataset::from_link(&record, client.name())
+    Recording::of_link(&record, client.name())
 }
 
 /// Names of the sides that are up, in the order of [`Face::ALL`], as printed on boards whose layout is known.

@@ -15,8 +15,8 @@ pub fn run(arguments: &Compare, output: Output) -> Result<()> {
     let kind = |input: &String| Input::parse(input);
     match (kind(&arguments.input)?, arguments.other.as_ref()) {
         (Input::Recording(path), None) => recording(&path, arguments, output),
-        (Input::Csv(reference), Some(other)) => {
-            let Input::Csv(other) = kind(other)? else {
+        (Input::File(reference), Some(other)) => {
+            let Input::File(other) = kind(other)? else {
                 return Err(unsupported(other));
             };
             tables(&reference, &other, output)

@@ -6,9 +6,11 @@ use std::time::Duration;
 
 use serde::Serialize;
 use wimu_host::decode::{self, LinkStatistics};
+use wimu_host::formats::Source;
 use wimu_host::mcap_file::Wholeness;
 use wimu_host::overview::{BootOverview, LinkOverview, Overview};
-use wimu_host::{ErrorCode, HostError, Input, Result};
+use wimu_host::recording::Summary;
+use wimu_host::{Input, Result};
 use wimu_link::Hello;
 use wimu_link::message::{SensorStatus, Status};
 
@@ -231,13 +233,29 @@ pub fn run(arguments: &Info, output: Output) -> Result<()> {
             output.answer("wimu.device/1", &live);
             Ok(())
         }
-        Input::Csv(_) => Err(HostError::new(
-            ErrorCode::UnknownFormat,
-            "this is not a recording",
-            "give a file written by `wimu record`, or a LINK",
-        )
-        .at(&arguments.input)),
+        Input::File(path) => {
+            let options = arguments.reading.options(false);
+            let summary = Summary::read(&Source::open(&path)?, &options)?;
+            of_another_program(&summary, output);
+            Ok(())
+        }
     }
+}
+
+fn of_another_program(summary: &Summary, output: Output) {
+    let (source, seconds) = (&summary.source, summary.duration_s);
+    output.print(format!("{source}: {}, {seconds:.1} s", summary.format));
+    let others = summary.other_columns();
+    for track in &summary.tracks {
+        if !others.contains(&track.name.as_str()) {
+            output.print(format!("  {track}"));
+        }
+    }
+    if !others.is_empty() {
+        output.print(format!("  other columns: {}", others.join(", ")));
+    }
+    output.findings(&summary.findings);
+    output.answer("wimu.info/1", summary);
 }
 
 fn recording(path: &Path, output: Output) -> Result<()> {

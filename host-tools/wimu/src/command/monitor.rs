@@ -158,10 +158,10 @@ pub fn run(arguments: &Monitor, output: Output) -> Result<()> {
     match Input::parse(&arguments.input)? {
         Input::Link(_) => live(arguments, output),
         Input::Recording(path) => recorded(&path, arguments.rate, output),
-        Input::Csv(_) => Err(HostError::new(
+        Input::File(_) => Err(HostError::new(
             ErrorCode::UnknownFormat,
-            "monitor does not read CSV files",
-            "give a LINK or a recording; `wimu simulate --replay` streams a CSV file",
+            "monitor does not read files of other programs",
+            "give a LINK or a recording of wimu; `wimu simulate --replay` streams counts of a table",
         )
         .at(&arguments.input)),
     }

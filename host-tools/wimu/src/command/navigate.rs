@@ -131,9 +131,8 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
             "give one, or --geometry",
         ));
     }
-    let extension = arguments.input.extension();
-    let is_table = extension.is_some_and(|e| e.eq_ignore_ascii_case("csv"));
-    if is_table || arguments.geometry.is_some() {
+    let is_of_wimu = matches!(Input::parse(&input), Ok(Input::Recording(_)));
+    if !is_of_wimu || arguments.geometry.is_some() {
         return inertial::run(arguments, output);
     }
     let name = arguments.input.display().to_string();
@@ -141,7 +140,7 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     let reader = RecordingReader::open_through(&arguments.input, watch)?;
     let recording = Recording::read(reader, &name)?;
     output.end_refresh();
-    let link = recording.link(arguments.link.map(Into::into))?;
+    let link = recording.link(arguments.reading.link.map(Into::into))?;
     let calibration = arguments.calibration.first();
     let calibration = calibration.map(|file| read_parameters(file)).transpose()?;
     let calibration = calibration.as_ref();

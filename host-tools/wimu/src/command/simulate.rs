@@ -4,7 +4,8 @@ use std::path::Path;
 use std::sync::atomic::Ordering;
 
 use serde::Serialize;
-use wimu_host::dataset::{Dataset, LoadOptions};
+use wimu_host::formats::{self, ReadOptions};
+use wimu_host::recording::Selection;
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::LinkRole;
 use wimu_model::Counts;
@@ -241,12 +242,13 @@ fn faults_of(specs: &[String]) -> Result<[LinkFaults; 2]> {
 
 /// Raw counts of a CSV file in LSB.
 fn counts_of(arguments: &Simulate, path: &Path) -> Result<Vec<Counts>> {
-    let load = LoadOptions {
-        filter: arguments.filter.clone(),
+    let mut load = ReadOptions::default();
+    load.filter = arguments.filter.clone();
+    let selection = Selection {
         accelerometer: arguments.accelerometer,
-        ..LoadOptions::default()
+        poses: false,
     };
-    Dataset::from_csv(path, &load)?.counts()
+    formats::load(path, &load)?.samples(selection)?.counts()
 }
 
 #[cfg(test)]

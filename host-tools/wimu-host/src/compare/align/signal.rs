@@ -4,11 +4,10 @@ use std::path::Path;
 
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
-use crate::csv::{AccelerationUnit, CsvReader};
+use crate::formats::{self, ReadOptions};
+use crate::recording::{OutputUnit, Selection};
 use crate::{ErrorCode, Result};
 
-/// Assumed rate of a table without times, Hz.
-const ASSUMED_RATE_HZ: f64 = 100.0;
 /// Shortest motion, s.
 const SHORT_S: f64 = 0.1;
 /// Smallest relative standard deviation of the unit: the effect of a typical bias on the magnitude at rest.
@@ -81,44 +80,31 @@ pub(super) fn norm(v: &[f64; 3]) -> f64 {
 impl Signal {
     /// Reads a table. In LSB, the median magnitude is taken as 1 g.
     pub fn read(path: &Path) -> Result<Signal> {
-        let reader = CsvReader::open(path)?;
-        let name = reader.name().to_owned();
-        let unit = reader.header().acceleration_unit;
-        if reader.header().accelerometers.len() != 1 {
-            return Err(ErrorCode::CsvMissingColumn.error(format!(
-                    "it has {} accelerometers",
-                    reader.header().accelerometers.len()
-                ),
-                "give tables with one each: `Accelerometer X (g)`, `Accelerometer Y (g)`, `Accelerometer Z (g)`",
-            )
-            .at(name));
-        }
+        let recording = formats::load(path, &ReadOptions::default())?;
+        let samples = recording.samples(Selection::default())?;
         let mut signal = Signal {
             times: Vec::new(),
             values: Vec::new(),
             saturated: Vec::new(),
             unit_sd: None,
         };
-        for row in reader {
-            let row = row?;
-            let time = row
-                .time_ns
-                .map_or(signal.times.len() as f64 / ASSUMED_RATE_HZ, |time_ns| {
-                    time_ns as f64 * 1e-9
-                });
+        for (index, value) in samples.values().enumerate() {
+            let time = samples
+                .time_s(index)
+                .unwrap_or(index as f64 / samples.rate_hz);
             // Of equal times, the first counts.
             if signal.times.last().is_none_or(|last| time > *last) {
                 signal.times.push(time);
-                signal.values.push(row.accelerations[0]);
+                signal.values.push(value);
             }
         }
         if signal.times.len() < 2 {
             return Err(ErrorCode::NoRows
                 .error("the table has fewer than two rows", "give a recording")
-                .at(name));
+                .at(&recording.name));
         }
-        let factor = match unit {
-            AccelerationUnit::Lsb => {
+        let factor = match samples.unit {
+            OutputUnit::Counts { .. } => {
                 let mut norms: Vec<_> = signal.values.iter().map(norm).collect();
                 norms.sort_by(f64::total_cmp);
                 let at = |share: f64| norms[(share * (norms.len() - 1) as f64) as usize];
@@ -128,7 +114,7 @@ impl Signal {
                 signal.unit_sd = Some(spread.hypot(LEAST_UNIT_SD));
                 STANDARD_GRAVITY_MPS2 / median
             }
-            other => other.mps2().unwrap_or(1.0),
+            OutputUnit::Mps2 => 1.0,
         };
         signal.saturated = saturated(&signal.values);
         for value in &mut signal.values {

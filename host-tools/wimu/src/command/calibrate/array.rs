@@ -51,7 +51,7 @@ pub fn run(arguments: &Calibrate, geometry: &Path, output: Output) -> Result<()>
         input,
         &arguments.boards,
         arguments.sensitivity,
-        arguments.link,
+        arguments.reading.link,
         true,
     )?;
     let gravity = match arguments.gravity {

@@ -4,21 +4,23 @@ use wimu_host::calibration::{CalibrateOptions, CalibrationFile, calibrate_magnet
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_model::ParameterSet;
 
-use super::{collect, finish, load_options, read_calibrated};
+use super::{collect, finish, read_calibrated, reading};
 use crate::arguments::Calibrate;
 use crate::command::params;
 use crate::output::Output;
 
 /// Returns the exit code: 0, or 3 if the data do not support an answer.
 pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
+    let (load, selection) = reading(arguments);
     let (data, set, mut client) = read_calibrated(
         &arguments.input,
-        &load_options(arguments),
+        &load,
         arguments.with.as_deref(),
         arguments.push,
         calibrated,
         |client, _| collect(client, arguments, &CalibrateOptions::default(), output),
     )?;
+    let data = data.samples(selection)?;
     let report = calibrate_magnetometer(&data, &set, arguments.dip.map(f64::to_radians))?;
     let code = report.exit_code();
     let before = sessions(arguments.with.as_deref(), &set);

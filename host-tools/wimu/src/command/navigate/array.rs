@@ -54,7 +54,7 @@ pub fn path(
         &arguments.input,
         &arguments.boards,
         arguments.sensitivity,
-        arguments.link,
+        arguments.reading.link,
         geometry.has_models(),
     )?;
     let mut recording = read.clone().arranged(&geometry)?;

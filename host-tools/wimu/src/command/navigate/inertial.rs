@@ -5,6 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 use wimu_host::Result;
 use wimu_host::calibration::read_model;
+use wimu_host::formats;
 use wimu_host::inertial::{
     Choice, InertialPath, Method, SlideMove, Zupt, consistency, navigate, settling,
 };
@@ -120,7 +121,7 @@ struct Settling {
     time_sd_s: f64,
 }
 
-/// Navigates a CSV file of one unit, or an array.
+/// Navigates a recording of one unit, or an array.
 pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     let source = arguments.input.display().to_string();
     let found = match &arguments.geometry {
@@ -140,14 +141,15 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     Ok(())
 }
 
-/// Reads a CSV file of one unit and corrects it.
+/// Reads a recording of one unit and corrects it.
 fn table(arguments: &Navigate, file: &Path) -> Result<MotionRecording> {
     let calibration = arguments.calibration.first();
     let options = TableOptions {
         calibration: calibration.map(|file| read_model(file)).transpose()?,
         sensitivity_lsb_per_g: arguments.sensitivity,
     };
-    MotionRecording::from_csv_with(file, &options)
+    let recording = formats::load(file, &arguments.reading.options(false))?;
+    MotionRecording::of(&recording, &options)
 }
 
 /// Computes, prints and writes the path of one unit; returns its object.

@@ -7,20 +7,19 @@ const REACH: usize = 128;
 /// Fewest missing samples of a gap: fewer may be a delayed time stamp.
 const MIN_MISSING: f64 = 3.0;
 
+/// Rate, Hz, and the rows after a gap, from the times of the rows, ns; `None` without two times within a second.
+///
+/// Rows whose times come in bursts, such as times of arrival, have no gaps: the delay of a gap persists in the rows
+/// that follow.
+pub(super) fn rate_and_gaps(times_ns: &[i64]) -> Option<(f64, Vec<usize>)> {
+    RowTimes(times_ns).rate_and_gaps()
+}
+
 /// The times of the rows, ns, in order.
-#[derive(Default)]
-pub struct RowTimes(Vec<i64>);
+struct RowTimes<'a>(&'a [i64]);
 
-impl RowTimes {
-    pub fn push(&mut self, time_ns: Option<i64>) {
-        self.0.extend(time_ns);
-    }
-
-    /// Rate, Hz, and the rows after a gap; `None` without two times within a second.
-    ///
-    /// Rows whose times come in bursts, such as times of arrival, have no gaps: the delay of a gap persists in the rows
-    /// that follow.
-    pub fn rate_and_gaps(&self) -> Option<(f64, Vec<usize>)> {
+impl RowTimes<'_> {
+    fn rate_and_gaps(&self) -> Option<(f64, Vec<usize>)> {
         let mut period = self.usual_step_ns().or(self.period_ns(&[]))?;
         let mut gaps = Vec::new();
         // Gaps are excluded from the period of the next pass.
@@ -61,7 +60,7 @@ impl RowTimes {
 
     /// Rows after a gap, at this period, ns.
     fn gaps(&self, period: f64) -> Vec<usize> {
-        let times = &self.0;
+        let times = self.0;
         let delay = |row: usize, from: usize| {
             times[row].saturating_sub(times[from]) as f64 - (row as f64 - from as f64) * period
         };
@@ -85,9 +84,8 @@ mod tests {
     use super::*;
 
     fn of(times_ms: impl IntoIterator<Item = i64>) -> (f64, Vec<usize>) {
-        RowTimes(times_ms.into_iter().map(|ms| ms * 1_000_000).collect())
-            .rate_and_gaps()
-            .unwrap()
+        let times: Vec<i64> = times_ms.into_iter().map(|ms| ms * 1_000_000).collect();
+        rate_and_gaps(&times).unwrap()
     }
 
     #[test]
@@ -135,9 +133,9 @@ mod tests {
     #[test]
     fn times_that_tell_no_rate_say_so() {
         for times in [vec![], vec![5], vec![7; 9], vec![0, 5_000_000_000]] {
-            assert_eq!(RowTimes(times).rate_and_gaps(), None);
+            assert_eq!(rate_and_gaps(&times), None);
         }
-        let far = RowTimes(vec![i64::MIN, i64::MIN + 1, i64::MAX - 1, i64::MAX]);
-        assert_eq!(far.rate_and_gaps(), Some((1e9, vec![2])));
+        let far = [i64::MIN, i64::MIN + 1, i64::MAX - 1, i64::MAX];
+        assert_eq!(rate_and_gaps(&far), Some((1e9, vec![2])));
     }
 }

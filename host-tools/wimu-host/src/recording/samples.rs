@@ -1,0 +1,446 @@
+//! The samples of one accelerometer with what was measured beside them.
+
+use std::iter;
+
+use wimu_calib::{Datasheet, Pose, find_poses};
+use wimu_link::hello::sensor;
+use wimu_model::{
+    CentiCelsius, Counts, ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity, SensorId,
+    SpecificForceMps2, TemperatureTerms,
+};
+
+use super::beside::Beside;
+use super::times::rate_and_gaps;
+use super::{Origin, Quantity, Recording, Track, Unit};
+use crate::error::{ErrorCode, Result};
+use crate::plural::counted;
+
+/// Assumed sample rate of data without times, Hz.
+pub(crate) const ASSUMED_RATE_HZ: f64 = 100.0;
+/// Extrapolation beyond the temperatures of a calibration without a remark, K. Chosen.
+const BEYOND_K: f64 = 5.0;
+/// Rests for which memory is reserved at first.
+const USUAL_RESTS: usize = 1000;
+/// More rows than this at a higher rate than this, Hz, are samples, not means over poses, which take seconds each.
+const MAX_POSES: usize = 100;
+const MAX_POSE_RATE_HZ: f64 = 5.0;
+
+/// Unit of [`Output::value`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum OutputUnit {
+    /// Counts, LSB.
+    Counts {
+        /// Nominal sensitivity, where the device knows it.
+        nominal: Option<Sensitivity>,
+        /// Full-scale range, ± *g*, where it is known.
+        range_g: Option<u8>,
+    },
+    /// m/s².
+    Mps2,
+}
+
+/// Source of a sample rate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RateSource {
+    /// The device's settings.
+    Device,
+    /// The file's times.
+    Times,
+    /// Assumed.
+    Assumed,
+}
+
+/// One row: a sample, or the mean of a static pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Output {
+    /// X, Y, Z, sensor axes.
+    pub value: [f64; 3],
+    /// The latest temperature, °C; before the first one, that.
+    pub temperature_c: Option<f64>,
+    /// Number of samples in a mean; 1 for a sample.
+    pub samples: u32,
+    /// Whether samples are missing before this one.
+    pub after_gap: bool,
+    /// Output of the magnetometer, nT, with the first sample at or after its time.
+    pub magnetic_field_nt: Option<[f64; 3]>,
+}
+
+/// Which samples of a recording.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Selection {
+    /// The index of the accelerometer, where there are several.
+    pub accelerometer: Option<u8>,
+    /// Whether the rows are means over static poses, in any order of time.
+    pub poses: bool,
+}
+
+/// The samples of one accelerometer, not corrected, with what was measured beside them.
+#[derive(Clone, Debug)]
+pub struct Samples<'a> {
+    /// Name of the data in errors.
+    pub name: &'a str,
+    /// Unit of the values.
+    pub unit: OutputUnit,
+    /// Whether the rows are static-pose means.
+    pub poses: bool,
+    /// Sample rate, Hz.
+    pub rate_hz: f64,
+    /// Source of the rate.
+    pub rate_source: RateSource,
+    /// The accelerometer, where a device identified it.
+    pub sensor: Option<SensorId>,
+    /// Whether the data have a gyroscope, too.
+    pub has_gyroscope: bool,
+    force: &'a Track,
+    /// Valid rows of `force`.
+    rows: Vec<usize>,
+    /// Indices of `rows` before which samples are missing, ascending.
+    gaps: Vec<usize>,
+    temperature: Option<&'a Track>,
+    field: Option<&'a Track>,
+    weights: Option<&'a Track>,
+}
+
+impl Recording {
+    /// The samples of an accelerometer.
+    ///
+    /// # Errors
+    /// `no_rows` without samples; `usage` when there are several accelerometers and none is selected, or rows that
+    /// are no means are taken for means over poses.
+    pub fn samples(&self, selection: Selection) -> Result<Samples<'_>> {
+        let force = self.accelerometer(selection.accelerometer)?;
+        let rows: Vec<usize> = (0..force.len()).filter(|row| force.valid[*row]).collect();
+        if rows.is_empty() {
+            let error = ErrorCode::NoRows.error(
+                format!("{} has no usable row", force.info.name),
+                "check the file, and --where",
+            );
+            return Err(error.at(&self.name));
+        }
+        let times: Vec<i64> = rows.iter().map(|row| force.times_ns[*row]).collect();
+        let by_times = (!force.info.timeless).then(|| rate_and_gaps(&times));
+        let (rate_hz, rate_source, seen) = match (force.info.rate_hz, by_times.flatten()) {
+            (Some(rate), _) if !force.info.timeless => (rate, RateSource::Device, Vec::new()),
+            (_, Some((rate, gaps))) => (rate, RateSource::Times, gaps),
+            _ => (ASSUMED_RATE_HZ, RateSource::Assumed, Vec::new()),
+        };
+        let is_gap = |(index, row): (usize, &usize)| {
+            let masked = index > 0 && rows[index - 1] + 1 != *row;
+            let stated = force.gaps.binary_search(row).is_ok() && index > 0;
+            (masked || stated || seen.binary_search(&index).is_ok()).then_some(index)
+        };
+        // Pose means are not a time series: no samples are missing between them.
+        let gaps = match selection.poses {
+            true => Vec::new(),
+            false => rows.iter().enumerate().filter_map(is_gap).collect(),
+        };
+        let sampled = rate_source == RateSource::Times
+            && rate_hz > MAX_POSE_RATE_HZ
+            && rows.len() > MAX_POSES;
+        if selection.poses && sampled {
+            let rows = rows.len();
+            let error = ErrorCode::Usage.error(
+                format!(
+                    "its {rows} rows look like a continuous recording, not means over static poses"
+                ),
+                "leave out --poses: the rests are found in the recording",
+            );
+            return Err(error.at(&self.name));
+        }
+        let of_sensor = |quantity| {
+            self.of(quantity).find(|track| {
+                let info = &track.info;
+                let same = info.sensor == force.info.sensor || quantity != Quantity::MagneticField;
+                same && info.origin == Origin::Sensor && !info.corrected
+            })
+        };
+        Ok(Samples {
+            name: &self.name,
+            unit: unit_of(force),
+            poses: selection.poses,
+            rate_hz,
+            rate_source,
+            sensor: force.info.device,
+            has_gyroscope: self.of(Quantity::AngularRate).next().is_some(),
+            force,
+            rows,
+            gaps,
+            temperature: of_sensor(Quantity::Temperature),
+            field: of_sensor(Quantity::MagneticField),
+            weights: self
+                .of(Quantity::Scalar)
+                .find(|track| selection.poses && track.info.name == "Samples"),
+        })
+    }
+
+    /// The accelerometer with this index, or the only one.
+    fn accelerometer(&self, wanted: Option<u8>) -> Result<&Track> {
+        let all: Vec<&Track> = self
+            .of(Quantity::SpecificForce)
+            .filter(|track| track.info.origin == Origin::Sensor && !track.info.corrected)
+            .collect();
+        let list = || {
+            let numbers: Vec<_> = all.iter().map(|t| t.info.sensor.to_string()).collect();
+            numbers.join(", ")
+        };
+        let (message, remedy) = match (all.as_slice(), wanted) {
+            ([], _) => (
+                "there is no accelerometer in it".to_owned(),
+                "`wimu info FILE` lists what it has".to_owned(),
+            ),
+            ([only], None) => return Ok(only),
+            (_, None) => (
+                format!("it has {} accelerometers", all.len()),
+                format!(
+                    "choose one with --accelerometer: {}; the accelerometers of an array are calibrated together with --geometry",
+                    list()
+                ),
+            ),
+            (_, Some(number)) => match all.iter().find(|track| track.info.sensor == number) {
+                Some(track) => return Ok(track),
+                None => (
+                    format!("it has no accelerometer {number}"),
+                    format!("choose from: {}", list()),
+                ),
+            },
+        };
+        let code = match all.is_empty() {
+            true => ErrorCode::NoRows,
+            false => ErrorCode::Usage,
+        };
+        Err(code.error(message, remedy).at(&self.name))
+    }
+}
+
+fn unit_of(force: &Track) -> OutputUnit {
+    let Unit::Counts { si_per_lsb } = force.info.unit else {
+        return OutputUnit::Mps2;
+    };
+    let sensitivity = |scale: f64| Sensitivity::from_lsb_per_g(STANDARD_GRAVITY_MPS2 / scale).ok();
+    let range = |mps2: f64| (mps2 / STANDARD_GRAVITY_MPS2).round() as u8;
+    OutputUnit::Counts {
+        nominal: si_per_lsb.and_then(sensitivity),
+        range_g: force.info.full_scale.map(range),
+    }
+}
+
+impl<'a> Samples<'a> {
+    /// Number of samples; at least one.
+    pub fn len(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Never true.
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
+    /// The output of a sample, sensor axes, in its unit.
+    pub fn value(&self, index: usize) -> Option<[f64; 3]> {
+        self.force.row(*self.rows.get(index)?)?.try_into().ok()
+    }
+
+    /// The outputs, in order.
+    pub fn values(&self) -> impl Iterator<Item = [f64; 3]> + Clone {
+        self.force.vectors().map(|(_, value)| value)
+    }
+
+    /// The outputs at the times at which another accelerometer has one, too, and the other's.
+    pub(crate) fn values_with(&self, other: &Self) -> impl Iterator<Item = ([f64; 3], [f64; 3])> {
+        let time = |row: &(i64, [f64; 3])| row.0;
+        let mut theirs = other.force.vectors().peekable();
+        self.force.vectors().filter_map(move |ours| {
+            while theirs.next_if(|row| time(row) < time(&ours)).is_some() {}
+            let same = theirs.next_if(|row| time(row) == time(&ours))?;
+            Some((ours.1, same.1))
+        })
+    }
+
+    /// The samples with what was measured beside them, in order.
+    pub fn iter(&self) -> impl Iterator<Item = Output> + Clone + use<'_, 'a> {
+        let beside = |track: Option<&'a Track>| track.map(|track| track.beside(self.force));
+        let mut temperature = beside(self.temperature);
+        let (mut field, mut weights) = (beside(self.field), beside(self.weights));
+        let first = self.temperature.and_then(|track| track.valid().next());
+        let mut celsius = first.map(|(_, row)| row[0]);
+        let mut gaps = self.gaps.iter().peekable();
+        let rows = self.rows.iter().zip(self.values()).enumerate();
+        rows.map(move |(index, (row, value))| {
+            let time_ns = self.force.times_ns[*row];
+            let latest = |track: &mut Option<Beside<'a>>| track.as_mut()?.latest(*row, time_ns);
+            celsius = latest(&mut temperature).map(|row| row[0]).or(celsius);
+            let weight = latest(&mut weights).map(|row| row[0]);
+            Output {
+                value,
+                temperature_c: celsius,
+                samples: weight.map_or(1, |count| count.clamp(1.0, 4e9) as u32),
+                after_gap: gaps.next_if(|gap| **gap == index).is_some(),
+                magnetic_field_nt: latest(&mut field)
+                    .and_then(|tesla| <[f64; 3]>::try_from(tesla).ok())
+                    .map(|tesla| tesla.map(|axis| axis * 1e9)),
+            }
+        })
+    }
+
+    /// Datasheet of the sensor, where the device identified it and it is known.
+    pub fn datasheet(&self) -> Option<&'static Datasheet> {
+        match self.sensor?.0 {
+            sensor::LSM303AGR => Datasheet::of("LSM303AGR"),
+            sensor::ADXL345 => Datasheet::of("ADXL345"),
+            _ => None,
+        }
+    }
+
+    /// Whether the samples have times.
+    pub fn is_timed(&self) -> bool {
+        !self.force.info.timeless
+    }
+
+    /// Time of a sample, s on the clock of the data.
+    pub fn time_s(&self, index: usize) -> Option<f64> {
+        let row = self.rows.get(index).filter(|_| self.is_timed())?;
+        Some(self.force.times_ns[*row] as f64 * 1e-9)
+    }
+
+    /// Time of a sample, s since the first one, by the data's times, else by the rate.
+    pub fn since_start_s(&self, index: usize) -> f64 {
+        match (self.time_s(0), self.time_s(index)) {
+            (Some(first), Some(time)) => time - first,
+            _ => index as f64 / self.rate_hz,
+        }
+    }
+
+    /// Whether samples are missing in a range of indices.
+    pub(crate) fn has_gap(&self, within: std::ops::Range<usize>) -> bool {
+        let from = self.gaps.partition_point(|gap| *gap < within.start);
+        self.gaps.get(from).is_some_and(|gap| *gap < within.end)
+    }
+
+    /// Number of gaps, and their total length, s.
+    pub fn gaps(&self) -> (usize, f64) {
+        let length_s = |index: &usize| {
+            let step_s = self.since_start_s(*index) - self.since_start_s(index - 1);
+            (step_s - 1.0 / self.rate_hz).max(0.0)
+        };
+        (self.gaps.len(), self.gaps.iter().map(length_s).sum())
+    }
+
+    /// Remark on gaps; `None` without gaps.
+    pub(crate) fn gaps_remark(&self) -> Option<String> {
+        let (count, total_s) = self.gaps();
+        (count > 0).then(|| {
+            format!(
+                "samples are missing: {}, {total_s:.1} s in total; no mean includes a gap",
+                counted(count, "gap")
+            )
+        })
+    }
+
+    /// The outputs corrected by `set`, each at its temperature, m/s², sensor axes.
+    pub(crate) fn corrected(&self, set: &ParameterSet) -> Vec<[f64; 3]> {
+        let scale = match self.unit {
+            OutputUnit::Counts { .. } => set.sensitivity.mps2_per_lsb(),
+            OutputUnit::Mps2 => 1.0,
+        };
+        let correct = |output: Output| {
+            let sensed = SpecificForceMps2(output.value.map(|axis| axis * scale));
+            let at = output.temperature_c.map(CentiCelsius::from_celsius);
+            set.model.correct(sensed, at).0
+        };
+        self.iter().map(correct).collect()
+    }
+
+    /// Remark on temperatures that are missing or outside the range of the calibration `set`.
+    pub(crate) fn temperature_remark(&self, set: &ParameterSet) -> Option<String> {
+        let terms = set.model.terms().temperature;
+        let moves = TemperatureTerms {
+            reference_c: TemperatureTerms::default().reference_c,
+            ..terms
+        } != TemperatureTerms::default();
+        let known = self.temperature.into_iter().flat_map(Track::valid);
+        let (lowest, highest) = known.fold(
+            (f64::INFINITY, f64::NEG_INFINITY),
+            |(low, high), (_, row)| (low.min(row[0]), high.max(row[0])),
+        );
+        if lowest > highest {
+            return moves.then(|| {
+                format!(
+                    "the calibration depends on temperature and the data have none: {:.1} °C assumed",
+                    terms.reference_c
+                )
+            });
+        }
+        let made = set.quality?.terms().temperature?;
+        let (from, to) = (f64::from(made.lowest_c), f64::from(made.highest_c));
+        (lowest < from - BEYOND_K || highest > to + BEYOND_K).then(|| {
+            format!(
+                "the data are from {lowest:.1} to {highest:.1} °C, the calibration from {from:.1} to {to:.1} °C: ± does not \
+                 include the error of this extrapolation"
+            )
+        })
+    }
+
+    /// The rests among `forces`, m/s², one for each sample. A gap ends a rest.
+    ///
+    /// [`Pose::first_sample`] is an index of a sample, [`Pose::time_s`] is relative to the first one.
+    pub(crate) fn rests(&self, forces: &[[f64; 3]]) -> Vec<Pose> {
+        // A NaN ends a rest.
+        let with_gaps = || {
+            self.iter().zip(forces).flat_map(|(output, force)| {
+                let gap = output.after_gap.then_some(([f64::NAN; 3], None));
+                gap.into_iter()
+                    .chain(iter::once((*force, output.temperature_c)))
+            })
+        };
+        let mut rests = vec![Pose::default(); USUAL_RESTS];
+        let found = find_poses(with_gaps(), self.rate_hz, &mut rests);
+        if found > rests.len() {
+            rests.resize(found, Pose::default());
+            find_poses(with_gaps(), self.rate_hz, &mut rests);
+        }
+        rests.truncate(found);
+        // Indices of the NaNs in the sequence given to the detector.
+        let gaps: Vec<usize> = self
+            .gaps
+            .iter()
+            .enumerate()
+            .map(|(k, gap)| gap + k)
+            .collect();
+        for rest in &mut rests {
+            let counted = rest.first_sample as usize;
+            let first = counted - gaps.partition_point(|gap| *gap < counted);
+            let last = first + (rest.samples as usize).saturating_sub(1);
+            rest.first_sample = first as u64;
+            rest.time_s = 0.5 * (self.since_start_s(first) + self.since_start_s(last));
+        }
+        rests
+    }
+
+    /// The outputs as counts of a sensor's registers.
+    ///
+    /// # Errors
+    /// `unknown_format` when they are not counts; `csv_bad_number` when one does not fit 16 bits.
+    pub fn counts(&self) -> Result<Vec<Counts>> {
+        if self.unit == OutputUnit::Mps2 {
+            let error = ErrorCode::UnknownFormat.error(
+                "its accelerations are not raw counts",
+                "give a file whose accelerometer columns are in LSB",
+            );
+            return Err(error.at(self.name));
+        }
+        let count = |value: f64| {
+            let exact = value.trunc() == value && (-32768.0..=32767.0).contains(&value);
+            exact.then_some(value as i16).ok_or_else(|| {
+                let error = ErrorCode::CsvBadNumber.error(
+                    format!("{value} is not a count of a 16-bit sensor"),
+                    "raw counts are whole numbers from -32768 to 32767",
+                );
+                error.at(self.name)
+            })
+        };
+        self.values()
+            .map(|[x, y, z]| Ok(Counts([count(x)?, count(y)?, count(z)?])))
+            .collect()
+    }
+}

@@ -1,0 +1,49 @@
+//! How recordings are read: options that several commands share.
+
+use clap::Args;
+use wimu_host::csv::Filter;
+use wimu_host::formats::ReadOptions;
+
+use super::Role;
+
+#[derive(Args)]
+#[command(next_help_heading = "Input")]
+pub struct Reading {
+    /// Link of a recording of wimu [default: the cable if it was recorded]
+    #[arg(long, value_enum)]
+    pub link: Option<Role>,
+    /// Rows of a table to use: those whose columns have these values, such as "Run=2,IMU=0"
+    #[arg(long = "where", value_name = "COLUMN=VALUE,…")]
+    pub filter: Option<Filter>,
+    /// Format of the file, by its name in docs/FORMATS.md [default: detected by its content]
+    #[arg(long, value_name = "NAME")]
+    pub input_format: Option<String>,
+    /// Topic, message or log to read, where the file has several
+    #[arg(long, value_name = "NAME")]
+    pub topic: Option<String>,
+    /// Columns of a table, by header or by number from 1, with units: "t=timestamp:ns,x=ax:g,y=ay:g,z=az:g"
+    #[arg(long, value_name = "LIST")]
+    pub columns: Option<String>,
+    /// Unit of accelerations that the file does not name: m/s2, g, mg or LSB
+    #[arg(long, value_name = "UNIT")]
+    pub units: Option<String>,
+    /// Count at zero acceleration, such as 32768 [default: detected]
+    #[arg(long, value_name = "LSB")]
+    pub zero_count: Option<f64>,
+}
+
+impl Reading {
+    /// The same for the library; `poses` if the rows of a table are means over static poses.
+    pub fn options(&self, poses: bool) -> ReadOptions {
+        let mut options = ReadOptions::default();
+        options.format = self.input_format.clone();
+        options.topic = self.topic.clone();
+        options.columns = self.columns.clone();
+        options.units = self.units.clone();
+        options.zero_count = self.zero_count;
+        options.filter = self.filter.clone();
+        options.role = self.link.map(Into::into);
+        options.poses = poses;
+        options
+    }
+}

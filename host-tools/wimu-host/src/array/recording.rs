@@ -7,10 +7,12 @@ use wimu_link::LinkRole;
 use wimu_model::{STANDARD_GRAVITY_MPS2, SpecificForceQ16};
 
 use super::ArrayGeometry;
-use crate::csv::{AccelerationUnit, CsvReader, acceleration};
+use crate::csv::{AccelerationUnit, acceleration};
+use crate::formats::{self, ReadOptions};
 use crate::history::{Boot, Recording};
 use crate::motion::{FULL_SCALE_MPS2, Truth};
 use crate::plural::counted;
+use crate::recording::{Origin, Quantity, Track, Unit};
 use crate::units::RawUnits;
 use crate::{ErrorCode, HostError, Result};
 
@@ -50,13 +52,13 @@ impl ArrayRecording {
     /// scaled by `sensitivity_lsb_per_g`.
     ///
     /// # Errors
-    /// Those of [`CsvReader`]; `csv_missing_column` without times or with one accelerometer only.
+    /// Those of [`formats::load`]; `csv_missing_column` without times or with one accelerometer only.
     pub fn from_csv(path: &Path, sensitivity_lsb_per_g: f64) -> Result<Self> {
         let table = Table::read(path, sensitivity_lsb_per_g, 2)?;
         let mut recording = table.recording;
         recording.start_s = table.first_ns as f64 * 1e-9;
         recording.say_absent();
-        recording.leave_out_beyond(&table.lines);
+        recording.leave_out_beyond();
         Ok(recording.judged())
     }
 
@@ -64,7 +66,7 @@ impl ArrayRecording {
     /// none: each axis is the X of a sensor, whose Y and Z are not numbers.
     ///
     /// # Errors
-    /// Those of [`CsvReader`]; `csv_missing_column` without times or a column that is named.
+    /// Those of [`formats::load`]; `csv_missing_column` without times or a column that is named.
     pub fn axes_from_csv(
         path: &Path,
         geometry: &ArrayGeometry,
@@ -103,13 +105,13 @@ impl ArrayRecording {
                 row.push([value * factor * mps2, f64::NAN, f64::NAN]);
             }
         }
-        recording.leave_out_beyond(&table.lines);
+        recording.leave_out_beyond();
         Ok(recording.judged_axes())
     }
 
     /// Makes what is beyond any accelerometer's full scale not a number, and says so, but for outputs that are known to be
-    /// at their limit; `lines` are those of the samples.
-    fn leave_out_beyond(&mut self, lines: &[u64]) {
+    /// at their limit.
+    fn leave_out_beyond(&mut self) {
         let is_beyond = |output: &[f64; 3]| output.iter().any(|f| f.abs() > FULL_SCALE_MPS2);
         let (mut count, mut first) = (0, None);
         for (k, (row, limited)) in self.outputs.iter_mut().zip(&self.saturated).enumerate() {
@@ -123,11 +125,10 @@ impl ArrayRecording {
         }
         if let Some(k) = first {
             self.remarks.push(format!(
-                "more than any accelerometer's full scale, {FULL_SCALE_MPS2:.0} m/s², in {}, first at {:.2} s (line {}): left \
+                "more than any accelerometer's full scale, {FULL_SCALE_MPS2:.0} m/s², in {}, first at {:.2} s: left \
                  out, as if they were missing",
                 counted(count, "output"),
-                self.start_s + self.times_s[k],
-                lines[k]
+                self.start_s + self.times_s[k]
             ));
         }
     }
@@ -442,21 +443,20 @@ fn period_s(times_s: &[f64]) -> f64 {
     steps.get(steps.len() / 2).copied().unwrap_or(1.0).max(1e-6)
 }
 
-/// A table of accelerometers.
+/// Samples of accelerometers at the times of the first one.
 struct Table {
     recording: ArrayRecording,
-    /// Line of each sample.
-    lines: Vec<u64>,
     first_ns: i64,
 }
 
 impl Table {
     fn read(path: &Path, sensitivity_lsb_per_g: f64, least: usize) -> Result<Self> {
-        let reader = CsvReader::open(path)?.with_holes();
-        let header = reader.header().clone();
-        let name = reader.name().to_owned();
-        let sensors = header.accelerometers.len();
-        if !header.time || !(least..=MOST_SENSORS).contains(&sensors) {
+        let file = formats::load(path, &ReadOptions::default())?;
+        let forces: Vec<&Track> = file.of(Quantity::SpecificForce).collect();
+        let sensors = forces.len();
+        let time = forces.first().copied().or(file.tracks().first());
+        let timed = time.filter(|track| !track.info.timeless);
+        let Some(time) = timed.filter(|_| (least..=MOST_SENSORS).contains(&sensors)) else {
             return Err(HostError::new(
                 ErrorCode::CsvMissingColumn,
                 format!(
@@ -465,59 +465,75 @@ impl Table {
                 ),
                 "name the columns `Time (s)`, `Accelerometer 0 X (LSB)`, `Accelerometer 1 X (LSB)`, …",
             )
-            .at(format!("{name} line 1")));
-        }
-        let counts = header.acceleration_unit == AccelerationUnit::Lsb;
-        let factor = header
-            .acceleration_unit
-            .mps2()
-            .unwrap_or(STANDARD_GRAVITY_MPS2 / sensitivity_lsb_per_g);
+            .at(format!("{} line 1", file.name)));
+        };
+        let times = time.times_ns();
+        let first_ns = times.first().copied().unwrap_or_default();
         let mut recording = ArrayRecording {
-            name,
-            sensitivities: vec![counts.then_some(sensitivity_lsb_per_g); sensors],
-            other: header
-                .other
-                .iter()
-                .map(|n| (n.clone(), Vec::new()))
-                .collect(),
+            name: file.name.clone(),
+            times_s: times.iter().map(|t| (t - first_ns) as f64 * 1e-9).collect(),
+            saturated: vec![0; times.len()],
+            outputs: vec![Vec::with_capacity(sensors); times.len()],
+            remarks: file.findings.iter().map(ToString::to_string).collect(),
             ..ArrayRecording::default()
         };
-        let (mut first_ns, mut lines) = (None, Vec::new());
-        for row in reader {
-            let row = row?;
-            lines.push(row.line);
-            let time_ns = row.time_ns.unwrap_or_default();
-            let first = *first_ns.get_or_insert(time_ns);
-            recording.times_s.push((time_ns - first) as f64 * 1e-9);
-            let mut bits = 0;
-            for (sensor, value) in row.accelerations.iter().enumerate().take(MOST_SENSORS) {
+        if times.len() < 4 {
+            let error =
+                ErrorCode::NoRows.error("there are fewer than four samples", "check the file");
+            return Err(error.at(&file.name));
+        }
+        for (sensor, force) in forces.iter().enumerate() {
+            let counts = matches!(force.info.unit, Unit::Counts { .. });
+            let factor = match counts {
+                true => STANDARD_GRAVITY_MPS2 / sensitivity_lsb_per_g,
+                false => 1.0,
+            };
+            recording
+                .sensitivities
+                .push(counts.then_some(sensitivity_lsb_per_g));
+            let mut values = force.beside(time);
+            for (row, time_ns) in times.iter().enumerate() {
+                let value = values.at(row, *time_ns).unwrap_or([f64::NAN; 3]);
                 let at_limit = counts && value.iter().any(|axis| axis.abs() >= LIMIT_COUNTS);
-                bits |= u32::from(at_limit) << sensor;
-            }
-            recording.saturated.push(bits);
-            recording.outputs.push(
-                row.accelerations
-                    .iter()
-                    .map(|sensor| sensor.map(|axis| axis * factor))
-                    .collect(),
-            );
-            for ((_, values), text) in recording.other.iter_mut().zip(&row.other) {
-                values.push(text.parse().unwrap_or(f64::NAN));
+                recording.saturated[row] |= u32::from(at_limit) << sensor;
+                recording.outputs[row].push(value.map(|axis| axis * factor));
             }
         }
-        if recording.times_s.len() < 4 {
-            return Err(HostError::new(
-                ErrorCode::NoRows,
-                "there are fewer than four samples",
-                "check the file",
-            )
-            .at(&recording.name));
+        for track in file.tracks() {
+            recording.add_columns(track, time);
         }
         Ok(Self {
             recording,
-            lines,
-            first_ns: first_ns.unwrap_or_default(),
+            first_ns,
         })
+    }
+}
+
+impl ArrayRecording {
+    /// Adds truth and other columns by name.
+    fn add_columns(&mut self, track: &Track, time: &Track) {
+        let names: Vec<String> = match (track.info.quantity, track.info.origin) {
+            (Quantity::Scalar, _) => vec![track.info.name.clone()],
+            (Quantity::Position, Origin::Truth) => ["E", "N", "U"]
+                .map(|a| format!("Truth Position {a} (m)"))
+                .to_vec(),
+            (Quantity::Attitude, Origin::Truth) => ["W", "X", "Y", "Z"]
+                .map(|a| format!("Truth Quaternion {a}"))
+                .to_vec(),
+            (Quantity::AngularRate, Origin::Truth) => ["X", "Y", "Z"]
+                .map(|a| format!("Truth Angular Rate {a} (rad/s)"))
+                .to_vec(),
+            _ => return,
+        };
+        let mut values = track.beside(time);
+        let mut columns = vec![Vec::with_capacity(time.len()); names.len()];
+        for (row, time_ns) in time.times_ns().iter().enumerate() {
+            let values = values.latest(row, *time_ns);
+            for (k, column) in columns.iter_mut().enumerate() {
+                column.push(values.and_then(|v| v.get(k)).copied().unwrap_or(f64::NAN));
+            }
+        }
+        self.other.extend(names.into_iter().zip(columns));
     }
 }
 
@@ -558,7 +574,7 @@ impl Board {
     /// start with most of them), or a CSV file with one accelerometer whose times are the host's.
     ///
     /// # Errors
-    /// Those of [`Recording::load`] and [`CsvReader`]; `no_rows`; `data_refused` where nothing tells
+    /// Those of [`Recording::load`] and [`formats::load`]; `no_rows`; `data_refused` where nothing tells
     /// the board's clock.
     pub fn read(path: &Path, options: &BoardOptions) -> Result<Self> {
         if path
@@ -567,7 +583,7 @@ impl Board {
         {
             let table = Table::read(path, options.sensitivity_lsb_per_g, 1)?;
             let mut recording = table.recording;
-            recording.leave_out_beyond(&table.lines);
+            recording.leave_out_beyond();
             if recording.sensors() != 1 {
                 return Err(HostError::new(
                     ErrorCode::Usage,

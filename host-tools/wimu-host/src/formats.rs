@@ -1,6 +1,7 @@
 //! Recordings in the formats of other programs and devices: detected by content, read into a
 //! [`Recording`]. docs/FORMATS.md lists them.
 
+mod ros;
 mod source;
 
 use std::path::Path;
@@ -47,7 +48,23 @@ struct Format {
 }
 
 /// In the order in which they are tried.
-const FORMATS: [Format; 0] = [];
+const FORMATS: [Format; 3] = [
+    Format {
+        name: "ROS 1 bag",
+        detect: ros::bag::detect,
+        read: ros::bag::read,
+    },
+    Format {
+        name: "ROS 2 MCAP",
+        detect: ros::mcap::detect,
+        read: ros::mcap::read,
+    },
+    Format {
+        name: "ROS 2 sqlite",
+        detect: ros::db3::detect,
+        read: ros::db3::read,
+    },
+];
 
 /// Reads a file into `sink`; returns the name of its format.
 ///

@@ -1,0 +1,262 @@
+//! ROS 2 bags in MCAP: a file, or a folder with `metadata.yaml` and files in sequence.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+
+use ::mcap::MAGIC;
+use ::mcap::records::op;
+
+use super::chunk::{self, number, sized};
+use super::message::{Encoding, IMU};
+use super::{Messages, ReadOptions, Source};
+use crate::error::{HostError, Result};
+use crate::recording::Sink;
+
+/// Files of a bag that begin with `magic`, in the order of recording.
+pub(super) fn files<'a>(source: &'a Source, magic: &[u8]) -> Vec<&'a Source> {
+    let mut files = match source.members() {
+        [] => vec![source],
+        members => members.iter().collect(),
+    };
+    files.retain(|file| file.start().starts_with(magic));
+    // Names end with a number without leading zeros.
+    files.sort_by_key(|file| (file.name().len(), file.name().to_owned()));
+    let mut members = source.members().iter();
+    let bag = files.len() == 1 || members.any(|file| file.name().ends_with("metadata.yaml"));
+    match bag {
+        true => files,
+        false => Vec::new(),
+    }
+}
+
+/// Any MCAP file but recordings of wimu without decoded messages.
+pub(in crate::formats) fn detect(source: &Source) -> bool {
+    let files = files(source, MAGIC);
+    !files.is_empty() && !files.iter().all(|file| is_undecoded_wimu(file))
+}
+
+fn is_undecoded_wimu(file: &Source) -> bool {
+    let library = || {
+        let mut start = file.start().get(MAGIC.len() + 9..)?;
+        sized(&mut start)?;
+        sized(&mut start)
+    };
+    library().is_some_and(|library| library.starts_with(b"wimu ")) && !has_imu(file)
+}
+
+/// Whether a file has the schema of Imu messages.
+fn has_imu(file: &Source) -> bool {
+    let mut found = false;
+    let mut see = |code: u8, mut record: &[u8]| {
+        if code == op::SCHEMA && number::<2>(&mut record).is_some() {
+            let name = sized(&mut record).map(String::from_utf8_lossy);
+            found |= name.is_some_and(|name| name.replace("/msg/", "/") == IMU);
+        }
+        match found {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
+        }
+    };
+    // An error of reading comes up again in `read`.
+    let _ = walk(file, |code, record, cut| match code {
+        op::CHUNK => {
+            let records = Chunk::parse(record).and_then(|chunk| chunk.records(cut).ok());
+            each(&records.unwrap_or_default(), &mut see)
+        }
+        _ => see(code, record),
+    });
+    found
+}
+
+/// Hands the messages to the sink.
+pub(in crate::formats) fn read(
+    source: &Source,
+    options: &ReadOptions,
+    sink: &mut dyn Sink,
+) -> Result<()> {
+    let mut messages = Messages::new(source, options, sink);
+    for file in files(source, MAGIC) {
+        let mut reader = Reader {
+            messages: &mut messages,
+            schemas: BTreeMap::new(),
+            channels: BTreeMap::new(),
+        };
+        let cut_at = walk(file, |code, record, cut| {
+            match code {
+                op::CHUNK => reader.chunk(record, cut),
+                _ if cut => {}
+                _ => reader.record(code, record),
+            }
+            ControlFlow::Continue(())
+        })?;
+        if let Some(at) = cut_at {
+            messages.cut(file.name(), at);
+        }
+    }
+    messages.finish()
+}
+
+/// Hands code and bytes of the records on that may lead to messages, and whether a record is cut off. Returns where
+/// the file ends early or cannot be followed.
+fn walk(
+    file: &Source,
+    mut see: impl FnMut(u8, &[u8], bool) -> ControlFlow<()>,
+) -> Result<Option<u64>> {
+    let failed = |error| HostError::file(file.name(), "read", &error);
+    let mut reader = file.reader()?;
+    let mut head = [0; 9];
+    let mut record = Vec::new();
+    let mut at = MAGIC.len() as u64;
+    chunk::fill(&mut reader, at, &mut record).map_err(failed)?;
+    loop {
+        if !chunk::fill(&mut reader, head.len() as u64, &mut record).map_err(failed)? {
+            return Ok(Some(at));
+        }
+        head.copy_from_slice(&record);
+        let [code, length @ ..] = head;
+        let length = u64::from_le_bytes(length);
+        match code {
+            op::DATA_END | op::FOOTER => return Ok(None),
+            op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK if length <= chunk::MAX_BYTES => {
+                let whole = chunk::fill(&mut reader, length, &mut record).map_err(failed)?;
+                if see(code, &record, !whole).is_break() {
+                    return Ok(None);
+                }
+            }
+            op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK => return Ok(Some(at)),
+            _ => match i64::try_from(length) {
+                Ok(length) if length < i64::MAX / 2 => {
+                    reader.seek_relative(length).map_err(failed)?;
+                }
+                _ => return Ok(Some(at)),
+            },
+        }
+        at = at.saturating_add(head.len() as u64 + length);
+    }
+}
+
+/// Hands code and bytes of a chunk's records on.
+fn each(mut records: &[u8], see: &mut impl FnMut(u8, &[u8]) -> ControlFlow<()>) -> ControlFlow<()> {
+    while let Some([code]) = number(&mut records) {
+        let length = number(&mut records).map(u64::from_le_bytes);
+        let length = length.and_then(|length| usize::try_from(length).ok());
+        let Some((record, rest)) = length.and_then(|length| records.split_at_checked(length))
+        else {
+            break;
+        };
+        see(code, record)?;
+        records = rest;
+    }
+    ControlFlow::Continue(())
+}
+
+/// A chunk's own fields and its records as stored.
+struct Chunk<'a> {
+    size: u64,
+    crc: u32,
+    compression: &'a [u8],
+    stored: &'a [u8],
+    /// Whether stored records are missing.
+    short: bool,
+}
+
+impl<'a> Chunk<'a> {
+    fn parse(mut record: &'a [u8]) -> Option<Self> {
+        // First and last log time.
+        number::<16>(&mut record)?;
+        let size = u64::from_le_bytes(number(&mut record)?);
+        let crc = u32::from_le_bytes(number(&mut record)?);
+        let compression = sized(&mut record)?;
+        let length = u64::from_le_bytes(number(&mut record)?);
+        let stored = usize::try_from(length).ok().and_then(|n| record.get(..n));
+        Some(Self {
+            size,
+            crc,
+            compression,
+            stored: stored.unwrap_or(record),
+            short: stored.is_none(),
+        })
+    }
+
+    /// Its records, at the end of the file also those before the end; a CRC of 0 is none.
+    fn records(&self, at_end: bool) -> Result<Cow<'a, [u8]>, String> {
+        let cut = at_end && self.short;
+        let records = chunk::decompress(self.compression, self.stored, self.size, cut)?;
+        let wrong = !cut && self.crc != 0 && self.crc != crc32fast::hash(&records);
+        match wrong {
+            true => Err("its CRC does not match".to_owned()),
+            false => Ok(records),
+        }
+    }
+}
+
+struct Reader<'a, 'b> {
+    messages: &'a mut Messages<'b>,
+    /// Names of types.
+    schemas: BTreeMap<u16, String>,
+    /// Numbers of topics.
+    channels: BTreeMap<u16, usize>,
+}
+
+impl Reader<'_, '_> {
+    fn chunk(&mut self, record: &[u8], cut: bool) {
+        let records = match Chunk::parse(record) {
+            Some(chunk) => chunk.records(cut),
+            None if cut => return,
+            None => Err("its header is damaged".to_owned()),
+        };
+        match records {
+            Ok(records) => {
+                let _ = each(&records, &mut |code, record| {
+                    self.record(code, record);
+                    ControlFlow::Continue(())
+                });
+            }
+            Err(reason) => self.messages.damaged_chunk(reason),
+        }
+    }
+
+    /// A record that is no chunk. Damaged ones outside chunks are left out: nothing refers to them then.
+    fn record(&mut self, code: u8, record: &[u8]) {
+        let _ = match code {
+            op::SCHEMA => self.schema(record),
+            op::CHANNEL => self.channel(record),
+            op::MESSAGE => self.message(record),
+            _ => None,
+        };
+    }
+
+    fn schema(&mut self, mut record: &[u8]) -> Option<()> {
+        let id = u16::from_le_bytes(number(&mut record)?);
+        let name = String::from_utf8_lossy(sized(&mut record)?).into_owned();
+        self.schemas.insert(id, name);
+        Some(())
+    }
+
+    fn channel(&mut self, mut record: &[u8]) -> Option<()> {
+        let id = u16::from_le_bytes(number(&mut record)?);
+        let schema = self
+            .schemas
+            .get(&u16::from_le_bytes(number(&mut record)?))?;
+        let topic = String::from_utf8_lossy(sized(&mut record)?);
+        let encoding = match sized(&mut record)? {
+            b"cdr" => Some(Encoding::Cdr),
+            b"ros1" => Some(Encoding::Ros1),
+            _ => None,
+        };
+        let index = self.messages.topic(&topic, schema, encoding);
+        self.channels.insert(id, index);
+        Some(())
+    }
+
+    fn message(&mut self, mut record: &[u8]) -> Option<()> {
+        let id = u16::from_le_bytes(number(&mut record)?);
+        let topic = *self.channels.get(&id)?;
+        number::<4>(&mut record)?;
+        let log_ns = u64::from_le_bytes(number(&mut record)?);
+        number::<8>(&mut record)?;
+        self.messages.message(topic, log_ns as i64, record);
+        Some(())
+    }
+}

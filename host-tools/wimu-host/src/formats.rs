@@ -3,6 +3,7 @@
 
 mod ros;
 mod source;
+pub(crate) mod wimu;
 
 use std::path::Path;
 
@@ -12,8 +13,7 @@ use wimu_link::LinkRole;
 
 use crate::csv::Filter;
 use crate::error::{ErrorCode, Result};
-use crate::history;
-use crate::recording::{Recording, Sink};
+use crate::recording::{OF_WIMU, Recording, Sink};
 
 /// How to read a file whose content does not say enough.
 #[derive(Clone, Debug, Default)]
@@ -33,7 +33,7 @@ pub struct ReadOptions {
     pub filter: Option<Filter>,
     /// Whether the rows of a table are means over static poses, in any order of time.
     pub poses: bool,
-    /// Link of a recording of wimu; see [`history::Recording::link`].
+    /// Link of a recording of wimu; see [`Recording::link`](crate::history::Recording::link).
     pub role: Option<LinkRole>,
 }
 
@@ -48,7 +48,12 @@ struct Format {
 }
 
 /// In the order in which they are tried.
-const FORMATS: [Format; 3] = [
+const FORMATS: [Format; 4] = [
+    Format {
+        name: OF_WIMU,
+        detect: wimu::detect,
+        read: wimu::read,
+    },
     Format {
         name: "ROS 1 bag",
         detect: ros::bag::detect,
@@ -99,29 +104,14 @@ pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Resu
     Ok(format.name)
 }
 
-/// Whether a file is a recording of wimu.
-fn is_recording(path: &Path) -> Result<bool> {
-    let text = path.display().to_string();
-    Ok(matches!(
-        crate::Input::parse(&text),
-        Ok(crate::Input::Recording(_))
-    ))
-}
-
-/// Reads a file: [`read`] into a [`Recording`].
+/// Reads a file: [`read`] into a [`Recording`], whose rows out of order are masked.
 ///
 /// # Errors
-/// Those of [`read`].
+/// Those of [`read`]; `data_refused` when most rows of an accelerometer cannot be used.
 pub fn load(path: &Path, options: &ReadOptions) -> Result<Recording> {
-    if is_recording(path)? {
-        let links = history::Recording::load(path)?;
-        return Recording::of_link(links.link(options.role)?, &links.name);
-    }
-    if true {
-        return crate::recording::temp_csv(path, options);
-    }
     let source = Source::open(path)?;
     let mut recording = Recording::new(source.name());
     recording.format = read(&source, options, &mut recording)?;
+    recording.check(!options.poses)?;
     Ok(recording)
 }

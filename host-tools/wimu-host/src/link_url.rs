@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use crate::error::{ErrorCode, HostError, Result};
+use crate::formats::{self, Source};
 
 /// Default baud rate.
 pub const DEFAULT_BAUD: u32 = 115_200;
@@ -181,21 +182,10 @@ impl Input {
                 .at(text)),
             };
         }
-        use std::io::Read;
-        let mut start = Vec::new();
-        std::fs::File::open(path)
-            .and_then(|file| file.take(5).read_to_end(&mut start))
-            .map_err(|error| HostError::file(text, "read", &error))?;
-        let named_mcap = path
-            .extension()
-            .is_some_and(|e| e.eq_ignore_ascii_case("mcap"));
-        Ok(
-            if named_mcap || mcap::MAGIC.starts_with(&start) && !start.is_empty() {
-                Self::Recording(path.to_owned())
-            } else {
-                Self::File(path.to_owned())
-            },
-        )
+        Ok(match formats::wimu::detect(&Source::open(path)?) {
+            true => Self::Recording(path.to_owned()),
+            false => Self::File(path.to_owned()),
+        })
     }
 }
 

@@ -98,6 +98,20 @@ uint32 stride
 const METADATA: &str = "wimu";
 /// A chunk is closed after this time, or when it is full.
 const FLUSH_NS: u64 = 1_000_000_000;
+/// What wrote an MCAP file, from its first bytes; `None` if they are not those of one.
+pub(crate) fn library(start: &[u8]) -> Option<&[u8]> {
+    let text = |bytes: &mut &[u8]| -> Option<usize> {
+        let (length, rest) = bytes.split_first_chunk::<4>()?;
+        *bytes = rest;
+        Some(u32::from_le_bytes(*length) as usize)
+    };
+    let mut header = start.strip_prefix(mcap::MAGIC)?.get(9..)?;
+    let profile = text(&mut header)?;
+    header = header.get(profile..)?;
+    let library = text(&mut header)?;
+    header.get(..library)
+}
+
 /// Longest record, bytes: far above those of a recording, so that a greater length is damage.
 const MAX_RECORD_BYTES: usize = 64 * 1024 * 1024;
 

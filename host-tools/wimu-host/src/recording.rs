@@ -27,6 +27,7 @@ mod times;
 use wimu_model::SensorId;
 
 use crate::finding::Finding;
+pub(crate) use link::{FORMAT as OF_WIMU, read as read_link};
 pub use samples::{Output, OutputUnit, RateSource, Samples, Selection};
 pub use summary::{Summary, TrackSummary};
 

@@ -5,6 +5,8 @@
 //! rows of the other tracks are left out where they are empty.
 
 mod clock;
+mod folder;
+mod gravity;
 mod header;
 mod infer;
 mod layout;
@@ -23,6 +25,7 @@ use std::path::Path;
 use wimu_model::STANDARD_GRAVITY_MPS2 as G;
 
 use clock::Clock;
+use gravity::WithGravity;
 use header::Table;
 use infer::{Conversion, Evidence};
 use layout::{Group, Layout};
@@ -44,7 +47,10 @@ const MOST_SENSITIVITIES: usize = 16;
 
 /// Whether it is text.
 pub(super) fn detect(source: &Source) -> bool {
-    is_text(source.start())
+    match source.members() {
+        [] => is_text(source.start()),
+        _ => folder::detect(source),
+    }
 }
 
 /// Whether bytes are those of a text.
@@ -57,7 +63,15 @@ fn is_text(start: &[u8]) -> bool {
 
 /// Hands the tracks and rows of a table to `sink`.
 pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Result<()> {
-    read_table(source, options, sink)
+    match source.members() {
+        [] => {
+            let mut sink = WithGravity::new(sink);
+            read_table(source, options, &mut sink)?;
+            sink.finish();
+            Ok(())
+        }
+        _ => folder::read(source, options, sink),
+    }
 }
 
 /// Quantity that the name of a file says.
@@ -67,6 +81,16 @@ fn quantity_of(source: &Source) -> Option<Quantity> {
 }
 
 fn read_table(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Result<()> {
+    read_timed(source, options, sink, Vec::new())
+}
+
+/// Reads a table whose rows have these times, if there are any.
+fn read_timed(
+    source: &Source,
+    options: &ReadOptions,
+    sink: &mut dyn Sink,
+    times: Vec<i64>,
+) -> Result<()> {
     let quantity = quantity_of(source);
     let table = header::find(source, quantity)?;
     let at_header = |error: crate::HostError| {
@@ -91,7 +115,10 @@ fn read_table(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Re
         findings.push(Finding::new(FindingCode::TrackChosen, Severity::Note, text));
     }
     let conversions = conversions(&layout, &survey, options, &mut findings).map_err(at_header)?;
-    let clock = timing::choose(&table, &layout, &survey, &mut findings);
+    let clock = match times.is_empty() {
+        true => timing::choose(&table, &layout, &survey, &mut findings),
+        false => clock::Source::List(times),
+    };
     let mut writer = Writer::new(&table, &layout, conversions, &survey, sink);
     let mut clock = Clock::new(clock, table.comma);
     let count = rows::each_row(source, &table, |fields, fault| {

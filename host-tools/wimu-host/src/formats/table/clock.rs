@@ -8,7 +8,7 @@ use crate::csv::number;
 const DAY_NS: i64 = 86_400_000_000_000;
 
 /// Where the time of a row comes from.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Source {
     /// A column of numbers, each times ten to this power in ns.
     Numbers { column: usize, exponent: i32 },
@@ -22,6 +22,8 @@ pub enum Source {
     },
     /// No column.
     Rows { period_ns: f64 },
+    /// A file of its own, one for each row.
+    List(Vec<i64>),
 }
 
 /// Times of rows, in their order.
@@ -53,10 +55,13 @@ impl Clock {
             let text = with_point(fields.get(column)?, self.comma);
             number::decimal(&text, exponent)
         };
-        match self.source {
-            Source::Numbers { column, exponent } => decimal(column, exponent),
-            Source::Rows { period_ns } => Some(((self.rows - 1) as f64 * period_ns).round() as i64),
-            Source::Counter {
+        match &self.source {
+            Source::List(times) => times.get(usize::try_from(self.rows - 1).ok()?).copied(),
+            &Source::Numbers { column, exponent } => decimal(column, exponent),
+            &Source::Rows { period_ns } => {
+                Some(((self.rows - 1) as f64 * period_ns).round() as i64)
+            }
+            &Source::Counter {
                 column,
                 period_ns,
                 modulus,
@@ -65,7 +70,7 @@ impl Clock {
                 let total = self.unwrapped(count, modulus)?;
                 Some((total as f64 * period_ns).round() as i64)
             }
-            Source::Dates { date: column, time } => {
+            &Source::Dates { date: column, time } => {
                 let day = column
                     .and_then(|column| fields.get(column))
                     .map(|text| &**text);

@@ -11,8 +11,7 @@ use crate::recording::{Quantity, Unit};
 
 /// Relative tolerance of the median magnitude of a unit. Chosen: covers bias, scale and moderate motion.
 const TOLERANCE: f64 = 0.15;
-/// Median magnitude below which an acceleration excludes gravity, g. Chosen: at rest it is near 0 without gravity, and 1
-/// with it.
+/// Magnitude at rest below which an acceleration excludes gravity, g. Chosen: it is near 0 without gravity, and 1 with it.
 const WITHOUT_GRAVITY_G: f64 = 0.4;
 /// Samples by which that is judged.
 const MIN_SAMPLES: usize = 20;
@@ -189,13 +188,13 @@ fn check_gravity(
     if !group.is_acceleration() {
         return;
     }
-    let magnitude = median(samples).map(|magnitude| magnitude * conversion.factors[0]);
+    let magnitude = zero::at_rest(samples).map(|magnitude| magnitude * conversion.factors[0]);
     let is_small = magnitude.is_some_and(|magnitude| magnitude < WITHOUT_GRAVITY_G * G)
         && samples.len() >= MIN_SAMPLES;
     let reason = match group.quantity {
         Quantity::LinearAcceleration => "by its name".to_owned(),
         _ if conversion.unit == Unit::Si && is_small => {
-            format!("median |a| is {:.2} m/s²", magnitude.unwrap_or(0.0))
+            format!("|a| at rest is {:.2} m/s²", magnitude.unwrap_or(0.0))
         }
         _ => return,
     };

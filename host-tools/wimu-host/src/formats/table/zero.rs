@@ -122,28 +122,47 @@ fn axis_means(samples: &[[f64; 3]]) -> [f64; 3] {
         .map(|axis| samples.iter().map(|row| row[axis]).sum::<f64>() / samples.len().max(1) as f64)
 }
 
+/// Standard deviation and mean of each block of samples, the calmest first.
+fn blocks(samples: &[[f64; 3]]) -> Vec<(f64, [f64; 3])> {
+    let block = |block: &[[f64; 3]]| {
+        let mean = axis_means(block);
+        let square = |row: &[f64; 3]| (0..3).map(|k| (row[k] - mean[k]).powi(2)).sum::<f64>();
+        let variance = block.iter().map(square).sum::<f64>() / BLOCK as f64;
+        (variance.sqrt(), mean)
+    };
+    let mut blocks: Vec<_> = samples.chunks_exact(BLOCK).map(block).collect();
+    blocks.sort_by(|a, b| a.0.total_cmp(&b.0));
+    blocks
+}
+
+fn norm(v: &[f64; 3]) -> f64 {
+    v.iter().map(|c| c * c).sum::<f64>().sqrt()
+}
+
+/// Median magnitude of the mean of the calmest quarter of blocks.
+pub fn at_rest(samples: &[[f64; 3]]) -> Option<f64> {
+    let blocks = blocks(samples);
+    let calm: Vec<[f64; 3]> = blocks[..blocks.len().div_ceil(4)]
+        .iter()
+        .map(|block| block.1)
+        .collect();
+    if calm.is_empty() {
+        median(samples)
+    } else {
+        median(&calm)
+    }
+}
+
 /// Magnitude at rest, if it is the same in several orientations.
 pub fn sensitivity(samples: &[[f64; 3]]) -> Option<f64> {
-    let mut blocks: Vec<(f64, [f64; 3])> = samples
-        .chunks_exact(BLOCK)
-        .map(|block| {
-            let mean = axis_means(block);
-            let square = |row: &[f64; 3]| (0..3).map(|k| (row[k] - mean[k]).powi(2)).sum::<f64>();
-            (
-                (block.iter().map(square).sum::<f64>() / BLOCK as f64).sqrt(),
-                mean,
-            )
-        })
-        .collect();
-    blocks.sort_by(|a, b| a.0.total_cmp(&b.0));
-    // Blocks at rest: about as calm as the calmer half.
+    let blocks = blocks(samples);
+    // Blocks at rest: about as calm as the calmest quarter.
     let limit = 3.0 * blocks.get(blocks.len() / 4)?.0 + 1.0;
     let rests: Vec<[f64; 3]> = blocks
         .iter()
         .filter(|block| block.0 <= limit)
         .map(|block| block.1)
         .collect();
-    let norm = |v: &[f64; 3]| v.iter().map(|c| c * c).sum::<f64>().sqrt();
     let first = rests.first()?;
     let differs = |v: &&[f64; 3]| {
         let dot: f64 = (0..3).map(|k| v[k] * first[k]).sum();
@@ -155,6 +174,5 @@ pub fn sensitivity(samples: &[[f64; 3]]) -> Option<f64> {
         .iter()
         .filter(|v| (norm(v) / usual - 1.0).abs() <= TOLERANCE)
         .count();
-    let is_constant = alike as f64 >= 0.9 * rests.len() as f64;
-    (others > 0 && is_constant).then_some(usual)
+    (others > 0 && 10 * alike >= 9 * rests.len()).then_some(usual)
 }

@@ -2,14 +2,15 @@
 //! [`Recording`]. docs/FORMATS.md lists them.
 
 mod ros;
-mod source;
+pub(crate) mod source;
+mod table;
 pub(crate) mod wimu;
 
 use std::path::Path;
 
-pub use source::Source;
-
 use wimu_link::LinkRole;
+
+pub use source::Source;
 
 use crate::csv::Filter;
 use crate::error::{ErrorCode, Result};
@@ -23,14 +24,16 @@ pub struct ReadOptions {
     pub format: Option<String>,
     /// The topic or message to read where there are several.
     pub topic: Option<String>,
-    /// Columns of a table: `t=timestamp:ns,x=ax:g,…`.
+    /// Columns of a table, `ROLE=COLUMN:UNIT` separated by commas, such as `t=timestamp:ns,x=ax:g,gx=5:deg/s`. Roles are
+    /// t, x, y, z (acceleration), gx, gy, gz (angular rate), mx, my, mz (magnetic field) and temp. A column is its name
+    /// or its number from 1; the unit may be left out where the name has it.
     pub columns: Option<String>,
-    /// Unit of accelerations that the file does not name: `m/s2`, `g`, `mg` or `LSB`.
+    /// Rows of a table to keep.
+    pub filter: Option<Filter>,
+    /// Unit of the accelerations of a table, whatever it names: `m/s2`, `g`, `mg` or `LSB`.
     pub units: Option<String>,
     /// Output at zero, LSB.
     pub zero_count: Option<f64>,
-    /// Rows of a table to keep.
-    pub filter: Option<Filter>,
     /// Whether the rows of a table are means over static poses, in any order of time.
     pub poses: bool,
     /// Link of a recording of wimu; see [`Recording::link`](crate::history::Recording::link).
@@ -48,7 +51,7 @@ struct Format {
 }
 
 /// In the order in which they are tried.
-const FORMATS: [Format; 4] = [
+const FORMATS: &[Format] = &[
     Format {
         name: OF_WIMU,
         detect: wimu::detect,
@@ -68,6 +71,11 @@ const FORMATS: [Format; 4] = [
         name: "ROS 2 sqlite",
         detect: ros::db3::detect,
         read: ros::db3::read,
+    },
+    Format {
+        name: "text table",
+        detect: table::detect,
+        read: table::read,
     },
 ];
 

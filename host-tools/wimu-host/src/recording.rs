@@ -17,8 +17,6 @@
 
 mod beside;
 mod checks;
-mod csv;
-pub(crate) use csv::read as temp_csv;
 mod link;
 mod samples;
 mod summary;

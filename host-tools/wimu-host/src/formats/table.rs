@@ -119,6 +119,11 @@ fn read_timed(
         true => timing::choose(&table, &layout, &survey, &mut findings),
         false => clock::Source::List(times),
     };
+    let mut timeless = Timeless(sink);
+    let sink: &mut dyn Sink = match clock {
+        clock::Source::Rows { .. } => &mut timeless,
+        _ => timeless.0,
+    };
     let mut writer = Writer::new(&table, &layout, conversions, &survey, sink);
     let mut clock = Clock::new(clock, table.comma);
     let count = rows::each_row(source, &table, |fields, fault| {
@@ -133,6 +138,24 @@ fn read_timed(
         .into_iter()
         .for_each(|finding| sink.finding(finding));
     count.check(source.name(), &table)
+}
+
+/// Marks tracks as without times of their own.
+struct Timeless<'a>(&'a mut dyn Sink);
+
+impl Sink for Timeless<'_> {
+    fn track(&mut self, mut info: TrackInfo) -> TrackId {
+        info.timeless = true;
+        self.0.track(info)
+    }
+
+    fn row(&mut self, track: TrackId, time_ns: i64, values: &[f64]) {
+        self.0.row(track, time_ns, values);
+    }
+
+    fn finding(&mut self, finding: Finding) {
+        self.0.finding(finding);
+    }
 }
 
 /// Refuses a table without anything inertial.

@@ -5,12 +5,18 @@ use crate::error::{ErrorCode, Result};
 use crate::finding::{Finding, FindingCode, Severity};
 use crate::plural::counted;
 
+/// Names of columns that identify a sensor, and a run.
+const SENSORS: [&str; 5] = ["imu", "sensor", "device", "unit", "board"];
+const RUNS: [&str; 4] = ["run", "trial", "session", "recording"];
+/// Largest number of values of such a column.
+const MAX_VALUES: usize = 64;
+
 impl Recording {
     /// Masks rows whose time is earlier than that of a row before, and reports masked rows of accelerometers.
     /// `in_order` is false for means over poses.
     ///
     /// # Errors
-    /// `data_refused` when more than half of the rows of an accelerometer cannot be used.
+    /// `usage` for a table with rows of several sensors or runs; `data_refused` when more than half of the rows of an accelerometer cannot be used.
     pub(crate) fn check(&mut self, in_order: bool) -> Result<()> {
         let start_ns = self.start_ns().unwrap_or_default();
         for track in &mut self.tracks {
@@ -67,7 +73,41 @@ impl Recording {
                     .at(&self.name));
             }
         }
-        Ok(())
+        let restarts = self
+            .findings
+            .iter()
+            .any(|finding| finding.code == FindingCode::TimesUnordered);
+        self.of_one_sensor(restarts)
+    }
+
+    /// Refuses rows of several sensors, or of several runs if their times start again.
+    fn of_one_sensor(&self, restarts: bool) -> Result<()> {
+        let (mut several, mut selected) = (Vec::new(), Vec::new());
+        for track in self.of(Quantity::Scalar) {
+            let name = track.info.name.as_str();
+            let is_one_of = |known: &[&str]| known.contains(&name.to_lowercase().as_str());
+            if !is_one_of(&SENSORS) && !(restarts && is_one_of(&RUNS)) {
+                continue;
+            }
+            let mut values: Vec<f64> = track.valid().map(|(_, row)| row[0]).collect();
+            values.sort_by(f64::total_cmp);
+            values.dedup();
+            if (2..=MAX_VALUES).contains(&values.len()) {
+                let list: Vec<String> = values.iter().map(f64::to_string).collect();
+                several.push(format!("`{name}` is {}", list.join(", ")));
+                selected.push(format!("{name}={}", list[0]));
+            }
+        }
+        if several.is_empty() {
+            return Ok(());
+        }
+        let (several, selected) = (several.join("; "), selected.join(","));
+        Err(ErrorCode::Usage
+            .error(
+                format!("the rows are of several sensors or runs: {several}"),
+                format!("select one with --where \"{selected}\", or remove the other rows"),
+            )
+            .at(&self.name))
     }
 }
 

@@ -184,6 +184,28 @@ impl Recording {
             let numbers: Vec<_> = all.iter().map(|t| t.info.sensor.to_string()).collect();
             numbers.join(", ")
         };
+        let chosen = all
+            .iter()
+            .find(|track| wanted.is_none_or(|number| track.info.sensor == number));
+        let sensor = chosen.map(|track| track.info.sensor);
+        let ranges: Vec<String> = all
+            .iter()
+            .filter(|track| Some(track.info.sensor) == sensor)
+            .filter_map(|track| match track.info.unit {
+                Unit::Counts { si_per_lsb } => Some(STANDARD_GRAVITY_MPS2 / si_per_lsb?),
+                _ => None,
+            })
+            .map(|lsb_per_g| lsb_per_g.to_string())
+            .collect();
+        if let [first, _, ..] = ranges.as_slice() {
+            let message = format!("the range changes: 1 g is {} LSB", ranges.join(", then "));
+            let remedy = format!(
+                "select the rows of one range with --where \"Sensitivity (LSB/g)={first}\", or record at one range"
+            );
+            return Err(ErrorCode::CsvMixedUnits
+                .error(message, remedy)
+                .at(&self.name));
+        }
         let (message, remedy) = match (all.as_slice(), wanted) {
             ([], _) => (
                 "there is no accelerometer in it".to_owned(),

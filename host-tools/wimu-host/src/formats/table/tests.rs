@@ -183,7 +183,10 @@ fn own_tables_keep_every_column() {
         .of(Quantity::Scalar)
         .map(|t| (t.info.name.as_str(), t.len()))
         .collect();
-    assert_eq!(scalars, [("Sensitivity (LSB/g)", 3), ("Field Calibrated", 4)]);
+    assert_eq!(
+        scalars,
+        [("Sensitivity (LSB/g)", 3), ("Field Calibrated", 4)]
+    );
     let axes =
         text("Time (s),Accelerometer 0 (m/s²),Accelerometer 1 (m/s²)\n0,1,2\n1,1,2\n").unwrap();
     let names: Vec<_> = axes.tracks().iter().map(|t| t.info.name.as_str()).collect();

@@ -1,7 +1,14 @@
 //! Recordings in the formats of other programs and devices: detected by content, read into a
 //! [`Recording`]. docs/FORMATS.md lists them.
 
+mod autopilot;
+mod ned;
+mod px4;
 mod source;
+mod window;
+
+#[cfg(test)]
+mod check;
 
 use std::path::Path;
 
@@ -37,7 +44,13 @@ struct Format {
 }
 
 /// In the order in which they are tried.
-const FORMATS: [Format; 0] = [];
+const FORMATS: [Format; 1] = [
+    Format {
+        name: "PX4 ULog",
+        detect: px4::detect,
+        read: px4::read,
+    },
+];
 
 /// Reads a file into `sink`; returns the name of its format.
 ///

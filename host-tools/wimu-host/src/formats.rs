@@ -1,6 +1,7 @@
 //! Recordings in the formats of other programs and devices: detected by content, read into a
 //! [`Recording`]. docs/FORMATS.md lists them.
 
+mod ardupilot;
 mod autopilot;
 mod ned;
 mod px4;
@@ -44,11 +45,16 @@ struct Format {
 }
 
 /// In the order in which they are tried.
-const FORMATS: [Format; 1] = [
+const FORMATS: [Format; 2] = [
     Format {
         name: "PX4 ULog",
         detect: px4::detect,
         read: px4::read,
+    },
+    Format {
+        name: "ArduPilot DataFlash",
+        detect: ardupilot::detect,
+        read: ardupilot::read,
     },
 ];
 

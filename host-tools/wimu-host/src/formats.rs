@@ -3,6 +3,7 @@
 
 mod ardupilot;
 mod autopilot;
+mod betaflight;
 mod ned;
 mod px4;
 mod source;
@@ -45,7 +46,7 @@ struct Format {
 }
 
 /// In the order in which they are tried.
-const FORMATS: [Format; 2] = [
+const FORMATS: [Format; 3] = [
     Format {
         name: "PX4 ULog",
         detect: px4::detect,
@@ -55,6 +56,11 @@ const FORMATS: [Format; 2] = [
         name: "ArduPilot DataFlash",
         detect: ardupilot::detect,
         read: ardupilot::read,
+    },
+    Format {
+        name: "Betaflight blackbox",
+        detect: betaflight::detect,
+        read: betaflight::read,
     },
 ];
 

@@ -7,6 +7,7 @@ mod betaflight;
 mod ned;
 mod px4;
 mod source;
+mod unsupported;
 mod window;
 
 #[cfg(test)]
@@ -46,7 +47,7 @@ struct Format {
 }
 
 /// In the order in which they are tried.
-const FORMATS: [Format; 3] = [
+const FORMATS: [Format; 4] = [
     Format {
         name: "PX4 ULog",
         detect: px4::detect,
@@ -61,6 +62,11 @@ const FORMATS: [Format; 3] = [
         name: "Betaflight blackbox",
         detect: betaflight::detect,
         read: betaflight::read,
+    },
+    Format {
+        name: "unsupported",
+        detect: unsupported::detect,
+        read: unsupported::read,
     },
 ];
 

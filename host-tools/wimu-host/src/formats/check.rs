@@ -103,3 +103,24 @@ pub(super) fn assert_robust(name: &str) {
         "{name}: {read} of 200 files with a flipped bit are read"
     );
 }
+
+/// A format that was named for other content refuses it.
+#[test]
+fn other_content_is_refused() {
+    for format in [
+        "PX4 ULog",
+        "ArduPilot DataFlash",
+        "Betaflight blackbox",
+        "unsupported",
+    ] {
+        for bytes in [&b""[..], b"a,b,c\n1,2,3\n", &[0xA3; 3000]] {
+            let source = Source::of_bytes("file", bytes);
+            let options = ReadOptions {
+                format: Some(format.to_owned()),
+                ..ReadOptions::default()
+            };
+            let result = read(&source, &options, &mut Recording::new("file"));
+            assert!(result.is_err(), "{format}");
+        }
+    }
+}

@@ -1,10 +1,19 @@
 //! Recordings in the formats of other programs and devices: detected by content, read into a
 //! [`Recording`]. docs/FORMATS.md lists them.
 
+mod ardupilot;
+mod autopilot;
+mod betaflight;
+#[cfg(test)]
+mod check;
+mod ned;
+mod px4;
 mod ros;
 pub(crate) mod source;
 mod table;
+mod unsupported;
 pub(crate) mod wimu;
+mod window;
 
 use std::path::Path;
 
@@ -71,6 +80,26 @@ const FORMATS: &[Format] = &[
         name: "ROS 2 sqlite",
         detect: ros::db3::detect,
         read: ros::db3::read,
+    },
+    Format {
+        name: "PX4 ULog",
+        detect: px4::detect,
+        read: px4::read,
+    },
+    Format {
+        name: "ArduPilot DataFlash",
+        detect: ardupilot::detect,
+        read: ardupilot::read,
+    },
+    Format {
+        name: "Betaflight blackbox",
+        detect: betaflight::detect,
+        read: betaflight::read,
+    },
+    Format {
+        name: "unsupported",
+        detect: unsupported::detect,
+        read: unsupported::read,
     },
     Format {
         name: "text table",

@@ -176,10 +176,14 @@ impl Recording {
 
     /// The accelerometer with this index, or the only one.
     fn accelerometer(&self, wanted: Option<u8>) -> Result<&Track> {
-        let all: Vec<&Track> = self
-            .of(Quantity::SpecificForce)
-            .filter(|track| track.info.origin == Origin::Sensor && !track.info.corrected)
+        let forces = self.of(Quantity::SpecificForce);
+        let mut all: Vec<&Track> = forces
+            .filter(|track| track.info.origin == Origin::Sensor)
             .collect();
+        // Corrected samples only where there are no others.
+        if all.iter().any(|track| !track.info.corrected) {
+            all.retain(|track| !track.info.corrected);
+        }
         let list = || {
             let numbers: Vec<_> = all.iter().map(|t| t.info.sensor.to_string()).collect();
             numbers.join(", ")

@@ -1,0 +1,71 @@
+//! Formats that wimu recognises but does not read: a refusal names the export that works.
+
+use super::{ReadOptions, Source};
+use crate::error::{ErrorCode, Result};
+use crate::recording::Sink;
+
+/// First bytes, name, and what to do.
+const FORMATS: [(&[u8], &str, &str); 4] = [
+    (
+        b"PAR1",
+        "Apache Parquet",
+        "write it as CSV, for example pandas.read_parquet(FILE).to_csv(\"OUT.csv\", index=False)",
+    ),
+    (
+        b"MATLAB 5.0 MAT-file",
+        "a MATLAB MAT-file",
+        "write it as CSV in MATLAB: writetimetable(T, \"OUT.csv\") or writetable(T, \"OUT.csv\")",
+    ),
+    (
+        b"MATLAB 7.3 MAT-file",
+        "a MATLAB MAT-file",
+        "write it as CSV in MATLAB: writetimetable(T, \"OUT.csv\") or writetable(T, \"OUT.csv\")",
+    ),
+    // The data logger's first message is the response to a ping (x-IMU3 User Manual, 7.3).
+    (
+        b"{\"ping\":",
+        "an x-IMU3 data logger file",
+        "convert it to CSV with the x-IMU3 GUI and read its Inertial.csv",
+    ),
+];
+
+/// The name and the remedy of a source's format.
+fn named(source: &Source) -> Option<(&'static str, &'static str)> {
+    let format = FORMATS
+        .iter()
+        .find(|(magic, ..)| source.start().starts_with(magic))?;
+    Some((format.1, format.2))
+}
+
+/// Whether it is one of them.
+pub(super) fn detect(source: &Source) -> bool {
+    named(source).is_some()
+}
+
+/// Refuses it.
+pub(super) fn read(source: &Source, _: &ReadOptions, _: &mut dyn Sink) -> Result<()> {
+    let (name, remedy) = named(source).unwrap_or(("no known format", "see docs/FORMATS.md"));
+    let message = format!("this is {name}, which wimu does not read");
+    Err(ErrorCode::UnknownFormat
+        .error(message, remedy)
+        .at(source.name()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::Recording;
+
+    #[test]
+    fn each_is_refused_with_the_export_that_works() {
+        for (magic, name, remedy) in FORMATS {
+            let source = Source::of_bytes("file", [magic, b" and more"].concat());
+            assert!(detect(&source));
+            let options = ReadOptions::default();
+            let error = super::super::read(&source, &options, &mut Recording::new("")).unwrap_err();
+            assert_eq!(error.code(), ErrorCode::UnknownFormat);
+            assert!(error.message().contains(name) && error.remedy() == remedy);
+        }
+        assert!(!detect(&Source::of_bytes("empty", [])));
+    }
+}

@@ -1,0 +1,140 @@
+//! Sequential reading of binary logs: bytes ahead of a position, and a count of damaged ones.
+
+use std::io::{Read, Seek, SeekFrom};
+use std::ops::Range;
+
+use super::Source;
+use super::source::ReadSeek;
+use crate::error::{ErrorCode, HostError, Result};
+use crate::finding::{Finding, FindingCode, Severity};
+use crate::plural::counted;
+
+/// Bytes read at once.
+const CHUNK: usize = 1 << 16;
+
+/// A source from a position on; holds the bytes that were looked at, and one chunk.
+pub(super) struct Window {
+    name: String,
+    reader: Box<dyn ReadSeek>,
+    buffer: Vec<u8>,
+    start: usize,
+    position: u64,
+}
+
+impl Window {
+    /// A source from byte `position` on.
+    pub(super) fn new(source: &Source, position: u64) -> Result<Self> {
+        let mut window = Self {
+            name: source.name().to_owned(),
+            reader: source.reader()?,
+            buffer: Vec::new(),
+            start: 0,
+            position,
+        };
+        let sought = window.reader.seek(SeekFrom::Start(position));
+        sought.map_err(|error| HostError::file(&window.name, "read", &error))?;
+        Ok(window)
+    }
+
+    /// The next `count` bytes, or fewer at the end of the source.
+    pub(super) fn peek(&mut self, count: usize) -> Result<&[u8]> {
+        if self.buffer.len() - self.start < count {
+            self.buffer.drain(..self.start);
+            self.start = 0;
+            let missing = (count - self.buffer.len()).max(CHUNK) as u64;
+            let read = (&mut self.reader)
+                .take(missing)
+                .read_to_end(&mut self.buffer);
+            read.map_err(|error| HostError::file(&self.name, "read", &error))?;
+        }
+        let ahead = &self.buffer[self.start..];
+        Ok(&ahead[..count.min(ahead.len())])
+    }
+
+    /// Moves on by `count` bytes, which were looked at.
+    pub(super) fn skip(&mut self, count: usize) {
+        let count = count.min(self.buffer.len() - self.start);
+        self.start += count;
+        self.position += count as u64;
+    }
+
+    /// Position in the source of the next byte.
+    pub(super) fn position(&self) -> u64 {
+        self.position
+    }
+}
+
+/// Bytes that belong to no readable record.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Damage {
+    /// Number of connected pieces.
+    places: usize,
+    /// Their total length.
+    bytes: u64,
+    /// Position after the latest.
+    end: u64,
+}
+
+impl Damage {
+    /// Counts one byte.
+    pub(super) fn add(&mut self, position: u64) {
+        if self.places == 0 || position != self.end {
+            self.places += 1;
+        }
+        self.bytes += 1;
+        self.end = position + 1;
+    }
+
+    /// The finding of it, if there is any, in a span of a source.
+    pub(super) fn finding(&self, span: Range<u64>) -> Option<Finding> {
+        let end = match self.end == span.end {
+            true => ", the last at the end of the file",
+            false => "",
+        };
+        let evidence = format!(
+            "{} of {} bytes belong to no readable record, in {}{end}",
+            self.bytes,
+            span.end - span.start,
+            counted(self.places, "place"),
+        );
+        let finding = Finding::new(FindingCode::Truncated, Severity::Warning, evidence);
+        (self.places > 0).then(|| finding.remedy("they are left out"))
+    }
+
+    /// Refuses a source of `length` bytes if more than half of it is damaged.
+    pub(super) fn refuse_most(&self, source: &Source, length: u64) -> Result<()> {
+        if self.bytes * 2 <= length {
+            return Ok(());
+        }
+        let message = format!(
+            "{} of {length} bytes belong to no readable record",
+            self.bytes
+        );
+        let remedy = "copy the file from the device again";
+        Err(ErrorCode::BadRecording
+            .error(message, remedy)
+            .at(source.name()))
+    }
+}
+
+/// The little-endian number of `N` bytes at an offset, if they are there.
+pub(super) fn bytes_at<const N: usize>(bytes: &[u8], offset: usize) -> Option<[u8; N]> {
+    bytes.get(offset..)?.first_chunk().copied()
+}
+
+/// Refusal of a source without inertial data: `found` names what it has.
+pub(super) fn no_inertial_data(source: &Source, wanted: &str, found: &[String]) -> HostError {
+    const MOST: usize = 20;
+    let mut names = found[..found.len().min(MOST)].join(", ");
+    match found.len() {
+        0 => names.push_str("no messages at all"),
+        count if count > MOST => names.push_str(&format!(" and {} more", count - MOST)),
+        _ => (),
+    }
+    ErrorCode::NoRows
+        .error(
+            format!("it has no inertial data, but {names}"),
+            format!("record {wanted}"),
+        )
+        .at(source.name())
+}

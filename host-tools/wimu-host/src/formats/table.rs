@@ -109,7 +109,11 @@ fn read_timed(
     let filter = rows::filter(&table, filter).map_err(at_header)?;
     let survey = survey::survey(source, &table, &layout, &filter)?;
     survey.count.check(source.name(), &table)?;
-    let mut findings = Vec::new();
+    let mut findings: Vec<Finding> = survey
+        .one_source(&table)
+        .map_err(at_header)?
+        .into_iter()
+        .collect();
     if let Some(program) = layout.program {
         let text = format!("the columns are those of {program}");
         findings.push(Finding::new(FindingCode::TrackChosen, Severity::Note, text));
@@ -368,5 +372,9 @@ impl Output<'_> {
     }
 }
 
+#[cfg(test)]
+mod damaged;
+#[cfg(test)]
+mod samples;
 #[cfg(test)]
 mod tests;

@@ -7,7 +7,7 @@ use crate::formats::load;
 use crate::recording::{Origin, Recording, Track};
 
 /// Real files, which are not part of the project; `None` where they are missing.
-fn data(name: &str) -> Option<std::path::PathBuf> {
+pub(super) fn data(name: &str) -> Option<std::path::PathBuf> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../../shared/data")
         .join(name);
@@ -25,14 +25,14 @@ fn text(text: &str) -> Result<Recording> {
     named("table.csv", text, &ReadOptions::default())
 }
 
-fn named(name: &str, text: &str, options: &ReadOptions) -> Result<Recording> {
+pub(super) fn named(name: &str, text: &str, options: &ReadOptions) -> Result<Recording> {
     let source = Source::of_bytes(name, text.as_bytes());
     let mut recording = Recording::new(name);
     recording.format = crate::formats::read(&source, options, &mut recording)?;
     Ok(recording)
 }
 
-fn has(recording: &Recording, code: FindingCode) -> bool {
+pub(super) fn has(recording: &Recording, code: FindingCode) -> bool {
     recording
         .findings
         .iter()
@@ -183,7 +183,10 @@ fn own_tables_keep_every_column() {
         .of(Quantity::Scalar)
         .map(|t| (t.info.name.as_str(), t.len()))
         .collect();
-    assert_eq!(scalars, [("Sensitivity (LSB/g)", 3), ("Field Calibrated", 4)]);
+    assert_eq!(
+        scalars,
+        [("Sensitivity (LSB/g)", 3), ("Field Calibrated", 4)]
+    );
     let axes =
         text("Time (s),Accelerometer 0 (m/s²),Accelerometer 1 (m/s²)\n0,1,2\n1,1,2\n").unwrap();
     let names: Vec<_> = axes.tracks().iter().map(|t| t.info.name.as_str()).collect();
@@ -448,4 +451,41 @@ fn gravity_of_sensor_logger_is_added() {
         recording.first(Quantity::SpecificForce).unwrap().row(1),
         Some(&[1.0, 2.0, 12.8][..])
     );
+}
+
+#[test]
+fn archives_of_phones_are_read() {
+    use std::io::Write;
+
+    let Some(folder) = data("formats/sensor_logger") else {
+        return;
+    };
+    let mut writer = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_string_lossy().into_owned();
+        writer.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
+        writer.write_all(&std::fs::read(path).unwrap()).unwrap();
+    }
+    let bytes = writer.finish().unwrap().into_inner();
+    let archive = crate::formats::archive::unpacked(&Source::of_bytes("walk.zip", bytes));
+    let mut recording = Recording::new("walk.zip");
+    crate::formats::read(&archive.unwrap().unwrap(), &ReadOptions::default(), &mut recording).unwrap();
+    assert!(has(&recording, FindingCode::GravityAdded));
+    check("sensor_logger/Gravity.csv", "gravity", recording.of(Quantity::Gravity).next().unwrap());
+}
+
+#[test]
+fn rows_of_several_sensors_are_selected() {
+    let Some(path) = data("calibration/mpu9150_array_pose_means.csv") else {
+        return;
+    };
+    let error = load(&path, &ReadOptions::default()).unwrap_err();
+    assert!(error.code() == ErrorCode::Usage && error.remedy().contains("--where \"IMU=0\""), "{error}");
+    let filter = Some("Run=1,IMU=0".parse().unwrap());
+    let recording = load(&path, &ReadOptions { filter, ..ReadOptions::default() }).unwrap();
+    let force = recording.first(Quantity::SpecificForce).unwrap();
+    assert_eq!(force.row(0), Some(&[-42.40795, -1961.232915, 596.84728][..]));
+    let samples = recording.tracks().iter().find(|track| track.info.name == "Samples").unwrap();
+    assert_eq!((samples.len(), samples.row(0)), (force.len(), Some(&[1434.0][..])));
 }

@@ -145,18 +145,27 @@ impl Survey {
         let several = |known: &'static [&'static str]| {
             let columns = table.names.iter().zip(&self.columns);
             columns.filter(move |(name, column)| {
-                known.contains(&name.to_lowercase().as_str()) && (2..MAX_TEXTS).contains(&column.contents.len())
+                known.contains(&name.to_lowercase().as_str())
+                    && (2..MAX_TEXTS).contains(&column.contents.len())
             })
         };
         let texts = |(name, column): (&String, &Column)| {
             let contents: Vec<&str> = column.contents.iter().map(String::as_str).collect();
-            (format!("`{name}` is {}", contents.join(", ")), format!("select one with --where \"{name}={}\"", contents[0]))
+            (
+                format!("`{name}` is {}", contents.join(", ")),
+                format!("select one with --where \"{name}={}\"", contents[0]),
+            )
         };
         if let Some((found, remedy)) = several(&SENSORS).next().map(texts) {
             let message = format!("the rows are of several sensors: {found}");
-            return Err(ErrorCode::Usage.error(message, format!("{remedy}, or remove the other rows")));
+            return Err(
+                ErrorCode::Usage.error(message, format!("{remedy}, or remove the other rows"))
+            );
         }
-        let runs = several(&RUNS).next().filter(|_| self.times.restarts > 0).map(texts);
+        let runs = several(&RUNS)
+            .next()
+            .filter(|_| self.times.restarts > 0)
+            .map(texts);
         Ok(runs.map(|(found, remedy)| {
             let text = format!("the rows are of several runs, whose times start again: {found}");
             Finding::new(FindingCode::TimesUnordered, Severity::Warning, text).remedy(remedy)

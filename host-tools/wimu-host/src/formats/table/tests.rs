@@ -464,15 +464,26 @@ fn archives_of_phones_are_read() {
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
-        writer.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
+        writer
+            .start_file(name, zip::write::SimpleFileOptions::default())
+            .unwrap();
         writer.write_all(&std::fs::read(path).unwrap()).unwrap();
     }
     let bytes = writer.finish().unwrap().into_inner();
     let archive = crate::formats::archive::unpacked(&Source::of_bytes("walk.zip", bytes));
     let mut recording = Recording::new("walk.zip");
-    crate::formats::read(&archive.unwrap().unwrap(), &ReadOptions::default(), &mut recording).unwrap();
+    crate::formats::read(
+        &archive.unwrap().unwrap(),
+        &ReadOptions::default(),
+        &mut recording,
+    )
+    .unwrap();
     assert!(has(&recording, FindingCode::GravityAdded));
-    check("sensor_logger/Gravity.csv", "gravity", recording.of(Quantity::Gravity).next().unwrap());
+    check(
+        "sensor_logger/Gravity.csv",
+        "gravity",
+        recording.of(Quantity::Gravity).next().unwrap(),
+    );
 }
 
 #[test]
@@ -481,11 +492,31 @@ fn rows_of_several_sensors_are_selected() {
         return;
     };
     let error = load(&path, &ReadOptions::default()).unwrap_err();
-    assert!(error.code() == ErrorCode::Usage && error.remedy().contains("--where \"IMU=0\""), "{error}");
+    assert!(
+        error.code() == ErrorCode::Usage && error.remedy().contains("--where \"IMU=0\""),
+        "{error}"
+    );
     let filter = Some("Run=1,IMU=0".parse().unwrap());
-    let recording = load(&path, &ReadOptions { filter, ..ReadOptions::default() }).unwrap();
+    let recording = load(
+        &path,
+        &ReadOptions {
+            filter,
+            ..ReadOptions::default()
+        },
+    )
+    .unwrap();
     let force = recording.first(Quantity::SpecificForce).unwrap();
-    assert_eq!(force.row(0), Some(&[-42.40795, -1961.232915, 596.84728][..]));
-    let samples = recording.tracks().iter().find(|track| track.info.name == "Samples").unwrap();
-    assert_eq!((samples.len(), samples.row(0)), (force.len(), Some(&[1434.0][..])));
+    assert_eq!(
+        force.row(0),
+        Some(&[-42.40795, -1961.232915, 596.84728][..])
+    );
+    let samples = recording
+        .tracks()
+        .iter()
+        .find(|track| track.info.name == "Samples")
+        .unwrap();
+    assert_eq!(
+        (samples.len(), samples.row(0)),
+        (force.len(), Some(&[1434.0][..]))
+    );
 }

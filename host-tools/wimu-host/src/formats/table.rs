@@ -65,7 +65,7 @@ fn is_text(start: &[u8]) -> bool {
 pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Result<()> {
     match source.members() {
         [] => {
-            let mut sink = WithGravity::new(sink);
+            let mut sink = WithGravity::new(sink, true);
             read_table(source, options, &mut sink)?;
             sink.finish();
             Ok(())

@@ -41,17 +41,20 @@ fn assert_near(found: Option<[f64; 3]>, expected: [f64; 3], name: &str) {
     }
 }
 
+/// Name and text; times of the first rows, ns; first specific force, angular rate and magnetic field.
+type Case = (
+    &'static str,
+    &'static str,
+    [i64; 2],
+    [f64; 3],
+    Option<[f64; 3]>,
+    Option<[f64; 3]>,
+);
+
 #[test]
 fn tables_with_published_headers_are_read() {
     const G: f64 = 9.80665;
-    let cases: &[(
-        &str,
-        &str,
-        [i64; 2],
-        [f64; 3],
-        Option<[f64; 3]>,
-        Option<[f64; 3]>,
-    )] = &[
+    let cases: &[Case] = &[
         (
             "TUM-VI data.csv",
             "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n\

@@ -54,7 +54,7 @@ pub struct Samples {
 impl Samples {
     fn add(&mut self, row: [f64; 3]) {
         self.seen += 1;
-        if self.seen % self.stride != 0 || !row.iter().all(|value| value.is_finite()) {
+        if !self.seen.is_multiple_of(self.stride) || !row.iter().all(|value| value.is_finite()) {
             return;
         }
         self.rows.push(row);

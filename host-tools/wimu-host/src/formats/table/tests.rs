@@ -443,6 +443,13 @@ fn gravity_of_sensor_logger_is_added() {
         "gyroscope",
         recording.first(Quantity::AngularRate).unwrap(),
     );
+    // Means over poses average to nothing, and have gravity.
+    if let Some(means) = loaded(
+        "calibration/innalabs_49_pose_means.csv",
+        &ReadOptions::default(),
+    ) {
+        assert_eq!(means.first(Quantity::SpecificForce).unwrap().len(), 49);
+    }
     // In columns of one table, too.
     let both = "Time (s),Linear Acceleration x (m/s^2),Linear Acceleration y (m/s^2),Linear Acceleration z (m/s^2),\
                 Gravity x (m/s^2),Gravity y (m/s^2),Gravity z (m/s^2)\n0,1,2,3,0,0,9.8\n0.1,1,2,3,0,0,9.8\n";

@@ -118,6 +118,16 @@ fn read_timed(
         let text = format!("the columns are those of {program}");
         findings.push(Finding::new(FindingCode::TrackChosen, Severity::Note, text));
     }
+    if let Some(first) = layout.unknown_units.first() {
+        let text = format!(
+            "{} columns of inertial sensors have an unknown unit, first `{}`",
+            layout.unknown_units.len(),
+            table.names[*first]
+        );
+        let finding = Finding::new(FindingCode::UnitInferred, Severity::Warning, text);
+        findings
+            .push(finding.remedy("they are not read as such; give --columns with a known unit"));
+    }
     let conversions = conversions(&layout, &survey, options, &mut findings).map_err(at_header)?;
     let clock = match times.is_empty() {
         true => timing::choose(&table, &layout, &survey, &mut findings),

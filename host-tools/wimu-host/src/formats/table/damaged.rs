@@ -110,6 +110,10 @@ fn texts_that_are_no_tables_of_sensors_say_what_is_there() {
             ErrorCode::CsvDuplicateColumn,
         ),
         (
+            "Accelerometer X (stone),Accelerometer Y (stone),Accelerometer Z (stone)\n0,1,2\n",
+            ErrorCode::CsvUnknownUnit,
+        ),
+        (
             "Accelerometer X (g),Accelerometer Y (LSB),Accelerometer Z (g)\n0,1,2\n",
             ErrorCode::CsvMixedUnits,
         ),

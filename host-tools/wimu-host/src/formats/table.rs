@@ -100,7 +100,15 @@ fn read_timed(
             .unwrap_or_default();
         error.at(format!("{} line {}{column}", source.name(), table.line))
     };
-    let layout = layout::of(&table, quantity, options).map_err(at_header)?;
+    let mut layout = layout::of(&table, quantity, options).map_err(at_header)?;
+    // Columns `x`, `y`, `z` of a file have its name.
+    let unnamed = layout
+        .groups
+        .iter_mut()
+        .filter(|group| group.columns.len() == 3 && group.name == group.quantity.name());
+    if let Some(stem) = Path::new(source.name()).file_stem() {
+        unnamed.for_each(|group| group.name = stem.to_string_lossy().into_owned());
+    }
     has_tracks(&table, &layout).map_err(at_header)?;
     let filter = options
         .filter

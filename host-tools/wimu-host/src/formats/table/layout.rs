@@ -294,10 +294,17 @@ fn common_name(names: &[String], columns: &[usize], quantity: Quantity) -> Strin
         1 => names::split_unit(&name).0,
         _ => name.trim_end_matches(|c: char| !c.is_alphanumeric()),
     };
-    if name.is_empty() {
-        quantity.name().to_owned()
-    } else {
-        name.trim_start_matches(['#', '%']).to_owned()
+    let name = name.trim_start_matches(['#', '%']);
+    match name.chars().count() {
+        0 => quantity.name().to_owned(),
+        // `ax, ay, az` says more than `a`.
+        1 | 2 => {
+            let bare = columns
+                .iter()
+                .map(|column| names::split_unit(&names[*column]).0);
+            bare.collect::<Vec<_>>().join(", ")
+        }
+        _ => name.to_owned(),
     }
 }
 

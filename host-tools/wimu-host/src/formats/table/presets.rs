@@ -48,6 +48,13 @@ const PRESETS: &[Preset] = &[
         units: SI,
         time: Some(("fieldheaderstamp", Some(0))),
     },
+    // `ros2 topic echo --csv` and tables made from bags.
+    Preset {
+        name: "ROS Imu",
+        columns: &["angularvelocityx", "linearaccelerationx"],
+        units: SI,
+        time: None,
+    },
     Preset {
         name: "Sensor Logger",
         columns: &["secondselapsed"],

@@ -86,6 +86,17 @@ fn tables_with_published_headers_are_read() {
             None,
         ),
         (
+            "ROS 2 table.csv",
+            "timestamp,orientation.x,orientation.y,orientation.z,orientation.w,angular_velocity.x,angular_velocity.y,\
+             angular_velocity.z,linear_acceleration.x,linear_acceleration.y,linear_acceleration.z\n\
+             1700000000.000000001,0,0,0,1,0.1,0.2,0.3,0.5,0.25,9.75\n\
+             1700000000.010000001,0,0,0,1,0.1,0.2,0.3,0.5,0.25,9.75\n",
+            [1_700_000_000_000_000_001, 1_700_000_000_010_000_001],
+            [0.5, 0.25, 9.75],
+            Some([0.1, 0.2, 0.3]),
+            None,
+        ),
+        (
             "x-IMU3 Inertial.csv",
             "Timestamp (us),Gyroscope X (deg/s),Gyroscope Y (deg/s),Gyroscope Z (deg/s),Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)\n\
              1000000,1,2,3,0,0.5,1\n1002500,1,2,3,0,0.5,1\n",

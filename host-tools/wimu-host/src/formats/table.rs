@@ -393,6 +393,8 @@ impl Output<'_> {
 #[cfg(test)]
 mod damaged;
 #[cfg(test)]
+mod phones;
+#[cfg(test)]
 mod samples;
 #[cfg(test)]
 mod tests;

@@ -63,7 +63,8 @@ impl Clock {
                 let unit = 10_i64.checked_pow(u32::try_from(exponent).ok()?)?;
                 let cycle = TICKS.checked_mul(unit)?;
                 let time = decimal(column, exponent)?;
-                let is_near = |time: i64, ticks: i64| (time / unit - ticks).abs() < TICKS / 50;
+                let is_near =
+                    |time: i64, ticks: i64| (time / unit).abs_diff(ticks) < TICKS as u64 / 50;
                 if self.last.is_some_and(|last| is_near(last, TICKS)) && is_near(time, 0) {
                     self.cycles += 1;
                 }

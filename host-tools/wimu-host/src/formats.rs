@@ -1,6 +1,7 @@
 //! Recordings in the formats of other programs and devices: detected by content, read into a
 //! [`Recording`]. docs/FORMATS.md lists them.
 
+mod archive;
 mod ardupilot;
 mod autopilot;
 mod betaflight;

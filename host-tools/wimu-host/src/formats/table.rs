@@ -65,7 +65,7 @@ fn is_text(start: &[u8]) -> bool {
 pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Result<()> {
     match source.members() {
         [] => {
-            let mut sink = WithGravity::new(sink);
+            let mut sink = WithGravity::new(sink, true);
             read_table(source, options, &mut sink)?;
             sink.finish();
             Ok(())
@@ -100,7 +100,15 @@ fn read_timed(
             .unwrap_or_default();
         error.at(format!("{} line {}{column}", source.name(), table.line))
     };
-    let layout = layout::of(&table, quantity, options).map_err(at_header)?;
+    let mut layout = layout::of(&table, quantity, options).map_err(at_header)?;
+    // Columns `x`, `y`, `z` of a file have its name.
+    let unnamed = layout
+        .groups
+        .iter_mut()
+        .filter(|group| group.columns.len() == 3 && group.name == group.quantity.name());
+    if let Some(stem) = Path::new(source.name()).file_stem() {
+        unnamed.for_each(|group| group.name = stem.to_string_lossy().into_owned());
+    }
     has_tracks(&table, &layout).map_err(at_header)?;
     let filter = options
         .filter
@@ -109,10 +117,24 @@ fn read_timed(
     let filter = rows::filter(&table, filter).map_err(at_header)?;
     let survey = survey::survey(source, &table, &layout, &filter)?;
     survey.count.check(source.name(), &table)?;
-    let mut findings = Vec::new();
+    let mut findings: Vec<Finding> = survey
+        .one_source(&table)
+        .map_err(at_header)?
+        .into_iter()
+        .collect();
     if let Some(program) = layout.program {
         let text = format!("the columns are those of {program}");
         findings.push(Finding::new(FindingCode::TrackChosen, Severity::Note, text));
+    }
+    if let Some(first) = layout.unknown_units.first() {
+        let text = format!(
+            "{} columns of inertial sensors have an unknown unit, first `{}`",
+            layout.unknown_units.len(),
+            table.names[*first]
+        );
+        let finding = Finding::new(FindingCode::UnitInferred, Severity::Warning, text);
+        findings
+            .push(finding.remedy("they are not read as such; give --columns with a known unit"));
     }
     let conversions = conversions(&layout, &survey, options, &mut findings).map_err(at_header)?;
     let clock = match times.is_empty() {
@@ -391,5 +413,11 @@ impl Output<'_> {
     }
 }
 
+#[cfg(test)]
+mod damaged;
+#[cfg(test)]
+mod phones;
+#[cfg(test)]
+mod samples;
 #[cfg(test)]
 mod tests;

@@ -6,6 +6,8 @@ use super::text::with_point;
 use crate::csv::number;
 
 const DAY_NS: i64 = 86_400_000_000_000;
+/// Ticks after which counters of 32 bits, such as `micros()`, start again.
+const TICKS: i64 = 1 << 32;
 
 /// Where the time of a row comes from.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,7 +59,18 @@ impl Clock {
         };
         match &self.source {
             Source::List(times) => times.get(usize::try_from(self.rows - 1).ok()?).copied(),
-            &Source::Numbers { column, exponent } => decimal(column, exponent),
+            &Source::Numbers { column, exponent } => {
+                let unit = 10_i64.checked_pow(u32::try_from(exponent).ok()?)?;
+                let cycle = TICKS.checked_mul(unit)?;
+                let time = decimal(column, exponent)?;
+                let is_near =
+                    |time: i64, ticks: i64| (time / unit).abs_diff(ticks) < TICKS as u64 / 50;
+                if self.last.is_some_and(|last| is_near(last, TICKS)) && is_near(time, 0) {
+                    self.cycles += 1;
+                }
+                self.last = Some(time);
+                time.checked_add(self.cycles.checked_mul(cycle)?)
+            }
             &Source::Rows { period_ns } => {
                 Some(((self.rows - 1) as f64 * period_ns).round() as i64)
             }
@@ -217,5 +230,19 @@ mod tests {
         let times =
             ["23:59:59.5", "00:00:00.5"].map(|text| clock.next_time(&[text.into()]).unwrap());
         assert_eq!(times[1] - times[0], 1_000_000_000);
+    }
+
+    #[test]
+    fn counters_of_32_bits_go_on() {
+        let source = Source::Numbers {
+            column: 0,
+            exponent: 3,
+        };
+        let mut clock = Clock::new(source, false);
+        let times = ["4294957296", "4294967291", "9995", "19990", "5"];
+        let times = times.map(|text| clock.next_time(&[text.into()]).unwrap() / 1000);
+        assert_eq!(times[2] - times[1], 10_000);
+        assert_eq!(times[3] - times[2], 9_995);
+        assert!(times[4] < times[3]);
     }
 }

@@ -55,7 +55,7 @@ pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Resu
     let has_calibrated = tables
         .iter()
         .any(|member| !is_uncalibrated(member) && quantity_of(member).is_some());
-    let mut sink = WithGravity::new(sink);
+    let mut sink = WithGravity::new(sink, false);
     let (mut read, mut refused) = (0, Vec::new());
     for member in &tables {
         let name = file_name(member);

@@ -19,16 +19,20 @@ pub struct WithGravity<'a> {
     inner: &'a mut dyn Sink,
     kept: Vec<Kept>,
     has_force: bool,
+    /// Whether all tracks come before the first row.
+    is_one_table: bool,
     /// Findings of missing gravity.
     missing: Vec<Finding>,
 }
 
 impl<'a> WithGravity<'a> {
-    pub fn new(inner: &'a mut dyn Sink) -> Self {
+    /// Hands on to `inner` one table, or several.
+    pub fn new(inner: &'a mut dyn Sink, is_one_table: bool) -> Self {
         Self {
             inner,
             kept: Vec::new(),
             has_force: false,
+            is_one_table,
             missing: Vec::new(),
         }
     }
@@ -63,7 +67,13 @@ impl Sink for WithGravity<'_> {
     }
 
     fn row(&mut self, track: TrackId, time_ns: i64, values: &[f64]) {
-        if let Some(kept) = self.kept.iter_mut().find(|kept| kept.track == track)
+        // Without its counterpart a track need not be kept.
+        let is_needed = !self.has_force && (!self.is_one_table || self.kept.len() > 1);
+        if let Some(kept) = self
+            .kept
+            .iter_mut()
+            .find(|kept| kept.track == track)
+            .filter(|_| is_needed)
             && let Ok(values) = values.try_into()
         {
             kept.rows.push((time_ns, values));

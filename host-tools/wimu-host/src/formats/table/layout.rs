@@ -50,6 +50,8 @@ pub struct Layout {
     pub others: Vec<usize>,
     /// The program that wrote it.
     pub program: Option<&'static str>,
+    /// Columns of inertial sensors with a unit that is not known.
+    pub unknown_units: Vec<usize>,
 }
 
 /// Content of the columns of `table`, in a file of `quantity` by its name.
@@ -97,11 +99,52 @@ pub fn of(table: &Table, quantity: Option<Quantity>, options: &ReadOptions) -> R
     if let Some(unit) = &options.units {
         override_units(&mut layout, unit)?;
     }
+    if options.columns.is_none() {
+        layout.unknown_units = unknown_units(names, &layout, quantity)?;
+    }
     let clock = [layout.time.map(|(column, _)| column), layout.date];
     layout.others = (0..names.len())
         .filter(|k| !used[*k] && !clock.contains(&Some(*k)))
         .collect();
     Ok(layout)
+}
+
+/// Columns that by their name are of an inertial sensor, but for their unit.
+///
+/// # Errors
+/// `csv_unknown_unit` where that leaves no accelerometer.
+fn unknown_units(
+    names: &[String],
+    layout: &Layout,
+    of_file: Option<Quantity>,
+) -> Result<Vec<usize>> {
+    let inertial = |column: &usize| {
+        let (bare, unit) = names::split_unit(&names[*column]);
+        let is_unknown = unit.is_some_and(|unit| !unit.is_empty());
+        let with_unit = names::meaning(&names[*column], of_file).kind;
+        match names::meaning(bare, of_file).kind {
+            Kind::Component { quantity, .. } if is_unknown && with_unit == Kind::Other => {
+                let known = [Quantity::SpecificForce, Quantity::AngularRate];
+                known.contains(&quantity).then_some(quantity)
+            }
+            _ => None,
+        }
+    };
+    let found: Vec<usize> = (0..names.len()).filter(|k| inertial(k).is_some()).collect();
+    let force = found
+        .iter()
+        .find(|k| inertial(k) == Some(Quantity::SpecificForce));
+    match force {
+        Some(column) if !layout.groups.iter().any(Group::is_acceleration) => {
+            Err(ErrorCode::CsvUnknownUnit
+                .error(
+                    "its unit is unknown",
+                    "write one of LSB, g, mg, m/s² in parentheses, or give --columns \"x=COLUMN:g,…\"",
+                )
+                .at(&names[*column]))
+        }
+        _ => Ok(found),
+    }
 }
 
 /// Where a quantity has columns with wimu's names, other names are not of it.
@@ -251,10 +294,17 @@ fn common_name(names: &[String], columns: &[usize], quantity: Quantity) -> Strin
         1 => names::split_unit(&name).0,
         _ => name.trim_end_matches(|c: char| !c.is_alphanumeric()),
     };
-    if name.is_empty() {
-        quantity.name().to_owned()
-    } else {
-        name.trim_start_matches(['#', '%']).to_owned()
+    let name = name.trim_start_matches(['#', '%']);
+    match name.chars().count() {
+        0 => quantity.name().to_owned(),
+        // `ax, ay, az` says more than `a`.
+        1 | 2 => {
+            let bare = columns
+                .iter()
+                .map(|column| names::split_unit(&names[*column]).0);
+            bare.collect::<Vec<_>>().join(", ")
+        }
+        _ => name.to_owned(),
     }
 }
 

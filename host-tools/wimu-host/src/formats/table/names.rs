@@ -47,6 +47,9 @@ impl Meaning {
     }
 }
 
+/// Longest name that is looked at, bytes.
+const MAX_NAME: usize = 100;
+
 const TIMES: &[&str] = &[
     "time",
     "timestamp",
@@ -117,6 +120,9 @@ pub fn quantity(stem: &str) -> Option<Quantity> {
 /// Meaning of a column; `of_file` is the quantity that the file's name says, for columns `x`, `y`, `z`.
 pub fn meaning(name: &str, of_file: Option<Quantity>) -> Meaning {
     let name = name.trim_start_matches(['#', '%', ' ']).trim();
+    if name.len() > MAX_NAME {
+        return Meaning::of(Kind::Other);
+    }
     let (bare, unit) = split_unit(name);
     let mut meaning = component(bare, unit, of_file);
     if let Some(unit) = unit {

@@ -48,6 +48,13 @@ const PRESETS: &[Preset] = &[
         units: SI,
         time: Some(("fieldheaderstamp", Some(0))),
     },
+    // `ros2 topic echo --csv` and tables made from bags.
+    Preset {
+        name: "ROS Imu",
+        columns: &["angularvelocityx", "linearaccelerationx"],
+        units: SI,
+        time: None,
+    },
     Preset {
         name: "Sensor Logger",
         columns: &["secondselapsed"],
@@ -113,10 +120,8 @@ pub fn of_header(header: &[String]) -> Option<&'static Preset> {
         .iter()
         .map(|name| names::key(names::split_unit(name).0))
         .collect();
-    let has = |column: &&str| keys.iter().any(|key| key == column);
-    PRESETS
-        .iter()
-        .find(|preset| preset.columns.iter().all(|column| has(column)))
+    let has = |column: &&'static str| keys.iter().any(|key| key == column);
+    PRESETS.iter().find(|preset| preset.columns.iter().all(has))
 }
 
 /// Columns of KITTI's oxts packets, in their order.

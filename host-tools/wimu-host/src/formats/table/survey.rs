@@ -8,7 +8,8 @@ use super::header::Table;
 use super::layout::Layout;
 use super::rows::{self, Count, Fault, Next, Values, each_row, values};
 use super::text::{Field, field};
-use crate::error::Result;
+use crate::error::{ErrorCode, Result};
+use crate::finding::{Finding, FindingCode, Severity};
 use crate::formats::Source;
 
 /// Rows after which the survey ends.
@@ -53,7 +54,7 @@ pub struct Samples {
 impl Samples {
     fn add(&mut self, row: [f64; 3]) {
         self.seen += 1;
-        if self.seen % self.stride != 0 || !row.iter().all(|value| value.is_finite()) {
+        if !self.seen.is_multiple_of(self.stride) || !row.iter().all(|value| value.is_finite()) {
             return;
         }
         self.rows.push(row);
@@ -79,8 +80,8 @@ pub struct Survey {
 }
 
 /// Columns whose contents identify a sensor or a run.
-pub const SENSORS: [&str; 5] = ["imu", "sensor", "device", "unit", "board"];
-pub const RUNS: [&str; 4] = ["run", "trial", "session", "recording"];
+const SENSORS: [&str; 6] = ["imu", "sensor", "device", "device name", "unit", "board"];
+const RUNS: [&str; 4] = ["run", "trial", "session", "recording"];
 
 /// Reads the table once.
 ///
@@ -136,6 +137,41 @@ fn names_source(name: &str) -> bool {
 }
 
 impl Survey {
+    /// Refuses rows of several sensors; a finding for rows of several runs whose times start again.
+    ///
+    /// # Errors
+    /// `usage`, which asks for `--where`.
+    pub fn one_source(&self, table: &Table) -> Result<Option<Finding>> {
+        let several = |known: &'static [&'static str]| {
+            let columns = table.names.iter().zip(&self.columns);
+            columns.filter(move |(name, column)| {
+                known.contains(&name.to_lowercase().as_str())
+                    && (2..MAX_TEXTS).contains(&column.contents.len())
+            })
+        };
+        let texts = |(name, column): (&String, &Column)| {
+            let contents: Vec<&str> = column.contents.iter().map(String::as_str).collect();
+            (
+                format!("`{name}` is {}", contents.join(", ")),
+                format!("select one with --where \"{name}={}\"", contents[0]),
+            )
+        };
+        if let Some((found, remedy)) = several(&SENSORS).next().map(texts) {
+            let message = format!("the rows are of several sensors: {found}");
+            return Err(
+                ErrorCode::Usage.error(message, format!("{remedy}, or remove the other rows"))
+            );
+        }
+        let runs = several(&RUNS)
+            .next()
+            .filter(|_| self.times.restarts > 0)
+            .map(texts);
+        Ok(runs.map(|(found, remedy)| {
+            let text = format!("the rows are of several runs, whose times start again: {found}");
+            Finding::new(FindingCode::TimesUnordered, Severity::Warning, text).remedy(remedy)
+        }))
+    }
+
     fn fault(&mut self, table: &Table, layout: &Layout, fields: &[Cow<str>]) -> Option<Fault> {
         if rows::has_text(layout, fields, table.comma) {
             return Some(Fault::NoNumber);

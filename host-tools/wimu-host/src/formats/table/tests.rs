@@ -7,7 +7,7 @@ use crate::formats::load;
 use crate::recording::{Origin, Recording, Track};
 
 /// Real files, which are not part of the project; `None` where they are missing.
-fn data(name: &str) -> Option<std::path::PathBuf> {
+pub(super) fn data(name: &str) -> Option<std::path::PathBuf> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../../shared/data")
         .join(name);
@@ -17,22 +17,22 @@ fn data(name: &str) -> Option<std::path::PathBuf> {
     path.exists().then_some(path)
 }
 
-fn loaded(name: &str, options: &ReadOptions) -> Option<Recording> {
+pub(super) fn loaded(name: &str, options: &ReadOptions) -> Option<Recording> {
     Some(load(&data(name)?, options).unwrap_or_else(|error| panic!("{name}: {error}")))
 }
 
-fn text(text: &str) -> Result<Recording> {
+pub(super) fn text(text: &str) -> Result<Recording> {
     named("table.csv", text, &ReadOptions::default())
 }
 
-fn named(name: &str, text: &str, options: &ReadOptions) -> Result<Recording> {
+pub(super) fn named(name: &str, text: &str, options: &ReadOptions) -> Result<Recording> {
     let source = Source::of_bytes(name, text.as_bytes());
     let mut recording = Recording::new(name);
     recording.format = crate::formats::read(&source, options, &mut recording)?;
     Ok(recording)
 }
 
-fn has(recording: &Recording, code: FindingCode) -> bool {
+pub(super) fn has(recording: &Recording, code: FindingCode) -> bool {
     recording
         .findings
         .iter()
@@ -40,7 +40,7 @@ fn has(recording: &Recording, code: FindingCode) -> bool {
 }
 
 /// Compares with a row of checks.csv.
-fn check(file: &str, channel: &str, track: &Track) {
+pub(super) fn check(file: &str, channel: &str, track: &Track) {
     let checks = std::fs::read_to_string(data("formats/checks.csv").unwrap()).unwrap();
     let line = checks
         .lines()
@@ -124,7 +124,11 @@ fn files_of_other_programs_have_their_check_figures() {
             .unwrap_or_else(|| panic!("{file}: {:?}", recording.findings));
         assert_eq!(track.info.unit, Unit::Si, "{file}");
         check(file, channel, track);
-        eprintln!("{file}: {:?}", recording.findings);
+        assert_eq!(
+            has(&recording, FindingCode::Clock),
+            file.contains("excel"),
+            "{file}"
+        );
         let without_gravity = quantity == Quantity::LinearAcceleration;
         assert_eq!(
             has(&recording, FindingCode::GravityMissing),
@@ -423,32 +427,36 @@ fn unsigned_counts_of_all_widths_are_recognised() {
 }
 
 #[test]
-fn gravity_of_sensor_logger_is_added() {
-    let Some(recording) = loaded("formats/sensor_logger", &ReadOptions::default()) else {
+fn rows_of_several_sensors_are_selected() {
+    let Some(path) = data("calibration/mpu9150_array_pose_means.csv") else {
         return;
     };
+    let error = load(&path, &ReadOptions::default()).unwrap_err();
     assert!(
-        has(&recording, FindingCode::GravityAdded) && !has(&recording, FindingCode::GravityMissing)
+        error.code() == ErrorCode::Usage && error.remedy().contains("--where \"IMU=0\""),
+        "{error}"
     );
+    let filter = Some("Run=1,IMU=0".parse().unwrap());
+    let recording = load(
+        &path,
+        &ReadOptions {
+            filter,
+            ..ReadOptions::default()
+        },
+    )
+    .unwrap();
     let force = recording.first(Quantity::SpecificForce).unwrap();
-    let [x, y, z] = force.vectors().next().unwrap().1;
-    assert!(
-        (x + 1.278_503_61).abs() < 1e-6
-            && (y + 1.070_806_62).abs() < 1e-6
-            && (z + 9.768_940_74).abs() < 1e-6
-    );
-    assert_eq!(force.valid().count(), 1000);
-    check(
-        "sensor_logger/Gyroscope.csv",
-        "gyroscope",
-        recording.first(Quantity::AngularRate).unwrap(),
-    );
-    // In columns of one table, too.
-    let both = "Time (s),Linear Acceleration x (m/s^2),Linear Acceleration y (m/s^2),Linear Acceleration z (m/s^2),\
-                Gravity x (m/s^2),Gravity y (m/s^2),Gravity z (m/s^2)\n0,1,2,3,0,0,9.8\n0.1,1,2,3,0,0,9.8\n";
-    let recording = text(both).unwrap();
     assert_eq!(
-        recording.first(Quantity::SpecificForce).unwrap().row(1),
-        Some(&[1.0, 2.0, 12.8][..])
+        force.row(0),
+        Some(&[-42.40795, -1961.232915, 596.84728][..])
+    );
+    let samples = recording
+        .tracks()
+        .iter()
+        .find(|track| track.info.name == "Samples")
+        .unwrap();
+    assert_eq!(
+        (samples.len(), samples.row(0)),
+        (force.len(), Some(&[1434.0][..]))
     );
 }

@@ -31,6 +31,15 @@ pub fn choose(
             };
         }
         let exponent = exponent.unwrap_or_else(|| exponent_of(table, survey, column, findings));
+        // A spreadsheet keeps 15 digits.
+        if exponent == 0 && survey.columns[column].is_fractional {
+            let text = format!(
+                "times `{}` in ns are not whole numbers: they were rounded",
+                table.names[column]
+            );
+            let finding = Finding::new(FindingCode::Clock, Severity::Warning, text);
+            findings.push(finding.remedy("use the original file, not one saved by a spreadsheet"));
+        }
         return Source::Numbers { column, exponent };
     }
     let find = |key: &str| {

@@ -122,16 +122,19 @@ fn axis_means(samples: &[[f64; 3]]) -> [f64; 3] {
         .map(|axis| samples.iter().map(|row| row[axis]).sum::<f64>() / samples.len().max(1) as f64)
 }
 
-/// Standard deviation and mean of each block of samples, the calmest first.
-fn blocks(samples: &[[f64; 3]]) -> Vec<(f64, [f64; 3])> {
-    let block = |block: &[[f64; 3]]| {
+/// Samples at rest or near it: a block, the standard deviation in it, and its mean.
+type Block<'a> = (&'a [[f64; 3]], f64, [f64; 3]);
+
+/// Blocks of consecutive samples, the calmest first.
+fn blocks(samples: &[[f64; 3]]) -> Vec<Block<'_>> {
+    let block = |block| {
         let mean = axis_means(block);
         let square = |row: &[f64; 3]| (0..3).map(|k| (row[k] - mean[k]).powi(2)).sum::<f64>();
         let variance = block.iter().map(square).sum::<f64>() / BLOCK as f64;
-        (variance.sqrt(), mean)
+        (block, variance.sqrt(), mean)
     };
-    let mut blocks: Vec<_> = samples.chunks_exact(BLOCK).map(block).collect();
-    blocks.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut blocks: Vec<Block> = samples.chunks_exact(BLOCK).map(block).collect();
+    blocks.sort_by(|a, b| a.1.total_cmp(&b.1));
     blocks
 }
 
@@ -139,29 +142,23 @@ fn norm(v: &[f64; 3]) -> f64 {
     v.iter().map(|c| c * c).sum::<f64>().sqrt()
 }
 
-/// Median magnitude of the mean of the calmest quarter of blocks.
+/// Median magnitude in the calmest quarter of the blocks.
 pub fn at_rest(samples: &[[f64; 3]]) -> Option<f64> {
     let blocks = blocks(samples);
-    let calm: Vec<[f64; 3]> = blocks[..blocks.len().div_ceil(4)]
-        .iter()
-        .map(|block| block.1)
-        .collect();
-    if calm.is_empty() {
-        median(samples)
-    } else {
-        median(&calm)
-    }
+    let calm = &blocks[..blocks.len().div_ceil(4)];
+    let calm: Vec<[f64; 3]> = calm.iter().flat_map(|block| block.0).copied().collect();
+    median(if calm.is_empty() { samples } else { &calm })
 }
 
 /// Magnitude at rest, if it is the same in several orientations.
 pub fn sensitivity(samples: &[[f64; 3]]) -> Option<f64> {
     let blocks = blocks(samples);
     // Blocks at rest: about as calm as the calmest quarter.
-    let limit = 3.0 * blocks.get(blocks.len() / 4)?.0 + 1.0;
+    let limit = 3.0 * blocks.get(blocks.len() / 4)?.1 + 1.0;
     let rests: Vec<[f64; 3]> = blocks
         .iter()
-        .filter(|block| block.0 <= limit)
-        .map(|block| block.1)
+        .filter(|block| block.1 <= limit)
+        .map(|block| block.2)
         .collect();
     let first = rests.first()?;
     let differs = |v: &&[f64; 3]| {

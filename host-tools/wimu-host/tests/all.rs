@@ -6,7 +6,6 @@ mod array_journeys;
 mod array_survey;
 mod arrays;
 mod common;
-#[path = "export_calibration/main.rs"]
 mod export_calibration;
 mod inertial;
 mod slides;

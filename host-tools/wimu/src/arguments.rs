@@ -330,9 +330,12 @@ pub struct Compare {
 Examples:
   wimu export session.mcap -o session.csv --stream corrected
   wimu export CAL.json --format c -o wimu_calibration.h
-  wimu export CAL.json --format kalibr --noise NOISE.json -o imu.yaml")]
+  wimu export CAL.json --format kalibr --noise NOISE.json -o imu.yaml
+  wimu export session.mcap --format ros -o topics.mcap
+
+- stands for standard input or output.")]
 pub struct Export {
-    /// A recording, or a calibration for the formats rust, c and kalibr
+    /// A recording for the formats csv and ros, or a calibration for all but csv
     pub input: PathBuf,
     /// File to write [default: a calibration is printed]
     #[arg(short, long, value_name = "FILE")]
@@ -357,18 +360,27 @@ pub struct Export {
     pub link: Option<Role>,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum ExportFormat {
     /// CSV table
     Csv,
-    /// Recording with decoded ROS 2 topics added
-    Mcap,
-    /// Calibration as a Rust module for wimu-model
+    /// Recording with decoded ROS 2 topics added (MCAP), or calibration for the ROS package imu_calib
+    #[value(alias = "mcap")]
+    Ros,
+    /// Calibration as a Rust module without dependencies
     Rust,
     /// Calibration as a C header without dependencies
     C,
+    /// Calibration as a Python module with NumPy
+    Numpy,
+    /// Calibration as a MATLAB or Octave function
+    Matlab,
     /// Calibration as an IMU file for Kalibr
     Kalibr,
+    /// Calibration as parameters of PX4, for QGroundControl
+    Px4,
+    /// Calibration as parameters of ArduPilot
+    Ardupilot,
 }
 
 /// A stream of a recording.

@@ -22,8 +22,8 @@ use crate::{ErrorCode, OutputFile, Result};
 
 mod columns;
 
-pub(crate) use columns::GYROSCOPE_SCALE;
 use columns::header;
+pub(crate) use columns::{GYROSCOPE_SCALE, gyroscope as gyroscope_columns};
 
 /// Time that samples wait for data that belong to them and arrive later, µs of device time.
 const WAIT_US: u64 = 3_000_000;

@@ -3,6 +3,7 @@
 
 pub mod alignment;
 pub mod allan;
+pub mod apply;
 pub mod array;
 pub mod calibration;
 pub mod chart;

@@ -8,5 +8,6 @@ mod arrays;
 mod common;
 mod export_calibration;
 mod inertial;
+mod ros_topics;
 mod slides;
 mod violent;

@@ -1,11 +1,13 @@
 //! The commands and their options.
 
+mod apply;
 mod calibration;
 mod device;
 mod navigate;
 mod relations;
 mod values;
 
+pub use apply::Apply;
 pub use calibration::{Align, Allan, Calibrate, Calibrated, Method};
 pub use device::{Carried, Change, Key, KeyAction, Params, Resolution, Settings};
 pub use navigate::{Navigate, NavigateMethod, ZeroVelocity};
@@ -61,6 +63,8 @@ pub enum Command {
     Info(Info),
     /// Convert a recording to a table, or a calibration to a source file
     Export(Export),
+    /// Correct a recording of any format by a calibration
+    Apply(Apply),
     /// Estimate the error model of an accelerometer, an array or a magnetometer
     Calibrate(Calibrate),
     /// Estimate the rotation from the sensor to the body that it is mounted on

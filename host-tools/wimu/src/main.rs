@@ -39,6 +39,7 @@ fn run(command: Command, output: Output) -> Result<u8> {
         Command::Align(arguments) => return command::align::run(&arguments, output),
         Command::Allan(arguments) => return command::allan::run(&arguments, output),
         Command::Calibrate(arguments) => return command::calibrate::run(&arguments, output),
+        Command::Apply(arguments) => command::apply::run(&arguments, output),
         Command::Demo(arguments) => command::demo::run(&arguments, output),
         Command::Simulate(arguments) => command::simulate::run(&arguments, output),
         Command::Ports(arguments) => command::ports::run(&arguments, output),

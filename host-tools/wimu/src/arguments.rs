@@ -17,12 +17,14 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{ArgMatches, Args, Parser, Subcommand, ValueEnum};
 use wimu_host::csv::Filter;
+use wimu_host::{Result, StandardInput};
 use wimu_sim::board::SensorPart;
 use wimu_sim::faults::SensorFault;
 
 use self::values::{from_to, seconds};
+use crate::output::usage;
 
 /// Make a wireless inertial measurement unit of a MEMS accelerometer: record, calibrate, correct, navigate.
 ///
@@ -45,6 +47,47 @@ pub struct Arguments {
     pub json: bool,
     #[command(subcommand)]
     pub command: Command,
+}
+
+impl Arguments {
+    /// Replaces `-` as an input by a file with all of standard input, which lasts as long as what is returned.
+    ///
+    /// # Errors
+    /// Those of [`StandardInput::read`]; `usage` where two inputs are `-`.
+    pub fn take_standard_input(&mut self) -> Result<Option<StandardInput>> {
+        let mut text = None;
+        let mut inputs = match &mut self.command {
+            Command::Apply(arguments) => vec![&mut arguments.calibration, &mut arguments.input],
+            Command::Export(arguments) => vec![&mut arguments.input],
+            Command::Navigate(arguments) => vec![&mut arguments.input],
+            Command::Info(Info { input }) | Command::Calibrate(Calibrate { input, .. }) => {
+                let path = PathBuf::from(&*input);
+                vec![&mut text.insert((input, path)).1]
+            }
+            _ => Vec::new(),
+        };
+        inputs.retain(|path| path.as_os_str() == "-");
+        let file = match &mut inputs[..] {
+            [] => return Ok(None),
+            [path] => {
+                let file = StandardInput::read()?;
+                file.path().clone_into(path);
+                file
+            }
+            _ => return Err(usage("standard input was given twice", "name a file")),
+        };
+        if let Some((input, path)) = text {
+            *input = path.display().to_string();
+        }
+        Ok(Some(file))
+    }
+
+    /// Whether a result other than JSON goes to standard output, given as `-o -`.
+    pub fn writes_standard_output(matches: &ArgMatches) -> bool {
+        let command = matches.subcommand().map(|(_, command)| command);
+        let output = command.and_then(|command| command.try_get_raw("output").ok()?);
+        output.is_some_and(|mut output| output.any(|path| path == "-"))
+    }
 }
 
 #[derive(Subcommand)]
@@ -303,7 +346,7 @@ pub struct Record {
 #[derive(Args)]
 #[command(after_help = "Example: wimu info session.mcap")]
 pub struct Info {
-    /// A recording, or a LINK
+    /// A recording, a LINK, or - for standard input
     pub input: String,
 }
 

@@ -35,7 +35,7 @@ use crate::export::gyroscope_columns;
 use crate::finding::{Finding, FindingCode, Severity};
 use crate::mcap_file::RosFile;
 use crate::motion::{FIELD_CALIBRATED, OTHER_RANGE};
-use crate::recording::{Quantity, Recording, Track, Unit};
+use crate::recording::{Origin, Quantity, Recording, Track, Unit};
 use crate::ros::message::Message;
 use crate::ros::rate_covariance;
 use crate::{ErrorCode, HostError, OutputFile, Result};
@@ -82,11 +82,7 @@ impl<'a> Correction<'a> {
     /// calibration do not fit.
     pub fn new(calibration: &'a StoredModel, recording: &'a Recording) -> Result<Self> {
         let at = |error: HostError| error.at(&recording.name);
-        let raw = recording.of(Quantity::SpecificForce);
-        let raw = raw
-            .filter(|track| !track.info.corrected)
-            .min_by_key(|track| track.info.sensor);
-        let force = raw.or_else(|| recording.first(Quantity::SpecificForce));
+        let force = chosen(recording, Quantity::SpecificForce);
         let force = force.ok_or_else(|| at(no_force(recording)))?;
         let mut findings = Vec::new();
         if force.info.corrected {
@@ -137,7 +133,7 @@ impl<'a> Correction<'a> {
     }
 
     fn choose_rate(&mut self, recording: &'a Recording) {
-        let Some(track) = recording.first(Quantity::AngularRate) else {
+        let Some(track) = chosen(recording, Quantity::AngularRate) else {
             return;
         };
         let scale = match (track.info.unit, &self.calibration.gyroscope) {
@@ -362,6 +358,14 @@ impl<'a> Latest<'a> {
         let (at, row) = self.now?;
         (time_ns.saturating_sub(at) <= self.hold_ns).then_some(row)
     }
+}
+
+/// The track of a quantity that the device did not correct, else any.
+fn chosen(recording: &Recording, quantity: Quantity) -> Option<&Track> {
+    let raw = |track: &&Track| track.info.origin == Origin::Sensor && !track.info.corrected;
+    let raw = recording.of(quantity).filter(raw);
+    raw.min_by_key(|track| track.info.sensor)
+        .or_else(|| recording.first(quantity))
 }
 
 fn no_force(recording: &Recording) -> HostError {

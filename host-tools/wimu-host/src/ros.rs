@@ -24,7 +24,7 @@ use std::path::Path;
 use serde::Serialize;
 use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
-use wimu_link::message::{Attitude, Navigation};
+use wimu_link::message::{Attitude, Navigation, WirePhase};
 use wimu_model::{AngularRateQ20, DeviceTimeUs, Matrix3, SpecificForceQ16};
 
 use crate::compare::LinkModel;
@@ -396,7 +396,9 @@ impl Writer<'_> {
             waiting: VecDeque::new(),
         });
         match event {
-            Event::Navigation(navigation) if navigation.flags == 0 => {
+            Event::Navigation(navigation)
+                if navigation.flags == 0 && navigation.phase != WirePhase::Searching =>
+            {
                 path.waiting.push_back(*navigation);
             }
             Event::Samples(samples) if samples.sensor == 0 => path.see(samples),

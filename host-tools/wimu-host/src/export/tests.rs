@@ -47,7 +47,10 @@ fn every_position_has_its_time_where_numbers_wrap() {
         let time = DeviceTimeUs(time_us);
         let length = batch::encode(sequence, time, &counts, &mut frame).unwrap();
         append(length, &frame);
-        let state = wimu_integrator::Navigation::default();
+        let state = wimu_integrator::Navigation {
+            phase: wimu_integrator::Phase::Moving,
+            ..wimu_integrator::Navigation::default()
+        };
         let navigation = <Telemetry>::Navigation(Navigation::new(sequence, &state));
         let length = navigation.encode(&mut frame).unwrap();
         append(length, &frame);

@@ -23,8 +23,8 @@
 //! ```
 
 mod columns;
-mod line;
-mod number;
+pub(crate) mod line;
+pub(crate) mod number;
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
@@ -62,6 +62,13 @@ pub struct Row {
 /// Numbers compare as numbers.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Filter(Vec<(String, String)>);
+
+impl Filter {
+    /// Columns and the values that they must have.
+    pub(crate) fn pairs(&self) -> &[(String, String)] {
+        &self.0
+    }
+}
 
 impl std::str::FromStr for Filter {
     type Err = HostError;

@@ -1,12 +1,15 @@
 //! Recordings in the formats of other programs and devices: detected by content, read into a
 //! [`Recording`]. docs/FORMATS.md lists them.
 
-mod source;
+mod archive;
+pub(crate) mod source;
+mod table;
 
 use std::path::Path;
 
 pub use source::Source;
 
+use crate::csv::Filter;
 use crate::error::{ErrorCode, Result};
 use crate::recording::{Recording, Sink};
 
@@ -18,9 +21,13 @@ pub struct ReadOptions {
     pub format: Option<String>,
     /// The topic or message to read where there are several.
     pub topic: Option<String>,
-    /// Columns of a table: `t=timestamp:ns,x=ax:g,…`.
+    /// Columns of a table, `ROLE=COLUMN:UNIT` separated by commas, such as `t=timestamp:ns,x=ax:g,gx=5:deg/s`. Roles are
+    /// t, x, y, z (acceleration), gx, gy, gz (angular rate), mx, my, mz (magnetic field) and temp. A column is its name
+    /// or its number from 1; the unit may be left out where the name has it.
     pub columns: Option<String>,
-    /// Unit of accelerations that the file does not name: `m/s2`, `g`, `mg` or `LSB`.
+    /// Rows of a table to keep.
+    pub filter: Option<Filter>,
+    /// Unit of the accelerations of a table, whatever it names: `m/s2`, `g`, `mg` or `LSB`.
     pub units: Option<String>,
     /// Output at zero, LSB.
     pub zero_count: Option<f64>,
@@ -37,7 +44,11 @@ struct Format {
 }
 
 /// In the order in which they are tried.
-const FORMATS: [Format; 0] = [];
+const FORMATS: &[Format] = &[Format {
+    name: "text table",
+    detect: table::detect,
+    read: table::read,
+}];
 
 /// Reads a file into `sink`; returns the name of its format.
 ///

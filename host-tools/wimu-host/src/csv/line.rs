@@ -69,7 +69,7 @@ fn separator(line: &str) -> char {
         .unwrap_or(',')
 }
 
-fn split(line: &str, separator: char, fields: &mut Vec<String>) -> Result<()> {
+pub fn split(line: &str, separator: char, fields: &mut Vec<String>) -> Result<()> {
     fields.clear();
     let mut rest = line;
     loop {

@@ -5,10 +5,16 @@ use std::io::{BufReader, Cursor, Read, Seek};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::archive::unpacked;
 use crate::error::{HostError, Result};
 
 /// Number of first bytes by which a format is detected.
 const START: u64 = 4096;
+
+/// Depth of folders in a folder.
+const MAX_DEPTH: usize = 2;
+/// Files of a folder, at most.
+const MAX_MEMBERS: usize = 100_000;
 
 /// Bytes that can be read more than once.
 #[derive(Clone, Debug)]
@@ -31,11 +37,16 @@ pub trait ReadSeek: Read + Seek {}
 impl<T: Read + Seek> ReadSeek for T {}
 
 impl Source {
-    /// A file, or a folder with its files.
+    /// A file, a folder with its files, or an archive with those in it (zip; gzip is the file in it).
     ///
     /// # Errors
-    /// `file_unreadable`, `file_failed`.
+    /// `file_unreadable`, `file_failed`; `bad_recording` for a damaged archive.
     pub fn open(path: &Path) -> Result<Self> {
+        Self::open_at(path, 0)
+    }
+
+    /// The same at a depth of folders.
+    fn open_at(path: &Path, depth: usize) -> Result<Self> {
         let name = path.display().to_string();
         let failed = |error| HostError::file(&name, "read", &error);
         if path.is_dir() {
@@ -43,19 +54,29 @@ impl Source {
             let paths: std::io::Result<Vec<PathBuf>> =
                 entries.map(|entry| Ok(entry?.path())).collect();
             let mut paths = paths.map_err(failed)?;
-            paths.retain(|path| path.is_file());
+            paths.retain(|path| path.is_file() || path.is_dir() && depth < MAX_DEPTH);
             paths.sort();
-            let members: Result<Vec<Self>> = paths.iter().map(|path| Self::open(path)).collect();
-            return Ok(Self::of_members(name, members?));
+            let mut members = Vec::new();
+            for path in paths.iter().take(MAX_MEMBERS) {
+                let member = Self::open_at(path, depth + 1)?;
+                match member.content {
+                    Content::Members(inner) => members.extend(inner),
+                    _ => members.push(member),
+                }
+            }
+            return Ok(Self::of_members(name, members));
         }
         let mut start = Vec::new();
         let file = File::open(path).map_err(failed)?;
         file.take(START).read_to_end(&mut start).map_err(failed)?;
-        Ok(Self {
+        let source = Self {
             content: Content::File(path.to_owned()),
             name,
             start,
-        })
+        };
+        // An archive in a folder is not looked into.
+        let content = if depth == 0 { unpacked(&source)? } else { None };
+        Ok(content.unwrap_or(source))
     }
 
     /// Bytes in memory, for example of a member of an archive.

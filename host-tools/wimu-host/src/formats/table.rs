@@ -1,0 +1,380 @@
+//! Tables in text: CSV and the like, of wimu and of other programs.
+//!
+//! A first pass finds the table, what its columns mean and what their values show of units, zero and gravity; a second
+//! one hands the rows on. Each usable row makes one row of each accelerometer and gyroscope, with NaN for empty fields;
+//! rows of the other tracks are left out where they are empty.
+
+mod clock;
+mod folder;
+mod gravity;
+mod header;
+mod infer;
+mod layout;
+mod names;
+mod presets;
+mod rows;
+mod survey;
+mod text;
+mod timing;
+mod units;
+mod zero;
+
+use std::borrow::Cow;
+use std::path::Path;
+
+use wimu_model::STANDARD_GRAVITY_MPS2 as G;
+
+use clock::Clock;
+use gravity::WithGravity;
+use header::Table;
+use infer::{Conversion, Evidence};
+use layout::{Group, Layout};
+use rows::{Fault, Next, Values};
+use survey::Survey;
+use text::{Field, field};
+
+use super::{ReadOptions, Source};
+use crate::error::{ErrorCode, Result};
+use crate::finding::{Finding, FindingCode, Severity};
+use crate::recording::{Quantity, Sink, TrackId, TrackInfo, Unit};
+
+/// Columns of a table, at most.
+const MOST_COLUMNS: usize = 1024;
+/// Scalar tracks of a table, at most.
+const MOST_SCALARS: usize = 64;
+/// Different sensitivities in a table, at most.
+const MOST_SENSITIVITIES: usize = 16;
+
+/// Whether it is text.
+pub(super) fn detect(source: &Source) -> bool {
+    match source.members() {
+        [] => is_text(source.start()),
+        _ => folder::detect(source),
+    }
+}
+
+/// Whether bytes are those of a text.
+fn is_text(start: &[u8]) -> bool {
+    let is_utf16 = matches!(start, [0xff, 0xfe, ..] | [0xfe, 0xff, ..]);
+    let is_control = |byte: &&u8| **byte < 9 || (14..32).contains(*byte) || **byte == 127;
+    let controls = start.iter().filter(is_control).count();
+    !start.is_empty() && (is_utf16 || 100 * controls < start.len())
+}
+
+/// Hands the tracks and rows of a table to `sink`.
+pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Result<()> {
+    match source.members() {
+        [] => {
+            let mut sink = WithGravity::new(sink);
+            read_table(source, options, &mut sink)?;
+            sink.finish();
+            Ok(())
+        }
+        _ => folder::read(source, options, sink),
+    }
+}
+
+/// Quantity that the name of a file says.
+fn quantity_of(source: &Source) -> Option<Quantity> {
+    let stem = Path::new(source.name()).file_stem()?;
+    names::quantity(&names::key(&stem.to_string_lossy()))
+}
+
+fn read_table(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Result<()> {
+    read_timed(source, options, sink, Vec::new())
+}
+
+/// Reads a table whose rows have these times, if there are any.
+fn read_timed(
+    source: &Source,
+    options: &ReadOptions,
+    sink: &mut dyn Sink,
+    times: Vec<i64>,
+) -> Result<()> {
+    let quantity = quantity_of(source);
+    let table = header::find(source, quantity)?;
+    let at_header = |error: crate::HostError| {
+        let column = error
+            .location()
+            .map(|column| format!(", {column}"))
+            .unwrap_or_default();
+        error.at(format!("{} line {}{column}", source.name(), table.line))
+    };
+    let layout = layout::of(&table, quantity, options).map_err(at_header)?;
+    has_tracks(&table, &layout).map_err(at_header)?;
+    let filter = options
+        .filter
+        .as_ref()
+        .map_or(&[][..], |filter| filter.pairs());
+    let filter = rows::filter(&table, filter).map_err(at_header)?;
+    let survey = survey::survey(source, &table, &layout, &filter)?;
+    survey.count.check(source.name(), &table)?;
+    let mut findings: Vec<Finding> = survey
+        .one_source(&table)
+        .map_err(at_header)?
+        .into_iter()
+        .collect();
+    if let Some(program) = layout.program {
+        let text = format!("the columns are those of {program}");
+        findings.push(Finding::new(FindingCode::TrackChosen, Severity::Note, text));
+    }
+    let conversions = conversions(&layout, &survey, options, &mut findings).map_err(at_header)?;
+    let clock = match times.is_empty() {
+        true => timing::choose(&table, &layout, &survey, &mut findings),
+        false => clock::Source::List(times),
+    };
+    let mut writer = Writer::new(&table, &layout, conversions, &survey, sink);
+    let mut clock = Clock::new(clock, table.comma);
+    let count = rows::each_row(source, &table, |fields, fault| {
+        if !rows::passes(&filter, fields) {
+            return Next::Skip;
+        }
+        Next::Count(writer.row(&mut clock, fields, fault))
+    })?;
+    findings.extend(writer.findings());
+    findings.extend(count.findings(&table));
+    findings
+        .into_iter()
+        .for_each(|finding| sink.finding(finding));
+    count.check(source.name(), &table)
+}
+
+/// Refuses a table without anything inertial.
+fn has_tracks(table: &Table, layout: &Layout) -> Result<()> {
+    let is_axis = |name: &String| name.to_lowercase().starts_with("accelerometer ");
+    if !layout.groups.is_empty() || table.names.iter().any(is_axis) {
+        return Ok(());
+    }
+    let mut named = table
+        .names
+        .iter()
+        .take(30)
+        .map(String::as_str)
+        .collect::<Vec<_>>()
+        .join(", ");
+    if table.names.len() > 30 {
+        named += ", …";
+    }
+    Err(ErrorCode::CsvMissingColumn.error(
+        format!("there is no accelerometer or gyroscope among its columns: {named}"),
+        "name the columns `Accelerometer X (g)`, … in LSB, g, mg or m/s², or say which they are: --columns \"t=1:s,x=2:g,y=3:g,z=4:g\"",
+    ))
+}
+
+fn conversions(
+    layout: &Layout,
+    survey: &Survey,
+    options: &ReadOptions,
+    findings: &mut Vec<Finding>,
+) -> Result<Vec<Conversion>> {
+    let convert = |(group, samples): (&Group, &survey::Samples)| {
+        let columns = group.columns.iter().map(|column| &survey.columns[*column]);
+        let evidence = Evidence {
+            samples: &samples.rows,
+            is_integer: group.columns.len() == 3
+                && columns.clone().all(|column| !column.is_fractional),
+            zero_count: options.zero_count,
+        };
+        infer::conversion(group, evidence, findings)
+    };
+    layout
+        .groups
+        .iter()
+        .zip(&survey.samples)
+        .map(convert)
+        .collect()
+}
+
+/// A track that is written.
+struct Output<'a> {
+    group: &'a Group,
+    conversion: Conversion,
+    /// Column with the size of its counts.
+    size: Option<usize>,
+    /// Tracks by the text in that column; one without it.
+    tracks: Vec<(String, TrackId)>,
+    /// Whether rows are left out where all fields are empty.
+    is_sparse: bool,
+}
+
+/// Hands rows to a sink.
+struct Writer<'a, 'b> {
+    comma: bool,
+    outputs: Vec<Output<'a>>,
+    /// Columns of scalar tracks.
+    scalars: Vec<(usize, TrackId)>,
+    scalars_left_out: usize,
+    /// Rows whose counts have no known size.
+    without_size: u64,
+    sink: &'b mut dyn Sink,
+}
+
+impl<'a, 'b> Writer<'a, 'b> {
+    fn new(
+        table: &Table,
+        layout: &'a Layout,
+        conversions: Vec<Conversion>,
+        survey: &Survey,
+        sink: &'b mut dyn Sink,
+    ) -> Self {
+        let mut outputs = Vec::new();
+        let all = layout.groups.iter().zip(conversions).zip(&survey.samples);
+        for ((group, conversion), samples) in
+            all.filter(|((_, conversion), _)| !conversion.is_left_out)
+        {
+            let is_counts = matches!(conversion.unit, Unit::Counts { .. });
+            let size = match group.quantity {
+                Quantity::SpecificForce => layout.sensitivity,
+                Quantity::AngularRate => layout.gyroscope_scale,
+                _ => None,
+            };
+            let mut output = Output {
+                group,
+                size: size.filter(|_| is_counts),
+                tracks: Vec::new(),
+                // One column for sensors of several rates: most rows have none of it.
+                is_sparse: !group.is_inertial() || 5 * samples.empty > survey.count.rows,
+                conversion,
+            };
+            if output.size.is_none() {
+                output.add_track(String::new(), output.conversion.unit, sink);
+            }
+            outputs.push(output);
+        }
+        let is_scalar = |column: &&usize| {
+            let column = &survey.columns[**column];
+            column.numbers > column.texts
+        };
+        let columns: Vec<usize> = layout.others.iter().filter(is_scalar).copied().collect();
+        let scalars = columns.iter().take(MOST_SCALARS).map(|column| {
+            let info = TrackInfo::new(&table.names[*column], Quantity::Scalar, Unit::Si);
+            (*column, sink.track(info))
+        });
+        Self {
+            comma: table.comma,
+            outputs,
+            scalars: scalars.collect(),
+            scalars_left_out: columns.len().saturating_sub(MOST_SCALARS),
+            without_size: 0,
+            sink,
+        }
+    }
+
+    /// Hands a row on; returns why it could not be used.
+    fn row(
+        &mut self,
+        clock: &mut Clock,
+        fields: &[Cow<str>],
+        fault: Option<Fault>,
+    ) -> Option<Fault> {
+        let Some(time) = clock.next_time(fields) else {
+            return fault.or(Some(Fault::NoTime));
+        };
+        if let Some(fault) = fault {
+            self.masked(time);
+            return Some(fault);
+        }
+        let mut has_text = false;
+        for output in &mut self.outputs {
+            let values = rows::values(output.group, fields, self.comma);
+            let row = match values {
+                Values::Empty if output.is_sparse => continue,
+                Values::Empty => [f64::NAN; 4],
+                Values::Some(row) => row,
+                Values::Text => {
+                    has_text |= output.group.is_inertial();
+                    [f64::NAN; 4]
+                }
+            };
+            match output.track(fields, self.sink) {
+                Some(track) => output.hand_on(track, time, row, self.sink),
+                None => self.without_size += 1,
+            }
+        }
+        for (column, track) in &self.scalars {
+            if let Field::Number(value) =
+                field(fields.get(*column).map_or("", |text| text), self.comma)
+            {
+                self.sink.row(*track, time, &[value]);
+            }
+        }
+        has_text.then_some(Fault::NoNumber)
+    }
+
+    /// Hands on a row without values.
+    fn masked(&mut self, time: i64) {
+        for output in self.outputs.iter().filter(|output| !output.is_sparse) {
+            if let Some((_, track)) = output.tracks.last() {
+                let width = output.group.columns.len();
+                self.sink.row(*track, time, &[f64::NAN; 4][..width]);
+            }
+        }
+    }
+
+    fn findings(&self) -> Vec<Finding> {
+        let mut findings = Vec::new();
+        if self.without_size > 0 {
+            let text = format!("{} rows of counts have no sensitivity", self.without_size);
+            findings.push(
+                Finding::new(FindingCode::RowsMasked, Severity::Warning, text)
+                    .remedy("they are left out"),
+            );
+        }
+        if self.scalars_left_out > 0 {
+            let text = format!(
+                "{} further columns of numbers are not read",
+                self.scalars_left_out
+            );
+            findings.push(Finding::new(FindingCode::TrackChosen, Severity::Note, text));
+        }
+        findings
+    }
+}
+
+impl Output<'_> {
+    fn add_track(&mut self, size: String, unit: Unit, sink: &mut dyn Sink) -> TrackId {
+        let group = self.group;
+        let info = TrackInfo::new(&group.name, self.conversion.quantity, unit);
+        let track = sink.track(info.of_sensor(group.sensor).made_by(group.origin));
+        self.tracks.push((size, track));
+        track
+    }
+
+    /// The track of a row: one for each size of its counts.
+    fn track(&mut self, fields: &[Cow<str>], sink: &mut dyn Sink) -> Option<TrackId> {
+        let Some(column) = self.size else {
+            return self.tracks.first().map(|(_, track)| *track);
+        };
+        let text = fields.get(column)?;
+        if let Some((_, track)) = self.tracks.iter().find(|(size, _)| size == text) {
+            return Some(*track);
+        }
+        let size = text
+            .parse::<f64>()
+            .ok()
+            .filter(|size| *size > 0.0 && size.is_finite())?;
+        let si_per_lsb = match self.group.quantity {
+            Quantity::AngularRate => size,
+            _ => G / size,
+        };
+        let unit = Unit::Counts {
+            si_per_lsb: Some(si_per_lsb),
+        };
+        (self.tracks.len() < MOST_SENSITIVITIES)
+            .then(|| self.add_track(text.to_string(), unit, sink))
+    }
+
+    fn hand_on(&self, track: TrackId, time: i64, mut row: [f64; 4], sink: &mut dyn Sink) {
+        for (value, factor) in row.iter_mut().zip(&self.conversion.factors) {
+            *value = self.conversion.zero.apply(*value) * factor;
+        }
+        sink.row(track, time, &row[..self.group.columns.len()]);
+    }
+}
+
+#[cfg(test)]
+mod damaged;
+#[cfg(test)]
+mod samples;
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,221 @@
+//! Time of a row: numbers, dates, counters, or the number of the row.
+
+use std::borrow::Cow;
+
+use super::text::with_point;
+use crate::csv::number;
+
+const DAY_NS: i64 = 86_400_000_000_000;
+
+/// Where the time of a row comes from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Source {
+    /// A column of numbers, each times ten to this power in ns.
+    Numbers { column: usize, exponent: i32 },
+    /// Columns of dates or times of day.
+    Dates { date: Option<usize>, time: usize },
+    /// A column that counts sample periods, modulo a number.
+    Counter {
+        column: usize,
+        period_ns: f64,
+        modulus: i64,
+    },
+    /// No column.
+    Rows { period_ns: f64 },
+    /// A file of its own, one for each row.
+    List(Vec<i64>),
+}
+
+/// Times of rows, in their order.
+#[derive(Clone, Debug)]
+pub struct Clock {
+    pub source: Source,
+    comma: bool,
+    rows: i64,
+    /// Whole days, or cycles of the counter, so far.
+    cycles: i64,
+    last: Option<i64>,
+}
+
+impl Clock {
+    pub fn new(source: Source, comma: bool) -> Self {
+        Self {
+            source,
+            comma,
+            rows: 0,
+            cycles: 0,
+            last: None,
+        }
+    }
+
+    /// Time of the next row, ns; `None` if it has none.
+    pub fn next_time(&mut self, fields: &[Cow<str>]) -> Option<i64> {
+        self.rows += 1;
+        let decimal = |column: usize, exponent| {
+            let text = with_point(fields.get(column)?, self.comma);
+            number::decimal(&text, exponent)
+        };
+        match &self.source {
+            Source::List(times) => times.get(usize::try_from(self.rows - 1).ok()?).copied(),
+            &Source::Numbers { column, exponent } => decimal(column, exponent),
+            &Source::Rows { period_ns } => {
+                Some(((self.rows - 1) as f64 * period_ns).round() as i64)
+            }
+            &Source::Counter {
+                column,
+                period_ns,
+                modulus,
+            } => {
+                let count = decimal(column, 0)?;
+                let total = self.unwrapped(count, modulus)?;
+                Some((total as f64 * period_ns).round() as i64)
+            }
+            &Source::Dates { date: column, time } => {
+                let day = column
+                    .and_then(|column| fields.get(column))
+                    .map(|text| &**text);
+                let (ns, has_date) = date(day, fields.get(time)?)?;
+                if has_date {
+                    Some(ns)
+                } else {
+                    self.unwrapped(ns, DAY_NS)
+                }
+            }
+        }
+    }
+
+    /// A count that starts again after `modulus`, continued.
+    fn unwrapped(&mut self, count: i64, modulus: i64) -> Option<i64> {
+        if self
+            .last
+            .is_some_and(|last| count < last.saturating_sub(modulus / 2))
+        {
+            self.cycles += 1;
+        }
+        self.last = Some(count);
+        count.checked_add(self.cycles.checked_mul(modulus)?)
+    }
+}
+
+/// A date and time, or a time of day, ns, and whether it has a date: `2024-05-01T12:30:01.25Z`, `12:30:01.25`,
+/// `05/31/2024 12:30:01,25`; the date may be in a field of its own.
+pub fn date(day: Option<&str>, text: &str) -> Option<(i64, bool)> {
+    // No date is longer; a plain number has no separators.
+    if text.len() > 40 || !text.contains(':') {
+        return None;
+    }
+    let (own_day, clock) = match text.trim().split_once(['T', ' ']) {
+        Some((day, clock)) => (Some(day), clock.trim()),
+        None => (None, text.trim()),
+    };
+    let clock = clock
+        .trim_end_matches(['Z', 'z'])
+        .trim_end_matches("+00:00")
+        .trim_end_matches("UTC");
+    let mut parts = clock.trim().splitn(3, ':');
+    let whole = |text: &str| text.trim().parse::<u32>().ok();
+    let (hour, minute) = (whole(parts.next()?)?, whole(parts.next()?)?);
+    // Some programs put a colon before the milliseconds.
+    let seconds = parts.next().unwrap_or("0").replace([',', ':'], ".");
+    let ns = number::decimal(&seconds, 9)?;
+    if hour > 23 || minute > 59 || !(0..61_000_000_000).contains(&ns) {
+        return None;
+    }
+    let ns = i64::from(hour * 60 + minute) * 60_000_000_000 + ns;
+    match own_day.or(day) {
+        None => Some((ns, false)),
+        Some(day) => Some((days(day)?.checked_mul(DAY_NS)?.checked_add(ns)?, true)),
+    }
+}
+
+/// Days since 1970-01-01 of year-month-day, month/day/year or day.month.year.
+fn days(text: &str) -> Option<i64> {
+    let parts: Vec<&str> = text.trim().split(['-', '/', '.']).collect();
+    let [a, b, c] = parts[..] else {
+        return None;
+    };
+    let whole = |text: &str| text.parse::<u16>().ok().map(i64::from);
+    let (a_value, b_value, c_value) = (whole(a)?, whole(b)?, whole(c)?);
+    let (year, month, day) = match (a.len(), c.len()) {
+        (4, _) => (a_value, b_value, c_value),
+        (_, 4) if text.contains('.') || a_value > 12 => (c_value, b_value, a_value),
+        (_, 4) => (c_value, a_value, b_value),
+        _ => return None,
+    };
+    if !(1..=12).contains(&month) || !(1..=31).contains(&day) {
+        return None;
+    }
+    // Days of the civil calendar, with years that begin in March.
+    let (year, month) = if month > 2 {
+        (year, month - 3)
+    } else {
+        (year - 1, month + 9)
+    };
+    let era = year.div_euclid(400);
+    let of_era = year.rem_euclid(400);
+    let of_year = (153 * month + 2) / 5 + day - 1;
+    Some(era * 146_097 + of_era * 365 + of_era / 4 - of_era / 100 + of_year - 719_468)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dates_are_exact() {
+        for (day, text, expected) in [
+            (
+                None,
+                "2011-09-26 13:02:25.964389445",
+                Some((1_317_042_145_964_389_445, true)),
+            ),
+            (None, "1970-01-01T00:00:00Z", Some((0, true))),
+            (
+                Some("11/18/2019"),
+                "12:30:45.12",
+                Some((1_574_080_245_120_000_000, true)),
+            ),
+            (None, "00:00:01:250", Some((1_250_000_000, false))),
+            (None, "24:00:00", None),
+            (None, "1.5", None),
+            (Some("2019/13/01"), "12:30:45.12", None),
+        ] {
+            assert_eq!(date(day, text), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn counters_and_days_go_on() {
+        let mut clock = Clock::new(
+            Source::Counter {
+                column: 0,
+                period_ns: 1e7,
+                modulus: 65536,
+            },
+            false,
+        );
+        let times = ["65534", "65535", "0", "x", "1"].map(|text| clock.next_time(&[text.into()]));
+        let first = 655_340_000_000;
+        let step = 10_000_000;
+        assert_eq!(
+            times,
+            [
+                Some(first),
+                Some(first + step),
+                Some(first + 2 * step),
+                None,
+                Some(first + 3 * step)
+            ]
+        );
+        let mut clock = Clock::new(
+            Source::Dates {
+                date: None,
+                time: 0,
+            },
+            false,
+        );
+        let times =
+            ["23:59:59.5", "00:00:00.5"].map(|text| clock.next_time(&[text.into()]).unwrap());
+        assert_eq!(times[1] - times[0], 1_000_000_000);
+    }
+}

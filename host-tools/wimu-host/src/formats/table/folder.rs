@@ -1,0 +1,129 @@
+//! Folders and archives of tables: one file for each sensor of a phone, or one for each packet.
+
+use std::path::Path;
+
+use super::gravity::WithGravity;
+use super::{clock, is_text, names, quantity_of, read_table};
+use crate::error::{ErrorCode, Result};
+use crate::finding::{Finding, FindingCode, Severity};
+use crate::formats::{ReadOptions, Source};
+use crate::recording::Sink;
+
+/// Ends of names of tables.
+const ENDINGS: [&str; 3] = ["csv", "txt", "tsv"];
+/// Bytes of packets that are put together, at most.
+const MAX_PACKETS: usize = 1 << 28;
+/// Fields of a packet of KITTI's oxts.
+const OXTS_FIELDS: usize = 30;
+
+/// Whether a folder or archive has tables.
+pub fn detect(source: &Source) -> bool {
+    source.members().iter().any(is_table)
+}
+
+fn is_table(member: &Source) -> bool {
+    let ending = Path::new(member.name())
+        .extension()
+        .map(|ending| ending.to_ascii_lowercase());
+    ending.is_some_and(|ending| ENDINGS.iter().any(|known| ending == *known))
+        && is_text(member.start())
+}
+
+/// The last part of a member's name.
+fn file_name(member: &Source) -> String {
+    let name = Path::new(member.name()).file_name();
+    name.map_or_else(
+        || member.name().to_owned(),
+        |name| name.to_string_lossy().into_owned(),
+    )
+}
+
+/// Reads the tables of a folder or archive.
+///
+/// # Errors
+/// `unknown_format` if none is a table of an inertial sensor, with the reason for each.
+pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Result<()> {
+    if let Some((packets, times)) = packets(source)? {
+        return super::read_timed(&packets, options, sink, times);
+    }
+    let tables: Vec<&Source> = source
+        .members()
+        .iter()
+        .filter(|member| is_table(member))
+        .collect();
+    let is_uncalibrated = |member: &Source| names::key(&file_name(member)).contains("uncalibrated");
+    let has_calibrated = tables
+        .iter()
+        .any(|member| !is_uncalibrated(member) && quantity_of(member).is_some());
+    let mut sink = WithGravity::new(sink);
+    let (mut read, mut refused) = (0, Vec::new());
+    for member in &tables {
+        let name = file_name(member);
+        if has_calibrated && is_uncalibrated(member) {
+            let text = format!("`{name}` is not read: the folder has calibrated values");
+            sink.finding(Finding::new(FindingCode::TrackChosen, Severity::Note, text));
+            continue;
+        }
+        match read_table(member, options, &mut sink) {
+            Ok(()) => read += 1,
+            Err(error) => refused.push((name, error)),
+        }
+    }
+    if read == 0 {
+        let reasons: Vec<String> = refused
+            .iter()
+            .take(8)
+            .map(|(name, error)| format!("{name}: {}", error.message()))
+            .collect();
+        let message = format!(
+            "none of its tables is of an inertial sensor: {}",
+            reasons.join("; ")
+        );
+        return Err(ErrorCode::UnknownFormat
+            .error(message, "see docs/FORMATS.md, or give one file")
+            .at(source.name()));
+    }
+    for (name, error) in refused {
+        let text = format!("`{name}` is not read: {}", error.message());
+        sink.finding(Finding::new(FindingCode::TrackChosen, Severity::Note, text));
+    }
+    sink.finish();
+    Ok(())
+}
+
+/// Files of one packet each, put together, and their times; `None` for other folders.
+fn packets(source: &Source) -> Result<Option<(Source, Vec<i64>)>> {
+    let is_times = |member: &&Source| file_name(member) == "timestamps.txt";
+    let is_packet = |member: &&Source| {
+        let text = String::from_utf8_lossy(member.start());
+        let mut lines = text.lines();
+        let is_first = lines.next().is_some_and(|line| {
+            let fields: Vec<&str> = line.split_whitespace().collect();
+            fields.len() == OXTS_FIELDS && fields.iter().all(|field| field.parse::<f64>().is_ok())
+        });
+        is_first && lines.next().is_none()
+    };
+    let files: Vec<&Source> = source.members().iter().filter(is_packet).collect();
+    if files.len() < 2 {
+        return Ok(None);
+    }
+    let mut bytes = Vec::new();
+    for file in &files {
+        // A packet is shorter than the start of a file.
+        bytes.extend_from_slice(file.start());
+        if !bytes.ends_with(b"\n") {
+            bytes.push(b'\n');
+        }
+        if bytes.len() > MAX_PACKETS {
+            break;
+        }
+    }
+    let mut times = Vec::new();
+    if let Some(file) = source.members().iter().find(is_times) {
+        let mut lines = super::text::Lines::of(file)?;
+        while let Some(line) = lines.next_line()? {
+            times.extend(clock::date(None, &line).map(|(time, _)| time));
+        }
+    }
+    Ok(Some((Source::of_bytes(source.name(), bytes), times)))
+}

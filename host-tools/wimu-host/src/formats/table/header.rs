@@ -1,0 +1,253 @@
+//! Where the table is in a text: separator, column names, first row.
+
+use super::clock;
+use super::names::{self, Kind};
+use super::presets;
+use super::text::{Field, Lines, field, is_comment, split};
+use super::units;
+use crate::error::{ErrorCode, Result};
+use crate::formats::Source;
+use crate::recording::Quantity;
+
+/// The table begins within this many lines and bytes.
+const MAX_LINES: usize = 200;
+const MAX_BYTES: usize = 1 << 18;
+/// Rows of equal width that show a table without a header.
+const ROWS: usize = 3;
+/// Known columns that show a header whatever its width.
+const KNOWN: usize = 3;
+/// In the order in which they are preferred. A space stands for any white space.
+const SEPARATORS: [char; 5] = [';', '\t', ',', '|', ' '];
+
+/// A table in a text.
+#[derive(Clone, Debug)]
+pub struct Table {
+    pub separator: char,
+    /// Whether the decimal mark is a comma.
+    pub comma: bool,
+    /// Names of the columns; without a header, their numbers from 1.
+    pub names: Vec<String>,
+    pub has_header: bool,
+    /// Line of the column names; of the first row without a header.
+    pub line: u64,
+    /// Line of the first row.
+    pub first_row: u64,
+    /// Lines before the table.
+    pub preamble: Vec<String>,
+    /// What a table without a header was taken for.
+    pub taken_for: Option<&'static str>,
+}
+
+/// Lines at the beginning of a text.
+fn beginning(source: &Source) -> Result<Vec<String>> {
+    let mut lines = Lines::of(source)?;
+    let (mut start, mut bytes) = (Vec::new(), 0);
+    while start.len() < MAX_LINES && bytes < MAX_BYTES {
+        let Some(line) = lines.next_line()? else {
+            break;
+        };
+        bytes += line.len();
+        start.push(line.into_owned());
+    }
+    Ok(start)
+}
+
+/// The table in a text whose name says that it is of `quantity`.
+///
+/// # Errors
+/// `csv_empty`, `no_rows`, `csv_no_header`.
+pub fn find(source: &Source, quantity: Option<Quantity>) -> Result<Table> {
+    let start = beginning(source)?;
+    if start.iter().all(|line| line.trim().is_empty()) {
+        let error = ErrorCode::CsvEmpty.error(
+            "the file is empty",
+            "a table starts with a line of column names and units",
+        );
+        return Err(error.at(source.name()));
+    }
+    let mut best: Option<((usize, usize), Table)> = None;
+    for separator in SEPARATORS {
+        if let Some((score, table)) = table(&start, separator, quantity)
+            && best.as_ref().is_none_or(|(other, _)| score > *other)
+        {
+            best = Some((score, table));
+        }
+    }
+    if let Some((_, table)) = best {
+        return Ok(table);
+    }
+    let known = |line: &String| {
+        SEPARATORS
+            .iter()
+            .map(|s| known(&names_of(line, *s), quantity))
+            .max()
+    };
+    let most = start
+        .iter()
+        .max_by_key(|line| known(line))
+        .filter(|line| known(line) >= Some(KNOWN));
+    Err(match most {
+        Some(_) => ErrorCode::NoRows.error(
+            "there are no rows below the header",
+            "check that the recording was saved completely",
+        ),
+        None => ErrorCode::CsvNoHeader.error(
+            "there is no table of numbers in the text",
+            "a table starts with column names, such as `Time (s),Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)`",
+        ),
+    }
+    .at(source.name()))
+}
+
+/// The table with this separator, and how well it fits: known columns, numbers in its first row.
+fn table(
+    start: &[String],
+    separator: char,
+    quantity: Option<Quantity>,
+) -> Option<((usize, usize), Table)> {
+    let first = start
+        .iter()
+        .position(|line| numbers(line, separator) >= 2)?;
+    let fields = split(&start[first], separator);
+    let width = fields.len();
+    let header = start[..first].iter().enumerate().filter_map(|(at, line)| {
+        let names = names_of(line, separator);
+        let known = known(&names, quantity);
+        let fits = (width.saturating_sub(1)..=width).contains(&names.len()) && names.len() > 1;
+        let is_header = fits && numbers(line, separator) < 2 || known >= KNOWN;
+        is_header.then_some((known, at, names))
+    });
+    let header = header.max_by_key(|(known, at, _)| (*known, *at));
+    let rows = &start[first..];
+    let is_comma = |line: &String| {
+        let fields = split(line, separator);
+        fields
+            .iter()
+            .any(|f| f.contains(',') && field(f, true) != Field::Text)
+    };
+    let is_point = |line: &String| {
+        let fields = split(line, separator);
+        fields
+            .iter()
+            .any(|f| f.contains('.') && field(f, false) != Field::Text)
+    };
+    let comma = separator != ',' && rows.iter().any(is_comma) && !rows.iter().any(is_point);
+    let mut table = Table {
+        separator,
+        comma,
+        names: (1..=width).map(|number| number.to_string()).collect(),
+        has_header: false,
+        line: first as u64 + 1,
+        first_row: first as u64 + 1,
+        preamble: start[..first].to_vec(),
+        taken_for: None,
+    };
+    let score = numbers(&start[first], separator);
+    let Some((known, at, names)) = header else {
+        let alike = rows.iter().take(ROWS).all(|line| {
+            let fields = split(line, separator);
+            fields.len() == width && numbers(line, separator) == fields.len()
+        });
+        if let Some((names, taken_for)) = presets::without_header(&increases(rows, &table)) {
+            table.names = names;
+            table.taken_for = Some(taken_for);
+        }
+        return (alike && width >= 3).then_some(((0, score), table));
+    };
+    table.names = names;
+    if let Some(units) = start.get(at + 1).filter(|_| at + 1 < first) {
+        append_units(&mut table.names, units, separator);
+    }
+    table.has_header = true;
+    table.line = at as u64 + 1;
+    table.preamble = start[..at].to_vec();
+    Some(((known, score), table))
+}
+
+/// Whether each column of the rows only increases.
+fn increases(rows: &[String], table: &Table) -> Vec<bool> {
+    let number = |text: Option<&std::borrow::Cow<str>>| match field(text?, table.comma) {
+        Field::Number(value) => Some(value),
+        _ => None,
+    };
+    let rows: Vec<_> = rows
+        .iter()
+        .map(|line| split(line, table.separator))
+        .collect();
+    let increases = |column: usize| {
+        let steps = rows.windows(2).filter_map(|pair| {
+            let [before, after] = [&pair[0], &pair[1]].map(|row| number(row.get(column)));
+            Some(after? - before?)
+        });
+        let steps: Vec<f64> = steps.collect();
+        !steps.is_empty()
+            && steps.iter().all(|step| *step >= 0.0)
+            && steps.iter().any(|step| *step > 0.0)
+    };
+    (0..table.names.len()).map(increases).collect()
+}
+
+/// Number of numbers and dates of a row; 0 if they are not most of its fields.
+fn numbers(line: &str, separator: char) -> usize {
+    if is_comment(line) {
+        return 0;
+    }
+    let fields = split(line, separator);
+    let filled = fields.iter().filter(|f| !f.is_empty());
+    let is_number = |text: &&std::borrow::Cow<str>| {
+        field(text, separator != ',') != Field::Text || clock::date(None, text).is_some()
+    };
+    let (filled, numbers) = (filled.clone().count(), filled.filter(is_number).count());
+    if 2 * numbers > filled { numbers } else { 0 }
+}
+
+/// Column names in a line, which may be a comment.
+fn names_of(line: &str, separator: char) -> Vec<String> {
+    let bare = line
+        .trim_start_matches("//")
+        .trim_start_matches(['#', '%', ' ']);
+    let mut names: Vec<String> = split(bare, separator)
+        .into_iter()
+        .map(String::from)
+        .collect();
+    while names.last().is_some_and(String::is_empty) {
+        names.pop();
+    }
+    names
+}
+
+/// Number of columns whose meaning is known.
+fn known(names: &[String], quantity: Option<Quantity>) -> usize {
+    let meanings = names.iter().map(|name| names::meaning(name, quantity).kind);
+    meanings.filter(|kind| *kind != Kind::Other).count()
+}
+
+/// Appends the units of a line below the names, if it holds units only.
+fn append_units(names: &mut [String], line: &str, separator: char) {
+    let found = split(line, separator);
+    let quantities = [
+        Quantity::SpecificForce,
+        Quantity::AngularRate,
+        Quantity::MagneticField,
+        Quantity::Temperature,
+    ];
+    let bare = |unit: &str| unit.trim_matches(['(', ')', '[', ']']).to_owned();
+    let is_unit = |unit: &str| {
+        unit.is_empty()
+            || units::time(&bare(unit)).is_some()
+            || quantities
+                .iter()
+                .any(|q| units::scale(*q, &bare(unit)).is_some())
+    };
+    if found.len() != names.len()
+        || found.iter().all(|f| f.is_empty())
+        || !found.iter().all(|f| is_unit(f))
+    {
+        return;
+    }
+    for (name, unit) in names.iter_mut().zip(found) {
+        if !unit.is_empty() {
+            *name = format!("{name} ({})", bare(&unit));
+        }
+    }
+}

@@ -1,0 +1,373 @@
+//! Which columns make which track.
+
+use super::header::Table;
+use super::names::{self, Kind, Meaning};
+use super::presets::{self, Preset};
+use super::units::{self, Scale};
+use crate::error::{ErrorCode, Result};
+use crate::formats::ReadOptions;
+use crate::recording::{Origin, Quantity};
+
+/// Columns of one track.
+#[derive(Clone, Debug)]
+pub struct Group {
+    pub name: String,
+    pub quantity: Quantity,
+    pub origin: Origin,
+    pub sensor: u8,
+    /// One for each component.
+    pub columns: Vec<usize>,
+    /// Unit of each, where it is known.
+    pub scales: Vec<Option<Scale>>,
+}
+
+impl Group {
+    /// Whether it is an acceleration.
+    pub fn is_acceleration(&self) -> bool {
+        matches!(
+            self.quantity,
+            Quantity::SpecificForce | Quantity::LinearAcceleration
+        )
+    }
+
+    /// Whether its rows count even where they are empty.
+    pub fn is_inertial(&self) -> bool {
+        self.is_acceleration() || self.quantity == Quantity::AngularRate
+    }
+}
+
+/// Content of every column of a table.
+#[derive(Clone, Debug, Default)]
+pub struct Layout {
+    /// Column of the time, and its unit where it is known.
+    pub time: Option<(usize, Option<i32>)>,
+    /// Column of the date of a time of day.
+    pub date: Option<usize>,
+    pub groups: Vec<Group>,
+    pub sensitivity: Option<usize>,
+    pub gyroscope_scale: Option<usize>,
+    /// All other columns.
+    pub others: Vec<usize>,
+    /// The program that wrote it.
+    pub program: Option<&'static str>,
+}
+
+/// Content of the columns of `table`, in a file of `quantity` by its name.
+///
+/// # Errors
+/// `csv_duplicate_column`, `csv_missing_column`, `csv_mixed_units`, `csv_unknown_unit`, `usage`.
+pub fn of(table: &Table, quantity: Option<Quantity>, options: &ReadOptions) -> Result<Layout> {
+    let names = &table.names;
+    let mut meanings: Vec<Meaning> = match &options.columns {
+        Some(columns) => chosen(names, columns)?,
+        None => names
+            .iter()
+            .map(|name| names::meaning(name, quantity))
+            .collect(),
+    };
+    if options.columns.is_none() {
+        prefer_ours(&mut meanings);
+        leave_out_repeated(names, &mut meanings)?;
+    }
+    let preset = presets::of_header(names).filter(|_| options.columns.is_none());
+    let mut layout = Layout {
+        program: table.taken_for.or(preset.map(|preset| preset.name)),
+        ..Layout::default()
+    };
+    choose_time(names, &meanings, preset, &mut layout);
+    let mut used = vec![false; names.len()];
+    for (column, meaning) in meanings.iter().enumerate() {
+        match meaning.kind {
+            Kind::Component {
+                quantity,
+                origin,
+                sensor,
+                ..
+            } if !used[column] => {
+                if let Some(group) = group(names, &meanings, (quantity, origin, sensor), preset)? {
+                    group.columns.iter().for_each(|column| used[*column] = true);
+                    layout.groups.push(group);
+                }
+            }
+            Kind::Sensitivity => layout.sensitivity = Some(column),
+            Kind::GyroscopeScale => layout.gyroscope_scale = Some(column),
+            _ => {}
+        }
+    }
+    if let Some(unit) = &options.units {
+        override_units(&mut layout, unit)?;
+    }
+    let clock = [layout.time.map(|(column, _)| column), layout.date];
+    layout.others = (0..names.len())
+        .filter(|k| !used[*k] && !clock.contains(&Some(*k)))
+        .collect();
+    Ok(layout)
+}
+
+/// Where a quantity has columns with wimu's names, other names are not of it.
+fn prefer_ours(meanings: &mut [Meaning]) {
+    let quantity = |meaning: &Meaning| match meaning.kind {
+        Kind::Component {
+            quantity, origin, ..
+        } => Some((quantity, origin)),
+        _ => None,
+    };
+    let ours: Vec<_> = meanings
+        .iter()
+        .filter(|m| m.is_ours)
+        .filter_map(quantity)
+        .collect();
+    for meaning in meanings {
+        if !meaning.is_ours && quantity(meaning).is_some_and(|q| ours.contains(&q)) {
+            meaning.kind = Kind::Other;
+        }
+    }
+}
+
+/// Of two columns with one meaning the first counts.
+fn leave_out_repeated(names: &[String], meanings: &mut [Meaning]) -> Result<()> {
+    for column in 1..names.len() {
+        let Some(first) = (0..column).find(|first| meanings[*first].kind == meanings[column].kind)
+        else {
+            continue;
+        };
+        let bare = |column: usize| names::split_unit(&names[column]).0;
+        match meanings[column].kind {
+            Kind::Other | Kind::Time => {}
+            _ if bare(first).eq_ignore_ascii_case(bare(column)) => {
+                return Err(ErrorCode::CsvDuplicateColumn
+                    .error(
+                        format!("the column `{}` occurs twice", bare(column)),
+                        "rename or remove one",
+                    )
+                    .at(&names[column]));
+            }
+            _ => meanings[column].kind = Kind::Other,
+        }
+    }
+    Ok(())
+}
+
+fn choose_time(
+    names: &[String],
+    meanings: &[Meaning],
+    preset: Option<&Preset>,
+    layout: &mut Layout,
+) {
+    let key = |column: usize| names::key(names::split_unit(&names[column]).0);
+    let of_preset = preset
+        .and_then(|preset| preset.time)
+        .and_then(|(name, exponent)| {
+            let column = (0..names.len()).find(|column| key(*column) == name)?;
+            Some((column, exponent))
+        });
+    let times = || (0..names.len()).filter(|column| meanings[*column].kind == Kind::Time);
+    let named = times().find(|column| meanings[*column].exponent.is_some());
+    let column = named.or_else(|| times().next());
+    layout.time = of_preset.or_else(|| column.map(|column| (column, meanings[column].exponent)));
+    layout.date =
+        (0..names.len()).find(|column| ["date", "rtcdate"].contains(&key(*column).as_str()));
+}
+
+/// The track of all columns of one sensor; `None` where components are missing.
+fn group(
+    names: &[String],
+    meanings: &[Meaning],
+    of: (Quantity, Origin, u8),
+    preset: Option<&Preset>,
+) -> Result<Option<Group>> {
+    let (quantity, origin, sensor) = of;
+    let width = quantity.width();
+    let find = |wanted: usize| {
+        let kind = Kind::Component {
+            quantity,
+            origin,
+            sensor,
+            component: wanted,
+        };
+        meanings.iter().position(|meaning| meaning.kind == kind)
+    };
+    let columns: Vec<usize> = (0..width).filter_map(find).collect();
+    if columns.len() < width {
+        let ours = columns
+            .first()
+            .filter(|column| meanings[**column].is_ours && quantity.width() == 3);
+        return match (ours, (0..width).find(|k| find(*k).is_none())) {
+            (Some(column), Some(missing)) => Err(ErrorCode::CsvMissingColumn
+                .error(
+                    format!("`{}` is there, and its axis {} is not", names[*column], ["X", "Y", "Z"][missing]),
+                    "all three axes are needed: add it, or rename the others if they are something else",
+                )
+                .at(&names[*column])),
+            _ => Ok(None),
+        };
+    }
+    let implied = preset.and_then(|preset| preset.units.iter().find(|(q, _)| *q == quantity));
+    let implied = match quantity {
+        Quantity::Attitude => Some(Scale::Si(1.0)),
+        Quantity::Position | Quantity::Velocity | Quantity::Temperature => None,
+        _ => implied.and_then(|(_, unit)| units::scale(quantity, unit)),
+    };
+    let scales: Vec<_> = columns
+        .iter()
+        .map(|column| meanings[*column].scale.or(implied))
+        .collect();
+    let kind = |scale: &Option<Scale>| scale.map(|scale| std::mem::discriminant(&scale));
+    if let Some(k) = (1..width).find(|k| kind(&scales[*k]) != kind(&scales[0])) {
+        return Err(ErrorCode::CsvMixedUnits
+            .error(
+                format!("its unit differs from that of `{}`", names[columns[0]]),
+                "convert the columns to one unit",
+            )
+            .at(&names[columns[k]]));
+    }
+    Ok(Some(Group {
+        name: common_name(names, &columns, quantity),
+        quantity,
+        origin,
+        sensor,
+        columns,
+        scales,
+    }))
+}
+
+/// What the names of the columns have in common; the quantity where that is nothing.
+fn common_name(names: &[String], columns: &[usize], quantity: Quantity) -> String {
+    let first = &names[columns[0]];
+    let length = |other: &String| {
+        first
+            .chars()
+            .zip(other.chars())
+            .take_while(|(a, b)| a == b)
+            .count()
+    };
+    let shared = columns
+        .iter()
+        .map(|column| length(&names[*column]))
+        .min()
+        .unwrap_or(0);
+    let name: String = first.chars().take(shared).collect();
+    let name = match columns.len() {
+        1 => names::split_unit(&name).0,
+        _ => name.trim_end_matches(|c: char| !c.is_alphanumeric()),
+    };
+    if name.is_empty() {
+        quantity.name().to_owned()
+    } else {
+        name.trim_start_matches(['#', '%']).to_owned()
+    }
+}
+
+/// Sets the unit of the accelerations.
+fn override_units(layout: &mut Layout, unit: &str) -> Result<()> {
+    let scale = units::scale(Quantity::SpecificForce, unit).ok_or_else(|| {
+        ErrorCode::Usage.error(
+            format!("`{unit}` is not a unit of acceleration"),
+            "choose one of m/s2, g, mg, LSB",
+        )
+    })?;
+    for group in layout
+        .groups
+        .iter_mut()
+        .filter(|group| group.is_acceleration())
+    {
+        group.scales.fill(Some(scale));
+    }
+    Ok(())
+}
+
+/// Meaning of the columns by [`ReadOptions::columns`].
+fn chosen(names: &[String], columns: &str) -> Result<Vec<Meaning>> {
+    let usage = |message: String| {
+        ErrorCode::Usage.error(
+            message,
+            "write for example --columns \"t=timestamp:ns,x=ax:g,y=ay:g,z=az:g,gx=4:deg/s\"; a column is its name, or its number from 1",
+        )
+    };
+    let nothing = Meaning {
+        kind: Kind::Other,
+        exponent: None,
+        scale: None,
+        is_ours: false,
+    };
+    let mut meanings = vec![nothing; names.len()];
+    for part in columns.split(',') {
+        let (role, column) = part
+            .split_once('=')
+            .ok_or_else(|| usage(format!("`{part}` is not ROLE=COLUMN")))?;
+        let kind = role_of(role.trim()).ok_or_else(|| {
+            usage(format!(
+                "`{role}` is none of t, x, y, z, gx, gy, gz, mx, my, mz, temp"
+            ))
+        })?;
+        let column = column.trim();
+        let (name, unit) = match column.rsplit_once(':') {
+            Some((name, unit)) if find_column(names, column).is_none() => {
+                (name.trim(), Some(unit.trim()))
+            }
+            _ => (column, None),
+        };
+        let index = find_column(names, name).ok_or_else(|| {
+            let named: Vec<_> = names.iter().take(30).map(String::as_str).collect();
+            ErrorCode::CsvMissingColumn.error(
+                format!("there is no column `{name}`"),
+                format!("choose from: {}", named.join(", ")),
+            )
+        })?;
+        // A unit in the header is the default.
+        let mut meaning = names::meaning(&names[index], None);
+        if std::mem::discriminant(&meaning.kind) != std::mem::discriminant(&kind) {
+            (meaning.exponent, meaning.scale) = (None, None);
+        }
+        meaning.kind = kind;
+        meaning.is_ours = true;
+        if let Some(unit) = unit {
+            match kind {
+                Kind::Component { quantity, .. } => meaning.scale = units::scale(quantity, unit),
+                _ => meaning.exponent = units::time(unit),
+            }
+            if meaning.scale.is_none() && meaning.exponent.is_none() {
+                return Err(usage(format!("the unit `{unit}` of `{role}` is not known")));
+            }
+        }
+        meanings[index] = meaning;
+    }
+    Ok(meanings)
+}
+
+pub fn find_column(names: &[String], name: &str) -> Option<usize> {
+    let by_name = names
+        .iter()
+        .position(|column| column.eq_ignore_ascii_case(name));
+    let bare = || {
+        names
+            .iter()
+            .position(|column| names::split_unit(column).0.eq_ignore_ascii_case(name))
+    };
+    let number = || {
+        name.parse::<usize>()
+            .ok()?
+            .checked_sub(1)
+            .filter(|k| *k < names.len())
+    };
+    by_name.or_else(bare).or_else(number)
+}
+
+fn role_of(role: &str) -> Option<Kind> {
+    let component = |quantity, component| Kind::Component {
+        quantity,
+        origin: Origin::Sensor,
+        sensor: 0,
+        component,
+    };
+    let axis = |text: &str| "xyz".find(text).filter(|_| text.len() == 1);
+    match role {
+        "t" => Some(Kind::Time),
+        "temp" => Some(component(Quantity::Temperature, 0)),
+        _ => match (role.strip_prefix('g'), role.strip_prefix('m')) {
+            (Some(rest), _) => axis(rest).map(|k| component(Quantity::AngularRate, k)),
+            (_, Some(rest)) => axis(rest).map(|k| component(Quantity::MagneticField, k)),
+            _ => axis(role).map(|k| component(Quantity::SpecificForce, k)),
+        },
+    }
+}

@@ -1,0 +1,355 @@
+//! Meaning of a column's name: quantity, sensor, axis and unit.
+//!
+//! `Accelerometer 0 X (g)`, `acc_x [m/s^2]`, `AccelX (mg)`, `a_RS_S_x [m s^-2]`, `ax_g`, `field.angular_velocity.x` and the
+//! like: letters and digits count, case does not; the axis is at the end.
+
+use super::units::{self, Scale};
+use crate::recording::{Origin, Quantity};
+
+/// Content of a column.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Kind {
+    Time,
+    /// One component of a track.
+    Component {
+        quantity: Quantity,
+        origin: Origin,
+        sensor: u8,
+        component: usize,
+    },
+    /// LSB/g of the accelerometer's counts in the row.
+    Sensitivity,
+    /// rad/s of an LSB of the gyroscope's counts in the row.
+    GyroscopeScale,
+    Other,
+}
+
+/// A column by its name.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Meaning {
+    pub kind: Kind,
+    /// Power of ten of a nanosecond of a time, where its unit is named.
+    pub exponent: Option<i32>,
+    /// Unit of a component, where it is named.
+    pub scale: Option<Scale>,
+    /// Whether the name is one of wimu's own.
+    pub is_ours: bool,
+}
+
+impl Meaning {
+    fn of(kind: Kind) -> Self {
+        Self {
+            kind,
+            exponent: None,
+            scale: None,
+            is_ours: false,
+        }
+    }
+}
+
+/// Longest name that is looked at, bytes.
+const MAX_NAME: usize = 100;
+
+const TIMES: &[&str] = &[
+    "time",
+    "timestamp",
+    "t",
+    "ts",
+    "timens",
+    "elapsedtime",
+    "timeelapsed",
+    "elapsed",
+    "secondselapsed",
+    "epoch",
+    "unixtime",
+    "systemtime",
+    "sampletime",
+    "micros",
+    "millis",
+    "microseconds",
+    "milliseconds",
+    "nanoseconds",
+    "hosttime",
+    "devicetime",
+    "stamp",
+    "fieldheaderstamp",
+    "chiptime",
+    "loggingtime",
+    "datetime",
+    "rtctime",
+    "timestampunix",
+];
+
+/// Names of three axes without the axis.
+#[rustfmt::skip]
+const STEMS: &[(&str, Quantity)] = &[
+    ("accelerometer", Quantity::SpecificForce), ("acceleration", Quantity::SpecificForce), ("accel", Quantity::SpecificForce),
+    ("acc", Quantity::SpecificForce), ("a", Quantity::SpecificForce), ("ac", Quantity::SpecificForce),
+    ("arss", Quantity::SpecificForce), ("gf", Quantity::SpecificForce), ("gforce", Quantity::SpecificForce),
+    ("totalacceleration", Quantity::SpecificForce), ("rawacc", Quantity::SpecificForce), ("accraw", Quantity::SpecificForce),
+    ("accelerometeruncalibrated", Quantity::SpecificForce), ("accelerationwithg", Quantity::SpecificForce),
+    ("linearacceleration", Quantity::LinearAcceleration), ("linearaccelerometer", Quantity::LinearAcceleration),
+    ("linacc", Quantity::LinearAcceleration), ("linaccel", Quantity::LinearAcceleration), ("lacc", Quantity::LinearAcceleration),
+    ("linearaccel", Quantity::LinearAcceleration), ("useracceleration", Quantity::LinearAcceleration),
+    ("accelerationwithoutg", Quantity::LinearAcceleration), ("freeacc", Quantity::LinearAcceleration),
+    ("gravity", Quantity::Gravity), ("grav", Quantity::Gravity),
+    ("gyroscope", Quantity::AngularRate), ("gyro", Quantity::AngularRate), ("gyr", Quantity::AngularRate),
+    ("gy", Quantity::AngularRate), ("g", Quantity::AngularRate), ("w", Quantity::AngularRate),
+    ("wrss", Quantity::AngularRate), ("omega", Quantity::AngularRate), ("angularvelocity", Quantity::AngularRate),
+    ("angularrate", Quantity::AngularRate), ("rotationrate", Quantity::AngularRate), ("angvel", Quantity::AngularRate),
+    ("rotation", Quantity::AngularRate), ("rate", Quantity::AngularRate), ("gyroraw", Quantity::AngularRate),
+    ("magnetometer", Quantity::MagneticField), ("magneticfield", Quantity::MagneticField), ("mag", Quantity::MagneticField),
+    ("m", Quantity::MagneticField), ("b", Quantity::MagneticField), ("h", Quantity::MagneticField),
+    ("position", Quantity::Position), ("velocity", Quantity::Velocity),
+    ("quaternion", Quantity::Attitude), ("quat", Quantity::Attitude), ("q", Quantity::Attitude),
+    ("orientation", Quantity::Attitude),
+];
+
+/// Letters and digits of a name, lower case.
+pub fn key(name: &str) -> String {
+    let kept = name.chars().filter(|c| c.is_alphanumeric());
+    kept.flat_map(char::to_lowercase).collect()
+}
+
+/// Quantity of a file or of three columns by this name.
+pub fn quantity(stem: &str) -> Option<Quantity> {
+    let found = STEMS.iter().find(|(name, _)| *name == stem)?;
+    Some(found.1)
+}
+
+/// Meaning of a column; `of_file` is the quantity that the file's name says, for columns `x`, `y`, `z`.
+pub fn meaning(name: &str, of_file: Option<Quantity>) -> Meaning {
+    let name = name.trim_start_matches(['#', '%', ' ']).trim();
+    if name.len() > MAX_NAME {
+        return Meaning::of(Kind::Other);
+    }
+    let (bare, unit) = split_unit(name);
+    let mut meaning = component(bare, unit, of_file);
+    if let Some(unit) = unit {
+        match meaning.kind {
+            Kind::Time => meaning.exponent = units::time(unit),
+            Kind::Component { quantity, .. } => {
+                meaning.scale = units::scale(quantity, unit);
+                // `AngleX(deg)`: another quantity than the name suggests.
+                if meaning.scale.is_none() && !unit.is_empty() {
+                    meaning.kind = Kind::Other;
+                }
+            }
+            _ => {}
+        }
+        return meaning;
+    }
+    if meaning.kind == Kind::Other {
+        return with_suffix(bare, of_file).unwrap_or(meaning);
+    }
+    if meaning.kind == Kind::Time {
+        meaning.exponent = match key(bare).as_str() {
+            "timens" | "nanoseconds" | "fieldheaderstamp" => Some(0),
+            "micros" | "microseconds" => Some(3),
+            "millis" | "milliseconds" => Some(6),
+            "secondselapsed" => Some(9),
+            _ => None,
+        };
+    }
+    meaning
+}
+
+/// `acc_x_g`, `time_ms`, `ax/g`, `gyro_x_deg_s`: a unit behind a separator.
+fn with_suffix(name: &str, of_file: Option<Quantity>) -> Option<Meaning> {
+    let breaks = name
+        .char_indices()
+        .filter(|(_, c)| matches!(c, '_' | '/' | ' '));
+    for (at, separator) in breaks {
+        let (bare, unit) = (&name[..at], &name[at + separator.len_utf8()..]);
+        let unit = unit.replace('_', "/");
+        let mut meaning = component(bare, Some(&unit), of_file);
+        match meaning.kind {
+            Kind::Time => meaning.exponent = units::time(&unit),
+            Kind::Component { quantity, .. } => meaning.scale = units::scale(quantity, &unit),
+            _ => continue,
+        }
+        if meaning.exponent.is_some() || meaning.scale.is_some() {
+            return Some(meaning);
+        }
+    }
+    None
+}
+
+/// `Name (unit)`, `Name [unit]` or `Name` in its two parts.
+pub fn split_unit(name: &str) -> (&str, Option<&str>) {
+    let within = |open, close| name.strip_suffix(close)?.rsplit_once(open);
+    // `Mat[1][1]` has an index.
+    let named = within('(', ')')
+        .or_else(|| within('[', ']'))
+        .or_else(|| within('{', '}'));
+    match named.filter(|(_, unit)| unit.parse::<u32>().is_err()) {
+        Some((bare, unit)) => (bare.trim(), Some(unit.trim())),
+        None => (name, None),
+    }
+}
+
+/// Meaning of a name without its unit.
+fn component(bare: &str, unit: Option<&str>, of_file: Option<Quantity>) -> Meaning {
+    let key = key(bare);
+    let is_ours = |kind| Meaning {
+        is_ours: true,
+        ..Meaning::of(kind)
+    };
+    let single = |quantity| Kind::Component {
+        quantity,
+        origin: Origin::Sensor,
+        sensor: 0,
+        component: 0,
+    };
+    match key.as_str() {
+        "time" => return is_ours(Kind::Time),
+        "temperature" => return is_ours(single(Quantity::Temperature)),
+        "sensitivity" if unit.is_some_and(|u| u.eq_ignore_ascii_case("LSB/g")) => {
+            return is_ours(Kind::Sensitivity);
+        }
+        "gyroscopescale" => return is_ours(Kind::GyroscopeScale),
+        // SampleTimeFine of Xsens and others say more; see the presets.
+        _ if TIMES.contains(&key.as_str()) => return Meaning::of(Kind::Time),
+        "temp" | "imudegc" | "imutemp" | "imutemperature" | "tempc" => {
+            let mut meaning = Meaning::of(single(Quantity::Temperature));
+            meaning.scale = key.ends_with('c').then_some(Scale::Si(1.0));
+            return meaning;
+        }
+        _ => {}
+    }
+    axes(bare, &key, unit, of_file).unwrap_or(Meaning::of(Kind::Other))
+}
+
+/// A component of three or four.
+fn axes(bare: &str, key: &str, unit: Option<&str>, of_file: Option<Quantity>) -> Option<Meaning> {
+    let (rest, origin) = match key.strip_prefix("truth") {
+        Some(rest) => (rest, Origin::Truth),
+        None => (key, Origin::Sensor),
+    };
+    let rest = rest
+        .strip_prefix("field")
+        .filter(|_| bare.starts_with("field."))
+        .unwrap_or(rest);
+    let trimmed = rest.trim_end_matches(|c: char| c.is_ascii_digit());
+    let after = &rest[trimmed.len()..];
+    let last = trimmed.chars().last()?;
+    let before = &trimmed[..trimmed.len() - last.len_utf8()];
+    let stem = before.trim_end_matches(|c: char| c.is_ascii_digit());
+    let middle = &before[stem.len()..];
+    let (device, stem) = match stem.strip_prefix("imu") {
+        Some(rest) => {
+            let name = rest.trim_start_matches(|c: char| c.is_ascii_digit());
+            (&rest[..rest.len() - name.len()], name)
+        }
+        None => ("", stem),
+    };
+    let number = [middle, after, device].into_iter().find(|n| !n.is_empty());
+    let sensor = match number {
+        Some(number) => number.parse().ok()?,
+        None => 0,
+    };
+    let by_unit = || {
+        let fits = |quantity: &Quantity| units::scale(*quantity, unit?).map(|_| *quantity);
+        [
+            Quantity::SpecificForce,
+            Quantity::AngularRate,
+            Quantity::MagneticField,
+        ]
+        .iter()
+        .find_map(fits)
+    };
+    let mut quantity = match stem {
+        "" if bare.chars().count() == 1 => of_file.or_else(by_unit)?,
+        "imu" | "" => return None,
+        _ => quantity(stem)?,
+    };
+    // ROS names specific force `linear_acceleration`.
+    if quantity == Quantity::LinearAcceleration && bare.contains("linear_acceleration") {
+        quantity = Quantity::SpecificForce;
+    }
+    let letters = match quantity {
+        Quantity::Attitude => "wxyz",
+        Quantity::Position | Quantity::Velocity if "enu".contains(last) => "enu",
+        _ => "xyz",
+    };
+    let estimated = matches!(
+        quantity,
+        Quantity::Attitude | Quantity::Position | Quantity::Velocity | Quantity::Gravity
+    );
+    let words: Vec<&str> = bare.split_whitespace().collect();
+    Some(Meaning {
+        kind: Kind::Component {
+            quantity,
+            origin: if estimated && origin == Origin::Sensor {
+                Origin::Estimate
+            } else {
+                origin
+            },
+            sensor,
+            component: letters.find(last)?,
+        },
+        is_ours: words.len() > 1 && matches!(stem, "accelerometer" | "gyroscope" | "magnetometer"),
+        ..Meaning::of(Kind::Other)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_are_known_by_their_names() {
+        let of = |name: &str| {
+            let meaning = meaning(name, None);
+            match meaning.kind {
+                Kind::Component {
+                    quantity,
+                    sensor,
+                    component,
+                    ..
+                } => {
+                    format!(
+                        "{} {sensor} {component} {:?}",
+                        quantity.name(),
+                        meaning.scale
+                    )
+                }
+                Kind::Time => format!("time {:?}", meaning.exponent),
+                kind => format!("{kind:?}"),
+            }
+        };
+        for (name, expected) in [
+            ("Accelerometer 2 X (LSB)", "specific force 2 0 Some(Counts)"),
+            ("acc_y [m/s^2]", "specific force 0 1 Some(Si(1.0))"),
+            ("a_RS_S_z [m s^-2]", "specific force 0 2 Some(Si(1.0))"),
+            ("ax_mps2", "specific force 0 0 Some(Si(1.0))"),
+            ("acc_x_m_s2", "specific force 0 0 Some(Si(1.0))"),
+            ("AZ(g)", "specific force 0 2 Some(Si(9.80665))"),
+            (
+                "linear acceleration x (m/s²)",
+                "linear acceleration 0 0 Some(Si(1.0))",
+            ),
+            ("field.linear_acceleration.x", "specific force 0 0 None"),
+            ("field.orientation.w", "attitude 0 0 None"),
+            ("field.header.stamp", "time Some(0)"),
+            ("Truth Position U (m)", "position 0 2 Some(Si(1.0))"),
+            ("Magnetic field X(ʯt)", "magnetic field 0 0 Some(Si(1e-6))"),
+            ("time_ms", "time Some(6)"),
+            ("#timestamp [ns]", "time Some(0)"),
+            ("Timestamp (us)", "time Some(3)"),
+            ("imu_degC", "temperature 0 0 Some(Si(1.0))"),
+            ("Accelerometer 0 (m/s²)", "Other"),
+            ("Angle X(°)", "Other"),
+            ("Mat[1][1]", "Other"),
+            (
+                "imu1_gyro_z/dps",
+                "angular rate 1 2 Some(Si(0.017453292519943295))",
+            ),
+            ("X (m/s^2)", "specific force 0 0 Some(Si(1.0))"),
+            ("y", "Other"),
+            ("Sensitivity (LSB/g)", "Sensitivity"),
+        ] {
+            assert_eq!(of(name), expected, "{name}");
+        }
+    }
+}

@@ -1,0 +1,229 @@
+//! A first pass over a table: what its columns hold.
+
+use std::borrow::Cow;
+use std::collections::BTreeSet;
+
+use super::clock;
+use super::header::Table;
+use super::layout::Layout;
+use super::rows::{self, Count, Fault, Next, Values, each_row, values};
+use super::text::{Field, field};
+use crate::error::{ErrorCode, Result};
+use crate::finding::{Finding, FindingCode, Severity};
+use crate::formats::Source;
+
+/// Rows after which the survey ends.
+const MAX_ROWS: u64 = 1 << 20;
+/// Values kept of all tracks together, at most; beyond, every other sample is dropped.
+const MAX_SAMPLES: usize = 1 << 19;
+/// Different texts of a column that are kept.
+const MAX_TEXTS: usize = 65;
+
+/// What a column holds.
+#[derive(Clone, Debug, Default)]
+pub struct Column {
+    pub numbers: u64,
+    pub texts: u64,
+    /// Whether a number has a decimal mark or an exponent.
+    pub is_fractional: bool,
+    /// Different contents, up to a number; kept where it names a sensor or a run.
+    pub contents: BTreeSet<String>,
+}
+
+/// Numbers of the time column.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Times {
+    pub dates: u64,
+    pub first: Option<f64>,
+    pub last: f64,
+    pub steps: u64,
+    pub restarts: u64,
+}
+
+/// Samples of a track, thinned out evenly.
+#[derive(Clone, Debug)]
+pub struct Samples {
+    pub rows: Vec<[f64; 3]>,
+    stride: u64,
+    seen: u64,
+    limit: usize,
+    /// Rows in which all fields are empty.
+    pub empty: u64,
+}
+
+impl Samples {
+    fn add(&mut self, row: [f64; 3]) {
+        self.seen += 1;
+        if self.seen % self.stride != 0 || !row.iter().all(|value| value.is_finite()) {
+            return;
+        }
+        self.rows.push(row);
+        if self.rows.len() >= self.limit {
+            let mut keep = false;
+            self.rows.retain(|_| {
+                keep = !keep;
+                keep
+            });
+            self.stride *= 2;
+        }
+    }
+}
+
+/// Result of the first pass.
+#[derive(Clone, Debug)]
+pub struct Survey {
+    pub count: Count,
+    pub columns: Vec<Column>,
+    pub times: Times,
+    /// Of the tracks of the layout, in their order; empty for those that are not inertial.
+    pub samples: Vec<Samples>,
+}
+
+/// Columns whose contents identify a sensor or a run.
+const SENSORS: [&str; 6] = ["imu", "sensor", "device", "device name", "unit", "board"];
+const RUNS: [&str; 4] = ["run", "trial", "session", "recording"];
+
+/// Reads the table once.
+///
+/// # Errors
+/// `file_failed`.
+pub fn survey(
+    source: &Source,
+    table: &Table,
+    layout: &Layout,
+    filter: &[(usize, String)],
+) -> Result<Survey> {
+    let inertial = layout
+        .groups
+        .iter()
+        .filter(|group| group.is_inertial())
+        .count();
+    let empty = Samples {
+        rows: Vec::new(),
+        stride: 1,
+        seen: 0,
+        limit: (MAX_SAMPLES / inertial.max(1)).max(1024),
+        empty: 0,
+    };
+    let mut survey = Survey {
+        count: Count::default(),
+        columns: vec![Column::default(); table.names.len()],
+        times: Times::default(),
+        samples: vec![empty; layout.groups.len()],
+    };
+    let is_name: Vec<bool> = table.names.iter().map(|name| names_source(name)).collect();
+    let mut rows = 0;
+    survey.count = each_row(source, table, |fields, fault| {
+        if rows >= MAX_ROWS {
+            return Next::Stop;
+        }
+        if !rows::passes(filter, fields) {
+            return Next::Skip;
+        }
+        rows += 1;
+        let fault = fault.or_else(|| survey.fault(table, layout, fields));
+        if fault.is_none() {
+            survey.add(table, layout, fields, &is_name);
+        }
+        Next::Count(fault)
+    })?;
+    Ok(survey)
+}
+
+/// Whether a column of this name identifies a sensor or a run.
+fn names_source(name: &str) -> bool {
+    let name = name.to_lowercase();
+    SENSORS.contains(&name.as_str()) || RUNS.contains(&name.as_str())
+}
+
+impl Survey {
+    /// Refuses rows of several sensors; a finding for rows of several runs whose times start again.
+    ///
+    /// # Errors
+    /// `usage`, which asks for `--where`.
+    pub fn one_source(&self, table: &Table) -> Result<Option<Finding>> {
+        let several = |known: &'static [&'static str]| {
+            let columns = table.names.iter().zip(&self.columns);
+            columns.filter(move |(name, column)| {
+                known.contains(&name.to_lowercase().as_str())
+                    && (2..MAX_TEXTS).contains(&column.contents.len())
+            })
+        };
+        let texts = |(name, column): (&String, &Column)| {
+            let contents: Vec<&str> = column.contents.iter().map(String::as_str).collect();
+            (
+                format!("`{name}` is {}", contents.join(", ")),
+                format!("select one with --where \"{name}={}\"", contents[0]),
+            )
+        };
+        if let Some((found, remedy)) = several(&SENSORS).next().map(texts) {
+            let message = format!("the rows are of several sensors: {found}");
+            return Err(
+                ErrorCode::Usage.error(message, format!("{remedy}, or remove the other rows"))
+            );
+        }
+        let runs = several(&RUNS)
+            .next()
+            .filter(|_| self.times.restarts > 0)
+            .map(texts);
+        Ok(runs.map(|(found, remedy)| {
+            let text = format!("the rows are of several runs, whose times start again: {found}");
+            Finding::new(FindingCode::TimesUnordered, Severity::Warning, text).remedy(remedy)
+        }))
+    }
+
+    fn fault(&mut self, table: &Table, layout: &Layout, fields: &[Cow<str>]) -> Option<Fault> {
+        if rows::has_text(layout, fields, table.comma) {
+            return Some(Fault::NoNumber);
+        }
+        let (column, _) = layout.time?;
+        let text = fields.get(column).map_or("", |text| text);
+        match field(text, table.comma) {
+            Field::Number(time) => self.times.add(time),
+            _ if clock::date(None, text).is_some() => self.times.dates += 1,
+            _ => return Some(Fault::NoTime),
+        }
+        None
+    }
+
+    fn add(&mut self, table: &Table, layout: &Layout, fields: &[Cow<str>], is_name: &[bool]) {
+        for ((column, text), is_name) in self.columns.iter_mut().zip(fields).zip(is_name) {
+            match field(text, table.comma) {
+                Field::Number(_) => {
+                    column.numbers += 1;
+                    column.is_fractional |= text.contains(['.', ',', 'e', 'E']);
+                }
+                Field::Text => column.texts += 1,
+                Field::Empty => continue,
+            }
+            if *is_name && column.contents.len() < MAX_TEXTS && !column.contents.contains(&**text) {
+                column.contents.insert(text.to_string());
+            }
+        }
+        for (group, samples) in layout.groups.iter().zip(&mut self.samples) {
+            if group.is_inertial() {
+                match values(group, fields, table.comma) {
+                    Values::Some([x, y, z, _]) => samples.add([x, y, z]),
+                    _ => samples.empty += 1,
+                }
+            }
+        }
+    }
+}
+
+impl Times {
+    fn add(&mut self, time: f64) {
+        if self.first.is_some() {
+            self.steps += 1;
+            self.restarts += u64::from(time < self.last);
+        }
+        self.first.get_or_insert(time);
+        self.last = time;
+    }
+
+    /// Mean step in the unit of the column.
+    pub fn mean_step(&self) -> Option<f64> {
+        let first = self.first?;
+        (self.steps > 0).then(|| (self.last - first).abs() / self.steps as f64)
+    }
+}

@@ -12,7 +12,7 @@ from rosbags.highlevel import AnyReader
 def flat(value):
     if isinstance(value, (str, int, float)):
         return [value]
-    if isinstance(value, (list, tuple, np.ndarray)):
+    if isinstance(value, (list, tuple, bytes, bytearray, memoryview, np.ndarray)):
         items = list(value.tolist() if isinstance(value, np.ndarray) else value)
     else:
         names = getattr(value, "__slots__", None) or list(vars(value))

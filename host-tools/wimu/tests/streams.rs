@@ -126,7 +126,6 @@ fn one_stream_serves_one_purpose() {
 }
 
 #[test]
-#[ignore = "CSV is not yet read through the formats of wimu-host"]
 fn a_table_is_corrected_and_refused_where_units_do_not_fit() {
     let folder = folder();
     let path = |name: &str| folder.path().join(name).display().to_string();

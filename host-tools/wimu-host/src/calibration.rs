@@ -20,10 +20,8 @@ mod weights;
 mod words;
 
 pub use datasheet::{DatasheetReport, LimitReport, datasheet};
-pub use export::{KalibrNoise, not_in_kalibr, to_c, to_kalibr, to_rust};
-pub use file::{
-    CalibrationFile, Session, StoredModel, range_remark, read_model, read_parameters, sessions,
-};
+pub use export::{CalibrationExport, ExportTarget, KalibrNoise};
+pub use file::{CalibrationFile, Session, StoredModel, read_model, read_parameters, sessions};
 pub use magnetometer::{FieldPose, MagneticHalfWidths, MagnetometerReport, calibrate_magnetometer};
 pub use paired::Paired;
 pub use reference::{AxisReport, NoiseSource, ReferenceReport, compare_with_reference};

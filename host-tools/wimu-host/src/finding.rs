@@ -65,6 +65,8 @@ pub enum FindingCode {
     Rate,
     /// The clock of the times: what they are relative to.
     Clock,
+    /// A quantity that a calibration does not correct.
+    Uncalibrated,
 }
 
 /// Something noticed in data.

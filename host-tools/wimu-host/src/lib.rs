@@ -3,6 +3,7 @@
 
 pub mod alignment;
 pub mod allan;
+pub mod apply;
 pub mod array;
 pub mod calibration;
 pub mod chart;
@@ -33,6 +34,7 @@ pub mod recorder;
 pub mod recording;
 pub mod replay;
 pub mod ros;
+mod standard_input;
 pub mod transport;
 pub mod units;
 pub mod walk;
@@ -40,3 +42,4 @@ pub mod walk;
 pub use error::{ErrorCode, HostError, Result};
 pub use link_url::{DEFAULT_BAUD, Input, LinkUrl};
 pub use output_file::OutputFile;
+pub use standard_input::StandardInput;

@@ -25,7 +25,8 @@ mod reader;
 mod writer;
 
 pub use reader::{RecordingReader, Wholeness};
-pub use writer::{RecordingWriter, Topic};
+pub use writer::RecordingWriter;
+pub(crate) use writer::RosFile;
 
 /// What a topic carries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

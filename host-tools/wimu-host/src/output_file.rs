@@ -1,19 +1,21 @@
 //! Output files: an existing file is replaced only when the new one is complete.
 
 use std::fs::File;
-use std::io::{self, Write};
+use std::io::{self, Write, stdout};
 use std::path::{Path, PathBuf};
 
 use tempfile::{Builder, TempPath};
 
 use crate::{HostError, Result};
 
+/// The name of standard output.
+const STANDARD_OUTPUT: &str = "-";
 /// Largest number of symbolic links that are followed, as in Linux.
 const MAX_LINKS: usize = 40;
 
 /// A file being written: a temporary file in the same folder until [`finish`](Self::finish) renames it.
 /// Dropping it removes the temporary file. A pipe, a device or an open file of a process (`/dev/stdout`) is written
-/// directly.
+/// directly. `-` is standard output, which gets the content when it is complete.
 #[derive(Debug)]
 pub struct OutputFile {
     name: String,
@@ -62,15 +64,28 @@ impl OutputFile {
         let Some((temporary, target)) = self.draft else {
             return Ok(());
         };
+        let failed = |error: io::Error| HostError::file(&self.name, "write", &error);
+        if target.as_os_str() == STANDARD_OUTPUT {
+            let copied = File::open(&temporary)
+                .and_then(|mut file| io::copy(&mut file, &mut stdout().lock()));
+            return match copied.and_then(|_| stdout().flush()) {
+                Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(failed(error)),
+                _ => Ok(()),
+            };
+        }
         let synced = File::options().write(true).open(&temporary);
         synced
             .and_then(|file| file.sync_all())
             .and_then(|()| temporary.persist(target).map_err(|error| error.error))
-            .map_err(|e| HostError::file(&self.name, "write", &e))
+            .map_err(failed)
     }
 }
 
 fn begun(path: &Path) -> io::Result<(File, Option<(TempPath, PathBuf)>)> {
+    if path.as_os_str() == STANDARD_OUTPUT {
+        let (file, temporary) = tempfile::NamedTempFile::new()?.into_parts();
+        return Ok((file, Some((temporary, path.to_owned()))));
+    }
     let Some(target) = resolved(path) else {
         return Ok((File::create(path)?, None));
     };

@@ -8,32 +8,40 @@
 //! Further sensors of the board are `imu_1/data_raw`, …, with the frame `imu_1_link`. With a gyroscope, messages have
 //! the angular velocity in rad/s; `imu/data` has the orientation, east-north-up, at the samples for which the device
 //! sent its attitude.
+//! Where the device sent its position: `odom` (`nav_msgs/msg/Odometry`) while it is valid, `path`
+//! (`nav_msgs/msg/Path`, at most 1000 poses) and, of one link, `/tf` from `map` to `base_link`; `/tf_static` gives
+//! `imu_link` the axes of the body, which are those of `imu/data`. The device sends no covariance of the position.
+//! Without a gyroscope its orientation is unknown, with the variance of a whole turn.
 //! Stamps are device times through the clock model, in UTC; messages are in the order of arrival. An absent quantity
 //! has −1 as the first element of its covariance; a covariance of zeros is unknown.
 
-use std::collections::BTreeMap;
+pub(crate) mod message;
+pub(crate) mod path;
+
+use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 
 use serde::Serialize;
 use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
-use wimu_link::message::Attitude;
+use wimu_link::message::{Attitude, Navigation, WirePhase};
 use wimu_model::{AngularRateQ20, DeviceTimeUs, Matrix3, SpecificForceQ16};
 
 use crate::compare::LinkModel;
-use crate::decode::Event;
+use crate::decode::{Event, Samples, sequence_order};
 use crate::history::Boot;
-use crate::mcap_file::{RecordingReader, RecordingWriter, Topic, Wholeness};
+use crate::mcap_file::{RecordingReader, RecordingWriter, Wholeness};
 use crate::replay::find;
 use crate::units::RawUnits;
 use crate::walk::{Clocks, Start, Step, Walker, walk};
 use crate::{ErrorCode, OutputFile, Result};
+use message::Message;
+use path::{PathTopics, Pose};
 
 /// Attitudes kept for the samples that follow them.
 const MAX_ATTITUDES: usize = 256;
-/// ROS's separator between a message's definition and those of its parts.
-const NEXT: &str =
-    "================================================================================\nMSG: ";
+/// Samples whose time is kept for the positions computed from them, and positions that wait for their sample.
+const MAX_TIMES: usize = 4096;
 
 /// How many messages of each topic were written.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -54,7 +62,7 @@ pub struct Decoded {
     pub wholeness: Wholeness,
 }
 
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy)]
 enum Kind {
     Raw,
     Corrected,
@@ -74,35 +82,11 @@ impl Kind {
         }
     }
 
-    fn schema_name(self) -> &'static str {
+    fn type_name(self) -> &'static str {
         match self {
-            Self::Raw | Self::Corrected => "sensor_msgs/msg/Imu",
-            Self::Magnetic | Self::MagneticCorrected => "sensor_msgs/msg/MagneticField",
-            Self::Temperature => "sensor_msgs/msg/Temperature",
-        }
-    }
-
-    fn schema(self) -> String {
-        let header = format!(
-            "{NEXT}std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n\
-             {NEXT}builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
-        );
-        let vector = format!("{NEXT}geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n");
-        match self {
-            Self::Raw | Self::Corrected => format!(
-                "std_msgs/Header header\n\
-                 geometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n\
-                 geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n\
-                 geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n\
-                 {header}{NEXT}geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n{vector}"
-            ),
-            Self::Magnetic | Self::MagneticCorrected => format!(
-                "std_msgs/Header header\ngeometry_msgs/Vector3 magnetic_field\n\
-                 float64[9] magnetic_field_covariance\n{header}{vector}"
-            ),
-            Self::Temperature => {
-                format!("std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n{header}")
-            }
+            Self::Raw | Self::Corrected => "sensor_msgs/Imu",
+            Self::Magnetic | Self::MagneticCorrected => "sensor_msgs/MagneticField",
+            Self::Temperature => "sensor_msgs/Temperature",
         }
     }
 }
@@ -116,6 +100,7 @@ impl Kind {
 pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<Decoded> {
     let mut clocks = Clocks::default();
     let mut units: BTreeMap<(Start, u8), RawUnits> = BTreeMap::new();
+    let mut positioned: Option<LinkRole> = None;
     walk(&mut RecordingReader::open(from)?, |role, start, step| {
         if let Step::Arrival(arrival) = &step {
             match (arrival.event.of_any_sensor(), link_model) {
@@ -123,6 +108,9 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
                 // An epoch that one link lost may have arrived on the other.
                 (Event::Epoch { epoch, .. }, _) => {
                     units.entry((start, epoch.sensor)).or_default().see(epoch);
+                }
+                (Event::Navigation(_), _) if role == LinkRole::Cable || positioned.is_none() => {
+                    positioned = Some(role);
                 }
                 _ => {}
             }
@@ -143,12 +131,12 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
     let (output, file) = OutputFile::create(to)?;
     let mut decoder = Writer {
         out: RecordingWriter::new(file, output.name(), anchor)?,
-        topics: BTreeMap::new(),
         units,
         parameters: BTreeMap::new(),
+        paths: BTreeMap::new(),
+        positioned,
         link_model,
         decoded: Decoded::default(),
-        message: Vec::new(),
     };
     let mut walker = Walker::new();
     while let Some(entry) = reader.next_entry()? {
@@ -161,6 +149,10 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
         .finish(&mut |role, start, step| decoder.take(role, start, &step, clocks.get(&start)))?;
     let unplaced = links.iter().map(|(_, link)| link.batches_unplaced);
     decoder.decoded.unplaced = unplaced.sum();
+    for path in std::mem::take(&mut decoder.paths).into_values() {
+        path.topics.finish(decoder.out.ros())?;
+    }
+    decoder.decoded.messages = decoder.out.ros().counts();
     decoder.out.finish()?;
     decoder.decoded.wholeness = reader.wholeness();
     // `to` may be the same file.
@@ -170,7 +162,11 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
 }
 
 /// The numbers of a `sensor_msgs/msg/Imu`. What is absent has −1 as the first element of its covariance.
-fn imu(force: [f64; 3], rate: Option<[f64; 3]>, attitude: Option<&Attitude>) -> [f64; 37] {
+pub(crate) fn imu(
+    force: [f64; 3],
+    rate: Option<[f64; 3]>,
+    attitude: Option<&Attitude>,
+) -> [f64; 37] {
     let mut fields = [0.0; 37];
     match attitude {
         Some(attitude) => {
@@ -198,7 +194,7 @@ fn gyroscope_of(boot: &Boot) -> Option<([f64; 12], Matrix3)> {
 
 /// Covariance of a corrected angular rate, rad²/s², body axes: of the bias, and of the scale factors and
 /// misalignments at this rate. Noise is not known.
-fn rate_covariance(rate: [f64; 3], sd: &[f64; 12], rotation: &Matrix3) -> Matrix3 {
+pub(crate) fn rate_covariance(rate: [f64; 3], sd: &[f64; 12], rotation: &Matrix3) -> Matrix3 {
     let rate = [0, 1, 2].map(|axis| (0..3).map(|k| rotation[k][axis] * rate[k]).sum::<f64>());
     let variance = [0, 1, 2].map(|axis| {
         let matrix = &sd[3 + 3 * axis..];
@@ -215,14 +211,65 @@ fn rate_covariance(rate: [f64; 3], sd: &[f64; 12], rotation: &Matrix3) -> Matrix
 
 struct Writer<'a> {
     out: RecordingWriter<std::fs::File>,
-    topics: BTreeMap<(u8, u8, Kind), Topic>,
     /// Of raw samples, by sensor.
     units: BTreeMap<(Start, u8), RawUnits>,
     /// Parameters and the latest epoch, by which the field is corrected.
     parameters: BTreeMap<(u8, Start), Boot>,
+    /// Positions of each link's start.
+    paths: BTreeMap<(u8, Start), DevicePath>,
+    /// The link whose positions are transforms.
+    positioned: Option<LinkRole>,
     link_model: Option<&'a LinkModel>,
     decoded: Decoded,
-    message: Vec<u8>,
+}
+
+/// Positions that a device sent, and what is needed to place them.
+struct DevicePath {
+    topics: PathTopics,
+    /// Number, time and angular rate of the latest samples.
+    samples: VecDeque<(u32, DeviceTimeUs, Option<[f64; 3]>)>,
+    waiting: VecDeque<Navigation>,
+}
+
+impl DevicePath {
+    fn see(&mut self, samples: &Samples) {
+        let corrected = samples.stream == Stream::Corrected;
+        for sample in samples.iter() {
+            let rate = sample.rate.filter(|_| corrected);
+            let rate = rate.map(|rate| AngularRateQ20(rate).to_rad_s());
+            match find_in(&self.samples, sample.sequence) {
+                Ok(at) => self.samples[at].2 = rate.or(self.samples[at].2),
+                Err(at) => self
+                    .samples
+                    .insert(at, (sample.sequence, sample.time, rate)),
+            }
+        }
+        let old = self.samples.len().saturating_sub(MAX_TIMES);
+        self.samples.drain(..old);
+    }
+
+    /// The next position whose sample is known; those whose sample was lost are left out.
+    fn next(&mut self) -> Option<(Navigation, DeviceTimeUs, Option<[f64; 3]>)> {
+        let latest = self.samples.back()?.0;
+        while let Some(next) = self.waiting.front().copied() {
+            if sequence_order(next.sequence, latest).is_gt() && self.waiting.len() <= MAX_TIMES {
+                return None;
+            }
+            self.waiting.pop_front();
+            if let Ok(at) = find_in(&self.samples, next.sequence) {
+                let (_, time, rate) = self.samples[at];
+                return Some((next, time, rate));
+            }
+        }
+        None
+    }
+}
+
+fn find_in<T>(
+    samples: &VecDeque<(u32, DeviceTimeUs, T)>,
+    sequence: u32,
+) -> std::result::Result<usize, usize> {
+    samples.binary_search_by(|sample| sequence_order(sample.0, sequence))
 }
 
 impl Writer<'_> {
@@ -251,6 +298,7 @@ impl Writer<'_> {
                 fields,
             )
         };
+        self.position(role, start, event, arrived_ns, clock)?;
         let held = self.parameters.entry((role.number(), start)).or_default();
         held.take_parameters(&arrival.event);
         match event {
@@ -331,7 +379,62 @@ impl Writer<'_> {
         Ok(())
     }
 
-    /// One message: a header and numbers, in little-endian CDR.
+    /// Takes the positions that a device sent.
+    fn position(
+        &mut self,
+        role: LinkRole,
+        start: Start,
+        event: &Event,
+        arrived_ns: u64,
+        clock: Option<&crate::clock::ClockModel>,
+    ) -> Result<()> {
+        let key = (role.number(), start);
+        let transforms = self.positioned == Some(role);
+        let path = self.paths.entry(key).or_insert_with(|| DevicePath {
+            topics: PathTopics::new(&format!("/{role}"), transforms),
+            samples: VecDeque::new(),
+            waiting: VecDeque::new(),
+        });
+        match event {
+            Event::Navigation(navigation)
+                if navigation.flags == 0 && navigation.phase != WirePhase::Searching =>
+            {
+                path.waiting.push_back(*navigation);
+            }
+            Event::Samples(samples) if samples.sensor == 0 => path.see(samples),
+            _ => return Ok(()),
+        }
+        let anchor = self.out.anchor();
+        while let Some((navigation, time, rate)) = path.next() {
+            let Some(clock) = clock else {
+                self.decoded.without_time += 1;
+                continue;
+            };
+            let attitudes = self
+                .parameters
+                .get(&key)
+                .map_or(&[][..], |held| &held.attitude);
+            let attitude = find(attitudes, navigation.sequence, |a| a.sequence);
+            let heading = navigation.heading_sd_mrad;
+            let heading_sd = heading.map_or(0.0, |mrad| f64::from(mrad) * 1e-3);
+            let turn = std::f64::consts::PI;
+            let pose = Pose {
+                stamp_ns: anchor.to_utc_ns(clock.host_ns(time)),
+                position_m: navigation.position_nm.map(|nm| nm as f64 * 1e-9),
+                position_covariance: [[0.0; 3]; 3],
+                quaternion: attitude.map_or([1.0, 0.0, 0.0, 0.0], Attitude::to_quaternion),
+                attitude_sd_rad: attitude.map_or([turn; 3], |_| [0.0, 0.0, heading_sd]),
+                velocity_mps: navigation.velocity_nmps.map(|nm| nm as f64 * 1e-9),
+                velocity_sd_mps: [0.0; 3],
+                rate_rad_s: rate.unwrap_or_default(),
+            };
+            let log_ns = anchor.to_utc_ns(arrived_ns);
+            path.topics.push(self.out.ros(), log_ns, &pose)?;
+        }
+        Ok(())
+    }
+
+    /// One message: a header and numbers.
     fn write(
         &mut self,
         (role, sensor, kind): (LinkRole, u8, Kind),
@@ -343,34 +446,13 @@ impl Writer<'_> {
             0 => "imu".to_owned(),
             further => format!("imu_{further}"),
         };
-        let frame_id = format!("{sensor_name}_link");
-        let name = format!("/{role}/{sensor_name}/{}", kind.topic());
-        let key = (role.number(), sensor, kind);
-        let topic = match self.topics.get(&key) {
-            Some(topic) => *topic,
-            None => {
-                let topic = self.out.topic(&name, kind.schema_name(), &kind.schema());
-                self.topics.insert(key, topic);
-                topic
-            }
-        };
-        let stamp_ns = self.out.anchor().to_utc_ns(taken_ns);
-        let message = &mut self.message;
-        message.clear();
-        message.extend([0, 1, 0, 0]);
-        message.extend(((stamp_ns / 1_000_000_000) as i32).to_le_bytes());
-        message.extend(((stamp_ns % 1_000_000_000) as u32).to_le_bytes());
-        message.extend((frame_id.len() as u32 + 1).to_le_bytes());
-        message.extend(frame_id.as_bytes());
-        message.push(0);
-        // Numbers of eight bytes are aligned relative to the body, which begins after four bytes.
-        message.resize((message.len() - 4).next_multiple_of(8) + 4, 0);
-        for field in fields {
-            message.extend(field.to_le_bytes());
-        }
-        self.out
-            .publish(topic, arrived_ns, stamp_ns, &self.message)?;
-        *self.decoded.messages.entry(name).or_default() += 1;
-        Ok(())
+        let topic = format!("/{role}/{sensor_name}/{}", kind.topic());
+        let anchor = self.out.anchor();
+        let stamp_ns = anchor.to_utc_ns(taken_ns);
+        let head = Message::new().header(stamp_ns, &format!("{sensor_name}_link"));
+        let log_ns = anchor.to_utc_ns(arrived_ns);
+        let message = head.numbers(fields);
+        let file = self.out.ros();
+        file.publish(&topic, kind.type_name(), log_ns, stamp_ns, &message)
     }
 }

@@ -6,8 +6,8 @@ mod array_journeys;
 mod array_survey;
 mod arrays;
 mod common;
-#[path = "export_calibration/main.rs"]
 mod export_calibration;
 mod inertial;
+mod ros_topics;
 mod slides;
 mod violent;

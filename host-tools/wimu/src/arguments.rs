@@ -1,5 +1,6 @@
 //! The commands and their options.
 
+mod apply;
 mod calibration;
 mod device;
 mod navigate;
@@ -7,6 +8,7 @@ mod reading;
 mod relations;
 mod values;
 
+pub use apply::Apply;
 pub use calibration::{Align, Allan, Calibrate, Calibrated, Method};
 pub use device::{Carried, Change, Key, KeyAction, Params, Resolution, Settings};
 pub use navigate::{Navigate, NavigateMethod, ZeroVelocity};
@@ -17,12 +19,14 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{ArgMatches, Args, Parser, Subcommand, ValueEnum};
 use wimu_host::csv::Filter;
+use wimu_host::{Result, StandardInput};
 use wimu_sim::board::SensorPart;
 use wimu_sim::faults::SensorFault;
 
 use self::values::{from_to, seconds};
+use crate::output::usage;
 
 /// Make a wireless inertial measurement unit of a MEMS accelerometer: record, calibrate, correct, navigate.
 ///
@@ -47,6 +51,47 @@ pub struct Arguments {
     pub command: Command,
 }
 
+impl Arguments {
+    /// Replaces `-` as an input by a file with all of standard input, which lasts as long as what is returned.
+    ///
+    /// # Errors
+    /// Those of [`StandardInput::read`]; `usage` where two inputs are `-`.
+    pub fn take_standard_input(&mut self) -> Result<Option<StandardInput>> {
+        let mut text = None;
+        let mut inputs = match &mut self.command {
+            Command::Apply(arguments) => vec![&mut arguments.calibration, &mut arguments.input],
+            Command::Export(arguments) => vec![&mut arguments.input],
+            Command::Navigate(arguments) => vec![&mut arguments.input],
+            Command::Info(Info { input, .. }) | Command::Calibrate(Calibrate { input, .. }) => {
+                let path = PathBuf::from(&*input);
+                vec![&mut text.insert((input, path)).1]
+            }
+            _ => Vec::new(),
+        };
+        inputs.retain(|path| path.as_os_str() == "-");
+        let file = match &mut inputs[..] {
+            [] => return Ok(None),
+            [path] => {
+                let file = StandardInput::read()?;
+                file.path().clone_into(path);
+                file
+            }
+            _ => return Err(usage("standard input was given twice", "name a file")),
+        };
+        if let Some((input, path)) = text {
+            *input = path.display().to_string();
+        }
+        Ok(Some(file))
+    }
+
+    /// Whether a result other than JSON goes to standard output, given as `-o -`.
+    pub fn writes_standard_output(matches: &ArgMatches) -> bool {
+        let command = matches.subcommand().map(|(_, command)| command);
+        let output = command.and_then(|command| command.try_get_raw("output").ok()?);
+        output.is_some_and(|mut output| output.any(|path| path == "-"))
+    }
+}
+
 #[derive(Subcommand)]
 pub enum Command {
     /// Record, calibrate and navigate with a simulated board, in a few seconds
@@ -63,6 +108,8 @@ pub enum Command {
     Info(Info),
     /// Convert a recording to a table, or a calibration to a source file
     Export(Export),
+    /// Correct a recording of any format by a calibration
+    Apply(Apply),
     /// Estimate the error model of an accelerometer, an array or a magnetometer
     Calibrate(Calibrate),
     /// Estimate the rotation from the sensor to the body that it is mounted on
@@ -301,7 +348,7 @@ pub struct Record {
 #[derive(Args)]
 #[command(after_help = "Example: wimu info session.mcap")]
 pub struct Info {
-    /// A recording of any format, or a LINK
+    /// A recording of any format, a LINK, or - for standard input
     pub input: String,
     #[command(flatten)]
     pub reading: Reading,
@@ -334,9 +381,12 @@ pub struct Compare {
 Examples:
   wimu export session.mcap -o session.csv --stream corrected
   wimu export CAL.json --format c -o wimu_calibration.h
-  wimu export CAL.json --format kalibr --noise NOISE.json -o imu.yaml")]
+  wimu export CAL.json --format kalibr --noise NOISE.json -o imu.yaml
+  wimu export session.mcap --format ros -o topics.mcap
+
+- stands for standard input or output.")]
 pub struct Export {
-    /// A recording, or a calibration for the formats rust, c and kalibr
+    /// A recording for the formats csv and ros, or a calibration for all but csv
     pub input: PathBuf,
     /// File to write [default: a calibration is printed]
     #[arg(short, long, value_name = "FILE")]
@@ -361,18 +411,27 @@ pub struct Export {
     pub link: Option<Role>,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum ExportFormat {
     /// CSV table
     Csv,
-    /// Recording with decoded ROS 2 topics added
-    Mcap,
-    /// Calibration as a Rust module for wimu-model
+    /// Recording with decoded ROS 2 topics added (MCAP), or calibration for the ROS package imu_calib
+    #[value(alias = "mcap")]
+    Ros,
+    /// Calibration as a Rust module without dependencies
     Rust,
     /// Calibration as a C header without dependencies
     C,
+    /// Calibration as a Python module with NumPy
+    Numpy,
+    /// Calibration as a MATLAB or Octave function
+    Matlab,
     /// Calibration as an IMU file for Kalibr
     Kalibr,
+    /// Calibration as parameters of PX4, for QGroundControl
+    Px4,
+    /// Calibration as parameters of ArduPilot
+    Ardupilot,
 }
 
 /// A stream of a recording.

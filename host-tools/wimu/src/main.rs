@@ -18,12 +18,21 @@ fn main() -> ExitCode {
         let arguments = Arguments::from_arg_matches(&matches)?;
         Ok((arguments, matches))
     });
-    let (arguments, matches) = match parsed {
+    let (mut arguments, matches) = match parsed {
         Ok(parsed) => parsed,
         Err(error) => return wrong_usage(&error),
     };
-    let output = Output::new(arguments.json);
-    let done = arguments::check(&matches).and_then(|()| run(arguments.command, output));
+    let to_stdout = Arguments::writes_standard_output(&matches);
+    let output = Output::new(arguments.json).beside_content(to_stdout);
+    let done = arguments::check(&matches)
+        .and_then(|()| match arguments.json && to_stdout {
+            true => Err(usage(
+                "--json and `-o -` both need standard output",
+                "name a file with -o",
+            )),
+            false => arguments.take_standard_input(),
+        })
+        .and_then(|_input| run(arguments.command, output));
     match done.and_then(|code| Output::finish().map(|()| code)) {
         Ok(code) => ExitCode::from(code),
         Err(error) => {
@@ -39,6 +48,7 @@ fn run(command: Command, output: Output) -> Result<u8> {
         Command::Align(arguments) => return command::align::run(&arguments, output),
         Command::Allan(arguments) => return command::allan::run(&arguments, output),
         Command::Calibrate(arguments) => return command::calibrate::run(&arguments, output),
+        Command::Apply(arguments) => command::apply::run(&arguments, output),
         Command::Demo(arguments) => command::demo::run(&arguments, output),
         Command::Simulate(arguments) => command::simulate::run(&arguments, output),
         Command::Ports(arguments) => command::ports::run(&arguments, output),

@@ -42,12 +42,23 @@ pub fn usage(message: impl Into<String>, remedy: impl Into<String>) -> HostError
 #[derive(Clone, Copy)]
 pub struct Output {
     json: bool,
+    /// Whether standard output is for the content of a file.
+    content: bool,
 }
 
 impl Output {
     /// Output with or without `--json`.
     pub fn new(json: bool) -> Self {
-        Self { json }
+        Self {
+            json,
+            content: false,
+        }
+    }
+
+    /// The same; with `content` standard output is for the content of a file, and human text goes to stderr.
+    #[must_use]
+    pub fn beside_content(self, content: bool) -> Self {
+        Self { content, ..self }
     }
 
     /// Whether `--json` was given.
@@ -58,7 +69,7 @@ impl Output {
     /// Prints human text.
     pub fn print(self, text: impl AsRef<str>) {
         let text = text.as_ref();
-        if self.json {
+        if self.json || self.content {
             let _ = writeln!(io::stderr(), "{text}");
         } else {
             note(writeln!(io::stdout(), "{text}"));

@@ -38,4 +38,5 @@ mod round_trip;
 mod session;
 mod single_axes;
 mod six_axes;
+mod streams;
 mod writes;

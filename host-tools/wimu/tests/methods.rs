@@ -395,7 +395,7 @@ fn two_rests_or_a_push_align_the_sensor_with_its_body() {
 
     // The calibration for others.
     for (format, word) in [
-        ("rust", "ErrorTerms"),
+        ("rust", "pub fn correct"),
         ("c", "wimu_correct"),
         ("kalibr", "accelerometers:"),
     ] {

@@ -255,7 +255,7 @@ fn computes_the_same(header: &str, set: &ParameterSet, flags: &[&str]) {
     for [x, y, z] in samples {
         writeln!(
             program,
-            "    {{ const int16_t c[3] = {{{x}, {y}, {z}}}; wimu_correct(c, 31.0, f); \
+            "    {{ const double c[3] = {{{x}, {y}, {z}}}; wimu_correct(c, 31.0, f); \
              printf(\"%.17g %.17g %.17g\\n\", f[0], f[1], f[2]); }}"
         )
         .unwrap();

@@ -1,245 +1,445 @@
 //! Export of a calibration to other firmware and tools.
 
+mod noise;
+
 use std::fmt::Write;
 use std::path::Path;
 
-use serde_json::Value;
-
 use wimu_link::message::parameter_id;
-use wimu_model::{Alignment, Matrix3, ParameterSet, STANDARD_GRAVITY_MPS2};
+use wimu_model::{Alignment, GyroscopeParameters, Matrix3, STANDARD_GRAVITY_MPS2};
 
-use crate::allan::NoiseReport;
-use crate::error::{ErrorCode, HostError, Result};
+pub use noise::KalibrNoise;
 
-/// Noise of the accelerometer for Kalibr, from `wimu allan`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct KalibrNoise {
-    /// Velocity random walk N, m/s/√s.
-    pub density: f64,
-    /// Acceleration random walk K, m/s²/√s; above 0.
-    pub random_walk: f64,
-    /// Whether it was observed; else it is an upper bound.
-    pub random_walk_seen: bool,
-    /// Sample rate, Hz.
-    pub rate_hz: f64,
-    /// Whether the counts of an axis are coarser than its noise: then the density is that of the quantisation.
-    pub coarse: bool,
+use super::file::{NOT_FOR_A_BOARD, StoredModel, range_remark, read_model, read_parameters};
+use crate::error::Result;
+
+/// Bounds of ArduPilot's parameters: offsets, m/s², and scale factors.
+const ARDUPILOT_OFFSET: f64 = 3.5;
+const ARDUPILOT_SCALE: std::ops::RangeInclusive<f64> = 0.8..=1.2;
+
+/// What reads an exported calibration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ExportTarget {
+    /// YAML of the ROS package `imu_calib`.
+    Ros,
+    /// IMU file of Kalibr.
+    Kalibr,
+    /// Python module with NumPy.
+    Numpy,
+    /// MATLAB or Octave function.
+    Matlab,
+    /// C header without dependencies.
+    C,
+    /// Rust module without dependencies.
+    Rust,
+    /// Parameter file of QGroundControl for PX4.
+    Px4,
+    /// Parameter file for ArduPilot.
+    Ardupilot,
 }
 
-impl KalibrNoise {
-    /// Reads the output of `wimu allan --json`; the noisiest axis counts. For an acceleration random walk that was
-    /// not observed, the upper bound is taken, because Kalibr needs a number above 0: alone it would be
-    /// σ(τ) = K √(τ/3) at the lowest σ.
+/// A calibration to export: of counts, or of output in m/s².
+///
+/// ```
+/// use wimu_host::calibration::{CalibrationExport, CalibrationFile, ExportTarget};
+/// use wimu_model::{ParameterSet, Sensitivity};
+///
+/// let folder = tempfile::tempdir().unwrap();
+/// let path = folder.path().join("CAL.json");
+/// let set = ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0).unwrap());
+/// CalibrationFile::new(&set, &[], "poses.csv").write(&path)?;
+/// let export = CalibrationExport::read(&path)?;
+/// assert!(export.text(ExportTarget::C, None).contains("void wimu_correct("));
+/// assert!(export.left_out(ExportTarget::Px4).is_empty());
+/// # Ok::<(), wimu_host::HostError>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct CalibrationExport {
+    stored: StoredModel,
+    title: String,
+    /// Remark on a range that was assumed.
+    pub range_remark: Option<String>,
+}
+
+impl CalibrationExport {
+    /// Reads a calibration file.
     ///
     /// # Errors
-    /// `file_unreadable`; `bad_calibration` when it is not such a report, or was refused.
+    /// `file_unreadable`; `bad_calibration` when it is not a calibration, was refused or edited, or contains numbers
+    /// that are out of bounds.
     pub fn read(path: &Path) -> Result<Self> {
-        let name = path.display().to_string();
-        let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
-        let bad = || {
-            ErrorCode::BadCalibration
-                .error(
-                    "this is not a noise report",
-                    "make it with `wimu allan --json rest.mcap > NOISE.json`",
-                )
-                .at(&name)
+        let stored = read_model(path)?;
+        let mut range = None;
+        let title = match read_parameters(path) {
+            Ok(set) => {
+                range = range_remark(path, &set);
+                let what = match &range {
+                    None => format!("a +/-{} g accelerometer", set.range_g),
+                    Some(_) => format!(
+                        "an accelerometer of {:.0} LSB/g; its range is unknown (+/-{} g if it has 16 bits)",
+                        set.sensitivity.lsb_per_g(),
+                        set.range_g
+                    ),
+                };
+                format!("Calibration {} of {what}", parameter_id(&set))
+            }
+            Err(error) if error.message().starts_with(NOT_FOR_A_BOARD) => {
+                "Calibration of an accelerometer".to_owned()
+            }
+            Err(error) => return Err(error),
         };
-        let report: Value = serde_json::from_str(&text).map_err(|_| bad())?;
-        if report["schema"] != NoiseReport::SCHEMA || report["status"] != "ok" {
-            return Err(bad());
-        }
-        let worst = |key: &str| {
-            let axes = report["axes"].as_array()?;
-            let of = |axis: &Value| axis[key]["value"].as_f64();
-            axes.iter().filter_map(of).reduce(f64::max)
-        };
-        let walk = |axis: &Value| {
-            let seen = axis["acceleration_random_walk_m_s2_rts"]["value"].as_f64();
-            let (floor, tau) = (axis["floor_m_s2"].as_f64()?, axis["floor_tau_s"].as_f64()?);
-            let most = floor * (3.0 / tau).sqrt();
-            Some((seen.unwrap_or(most), seen.is_some()))
-        };
-        let axes = report["axes"].as_array().ok_or_else(bad)?;
-        let (random_walk, random_walk_seen) = axes
-            .iter()
-            .filter_map(walk)
-            .filter(|(walk, _)| walk.is_finite() && *walk > 0.0)
-            .max_by(|a, b| a.0.total_cmp(&b.0))
-            .ok_or_else(bad)?;
         Ok(Self {
-            density: worst("velocity_random_walk_m_s_rts").ok_or_else(bad)?,
-            random_walk,
-            random_walk_seen,
-            rate_hz: report["rate_hz"].as_f64().ok_or_else(bad)?,
-            coarse: report["axes"]
-                .as_array()
-                .is_some_and(|axes| axes.iter().any(|axis| axis["is_coarse"] == true)),
+            stored,
+            title: format!("{title}, exported by wimu."),
+            range_remark: range,
         })
     }
-}
 
-/// Description of the accelerometer; its range may be unknown.
-fn accelerometer(set: &ParameterSet, range_known: bool) -> String {
-    let (range_g, lsb_per_g) = (set.range_g, set.sensitivity.lsb_per_g());
-    if range_known {
-        format!("a +/-{range_g} g accelerometer")
-    } else {
+    /// The calibration as a text for `target`. Only Kalibr's has the noise.
+    pub fn text(&self, target: ExportTarget, noise: Option<KalibrNoise>) -> String {
+        match target {
+            ExportTarget::C => self.fill(
+                include_str!("export/wimu_calibration.h"),
+                " * ",
+                ["{", ", ", "}"],
+            ),
+            ExportTarget::Rust => self.fill(
+                include_str!("export/wimu_calibration.rs"),
+                "//! ",
+                ["[", ", ", "]"],
+            ),
+            ExportTarget::Numpy => self.fill(
+                include_str!("export/wimu_calibration.py"),
+                "",
+                ["[", ", ", "]"],
+            ),
+            ExportTarget::Matlab => self.fill(
+                include_str!("export/wimu_correct.m"),
+                "% ",
+                ["[", "; ", "]"],
+            ),
+            ExportTarget::Kalibr => self.kalibr(noise),
+            ExportTarget::Ros => self.ros(),
+            ExportTarget::Px4 | ExportTarget::Ardupilot => self.autopilot(target),
+        }
+    }
+
+    /// Terms of the calibration that a target cannot express.
+    pub fn left_out(&self, target: ExportTarget) -> Vec<String> {
+        use ExportTarget::{Ardupilot, Kalibr, Px4, Ros};
+        if !matches!(target, Ardupilot | Kalibr | Px4 | Ros) {
+            return Vec::new();
+        }
+        let terms = self.stored.model.terms();
+        let t = &terms.temperature;
+        let mut left_out = Vec::new();
+        if [t.bias_mps2_per_k, t.bias_mps2_per_k2, t.scale_per_k] != [[0.0; 3]; 3] {
+            left_out.push(format!(
+                "the values are those at {:.2} °C: the temperature coefficients are left out",
+                t.reference_c
+            ));
+        }
+        if terms.nonlinearity != [0.0; 3] {
+            left_out.push("the nonlinearity is left out".to_owned());
+        }
+        if target != Ros && self.stored.alignment != Alignment::IDENTITY {
+            left_out.push(
+                "the alignment is left out: axes are the sensor's, not the body's".to_owned(),
+            );
+        }
+        if target == Ros && self.stored.gyroscope.is_some() {
+            left_out.push("the gyroscope is left out".to_owned());
+        }
+        if matches!(target, Px4 | Ardupilot) {
+            left_out.extend(self.left_out_of_diagonal());
+        }
+        if target == Ardupilot {
+            let (offset, scale) = self.diagonal();
+            let outside = offset.iter().any(|b| b.abs() > ARDUPILOT_OFFSET)
+                || scale.iter().any(|s| !ARDUPILOT_SCALE.contains(s));
+            if outside {
+                left_out.push(
+                    "an offset is beyond 3.5 m/s² or a scale factor outside 0.8 to 1.2: ArduPilot takes the \
+                     accelerometer for uncalibrated"
+                        .to_owned(),
+                );
+            }
+        }
+        left_out
+    }
+
+    /// What an offset and a scale factor per axis cannot express.
+    fn left_out_of_diagonal(&self) -> Option<String> {
+        let inverse = inverse(&self.stored.model.terms().matrix);
+        let off = |m: &Matrix3| {
+            let one = |i: usize, j: usize| if i == j { 0.0 } else { m[i][j].abs() };
+            let all = (0..9).map(|k| one(k / 3, k % 3));
+            all.fold(0.0, f64::max)
+        };
+        let cross = off(&inverse);
+        let mut text = (cross > 0.0).then(|| {
+            format!(
+                "the cross-axis terms are left out: up to {:.2} % of the force along another axis, {:.3} m/s² at 1 g",
+                100.0 * cross,
+                cross * STANDARD_GRAVITY_MPS2
+            )
+        });
+        let identity = |m: &Matrix3| off(m) == 0.0 && (0..3).all(|i| m[i][i] == 1.0);
+        if let Some(gyroscope) = &self.stored.gyroscope
+            && !identity(&gyroscope.model.terms().matrix)
+        {
+            let gyroscope = "of the gyroscope only the bias is exported";
+            text = Some(text.map_or(gyroscope.to_owned(), |text| format!("{text}; {gyroscope}")));
+        }
+        text
+    }
+
+    /// Offset, m/s², and scale factor per axis: f ≈ (y − offset) ∘ scale.
+    fn diagonal(&self) -> ([f64; 3], [f64; 3]) {
+        let terms = self.stored.model.terms();
+        let inverse = inverse(&terms.matrix);
+        (terms.bias_mps2, [0, 1, 2].map(|i| inverse[i][i]))
+    }
+
+    /// The equations of the calibration, as lines of text.
+    fn convention(&self) -> String {
+        let (unit, scale) = match self.stored.sensitivity_lsb_per_g {
+            Some(lsb_per_g) => (
+                "LSB",
+                format!("9.80665 / ({lsb_per_g} LSB/g), the nominal sensitivity"),
+            ),
+            None => ("m/s^2", "1; set it to 9.80665 for output in g".to_owned()),
+        };
+        let mut text = format!(
+            "Input: output of the accelerometer, sensor axes, {unit}. INPUT_TO_MPS2 is {scale}.\n\
+             Specific force f, m/s^2, body axes (at rest +g along the axis that points up):\n\
+             y = INPUT_TO_MPS2 input, z = A(T)^-1 (y - b(T)), u = z - q z z, f = R u,\n\
+             b(T) = b0 + b1 dT + b2 dT^2, A(T) = A with its diagonal times 1 + s1 dT, dT = T - T0 in degrees Celsius.\n\
+             The bias is subtracted before the inverse of A is applied; R rotates from sensor to body axes."
+        );
+        if self.stored.gyroscope.is_some() {
+            text += "\nAngular rate w, rad/s, body axes, of the gyroscope's output in LSB, y = output times the nominal scale:\n\
+                     w = R A(T)^-1 (y - b(T) - G u), with the gyroscope's own A, b, T0 and its g-sensitivity G.";
+        }
+        text
+    }
+
+    /// A template with its comment and numbers; `list` opens, separates the rows of a matrix in, and closes a list.
+    fn fill(&self, template: &str, comment: &str, list: [&str; 3]) -> String {
+        let vector = |v: [f64; 3]| {
+            let [open, _, close] = list;
+            format!("{open}{:?}, {:?}, {:?}{close}", v[0], v[1], v[2])
+        };
+        let matrix = |m: Matrix3| {
+            let [open, row, close] = list;
+            format!("{open}{}{close}", m.map(vector).join(row))
+        };
+        let terms = self.stored.model.terms();
+        let t = &terms.temperature;
+        let convention = self.convention();
+        let convention: Vec<String> = convention
+            .lines()
+            .map(|line| format!("{comment}{line}"))
+            .collect();
+        let signature = match self.stored.gyroscope {
+            Some(_) => "[force, rate] = wimu_correct(output, temperature_c, rate_output)",
+            None => "force = wimu_correct(output, temperature_c)",
+        };
+        let mut values = vec![
+            ("title", self.title.clone()),
+            ("convention", convention.join("\n")),
+            ("signature", signature.to_owned()),
+            ("t0", format!("{:?}", t.reference_c)),
+            ("scale", format!("{:?}", self.stored.mps2_per_unit())),
+            ("b0", vector(terms.bias_mps2)),
+            ("b1", vector(t.bias_mps2_per_k)),
+            ("b2", vector(t.bias_mps2_per_k2)),
+            ("s1", vector(t.scale_per_k)),
+            ("q", vector(terms.nonlinearity)),
+            ("a", matrix(terms.matrix)),
+            ("r", matrix(self.stored.alignment.matrix())),
+        ];
+        if let Some(gyroscope) = &self.stored.gyroscope {
+            let terms = gyroscope.model.terms();
+            let t = &terms.temperature;
+            values.extend([
+                ("wscale", format!("{:?}", gyroscope.rad_s_per_lsb)),
+                ("wt0", format!("{:?}", t.reference_c)),
+                ("wb0", vector(terms.bias_rad_s)),
+                ("wb1", vector(t.bias_rad_s_per_k)),
+                ("ws1", vector(t.scale_per_k)),
+                ("wa", matrix(terms.matrix)),
+                ("wg", matrix(terms.g_sensitivity)),
+            ]);
+        }
+        let mut keep = true;
+        let mut text = String::new();
+        for line in template.lines() {
+            match line {
+                "@gyroscope{" => keep = self.stored.gyroscope.is_some(),
+                "@}" => keep = true,
+                _ if keep => text += &format!("{line}\n"),
+                _ => {}
+            }
+        }
+        for (name, value) in values {
+            text = text.replace(&format!("@{name}@"), &value);
+        }
+        text
+    }
+
+    /// The title, a format's convention and what it leaves out, as comments.
+    fn comments(&self, target: ExportTarget, convention: &str) -> String {
+        let mut text = String::new();
+        let left_out = self.left_out(target);
+        let lines = convention.lines().map(str::to_owned);
+        let left_out = left_out.into_iter().map(|line| format!("{line}."));
+        for line in [self.title.clone()]
+            .into_iter()
+            .chain(lines)
+            .chain(left_out)
+        {
+            let _ = writeln!(text, "# {line}");
+        }
+        text
+    }
+
+    /// Kalibr's IMU file, whose convention is ours: y = M f + b, M is A.
+    fn kalibr(&self, noise: Option<KalibrNoise>) -> String {
+        let terms = self.stored.model.terms();
+        let mut out = self.comments(
+            ExportTarget::Kalibr,
+            "Output = M * specific force + b, sensor axes, m/s^2. The gyroscope's noise is not calibrated by wimu:\n\
+             add gyroscope_noise_density and gyroscope_random_walk.",
+        );
+        out += "rostopic: /imu/data_raw\n";
+        let _ = match noise {
+            Some(noise) => writeln!(
+                out,
+                "{}update_rate: {:?}\n# m/s^2/sqrt(Hz) in Kalibr's convention: the velocity random walk, m/s/sqrt(s)\n\
+                 accelerometer_noise_density: {:?}\n{}accelerometer_random_walk: {:?}",
+                if noise.coarse {
+                    "# Counts are coarser than the noise: this is the noise of the quantisation, not of the sensor.\n"
+                } else {
+                    ""
+                },
+                noise.rate_hz,
+                noise.density,
+                if noise.random_walk_seen {
+                    ""
+                } else {
+                    "# Not observed in the recording: upper bound, m/s^2/sqrt(s).\n"
+                },
+                noise.random_walk
+            ),
+            None => writeln!(
+                out,
+                "# Not measured: give the JSON of `wimu allan --json` with --noise.\n\
+                 # update_rate:\n# accelerometer_noise_density:\n# accelerometer_random_walk:"
+            ),
+        };
+        let rows = |m: Matrix3| m.map(|row| format!("  - {row:?}\n")).concat();
+        let _ = write!(
+            out,
+            "accelerometers:\n  M:\n{}  b: {:?}\n",
+            rows(terms.matrix),
+            terms.bias_mps2
+        );
+        if let Some(gyroscope) = &self.stored.gyroscope {
+            let terms = gyroscope.model.terms();
+            let _ = write!(
+                out,
+                "# Output = M * angular rate + A * specific force + b, sensor axes, rad/s.\n\
+                 gyroscopes:\n  M:\n{}  A:\n{}  b: {:?}\n",
+                rows(terms.matrix),
+                rows(terms.g_sensitivity),
+                terms.bias_rad_s
+            );
+        }
+        out
+    }
+
+    /// The file of `imu_calib`: corrected = SM raw − bias.
+    fn ros(&self) -> String {
+        let terms = self.stored.model.terms();
+        let product =
+            |a: &Matrix3, v: [f64; 3]| a.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2]);
+        let (rotation, inverse) = (self.stored.alignment.matrix(), inverse(&terms.matrix));
+        let column = |j: usize| product(&rotation, [0, 1, 2].map(|i| inverse[i][j]));
+        let columns = [column(0), column(1), column(2)];
+        let matrix = [0, 1, 2].map(|i| [0, 1, 2].map(|j| columns[j][i]));
         format!(
-            "an accelerometer of {lsb_per_g:.0} LSB/g; its range is unknown (+/-{range_g} g if it has 16 bits)"
+            "{}SM: {:?}\nbias: {:?}\n",
+            self.comments(
+                ExportTarget::Ros,
+                "For the ROS package imu_calib: corrected = SM * raw - bias, m/s^2, SM row by row.\n\
+                 raw: linear_acceleration of sensor_msgs/Imu in sensor axes, at nominal sensitivity; corrected: body axes.\n\
+                 SM = R A^-1, bias = R A^-1 b: the bias is subtracted after the matrix."
+            ),
+            matrix.as_flattened(),
+            product(&matrix, terms.bias_mps2)
         )
     }
+
+    /// Parameters of an autopilot, which corrects by (y − offset) ∘ scale before its board rotation.
+    fn autopilot(&self, target: ExportTarget) -> String {
+        let (offset, scale) = self.diagonal();
+        let px4 = target == ExportTarget::Px4;
+        let convention = match px4 {
+            true => {
+                "PX4, for QGroundControl. Accelerometer 0: corrected = (raw - CAL_ACC0_*OFF) * CAL_ACC0_*SCALE, then SENS_BOARD_ROT.\n\
+                 raw: topic sensor_accel, m/s^2, in its axes: the calibration must have been made from it.\n\
+                 The offset is subtracted first; the scale is the diagonal of A^-1, as PX4's own calibration.\n\
+                 PX4 uses them only where CAL_ACC0_ID is the device's id: calibrate once on the board, then load this.\n\
+                 For another sensor replace the 0 in the names."
+            }
+            false => {
+                "ArduPilot. First accelerometer: corrected = (raw - INS_ACCOFFS) * INS_ACCSCAL, then AHRS_ORIENTATION.\n\
+                 raw: message IMU logged before correction, m/s^2, in its axes: the calibration must have been made from it.\n\
+                 The offset is subtracted first; the scale is the diagonal of A^-1.\n\
+                 INS_ACC_ID must be that of the sensor: calibrate once on the board, then load this.\n\
+                 For the second sensor write INS_ACC2OFFS and INS_ACC2SCAL."
+            }
+        };
+        let mut out = self.comments(target, convention);
+        let mut put = |name: String, value: f64| {
+            let _ = match px4 {
+                // Vehicle, component, name, value, type float.
+                true => writeln!(out, "1\t1\t{name}\t{value:.9}\t9"),
+                false => writeln!(out, "{name},{value:.9}"),
+            };
+        };
+        let bias = |gyroscope: &GyroscopeParameters| gyroscope.model.terms().bias_rad_s;
+        let rate = self.stored.gyroscope.as_ref().map(bias);
+        let groups = match px4 {
+            true => [
+                ("CAL_ACC0_", "OFF"),
+                ("CAL_ACC0_", "SCALE"),
+                ("CAL_GYRO0_", "OFF"),
+            ],
+            false => [
+                ("INS_ACCOFFS_", ""),
+                ("INS_ACCSCAL_", ""),
+                ("INS_GYROFFS_", ""),
+            ],
+        };
+        for ((start, end), values) in groups.into_iter().zip([Some(offset), Some(scale), rate]) {
+            for (axis, value) in ["X", "Y", "Z"]
+                .into_iter()
+                .zip(values.into_iter().flatten())
+            {
+                put(format!("{start}{axis}{end}"), value);
+            }
+        }
+        out
+    }
 }
 
-/// A Rust module that builds the set with `wimu-model`; a comment says if the range is unknown.
-pub fn to_rust(set: &ParameterSet, range_known: bool) -> String {
-    let terms = set.model.terms();
-    let t = &terms.temperature;
-    format!(
-        "//! Calibration {id} of {what}, exported by wimu.\n\n\
-         use wimu_model::{{\n    Alignment, ErrorModel, ErrorTerms, ParameterSet, Sensitivity, TemperatureTerms,\n}};\n\n\
-         /// The error model, y = b(T) + A(T) u: m/s², sensor axes.\n\
-         pub const TERMS: ErrorTerms = ErrorTerms {{\n    \
-         bias_mps2: {bias:?},\n    matrix: {matrix:?},\n    \
-         temperature: TemperatureTerms {{\n        reference_c: {reference:?},\n        \
-         bias_mps2_per_k: {b1:?},\n        bias_mps2_per_k2: {b2:?},\n        \
-         scale_per_k: {s1:?},\n    }},\n    nonlinearity: {q:?},\n}};\n\n\
-         /// The parameter set for `wimu_model::Corrector`; `None` is ruled out by the export.\n\
-         pub fn parameters() -> Option<ParameterSet> {{\n    Some(ParameterSet {{\n        \
-         model: ErrorModel::new(TERMS).ok()?,\n        \
-         alignment: Alignment::try_from({alignment:?}).ok()?,\n        \
-         ..ParameterSet::uncalibrated({range}, Sensitivity::from_lsb_per_g({sensitivity:?}).ok()?)\n    }})\n}}\n",
-        id = parameter_id(set),
-        what = accelerometer(set, range_known).replace("+/-", "±"),
-        range = set.range_g,
-        bias = terms.bias_mps2,
-        matrix = terms.matrix,
-        reference = t.reference_c,
-        b1 = t.bias_mps2_per_k,
-        b2 = t.bias_mps2_per_k2,
-        s1 = t.scale_per_k,
-        q = terms.nonlinearity,
-        alignment = set.alignment.quaternion(),
-        sensitivity = set.sensitivity.lsb_per_g(),
-    )
-}
-
-/// A C header with one function: counts to specific force in body axes; a comment says if the range is unknown.
-pub fn to_c(set: &ParameterSet, range_known: bool) -> String {
-    let terms = set.model.terms();
-    let t = &terms.temperature;
-    let mut out = format!(
-        "/* Calibration {} of {}, exported by wimu. C99. */\n\
-         #ifndef WIMU_CALIBRATION_H\n#define WIMU_CALIBRATION_H\n\n#include <stdint.h>\n\n",
-        parameter_id(set),
-        accelerometer(set, range_known)
-    );
-    let vector = |v: [f64; 3]| format!("{{{:?}, {:?}, {:?}}}", v[0], v[1], v[2]);
-    let matrix = |m: Matrix3| format!("{{{}, {}, {}}}", vector(m[0]), vector(m[1]), vector(m[2]));
-    let scale = STANDARD_GRAVITY_MPS2 / set.sensitivity.lsb_per_g();
-    let alignment = matrix(set.alignment.matrix());
-    let _ = write!(
-        out,
-        "/* Specific force in body axes, m/s^2, from raw counts at a temperature in degrees Celsius;\n   \
-         pass WIMU_REFERENCE_C where there is no thermometer.\n   \
-         z = A(T)^-1 (y - b(T)), f = z - q z z, then sensor axes to body axes. */\n\
-         #define WIMU_REFERENCE_C {reference:?}\n\n\
-         static inline void wimu_correct(const int16_t counts[3], double temperature_c, double force[3])\n{{\n    \
-         static const double b0[3] = {b0};\n    static const double b1[3] = {b1};\n    \
-         static const double b2[3] = {b2};\n    static const double s1[3] = {s1};\n    \
-         static const double q[3] = {q};\n    static const double a0[3][3] = {a};\n    \
-         static const double r[3][3] = {alignment};\n    \
-         const double dt = temperature_c - WIMU_REFERENCE_C;\n    \
-         double a[3][3], y[3], z[3], det;\n    int i, j;\n\n    \
-         for (i = 0; i < 3; i++) {{\n        for (j = 0; j < 3; j++)\n            a[i][j] = a0[i][j];\n        \
-         a[i][i] *= 1.0 + s1[i] * dt;\n        \
-         y[i] = counts[i] * {scale:?} - (b0[i] + (b1[i] + b2[i] * dt) * dt);\n    }}\n    \
-         det = a[0][0] * (a[1][1] * a[2][2] - a[1][2] * a[2][1])\n        \
-         - a[0][1] * (a[1][0] * a[2][2] - a[1][2] * a[2][0])\n        \
-         + a[0][2] * (a[1][0] * a[2][1] - a[1][1] * a[2][0]);\n    \
-         for (i = 0; i < 3; i++) {{\n        z[i] = 0.0;\n        for (j = 0; j < 3; j++) {{\n            \
-         const int r1 = (j + 1) % 3, r2 = (j + 2) % 3, c1 = (i + 1) % 3, c2 = (i + 2) % 3;\n            \
-         z[i] += (a[r1][c1] * a[r2][c2] - a[r1][c2] * a[r2][c1]) / det * y[j];\n        }}\n        \
-         z[i] -= q[i] * z[i] * z[i];\n    }}\n    \
-         for (i = 0; i < 3; i++)\n        force[i] = r[i][0] * z[0] + r[i][1] * z[1] + r[i][2] * z[2];\n}}\n\n#endif\n",
-        reference = t.reference_c,
-        b0 = vector(terms.bias_mps2),
-        b1 = vector(t.bias_mps2_per_k),
-        b2 = vector(t.bias_mps2_per_k2),
-        s1 = vector(t.scale_per_k),
-        q = vector(terms.nonlinearity),
-        a = matrix(terms.matrix),
-    );
-    out
-}
-
-/// What [`to_kalibr`] leaves out of a set, as lines of text: Kalibr's file has no field for it.
-pub fn not_in_kalibr(set: &ParameterSet) -> Vec<String> {
-    let terms = set.model.terms();
-    let t = &terms.temperature;
-    let moves = [t.bias_mps2_per_k, t.bias_mps2_per_k2, t.scale_per_k];
-    let mut left_out = Vec::new();
-    if moves != [[0.0; 3]; 3] {
-        left_out.push(format!(
-            "M and b are those at {:.2} °C: their temperature coefficients are left out",
-            t.reference_c
-        ));
-    }
-    if terms.nonlinearity != [0.0; 3] {
-        left_out.push("the nonlinearity is left out".to_owned());
-    }
-    if set.alignment != Alignment::IDENTITY {
-        left_out
-            .push("the alignment is left out: axes are the sensor's, not the body's".to_owned());
-    }
-    left_out
-}
-
-/// Kalibr's IMU file: noise, and the accelerometer's intrinsics in its convention,
-/// y = M f + b, which is ours: M is A, b the bias.
-pub fn to_kalibr(set: &ParameterSet, noise: Option<KalibrNoise>) -> String {
-    let terms = set.model.terms();
-    let mut out = format!(
-        "# Calibration {} of a +/-{} g accelerometer, exported by wimu.\nrostopic: /imu/data_raw\n",
-        parameter_id(set),
-        set.range_g
-    );
-    let _ = match noise {
-        Some(noise) => writeln!(
-            out,
-            "{}update_rate: {:?}\n# m/s^2/sqrt(Hz) in Kalibr's convention: the velocity random walk, m/s/sqrt(s)\n\
-             accelerometer_noise_density: {:?}\n{}accelerometer_random_walk: {:?}",
-            if noise.coarse {
-                "# Counts are coarser than the noise: this is the noise of the quantisation, not of the sensor.\n"
-            } else {
-                ""
-            },
-            noise.rate_hz,
-            noise.density,
-            if noise.random_walk_seen {
-                ""
-            } else {
-                "# Not observed in the recording: upper bound, m/s^2/sqrt(s).\n"
-            },
-            noise.random_walk
-        ),
-        None => writeln!(
-            out,
-            "# Not measured: give the JSON of `wimu allan --json` with --noise.\n\
-             # update_rate:\n# accelerometer_noise_density:\n# accelerometer_random_walk:"
-        ),
-    };
-    let _ = writeln!(
-        out,
-        "# Output = M * specific force + b, sensor axes, m/s^2. The gyroscope's noise is not calibrated by wimu:\n\
-         # add gyroscope_noise_density and gyroscope_random_walk."
-    );
-    for line in not_in_kalibr(set) {
-        let _ = writeln!(out, "# {line}.");
-    }
-    out.push_str("accelerometers:\n  M:\n");
-    for row in terms.matrix {
-        let _ = writeln!(out, "  - {row:?}");
-    }
-    let _ = writeln!(out, "  b: {:?}", terms.bias_mps2);
-    out
+/// Inverse of the matrix of an error model, which has one.
+fn inverse(matrix: &Matrix3) -> Matrix3 {
+    let matrix = nalgebra::Matrix3::from_fn(|i, j| matrix[i][j]);
+    let inverse = matrix
+        .try_inverse()
+        .unwrap_or_else(nalgebra::Matrix3::identity);
+    [0, 1, 2].map(|i| [0, 1, 2].map(|j| inverse[(i, j)]))
 }

@@ -451,6 +451,14 @@ pub struct StoredModel {
     pub gyroscope: Option<GyroscopeParameters>,
 }
 
+impl StoredModel {
+    /// m/s² of one unit of the output that it corrects: of one LSB where a sensitivity is known, else 1.
+    pub fn mps2_per_unit(&self) -> f64 {
+        let lsb_per_g = self.sensitivity_lsb_per_g;
+        lsb_per_g.map_or(1.0, |lsb_per_g| STANDARD_GRAVITY_MPS2 / lsb_per_g)
+    }
+}
+
 /// Reads the error model of a calibration file, of any sensor.
 ///
 /// # Errors
@@ -489,7 +497,7 @@ pub(super) fn worst_sd(sd: impl Fn(usize) -> f64) -> f64 {
 }
 
 /// Remark on a calibration file whose range was assumed.
-pub fn range_remark(path: &Path, set: &ParameterSet) -> Option<String> {
+pub(super) fn range_remark(path: &Path, set: &ParameterSet) -> Option<String> {
     let assumed = match read(path).ok()? {
         Read::V1(text) => {
             let file: serde_json::Value = serde_json::from_str(&text).ok()?;

@@ -9,7 +9,8 @@ const HEADING_SD: &str = "Heading SD (deg)";
 /// The column with the nominal scale of a gyroscope's counts.
 pub const GYROSCOPE_SCALE: &str = "Gyroscope Scale (rad/s/LSB)";
 
-fn gyroscope(unit: &str) -> impl Iterator<Item = String> + '_ {
+/// The axes of a gyroscope.
+pub fn gyroscope(unit: &str) -> impl Iterator<Item = String> + '_ {
     ["X", "Y", "Z"]
         .into_iter()
         .map(move |axis| format!("Gyroscope {axis} ({unit})"))

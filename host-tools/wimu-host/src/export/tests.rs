@@ -47,7 +47,10 @@ fn every_position_has_its_time_where_numbers_wrap() {
         let time = DeviceTimeUs(time_us);
         let length = batch::encode(sequence, time, &counts, &mut frame).unwrap();
         append(length, &frame);
-        let state = wimu_integrator::Navigation::default();
+        let state = wimu_integrator::Navigation {
+            phase: wimu_integrator::Phase::Moving,
+            ..wimu_integrator::Navigation::default()
+        };
         let navigation = <Telemetry>::Navigation(Navigation::new(sequence, &state));
         let length = navigation.encode(&mut frame).unwrap();
         append(length, &frame);
@@ -73,4 +76,12 @@ fn every_position_has_its_time_where_numbers_wrap() {
         .collect();
     assert_eq!(times.len(), exported.rows);
     assert!(times.is_sorted_by(|a, b| a < b));
+    // The same positions as ROS 2 messages.
+    let topics = folder.path().join("topics.mcap");
+    let decoded = crate::ros::decode(&file, &topics, None).unwrap();
+    let count = |topic: &str| decoded.messages.get(topic).copied().unwrap_or_default();
+    assert_eq!(decoded.without_time, 0, "{decoded:?}");
+    assert_eq!(count("/cable/odom"), exported.rows as u64, "{decoded:?}");
+    assert_eq!(count("/tf"), exported.rows as u64);
+    assert_eq!((count("/cable/path"), count("/tf_static")), (1, 1));
 }

@@ -127,6 +127,8 @@ fn path_of(
             time_s: ((recording.start_s + time_s) * 1e9).round() * 1e-9,
             position_m: state.position_m,
             velocity_mps: state.velocity_mps,
+            velocity_sd_mps: [0.0; 3],
+            attitude_sd_rad: [0.0; 3],
             quaternion: state.quaternion,
             rate_rad_s: state.rate_rad_s,
             covariance_m2: state.position_covariance,

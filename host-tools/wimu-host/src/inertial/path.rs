@@ -7,6 +7,8 @@ use wimu_nav::slide::Move;
 
 use super::Method;
 use super::truth::consistency;
+use crate::mcap_file::RosFile;
+use crate::ros::path::{PathTopics, Pose};
 use crate::{ErrorCode, HostError, OutputFile, Result};
 
 /// Where the unit was at a sample.
@@ -22,6 +24,11 @@ pub struct PathPoint {
     pub quaternion: [f64; 4],
     /// Angular rate, rad/s, body axes.
     pub rate_rad_s: [f64; 3],
+    /// Standard deviation of the velocity, m/s, and of the attitude about east, north and up, rad; 0 where it is not
+    /// estimated.
+    pub velocity_sd_mps: [f64; 3],
+    /// See [`velocity_sd_mps`](Self::velocity_sd_mps).
+    pub attitude_sd_rad: [f64; 3],
     /// Covariance of the position, m²: with [`Zupt::Assumed`](super::Zupt::Assumed) that of `unseen_m` in it.
     pub covariance_m2: [[f64; 3]; 3],
     /// Whether it is taken to rest: never with ZUPT off.
@@ -179,6 +186,47 @@ impl InertialPath {
     /// Median NEES of the moving samples and the share below 7.81 (95 % of a right covariance), where there is truth.
     pub fn consistency(&self) -> Option<(f64, f64)> {
         consistency(&self.nees)
+    }
+
+    /// Writes the points as CSV, or as [`write_mcap`](Self::write_mcap) where the file's name ends in `.mcap`.
+    ///
+    /// # Errors
+    /// `file_unreadable`, `file_failed`.
+    pub fn write(&self, file: &FilePath) -> Result<()> {
+        let extension = file.extension();
+        match extension.is_some_and(|e| e.eq_ignore_ascii_case("mcap")) {
+            true => self.write_mcap(file),
+            false => self.write_csv(file),
+        }
+    }
+
+    /// Writes the valid points as ROS 2 messages: `/odom`, `/path` (at most 1000 poses, 1 s apart or more), `/tf` from
+    /// `map` to `base_link`, and `/tf_static` to `imu_link`. Stamps are the times of the recording. Covariances that are
+    /// not estimated are 0.
+    ///
+    /// # Errors
+    /// `file_unreadable`, `file_failed`.
+    pub fn write_mcap(&self, file: &FilePath) -> Result<()> {
+        let (output, sink) = OutputFile::create(file)?;
+        let mut out = RosFile::new(sink, output.name())?;
+        let mut topics = PathTopics::new("", true);
+        for point in self.points.iter().filter(|point| point.valid) {
+            let stamp_ns = (point.time_s * 1e9).round() as u64;
+            let pose = Pose {
+                stamp_ns,
+                position_m: point.position_m,
+                position_covariance: point.covariance_m2,
+                quaternion: point.quaternion,
+                attitude_sd_rad: point.attitude_sd_rad,
+                velocity_mps: point.velocity_mps,
+                velocity_sd_mps: point.velocity_sd_mps,
+                rate_rad_s: point.rate_rad_s,
+            };
+            topics.push(&mut out, stamp_ns, &pose)?;
+        }
+        topics.finish(&mut out)?;
+        out.finish()?;
+        output.finish()
     }
 
     /// Writes the points as CSV.

@@ -555,6 +555,8 @@ impl Track<'_> {
             velocity_mps,
             quaternion: quaternion(axes),
             rate_rad_s,
+            velocity_sd_mps: [0.0; 3],
+            attitude_sd_rad: [0.0; 3],
             covariance_m2,
             resting,
             unseen_mps: resting.then_some(self.unseen_mps),

@@ -141,6 +141,8 @@ mod tests {
                 velocity_mps: [0.0; 3],
                 quaternion: [1.0, 0.0, 0.0, 0.0],
                 rate_rad_s: [0.0; 3],
+                velocity_sd_mps: [0.0; 3],
+                attitude_sd_rad: [0.0; 3],
                 covariance_m2: [[0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.01]],
                 resting: *time_s < 10.0,
                 unseen_mps: None,

@@ -66,6 +66,8 @@ pub(super) fn filter(
             time_s: *time_s,
             position_m: state.position_m,
             velocity_mps: state.velocity_mps,
+            velocity_sd_mps: state.velocity_sd_mps,
+            attitude_sd_rad: state.attitude_sd_rad,
             quaternion: state.quaternion,
             rate_rad_s: state.rate_rad_s,
             covariance_m2: state.position_covariance,

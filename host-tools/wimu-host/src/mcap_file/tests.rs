@@ -28,7 +28,7 @@ fn record(count: u64, close: bool) -> Vec<u8> {
         writer.finish().unwrap().into_inner()
     } else {
         writer.flush().unwrap();
-        writer.container.abandon().into_inner()
+        writer.file.container.abandon().into_inner()
     }
 }
 
@@ -56,13 +56,16 @@ fn what_is_recorded_reads_back_the_same() {
 fn other_readers_find_every_message_by_the_index_and_without_it() {
     // More chunks than are indexed at a time, with times that do not rise.
     let mut writer = RecordingWriter::new(Cursor::new(Vec::new()), "a.mcap", ANCHOR).unwrap();
-    let further = writer.topic("/a", "std_msgs/msg/String", TEXT_SCHEMA);
+    let text = crate::ros::message::Message::new();
     let mut times = Vec::new();
     for index in 0..1500_u64 {
         let host_ns = 7_000 + (index ^ 3) * 400_000_000;
         writer.append(LinkRole::Cable, host_ns, &[7; 30]).unwrap();
-        writer.publish(further, host_ns, 5, &[0, 1, 0, 0]).unwrap();
-        times.extend([ANCHOR.to_utc_ns(host_ns); 2]);
+        let log_ns = ANCHOR.to_utc_ns(host_ns);
+        let file = writer.ros();
+        file.publish("/a", "std_msgs/String", log_ns, 5, &text)
+            .unwrap();
+        times.extend([log_ns; 2]);
         if index % 3 == 0 {
             writer.flush().unwrap();
         }

@@ -2,17 +2,93 @@
 
 use super::container::{Container, Message};
 use super::*;
+use crate::ros::message::{Message as Cdr, schema as ros_schema};
 
-/// An additional topic of a [`RecordingWriter`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Topic(u16);
+/// Writes ROS 2 messages in CDR to an MCAP file, in chunks without compression.
+///
+/// Dropping it closes the file as well; [`RosFile::finish`] also returns errors.
+pub(crate) struct RosFile<W: Read + Write + Seek> {
+    name: String,
+    pub(super) container: Container<W>,
+    /// Channel and number of messages of each topic.
+    topics: BTreeMap<String, (u16, u32)>,
+}
+
+impl<W: Read + Write + Seek> RosFile<W> {
+    /// Begins a file in the empty `sink`, with this name in errors.
+    ///
+    /// # Errors
+    /// `file_failed`.
+    pub fn new(sink: W, name: &str) -> Result<Self> {
+        let library = concat!("wimu ", env!("CARGO_PKG_VERSION"));
+        let container = Container::new(sink, "ros2", library);
+        Ok(Self {
+            container: container.map_err(|error| HostError::file(name, "write", &error))?,
+            name: name.to_owned(),
+            topics: BTreeMap::new(),
+        })
+    }
+
+    /// Appends a message of a type such as `sensor_msgs/Imu`, with log time and stamp, ns.
+    ///
+    /// # Errors
+    /// `file_failed`.
+    pub fn publish(
+        &mut self,
+        topic: &str,
+        type_name: &str,
+        log_ns: u64,
+        stamp_ns: u64,
+        message: &Cdr,
+    ) -> Result<()> {
+        if !self.topics.contains_key(topic) {
+            let schema_name = type_name.replacen('/', "/msg/", 1);
+            let schema = (self.container).schema(&schema_name, &ros_schema(type_name));
+            let channel = self.container.channel(schema, topic);
+            self.topics.insert(topic.to_owned(), (channel, 0));
+        }
+        let Some((channel, sequence)) = self.topics.get_mut(topic) else {
+            return Ok(());
+        };
+        let written = self.container.write(&Message {
+            channel: *channel,
+            sequence: *sequence,
+            log_time: log_ns,
+            publish_time: stamp_ns,
+            data: message.bytes(),
+        });
+        *sequence = sequence.wrapping_add(1);
+        written.map_err(|error| self.failed(&error))
+    }
+
+    /// Messages by topic.
+    pub fn counts(&self) -> BTreeMap<String, u64> {
+        let count = |(topic, (_, count)): (&String, &(u16, u32))| (topic.clone(), (*count).into());
+        self.topics.iter().map(count).collect()
+    }
+
+    /// Closes the file with its index.
+    ///
+    /// # Errors
+    /// `file_failed`.
+    pub fn finish(self) -> Result<W> {
+        let Self {
+            name, container, ..
+        } = self;
+        let finished = container.finish();
+        finished.map_err(|error| HostError::file(&name, "write", &error))
+    }
+
+    fn failed(&self, error: &io::Error) -> HostError {
+        HostError::file(&self.name, "write", error)
+    }
+}
 
 /// Writes a recording in progress, in memory that does not grow with its length.
 ///
 /// Dropping it closes the file as well; [`RecordingWriter::finish`] also returns errors.
 pub struct RecordingWriter<W: Read + Write + Seek> {
-    name: String,
-    pub(super) container: Container<W>,
+    pub(super) file: RosFile<W>,
     anchor: ClockAnchor,
     /// Channel and messages so far, in the order of [`TOPICS`].
     channels: [(u16, u32); TOPICS.len()],
@@ -44,8 +120,8 @@ impl<W: Read + Write + Seek> RecordingWriter<W> {
     /// `file_failed`.
     pub fn new(sink: W, name: &str, anchor: ClockAnchor) -> Result<Self> {
         let failed = |error| HostError::file(name, "write", &error);
-        let library = concat!("wimu ", env!("CARGO_PKG_VERSION"));
-        let mut container = Container::new(sink, "ros2", library).map_err(failed)?;
+        let mut file = RosFile::new(sink, name)?;
+        let container = &mut file.container;
         let bytes = container.schema(SCHEMA_NAME, SCHEMA);
         let text = container.schema(TEXT_SCHEMA_NAME, TEXT_SCHEMA);
         let mut metadata = vec![
@@ -68,8 +144,7 @@ impl<W: Read + Write + Seek> RecordingWriter<W> {
             .map_err(failed)?;
         container.flush().map_err(failed)?;
         Ok(Self {
-            name: name.to_owned(),
-            container,
+            file,
             anchor,
             channels,
             last_flush_ns: None,
@@ -140,43 +215,20 @@ impl<W: Read + Write + Seek> RecordingWriter<W> {
         let (channel, sequence) = self.channels[index];
         self.channels[index].1 = sequence.wrapping_add(1);
         let log_time = self.anchor.to_utc_ns(host_ns);
-        let written = self.container.write(&Message {
+        let written = self.file.container.write(&Message {
             channel,
             sequence,
             log_time,
             publish_time: log_time,
             data: message,
         });
-        written.map_err(|error| self.failed(&error))?;
+        written.map_err(|error| self.file.failed(&error))?;
         self.tick(host_ns)
     }
 
-    /// Adds a topic of ROS messages in CDR.
-    pub fn topic(&mut self, name: &str, schema_name: &str, schema: &str) -> Topic {
-        let schema = self.container.schema(schema_name, schema);
-        Topic(self.container.channel(schema, name))
-    }
-
-    /// Appends a message on an additional topic, with arrival at `host_ns`, on the anchored monotonic
-    /// clock, and time stamp `stamp_utc_ns`.
-    ///
-    /// # Errors
-    /// `file_failed`.
-    pub fn publish(
-        &mut self,
-        topic: Topic,
-        host_ns: u64,
-        stamp_utc_ns: u64,
-        message: &[u8],
-    ) -> Result<()> {
-        let written = self.container.write(&Message {
-            channel: topic.0,
-            sequence: 0,
-            log_time: self.anchor.to_utc_ns(host_ns),
-            publish_time: stamp_utc_ns,
-            data: message,
-        });
-        written.map_err(|error| self.failed(&error))
+    /// The file, for further topics.
+    pub(crate) fn ros(&mut self) -> &mut RosFile<W> {
+        &mut self.file
     }
 
     /// Host's monotonic clock to UTC.
@@ -202,8 +254,8 @@ impl<W: Read + Write + Seek> RecordingWriter<W> {
     /// # Errors
     /// `file_failed`.
     pub fn flush(&mut self) -> Result<()> {
-        let flushed = self.container.flush();
-        flushed.map_err(|error| self.failed(&error))
+        let flushed = self.file.container.flush();
+        flushed.map_err(|error| self.file.failed(&error))
     }
 
     /// Closes the recording with its index.
@@ -211,14 +263,6 @@ impl<W: Read + Write + Seek> RecordingWriter<W> {
     /// # Errors
     /// `file_failed`.
     pub fn finish(self) -> Result<W> {
-        let Self {
-            name, container, ..
-        } = self;
-        let finished = container.finish();
-        finished.map_err(|error| HostError::file(&name, "write", &error))
-    }
-
-    fn failed(&self, error: &io::Error) -> HostError {
-        HostError::file(&self.name, "write", error)
+        self.file.finish()
     }
 }

@@ -12,7 +12,7 @@ use crate::recording::{Origin, Quantity, Recording, Track, Unit};
 use crate::{ErrorCode, HostError, Result};
 
 /// Two sensitivities that differ by more than this share are of two ranges.
-const OTHER_RANGE: f64 = 0.3;
+pub(crate) const OTHER_RANGE: f64 = 0.3;
 
 /// What a file does not say itself.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -89,7 +89,8 @@ pub struct Navigate {
     #[arg(long, value_name = "US", value_parser = positive, requires = "geometry", help_heading = "Arrays")]
     pub delay_sd: Option<f64>,
 
-    /// Write velocity and position to this CSV file
+    /// Write velocity and position to this CSV file, or as ROS 2 odometry, path and transforms where its name ends in
+    /// .mcap; - is standard output, as CSV
     #[arg(short, long, value_name = "PATH.csv", help_heading = "Output")]
     pub output: Option<PathBuf>,
     /// Write a report with pictures to this file

@@ -58,9 +58,9 @@ const TABLES: [Table; 4] = [
     Table {
         command: "export",
         decided_by: "format",
-        values: &["csv", "mcap", "rust", "c", "kalibr"],
+        values: &["kalibr"],
         rows: &[
-            ("noise",                 "· · · · ×"),
+            ("noise",                 "×"),
         ],
     },
     // A replayed CSV file has no angular rates.

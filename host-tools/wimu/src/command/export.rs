@@ -1,15 +1,13 @@
 //! `wimu export`.
 
 use serde::Serialize;
-use wimu_host::calibration::{
-    KalibrNoise, not_in_kalibr, range_remark, read_parameters, to_c, to_kalibr, to_rust,
-};
+use wimu_host::calibration::{CalibrationExport, ExportTarget, KalibrNoise};
 use wimu_host::compare::LinkModel;
 use wimu_host::csv::SENSITIVITY;
 use wimu_host::export::{self, ExportSource, ExportStream};
 use wimu_host::mcap_file::Wholeness;
 use wimu_host::ros::{self, Decoded};
-use wimu_host::{HostError, OutputFile, Result};
+use wimu_host::{HostError, Input, OutputFile, Result};
 
 use crate::arguments::{Export, ExportFormat, Stream};
 use crate::command::{not_over_input, print_fault};
@@ -52,17 +50,14 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
         .as_deref()
         .map(LinkModel::read)
         .transpose()?;
-    let to = match (arguments.format, arguments.output.as_deref()) {
-        (ExportFormat::Rust | ExportFormat::C | ExportFormat::Kalibr, _) => {
-            return calibration(arguments, output);
-        }
-        (_, Some(to)) => to,
-        (_, None) => {
-            return Err(usage("no output file is given", "name one with -o FILE"));
-        }
+    if let Some(target) = target(arguments) {
+        return calibration(arguments, target, output);
+    }
+    let Some(to) = arguments.output.as_deref() else {
+        return Err(usage("no output file is given", "name one with -o FILE"));
     };
     let file = to.display().to_string();
-    if matches!(arguments.format, ExportFormat::Mcap) {
+    if arguments.format == ExportFormat::Ros {
         if to.symlink_metadata().is_ok() {
             let exists = std::io::ErrorKind::AlreadyExists.into();
             return Err(HostError::file(&file, "create", &exists));
@@ -145,20 +140,32 @@ pub fn print_left_out(decoded: &Decoded, output: Output) {
     print_fault(decoded.wholeness, output);
 }
 
-/// Writes a calibration for other programs, or prints it.
-fn calibration(arguments: &Export, output: Output) -> Result<()> {
-    let set = read_parameters(&arguments.input)?;
-    let mut remarks: Vec<String> = range_remark(&arguments.input, &set).into_iter().collect();
-    let range_known = remarks.is_empty();
-    let text = match arguments.format {
-        ExportFormat::Rust => to_rust(&set, range_known),
-        ExportFormat::C => to_c(&set, range_known),
-        _ => {
-            remarks.extend(not_in_kalibr(&set));
-            let noise = arguments.noise.as_deref();
-            to_kalibr(&set, noise.map(KalibrNoise::read).transpose()?)
+/// What reads the exported calibration; `None` for a recording.
+fn target(arguments: &Export) -> Option<ExportTarget> {
+    Some(match arguments.format {
+        ExportFormat::Csv => return None,
+        ExportFormat::Ros => {
+            let input = Input::parse(&arguments.input.to_string_lossy());
+            return (!matches!(input, Ok(Input::Recording(_)))).then_some(ExportTarget::Ros);
         }
-    };
+        ExportFormat::Rust => ExportTarget::Rust,
+        ExportFormat::C => ExportTarget::C,
+        ExportFormat::Numpy => ExportTarget::Numpy,
+        ExportFormat::Matlab => ExportTarget::Matlab,
+        ExportFormat::Kalibr => ExportTarget::Kalibr,
+        ExportFormat::Px4 => ExportTarget::Px4,
+        ExportFormat::Ardupilot => ExportTarget::Ardupilot,
+    })
+}
+
+/// Writes a calibration for other programs, or prints it.
+fn calibration(arguments: &Export, target: ExportTarget, output: Output) -> Result<()> {
+    let export = CalibrationExport::read(&arguments.input)?;
+    let noise = arguments.noise.as_deref();
+    let text = export.text(target, noise.map(KalibrNoise::read).transpose()?);
+    let remarks: Vec<String> = (export.range_remark.clone().into_iter())
+        .chain(export.left_out(target))
+        .collect();
     let file = arguments
         .output
         .as_ref()

@@ -2,6 +2,7 @@
 
 pub mod align;
 pub mod allan;
+pub mod apply;
 mod array;
 pub mod calibrate;
 pub mod compare;

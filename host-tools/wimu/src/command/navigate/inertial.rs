@@ -210,7 +210,7 @@ fn present(
         ));
     }
     if let Some(file) = &arguments.output {
-        path.write_csv(file)?;
+        path.write(file)?;
         output.print(format!(
             "wrote {} rows to {}",
             path.points.len(),

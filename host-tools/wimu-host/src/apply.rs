@@ -1,0 +1,431 @@
+//! A calibration applied to any recording.
+//!
+//! ```
+//! use wimu_host::apply::Correction;
+//! use wimu_host::calibration::{CalibrationFile, read_model};
+//! use wimu_host::recording::{Quantity, Recording, Sink, TrackInfo, Unit};
+//! use wimu_model::{ErrorModel, ErrorTerms, ParameterSet, Sensitivity};
+//!
+//! let folder = tempfile::tempdir().unwrap();
+//! let path = folder.path().join("CAL.json");
+//! let model = ErrorModel::new(ErrorTerms { bias_mps2: [0.1, 0.0, 0.0], ..ErrorTerms::default() }).unwrap();
+//! let sensitivity = Sensitivity::from_lsb_per_g(1000.0).unwrap();
+//! let set = ParameterSet { model, ..ParameterSet::uncalibrated(2, sensitivity) };
+//! CalibrationFile::new(&set, &[], "poses.csv").write(&path)?;
+//!
+//! let mut recording = Recording::new("example");
+//! let counts = Unit::Counts { si_per_lsb: None };
+//! let track = recording.track(TrackInfo::new("acc", Quantity::SpecificForce, counts));
+//! recording.row(track, 0, &[0.0, 0.0, 1000.0]);
+//! let calibration = read_model(&path)?;
+//! let correction = Correction::new(&calibration, &recording)?;
+//! let first = correction.rows().next().expect("a row");
+//! assert!((first.force_mps2[0] + 0.1).abs() < 1e-12 && (first.force_mps2[2] - 9.80665).abs() < 1e-12);
+//! # Ok::<(), wimu_host::HostError>(())
+//! ```
+
+use std::io::BufWriter;
+use std::path::Path;
+
+use wimu_model::{CentiCelsius, MagneticFieldNt, MagnetometerModel, SpecificForceMps2};
+
+use crate::calibration::StoredModel;
+use crate::csv::{AccelerationUnit, CsvWriter, Header, Row};
+use crate::export::gyroscope_columns;
+use crate::finding::{Finding, FindingCode, Severity};
+use crate::mcap_file::RosFile;
+use crate::motion::{FIELD_CALIBRATED, OTHER_RANGE};
+use crate::recording::{Origin, Quantity, Recording, Track, Unit};
+use crate::ros::message::Message;
+use crate::ros::rate_covariance;
+use crate::{ErrorCode, HostError, OutputFile, Result};
+
+/// A value of another sensor belongs to a sample as long as it is not older than so many of its median steps.
+const HOLD_STEPS: f64 = 1.5;
+/// The same where its rate is unknown, ns.
+const HOLD_NS: i64 = 1_000_000_000;
+
+/// A corrected sample, body axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Corrected {
+    /// ns on the clock of the recording.
+    pub time_ns: i64,
+    /// Specific force, m/s².
+    pub force_mps2: [f64; 3],
+    /// Angular rate, rad/s.
+    pub rate_rad_s: Option<[f64; 3]>,
+    /// Magnetic flux density, µT: corrected, or as measured where the magnetometer is not calibrated.
+    pub field_ut: Option<[f64; 3]>,
+    /// °C.
+    pub temperature_c: Option<f64>,
+}
+
+/// A calibration and the tracks of a recording that it corrects.
+#[derive(Debug)]
+pub struct Correction<'a> {
+    calibration: &'a StoredModel,
+    force: &'a Track,
+    mps2_per_unit: f64,
+    /// With rad/s per unit.
+    rate: Option<(&'a Track, f64)>,
+    field: Option<&'a Track>,
+    temperature: Option<&'a Track>,
+    /// What was noticed, without the findings of the recording.
+    pub findings: Vec<Finding>,
+}
+
+impl<'a> Correction<'a> {
+    /// Chooses the tracks of the sensor with the lowest index, those that the device did not correct first.
+    ///
+    /// # Errors
+    /// `data_refused` without a specific force or valid rows; `unknown_format` where the units of recording and
+    /// calibration do not fit.
+    pub fn new(calibration: &'a StoredModel, recording: &'a Recording) -> Result<Self> {
+        let at = |error: HostError| error.at(&recording.name);
+        let force = chosen(recording, Quantity::SpecificForce);
+        let force = force.ok_or_else(|| at(no_force(recording)))?;
+        let mut findings = Vec::new();
+        if force.info.corrected {
+            findings.push(
+                Finding::new(
+                    FindingCode::TrackChosen,
+                    Severity::Warning,
+                    format!("`{}` was corrected by the device before", force.info.name),
+                )
+                .remedy("use its uncorrected output, or the calibration of this output"),
+            );
+        }
+        let mut correction = Self {
+            calibration,
+            force,
+            mps2_per_unit: mps2_per_unit(calibration, force.info.unit).map_err(at)?,
+            rate: None,
+            field: recording
+                .first(Quantity::MagneticField)
+                .filter(|track| track.info.unit == Unit::Si),
+            temperature: recording.first(Quantity::Temperature),
+            findings,
+        };
+        correction.choose_rate(recording);
+        let mut tracks = vec![correction.force];
+        tracks.extend(correction.rate.map(|(track, _)| track));
+        for track in tracks {
+            let masked = track.mask().iter().filter(|valid| !**valid).count();
+            if masked > 0 {
+                let text = format!(
+                    "`{}`: {masked} of {} rows are not usable",
+                    track.info.name,
+                    track.len()
+                );
+                let finding = Finding::new(FindingCode::RowsMasked, Severity::Warning, text);
+                correction
+                    .findings
+                    .push(finding.remedy("they are left out"));
+            }
+        }
+        match force.valid().next() {
+            Some(_) => Ok(correction),
+            None => Err(at(ErrorCode::DataRefused.error(
+                format!("`{}` has no valid row", force.info.name),
+                "check the file with `wimu info`",
+            ))),
+        }
+    }
+
+    fn choose_rate(&mut self, recording: &'a Recording) {
+        let Some(track) = chosen(recording, Quantity::AngularRate) else {
+            return;
+        };
+        let scale = match (track.info.unit, &self.calibration.gyroscope) {
+            (Unit::Si, _) => Some(1.0),
+            (Unit::Counts { .. }, Some(gyroscope)) => Some(gyroscope.rad_s_per_lsb),
+            (Unit::Counts { si_per_lsb }, None) => si_per_lsb,
+            (Unit::Unknown, _) => None,
+        };
+        let name = &track.info.name;
+        let finding = match (scale, &self.calibration.gyroscope) {
+            (Some(_), Some(_)) => None,
+            (Some(_), None) => Some(Finding::new(
+                FindingCode::Uncalibrated,
+                Severity::Note,
+                format!("`{name}` is only rotated to body axes: the calibration has no gyroscope"),
+            )),
+            (None, _) => Some(Finding::new(
+                FindingCode::Uncalibrated,
+                Severity::Warning,
+                format!("`{name}` is left out: its unit is not known"),
+            )),
+        };
+        self.rate = scale.map(|scale| (track, scale));
+        self.findings.extend(finding);
+    }
+
+    /// The corrected samples, in the order of the recording.
+    pub fn rows(&self) -> impl Iterator<Item = Corrected> {
+        let mut rate = self.rate.map(|(track, _)| Latest::new(track));
+        let mut field = self.field.map(Latest::new);
+        let mut temperature = self.temperature.map(|track| Latest {
+            // It changes slowly.
+            hold_ns: i64::MAX,
+            ..Latest::new(track)
+        });
+        self.force.vectors().map(move |(time_ns, output)| {
+            let vector = |latest: &mut Option<Latest<'a>>| -> Option<[f64; 3]> {
+                latest.as_mut()?.at(time_ns)?.try_into().ok()
+            };
+            let (rate, field) = (vector(&mut rate), vector(&mut field));
+            let temperature_c = temperature
+                .as_mut()
+                .and_then(|t| t.at(time_ns)?.first().copied());
+            self.corrected(time_ns, output, rate, field, temperature_c)
+        })
+    }
+
+    fn corrected(
+        &self,
+        time_ns: i64,
+        output: [f64; 3],
+        rate: Option<[f64; 3]>,
+        field: Option<[f64; 3]>,
+        temperature_c: Option<f64>,
+    ) -> Corrected {
+        let stored = self.calibration;
+        let now = temperature_c.map(CentiCelsius::from_celsius);
+        let output = SpecificForceMps2(output.map(|axis| axis * self.mps2_per_unit));
+        let force = stored.model.correct(output, now).0;
+        let scale = self.rate.map_or(1.0, |(_, scale)| scale);
+        let rate = rate.map(|rate| rate.map(|axis| axis * scale));
+        let rate = rate.map(|rate| match &stored.gyroscope {
+            Some(gyroscope) => gyroscope.model.correct(rate, force, now),
+            None => rate,
+        });
+        let field_ut = field.and_then(|field| match self.magnetometer() {
+            Some(model) => {
+                let output = MagneticFieldNt(field.map(|tesla| (tesla * 1e9).round() as i32));
+                let field_nt = stored
+                    .alignment
+                    .rotate(model.correct_to_accelerometer(output)?);
+                Some(field_nt.map(|nt| nt * 1e-3))
+            }
+            None => Some(field.map(|tesla| tesla * 1e6)),
+        });
+        Corrected {
+            time_ns,
+            force_mps2: stored.alignment.rotate(force),
+            rate_rad_s: rate.map(|rate| stored.alignment.rotate(rate)),
+            field_ut,
+            temperature_c,
+        }
+    }
+
+    /// The model of the magnetometer, if its axes are known.
+    fn magnetometer(&self) -> Option<MagnetometerModel> {
+        let model = self.calibration.magnetometer;
+        model.filter(|model| model.terms().to_accelerometer.is_some())
+    }
+
+    /// Writes the samples to `path`: ROS 2 messages where its name ends in `.mcap`, else CSV. Returns their number.
+    ///
+    /// # Errors
+    /// `file_unreadable`, `file_failed`.
+    pub fn write(&self, path: &Path) -> Result<usize> {
+        let extension = path.extension();
+        match extension.is_some_and(|e| e.eq_ignore_ascii_case("mcap")) {
+            true => self.write_mcap(path),
+            false => self.write_csv(path),
+        }
+    }
+
+    fn write_csv(&self, path: &Path) -> Result<usize> {
+        let (output, sink) = OutputFile::create(path)?;
+        let calibrated = self.magnetometer().is_some();
+        let mut other = Vec::new();
+        if self.field.is_some() {
+            other.push(FIELD_CALIBRATED.to_owned());
+        }
+        if self.rate.is_some() {
+            other.extend(gyroscope_columns("rad/s"));
+        }
+        let header = Header {
+            time: true,
+            accelerometers: vec![None],
+            acceleration_unit: AccelerationUnit::Mps2,
+            magnetometer: self.field.is_some(),
+            temperature: self.temperature.is_some(),
+            other,
+        };
+        let mut writer = CsvWriter::new(BufWriter::new(sink), output.name(), header)?;
+        let mut count = 0;
+        for row in self.rows() {
+            let mut other = Vec::new();
+            if self.field.is_some() {
+                other.push(u8::from(calibrated).to_string());
+            }
+            let rate = row.rate_rad_s.into_iter().flatten();
+            other.extend(rate.map(|axis| axis.to_string()));
+            writer.write(&Row {
+                time_ns: Some(row.time_ns),
+                accelerations: vec![row.force_mps2],
+                magnetic_field_ut: row.field_ut,
+                temperature_c: row.temperature_c,
+                other,
+                ..Row::default()
+            })?;
+            count += 1;
+        }
+        writer.finish()?;
+        output.finish()?;
+        Ok(count)
+    }
+
+    /// `/imu/data`, `/imu/mag` and `/imu/temperature`, stamped with the times of the recording. The covariance of the
+    /// acceleration is that of the calibration at 1 *g*.
+    fn write_mcap(&self, path: &Path) -> Result<usize> {
+        let (output, sink) = OutputFile::create(path)?;
+        let mut out = RosFile::new(sink, output.name())?;
+        let gyroscope = self
+            .calibration
+            .gyroscope
+            .and_then(|gyroscope| gyroscope.sd);
+        let gyroscope = gyroscope.map(|sd| sd.map(f64::from));
+        let rotation = self.calibration.alignment.matrix();
+        let variance = self.calibration.bias_sd_mps2.powi(2);
+        let (mut count, mut field) = (0, None);
+        for row in self.rows() {
+            let stamp_ns = u64::try_from(row.time_ns).unwrap_or_default();
+            let mut fields = crate::ros::imu(row.force_mps2, row.rate_rad_s, None);
+            for axis in 0..3 {
+                fields[28 + 4 * axis] = variance;
+            }
+            if let (Some(rate), Some(sd)) = (row.rate_rad_s, &gyroscope) {
+                let covariance = rate_covariance(rate, sd, &rotation);
+                fields[16..25].copy_from_slice(covariance.as_flattened());
+            }
+            let mut publish = |topic: &str, type_name: &str, fields: &[f64]| {
+                let message = Message::new().header(stamp_ns, "imu_link").numbers(fields);
+                out.publish(topic, type_name, stamp_ns, stamp_ns, &message)
+            };
+            publish("/imu/data", "sensor_msgs/Imu", &fields)?;
+            if row.field_ut != field
+                && let Some([x, y, z]) = row.field_ut
+            {
+                field = row.field_ut;
+                let mut fields = [0.0; 12];
+                fields[..3].copy_from_slice(&[x * 1e-6, y * 1e-6, z * 1e-6]);
+                publish("/imu/mag", "sensor_msgs/MagneticField", &fields)?;
+            }
+            if let Some(celsius) = row.temperature_c {
+                publish(
+                    "/imu/temperature",
+                    "sensor_msgs/Temperature",
+                    &[celsius, 0.0],
+                )?;
+            }
+            count += 1;
+        }
+        out.finish()?;
+        output.finish()?;
+        Ok(count)
+    }
+}
+
+/// Values of a track in step with later and later times.
+struct Latest<'a> {
+    rows: Box<dyn Iterator<Item = (i64, &'a [f64])> + 'a>,
+    next: Option<(i64, &'a [f64])>,
+    now: Option<(i64, &'a [f64])>,
+    hold_ns: i64,
+}
+
+impl<'a> Latest<'a> {
+    fn new(track: &'a Track) -> Self {
+        let mut rows = Box::new(track.valid());
+        let hold_ns = track.median_step_s();
+        Self {
+            next: rows.next(),
+            rows,
+            now: None,
+            hold_ns: hold_ns.map_or(HOLD_NS, |step| (step * 1e9 * HOLD_STEPS) as i64),
+        }
+    }
+
+    /// The last row that is not later than `time_ns`, if it is not too old.
+    fn at(&mut self, time_ns: i64) -> Option<&'a [f64]> {
+        while let Some(next) = self.next.filter(|(at, _)| *at <= time_ns) {
+            self.now = Some(next);
+            self.next = self.rows.next();
+        }
+        let (at, row) = self.now?;
+        (time_ns.saturating_sub(at) <= self.hold_ns).then_some(row)
+    }
+}
+
+/// The track of a quantity that the device did not correct, else any.
+fn chosen(recording: &Recording, quantity: Quantity) -> Option<&Track> {
+    let raw = |track: &&Track| track.info.origin == Origin::Sensor && !track.info.corrected;
+    let raw = recording.of(quantity).filter(raw);
+    raw.min_by_key(|track| track.info.sensor)
+        .or_else(|| recording.first(quantity))
+}
+
+fn no_force(recording: &Recording) -> HostError {
+    match recording.first(Quantity::LinearAcceleration) {
+        Some(track) => ErrorCode::DataRefused.error(
+            format!(
+                "`{}` is linear acceleration (gravity removed) and cannot be corrected",
+                track.info.name
+            ),
+            "export the acceleration with gravity",
+        ),
+        None => {
+            let tracks = recording.tracks().iter();
+            let names: Vec<&str> = tracks.map(|track| track.info.name.as_str()).collect();
+            ErrorCode::DataRefused.error(
+                format!("it has no accelerometer, but: {}", names.join(", ")),
+                "name its topic or columns",
+            )
+        }
+    }
+}
+
+/// m/s² of one unit of a recording, for a calibration.
+fn mps2_per_unit(calibration: &StoredModel, unit: Unit) -> Result<f64> {
+    let wrong = |message: &str, remedy: &str| Err(ErrorCode::UnknownFormat.error(message, remedy));
+    let own = calibration
+        .sensitivity_lsb_per_g
+        .map(|_| calibration.mps2_per_unit());
+    match (unit, own) {
+        (Unit::Si, _) if calibration.of_counts => wrong(
+            "its accelerations are in m/s² or g, and the calibration is one of raw counts",
+            "give the raw counts, or calibrate with a recording in m/s² or g: `wimu calibrate FILE -o CAL.json`",
+        ),
+        (Unit::Si, _) => Ok(1.0),
+        (
+            Unit::Counts {
+                si_per_lsb: Some(said),
+            },
+            Some(own),
+        ) if (said / own - 1.0).abs() > OTHER_RANGE => wrong(
+            &format!("1 LSB is {said:.3e} m/s² in it, and {own:.3e} m/s² in the calibration"),
+            "give the calibration of this range",
+        ),
+        (Unit::Counts { .. }, Some(own)) => Ok(own),
+        (
+            Unit::Counts {
+                si_per_lsb: Some(said),
+            },
+            None,
+        ) => Ok(said),
+        (Unit::Counts { si_per_lsb: None }, None) => wrong(
+            "its accelerations are raw counts, and the calibration is one of m/s² or g",
+            "calibrate with a recording of raw counts: `wimu calibrate FILE -o CAL.json`",
+        ),
+        (Unit::Unknown, _) => wrong(
+            "the unit of its accelerations is not known",
+            "name it: --units m/s2, g, mg or LSB",
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests;

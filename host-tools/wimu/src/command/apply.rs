@@ -1,0 +1,40 @@
+//! `wimu apply`.
+
+use serde::Serialize;
+use wimu_host::apply::Correction;
+use wimu_host::calibration::read_model;
+use wimu_host::finding::Finding;
+use wimu_host::{Result, formats};
+
+use crate::arguments::Apply;
+use crate::command::not_over_input;
+use crate::output::Output;
+
+#[derive(Serialize)]
+struct Applied {
+    file: String,
+    format: &'static str,
+    rows: usize,
+    findings: Vec<Finding>,
+}
+
+pub fn run(arguments: &Apply, output: Output) -> Result<()> {
+    for input in [&arguments.input, &arguments.calibration] {
+        not_over_input(input, Some(&arguments.output))?;
+    }
+    let calibration = read_model(&arguments.calibration)?;
+    let recording = formats::load(&arguments.input, &arguments.reading.options(false))?;
+    let correction = Correction::new(&calibration, &recording)?;
+    let rows = correction.write(&arguments.output)?;
+    let findings = [&correction.findings[..], &recording.findings].concat();
+    let applied = Applied {
+        file: arguments.output.display().to_string(),
+        format: recording.format,
+        rows,
+        findings,
+    };
+    output.print(format!("{}: {rows} corrected samples", applied.file));
+    output.findings(&applied.findings);
+    output.answer("wimu.apply/1", &applied);
+    Ok(())
+}

@@ -8,11 +8,17 @@ use crate::rotation::{Rotation, times};
 use crate::state::{Flags, Phase, State, StateError};
 use crate::stationarity::REST_WINDOWS;
 
-/// Largest mean rate of a window at rest, 2⁻²⁰ rad/s: 0.1 rad/s, above the 5 °/s of a gyroscope that was
-/// never calibrated.
+/// Largest mean rate of a window at rest, each axis, 2⁻²⁰ rad/s: 0.1 rad/s (5.7 °/s). It bounds the bias that a rest
+/// may show before calibration: typically ±1 °/s for an LSM6DSO (DS12140, table 2). An MPU-6050 may exceed it (±20 °/s:
+/// PS-MPU-6000A-00, §6.1), and then no rest is found until it is calibrated.
 const LARGEST_BIAS: i32 = 104_858;
-/// Largest difference between the mean rates of windows of a rest, 2⁻²⁰ rad/s: 0.02 rad/s. Above noise and
-/// bias drift within a leg, below a rotation that displaces.
+/// Largest difference between the mean rates of windows of a rest, each axis, 2⁻²⁰ rad/s: 0.02 rad/s. About a
+/// horizontal axis this rate changes the specific force by g · 0.02 rad/s · 0.125 s = 0.0245 m/s² from a window to the
+/// next, which is the accelerometer's limit [`REST_MEAN_TOLERANCE_MPS2`](crate::REST_MEAN_TOLERANCE_MPS2).
+///
+/// This is no χ² test of the gyroscope's noise, because the error model does not contain the noise. An LSM6DSO
+/// (3.8 m°/s/√Hz, 0.01 °/s/K: DS12140, table 2) has a standard deviation of 1.3 · 10⁻⁴ rad/s in a window's mean, and a
+/// bias drift of 1.7 · 10⁻³ rad/s over 10 K. False alarms are therefore negligible.
 const RATE_TOLERANCE: u64 = 20_972;
 
 /// The sensors of a sample with an axis at full scale.

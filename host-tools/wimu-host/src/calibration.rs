@@ -22,7 +22,8 @@ mod words;
 pub use datasheet::{DatasheetReport, LimitReport, datasheet};
 pub use export::{KalibrNoise, not_in_kalibr, to_c, to_kalibr, to_rust};
 pub use file::{
-    CalibrationFile, Session, StoredModel, range_remark, read_model, read_parameters, sessions,
+    CalibrationFile, Session, StoredModel, further_sensors, range_remark, read_model,
+    read_parameters, sessions,
 };
 pub use magnetometer::{FieldPose, MagneticHalfWidths, MagnetometerReport, calibrate_magnetometer};
 pub use paired::Paired;

@@ -119,3 +119,26 @@ impl Staged {
 pub(crate) fn id(set: Option<EncodedParameters>) -> ParameterId {
     set.map_or(ParameterId::UNCALIBRATED, EncodedParameters::id)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pieces_from_another_link_are_refused_and_its_first_piece_begins_anew() {
+        let (cable, wireless) = (LinkRole::Cable, LinkRole::Wireless);
+        let wrong = |received| Err(Refusal::WrongPiece { received });
+        let mut staged = Staged::NONE;
+        assert_eq!(staged.take(cable, 0, 6, &[1, 2, 3]), Ok(()));
+        // The rest of the set, and a repetition, on the other link.
+        assert_eq!(staged.take(wireless, 3, 6, &[4, 5, 6]), wrong(0));
+        assert_eq!(staged.is_whole(wireless), Err(Refusal::NothingStaged));
+        assert_eq!(staged.take(cable, 3, 6, &[4, 5, 6]), Ok(()));
+        assert_eq!(staged.is_whole(cable), Ok(true));
+        assert_eq!(staged.take(wireless, 3, 6, &[4, 5, 6]), wrong(0));
+        assert_eq!(staged.take(wireless, 0, 6, &[7, 8, 9]), Ok(()));
+        assert_eq!(staged.take(cable, 3, 6, &[4, 5, 6]), wrong(0));
+        assert_eq!(staged.is_whole(cable), Err(Refusal::NothingStaged));
+        assert_eq!(staged.is_whole(wireless), Ok(false));
+    }
+}

@@ -6,7 +6,7 @@ use std::path::Path;
 use serde_json::Value;
 
 use wimu_link::message::parameter_id;
-use wimu_model::{Alignment, Matrix3, ParameterSet, STANDARD_GRAVITY_MPS2};
+use wimu_model::{Alignment, GyroscopeParameters, Matrix3, ParameterSet, STANDARD_GRAVITY_MPS2};
 
 use crate::allan::NoiseReport;
 use crate::error::{ErrorCode, HostError, Result};
@@ -94,9 +94,10 @@ fn accelerometer(set: &ParameterSet, range_known: bool) -> String {
 pub fn to_rust(set: &ParameterSet, range_known: bool) -> String {
     let terms = set.model.terms();
     let t = &terms.temperature;
+    let [imports, field, gyroscope] = set.gyroscope.map_or_else(Default::default, rust_gyroscope);
     format!(
         "//! Calibration {id} of {what}, exported by wimu.\n\n\
-         use wimu_model::{{\n    Alignment, ErrorModel, ErrorTerms, ParameterSet, Sensitivity, TemperatureTerms,\n}};\n\n\
+         use wimu_model::{{\n    Alignment, ErrorModel, ErrorTerms, {imports}ParameterSet, Sensitivity, TemperatureTerms,\n}};\n\n\
          /// The error model, y = b(T) + A(T) u: m/s², sensor axes.\n\
          pub const TERMS: ErrorTerms = ErrorTerms {{\n    \
          bias_mps2: {bias:?},\n    matrix: {matrix:?},\n    \
@@ -106,8 +107,8 @@ pub fn to_rust(set: &ParameterSet, range_known: bool) -> String {
          /// The parameter set for `wimu_model::Corrector`; `None` is ruled out by the export.\n\
          pub fn parameters() -> Option<ParameterSet> {{\n    Some(ParameterSet {{\n        \
          model: ErrorModel::new(TERMS).ok()?,\n        \
-         alignment: Alignment::try_from({alignment:?}).ok()?,\n        \
-         ..ParameterSet::uncalibrated({range}, Sensitivity::from_lsb_per_g({sensitivity:?}).ok()?)\n    }})\n}}\n",
+         alignment: Alignment::try_from({alignment:?}).ok()?,\n        {field}\
+         ..ParameterSet::uncalibrated({range}, Sensitivity::from_lsb_per_g({sensitivity:?}).ok()?)\n    }})\n}}\n{gyroscope}",
         id = parameter_id(set),
         what = accelerometer(set, range_known).replace("+/-", "±"),
         range = set.range_g,
@@ -123,7 +124,58 @@ pub fn to_rust(set: &ParameterSet, range_known: bool) -> String {
     )
 }
 
-/// A C header with one function: counts to specific force in body axes; a comment says if the range is unknown.
+/// Imports, field and function of [`to_rust`] for a gyroscope.
+fn rust_gyroscope(gyroscope: GyroscopeParameters) -> [String; 3] {
+    let terms = gyroscope.model.terms();
+    let t = &terms.temperature;
+    [
+        "GyroscopeModel, GyroscopeParameters, GyroscopeTemperatureTerms,\n    GyroscopeTerms, "
+            .to_owned(),
+        "gyroscope: Some(gyroscope()?),\n        ".to_owned(),
+        format!(
+            "\n/// The gyroscope, for `wimu_model::GyroscopeCorrector`; `None` is ruled out by the export.\n\
+             pub fn gyroscope() -> Option<GyroscopeParameters> {{\n    \
+             let model = GyroscopeModel::new(GyroscopeTerms {{\n        \
+             bias_rad_s: {bias:?},\n        matrix: {matrix:?},\n        g_sensitivity: {g:?},\n        \
+             temperature: GyroscopeTemperatureTerms {{\n            reference_c: {reference:?},\n            \
+             bias_rad_s_per_k: {b1:?},\n            scale_per_k: {s1:?},\n        }},\n    }});\n    \
+             GyroscopeParameters::new({range}, {scale:?}, model.ok()?, {sd:?}).ok()\n}}\n",
+            bias = terms.bias_rad_s,
+            matrix = terms.matrix,
+            g = terms.g_sensitivity,
+            reference = t.reference_c,
+            b1 = t.bias_rad_s_per_k,
+            s1 = t.scale_per_k,
+            range = gyroscope.range_dps,
+            scale = gyroscope.rad_s_per_lsb,
+            sd = gyroscope.sd,
+        ),
+    ]
+}
+
+/// C: z = a⁻¹ y by cofactors, up to the open loop over `i`.
+const C_SOLVE: &str = "    det = a[0][0] * (a[1][1] * a[2][2] - a[1][2] * a[2][1])
+        - a[0][1] * (a[1][0] * a[2][2] - a[1][2] * a[2][0])
+        + a[0][2] * (a[1][0] * a[2][1] - a[1][1] * a[2][0]);
+    for (i = 0; i < 3; i++) {
+        z[i] = 0.0;
+        for (j = 0; j < 3; j++) {
+            const int r1 = (j + 1) % 3, r2 = (j + 2) % 3, c1 = (i + 1) % 3, c2 = (i + 2) % 3;
+            z[i] += (a[r1][c1] * a[r2][c2] - a[r1][c2] * a[r2][c1]) / det * y[j];
+        }
+";
+
+fn c_vector(v: [f64; 3]) -> String {
+    format!("{{{:?}, {:?}, {:?}}}", v[0], v[1], v[2])
+}
+
+fn c_matrix(m: Matrix3) -> String {
+    let [x, y, z] = m.map(c_vector);
+    format!("{{{x}, {y}, {z}}}")
+}
+
+/// A C header with a function, counts to specific force in body axes, and one for the gyroscope if it is calibrated; a
+/// comment says if the range is unknown.
 pub fn to_c(set: &ParameterSet, range_known: bool) -> String {
     let terms = set.model.terms();
     let t = &terms.temperature;
@@ -133,10 +185,8 @@ pub fn to_c(set: &ParameterSet, range_known: bool) -> String {
         parameter_id(set),
         accelerometer(set, range_known)
     );
-    let vector = |v: [f64; 3]| format!("{{{:?}, {:?}, {:?}}}", v[0], v[1], v[2]);
-    let matrix = |m: Matrix3| format!("{{{}, {}, {}}}", vector(m[0]), vector(m[1]), vector(m[2]));
     let scale = STANDARD_GRAVITY_MPS2 / set.sensitivity.lsb_per_g();
-    let alignment = matrix(set.alignment.matrix());
+    let alignment = c_matrix(set.alignment.matrix());
     let _ = write!(
         out,
         "/* Specific force in body axes, m/s^2, from raw counts at a temperature in degrees Celsius;\n   \
@@ -152,24 +202,52 @@ pub fn to_c(set: &ParameterSet, range_known: bool) -> String {
          double a[3][3], y[3], z[3], det;\n    int i, j;\n\n    \
          for (i = 0; i < 3; i++) {{\n        for (j = 0; j < 3; j++)\n            a[i][j] = a0[i][j];\n        \
          a[i][i] *= 1.0 + s1[i] * dt;\n        \
-         y[i] = counts[i] * {scale:?} - (b0[i] + (b1[i] + b2[i] * dt) * dt);\n    }}\n    \
-         det = a[0][0] * (a[1][1] * a[2][2] - a[1][2] * a[2][1])\n        \
-         - a[0][1] * (a[1][0] * a[2][2] - a[1][2] * a[2][0])\n        \
-         + a[0][2] * (a[1][0] * a[2][1] - a[1][1] * a[2][0]);\n    \
-         for (i = 0; i < 3; i++) {{\n        z[i] = 0.0;\n        for (j = 0; j < 3; j++) {{\n            \
-         const int r1 = (j + 1) % 3, r2 = (j + 2) % 3, c1 = (i + 1) % 3, c2 = (i + 2) % 3;\n            \
-         z[i] += (a[r1][c1] * a[r2][c2] - a[r1][c2] * a[r2][c1]) / det * y[j];\n        }}\n        \
+         y[i] = counts[i] * {scale:?} - (b0[i] + (b1[i] + b2[i] * dt) * dt);\n    }}\n{C_SOLVE}        \
          z[i] -= q[i] * z[i] * z[i];\n    }}\n    \
-         for (i = 0; i < 3; i++)\n        force[i] = r[i][0] * z[0] + r[i][1] * z[1] + r[i][2] * z[2];\n}}\n\n#endif\n",
+         for (i = 0; i < 3; i++)\n        force[i] = r[i][0] * z[0] + r[i][1] * z[1] + r[i][2] * z[2];\n}}\n",
         reference = t.reference_c,
-        b0 = vector(terms.bias_mps2),
-        b1 = vector(t.bias_mps2_per_k),
-        b2 = vector(t.bias_mps2_per_k2),
-        s1 = vector(t.scale_per_k),
-        q = vector(terms.nonlinearity),
-        a = matrix(terms.matrix),
+        b0 = c_vector(terms.bias_mps2),
+        b1 = c_vector(t.bias_mps2_per_k),
+        b2 = c_vector(t.bias_mps2_per_k2),
+        s1 = c_vector(t.scale_per_k),
+        q = c_vector(terms.nonlinearity),
+        a = c_matrix(terms.matrix),
     );
-    out
+    if let Some(gyroscope) = &set.gyroscope {
+        out += &c_gyroscope(gyroscope, &alignment);
+    }
+    out + "\n#endif\n"
+}
+
+/// The function of [`to_c`] for a gyroscope.
+fn c_gyroscope(gyroscope: &GyroscopeParameters, alignment: &str) -> String {
+    let terms = gyroscope.model.terms();
+    let t = &terms.temperature;
+    format!(
+        "\n/* Angular rate in body axes, rad/s, from raw counts of the gyroscope at a temperature in degrees Celsius;\n   \
+         pass WIMU_GYROSCOPE_REFERENCE_C where there is no thermometer. force: specific force in body axes,\n   \
+         m/s^2, from wimu_correct. A(T)^-1 (y - b(T) - G f), then sensor axes to body axes. */\n\
+         #define WIMU_GYROSCOPE_REFERENCE_C {reference:?}\n\n\
+         static inline void wimu_correct_rate(const int16_t counts[3], const double force[3],\n    \
+         double temperature_c, double rate[3])\n{{\n    \
+         static const double b0[3] = {b0};\n    static const double b1[3] = {b1};\n    \
+         static const double s1[3] = {s1};\n    static const double g[3][3] = {g};\n    \
+         static const double a0[3][3] = {a};\n    static const double r[3][3] = {alignment};\n    \
+         const double dt = temperature_c - WIMU_GYROSCOPE_REFERENCE_C;\n    \
+         double a[3][3], y[3], z[3], det;\n    int i, j;\n\n    \
+         for (i = 0; i < 3; i++)\n        z[i] = r[0][i] * force[0] + r[1][i] * force[1] + r[2][i] * force[2];\n    \
+         for (i = 0; i < 3; i++) {{\n        y[i] = counts[i] * {scale:?} - (b0[i] + b1[i] * dt);\n        \
+         for (j = 0; j < 3; j++) {{\n            a[i][j] = a0[i][j];\n            y[i] -= g[i][j] * z[j];\n        }}\n        \
+         a[i][i] *= 1.0 + s1[i] * dt;\n    }}\n{C_SOLVE}    }}\n    \
+         for (i = 0; i < 3; i++)\n        rate[i] = r[i][0] * z[0] + r[i][1] * z[1] + r[i][2] * z[2];\n}}\n",
+        reference = t.reference_c,
+        b0 = c_vector(terms.bias_rad_s),
+        b1 = c_vector(t.bias_rad_s_per_k),
+        s1 = c_vector(t.scale_per_k),
+        g = c_matrix(terms.g_sensitivity),
+        a = c_matrix(terms.matrix),
+        scale = gyroscope.rad_s_per_lsb,
+    )
 }
 
 /// What [`to_kalibr`] leaves out of a set, as lines of text: Kalibr's file has no field for it.
@@ -184,6 +262,13 @@ pub fn not_in_kalibr(set: &ParameterSet) -> Vec<String> {
             t.reference_c
         ));
     }
+    let rates = (set.gyroscope.as_ref()).map(|gyroscope| gyroscope.model.terms().temperature);
+    if let Some(t) = rates.filter(|t| [t.bias_rad_s_per_k, t.scale_per_k] != [[0.0; 3]; 2]) {
+        left_out.push(format!(
+            "the gyroscope's M and b are those at {:.2} °C: their temperature coefficients are left out",
+            t.reference_c
+        ));
+    }
     if terms.nonlinearity != [0.0; 3] {
         left_out.push("the nonlinearity is left out".to_owned());
     }
@@ -194,8 +279,8 @@ pub fn not_in_kalibr(set: &ParameterSet) -> Vec<String> {
     left_out
 }
 
-/// Kalibr's IMU file: noise, and the accelerometer's intrinsics in its convention,
-/// y = M f + b, which is ours: M is A, b the bias.
+/// Kalibr's IMU file: noise, and the intrinsics of accelerometer and gyroscope in its convention, y = M f + b and
+/// y = M C_gyro_i ω + A f + b, which are equations (1) and (25): its M is our A, its A our G, b the bias.
 pub fn to_kalibr(set: &ParameterSet, noise: Option<KalibrNoise>) -> String {
     let terms = set.model.terms();
     let mut out = format!(
@@ -236,10 +321,24 @@ pub fn to_kalibr(set: &ParameterSet, noise: Option<KalibrNoise>) -> String {
     for line in not_in_kalibr(set) {
         let _ = writeln!(out, "# {line}.");
     }
-    out.push_str("accelerometers:\n  M:\n");
-    for row in terms.matrix {
-        let _ = writeln!(out, "  - {row:?}");
-    }
+    let matrix = |out: &mut String, name: &str, rows: Matrix3| {
+        let _ = writeln!(out, "  {name}:");
+        for row in rows {
+            let _ = writeln!(out, "  - {row:?}");
+        }
+    };
+    out.push_str("accelerometers:\n");
+    matrix(&mut out, "M", terms.matrix);
     let _ = writeln!(out, "  b: {:?}", terms.bias_mps2);
+    if let Some(gyroscope) = &set.gyroscope {
+        let terms = gyroscope.model.terms();
+        out.push_str(
+            "# Output = M * C_gyro_i * angular rate + A * specific force + b, sensor axes, rad/s.\ngyroscopes:\n",
+        );
+        matrix(&mut out, "M", terms.matrix);
+        matrix(&mut out, "C_gyro_i", Alignment::IDENTITY.matrix());
+        matrix(&mut out, "A", terms.g_sensitivity);
+        let _ = writeln!(out, "  b: {:?}", terms.bias_rad_s);
+    }
     out
 }

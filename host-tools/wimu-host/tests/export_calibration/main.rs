@@ -5,8 +5,8 @@ use std::process::Command;
 
 use wimu_host::calibration::{KalibrNoise, not_in_kalibr, to_c, to_kalibr, to_rust};
 use wimu_model::{
-    Alignment, CentiCelsius, Counts, ErrorModel, ErrorTerms, ParameterSet, Sensitivity,
-    TemperatureTerms,
+    Alignment, CentiCelsius, Counts, ErrorModel, ErrorTerms, GyroscopeModel, GyroscopeParameters,
+    GyroscopeTemperatureTerms, GyroscopeTerms, ParameterSet, Sensitivity, TemperatureTerms,
 };
 
 /// Compiled from the file that `to_rust` writes.
@@ -32,8 +32,27 @@ fn set() -> ParameterSet {
         })
         .unwrap(),
         alignment: Alignment::from_quaternion([0.9, 0.1, -0.2, 0.3]).unwrap(),
+        gyroscope: GyroscopeParameters::new(500, 0.000_305, gyroscope(), Some([0.001; 12])).ok(),
         ..ParameterSet::uncalibrated(4, Sensitivity::from_lsb_per_g(8192.0).unwrap())
     }
+}
+
+fn gyroscope() -> GyroscopeModel {
+    GyroscopeModel::new(GyroscopeTerms {
+        bias_rad_s: [0.01, -0.02, 0.03],
+        matrix: [
+            [0.99, 0.003, -0.001],
+            [-0.004, 1.02, 0.002],
+            [0.005, -0.006, 1.01],
+        ],
+        g_sensitivity: [[1e-4, 2e-4, 0.0], [0.0, -1e-4, 3e-4], [1e-5, 0.0, 2e-4]],
+        temperature: GyroscopeTemperatureTerms {
+            reference_c: 22.0,
+            bias_rad_s_per_k: [1e-4, -2e-4, 3e-4],
+            scale_per_k: [1e-4, 0.0, -1e-4],
+        },
+    })
+    .unwrap()
 }
 
 const SAMPLES: [[i16; 3]; 5] = [
@@ -63,13 +82,14 @@ fn c_computes_the_same() {
     fs::create_dir_all(&folder).unwrap();
     fs::write(folder.join("wimu_calibration.h"), to_c(&set(), true)).unwrap();
     let mut program = String::from(
-        "#include <stdio.h>\n#include \"wimu_calibration.h\"\nint main(void) {\n    double f[3];\n",
+        "#include <stdio.h>\n#include \"wimu_calibration.h\"\nint main(void) {\n    double f[3], w[3];\n",
     );
     for (k, [x, y, z]) in SAMPLES.into_iter().enumerate() {
         program += &format!(
-            "    {{ const int16_t c[3] = {{{x}, {y}, {z}}}; wimu_correct(c, {}, f); \
-             printf(\"%.17g %.17g %.17g\\n\", f[0], f[1], f[2]); }}\n",
-            10 + 10 * k
+            "    {{ const int16_t c[3] = {{{x}, {y}, {z}}}; wimu_correct(c, {t}, f); \
+             wimu_correct_rate(c, f, {t}, w); \
+             printf(\"%.17g %.17g %.17g %.17g %.17g %.17g\\n\", f[0], f[1], f[2], w[0], w[1], w[2]); }}\n",
+            t = 10 + 10 * k
         );
     }
     program += "    return 0;\n}\n";
@@ -93,8 +113,14 @@ fn c_computes_the_same() {
     assert_eq!(text.lines().count(), SAMPLES.len());
     for ((k, counts), line) in SAMPLES.into_iter().enumerate().zip(text.lines()) {
         let at = CentiCelsius(1000 + 1000 * k as i16);
-        let ours = set().correct(Counts(counts), Some(at)).0;
-        for (ours, theirs) in ours.into_iter().zip(line.split(' ')) {
+        let force = set().correct(Counts(counts), Some(at)).0;
+        let [x, y, z] = set().alignment.matrix();
+        let in_sensor_axes =
+            [0, 1, 2].map(|axis| x[axis] * force[0] + y[axis] * force[1] + z[axis] * force[2]);
+        let output = counts.map(|count| f64::from(count) * 0.000_305);
+        let rate = gyroscope().correct(output, in_sensor_axes, Some(at));
+        let ours = force.into_iter().chain(set().alignment.rotate(rate));
+        for (ours, theirs) in ours.zip(line.split(' ')) {
             let theirs: f64 = theirs.parse().unwrap();
             assert!((ours - theirs).abs() < 1e-10, "{ours} {theirs}");
         }
@@ -120,6 +146,10 @@ fn kalibr_has_its_keys_and_never_an_invented_noise() {
         "accelerometers:",
         "  - [1.01, 0.002, -0.003]",
         "  b: [0.125, -0.3, 0.51]",
+        "gyroscopes:",
+        "  - [0.99, 0.003, -0.001]",
+        "  - [0.0001, 0.0002, 0.0]",
+        "  b: [0.01, -0.02, 0.03]",
     ] {
         assert!(text.lines().any(|found| found == line), "{line} in {text}");
     }
@@ -133,7 +163,7 @@ fn kalibr_has_its_keys_and_never_an_invented_noise() {
     assert!(unseen.contains("# Not observed in the recording: upper bound"));
     assert!(unseen.contains("\naccelerometer_random_walk: 0.0001\n"));
     // What Kalibr has no place for is said.
-    for word in ["at 24.50 °C", "nonlinearity", "alignment"] {
+    for word in ["at 24.50 °C", "at 22.00 °C", "nonlinearity", "alignment"] {
         assert!(text.contains(word), "{word} in {text}");
         assert!(not_in_kalibr(&set()).iter().any(|line| line.contains(word)));
     }

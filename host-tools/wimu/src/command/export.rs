@@ -2,7 +2,8 @@
 
 use serde::Serialize;
 use wimu_host::calibration::{
-    KalibrNoise, not_in_kalibr, range_remark, read_parameters, to_c, to_kalibr, to_rust,
+    KalibrNoise, further_sensors, not_in_kalibr, range_remark, read_parameters, to_c, to_kalibr,
+    to_rust,
 };
 use wimu_host::compare::LinkModel;
 use wimu_host::csv::SENSITIVITY;
@@ -150,6 +151,12 @@ fn calibration(arguments: &Export, output: Output) -> Result<()> {
     let set = read_parameters(&arguments.input)?;
     let mut remarks: Vec<String> = range_remark(&arguments.input, &set).into_iter().collect();
     let range_known = remarks.is_empty();
+    let further = further_sensors(&arguments.input);
+    if !further.is_empty() {
+        remarks.push(format!(
+            "sensors {further:?} of the calibration are left out"
+        ));
+    }
     let text = match arguments.format {
         ExportFormat::Rust => to_rust(&set, range_known),
         ExportFormat::C => to_c(&set, range_known),

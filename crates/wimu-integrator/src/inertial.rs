@@ -1,5 +1,7 @@
 //! Integration with a gyroscope: equation (29) of docs/EQUATIONS.md.
 
+use core::sync::atomic::{AtomicBool, Ordering};
+
 use wimu_model::{AngularRateQ20, PeriodNs, SpecificForceQ16};
 
 use crate::attitude::to_direction;
@@ -108,6 +110,7 @@ pub(crate) struct Inertial {
 
 impl Inertial {
     fn new(period: PeriodNs) -> Self {
+        USED.store(true, Ordering::Relaxed);
         Self {
             rotation: Rotation::new([1.0, 0.0, 0.0, 0.0], period),
             bias: [0; 3],
@@ -118,6 +121,11 @@ impl Inertial {
     }
 
     pub(crate) fn from_state(state: RotationState, period: PeriodNs) -> Self {
+        USED.store(true, Ordering::Relaxed);
+        Self::resumed(state, period)
+    }
+
+    fn resumed(state: RotationState, period: PeriodNs) -> Self {
         let RotationState {
             quaternion,
             previous,
@@ -155,7 +163,7 @@ impl Inertial {
             window: [0; 3],
             ..self.state()
         };
-        Self::from_state(state, period)
+        Self::resumed(state, period)
     }
 
     /// Tests the complete window of `steps` samples, after a run of `windows`.
@@ -202,7 +210,20 @@ impl Inertial {
     }
 }
 
+/// Whether an [`Inertial`] has ever been made. Images whose sensor has no gyroscope never write it, so that the
+/// linker's optimiser drops everything behind [`Integrator::inertial`]: 2 kB of quaternion arithmetic.
+static USED: AtomicBool = AtomicBool::new(false);
+
 impl Integrator {
+    /// The rotation, if there is one.
+    #[inline]
+    pub(crate) fn inertial(&self) -> Option<&Inertial> {
+        match USED.load(Ordering::Relaxed) {
+            true => self.inertial.as_ref(),
+            false => None,
+        }
+    }
+
     /// Adds the next corrected sample of accelerometer and gyroscope, body axes; `saturated`: which
     /// of them had an axis at full scale.
     ///
@@ -263,7 +284,7 @@ impl Integrator {
     /// first rest.
     pub fn rest_force(&self) -> [i64; 3] {
         let mean = self.state.rest_mean;
-        self.inertial.map_or(mean, |inertial| {
+        self.inertial().map_or(mean, |inertial| {
             let short = mean.map(|mean| (mean >> 8) as i32);
             inertial
                 .rotation
@@ -274,13 +295,13 @@ impl Integrator {
 
     /// A vector in present body axes, in integration axes.
     pub(crate) fn in_integration_axes(&self, body: [i32; 3]) -> [i32; 3] {
-        (self.inertial).map_or(body, |inertial| inertial.rotation.rotate(body))
+        (self.inertial()).map_or(body, |inertial| inertial.rotation.rotate(body))
     }
 
     /// Quaternion w, x, y, z from body to navigation axes, 2⁻³⁰; `None` without a gyroscope and before the
     /// first rest.
     pub(crate) fn quaternion(&self) -> Option<[i32; 4]> {
-        let inertial = (self.inertial).filter(|_| self.state.phase != Phase::Searching)?;
+        let inertial = (self.inertial()).filter(|_| self.state.phase != Phase::Searching)?;
         let q = times(self.attitude.quaternion(), inertial.rotation.quaternion());
         Some(q.map(to_direction))
     }

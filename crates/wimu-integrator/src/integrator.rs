@@ -170,7 +170,7 @@ impl Integrator {
     /// Everything that determines the future outputs.
     pub fn state(&self) -> State {
         State {
-            rotation: self.inertial.map(|inertial| inertial.state()),
+            rotation: self.inertial().map(Inertial::state),
             ..self.state
         }
     }
@@ -237,7 +237,7 @@ impl Integrator {
             previous: self.state.segment.previous,
             ..Segment::default()
         };
-        self.inertial = (self.inertial).map(|inertial| inertial.with_period(period));
+        self.inertial = (self.inertial()).map(|inertial| inertial.with_period(period));
         self.window_steps = window_steps(period);
         self.state.window = Window::starting_at(&self.state.segment);
         self.state.run = None;

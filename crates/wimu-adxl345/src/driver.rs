@@ -1,3 +1,6 @@
+use wimu_registers::Registers;
+
+use crate::bus::SPI;
 use crate::registers::*;
 use crate::{Bus, DataFormat, Error, Fifo, Interrupts, Rate, Setup};
 
@@ -14,7 +17,7 @@ pub struct FifoLevel {
 /// Dropping a future may interrupt a bus transfer; the next call works normally.
 #[derive(Debug)]
 pub struct Adxl345<B> {
-    bus: B,
+    pub(crate) registers: Registers<B>,
 }
 
 impl<B> Adxl345<B> {
@@ -23,12 +26,14 @@ impl<B> Adxl345<B> {
 
     /// A chip on `bus`; nothing is sent yet.
     pub fn new(bus: B) -> Self {
-        Self { bus }
+        Self {
+            registers: Registers::new(bus, SPI),
+        }
     }
 
     /// Returns the bus.
     pub fn release(self) -> B {
-        self.bus
+        self.registers.release()
     }
 }
 
@@ -38,7 +43,7 @@ impl<B: Bus> Adxl345<B> {
     /// # Errors
     /// [`Error::NotAnswering`], [`Error::Bus`].
     pub async fn device_id(&mut self) -> Result<u8, Error<B::Error>> {
-        self.read(DEVID).await
+        self.registers.read_one(DEVID).await
     }
 
     /// Verifies that the chip is an ADXL345.
@@ -46,11 +51,7 @@ impl<B: Bus> Adxl345<B> {
     /// # Errors
     /// [`Error::WrongIdentity`] if it is not; [`Error::NotAnswering`], [`Error::Bus`].
     pub async fn check_identity(&mut self) -> Result<(), Error<B::Error>> {
-        match self.device_id().await? {
-            Self::IDENTITY => Ok(()),
-            0x00 | 0xFF => Err(Error::NotAnswering),
-            found => Err(Error::WrongIdentity { found }),
-        }
+        (self.registers.check_identity(DEVID, Self::IDENTITY)).await
     }
 
     /// Configures the chip, whatever its state, and starts measuring: FIFO emptied, offsets zero, no self-test.
@@ -73,7 +74,7 @@ impl<B: Bus> Adxl345<B> {
             (POWER_CTL, POWER_CTL_MEASURE),
         ];
         for (register, value) in registers {
-            self.write(register, value).await?;
+            self.registers.write(register, value).await?;
         }
         Ok(())
     }
@@ -83,7 +84,7 @@ impl<B: Bus> Adxl345<B> {
     /// # Errors
     /// [`Error::NotAnswering`], [`Error::Bus`].
     pub async fn standby(&mut self) -> Result<(), Error<B::Error>> {
-        self.write(POWER_CTL, 0).await
+        self.registers.write(POWER_CTL, 0).await
     }
 
     /// Starts measuring. The first sample is valid after 1.1 ms + one sample period.
@@ -91,7 +92,7 @@ impl<B: Bus> Adxl345<B> {
     /// # Errors
     /// [`Error::NotAnswering`], [`Error::Bus`].
     pub async fn measure(&mut self) -> Result<(), Error<B::Error>> {
-        self.write(POWER_CTL, POWER_CTL_MEASURE).await
+        self.registers.write(POWER_CTL, POWER_CTL_MEASURE).await
     }
 
     /// Sets range, resolution and justification; ends a self-test.
@@ -99,7 +100,7 @@ impl<B: Bus> Adxl345<B> {
     /// # Errors
     /// [`Error::NotAnswering`], [`Error::Bus`].
     pub async fn set_data_format(&mut self, format: DataFormat) -> Result<(), Error<B::Error>> {
-        self.write(DATA_FORMAT, format.register()).await
+        self.registers.write(DATA_FORMAT, format.register()).await
     }
 
     /// Sets the rate, and low-power mode (more noise), which has an effect only where [`Rate::has_low_power`].
@@ -107,7 +108,9 @@ impl<B: Bus> Adxl345<B> {
     /// # Errors
     /// [`Error::NotAnswering`], [`Error::Bus`].
     pub async fn set_rate(&mut self, rate: Rate, low_power: bool) -> Result<(), Error<B::Error>> {
-        self.write(BW_RATE, rate.register(low_power)).await
+        self.registers
+            .write(BW_RATE, rate.register(low_power))
+            .await
     }
 
     /// Empties the FIFO and sets its mode.
@@ -115,11 +118,13 @@ impl<B: Bus> Adxl345<B> {
     /// # Errors
     /// [`Error::NotAnswering`], [`Error::Bus`].
     pub async fn set_fifo(&mut self, fifo: Fifo) -> Result<(), Error<B::Error>> {
-        self.write(FIFO_CTL, Fifo::Bypass.register()).await?;
+        self.registers
+            .write(FIFO_CTL, Fifo::Bypass.register())
+            .await?;
         if fifo == Fifo::Bypass {
             return Ok(());
         }
-        self.write(FIFO_CTL, fifo.register()).await
+        self.registers.write(FIFO_CTL, fifo.register()).await
     }
 
     /// Enables interrupts on the pins, active high; those in `on_int2` on INT2, the others on INT1.
@@ -131,8 +136,8 @@ impl<B: Bus> Adxl345<B> {
         enabled: Interrupts,
         on_int2: Interrupts,
     ) -> Result<(), Error<B::Error>> {
-        self.write(INT_MAP, on_int2.0).await?;
-        self.write(INT_ENABLE, enabled.0).await
+        self.registers.write(INT_MAP, on_int2.0).await?;
+        self.registers.write(INT_ENABLE, enabled.0).await
     }
 
     /// Reads the active interrupts, enabled or not. Clears those that reading data does not clear.
@@ -140,7 +145,7 @@ impl<B: Bus> Adxl345<B> {
     /// # Errors
     /// [`Error::NotAnswering`], [`Error::Bus`].
     pub async fn interrupts(&mut self) -> Result<Interrupts, Error<B::Error>> {
-        self.read(INT_SOURCE).await.map(Interrupts)
+        self.registers.read_one(INT_SOURCE).await.map(Interrupts)
     }
 
     /// Reads the number of samples available.
@@ -148,7 +153,7 @@ impl<B: Bus> Adxl345<B> {
     /// # Errors
     /// [`Error::NotAnswering`], [`Error::Bus`].
     pub async fn fifo_level(&mut self) -> Result<FifoLevel, Error<B::Error>> {
-        let status = self.read(FIFO_STATUS).await?;
+        let status = self.registers.read_one(FIFO_STATUS).await?;
         Ok(FifoLevel {
             samples: status & FIFO_STATUS_ENTRIES,
         })
@@ -161,7 +166,7 @@ impl<B: Bus> Adxl345<B> {
     /// [`Error::NotAnswering`], [`Error::Bus`]: the sample may be lost.
     pub async fn sample(&mut self) -> Result<[i16; 3], Error<B::Error>> {
         let mut bytes = [0; 6];
-        self.read_registers(DATAX0, &mut bytes).await?;
+        self.registers.read(DATAX0, &mut bytes).await?;
         let [x0, x1, y0, y1, z0, z1] = bytes;
         Ok([[x0, x1], [y0, y1], [z0, z1]].map(i16::from_le_bytes))
     }
@@ -172,34 +177,8 @@ impl<B: Bus> Adxl345<B> {
     /// [`Error::NotAnswering`], [`Error::Bus`].
     pub async fn set_offset(&mut self, offset: [i8; 3]) -> Result<(), Error<B::Error>> {
         for (register, axis) in [OFSX, OFSY, OFSZ].into_iter().zip(offset) {
-            self.write(register, axis as u8).await?;
+            self.registers.write(register, axis as u8).await?;
         }
         Ok(())
-    }
-
-    pub(crate) async fn write(&mut self, register: u8, value: u8) -> Result<(), Error<B::Error>> {
-        self.bus.write(register, value).await.map_err(fault::<B>)
-    }
-
-    async fn read(&mut self, register: u8) -> Result<u8, Error<B::Error>> {
-        let mut value = [0];
-        self.read_registers(register, &mut value).await?;
-        Ok(value[0])
-    }
-
-    async fn read_registers(
-        &mut self,
-        register: u8,
-        values: &mut [u8],
-    ) -> Result<(), Error<B::Error>> {
-        self.bus.read(register, values).await.map_err(fault::<B>)
-    }
-}
-
-fn fault<B: Bus>(error: B::Error) -> Error<B::Error> {
-    if B::not_answering(&error) {
-        Error::NotAnswering
-    } else {
-        Error::Bus(error)
     }
 }

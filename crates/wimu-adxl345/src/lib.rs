@@ -4,13 +4,12 @@
 
 mod bus;
 mod driver;
-mod error;
 mod registers;
 mod self_test;
 mod settings;
 
-pub use bus::{Address, Bus, I2cBus, SpiBus};
+pub use bus::{Address, I2cBus};
 pub use driver::{Adxl345, FifoLevel};
-pub use error::Error;
 pub use self_test::SelfTest;
 pub use settings::{DataFormat, Fifo, Interrupts, Justify, Range, Rate, Resolution, Setup};
+pub use wimu_registers::{Bus, Error, SpiBus};

@@ -89,7 +89,8 @@ impl<B: Bus> Adxl345<B> {
         self.set_data_format(FORMAT).await?;
         self.measure().await?;
         let without = self.mean(delay).await?;
-        self.write(DATA_FORMAT, FORMAT.register() | DATA_FORMAT_SELF_TEST)
+        self.registers
+            .write(DATA_FORMAT, FORMAT.register() | DATA_FORMAT_SELF_TEST)
             .await?;
         let with = self.mean(delay).await?;
         self.set_data_format(FORMAT).await?;

@@ -50,7 +50,13 @@ fn another_chip_at_the_address_is_named() {
         sensor.check_identity().await
     });
     let error = checked.expect_err("0x33 is no ADXL345");
-    assert_eq!(error, Error::WrongIdentity { found: 0x33 });
+    assert_eq!(
+        error,
+        Error::WrongIdentity {
+            expected: 0xE5,
+            found: 0x33
+        }
+    );
     assert!(error.to_string().contains("0x33"), "{error}");
 }
 

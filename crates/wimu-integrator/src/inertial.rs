@@ -1,5 +1,7 @@
 //! Integration with a gyroscope: equation (29) of docs/EQUATIONS.md.
 
+use core::sync::atomic::{AtomicBool, Ordering};
+
 use wimu_model::{AngularRateQ20, PeriodNs, SpecificForceQ16};
 
 use crate::attitude::to_direction;
@@ -8,11 +10,17 @@ use crate::rotation::{Rotation, times};
 use crate::state::{Flags, Phase, State, StateError};
 use crate::stationarity::REST_WINDOWS;
 
-/// Largest mean rate of a window at rest, 2⁻²⁰ rad/s: 0.1 rad/s, above the 5 °/s of a gyroscope that was
-/// never calibrated.
+/// Largest mean rate of a window at rest, each axis, 2⁻²⁰ rad/s: 0.1 rad/s (5.7 °/s). It bounds the bias that a rest
+/// may show before calibration: typically ±1 °/s for an LSM6DSO (DS12140, table 2). An MPU-6050 may exceed it (±20 °/s:
+/// PS-MPU-6000A-00, §6.1), and then no rest is found until it is calibrated.
 const LARGEST_BIAS: i32 = 104_858;
-/// Largest difference between the mean rates of windows of a rest, 2⁻²⁰ rad/s: 0.02 rad/s. Above noise and
-/// bias drift within a leg, below a rotation that displaces.
+/// Largest difference between the mean rates of windows of a rest, each axis, 2⁻²⁰ rad/s: 0.02 rad/s. About a
+/// horizontal axis this rate changes the specific force by g · 0.02 rad/s · 0.125 s = 0.0245 m/s² from a window to the
+/// next, which is the accelerometer's limit [`REST_MEAN_TOLERANCE_MPS2`](crate::REST_MEAN_TOLERANCE_MPS2).
+///
+/// This is no χ² test of the gyroscope's noise, because the error model does not contain the noise. An LSM6DSO
+/// (3.8 m°/s/√Hz, 0.01 °/s/K: DS12140, table 2) has a standard deviation of 1.3 · 10⁻⁴ rad/s in a window's mean, and a
+/// bias drift of 1.7 · 10⁻³ rad/s over 10 K. False alarms are therefore negligible.
 const RATE_TOLERANCE: u64 = 20_972;
 
 /// The sensors of a sample with an axis at full scale.
@@ -102,6 +110,7 @@ pub(crate) struct Inertial {
 
 impl Inertial {
     fn new(period: PeriodNs) -> Self {
+        USED.store(true, Ordering::Relaxed);
         Self {
             rotation: Rotation::new([1.0, 0.0, 0.0, 0.0], period),
             bias: [0; 3],
@@ -112,6 +121,11 @@ impl Inertial {
     }
 
     pub(crate) fn from_state(state: RotationState, period: PeriodNs) -> Self {
+        USED.store(true, Ordering::Relaxed);
+        Self::resumed(state, period)
+    }
+
+    fn resumed(state: RotationState, period: PeriodNs) -> Self {
         let RotationState {
             quaternion,
             previous,
@@ -149,7 +163,7 @@ impl Inertial {
             window: [0; 3],
             ..self.state()
         };
-        Self::from_state(state, period)
+        Self::resumed(state, period)
     }
 
     /// Tests the complete window of `steps` samples, after a run of `windows`.
@@ -196,7 +210,20 @@ impl Inertial {
     }
 }
 
+/// Whether an [`Inertial`] has ever been made. Images whose sensor has no gyroscope never write it, so that the
+/// linker's optimiser drops everything behind [`Integrator::inertial`]: 2 kB of quaternion arithmetic.
+static USED: AtomicBool = AtomicBool::new(false);
+
 impl Integrator {
+    /// The rotation, if there is one.
+    #[inline]
+    pub(crate) fn inertial(&self) -> Option<&Inertial> {
+        match USED.load(Ordering::Relaxed) {
+            true => self.inertial.as_ref(),
+            false => None,
+        }
+    }
+
     /// Adds the next corrected sample of accelerometer and gyroscope, body axes; `saturated`: which
     /// of them had an axis at full scale.
     ///
@@ -257,7 +284,7 @@ impl Integrator {
     /// first rest.
     pub fn rest_force(&self) -> [i64; 3] {
         let mean = self.state.rest_mean;
-        self.inertial.map_or(mean, |inertial| {
+        self.inertial().map_or(mean, |inertial| {
             let short = mean.map(|mean| (mean >> 8) as i32);
             inertial
                 .rotation
@@ -268,13 +295,13 @@ impl Integrator {
 
     /// A vector in present body axes, in integration axes.
     pub(crate) fn in_integration_axes(&self, body: [i32; 3]) -> [i32; 3] {
-        (self.inertial).map_or(body, |inertial| inertial.rotation.rotate(body))
+        (self.inertial()).map_or(body, |inertial| inertial.rotation.rotate(body))
     }
 
     /// Quaternion w, x, y, z from body to navigation axes, 2⁻³⁰; `None` without a gyroscope and before the
     /// first rest.
     pub(crate) fn quaternion(&self) -> Option<[i32; 4]> {
-        let inertial = (self.inertial).filter(|_| self.state.phase != Phase::Searching)?;
+        let inertial = (self.inertial()).filter(|_| self.state.phase != Phase::Searching)?;
         let q = times(self.attitude.quaternion(), inertial.rotation.quaternion());
         Some(q.map(to_direction))
     }

@@ -170,7 +170,7 @@ impl Integrator {
     /// Everything that determines the future outputs.
     pub fn state(&self) -> State {
         State {
-            rotation: self.inertial.map(|inertial| inertial.state()),
+            rotation: self.inertial().map(Inertial::state),
             ..self.state
         }
     }
@@ -237,7 +237,7 @@ impl Integrator {
             previous: self.state.segment.previous,
             ..Segment::default()
         };
-        self.inertial = (self.inertial).map(|inertial| inertial.with_period(period));
+        self.inertial = (self.inertial()).map(|inertial| inertial.with_period(period));
         self.window_steps = window_steps(period);
         self.state.window = Window::starting_at(&self.state.segment);
         self.state.run = None;
@@ -420,7 +420,11 @@ impl Integrator {
     }
 
     /// Number of windows that are a rest after a motion; `rate_as_held`: whether the angular rate is the
-    /// bias of the latest rest. If not, the body may rotate about the vertical.
+    /// bias of the latest rest.
+    ///
+    /// If not, either the bias has changed, or the body rotates about the vertical, which the specific force does not
+    /// show. A run of [`LONGEST_RUN`] windows, 16 s, is taken for a changed bias: the body would rotate by at least
+    /// 0.32 rad at a rate that is constant within 0.02 rad/s, which is not hand motion. A turntable is not excluded.
     fn windows_of_a_rest(&self, window: &Window, total: [i64; 3], rate_as_held: bool) -> u16 {
         if !rate_as_held {
             LONGEST_RUN

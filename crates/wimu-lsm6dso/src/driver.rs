@@ -1,4 +1,5 @@
 use embedded_hal_async::delay::DelayNs;
+use wimu_registers::{Registers, SpiRead};
 
 use crate::fifo::{Batch, DEPTH, Pairing, Sample, WORD, axes};
 use crate::registers::*;
@@ -29,7 +30,7 @@ struct FifoStatus {
 /// [`read`](Self::read) reports a gap.
 #[derive(Debug)]
 pub struct Lsm6dso<B> {
-    bus: B,
+    pub(crate) registers: Registers<B>,
     pairing: Pairing,
     /// Whether every word since the last batch can be accounted for.
     continuous: bool,
@@ -44,7 +45,7 @@ impl<B> Lsm6dso<B> {
     /// A chip on `bus`; nothing is sent yet.
     pub fn new(bus: B) -> Self {
         Self {
-            bus,
+            registers: Registers::new(bus, SpiRead::default()),
             pairing: Pairing::default(),
             continuous: false,
         }
@@ -52,7 +53,7 @@ impl<B> Lsm6dso<B> {
 
     /// Returns the bus.
     pub fn release(self) -> B {
-        self.bus
+        self.registers.release()
     }
 }
 
@@ -62,11 +63,7 @@ impl<B: Bus> Lsm6dso<B> {
     /// # Errors
     /// [`Error::WrongIdentity`] if it is not; [`Error::NotAnswering`], [`Error::Bus`].
     pub async fn check_identity(&mut self) -> Result<(), Error<B::Error>> {
-        match self.read_register(WHO_AM_I).await? {
-            Self::IDENTITY => Ok(()),
-            0x00 | 0xFF => Err(Error::NotAnswering),
-            found => Err(Error::WrongIdentity { found }),
-        }
+        (self.registers.check_identity(WHO_AM_I, Self::IDENTITY)).await
     }
 
     /// Resets all registers to their defaults, from any state of the chip: both sensors are off.
@@ -76,11 +73,13 @@ impl<B: Bus> Lsm6dso<B> {
     pub async fn reset(&mut self, delay: &mut impl DelayNs) -> Result<(), Error<B::Error>> {
         self.continuous = false;
         // Access to the registers of embedded functions would hide all others.
-        self.write(FUNC_CFG_ACCESS, 0).await?;
-        self.write(CTRL3_C, CTRL3_SW_RESET | CTRL3_IF_INC).await?;
+        self.registers.write(FUNC_CFG_ACCESS, 0).await?;
+        self.registers
+            .write(CTRL3_C, CTRL3_SW_RESET | CTRL3_IF_INC)
+            .await?;
         for _ in 0..RESET_POLLS {
             delay.delay_us(RESET_POLL_US).await;
-            if self.read_register(CTRL3_C).await? & CTRL3_SW_RESET == 0 {
+            if self.registers.read_one(CTRL3_C).await? & CTRL3_SW_RESET == 0 {
                 return Ok(());
             }
         }
@@ -114,12 +113,12 @@ impl<B: Bus> Lsm6dso<B> {
             (CTRL2_G, rate << 4 | setup.angular_rate.bits()),
         ];
         for (register, value) in registers {
-            self.write(register, value).await?;
+            self.registers.write(register, value).await?;
         }
         let settling_us = SETTLING * (setup.rate.period_ns() / 1000);
         delay.delay_us(TURN_ON_US + settling_us).await;
         let fifo = FIFO_CTRL4_CONTINUOUS | on(setup.temperature, FIFO_CTRL4_TEMPERATURE);
-        self.write(FIFO_CTRL4, fifo).await?;
+        self.registers.write(FIFO_CTRL4, fifo).await?;
         self.pairing = Pairing::default();
         self.continuous = true;
         Ok(())
@@ -127,19 +126,21 @@ impl<B: Bus> Lsm6dso<B> {
 
     /// Settings of the interface after a reset: block data update, no MIPI I3C, I²C only if used.
     pub(crate) async fn start_interface(&mut self) -> Result<(), Error<B::Error>> {
-        self.write(CTRL9_XL, CTRL9_I3C_DISABLE).await?;
-        self.write(CTRL3_C, CTRL3_BDU | CTRL3_IF_INC).await?;
+        self.registers.write(CTRL9_XL, CTRL9_I3C_DISABLE).await?;
+        self.registers
+            .write(CTRL3_C, CTRL3_BDU | CTRL3_IF_INC)
+            .await?;
         if B::I2C {
             return Ok(());
         }
-        self.write(CTRL4_C, CTRL4_I2C_DISABLE).await
+        self.registers.write(CTRL4_C, CTRL4_I2C_DISABLE).await
     }
 
     /// Reads the state of the FIFO. Words that arrive between the two bytes may make the level too
     /// high, but only above 255.
     async fn fifo_status(&mut self) -> Result<FifoStatus, Error<B::Error>> {
         let mut bytes = [0; 2];
-        self.read_registers(FIFO_STATUS1, &mut bytes).await?;
+        self.registers.read(FIFO_STATUS1, &mut bytes).await?;
         let [low, high] = bytes;
         // A bit of FIFO_STATUS2 is always 0, except on an SPI bus without a chip.
         if high == 0xFF {
@@ -171,7 +172,7 @@ impl<B: Bus> Lsm6dso<B> {
             ..before
         };
         if !bytes.is_empty() {
-            self.read_registers(FIFO_DATA_OUT_TAG, bytes).await?;
+            self.registers.read(FIFO_DATA_OUT_TAG, bytes).await?;
             after = self.fifo_status().await?;
         }
         let mut batch = Batch {
@@ -212,7 +213,7 @@ impl<B: Bus> Lsm6dso<B> {
     /// [`Error::NotAnswering`], [`Error::Bus`].
     pub async fn newest(&mut self) -> Result<Sample, Error<B::Error>> {
         let mut bytes = [0; 12];
-        self.read_registers(OUTX_L_G, &mut bytes).await?;
+        self.registers.read(OUTX_L_G, &mut bytes).await?;
         let [gx, hx, gy, hy, gz, hz, acceleration @ ..] = bytes;
         Ok(Sample {
             acceleration: axes(acceleration),
@@ -226,33 +227,7 @@ impl<B: Bus> Lsm6dso<B> {
     /// [`Error::NotAnswering`], [`Error::Bus`].
     pub async fn temperature(&mut self) -> Result<i16, Error<B::Error>> {
         let mut bytes = [0; 2];
-        self.read_registers(OUT_TEMP_L, &mut bytes).await?;
+        self.registers.read(OUT_TEMP_L, &mut bytes).await?;
         Ok(i16::from_le_bytes(bytes))
-    }
-
-    pub(crate) async fn write(&mut self, register: u8, value: u8) -> Result<(), Error<B::Error>> {
-        self.bus.write(register, value).await.map_err(fault::<B>)
-    }
-
-    async fn read_register(&mut self, register: u8) -> Result<u8, Error<B::Error>> {
-        let mut value = [0];
-        self.read_registers(register, &mut value).await?;
-        Ok(value[0])
-    }
-
-    async fn read_registers(
-        &mut self,
-        register: u8,
-        values: &mut [u8],
-    ) -> Result<(), Error<B::Error>> {
-        self.bus.read(register, values).await.map_err(fault::<B>)
-    }
-}
-
-fn fault<B: Bus>(error: B::Error) -> Error<B::Error> {
-    if B::not_answering(&error) {
-        Error::NotAnswering
-    } else {
-        Error::Bus(error)
     }
 }

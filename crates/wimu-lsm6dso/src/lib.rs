@@ -4,15 +4,14 @@
 
 mod bus;
 mod driver;
-mod error;
 mod fifo;
 mod registers;
 mod self_test;
 mod settings;
 
-pub use bus::{Address, Bus, I2cBus, SpiBus};
+pub use bus::{Address, I2cBus};
 pub use driver::Lsm6dso;
-pub use error::Error;
 pub use fifo::{Batch, FifoFault, Sample};
 pub use self_test::SelfTest;
 pub use settings::{AccelerationRange, AngularRateRange, Power, Rate, Setup};
+pub use wimu_registers::{Bus, Error, SpiBus};

@@ -56,11 +56,15 @@ impl<B: Bus> Lsm6dso<B> {
         self.reset(delay).await?;
         self.start_interface().await?;
         let rate = RATE.code() << 4;
-        self.write(CTRL1_XL, rate | ACCELERATION.bits()).await?;
-        self.write(CTRL2_G, rate | ANGULAR_RATE.bits()).await?;
+        self.registers
+            .write(CTRL1_XL, rate | ACCELERATION.bits())
+            .await?;
+        self.registers
+            .write(CTRL2_G, rate | ANGULAR_RATE.bits())
+            .await?;
         let without = self.mean(delay).await?;
         let both = CTRL5_ST_XL_POSITIVE | CTRL5_ST_G_POSITIVE;
-        self.write(CTRL5_C, both).await?;
+        self.registers.write(CTRL5_C, both).await?;
         let with = self.mean(delay).await?;
         self.reset(delay).await?;
         let [x, y, z, angular_rate @ ..] = [0, 1, 2, 3, 4, 5].map(|i: usize| with[i] - without[i]);

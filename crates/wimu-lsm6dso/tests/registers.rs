@@ -57,7 +57,13 @@ fn another_chip_is_named() {
         sensor.check_identity().await
     });
     let error = checked.expect_err("0x6b is no LSM6DSO");
-    assert_eq!(error, Error::WrongIdentity { found: 0x6B });
+    assert_eq!(
+        error,
+        Error::WrongIdentity {
+            expected: 0x6C,
+            found: 0x6B
+        }
+    );
     assert!(error.to_string().contains("0x6b"), "{error}");
 }
 

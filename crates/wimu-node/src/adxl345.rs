@@ -8,26 +8,29 @@ use wimu_model::{Counts, PeriodNs, Sensitivity};
 
 use crate::data_ready::DataReady;
 use crate::fifo::{FifoState, SensorFifo};
-use crate::sensor::{Batch, InertialSensor, Plan, SensorFault, SensorPlan, Surroundings};
+use crate::sensor::{
+    Batch, InertialSensor, Plan, SensorFault, SensorPlan, Supported, Surroundings,
+};
 use crate::timer::Timer;
 
-/// Ranges, ± g.
-const RANGES: [(u8, Range); 4] = [
-    (2, Range::G2),
-    (4, Range::G4),
-    (8, Range::G8),
-    (16, Range::G16),
-];
-
-/// Rates, Hz: whole numbers, up to the fastest on a bus of 400 kHz.
-const RATES: [(u16, Rate); 6] = [
-    (25, Rate::Hz25),
-    (50, Rate::Hz50),
-    (100, Rate::Hz100),
-    (200, Rate::Hz200),
-    (400, Rate::Hz400),
-    (800, Rate::Hz800),
-];
+/// Rates are whole numbers of Hz, up to the fastest on a bus of 400 kHz.
+const SUPPORTED: Supported<Range, Rate> = Supported {
+    ranges: &[
+        (2, Range::G2),
+        (4, Range::G4),
+        (8, Range::G8),
+        (16, Range::G16),
+    ],
+    rates: &[
+        (25, Rate::Hz25),
+        (50, Rate::Hz50),
+        (100, Rate::Hz100),
+        (200, Rate::Hz200),
+        (400, Rate::Hz400),
+        (800, Rate::Hz800),
+    ],
+    has_low_power: Rate::has_low_power,
+};
 
 /// Capacity of the FIFO, samples.
 const DEPTH: u8 = 32;
@@ -60,11 +63,7 @@ impl<B: Bus, D: DataReady, T: Timer> Adxl345<B, D, T> {
     }
 
     async fn start(&mut self, plan: &Plan) -> Result<(), Error<B::Error>> {
-        let range_g = plan.settings.range_g;
-        let range = RANGES.iter().find(|(g, _)| *g == range_g);
-        let rate_hz = plan.settings.rate_hz;
-        let rate = RATES.iter().find(|(hz, _)| *hz == rate_hz);
-        let (Some(&(_, range)), Some(&(_, rate))) = (range, rate) else {
+        let Some((_, range, rate)) = SUPPORTED.nearest(&plan.settings) else {
             return Ok(()); // Not a plan of this sensor.
         };
         let setup = Setup {
@@ -109,33 +108,13 @@ impl<B, D, T> Adxl345<B, D, T> {
     /// # Errors
     /// The nearest supported settings.
     pub fn plan(wanted: &Settings) -> Result<Plan, Settings> {
-        let nearest_range = RANGES
-            .iter()
-            .min_by_key(|(g, _)| g.abs_diff(wanted.range_g));
-        let low_power = wanted.resolution == Resolution::LowPower;
-        let nearest_rate = RATES
-            .iter()
-            .filter(|(_, rate)| !low_power || rate.has_low_power())
-            .min_by_key(|(hz, _)| hz.abs_diff(wanted.rate_hz));
-        let (Some(&(range_g, range)), Some(&(rate_hz, rate))) = (nearest_range, nearest_rate)
-        else {
-            return Err(*wanted);
-        };
-        let settings = Settings {
-            range_g,
-            rate_hz,
-            ..*wanted
-        };
-        let format = format(range, settings.resolution);
-        match Sensitivity::from_lsb_per_g(f64::from(format.lsb_per_g())) {
-            Ok(sensitivity) if settings == *wanted => {
-                let period = PeriodNs(rate.period_ns());
-                let full_scale = i16::MAX << (16 - format.bits());
-                let sensor = SensorPlan::new(period, sensitivity, full_scale.into());
-                Ok(Plan::new(settings, sensor))
-            }
-            _ => Err(settings),
-        }
+        SUPPORTED.plan(wanted, |range, rate| {
+            let format = format(range, wanted.resolution);
+            let sensitivity = Sensitivity::from_lsb_per_g(f64::from(format.lsb_per_g()))?;
+            let period = PeriodNs(rate.period_ns());
+            let full_scale = i16::MAX << (16 - format.bits());
+            Ok(SensorPlan::new(period, sensitivity, full_scale.into()))
+        })
     }
 }
 
@@ -150,20 +129,20 @@ impl<B: Bus, D: DataReady, T: Timer> InertialSensor for Adxl345<B, D, T> {
 
     async fn configure(&mut self, plan: &Plan) -> Result<(), SensorFault> {
         self.fifo = SensorFifo::new(DEPTH.into(), plan.sensor.period, transfer_us::<B>());
-        self.start(plan).await.map_err(fault)
+        self.start(plan).await.map_err(SensorFault::of_driver)
     }
 
     async fn next(&mut self, counts: &mut [Counts]) -> Result<Batch, SensorFault> {
         let mut lost = false;
         loop {
-            let state = self.read_state().await.map_err(fault)?;
+            let state = self.read_state().await.map_err(SensorFault::of_driver)?;
             lost |= state.overrun;
             let count = counts.len().min(state.level.into());
             if count == 0 {
                 return Err(SensorFault::NoData);
             }
             for sample in counts.iter_mut().take(count) {
-                *sample = Counts(self.device.sample().await.map_err(fault)?);
+                *sample = Counts(self.device.sample().await.map_err(SensorFault::of_driver)?);
             }
             if self.fifo.kept_up(&state, self.timer.now()) {
                 let unread = state.level - count as u16;
@@ -176,16 +155,5 @@ impl<B: Bus, D: DataReady, T: Timer> InertialSensor for Adxl345<B, D, T> {
     /// None.
     async fn surroundings(&mut self) -> Result<Surroundings, SensorFault> {
         Ok(Surroundings::default())
-    }
-}
-
-fn fault<E>(error: Error<E>) -> SensorFault {
-    match error {
-        Error::NotAnswering => SensorFault::NotAnswering,
-        Error::Bus(_) => SensorFault::Transfer,
-        Error::WrongIdentity { found } => SensorFault::WrongIdentity {
-            expected: wimu_adxl345::Adxl345::<()>::IDENTITY,
-            found,
-        },
     }
 }

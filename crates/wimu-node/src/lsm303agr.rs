@@ -12,7 +12,9 @@ use wimu_model::{CentiCelsius, Counts, MagneticFieldNt, PeriodNs, Sensitivity};
 use crate::data_ready::DataReady;
 use crate::fifo::{FifoState, MAX_WATERMARK, SensorFifo};
 use crate::mounting::Mounting;
-use crate::sensor::{Batch, InertialSensor, Plan, SensorFault, SensorPlan, Surroundings};
+use crate::sensor::{
+    Batch, InertialSensor, Plan, SensorFault, SensorPlan, Supported, Surroundings,
+};
 use crate::timer::Timer;
 
 /// I²C addresses of the accelerometer (with thermometer) and of the magnetometer.
@@ -56,26 +58,28 @@ const STATUS_M_NEW: u8 = 0x08;
 /// Sensitivity of the magnetometer, nT/LSB (1.5 mG/LSB).
 const NT_PER_LSB: i32 = 150;
 
-/// Ranges, ± g, with code and sensitivity of 16-bit counts, LSB/g. A 12-bit digit is 1, 2, 4 and 12 times
-/// 1/1024 g, so that ± 16 g is actually ± 24 g.
-const RANGES: [(u8, u8, f64); 4] = [
-    (2, 0, 16384.0),
-    (4, 1, 8192.0),
-    (8, 2, 4096.0),
-    (16, 3, 16384.0 / 12.0),
-];
-
-/// Rates, Hz, with their code and the nominal period.
-const RATES: [(u16, u8, u32); 8] = [
-    (1, 1, 1_000_000_000),
-    (10, 2, 100_000_000),
-    (25, 3, 40_000_000),
-    (50, 4, 20_000_000),
-    (100, 5, 10_000_000),
-    (200, 6, 5_000_000),
-    (400, 7, 2_500_000),
-    (1344, 9, 744_048),
-];
+/// Ranges with code and sensitivity of 16-bit counts, LSB/g, and rates with code and nominal period, ns. A 12-bit
+/// digit is 1, 2, 4 and 12 times 1/1024 g, so that ± 16 g is actually ± 24 g.
+const SUPPORTED: Supported<(u8, f64), (u8, u32)> = Supported {
+    ranges: &[
+        (2, (0, 16384.0)),
+        (4, (1, 8192.0)),
+        (8, (2, 4096.0)),
+        (16, (3, 16384.0 / 12.0)),
+    ],
+    rates: &[
+        (1, (1, 1_000_000_000)),
+        (10, (2, 100_000_000)),
+        (25, (3, 40_000_000)),
+        (50, (4, 20_000_000)),
+        (100, (5, 10_000_000)),
+        (200, (6, 5_000_000)),
+        (400, (7, 2_500_000)),
+        (1344, (9, 744_048)),
+    ],
+    // At 1344 Hz the code means another rate.
+    has_low_power: |(_, period)| period > 1_000_000,
+};
 
 /// Bytes of a sample: x, y, z, little-endian.
 const SAMPLE: usize = 6;
@@ -181,36 +185,15 @@ impl<I2C, D, T> Lsm303agr<I2C, D, T> {
     /// # Errors
     /// The nearest supported settings.
     pub fn plan(wanted: &Settings) -> Result<Plan, Settings> {
-        let nearest_range = RANGES
-            .iter()
-            .min_by_key(|(g, ..)| g.abs_diff(wanted.range_g));
-        let nearest_rate = RATES
-            .iter()
-            .filter(|(hz, ..)| *hz < 1000 || wanted.resolution != Resolution::LowPower)
-            .min_by_key(|(hz, ..)| hz.abs_diff(wanted.rate_hz));
-        let (Some(&(range_g, _, lsb_per_g)), Some(&(rate_hz, _, period))) =
-            (nearest_range, nearest_rate)
-        else {
-            return Err(*wanted);
-        };
-        let settings = Settings {
-            range_g,
-            rate_hz,
-            ..*wanted
-        };
-        let sensitivity = Sensitivity::from_lsb_per_g(lsb_per_g);
-        match sensitivity {
-            Ok(sensitivity) if settings == *wanted => {
-                let full_scale = match settings.resolution {
-                    Resolution::LowPower => 0x7F00,
-                    Resolution::Normal => 0x7FC0,
-                    Resolution::High => 0x7FF0,
-                };
-                let sensor = SensorPlan::new(PeriodNs(period), sensitivity, full_scale);
-                Ok(Plan::new(settings, sensor))
-            }
-            _ => Err(settings),
-        }
+        SUPPORTED.plan(wanted, |(_, lsb_per_g), (_, period)| {
+            let full_scale = match wanted.resolution {
+                Resolution::LowPower => 0x7F00,
+                Resolution::Normal => 0x7FC0,
+                Resolution::High => 0x7FF0,
+            };
+            let sensitivity = Sensitivity::from_lsb_per_g(lsb_per_g)?;
+            Ok(SensorPlan::new(PeriodNs(period), sensitivity, full_scale))
+        })
     }
 }
 
@@ -224,18 +207,10 @@ impl<I2C: I2c, D: DataReady, T: Timer> InertialSensor for Lsm303agr<I2C, D, T> {
     async fn configure(&mut self, plan: &Plan) -> Result<(), SensorFault> {
         self.fifo = SensorFifo::new(DEPTH, plan.sensor.period, TRANSFER_US);
         self.field_measured = false;
-        let Settings {
-            range_g,
-            rate_hz,
-            resolution,
-            ..
-        } = plan.settings;
-        let range = RANGES.iter().find(|(g, ..)| *g == range_g);
-        let rate = RATES.iter().find(|(hz, ..)| *hz == rate_hz);
-        let (Some((_, range, _)), Some((_, rate, _))) = (range, rate) else {
+        let Some((settings, (range, _), (rate, _))) = SUPPORTED.nearest(&plan.settings) else {
             return Ok(()); // Not a plan of this sensor.
         };
-        let (power, digits) = match resolution {
+        let (power, digits) = match settings.resolution {
             Resolution::LowPower => (CTRL1_LOW_POWER, 0),
             Resolution::Normal => (0, 0),
             Resolution::High => (0, CTRL4_HIGH_RESOLUTION),
@@ -250,7 +225,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> InertialSensor for Lsm303agr<I2C, D, T> {
                 found,
             });
         }
-        let settings = [
+        let registers = [
             CTRL2 | INCREMENT,
             0,
             CTRL3_WATERMARK_ON_INT1,
@@ -266,7 +241,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> InertialSensor for Lsm303agr<I2C, D, T> {
             (ACCELEROMETER, &[CTRL1, CTRL1_AXES]),
             (ACCELEROMETER, &[FIFO_CTRL, FIFO_CTRL_BYPASS]),
             (ACCELEROMETER, &[TEMP_CFG, TEMP_CFG_ON]),
-            (ACCELEROMETER, &settings),
+            (ACCELEROMETER, &registers),
             (ACCELEROMETER, &[FIFO_CTRL, stream]),
             (MAGNETOMETER, &magnetometer),
             (ACCELEROMETER, &[CTRL1, rate << 4 | power | CTRL1_AXES]),

@@ -2,35 +2,38 @@
 
 use wimu_link::message::{Resolution, Settings};
 use wimu_lsm6dso::{
-    AccelerationRange, AngularRateRange, Bus, Error, FifoFault, Power, Rate, Sample, Setup,
+    AccelerationRange, AngularRateRange, Bus, FifoFault, Power, Rate, Sample, Setup,
 };
 use wimu_model::{CentiCelsius, Counts, PeriodNs, Sensitivity};
 
 use crate::data_ready::DataReady;
 use crate::fifo::{FifoState, MAX_WATERMARK, SensorFifo};
-use crate::sensor::{Batch, InertialSensor, Plan, SensorFault, SensorPlan, Surroundings};
+use crate::sensor::{
+    Batch, InertialSensor, Plan, SensorFault, SensorPlan, Supported, Surroundings,
+};
 use crate::timer::{Delay, Timer};
 
-/// Ranges, ± g.
-const RANGES: [(u8, AccelerationRange); 4] = [
-    (2, AccelerationRange::G2),
-    (4, AccelerationRange::G4),
-    (8, AccelerationRange::G8),
-    (16, AccelerationRange::G16),
-];
-
-/// Rates, Hz, up to the fastest on an I²C bus of 400 kHz; the first is 12.5 Hz by its name, 13.02 Hz by the
-/// datasheet's formula.
-const RATES: [(u16, Rate); 8] = [
-    (13, Rate::Hz12_5),
-    (26, Rate::Hz26),
-    (52, Rate::Hz52),
-    (104, Rate::Hz104),
-    (208, Rate::Hz208),
-    (416, Rate::Hz416),
-    (833, Rate::Hz833),
-    (1666, Rate::Hz1666),
-];
+/// Rates up to the fastest on an I²C bus of 400 kHz; the first is 12.5 Hz by its name, 13.02 Hz by the datasheet's
+/// formula.
+const SUPPORTED: Supported<AccelerationRange, Rate> = Supported {
+    ranges: &[
+        (2, AccelerationRange::G2),
+        (4, AccelerationRange::G4),
+        (8, AccelerationRange::G8),
+        (16, AccelerationRange::G16),
+    ],
+    rates: &[
+        (13, Rate::Hz12_5),
+        (26, Rate::Hz26),
+        (52, Rate::Hz52),
+        (104, Rate::Hz104),
+        (208, Rate::Hz208),
+        (416, Rate::Hz416),
+        (833, Rate::Hz833),
+        (1666, Rate::Hz1666),
+    ],
+    has_low_power: Rate::has_low_power,
+};
 
 /// Range of the gyroscope: the widest, because a hand exceeds 1000 °/s, and a saturated rate ends the attitude.
 /// Its LSB, 70 m°/s, is as large as the noise at 208 Hz.
@@ -71,33 +74,13 @@ impl<B, D, T> Lsm6dso<B, D, T> {
     /// # Errors
     /// The nearest supported settings.
     pub fn plan(wanted: &Settings) -> Result<Plan, Settings> {
-        let nearest_range = RANGES
-            .iter()
-            .min_by_key(|(g, _)| g.abs_diff(wanted.range_g));
-        let low_power = wanted.resolution == Resolution::LowPower;
-        let nearest_rate = RATES
-            .iter()
-            .filter(|(_, rate)| !low_power || rate.has_low_power())
-            .min_by_key(|(hz, _)| hz.abs_diff(wanted.rate_hz));
-        let (Some(&(range_g, range)), Some(&(rate_hz, rate))) = (nearest_range, nearest_rate)
-        else {
-            return Err(*wanted);
-        };
-        let settings = Settings {
-            range_g,
-            rate_hz,
-            ..*wanted
-        };
-        match Sensitivity::from_lsb_per_g(1e6 / f64::from(range.ug_per_lsb())) {
-            Ok(sensitivity) if settings == *wanted => {
-                let period = PeriodNs(rate.period_ns());
-                let rad_s_per_lsb = (f64::from(ANGULAR_RATE.udps_per_lsb()) * 1e-6).to_radians();
-                let sensor = SensorPlan::new(period, sensitivity, i16::MAX.into())
-                    .with_gyroscope(rad_s_per_lsb, i16::MAX.into());
-                Ok(Plan::new(settings, sensor))
-            }
-            _ => Err(settings),
-        }
+        SUPPORTED.plan(wanted, |range, rate| {
+            let sensitivity = Sensitivity::from_lsb_per_g(1e6 / f64::from(range.ug_per_lsb()))?;
+            let rad_s_per_lsb = (f64::from(ANGULAR_RATE.udps_per_lsb()) * 1e-6).to_radians();
+            let period = PeriodNs(rate.period_ns());
+            let sensor = SensorPlan::new(period, sensitivity, i16::MAX.into());
+            Ok(sensor.with_gyroscope(rad_s_per_lsb, i16::MAX.into()))
+        })
     }
 }
 
@@ -113,9 +96,7 @@ impl<B: Bus, D: DataReady, T: Timer> InertialSensor for Lsm6dso<B, D, T> {
     async fn configure(&mut self, plan: &Plan) -> Result<(), SensorFault> {
         self.fifo = SensorFifo::new(DEPTH, plan.sensor.period, TRANSFER_US);
         let settings = &plan.settings;
-        let range = RANGES.iter().find(|(g, _)| *g == settings.range_g);
-        let rate = RATES.iter().find(|(hz, _)| *hz == settings.rate_hz);
-        let (Some(&(_, acceleration)), Some(&(_, rate))) = (range, rate) else {
+        let Some((_, acceleration, rate)) = SUPPORTED.nearest(settings) else {
             return Ok(()); // Not a plan of this sensor.
         };
         let setup = Setup {
@@ -129,9 +110,12 @@ impl<B: Bus, D: DataReady, T: Timer> InertialSensor for Lsm6dso<B, D, T> {
             watermark: self.fifo.watermark() as u8,
             temperature: false,
         };
-        self.device.check_identity().await.map_err(fault)?;
+        self.device
+            .check_identity()
+            .await
+            .map_err(SensorFault::of_driver)?;
         let started = self.device.start(&setup, &mut Delay(&self.timer)).await;
-        started.map_err(fault)
+        started.map_err(SensorFault::of_driver)
     }
 
     async fn next(&mut self, samples: &mut [(Counts, Counts)]) -> Result<Batch, SensorFault> {
@@ -142,7 +126,11 @@ impl<B: Bus, D: DataReady, T: Timer> InertialSensor for Lsm6dso<B, D, T> {
             let mut pairs = [Sample::default(); MAX_WATERMARK as usize];
             let room = samples.len().min(pairs.len());
             let pairs = pairs.get_mut(..room).unwrap_or_default();
-            let read = self.device.read(pairs).await.map_err(fault)?;
+            let read = self
+                .device
+                .read(pairs)
+                .await
+                .map_err(SensorFault::of_driver)?;
             let at = self.timer.now();
             lost |= read.gap;
             if read.count > 0 {
@@ -166,23 +154,16 @@ impl<B: Bus, D: DataReady, T: Timer> InertialSensor for Lsm6dso<B, D, T> {
     }
 
     async fn surroundings(&mut self) -> Result<Surroundings, SensorFault> {
-        let raw = self.device.temperature().await.map_err(fault)?;
+        let raw = self
+            .device
+            .temperature()
+            .await
+            .map_err(SensorFault::of_driver)?;
         // 1/256 °C per LSB, relative to 25 °C.
         let centi = 2500 + i32::from(raw) * 100 / 256;
         Ok(Surroundings {
             magnetic_field: None,
             temperature: Some(CentiCelsius(centi as i16)),
         })
-    }
-}
-
-fn fault<E>(error: Error<E>) -> SensorFault {
-    match error {
-        Error::NotAnswering => SensorFault::NotAnswering,
-        Error::Bus(_) | Error::ResetTimeout => SensorFault::Transfer,
-        Error::WrongIdentity { found } => SensorFault::WrongIdentity {
-            expected: wimu_lsm6dso::Lsm6dso::<()>::IDENTITY,
-            found,
-        },
     }
 }

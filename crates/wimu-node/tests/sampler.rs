@@ -482,6 +482,12 @@ fn a_calibrated_gyroscope_is_corrected_and_a_set_for_another_scale_is_refused() 
         corrected(calibrated(RAD_S_PER_LSB)),
         (rad_s(0.25), true, vec![])
     );
+    // A set of wire version 1 has no gyroscope, whose nominal sensitivity applies then.
+    let v1 = calibrated(RAD_S_PER_LSB).map(|set| ParameterSet {
+        gyroscope: None,
+        ..set
+    });
+    assert_eq!(corrected(v1), (rad_s(0.5), true, vec![]));
     let (rate, _, events) = corrected(calibrated(RAD_S_PER_LSB / 2.0));
     assert_eq!(rate, rad_s(0.5), "nominal");
     let refused = |event: &Event| {

@@ -21,7 +21,9 @@ mod words;
 
 pub use datasheet::{DatasheetReport, LimitReport, datasheet};
 pub use export::{CalibrationExport, ExportTarget, KalibrNoise};
-pub use file::{CalibrationFile, Session, StoredModel, read_model, read_parameters, sessions};
+pub use file::{
+    CalibrationFile, Session, StoredModel, further_sensors, read_model, read_parameters, sessions,
+};
 pub use magnetometer::{FieldPose, MagneticHalfWidths, MagnetometerReport, calibrate_magnetometer};
 pub use paired::Paired;
 pub use reference::{AxisReport, NoiseSource, ReferenceReport, compare_with_reference};

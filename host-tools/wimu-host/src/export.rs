@@ -22,8 +22,8 @@ use crate::{ErrorCode, OutputFile, Result};
 
 mod columns;
 
-use columns::header;
 pub(crate) use columns::gyroscope as gyroscope_columns;
+use columns::header;
 
 /// Time that samples wait for data that belong to them and arrive later, µs of device time.
 const WAIT_US: u64 = 3_000_000;

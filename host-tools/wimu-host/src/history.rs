@@ -452,7 +452,7 @@ mod tests {
     use std::fmt;
     use std::io::Cursor;
 
-    use wimu_link::message::EpochReason;
+    use wimu_link::message::{EpochReason, WireParameters};
     use wimu_link::{MAX_FRAME, Telemetry, batch};
     use wimu_model::Counts;
 
@@ -562,6 +562,66 @@ mod tests {
             boot.parameters_of(&boot.epochs[0].epoch).unwrap().range_g,
             4
         );
+    }
+
+    #[test]
+    fn links_and_starts_share_the_parameter_sets_that_their_epochs_name() {
+        let sensitivity = Sensitivity::from_lsb_per_g(8192.0).unwrap();
+        let sets = [4, 8].map(|range_g| {
+            let set = ParameterSet::uncalibrated(range_g, sensitivity);
+            ActiveParameters {
+                id: wimu_link::message::parameter_id(&set).0,
+                active: Some(WireParameters::from(&set)),
+            }
+        });
+        let boot = |parameters: &[ActiveParameters], ids: &[u32]| Boot {
+            parameters: parameters.to_vec(),
+            epochs: (ids.iter())
+                .map(|&parameters| EpochMark {
+                    epoch: Epoch {
+                        parameters,
+                        ..Epoch::default()
+                    },
+                    after_loss: false,
+                })
+                .collect(),
+            ..Boot::default()
+        };
+        let [first, second] = sets;
+        let lost = ActiveParameters {
+            active: None,
+            ..second
+        };
+        let link = |role, boots| LinkHistory {
+            boots,
+            ..LinkHistory::new(role)
+        };
+        let mut links = [
+            link(LinkRole::Cable, vec![boot(&[first], &[first.id])]),
+            link(
+                LinkRole::Wireless,
+                vec![
+                    // Its own set has lost its values; that of the other link is not named.
+                    boot(&[lost], &[0, second.id]),
+                    boot(&[second], &[first.id, second.id]),
+                    boot(&[], &[0xBAD]),
+                ],
+            ),
+        ];
+        share_parameters(&mut links);
+        let [cable, wireless] = &links;
+        assert_eq!(cable.boots[0].parameters, [first]);
+        assert_eq!(wireless.boots[0].parameters, [second, lost]);
+        assert_eq!(wireless.boots[1].parameters, [first, second]);
+        assert!(wireless.boots[2].parameters.is_empty());
+        let named = |mark: &EpochMark| wireless.boots[1].parameters_of(&mark.epoch).unwrap();
+        let ranges: Vec<_> = (wireless.boots[1].epochs.iter())
+            .map(|mark| named(mark).range_g)
+            .collect();
+        assert_eq!(ranges, [4, 8]);
+        let unknown = &wireless.boots[2].epochs[0].epoch;
+        let error = wireless.boots[2].parameters_of(unknown).unwrap_err();
+        assert!(error.message().contains("lacks the parameters"), "{error}");
     }
 
     #[test]

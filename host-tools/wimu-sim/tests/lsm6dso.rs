@@ -438,7 +438,13 @@ fn another_chip_no_chip_and_a_broken_bus_are_told_apart() {
     let outcome = bench.clock.run(async {
         bench.sensor.set_who_am_i(0x6B);
         let wrong = driver.check_identity().await;
-        assert_eq!(wrong, Err(Error::WrongIdentity { found: 0x6B }));
+        assert_eq!(
+            wrong,
+            Err(Error::WrongIdentity {
+                expected: 0x6C,
+                found: 0x6B
+            })
+        );
         bench.sensor.set_who_am_i(0x6C);
         bench.sensor.set_present(false);
         assert_eq!(driver.check_identity().await, Err(Error::NotAnswering));

@@ -9,7 +9,7 @@ use wimu_tests::{ROLES, staging, who_are_you};
 use super::run::{CABLE, Run, WIRELESS, cut, happens, rate, request, run, send};
 
 /// What the image needs beside its static memory, bytes: staging, storing and reading a set.
-const MOST_STACK: u64 = 14_336;
+const MOST_STACK: u64 = 10_240;
 
 fn set(lsb_per_g: f64) -> ParameterSet {
     let sensitivity = Sensitivity::from_lsb_per_g(lsb_per_g).expect("in range");

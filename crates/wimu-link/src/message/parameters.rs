@@ -135,7 +135,8 @@ impl WireParameters {
     /// Longest wire form, bytes.
     pub const MAX: usize = 1122;
 
-    const BLANK: Self = Self {
+    /// All zeros, for [`read`](Self::read).
+    pub const BLANK: Self = Self {
         range_g: 0,
         sensitivity_lsb_per_g: 0.0,
         bias_mps2: [0.0; 3],
@@ -254,11 +255,20 @@ impl WireParameters {
     /// # Errors
     /// [`MessageError`] when `bytes` are not exactly one set.
     pub fn decode(bytes: &[u8]) -> Result<Self, MessageError> {
-        let mut reader = Reader(bytes);
         let mut parameters = Self::BLANK;
-        parameters.exchange(&mut reader)?;
+        parameters.read(bytes)?;
+        Ok(parameters)
+    }
+
+    /// Reads a wire form into [`BLANK`](Self::BLANK), which saves the stack of a copy.
+    ///
+    /// # Errors
+    /// [`MessageError`] when `bytes` are not exactly one set.
+    pub fn read(&mut self, bytes: &[u8]) -> Result<(), MessageError> {
+        let mut reader = Reader(bytes);
+        self.exchange(&mut reader)?;
         match reader.0 {
-            [] => Ok(parameters),
+            [] => Ok(()),
             rest => Err(MessageError::TooLong { extra: rest.len() }),
         }
     }

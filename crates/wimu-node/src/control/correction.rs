@@ -6,13 +6,13 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use wimu_integrator::Compass;
 use wimu_link::hello::sensor;
 use wimu_link::message::{EncodedParameters, Event, ParameterFault, Refusal, WireParameters};
-use wimu_model::{CentiCelsius, Corrector, ParameterId, ParameterSet, SensorId};
+use wimu_model::{CentiCelsius, Corrector, ParameterId, ParameterSet};
 
 use super::Control;
 use crate::sample::SENSITIVITY_RATIO;
 use crate::sample::sealed::Process as _;
 use crate::sensor::{InertialSensor, Plan};
-use crate::shared::{Correction, Order, PersistentFault, Staged};
+use crate::shared::{Correction, Order, PersistentFault, Set, Staged};
 use crate::store::Store;
 use crate::timer::Timer;
 
@@ -56,7 +56,9 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
 
     /// The corrector for `plan` with the set in use.
     pub(super) fn correction_in_use(&self, plan: &Plan) -> Result<Correction<A::Sample>, Refusal> {
-        self.correction(plan, self.shared.active().get())
+        let mut active = Set::NONE;
+        self.shared.active(&mut active);
+        self.correction(plan, active.get())
     }
 
     /// The corrector for `plan`: that of the committed parameters if they are for its range, else that of an
@@ -81,6 +83,13 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                 _ => {}
             }
         }
+        self.ideal(plan)
+    }
+
+    /// The corrector of an ideal sensor.
+    #[inline(never)] // Keeps its set off the stack of the caller.
+    fn ideal(&self, plan: &Plan) -> Result<Correction<A::Sample>, Refusal> {
+        let range_g = plan.settings.range_g;
         let uncalibrated = ParameterSet::uncalibrated(range_g, plan.sensor.sensitivity);
         self.compile(plan, &uncalibrated, ParameterId::UNCALIBRATED)
     }
@@ -91,9 +100,12 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         plan: &Plan,
         set: EncodedParameters,
     ) -> Result<(Correction<A::Sample>, u8), Refusal> {
-        let wire = set.decode().map_err(|_| Refusal::NothingStaged)?;
-        let decoded = ParameterSet::try_from(&wire).map_err(Refusal::InvalidParameters)?;
-        Ok((self.compile(plan, &decoded, set.id())?, decoded.range_g))
+        let mut wire = WireParameters::BLANK;
+        wire.read(set.0).map_err(|_| Refusal::NothingStaged)?;
+        // By reference: a copy of the set takes 1.2 kB of stack.
+        let decoded = ParameterSet::try_from(&wire);
+        let decoded = (decoded.as_ref()).map_err(|fault| Refusal::InvalidParameters(*fault))?;
+        Ok((self.compile(plan, decoded, set.id())?, decoded.range_g))
     }
 
     pub(super) fn compile(
@@ -125,17 +137,21 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         staging: &mut Staged,
     ) -> Result<ParameterId, Refusal> {
         let set = staging.set.get().ok_or(Refusal::NothingStaged)?;
-        let wire = set.decode().map_err(ParameterFault::from);
-        let mut wire = wire.map_err(Refusal::InvalidParameters)?;
-        let set = self.checked(&wire).map_err(Refusal::InvalidParameters)?;
-        wire.take_rotations(&set);
+        let mut wire = WireParameters::BLANK;
+        let read = wire.read(set.0).map_err(ParameterFault::from);
+        read.map_err(Refusal::InvalidParameters)?;
+        let set = ParameterSet::try_from(&wire);
+        let set = (set.as_ref()).map_err(|fault| Refusal::InvalidParameters(*fault))?;
+        self.check_sensor(&wire)
+            .map_err(Refusal::InvalidParameters)?;
+        wire.take_rotations(set);
         if set.range_g != plan.settings.range_g {
             return Err(Refusal::WrongRange {
                 parameters_g: set.range_g,
                 device_g: plan.settings.range_g,
             });
         }
-        self.compile(plan, &set, ParameterId::UNCALIBRATED)?;
+        self.compile(plan, set, ParameterId::UNCALIBRATED)?;
         let ratio = set.sensitivity.lsb_per_g() / plan.sensor.sensitivity.lsb_per_g();
         let known = (self.shared).with_published(|published| published.hello.sensitivity_known);
         if known && !SENSITIVITY_RATIO.contains(&ratio) {
@@ -147,23 +163,36 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         Ok(staging.set.encode(&wire))
     }
 
-    /// The set, if its values are valid and it was made for sensor 0 and this model of accelerometer.
-    pub(super) fn checked(&self, wire: &WireParameters) -> Result<ParameterSet, ParameterFault> {
-        let set = ParameterSet::try_from(wire)?;
-        if set.sensor_index != CORRECTED {
+    /// Why a stored set cannot be used for a range, ± *g*.
+    #[inline(never)] // Keeps the decoded set off the stack afterwards.
+    pub(super) fn fault_of(&self, stored: EncodedParameters, range_g: u8) -> Option<Event> {
+        let mut wire = WireParameters::BLANK;
+        if wire.read(stored.0).is_err() || wire.range_g != range_g {
+            return Some(Event::StoreUnreadable);
+        }
+        let fault = match ParameterSet::try_from(&wire) {
+            Ok(_) => self.check_sensor(&wire).err(),
+            Err(fault) => Some(fault),
+        };
+        fault.map(Event::ModelRejected)
+    }
+
+    /// Checks that a set was made for sensor 0 and this model of accelerometer.
+    fn check_sensor(&self, wire: &WireParameters) -> Result<(), ParameterFault> {
+        if wire.sensor_index != CORRECTED {
             return Err(ParameterFault::OtherSensorIndex {
-                parameters: set.sensor_index,
+                parameters: wire.sensor_index,
                 device: CORRECTED,
             });
         }
         let device = self
             .shared
             .with_published(|published| published.hello.sensor.number);
-        match set.sensor {
-            Some(SensorId(parameters)) if parameters != device && sensor::is_one_model(device) => {
+        match wire.sensor {
+            Some(parameters) if parameters != device && sensor::is_one_model(device) => {
                 Err(ParameterFault::OtherSensor { parameters, device })
             }
-            _ => Ok(set),
+            _ => Ok(()),
         }
     }
 
@@ -175,7 +204,8 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
             return;
         }
         let gravity_um_s2 = published.settings.gravity_um_s2;
-        let active = self.shared.active();
+        let mut active = Set::NONE;
+        self.shared.active(&mut active);
         let wire = active.get().and_then(|set| set.decode().ok());
         let set = wire.and_then(|wire| ParameterSet::try_from(&wire).ok());
         let set = set.map(|set| (parameters, set));

@@ -97,13 +97,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
             .map(|place| Record::decode(self.content(&place)))
         {
             None => None,
-            Some(Ok(Record::Parameters(stored))) => match stored.decode() {
-                Ok(wire) if wire.range_g == range_g => {
-                    let set = self.checked(&wire);
-                    set.err().map(Event::ModelRejected)
-                }
-                _ => Some(Event::StoreUnreadable),
-            },
+            Some(Ok(Record::Parameters(stored))) => self.fault_of(stored, range_g),
             Some(_) => Some(Event::StoreUnreadable),
         };
         let now = self.timer.now();

@@ -19,9 +19,9 @@ use wimu_link::{Hello, LinkRole, Responder};
 use wimu_model::{CentiCelsius, Counts, DeviceTimeUs, ParameterId};
 
 pub(crate) use self::orders::{Correction, Order, Orders};
-pub(crate) use self::parameters::Staged;
+pub(crate) use self::parameters::{Set, Staged};
 
-use self::parameters::{Set, Staging};
+use self::parameters::Staging;
 use crate::queue::FrameQueue;
 use crate::sample::RawSample;
 use crate::sensor::SensorFault;
@@ -300,9 +300,9 @@ impl<M: RawMutex> Common<M> {
             .lock(|published| f(published.borrow_mut().or_new(Published::new)))
     }
 
-    /// A copy of the set in use.
-    pub(crate) fn active(&self) -> Set {
-        self.active.lock(|active| active.borrow().copy())
+    /// Copies the set in use.
+    pub(crate) fn active(&self, copy: &mut Set) {
+        copy.copy(|take| self.active.lock(|active| take(&active.borrow())));
     }
 
     /// The piece from `offset` on of the set in use.

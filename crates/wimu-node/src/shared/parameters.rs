@@ -12,7 +12,7 @@ use crate::slot::Slot;
 pub(crate) struct Set(Vec<u8, { WireParameters::MAX }>);
 
 impl Set {
-    pub(super) const NONE: Self = Self(Vec::new());
+    pub(crate) const NONE: Self = Self(Vec::new());
 
     pub(crate) fn get(&self) -> Option<EncodedParameters<'_>> {
         (!self.0.is_empty()).then_some(EncodedParameters(&self.0))
@@ -33,9 +33,18 @@ impl Set {
         }
     }
 
-    /// A copy, as fast as one of an array: it is made with interrupts disabled.
-    pub(super) fn copy(&self) -> Self {
-        Self(Vec::from_slice(&self.0).unwrap_or_default())
+    /// Copies the set that `lend` passes on. It is one copy of an array, because interrupts are disabled meanwhile,
+    /// and needs no further set on the stack.
+    pub(super) fn copy(&mut self, lend: impl FnOnce(&mut dyn FnMut(&Self))) {
+        let _ = self.0.resize_default(WireParameters::MAX);
+        let mut length = 0;
+        lend(&mut |lent| {
+            if let Some(bytes) = self.0.get_mut(..lent.0.len()) {
+                bytes.copy_from_slice(&lent.0);
+                length = bytes.len();
+            }
+        });
+        self.0.truncate(length);
     }
 }
 
@@ -118,4 +127,27 @@ impl Staged {
 /// The id of a set; that of the uncalibrated device without one.
 pub(crate) fn id(set: Option<EncodedParameters>) -> ParameterId {
     set.map_or(ParameterId::UNCALIBRATED, EncodedParameters::id)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pieces_from_another_link_are_refused_and_its_first_piece_begins_anew() {
+        let (cable, wireless) = (LinkRole::Cable, LinkRole::Wireless);
+        let wrong = |received| Err(Refusal::WrongPiece { received });
+        let mut staged = Staged::NONE;
+        assert_eq!(staged.take(cable, 0, 6, &[1, 2, 3]), Ok(()));
+        // The rest of the set, and a repetition, on the other link.
+        assert_eq!(staged.take(wireless, 3, 6, &[4, 5, 6]), wrong(0));
+        assert_eq!(staged.is_whole(wireless), Err(Refusal::NothingStaged));
+        assert_eq!(staged.take(cable, 3, 6, &[4, 5, 6]), Ok(()));
+        assert_eq!(staged.is_whole(cable), Ok(true));
+        assert_eq!(staged.take(wireless, 3, 6, &[4, 5, 6]), wrong(0));
+        assert_eq!(staged.take(wireless, 0, 6, &[7, 8, 9]), Ok(()));
+        assert_eq!(staged.take(cable, 3, 6, &[4, 5, 6]), wrong(0));
+        assert_eq!(staged.is_whole(cable), Err(Refusal::NothingStaged));
+        assert_eq!(staged.is_whole(wireless), Ok(false));
+    }
 }

@@ -415,6 +415,16 @@ pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
     }
 }
 
+/// Indices of the sensors in a calibration file that [`read_parameters`] leaves out; none of an unreadable file.
+pub fn further_sensors(path: &Path) -> Vec<u8> {
+    let Ok(Read::V2(file)) = read(path) else {
+        return Vec::new();
+    };
+    let taken = file.sensor().map_or(0, |sensor| sensor.index);
+    let indices = file.sensors.iter().map(|sensor| sensor.index);
+    indices.filter(|index| *index != taken).collect()
+}
+
 /// The sessions of the calibration `set`: those in the file `path` that it was read from, if there is one.
 pub fn sessions(path: Option<&Path>, set: &ParameterSet) -> Vec<Session> {
     if let Some(Ok(Read::V2(file))) = path.map(read)

@@ -371,8 +371,10 @@ fn a_file_holds_several_sensors_and_the_sessions_of_each() {
     assert_eq!(updated.accelerometer.sessions[1].poses, poses - 3);
     // A board takes the set of sensor 0, wherever it stands.
     file.sensors.extend(report.file.unwrap().sensors);
+    assert!(further_sensors(&path).is_empty());
     file.write(&path).unwrap();
     assert_eq!(read_parameters(&path).unwrap(), first);
+    assert_eq!(further_sensors(&path), [1]);
     let good = std::fs::read_to_string(&path).unwrap();
     for (value, bad, part) in [
         ("\"range_dps\": 500", "\"range_dps\": 0", "gyroscope range"),

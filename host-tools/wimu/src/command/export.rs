@@ -1,7 +1,7 @@
 //! `wimu export`.
 
 use serde::Serialize;
-use wimu_host::calibration::{CalibrationExport, ExportTarget, KalibrNoise};
+use wimu_host::calibration::{CalibrationExport, ExportTarget, KalibrNoise, further_sensors};
 use wimu_host::compare::LinkModel;
 use wimu_host::csv::SENSITIVITY;
 use wimu_host::export::{self, ExportSource, ExportStream};
@@ -163,8 +163,12 @@ fn calibration(arguments: &Export, target: ExportTarget, output: Output) -> Resu
     let export = CalibrationExport::read(&arguments.input)?;
     let noise = arguments.noise.as_deref();
     let text = export.text(target, noise.map(KalibrNoise::read).transpose()?);
+    let further = further_sensors(&arguments.input);
+    let left_out = (!further.is_empty())
+        .then(|| format!("sensors {further:?} of the calibration are left out"));
     let remarks: Vec<String> = (export.range_remark.clone().into_iter())
         .chain(export.left_out(target))
+        .chain(left_out)
         .collect();
     let file = arguments
         .output

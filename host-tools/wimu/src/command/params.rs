@@ -3,7 +3,9 @@
 use std::path::Path;
 
 use serde::Serialize;
-use wimu_host::calibration::{self, CalibrationFile, HELD_SCHEMA, read_parameters};
+use wimu_host::calibration::{
+    self, CalibrationFile, HELD_SCHEMA, further_sensors, read_parameters,
+};
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::message::ActiveParameters;
 use wimu_model::{ParameterId, ParameterSet};
@@ -22,6 +24,9 @@ struct Held {
     parameters: Option<ParameterSet>,
     /// Whether they are for the device's present range.
     in_use: bool,
+    /// Indices of the sensors whose calibration was not pushed.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    not_pushed: Vec<u8>,
     /// Whether the device has signed its answers; null if this computer has no key of the device.
     authenticated: Option<bool>,
 }
@@ -30,7 +35,8 @@ pub fn run(action: &Params, output: Output) -> Result<()> {
     match action {
         Params::Get { link, output: file } => {
             let (mut client, authenticated) = connect_to_read(link, output)?;
-            show(&mut client, authenticated, file.as_deref(), output)
+            let file = file.as_deref();
+            show(&mut client, authenticated, file, Vec::new(), output)
         }
         Params::Push {
             link,
@@ -46,15 +52,21 @@ pub fn run(action: &Params, output: Output) -> Result<()> {
             } else {
                 push(&mut client, &set, output)?;
             }
+            let not_pushed = further_sensors(calibration);
+            if !not_pushed.is_empty() {
+                output.print(format!(
+                    "not pushed: the calibration of sensors {not_pushed:?}, because a board corrects its sensor 0 only"
+                ));
+            }
             let signed = client.signs().then_some(true);
-            show(&mut client, signed, None, output)
+            show(&mut client, signed, None, not_pushed, output)
         }
         Params::FactoryReset { link } => {
             let mut client = connect_to_write(link)?;
             client.factory_reset()?;
             output.print("calibration and settings of the device are erased");
             let signed = client.signs().then_some(true);
-            show(&mut client, signed, None, output)
+            show(&mut client, signed, None, Vec::new(), output)
         }
     }
 }
@@ -191,6 +203,7 @@ fn show(
     client: &mut Connection,
     authenticated: Option<bool>,
     file: Option<&Path>,
+    not_pushed: Vec<u8>,
     output: Output,
 ) -> Result<()> {
     let parameters = held(client)?;
@@ -227,6 +240,7 @@ fn show(
         parameter_id: id.to_string(),
         parameters,
         in_use,
+        not_pushed,
         authenticated,
     });
     Ok(())

@@ -387,21 +387,26 @@ mod tests {
         let found = capture.summary;
         println!("{found:?}");
         assert_eq!((found.lost, found.duplicated, found.damaged), (0, 0, 0));
-        let table = std::fs::File::open(format!("{folder}mimu4444_run1.csv")).unwrap();
-        let reader =
-            wimu_host::csv::CsvReader::new(std::io::BufReader::new(table), "the table").unwrap();
-        let mut rows = 0;
-        for (row, packet) in reader.zip(&capture.packets) {
-            let row = row.unwrap();
-            for (unit, [accelerometer, gyroscope]) in packet.units.iter().enumerate() {
-                assert_eq!(row.accelerations[unit], accelerometer.map(f64::from));
-                for axis in 0..3 {
-                    assert_eq!(row.other[3 * unit + axis], gyroscope[axis].to_string());
-                }
+        let table = format!("{folder}mimu4444_run1.csv");
+        let options = wimu_host::formats::ReadOptions::default();
+        let table = wimu_host::formats::load(Path::new(&table), &options).unwrap();
+        let tracks = |quantity| table.of(quantity).map(|track| track.vectors());
+        let forces = tracks(wimu_host::recording::Quantity::SpecificForce);
+        let rates = tracks(wimu_host::recording::Quantity::AngularRate);
+        for (which, tracks) in [forces.collect::<Vec<_>>(), rates.collect()]
+            .into_iter()
+            .enumerate()
+        {
+            assert_eq!(tracks.len(), capture.packets[0].units.len());
+            for (unit, track) in tracks.into_iter().enumerate() {
+                let sent = capture
+                    .packets
+                    .iter()
+                    .map(|packet| packet.units[unit][which]);
+                let sent = sent.map(|counts| counts.map(f64::from));
+                assert!(track.map(|(_, counts)| counts).eq(sent));
             }
-            rows += 1;
         }
-        assert_eq!(rows, capture.packets.len());
     }
 
     /// Ten seconds as the unit sends them.

@@ -130,6 +130,12 @@ pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Resu
             .iter()
             .find(|format| (format.detect)(source))
             .ok_or_else(|| {
+                if source.start().is_empty() && source.members().is_empty() {
+                    let remedy = "record or export it again";
+                    return ErrorCode::CsvEmpty
+                        .error("the file is empty", remedy)
+                        .at(source.name());
+                }
                 ErrorCode::UnknownFormat
                     .error(
                         "the format is not known",

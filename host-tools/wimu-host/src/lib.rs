@@ -16,7 +16,6 @@ pub mod digits;
 mod error;
 pub mod export;
 pub mod finding;
-mod foreign;
 pub mod formats;
 pub mod history;
 pub mod html;

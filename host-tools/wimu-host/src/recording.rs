@@ -24,7 +24,7 @@ mod times;
 
 use wimu_model::SensorId;
 
-use crate::finding::Finding;
+use crate::finding::{Finding, FindingCode, Severity};
 pub(crate) use link::{FORMAT as OF_WIMU, read as read_link};
 pub use samples::{Output, OutputUnit, RateSource, Samples, Selection};
 pub use summary::{Summary, TrackSummary};
@@ -337,6 +337,15 @@ impl Recording {
         self.of(quantity)
             .filter(|track| track.info.origin == Origin::Sensor)
             .min_by_key(|track| track.info.sensor)
+    }
+
+    /// Findings of warning and above as texts, but for masked rows, which navigation reports itself.
+    pub(crate) fn remarks(&self) -> Vec<String> {
+        let is_news = |finding: &&Finding| {
+            finding.severity > Severity::Note && finding.code != FindingCode::RowsMasked
+        };
+        let findings = self.findings.iter().filter(is_news);
+        findings.map(ToString::to_string).collect()
     }
 
     /// Time of the first row of any track, ns on the clock of the file.

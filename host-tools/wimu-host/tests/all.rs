@@ -7,6 +7,7 @@ mod array_survey;
 mod arrays;
 mod common;
 mod export_calibration;
+mod formats_document;
 mod inertial;
 mod ros_topics;
 mod slides;

@@ -195,7 +195,7 @@ fn a_csv_that_cannot_be_read_is_reported_with_line_and_cause() {
     let mut texts = Transcript::default();
     for (text, code, line) in [
         (String::new(), "csv_empty", None),
-        ("1,2,3\n4,5,6\n".into(), "csv_no_header", Some(1)),
+        ("1,2,3\n4,5,6\n".into(), "csv_unknown_unit", Some(1)),
         (
             "Accelerometer X (g),Accelerometer Y (g)\n0,1\n".into(),
             "csv_missing_column",
@@ -207,14 +207,14 @@ fn a_csv_that_cannot_be_read_is_reported_with_line_and_cause() {
             Some(1),
         ),
         (
-            format!("Time (s),{XYZ}\n0,0,0,1\n1,0,abc,1\n"),
-            "csv_bad_number",
+            format!("Time (s),{XYZ}\n0,0,0,1\n1,0,abc,1\n2,0,abc,1\n"),
+            "bad_recording",
             Some(3),
         ),
         (
-            format!("Time (s),{XYZ}\n0,0,0,1\n1,0,0,1\n2,0,0,NaN\n"),
-            "csv_bad_number",
-            Some(4),
+            format!("Time (s),{XYZ}\n0,0,0,1\n1,0,0,NaN\n2,0,0,NaN\n"),
+            "data_refused",
+            Some(3),
         ),
         (
             "Accelerometer X (g),Accelerometer Y (LSB),Accelerometer Z (g)\n0,0,1\n".into(),

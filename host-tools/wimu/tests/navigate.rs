@@ -250,7 +250,7 @@ fn a_missing_magnetometer_a_magnet_and_a_start_in_motion_are_reported() {
 }
 
 #[test]
-fn gaps_and_repeated_times_are_reported_and_damaged_files_refused_with_their_line() {
+fn gaps_repeated_times_and_damaged_rows_are_reported() {
     let mut texts = Transcript::default();
     let folder = folder();
     let text = PLAIN.text();
@@ -267,23 +267,20 @@ fn gaps_and_repeated_times_are_reported_and_damaged_files_refused_with_their_lin
     texts.remarks("a time twice", &wimu(&["navigate", &still]));
 
     let back = write("back.csv", &[&lines[..320], &lines[100..]].concat());
-    let failure = texts.fails("back", &wimu(&["navigate", &back]), 2, "csv_time_backwards");
-    assert_eq!(line_number(&failure), Some(321), "{failure}");
+    texts.remarks("back", &wimu(&["navigate", &back]));
     let broken = lines[300].replacen(",", ",NaN,", 1);
     let nan = write(
         "nan.csv",
         &[&lines[..300], &[&broken[..]], &lines[301..]].concat(),
     );
-    let failure = texts.fails("field", &wimu(&["navigate", &nan]), 2, "csv_field_count");
-    assert_eq!(line_number(&failure), Some(301), "{failure}");
+    texts.remarks("field", &wimu(&["navigate", &nan]));
     let mut cells: Vec<&str> = lines[300].split(',').collect();
     cells[2] = "N.N";
     let nan = write(
         "nan2.csv",
         &[&lines[..300], &[&cells.join(",")[..]], &lines[301..]].concat(),
     );
-    let failure = texts.fails("number", &wimu(&["navigate", &nan]), 2, "csv_bad_number");
-    assert_eq!(line_number(&failure), Some(301), "{failure}");
+    texts.remarks("number", &wimu(&["navigate", &nan]));
     let short = write("short.csv", &lines[..2]);
     texts.fails("one row", &wimu(&["navigate", &short]), 2, "no_rows");
     let counts = lines[0].replace("(m/s²)", "(LSB)");

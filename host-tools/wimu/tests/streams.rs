@@ -109,9 +109,8 @@ fn a_path_goes_through_pipes_and_into_ros_topics() {
     let mut names: Vec<_> = summary.channels.values().map(|c| c.topic.clone()).collect();
     names.sort();
     assert_eq!(names, ["/odom", "/path", "/tf", "/tf_static"]);
-    // A file that `info` cannot read is named by what was read.
     let info = piped(&["info", "-"], rest().as_bytes());
-    assert_eq!(info.status.code(), Some(2), "{info:?}");
+    assert_eq!(info.status.code(), Some(0), "{info:?}");
 }
 
 #[test]

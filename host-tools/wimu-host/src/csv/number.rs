@@ -13,18 +13,6 @@ pub fn is_none(text: &str) -> bool {
         || text.parse::<f64>().is_ok_and(|value| !value.is_finite())
 }
 
-/// Whether commas separate `text` into groups of three digits, as `16,384`.
-pub fn has_thousands(text: &str) -> bool {
-    let digits = text.trim_start_matches(['-', '+']);
-    let mut groups = digits.split(',');
-    let first = groups.next().unwrap_or_default();
-    let whole = |group: &str| group.bytes().all(|b| b.is_ascii_digit());
-    (1..=3).contains(&first.len())
-        && first != "0"
-        && whole(first)
-        && groups.all(|group| group.len() == 3 && whole(group))
-}
-
 /// `text` · 10^`exponent` as an integer, rounded half away from zero, in integer arithmetic so
 /// that a UTC time in seconds keeps its nanoseconds. `None` if it is not a decimal number or does not fit.
 pub fn decimal(text: &str, exponent: i32) -> Option<i64> {

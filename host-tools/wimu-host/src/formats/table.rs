@@ -117,11 +117,10 @@ fn read_timed(
     let filter = rows::filter(&table, filter).map_err(at_header)?;
     let survey = survey::survey(source, &table, &layout, &filter)?;
     survey.count.check(source.name(), &table)?;
-    let mut findings: Vec<Finding> = survey
-        .one_source(&table)
-        .map_err(at_header)?
-        .into_iter()
-        .collect();
+    survey
+        .one_source(&table, !options.poses)
+        .map_err(at_header)?;
+    let mut findings = Vec::new();
     if let Some(program) = layout.program {
         let text = format!("the columns are those of {program}");
         findings.push(Finding::new(FindingCode::TrackChosen, Severity::Note, text));
@@ -211,6 +210,7 @@ fn conversions(
     let convert = |(group, samples): (&Group, &survey::Samples)| {
         let columns = group.columns.iter().map(|column| &survey.columns[*column]);
         let evidence = Evidence {
+            is_own: layout.program.is_none() && group.name.starts_with("Accelerometer"),
             samples: &samples.rows,
             is_integer: group.columns.len() == 3
                 && columns.clone().all(|column| !column.is_fractional),

@@ -5,7 +5,24 @@ use crate::error::{ErrorCode, Result};
 use crate::recording::Sink;
 
 /// First bytes, name, and what to do.
-const FORMATS: [(&[u8], &str, &str); 4] = [
+const FORMATS: [(&[u8], &str, &str); 9] = [
+    (
+        b"\x28\xb5\x2f\xfd",
+        "compressed by zstd",
+        "unpack it: zstd -d FILE",
+    ),
+    (
+        b"\x04\x22\x4d\x18",
+        "compressed by lz4",
+        "unpack it: lz4 -d FILE",
+    ),
+    (b"BZh", "compressed by bzip2", "unpack it: bunzip2 FILE"),
+    (b"\xfd7zXZ\0", "compressed by xz", "unpack it: unxz FILE"),
+    (
+        b"\x89HDF\r\n",
+        "an HDF5 file",
+        "write it as CSV, for example in Python with h5py or pandas",
+    ),
     (
         b"PAR1",
         "Apache Parquet",

@@ -67,12 +67,7 @@ impl<R: Read> RecordingReader<R> {
     pub fn open_through(path: &Path, watch: impl FnOnce(BufReader<File>) -> R) -> Result<Self> {
         let name = path.display().to_string();
         let file = File::open(path).map_err(|error| HostError::file(&name, "open", &error))?;
-        let mut source = BufReader::new(file);
-        let start = source.fill_buf().unwrap_or_default();
-        if let Some(error) = crate::foreign::refused(start) {
-            return Err(error.at(name));
-        }
-        Self::new(watch(source), &name)
+        Self::new(watch(BufReader::new(file)), &name)
     }
 
     /// Reads from `source`; `name` is its name in errors.

@@ -20,7 +20,11 @@ impl<W: Read + Write + Seek> RosFile<W> {
     /// # Errors
     /// `file_failed`.
     pub fn new(sink: W, name: &str) -> Result<Self> {
-        let library = concat!("wimu ", env!("CARGO_PKG_VERSION"));
+        Self::by(concat!("wimu-ros ", env!("CARGO_PKG_VERSION")), sink, name)
+    }
+
+    /// The same, by `library`, which tells recordings from other files: [`library`].
+    fn by(library: &str, sink: W, name: &str) -> Result<Self> {
         let container = Container::new(sink, "ros2", library);
         Ok(Self {
             container: container.map_err(|error| HostError::file(name, "write", &error))?,
@@ -120,7 +124,7 @@ impl<W: Read + Write + Seek> RecordingWriter<W> {
     /// `file_failed`.
     pub fn new(sink: W, name: &str, anchor: ClockAnchor) -> Result<Self> {
         let failed = |error| HostError::file(name, "write", &error);
-        let mut file = RosFile::new(sink, name)?;
+        let mut file = RosFile::by(concat!("wimu ", env!("CARGO_PKG_VERSION")), sink, name)?;
         let container = &mut file.container;
         let bytes = container.schema(SCHEMA_NAME, SCHEMA);
         let text = container.schema(TEXT_SCHEMA_NAME, TEXT_SCHEMA);

@@ -59,6 +59,17 @@ impl MotionRecording {
         }
         let mut correction = Correction::of(force, options).map_err(|error| error.at(name))?;
         let beside = |quantity| recording.of(quantity).find(sensor);
+        let own_rate = options.calibration.and_then(|stored| stored.gyroscope);
+        let unscaled = |track: &&Track| track.info.unit == Unit::Counts { si_per_lsb: None };
+        let mut rates = recording.of(Quantity::AngularRate);
+        if let Some(track) = rates.find(|track| unscaled(track) && own_rate.is_none()) {
+            return Err(ErrorCode::UnknownFormat
+                .error(
+                    format!("the unit of `{}` is not known: counts", track.info.name),
+                    "give it as `Gyroscope X (rad/s)` or `Gyroscope X (deg/s)`",
+                )
+                .at(name));
+        }
         let [rate, field, temperature] = [
             Quantity::AngularRate,
             Quantity::MagneticField,
@@ -77,7 +88,7 @@ impl MotionRecording {
             .copied();
         let mut motion = Self {
             name: name.to_owned(),
-            remarks: recording.findings.iter().map(ToString::to_string).collect(),
+            remarks: recording.remarks(),
             bias_sd_mps2: options.calibration.map_or(0.0, |c| c.bias_sd_mps2),
             full_scale_mps2: force.info.full_scale,
             other: scalars
@@ -94,16 +105,17 @@ impl MotionRecording {
         let mut positions = position.map(|track| track.beside(force));
         let mut attitudes = attitude.map(|track| track.beside(force));
         let mut others: Vec<_> = scalars.iter().map(|track| track.beside(force)).collect();
-        let mut last_ns = None;
+        let mut last_s = None;
         for (row, time_ns) in force.times_ns().iter().copied().enumerate() {
-            // Rows out of order are masked, and have no place in the sequence.
-            if last_ns.is_some_and(|last| time_ns < last) {
+            let time_s = time_ns as f64 * 1e-9;
+            // A masked row of numbers is out of order, and has no place in the sequence.
+            let is_finite = force
+                .row(row)
+                .is_some_and(|v| v.iter().all(|c| c.is_finite()));
+            if is_finite && !force.mask()[row] {
                 continue;
             }
-            let output = match force.mask()[row] {
-                true => vector(force.row(row)).unwrap_or([f64::NAN; 3]),
-                false => [f64::NAN; 3],
-            };
+            let output = vector(force.row(row)).unwrap_or([f64::NAN; 3]);
             let celsius = temperatures.as_mut().and_then(|t| t.latest(row, time_ns));
             let f = correction.force(output, celsius.map(|row| row[0]));
             let rate_rad_s = rates.as_mut().and_then(|t| t.at(row, time_ns));
@@ -118,14 +130,13 @@ impl MotionRecording {
                 .map(|row| row[0] != 0.0);
             let field_ut = output_ut.and_then(|ut| correction.field(ut, flag));
             motion.field_uncalibrated |= output_ut.is_some() && field_ut.is_none();
-            let since_ns = time_ns - last_ns.unwrap_or(time_ns);
             motion.samples.push(UnitSample {
-                step_s: since_ns as f64 * 1e-9,
+                step_s: time_s - last_s.unwrap_or(time_s),
                 force_mps2: correction.turned(f),
                 field_ut,
                 rate_rad_s: rate_rad_s.map(|rate| correction.turned(rate)),
             });
-            motion.times_s.push(time_ns as f64 * 1e-9);
+            motion.times_s.push(time_s);
             let quaternion = attitudes.as_mut().and_then(|t| t.at(row, time_ns));
             let position_m = positions.as_mut().and_then(|t| t.at(row, time_ns));
             motion.truth.push(position_m.map(|position_m| Truth {
@@ -136,7 +147,7 @@ impl MotionRecording {
                 let value: Option<[f64; 1]> = other.at(row, time_ns);
                 column.push(value.map_or(f64::NAN, |[value]| value));
             }
-            last_ns = Some(time_ns);
+            last_s = Some(time_s);
         }
         if motion.samples.len() < 2 {
             return Err(ErrorCode::NoRows

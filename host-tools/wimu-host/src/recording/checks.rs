@@ -5,18 +5,12 @@ use crate::error::{ErrorCode, Result};
 use crate::finding::{Finding, FindingCode, Severity};
 use crate::plural::counted;
 
-/// Names of columns that identify a sensor, and a run.
-const SENSORS: [&str; 5] = ["imu", "sensor", "device", "unit", "board"];
-const RUNS: [&str; 4] = ["run", "trial", "session", "recording"];
-/// Largest number of values of such a column.
-const MAX_VALUES: usize = 64;
-
 impl Recording {
     /// Masks rows whose time is earlier than that of a row before, and reports masked rows of accelerometers.
     /// `in_order` is false for means over poses.
     ///
     /// # Errors
-    /// `usage` for a table with rows of several sensors or runs; `data_refused` when more than half of the rows of an accelerometer cannot be used.
+    /// `data_refused` when more than half of the rows of an accelerometer cannot be used.
     pub(crate) fn check(&mut self, in_order: bool) -> Result<()> {
         let start_ns = self.start_ns().unwrap_or_default();
         for track in &mut self.tracks {
@@ -46,7 +40,9 @@ impl Recording {
                 true => track.mask_early(),
                 false => (0, None),
             };
-            if let Some(first) = first.filter(|_| is_force) {
+            let is_told = |finding: &Finding| finding.code == FindingCode::TimesUnordered;
+            let is_news = is_force && !self.findings.iter().any(is_told);
+            if let Some(first) = first.filter(|_| is_news) {
                 let evidence = format!(
                     "time goes back: {} earlier than a row before, the first after {:.2} s",
                     counted(early, "row"),
@@ -54,7 +50,7 @@ impl Recording {
                 );
                 let finding =
                     Finding::new(FindingCode::TimesUnordered, Severity::Warning, evidence);
-                self.findings.push(finding.of_sensor(sensor).remedy(
+                self.findings.push(finding.remedy(
                     "they are left out; sort the rows, or select one of several runs with --where",
                 ));
             }
@@ -73,41 +69,7 @@ impl Recording {
                     .at(&self.name));
             }
         }
-        let restarts = self
-            .findings
-            .iter()
-            .any(|finding| finding.code == FindingCode::TimesUnordered);
-        self.of_one_sensor(restarts)
-    }
-
-    /// Refuses rows of several sensors, or of several runs if their times start again.
-    fn of_one_sensor(&self, restarts: bool) -> Result<()> {
-        let (mut several, mut selected) = (Vec::new(), Vec::new());
-        for track in self.of(Quantity::Scalar) {
-            let name = track.info.name.as_str();
-            let is_one_of = |known: &[&str]| known.contains(&name.to_lowercase().as_str());
-            if !is_one_of(&SENSORS) && !(restarts && is_one_of(&RUNS)) {
-                continue;
-            }
-            let mut values: Vec<f64> = track.valid().map(|(_, row)| row[0]).collect();
-            values.sort_by(f64::total_cmp);
-            values.dedup();
-            if (2..=MAX_VALUES).contains(&values.len()) {
-                let list: Vec<String> = values.iter().map(f64::to_string).collect();
-                several.push(format!("`{name}` is {}", list.join(", ")));
-                selected.push(format!("{name}={}", list[0]));
-            }
-        }
-        if several.is_empty() {
-            return Ok(());
-        }
-        let (several, selected) = (several.join("; "), selected.join(","));
-        Err(ErrorCode::Usage
-            .error(
-                format!("the rows are of several sensors or runs: {several}"),
-                format!("select one with --where \"{selected}\", or remove the other rows"),
-            )
-            .at(&self.name))
+        Ok(())
     }
 }
 

@@ -155,6 +155,20 @@ impl Recording {
                 same && info.origin == Origin::Sensor && !info.corrected
             })
         };
+        let weights = self
+            .of(Quantity::Scalar)
+            .find(|track| selection.poses && track.info.name == "Samples");
+        if let Some(track) = weights {
+            let is_count = |value: &f64| value.trunc() == *value && (1.0..=4e9).contains(value);
+            let whole = track.valid().filter(|(_, row)| is_count(&row[0])).count();
+            if whole < rows.len() {
+                let error = ErrorCode::CsvBadNumber.error(
+                    format!("{} of {} values of `Samples` are no numbers of samples", rows.len() - whole, rows.len()),
+                    "write the number of samples in each mean, a whole number from 1 on, or remove the column",
+                );
+                return Err(error.at(&self.name));
+            }
+        }
         Ok(Samples {
             name: &self.name,
             unit: unit_of(force),
@@ -168,9 +182,7 @@ impl Recording {
             gaps,
             temperature: of_sensor(Quantity::Temperature),
             field: of_sensor(Quantity::MagneticField),
-            weights: self
-                .of(Quantity::Scalar)
-                .find(|track| selection.poses && track.info.name == "Samples"),
+            weights,
         })
     }
 
@@ -300,7 +312,7 @@ impl<'a> Samples<'a> {
             Output {
                 value,
                 temperature_c: celsius,
-                samples: weight.map_or(1, |count| count.clamp(1.0, 4e9) as u32),
+                samples: weight.map_or(1, |count| count as u32),
                 after_gap: gaps.next_if(|gap| **gap == index).is_some(),
                 magnetic_field_nt: latest(&mut field)
                     .and_then(|tesla| <[f64; 3]>::try_from(tesla).ok())

@@ -124,6 +124,6 @@ fn a_file_without_inertial_data_names_its_topics() {
     assert_eq!(error.code(), ErrorCode::NoRows);
     assert_eq!(
         read_bytes(&[], None).unwrap_err().code(),
-        ErrorCode::UnknownFormat
+        ErrorCode::CsvEmpty
     );
 }

@@ -8,7 +8,7 @@ use ::mcap::MAGIC;
 use ::mcap::records::op;
 
 use super::chunk::{self, number, sized};
-use super::message::{Encoding, IMU};
+use super::message::Encoding;
 use super::{Messages, ReadOptions, Source};
 use crate::error::{HostError, Result};
 use crate::recording::Sink;
@@ -32,44 +32,9 @@ pub(super) fn files<'a>(source: &'a Source, magic: &[u8]) -> Vec<&'a Source> {
 
 /// Any MCAP file but recordings of wimu without decoded messages.
 pub(in crate::formats) fn detect(source: &Source) -> bool {
-    let files = files(source, MAGIC);
-    !files.is_empty() && !files.iter().all(|file| is_undecoded_wimu(file))
+    !files(source, MAGIC).is_empty()
 }
 
-fn is_undecoded_wimu(file: &Source) -> bool {
-    let library = || {
-        let mut start = file.start().get(MAGIC.len() + 9..)?;
-        sized(&mut start)?;
-        sized(&mut start)
-    };
-    library().is_some_and(|library| library.starts_with(b"wimu ")) && !has_imu(file)
-}
-
-/// Whether a file has the schema of Imu messages.
-fn has_imu(file: &Source) -> bool {
-    let mut found = false;
-    let mut see = |code: u8, mut record: &[u8]| {
-        if code == op::SCHEMA && number::<2>(&mut record).is_some() {
-            let name = sized(&mut record).map(String::from_utf8_lossy);
-            found |= name.is_some_and(|name| name.replace("/msg/", "/") == IMU);
-        }
-        match found {
-            true => ControlFlow::Break(()),
-            false => ControlFlow::Continue(()),
-        }
-    };
-    // An error of reading comes up again in `read`.
-    let _ = walk(file, |code, record, cut| match code {
-        op::CHUNK => {
-            let records = Chunk::parse(record).and_then(|chunk| chunk.records(cut).ok());
-            each(&records.unwrap_or_default(), &mut see)
-        }
-        _ => see(code, record),
-    });
-    found
-}
-
-/// Hands the messages to the sink.
 pub(in crate::formats) fn read(
     source: &Source,
     options: &ReadOptions,

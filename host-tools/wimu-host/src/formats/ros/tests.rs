@@ -1,9 +1,7 @@
-use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use super::*;
 use crate::formats::read;
-use crate::mcap_file::{ClockAnchor, RecordingWriter};
 use crate::recording::{Recording, Track};
 
 const CRATE: &str = env!("CARGO_MANIFEST_DIR");
@@ -306,37 +304,6 @@ fn unusable_header_stamps_are_replaced_by_log_times() {
     let recording = load(&Source::of_bytes("b.bag", bytes), &ReadOptions::default()).unwrap();
     let clock = recording.findings.last().unwrap();
     assert_eq!(clock.evidence, "the clocks of /a and /bb differ by 895 s");
-}
-
-#[test]
-fn only_recordings_of_wimu_with_imu_messages_are_claimed() {
-    let anchor = ClockAnchor {
-        monotonic_ns: 0,
-        utc_ns: 0,
-    };
-    for decoded in [false, true] {
-        let mut bytes = Cursor::new(Vec::new());
-        let mut writer = RecordingWriter::new(&mut bytes, "test", anchor).unwrap();
-        if decoded {
-            let topic = writer.topic("/cable/imu/data", "sensor_msgs/msg/Imu", "");
-            let mut message = vec![0, 1, 0, 0];
-            message.extend([0; 8]);
-            message.extend([1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
-            message.extend([0; 37 * 8]);
-            writer.publish(topic, 5, 5, &message).unwrap();
-            let level = ruzstd::encoding::CompressionLevel::Fastest;
-            message[4] = 1;
-            let compressed = ruzstd::encoding::compress_to_vec(&message[..], level);
-            writer.publish(topic, 6, 6, &compressed).unwrap();
-        }
-        writer.finish().unwrap();
-        let source = Source::of_bytes("wimu.mcap", bytes.into_inner());
-        assert_eq!(mcap::detect(&source), decoded);
-        if decoded {
-            let recording = load(&source, &ReadOptions::default()).unwrap();
-            assert_eq!(recording.first(Quantity::SpecificForce).unwrap().len(), 2);
-        }
-    }
 }
 
 /// Files of all containers, and how often to damage each.

@@ -87,7 +87,7 @@ fn bad_rows_are_counted_with_the_first_line() {
 #[test]
 fn texts_that_are_no_tables_of_sensors_say_what_is_there() {
     for (text, code) in [
-        ("", ErrorCode::UnknownFormat),
+        ("", ErrorCode::CsvEmpty),
         ("\n\n", ErrorCode::CsvEmpty),
         (
             "Call me Ishmael. Some years ago, never mind how long precisely, I went to sea.\n",

@@ -34,6 +34,8 @@ pub struct Conversion {
 #[derive(Clone, Copy)]
 pub struct Evidence<'a> {
     pub samples: &'a [[f64; 3]],
+    /// Whether the columns are called as wimu calls them.
+    pub is_own: bool,
     /// Whether the file writes them without decimal mark.
     pub is_integer: bool,
     /// Output at zero, where the user says it, LSB.
@@ -105,7 +107,7 @@ pub fn conversion(
         }
         None => {}
     }
-    check_gravity(group, &samples, &mut conversion, findings);
+    check_gravity(group, &samples, evidence.is_own, &mut conversion, findings);
     Ok(conversion)
 }
 
@@ -182,6 +184,7 @@ fn inferred(
 fn check_gravity(
     group: &Group,
     samples: &[[f64; 3]],
+    is_own: bool,
     conversion: &mut Conversion,
     findings: &mut Vec<Finding>,
 ) {
@@ -193,7 +196,8 @@ fn check_gravity(
         && samples.len() >= MIN_SAMPLES;
     let reason = match group.quantity {
         Quantity::LinearAcceleration => "by its name".to_owned(),
-        _ if conversion.unit == Unit::Si && is_small => {
+        // In wimu's own columns zeros are those of a dead sensor.
+        _ if conversion.unit == Unit::Si && is_small && !is_own => {
             format!("|a| at rest is {:.2} m/s²", magnitude.unwrap_or(0.0))
         }
         _ => return,

@@ -9,7 +9,6 @@ use super::layout::Layout;
 use super::rows::{self, Count, Fault, Next, Values, each_row, values};
 use super::text::{Field, field};
 use crate::error::{ErrorCode, Result};
-use crate::finding::{Finding, FindingCode, Severity};
 use crate::formats::Source;
 
 /// Rows after which the survey ends.
@@ -137,39 +136,32 @@ fn names_source(name: &str) -> bool {
 }
 
 impl Survey {
-    /// Refuses rows of several sensors; a finding for rows of several runs whose times start again.
+    /// Refuses rows of several sensors, and, of a series in time, of several runs whose times start again.
     ///
     /// # Errors
     /// `usage`, which asks for `--where`.
-    pub fn one_source(&self, table: &Table) -> Result<Option<Finding>> {
-        let several = |known: &'static [&'static str]| {
-            let columns = table.names.iter().zip(&self.columns);
-            columns.filter(move |(name, column)| {
-                known.contains(&name.to_lowercase().as_str())
-                    && (2..MAX_TEXTS).contains(&column.contents.len())
-            })
-        };
-        let texts = |(name, column): (&String, &Column)| {
+    pub fn one_source(&self, table: &Table, in_order: bool) -> Result<()> {
+        let (mut several, mut selected, mut refused) = (Vec::new(), Vec::new(), false);
+        let restarts = in_order && self.times.restarts > 0;
+        for (name, column) in table.names.iter().zip(&self.columns) {
+            let is_one_of = |known: &[&str]| known.contains(&name.to_lowercase().as_str());
+            let (sensor, run) = (is_one_of(&SENSORS), is_one_of(&RUNS));
+            if !(sensor || run) || !(2..MAX_TEXTS).contains(&column.contents.len()) {
+                continue;
+            }
+            refused |= sensor || restarts;
             let contents: Vec<&str> = column.contents.iter().map(String::as_str).collect();
-            (
-                format!("`{name}` is {}", contents.join(", ")),
-                format!("select one with --where \"{name}={}\"", contents[0]),
-            )
-        };
-        if let Some((found, remedy)) = several(&SENSORS).next().map(texts) {
-            let message = format!("the rows are of several sensors: {found}");
-            return Err(
-                ErrorCode::Usage.error(message, format!("{remedy}, or remove the other rows"))
-            );
+            several.push(format!("`{name}` is {}", contents.join(", ")));
+            selected.push(format!("{name}={}", contents[0]));
         }
-        let runs = several(&RUNS)
-            .next()
-            .filter(|_| self.times.restarts > 0)
-            .map(texts);
-        Ok(runs.map(|(found, remedy)| {
-            let text = format!("the rows are of several runs, whose times start again: {found}");
-            Finding::new(FindingCode::TimesUnordered, Severity::Warning, text).remedy(remedy)
-        }))
+        if !refused {
+            return Ok(());
+        }
+        let (several, selected) = (several.join("; "), selected.join(","));
+        Err(ErrorCode::Usage.error(
+            format!("the rows are of several sensors or runs: {several}"),
+            format!("select one with --where \"{selected}\", or remove the other rows"),
+        ))
     }
 
     fn fault(&mut self, table: &Table, layout: &Layout, fields: &[Cow<str>]) -> Option<Fault> {

@@ -433,7 +433,7 @@ fn rows_of_several_sensors_are_selected() {
     };
     let error = load(&path, &ReadOptions::default()).unwrap_err();
     assert!(
-        error.code() == ErrorCode::Usage && error.remedy().contains("--where \"IMU=0\""),
+        error.code() == ErrorCode::Usage && error.remedy().contains("--where \"Run=1,IMU=0\""),
         "{error}"
     );
     let filter = Some("Run=1,IMU=0".parse().unwrap());

@@ -126,7 +126,9 @@ pub fn alignment(
         schema: HELD_SCHEMA,
         status: "refused",
         reason: None,
-        remarks: data.temperature_remark(set).into_iter().collect(),
+        remarks: (data.remarks.iter().cloned())
+            .chain(data.temperature_remark(set))
+            .collect(),
         source: data.name.to_owned(),
         rests: rests.len(),
         found: rests

@@ -156,6 +156,7 @@ pub fn noise(data: &Samples<'_>, sensitivity: Option<Sensitivity>) -> NoiseRepor
         allan.push(output.value.map(|axis| axis * scale));
     }
     let mut report = NoiseReport::new(data.name, data.rate_hz, data.rate_source, &allan);
+    report.remarks.extend(data.remarks.iter().cloned());
     report.remarks.extend(data.gaps_remark());
     report
 }

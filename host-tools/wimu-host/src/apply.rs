@@ -269,7 +269,6 @@ impl<'a> Correction<'a> {
                 magnetic_field_ut: row.field_ut,
                 temperature_c: row.temperature_c,
                 other,
-                ..Row::default()
             })?;
             count += 1;
         }

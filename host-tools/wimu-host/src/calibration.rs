@@ -269,8 +269,8 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
                 sensor: data.sensor,
                 ..ParameterSet::uncalibrated(range.g, sensitivity)
             });
-    let mut remarks: Vec<String> = left_out
-        .into_iter()
+    let mut remarks: Vec<String> = (data.remarks.iter().cloned())
+        .chain(left_out)
         .chain(remarks(
             data,
             options,

@@ -415,7 +415,6 @@ impl<'a> Table<'a> {
             magnetic_field_ut: self.start.field_ut,
             temperature_c: self.start.temperature_c,
             other,
-            ..Row::default()
         };
         self.write(&row)
     }

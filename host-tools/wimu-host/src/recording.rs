@@ -339,10 +339,17 @@ impl Recording {
             .min_by_key(|track| track.info.sensor)
     }
 
-    /// Findings of warning and above as texts, but for masked rows, which navigation reports itself.
-    pub(crate) fn remarks(&self) -> Vec<String> {
+    /// Warnings and assumptions of reading as texts, but for those of which the caller speaks itself.
+    pub(crate) fn remarks(&self, of_caller: &[FindingCode]) -> Vec<String> {
+        let is_assumption = |code| {
+            matches!(
+                code,
+                FindingCode::UnitInferred | FindingCode::ZeroCount | FindingCode::GravityAdded
+            )
+        };
         let is_news = |finding: &&Finding| {
-            finding.severity > Severity::Note && finding.code != FindingCode::RowsMasked
+            let counts = finding.severity > Severity::Note || is_assumption(finding.code);
+            counts && !of_caller.contains(&finding.code)
         };
         let findings = self.findings.iter().filter(is_news);
         findings.map(ToString::to_string).collect()

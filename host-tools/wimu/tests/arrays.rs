@@ -6,9 +6,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{
-    Background, Ran, Simulator, Transcript, folder, line_number, record_until, remarks, wimu,
-};
+use kit::{Background, Ran, Simulator, Transcript, folder, record_until, remarks, wimu};
 
 const POSITIONS: [[f64; 3]; 4] = [
     [0.05, 0.05, 0.05],

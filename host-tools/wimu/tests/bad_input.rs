@@ -7,7 +7,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{Ran, Transcript, folder, line_number, wimu};
+use kit::{Ran, Transcript, folder, wimu};
 use serde_json::Value;
 use wimu_testkit::Random;
 

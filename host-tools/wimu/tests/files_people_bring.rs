@@ -5,7 +5,7 @@ use crate::kit;
 use std::fmt::Write;
 use std::fs;
 
-use kit::{Transcript, in_folder, line_number, noise, snapshot, spread, wimu};
+use kit::{Transcript, in_folder, noise, snapshot, spread, wimu};
 use serde_json::Value;
 
 const G: f64 = 9.80665;

@@ -6,7 +6,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{Transcript, folder, line_number, record_motion, wimu};
+use kit::{Transcript, folder, record_motion, wimu};
 use serde_json::Value;
 
 const G: f64 = 9.80665;

@@ -201,7 +201,7 @@ fn columns_that_are_nearly_right_are_refused_or_remarked() {
     let mm = ran(RATE, &TRUTH.replace("Position E (m)", "Position E (mm)"));
     texts.remarks("truth in mm", &mm);
     let rpm = ran(&RATE.replace("Z (rad/s)", "Z (rpm)"), "");
-    texts.remarks("rpm", &rpm);
+    texts.fails("rpm", &rpm, 2, "csv_missing_column");
     let gyro = ran(&RATE.replace("Gyroscope", "Gyro "), "");
     assert_eq!(gyro.succeeds()["method"], "strapdown");
     texts.check("navigate_columns");

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use kit::{Transcript, folder, line_number, wimu};
+use kit::{Transcript, folder, wimu};
 use wimu_host::array::{Board, BoardOptions};
 use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
 use wimu_link::message::{Epoch, EpochReason};

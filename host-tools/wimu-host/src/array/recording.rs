@@ -8,6 +8,7 @@ use wimu_model::{STANDARD_GRAVITY_MPS2, SpecificForceQ16};
 
 use super::ArrayGeometry;
 use crate::csv::{AccelerationUnit, acceleration};
+use crate::finding::FindingCode;
 use crate::formats::{self, ReadOptions};
 use crate::history::{Boot, Recording};
 use crate::motion::{FULL_SCALE_MPS2, Truth};
@@ -474,7 +475,7 @@ impl Table {
             times_s: times.iter().map(|t| (t - first_ns) as f64 * 1e-9).collect(),
             saturated: vec![0; times.len()],
             outputs: vec![Vec::with_capacity(sensors); times.len()],
-            remarks: file.remarks(),
+            remarks: file.remarks(&[FindingCode::RowsMasked]),
             ..ArrayRecording::default()
         };
         if times.len() < 4 {

@@ -145,7 +145,9 @@ pub fn calibrate_magnetometer(
     let mut report = MagnetometerReport {
         schema: HELD_SCHEMA,
         status: "refused",
-        remarks: data.temperature_remark(set).into_iter().collect(),
+        remarks: (data.remarks.iter().cloned())
+            .chain(data.temperature_remark(set))
+            .collect(),
         source: data.name.to_owned(),
         sensor: "magnetometer",
         rests: rests.len(),

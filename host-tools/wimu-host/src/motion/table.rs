@@ -7,6 +7,7 @@ use wimu_nav::unit::UnitSample;
 
 use super::{FIELD_CALIBRATED, MotionRecording, Truth};
 use crate::calibration::StoredModel;
+use crate::finding::FindingCode;
 use crate::formats::{self, ReadOptions};
 use crate::recording::{Origin, Quantity, Recording, Track, Unit};
 use crate::{ErrorCode, HostError, Result};
@@ -88,7 +89,7 @@ impl MotionRecording {
             .copied();
         let mut motion = Self {
             name: name.to_owned(),
-            remarks: recording.remarks(),
+            remarks: recording.remarks(&[FindingCode::RowsMasked]),
             bias_sd_mps2: options.calibration.map_or(0.0, |c| c.bias_sd_mps2),
             full_scale_mps2: force.info.full_scale,
             other: scalars

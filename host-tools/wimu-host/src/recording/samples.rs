@@ -13,6 +13,7 @@ use super::beside::Beside;
 use super::times::rate_and_gaps;
 use super::{Origin, Quantity, Recording, Track, Unit};
 use crate::error::{ErrorCode, Result};
+use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
 
 /// Assumed sample rate of data without times, Hz.
@@ -92,6 +93,8 @@ pub struct Samples<'a> {
     pub sensor: Option<SensorId>,
     /// Whether the data have a gyroscope, too.
     pub has_gyroscope: bool,
+    /// Warnings and assumptions of reading.
+    pub(crate) remarks: Vec<String>,
     force: &'a Track,
     /// Valid rows of `force`.
     rows: Vec<usize>,
@@ -176,6 +179,8 @@ impl Recording {
             rate_hz,
             rate_source,
             sensor: force.info.device,
+            // The rate is in the reports.
+            remarks: self.remarks(&[FindingCode::Rate]),
             has_gyroscope: self.of(Quantity::AngularRate).next().is_some(),
             force,
             rows,
@@ -222,7 +227,12 @@ impl Recording {
                 .error(message, remedy)
                 .at(&self.name));
         }
+        let gravity = |finding: &&Finding| finding.code == FindingCode::GravityMissing;
+        let missing = self.findings.iter().find(gravity);
         let (message, remedy) = match (all.as_slice(), wanted) {
+            ([], _) if let Some(missing) = missing => {
+                (missing.evidence.clone(), missing.remedy.clone())
+            }
             ([], _) => (
                 "there is no accelerometer in it".to_owned(),
                 "`wimu info FILE` lists what it has".to_owned(),

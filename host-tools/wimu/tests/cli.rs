@@ -217,7 +217,8 @@ fn a_csv_that_cannot_be_read_is_reported_with_line_and_cause() {
             Some(1),
         ),
         (
-            "Accelerometer X (furlong),Accelerometer Y (g),Accelerometer Z (g)\n0,0,1\n".into(),
+            "Accelerometer X (furlong),Accelerometer Y (furlong),Accelerometer Z (furlong)\n0,0,1\n"
+                .into(),
             "csv_unknown_unit",
             Some(1),
         ),

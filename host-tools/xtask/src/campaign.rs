@@ -62,6 +62,11 @@ const STORAGE: [&str; 3] = [
     "host-tools/wimu-sim/src/storage.rs",
     "tests/tests/store",
 ];
+const FUZZ: [&str; 3] = [
+    "crates/wimu-link/src",
+    "host-tools/wimu-host/src/decode",
+    "tests/src",
+];
 const CLOCKS: [&str; 6] = [
     "host-tools/wimu-sim/src",
     "host-tools/wimu-host/src/clock",
@@ -71,7 +76,8 @@ const CLOCKS: [&str; 6] = [
     "host-tools/wimu-sim/tests",
 ];
 /// What a device runs.
-const DEVICE: [&str; 7] = [
+const DEVICE: [&str; 8] = [
+    "crates/wimu-registers/src",
     "crates/wimu-model/src",
     "crates/wimu-integrator/src",
     "crates/wimu-calib/src",
@@ -239,14 +245,29 @@ pub const CAMPAIGNS: [Campaign; 9] = [
     Campaign {
         name: "fuzz",
         about: "random, damaged and reordered bytes for every decoder",
-        runs: &[Run {
-            command: "run --release -p wimu-tests --example fuzz 10000000 7",
-            sources: &[
-                "crates/wimu-link/src",
-                "host-tools/wimu-host/src/decode",
-                "tests/src",
-            ],
-        }],
+        // Ten million in five runs, so that a campaign that was interrupted goes on with the next one.
+        runs: &[
+            Run {
+                command: "run --release -p wimu-tests --example fuzz 2000000 7",
+                sources: &FUZZ,
+            },
+            Run {
+                command: "run --release -p wimu-tests --example fuzz 2000000 8",
+                sources: &FUZZ,
+            },
+            Run {
+                command: "run --release -p wimu-tests --example fuzz 2000000 9",
+                sources: &FUZZ,
+            },
+            Run {
+                command: "run --release -p wimu-tests --example fuzz 2000000 10",
+                sources: &FUZZ,
+            },
+            Run {
+                command: "run --release -p wimu-tests --example fuzz 2000000 11",
+                sources: &FUZZ,
+            },
+        ],
     },
     Campaign {
         name: "clocks",

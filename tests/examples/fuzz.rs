@@ -40,6 +40,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         None => "faults in random, damaged and reordered frames, all decoders",
         Some(_) => "faults of the store on damaged images of flash",
     };
-    figure(&format!("{claim}, seed {seed}"), format!("0 of {done}"), "none", true);
+    figure(
+        &format!("{claim}, seed {seed}"),
+        format!("0 of {done}"),
+        "none",
+        true,
+    );
     Ok(())
 }

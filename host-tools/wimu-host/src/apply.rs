@@ -40,11 +40,6 @@ use crate::ros::message::Message;
 use crate::ros::rate_covariance;
 use crate::{ErrorCode, HostError, OutputFile, Result};
 
-/// A value of another sensor belongs to a sample as long as it is not older than so many of its median steps.
-const HOLD_STEPS: f64 = 1.5;
-/// The same where its rate is unknown, ns.
-const HOLD_NS: i64 = 1_000_000_000;
-
 /// A corrected sample, body axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Corrected {
@@ -162,22 +157,21 @@ impl<'a> Correction<'a> {
 
     /// The corrected samples, in the order of the recording.
     pub fn rows(&self) -> impl Iterator<Item = Corrected> {
-        let mut rate = self.rate.map(|(track, _)| Latest::new(track));
-        let mut field = self.field.map(Latest::new);
-        let mut temperature = self.temperature.map(|track| Latest {
-            // It changes slowly.
-            hold_ns: i64::MAX,
-            ..Latest::new(track)
-        });
-        self.force.vectors().map(move |(time_ns, output)| {
-            let vector = |latest: &mut Option<Latest<'a>>| -> Option<[f64; 3]> {
-                latest.as_mut()?.at(time_ns)?.try_into().ok()
-            };
-            let (rate, field) = (vector(&mut rate), vector(&mut field));
-            let temperature_c = temperature
+        let mut rate = self.rate.map(|(track, _)| track.beside(self.force));
+        let mut field = self.field.map(|track| track.beside(self.force));
+        let mut temperature = self.temperature.map(|track| track.beside(self.force));
+        let mut celsius = None;
+        let times = self.force.times_ns().iter().enumerate();
+        times.filter_map(move |(row, time_ns)| {
+            let rate = rate.as_mut().and_then(|track| track.at(row, *time_ns));
+            let field = field.as_mut().and_then(|track| track.latest(row, *time_ns));
+            let now = temperature
                 .as_mut()
-                .and_then(|t| t.at(time_ns)?.first().copied());
-            self.corrected(time_ns, output, rate, field, temperature_c)
+                .and_then(|track| track.latest(row, *time_ns));
+            celsius = now.map(|row| row[0]).or(celsius);
+            let output = self.force.row(row).filter(|_| self.force.mask()[row])?;
+            let field = field.and_then(|row| row.try_into().ok());
+            Some(self.corrected(*time_ns, output.try_into().ok()?, rate, field, celsius))
         })
     }
 
@@ -289,7 +283,7 @@ impl<'a> Correction<'a> {
         let gyroscope = gyroscope.map(|sd| sd.map(f64::from));
         let rotation = self.calibration.alignment.matrix();
         let variance = self.calibration.bias_sd_mps2.powi(2);
-        let (mut count, mut field) = (0, None);
+        let mut count = 0;
         for row in self.rows() {
             let stamp_ns = u64::try_from(row.time_ns).unwrap_or_default();
             let mut fields = crate::ros::imu(row.force_mps2, row.rate_rad_s, None);
@@ -305,10 +299,7 @@ impl<'a> Correction<'a> {
                 out.publish(topic, type_name, stamp_ns, stamp_ns, &message)
             };
             publish("/imu/data", "sensor_msgs/Imu", &fields)?;
-            if row.field_ut != field
-                && let Some([x, y, z]) = row.field_ut
-            {
-                field = row.field_ut;
+            if let Some([x, y, z]) = row.field_ut {
                 let mut fields = [0.0; 12];
                 fields[..3].copy_from_slice(&[x * 1e-6, y * 1e-6, z * 1e-6]);
                 publish("/imu/mag", "sensor_msgs/MagneticField", &fields)?;
@@ -325,37 +316,6 @@ impl<'a> Correction<'a> {
         out.finish()?;
         output.finish()?;
         Ok(count)
-    }
-}
-
-/// Values of a track in step with later and later times.
-struct Latest<'a> {
-    rows: Box<dyn Iterator<Item = (i64, &'a [f64])> + 'a>,
-    next: Option<(i64, &'a [f64])>,
-    now: Option<(i64, &'a [f64])>,
-    hold_ns: i64,
-}
-
-impl<'a> Latest<'a> {
-    fn new(track: &'a Track) -> Self {
-        let mut rows = Box::new(track.valid());
-        let hold_ns = track.median_step_s();
-        Self {
-            next: rows.next(),
-            rows,
-            now: None,
-            hold_ns: hold_ns.map_or(HOLD_NS, |step| (step * 1e9 * HOLD_STEPS) as i64),
-        }
-    }
-
-    /// The last row that is not later than `time_ns`, if it is not too old.
-    fn at(&mut self, time_ns: i64) -> Option<&'a [f64]> {
-        while let Some(next) = self.next.filter(|(at, _)| *at <= time_ns) {
-            self.now = Some(next);
-            self.next = self.rows.next();
-        }
-        let (at, row) = self.now?;
-        (time_ns.saturating_sub(at) <= self.hold_ns).then_some(row)
     }
 }
 

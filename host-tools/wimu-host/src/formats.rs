@@ -11,6 +11,7 @@ mod ned;
 mod px4;
 mod ros;
 pub(crate) mod source;
+mod summary;
 mod table;
 mod unsupported;
 pub(crate) mod wimu;
@@ -21,6 +22,7 @@ use std::path::Path;
 use wimu_link::LinkRole;
 
 pub use source::Source;
+pub use summary::{Summary, TrackSummary};
 
 use crate::csv::Filter;
 use crate::error::{ErrorCode, Result};

@@ -19,7 +19,6 @@ mod beside;
 mod checks;
 mod link;
 mod samples;
-mod summary;
 mod times;
 
 use wimu_model::SensorId;
@@ -27,7 +26,6 @@ use wimu_model::SensorId;
 use crate::finding::{Finding, FindingCode, Severity};
 pub(crate) use link::{FORMAT as OF_WIMU, read as read_link};
 pub use samples::{Output, OutputUnit, RateSource, Samples, Selection};
-pub use summary::{Summary, TrackSummary};
 
 /// What a track measures, with the SI unit of its values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -6,10 +6,9 @@ use std::time::Duration;
 
 use serde::Serialize;
 use wimu_host::decode::{self, LinkStatistics};
-use wimu_host::formats::Source;
+use wimu_host::formats::{Source, Summary};
 use wimu_host::mcap_file::Wholeness;
 use wimu_host::overview::{BootOverview, LinkOverview, Overview};
-use wimu_host::recording::Summary;
 use wimu_host::{Input, Result};
 use wimu_link::Hello;
 use wimu_link::message::{SensorStatus, Status};

@@ -4,10 +4,10 @@ use serde::Serialize;
 use wimu_calib::PoseFinder;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
-use super::{Origin, Quantity, Sink, TrackId, TrackInfo, Unit};
+use super::{ReadOptions, Source, read};
 use crate::error::Result;
 use crate::finding::Finding;
-use crate::formats::{self, ReadOptions, Source};
+use crate::recording::{Origin, Quantity, Sink, TrackId, TrackInfo, Unit};
 
 /// Rows by which the sample rate and the unit of a track are judged.
 const FIRST_ROWS: usize = 1000;
@@ -66,10 +66,10 @@ impl Summary {
     /// Reads a file, or a folder.
     ///
     /// # Errors
-    /// Those of [`formats::read`].
+    /// Those of [`read`].
     pub fn read(source: &Source, options: &ReadOptions) -> Result<Self> {
         let mut counter = Counter::default();
-        let format = formats::read(source, options, &mut counter)?;
+        let format = read(source, options, &mut counter)?;
         let span = |of: fn(&TrackCounter) -> Option<i64>| counter.tracks.iter().filter_map(of);
         let from = span(|track| track.first_ns).min();
         let to = span(|track| track.latest_ns).max();

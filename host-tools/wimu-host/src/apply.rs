@@ -27,7 +27,9 @@
 use std::io::BufWriter;
 use std::path::Path;
 
-use wimu_model::{CentiCelsius, MagneticFieldNt, MagnetometerModel, SpecificForceMps2};
+use wimu_model::{
+    CentiCelsius, MagneticFieldNt, MagnetometerModel, STANDARD_GRAVITY_MPS2, SpecificForceMps2,
+};
 
 use crate::calibration::StoredModel;
 use crate::csv::{AccelerationUnit, CsvWriter, Header, Row};
@@ -39,6 +41,9 @@ use crate::recording::{Origin, Quantity, Recording, Track, Unit};
 use crate::ros::message::Message;
 use crate::ros::rate_covariance;
 use crate::{ErrorCode, HostError, OutputFile, Result};
+
+/// Largest departure of the median magnitude from gravity, relative: strong motion stays below. Chosen.
+const NOT_GRAVITY: f64 = 0.3;
 
 /// A corrected sample, body axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -102,22 +107,7 @@ impl<'a> Correction<'a> {
             findings,
         };
         correction.choose_rate(recording);
-        let mut tracks = vec![correction.force];
-        tracks.extend(correction.rate.map(|(track, _)| track));
-        for track in tracks {
-            let masked = track.mask().iter().filter(|valid| !**valid).count();
-            if masked > 0 {
-                let text = format!(
-                    "`{}`: {masked} of {} rows are not usable",
-                    track.info.name,
-                    track.len()
-                );
-                let finding = Finding::new(FindingCode::RowsMasked, Severity::Warning, text);
-                correction
-                    .findings
-                    .push(finding.remedy("they are left out"));
-            }
-        }
+        correction.findings.extend(correction.not_gravity());
         match force.valid().next() {
             Some(_) => Ok(correction),
             None => Err(at(ErrorCode::DataRefused.error(
@@ -125,6 +115,22 @@ impl<'a> Correction<'a> {
                 "check the file with `wimu info`",
             ))),
         }
+    }
+
+    /// A warning where the median of the corrected magnitudes cannot be gravity: another unit, range or sensor.
+    fn not_gravity(&self) -> Option<Finding> {
+        let norm = |row: Corrected| row.force_mps2.iter().map(|f| f * f).sum::<f64>().sqrt();
+        let mut norms: Vec<f64> = self.rows().map(norm).collect();
+        let middle = norms.len() / 2;
+        if norms.is_empty() {
+            return None;
+        }
+        let median = *norms.select_nth_unstable_by(middle, f64::total_cmp).1;
+        ((median / STANDARD_GRAVITY_MPS2 - 1.0).abs() > NOT_GRAVITY).then(|| {
+            let text = format!("the median magnitude after correction is {median:.2} m/s², and gravity 9.81");
+            let finding = Finding::new(FindingCode::UnitInferred, Severity::Warning, text);
+            finding.remedy("check the unit, --zero-count, and that the calibration is of this sensor at this range")
+        })
     }
 
     fn choose_rate(&mut self, recording: &'a Recording) {

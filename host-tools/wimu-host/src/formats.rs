@@ -25,7 +25,7 @@ pub use source::Source;
 pub use summary::{Summary, TrackSummary};
 
 use crate::csv::Filter;
-use crate::error::{ErrorCode, Result};
+use crate::error::{ErrorCode, HostError, Result};
 use crate::recording::{OF_WIMU, Recording, Sink};
 
 /// How to read a file whose content does not say enough.
@@ -61,6 +61,9 @@ struct Format {
     /// Hands tracks and rows to the sink.
     read: fn(&Source, &ReadOptions, &mut dyn Sink) -> Result<()>,
 }
+
+const TABLE: &str = "table";
+const UNSUPPORTED: &str = "unsupported";
 
 /// In the order in which they are tried.
 const FORMATS: &[Format] = &[
@@ -100,12 +103,12 @@ const FORMATS: &[Format] = &[
         read: betaflight::read,
     },
     Format {
-        name: "unsupported",
+        name: UNSUPPORTED,
         detect: unsupported::detect,
         read: unsupported::read,
     },
     Format {
-        name: "text table",
+        name: TABLE,
         detect: table::detect,
         read: table::read,
     },
@@ -118,36 +121,70 @@ const FORMATS: &[Format] = &[
 /// unusable; `usage` for an unknown name of a format.
 pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Result<&'static str> {
     let format = match &options.format {
-        Some(name) => FORMATS
-            .iter()
-            .find(|format| format.name == name)
-            .ok_or_else(|| {
-                let names: Vec<_> = FORMATS.iter().map(|format| format.name).collect();
-                ErrorCode::Usage.error(
-                    format!("there is no format `{name}`"),
-                    format!("choose one of {}", names.join(", ")),
-                )
-            })?,
-        None => FORMATS
-            .iter()
-            .find(|format| (format.detect)(source))
-            .ok_or_else(|| {
-                if source.start().is_empty() && source.members().is_empty() {
-                    let remedy = "record or export it again";
-                    return ErrorCode::CsvEmpty
-                        .error("the file is empty", remedy)
-                        .at(source.name());
-                }
-                ErrorCode::UnknownFormat
-                    .error(
-                        "the format is not known",
-                        "see docs/FORMATS.md, or convert it to CSV",
-                    )
-                    .at(source.name())
-            })?,
+        Some(name) => named(name)?,
+        None => match FORMATS.iter().find(|format| (format.detect)(source)) {
+            Some(format) => format,
+            // A folder or archive with one recording.
+            None => match recordings(source).as_slice() {
+                [only] => return read(only, options, sink),
+                several => return Err(unknown(source, several)),
+            },
+        },
     };
     (format.read)(source, options, sink)?;
     Ok(format.name)
+}
+
+fn named(name: &str) -> Result<&'static Format> {
+    let found = FORMATS.iter().find(|format| format.name == name);
+    found.ok_or_else(|| {
+        let names = FORMATS.iter().map(|format| format.name);
+        let names: Vec<&str> = names.filter(|name| *name != UNSUPPORTED).collect();
+        ErrorCode::Usage.error(
+            format!("there is no format `{name}`"),
+            format!("choose one of {}", names.join(", ")),
+        )
+    })
+}
+
+/// Members of a folder or archive that are recordings, other than tables.
+fn recordings(source: &Source) -> Vec<&Source> {
+    let formats = || {
+        FORMATS
+            .iter()
+            .filter(|format| format.name != TABLE && format.name != UNSUPPORTED)
+    };
+    let members = source.members().iter();
+    members
+        .filter(|member| formats().any(|format| (format.detect)(member)))
+        .collect()
+}
+
+fn unknown(source: &Source, several: &[&Source]) -> HostError {
+    let is_workbook = |member: &Source| member.name().contains("xl/workbook");
+    let (code, message, remedy) = match several {
+        [_, ..] => {
+            let names: Vec<&str> = several.iter().map(|member| member.name()).collect();
+            let message = format!("it has {} recordings: {}", several.len(), names.join(", "));
+            (ErrorCode::Usage, message, "give one of them")
+        }
+        [] if source.members().iter().any(is_workbook) => (
+            ErrorCode::UnknownFormat,
+            "this is an Excel workbook, which wimu does not read".to_owned(),
+            "save its sheet as CSV (UTF-8)",
+        ),
+        [] if source.start().is_empty() && source.members().is_empty() => (
+            ErrorCode::CsvEmpty,
+            "the file is empty".to_owned(),
+            "record or export it again",
+        ),
+        [] => (
+            ErrorCode::UnknownFormat,
+            "the format is not known".to_owned(),
+            "see docs/FORMATS.md, or convert it to CSV",
+        ),
+    };
+    code.error(message, remedy).at(source.name())
 }
 
 /// Reads a file: [`read`] into a [`Recording`], whose rows out of order are masked.

@@ -394,7 +394,10 @@ impl Sink for Recording {
         }
     }
 
+    /// Each finding is kept once.
     fn finding(&mut self, finding: Finding) {
-        self.findings.push(finding);
+        if !self.findings.contains(&finding) {
+            self.findings.push(finding);
+        }
     }
 }

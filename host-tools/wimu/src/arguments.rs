@@ -62,7 +62,10 @@ impl Arguments {
             Command::Apply(arguments) => vec![&mut arguments.calibration, &mut arguments.input],
             Command::Export(arguments) => vec![&mut arguments.input],
             Command::Navigate(arguments) => vec![&mut arguments.input],
-            Command::Info(Info { input, .. }) | Command::Calibrate(Calibrate { input, .. }) => {
+            Command::Info(Info { input, .. })
+            | Command::Calibrate(Calibrate { input, .. })
+            | Command::Allan(Allan { input, .. })
+            | Command::Align(Align { input, .. }) => {
                 let path = PathBuf::from(&*input);
                 vec![&mut text.insert((input, path)).1]
             }

@@ -258,7 +258,7 @@ const SUSPICIOUS_RMS_MM_S2: f64 = 50.0;
 const SUSPICIOUS_OF_TURNS_RMS_MM_S2: f64 = 280.0;
 
 /// Why a calibration cannot be pushed or exported.
-pub(super) const NO_SENSITIVITY: &str = "the data are in m/s² or g: to push or export this calibration, calibrate again with --sensitivity, \
+pub(super) const NO_SENSITIVITY: &str = "the data are in m/s² or g: to push this calibration to a board, calibrate again with --sensitivity, \
  the nominal LSB/g of the board's range";
 
 /// Largest standard deviation of a pose's mean from white noise, m/s²; 0 if it is unknown.

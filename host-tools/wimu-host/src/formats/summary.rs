@@ -6,7 +6,8 @@ use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use super::{ReadOptions, Source, read};
 use crate::error::Result;
-use crate::finding::Finding;
+use crate::finding::{Finding, FindingCode, Severity};
+use crate::plural::counted;
 use crate::recording::{Origin, Quantity, Sink, TrackId, TrackInfo, Unit};
 
 /// Rows by which the sample rate and the unit of a track are judged.
@@ -74,16 +75,16 @@ impl Summary {
         let from = span(|track| track.first_ns).min();
         let to = span(|track| track.latest_ns).max();
         let duration_ns = from.zip(to).map_or(0, |(from, to)| to.saturating_sub(from));
+        let tracks = counter.tracks.into_iter();
+        let tracks: Vec<TrackSummary> = tracks.map(TrackCounter::summary).collect();
+        let mut findings = counter.findings;
+        findings.extend(tracks.iter().filter_map(TrackSummary::finding));
         Ok(Self {
             source: source.name().to_owned(),
             format,
             duration_s: duration_ns as f64 * 1e-9,
-            tracks: counter
-                .tracks
-                .into_iter()
-                .map(TrackCounter::summary)
-                .collect(),
-            findings: counter.findings,
+            tracks,
+            findings,
         })
     }
 
@@ -115,7 +116,9 @@ impl Sink for Counter {
     }
 
     fn finding(&mut self, finding: Finding) {
-        self.findings.push(finding);
+        if !self.findings.contains(&finding) {
+            self.findings.push(finding);
+        }
     }
 }
 
@@ -261,6 +264,30 @@ fn norm(vector: &[f64; 3]) -> f64 {
     vector.iter().map(|axis| axis * axis).sum::<f64>().sqrt()
 }
 
+impl TrackSummary {
+    /// Rows of an accelerometer that are left out.
+    fn finding(&self) -> Option<Finding> {
+        let is_force = self.quantity == Quantity::SpecificForce.name();
+        let out = self.not_finite + self.unordered;
+        (is_force && out > 0).then(|| {
+            let (code, severity) = match self.unordered {
+                0 => (FindingCode::RowsMasked, Severity::Warning),
+                _ if 2 * out > self.rows => (FindingCode::TimesUnordered, Severity::Error),
+                _ => (FindingCode::TimesUnordered, Severity::Warning),
+            };
+            let evidence = format!(
+                "{}: {} of {} rows are not finite numbers, {} are earlier than a row before",
+                self.name, self.not_finite, self.rows, self.unordered
+            );
+            let remedy = match severity {
+                Severity::Error => "most rows cannot be used: sort them, or select one of several runs with --where",
+                _ => "they are left out",
+            };
+            Finding::new(code, severity, evidence).of_sensor(self.sensor).remedy(remedy)
+        })
+    }
+}
+
 impl std::fmt::Display for TrackSummary {
     /// One line.
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -273,25 +300,23 @@ impl std::fmt::Display for TrackSummary {
         if let Some(rate) = self.rate_hz {
             write!(out, ", {rate:.1} Hz")?;
         }
+        if self.gaps > 0 {
+            let gaps = counted(self.gaps as usize, "gap");
+            write!(out, ", {gaps} (longest {:.2} s)", self.longest_step_s)?;
+        }
         let counts = [
-            (self.gaps, "gaps"),
             (self.not_finite, "not finite"),
             (self.unordered, "out of order"),
         ];
         for (count, what) in counts.into_iter().filter(|(count, _)| *count > 0) {
             write!(out, ", {count} {what}")?;
         }
-        if self.gaps > 0 {
-            write!(out, " (longest {:.2} s)", self.longest_step_s)?;
-        }
         match (self.rests, self.mean_at_rest) {
             (Some(rests), Some(mean)) => {
                 let digits = if mean < 100.0 { 3 } else { 0 };
                 let unit = self.unit;
-                write!(
-                    out,
-                    ", {rests} rests with mean magnitude {mean:.digits$} {unit}"
-                )
+                let rests = counted(rests, "rest");
+                write!(out, ", {rests} with mean magnitude {mean:.digits$} {unit}")
             }
             (Some(_), None) => write!(out, ", no rests"),
             _ => Ok(()),

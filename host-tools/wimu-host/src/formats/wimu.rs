@@ -16,7 +16,10 @@ pub(crate) fn detect(source: &Source) -> bool {
     };
     match mcap_file::library(source.start()) {
         Some(library) => library.starts_with(b"wimu "),
-        None => source.members().is_empty() && source.path().is_some_and(named_mcap),
+        // No text: it has control characters.
+        None => {
+            source.start().iter().any(|byte| *byte < 9) && source.path().is_some_and(named_mcap)
+        }
     }
 }
 

@@ -7,7 +7,7 @@ use wimu_nav::unit::UnitSample;
 
 use super::{FIELD_CALIBRATED, MotionRecording, Truth};
 use crate::calibration::StoredModel;
-use crate::finding::FindingCode;
+use crate::finding::{Finding, FindingCode};
 use crate::formats::{self, ReadOptions};
 use crate::recording::{Origin, Quantity, Recording, Track, Unit};
 use crate::{ErrorCode, HostError, Result};
@@ -53,10 +53,10 @@ impl MotionRecording {
         let sensor = |track: &&Track| track.info.origin == Origin::Sensor;
         let mut forces = recording.of(Quantity::SpecificForce).filter(sensor);
         let (Some(force), None) = (forces.next(), forces.next()) else {
-            return Err(without_unit(name));
+            return Err(without_unit(recording));
         };
         if force.info.timeless {
-            return Err(without_unit(name));
+            return Err(without_unit(recording));
         }
         let mut correction = Correction::of(force, options).map_err(|error| error.at(name))?;
         let beside = |quantity| recording.of(quantity).find(sensor);
@@ -159,13 +159,26 @@ impl MotionRecording {
     }
 }
 
-fn without_unit(name: &str) -> HostError {
-    ErrorCode::CsvMissingColumn
-        .error(
+fn without_unit(recording: &Recording) -> HostError {
+    let of_gravity = |finding: &&Finding| finding.code == FindingCode::GravityMissing;
+    let names: Vec<&str> = recording
+        .of(Quantity::SpecificForce)
+        .map(|track| track.info.name.as_str())
+        .collect();
+    let error = match (recording.findings.iter().find(of_gravity), names.len()) {
+        (Some(missing), 0) => {
+            ErrorCode::DataRefused.error(missing.evidence.clone(), missing.remedy.clone())
+        }
+        (_, count @ 2..) => ErrorCode::CsvMissingColumn.error(
+            format!("it has {count} accelerometers: {}", names.join(", ")),
+            "choose one with --topic; for several on one body give --geometry",
+        ),
+        _ => ErrorCode::CsvMissingColumn.error(
             "navigation needs times and one accelerometer",
             "name the columns `Time (s)`, `Accelerometer X (m/s²)`, …; for several accelerometers on one body give --geometry",
-        )
-        .at(name)
+        ),
+    };
+    error.at(&recording.name)
 }
 
 fn vector(row: Option<&[f64]>) -> Option<[f64; 3]> {

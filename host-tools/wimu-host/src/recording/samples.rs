@@ -129,9 +129,8 @@ impl Recording {
             _ => (ASSUMED_RATE_HZ, RateSource::Assumed, Vec::new()),
         };
         let is_gap = |(index, row): (usize, &usize)| {
-            let masked = index > 0 && rows[index - 1] + 1 != *row;
             let stated = force.gaps.binary_search(row).is_ok() && index > 0;
-            (masked || stated || seen.binary_search(&index).is_ok()).then_some(index)
+            (stated || seen.binary_search(&index).is_ok()).then_some(index)
         };
         // Pose means are not a time series: no samples are missing between them.
         let gaps = match selection.poses {
@@ -229,6 +228,17 @@ impl Recording {
         }
         let gravity = |finding: &&Finding| finding.code == FindingCode::GravityMissing;
         let missing = self.findings.iter().find(gravity);
+        if ranges.is_empty() && all.iter().filter(|t| Some(t.info.sensor) == sensor).count() > 1 {
+            let names: Vec<&str> = all.iter().map(|t| t.info.name.as_str()).collect();
+            let error = ErrorCode::Usage.error(
+                format!(
+                    "several accelerometers have the same number: {}",
+                    names.join(", ")
+                ),
+                "give one file of the folder or archive, or choose with --topic",
+            );
+            return Err(error.at(&self.name));
+        }
         let (message, remedy) = match (all.as_slice(), wanted) {
             ([], _) if let Some(missing) = missing => {
                 (missing.evidence.clone(), missing.remedy.clone())

@@ -239,10 +239,11 @@ impl Recording {
             );
             return Err(error.at(&self.name));
         }
+        if let (Some(missing), []) = (missing, all.as_slice()) {
+            let error = ErrorCode::NoRows.error(missing.evidence.clone(), missing.remedy.clone());
+            return Err(error.at(&self.name));
+        }
         let (message, remedy) = match (all.as_slice(), wanted) {
-            ([], _) if let Some(missing) = missing => {
-                (missing.evidence.clone(), missing.remedy.clone())
-            }
             ([], _) => (
                 "there is no accelerometer in it".to_owned(),
                 "`wimu info FILE` lists what it has".to_owned(),

@@ -247,7 +247,7 @@ fn a_csv_that_cannot_be_read_is_reported_with_line_and_cause() {
     let path = folder.path().join("bytes.csv");
     fs::write(&path, b"Accelerometer X (g)\xff\n").unwrap();
     let ran = wimu(&["calibrate", path.to_str().unwrap()]);
-    texts.fails("not UTF-8", &ran, 2, "csv_not_utf8");
+    texts.fails("not UTF-8", &ran, 2, "csv_no_header");
     texts.check("csv_that_cannot_be_read");
 }
 

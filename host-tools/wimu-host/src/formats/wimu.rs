@@ -16,9 +16,11 @@ pub(crate) fn detect(source: &Source) -> bool {
     };
     match mcap_file::library(source.start()) {
         Some(library) => library.starts_with(b"wimu "),
-        // No text: it has control characters.
+        // A text has no control characters.
         None => {
-            source.start().iter().any(|byte| *byte < 9) && source.path().is_some_and(named_mcap)
+            let start = source.start();
+            let is_no_text = start.is_empty() || start.iter().any(|byte| *byte < 9);
+            is_no_text && source.path().is_some_and(named_mcap)
         }
     }
 }

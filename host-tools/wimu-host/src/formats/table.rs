@@ -74,10 +74,11 @@ pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) 
     }
 }
 
-/// Quantity that the name of a file says.
+/// Quantity that the name of a file says, if it has three letters or more.
 fn quantity_of(source: &Source) -> Option<Quantity> {
     let stem = Path::new(source.name()).file_stem()?;
-    names::quantity(&names::key(&stem.to_string_lossy()))
+    let key = names::key(&stem.to_string_lossy());
+    names::quantity(&key).filter(|_| key.chars().count() >= 3)
 }
 
 fn read_table(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Result<()> {
@@ -134,6 +135,12 @@ fn read_timed(
         let finding = Finding::new(FindingCode::UnitInferred, Severity::Warning, text);
         findings
             .push(finding.remedy("they are not read as such; give --columns with a known unit"));
+    }
+    let is_mixed = |group: &&Group| group.scales.iter().any(|scale| *scale != group.scales[0]);
+    for group in layout.groups.iter().filter(is_mixed) {
+        let text = format!("the components of `{}` have different units", group.name);
+        let finding = Finding::new(FindingCode::UnitInferred, Severity::Warning, text);
+        findings.push(finding.remedy("check the units in the header or in --columns"));
     }
     let conversions = conversions(&layout, &survey, options, &mut findings).map_err(at_header)?;
     let clock = match times.is_empty() {

@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 
 use super::text::with_point;
+use super::units;
 use crate::csv::number;
 
 const DAY_NS: i64 = 86_400_000_000_000;
@@ -12,7 +13,7 @@ const TICKS: i64 = 1 << 32;
 /// Where the time of a row comes from.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Source {
-    /// A column of numbers, each times ten to this power in ns.
+    /// A column of numbers, each times ten to this power, times [`units::multiple`], in ns.
     Numbers { column: usize, exponent: i32 },
     /// Columns of dates or times of day.
     Dates { date: Option<usize>, time: usize },
@@ -61,8 +62,8 @@ impl Clock {
             Source::List(times) => times.get(usize::try_from(self.rows - 1).ok()?).copied(),
             &Source::Numbers { column, exponent } => {
                 let unit = 10_i64.checked_pow(u32::try_from(exponent).ok()?)?;
-                let cycle = TICKS.checked_mul(unit)?;
-                let time = decimal(column, exponent)?;
+                let cycle = TICKS.saturating_mul(unit);
+                let time = decimal(column, exponent)?.checked_mul(units::multiple(exponent))?;
                 let is_near =
                     |time: i64, ticks: i64| (time / unit).abs_diff(ticks) < TICKS as u64 / 50;
                 if self.last.is_some_and(|last| is_near(last, TICKS)) && is_near(time, 0) {
@@ -121,10 +122,11 @@ pub fn date(day: Option<&str>, text: &str) -> Option<(i64, bool)> {
         Some((day, clock)) => (Some(day), clock.trim()),
         None => (None, text.trim()),
     };
-    let clock = clock
-        .trim_end_matches(['Z', 'z'])
-        .trim_end_matches("+00:00")
-        .trim_end_matches("UTC");
+    let clock = clock.trim_end_matches(['Z', 'z']).trim_end_matches("UTC");
+    let (clock, offset_ns) = match clock.rfind(['+', '-']) {
+        Some(at) => (&clock[..at], offset_ns(&clock[at..])?),
+        None => (clock, 0),
+    };
     let mut parts = clock.trim().splitn(3, ':');
     let whole = |text: &str| text.trim().parse::<u32>().ok();
     let (hour, minute) = (whole(parts.next()?)?, whole(parts.next()?)?);
@@ -137,8 +139,24 @@ pub fn date(day: Option<&str>, text: &str) -> Option<(i64, bool)> {
     let ns = i64::from(hour * 60 + minute) * 60_000_000_000 + ns;
     match own_day.or(day) {
         None => Some((ns, false)),
-        Some(day) => Some((days(day)?.checked_mul(DAY_NS)?.checked_add(ns)?, true)),
+        Some(day) => {
+            let midnight = days(day)?.checked_mul(DAY_NS)?;
+            Some((midnight.checked_add(ns - offset_ns)?, true))
+        }
     }
+}
+
+/// Offset from UTC of a local time: `+0200`, `-05:30`.
+fn offset_ns(text: &str) -> Option<i64> {
+    let (sign, digits) = text.split_at_checked(1)?;
+    let digits: String = digits.chars().filter(|c| *c != ':').collect();
+    let value: i64 = digits
+        .parse::<u16>()
+        .ok()
+        .filter(|_| digits.len() == 4)?
+        .into();
+    let minutes = value / 100 * 60 + value % 100;
+    Some(minutes * 60_000_000_000 * if sign == "-" { -1 } else { 1 })
 }
 
 /// Days since 1970-01-01 of year-month-day, month/day/year or day.month.year.
@@ -188,6 +206,17 @@ mod tests {
                 "12:30:45.12",
                 Some((1_574_080_245_120_000_000, true)),
             ),
+            (
+                None,
+                "2019-11-18 12:30:45.120 +0200",
+                Some((1_574_073_045_120_000_000, true)),
+            ),
+            (
+                None,
+                "2019-11-18T10:30:45.12-02:00",
+                Some((1_574_080_245_120_000_000, true)),
+            ),
+            (None, "12:30:45+x", None),
             (None, "00:00:01:250", Some((1_250_000_000, false))),
             (None, "24:00:00", None),
             (None, "1.5", None),

@@ -36,6 +36,8 @@ pub struct Table {
     pub preamble: Vec<String>,
     /// What a table without a header was taken for.
     pub taken_for: Option<&'static str>,
+    /// Whether each column only increases in the first rows.
+    pub increases: Vec<bool>,
 }
 
 /// Lines at the beginning of a text.
@@ -110,14 +112,6 @@ fn table(
         .position(|line| numbers(line, separator) >= 2)?;
     let fields = split(&start[first], separator);
     let width = fields.len();
-    let header = start[..first].iter().enumerate().filter_map(|(at, line)| {
-        let names = names_of(line, separator);
-        let known = known(&names, quantity);
-        let fits = (width.saturating_sub(1)..=width).contains(&names.len()) && names.len() > 1;
-        let is_header = fits && numbers(line, separator) < 2 || known >= KNOWN;
-        is_header.then_some((known, at, names))
-    });
-    let header = header.max_by_key(|(known, at, _)| (*known, *at));
     let rows = &start[first..];
     let is_comma = |line: &String| {
         let fields = split(line, separator);
@@ -131,6 +125,20 @@ fn table(
             .iter()
             .any(|f| f.contains('.') && field(f, false) != Field::Text)
     };
+    let header = start[..first].iter().enumerate().filter_map(|(at, line)| {
+        let names = names_of(line, separator);
+        let known = known(&names, quantity);
+        let fits = (width.saturating_sub(1)..=width).contains(&names.len()) && names.len() > 1;
+        // Rows whose decimal commas are separators as well: refused later.
+        let is_split = separator == ','
+            && at + 1 == first
+            && names.len() >= 3
+            && splits_decimals(width, names.len())
+            && !rows.iter().any(is_point);
+        let is_header = (fits || is_split) && numbers(line, separator) < 2 || known >= KNOWN;
+        is_header.then_some((known, at, names))
+    });
+    let header = header.max_by_key(|(known, at, _)| (*known, *at));
     let comma = separator != ',' && rows.iter().any(is_comma) && !rows.iter().any(is_point);
     let mut table = Table {
         separator,
@@ -141,6 +149,7 @@ fn table(
         first_row: first as u64 + 1,
         preamble: start[..first].to_vec(),
         taken_for: None,
+        increases: Vec::new(),
     };
     let score = numbers(&start[first], separator);
     let Some((known, at, names)) = header else {
@@ -148,7 +157,8 @@ fn table(
             let fields = split(line, separator);
             fields.len() == width && numbers(line, separator) == fields.len()
         });
-        if let Some((names, taken_for)) = presets::without_header(&increases(rows, &table)) {
+        table.increases = increases(rows, &table);
+        if let Some((names, taken_for)) = presets::without_header(&table.increases) {
             table.names = names;
             table.taken_for = Some(taken_for);
         }
@@ -158,6 +168,7 @@ fn table(
     if let Some(units) = start.get(at + 1).filter(|_| at + 1 < first) {
         append_units(&mut table.names, units, separator);
     }
+    table.increases = increases(rows, &table);
     table.has_header = true;
     table.line = at as u64 + 1;
     table.preamble = start[..at].to_vec();
@@ -168,7 +179,7 @@ fn table(
 fn increases(rows: &[String], table: &Table) -> Vec<bool> {
     let number = |text: Option<&std::borrow::Cow<str>>| match field(text?, table.comma) {
         Field::Number(value) => Some(value),
-        _ => None,
+        _ => clock::date(None, text?).map(|(ns, _)| ns as f64),
     };
     let rows: Vec<_> = rows
         .iter()
@@ -185,6 +196,11 @@ fn increases(rows: &[String], table: &Table) -> Vec<bool> {
             && steps.iter().any(|step| *step > 0.0)
     };
     (0..table.names.len()).map(increases).collect()
+}
+
+/// Whether rows of `fields` below a header of `names` columns look like numbers with decimal commas between commas.
+pub fn splits_decimals(fields: usize, names: usize) -> bool {
+    (3 * names / 2 + 1..=2 * names).contains(&fields)
 }
 
 /// Number of numbers and dates of a row; 0 if they are not most of its fields.

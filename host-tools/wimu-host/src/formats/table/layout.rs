@@ -76,7 +76,10 @@ pub fn of(table: &Table, quantity: Option<Quantity>, options: &ReadOptions) -> R
         program: table.taken_for.or(preset.map(|preset| preset.name)),
         ..Layout::default()
     };
-    choose_time(names, &meanings, preset, &mut layout);
+    choose_time(table, &meanings, preset, &mut layout);
+    if layout.time.is_none() && options.columns.is_none() {
+        layout.time = less_certain_time(table, &meanings);
+    }
     let mut used = vec![false; names.len()];
     for (column, meaning) in meanings.iter().enumerate() {
         match meaning.kind {
@@ -192,7 +195,7 @@ fn leave_out_repeated(names: &[String], meanings: &mut [Meaning]) -> Result<()> 
 }
 
 fn choose_time(
-    names: &[String],
+    Table { names, .. }: &Table,
     meanings: &[Meaning],
     preset: Option<&Preset>,
     layout: &mut Layout,
@@ -210,6 +213,22 @@ fn choose_time(
     layout.time = of_preset.or_else(|| column.map(|column| (column, meanings[column].exponent)));
     layout.date =
         (0..names.len()).find(|column| ["date", "rtcdate"].contains(&key(*column).as_str()));
+}
+
+/// An increasing column whose name is a unit of time, or else has the word `time`. Of several units, such as seconds and
+/// microseconds, each is only a part of the time.
+fn less_certain_time(table: &Table, meanings: &[Meaning]) -> Option<(usize, Option<i32>)> {
+    let of = |says: fn(&str) -> bool| {
+        let is_free = move |k: &usize| meanings[*k].kind == Kind::Other && says(&table.names[*k]);
+        (0..table.names.len()).filter(is_free)
+    };
+    let increases = |k: &usize| table.increases.get(*k) == Some(&true);
+    let mut units = of(names::is_time_unit);
+    let unit = units.next().filter(|_| units.next().is_none());
+    let column = unit
+        .filter(increases)
+        .or_else(|| of(names::mentions_time).find(increases))?;
+    Some((column, names::time_unit(&table.names[column])))
 }
 
 /// The track of all columns of one sensor; `None` where components are missing.

@@ -78,6 +78,9 @@ const TIMES: &[&str] = &[
     "datetime",
     "rtctime",
     "timestampunix",
+    "unixtimestamp",
+    "hhmmss",
+    "hhmmssfff",
 ];
 
 /// Names of three axes without the axis.
@@ -87,6 +90,7 @@ const STEMS: &[(&str, Quantity)] = &[
     ("acc", Quantity::SpecificForce), ("a", Quantity::SpecificForce), ("ac", Quantity::SpecificForce),
     ("arss", Quantity::SpecificForce), ("gf", Quantity::SpecificForce), ("gforce", Quantity::SpecificForce),
     ("totalacceleration", Quantity::SpecificForce), ("rawacc", Quantity::SpecificForce), ("accraw", Quantity::SpecificForce),
+    ("accelerometeracceleration", Quantity::SpecificForce),
     ("accelerometeruncalibrated", Quantity::SpecificForce), ("accelerationwithg", Quantity::SpecificForce),
     ("linearacceleration", Quantity::LinearAcceleration), ("linearaccelerometer", Quantity::LinearAcceleration),
     ("linacc", Quantity::LinearAcceleration), ("linaccel", Quantity::LinearAcceleration), ("lacc", Quantity::LinearAcceleration),
@@ -98,6 +102,7 @@ const STEMS: &[(&str, Quantity)] = &[
     ("wrss", Quantity::AngularRate), ("omega", Quantity::AngularRate), ("angularvelocity", Quantity::AngularRate),
     ("angularrate", Quantity::AngularRate), ("rotationrate", Quantity::AngularRate), ("angvel", Quantity::AngularRate),
     ("rotation", Quantity::AngularRate), ("rate", Quantity::AngularRate), ("gyroraw", Quantity::AngularRate),
+    ("gyrorotation", Quantity::AngularRate),
     ("magnetometer", Quantity::MagneticField), ("magneticfield", Quantity::MagneticField), ("mag", Quantity::MagneticField),
     ("m", Quantity::MagneticField), ("b", Quantity::MagneticField), ("h", Quantity::MagneticField),
     ("position", Quantity::Position), ("velocity", Quantity::Velocity),
@@ -117,6 +122,26 @@ pub fn quantity(stem: &str) -> Option<Quantity> {
     Some(found.1)
 }
 
+/// Whether the name of a column says that it is a unit of time. `h` is rather a height.
+pub fn is_time_unit(name: &str) -> bool {
+    let key = key(split_unit(name).0);
+    key != "h" && units::time(&key).is_some()
+}
+
+/// Whether a name that is not of a time has the word `time` or `timestamp`.
+pub fn mentions_time(name: &str) -> bool {
+    let bare = split_unit(name).0.to_lowercase();
+    let mut words = bare.split(|c: char| !c.is_alphanumeric());
+    bare.contains("timestamp") || words.any(|word| word == "time")
+}
+
+/// Unit of a time: in parentheses, the whole name, or its last word.
+pub fn time_unit(name: &str) -> Option<i32> {
+    let (bare, unit) = split_unit(name);
+    let last = bare.rsplit([' ', '_']).next();
+    unit.or(last).and_then(units::time)
+}
+
 /// Meaning of a column; `of_file` is the quantity that the file's name says, for columns `x`, `y`, `z`.
 pub fn meaning(name: &str, of_file: Option<Quantity>) -> Meaning {
     let name = name.trim_start_matches(['#', '%', ' ']).trim();
@@ -124,6 +149,12 @@ pub fn meaning(name: &str, of_file: Option<Quantity>) -> Meaning {
         return Meaning::of(Kind::Other);
     }
     let (bare, unit) = split_unit(name);
+    let bare = match key(bare).as_str() {
+        "xaxis" => "x",
+        "yaxis" => "y",
+        "zaxis" => "z",
+        _ => bare,
+    };
     let mut meaning = component(bare, unit, of_file);
     if let Some(unit) = unit {
         match meaning.kind {
@@ -347,6 +378,22 @@ mod tests {
             ),
             ("X (m/s^2)", "specific force 0 0 Some(Si(1.0))"),
             ("y", "Other"),
+            (
+                "x-axis (deg/s)",
+                "angular rate 0 0 Some(Si(0.017453292519943295))",
+            ),
+            ("°x-axis (mg)", "specific force 0 0 Some(Si(0.00980665))"),
+            (
+                "accelerometerAccelerationX(G)",
+                "specific force 0 0 Some(Si(9.80665))",
+            ),
+            ("acc_z (milli-g)", "specific force 0 2 Some(Si(0.00980665))"),
+            ("ax_millig", "specific force 0 0 Some(Si(0.00980665))"),
+            ("ay (ft/s²)", "specific force 0 1 Some(Si(0.3048))"),
+            ("epoch (ms)", "time Some(6)"),
+            ("unix_timestamp", "time None"),
+            ("hh:mm:ss(.fff)", "time None"),
+            ("Time (hours)", "time Some(11)"),
             ("Sensitivity (LSB/g)", "Sensitivity"),
         ] {
             assert_eq!(of(name), expected, "{name}");

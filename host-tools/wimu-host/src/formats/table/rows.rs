@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use super::header::Table;
+use super::header::{Table, splits_decimals};
 use super::layout::{Group, Layout};
 use super::text::{Field, Lines, field, is_comment, split};
 use crate::error::{ErrorCode, Result};
@@ -67,12 +67,31 @@ impl Count {
             return Err(error.at(name));
         }
         match self.first {
-            Some((line, fault)) if 2 * self.unusable() > self.rows => Err(ErrorCode::BadRecording
-                .error(
-                    format!("{} of {} rows are unusable; first: {}", self.unusable(), self.rows, text_of(fault, table)),
-                    "check the header and the separators, or name the columns: --columns \"t=1:s,x=2:g,y=3:g,z=4:g\"",
-                )
-                .at(format!("{name} line {line}"))),
+            Some((line, fault)) if 2 * self.unusable() > self.rows => {
+                let (unusable, rows) = (self.unusable(), self.rows);
+                let rows = match self.is_hopeless() {
+                    true => format!(
+                        "{unusable} of the first {rows} rows are unusable (reading stopped there)"
+                    ),
+                    false => format!("{unusable} of {rows} rows are unusable"),
+                };
+                let is_split = matches!(fault, Fault::FieldCount(fields)
+                    if table.separator == ',' && splits_decimals(fields, table.names.len()));
+                let (cause, remedy) = match is_split {
+                    true => (
+                        "; decimal commas between commas are likely",
+                        "export with semicolons as separators, or with decimal points",
+                    ),
+                    false => (
+                        "",
+                        "check the header and the separators, or name the columns: --columns \"t=1:s,x=2:g,y=3:g,z=4:g\"",
+                    ),
+                };
+                let text = format!("{rows}; first: {}{cause}", text_of(fault, table));
+                Err(ErrorCode::BadRecording
+                    .error(text, remedy)
+                    .at(format!("{name} line {line}")))
+            }
             _ => Ok(()),
         }
     }

@@ -460,3 +460,169 @@ fn rows_of_several_sensors_are_selected() {
         (force.len(), Some(&[1434.0][..]))
     );
 }
+
+/// Rows of a time and an acceleration of 1 g along z, in g.
+fn timed(header: &str, times: [&str; 3]) -> Recording {
+    let rows = times.map(|time| format!("{time},0,0.5,1.0\n")).concat();
+    text(&format!("{header},ax (g),ay (g),az (g)\n{rows}")).unwrap()
+}
+
+#[test]
+fn time_columns_are_recognised_by_unit_or_word() {
+    for (header, times, step) in [
+        ("Time (min)", ["0", "0.5", "1"], 30_000_000_000),
+        (
+            "t (minutes)",
+            ["0.00016666667", "0.0003333333", "1"],
+            10_000_002,
+        ),
+        ("Time (h)", ["0", "0.001", "0.002"], 3_600_000_000),
+        ("time_hours", ["100", "100.001", "100.002"], 3_600_000_000),
+        ("seconds", ["1", "2", "3"], 1_000_000_000),
+        ("sec", ["1.01", "1.02", "1.03"], 10_000_000),
+        ("ms", ["10", "20", "30"], 10_000_000),
+        ("us", ["10", "20", "30"], 10_000),
+        (
+            "unix_timestamp",
+            ["1700000000.5", "1700000000.6", "1700000000.7"],
+            100_000_000,
+        ),
+        (
+            "unix time",
+            ["1700000000500", "1700000000600", "1700000000700"],
+            100_000_000,
+        ),
+        (
+            "Accelerometer Timestamp (s)",
+            ["5", "5.01", "5.02"],
+            10_000_000,
+        ),
+        ("time of sample ms", ["10", "20", "30"], 10_000_000),
+        (
+            "hh:mm:ss.fff",
+            ["12:00:01.250", "12:00:01.260", "12:00:01.270"],
+            10_000_000,
+        ),
+        (
+            "hh:mm:ss(.fff)",
+            ["12:00:01.250", "12:00:01.260", "12:00:01.270"],
+            10_000_000,
+        ),
+        (
+            "Recording time",
+            ["12:00:01.250", "12:00:01.260", "12:00:01.270"],
+            10_000_000,
+        ),
+    ] {
+        let recording = timed(header, times);
+        let found = recording.first(Quantity::SpecificForce).unwrap().times_ns();
+        assert!(
+            (found[1] - found[0] - step).abs() < 10,
+            "{header}: {found:?}"
+        );
+        assert!(!has(&recording, FindingCode::Rate), "{header}");
+    }
+    // A better time counts, as do none of several parts of a time or a column that does not increase.
+    let table =
+        |header: &str, rows: &str| text(&format!("{header},ax_g,ay_g,az_g\n{rows}")).unwrap();
+    let better = table("ms,t", "1,5.0,0,0,1\n2,5.5,0,0,1\n");
+    let force = better.first(Quantity::SpecificForce).unwrap();
+    assert_eq!(force.times_ns()[1], 5_500_000_000);
+    let parts = table("sec,usec", "1,999000,0,0,1\n2,4000,0,0,1\n");
+    assert!(has(&parts, FindingCode::Rate));
+    assert!(has(&timed("run time", ["3", "2", "1"]), FindingCode::Rate));
+}
+
+#[test]
+fn unknown_units_of_times_are_reported() {
+    let recording = timed("Time (days)", ["0", "0.1", "0.2"]);
+    let finding = recording
+        .findings
+        .iter()
+        .find(|finding| finding.evidence.contains("`days`"));
+    let finding = finding.unwrap();
+    assert_eq!(finding.severity, Severity::Warning);
+    assert!(finding.remedy.contains("t=COLUMN:s"), "{finding}");
+}
+
+#[test]
+fn short_file_names_name_no_quantity() {
+    let of = |name| {
+        named(
+            name,
+            "t,x,y,z\n0,0.1,0.2,9.8\n1,0.1,0.2,9.8\n",
+            &ReadOptions::default(),
+        )
+    };
+    for name in ["h.csv", "a.csv", "gy.csv"] {
+        assert_eq!(
+            of(name).unwrap_err().code(),
+            ErrorCode::CsvMissingColumn,
+            "{name}"
+        );
+    }
+    assert!(
+        of("acc.csv")
+            .unwrap()
+            .first(Quantity::SpecificForce)
+            .is_some()
+    );
+}
+
+#[test]
+fn tables_of_metawear_and_sensorlog_are_read() {
+    for text in [
+        "epoch (ms),time (13:00),elapsed (s),x-axis (g),y-axis (g),z-axis (g)\n\
+         1700000000000,2023-11-14T22:13:20.000,0,0,0.5,1\n1700000000010,2023-11-14T22:13:20.010,0.01,0,0.5,1\n",
+        "loggingTime(txt),loggingSample(N),accelerometerTimestamp_sinceReboot(s),accelerometerAccelerationX(G),\
+         accelerometerAccelerationY(G),accelerometerAccelerationZ(G)\n\
+         2023-11-14 23:13:20.000 +0100,1,51.2,0,0.5,1\n2023-11-14 23:13:20.010 +0100,2,51.21,0,0.5,1\n",
+    ] {
+        let recording = named("export.csv", text, &ReadOptions::default()).unwrap();
+        let force = recording.first(Quantity::SpecificForce).unwrap();
+        assert_eq!(
+            force.times_ns(),
+            [1_700_000_000_000_000_000, 1_700_000_000_010_000_000]
+        );
+        assert_eq!(force.row(0), Some(&[0.0, 0.5 * G, G][..]));
+    }
+}
+
+#[test]
+fn decimal_commas_between_commas_are_refused_with_the_cause() {
+    let table = |header: &str, row: &str, rows| text(&format!("{header}\n{}", row.repeat(rows)));
+    for rows in [20, 5500] {
+        let header = "Time (s),ax (g),ay (g),az (g)";
+        let error = table(header, "0,01,0,02,0,03,0,98\n", rows).unwrap_err();
+        let message = error.to_string();
+        assert_eq!(error.code(), ErrorCode::BadRecording, "{message}");
+        assert!(message.contains("decimal commas"), "{message}");
+        assert!(error.remedy().contains("semicolons"), "{message}");
+        assert_eq!(
+            message.contains("1000 of the first 1000 rows"),
+            rows > 1000,
+            "{message}"
+        );
+    }
+    // The halves of numbers are not read as columns without a header.
+    let error = table("x,y,z", "0,02,0,03,0,98\n", 20).unwrap_err();
+    assert_eq!(error.code(), ErrorCode::CsvMissingColumn, "{error}");
+}
+
+#[test]
+fn mixed_units_of_a_vector_are_reported() {
+    let with = |columns: &str| {
+        let options = ReadOptions {
+            columns: Some(columns.into()),
+            ..ReadOptions::default()
+        };
+        named("a.csv", "a,b,c,d\n0,0,0,1\n1,0,0,1\n", &options)
+            .unwrap()
+            .findings
+    };
+    let is_mixed = |finding: &Finding| {
+        finding.severity == Severity::Warning && finding.evidence.contains("different units")
+    };
+    assert!(with("t=1:s,x=2:m/s2,y=3:g,z=4:g").iter().any(is_mixed));
+    assert!(!with("t=1:s,x=2:g,y=3:g,z=4:g").iter().any(is_mixed));
+}

@@ -134,11 +134,19 @@ fn exponent_of(table: &Table, survey: &Survey, column: usize, findings: &mut Vec
         .find(|(e, _)| *e == exponent)
         .map_or("s", |(_, unit)| *unit);
     let rate = 1.0 / (step * seconds(exponent)).max(1e-12);
-    let text = format!(
-        "times `{}` name no unit: mean step {step:.4}, taken as {unit} ({rate:.4} Hz)",
-        table.names[column]
-    );
-    let finding = Finding::new(FindingCode::UnitInferred, Severity::Note, text);
-    findings.push(finding.remedy("if they are not, give --columns \"t=COLUMN:UNIT,…\""));
+    let name = &table.names[column];
+    let unknown = names::split_unit(name).1.filter(|unit| !unit.is_empty());
+    let (severity, why) = match unknown {
+        Some(unknown) => (
+            Severity::Warning,
+            format!("have the unknown unit `{unknown}`"),
+        ),
+        None => (Severity::Note, "name no unit".to_owned()),
+    };
+    let text = format!("times `{name}` {why}: mean step {step:.4}, taken as {unit} ({rate:.4} Hz)");
+    let finding = Finding::new(FindingCode::UnitInferred, severity, text);
+    findings.push(finding.remedy(
+        "if they are not, give --columns \"t=COLUMN:s,…\" with one of s, ms, us, ns, min, h",
+    ));
     exponent
 }

@@ -30,9 +30,14 @@ const ACCELERATIONS: &Units = &[
     ("ms2", Scale::Si(1.0)),
     ("cm/s2", Scale::Si(1e-2)),
     ("mm/s2", Scale::Si(1e-3)),
+    ("ft/s2", Scale::Si(0.3048)),
+    ("ft/s/s", Scale::Si(0.3048)),
+    ("ft/sec2", Scale::Si(0.3048)),
     ("g", Scale::Si(G)),
     ("gs", Scale::Si(G)),
     ("mg", Scale::Si(1e-3 * G)),
+    ("millig", Scale::Si(1e-3 * G)),
+    ("milli-g", Scale::Si(1e-3 * G)),
     ("ug", Scale::Si(1e-6 * G)),
 ];
 
@@ -85,8 +90,21 @@ const TEMPERATURES: &Units = &[
 const LENGTHS: &Units = &[("m", Scale::Si(1.0)), ("mm", Scale::Si(1e-3))];
 const SPEEDS: &Units = &[("m/s", Scale::Si(1.0)), ("ms-1", Scale::Si(1.0))];
 
+/// Powers of ten of a nanosecond that stand for a minute, 6 × 10¹⁰ ns, and an hour, 36 × 10¹¹ ns; see [`multiple`].
+const MINUTE: i32 = 10;
+const HOUR: i32 = 11;
+
 /// Times: power of ten of a nanosecond.
-const TIMES: [(&str, i32); 22] = [
+const TIMES: &[(&str, i32)] = &[
+    ("h", HOUR),
+    ("hr", HOUR),
+    ("hrs", HOUR),
+    ("hour", HOUR),
+    ("hours", HOUR),
+    ("min", MINUTE),
+    ("mins", MINUTE),
+    ("minute", MINUTE),
+    ("minutes", MINUTE),
     ("s", 9),
     ("sec", 9),
     ("secs", 9),
@@ -149,7 +167,16 @@ pub fn scale(quantity: Quantity, unit: &str) -> Option<Scale> {
         .map(|(_, scale)| *scale)
 }
 
-/// Power of ten of a nanosecond of a unit of time.
+/// Factor of the power of ten of a unit of time: not 1 for minutes and hours.
+pub fn multiple(exponent: i32) -> i64 {
+    match exponent {
+        MINUTE => 6,
+        HOUR => 36,
+        _ => 1,
+    }
+}
+
+/// Power of ten of a nanosecond of a unit of time, which is to be multiplied by its [`multiple`].
 pub fn time(unit: &str) -> Option<i32> {
     let text = canonical(unit).replace('_', "");
     let found = TIMES.iter().find(|(name, _)| *name == text)?;

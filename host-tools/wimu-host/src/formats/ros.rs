@@ -44,6 +44,10 @@ struct Messages<'a> {
 struct Damage {
     /// Chunks left out, and what is wrong with the first of them.
     chunks: Option<(u64, String)>,
+    /// Bytes of damaged records, and where the first of them is.
+    gaps: Option<(u64, u64)>,
+    /// Messages that the index counts, or whose topic is unknown, and that are not read.
+    missing: u64,
     /// Where a file ends early or a record's length is wrong.
     cut: Vec<String>,
 }
@@ -158,6 +162,16 @@ impl<'a> Messages<'a> {
     /// A chunk that is left out.
     fn damaged_chunk(&mut self, reason: String) {
         self.damage.chunks.get_or_insert((0, reason)).0 += 1;
+    }
+
+    /// Damaged records that are left out.
+    fn gap(&mut self, at: u64, bytes: u64) {
+        self.damage.gaps.get_or_insert((0, at)).0 += bytes;
+    }
+
+    /// Messages of a file that are not read.
+    fn missing(&mut self, count: u64) {
+        self.damage.missing += count;
     }
 
     /// A file that cannot be read beyond a byte.
@@ -296,7 +310,16 @@ impl Damage {
             1 => format!("1 chunk is left out: {reason}"),
             _ => format!("{chunks} chunks are left out, the first: {reason}"),
         });
-        let parts: Vec<String> = chunks.into_iter().chain(self.cut.clone()).collect();
+        let gaps = self.gaps.map(|(bytes, at)| {
+            format!("{bytes} bytes of damaged records are left out, the first at byte {at}")
+        });
+        let missing = usize::try_from(self.missing).unwrap_or(usize::MAX);
+        let missing = (missing > 0).then(|| {
+            let count = crate::plural::counted(missing, "message");
+            format!("{count} of the index cannot be read or assigned to a topic")
+        });
+        let parts = chunks.into_iter().chain(gaps).chain(missing);
+        let parts: Vec<String> = parts.chain(self.cut.clone()).collect();
         (!parts.is_empty()).then(|| parts.join("; "))
     }
 }

@@ -13,10 +13,16 @@ use crate::recording::Sink;
 
 const MAGIC: &[u8] = b"#ROSBAG V";
 const VERSION: &[u8] = b"#ROSBAG V2.0\n";
+/// Longest header of a record, bytes: far above the names of topics in it.
+const MAX_HEADER: u64 = 64 * 1024;
+/// Most damaged parts of a file or chunk after which the next record is looked for.
+const MAX_GAPS: usize = 1000;
 
 /// The records' codes, in the field `op`.
 mod op {
     pub(super) const MESSAGE: u8 = 2;
+    pub(super) const BAG_HEADER: u8 = 3;
+    pub(super) const INDEX_DATA: u8 = 4;
     pub(super) const CHUNK: u8 = 5;
     pub(super) const CHUNK_INFO: u8 = 6;
     pub(super) const CONNECTION: u8 = 7;
@@ -44,11 +50,18 @@ pub(in crate::formats) fn read(
     let mut reader = Reader {
         messages: Messages::new(source, options, sink),
         topics: BTreeMap::new(),
+        counts: BTreeMap::new(),
+        orphans: 0,
+        chunk_at: None,
     };
     let failed = |error| HostError::file(source.name(), "read", &error);
-    if let Some(at) = reader.walk(&mut *source.reader()?).map_err(failed)? {
+    if let Some(at) = reader.file(&mut *source.reader()?).map_err(failed)? {
         reader.messages.cut(source.name(), at);
     }
+    let counts = reader.counts.values();
+    let missing = counts.map(|(indexed, read)| indexed.saturating_sub(*read));
+    let missing: u64 = missing.sum();
+    reader.messages.missing(missing.max(reader.orphans));
     reader.messages.finish()
 }
 
@@ -56,74 +69,150 @@ struct Reader<'a> {
     messages: Messages<'a>,
     /// Numbers of topics by connection.
     topics: BTreeMap<u32, usize>,
+    /// Messages by connection: in the index, and read.
+    counts: BTreeMap<u32, (u64, u64)>,
+    /// Messages without a connection.
+    orphans: u64,
+    /// Position of the compressed chunk whose records are read.
+    chunk_at: Option<u64>,
+}
+
+/// A record before its data.
+struct Head {
+    header: Vec<u8>,
+    length: u64,
 }
 
 impl Reader<'_> {
-    /// Reads all records; returns where the file ends early or cannot be followed.
-    fn walk(&mut self, file: &mut dyn ReadSeek) -> io::Result<Option<u64>> {
+    /// Reads all records, those of the index first; returns where the file ends early or cannot be followed.
+    fn file(&mut self, file: &mut dyn ReadSeek) -> io::Result<Option<u64>> {
         let end = file.seek(SeekFrom::End(0))?;
-        let mut at = file.seek(SeekFrom::Start(VERSION.len() as u64))?;
-        let (mut header, mut data) = (Vec::new(), Vec::new());
-        // Follows the last chunk of a bag that was closed.
-        let mut indexed = false;
-        while at < end {
-            let mut next = at + 8;
-            let length = length(file)?.filter(|length| *length <= chunk::MAX_BYTES);
-            if !fill(&mut *file, length.unwrap_or(0), &mut header)? || length.is_none() {
-                return Ok(Some(at));
-            }
-            next += header.len() as u64;
-            let Some(length) = self::length(file)? else {
-                return Ok(Some(at));
-            };
-            next += length;
-            let code = code(&header);
-            match code {
-                Some(op::MESSAGE | op::CHUNK | op::CONNECTION) if length <= chunk::MAX_BYTES => {
-                    let whole = fill(&mut *file, length, &mut data)?;
-                    self.record(&header, &data, !whole);
-                }
-                _ if next <= end => {
-                    indexed |= code == Some(op::CHUNK_INFO);
-                    file.seek(SeekFrom::Start(next))?;
-                }
-                _ => {}
-            }
-            if next > end {
-                return Ok(Some(at));
-            }
-            at = next;
+        let start = VERSION.len() as u64;
+        let index_at = head(file, start)?.and_then(|head| {
+            let position = number(&mut field(&head.header, b"index_pos")?)?;
+            Some(u64::from_le_bytes(position))
+        });
+        let mut index = None;
+        if let Some(at) = index_at.filter(|at| (start..end).contains(at)) {
+            let first = head(file, at)?.and_then(|head| code(&head.header));
+            index = (first == Some(op::CONNECTION)).then_some(at);
         }
-        Ok((!indexed).then_some(at))
-    }
-
-    /// A record; one that is `cut` off is used if it is a chunk.
-    fn record(&mut self, header: &[u8], data: &[u8], cut: bool) {
-        let _ = match code(header) {
-            Some(op::CHUNK) => self.chunk(header, data, cut),
-            Some(op::CONNECTION) if !cut => self.connection(header, data),
-            Some(op::MESSAGE) if !cut => self.message(header, data),
-            _ => None,
+        let cut = match index {
+            Some(at) => self.walk(file, at, end)?,
+            None => None,
         };
+        let stop = index.unwrap_or(end);
+        match self.walk(file, start, stop)? {
+            Some(at) if index.is_some() => self.gap(at, stop),
+            Some(at) => return Ok(Some(at)),
+            None => {}
+        }
+        // Chunk infos follow the last chunk of a bag that was closed.
+        let indexed = self.counts.values().any(|(indexed, _)| *indexed > 0);
+        Ok(cut.or((!indexed).then_some(end)))
     }
 
-    fn chunk(&mut self, header: &[u8], data: &[u8], cut: bool) -> Option<()> {
+    /// Reads the records from `at` to `end`, over damaged ones; returns from where on none is found.
+    fn walk(&mut self, file: &mut dyn ReadSeek, at: u64, end: u64) -> io::Result<Option<u64>> {
+        let (mut at, mut gaps, mut data) = (at, 0, Vec::new());
+        let mut head = self::head(file, at)?;
+        while at < end {
+            // From where to look for the next record, if this one is damaged.
+            let mut from = at + 1;
+            if let Some(Head { header, length }) = &head {
+                let data_at = at + 8 + header.len() as u64;
+                let compression = field(header, b"compression");
+                let chunk = code(header) == Some(op::CHUNK);
+                // The records of a chunk without compression are read as those of the file.
+                let open = chunk && matches!(compression, Some(b"" | b"none"));
+                let length = if open { 0 } else { *length };
+                let next = data_at + length;
+                let used =
+                    !open && length <= chunk::MAX_BYTES && code(header) != Some(op::INDEX_DATA);
+                if used {
+                    seek(file, data_at)?;
+                    fill(&mut *file, length.min(end - data_at.min(end)), &mut data)?;
+                }
+                let following = match next < end {
+                    true => self::head(file, next)?,
+                    false => None,
+                };
+                let fits = next == end
+                    || following.is_some()
+                    || next < end && find(file, data_at, end)?.is_none_or(|found| found >= next);
+                if used && (fits || chunk) {
+                    self.record(header, &data, at, !fits)?;
+                } else if fits && length > chunk::MAX_BYTES {
+                    self.gap(at, next);
+                }
+                if fits {
+                    (at, head) = (next, following);
+                    continue;
+                }
+                from = data_at;
+            }
+            gaps += 1;
+            match find(file, from, end)? {
+                Some(found) if gaps <= MAX_GAPS => {
+                    self.gap(at, found);
+                    (at, head) = (found, self::head(file, found)?);
+                }
+                _ => return Ok(Some(at)),
+            }
+        }
+        Ok(None)
+    }
+
+    /// Records between two positions that are left out.
+    fn gap(&mut self, at: u64, end: u64) {
+        self.messages.gap(self.chunk_at.unwrap_or(at), end - at);
+    }
+
+    /// A record; of a chunk that is `cut` off or of a wrong length the first part.
+    fn record(&mut self, header: &[u8], data: &[u8], at: u64, cut: bool) -> io::Result<()> {
+        let read = match code(header) {
+            Some(op::CHUNK) if self.chunk_at.is_none() => {
+                return self.chunk(header, data, at, cut);
+            }
+            Some(op::CONNECTION) => self.connection(header, data),
+            Some(op::CHUNK_INFO) => self.chunk_info(data),
+            Some(op::MESSAGE) => {
+                let read = self.message(header, data);
+                self.orphans += u64::from(read.is_none());
+                return Ok(());
+            }
+            _ => Some(()),
+        };
+        if read.is_none() {
+            self.gap(at, at + 8 + (header.len() + data.len()) as u64);
+        }
+        Ok(())
+    }
+
+    fn chunk(&mut self, header: &[u8], data: &[u8], at: u64, cut: bool) -> io::Result<()> {
         let size = field(header, b"size").and_then(|mut size| number(&mut size));
         let size = u64::from(size.map_or(u32::MAX, u32::from_le_bytes));
         let compression = field(header, b"compression").unwrap_or_default();
-        let records = match chunk::decompress(compression, data, size, cut) {
-            Ok(records) => records,
-            Err(reason) => {
-                self.messages.damaged_chunk(reason);
-                return None;
+        match chunk::decompress(compression, data, size, cut) {
+            Ok(records) => {
+                let end = records.len() as u64;
+                self.chunk_at = Some(at);
+                if let Some(from) = self.walk(&mut io::Cursor::new(&*records), 0, end)? {
+                    self.gap(from, end);
+                }
+                self.chunk_at = None;
             }
-        };
-        let mut records: &[u8] = &records;
-        while !records.is_empty() {
-            let (header, data) = sized(&mut records).zip(sized(&mut records))?;
-            if code(header) != Some(op::CHUNK) {
-                self.record(header, data, false);
-            }
+            Err(reason) => self.messages.damaged_chunk(reason),
+        }
+        Ok(())
+    }
+
+    /// Numbers of messages by connection.
+    fn chunk_info(&mut self, mut data: &[u8]) -> Option<()> {
+        while !data.is_empty() {
+            let id = u32::from_le_bytes(number(&mut data)?);
+            let count = u32::from_le_bytes(number(&mut data)?);
+            self.counts.entry(id).or_default().0 += u64::from(count);
         }
         Some(())
     }
@@ -133,8 +222,15 @@ impl Reader<'_> {
         let topic = String::from_utf8_lossy(field(header, b"topic")?);
         let message = String::from_utf8_lossy(field(data, b"type")?);
         let index = (self.messages).topic(&topic, &message, Some(Encoding::Ros1));
-        self.topics.insert(id, index);
-        Some(())
+        let first = *self.topics.entry(id).or_insert(index);
+        if first == index {
+            return Some(());
+        }
+        // One of both is damaged.
+        if self.messages.topics[first].kind.is_none() {
+            self.topics.insert(id, index);
+        }
+        None
     }
 
     fn message(&mut self, header: &[u8], data: &[u8]) -> Option<()> {
@@ -143,10 +239,56 @@ impl Reader<'_> {
         let seconds = i64::from(u32::from_le_bytes(number(&mut time)?));
         let ns = i64::from(u32::from_le_bytes(number(&mut time)?));
         let topic = *self.topics.get(&id)?;
+        self.counts.entry(id).or_default().1 += 1;
         self.messages
             .message(topic, seconds * 1_000_000_000 + ns, data);
         Some(())
     }
+}
+
+/// Seeks, unless the position is the current one: that would discard a buffer.
+fn seek(file: &mut dyn ReadSeek, at: u64) -> io::Result<()> {
+    if file.stream_position()? != at {
+        file.seek(SeekFrom::Start(at))?;
+    }
+    Ok(())
+}
+
+/// The record at a position; `None` if none begins there.
+fn head(file: &mut dyn ReadSeek, at: u64) -> io::Result<Option<Head>> {
+    seek(file, at)?;
+    let mut header = Vec::new();
+    let Some(bytes) = length(file)?.filter(|bytes| *bytes <= MAX_HEADER) else {
+        return Ok(None);
+    };
+    if !fill(&mut *file, bytes, &mut header)? || !is_header(&header) {
+        return Ok(None);
+    }
+    Ok(length(file)?.map(|length| Head { header, length }))
+}
+
+/// The first position from `at` on where a record begins.
+fn find(file: &mut dyn ReadSeek, mut at: u64, end: u64) -> io::Result<Option<u64>> {
+    let mut window = Vec::new();
+    while at < end {
+        seek(file, at)?;
+        fill(&mut *file, (end - at).min(4 * MAX_HEADER), &mut window)?;
+        // A header that begins in the last part of the window is whole in the next one.
+        let last = at + window.len() as u64 >= end;
+        let starts = match last {
+            true => window.len(),
+            false => window.len().saturating_sub(MAX_HEADER as usize + 4),
+        };
+        let begins = |start: &usize| {
+            let header = sized(&mut &window[*start..]);
+            header.is_some_and(|header| header.len() as u64 <= MAX_HEADER && is_header(header))
+        };
+        if let Some(start) = (0..starts).find(begins) {
+            return Ok(Some(at + start as u64));
+        }
+        at += starts.max(1) as u64;
+    }
+    Ok(None)
 }
 
 /// The length in the next four bytes; `None` at the end.
@@ -155,6 +297,22 @@ fn length(file: &mut dyn ReadSeek) -> io::Result<Option<u64>> {
     fill(file, 4, &mut bytes)?;
     let bytes = bytes.first_chunk::<4>();
     Ok(bytes.map(|bytes| u64::from(u32::from_le_bytes(*bytes))))
+}
+
+/// Whether a record has this header: nothing but fields, with those that its code requires.
+fn is_header(header: &[u8]) -> bool {
+    let required: [&[u8]; 2] = match code(header) {
+        Some(op::MESSAGE) => [b"conn", b"time"],
+        Some(op::BAG_HEADER) => [b"index_pos", b"chunk_count"],
+        Some(op::INDEX_DATA) => [b"conn", b"count"],
+        Some(op::CHUNK) => [b"compression", b"size"],
+        Some(op::CHUNK_INFO) => [b"chunk_pos", b"count"],
+        Some(op::CONNECTION) => [b"conn", b"topic"],
+        _ => return false,
+    };
+    let mut rest = header;
+    while sized(&mut rest).is_some_and(|field| field.contains(&b'=')) {}
+    rest.is_empty() && required.iter().all(|name| field(header, name).is_some())
 }
 
 /// The code of a record.

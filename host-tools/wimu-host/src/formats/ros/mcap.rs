@@ -2,7 +2,6 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::ops::ControlFlow;
 
 use ::mcap::MAGIC;
 use ::mcap::records::op;
@@ -46,15 +45,22 @@ pub(in crate::formats) fn read(
             messages: &mut messages,
             schemas: BTreeMap::new(),
             channels: BTreeMap::new(),
+            read: 0,
+            orphans: 0,
+            counted: 0,
         };
-        let cut_at = walk(file, |code, record, cut| {
-            match code {
-                op::CHUNK => reader.chunk(record, cut),
-                _ if cut => {}
-                _ => reader.record(code, record),
+        let cut_at = walk(file, |code, record, at, cut| match code {
+            op::CHUNK => reader.chunk(record, at, cut),
+            op::STATISTICS => {
+                let count = record.first_chunk().copied();
+                reader.counted = count.map_or(0, u64::from_le_bytes);
             }
-            ControlFlow::Continue(())
+            _ if cut => {}
+            _ => reader.record(code, record),
         })?;
+        let missing = reader.counted.saturating_sub(reader.read);
+        let missing = missing.max(reader.orphans);
+        messages.missing(missing);
         if let Some(at) = cut_at {
             messages.cut(file.name(), at);
         }
@@ -62,12 +68,9 @@ pub(in crate::formats) fn read(
     messages.finish()
 }
 
-/// Hands code and bytes of the records on that may lead to messages, and whether a record is cut off. Returns where
-/// the file ends early or cannot be followed.
-fn walk(
-    file: &Source,
-    mut see: impl FnMut(u8, &[u8], bool) -> ControlFlow<()>,
-) -> Result<Option<u64>> {
+/// Hands code, bytes and position of the records on that may lead to messages or count them, and whether a record is
+/// cut off. Returns where the file ends early or cannot be followed.
+fn walk(file: &Source, mut see: impl FnMut(u8, &[u8], u64, bool)) -> Result<Option<u64>> {
     let failed = |error| HostError::file(file.name(), "read", &error);
     let mut reader = file.reader()?;
     let mut head = [0; 9];
@@ -82,12 +85,12 @@ fn walk(
         let [code, length @ ..] = head;
         let length = u64::from_le_bytes(length);
         match code {
-            op::DATA_END | op::FOOTER => return Ok(None),
-            op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK if length <= chunk::MAX_BYTES => {
+            op::FOOTER => return Ok(None),
+            op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK | op::STATISTICS
+                if length <= chunk::MAX_BYTES =>
+            {
                 let whole = chunk::fill(&mut reader, length, &mut record).map_err(failed)?;
-                if see(code, &record, !whole).is_break() {
-                    return Ok(None);
-                }
+                see(code, &record, at, !whole);
             }
             op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK => return Ok(Some(at)),
             _ => match i64::try_from(length) {
@@ -101,19 +104,22 @@ fn walk(
     }
 }
 
-/// Hands code and bytes of a chunk's records on.
-fn each(mut records: &[u8], see: &mut impl FnMut(u8, &[u8]) -> ControlFlow<()>) -> ControlFlow<()> {
-    while let Some([code]) = number(&mut records) {
+/// Hands code and bytes of a chunk's records on. Returns the number of bytes after the last one that is whole.
+fn each(mut records: &[u8], mut see: impl FnMut(u8, &[u8])) -> usize {
+    loop {
+        let left = records.len();
+        let Some([code]) = number(&mut records) else {
+            return left;
+        };
         let length = number(&mut records).map(u64::from_le_bytes);
         let length = length.and_then(|length| usize::try_from(length).ok());
         let Some((record, rest)) = length.and_then(|length| records.split_at_checked(length))
         else {
-            break;
+            return left;
         };
-        see(code, record)?;
+        see(code, record);
         records = rest;
     }
-    ControlFlow::Continue(())
 }
 
 /// A chunk's own fields and its records as stored.
@@ -162,10 +168,14 @@ struct Reader<'a, 'b> {
     schemas: BTreeMap<u16, String>,
     /// Numbers of topics.
     channels: BTreeMap<u16, usize>,
+    /// Messages: read, not readable or without a channel, and counted by the statistics.
+    read: u64,
+    orphans: u64,
+    counted: u64,
 }
 
 impl Reader<'_, '_> {
-    fn chunk(&mut self, record: &[u8], cut: bool) {
+    fn chunk(&mut self, record: &[u8], at: u64, cut: bool) {
         let records = match Chunk::parse(record) {
             Some(chunk) => chunk.records(cut),
             None if cut => return,
@@ -173,10 +183,10 @@ impl Reader<'_, '_> {
         };
         match records {
             Ok(records) => {
-                let _ = each(&records, &mut |code, record| {
-                    self.record(code, record);
-                    ControlFlow::Continue(())
-                });
+                let left = each(&records, |code, record| self.record(code, record));
+                if left > 0 {
+                    self.messages.gap(at, left as u64);
+                }
             }
             Err(reason) => self.messages.damaged_chunk(reason),
         }
@@ -187,7 +197,12 @@ impl Reader<'_, '_> {
         let _ = match code {
             op::SCHEMA => self.schema(record),
             op::CHANNEL => self.channel(record),
-            op::MESSAGE => self.message(record),
+            op::MESSAGE => {
+                let read = self.message(record).is_some();
+                self.read += u64::from(read);
+                self.orphans += u64::from(!read);
+                None
+            }
             _ => None,
         };
     }

@@ -386,6 +386,47 @@ fn flipped_bits_do_no_harm() {
 }
 
 #[test]
+fn rows_lost_by_a_flipped_bit_are_reported() {
+    let Some(path) = public("ros1_imu_uwb.bag") else {
+        return;
+    };
+    let file = std::fs::read(path).unwrap();
+    let load_flipped = |bit: usize| {
+        let mut damaged = file.clone();
+        damaged[bit / 8] ^= 1 << (bit % 8);
+        let source = Source::of_bytes("flipped", damaged);
+        let recording = load(&source, &ReadOptions::default()).ok()?;
+        let rows = recording.first(Quantity::SpecificForce)?.len();
+        let severe = |found: &Finding| found.severity != Severity::Note;
+        Some((rows, recording.findings.iter().any(severe)))
+    };
+    // The length of a record of another topic.
+    assert_eq!(load_flipped(8 * 200_188 + 4), Some((727, true)));
+    let mut random = 1_u64;
+    let random = std::iter::repeat_with(|| {
+        random = random
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1);
+        (random >> 33) as usize % (8 * file.len())
+    });
+    // Every bit of some records and of the end of the index.
+    let all = |bytes: std::ops::Range<usize>| 8 * bytes.start..8 * bytes.end;
+    let bits = all(200_150..200_200).chain(all(file.len() - 100..file.len()));
+    let (mut refused, mut fewest) = (0, 727);
+    for bit in random.take(200).chain(bits) {
+        match load_flipped(bit) {
+            Some((rows, found)) => {
+                assert!(rows == 727 || found, "bit {bit}: {rows}");
+                fewest = fewest.min(rows);
+            }
+            None => refused += 1,
+        }
+    }
+    // A length that ends at a later record by chance hides those between.
+    assert!(refused == 0 && fewest >= 600, "{refused}, {fewest}");
+}
+
+#[test]
 fn an_empty_file_is_refused() {
     for read in [bag::read, mcap::read] {
         let mut sink = Recording::new("empty");

@@ -284,13 +284,18 @@ fn a_file_that_is_no_recording_or_calibration_is_reported() {
         fs::write(&path, text).unwrap();
         path.to_str().unwrap().to_owned()
     };
-    for (command, name, bytes) in [
-        ("info", "empty.mcap", &b""[..]),
-        ("info", "letter.mcap", b"this is a letter"),
-        ("navigate", "start.mcap", b"\x89MCAP0\r\n\x01"),
+    for (command, name, bytes, code) in [
+        ("info", "empty.mcap", &b""[..], "bad_recording"),
+        ("info", "letter.mcap", b"this is a letter", "csv_no_header"),
+        (
+            "navigate",
+            "start.mcap",
+            b"\x89MCAP0\r\n\x01",
+            "bad_recording",
+        ),
     ] {
         let ran = wimu(&[command, &file(name, bytes)]);
-        texts.fails(format_args!("{command} {name}"), &ran, 2, "bad_recording");
+        texts.fails(format_args!("{command} {name}"), &ran, 2, code);
     }
     let link = "tcp://127.0.0.1:1";
     for text in ["{", "[]", "{}", "{\"schema\":\"wimu.error/1\"}"] {

@@ -2,7 +2,9 @@
 
 use nalgebra::{Matrix3, Vector3};
 use wimu_host::inertial::{Choice, InertialPath, Method, Zupt, navigate};
-use wimu_nav::unit::{UnitConfig, UnitFilter, UnitState};
+use wimu_nav::navigator::{Navigator, Sample, Start};
+use wimu_nav::stationarity::{Detector, Rest, Stationarity};
+use wimu_nav::unit::{UnitConfig, UnitFilter, UnitSample, UnitState};
 
 use crate::baseline::{Filter, POSITION, VELOCITY};
 use crate::low_pass::LowPass;
@@ -52,6 +54,7 @@ pub fn score(recording: &Recording) -> Vec<Scored> {
         });
         found.push(library(recording, names[1], gyroscope, Zupt::Stated));
     }
+    found.push(core(recording, &windows));
     found.push(zupt_filter(recording, &windows));
     if recording.has_field() {
         found.push(low_pass(recording, &windows));
@@ -190,6 +193,80 @@ fn start(recording: &Recording, k: usize) -> Option<(Vector3<f64>, Vector3<f64>,
         recording.velocity(k)?,
         recording.heading(k)?,
     ))
+}
+
+/// The error-state core with a gyroscope.
+fn core(recording: &Recording, windows: &[Window]) -> Scored {
+    let samples: Vec<Sample<f64>> = recording.motion.samples.iter().map(sample).collect();
+    let mut detector = Stationarity::new(Detector::default());
+    let mut rests = Vec::new();
+    let mut seen_s = 0.0;
+    for sample in &samples {
+        let rest = detector.push(&sample.force_mps2, Some(&sample.rate_rad_s), sample.step_s);
+        seen_s += sample.step_s;
+        if seen_s >= detector.lag_s() {
+            rests.push(rest);
+        }
+    }
+    rests.resize(samples.len(), Rest::No);
+    let count = recording.settings.start_samples.min(samples.len());
+    let rest = rests[..count].iter().any(|rest| *rest != Rest::No);
+    let settings = wimu_nav::navigator::Settings::default();
+    let start_at = Start::align(&samples[..count], rest).unwrap();
+    let mut filter = Navigator::new(settings, &start_at).unwrap();
+    if let Some(heading) = (0..samples.len()).find_map(|k| recording.heading(k)) {
+        filter.set_heading(heading);
+    }
+    let mut track = Track::default();
+    let mut ends = Vec::new();
+    let mut next = windows.iter().peekable();
+    for k in 0..samples.len() {
+        filter.push(&samples[k], rests[k]);
+        track.estimates.push(core_estimate(&filter));
+        if let Some(window) = next.next_if(|w| w.start == k)
+            && let Some((position, velocity, heading)) = start(recording, k)
+        {
+            let mut filter = filter.clone();
+            filter.set_pose(position, velocity, heading, [0.002, 0.02, 0.005]);
+            let mut at = k;
+            ends.push(window.ends.map(|end| {
+                while at < end {
+                    at += 1;
+                    filter.push(&samples[at], Rest::No);
+                }
+                core_estimate(&filter)
+            }));
+        }
+    }
+    println!("{}: recoveries {}", recording.name, filter.recoveries());
+    Scored {
+        name: "core_gyroscope",
+        whole: Whole::of(recording, &track, &track),
+        closure: closure(recording, &track),
+        windows: Some(Windows::of(recording, windows, &ends)),
+        refused: None,
+    }
+}
+
+fn sample(sample: &UnitSample) -> Sample<f64> {
+    Sample {
+        step_s: sample.step_s,
+        force_mps2: sample.force_mps2.into(),
+        rate_rad_s: sample.rate_rad_s.unwrap_or_default().into(),
+        field_ut: sample.field_ut.map(Into::into),
+    }
+}
+
+fn core_estimate(navigator: &Navigator<f64>) -> Estimate {
+    let filter = navigator.filter();
+    Estimate {
+        position: filter.state.get(wimu_nav::state::POSITION),
+        velocity: filter.state.get(wimu_nav::state::VELOCITY),
+        heading: navigator.heading(),
+        position_covariance: Some(filter.covariance(wimu_nav::state::POSITION)),
+        velocity_covariance: Some(filter.covariance(wimu_nav::state::VELOCITY)),
+        valid: true,
+    }
 }
 
 /// The plain error-state filter with zero-velocity updates.

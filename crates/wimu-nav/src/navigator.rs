@@ -202,7 +202,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         self.since.accepted += sample.step_s;
         let step = self
             .model
-            .step(&mut self.filter, sample, &self.magnetometer);
+            .step(&mut self.filter, sample, at_rest, &self.magnetometer);
         if let (Some(field_ut), Some(reference_ut)) = (step, self.reference_ut)
             && self.since.field >= self.model.field_interval_s()
         {

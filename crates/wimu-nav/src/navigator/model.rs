@@ -26,6 +26,7 @@ pub trait Model<R, const N: usize>: Sized {
         &mut self,
         filter: &mut Filter<R, N>,
         sample: &Sample<R>,
+        at_rest: bool,
         magnetometer: &Magnetometer<R>,
     ) -> Option<Vector3<R>>;
 
@@ -66,6 +67,7 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
         &mut self,
         filter: &mut Filter<R, N>,
         sample: &Sample<R>,
+        _: bool,
         magnetometer: &Magnetometer<R>,
     ) -> Option<Vector3<R>> {
         let rate = sample.rate_rad_s?;
@@ -124,7 +126,8 @@ const SHORT_S: f64 = 0.5;
 const LONG_S: f64 = 5.0;
 /// Deviation of the acceleration over the RMS of |f| − g, and of the angular rate over that of the field's turning rate:
 /// each sees part of the motion only. Chosen on BROAD, see VALIDATION.
-const FACTOR: f64 = 2.0;
+const ACCELERATION_FACTOR: f64 = 1.8;
+const RATE_FACTOR: f64 = 2.0;
 /// Smallest deviations, m/s² and rad/s.
 const LEAST_ACCELERATION: f64 = 0.05;
 const LEAST_RATE: f64 = 0.02;
@@ -223,6 +226,7 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
         &mut self,
         filter: &mut Filter<R, N>,
         sample: &Sample<R>,
+        at_rest: bool,
         magnetometer: &Magnetometer<R>,
     ) -> Option<Vector3<R>> {
         self.group.count += R::one();
@@ -240,11 +244,12 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
         let field = (group.fields > R::zero()).then(|| group.field / group.fields);
         self.learn(&force, field.as_ref(), group.time_s);
 
-        let factor = real::<R>(FACTOR);
         let carried = Carried {
             blocks: &self.blocks,
-            acceleration_mps2: (self.acceleration.rms() * factor).max(real(LEAST_ACCELERATION)),
-            rate_rad_s: (self.rate.rms() * factor).max(real(LEAST_RATE)),
+            acceleration_mps2: (self.acceleration.rms() * real(ACCELERATION_FACTOR))
+                .max(real(LEAST_ACCELERATION)),
+            rate_rad_s: (self.rate.rms() * real(RATE_FACTOR)).max(real(LEAST_RATE)),
+            at_rest,
             step_s: group.time_s,
         };
         let walk = crate::process::RandomWalk {

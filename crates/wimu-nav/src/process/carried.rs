@@ -20,6 +20,9 @@ use crate::state::{ATTITUDE, Block, Layout, LayoutFull, POSITION, Role, State, V
 /// Natural frequency ω₀, rad/s, and damping ratio ζ of the velocity: chosen on BROAD, see VALIDATION.
 const FREQUENCY: f64 = 8.0;
 const DAMPING: f64 = 0.5;
+/// Random walk of the position in motion, m/√s: displacements slower than the oscillator. Chosen on simulated journeys
+/// with steps and stops, see VALIDATION.
+const WANDER: f64 = 0.15;
 /// Correlation time of the angular rate, s: chosen on BROAD, see VALIDATION.
 const RATE_TIME_S: f64 = 0.1;
 
@@ -58,6 +61,8 @@ pub struct Carried<'a, R> {
     pub acceleration_mps2: R,
     /// Stationary standard deviation of the angular rate, rad/s, a component.
     pub rate_rad_s: R,
+    /// Whether the unit is at rest.
+    pub at_rest: bool,
     /// Length of the step, s.
     pub step_s: R,
 }
@@ -97,6 +102,9 @@ impl<R: RealField + Copy, const N: usize> Process<R, N> for Carried<'_, R> {
             acceleration,
             square(self.acceleration_mps2) * damping * real(2.0),
         );
+        if !self.at_rest {
+            transition.add_noise(POSITION, real::<R>(WANDER * WANDER) * dt);
+        }
 
         let (v, a, rate) = (
             state.get(VELOCITY),

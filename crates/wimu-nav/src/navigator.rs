@@ -4,13 +4,15 @@ mod model;
 
 pub use model::{Gyroscope, Model, NoGyroscope};
 
-use nalgebra::{Matrix1, Matrix3, RealField, Rotation3, Vector3};
+use core::fmt;
+
+use nalgebra::{Matrix1, Matrix3, RealField, Rotation3, UnitQuaternion, Vector3};
 
 use crate::filter::{Filter, Gate};
-use crate::process::ImuErrors;
+use crate::process::{ImuErrors, Unmeasured};
 use crate::rotation::{about_up, level, real, yaw};
-use crate::sensor::{MagneticField, Magnetometer, Velocity, recover};
-use crate::state::{ATTITUDE, Layout, LayoutFull, POSITION, VELOCITY};
+use crate::sensor::{MagneticField, Magnetometer, Position, Velocity, recover};
+use crate::state::{ATTITUDE, Block, Layout, LayoutFull, POSITION, Role, VELOCITY};
 
 /// What is assumed of the motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -19,21 +21,26 @@ pub enum Profile {
     /// In a hand or on a small robot: the velocity is 0 ± 2 m/s, once a second.
     #[default]
     Hand,
-    /// On a foot: rests are stances of a step.
+    /// On a foot: a rest is the stance of a step, and is certain.
     Foot,
     /// No assumption.
     Free,
 }
 
-impl Profile {
-    /// Standard deviation of a component of the velocity, m/s.
-    fn speed_mps(self) -> Option<f64> {
-        match self {
-            Self::Hand => Some(2.0),
-            Self::Foot | Self::Free => None,
-        }
-    }
+/// What a rest means. An accelerometer does not distinguish a rest from constant velocity.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Rests {
+    /// The velocity is zero.
+    #[default]
+    ZeroVelocity,
+    /// The velocity is an unknown constant of 0 ± 0.1 m/s, the same at all rests: a considered state.
+    ConstantVelocity,
+    /// Nothing.
+    Ignored,
 }
+
+/// Standard deviation of the constant velocity at rests with [`Rests::ConstantVelocity`], m/s: a slow hand.
+const HIDDEN_VELOCITY: f64 = 0.1;
 
 /// Settings of a [`Navigator`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,23 +50,36 @@ pub struct Settings<R> {
     pub errors: ImuErrors<R>,
     /// Gravity, m/s².
     pub gravity_mps2: R,
-    /// Bound of the speed.
+    /// What is assumed of the motion.
     pub profile: Profile,
-    /// Zero velocity at rests, m/s, a component; `None`: rests are ignored.
-    pub zero_velocity_mps: Option<R>,
-    /// Interval of zero-velocity updates, s: the window of the detector, so that they are independent.
-    pub rest_interval_s: R,
+    /// What a rest means.
+    pub rests: Rests,
+    /// The position stays within this distance of the origin, m, 1 σ of a component.
+    pub within_m: Option<R>,
+}
+
+impl<R: RealField> Settings<R> {
+    /// Settings for a profile.
+    pub fn of(profile: Profile) -> Self {
+        let mut errors = ImuErrors::default();
+        if profile == Profile::Foot {
+            // Shocks of up to 16 g: scale factors, clipping and bandwidth act as noise (pyshoe recordings).
+            errors.accelerometer_noise = real(0.05);
+            errors.gyroscope_noise = real(0.003);
+        }
+        Self {
+            errors,
+            gravity_mps2: real(crate::GRAVITY_MPS2),
+            profile,
+            rests: Rests::ZeroVelocity,
+            within_m: None,
+        }
+    }
 }
 
 impl<R: RealField> Default for Settings<R> {
     fn default() -> Self {
-        Self {
-            errors: ImuErrors::default(),
-            gravity_mps2: real(crate::GRAVITY_MPS2),
-            profile: Profile::Hand,
-            zero_velocity_mps: Some(real(0.01)),
-            rest_interval_s: real(0.25),
-        }
+        Self::of(Profile::Hand)
     }
 }
 
@@ -72,8 +92,47 @@ pub struct Sample<R> {
     pub force_mps2: Vector3<R>,
     /// Angular rate, rad/s, body frame.
     pub rate_rad_s: Option<Vector3<R>>,
-    /// Magnetic field, µT, body frame.
+    /// Magnetic field, µT, body frame. A reading that is held over several samples is given once.
     pub field_ut: Option<Vector3<R>>,
+}
+
+/// Why a sample was not used. The navigator went on as if it had not been there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum SampleFault {
+    /// Its time is not after that of the sample before.
+    NoTime,
+    /// A component is not a finite number.
+    NotFinite,
+}
+
+impl fmt::Display for SampleFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::NoTime => "the time of the sample is not after that of the sample before",
+            Self::NotFinite => "a component of the sample is not a finite number",
+        })
+    }
+}
+
+impl core::error::Error for SampleFault {}
+
+/// What is estimated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Solution<R> {
+    /// Position, m, and velocity, m/s, east-north-up.
+    pub position_m: [R; 3],
+    /// See [`position_m`](Self::position_m).
+    pub velocity_mps: [R; 3],
+    /// Body to navigation frame, W X Y Z.
+    pub quaternion: [R; 4],
+    /// Covariance of the position, m².
+    pub position_covariance: [[R; 3]; 3],
+    /// Covariance of the velocity, m²/s².
+    pub velocity_covariance: [[R; 3]; 3],
+    /// Covariance of the attitude error about east, north and up, rad².
+    pub attitude_covariance: [[R; 3]; 3],
 }
 
 /// Means over the first samples, and what is known of the start.
@@ -120,8 +179,19 @@ const MOVING_VELOCITY: f64 = 1.5;
 /// Heading and position define the frame, rad, m.
 const START_HEADING: f64 = 1e-3;
 const START_POSITION: f64 = 1e-4;
-/// Interval of the updates of the profile's speed, s.
-const SPEED_INTERVAL_S: f64 = 1.0;
+/// Standard deviation of the velocity at a rest, m/s, a component: chosen on BROAD and pyshoe.
+const REST_SPEED: f64 = 0.01;
+/// Interval of updates at rests, s: the window of the detector, so that they are independent.
+const REST_INTERVAL_S: f64 = 0.25;
+const STANCE_INTERVAL_S: f64 = 0.025;
+/// Speed of the profile `Hand`, m/s, a component, and interval of the updates with the profile's bounds, s.
+const HAND_SPEED: f64 = 2.0;
+const BOUND_INTERVAL_S: f64 = 1.0;
+/// A step beyond this is a gap, s: a hand's acceleration is not constant over it.
+const GAP_S: f64 = 0.1;
+/// Speed at which the filter has diverged, m/s, and the position's deviation then, m: nobody carries a unit so fast.
+const DIVERGED_SPEED: f64 = 300.0;
+const LOST_POSITION: f64 = 1e4;
 /// A rest of which every update of such a time failed its test is certain, s: a hand moves at a constant velocity for
 /// less.
 const CERTAIN_REST_S: f64 = 1.5;
@@ -131,7 +201,7 @@ const CERTAIN_REST_S: f64 = 1.5;
 struct Since<R> {
     field: R,
     rest: R,
-    speed: R,
+    bound: R,
     /// Of a rest without interruption.
     accepted: R,
 }
@@ -145,13 +215,15 @@ pub struct Navigator<R, M, const N: usize> {
     magnetometer: Magnetometer<R>,
     reference_ut: Option<Vector3<R>>,
     since: Since<R>,
+    hidden: Option<Block<3>>,
     recoveries: u32,
+    divergences: u32,
 }
 
 /// A navigator with a gyroscope.
-pub type WithGyroscope<R> = Navigator<R, Gyroscope<R>, 37>;
+pub type WithGyroscope<R> = Navigator<R, Gyroscope<R>, 40>;
 /// A navigator without a gyroscope.
-pub type WithoutGyroscope<R> = Navigator<R, NoGyroscope<R>, 21>;
+pub type WithoutGyroscope<R> = Navigator<R, NoGyroscope<R>, 24>;
 
 impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
     /// A navigator at a start.
@@ -167,6 +239,12 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         let mut layout = Layout::new(attitude, real(velocity), real(START_POSITION));
         let magnetometer = Magnetometer::claim(&mut layout)?;
         let model = M::claim(&mut layout, &settings, start)?;
+        let hidden = match settings.rests {
+            Rests::ConstantVelocity => {
+                Some(layout.claim(Role::Considered, [real(HIDDEN_VELOCITY); 3])?)
+            }
+            _ => None,
+        };
         let zero = R::zero();
         Ok(Self {
             settings,
@@ -177,10 +255,12 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             since: Since {
                 field: zero,
                 rest: zero,
-                speed: zero,
+                bound: zero,
                 accepted: zero,
             },
+            hidden,
             recoveries: 0,
+            divergences: 0,
         })
     }
 
@@ -194,65 +274,175 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         self.recoveries
     }
 
+    /// Times at which the filter diverged and began again, with an unknown position.
+    pub fn divergences(&self) -> u32 {
+        self.divergences
+    }
+
+    /// What is estimated.
+    pub fn solution(&self) -> Solution<R> {
+        let filter = &self.filter;
+        let quaternion = UnitQuaternion::from_rotation_matrix(&filter.state.attitude);
+        let rows = |block| filter.covariance::<3>(block).transpose().into();
+        Solution {
+            position_m: filter.state.get(POSITION).into(),
+            velocity_mps: filter.state.get(VELOCITY).into(),
+            quaternion: [quaternion.w, quaternion.i, quaternion.j, quaternion.k],
+            position_covariance: rows(POSITION),
+            velocity_covariance: rows(VELOCITY),
+            attitude_covariance: rows(ATTITUDE),
+        }
+    }
+
     /// A sample, and whether the unit is at rest there.
-    pub fn push(&mut self, sample: &Sample<R>, at_rest: bool) {
-        self.since.field += sample.step_s;
-        self.since.rest += sample.step_s;
-        self.since.speed += sample.step_s;
-        self.since.accepted += sample.step_s;
-        let step = self
+    ///
+    /// # Errors
+    /// [`SampleFault`].
+    pub fn push(&mut self, sample: &Sample<R>, at_rest: bool) -> Result<(), SampleFault> {
+        let step_s = sample.step_s;
+        if !step_s.is_finite() || step_s < R::zero() {
+            return Err(SampleFault::NoTime);
+        }
+        let vectors = [Some(sample.force_mps2), sample.rate_rad_s, sample.field_ut];
+        if !vectors
+            .iter()
+            .flatten()
+            .all(|v| v.iter().all(|x| x.is_finite()))
+        {
+            self.interrupt(step_s);
+            return Err(SampleFault::NotFinite);
+        }
+        if step_s > real(GAP_S) {
+            self.interrupt(step_s);
+            return Ok(());
+        }
+        self.count(step_s);
+        let field = self
             .model
             .step(&mut self.filter, sample, at_rest, &self.magnetometer);
-        if let (Some(field_ut), Some(reference_ut)) = (step, self.reference_ut)
+        if let (Some(field_ut), Some(reference_ut)) = (field, self.reference_ut)
             && self.since.field >= self.model.field_interval_s()
         {
             let sensor = &self.magnetometer;
-            let field = MagneticField {
+            let reading = MagneticField {
                 sensor,
                 field_ut,
                 reference_ut,
             };
-            self.filter.update(&field, Gate::ChiSquare);
+            self.filter.update(&reading, Gate::ChiSquare);
             self.since.field = R::zero();
         }
         self.update_velocity(at_rest);
+        self.restart_if_diverged();
+        Ok(())
+    }
+
+    /// Time without a usable sample, s: a gap, or clipped or missing samples.
+    pub fn interrupt(&mut self, step_s: R) {
+        self.count(step_s);
+        self.since.accepted = R::zero();
+        self.model.interrupt();
+        self.filter
+            .predict(&(Unmeasured { step_s }, self.magnetometer.step(step_s)));
+        self.restart_if_diverged();
+    }
+
+    fn count(&mut self, step_s: R) {
+        let since = &mut self.since;
+        for time in [
+            &mut since.field,
+            &mut since.rest,
+            &mut since.bound,
+            &mut since.accepted,
+        ] {
+            *time += step_s;
+        }
     }
 
     fn update_velocity(&mut self, at_rest: bool) {
-        let zero = self.settings.zero_velocity_mps.filter(|_| at_rest);
-        match (zero, self.settings.profile.speed_mps()) {
-            (Some(deviation), _) => {
-                if self.since.rest >= self.settings.rest_interval_s {
-                    self.update_rest(&Velocity::zero(deviation));
-                    self.since.rest = R::zero();
-                }
-                self.since.speed = R::zero();
-                return;
+        let profile = self.settings.profile;
+        if at_rest && self.settings.rests != Rests::Ignored {
+            let interval = if profile == Profile::Foot {
+                STANCE_INTERVAL_S
+            } else {
+                REST_INTERVAL_S
+            };
+            if self.since.rest >= real(interval) {
+                self.update_rest();
+                self.since.rest = R::zero();
             }
-            (None, Some(speed)) if self.since.speed >= real(SPEED_INTERVAL_S) => {
-                self.filter
-                    .update(&Velocity::zero(real(speed)), Gate::ChiSquare);
-                self.since.speed = R::zero();
-            }
-            _ => {}
+        } else {
+            self.since.accepted = R::zero();
         }
-        self.since.accepted = R::zero();
+        if self.since.bound < real(BOUND_INTERVAL_S) {
+            return;
+        }
+        self.since.bound = R::zero();
+        if profile == Profile::Hand && !at_rest {
+            self.filter
+                .update(&Velocity::zero(real(HAND_SPEED), None), Gate::ChiSquare);
+        }
+        if let Some(deviation_m) = self.settings.within_m {
+            let position_m = Vector3::zeros();
+            self.filter.update(
+                &Position {
+                    position_m,
+                    deviation_m,
+                },
+                Gate::Open,
+            );
+        }
     }
 
-    /// A rest that fails the test is constant velocity, or the start of a motion. One that goes on failing is certain.
-    fn update_rest(&mut self, zero: &Velocity<R>) {
-        let gate = if self.settings.profile == Profile::Foot {
-            Gate::Open
-        } else {
-            Gate::ChiSquare
+    /// A rest that fails the test is constant velocity, or the start of a motion. One that goes on failing is certain,
+    /// as is the stance of a foot.
+    fn update_rest(&mut self) {
+        let zero = Velocity::zero(real(REST_SPEED), self.hidden);
+        let gate = match self.settings.profile {
+            Profile::Foot => Gate::Open,
+            _ => Gate::ChiSquare,
         };
-        if self.filter.update(zero, gate).accepted {
+        if self.filter.update(&zero, gate).accepted {
             self.since.accepted = R::zero();
         } else if self.since.accepted >= real(CERTAIN_REST_S) {
-            recover(&mut self.filter, zero, self.model.recovered());
+            recover(&mut self.filter, &zero, self.model.recovered());
             self.recoveries += 1;
             self.since.accepted = R::zero();
         }
+    }
+
+    /// Begins again with a start in motion at an unknown position.
+    fn restart_if_diverged(&mut self) {
+        let speed = self.filter.state.get(VELOCITY).norm();
+        if self.filter.is_sound() && speed < real(DIVERGED_SPEED) {
+            return;
+        }
+        let attitude = self.filter.state.attitude;
+        let finite = attitude.matrix().iter().all(|x| x.is_finite());
+        let attitude = if finite {
+            attitude
+        } else {
+            Rotation3::identity()
+        };
+        let start = Start {
+            attitude,
+            field_ut: self.reference_ut,
+            force_mps2: self.settings.gravity_mps2,
+            rest: false,
+        };
+        let Ok(mut restarted) = Self::new(self.settings, &start) else {
+            return;
+        };
+        let lost = Matrix3::from_diagonal_element(real(LOST_POSITION * LOST_POSITION));
+        restarted.filter.set_covariance(POSITION, &lost);
+        let heading = core::f64::consts::PI;
+        let unknown = Matrix1::new(real(heading * heading));
+        restarted
+            .filter
+            .set_covariance(ATTITUDE.part::<1, 2>(), &unknown);
+        restarted.recoveries = self.recoveries;
+        restarted.divergences = self.divergences + 1;
+        *self = restarted;
     }
 
     /// Rotates the navigation frame so that the heading is this, rad: before the first sample.

@@ -3,10 +3,12 @@
 mod carried;
 mod gauss_markov;
 mod strapdown;
+mod unmeasured;
 
 pub use carried::{Carried, CarriedBlocks};
 pub use gauss_markov::{GaussMarkov, RandomWalk};
 pub use strapdown::{ImuErrors, Strapdown, StrapdownBlocks};
+pub use unmeasured::Unmeasured;
 
 use heapless::Vec;
 use nalgebra::{Matrix3, RealField, SMatrix, SVector};

@@ -2,6 +2,7 @@
 
 mod accelerometer;
 mod magnetometer;
+mod position;
 mod second_order;
 mod velocity;
 
@@ -9,6 +10,7 @@ pub use accelerometer::SpecificForce;
 pub use magnetometer::{MagneticField, Magnetometer};
 pub use velocity::{Velocity, recover};
 
+pub use position::Position;
 pub(crate) use second_order::SecondOrder;
 
 use nalgebra::{SMatrix, SVector};

@@ -36,6 +36,29 @@ pub struct Detector<R> {
     pub gravity_mps2: R,
 }
 
+impl<R: RealField> Detector<R> {
+    /// The stance of a foot: deviations and window of pyshoe's published fixed threshold (B. Wagstaff, V. Peretroukhin, J.
+    /// Kelly, "Robust data-driven zero-velocity detection for foot-mounted inertial navigation", IEEE Sensors J. 20, 2020).
+    pub fn foot() -> Self {
+        Self {
+            window_s: real(0.025),
+            force_mps2: real(5.8),
+            force_offset_mps2: real(5.8),
+            rate_rad_s: real(0.516),
+            rate_offset_rad_s: real(0.516),
+            threshold: real(1.0),
+            gravity_mps2: real(crate::GRAVITY_MPS2),
+        }
+    }
+
+    /// Without a gyroscope: half the terms, half the threshold.
+    #[must_use]
+    pub fn without_gyroscope(mut self) -> Self {
+        self.threshold *= real(0.5);
+        self
+    }
+}
+
 impl<R: RealField> Default for Detector<R> {
     fn default() -> Self {
         Self {

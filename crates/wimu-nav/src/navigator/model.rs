@@ -4,7 +4,9 @@ use nalgebra::{RealField, Vector3};
 
 use super::{Sample, Settings, Start};
 use crate::filter::{Filter, Gate};
-use crate::process::{Carried, CarriedBlocks, ImuErrors, Strapdown, StrapdownBlocks};
+use crate::process::{
+    Carried, CarriedBlocks, ImuErrors, RandomWalk, Strapdown, StrapdownBlocks, Unmeasured,
+};
 use crate::rotation::real;
 use crate::sensor::{Magnetometer, SpecificForce};
 use crate::state::{Block, Layout, LayoutFull, Role};
@@ -29,6 +31,9 @@ pub trait Model<R, const N: usize>: Sized {
         at_rest: bool,
         magnetometer: &Magnetometer<R>,
     ) -> Option<Vector3<R>>;
+
+    /// Forgets the last samples: time without a usable sample follows.
+    fn interrupt(&mut self);
 
     /// Shortest interval of the magnetometer's updates, s.
     fn field_interval_s(&self) -> R;
@@ -70,9 +75,14 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
         _: bool,
         magnetometer: &Magnetometer<R>,
     ) -> Option<Vector3<R>> {
-        let rate = sample.rate_rad_s?;
+        let step_s = sample.step_s;
+        let Some(rate) = sample.rate_rad_s else {
+            self.last = None;
+            filter.predict(&(Unmeasured { step_s }, magnetometer.step(step_s)));
+            return sample.field_ut;
+        };
         let now = (sample.force_mps2, rate);
-        let before = self.last.replace(now)?;
+        let before = self.last.replace(now).unwrap_or(now);
         let half = real::<R>(0.5);
         let strapdown = Strapdown {
             blocks: &self.blocks,
@@ -80,10 +90,14 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
             gravity_mps2: self.gravity_mps2,
             force_mps2: (before.0 + now.0) * half,
             rate_rad_s: (before.1 + now.1) * half,
-            step_s: sample.step_s,
+            step_s,
         };
-        filter.predict(&(strapdown, magnetometer.step(sample.step_s)));
+        filter.predict(&(strapdown, magnetometer.step(step_s)));
         sample.field_ut
+    }
+
+    fn interrupt(&mut self) {
+        self.last = None;
     }
 
     /// The disturbance is correlated over shorter times.
@@ -252,7 +266,7 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
             at_rest,
             step_s: group.time_s,
         };
-        let walk = crate::process::RandomWalk {
+        let walk = RandomWalk {
             block: self.bias,
             density: self.bias_walk,
             step_s: group.time_s,
@@ -267,6 +281,11 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
         };
         filter.update(&reading, Gate::Open);
         field
+    }
+
+    fn interrupt(&mut self) {
+        self.group = Group::empty();
+        self.directions.clear();
     }
 
     /// Every step: it is the only measurement of the rotation about the vertical.

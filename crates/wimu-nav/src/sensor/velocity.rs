@@ -14,23 +14,32 @@ pub struct Velocity<R> {
     pub velocity_mps: Vector3<R>,
     /// Standard deviation of a component, m/s.
     pub deviation_mps: R,
+    /// A velocity that is added to it, m/s: of a platform, or one that a rest does not show.
+    pub offset: Option<Block<3>>,
 }
 
 impl<R: RealField + Copy> Velocity<R> {
     /// Zero with a standard deviation of a component, m/s.
-    pub fn zero(deviation_mps: R) -> Self {
+    pub fn zero(deviation_mps: R, offset: Option<Block<3>>) -> Self {
         Self {
             velocity_mps: Vector3::zeros(),
             deviation_mps,
+            offset,
         }
     }
 }
 
 impl<R: RealField + Copy, const N: usize> Measurement<R, N, 3> for Velocity<R> {
     fn predict(&self, filter: &Filter<R, N>) -> Prediction<R, N, 3> {
+        let mut jacobian = Jacobian::zeros().with(VELOCITY, Matrix3::identity());
+        let mut innovation = self.velocity_mps - filter.state.get(VELOCITY);
+        if let Some(offset) = self.offset {
+            jacobian = jacobian.with(offset, -Matrix3::identity());
+            innovation += filter.state.get(offset);
+        }
         Prediction {
-            innovation: self.velocity_mps - filter.state.get(VELOCITY),
-            jacobian: Jacobian::zeros().with(VELOCITY, Matrix3::identity()),
+            innovation,
+            jacobian,
             covariance: Matrix3::identity() * (self.deviation_mps * self.deviation_mps),
         }
     }

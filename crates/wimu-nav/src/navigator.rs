@@ -228,6 +228,7 @@ pub struct Navigator<R, M, const N: usize> {
     reference_ut: Option<Vector3<R>>,
     since: Since<R>,
     hidden: Option<Block<3>>,
+    resting: bool,
     recoveries: u32,
     divergences: u32,
 }
@@ -271,6 +272,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
                 accepted: zero,
             },
             hidden,
+            resting: false,
             recoveries: 0,
             divergences: 0,
         })
@@ -284,6 +286,11 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
     /// Rests that failed their test although they were certain: the covariance was scaled there.
     pub fn recoveries(&self) -> u32 {
         self.recoveries
+    }
+
+    /// Whether the last update at a rest was accepted, and the rest goes on.
+    pub fn is_at_rest(&self) -> bool {
+        self.resting
     }
 
     /// Times at which the filter diverged and began again, with an unknown position.
@@ -390,6 +397,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             }
         } else {
             self.since.accepted = R::zero();
+            self.resting = false;
         }
         if self.since.bound < real(BOUND_INTERVAL_S) {
             return;
@@ -424,11 +432,13 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             Profile::Foot => Gate::Open,
             _ => Gate::ChiSquare,
         };
-        if self.filter.update(&zero, gate).accepted {
+        self.resting = self.filter.update(&zero, gate).accepted;
+        if self.resting {
             self.since.accepted = R::zero();
         } else if self.since.accepted >= real(CERTAIN_REST_S) {
             recover(&mut self.filter, &zero, self.model.recovered());
             self.recoveries += 1;
+            self.resting = true;
             self.since.accepted = R::zero();
         }
     }

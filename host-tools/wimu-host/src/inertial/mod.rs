@@ -22,6 +22,7 @@ mod array;
 mod frozen;
 mod holes;
 mod horizon;
+mod moves;
 mod path;
 mod rates;
 mod report;
@@ -33,6 +34,7 @@ use std::ops::RangeInclusive;
 
 pub use array::{navigate_array, navigate_axes};
 pub use horizon::{Horizon, RestTimes};
+pub use moves::Move;
 pub use path::{InertialPath, PathPoint};
 pub use truth::consistency;
 pub use wimu_nav::Zupt;
@@ -144,11 +146,6 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
             "the times are those of arrival: a constant sample period and the least delay are used"
                 .to_owned(),
         );
-    }
-    if choice.profile == Profile::Slide {
-        samples
-            .iter_mut()
-            .for_each(|s| s.rate_rad_s = Some([0.0; 3]));
     }
     let samples = once_each_field(&samples);
     let method = match samples.iter().any(|s| s.rate_rad_s.is_some()) {

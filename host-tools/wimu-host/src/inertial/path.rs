@@ -3,8 +3,8 @@
 use std::io::Write as _;
 use std::path::Path as FilePath;
 
-use super::Method;
 use super::truth::consistency;
+use super::{Method, Move};
 use crate::mcap_file::RosFile;
 use crate::ros::path::{PathTopics, Pose};
 use crate::{ErrorCode, HostError, OutputFile, Result};
@@ -70,6 +70,8 @@ pub struct InertialPath {
     pub points: Vec<PathPoint>,
     /// Index of the point from which position is measured: the last of the first rest.
     pub origin: usize,
+    /// The moves between rests.
+    pub moves: Vec<Move>,
     /// What was noticed on the way.
     pub remarks: Vec<String>,
     /// Points known no better than this, m, are not valid.
@@ -95,6 +97,7 @@ impl InertialPath {
             method,
             points,
             origin,
+            moves: Vec::new(),
             remarks: Vec::new(),
             limit_m,
             nees: Vec::new(),

@@ -6,6 +6,7 @@ use std::ops::Range;
 use nalgebra::{Rotation3, Vector3};
 use wimu_nav::stationarity::{Detector, Stationarity};
 
+use super::unit::noise_mps2;
 use crate::motion::{MotionRecording, UnitSample};
 use crate::{ErrorCode, HostError, Result};
 
@@ -85,7 +86,8 @@ pub(super) fn checked(recording: &MotionRecording) -> Result<Option<Disagreement
 
 /// Rests that the accelerometer shows: a gyroscope in a wrong unit shows none.
 fn rests(recording: &MotionRecording) -> Vec<Range<usize>> {
-    let mut settings = Detector::default().without_gyroscope();
+    let mut settings =
+        Detector::default().without_gyroscope(noise_mps2(&recording.times_s, &recording.samples));
     settings.gravity_mps2 = recording.gravity_mps2();
     let mut detector = Stationarity::new(settings);
     let mut found: Vec<Range<usize>> = Vec::new();

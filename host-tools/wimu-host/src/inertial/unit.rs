@@ -7,8 +7,9 @@ use wimu_nav::navigator::{
 };
 use wimu_nav::stationarity::{Detector, Stationarity};
 
+use super::moves::moves;
 use super::{Choice, InertialPath, Method, PathPoint};
-use crate::motion::UnitSample;
+use crate::motion::{UnitSample, median_step_s};
 use crate::plural::counted;
 use crate::{ErrorCode, HostError, Result};
 
@@ -72,7 +73,7 @@ impl Unit<'_> {
         let samples: Vec<Sample<f64>> = self.samples.iter().map(sample).collect();
         let rests = self.rests(&samples, choice, method);
         let mut navigator = self.start::<M, N>(&samples, &rests, choice)?;
-        let at_rest_first = rests.first() == Some(&true);
+        let at_rest_first = self.starts_at_rest(&rests);
         let mut origin = at_rest_first.then_some(0);
         let (mut rest_s, mut in_first_rest) = (0.0, at_rest_first);
         let mut faults = Faults::default();
@@ -99,12 +100,14 @@ impl Unit<'_> {
             points.push(self.point(k, &navigator, rests[k], choice));
         }
         let from = origin.unwrap_or(0);
+        let moves = moves(self, &samples, &rests, choice, method);
         if !at_rest_first && choice.start.is_none() {
             for point in &mut points[..from] {
                 point.valid = false;
             }
         }
         let mut path = InertialPath::new(method, points, from, choice.limit_m);
+        path.moves = moves;
         if let (false, Some(origin)) = (at_rest_first, origin) {
             path.remarks.push(format!(
                 "no rest at the start: position is measured from the first rest, at {:.2} s",
@@ -148,7 +151,7 @@ impl Unit<'_> {
         };
         settings.gravity_mps2 = self.gravity_mps2;
         if method != Method::Strapdown {
-            settings = settings.without_gyroscope();
+            settings = settings.without_gyroscope(noise_mps2(self.times_s, self.samples));
         }
         let mut detector = Stationarity::new(settings);
         let (mut rests, mut ahead_s) = (Vec::with_capacity(samples.len()), 0.0);
@@ -172,19 +175,25 @@ impl Unit<'_> {
         rests
     }
 
+    /// Samples within a time of the start: at least one.
+    fn within(&self, length_s: f64) -> usize {
+        let end = self.times_s[0] + length_s;
+        self.times_s.partition_point(|t| *t < end).max(1)
+    }
+
+    fn starts_at_rest(&self, rests: &[bool]) -> bool {
+        rests[..self.within(ALIGNMENT_S)].iter().any(|rest| *rest)
+    }
+
     fn start<M: Model<f64, N>, const N: usize>(
         &self,
         samples: &[Sample<f64>],
         rests: &[bool],
         choice: &Choice,
     ) -> Result<Navigator<f64, M, N>> {
-        let within = |length_s: f64| {
-            let end = self.times_s[0] + length_s;
-            self.times_s.partition_point(|t| *t < end).max(1)
-        };
-        let rest = rests[..within(ALIGNMENT_S)].iter().any(|rest| *rest);
+        let rest = self.starts_at_rest(rests);
         let short = !rest || choice.profile == Profile::Foot;
-        let count = within(if short {
+        let count = self.within(if short {
             SHORT_ALIGNMENT_S
         } else {
             ALIGNMENT_S
@@ -200,16 +209,7 @@ impl Unit<'_> {
         };
         let start = Start::align(&usable, rest)
             .ok_or_else(|| refused("the first samples show no gravity to align with"))?;
-        let mut settings = Settings::of(choice.profile);
-        settings.gravity_mps2 = self.gravity_mps2;
-        settings.errors.accelerometer_bias = self.bias_mps2;
-        settings.errors.time_s = self.time_sd_s;
-        settings.within_m = choice.within_m;
-        settings.rests = match choice.zupt {
-            Zupt::Assumed => Rests::ConstantVelocity,
-            Zupt::Stated => Rests::ZeroVelocity,
-            Zupt::Off => Rests::Ignored,
-        };
+        let settings = self.settings(choice.profile, choice);
         let mut navigator =
             Navigator::new(settings, &start).map_err(|error| refused(&error.to_string()))?;
         if let Some(pose) = &choice.start {
@@ -219,6 +219,21 @@ impl Unit<'_> {
             navigator.set_position(Vector3::from(pose.position_m));
         }
         Ok(navigator)
+    }
+
+    /// Settings of a navigator.
+    pub fn settings(&self, profile: Profile, choice: &Choice) -> Settings<f64> {
+        let mut settings = Settings::of(profile);
+        settings.gravity_mps2 = self.gravity_mps2;
+        settings.errors.accelerometer_bias = self.bias_mps2;
+        settings.errors.time_s = self.time_sd_s;
+        settings.within_m = choice.within_m;
+        settings.rests = match choice.zupt {
+            Zupt::Assumed => Rests::ConstantVelocity,
+            Zupt::Stated => Rests::ZeroVelocity,
+            Zupt::Off => Rests::Ignored,
+        };
+        settings
     }
 
     fn point<M: Model<f64, N>, const N: usize>(
@@ -240,12 +255,28 @@ impl Unit<'_> {
             quaternion: found.quaternion,
             rate_rad_s: navigator.angular_rate().into(),
             covariance_m2: found.position_covariance,
-            resting: choice.zupt.is_on() && at_rest,
+            resting: at_rest && navigator.is_at_rest(),
             valid: true,
         };
         point.valid = point.sd_m() <= choice.limit_m;
         point
     }
+}
+
+/// Noise of the accelerometer, m/s², a component: that of the quietest twentieth of windows of 0.25 s.
+pub(super) fn noise_mps2(times_s: &[f64], samples: &[UnitSample]) -> f64 {
+    let step_s = median_step_s(times_s).max(f64::MIN_POSITIVE);
+    let length = ((0.25 / step_s) as usize).max(5);
+    let variance = |window: &[UnitSample]| {
+        let force = || window.iter().map(|s| Vector3::from(s.force_mps2));
+        let mean = force().sum::<Vector3<f64>>() / length as f64;
+        force().map(|f| (f - mean).norm_squared()).sum::<f64>() / (3.0 * length as f64)
+    };
+    let mut variances: Vec<f64> = samples.chunks_exact(length).map(variance).collect();
+    variances.sort_by(f64::total_cmp);
+    variances
+        .get(variances.len() / 20)
+        .map_or(0.0, |v| v.sqrt())
 }
 
 fn sample(sample: &UnitSample) -> Sample<f64> {

@@ -146,8 +146,6 @@ pub enum MotionProfile {
     Foot,
     /// In a vehicle: velocity 0 ± 30 m/s
     Vehicle,
-    /// Pushed over a table without rotation: needs no gyroscope
-    Slide,
     /// No assumption
     Free,
 }
@@ -158,7 +156,6 @@ impl From<MotionProfile> for Profile {
             MotionProfile::Hand => Self::Hand,
             MotionProfile::Foot => Self::Foot,
             MotionProfile::Vehicle => Self::Vehicle,
-            MotionProfile::Slide => Self::Slide,
             MotionProfile::Free => Self::Free,
         }
     }

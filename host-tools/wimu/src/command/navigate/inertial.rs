@@ -6,7 +6,9 @@ use serde::Serialize;
 use wimu_host::Result;
 use wimu_host::calibration::read_model;
 use wimu_host::formats;
-use wimu_host::inertial::{Choice, InertialPath, Method, Profile, Zupt, consistency, navigate};
+use wimu_host::inertial::{
+    Choice, InertialPath, Method, Move, Profile, Zupt, consistency, navigate,
+};
 use wimu_host::motion::{MotionRecording, TableOptions};
 use wimu_host::plural::counted;
 
@@ -42,6 +44,8 @@ pub struct Found {
     /// NEES of an array's angular rate and velocity.
     rate_nees: Option<Nees>,
     velocity_nees: Option<Nees>,
+    /// Moves between rests.
+    moves: Vec<MoveFound>,
     refined: Option<Refined>,
     remarks: Vec<String>,
 }
@@ -64,6 +68,30 @@ struct End {
     at_s: f64,
     since_rest_s: Option<f64>,
     lost: bool,
+}
+
+/// A move between two rests.
+#[derive(Serialize)]
+struct MoveFound {
+    from_s: f64,
+    to_s: f64,
+    /// Null where it is not known: without a gyroscope after a rotation, or contradicted by the rest at its end.
+    length_m: Option<f64>,
+    length_sd_m: Option<f64>,
+    tilted_deg: f64,
+}
+
+impl MoveFound {
+    fn of(found: &Move) -> Self {
+        let known = |value: f64| found.valid.then_some(value);
+        Self {
+            from_s: found.from_s,
+            to_s: found.to_s,
+            length_m: known(found.length_m),
+            length_sd_m: known(found.length_sd_m),
+            tilted_deg: found.tilted_rad.to_degrees(),
+        }
+    }
 }
 
 #[derive(Serialize)]
@@ -213,6 +241,7 @@ fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
         nees: Nees::of(&path.nees, path),
         rate_nees: Nees::of(&path.rate_nees, path),
         velocity_nees: Nees::of(&path.velocity_nees, path),
+        moves: path.moves.iter().map(MoveFound::of).collect(),
         refined: None,
         remarks: path.remarks.clone(),
     }
@@ -224,7 +253,6 @@ fn profile(profile: Profile) -> (&'static str, &'static str) {
         Profile::Hand => ("hand", "velocity 0 ± 2 m/s"),
         Profile::Foot => ("foot", "rests are stances"),
         Profile::Vehicle => ("vehicle", "velocity 0 ± 30 m/s"),
-        Profile::Slide => ("slide", "no rotation"),
         _ => ("free", "no bound"),
     }
 }
@@ -243,6 +271,34 @@ fn duration(path: &InertialPath) -> f64 {
         (Some(first), Some(last)) => last.time_s - first.time_s,
         _ => 0.0,
     }
+}
+
+/// Moves that are listed in the text.
+const LISTED: usize = 4;
+
+/// The moves of known length, the longest first.
+fn moves(path: &InertialPath) -> String {
+    let mut known: Vec<&Move> = path.moves.iter().filter(|m| m.valid).collect();
+    if known.is_empty() {
+        return String::new();
+    }
+    known.sort_by(|a, b| b.length_m.total_cmp(&a.length_m));
+    let one = |m: &&Move| {
+        format!(
+            "{:.3} ± {:.3} m ({:.2} to {:.2} s)",
+            m.length_m, m.length_sd_m, m.from_s, m.to_s
+        )
+    };
+    let listed: Vec<String> = known.iter().take(LISTED).map(one).collect();
+    let kind = match path.method {
+        Method::Tilt => " without rotation",
+        _ => "",
+    };
+    format!(
+        "{}{kind} between rests, longest first: {}\n",
+        counted(known.len(), "move"),
+        listed.join(", ")
+    )
 }
 
 /// The result first, then what it rests on, then remarks.
@@ -268,7 +324,6 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
         path.distance_m(),
         duration(path),
         match path.method {
-            Method::Strapdown if choice.profile == Profile::Slide => "without rotation",
             Method::Strapdown => "with a gyroscope",
             Method::Tilt => "without a gyroscope",
             Method::Array => "with an array of accelerometers",
@@ -310,6 +365,7 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
             origin.time_s
         );
     }
+    text += &moves(path);
     let fitted = if path.heading_fitted {
         ", heading fitted"
     } else {

@@ -204,9 +204,11 @@ const GAP_S: f64 = 0.1;
 /// Speed at which the filter has diverged, m/s, and the position's deviation then, m: nobody carries a unit so fast.
 const DIVERGED_SPEED: f64 = 300.0;
 const LOST_POSITION: f64 = 1e4;
-/// A rest of which every update of such a time failed its test is certain, s: a hand moves at a constant velocity for
-/// less.
+/// A rest of which every update of such a time failed its test is certain, s, if the last accepted one was so long before
+/// that the velocity may have drifted, s. Otherwise the unit moves at a constant velocity, for at most the last time, s.
 const CERTAIN_REST_S: f64 = 1.5;
+const DRIFT_S: f64 = 1.0;
+const CONSTANT_VELOCITY_S: f64 = 10.0;
 
 /// Times since the last updates, s.
 #[derive(Clone, Copy, Debug)]
@@ -216,6 +218,8 @@ struct Since<R> {
     bound: R,
     /// Of a rest without interruption.
     accepted: R,
+    /// Accepted rest.
+    known: R,
 }
 
 /// The navigator: a model of the motion with `N` states.
@@ -270,6 +274,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
                 rest: zero,
                 bound: zero,
                 accepted: zero,
+                known: zero,
             },
             hidden,
             resting: false,
@@ -378,6 +383,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             &mut since.rest,
             &mut since.bound,
             &mut since.accepted,
+            &mut since.known,
         ] {
             *time += step_s;
         }
@@ -433,13 +439,22 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             _ => Gate::ChiSquare,
         };
         self.resting = self.filter.update(&zero, gate).accepted;
+        let failed = self.since.accepted;
+        let drifted = self.since.known - failed >= real(DRIFT_S);
+        let certain = if drifted {
+            CERTAIN_REST_S
+        } else {
+            CONSTANT_VELOCITY_S
+        };
         if self.resting {
             self.since.accepted = R::zero();
-        } else if self.since.accepted >= real(CERTAIN_REST_S) {
+            self.since.known = R::zero();
+        } else if failed >= real(certain) {
             recover(&mut self.filter, &zero, self.model.recovered());
             self.recoveries += 1;
             self.resting = true;
             self.since.accepted = R::zero();
+            self.since.known = R::zero();
         }
     }
 

@@ -6,7 +6,6 @@ use std::ops::Range;
 use nalgebra::{Rotation3, Vector3};
 use wimu_nav::stationarity::{Detector, Stationarity};
 
-use super::unit::noise_mps2;
 use crate::motion::{MotionRecording, UnitSample};
 use crate::{ErrorCode, HostError, Result};
 
@@ -48,23 +47,29 @@ pub(super) fn checked(recording: &MotionRecording) -> Result<Option<Disagreement
             "deg/s",
         );
     }
-    let rests = rests(recording);
-    let open = |factor| open_rad(recording, &rests, factor);
-    let (Some(now), Some(reversed), Some(none)) = (open(1.0), open(-1.0), open(0.0)) else {
-        return Ok(None);
-    };
-    if now <= RIGHT_RAD {
-        return Ok(None);
-    }
+    // Each unit is judged at the rests that it shows.
     for (factor, unit) in [(PI / 180.0, "deg/s"), (180.0 / PI, "rad/s")] {
+        let rests = rests(recording, factor);
+        let open = |factor| open_rad(recording, &rests, factor);
+        let (Some(now), Some(other), Some(none)) = (open(1.0), open(factor), open(0.0)) else {
+            continue;
+        };
         // Where nothing rotated, a smaller rate always fits better.
-        if open(factor).is_some_and(|other| other < RIGHT_RAD && other < FITS * now.min(none)) {
+        if now > RIGHT_RAD && other < RIGHT_RAD && other < FITS * now.min(none) {
             let message = format!(
                 "its angular rate leaves {:.0}° of gravity's rotation between rests, and would fit in {unit}",
                 now.to_degrees()
             );
             return refused(message, unit);
         }
+    }
+    let rests = rests(recording, 1.0);
+    let open = |factor| open_rad(recording, &rests, factor);
+    let (Some(now), Some(reversed), Some(none)) = (open(1.0), open(-1.0), open(0.0)) else {
+        return Ok(None);
+    };
+    if now <= RIGHT_RAD {
+        return Ok(None);
     }
     let turned = reversed < FITS * now;
     let little = none > RIGHT_RAD && now > LITTLE * none;
@@ -84,15 +89,15 @@ pub(super) fn checked(recording: &MotionRecording) -> Result<Option<Disagreement
     }))
 }
 
-/// Rests that the accelerometer shows: a gyroscope in a wrong unit shows none.
-fn rests(recording: &MotionRecording) -> Vec<Range<usize>> {
-    let mut settings =
-        Detector::default().without_gyroscope(noise_mps2(&recording.times_s, &recording.samples));
+/// Rests of a recording whose angular rate, times a factor, is right.
+fn rests(recording: &MotionRecording, factor: f64) -> Vec<Range<usize>> {
+    let mut settings = Detector::default();
     settings.gravity_mps2 = recording.gravity_mps2();
     let mut detector = Stationarity::new(settings);
     let mut found: Vec<Range<usize>> = Vec::new();
     for (k, sample) in recording.samples.iter().enumerate() {
-        if !detector.push(&sample.force_mps2.into(), None, sample.step_s) {
+        let rate = sample.rate_rad_s.map(|rate| factor * Vector3::from(rate));
+        if !detector.push(&sample.force_mps2.into(), rate.as_ref(), sample.step_s) {
             continue;
         }
         match found.last_mut().filter(|rest| rest.end == k) {

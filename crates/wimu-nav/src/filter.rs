@@ -21,8 +21,8 @@ pub const FALSE_ALARM: f64 = 1e-3;
 /// Quantile of the standard normal distribution at 1 − [`FALSE_ALARM`].
 const NORMAL_QUANTILE: f64 = 3.0902;
 
-/// Quantile of χ² at 1 − [`FALSE_ALARM`], within 3 % (E. B. Wilson and M. M. Hilferty, "The distribution of chi-square",
-/// 1931).
+/// Quantile of χ² at 1 − [`FALSE_ALARM`] (E. B. Wilson and M. M. Hilferty, "The distribution of chi-square", 1931): 3.1 %
+/// too large for one degree of freedom, less for more.
 pub fn chi_square_quantile(dof: usize) -> f64 {
     let spread = 2.0 / (9.0 * dof as f64);
     let root = 1.0 - spread + NORMAL_QUANTILE * libm::sqrt(spread);

@@ -172,4 +172,9 @@ impl<R: RealField + Copy, const M: usize, const N: usize> Jacobian<R, M, N> {
             .copy_from(&derivative);
         self
     }
+
+    /// The derivative with respect to a block.
+    pub fn get<const W: usize>(&self, block: Block<W>) -> SMatrix<R, M, W> {
+        self.0.fixed_columns::<W>(block.0).into_owned()
+    }
 }

@@ -5,6 +5,8 @@ pub use wimu_testkit::Random;
 
 pub mod journeys;
 pub mod motions;
+pub mod states;
+pub mod travel;
 
 use wimu_nav::array::Geometry;
 

@@ -192,6 +192,19 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
         (innovation, Some(gain))
     }
 
+    /// Rotates a block whose vector is in the navigation frame: its values, covariance and correlations.
+    pub(crate) fn rotate(&mut self, block: Block<3>, rotation: &Rotation3<R>) {
+        let values = rotation * self.state.get(block);
+        self.state.set(block, values);
+        let start = block.start();
+        let rows = rotation.matrix() * self.covariance.fixed_rows::<3>(start);
+        self.covariance.fixed_rows_mut::<3>(start).copy_from(&rows);
+        let columns = self.covariance.fixed_columns::<3>(start) * rotation.matrix().transpose();
+        self.covariance
+            .fixed_columns_mut::<3>(start)
+            .copy_from(&columns);
+    }
+
     /// Scales the covariance of some states, with all correlations kept.
     pub(crate) fn scale_covariance(&mut self, states: impl Fn(usize) -> bool, factor: R) {
         let root = factor.sqrt();

@@ -463,6 +463,11 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
     ) {
         let turn = about_up(heading - self.heading());
         self.filter.state.attitude = turn * self.filter.state.attitude;
+        // The tilt errors are those of the same body axes in the new directions.
+        self.filter.rotate(ATTITUDE, &turn);
+        if let Some(acceleration) = self.model.acceleration() {
+            self.filter.rotate(acceleration, &turn);
+        }
         self.filter.state.set(POSITION, position);
         self.filter.state.set(VELOCITY, velocity);
         let [position, velocity, heading] = deviations.map(|deviation| deviation * deviation);

@@ -9,5 +9,7 @@ mod filter;
 mod finite;
 mod jacobians;
 mod journeys;
+mod navigator;
+mod stationarity;
 mod track;
 mod unit;

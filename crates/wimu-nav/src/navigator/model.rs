@@ -41,6 +41,11 @@ pub trait Model<R, const N: usize>: Sized {
     /// The states of rotation whose covariance is scaled, with attitude, velocity and position, at a rest that fails its
     /// test.
     fn recovered(&self) -> Block<3>;
+
+    /// Acceleration in the navigation frame, where it is a state.
+    fn acceleration(&self) -> Option<Block<3>> {
+        None
+    }
 }
 
 /// Strapdown integration of a gyroscope's angular rate.
@@ -295,5 +300,9 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
 
     fn recovered(&self) -> Block<3> {
         self.blocks.angular_rate
+    }
+
+    fn acceleration(&self) -> Option<Block<3>> {
+        Some(self.blocks.acceleration)
     }
 }

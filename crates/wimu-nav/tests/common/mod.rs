@@ -5,6 +5,7 @@ pub use wimu_testkit::Random;
 
 pub mod journeys;
 pub mod motions;
+pub mod navigated;
 pub mod states;
 pub mod travel;
 

@@ -218,7 +218,7 @@ pub struct Errors {
 }
 
 impl Errors {
-    /// None but noise.
+    /// Noise only.
     pub fn noise(errors: &ImuErrors<f64>) -> Self {
         Self {
             force_bias: Vector3::zeros(),

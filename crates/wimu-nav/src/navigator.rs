@@ -8,10 +8,10 @@ use core::fmt;
 
 use nalgebra::{Matrix1, Matrix3, RealField, Rotation3, UnitQuaternion, Vector3};
 
-use crate::filter::{Filter, Gate};
+use crate::filter::{Filter, Gate, Innovation};
 use crate::process::{ImuErrors, Unmeasured};
 use crate::rotation::{about_up, level, real, yaw};
-use crate::sensor::{MagneticField, Magnetometer, Position, Velocity, recover};
+use crate::sensor::{MagneticField, Magnetometer, Measurement, Position, Velocity, recover};
 use crate::state::{ATTITUDE, Block, Layout, LayoutFull, POSITION, Role, VELOCITY};
 
 /// What is assumed of the motion.
@@ -267,6 +267,17 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
     /// State and covariance.
     pub fn filter(&self) -> &Filter<R, N> {
         &self.filter
+    }
+
+    /// Update with a measurement of another sensor: a position, a range, a height.
+    pub fn update<const K: usize>(
+        &mut self,
+        measurement: &impl Measurement<R, N, K>,
+        gate: Gate,
+    ) -> Innovation<R> {
+        let innovation = self.filter.update(measurement, gate);
+        self.restart_if_diverged();
+        innovation
     }
 
     /// Rests that failed their test although they were certain: the covariance was scaled there.

@@ -6,10 +6,12 @@ use common::Random;
 use common::navigated::{Navigated, Point, deviation, navigate};
 use common::travel::{Errors, Travel};
 use nalgebra::Vector3;
+use wimu_nav::filter::Gate;
 use wimu_nav::navigator::{
     Profile, Rests, Sample, SampleFault, Settings, Start, WithGyroscope, WithoutGyroscope,
 };
 use wimu_nav::process::ImuErrors;
+use wimu_nav::sensor::Position;
 use wimu_nav::state::{ATTITUDE, POSITION};
 use wimu_testkit::{Coverage, trials};
 
@@ -504,6 +506,28 @@ fn a_pose_from_outside_rotates_all_that_is_known() {
         position.norm() < 1e-4 * a.filter().covariance(POSITION).norm(),
         "{position}"
     );
+}
+
+#[test]
+fn a_position_from_outside_finds_a_lost_unit() {
+    let start = Start::align(&[still(0.01); 10], true).unwrap();
+    let mut navigator = WithGyroscope::<f64>::new(Settings::default(), &start).unwrap();
+    navigator.interrupt(2.0);
+    assert!(deviation(&navigator.solution().position_covariance) > 10.0);
+    let fix = Position {
+        position_m: Vector3::new(3.0, -1.0, 0.5),
+        deviation_m: 0.1,
+    };
+    assert!(navigator.update(&fix, Gate::ChiSquare).accepted);
+    let found = navigator.solution();
+    assert!((Vector3::from(found.position_m) - fix.position_m).norm() < 0.01);
+    let sd = deviation(&found.position_covariance);
+    assert!((0.16..0.18).contains(&sd), "{sd}");
+    let elsewhere = Position {
+        deviation_m: 0.1,
+        position_m: Vector3::zeros(),
+    };
+    assert!(!navigator.update(&elsewhere, Gate::ChiSquare).accepted);
 }
 
 #[test]

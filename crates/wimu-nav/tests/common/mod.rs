@@ -3,8 +3,7 @@
 
 pub use wimu_testkit::Random;
 
-pub mod journeys;
-pub mod motions;
+pub mod consistency;
 pub mod navigated;
 pub mod states;
 pub mod travel;

@@ -1,4 +1,5 @@
-//! Error-state Schmidt–Kalman filter: prediction, update and test, for any process and sensor.
+//! Error-state Schmidt–Kalman filter: prediction, update and test, for any process and sensor. Equations (117) to (121) of
+//! docs/EQUATIONS.md.
 
 use nalgebra::{RealField, Rotation3, SMatrix, SVector};
 

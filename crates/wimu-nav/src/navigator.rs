@@ -1,4 +1,4 @@
-//! One unit: start, prediction, rests and motion profile, sample by sample.
+//! One unit: start, prediction, rests and motion profile, sample by sample. Equations (130) to (133).
 
 mod model;
 

@@ -1,4 +1,4 @@
-//! State of the filter: an attitude on SO(3) and named blocks of a vector, each estimated or considered.
+//! State of the filter: an attitude on SO(3) and named blocks of a vector, each estimated or considered. Equation (112).
 
 use core::fmt;
 

@@ -1,4 +1,4 @@
-//! Strapdown integration: angular rate and specific force are measured.
+//! Strapdown integration: angular rate and specific force are measured. Equations (113) to (116).
 //!
 //! Sensor models, in the body frame, with white noise n:
 //!

@@ -149,18 +149,22 @@ pub struct Start<R> {
 }
 
 impl<R: RealField + Copy> Start<R> {
-    /// Alignment with gravity and the magnetic field. `None` without a specific force.
+    /// Alignment with gravity and the magnetic field. Numbers that are not finite are left out; `None` without a specific
+    /// force.
     pub fn align(samples: &[Sample<R>], rest: bool) -> Option<Self> {
-        let count = real::<R>(samples.len() as f64);
-        let force = samples.iter().map(|s| s.force_mps2).sum::<Vector3<R>>() / count;
-        let (mut field, mut fields) = (Vector3::zeros(), R::zero());
-        for reading in samples.iter().filter_map(|s| s.field_ut) {
-            field += reading;
-            fields += R::one();
-        }
-        let field = (fields > R::zero()).then(|| field / fields);
+        let mean = |vectors: &mut dyn Iterator<Item = Vector3<R>>| {
+            let (mut sum, mut count) = (Vector3::zeros(), R::zero());
+            for vector in vectors.filter(|v| v.iter().all(|x| x.is_finite())) {
+                sum += vector;
+                count += R::one();
+            }
+            (count > R::zero()).then(|| sum / count)
+        };
+        let force = mean(&mut samples.iter().map(|s| s.force_mps2))?;
+        let field = mean(&mut samples.iter().filter_map(|s| s.field_ut));
         let attitude = level(&force, field.as_ref())?;
-        Some(Self {
+        let finite = attitude.matrix().iter().all(|x| x.is_finite());
+        finite.then(|| Self {
             attitude,
             field_ut: field.map(|field| attitude * field),
             force_mps2: force.norm(),
@@ -352,7 +356,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
     pub fn interrupt(&mut self, step_s: R) {
         self.count(step_s);
         self.since.accepted = R::zero();
-        self.model.interrupt();
+        let step_s = step_s + self.model.interrupt();
         self.filter
             .predict(&(Unmeasured { step_s }, self.magnetometer.step(step_s)));
         self.restart_if_diverged();
@@ -372,7 +376,8 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
 
     fn update_velocity(&mut self, at_rest: bool) {
         let profile = self.settings.profile;
-        if at_rest && self.settings.rests != Rests::Ignored {
+        let at_rest = at_rest && self.settings.rests != Rests::Ignored;
+        if at_rest {
             let interval = if profile == Profile::Foot {
                 STANCE_INTERVAL_S
             } else {

@@ -267,6 +267,66 @@ fn a_long_step_is_a_gap() {
     assert!(deviation(&stepped.solution().position_covariance) > 1.0);
 }
 
+#[test]
+fn a_gap_without_a_gyroscope_includes_the_samples_of_an_unfinished_step() {
+    let start = Start::align(&[still(0.0); 10], true).unwrap();
+    let new = || WithoutGyroscope::<f64>::new(Settings::default(), &start).unwrap();
+    // Steps of the model have 20 ms.
+    let (mut unfinished, mut whole) = (new(), new());
+    unfinished.push(&still(0.008), true).unwrap();
+    unfinished.interrupt(0.5);
+    whole.interrupt(0.508);
+    assert_eq!(unfinished.solution(), whole.solution());
+}
+
+#[test]
+fn an_ignored_rest_is_any_motion_of_a_hand() {
+    let start = Start::align(&[still(0.0); 10], true).unwrap();
+    let mut settings = Settings::<f64>::default();
+    settings.rests = Rests::Ignored;
+    let [found, expected] = [true, false].map(|at_rest| {
+        let mut navigator = WithGyroscope::<f64>::new(settings, &start).unwrap();
+        for _ in 0..2000 {
+            navigator.push(&still(0.01), at_rest).unwrap();
+        }
+        navigator.solution()
+    });
+    assert_eq!(found, expected);
+    // Less than the 2 m/s of each component.
+    let sd = deviation(&found.velocity_covariance);
+    assert!((0.1..3.5).contains(&sd), "{sd}");
+}
+
+#[test]
+fn an_alignment_leaves_out_numbers_that_are_not_finite() {
+    let field_ut = Some(Vector3::new(0.0, 20.0, -44.0));
+    let good = Sample {
+        field_ut,
+        ..still(0.01)
+    };
+    let bad = Vector3::new(f64::NAN, 0.0, 0.0);
+    let no_force = Sample {
+        force_mps2: bad,
+        ..good
+    };
+    let no_field = Sample {
+        field_ut: Some(bad),
+        ..good
+    };
+    let expected = Start::align(&[good], true).unwrap();
+    let found = Start::align(&[no_force, good, no_field], true).unwrap();
+    assert_eq!(found.attitude, expected.attitude);
+    assert_eq!(found.field_ut, expected.field_ut);
+    assert!((found.force_mps2 - wimu_nav::GRAVITY_MPS2).abs() < 1e-12);
+    let huge = Sample {
+        force_mps2: bad.map(|_| f64::MAX),
+        ..good
+    };
+    for none in [&[][..], &[no_force], &[huge, huge]] {
+        assert!(Start::<f64>::align(none, true).is_none());
+    }
+}
+
 fn still(step_s: f64) -> Sample<f64> {
     Sample {
         step_s,

@@ -32,8 +32,8 @@ pub trait Model<R, const N: usize>: Sized {
         magnetometer: &Magnetometer<R>,
     ) -> Option<Vector3<R>>;
 
-    /// Forgets the last samples: time without a usable sample follows.
-    fn interrupt(&mut self);
+    /// Forgets the last samples, as time without a usable sample follows. Returns the time since the last prediction, s.
+    fn interrupt(&mut self) -> R;
 
     /// Shortest interval of the magnetometer's updates, s.
     fn field_interval_s(&self) -> R;
@@ -101,8 +101,9 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
         sample.field_ut
     }
 
-    fn interrupt(&mut self) {
+    fn interrupt(&mut self) -> R {
         self.last = None;
+        R::zero()
     }
 
     /// The disturbance is correlated over shorter times.
@@ -288,9 +289,9 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
         field
     }
 
-    fn interrupt(&mut self) {
-        self.group = Group::empty();
+    fn interrupt(&mut self) -> R {
         self.directions.clear();
+        core::mem::replace(&mut self.group, Group::empty()).time_s
     }
 
     /// Every step: it is the only measurement of the rotation about the vertical.

@@ -75,7 +75,7 @@ fn correlated(random: &mut Random, role: Role) -> (Filter<f64, 12>, Block<3>, Ve
 }
 
 #[test]
-fn an_update_without_considered_states_is_the_textbook_s() {
+fn an_update_without_considered_states_is_that_of_the_textbook() {
     let mut random = Random::new(11);
     for _ in 0..20 {
         let (mut filter, block, all) = correlated(&mut random, Role::Estimated);

@@ -62,12 +62,7 @@ fn transition(
 }
 
 /// F by central differences of a step.
-fn numerical(
-    start: &State<f64, N>,
-    states: &[Block<1>],
-    step: impl Fn(&SVector<f64, N>) -> State<f64, N>,
-) -> Matrix {
-    let _ = start;
+fn numerical(states: &[Block<1>], step: impl Fn(&SVector<f64, N>) -> State<f64, N>) -> Matrix {
     let mut f = Matrix::zeros();
     for state in states {
         let mut error = SVector::zeros();
@@ -84,7 +79,7 @@ fn numerical_of(
     states: &[Block<1>],
     process: &impl Process<f64, N>,
 ) -> Matrix {
-    numerical(&start.state, states, |error| {
+    numerical(states, |error| {
         let mut filter = start.clone();
         filter.state = shifted(&start.state, error);
         filter.predict(process);
@@ -174,7 +169,7 @@ fn the_strapdown_transition_is_the_derivative_to_first_order_in_the_step() {
             step_s,
         };
         let analytic = transition(&case.filter, &all, &case.process(case.force, case.rate));
-        let numeric = numerical(&case.filter.state, &all, |error| case.true_step(error));
+        let numeric = numerical(&all, |error| case.true_step(error));
         // What is left out is of second order in the step, for the position of third order.
         let square = step_s * step_s;
         assert_rows(&analytic, &numeric, 0..N, &all, 20.0 * square);
@@ -373,4 +368,40 @@ fn without_measurements_the_driven_states_keep_their_variance() {
     let position = filter.covariance(POSITION)[(0, 0)].sqrt();
     assert!((0.6..2.5).contains(&position), "{position}");
     assert!(filter.covariance(ATTITUDE)[(0, 0)].sqrt() > 1.0);
+}
+
+#[test]
+fn the_noise_of_a_strapdown_step_is_that_of_its_sensors_and_times() {
+    let mut layout = layout();
+    let mut errors = ImuErrors::default();
+    errors.time_s = 0.001;
+    let blocks = StrapdownBlocks::claim(&mut layout, &errors).unwrap();
+    let all = states(&[blocks.gyroscope_bias, blocks.accelerometer_bias]);
+    let mut filter = Filter::new(&layout, Rotation3::identity());
+    certain(&mut filter, &all);
+    // An acceleration of 5 m/s².
+    filter.predict(&Strapdown {
+        blocks: &blocks,
+        errors: &errors,
+        gravity_mps2: 9.8,
+        force_mps2: Vector3::new(3.0, 4.0, 9.8),
+        rate_rad_s: Vector3::zeros(),
+        step_s: 0.01,
+    });
+    let variance = |block: Block<3>| filter.covariance(block)[(0, 0)];
+    for (found, expected) in [
+        (variance(ATTITUDE), 2.5e-4_f64.powi(2) * 0.01),
+        (
+            variance(VELOCITY),
+            0.005_f64.powi(2) * 0.01 + (5.0 * 0.001_f64).powi(2),
+        ),
+        (variance(POSITION), 0.0),
+        (variance(blocks.gyroscope_bias), 2e-4_f64.powi(2) * 0.01),
+        (variance(blocks.accelerometer_bias), 3e-4_f64.powi(2) * 0.01),
+    ] {
+        assert!(
+            (found - expected).abs() <= 1e-9 * expected,
+            "{found} and {expected}"
+        );
+    }
 }

@@ -284,7 +284,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         innovation
     }
 
-    /// Rests that failed their test although they were certain: the covariance was scaled there.
+    /// Updates at rests that are certain which failed their test: the covariance was scaled there.
     pub fn recoveries(&self) -> u32 {
         self.recoveries
     }
@@ -411,7 +411,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
     }
 
     /// A rest that fails the test is constant velocity, or the start of a motion. One that goes on failing is certain,
-    /// as is the stance of a foot.
+    /// until an update passes or the unit moves, as is the stance of a foot.
     fn update_rest(&mut self) {
         let zero = Velocity::zero(real(REST_SPEED), self.hidden);
         let gate = match self.settings.profile {
@@ -423,7 +423,6 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         } else if self.since.accepted >= real(CERTAIN_REST_S) {
             recover(&mut self.filter, &zero, self.model.recovered());
             self.recoveries += 1;
-            self.since.accepted = R::zero();
         }
     }
 

@@ -226,6 +226,40 @@ fn a_stance_of_a_foot_is_certain() {
 }
 
 #[test]
+fn a_foot_s_stance_is_never_gated_and_a_hand_s_rest_is_until_it_is_certain() {
+    let start = Start::align(&[still(0.0); 10], true).unwrap();
+    // A shock that the sensor reports wrongly: 5 m/s.
+    let shock = Sample {
+        force_mps2: Vector3::new(100.0, 0.0, 9.8),
+        ..still(0.005)
+    };
+    let speed = |profile, rest_s: f64| {
+        let settings = Settings::of(profile);
+        let mut navigator = WithGyroscope::<f64>::new(settings, &start).unwrap();
+        for _ in 0..10 {
+            navigator.push(&shock, false).unwrap();
+        }
+        for _ in 0..(rest_s / 0.005) as usize {
+            navigator.push(&still(0.005), true).unwrap();
+        }
+        let velocity = Vector3::from(navigator.solution().velocity_mps);
+        (velocity.norm(), navigator.recoveries())
+    };
+    let foot = speed(Profile::Foot, 0.1);
+    assert!(foot.0 < 0.3 && foot.1 == 0, "{foot:?}");
+    let gated = speed(Profile::Hand, 1.0);
+    assert!((4.5..5.5).contains(&gated.0) && gated.1 == 0, "{gated:?}");
+    // The first recovery takes the velocity for the effect of a tilt. Further updates of the same rest correct that.
+    for rest_s in [2.5, 20.0] {
+        let certain = speed(Profile::Hand, rest_s);
+        assert!(
+            certain.0 < 0.1 && (1..=3).contains(&certain.1),
+            "{certain:?}"
+        );
+    }
+}
+
+#[test]
 fn a_gap_widens_the_deviation_and_the_next_rest_finds_the_velocity() {
     for (gyroscope, seed) in [(true, 1), (true, 2), (false, 3)] {
         let (mut random, errors) = drawn(seed);

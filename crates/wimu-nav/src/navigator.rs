@@ -23,6 +23,10 @@ pub enum Profile {
     Hand,
     /// On a foot: a rest is the stance of a step, and is certain.
     Foot,
+    /// In a vehicle: the velocity is 0 ± 30 m/s, once a second.
+    Vehicle,
+    /// Pushed over a table without rotation: an angular rate of zero stands for a gyroscope.
+    Slide,
     /// No assumption.
     Free,
 }
@@ -66,6 +70,13 @@ impl<R: RealField> Settings<R> {
             // Shocks of up to 16 g: scale factors, clipping and bandwidth act as noise (pyshoe recordings).
             errors.accelerometer_noise = real(0.05);
             errors.gyroscope_noise = real(0.003);
+        }
+        if profile == Profile::Slide {
+            // The rotation is a random walk of 0.1 deg/√s.
+            errors.gyroscope_noise = real(0.002);
+            errors.gyroscope_bias = real(1e-5);
+            errors.gyroscope_bias_walk = real(0.0);
+            errors.delay_s = real(0.0);
         }
         Self {
             errors,
@@ -188,8 +199,9 @@ const REST_SPEED: f64 = 0.01;
 /// Interval of updates at rests, s: the window of the detector, so that they are independent.
 const REST_INTERVAL_S: f64 = 0.25;
 const STANCE_INTERVAL_S: f64 = 0.025;
-/// Speed of the profile `Hand`, m/s, a component, and interval of the updates with the profile's bounds, s.
+/// Speeds of the profiles, m/s, a component, and interval of the updates with the profile's bounds, s.
 const HAND_SPEED: f64 = 2.0;
+const VEHICLE_SPEED: f64 = 30.0;
 const BOUND_INTERVAL_S: f64 = 1.0;
 /// A step beyond this is a gap, s: a hand's acceleration is not constant over it.
 const GAP_S: f64 = 0.1;
@@ -220,6 +232,7 @@ pub struct Navigator<R, M, const N: usize> {
     reference_ut: Option<Vector3<R>>,
     since: Since<R>,
     hidden: Option<Block<3>>,
+    resting: bool,
     recoveries: u32,
     divergences: u32,
 }
@@ -263,6 +276,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
                 accepted: zero,
             },
             hidden,
+            resting: false,
             recoveries: 0,
             divergences: 0,
         })
@@ -289,6 +303,11 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         self.recoveries
     }
 
+    /// Whether the last update at a rest was accepted, and the rest goes on.
+    pub fn is_at_rest(&self) -> bool {
+        self.resting
+    }
+
     /// Times at which the filter diverged and began again, with an unknown position.
     pub fn divergences(&self) -> u32 {
         self.divergences
@@ -307,6 +326,11 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             velocity_covariance: rows(VELOCITY),
             attitude_covariance: rows(ATTITUDE),
         }
+    }
+
+    /// Angular rate, rad/s, body frame: measured and corrected for its bias, or estimated.
+    pub fn angular_rate(&self) -> Vector3<R> {
+        self.model.angular_rate(&self.filter.state)
     }
 
     /// A sample, and whether the unit is at rest there.
@@ -389,14 +413,20 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             }
         } else {
             self.since.accepted = R::zero();
+            self.resting = false;
         }
         if self.since.bound < real(BOUND_INTERVAL_S) {
             return;
         }
         self.since.bound = R::zero();
-        if profile == Profile::Hand && !at_rest {
-            self.filter
-                .update(&Velocity::zero(real(HAND_SPEED), None), Gate::ChiSquare);
+        let speed = match profile {
+            Profile::Hand | Profile::Slide => Some(HAND_SPEED),
+            Profile::Vehicle => Some(VEHICLE_SPEED),
+            Profile::Foot | Profile::Free => None,
+        };
+        if let Some(speed) = speed.filter(|_| !at_rest) {
+            let bound = Velocity::zero(real(speed), None);
+            self.filter.update(&bound, Gate::ChiSquare);
         }
         if let Some(deviation_m) = self.settings.within_m {
             let position_m = Vector3::zeros();
@@ -418,11 +448,13 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             Profile::Foot => Gate::Open,
             _ => Gate::ChiSquare,
         };
-        if self.filter.update(&zero, gate).accepted {
+        self.resting = self.filter.update(&zero, gate).accepted;
+        if self.resting {
             self.since.accepted = R::zero();
         } else if self.since.accepted >= real(CERTAIN_REST_S) {
             recover(&mut self.filter, &zero, self.model.recovered());
             self.recoveries += 1;
+            self.resting = true;
         }
     }
 
@@ -465,6 +497,22 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         let turn = about_up(heading - self.heading());
         self.filter.state.attitude = turn * self.filter.state.attitude;
         self.reference_ut = self.reference_ut.map(|field| turn * field);
+    }
+
+    /// Makes a position, m, east-north-up, that of the unit: at the start.
+    pub fn set_position(&mut self, position: Vector3<R>) {
+        self.filter.state.set(POSITION, position);
+        let variance = real(START_POSITION * START_POSITION);
+        self.filter
+            .set_covariance(POSITION, &Matrix3::from_diagonal_element(variance));
+    }
+
+    /// Makes the position of the unit the origin, and its heading known: at the first rest of a start in motion.
+    pub fn set_origin(&mut self) {
+        self.set_position(Vector3::zeros());
+        let variance = real(START_HEADING * START_HEADING);
+        self.filter
+            .set_covariance(ATTITUDE.part::<1, 2>(), &Matrix1::new(variance));
     }
 
     /// Position, m, velocity, m/s, and heading, rad, from outside, with their standard deviations. Roll, pitch and

@@ -52,10 +52,15 @@ impl<R: RealField> Detector<R> {
         }
     }
 
-    /// Without a gyroscope: half the terms, half the threshold.
+    /// Without a gyroscope: half the terms, half the threshold. An accelerometer sees the start of a motion only if its
+    /// noise, m/s², a component, is known: 1.5 times it is used, if that is less than the default.
     #[must_use]
-    pub fn without_gyroscope(mut self) -> Self {
+    pub fn without_gyroscope(mut self, noise_mps2: R) -> Self {
         self.threshold *= real(0.5);
+        let known = noise_mps2 * real(1.5);
+        if known < self.force_mps2 && known > real(0.0) {
+            self.force_mps2 = known;
+        }
         self
     }
 }

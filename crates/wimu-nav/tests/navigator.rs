@@ -260,6 +260,56 @@ fn a_foot_s_stance_is_never_gated_and_a_hand_s_rest_is_until_it_is_certain() {
 }
 
 #[test]
+fn each_profile_bounds_the_speed_as_it_says() {
+    let start = Start::align(&[still(0.0); 10], true).unwrap();
+    let sd = |profile| {
+        let mut navigator = WithGyroscope::<f64>::new(Settings::of(profile), &start).unwrap();
+        for _ in 0..6000 {
+            navigator.push(&still(0.01), false).unwrap();
+        }
+        assert!(!navigator.is_at_rest());
+        navigator.push(&still(0.01), true).unwrap();
+        assert!(navigator.is_at_rest());
+        navigator.push(&still(0.01), false).unwrap();
+        assert!(!navigator.is_at_rest());
+        let mut free = WithGyroscope::<f64>::new(Settings::of(profile), &start).unwrap();
+        for _ in 0..6000 {
+            free.push(&still(0.01), false).unwrap();
+        }
+        deviation(&free.solution().velocity_covariance)
+    };
+    let [hand, slide, vehicle, free] = [
+        Profile::Hand,
+        Profile::Slide,
+        Profile::Vehicle,
+        Profile::Free,
+    ]
+    .map(sd);
+    println!("{hand} {slide} {vehicle} {free}");
+    assert!(hand < 3.5 && slide < 3.5);
+    assert!(vehicle < 52.0 && vehicle > 2.0 * hand);
+    assert!(free > vehicle);
+}
+
+#[test]
+fn an_origin_is_where_the_unit_is_with_the_heading_that_it_has() {
+    let start = Start::align(&[still(0.0); 10], false).unwrap();
+    let mut navigator = WithGyroscope::<f64>::new(Settings::default(), &start).unwrap();
+    for _ in 0..300 {
+        navigator.push(&still(0.01), false).unwrap();
+    }
+    assert!(deviation(&navigator.solution().position_covariance) > 1.0);
+    navigator.set_origin();
+    let solution = navigator.solution();
+    assert_eq!(solution.position_m, [0.0; 3]);
+    assert!(deviation(&solution.position_covariance) < 1e-3);
+    assert!(solution.attitude_covariance[2][2].sqrt() < 2e-3);
+    navigator.set_position(Vector3::new(1.0, 2.0, 3.0));
+    assert_eq!(navigator.solution().position_m, [1.0, 2.0, 3.0]);
+    assert_eq!(navigator.angular_rate(), Vector3::zeros());
+}
+
+#[test]
 fn a_gap_widens_the_deviation_and_the_next_rest_finds_the_velocity() {
     for (gyroscope, seed) in [(true, 1), (true, 2), (false, 3)] {
         let (mut random, errors) = drawn(seed);

@@ -60,7 +60,7 @@ fn at_rest_the_statistic_has_its_expectation() {
         let threshold = if gyroscope {
             settings.threshold
         } else {
-            settings.without_gyroscope().threshold
+            settings.without_gyroscope(settings.force_mps2).threshold
         };
         assert!(expected < threshold, "{expected} of {threshold}");
     }
@@ -125,6 +125,17 @@ fn a_bias_beyond_the_mean_s_deviation_hides_every_rest() {
     // √12 deviations.
     assert!(found(0.38, 0.0) && !found(0.40, 0.0));
     assert!(found(0.0, 0.070) && !found(0.0, 0.071));
+}
+
+#[test]
+fn without_a_gyroscope_a_known_noise_makes_the_detector_sharper() {
+    let found = |noise| {
+        Detector::<f64>::default()
+            .without_gyroscope(noise)
+            .force_mps2
+    };
+    assert!((found(0.02) - 0.03).abs() < 1e-12);
+    assert_eq!((found(0.1), found(0.0)), (0.06, 0.06));
 }
 
 #[test]

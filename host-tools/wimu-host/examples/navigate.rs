@@ -3,24 +3,12 @@
 
 use std::path::Path;
 
-use wimu_host::inertial::{Choice, InertialPath, Method, Zupt, navigate};
+use wimu_host::inertial::{Choice, InertialPath, navigate};
 use wimu_host::motion::MotionRecording;
 
-/// The path of a file: strapdown where there is an angular rate, else from tilt.
+/// The path of a file.
 pub fn path_of(file: &Path) -> wimu_host::Result<InertialPath> {
-    let recording = MotionRecording::from_csv(file)?;
-    let rated = recording.samples.iter().any(|s| s.rate_rad_s.is_some());
-    let method = if rated {
-        Method::Strapdown
-    } else {
-        Method::Tilt
-    };
-    let choice = Choice {
-        method,
-        zupt: Zupt::Stated,
-        ..Choice::default()
-    };
-    navigate(&recording, &choice)
+    navigate(&MotionRecording::from_csv(file)?, &Choice::default())
 }
 
 fn main() -> wimu_host::Result<()> {

@@ -1,14 +1,41 @@
 //! One unit's recording: accelerometer, and magnetometer, angular rate and true path where the file
 //! has them.
 
-mod rests;
+mod arrival;
 mod table;
 
-pub use rests::{RestSpan, gap_s, median_step_s, rests};
+pub(crate) use arrival::TIME_SD_S;
+pub use arrival::sampled_times;
 pub(crate) use table::OTHER_RANGE;
 pub use table::TableOptions;
 
-use wimu_nav::unit::{UnitConfig, UnitSample};
+/// A sample of one unit, corrected, body frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct UnitSample {
+    /// Time since the sample before, s.
+    pub step_s: f64,
+    /// Specific force, m/s².
+    pub force_mps2: [f64; 3],
+    /// Magnetic field, µT.
+    pub field_ut: Option<[f64; 3]>,
+    /// Angular rate, rad/s.
+    pub rate_rad_s: Option<[f64; 3]>,
+}
+
+/// Standard deviation of the bias of a calibrated consumer accelerometer, m/s²: what its turn-on changes (datasheets).
+const BIAS_MPS2: f64 = 0.05;
+
+/// A longer pause between samples is a gap: 0.25 s, or four times the usual step.
+pub fn gap_s(times_s: &[f64]) -> f64 {
+    f64::max(0.25, 4.0 * median_step_s(times_s))
+}
+
+/// Median time between two samples, s; 0 of fewer than two.
+pub fn median_step_s(times_s: &[f64]) -> f64 {
+    let mut steps: Vec<f64> = times_s.windows(2).map(|w| w[1] - w[0]).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.get(steps.len() / 2).copied().unwrap_or(0.0)
+}
 
 /// Where the unit truly was.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,7 +58,7 @@ impl Truth {
 pub(crate) const FIELD_CALIBRATED: &str = "Field Calibrated";
 
 /// Deviations up to which something is likely.
-const LIKELY: f64 = 3.0;
+pub(crate) const LIKELY: f64 = 3.0;
 
 /// Full scale of an accelerometer that is not known, m/s²: that of the widest digital MEMS accelerometers is ± 200 g
 /// (ADXL375, datasheet).
@@ -98,7 +125,7 @@ impl MotionRecording {
     /// Standard deviation of the accelerometer's bias, m/s²: that of a calibrated one, and what its calibration leaves
     /// unknown.
     pub fn bias_mps2(&self) -> f64 {
-        UnitConfig::default().bias_mps2.hypot(self.bias_sd_mps2)
+        BIAS_MPS2.hypot(self.bias_sd_mps2)
     }
 
     /// Gravity to navigate with, m/s²: the standard one, unless mean |f| of the first second at rest within the first minute

@@ -6,11 +6,10 @@ use wimu_model::{
     AngularRateQ20, CentiCelsius, DeviceTimeUs, MagneticFieldNt, ParameterSet, PeriodNs,
     PositionNm, SpecificForceQ16, VelocityNmps,
 };
-use wimu_nav::unit::UnitSample;
 
 use crate::decode::TimedSample;
 use crate::history::Boot;
-use crate::motion::MotionRecording;
+use crate::motion::{MotionRecording, UnitSample};
 use crate::replay::{Correction, Replay, Step, find};
 use crate::{ErrorCode, Result};
 

@@ -10,5 +10,4 @@ mod export_calibration;
 mod formats_document;
 mod inertial;
 mod ros_topics;
-mod slides;
 mod violent;

@@ -6,7 +6,7 @@ use crate::common;
 use common::{Random, cross};
 use wimu_calib::Gravity;
 use wimu_host::array::{Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
-use wimu_host::inertial::{Choice, InertialPath, Method, Zupt, navigate_array};
+use wimu_host::inertial::{Choice, InertialPath, Zupt, navigate_array};
 use wimu_host::{ErrorCode, HostError};
 use wimu_testkit::figure;
 
@@ -160,7 +160,6 @@ fn path(
     let arranged = recording.clone().judged().arranged(geometry)?;
     let calibration = ArrayCalibration::of(&arranged, geometry, Gravity::UNKNOWN_PLACE)?;
     let choice = Choice {
-        method: Method::Array,
         zupt: if zupt { Zupt::Stated } else { Zupt::Off },
         ..Choice::default()
     };

@@ -6,7 +6,7 @@ use crate::array_journeys;
 use array_journeys::{Case, Kind, Places};
 use wimu_calib::Gravity;
 use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording};
-use wimu_host::inertial::{Choice, InertialPath, Method, Zupt, consistency, navigate_array};
+use wimu_host::inertial::{Choice, InertialPath, Zupt, consistency, navigate_array};
 use wimu_testkit::{Lane, figure};
 
 /// Arrays of each kind. One takes a second.
@@ -26,7 +26,6 @@ fn navigated(recording: ArrayRecording, geometry: &ArrayGeometry) -> InertialPat
     let arranged = recording.judged().arranged(geometry).unwrap();
     let calibration = ArrayCalibration::of(&arranged, geometry, Gravity::UNKNOWN_PLACE).unwrap();
     let choice = Choice {
-        method: Method::Array,
         zupt: Zupt::Stated,
         ..Choice::default()
     };

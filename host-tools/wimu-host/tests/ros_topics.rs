@@ -6,11 +6,11 @@ use std::process::Command;
 use serde_json::Value;
 use wimu_host::apply::Correction;
 use wimu_host::calibration::{CalibrationFile, read_model};
-use wimu_host::inertial::{Choice, Method, navigate};
+use wimu_host::inertial::{Choice, navigate};
 use wimu_host::motion::MotionRecording;
+use wimu_host::motion::UnitSample;
 use wimu_host::recording::{Quantity, Recording, Sink, TrackInfo, Unit};
 use wimu_model::{ParameterSet, Sensitivity};
-use wimu_nav::unit::UnitSample;
 
 /// Messages of each topic, flat lists of their values, as both Python packages `rosbags` and `mcap-ros2-support` read
 /// them; `None` without them. `WIMU_PYTHON` may name a Python that has them.
@@ -52,10 +52,7 @@ fn a_path_is_read_with_odometry_and_transforms() {
         });
         recording.truth.push(None);
     }
-    let choice = Choice {
-        method: Method::Tilt,
-        ..Choice::default()
-    };
+    let choice = Choice::default();
     let mut path = navigate(&recording, &choice).unwrap();
     // A quarter of a turn about the vertical: body X points north.
     let half = 0.5_f64.sqrt();

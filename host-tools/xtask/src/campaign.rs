@@ -161,7 +161,7 @@ pub const CAMPAIGNS: [Campaign; 9] = [
         about: "errors and consistency on recordings and journeys, beside plain baselines",
         runs: &[
             Run {
-                command: "test --release -p wimu-host --test all -- --include-ignored array_coverage:: array_input:: array_survey:: arrays:: slides:: violent::",
+                command: "test --release -p wimu-host --test all -- --include-ignored array_coverage:: array_input:: array_survey:: arrays:: violent::",
                 sources: &HOST_NAVIGATION,
             },
             Run {

@@ -9,7 +9,7 @@ use crate::process::{
 };
 use crate::rotation::real;
 use crate::sensor::{Magnetometer, SpecificForce};
-use crate::state::{Block, Layout, LayoutFull, Role};
+use crate::state::{Block, Layout, LayoutFull, Role, State};
 
 /// How a navigator predicts from one sample to the next.
 pub trait Model<R, const N: usize>: Sized {
@@ -37,6 +37,9 @@ pub trait Model<R, const N: usize>: Sized {
 
     /// Shortest interval of the magnetometer's updates, s.
     fn field_interval_s(&self) -> R;
+
+    /// Angular rate, rad/s, body frame.
+    fn angular_rate(&self, state: &State<R, N>) -> Vector3<R>;
 
     /// The states of rotation whose covariance is scaled, with attitude, velocity and position, at a rest that fails its
     /// test.
@@ -109,6 +112,11 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
     /// The disturbance is correlated over shorter times.
     fn field_interval_s(&self) -> R {
         real(0.1)
+    }
+
+    fn angular_rate(&self, state: &State<R, N>) -> Vector3<R> {
+        let measured = self.last.map_or_else(Vector3::zeros, |(_, rate)| rate);
+        measured - state.get(self.blocks.gyroscope_bias)
     }
 
     fn recovered(&self) -> Block<3> {
@@ -297,6 +305,10 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
     /// Every step: it is the only measurement of the rotation about the vertical.
     fn field_interval_s(&self) -> R {
         R::zero()
+    }
+
+    fn angular_rate(&self, state: &State<R, N>) -> Vector3<R> {
+        state.get(self.blocks.angular_rate)
     }
 
     fn recovered(&self) -> Block<3> {

@@ -123,13 +123,14 @@ pub fn navigate(travel: &Travel, errors: &Errors, how: Navigated, seed: u64) -> 
         }
     }
     match how.gyroscope {
-        true => run::<Gyroscope<f64>, 40>(travel, &samples, &how),
-        false => run::<NoGyroscope<f64>, 24>(travel, &samples, &how),
+        true => run::<Gyroscope<f64>, 40>(travel, errors, &samples, &how),
+        false => run::<NoGyroscope<f64>, 24>(travel, errors, &samples, &how),
     }
 }
 
 fn run<M: Model<f64, N>, const N: usize>(
     travel: &Travel,
+    errors: &Errors,
     samples: &[Sample<f64>],
     how: &Navigated,
 ) -> Vec<Point> {
@@ -146,7 +147,7 @@ fn run<M: Model<f64, N>, const N: usize>(
     let settings = if how.gyroscope {
         settings
     } else {
-        settings.without_gyroscope()
+        settings.without_gyroscope(errors.force_noise * how.rate_hz.sqrt())
     };
     let mut detector = Stationarity::new(settings);
     let rests: Vec<bool> = samples

@@ -3,9 +3,8 @@
 use std::f64::consts::TAU;
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use wimu_host::motion::{MotionRecording, Truth};
+use wimu_host::motion::{MotionRecording, Truth, UnitSample};
 use wimu_model::STANDARD_GRAVITY_MPS2;
-use wimu_nav::unit::UnitSample;
 use wimu_testkit::Random;
 
 use crate::recording::{Recording, SIMULATED};

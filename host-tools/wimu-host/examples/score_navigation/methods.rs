@@ -1,10 +1,11 @@
 //! The methods that are scored. In a window none of them takes a rest for zero velocity: that is a prior on speed.
 
 use nalgebra::{Matrix3, Vector3};
-use wimu_host::inertial::{Choice, InertialPath, Method, Zupt, navigate};
-use wimu_nav::navigator::{Navigator, Sample, Start};
-use wimu_nav::stationarity::{Detector, Rest, Stationarity};
-use wimu_nav::unit::{UnitConfig, UnitFilter, UnitSample, UnitState};
+use wimu_host::inertial::{Choice, InertialPath, navigate};
+use wimu_host::motion::UnitSample;
+use wimu_nav::navigator::{
+    Gyroscope, Model, Navigator, NoGyroscope, Sample, Settings, Solution, Start,
+};
 
 use crate::baseline::{Filter, POSITION, VELOCITY};
 use crate::low_pass::LowPass;
@@ -36,25 +37,20 @@ impl Scored {
     }
 }
 
+/// The library with a gyroscope, and without.
+pub const WITH_GYROSCOPE: &str = "wimu_gyroscope";
+pub const WITHOUT_GYROSCOPE: &str = "wimu_no_gyroscope";
 pub const ZUPT_FILTER: &str = "zupt_filter";
 pub const LOW_PASS: &str = "low_pass";
 pub const STAYS: &str = "stays_at_start";
 
-/// Scores every method on a recording: today's library, then the plain baselines.
+/// Scores every method on a recording: the library with its defaults, then the plain baselines.
 pub fn score(recording: &Recording) -> Vec<Scored> {
     let windows = recording.windows();
     let mut found = Vec::new();
-    for (gyroscope, names) in [
-        (true, ["wimu_gyroscope", "wimu_gyroscope_zupt_on"]),
-        (false, ["wimu_no_gyroscope", "wimu_no_gyroscope_zupt_on"]),
-    ] {
-        found.push(Scored {
-            windows: Some(library_windows(recording, &windows, gyroscope)),
-            ..library(recording, names[0], gyroscope, Zupt::Assumed)
-        });
-        found.push(library(recording, names[1], gyroscope, Zupt::Stated));
+    for gyroscope in [true, false] {
+        found.push(library(recording, &windows, gyroscope));
     }
-    found.push(core(recording, &windows));
     found.push(zupt_filter(recording, &windows));
     if recording.has_field() {
         found.push(low_pass(recording, &windows));
@@ -69,61 +65,47 @@ fn closure(recording: &Recording, track: &Track) -> Option<f64> {
     (!truth).then(|| (last.position - first.position).norm())
 }
 
-/// Today's library on the whole recording. It does not give the covariance of the velocity with its path: velocity is
-/// scored on its filter alone, without the library's repairs of times and samples.
-fn library(recording: &Recording, name: &'static str, gyroscope: bool, zupt: Zupt) -> Scored {
-    let method = if gyroscope {
-        Method::Strapdown
+/// The library: `wimu navigate` on the whole recording, and its navigator on windows.
+fn library(recording: &Recording, windows: &[Window], gyroscope: bool) -> Scored {
+    let name = if gyroscope {
+        WITH_GYROSCOPE
     } else {
-        Method::Tilt
+        WITHOUT_GYROSCOPE
     };
+    let mut motion = recording.motion.clone();
+    if !gyroscope {
+        motion.samples.iter_mut().for_each(|s| s.rate_rad_s = None);
+    }
+    let profile = recording.settings.profile;
     let choice = Choice {
-        method,
-        zupt,
+        profile,
+        limit_m: f64::INFINITY,
         ..Choice::default()
     };
-    let path = match navigate(&recording.motion, &choice) {
-        Ok(path) => track(&path),
-        Err(error) => {
-            return Scored {
-                name,
-                refused: Some(error.to_string()),
-                whole: Whole::refused(recording),
-                ..Scored::default()
-            };
-        }
+    let ends = match gyroscope {
+        true => library_windows::<Gyroscope<f64>, 40>(recording, windows),
+        false => library_windows::<NoGyroscope<f64>, 24>(recording, windows),
     };
-    let mut filter = library_filter(recording, zupt);
-    let mut bare = Track::default();
-    for k in 0..recording.motion.samples.len() {
-        push(&mut filter, recording, k, gyroscope);
-        bare.estimates.push(estimate(&filter.state()));
+    let windows = Some(Windows::of(recording, windows, &ends));
+    match navigate(&motion, &choice) {
+        Ok(path) => {
+            let track = track(&path);
+            Scored {
+                name,
+                whole: Whole::of(recording, &track, &track),
+                closure: closure(recording, &track),
+                windows,
+                refused: None,
+            }
+        }
+        Err(error) => Scored {
+            name,
+            refused: Some(error.to_string()),
+            whole: Whole::refused(recording),
+            windows,
+            closure: None,
+        },
     }
-    bare.origin = bare.estimates.iter().position(|e| e.valid).unwrap_or(0);
-    Scored {
-        name,
-        whole: Whole::of(recording, &path, &bare),
-        closure: closure(recording, &path),
-        ..Scored::default()
-    }
-}
-
-fn library_filter(recording: &Recording, zupt: Zupt) -> UnitFilter {
-    UnitFilter::new(UnitConfig {
-        gravity_mps2: recording.motion.gravity_mps2(),
-        bias_mps2: recording.motion.bias_mps2(),
-        zupt,
-        ..UnitConfig::default()
-    })
-}
-
-/// A fault is counted by the filter, and it goes on.
-fn push(filter: &mut UnitFilter, recording: &Recording, k: usize, gyroscope: bool) {
-    let mut sample = recording.motion.samples[k];
-    if !gyroscope {
-        sample.rate_rad_s = None;
-    }
-    let _ = filter.push(&sample);
 }
 
 fn matrix(rows: [[f64; 3]; 3]) -> Matrix3<f64> {
@@ -134,26 +116,17 @@ fn heading([w, x, y, z]: [f64; 4]) -> f64 {
     (2.0 * (x * y + w * z)).atan2(1.0 - 2.0 * (y * y + z * z))
 }
 
-fn estimate(state: &UnitState) -> Estimate {
-    let velocity_variance = Vector3::from(state.velocity_sd_mps).map(|s| s * s);
-    Estimate {
-        position: state.position_m.into(),
-        velocity: state.velocity_mps.into(),
-        heading: heading(state.quaternion),
-        position_covariance: Some(matrix(state.position_covariance)),
-        velocity_covariance: Some(Matrix3::from_diagonal(&velocity_variance)),
-        valid: state.valid,
-    }
-}
-
 fn track(path: &InertialPath) -> Track {
-    let estimates = path.points.iter().map(|point| Estimate {
-        position: point.position_m.into(),
-        velocity: point.velocity_mps.into(),
-        heading: heading(point.quaternion),
-        position_covariance: Some(matrix(point.covariance_m2)),
-        velocity_covariance: None,
-        valid: point.valid,
+    let estimates = path.points.iter().map(|point| {
+        let velocity_variance = Vector3::from(point.velocity_sd_mps).map(|s| s * s);
+        Estimate {
+            position: point.position_m.into(),
+            velocity: point.velocity_mps.into(),
+            heading: heading(point.quaternion),
+            position_covariance: Some(matrix(point.covariance_m2)),
+            velocity_covariance: Some(Matrix3::from_diagonal(&velocity_variance)),
+            valid: point.valid,
+        }
     });
     Track {
         origin: path.origin,
@@ -161,29 +134,50 @@ fn track(path: &InertialPath) -> Track {
     }
 }
 
-/// Windows of the library's filter: what it has learnt so far, and a start that is known exactly.
-fn library_windows(recording: &Recording, windows: &[Window], gyroscope: bool) -> Windows {
-    let mut filter = library_filter(recording, Zupt::Off);
-    let mut next = windows.iter().peekable();
+/// Standard deviations of position, m, velocity, m/s, and heading, rad, at the start of a window: those of the truth.
+const WINDOW_START: [f64; 3] = [0.002, 0.02, 0.005];
+
+/// Windows of the navigator, which runs on from the start of the recording. Rests of the windows are not used.
+fn library_windows<M: Model<f64, N> + Clone, const N: usize>(
+    recording: &Recording,
+    windows: &[Window],
+) -> Vec<[Estimate; 3]> {
+    let samples: Vec<Sample<f64>> = recording.motion.samples.iter().map(sample).collect();
+    let (force, rate) = vectors(recording);
+    let at_rest = recording.settings.detector.detect(&force, &rate);
+    let count = recording.settings.start_samples.min(samples.len());
+    let rest = at_rest[..count].iter().any(|rest| *rest);
+    let Some(begin) = Start::align(&samples[..count], rest) else {
+        return Vec::new();
+    };
+    let settings = Settings::of(recording.settings.profile);
+    let Ok(mut navigator) = Navigator::<f64, M, N>::new(settings, &begin) else {
+        return Vec::new();
+    };
+    if let Some(heading) = (0..samples.len()).find_map(|k| recording.heading(k)) {
+        navigator.set_heading(heading);
+    }
     let mut ends = Vec::new();
-    for k in 0..recording.motion.samples.len() {
-        push(&mut filter, recording, k, gyroscope);
+    let mut next = windows.iter().peekable();
+    for k in 0..samples.len() {
+        // A sample that is not usable grows the covariance.
+        let _ = navigator.push(&samples[k], at_rest[k]);
         if let Some(window) = next.next_if(|w| w.start == k)
             && let Some((position, velocity, heading)) = start(recording, k)
         {
-            let mut filter = filter.clone();
-            filter.set_start(position.into(), velocity.into(), heading);
+            let mut navigator = navigator.clone();
+            navigator.set_pose(position, velocity, heading, WINDOW_START);
             let mut at = k;
             ends.push(window.ends.map(|end| {
                 while at < end {
                     at += 1;
-                    push(&mut filter, recording, at, gyroscope);
+                    let _ = navigator.push(&samples[at], false);
                 }
-                estimate(&filter.state())
+                estimate(&navigator.solution())
             }));
         }
     }
-    Windows::of(recording, windows, &ends)
+    ends
 }
 
 /// True position, velocity and heading.
@@ -195,76 +189,22 @@ fn start(recording: &Recording, k: usize) -> Option<(Vector3<f64>, Vector3<f64>,
     ))
 }
 
-/// The error-state core with a gyroscope.
-fn core(recording: &Recording, windows: &[Window]) -> Scored {
-    let samples: Vec<Sample<f64>> = recording.motion.samples.iter().map(sample).collect();
-    let mut detector = Stationarity::new(Detector::default());
-    let mut rests = Vec::new();
-    let mut seen_s = 0.0;
-    for sample in &samples {
-        let rest = detector.push(&sample.force_mps2, Some(&sample.rate_rad_s), sample.step_s);
-        seen_s += sample.step_s;
-        if seen_s >= detector.lag_s() {
-            rests.push(rest);
-        }
-    }
-    rests.resize(samples.len(), Rest::No);
-    let count = recording.settings.start_samples.min(samples.len());
-    let rest = rests[..count].iter().any(|rest| *rest != Rest::No);
-    let settings = wimu_nav::navigator::Settings::default();
-    let start_at = Start::align(&samples[..count], rest).unwrap();
-    let mut filter = Navigator::new(settings, &start_at).unwrap();
-    if let Some(heading) = (0..samples.len()).find_map(|k| recording.heading(k)) {
-        filter.set_heading(heading);
-    }
-    let mut track = Track::default();
-    let mut ends = Vec::new();
-    let mut next = windows.iter().peekable();
-    for k in 0..samples.len() {
-        filter.push(&samples[k], rests[k]);
-        track.estimates.push(core_estimate(&filter));
-        if let Some(window) = next.next_if(|w| w.start == k)
-            && let Some((position, velocity, heading)) = start(recording, k)
-        {
-            let mut filter = filter.clone();
-            filter.set_pose(position, velocity, heading, [0.002, 0.02, 0.005]);
-            let mut at = k;
-            ends.push(window.ends.map(|end| {
-                while at < end {
-                    at += 1;
-                    filter.push(&samples[at], Rest::No);
-                }
-                core_estimate(&filter)
-            }));
-        }
-    }
-    println!("{}: recoveries {}", recording.name, filter.recoveries());
-    Scored {
-        name: "core_gyroscope",
-        whole: Whole::of(recording, &track, &track),
-        closure: closure(recording, &track),
-        windows: Some(Windows::of(recording, windows, &ends)),
-        refused: None,
-    }
-}
-
 fn sample(sample: &UnitSample) -> Sample<f64> {
     Sample {
         step_s: sample.step_s,
         force_mps2: sample.force_mps2.into(),
-        rate_rad_s: sample.rate_rad_s.unwrap_or_default().into(),
+        rate_rad_s: sample.rate_rad_s.map(Into::into),
         field_ut: sample.field_ut.map(Into::into),
     }
 }
 
-fn core_estimate(navigator: &Navigator<f64>) -> Estimate {
-    let filter = navigator.filter();
+fn estimate(solution: &Solution<f64>) -> Estimate {
     Estimate {
-        position: filter.state.get(wimu_nav::state::POSITION),
-        velocity: filter.state.get(wimu_nav::state::VELOCITY),
-        heading: navigator.heading(),
-        position_covariance: Some(filter.covariance(wimu_nav::state::POSITION)),
-        velocity_covariance: Some(filter.covariance(wimu_nav::state::VELOCITY)),
+        position: solution.position_m.into(),
+        velocity: solution.velocity_mps.into(),
+        heading: heading(solution.quaternion),
+        position_covariance: Some(matrix(solution.position_covariance)),
+        velocity_covariance: Some(matrix(solution.velocity_covariance)),
         valid: true,
     }
 }

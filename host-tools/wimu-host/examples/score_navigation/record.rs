@@ -2,13 +2,8 @@
 
 use wimu_testkit::figure;
 
-use crate::methods::ZUPT_FILTER;
+use crate::methods::{WITH_GYROSCOPE, WITHOUT_GYROSCOPE, ZUPT_FILTER};
 use crate::report::{ArrayReport, MethodReport, RecordingReport, Report};
-
-/// The library as users run it.
-const LIBRARY: &str = "wimu_gyroscope_zupt_on";
-/// Its windows, which have no zero-velocity updates.
-const LIBRARY_WINDOWS: &str = "wimu_gyroscope";
 
 /// Records each pool, the arrays, and the count of values that are not finite.
 pub fn record(report: &Report) {
@@ -33,7 +28,7 @@ pub fn record(report: &Report) {
 fn record_pool(name: &str, pool: &RecordingReport) {
     let method = |name: &str| pool.methods.iter().find(|method| method.name == name);
     let ratio = |name: &str| method(name)?.ratio_to.get(ZUPT_FILTER);
-    if let Some(windows) = ratio(LIBRARY_WINDOWS).and_then(|ratio| ratio.windows) {
+    if let Some(windows) = ratio(WITH_GYROSCOPE).and_then(|ratio| ratio.windows) {
         figure(
             &format!("{name}: median error over ZUPT filter, 1 / 2 / 5 s"),
             windows.map(|value| format!("{value:.2}")).join(" / "),
@@ -41,7 +36,7 @@ fn record_pool(name: &str, pool: &RecordingReport) {
             windows.iter().all(|value| *value <= 1.0),
         );
     }
-    if let Some(ratio) = ratio(LIBRARY) {
+    if let Some(ratio) = ratio(WITH_GYROSCOPE) {
         figure(
             &format!("{name}: whole run, RMS error over that of the ZUPT filter"),
             format!("{:.2}", ratio.rms),
@@ -49,11 +44,16 @@ fn record_pool(name: &str, pool: &RecordingReport) {
             ratio.rms <= 1.0,
         );
     }
-    if let Some(method) = method(LIBRARY) {
-        record_consistency(name, method);
+    for (kind, library) in [
+        ("gyroscope", WITH_GYROSCOPE),
+        ("no gyroscope", WITHOUT_GYROSCOPE),
+    ] {
+        if let Some(method) = method(library) {
+            record_consistency(&format!("{name}, {kind}"), method);
+        }
     }
     let log_score = |name: &str| Some(method(name)?.whole.as_ref()?.position.as_ref()?.log_score);
-    if let Some((ours, plain)) = log_score(LIBRARY).zip(log_score(ZUPT_FILTER)) {
+    if let Some((ours, plain)) = log_score(WITH_GYROSCOPE).zip(log_score(ZUPT_FILTER)) {
         figure(
             &format!("{name}: log score of position"),
             format!("{ours:.2}"),

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use nalgebra::Vector3;
-use wimu_host::motion::{MotionRecording, Truth};
+use wimu_host::motion::{MotionRecording, Truth, sampled_times};
 
 use crate::settings::Settings;
 
@@ -236,7 +236,12 @@ fn files(folder: &Path, prefix: &str) -> Vec<PathBuf> {
 fn prepared(mut motion: MotionRecording) -> Recording {
     let name = motion.name.clone();
     if name.starts_with("robot_arm_") {
-        motion.truth = robot_truth(&motion);
+        let sampled = sampled_times(&motion.times_s).unwrap_or(motion.times_s.clone());
+        motion.truth = robot_truth(&motion, &sampled);
+        for (sample, pair) in motion.samples.iter_mut().skip(1).zip(sampled.windows(2)) {
+            sample.step_s = pair[1] - pair[0];
+        }
+        motion.times_s = sampled;
         Recording::new(motion, Settings::HAND, ROBOT)
     } else if name.starts_with("pyshoe_") {
         // Left-handed truth.
@@ -252,7 +257,7 @@ fn prepared(mut motion: MotionRecording) -> Recording {
 }
 
 /// Truth of the robot arm at the sensor's times: its lag taken off by linear interpolation, its quaternion inverted.
-fn robot_truth(motion: &MotionRecording) -> Vec<Option<Truth>> {
+fn robot_truth(motion: &MotionRecording, sampled_s: &[f64]) -> Vec<Option<Truth>> {
     let times = &motion.times_s;
     let at = |t: &f64| {
         let late = t + ROBOT_TRUTH_LAG_S;
@@ -278,5 +283,5 @@ fn robot_truth(motion: &MotionRecording) -> Vec<Option<Truth>> {
             quaternion: [w, -x, -y, -z],
         })
     };
-    times.iter().map(at).collect()
+    sampled_s.iter().map(at).collect()
 }

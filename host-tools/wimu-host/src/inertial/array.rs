@@ -3,12 +3,13 @@
 use wimu_nav::array::ArrayState;
 
 use super::truth::{compare, heading_rad, moving};
-use super::{Choice, InertialPath, LIKELY, Method, PathPoint};
+use super::{Choice, InertialPath, Method, PathPoint};
+
 use crate::array::{
     Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, mended, navigated,
     navigated_axes,
 };
-use crate::motion::nees;
+use crate::motion::{LIKELY, nees};
 use crate::{ErrorCode, HostError, Result};
 
 /// A centre nearer to the origin than this, m, is at it.
@@ -133,8 +134,6 @@ fn path_of(
             rate_rad_s: state.rate_rad_s,
             covariance_m2: state.position_covariance,
             resting: choice.zupt.is_on() && state.resting,
-            unseen_mps: (choice.zupt.is_on() && state.resting).then_some(state.unseen_mps),
-            unseen_m: state.unseen_m,
             valid: state.valid && state.position_sd_m() <= choice.limit_m,
         })
         .collect();

@@ -1,10 +1,10 @@
 //! Samples of which the accelerometer gives no number, more than its full scale, or goes on giving the last one: they are
 //! left out, as if they were missing.
 
-use wimu_nav::unit::UnitSample;
-
 use super::{InertialPath, PathPoint, frozen};
-use crate::motion::{FULL_SCALE_MPS2, FULL_SCALE_RAD_S, FULL_SCALE_UT, MotionRecording};
+use crate::motion::{
+    FULL_SCALE_MPS2, FULL_SCALE_RAD_S, FULL_SCALE_UT, MotionRecording, UnitSample,
+};
 use crate::plural::counted;
 use crate::{ErrorCode, HostError, Result};
 
@@ -160,7 +160,6 @@ fn between(before: Option<&PathPoint>, next: Option<&PathPoint>, time_s: f64) ->
         return before.or(next).map(|point| PathPoint {
             time_s,
             resting: false,
-            unseen_mps: None,
             valid: false,
             ..*point
         });
@@ -173,7 +172,6 @@ fn between(before: Option<&PathPoint>, next: Option<&PathPoint>, time_s: f64) ->
         velocity_mps: mixed(before.velocity_mps, next.velocity_mps),
         quaternion: before.quaternion,
         resting: before.resting && next.resting,
-        unseen_mps: before.unseen_mps.and(next.unseen_mps),
         valid: before.valid && next.valid,
         ..*next
     })

@@ -1,4 +1,4 @@
-//! How long a position can be used, and what its rests assume.
+//! How long a position can be used, and its rests.
 
 use super::{InertialPath, PathPoint};
 use crate::motion::gap_s;
@@ -17,18 +17,13 @@ pub struct Horizon {
     pub lost: bool,
 }
 
-/// What is taken for rests in a path, and what that assumes.
+/// The rests of a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Stillness {
-    /// How many there are, and for how long, s.
+pub struct RestTimes {
+    /// How many there are.
     pub rests: usize,
-    /// For how long in all, s.
+    /// Their length in all, s.
     pub lasted_s: f64,
-    /// The largest speed at which the unit might have been moved evenly there and that would not show, m/s.
-    pub unseen_mps: f64,
-    /// How far even motion may have taken it by the end, one standard deviation in space, m: with [`Zupt::Assumed`](super::Zupt::Assumed) it
-    /// is in the covariance.
-    pub unseen_m: f64,
 }
 
 impl InertialPath {
@@ -66,22 +61,15 @@ impl InertialPath {
         Some(self.horizon(limit_m)?.moving_s)
     }
 
-    /// What is taken for rests: `None` with ZUPT off, or where the method does not tell.
-    pub fn stillness(&self) -> Option<Stillness> {
-        let mut found = Stillness::default();
-        for pair in self.points.windows(2) {
-            let (before, now) = (&pair[0], &pair[1]);
-            let Some(speed) = now.unseen_mps else {
-                continue;
-            };
-            let step = now.time_s - before.time_s;
-            if !before.resting || found.rests == 0 {
-                found.rests += 1;
-            }
-            found.lasted_s += step;
-            found.unseen_mps = found.unseen_mps.max(speed);
-            found.unseen_m = self.points.last().map_or(0.0, |p| p.unseen_m);
+    /// The rests at which zero velocity was used.
+    pub fn rests(&self) -> RestTimes {
+        let mut found = RestTimes::default();
+        let mut resting = false;
+        for pair in self.points.windows(2).filter(|pair| pair[1].resting) {
+            found.rests += usize::from(!pair[0].resting || !resting);
+            found.lasted_s += pair[1].time_s - pair[0].time_s;
+            resting = true;
         }
-        (found.rests > 0).then_some(found)
+        found
     }
 }

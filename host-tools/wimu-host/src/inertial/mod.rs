@@ -1,10 +1,8 @@
-//! The path of a recorded unit or array, sample by sample, with what is known about it: gyro-free
-//! inertial navigation of a file.
+//! The path of a recorded unit or array, sample by sample, with its covariance.
 //!
 //! ```
-//! use wimu_host::inertial::{Choice, Method, navigate};
-//! use wimu_host::motion::MotionRecording;
-//! use wimu_nav::unit::UnitSample;
+//! use wimu_host::inertial::{Choice, navigate};
+//! use wimu_host::motion::{MotionRecording, UnitSample};
 //!
 //! // Two seconds at rest.
 //! let mut recording = MotionRecording::default();
@@ -14,94 +12,97 @@
 //!     recording.samples.push(UnitSample { step_s: 0.01, force_mps2, ..UnitSample::default() });
 //!     recording.truth.push(None);
 //! }
-//! let path = navigate(&recording, &Choice { method: Method::Tilt, ..Choice::default() })?;
+//! let path = navigate(&recording, &Choice::default())?;
 //! assert!(path.distance_m() < 0.01 && path.points[199].valid);
-//! assert!(path.horizon_s(1.0).is_none(), "at rest, with ZUPT, it never gets lost");
+//! assert!(path.horizon_s(1.0).is_none(), "σ stays below 1 m");
 //! # Ok::<(), wimu_host::HostError>(())
 //! ```
 
 mod array;
-mod arrival;
 mod frozen;
 mod holes;
 mod horizon;
-mod origin;
+mod moves;
 mod path;
 mod rates;
 mod report;
 mod sense;
-mod slide;
 mod truth;
 mod unit;
-mod warming;
+
+use std::ops::RangeInclusive;
 
 pub use array::{navigate_array, navigate_axes};
-pub use horizon::{Horizon, Stillness};
-pub use path::{InertialPath, PathPoint, SlideMove};
-pub use slide::{Leg, legs};
+pub use horizon::{Horizon, RestTimes};
+pub use moves::Move;
+pub use path::{InertialPath, PathPoint};
 pub use truth::consistency;
-
 pub use wimu_nav::Zupt;
-use wimu_nav::drift::{Drift, DriftEstimator, DriftFit};
-use wimu_nav::unit::{UnitConfig, UnitSample};
+pub use wimu_nav::navigator::Profile;
 
-use crate::motion::MotionRecording;
-use crate::{ErrorCode, HostError, Result};
+use crate::Result;
+use crate::motion::{MotionRecording, TIME_SD_S, UnitSample, sampled_times};
 use holes::Holes;
 use truth::{compare, moving};
-use unit::{filter, once_each_field};
+use unit::{Unit, once_each_field};
 
-/// How the path is found.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+/// How a path was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Method {
-    /// With the angular rate, from a gyroscope.
+    /// With the angular rate of a gyroscope.
     Strapdown,
-    /// From accelerometer and magnetometer alone.
-    #[default]
+    /// From accelerometer and magnetometer.
     Tilt,
     /// With the angular rate of an array of accelerometers.
     Array,
-    /// Straight moves between rests.
-    Slide,
 }
 
-/// Deviations up to which something is likely.
-const LIKELY: f64 = 3.0;
+/// Where and how a unit starts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StartPose {
+    /// Position, m, east-north-up.
+    pub position_m: [f64; 3],
+    /// Angle of the body x axis from east towards north, rad; `None`: as the magnetometer shows, or zero.
+    pub heading_rad: Option<f64>,
+}
 
 /// How to navigate.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Choice {
-    /// The method.
-    pub method: Method,
-    /// Whether stillnesses are taken for zero velocity, and whether they are known to be rests: [`Zupt::Stated`] is what
-    /// `wimu navigate` does unless it is told otherwise.
+    /// What rests mean.
     pub zupt: Zupt,
-    /// Position is of use as long as its standard deviation is below this, m.
+    /// What is assumed of the motion.
+    pub profile: Profile,
+    /// The position is valid as long as its standard deviation is below this, m.
     pub limit_m: f64,
-    /// How the bias settles after switching on: the recording's start. Not for [`Method::Slide`].
-    pub drift: Option<Drift>,
+    /// The unit stays within this distance of its start, m, 1 σ of a component.
+    pub within_m: Option<f64>,
+    /// The times at which it rested, s, as in the file; `None`: those that the detector finds.
+    pub rests_s: Option<Vec<RangeInclusive<f64>>>,
+    /// Pose at the start; `None`: the origin, or the first rest of a start in motion.
+    pub start: Option<StartPose>,
 }
 
 impl Default for Choice {
     fn default() -> Self {
         Self {
-            method: Method::Tilt,
-            zupt: Zupt::Assumed,
+            zupt: Zupt::Stated,
+            profile: Profile::Hand,
             limit_m: 1.0,
-            drift: None,
+            within_m: None,
+            rests_s: None,
+            start: None,
         }
     }
 }
 
-/// Navigates one unit's recording. Samples of which the accelerometer gives no number, or in which it is frozen, are left
-/// out.
+/// Navigates one unit's recording: with its gyroscope if it has one. Samples of which the accelerometer gives no number,
+/// or in which it is frozen, are left out.
 ///
 /// # Errors
-/// `data_refused`: no angular rate for [`Method::Strapdown`], fewer than two rests for
-/// [`Method::Slide`], nothing to align with, accelerations that do not show gravity, or are no numbers or beyond the full
-/// scale for the most part, no valid position;
-/// `usage` for [`Method::Array`], which needs [`navigate_array`], and for a slide without ZUPT.
+/// `data_refused`: nothing to align with, accelerations that do not show gravity, or are no numbers or beyond the full
+/// scale for the most part, a unit of the angular rate that cannot be, no valid position.
 pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath> {
     let mut path = match Holes::of(recording)? {
         None => followed(recording, choice)?,
@@ -122,117 +123,63 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
 
 /// The path of a recording of which every sample is a number.
 fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath> {
-    let refused = |message: &str, remedy: &str| {
-        Err(HostError::new(ErrorCode::DataRefused, message, remedy).at(&recording.name))
-    };
     let senses = sense::Senses::of(recording)?;
-    let mut sound = recording.clone();
+    let mut samples = recording.samples.clone();
     if let Some(from) = senses.field_ends {
-        for sample in &mut sound.samples[from..] {
-            sample.field_ut = None;
-        }
+        samples[from..].iter_mut().for_each(|s| s.field_ut = None);
     }
-    if let Some(from) = senses.rate_ends {
-        for sample in &mut sound.samples[from..] {
-            sample.rate_rad_s = None;
-        }
-    }
-    let mut wrong = None;
-    let mut warming = None;
-    if matches!(choice.method, Method::Strapdown | Method::Slide) {
-        wrong = rates::checked(&sound)?;
-        if wrong.as_ref().is_some_and(|wrong| wrong.contradicts) {
-            unrated(&mut sound.samples);
-        } else if choice.zupt.is_on() {
-            warming = warming::taken_off(&sound.times_s, &mut sound.samples);
-        }
-    }
-    let mut path = match choice.method {
-        Method::Array => {
-            return Err(HostError::new(
-                ErrorCode::Usage,
-                "the method array needs several accelerometers and their places",
-                "give --geometry FILE",
-            ));
-        }
-        Method::Slide => {
-            rates::filled(&sound.times_s, &mut sound.samples);
-            slide::slide(&sound, choice)?
-        }
-        Method::Strapdown if recording.samples.iter().all(|s| s.rate_rad_s.is_none()) => {
-            return refused(
-                "there is no angular rate in it, and strapdown is the method of a gyroscope",
-                "use --method tilt, slide or auto; in a CSV file name a gyroscope's columns \
-                 `Gyroscope X (rad/s)`, …; wimu's boards have none",
-            );
-        }
-        method => {
-            let mut samples = once_each_field(&sound.samples);
-            let contradicts = wrong.as_ref().is_some_and(|wrong| wrong.contradicts);
-            let method = if contradicts { Method::Tilt } else { method };
-            if method != Method::Strapdown {
-                unrated(&mut samples);
-            }
-            let late = arrival::spread(&recording.times_s, &mut samples);
-            let config = UnitConfig {
-                gravity_mps2: recording.gravity_mps2(),
-                bias_mps2: senses.bias_mps2,
-                zupt: choice.zupt,
-                drift: choice.drift,
-                ..UnitConfig::default()
-            };
-            let mut path = filter(
-                &recording.times_s,
-                &samples,
-                &senses.clipped,
-                config,
-                choice,
-                method,
-            );
-            if samples.iter().all(|s| s.field_ut.is_none()) {
-                let why = recording.without_field();
-                let remark = format!("{why}: heading is that of the body at the start");
-                path.remarks.push(remark);
-            }
-            path.remarks.extend(late);
-            path
-        }
+    let rates = rates::checked(recording)?;
+    let from = if rates.as_ref().is_some_and(|found| found.contradicts) {
+        Some(0)
+    } else {
+        senses.rate_ends
     };
-    path.remarks.extend(wrong.map(|wrong| wrong.said));
-    path.remarks.extend(warming);
+    if let Some(from) = from {
+        samples[from..].iter_mut().for_each(|s| s.rate_rad_s = None);
+    }
+    let mut remarks = senses.remarks;
+    let mut time_sd_s = 0.0;
+    if let Some(times_s) = sampled_times(&recording.times_s) {
+        retime(&mut samples, &times_s);
+        time_sd_s = TIME_SD_S;
+        remarks.push(
+            "the times are those of arrival: a constant sample period and the least delay are used"
+                .to_owned(),
+        );
+    }
+    let samples = once_each_field(&samples);
+    let method = match samples.iter().any(|s| s.rate_rad_s.is_some()) {
+        true => Method::Strapdown,
+        false => Method::Tilt,
+    };
+    let unit = Unit {
+        name: &recording.name,
+        times_s: &recording.times_s,
+        samples: &samples,
+        clipped: &senses.clipped,
+        gravity_mps2: recording.gravity_mps2(),
+        bias_mps2: senses.bias_mps2,
+        time_sd_s,
+    };
+    let mut path = unit.path(choice, method)?;
+    if samples.iter().all(|s| s.field_ut.is_none()) {
+        let why = recording.without_field();
+        path.remarks
+            .push(format!("{why}: heading is that of the body at the start"));
+    }
+    path.remarks.extend(rates.map(|found| found.remark));
     if let Some(from) = senses.force_ends {
         for point in &mut path.points[from..] {
             point.valid = false;
         }
     }
-    path.remarks.splice(0..0, senses.remarks);
+    path.remarks.splice(0..0, remarks);
     Ok(path)
 }
 
-/// Leaves the angular rate out.
-fn unrated(samples: &mut [UnitSample]) {
-    for sample in samples {
-        sample.rate_rad_s = None;
+/// Gives the samples the steps between other times.
+fn retime(samples: &mut [UnitSample], times_s: &[f64]) {
+    for (sample, pair) in samples.iter_mut().skip(1).zip(times_s.windows(2)) {
+        sample.step_s = pair[1] - pair[0];
     }
-}
-
-/// How the bias settles, from a recording at rest that begins at the switching on.
-///
-/// # Errors
-/// `data_refused`: it moved, nothing drifts, or it had not settled at the end.
-pub fn settling(recording: &MotionRecording) -> Result<DriftFit> {
-    let mut estimator = DriftEstimator::new();
-    let numbers = |sample: &UnitSample| sample.force_mps2.iter().all(|f| f.is_finite());
-    let samples = recording.times_s.iter().zip(&recording.samples);
-    for (time_s, sample) in samples.filter(|(_, sample)| numbers(sample)) {
-        estimator.push(*time_s, sample.force_mps2);
-    }
-    estimator.fit().map_err(|error| {
-        HostError::new(
-            ErrorCode::DataRefused,
-            error.to_string(),
-            "record the unit at rest from the moment it is switched on, or leave --drift out",
-        )
-        .at(&recording.name)
-    })
 }

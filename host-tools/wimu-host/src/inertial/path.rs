@@ -3,10 +3,8 @@
 use std::io::Write as _;
 use std::path::Path as FilePath;
 
-use wimu_nav::slide::Move;
-
-use super::Method;
 use super::truth::consistency;
+use super::{Method, Move};
 use crate::mcap_file::RosFile;
 use crate::ros::path::{PathTopics, Pose};
 use crate::{ErrorCode, HostError, OutputFile, Result};
@@ -29,16 +27,10 @@ pub struct PathPoint {
     pub velocity_sd_mps: [f64; 3],
     /// See [`velocity_sd_mps`](Self::velocity_sd_mps).
     pub attitude_sd_rad: [f64; 3],
-    /// Covariance of the position, m²: with [`Zupt::Assumed`](super::Zupt::Assumed) that of `unseen_m` in it.
+    /// Covariance of the position, m².
     pub covariance_m2: [[f64; 3]; 3],
     /// Whether it is taken to rest: never with ZUPT off.
     pub resting: bool,
-    /// The speed at which it might be moved evenly there and that would not show, m/s; `None` where that is not
-    /// known, and elsewhere.
-    pub unseen_mps: Option<f64>,
-    /// How far even motion that no rest so far would have shown may have taken it, one standard deviation in space, m;
-    /// 0 with ZUPT off.
-    pub unseen_m: f64,
     /// Whether the position is of use: known to the limit, no gap since the last rest.
     pub valid: bool,
 }
@@ -69,21 +61,6 @@ impl PathPoint {
     }
 }
 
-/// A move between two rests of a path.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SlideMove {
-    /// What was found.
-    pub done: Move,
-    /// From when to when, s, as in the file.
-    pub from_s: f64,
-    /// Its end.
-    pub to_s: f64,
-    /// How far even motion that neither rest would have shown would lengthen it, one standard deviation, m.
-    pub unseen_m: f64,
-    /// Whether it is one: not after a gap, a turn or a field that leave the way open.
-    pub valid: bool,
-}
-
 /// A path.
 #[derive(Clone, Debug)]
 pub struct InertialPath {
@@ -91,12 +68,10 @@ pub struct InertialPath {
     pub method: Method,
     /// One point a sample.
     pub points: Vec<PathPoint>,
-    /// The point from which position is measured: the last of the first rest at which it is sure to have lain still, which
-    /// is 0.6 s before that shows to end. Even motion there is none, by definition;
-    /// what the points before are off by is how far it may have come on the way there.
+    /// Index of the point from which position is measured: the last of the first rest.
     pub origin: usize,
-    /// The moves, with [`Method::Slide`].
-    pub moves: Vec<SlideMove>,
+    /// The moves between rests.
+    pub moves: Vec<Move>,
     /// What was noticed on the way.
     pub remarks: Vec<String>,
     /// Points known no better than this, m, are not valid.
@@ -142,18 +117,15 @@ impl InertialPath {
         for point in self.points.iter_mut().skip(diverged.unwrap_or(usize::MAX)) {
             point.valid = false;
         }
-        for one in &mut self.moves {
-            one.valid &= (one.done.length_m + one.done.length_sd_m + one.unseen_m).is_finite();
-        }
         let diverged = diverged.map(|k| {
             format!(
                 "the filter diverged at {:.2} s: position is not valid from there on. Check axes, signs and units of the \
-                 sensors there, or use another --method",
+                 sensors there",
                 self.points[k].time_s
             )
         });
         self.remarks.extend(diverged.clone());
-        if self.points.iter().any(|p| p.valid) || self.moves.iter().any(|m| m.valid) {
+        if self.points.iter().any(|p| p.valid) {
             return Ok(self);
         }
         Err(HostError::new(

@@ -2,9 +2,7 @@
 
 use std::ops::Range;
 
-use wimu_nav::unit::UnitSample;
-
-use crate::motion::{MotionRecording, median_step_s};
+use crate::motion::{MotionRecording, UnitSample, median_step_s};
 use crate::plural::counted;
 use crate::{ErrorCode, HostError, Result};
 

@@ -145,8 +145,6 @@ mod tests {
                 attitude_sd_rad: [0.0; 3],
                 covariance_m2: [[0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.01]],
                 resting: *time_s < 10.0,
-                unseen_mps: None,
-                unseen_m: 0.0,
                 valid: true,
             }
         });

@@ -3,9 +3,8 @@
 use std::path::Path;
 
 use wimu_model::{CentiCelsius, MagneticFieldNt, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
-use wimu_nav::unit::UnitSample;
 
-use super::{FIELD_CALIBRATED, MotionRecording, Truth};
+use super::{FIELD_CALIBRATED, MotionRecording, Truth, UnitSample};
 use crate::calibration::StoredModel;
 use crate::finding::{Finding, FindingCode};
 use crate::formats::{self, ReadOptions};

@@ -11,7 +11,7 @@ use wimu_host::array::{
     ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, navigated, navigated_axes,
     preset,
 };
-use wimu_host::inertial::{Choice, Method, Zupt, navigate_array, navigate_axes};
+use wimu_host::inertial::{Choice, Zupt, navigate_array, navigate_axes};
 use wimu_host::motion::nees;
 
 const G: f64 = 9.80665;
@@ -447,7 +447,6 @@ impl Case {
             delay_sd_s: self.skew.max(ArrayCalibration::DELAY_SD_S),
         };
         let choice = Choice {
-            method: Method::Array,
             zupt: self.zupt,
             ..Choice::default()
         };

@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use wimu_host::inertial::Zupt;
+use wimu_host::inertial::{Profile, StartPose, Zupt};
 
 use super::reading::Reading;
-use super::values::positive;
+use super::values::{TimeSpans, positive, start_pose, time_spans};
 
 #[derive(Args)]
 #[command(after_help = "\
@@ -21,8 +21,9 @@ GEOMETRY is a file or a preset:
 The path is that of the centre of the sensors.
 
 Examples:
-  wimu navigate session.mcap --method slide -o path.csv
-  wimu navigate walk.csv --method tilt --zupt cautious --report path.html
+  wimu navigate session.mcap -o path.csv --report path.html
+  wimu navigate walk.csv --profile foot
+  wimu navigate desk.csv --rests \"0-3,10.5-12\" --within 0.5
   wimu navigate raw.csv --calibration CAL.json
   wimu navigate board.csv --geometry positions.csv -o path.csv
   wimu navigate board.csv --geometry ARRAY.json
@@ -47,31 +48,46 @@ pub struct Navigate {
     #[arg(long, value_name = "LSB_PER_G", value_parser = positive, help_heading = "Input")]
     pub sensitivity: Option<f64>,
 
-    /// Navigation method
-    #[arg(long, value_enum, default_value_t = NavigateMethod::Auto, help_heading = "Model")]
-    pub method: NavigateMethod,
-    /// Zero-velocity updates at rests [default: on]. The path that the device itself has computed does not change
+    /// Zero-velocity updates at rests. The path that the device itself has computed does not change
     #[arg(long, value_enum, help_heading = "Model")]
     pub zupt: Option<ZeroVelocity>,
-    /// Fit the bias drift after power-on to this recording of the same unit at rest, from its power-on
+    /// What is assumed of the motion
     #[arg(
         long,
-        value_name = "STATIC.csv",
+        value_enum,
+        default_value_t,
         conflicts_with = "geometry",
         help_heading = "Model"
     )]
-    pub drift: Option<PathBuf>,
+    pub profile: MotionProfile,
+    /// The unit stays within M metres of its start (1 σ of a component)
+    #[arg(long, value_name = "M", value_parser = positive, conflicts_with = "geometry", help_heading = "Model")]
+    pub within: Option<f64>,
+    /// Times at which the unit rested, s, as in the file: "0-3,10.5-12" [default: those that are detected]
+    #[arg(
+        long,
+        value_name = "FROM-TO,…",
+        value_parser = time_spans,
+        conflicts_with = "geometry",
+        help_heading = "Model"
+    )]
+    pub rests: Option<TimeSpans>,
+    /// Position at the start, m, and heading (body x from east towards north), deg: "1.5,0,0.8,90" or "1.5,0,0.8"
+    #[arg(
+        long,
+        value_name = "E,N,U[,DEG]",
+        value_parser = start_pose,
+        allow_hyphen_values = true,
+        conflicts_with = "geometry",
+        help_heading = "Model"
+    )]
+    pub start: Option<StartPose>,
     /// Standard deviation up to which a position is valid, m
     #[arg(long, value_name = "M", default_value_t = 1.0, value_parser = positive, help_heading = "Model")]
     pub limit: f64,
 
     /// Positions of the accelerometers of an array: a file or a preset, see GEOMETRY below
-    #[arg(
-        long,
-        value_name = "GEOMETRY",
-        required_if_eq("method", "array"),
-        help_heading = "Arrays"
-    )]
+    #[arg(long, value_name = "GEOMETRY", help_heading = "Arrays")]
     pub geometry: Option<PathBuf>,
     /// Estimate the positions of all axes and the delays of all sensors. Use them and write them to this file if they
     /// predict other parts of the recording better than --geometry does
@@ -101,11 +117,11 @@ pub struct Navigate {
 /// Use of rests. An accelerometer cannot tell rest from constant velocity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum ZeroVelocity {
-    /// Velocity is zero at each rest; σ assumes that the unit was at rest
+    /// Velocity is zero at each rest (default)
     On,
-    /// Velocity is zero at each rest; σ includes a constant velocity that the sensor cannot exclude
+    /// Velocity is an unknown constant of 0 ± 0.1 m/s at each rest: σ includes it
     Cautious,
-    /// Velocity is zero at the first rest only
+    /// Rests are not used
     Off,
 }
 
@@ -120,17 +136,27 @@ impl ZeroVelocity {
     }
 }
 
-/// Navigation methods.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum NavigateMethod {
-    /// `array` with --geometry, `strapdown` if there is a gyroscope, otherwise `tilt`
-    Auto,
-    /// Strapdown navigation with a gyroscope
-    Strapdown,
-    /// Accelerometer and magnetometer only
-    Tilt,
-    /// Angular rate from several accelerometers (needs --geometry)
-    Array,
-    /// Lengths of straight moves between rests, without rotation
-    Slide,
+/// Motion profiles.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum MotionProfile {
+    /// In a hand or on a small robot: velocity 0 ± 2 m/s
+    #[default]
+    Hand,
+    /// On a foot: rests are the stances of steps
+    Foot,
+    /// In a vehicle: velocity 0 ± 30 m/s
+    Vehicle,
+    /// No assumption
+    Free,
+}
+
+impl From<MotionProfile> for Profile {
+    fn from(profile: MotionProfile) -> Self {
+        match profile {
+            MotionProfile::Hand => Self::Hand,
+            MotionProfile::Foot => Self::Foot,
+            MotionProfile::Vehicle => Self::Vehicle,
+            MotionProfile::Free => Self::Free,
+        }
+    }
 }

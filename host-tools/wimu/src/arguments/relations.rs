@@ -20,7 +20,7 @@ struct Table {
 const MAGNETOMETER: &str = "magnetometer";
 
 #[rustfmt::skip]
-const TABLES: [Table; 4] = [
+const TABLES: [Table; 3] = [
     Table {
         command: "calibrate",
         decided_by: "method",
@@ -44,15 +44,6 @@ const TABLES: [Table; 4] = [
             ("report",                "× × × × · · ×"),
             ("count",                 "× × × × · · ×"),
             ("push",                  "× × × × · · ×"),
-        ],
-    },
-    Table {
-        command: "navigate",
-        decided_by: "method",
-        values: &["auto", "strapdown", "tilt", "array", "slide"],
-        rows: &[
-            ("geometry",              "× · · × ·"),
-            ("drift",                 "× × × · ·"),
         ],
     },
     Table {

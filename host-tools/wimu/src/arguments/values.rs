@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use wimu_calib::Face;
+use wimu_host::inertial::StartPose;
 use wimu_model::Sensitivity;
 
 /// A parser of numbers from `least` to `most`.
@@ -50,4 +51,35 @@ pub fn side(text: &str) -> Result<Face, String> {
         .position(|name| *name == axis)
         .map(|axis| Face::ALL[2 * axis + sign])
         .ok_or_else(|| "the sides are x, -x, y, -y, z and -z, separated by commas".to_owned())
+}
+
+/// Times from–to, s.
+pub type TimeSpans = Vec<std::ops::RangeInclusive<f64>>;
+
+/// Spans of time: `0-3,10.5-12`.
+pub fn time_spans(text: &str) -> Result<TimeSpans, String> {
+    let span = |part: &str| {
+        let (from, to) = part.trim().split_once('-')?;
+        let (from, to) = (from.trim().parse().ok()?, to.trim().parse().ok()?);
+        (0.0 <= from && from < to && f64::is_finite(to)).then_some(from..=to)
+    };
+    let spans: Option<TimeSpans> = text.split(',').map(span).collect();
+    spans.ok_or_else(|| "give times from-to in seconds, such as 0-3,10.5-12".to_owned())
+}
+
+/// A start: `E,N,U` in metres, and perhaps the heading in degrees.
+pub fn start_pose(text: &str) -> Result<StartPose, String> {
+    let numbers: Option<Vec<f64>> = text
+        .split(',')
+        .map(|part| part.trim().parse().ok().filter(|v: &f64| v.is_finite()))
+        .collect();
+    let (e, n, u, heading) = match numbers.as_deref() {
+        Some([e, n, u]) => (*e, *n, *u, None),
+        Some([e, n, u, degrees]) => (*e, *n, *u, Some(degrees.to_radians())),
+        _ => return Err("give E,N,U in metres, or E,N,U,HEADING with degrees".to_owned()),
+    };
+    Ok(StartPose {
+        position_m: [e, n, u],
+        heading_rad: heading,
+    })
 }

@@ -19,7 +19,7 @@ use wimu_host::{ErrorCode, HostError, Input, Result};
 use wimu_integrator::Phase;
 use wimu_model::ParameterSet;
 
-use crate::arguments::{Navigate, NavigateMethod, ZeroVelocity};
+use crate::arguments::{Navigate, ZeroVelocity};
 use crate::command::not_over_input;
 use crate::output::{Output, usage};
 
@@ -225,9 +225,7 @@ fn path(
     else {
         return Ok(None);
     };
-    let required = arguments.method != NavigateMethod::Auto
-        || arguments.output.is_some()
-        || arguments.report.is_some();
+    let required = arguments.output.is_some() || arguments.report.is_some();
     let found = navigation::motion(name, boot, calibration)
         .and_then(|motion| inertial::one_unit(arguments, &motion, name.to_owned(), output));
     match found {

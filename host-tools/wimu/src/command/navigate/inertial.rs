@@ -7,12 +7,13 @@ use wimu_host::Result;
 use wimu_host::calibration::read_model;
 use wimu_host::formats;
 use wimu_host::inertial::{
-    Choice, InertialPath, Method, SlideMove, Zupt, consistency, navigate, settling,
+    Choice, InertialPath, Method, Move, Profile, Zupt, consistency, navigate,
 };
 use wimu_host::motion::{MotionRecording, TableOptions};
+use wimu_host::plural::counted;
 
 use super::array;
-use crate::arguments::{Navigate, NavigateMethod, ZeroVelocity};
+use crate::arguments::{Navigate, ZeroVelocity};
 use crate::command::array::Refined;
 use crate::output::Output;
 
@@ -25,6 +26,8 @@ pub struct Found {
     method: Method,
     /// Value of the option `--zupt`.
     zupt: &'static str,
+    /// Value of the option `--profile`; null for an array.
+    profile: Option<&'static str>,
     duration_s: f64,
     /// End of the first rest, where position and velocity are zero by definition.
     origin_s: Option<f64>,
@@ -34,13 +37,14 @@ pub struct Found {
     final_sigma_m: [f64; 3],
     final_valid: bool,
     valid_share: f64,
-    drift: Option<Settling>,
     horizon: Horizon,
-    stillness: Option<Still>,
+    rests: usize,
+    rests_s: f64,
     nees: Option<Nees>,
     /// NEES of an array's angular rate and velocity.
     rate_nees: Option<Nees>,
     velocity_nees: Option<Nees>,
+    /// Moves between rests.
     moves: Vec<MoveFound>,
     refined: Option<Refined>,
     remarks: Vec<String>,
@@ -57,15 +61,6 @@ struct Horizon {
     ends: Vec<End>,
 }
 
-/// Rests, the largest constant velocity that cannot be excluded there, and its effect on the final position, 1 σ.
-#[derive(Serialize)]
-struct Still {
-    rests: usize,
-    lasted_s: f64,
-    unseen_m_s: f64,
-    unseen_m: f64,
-}
-
 #[derive(Serialize)]
 struct End {
     limit_m: f64,
@@ -73,6 +68,30 @@ struct End {
     at_s: f64,
     since_rest_s: Option<f64>,
     lost: bool,
+}
+
+/// A move between two rests.
+#[derive(Serialize)]
+struct MoveFound {
+    from_s: f64,
+    to_s: f64,
+    /// Null where it is not known: without a gyroscope after a rotation, or contradicted by the rest at its end.
+    length_m: Option<f64>,
+    length_sd_m: Option<f64>,
+    tilted_deg: f64,
+}
+
+impl MoveFound {
+    fn of(found: &Move) -> Self {
+        let known = |value: f64| found.valid.then_some(value);
+        Self {
+            from_s: found.from_s,
+            to_s: found.to_s,
+            length_m: known(found.length_m),
+            length_sd_m: known(found.length_sd_m),
+            tilted_deg: found.tilted_rad.to_degrees(),
+        }
+    }
 }
 
 #[derive(Serialize)]
@@ -99,36 +118,14 @@ impl Nees {
     }
 }
 
-#[derive(Serialize)]
-struct MoveFound {
-    from_s: f64,
-    to_s: f64,
-    valid: bool,
-    length_m: f64,
-    /// With `--zupt cautious` this includes a constant velocity at the rests; `length_sd_if_rested_m` does not.
-    length_sd_m: f64,
-    length_sd_if_rested_m: f64,
-    duration_s: f64,
-    turned_deg: f64,
-}
-
-/// Bias drift after power-on.
-#[derive(Serialize)]
-struct Settling {
-    rise_m_s2: [f64; 3],
-    rise_sd_m_s2: [f64; 3],
-    time_s: f64,
-    time_sd_s: f64,
-}
-
 /// Navigates a recording of one unit, or an array.
 pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     let source = arguments.input.display().to_string();
     let found = match &arguments.geometry {
         Some(geometry) => {
-            let (choice, settling) = choice(arguments, Method::Array)?;
+            let choice = choice(arguments);
             let (path, refined) = array::path(arguments, geometry, &choice, output)?;
-            let mut found = present(arguments, &path, &choice, settling, source, output)?;
+            let mut found = present(arguments, &path, &choice, source, output)?;
             found.refined = refined;
             found
         }
@@ -159,56 +156,31 @@ pub fn one_unit(
     source: String,
     output: Output,
 ) -> Result<Found> {
-    let rated = recording.samples.iter().any(|s| s.rate_rad_s.is_some());
-    let method = match arguments.method {
-        NavigateMethod::Strapdown => Method::Strapdown,
-        NavigateMethod::Slide => Method::Slide,
-        NavigateMethod::Auto if rated => Method::Strapdown,
-        _ => Method::Tilt,
-    };
-    let (choice, settling) = choice(arguments, method)?;
+    let choice = choice(arguments);
     let path = navigate(recording, &choice)?;
-    present(arguments, &path, &choice, settling, source, output)
+    present(arguments, &path, &choice, source, output)
 }
 
-fn choice(arguments: &Navigate, method: Method) -> Result<(Choice, Option<Settling>)> {
-    let mut choice = Choice {
-        method,
+fn choice(arguments: &Navigate) -> Choice {
+    Choice {
         zupt: ZeroVelocity::of(arguments.zupt),
+        profile: arguments.profile.into(),
         limit_m: arguments.limit,
-        drift: None,
-    };
-    let Some(file) = &arguments.drift else {
-        return Ok((choice, None));
-    };
-    let fit = settling(&table(arguments, file)?)?;
-    choice.drift = Some(fit.drift.settling());
-    let settling = Settling {
-        rise_m_s2: fit.drift.rise_mps2,
-        rise_sd_m_s2: fit.drift.rise_sd_mps2,
-        time_s: fit.drift.time_s,
-        time_sd_s: fit.time_sd_s,
-    };
-    Ok((choice, Some(settling)))
+        within_m: arguments.within,
+        rests_s: arguments.rests.clone(),
+        start: arguments.start,
+    }
 }
 
 fn present(
     arguments: &Navigate,
     path: &InertialPath,
     choice: &Choice,
-    settling: Option<Settling>,
     source: String,
     output: Output,
 ) -> Result<Found> {
     let text = text(path, choice);
     output.print(text.trim_end());
-    if let Some(fit) = &settling {
-        let ([x, y, z], [sx, sy, sz]) = (fit.rise_m_s2, fit.rise_sd_m_s2);
-        output.print(format!(
-            "bias drift {x:+.4} ± {sx:.4}, {y:+.4} ± {sy:.4}, {z:+.4} ± {sz:.4} m/s², time constant {:.0} ± {:.0} s",
-            fit.time_s, fit.time_sd_s
-        ));
-    }
     if let Some(file) = &arguments.output {
         path.write(file)?;
         output.print(format!(
@@ -221,16 +193,12 @@ fn present(
         path.report(&source, &text, file)?;
         output.print(format!("wrote {}", file.display()));
     }
-    Ok(found(path, choice, settling, source))
+    Ok(found(path, choice, source))
 }
 
-fn found(
-    path: &InertialPath,
-    choice: &Choice,
-    settling: Option<Settling>,
-    source: String,
-) -> Found {
+fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
     let last = path.points.last();
+    let rests = path.rests();
     Found {
         schema: "wimu.path/1",
         status: "ok",
@@ -241,6 +209,7 @@ fn found(
             Zupt::Stated => "on",
             Zupt::Off => "off",
         },
+        profile: (path.method != Method::Array).then(|| profile(choice.profile).0),
         duration_s: duration(path),
         origin_s: path.points.get(path.origin).map(|p| p.time_s),
         distance_m: path.distance_m(),
@@ -248,7 +217,6 @@ fn found(
         final_sigma_m: last.map(|p| p.sigma_m()).unwrap_or_default(),
         final_valid: last.is_some_and(|p| p.valid),
         valid_share: path.valid_share(),
-        drift: settling,
         horizon: Horizon {
             to_0_1_m_s: path.horizon_s(0.1),
             to_1_m_s: path.horizon_s(1.0),
@@ -268,40 +236,24 @@ fn found(
                 })
                 .collect(),
         },
-        stillness: path.stillness().map(|found| Still {
-            rests: found.rests,
-            lasted_s: found.lasted_s,
-            unseen_m_s: found.unseen_mps,
-            unseen_m: found.unseen_m,
-        }),
+        rests: rests.rests,
+        rests_s: rests.lasted_s,
         nees: Nees::of(&path.nees, path),
         rate_nees: Nees::of(&path.rate_nees, path),
         velocity_nees: Nees::of(&path.velocity_nees, path),
-        moves: path
-            .moves
-            .iter()
-            .map(|m| MoveFound {
-                from_s: m.from_s,
-                to_s: m.to_s,
-                valid: m.valid,
-                length_m: m.done.length_m,
-                length_sd_m: length_sd_m(m, choice),
-                length_sd_if_rested_m: m.done.length_sd_m,
-                duration_s: m.done.duration_s,
-                turned_deg: m.done.turned_rad.to_degrees(),
-            })
-            .collect(),
+        moves: path.moves.iter().map(MoveFound::of).collect(),
         refined: None,
         remarks: path.remarks.clone(),
     }
 }
 
-/// Standard deviation of a move's length, m, under the assumption of `--zupt`.
-fn length_sd_m(one: &SlideMove, choice: &Choice) -> f64 {
-    let rested = one.done.length_sd_m;
-    match choice.zupt {
-        Zupt::Assumed => rested.hypot(one.unseen_m),
-        _ => rested,
+/// Value of the option, and what it assumes.
+fn profile(profile: Profile) -> (&'static str, &'static str) {
+    match profile {
+        Profile::Hand => ("hand", "velocity 0 ± 2 m/s"),
+        Profile::Foot => ("foot", "rests are stances"),
+        Profile::Vehicle => ("vehicle", "velocity 0 ± 30 m/s"),
+        _ => ("free", "no bound"),
     }
 }
 
@@ -321,109 +273,99 @@ fn duration(path: &InertialPath) -> f64 {
     }
 }
 
-/// The result: the length of the moves, or the last valid position.
-fn headline(path: &InertialPath, choice: &Choice) -> String {
-    let moves: Vec<&SlideMove> = path.moves.iter().filter(|m| m.valid).collect();
-    // The scale factor error is common to all moves, so their deviations add up.
-    let length_m: f64 = moves.iter().map(|m| m.done.length_m).sum();
-    let sd_m: f64 = moves.iter().map(|m| length_sd_m(m, choice)).sum();
-    match (&moves[..], path.points.iter().rfind(|p| p.valid)) {
-        ([one], _) => format!(
-            "moved {length_m:.3} ± {sd_m:.3} m, from {:.2} to {:.2} s",
-            one.from_s, one.to_s
-        ),
-        ([_, ..], _) => format!(
-            "{} moves, {length_m:.3} ± {sd_m:.3} m in total",
-            moves.len()
-        ),
-        ([], Some(point)) if path.method != Method::Slide => {
-            let ([e, n, u], sd) = (point.position_m, point.sd_m());
-            let ends = path.points.last().is_some_and(|last| last.valid);
-            let last = if ends { "" } else { " (the last valid one)" };
-            let at = point.time_s;
-            format!("position at {at:.2} s{last}: E {e:+.3} N {n:+.3} U {u:+.3} m ± {sd:.3} m")
-        }
-        _ => "no move of known length".to_owned(),
+/// Moves that are listed in the text.
+const LISTED: usize = 4;
+
+/// The moves of known length, the longest first.
+fn moves(path: &InertialPath) -> String {
+    let mut known: Vec<&Move> = path.moves.iter().filter(|m| m.valid).collect();
+    if known.is_empty() {
+        return String::new();
     }
+    known.sort_by(|a, b| b.length_m.total_cmp(&a.length_m));
+    let one = |m: &&Move| {
+        format!(
+            "{:.3} ± {:.3} m ({:.2} to {:.2} s)",
+            m.length_m, m.length_sd_m, m.from_s, m.to_s
+        )
+    };
+    let listed: Vec<String> = known.iter().take(LISTED).map(one).collect();
+    let kind = match path.method {
+        Method::Tilt => " without rotation",
+        _ => "",
+    };
+    format!(
+        "{}{kind} between rests, longest first: {}\n",
+        counted(known.len(), "move"),
+        listed.join(", ")
+    )
 }
 
+/// The result first, then what it rests on, then remarks.
 fn text(path: &InertialPath, choice: &Choice) -> String {
-    let mut text = String::new();
-    text += &format!("{}\n", headline(path, choice));
+    let mut text = match path.points.iter().rfind(|p| p.valid) {
+        None => "no position is known to the limit\n".to_owned(),
+        Some(point) => {
+            let ([e, n, u], sd) = (point.position_m, point.sd_m());
+            let ends = path.points.last().is_some_and(|last| last.valid);
+            let what = if ends {
+                "final position"
+            } else {
+                "last valid position"
+            };
+            format!(
+                "{what}: E {e:+.3} N {n:+.3} U {u:+.3} m ± {sd:.3} m (1 σ), at {:.2} s\n",
+                point.time_s
+            )
+        }
+    };
     text += &format!(
-        "{:?}, {:.1} s: path {:.3} m over the {:.0} % of samples that are valid (σ below {} m, no gap since the last rest)\n",
-        path.method,
-        duration(path),
+        "path: {:.3} m in {:.1} s, {}; {:.0} % of the samples are valid (σ below {} m)\n",
         path.distance_m(),
+        duration(path),
+        match path.method {
+            Method::Strapdown => "with a gyroscope",
+            Method::Tilt => "without a gyroscope",
+            Method::Array => "with an array of accelerometers",
+        },
         100.0 * path.valid_share(),
         choice.limit_m
     );
-    if path.method != Method::Array
-        && let Some(origin) = path.points.get(path.origin)
-    {
+    let limits = limits(choice);
+    let horizons = limits.iter().map(|limit| match path.horizon(*limit) {
+        None => format!("below {limit} m throughout"),
+        Some(end) => format!(
+            "below {limit} m for {:.1} s of motion (until {:.2} s)",
+            end.moving_s, end.at_s
+        ),
+    });
+    text += &format!("σ: {}\n", horizons.collect::<Vec<_>>().join(", "));
+    let rests = path.rests();
+    let zero = match choice.zupt {
+        Zupt::Stated => "velocity zero",
+        Zupt::Assumed => "constant velocity of 0 ± 0.1 m/s",
+        Zupt::Off => "nothing",
+    };
+    text += &format!(
+        "assumed: {zero} at {} ({:.1} s)",
+        counted(rests.rests, "rest"),
+        rests.lasted_s
+    );
+    if path.method != Method::Array {
+        let (name, bound) = profile(choice.profile);
+        text += &format!("; --profile {name}: {bound}");
+    }
+    if let Some(within_m) = choice.within_m {
+        text += &format!("; within {within_m} m of the start");
+    }
+    text.push('\n');
+    if let Some(origin) = path.points.get(path.origin) {
         text += &format!(
-            "origin: t = {:.2} s (end of the first rest, velocity taken as zero)\n",
+            "origin: t = {:.2} s (end of the first rest)\n",
             origin.time_s
         );
     }
-    for limit in limits(choice) {
-        let Some(end) = path.horizon(limit) else {
-            text += &format!("horizon: 1 σ stays below {limit} m\n");
-            continue;
-        };
-        let since = end
-            .since_rest_s
-            .map(|since| format!(", {since:.1} s after its last rest"))
-            .unwrap_or_default();
-        let what = if end.lost {
-            format!("1 σ is below {limit} m until the position is lost,")
-        } else {
-            format!("1 σ passes {limit} m")
-        };
-        let motion = if end.moving_s > 0.0 {
-            format!("after {:.1} s of motion", end.moving_s)
-        } else {
-            "at an apparent rest".to_owned()
-        };
-        text += &format!("horizon: {what} {motion}, at {:.2} s{since}\n", end.at_s);
-    }
-    if let Some(found) = path.stillness() {
-        let so = match choice.zupt {
-            Zupt::Assumed => "± includes it. If the unit was at rest, pass `--zupt on`".to_owned(),
-            _ => format!(
-                "± does not include it (--zupt on, the default): `--zupt cautious` adds {:.3} m",
-                found.unseen_m
-            ),
-        };
-        text += &format!(
-            "rests: {} ({:.1} s in total), velocity taken as zero. Constant velocity up to {:.3} m/s cannot be excluded there; {so}\n",
-            found.rests, found.lasted_s, found.unseen_mps,
-        );
-    }
-    for (index, one) in path.moves.iter().enumerate() {
-        text += &format!(
-            "move {} from {:.2} to {:.2} s: {}\n",
-            index + 1,
-            one.from_s,
-            one.to_s,
-            if one.valid {
-                let rested = one.done.length_sd_m;
-                let known = format!(
-                    "{:.3} ± {:.3} m",
-                    one.done.length_m,
-                    length_sd_m(one, choice)
-                );
-                match choice.zupt {
-                    Zupt::Assumed => {
-                        format!("{known} (± {rested:.3} m if at rest before and after)")
-                    }
-                    _ => known,
-                }
-            } else {
-                "length unknown".to_owned()
-            }
-        );
-    }
+    text += &moves(path);
     let fitted = if path.heading_fitted {
         ", heading fitted"
     } else {

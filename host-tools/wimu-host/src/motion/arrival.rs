@@ -1,0 +1,124 @@
+//! Times of sampling from times of arrival.
+
+use crate::motion::median_step_s;
+
+/// Steps that differ from the median by more than this fraction are uneven, ...
+const UNEVEN: f64 = 0.3;
+/// ... and more than this fraction of uneven steps are those of times of arrival: a sensor's own clock is even.
+const UNEVEN_FRACTION: f64 = 0.2;
+/// Samples over which the period is measured.
+const PERIOD_SAMPLES: usize = 64;
+/// Samples before and after one among which the least delay counts. After: a backlog at the start of a recording is
+/// sent at once, and its delay decays over hundreds of samples.
+const BEFORE: usize = 300;
+const AFTER: usize = 600;
+/// Deviation of the times found, s: measured on the robot-arm recordings.
+pub(crate) const TIME_SD_S: f64 = 1e-3;
+
+/// The times at which samples were taken, s, if `times_s` are those at which they arrived: a constant period, and the
+/// least delay nearby. `None` where the times are even.
+///
+/// The period is the median slope over 64 samples. A pause after which the delay does not fall again is a loss of
+/// samples, and both sides of it are treated apart.
+pub fn sampled_times(times_s: &[f64]) -> Option<Vec<f64>> {
+    let usual = median_step_s(times_s);
+    let uneven = |w: &&[f64]| (w[1] - w[0] - usual).abs() > UNEVEN * usual;
+    let count = times_s.windows(2).filter(uneven).count();
+    if times_s.len() <= 2 * PERIOD_SAMPLES
+        || (count as f64) < UNEVEN_FRACTION * times_s.len() as f64
+    {
+        return None;
+    }
+    let slope = |w: &[f64]| (w[PERIOD_SAMPLES] - w[0]) / PERIOD_SAMPLES as f64;
+    let mut slopes: Vec<f64> = times_s.windows(PERIOD_SAMPLES + 1).map(slope).collect();
+    slopes.sort_by(f64::total_cmp);
+    let period_s = slopes[slopes.len() / 2];
+
+    let delays: Vec<f64> = (0_u32..)
+        .zip(times_s)
+        .map(|(k, t)| t - f64::from(k) * period_s)
+        .collect();
+    let mut found = Vec::with_capacity(times_s.len());
+    for part in parts(&delays, period_s) {
+        let delays = &delays[part];
+        let least: Vec<f64> = (0..delays.len())
+            .map(|k| {
+                let nearby = k.saturating_sub(BEFORE)..(k + AFTER).min(delays.len());
+                delays[nearby].iter().copied().fold(f64::INFINITY, f64::min)
+            })
+            .collect();
+        let first = found.len();
+        for k in 0..least.len() {
+            let nearby =
+                &least[k.saturating_sub(BEFORE / 2)..(k + BEFORE / 2 + 1).min(least.len())];
+            let delay = nearby.iter().sum::<f64>() / nearby.len() as f64;
+            found.push((first + k) as f64 * period_s + delay);
+        }
+    }
+    Some(found)
+}
+
+/// Runs between losses: after one the delay stays higher by three periods and more than it was just before.
+fn parts(delays: &[f64], period_s: f64) -> Vec<std::ops::Range<usize>> {
+    let least = |part: &[f64]| part.iter().copied().fold(f64::INFINITY, f64::min);
+    let (mut parts, mut first) = (Vec::new(), 0);
+    for k in 1..delays.len() {
+        if delays[k] - delays[k - 1] < 3.0 * period_s || k - first < PERIOD_SAMPLES {
+            continue;
+        }
+        let before = least(&delays[k - PERIOD_SAMPLES..k]);
+        let after = least(&delays[k..(k + AFTER).min(delays.len())]);
+        if after - before > 3.0 * period_s {
+            parts.push(first..k);
+            first = k;
+        }
+    }
+    parts.push(first..delays.len());
+    parts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 12 s at 100 Hz. Arrival is up to 8 ms late, and the first 350 samples arrive within a quarter of their time.
+    fn arrivals() -> Vec<f64> {
+        (0..1200_u32)
+            .map(|k| {
+                let jitter = f64::from(k.wrapping_mul(2_654_435_761) >> 16) / 65536.0 * 0.008;
+                let backlog = 0.0075 * f64::from(350_u32.saturating_sub(k));
+                f64::from(k) * 0.01 + backlog + jitter
+            })
+            .collect()
+    }
+
+    #[test]
+    fn jitter_and_a_backlog_are_removed() {
+        let found = sampled_times(&arrivals()).unwrap();
+        for (k, t) in found.iter().enumerate() {
+            let error = t - k as f64 * 0.01;
+            assert!(error.abs() < 0.003, "{k}: {error}");
+        }
+    }
+
+    #[test]
+    fn lost_samples_stay_lost() {
+        let mut times = arrivals();
+        for t in &mut times[800..] {
+            *t += 0.5;
+        }
+        let found = sampled_times(&times).unwrap();
+        let step = found[800] - found[799];
+        assert!((step - 0.51).abs() < 0.005, "{step}");
+    }
+
+    #[test]
+    fn even_times_and_a_change_of_rate_are_kept() {
+        let even: Vec<f64> = (0..900).map(|k| f64::from(k) * 0.01).collect();
+        assert_eq!(sampled_times(&even), None);
+        let changed: Vec<f64> = (0..900)
+            .map(|k| f64::from(k) * 0.01 + f64::from((k - 800).max(0)) * 0.01)
+            .collect();
+        assert_eq!(sampled_times(&changed), None);
+    }
+}

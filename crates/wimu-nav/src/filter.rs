@@ -1,4 +1,5 @@
-//! Error-state Schmidt–Kalman filter: prediction, update and test, for any process and sensor.
+//! Error-state Schmidt–Kalman filter: prediction, update and test, for any process and sensor. Equations (117) to (121) of
+//! docs/EQUATIONS.md.
 
 use nalgebra::{RealField, Rotation3, SMatrix, SVector};
 
@@ -21,8 +22,8 @@ pub const FALSE_ALARM: f64 = 1e-3;
 /// Quantile of the standard normal distribution at 1 − [`FALSE_ALARM`].
 const NORMAL_QUANTILE: f64 = 3.0902;
 
-/// Quantile of χ² at 1 − [`FALSE_ALARM`], within 3 % (E. B. Wilson and M. M. Hilferty, "The distribution of chi-square",
-/// 1931).
+/// Quantile of χ² at 1 − [`FALSE_ALARM`] (E. B. Wilson and M. M. Hilferty, "The distribution of chi-square", 1931): 3.1 %
+/// too large for one degree of freedom, less for more.
 pub fn chi_square_quantile(dof: usize) -> f64 {
     let spread = 2.0 / (9.0 * dof as f64);
     let root = 1.0 - spread + NORMAL_QUANTILE * libm::sqrt(spread);
@@ -190,6 +191,19 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
             gain.row_mut(row).fill(R::zero());
         }
         (innovation, Some(gain))
+    }
+
+    /// Rotates a block whose vector is in the navigation frame: its values, covariance and correlations.
+    pub(crate) fn rotate(&mut self, block: Block<3>, rotation: &Rotation3<R>) {
+        let values = rotation * self.state.get(block);
+        self.state.set(block, values);
+        let start = block.start();
+        let rows = rotation.matrix() * self.covariance.fixed_rows::<3>(start);
+        self.covariance.fixed_rows_mut::<3>(start).copy_from(&rows);
+        let columns = self.covariance.fixed_columns::<3>(start) * rotation.matrix().transpose();
+        self.covariance
+            .fixed_columns_mut::<3>(start)
+            .copy_from(&columns);
     }
 
     /// Scales the covariance of some states, with all correlations kept.

@@ -2,24 +2,28 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
-pub mod array;
-pub mod drift;
-pub mod filter;
+// One unit.
 pub mod navigator;
+pub mod stationarity;
+
+// The error-state filter that it is made of.
+pub mod filter;
 pub mod process;
+pub mod sensor;
+pub mod state;
+
+// Many accelerometers on one body.
+pub mod array;
+
 mod real;
 mod rotation;
-pub mod sensor;
-pub mod slide;
-pub mod state;
-pub mod stationarity;
-pub mod unit;
 mod unseen;
-mod vector;
 mod zupt;
 
 /// Standard gravity, m/s² (3rd CGPM, 1901).
 pub const GRAVITY_MPS2: f64 = 9.80665;
 
+/// Vectors, matrices and rotations of the interface.
+pub use nalgebra;
 pub use real::Real;
 pub use zupt::Zupt;

@@ -1,4 +1,4 @@
-//! One unit: start, prediction, rests and motion profile, sample by sample.
+//! One unit: start, prediction, rests and motion profile, sample by sample. Equations (130) to (133).
 
 mod model;
 
@@ -8,10 +8,10 @@ use core::fmt;
 
 use nalgebra::{Matrix1, Matrix3, RealField, Rotation3, UnitQuaternion, Vector3};
 
-use crate::filter::{Filter, Gate};
+use crate::filter::{Filter, Gate, Innovation};
 use crate::process::{ImuErrors, Unmeasured};
 use crate::rotation::{about_up, level, real, yaw};
-use crate::sensor::{MagneticField, Magnetometer, Position, Velocity, recover};
+use crate::sensor::{MagneticField, Magnetometer, Measurement, Position, Velocity, recover};
 use crate::state::{ATTITUDE, Block, Layout, LayoutFull, POSITION, Role, VELOCITY};
 
 /// What is assumed of the motion.
@@ -160,18 +160,22 @@ pub struct Start<R> {
 }
 
 impl<R: RealField + Copy> Start<R> {
-    /// Alignment with gravity and the magnetic field. `None` without a specific force.
+    /// Alignment with gravity and the magnetic field. Numbers that are not finite are left out; `None` without a specific
+    /// force.
     pub fn align(samples: &[Sample<R>], rest: bool) -> Option<Self> {
-        let count = real::<R>(samples.len() as f64);
-        let force = samples.iter().map(|s| s.force_mps2).sum::<Vector3<R>>() / count;
-        let (mut field, mut fields) = (Vector3::zeros(), R::zero());
-        for reading in samples.iter().filter_map(|s| s.field_ut) {
-            field += reading;
-            fields += R::one();
-        }
-        let field = (fields > R::zero()).then(|| field / fields);
+        let mean = |vectors: &mut dyn Iterator<Item = Vector3<R>>| {
+            let (mut sum, mut count) = (Vector3::zeros(), R::zero());
+            for vector in vectors.filter(|v| v.iter().all(|x| x.is_finite())) {
+                sum += vector;
+                count += R::one();
+            }
+            (count > R::zero()).then(|| sum / count)
+        };
+        let force = mean(&mut samples.iter().map(|s| s.force_mps2))?;
+        let field = mean(&mut samples.iter().filter_map(|s| s.field_ut));
         let attitude = level(&force, field.as_ref())?;
-        Some(Self {
+        let finite = attitude.matrix().iter().all(|x| x.is_finite());
+        finite.then(|| Self {
             attitude,
             field_ut: field.map(|field| attitude * field),
             force_mps2: force.norm(),
@@ -288,7 +292,18 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         &self.filter
     }
 
-    /// Rests that failed their test although they were certain: the covariance was scaled there.
+    /// Update with a measurement of another sensor: a position, a range, a height.
+    pub fn update<const K: usize>(
+        &mut self,
+        measurement: &impl Measurement<R, N, K>,
+        gate: Gate,
+    ) -> Innovation<R> {
+        let innovation = self.filter.update(measurement, gate);
+        self.restart_if_diverged();
+        innovation
+    }
+
+    /// Updates at rests that are certain which failed their test: the covariance was scaled there.
     pub fn recoveries(&self) -> u32 {
         self.recoveries
     }
@@ -370,7 +385,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
     pub fn interrupt(&mut self, step_s: R) {
         self.count(step_s);
         self.since.accepted = R::zero();
-        self.model.interrupt();
+        let step_s = step_s + self.model.interrupt();
         self.filter
             .predict(&(Unmeasured { step_s }, self.magnetometer.step(step_s)));
         self.restart_if_diverged();
@@ -391,7 +406,8 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
 
     fn update_velocity(&mut self, at_rest: bool) {
         let profile = self.settings.profile;
-        if at_rest && self.settings.rests != Rests::Ignored {
+        let at_rest = at_rest && self.settings.rests != Rests::Ignored;
+        if at_rest {
             let interval = if profile == Profile::Foot {
                 STANCE_INTERVAL_S
             } else {
@@ -431,7 +447,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
     }
 
     /// A rest that fails the test is constant velocity, or the start of a motion. One that goes on failing is certain,
-    /// as is the stance of a foot.
+    /// until an update passes or the unit moves, as is the stance of a foot.
     fn update_rest(&mut self) {
         let zero = Velocity::zero(real(REST_SPEED), self.hidden);
         let gate = match self.settings.profile {
@@ -453,8 +469,6 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             recover(&mut self.filter, &zero, self.model.recovered());
             self.recoveries += 1;
             self.resting = true;
-            self.since.accepted = R::zero();
-            self.since.known = R::zero();
         }
     }
 
@@ -526,6 +540,11 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
     ) {
         let turn = about_up(heading - self.heading());
         self.filter.state.attitude = turn * self.filter.state.attitude;
+        // The tilt errors are those of the same body axes in the new directions.
+        self.filter.rotate(ATTITUDE, &turn);
+        if let Some(acceleration) = self.model.acceleration() {
+            self.filter.rotate(acceleration, &turn);
+        }
         self.filter.state.set(POSITION, position);
         self.filter.state.set(VELOCITY, velocity);
         let [position, velocity, heading] = deviations.map(|deviation| deviation * deviation);

@@ -7,7 +7,7 @@ mod unmeasured;
 
 pub use carried::{Carried, CarriedBlocks};
 pub use gauss_markov::{GaussMarkov, RandomWalk};
-pub use strapdown::{ImuErrors, Strapdown, StrapdownBlocks};
+pub use strapdown::{ConsideredBlocks, ImuErrors, Strapdown, StrapdownBlocks};
 pub use unmeasured::Unmeasured;
 
 use heapless::Vec;

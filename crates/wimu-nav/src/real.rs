@@ -71,3 +71,8 @@ impl Real for f64 {
         self.abs()
     }
 }
+
+/// Whether every component is finite.
+pub(crate) fn all_finite<'a, R: Real + 'a>(vectors: impl IntoIterator<Item = &'a [R; 3]>) -> bool {
+    vectors.into_iter().flatten().all(|v| v.is_finite())
+}

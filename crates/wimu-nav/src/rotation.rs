@@ -1,6 +1,6 @@
 //! Rotations. An attitude is the rotation C from body to navigation frame (east, north, up); its error θ is a rotation
-//! vector in the navigation frame, C_true = exp(θ) C (Solà, "Quaternion kinematics for the error-state Kalman filter",
-//! 2017, section 7).
+//! vector in the navigation frame, C_true = exp(θ) C: equation (112) (Solà, "Quaternion kinematics for the error-state
+//! Kalman filter", 2017, section 7).
 
 use nalgebra::{Matrix3, RealField, Rotation3, Vector3};
 

@@ -1,4 +1,4 @@
-//! State of the filter: an attitude on SO(3) and named blocks of a vector, each estimated or considered.
+//! State of the filter: an attitude on SO(3) and named blocks of a vector, each estimated or considered. Equation (112).
 
 use core::fmt;
 
@@ -171,5 +171,10 @@ impl<R: RealField + Copy, const M: usize, const N: usize> Jacobian<R, M, N> {
             .fixed_columns_mut::<W>(block.0)
             .copy_from(&derivative);
         self
+    }
+
+    /// The derivative with respect to a block.
+    pub fn get<const W: usize>(&self, block: Block<W>) -> SMatrix<R, M, W> {
+        self.0.fixed_columns::<W>(block.0).into_owned()
     }
 }

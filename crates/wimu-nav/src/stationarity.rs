@@ -1,5 +1,6 @@
-//! Stationarity detector: generalised likelihood ratio of "at rest" over a window (SHOE; I. Skog, P. Händel, J.-O.
-//! Nilsson, J. Rantakokko, "Zero-velocity detection: an algorithm evaluation", IEEE Trans. Biomed. Eng. 57, 2010).
+//! Stationarity detector: generalised likelihood ratio of "at rest" over a window, equation (129) (SHOE; I. Skog, P.
+//! Händel, J.-O. Nilsson, J. Rantakokko, "Zero-velocity detection: an algorithm evaluation", IEEE Trans. Biomed. Eng. 57,
+//! 2010).
 //!
 //! ```text
 //! T = 1/W Σ |f − g u|² / σ_f² + |ω|² / σ_ω²,   u = mean(f) / |mean(f)|
@@ -149,8 +150,8 @@ impl<R: RealField + Copy> Stationarity<R> {
         self.statistic
     }
 
-    /// Adds a sample, m/s² and rad/s, and the time since the sample before. Returns whether the unit is at rest. A sample that is not
-    /// finite ends a rest.
+    /// Adds a sample, m/s² and rad/s, and the time since the sample before. Returns whether the unit is at rest. A sample
+    /// that is not finite ends a rest.
     pub fn push(&mut self, force: &Vector3<R>, rate: Option<&Vector3<R>>, step_s: R) -> bool {
         let finite = |v: &Vector3<R>| v.iter().all(|x| x.is_finite());
         if !finite(force) || !rate.is_none_or(finite) || step_s > self.settings.window_s {

@@ -1,20 +1,19 @@
-//! Zero-velocity updates: an assumption.
+//! Zero-velocity updates of an array: an assumption.
 
-/// What is made of a stillness. No accelerometer tells a rest from even motion.
+/// What a detected rest means. An accelerometer does not distinguish a rest from constant velocity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Zupt {
-    /// It is taken for a rest, and the covariance holds what even motion could have hidden there: the truth lies
-    /// within it either way.
+    /// The velocity is taken as zero. The covariance includes what an undetected constant velocity may have caused.
     #[default]
     Assumed,
-    /// It is a rest: who says so knows that it was. The covariance depends on it.
+    /// The velocity is zero: the caller knows that the unit was at rest. The covariance depends on it.
     Stated,
-    /// It says nothing of the velocity. That at the start is one nevertheless.
+    /// Nothing. Only the rest at the start is used, for the alignment.
     Off,
 }
 
 impl Zupt {
-    /// Whether velocity is taken for zero at a stillness.
+    /// Whether the velocity at a rest is taken as zero.
     pub fn is_on(self) -> bool {
         self != Self::Off
     }

@@ -1,9 +1,12 @@
-//! No filter says that a state is valid which is not a number, whatever it is given.
+//! No filter reports a number that is not finite as usable, whatever samples it is given.
 
+use nalgebra::{RealField, Vector3};
 use proptest::prelude::*;
 use wimu_nav::array::{ArrayConfig, ArrayFilter, Geometry};
-use wimu_nav::slide::{Rest, Slide, SlideConfig};
-use wimu_nav::unit::{UnitConfig, UnitFilter, UnitSample};
+use wimu_nav::navigator::{
+    Gyroscope, Model, Navigator, NoGyroscope, Profile, Rests, Sample, Settings, Start,
+};
+use wimu_nav::stationarity::{Detector, Stationarity};
 use wimu_nav::{Real, Zupt};
 use wimu_testkit::{Lane, Random, trials};
 
@@ -65,18 +68,18 @@ fn stretches() -> impl Strategy<Value = (u64, Vec<Stretch>)> {
     })
 }
 
-fn samples(seed: u64, all: &[Stretch]) -> Vec<UnitSample> {
+fn samples(seed: u64, all: &[Stretch]) -> Vec<Sample<f64>> {
     let mut random = Random::new(seed);
     let mut samples = Vec::new();
     for stretch in all {
         for _ in 0..stretch.samples {
-            let mut vector = |size: f64| [0; 3].map(|_| random.within(size));
-            let [x, y, z] = vector(stretch.push_mps2);
+            let mut vector = |size: f64| Vector3::from([0; 3].map(|_| random.within(size)));
+            let force = vector(stretch.push_mps2);
             let field = stretch.field_ut.map(&mut vector);
-            samples.push(UnitSample {
+            samples.push(Sample {
                 step_s: stretch.step_s,
-                force_mps2: [x, y, 9.80665 + z],
-                field_ut: field.map(|[x, y, z]| [x, 20.0 + y, z - 44.0]),
+                force_mps2: force + Vector3::new(0.0, 0.0, 9.80665),
+                field_ut: field.map(|field| field + Vector3::new(0.0, 20.0, -44.0)),
                 rate_rad_s: stretch.rate_rad_s.map(&mut vector),
             });
         }
@@ -84,33 +87,70 @@ fn samples(seed: u64, all: &[Stretch]) -> Vec<UnitSample> {
     samples
 }
 
-fn narrow<R: Real>(v: [f64; 3]) -> [R; 3] {
-    v.map(R::from_f64)
-}
-
-fn of_unit<R: Real>(config: UnitConfig, samples: &[UnitSample]) -> Result<(), TestCaseError> {
-    let mut filter = UnitFilter::<R>::new(config);
-    for sample in samples {
-        let _ = filter.push(&UnitSample {
-            step_s: R::from_f64(sample.step_s),
-            force_mps2: narrow(sample.force_mps2),
-            field_ut: sample.field_ut.map(narrow),
-            rate_rad_s: sample.rate_rad_s.map(narrow),
-        });
-        let state = filter.state();
-        let variances = [0, 1, 2].map(|i| state.position_covariance[i][i]);
-        let numbers = state.position_m.iter().chain(&state.velocity_mps);
-        let mut numbers = numbers.chain(&state.quaternion).chain(&variances);
-        let finite = numbers.all(|v| v.is_finite());
-        prop_assert!(finite || !(state.valid || state.at_origin), "{state:?}");
-        let sd = state.position_sd_m();
-        let known = variances.iter().all(|v| v.is_finite());
-        prop_assert!(known || !sd.is_finite(), "{variances:?} is no {sd:?}");
+/// Pushes all samples: every solution is finite, and after a divergence the position is unknown to more than 1 km.
+fn of_unit<R: RealField + Copy, M: Model<R, N>, const N: usize>(
+    settings: Settings<R>,
+    samples: &[Sample<f64>],
+) -> Result<u32, TestCaseError> {
+    let real = |x: f64| nalgebra::convert::<f64, R>(x);
+    let samples: Vec<Sample<R>> = samples
+        .iter()
+        .map(|s| Sample {
+            step_s: real(s.step_s),
+            force_mps2: s.force_mps2.map(real),
+            rate_rad_s: s.rate_rad_s.map(|v| v.map(real)),
+            field_ut: s.field_ut.map(|v| v.map(real)),
+        })
+        .collect();
+    let start = Start::align(&samples[..50], true).expect("the first stretch is a rest");
+    let mut navigator =
+        Navigator::<R, M, N>::new(settings, &start).expect("all states have a place");
+    let mut detector = Stationarity::new(Detector::default());
+    for sample in &samples {
+        let rate = sample.rate_rad_s.as_ref();
+        let rest = detector.push(&sample.force_mps2, rate, sample.step_s);
+        let before = navigator.divergences();
+        let _ = navigator.push(sample, rest);
+        prop_assert!(navigator.filter().is_sound());
+        let state = navigator.solution();
+        let vectors = [state.position_m, state.velocity_mps];
+        let covariances = [
+            state.position_covariance,
+            state.velocity_covariance,
+            state.attitude_covariance,
+        ];
+        let numbers = vectors.iter().flatten().chain(&state.quaternion);
+        let mut numbers = numbers.chain(covariances.iter().flatten().flatten());
+        prop_assert!(numbers.all(|v| v.is_finite()), "{state:?}");
+        let norm: R = state
+            .quaternion
+            .iter()
+            .fold(R::zero(), |sum, q| sum + *q * *q);
+        prop_assert!((norm - R::one()).abs() < real(1e-3), "{state:?}");
+        for p in &covariances {
+            prop_assert!((0..3).all(|i| p[i][i] >= R::zero()), "{state:?}");
+        }
+        if navigator.divergences() > before {
+            let p = state.position_covariance;
+            prop_assert!((0..3).all(|i| p[i][i] > real(1e6)), "{state:?}");
+        }
     }
-    Ok(())
+    Ok(navigator.divergences())
 }
 
-fn of_array<R: Real>(zupt: Zupt, samples: &[UnitSample]) -> Result<(), TestCaseError> {
+/// Both models in one precision.
+fn of_units<R: RealField + Copy>(
+    profile: Profile,
+    rests: Rests,
+    samples: &[Sample<f64>],
+) -> Result<u32, TestCaseError> {
+    let mut settings = Settings::<R>::of(profile);
+    settings.rests = rests;
+    Ok(of_unit::<R, Gyroscope<R>, 40>(settings, samples)?
+        + of_unit::<R, NoGyroscope<R>, 24>(settings, samples)?)
+}
+
+fn of_array<R: Real>(zupt: Zupt, samples: &[Sample<f64>]) -> Result<(), TestCaseError> {
     let board = Geometry::<24>::eight_triads_board(0.02, 0.005, 0.01).unwrap();
     let config = ArrayConfig {
         zupt,
@@ -150,12 +190,15 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: cases(), failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn no_state_of_a_unit_that_is_not_finite_is_valid((seed, all) in stretches()) {
+    fn every_solution_of_a_navigator_is_finite((seed, all) in stretches()) {
         let samples = samples(seed, &all);
-        for zupt in [Zupt::Assumed, Zupt::Stated, Zupt::Off] {
-            let config = UnitConfig { zupt, ..UnitConfig::default() };
-            of_unit::<f64>(config, &samples)?;
-            of_unit::<f32>(config, &samples)?;
+        for (profile, rests) in [
+            (Profile::Hand, Rests::ZeroVelocity),
+            (Profile::Foot, Rests::ConstantVelocity),
+            (Profile::Free, Rests::Ignored),
+        ] {
+            of_units::<f64>(profile, rests, &samples)?;
+            of_units::<f32>(profile, rests, &samples)?;
         }
     }
 
@@ -167,48 +210,31 @@ proptest! {
         }
         of_array::<f32>(Zupt::Assumed, &samples)?;
     }
-
-    #[test]
-    fn a_slide_takes_no_sample_that_makes_its_numbers_none((seed, all) in stretches()) {
-        let rest = |rate: Option<f64>| Rest {
-            force_mps2: [0.0, 0.0, 9.80665],
-            sd_mps2: 0.01,
-            rate_rad_s: rate.map(|_| [0.0; 3]),
-        };
-        let rest = rest(all[0].rate_rad_s);
-        let mut slide = Slide::new(SlideConfig::default(), rest);
-        for sample in samples(seed, &all) {
-            slide.push(sample.step_s, sample.force_mps2, sample.rate_rad_s);
-        }
-        let done = slide.finish(rest);
-        let mut numbers = done.displacement_m.iter().chain([&done.length_m, &done.length_sd_m]);
-        prop_assert!(numbers.all(|v| v.is_finite()), "{done:?}");
-    }
 }
 
 #[test]
-fn a_filter_that_diverged_says_so_and_its_deviation_is_not_zero() {
-    // Violently shaken, with a magnetic field of any direction: what nothing explains drives the rate away.
-    let shaken = Stretch {
-        samples: 4000,
-        step_s: 0.0091,
-        push_mps2: 20.0,
-        rate_rad_s: None,
-        field_ut: Some(60.0),
-    };
-    let at_rest = Stretch {
-        samples: 150,
-        push_mps2: 0.01,
-        field_ut: Some(0.1),
-        ..shaken
-    };
-    let config = UnitConfig {
-        zupt: Zupt::Stated,
-        ..UnitConfig::default()
-    };
-    for seed in 0..trials(1000) as u64 {
-        let samples = samples(seed, &[at_rest, shaken]);
-        of_unit::<f32>(config, &samples).unwrap();
-        of_unit::<f64>(config, &samples).unwrap();
+fn huge_rates_and_forces_are_a_divergence() {
+    let mut found = 0;
+    for (push_mps2, rate_rad_s) in [(1e4, 1e3), (1e6, 1e6), (20.0, 1e150), (1e150, 1.0)] {
+        let wild = Stretch {
+            samples: 400,
+            step_s: 0.01,
+            push_mps2,
+            rate_rad_s: Some(rate_rad_s),
+            field_ut: Some(60.0),
+        };
+        let at_rest = Stretch {
+            samples: 150,
+            push_mps2: 0.01,
+            rate_rad_s: Some(1e-3),
+            field_ut: Some(0.1),
+            ..wild
+        };
+        for seed in 0..trials(50) as u64 {
+            let samples = samples(seed, &[at_rest, wild, at_rest]);
+            found += of_units::<f32>(Profile::Hand, Rests::ZeroVelocity, &samples).unwrap();
+            found += of_units::<f64>(Profile::Free, Rests::ZeroVelocity, &samples).unwrap();
+        }
     }
+    assert!(found > 40, "{found}");
 }

@@ -32,8 +32,8 @@ pub trait Model<R, const N: usize>: Sized {
         magnetometer: &Magnetometer<R>,
     ) -> Option<Vector3<R>>;
 
-    /// Forgets the last samples: time without a usable sample follows.
-    fn interrupt(&mut self);
+    /// Forgets the last samples, as time without a usable sample follows. Returns the time since the last prediction, s.
+    fn interrupt(&mut self) -> R;
 
     /// Shortest interval of the magnetometer's updates, s.
     fn field_interval_s(&self) -> R;
@@ -44,6 +44,11 @@ pub trait Model<R, const N: usize>: Sized {
     /// The states of rotation whose covariance is scaled, with attitude, velocity and position, at a rest that fails its
     /// test.
     fn recovered(&self) -> Block<3>;
+
+    /// Acceleration in the navigation frame, where it is a state.
+    fn acceleration(&self) -> Option<Block<3>> {
+        None
+    }
 }
 
 /// Strapdown integration of a gyroscope's angular rate.
@@ -99,8 +104,9 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
         sample.field_ut
     }
 
-    fn interrupt(&mut self) {
+    fn interrupt(&mut self) -> R {
         self.last = None;
+        R::zero()
     }
 
     /// The disturbance is correlated over shorter times.
@@ -291,9 +297,9 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
         field
     }
 
-    fn interrupt(&mut self) {
-        self.group = Group::empty();
+    fn interrupt(&mut self) -> R {
         self.directions.clear();
+        core::mem::replace(&mut self.group, Group::empty()).time_s
     }
 
     /// Every step: it is the only measurement of the rotation about the vertical.
@@ -307,5 +313,9 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
 
     fn recovered(&self) -> Block<3> {
         self.blocks.angular_rate
+    }
+
+    fn acceleration(&self) -> Option<Block<3>> {
+        Some(self.blocks.acceleration)
     }
 }

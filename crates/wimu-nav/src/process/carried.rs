@@ -1,4 +1,4 @@
-//! A body that is carried, without a gyroscope: angular rate and acceleration are states.
+//! A body that is carried, without a gyroscope: angular rate and acceleration are states. Equation (125).
 //!
 //! The angular rate, body frame, is a first-order Gauss–Markov process. The velocity, navigation frame, is a damped
 //! oscillator:

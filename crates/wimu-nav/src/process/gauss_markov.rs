@@ -1,4 +1,5 @@
-//! Random walk and first-order Gauss–Markov process (A. Gelb, "Applied Optimal Estimation", 1974, section 2.2).
+//! Random walk and first-order Gauss–Markov process: equation (127) (A. Gelb, "Applied Optimal Estimation", 1974, section
+//! 2.2).
 
 use nalgebra::{Matrix3, RealField};
 

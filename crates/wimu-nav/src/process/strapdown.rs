@@ -1,4 +1,4 @@
-//! Strapdown integration: angular rate and specific force are measured.
+//! Strapdown integration: angular rate and specific force are measured. Equations (113) to (116).
 //!
 //! Sensor models, in the body frame, with white noise n:
 //!
@@ -64,10 +64,13 @@ fn elements<R: RealField + Copy>([scale, misalignment]: [R; 2]) -> [R; 9] {
 
 /// Considered blocks of the strapdown model.
 #[derive(Clone, Copy, Debug)]
-struct Considered {
-    accelerometer_matrix: Block<9>,
-    gyroscope_matrix: Block<9>,
-    delay: Block<1>,
+pub struct ConsideredBlocks {
+    /// M_f, by rows.
+    pub accelerometer_matrix: Block<9>,
+    /// M_ω, by rows.
+    pub gyroscope_matrix: Block<9>,
+    /// τ, s.
+    pub delay: Block<1>,
 }
 
 /// States of the strapdown model beside attitude, velocity and position.
@@ -77,7 +80,8 @@ pub struct StrapdownBlocks {
     pub gyroscope_bias: Block<3>,
     /// Bias of the accelerometer, m/s², body frame.
     pub accelerometer_bias: Block<3>,
-    considered: Option<Considered>,
+    /// Sensor matrices and delay, where they are considered.
+    pub considered: Option<ConsideredBlocks>,
 }
 
 impl StrapdownBlocks {
@@ -106,7 +110,7 @@ impl StrapdownBlocks {
         errors: &ImuErrors<R>,
     ) -> Result<Self, LayoutFull> {
         let role = Role::Considered;
-        self.considered = Some(Considered {
+        self.considered = Some(ConsideredBlocks {
             accelerometer_matrix: layout.claim(role, elements(errors.accelerometer_matrix))?,
             gyroscope_matrix: layout.claim(role, elements(errors.gyroscope_matrix))?,
             delay: layout.claim(role, [errors.delay_s])?,

@@ -1,4 +1,4 @@
-//! Time without samples.
+//! Time without samples: equation (128).
 
 use nalgebra::{Matrix3, RealField};
 

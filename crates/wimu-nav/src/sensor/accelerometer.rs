@@ -1,4 +1,4 @@
-//! Specific force of a body whose acceleration is a state: f = Cᵀ (a + g) + b.
+//! Specific force of a body whose acceleration is a state: f = Cᵀ (a + g) + b, equation (123).
 
 use nalgebra::{Matrix3, RealField, Vector3};
 

@@ -1,4 +1,4 @@
-//! Magnetic field against a reference, with the local disturbance as a Gauss–Markov state.
+//! Magnetic field against a reference, with the local disturbance as a Gauss–Markov state. Equation (123).
 
 use nalgebra::{Matrix3, RealField, Vector3};
 

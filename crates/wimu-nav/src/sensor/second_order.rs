@@ -1,4 +1,4 @@
-//! Second-order terms of a vector that is measured in the body frame.
+//! Second-order terms of a vector that is measured in the body frame: equation (124).
 //!
 //! With the attitude error θ and the error e of the vector u, both in the navigation frame, exp(−θ) (u + e) has the
 //! second-order part ½ θ × (θ × u) − θ × e. With P = cov(θ) and c = cov(θ, e), its mean is

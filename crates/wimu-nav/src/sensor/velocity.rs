@@ -1,4 +1,4 @@
-//! Velocity: zero at a rest, or bounded in motion.
+//! Velocity: zero at a rest, or bounded in motion. Equations (121) and (122).
 
 use nalgebra::{Matrix3, RealField, Vector3};
 

@@ -3,8 +3,10 @@
 
 pub use wimu_testkit::Random;
 
-pub mod journeys;
-pub mod motions;
+pub mod consistency;
+pub mod navigated;
+pub mod states;
+pub mod travel;
 
 use wimu_nav::array::Geometry;
 

@@ -215,7 +215,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
                 |at: usize| -> [R; 3] { core::array::from_fn(|i| best.cov[at + i][at + i]) };
             self.taken_off = (part(&best.mean, VELOCITY), [R::default(); 3]);
             self.unseen
-                .arrived(part(&best.mean, VELOCITY), variance(VELOCITY));
+                .add_velocity(part(&best.mean, VELOCITY), variance(VELOCITY));
             let up = best.attitude[2];
             let rate = dot(&up, &part(&best.mean, OMEGA)).to_f64();
             let spread = dot(&up, &times(&block(&best.cov, OMEGA, OMEGA), &up)).to_f64();
@@ -235,8 +235,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             }
         }
         let slow = PUSH_S * self.settled_sd();
-        self.unseen
-            .pushed([R::default(); 3], r(slow), [R::default(); 3]);
+        self.unseen.at_least(r(slow));
         let before = self.rested_s;
         self.rested_s += step;
         let more = self.doubt_mps2 * (self.rested_s * self.rested_s - before * before);
@@ -282,7 +281,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             *more = 2.0 * *way * go + turn.angle2 * go * go;
             *way += turn.angle2 * go;
         }
-        self.unseen.strayed(more.map(r));
+        self.unseen.add_position(more.map(r));
         turn.angle2 += step * (2.0 * turn.both + step * turn.rate2);
         turn.both += step * turn.rate2;
     }
@@ -299,7 +298,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let after = place(self);
         let by: [R; 3] = core::array::from_fn(|i| before[i] - after[i]);
         let (velocity, sum) = &mut self.taken_off;
-        self.unseen.missing(*velocity, *sum, by);
+        self.unseen.add_correction(*velocity, *sum, by);
         for (sum, by) in sum.iter_mut().zip(by) {
             *sum += by;
         }

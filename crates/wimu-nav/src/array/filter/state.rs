@@ -5,7 +5,7 @@ use super::super::hypothesis::{
 };
 use super::super::matrix::times;
 use super::{ArrayFilter, Wandered};
-use crate::vector::all_finite;
+use crate::real::all_finite;
 use crate::{Real, Zupt};
 
 /// The part of a hidden turn's variance across the vertical: what holds the array on its circle tilts it.
@@ -87,7 +87,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             since_rest_s: r(self.since_rest_s),
             resting: self.resting(),
             unseen_mps: r(self.unseen_mps),
-            unseen_m: self.unseen.way_sd_m(),
+            unseen_m: self.unseen.position_sd_m(),
             valid: self.valid,
         };
         let mut all: Option<Hypothesis<R>> = None;
@@ -142,7 +142,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         }
         if self.config.zupt == Zupt::Assumed {
             // Equation (103).
-            let (speed2, way2) = (self.unseen.speed2(), self.unseen.way2());
+            let (speed2, way2) = (self.unseen.velocity2(), self.unseen.position2());
             for i in 0..3 {
                 state.velocity_covariance[i][i] += speed2[i];
                 state.position_covariance[i][i] += way2[i];

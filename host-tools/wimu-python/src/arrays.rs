@@ -1,6 +1,10 @@
 //! Rust values as Python objects.
 
-use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
+use std::ops::Deref;
+
+use numpy::ndarray::Dimension;
+use numpy::{AllowTypeChange, PyArray1, PyArray2, PyArray3, PyArrayLike, PyArrayMethods};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use serde::Serialize;
 use wimu_host::ErrorCode;
@@ -13,6 +17,29 @@ pub type Array1<T = f64> = Py<PyArray1<T>>;
 pub type Array2 = Py<PyArray2<f64>>;
 /// An array of three dimensions.
 pub type Array3 = Py<PyArray3<f64>>;
+
+/// Numbers that were given, as an array or as lists.
+pub struct Numbers<'py, D: Dimension>(PyArrayLike<'py, f64, D, AllowTypeChange>);
+
+impl<'py, D: Dimension> Deref for Numbers<'py, D> {
+    type Target = PyArrayLike<'py, f64, D, AllowTypeChange>;
+
+    fn deref(&self) -> &Self::Target {
+        &self.0
+    }
+}
+
+impl<'a, 'py, D: Dimension + 'py> FromPyObject<'a, 'py> for Numbers<'py, D> {
+    type Error = PyErr;
+
+    /// Texts and lists of unequal lengths are wrong types, too.
+    fn extract(given: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
+        let numbers = given.extract();
+        numbers
+            .map(Self)
+            .map_err(|error: PyErr| PyTypeError::new_err(error.to_string()))
+    }
+}
 
 /// An array of one value a row.
 pub fn column<T: numpy::Element>(py: Python<'_>, values: impl IntoIterator<Item = T>) -> Array1<T> {

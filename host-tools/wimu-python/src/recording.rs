@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::path::PathBuf;
 
-use numpy::{AllowTypeChange, PyArray1, PyArrayLike1, PyArrayLike2, PyArrayMethods};
+use numpy::{Ix1, Ix2, PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::PyList;
@@ -11,14 +11,14 @@ use wimu_host::formats::{self, ReadOptions};
 use wimu_host::recording::{Quantity, Recording as Data, Sink, Track as Measured, TrackInfo, Unit};
 use wimu_link::LinkRole;
 
-use crate::arrays::{Array1, column, plain};
+use crate::arrays::{Array1, Numbers, column, plain};
 use crate::failure::{Result, usage};
 
 /// Largest time of an array, s: 292 years in nanoseconds are the range of 64 bits.
 const LAST_S: f64 = 9e9;
 
-type Column<'py> = PyArrayLike1<'py, f64, AllowTypeChange>;
-type Rows<'py> = PyArrayLike2<'py, f64, AllowTypeChange>;
+type Column<'py> = Numbers<'py, Ix1>;
+type Rows<'py> = Numbers<'py, Ix2>;
 
 /// What was measured: the content of a file, or arrays.
 #[pyclass(frozen, module = "wimu")]

@@ -206,9 +206,10 @@ def test_arrays_give_the_calibration_of_the_same_file():
 def test_the_errors_of_a_simulated_sensor_are_found_within_their_uncertainty():
     normalised = []
     for seed in range(20):
-        found = wimu.calibrate(wimu.Recording(*rests(seed)), gravity=GRAVITY)
+        # With few degrees of freedom, error over σ has Student's t distribution, which is wider.
+        found = wimu.calibrate(wimu.Recording(*rests(seed, 40)), gravity=GRAVITY)
         normalised.append((found.bias - BIAS) / found.bias_sd)
-        assert found.rms < 0.01 and found.poses == 14
+        assert found.rms < 0.01 and found.poses == 40
         lower = np.tril_indices(3)
         assert np.allclose(found.matrix[lower], MATRIX[lower], atol=0.002)
     rms = float(np.sqrt(np.mean(np.square(normalised))))

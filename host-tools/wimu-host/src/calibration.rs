@@ -71,6 +71,14 @@ pub enum MethodChoice {
 }
 
 impl MethodChoice {
+    /// All methods.
+    pub const ALL: [Self; 4] = [
+        Self::MultiPosition,
+        Self::SixPosition,
+        Self::FourAngle,
+        Self::ThreeAngle,
+    ];
+
     /// Its name on the command line.
     pub fn name(self) -> &'static str {
         match self {
@@ -95,6 +103,54 @@ impl Default for ModelChoice {
     fn default() -> Self {
         Self::Fixed(Model::Full9)
     }
+}
+
+/// The model and terms that a text such as `6`, `auto` or `9+drift` names; those of the method where it names none.
+///
+/// # Errors
+/// `usage` for an unknown name, or one that does not go with the method.
+pub fn parse_model(text: &str, method: MethodChoice) -> Result<(ModelChoice, Terms)> {
+    let (base, names) = text
+        .split_once('+')
+        .map_or((text, None), |(base, names)| (base, Some(names)));
+    let mut terms = Terms::NONE;
+    for name in names.into_iter().flat_map(|names| names.split('+')) {
+        terms = match name {
+            "drift" => terms.with(Term::Drift),
+            "temperature" => terms
+                .with(Term::BiasTemperature)
+                .with(Term::ScaleTemperature),
+            "quadratic" => terms.with(Term::Quadratic),
+            other => {
+                return Err(ErrorCode::Usage.error(
+                    format!("--model {text}: unknown term {other:?}"),
+                    "the terms are drift, temperature and quadratic, as in 9+drift",
+                ));
+            }
+        };
+    }
+    let model = match (base, method) {
+        ("", _)
+        | ("12", MethodChoice::SixPosition)
+        | ("6", MethodChoice::FourAngle | MethodChoice::ThreeAngle) => ModelChoice::default(),
+        ("9", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::Full9),
+        ("6", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::BiasScale6),
+        ("3", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::Bias3),
+        ("auto", MethodChoice::MultiPosition) => ModelChoice::Auto,
+        _ => {
+            return Err(ErrorCode::Usage.error(
+                format!("--model {text} does not go with --method {}", method.name()),
+                "multi-position has 3, 6, 9 or auto, six-position 12, four-angle and three-angle 6",
+            ));
+        }
+    };
+    if terms != Terms::NONE && method != MethodChoice::MultiPosition {
+        return Err(ErrorCode::Usage.error(
+            format!("--model {text}: only multi-position has terms"),
+            "leave the term out, or use --method multi-position",
+        ));
+    }
+    Ok((model, terms))
 }
 
 /// Options of a calibration.

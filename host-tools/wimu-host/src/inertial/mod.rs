@@ -66,6 +66,18 @@ pub enum Method {
     Slide,
 }
 
+impl Method {
+    /// The method for a recording of one unit where none is chosen: with the angular rate if it has one.
+    pub fn of(recording: &MotionRecording) -> Self {
+        let has_rate = recording.samples.iter().any(|s| s.rate_rad_s.is_some());
+        if has_rate {
+            Self::Strapdown
+        } else {
+            Self::Tilt
+        }
+    }
+}
+
 /// Deviations up to which something is likely.
 const LIKELY: f64 = 3.0;
 

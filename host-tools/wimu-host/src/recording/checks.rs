@@ -11,7 +11,7 @@ impl Recording {
     ///
     /// # Errors
     /// `data_refused` when more than half of the rows of an accelerometer cannot be used.
-    pub(crate) fn check(&mut self, in_order: bool) -> Result<()> {
+    pub fn check(&mut self, in_order: bool) -> Result<()> {
         let start_ns = self.start_ns().unwrap_or_default();
         for track in &mut self.tracks {
             let since_s = |row: usize, track: &Track| {

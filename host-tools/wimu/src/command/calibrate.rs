@@ -11,7 +11,7 @@ use std::sync::mpsc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
-use wimu_calib::{Face, Model, Phase, Session, Term, Terms};
+use wimu_calib::{Face, Model, Phase, Session};
 use wimu_host::calibration::{
     self, CalibrateOptions, CalibrationFile, MethodChoice, ModelChoice, Paired,
 };
@@ -205,48 +205,8 @@ fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
         Method::ThreeAngle => MethodChoice::ThreeAngle,
         Method::MultiPosition | Method::Reference | Method::Update => MethodChoice::MultiPosition,
     };
-    let multi_position = method == MethodChoice::MultiPosition;
     let text = arguments.model.as_deref().unwrap_or_default();
-    let (base, names) = text
-        .split_once('+')
-        .map_or((text, None), |(base, names)| (base, Some(names)));
-    let mut terms = Terms::NONE;
-    for name in names.into_iter().flat_map(|names| names.split('+')) {
-        terms = match name {
-            "drift" => terms.with(Term::Drift),
-            "temperature" => terms
-                .with(Term::BiasTemperature)
-                .with(Term::ScaleTemperature),
-            "quadratic" => terms.with(Term::Quadratic),
-            other => {
-                return Err(usage(
-                    format!("--model {text}: unknown term {other:?}"),
-                    "the terms are drift, temperature and quadratic, as in 9+drift",
-                ));
-            }
-        };
-    }
-    let model = match (base, method) {
-        ("", _)
-        | ("12", MethodChoice::SixPosition)
-        | ("6", MethodChoice::FourAngle | MethodChoice::ThreeAngle) => ModelChoice::default(),
-        ("9", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::Full9),
-        ("6", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::BiasScale6),
-        ("3", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::Bias3),
-        ("auto", MethodChoice::MultiPosition) => ModelChoice::Auto,
-        _ => {
-            return Err(usage(
-                format!("--model {text} does not go with --method {}", method.name()),
-                "multi-position has 3, 6, 9 or auto, six-position 12, four-angle and three-angle 6",
-            ));
-        }
-    };
-    if terms != Terms::NONE && !multi_position {
-        return Err(usage(
-            format!("--model {text}: only multi-position has terms"),
-            "leave the term out, or use --method multi-position",
-        ));
-    }
+    let (model, terms) = calibration::parse_model(text, method)?;
     let datasheet = arguments.sensor_model.as_deref();
     Ok(CalibrateOptions {
         method,

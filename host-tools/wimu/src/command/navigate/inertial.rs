@@ -159,11 +159,10 @@ pub fn one_unit(
     source: String,
     output: Output,
 ) -> Result<Found> {
-    let rated = recording.samples.iter().any(|s| s.rate_rad_s.is_some());
     let method = match arguments.method {
         NavigateMethod::Strapdown => Method::Strapdown,
         NavigateMethod::Slide => Method::Slide,
-        NavigateMethod::Auto if rated => Method::Strapdown,
+        NavigateMethod::Auto => Method::of(recording),
         _ => Method::Tilt,
     };
     let (choice, settling) = choice(arguments, method)?;

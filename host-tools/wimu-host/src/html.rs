@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use crate::chart::Chart;
+use crate::finding::{self, Finding};
 use crate::{OutputFile, Result};
 
 /// A page that is written from top to bottom.
@@ -32,6 +33,15 @@ impl Report {
     pub fn printed(&mut self, text: &str) -> &mut Self {
         let _ = writeln!(self.body, "<pre>{}</pre>", escape(text));
         self
+    }
+
+    /// All findings, if there are any.
+    pub fn findings(&mut self, findings: &[Finding]) -> &mut Self {
+        let text = finding::text(findings, usize::MAX);
+        if text.is_empty() {
+            return self;
+        }
+        self.printed(text.trim_end())
     }
 
     /// A table with a header row.

@@ -276,7 +276,7 @@ impl FirstLight {
             Some(set) => Ok((report, set)),
             None => Err(HostError::new(
                 ErrorCode::DataRefused,
-                report.reason.unwrap_or_default(),
+                report.outcome.reason.unwrap_or_default(),
                 "choose another seed",
             )),
         }

@@ -27,7 +27,6 @@ use std::time::{Duration, Instant};
 use wimu_host::client::{self, Client};
 use wimu_host::decode::Arrival;
 use wimu_host::keys::KeyFolder;
-use wimu_host::mcap_file::Wholeness;
 use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, LinkUrl, Result};
 
@@ -74,13 +73,6 @@ fn connect_to_read(link: &str, output: Output) -> Result<(Connection, Option<boo
             output.print(format!("not authenticated: {error}"));
             Ok((client, Some(false)))
         }
-    }
-}
-
-/// Prints what is wrong with a recording's file, if anything.
-fn print_fault(wholeness: Wholeness, output: Output) {
-    if let Some(fault) = wholeness.fault() {
-        output.print(format!("  {fault}"));
     }
 }
 

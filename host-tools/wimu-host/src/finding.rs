@@ -218,11 +218,8 @@ pub fn text(findings: &[Finding], most: usize) -> String {
     let is_told = |finding: &&Finding| finding.code != FindingCode::NoResult;
     let mut sorted: Vec<&Finding> = findings.iter().filter(is_told).collect();
     sorted.sort_by_key(|finding| Reverse(finding.severity));
-    let line = |finding: &&Finding| match finding.severity {
-        Severity::Note => labelled("  note: ", finding),
-        Severity::Warning => labelled("  warning: ", finding),
-        Severity::Error => labelled("  error: ", finding),
-    };
+    let label = |severity: Severity| format!("  {severity:?}: ").to_lowercase();
+    let line = |finding: &&Finding| labelled(&label(finding.severity), finding);
     let mut text: String = sorted.iter().take(most).map(line).collect();
     if sorted.len() > most {
         text += &format!("  {} more with --verbose\n", sorted.len() - most);

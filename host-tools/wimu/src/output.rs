@@ -35,7 +35,7 @@ struct Answer<'a, T> {
 
 /// A `usage` error: what is wrong, and what to do.
 pub fn usage(message: impl Into<String>, remedy: impl Into<String>) -> HostError {
-    HostError::new(ErrorCode::Usage, message, remedy)
+    ErrorCode::Usage.error(message, remedy)
 }
 
 /// With `--json`, objects go to stdout and human text to stderr; without, human text to stdout.
@@ -84,8 +84,7 @@ impl Output {
     /// `file_failed` when a write to stdout failed. A closed pipe is no failure.
     pub fn finish() -> Result<()> {
         if FAILED.load(Ordering::Relaxed) {
-            return Err(HostError::new(
-                ErrorCode::FileFailed,
+            return Err(ErrorCode::FileFailed.error(
                 "the output could not be written to stdout",
                 "check where stdout goes, and that the disk has space",
             ));

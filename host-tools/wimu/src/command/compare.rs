@@ -42,12 +42,12 @@ fn recording(path: &Path, arguments: &Compare, output: Output) -> Result<()> {
     if let Some(file) = &arguments.output {
         let model = found.values.as_ref().map(|values| &values.model);
         let model = model.ok_or_else(|| {
-            HostError::new(
-                ErrorCode::DataRefused,
-                found.values_reason.clone().unwrap_or_default(),
-                "record a longer motion",
-            )
-            .at(&name)
+            ErrorCode::DataRefused
+                .error(
+                    found.values_reason.clone().unwrap_or_default(),
+                    "record a longer motion",
+                )
+                .at(&name)
         })?;
         model.write(file)?;
         output.print(format!(

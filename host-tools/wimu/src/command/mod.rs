@@ -28,7 +28,7 @@ use wimu_host::client::{self, Client};
 use wimu_host::decode::Arrival;
 use wimu_host::keys::KeyFolder;
 use wimu_host::transport::Transport;
-use wimu_host::{ErrorCode, HostError, LinkUrl, Result};
+use wimu_host::{ErrorCode, LinkUrl, Result};
 
 use crate::output::{Output, usage};
 
@@ -99,8 +99,7 @@ fn interrupted() -> Result<Arc<AtomicBool>> {
     let flag = Arc::new(AtomicBool::new(false));
     let set = flag.clone();
     ctrlc::set_handler(move || set.store(true, Ordering::Relaxed)).map_err(|error| {
-        HostError::new(
-            ErrorCode::FileFailed,
+        ErrorCode::FileFailed.error(
             format!("cannot install the Ctrl-C handler: {error}"),
             "run the command in a terminal",
         )

@@ -1,7 +1,7 @@
 //! `wimu calibrate --sensor magnetometer`.
 
 use wimu_host::calibration::{CalibrateOptions, CalibrationFile, calibrate_magnetometer, sessions};
-use wimu_host::{ErrorCode, HostError, Result};
+use wimu_host::{ErrorCode, Result};
 use wimu_model::ParameterSet;
 
 use super::{collect, finish, read_calibrated, reading};
@@ -43,8 +43,7 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
 fn calibrated(set: Option<ParameterSet>) -> Result<ParameterSet> {
     set.filter(|set| *set != ParameterSet::uncalibrated(set.range_g, set.sensitivity))
         .ok_or_else(|| {
-            HostError::new(
-                ErrorCode::DataRefused,
+            ErrorCode::DataRefused.error(
                 "there is no calibration of the accelerometer beside the magnetometer",
                 "calibrate it with `wimu calibrate … -o CAL.json` and add --with CAL.json",
             )

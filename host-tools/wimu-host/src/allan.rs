@@ -306,7 +306,7 @@ fn findings(source: RateSource, axes: Option<&[AxisReport; 3]>) -> Vec<Finding> 
             )));
         }
         if let Some(tau_s) = axis.white_from_s {
-            findings.push(FindingCode::Filtered.note(format!(
+            findings.push(FindingCode::NotNoise.note(format!(
                 "{name}: the output is filtered, or samples repeat: it is white noise from averaging times of {tau_s:.3} s on, \
                  and the figures are from there"
             )));
@@ -342,7 +342,7 @@ impl NoiseReport {
             .copied()
             .map(|axes| axes.map(AxisReport::from));
         let mut outcome = Outcome::default();
-        outcome.findings = findings(rate_source, axes.as_ref());
+        (outcome.findings).extend(findings(rate_source, axes.as_ref()));
         if let Err(refusal) = &found {
             outcome.refuse(refusal.to_string());
         }

@@ -45,6 +45,7 @@ use wimu_model::{ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity};
 use crate::csv::AccelerationUnit;
 use crate::error::{ErrorCode, Result};
 use crate::finding::{FindingCode, Outcome};
+use crate::plural::counted;
 use crate::recording::{OutputUnit, Samples};
 use advice::{advice, next_poses};
 pub(crate) use input::mps2_per_unit;
@@ -56,9 +57,6 @@ use words::{findings, left_out, reason, start_times};
 /// Range of sensitivities that a sensor can have, LSB/*g*: from 8 bits at ±100 *g* to 27 bits at ±1 *g*. The range
 /// that a board accepts is narrower: [`Sensitivity::from_lsb_per_g`].
 const SENSOR_LSB_PER_G: std::ops::RangeInclusive<f64> = 1.0..=67_108_864.0;
-
-/// Why the last pose of a full rotation is left out.
-const RETURNED: &str = "the rotation had returned to its first step";
 
 /// How to estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -179,13 +177,14 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
         },
     };
     let mut found = poses(data, scale, gravity.mps2());
+    let returned = "the rotation had returned to its first step";
     let repeated = match options.method {
         MethodChoice::MultiPosition => {
             left_out(found.remove_repeated(), "exactly equal to an earlier pose")
         }
         MethodChoice::SixPosition => None,
-        MethodChoice::FourAngle => left_out(found.remove_closing(4), RETURNED),
-        MethodChoice::ThreeAngle => left_out(found.remove_closing(3), RETURNED),
+        MethodChoice::FourAngle => left_out(found.remove_closing(4), returned),
+        MethodChoice::ThreeAngle => left_out(found.remove_closing(3), returned),
     };
     if let Some(sides) = &options.sides
         && sides.len() != found.poses.len()
@@ -277,8 +276,8 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
             });
     let board = sensitivity.zip(range);
     let mut outcome = Outcome::default();
-    outcome.findings = findings(data, options, &fitted, estimate.as_ref(), board, lsb_per_g);
-    outcome.findings.extend(repeated);
+    let found = findings(data, options, &fitted, estimate.as_ref(), board, lsb_per_g);
+    outcome.findings.extend(found.into_iter().chain(repeated));
     outcome.findings.extend(noise_seen_mps2.map(|sd| {
         FindingCode::Residuals.note(format!(
             "poses of fewer samples have larger residuals: a noise of {:.0} mm/s² per sample was estimated, and the poses \
@@ -298,6 +297,22 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
             DatasheetReport::new(datasheet, estimate, used, range)
         });
     (outcome.findings).extend(datasheet.iter().flat_map(DatasheetReport::findings));
+    let rejected = estimate.as_ref().map_or(0, |e| e.rejected.count());
+    let rejected_poses: Vec<usize> = match options.method {
+        MethodChoice::SixPosition => (0..fitted.len())
+            .filter(|index| Face::of(&fitted[*index]).is_none())
+            .collect(),
+        _ => (estimate.iter())
+            .flat_map(|e| e.rejected.as_slice().to_vec())
+            .collect(),
+    };
+    if estimate.is_some() && !rejected_poses.is_empty() {
+        let count = counted(rejected.max(rejected_poses.len()), "pose");
+        let text = format!(
+            "{count} left out because the others contradict them: {rejected_poses:?} (from 0)"
+        );
+        (outcome.findings).push(FindingCode::PosesLeftOut.warning(text));
+    }
     if let Some(refusal) = &refusal {
         outcome.refuse(reason(refusal, &fitted, data, options));
     }
@@ -326,15 +341,8 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
             .iter()
             .map(|pose| magnitude(pose.mean_mps2) - gravity.mps2()))
         .map(|rms| rms * 1e3),
-        rejected: estimate.as_ref().map_or(0, |e| e.rejected.count()),
-        rejected_poses: match options.method {
-            MethodChoice::SixPosition => (0..fitted.len())
-                .filter(|index| Face::of(&fitted[*index]).is_none())
-                .collect(),
-            _ => estimate
-                .as_ref()
-                .map_or(Vec::new(), |e| e.rejected.as_slice().to_vec()),
-        },
+        rejected,
+        rejected_poses,
         next_poses: match &refusal {
             Some(refusal) => next_poses(refusal, &fitted, options),
             None => advice(&fitted, options, 0),

@@ -71,10 +71,8 @@ pub enum FindingCode {
     NotObserved,
     /// Errors of the placement in known orientations, and their repeatability.
     Placement,
-    /// Residuals larger than those of the model.
+    /// Residuals larger than those of the model, or a drift that is not linear.
     Residuals,
-    /// The bias drift was not linear.
-    NonlinearDrift,
     /// The data were normalised or corrected before.
     AlreadyCorrected,
     /// Estimates compared with the limits of a datasheet.
@@ -91,13 +89,11 @@ pub enum FindingCode {
     MagneticField,
     /// The output is coarser than its noise.
     Quantisation,
-    /// The output is filtered.
-    Filtered,
     /// The output is clipped.
     Saturated,
     /// A sensor gives one and the same value.
     Frozen,
-    /// Hum, vibration or a single event beside the noise.
+    /// Hum, vibration, a filter or a single event: not white noise alone.
     NotNoise,
     /// Values that cannot be compared.
     Incomparable,

@@ -37,11 +37,10 @@ impl Report {
 
     /// All findings, if there are any.
     pub fn findings(&mut self, findings: &[Finding]) -> &mut Self {
-        let text = finding::text(findings, usize::MAX);
-        if text.is_empty() {
-            return self;
+        match finding::text(findings, usize::MAX) {
+            text if text.is_empty() => self,
+            text => self.printed(text.trim_end()),
         }
-        self.printed(text.trim_end())
     }
 
     /// A table with a header row.

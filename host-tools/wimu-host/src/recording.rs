@@ -339,14 +339,10 @@ impl Recording {
 
     /// Warnings and assumptions of reading, but for those that the caller reports itself.
     pub(crate) fn relevant(&self, of_caller: &[FindingCode]) -> Vec<Finding> {
-        let is_assumption = |code| {
-            matches!(
-                code,
-                FindingCode::UnitInferred | FindingCode::ZeroCount | FindingCode::GravityAdded
-            )
-        };
+        use FindingCode::{GravityAdded, UnitInferred, ZeroCount};
         let is_news = |finding: &&Finding| {
-            let counts = finding.severity > Severity::Note || is_assumption(finding.code);
+            let assumed = matches!(finding.code, UnitInferred | ZeroCount | GravityAdded);
+            let counts = assumed || finding.severity > Severity::Note;
             counts && !of_caller.contains(&finding.code)
         };
         self.findings.iter().filter(is_news).cloned().collect()

@@ -64,7 +64,7 @@ pub(super) fn finding(poses: &[Pose], estimate: &Estimate) -> Option<Finding> {
     let noise = dot(&rest, &rest) / freedom as f64;
     let ratio = by_quadratic / QUADRATIC as f64 / noise;
     let text = "the bias drift was not linear, as during warm-up: the error of the bias at the end exceeds its interval";
-    let finding = || FindingCode::NonlinearDrift.warning(text);
+    let finding = || FindingCode::Residuals.warning(text);
     (normal_of_fisher(ratio, QUADRATIC as f64, freedom as f64) > THRESHOLD).then(|| {
         finding().remedy(
             "record again when the sensor is warm, or with its temperature and --model auto+temperature",

@@ -85,32 +85,6 @@ impl DatasheetReport {
             limits: findings.iter().map(limit).collect(),
         }
     }
-
-    /// As rows of a table under [`DatasheetReport::HEAD`].
-    pub(super) fn rows(&self) -> Vec<Vec<String>> {
-        let row = |limit: &LimitReport| {
-            vec![
-                format!("{} {}", limit.quantity, limit.of),
-                format!(
-                    "{} ± {} {}",
-                    signed(limit.value, 3),
-                    significant(limit.half_width_95, 2),
-                    limit.unit
-                ),
-                format!(
-                    "± {} {}{}",
-                    limit.limit,
-                    limit.unit,
-                    if limit.guaranteed { "" } else { ", typical" }
-                ),
-                limit.verdict.clone(),
-            ]
-        };
-        self.limits.iter().map(row).collect()
-    }
-
-    pub(super) const HEAD: [&'static str; 4] =
-        ["parameter", "estimate, 95 %", "datasheet", "finding"];
 }
 
 fn limit(finding: &Finding) -> LimitReport {
@@ -154,7 +128,11 @@ impl DatasheetReport {
                     _ => ["of", ""],
                 };
                 let value = signed(limit.value, 3);
-                format!("{} {value} {relation} ±{}{note}", limit.of, limit.limit)
+                let half = significant(limit.half_width_95, 2);
+                format!(
+                    "{} {value} ± {half} {relation} ±{}{note}",
+                    limit.of, limit.limit
+                )
             };
             let parts: Vec<String> = limits.iter().map(part).collect();
             let first = limits.first()?;
@@ -164,7 +142,7 @@ impl DatasheetReport {
                 ", typical limits"
             };
             let text = format!(
-                "{}, {}{typical}: {}",
+                "{}, {}, 95 %{typical}: {}",
                 first.quantity,
                 first.unit,
                 parts.join(", ")

@@ -132,7 +132,6 @@ impl CalibrationExport {
         self.range.iter().cloned().chain(left_out).collect()
     }
 
-    /// Terms of the calibration that a target cannot express.
     fn left_out(&self, target: ExportTarget) -> Vec<String> {
         use ExportTarget::{Ardupilot, Kalibr, Px4, Ros};
         if !matches!(target, Ardupilot | Kalibr | Px4 | Ros) {

@@ -1,6 +1,6 @@
 //! The report of a calibration as a page.
 
-use super::{CalibrationReport, DatasheetReport, magnitude};
+use super::{CalibrationReport, magnitude};
 use crate::chart::{Chart, Series};
 use crate::error::Result;
 use crate::html::Report;
@@ -62,9 +62,6 @@ impl CalibrationReport {
                 series,
                 ..Chart::default()
             })?;
-        }
-        if let Some(datasheet) = &self.datasheet {
-            page.table(&DatasheetReport::HEAD, &datasheet.rows());
         }
         let rows: Vec<Vec<String>> = self
             .static_poses

@@ -276,14 +276,6 @@ impl fmt::Display for CalibrationReport {
         if !misaligned.is_empty() {
             writeln!(out, "misalignment, mrad: {}", misaligned.join(", "))?;
         }
-        let unseen = |name: &&str| fit.not_observed.contains(&format!("misalignment {name}"));
-        if ["m_xy", "m_xz", "m_yz"].iter().all(unseen) {
-            writeln!(
-                out,
-                "misalignment not observed, taken as 0 ± {:.0} mrad",
-                fit.sd.matrix[1][0] * 1e3
-            )?;
-        }
         writeln!(
             out,
             "|f| − g over the poses: {:.2} mm/s² rms before, {:.3} after (largest {:.3})",

@@ -186,7 +186,7 @@ fn in_another_unit(poses: &[Pose], estimate: &Estimate) -> Option<Finding> {
         .collect();
     (!short.is_empty()).then(|| {
         let text = format!(
-            "poses left out because they appear to be in g, the others in m/s²: {} (from 0)",
+            "poses that were left out appear to be in g, the others in m/s²: {} (from 0)",
             short.join(", ")
         );
         FindingCode::PosesLeftOut
@@ -292,14 +292,16 @@ pub(super) fn findings(
             .iter()
             .all(|parameter| !estimate.fitted.contains(*parameter))
     };
-    let not_observed = |text: &str| FindingCode::NotObserved.note(text);
     let scales = missing(&[Parameter::ScaleX, Parameter::ScaleY, Parameter::ScaleZ]);
     if scales {
-        findings.push(not_observed("scale factors were not fitted: taken as 1"));
+        let text = "scale factors were not fitted: taken as 1";
+        findings.push(FindingCode::NotObserved.note(text));
     }
     let misalignments = missing(&[Parameter::MisalignmentXy, Parameter::MisalignmentXz]);
     if misalignments {
-        findings.push(not_observed("misalignments were not fitted: taken as 0"));
+        let mrad = estimate.sd().matrix[1][0] * 1e3;
+        let text = format!("misalignments were not fitted: taken as 0 ± {mrad:.0} mrad");
+        findings.push(FindingCode::NotObserved.note(text));
     }
     let others: Vec<String> = estimate
         .not_observed()
@@ -318,16 +320,6 @@ pub(super) fn findings(
         )));
     }
     findings.extend(placement(poses, estimate));
-    if estimate.rejected.count() > 0 {
-        let listed = estimate.rejected.as_slice();
-        let more = match estimate.rejected.count().saturating_sub(listed.len()) {
-            0 => String::new(),
-            more => format!(" and {more} more"),
-        };
-        findings.push(FindingCode::PosesLeftOut.warning(format!(
-            "poses left out because the others contradict them: {listed:?}{more} (from 0)"
-        )));
-    }
     findings.extend(in_another_unit(poses, estimate));
     findings.extend(bend::finding(poses, estimate));
     findings.extend(normalised(poses, estimate));

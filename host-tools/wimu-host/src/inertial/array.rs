@@ -116,8 +116,7 @@ pub fn navigate_axes(
 }
 
 fn warnings(texts: Vec<String>) -> impl Iterator<Item = Finding> {
-    let warning = |text| FindingCode::Navigation.warning(text);
-    texts.into_iter().map(warning)
+    (texts.into_iter()).map(|text| FindingCode::Navigation.warning(text))
 }
 
 /// The path of an array whose states are these, against the truth where there is any.

@@ -184,10 +184,8 @@ fn update(arguments: &Calibrate, output: Output) -> Result<u8> {
     )?;
     let before = calibration::sessions(arguments.with.as_deref(), &stored);
     let file = |set| CalibrationFile::new(set, &before, &report.source);
-    let (path, file) = (
-        arguments.output.as_deref(),
-        report.parameters.as_ref().map(file),
-    );
+    let file = report.parameters.as_ref().map(file);
+    let path = arguments.output.as_deref();
     finish(&report, &report.outcome, path, file, output, || Ok(()))
 }
 

@@ -24,10 +24,8 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
     let report = calibrate_magnetometer(&data, &set, arguments.dip.map(f64::to_radians))?;
     let before = sessions(arguments.with.as_deref(), &set);
     let file = |set| CalibrationFile::new(set, &before, &report.source);
-    let (path, file) = (
-        arguments.output.as_deref(),
-        report.parameters.as_ref().map(file),
-    );
+    let file = report.parameters.as_ref().map(file);
+    let path = arguments.output.as_deref();
     finish(&report, &report.outcome, path, file, output, || {
         if let Some(path) = &arguments.report {
             report.page()?.write(path)?;

@@ -104,19 +104,14 @@ impl DatasheetReport {
     /// A finding for each quantity, and the number of parameters beyond their limits.
     pub(super) fn findings(&self) -> Vec<finding::Finding> {
         let (code, count) = (FindingCode::Datasheet, self.limits.len());
+        let document = self.document;
         let summary = match (self.beyond, count) {
-            (_, 0) => code.note(format!(
-                "{}: no limits for the fitted parameters",
-                self.document
-            )),
-            (0, _) => code.note(format!(
-                "none of {count} exceeds its limit in {}",
-                self.document
-            )),
+            (_, 0) => code.note(format!("{document}: no limits for the fitted parameters")),
+            (0, _) => code.note(format!("no parameter of {count} exceeds its datasheet limit ({document})")),
             (beyond, _) => code
                 .warning(format!(
-                    "{beyond} of {count} exceed the limits ({} of them guaranteed) in {}",
-                    self.beyond_guaranteed, self.document
+                    "{beyond} of {count} parameters exceed their datasheet limits, {} of them guaranteed ({document})",
+                    self.beyond_guaranteed
                 ))
                 .remedy("check that it is this sensor, at its nominal sensitivity and about 25 °C"),
         };

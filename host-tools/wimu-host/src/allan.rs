@@ -11,6 +11,7 @@ use crate::calibration::mps2_per_unit;
 use crate::chart::{Chart, Series};
 use crate::decode::Event;
 use crate::error::{ErrorCode, Result};
+use crate::finding::{Finding, FindingCode, Outcome};
 use crate::html::Report;
 use crate::recording::{RateSource, Samples};
 
@@ -122,12 +123,9 @@ impl From<AllanPoint> for PointReport {
 pub struct NoiseReport {
     /// [`NoiseReport::SCHEMA`].
     pub schema: &'static str,
-    /// `ok` or `refused`.
-    pub status: &'static str,
-    /// Why it was refused, and what to do.
-    pub reason: Option<String>,
-    /// What a user should know beside the numbers.
-    pub remarks: Vec<String>,
+    /// Status and findings.
+    #[serde(flatten)]
+    pub outcome: Outcome,
     /// The data.
     pub source: String,
     /// Samples at rest.
@@ -156,8 +154,7 @@ pub fn noise(data: &Samples<'_>, sensitivity: Option<Sensitivity>) -> NoiseRepor
         allan.push(output.value.map(|axis| axis * scale));
     }
     let mut report = NoiseReport::new(data.name, data.rate_hz, data.rate_source, &allan);
-    report.remarks.extend(data.remarks.iter().cloned());
-    report.remarks.extend(data.gaps_remark());
+    report.outcome.findings.splice(0..0, data.findings());
     report
 }
 
@@ -286,48 +283,51 @@ impl NoiseMeter {
 }
 
 /// What a user should know beside the numbers.
-fn remarks(rate_hz: f64, source: RateSource, axes: Option<&[AxisReport; 3]>) -> Vec<String> {
-    let mut remarks = Vec::new();
+fn findings(source: RateSource, axes: Option<&[AxisReport; 3]>) -> Vec<Finding> {
+    let mut findings = Vec::new();
     if source == RateSource::Assumed {
-        remarks.push(format!(
-                "the data have no times: {rate_hz} Hz assumed; the noise densities scale with its square root"
-        ));
+        let text = "the noise densities scale with the square root of the assumed rate";
+        findings.push(FindingCode::Rate.note(text));
     }
     for (name, axis) in ["X", "Y", "Z"].into_iter().zip(axes.into_iter().flatten()) {
         if axis.is_coarse {
-            remarks.push(format!(
-                    "{name}: one step of the output, {:.2} mm/s², is {:.1} times its noise: the figures are those of the \
-                     quantisation; choose a smaller range or a higher resolution",
+            let text = format!(
+                "{name}: one step of the output, {:.2} mm/s², is {:.1} times its noise: the figures are those of the \
+                 quantisation",
                 axis.step_m_s2 * 1e3,
                 axis.step_m_s2 / axis.sample_sd_m_s2
-            ));
+            );
+            let finding = FindingCode::Quantisation.warning(text);
+            findings.push(finding.remedy("choose a smaller range or a higher resolution"));
         } else if !axis.is_noise {
-            remarks.push(format!(
-                    "{name}: not noise alone (χ² {:.0} times too large): hum or vibration; the numbers are rough, see the curve",
+            findings.push(FindingCode::NotNoise.warning(format!(
+                "{name}: not noise alone (χ² {:.0} times too large): hum or vibration; the numbers are rough, see the curve",
                 axis.misfit
-            ));
+            )));
         }
         if let Some(tau_s) = axis.white_from_s {
-            remarks.push(format!(
-                    "{name}: the output is filtered, or samples repeat: it is white noise from averaging times of {tau_s:.3} s on, \
-                     and the figures are from there"
-            ));
+            findings.push(FindingCode::NotNoise.note(format!(
+                "{name}: the output is filtered, or samples repeat: it is white noise from averaging times of {tau_s:.3} s on, \
+                 and the figures are from there"
+            )));
         }
         if axis.clipped_samples > 0 {
-            remarks.push(format!(
-                    "{name}: {} samples are clipped at the end of the output: the noise is larger than these figures; choose a \
-                     larger range or rotate the axis away from its end",
+            let text = format!(
+                "{name}: {} samples are clipped at the end of the output: the noise is larger than these figures",
                 axis.clipped_samples
-            ));
+            );
+            let finding = FindingCode::Saturated.warning(text);
+            findings
+                .push(finding.remedy("choose a larger range or rotate the axis away from its end"));
         }
         if axis.is_one_event {
-            remarks.push(format!(
-                    "{name}: a single event (warm-up or a jump) dominates long times: bias instability and random walk are left out; \
-                     record again with a warm sensor that is not disturbed"
+            let finding = FindingCode::NotNoise.warning(format!(
+                "{name}: a single event (warm-up or a jump) dominates long times: bias instability and random walk are left out"
             ));
+            findings.push(finding.remedy("record again with a warm sensor that is not disturbed"));
         }
     }
-    remarks
+    findings
 }
 
 impl NoiseReport {
@@ -341,11 +341,14 @@ impl NoiseReport {
             .ok()
             .copied()
             .map(|axes| axes.map(AxisReport::from));
+        let mut outcome = Outcome::default();
+        (outcome.findings).extend(findings(rate_source, axes.as_ref()));
+        if let Err(refusal) = &found {
+            outcome.refuse(refusal.to_string());
+        }
         Self {
             schema: Self::SCHEMA,
-            status: if found.is_ok() { "ok" } else { "refused" },
-            reason: found.as_ref().err().map(ToString::to_string),
-            remarks: remarks(rate_hz, rate_source, axes.as_ref()),
+            outcome,
             source: source.to_owned(),
             samples: allan.samples(),
             rate_hz,
@@ -359,18 +362,14 @@ impl NoiseReport {
         }
     }
 
-    /// Exit code of a command that ends with it: 0, or 3 when it was refused.
-    pub fn exit_code(&self) -> u8 {
-        if self.axes.is_some() { 0 } else { 3 }
-    }
-
     /// The report as a page with its picture.
     ///
     /// # Errors
     /// `file_failed` when the picture cannot be drawn.
     pub fn page(&self) -> Result<Report> {
         let mut page = Report::new(format!("Noise of {}", self.source));
-        page.printed(&self.to_string());
+        page.printed(&self.to_string())
+            .findings(&self.outcome.findings);
         let series = ["X", "Y", "Z"].into_iter().enumerate().map(|(axis, name)| {
             let points = self.points.iter();
             Series::line(
@@ -413,11 +412,7 @@ impl fmt::Display for NoiseReport {
             self.rate_hz
         )?;
         let Some(axes) = &self.axes else {
-            return write!(
-                out,
-                "\nrefused: {}",
-                self.reason.as_deref().unwrap_or("no reason")
-            );
+            return write!(out, "\n{}", self.outcome);
         };
         let ug = 1e6 / STANDARD_GRAVITY_MPS2;
         for (name, axis) in ["X", "Y", "Z"].into_iter().zip(axes) {
@@ -459,9 +454,6 @@ impl fmt::Display for NoiseReport {
                     r.sd * ug * 60.0
                 )?;
             }
-        }
-        for remark in &self.remarks {
-            write!(out, "\n{remark}")?;
         }
         Ok(())
     }

@@ -34,7 +34,7 @@ use wimu_model::{
 use crate::calibration::StoredModel;
 use crate::csv::{AccelerationUnit, CsvWriter, Header, Row};
 use crate::export::gyroscope_columns;
-use crate::finding::{Finding, FindingCode, Severity};
+use crate::finding::{Finding, FindingCode};
 use crate::mcap_file::RosFile;
 use crate::motion::{FIELD_CALIBRATED, OTHER_RANGE};
 use crate::recording::{Origin, Quantity, Recording, Track, Unit};
@@ -87,12 +87,12 @@ impl<'a> Correction<'a> {
         let mut findings = Vec::new();
         if force.info.corrected {
             findings.push(
-                Finding::new(
-                    FindingCode::TrackChosen,
-                    Severity::Warning,
-                    format!("`{}` was corrected by the device before", force.info.name),
-                )
-                .remedy("use its uncorrected output, or the calibration of this output"),
+                FindingCode::TrackChosen
+                    .warning(format!(
+                        "`{}` was corrected by the device before",
+                        force.info.name
+                    ))
+                    .remedy("use its uncorrected output, or the calibration of this output"),
             );
         }
         let mut correction = Self {
@@ -128,7 +128,7 @@ impl<'a> Correction<'a> {
         let median = *norms.select_nth_unstable_by(middle, f64::total_cmp).1;
         ((median / STANDARD_GRAVITY_MPS2 - 1.0).abs() > NOT_GRAVITY).then(|| {
             let text = format!("the median magnitude after correction is {median:.2} m/s², and gravity 9.81");
-            let finding = Finding::new(FindingCode::UnitInferred, Severity::Warning, text);
+            let finding = FindingCode::UnitInferred.warning(text);
             finding.remedy("check the unit, --zero-count, and that the calibration is of this sensor at this range")
         })
     }
@@ -146,16 +146,13 @@ impl<'a> Correction<'a> {
         let name = &track.info.name;
         let finding = match (scale, &self.calibration.gyroscope) {
             (Some(_), Some(_)) => None,
-            (Some(_), None) => Some(Finding::new(
-                FindingCode::Uncalibrated,
-                Severity::Note,
-                format!("`{name}` is only rotated to body axes: the calibration has no gyroscope"),
-            )),
-            (None, _) => Some(Finding::new(
-                FindingCode::Uncalibrated,
-                Severity::Warning,
-                format!("`{name}` is left out: its unit is not known"),
-            )),
+            (Some(_), None) => Some(FindingCode::Uncalibrated.note(format!(
+                "`{name}` is only rotated to body axes: the calibration has no gyroscope"
+            ))),
+            (None, _) => Some(
+                FindingCode::Uncalibrated
+                    .warning(format!("`{name}` is left out: its unit is not known")),
+            ),
         };
         self.rate = scale.map(|scale| (track, scale));
         self.findings.extend(finding);

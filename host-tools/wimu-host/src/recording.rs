@@ -337,20 +337,15 @@ impl Recording {
             .min_by_key(|track| track.info.sensor)
     }
 
-    /// Warnings and assumptions of reading as texts, but for those of which the caller speaks itself.
-    pub(crate) fn remarks(&self, of_caller: &[FindingCode]) -> Vec<String> {
-        let is_assumption = |code| {
-            matches!(
-                code,
-                FindingCode::UnitInferred | FindingCode::ZeroCount | FindingCode::GravityAdded
-            )
-        };
+    /// Warnings and assumptions of reading, but for those that the caller reports itself.
+    pub(crate) fn relevant(&self, of_caller: &[FindingCode]) -> Vec<Finding> {
+        use FindingCode::{GravityAdded, UnitInferred, ZeroCount};
         let is_news = |finding: &&Finding| {
-            let counts = finding.severity > Severity::Note || is_assumption(finding.code);
+            let assumed = matches!(finding.code, UnitInferred | ZeroCount | GravityAdded);
+            let counts = assumed || finding.severity > Severity::Note;
             counts && !of_caller.contains(&finding.code)
         };
-        let findings = self.findings.iter().filter(is_news);
-        findings.map(ToString::to_string).collect()
+        self.findings.iter().filter(is_news).cloned().collect()
     }
 
     /// Time of the first row of any track, ns on the clock of the file.

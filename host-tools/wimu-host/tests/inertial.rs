@@ -128,9 +128,9 @@ fn a_gyroscope_that_turns_the_other_way_than_gravity_is_left_out_and_said() {
     let right = navigate(&turned(1.0), &choice).unwrap();
     assert_eq!(right.method, Method::Strapdown);
     assert!(
-        !right.remarks.iter().any(|r| r.contains("open")),
+        !right.findings.iter().any(|f| f.evidence.contains("open")),
         "{:?}",
-        right.remarks
+        right.findings
     );
     for (scale, says) in [
         (-1.0, "with its signs turned round"),
@@ -139,9 +139,9 @@ fn a_gyroscope_that_turns_the_other_way_than_gravity_is_left_out_and_said() {
         let wrong = navigate(&turned(scale), &choice).unwrap();
         assert_eq!(wrong.method, Method::Tilt);
         assert!(
-            wrong.remarks.iter().any(|r| r.contains(says)),
+            wrong.findings.iter().any(|f| f.evidence.contains(says)),
             "{:?}",
-            wrong.remarks
+            wrong.findings
         );
     }
 }
@@ -206,13 +206,18 @@ fn an_even_turn_is_no_rest_and_keeps_its_gyroscope() {
         ("turned round", level(0.0, quarter / 1.1, 1.5, -1.0, 0.0)),
     ] {
         let path = navigate(&recording, &choice).unwrap();
-        assert_eq!(path.method, Method::Strapdown, "{name}: {:?}", path.remarks);
+        assert_eq!(
+            path.method,
+            Method::Strapdown,
+            "{name}: {:?}",
+            path.findings
+        );
         let said = path
-            .remarks
+            .findings
             .iter()
-            .any(|r| r.contains("between rests open"));
+            .any(|f| f.evidence.contains("between rests open"));
         let should = ["in a room", "turned round"].contains(&name);
-        assert_eq!(said, should, "{name}: {:?}", path.remarks);
+        assert_eq!(said, should, "{name}: {:?}", path.findings);
     }
 }
 
@@ -224,7 +229,12 @@ fn an_accelerometer_that_gives_gravity_and_times_in_another_unit_are_said() {
         sample.field_ut = Some([0.0, 20.0, -44.0]);
     }
     let path = navigate(&down, &Choice::default()).unwrap();
-    let said = path.remarks.join("\n");
+    let said = path
+        .findings
+        .iter()
+        .map(ToString::to_string)
+        .collect::<Vec<_>>()
+        .join("\n");
     assert!(
         said.contains("z axis points down") && said.contains("field points up"),
         "{said}"
@@ -324,7 +334,11 @@ fn even_motion_between_two_pushes_is_not_taken_for_a_rest() {
         ..Choice::default()
     };
     let path = navigate(&recording, &choice).unwrap();
-    assert!(path.remarks.iter().any(|r| r.contains("even motion")));
+    assert!(
+        path.findings
+            .iter()
+            .any(|f| f.evidence.contains("even motion"))
+    );
 }
 
 #[test]

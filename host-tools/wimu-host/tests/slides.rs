@@ -164,9 +164,9 @@ fn a_slide_over_a_gap_or_a_jump_of_time_is_not_known() {
         assert_eq!(valid, [true, false, false]);
         assert!(path.points[from + 1..].iter().all(|p| !p.valid));
         assert!(
-            path.remarks.iter().any(|r| r.contains("gap")),
+            path.findings.iter().any(|f| f.evidence.contains("gap")),
             "{:?}",
-            path.remarks
+            path.findings
         );
         let horizon = path.horizon(0.5).unwrap();
         assert!(horizon.lost && horizon.at_s < 4.8 && (1.0..2.0).contains(&horizon.moving_s));
@@ -191,9 +191,9 @@ fn a_move_that_turns_the_unit_ends_the_horizon() {
     let after = recording.times_s.partition_point(|t| *t < 3.0);
     assert!(path.points[first..after].iter().all(|p| !p.valid));
     assert!(
-        path.remarks.iter().any(|r| r.contains("turned")),
+        path.findings.iter().any(|f| f.evidence.contains("turned")),
         "{:?}",
-        path.remarks
+        path.findings
     );
 }
 
@@ -219,7 +219,10 @@ fn a_slides_east_is_that_of_the_magnetic_field() {
             }
             .recording(),
         );
-        let said = path.remarks.iter().any(|r| r.contains("no magnetometer"));
+        let said = path
+            .findings
+            .iter()
+            .any(|f| f.evidence.contains("no magnetometer"));
         let point = path.points.iter().rfind(|p| p.valid).unwrap();
         (point.position_m, said)
     };
@@ -349,16 +352,16 @@ fn an_angular_rate_in_another_unit_than_its_columns_say_is_refused() {
     }
     let right = navigate(&turned(1.0, [1.0; 3]), &choice(Method::Strapdown)).unwrap();
     assert!(
-        !right.remarks.iter().any(|r| r.contains("turn")),
+        !right.findings.iter().any(|f| f.evidence.contains("turn")),
         "{:?}",
-        right.remarks
+        right.findings
     );
     // A wrong sign is no unit: it is said.
     let wrong = navigate(&turned(1.0, [1.0, -1.0, 1.0]), &choice(Method::Strapdown)).unwrap();
     assert!(
-        wrong.remarks.iter().any(|r| r.contains("signs")),
+        wrong.findings.iter().any(|f| f.evidence.contains("signs")),
         "{:?}",
-        wrong.remarks
+        wrong.findings
     );
     // Without the rate nothing of that matters.
     assert!(navigate(&turned(57.2958, [1.0; 3]), &choice(Method::Tilt)).is_ok());
@@ -393,11 +396,11 @@ fn attitude_is_doubted_where_the_angular_rate_is_missing() {
     );
     assert!(filled.points[300].valid);
     assert!(
-        lost.remarks
+        lost.findings
             .iter()
-            .any(|r| r.contains("missing in 20 samples")),
+            .any(|f| f.evidence.contains("missing in 20 samples")),
         "{:?}",
-        lost.remarks
+        lost.findings
     );
     let choice = Choice {
         method: Method::Slide,

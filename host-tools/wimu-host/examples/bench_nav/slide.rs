@@ -172,8 +172,8 @@ fn robot_arm(data: &Path) {
                             (90.0..=98.0).contains(&below) && (1.5..=3.5).contains(&median),
                         );
                     }
-                    for remark in &path.remarks {
-                        println!("  {remark}");
+                    for finding in &path.findings {
+                        println!("  {finding}");
                     }
                 }
                 Err(error) => println!("the path: refused: {error}"),

@@ -17,6 +17,7 @@ use super::range::Range;
 use crate::OutputFile;
 use crate::csv::AccelerationUnit;
 use crate::error::{ErrorCode, HostError, Result};
+use crate::finding::Finding;
 
 /// How to make a file that can be read.
 pub(super) const REMEDY: &str = "make it with `wimu calibrate … -o CAL.json`";
@@ -515,8 +516,8 @@ pub(super) fn worst_sd(sd: impl Fn(usize) -> f64) -> f64 {
     (0..3).map(of_axis).fold(0.0, f64::max)
 }
 
-/// Remark on a calibration file whose range was assumed.
-pub(super) fn range_remark(path: &Path, set: &ParameterSet) -> Option<String> {
+/// An assumed range of a calibration file.
+pub(super) fn range_finding(path: &Path, set: &ParameterSet) -> Option<Finding> {
     let assumed = match read(path).ok()? {
         Read::V1(text) => {
             let file: serde_json::Value = serde_json::from_str(&text).ok()?;
@@ -530,5 +531,5 @@ pub(super) fn range_remark(path: &Path, set: &ParameterSet) -> Option<String> {
         g: set.range_g,
         source: Source::SixteenBits,
     };
-    assumed.then(|| likely.remark(set.sensitivity))?
+    assumed.then(|| likely.finding(set.sensitivity))?
 }

@@ -45,6 +45,7 @@ pub use wimu_nav::Zupt;
 use wimu_nav::drift::{Drift, DriftEstimator, DriftFit};
 use wimu_nav::unit::{UnitConfig, UnitSample};
 
+use crate::finding::FindingCode;
 use crate::motion::MotionRecording;
 use crate::{ErrorCode, HostError, Result};
 use holes::Holes;
@@ -120,11 +121,12 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
         Some(holes) => {
             let mut path = followed(&holes.left_out_of(recording), choice)?;
             holes.fill(&mut path, &recording.times_s);
-            path.remarks.splice(0..0, holes.remarks);
+            path.findings.splice(0..0, holes.findings);
             path
         }
     };
-    path.remarks.splice(0..0, recording.remarks.iter().cloned());
+    path.findings
+        .splice(0..0, recording.findings.iter().cloned());
     let mut path = path.checked(&recording.name)?;
     let column = recording.column("Moving");
     let moving = moving(&recording.times_s, column, &recording.truth, &[]);
@@ -203,21 +205,23 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
             );
             if samples.iter().all(|s| s.field_ut.is_none()) {
                 let why = recording.without_field();
-                let remark = format!("{why}: heading is that of the body at the start");
-                path.remarks.push(remark);
+                let text = format!("{why}: heading is that of the body at the start");
+                path.findings.push(FindingCode::Navigation.note(text));
             }
-            path.remarks.extend(late);
+            path.findings
+                .extend(late.map(|text| FindingCode::Clock.note(text)));
             path
         }
     };
-    path.remarks.extend(wrong.map(|wrong| wrong.said));
-    path.remarks.extend(warming);
+    let wrong = wrong.map(|wrong| FindingCode::Navigation.warning(wrong.said));
+    let warming = warming.map(|text| FindingCode::Navigation.note(text));
+    path.findings.extend(wrong.into_iter().chain(warming));
     if let Some(from) = senses.force_ends {
         for point in &mut path.points[from..] {
             point.valid = false;
         }
     }
-    path.remarks.splice(0..0, senses.remarks);
+    path.findings.splice(0..0, senses.findings);
     Ok(path)
 }
 

@@ -7,6 +7,7 @@ use wimu_nav::slide::Move;
 
 use super::Method;
 use super::truth::consistency;
+use crate::finding::{Finding, FindingCode};
 use crate::mcap_file::RosFile;
 use crate::ros::path::{PathTopics, Pose};
 use crate::{ErrorCode, HostError, OutputFile, Result};
@@ -98,7 +99,7 @@ pub struct InertialPath {
     /// The moves, with [`Method::Slide`].
     pub moves: Vec<SlideMove>,
     /// What was noticed on the way.
-    pub remarks: Vec<String>,
+    pub findings: Vec<Finding>,
     /// Points known no better than this, m, are not valid.
     pub limit_m: f64,
     /// NEES of the position at each valid sample that has truth and moves, which is taken to be right to 1 mm; both
@@ -123,7 +124,7 @@ impl InertialPath {
             points,
             origin,
             moves: Vec::new(),
-            remarks: Vec::new(),
+            findings: Vec::new(),
             limit_m,
             nees: Vec::new(),
             rate_nees: Vec::new(),
@@ -152,7 +153,8 @@ impl InertialPath {
                 self.points[k].time_s
             )
         });
-        self.remarks.extend(diverged.clone());
+        let finding = (diverged.clone()).map(|text| FindingCode::Navigation.warning(text));
+        self.findings.extend(finding);
         if self.points.iter().any(|p| p.valid) || self.moves.iter().any(|m| m.valid) {
             return Ok(self);
         }

@@ -7,6 +7,7 @@ use wimu_nav::slide::{Slide, SlideConfig};
 use wimu_nav::unit::UnitSample;
 
 use super::slide::field_at;
+use crate::finding::{Finding, FindingCode};
 use crate::motion::{MotionRecording, RestSpan, rests};
 use crate::plural::counted;
 use crate::{ErrorCode, HostError, Result};
@@ -68,17 +69,17 @@ pub(super) fn filled(times_s: &[f64], samples: &mut [UnitSample]) {
     }
 }
 
-/// What to say of the holes.
-pub(super) fn remark(holes: &[Range<usize>], times_s: &[f64]) -> Option<String> {
+/// A finding of the holes.
+pub(super) fn finding(holes: &[Range<usize>], times_s: &[f64]) -> Option<Finding> {
     let first = holes.first()?;
     let count: usize = holes.iter().map(|hole| hole.len()).sum();
-    Some(format!(
+    Some(FindingCode::SamplesLeftOut.warning(format!(
         "the angular rate is missing in {}, {}, first at {:.2} s: the last one is held for 0.25 s, \
          from then on it is estimated, and the attitude is doubted as much",
         counted(count, "sample"),
         counted(holes.len(), "time"),
         times_s[first.start]
-    ))
+    )))
 }
 
 /// What a gyroscope shows that does not agree with what else turns.

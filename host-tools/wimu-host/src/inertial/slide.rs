@@ -4,6 +4,7 @@ use wimu_nav::slide::{Move, Rest, Slide, SlideConfig};
 
 use super::origin::measured_from;
 use super::{Choice, InertialPath, Method, PathPoint, SlideMove, Zupt};
+use crate::finding::{Finding, FindingCode};
 use crate::motion::{MotionRecording, RestSpan, gap_s, median_step_s, rests};
 use crate::plural::counted;
 use crate::{ErrorCode, HostError, Result};
@@ -365,21 +366,19 @@ pub(super) fn field_at(recording: &MotionRecording, rest: &RestSpan) -> Option<[
 }
 
 /// East in the body at the first rest: that of the magnetic field, or x.
-fn east(recording: &MotionRecording, rest: &RestSpan, remarks: &mut Vec<String>) -> [f64; 3] {
+fn east(recording: &MotionRecording, rest: &RestSpan, findings: &mut Vec<Finding>) -> [f64; 3] {
     let up = rest.rest.force_mps2;
     if let Some(field) = field_at(recording, rest) {
         let east = cross(field, up);
         if length(east) > 0.05 * length(field) * length(up) {
             return east.map(|e| e / length(east));
         }
-        remarks.push(
-            "the magnetic field is upright: east is body x, levelled, at the first rest".to_owned(),
-        );
+        let text = "the magnetic field is upright: east is body x, levelled, at the first rest";
+        findings.push(FindingCode::MagneticField.warning(text));
     } else {
         let why = recording.without_field();
-        remarks.push(format!(
-            "{why}: east is body x, levelled, at the first rest"
-        ));
+        let text = format!("{why}: east is body x, levelled, at the first rest");
+        findings.push(FindingCode::Navigation.note(text));
     }
     [1.0, 0.0, 0.0]
 }
@@ -450,16 +449,16 @@ pub(super) fn slide(recording: &MotionRecording, choice: &Choice) -> Result<Iner
         )
         .at(&recording.name));
     };
-    let mut remarks = Vec::new();
+    let mut findings = Vec::new();
     let candidates = rests(&recording.times_s, &recording.samples).len();
     if candidates > legs.len() + 1 {
-        remarks.push(format!(
+        findings.push(FindingCode::Navigation.warning(format!(
             "{} it seemed to rest, but its velocity was not zero, or gravity was another: even motion, \
              an even acceleration, or it turned",
             counted(candidates - legs.len() - 1, "time")
-        ));
+        )));
     }
-    let east = east(recording, &first.before, &mut remarks);
+    let east = east(recording, &first.before, &mut findings);
     let mut track = Track {
         recording,
         limit_m: choice.limit_m,
@@ -488,7 +487,7 @@ pub(super) fn slide(recording: &MotionRecording, choice: &Choice) -> Result<Iner
     for leg in &legs {
         if let Some(why) = broken(recording, leg) {
             track.sound = false;
-            remarks.push(why);
+            findings.push(FindingCode::Navigation.warning(why));
         }
         moves.push(SlideMove {
             done: leg.done,
@@ -505,7 +504,7 @@ pub(super) fn slide(recording: &MotionRecording, choice: &Choice) -> Result<Iner
     track.stray();
     Ok(InertialPath {
         moves,
-        remarks,
+        findings,
         ..InertialPath::new(Method::Slide, track.points, origin, choice.limit_m)
     })
 }

@@ -4,6 +4,7 @@ use wimu_nav::unit::{UnitConfig, UnitFault, UnitFilter, UnitSample};
 
 use super::origin::measured_from;
 use super::{Choice, InertialPath, Method, PathPoint, rates};
+use crate::finding::FindingCode;
 use crate::plural::counted;
 
 /// A reading of the magnetometer that is repeated within this time is one that is held, s.
@@ -82,53 +83,54 @@ pub(super) fn filter(
         origin = first..first + 1;
     }
     let origin = measured_from(&mut points, &origin, speed_mps, choice.limit_m);
-    let mut remarks = Vec::new();
+    let mut findings = Vec::new();
     if let (true, Some(first)) = (moved, points.iter().find(|p| p.valid)) {
-        remarks.push(format!(
+        findings.push(FindingCode::Navigation.note(format!(
             "no rest at the start: position is measured from the first rest, at {:.2} s",
             first.time_s
-        ));
+        )));
     }
-    remarks.extend(rates::remark(&rates::holes(samples), times_s));
-    let mut remark = |count: usize, one: &str, what: &str| {
+    findings.extend(rates::finding(&rates::holes(samples), times_s));
+    let mut report = |count: usize, one: &str, what: &str| {
         if count > 0 {
-            remarks.push(format!("{} {what}", counted(count, one)));
+            let text = format!("{} {what}", counted(count, one));
+            findings.push(FindingCode::Navigation.warning(text));
         }
     };
-    remark(
+    report(
         gaps,
         "gap",
         "longer than 0.25 s: how far it went in one is not known: position is uncertain from there on, and not valid before the next rest",
     );
-    remark(
+    report(
         clipped.len(),
         "clipped sample",
         "left out: position is the less certain after them",
     );
-    remark(backwards, "sample", "whose time stood still: left out");
-    remark(bad, "sample", "that was no number: left out");
-    remark(
+    report(backwards, "sample", "whose time stood still: left out");
+    report(bad, "sample", "that was no number: left out");
+    report(
         filter.state().even as usize,
         "update",
         "at what looked like a rest while the velocity was not zero: even motion, or a wrong velocity",
     );
-    remark(
+    report(
         filter.state().pushed as usize,
         "time",
         "for a tenth of a second it seemed to rest and was pushed evenly: no rest",
     );
-    remark(
+    report(
         filter.state().holes as usize,
         "time",
         "samples were missing, or time jumped, for less than 0.25 s: doubted as the motion there is strong",
     );
-    remark(
+    report(
         filter.state().disturbed as usize,
         "time",
         "the magnetic field was disturbed: left out",
     );
     InertialPath {
-        remarks,
+        findings,
         ..InertialPath::new(method, points, origin, choice.limit_m)
     }
 }

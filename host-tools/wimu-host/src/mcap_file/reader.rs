@@ -14,18 +14,19 @@ pub struct Wholeness {
 
 impl Wholeness {
     /// What is wrong with the file; `None` if it is complete.
-    pub fn fault(&self) -> Option<String> {
+    pub fn finding(&self) -> Option<Finding> {
         let cut = "the file is cut off at the end, or damaged from there on".to_owned();
         let damaged = match self.damaged_chunks {
             1 => "1 damaged part of the file was left out".to_owned(),
             parts => format!("{parts} damaged parts of the file were left out"),
         };
-        match (self.truncated, self.damaged_chunks) {
-            (false, 0) => None,
-            (true, 0) => Some(cut),
-            (false, _) => Some(damaged),
-            (true, _) => Some(format!("{damaged}; {cut}")),
-        }
+        let text = match (self.truncated, self.damaged_chunks) {
+            (false, 0) => return None,
+            (true, 0) => cut,
+            (false, _) => damaged,
+            (true, _) => format!("{damaged}; {cut}"),
+        };
+        Some(FindingCode::Truncated.warning(text))
     }
 }
 

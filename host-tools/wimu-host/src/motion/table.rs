@@ -89,7 +89,7 @@ impl MotionRecording {
             .copied();
         let mut motion = Self {
             name: name.to_owned(),
-            remarks: recording.remarks(&[FindingCode::RowsMasked]),
+            findings: recording.relevant(&[FindingCode::RowsMasked]),
             bias_sd_mps2: options.calibration.map_or(0.0, |c| c.bias_sd_mps2),
             full_scale_mps2: force.info.full_scale,
             other: scalars
@@ -98,7 +98,7 @@ impl MotionRecording {
                 .collect(),
             ..Self::default()
         };
-        motion.remarks.extend(correction.remark());
+        motion.findings.extend(correction.finding());
         let mut rates = rate.map(|track| track.beside(force));
         let mut fields = field.map(|track| track.beside(force));
         let mut temperatures = temperature.map(|track| track.beside(force));
@@ -246,7 +246,7 @@ impl Correction {
         Ok(correction(STANDARD_GRAVITY_MPS2 / lsb_per_g))
     }
 
-    fn remark(&self) -> Option<String> {
+    fn finding(&self) -> Option<Finding> {
         let stored = self.stored?;
         let [x, y, z] = stored.model.terms().bias_mps2;
         let known = if stored.bias_sd_mps2 > 0.0 {
@@ -261,9 +261,9 @@ impl Correction {
             Some(_) => ", and the magnetic field too",
             None => "",
         };
-        Some(format!(
+        Some(FindingCode::Navigation.note(format!(
             "the calibration is applied{field}: a bias of {x:+.4} {y:+.4} {z:+.4} m/s² is taken off{known}"
-        ))
+        )))
     }
 
     /// Specific force, m/s², sensor axes, from an output in the file's unit and the latest temperature, °C.

@@ -2,7 +2,7 @@
 
 use super::{Quantity, Recording, Track};
 use crate::error::{ErrorCode, Result};
-use crate::finding::{Finding, FindingCode, Severity};
+use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
 
 impl Recording {
@@ -32,7 +32,7 @@ impl Recording {
                     track.info.name,
                     since_s(first, track)
                 );
-                let finding = Finding::new(FindingCode::RowsMasked, Severity::Warning, evidence);
+                let finding = FindingCode::RowsMasked.warning(evidence);
                 self.findings
                     .push(finding.of_sensor(sensor).remedy("they are left out"));
             }
@@ -48,8 +48,7 @@ impl Recording {
                     counted(early, "row"),
                     since_s(first, track)
                 );
-                let finding =
-                    Finding::new(FindingCode::TimesUnordered, Severity::Warning, evidence);
+                let finding = FindingCode::TimesUnordered.warning(evidence);
                 self.findings.push(finding.remedy(
                     "they are left out; sort the rows, or select one of several runs with --where",
                 ));

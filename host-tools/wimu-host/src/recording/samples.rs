@@ -18,7 +18,7 @@ use crate::plural::counted;
 
 /// Assumed sample rate of data without times, Hz.
 pub(crate) const ASSUMED_RATE_HZ: f64 = 100.0;
-/// Extrapolation beyond the temperatures of a calibration without a remark, K. Chosen.
+/// Extrapolation beyond the temperatures of a calibration without a warning, K. Chosen.
 const BEYOND_K: f64 = 5.0;
 /// Rests for which memory is reserved at first.
 const USUAL_RESTS: usize = 1000;
@@ -94,7 +94,7 @@ pub struct Samples<'a> {
     /// Whether the data have a gyroscope, too.
     pub has_gyroscope: bool,
     /// Warnings and assumptions of reading.
-    pub(crate) remarks: Vec<String>,
+    pub(crate) findings: Vec<Finding>,
     force: &'a Track,
     /// Valid rows of `force`.
     rows: Vec<usize>,
@@ -179,7 +179,7 @@ impl Recording {
             rate_source,
             sensor: force.info.device,
             // The rate is in the reports.
-            remarks: self.remarks(&[FindingCode::Rate]),
+            findings: self.relevant(&[FindingCode::Rate]),
             has_gyroscope: self.of(Quantity::AngularRate).next().is_some(),
             force,
             rows,
@@ -385,15 +385,25 @@ impl<'a> Samples<'a> {
         (self.gaps.len(), self.gaps.iter().map(length_s).sum())
     }
 
-    /// Remark on gaps; `None` without gaps.
-    pub(crate) fn gaps_remark(&self) -> Option<String> {
+    /// What was found while reading, an assumed rate, and missing samples.
+    pub(crate) fn findings(&self) -> Vec<Finding> {
+        let mut findings = self.findings.clone();
+        if self.rate_source == RateSource::Assumed && !self.poses {
+            let why = match self.is_timed() {
+                true => "the times are more than a second apart (check their unit)",
+                false => "the data have no times",
+            };
+            let text = format!("{why}: {} Hz assumed", self.rate_hz);
+            findings.push(FindingCode::Rate.warning(text));
+        }
         let (count, total_s) = self.gaps();
-        (count > 0).then(|| {
-            format!(
+        if count > 0 {
+            findings.push(FindingCode::Rate.warning(format!(
                 "samples are missing: {}, {total_s:.1} s in total; no mean includes a gap",
                 counted(count, "gap")
-            )
-        })
+            )));
+        }
+        findings
     }
 
     /// The outputs corrected by `set`, each at its temperature, m/s², sensor axes.
@@ -410,8 +420,8 @@ impl<'a> Samples<'a> {
         self.iter().map(correct).collect()
     }
 
-    /// Remark on temperatures that are missing or outside the range of the calibration `set`.
-    pub(crate) fn temperature_remark(&self, set: &ParameterSet) -> Option<String> {
+    /// Temperatures that are missing or outside the range of the calibration `set`.
+    pub(crate) fn temperature_finding(&self, set: &ParameterSet) -> Option<Finding> {
         let terms = set.model.terms().temperature;
         let moves = TemperatureTerms {
             reference_c: TemperatureTerms::default().reference_c,
@@ -424,19 +434,19 @@ impl<'a> Samples<'a> {
         );
         if lowest > highest {
             return moves.then(|| {
-                format!(
+                FindingCode::Temperature.warning(format!(
                     "the calibration depends on temperature and the data have none: {:.1} °C assumed",
                     terms.reference_c
-                )
+                ))
             });
         }
         let made = set.quality?.terms().temperature?;
         let (from, to) = (f64::from(made.lowest_c), f64::from(made.highest_c));
         (lowest < from - BEYOND_K || highest > to + BEYOND_K).then(|| {
-            format!(
+            FindingCode::Temperature.warning(format!(
                 "the data are from {lowest:.1} to {highest:.1} °C, the calibration from {from:.1} to {to:.1} °C: ± does not \
                  include the error of this extrapolation"
-            )
+            ))
         })
     }
 

@@ -27,13 +27,14 @@ pub fn run(arguments: &Allan, output: Output) -> Result<u8> {
         Input::Link(_) => listen(arguments, output)?,
     };
     output.print(report.to_string());
-    if report.exit_code() == 0
+    output.findings(&report.outcome.findings);
+    if report.axes.is_some()
         && let Some(path) = &arguments.report
     {
         report.page()?.write(path)?;
     }
     output.object(&report);
-    Ok(report.exit_code())
+    Ok(report.outcome.exit_code())
 }
 
 /// Interval between progress lines.

@@ -16,6 +16,7 @@ use wimu_host::calibration::{
     self, CalibrateOptions, CalibrationFile, MethodChoice, ModelChoice, Paired,
 };
 use wimu_host::decode::Event;
+use wimu_host::finding::Outcome;
 use wimu_host::formats::{self, ReadOptions};
 use wimu_host::history::{self, LinkHistory};
 use wimu_host::recording::{Recording, Selection};
@@ -41,16 +42,19 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
     }
 }
 
-/// Prints a report, writes the calibration to `path` if there is one, and does the rest. Returns the exit code.
+/// Prints a report with this outcome, writes the calibration to `path` if there is one, and does the rest. Returns the
+/// exit code.
 pub fn finish<R: Display + Serialize>(
     report: &R,
-    exit_code: u8,
+    outcome: &Outcome,
     path: Option<&Path>,
     file: Option<CalibrationFile>,
     output: Output,
     rest: impl FnOnce() -> Result<()>,
 ) -> Result<u8> {
     output.print(report.to_string());
+    output.findings(&outcome.findings);
+    let exit_code = outcome.exit_code();
     if let (0, Some(path), Some(file)) = (exit_code, path, file) {
         file.write(path)?;
     }
@@ -110,16 +114,13 @@ fn with_gravity(arguments: &Calibrate, output: Output) -> Result<u8> {
         }
     };
     let report = calibration::calibrate(&data.samples(selection)?, &options)?;
-    let code = report.exit_code();
     let (path, file) = (arguments.output.as_deref(), report.file.clone());
-    finish(&report, code, path, file, output, || {
+    finish(&report, &report.outcome, path, file, output, || {
         if let Some(path) = &arguments.report {
             report.page()?.write(path)?;
         }
         match (&mut client, &report.parameters) {
-            (Some(client), Some(set)) if arguments.push && code == 0 => {
-                params::push(client, set, output)
-            }
+            (Some(client), Some(set)) if arguments.push => params::push(client, set, output),
             _ => Ok(()),
         }
     })
@@ -148,9 +149,8 @@ fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
         }
     };
     let report = calibration::compare_with_reference(&data, arguments.noise_ratio, utc_s())?;
-    let code = report.exit_code();
     let (path, file) = (arguments.output.as_deref(), report.file.clone());
-    finish(&report, code, path, file, output, || Ok(()))
+    finish(&report, &report.outcome, path, file, output, || Ok(()))
 }
 
 /// Checks and updates a stored calibration with later rests.
@@ -182,14 +182,11 @@ fn update(arguments: &Calibrate, output: Output) -> Result<u8> {
         arguments.gravity,
         utc_s(),
     )?;
-    let code = report.exit_code();
     let before = calibration::sessions(arguments.with.as_deref(), &stored);
     let file = |set| CalibrationFile::new(set, &before, &report.source);
-    let (path, file) = (
-        arguments.output.as_deref(),
-        report.parameters.as_ref().map(file),
-    );
-    finish(&report, code, path, file, output, || Ok(()))
+    let file = report.parameters.as_ref().map(file);
+    let path = arguments.output.as_deref();
+    finish(&report, &report.outcome, path, file, output, || Ok(()))
 }
 
 /// Now, s since 1970 UTC.

@@ -15,7 +15,7 @@ use wimu_host::mcap_file::RecordingReader;
 use wimu_host::navigation::{self, Point};
 use wimu_host::plural::counted;
 use wimu_host::replay::{self, ReplayReport};
-use wimu_host::{ErrorCode, HostError, Input, Result};
+use wimu_host::{ErrorCode, Input, Result};
 use wimu_integrator::Phase;
 use wimu_model::ParameterSet;
 
@@ -153,12 +153,12 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         .iter()
         .all(|start| start.device.is_none() && start.recomputed.is_none())
     {
-        return Err(HostError::new(
-            ErrorCode::DataRefused,
-            "the recording has no rest, which initial attitude and position need",
-            "hold the board still for at least a second before moving it",
-        )
-        .at(&recording.name));
+        return Err(ErrorCode::DataRefused
+            .error(
+                "the recording has no rest, which initial attitude and position need",
+                "hold the board still for at least a second before moving it",
+            )
+            .at(&recording.name));
     }
     let path = path(link, arguments, calibration, &recording.name, output)?;
     for start in &starts {

@@ -436,7 +436,7 @@ fn rows_lost_by_a_flipped_bit_are_reported() {
         let source = Source::of_bytes("flipped", damaged);
         let recording = load(&source, &ReadOptions::default()).ok()?;
         let rows = recording.first(Quantity::SpecificForce)?.len();
-        let severe = |found: &Finding| found.severity != Severity::Note;
+        let severe = |found: &Finding| found.severity != crate::finding::Severity::Note;
         Some((rows, recording.findings.iter().any(severe)))
     };
     // The length of a record of another topic.

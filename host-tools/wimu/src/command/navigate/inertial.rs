@@ -5,6 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 use wimu_host::Result;
 use wimu_host::calibration::read_model;
+use wimu_host::finding::Finding;
 use wimu_host::formats;
 use wimu_host::inertial::{
     Choice, InertialPath, Method, SlideMove, Zupt, consistency, navigate, settling,
@@ -43,7 +44,7 @@ pub struct Found {
     velocity_nees: Option<Nees>,
     moves: Vec<MoveFound>,
     refined: Option<Refined>,
-    remarks: Vec<String>,
+    findings: Vec<Finding>,
 }
 
 /// Motion time after which the position's standard deviation exceeds a limit or the position is lost; null if never.
@@ -208,6 +209,7 @@ fn present(
             fit.time_s, fit.time_sd_s
         ));
     }
+    output.findings(&path.findings);
     if let Some(file) = &arguments.output {
         path.write(file)?;
         output.print(format!(
@@ -291,7 +293,7 @@ fn found(
             })
             .collect(),
         refined: None,
-        remarks: path.remarks.clone(),
+        findings: path.findings.clone(),
     }
 }
 
@@ -440,9 +442,6 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
                 100.0 * share
             );
         }
-    }
-    for remark in &path.remarks {
-        text += &format!("note: {remark}\n");
     }
     text
 }

@@ -3,8 +3,12 @@
 
 pub use wimu_testkit::Random;
 
+pub mod consistency;
 pub mod journeys;
 pub mod motions;
+pub mod navigated;
+pub mod states;
+pub mod travel;
 
 use wimu_nav::array::Geometry;
 

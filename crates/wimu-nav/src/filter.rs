@@ -1,0 +1,217 @@
+//! Error-state Schmidt–Kalman filter: prediction, update and test, for any process and sensor. Equations (117) to (121) of
+//! docs/EQUATIONS.md.
+
+use nalgebra::{RealField, Rotation3, SMatrix, SVector};
+
+use crate::process::{Process, Transition};
+use crate::rotation::{orthonormal, real};
+use crate::sensor::{Measurement, Prediction};
+use crate::state::{Block, Layout, State};
+
+/// Which measurements an update accepts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Gate {
+    /// Every one.
+    Open,
+    /// Those that pass the χ² test with a probability of false alarm of [`FALSE_ALARM`].
+    ChiSquare,
+}
+
+/// Probability that a test rejects a measurement that fits.
+pub const FALSE_ALARM: f64 = 1e-3;
+/// Quantile of the standard normal distribution at 1 − [`FALSE_ALARM`].
+const NORMAL_QUANTILE: f64 = 3.0902;
+
+/// Quantile of χ² at 1 − [`FALSE_ALARM`] (E. B. Wilson and M. M. Hilferty, "The distribution of chi-square", 1931): 3.1 %
+/// too large for one degree of freedom, less for more.
+pub fn chi_square_quantile(dof: usize) -> f64 {
+    let spread = 2.0 / (9.0 * dof as f64);
+    let root = 1.0 - spread + NORMAL_QUANTILE * libm::sqrt(spread);
+    dof as f64 * root * root * root
+}
+
+/// Test of a measurement against its prediction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Innovation<R> {
+    /// Normalised innovation squared: χ² distributed if the filter is consistent. Not a number where the covariance is
+    /// not positive definite.
+    pub statistic: R,
+    /// Degrees of freedom.
+    pub dof: usize,
+    /// Logarithm of the Gaussian density of the measurement.
+    pub log_likelihood: R,
+    /// Whether the state was updated.
+    pub accepted: bool,
+}
+
+/// The filter: nominal state, and covariance of its error.
+#[derive(Clone, Debug)]
+pub struct Filter<R, const N: usize> {
+    /// Nominal state.
+    pub state: State<R, N>,
+    covariance: SMatrix<R, N, N>,
+    considered: [bool; N],
+    /// Steps since the attitude was made orthonormal.
+    steps: u8,
+}
+
+impl<R: RealField + Copy, const N: usize> Filter<R, N> {
+    /// At an attitude, with all other states zero and the standard deviations of the layout.
+    pub fn new(layout: &Layout<R, N>, attitude: Rotation3<R>) -> Self {
+        let variance = layout.deviation.map(|deviation| deviation * deviation);
+        Self {
+            state: State {
+                attitude,
+                vector: SVector::zeros(),
+            },
+            covariance: SMatrix::from_diagonal(&variance),
+            considered: layout.considered,
+            steps: 0,
+        }
+    }
+
+    /// Covariance of a block.
+    pub fn covariance<const W: usize>(&self, block: Block<W>) -> SMatrix<R, W, W> {
+        self.cross_covariance(block, block)
+    }
+
+    /// Covariance between two blocks.
+    pub fn cross_covariance<const V: usize, const W: usize>(
+        &self,
+        rows: Block<V>,
+        columns: Block<W>,
+    ) -> SMatrix<R, V, W> {
+        let view = self
+            .covariance
+            .fixed_view::<V, W>(rows.start(), columns.start());
+        view.into_owned()
+    }
+
+    /// Replaces the covariance of a block by a given one, without correlation to other blocks: for a prior that is
+    /// known, such as the covariance of a calibration.
+    pub fn set_covariance<const W: usize>(
+        &mut self,
+        block: Block<W>,
+        covariance: &SMatrix<R, W, W>,
+    ) {
+        let start = block.start();
+        self.covariance.fixed_rows_mut::<W>(start).fill(R::zero());
+        self.covariance
+            .fixed_columns_mut::<W>(start)
+            .fill(R::zero());
+        self.covariance
+            .fixed_view_mut::<W, W>(start, start)
+            .copy_from(covariance);
+    }
+
+    /// Whether state and variances are finite and no variance is negative.
+    pub fn is_sound(&self) -> bool {
+        let variances = self.covariance.diagonal();
+        self.state.is_finite() && variances.iter().all(|v| v.is_finite() && *v >= R::zero())
+    }
+
+    /// Prediction: state and covariance after a step of the process, P ← F P Fᵀ + Q.
+    pub fn predict(&mut self, process: &impl Process<R, N>) {
+        let mut transition = Transition::new();
+        process.propagate(&mut self.state, &mut transition);
+        transition.apply(&mut self.covariance);
+        self.steps = self.steps.wrapping_add(1);
+        if self.steps == 0 {
+            self.state.attitude = orthonormal(&self.state.attitude);
+        }
+    }
+
+    /// Test of a measurement, without an update.
+    pub fn test<const M: usize>(&self, measurement: &impl Measurement<R, N, M>) -> Innovation<R> {
+        let prediction = measurement.predict(self);
+        self.solve(&prediction, Gate::ChiSquare).0
+    }
+
+    /// Update with a measurement: the optimal gain, with the rows of considered states set to zero, in Joseph's form
+    /// (P. Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems", 2nd ed. 2013, 3.4.3).
+    pub fn update<const M: usize>(
+        &mut self,
+        measurement: &impl Measurement<R, N, M>,
+        gate: Gate,
+    ) -> Innovation<R> {
+        let prediction = measurement.predict(self);
+        let (innovation, gain) = self.solve(&prediction, gate);
+        let Some(gain) = gain.filter(|_| innovation.accepted) else {
+            return innovation;
+        };
+        let h = &prediction.jacobian.0;
+        // (1 − K H) P (1 − K H)ᵀ + K R Kᵀ, without products of N × N matrices.
+        let left = self.covariance - gain * (h * self.covariance);
+        let updated =
+            left - (left * h.transpose() - gain * prediction.covariance) * gain.transpose();
+        self.covariance = (updated + updated.transpose()) * real::<R>(0.5);
+        self.state.correct(gain * prediction.innovation);
+        innovation
+    }
+
+    /// Test and gain. No gain where the covariance of the innovation is not positive definite.
+    fn solve<const M: usize>(
+        &self,
+        prediction: &Prediction<R, N, M>,
+        gate: Gate,
+    ) -> (Innovation<R>, Option<SMatrix<R, N, M>>) {
+        let h = &prediction.jacobian.0;
+        let cross = self.covariance * h.transpose();
+        let Some(factor) = (h * cross + prediction.covariance).cholesky() else {
+            let statistic = R::zero() / R::zero();
+            let innovation = Innovation {
+                statistic,
+                dof: M,
+                log_likelihood: statistic,
+                accepted: false,
+            };
+            return (innovation, None);
+        };
+        let weighted = factor.solve(&prediction.innovation);
+        let statistic = prediction.innovation.dot(&weighted);
+        let log_determinant = factor.l_dirty().diagonal().map(|d| d.ln()).sum() * real::<R>(2.0);
+        let normalisation = real::<R>(M as f64 * libm::log(core::f64::consts::TAU));
+        let accepted = match gate {
+            Gate::Open => statistic.is_finite(),
+            Gate::ChiSquare => statistic <= real(chi_square_quantile(M)),
+        };
+        let innovation = Innovation {
+            statistic,
+            dof: M,
+            log_likelihood: (statistic + log_determinant + normalisation) * real::<R>(-0.5),
+            accepted,
+        };
+        let mut gain = factor.solve(&cross.transpose()).transpose();
+        for (row, _) in self
+            .considered
+            .iter()
+            .enumerate()
+            .filter(|(_, considered)| **considered)
+        {
+            gain.row_mut(row).fill(R::zero());
+        }
+        (innovation, Some(gain))
+    }
+
+    /// Rotates a block whose vector is in the navigation frame: its values, covariance and correlations.
+    pub(crate) fn rotate(&mut self, block: Block<3>, rotation: &Rotation3<R>) {
+        let values = rotation * self.state.get(block);
+        self.state.set(block, values);
+        let start = block.start();
+        let rows = rotation.matrix() * self.covariance.fixed_rows::<3>(start);
+        self.covariance.fixed_rows_mut::<3>(start).copy_from(&rows);
+        let columns = self.covariance.fixed_columns::<3>(start) * rotation.matrix().transpose();
+        self.covariance
+            .fixed_columns_mut::<3>(start)
+            .copy_from(&columns);
+    }
+
+    /// Scales the covariance of some states, with all correlations kept.
+    pub(crate) fn scale_covariance(&mut self, states: impl Fn(usize) -> bool, factor: R) {
+        let root = factor.sqrt();
+        for k in (0..N).filter(|k| states(*k)) {
+            self.covariance.row_mut(k).scale_mut(root);
+            self.covariance.column_mut(k).scale_mut(root);
+        }
+    }
+}

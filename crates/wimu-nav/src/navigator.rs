@@ -1,0 +1,549 @@
+//! One unit: start, prediction, rests and motion profile, sample by sample. Equations (130) to (133).
+
+mod model;
+
+pub use model::{Gyroscope, Model, NoGyroscope};
+
+use core::fmt;
+
+use nalgebra::{Matrix1, Matrix3, RealField, Rotation3, UnitQuaternion, Vector3};
+
+use crate::filter::{Filter, Gate, Innovation};
+use crate::process::{ImuErrors, Unmeasured};
+use crate::rotation::{about_up, level, real, yaw};
+use crate::sensor::{MagneticField, Magnetometer, Measurement, Position, Velocity, recover};
+use crate::state::{ATTITUDE, Block, Layout, LayoutFull, POSITION, Role, VELOCITY};
+
+/// What is assumed of the motion.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Profile {
+    /// In a hand or on a small robot: the velocity is 0 ± 2 m/s, once a second.
+    #[default]
+    Hand,
+    /// On a foot: a rest is the stance of a step, and is certain.
+    Foot,
+    /// In a vehicle: the velocity is 0 ± 30 m/s, once a second.
+    Vehicle,
+    /// Pushed over a table without rotation: an angular rate of zero stands for a gyroscope.
+    Slide,
+    /// No assumption.
+    Free,
+}
+
+/// What a rest means. An accelerometer does not distinguish a rest from constant velocity.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Rests {
+    /// The velocity is zero.
+    #[default]
+    ZeroVelocity,
+    /// The velocity is an unknown constant of 0 ± 0.1 m/s, the same at all rests: a considered state.
+    ConstantVelocity,
+    /// Nothing.
+    Ignored,
+}
+
+/// Standard deviation of the constant velocity at rests with [`Rests::ConstantVelocity`], m/s: a slow hand.
+const HIDDEN_VELOCITY: f64 = 0.1;
+
+/// Settings of a [`Navigator`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Settings<R> {
+    /// Errors of the sensors.
+    pub errors: ImuErrors<R>,
+    /// Gravity, m/s².
+    pub gravity_mps2: R,
+    /// What is assumed of the motion.
+    pub profile: Profile,
+    /// What a rest means.
+    pub rests: Rests,
+    /// The position stays within this distance of the origin, m, 1 σ of a component.
+    pub within_m: Option<R>,
+}
+
+impl<R: RealField> Settings<R> {
+    /// Settings for a profile.
+    pub fn of(profile: Profile) -> Self {
+        let mut errors = ImuErrors::default();
+        if profile == Profile::Foot {
+            // Shocks of up to 16 g: scale factors, clipping and bandwidth act as noise (pyshoe recordings).
+            errors.accelerometer_noise = real(0.05);
+            errors.gyroscope_noise = real(0.003);
+        }
+        if profile == Profile::Slide {
+            // The rotation is a random walk of 0.1 deg/√s.
+            errors.gyroscope_noise = real(0.002);
+            errors.gyroscope_bias = real(1e-5);
+            errors.gyroscope_bias_walk = real(0.0);
+            errors.delay_s = real(0.0);
+        }
+        Self {
+            errors,
+            gravity_mps2: real(crate::GRAVITY_MPS2),
+            profile,
+            rests: Rests::ZeroVelocity,
+            within_m: None,
+        }
+    }
+}
+
+impl<R: RealField> Default for Settings<R> {
+    fn default() -> Self {
+        Self::of(Profile::Hand)
+    }
+}
+
+/// A sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample<R> {
+    /// Time since the sample before, s.
+    pub step_s: R,
+    /// Specific force, m/s², body frame.
+    pub force_mps2: Vector3<R>,
+    /// Angular rate, rad/s, body frame.
+    pub rate_rad_s: Option<Vector3<R>>,
+    /// Magnetic field, µT, body frame. A reading that is held over several samples is given once.
+    pub field_ut: Option<Vector3<R>>,
+}
+
+/// Why a sample was not used. The navigator went on as if it had not been there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum SampleFault {
+    /// Its time is not after that of the sample before.
+    NoTime,
+    /// A component is not a finite number.
+    NotFinite,
+}
+
+impl fmt::Display for SampleFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::NoTime => "the time of the sample is not after that of the sample before",
+            Self::NotFinite => "a component of the sample is not a finite number",
+        })
+    }
+}
+
+impl core::error::Error for SampleFault {}
+
+/// What is estimated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Solution<R> {
+    /// Position, m, and velocity, m/s, east-north-up.
+    pub position_m: [R; 3],
+    /// See [`position_m`](Self::position_m).
+    pub velocity_mps: [R; 3],
+    /// Body to navigation frame, W X Y Z.
+    pub quaternion: [R; 4],
+    /// Covariance of the position, m².
+    pub position_covariance: [[R; 3]; 3],
+    /// Covariance of the velocity, m²/s².
+    pub velocity_covariance: [[R; 3]; 3],
+    /// Covariance of the attitude error about east, north and up, rad².
+    pub attitude_covariance: [[R; 3]; 3],
+}
+
+/// Means over the first samples, and what is known of the start.
+#[derive(Clone, Copy, Debug)]
+pub struct Start<R> {
+    /// Body to navigation frame.
+    pub attitude: Rotation3<R>,
+    /// Magnetic field, µT, navigation frame.
+    pub field_ut: Option<Vector3<R>>,
+    /// Norm of the mean specific force, m/s².
+    pub force_mps2: R,
+    /// Whether the samples look like a rest.
+    pub rest: bool,
+}
+
+impl<R: RealField + Copy> Start<R> {
+    /// Alignment with gravity and the magnetic field. Numbers that are not finite are left out; `None` without a specific
+    /// force.
+    pub fn align(samples: &[Sample<R>], rest: bool) -> Option<Self> {
+        let mean = |vectors: &mut dyn Iterator<Item = Vector3<R>>| {
+            let (mut sum, mut count) = (Vector3::zeros(), R::zero());
+            for vector in vectors.filter(|v| v.iter().all(|x| x.is_finite())) {
+                sum += vector;
+                count += R::one();
+            }
+            (count > R::zero()).then(|| sum / count)
+        };
+        let force = mean(&mut samples.iter().map(|s| s.force_mps2))?;
+        let field = mean(&mut samples.iter().filter_map(|s| s.field_ut));
+        let attitude = level(&force, field.as_ref())?;
+        let finite = attitude.matrix().iter().all(|x| x.is_finite());
+        finite.then(|| Self {
+            attitude,
+            field_ut: field.map(|field| attitude * field),
+            force_mps2: force.norm(),
+            rest,
+        })
+    }
+}
+
+/// Deviations of a start at rest: tilt, rad; velocity, m/s. The tilt is that of a bias of 0.5 m/s²: zero-velocity
+/// updates make it consistent with the bias of the accelerometer.
+const REST_TILT: f64 = 0.05;
+const REST_VELOCITY: f64 = 1e-3;
+/// Deviations of a start in motion: accelerations of a third of gravity, walking speed.
+const MOVING_TILT: f64 = 0.35;
+const MOVING_VELOCITY: f64 = 1.5;
+/// Heading and position define the frame, rad, m.
+const START_HEADING: f64 = 1e-3;
+const START_POSITION: f64 = 1e-4;
+/// Standard deviation of the velocity at a rest, m/s, a component: chosen on BROAD and pyshoe.
+const REST_SPEED: f64 = 0.01;
+/// Interval of updates at rests, s: the window of the detector, so that they are independent.
+const REST_INTERVAL_S: f64 = 0.25;
+const STANCE_INTERVAL_S: f64 = 0.025;
+/// Speeds of the profiles, m/s, a component, and interval of the updates with the profile's bounds, s.
+const HAND_SPEED: f64 = 2.0;
+const VEHICLE_SPEED: f64 = 30.0;
+const BOUND_INTERVAL_S: f64 = 1.0;
+/// A step beyond this is a gap, s: a hand's acceleration is not constant over it.
+const GAP_S: f64 = 0.1;
+/// Speed at which the filter has diverged, m/s, and the position's deviation then, m: nobody carries a unit so fast.
+const DIVERGED_SPEED: f64 = 300.0;
+const LOST_POSITION: f64 = 1e4;
+/// A rest of which every update of such a time failed its test is certain, s: a hand moves at a constant velocity for
+/// less.
+const CERTAIN_REST_S: f64 = 1.5;
+
+/// Times since the last updates, s.
+#[derive(Clone, Copy, Debug)]
+struct Since<R> {
+    field: R,
+    rest: R,
+    bound: R,
+    /// Of a rest without interruption.
+    accepted: R,
+}
+
+/// The navigator: a model of the motion with `N` states.
+#[derive(Clone, Debug)]
+pub struct Navigator<R, M, const N: usize> {
+    settings: Settings<R>,
+    filter: Filter<R, N>,
+    model: M,
+    magnetometer: Magnetometer<R>,
+    reference_ut: Option<Vector3<R>>,
+    since: Since<R>,
+    hidden: Option<Block<3>>,
+    resting: bool,
+    recoveries: u32,
+    divergences: u32,
+}
+
+/// A navigator with a gyroscope.
+pub type WithGyroscope<R> = Navigator<R, Gyroscope<R>, 40>;
+/// A navigator without a gyroscope.
+pub type WithoutGyroscope<R> = Navigator<R, NoGyroscope<R>, 24>;
+
+impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
+    /// A navigator at a start.
+    ///
+    /// # Errors
+    /// [`LayoutFull`]: `N` is below the states of the model.
+    pub fn new(settings: Settings<R>, start: &Start<R>) -> Result<Self, LayoutFull> {
+        let (tilt, velocity) = match start.rest {
+            true => (REST_TILT, REST_VELOCITY),
+            false => (MOVING_TILT, MOVING_VELOCITY),
+        };
+        let attitude = [tilt, tilt, START_HEADING].map(real);
+        let mut layout = Layout::new(attitude, real(velocity), real(START_POSITION));
+        let magnetometer = Magnetometer::claim(&mut layout)?;
+        let model = M::claim(&mut layout, &settings, start)?;
+        let hidden = match settings.rests {
+            Rests::ConstantVelocity => {
+                Some(layout.claim(Role::Considered, [real(HIDDEN_VELOCITY); 3])?)
+            }
+            _ => None,
+        };
+        let zero = R::zero();
+        Ok(Self {
+            settings,
+            filter: Filter::new(&layout, start.attitude),
+            model,
+            magnetometer,
+            reference_ut: start.field_ut,
+            since: Since {
+                field: zero,
+                rest: zero,
+                bound: zero,
+                accepted: zero,
+            },
+            hidden,
+            resting: false,
+            recoveries: 0,
+            divergences: 0,
+        })
+    }
+
+    /// State and covariance.
+    pub fn filter(&self) -> &Filter<R, N> {
+        &self.filter
+    }
+
+    /// Update with a measurement of another sensor: a position, a range, a height.
+    pub fn update<const K: usize>(
+        &mut self,
+        measurement: &impl Measurement<R, N, K>,
+        gate: Gate,
+    ) -> Innovation<R> {
+        let innovation = self.filter.update(measurement, gate);
+        self.restart_if_diverged();
+        innovation
+    }
+
+    /// Updates at rests that are certain which failed their test: the covariance was scaled there.
+    pub fn recoveries(&self) -> u32 {
+        self.recoveries
+    }
+
+    /// Whether the last update at a rest was accepted, and the rest goes on.
+    pub fn is_at_rest(&self) -> bool {
+        self.resting
+    }
+
+    /// Times at which the filter diverged and began again, with an unknown position.
+    pub fn divergences(&self) -> u32 {
+        self.divergences
+    }
+
+    /// What is estimated.
+    pub fn solution(&self) -> Solution<R> {
+        let filter = &self.filter;
+        let quaternion = UnitQuaternion::from_rotation_matrix(&filter.state.attitude);
+        let rows = |block| filter.covariance::<3>(block).transpose().into();
+        Solution {
+            position_m: filter.state.get(POSITION).into(),
+            velocity_mps: filter.state.get(VELOCITY).into(),
+            quaternion: [quaternion.w, quaternion.i, quaternion.j, quaternion.k],
+            position_covariance: rows(POSITION),
+            velocity_covariance: rows(VELOCITY),
+            attitude_covariance: rows(ATTITUDE),
+        }
+    }
+
+    /// Angular rate, rad/s, body frame: measured and corrected for its bias, or estimated.
+    pub fn angular_rate(&self) -> Vector3<R> {
+        self.model.angular_rate(&self.filter.state)
+    }
+
+    /// A sample, and whether the unit is at rest there.
+    ///
+    /// # Errors
+    /// [`SampleFault`].
+    pub fn push(&mut self, sample: &Sample<R>, at_rest: bool) -> Result<(), SampleFault> {
+        let step_s = sample.step_s;
+        if !step_s.is_finite() || step_s < R::zero() {
+            return Err(SampleFault::NoTime);
+        }
+        let vectors = [Some(sample.force_mps2), sample.rate_rad_s, sample.field_ut];
+        if !vectors
+            .iter()
+            .flatten()
+            .all(|v| v.iter().all(|x| x.is_finite()))
+        {
+            self.interrupt(step_s);
+            return Err(SampleFault::NotFinite);
+        }
+        if step_s > real(GAP_S) {
+            self.interrupt(step_s);
+            return Ok(());
+        }
+        self.count(step_s);
+        let field = self
+            .model
+            .step(&mut self.filter, sample, at_rest, &self.magnetometer);
+        if let (Some(field_ut), Some(reference_ut)) = (field, self.reference_ut)
+            && self.since.field >= self.model.field_interval_s()
+        {
+            let sensor = &self.magnetometer;
+            let reading = MagneticField {
+                sensor,
+                field_ut,
+                reference_ut,
+            };
+            self.filter.update(&reading, Gate::ChiSquare);
+            self.since.field = R::zero();
+        }
+        self.update_velocity(at_rest);
+        self.restart_if_diverged();
+        Ok(())
+    }
+
+    /// Time without a usable sample, s: a gap, or clipped or missing samples.
+    pub fn interrupt(&mut self, step_s: R) {
+        self.count(step_s);
+        self.since.accepted = R::zero();
+        let step_s = step_s + self.model.interrupt();
+        self.filter
+            .predict(&(Unmeasured { step_s }, self.magnetometer.step(step_s)));
+        self.restart_if_diverged();
+    }
+
+    fn count(&mut self, step_s: R) {
+        let since = &mut self.since;
+        for time in [
+            &mut since.field,
+            &mut since.rest,
+            &mut since.bound,
+            &mut since.accepted,
+        ] {
+            *time += step_s;
+        }
+    }
+
+    fn update_velocity(&mut self, at_rest: bool) {
+        let profile = self.settings.profile;
+        let at_rest = at_rest && self.settings.rests != Rests::Ignored;
+        if at_rest {
+            let interval = if profile == Profile::Foot {
+                STANCE_INTERVAL_S
+            } else {
+                REST_INTERVAL_S
+            };
+            if self.since.rest >= real(interval) {
+                self.update_rest();
+                self.since.rest = R::zero();
+            }
+        } else {
+            self.since.accepted = R::zero();
+            self.resting = false;
+        }
+        if self.since.bound < real(BOUND_INTERVAL_S) {
+            return;
+        }
+        self.since.bound = R::zero();
+        let speed = match profile {
+            Profile::Hand | Profile::Slide => Some(HAND_SPEED),
+            Profile::Vehicle => Some(VEHICLE_SPEED),
+            Profile::Foot | Profile::Free => None,
+        };
+        if let Some(speed) = speed.filter(|_| !at_rest) {
+            let bound = Velocity::zero(real(speed), None);
+            self.filter.update(&bound, Gate::ChiSquare);
+        }
+        if let Some(deviation_m) = self.settings.within_m {
+            let position_m = Vector3::zeros();
+            self.filter.update(
+                &Position {
+                    position_m,
+                    deviation_m,
+                },
+                Gate::Open,
+            );
+        }
+    }
+
+    /// A rest that fails the test is constant velocity, or the start of a motion. One that goes on failing is certain,
+    /// until an update passes or the unit moves, as is the stance of a foot.
+    fn update_rest(&mut self) {
+        let zero = Velocity::zero(real(REST_SPEED), self.hidden);
+        let gate = match self.settings.profile {
+            Profile::Foot => Gate::Open,
+            _ => Gate::ChiSquare,
+        };
+        self.resting = self.filter.update(&zero, gate).accepted;
+        if self.resting {
+            self.since.accepted = R::zero();
+        } else if self.since.accepted >= real(CERTAIN_REST_S) {
+            recover(&mut self.filter, &zero, self.model.recovered());
+            self.recoveries += 1;
+            self.resting = true;
+        }
+    }
+
+    /// Begins again with a start in motion at an unknown position.
+    fn restart_if_diverged(&mut self) {
+        let speed = self.filter.state.get(VELOCITY).norm();
+        if self.filter.is_sound() && speed < real(DIVERGED_SPEED) {
+            return;
+        }
+        let attitude = self.filter.state.attitude;
+        let finite = attitude.matrix().iter().all(|x| x.is_finite());
+        let attitude = if finite {
+            attitude
+        } else {
+            Rotation3::identity()
+        };
+        let start = Start {
+            attitude,
+            field_ut: self.reference_ut,
+            force_mps2: self.settings.gravity_mps2,
+            rest: false,
+        };
+        let Ok(mut restarted) = Self::new(self.settings, &start) else {
+            return;
+        };
+        let lost = Matrix3::from_diagonal_element(real(LOST_POSITION * LOST_POSITION));
+        restarted.filter.set_covariance(POSITION, &lost);
+        let heading = core::f64::consts::PI;
+        let unknown = Matrix1::new(real(heading * heading));
+        restarted
+            .filter
+            .set_covariance(ATTITUDE.part::<1, 2>(), &unknown);
+        restarted.recoveries = self.recoveries;
+        restarted.divergences = self.divergences + 1;
+        *self = restarted;
+    }
+
+    /// Rotates the navigation frame so that the heading is this, rad: before the first sample.
+    pub fn set_heading(&mut self, heading: R) {
+        let turn = about_up(heading - self.heading());
+        self.filter.state.attitude = turn * self.filter.state.attitude;
+        self.reference_ut = self.reference_ut.map(|field| turn * field);
+    }
+
+    /// Makes a position, m, east-north-up, that of the unit: at the start.
+    pub fn set_position(&mut self, position: Vector3<R>) {
+        self.filter.state.set(POSITION, position);
+        let variance = real(START_POSITION * START_POSITION);
+        self.filter
+            .set_covariance(POSITION, &Matrix3::from_diagonal_element(variance));
+    }
+
+    /// Makes the position of the unit the origin, and its heading known: at the first rest of a start in motion.
+    pub fn set_origin(&mut self) {
+        self.set_position(Vector3::zeros());
+        let variance = real(START_HEADING * START_HEADING);
+        self.filter
+            .set_covariance(ATTITUDE.part::<1, 2>(), &Matrix1::new(variance));
+    }
+
+    /// Position, m, velocity, m/s, and heading, rad, from outside, with their standard deviations. Roll, pitch and
+    /// biases stay, with their covariance.
+    pub fn set_pose(
+        &mut self,
+        position: Vector3<R>,
+        velocity: Vector3<R>,
+        heading: R,
+        deviations: [R; 3],
+    ) {
+        let turn = about_up(heading - self.heading());
+        self.filter.state.attitude = turn * self.filter.state.attitude;
+        // The tilt errors are those of the same body axes in the new directions.
+        self.filter.rotate(ATTITUDE, &turn);
+        if let Some(acceleration) = self.model.acceleration() {
+            self.filter.rotate(acceleration, &turn);
+        }
+        self.filter.state.set(POSITION, position);
+        self.filter.state.set(VELOCITY, velocity);
+        let [position, velocity, heading] = deviations.map(|deviation| deviation * deviation);
+        self.filter
+            .set_covariance(POSITION, &Matrix3::from_diagonal_element(position));
+        self.filter
+            .set_covariance(VELOCITY, &Matrix3::from_diagonal_element(velocity));
+        self.filter
+            .set_covariance(ATTITUDE.part::<1, 2>(), &Matrix1::new(heading));
+    }
+
+    /// Angle of the body x axis from east towards north, rad.
+    pub fn heading(&self) -> R {
+        yaw(&self.filter.state.attitude)
+    }
+}

@@ -1,0 +1,122 @@
+//! Process models: how state and covariance change between two samples.
+
+mod carried;
+mod gauss_markov;
+mod strapdown;
+mod unmeasured;
+
+pub use carried::{Carried, CarriedBlocks};
+pub use gauss_markov::{GaussMarkov, RandomWalk};
+pub use strapdown::{ConsideredBlocks, ImuErrors, Strapdown, StrapdownBlocks};
+pub use unmeasured::Unmeasured;
+
+use heapless::Vec;
+use nalgebra::{Matrix3, RealField, SMatrix, SVector};
+
+use crate::state::{Block, State};
+
+/// How a part of the state changes over a step. A pair of processes is a process: each acts on its own blocks.
+pub trait Process<R, const N: usize> {
+    /// Moves the state over the step, and adds the derivative and the noise of the step.
+    fn propagate(&self, state: &mut State<R, N>, transition: &mut Transition<R, N>);
+}
+
+impl<R, const N: usize, A: Process<R, N>, B: Process<R, N>> Process<R, N> for (A, B) {
+    fn propagate(&self, state: &mut State<R, N>, transition: &mut Transition<R, N>) {
+        self.0.propagate(state, transition);
+        self.1.propagate(state, transition);
+    }
+}
+
+/// Part of F − 1: three rows, and up to three columns.
+#[derive(Clone, Debug)]
+struct Part<R> {
+    row: usize,
+    column: usize,
+    columns: usize,
+    matrix: Matrix3<R>,
+}
+
+/// Derivative F of the errors after a step by those before it, and the diagonal covariance Q of the noise of the step.
+/// F is the identity plus blocks.
+#[derive(Clone, Debug)]
+pub struct Transition<R, const N: usize> {
+    parts: Vec<Part<R>, N>,
+    noise: SVector<R, N>,
+    /// Whether there were more than `N` blocks: then the covariance is not defined.
+    overflow: bool,
+}
+
+impl<R: RealField + Copy, const N: usize> Transition<R, N> {
+    pub(crate) fn new() -> Self {
+        Self {
+            parts: Vec::new(),
+            noise: SVector::zeros(),
+            overflow: false,
+        }
+    }
+
+    /// Adds a block to F − 1. A model has at most `N` groups of three rows and three columns.
+    pub fn add<const W: usize>(
+        &mut self,
+        row: Block<3>,
+        column: Block<W>,
+        matrix: SMatrix<R, 3, W>,
+    ) {
+        for first in (0..W).step_by(3) {
+            let columns = (W - first).min(3);
+            let mut part = Matrix3::zeros();
+            for c in 0..columns {
+                part.set_column(c, &matrix.column(first + c));
+            }
+            let part = Part {
+                row: row.start(),
+                column: column.start() + first,
+                columns,
+                matrix: part,
+            };
+            self.overflow |= self.parts.push(part).is_err();
+        }
+    }
+
+    /// Adds a variance to the noise of every state of a block.
+    pub fn add_noise<const W: usize>(&mut self, block: Block<W>, variance: R) {
+        for k in block.start()..block.start() + W {
+            self.noise[k] += variance;
+        }
+    }
+
+    /// F P Fᵀ + Q.
+    pub(crate) fn apply(&self, covariance: &mut SMatrix<R, N, N>) {
+        if self.overflow {
+            covariance.fill(R::zero() / R::zero());
+            return;
+        }
+        let before = *covariance;
+        for part in &self.parts {
+            for c in 0..N {
+                for r in 0..3 {
+                    let mut sum = covariance[(part.row + r, c)];
+                    for k in 0..part.columns {
+                        sum += part.matrix[(r, k)] * before[(part.column + k, c)];
+                    }
+                    covariance[(part.row + r, c)] = sum;
+                }
+            }
+        }
+        let before = *covariance;
+        for part in &self.parts {
+            for r in 0..3 {
+                for k in 0..part.columns {
+                    let factor = part.matrix[(r, k)];
+                    for c in 0..N {
+                        covariance[(c, part.row + r)] += factor * before[(c, part.column + k)];
+                    }
+                }
+            }
+        }
+        for k in 0..N {
+            covariance[(k, k)] += self.noise[k];
+        }
+    }
+}

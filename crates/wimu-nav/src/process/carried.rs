@@ -1,0 +1,121 @@
+//! A body that is carried, without a gyroscope: angular rate and acceleration are states. Equation (125).
+//!
+//! The angular rate, body frame, is a first-order Gauss–Markov process. The velocity, navigation frame, is a damped
+//! oscillator:
+//!
+//! ```text
+//! dv/dt = a,   da/dt = −2 ζ ω₀ a − ω₀² v + w
+//! ```
+//!
+//! The motion of a hand has no acceleration power at frequency zero. A Gauss–Markov acceleration has it, and the filter
+//! then takes a tilt for an acceleration. White noise of density 4 ζ ω₀ σ² keeps the acceleration at the variance σ²
+//! (A. Papoulis, "Probability, Random Variables, and Stochastic Processes", second-order systems).
+
+use nalgebra::{Matrix3, RealField, Rotation3};
+
+use super::{Process, Transition};
+use crate::rotation::real;
+use crate::state::{ATTITUDE, Block, Layout, LayoutFull, POSITION, Role, State, VELOCITY};
+
+/// Natural frequency ω₀, rad/s, and damping ratio ζ of the velocity: chosen on BROAD, see VALIDATION.
+const FREQUENCY: f64 = 8.0;
+const DAMPING: f64 = 0.5;
+/// Random walk of the position in motion, m/√s: displacements slower than the oscillator. Chosen on simulated journeys
+/// with steps and stops, see VALIDATION.
+const WANDER: f64 = 0.15;
+/// Correlation time of the angular rate, s: chosen on BROAD, see VALIDATION.
+const RATE_TIME_S: f64 = 0.1;
+
+/// States beside attitude, velocity and position.
+#[derive(Clone, Copy, Debug)]
+pub struct CarriedBlocks {
+    /// Angular rate, rad/s, body frame.
+    pub angular_rate: Block<3>,
+    /// Acceleration, m/s², navigation frame.
+    pub acceleration: Block<3>,
+}
+
+impl CarriedBlocks {
+    /// Claims both: six states, with their initial deviations, rad/s and m/s².
+    ///
+    /// # Errors
+    /// [`LayoutFull`].
+    pub fn claim<R: RealField + Copy, const N: usize>(
+        layout: &mut Layout<R, N>,
+        rate_rad_s: R,
+        acceleration_mps2: R,
+    ) -> Result<Self, LayoutFull> {
+        Ok(Self {
+            angular_rate: layout.claim(Role::Estimated, [rate_rad_s; 3])?,
+            acceleration: layout.claim(Role::Estimated, [acceleration_mps2; 3])?,
+        })
+    }
+}
+
+/// A step.
+#[derive(Clone, Copy, Debug)]
+pub struct Carried<'a, R> {
+    /// Its states.
+    pub blocks: &'a CarriedBlocks,
+    /// Stationary standard deviation of the acceleration, m/s², a component.
+    pub acceleration_mps2: R,
+    /// Stationary standard deviation of the angular rate, rad/s, a component.
+    pub rate_rad_s: R,
+    /// Whether the unit is at rest.
+    pub at_rest: bool,
+    /// Length of the step, s.
+    pub step_s: R,
+}
+
+impl<R: RealField + Copy, const N: usize> Process<R, N> for Carried<'_, R> {
+    fn propagate(&self, state: &mut State<R, N>, transition: &mut Transition<R, N>) {
+        let (dt, one) = (self.step_s, real::<R>(1.0));
+        let CarriedBlocks {
+            angular_rate,
+            acceleration,
+        } = *self.blocks;
+        let damping = real::<R>(2.0 * DAMPING * FREQUENCY) * dt;
+        let spring = real::<R>(FREQUENCY * FREQUENCY) * dt;
+        let decay = (-dt / real(RATE_TIME_S)).exp();
+
+        transition.add(ATTITUDE, angular_rate, state.attitude.matrix() * dt);
+        transition.add(VELOCITY, acceleration, Matrix3::identity() * dt);
+        transition.add(POSITION, VELOCITY, Matrix3::identity() * dt);
+        transition.add(
+            POSITION,
+            acceleration,
+            Matrix3::identity() * (dt * dt * real(0.5)),
+        );
+        transition.add(
+            angular_rate,
+            angular_rate,
+            Matrix3::identity() * (decay - one),
+        );
+        transition.add(acceleration, VELOCITY, Matrix3::identity() * -spring);
+        transition.add(acceleration, acceleration, Matrix3::identity() * -damping);
+        let square = |deviation: R| deviation * deviation;
+        transition.add_noise(
+            angular_rate,
+            square(self.rate_rad_s) * (one - square(decay)),
+        );
+        transition.add_noise(
+            acceleration,
+            square(self.acceleration_mps2) * damping * real(2.0),
+        );
+        if !self.at_rest {
+            transition.add_noise(POSITION, real::<R>(WANDER * WANDER) * dt);
+        }
+
+        let (v, a, rate) = (
+            state.get(VELOCITY),
+            state.get(acceleration),
+            state.get(angular_rate),
+        );
+        let position = state.get(POSITION) + (v + a * (dt * real(0.5))) * dt;
+        state.attitude *= Rotation3::new(rate * dt);
+        state.set(POSITION, position);
+        state.set(VELOCITY, v + a * dt);
+        state.set(acceleration, a * (one - damping) - v * spring);
+        state.set(angular_rate, rate * decay);
+    }
+}

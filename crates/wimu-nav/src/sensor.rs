@@ -1,0 +1,36 @@
+//! Sensors: each is one file with the prediction of its measurement.
+
+mod accelerometer;
+mod magnetometer;
+mod position;
+mod second_order;
+mod velocity;
+
+pub use accelerometer::SpecificForce;
+pub use magnetometer::{MagneticField, Magnetometer};
+pub use velocity::{Velocity, recover};
+
+pub use position::Position;
+pub(crate) use second_order::SecondOrder;
+
+use nalgebra::{SMatrix, SVector};
+
+use crate::filter::Filter;
+use crate::state::Jacobian;
+
+/// Measured minus predicted value, its derivative with respect to the error state, and the covariance of its noise.
+#[derive(Clone, Debug)]
+pub struct Prediction<R, const N: usize, const M: usize> {
+    /// Measured minus predicted value.
+    pub innovation: SVector<R, M>,
+    /// Derivative of the measurement.
+    pub jacobian: Jacobian<R, M, N>,
+    /// Covariance of the noise.
+    pub covariance: SMatrix<R, M, M>,
+}
+
+/// A measurement of `M` values by a filter with `N` states.
+pub trait Measurement<R, const N: usize, const M: usize> {
+    /// Prediction from the state and covariance before the update.
+    fn predict(&self, filter: &Filter<R, N>) -> Prediction<R, N, M>;
+}

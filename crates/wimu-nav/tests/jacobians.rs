@@ -1,0 +1,407 @@
+//! Transitions and Jacobians equal numerical derivatives.
+
+use crate::common;
+
+use common::Random;
+use common::states::{certain, covariance, difference, nine, shifted, states};
+use nalgebra::{Matrix1, Rotation3, SMatrix, SVector, Vector3};
+use wimu_nav::filter::Filter;
+use wimu_nav::process::{
+    Carried, CarriedBlocks, GaussMarkov, ImuErrors, Process, RandomWalk, Strapdown,
+    StrapdownBlocks, Unmeasured,
+};
+use wimu_nav::sensor::{
+    MagneticField, Magnetometer, Measurement, Position, SpecificForce, Velocity,
+};
+use wimu_nav::state::{ATTITUDE, Block, Layout, POSITION, Role, State, VELOCITY};
+
+const N: usize = 40;
+/// Size of the errors for central differences.
+const SMALL: f64 = 1e-5;
+
+type Matrix = SMatrix<f64, N, N>;
+
+fn layout() -> Layout<f64, N> {
+    Layout::new([1.0; 3], 1.0, 1.0)
+}
+
+/// A state away from zero and with any attitude; considered states are zero.
+fn anywhere(random: &mut Random, layout: &Layout<f64, N>, states: &[Block<1>]) -> Filter<f64, N> {
+    let attitude = Rotation3::new(Vector3::from(random.normals(1.0)));
+    let mut filter = Filter::new(layout, attitude);
+    for state in states.iter().filter(|s| s.start() >= 3) {
+        filter
+            .state
+            .set(*state, Matrix1::new(random.normal() * 0.3));
+    }
+    filter
+}
+
+/// F of a process, from its effect on the covariance of one state at a time: F e eᵀ Fᵀ. A diagonal element of F is
+/// positive.
+fn transition(
+    start: &Filter<f64, N>,
+    states: &[Block<1>],
+    process: &impl Process<f64, N>,
+) -> Matrix {
+    let mut without = start.clone();
+    certain(&mut without, states);
+    let mut noise = without.clone();
+    noise.predict(process);
+    let noise = covariance(&noise, states);
+    let mut f = Matrix::zeros();
+    for state in states {
+        let k = state.start();
+        let mut filter = without.clone();
+        filter.set_covariance(*state, &Matrix1::new(1.0));
+        filter.predict(process);
+        let product = covariance(&filter, states) - noise;
+        f.set_column(k, &(product.column(k) / product[(k, k)].sqrt()));
+    }
+    f
+}
+
+/// F by central differences of a step.
+fn numerical(states: &[Block<1>], step: impl Fn(&SVector<f64, N>) -> State<f64, N>) -> Matrix {
+    let mut f = Matrix::zeros();
+    for state in states {
+        let mut error = SVector::zeros();
+        error[state.start()] = SMALL;
+        let change = difference(&step(&error), &step(&-error)) / (2.0 * SMALL);
+        f.set_column(state.start(), &change);
+    }
+    f
+}
+
+/// F of a process by central differences of its own step of the state.
+fn numerical_of(
+    start: &Filter<f64, N>,
+    states: &[Block<1>],
+    process: &impl Process<f64, N>,
+) -> Matrix {
+    numerical(states, |error| {
+        let mut filter = start.clone();
+        filter.state = shifted(&start.state, error);
+        filter.predict(process);
+        filter.state
+    })
+}
+
+/// Asserts that rows of a transition agree to a tolerance.
+#[track_caller]
+fn assert_rows(
+    a: &Matrix,
+    b: &Matrix,
+    rows: std::ops::Range<usize>,
+    columns: &[Block<1>],
+    tolerance: f64,
+) {
+    for row in rows {
+        for column in columns {
+            let at = (row, column.start());
+            let off = (a[at] - b[at]).abs();
+            assert!(off < tolerance, "{at:?}: {} and {}, {off:e}", a[at], b[at]);
+        }
+    }
+}
+
+/// A strapdown step, and the same step of a true unit whose sensor matrices and delay differ from zero by an error.
+struct StrapdownCase {
+    filter: Filter<f64, N>,
+    blocks: StrapdownBlocks,
+    errors: ImuErrors<f64>,
+    force: Vector3<f64>,
+    rate: Vector3<f64>,
+    step_s: f64,
+}
+
+impl StrapdownCase {
+    fn process(&self, force_mps2: Vector3<f64>, rate_rad_s: Vector3<f64>) -> Strapdown<'_, f64> {
+        Strapdown {
+            blocks: &self.blocks,
+            errors: &self.errors,
+            gravity_mps2: 9.8,
+            force_mps2,
+            rate_rad_s,
+            step_s: self.step_s,
+        }
+    }
+
+    fn true_step(&self, error: &SVector<f64, N>) -> State<f64, N> {
+        let considered = self.blocks.considered.unwrap();
+        let mut filter = self.filter.clone();
+        filter.state = shifted(&self.filter.state, error);
+        let matrix = |block: Block<9>| {
+            nalgebra::Matrix3::from_row_iterator(filter.state.get(block).iter().copied())
+        };
+        let bias = |block: Block<3>| filter.state.get(block);
+        let force = self.force - bias(self.blocks.accelerometer_bias);
+        let rate = self.rate - bias(self.blocks.gyroscope_bias);
+        let force = self.force - matrix(considered.accelerometer_matrix) * force;
+        let true_rate = self.rate - matrix(considered.gyroscope_matrix) * rate;
+        let lead = Rotation3::new(rate * filter.state.get(considered.delay).x);
+        filter.state.attitude *= lead;
+        filter.predict(&self.process(force, true_rate));
+        filter.state.attitude *= lead.inverse();
+        filter.state
+    }
+}
+
+#[test]
+fn the_strapdown_transition_is_the_derivative_to_first_order_in_the_step() {
+    let mut random = Random::new(1);
+    for step_s in [0.002, 0.01] {
+        let (mut layout, errors) = (layout(), ImuErrors::default());
+        let blocks = StrapdownBlocks::claim(&mut layout, &errors).unwrap();
+        let blocks = blocks.consider(&mut layout, &errors).unwrap();
+        let considered = blocks.considered.unwrap();
+        let estimated = states(&[blocks.gyroscope_bias, blocks.accelerometer_bias]);
+        let mut all = estimated.clone();
+        all.extend(nine(considered.accelerometer_matrix));
+        all.extend(nine(considered.gyroscope_matrix));
+        all.push(considered.delay);
+        let case = StrapdownCase {
+            filter: anywhere(&mut random, &layout, &estimated),
+            blocks,
+            errors,
+            force: Vector3::new(2.0, -1.0, 9.0),
+            rate: Vector3::new(0.5, -0.8, 1.2),
+            step_s,
+        };
+        let analytic = transition(&case.filter, &all, &case.process(case.force, case.rate));
+        let numeric = numerical(&all, |error| case.true_step(error));
+        // What is left out is of second order in the step, for the position of third order.
+        let square = step_s * step_s;
+        assert_rows(&analytic, &numeric, 0..N, &all, 20.0 * square);
+        assert_rows(
+            &analytic,
+            &numeric,
+            6..9,
+            &estimated,
+            20.0 * square * step_s,
+        );
+        // And is not zero by accident.
+        let size = |block: &[Block<1>]| {
+            block
+                .iter()
+                .map(|b| analytic.column(b.start()).norm())
+                .sum::<f64>()
+        };
+        assert!(size(&nine(considered.accelerometer_matrix)) > 20.0 * step_s);
+        assert!(size(&[considered.delay]) > 5.0 * step_s);
+    }
+}
+
+#[test]
+fn the_carried_transition_is_the_derivative_to_first_order_in_the_step() {
+    let mut random = Random::new(2);
+    for step_s in [0.002, 0.02] {
+        let mut layout = layout();
+        let blocks = CarriedBlocks::claim(&mut layout, 1.0, 1.0).unwrap();
+        let all = states(&[blocks.angular_rate, blocks.acceleration]);
+        let start = anywhere(&mut random, &layout, &all);
+        for at_rest in [false, true] {
+            let process = Carried {
+                blocks: &blocks,
+                acceleration_mps2: 3.0,
+                rate_rad_s: 2.0,
+                at_rest,
+                step_s,
+            };
+            let analytic = transition(&start, &all, &process);
+            let numeric = numerical_of(&start, &all, &process);
+            assert_rows(&analytic, &numeric, 0..3, &all, step_s * step_s);
+            // All but the attitude is linear.
+            assert_rows(&analytic, &numeric, 3..N, &all, 1e-8);
+        }
+    }
+}
+
+#[test]
+fn gauss_markov_and_gaps_have_their_derivative() {
+    let mut random = Random::new(3);
+    let mut layout = layout();
+    let block = layout.claim(Role::Estimated, [1.0; 3]).unwrap();
+    let all = states(&[block]);
+    let start = anywhere(&mut random, &layout, &all);
+    let markov = GaussMarkov {
+        block,
+        deviation: 3.0,
+        time_s: 10.0,
+        step_s: 0.7,
+    };
+    let walk = RandomWalk {
+        block: POSITION,
+        density: 0.2,
+        step_s: 0.7,
+    };
+    let gap = Unmeasured { step_s: 0.7 };
+    let check =
+        |analytic: Matrix, numeric: Matrix| assert_rows(&analytic, &numeric, 0..N, &all, 1e-8);
+    check(
+        transition(&start, &all, &markov),
+        numerical_of(&start, &all, &markov),
+    );
+    check(
+        transition(&start, &all, &gap),
+        numerical_of(&start, &all, &gap),
+    );
+    let both = (gap, (markov, walk));
+    check(
+        transition(&start, &all, &both),
+        numerical_of(&start, &all, &both),
+    );
+}
+
+/// Asserts that a measurement has the derivative −∂(innovation)/∂x where the covariance is zero.
+#[track_caller]
+fn assert_jacobian(
+    start: &Filter<f64, N>,
+    states: &[Block<1>],
+    measurement: &impl Measurement<f64, N, 3>,
+) {
+    let mut filter = start.clone();
+    certain(&mut filter, states);
+    let jacobian = measurement.predict(&filter).jacobian;
+    let innovation = |error: &SVector<f64, N>| {
+        let mut moved = filter.clone();
+        moved.state = shifted(&filter.state, error);
+        measurement.predict(&moved).innovation
+    };
+    for state in states {
+        let mut error = SVector::zeros();
+        error[state.start()] = SMALL;
+        let numeric = (innovation(&-error) - innovation(&error)) / (2.0 * SMALL);
+        let off = (numeric - jacobian.get(*state)).norm();
+        assert!(
+            off < 1e-6,
+            "state {}: {numeric} and {:?}",
+            state.start(),
+            jacobian.get(*state)
+        );
+    }
+}
+
+#[test]
+fn the_jacobian_of_each_sensor_is_its_derivative() {
+    let mut random = Random::new(4);
+    for _ in 0..5 {
+        let mut layout = layout();
+        let magnetometer = Magnetometer::claim(&mut layout).unwrap();
+        let acceleration = layout.claim(Role::Estimated, [1.0; 3]).unwrap();
+        let bias = layout.claim(Role::Estimated, [1.0; 3]).unwrap();
+        let offset = layout.claim(Role::Considered, [0.1; 3]).unwrap();
+        let all = states(&[magnetometer.disturbance, acceleration, bias, offset]);
+        let start = anywhere(&mut random, &layout, &all);
+        let mut vector = |size: f64| Vector3::from(random.normals(size));
+        assert_jacobian(
+            &start,
+            &all,
+            &MagneticField {
+                sensor: &magnetometer,
+                field_ut: vector(40.0),
+                reference_ut: vector(40.0),
+            },
+        );
+        assert_jacobian(
+            &start,
+            &all,
+            &SpecificForce {
+                force_mps2: vector(10.0),
+                acceleration,
+                bias,
+                gravity_mps2: 9.8,
+                deviation_mps2: 0.05,
+            },
+        );
+        let position_m = vector(3.0);
+        assert_jacobian(
+            &start,
+            &all,
+            &Position {
+                position_m,
+                deviation_m: 0.1,
+            },
+        );
+        for offset in [None, Some(offset)] {
+            let velocity = Velocity {
+                velocity_mps: vector(1.0),
+                deviation_mps: 0.1,
+                offset,
+            };
+            assert_jacobian(&start, &all, &velocity);
+        }
+    }
+}
+
+#[test]
+fn without_measurements_the_driven_states_keep_their_variance() {
+    let mut layout = layout();
+    let blocks = CarriedBlocks::claim(&mut layout, 2.0, 3.0).unwrap();
+    let magnetometer = Magnetometer::<f64>::claim(&mut layout).unwrap();
+    let mut filter = Filter::new(&layout, Rotation3::identity());
+    for _ in 0..1000 {
+        let step_s = 0.02;
+        let carried = Carried {
+            blocks: &blocks,
+            acceleration_mps2: 3.0,
+            rate_rad_s: 2.0,
+            at_rest: false,
+            step_s,
+        };
+        filter.predict(&(carried, magnetometer.step(step_s)));
+    }
+    let deviation = |block: Block<3>| filter.covariance(block)[(0, 0)].sqrt();
+    assert!((deviation(blocks.angular_rate) / 2.0 - 1.0).abs() < 1e-6);
+    assert!((deviation(magnetometer.disturbance) / 3.0 - 1.0).abs() < 1e-6);
+    // The oscillator is integrated to first order: 20 ms are a sixth of its period over 2π.
+    let acceleration = deviation(blocks.acceleration) / 3.0;
+    println!(
+        "acceleration {acceleration:.3}, velocity {:.3}",
+        deviation(VELOCITY)
+    );
+    assert!((0.95..1.2).contains(&acceleration), "{acceleration}");
+    // Its velocity has the deviation σ/ω₀.
+    let velocity = deviation(VELOCITY) * 8.0 / 3.0;
+    assert!((0.95..1.2).contains(&velocity), "{velocity}");
+    // The random walk of the position adds to the noise of the oscillator: 0.15 m/√s over 20 s.
+    let position = filter.covariance(POSITION)[(0, 0)].sqrt();
+    assert!((0.6..2.5).contains(&position), "{position}");
+    assert!(filter.covariance(ATTITUDE)[(0, 0)].sqrt() > 1.0);
+}
+
+#[test]
+fn the_noise_of_a_strapdown_step_is_that_of_its_sensors_and_times() {
+    let mut layout = layout();
+    let mut errors = ImuErrors::default();
+    errors.time_s = 0.001;
+    let blocks = StrapdownBlocks::claim(&mut layout, &errors).unwrap();
+    let all = states(&[blocks.gyroscope_bias, blocks.accelerometer_bias]);
+    let mut filter = Filter::new(&layout, Rotation3::identity());
+    certain(&mut filter, &all);
+    // An acceleration of 5 m/s².
+    filter.predict(&Strapdown {
+        blocks: &blocks,
+        errors: &errors,
+        gravity_mps2: 9.8,
+        force_mps2: Vector3::new(3.0, 4.0, 9.8),
+        rate_rad_s: Vector3::zeros(),
+        step_s: 0.01,
+    });
+    let variance = |block: Block<3>| filter.covariance(block)[(0, 0)];
+    for (found, expected) in [
+        (variance(ATTITUDE), 2.5e-4_f64.powi(2) * 0.01),
+        (
+            variance(VELOCITY),
+            0.005_f64.powi(2) * 0.01 + (5.0 * 0.001_f64).powi(2),
+        ),
+        (variance(POSITION), 0.0),
+        (variance(blocks.gyroscope_bias), 2e-4_f64.powi(2) * 0.01),
+        (variance(blocks.accelerometer_bias), 3e-4_f64.powi(2) * 0.01),
+    ] {
+        assert!(
+            (found - expected).abs() <= 1e-9 * expected,
+            "{found} and {expected}"
+        );
+    }
+}

@@ -2,7 +2,10 @@
 
 use nalgebra::{Matrix3, Vector3};
 use wimu_host::inertial::{Choice, InertialPath, Method, Zupt, navigate};
-use wimu_nav::unit::{UnitConfig, UnitFilter, UnitState};
+use wimu_nav::navigator::{
+    Gyroscope, Model, Navigator, NoGyroscope, Sample, Settings, Solution, Start,
+};
+use wimu_nav::unit::{UnitConfig, UnitFilter, UnitSample, UnitState};
 
 use crate::baseline::{Filter, POSITION, VELOCITY};
 use crate::low_pass::LowPass;
@@ -34,6 +37,9 @@ impl Scored {
     }
 }
 
+/// The error-state core, with a gyroscope and without, with the rests of the plain filter.
+pub const CORE: &str = "core_gyroscope";
+pub const CORE_NO_GYROSCOPE: &str = "core_no_gyroscope";
 pub const ZUPT_FILTER: &str = "zupt_filter";
 pub const LOW_PASS: &str = "low_pass";
 pub const STAYS: &str = "stays_at_start";
@@ -52,6 +58,12 @@ pub fn score(recording: &Recording) -> Vec<Scored> {
         });
         found.push(library(recording, names[1], gyroscope, Zupt::Stated));
     }
+    found.push(core::<Gyroscope<f64>, 40>(recording, &windows, CORE));
+    found.push(core::<NoGyroscope<f64>, 24>(
+        recording,
+        &windows,
+        CORE_NO_GYROSCOPE,
+    ));
     found.push(zupt_filter(recording, &windows));
     if recording.has_field() {
         found.push(low_pass(recording, &windows));
@@ -190,6 +202,87 @@ fn start(recording: &Recording, k: usize) -> Option<(Vector3<f64>, Vector3<f64>,
         recording.velocity(k)?,
         recording.heading(k)?,
     ))
+}
+
+/// Standard deviations of position, m, velocity, m/s, and heading, rad, at the start of a window: those of the truth.
+const WINDOW_START: [f64; 3] = [0.002, 0.02, 0.005];
+
+/// The error-state core on the whole recording and on windows, in which rests are not used.
+fn core<M: Model<f64, N> + Clone, const N: usize>(
+    recording: &Recording,
+    windows: &[Window],
+    name: &'static str,
+) -> Scored {
+    let refused = |reason: String| Scored {
+        name,
+        refused: Some(reason),
+        whole: Whole::refused(recording),
+        ..Scored::default()
+    };
+    let samples: Vec<Sample<f64>> = recording.motion.samples.iter().map(sample).collect();
+    let (force, rate) = vectors(recording);
+    let at_rest = recording.settings.detector.detect(&force, &rate);
+    let count = recording.settings.start_samples.min(samples.len());
+    let rest = at_rest[..count].iter().any(|rest| *rest);
+    let Some(begin) = Start::align(&samples[..count], rest) else {
+        return refused("no alignment".to_owned());
+    };
+    let settings = Settings::of(recording.settings.profile);
+    let mut navigator = match Navigator::<f64, M, N>::new(settings, &begin) {
+        Ok(navigator) => navigator,
+        Err(error) => return refused(error.to_string()),
+    };
+    if let Some(heading) = (0..samples.len()).find_map(|k| recording.heading(k)) {
+        navigator.set_heading(heading);
+    }
+    let (mut track, mut ends) = (Track::default(), Vec::new());
+    let mut next = windows.iter().peekable();
+    for k in 0..samples.len() {
+        // A sample that is not usable grows the covariance.
+        let _ = navigator.push(&samples[k], at_rest[k]);
+        track.estimates.push(solution(&navigator.solution()));
+        if let Some(window) = next.next_if(|w| w.start == k)
+            && let Some((position, velocity, heading)) = start(recording, k)
+        {
+            let mut navigator = navigator.clone();
+            navigator.set_pose(position, velocity, heading, WINDOW_START);
+            let mut at = k;
+            ends.push(window.ends.map(|end| {
+                while at < end {
+                    at += 1;
+                    let _ = navigator.push(&samples[at], false);
+                }
+                solution(&navigator.solution())
+            }));
+        }
+    }
+    Scored {
+        name,
+        whole: Whole::of(recording, &track, &track),
+        closure: closure(recording, &track),
+        windows: Some(Windows::of(recording, windows, &ends)),
+        refused: None,
+    }
+}
+
+fn sample(sample: &UnitSample) -> Sample<f64> {
+    Sample {
+        step_s: sample.step_s,
+        force_mps2: sample.force_mps2.into(),
+        rate_rad_s: sample.rate_rad_s.map(Into::into),
+        field_ut: sample.field_ut.map(Into::into),
+    }
+}
+
+fn solution(solution: &Solution<f64>) -> Estimate {
+    Estimate {
+        position: solution.position_m.into(),
+        velocity: solution.velocity_mps.into(),
+        heading: heading(solution.quaternion),
+        position_covariance: Some(matrix(solution.position_covariance)),
+        velocity_covariance: Some(matrix(solution.velocity_covariance)),
+        valid: true,
+    }
 }
 
 /// The plain error-state filter with zero-velocity updates.

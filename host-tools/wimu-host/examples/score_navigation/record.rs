@@ -2,7 +2,7 @@
 
 use wimu_testkit::figure;
 
-use crate::methods::ZUPT_FILTER;
+use crate::methods::{CORE, ZUPT_FILTER};
 use crate::report::{ArrayReport, MethodReport, RecordingReport, Report};
 
 /// The library as users run it.
@@ -49,8 +49,18 @@ fn record_pool(name: &str, pool: &RecordingReport) {
             ratio.rms <= 1.0,
         );
     }
-    if let Some(method) = method(LIBRARY) {
-        record_consistency(name, method);
+    if let Some(ratio) = ratio(CORE) {
+        figure(
+            &format!("{name}: core, whole run, RMS error over that of the ZUPT filter"),
+            format!("{:.2}", ratio.rms),
+            "at most 1",
+            ratio.rms <= 1.0,
+        );
+    }
+    for library in [LIBRARY, CORE] {
+        if let Some(method) = method(library) {
+            record_consistency(name, method);
+        }
     }
     let log_score = |name: &str| Some(method(name)?.whole.as_ref()?.position.as_ref()?.log_score);
     if let Some((ours, plain)) = log_score(LIBRARY).zip(log_score(ZUPT_FILTER)) {
@@ -72,13 +82,16 @@ fn record_consistency(name: &str, method: &MethodReport) {
     };
     let (below, median) = (100.0 * position.nees_below_95, position.nees_median);
     figure(
-        &format!("{name}: position NEES < 7.81, median"),
+        &format!("{name}, {}: position NEES < 7.81, median", method.name),
         format!("{below:.0} %, {median:.2}"),
         "90–98 %, 1.5–3.5",
         (90.0..=98.0).contains(&below) && (1.5..=3.5).contains(&median),
     );
     figure(
-        &format!("{name}: moving samples valid, largest valid error"),
+        &format!(
+            "{name}, {}: moving samples valid, largest valid error",
+            method.name
+        ),
         format!(
             "{:.0} %, {:.1} σ",
             100.0 * whole.valid,

@@ -1,10 +1,14 @@
 //! Settings of the plain baseline: one for walks, one for everything else.
 
+use wimu_nav::navigator::Profile;
+
 use crate::detector::Detector;
 
 /// Noise and start. All are standard deviations.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {
+    /// Profile of the core.
+    pub profile: Profile,
     pub detector: Detector,
     /// Whether a step is integrated with the mean of the samples at both its ends, else with the later one.
     pub mean_of_two: bool,
@@ -29,6 +33,7 @@ pub struct Settings {
 impl Settings {
     /// As `FIXED` of reference/localization/foot.py. Process noise stands for scale factors and clipping as well.
     pub const FOOT: Self = Self {
+        profile: Profile::Foot,
         detector: Detector::FOOT,
         mean_of_two: false,
         accelerometer_noise: 0.05,
@@ -45,6 +50,7 @@ impl Settings {
 
     /// As `NoiseModel` of reference/estimator, without its considered states: BROAD, robot arm and simulation.
     pub const HAND: Self = Self {
+        profile: Profile::Hand,
         detector: Detector::HAND,
         mean_of_two: true,
         accelerometer_noise: 0.005,

@@ -23,6 +23,7 @@ use wimu_link::LinkRole;
 
 pub use source::Source;
 pub use summary::{Summary, TrackSummary};
+pub(crate) use table::acceleration_unit;
 
 use crate::csv::Filter;
 use crate::error::{ErrorCode, HostError, Result};

@@ -32,6 +32,7 @@ use layout::{Group, Layout};
 use rows::{Fault, Next, Values};
 use survey::Survey;
 use text::{Field, field};
+pub(crate) use units::acceleration_unit;
 
 use super::{ReadOptions, Source};
 use crate::error::{ErrorCode, Result};

@@ -50,64 +50,37 @@ impl Meaning {
 /// Longest name that is looked at, bytes.
 const MAX_NAME: usize = 100;
 
-const TIMES: &[&str] = &[
-    "time",
-    "timestamp",
-    "t",
-    "ts",
-    "timens",
-    "elapsedtime",
-    "timeelapsed",
-    "elapsed",
-    "secondselapsed",
-    "epoch",
-    "unixtime",
-    "systemtime",
-    "sampletime",
-    "micros",
-    "millis",
-    "microseconds",
-    "milliseconds",
-    "nanoseconds",
-    "hosttime",
-    "devicetime",
-    "stamp",
-    "fieldheaderstamp",
-    "chiptime",
-    "loggingtime",
-    "datetime",
-    "rtctime",
-    "timestampunix",
-    "unixtimestamp",
-    "hhmmss",
-    "hhmmssfff",
-];
+/// Names of times, as [`key`].
+const TIMES: &[((), &str)] = &[(
+    (),
+    "time timestamp t ts timens elapsedtime timeelapsed elapsed secondselapsed epoch unixtime systemtime sampletime micros \
+     millis microseconds milliseconds nanoseconds hosttime devicetime stamp fieldheaderstamp chiptime loggingtime datetime \
+     rtctime timestampunix unixtimestamp hhmmss hhmmssfff",
+)];
 
-/// Names of three axes without the axis.
-#[rustfmt::skip]
-const STEMS: &[(&str, Quantity)] = &[
-    ("accelerometer", Quantity::SpecificForce), ("acceleration", Quantity::SpecificForce), ("accel", Quantity::SpecificForce),
-    ("acc", Quantity::SpecificForce), ("a", Quantity::SpecificForce), ("ac", Quantity::SpecificForce),
-    ("arss", Quantity::SpecificForce), ("gf", Quantity::SpecificForce), ("gforce", Quantity::SpecificForce),
-    ("totalacceleration", Quantity::SpecificForce), ("rawacc", Quantity::SpecificForce), ("accraw", Quantity::SpecificForce),
-    ("accelerometeracceleration", Quantity::SpecificForce),
-    ("accelerometeruncalibrated", Quantity::SpecificForce), ("accelerationwithg", Quantity::SpecificForce),
-    ("linearacceleration", Quantity::LinearAcceleration), ("linearaccelerometer", Quantity::LinearAcceleration),
-    ("linacc", Quantity::LinearAcceleration), ("linaccel", Quantity::LinearAcceleration), ("lacc", Quantity::LinearAcceleration),
-    ("linearaccel", Quantity::LinearAcceleration), ("useracceleration", Quantity::LinearAcceleration),
-    ("accelerationwithoutg", Quantity::LinearAcceleration), ("freeacc", Quantity::LinearAcceleration),
-    ("gravity", Quantity::Gravity), ("grav", Quantity::Gravity),
-    ("gyroscope", Quantity::AngularRate), ("gyro", Quantity::AngularRate), ("gyr", Quantity::AngularRate),
-    ("gy", Quantity::AngularRate), ("g", Quantity::AngularRate), ("w", Quantity::AngularRate),
-    ("wrss", Quantity::AngularRate), ("omega", Quantity::AngularRate), ("angularvelocity", Quantity::AngularRate),
-    ("angularrate", Quantity::AngularRate), ("rotationrate", Quantity::AngularRate), ("angvel", Quantity::AngularRate),
-    ("rotation", Quantity::AngularRate), ("rate", Quantity::AngularRate), ("gyroraw", Quantity::AngularRate),
-    ("gyrorotation", Quantity::AngularRate),
-    ("magnetometer", Quantity::MagneticField), ("magneticfield", Quantity::MagneticField), ("mag", Quantity::MagneticField),
-    ("m", Quantity::MagneticField), ("b", Quantity::MagneticField), ("h", Quantity::MagneticField),
-    ("position", Quantity::Position), ("velocity", Quantity::Velocity),
-    ("quaternion", Quantity::Attitude), ("quat", Quantity::Attitude), ("q", Quantity::Attitude),
-    ("orientation", Quantity::Attitude),
+/// Names of three axes without the axis, as [`key`].
+const STEMS: &[(Quantity, &str)] = &[
+    (
+        Quantity::SpecificForce,
+        "accelerometer acceleration accel acc a ac arss gf gforce totalacceleration rawacc accraw \
+         accelerometeracceleration accelerometeruncalibrated accelerationwithg",
+    ),
+    (
+        Quantity::LinearAcceleration,
+        "linearacceleration linearaccelerometer linacc linaccel lacc linearaccel useracceleration accelerationwithoutg freeacc",
+    ),
+    (Quantity::Gravity, "gravity grav"),
+    (
+        Quantity::AngularRate,
+        "gyroscope gyro gyr gy g w wrss omega angularvelocity angularrate rotationrate angvel rotation rate gyroraw gyrorotation",
+    ),
+    (
+        Quantity::MagneticField,
+        "magnetometer magneticfield mag m b h",
+    ),
+    (Quantity::Position, "position"),
+    (Quantity::Velocity, "velocity"),
+    (Quantity::Attitude, "quaternion quat q orientation"),
 ];
 
 /// Letters and digits of a name, lower case.
@@ -118,8 +91,7 @@ pub fn key(name: &str) -> String {
 
 /// Quantity of a file or of three columns by this name.
 pub fn quantity(stem: &str) -> Option<Quantity> {
-    let found = STEMS.iter().find(|(name, _)| *name == stem)?;
-    Some(found.1)
+    units::spelled(STEMS, stem)
 }
 
 /// Whether the name of a column says that it is a unit of time. `h` is rather a height.
@@ -240,7 +212,7 @@ fn component(bare: &str, unit: Option<&str>, of_file: Option<Quantity>) -> Meani
         }
         "gyroscopescale" => return is_ours(Kind::GyroscopeScale),
         // SampleTimeFine of Xsens and others say more; see the presets.
-        _ if TIMES.contains(&key.as_str()) => return Meaning::of(Kind::Time),
+        _ if units::spelled(TIMES, &key).is_some() => return Meaning::of(Kind::Time),
         "temp" | "imudegc" | "imutemp" | "imutemperature" | "tempc" => {
             let mut meaning = Meaning::of(single(Quantity::Temperature));
             meaning.scale = key.ends_with('c').then_some(Scale::Si(1.0));

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::io::{BufRead, BufReader, Read};
 
-use crate::csv::line;
+use crate::csv::number;
 use crate::error::{HostError, Result};
 use crate::formats::source::ReadSeek;
 use crate::formats::{Source, table::MOST_COLUMNS};
@@ -108,13 +108,11 @@ pub fn split(text: &str, separator: char) -> Vec<Cow<'_, str>> {
         return fields.take(MOST_COLUMNS).collect();
     }
     if text.contains('"') {
-        let mut fields = Vec::new();
-        if line::split(text, separator, &mut fields).is_ok() {
-            return fields
-                .into_iter()
-                .map(Cow::Owned)
-                .take(MOST_COLUMNS)
-                .collect();
+        let mut reader = csv::ReaderBuilder::new();
+        (reader.has_headers(false).delimiter(separator as u8)).trim(csv::Trim::All);
+        if let Some(Ok(row)) = reader.from_reader(text.as_bytes()).records().next() {
+            let fields = row.iter().map(|field| Cow::Owned(field.to_owned()));
+            return fields.take(MOST_COLUMNS).collect();
         }
     }
     let fields = text.split(separator).take(MOST_COLUMNS);
@@ -137,7 +135,6 @@ pub enum Field {
 
 /// Reads a field; `comma` says that the decimal mark is a comma.
 pub fn field(text: &str, comma: bool) -> Field {
-    use crate::csv::number;
     let pointed = with_point(text, comma);
     match number::finite(&pointed) {
         Some(value) => Field::Number(value),

@@ -24,8 +24,11 @@ mod times;
 use wimu_model::SensorId;
 
 use crate::finding::{Finding, FindingCode, Severity};
-pub(crate) use link::{FORMAT as OF_WIMU, read as read_link};
+pub(crate) use checks::Unusable;
+pub(crate) use link::{FORMAT as OF_WIMU, LinkRows};
+pub(crate) use samples::{ASSUMED_RATE_HZ, gaps_remark, no_usable_row, unit_of};
 pub use samples::{Output, OutputUnit, RateSource, Samples, Selection};
+pub(crate) use times::{BREAK_NS, REACH, rate_and_gaps};
 
 /// What a track measures, with the SI unit of its values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -11,8 +11,8 @@ use wimu_model::{
 
 use super::beside::Beside;
 use super::times::rate_and_gaps;
-use super::{Origin, Quantity, Recording, Track, Unit};
-use crate::error::{ErrorCode, Result};
+use super::{Origin, Quantity, Recording, Track, TrackInfo, Unit};
+use crate::error::{ErrorCode, HostError, Result};
 use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
 
@@ -115,11 +115,7 @@ impl Recording {
         let force = self.accelerometer(selection.accelerometer)?;
         let rows: Vec<usize> = (0..force.len()).filter(|row| force.valid[*row]).collect();
         if rows.is_empty() {
-            let error = ErrorCode::NoRows.error(
-                format!("{} has no usable row", force.info.name),
-                "check the file, and --where",
-            );
-            return Err(error.at(&self.name));
+            return Err(no_usable_row(&self.name, &force.info));
         }
         let times: Vec<i64> = rows.iter().map(|row| force.times_ns[*row]).collect();
         let by_times = (!force.info.timeless).then(|| rate_and_gaps(&times));
@@ -173,7 +169,7 @@ impl Recording {
         }
         Ok(Samples {
             name: &self.name,
-            unit: unit_of(force),
+            unit: unit_of(&force.info),
             poses: selection.poses,
             rate_hz,
             rate_source,
@@ -191,7 +187,7 @@ impl Recording {
     }
 
     /// The accelerometer with this index, or the only one.
-    fn accelerometer(&self, wanted: Option<u8>) -> Result<&Track> {
+    pub(crate) fn accelerometer(&self, wanted: Option<u8>) -> Result<&Track> {
         let forces = self.of(Quantity::SpecificForce);
         let mut all: Vec<&Track> = forces
             .filter(|track| track.info.origin == Origin::Sensor)
@@ -272,15 +268,31 @@ impl Recording {
     }
 }
 
-fn unit_of(force: &Track) -> OutputUnit {
-    let Unit::Counts { si_per_lsb } = force.info.unit else {
+/// Remark on a number of gaps and their total length, s; `None` without gaps.
+pub(crate) fn gaps_remark((count, total_s): (usize, f64)) -> Option<String> {
+    (count > 0).then(|| {
+        format!(
+            "samples are missing: {}, {total_s:.1} s in total; no mean includes a gap",
+            counted(count, "gap")
+        )
+    })
+}
+
+pub(crate) fn no_usable_row(name: &str, force: &TrackInfo) -> HostError {
+    let message = format!("{} has no usable row", force.name);
+    (ErrorCode::NoRows.error(message, "check the file, and --where")).at(name)
+}
+
+/// Unit of the samples of a track.
+pub(crate) fn unit_of(force: &TrackInfo) -> OutputUnit {
+    let Unit::Counts { si_per_lsb } = force.unit else {
         return OutputUnit::Mps2;
     };
     let sensitivity = |scale: f64| Sensitivity::from_lsb_per_g(STANDARD_GRAVITY_MPS2 / scale).ok();
     let range = |mps2: f64| (mps2 / STANDARD_GRAVITY_MPS2).round() as u8;
     OutputUnit::Counts {
         nominal: si_per_lsb.and_then(sensitivity),
-        range_g: force.info.full_scale.map(range),
+        range_g: force.full_scale.map(range),
     }
 }
 
@@ -387,13 +399,7 @@ impl<'a> Samples<'a> {
 
     /// Remark on gaps; `None` without gaps.
     pub(crate) fn gaps_remark(&self) -> Option<String> {
-        let (count, total_s) = self.gaps();
-        (count > 0).then(|| {
-            format!(
-                "samples are missing: {}, {total_s:.1} s in total; no mean includes a gap",
-                counted(count, "gap")
-            )
-        })
+        gaps_remark(self.gaps())
     }
 
     /// The outputs corrected by `set`, each at its temperature, m/s², sensor axes.

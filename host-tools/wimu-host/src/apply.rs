@@ -87,14 +87,9 @@ impl<'a> Correction<'a> {
         let force = force.ok_or_else(|| at(no_force(recording)))?;
         let mut findings = Vec::new();
         if force.info.corrected {
-            findings.push(
-                Finding::new(
-                    FindingCode::TrackChosen,
-                    Severity::Warning,
-                    format!("`{}` was corrected by the device before", force.info.name),
-                )
-                .remedy("use its uncorrected output, or the calibration of this output"),
-            );
+            let text = format!("`{}` was corrected by the device before", force.info.name);
+            let remedy = "use its uncorrected output, or the calibration of this output";
+            findings.push(Finding::warning(FindingCode::TrackChosen, text, remedy));
         }
         let mut correction = Self {
             calibration,

@@ -67,52 +67,17 @@ const TABLE: &str = "table";
 const UNSUPPORTED: &str = "unsupported";
 
 /// In the order in which they are tried.
+#[rustfmt::skip]
 const FORMATS: &[Format] = &[
-    Format {
-        name: OF_WIMU,
-        detect: wimu::detect,
-        read: wimu::read,
-    },
-    Format {
-        name: "ROS 1 bag",
-        detect: ros::bag::detect,
-        read: ros::bag::read,
-    },
-    Format {
-        name: "ROS 2 MCAP",
-        detect: ros::mcap::detect,
-        read: ros::mcap::read,
-    },
-    Format {
-        name: "ROS 2 sqlite",
-        detect: ros::db3::detect,
-        read: ros::db3::read,
-    },
-    Format {
-        name: "PX4 ULog",
-        detect: px4::detect,
-        read: px4::read,
-    },
-    Format {
-        name: "ArduPilot DataFlash",
-        detect: ardupilot::detect,
-        read: ardupilot::read,
-    },
-    Format {
-        name: "Betaflight blackbox",
-        detect: betaflight::detect,
-        read: betaflight::read,
-    },
-    Format {
-        name: UNSUPPORTED,
-        detect: unsupported::detect,
-        read: unsupported::read,
-    },
-    Format {
-        name: TABLE,
-        detect: table::detect,
-        read: table::read,
-    },
+    Format { name: OF_WIMU, detect: wimu::detect, read: wimu::read },
+    Format { name: "ROS 1 bag", detect: ros::bag::detect, read: ros::bag::read },
+    Format { name: "ROS 2 MCAP", detect: ros::mcap::detect, read: ros::mcap::read },
+    Format { name: "ROS 2 sqlite", detect: ros::db3::detect, read: ros::db3::read },
+    Format { name: "PX4 ULog", detect: px4::detect, read: px4::read },
+    Format { name: "ArduPilot DataFlash", detect: ardupilot::detect, read: ardupilot::read },
+    Format { name: "Betaflight blackbox", detect: betaflight::detect, read: betaflight::read },
+    Format { name: UNSUPPORTED, detect: unsupported::detect, read: unsupported::read },
+    Format { name: TABLE, detect: table::detect, read: table::read },
 ];
 
 /// Reads a file into `sink`; returns the name of its format.

@@ -199,8 +199,8 @@ fn report(logs: &[Log], chosen: usize, sink: &mut dyn Sink) {
             names.push(format!("{} more", logs.len() - 1 - MOST_NAMED));
         }
         let evidence = format!("read: {}; not read: {}", name(chosen), names.join(", "));
-        let finding = Finding::new(FindingCode::TrackChosen, Severity::Note, evidence);
-        sink.finding(finding.remedy("`--topic \"log N\"` reads another"));
+        let remedy = "`--topic \"log N\"` reads another";
+        sink.finding(Finding::note(FindingCode::TrackChosen, evidence, remedy));
     }
     let [start, end] = logs[chosen].span;
     let damage = logs[chosen].summary.damage.finding(start..end);
@@ -209,8 +209,11 @@ fn report(logs: &[Log], chosen: usize, sink: &mut dyn Sink) {
     if lost > 0 {
         let frames = counted(lost, "frame");
         let evidence = format!("{frames} refer to damaged ones or have an implausible time");
-        let finding = Finding::new(FindingCode::Truncated, Severity::Warning, evidence);
-        sink.finding(finding.remedy("they are left out"));
+        sink.finding(Finding::warning(
+            FindingCode::Truncated,
+            evidence,
+            "they are left out",
+        ));
     }
     let evidence = "times count from the start of the flight controller";
     sink.finding(Finding::new(FindingCode::Clock, Severity::Note, evidence));

@@ -196,75 +196,74 @@ impl Recording {
         if all.iter().any(|track| !track.info.corrected) {
             all.retain(|track| !track.info.corrected);
         }
-        let list = || {
-            let numbers: Vec<_> = all.iter().map(|t| t.info.sensor.to_string()).collect();
-            numbers.join(", ")
+        let of_sensor: Vec<&Track> = match all.first() {
+            Some(first) => {
+                let sensor = wanted.unwrap_or(first.info.sensor);
+                let same = |track: &&&Track| track.info.sensor == sensor;
+                all.iter().filter(same).copied().collect()
+            }
+            None => Vec::new(),
         };
-        let chosen = all
-            .iter()
-            .find(|track| wanted.is_none_or(|number| track.info.sensor == number));
-        let sensor = chosen.map(|track| track.info.sensor);
-        let ranges: Vec<String> = all
-            .iter()
-            .filter(|track| Some(track.info.sensor) == sensor)
-            .filter_map(|track| match track.info.unit {
-                Unit::Counts { si_per_lsb } => Some(STANDARD_GRAVITY_MPS2 / si_per_lsb?),
-                _ => None,
-            })
-            .map(|lsb_per_g| lsb_per_g.to_string())
-            .collect();
+        let fail = |code: ErrorCode, message: String, remedy: String| {
+            Err(code.error(message, remedy).at(&self.name))
+        };
+        let range = |track: &&Track| match track.info.unit {
+            Unit::Counts { si_per_lsb } => Some((STANDARD_GRAVITY_MPS2 / si_per_lsb?).to_string()),
+            _ => None,
+        };
+        let ranges: Vec<String> = of_sensor.iter().filter_map(range).collect();
         if let [first, _, ..] = ranges.as_slice() {
-            let message = format!("the range changes: 1 g is {} LSB", ranges.join(", then "));
-            let remedy = format!(
-                "select the rows of one range with --where \"Sensitivity (LSB/g)={first}\", or record at one range"
+            return fail(
+                ErrorCode::CsvMixedUnits,
+                format!("the range changes: 1 g is {} LSB", ranges.join(", then ")),
+                format!(
+                    "select the rows of one range with --where \"Sensitivity (LSB/g)={first}\", or record at one range"
+                ),
             );
-            return Err(ErrorCode::CsvMixedUnits
-                .error(message, remedy)
-                .at(&self.name));
         }
-        let gravity = |finding: &&Finding| finding.code == FindingCode::GravityMissing;
-        let missing = self.findings.iter().find(gravity);
-        if ranges.is_empty() && all.iter().filter(|t| Some(t.info.sensor) == sensor).count() > 1 {
+        if ranges.is_empty() && of_sensor.len() > 1 {
             let names: Vec<&str> = all.iter().map(|t| t.info.name.as_str()).collect();
-            let error = ErrorCode::Usage.error(
+            return fail(
+                ErrorCode::Usage,
                 format!(
                     "several accelerometers have the same number: {}",
                     names.join(", ")
                 ),
-                "give one file of the folder or archive, or choose with --topic",
+                "give one file of the folder or archive, or choose with --topic".to_owned(),
             );
-            return Err(error.at(&self.name));
         }
-        if let (Some(missing), []) = (missing, all.as_slice()) {
-            let error = ErrorCode::NoRows.error(missing.evidence.clone(), missing.remedy.clone());
-            return Err(error.at(&self.name));
-        }
-        let (message, remedy) = match (all.as_slice(), wanted) {
-            ([], _) => (
-                "there is no accelerometer in it".to_owned(),
-                "`wimu info FILE` lists what it has".to_owned(),
-            ),
-            ([only], None) => return Ok(only),
-            (_, None) => (
-                format!("it has {} accelerometers", all.len()),
-                format!(
-                    "choose one with --accelerometer: {}; the accelerometers of an array are calibrated together with --geometry",
-                    list()
+        let numbers: Vec<_> = all.iter().map(|t| t.info.sensor.to_string()).collect();
+        let numbers = numbers.join(", ");
+        let gravity = |finding: &&Finding| finding.code == FindingCode::GravityMissing;
+        match (all.as_slice(), wanted, of_sensor.first()) {
+            ([], ..) => match self.findings.iter().find(gravity) {
+                Some(missing) => fail(
+                    ErrorCode::NoRows,
+                    missing.evidence.clone(),
+                    missing.remedy.clone(),
                 ),
-            ),
-            (_, Some(number)) => match all.iter().find(|track| track.info.sensor == number) {
-                Some(track) => return Ok(track),
-                None => (
-                    format!("it has no accelerometer {number}"),
-                    format!("choose from: {}", list()),
+                None => fail(
+                    ErrorCode::NoRows,
+                    "there is no accelerometer in it".to_owned(),
+                    "`wimu info FILE` lists what it has".to_owned(),
                 ),
             },
-        };
-        let code = match all.is_empty() {
-            true => ErrorCode::NoRows,
-            false => ErrorCode::Usage,
-        };
-        Err(code.error(message, remedy).at(&self.name))
+            ([only], None, _) => Ok(only),
+            (_, Some(_), Some(track)) => Ok(track),
+            (_, Some(number), None) => fail(
+                ErrorCode::Usage,
+                format!("it has no accelerometer {number}"),
+                format!("choose from: {numbers}"),
+            ),
+            (_, None, _) => fail(
+                ErrorCode::Usage,
+                format!("it has {} accelerometers", all.len()),
+                format!(
+                    "choose one with --accelerometer: {numbers}; the accelerometers of an array are calibrated together with \
+                     --geometry"
+                ),
+            ),
+        }
     }
 }
 

@@ -98,11 +98,9 @@ pub fn conversion(
         }
         None if is_rate => {
             let text = format!("`{}` is an angular rate without a unit", group.name);
-            let finding = Finding::new(FindingCode::UnitInferred, Severity::Warning, text)
-                .of_sensor(group.sensor);
-            findings.push(
-                finding.remedy("it is left out; name the unit: --columns \"…,gx=COLUMN:deg/s,…\""),
-            );
+            let remedy = "it is left out; name the unit: --columns \"…,gx=COLUMN:deg/s,…\"";
+            let finding = Finding::warning(FindingCode::UnitInferred, text, remedy);
+            findings.push(finding.of_sensor(group.sensor));
             conversion.is_left_out = true;
         }
         None => {}
@@ -129,47 +127,35 @@ fn inferred(
     })?;
     let is_near = |expected: f64| (magnitude / expected - 1.0).abs() <= TOLERANCE;
     let counts = is_integer && magnitude >= MIN_COUNTS;
-    let mut add = |text: String, severity, remedy: &str| {
+    let mut add = |text: String| {
         let text = format!("no unit is named: {text}");
-        let finding =
-            Finding::new(FindingCode::UnitInferred, severity, text).of_sensor(group.sensor);
-        findings.push(finding.remedy(remedy));
+        let finding = Finding::note(FindingCode::UnitInferred, text, "if not, give --units");
+        findings.push(finding.of_sensor(group.sensor));
     };
     // Integers near 9.81 or 1 may be values of a coarse sensor in m/s² or g, or counts.
     match (is_near(9.81), is_near(1.0), counts) {
         (true, false, false) if !is_integer => {
-            add(
-                format!("median |f| {magnitude:.3}, taken as m/s²"),
-                Severity::Note,
-                "if it is not, give --units",
-            );
+            add(format!("median |f| {magnitude:.3}, taken as m/s²"));
             Ok((Unit::Si, 1.0))
         }
         (false, true, false) if !is_integer => {
-            add(
-                format!("median |f| {magnitude:.4}, taken as g"),
-                Severity::Note,
-                "if it is not, give --units",
-            );
+            add(format!("median |f| {magnitude:.4}, taken as g"));
             Ok((Unit::Si, G))
         }
         (false, false, true) => {
             let lsb_per_g = zero::sensitivity(samples);
             let text = match lsb_per_g {
-                Some(lsb) => format!(
-                    "whole numbers, |f| {lsb:.0} in all orientations, taken as counts of {lsb:.0} LSB/g"
-                ),
-                None => format!(
-                    "whole numbers, median |f| {magnitude:.0}, taken as counts of unknown sensitivity"
-                ),
+                Some(lsb) => {
+                    format!("|f| {lsb:.0} in all orientations, taken as counts of {lsb:.0} LSB/g")
+                }
+                None => {
+                    format!("median |f| {magnitude:.0}, taken as counts of unknown sensitivity")
+                }
             };
-            add(text, Severity::Note, "if they are not, give --units");
-            Ok((
-                Unit::Counts {
-                    si_per_lsb: lsb_per_g.map(|lsb| G / lsb),
-                },
-                1.0,
-            ))
+            let text = format!("whole numbers, {text}");
+            add(text);
+            let si_per_lsb = lsb_per_g.map(|lsb| G / lsb);
+            Ok((Unit::Counts { si_per_lsb }, 1.0))
         }
         (true, ..) | (_, true, _) => Err(asks(format!(
             "no unit is named; whole numbers with median |f| {magnitude:.2} may be counts or SI"

@@ -36,8 +36,18 @@ pub struct Meaning {
     pub is_ours: bool,
 }
 
+impl Kind {
+    /// Quantity of a component.
+    pub fn quantity(self) -> Option<Quantity> {
+        match self {
+            Self::Component { quantity, .. } => Some(quantity),
+            _ => None,
+        }
+    }
+}
+
 impl Meaning {
-    fn of(kind: Kind) -> Self {
+    pub fn of(kind: Kind) -> Self {
         Self {
             kind,
             exponent: None,
@@ -252,14 +262,11 @@ fn axes(bare: &str, key: &str, unit: Option<&str>, of_file: Option<Quantity>) ->
         None => 0,
     };
     let by_unit = || {
-        let fits = |quantity: &Quantity| units::scale(*quantity, unit?).map(|_| *quantity);
-        [
-            Quantity::SpecificForce,
-            Quantity::AngularRate,
-            Quantity::MagneticField,
-        ]
-        .iter()
-        .find_map(fits)
+        use Quantity::{AngularRate, MagneticField, SpecificForce};
+        let fits = |quantity: &Quantity| unit.is_some_and(|u| units::scale(*quantity, u).is_some());
+        [SpecificForce, AngularRate, MagneticField]
+            .into_iter()
+            .find(fits)
     };
     let mut quantity = match stem {
         "" if bare.chars().count() == 1 => of_file.or_else(by_unit)?,
@@ -283,10 +290,9 @@ fn axes(bare: &str, key: &str, unit: Option<&str>, of_file: Option<Quantity>) ->
     Some(Meaning {
         kind: Kind::Component {
             quantity,
-            origin: if estimated && origin == Origin::Sensor {
-                Origin::Estimate
-            } else {
-                origin
+            origin: match origin {
+                Origin::Sensor if estimated => Origin::Estimate,
+                origin => origin,
             },
             sensor,
             component: letters.find(last)?,

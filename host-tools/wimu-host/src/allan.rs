@@ -649,3 +649,6 @@ impl fmt::Display for NoiseReport {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -96,17 +96,17 @@ pub fn to_csv(
         (ExportStream::Navigation, 0) => boot.navigation,
     };
     if link.boots.iter().map(count).sum::<usize>() == 0 {
-        let (message, remedy) = match source.sensor {
-            0 => (
-                format!("the {role} link carried no such samples"),
-                "export another stream or the other link, or switch the stream on with `wimu settings set`".to_owned(),
+        let message = format!("the {role} link carried no such samples");
+        return Err(match source.sensor {
+            0 => ErrorCode::NoRows.error(
+                message,
+                "export another stream or the other link, or switch the stream on with `wimu settings set`",
             ),
-            sensor => (
-                format!("the {role} link carried no such samples of sensor {sensor}"),
+            sensor => ErrorCode::NoRows.error(
+                format!("{message} of sensor {sensor}"),
                 format!("export the raw stream of one of the sensors {sensors:?}"),
             ),
-        };
-        return Err(ErrorCode::NoRows.error(message, remedy));
+        });
     }
     if let Some(model) = source.link_model {
         if source.sensor > 0 {
@@ -267,18 +267,8 @@ impl<'a> Table<'a> {
                     start.boot.add_epoch(event, before);
                 }
             }
-            Event::Environment(environment) => {
-                start.environment.push_back(*environment);
-                if start.environment.len() > MAX_WAITING {
-                    start.environment.pop_front();
-                }
-            }
-            Event::Attitude(attitude) if self.has_attitude => {
-                start.attitude.push_back(*attitude);
-                if start.attitude.len() > MAX_WAITING {
-                    start.attitude.pop_front();
-                }
-            }
+            Event::Environment(environment) => push(&mut start.environment, *environment),
+            Event::Attitude(attitude) if self.has_attitude => push(&mut start.attitude, *attitude),
             Event::Navigation(navigation) if self.stream == ExportStream::Navigation => {
                 start.navigation.push_back(*navigation);
             }
@@ -492,6 +482,14 @@ fn columns(
         columns.extend(scale);
     }
     columns
+}
+
+/// Adds an item; drops the first one where too many wait.
+fn push<T>(queue: &mut VecDeque<T>, item: T) {
+    queue.push_back(item);
+    if queue.len() > MAX_WAITING {
+        queue.pop_front();
+    }
 }
 
 fn pop_if<T>(queue: &mut VecDeque<T>, wanted: impl Fn(&T) -> bool) -> Option<T> {

@@ -5,8 +5,6 @@ mod archive;
 mod ardupilot;
 mod autopilot;
 mod betaflight;
-#[cfg(test)]
-mod check;
 mod ned;
 mod px4;
 mod ros;
@@ -164,3 +162,6 @@ pub fn load(path: &Path, options: &ReadOptions) -> Result<Recording> {
     recording.check(!options.poses)?;
     Ok(recording)
 }
+
+#[cfg(test)]
+mod tests;

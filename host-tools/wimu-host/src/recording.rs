@@ -266,26 +266,6 @@ impl Track {
             .filter_map(|(time, row)| Some((time, row.try_into().ok()?)))
     }
 
-    /// Multiplies the values by `factor` and names their unit SI.
-    pub fn scale_to_si(&mut self, factor: f64) {
-        self.values.iter_mut().for_each(|value| *value *= factor);
-        self.info.unit = Unit::Si;
-    }
-
-    /// Masks the rows for which `wrong` holds; returns how many were valid before.
-    pub fn mask_where(&mut self, mut wrong: impl FnMut(usize, i64, &[f64]) -> bool) -> usize {
-        let width = self.info.quantity.width();
-        let mut masked = 0;
-        for (index, valid) in self.valid.iter_mut().enumerate() {
-            let row = &self.values[index * width..(index + 1) * width];
-            if *valid && wrong(index, self.times_ns[index], row) {
-                *valid = false;
-                masked += 1;
-            }
-        }
-        masked
-    }
-
     /// Median time between rows, s; `None` with fewer than two.
     pub fn median_step_s(&self) -> Option<f64> {
         let steps = self.times_ns.windows(2).map(|pair| pair[1] - pair[0]);

@@ -394,10 +394,4 @@ impl Output<'_> {
 }
 
 #[cfg(test)]
-mod damaged;
-#[cfg(test)]
-mod phones;
-#[cfg(test)]
-mod samples;
-#[cfg(test)]
 mod tests;

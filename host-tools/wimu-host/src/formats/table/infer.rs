@@ -42,9 +42,12 @@ pub struct Evidence<'a> {
     pub zero_count: Option<f64>,
 }
 
+pub fn norm(v: &[f64; 3]) -> f64 {
+    v.iter().map(|c| c * c).sum::<f64>().sqrt()
+}
+
 /// Median magnitude.
 pub fn median(samples: &[[f64; 3]]) -> Option<f64> {
-    let norm = |v: &[f64; 3]| v.iter().map(|c| c * c).sum::<f64>().sqrt();
     let mut magnitudes: Vec<f64> = samples.iter().map(norm).collect();
     magnitudes.sort_by(f64::total_cmp);
     magnitudes.get(magnitudes.len() / 2).copied()
@@ -72,11 +75,8 @@ pub fn conversion(
     if may_be_counts && !matches!(named, Some(Scale::Si(_))) && group.is_inertial() {
         conversion.zero = zero::find(group, evidence, findings);
     }
-    let samples: Vec<[f64; 3]> = evidence
-        .samples
-        .iter()
-        .map(|row| row.map(|v| conversion.zero.apply(v)))
-        .collect();
+    let shifted = |row: &[f64; 3]| row.map(|v| conversion.zero.apply(v));
+    let samples: Vec<[f64; 3]> = evidence.samples.iter().map(shifted).collect();
     match named {
         Some(Scale::Si(_)) => {
             conversion.unit = Unit::Si;
@@ -189,13 +189,9 @@ fn check_gravity(
         _ => return,
     };
     conversion.quantity = Quantity::LinearAcceleration;
-    let text = format!(
-        "`{}` is linear acceleration, without gravity: {reason}",
-        group.name
-    );
-    let finding =
-        Finding::new(FindingCode::GravityMissing, Severity::Error, text).of_sensor(group.sensor);
-    findings.push(
-        finding.remedy("it cannot be used as specific force; export the acceleration with gravity"),
-    );
+    let name = &group.name;
+    let text = format!("`{name}` is linear acceleration, without gravity: {reason}");
+    let remedy = "it cannot be used as specific force; export the acceleration with gravity";
+    let finding = Finding::new(FindingCode::GravityMissing, Severity::Error, text).remedy(remedy);
+    findings.push(finding.of_sensor(group.sensor));
 }

@@ -163,7 +163,7 @@ class Calibration:
         """Nominal sensitivity, LSB/g; None for data in m/s² without a given one."""
 
     @property
-    def remarks(self) -> list[str]: ...
+    def findings(self) -> list[Finding]: ...
     def save(self, path: _Path) -> None:
         """Writes the CAL.json that `wimu calibrate -o` writes."""
 
@@ -231,7 +231,7 @@ class Noise:
     @property
     def rate_hz(self) -> float: ...
     @property
-    def remarks(self) -> list[str]: ...
+    def findings(self) -> list[Finding]: ...
     def to_dict(self) -> dict[str, Any]:
         """The object that `wimu allan --json` prints."""
 
@@ -340,7 +340,7 @@ class Path:
     @property
     def method(self) -> str: ...
     @property
-    def remarks(self) -> list[str]: ...
+    def findings(self) -> list[Finding]: ...
     def save(self, path: _Path) -> None:
         """Writes CSV, or ROS 2 odometry, path and transforms where the name ends in .mcap."""
 

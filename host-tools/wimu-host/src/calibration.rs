@@ -48,7 +48,6 @@ use crate::finding::{FindingCode, Outcome};
 use crate::plural::counted;
 use crate::recording::{OutputUnit, Samples};
 use advice::{advice, next_poses};
-pub(crate) use input::mps2_per_unit;
 use input::{magnitude, median_magnitude, poses, rms, wrong_unit};
 use numbers::{numbers, static_poses};
 use range::Range;

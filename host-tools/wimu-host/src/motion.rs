@@ -5,7 +5,6 @@ mod rests;
 mod table;
 
 pub use rests::{RestSpan, gap_s, median_step_s, rests};
-pub(crate) use table::OTHER_RANGE;
 pub use table::TableOptions;
 
 use wimu_nav::unit::{UnitConfig, UnitSample};

@@ -78,8 +78,8 @@ impl Calibration {
 
     /// What a user should know beside the numbers.
     #[getter]
-    fn remarks(&self) -> Vec<String> {
-        self.report.remarks.clone()
+    fn findings(&self, py: Python<'_>) -> Result<Py<PyAny>> {
+        plain(py, &self.report.outcome.findings)
     }
 
     /// Writes CAL.json.
@@ -166,7 +166,11 @@ pub fn calibrate(
             true => "check the recording".to_owned(),
             false => format!("add rests with these directions up: {}", poses.join("; ")),
         };
-        return Err(refused(&report.source, report.reason.as_deref(), remedy));
+        return Err(refused(
+            &report.source,
+            report.outcome.reason.as_deref(),
+            remedy,
+        ));
     };
     Ok(Calibration { report, fit, file })
 }

@@ -1,8 +1,7 @@
 //! `wimu.allan`.
 
 use pyo3::prelude::*;
-use wimu_host::allan::{AxisReport, Figure, NoiseReport, noise};
-use wimu_host::recording::Selection;
+use wimu_host::allan::{AxisReport, Figure, NoiseReport, noise_of};
 use wimu_model::Sensitivity;
 
 use crate::arrays::{Array1, Array2, column, plain, table};
@@ -94,8 +93,8 @@ impl Noise {
 
     /// What a user should know beside the numbers.
     #[getter]
-    fn remarks(&self) -> Vec<String> {
-        self.report.remarks.clone()
+    fn findings(&self, py: Python<'_>) -> Result<Py<PyAny>> {
+        plain(py, &self.report.outcome.findings)
     }
 
     /// The object that `wimu allan --json` prints.
@@ -119,19 +118,16 @@ pub fn allan(
 ) -> Result<Noise> {
     let sensitivity = sensitivity.map(Sensitivity::from_lsb_per_g).transpose();
     let sensitivity = sensitivity.map_err(|error| usage(error.to_string(), "check sensitivity"))?;
-    let selection = Selection {
-        accelerometer,
-        poses: false,
-    };
-    let report = py.detach(|| {
-        let data = source.data()?;
-        Ok::<_, wimu_host::HostError>(noise(&data.samples(selection)?, sensitivity))
-    })?;
+    let report = py.detach(|| noise_of(&*source.data()?, accelerometer, sensitivity))?;
     match report.axes {
         Some(axes) => Ok(Noise { report, axes }),
         None => {
             let remedy = "record longer, with the sensor at rest".to_owned();
-            Err(refused(&report.source, report.reason.as_deref(), remedy))
+            Err(refused(
+                &report.source,
+                report.outcome.reason.as_deref(),
+                remedy,
+            ))
         }
     }
 }

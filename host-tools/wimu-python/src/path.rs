@@ -7,7 +7,7 @@ use wimu_host::inertial::{self, Choice, InertialPath, Method, PathPoint, SlideMo
 use wimu_host::motion::{MotionRecording, TableOptions};
 use wimu_host::{ErrorCode, Input, history, navigation};
 
-use crate::arrays::{Array1, Array2, Array3, column, matrices, table};
+use crate::arrays::{Array1, Array2, Array3, column, matrices, plain, table};
 use crate::calibration::Correction;
 use crate::failure::{Result, usage};
 use crate::recording::Source;
@@ -140,8 +140,8 @@ impl Path {
 
     /// What was noticed.
     #[getter]
-    fn remarks(&self) -> Vec<String> {
-        self.0.remarks.clone()
+    fn findings(&self, py: Python<'_>) -> Result<Py<PyAny>> {
+        plain(py, &self.0.findings)
     }
 
     /// Writes CSV, or ROS 2 messages where the name ends in `.mcap`.

@@ -222,7 +222,7 @@ def test_the_covariance_agrees_with_the_standard_deviations():
     sd = np.concatenate([found.bias_sd, found.matrix_sd.ravel()])
     assert np.allclose(np.sqrt(np.diag(found.covariance)), sd)
     assert found.bias.shape == (3,) and found.matrix.shape == found.matrix_sd.shape == (3, 3)
-    assert found.sensitivity is None and "bias" in str(found) and isinstance(found.remarks, list)
+    assert found.sensitivity is None and "bias" in str(found) and isinstance(found.findings, list)
 
 
 def test_a_saved_calibration_corrects_as_the_object_and_the_command_do():

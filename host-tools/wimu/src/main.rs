@@ -3,6 +3,7 @@
 mod arguments;
 mod command;
 mod output;
+mod progress;
 
 use std::process::ExitCode;
 
@@ -24,6 +25,9 @@ fn main() -> ExitCode {
     };
     let to_stdout = Arguments::writes_standard_output(&matches);
     let output = Output::new(arguments.json, arguments.verbose).beside_content(to_stdout);
+    if !arguments.json {
+        progress::show();
+    }
     let done = arguments::check(&matches)
         .and_then(|()| match arguments.json && to_stdout {
             true => Err(usage(

@@ -1,6 +1,7 @@
 //! Reader of recordings, complete or not.
 
 use super::*;
+use crate::progress::Watched;
 
 /// Completeness of a recording, known once it has been read to its end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -49,28 +50,20 @@ pub struct RecordingReader<R> {
     done: bool,
 }
 
-impl RecordingReader<BufReader<File>> {
+impl RecordingReader<BufReader<Watched>> {
     /// Opens a recording and reads its first records.
     ///
     /// # Errors
     /// `file_unreadable`, `bad_recording` when it is no MCAP file or was cut off before anything
     /// was recorded.
     pub fn open(path: &Path) -> Result<Self> {
-        Self::open_through(path, |file| file)
+        let name = path.display().to_string();
+        let file = Watched::open(path).map_err(|error| HostError::file(&name, "open", &error))?;
+        Self::new(BufReader::new(file), &name)
     }
 }
 
 impl<R: Read> RecordingReader<R> {
-    /// Opens a recording and reads it through a wrapper of the file, such as a progress bar.
-    ///
-    /// # Errors
-    /// Those of [`open`](RecordingReader::open).
-    pub fn open_through(path: &Path, watch: impl FnOnce(BufReader<File>) -> R) -> Result<Self> {
-        let name = path.display().to_string();
-        let file = File::open(path).map_err(|error| HostError::file(&name, "open", &error))?;
-        Self::new(watch(BufReader::new(file)), &name)
-    }
-
     /// Reads from `source`; `name` is its name in errors.
     ///
     /// # Errors

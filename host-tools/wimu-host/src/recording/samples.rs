@@ -11,8 +11,8 @@ use wimu_model::{
 
 use super::beside::Beside;
 use super::times::rate_and_gaps;
-use super::{Origin, Quantity, Recording, Track, Unit};
-use crate::error::{ErrorCode, Result};
+use super::{Origin, Quantity, Recording, Track, TrackInfo, Unit};
+use crate::error::{ErrorCode, HostError, Result};
 use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
 
@@ -115,11 +115,7 @@ impl Recording {
         let force = self.accelerometer(selection.accelerometer)?;
         let rows: Vec<usize> = (0..force.len()).filter(|row| force.valid[*row]).collect();
         if rows.is_empty() {
-            let error = ErrorCode::NoRows.error(
-                format!("{} has no usable row", force.info.name),
-                "check the file, and --where",
-            );
-            return Err(error.at(&self.name));
+            return Err(no_usable_row(&self.name, &force.info));
         }
         let times: Vec<i64> = rows.iter().map(|row| force.times_ns[*row]).collect();
         let by_times = (!force.info.timeless).then(|| rate_and_gaps(&times));
@@ -173,7 +169,7 @@ impl Recording {
         }
         Ok(Samples {
             name: &self.name,
-            unit: unit_of(force),
+            unit: unit_of(&force.info),
             poses: selection.poses,
             rate_hz,
             rate_source,
@@ -191,7 +187,7 @@ impl Recording {
     }
 
     /// The accelerometer with this index, or the only one.
-    fn accelerometer(&self, wanted: Option<u8>) -> Result<&Track> {
+    pub(crate) fn accelerometer(&self, wanted: Option<u8>) -> Result<&Track> {
         let forces = self.of(Quantity::SpecificForce);
         let mut all: Vec<&Track> = forces
             .filter(|track| track.info.origin == Origin::Sensor)
@@ -200,87 +196,102 @@ impl Recording {
         if all.iter().any(|track| !track.info.corrected) {
             all.retain(|track| !track.info.corrected);
         }
-        let list = || {
-            let numbers: Vec<_> = all.iter().map(|t| t.info.sensor.to_string()).collect();
-            numbers.join(", ")
+        let of_sensor: Vec<&Track> = match all.first() {
+            Some(first) => {
+                let sensor = wanted.unwrap_or(first.info.sensor);
+                let same = |track: &&&Track| track.info.sensor == sensor;
+                all.iter().filter(same).copied().collect()
+            }
+            None => Vec::new(),
         };
-        let chosen = all
-            .iter()
-            .find(|track| wanted.is_none_or(|number| track.info.sensor == number));
-        let sensor = chosen.map(|track| track.info.sensor);
-        let ranges: Vec<String> = all
-            .iter()
-            .filter(|track| Some(track.info.sensor) == sensor)
-            .filter_map(|track| match track.info.unit {
-                Unit::Counts { si_per_lsb } => Some(STANDARD_GRAVITY_MPS2 / si_per_lsb?),
-                _ => None,
-            })
-            .map(|lsb_per_g| lsb_per_g.to_string())
-            .collect();
+        let fail = |code: ErrorCode, message: String, remedy: String| {
+            Err(code.error(message, remedy).at(&self.name))
+        };
+        let range = |track: &&Track| match track.info.unit {
+            Unit::Counts { si_per_lsb } => Some((STANDARD_GRAVITY_MPS2 / si_per_lsb?).to_string()),
+            _ => None,
+        };
+        let ranges: Vec<String> = of_sensor.iter().filter_map(range).collect();
         if let [first, _, ..] = ranges.as_slice() {
-            let message = format!("the range changes: 1 g is {} LSB", ranges.join(", then "));
-            let remedy = format!(
-                "select the rows of one range with --where \"Sensitivity (LSB/g)={first}\", or record at one range"
+            return fail(
+                ErrorCode::CsvMixedUnits,
+                format!("the range changes: 1 g is {} LSB", ranges.join(", then ")),
+                format!(
+                    "select the rows of one range with --where \"Sensitivity (LSB/g)={first}\", or record at one range"
+                ),
             );
-            return Err(ErrorCode::CsvMixedUnits
-                .error(message, remedy)
-                .at(&self.name));
         }
-        let gravity = |finding: &&Finding| finding.code == FindingCode::GravityMissing;
-        let missing = self.findings.iter().find(gravity);
-        if ranges.is_empty() && all.iter().filter(|t| Some(t.info.sensor) == sensor).count() > 1 {
+        if ranges.is_empty() && of_sensor.len() > 1 {
             let names: Vec<&str> = all.iter().map(|t| t.info.name.as_str()).collect();
-            let error = ErrorCode::Usage.error(
+            return fail(
+                ErrorCode::Usage,
                 format!(
                     "several accelerometers have the same number: {}",
                     names.join(", ")
                 ),
-                "give one file of the folder or archive, or choose with --topic",
+                "give one file of the folder or archive, or choose with --topic".to_owned(),
             );
-            return Err(error.at(&self.name));
         }
-        if let (Some(missing), []) = (missing, all.as_slice()) {
-            let error = ErrorCode::NoRows.error(missing.evidence.clone(), missing.remedy.clone());
-            return Err(error.at(&self.name));
-        }
-        let (message, remedy) = match (all.as_slice(), wanted) {
-            ([], _) => (
-                "there is no accelerometer in it".to_owned(),
-                "`wimu info FILE` lists what it has".to_owned(),
-            ),
-            ([only], None) => return Ok(only),
-            (_, None) => (
-                format!("it has {} accelerometers", all.len()),
-                format!(
-                    "choose one with --accelerometer: {}; the accelerometers of an array are calibrated together with --geometry",
-                    list()
+        let numbers: Vec<_> = all.iter().map(|t| t.info.sensor.to_string()).collect();
+        let numbers = numbers.join(", ");
+        let gravity = |finding: &&Finding| finding.code == FindingCode::GravityMissing;
+        match (all.as_slice(), wanted, of_sensor.first()) {
+            ([], ..) => match self.findings.iter().find(gravity) {
+                Some(missing) => fail(
+                    ErrorCode::NoRows,
+                    missing.evidence.clone(),
+                    missing.remedy.clone(),
                 ),
-            ),
-            (_, Some(number)) => match all.iter().find(|track| track.info.sensor == number) {
-                Some(track) => return Ok(track),
-                None => (
-                    format!("it has no accelerometer {number}"),
-                    format!("choose from: {}", list()),
+                None => fail(
+                    ErrorCode::NoRows,
+                    "there is no accelerometer in it".to_owned(),
+                    "`wimu info FILE` lists what it has".to_owned(),
                 ),
             },
-        };
-        let code = match all.is_empty() {
-            true => ErrorCode::NoRows,
-            false => ErrorCode::Usage,
-        };
-        Err(code.error(message, remedy).at(&self.name))
+            ([only], None, _) => Ok(only),
+            (_, Some(_), Some(track)) => Ok(track),
+            (_, Some(number), None) => fail(
+                ErrorCode::Usage,
+                format!("it has no accelerometer {number}"),
+                format!("choose from: {numbers}"),
+            ),
+            (_, None, _) => fail(
+                ErrorCode::Usage,
+                format!("it has {} accelerometers", all.len()),
+                format!(
+                    "choose one with --accelerometer: {numbers}; the accelerometers of an array are calibrated together with \
+                     --geometry"
+                ),
+            ),
+        }
     }
 }
 
-fn unit_of(force: &Track) -> OutputUnit {
-    let Unit::Counts { si_per_lsb } = force.info.unit else {
+/// Finding on a number of gaps and their total length, s; `None` without gaps.
+pub(crate) fn gaps_finding((count, total_s): (usize, f64)) -> Option<Finding> {
+    (count > 0).then(|| {
+        FindingCode::Rate.warning(format!(
+            "samples are missing: {}, {total_s:.1} s in total; no mean includes a gap",
+            counted(count, "gap")
+        ))
+    })
+}
+
+pub(crate) fn no_usable_row(name: &str, force: &TrackInfo) -> HostError {
+    let message = format!("{} has no usable row", force.name);
+    (ErrorCode::NoRows.error(message, "check the file, and --where")).at(name)
+}
+
+/// Unit of the samples of a track.
+pub(crate) fn unit_of(force: &TrackInfo) -> OutputUnit {
+    let Unit::Counts { si_per_lsb } = force.unit else {
         return OutputUnit::Mps2;
     };
     let sensitivity = |scale: f64| Sensitivity::from_lsb_per_g(STANDARD_GRAVITY_MPS2 / scale).ok();
     let range = |mps2: f64| (mps2 / STANDARD_GRAVITY_MPS2).round() as u8;
     OutputUnit::Counts {
         nominal: si_per_lsb.and_then(sensitivity),
-        range_g: force.info.full_scale.map(range),
+        range_g: force.full_scale.map(range),
     }
 }
 
@@ -396,13 +407,7 @@ impl<'a> Samples<'a> {
             let text = format!("{why}: {} Hz assumed", self.rate_hz);
             findings.push(FindingCode::Rate.warning(text));
         }
-        let (count, total_s) = self.gaps();
-        if count > 0 {
-            findings.push(FindingCode::Rate.warning(format!(
-                "samples are missing: {}, {total_s:.1} s in total; no mean includes a gap",
-                counted(count, "gap")
-            )));
-        }
+        findings.extend(gaps_finding(self.gaps()));
         findings
     }
 

@@ -3,6 +3,8 @@
 
 #[path = "bench_nav/array.rs"]
 mod array;
+#[path = "score_navigation/gyroscopes.rs"]
+mod gyroscopes;
 #[path = "score_navigation/low_pass.rs"]
 mod low_pass;
 #[path = "bench_nav/slide.rs"]

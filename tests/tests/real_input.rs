@@ -39,7 +39,7 @@ fn replayed(counts: &[Counts]) -> history::Recording {
 fn essence(report: &CalibrationReport) -> Value {
     let mut json = serde_json::to_value(report).unwrap();
     let object = json.as_object_mut().unwrap();
-    for key in ["source", "rate_source", "remarks", "parameter_id"] {
+    for key in ["source", "rate_source", "findings", "parameter_id"] {
         object.remove(key).unwrap();
     }
     for key in ["range_g", "range_source"] {
@@ -120,9 +120,9 @@ fn alike(file: &str) -> Option<Vec<&'static str>> {
                 let report = calibrate(data, &options).unwrap();
                 println!(
                     "{file}, {name}: {}",
-                    report.reason.as_deref().unwrap_or("ok")
+                    report.outcome.reason.as_deref().unwrap_or("ok")
                 );
-                (report.exit_code(), essence(&report))
+                (report.outcome.exit_code(), essence(&report))
             });
             assert_eq!(ours, theirs, "{role}, {name}");
             assert_eq!(ours.1.to_string(), theirs.1.to_string(), "{role}, {name}");
@@ -167,7 +167,9 @@ fn array(run: u32) -> Option<[f64; 2]> {
         };
         let data = data.samples(selection).unwrap();
         let report = calibrate(&data, &options).unwrap();
-        let fit = report.fit.unwrap_or_else(|| panic!("{:?}", report.reason));
+        let fit = report
+            .fit
+            .unwrap_or_else(|| panic!("{:?}", report.outcome.reason));
         assert!((1.5..4.0).contains(&fit.condition), "{}", fit.condition);
         let sensitivity = report.sensitivity_lsb_per_g.unwrap();
         assert!((sensitivity / 2048.0 - 1.0).abs() < 0.03, "{sensitivity}");

@@ -253,6 +253,14 @@ impl AllanVariance {
         }
     }
 
+    /// Replaces the rate, Hz, by one that is known better; it should be near the first one, by which the length of the blocks
+    /// was chosen that show whether the sensor was at rest.
+    pub fn set_rate(&mut self, rate_hz: f64) {
+        if rate_hz.is_finite() && rate_hz > 0.0 {
+            self.rate_hz = rate_hz;
+        }
+    }
+
     /// Adds the next sample, m/s². One that is not finite counts as a gap.
     pub fn push(&mut self, sample_mps2: [f64; 3]) {
         if !sample_mps2.iter().all(|axis| axis.abs() < 1e6) {

@@ -15,7 +15,7 @@
 use std::path::Path;
 use std::process::ExitCode;
 
-use wimu_host::csv::{AccelerationUnit, CsvWriter, Header, Row};
+use wimu_host::csv::{self, CsvWriter};
 use wimu_host::{ErrorCode, HostError, OutputFile, Result};
 
 fn main() -> ExitCode {
@@ -192,29 +192,24 @@ impl Capture {
     /// `file_failed`, `file_unreadable`.
     fn write_csv(&self, path: &Path) -> Result<usize> {
         let (output, file) = OutputFile::create(path)?;
-        let header = Header {
-            time: true,
-            accelerometers: (0..UNITS as u32).map(Some).collect(),
-            acceleration_unit: AccelerationUnit::Lsb,
-            magnetometer: false,
-            temperature: false,
-            other: (0..UNITS)
-                .flat_map(|unit| {
-                    ["X", "Y", "Z"].map(|axis| format!("Gyroscope {unit} {axis} (LSB)"))
-                })
-                .collect(),
+        let sensors = |name: &'static str| {
+            (0..UNITS).flat_map(move |unit| csv::axes(&format!("{name} {unit}"), "LSB"))
         };
-        let mut writer = CsvWriter::new(std::io::BufWriter::new(file), output.name(), header)?;
+        let columns: Vec<String> = (std::iter::once(csv::TIME.to_owned()))
+            .chain(sensors("Accelerometer"))
+            .chain(sensors("Gyroscope"))
+            .collect();
+        let mut writer = CsvWriter::new(std::io::BufWriter::new(file), output.name(), &columns)?;
         let start = self.packets.first().map_or(0, |packet| packet.ticks);
         for packet in &self.packets {
-            let gyroscopes = packet.units.iter().flat_map(|[_, gyroscope]| gyroscope);
-            writer.write(&Row {
-                // 64 ticks are 1000 ns.
-                time_ns: Some(((packet.ticks - start) * 125 / 8) as i64),
-                accelerations: packet.units.map(|[a, _]| a.map(f64::from)).to_vec(),
-                other: gyroscopes.map(i32::to_string).collect(),
-                ..Row::default()
-            })?;
+            // 64 ticks are 1000 ns.
+            writer.time(Some(((packet.ticks - start) * 125 / 8) as i64));
+            for kind in 0..2 {
+                for unit in &packet.units {
+                    writer.vector(Some(unit[kind].map(f64::from)));
+                }
+            }
+            writer.end_row()?;
         }
         writer.finish()?;
         output.finish()?;

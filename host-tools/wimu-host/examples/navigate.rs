@@ -32,8 +32,8 @@ fn main() -> wimu_host::Result<()> {
             100.0 * below
         );
     }
-    for remark in &path.remarks {
-        println!("note: {remark}");
+    for finding in &path.findings {
+        println!("note: {finding}");
     }
     Ok(())
 }

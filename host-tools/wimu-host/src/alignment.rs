@@ -9,6 +9,7 @@ use wimu_model::ParameterSet;
 
 use crate::calibration::{HELD_SCHEMA, describe};
 use crate::error::{ErrorCode, HostError, Result};
+use crate::finding::Outcome;
 use crate::recording::Samples;
 
 /// Largest number of rests that are listed.
@@ -67,12 +68,9 @@ pub struct AlignOptions {
 pub struct AlignmentReport {
     /// [`HELD_SCHEMA`].
     pub schema: &'static str,
-    /// `ok` or `refused`.
-    pub status: &'static str,
-    /// Why it was refused, and what to do.
-    pub reason: Option<String>,
-    /// What the numbers do not show and a user should know.
-    pub remarks: Vec<String>,
+    /// Status and findings.
+    #[serde(flatten)]
+    pub outcome: Outcome,
     /// The data.
     pub source: String,
     /// Rests found.
@@ -102,13 +100,6 @@ pub struct FoundRest {
     pub up_m_s2: [f64; 3],
 }
 
-impl AlignmentReport {
-    /// Exit code of a command that ends with it: 0, or 3 when it was refused.
-    pub fn exit_code(&self) -> u8 {
-        if self.parameters.is_some() { 0 } else { 3 }
-    }
-}
-
 /// Aligns a sensor that is corrected by `set` with its body; the result replaces the
 /// alignment in `set`.
 ///
@@ -124,11 +115,7 @@ pub fn alignment(
         .and_then(|known| align(&known).map_err(|refusal| refusal.to_string()));
     let mut report = AlignmentReport {
         schema: HELD_SCHEMA,
-        status: "refused",
-        reason: None,
-        remarks: (data.remarks.iter().cloned())
-            .chain(data.temperature_remark(set))
-            .collect(),
+        outcome: Outcome::default(),
         source: data.name.to_owned(),
         rests: rests.len(),
         found: rests
@@ -149,15 +136,16 @@ pub fn alignment(
         parameters: None,
         parameter_id: None,
     };
+    report.outcome.findings = data.findings();
+    (report.outcome.findings).extend(data.temperature_finding(set));
     match outcome {
-        Err(reason) => report.reason = Some(reason),
+        Err(reason) => report.outcome.refuse(reason),
         Ok(found) => {
             let aligned = ParameterSet {
                 alignment: found.alignment,
                 alignment_covariance: Some(found.covariance),
                 ..*set
             };
-            report.status = "ok";
             report.alignment_wxyz = Some(found.alignment.quaternion());
             report.sd_deg = Some([0, 1, 2].map(|axis| found.covariance.sd(axis).to_degrees()));
             report.residual_deg = Some(found.residual_rad.to_degrees());
@@ -318,6 +306,7 @@ impl fmt::Display for AlignmentReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "{}: {} rests", self.source, self.rests)?;
         let Some(set) = &self.parameters else {
+            write!(out, "\n{}", self.outcome)?;
             for (k, rest) in self.found.iter().enumerate() {
                 let [x, y, z] = rest.up_m_s2;
                 write!(
@@ -326,15 +315,7 @@ impl fmt::Display for AlignmentReport {
                     rest.from_s, rest.to_s
                 )?;
             }
-            write!(
-                out,
-                "\nrefused: {}",
-                self.reason.as_deref().unwrap_or("no reason")
-            )?;
-            return self
-                .remarks
-                .iter()
-                .try_for_each(|remark| write!(out, "\n{remark}"));
+            return Ok(());
         };
         if let Some(residual) = self.residual_deg {
             write!(out, ", the directions agree to {residual:.2}°")?;
@@ -342,9 +323,7 @@ impl fmt::Display for AlignmentReport {
         for line in describe(set) {
             write!(out, "\n{line}")?;
         }
-        self.remarks
-            .iter()
-            .try_for_each(|remark| write!(out, "\n{remark}"))
+        Ok(())
     }
 }
 
@@ -420,15 +399,15 @@ mod tests {
             "{:?}",
             off_deg(&report)
         );
-        assert_eq!(report.remarks, [""; 0]);
+        assert_eq!(report.outcome, Outcome::default());
 
         // Without a thermometer it cannot be, and that is said.
         let report = aligned(&cold(false), &warm(), &options);
+        let findings = &report.outcome.findings;
         assert!(
-            report.remarks.iter().any(|r| r.contains("28.0 °C")),
-            "{report}"
+            findings.iter().any(|f| f.evidence.contains("28.0 °C")),
+            "{findings:?}"
         );
-        assert!(report.to_string().contains("28.0 °C"), "{report}");
         assert!(
             report.alignment_wxyz.is_none() || off_deg(&report).iter().any(|off| *off > 0.5),
             "{report}"

@@ -32,11 +32,10 @@ use wimu_model::{
 };
 
 use crate::calibration::StoredModel;
-use crate::csv::{AccelerationUnit, CsvWriter, Header, Row};
-use crate::export::gyroscope_columns;
-use crate::finding::{Finding, FindingCode, Severity};
+use crate::csv::{self, CsvWriter};
+use crate::finding::{Finding, FindingCode};
 use crate::mcap_file::RosFile;
-use crate::motion::{FIELD_CALIBRATED, OTHER_RANGE};
+use crate::motion::FIELD_CALIBRATED;
 use crate::recording::{Origin, Quantity, Recording, Track, Unit};
 use crate::ros::message::Message;
 use crate::ros::rate_covariance;
@@ -44,6 +43,8 @@ use crate::{ErrorCode, HostError, OutputFile, Result};
 
 /// Largest departure of the median magnitude from gravity, relative: strong motion stays below. Chosen.
 const NOT_GRAVITY: f64 = 0.3;
+/// Relative difference of two sensitivities above which they are of two ranges.
+const OTHER_RANGE: f64 = 0.3;
 
 /// A corrected sample, body axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -64,8 +65,8 @@ pub struct Corrected {
 #[derive(Debug)]
 pub struct Correction<'a> {
     calibration: &'a StoredModel,
+    corrector: Corrector<'a>,
     force: &'a Track,
-    mps2_per_unit: f64,
     /// With rad/s per unit.
     rate: Option<(&'a Track, f64)>,
     field: Option<&'a Track>,
@@ -87,18 +88,18 @@ impl<'a> Correction<'a> {
         let mut findings = Vec::new();
         if force.info.corrected {
             findings.push(
-                Finding::new(
-                    FindingCode::TrackChosen,
-                    Severity::Warning,
-                    format!("`{}` was corrected by the device before", force.info.name),
-                )
-                .remedy("use its uncorrected output, or the calibration of this output"),
+                FindingCode::TrackChosen
+                    .warning(format!(
+                        "`{}` was corrected by the device before",
+                        force.info.name
+                    ))
+                    .remedy("use its uncorrected output, or the calibration of this output"),
             );
         }
         let mut correction = Self {
             calibration,
+            corrector: Corrector::new(Some(calibration), force, None).map_err(at)?,
             force,
-            mps2_per_unit: mps2_per_unit(calibration, force.info.unit).map_err(at)?,
             rate: None,
             field: recording
                 .first(Quantity::MagneticField)
@@ -128,7 +129,7 @@ impl<'a> Correction<'a> {
         let median = *norms.select_nth_unstable_by(middle, f64::total_cmp).1;
         ((median / STANDARD_GRAVITY_MPS2 - 1.0).abs() > NOT_GRAVITY).then(|| {
             let text = format!("the median magnitude after correction is {median:.2} m/s², and gravity 9.81");
-            let finding = Finding::new(FindingCode::UnitInferred, Severity::Warning, text);
+            let finding = FindingCode::UnitInferred.warning(text);
             finding.remedy("check the unit, --zero-count, and that the calibration is of this sensor at this range")
         })
     }
@@ -146,16 +147,13 @@ impl<'a> Correction<'a> {
         let name = &track.info.name;
         let finding = match (scale, &self.calibration.gyroscope) {
             (Some(_), Some(_)) => None,
-            (Some(_), None) => Some(Finding::new(
-                FindingCode::Uncalibrated,
-                Severity::Note,
-                format!("`{name}` is only rotated to body axes: the calibration has no gyroscope"),
-            )),
-            (None, _) => Some(Finding::new(
-                FindingCode::Uncalibrated,
-                Severity::Warning,
-                format!("`{name}` is left out: its unit is not known"),
-            )),
+            (Some(_), None) => Some(FindingCode::Uncalibrated.note(format!(
+                "`{name}` is only rotated to body axes: the calibration has no gyroscope"
+            ))),
+            (None, _) => Some(
+                FindingCode::Uncalibrated
+                    .warning(format!("`{name}` is left out: its unit is not known")),
+            ),
         };
         self.rate = scale.map(|scale| (track, scale));
         self.findings.extend(finding);
@@ -166,6 +164,7 @@ impl<'a> Correction<'a> {
         let mut rate = self.rate.map(|(track, _)| track.beside(self.force));
         let mut field = self.field.map(|track| track.beside(self.force));
         let mut temperature = self.temperature.map(|track| track.beside(self.force));
+        let mut corrector = self.corrector.clone();
         let mut celsius = None;
         let times = self.force.times_ns().iter().enumerate();
         times.filter_map(move |(row, time_ns)| {
@@ -176,46 +175,21 @@ impl<'a> Correction<'a> {
                 .and_then(|track| track.latest(row, *time_ns));
             celsius = now.map(|row| row[0]).or(celsius);
             let output = self.force.row(row).filter(|_| self.force.mask()[row])?;
-            let field = field.and_then(|row| row.try_into().ok());
-            Some(self.corrected(*time_ns, output.try_into().ok()?, rate, field, celsius))
+            let field: Option<[f64; 3]> = field.and_then(|row| row.try_into().ok());
+            let force = corrector.force(output.try_into().ok()?, celsius);
+            let scale = self.rate.map_or(1.0, |(_, scale)| scale);
+            let rate = rate.map(|rate| corrector.to_body(corrector.rate(rate, scale, force)));
+            Some(Corrected {
+                time_ns: *time_ns,
+                force_mps2: corrector.to_body(force),
+                rate_rad_s: rate,
+                field_ut: field.and_then(|tesla| match self.magnetometer() {
+                    Some(_) => corrector.field(tesla, None),
+                    None => Some(tesla.map(|axis| axis * 1e6)),
+                }),
+                temperature_c: celsius,
+            })
         })
-    }
-
-    fn corrected(
-        &self,
-        time_ns: i64,
-        output: [f64; 3],
-        rate: Option<[f64; 3]>,
-        field: Option<[f64; 3]>,
-        temperature_c: Option<f64>,
-    ) -> Corrected {
-        let stored = self.calibration;
-        let now = temperature_c.map(CentiCelsius::from_celsius);
-        let output = SpecificForceMps2(output.map(|axis| axis * self.mps2_per_unit));
-        let force = stored.model.correct(output, now).0;
-        let scale = self.rate.map_or(1.0, |(_, scale)| scale);
-        let rate = rate.map(|rate| rate.map(|axis| axis * scale));
-        let rate = rate.map(|rate| match &stored.gyroscope {
-            Some(gyroscope) => gyroscope.model.correct(rate, force, now),
-            None => rate,
-        });
-        let field_ut = field.and_then(|field| match self.magnetometer() {
-            Some(model) => {
-                let output = MagneticFieldNt(field.map(|tesla| (tesla * 1e9).round() as i32));
-                let field_nt = stored
-                    .alignment
-                    .rotate(model.correct_to_accelerometer(output)?);
-                Some(field_nt.map(|nt| nt * 1e-3))
-            }
-            None => Some(field.map(|tesla| tesla * 1e6)),
-        });
-        Corrected {
-            time_ns,
-            force_mps2: stored.alignment.rotate(force),
-            rate_rad_s: rate.map(|rate| stored.alignment.rotate(rate)),
-            field_ut,
-            temperature_c,
-        }
     }
 
     /// The model of the magnetometer, if its axes are known.
@@ -239,37 +213,35 @@ impl<'a> Correction<'a> {
     fn write_csv(&self, path: &Path) -> Result<usize> {
         let (output, sink) = OutputFile::create(path)?;
         let calibrated = self.magnetometer().is_some();
-        let mut other = Vec::new();
+        let mut columns = vec![csv::TIME.to_owned()];
+        columns.extend(csv::axes("Accelerometer", "m/s²"));
         if self.field.is_some() {
-            other.push(FIELD_CALIBRATED.to_owned());
+            columns.extend(csv::axes("Magnetometer", "µT"));
+        }
+        if self.temperature.is_some() {
+            columns.push(csv::TEMPERATURE.to_owned());
+        }
+        if self.field.is_some() {
+            columns.push(FIELD_CALIBRATED.to_owned());
         }
         if self.rate.is_some() {
-            other.extend(gyroscope_columns("rad/s"));
+            columns.extend(csv::axes("Gyroscope", "rad/s"));
         }
-        let header = Header {
-            time: true,
-            accelerometers: vec![None],
-            acceleration_unit: AccelerationUnit::Mps2,
-            magnetometer: self.field.is_some(),
-            temperature: self.temperature.is_some(),
-            other,
-        };
-        let mut writer = CsvWriter::new(BufWriter::new(sink), output.name(), header)?;
+        let mut writer = CsvWriter::new(BufWriter::new(sink), output.name(), &columns)?;
         let mut count = 0;
         for row in self.rows() {
-            let mut other = Vec::new();
+            (writer.time(Some(row.time_ns))).vector(Some(row.force_mps2));
             if self.field.is_some() {
-                other.push(u8::from(calibrated).to_string());
+                writer.vector(row.field_ut);
             }
-            let rate = row.rate_rad_s.into_iter().flatten();
-            other.extend(rate.map(|axis| axis.to_string()));
-            writer.write(&Row {
-                time_ns: Some(row.time_ns),
-                accelerations: vec![row.force_mps2],
-                magnetic_field_ut: row.field_ut,
-                temperature_c: row.temperature_c,
-                other,
-            })?;
+            if self.temperature.is_some() {
+                writer.number(row.temperature_c);
+            }
+            if self.field.is_some() {
+                writer.field(u8::from(calibrated));
+            }
+            writer.vector(row.rate_rad_s.filter(|_| self.rate.is_some()));
+            writer.end_row()?;
             count += 1;
         }
         writer.finish()?;
@@ -353,42 +325,126 @@ fn no_force(recording: &Recording) -> HostError {
     }
 }
 
-/// m/s² of one unit of a recording, for a calibration.
-fn mps2_per_unit(calibration: &StoredModel, unit: Unit) -> Result<f64> {
-    let wrong = |message: &str, remedy: &str| Err(ErrorCode::UnknownFormat.error(message, remedy));
-    let own = calibration
-        .sensitivity_lsb_per_g
-        .map(|_| calibration.mps2_per_unit());
-    match (unit, own) {
-        (Unit::Si, _) if calibration.of_counts => wrong(
-            "its accelerations are in m/s² or g, and the calibration is one of raw counts",
-            "give the raw counts, or calibrate with a recording in m/s² or g: `wimu calibrate FILE -o CAL.json`",
-        ),
-        (Unit::Si, _) => Ok(1.0),
-        (
-            Unit::Counts {
-                si_per_lsb: Some(said),
-            },
-            Some(own),
-        ) if (said / own - 1.0).abs() > OTHER_RANGE => wrong(
-            &format!("1 LSB is {said:.3e} m/s² in it, and {own:.3e} m/s² in the calibration"),
-            "give the calibration of this range",
-        ),
-        (Unit::Counts { .. }, Some(own)) => Ok(own),
-        (
-            Unit::Counts {
-                si_per_lsb: Some(said),
-            },
-            None,
-        ) => Ok(said),
-        (Unit::Counts { si_per_lsb: None }, None) => wrong(
-            "its accelerations are raw counts, and the calibration is one of m/s² or g",
-            "calibrate with a recording of raw counts: `wimu calibrate FILE -o CAL.json`",
-        ),
-        (Unit::Unknown, _) => wrong(
-            "the unit of its accelerations is not known",
-            "name it: --units m/s2, g, mg or LSB",
-        ),
+/// A calibration, if there is one, for outputs of one unit.
+#[derive(Clone, Debug)]
+pub(crate) struct Corrector<'a> {
+    stored: Option<&'a StoredModel>,
+    mps2_per_unit: f64,
+    /// The last temperature that was read.
+    temperature: Option<CentiCelsius>,
+}
+
+impl<'a> Corrector<'a> {
+    /// That of a track of accelerations; `given` is the sensitivity of its counts, LSB/g, instead of that of the file, where
+    /// the command has such an option.
+    ///
+    /// # Errors
+    /// `unknown_format` where the units do not fit, or are not known.
+    pub(crate) fn new(
+        stored: Option<&'a StoredModel>,
+        force: &Track,
+        given: Option<Option<f64>>,
+    ) -> Result<Self> {
+        let wrong =
+            |message: &str, remedy: &str| Err(ErrorCode::UnknownFormat.error(message, remedy));
+        let si_per_lsb = match force.info.unit {
+            Unit::Counts { si_per_lsb } => si_per_lsb,
+            Unit::Si if stored.is_some_and(|stored| stored.of_counts) => {
+                return wrong(
+                    "its accelerations are in m/s² or g, and the calibration is one of raw counts",
+                    "give the raw counts, in columns `Accelerometer X (LSB)`, …, or calibrate with a recording in m/s² or \
+                     g: `wimu calibrate FILE -o CAL.json`",
+                );
+            }
+            Unit::Si => return Ok(Self::scaled(stored, 1.0)),
+            Unit::Unknown => {
+                return wrong(
+                    "the unit of its accelerations is not known",
+                    "name it: --units m/s2, g, mg or LSB",
+                );
+            }
+        };
+        let stated = given
+            .flatten()
+            .or(si_per_lsb.map(|scale| STANDARD_GRAVITY_MPS2 / scale));
+        let own = stored.and_then(|stored| stored.sensitivity_lsb_per_g);
+        match (own, stated) {
+            (Some(own), Some(stated)) if (stated / own - 1.0).abs() > OTHER_RANGE => wrong(
+                &format!("1 g is {stated:.0} LSB in it, and {own:.0} LSB in the calibration"),
+                match given {
+                    Some(_) => "give the calibration of this range, or leave --sensitivity out",
+                    None => "give the calibration of this range",
+                },
+            ),
+            (Some(lsb_per_g), _) | (None, Some(lsb_per_g)) => {
+                Ok(Self::scaled(stored, STANDARD_GRAVITY_MPS2 / lsb_per_g))
+            }
+            (None, None) if stored.is_some() => wrong(
+                "its accelerations are raw counts, and the calibration is one of m/s² or g",
+                match given {
+                    Some(_) => {
+                        "calibrate with a recording of raw counts: `wimu calibrate FILE -o CAL.json`; or say what the counts \
+                         are, --sensitivity LSB_PER_G"
+                    }
+                    None => {
+                        "calibrate with a recording of raw counts: `wimu calibrate FILE -o CAL.json`"
+                    }
+                },
+            ),
+            (None, None) => wrong(
+                "its accelerations are raw counts, of which nothing says what they are",
+                "calibrate the sensor, `wimu calibrate FILE -o CAL.json`, and give --calibration CAL.json; or say what the \
+                 counts are, --sensitivity LSB_PER_G",
+            ),
+        }
+    }
+
+    fn scaled(stored: Option<&'a StoredModel>, mps2_per_unit: f64) -> Self {
+        Self {
+            stored,
+            mps2_per_unit,
+            temperature: None,
+        }
+    }
+
+    /// Specific force, m/s², sensor axes, from an output in the file's unit and the latest temperature, °C.
+    pub(crate) fn force(&mut self, output: [f64; 3], celsius: Option<f64>) -> [f64; 3] {
+        let output = output.map(|axis| axis * self.mps2_per_unit);
+        self.temperature = celsius.map(CentiCelsius::from_celsius).or(self.temperature);
+        let Some(stored) = self.stored else {
+            return output;
+        };
+        let force = SpecificForceMps2(output);
+        stored.model.correct(force, self.temperature).0
+    }
+
+    /// Angular rate, rad/s, sensor axes, from an output in units of `scale` rad/s, at a specific force, m/s².
+    pub(crate) fn rate(&self, output: [f64; 3], scale: f64, force: [f64; 3]) -> [f64; 3] {
+        let rate = output.map(|axis| axis * scale);
+        match self.stored.and_then(|stored| stored.gyroscope) {
+            Some(gyroscope) => gyroscope.model.correct(rate, force, self.temperature),
+            None => rate,
+        }
+    }
+
+    /// Magnetic field, µT, body axes, from an output, T: as a magnetometer put it out that is not calibrated, it says
+    /// nothing of directions.
+    pub(crate) fn field(&self, tesla: [f64; 3], is_calibrated: Option<bool>) -> Option<[f64; 3]> {
+        match self.stored.and_then(|stored| stored.magnetometer) {
+            Some(model) if is_calibrated != Some(true) => {
+                let output = MagneticFieldNt(tesla.map(|axis| (axis * 1e9).round() as i32));
+                let field_nt = model.correct_to_accelerometer(output)?;
+                Some(self.to_body(field_nt.map(|nt| nt * 1e-3)))
+            }
+            _ if is_calibrated == Some(false) => None,
+            _ => Some(self.to_body(tesla.map(|axis| axis * 1e6))),
+        }
+    }
+
+    /// From the sensor's axes to the body's.
+    pub(crate) fn to_body(&self, vector: [f64; 3]) -> [f64; 3] {
+        self.stored
+            .map_or(vector, |stored| stored.alignment.rotate(vector))
     }
 }
 

@@ -44,13 +44,14 @@ use wimu_model::{ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity};
 
 use crate::csv::AccelerationUnit;
 use crate::error::{ErrorCode, Result};
+use crate::finding::{FindingCode, Outcome};
+use crate::plural::counted;
 use crate::recording::{OutputUnit, Samples};
 use advice::{advice, next_poses};
-pub(crate) use input::mps2_per_unit;
 use input::{magnitude, median_magnitude, poses, rms, wrong_unit};
 use numbers::{numbers, static_poses};
 use range::Range;
-use words::{closing_remark, reason, remarks, repeated_remark, start_times};
+use words::{findings, left_out, reason, start_times};
 
 /// Range of sensitivities that a sensor can have, LSB/*g*: from 8 bits at ±100 *g* to 27 bits at ±1 *g*. The range
 /// that a board accepts is narrower: [`Sensitivity::from_lsb_per_g`].
@@ -71,6 +72,14 @@ pub enum MethodChoice {
 }
 
 impl MethodChoice {
+    /// All methods.
+    pub const ALL: [Self; 4] = [
+        Self::MultiPosition,
+        Self::SixPosition,
+        Self::FourAngle,
+        Self::ThreeAngle,
+    ];
+
     /// Its name on the command line.
     pub fn name(self) -> &'static str {
         match self {
@@ -95,6 +104,54 @@ impl Default for ModelChoice {
     fn default() -> Self {
         Self::Fixed(Model::Full9)
     }
+}
+
+/// The model and terms that a text such as `6`, `auto` or `9+drift` names; those of the method where it names none.
+///
+/// # Errors
+/// `usage` for an unknown name, or one that does not go with the method.
+pub fn parse_model(text: &str, method: MethodChoice) -> Result<(ModelChoice, Terms)> {
+    let (base, names) = text
+        .split_once('+')
+        .map_or((text, None), |(base, names)| (base, Some(names)));
+    let mut terms = Terms::NONE;
+    for name in names.into_iter().flat_map(|names| names.split('+')) {
+        terms = match name {
+            "drift" => terms.with(Term::Drift),
+            "temperature" => terms
+                .with(Term::BiasTemperature)
+                .with(Term::ScaleTemperature),
+            "quadratic" => terms.with(Term::Quadratic),
+            other => {
+                return Err(ErrorCode::Usage.error(
+                    format!("--model {text}: unknown term {other:?}"),
+                    "the terms are drift, temperature and quadratic, as in 9+drift",
+                ));
+            }
+        };
+    }
+    let model = match (base, method) {
+        ("", _)
+        | ("12", MethodChoice::SixPosition)
+        | ("6", MethodChoice::FourAngle | MethodChoice::ThreeAngle) => ModelChoice::default(),
+        ("9", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::Full9),
+        ("6", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::BiasScale6),
+        ("3", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::Bias3),
+        ("auto", MethodChoice::MultiPosition) => ModelChoice::Auto,
+        _ => {
+            return Err(ErrorCode::Usage.error(
+                format!("--model {text} does not go with --method {}", method.name()),
+                "multi-position has 3, 6, 9 or auto, six-position 12, four-angle and three-angle 6",
+            ));
+        }
+    };
+    if terms != Terms::NONE && method != MethodChoice::MultiPosition {
+        return Err(ErrorCode::Usage.error(
+            format!("--model {text}: only multi-position has terms"),
+            "leave the term out, or use --method multi-position",
+        ));
+    }
+    Ok((model, terms))
 }
 
 /// Options of a calibration.
@@ -175,11 +232,14 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
         },
     };
     let mut found = poses(data, scale, gravity.mps2());
-    let left_out = match options.method {
-        MethodChoice::MultiPosition => repeated_remark(found.remove_repeated()),
+    let returned = "the rotation had returned to its first step";
+    let repeated = match options.method {
+        MethodChoice::MultiPosition => {
+            left_out(found.remove_repeated(), "exactly equal to an earlier pose")
+        }
         MethodChoice::SixPosition => None,
-        MethodChoice::FourAngle => closing_remark(found.remove_closing(4)),
-        MethodChoice::ThreeAngle => closing_remark(found.remove_closing(3)),
+        MethodChoice::FourAngle => left_out(found.remove_closing(4), returned),
+        MethodChoice::ThreeAngle => left_out(found.remove_closing(3), returned),
     };
     if let Some(sides) = &options.sides
         && sides.len() != found.poses.len()
@@ -269,35 +329,55 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
                 sensor: data.sensor,
                 ..ParameterSet::uncalibrated(range.g, sensitivity)
             });
-    let mut remarks: Vec<String> = (data.remarks.iter().cloned())
-        .chain(left_out)
-        .chain(remarks(
-            data,
-            options,
-            &fitted,
-            estimate.as_ref(),
-            sensitivity.zip(range),
-            lsb_per_g,
-        ))
-        .collect();
-    remarks.extend(noise_seen_mps2.map(|sd| {
-        format!(
-                    "poses of fewer samples have larger residuals: a noise of {:.0} mm/s² per sample was estimated, and the poses \
-                     are weighted by it",
+    let board = sensitivity.zip(range);
+    let mut outcome = Outcome::default();
+    let found = findings(data, options, &fitted, estimate.as_ref(), board, lsb_per_g);
+    outcome.findings.extend(found.into_iter().chain(repeated));
+    outcome.findings.extend(noise_seen_mps2.map(|sd| {
+        FindingCode::Residuals.note(format!(
+            "poses of fewer samples have larger residuals: a noise of {:.0} mm/s² per sample was estimated, and the poses \
+             are weighted by it",
             sd * 1e3
-        )
+        ))
     }));
+    let datasheet = options
+        .datasheet
+        .or(data.datasheet())
+        .zip(estimate.as_ref())
+        .map(|(datasheet, estimate)| {
+            let (used, range) = match data.unit {
+                OutputUnit::Counts { .. } => (lsb_per_g, range.map(|range| range.g)),
+                OutputUnit::Mps2 => (None, None),
+            };
+            DatasheetReport::new(datasheet, estimate, used, range)
+        });
+    (outcome.findings).extend(datasheet.iter().flat_map(DatasheetReport::findings));
+    let rejected = estimate.as_ref().map_or(0, |e| e.rejected.count());
+    let rejected_poses: Vec<usize> = match options.method {
+        MethodChoice::SixPosition => (0..fitted.len())
+            .filter(|index| Face::of(&fitted[*index]).is_none())
+            .collect(),
+        _ => (estimate.iter())
+            .flat_map(|e| e.rejected.as_slice().to_vec())
+            .collect(),
+    };
+    if estimate.is_some() && !rejected_poses.is_empty() {
+        let count = counted(rejected.max(rejected_poses.len()), "pose");
+        let text = format!(
+            "{count} left out because the others contradict them: {rejected_poses:?} (from 0)"
+        );
+        (outcome.findings).push(FindingCode::PosesLeftOut.warning(text));
+    }
+    if let Some(refusal) = &refusal {
+        outcome.refuse(reason(refusal, &fitted, data, options));
+    }
     let unit = match data.unit {
         OutputUnit::Counts { .. } => AccelerationUnit::Lsb,
         OutputUnit::Mps2 => AccelerationUnit::Mps2,
     };
     Ok(CalibrationReport {
         schema: CalibrationReport::SCHEMA,
-        status: if estimate.is_some() { "ok" } else { "refused" },
-        reason: refusal
-            .as_ref()
-            .map(|refusal| reason(refusal, &fitted, data, options)),
-        remarks,
+        outcome,
         source: data.name.to_owned(),
         method: options.method.name(),
         terms: terms(estimate.as_ref(), options),
@@ -316,15 +396,8 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
             .iter()
             .map(|pose| magnitude(pose.mean_mps2) - gravity.mps2()))
         .map(|rms| rms * 1e3),
-        rejected: estimate.as_ref().map_or(0, |e| e.rejected.count()),
-        rejected_poses: match options.method {
-            MethodChoice::SixPosition => (0..fitted.len())
-                .filter(|index| Face::of(&fitted[*index]).is_none())
-                .collect(),
-            _ => estimate
-                .as_ref()
-                .map_or(Vec::new(), |e| e.rejected.as_slice().to_vec()),
-        },
+        rejected,
+        rejected_poses,
         next_poses: match &refusal {
             Some(refusal) => next_poses(refusal, &fitted, options),
             None => advice(&fitted, options, 0),
@@ -334,17 +407,7 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
             _ => 0,
         },
         static_poses: static_poses(&fitted, estimate.as_ref()),
-        datasheet: options
-            .datasheet
-            .or(data.datasheet())
-            .zip(estimate.as_ref())
-            .map(|(datasheet, estimate)| {
-                let (used, range) = match data.unit {
-                    OutputUnit::Counts { .. } => (lsb_per_g, range.map(|range| range.g)),
-                    OutputUnit::Mps2 => (None, None),
-                };
-                DatasheetReport::new(datasheet, estimate, used, range)
-            }),
+        datasheet,
         file: estimate.as_ref().and_then(|estimate| {
             let quality = estimate.quality(options.utc_s, &fitted);
             CalibrationFile::of_model(

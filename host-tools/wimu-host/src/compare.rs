@@ -12,6 +12,7 @@ use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
 
 use crate::clock::{ClockModel, ClockSummary};
+use crate::finding::{Finding, FindingCode, without_unit};
 use crate::mcap_file::{RecordingReader, Wholeness};
 use crate::{ErrorCode, HostError, Result};
 
@@ -82,6 +83,8 @@ pub struct Comparison {
     pub values: Option<Values>,
     /// Why they are not.
     pub values_reason: Option<String>,
+    /// What was noticed.
+    pub findings: Vec<Finding>,
     /// Data of the charts.
     #[serde(skip)]
     history: History,
@@ -230,6 +233,16 @@ pub fn compare<R: Read>(
         }),
         _ => None,
     };
+    let values_reason = found.err().map(|refusal| refusal.to_string());
+    let left_out = without_unit(
+        counted.without_unit as usize,
+        "sample",
+        "left out of the values",
+    );
+    let findings = (overview.wholeness.finding().into_iter())
+        .chain(incomparable(values_reason.as_deref()))
+        .chain(left_out)
+        .collect();
     let slices = [0, 1].map(|index| std::mem::take(&mut counted.meters[index].slices));
     Ok(Comparison {
         source: name.to_owned(),
@@ -253,7 +266,8 @@ pub fn compare<R: Read>(
             .and_then(|start| overview.clocks.get(&start))
             .map(ClockModel::summary),
         values,
-        values_reason: found.err().map(|refusal| refusal.to_string()),
+        values_reason,
+        findings,
         history: History {
             slice_s: overview.span_ns() as f64 * 1e-9 / SLICES as f64,
             slices,
@@ -261,6 +275,11 @@ pub fn compare<R: Read>(
             excerpt: counted.excerpt,
         },
     })
+}
+
+/// Why the values of two streams cannot be compared.
+fn incomparable(reason: Option<&str>) -> Option<Finding> {
+    reason.map(|reason| FindingCode::Incomparable.warning(format!("values: {reason}")))
 }
 
 fn refused(name: &str, message: impl Into<String>, remedy: &str) -> HostError {

@@ -4,33 +4,41 @@
 //! Several accelerometers are `Accelerometer 0 X (LSB)`, `Accelerometer 1 X (LSB)`, …. A column
 //! `Sensitivity (LSB/g)` is the unit of counts; where it is empty, the unit is unknown.
 
-mod columns;
-pub(crate) mod line;
 pub(crate) mod number;
 
 use std::io::Write;
 
-pub(crate) use columns::acceleration;
-pub use columns::{AccelerationUnit, Header};
-
 use crate::error::{ErrorCode, HostError, Result};
 
+/// The column of times.
+pub const TIME: &str = "Time (s)";
 /// The column with the sensitivity of the counts of a row.
 pub const SENSITIVITY: &str = "Sensitivity (LSB/g)";
+/// The column of temperatures.
+pub const TEMPERATURE: &str = "Temperature (°C)";
 
-/// One line of a file.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Row {
-    /// Time, ns, on the clock of the file; `None` without a time column.
-    pub time_ns: Option<i64>,
-    /// X, Y, Z per accelerometer, in the order and unit of the header.
-    pub accelerations: Vec<[f64; 3]>,
-    /// Magnetic field, µT; `None` where the fields are empty.
-    pub magnetic_field_ut: Option<[f64; 3]>,
-    /// Temperature, °C; `None` where the field is empty.
-    pub temperature_c: Option<f64>,
-    /// The other columns' fields, in the order of [`Header::other`].
-    pub other: Vec<String>,
+/// The columns of the three axes of a sensor: `Accelerometer X (LSB)`, ….
+pub fn axes(sensor: &str, unit: &str) -> [String; 3] {
+    ["X", "Y", "Z"].map(|axis| format!("{sensor} {axis} ({unit})"))
+}
+
+/// Unit of all accelerometer columns of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AccelerationUnit {
+    /// Raw counts.
+    Lsb,
+    /// m/s².
+    Mps2,
+}
+
+impl AccelerationUnit {
+    /// The unit's name as written to files.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Lsb => "LSB",
+            Self::Mps2 => "m/s²",
+        }
+    }
 }
 
 /// Rows to keep: `Run=2,IMU=0` keeps those whose columns `Run` and `IMU` hold these values.
@@ -49,26 +57,25 @@ impl std::str::FromStr for Filter {
     type Err = HostError;
 
     fn from_str(text: &str) -> Result<Self> {
-        text.split(',')
-            .map(|pair| match pair.split_once('=') {
-                Some((column, value)) if !column.trim().is_empty() => {
-                    Ok((column.trim().to_owned(), value.trim().to_owned()))
-                }
-                _ => Err(ErrorCode::Usage.error(
-                    format!("`{pair}` in the row filter is not COLUMN=VALUE"),
-                    "write for example --where \"Run=2,IMU=0\"",
-                )),
-            })
-            .collect::<Result<_>>()
-            .map(Self)
+        let pair = |pair: &str| match pair.split_once('=') {
+            Some((column, value)) if !column.trim().is_empty() => {
+                Ok((column.trim().to_owned(), value.trim().to_owned()))
+            }
+            _ => Err(ErrorCode::Usage.error(
+                format!("`{pair}` in the row filter is not COLUMN=VALUE"),
+                "write for example --where \"Run=2,IMU=0\"",
+            )),
+        };
+        text.split(',').map(pair).collect::<Result<_>>().map(Self)
     }
 }
 
 /// Writes rows that [`formats::load`](crate::formats::load) reads back the same.
 pub struct CsvWriter<W: Write> {
     name: String,
-    sink: W,
-    header: Header,
+    writer: csv::Writer<W>,
+    fields: Vec<String>,
+    columns: usize,
 }
 
 impl<W: Write> CsvWriter<W> {
@@ -76,50 +83,50 @@ impl<W: Write> CsvWriter<W> {
     ///
     /// # Errors
     /// `file_failed`.
-    pub fn new(sink: W, name: &str, header: Header) -> Result<Self> {
+    pub fn new(sink: W, name: &str, columns: &[String]) -> Result<Self> {
         let mut writer = Self {
             name: name.to_owned(),
-            sink,
-            header,
+            writer: csv::Writer::from_writer(sink),
+            fields: columns.to_vec(),
+            columns: columns.len(),
         };
-        let names = writer.header.column_names();
-        writer.put(&names)?;
+        writer.end_row()?;
         Ok(writer)
     }
 
-    /// Writes one row; fields of the header that the row does not have are left empty.
+    /// Adds a field to the row.
+    pub fn field(&mut self, value: impl ToString) -> &mut Self {
+        self.fields.push(value.to_string());
+        self
+    }
+
+    /// Adds a number; an empty field without one.
+    pub fn number(&mut self, value: Option<f64>) -> &mut Self {
+        self.field(value.map_or_else(String::new, |value| value.to_string()))
+    }
+
+    /// Adds the components of a vector; empty fields without one.
+    pub fn vector<const N: usize>(&mut self, vector: Option<[f64; N]>) -> &mut Self {
+        for axis in 0..N {
+            self.number(vector.map(|vector| vector[axis]));
+        }
+        self
+    }
+
+    /// Adds a time, ns, in seconds.
+    pub fn time(&mut self, ns: Option<i64>) -> &mut Self {
+        self.field(ns.map(number::seconds).unwrap_or_default())
+    }
+
+    /// Writes the row, with empty fields for those that are missing at its end.
     ///
     /// # Errors
     /// `file_failed`.
-    pub fn write(&mut self, row: &Row) -> Result<()> {
-        let mut fields = Vec::new();
-        if self.header.time {
-            fields.push(row.time_ns.map(number::seconds).unwrap_or_default());
-        }
-        for sensor in 0..self.header.accelerometers.len() {
-            match row.accelerations.get(sensor) {
-                Some(axes) => fields.extend(axes.map(|value| value.to_string())),
-                None => fields.extend([const { String::new() }; 3]),
-            }
-        }
-        if self.header.magnetometer {
-            match row.magnetic_field_ut {
-                Some(axes) => fields.extend(axes.map(|value| value.to_string())),
-                None => fields.extend([const { String::new() }; 3]),
-            }
-        }
-        if self.header.temperature {
-            fields.push(row.temperature_c.map(|c| c.to_string()).unwrap_or_default());
-        }
-        let others = self.header.other.len();
-        fields.extend(
-            row.other
-                .iter()
-                .cloned()
-                .chain(std::iter::repeat(String::new()))
-                .take(others),
-        );
-        self.put(&fields)
+    pub fn end_row(&mut self) -> Result<()> {
+        self.fields.resize(self.columns, String::new());
+        let written = self.writer.write_record(&self.fields);
+        self.fields.clear();
+        written.map_err(|error| HostError::file(&self.name, "write", &error.into()))
     }
 
     /// Writes what is buffered.
@@ -127,14 +134,7 @@ impl<W: Write> CsvWriter<W> {
     /// # Errors
     /// `file_failed`.
     pub fn finish(mut self) -> Result<()> {
-        self.sink
-            .flush()
-            .map_err(|error| HostError::file(&self.name, "write", &error))
-    }
-
-    fn put(&mut self, fields: &[String]) -> Result<()> {
-        self.sink
-            .write_all(line::join(fields).as_bytes())
-            .map_err(|error| HostError::file(&self.name, "write", &error))
+        let flushed = self.writer.flush();
+        flushed.map_err(|error| HostError::file(&self.name, "write", &error))
     }
 }

@@ -12,18 +12,14 @@ use wimu_model::{AngularRateQ20, DeviceTimeUs, SpecificForceQ16};
 
 use crate::clock::ClockModel;
 use crate::compare::LinkModel;
-use crate::csv::{CsvWriter, Row};
+use crate::csv::{self, CsvWriter};
 use crate::decode::{Arrival, Decoder, Event, TimedSample, sequence_order};
 use crate::history::Boot;
 use crate::mcap_file::{ClockAnchor, Recorded, RecordingReader, Wholeness};
+use crate::motion::FIELD_CALIBRATED;
 use crate::overview::{BootOverview, Overview};
 use crate::units::RawUnits;
 use crate::{ErrorCode, OutputFile, Result};
-
-mod columns;
-
-pub(crate) use columns::gyroscope as gyroscope_columns;
-use columns::header;
 
 /// Time that samples wait for data that belong to them and arrive later, µs of device time.
 const WAIT_US: u64 = 3_000_000;
@@ -100,17 +96,17 @@ pub fn to_csv(
         (ExportStream::Navigation, 0) => boot.navigation,
     };
     if link.boots.iter().map(count).sum::<usize>() == 0 {
-        let (message, remedy) = match source.sensor {
-            0 => (
-                format!("the {role} link carried no such samples"),
-                "export another stream or the other link, or switch the stream on with `wimu settings set`".to_owned(),
+        let message = format!("the {role} link carried no such samples");
+        return Err(match source.sensor {
+            0 => ErrorCode::NoRows.error(
+                message,
+                "export another stream or the other link, or switch the stream on with `wimu settings set`",
             ),
-            sensor => (
-                format!("the {role} link carried no such samples of sensor {sensor}"),
+            sensor => ErrorCode::NoRows.error(
+                format!("{message} of sensor {sensor}"),
                 format!("export the raw stream of one of the sensors {sensors:?}"),
             ),
-        };
-        return Err(ErrorCode::NoRows.error(message, remedy));
+        });
     }
     if let Some(model) = source.link_model {
         if source.sensor > 0 {
@@ -131,7 +127,7 @@ pub fn to_csv(
     let rates = |boot: &BootOverview| boot.tracks.get(&source.sensor).map_or(0, |t| t.rates);
     let has_gyroscope = link.boots.iter().any(|boot| rates(boot) > 0);
     let has_attitude = link.boots.iter().any(|boot| boot.attitudes > 0);
-    let header = header(stream, source.sensor, has_gyroscope, has_attitude);
+    let columns = columns(stream, source.sensor, has_gyroscope, has_attitude);
     let mut boots = link.boots.iter();
     let mut table = Table {
         stream,
@@ -140,7 +136,7 @@ pub fn to_csv(
         has_gyroscope,
         has_attitude,
         clock: None,
-        writer: CsvWriter::new(BufWriter::new(file), output.name(), header)?,
+        writer: CsvWriter::new(BufWriter::new(file), output.name(), &columns)?,
         rows: 0,
         sensitivity: None,
         ranges_differ: false,
@@ -271,18 +267,8 @@ impl<'a> Table<'a> {
                     start.boot.add_epoch(event, before);
                 }
             }
-            Event::Environment(environment) => {
-                start.environment.push_back(*environment);
-                if start.environment.len() > MAX_WAITING {
-                    start.environment.pop_front();
-                }
-            }
-            Event::Attitude(attitude) if self.has_attitude => {
-                start.attitude.push_back(*attitude);
-                if start.attitude.len() > MAX_WAITING {
-                    start.attitude.pop_front();
-                }
-            }
+            Event::Environment(environment) => push(&mut start.environment, *environment),
+            Event::Attitude(attitude) if self.has_attitude => push(&mut start.attitude, *attitude),
             Event::Navigation(navigation) if self.stream == ExportStream::Navigation => {
                 start.navigation.push_back(*navigation);
             }
@@ -372,82 +358,72 @@ impl<'a> Table<'a> {
                 .or_else(|| Some(next.magnetic_field_nt?.map(f64::from)))
                 .map(|nt| nt.map(|axis| axis / 1000.0));
         }
-        let mut other = vec![sample.sequence.to_string()];
-        let value = if self.stream == ExportStream::Corrected {
-            other.push(u8::from(start.field_calibrated).to_string());
-            let unit = 1.0 / SpecificForceQ16::LSB_PER_MPS2;
-            let value = match self.source.link_model {
-                Some(model) => model.correct_lsb(sample.value, unit),
-                None => sample.value,
-            };
-            if self.has_gyroscope {
-                push_axes(
-                    &mut other,
-                    sample.rate.map(|rate| AngularRateQ20(rate).to_rad_s()),
-                );
+        let time_ns = self.time_ns(sample.time);
+        let is_corrected = self.stream == ExportStream::Corrected;
+        let unit = self.units.and_then(|units| units.of(sample.sequence));
+        let value = match (is_corrected, self.source.link_model, unit) {
+            (true, Some(model), _) => {
+                model.correct_lsb(sample.value, 1.0 / SpecificForceQ16::LSB_PER_MPS2)
             }
-            SpecificForceQ16(value).to_mps2().0
+            (false, Some(model), Some(unit)) => {
+                model.correct_lsb(sample.value, unit.mps2_per_lsb())
+            }
+            (false, Some(_), None) => {
+                self.without_unit += 1;
+                return Ok(());
+            }
+            (_, None, _) => sample.value,
+        };
+        let value = match is_corrected {
+            true => SpecificForceQ16(value).to_mps2().0,
+            false => value.map(f64::from),
+        };
+        let row = (self.writer.time(time_ns).vector(Some(value)))
+            .vector(self.start.field_ut)
+            .number(self.start.temperature_c)
+            .field(sample.sequence);
+        if is_corrected {
+            row.field(u8::from(self.start.field_calibrated));
+            if self.has_gyroscope {
+                row.vector(sample.rate.map(|rate| AngularRateQ20(rate).to_rad_s()));
+            }
         } else {
-            let unit = self.units.and_then(|units| units.of(sample.sequence));
-            let lsb_per_g = unit.map(|unit| unit.sensitivity.lsb_per_g());
-            self.without_unit += usize::from(unit.is_none());
-            if let Some(sensitivity) = lsb_per_g {
-                let before = self.sensitivity.replace(sensitivity);
-                self.ranges_differ |= before.is_some_and(|before| before != sensitivity);
-            }
-            other.push(lsb_per_g.map_or(String::new(), |sensitivity| sensitivity.to_string()));
+            let sensitivity = unit.map(|unit| unit.sensitivity.lsb_per_g());
+            row.number(sensitivity);
             if self.has_gyroscope {
-                push_axes(&mut other, sample.rate.map(|rate| rate.map(f64::from)));
                 let scale = unit.and_then(|unit| unit.gyroscope);
-                other
-                    .push(scale.map_or(String::new(), |nominal| nominal.rad_s_per_lsb.to_string()));
+                row.vector(sample.rate.map(|rate| rate.map(f64::from)));
+                row.field(scale.map_or(String::new(), |scale| scale.rad_s_per_lsb.to_string()));
             }
-            let value = match (self.source.link_model, unit) {
-                (Some(model), Some(unit)) => model.correct_lsb(sample.value, unit.mps2_per_lsb()),
-                (Some(_), None) => return Ok(()),
-                (None, _) => sample.value,
-            };
-            value.map(f64::from)
-        };
-        let row = Row {
-            time_ns: self.time_ns(sample.time),
-            accelerations: vec![value],
-            magnetic_field_ut: self.start.field_ut,
-            temperature_c: self.start.temperature_c,
-            other,
-        };
-        self.write(&row)
+            self.without_unit += usize::from(unit.is_none());
+            let before = sensitivity.and_then(|sensitivity| self.sensitivity.replace(sensitivity));
+            self.ranges_differ |= before.is_some_and(|before| Some(before) != sensitivity);
+        }
+        self.rows += 1;
+        self.writer.end_row()
     }
 
     fn position(&mut self, navigation: &Navigation, time: Option<DeviceTimeUs>) -> Result<()> {
-        let metres = |nm: [i64; 3]| nm.map(|nm| (nm as f64 * 1e-9).to_string());
-        let mut other = metres(navigation.position_nm).to_vec();
-        other.extend(metres(navigation.velocity_nmps));
-        other.push((f64::from(navigation.since_rest_ms) / 1000.0).to_string());
-        other.push(u8::from(navigation.flags == 0).to_string());
-        let heading_sd = navigation
-            .heading_sd_mrad
-            .map(|mrad| f64::from(mrad) * 1e-3);
-        other.push(heading_sd.map_or(String::new(), |sd| format!("{:.2}", sd.to_degrees())));
-        other.push(navigation.sequence.to_string());
+        let metres = |nm: [i64; 3]| Some(nm.map(|nm| nm as f64 * 1e-9));
+        let heading_sd = navigation.heading_sd_mrad;
+        let heading_sd = heading_sd.map(|mrad| (f64::from(mrad) * 1e-3).to_degrees());
+        let time_ns = time.and_then(|time| self.time_ns(time));
+        let row = (self.writer.time(time_ns))
+            .vector(metres(navigation.position_nm))
+            .vector(metres(navigation.velocity_nmps))
+            .field(f64::from(navigation.since_rest_ms) / 1000.0)
+            .field(u8::from(navigation.flags == 0))
+            .field(heading_sd.map_or(String::new(), |degrees| format!("{degrees:.2}")))
+            .field(navigation.sequence);
         let attitude = &mut self.start.attitude;
         let is_before =
             |next: &Attitude| sequence_order(next.sequence, navigation.sequence).is_lt();
         while pop_if(attitude, is_before).is_some() {}
         if let Some(attitude) = pop_if(attitude, |next| next.sequence == navigation.sequence) {
-            other.extend(attitude.to_quaternion().map(|part| part.to_string()));
+            row.vector(Some(attitude.to_quaternion()));
         }
-        let row = Row {
-            time_ns: time.and_then(|time| self.time_ns(time)),
-            other,
-            ..Row::default()
-        };
-        self.write(&row)
-    }
-
-    fn write(&mut self, row: &Row) -> Result<()> {
         self.rows += 1;
-        self.writer.write(row)
+        self.writer.end_row()
     }
 
     fn time_ns(&self, time: DeviceTimeUs) -> Option<i64> {
@@ -459,10 +435,60 @@ impl<'a> Table<'a> {
     }
 }
 
-fn push_axes(fields: &mut Vec<String>, axes: Option<[f64; 3]>) {
-    match axes {
-        Some(axes) => fields.extend(axes.map(|axis| axis.to_string())),
-        None => fields.extend([const { String::new() }; 3]),
+/// The columns of a table.
+fn columns(
+    stream: ExportStream,
+    sensor: u8,
+    has_gyroscope: bool,
+    has_attitude: bool,
+) -> Vec<String> {
+    let mut columns = vec![csv::TIME.to_owned()];
+    let mut add = |names: &[&str]| columns.extend(names.iter().map(|name| (*name).to_owned()));
+    if stream == ExportStream::Navigation {
+        add(&["Position E (m)", "Position N (m)", "Position U (m)"]);
+        add(&["Velocity E (m/s)", "Velocity N (m/s)", "Velocity U (m/s)"]);
+        add(&["Since Rest (s)", "Valid", "Heading SD (deg)", "Sequence"]);
+        if has_attitude {
+            add(&[
+                "Quaternion W",
+                "Quaternion X",
+                "Quaternion Y",
+                "Quaternion Z",
+            ]);
+        }
+        return columns;
+    }
+    let is_raw = stream == ExportStream::Raw;
+    let (force, rate) = if is_raw {
+        ("LSB", "LSB")
+    } else {
+        ("m/s²", "rad/s")
+    };
+    let accelerometer = match sensor {
+        0 => "Accelerometer".to_owned(),
+        _ => format!("Accelerometer {sensor}"),
+    };
+    columns.extend(csv::axes(&accelerometer, force));
+    columns.extend(csv::axes("Magnetometer", "µT"));
+    let last = if is_raw {
+        csv::SENSITIVITY
+    } else {
+        FIELD_CALIBRATED
+    };
+    columns.extend([csv::TEMPERATURE, "Sequence", last].map(str::to_owned));
+    if has_gyroscope {
+        columns.extend(csv::axes("Gyroscope", rate));
+        let scale = is_raw.then(|| "Gyroscope Scale (rad/s/LSB)".to_owned());
+        columns.extend(scale);
+    }
+    columns
+}
+
+/// Adds an item; drops the first one where too many wait.
+fn push<T>(queue: &mut VecDeque<T>, item: T) {
+    queue.push_back(item);
+    if queue.len() > MAX_WAITING {
+        queue.pop_front();
     }
 }
 

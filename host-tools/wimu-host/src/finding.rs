@@ -1,21 +1,26 @@
 //! Findings: what was noticed in data, where, and what to do about it.
 //!
 //! ```
-//! use wimu_host::finding::{Finding, FindingCode, Severity};
+//! use wimu_host::finding::{FindingCode, text};
 //!
-//! let finding = Finding::new(FindingCode::RowsMasked, Severity::Warning, "3 of 100 rows are not finite")
+//! let finding = FindingCode::RowsMasked
+//!     .warning("3 of 100 rows are not finite")
 //!     .of_sensor(1)
 //!     .between(2.0, 2.5)
 //!     .remedy("they are left out");
 //! assert_eq!(
-//!     finding.to_string(),
-//!     "sensor 1, 2.00 to 2.50 s: 3 of 100 rows are not finite; they are left out"
+//!     text(&[finding], 5),
+//!     "  warning: sensor 1, 2.00 to 2.50 s: 3 of 100 rows are not finite\n           they are left out\n"
 //! );
 //! ```
 
+use std::cmp::Reverse;
 use std::fmt;
 
 use serde::Serialize;
+
+use crate::HostError;
+use crate::plural::counted;
 
 /// Importance of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
@@ -27,17 +32,6 @@ pub enum Severity {
     Warning,
     /// There is no result.
     Error,
-}
-
-impl Severity {
-    /// Its name in texts.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Note => "note",
-            Self::Warning => "warning",
-            Self::Error => "error",
-        }
-    }
 }
 
 /// Kind of a finding, for programs.
@@ -67,6 +61,60 @@ pub enum FindingCode {
     Clock,
     /// A quantity that a calibration does not correct.
     Uncalibrated,
+    /// There is no result: the data do not support one, or the command failed.
+    NoResult,
+    /// Static poses or rests are left out, or contradict the others.
+    PosesLeftOut,
+    /// Samples are left out because their unit or time is unknown.
+    SamplesLeftOut,
+    /// Parameters that were not fitted or not observed.
+    NotObserved,
+    /// Errors of the placement in known orientations, and their repeatability.
+    Placement,
+    /// Residuals larger than those of the model, or a drift that is not linear.
+    Residuals,
+    /// The data were normalised or corrected before.
+    AlreadyCorrected,
+    /// Estimates compared with the limits of a datasheet.
+    Datasheet,
+    /// The full-scale range was assumed.
+    RangeAssumed,
+    /// The calibration cannot be pushed to a board.
+    NotForBoards,
+    /// Cross-axis sensitivity, or errors of the axes that the data cannot show.
+    Axes,
+    /// The temperature is unknown, or outside that of the calibration.
+    Temperature,
+    /// The magnetic field: too few measurements, a disturbance, or its dip.
+    MagneticField,
+    /// The output is coarser than its noise.
+    Quantisation,
+    /// The output is clipped.
+    Saturated,
+    /// A sensor gives one and the same value.
+    Frozen,
+    /// Hum, vibration, a filter or a single event: not white noise alone.
+    NotNoise,
+    /// Values that cannot be compared.
+    Incomparable,
+    /// What the format of an exported file cannot express.
+    NotExpressible,
+    /// Positions and delays of an array.
+    Geometry,
+    /// Assumptions and events of a navigation.
+    Navigation,
+}
+
+impl FindingCode {
+    /// A note of this kind; see [`Finding::new`].
+    pub fn note(self, evidence: impl Into<String>) -> Finding {
+        Finding::new(self, Severity::Note, evidence)
+    }
+
+    /// A warning of this kind; see [`Finding::new`].
+    pub fn warning(self, evidence: impl Into<String>) -> Finding {
+        Finding::new(self, Severity::Warning, evidence)
+    }
 }
 
 /// Something noticed in data.
@@ -103,6 +151,20 @@ impl Finding {
         }
     }
 
+    /// A note of all sensors and times, with what to do.
+    pub fn note(code: FindingCode, evidence: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::new(code, Severity::Note, evidence).remedy(remedy)
+    }
+
+    /// A warning of all sensors and times, with what to do.
+    pub fn warning(
+        code: FindingCode,
+        evidence: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
+        Self::new(code, Severity::Warning, evidence).remedy(remedy)
+    }
+
     /// The same, of one sensor.
     #[must_use]
     pub fn of_sensor(mut self, sensor: u8) -> Self {
@@ -125,7 +187,23 @@ impl Finding {
     }
 }
 
+/// Samples whose range is unknown, and what became of them.
+pub fn without_unit(count: usize, one: &str, what: &str) -> Option<Finding> {
+    let count = (count > 0).then(|| counted(count, one))?;
+    let cause = "their range is unknown because a time-reference message (Epoch) was lost";
+    Some(FindingCode::SamplesLeftOut.warning(format!("{count} {what}: {cause}")))
+}
+
+impl From<&HostError> for Finding {
+    fn from(error: &HostError) -> Self {
+        let location = error.location().map(|location| format!("{location}: "));
+        let evidence = location.unwrap_or_default() + error.message();
+        Self::new(FindingCode::NoResult, Severity::Error, evidence).remedy(error.remedy())
+    }
+}
+
 impl fmt::Display for Finding {
+    /// One line; the alternative form (`{:#}`) is evidence and remedy in a line each.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let sensor = self.sensor.map(|sensor| format!("sensor {sensor}"));
         let span = self
@@ -136,20 +214,76 @@ impl fmt::Display for Finding {
             write!(out, "{}: ", place.join(", "))?;
         }
         out.write_str(&self.evidence)?;
+        let next = if out.alternate() { "\n" } else { "; " };
         match self.remedy.is_empty() {
             true => Ok(()),
-            false => write!(out, "; {}", self.remedy),
+            false => write!(out, "{next}{}", self.remedy),
         }
     }
 }
 
-/// The most severe findings first, at most `most` of them, and the number left out.
-pub fn most_severe(findings: &[Finding], most: usize) -> (Vec<&Finding>, usize) {
-    let mut sorted: Vec<&Finding> = findings.iter().collect();
-    sorted.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
-    sorted.truncate(most);
-    let left = findings.len() - sorted.len();
-    (sorted, left)
+/// Findings as lines, the most severe first: at most `most` of them, then the number of the others. Without
+/// [`FindingCode::NoResult`], with which a text begins.
+pub fn text(findings: &[Finding], most: usize) -> String {
+    let is_told = |finding: &&Finding| finding.code != FindingCode::NoResult;
+    let mut sorted: Vec<&Finding> = findings.iter().filter(is_told).collect();
+    sorted.sort_by_key(|finding| Reverse(finding.severity));
+    let label = |severity: Severity| format!("  {severity:?}: ").to_lowercase();
+    let line = |finding: &&Finding| labelled(&label(finding.severity), finding);
+    let mut text: String = sorted.iter().take(most).map(line).collect();
+    if sorted.len() > most {
+        text += &format!("  {} more with --verbose\n", sorted.len() - most);
+    }
+    text
+}
+
+/// A finding behind a label, with its remedy in the next line.
+pub fn labelled(label: &str, finding: &Finding) -> String {
+    let indent = format!("\n{:1$}", "", label.len());
+    format!("{label}{}\n", format!("{finding:#}").replace('\n', &indent))
+}
+
+/// Head of a report: whether there is a result, and what was noticed.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Outcome {
+    /// `ok` or `refused`.
+    pub status: &'static str,
+    /// Why it was refused, and what to do.
+    pub reason: Option<String>,
+    /// What was noticed; a refusal, too.
+    pub findings: Vec<Finding>,
+}
+
+impl Default for Outcome {
+    fn default() -> Self {
+        Self {
+            status: "ok",
+            reason: None,
+            findings: Vec::new(),
+        }
+    }
+}
+
+impl Outcome {
+    /// Makes it a refusal.
+    pub fn refuse(&mut self, reason: impl Into<String>) {
+        let reason = reason.into();
+        let finding = Finding::new(FindingCode::NoResult, Severity::Error, &reason);
+        self.findings.push(finding);
+        (self.status, self.reason) = ("refused", Some(reason));
+    }
+
+    /// Exit code of a command that ends with it: 0, or 3 when it was refused.
+    pub fn exit_code(&self) -> u8 {
+        if self.reason.is_some() { 3 } else { 0 }
+    }
+}
+
+impl fmt::Display for Outcome {
+    /// The refusal, if it is one.
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        (self.reason.iter()).try_for_each(|reason| write!(out, "refused: {reason}"))
+    }
 }
 
 #[cfg(test)]
@@ -158,10 +292,18 @@ mod tests {
 
     #[test]
     fn the_most_severe_findings_come_first_and_the_rest_is_counted() {
-        let note = Finding::new(FindingCode::Clock, Severity::Note, "a");
-        let error = Finding::new(FindingCode::GravityMissing, Severity::Error, "b");
-        let findings = [note.clone(), error.clone(), note];
-        let (first, left) = most_severe(&findings, 1);
-        assert_eq!((first, left), (vec![&error], 2));
+        let note = FindingCode::Clock.note("a");
+        let error = Finding::new(FindingCode::GravityMissing, Severity::Error, "b").remedy("c");
+        let findings = [note.clone(), error, note];
+        let expected = "  error: b\n         c\n  note: a\n  1 more with --verbose\n";
+        assert_eq!(text(&findings, 2), expected);
+    }
+
+    #[test]
+    fn a_failure_is_a_finding() {
+        let error = crate::ErrorCode::CsvEmpty.error("no line", "check it");
+        let finding = Finding::from(&error.at("a.csv"));
+        assert_eq!(finding.to_string(), "a.csv: no line; check it");
+        assert_eq!(text(&[finding], 5), "");
     }
 }

@@ -5,8 +5,6 @@ mod archive;
 mod ardupilot;
 mod autopilot;
 mod betaflight;
-#[cfg(test)]
-mod check;
 mod ned;
 mod px4;
 mod ros;
@@ -23,6 +21,7 @@ use wimu_link::LinkRole;
 
 pub use source::Source;
 pub use summary::{Summary, TrackSummary};
+pub(crate) use table::acceleration_unit;
 
 use crate::csv::Filter;
 use crate::error::{ErrorCode, HostError, Result};
@@ -66,52 +65,17 @@ const TABLE: &str = "table";
 const UNSUPPORTED: &str = "unsupported";
 
 /// In the order in which they are tried.
+#[rustfmt::skip]
 const FORMATS: &[Format] = &[
-    Format {
-        name: OF_WIMU,
-        detect: wimu::detect,
-        read: wimu::read,
-    },
-    Format {
-        name: "ROS 1 bag",
-        detect: ros::bag::detect,
-        read: ros::bag::read,
-    },
-    Format {
-        name: "ROS 2 MCAP",
-        detect: ros::mcap::detect,
-        read: ros::mcap::read,
-    },
-    Format {
-        name: "ROS 2 sqlite",
-        detect: ros::db3::detect,
-        read: ros::db3::read,
-    },
-    Format {
-        name: "PX4 ULog",
-        detect: px4::detect,
-        read: px4::read,
-    },
-    Format {
-        name: "ArduPilot DataFlash",
-        detect: ardupilot::detect,
-        read: ardupilot::read,
-    },
-    Format {
-        name: "Betaflight blackbox",
-        detect: betaflight::detect,
-        read: betaflight::read,
-    },
-    Format {
-        name: UNSUPPORTED,
-        detect: unsupported::detect,
-        read: unsupported::read,
-    },
-    Format {
-        name: TABLE,
-        detect: table::detect,
-        read: table::read,
-    },
+    Format { name: OF_WIMU, detect: wimu::detect, read: wimu::read },
+    Format { name: "ROS 1 bag", detect: ros::bag::detect, read: ros::bag::read },
+    Format { name: "ROS 2 MCAP", detect: ros::mcap::detect, read: ros::mcap::read },
+    Format { name: "ROS 2 sqlite", detect: ros::db3::detect, read: ros::db3::read },
+    Format { name: "PX4 ULog", detect: px4::detect, read: px4::read },
+    Format { name: "ArduPilot DataFlash", detect: ardupilot::detect, read: ardupilot::read },
+    Format { name: "Betaflight blackbox", detect: betaflight::detect, read: betaflight::read },
+    Format { name: UNSUPPORTED, detect: unsupported::detect, read: unsupported::read },
+    Format { name: TABLE, detect: table::detect, read: table::read },
 ];
 
 /// Reads a file into `sink`; returns the name of its format.
@@ -198,3 +162,6 @@ pub fn load(path: &Path, options: &ReadOptions) -> Result<Recording> {
     recording.check(!options.poses)?;
     Ok(recording)
 }
+
+#[cfg(test)]
+mod tests;

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use crate::chart::Chart;
+use crate::finding::{self, Finding};
 use crate::{OutputFile, Result};
 
 /// A page that is written from top to bottom.
@@ -32,6 +33,14 @@ impl Report {
     pub fn printed(&mut self, text: &str) -> &mut Self {
         let _ = writeln!(self.body, "<pre>{}</pre>", escape(text));
         self
+    }
+
+    /// All findings, if there are any.
+    pub fn findings(&mut self, findings: &[Finding]) -> &mut Self {
+        match finding::text(findings, usize::MAX) {
+            text if text.is_empty() => self,
+            text => self.printed(text.trim_end()),
+        }
     }
 
     /// A table with a header row.

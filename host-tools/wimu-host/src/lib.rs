@@ -29,6 +29,7 @@ pub mod navigation;
 mod output_file;
 pub mod overview;
 pub mod plural;
+pub mod progress;
 pub mod recorder;
 pub mod recording;
 pub mod replay;

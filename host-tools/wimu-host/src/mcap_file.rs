@@ -19,6 +19,7 @@ use mcap::sans_io::{LinearReadEvent, LinearReader, linear_reader::LinearReaderOp
 use wimu_link::LinkRole;
 
 use crate::error::{ErrorCode, HostError, Result};
+use crate::finding::{Finding, FindingCode};
 
 mod container;
 mod reader;

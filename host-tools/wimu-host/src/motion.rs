@@ -6,8 +6,9 @@ mod table;
 
 pub(crate) use arrival::TIME_SD_S;
 pub use arrival::sampled_times;
-pub(crate) use table::OTHER_RANGE;
 pub use table::TableOptions;
+
+use crate::finding::Finding;
 
 /// A sample of one unit, corrected, body frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -80,7 +81,7 @@ pub struct MotionRecording {
     /// `Truth …` columns, where they are filled in.
     pub truth: Vec<Option<Truth>>,
     /// What was noticed at reading.
-    pub remarks: Vec<String>,
+    pub findings: Vec<Finding>,
     /// What the calibration of its accelerometer leaves unknown of a bias, scale and axes at 1 *g* among it, m/s²: one
     /// standard deviation of the worst axis; 0 where nobody says.
     pub bias_sd_mps2: f64,
@@ -104,7 +105,7 @@ impl MotionRecording {
         }
     }
 
-    /// Why there is no magnetic field, for a remark.
+    /// Why there is no magnetic field, for a finding.
     pub(crate) fn without_field(&self) -> &'static str {
         if self.field_uncalibrated {
             "there is a magnetometer, but it is not calibrated and not used (calibrate it with `wimu calibrate FILE --sensor \

@@ -24,8 +24,11 @@ mod times;
 use wimu_model::SensorId;
 
 use crate::finding::{Finding, FindingCode, Severity};
-pub(crate) use link::{FORMAT as OF_WIMU, read as read_link};
+pub(crate) use checks::Unusable;
+pub(crate) use link::{FORMAT as OF_WIMU, LinkRows};
+pub(crate) use samples::{ASSUMED_RATE_HZ, gaps_finding, no_usable_row, unit_of};
 pub use samples::{Output, OutputUnit, RateSource, Samples, Selection};
+pub(crate) use times::{BREAK_NS, REACH, rate_and_gaps};
 
 /// What a track measures, with the SI unit of its values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -263,26 +266,6 @@ impl Track {
             .filter_map(|(time, row)| Some((time, row.try_into().ok()?)))
     }
 
-    /// Multiplies the values by `factor` and names their unit SI.
-    pub fn scale_to_si(&mut self, factor: f64) {
-        self.values.iter_mut().for_each(|value| *value *= factor);
-        self.info.unit = Unit::Si;
-    }
-
-    /// Masks the rows for which `wrong` holds; returns how many were valid before.
-    pub fn mask_where(&mut self, mut wrong: impl FnMut(usize, i64, &[f64]) -> bool) -> usize {
-        let width = self.info.quantity.width();
-        let mut masked = 0;
-        for (index, valid) in self.valid.iter_mut().enumerate() {
-            let row = &self.values[index * width..(index + 1) * width];
-            if *valid && wrong(index, self.times_ns[index], row) {
-                *valid = false;
-                masked += 1;
-            }
-        }
-        masked
-    }
-
     /// Median time between rows, s; `None` with fewer than two.
     pub fn median_step_s(&self) -> Option<f64> {
         let steps = self.times_ns.windows(2).map(|pair| pair[1] - pair[0]);
@@ -337,20 +320,15 @@ impl Recording {
             .min_by_key(|track| track.info.sensor)
     }
 
-    /// Warnings and assumptions of reading as texts, but for those of which the caller speaks itself.
-    pub(crate) fn remarks(&self, of_caller: &[FindingCode]) -> Vec<String> {
-        let is_assumption = |code| {
-            matches!(
-                code,
-                FindingCode::UnitInferred | FindingCode::ZeroCount | FindingCode::GravityAdded
-            )
-        };
+    /// Warnings and assumptions of reading, but for those that the caller reports itself.
+    pub(crate) fn relevant(&self, of_caller: &[FindingCode]) -> Vec<Finding> {
+        use FindingCode::{GravityAdded, UnitInferred, ZeroCount};
         let is_news = |finding: &&Finding| {
-            let counts = finding.severity > Severity::Note || is_assumption(finding.code);
+            let assumed = matches!(finding.code, UnitInferred | ZeroCount | GravityAdded);
+            let counts = assumed || finding.severity > Severity::Note;
             counts && !of_caller.contains(&finding.code)
         };
-        let findings = self.findings.iter().filter(is_news);
-        findings.map(ToString::to_string).collect()
+        self.findings.iter().filter(is_news).cloned().collect()
     }
 
     /// Time of the first row of any track, ns on the clock of the file.

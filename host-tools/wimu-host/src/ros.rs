@@ -29,6 +29,7 @@ use wimu_model::{AngularRateQ20, DeviceTimeUs, Matrix3, SpecificForceQ16};
 
 use crate::compare::LinkModel;
 use crate::decode::{Event, Samples, sequence_order};
+use crate::finding::{Finding, FindingCode, without_unit};
 use crate::history::Boot;
 use crate::mcap_file::{RecordingReader, RecordingWriter, Wholeness};
 use crate::replay::find;
@@ -44,7 +45,7 @@ const MAX_ATTITUDES: usize = 256;
 const MAX_TIMES: usize = 4096;
 
 /// How many messages of each topic were written.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Decoded {
     /// By topic.
     pub messages: BTreeMap<String, u64>,
@@ -60,6 +61,38 @@ pub struct Decoded {
     /// Completeness of the recording.
     #[serde(flatten)]
     pub wholeness: Wholeness,
+    /// What is left out, and out of order.
+    pub findings: Vec<Finding>,
+}
+
+impl Decoded {
+    fn lacks(&self) -> Vec<Finding> {
+        let (left_out, late) = (FindingCode::SamplesLeftOut, FindingCode::TimesUnordered);
+        let lacks = [
+            (
+                left_out,
+                self.without_time,
+                "messages left out: their time is unknown",
+            ),
+            (
+                late,
+                self.late,
+                "samples are out of order: they arrived late",
+            ),
+            (
+                left_out,
+                self.unplaced,
+                "batches left out: they have no time reference",
+            ),
+        ];
+        let lacks = lacks.into_iter().filter(|(_, count, _)| *count > 0);
+        let lacks = lacks.map(|(code, count, what)| code.warning(format!("{count} {what}")));
+        let without = without_unit(self.without_unit as usize, "raw sample", "left out");
+        lacks
+            .chain(without)
+            .chain(self.wholeness.finding())
+            .collect()
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -155,6 +188,7 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
     decoder.decoded.messages = decoder.out.ros().counts();
     decoder.out.finish()?;
     decoder.decoded.wholeness = reader.wholeness();
+    decoder.decoded.findings = decoder.decoded.lacks();
     // `to` may be the same file.
     drop(reader);
     output.finish()?;

@@ -170,7 +170,7 @@ fn path(
 }
 
 fn says(path: &InertialPath, what: &str) -> bool {
-    path.remarks.iter().any(|remark| remark.contains(what))
+    path.findings.iter().any(|f| f.evidence.contains(what))
 }
 
 fn rate_rms(path: &InertialPath, rates: &[[f64; 3]]) -> f64 {
@@ -238,11 +238,11 @@ fn an_even_turn_about_the_vertical_is_no_rest() {
             let target = format!("below {most}");
             figure(&claim, format!("{rms:.3}"), &target, rms < most);
         }
-        assert!(rms < most, "{name}: {rms} {:?}", path.remarks);
+        assert!(rms < most, "{name}: {rms} {:?}", path.findings);
         assert!(
             says(&path, "even turn") && says(&path, "is assumed"),
             "{:?}",
-            path.remarks
+            path.findings
         );
     }
     // Nothing but an even turn, faster than biases explain: there is no rest.
@@ -313,7 +313,7 @@ fn a_sensor_that_fails_on_the_way_leaves_the_others_as_they_were() {
         assert!(
             says(&path, "sensor 2 (from 0)") || says(&path, "of sensor 2"),
             "{name}: {:?}",
-            path.remarks
+            path.findings
         );
     }
 }
@@ -338,7 +338,11 @@ fn a_limit_that_nobody_declared_is_found_in_the_recording() {
     println!("{beyond} samples beyond the limit, {marked} marked");
     assert!(beyond > 50 && marked * 10 >= beyond * 9 && marked <= beyond);
     let (found, _) = path(&recording, &geometry, true).unwrap();
-    assert!(says(&found, "taken for their limit"), "{:?}", found.remarks);
+    assert!(
+        says(&found, "taken for their limit"),
+        "{:?}",
+        found.findings
+    );
     let wrong = found
         .points
         .iter()
@@ -447,7 +451,7 @@ fn a_start_in_motion_is_said_and_its_velocity_unknown() {
     assert!(
         says(&path, "where the position begins"),
         "{:?}",
-        path.remarks
+        path.findings
     );
     let first = path.points.iter().position(|p| p.valid).unwrap();
     // The move ends 0.9 s after; half a second shows the rest.

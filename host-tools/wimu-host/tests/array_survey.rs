@@ -35,7 +35,12 @@ fn navigated(recording: ArrayRecording, geometry: &ArrayGeometry) -> InertialPat
 /// Shares of position's and rate's NEES below 7.81, and what is said.
 fn honest(path: &InertialPath) -> (f64, f64, String) {
     let share = |nees: &[f64]| consistency(nees).map_or(0.0, |(_, share)| share);
-    let said = path.remarks.join("; ");
+    let said = path
+        .findings
+        .iter()
+        .map(ToString::to_string)
+        .collect::<Vec<_>>()
+        .join("; ");
     (share(&path.nees), share(&path.rate_nees), said)
 }
 

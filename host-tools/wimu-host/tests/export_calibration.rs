@@ -314,7 +314,7 @@ fn autopilots_have_offset_and_scale_and_say_what_is_left_out() {
     let plain = ParameterSet::uncalibrated(4, set().sensitivity);
     let plain = export(&plain, true, folder.path());
     for target in [ExportTarget::Px4, ExportTarget::Ros, ExportTarget::Kalibr] {
-        assert!(plain.left_out(target).is_empty());
+        assert!(plain.findings(target).is_empty());
     }
     let mut biased = ParameterSet::uncalibrated(4, set().sensitivity);
     biased.model = ErrorModel::new(ErrorTerms {
@@ -322,8 +322,8 @@ fn autopilots_have_offset_and_scale_and_say_what_is_left_out() {
         ..ErrorTerms::default()
     })
     .unwrap();
-    let biased = export(&biased, true, folder.path()).left_out(ExportTarget::Ardupilot);
-    assert!(biased[0].contains("ArduPilot takes"), "{biased:?}");
+    let biased = export(&biased, true, folder.path()).findings(ExportTarget::Ardupilot);
+    assert!(biased[0].evidence.contains("ArduPilot takes"), "{biased:?}");
 }
 
 #[test]

@@ -24,7 +24,7 @@ fn file(name: &str, text: &str) -> PathBuf {
 }
 
 fn says(path: &InertialPath, what: &str) -> bool {
-    path.remarks.iter().any(|remark| remark.contains(what))
+    path.findings.iter().any(|f| f.evidence.contains(what))
 }
 
 /// What is valid is a number, and something is.
@@ -194,7 +194,7 @@ fn a_value_beyond_the_full_scale_is_left_out_as_if_it_were_missing_and_said() {
         for value in [65_536.0, -2001.0, 1e308] {
             let found = with(&[(600, 0, value)], &choice);
             let said = "the accelerometer gives more than its full scale, 2000 m/s², in 1 sample, first at 6.00 s";
-            assert!(says(&found, said), "{choice:?}: {:?}", found.remarks);
+            assert!(says(&found, said), "{choice:?}: {:?}", found.findings);
             assert_eq!(apart(&found, &missing), 0.0, "{choice:?}: {value} m/s²");
             // The path differs by no more than is known of it.
             for (found, clean) in found.points.iter().zip(&clean.points) {

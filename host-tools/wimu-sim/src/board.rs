@@ -14,7 +14,7 @@ use embassy_futures::join::join;
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embedded_hal_async::digital::Wait;
 use wimu_host::transport::Transport;
-use wimu_host::{ErrorCode, HostError, Result};
+use wimu_host::{ErrorCode, Result};
 use wimu_link::hello::{Capabilities, Part, board, sensor};
 use wimu_link::{Hello, LinkRole};
 use wimu_model::DeviceTimeUs;
@@ -551,12 +551,9 @@ impl<'a, R: VirtualBoard> SimLink<'a, R> {
         if connection.is_some() && connection == self.connection {
             return Ok(());
         }
-        Err(HostError::new(
-            ErrorCode::LinkLost,
-            "the simulated link is disconnected",
-            "connect again",
-        )
-        .at(format!("the simulated {} link", self.role)))
+        Err(ErrorCode::LinkLost
+            .error("the simulated link is disconnected", "connect again")
+            .at(format!("the simulated {} link", self.role)))
     }
 }
 
@@ -599,8 +596,7 @@ impl<R: VirtualBoard> Transport for SimLink<'_, R> {
 
     fn set_baud(&mut self, baud: u32) -> Result<()> {
         if self.baud().is_none() {
-            return Err(HostError::new(
-                ErrorCode::Usage,
+            return Err(ErrorCode::Usage.error(
                 "the simulated link has no baud rate",
                 "give a board whose link has one",
             ));

@@ -274,9 +274,8 @@ impl FirstLight {
         let report = calibrate(&data.samples(Selection::default())?, &options)?;
         match report.parameters {
             Some(set) => Ok((report, set)),
-            None => Err(HostError::new(
-                ErrorCode::DataRefused,
-                report.reason.unwrap_or_default(),
+            None => Err(ErrorCode::DataRefused.error(
+                report.outcome.reason.unwrap_or_default(),
                 "choose another seed",
             )),
         }
@@ -369,8 +368,7 @@ impl Played {
 }
 
 fn lacks(what: &str) -> HostError {
-    HostError::new(
-        ErrorCode::NoRows,
+    ErrorCode::NoRows.error(
         format!("the recording of the simulated board lacks {what}"),
         "report this as a fault of wimu",
     )

@@ -47,6 +47,9 @@ pub struct Arguments {
     /// Print JSON on stdout (streaming commands one object per line), human text on stderr
     #[arg(long, global = true)]
     pub json: bool,
+    /// Show all findings, not only the five most severe
+    #[arg(short, long, global = true)]
+    pub verbose: bool,
     #[command(subcommand)]
     pub command: Command,
 }

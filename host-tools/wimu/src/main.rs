@@ -3,6 +3,7 @@
 mod arguments;
 mod command;
 mod output;
+mod progress;
 
 use std::process::ExitCode;
 
@@ -23,7 +24,10 @@ fn main() -> ExitCode {
         Err(error) => return wrong_usage(&error),
     };
     let to_stdout = Arguments::writes_standard_output(&matches);
-    let output = Output::new(arguments.json).beside_content(to_stdout);
+    let output = Output::new(arguments.json, arguments.verbose).beside_content(to_stdout);
+    if !arguments.json {
+        progress::show();
+    }
     let done = arguments::check(&matches)
         .and_then(|()| match arguments.json && to_stdout {
             true => Err(usage(
@@ -88,7 +92,7 @@ fn wrong_usage(error: &clap::Error) -> ExitCode {
             Some(name) => format!("see `wimu {name} --help`"),
             None => "see `wimu --help`".to_owned(),
         };
-        Output::new(true).failure(&usage(message, help));
+        Output::new(true, false).failure(&usage(message, help));
     } else {
         let _ = error.print();
     }

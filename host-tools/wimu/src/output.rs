@@ -5,10 +5,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::Serialize;
 use terminal_size::terminal_size;
-use wimu_host::finding::{Finding, most_severe};
+use wimu_host::finding::{Finding, labelled, text};
 use wimu_host::{ErrorCode, HostError, Result};
 
-/// Largest number of findings in a text.
+/// Largest number of findings in a text without `--verbose`.
 const MOST_FINDINGS: usize = 5;
 
 /// Set when a write to stdout has failed.
@@ -35,22 +35,24 @@ struct Answer<'a, T> {
 
 /// A `usage` error: what is wrong, and what to do.
 pub fn usage(message: impl Into<String>, remedy: impl Into<String>) -> HostError {
-    HostError::new(ErrorCode::Usage, message, remedy)
+    ErrorCode::Usage.error(message, remedy)
 }
 
 /// With `--json`, objects go to stdout and human text to stderr; without, human text to stdout.
 #[derive(Clone, Copy)]
 pub struct Output {
     json: bool,
+    verbose: bool,
     /// Whether standard output is for the content of a file.
     content: bool,
 }
 
 impl Output {
-    /// Output with or without `--json`.
-    pub fn new(json: bool) -> Self {
+    /// Output with or without `--json` and `--verbose`.
+    pub fn new(json: bool, verbose: bool) -> Self {
         Self {
             json,
+            verbose,
             content: false,
         }
     }
@@ -82,8 +84,7 @@ impl Output {
     /// `file_failed` when a write to stdout failed. A closed pipe is no failure.
     pub fn finish() -> Result<()> {
         if FAILED.load(Ordering::Relaxed) {
-            return Err(HostError::new(
-                ErrorCode::FileFailed,
+            return Err(ErrorCode::FileFailed.error(
                 "the output could not be written to stdout",
                 "check where stdout goes, and that the disk has space",
             ));
@@ -91,15 +92,16 @@ impl Output {
         Ok(())
     }
 
-    /// Prints the most severe findings.
+    /// Prints the most severe findings, with `--verbose` all.
     pub fn findings(self, findings: &[Finding]) {
-        let (shown, left) = most_severe(findings, MOST_FINDINGS);
-        for finding in shown {
-            self.print(format!("  {}: {finding}", finding.severity.name()));
-        }
-        if left > 0 {
-            self.print(format!("  and {left} less severe findings: see --json"));
-        }
+        let most = if self.verbose {
+            usize::MAX
+        } else {
+            MOST_FINDINGS
+        };
+        text(findings, most)
+            .lines()
+            .for_each(|line| self.print(line));
     }
 
     /// Width of the terminal on stdout, characters, without the last column: some terminals wrap after it.
@@ -152,9 +154,6 @@ impl Output {
         if self.json {
             self.object(error);
         }
-        let location = error.location();
-        let location = location.map_or(String::new(), |location| format!("{location}: "));
-        let _ = writeln!(io::stderr(), "wimu: {location}{}", error.message());
-        let _ = writeln!(io::stderr(), "      {}", error.remedy());
+        let _ = write!(io::stderr(), "{}", labelled("wimu: ", &error.into()));
     }
 }

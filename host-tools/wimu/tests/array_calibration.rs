@@ -7,7 +7,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{Transcript, folder, remarks, wimu};
+use kit::{Transcript, findings, folder, wimu};
 use serde_json::Value;
 
 const G: f64 = 9.80665;
@@ -116,7 +116,7 @@ fn positions(folder: &Path) -> String {
 
 /// Bias that the navigation allows for, m/s², from the remark that states it.
 fn allowed_bias(object: &Value) -> f64 {
-    let all = remarks(object).join("\n");
+    let all = findings(object).join("\n");
     let (_, rest) = all.split_once("biases of ± ").expect(&all);
     rest.split(' ').next().unwrap().parse().unwrap()
 }
@@ -148,9 +148,9 @@ fn an_array_is_calibrated_at_once_and_its_models_serve_another_recording() {
         }
     }
     let ran = wimu(&["navigate", &later, "--geometry", &array]);
-    let with = texts.remarks("navigate, calibrated", &ran);
+    let with = texts.findings("navigate, calibrated", &ran);
     let ran = wimu(&["navigate", &later, "--geometry", &positions]);
-    let without = texts.remarks("navigate, not calibrated", &ran);
+    let without = texts.findings("navigate, not calibrated", &ran);
     assert!(allowed_bias(&with) < 0.2 * allowed_bias(&without));
     texts.check("calibrate_array");
 }
@@ -183,10 +183,10 @@ fn sensors_calibrated_one_by_one_are_handed_over_in_their_order() {
         wimu(&arguments)
     };
     let mut texts = Transcript::default();
-    let found = texts.remarks("in their order", &navigate(&[0, 1, 2, 3]));
+    let found = texts.findings("in their order", &navigate(&[0, 1, 2, 3]));
     // Gravity does not show how they are turned against each other: up to 12 mrad, 0.12 m/s².
     assert!(allowed_bias(&found) < 0.15, "{found}");
-    texts.remarks("two swapped", &navigate(&[3, 1, 2, 0]));
+    texts.findings("two swapped", &navigate(&[3, 1, 2, 0]));
     texts.fails("two of four", &navigate(&[0, 1]), 2, "usage");
     texts.check("navigate_calibrations_one_by_one");
     // Without their positions they are no array.
@@ -302,6 +302,6 @@ fn a_geometry_that_cannot_be_navigated_with_is_not_written() {
         assert!(!Path::new(&array).exists());
     }
     // The shaking is that of the sensors, not of one rigid body.
-    texts.remarks("right", &calibrate(&POSITIONS_MM));
+    texts.findings("right", &calibrate(&POSITIONS_MM));
     texts.check("calibrate_array_geometries");
 }

@@ -81,7 +81,7 @@ fn an_array_at_a_constant_rate_is_compared_with_its_truth_at_the_files_times() {
     let out = folder.path().join("path.csv").display().to_string();
     let ran = wimu(&["navigate", &input, "--geometry", &geometry, "-o", &out]);
     let mut texts = Transcript::default();
-    let report = texts.remarks("constant rate, sensor 5 dead from 5 s on", &ran);
+    let report = texts.findings("constant rate, sensor 5 dead from 5 s on", &ran);
     texts.check("navigate_array_constant_rate");
     assert!(
         report["nees"]["samples"].as_u64().unwrap() > 400,

@@ -6,7 +6,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{Background, Ran, Simulator, Transcript, folder, record_until, remarks, wimu};
+use kit::{Background, Ran, Simulator, Transcript, findings, folder, record_until, wimu};
 
 const POSITIONS: [[f64; 3]; 4] = [
     [0.05, 0.05, 0.05],
@@ -161,7 +161,7 @@ fn dead_saturated_and_missing_sensors_are_reported() {
         }
         true
     });
-    texts.remarks("sensor 2 at 0", &navigate(&board, &positions));
+    texts.findings("sensor 2 at 0", &navigate(&board, &positions));
     let board = recording(folder.path(), |k, fields| {
         if (200..210).contains(&k) {
             fields[4] = "1000000".to_owned();
@@ -169,7 +169,7 @@ fn dead_saturated_and_missing_sensors_are_reported() {
         true
     });
     let case = "10 outputs beyond full scale";
-    texts.remarks(case, &navigate(&board, &positions));
+    texts.findings(case, &navigate(&board, &positions));
     // In counts the limit is known.
     let counts = fs::read_to_string(&board).unwrap();
     fs::write(&board, counts.replace("(m/s²)", "(LSB)")).unwrap();
@@ -181,7 +181,7 @@ fn dead_saturated_and_missing_sensors_are_reported() {
         ]
         .concat(),
     );
-    texts.remarks("the same in counts", &ran);
+    texts.findings("the same in counts", &ran);
     let board = recording(folder.path(), |_, fields| {
         for field in &mut fields[4..] {
             *field = "0".to_owned();
@@ -199,28 +199,28 @@ fn gaps_times_that_jump_and_values_that_are_no_number_are_reported() {
     let folder = folder();
     let positions = geometry(folder.path(), &POSITIONS);
     let board = recording(folder.path(), |k, _| !(150..200).contains(&k));
-    texts.remarks("gap", &navigate(&board, &positions));
+    texts.findings("gap", &navigate(&board, &positions));
     let board = recording(folder.path(), |k, fields| {
         if k == 100 {
             fields[0] = "0.5".to_owned();
         }
         true
     });
-    texts.remarks("time goes back", &navigate(&board, &positions));
+    texts.findings("time goes back", &navigate(&board, &positions));
     let board = recording(folder.path(), |k, fields| {
         if k == 100 {
             fields[5] = "NuN".to_owned();
         }
         true
     });
-    texts.remarks("no number", &navigate(&board, &positions));
+    texts.findings("no number", &navigate(&board, &positions));
     let board = recording(folder.path(), |k, fields| {
         if k == 100 {
             fields[0] = fields[0].replace("1.000", "0.990");
         }
         true
     });
-    texts.remarks("a time twice", &navigate(&board, &positions));
+    texts.findings("a time twice", &navigate(&board, &positions));
     // It never rests.
     let board = recording(folder.path(), |k, fields| {
         for (i, field) in fields[1..].iter_mut().enumerate() {
@@ -261,8 +261,8 @@ fn wireless_boards_on_one_body_are_brought_together_by_their_clocks() {
     assert!(object["valid_share"].as_f64().unwrap() > 0.6, "{object}");
     // Each board's clock is reported under the name of its recording.
     for name in &files {
-        let clocks = remarks(&object).into_iter();
-        let clocks = clocks.filter(|text| text.starts_with(name));
+        let clocks = findings(&object).into_iter();
+        let clocks = clocks.filter(|text| text.contains(&format!(": {name}")));
         assert_eq!(clocks.count(), 2, "{object}");
     }
     // A calibration of them as one array reads the raw samples of both; one side up does not suffice.
@@ -289,14 +289,14 @@ fn missing_samples_and_spikes_of_one_sensor_are_left_out() {
         }
         true
     });
-    texts.remarks("missing samples", &navigate(&board, &positions));
+    texts.findings("missing samples", &navigate(&board, &positions));
     let board = recording(folder.path(), |k, fields| {
         if k % 17 == 3 {
             fields[10 + k % 3] = format!("{}", 40.0 + k as f64);
         }
         true
     });
-    let object = texts.remarks("spikes", &navigate(&board, &positions));
+    let object = texts.findings("spikes", &navigate(&board, &positions));
     assert_eq!(object["final_valid"], true);
     texts.check("navigate_array_missing_samples");
 }
@@ -311,7 +311,7 @@ fn delays_that_the_geometry_gives_are_not_remarked() {
     let known = serde_json::json!({"schema": "wimu.array/1", "sensors": sensors}).to_string();
     let known = written(folder.path(), "known.json", &known);
     let mut texts = Transcript::default();
-    let object = texts.remarks("delays of 0 to 750 µs", &navigate(&board, &known));
+    let object = texts.findings("delays of 0 to 750 µs", &navigate(&board, &known));
     assert_eq!(object["final_valid"], true);
     texts.check("navigate_array_known_delays");
 }
@@ -322,9 +322,9 @@ fn the_reference_point_of_a_path_and_unchecked_positions_are_remarked() {
     let board = recording(folder.path(), |_, _| true);
     let mut texts = Transcript::default();
     let centred = geometry(folder.path(), &POSITIONS);
-    texts.remarks("origin at the centre", &navigate(&board, &centred));
+    texts.findings("origin at the centre", &navigate(&board, &centred));
     let beside = POSITIONS.map(|[x, y, z]| [x + 0.1, y, z]);
     let beside = geometry(folder.path(), &beside);
-    texts.remarks("origin 100 mm beside", &navigate(&board, &beside));
+    texts.findings("origin 100 mm beside", &navigate(&board, &beside));
     texts.check("navigate_array_reference_point");
 }

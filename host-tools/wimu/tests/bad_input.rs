@@ -93,7 +93,7 @@ fn fewer_poses_than_parameters_are_refused_with_what_to_add() {
     for model in ["6", "3"] {
         let ran = calibrate(&six, &["--poses", "--model", model]);
         match ran.code {
-            0 => texts.remarks(model, &ran),
+            0 => texts.findings(model, &ran),
             _ => texts.refuses(model, &ran),
         };
     }
@@ -101,7 +101,7 @@ fn fewer_poses_than_parameters_are_refused_with_what_to_add() {
         refused(&mut texts, method, &six, &["--poses", "--method", method]);
     }
     let auto = calibrate(&six, &["--poses", "--model", "auto"]);
-    texts.remarks("auto", &auto);
+    texts.findings("auto", &auto);
     texts.check("calibrate_too_few_poses");
 }
 
@@ -175,7 +175,7 @@ fn swapped_and_mirrored_axes_are_found_with_known_sides_and_remarked_as_possible
     let mut texts = Transcript::default();
     let swapped = changed(30, |_, [x, y, z]| [y, x, z]);
     let ran = calibrate(&table("m/s²", &swapped), &["--poses"]);
-    texts.remarks("swapped, sides not given", &ran);
+    texts.findings("swapped, sides not given", &ran);
     let faces: Vec<_> = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
         .into_iter()
         .flat_map(|up| [up, up.map(|c: f64| -c)])
@@ -188,7 +188,7 @@ fn swapped_and_mirrored_axes_are_found_with_known_sides_and_remarked_as_possible
         "--sides",
         "x,-x,y,-y,z,-z",
     ];
-    let good = texts.remarks("right", &calibrate(&table("m/s²", &faces), &given));
+    let good = texts.findings("right", &calibrate(&table("m/s²", &faces), &given));
     near_truth(&good, 0.01);
     for (change, case) in [
         (
@@ -303,7 +303,7 @@ fn recordings_in_motion_and_broken_files_are_reported() {
             _ => format!("{line}\n"),
         })
         .collect();
-    texts.remarks("times in µs called s", &calibrate(&scaled, &[]));
+    texts.findings("times in µs called s", &calibrate(&scaled, &[]));
     texts.check("calibrate_recordings_in_motion");
 }
 
@@ -361,7 +361,7 @@ fn a_sensitivity_that_no_board_stores_gives_a_calibration_without_parameters() {
     let counts = changed(20, |_, y| y.map(|c| c * 64.0 / G));
     let mut texts = Transcript::default();
     let ran = calibrate(&table("LSB", &counts), &["--poses"]);
-    let object = texts.remarks("64 LSB/g", &ran);
+    let object = texts.findings("64 LSB/g", &ran);
     assert!((object["sensitivity_lsb_per_g"].as_f64().unwrap() - 64.2).abs() < 0.2);
     assert!(object["parameters"].is_null());
     texts.check("calibrate_sensitivity_below_a_boards");

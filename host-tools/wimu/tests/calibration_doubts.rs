@@ -128,7 +128,7 @@ fn an_axle_off_level_is_remarked_and_beyond_a_possible_bias_refused() {
         let flags = ["--poses", "--method", method];
         let level = run(&turn(steps, 0.0), &flags).succeeds();
         let ran = run(&turn(steps, 9.0), &flags);
-        let tilted = texts.remarks(format_args!("{method}, 9° from level"), &ran);
+        let tilted = texts.findings(format_args!("{method}, 9° from level"), &ran);
         let scale = |report: &serde_json::Value| {
             let half = report["half_width_95"][3].as_f64().unwrap();
             (report["model"]["matrix"][0][0].as_f64().unwrap(), half)
@@ -162,7 +162,7 @@ fn a_rotation_that_returns_to_its_start_counts_and_misalignment_is_no_error() {
         let once = run(&turn(steps, steps), &flags).succeeds();
         for poses in [steps + 1, 2 * steps + 1] {
             let ran = run(&turn(steps, poses), &flags);
-            let closed = texts.remarks(format_args!("{method}, {poses} poses"), &ran);
+            let closed = texts.findings(format_args!("{method}, {poses} poses"), &ran);
             assert_eq!(closed["poses"], poses - 1);
             let bias = |report: &serde_json::Value| report["model"]["bias_m_s2"][0].as_f64();
             let apart = bias(&closed).unwrap() - bias(&once).unwrap();
@@ -184,8 +184,8 @@ fn a_bias_that_does_not_drift_linearly_is_remarked() {
         run(&means(&ups, moved), &["--poses", "--model", "9+drift"])
     };
     let mut texts = Transcript::default();
-    texts.remarks("exponential", &drifting(&|s| 1.0 - (-5.0 * s).exp()));
-    texts.remarks("linear", &drifting(&|s| s));
+    texts.findings("exponential", &drifting(&|s| 1.0 - (-5.0 * s).exp()));
+    texts.findings("linear", &drifting(&|s| s));
     texts.check("calibrate_drift");
 }
 
@@ -197,9 +197,9 @@ fn poses_that_were_divided_by_their_length_are_remarked() {
     };
     let mut texts = Transcript::default();
     let divided = means(&spread(20), normal);
-    texts.remarks("divided", &run(&divided, &["--poses"]));
+    texts.findings("divided", &run(&divided, &["--poses"]));
     let plain = means(&spread(20), |_, force| force);
-    texts.remarks("plain", &run(&plain, &["--poses"]));
+    texts.findings("plain", &run(&plain, &["--poses"]));
     texts.check("calibrate_normalised_poses");
 }
 
@@ -248,7 +248,7 @@ fn two_poses_in_g_are_left_out_and_remarked() {
         |k, mean| if k < 2 { mean.map(|y| y / G) } else { mean },
     );
     let mut texts = Transcript::default();
-    let report = texts.remarks("2 of 24", &run(&text, &["--poses"]));
+    let report = texts.findings("2 of 24", &run(&text, &["--poses"]));
     texts.check("calibrate_two_poses_in_g");
     let mut left_out: Vec<u64> = report["rejected_poses"]
         .as_array()

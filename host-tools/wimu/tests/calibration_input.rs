@@ -31,16 +31,16 @@ fn allan_refuses_a_wrong_unit_and_remarks_counts_coarser_than_the_noise() {
         wimu(&["allan", &csv])
     };
     let fine = run(at_rest(|f| f, "m/s²")).succeeds();
-    assert_eq!(fine["remarks"].as_array().unwrap().len(), 0, "{fine}");
+    assert_eq!(fine["findings"].as_array().unwrap().len(), 0, "{fine}");
     assert_eq!(fine["axes"][0]["is_coarse"], false);
 
     texts.refuses("g called m/s²", &run(at_rest(|f| f / 9.80665, "m/s²")));
     texts.refuses("m/s² called g", &run(at_rest(|f| f, "g")));
 
     let ran = run(at_rest(|f| (f / 0.04).round() * 0.04, "m/s²"));
-    let coarse = texts.remarks("steps of 0.04 m/s²", &ran);
+    let coarse = texts.findings("steps of 0.04 m/s²", &ran);
     assert_eq!(coarse["axes"][2]["is_coarse"], true, "{coarse}");
-    texts.remarks("clipped", &run(at_rest(|f| f.min(9.81), "m/s²")));
+    texts.findings("clipped", &run(at_rest(|f| f.min(9.81), "m/s²")));
     texts.check("allan_units_and_steps");
 }
 
@@ -304,7 +304,7 @@ fn repeated_rows_add_no_information() {
     };
     let once = run(rows(14, 1), "9").succeeds();
     let mut texts = Transcript::default();
-    let often = texts.remarks("14 poses four times", &run(rows(14, 4), "9"));
+    let often = texts.findings("14 poses four times", &run(rows(14, 4), "9"));
     assert_eq!(once["half_width_95"], often["half_width_95"]);
     assert_eq!(often["dof"], 5);
     texts.refuses("9 poses twice", &run(rows(9, 2), "9"));

@@ -82,7 +82,7 @@ fn a_sensor_of_20_bits_is_calibrated_for_its_board() {
     let text = six_sides(256_000.0, [0.1, -0.12, 0.05], f64::round);
     let flags = ["--method", "six-position", "--sensitivity", "256000"];
     let mut texts = Transcript::default();
-    let report = texts.remarks("256000 LSB/g", &calibrated(&text, &flags));
+    let report = texts.findings("256000 LSB/g", &calibrated(&text, &flags));
     assert!(report["parameters"].is_object(), "{report}");
     let ran = calibrated(&text, &["--sensitivity", "1e12"]);
     texts.fails("1e12 LSB/g", &ran, 2, "usage");

@@ -56,7 +56,7 @@ fn a_pause_of_the_logger_is_part_of_the_time_that_a_drift_takes() {
     for pause_s in [0.0, 1200.0] {
         fs::write(&csv, turned(&ups, drift, pause_s)).unwrap();
         let ran = wimu(&of);
-        let report = texts.remarks(format_args!("pause of {pause_s} s"), &ran);
+        let report = texts.findings(format_args!("pause of {pause_s} s"), &ran);
         assert_eq!(report["poses"], 24, "{report}");
         let span = report["drift"]["span_s"].as_f64().unwrap();
         let poses = report["static_poses"].as_array().unwrap();
@@ -103,7 +103,7 @@ fn the_noise_is_not_taken_across_a_pause() {
     // The change of bias within the pause does not show.
     let mut texts = Transcript::default();
     let still = run(0.0).succeeds();
-    let moved = texts.remarks("pause of 100 s", &run(0.05));
+    let moved = texts.findings("pause of 100 s", &run(0.05));
     texts.check("allan_pause");
     let curve = |report: &Value| -> Vec<f64> {
         let points = report["points"].as_array().unwrap().iter();
@@ -145,21 +145,21 @@ fn a_range_that_is_not_given_is_remarked_as_assumed() {
         "-o",
         &cal,
     ];
-    let guessed = texts.remarks("no range", &wimu(&of));
+    let guessed = texts.findings("no range", &wimu(&of));
     assert_eq!(guessed["range_source"], "sixteen_bits");
     assert!(guessed["units"]["bias_percent_of_full_scale"].is_null());
     let export = ["export", &cal, "--format", "c", "-o", &header];
-    texts.remarks("no range, exported", &wimu(&export));
+    texts.findings("no range, exported", &wimu(&export));
 
     let ran = wimu(&[&of[..], &["--range", "2"]].concat());
-    let given = texts.remarks("--range 2", &ran);
+    let given = texts.findings("--range 2", &ran);
     assert_eq!(given["parameters"]["range_g"], 2);
     assert_eq!(
         (&given["range_g"], &given["range_source"]),
         (&2.into(), &"given".into())
     );
     assert!(given["units"]["bias_percent_of_full_scale"].is_array());
-    assert_eq!(wimu(&export).succeeds()["remarks"], serde_json::json!([]));
+    assert_eq!(wimu(&export).succeeds()["findings"], serde_json::json!([]));
     for wrong in ["0", "128", "-2", "two"] {
         assert_eq!(wimu(&[&of[..], &["--range", wrong]].concat()).code, 2);
     }
@@ -219,7 +219,7 @@ fn poses_count_by_their_samples_where_these_make_a_difference() {
             fs::write(&csv, table(&mut rough, column)).unwrap();
             let ran = wimu(&of);
             let report = match round {
-                0 => texts.remarks(format_args!("column `Samples`: {column}"), &ran),
+                0 => texts.findings(format_args!("column `Samples`: {column}"), &ran),
                 _ => ran.succeeds(),
             };
             *(if column { &mut with } else { &mut without }) += bias(&report).powi(2);

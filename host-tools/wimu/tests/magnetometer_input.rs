@@ -93,7 +93,7 @@ fn every_bad_input_is_named_and_none_becomes_a_calibration() {
     let page = path("page.html");
     for (unit, per_ut) in [("µT", 1.0), ("uT", 1.0), ("T", 1e-6), ("G", 0.01)] {
         let scaled = changed(&|_, field| *field = field.map(|axis| axis * per_ut));
-        let report = texts.remarks(unit, &run(&scaled, unit, &page));
+        let report = texts.findings(unit, &run(&scaled, unit, &page));
         assert!(near(&hard_iron(&report)), "{unit}: {report}");
         assert!((report["dip_deg"].as_f64().unwrap() - 65.6).abs() < 0.5);
     }
@@ -106,7 +106,7 @@ fn every_bad_input_is_named_and_none_becomes_a_calibration() {
         }
     });
     let ran = run(&beside, "µT", &page);
-    let report = texts.remarks("disturbed in two poses", &ran);
+    let report = texts.findings("disturbed in two poses", &ran);
     let rejected: Vec<u64> = report["rejected_poses"]
         .as_array()
         .unwrap()
@@ -168,8 +168,8 @@ fn every_bad_input_is_named_and_none_becomes_a_calibration() {
         wimu(&[&of[..], &[both.as_str()], &with].concat())
     };
     let south = dipping("-60").succeeds();
-    assert_eq!(south["remarks"].as_array().unwrap().len(), 0, "{south}");
-    texts.remarks("axis Y negated, --dip -30", &dipping("-30"));
+    assert_eq!(south["findings"].as_array().unwrap().len(), 0, "{south}");
+    texts.findings("axis Y negated, --dip -30", &dipping("-30"));
     texts.refuses("axis Y negated, --dip 60", &dipping("60"));
     dipping("100").fails(2, "usage");
 

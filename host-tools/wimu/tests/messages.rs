@@ -167,7 +167,7 @@ fn a_magnetometer_that_is_not_calibrated_is_not_called_absent() {
         }
         fs::write(&path, text).unwrap();
         let ran = wimu(&["navigate", path.to_str().unwrap(), "--method", "tilt"]);
-        texts.remarks(case, &ran);
+        texts.findings(case, &ran);
     }
     texts.check("navigate_magnetometer");
 }

@@ -408,7 +408,7 @@ fn two_rests_or_a_push_align_the_sensor_with_its_body() {
     // Without -o it is printed; a table needs a file.
     let ran = wimu(&["export", &aligned, "--format", "kalibr"]);
     let mut texts = Transcript::default();
-    let printed = texts.remarks("export --format kalibr", &ran);
+    let printed = texts.findings("export --format kalibr", &ran);
     texts.check("export_kalibr");
     let text = printed["text"].as_str().unwrap();
     assert_eq!(text, fs::read_to_string(path("kalibr")).unwrap());

@@ -153,7 +153,7 @@ fn every_method_writes_the_promised_columns_and_keys_and_a_report() {
         assert!(number(&report, "/nees/samples") > 100.0);
         assert!(number(&report, "/nees/share_below_7_81") > 0.85, "{report}");
         number(&report, "/nees/median");
-        assert!(report["remarks"].is_array() && report["drift"].is_null());
+        assert!(report["findings"].is_array() && report["drift"].is_null());
         if method != "auto" {
             texts.text(format_args!("navigate --method {method}"), &ran);
         }
@@ -220,7 +220,7 @@ fn a_missing_magnetometer_a_magnet_and_a_start_in_motion_are_reported() {
     let mut remark = |made: Made, case: &str| {
         let csv = made.write(folder.path(), "in.csv");
         let ran = wimu(&["navigate", &csv, "--method", "tilt"]);
-        texts.remarks(case, &ran);
+        texts.findings(case, &ran);
     };
     let without = Made {
         field: false,
@@ -261,26 +261,26 @@ fn gaps_repeated_times_and_damaged_rows_are_reported() {
         path.display().to_string()
     };
     let gap = write("gap.csv", &[&lines[..320], &lines[370..]].concat());
-    let report = texts.remarks("gap of 0.5 s", &wimu(&["navigate", &gap]));
+    let report = texts.findings("gap of 0.5 s", &wimu(&["navigate", &gap]));
     assert!(number(&report, "/valid_share") < 0.95);
     let still = write("still.csv", &[&lines[..320], &lines[319..]].concat());
-    texts.remarks("a time twice", &wimu(&["navigate", &still]));
+    texts.findings("a time twice", &wimu(&["navigate", &still]));
 
     let back = write("back.csv", &[&lines[..320], &lines[100..]].concat());
-    texts.remarks("back", &wimu(&["navigate", &back]));
+    texts.findings("back", &wimu(&["navigate", &back]));
     let broken = lines[300].replacen(",", ",NaN,", 1);
     let nan = write(
         "nan.csv",
         &[&lines[..300], &[&broken[..]], &lines[301..]].concat(),
     );
-    texts.remarks("field", &wimu(&["navigate", &nan]));
+    texts.findings("field", &wimu(&["navigate", &nan]));
     let mut cells: Vec<&str> = lines[300].split(',').collect();
     cells[2] = "N.N";
     let nan = write(
         "nan2.csv",
         &[&lines[..300], &[&cells.join(",")[..]], &lines[301..]].concat(),
     );
-    texts.remarks("number", &wimu(&["navigate", &nan]));
+    texts.findings("number", &wimu(&["navigate", &nan]));
     let short = write("short.csv", &lines[..2]);
     texts.fails("one row", &wimu(&["navigate", &short]), 2, "no_rows");
     let counts = lines[0].replace("(m/s²)", "(LSB)");
@@ -340,7 +340,7 @@ fn how_the_bias_settles_is_fitted_to_a_recording_at_rest_and_taken_out() {
     write(0.08);
     let ran = wimu(&["navigate", &csv, "--drift", &path]);
     let mut texts = Transcript::default();
-    let report = texts.remarks("bias drift of 0.08 m/s²", &ran);
+    let report = texts.findings("bias drift of 0.08 m/s²", &ran);
     let (rise, sd) = (
         number(&report, "/drift/rise_m_s2/0"),
         number(&report, "/drift/rise_sd_m_s2/0"),

@@ -84,16 +84,16 @@ fn a_calibration_from_a_table_corrects_the_tables_of_its_unit() {
             &model,
         ];
         let case = format!("{other}, calibrated in {unit}");
-        let report = texts.remarks(case, &wimu(&run));
+        let report = texts.findings(case, &wimu(&run));
         let length = report["moves"][0]["length_m"].as_f64().unwrap();
         assert!((length - 0.4).abs() < 0.003, "{unit} {other}: {length}");
         let ran = wimu(&["navigate", &csv, "--calibration", &model]);
-        texts.remarks("the same, tilt", &ran);
+        texts.findings("the same, tilt", &ran);
     }
     // Without it the scale factor is 2 % off, and gravity 2.5 %.
     let csv = write(folder.path(), "slide.csv", "m/s²", &slide());
     let ran = wimu(&["navigate", &csv, "--method", "slide"]);
-    let report = texts.remarks("not calibrated", &ran);
+    let report = texts.findings("not calibrated", &ran);
     let length = report["moves"][0]["length_m"].as_f64().unwrap();
     assert!((length - 0.4).abs() > 0.006, "{length}");
     texts.check("navigate_calibrated");
@@ -125,7 +125,7 @@ fn a_calibration_of_another_unit_is_refused_and_each_remedy_works() {
     run(&counts, &["--calibration", &of_counts]).succeeds();
     run(&counts, &["--calibration", &of_si, "--sensitivity", "4096"]).succeeds();
     let ran = run(&counts, &["--sensitivity", "4096"]);
-    texts.remarks("counts, sensitivity alone", &ran);
+    texts.findings("counts, sensitivity alone", &ran);
     let twice = ["--calibration", &of_si, "--calibration", &of_si];
     texts.fails("two calibrations", &run(&si, &twice), 2, "usage");
     texts.check("navigate_calibration_of_another_unit");

@@ -6,7 +6,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{Transcript, folder, record_motion, remarks, wimu};
+use kit::{Transcript, findings, folder, record_motion, wimu};
 use serde_json::Value;
 use wimu_testkit::trials;
 
@@ -125,7 +125,7 @@ fn a_dead_axis_is_reported_and_invalidates_what_depends_on_it() {
     let csv = write(folder.path(), &header, &samples);
     for method in ["strapdown", "slide"] {
         let ran = wimu(&["navigate", &csv, "--method", method]);
-        let report = texts.remarks(format_args!("accelerometer Y, {method}"), &ran);
+        let report = texts.findings(format_args!("accelerometer Y, {method}"), &ran);
         assert!(number(&report, "/valid_share") < 0.4, "{report}");
     }
     // Shaken about y from the first move on, the gyroscope's z stuck.
@@ -137,7 +137,7 @@ fn a_dead_axis_is_reported_and_invalidates_what_depends_on_it() {
     }
     let csv = write(folder.path(), &header, &samples);
     let ran = wimu(&["navigate", &csv, "--method", "strapdown"]);
-    let report = texts.remarks("gyroscope Z", &ran);
+    let report = texts.findings("gyroscope Z", &ran);
     assert!(number(&report, "/nees/share_below_7_81") > 0.9, "{report}");
     // Laid on its side at the end, and all of the gyroscope silent.
     let mut samples = moves(0.4, 1.0);
@@ -150,7 +150,7 @@ fn a_dead_axis_is_reported_and_invalidates_what_depends_on_it() {
         }
     }
     let csv = write(folder.path(), &header, &samples);
-    texts.remarks("gyroscope, all axes", &wimu(&["navigate", &csv]));
+    texts.findings("gyroscope, all axes", &wimu(&["navigate", &csv]));
     texts.check("navigate_dead_axes");
 }
 
@@ -169,7 +169,7 @@ fn a_frozen_accelerometer_is_invalid_and_coarse_steps_and_held_samples_are_not_f
     for sample in &mut samples[241..] {
         sample.force = last;
     }
-    let report = texts.remarks("frozen", &ran(&samples));
+    let report = texts.findings("frozen", &ran(&samples));
     assert!(number(&report, "/valid_share") < 241.0 / 950.0, "{report}");
     assert!(number(&report, "/nees/share_below_7_81") > 0.9, "{report}");
     // Steps larger than the noise at rest.
@@ -177,13 +177,13 @@ fn a_frozen_accelerometer_is_invalid_and_coarse_steps_and_held_samples_are_not_f
     for sample in &mut samples {
         sample.force = sample.force.map(|f| (f / 0.15).round() * 0.15);
     }
-    texts.remarks("coarse steps", &ran(&samples));
+    texts.findings("coarse steps", &ran(&samples));
     // A fifth of the rate.
     let mut samples = moves(0.4, 1.0);
     for k in 0..samples.len() {
         samples[k].force = samples[k - k % 5].force;
     }
-    texts.remarks("held samples", &ran(&samples));
+    texts.findings("held samples", &ran(&samples));
     texts.check("navigate_frozen_accelerometer");
 }
 
@@ -199,7 +199,7 @@ fn columns_that_are_nearly_right_are_refused_or_remarked() {
     let missing = ran(&RATE.replace("Gyroscope Y (rad/s)", "Other"), "");
     texts.fails("no Gyroscope Y", &missing, 2, "csv_missing_column");
     let mm = ran(RATE, &TRUTH.replace("Position E (m)", "Position E (mm)"));
-    texts.remarks("truth in mm", &mm);
+    texts.findings("truth in mm", &mm);
     let rpm = ran(&RATE.replace("Z (rad/s)", "Z (rpm)"), "");
     texts.fails("rpm", &rpm, 2, "csv_missing_column");
     let gyro = ran(&RATE.replace("Gyroscope", "Gyro "), "");
@@ -228,7 +228,7 @@ fn without_a_rest_at_the_start_the_origin_is_the_first_rest() {
     );
     for method in ["strapdown", "tilt"] {
         let ran = wimu(&["navigate", &csv, "--method", method]);
-        let report = texts.remarks(method, &ran);
+        let report = texts.findings(method, &ran);
         let below = number(&report, "/nees/share_below_7_81");
         assert!(method == "tilt" || below > 0.9, "{report}");
     }
@@ -259,7 +259,7 @@ fn constant_velocity_after_an_acceleration_is_tracked_with_a_gyroscope() {
     let csv = write(folder.path(), &format!("{FORCE}{RATE}{TRUTH}"), &samples);
     let ran = wimu(&["navigate", &csv, "--method", "strapdown"]);
     let mut texts = Transcript::default();
-    let report = texts.remarks("1 m/s for 8 s", &ran);
+    let report = texts.findings("1 m/s for 8 s", &ran);
     texts.check("navigate_constant_velocity");
     assert!(number(&report, "/nees/share_below_7_81") > 0.95, "{report}");
     let end = number(&report, "/final_position_m/0");
@@ -287,8 +287,8 @@ fn a_recording_and_the_table_exported_from_it_give_the_same_path() {
     }
     // The board's magnetometer is not calibrated: both leave it out.
     let mut texts = Transcript::default();
-    texts.list("recording", remarks(of_session));
-    texts.list("table", remarks(&of_table));
+    texts.list("recording", findings(of_session));
+    texts.list("table", findings(&of_table));
     let ran = wimu(&["navigate", &session, "--method", "strapdown"]);
     texts.fails("recording, strapdown", &ran, 3, "data_refused");
     texts.check("navigate_recording_and_table");
@@ -340,7 +340,7 @@ fn undetected_velocity_at_rests_is_reported_and_clipped_samples_are_invalid() {
     }
     let ran = wimu(&["navigate", &write(folder.path(), &header, &samples)]);
     let mut texts = Transcript::default();
-    let report = texts.remarks("6 samples at 2 g", &ran);
+    let report = texts.findings("6 samples at 2 g", &ran);
     assert!(number(&report, "/valid_share") < 0.95, "{report}");
     texts.check("navigate_clipped");
 }
@@ -361,7 +361,7 @@ fn a_short_failure_of_the_gyroscope_is_bridged_and_reported() {
     fs::write(&csv, text.lines().enumerate().map(cut).collect::<String>()).unwrap();
     let mut texts = Transcript::default();
     let ran = wimu(&["navigate", &csv, "--zupt", "on"]);
-    let report = texts.remarks("20 samples missing", &ran);
+    let report = texts.findings("20 samples missing", &ran);
     texts.check("navigate_gyroscope_fails");
     assert!(number(&report, "/nees/share_below_7_81") > 0.9, "{report}");
     assert!(number(&report, "/valid_share") > 0.8, "{report}");
@@ -386,7 +386,7 @@ fn samples_that_are_no_numbers_count_as_missing_and_many_of_them_are_refused() {
     for method in ["strapdown", "tilt", "slide"] {
         // Single samples, as if their lines were missing.
         let ran = run(&|k| k % 97 == 50, method);
-        let report = texts.remarks(format_args!("one of 97, {method}"), &ran);
+        let report = texts.findings(format_args!("one of 97, {method}"), &ran);
         assert!(number(&report, "/valid_share") > 0.5, "{report}");
         assert!(
             number(&report, "/nees/share_below_7_81") > 0.9,
@@ -397,7 +397,7 @@ fn samples_that_are_no_numbers_count_as_missing_and_many_of_them_are_refused() {
         assert_eq!(report["final_valid"], false, "{report}");
         // Too long to be bridged.
         let ran = run(&|k| (230..270).contains(&k), method);
-        let report = texts.remarks(format_args!("0.4 s, {method}"), &ran);
+        let report = texts.findings(format_args!("0.4 s, {method}"), &ran);
         assert!(number(&report, "/valid_share") < 0.97, "{report}");
     }
     let ran = run(&|k| k > 300, "tilt");
@@ -423,7 +423,7 @@ fn outliers_are_left_out_and_a_recording_of_outliers_is_refused() {
     for method in ["strapdown", "tilt", "slide"] {
         for value in [65_536.0, 1e308] {
             let ran = run(&|k| k == 300, value, method);
-            let report = texts.remarks(format_args!("{value:e}, {method}"), &ran);
+            let report = texts.findings(format_args!("{value:e}, {method}"), &ran);
             assert!(number(&report, "/distance_m") < 5.0, "{report}");
             assert!(number(&report, "/nees/share_below_7_81") > 0.9, "{report}");
         }
@@ -454,7 +454,7 @@ fn a_coarse_axis_that_repeats_itself_is_not_dead() {
         }
         let report = wimu(&["navigate", &write(folder.path(), FORCE, &samples)]).succeeds();
         // A dead axis would be a remark more.
-        let count = remarks(&report).len();
+        let count = findings(&report).len();
         assert_eq!(*expected.get_or_insert(count), count, "{seed}: {report}");
         assert!(number(&report, "/valid_share") > 0.0, "{seed}: {report}");
     }
@@ -476,7 +476,7 @@ fn a_constant_magnetometer_of_a_tilting_unit_is_left_out_and_reported() {
     let path = folder.path().join("dead.csv").display().to_string();
     fs::write(&path, text).unwrap();
     let mut texts = Transcript::default();
-    texts.remarks("constant magnetometer", &wimu(&["navigate", &path]));
+    texts.findings("constant magnetometer", &wimu(&["navigate", &path]));
     texts.check("navigate_constant_magnetometer");
 }
 
@@ -500,7 +500,7 @@ fn a_gyroscope_that_warms_up_over_a_long_first_rest_is_navigated() {
         let csv = write(folder.path(), &format!("{FORCE}{RATE}{TRUTH}"), &all);
         let ran = wimu(&["navigate", &csv, "--method", "strapdown", "--zupt", "on"]);
         let case = format!("{warms} °/s, rest of {rest_s} s");
-        let report = texts.remarks(case, &ran);
+        let report = texts.findings(case, &ran);
         assert!(
             number(&report, "/nees/share_below_7_81") > 0.9,
             "{rest_s} {warms} {report}"

@@ -254,7 +254,7 @@ fn a_replayed_file_calibrates_as_the_file_itself() {
                 "parameters",
                 "parameter_id",
                 "units",
-                "remarks",
+                "findings",
                 // A file does not say it.
                 "range_g",
                 "range_source",

@@ -110,7 +110,7 @@ fn a_cube_of_six_single_axes_is_navigated_by_its_name_and_by_its_axes() {
         &out.display().to_string(),
     ]);
     let mut texts = Transcript::default();
-    let found = texts.remarks("cube:100mm", &ran);
+    let found = texts.findings("cube:100mm", &ran);
     let turned = heading(&out);
     println!("turned by {turned:.3} rad of {:.3}", turn(10.0)[0]);
     assert!(apart(turned, turn(10.0)[0]) < 0.05, "{turned}");

@@ -7,7 +7,7 @@ use std::fs;
 use std::num::NonZeroU8;
 use std::path::Path;
 
-use kit::{folder, python_with_rosbags, remarks, wimu};
+use kit::{findings, folder, python_with_rosbags, wimu};
 use serde_json::Value;
 use wimu_host::calibration::StoredModel;
 use wimu_host::decode::{Decoder, LinkStatistics};
@@ -616,9 +616,9 @@ fn exported_tables_have_rates_and_attitudes_and_serve_as_input() {
     let calibration = folder.path().join("cal.json").display().to_string();
     for input in [&raw_path, &session] {
         let report = wimu(&["calibrate", input, "-o", &calibration]).object();
-        let remarks = remarks(&report);
+        let findings = findings(&report);
         assert!(
-            remarks.iter().any(|text| text.contains("gyroscope")),
+            findings.iter().any(|text| text.contains("gyroscope")),
             "{report}"
         );
     }

@@ -87,6 +87,8 @@ const DEVICE: [&str; 8] = [
     "firmware",
 ];
 
+const PYTHON: [&str; 2] = ["host-tools/wimu-python", "host-tools/wimu-host/src"];
+
 /// Commands whose figures are kept together.
 pub struct Campaign {
     pub name: &'static str,
@@ -102,7 +104,7 @@ struct Run {
     sources: &'static [&'static str],
 }
 
-pub const CAMPAIGNS: [Campaign; 9] = [
+pub const CAMPAIGNS: [Campaign; 10] = [
     Campaign {
         name: "arithmetic",
         about: "corrector and integrator against f64 and exact integers",
@@ -282,6 +284,14 @@ pub const CAMPAIGNS: [Campaign; 9] = [
                 sources: &CLOCKS,
             },
         ],
+    },
+    Campaign {
+        name: "python",
+        about: "the wheel of the Python module beside the command, on wrong and damaged input",
+        runs: &[Run {
+            command: "run -p xtask -- python",
+            sources: &PYTHON,
+        }],
     },
 ];
 

@@ -6,6 +6,7 @@ use crate::command_line::{CommandLine, heading};
 use crate::image::{self, Format};
 use crate::output::Output;
 use crate::setup::{self, Need, Source, TARGETS, ThisMachine, embedded_cargo};
+use crate::test::RUST_ONLY;
 use crate::workspace::Workspace;
 
 /// The board that everyone has.
@@ -90,7 +91,9 @@ pub fn pico(workspace: &Workspace) -> Result<(), String> {
     let file = std::path::absolute(image::write(folder, &image, Format::Uf2)?)
         .map_err(|problem| problem.to_string())?;
     // With the workspace's features: what was built for the other tests serves.
-    setup::cargo("test --workspace --test all pico:: -- --ignored")
+    setup::cargo("test")
+        .words(RUST_ONLY)
+        .words("--test all pico:: -- --ignored")
         .with("WIMU_PICO_FIRMWARE", &file.display().to_string())
         .with("WIMU_PICO_ELF", &image.display().to_string())
         .run()

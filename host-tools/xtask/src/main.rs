@@ -7,6 +7,7 @@ mod firmware;
 mod image;
 mod instructions;
 mod output;
+mod python;
 mod setup;
 mod size;
 mod test;
@@ -34,6 +35,7 @@ enum Task {
     /// The name of a board, and options of `wimu flash`.
     Flash(String, Vec<String>),
     Size,
+    Python,
     /// Options of the emulated board.
     Qemu(Vec<String>),
 }
@@ -77,6 +79,10 @@ fn run(task: Task) -> Result<(), String> {
         Task::Firmware => firmware::run(&Workspace::enter()?),
         Task::Flash(board, options) => firmware::flash(&Workspace::enter()?, &board, &options),
         Task::Size => size::run(&Workspace::enter()?),
+        Task::Python => {
+            Workspace::enter()?;
+            python::run()
+        }
         Task::Qemu(options) => {
             Workspace::enter()?;
             firmware::qemu(&options)
@@ -119,9 +125,10 @@ fn parse(words: &[String]) -> Result<Task, String> {
             options.iter().map(ToString::to_string).collect(),
         )),
         ["size"] => Ok(Task::Size),
+        ["python"] => Ok(Task::Python),
         [
             "setup" | "check" | "test" | "campaign" | "validation" | "budget" | "firmware"
-            | "flash" | "size",
+            | "flash" | "size" | "python",
             extra,
             ..,
         ] => Err(format!("`{}` does not take `{extra}`", words[0])),
@@ -171,6 +178,8 @@ Usage: cargo xtask TASK
                         its options: --probe, --erase-all
   size                  build every board, and print the flash and RAM it takes, by crate; fail where
                         it is more than it may be
+  python                build the wheel of the Python module, install it in target/python, and run all
+                        its tests
   qemu [OPTION VALUE]…  start the board in QEMU in real time with a moving sensor, and print its
                         links; Ctrl-C stops it; `qemu --help` lists the options
 
@@ -216,6 +225,7 @@ mod tests {
         assert_eq!(parsed("budget data"), Ok(Task::Budget(Some("data".into()))));
         assert_eq!(parsed("firmware"), Ok(Task::Firmware));
         assert_eq!(parsed("size"), Ok(Task::Size));
+        assert_eq!(parsed("python"), Ok(Task::Python));
         assert_eq!(
             parsed("flash microbit-v2"),
             Ok(Task::Flash("microbit-v2".into(), vec![]))

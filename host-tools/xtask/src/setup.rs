@@ -1,9 +1,10 @@
 //! Finds or installs what the tests need beyond cargo: the formatter, the linter, `core` for two
-//! microcontrollers, and emulators of two.
+//! microcontrollers, emulators of two, Python and a C compiler.
 
 use std::path::Path;
 
 use crate::command_line::{CommandLine, is_ci};
+use crate::python;
 
 /// Cortex-M4F and Cortex-M0+.
 pub const TARGETS: [&str; 2] = ["thumbv7em-none-eabihf", "thumbv6m-none-eabi"];
@@ -19,6 +20,8 @@ pub enum Need {
     Qemu,
     /// The oldest compiler that users may have.
     Oldest,
+    /// Of the Python module and of reading sqlite: Python with virtual environments, and a C compiler.
+    Optional,
 }
 
 /// Where it can come from, the better first.
@@ -44,6 +47,7 @@ pub fn run() -> Result<(), String> {
     for need in [Need::Components, Need::Targets, Need::Qemu] {
         provide(need, &mut ThisMachine)?;
     }
+    python::environment("numpy")?;
     // Without one of these a step is left out, no more.
     if let Err(why) = provide(Need::Oldest, &mut ThisMachine) {
         println!("{why}");
@@ -181,7 +185,7 @@ fn install(need: Need, source: Source) -> Vec<CommandLine> {
             Need::Targets => {
                 vec![CommandLine::new("rustup target add").words(&TARGETS.join(" "))]
             }
-            Need::Qemu => Vec::new(),
+            Need::Qemu | Need::Optional => Vec::new(),
             Need::Oldest => {
                 vec![CommandLine::new("rustup toolchain install --profile minimal").word(OLDEST)]
             }
@@ -191,6 +195,7 @@ fn install(need: Need, source: Source) -> Vec<CommandLine> {
                 Need::Components => "rustfmt-web rust-web-clippy",
                 Need::Targets => "rustc-web cargo-web rust-web-src lld",
                 Need::Qemu => "qemu-system-arm",
+                Need::Optional => "python3 python3-venv gcc libc6-dev",
                 Need::Oldest => return Vec::new(),
             };
             let apt = if is_root() { "apt-get" } else { "sudo apt-get" };
@@ -211,13 +216,14 @@ impl Need {
             Self::Targets => TARGETS.join(" and "),
             Self::Qemu => "qemu-system-arm".into(),
             Self::Oldest => format!("Rust {OLDEST}"),
+            Self::Optional => "Python 3 with venv and a C compiler".into(),
         }
     }
 
     /// Where it was found.
     fn found(self, source: Source) -> &'static str {
         match (self, source) {
-            (Self::Qemu | Self::Oldest, _) => "installed",
+            (Self::Qemu | Self::Oldest | Self::Optional, _) => "installed",
             (_, Source::Toolchain) => "in the active toolchain",
             (_, Source::Debian) => "from Debian's packages",
         }
@@ -230,6 +236,7 @@ impl Need {
                 "install Rust with rustup (https://rustup.rs)"
             }
             Self::Qemu => "install QEMU (https://www.qemu.org/download)",
+            Self::Optional => "install Python (https://www.python.org/downloads) and a C compiler",
         }
     }
 }
@@ -248,7 +255,13 @@ impl Machine for ThisMachine {
             (Need::Oldest, Source::Toolchain) => {
                 succeeds(&format!("rustup run {OLDEST} cargo --version"))
             }
-            (Need::Qemu, Source::Toolchain) | (Need::Oldest, Source::Debian) => false,
+            (Need::Qemu | Need::Optional, Source::Toolchain) | (Need::Oldest, Source::Debian) => {
+                false
+            }
+            (Need::Optional, Source::Debian) => {
+                let python = CommandLine::new("python3 -c").word("import venv, ensurepip");
+                python.output().is_some() && succeeds("cc --version")
+            }
             (Need::Qemu, Source::Debian) => succeeds("qemu-system-arm --version"),
             (Need::Targets, Source::Toolchain) => TARGETS.iter().all(|target| {
                 CommandLine::new("rustc --print target-libdir --target")

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use crate::command_line::{CommandLine, heading};
 use crate::firmware;
 use crate::instructions;
+use crate::python;
 use crate::setup::{self, Need, OLDEST, Source, TARGETS, ThisMachine, cargo, embedded_cargo};
 use crate::size;
 use crate::workspace::{Package, Target, Workspace};
@@ -48,7 +49,9 @@ pub const CHECK: Lane = Lane {
             name: "host",
             about: "the tests on this machine, statistics with 20 draws, without documentation",
             run: |_| {
-                without_c_libraries("test --workspace --lib --bins --test all")
+                without_c_libraries("test")
+                    .words(RUST_ONLY)
+                    .words("--lib --bins --test all")
                     .with("WIMU_LANE", "check")
                     .run()
             },
@@ -62,7 +65,7 @@ pub const TEST: Lane = Lane {
     steps: &[
         Step {
             name: "setup",
-            about: "rustfmt, clippy, the microcontroller targets and the emulators are installed",
+            about: "rustfmt, clippy, the microcontroller targets, the emulators and Python are installed",
             run: |_| setup::run(),
         },
         Step {
@@ -120,7 +123,7 @@ pub const TEST: Lane = Lane {
         Step {
             name: "host",
             about: "all tests on this machine, examples in the documentation included, without C libraries",
-            run: |_| without_c_libraries("test --workspace").run(),
+            run: |_| without_c_libraries("test").words(RUST_ONLY).run(),
         },
         Step {
             name: "qemu",
@@ -138,6 +141,16 @@ pub const TEST: Lane = Lane {
             run: |_| {
                 let commands = ["check -p wimu", "check -p wimu --features flash"];
                 all(commands.map(without_c_libraries).into())
+            },
+        },
+        Step {
+            name: "optional",
+            about: "the Python module calibrates as the command does; ROS 2 bags in sqlite are read",
+            run: |_| {
+                python::smoke()?;
+                cargo("test -p wimu-host --features sqlite --lib")
+                    .word("formats::ros::tests::a_bag_in_sqlite_is_read")
+                    .run()
             },
         },
     ],
@@ -197,6 +210,8 @@ fn all(commands: Vec<CommandLine>) -> Result<(), String> {
     commands.iter().try_for_each(CommandLine::run)
 }
 
+/// Packages whose tests need Rust alone.
+pub const RUST_ONLY: &str = "--workspace --exclude wimu-python";
 const DENY: &str = "--all-targets -- -D warnings";
 
 fn workspace_clippy() -> CommandLine {

@@ -208,7 +208,7 @@ fn it_is_calibrated_and_keeps_what_was_pushed() {
     let report = calibrate(&samples, &CalibrateOptions::default()).expect("readable");
     let set = report
         .parameters
-        .unwrap_or_else(|| panic!("{:?}", report.reason));
+        .unwrap_or_else(|| panic!("{:?}", report.outcome.reason));
     let hash = push(&mut rig, &set);
     rig.restart();
     rig.run(3.0);

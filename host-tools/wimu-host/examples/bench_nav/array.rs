@@ -12,9 +12,8 @@ use wimu_nav::Zupt;
 use wimu_nav::array::ArrayState;
 use wimu_testkit::figure;
 
-/// LSB per deg/s of the gyroscopes.
-const GYROSCOPE: f64 = 16.4;
-const LIMIT: f64 = 32_760.0;
+use crate::gyroscopes::mean_rate;
+
 const DEG: f64 = std::f64::consts::PI / 180.0;
 
 pub fn bench(data: &Path) {
@@ -110,7 +109,7 @@ pub fn bench(data: &Path) {
     );
     let as_found = filter(&found.geometry);
 
-    let (truth, clipped) = gyroscopes(&recording);
+    let (truth, clipped) = mean_rate(&file).expect("the gyroscopes are readable");
     let count = truth.len();
     let near: Vec<bool> = (0..count)
         .map(|k| {
@@ -208,36 +207,6 @@ pub fn bench(data: &Path) {
     consistency("as found", &as_found, &truth);
     let moved = interpolated(&truth, 1.5e-3 / period);
     consistency("gyroscopes 1.5 ms earlier", &as_drawn, &moved);
-}
-
-/// Mean of the gyroscopes less that of the first rest, rad/s, and where one of them is at its limit.
-fn gyroscopes(recording: &ArrayRecording) -> (Vec<[f64; 3]>, Vec<bool>) {
-    let count = recording.times_s.len();
-    let mut mean = vec![[0.0; 3]; count];
-    let mut clipped = vec![false; count];
-    let mut sensors = 0.0;
-    for (name, values) in &recording.other {
-        let Some(axis) = ["X (", "Y (", "Z ("].iter().position(|a| name.contains(a)) else {
-            continue;
-        };
-        if !name.starts_with("Gyroscope") {
-            continue;
-        }
-        sensors += 1.0 / 3.0;
-        for (k, value) in values.iter().enumerate() {
-            mean[k][axis] += value / GYROSCOPE * DEG;
-            clipped[k] |= value.abs() >= LIMIT;
-        }
-    }
-    let rest = 300.min(count);
-    let bias: [f64; 3] =
-        std::array::from_fn(|axis| mean[..rest].iter().map(|m| m[axis]).sum::<f64>() / rest as f64);
-    for value in &mut mean {
-        for axis in 0..3 {
-            value[axis] = (value[axis] - bias[axis]) / sensors;
-        }
-    }
-    (mean, clipped)
 }
 
 /// A series `by` samples earlier, by cubic interpolation.

@@ -9,14 +9,11 @@ use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording, angular_
 use wimu_host::inertial::Zupt;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
+use crate::gyroscopes::mean_rate;
 use crate::score::{Consistency, median, rms};
 
-/// LSB per deg/s of the gyroscopes, LSB per g of the accelerometers, and counts at which a gyroscope clips.
-const GYROSCOPE: f64 = 16.4;
+/// LSB per g of the accelerometers.
 const ACCELEROMETER: f64 = 2048.0;
-const LIMIT: f64 = 32_760.0;
-/// Samples of the first rest, whose mean is the gyroscopes' bias.
-const REST_SAMPLES: usize = 300;
 /// The array moves above this, rad/s.
 const MOVING_RAD_S: f64 = 1.0;
 /// A position is of use up to this standard deviation, m, as in the library.
@@ -64,7 +61,8 @@ pub fn score(data: &Path, name: &str) -> Result<ArrayScores> {
     let recording = ArrayRecording::from_csv(&file, ACCELEROMETER)?;
     let geometry = ArrayGeometry::read(&data.join("array/mimu4444_positions.csv"))?;
     let calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE)?;
-    let (truth, clipped) = gyroscopes(&recording);
+    let (truth, clipped) = mean_rate(&file)?;
+    let truth: Vec<Vector3<f64>> = truth.into_iter().map(Vector3::from).collect();
     let count = truth.len();
     let moving: Vec<usize> = (0..count)
         .filter(|k| truth[*k].norm() > MOVING_RAD_S)
@@ -143,26 +141,4 @@ fn scored_rates(
     score.wrong_sign = wrong as f64 / scored.len() as f64;
     score.valid = valid.map(|v| v as f64 / scored.len() as f64);
     score
-}
-
-/// Mean of the gyroscopes less that of the first rest, rad/s, and where one of them is at its limit.
-fn gyroscopes(recording: &ArrayRecording) -> (Vec<Vector3<f64>>, Vec<bool>) {
-    let count = recording.times_s.len();
-    let mut mean = vec![Vector3::zeros(); count];
-    let mut clipped = vec![false; count];
-    let mut sensors = 0.0;
-    for (name, values) in &recording.other {
-        let axis = ["X (", "Y (", "Z ("].iter().position(|a| name.contains(a));
-        let Some(axis) = axis.filter(|_| name.starts_with("Gyroscope")) else {
-            continue;
-        };
-        sensors += 1.0 / 3.0;
-        for (k, value) in values.iter().enumerate() {
-            mean[k][axis] += (value / GYROSCOPE).to_radians();
-            clipped[k] |= value.abs() >= LIMIT;
-        }
-    }
-    let rest = REST_SAMPLES.min(count);
-    let bias = mean[..rest].iter().sum::<Vector3<f64>>() / rest as f64;
-    (mean.iter().map(|m| (m - bias) / sensors).collect(), clipped)
 }

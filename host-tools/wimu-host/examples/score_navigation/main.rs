@@ -5,6 +5,7 @@
 mod array;
 mod baseline;
 mod detector;
+mod gyroscopes;
 mod journeys;
 mod low_pass;
 mod methods;

@@ -7,7 +7,6 @@ use wimu_link::LinkRole;
 use wimu_model::{STANDARD_GRAVITY_MPS2, SpecificForceQ16};
 
 use super::ArrayGeometry;
-use crate::csv::{AccelerationUnit, acceleration};
 use crate::finding::FindingCode;
 use crate::formats::{self, ReadOptions};
 use crate::history::{Boot, Recording};
@@ -83,11 +82,11 @@ impl ArrayRecording {
             let name = axis.column_name(k);
             let mut found = None;
             for (column, values) in &recording.other {
-                if let Some(unit) = acceleration(column, &name)? {
+                if let Some(unit) = formats::acceleration_unit(column, &name)? {
                     found = Some((unit, values));
                 }
             }
-            let Some(((unit, factor), values)) = found else {
+            let Some((unit, values)) = found else {
                 return Err(HostError::new(
                     ErrorCode::CsvMissingColumn,
                     format!("there is no column `{name}` for axis {k} (from 0)"),
@@ -96,14 +95,12 @@ impl ArrayRecording {
                 )
                 .at(format!("{} line 1", recording.name)));
             };
-            let mps2 = unit
-                .mps2()
-                .unwrap_or(STANDARD_GRAVITY_MPS2 / sensitivity_lsb_per_g);
+            let mps2 = unit.unwrap_or(STANDARD_GRAVITY_MPS2 / sensitivity_lsb_per_g);
             let rows = recording.outputs.iter_mut().zip(&mut recording.saturated);
             for ((row, bits), value) in rows.zip(values) {
-                let at_limit = unit == AccelerationUnit::Lsb && value.abs() >= LIMIT_COUNTS;
+                let at_limit = unit.is_none() && value.abs() >= LIMIT_COUNTS;
                 *bits |= u32::from(at_limit) << k;
-                row.push([value * factor * mps2, f64::NAN, f64::NAN]);
+                row.push([value * mps2, f64::NAN, f64::NAN]);
             }
         }
         recording.leave_out_beyond();
@@ -475,7 +472,9 @@ impl Table {
             times_s: times.iter().map(|t| (t - first_ns) as f64 * 1e-9).collect(),
             saturated: vec![0; times.len()],
             outputs: vec![Vec::with_capacity(sensors); times.len()],
-            remarks: file.remarks(&[FindingCode::RowsMasked]),
+            remarks: (file.relevant(&[FindingCode::RowsMasked]).iter())
+                .map(ToString::to_string)
+                .collect(),
             ..ArrayRecording::default()
         };
         if times.len() < 4 {

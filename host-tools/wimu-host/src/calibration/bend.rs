@@ -3,6 +3,7 @@
 use wimu_calib::{Estimate, Pose, Term};
 
 use super::input::magnitude;
+use crate::finding::{Finding, FindingCode};
 
 /// Columns of the fit: bias, symmetric matrix and linear drift; then the quadratic drift.
 const FITTED: usize = 12;
@@ -14,8 +15,8 @@ const THRESHOLD: f64 = 2.88;
 /// A column with a smaller fraction independent of the others makes the fit singular.
 const MIN_INDEPENDENT: f64 = 1e-6;
 
-/// Remark on a significant quadratic drift beside the linear one that was fitted.
-pub(super) fn remark(poses: &[Pose], estimate: &Estimate) -> Option<&'static str> {
+/// A significant quadratic drift beside the linear one that was fitted.
+pub(super) fn finding(poses: &[Pose], estimate: &Estimate) -> Option<Finding> {
     let drift = estimate
         .drift
         .filter(|_| estimate.terms.contains(Term::Drift))?;
@@ -62,10 +63,13 @@ pub(super) fn remark(poses: &[Pose], estimate: &Estimate) -> Option<&'static str
     let rest = without(left, &basis);
     let noise = dot(&rest, &rest) / freedom as f64;
     let ratio = by_quadratic / QUADRATIC as f64 / noise;
-    (normal_of_fisher(ratio, QUADRATIC as f64, freedom as f64) > THRESHOLD).then_some(
-        "the bias drift was not linear, as during warm-up: the error of the bias at the end exceeds its interval; record \
-         again when the sensor is warm, or with its temperature and --model auto+temperature",
-    )
+    let text = "the bias drift was not linear, as during warm-up: the error of the bias at the end exceeds its interval";
+    let finding = || FindingCode::Residuals.warning(text);
+    (normal_of_fisher(ratio, QUADRATIC as f64, freedom as f64) > THRESHOLD).then(|| {
+        finding().remedy(
+            "record again when the sensor is warm, or with its temperature and --model auto+temperature",
+        )
+    })
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {

@@ -1,12 +1,13 @@
 //! Comparison of an estimate with the sensor's datasheet.
 
-use std::fmt;
+use std::iter;
 
 use serde::Serialize;
 use wimu_calib::{Datasheet, Estimate, Finding, Quantity, Verdict};
 
 use crate::digits::{signed, significant};
 use crate::error::{ErrorCode, Result};
+use crate::finding::{self, FindingCode};
 
 /// The datasheet of the sensor called `name`.
 ///
@@ -84,32 +85,6 @@ impl DatasheetReport {
             limits: findings.iter().map(limit).collect(),
         }
     }
-
-    /// As rows of a table under [`DatasheetReport::HEAD`].
-    pub(super) fn rows(&self) -> Vec<Vec<String>> {
-        let row = |limit: &LimitReport| {
-            vec![
-                format!("{} {}", limit.quantity, limit.of),
-                format!(
-                    "{} ± {} {}",
-                    signed(limit.value, 3),
-                    significant(limit.half_width_95, 2),
-                    limit.unit
-                ),
-                format!(
-                    "± {} {}{}",
-                    limit.limit,
-                    limit.unit,
-                    if limit.guaranteed { "" } else { ", typical" }
-                ),
-                limit.verdict.clone(),
-            ]
-        };
-        self.limits.iter().map(row).collect()
-    }
-
-    pub(super) const HEAD: [&'static str; 4] =
-        ["parameter", "estimate, 95 %", "datasheet", "finding"];
 }
 
 fn limit(finding: &Finding) -> LimitReport {
@@ -125,57 +100,56 @@ fn limit(finding: &Finding) -> LimitReport {
     }
 }
 
-impl fmt::Display for DatasheetReport {
-    /// A line for each quantity.
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "compared with the datasheet ({}):", self.document)?;
-        if self.limits.is_empty() {
-            return write!(out, " no limits for the fitted parameters");
-        }
-        for of_one in self.limits.chunk_by(|a, b| a.quantity == b.quantity) {
-            let Some(first) = of_one.first() else {
-                continue;
-            };
-            let kind = if first.guaranteed {
-                ""
-            } else {
-                ", typical limits"
-            };
-            write!(out, "\n  {}, {}{kind}:", first.quantity, first.unit)?;
-            for (place, limit) in of_one.iter().enumerate() {
-                let comma = if place > 0 { "," } else { "" };
+impl DatasheetReport {
+    /// A finding for each quantity, and the number of parameters beyond their limits.
+    pub(super) fn findings(&self) -> Vec<finding::Finding> {
+        let (code, count) = (FindingCode::Datasheet, self.limits.len());
+        let document = self.document;
+        let summary = match (self.beyond, count) {
+            (_, 0) => code.note(format!("{document}: no limits for the fitted parameters")),
+            (0, _) => code.note(format!("no parameter of {count} exceeds its datasheet limit ({document})")),
+            (beyond, _) => code
+                .warning(format!(
+                    "{beyond} of {count} parameters exceed their datasheet limits, {} of them guaranteed ({document})",
+                    self.beyond_guaranteed
+                ))
+                .remedy("check that it is this sensor, at its nominal sensitivity and about 25 °C"),
+        };
+        let of_one = |limits: &[LimitReport]| {
+            let part = |limit: &LimitReport| {
                 let [relation, note] = match limit.verdict.as_str() {
                     "beyond" => ["exceeds", ""],
                     "unclear" => ["of", " (within its uncertainty of the limit)"],
                     _ => ["of", ""],
                 };
-                write!(
-                    out,
-                    "{comma} {} {} {relation} ±{}{note}",
-                    limit.of,
-                    signed(limit.value, 3),
-                    limit.limit
-                )?;
+                let value = signed(limit.value, 3);
+                let half = significant(limit.half_width_95, 2);
+                format!(
+                    "{} {value} ± {half} {relation} ±{}{note}",
+                    limit.of, limit.limit
+                )
+            };
+            let parts: Vec<String> = limits.iter().map(part).collect();
+            let first = limits.first()?;
+            let typical = if first.guaranteed {
+                ""
+            } else {
+                ", typical limits"
+            };
+            let text = format!(
+                "{}, {}, 95 %{typical}: {}",
+                first.quantity,
+                first.unit,
+                parts.join(", ")
+            );
+            match limits.iter().any(|limit| limit.verdict == "beyond") {
+                true => Some(code.warning(text)),
+                false => Some(code.note(text)),
             }
-        }
-        let count = self.limits.len();
-        match self.beyond {
-            0 => {
-                let unclear = self.limits.iter().filter(|l| l.verdict != "within").count();
-                match unclear {
-                    0 => write!(out, "\n  all {count} within the limits"),
-                    _ => write!(
-                        out,
-                        "\n  none of {count} exceeds its limit, {unclear} within the uncertainty of the limit"
-                    ),
-                }
-            }
-            beyond => write!(
-                out,
-                "\n  {beyond} of {count} exceed the limits ({} of them guaranteed): check that it is this sensor, at its nominal \
-                 sensitivity and about 25 °C",
-                self.beyond_guaranteed
-            ),
-        }
+        };
+        let by_quantity = self.limits.chunk_by(|a, b| a.quantity == b.quantity);
+        iter::once(summary)
+            .chain(by_quantity.filter_map(of_one))
+            .collect()
     }
 }

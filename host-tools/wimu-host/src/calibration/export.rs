@@ -10,8 +10,9 @@ use wimu_model::{Alignment, GyroscopeParameters, Matrix3, STANDARD_GRAVITY_MPS2}
 
 pub use noise::KalibrNoise;
 
-use super::file::{NOT_FOR_A_BOARD, StoredModel, range_remark, read_model, read_parameters};
+use super::file::{NOT_FOR_A_BOARD, StoredModel, range_finding, read_model, read_parameters};
 use crate::error::Result;
+use crate::finding::{Finding, FindingCode};
 
 /// Bounds of ArduPilot's parameters: offsets, m/s², and scale factors.
 const ARDUPILOT_OFFSET: f64 = 3.5;
@@ -50,15 +51,15 @@ pub enum ExportTarget {
 /// CalibrationFile::new(&set, &[], "poses.csv").write(&path)?;
 /// let export = CalibrationExport::read(&path)?;
 /// assert!(export.text(ExportTarget::C, None).contains("void wimu_correct("));
-/// assert!(export.left_out(ExportTarget::Px4).is_empty());
+/// assert!(export.findings(ExportTarget::Px4).is_empty());
 /// # Ok::<(), wimu_host::HostError>(())
 /// ```
 #[derive(Clone, Debug)]
 pub struct CalibrationExport {
     stored: StoredModel,
     title: String,
-    /// Remark on a range that was assumed.
-    pub range_remark: Option<String>,
+    /// A range that was assumed.
+    range: Option<Finding>,
 }
 
 impl CalibrationExport {
@@ -72,7 +73,7 @@ impl CalibrationExport {
         let mut range = None;
         let title = match read_parameters(path) {
             Ok(set) => {
-                range = range_remark(path, &set);
+                range = range_finding(path, &set);
                 let what = match &range {
                     None => format!("a +/-{} g accelerometer", set.range_g),
                     Some(_) => format!(
@@ -91,7 +92,7 @@ impl CalibrationExport {
         Ok(Self {
             stored,
             title: format!("{title}, exported by wimu."),
-            range_remark: range,
+            range,
         })
     }
 
@@ -124,8 +125,14 @@ impl CalibrationExport {
         }
     }
 
-    /// Terms of the calibration that a target cannot express.
-    pub fn left_out(&self, target: ExportTarget) -> Vec<String> {
+    /// An assumed range, and terms of the calibration that a target cannot express.
+    pub fn findings(&self, target: ExportTarget) -> Vec<Finding> {
+        let left_out = self.left_out(target).into_iter();
+        let left_out = left_out.map(|text| FindingCode::NotExpressible.warning(text));
+        self.range.iter().cloned().chain(left_out).collect()
+    }
+
+    fn left_out(&self, target: ExportTarget) -> Vec<String> {
         use ExportTarget::{Ardupilot, Kalibr, Px4, Ros};
         if !matches!(target, Ardupilot | Kalibr | Px4 | Ros) {
             return Vec::new();

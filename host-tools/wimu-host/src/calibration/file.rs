@@ -17,6 +17,7 @@ use super::range::Range;
 use crate::OutputFile;
 use crate::csv::AccelerationUnit;
 use crate::error::{ErrorCode, HostError, Result};
+use crate::finding::Finding;
 
 /// How to make a file that can be read.
 pub(super) const REMEDY: &str = "make it with `wimu calibrate … -o CAL.json`";
@@ -244,6 +245,15 @@ impl CalibrationFile {
         OutputFile::write(path, json + "\n")
     }
 
+    /// The error model of its sensor with index 0, else of the first. `path` is the file in errors.
+    ///
+    /// # Errors
+    /// `bad_calibration` without a sensor, or with numbers that are out of bounds.
+    pub fn model(&self, path: &Path) -> Result<StoredModel> {
+        let stored = self.sensor().and_then(StoredSensor::stored);
+        stored.map_err(invalid(path))
+    }
+
     /// The sensor that a device corrects: that with index 0, else the first.
     fn sensor(&self) -> std::result::Result<&StoredSensor, String> {
         let mut sensors = self.sensors.iter();
@@ -287,6 +297,22 @@ impl StoredQuality {
 impl StoredSensor {
     fn model(&self) -> std::result::Result<ErrorModel, String> {
         ErrorModel::new(self.accelerometer.model).map_err(|error| error.to_string())
+    }
+
+    fn stored(&self) -> std::result::Result<StoredModel, String> {
+        let accelerometer = &self.accelerometer;
+        let quality = accelerometer.quality.as_ref();
+        let covariance = quality.map(|quality| quality.covariance.of_model());
+        let covariance = covariance.transpose()?;
+        Ok(StoredModel {
+            model: self.model()?,
+            sensitivity_lsb_per_g: accelerometer.sensitivity_lsb_per_g,
+            of_counts: accelerometer.unit == AccelerationUnit::Lsb.as_str(),
+            bias_sd_mps2: covariance.map_or(0.0, |known| worst_sd(|place| known.sd(place))),
+            alignment: self.alignment_wxyz,
+            magnetometer: self.magnetometer,
+            gyroscope: self.gyroscope()?,
+        })
     }
 
     /// Names the set that it holds.
@@ -475,26 +501,10 @@ impl StoredModel {
 /// `file_unreadable`; `bad_calibration` when it is not a calibration, was refused, or contains numbers that are
 /// out of bounds.
 pub fn read_model(path: &Path) -> Result<StoredModel> {
-    let file = match read(path)? {
-        Read::V1(text) => return file_v1::model(&path.display().to_string(), &text),
-        Read::V2(file) => file,
-    };
-    let stored = |sensor: &StoredSensor| {
-        let accelerometer = &sensor.accelerometer;
-        let quality = accelerometer.quality.as_ref();
-        let covariance = quality.map(|quality| quality.covariance.of_model());
-        let covariance = covariance.transpose()?;
-        Ok(StoredModel {
-            model: sensor.model()?,
-            sensitivity_lsb_per_g: accelerometer.sensitivity_lsb_per_g,
-            of_counts: accelerometer.unit == AccelerationUnit::Lsb.as_str(),
-            bias_sd_mps2: covariance.map_or(0.0, |known| worst_sd(|place| known.sd(place))),
-            alignment: sensor.alignment_wxyz,
-            magnetometer: sensor.magnetometer,
-            gyroscope: sensor.gyroscope()?,
-        })
-    };
-    file.sensor().and_then(stored).map_err(invalid(path))
+    match read(path)? {
+        Read::V1(text) => file_v1::model(&path.display().to_string(), &text),
+        Read::V2(file) => file.model(path),
+    }
 }
 
 /// Standard deviation of the specific force at 1 *g* on the worst axis, m/s², from those of the parameters.
@@ -506,8 +516,8 @@ pub(super) fn worst_sd(sd: impl Fn(usize) -> f64) -> f64 {
     (0..3).map(of_axis).fold(0.0, f64::max)
 }
 
-/// Remark on a calibration file whose range was assumed.
-pub(super) fn range_remark(path: &Path, set: &ParameterSet) -> Option<String> {
+/// An assumed range of a calibration file.
+pub(super) fn range_finding(path: &Path, set: &ParameterSet) -> Option<Finding> {
     let assumed = match read(path).ok()? {
         Read::V1(text) => {
             let file: serde_json::Value = serde_json::from_str(&text).ok()?;
@@ -521,5 +531,5 @@ pub(super) fn range_remark(path: &Path, set: &ParameterSet) -> Option<String> {
         g: set.range_g,
         source: Source::SixteenBits,
     };
-    assumed.then(|| likely.remark(set.sensitivity))?
+    assumed.then(|| likely.finding(set.sensitivity))?
 }

@@ -3,7 +3,6 @@
 use std::collections::HashSet;
 
 use wimu_calib::{Gravity, Model, MultiPosition, Pose, Refusal, UnitHint, multi_position_with};
-use wimu_model::Sensitivity;
 
 use super::saturation;
 use crate::recording::{Output, OutputUnit, Samples};
@@ -127,27 +126,6 @@ fn not_gravity(mps2: f64, gravity: Gravity) -> Option<UnitHint> {
     match multi_position_with(&[typical; 4], gravity, bias) {
         Err(Refusal::UnexpectedMagnitude { hint, .. }) => Some(hint),
         _ => None,
-    }
-}
-
-/// m/s² per unit of a dataset: by the given sensitivity, else the board's, else so that the median magnitude is
-/// `gravity_mps2`.
-pub(crate) fn mps2_per_unit(
-    data: &Samples<'_>,
-    given: Option<Sensitivity>,
-    gravity_mps2: f64,
-) -> f64 {
-    match (data.unit, given) {
-        (OutputUnit::Mps2, _) => 1.0,
-        (_, Some(known))
-        | (
-            OutputUnit::Counts {
-                nominal: Some(known),
-                ..
-            },
-            None,
-        ) => known.mps2_per_lsb(),
-        _ => gravity_mps2 / median_magnitude(data),
     }
 }
 

@@ -14,6 +14,7 @@ use super::input::magnitude;
 use super::report::NextPose;
 use crate::chart::{Chart, Series};
 use crate::error::{ErrorCode, Result};
+use crate::finding::{Finding, FindingCode, Outcome};
 use crate::html::Report;
 use crate::recording::{OutputUnit, RateSource, Samples};
 
@@ -22,12 +23,9 @@ use crate::recording::{OutputUnit, RateSource, Samples};
 pub struct MagnetometerReport {
     /// [`HELD_SCHEMA`].
     pub schema: &'static str,
-    /// `ok` or `refused`.
-    pub status: &'static str,
-    /// Why it was refused, and what to do.
-    pub reason: Option<String>,
-    /// What a user should know beside the numbers.
-    pub remarks: Vec<String>,
+    /// Status and findings.
+    #[serde(flatten)]
+    pub outcome: Outcome,
     /// The data.
     pub source: String,
     /// `magnetometer`.
@@ -78,13 +76,6 @@ pub struct FieldPose {
     pub output_ut: [f64; 3],
     /// Magnitude of the corrected field less the mean magnitude, µT.
     pub residual_ut: Option<f64>,
-}
-
-impl MagnetometerReport {
-    /// Exit code of a command that ends with it: 0, or 3 when it was refused.
-    pub fn exit_code(&self) -> u8 {
-        if self.parameters.is_some() { 0 } else { 3 }
-    }
 }
 
 /// Estimates the magnetometer beside an accelerometer that `set` corrects; its model replaces
@@ -142,12 +133,10 @@ pub fn calibrate_magnetometer(
             residual_ut: None,
         });
     }
+    let mut findings = data.findings();
+    findings.extend(data.temperature_finding(set));
     let mut report = MagnetometerReport {
         schema: HELD_SCHEMA,
-        status: "refused",
-        remarks: (data.remarks.iter().cloned())
-            .chain(data.temperature_remark(set))
-            .collect(),
         source: data.name.to_owned(),
         sensor: "magnetometer",
         rests: rests.len(),
@@ -158,7 +147,7 @@ pub fn calibrate_magnetometer(
     };
     match magnetometer(&fitted, dip_rad) {
         Err(refusal) => {
-            report.reason = Some(match refusal {
+            report.outcome.refuse(match refusal {
                 MagneticRefusal::Mirrored { dip_rad, .. } => {
                     format!("{refusal}: --dip {:.0}", dip_rad.to_degrees())
                 }
@@ -177,8 +166,8 @@ pub fn calibrate_magnetometer(
         }
         Ok(found) => report.accept(&found, set, &fitted),
     }
-    let more = report.remarks(data, dip_rad);
-    report.remarks.extend(more);
+    findings.extend(report.of_field(data, dip_rad));
+    report.outcome.findings.append(&mut findings);
     Ok(report)
 }
 
@@ -239,39 +228,42 @@ fn median(fields: &[[f64; 3]]) -> Option<[f64; 3]> {
 }
 
 impl MagnetometerReport {
-    fn remarks(&self, data: &Samples<'_>, dip_rad: Option<f64>) -> Vec<String> {
-        let mut remarks = Vec::new();
-        if data.rate_source == RateSource::Assumed && !data.poses {
-            remarks.push(format!(
-                "the data have no times: {} Hz assumed",
-                data.rate_hz
-            ));
+    /// Findings of the magnetic field.
+    fn of_field(&self, data: &Samples<'_>, dip_rad: Option<f64>) -> Vec<Finding> {
+        let (code, mut findings) = (FindingCode::MagneticField, Vec::new());
+        for &pose in &self.rejected_poses {
+            let off = self.poses.get(pose).and_then(|pose| pose.residual_ut);
+            findings.push(FindingCode::PosesLeftOut.warning(format!(
+                "pose {pose} (from 0) left out: field disturbed, |B| differs by {:+.2} µT",
+                off.unwrap_or_default()
+            )));
         }
         let few = self.poses.iter().filter(|pose| pose.fields < 2).count();
         if few > 0 && !data.poses {
-            remarks.push(format!(
-                "{few} of {} poses have only one measurement of the field: hold them longer",
-                self.poses.len()
-            ));
+            let all = self.poses.len();
+            let text = format!("{few} of {all} poses have only one measurement of the field");
+            findings.push(code.warning(text).remedy("hold them longer"));
         }
         let Some(dip) = self.dip_deg else {
-            return remarks;
+            return findings;
         };
-        match dip_rad.map(f64::to_degrees) {
-            _ if dip.abs() < MIN_DIP_DEG => remarks.push(
-                "the field is nearly horizontal: a negated or exchanged axis of the magnetometer cannot be detected".to_owned(),
-            ),
-            None => remarks.push(
-                "the field is assumed to point down, as north of the magnetic equator; south of it give --dip, such as \
-                 --dip -60, to detect a negated axis".to_owned(),
-            ),
-            Some(place) if (dip - place).abs() > MAX_DISTORTION_DEG => remarks.push(format!(
-                    "the estimated dip is {dip:+.1}°, the given one {place:+.1}°: check --dip, iron nearby, the signs of \
-                     the axes, and that --with is of this sensor"
+        findings.extend(match dip_rad.map(f64::to_degrees) {
+            _ if dip.abs() < MIN_DIP_DEG => Some(code.warning(
+                "the field is nearly horizontal: a negated or exchanged axis of the magnetometer cannot be detected",
             )),
-            Some(_) => {}
-        }
-        remarks
+            None => Some(
+                code.note("the field is assumed to point down, as north of the magnetic equator")
+                    .remedy("south of it give --dip, such as --dip -60, to detect a negated axis"),
+            ),
+            Some(place) if (dip - place).abs() > MAX_DISTORTION_DEG => {
+                let text = format!("the estimated dip is {dip:+.1}°, the given one {place:+.1}°");
+                Some(code.warning(text).remedy(
+                    "check --dip, iron nearby, the signs of the axes, and that --with is of this sensor",
+                ))
+            }
+            Some(_) => None,
+        });
+        findings
     }
 
     fn write_next(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -291,7 +283,8 @@ impl MagnetometerReport {
     /// `file_failed` when a picture cannot be drawn.
     pub fn page(&self) -> Result<Report> {
         let mut page = Report::new(format!("Magnetometer of {}", self.source));
-        page.printed(&self.to_string());
+        page.printed(&self.to_string())
+            .findings(&self.outcome.findings);
         let numbered = |value: &dyn Fn(&FieldPose) -> Option<f64>| -> Vec<(f64, f64)> {
             let values = self.poses.iter().enumerate();
             values
@@ -359,7 +352,6 @@ impl MagnetometerReport {
             magnetometer: Some(model),
             ..*set
         };
-        self.status = "ok";
         self.rotation_sd_deg = terms
             .to_accelerometer
             .map(|r| [0, 1, 2].map(|axis| r.covariance.sd(axis).to_degrees()));
@@ -387,8 +379,7 @@ impl fmt::Display for MagnetometerReport {
             "{source}: {rests} rests, {poses} with a magnetic field"
         )?;
         let Some(m) = &self.magnetometer else {
-            let reason = self.reason.as_deref().unwrap_or("no reason");
-            write!(out, "\nrefused: {reason}")?;
+            write!(out, "\n{}", self.outcome)?;
             return self.write_next(out);
         };
         let list = |values: &[f32], digits: usize| {
@@ -422,17 +413,6 @@ impl fmt::Display for MagnetometerReport {
                 r.dip_rad.to_degrees(),
                 r.dip_rms_rad.to_degrees()
             )?;
-        }
-        for &pose in &self.rejected_poses {
-            let off = self.poses.get(pose).and_then(|pose| pose.residual_ut);
-            let off = off.unwrap_or_default();
-            write!(
-                out,
-                "\npose {pose} (from 0) left out: field disturbed, |B| differs by {off:+.2} µT"
-            )?;
-        }
-        for remark in &self.remarks {
-            write!(out, "\n{remark}")?;
         }
         match self.poses_worth_adding {
             0 => write!(out, "\nmore poses would improve it little"),

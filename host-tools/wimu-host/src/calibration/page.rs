@@ -1,6 +1,6 @@
 //! The report of a calibration as a page.
 
-use super::{CalibrationReport, DatasheetReport, magnitude};
+use super::{CalibrationReport, magnitude};
 use crate::chart::{Chart, Series};
 use crate::error::Result;
 use crate::html::Report;
@@ -12,7 +12,8 @@ impl CalibrationReport {
     /// `file_failed` when a picture cannot be drawn.
     pub fn page(&self) -> Result<Report> {
         let mut page = Report::new(format!("Calibration of {}", self.source));
-        page.printed(&self.to_string());
+        page.printed(&self.to_string())
+            .findings(&self.outcome.findings);
         let before =
             |k: usize| (magnitude(self.static_poses[k].mean_m_s2) - self.gravity_m_s2) * 1e3;
         let numbered = |value: &dyn Fn(usize) -> Option<f64>| -> Vec<(f64, f64)> {
@@ -61,9 +62,6 @@ impl CalibrationReport {
                 series,
                 ..Chart::default()
             })?;
-        }
-        if let Some(datasheet) = &self.datasheet {
-            page.table(&DatasheetReport::HEAD, &datasheet.rows());
         }
         let rows: Vec<Vec<String>> = self
             .static_poses

@@ -3,6 +3,7 @@
 use wimu_model::Sensitivity;
 
 use super::Source;
+use crate::finding::{Finding, FindingCode};
 use crate::recording::OutputUnit;
 
 /// A full-scale range, and its source.
@@ -31,15 +32,17 @@ impl Range {
             .or_else(|| likely().map(from(Source::SixteenBits)))
     }
 
-    /// Remark on an assumed range.
-    pub fn remark(self, sensitivity: Sensitivity) -> Option<String> {
+    /// An assumed range.
+    pub fn finding(self, sensitivity: Sensitivity) -> Option<Finding> {
         (self.source == Source::SixteenBits).then(|| {
-            format!(
-                    "the range is unknown: ±{} g assumed (16 bits at {:.0} LSB/g); a board accepts the calibration at this range \
-                     only: give the range with --range",
+            let text = format!(
+                "the range is unknown: ±{} g assumed (16 bits at {:.0} LSB/g); a board accepts the calibration at this range \
+                 only",
                 self.g,
                 sensitivity.lsb_per_g()
-            )
+            );
+            let finding = FindingCode::RangeAssumed.warning(text);
+            finding.remedy("give the range with --range")
         })
     }
 }

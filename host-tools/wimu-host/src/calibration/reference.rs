@@ -14,11 +14,12 @@ use wimu_model::{
 use super::input::{magnitude, median};
 use super::paired::Paired;
 use super::range::Range;
+use super::words::no_sensitivity;
 use super::{CalibrationFile, CalibrationReport, Source};
 use crate::csv::AccelerationUnit;
 use crate::digits::{signed_with_sd, with_sd};
 use crate::error::{ErrorCode, Result};
-use crate::plural::counted;
+use crate::finding::{FindingCode, Outcome, without_unit};
 
 /// An axis in a [`ReferenceReport`].
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -58,12 +59,9 @@ pub enum NoiseSource {
 pub struct ReferenceReport {
     /// [`CalibrationReport::SCHEMA`].
     pub schema: &'static str,
-    /// `ok` or `refused`.
-    pub status: &'static str,
-    /// Why it was refused, and what to do.
-    pub reason: Option<String>,
-    /// What a user should know beside the numbers.
-    pub remarks: Vec<String>,
+    /// Status and findings.
+    #[serde(flatten)]
+    pub outcome: Outcome,
     /// The data.
     pub source: String,
     /// `reference`.
@@ -105,13 +103,6 @@ pub struct ReferenceReport {
     pub file: Option<CalibrationFile>,
 }
 
-impl ReferenceReport {
-    /// Exit code of a command that ends with it: 0, or 3 when it was refused.
-    pub fn exit_code(&self) -> u8 {
-        if self.model.is_some() { 0 } else { 3 }
-    }
-}
-
 /// Bias and scale factor of one stream against the other.
 ///
 /// `noise_ratio` is the noise of the output over that of the reference (standard deviations); `None` estimates it at
@@ -149,7 +140,6 @@ pub fn compare_with_reference(
     }
     let mut report = ReferenceReport {
         schema: CalibrationReport::SCHEMA,
-        status: "refused",
         source: data.name.clone(),
         method: "reference",
         reference: data.reference.clone(),
@@ -163,16 +153,11 @@ pub fn compare_with_reference(
     let found = match transfer.result() {
         Ok(found) => found,
         Err(refusal) => {
-            report.reason = Some(refusal.to_string());
+            report.outcome.refuse(refusal.to_string());
             return Ok(report);
         }
     };
-    if data.without_unit > 0 {
-        report.remarks.push(format!(
-            "{} left out: their range is unknown because a time-reference message (Epoch) was lost",
-            counted(data.without_unit, "sample")
-        ));
-    }
+    let mut findings = Vec::from_iter(without_unit(data.without_unit, "sample", "left out"));
     report.dof = Some(dof(&found));
     report.axes = Some(found.axes.map(|axis| AxisReport {
         offset_m_s2: axis.offset_mps2,
@@ -190,7 +175,7 @@ pub fn compare_with_reference(
     let model = match found.model() {
         Ok(model) => model,
         Err(error) => {
-            report.reason = Some(format!(
+            report.outcome.refuse(format!(
                 "the result is not possible for an accelerometer: {error}; check the units of both streams, and \
                  --reference-sensitivity"
             ));
@@ -201,10 +186,10 @@ pub fn compare_with_reference(
     for (axis, transfer) in names.into_iter().zip(&found.axes) {
         for (other, seen) in names.into_iter().zip(transfer.cross_axis) {
             if seen != 0.0 {
-                report.remarks.push(format!(
-                        "cross-axis sensitivity of {axis} to {other} of the reference: {:+.1} % (axes not parallel); included in the model",
+                findings.push(FindingCode::Axes.note(format!(
+                    "cross-axis sensitivity of {axis} to {other} of the reference: {:+.1} % (axes not parallel); included in the model",
                     seen * 100.0
-                ));
+                )));
             }
         }
         let unseen = |line: &Line, other: usize| !data.one_sensor && !line.fitted[other];
@@ -212,11 +197,13 @@ pub fn compare_with_reference(
             let out: Vec<_> = (0..3).filter(|&other| unseen(&line, other)).collect();
             if !out.is_empty() {
                 let others: Vec<_> = out.iter().map(|&other| names[other]).collect();
-                report.remarks.push(format!(
-                        "{} of the reference hardly moved on its own: a cross-axis sensitivity of {axis} to it of 2 % (1 σ) is \
-                         included in ±; move it through all orientations",
+                let text = format!(
+                    "{} of the reference hardly moved on its own: a cross-axis sensitivity of {axis} to it of 2 % (1 σ) is \
+                     included in ±",
                     others.join(" and ")
-                ));
+                );
+                let finding = FindingCode::Axes.warning(text);
+                findings.push(finding.remedy("move it through all orientations"));
             }
         }
     }
@@ -233,7 +220,6 @@ pub fn compare_with_reference(
         .collect();
     let covariance = covariance(&found);
     let sd = |index: usize| covariance[index][index].sqrt();
-    report.status = "ok";
     let fitted = |axis: &AxisTransfer| axis.line.map_or([false; 3], |line| line.fitted);
     report.terms = if found.axes.iter().all(|axis| fitted(axis) == [true; 3]) {
         &["bias", "scale", "misalignment"]
@@ -254,7 +240,9 @@ pub fn compare_with_reference(
     let range = Range::of(data.unit, data.range_g, data.sensitivity);
     let board = data.sensitivity.zip(range);
     report.range_source = board.map(|(_, range)| range.source);
-    (report.remarks).extend(board.and_then(|(sensitivity, range)| range.remark(sensitivity)));
+    findings.extend(board.and_then(|(sensitivity, range)| range.finding(sensitivity)));
+    findings.extend(board.is_none().then(no_sensitivity));
+    report.outcome.findings = findings;
     let quality = quality(&found, &covariance, utc_s);
     report.file = CalibrationFile::of_model(
         model,
@@ -364,11 +352,7 @@ impl fmt::Display for ReferenceReport {
             self.source, self.output, self.reference, self.samples,
         )?;
         let (Some(axes), Some(model), Some(sd)) = (&self.axes, &self.model, &self.sd) else {
-            return write!(
-                out,
-                "refused: {}",
-                self.reason.as_deref().unwrap_or("no reason")
-            );
+            return write!(out, "{}", self.outcome);
         };
         let noise = |report: &AxisReport| match report.noise_from {
             Some(NoiseSource::Given) => "noise ratio as given",
@@ -407,17 +391,10 @@ impl fmt::Display for ReferenceReport {
         for (source, names) in &noises {
             writeln!(out, "{}: {source}", names.join(", "))?;
         }
-        for remark in &self.remarks {
-            writeln!(out, "{remark}")?;
-        }
         write!(
             out,
             "± is 1 σ with {} degrees of freedom",
             self.dof.unwrap_or(0)
-        )?;
-        if self.parameters.is_none() {
-            write!(out, "\n{}", super::words::NO_SENSITIVITY)?;
-        }
-        Ok(())
+        )
     }
 }

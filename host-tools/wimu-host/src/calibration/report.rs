@@ -8,6 +8,7 @@ use wimu_link::hello::sensor;
 use wimu_model::{CalibrationMethod, ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, SensorId};
 
 use super::{CalibrationFile, DatasheetReport, MethodChoice};
+use crate::finding::Outcome;
 use crate::plural::counted;
 use crate::recording::RateSource;
 
@@ -143,12 +144,9 @@ pub struct StaticPose {
 pub struct CalibrationReport {
     /// [`CalibrationReport::SCHEMA`].
     pub schema: &'static str,
-    /// `ok` or `refused`.
-    pub status: &'static str,
-    /// Why it was refused, and what to do.
-    pub reason: Option<String>,
-    /// What a user should know beside the numbers.
-    pub remarks: Vec<String>,
+    /// Status and findings.
+    #[serde(flatten)]
+    pub outcome: Outcome,
     /// The data.
     pub source: String,
     /// `multi-position`, `six-position`, `four-angle` or `three-angle`.
@@ -206,11 +204,6 @@ pub struct CalibrationReport {
 impl CalibrationReport {
     /// Name of the JSON object.
     pub const SCHEMA: &'static str = "wimu.calibration/1";
-
-    /// Exit code of a command that ends with it: 0, or 3 when it was refused.
-    pub fn exit_code(&self) -> u8 {
-        if self.fit.is_some() { 0 } else { 3 }
-    }
 }
 
 impl fmt::Display for CalibrationReport {
@@ -242,14 +235,7 @@ impl fmt::Display for CalibrationReport {
             writeln!(out, "sensitivity {sensitivity:.3} LSB/g ({source})")?;
         }
         let Some(fit) = &self.fit else {
-            for remark in &self.remarks {
-                writeln!(out, "{remark}")?;
-            }
-            write!(
-                out,
-                "refused: {}",
-                self.reason.as_deref().unwrap_or("no reason")
-            )?;
+            write!(out, "{}", self.outcome)?;
             for pose in &self.next_poses {
                 write!(out, "\nadd a pose with {}: {}", pose.text, pose.instruction)?;
             }
@@ -289,14 +275,6 @@ impl fmt::Display for CalibrationReport {
             .collect();
         if !misaligned.is_empty() {
             writeln!(out, "misalignment, mrad: {}", misaligned.join(", "))?;
-        }
-        let unseen = |name: &&str| fit.not_observed.contains(&format!("misalignment {name}"));
-        if ["m_xy", "m_xz", "m_yz"].iter().all(unseen) {
-            writeln!(
-                out,
-                "misalignment not observed, taken as 0 ± {:.0} mrad",
-                fit.sd.matrix[1][0] * 1e3
-            )?;
         }
         writeln!(
             out,
@@ -341,9 +319,6 @@ impl fmt::Display for CalibrationReport {
                 )?;
             }
         }
-        if let Some(datasheet) = &self.datasheet {
-            writeln!(out, "{datasheet}")?;
-        }
         let mut worst: Vec<_> = self
             .static_poses
             .iter()
@@ -362,20 +337,6 @@ impl fmt::Display for CalibrationReport {
                 "largest residuals, poses (from 0), mm/s²: {}",
                 listed.join(", ")
             )?;
-        }
-        if !self.rejected_poses.is_empty() {
-            writeln!(
-                out,
-                "poses left out because the others contradict them: {:?}{}",
-                self.rejected_poses,
-                match self.rejected.saturating_sub(self.rejected_poses.len()) {
-                    0 => String::new(),
-                    more => format!(" and {more} more"),
-                }
-            )?;
-        }
-        for remark in &self.remarks {
-            writeln!(out, "{remark}")?;
         }
         match (self.poses_worth_adding, self.next_poses.first()) {
             _ if self.method != MethodChoice::MultiPosition.name() => {

@@ -72,7 +72,10 @@ fn calibrate_rows(
 #[test]
 fn the_error_model_comes_back() {
     let report = calibrate(&pose_means(Unit::Si, 1.0), &CalibrateOptions::default()).unwrap();
-    assert_eq!((report.status, report.exit_code()), ("ok", 0));
+    assert_eq!(
+        (report.outcome.status, report.outcome.exit_code()),
+        ("ok", 0)
+    );
     let fit = report.fit.as_ref().unwrap();
     assert!(fit.rms_mm_s2 < 1e-6);
     for axis in 0..3 {
@@ -182,8 +185,18 @@ fn a_refusal_says_why_and_which_poses_would_help() {
     let values: Vec<[f64; 3]> = all.tracks()[0].vectors().map(|(_, value)| value).collect();
     let data = recording_of(Unit::Si, values[..7].iter().copied());
     let report = calibrate(&data, &CalibrateOptions::default()).unwrap();
-    assert_eq!((report.status, report.exit_code()), ("refused", 3));
-    assert!(report.reason.as_ref().unwrap().contains("7 static poses"));
+    assert_eq!(
+        (report.outcome.status, report.outcome.exit_code()),
+        ("refused", 3)
+    );
+    assert!(
+        report
+            .outcome
+            .reason
+            .as_ref()
+            .unwrap()
+            .contains("7 static poses")
+    );
     assert!(report.next_poses.len() >= 3);
     let json = serde_json::to_value(&report).unwrap();
     assert_eq!(json["status"], "refused");
@@ -473,7 +486,7 @@ fn a_recording_and_a_csv_file_of_the_same_counts_give_the_same_calibration() {
             "rate_source",
             "range_g",
             "range_source",
-            "remarks",
+            "findings",
             "parameters",
             "parameter_id",
             "units",
@@ -594,7 +607,7 @@ fn ten_real_poses_do_not_support_nine_parameters() {
     };
     let data = load(&path, None, false);
     let report = calibrate(&data, &CalibrateOptions::default()).unwrap();
-    assert_eq!(report.exit_code(), 3, "{report}");
+    assert_eq!(report.outcome.exit_code(), 3, "{report}");
     assert!(!report.next_poses.is_empty(), "{report}");
 }
 

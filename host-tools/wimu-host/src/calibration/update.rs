@@ -11,6 +11,7 @@ use super::CalibrationReport;
 use super::input::poses;
 use crate::digits::signed_with_sd;
 use crate::error::{ErrorCode, Result};
+use crate::finding::{Finding, FindingCode, Outcome};
 use crate::recording::{OutputUnit, Samples};
 
 /// A rest compared with the stored calibration.
@@ -31,10 +32,9 @@ pub struct RestReport {
 pub struct UpdateReport {
     /// [`CalibrationReport::SCHEMA`].
     pub schema: &'static str,
-    /// `ok` or `refused`.
-    pub status: &'static str,
-    /// Why it was refused, and what to do.
-    pub reason: Option<String>,
+    /// Status and findings.
+    #[serde(flatten)]
+    pub outcome: Outcome,
     /// The data.
     pub source: String,
     /// `update`.
@@ -59,14 +59,6 @@ pub struct UpdateReport {
     pub parameters: Option<ParameterSet>,
     /// Id of that set.
     pub parameter_id: Option<String>,
-}
-
-impl UpdateReport {
-    /// Exit code of a command that ends with it: 0, or 3 when the calibration is no longer valid or
-    /// the data do not support an answer.
-    pub fn exit_code(&self) -> u8 {
-        if self.model.is_some() { 0 } else { 3 }
-    }
 }
 
 /// Checks `stored` with every rest in the data, at least one, in any orientations, and updates it. Its bias may have
@@ -110,7 +102,10 @@ pub fn update(
     let contradictions = check.contradictions();
     let mut report = UpdateReport {
         schema: CalibrationReport::SCHEMA,
-        status: "refused",
+        outcome: Outcome {
+            findings: contradicting(&rests),
+            ..Outcome::default()
+        },
         source: data.name.to_owned(),
         method: "update",
         stored_id: parameter_id(stored).to_string(),
@@ -123,7 +118,7 @@ pub fn update(
     let unusable = found.len() - report.rests.len();
     // One of ten may be disturbed.
     let allowed = found.len() / 10;
-    report.reason = if found.is_empty() {
+    let reason = if found.is_empty() {
         Some("no rest was found: hold the sensor still for two seconds or more".to_owned())
     } else if unusable > allowed {
         Some(format!(
@@ -147,15 +142,15 @@ pub fn update(
     } else {
         None
     };
-    if report.reason.is_some() {
+    if let Some(reason) = reason {
+        report.outcome.refuse(reason);
         return Ok(report);
     }
     let model = match check.model() {
         Ok(model) => model,
         Err(error) => {
-            report.reason = Some(format!(
-                "the update is not possible for an accelerometer: {error}"
-            ));
+            let reason = format!("the update is not possible for an accelerometer: {error}");
+            report.outcome.refuse(reason);
             return Ok(report);
         }
     };
@@ -178,7 +173,6 @@ pub fn update(
     };
     let before = stored.model.terms().bias_mps2;
     let now = model.terms().bias_mps2;
-    report.status = "ok";
     report.bias_change_m_s2 = Some([0, 1, 2].map(|axis| now[axis] - before[axis]));
     report.model = Some(*model.terms());
     report.sd = Some(Parameter::ALL.map(|parameter| covariance.sd(parameter)));
@@ -187,8 +181,17 @@ pub fn update(
     Ok(report)
 }
 
-/// Largest number of contradicting rests that are printed.
-const MAX_LISTED: usize = 20;
+/// The rests that contradict the calibration.
+fn contradicting(rests: &[RestReport]) -> Vec<Finding> {
+    let bad = (0..).zip(rests).filter(|(_, rest)| !rest.holds);
+    let finding = |(k, rest): (usize, &RestReport)| {
+        FindingCode::PosesLeftOut.warning(format!(
+            "rest {k} (from 0) contradicts the calibration: |f| − g {:+.2} mm/s², {:.2} expected (1 σ)",
+            rest.residual_mm_s2, rest.expected_sd_mm_s2
+        ))
+    };
+    bad.map(finding).collect()
+}
 
 /// The rest that contradicts, if it is the only one of three or more.
 fn lone(rests: &[RestReport]) -> Option<usize> {
@@ -204,43 +207,23 @@ impl fmt::Display for UpdateReport {
             "{}: {} rests against calibration {}, g = {} m/s²",
             self.source, self.poses, self.stored_id, self.gravity_m_s2
         )?;
-        match (&self.reason, &self.bias_change_m_s2) {
-            (Some(reason), _) => write!(out, "refused: {reason}")?,
-            (None, Some(change)) => {
-                let sd = self.sd.unwrap_or_default();
-                let axis = |k: usize| signed_with_sd(change[k] * 1e3, sd[k] * 1e3);
-                let significant = (0..3).any(|k| change[k].abs() > 2.0 * sd[k]);
-                write!(
-                    out,
-                    "the calibration is still valid; change of the bias, mm/s² (1 σ): X {}, Y {}, Z {}{}",
-                    axis(0),
-                    axis(1),
-                    axis(2),
-                    if significant {
-                        "; it is significant (2 σ): use the updated file (-o)"
-                    } else {
-                        ""
-                    }
-                )?;
-            }
-            (None, None) => {}
-        }
-        let contradicting = || {
-            self.rests
-                .iter()
-                .enumerate()
-                .filter(|(_, rest)| !rest.holds)
+        let Some(change) = &self.bias_change_m_s2 else {
+            return write!(out, "{}", self.outcome);
         };
-        for (k, rest) in contradicting().take(MAX_LISTED) {
-            write!(
-                out,
-                "\nrest {k} (from 0) contradicts it: |f| − g {:+.2} mm/s², {:.2} expected (1 σ)",
-                rest.residual_mm_s2, rest.expected_sd_mm_s2
-            )?;
-        }
-        match contradicting().skip(MAX_LISTED).count() {
-            0 => Ok(()),
-            more => write!(out, "\nand {more} more"),
-        }
+        let sd = self.sd.unwrap_or_default();
+        let axis = |k: usize| signed_with_sd(change[k] * 1e3, sd[k] * 1e3);
+        let significant = (0..3).any(|k| change[k].abs() > 2.0 * sd[k]);
+        write!(
+            out,
+            "the calibration is still valid; change of the bias, mm/s² (1 σ): X {}, Y {}, Z {}{}",
+            axis(0),
+            axis(1),
+            axis(2),
+            if significant {
+                "; it is significant (2 σ): use the updated file (-o)"
+            } else {
+                ""
+            }
+        )
     }
 }

@@ -1,4 +1,4 @@
-//! Messages of a calibration: reasons for a refusal, and remarks.
+//! Messages of a calibration: reasons for a refusal, and findings.
 
 use wimu_calib::{Estimate, Face, Method, Model, Parameter, Pose, Refusal, Term};
 use wimu_model::Sensitivity;
@@ -7,26 +7,16 @@ use super::input::{magnitude, median, median_magnitude};
 use super::range::Range;
 use super::{CalibrateOptions, MethodChoice, ModelChoice, bend};
 use crate::digits::significant;
+use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
 use crate::recording::{RateSource, Samples};
 
-/// How many poses repeat another one exactly and were left out.
-pub(super) fn repeated_remark(poses: usize) -> Option<String> {
+/// How many poses were left out because they repeat an earlier one, and how.
+pub(super) fn left_out(poses: usize, why: &str) -> Option<Finding> {
     (poses > 0).then(|| {
-        format!(
-            "{} left out: exactly equal to an earlier pose; pose numbers count only the others",
-            counted(poses, "pose")
-        )
-    })
-}
-
-/// How many poses repeat the first step of a rotation and were left out.
-pub(super) fn closing_remark(poses: usize) -> Option<String> {
-    (poses > 0).then(|| {
-        format!(
-            "{} left out: the rotation had returned to its first step; pose numbers count only the others",
-            counted(poses, "pose")
-        )
+        let count = counted(poses, "pose");
+        let text = format!("{count} left out: {why}; pose numbers count only the others");
+        FindingCode::PosesLeftOut.note(text)
     })
 }
 
@@ -181,7 +171,7 @@ fn looks_like_means(data: &Samples<'_>, found: usize) -> bool {
 }
 
 /// Rejected poses that appear to be in g among poses in m/s².
-fn in_another_unit(poses: &[Pose], estimate: &Estimate) -> Option<String> {
+fn in_another_unit(poses: &[Pose], estimate: &Estimate) -> Option<Finding> {
     let g = estimate.gravity.mps2();
     let short = |k: &&usize| {
         let pose = poses.get(**k);
@@ -195,43 +185,46 @@ fn in_another_unit(poses: &[Pose], estimate: &Estimate) -> Option<String> {
         .map(usize::to_string)
         .collect();
     (!short.is_empty()).then(|| {
-            format!(
-                "poses left out because they appear to be in g, the others in m/s²: {} (from 0); use one unit",
-                short.join(", ")
-            )
+        let text = format!(
+            "poses that were left out appear to be in g, the others in m/s²: {} (from 0)",
+            short.join(", ")
+        );
+        FindingCode::PosesLeftOut
+            .warning(text)
+            .remedy("use one unit")
     })
 }
 
 /// What rotations about level axes cannot observe.
-fn unobserved_by_rotations(poses: &[Pose], estimate: &Estimate) -> Vec<String> {
+fn unobserved_by_rotations(poses: &[Pose], estimate: &Estimate) -> Vec<Finding> {
     let steps = match estimate.method {
         Method::FourAngle => 4,
         Method::ThreeAngle => 3,
         _ => return Vec::new(),
     };
-    let mut remarks = Vec::new();
+    let mut findings = Vec::new();
     let unseen = [Parameter::BiasX, Parameter::BiasY, Parameter::BiasZ]
         .into_iter()
         .position(|bias| !estimate.fitted.contains(bias));
     if let Some(axis) = unseen {
         let mean = poses.iter().map(|pose| pose.mean_mps2[axis]).sum::<f64>() / poses.len() as f64;
         let share = (mean / estimate.gravity.mps2()).abs().min(1.0);
-        remarks.push(format!(
-                "all rotations were about {}, which reads {mean:+.2} m/s²: its bias, or an axis {:.0}° from level, which lowers \
-                 the scale factors by {:.1} %; rotate about another axis to separate them",
+        let text = format!(
+            "all rotations were about {}, which reads {mean:+.2} m/s²: its bias, or an axis {:.0}° from level, which lowers \
+             the scale factors by {:.1} %",
             ["X", "Y", "Z"][axis],
             share.asin().to_degrees(),
             100.0 * (1.0 - (1.0 - share * share).sqrt()),
-        ));
+        );
+        let finding = FindingCode::NotObserved.warning(text);
+        findings.push(finding.remedy("rotate about another axis to separate them"));
     }
     if steps == 3 && poses.len() == steps {
-        remarks.push(
-            "three steps leave no redundancy: a step that is 8° off changes the scale factor by 4 %; --method four-angle \
-             detects it"
-                .to_owned(),
-        );
+        let text = "three steps leave no redundancy: a step that is 8° off changes the scale factor by 4 %";
+        let finding = FindingCode::NotObserved.warning(text);
+        findings.push(finding.remedy("--method four-angle detects it"));
     }
-    remarks
+    findings
 }
 
 /// Largest relative difference of magnitudes that indicates normalised data. Chosen: a sensor differs by more.
@@ -239,16 +232,15 @@ const NORMALISED: f64 = 1e-4;
 /// Fewest orientations for that test.
 const MIN_NORMALISED: usize = 6;
 
-/// Remark on poses that all have the same magnitude: they were divided by it.
-fn normalised(poses: &[Pose], estimate: &Estimate) -> Option<&'static str> {
+/// Poses that all have the same magnitude: they were divided by it.
+fn normalised(poses: &[Pose], estimate: &Estimate) -> Option<Finding> {
     let sizes = || poses.iter().map(|pose| magnitude(pose.mean_mps2));
     let first = sizes().next()?;
     let alike = sizes().all(|size| (size / first - 1.0).abs() < NORMALISED);
     let enough = estimate.orientations >= MIN_NORMALISED;
-    (alike && enough).then_some(
-        "all poses have the same magnitude to 0.01 %: the data look normalised or already corrected; give the raw output \
-         of the sensor",
-    )
+    let text = "all poses have the same magnitude to 0.01 %: the data look normalised or already corrected";
+    let finding = || FindingCode::AlreadyCorrected.warning(text);
+    (alike && enough).then(|| finding().remedy("give the raw output of the sensor"))
 }
 
 /// Largest plausible residual of poses, mm/s² rms: 5 mg.
@@ -258,8 +250,12 @@ const SUSPICIOUS_RMS_MM_S2: f64 = 50.0;
 const SUSPICIOUS_OF_TURNS_RMS_MM_S2: f64 = 280.0;
 
 /// Why a calibration cannot be pushed or exported.
-pub(super) const NO_SENSITIVITY: &str = "the data are in m/s² or g: to push this calibration to a board, calibrate again with --sensitivity, \
- the nominal LSB/g of the board's range";
+pub(super) fn no_sensitivity() -> Finding {
+    let remedy = "to push this calibration, calibrate again with --sensitivity, the nominal LSB/g of the board's range";
+    FindingCode::NotForBoards
+        .note("the data are in m/s² or g, a board needs counts")
+        .remedy(remedy)
+}
 
 /// Largest standard deviation of a pose's mean from white noise, m/s²; 0 if it is unknown.
 fn pose_noise_mps2(poses: &[Pose]) -> f64 {
@@ -273,46 +269,39 @@ fn pose_noise_mps2(poses: &[Pose]) -> f64 {
 }
 
 /// What a user should know beside the numbers.
-pub(super) fn remarks(
+pub(super) fn findings(
     data: &Samples<'_>,
     options: &CalibrateOptions,
     poses: &[Pose],
     estimate: Option<&Estimate>,
     board: Option<(Sensitivity, Range)>,
     lsb_per_g: Option<f64>,
-) -> Vec<String> {
-    let mut remarks = Vec::new();
-    if data.rate_source == RateSource::Assumed && !data.poses {
-        remarks.push(format!(
-            "{}: {} Hz assumed",
-            if data.is_timed() {
-                "the times are more than a second apart (check their unit)"
-            } else {
-                "the data have no times"
-            },
-            data.rate_hz
-        ));
-    }
-    remarks.extend(data.gaps_remark());
+) -> Vec<Finding> {
+    let mut findings = data.findings();
     if data.has_gyroscope {
-        remarks.push("the gyroscope is not calibrated, only the accelerometer".to_owned());
+        findings.push(
+            FindingCode::Uncalibrated
+                .note("the gyroscope is not calibrated, only the accelerometer"),
+        );
     }
     let Some(estimate) = estimate else {
-        return remarks;
+        return findings;
     };
     let missing = |parameters: &[Parameter]| {
         parameters
             .iter()
             .all(|parameter| !estimate.fitted.contains(*parameter))
     };
-    let [mut scales, mut misalignments] = [false; 2];
-    if missing(&[Parameter::ScaleX, Parameter::ScaleY, Parameter::ScaleZ]) {
-        scales = true;
-        remarks.push("scale factors were not fitted: taken as 1".to_owned());
+    let scales = missing(&[Parameter::ScaleX, Parameter::ScaleY, Parameter::ScaleZ]);
+    if scales {
+        let text = "scale factors were not fitted: taken as 1";
+        findings.push(FindingCode::NotObserved.note(text));
     }
-    if missing(&[Parameter::MisalignmentXy, Parameter::MisalignmentXz]) {
-        misalignments = true;
-        remarks.push("misalignments were not fitted: taken as 0".to_owned());
+    let misalignments = missing(&[Parameter::MisalignmentXy, Parameter::MisalignmentXz]);
+    if misalignments {
+        let mrad = estimate.sd().matrix[1][0] * 1e3;
+        let text = format!("misalignments were not fitted: taken as 0 ± {mrad:.0} mrad");
+        findings.push(FindingCode::NotObserved.note(text));
     }
     let others: Vec<String> = estimate
         .not_observed()
@@ -325,12 +314,48 @@ pub(super) fn remarks(
         .map(|parameter| parameter.to_string())
         .collect();
     if !others.is_empty() {
-        remarks.push(format!(
+        findings.push(FindingCode::NotObserved.warning(format!(
             "not observed: {}; taken as ideal, with the standard deviations typical of datasheets",
             others.join(", ")
-        ));
+        )));
     }
-    if let Method::SixPosition {
+    findings.extend(placement(poses, estimate));
+    findings.extend(in_another_unit(poses, estimate));
+    findings.extend(bend::finding(poses, estimate));
+    findings.extend(normalised(poses, estimate));
+    findings.extend(unobserved_by_rotations(poses, estimate));
+    let rms = estimate.rms_mps2 * 1e3;
+    let most = match estimate.method {
+        Method::FourAngle | Method::ThreeAngle => SUSPICIOUS_OF_TURNS_RMS_MM_S2,
+        _ => SUSPICIOUS_RMS_MM_S2,
+    };
+    if rms > most && estimate.rejected.as_slice().is_empty() {
+        findings.push(FindingCode::Residuals.warning(format!(
+            "the residuals, {rms:.0} mm/s² rms, are larger than those of an intact sensor: the model is too small, or poses \
+             are disturbed"
+        )));
+    }
+    findings.extend(board.and_then(|(sensitivity, range)| range.finding(sensitivity)));
+    if let (None, Some(lsb_per_g)) = (board, lsb_per_g) {
+        findings.push(FindingCode::NotForBoards.warning(format!(
+            "{lsb_per_g:.1} LSB/g is outside the range of boards (160 to 1048576): this calibration cannot be pushed or exported"
+        )));
+    }
+    if lsb_per_g.is_none() {
+        findings.push(no_sensitivity());
+    }
+    if options.method != MethodChoice::SixPosition || options.sides.is_none() {
+        let text = "swapped, mirrored or inverted axes cannot be detected";
+        let finding = FindingCode::Axes.note(text);
+        findings.push(finding.remedy("to detect them use --method six-position --sides"));
+    }
+    findings
+}
+
+/// Errors of the placement and the repeatability of known orientations.
+fn placement(poses: &[Pose], estimate: &Estimate) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    let Method::SixPosition {
         placement_sd_rad,
         declared_sd_rad,
         misplaced,
@@ -338,70 +363,42 @@ pub(super) fn remarks(
         revisits,
         unexplained,
     } = estimate.method
-    {
-        let declared = declared_sd_rad.to_degrees();
-        if let Some(side) = misplaced {
-            let or = if side.or_opposite {
-                " or the opposite side"
-            } else {
-                ""
-            };
-            remarks.push(format!(
-                    "side {} up{or} was placed {:.1}° off, declared is {declared:.1}° (1 σ); the intervals of its axis include this: \
-                     repeat it, placed squarely",
-                side.face,
-                side.tilt_rad.to_degrees()
-            ));
-        }
-        if placement_sd_rad > declared_sd_rad {
-            remarks.push(format!(
-                    "placement was worse than declared: {:.1}° instead of {declared:.1}° (1 σ); the intervals include this",
-                placement_sd_rad.to_degrees()
-            ));
-        }
-        let mm = revisit_sd_mps2 * 1e3;
-        if unexplained {
-            remarks.push(format!(
-                    "visits of one side differ by {mm:.1} mm/s² (1 σ), more than noise and placement explain: drift, or different \
-                     placement; the standard deviations include this"
-            ));
-        } else if revisits == 0 && revisit_sd_mps2 > pose_noise_mps2(poses) {
-            remarks.push(format!(
-                    "each side was measured once: a repeatability of {} mm/s² (1 σ), typical of other sensors, is assumed; \
-                     measure each side twice to determine it",
-                    significant(mm, 3)
-            ));
-        }
-    }
-    remarks.extend(in_another_unit(poses, estimate));
-    remarks.extend(bend::remark(poses, estimate).map(str::to_owned));
-    remarks.extend(normalised(poses, estimate).map(str::to_owned));
-    remarks.extend(unobserved_by_rotations(poses, estimate));
-    let rms = estimate.rms_mps2 * 1e3;
-    let most = match estimate.method {
-        Method::FourAngle | Method::ThreeAngle => SUSPICIOUS_OF_TURNS_RMS_MM_S2,
-        _ => SUSPICIOUS_RMS_MM_S2,
+    else {
+        return findings;
     };
-    if rms > most && estimate.rejected.as_slice().is_empty() {
-        remarks.push(format!(
-                "the residuals, {rms:.0} mm/s² rms, are larger than those of an intact sensor: the model is too small, or poses \
-                 are disturbed"
-        ));
-    }
-    remarks.extend(board.and_then(|(sensitivity, range)| range.remark(sensitivity)));
-    if let (None, Some(lsb_per_g)) = (board, lsb_per_g) {
-        remarks.push(format!(
-                "{lsb_per_g:.1} LSB/g is outside the range of boards (160 to 1048576): this calibration cannot be pushed or exported"
-        ));
-    }
-    if lsb_per_g.is_none() {
-        remarks.push(NO_SENSITIVITY.to_owned());
-    }
-    if options.method != MethodChoice::SixPosition || options.sides.is_none() {
-        remarks.push(
-            "swapped, mirrored or inverted axes cannot be detected: use --method six-position --sides"
-                .to_owned(),
+    let declared = declared_sd_rad.to_degrees();
+    if let Some(side) = misplaced {
+        let or = match side.or_opposite {
+            true => " or the opposite side",
+            false => "",
+        };
+        let text = format!(
+            "side {} up{or} was placed {:.1}° off, declared is {declared:.1}° (1 σ); the intervals of its axis include this",
+            side.face,
+            side.tilt_rad.to_degrees()
         );
+        let finding = FindingCode::Placement.warning(text);
+        findings.push(finding.remedy("repeat it, placed squarely"));
     }
-    remarks
+    if placement_sd_rad > declared_sd_rad {
+        findings.push(FindingCode::Placement.warning(format!(
+            "placement was worse than declared: {:.1}° instead of {declared:.1}° (1 σ); the intervals include this",
+            placement_sd_rad.to_degrees()
+        )));
+    }
+    let mm = revisit_sd_mps2 * 1e3;
+    if unexplained {
+        findings.push(FindingCode::Placement.warning(format!(
+            "visits of one side differ by {mm:.1} mm/s² (1 σ), more than noise and placement explain: drift, or different \
+             placement; the standard deviations include this"
+        )));
+    } else if revisits == 0 && revisit_sd_mps2 > pose_noise_mps2(poses) {
+        let text = format!(
+            "each side was measured once: a repeatability of {} mm/s² (1 σ), typical of other sensors, is assumed",
+            significant(mm, 3)
+        );
+        let finding = FindingCode::Placement.note(text);
+        findings.push(finding.remedy("measure each side twice to determine it"));
+    }
+    findings
 }

@@ -5,8 +5,9 @@ use std::path::Path;
 use serde::Serialize;
 use wimu_calib::ReferenceTransfer;
 
-use super::{Axis, refused};
+use super::{Axis, incomparable, refused};
 use crate::Result;
+use crate::finding::{Finding, FindingCode};
 
 mod correlation;
 mod signal;
@@ -79,7 +80,10 @@ pub struct Alignment {
     pub axes: Option<[Axis; 3]>,
     /// Why they are not.
     pub axes_reason: Option<String>,
+    /// What was noticed.
+    pub findings: Vec<Finding>,
 }
+
 /// Aligns two tables by the magnitude of their specific force, which does not depend on the mounting, and
 /// compares their values. In LSB, the median magnitude is taken as 1 g.
 ///
@@ -243,6 +247,27 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
             plain.with_units_to(unit_sd.map(Option::unwrap_or_default), means)
         })
     });
+    let turn = found.as_ref().ok().and_then(Turn::of);
+    let axes_reason = found.err().map(|refusal| refusal.to_string());
+    let mut findings = Vec::from_iter(incomparable(axes_reason.as_deref()));
+    for (source, sd) in names.iter().zip(unit_sd) {
+        findings.extend(sd.map(|sd| {
+            FindingCode::UnitInferred.warning(format!(
+                "{source} is in LSB: its median magnitude is taken as 1 g; the standard deviation of all scale factors is {:.0} %",
+                100.0 * sd
+            ))
+        }));
+    }
+    if saturated > 0 {
+        let text = format!("{saturated} saturated samples are left out");
+        findings.push(FindingCode::Saturated.note(text));
+    }
+    if axes.is_some() && turn.is_none() {
+        let text = "the motion does not determine the rotation between the axes: 5° change a scale factor by 0.4 % and a bias \
+                    by 9 % of the other axes' output";
+        let finding = FindingCode::Axes.warning(text);
+        findings.push(finding.remedy("move both through all orientations"));
+    }
     Ok(Alignment {
         sources: names,
         offset_s,
@@ -255,9 +280,10 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
         pairs,
         saturated,
         unit_sd,
-        turn: found.as_ref().ok().and_then(Turn::of),
+        turn,
         axes,
-        axes_reason: found.err().map(|refusal| refusal.to_string()),
+        axes_reason,
+        findings,
     })
 }
 

@@ -21,7 +21,7 @@ impl Comparison {
     /// `file_failed` when one cannot be drawn.
     pub fn page(&self, printed: &str) -> Result<Report> {
         let mut report = Report::new(format!("Wireless against cable: {}", self.source));
-        report.printed(printed);
+        report.printed(printed).findings(&self.findings);
         self.pictures(&mut report)?;
         Ok(report)
     }

@@ -16,54 +16,24 @@ pub fn is_none(text: &str) -> bool {
 /// `text` · 10^`exponent` as an integer, rounded half away from zero, in integer arithmetic so
 /// that a UTC time in seconds keeps its nanoseconds. `None` if it is not a decimal number or does not fit.
 pub fn decimal(text: &str, exponent: i32) -> Option<i64> {
-    let (mantissa, power) = match text.split_once(['e', 'E']) {
-        Some((mantissa, power)) => (mantissa, power.parse::<i32>().ok()?),
-        None => (text, 0),
-    };
-    let (negative, digits) = match mantissa.as_bytes().first()? {
-        b'-' => (true, &mantissa[1..]),
-        b'+' => (false, &mantissa[1..]),
-        _ => (false, mantissa),
-    };
-    let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
-    let mut value: i128 = 0;
-    let mut shift = exponent.checked_add(power)?;
-    let mut any = false;
-    for (digit, in_fraction) in whole
-        .bytes()
-        .map(|b| (b, false))
-        .chain(fraction.bytes().map(|b| (b, true)))
-    {
-        if !digit.is_ascii_digit() {
-            return None;
-        }
-        any = true;
-        // Digits after the 30th are far below a nanosecond.
-        if value < 10_i128.pow(30) {
-            value = value * 10 + i128::from(digit - b'0');
-            shift = shift.checked_sub(i32::from(in_fraction))?;
-        } else if !in_fraction {
-            shift = shift.checked_add(1)?;
-        }
-    }
-    if !any {
-        return None;
-    }
-    if value == 0 {
+    // Digits after the 20th of a fraction are far below a nanosecond.
+    const MAX_FRACTION: usize = 20;
+    if finite(text)? == 0.0 {
         return Some(0);
     }
-    let scaled = if shift >= 0 {
-        10_i128
-            .checked_pow(shift.unsigned_abs())
-            .and_then(|factor| value.checked_mul(factor))?
-    } else {
-        // Beyond 38 digits the quotient of 31 digits is 0.
-        match 10_i128.checked_pow(shift.unsigned_abs()) {
-            Some(divisor) => (value + divisor / 2) / divisor,
-            None => 0,
-        }
+    let (mantissa, power) = text.split_once(['e', 'E']).unwrap_or((text, "0"));
+    let (whole, fraction) = mantissa.split_once('.').unwrap_or((mantissa, ""));
+    let fraction = &fraction[..fraction.len().min(MAX_FRACTION)];
+    let digits: i128 = format!("{whole}{fraction}").parse().ok()?;
+    let power = power.parse::<i32>().ok()?.checked_add(exponent)?;
+    let shift = power.checked_sub(i32::try_from(fraction.len()).ok()?)?;
+    let factor = 10_i128.checked_pow(shift.unsigned_abs());
+    let value = match (shift >= 0, factor) {
+        (true, factor) => digits.checked_mul(factor?)?,
+        (false, Some(divisor)) => (digits + digits.signum() * (divisor / 2)) / divisor,
+        (false, None) => 0,
     };
-    i64::try_from(if negative { -scaled } else { scaled }).ok()
+    i64::try_from(value).ok()
 }
 
 /// Nanoseconds as a decimal number of seconds, exact.

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use super::window::no_inertial_data;
 use super::{ReadOptions, Source, ned};
 use crate::error::{ErrorCode, Result};
-use crate::finding::{Finding, FindingCode, Severity};
+use crate::finding::FindingCode;
 use crate::plural::counted;
 use crate::recording::{Origin, Quantity, Sink, TrackId, TrackInfo, Unit};
 
@@ -232,12 +232,12 @@ impl Choice {
             if let (Some(_), Some(other)) = (read.first(), left.first()) {
                 let (read, left) = (rows.described(&read), rows.described(&left));
                 let evidence = format!("read: {read}; not read: {left}");
-                let finding = Finding::new(FindingCode::TrackChosen, Severity::Note, evidence);
+                let finding = FindingCode::TrackChosen.note(evidence);
                 sink.finding(finding.remedy(format!("`--topic {other}` reads {other} instead")));
             }
         }
         let evidence = "times count from the start of the autopilot";
-        sink.finding(Finding::new(FindingCode::Clock, Severity::Note, evidence));
+        sink.finding(FindingCode::Clock.note(evidence));
     }
 }
 

@@ -22,7 +22,7 @@ use self::header::{Header, MARKER};
 use super::window::{Window, no_inertial_data};
 use super::{ReadOptions, Source};
 use crate::error::{ErrorCode, Result};
-use crate::finding::{Finding, FindingCode, Severity};
+use crate::finding::FindingCode;
 use crate::plural::counted;
 use crate::recording::{Quantity, Sink, TrackId, TrackInfo, Unit};
 
@@ -199,7 +199,7 @@ fn report(logs: &[Log], chosen: usize, sink: &mut dyn Sink) {
             names.push(format!("{} more", logs.len() - 1 - MOST_NAMED));
         }
         let evidence = format!("read: {}; not read: {}", name(chosen), names.join(", "));
-        let finding = Finding::new(FindingCode::TrackChosen, Severity::Note, evidence);
+        let finding = FindingCode::TrackChosen.note(evidence);
         sink.finding(finding.remedy("`--topic \"log N\"` reads another"));
     }
     let [start, end] = logs[chosen].span;
@@ -209,11 +209,11 @@ fn report(logs: &[Log], chosen: usize, sink: &mut dyn Sink) {
     if lost > 0 {
         let frames = counted(lost, "frame");
         let evidence = format!("{frames} refer to damaged ones or have an implausible time");
-        let finding = Finding::new(FindingCode::Truncated, Severity::Warning, evidence);
+        let finding = FindingCode::Truncated.warning(evidence);
         sink.finding(finding.remedy("they are left out"));
     }
     let evidence = "times count from the start of the flight controller";
-    sink.finding(Finding::new(FindingCode::Clock, Severity::Note, evidence));
+    sink.finding(FindingCode::Clock.note(evidence));
 }
 
 /// The track of a field, and the factor of its values.

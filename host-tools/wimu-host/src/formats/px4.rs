@@ -24,7 +24,7 @@ use self::ulog::{Field, Layout, Message, Subscription};
 use super::autopilot::{Choice, Family, Role, Rows, Topic};
 use super::{ReadOptions, Source};
 use crate::error::Result;
-use crate::finding::{Finding, FindingCode, Severity};
+use crate::finding::FindingCode;
 use crate::plural::counted;
 use crate::recording::{Quantity, Sink, TrackId};
 
@@ -88,7 +88,7 @@ pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) 
     if dropouts > 0 {
         let times = counted(dropouts, "dropout");
         let evidence = format!("{times} of the logger, {lost_ms} ms in all");
-        let finding = Finding::new(FindingCode::Rate, Severity::Warning, evidence);
+        let finding = FindingCode::Rate.warning(evidence);
         sink.finding(finding.remedy("log fewer topics, or use a faster memory card"));
     }
     choice.report(&rows, sink);

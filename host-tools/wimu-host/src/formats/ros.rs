@@ -16,7 +16,7 @@ use std::borrow::Cow;
 use self::message::{Encoding, IMU, Kind};
 use super::{ReadOptions, Source};
 use crate::error::{ErrorCode, HostError, Result};
-use crate::finding::{Finding, FindingCode, Severity};
+use crate::finding::{Finding, FindingCode};
 use crate::recording::{Origin, Quantity, Sink, TrackId, TrackInfo, Unit};
 
 /// Messages of a topic by which its clock is chosen.
@@ -199,7 +199,7 @@ impl<'a> Messages<'a> {
                 true => "the rest is read",
                 false => "the part before is read",
             };
-            self.report(FindingCode::Truncated, Severity::Warning, damage, remedy);
+            self.report(FindingCode::Truncated.warning(damage), remedy);
         }
         self.report_topics();
         self.report_clocks();
@@ -211,9 +211,8 @@ impl<'a> Messages<'a> {
         self.topics.iter().filter(is_imu)
     }
 
-    fn report(&mut self, code: FindingCode, severity: Severity, text: String, remedy: &str) {
-        self.sink
-            .finding(Finding::new(code, severity, text).remedy(remedy));
+    fn report(&mut self, finding: Finding, remedy: impl Into<String>) {
+        self.sink.finding(finding.remedy(remedy));
     }
 
     fn report_topics(&mut self) {
@@ -224,14 +223,14 @@ impl<'a> Messages<'a> {
                 Some(topic) => format!("only {topic} is read"),
                 None => "each is a sensor of its own; select one by `--topic`".to_owned(),
             };
-            self.report(FindingCode::TrackChosen, Severity::Note, text, &remedy);
+            self.report(FindingCode::TrackChosen.note(text), remedy);
         }
         for topic in self.topics.iter().filter(|topic| topic.undecoded > 0) {
             let text = format!(
                 "{}: {} of {} messages do not have the layout of {}",
                 topic.name, topic.undecoded, topic.messages, topic.message
             );
-            let finding = Finding::new(FindingCode::RowsMasked, Severity::Warning, text);
+            let finding = FindingCode::RowsMasked.warning(text);
             self.sink.finding(finding.remedy("they are left out"));
         }
     }
@@ -248,7 +247,7 @@ impl<'a> Messages<'a> {
                 logged.join(", ")
             );
             let remedy = "the log times are used, which include the delays of transport";
-            self.report(FindingCode::Clock, Severity::Warning, text, remedy);
+            self.report(FindingCode::Clock.warning(text), remedy);
         }
         let offsets = (self.topics.iter()).filter_map(|topic| Some((topic.offset_ns?, topic)));
         let first = offsets.clone().min_by_key(|(offset, _)| *offset);
@@ -265,7 +264,7 @@ impl<'a> Messages<'a> {
                 difference_ns as f64 * 1e-9
             );
             let remedy = "do not combine them, or record them with one clock";
-            self.report(FindingCode::Clock, Severity::Warning, text, remedy);
+            self.report(FindingCode::Clock.warning(text), remedy);
         }
     }
 

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use super::archive::unpacked;
 use crate::error::{HostError, Result};
+use crate::progress::Watched;
 
 /// Number of first bytes by which a format is detected.
 const START: u64 = 4096;
@@ -131,7 +132,7 @@ impl Source {
     pub fn reader(&self) -> Result<Box<dyn ReadSeek>> {
         match &self.content {
             Content::File(path) => {
-                let file = File::open(path);
+                let file = Watched::open(path);
                 let file = file.map_err(|error| HostError::file(&self.name, "read", &error))?;
                 Ok(Box::new(BufReader::new(file)))
             }

@@ -32,6 +32,7 @@ use layout::{Group, Layout};
 use rows::{Fault, Next, Values};
 use survey::Survey;
 use text::{Field, field};
+pub(crate) use units::acceleration_unit;
 
 use super::{ReadOptions, Source};
 use crate::error::{ErrorCode, Result};
@@ -66,7 +67,7 @@ pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) 
     match source.members() {
         [] => {
             let mut sink = WithGravity::new(sink, true);
-            read_table(source, options, &mut sink)?;
+            read_table(source, options, &mut sink, Vec::new())?;
             sink.finish();
             Ok(())
         }
@@ -81,12 +82,8 @@ fn quantity_of(source: &Source) -> Option<Quantity> {
     names::quantity(&key).filter(|_| key.chars().count() >= 3)
 }
 
-fn read_table(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Result<()> {
-    read_timed(source, options, sink, Vec::new())
-}
-
 /// Reads a table whose rows have these times, if there are any.
-fn read_timed(
+fn read_table(
     source: &Source,
     options: &ReadOptions,
     sink: &mut dyn Sink,
@@ -111,11 +108,8 @@ fn read_timed(
         unnamed.for_each(|group| group.name = stem.to_string_lossy().into_owned());
     }
     has_tracks(&table, &layout).map_err(at_header)?;
-    let filter = options
-        .filter
-        .as_ref()
-        .map_or(&[][..], |filter| filter.pairs());
-    let filter = rows::filter(&table, filter).map_err(at_header)?;
+    let pairs = options.filter.as_ref().map_or(&[][..], |f| f.pairs());
+    let filter = rows::filter(&table, pairs).map_err(at_header)?;
     let survey = survey::survey(source, &table, &layout, &filter)?;
     survey.count.check(source.name(), &table)?;
     survey
@@ -132,15 +126,14 @@ fn read_timed(
             layout.unknown_units.len(),
             table.names[*first]
         );
-        let finding = Finding::new(FindingCode::UnitInferred, Severity::Warning, text);
-        findings
-            .push(finding.remedy("they are not read as such; give --columns with a known unit"));
+        let remedy = "they are not read as such; give --columns with a known unit";
+        findings.push(Finding::warning(FindingCode::UnitInferred, text, remedy));
     }
     let is_mixed = |group: &&Group| group.scales.iter().any(|scale| *scale != group.scales[0]);
     for group in layout.groups.iter().filter(is_mixed) {
         let text = format!("the components of `{}` have different units", group.name);
-        let finding = Finding::new(FindingCode::UnitInferred, Severity::Warning, text);
-        findings.push(finding.remedy("check the units in the header or in --columns"));
+        let remedy = "check the units in the header or in --columns";
+        findings.push(Finding::warning(FindingCode::UnitInferred, text, remedy));
     }
     let conversions = conversions(&layout, &survey, options, &mut findings).map_err(at_header)?;
     let clock = match times.is_empty() {
@@ -192,13 +185,7 @@ fn has_tracks(table: &Table, layout: &Layout) -> Result<()> {
     if !layout.groups.is_empty() || table.names.iter().any(is_axis) {
         return Ok(());
     }
-    let mut named = table
-        .names
-        .iter()
-        .take(30)
-        .map(String::as_str)
-        .collect::<Vec<_>>()
-        .join(", ");
+    let mut named = table.names[..table.names.len().min(30)].join(", ");
     if table.names.len() > 30 {
         named += ", …";
     }
@@ -225,12 +212,8 @@ fn conversions(
         };
         infer::conversion(group, evidence, findings)
     };
-    layout
-        .groups
-        .iter()
-        .zip(&survey.samples)
-        .map(convert)
-        .collect()
+    let groups = layout.groups.iter().zip(&survey.samples);
+    groups.map(convert).collect()
 }
 
 /// A track that is written.
@@ -363,16 +346,12 @@ impl<'a, 'b> Writer<'a, 'b> {
         let mut findings = Vec::new();
         if self.without_size > 0 {
             let text = format!("{} rows of counts have no sensitivity", self.without_size);
-            findings.push(
-                Finding::new(FindingCode::RowsMasked, Severity::Warning, text)
-                    .remedy("they are left out"),
-            );
+            let remedy = "they are left out";
+            findings.push(Finding::warning(FindingCode::RowsMasked, text, remedy));
         }
         if self.scalars_left_out > 0 {
-            let text = format!(
-                "{} further columns of numbers are not read",
-                self.scalars_left_out
-            );
+            let left_out = self.scalars_left_out;
+            let text = format!("{left_out} further columns of numbers are not read");
             findings.push(Finding::new(FindingCode::TrackChosen, Severity::Note, text));
         }
         findings
@@ -397,17 +376,11 @@ impl Output<'_> {
         if let Some((_, track)) = self.tracks.iter().find(|(size, _)| size == text) {
             return Some(*track);
         }
-        let size = text
-            .parse::<f64>()
-            .ok()
-            .filter(|size| *size > 0.0 && size.is_finite())?;
-        let si_per_lsb = match self.group.quantity {
-            Quantity::AngularRate => size,
-            _ => G / size,
-        };
-        let unit = Unit::Counts {
-            si_per_lsb: Some(si_per_lsb),
-        };
+        let size = text.parse().ok();
+        let size = size.filter(|size: &f64| *size > 0.0 && size.is_finite())?;
+        let is_rate = self.group.quantity == Quantity::AngularRate;
+        let si_per_lsb = Some(if is_rate { size } else { G / size });
+        let unit = Unit::Counts { si_per_lsb };
         (self.tracks.len() < MOST_SENSITIVITIES)
             .then(|| self.add_track(text.to_string(), unit, sink))
     }
@@ -420,11 +393,5 @@ impl Output<'_> {
     }
 }
 
-#[cfg(test)]
-mod damaged;
-#[cfg(test)]
-mod phones;
-#[cfg(test)]
-mod samples;
 #[cfg(test)]
 mod tests;

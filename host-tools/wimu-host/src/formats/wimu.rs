@@ -4,9 +4,14 @@ use std::path::Path;
 
 use super::{ReadOptions, Source};
 use crate::error::{ErrorCode, Result};
-use crate::history::Recording;
-use crate::mcap_file;
-use crate::recording::{self, Sink};
+use crate::history::LinkHistory;
+use crate::mcap_file::{self, RecordingReader};
+use crate::overview::Overview;
+use crate::recording::{LinkRows, Sink};
+use crate::walk::{Step, walk};
+
+/// Raw samples that wait for those before them that arrive late.
+const MAX_WAITING: usize = 1 << 14;
 
 /// Whether it is an MCAP file that `wimu record` wrote, or one that is cut off or damaged at its beginning.
 pub(crate) fn detect(source: &Source) -> bool {
@@ -33,6 +38,42 @@ pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) 
         );
         return Err(error.at(source.name()));
     };
-    let links = Recording::load(path)?;
-    recording::read_link(links.link(options.role)?, &links.name, sink)
+    let name = path.display().to_string();
+    let overview = Overview::read(path)?;
+    let link = overview.link(options.role);
+    let role = link.map_err(|error| error.at(&name))?.role;
+    let mut rows = LinkRows::new(sink);
+    // The latest samples of the latest start, and the parameters and epochs of all of it.
+    let mut latest = LinkHistory::new(role);
+    let mut reader = RecordingReader::open(path)?;
+    walk(&mut reader, |of, _, step| {
+        let Step::Arrival(arrival) = step else {
+            return Ok(());
+        };
+        if of != role {
+            return Ok(());
+        }
+        latest.take(&arrival);
+        if let [before, _] = &latest.boots[..] {
+            rows.boot(before, &name)?;
+            latest.boots.remove(0);
+        }
+        let boot = latest.latest();
+        boot.corrected.clear();
+        boot.navigation.clear();
+        boot.attitude.clear();
+        boot.further.clear();
+        // Those that arrive late still find their place.
+        if boot.raw.len() >= 2 * MAX_WAITING {
+            rows.part(boot, MAX_WAITING, &name)?;
+            boot.raw.drain(..MAX_WAITING);
+            boot.environment.clear();
+            boot.epochs.clear();
+        }
+        Ok(())
+    })?;
+    for boot in &latest.boots {
+        rows.boot(boot, &name)?;
+    }
+    rows.finish(role, &name)
 }

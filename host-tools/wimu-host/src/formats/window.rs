@@ -6,7 +6,7 @@ use std::ops::Range;
 use super::Source;
 use super::source::ReadSeek;
 use crate::error::{ErrorCode, HostError, Result};
-use crate::finding::{Finding, FindingCode, Severity};
+use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
 
 /// Bytes read at once.
@@ -97,7 +97,7 @@ impl Damage {
             span.end - span.start,
             counted(self.places, "place"),
         );
-        let finding = Finding::new(FindingCode::Truncated, Severity::Warning, evidence);
+        let finding = FindingCode::Truncated.warning(evidence);
         (self.places > 0).then(|| finding.remedy("they are left out"))
     }
 

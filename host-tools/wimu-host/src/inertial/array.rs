@@ -4,11 +4,11 @@ use wimu_nav::array::ArrayState;
 
 use super::truth::{compare, heading_rad, moving};
 use super::{Choice, InertialPath, Method, PathPoint};
-
 use crate::array::{
     Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, mended, navigated,
     navigated_axes,
 };
+use crate::finding::{Finding, FindingCode};
 use crate::motion::{LIKELY, nees};
 use crate::{ErrorCode, HostError, Result};
 
@@ -60,7 +60,7 @@ pub fn navigate_array(
     if let Some(agreement) = &agreement {
         agreement.check(&recording.name)?;
     }
-    let mut said = remarks;
+    let (mut said, remarks) = (Vec::new(), warnings(remarks));
     said.push(agreement.map_or_else(
         || {
             "whether the sensors are where the geometry says was not checked: the array hardly turned, or its \
@@ -80,7 +80,10 @@ pub fn navigate_array(
             "the array is {span:.1} m wide: are its places in m?"
         ));
     }
-    path_of(recording, &states, choice, said)
+    let said = said
+        .into_iter()
+        .map(|text| FindingCode::Geometry.note(text));
+    path_of(recording, &states, choice, remarks.chain(said))
 }
 
 /// Which point the path is that of, where that is not the origin of the places.
@@ -107,9 +110,13 @@ pub fn navigate_axes(
     known: &RefineOptions,
     choice: &Choice,
 ) -> Result<InertialPath> {
-    let (states, mut remarks) = navigated_axes(recording, geometry, known, choice.zupt)?;
-    remarks.extend(point_of(geometry));
-    path_of(recording, &states, choice, remarks)
+    let (states, remarks) = navigated_axes(recording, geometry, known, choice.zupt)?;
+    let point = point_of(geometry).map(|text| FindingCode::Geometry.note(text));
+    path_of(recording, &states, choice, warnings(remarks).chain(point))
+}
+
+fn warnings(texts: Vec<String>) -> impl Iterator<Item = Finding> {
+    (texts.into_iter()).map(|text| FindingCode::Navigation.warning(text))
 }
 
 /// The path of an array whose states are these, against the truth where there is any.
@@ -117,7 +124,7 @@ fn path_of(
     recording: &ArrayRecording,
     states: &[ArrayState<f64>],
     choice: &Choice,
-    said: Vec<String>,
+    said: impl Iterator<Item = Finding>,
 ) -> Result<InertialPath> {
     let valid = |k: &usize| states[*k].valid && states[*k].position_sd_m() <= choice.limit_m;
     let points = states
@@ -139,17 +146,16 @@ fn path_of(
         .collect();
     let origin = (0..states.len()).find(valid).unwrap_or(0);
     let mut path = InertialPath::new(Method::Array, points, origin, choice.limit_m);
-    path.remarks.extend(recording.remarks.iter().cloned());
-    path.remarks.extend(said);
+    path.findings = warnings(recording.remarks.clone()).chain(said).collect();
     let ambiguous = states
         .iter()
         .filter(|s| s.certainty > 0.0 && s.certainty < 0.99)
         .count();
     if ambiguous > 0 {
-        path.remarks.push(format!(
+        path.findings.push(FindingCode::Navigation.warning(format!(
             "{ambiguous} samples fit several angular rates; rate and position are the means of all, with \
              their spread"
-        ));
+        )));
     }
     let measured = |(name, _): &(String, Vec<f64>)| name.starts_with("Magnetometer ");
     let field = if recording.other.iter().any(measured) {
@@ -157,8 +163,8 @@ fn path_of(
     } else {
         "no magnetometer"
     };
-    path.remarks
-        .push(format!("{field}: heading is that of the body at the start"));
+    let text = format!("{field}: heading is that of the body at the start");
+    path.findings.push(FindingCode::Navigation.note(text));
     let mut path = path.checked(&recording.name)?;
     let truth = recording.truth();
     let true_rate = recording.true_rate_rad_s();

@@ -2,6 +2,7 @@
 //! left out, as if they were missing.
 
 use super::{InertialPath, PathPoint, frozen};
+use crate::finding::{Finding, FindingCode};
 use crate::motion::{
     FULL_SCALE_MPS2, FULL_SCALE_RAD_S, FULL_SCALE_UT, MotionRecording, UnitSample,
 };
@@ -11,7 +12,7 @@ use crate::{ErrorCode, HostError, Result};
 /// Samples that are left out, from a recording's first to its last, and what to say of them.
 pub(super) struct Holes {
     left_out: Vec<bool>,
-    pub remarks: Vec<String>,
+    pub findings: Vec<Finding>,
 }
 
 impl Holes {
@@ -32,7 +33,7 @@ impl Holes {
             left_out[*k] = true;
         }
         let count = left_out.iter().filter(|hole| **hole).count();
-        let mut remarks = Vec::new();
+        let mut findings = Vec::new();
         for said in none.into_iter().chain(too_much.map(|(_, said)| said)) {
             if 2 * count > recording.samples.len() {
                 return Err(HostError::new(
@@ -42,7 +43,8 @@ impl Holes {
                 )
                 .at(&recording.name));
             }
-            remarks.push(format!("{said}: left out, as if they were missing"));
+            let text = format!("{said}: left out, as if they were missing");
+            findings.push(FindingCode::SamplesLeftOut.warning(text));
         }
         let rate = beyond(recording, "gyroscope", FULL_SCALE_RAD_S, "rad/s", |s| {
             s.rate_rad_s
@@ -51,22 +53,23 @@ impl Holes {
             s.field_ut
         });
         let others = rate.into_iter().chain(field);
-        remarks.extend(others.map(|(_, said)| format!("{said}: left out there")));
+        let text = |said| format!("{said}: left out there");
+        findings.extend(others.map(|(_, said)| FindingCode::SamplesLeftOut.warning(text(said))));
         let frozen = frozen::runs(recording);
         if let Some(first) = frozen.first() {
             let count = frozen.iter().map(ExactSizeIterator::len).sum();
-            remarks.push(format!(
+            findings.push(FindingCode::SamplesLeftOut.warning(format!(
                 "all axes of the accelerometer give one and the same value, without noise, from {:.2} s on, in {}: left \
                  out, as if they were missing",
                 recording.times_s[first.start],
                 counted(count, "sample")
-            ));
+            )));
         }
         for run in frozen {
             left_out[run].fill(true);
         }
-        let some = !remarks.is_empty();
-        Ok(some.then_some(Self { left_out, remarks }))
+        let some = !findings.is_empty();
+        Ok(some.then_some(Self { left_out, findings }))
     }
 
     /// The other samples.
@@ -91,7 +94,7 @@ impl Holes {
         let mut others = MotionRecording::new(recording.name.clone(), times_s, samples);
         others.truth = truth;
         others.bias_sd_mps2 = recording.bias_sd_mps2;
-        others.remarks.clone_from(&recording.remarks);
+        others.findings.clone_from(&recording.findings);
         others
     }
 

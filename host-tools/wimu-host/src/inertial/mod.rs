@@ -41,6 +41,7 @@ pub use wimu_nav::Zupt;
 pub use wimu_nav::navigator::Profile;
 
 use crate::Result;
+use crate::finding::FindingCode;
 use crate::motion::{MotionRecording, TIME_SD_S, UnitSample, sampled_times};
 use holes::Holes;
 use truth::{compare, moving};
@@ -109,11 +110,12 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
         Some(holes) => {
             let mut path = followed(&holes.left_out_of(recording), choice)?;
             holes.fill(&mut path, &recording.times_s);
-            path.remarks.splice(0..0, holes.remarks);
+            path.findings.splice(0..0, holes.findings);
             path
         }
     };
-    path.remarks.splice(0..0, recording.remarks.iter().cloned());
+    path.findings
+        .splice(0..0, recording.findings.iter().cloned());
     let mut path = path.checked(&recording.name)?;
     let column = recording.column("Moving");
     let moving = moving(&recording.times_s, column, &recording.truth, &[]);
@@ -137,15 +139,14 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
     if let Some(from) = from {
         samples[from..].iter_mut().for_each(|s| s.rate_rad_s = None);
     }
-    let mut remarks = senses.remarks;
+    let mut findings = senses.findings;
     let mut time_sd_s = 0.0;
     if let Some(times_s) = sampled_times(&recording.times_s) {
         retime(&mut samples, &times_s);
         time_sd_s = TIME_SD_S;
-        remarks.push(
-            "the times are those of arrival: a constant sample period and the least delay are used"
-                .to_owned(),
-        );
+        findings.push(FindingCode::Clock.note(
+            "the times are those of arrival: a constant sample period and the least delay are used",
+        ));
     }
     let samples = once_each_field(&samples);
     let method = match samples.iter().any(|s| s.rate_rad_s.is_some()) {
@@ -164,16 +165,16 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
     let mut path = unit.path(choice, method)?;
     if samples.iter().all(|s| s.field_ut.is_none()) {
         let why = recording.without_field();
-        path.remarks
-            .push(format!("{why}: heading is that of the body at the start"));
+        let text = format!("{why}: heading is that of the body at the start");
+        path.findings.push(FindingCode::Navigation.note(text));
     }
-    path.remarks.extend(rates.map(|found| found.remark));
+    path.findings.extend(rates.map(|found| found.finding));
     if let Some(from) = senses.force_ends {
         for point in &mut path.points[from..] {
             point.valid = false;
         }
     }
-    path.remarks.splice(0..0, remarks);
+    path.findings.splice(0..0, findings);
     Ok(path)
 }
 

@@ -5,6 +5,7 @@ use std::path::Path as FilePath;
 
 use super::truth::consistency;
 use super::{Method, Move};
+use crate::finding::{Finding, FindingCode};
 use crate::mcap_file::RosFile;
 use crate::ros::path::{PathTopics, Pose};
 use crate::{ErrorCode, HostError, OutputFile, Result};
@@ -73,7 +74,7 @@ pub struct InertialPath {
     /// The moves between rests.
     pub moves: Vec<Move>,
     /// What was noticed on the way.
-    pub remarks: Vec<String>,
+    pub findings: Vec<Finding>,
     /// Points known no better than this, m, are not valid.
     pub limit_m: f64,
     /// NEES of the position at each valid sample that has truth and moves, which is taken to be right to 1 mm; both
@@ -98,7 +99,7 @@ impl InertialPath {
             points,
             origin,
             moves: Vec::new(),
-            remarks: Vec::new(),
+            findings: Vec::new(),
             limit_m,
             nees: Vec::new(),
             rate_nees: Vec::new(),
@@ -124,7 +125,8 @@ impl InertialPath {
                 self.points[k].time_s
             )
         });
-        self.remarks.extend(diverged.clone());
+        let finding = (diverged.clone()).map(|text| FindingCode::Navigation.warning(text));
+        self.findings.extend(finding);
         if self.points.iter().any(|p| p.valid) {
             return Ok(self);
         }

@@ -6,8 +6,9 @@ use std::ops::Range;
 use nalgebra::{Rotation3, Vector3};
 use wimu_nav::stationarity::{Detector, Stationarity};
 
+use crate::finding::{Finding, FindingCode};
 use crate::motion::{MotionRecording, UnitSample};
-use crate::{ErrorCode, HostError, Result};
+use crate::{ErrorCode, Result};
 
 /// Nothing that is carried rotates faster, rad/s.
 const FASTEST_RAD_S: f64 = 100.0;
@@ -23,7 +24,7 @@ const LITTLE: f64 = 0.6;
 
 /// A disagreement of the gyroscope with the accelerometer.
 pub(super) struct Disagreement {
-    pub remark: String,
+    pub finding: Finding,
     /// Whether the rate is better not used.
     pub contradicts: bool,
 }
@@ -39,7 +40,9 @@ pub(super) fn checked(recording: &MotionRecording) -> Result<Option<Disagreement
         .fold(0.0, f64::max);
     let refused = |message: String, unit: &str| {
         let remedy = format!("if it is in {unit}, name the columns `Gyroscope X ({unit})`, …");
-        Err(HostError::new(ErrorCode::DataRefused, message, remedy).at(&recording.name))
+        Err(ErrorCode::DataRefused
+            .error(message, remedy)
+            .at(&recording.name))
     };
     if fastest > FASTEST_RAD_S {
         return refused(
@@ -81,10 +84,12 @@ pub(super) fn checked(recording: &MotionRecording) -> Result<Option<Disagreement
         "check that its axes, signs and scale are those of the accelerometer"
     };
     Ok(Some(Disagreement {
-        remark: format!(
-            "the angular rate leaves {:.0}° of gravity's rotation between rests, {remedy}",
-            now.to_degrees()
-        ),
+        finding: FindingCode::Axes
+            .warning(format!(
+                "the angular rate leaves {:.0}° of gravity's rotation between rests",
+                now.to_degrees()
+            ))
+            .remedy(remedy),
         contradicts: turned || little,
     }))
 }

@@ -20,7 +20,7 @@ impl InertialPath {
     /// Those of [`Report`].
     pub fn report(&self, source: &str, text: &str, file: &FilePath) -> Result<()> {
         let mut report = Report::new(format!("Path of {source}"));
-        report.printed(text);
+        report.printed(text).findings(&self.findings);
         for (axis, name) in ["East", "North", "Up"].into_iter().enumerate() {
             report.chart(&self.coordinate(axis, name))?;
         }

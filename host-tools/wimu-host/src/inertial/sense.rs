@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use crate::finding::{Finding, FindingCode};
 use crate::motion::{MotionRecording, UnitSample, median_step_s};
 use crate::plural::counted;
 use crate::{ErrorCode, HostError, Result};
@@ -63,7 +64,7 @@ pub(super) struct Senses {
     pub clipped: Vec<usize>,
     /// Standard deviation of the accelerometer's bias, m/s².
     pub bias_mps2: f64,
-    pub remarks: Vec<String>,
+    pub findings: Vec<Finding>,
 }
 
 impl Senses {
@@ -84,20 +85,21 @@ impl Senses {
         if let Some(rest) = rest
             && (rest / standard - 1.0).abs() > CALIBRATED
         {
-            senses.remarks.push(format!(
+            senses.findings.push(FindingCode::Uncalibrated.warning(format!(
                 "at rest it shows {rest:.2} m/s², {:+.1} % from gravity: calibrate it, `wimu calibrate`",
                 100.0 * (rest / standard - 1.0)
-            ));
+            )));
         }
-        senses.remarks.extend(face_down(recording));
+        let face_down = face_down(recording).map(|text| FindingCode::Axes.warning(text));
+        senses.findings.extend(face_down);
         senses.clipped = clipped(recording);
         if let Some(first) = senses.clipped.first() {
-            senses.remarks.push(format!(
+            senses.findings.push(FindingCode::Saturated.warning(format!(
                 "the accelerometer clips in {}, first at {:.2} s: what it felt there is not \
                  known; take a larger range",
                 counted(senses.clipped.len(), "sample"),
                 recording.times_s[*first]
-            ));
+            )));
         }
         let force = |k: usize| Some(recording.samples[k].force_mps2);
         let rate = |k: usize| recording.samples[k].rate_rad_s;
@@ -123,19 +125,19 @@ impl Senses {
         }
         let shown: [Sense; 2] = [|s| Some(s.force_mps2), |s| s.field_ut];
         if let Some(from) = silent(recording, |s| s.field_ut, HELD_S, &shown[..1]) {
-            senses.remarks.push(format!(
+            senses.findings.push(FindingCode::Frozen.warning(format!(
                 "the magnetometer gives one and the same value from {:.2} s on while gravity turns: it is left out from \
                  there on",
                 recording.times_s[from]
-            ));
+            )));
             senses.field_ends = Some(from);
         }
         if let Some(from) = silent(recording, |s| s.rate_rad_s, STUCK_S, &shown) {
-            senses.remarks.push(format!(
+            senses.findings.push(FindingCode::Frozen.warning(format!(
                 "all axes of the gyroscope give one and the same value from {:.2} s on while gravity or the field \
                  turns: it is left out from there on",
                 recording.times_s[from]
-            ));
+            )));
             senses.rate_ends = Some(senses.rate_ends.map_or(from, |before| before.min(from)));
         }
         Ok(senses)
@@ -143,9 +145,9 @@ impl Senses {
 
     fn say(&mut self, of: &MotionRecording, sensor: &str, from: usize, axis: usize, so: &str) {
         let (axis, at) = (["X", "Y", "Z"][axis], of.times_s[from]);
-        self.remarks.push(format!(
+        self.findings.push(FindingCode::Frozen.warning(format!(
             "{sensor} {axis} gives one and the same value from {at:.2} s on while others change: {so}"
-        ));
+        )));
     }
 }
 

@@ -9,9 +9,10 @@ use wimu_nav::stationarity::{Detector, Stationarity};
 
 use super::moves::moves;
 use super::{Choice, InertialPath, Method, PathPoint};
+use crate::finding::{Finding, FindingCode};
 use crate::motion::{UnitSample, median_step_s};
 use crate::plural::counted;
-use crate::{ErrorCode, HostError, Result};
+use crate::{ErrorCode, Result};
 
 /// A reading of the magnetometer that is repeated within this time is a held one, s.
 const HELD_S: f64 = 0.25;
@@ -109,12 +110,12 @@ impl Unit<'_> {
         let mut path = InertialPath::new(method, points, from, choice.limit_m);
         path.moves = moves;
         if let (false, Some(origin)) = (at_rest_first, origin) {
-            path.remarks.push(format!(
+            path.findings.push(FindingCode::Navigation.note(format!(
                 "no rest at the start: position is measured from the first rest, at {:.2} s",
                 self.times_s[origin]
-            ));
+            )));
         }
-        path.remarks.extend(faults.remarks());
+        path.findings.extend(faults.findings());
         for (count, one, what) in [
             (
                 self.clipped.len(),
@@ -133,7 +134,8 @@ impl Unit<'_> {
             ),
         ] {
             if count > 0 {
-                path.remarks.push(format!("{} {what}", counted(count, one)));
+                let text = format!("{} {what}", counted(count, one));
+                path.findings.push(FindingCode::Navigation.warning(text));
             }
         }
         Ok(path)
@@ -205,7 +207,7 @@ impl Unit<'_> {
             .collect();
         let refused = |message: &str| {
             let remedy = "hold the unit still for a second at the start";
-            HostError::new(ErrorCode::DataRefused, message, remedy).at(self.name)
+            ErrorCode::DataRefused.error(message, remedy).at(self.name)
         };
         let start = Start::align(&usable, rest)
             .ok_or_else(|| refused("the first samples show no gravity to align with"))?;
@@ -304,13 +306,16 @@ impl Faults {
         }
     }
 
-    fn remarks(&self) -> impl Iterator<Item = String> {
+    fn findings(&self) -> impl Iterator<Item = Finding> {
         [
             (self.times, "whose time goes back: not used"),
             (self.values, "that is not finite: not used"),
         ]
         .into_iter()
         .filter(|(count, _)| *count > 0)
-        .map(|(count, what)| format!("{} {what}", counted(count, "sample")))
+        .map(|(count, what)| {
+            let text = format!("{} {what}", counted(count, "sample"));
+            FindingCode::SamplesLeftOut.warning(text)
+        })
     }
 }

@@ -1,6 +1,7 @@
 //! Reader of recordings, complete or not.
 
 use super::*;
+use crate::progress::Watched;
 
 /// Completeness of a recording, known once it has been read to its end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -14,18 +15,19 @@ pub struct Wholeness {
 
 impl Wholeness {
     /// What is wrong with the file; `None` if it is complete.
-    pub fn fault(&self) -> Option<String> {
+    pub fn finding(&self) -> Option<Finding> {
         let cut = "the file is cut off at the end, or damaged from there on".to_owned();
         let damaged = match self.damaged_chunks {
             1 => "1 damaged part of the file was left out".to_owned(),
             parts => format!("{parts} damaged parts of the file were left out"),
         };
-        match (self.truncated, self.damaged_chunks) {
-            (false, 0) => None,
-            (true, 0) => Some(cut),
-            (false, _) => Some(damaged),
-            (true, _) => Some(format!("{damaged}; {cut}")),
-        }
+        let text = match (self.truncated, self.damaged_chunks) {
+            (false, 0) => return None,
+            (true, 0) => cut,
+            (false, _) => damaged,
+            (true, _) => format!("{damaged}; {cut}"),
+        };
+        Some(FindingCode::Truncated.warning(text))
     }
 }
 
@@ -48,28 +50,20 @@ pub struct RecordingReader<R> {
     done: bool,
 }
 
-impl RecordingReader<BufReader<File>> {
+impl RecordingReader<BufReader<Watched>> {
     /// Opens a recording and reads its first records.
     ///
     /// # Errors
     /// `file_unreadable`, `bad_recording` when it is no MCAP file or was cut off before anything
     /// was recorded.
     pub fn open(path: &Path) -> Result<Self> {
-        Self::open_through(path, |file| file)
+        let name = path.display().to_string();
+        let file = Watched::open(path).map_err(|error| HostError::file(&name, "open", &error))?;
+        Self::new(BufReader::new(file), &name)
     }
 }
 
 impl<R: Read> RecordingReader<R> {
-    /// Opens a recording and reads it through a wrapper of the file, such as a progress bar.
-    ///
-    /// # Errors
-    /// Those of [`open`](RecordingReader::open).
-    pub fn open_through(path: &Path, watch: impl FnOnce(BufReader<File>) -> R) -> Result<Self> {
-        let name = path.display().to_string();
-        let file = File::open(path).map_err(|error| HostError::file(&name, "open", &error))?;
-        Self::new(watch(BufReader::new(file)), &name)
-    }
-
     /// Reads from `source`; `name` is its name in errors.
     ///
     /// # Errors

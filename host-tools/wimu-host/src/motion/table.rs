@@ -2,17 +2,13 @@
 
 use std::path::Path;
 
-use wimu_model::{CentiCelsius, MagneticFieldNt, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
-
 use super::{FIELD_CALIBRATED, MotionRecording, Truth, UnitSample};
+use crate::apply::Corrector;
 use crate::calibration::StoredModel;
 use crate::finding::{Finding, FindingCode};
 use crate::formats::{self, ReadOptions};
 use crate::recording::{Origin, Quantity, Recording, Track, Unit};
 use crate::{ErrorCode, HostError, Result};
-
-/// Two sensitivities that differ by more than this share are of two ranges.
-pub(crate) const OTHER_RANGE: f64 = 0.3;
 
 /// What a file does not say itself.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -57,7 +53,9 @@ impl MotionRecording {
         if force.info.timeless {
             return Err(without_unit(recording));
         }
-        let mut correction = Correction::of(force, options).map_err(|error| error.at(name))?;
+        let stored = options.calibration.as_ref();
+        let correction = Corrector::new(stored, force, Some(options.sensitivity_lsb_per_g));
+        let mut correction = correction.map_err(|error| error.at(name))?;
         let beside = |quantity| recording.of(quantity).find(sensor);
         let own_rate = options.calibration.and_then(|stored| stored.gyroscope);
         let unscaled = |track: &&Track| track.info.unit == Unit::Counts { si_per_lsb: None };
@@ -88,7 +86,7 @@ impl MotionRecording {
             .copied();
         let mut motion = Self {
             name: name.to_owned(),
-            remarks: recording.remarks(&[FindingCode::RowsMasked]),
+            findings: recording.relevant(&[FindingCode::RowsMasked]),
             bias_sd_mps2: options.calibration.map_or(0.0, |c| c.bias_sd_mps2),
             full_scale_mps2: force.info.full_scale,
             other: scalars
@@ -97,7 +95,7 @@ impl MotionRecording {
                 .collect(),
             ..Self::default()
         };
-        motion.remarks.extend(correction.remark());
+        motion.findings.extend(stored.map(finding));
         let mut rates = rate.map(|track| track.beside(force));
         let mut fields = field.map(|track| track.beside(force));
         let mut temperatures = temperature.map(|track| track.beside(force));
@@ -121,20 +119,25 @@ impl MotionRecording {
             let rate_rad_s = rates.as_mut().and_then(|t| t.at(row, time_ns));
             let rate_rad_s = rate_rad_s
                 .zip(rate)
-                .map(|(value, track)| correction.rate(value, track.info.unit, f));
-            let tesla = fields.as_mut().and_then(|t| t.latest(row, time_ns));
-            let output_ut = vector(tesla).map(|tesla| tesla.map(|axis| axis * 1e6));
+                .map(|(value, track)| match track.info.unit {
+                    Unit::Counts { si_per_lsb } => {
+                        let scale = own_rate.map(|gyroscope| gyroscope.rad_s_per_lsb);
+                        correction.rate(value, scale.or(si_per_lsb).unwrap_or(f64::NAN), f)
+                    }
+                    _ => value,
+                });
+            let tesla = vector(fields.as_mut().and_then(|t| t.latest(row, time_ns)));
             let flag = flags
                 .as_mut()
                 .and_then(|t| t.latest(row, time_ns))
                 .map(|row| row[0] != 0.0);
-            let field_ut = output_ut.and_then(|ut| correction.field(ut, flag));
-            motion.field_uncalibrated |= output_ut.is_some() && field_ut.is_none();
+            let field_ut = tesla.and_then(|tesla| correction.field(tesla, flag));
+            motion.field_uncalibrated |= tesla.is_some() && field_ut.is_none();
             motion.samples.push(UnitSample {
                 step_s: time_s - last_s.unwrap_or(time_s),
-                force_mps2: correction.turned(f),
+                force_mps2: correction.to_body(f),
                 field_ut,
-                rate_rad_s: rate_rad_s.map(|rate| correction.turned(rate)),
+                rate_rad_s: rate_rad_s.map(|rate| correction.to_body(rate)),
             });
             motion.times_s.push(time_s);
             let quaternion = attitudes.as_mut().and_then(|t| t.at(row, time_ns));
@@ -184,134 +187,22 @@ fn vector(row: Option<&[f64]>) -> Option<[f64; 3]> {
     row?.try_into().ok()
 }
 
-/// What becomes of a row's values.
-struct Correction {
-    mps2_per_unit: f64,
-    stored: Option<StoredModel>,
-    /// The last temperature that was read.
-    temperature: Option<CentiCelsius>,
-}
-
-impl Correction {
-    /// The one for a track of accelerations.
-    fn of(force: &Track, options: &TableOptions) -> Result<Self> {
-        let stored = options.calibration;
-        let wrong =
-            |message: &str, remedy: &str| HostError::new(ErrorCode::UnknownFormat, message, remedy);
-        let correction = |mps2_per_unit| Self {
-            mps2_per_unit,
-            stored,
-            temperature: None,
-        };
-        let Unit::Counts { si_per_lsb } = force.info.unit else {
-            return match stored {
-                Some(stored) if stored.of_counts => Err(wrong(
-                    "its accelerations are in m/s² or g, and the calibration is one of raw counts",
-                    "give the raw counts, in columns `Accelerometer X (LSB)`, …, or calibrate with a recording in m/s² or \
-                     g: `wimu calibrate FILE -o CAL.json`",
-                )),
-                _ => Ok(correction(1.0)),
-            };
-        };
-        let in_file = si_per_lsb.map(|scale| STANDARD_GRAVITY_MPS2 / scale);
-        let said = options.sensitivity_lsb_per_g.or(in_file);
-        let own = stored.and_then(|stored| stored.sensitivity_lsb_per_g);
-        if let (Some(own), Some(said)) = (own, said)
-            && (said / own - 1.0).abs() > OTHER_RANGE
-        {
-            return Err(wrong(
-                &format!("1 g is {said:.0} LSB in it, and {own:.0} LSB in the calibration"),
-                "give the calibration of this range, or leave --sensitivity out",
-            ));
-        }
-        let lsb_per_g = match (stored, own, said) {
-            (_, Some(own), _) => own,
-            (Some(_), None, None) => {
-                return Err(wrong(
-                    "its accelerations are raw counts, and the calibration is one of m/s² or g",
-                    "calibrate with a recording of raw counts: `wimu calibrate FILE -o CAL.json`; or say what the counts \
-                     are, --sensitivity LSB_PER_G",
-                ));
-            }
-            (_, None, Some(said)) => said,
-            (None, None, None) => {
-                return Err(wrong(
-                    "its accelerations are raw counts, of which nothing says what they are",
-                    "calibrate the sensor, `wimu calibrate FILE -o CAL.json`, and give --calibration CAL.json; or say what \
-                     the counts are, --sensitivity LSB_PER_G",
-                ));
-            }
-        };
-        Ok(correction(STANDARD_GRAVITY_MPS2 / lsb_per_g))
-    }
-
-    fn remark(&self) -> Option<String> {
-        let stored = self.stored?;
-        let [x, y, z] = stored.model.terms().bias_mps2;
-        let known = if stored.bias_sd_mps2 > 0.0 {
-            format!(
-                ", which with scale and axes it knows to ± {:.4} m/s²",
-                stored.bias_sd_mps2
-            )
-        } else {
-            String::new()
-        };
-        let field = match stored.magnetometer {
-            Some(_) => ", and the magnetic field too",
-            None => "",
-        };
-        Some(format!(
-            "the calibration is applied{field}: a bias of {x:+.4} {y:+.4} {z:+.4} m/s² is taken off{known}"
-        ))
-    }
-
-    /// Specific force, m/s², sensor axes, from an output in the file's unit and the latest temperature, °C.
-    fn force(&mut self, output: [f64; 3], celsius: Option<f64>) -> [f64; 3] {
-        let output = output.map(|axis| axis * self.mps2_per_unit);
-        let Some(stored) = &self.stored else {
-            return output;
-        };
-        let now = celsius.map(CentiCelsius::from_celsius);
-        self.temperature = now.or(self.temperature);
-        let force = stored
-            .model
-            .correct(SpecificForceMps2(output), self.temperature);
-        force.0
-    }
-
-    /// Angular rate, rad/s, sensor axes, from an output in the file's unit, at a specific force, m/s².
-    fn rate(&self, output: [f64; 3], unit: Unit, force: [f64; 3]) -> [f64; 3] {
-        let Unit::Counts { si_per_lsb } = unit else {
-            return output;
-        };
-        match self.stored.and_then(|stored| stored.gyroscope) {
-            Some(gyroscope) => {
-                let output = output.map(|axis| axis * gyroscope.rad_s_per_lsb);
-                gyroscope.model.correct(output, force, self.temperature)
-            }
-            None => output.map(|axis| axis * si_per_lsb.unwrap_or(f64::NAN)),
-        }
-    }
-
-    /// Magnetic field, µT, body axes: as a magnetometer put it out that is not calibrated, it says nothing of
-    /// directions.
-    fn field(&self, field_ut: [f64; 3], is_calibrated: Option<bool>) -> Option<[f64; 3]> {
-        match self.stored.and_then(|stored| stored.magnetometer) {
-            Some(model) if is_calibrated != Some(true) => {
-                let output = MagneticFieldNt(field_ut.map(|b| (b * 1e3).round() as i32));
-                let field_nt = model.correct_to_accelerometer(output)?;
-                Some(self.turned(field_nt.map(|b| b * 1e-3)))
-            }
-            _ if is_calibrated == Some(false) => None,
-            _ => Some(self.turned(field_ut)),
-        }
-    }
-
-    /// From the sensor's axes to the body's.
-    fn turned(&self, vector: [f64; 3]) -> [f64; 3] {
-        match &self.stored {
-            Some(stored) => stored.alignment.rotate(vector),
-            None => vector,
-        }
-    }
+/// The finding on a calibration that is applied.
+fn finding(stored: &StoredModel) -> Finding {
+    let [x, y, z] = stored.model.terms().bias_mps2;
+    let known = if stored.bias_sd_mps2 > 0.0 {
+        format!(
+            ", which with scale and axes it knows to ± {:.4} m/s²",
+            stored.bias_sd_mps2
+        )
+    } else {
+        String::new()
+    };
+    let field = match stored.magnetometer {
+        Some(_) => ", and the magnetic field too",
+        None => "",
+    };
+    FindingCode::Navigation.note(format!(
+        "the calibration is applied{field}: a bias of {x:+.4} {y:+.4} {z:+.4} m/s² is taken off{known}"
+    ))
 }

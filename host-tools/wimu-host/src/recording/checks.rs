@@ -1,91 +1,112 @@
 //! Checks that hold for recordings of every format.
 
-use super::{Quantity, Recording, Track};
+use super::{Quantity, Recording, TrackInfo};
 use crate::error::{ErrorCode, Result};
-use crate::finding::{Finding, FindingCode, Severity};
+use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
 
-impl Recording {
-    /// Masks rows whose time is earlier than that of a row before, and reports masked rows of accelerometers.
-    /// `in_order` is false for means over poses.
+/// Rows of a track that cannot be used, counted in the order of the file.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Unusable {
+    rows: usize,
+    not_finite: usize,
+    first_not_finite_ns: Option<i64>,
+    /// Rows that are earlier than a row before.
+    early: usize,
+    first_early_ns: Option<i64>,
+    latest_ns: Option<i64>,
+}
+
+impl Unusable {
+    /// Counts a row and whether its values are usable numbers; returns the latest time so far, and whether the row can
+    /// be used. Means over poses are in any order of time.
+    pub(crate) fn see(&mut self, time_ns: i64, is_valid: bool, in_order: bool) -> (i64, bool) {
+        self.rows += 1;
+        if !is_valid {
+            self.not_finite += 1;
+            self.first_not_finite_ns.get_or_insert(time_ns);
+        }
+        let latest_ns = self
+            .latest_ns
+            .filter(|latest| in_order && time_ns < *latest);
+        if let Some(latest_ns) = latest_ns {
+            self.early += usize::from(is_valid);
+            self.first_early_ns.get_or_insert(latest_ns);
+            return (latest_ns, false);
+        }
+        self.latest_ns = Some(time_ns);
+        (time_ns, is_valid)
+    }
+
+    /// Reports the rows of an accelerometer in `findings`; `name` is that of the recording.
     ///
     /// # Errors
-    /// `data_refused` when more than half of the rows of an accelerometer cannot be used.
-    pub(crate) fn check(&mut self, in_order: bool) -> Result<()> {
-        let start_ns = self.start_ns().unwrap_or_default();
-        for track in &mut self.tracks {
-            let since_s = |row: usize, track: &Track| {
-                track.times_ns[row].saturating_sub(start_ns) as f64 * 1e-9
-            };
-            let is_force = track.info.quantity == Quantity::SpecificForce;
-            let sensor = track.info.sensor;
-            let masked = |row: &usize| !track.valid[*row];
-            let (count, first) = (
-                (0..track.len()).filter(masked).count(),
-                (0..track.len()).find(masked),
-            );
-            if let Some(first) = first.filter(|_| is_force) {
-                let evidence = format!(
-                    "{} of {} of {} not finite numbers, the first at {:.2} s",
-                    counted(count, "row"),
-                    track.len(),
-                    track.info.name,
-                    since_s(first, track)
-                );
-                let finding = Finding::new(FindingCode::RowsMasked, Severity::Warning, evidence);
-                self.findings
-                    .push(finding.of_sensor(sensor).remedy("they are left out"));
-            }
-            let (early, first) = match in_order {
-                true => track.mask_early(),
-                false => (0, None),
-            };
-            let is_told = |finding: &Finding| finding.code == FindingCode::TimesUnordered;
-            let is_news = is_force && !self.findings.iter().any(is_told);
-            if let Some(first) = first.filter(|_| is_news) {
-                let evidence = format!(
-                    "time goes back: {} earlier than a row before, the first after {:.2} s",
-                    counted(early, "row"),
-                    since_s(first, track)
-                );
-                let finding =
-                    Finding::new(FindingCode::TimesUnordered, Severity::Warning, evidence);
-                self.findings.push(finding.remedy(
-                    "they are left out; sort the rows, or select one of several runs with --where",
-                ));
-            }
-            if is_force && 2 * (count + early) > track.len() {
-                return Err(ErrorCode::DataRefused
-                    .error(
-                        format!(
-                            "most rows of {} cannot be used: {count} of {} are not finite numbers, {early} are earlier \
-                             than a row before",
-                            track.info.name,
-                            track.len()
-                        ),
-                        "check the file; if it contains several runs, select one with --where; if its rows are means over \
-                         static poses, add --poses",
-                    )
-                    .at(&self.name));
-            }
+    /// `data_refused` when more than half of the rows cannot be used.
+    pub(crate) fn report(
+        &self,
+        info: &TrackInfo,
+        start_ns: Option<i64>,
+        name: &str,
+        findings: &mut Vec<Finding>,
+    ) -> Result<()> {
+        if info.quantity != Quantity::SpecificForce {
+            return Ok(());
         }
-        Ok(())
+        let (rows, track) = (self.rows, &info.name);
+        let since_s = |time: i64| time.saturating_sub(start_ns.unwrap_or_default()) as f64 * 1e-9;
+        if let Some(first) = self.first_not_finite_ns {
+            let evidence = format!(
+                "{} of {rows} of {track} not finite numbers, the first at {:.2} s",
+                counted(self.not_finite, "row"),
+                since_s(first)
+            );
+            let finding = Finding::warning(FindingCode::RowsMasked, evidence, "they are left out");
+            findings.push(finding.of_sensor(info.sensor));
+        }
+        let is_reported = |finding: &Finding| finding.code == FindingCode::TimesUnordered;
+        let is_news = !findings.iter().any(is_reported);
+        if let Some(first) = self.first_early_ns.filter(|_| is_news) {
+            let evidence = format!(
+                "time goes back: {} earlier than a row before, the first after {:.2} s",
+                counted(self.early, "row"),
+                since_s(first)
+            );
+            let remedy =
+                "they are left out; sort the rows, or select one of several runs with --where";
+            findings.push(Finding::warning(
+                FindingCode::TimesUnordered,
+                evidence,
+                remedy,
+            ));
+        }
+        if 2 * (self.not_finite + self.early) <= rows {
+            return Ok(());
+        }
+        let message = format!(
+            "most rows of {track} cannot be used: {} of {rows} are not finite numbers, {} are earlier than a row before",
+            self.not_finite, self.early
+        );
+        let remedy = "check the file; if it contains several runs, select one with --where; if its rows are means over static \
+                      poses, add --poses";
+        Err(ErrorCode::DataRefused.error(message, remedy).at(name))
     }
 }
 
-impl Track {
-    /// Masks rows that are earlier than a row before and gives them its time. Returns their number and the first.
-    fn mask_early(&mut self) -> (usize, Option<usize>) {
-        let (mut latest, mut count, mut first) = (i64::MIN, 0, None);
-        let rows = self.times_ns.iter_mut().zip(&mut self.valid);
-        for (row, (time, valid)) in rows.enumerate() {
-            if *time < latest {
-                first = first.or(Some(row));
-                count += usize::from(*valid);
-                (*time, *valid) = (latest, false);
+impl Recording {
+    /// Masks rows whose time is earlier than that of a row before, which they are given, and reports masked rows of
+    /// accelerometers. `in_order` is false for means over poses.
+    ///
+    /// # Errors
+    /// `data_refused` when more than half of the rows of an accelerometer cannot be used.
+    pub fn check(&mut self, in_order: bool) -> Result<()> {
+        let start_ns = self.start_ns();
+        for track in &mut self.tracks {
+            let mut unusable = Unusable::default();
+            for (time, valid) in track.times_ns.iter_mut().zip(&mut track.valid) {
+                (*time, *valid) = unusable.see(*time, *valid, in_order);
             }
-            latest = *time;
+            unusable.report(&track.info, start_ns, &self.name, &mut self.findings)?;
         }
-        (count, first)
+        Ok(())
     }
 }

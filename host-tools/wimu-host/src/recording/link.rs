@@ -1,5 +1,6 @@
 //! The raw samples of a link as a recording.
 
+use wimu_link::LinkRole;
 use wimu_link::hello::sensor;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
@@ -20,118 +21,177 @@ impl Recording {
     pub fn of_link(link: &LinkHistory, name: &str) -> Result<Self> {
         let mut recording = Self::new(name);
         recording.format = FORMAT;
-        read(link, name, &mut recording)?;
+        let mut rows = LinkRows::new(&mut recording);
+        for boot in &link.boots {
+            rows.boot(boot, name)?;
+        }
+        rows.finish(link.role, name)?;
         Ok(recording)
     }
 }
 
-/// Hands the raw samples of a link to `sink`: [`Recording::of_link`].
-pub(crate) fn read(link: &LinkHistory, name: &str, sink: &mut dyn Sink) -> Result<()> {
-    let boots: Vec<&Boot> = link
-        .boots
-        .iter()
-        .filter(|boot| !boot.raw.is_empty())
-        .collect();
-    let Some(first) = boots.first() else {
-        return Err(ErrorCode::NoRows
-            .error(
-                format!("no raw samples came over the {} link", link.role),
-                "switch the raw stream on with `wimu settings set`, or use the other link",
-            )
-            .at(name));
-    };
-    let range_g = one_range(&boots, name)?;
-    let rate_hz = match (first.settings.first(), first.epochs.first()) {
-        (Some(settings), _) => f64::from(settings.rate_hz),
-        (None, Some(mark)) => 1e9 / f64::from(mark.epoch.period_ns.max(1)),
-        (None, None) => ASSUMED_RATE_HZ,
-    };
-    let counts = |si_per_lsb| Unit::Counts { si_per_lsb };
-    let sensitivity = first.nominal_sensitivity().map(|s| s.mps2_per_lsb());
-    let mut info = TrackInfo::new("raw", Quantity::SpecificForce, counts(sensitivity));
-    info.rate_hz = Some(rate_hz);
-    info.device = first.sensor();
-    info.full_scale = range_g.map(|g| f64::from(g) * STANDARD_GRAVITY_MPS2);
-    let force = sink.track(info);
-    let has_gyroscope = first.raw.iter().any(|sample| sample.rate.is_some());
-    let epoch = first.epochs.first();
-    let nominal = epoch.and_then(|mark| Some(mark.epoch.gyroscope?.rad_s_per_lsb));
-    let rate = has_gyroscope.then(|| {
-        sink.track(TrackInfo::new(
-            "raw",
-            Quantity::AngularRate,
-            counts(nominal),
-        ))
-    });
-    let environment = [Quantity::MagneticField, Quantity::Temperature]
-        .map(|quantity| sink.track(TrackInfo::new("environment", quantity, Unit::Si)));
-    let (mut begin_ns, mut is_first) = (0, true);
-    for boot in &boots {
-        let begin_us = boot.raw.first().map_or(0, |sample| sample.time.0);
+/// Hands the raw samples of a link to a sink, one start of the device after the other.
+pub(crate) struct LinkRows<'a> {
+    sink: &'a mut dyn Sink,
+    tracks: Option<Tracks>,
+    /// Time of the first sample of this start, ns, and its device time, µs.
+    begin: (i64, Option<u64>),
+    /// Time of the latest sample, ns.
+    latest_ns: i64,
+    next_sequence: Option<u32>,
+}
+
+struct Tracks {
+    range_g: Option<u8>,
+    rate_hz: f64,
+    force: TrackId,
+    rate: Option<TrackId>,
+    field: TrackId,
+    temperature: TrackId,
+}
+
+impl<'a> LinkRows<'a> {
+    pub(crate) fn new(sink: &'a mut dyn Sink) -> Self {
+        Self {
+            sink,
+            tracks: None,
+            begin: (0, None),
+            latest_ns: 0,
+            next_sequence: None,
+        }
+    }
+
+    /// Hands all samples of a start on.
+    ///
+    /// # Errors
+    /// `data_refused` when the range changes.
+    pub(crate) fn boot(&mut self, boot: &Boot, name: &str) -> Result<()> {
+        self.part(boot, boot.raw.len(), name)?;
+        self.end_of_boot();
+        Ok(())
+    }
+
+    /// The next samples are of another start.
+    pub(crate) fn end_of_boot(&mut self) {
+        if let (Some(tracks), (_, Some(_))) = (&self.tracks, self.begin) {
+            let period_ns = (1e9 / tracks.rate_hz) as i64;
+            self.begin = (self.latest_ns.saturating_add(period_ns), None);
+            self.next_sequence = None;
+        }
+    }
+
+    /// Hands the first `count` samples of a start, or of what is left of it, on.
+    ///
+    /// # Errors
+    /// `data_refused` when the range changes.
+    pub(crate) fn part(&mut self, boot: &Boot, count: usize, name: &str) -> Result<()> {
+        let Some(first) = boot.raw.first() else {
+            return Ok(());
+        };
+        let tracks = self
+            .tracks
+            .get_or_insert_with(|| Tracks::of(boot, self.sink));
+        one_range(boot, tracks, name)?;
+        let begin_us = *self.begin.1.get_or_insert(first.time.0);
+        let begin_ns = self.begin.0;
         let time_ns = |us: u64| {
             let since_us = us.wrapping_sub(begin_us) as i64;
             since_us.saturating_mul(1000).saturating_add(begin_ns)
         };
-        add_environment(sink, boot, environment, time_ns);
-        let mut next = None;
-        for sample in &boot.raw {
-            if next != Some(sample.sequence) && !is_first {
-                sink.gap(force);
+        // A board that replays another sensor's counts has its own thermometer and magnetometer, which do not belong to
+        // the counts.
+        let is_replay = |hello: wimu_link::Hello| hello.sensor.number == sensor::REPLAY;
+        let environment = match boot.hello.is_some_and(is_replay) {
+            true => &[],
+            false => &boot.environment[..],
+        };
+        for environment in environment {
+            let time = time_ns(environment.time_us);
+            if let Some(nt) = environment.magnetic_field_nt {
+                let tesla = nt.map(|axis| f64::from(axis) * 1e-9);
+                self.sink.row(tracks.field, time, &tesla);
             }
-            is_first = false;
-            next = Some(sample.sequence.wrapping_add(1));
-            let time = time_ns(sample.time.0);
-            sink.row(force, time, &sample.value.map(f64::from));
-            if let (Some(track), Some(value)) = (rate, sample.rate) {
-                sink.row(track, time, &value.map(f64::from));
+            if let Some(centi_c) = environment.temperature_centi_c {
+                let celsius = f64::from(centi_c) / 100.0;
+                self.sink.row(tracks.temperature, time, &[celsius]);
             }
         }
-        let last_us = boot.raw.last().map_or(0, |sample| sample.time.0);
-        begin_ns = time_ns(last_us).saturating_add((1e9 / rate_hz) as i64);
+        for sample in &boot.raw[..count] {
+            // Between two starts samples are missing, too.
+            let is_first = self.next_sequence.is_none() && begin_ns == 0;
+            if self.next_sequence != Some(sample.sequence) && !is_first {
+                self.sink.gap(tracks.force);
+            }
+            self.next_sequence = Some(sample.sequence.wrapping_add(1));
+            let time = time_ns(sample.time.0);
+            self.latest_ns = time;
+            self.sink
+                .row(tracks.force, time, &sample.value.map(f64::from));
+            if let (Some(track), Some(value)) = (tracks.rate, sample.rate) {
+                self.sink.row(track, time, &value.map(f64::from));
+            }
+        }
+        Ok(())
+    }
+
+    /// # Errors
+    /// `no_rows` without samples.
+    pub(crate) fn finish(self, role: LinkRole, name: &str) -> Result<()> {
+        let error = || {
+            let message = format!("no raw samples came over the {role} link");
+            let remedy = "switch the raw stream on with `wimu settings set`, or use the other link";
+            ErrorCode::NoRows.error(message, remedy).at(name)
+        };
+        self.tracks.map(|_| ()).ok_or_else(error)
+    }
+}
+
+impl Tracks {
+    /// Those of a link whose first start with samples is `first`.
+    fn of(first: &Boot, sink: &mut dyn Sink) -> Self {
+        let epoch = first.epochs.first().map(|mark| &mark.epoch);
+        let range_g = epoch.map(|epoch| epoch.range_g);
+        let rate_hz = match (first.settings.first(), epoch) {
+            (Some(settings), _) => f64::from(settings.rate_hz),
+            (None, Some(epoch)) => 1e9 / f64::from(epoch.period_ns.max(1)),
+            (None, None) => ASSUMED_RATE_HZ,
+        };
+        let counts = |si_per_lsb| Unit::Counts { si_per_lsb };
+        let sensitivity = first.nominal_sensitivity().map(|s| s.mps2_per_lsb());
+        let mut info = TrackInfo::new("raw", Quantity::SpecificForce, counts(sensitivity));
+        info.rate_hz = Some(rate_hz);
+        info.device = first.sensor();
+        info.full_scale = range_g.map(|g| f64::from(g) * STANDARD_GRAVITY_MPS2);
+        let force = sink.track(info);
+        let nominal = epoch.and_then(|epoch| Some(epoch.gyroscope?.rad_s_per_lsb));
+        let rate = TrackInfo::new("raw", Quantity::AngularRate, counts(nominal));
+        let has_gyroscope = first.raw.iter().any(|sample| sample.rate.is_some());
+        let rate = has_gyroscope.then(|| sink.track(rate));
+        let [field, temperature] = [Quantity::MagneticField, Quantity::Temperature]
+            .map(|quantity| sink.track(TrackInfo::new("environment", quantity, Unit::Si)));
+        Self {
+            range_g,
+            rate_hz,
+            force,
+            rate,
+            field,
+            temperature,
+        }
+    }
+}
+
+/// Refuses epochs of another range than the first one.
+fn one_range(boot: &Boot, tracks: &mut Tracks, name: &str) -> Result<()> {
+    for mark in &boot.epochs {
+        let before = *tracks.range_g.get_or_insert(mark.epoch.range_g);
+        if before != mark.epoch.range_g {
+            let message = format!(
+                "the range changes from ±{before} g to ±{} g at sample {}",
+                mark.epoch.range_g, mark.epoch.sequence
+            );
+            let remedy = "record at one range: a calibration is valid at one range only";
+            return Err(ErrorCode::DataRefused.error(message, remedy).at(name));
+        }
     }
     Ok(())
-}
-
-/// Magnetic field and temperature of a start of the device.
-fn add_environment(
-    sink: &mut dyn Sink,
-    boot: &Boot,
-    [field, temperature]: [TrackId; 2],
-    time_ns: impl Fn(u64) -> i64,
-) {
-    // A board that replays another sensor's counts has its own thermometer and magnetometer, which do not belong to
-    // the counts.
-    let is_replay = |hello: wimu_link::Hello| hello.sensor.number == sensor::REPLAY;
-    if boot.hello.is_some_and(is_replay) {
-        return;
-    }
-    for environment in &boot.environment {
-        let time = time_ns(environment.time_us);
-        if let Some(nt) = environment.magnetic_field_nt {
-            sink.row(field, time, &nt.map(|axis| f64::from(axis) * 1e-9));
-        }
-        if let Some(centi_c) = environment.temperature_centi_c {
-            sink.row(temperature, time, &[f64::from(centi_c) / 100.0]);
-        }
-    }
-}
-
-/// The range of all epochs, ± *g*.
-fn one_range(boots: &[&Boot], name: &str) -> Result<Option<u8>> {
-    let epochs = || boots.iter().flat_map(|boot| &boot.epochs);
-    let range_g = epochs().next().map(|mark| mark.epoch.range_g);
-    match epochs().find(|mark| Some(mark.epoch.range_g) != range_g) {
-        None => Ok(range_g),
-        Some(mark) => Err(ErrorCode::DataRefused
-            .error(
-                format!(
-                    "the range changes from ±{} g to ±{} g at sample {}",
-                    range_g.unwrap_or_default(),
-                    mark.epoch.range_g,
-                    mark.epoch.sequence
-                ),
-                "record at one range: a calibration is valid at one range only",
-            )
-            .at(name)),
-    }
 }

@@ -11,14 +11,14 @@ use wimu_model::{
 
 use super::beside::Beside;
 use super::times::rate_and_gaps;
-use super::{Origin, Quantity, Recording, Track, Unit};
-use crate::error::{ErrorCode, Result};
+use super::{Origin, Quantity, Recording, Track, TrackInfo, Unit};
+use crate::error::{ErrorCode, HostError, Result};
 use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
 
 /// Assumed sample rate of data without times, Hz.
 pub(crate) const ASSUMED_RATE_HZ: f64 = 100.0;
-/// Extrapolation beyond the temperatures of a calibration without a remark, K. Chosen.
+/// Extrapolation beyond the temperatures of a calibration without a warning, K. Chosen.
 const BEYOND_K: f64 = 5.0;
 /// Rests for which memory is reserved at first.
 const USUAL_RESTS: usize = 1000;
@@ -94,7 +94,7 @@ pub struct Samples<'a> {
     /// Whether the data have a gyroscope, too.
     pub has_gyroscope: bool,
     /// Warnings and assumptions of reading.
-    pub(crate) remarks: Vec<String>,
+    pub(crate) findings: Vec<Finding>,
     force: &'a Track,
     /// Valid rows of `force`.
     rows: Vec<usize>,
@@ -115,11 +115,7 @@ impl Recording {
         let force = self.accelerometer(selection.accelerometer)?;
         let rows: Vec<usize> = (0..force.len()).filter(|row| force.valid[*row]).collect();
         if rows.is_empty() {
-            let error = ErrorCode::NoRows.error(
-                format!("{} has no usable row", force.info.name),
-                "check the file, and --where",
-            );
-            return Err(error.at(&self.name));
+            return Err(no_usable_row(&self.name, &force.info));
         }
         let times: Vec<i64> = rows.iter().map(|row| force.times_ns[*row]).collect();
         let by_times = (!force.info.timeless).then(|| rate_and_gaps(&times));
@@ -173,13 +169,13 @@ impl Recording {
         }
         Ok(Samples {
             name: &self.name,
-            unit: unit_of(force),
+            unit: unit_of(&force.info),
             poses: selection.poses,
             rate_hz,
             rate_source,
             sensor: force.info.device,
             // The rate is in the reports.
-            remarks: self.remarks(&[FindingCode::Rate]),
+            findings: self.relevant(&[FindingCode::Rate]),
             has_gyroscope: self.of(Quantity::AngularRate).next().is_some(),
             force,
             rows,
@@ -191,7 +187,7 @@ impl Recording {
     }
 
     /// The accelerometer with this index, or the only one.
-    fn accelerometer(&self, wanted: Option<u8>) -> Result<&Track> {
+    pub(crate) fn accelerometer(&self, wanted: Option<u8>) -> Result<&Track> {
         let forces = self.of(Quantity::SpecificForce);
         let mut all: Vec<&Track> = forces
             .filter(|track| track.info.origin == Origin::Sensor)
@@ -200,87 +196,102 @@ impl Recording {
         if all.iter().any(|track| !track.info.corrected) {
             all.retain(|track| !track.info.corrected);
         }
-        let list = || {
-            let numbers: Vec<_> = all.iter().map(|t| t.info.sensor.to_string()).collect();
-            numbers.join(", ")
+        let of_sensor: Vec<&Track> = match all.first() {
+            Some(first) => {
+                let sensor = wanted.unwrap_or(first.info.sensor);
+                let same = |track: &&&Track| track.info.sensor == sensor;
+                all.iter().filter(same).copied().collect()
+            }
+            None => Vec::new(),
         };
-        let chosen = all
-            .iter()
-            .find(|track| wanted.is_none_or(|number| track.info.sensor == number));
-        let sensor = chosen.map(|track| track.info.sensor);
-        let ranges: Vec<String> = all
-            .iter()
-            .filter(|track| Some(track.info.sensor) == sensor)
-            .filter_map(|track| match track.info.unit {
-                Unit::Counts { si_per_lsb } => Some(STANDARD_GRAVITY_MPS2 / si_per_lsb?),
-                _ => None,
-            })
-            .map(|lsb_per_g| lsb_per_g.to_string())
-            .collect();
+        let fail = |code: ErrorCode, message: String, remedy: String| {
+            Err(code.error(message, remedy).at(&self.name))
+        };
+        let range = |track: &&Track| match track.info.unit {
+            Unit::Counts { si_per_lsb } => Some((STANDARD_GRAVITY_MPS2 / si_per_lsb?).to_string()),
+            _ => None,
+        };
+        let ranges: Vec<String> = of_sensor.iter().filter_map(range).collect();
         if let [first, _, ..] = ranges.as_slice() {
-            let message = format!("the range changes: 1 g is {} LSB", ranges.join(", then "));
-            let remedy = format!(
-                "select the rows of one range with --where \"Sensitivity (LSB/g)={first}\", or record at one range"
+            return fail(
+                ErrorCode::CsvMixedUnits,
+                format!("the range changes: 1 g is {} LSB", ranges.join(", then ")),
+                format!(
+                    "select the rows of one range with --where \"Sensitivity (LSB/g)={first}\", or record at one range"
+                ),
             );
-            return Err(ErrorCode::CsvMixedUnits
-                .error(message, remedy)
-                .at(&self.name));
         }
-        let gravity = |finding: &&Finding| finding.code == FindingCode::GravityMissing;
-        let missing = self.findings.iter().find(gravity);
-        if ranges.is_empty() && all.iter().filter(|t| Some(t.info.sensor) == sensor).count() > 1 {
+        if ranges.is_empty() && of_sensor.len() > 1 {
             let names: Vec<&str> = all.iter().map(|t| t.info.name.as_str()).collect();
-            let error = ErrorCode::Usage.error(
+            return fail(
+                ErrorCode::Usage,
                 format!(
                     "several accelerometers have the same number: {}",
                     names.join(", ")
                 ),
-                "give one file of the folder or archive, or choose with --topic",
+                "give one file of the folder or archive, or choose with --topic".to_owned(),
             );
-            return Err(error.at(&self.name));
         }
-        if let (Some(missing), []) = (missing, all.as_slice()) {
-            let error = ErrorCode::NoRows.error(missing.evidence.clone(), missing.remedy.clone());
-            return Err(error.at(&self.name));
-        }
-        let (message, remedy) = match (all.as_slice(), wanted) {
-            ([], _) => (
-                "there is no accelerometer in it".to_owned(),
-                "`wimu info FILE` lists what it has".to_owned(),
-            ),
-            ([only], None) => return Ok(only),
-            (_, None) => (
-                format!("it has {} accelerometers", all.len()),
-                format!(
-                    "choose one with --accelerometer: {}; the accelerometers of an array are calibrated together with --geometry",
-                    list()
+        let numbers: Vec<_> = all.iter().map(|t| t.info.sensor.to_string()).collect();
+        let numbers = numbers.join(", ");
+        let gravity = |finding: &&Finding| finding.code == FindingCode::GravityMissing;
+        match (all.as_slice(), wanted, of_sensor.first()) {
+            ([], ..) => match self.findings.iter().find(gravity) {
+                Some(missing) => fail(
+                    ErrorCode::NoRows,
+                    missing.evidence.clone(),
+                    missing.remedy.clone(),
                 ),
-            ),
-            (_, Some(number)) => match all.iter().find(|track| track.info.sensor == number) {
-                Some(track) => return Ok(track),
-                None => (
-                    format!("it has no accelerometer {number}"),
-                    format!("choose from: {}", list()),
+                None => fail(
+                    ErrorCode::NoRows,
+                    "there is no accelerometer in it".to_owned(),
+                    "`wimu info FILE` lists what it has".to_owned(),
                 ),
             },
-        };
-        let code = match all.is_empty() {
-            true => ErrorCode::NoRows,
-            false => ErrorCode::Usage,
-        };
-        Err(code.error(message, remedy).at(&self.name))
+            ([only], None, _) => Ok(only),
+            (_, Some(_), Some(track)) => Ok(track),
+            (_, Some(number), None) => fail(
+                ErrorCode::Usage,
+                format!("it has no accelerometer {number}"),
+                format!("choose from: {numbers}"),
+            ),
+            (_, None, _) => fail(
+                ErrorCode::Usage,
+                format!("it has {} accelerometers", all.len()),
+                format!(
+                    "choose one with --accelerometer: {numbers}; the accelerometers of an array are calibrated together with \
+                     --geometry"
+                ),
+            ),
+        }
     }
 }
 
-fn unit_of(force: &Track) -> OutputUnit {
-    let Unit::Counts { si_per_lsb } = force.info.unit else {
+/// Finding on a number of gaps and their total length, s; `None` without gaps.
+pub(crate) fn gaps_finding((count, total_s): (usize, f64)) -> Option<Finding> {
+    (count > 0).then(|| {
+        FindingCode::Rate.warning(format!(
+            "samples are missing: {}, {total_s:.1} s in total; no mean includes a gap",
+            counted(count, "gap")
+        ))
+    })
+}
+
+pub(crate) fn no_usable_row(name: &str, force: &TrackInfo) -> HostError {
+    let message = format!("{} has no usable row", force.name);
+    (ErrorCode::NoRows.error(message, "check the file, and --where")).at(name)
+}
+
+/// Unit of the samples of a track.
+pub(crate) fn unit_of(force: &TrackInfo) -> OutputUnit {
+    let Unit::Counts { si_per_lsb } = force.unit else {
         return OutputUnit::Mps2;
     };
     let sensitivity = |scale: f64| Sensitivity::from_lsb_per_g(STANDARD_GRAVITY_MPS2 / scale).ok();
     let range = |mps2: f64| (mps2 / STANDARD_GRAVITY_MPS2).round() as u8;
     OutputUnit::Counts {
         nominal: si_per_lsb.and_then(sensitivity),
-        range_g: force.info.full_scale.map(range),
+        range_g: force.full_scale.map(range),
     }
 }
 
@@ -385,15 +396,19 @@ impl<'a> Samples<'a> {
         (self.gaps.len(), self.gaps.iter().map(length_s).sum())
     }
 
-    /// Remark on gaps; `None` without gaps.
-    pub(crate) fn gaps_remark(&self) -> Option<String> {
-        let (count, total_s) = self.gaps();
-        (count > 0).then(|| {
-            format!(
-                "samples are missing: {}, {total_s:.1} s in total; no mean includes a gap",
-                counted(count, "gap")
-            )
-        })
+    /// What was found while reading, an assumed rate, and missing samples.
+    pub(crate) fn findings(&self) -> Vec<Finding> {
+        let mut findings = self.findings.clone();
+        if self.rate_source == RateSource::Assumed && !self.poses {
+            let why = match self.is_timed() {
+                true => "the times are more than a second apart (check their unit)",
+                false => "the data have no times",
+            };
+            let text = format!("{why}: {} Hz assumed", self.rate_hz);
+            findings.push(FindingCode::Rate.warning(text));
+        }
+        findings.extend(gaps_finding(self.gaps()));
+        findings
     }
 
     /// The outputs corrected by `set`, each at its temperature, m/s², sensor axes.
@@ -410,8 +425,8 @@ impl<'a> Samples<'a> {
         self.iter().map(correct).collect()
     }
 
-    /// Remark on temperatures that are missing or outside the range of the calibration `set`.
-    pub(crate) fn temperature_remark(&self, set: &ParameterSet) -> Option<String> {
+    /// Temperatures that are missing or outside the range of the calibration `set`.
+    pub(crate) fn temperature_finding(&self, set: &ParameterSet) -> Option<Finding> {
         let terms = set.model.terms().temperature;
         let moves = TemperatureTerms {
             reference_c: TemperatureTerms::default().reference_c,
@@ -424,19 +439,19 @@ impl<'a> Samples<'a> {
         );
         if lowest > highest {
             return moves.then(|| {
-                format!(
+                FindingCode::Temperature.warning(format!(
                     "the calibration depends on temperature and the data have none: {:.1} °C assumed",
                     terms.reference_c
-                )
+                ))
             });
         }
         let made = set.quality?.terms().temperature?;
         let (from, to) = (f64::from(made.lowest_c), f64::from(made.highest_c));
         (lowest < from - BEYOND_K || highest > to + BEYOND_K).then(|| {
-            format!(
+            FindingCode::Temperature.warning(format!(
                 "the data are from {lowest:.1} to {highest:.1} °C, the calibration from {from:.1} to {to:.1} °C: ± does not \
                  include the error of this extrapolation"
-            )
+            ))
         })
     }
 

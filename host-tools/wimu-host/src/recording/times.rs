@@ -1,9 +1,9 @@
 //! Sample rate and gaps from the times of a file's rows.
 
 /// A longer time between two rows is a break, not a sample period, ns.
-const BREAK_NS: i64 = 1_000_000_000;
+pub(crate) const BREAK_NS: i64 = 1_000_000_000;
 /// Rows on either side of a step by which a gap is judged.
-const REACH: usize = 128;
+pub(crate) const REACH: usize = 128;
 /// Fewest missing samples of a gap: fewer may be a delayed time stamp.
 const MIN_MISSING: f64 = 3.0;
 
@@ -11,7 +11,7 @@ const MIN_MISSING: f64 = 3.0;
 ///
 /// Rows whose times come in bursts, such as times of arrival, have no gaps: the delay of a gap persists in the rows
 /// that follow.
-pub(super) fn rate_and_gaps(times_ns: &[i64]) -> Option<(f64, Vec<usize>)> {
+pub(crate) fn rate_and_gaps(times_ns: &[i64]) -> Option<(f64, Vec<usize>)> {
     RowTimes(times_ns).rate_and_gaps()
 }
 

@@ -467,7 +467,7 @@ impl Case {
         let mut outcome = Outcome {
             position: path.nees.clone(),
             valid: path.points.iter().filter(|p| p.valid).count() as f64 / path.points.len() as f64,
-            remarks: path.remarks.clone(),
+            remarks: path.findings.iter().map(ToString::to_string).collect(),
             ..Outcome::default()
         };
         for (point, truth) in path.points.iter().zip(&path.truth_m) {

@@ -58,12 +58,11 @@ pub fn run(arguments: &Align, output: Output) -> Result<u8> {
         |client, set| listen(client, arguments, set, &options, output),
     )?;
     let report = alignment::alignment(&data.samples(Selection::default())?, &set, &options);
-    let code = report.exit_code();
     let before = sessions(arguments.calibration.as_deref(), &set);
     let file = |set| CalibrationFile::new(set, &before, &report.source);
     finish(
         &report,
-        code,
+        &report.outcome,
         arguments.output.as_deref(),
         report.parameters.as_ref().map(file),
         output,
@@ -110,7 +109,7 @@ fn listen(
             asked = report.rests;
             ask(asked);
         }
-        Ok(report.exit_code() != 0)
+        Ok(report.outcome.exit_code() != 0)
     })?;
     Recording::of_link(&record, &name)
 }

@@ -3,8 +3,6 @@
 use std::time::{Duration, Instant};
 
 use wimu_host::allan::{self, NoiseMeter, NoiseReport};
-use wimu_host::formats;
-use wimu_host::recording::Selection;
 use wimu_host::{Input, Result};
 
 use crate::arguments::Allan;
@@ -13,27 +11,28 @@ use crate::output::Output;
 
 /// Returns the exit code: 0, or 3 if the data do not support an answer.
 pub fn run(arguments: &Allan, output: Output) -> Result<u8> {
-    let selection = Selection {
-        accelerometer: arguments.accelerometer,
-        poses: false,
-    };
-    let sensitivity = arguments.sensitivity;
     not_over_input(arguments.input.as_ref(), arguments.report.as_deref())?;
     let report = match Input::parse(&arguments.input)? {
         Input::File(path) | Input::Recording(path) => {
-            let recording = formats::load(&path, &arguments.reading.options(false))?;
-            allan::noise(&recording.samples(selection)?, sensitivity)
+            let options = arguments.reading.options(false);
+            allan::noise(
+                &path,
+                &options,
+                arguments.accelerometer,
+                arguments.sensitivity,
+            )?
         }
         Input::Link(_) => listen(arguments, output)?,
     };
     output.print(report.to_string());
-    if report.exit_code() == 0
+    output.findings(&report.outcome.findings);
+    if report.axes.is_some()
         && let Some(path) = &arguments.report
     {
         report.page()?.write(path)?;
     }
     output.object(&report);
-    Ok(report.exit_code())
+    Ok(report.outcome.exit_code())
 }
 
 /// Interval between progress lines.

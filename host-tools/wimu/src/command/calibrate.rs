@@ -11,11 +11,12 @@ use std::sync::mpsc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
-use wimu_calib::{Face, Model, Phase, Session, Term, Terms};
+use wimu_calib::{Face, Model, Phase, Session};
 use wimu_host::calibration::{
     self, CalibrateOptions, CalibrationFile, MethodChoice, ModelChoice, Paired,
 };
 use wimu_host::decode::Event;
+use wimu_host::finding::Outcome;
 use wimu_host::formats::{self, ReadOptions};
 use wimu_host::history::{self, LinkHistory};
 use wimu_host::recording::{Recording, Selection};
@@ -41,16 +42,19 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
     }
 }
 
-/// Prints a report, writes the calibration to `path` if there is one, and does the rest. Returns the exit code.
+/// Prints a report with this outcome, writes the calibration to `path` if there is one, and does the rest. Returns the
+/// exit code.
 pub fn finish<R: Display + Serialize>(
     report: &R,
-    exit_code: u8,
+    outcome: &Outcome,
     path: Option<&Path>,
     file: Option<CalibrationFile>,
     output: Output,
     rest: impl FnOnce() -> Result<()>,
 ) -> Result<u8> {
     output.print(report.to_string());
+    output.findings(&outcome.findings);
+    let exit_code = outcome.exit_code();
     if let (0, Some(path), Some(file)) = (exit_code, path, file) {
         file.write(path)?;
     }
@@ -110,16 +114,13 @@ fn with_gravity(arguments: &Calibrate, output: Output) -> Result<u8> {
         }
     };
     let report = calibration::calibrate(&data.samples(selection)?, &options)?;
-    let code = report.exit_code();
     let (path, file) = (arguments.output.as_deref(), report.file.clone());
-    finish(&report, code, path, file, output, || {
+    finish(&report, &report.outcome, path, file, output, || {
         if let Some(path) = &arguments.report {
             report.page()?.write(path)?;
         }
         match (&mut client, &report.parameters) {
-            (Some(client), Some(set)) if arguments.push && code == 0 => {
-                params::push(client, set, output)
-            }
+            (Some(client), Some(set)) if arguments.push => params::push(client, set, output),
             _ => Ok(()),
         }
     })
@@ -148,9 +149,8 @@ fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
         }
     };
     let report = calibration::compare_with_reference(&data, arguments.noise_ratio, utc_s())?;
-    let code = report.exit_code();
     let (path, file) = (arguments.output.as_deref(), report.file.clone());
-    finish(&report, code, path, file, output, || Ok(()))
+    finish(&report, &report.outcome, path, file, output, || Ok(()))
 }
 
 /// Checks and updates a stored calibration with later rests.
@@ -182,14 +182,11 @@ fn update(arguments: &Calibrate, output: Output) -> Result<u8> {
         arguments.gravity,
         utc_s(),
     )?;
-    let code = report.exit_code();
     let before = calibration::sessions(arguments.with.as_deref(), &stored);
     let file = |set| CalibrationFile::new(set, &before, &report.source);
-    let (path, file) = (
-        arguments.output.as_deref(),
-        report.parameters.as_ref().map(file),
-    );
-    finish(&report, code, path, file, output, || Ok(()))
+    let file = report.parameters.as_ref().map(file);
+    let path = arguments.output.as_deref();
+    finish(&report, &report.outcome, path, file, output, || Ok(()))
 }
 
 /// Now, s since 1970 UTC.
@@ -205,48 +202,8 @@ fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
         Method::ThreeAngle => MethodChoice::ThreeAngle,
         Method::MultiPosition | Method::Reference | Method::Update => MethodChoice::MultiPosition,
     };
-    let multi_position = method == MethodChoice::MultiPosition;
     let text = arguments.model.as_deref().unwrap_or_default();
-    let (base, names) = text
-        .split_once('+')
-        .map_or((text, None), |(base, names)| (base, Some(names)));
-    let mut terms = Terms::NONE;
-    for name in names.into_iter().flat_map(|names| names.split('+')) {
-        terms = match name {
-            "drift" => terms.with(Term::Drift),
-            "temperature" => terms
-                .with(Term::BiasTemperature)
-                .with(Term::ScaleTemperature),
-            "quadratic" => terms.with(Term::Quadratic),
-            other => {
-                return Err(usage(
-                    format!("--model {text}: unknown term {other:?}"),
-                    "the terms are drift, temperature and quadratic, as in 9+drift",
-                ));
-            }
-        };
-    }
-    let model = match (base, method) {
-        ("", _)
-        | ("12", MethodChoice::SixPosition)
-        | ("6", MethodChoice::FourAngle | MethodChoice::ThreeAngle) => ModelChoice::default(),
-        ("9", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::Full9),
-        ("6", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::BiasScale6),
-        ("3", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::Bias3),
-        ("auto", MethodChoice::MultiPosition) => ModelChoice::Auto,
-        _ => {
-            return Err(usage(
-                format!("--model {text} does not go with --method {}", method.name()),
-                "multi-position has 3, 6, 9 or auto, six-position 12, four-angle and three-angle 6",
-            ));
-        }
-    };
-    if terms != Terms::NONE && !multi_position {
-        return Err(usage(
-            format!("--model {text}: only multi-position has terms"),
-            "leave the term out, or use --method multi-position",
-        ));
-    }
+    let (model, terms) = calibration::parse_model(text, method)?;
     let datasheet = arguments.sensor_model.as_deref();
     Ok(CalibrateOptions {
         method,

@@ -38,15 +38,16 @@ fn recording(path: &Path, arguments: &Compare, output: Output) -> Result<()> {
     let found = compare(|| RecordingReader::open(path), &name)?;
     let text = text(&found);
     output.print(&text);
+    output.findings(&found.findings);
     if let Some(file) = &arguments.output {
         let model = found.values.as_ref().map(|values| &values.model);
         let model = model.ok_or_else(|| {
-            HostError::new(
-                ErrorCode::DataRefused,
-                found.values_reason.clone().unwrap_or_default(),
-                "record a longer motion",
-            )
-            .at(&name)
+            ErrorCode::DataRefused
+                .error(
+                    found.values_reason.clone().unwrap_or_default(),
+                    "record a longer motion",
+                )
+                .at(&name)
         })?;
         model.write(file)?;
         output.print(format!(
@@ -93,30 +94,15 @@ fn text(found: &Comparison) -> String {
             starts => format!("; {starts} starts of the board"),
         }
     );
-    if let Some(fault) = found.wholeness.fault() {
-        text += &format!("\n  {fault}");
-    }
     for link in &found.links {
         text += &link_text(link);
     }
     if let Some(clock) = &found.clock {
         text += &format!("\nboth     {}", clock_text(clock));
     }
-    match (&found.values, &found.values_reason) {
-        (Some(values), _) => {
-            text += "\nvalues of wireless against cable (± is 1 σ):";
-            text += &axes_text(&values.axes);
-        }
-        (None, Some(reason)) => {
-            text += &format!("\nvalues: {reason}");
-        }
-        (None, None) => {}
-    }
-    if found.without_unit > 0 {
-        text += &format!(
-            "\n  {} samples left out of the values: their range is unknown because a time-reference message (Epoch) was lost",
-            found.without_unit
-        );
+    if let Some(values) = &found.values {
+        text += "\nvalues of wireless against cable (± is 1 σ):";
+        text += &axes_text(&values.axes);
     }
     text
 }
@@ -225,36 +211,15 @@ fn tables(reference: &Path, other: &Path, output: Output) -> Result<()> {
             _ => String::new(),
         }
     );
-    for (source, sd) in found.sources.iter().zip(found.unit_sd) {
-        if let Some(sd) = sd {
-            text += &format!(
-                "\n{source} is in LSB: its median magnitude is taken as 1 g; the standard deviation of all scale factors is {:.0} %",
-                100.0 * sd
-            );
-        }
+    if let Some(turn) = &found.turn {
+        text += &format!(
+            "\nits axes are rotated by {}° (1 σ) from the reference's; scale factors are along its own axes",
+            with_sd(turn.angle_deg, turn.angle_sd_deg)
+        );
     }
-    if found.saturated > 0 {
-        text += &format!("\n{} saturated samples are left out", found.saturated);
-    }
-    match (&found.axes, &found.axes_reason) {
-        (Some(axes), _) => {
-            text += &match &found.turn {
-                Some(turn) => format!(
-                    "\nits axes are rotated by {}° (1 σ) from the reference's; scale factors are along its own axes",
-                    with_sd(turn.angle_deg, turn.angle_sd_deg)
-                ),
-                None => "\nthe motion does not determine the rotation between the axes: 5° change a scale factor by 0.4 % and a \
-                         bias by 9 % of the other axes' output; move both through all orientations"
-                    .to_owned(),
-            };
-            text += &axes_text(axes);
-        }
-        (None, Some(reason)) => {
-            text += &format!("\nvalues: {reason}");
-        }
-        (None, None) => {}
-    }
+    text += &found.axes.as_ref().map(axes_text).unwrap_or_default();
     output.print(&text);
+    output.findings(&found.findings);
     output.answer("wimu.compare_tables/1", &found);
     Ok(())
 }

@@ -8,7 +8,7 @@ use wimu_host::compare::{Comparison, compare};
 use wimu_host::html::Report;
 use wimu_host::mcap_file::RecordingReader;
 use wimu_host::navigation::{Point, distance_m};
-use wimu_host::{ErrorCode, HostError, OutputFile, Result};
+use wimu_host::{ErrorCode, OutputFile, Result};
 use wimu_sim::board::{Board, BoardConfig};
 use wimu_sim::scenario::{Calibration, FirstLight, Outcome};
 
@@ -47,8 +47,7 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
     .run_on(|source| {
         let config = BoardConfig {
             wireless_faults: WIRELESS.parse().map_err(|error| {
-                HostError::new(
-                    ErrorCode::VerifyFailed,
+                ErrorCode::VerifyFailed.error(
                     format!("the demo's link: {error}"),
                     "report this as a fault of wimu",
                 )
@@ -108,8 +107,7 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
     if exact && locked && outcome.pushed == outcome.after_restart {
         Ok(())
     } else {
-        Err(HostError::new(
-            ErrorCode::VerifyFailed,
+        Err(ErrorCode::VerifyFailed.error(
             "the device's results or stored parameters differ from the expected ones",
             "report this as a fault of wimu, with the seed",
         ))

@@ -5,12 +5,13 @@ use wimu_host::calibration::{CalibrationExport, ExportTarget, KalibrNoise, furth
 use wimu_host::compare::LinkModel;
 use wimu_host::csv::SENSITIVITY;
 use wimu_host::export::{self, ExportSource, ExportStream};
+use wimu_host::finding::{Finding, FindingCode, without_unit};
 use wimu_host::mcap_file::Wholeness;
 use wimu_host::ros::{self, Decoded};
 use wimu_host::{HostError, Input, OutputFile, Result};
 
 use crate::arguments::{Export, ExportFormat, Stream};
-use crate::command::{not_over_input, print_fault};
+use crate::command::not_over_input;
 use crate::output::{Output, usage};
 
 #[derive(Serialize)]
@@ -24,6 +25,7 @@ struct Exported {
     sensors: Vec<u8>,
     #[serde(flatten)]
     wholeness: Wholeness,
+    findings: Vec<Finding>,
 }
 
 /// A calibration for other programs.
@@ -33,7 +35,7 @@ struct ExportedCalibration {
     file: Option<String>,
     text: Option<String>,
     /// What the format cannot express.
-    remarks: Vec<String>,
+    findings: Vec<Finding>,
 }
 
 #[derive(Serialize)]
@@ -66,7 +68,7 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
         for (topic, count) in &decoded.messages {
             output.print(format!("{file}: {count} messages on {topic}"));
         }
-        print_left_out(&decoded, output);
+        output.findings(&decoded.findings);
         output.answer("wimu.export_topics/1", &ExportedTopics { file, decoded });
         return Ok(());
     }
@@ -81,30 +83,24 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
         link_model: model.as_ref(),
     };
     let table = export::to_csv(&arguments.input, &source, stream, to)?;
-    if table.ranges_differ {
-        output.print(format!(
-            "{file}: the range changes; column `{SENSITIVITY}` gives the value of each row"
-        ));
-    }
     let (rows, link) = (table.rows, table.role.to_string());
     output.print(format!("{file}: {rows} rows of the {link} link"));
-    if table.sensors.len() > 1 {
-        output.print(format!(
-            "  it has the sensors {:?}; --sensor selects one of them",
-            table.sensors
-        ));
-    }
-    if table.without_unit > 0 {
-        output.print(format!(
-            "  {} raw samples {}: their range is unknown because a time-reference message (Epoch) was lost",
-            table.without_unit,
-            match model {
-                Some(_) => "left out",
-                None => "have no sensitivity in it",
-            }
-        ));
-    }
-    print_fault(table.wholeness, output);
+    let what = match model {
+        Some(_) => "left out",
+        None => "without a sensitivity",
+    };
+    let changes = format!("the range changes; column `{SENSITIVITY}` gives the value of each row");
+    let sensors = format!("the file has the sensors {:?}", table.sensors);
+    let sensors = FindingCode::TrackChosen.note(sensors);
+    let sensors = sensors.remedy("--sensor selects one of them");
+    let findings = [
+        table.wholeness.finding(),
+        without_unit(table.without_unit, "raw sample", what),
+        (table.ranges_differ).then(|| FindingCode::UnitInferred.note(changes)),
+        (table.sensors.len() > 1).then_some(sensors),
+    ];
+    let findings: Vec<Finding> = findings.into_iter().flatten().collect();
+    output.findings(&findings);
     let exported = Exported {
         file,
         link,
@@ -112,32 +108,10 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
         without_unit: table.without_unit,
         sensors: table.sensors,
         wholeness: table.wholeness,
+        findings,
     };
     output.answer("wimu.export/1", &exported);
     Ok(())
-}
-
-/// Prints what decoded topics lack, and what is out of order in them.
-pub fn print_left_out(decoded: &Decoded, output: Output) {
-    let lacks = [
-        (
-            decoded.without_time,
-            "messages left out: their time is unknown",
-        ),
-        (
-            decoded.without_unit,
-            "raw samples left out: their range is unknown because a time-reference message (Epoch) was lost",
-        ),
-        (decoded.late, "samples are out of order: they arrived late"),
-        (
-            decoded.unplaced,
-            "batches left out: they have no time reference",
-        ),
-    ];
-    for (count, what) in lacks.into_iter().filter(|(count, _)| *count > 0) {
-        output.print(format!("  {count} {what}"));
-    }
-    print_fault(decoded.wholeness, output);
 }
 
 /// What reads the exported calibration; `None` for a recording.
@@ -164,12 +138,11 @@ fn calibration(arguments: &Export, target: ExportTarget, output: Output) -> Resu
     let noise = arguments.noise.as_deref();
     let text = export.text(target, noise.map(KalibrNoise::read).transpose()?);
     let further = further_sensors(&arguments.input);
-    let left_out = (!further.is_empty())
-        .then(|| format!("sensors {further:?} of the calibration are left out"));
-    let remarks: Vec<String> = (export.range_remark.clone().into_iter())
-        .chain(export.left_out(target))
-        .chain(left_out)
-        .collect();
+    let mut findings = export.findings(target);
+    if !further.is_empty() {
+        let text = format!("sensors {further:?} of the calibration are left out");
+        findings.push(FindingCode::NotExpressible.warning(text));
+    }
     let file = arguments
         .output
         .as_ref()
@@ -178,18 +151,16 @@ fn calibration(arguments: &Export, target: ExportTarget, output: Output) -> Resu
         (Some(path), Some(file)) => {
             OutputFile::write(path, &text)?;
             output.print(format!("{file}: {} lines", text.lines().count()));
-            for remark in &remarks {
-                output.print(remark);
-            }
+            output.findings(&findings);
         }
-        // The text itself holds the remarks.
+        // The text itself holds the findings.
         _ if !output.is_json() => output.print(text.trim_end()),
         _ => {}
     }
     let exported = ExportedCalibration {
         text: file.is_none().then_some(text),
         file,
-        remarks,
+        findings,
     };
     output.answer("wimu.export_calibration/1", &exported);
     Ok(())

@@ -75,18 +75,15 @@ pub fn run(arguments: &Flash, output: Output) -> Result<()> {
 fn read(board: Board, file: Option<PathBuf>) -> Result<Image> {
     let file = file.unwrap_or_else(|| board.file_and_drive().0.into());
     let location = file.display().to_string();
-    let bytes = std::fs::read(&file).map_err(|error| {
-        HostError::new(
-            ErrorCode::FileUnreadable,
-            format!("the image cannot be read: {error}"),
+    let bytes =
+        std::fs::read(&file).map_err(|error| {
+            ErrorCode::FileUnreadable.error(format!("the image cannot be read: {error}"),
             "build it with `cargo xtask firmware` in the repository, or name one with --image",
         )
         .at(&location)
-    })?;
+        })?;
     let segments = image::segments(&bytes).ok_or_else(|| {
-        HostError::new(
-            ErrorCode::UnknownFormat,
-            "this is not a complete firmware image",
+        ErrorCode::UnknownFormat.error("this is not a complete firmware image",
             "give an ELF file for ARM, an Intel HEX file or a UF2 file; `cargo xtask firmware` builds them",
         )
         .at(&location)
@@ -97,15 +94,15 @@ fn read(board: Board, file: Option<PathBuf>) -> Result<Image> {
             file,
             segments,
         }),
-        Some(why) => Err(HostError::new(
-            ErrorCode::WrongImage,
-            format!("this image is not for a {}: {why}", board.name()),
-            format!(
-                "give the board's own image: `cargo xtask firmware` writes {}",
-                board.file_and_drive().0
-            ),
-        )
-        .at(&location)),
+        Some(why) => Err(ErrorCode::WrongImage
+            .error(
+                format!("this image is not for a {}: {why}", board.name()),
+                format!(
+                    "give the board's own image: `cargo xtask firmware` writes {}",
+                    board.file_and_drive().0
+                ),
+            )
+            .at(&location)),
     }
 }
 
@@ -136,8 +133,7 @@ fn write(image: &Image, arguments: &Flash, _: Output) -> Result<()> {
 
 #[cfg(not(feature = "flash"))]
 fn left_out(command: &str, otherwise: &str) -> HostError {
-    HostError::new(
-        ErrorCode::FeatureMissing,
+    ErrorCode::FeatureMissing.error(
         "this wimu was built without support for debug probes",
         format!("cargo run --release -p wimu --features flash -- {command}{otherwise}"),
     )

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 use wimu_host::decode::{self, LinkStatistics};
+use wimu_host::finding::Finding;
 use wimu_host::formats::{Source, Summary};
 use wimu_host::mcap_file::Wholeness;
 use wimu_host::overview::{BootOverview, LinkOverview, Overview};
@@ -14,9 +15,9 @@ use wimu_link::Hello;
 use wimu_link::message::{SensorStatus, Status};
 
 use crate::arguments::Info;
+use crate::command::connect;
 use crate::command::key::access_text;
 use crate::command::record::left_out_text;
-use crate::command::{connect, print_fault};
 use crate::output::Output;
 
 #[derive(Serialize)]
@@ -25,6 +26,7 @@ struct Contents {
     duration_s: f64,
     #[serde(flatten)]
     wholeness: Wholeness,
+    findings: Vec<Finding>,
     links: Vec<Link>,
 }
 
@@ -286,10 +288,11 @@ fn recording(path: &Path, output: Output) -> Result<()> {
         source: path.display().to_string(),
         duration_s: recording.duration_ns as f64 * 1e-9,
         wholeness: recording.wholeness,
+        findings: Vec::from_iter(recording.wholeness.finding()),
         links,
     };
     output.print(format!("{}: {:.1} s", contents.source, contents.duration_s));
-    print_fault(contents.wholeness, output);
+    output.findings(&contents.findings);
     for link in &contents.links {
         output.print(format!(
             "{:8} {} raw, {} corrected, {} epochs, {} positions; {} missing, {} damaged frames{}, {} bytes{}",

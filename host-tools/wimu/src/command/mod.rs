@@ -27,9 +27,8 @@ use std::time::{Duration, Instant};
 use wimu_host::client::{self, Client};
 use wimu_host::decode::Arrival;
 use wimu_host::keys::KeyFolder;
-use wimu_host::mcap_file::Wholeness;
 use wimu_host::transport::Transport;
-use wimu_host::{ErrorCode, HostError, LinkUrl, Result};
+use wimu_host::{ErrorCode, LinkUrl, Result};
 
 use crate::output::{Output, usage};
 
@@ -77,13 +76,6 @@ fn connect_to_read(link: &str, output: Output) -> Result<(Connection, Option<boo
     }
 }
 
-/// Prints what is wrong with a recording's file, if anything.
-fn print_fault(wholeness: Wholeness, output: Output) {
-    if let Some(fault) = wholeness.fault() {
-        output.print(format!("  {fault}"));
-    }
-}
-
 /// Refuses an output file that is the input.
 fn not_over_input(input: &Path, output: Option<&Path>) -> Result<()> {
     let same = output.is_some_and(|output| {
@@ -107,8 +99,7 @@ fn interrupted() -> Result<Arc<AtomicBool>> {
     let flag = Arc::new(AtomicBool::new(false));
     let set = flag.clone();
     ctrlc::set_handler(move || set.store(true, Ordering::Relaxed)).map_err(|error| {
-        HostError::new(
-            ErrorCode::FileFailed,
+        ErrorCode::FileFailed.error(
             format!("cannot install the Ctrl-C handler: {error}"),
             "run the command in a terminal",
         )

@@ -8,7 +8,7 @@ use serde::Serialize;
 use wimu_host::decode::{Decoder, Event};
 use wimu_host::mcap_file::RecordingReader;
 use wimu_host::monitor::{Reading, Readings};
-use wimu_host::{ErrorCode, HostError, Input, Result};
+use wimu_host::{ErrorCode, Input, Result};
 use wimu_link::Hello;
 use wimu_link::message::Status;
 
@@ -158,9 +158,7 @@ pub fn run(arguments: &Monitor, output: Output) -> Result<()> {
     match Input::parse(&arguments.input)? {
         Input::Link(_) => live(arguments, output),
         Input::Recording(path) => recorded(&path, arguments.rate, output),
-        Input::File(_) => Err(HostError::new(
-            ErrorCode::UnknownFormat,
-            "monitor does not read files of other programs",
+        Input::File(_) => Err(ErrorCode::UnknownFormat.error("monitor does not read files of other programs",
             "give a LINK or a recording of wimu; `wimu simulate --replay` streams counts of a table",
         )
         .at(&arguments.input)),

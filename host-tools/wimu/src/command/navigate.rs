@@ -3,19 +3,14 @@
 mod array;
 mod inertial;
 
-use std::fs::File;
-use std::io::{BufReader, Read};
-use std::time::{Duration, Instant};
-
 use serde::Serialize;
 use wimu_host::calibration::read_parameters;
 use wimu_host::digits::{signed, significant};
 use wimu_host::history::{Boot, LinkHistory, Recording};
-use wimu_host::mcap_file::RecordingReader;
 use wimu_host::navigation::{self, Point};
 use wimu_host::plural::counted;
 use wimu_host::replay::{self, ReplayReport};
-use wimu_host::{ErrorCode, HostError, Input, Result};
+use wimu_host::{ErrorCode, Input, Result};
 use wimu_integrator::Phase;
 use wimu_model::ParameterSet;
 
@@ -135,11 +130,7 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     if !is_of_wimu || arguments.geometry.is_some() {
         return inertial::run(arguments, output);
     }
-    let name = arguments.input.display().to_string();
-    let watch = |file| Watched::new(file, output);
-    let reader = RecordingReader::open_through(&arguments.input, watch)?;
-    let recording = Recording::read(reader, &name)?;
-    output.end_refresh();
+    let recording = Recording::load(&arguments.input)?;
     let link = recording.link(arguments.reading.link.map(Into::into))?;
     let calibration = arguments.calibration.first();
     let calibration = calibration.map(|file| read_parameters(file)).transpose()?;
@@ -153,12 +144,12 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         .iter()
         .all(|start| start.device.is_none() && start.recomputed.is_none())
     {
-        return Err(HostError::new(
-            ErrorCode::DataRefused,
-            "the recording has no rest, which initial attitude and position need",
-            "hold the board still for at least a second before moving it",
-        )
-        .at(&recording.name));
+        return Err(ErrorCode::DataRefused
+            .error(
+                "the recording has no rest, which initial attitude and position need",
+                "hold the board still for at least a second before moving it",
+            )
+            .at(&recording.name));
     }
     let path = path(link, arguments, calibration, &recording.name, output)?;
     for start in &starts {
@@ -172,42 +163,6 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     };
     output.answer("wimu.navigation/1", &navigated);
     Ok(())
-}
-
-/// A file that shows the progress of reading it.
-struct Watched {
-    file: BufReader<File>,
-    read: u64,
-    size: u64,
-    shown: Instant,
-    output: Output,
-}
-
-impl Watched {
-    fn new(file: BufReader<File>, output: Output) -> Self {
-        Self {
-            read: 0,
-            size: file.get_ref().metadata().map_or(0, |data| data.len()),
-            file,
-            shown: Instant::now(),
-            output,
-        }
-    }
-}
-
-impl Read for Watched {
-    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
-        let count = self.file.read(buffer)?;
-        self.read += count as u64;
-        if self.shown.elapsed() >= Duration::from_millis(250) {
-            self.shown = Instant::now();
-            let percent = (100 * self.read / self.size.max(1)).min(100) as usize;
-            let bar = "#".repeat(percent / 5);
-            self.output
-                .refresh(&format!("reading [{bar:20}] {percent} %"));
-        }
-        Ok(count)
-    }
 }
 
 /// The filter's path through the longest start of the device. It may be absent if no option asks for it.

@@ -91,8 +91,7 @@ pub fn push(client: &mut Connection, set: &ParameterSet, output: Output) -> Resu
         HostError::new(error.code(), message, error.remedy()).at(client.name())
     })?;
     if found.id != id.0 {
-        return Err(HostError::new(
-            ErrorCode::VerifyFailed,
+        return Err(ErrorCode::VerifyFailed.error(
             format!(
                 "the device holds parameters {:08x} instead of the pushed {id}",
                 found.id
@@ -178,8 +177,7 @@ pub fn held(client: &mut Connection) -> Result<Option<ParameterSet>> {
         .map(ParameterSet::try_from)
         .transpose()
         .map_err(|fault| {
-            HostError::new(
-                ErrorCode::VerifyFailed,
+            ErrorCode::VerifyFailed.error(
                 format!("the device holds invalid parameters: {fault}"),
                 "calibrate and push again",
             )
@@ -189,8 +187,7 @@ pub fn held(client: &mut Connection) -> Result<Option<ParameterSet>> {
 /// Writes the parameters to a file for `params push`.
 fn save(path: &Path, parameters: Option<&ParameterSet>) -> Result<()> {
     let Some(set) = parameters else {
-        return Err(HostError::new(
-            ErrorCode::DataRefused,
+        return Err(ErrorCode::DataRefused.error(
             "the device is uncalibrated, so there are no parameters to write",
             "calibrate with `wimu calibrate LINK --push`",
         ));

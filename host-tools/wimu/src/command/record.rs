@@ -12,7 +12,6 @@ use wimu_host::ros::{self, Decoded};
 use wimu_host::{HostError, LinkUrl, Result};
 
 use crate::arguments::Record;
-use crate::command::export::print_left_out;
 use crate::command::{deadline, interrupted, is_over};
 use crate::output::Output;
 
@@ -90,7 +89,7 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
             "decoded: {count} messages on {} topics",
             decoded.messages.len()
         ));
-        print_left_out(decoded, output);
+        output.findings(&decoded.findings);
     }
     if let Some(error) = &progress.ended {
         output.print(format!(

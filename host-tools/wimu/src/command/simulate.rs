@@ -105,9 +105,7 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
     }
     let mut server = Server::bind(board, arguments.cable, arguments.wireless)
         .map_err(|(address, error)| {
-            HostError::new(
-                ErrorCode::LinkBusy,
-                format!("cannot listen: {error}"),
+            ErrorCode::LinkBusy.error(format!("cannot listen: {error}"),
                 "stop the program that listens there, or give other addresses with --cable and --wireless",
             )
             .at(address.to_string())

@@ -118,15 +118,15 @@ impl Transcript {
         report
     }
 
-    /// Adds the remarks of a command that succeeds; returns the object.
-    pub fn remarks(&mut self, case: impl Display, ran: &Ran) -> Value {
+    /// Adds the findings of a command that succeeds; returns the object.
+    pub fn findings(&mut self, case: impl Display, ran: &Ran) -> Value {
         let object = ran.succeeds();
-        self.list(case, remarks(&object));
+        self.list(case, findings(&object));
         object
     }
 
     /// Adds a list of texts.
-    pub fn list<'a>(&mut self, case: impl Display, texts: impl IntoIterator<Item = &'a str>) {
+    pub fn list(&mut self, case: impl Display, texts: impl IntoIterator<Item = impl Display>) {
         let lines: String = texts
             .into_iter()
             .map(|text| format!("- {text}\n"))
@@ -154,14 +154,22 @@ impl Transcript {
     }
 }
 
-/// The remarks of a report or, of a recording, of the path in it.
-pub fn remarks(object: &Value) -> Vec<&str> {
+/// The findings of a report or, of a recording, of the path in it, as texts; without a refusal, which is its reason.
+pub fn findings(object: &Value) -> Vec<String> {
     let at = |pointer| object.pointer(pointer).and_then(Value::as_array);
-    let all = at("/remarks").or_else(|| at("/path/remarks"));
-    let all = all.unwrap_or_else(|| panic!("no remarks in {object}"));
-    all.iter()
-        .map(|remark| remark.as_str().expect("text"))
-        .collect()
+    let all = at("/findings").or_else(|| at("/path/findings"));
+    let all = all.unwrap_or_else(|| panic!("no findings in {object}"));
+    let text = |finding: &Value| {
+        let part = |key: &str| finding[key].as_str().unwrap_or_default().to_owned();
+        assert!(!part("code").is_empty(), "{object}");
+        let [severity, evidence, remedy] = ["severity", "evidence", "remedy"].map(part);
+        match remedy.as_str() {
+            "" => format!("{severity}: {evidence}"),
+            _ => format!("{severity}: {evidence}; {remedy}"),
+        }
+    };
+    let remarks = all.iter().filter(|finding| finding["code"] != "no_result");
+    remarks.map(text).collect()
 }
 
 /// The line number in a failure's location.

@@ -1,4 +1,4 @@
-use super::super::check::{assert_figures, assert_robust, file, read_bytes};
+use super::super::tests::{assert_figures, assert_robust, file, read_bytes};
 use crate::error::ErrorCode;
 use crate::finding::FindingCode;
 use crate::recording::{Quantity, Recording};

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::gravity::WithGravity;
 use super::{clock, is_text, names, quantity_of, read_table};
-use crate::error::{ErrorCode, Result};
+use crate::error::{ErrorCode, HostError, Result};
 use crate::finding::{Finding, FindingCode, Severity};
 use crate::formats::{ReadOptions, Source};
 use crate::recording::Sink;
@@ -22,20 +22,17 @@ pub fn detect(source: &Source) -> bool {
 }
 
 fn is_table(member: &Source) -> bool {
-    let ending = Path::new(member.name())
-        .extension()
-        .map(|ending| ending.to_ascii_lowercase());
-    ending.is_some_and(|ending| ENDINGS.iter().any(|known| ending == *known))
-        && is_text(member.start())
+    let ending = Path::new(member.name()).extension().unwrap_or_default();
+    let is_known = ENDINGS
+        .iter()
+        .any(|known| ending.eq_ignore_ascii_case(known));
+    is_known && is_text(member.start())
 }
 
 /// The last part of a member's name.
 fn file_name(member: &Source) -> String {
     let name = Path::new(member.name()).file_name();
-    name.map_or_else(
-        || member.name().to_owned(),
-        |name| name.to_string_lossy().into_owned(),
-    )
+    name.unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// Reads the tables of a folder or archive.
@@ -44,13 +41,10 @@ fn file_name(member: &Source) -> String {
 /// `unknown_format` if none is a table of an inertial sensor, with the reason for each.
 pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Result<()> {
     if let Some((packets, times)) = packets(source)? {
-        return super::read_timed(&packets, options, sink, times);
+        return read_table(&packets, options, sink, times);
     }
-    let tables: Vec<&Source> = source
-        .members()
-        .iter()
-        .filter(|member| is_table(member))
-        .collect();
+    let tables = source.members().iter().filter(|member| is_table(member));
+    let tables: Vec<&Source> = tables.collect();
     let is_uncalibrated = |member: &Source| names::key(&file_name(member)).contains("uncalibrated");
     let has_calibrated = tables
         .iter()
@@ -64,21 +58,16 @@ pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Resu
             sink.finding(Finding::new(FindingCode::TrackChosen, Severity::Note, text));
             continue;
         }
-        match read_table(member, options, &mut sink) {
+        match read_table(member, options, &mut sink, Vec::new()) {
             Ok(()) => read += 1,
             Err(error) => refused.push((name, error)),
         }
     }
     if read == 0 {
-        let reasons: Vec<String> = refused
-            .iter()
-            .take(8)
-            .map(|(name, error)| format!("{name}: {}", error.message()))
-            .collect();
-        let message = format!(
-            "none of its tables is of an inertial sensor: {}",
-            reasons.join("; ")
-        );
+        let reason = |(name, error): &(String, HostError)| format!("{name}: {}", error.message());
+        let reasons: Vec<String> = refused.iter().take(8).map(reason).collect();
+        let reasons = reasons.join("; ");
+        let message = format!("none of its tables is of an inertial sensor: {reasons}");
         return Err(ErrorCode::UnknownFormat
             .error(message, "see docs/FORMATS.md, or give one file")
             .at(source.name()));

@@ -1,6 +1,6 @@
 //! Specific force as the sum of linear acceleration and gravity that a phone reports apart.
 
-use crate::finding::{Finding, FindingCode, Severity};
+use crate::finding::{Finding, FindingCode};
 use crate::recording::{Quantity, Sink, TrackId, TrackInfo, Unit};
 
 /// Longest time between two samples of gravity between which it is interpolated, ns. Chosen: some periods of the slowest
@@ -114,11 +114,8 @@ fn add(linear: &Kept, gravity: &Kept, sink: &mut dyn Sink) {
         linear.rows.len() - without,
         linear.rows.len()
     );
-    let finding = Finding::new(FindingCode::GravityAdded, Severity::Note, text);
-    sink.finding(
-        finding
-            .remedy("gravity is an estimate of the phone: an acceleration with gravity is better"),
-    );
+    let remedy = "gravity is an estimate of the phone: an acceleration with gravity is better";
+    sink.finding(Finding::note(FindingCode::GravityAdded, text, remedy));
 }
 
 /// Gravity at a time, of which `after` is the first row not before it.

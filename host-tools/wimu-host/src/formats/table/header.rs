@@ -1,5 +1,7 @@
 //! Where the table is in a text: separator, column names, first row.
 
+use std::borrow::Cow;
+
 use super::clock;
 use super::names::{self, Kind};
 use super::presets;
@@ -27,7 +29,6 @@ pub struct Table {
     pub comma: bool,
     /// Names of the columns; without a header, their numbers from 1.
     pub names: Vec<String>,
-    pub has_header: bool,
     /// Line of the column names; of the first row without a header.
     pub line: u64,
     /// Line of the first row.
@@ -67,33 +68,22 @@ pub fn find(source: &Source, quantity: Option<Quantity>) -> Result<Table> {
         );
         return Err(error.at(source.name()));
     }
-    let mut best: Option<((usize, usize), Table)> = None;
-    for separator in SEPARATORS {
-        if let Some((score, table)) = table(&start, separator, quantity)
-            && best.as_ref().is_none_or(|(other, _)| score > *other)
-        {
-            best = Some((score, table));
-        }
-    }
-    if let Some((_, table)) = best {
+    // The first separator of equal ones is preferred.
+    let tables = SEPARATORS.iter().rev();
+    let tables = tables.filter_map(|separator| table(&start, *separator, quantity));
+    if let Some((_, table)) = tables.max_by_key(|(score, _)| *score) {
         return Ok(table);
     }
-    let known = |line: &String| {
-        SEPARATORS
-            .iter()
-            .map(|s| known(&names_of(line, *s), quantity))
-            .max()
+    let is_header = |line: &String| {
+        let known = |separator: &char| known(&names_of(line, *separator), quantity);
+        SEPARATORS.iter().any(|separator| known(separator) >= KNOWN)
     };
-    let most = start
-        .iter()
-        .max_by_key(|line| known(line))
-        .filter(|line| known(line) >= Some(KNOWN));
-    Err(match most {
-        Some(_) => ErrorCode::NoRows.error(
+    Err(match start.iter().any(is_header) {
+        true => ErrorCode::NoRows.error(
             "there are no rows below the header",
             "check that the recording was saved completely",
         ),
-        None => ErrorCode::CsvNoHeader.error(
+        false => ErrorCode::CsvNoHeader.error(
             "there is no table of numbers in the text",
             "a table starts with column names, such as `Time (s),Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)`",
         ),
@@ -113,18 +103,11 @@ fn table(
     let fields = split(&start[first], separator);
     let width = fields.len();
     let rows = &start[first..];
-    let is_comma = |line: &String| {
-        let fields = split(line, separator);
-        fields
-            .iter()
-            .any(|f| f.contains(',') && field(f, true) != Field::Text)
+    let has_mark = |mark: char| {
+        let is_marked = |f: &Cow<str>| f.contains(mark) && field(f, mark == ',') != Field::Text;
+        (rows.iter()).any(|line| split(line, separator).iter().any(is_marked))
     };
-    let is_point = |line: &String| {
-        let fields = split(line, separator);
-        fields
-            .iter()
-            .any(|f| f.contains('.') && field(f, false) != Field::Text)
-    };
+    let has_point = has_mark('.');
     let header = start[..first].iter().enumerate().filter_map(|(at, line)| {
         let names = names_of(line, separator);
         let known = known(&names, quantity);
@@ -134,17 +117,16 @@ fn table(
             && at + 1 == first
             && names.len() >= 3
             && splits_decimals(width, names.len())
-            && !rows.iter().any(is_point);
+            && !has_point;
         let is_header = (fits || is_split) && numbers(line, separator) < 2 || known >= KNOWN;
         is_header.then_some((known, at, names))
     });
     let header = header.max_by_key(|(known, at, _)| (*known, *at));
-    let comma = separator != ',' && rows.iter().any(is_comma) && !rows.iter().any(is_point);
+    let comma = separator != ',' && !has_point && has_mark(',');
     let mut table = Table {
         separator,
         comma,
         names: (1..=width).map(|number| number.to_string()).collect(),
-        has_header: false,
         line: first as u64 + 1,
         first_row: first as u64 + 1,
         preamble: start[..first].to_vec(),
@@ -169,7 +151,6 @@ fn table(
         append_units(&mut table.names, units, separator);
     }
     table.increases = increases(rows, &table);
-    table.has_header = true;
     table.line = at as u64 + 1;
     table.preamble = start[..at].to_vec();
     Some(((known, score), table))
@@ -177,14 +158,11 @@ fn table(
 
 /// Whether each column of the rows only increases.
 fn increases(rows: &[String], table: &Table) -> Vec<bool> {
-    let number = |text: Option<&std::borrow::Cow<str>>| match field(text?, table.comma) {
+    let number = |text: Option<&Cow<str>>| match field(text?, table.comma) {
         Field::Number(value) => Some(value),
         _ => clock::date(None, text?).map(|(ns, _)| ns as f64),
     };
-    let rows: Vec<_> = rows
-        .iter()
-        .map(|line| split(line, table.separator))
-        .collect();
+    let rows: Vec<_> = (rows.iter().map(|line| split(line, table.separator))).collect();
     let increases = |column: usize| {
         let steps = rows.windows(2).filter_map(|pair| {
             let [before, after] = [&pair[0], &pair[1]].map(|row| number(row.get(column)));
@@ -210,7 +188,7 @@ fn numbers(line: &str, separator: char) -> usize {
     }
     let fields = split(line, separator);
     let filled = fields.iter().filter(|f| !f.is_empty());
-    let is_number = |text: &&std::borrow::Cow<str>| {
+    let is_number = |text: &&Cow<str>| {
         field(text, separator != ',') != Field::Text || clock::date(None, text).is_some()
     };
     let (filled, numbers) = (filled.clone().count(), filled.filter(is_number).count());
@@ -222,13 +200,9 @@ fn names_of(line: &str, separator: char) -> Vec<String> {
     let bare = line
         .trim_start_matches("//")
         .trim_start_matches(['#', '%', ' ']);
-    let mut names: Vec<String> = split(bare, separator)
-        .into_iter()
-        .map(String::from)
-        .collect();
-    while names.last().is_some_and(String::is_empty) {
-        names.pop();
-    }
+    let names = split(bare, separator).into_iter().map(String::from);
+    let mut names: Vec<String> = names.collect();
+    while names.pop_if(|name| name.is_empty()).is_some() {}
     names
 }
 
@@ -251,9 +225,7 @@ fn append_units(names: &mut [String], line: &str, separator: char) {
     let is_unit = |unit: &str| {
         unit.is_empty()
             || units::time(&bare(unit)).is_some()
-            || quantities
-                .iter()
-                .any(|q| units::scale(*q, &bare(unit)).is_some())
+            || (quantities.iter()).any(|q| units::scale(*q, &bare(unit)).is_some())
     };
     if found.len() != names.len()
         || found.iter().all(|f| f.is_empty())

@@ -42,9 +42,12 @@ pub struct Evidence<'a> {
     pub zero_count: Option<f64>,
 }
 
+pub fn norm(v: &[f64; 3]) -> f64 {
+    v.iter().map(|c| c * c).sum::<f64>().sqrt()
+}
+
 /// Median magnitude.
 pub fn median(samples: &[[f64; 3]]) -> Option<f64> {
-    let norm = |v: &[f64; 3]| v.iter().map(|c| c * c).sum::<f64>().sqrt();
     let mut magnitudes: Vec<f64> = samples.iter().map(norm).collect();
     magnitudes.sort_by(f64::total_cmp);
     magnitudes.get(magnitudes.len() / 2).copied()
@@ -72,11 +75,8 @@ pub fn conversion(
     if may_be_counts && !matches!(named, Some(Scale::Si(_))) && group.is_inertial() {
         conversion.zero = zero::find(group, evidence, findings);
     }
-    let samples: Vec<[f64; 3]> = evidence
-        .samples
-        .iter()
-        .map(|row| row.map(|v| conversion.zero.apply(v)))
-        .collect();
+    let shifted = |row: &[f64; 3]| row.map(|v| conversion.zero.apply(v));
+    let samples: Vec<[f64; 3]> = evidence.samples.iter().map(shifted).collect();
     match named {
         Some(Scale::Si(_)) => {
             conversion.unit = Unit::Si;
@@ -98,11 +98,9 @@ pub fn conversion(
         }
         None if is_rate => {
             let text = format!("`{}` is an angular rate without a unit", group.name);
-            let finding = Finding::new(FindingCode::UnitInferred, Severity::Warning, text)
-                .of_sensor(group.sensor);
-            findings.push(
-                finding.remedy("it is left out; name the unit: --columns \"…,gx=COLUMN:deg/s,…\""),
-            );
+            let remedy = "it is left out; name the unit: --columns \"…,gx=COLUMN:deg/s,…\"";
+            let finding = Finding::warning(FindingCode::UnitInferred, text, remedy);
+            findings.push(finding.of_sensor(group.sensor));
             conversion.is_left_out = true;
         }
         None => {}
@@ -129,47 +127,35 @@ fn inferred(
     })?;
     let is_near = |expected: f64| (magnitude / expected - 1.0).abs() <= TOLERANCE;
     let counts = is_integer && magnitude >= MIN_COUNTS;
-    let mut add = |text: String, severity, remedy: &str| {
+    let mut add = |text: String| {
         let text = format!("no unit is named: {text}");
-        let finding =
-            Finding::new(FindingCode::UnitInferred, severity, text).of_sensor(group.sensor);
-        findings.push(finding.remedy(remedy));
+        let finding = Finding::note(FindingCode::UnitInferred, text, "if not, give --units");
+        findings.push(finding.of_sensor(group.sensor));
     };
     // Integers near 9.81 or 1 may be values of a coarse sensor in m/s² or g, or counts.
     match (is_near(9.81), is_near(1.0), counts) {
         (true, false, false) if !is_integer => {
-            add(
-                format!("median |f| {magnitude:.3}, taken as m/s²"),
-                Severity::Note,
-                "if it is not, give --units",
-            );
+            add(format!("median |f| {magnitude:.3}, taken as m/s²"));
             Ok((Unit::Si, 1.0))
         }
         (false, true, false) if !is_integer => {
-            add(
-                format!("median |f| {magnitude:.4}, taken as g"),
-                Severity::Note,
-                "if it is not, give --units",
-            );
+            add(format!("median |f| {magnitude:.4}, taken as g"));
             Ok((Unit::Si, G))
         }
         (false, false, true) => {
             let lsb_per_g = zero::sensitivity(samples);
             let text = match lsb_per_g {
-                Some(lsb) => format!(
-                    "whole numbers, |f| {lsb:.0} in all orientations, taken as counts of {lsb:.0} LSB/g"
-                ),
-                None => format!(
-                    "whole numbers, median |f| {magnitude:.0}, taken as counts of unknown sensitivity"
-                ),
+                Some(lsb) => {
+                    format!("|f| {lsb:.0} in all orientations, taken as counts of {lsb:.0} LSB/g")
+                }
+                None => {
+                    format!("median |f| {magnitude:.0}, taken as counts of unknown sensitivity")
+                }
             };
-            add(text, Severity::Note, "if they are not, give --units");
-            Ok((
-                Unit::Counts {
-                    si_per_lsb: lsb_per_g.map(|lsb| G / lsb),
-                },
-                1.0,
-            ))
+            let text = format!("whole numbers, {text}");
+            add(text);
+            let si_per_lsb = lsb_per_g.map(|lsb| G / lsb);
+            Ok((Unit::Counts { si_per_lsb }, 1.0))
         }
         (true, ..) | (_, true, _) => Err(asks(format!(
             "no unit is named; whole numbers with median |f| {magnitude:.2} may be counts or SI"
@@ -203,13 +189,9 @@ fn check_gravity(
         _ => return,
     };
     conversion.quantity = Quantity::LinearAcceleration;
-    let text = format!(
-        "`{}` is linear acceleration, without gravity: {reason}",
-        group.name
-    );
-    let finding =
-        Finding::new(FindingCode::GravityMissing, Severity::Error, text).of_sensor(group.sensor);
-    findings.push(
-        finding.remedy("it cannot be used as specific force; export the acceleration with gravity"),
-    );
+    let name = &group.name;
+    let text = format!("`{name}` is linear acceleration, without gravity: {reason}");
+    let remedy = "it cannot be used as specific force; export the acceleration with gravity";
+    let finding = Finding::new(FindingCode::GravityMissing, Severity::Error, text).remedy(remedy);
+    findings.push(finding.of_sensor(group.sensor));
 }

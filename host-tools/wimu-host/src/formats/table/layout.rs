@@ -121,50 +121,39 @@ fn unknown_units(
     layout: &Layout,
     of_file: Option<Quantity>,
 ) -> Result<Vec<usize>> {
-    let inertial = |column: &usize| {
-        let (bare, unit) = names::split_unit(&names[*column]);
-        let is_unknown = unit.is_some_and(|unit| !unit.is_empty());
-        let with_unit = names::meaning(&names[*column], of_file).kind;
-        match names::meaning(bare, of_file).kind {
-            Kind::Component { quantity, .. } if is_unknown && with_unit == Kind::Other => {
-                let known = [Quantity::SpecificForce, Quantity::AngularRate];
-                known.contains(&quantity).then_some(quantity)
-            }
-            _ => None,
-        }
+    let quantity = |column: usize| {
+        let (bare, unit) = names::split_unit(&names[column]);
+        unit.filter(|unit| !unit.is_empty())?;
+        let with_unit = names::meaning(&names[column], of_file).kind;
+        let quantity = names::meaning(bare, of_file).kind.quantity();
+        quantity.filter(|_| with_unit == Kind::Other)
     };
-    let found: Vec<usize> = (0..names.len()).filter(|k| inertial(k).is_some()).collect();
-    let force = found
-        .iter()
-        .find(|k| inertial(k) == Some(Quantity::SpecificForce));
-    match force {
-        Some(column) if !layout.groups.iter().any(Group::is_acceleration) => {
-            Err(ErrorCode::CsvUnknownUnit
-                .error(
-                    "its unit is unknown",
-                    "write one of LSB, g, mg, m/s² in parentheses, or give --columns \"x=COLUMN:g,…\"",
-                )
-                .at(&names[*column]))
-        }
-        _ => Ok(found),
+    let of = |wanted| (0..names.len()).filter(move |column| quantity(*column) == Some(wanted));
+    let force = of(Quantity::SpecificForce).next();
+    if let Some(column) = force.filter(|_| !layout.groups.iter().any(Group::is_acceleration)) {
+        let remedy =
+            "write one of LSB, g, mg, m/s² in parentheses, or give --columns \"x=COLUMN:g,…\"";
+        let error = ErrorCode::CsvUnknownUnit.error("its unit is unknown", remedy);
+        return Err(error.at(&names[column]));
     }
+    let mut found: Vec<usize> = of(Quantity::SpecificForce).collect();
+    found.extend(of(Quantity::AngularRate));
+    found.sort_unstable();
+    Ok(found)
 }
 
 /// Where a quantity has columns with wimu's names, other names are not of it.
 fn prefer_ours(meanings: &mut [Meaning]) {
-    let quantity = |meaning: &Meaning| match meaning.kind {
+    let track = |meaning: &Meaning| match meaning.kind {
         Kind::Component {
             quantity, origin, ..
         } => Some((quantity, origin)),
         _ => None,
     };
-    let ours: Vec<_> = meanings
-        .iter()
-        .filter(|m| m.is_ours)
-        .filter_map(quantity)
-        .collect();
+    let ours = meanings.iter().filter(|meaning| meaning.is_ours);
+    let ours: Vec<_> = ours.filter_map(track).collect();
     for meaning in meanings {
-        if !meaning.is_ours && quantity(meaning).is_some_and(|q| ours.contains(&q)) {
+        if !meaning.is_ours && track(meaning).is_some_and(|of| ours.contains(&of)) {
             meaning.kind = Kind::Other;
         }
     }
@@ -295,34 +284,25 @@ fn group(
 
 /// What the names of the columns have in common; the quantity where that is nothing.
 fn common_name(names: &[String], columns: &[usize], quantity: Quantity) -> String {
-    let first = &names[columns[0]];
-    let length = |other: &String| {
-        first
-            .chars()
-            .zip(other.chars())
-            .take_while(|(a, b)| a == b)
-            .count()
-    };
-    let shared = columns
+    let bare = |column: &usize| names::split_unit(&names[*column]).0;
+    if let [only] = columns {
+        return bare(only).trim_start_matches(['#', '%']).to_owned();
+    }
+    let mut name = names[columns[0]].as_str();
+    while !columns
         .iter()
-        .map(|column| length(&names[*column]))
-        .min()
-        .unwrap_or(0);
-    let name: String = first.chars().take(shared).collect();
-    let name = match columns.len() {
-        1 => names::split_unit(&name).0,
-        _ => name.trim_end_matches(|c: char| !c.is_alphanumeric()),
-    };
+        .all(|column| names[*column].starts_with(name))
+    {
+        name = name
+            .split_at(name.char_indices().last().map_or(0, |(at, _)| at))
+            .0;
+    }
+    let name = name.trim_end_matches(|c: char| !c.is_alphanumeric());
     let name = name.trim_start_matches(['#', '%']);
     match name.chars().count() {
         0 => quantity.name().to_owned(),
         // `ax, ay, az` says more than `a`.
-        1 | 2 => {
-            let bare = columns
-                .iter()
-                .map(|column| names::split_unit(&names[*column]).0);
-            bare.collect::<Vec<_>>().join(", ")
-        }
+        1 | 2 => columns.iter().map(bare).collect::<Vec<_>>().join(", "),
         _ => name.to_owned(),
     }
 }
@@ -335,13 +315,9 @@ fn override_units(layout: &mut Layout, unit: &str) -> Result<()> {
             "choose one of m/s2, g, mg, LSB",
         )
     })?;
-    for group in layout
-        .groups
-        .iter_mut()
-        .filter(|group| group.is_acceleration())
-    {
-        group.scales.fill(Some(scale));
-    }
+    let groups = layout.groups.iter_mut();
+    let forces = groups.filter(|group| group.is_acceleration());
+    forces.for_each(|group| group.scales.fill(Some(scale)));
     Ok(())
 }
 
@@ -353,13 +329,7 @@ fn chosen(names: &[String], columns: &str) -> Result<Vec<Meaning>> {
             "write for example --columns \"t=timestamp:ns,x=ax:g,y=ay:g,z=az:g,gx=4:deg/s\"; a column is its name, or its number from 1",
         )
     };
-    let nothing = Meaning {
-        kind: Kind::Other,
-        exponent: None,
-        scale: None,
-        is_ours: false,
-    };
-    let mut meanings = vec![nothing; names.len()];
+    let mut meanings = vec![Meaning::of(Kind::Other); names.len()];
     for part in columns.split(',') {
         let (role, column) = part
             .split_once('=')
@@ -405,21 +375,15 @@ fn chosen(names: &[String], columns: &str) -> Result<Vec<Meaning>> {
 }
 
 pub fn find_column(names: &[String], name: &str) -> Option<usize> {
+    let is_bare = |column: &String| names::split_unit(column).0.eq_ignore_ascii_case(name);
     let by_name = names
         .iter()
         .position(|column| column.eq_ignore_ascii_case(name));
-    let bare = || {
-        names
-            .iter()
-            .position(|column| names::split_unit(column).0.eq_ignore_ascii_case(name))
-    };
-    let number = || {
-        name.parse::<usize>()
-            .ok()?
-            .checked_sub(1)
-            .filter(|k| *k < names.len())
-    };
-    by_name.or_else(bare).or_else(number)
+    let by_bare = || names.iter().position(is_bare);
+    let number = || name.parse::<usize>().ok()?.checked_sub(1);
+    by_name
+        .or_else(by_bare)
+        .or_else(|| number().filter(|column| *column < names.len()))
 }
 
 fn role_of(role: &str) -> Option<Kind> {

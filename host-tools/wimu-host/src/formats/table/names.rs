@@ -36,8 +36,18 @@ pub struct Meaning {
     pub is_ours: bool,
 }
 
+impl Kind {
+    /// Quantity of a component.
+    pub fn quantity(self) -> Option<Quantity> {
+        match self {
+            Self::Component { quantity, .. } => Some(quantity),
+            _ => None,
+        }
+    }
+}
+
 impl Meaning {
-    fn of(kind: Kind) -> Self {
+    pub fn of(kind: Kind) -> Self {
         Self {
             kind,
             exponent: None,
@@ -50,64 +60,37 @@ impl Meaning {
 /// Longest name that is looked at, bytes.
 const MAX_NAME: usize = 100;
 
-const TIMES: &[&str] = &[
-    "time",
-    "timestamp",
-    "t",
-    "ts",
-    "timens",
-    "elapsedtime",
-    "timeelapsed",
-    "elapsed",
-    "secondselapsed",
-    "epoch",
-    "unixtime",
-    "systemtime",
-    "sampletime",
-    "micros",
-    "millis",
-    "microseconds",
-    "milliseconds",
-    "nanoseconds",
-    "hosttime",
-    "devicetime",
-    "stamp",
-    "fieldheaderstamp",
-    "chiptime",
-    "loggingtime",
-    "datetime",
-    "rtctime",
-    "timestampunix",
-    "unixtimestamp",
-    "hhmmss",
-    "hhmmssfff",
-];
+/// Names of times, as [`key`].
+const TIMES: &[((), &str)] = &[(
+    (),
+    "time timestamp t ts timens elapsedtime timeelapsed elapsed secondselapsed epoch unixtime systemtime sampletime micros \
+     millis microseconds milliseconds nanoseconds hosttime devicetime stamp fieldheaderstamp chiptime loggingtime datetime \
+     rtctime timestampunix unixtimestamp hhmmss hhmmssfff",
+)];
 
-/// Names of three axes without the axis.
-#[rustfmt::skip]
-const STEMS: &[(&str, Quantity)] = &[
-    ("accelerometer", Quantity::SpecificForce), ("acceleration", Quantity::SpecificForce), ("accel", Quantity::SpecificForce),
-    ("acc", Quantity::SpecificForce), ("a", Quantity::SpecificForce), ("ac", Quantity::SpecificForce),
-    ("arss", Quantity::SpecificForce), ("gf", Quantity::SpecificForce), ("gforce", Quantity::SpecificForce),
-    ("totalacceleration", Quantity::SpecificForce), ("rawacc", Quantity::SpecificForce), ("accraw", Quantity::SpecificForce),
-    ("accelerometeracceleration", Quantity::SpecificForce),
-    ("accelerometeruncalibrated", Quantity::SpecificForce), ("accelerationwithg", Quantity::SpecificForce),
-    ("linearacceleration", Quantity::LinearAcceleration), ("linearaccelerometer", Quantity::LinearAcceleration),
-    ("linacc", Quantity::LinearAcceleration), ("linaccel", Quantity::LinearAcceleration), ("lacc", Quantity::LinearAcceleration),
-    ("linearaccel", Quantity::LinearAcceleration), ("useracceleration", Quantity::LinearAcceleration),
-    ("accelerationwithoutg", Quantity::LinearAcceleration), ("freeacc", Quantity::LinearAcceleration),
-    ("gravity", Quantity::Gravity), ("grav", Quantity::Gravity),
-    ("gyroscope", Quantity::AngularRate), ("gyro", Quantity::AngularRate), ("gyr", Quantity::AngularRate),
-    ("gy", Quantity::AngularRate), ("g", Quantity::AngularRate), ("w", Quantity::AngularRate),
-    ("wrss", Quantity::AngularRate), ("omega", Quantity::AngularRate), ("angularvelocity", Quantity::AngularRate),
-    ("angularrate", Quantity::AngularRate), ("rotationrate", Quantity::AngularRate), ("angvel", Quantity::AngularRate),
-    ("rotation", Quantity::AngularRate), ("rate", Quantity::AngularRate), ("gyroraw", Quantity::AngularRate),
-    ("gyrorotation", Quantity::AngularRate),
-    ("magnetometer", Quantity::MagneticField), ("magneticfield", Quantity::MagneticField), ("mag", Quantity::MagneticField),
-    ("m", Quantity::MagneticField), ("b", Quantity::MagneticField), ("h", Quantity::MagneticField),
-    ("position", Quantity::Position), ("velocity", Quantity::Velocity),
-    ("quaternion", Quantity::Attitude), ("quat", Quantity::Attitude), ("q", Quantity::Attitude),
-    ("orientation", Quantity::Attitude),
+/// Names of three axes without the axis, as [`key`].
+const STEMS: &[(Quantity, &str)] = &[
+    (
+        Quantity::SpecificForce,
+        "accelerometer acceleration accel acc a ac arss gf gforce totalacceleration rawacc accraw \
+         accelerometeracceleration accelerometeruncalibrated accelerationwithg",
+    ),
+    (
+        Quantity::LinearAcceleration,
+        "linearacceleration linearaccelerometer linacc linaccel lacc linearaccel useracceleration accelerationwithoutg freeacc",
+    ),
+    (Quantity::Gravity, "gravity grav"),
+    (
+        Quantity::AngularRate,
+        "gyroscope gyro gyr gy g w wrss omega angularvelocity angularrate rotationrate angvel rotation rate gyroraw gyrorotation",
+    ),
+    (
+        Quantity::MagneticField,
+        "magnetometer magneticfield mag m b h",
+    ),
+    (Quantity::Position, "position"),
+    (Quantity::Velocity, "velocity"),
+    (Quantity::Attitude, "quaternion quat q orientation"),
 ];
 
 /// Letters and digits of a name, lower case.
@@ -118,8 +101,7 @@ pub fn key(name: &str) -> String {
 
 /// Quantity of a file or of three columns by this name.
 pub fn quantity(stem: &str) -> Option<Quantity> {
-    let found = STEMS.iter().find(|(name, _)| *name == stem)?;
-    Some(found.1)
+    units::spelled(STEMS, stem)
 }
 
 /// Whether the name of a column says that it is a unit of time. `h` is rather a height.
@@ -240,7 +222,7 @@ fn component(bare: &str, unit: Option<&str>, of_file: Option<Quantity>) -> Meani
         }
         "gyroscopescale" => return is_ours(Kind::GyroscopeScale),
         // SampleTimeFine of Xsens and others say more; see the presets.
-        _ if TIMES.contains(&key.as_str()) => return Meaning::of(Kind::Time),
+        _ if units::spelled(TIMES, &key).is_some() => return Meaning::of(Kind::Time),
         "temp" | "imudegc" | "imutemp" | "imutemperature" | "tempc" => {
             let mut meaning = Meaning::of(single(Quantity::Temperature));
             meaning.scale = key.ends_with('c').then_some(Scale::Si(1.0));
@@ -280,14 +262,11 @@ fn axes(bare: &str, key: &str, unit: Option<&str>, of_file: Option<Quantity>) ->
         None => 0,
     };
     let by_unit = || {
-        let fits = |quantity: &Quantity| units::scale(*quantity, unit?).map(|_| *quantity);
-        [
-            Quantity::SpecificForce,
-            Quantity::AngularRate,
-            Quantity::MagneticField,
-        ]
-        .iter()
-        .find_map(fits)
+        use Quantity::{AngularRate, MagneticField, SpecificForce};
+        let fits = |quantity: &Quantity| unit.is_some_and(|u| units::scale(*quantity, u).is_some());
+        [SpecificForce, AngularRate, MagneticField]
+            .into_iter()
+            .find(fits)
     };
     let mut quantity = match stem {
         "" if bare.chars().count() == 1 => of_file.or_else(by_unit)?,
@@ -311,10 +290,9 @@ fn axes(bare: &str, key: &str, unit: Option<&str>, of_file: Option<Quantity>) ->
     Some(Meaning {
         kind: Kind::Component {
             quantity,
-            origin: if estimated && origin == Origin::Sensor {
-                Origin::Estimate
-            } else {
-                origin
+            origin: match origin {
+                Origin::Sensor if estimated => Origin::Estimate,
+                origin => origin,
             },
             sensor,
             component: letters.find(last)?,

@@ -16,102 +16,53 @@ pub struct Preset {
     pub time: Option<(&'static str, Option<i32>)>,
 }
 
-const SI: &[(Quantity, &str)] = &[
-    (SpecificForce, "m/s2"),
-    (LinearAcceleration, "m/s2"),
-    (Gravity, "m/s2"),
-    (AngularRate, "rad/s"),
+macro_rules! presets {
+    ($($name:literal, $columns:expr, $units:expr, $time:expr;)+) => {
+        &[$(Preset { name: $name, columns: &$columns, units: $units, time: $time }),+]
+    };
+}
+
+type Units = &'static [(Quantity, &'static str)];
+#[rustfmt::skip]
+const SI: Units = &[
+    (SpecificForce, "m/s2"), (LinearAcceleration, "m/s2"), (Gravity, "m/s2"), (AngularRate, "rad/s"),
 ];
-const SI_UT: &[(Quantity, &str)] = &[
-    (SpecificForce, "m/s2"),
-    (LinearAcceleration, "m/s2"),
-    (Gravity, "m/s2"),
-    (AngularRate, "rad/s"),
-    (MagneticField, "uT"),
+#[rustfmt::skip]
+const PHONE: Units = &[
+    (SpecificForce, "m/s2"), (LinearAcceleration, "m/s2"), (Gravity, "m/s2"), (AngularRate, "rad/s"), (MagneticField, "uT"),
 ];
-const ARTEMIS: &[(Quantity, &str)] = &[
+#[rustfmt::skip]
+const XSENS: Units = &[
+    (SpecificForce, "m/s2"), (LinearAcceleration, "m/s2"), (AngularRate, "rad/s"), (MagneticField, "au"),
+];
+const ARTEMIS: Units = &[
     (SpecificForce, "mg"),
     (AngularRate, "deg/s"),
     (MagneticField, "uT"),
 ];
+#[rustfmt::skip]
+const TOOLBOX: Units = &[
+    (SpecificForce, "g"), (LinearAcceleration, "m/s2"), (AngularRate, "rad/s"), (MagneticField, "uT"),
+];
+const WIT: Units = &[
+    (SpecificForce, "g"),
+    (AngularRate, "deg/s"),
+    (MagneticField, "au"),
+];
 
-const PRESETS: &[Preset] = &[
-    Preset {
-        name: "EuRoC",
-        columns: &["arssx", "wrssx"],
-        units: SI,
-        time: None,
-    },
-    Preset {
-        name: "rostopic echo -p",
-        columns: &["fieldlinearaccelerationx"],
-        units: SI,
-        time: Some(("fieldheaderstamp", Some(0))),
-    },
-    // `ros2 topic echo --csv` and tables made from bags.
-    Preset {
-        name: "ROS Imu",
-        columns: &["angularvelocityx", "linearaccelerationx"],
-        units: SI,
-        time: None,
-    },
-    Preset {
-        name: "Sensor Logger",
-        columns: &["secondselapsed"],
-        units: SI_UT,
-        time: Some(("secondselapsed", Some(9))),
-    },
-    Preset {
-        name: "OpenLog Artemis",
-        columns: &["rtcdate", "ax"],
-        units: ARTEMIS,
-        time: Some(("rtctime", None)),
-    },
-    Preset {
-        name: "OpenLog Artemis",
-        columns: &["outputhz", "ax"],
-        units: ARTEMIS,
-        time: None,
-    },
-    Preset {
-        name: "Physics Toolbox",
-        columns: &["gfx"],
-        units: &[
-            (SpecificForce, "g"),
-            (LinearAcceleration, "m/s2"),
-            (AngularRate, "rad/s"),
-            (MagneticField, "uT"),
-        ],
-        time: None,
-    },
-    Preset {
-        name: "WitMotion",
-        columns: &["chiptime"],
-        units: &[
-            (SpecificForce, "g"),
-            (AngularRate, "deg/s"),
-            (MagneticField, "au"),
-        ],
-        time: Some(("chiptime", None)),
-    },
-    Preset {
-        name: "Xsens MT Manager",
-        columns: &["packetcounter", "accx"],
-        units: &[
-            (SpecificForce, "m/s2"),
-            (LinearAcceleration, "m/s2"),
-            (AngularRate, "rad/s"),
-            (MagneticField, "au"),
-            (Temperature, "C"),
-        ],
-        time: None,
-    },
-    Preset {
-        name: "MATLAB Mobile",
-        columns: &["timestamp", "x", "y", "z"],
-        units: SI_UT,
-        time: None,
-    },
+/// `ROS Imu` are tables of `ros2 topic echo --csv` and tables made from bags.
+#[rustfmt::skip]
+const PRESETS: &[Preset] = presets![
+    "EuRoC", ["arssx", "wrssx"], SI, None;
+    "rostopic echo -p", ["fieldlinearaccelerationx"], SI, Some(("fieldheaderstamp", Some(0)));
+    "ROS Imu", ["angularvelocityx", "linearaccelerationx"], SI, None;
+    "Sensor Logger", ["secondselapsed"], PHONE, Some(("secondselapsed", Some(9)));
+    "OpenLog Artemis", ["rtcdate", "ax"], ARTEMIS, Some(("rtctime", None));
+    "OpenLog Artemis", ["outputhz", "ax"], ARTEMIS, None;
+    "Physics Toolbox", ["gfx"], TOOLBOX, None;
+    "WitMotion", ["chiptime"], WIT, Some(("chiptime", None));
+    "Xsens MT Manager", ["packetcounter", "accx"], XSENS, None;
+    "MATLAB Mobile", ["timestamp", "x", "y", "z"], PHONE, None;
 ];
 
 /// The preset of a header.
@@ -125,60 +76,20 @@ pub fn of_header(header: &[String]) -> Option<&'static Preset> {
 }
 
 /// Columns of KITTI's oxts packets, in their order.
-const OXTS: [&str; 30] = [
-    "lat",
-    "lon",
-    "alt",
-    "roll",
-    "pitch",
-    "yaw",
-    "vn",
-    "ve",
-    "vf",
-    "vl",
-    "vu",
-    "ax (m/s2)",
-    "ay (m/s2)",
-    "az (m/s2)",
-    "af",
-    "al",
-    "au",
-    "wx (rad/s)",
-    "wy (rad/s)",
-    "wz (rad/s)",
-    "wf",
-    "wl",
-    "wu",
-    "pos_accuracy",
-    "vel_accuracy",
-    "navstat",
-    "numsats",
-    "posmode",
-    "velmode",
-    "orimode",
-];
+const OXTS: &str = "lat,lon,alt,roll,pitch,yaw,vn,ve,vf,vl,vu,ax (m/s2),ay (m/s2),az (m/s2),af,al,au,wx (rad/s),wy (rad/s),\
+                    wz (rad/s),wf,wl,wu,pos_accuracy,vel_accuracy,navstat,numsats,posmode,velmode,orimode";
 
 /// Names of the columns of a table without a header, and what it was taken for. `increases` says of each column whether it
 /// only increases.
 pub fn without_header(increases: &[bool]) -> Option<(Vec<String>, &'static str)> {
     let width = increases.len();
-    let names = |names: &[&str]| {
-        names
-            .iter()
-            .map(|name| (*name).to_owned())
-            .collect::<Vec<_>>()
+    let timed = matches!(width, 4 | 7 | 10) && increases[0];
+    let (names, program) = match width {
+        30 => (OXTS, "KITTI oxts"),
+        3 | 6 | 9 => ("ax,ay,az,gx,gy,gz,mx,my,mz", "Arduino without header"),
+        _ if timed => ("time,ax,ay,az,gx,gy,gz,mx,my,mz", "Arduino without header"),
+        _ => return None,
     };
-    if width == OXTS.len() {
-        return Some((names(&OXTS), "KITTI oxts"));
-    }
-    let axes = ["ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz"];
-    match width {
-        3 | 6 | 9 => Some((names(&axes[..width]), "Arduino without header")),
-        4 | 7 | 10 if increases[0] => {
-            let mut columns = names(&["time"]);
-            columns.extend(names(&axes[..width - 1]));
-            Some((columns, "Arduino without header"))
-        }
-        _ => None,
-    }
+    let names = names.split(',').take(width).map(str::to_owned);
+    Some((names.collect(), program))
 }

@@ -6,7 +6,7 @@ use super::header::{Table, splits_decimals};
 use super::layout::{Group, Layout};
 use super::text::{Field, Lines, field, is_comment, split};
 use crate::error::{ErrorCode, Result};
-use crate::finding::{Finding, FindingCode, Severity};
+use crate::finding::{Finding, FindingCode};
 use crate::formats::Source;
 
 /// Rows after which a table is refused if most of them are unusable.
@@ -36,12 +36,11 @@ impl Count {
         self.rows += 1;
         self.is_cut = fault.is_some() && !lines.is_ended;
         if let Some(fault) = fault {
-            let kind = match fault {
+            self.faults[match fault {
                 Fault::FieldCount(_) => 0,
                 Fault::NoNumber => 1,
                 Fault::NoTime => 2,
-            };
-            self.faults[kind] += 1;
+            }] += 1;
             self.first.get_or_insert((lines.number, fault));
         }
     }
@@ -111,15 +110,12 @@ impl Count {
                 self.rows,
                 text_of(fault, table)
             );
-            let finding = Finding::new(FindingCode::RowsMasked, Severity::Warning, evidence);
-            findings.push(finding.remedy("they are left out"));
+            let finding = Finding::warning(FindingCode::RowsMasked, evidence, "they are left out");
+            findings.push(finding);
         }
         if self.is_cut {
-            let evidence = "the last line is incomplete";
-            findings.push(
-                Finding::new(FindingCode::Truncated, Severity::Warning, evidence)
-                    .remedy("it is left out"),
-            );
+            let (evidence, remedy) = ("the last line is incomplete", "it is left out");
+            findings.push(Finding::warning(FindingCode::Truncated, evidence, remedy));
         }
         findings
     }
@@ -236,8 +232,6 @@ pub fn passes(filter: &[(usize, String)], fields: &[Cow<str>]) -> bool {
 
 /// Whether an inertial track has text in the row.
 pub fn has_text(layout: &Layout, fields: &[Cow<str>], comma: bool) -> bool {
-    let inertial = layout.groups.iter().filter(|group| group.is_inertial());
-    inertial
-        .into_iter()
-        .any(|group| matches!(values(group, fields, comma), Values::Text))
+    let mut inertial = layout.groups.iter().filter(|group| group.is_inertial());
+    inertial.any(|group| matches!(values(group, fields, comma), Values::Text))
 }

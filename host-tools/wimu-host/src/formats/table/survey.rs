@@ -58,11 +58,8 @@ impl Samples {
         }
         self.rows.push(row);
         if self.rows.len() >= self.limit {
-            let mut keep = false;
-            self.rows.retain(|_| {
-                keep = !keep;
-                keep
-            });
+            let mut kept = [true, false].into_iter().cycle();
+            self.rows.retain(|_| kept.next() == Some(true));
             self.stride *= 2;
         }
     }
@@ -92,11 +89,8 @@ pub fn survey(
     layout: &Layout,
     filter: &[(usize, String)],
 ) -> Result<Survey> {
-    let inertial = layout
-        .groups
-        .iter()
-        .filter(|group| group.is_inertial())
-        .count();
+    let inertial = layout.groups.iter().filter(|group| group.is_inertial());
+    let inertial = inertial.count();
     let empty = Samples {
         rows: Vec::new(),
         stride: 1,
@@ -110,7 +104,8 @@ pub fn survey(
         times: Times::default(),
         samples: vec![empty; layout.groups.len()],
     };
-    let is_name: Vec<bool> = table.names.iter().map(|name| names_source(name)).collect();
+    let is_name = |name: &String| is_one_of(name, &SENSORS) || is_one_of(name, &RUNS);
+    let is_name: Vec<bool> = table.names.iter().map(is_name).collect();
     let mut rows = 0;
     survey.count = each_row(source, table, |fields, fault| {
         if rows >= MAX_ROWS {
@@ -129,10 +124,8 @@ pub fn survey(
     Ok(survey)
 }
 
-/// Whether a column of this name identifies a sensor or a run.
-fn names_source(name: &str) -> bool {
-    let name = name.to_lowercase();
-    SENSORS.contains(&name.as_str()) || RUNS.contains(&name.as_str())
+fn is_one_of(name: &str, known: &[&str]) -> bool {
+    known.contains(&name.to_lowercase().as_str())
 }
 
 impl Survey {
@@ -144,8 +137,7 @@ impl Survey {
         let (mut several, mut selected, mut refused) = (Vec::new(), Vec::new(), false);
         let restarts = in_order && self.times.restarts > 0;
         for (name, column) in table.names.iter().zip(&self.columns) {
-            let is_one_of = |known: &[&str]| known.contains(&name.to_lowercase().as_str());
-            let (sensor, run) = (is_one_of(&SENSORS), is_one_of(&RUNS));
+            let (sensor, run) = (is_one_of(name, &SENSORS), is_one_of(name, &RUNS));
             if !(sensor || run) || !(2..MAX_TEXTS).contains(&column.contents.len()) {
                 continue;
             }

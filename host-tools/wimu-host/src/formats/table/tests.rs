@@ -1,5 +1,9 @@
 //! Tables of known programs, and damaged ones.
 
+mod damaged;
+mod phones;
+mod samples;
+
 use std::path::Path;
 
 use super::*;

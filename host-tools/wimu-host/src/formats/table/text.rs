@@ -3,7 +3,9 @@
 use std::borrow::Cow;
 use std::io::{BufRead, BufReader, Read};
 
-use crate::csv::line;
+use encoding_rs_io::{DecodeReaderBytes, DecodeReaderBytesBuilder};
+
+use crate::csv::number;
 use crate::error::{HostError, Result};
 use crate::formats::source::ReadSeek;
 use crate::formats::{Source, table::MOST_COLUMNS};
@@ -11,21 +13,11 @@ use crate::formats::{Source, table::MOST_COLUMNS};
 /// Longest line, bytes. The rest of a longer one is skipped.
 const MAX_LINE: u64 = 1 << 16;
 
-/// Encoding of a text, by its byte order mark.
-#[derive(Clone, Copy, PartialEq)]
-enum Encoding {
-    /// UTF-8; a line that is not is read as Latin-1.
-    Utf8,
-    Utf16 {
-        big_endian: bool,
-    },
-}
-
 /// Lines of a source, numbered as in an editor.
 pub struct Lines<'a> {
     source: &'a Source,
-    reader: BufReader<Box<dyn ReadSeek>>,
-    encoding: Encoding,
+    /// In UTF-8, if a byte order mark says what it is.
+    reader: BufReader<DecodeReaderBytes<Box<dyn ReadSeek>, Vec<u8>>>,
     bytes: Vec<u8>,
     /// Number of the line last read, from 1.
     pub number: u64,
@@ -35,68 +27,40 @@ pub struct Lines<'a> {
 
 impl<'a> Lines<'a> {
     pub fn of(source: &'a Source) -> Result<Self> {
-        let encoding = match source.start() {
-            [0xff, 0xfe, ..] => Encoding::Utf16 { big_endian: false },
-            [0xfe, 0xff, ..] => Encoding::Utf16 { big_endian: true },
-            _ => Encoding::Utf8,
-        };
+        let mut decoder = DecodeReaderBytesBuilder::new();
+        decoder.utf8_passthru(true).strip_bom(true);
         Ok(Self {
             source,
-            reader: BufReader::with_capacity(1 << 16, source.reader()?),
-            encoding,
+            reader: BufReader::with_capacity(1 << 16, decoder.build(source.reader()?)),
             bytes: Vec::new(),
             number: 0,
             is_ended: true,
         })
     }
 
-    /// The next line without its end; `None` after the last one.
+    /// The next line without its end, read as Latin-1 if it is not UTF-8; `None` after the last one.
     pub fn next_line(&mut self) -> Result<Option<Cow<'_, str>>> {
         self.bytes.clear();
         let failed = |error| HostError::file(self.source.name(), "read", &error);
-        let limit = MAX_LINE;
-        let mut part = (&mut self.reader).take(limit);
+        let mut part = (&mut self.reader).take(MAX_LINE);
         let read = part.read_until(b'\n', &mut self.bytes).map_err(failed)?;
         if read == 0 {
             return Ok(None);
         }
         self.number += 1;
-        if self.encoding == (Encoding::Utf16 { big_endian: false }) {
-            // The second byte of the line end.
-            let mut zero = [0];
-            let _ = self.reader.read(&mut zero).map_err(failed)?;
-        }
         self.is_ended = self.bytes.ends_with(b"\n");
-        if read as u64 == limit && !self.is_ended {
+        if read as u64 == MAX_LINE && !self.is_ended {
             self.reader.skip_until(b'\n').map_err(failed)?;
             self.is_ended = true;
         }
-        let text = match self.encoding {
-            Encoding::Utf16 { big_endian } => {
-                let units = self.bytes.chunks(2).map(|pair| match *pair {
-                    [high, low] if big_endian => u16::from_be_bytes([high, low]),
-                    [low, high] => u16::from_le_bytes([low, high]),
-                    _ => u16::from(b' '),
-                });
-                let text =
-                    char::decode_utf16(units).map(|c| c.unwrap_or(char::REPLACEMENT_CHARACTER));
-                Cow::Owned(text.collect::<String>())
-            }
-            Encoding::Utf8 => match std::str::from_utf8(&self.bytes) {
-                Ok(text) => Cow::Borrowed(text),
-                Err(_) => Cow::Owned(self.bytes.iter().map(|byte| char::from(*byte)).collect()),
-            },
-        };
-        let trim = |text: &str| {
-            let text = text.trim_start_matches('\u{feff}');
-            text.trim_end_matches(['\r', '\n', '\0']).to_owned()
-        };
-        Ok(Some(match text {
-            Cow::Borrowed(text) => {
-                let text = text.trim_end_matches(['\r', '\n']);
-                Cow::Borrowed(text.strip_prefix('\u{feff}').unwrap_or(text))
-            }
-            Cow::Owned(text) => Cow::Owned(trim(&text)),
+        while self
+            .bytes
+            .pop_if(|byte| matches!(byte, b'\r' | b'\n'))
+            .is_some()
+        {}
+        Ok(Some(match std::str::from_utf8(&self.bytes) {
+            Ok(text) => Cow::Borrowed(text),
+            Err(_) => Cow::Owned(self.bytes.iter().map(|byte| char::from(*byte)).collect()),
         }))
     }
 }
@@ -108,13 +72,11 @@ pub fn split(text: &str, separator: char) -> Vec<Cow<'_, str>> {
         return fields.take(MOST_COLUMNS).collect();
     }
     if text.contains('"') {
-        let mut fields = Vec::new();
-        if line::split(text, separator, &mut fields).is_ok() {
-            return fields
-                .into_iter()
-                .map(Cow::Owned)
-                .take(MOST_COLUMNS)
-                .collect();
+        let mut reader = csv::ReaderBuilder::new();
+        (reader.has_headers(false).delimiter(separator as u8)).trim(csv::Trim::All);
+        if let Some(Ok(row)) = reader.from_reader(text.as_bytes()).records().next() {
+            let fields = row.iter().map(|field| Cow::Owned(field.to_owned()));
+            return fields.take(MOST_COLUMNS).collect();
         }
     }
     let fields = text.split(separator).take(MOST_COLUMNS);
@@ -137,7 +99,6 @@ pub enum Field {
 
 /// Reads a field; `comma` says that the decimal mark is a comma.
 pub fn field(text: &str, comma: bool) -> Field {
-    use crate::csv::number;
     let pointed = with_point(text, comma);
     match number::finite(&pointed) {
         Some(value) => Field::Number(value),

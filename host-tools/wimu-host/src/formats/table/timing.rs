@@ -59,14 +59,9 @@ pub fn choose(
         };
     }
     if let Some(column) = find("packetcounter") {
-        let (rate, how) = match update_rate(&table.preamble) {
-            Some(rate) => (rate, "by the header"),
-            None => (ASSUMED_RATE_HZ, "assumed"),
-        };
-        let severity = if how == "assumed" {
-            Severity::Warning
-        } else {
-            Severity::Note
+        let (rate, how, severity) = match update_rate(&table.preamble) {
+            Some(rate) => (rate, "by the header", Severity::Note),
+            None => (ASSUMED_RATE_HZ, "assumed", Severity::Warning),
         };
         note(
             format!("times are counted at {rate} Hz, {how}"),
@@ -79,10 +74,9 @@ pub fn choose(
             modulus: 1 << 16,
         };
     }
-    let rate = if layout.program == Some("KITTI oxts") {
-        OXTS_RATE_HZ
-    } else {
-        ASSUMED_RATE_HZ
+    let rate = match layout.program {
+        Some("KITTI oxts") => OXTS_RATE_HZ,
+        _ => ASSUMED_RATE_HZ,
     };
     note(
         format!("there are no times: {rate} Hz assumed"),
@@ -118,9 +112,9 @@ fn exponent_of(table: &Table, survey: &Survey, column: usize, findings: &mut Vec
             && step * seconds(exponent) >= 1.0 / RATES_HZ.end
     };
     let utc = units
-        .iter()
-        .find(|(exponent, _)| is_utc(*exponent))
-        .map(|(exponent, _)| *exponent);
+        .map(|(exponent, _)| exponent)
+        .into_iter()
+        .find(|e| is_utc(*e));
     let by_step = match step {
         // Whole numbers: at least 1 a sample, and ms up to 3 Hz.
         s if s < 1.0 || is_fractional && s <= 2.0 => 9,
@@ -129,24 +123,18 @@ fn exponent_of(table: &Table, survey: &Survey, column: usize, findings: &mut Vec
         _ => 0,
     };
     let exponent = utc.unwrap_or(by_step);
-    let unit = units
-        .iter()
-        .find(|(e, _)| *e == exponent)
-        .map_or("s", |(_, unit)| *unit);
+    let unit = units.iter().find(|(e, _)| *e == exponent);
+    let unit = unit.map_or("s", |(_, unit)| *unit);
     let rate = 1.0 / (step * seconds(exponent)).max(1e-12);
     let name = &table.names[column];
     let unknown = names::split_unit(name).1.filter(|unit| !unit.is_empty());
-    let (severity, why) = match unknown {
-        Some(unknown) => (
-            Severity::Warning,
-            format!("have the unknown unit `{unknown}`"),
-        ),
-        None => (Severity::Note, "name no unit".to_owned()),
-    };
+    let severity = unknown.map_or(Severity::Note, |_| Severity::Warning);
+    let why = unknown.map_or("name no unit".to_owned(), |unit| {
+        format!("have the unknown unit `{unit}`")
+    });
     let text = format!("times `{name}` {why}: mean step {step:.4}, taken as {unit} ({rate:.4} Hz)");
-    let finding = Finding::new(FindingCode::UnitInferred, severity, text);
-    findings.push(finding.remedy(
-        "if they are not, give --columns \"t=COLUMN:s,…\" with one of s, ms, us, ns, min, h",
-    ));
+    let remedy =
+        "if they are not, give --columns \"t=COLUMN:s,…\" with one of s, ms, us, ns, min, h";
+    findings.push(Finding::new(FindingCode::UnitInferred, severity, text).remedy(remedy));
     exponent
 }

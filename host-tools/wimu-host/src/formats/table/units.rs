@@ -2,6 +2,8 @@
 
 use wimu_model::STANDARD_GRAVITY_MPS2 as G;
 
+use super::names::split_unit;
+use crate::error::{ErrorCode, Result};
 use crate::recording::Quantity;
 
 /// What one of a column's unit is.
@@ -17,117 +19,52 @@ pub enum Scale {
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
-/// Spelling, after [`canonical`], and scale.
-type Units = [(&'static str, Scale)];
+/// Scale, and its spellings after [`canonical`].
+type Units = [(Scale, &'static str)];
 
+#[rustfmt::skip]
 const ACCELERATIONS: &Units = &[
-    ("m/s2", Scale::Si(1.0)),
-    ("m/s/s", Scale::Si(1.0)),
-    ("ms-2", Scale::Si(1.0)),
-    ("m/sec2", Scale::Si(1.0)),
-    ("mps2", Scale::Si(1.0)),
-    ("mpss", Scale::Si(1.0)),
-    ("ms2", Scale::Si(1.0)),
-    ("cm/s2", Scale::Si(1e-2)),
-    ("mm/s2", Scale::Si(1e-3)),
-    ("ft/s2", Scale::Si(0.3048)),
-    ("ft/s/s", Scale::Si(0.3048)),
-    ("ft/sec2", Scale::Si(0.3048)),
-    ("g", Scale::Si(G)),
-    ("gs", Scale::Si(G)),
-    ("mg", Scale::Si(1e-3 * G)),
-    ("millig", Scale::Si(1e-3 * G)),
-    ("milli-g", Scale::Si(1e-3 * G)),
-    ("ug", Scale::Si(1e-6 * G)),
+    (Scale::Si(1.0), "m/s2 m/s/s ms-2 m/sec2 mps2 mpss ms2"), (Scale::Si(1e-2), "cm/s2"), (Scale::Si(1e-3), "mm/s2"),
+    (Scale::Si(0.3048), "ft/s2 ft/s/s ft/sec2"),
+    (Scale::Si(G), "g gs"), (Scale::Si(1e-3 * G), "mg millig milli-g"), (Scale::Si(1e-6 * G), "ug"),
 ];
-
+#[rustfmt::skip]
 const RATES: &Units = &[
-    ("rad/s", Scale::Si(1.0)),
-    ("rads-1", Scale::Si(1.0)),
-    ("rad/sec", Scale::Si(1.0)),
-    ("radps", Scale::Si(1.0)),
-    ("rads", Scale::Si(1.0)),
-    ("mrad/s", Scale::Si(1e-3)),
-    ("deg/s", Scale::Si(DEGREE)),
-    ("degs-1", Scale::Si(DEGREE)),
-    ("deg/sec", Scale::Si(DEGREE)),
-    ("degree/s", Scale::Si(DEGREE)),
-    ("degrees/s", Scale::Si(DEGREE)),
-    ("degps", Scale::Si(DEGREE)),
-    ("dps", Scale::Si(DEGREE)),
-    ("mdeg/s", Scale::Si(1e-3 * DEGREE)),
-    ("mdps", Scale::Si(1e-3 * DEGREE)),
+    (Scale::Si(1.0), "rad/s rads-1 rad/sec radps rads"), (Scale::Si(1e-3), "mrad/s"),
+    (Scale::Si(DEGREE), "deg/s degs-1 deg/sec degree/s degrees/s degps dps"), (Scale::Si(1e-3 * DEGREE), "mdeg/s mdps"),
 ];
-
+#[rustfmt::skip]
 const FIELDS: &Units = &[
-    ("ut", Scale::Si(1e-6)),
-    ("microtesla", Scale::Si(1e-6)),
-    ("t", Scale::Si(1.0)),
-    ("mt", Scale::Si(1e-3)),
-    ("nt", Scale::Si(1e-9)),
-    ("g", Scale::Si(1e-4)),
-    ("gauss", Scale::Si(1e-4)),
-    ("mg", Scale::Si(1e-7)),
-    ("mgauss", Scale::Si(1e-7)),
-    ("mga", Scale::Si(1e-7)),
+    (Scale::Si(1.0), "t"), (Scale::Si(1e-3), "mt"), (Scale::Si(1e-6), "ut microtesla"), (Scale::Si(1e-9), "nt"),
+    (Scale::Si(1e-4), "g gauss"), (Scale::Si(1e-7), "mg mgauss mga"),
 ];
-
 const COUNTS: &Units = &[
-    ("lsb", Scale::Counts),
-    ("counts", Scale::Counts),
-    ("count", Scale::Counts),
-    ("raw", Scale::Counts),
-    ("adc", Scale::Counts),
-    ("au", Scale::Unknown),
-    ("arb", Scale::Unknown),
+    (Scale::Counts, "lsb counts count raw adc"),
+    (Scale::Unknown, "au arb"),
 ];
-
-const TEMPERATURES: &Units = &[
-    ("c", Scale::Si(1.0)),
-    ("degc", Scale::Si(1.0)),
-    ("celsius", Scale::Si(1.0)),
-];
-const LENGTHS: &Units = &[("m", Scale::Si(1.0)), ("mm", Scale::Si(1e-3))];
-const SPEEDS: &Units = &[("m/s", Scale::Si(1.0)), ("ms-1", Scale::Si(1.0))];
+const TEMPERATURES: &Units = &[(Scale::Si(1.0), "c degc celsius")];
+const LENGTHS: &Units = &[(Scale::Si(1.0), "m"), (Scale::Si(1e-3), "mm")];
+const SPEEDS: &Units = &[(Scale::Si(1.0), "m/s ms-1")];
 
 /// Powers of ten of a nanosecond that stand for a minute, 6 × 10¹⁰ ns, and an hour, 36 × 10¹¹ ns; see [`multiple`].
 const MINUTE: i32 = 10;
 const HOUR: i32 = 11;
 
-/// Times: power of ten of a nanosecond.
-const TIMES: &[(&str, i32)] = &[
-    ("h", HOUR),
-    ("hr", HOUR),
-    ("hrs", HOUR),
-    ("hour", HOUR),
-    ("hours", HOUR),
-    ("min", MINUTE),
-    ("mins", MINUTE),
-    ("minute", MINUTE),
-    ("minutes", MINUTE),
-    ("s", 9),
-    ("sec", 9),
-    ("secs", 9),
-    ("second", 9),
-    ("seconds", 9),
-    ("ms", 6),
-    ("msec", 6),
-    ("millis", 6),
-    ("millisecond", 6),
-    ("milliseconds", 6),
-    ("epochms", 6),
-    ("us", 3),
-    ("usec", 3),
-    ("micros", 3),
-    ("microsecond", 3),
-    ("microseconds", 3),
-    ("epochus", 3),
-    ("ns", 0),
-    ("nsec", 0),
-    ("nanos", 0),
-    ("nanosecond", 0),
-    ("nanoseconds", 0),
+/// Power of ten of a nanosecond of a unit of time, and its spellings.
+const TIMES: &[(i32, &str)] = &[
+    (HOUR, "h hr hrs hour hours"),
+    (MINUTE, "min mins minute minutes"),
+    (9, "s sec secs second seconds"),
+    (6, "ms msec millis millisecond milliseconds epochms"),
+    (3, "us usec micros microsecond microseconds epochus"),
+    (0, "ns nsec nanos nanosecond nanoseconds"),
 ];
+
+/// The entry of a table among whose spellings a text is.
+pub fn spelled<T: Copy>(table: &[(T, &str)], text: &str) -> Option<T> {
+    let has = |(_, spellings): &&(T, &str)| spellings.split(' ').any(|known| known == text);
+    table.iter().find(has).map(|(entry, _)| *entry)
+}
 
 /// A unit in one spelling: `m s^-2`, `m/s²`, `°/s`, `µT` become `ms-2`, `m/s2`, `deg/s`, `ut`.
 fn canonical(unit: &str) -> String {
@@ -161,10 +98,29 @@ pub fn scale(quantity: Quantity, unit: &str) -> Option<Scale> {
         _ => &[],
     };
     let text = canonical(unit);
-    let mut known = known.iter().flat_map(|units| units.iter());
-    known
-        .find(|(name, _)| *name == text)
-        .map(|(_, scale)| *scale)
+    known.iter().find_map(|units| spelled(units, &text))
+}
+
+/// m/s² of the unit of a column of accelerations, `None` for counts, if it has this name; the units of both are left out in
+/// the comparison.
+///
+/// # Errors
+/// `csv_unknown_unit`.
+pub(crate) fn acceleration_unit(column: &str, name: &str) -> Result<Option<Option<f64>>> {
+    let (bare, unit) = split_unit(column);
+    if !bare.eq_ignore_ascii_case(split_unit(name).0) {
+        return Ok(None);
+    }
+    match unit.and_then(|unit| scale(Quantity::SpecificForce, unit)) {
+        Some(Scale::Si(mps2)) => Ok(Some(Some(mps2))),
+        Some(Scale::Counts) => Ok(Some(None)),
+        _ => Err(ErrorCode::CsvUnknownUnit
+            .error(
+                "the unit is missing or unknown",
+                "write one of LSB, g, mg, m/s² in parentheses",
+            )
+            .at(column)),
+    }
 }
 
 /// Factor of the power of ten of a unit of time: not 1 for minutes and hours.
@@ -179,6 +135,5 @@ pub fn multiple(exponent: i32) -> i64 {
 /// Power of ten of a nanosecond of a unit of time, which is to be multiplied by its [`multiple`].
 pub fn time(unit: &str) -> Option<i32> {
     let text = canonical(unit).replace('_', "");
-    let found = TIMES.iter().find(|(name, _)| *name == text)?;
-    Some(found.1)
+    spelled(TIMES, &text)
 }

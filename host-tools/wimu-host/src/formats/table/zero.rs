@@ -1,8 +1,8 @@
 //! Counts that are not around 0: of unsigned converters, and of two's complement read as unsigned.
 
-use super::infer::{Evidence, median};
+use super::infer::{Evidence, median, norm};
 use super::layout::Group;
-use crate::finding::{Finding, FindingCode, Severity};
+use crate::finding::{Finding, FindingCode};
 use crate::recording::Quantity;
 
 /// Middle of the range of 10, 12, 14 and 16 bits.
@@ -43,11 +43,9 @@ pub fn find(group: &Group, evidence: Evidence, findings: &mut Vec<Finding>) -> Z
     let zero = match evidence.zero_count {
         // A gyroscope of the same converter, or one that has its zero at 0.
         Some(zero) if group.quantity == Quantity::AngularRate => {
-            let near = fraction(samples, |v| (v - zero).abs() < 0.5 * zero.abs());
-            if near > 0.5 {
-                Zero::At(zero)
-            } else {
-                Zero::None
+            match fraction(samples, |v| (v - zero).abs() < 0.5 * zero.abs()) > 0.5 {
+                true => Zero::At(zero),
+                false => Zero::None,
             }
         }
         Some(zero) => Zero::At(zero),
@@ -61,25 +59,21 @@ pub fn find(group: &Group, evidence: Evidence, findings: &mut Vec<Finding>) -> Z
             format!("the counts of `{}` are around {zero}", group.name),
             "it is subtracted; if it is not zero, give --zero-count",
         ),
-        Zero::Wrapped => {
-            let text = format!(
+        Zero::Wrapped => (
+            format!(
                 "the counts of `{}` are two's complement of 16 bits written without sign",
                 group.name
-            );
-            (text, "65536 is subtracted from those above 32767")
-        }
+            ),
+            "65536 is subtracted from those above 32767",
+        ),
     };
-    let finding =
-        Finding::new(FindingCode::ZeroCount, Severity::Note, text).of_sensor(group.sensor);
-    findings.push(finding.remedy(remedy));
+    findings.push(Finding::note(FindingCode::ZeroCount, text, remedy).of_sensor(group.sensor));
     zero
 }
 
 /// Fraction of values for which `holds`.
 fn fraction(samples: &[[f64; 3]], holds: impl Fn(f64) -> bool) -> f64 {
-    let count = samples
-        .iter()
-        .flatten()
+    let count = (samples.iter().flatten())
         .filter(|value| holds(**value))
         .count();
     count as f64 / (3 * samples.len()).max(1) as f64
@@ -138,10 +132,6 @@ fn blocks(samples: &[[f64; 3]]) -> Vec<Block<'_>> {
     blocks
 }
 
-fn norm(v: &[f64; 3]) -> f64 {
-    v.iter().map(|c| c * c).sum::<f64>().sqrt()
-}
-
 /// Median magnitude in the calmest quarter of the blocks.
 pub fn at_rest(samples: &[[f64; 3]]) -> Option<f64> {
     let blocks = blocks(samples);
@@ -155,11 +145,8 @@ pub fn sensitivity(samples: &[[f64; 3]]) -> Option<f64> {
     let blocks = blocks(samples);
     // Blocks at rest: about as calm as the calmest quarter.
     let limit = 3.0 * blocks.get(blocks.len() / 4)?.1 + 1.0;
-    let rests: Vec<[f64; 3]> = blocks
-        .iter()
-        .filter(|block| block.1 <= limit)
-        .map(|block| block.2)
-        .collect();
+    let rests = blocks.iter().filter(|block| block.1 <= limit);
+    let rests: Vec<[f64; 3]> = rests.map(|block| block.2).collect();
     let first = rests.first()?;
     let differs = |v: &&[f64; 3]| {
         let dot: f64 = (0..3).map(|k| v[k] * first[k]).sum();
@@ -167,9 +154,7 @@ pub fn sensitivity(samples: &[[f64; 3]]) -> Option<f64> {
     };
     let others = rests.iter().filter(differs).count();
     let usual = median(&rests)?;
-    let alike = rests
-        .iter()
-        .filter(|v| (norm(v) / usual - 1.0).abs() <= TOLERANCE)
-        .count();
+    let is_alike = |v: &&[f64; 3]| (norm(v) / usual - 1.0).abs() <= TOLERANCE;
+    let alike = rests.iter().filter(is_alike).count();
     (others > 0 && 10 * alike >= 9 * rests.len()).then_some(usual)
 }

@@ -7,6 +7,7 @@ use wimu_calib::Gravity;
 use wimu_host::Result;
 use wimu_host::array::{ArrayGeometry, CalibratedArray, calibrate_array};
 use wimu_host::digits::{signed_with_sd, with_sd};
+use wimu_host::finding::{Finding, FindingCode};
 use wimu_model::ErrorModel;
 
 use crate::arguments::Calibrate;
@@ -24,7 +25,7 @@ struct Calibrated {
     sensors: Vec<Sensor>,
     /// Positions and delays; null where the recording does not observe them.
     refined: Option<Refined>,
-    remarks: Vec<String>,
+    findings: Vec<Finding>,
 }
 
 #[derive(Serialize)]
@@ -119,21 +120,20 @@ fn present(
         "corrected sensors differ by {:.4} m/s² rms per axis at the rests",
         calibration.disagreement_mps2
     ));
-    let mut remarks = calibration.remarks();
-    remarks.extend(found.remarks.iter().cloned());
+    let remarks = calibration.remarks().into_iter();
+    let remarks = remarks.chain(found.remarks.iter().cloned());
+    let mut findings: Vec<Finding> = remarks
+        .map(|text| FindingCode::Geometry.note(text))
+        .collect();
     let refined = match &found.refinement {
         Ok(refinement) => Some(Refined::of(refinement, output)),
         Err(why) => {
-            remarks.push(format!(
-                "positions and delays are kept as given: {}",
-                why.message()
-            ));
+            let text = format!("positions and delays are kept as given: {}", why.message());
+            findings.push(FindingCode::Geometry.warning(text));
             None
         }
     };
-    for remark in &remarks {
-        output.print(format!("note: {remark}"));
-    }
+    output.findings(&findings);
     Calibrated {
         source: arguments.input.clone(),
         gravity_m_s2: gravity.mps2(),
@@ -141,6 +141,6 @@ fn present(
         disagreement_m_s2: calibration.disagreement_mps2,
         sensors,
         refined,
-        remarks,
+        findings,
     }
 }

@@ -1,7 +1,7 @@
 //! `wimu calibrate --sensor magnetometer`.
 
 use wimu_host::calibration::{CalibrateOptions, CalibrationFile, calibrate_magnetometer, sessions};
-use wimu_host::{ErrorCode, HostError, Result};
+use wimu_host::{ErrorCode, Result};
 use wimu_model::ParameterSet;
 
 use super::{collect, finish, read_calibrated, reading};
@@ -22,14 +22,11 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
     )?;
     let data = data.samples(selection)?;
     let report = calibrate_magnetometer(&data, &set, arguments.dip.map(f64::to_radians))?;
-    let code = report.exit_code();
     let before = sessions(arguments.with.as_deref(), &set);
     let file = |set| CalibrationFile::new(set, &before, &report.source);
-    let (path, file) = (
-        arguments.output.as_deref(),
-        report.parameters.as_ref().map(file),
-    );
-    finish(&report, code, path, file, output, || {
+    let file = report.parameters.as_ref().map(file);
+    let path = arguments.output.as_deref();
+    finish(&report, &report.outcome, path, file, output, || {
         if let Some(path) = &arguments.report {
             report.page()?.write(path)?;
         }
@@ -44,8 +41,7 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
 fn calibrated(set: Option<ParameterSet>) -> Result<ParameterSet> {
     set.filter(|set| *set != ParameterSet::uncalibrated(set.range_g, set.sensitivity))
         .ok_or_else(|| {
-            HostError::new(
-                ErrorCode::DataRefused,
+            ErrorCode::DataRefused.error(
                 "there is no calibration of the accelerometer beside the magnetometer",
                 "calibrate it with `wimu calibrate … -o CAL.json` and add --with CAL.json",
             )

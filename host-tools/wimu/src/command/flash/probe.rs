@@ -117,9 +117,7 @@ fn choose(named: Option<&str>, image: &Image) -> Result<ProbeListItem> {
     let mut probes = Lister::new().list_with_access(selector.as_ref());
     let (file, drive) = (image.file.display(), image.board.file_and_drive().1);
     match probes.len() {
-        0 => Err(HostError::new(
-            ErrorCode::ProbeAbsent,
-            match named {
+        0 => Err(ErrorCode::ProbeAbsent.error(match named {
                 Some(named) => format!("there is no debug probe {named}"),
                 None => "no debug probe is connected".into(),
             },
@@ -147,12 +145,12 @@ fn choose(named: Option<&str>, image: &Image) -> Result<ProbeListItem> {
 
 fn forbidden(probe: &ProbeListItem) -> HostError {
     let vendor = probe.info.vendor_id;
-    HostError::new(
-        ErrorCode::ProbePermission,
-        format!("no permission to open the probe {}", probe.info),
-        udev_rule(vendor),
-    )
-    .at(Probe::from(probe).selector)
+    ErrorCode::ProbePermission
+        .error(
+            format!("no permission to open the probe {}", probe.info),
+            udev_rule(vendor),
+        )
+        .at(Probe::from(probe).selector)
 }
 
 /// How to let the logged-in user open the probes of a vendor.
@@ -174,8 +172,7 @@ fn attach(probe: &ProbeListItem, chip: &str, erase_all: bool, output: Output) ->
         Permissions::new()
     };
     let open = probe.info.open().map_err(|error| {
-        HostError::new(
-            ErrorCode::ProbePermission,
+        ErrorCode::ProbePermission.error(
             format!("cannot open the probe {}: {}", probe.info, chain(&error)),
             format!(
                 "close other programs that use it; on Linux, {}",
@@ -191,13 +188,11 @@ fn attach(probe: &ProbeListItem, chip: &str, erase_all: bool, output: Output) ->
 fn refused(chip: &str, error: probe_rs::Error) -> HostError {
     match error {
         probe_rs::Error::MissingPermissions(_)
-        | probe_rs::Error::Arm(ArmError::MissingPermissions(_)) => HostError::new(
-            ErrorCode::ChipLocked,
+        | probe_rs::Error::Arm(ArmError::MissingPermissions(_)) => ErrorCode::ChipLocked.error(
             "the chip is locked; unlocking erases all of it, with its calibration and key",
             "if nothing on it is needed, add --erase-all",
         ),
-        other => HostError::new(
-            ErrorCode::FlashFailed,
+        other => ErrorCode::FlashFailed.error(
             format!("no {chip} answers at the probe: {}", chain(&other)),
             "check the board's power, the wires to SWDIO, SWCLK and ground, and the board's name",
         ),
@@ -231,8 +226,7 @@ fn progress<'a>(output: Output) -> FlashProgress<'a> {
 }
 
 fn failed(what: &str, error: &dyn std::error::Error) -> HostError {
-    HostError::new(
-        ErrorCode::FlashFailed,
+    ErrorCode::FlashFailed.error(
         format!("{what}: {}", chain(error)),
         "keep the cable connected and try again; if it fails again, --erase-all erases the chip",
     )

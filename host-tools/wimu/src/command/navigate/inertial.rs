@@ -5,6 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 use wimu_host::Result;
 use wimu_host::calibration::read_model;
+use wimu_host::finding::Finding;
 use wimu_host::formats;
 use wimu_host::inertial::{
     Choice, InertialPath, Method, Move, Profile, Zupt, consistency, navigate,
@@ -47,7 +48,7 @@ pub struct Found {
     /// Moves between rests.
     moves: Vec<MoveFound>,
     refined: Option<Refined>,
-    remarks: Vec<String>,
+    findings: Vec<Finding>,
 }
 
 /// Motion time after which the position's standard deviation exceeds a limit or the position is lost; null if never.
@@ -181,6 +182,7 @@ fn present(
 ) -> Result<Found> {
     let text = text(path, choice);
     output.print(text.trim_end());
+    output.findings(&path.findings);
     if let Some(file) = &arguments.output {
         path.write(file)?;
         output.print(format!(
@@ -243,7 +245,7 @@ fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
         velocity_nees: Nees::of(&path.velocity_nees, path),
         moves: path.moves.iter().map(MoveFound::of).collect(),
         refined: None,
-        remarks: path.remarks.clone(),
+        findings: path.findings.clone(),
     }
 }
 
@@ -383,9 +385,6 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
                 100.0 * share
             );
         }
-    }
-    for remark in &path.remarks {
-        text += &format!("note: {remark}\n");
     }
     text
 }

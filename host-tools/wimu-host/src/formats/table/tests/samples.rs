@@ -1,6 +1,6 @@
 //! Tables by the published headers of programs of which there is no real file: the values are made up.
 
-use super::tests::{has, named};
+use super::{has, named};
 use crate::finding::FindingCode;
 use crate::formats::{ReadOptions, Source};
 use crate::recording::{Quantity, Recording, Unit};

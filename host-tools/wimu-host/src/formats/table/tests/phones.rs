@@ -1,6 +1,6 @@
 //! Folders and archives that phones export.
 
-use super::tests::{check, data, has, loaded, text};
+use super::{check, data, has, loaded, text};
 use crate::finding::FindingCode;
 use crate::formats::{ReadOptions, Source};
 use crate::recording::{Quantity, Recording};

@@ -1,6 +1,6 @@
 //! Damaged tables: findings or typed errors, no panic.
 
-use super::tests::{data, has, named};
+use super::{data, has, named};
 use crate::error::ErrorCode;
 use crate::finding::FindingCode;
 use crate::formats::{ReadOptions, Source};

@@ -1,0 +1,207 @@
+//! `wimu.calibrate`.
+
+use std::path::PathBuf;
+use std::time::SystemTime;
+
+use pyo3::prelude::*;
+use wimu_calib::Face;
+use wimu_host::calibration::{
+    self, CalibrateOptions, CalibrationFile, CalibrationReport, Fit, MethodChoice, StoredModel,
+};
+use wimu_host::recording::Selection;
+use wimu_model::ParameterSet;
+
+use crate::arrays::{Array1, Array2, column, plain, table};
+use crate::failure::{Result, refused, usage};
+use crate::recording::Source;
+
+/// Sides in the order of [`Face::ALL`].
+const SIDES: [&str; 6] = ["x", "-x", "y", "-y", "z", "-z"];
+
+/// An error model with its uncertainty: output = matrix · specific force + bias.
+#[pyclass(frozen, module = "wimu")]
+pub struct Calibration {
+    report: CalibrationReport,
+    fit: Fit,
+    file: CalibrationFile,
+}
+
+#[pymethods]
+impl Calibration {
+    /// m/s², shape (3,).
+    #[getter]
+    fn bias(&self, py: Python<'_>) -> Array1 {
+        column(py, self.fit.model.bias_mps2)
+    }
+
+    /// Scale factors and misalignments, shape (3, 3).
+    #[getter]
+    fn matrix(&self, py: Python<'_>) -> Result<Array2> {
+        table(py, self.fit.model.matrix)
+    }
+
+    /// Standard deviation of `bias`, m/s².
+    #[getter]
+    fn bias_sd(&self, py: Python<'_>) -> Array1 {
+        column(py, self.fit.sd.bias_mps2)
+    }
+
+    /// Standard deviations of `matrix`.
+    #[getter]
+    fn matrix_sd(&self, py: Python<'_>) -> Result<Array2> {
+        table(py, self.fit.sd.matrix)
+    }
+
+    /// Covariance of `bias`, then of `matrix` row by row, shape (12, 12).
+    #[getter]
+    fn covariance(&self, py: Python<'_>) -> Result<Array2> {
+        table(py, self.fit.covariance)
+    }
+
+    /// |f| − g over the poses after correction, m/s² rms.
+    #[getter]
+    fn rms(&self) -> f64 {
+        self.fit.rms_mm_s2 * 1e-3
+    }
+
+    /// Number of static poses.
+    #[getter]
+    fn poses(&self) -> usize {
+        self.report.poses
+    }
+
+    /// Nominal sensitivity, LSB/g; None for data in m/s² without a given one.
+    #[getter]
+    fn sensitivity(&self) -> Option<f64> {
+        self.report.sensitivity_lsb_per_g
+    }
+
+    /// What a user should know beside the numbers.
+    #[getter]
+    fn findings(&self, py: Python<'_>) -> Result<Py<PyAny>> {
+        plain(py, &self.report.outcome.findings)
+    }
+
+    /// Writes CAL.json.
+    fn save(&self, path: PathBuf) -> Result<()> {
+        Ok(self.file.write(&path)?)
+    }
+
+    /// The object that `wimu calibrate --json` prints.
+    fn to_dict(&self, py: Python<'_>) -> Result<Py<PyAny>> {
+        plain(py, &self.report)
+    }
+
+    fn __str__(&self) -> String {
+        self.report.to_string()
+    }
+
+    fn __repr__(&self) -> String {
+        let (source, poses) = (&self.report.source, self.report.poses);
+        format!("<wimu.Calibration of {source}: {poses} poses>")
+    }
+}
+
+/// Estimates the error model of an accelerometer from rests.
+#[pyfunction]
+#[pyo3(signature = (source, *, method="multi-position", model="", sides=None, gravity=None, sensitivity=None, range_g=None,
+                    placement_sd=None, sensor_model=None, accelerometer=None))]
+#[allow(clippy::too_many_arguments, reason = "keyword arguments")]
+pub fn calibrate(
+    py: Python<'_>,
+    source: Source,
+    method: &str,
+    model: &str,
+    sides: Option<Vec<String>>,
+    gravity: Option<f64>,
+    sensitivity: Option<f64>,
+    range_g: Option<u8>,
+    placement_sd: Option<f64>,
+    sensor_model: Option<&str>,
+    accelerometer: Option<u8>,
+) -> Result<Calibration> {
+    let named = MethodChoice::ALL.into_iter().find(|m| m.name() == method);
+    let method = named.ok_or_else(|| {
+        let names = MethodChoice::ALL.map(MethodChoice::name).join(", ");
+        usage(
+            format!("method={method:?} is not known"),
+            format!("the methods are {names}"),
+        )
+    })?;
+    let side = |name: String| {
+        let index = SIDES.iter().position(|side| *side == name);
+        let remedy = format!("the sides are {}", SIDES.join(", "));
+        index
+            .map(|index| Face::ALL[index])
+            .ok_or_else(|| usage(format!("there is no side {name:?}"), remedy))
+    };
+    let sides = sides.map(|sides| sides.into_iter().map(side).collect::<Result<Vec<_>>>());
+    let (model, terms) = calibration::parse_model(model, method)?;
+    let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
+    let options = CalibrateOptions {
+        method,
+        model,
+        terms,
+        sides: sides.transpose()?,
+        gravity_mps2: gravity,
+        sensitivity_lsb_per_g: sensitivity,
+        range_g,
+        placement_sd_deg: placement_sd,
+        datasheet: sensor_model.map(calibration::datasheet).transpose()?,
+        utc_s: now.ok().map(|since| since.as_secs()),
+    };
+    let selection = Selection {
+        accelerometer,
+        poses: source.options().poses,
+    };
+    let report =
+        py.detach(|| calibration::calibrate(&source.data()?.samples(selection)?, &options))?;
+    let (Some(fit), Some(file)) = (report.fit.clone(), report.file.clone()) else {
+        let poses: Vec<&str> = report
+            .next_poses
+            .iter()
+            .map(|pose| pose.text.as_str())
+            .collect();
+        let remedy = match poses.is_empty() {
+            true => "check the recording".to_owned(),
+            false => format!("add rests with these directions up: {}", poses.join("; ")),
+        };
+        return Err(refused(
+            &report.source,
+            report.outcome.reason.as_deref(),
+            remedy,
+        ));
+    };
+    Ok(Calibration { report, fit, file })
+}
+
+/// A calibration, or the path of a CAL.json.
+#[derive(FromPyObject)]
+pub enum Correction {
+    Calibration(Py<Calibration>),
+    Path(PathBuf),
+}
+
+impl Correction {
+    /// The error model.
+    pub fn model(&self) -> wimu_host::Result<StoredModel> {
+        match self {
+            Self::Calibration(held) => held.get().file.model(held.get().report.source.as_ref()),
+            Self::Path(path) => calibration::read_model(path),
+        }
+    }
+
+    /// The parameters of a board.
+    pub fn parameters(&self) -> wimu_host::Result<ParameterSet> {
+        match self {
+            Self::Calibration(held) => held.get().report.parameters.ok_or_else(|| {
+                let error = wimu_host::ErrorCode::BadCalibration.error(
+                    "the calibration has no parameters for a board",
+                    "calibrate counts, or give the sensitivity",
+                );
+                error.at(&held.get().report.source)
+            }),
+            Self::Path(path) => calibration::read_parameters(path),
+        }
+    }
+}

@@ -1,0 +1,59 @@
+//! `wimu.apply`.
+
+use std::path::PathBuf;
+
+use pyo3::prelude::*;
+use wimu_host::{HostError, apply as correction};
+
+use crate::arrays::{Array1, Array2, column, plain, table};
+use crate::calibration::Correction;
+use crate::failure::Result;
+use crate::recording::Source;
+
+/// Corrected samples, body axes: the valid rows of the recording. NaN where a row has no value.
+#[pyclass(frozen, get_all, module = "wimu")]
+pub struct Corrected {
+    times: Array1,
+    specific_force: Array2,
+    angular_rate: Option<Array2>,
+    magnetic_field: Option<Array2>,
+    temperature: Option<Array1>,
+    findings: Py<PyAny>,
+}
+
+/// Corrects a recording with a calibration, and writes it to `output` if that is given.
+#[pyfunction]
+#[pyo3(signature = (calibration, source, *, output=None))]
+pub fn apply(
+    py: Python<'_>,
+    calibration: Correction,
+    source: Source,
+    output: Option<PathBuf>,
+) -> Result<Corrected> {
+    let (rows, findings) = py.detach(|| {
+        let data = source.data()?;
+        let model = calibration.model()?;
+        let applied = correction::Correction::new(&model, &data)?;
+        if let Some(path) = output {
+            applied.write(&path)?;
+        }
+        let rows: Vec<correction::Corrected> = applied.rows().collect();
+        let findings = [&applied.findings[..], &data.findings].concat();
+        Ok::<_, HostError>((rows, findings))
+    })?;
+    let vectors = |of: fn(&correction::Corrected) -> Option<[f64; 3]>| {
+        let any = rows.iter().any(|row| of(row).is_some());
+        let filled = rows.iter().map(|row| of(row).unwrap_or([f64::NAN; 3]));
+        any.then(|| table(py, filled)).transpose()
+    };
+    let has_temperature = rows.iter().any(|row| row.temperature_c.is_some());
+    let celsius = rows.iter().map(|row| row.temperature_c.unwrap_or(f64::NAN));
+    Ok(Corrected {
+        times: column(py, rows.iter().map(|row| row.time_ns as f64 * 1e-9)),
+        specific_force: table(py, rows.iter().map(|row| row.force_mps2))?,
+        angular_rate: vectors(|row| row.rate_rad_s)?,
+        magnetic_field: vectors(|row| row.field_ut.map(|field| field.map(|ut| ut * 1e-6)))?,
+        temperature: has_temperature.then(|| column(py, celsius)),
+        findings: plain(py, &findings)?,
+    })
+}

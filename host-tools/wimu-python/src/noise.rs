@@ -1,0 +1,133 @@
+//! `wimu.allan`.
+
+use pyo3::prelude::*;
+use wimu_host::allan::{AxisReport, Figure, NoiseReport, noise_of};
+use wimu_model::Sensitivity;
+
+use crate::arrays::{Array1, Array2, column, plain, table};
+use crate::failure::{Result, refused, usage};
+use crate::recording::Source;
+
+/// Noise of an accelerometer at rest. Arrays of shape (3,) hold X, Y, Z; NaN where a term is not observed.
+#[pyclass(frozen, module = "wimu")]
+pub struct Noise {
+    report: NoiseReport,
+    axes: [AxisReport; 3],
+}
+
+impl Noise {
+    fn term(&self, py: Python<'_>, term: impl Fn(&AxisReport) -> Option<f64>) -> Array1 {
+        column(
+            py,
+            self.axes.iter().map(|axis| term(axis).unwrap_or(f64::NAN)),
+        )
+    }
+}
+
+#[pymethods]
+impl Noise {
+    /// Averaging times, s, shape (k,).
+    #[getter]
+    fn tau(&self, py: Python<'_>) -> Array1 {
+        column(py, self.report.points.iter().map(|point| point.tau_s))
+    }
+
+    /// Allan deviation, m/s², shape (k, 3).
+    #[getter]
+    fn deviation(&self, py: Python<'_>) -> Result<Array2> {
+        table(
+            py,
+            self.report.points.iter().map(|point| point.deviation_m_s2),
+        )
+    }
+
+    /// Standard deviation of `deviation`, m/s².
+    #[getter]
+    fn deviation_sd(&self, py: Python<'_>) -> Result<Array2> {
+        let points = self.report.points.iter();
+        table(
+            py,
+            points.map(|point| point.deviation_m_s2.map(|axis| axis * point.relative_sd)),
+        )
+    }
+
+    /// One-sided noise density, m/s²/√Hz.
+    #[getter]
+    fn noise_density(&self, py: Python<'_>) -> Array1 {
+        self.term(py, |axis| Some(axis.noise_density_m_s2_rthz.value))
+    }
+
+    /// Standard deviation of `noise_density`.
+    #[getter]
+    fn noise_density_sd(&self, py: Python<'_>) -> Array1 {
+        self.term(py, |axis| Some(axis.noise_density_m_s2_rthz.sd))
+    }
+
+    /// Velocity random walk, m/s/√s.
+    #[getter]
+    fn velocity_random_walk(&self, py: Python<'_>) -> Array1 {
+        self.term(py, |axis| Some(axis.velocity_random_walk_m_s_rts.value))
+    }
+
+    /// Bias instability, m/s².
+    #[getter]
+    fn bias_instability(&self, py: Python<'_>) -> Array1 {
+        self.term(py, |axis| {
+            axis.bias_instability_m_s2.map(|Figure { value, .. }| value)
+        })
+    }
+
+    /// Standard deviation of `bias_instability`.
+    #[getter]
+    fn bias_instability_sd(&self, py: Python<'_>) -> Array1 {
+        self.term(py, |axis| {
+            axis.bias_instability_m_s2.map(|Figure { sd, .. }| sd)
+        })
+    }
+
+    /// Sample rate, Hz.
+    #[getter]
+    fn rate_hz(&self) -> f64 {
+        self.report.rate_hz
+    }
+
+    /// What a user should know beside the numbers.
+    #[getter]
+    fn findings(&self, py: Python<'_>) -> Result<Py<PyAny>> {
+        plain(py, &self.report.outcome.findings)
+    }
+
+    /// The object that `wimu allan --json` prints.
+    fn to_dict(&self, py: Python<'_>) -> Result<Py<PyAny>> {
+        plain(py, &self.report)
+    }
+
+    fn __str__(&self) -> String {
+        self.report.to_string()
+    }
+}
+
+/// Computes the Allan deviation of an accelerometer at rest.
+#[pyfunction]
+#[pyo3(signature = (source, *, sensitivity=None, accelerometer=None))]
+pub fn allan(
+    py: Python<'_>,
+    source: Source,
+    sensitivity: Option<f64>,
+    accelerometer: Option<u8>,
+) -> Result<Noise> {
+    let sensitivity = sensitivity.map(Sensitivity::from_lsb_per_g).transpose();
+    let sensitivity = sensitivity.map_err(|error| usage(error.to_string(), "check sensitivity"))?;
+    let report = py.detach(|| noise_of(&*source.data()?, accelerometer, sensitivity))?;
+    match report.axes {
+        Some(axes) => Ok(Noise { report, axes }),
+        None => {
+            let remedy = "record longer, with the sensor at rest".to_owned();
+            Err(refused(
+                &report.source,
+                report.outcome.reason.as_deref(),
+                remedy,
+            ))
+        }
+    }
+}

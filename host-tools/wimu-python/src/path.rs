@@ -1,0 +1,251 @@
+//! `wimu.navigate`.
+
+use std::path::PathBuf;
+
+use pyo3::prelude::*;
+use wimu_host::inertial::{self, Choice, InertialPath, Method, PathPoint, SlideMove, Zupt};
+use wimu_host::motion::{MotionRecording, TableOptions};
+use wimu_host::{ErrorCode, Input, history, navigation};
+
+use crate::arrays::{Array1, Array2, Array3, column, matrices, plain, table};
+use crate::calibration::Correction;
+use crate::failure::{Result, usage};
+use crate::recording::Source;
+
+/// A path with its uncertainty: one row a sample, east-north-up axes.
+#[pyclass(frozen, module = "wimu")]
+pub struct Path(InertialPath);
+
+impl Path {
+    fn vectors(&self, py: Python<'_>, of: impl Fn(&PathPoint) -> [f64; 3]) -> Result<Array2> {
+        table(py, self.0.points.iter().map(of))
+    }
+}
+
+/// A straight move between two rests, of the method `slide`.
+#[pyclass(frozen, get_all, module = "wimu")]
+pub struct Move {
+    start: f64,
+    end: f64,
+    length: f64,
+    length_sd: f64,
+    unseen: f64,
+    valid: bool,
+}
+
+impl From<&SlideMove> for Move {
+    fn from(one: &SlideMove) -> Self {
+        Self {
+            start: one.from_s,
+            end: one.to_s,
+            length: one.done.length_m,
+            length_sd: one.done.length_sd_m,
+            unseen: one.unseen_m,
+            valid: one.valid,
+        }
+    }
+}
+
+#[pymethods]
+impl Path {
+    /// s on the clock of the recording, shape (n,).
+    #[getter]
+    fn times(&self, py: Python<'_>) -> Array1 {
+        column(py, self.0.points.iter().map(|point| point.time_s))
+    }
+
+    /// m, shape (n, 3).
+    #[getter]
+    fn position(&self, py: Python<'_>) -> Result<Array2> {
+        self.vectors(py, |point| point.position_m)
+    }
+
+    /// m/s, shape (n, 3).
+    #[getter]
+    fn velocity(&self, py: Python<'_>) -> Result<Array2> {
+        self.vectors(py, |point| point.velocity_mps)
+    }
+
+    /// Quaternion W, X, Y, Z from body to navigation axes, shape (n, 4).
+    #[getter]
+    fn attitude(&self, py: Python<'_>) -> Result<Array2> {
+        table(py, self.0.points.iter().map(|point| point.quaternion))
+    }
+
+    /// rad/s, body axes, shape (n, 3).
+    #[getter]
+    fn angular_rate(&self, py: Python<'_>) -> Result<Array2> {
+        self.vectors(py, |point| point.rate_rad_s)
+    }
+
+    /// Covariance of the position, m², shape (n, 3, 3).
+    #[getter]
+    fn position_covariance(&self, py: Python<'_>) -> Result<Array3> {
+        matrices(py, self.0.points.iter().map(|point| point.covariance_m2))
+    }
+
+    /// Standard deviation of the position, m, shape (n, 3).
+    #[getter]
+    fn position_sd(&self, py: Python<'_>) -> Result<Array2> {
+        self.vectors(py, PathPoint::sigma_m)
+    }
+
+    /// Standard deviation of the velocity, m/s, shape (n, 3); 0 where it is not estimated.
+    #[getter]
+    fn velocity_sd(&self, py: Python<'_>) -> Result<Array2> {
+        self.vectors(py, |point| point.velocity_sd_mps)
+    }
+
+    /// Standard deviation of the attitude about east, north and up, rad, shape (n, 3); 0 where it is not estimated.
+    #[getter]
+    fn attitude_sd(&self, py: Python<'_>) -> Result<Array2> {
+        self.vectors(py, |point| point.attitude_sd_rad)
+    }
+
+    /// Whether the position can be used, shape (n,).
+    #[getter]
+    fn valid(&self, py: Python<'_>) -> Array1<bool> {
+        column(py, self.0.points.iter().map(|point| point.valid))
+    }
+
+    /// Whether the unit is taken to be at rest, shape (n,).
+    #[getter]
+    fn resting(&self, py: Python<'_>) -> Array1<bool> {
+        column(py, self.0.points.iter().map(|point| point.resting))
+    }
+
+    /// Row at which position and velocity are zero by definition.
+    #[getter]
+    fn origin(&self) -> usize {
+        self.0.origin
+    }
+
+    /// Length of the path over the valid rows, m.
+    #[getter]
+    fn distance(&self) -> f64 {
+        self.0.distance_m()
+    }
+
+    /// Moves between rests, of the method `slide`.
+    #[getter]
+    fn moves(&self) -> Vec<Move> {
+        self.0.moves.iter().map(Move::from).collect()
+    }
+
+    /// The method.
+    #[getter]
+    fn method(&self) -> &'static str {
+        name(self.0.method)
+    }
+
+    /// What was noticed.
+    #[getter]
+    fn findings(&self, py: Python<'_>) -> Result<Py<PyAny>> {
+        plain(py, &self.0.findings)
+    }
+
+    /// Writes CSV, or ROS 2 messages where the name ends in `.mcap`.
+    fn save(&self, path: PathBuf) -> Result<()> {
+        Ok(self.0.write(&path)?)
+    }
+
+    fn __len__(&self) -> usize {
+        self.0.points.len()
+    }
+
+    fn __repr__(&self) -> String {
+        let (method, rows) = (name(self.0.method), self.0.points.len());
+        format!("<wimu.Path by {method}: {rows} rows>")
+    }
+}
+
+fn name(method: Method) -> &'static str {
+    match method {
+        Method::Strapdown => "strapdown",
+        Method::Tilt => "tilt",
+        Method::Array => "array",
+        Method::Slide => "slide",
+    }
+}
+
+/// Computes position, velocity and attitude of one unit.
+#[pyfunction]
+#[pyo3(signature = (source, *, calibration=None, method="auto", zupt="on", limit=1.0, sensitivity=None))]
+pub fn navigate(
+    py: Python<'_>,
+    source: Source,
+    calibration: Option<Correction>,
+    method: &str,
+    zupt: &str,
+    limit: f64,
+    sensitivity: Option<f64>,
+) -> Result<Path> {
+    let methods = [Method::Strapdown, Method::Tilt, Method::Slide];
+    let method = match methods.into_iter().find(|known| name(*known) == method) {
+        None if method != "auto" => {
+            let message = format!("method={method:?} is not known");
+            return Err(usage(
+                message,
+                "the methods are auto, strapdown, tilt and slide",
+            ));
+        }
+        method => method,
+    };
+    let zupt = match zupt {
+        "on" => Zupt::Stated,
+        "cautious" => Zupt::Assumed,
+        "off" => Zupt::Off,
+        _ => {
+            return Err(usage(
+                format!("zupt={zupt:?} is not known"),
+                "give on, cautious or off",
+            ));
+        }
+    };
+    for (name, value) in [("limit", Some(limit)), ("sensitivity", sensitivity)] {
+        if value.is_some_and(|value| !value.is_finite() || value <= 0.0) {
+            return Err(usage(
+                format!("{name} is not above 0"),
+                "give a number above 0",
+            ));
+        }
+    }
+    let path = py.detach(|| {
+        let motion = motion(&source, calibration.as_ref(), sensitivity)?;
+        let choice = Choice {
+            method: method.unwrap_or_else(|| Method::of(&motion)),
+            zupt,
+            limit_m: limit,
+            drift: None,
+        };
+        inertial::navigate(&motion, &choice)
+    })?;
+    Ok(Path(path))
+}
+
+/// The corrected samples of a source: of a recording of wimu, those of the longest start of the device.
+fn motion(
+    source: &Source,
+    calibration: Option<&Correction>,
+    sensitivity_lsb_per_g: Option<f64>,
+) -> wimu_host::Result<MotionRecording> {
+    if let Some(path) = source.path()
+        && let Input::Recording(path) = Input::parse(&path.to_string_lossy())?
+    {
+        let recording = history::Recording::load(&path)?;
+        let boots = recording.link(source.options().role)?.boots.iter();
+        let longest = boots.max_by_key(|boot| boot.raw.len().max(boot.corrected.len()));
+        let boot = longest.ok_or_else(|| {
+            let error = ErrorCode::NoRows.error("the recording has no samples", "record again");
+            error.at(&recording.name)
+        })?;
+        let parameters = calibration.map(Correction::parameters).transpose()?;
+        return navigation::motion(&recording.name, boot, parameters.as_ref());
+    }
+    let options = TableOptions {
+        calibration: calibration.map(Correction::model).transpose()?,
+        sensitivity_lsb_per_g,
+    };
+    let data = source.data()?;
+    MotionRecording::of(&data, &options)
+}

@@ -463,6 +463,11 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             CONSTANT_VELOCITY_S
         };
         if self.resting {
+            if self.settings.profile != Profile::Foot
+                && let Some(rate) = self.model.zero_rate()
+            {
+                self.filter.update(&rate, Gate::ChiSquare);
+            }
             self.since.accepted = R::zero();
             self.since.known = R::zero();
         } else if failed >= real(certain) {

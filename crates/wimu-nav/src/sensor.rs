@@ -1,12 +1,14 @@
 //! Sensors: each is one file with the prediction of its measurement.
 
 mod accelerometer;
+mod angular_rate;
 mod magnetometer;
 mod position;
 mod second_order;
 mod velocity;
 
 pub use accelerometer::SpecificForce;
+pub use angular_rate::ZeroAngularRate;
 pub use magnetometer::{MagneticField, Magnetometer};
 pub use velocity::{Velocity, recover};
 

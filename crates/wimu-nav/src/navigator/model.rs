@@ -8,7 +8,7 @@ use crate::process::{
     Carried, CarriedBlocks, ImuErrors, RandomWalk, Strapdown, StrapdownBlocks, Unmeasured,
 };
 use crate::rotation::real;
-use crate::sensor::{Magnetometer, SpecificForce};
+use crate::sensor::{Magnetometer, SpecificForce, ZeroAngularRate};
 use crate::state::{Block, Layout, LayoutFull, Role, State};
 
 /// How a navigator predicts from one sample to the next.
@@ -38,6 +38,9 @@ pub trait Model<R, const N: usize>: Sized {
     /// Shortest interval of the magnetometer's updates, s.
     fn field_interval_s(&self) -> R;
 
+    /// Zero angular rate at a rest; `None` where it is not measured.
+    fn zero_rate(&self) -> Option<ZeroAngularRate<R>>;
+
     /// Angular rate, rad/s, body frame.
     fn angular_rate(&self, state: &State<R, N>) -> Vector3<R>;
 
@@ -50,6 +53,9 @@ pub trait Model<R, const N: usize>: Sized {
         None
     }
 }
+
+/// Angular rate at a rest, rad/s, a component: noise of a sample, and rotation that the detector does not see.
+const REST_RATE: f64 = 0.01;
 
 /// Strapdown integration of a gyroscope's angular rate.
 #[derive(Clone, Debug)]
@@ -112,6 +118,16 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
     /// The disturbance is correlated over shorter times.
     fn field_interval_s(&self) -> R {
         real(0.1)
+    }
+
+    fn zero_rate(&self) -> Option<ZeroAngularRate<R>> {
+        let (_, rate_rad_s) = self.last?;
+        let deviation_rad_s = real(REST_RATE);
+        Some(ZeroAngularRate {
+            rate_rad_s,
+            bias: self.blocks.gyroscope_bias,
+            deviation_rad_s,
+        })
     }
 
     fn angular_rate(&self, state: &State<R, N>) -> Vector3<R> {
@@ -305,6 +321,10 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
     /// Every step: it is the only measurement of the rotation about the vertical.
     fn field_interval_s(&self) -> R {
         R::zero()
+    }
+
+    fn zero_rate(&self) -> Option<ZeroAngularRate<R>> {
+        None
     }
 
     fn angular_rate(&self, state: &State<R, N>) -> Vector3<R> {

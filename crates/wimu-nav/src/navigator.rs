@@ -194,7 +194,7 @@ const MOVING_VELOCITY: f64 = 1.5;
 /// Heading and position define the frame, rad, m.
 const START_HEADING: f64 = 1e-3;
 const START_POSITION: f64 = 1e-4;
-/// Standard deviation of the velocity at a rest, m/s, a component: chosen on BROAD and pyshoe.
+/// Standard deviation of the velocity at a rest, m/s, a component: assumption of reference/estimator.
 const REST_SPEED: f64 = 0.01;
 /// Interval of updates at rests, s: the window of the detector, so that they are independent.
 const REST_INTERVAL_S: f64 = 0.25;
@@ -205,7 +205,7 @@ const VEHICLE_SPEED: f64 = 30.0;
 const BOUND_INTERVAL_S: f64 = 1.0;
 /// A step beyond this is a gap, s: a hand's acceleration is not constant over it.
 const GAP_S: f64 = 0.1;
-/// Speed at which the filter has diverged, m/s, and the position's deviation then, m: nobody carries a unit so fast.
+/// Speed beyond which the filter has diverged, m/s: that of an airliner. Standard deviation of the position then, m.
 const DIVERGED_SPEED: f64 = 300.0;
 const LOST_POSITION: f64 = 1e4;
 /// A rest of which every update of such a time failed its test is certain, s, if the last accepted one was so long before

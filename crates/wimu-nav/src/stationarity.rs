@@ -17,7 +17,7 @@ use nalgebra::{RealField, Vector3};
 
 use crate::rotation::real;
 
-/// Settings of the detector. The defaults were chosen on BROAD, see VALIDATION.
+/// Settings of the detector. The defaults were chosen on BROAD (score_navigation).
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Detector<R> {

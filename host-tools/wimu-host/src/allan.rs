@@ -1,7 +1,10 @@
 //! Noise of a recording at rest from the Allan deviation.
 
+mod file;
+
 use std::fmt;
-use std::path::Path;
+
+pub use file::{noise, noise_of};
 
 use serde::Serialize;
 use wimu_calib::{AllanPoint, AllanVariance, AxisNoise, Measured};
@@ -12,12 +15,8 @@ use crate::chart::{Chart, Series};
 use crate::decode::Event;
 use crate::error::{ErrorCode, Result};
 use crate::finding::{Finding, FindingCode, Outcome};
-use crate::formats::{self, ReadOptions, Source};
 use crate::html::Report;
-use crate::recording::{
-    ASSUMED_RATE_HZ, BREAK_NS, OutputUnit, Quantity, REACH, RateSource, Recording, Sink, TrackId,
-    TrackInfo, Unusable, gaps_finding, no_usable_row, rate_and_gaps, unit_of,
-};
+use crate::recording::RateSource;
 
 /// A number and its standard deviation, 1 σ.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -142,238 +141,6 @@ pub struct NoiseReport {
     pub axes: Option<[AxisReport; 3]>,
     /// The curve.
     pub points: Vec<PointReport>,
-}
-
-/// Reads a file and measures the noise of an accelerometer in it, in memory that does not grow with the file.
-/// `sensitivity` is for counts; without it and a sensitivity of the board, the median magnitude of the first
-/// [`BLOCK`] samples is taken as 1 g.
-///
-/// Data that do not support an answer give a report with status `refused`.
-///
-/// # Errors
-/// Those of [`formats::load`] and [`Recording::samples`].
-pub fn noise(
-    path: &Path,
-    options: &ReadOptions,
-    accelerometer: Option<u8>,
-    sensitivity: Option<Sensitivity>,
-) -> Result<NoiseReport> {
-    let source = Source::open(path)?;
-    let mut stream = NoiseOfTracks::new(source.name(), sensitivity);
-    formats::read(&source, options, &mut stream)?;
-    stream.finish(accelerometer)
-}
-
-/// The same of a recording that is in memory.
-///
-/// # Errors
-/// Those of [`Recording::samples`].
-pub fn noise_of(
-    recording: &Recording,
-    accelerometer: Option<u8>,
-    sensitivity: Option<Sensitivity>,
-) -> Result<NoiseReport> {
-    let mut stream = NoiseOfTracks::new(&recording.name, sensitivity);
-    for track in recording.tracks() {
-        let id = stream.track(track.info.clone());
-        for (index, time_ns) in track.times_ns().iter().enumerate() {
-            if track.gaps().binary_search(&index).is_ok() {
-                stream.gap(id);
-            }
-            stream.row(id, *time_ns, track.row(index).unwrap_or_default());
-        }
-    }
-    stream.finish(accelerometer)
-}
-
-/// Samples among which rate and gaps are judged at a time.
-const BLOCK: usize = 1 << 16;
-
-/// The tracks of a file, without their rows, and the noise of the accelerometers.
-struct NoiseOfTracks {
-    recording: Recording,
-    /// One for each track.
-    meters: Vec<TrackMeter>,
-    /// Earliest time of all tracks.
-    start_ns: Option<i64>,
-    sensitivity: Option<Sensitivity>,
-}
-
-impl NoiseOfTracks {
-    fn new(name: &str, sensitivity: Option<Sensitivity>) -> Self {
-        Self {
-            recording: Recording::new(name),
-            meters: Vec::new(),
-            start_ns: None,
-            sensitivity,
-        }
-    }
-
-    /// The noise of the chosen accelerometer.
-    fn finish(mut self, accelerometer: Option<u8>) -> Result<NoiseReport> {
-        let recording = &mut self.recording;
-        for (meter, track) in self.meters.iter().zip(0..) {
-            let info = recording.tracks()[track].info.clone();
-            let name = recording.name.clone();
-            (meter.unusable).report(&info, self.start_ns, &name, &mut recording.findings)?;
-        }
-        let chosen = recording.accelerometer(accelerometer)?;
-        let mut tracks = recording.tracks().iter();
-        let index = tracks.position(|track| std::ptr::eq(track, chosen));
-        let meter = index.and_then(|index| self.meters.get_mut(index));
-        let Some(Some((rate_hz, source))) = meter.map(|meter| meter.finish(&chosen.info)) else {
-            return Err(no_usable_row(&recording.name, &chosen.info));
-        };
-        let meter = &self.meters[index.unwrap_or_default()];
-        let mut report = NoiseReport::new(&recording.name, rate_hz, source, &meter.allan);
-        // The rate is in the report.
-        let read = recording.findings.iter();
-        let read = read
-            .filter(|finding| finding.code != FindingCode::Rate)
-            .cloned();
-        let before: Vec<Finding> = read.chain(gaps_finding(meter.gaps)).collect();
-        report.outcome.findings.splice(0..0, before);
-        Ok(report)
-    }
-}
-
-impl Sink for NoiseOfTracks {
-    fn track(&mut self, info: TrackInfo) -> TrackId {
-        self.meters.push(TrackMeter::new(self.sensitivity));
-        self.recording.track(info)
-    }
-
-    fn row(&mut self, track: TrackId, time_ns: i64, values: &[f64]) {
-        self.start_ns = Some(self.start_ns.map_or(time_ns, |start| start.min(time_ns)));
-        let info = &self.recording.tracks()[track.0].info;
-        if info.quantity == Quantity::SpecificForce {
-            self.meters[track.0].take(info, time_ns, values);
-        }
-    }
-
-    fn gap(&mut self, track: TrackId) {
-        self.meters[track.0].after_gap = true;
-    }
-
-    fn finding(&mut self, finding: Finding) {
-        self.recording.finding(finding);
-    }
-}
-
-/// The noise of a track while its rows are read.
-struct TrackMeter {
-    sensitivity: Option<Sensitivity>,
-    unusable: Unusable,
-    /// Times, values and whether the file says that samples are missing before. The first `done` of them were measured and
-    /// are kept for the judgement of the next ones.
-    rows: Vec<(i64, [f64; 3], bool)>,
-    done: usize,
-    after_gap: bool,
-    allan: Box<AllanVariance>,
-    /// m/s² of one unit, once it is known.
-    scale: Option<f64>,
-    /// Total length of the steps without gaps and breaks, ns, and their number.
-    steps: (i128, u64),
-    /// Number of gaps and their total length, s.
-    gaps: (usize, f64),
-}
-
-impl TrackMeter {
-    fn new(sensitivity: Option<Sensitivity>) -> Self {
-        Self {
-            sensitivity,
-            unusable: Unusable::default(),
-            rows: Vec::new(),
-            done: 0,
-            after_gap: false,
-            allan: Box::new(AllanVariance::new(1.0)),
-            scale: None,
-            steps: (0, 0),
-            gaps: (0, 0.0),
-        }
-    }
-
-    fn take(&mut self, info: &TrackInfo, time_ns: i64, values: &[f64]) {
-        let vector = <[f64; 3]>::try_from(values).unwrap_or([f64::NAN; 3]);
-        let is_valid = vector.iter().all(|axis| axis.is_finite());
-        if !self.unusable.see(time_ns, is_valid, true).1 {
-            return;
-        }
-        let after_gap = std::mem::take(&mut self.after_gap);
-        self.rows.push((time_ns, vector, after_gap));
-        if self.rows.len() >= BLOCK {
-            // The rows after a step tell whether it is a gap.
-            self.measure(info, self.rows.len() - REACH);
-            self.rows.drain(..self.done - REACH);
-            self.done = REACH;
-        }
-    }
-
-    /// Measures the rows up to an index.
-    fn measure(&mut self, info: &TrackInfo, end: usize) {
-        let times: Vec<i64> = self.rows.iter().map(|row| row.0).collect();
-        let (rate_hz, gaps) = match info.timeless {
-            true => None,
-            false => rate_and_gaps(&times),
-        }
-        .unwrap_or((ASSUMED_RATE_HZ, Vec::new()));
-        let stated_hz = info.rate_hz.filter(|_| !info.timeless);
-        let scale = *self.scale.get_or_insert_with(|| {
-            *self.allan = AllanVariance::new(stated_hz.unwrap_or(rate_hz));
-            scale_of(info, self.sensitivity, &self.rows)
-        });
-        let mut gaps = gaps.into_iter().peekable();
-        while gaps.next_if(|gap| *gap < self.done).is_some() {}
-        for index in self.done..end {
-            let (time_ns, value, after_gap) = self.rows[index];
-            let step_ns = time_ns.saturating_sub(times[index.saturating_sub(1)]);
-            let is_seen = gaps.next_if_eq(&index).is_some();
-            if index > 0 && !is_seen && (0..=BREAK_NS).contains(&step_ns) {
-                self.steps = (self.steps.0 + i128::from(step_ns), self.steps.1 + 1);
-            }
-            if index > 0 && (is_seen && stated_hz.is_none() || after_gap) {
-                self.allan.gap();
-                let period_s = 1.0 / stated_hz.unwrap_or(rate_hz);
-                let missing_s = (step_ns as f64 * 1e-9 - period_s).max(0.0);
-                self.gaps = (self.gaps.0 + 1, self.gaps.1 + missing_s);
-            }
-            self.allan.push(value.map(|axis| axis * scale));
-        }
-        self.done = end;
-    }
-
-    /// Measures the rows that are left; returns the rate, Hz, and its source, or `None` without rows.
-    fn finish(&mut self, info: &TrackInfo) -> Option<(f64, RateSource)> {
-        self.measure(info, self.rows.len());
-        let (total_ns, steps) = self.steps;
-        let (rate_hz, source) = match info.rate_hz {
-            _ if info.timeless => (ASSUMED_RATE_HZ, RateSource::Assumed),
-            Some(rate_hz) => (rate_hz, RateSource::Device),
-            None if total_ns > 0 => (1e9 / (total_ns as f64 / steps as f64), RateSource::Times),
-            None => (ASSUMED_RATE_HZ, RateSource::Assumed),
-        };
-        self.allan.set_rate(rate_hz);
-        (!self.rows.is_empty()).then_some((rate_hz, source))
-    }
-}
-
-/// m/s² of one unit of a track.
-fn scale_of(info: &TrackInfo, given: Option<Sensitivity>, rows: &[(i64, [f64; 3], bool)]) -> f64 {
-    let known = match unit_of(info) {
-        OutputUnit::Mps2 => return 1.0,
-        OutputUnit::Counts { nominal, .. } => given.or(nominal),
-    };
-    let norm = |row: &(i64, [f64; 3], bool)| row.1.iter().map(|axis| axis * axis).sum::<f64>();
-    let mut squares: Vec<f64> = rows.iter().map(norm).collect();
-    squares.sort_by(f64::total_cmp);
-    let median = squares
-        .get(squares.len() / 2)
-        .map_or(0.0, |square| square.sqrt());
-    match known {
-        Some(known) => known.mps2_per_lsb(),
-        None if median > 0.0 => STANDARD_GRAVITY_MPS2 / median,
-        None => STANDARD_GRAVITY_MPS2,
-    }
 }
 
 /// The noise of a board at rest, while its samples arrive.
@@ -676,6 +443,3 @@ impl fmt::Display for NoiseReport {
         Ok(())
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -151,20 +151,6 @@ impl Finding {
         }
     }
 
-    /// A note of all sensors and times, with what to do.
-    pub fn note(code: FindingCode, evidence: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self::new(code, Severity::Note, evidence).remedy(remedy)
-    }
-
-    /// A warning of all sensors and times, with what to do.
-    pub fn warning(
-        code: FindingCode,
-        evidence: impl Into<String>,
-        remedy: impl Into<String>,
-    ) -> Self {
-        Self::new(code, Severity::Warning, evidence).remedy(remedy)
-    }
-
     /// The same, of one sensor.
     #[must_use]
     pub fn of_sensor(mut self, sensor: u8) -> Self {

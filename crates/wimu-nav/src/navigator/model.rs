@@ -142,7 +142,8 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
 
 /// Samples are averaged to this interval, s: at least twice the bandwidth of a hand's motion.
 const STEP_S: f64 = 0.02;
-/// Time over which the magnetic field turns, s, for its rate.
+/// Steps over which the direction of the magnetic field is differenced, and steps averaged at both ends: 0.3 s and 0.14 s,
+/// as in reference/estimator.
 const TURN_STEPS: usize = 21;
 const TURN_MEAN: usize = 7;
 
@@ -166,10 +167,11 @@ impl<R: RealField + Copy> Level<R> {
     }
 }
 
+/// Time constants of the mean squares, s: a gesture, and half the window of reference/estimator.
 const SHORT_S: f64 = 0.5;
 const LONG_S: f64 = 5.0;
 /// Deviation of the acceleration over the RMS of |f| − g, and of the angular rate over that of the field's turning rate:
-/// each sees part of the motion only. Chosen on BROAD, see VALIDATION.
+/// each sees part of the motion only. Chosen on BROAD (score_navigation).
 const ACCELERATION_FACTOR: f64 = 1.8;
 const RATE_FACTOR: f64 = 2.0;
 /// Smallest deviations, m/s² and rad/s.

@@ -17,13 +17,13 @@ use super::{Process, Transition};
 use crate::rotation::real;
 use crate::state::{ATTITUDE, Block, Layout, LayoutFull, POSITION, Role, State, VELOCITY};
 
-/// Natural frequency ω₀, rad/s, and damping ratio ζ of the velocity: chosen on BROAD, see VALIDATION.
+/// Natural frequency ω₀, rad/s, and damping ratio ζ of the velocity: chosen on BROAD (score_navigation).
 const FREQUENCY: f64 = 8.0;
 const DAMPING: f64 = 0.5;
 /// Random walk of the position in motion, m/√s: displacements slower than the oscillator. Chosen on simulated journeys
-/// with steps and stops, see VALIDATION.
+/// with steps and stops (score_navigation).
 const WANDER: f64 = 0.15;
-/// Correlation time of the angular rate, s: chosen on BROAD, see VALIDATION.
+/// Correlation time of the angular rate, s: chosen on BROAD (score_navigation).
 const RATE_TIME_S: f64 = 0.1;
 
 /// States beside attitude, velocity and position.

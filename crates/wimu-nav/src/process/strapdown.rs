@@ -24,11 +24,11 @@ pub struct ImuErrors<R> {
     pub gyroscope_noise: R,
     /// Bias of the accelerometer, m/s².
     pub accelerometer_bias: R,
-    /// Random walk of the accelerometer's bias, m/s²/√s: chosen on BROAD, see VALIDATION.
+    /// Random walk of the accelerometer's bias, m/s²/√s: chosen on BROAD (score_navigation).
     pub accelerometer_bias_walk: R,
     /// Bias of the gyroscope, rad/s: 1 deg/s at turn-on (datasheets), rounded up.
     pub gyroscope_bias: R,
-    /// Random walk of the gyroscope's bias, rad/s/√s: chosen on BROAD, see VALIDATION.
+    /// Random walk of the gyroscope's bias, rad/s/√s: chosen on BROAD (score_navigation).
     pub gyroscope_bias_walk: R,
     /// Scale factor and misalignment, rad, of the accelerometer.
     pub accelerometer_matrix: [R; 2],

@@ -6,7 +6,7 @@ use super::{Process, Transition};
 use crate::rotation::real;
 use crate::state::{ATTITUDE, POSITION, State, VELOCITY};
 
-/// Acceleration, m/s², and angular rate, rad/s, that nobody measured, 1 σ of a component: a brisk hand (BROAD, fast).
+/// Standard deviations of acceleration, m/s², and angular rate, rad/s, a component: brisk hand motion (BROAD, fast).
 const ACCELERATION: f64 = 5.0;
 const RATE: f64 = 2.0;
 

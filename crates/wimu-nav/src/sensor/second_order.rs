@@ -26,7 +26,7 @@ impl<R: RealField + Copy> SecondOrder<R> {
     /// Of a vector whose error is that of a block.
     ///
     /// The covariance is the outer product of the first mean plus tr(P) cov(e): wider than that of Gaussian errors, and
-    /// better in fast motion (VALIDATION).
+    /// better in fast motion (score_navigation).
     pub fn of<const N: usize>(filter: &Filter<R, N>, vector: &Vector3<R>, error: Block<3>) -> Self {
         let attitude = filter.covariance(ATTITUDE);
         let cross = filter.cross_covariance(ATTITUDE, error);

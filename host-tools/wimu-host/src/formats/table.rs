@@ -127,13 +127,13 @@ fn read_table(
             table.names[*first]
         );
         let remedy = "they are not read as such; give --columns with a known unit";
-        findings.push(Finding::warning(FindingCode::UnitInferred, text, remedy));
+        findings.push(FindingCode::UnitInferred.warning(text).remedy(remedy));
     }
     let is_mixed = |group: &&Group| group.scales.iter().any(|scale| *scale != group.scales[0]);
     for group in layout.groups.iter().filter(is_mixed) {
         let text = format!("the components of `{}` have different units", group.name);
         let remedy = "check the units in the header or in --columns";
-        findings.push(Finding::warning(FindingCode::UnitInferred, text, remedy));
+        findings.push(FindingCode::UnitInferred.warning(text).remedy(remedy));
     }
     let conversions = conversions(&layout, &survey, options, &mut findings).map_err(at_header)?;
     let clock = match times.is_empty() {
@@ -347,7 +347,7 @@ impl<'a, 'b> Writer<'a, 'b> {
         if self.without_size > 0 {
             let text = format!("{} rows of counts have no sensitivity", self.without_size);
             let remedy = "they are left out";
-            findings.push(Finding::warning(FindingCode::RowsMasked, text, remedy));
+            findings.push(FindingCode::RowsMasked.warning(text).remedy(remedy));
         }
         if self.scalars_left_out > 0 {
             let left_out = self.scalars_left_out;

@@ -60,7 +60,9 @@ impl Unusable {
                 counted(self.not_finite, "row"),
                 since_s(first)
             );
-            let finding = Finding::warning(FindingCode::RowsMasked, evidence, "they are left out");
+            let finding = FindingCode::RowsMasked
+                .warning(evidence)
+                .remedy("they are left out");
             findings.push(finding.of_sensor(info.sensor));
         }
         let is_reported = |finding: &Finding| finding.code == FindingCode::TimesUnordered;
@@ -73,11 +75,7 @@ impl Unusable {
             );
             let remedy =
                 "they are left out; sort the rows, or select one of several runs with --where";
-            findings.push(Finding::warning(
-                FindingCode::TimesUnordered,
-                evidence,
-                remedy,
-            ));
+            findings.push(FindingCode::TimesUnordered.warning(evidence).remedy(remedy));
         }
         if 2 * (self.not_finite + self.early) <= rows {
             return Ok(());

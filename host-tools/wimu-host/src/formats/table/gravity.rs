@@ -115,7 +115,7 @@ fn add(linear: &Kept, gravity: &Kept, sink: &mut dyn Sink) {
         linear.rows.len()
     );
     let remedy = "gravity is an estimate of the phone: an acceleration with gravity is better";
-    sink.finding(Finding::note(FindingCode::GravityAdded, text, remedy));
+    sink.finding(FindingCode::GravityAdded.note(text).remedy(remedy));
 }
 
 /// Gravity at a time, of which `after` is the first row not before it.

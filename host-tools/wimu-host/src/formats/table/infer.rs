@@ -99,7 +99,7 @@ pub fn conversion(
         None if is_rate => {
             let text = format!("`{}` is an angular rate without a unit", group.name);
             let remedy = "it is left out; name the unit: --columns \"…,gx=COLUMN:deg/s,…\"";
-            let finding = Finding::warning(FindingCode::UnitInferred, text, remedy);
+            let finding = FindingCode::UnitInferred.warning(text).remedy(remedy);
             findings.push(finding.of_sensor(group.sensor));
             conversion.is_left_out = true;
         }
@@ -129,7 +129,9 @@ fn inferred(
     let counts = is_integer && magnitude >= MIN_COUNTS;
     let mut add = |text: String| {
         let text = format!("no unit is named: {text}");
-        let finding = Finding::note(FindingCode::UnitInferred, text, "if not, give --units");
+        let finding = FindingCode::UnitInferred
+            .note(text)
+            .remedy("if not, give --units");
         findings.push(finding.of_sensor(group.sensor));
     };
     // Integers near 9.81 or 1 may be values of a coarse sensor in m/s² or g, or counts.

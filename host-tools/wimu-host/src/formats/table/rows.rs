@@ -110,12 +110,14 @@ impl Count {
                 self.rows,
                 text_of(fault, table)
             );
-            let finding = Finding::warning(FindingCode::RowsMasked, evidence, "they are left out");
+            let finding = FindingCode::RowsMasked
+                .warning(evidence)
+                .remedy("they are left out");
             findings.push(finding);
         }
         if self.is_cut {
             let (evidence, remedy) = ("the last line is incomplete", "it is left out");
-            findings.push(Finding::warning(FindingCode::Truncated, evidence, remedy));
+            findings.push(FindingCode::Truncated.warning(evidence).remedy(remedy));
         }
         findings
     }

@@ -67,7 +67,12 @@ pub fn find(group: &Group, evidence: Evidence, findings: &mut Vec<Finding>) -> Z
             "65536 is subtracted from those above 32767",
         ),
     };
-    findings.push(Finding::note(FindingCode::ZeroCount, text, remedy).of_sensor(group.sensor));
+    findings.push(
+        FindingCode::ZeroCount
+            .note(text)
+            .remedy(remedy)
+            .of_sensor(group.sensor),
+    );
     zero
 }
 

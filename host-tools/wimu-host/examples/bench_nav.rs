@@ -3,6 +3,8 @@
 
 #[path = "bench_nav/array.rs"]
 mod array;
+#[path = "score_navigation/gyroscopes.rs"]
+mod gyroscopes;
 
 use std::path::PathBuf;
 

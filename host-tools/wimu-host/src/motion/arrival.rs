@@ -6,7 +6,7 @@ use crate::motion::median_step_s;
 const UNEVEN: f64 = 0.3;
 /// ... and more than this fraction of uneven steps are those of times of arrival: a sensor's own clock is even.
 const UNEVEN_FRACTION: f64 = 0.2;
-/// Samples over which the period is measured.
+/// Samples over which the period is measured for the search of losses.
 const PERIOD_SAMPLES: usize = 64;
 /// Samples before and after one among which the least delay counts. After: a backlog at the start of a recording is
 /// sent at once, and its delay decays over hundreds of samples.
@@ -18,7 +18,7 @@ pub(crate) const TIME_SD_S: f64 = 1e-3;
 /// The times at which samples were taken, s, if `times_s` are those at which they arrived: a constant period, and the
 /// least delay nearby. `None` where the times are even.
 ///
-/// The period is the median slope over 64 samples. A pause after which the delay does not fall again is a loss of
+/// A pause after which the delay does not fall again is a loss of
 /// samples, and both sides of it are treated apart.
 pub fn sampled_times(times_s: &[f64]) -> Option<Vec<f64>> {
     let usual = median_step_s(times_s);
@@ -32,34 +32,68 @@ pub fn sampled_times(times_s: &[f64]) -> Option<Vec<f64>> {
     let slope = |w: &[f64]| (w[PERIOD_SAMPLES] - w[0]) / PERIOD_SAMPLES as f64;
     let mut slopes: Vec<f64> = times_s.windows(PERIOD_SAMPLES + 1).map(slope).collect();
     slopes.sort_by(f64::total_cmp);
-    let period_s = slopes[slopes.len() / 2];
+    let about_s = slopes[slopes.len() / 2];
+    let parts = parts(times_s, about_s);
+    Some(
+        parts
+            .into_iter()
+            .flat_map(|part| of_part(&times_s[part]))
+            .collect(),
+    )
+}
 
+/// The times of samples without a loss among them.
+fn of_part(times_s: &[f64]) -> Vec<f64> {
+    let period_s = period_s(times_s);
     let delays: Vec<f64> = (0_u32..)
         .zip(times_s)
         .map(|(k, t)| t - f64::from(k) * period_s)
         .collect();
-    let mut found = Vec::with_capacity(times_s.len());
-    for part in parts(&delays, period_s) {
-        let delays = &delays[part];
-        let least: Vec<f64> = (0..delays.len())
-            .map(|k| {
-                let nearby = k.saturating_sub(BEFORE)..(k + AFTER).min(delays.len());
-                delays[nearby].iter().copied().fold(f64::INFINITY, f64::min)
-            })
-            .collect();
-        let first = found.len();
-        for k in 0..least.len() {
-            let nearby =
-                &least[k.saturating_sub(BEFORE / 2)..(k + BEFORE / 2 + 1).min(least.len())];
-            let delay = nearby.iter().sum::<f64>() / nearby.len() as f64;
-            found.push((first + k) as f64 * period_s + delay);
+    let count = delays.len();
+    let near =
+        |k: usize, before: usize, after: usize| k.saturating_sub(before)..(k + after).min(count);
+    let least: Vec<f64> = (0..count)
+        .map(|k| {
+            delays[near(k, BEFORE, AFTER)]
+                .iter()
+                .copied()
+                .fold(f64::INFINITY, f64::min)
+        })
+        .collect();
+    let time = |k: usize| {
+        let nearby = &least[near(k, BEFORE / 2, BEFORE / 2 + 1)];
+        k as f64 * period_s + nearby.iter().sum::<f64>() / nearby.len() as f64
+    };
+    (0..count).map(time).collect()
+}
+
+/// Slope of the line below all times that is nearest to them: the edge of their lower convex hull over the middle
+/// (S. Moon, P. Skelly and D. Towsley, "Estimation and removal of clock skew from network delay measurements", 1999).
+fn period_s(times_s: &[f64]) -> f64 {
+    let mut hull: Vec<(f64, f64)> = Vec::new();
+    for (k, t) in (0_u32..).zip(times_s) {
+        let next = (f64::from(k), *t);
+        while let [.., a, b] = hull[..] {
+            if (b.1 - a.1) * (next.0 - a.0) < (next.1 - a.1) * (b.0 - a.0) {
+                break;
+            }
+            hull.pop();
         }
+        hull.push(next);
     }
-    Some(found)
+    let middle = 0.5 * (times_s.len() - 1) as f64;
+    let edge = hull.windows(2).find(|edge| edge[1].0 >= middle);
+    edge.map_or(0.0, |edge| {
+        (edge[1].1 - edge[0].1) / (edge[1].0 - edge[0].0)
+    })
 }
 
 /// Runs between losses: after one the delay stays higher by three periods and more than it was just before.
-fn parts(delays: &[f64], period_s: f64) -> Vec<std::ops::Range<usize>> {
+fn parts(times_s: &[f64], period_s: f64) -> Vec<std::ops::Range<usize>> {
+    let delays: Vec<f64> = (0_u32..)
+        .zip(times_s)
+        .map(|(k, t)| t - f64::from(k) * period_s)
+        .collect();
     let least = |part: &[f64]| part.iter().copied().fold(f64::INFINITY, f64::min);
     let (mut parts, mut first) = (Vec::new(), 0);
     for k in 1..delays.len() {

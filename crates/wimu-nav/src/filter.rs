@@ -104,6 +104,21 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
             .copy_from(covariance);
     }
 
+    /// Replaces the covariance between two different blocks.
+    pub fn set_cross_covariance<const V: usize, const W: usize>(
+        &mut self,
+        rows: Block<V>,
+        columns: Block<W>,
+        covariance: &SMatrix<R, V, W>,
+    ) {
+        self.covariance
+            .fixed_view_mut::<V, W>(rows.start(), columns.start())
+            .copy_from(covariance);
+        self.covariance
+            .fixed_view_mut::<W, V>(columns.start(), rows.start())
+            .copy_from(&covariance.transpose());
+    }
+
     /// Whether state and variances are finite and no variance is negative.
     pub fn is_sound(&self) -> bool {
         let variances = self.covariance.diagonal();

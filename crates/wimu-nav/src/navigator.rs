@@ -6,13 +6,13 @@ pub use model::{Gyroscope, Model, NoGyroscope};
 
 use core::fmt;
 
-use nalgebra::{Matrix1, Matrix3, RealField, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix1, Matrix3, RealField, Rotation3, SMatrix, UnitQuaternion, Vector3};
 
 use crate::filter::{Filter, Gate, Innovation};
 use crate::process::{ImuErrors, Unmeasured};
 use crate::rotation::{about_up, level, real, yaw};
 use crate::sensor::{MagneticField, Magnetometer, Measurement, Position, Velocity, recover};
-use crate::state::{ATTITUDE, Block, Layout, LayoutFull, POSITION, Role, VELOCITY};
+use crate::state::{ATTITUDE, Layout, LayoutFull, POSITION, Role, VELOCITY};
 
 /// What is assumed of the motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -39,7 +39,7 @@ pub enum Rests {
     ZeroVelocity,
     /// The velocity is an unknown constant of 0 ± 0.1 m/s, the same at all rests: a considered state.
     ConstantVelocity,
-    /// Nothing.
+    /// Nothing: rests are not used.
     Ignored,
 }
 
@@ -211,7 +211,7 @@ const LOST_POSITION: f64 = 1e4;
 /// A rest of which every update of such a time failed its test is certain, s, if the last accepted one was so long before
 /// that the velocity may have drifted, s. Otherwise the unit moves at a constant velocity, for at most the last time, s.
 const CERTAIN_REST_S: f64 = 1.5;
-const DRIFT_S: f64 = 1.0;
+const DRIFT_S: f64 = 2.0;
 const CONSTANT_VELOCITY_S: f64 = 10.0;
 
 /// Times since the last updates, s.
@@ -235,7 +235,6 @@ pub struct Navigator<R, M, const N: usize> {
     magnetometer: Magnetometer<R>,
     reference_ut: Option<Vector3<R>>,
     since: Since<R>,
-    hidden: Option<Block<3>>,
     resting: bool,
     recoveries: u32,
     divergences: u32,
@@ -259,13 +258,11 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         let attitude = [tilt, tilt, START_HEADING].map(real);
         let mut layout = Layout::new(attitude, real(velocity), real(START_POSITION));
         let magnetometer = Magnetometer::claim(&mut layout)?;
-        let model = M::claim(&mut layout, &settings, start)?;
         let hidden = match settings.rests {
-            Rests::ConstantVelocity => {
-                Some(layout.claim(Role::Considered, [real(HIDDEN_VELOCITY); 3])?)
-            }
-            _ => None,
+            Rests::ZeroVelocity => None,
+            _ => Some(layout.claim(Role::Considered, [real(HIDDEN_VELOCITY); 3])?),
         };
+        let model = M::claim(&mut layout, &settings, start, hidden)?;
         let zero = R::zero();
         Ok(Self {
             settings,
@@ -280,7 +277,6 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
                 accepted: zero,
                 known: zero,
             },
-            hidden,
             resting: false,
             recoveries: 0,
             divergences: 0,
@@ -449,7 +445,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
     /// A rest that fails the test is constant velocity, or the start of a motion. One that goes on failing is certain,
     /// until an update passes or the unit moves, as is the stance of a foot.
     fn update_rest(&mut self) {
-        let zero = Velocity::zero(real(REST_SPEED), self.hidden);
+        let zero = Velocity::zero(real(REST_SPEED), self.model.hidden_velocity());
         let gate = match self.settings.profile {
             Profile::Foot => Gate::Open,
             _ => Gate::ChiSquare,
@@ -516,6 +512,20 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         let turn = about_up(heading - self.heading());
         self.filter.state.attitude = turn * self.filter.state.attitude;
         self.reference_ut = self.reference_ut.map(|field| turn * field);
+    }
+
+    /// Covariance of a calibration of the accelerometer: bias, m/s², then the matrix by rows, of equation (113), body
+    /// frame. Before the first sample. A model without a matrix leaves it out: then
+    /// [`ImuErrors::accelerometer_bias`] contains the effect of the matrix at rest.
+    pub fn set_calibration(&mut self, covariance: &SMatrix<R, 12, 12>) {
+        let Some((bias, matrix)) = self.model.calibrated() else {
+            return;
+        };
+        let filter = &mut self.filter;
+        filter.set_covariance(bias, &covariance.fixed_view::<3, 3>(0, 0).into_owned());
+        filter.set_covariance(matrix, &covariance.fixed_view::<9, 9>(3, 3).into_owned());
+        let cross = covariance.fixed_view::<3, 9>(0, 3).into_owned();
+        filter.set_cross_covariance(bias, matrix, &cross);
     }
 
     /// Makes a position, m, east-north-up, that of the unit: at the start.

@@ -260,7 +260,7 @@ impl<'a> Correction<'a> {
             .and_then(|gyroscope| gyroscope.sd);
         let gyroscope = gyroscope.map(|sd| sd.map(f64::from));
         let rotation = self.calibration.alignment.matrix();
-        let variance = self.calibration.bias_sd_mps2.powi(2);
+        let variance = self.calibration.bias_sd_mps2().powi(2);
         let mut count = 0;
         for row in self.rows() {
             let stamp_ns = u64::try_from(row.time_ns).unwrap_or_default();

@@ -21,6 +21,7 @@ mod words;
 
 pub use datasheet::{DatasheetReport, LimitReport, datasheet};
 pub use export::{CalibrationExport, ExportTarget, KalibrNoise};
+pub(crate) use file::worst_sd;
 pub use file::{
     CalibrationFile, Session, StoredModel, further_sensors, read_model, read_parameters, sessions,
 };

@@ -8,6 +8,9 @@ pub(crate) use arrival::TIME_SD_S;
 pub use arrival::sampled_times;
 pub use table::TableOptions;
 
+use nalgebra::{Matrix3, SMatrix};
+use wimu_model::{Alignment, ModelCovariance};
+
 use crate::finding::Finding;
 
 /// A sample of one unit, corrected, body frame.
@@ -25,6 +28,9 @@ pub struct UnitSample {
 
 /// Standard deviation of the bias of a calibrated consumer accelerometer, m/s²: what its turn-on changes (datasheets).
 const BIAS_MPS2: f64 = 0.05;
+
+/// Change of scale factor and misalignment after a calibration: 0.01 %/K over 10 K (LSM6DSO, MPU-9250 datasheets).
+const MATRIX_CHANGE: f64 = 0.001;
 
 /// A longer pause between samples is a gap: 0.25 s, or four times the usual step.
 pub fn gap_s(times_s: &[f64]) -> f64 {
@@ -82,9 +88,9 @@ pub struct MotionRecording {
     pub truth: Vec<Option<Truth>>,
     /// What was noticed at reading.
     pub findings: Vec<Finding>,
-    /// What the calibration of its accelerometer leaves unknown of a bias, scale and axes at 1 *g* among it, m/s²: one
-    /// standard deviation of the worst axis; 0 where nobody says.
-    pub bias_sd_mps2: f64,
+    /// Covariance of the calibration of its accelerometer, body axes: bias, m/s², then the matrix by rows; `None` where it
+    /// is not known.
+    pub covariance: Option<[[f64; 12]; 12]>,
     /// Full scale of its accelerometer, m/s², where the recording gives it. A sample beyond it, or else beyond
     /// [`FULL_SCALE_MPS2`], was not measured.
     pub full_scale_mps2: Option<f64>,
@@ -123,10 +129,25 @@ impl MotionRecording {
             .map(|(_, values)| values.as_slice())
     }
 
-    /// Standard deviation of the accelerometer's bias, m/s²: that of a calibrated one, and what its calibration leaves
-    /// unknown.
+    /// Standard deviation of the accelerometer's bias, m/s²: what turn-on changes, and what its calibration leaves
+    /// unknown on the worst axis at 1 *g*, with the matrix.
     pub fn bias_mps2(&self) -> f64 {
-        BIAS_MPS2.hypot(self.bias_sd_mps2)
+        let sd = |place: usize| {
+            self.covariance
+                .map_or(0.0, |known| known[place][place].sqrt())
+        };
+        BIAS_MPS2.hypot(crate::calibration::worst_sd(sd))
+    }
+
+    /// Covariance of bias and matrix with what changes after the calibration: a turn-on bias, and a scale factor and axes
+    /// that depend on temperature and age.
+    pub fn calibration_covariance(&self) -> Option<[[f64; 12]; 12]> {
+        let mut all = self.covariance?;
+        for (place, row) in all.iter_mut().enumerate() {
+            let later = if place < 3 { BIAS_MPS2 } else { MATRIX_CHANGE };
+            row[place] += later * later;
+        }
+        Some(all)
     }
 
     /// Gravity to navigate with, m/s²: the standard one, unless mean |f| of the first second at rest within the first minute
@@ -185,4 +206,16 @@ pub fn nees(error: [f64; 3], p: [[f64; 3]; 3]) -> f64 {
             det(changed) / whole * error[column]
         })
         .sum()
+}
+
+/// The covariance of an error model, in the axes of the body: b ← R b, M ← R M Rᵀ.
+pub(crate) fn in_body_axes(known: &ModelCovariance, alignment: &Alignment) -> [[f64; 12]; 12] {
+    let rotation = Matrix3::from_row_slice(alignment.matrix().as_flattened());
+    let mut change = SMatrix::<f64, 12, 12>::zeros();
+    change.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+    change
+        .fixed_view_mut::<9, 9>(3, 3)
+        .copy_from(&rotation.kronecker(&rotation));
+    let sensor = SMatrix::from_fn(|a, b| known.get(a, b));
+    (change * sensor * change.transpose()).into()
 }

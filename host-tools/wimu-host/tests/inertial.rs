@@ -276,14 +276,14 @@ fn a_straight_move_without_a_gyroscope_is_as_long_as_it_was() {
 
 #[test]
 fn constant_velocity_between_two_accelerations_is_not_taken_for_a_rest() {
-    // 0.2 m/s for 3 s, as quiet as a rest: 0.66 m.
+    // After 5 s of rest 0.2 m/s for 3 s, as quiet as a rest: 0.66 m.
     let recording = slide();
     let rest = |k: usize| f64::from((k as u32 * 7919) % 13) * 0.003 - 0.018;
     let (mut times, mut samples) = (Vec::new(), Vec::new());
-    for k in 0..700 {
+    for k in 0..1050 {
         let push = match k {
-            150..180 => 0.2 / 0.3,
-            480..510 => -0.2 / 0.3,
+            500..530 => 0.2 / 0.3,
+            830..860 => -0.2 / 0.3,
             _ => 0.0,
         };
         times.push(k as f64 * 0.01);
@@ -296,21 +296,6 @@ fn constant_velocity_between_two_accelerations_is_not_taken_for_a_rest() {
     }
     let recording = MotionRecording::new("constant", times, samples);
     let path = navigate(&recording, &Choice::default()).unwrap();
-    if std::env::var("DBG").is_ok() {
-        for p in path.points.iter().step_by(10) {
-            eprintln!(
-                "{:.2} rest {} v {:.3} {:.3} {:.3} sd {:.4} p {:.3} sd {:.3}",
-                p.time_s,
-                p.resting,
-                p.velocity_mps[0],
-                p.velocity_mps[1],
-                p.velocity_mps[2],
-                p.velocity_sd_mps[0],
-                p.position_m[0],
-                p.sd_m()
-            );
-        }
-    }
     let end = path.points.last().unwrap();
     assert!(
         (end.position_m[0].hypot(end.position_m[1]) - 0.66).abs() < 3.0 * end.sd_m(),
@@ -343,7 +328,7 @@ fn a_start_pose_given_rests_and_a_bounded_place_are_used() {
     });
     let last = |path: &InertialPath| path.points.last().unwrap().sd_m();
     assert!(
-        last(&within) < last(&free) && last(&within) < 0.35,
+        last(&within) < 0.5 * last(&free) && last(&within) < 0.5,
         "{} {}",
         last(&within),
         last(&free)

@@ -65,10 +65,10 @@ fn an_array_at_rest_is_navigated_with_its_horizon() {
     let path = folder.path().join("path.csv");
     let path = path.to_str().unwrap();
     let geometry = ["--geometry", &positions, "-o", path];
-    let ran = wimu(&[&["navigate", &board, "--method", "array"][..], &geometry].concat());
+    let ran = wimu(&[&["navigate", &board][..], &geometry].concat());
     let object = ran.succeeds();
     let mut texts = Transcript::default();
-    texts.text("navigate --method array", &ran);
+    texts.text("navigate --geometry", &ran);
     texts.check("navigate_array");
     assert_eq!(object["method"], "array");
     assert!(object["horizon"]["to_1_m_s"].is_null() && object["valid_share"].as_f64() > Some(0.8));
@@ -79,7 +79,7 @@ fn an_array_at_rest_is_navigated_with_its_horizon() {
         let arguments = ["navigate", &board, "--zupt", zupt];
         let object = wimu(&[&arguments[..], &geometry[..2]].concat()).succeeds();
         let sigma = |i: usize| object["final_sigma_m"][i].as_f64().unwrap();
-        (sigma(0).hypot(sigma(1)), object["stillness"].is_null())
+        (sigma(0).hypot(sigma(1)), object["rests"] == 0)
     };
     let ((stated, _), (free, no_rests)) = (with("on"), with("off"));
     assert!(
@@ -126,17 +126,7 @@ fn geometries_that_cannot_work_are_refused_with_what_is_missing() {
         texts.fails(format_args!("{text:?}"), &navigate(&board, &wrong), 2, code);
     }
     let positions = geometry(folder.path(), &POSITIONS);
-    wimu(&["navigate", &board, "--method", "array"]).fails(2, "usage");
     wimu(&["navigate", &board, &board]).fails(2, "usage");
-    wimu(&[
-        "navigate",
-        &board,
-        "--geometry",
-        &positions,
-        "--method",
-        "tilt",
-    ])
-    .fails(2, "usage");
     let refine = ["--refine", &positions];
     wimu(&[&["navigate", &board, "--geometry", &positions][..], &refine].concat())
         .fails(2, "usage");

@@ -166,7 +166,7 @@ fn a_magnetometer_that_is_not_calibrated_is_not_called_absent() {
             .unwrap();
         }
         fs::write(&path, text).unwrap();
-        let ran = wimu(&["navigate", path.to_str().unwrap(), "--method", "tilt"]);
+        let ran = wimu(&["navigate", path.to_str().unwrap()]);
         texts.findings(case, &ran);
     }
     texts.check("navigate_magnetometer");

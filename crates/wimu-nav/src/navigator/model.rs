@@ -13,7 +13,7 @@ use crate::state::{Block, Layout, LayoutFull, Role, State};
 
 /// How a navigator predicts from one sample to the next.
 pub trait Model<R, const N: usize>: Sized {
-    /// Claims its states.
+    /// Claims its states. `hidden` is a constant velocity that rests do not show.
     ///
     /// # Errors
     /// [`LayoutFull`].
@@ -21,7 +21,11 @@ pub trait Model<R, const N: usize>: Sized {
         layout: &mut Layout<R, N>,
         settings: &Settings<R>,
         start: &Start<R>,
+        hidden: Option<Block<3>>,
     ) -> Result<Self, LayoutFull>;
+
+    /// The constant velocity that a rest has in place of zero.
+    fn hidden_velocity(&self) -> Option<Block<3>>;
 
     /// Predicts to a sample, and returns the reading of the magnetometer there, µT, body frame.
     fn step(
@@ -38,8 +42,8 @@ pub trait Model<R, const N: usize>: Sized {
     /// Shortest interval of the magnetometer's updates, s.
     fn field_interval_s(&self) -> R;
 
-    /// Zero angular rate at a rest; `None` where it is not measured.
-    fn zero_rate(&self) -> Option<ZeroAngularRate<R>>;
+    /// Zero angular rate over the rest since the last call; `None` where it is not measured.
+    fn zero_rate(&mut self) -> Option<ZeroAngularRate<R>>;
 
     /// Angular rate, rad/s, body frame.
     fn angular_rate(&self, state: &State<R, N>) -> Vector3<R>;
@@ -48,14 +52,54 @@ pub trait Model<R, const N: usize>: Sized {
     /// test.
     fn recovered(&self) -> Block<3>;
 
+    /// Bias and matrix of the accelerometer, where both are in the state.
+    fn calibrated(&self) -> Option<(Block<3>, Block<9>)> {
+        None
+    }
+
     /// Acceleration in the navigation frame, where it is a state.
     fn acceleration(&self) -> Option<Block<3>> {
         None
     }
 }
 
-/// Angular rate at a rest, rad/s, a component: noise of a sample, and rotation that the detector does not see.
-const REST_RATE: f64 = 0.01;
+/// Smallest deviation of the mean angular rate over part of a rest, rad/s: resolution of a sensor of 16 bits.
+const LEAST_REST_RATE: f64 = 1e-3;
+
+/// Angular rates of a rest since the last update there.
+#[derive(Clone, Copy, Debug)]
+struct RestRates<R> {
+    count: R,
+    sum: Vector3<R>,
+    squares: R,
+}
+
+impl<R: RealField + Copy> RestRates<R> {
+    fn none() -> Self {
+        Self {
+            count: R::zero(),
+            sum: Vector3::zeros(),
+            squares: R::zero(),
+        }
+    }
+
+    fn push(&mut self, rate: &Vector3<R>) {
+        self.count += R::one();
+        self.sum += rate;
+        self.squares += rate.norm_squared();
+    }
+
+    /// Mean, and deviation of a sample: the rotation of a hand's rest lasts as long as the rest between two updates.
+    fn mean(&self) -> Option<(Vector3<R>, R)> {
+        if self.count < R::one() {
+            return None;
+        }
+        let mean = self.sum / self.count;
+        let variance = (self.squares / self.count - mean.norm_squared()) / real(3.0);
+        let least = real::<R>(LEAST_REST_RATE);
+        Some((mean, variance.max(least * least).sqrt()))
+    }
+}
 
 /// Strapdown integration of a gyroscope's angular rate.
 #[derive(Clone, Debug)]
@@ -63,7 +107,9 @@ pub struct Gyroscope<R> {
     blocks: StrapdownBlocks,
     errors: ImuErrors<R>,
     gravity_mps2: R,
+    hidden: Option<Block<3>>,
     last: Option<(Vector3<R>, Vector3<R>)>,
+    rest: RestRates<R>,
 }
 
 impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
@@ -71,6 +117,7 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
         layout: &mut Layout<R, N>,
         settings: &Settings<R>,
         _: &Start<R>,
+        hidden: Option<Block<3>>,
     ) -> Result<Self, LayoutFull> {
         let errors = settings.errors;
         let blocks = StrapdownBlocks::claim(layout, &errors)?.consider(layout, &errors)?;
@@ -78,23 +125,35 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
             blocks,
             errors,
             gravity_mps2: settings.gravity_mps2,
+            hidden,
             last: None,
+            rest: RestRates::none(),
         })
+    }
+
+    fn hidden_velocity(&self) -> Option<Block<3>> {
+        self.hidden
     }
 
     fn step(
         &mut self,
         filter: &mut Filter<R, N>,
         sample: &Sample<R>,
-        _: bool,
+        at_rest: bool,
         magnetometer: &Magnetometer<R>,
     ) -> Option<Vector3<R>> {
         let step_s = sample.step_s;
+        if !at_rest {
+            self.rest = RestRates::none();
+        }
         let Some(rate) = sample.rate_rad_s else {
             self.last = None;
             filter.predict(&(Unmeasured { step_s }, magnetometer.step(step_s)));
             return sample.field_ut;
         };
+        if at_rest {
+            self.rest.push(&rate);
+        }
         let now = (sample.force_mps2, rate);
         let before = self.last.replace(now).unwrap_or(now);
         let half = real::<R>(0.5);
@@ -112,6 +171,7 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
 
     fn interrupt(&mut self) -> R {
         self.last = None;
+        self.rest = RestRates::none();
         R::zero()
     }
 
@@ -120,9 +180,9 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
         real(0.1)
     }
 
-    fn zero_rate(&self) -> Option<ZeroAngularRate<R>> {
-        let (_, rate_rad_s) = self.last?;
-        let deviation_rad_s = real(REST_RATE);
+    fn zero_rate(&mut self) -> Option<ZeroAngularRate<R>> {
+        let rest = core::mem::replace(&mut self.rest, RestRates::none());
+        let (rate_rad_s, deviation_rad_s) = rest.mean()?;
         Some(ZeroAngularRate {
             rate_rad_s,
             bias: self.blocks.gyroscope_bias,
@@ -137,6 +197,11 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
 
     fn recovered(&self) -> Block<3> {
         self.blocks.gyroscope_bias
+    }
+
+    fn calibrated(&self) -> Option<(Block<3>, Block<9>)> {
+        let matrix = self.blocks.considered?.accelerometer_matrix;
+        Some((self.blocks.accelerometer_bias, matrix))
     }
 }
 
@@ -248,8 +313,12 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
         layout: &mut Layout<R, N>,
         settings: &Settings<R>,
         start: &Start<R>,
+        hidden: Option<Block<3>>,
     ) -> Result<Self, LayoutFull> {
-        let blocks = CarriedBlocks::claim(layout, real(0.05), real(0.3))?;
+        let blocks = CarriedBlocks {
+            constant_velocity: hidden,
+            ..CarriedBlocks::claim(layout, real(0.05), real(0.3))?
+        };
         let bias = layout.claim(Role::Estimated, [settings.errors.accelerometer_bias; 3])?;
         let level = Level {
             short: R::zero(),
@@ -266,6 +335,11 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
             rate: level,
             directions: heapless::Deque::new(),
         })
+    }
+
+    /// None: the oscillator is at rest, and the constant velocity moves it.
+    fn hidden_velocity(&self) -> Option<Block<3>> {
+        None
     }
 
     fn step(
@@ -325,7 +399,7 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
         R::zero()
     }
 
-    fn zero_rate(&self) -> Option<ZeroAngularRate<R>> {
+    fn zero_rate(&mut self) -> Option<ZeroAngularRate<R>> {
         None
     }
 

@@ -33,6 +33,8 @@ pub struct CarriedBlocks {
     pub angular_rate: Block<3>,
     /// Acceleration, m/s², navigation frame.
     pub acceleration: Block<3>,
+    /// Constant velocity of the body on which the oscillator moves, m/s, navigation frame.
+    pub constant_velocity: Option<Block<3>>,
 }
 
 impl CarriedBlocks {
@@ -48,6 +50,7 @@ impl CarriedBlocks {
         Ok(Self {
             angular_rate: layout.claim(Role::Estimated, [rate_rad_s; 3])?,
             acceleration: layout.claim(Role::Estimated, [acceleration_mps2; 3])?,
+            constant_velocity: None,
         })
     }
 }
@@ -73,6 +76,7 @@ impl<R: RealField + Copy, const N: usize> Process<R, N> for Carried<'_, R> {
         let CarriedBlocks {
             angular_rate,
             acceleration,
+            constant_velocity,
         } = *self.blocks;
         let damping = real::<R>(2.0 * DAMPING * FREQUENCY) * dt;
         let spring = real::<R>(FREQUENCY * FREQUENCY) * dt;
@@ -102,6 +106,9 @@ impl<R: RealField + Copy, const N: usize> Process<R, N> for Carried<'_, R> {
             acceleration,
             square(self.acceleration_mps2) * damping * real(2.0),
         );
+        if let Some(constant) = constant_velocity {
+            transition.add(POSITION, constant, Matrix3::identity() * dt);
+        }
         if !self.at_rest {
             transition.add_noise(POSITION, real::<R>(WANDER * WANDER) * dt);
         }

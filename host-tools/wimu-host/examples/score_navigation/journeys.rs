@@ -267,10 +267,17 @@ pub fn journey(kind: Kind, seed: u64, number: u64, errors: &SensorErrors) -> Rec
     let name = format!("journey {number} ({kind:?})");
     let mut recording = MotionRecording::new(name, times, samples);
     recording.truth = truth;
-    // What its calibration leaves unknown: the library assumes 0.05 m/s² of a calibrated sensor.
-    let told = recording.bias_mps2();
-    recording.bias_sd_mps2 = (errors.accelerometer_bias.powi(2) - told * told)
-        .max(0.0)
-        .sqrt();
+    // What its calibration leaves unknown.
+    let turn_on = recording.bias_mps2();
+    let [scale, misalignment] = errors.accelerometer_matrix.map(|sd| sd * sd);
+    let mut covariance = [[0.0; 12]; 12];
+    for (place, row) in covariance.iter_mut().enumerate() {
+        row[place] = match place {
+            0..3 => (errors.accelerometer_bias.powi(2) - turn_on * turn_on).max(0.0),
+            3 | 7 | 11 => scale,
+            _ => misalignment,
+        };
+    }
+    recording.covariance = Some(covariance);
     Recording::new(recording, Settings::HAND, SIMULATED)
 }

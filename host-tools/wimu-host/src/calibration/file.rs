@@ -308,7 +308,7 @@ impl StoredSensor {
             model: self.model()?,
             sensitivity_lsb_per_g: accelerometer.sensitivity_lsb_per_g,
             of_counts: accelerometer.unit == AccelerationUnit::Lsb.as_str(),
-            bias_sd_mps2: covariance.map_or(0.0, |known| worst_sd(|place| known.sd(place))),
+            covariance,
             alignment: self.alignment_wxyz,
             magnetometer: self.magnetometer,
             gyroscope: self.gyroscope()?,
@@ -476,9 +476,8 @@ pub struct StoredModel {
     pub sensitivity_lsb_per_g: Option<f64>,
     /// Whether it was estimated from counts: then it does not apply to output in m/s², which was scaled elsewhere.
     pub of_counts: bool,
-    /// Standard deviation of the specific force at 1 *g* on the worst axis, m/s², of bias, scale factor and misalignment
-    /// together; 0 where the file does not contain it.
-    pub bias_sd_mps2: f64,
+    /// Covariance of bias and matrix, sensor axes; `None` where the file does not contain it.
+    pub covariance: Option<ModelCovariance>,
     /// Sensor axes to body axes.
     pub alignment: Alignment,
     /// Model of the magnetometer beside it.
@@ -488,6 +487,13 @@ pub struct StoredModel {
 }
 
 impl StoredModel {
+    /// Standard deviation of the specific force at 1 *g* on the worst axis, m/s², of bias, scale factor and misalignment
+    /// together; 0 where it is not known.
+    pub fn bias_sd_mps2(&self) -> f64 {
+        self.covariance
+            .map_or(0.0, |known| worst_sd(|place| known.sd(place)))
+    }
+
     /// m/s² of one unit of the output that it corrects: of one LSB where a sensitivity is known, else 1.
     pub fn mps2_per_unit(&self) -> f64 {
         let lsb_per_g = self.sensitivity_lsb_per_g;
@@ -508,7 +514,7 @@ pub fn read_model(path: &Path) -> Result<StoredModel> {
 }
 
 /// Standard deviation of the specific force at 1 *g* on the worst axis, m/s², from those of the parameters.
-pub(super) fn worst_sd(sd: impl Fn(usize) -> f64) -> f64 {
+pub(crate) fn worst_sd(sd: impl Fn(usize) -> f64) -> f64 {
     let of_axis = |axis: usize| {
         let row = (3 + 3 * axis..6 + 3 * axis).map(|place| sd(place) * STANDARD_GRAVITY_MPS2);
         row.fold(sd(axis), f64::hypot)

@@ -1,9 +1,9 @@
 //! Calibration files of schema 1, and reports, which hold a parameter set in the same form.
 
 use serde::Deserialize;
-use wimu_model::{Alignment, ErrorModel, ErrorTerms, ParameterSet};
+use wimu_model::{Alignment, ErrorModel, ErrorTerms, ModelCovariance, ParameterSet};
 
-use super::file::{NOT_FOR_A_BOARD, REMEDY, SENSITIVITY_REMEDY, StoredModel, parse, worst_sd};
+use super::file::{NOT_FOR_A_BOARD, REMEDY, SENSITIVITY_REMEDY, StoredModel, parse};
 use super::report::{CalibrationReport, HELD_SCHEMA};
 use crate::csv::AccelerationUnit;
 use crate::error::{ErrorCode, Result};
@@ -67,11 +67,13 @@ pub(super) fn model(name: &str, text: &str) -> Result<StoredModel> {
         sd: ErrorTerms,
     }
     let deviations = serde_json::from_str::<Deviations>(text).ok();
-    let bias_sd_mps2 = deviations.map_or(0.0, |Deviations { sd }| {
-        worst_sd(|place| match place {
-            0..3 => sd.bias_mps2[place],
-            _ => sd.matrix[(place - 3) / 3][(place - 3) % 3],
-        })
+    let covariance = deviations.and_then(|Deviations { sd }| {
+        let mut matrix = [[0.0; 12]; 12];
+        let all = sd.bias_mps2.iter().chain(sd.matrix.as_flattened());
+        for (place, sd) in all.enumerate() {
+            matrix[place][place] = sd * sd;
+        }
+        ModelCovariance::from_matrix(&matrix).ok()
     });
     let of_counts = match &file.unit {
         Some(unit) => unit == AccelerationUnit::Lsb.as_str(),
@@ -89,7 +91,7 @@ pub(super) fn model(name: &str, text: &str) -> Result<StoredModel> {
             })?,
             sensitivity_lsb_per_g: file.sensitivity_lsb_per_g,
             of_counts,
-            bias_sd_mps2,
+            covariance,
             alignment: Alignment::IDENTITY,
             magnetometer: None,
             gyroscope: None,
@@ -99,7 +101,7 @@ pub(super) fn model(name: &str, text: &str) -> Result<StoredModel> {
         model: set.model,
         sensitivity_lsb_per_g: Some(set.sensitivity.lsb_per_g()),
         of_counts,
-        bias_sd_mps2,
+        covariance,
         alignment: set.alignment,
         magnetometer: set.magnetometer,
         gyroscope: None,

@@ -268,7 +268,7 @@ fn a_calibration_file_comes_back_bit_for_bit_and_others_are_refused() {
         assert_eq!(report.parameter_id, Some(parameter_id(&set).to_string()));
         let model = read_model(path).unwrap();
         assert_eq!((model.model, model.of_counts), (set.model, true));
-        model.bias_sd_mps2
+        model.bias_sd_mps2()
     };
     report.file.as_ref().unwrap().write(&path).unwrap();
     let sd = same(&path);

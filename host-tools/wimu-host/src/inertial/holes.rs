@@ -93,7 +93,7 @@ impl Holes {
         }
         let mut others = MotionRecording::new(recording.name.clone(), times_s, samples);
         others.truth = truth;
-        others.bias_sd_mps2 = recording.bias_sd_mps2;
+        others.covariance = recording.covariance;
         others.findings.clone_from(&recording.findings);
         others
     }

@@ -160,6 +160,8 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
         clipped: &senses.clipped,
         gravity_mps2: recording.gravity_mps2(),
         bias_mps2: senses.bias_mps2,
+        covariance: recording.calibration_covariance(),
+        uncalibrated: senses.uncalibrated,
         time_sd_s,
     };
     let mut path = unit.path(choice, method)?;

@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use wimu_nav::navigator::{Gyroscope, Navigator, Profile, Sample, Start};
 use wimu_nav::state::POSITION;
 
-use super::unit::Unit;
+use super::unit::{Unit, runs};
 use super::{Choice, Method, Zupt};
 
 /// The shortest rest between two moves, s.
@@ -71,13 +71,7 @@ pub(super) fn moves(
 }
 
 fn long_rests(times_s: &[f64], rests: &[bool]) -> Vec<Range<usize>> {
-    let mut found: Vec<Range<usize>> = Vec::new();
-    for k in (0..rests.len()).filter(|k| rests[*k]) {
-        match found.last_mut().filter(|rest| rest.end == k) {
-            Some(rest) => rest.end = k + 1,
-            None => found.push(k..k + 1),
-        }
-    }
+    let mut found = runs(rests);
     found.retain(|rest| times_s[rest.end - 1] - times_s[rest.start] >= REST_S);
     found
 }
@@ -104,8 +98,9 @@ fn one_move(
         .start
         .max(unit.times_s.partition_point(|t| *t < begin));
     let start = Start::align(&samples[begin..first.end], true)?;
-    let mut navigator =
-        Navigator::<f64, Gyroscope<f64>, 40>::new(unit.settings(profile, choice), &start).ok()?;
+    let mut navigator = unit
+        .navigator::<Gyroscope<f64>, 40>(profile, choice, &start)
+        .ok()?;
     let push = |navigator: &mut Navigator<f64, Gyroscope<f64>, 40>, k: usize, rest: bool| {
         let rate_rad_s = if gyroscope {
             samples[k].rate_rad_s

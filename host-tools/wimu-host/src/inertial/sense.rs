@@ -64,6 +64,8 @@ pub(super) struct Senses {
     pub clipped: Vec<usize>,
     /// Standard deviation of the accelerometer's bias, m/s².
     pub bias_mps2: f64,
+    /// Whether |f| at rest departs from gravity by more than that of a calibrated accelerometer.
+    pub uncalibrated: bool,
     pub findings: Vec<Finding>,
 }
 
@@ -85,6 +87,7 @@ impl Senses {
         if let Some(rest) = rest
             && (rest / standard - 1.0).abs() > CALIBRATED
         {
+            senses.uncalibrated = true;
             senses.findings.push(FindingCode::Uncalibrated.warning(format!(
                 "at rest it shows {rest:.2} m/s², {:+.1} % from gravity: calibrate it, `wimu calibrate`",
                 100.0 * (rest / standard - 1.0)

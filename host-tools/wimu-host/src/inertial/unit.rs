@@ -1,10 +1,13 @@
 //! The path of one unit through the navigator.
 
+use std::ops::Range;
+
 use nalgebra::Vector3;
 use wimu_nav::Zupt;
 use wimu_nav::navigator::{
     Gyroscope, Model, Navigator, NoGyroscope, Profile, Rests, Sample, SampleFault, Settings, Start,
 };
+use wimu_nav::state::LayoutFull;
 use wimu_nav::stationarity::{Detector, Stationarity};
 
 use super::moves::moves;
@@ -40,6 +43,10 @@ pub(super) fn once_each_field(samples: &[UnitSample]) -> Vec<UnitSample> {
     samples.iter().map(once).collect()
 }
 
+/// Scale factor and misalignment of an accelerometer that is not calibrated: MPU-9250 datasheet, initial tolerance and
+/// cross-axis sensitivity.
+const UNCALIBRATED: [f64; 2] = [0.03, 0.02];
+
 /// One unit's samples, ready to navigate.
 pub(super) struct Unit<'a> {
     pub name: &'a str,
@@ -50,6 +57,10 @@ pub(super) struct Unit<'a> {
     pub gravity_mps2: f64,
     /// Standard deviation of the accelerometer's bias, m/s².
     pub bias_mps2: f64,
+    /// Covariance of the calibration, where it is known.
+    pub covariance: Option<[[f64; 12]; 12]>,
+    /// Whether |f| at rest shows that the accelerometer is not calibrated.
+    pub uncalibrated: bool,
     /// Standard deviation of a sample's time, s.
     pub time_sd_s: f64,
 }
@@ -74,7 +85,7 @@ impl Unit<'_> {
         let samples: Vec<Sample<f64>> = self.samples.iter().map(sample).collect();
         let rests = self.rests(&samples, choice, method);
         let mut navigator = self.start::<M, N>(&samples, &rests, choice)?;
-        let at_rest_first = self.starts_at_rest(&rests);
+        let at_rest_first = self.starts_at_rest(&rests, choice.profile);
         let mut origin = at_rest_first.then_some(0);
         let (mut rest_s, mut in_first_rest) = (0.0, at_rest_first);
         let mut faults = Faults::default();
@@ -183,8 +194,17 @@ impl Unit<'_> {
         self.times_s.partition_point(|t| *t < end).max(1)
     }
 
-    fn starts_at_rest(&self, rests: &[bool]) -> bool {
-        rests[..self.within(ALIGNMENT_S)].iter().any(|rest| *rest)
+    /// Whether a rest that begins within the time of the alignment lasts. In a motion whose acceleration changes its sign
+    /// a shorter window looks like a rest. A stance is short.
+    fn starts_at_rest(&self, rests: &[bool], profile: Profile) -> bool {
+        let long = |rest: &Range<usize>| {
+            let lasts_s = self.times_s[rest.end - 1] - self.times_s[rest.start];
+            profile == Profile::Foot || lasts_s >= FIRST_REST_S
+        };
+        let within = self.within(ALIGNMENT_S);
+        runs(rests)
+            .iter()
+            .any(|rest| rest.start < within && long(rest))
     }
 
     fn start<M: Model<f64, N>, const N: usize>(
@@ -193,7 +213,7 @@ impl Unit<'_> {
         rests: &[bool],
         choice: &Choice,
     ) -> Result<Navigator<f64, M, N>> {
-        let rest = self.starts_at_rest(rests);
+        let rest = self.starts_at_rest(rests, choice.profile);
         let short = !rest || choice.profile == Profile::Foot;
         let count = self.within(if short {
             SHORT_ALIGNMENT_S
@@ -211,9 +231,8 @@ impl Unit<'_> {
         };
         let start = Start::align(&usable, rest)
             .ok_or_else(|| refused("the first samples show no gravity to align with"))?;
-        let settings = self.settings(choice.profile, choice);
-        let mut navigator =
-            Navigator::new(settings, &start).map_err(|error| refused(&error.to_string()))?;
+        let navigator = self.navigator(choice.profile, choice, &start);
+        let mut navigator = navigator.map_err(|error| refused(&error.to_string()))?;
         if let Some(pose) = &choice.start {
             if let Some(heading_rad) = pose.heading_rad {
                 navigator.set_heading(heading_rad);
@@ -223,11 +242,30 @@ impl Unit<'_> {
         Ok(navigator)
     }
 
-    /// Settings of a navigator.
-    pub fn settings(&self, profile: Profile, choice: &Choice) -> Settings<f64> {
+    /// A navigator with the errors of this unit.
+    ///
+    /// # Errors
+    /// [`LayoutFull`].
+    pub fn navigator<M: Model<f64, N>, const N: usize>(
+        &self,
+        profile: Profile,
+        choice: &Choice,
+        start: &Start<f64>,
+    ) -> std::result::Result<Navigator<f64, M, N>, LayoutFull> {
+        let mut navigator = Navigator::new(self.settings(profile, choice), start)?;
+        if let Some(covariance) = &self.covariance {
+            navigator.set_calibration(&(*covariance).into());
+        }
+        Ok(navigator)
+    }
+
+    fn settings(&self, profile: Profile, choice: &Choice) -> Settings<f64> {
         let mut settings = Settings::of(profile);
         settings.gravity_mps2 = self.gravity_mps2;
         settings.errors.accelerometer_bias = self.bias_mps2;
+        if self.uncalibrated {
+            settings.errors.accelerometer_matrix = UNCALIBRATED;
+        }
         settings.errors.time_s = self.time_sd_s;
         settings.within_m = choice.within_m;
         settings.rests = match choice.zupt {
@@ -263,6 +301,18 @@ impl Unit<'_> {
         point.valid = point.sd_m() <= choice.limit_m;
         point
     }
+}
+
+/// Runs of samples at rest.
+pub(super) fn runs(rests: &[bool]) -> Vec<Range<usize>> {
+    let mut found: Vec<Range<usize>> = Vec::new();
+    for k in (0..rests.len()).filter(|k| rests[*k]) {
+        match found.last_mut().filter(|rest| rest.end == k) {
+            Some(rest) => rest.end = k + 1,
+            None => found.push(k..k + 1),
+        }
+    }
+    found
 }
 
 /// Noise of the accelerometer, m/s², a component: that of the quietest twentieth of windows of 0.25 s.

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{FIELD_CALIBRATED, MotionRecording, Truth, UnitSample};
+use super::{FIELD_CALIBRATED, MotionRecording, Truth, UnitSample, in_body_axes};
 use crate::apply::Corrector;
 use crate::calibration::StoredModel;
 use crate::finding::{Finding, FindingCode};
@@ -87,7 +87,10 @@ impl MotionRecording {
         let mut motion = Self {
             name: name.to_owned(),
             findings: recording.relevant(&[FindingCode::RowsMasked]),
-            bias_sd_mps2: options.calibration.map_or(0.0, |c| c.bias_sd_mps2),
+            covariance: stored.and_then(|stored| {
+                let known = stored.covariance?;
+                Some(in_body_axes(&known, &stored.alignment))
+            }),
             full_scale_mps2: force.info.full_scale,
             other: scalars
                 .iter()
@@ -190,10 +193,11 @@ fn vector(row: Option<&[f64]>) -> Option<[f64; 3]> {
 /// The finding on a calibration that is applied.
 fn finding(stored: &StoredModel) -> Finding {
     let [x, y, z] = stored.model.terms().bias_mps2;
-    let known = if stored.bias_sd_mps2 > 0.0 {
+    let sd_mps2 = stored.bias_sd_mps2();
+    let known = if sd_mps2 > 0.0 {
         format!(
             ", which with scale and axes it knows to ± {:.4} m/s²",
-            stored.bias_sd_mps2
+            sd_mps2
         )
     } else {
         String::new()

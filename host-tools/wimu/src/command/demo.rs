@@ -83,7 +83,7 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
         recording.display(),
         match outcome.attitude_deg {
             Some(_) => "wimu export --stream navigation",
-            None => "wimu navigate --method slide",
+            None => "wimu navigate",
         }
     ));
     let [before, after] = outcome.tilts_rms_mps2();

@@ -446,11 +446,10 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
     /// until an update passes or the unit moves, as is the stance of a foot.
     fn update_rest(&mut self) {
         let zero = Velocity::zero(real(REST_SPEED), self.model.hidden_velocity());
-        let gate = match self.settings.profile {
-            Profile::Foot => Gate::Open,
-            _ => Gate::ChiSquare,
-        };
-        self.resting = self.filter.update(&zero, gate).accepted;
+        let stance = self.settings.profile == Profile::Foot;
+        let gate = if stance { Gate::Open } else { Gate::ChiSquare };
+        let accelerates = !stance && self.model.accelerates(&self.filter);
+        self.resting = !accelerates && self.filter.update(&zero, gate).accepted;
         let failed = self.since.accepted;
         let drifted = self.since.known - failed >= real(DRIFT_S);
         let certain = if drifted {
@@ -459,9 +458,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             CONSTANT_VELOCITY_S
         };
         if self.resting {
-            if self.settings.profile != Profile::Foot
-                && let Some(rate) = self.model.zero_rate()
-            {
+            if !stance && let Some(rate) = self.model.zero_rate() {
                 self.filter.update(&rate, Gate::ChiSquare);
             }
             self.since.accepted = R::zero();

@@ -7,6 +7,7 @@ mod unmeasured;
 
 pub use carried::{Carried, CarriedBlocks};
 pub use gauss_markov::{GaussMarkov, RandomWalk};
+pub(crate) use strapdown::by_elements;
 pub use strapdown::{ConsideredBlocks, ImuErrors, Strapdown, StrapdownBlocks};
 pub use unmeasured::Unmeasured;
 

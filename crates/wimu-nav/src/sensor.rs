@@ -2,6 +2,7 @@
 
 mod accelerometer;
 mod angular_rate;
+mod gravity;
 mod magnetometer;
 mod position;
 mod second_order;
@@ -9,6 +10,7 @@ mod velocity;
 
 pub use accelerometer::SpecificForce;
 pub use angular_rate::ZeroAngularRate;
+pub use gravity::Gravity;
 pub use magnetometer::{MagneticField, Magnetometer};
 pub use velocity::{Velocity, recover};
 

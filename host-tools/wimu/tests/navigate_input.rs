@@ -237,9 +237,10 @@ fn without_a_rest_at_the_start_the_origin_is_the_first_rest() {
 #[test]
 fn constant_velocity_after_an_acceleration_is_tracked_with_a_gyroscope() {
     let folder = folder();
-    // 1 m/s for 8 s.
+    // After 10 s of rest 1 m/s for 8 s.
     let mut samples = moves(0.0, 1.0);
     samples.extend_from_within(..);
+    samples.extend_from_within(..700);
     let (mut x, mut v) = (0.0, 0.0);
     for (k, sample) in samples.iter_mut().enumerate() {
         sample.t = k as f64 * 0.01;
@@ -247,7 +248,7 @@ fn constant_velocity_after_an_acceleration_is_tracked_with_a_gyroscope() {
             let tau = (sample.t - from).clamp(0.0, 1.0);
             2.0 * (std::f64::consts::PI * tau).sin().powi(2)
         };
-        let acceleration = ramp(3.0) - ramp(12.0);
+        let acceleration = ramp(10.0) - ramp(19.0);
         sample.force[0] += acceleration;
         v += 0.01 * acceleration;
         x += 0.01 * v;

@@ -8,7 +8,7 @@ use crate::process::{
     Carried, CarriedBlocks, ImuErrors, RandomWalk, Strapdown, StrapdownBlocks, Unmeasured,
 };
 use crate::rotation::real;
-use crate::sensor::{Magnetometer, SpecificForce, ZeroAngularRate};
+use crate::sensor::{Gravity, Magnetometer, SpecificForce, ZeroAngularRate};
 use crate::state::{Block, Layout, LayoutFull, Role, State};
 
 /// How a navigator predicts from one sample to the next.
@@ -45,6 +45,10 @@ pub trait Model<R, const N: usize>: Sized {
     /// Zero angular rate over the rest since the last call; `None` where it is not measured.
     fn zero_rate(&mut self) -> Option<ZeroAngularRate<R>>;
 
+    /// Test of the specific force of the rest against gravity: whether the unit accelerates, which a short window does not
+    /// show.
+    fn accelerates(&self, filter: &Filter<R, N>) -> bool;
+
     /// Angular rate, rad/s, body frame.
     fn angular_rate(&self, state: &State<R, N>) -> Vector3<R>;
 
@@ -66,35 +70,41 @@ pub trait Model<R, const N: usize>: Sized {
 /// Smallest deviation of the mean angular rate over part of a rest, rad/s: resolution of a sensor of 16 bits.
 const LEAST_REST_RATE: f64 = 1e-3;
 
-/// Angular rates of a rest since the last update there.
+/// Acceleration of a rest, m/s², a component, over a quarter of a second: a hand's.
+const REST_ACCELERATION: f64 = 0.05;
+
+/// Sums of a rest since the last update there.
 #[derive(Clone, Copy, Debug)]
-struct RestRates<R> {
+struct RestSums<R> {
     count: R,
-    sum: Vector3<R>,
+    force: Vector3<R>,
+    rate: Vector3<R>,
     squares: R,
 }
 
-impl<R: RealField + Copy> RestRates<R> {
+impl<R: RealField + Copy> RestSums<R> {
     fn none() -> Self {
         Self {
             count: R::zero(),
-            sum: Vector3::zeros(),
+            force: Vector3::zeros(),
+            rate: Vector3::zeros(),
             squares: R::zero(),
         }
     }
 
-    fn push(&mut self, rate: &Vector3<R>) {
+    fn push(&mut self, force: &Vector3<R>, rate: &Vector3<R>) {
         self.count += R::one();
-        self.sum += rate;
+        self.force += force;
+        self.rate += rate;
         self.squares += rate.norm_squared();
     }
 
     /// Mean, and deviation of a sample: the rotation of a hand's rest lasts as long as the rest between two updates.
-    fn mean(&self) -> Option<(Vector3<R>, R)> {
+    fn mean_rate(&self) -> Option<(Vector3<R>, R)> {
         if self.count < R::one() {
             return None;
         }
-        let mean = self.sum / self.count;
+        let mean = self.rate / self.count;
         let variance = (self.squares / self.count - mean.norm_squared()) / real(3.0);
         let least = real::<R>(LEAST_REST_RATE);
         Some((mean, variance.max(least * least).sqrt()))
@@ -109,7 +119,7 @@ pub struct Gyroscope<R> {
     gravity_mps2: R,
     hidden: Option<Block<3>>,
     last: Option<(Vector3<R>, Vector3<R>)>,
-    rest: RestRates<R>,
+    rest: RestSums<R>,
 }
 
 impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
@@ -127,7 +137,7 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
             gravity_mps2: settings.gravity_mps2,
             hidden,
             last: None,
-            rest: RestRates::none(),
+            rest: RestSums::none(),
         })
     }
 
@@ -144,7 +154,7 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
     ) -> Option<Vector3<R>> {
         let step_s = sample.step_s;
         if !at_rest {
-            self.rest = RestRates::none();
+            self.rest = RestSums::none();
         }
         let Some(rate) = sample.rate_rad_s else {
             self.last = None;
@@ -152,7 +162,7 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
             return sample.field_ut;
         };
         if at_rest {
-            self.rest.push(&rate);
+            self.rest.push(&sample.force_mps2, &rate);
         }
         let now = (sample.force_mps2, rate);
         let before = self.last.replace(now).unwrap_or(now);
@@ -171,7 +181,7 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
 
     fn interrupt(&mut self) -> R {
         self.last = None;
-        self.rest = RestRates::none();
+        self.rest = RestSums::none();
         R::zero()
     }
 
@@ -181,13 +191,23 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
     }
 
     fn zero_rate(&mut self) -> Option<ZeroAngularRate<R>> {
-        let rest = core::mem::replace(&mut self.rest, RestRates::none());
-        let (rate_rad_s, deviation_rad_s) = rest.mean()?;
+        let rest = core::mem::replace(&mut self.rest, RestSums::none());
+        let (rate_rad_s, deviation_rad_s) = rest.mean_rate()?;
         Some(ZeroAngularRate {
             rate_rad_s,
             bias: self.blocks.gyroscope_bias,
             deviation_rad_s,
         })
+    }
+
+    fn accelerates(&self, filter: &Filter<R, N>) -> bool {
+        let gravity = Gravity {
+            force_mps2: self.rest.force / self.rest.count.max(R::one()),
+            blocks: &self.blocks,
+            gravity_mps2: self.gravity_mps2,
+            deviation_mps2: real(REST_ACCELERATION),
+        };
+        self.rest.count > R::zero() && !filter.test(&gravity).accepted
     }
 
     fn angular_rate(&self, state: &State<R, N>) -> Vector3<R> {
@@ -401,6 +421,11 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
 
     fn zero_rate(&mut self) -> Option<ZeroAngularRate<R>> {
         None
+    }
+
+    /// The acceleration is a state.
+    fn accelerates(&self, _: &Filter<R, N>) -> bool {
+        false
     }
 
     fn angular_rate(&self, state: &State<R, N>) -> Vector3<R> {

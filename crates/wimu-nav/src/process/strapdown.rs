@@ -137,7 +137,7 @@ pub struct Strapdown<'a, R> {
 }
 
 /// The derivative of C M x with respect to the nine elements of M, by rows.
-fn by_elements<R: RealField + Copy>(c: &Matrix3<R>, x: &Vector3<R>) -> SMatrix<R, 3, 9> {
+pub(crate) fn by_elements<R: RealField + Copy>(c: &Matrix3<R>, x: &Vector3<R>) -> SMatrix<R, 3, 9> {
     SMatrix::from_fn(|r, k| c[(r, k / 3)] * x[k % 3])
 }
 

@@ -85,7 +85,7 @@ impl Unit<'_> {
         let samples: Vec<Sample<f64>> = self.samples.iter().map(sample).collect();
         let rests = self.rests(&samples, choice, method);
         let mut navigator = self.start::<M, N>(&samples, &rests, choice)?;
-        let at_rest_first = self.starts_at_rest(&rests, choice.profile);
+        let at_rest_first = self.first_rest(&rests, choice.profile).is_some();
         let mut origin = at_rest_first.then_some(0);
         let (mut rest_s, mut in_first_rest) = (0.0, at_rest_first);
         let mut faults = Faults::default();
@@ -194,17 +194,13 @@ impl Unit<'_> {
         self.times_s.partition_point(|t| *t < end).max(1)
     }
 
-    /// Whether a rest that begins within the time of the alignment lasts. In a motion whose acceleration changes its sign
-    /// a shorter window looks like a rest. A stance is short.
-    fn starts_at_rest(&self, rests: &[bool], profile: Profile) -> bool {
-        let long = |rest: &Range<usize>| {
-            let lasts_s = self.times_s[rest.end - 1] - self.times_s[rest.start];
-            profile == Profile::Foot || lasts_s >= FIRST_REST_S
-        };
-        let within = self.within(ALIGNMENT_S);
-        runs(rests)
-            .iter()
-            .any(|rest| rest.start < within && long(rest))
+    /// The rest at the start: its number of samples. In a motion whose acceleration changes its sign a short window looks
+    /// like a rest. A stance is short.
+    fn first_rest(&self, rests: &[bool], profile: Profile) -> Option<usize> {
+        let rest = runs(rests).into_iter().next()?;
+        let lasts_s = self.times_s[rest.end - 1] - self.times_s[rest.start];
+        let long = profile == Profile::Foot || lasts_s >= FIRST_REST_S;
+        (rest.start < self.within(SHORT_ALIGNMENT_S) && long).then_some(rest.end)
     }
 
     fn start<M: Model<f64, N>, const N: usize>(
@@ -213,13 +209,11 @@ impl Unit<'_> {
         rests: &[bool],
         choice: &Choice,
     ) -> Result<Navigator<f64, M, N>> {
-        let rest = self.starts_at_rest(rests, choice.profile);
-        let short = !rest || choice.profile == Profile::Foot;
-        let count = self.within(if short {
-            SHORT_ALIGNMENT_S
-        } else {
-            ALIGNMENT_S
-        });
+        let rest = self.first_rest(rests, choice.profile);
+        let count = match rest {
+            Some(end) if choice.profile != Profile::Foot => self.within(ALIGNMENT_S).min(end),
+            _ => self.within(SHORT_ALIGNMENT_S),
+        };
         let usable: Vec<Sample<f64>> = samples[..count]
             .iter()
             .filter(|s| s.force_mps2.iter().all(|f| f.is_finite()))
@@ -229,7 +223,7 @@ impl Unit<'_> {
             let remedy = "hold the unit still for a second at the start";
             ErrorCode::DataRefused.error(message, remedy).at(self.name)
         };
-        let start = Start::align(&usable, rest)
+        let start = Start::align(&usable, rest.is_some())
             .ok_or_else(|| refused("the first samples show no gravity to align with"))?;
         let navigator = self.navigator(choice.profile, choice, &start);
         let mut navigator = navigator.map_err(|error| refused(&error.to_string()))?;

@@ -5,6 +5,7 @@ axes those of the alignment in a CAL.json (without one they are the sensor axes)
 Every failure raises WimuError; an argument of a wrong type raises TypeError.
 """
 
+from collections.abc import Sequence
 from os import PathLike
 from typing import Any, Literal, TypedDict, Union
 
@@ -265,7 +266,7 @@ def apply(calibration: Calibration | _Path, source: _Source, *, output: _Path | 
     """
 
 class Move:
-    """A straight move between two rests."""
+    """A move between two rests."""
 
     start: float
     """s on the clock of the recording."""
@@ -274,9 +275,10 @@ class Move:
     """m."""
     length_sd: float
     """Standard deviation of `length`, m, if the unit was at rest before and after."""
-    unseen: float
-    """Additional standard deviation, m, for a constant velocity that the sensor cannot exclude at the rests."""
+    tilted: float
+    """Angle by which gravity rotated in the body frame, rad."""
     valid: bool
+    """Whether the length is known: without a gyroscope not after a rotation."""
 
 class Path:
     """A path with its uncertainty, n rows, one a sample, east-north-up axes."""
@@ -335,7 +337,7 @@ class Path:
 
     @property
     def moves(self) -> list[Move]:
-        """Of the method `slide`."""
+        """Moves between rests."""
 
     @property
     def method(self) -> str: ...
@@ -350,17 +352,23 @@ def navigate(
     source: _Source,
     *,
     calibration: Calibration | _Path | None = None,
-    method: Literal["auto", "strapdown", "tilt", "slide"] = "auto",
+    profile: Literal["hand", "foot", "vehicle", "free"] = "hand",
     zupt: Literal["on", "cautious", "off"] = "on",
+    within: float | None = None,
+    rests: Sequence[tuple[float, float]] | None = None,
+    start: tuple[float, float, float, float | None] | None = None,
     limit: float = 1.0,
     sensitivity: float | None = None,
 ) -> Path:
     """Computes position, velocity and attitude of one unit.
 
     calibration: corrects the samples; without it they are taken as corrected, or as the device corrects them.
-    method: with the gyroscope, without it, or straight moves between rests; auto uses a gyroscope if there is one.
-    zupt: velocity is zero at rests; cautious: σ includes a constant velocity that the sensor cannot exclude; off: at
-    the first rest only.
+    profile: what is assumed of the motion. hand: velocity 0 ± 2 m/s; foot: rests are stances; vehicle: velocity
+    0 ± 30 m/s; free: nothing.
+    zupt: velocity is zero at rests; cautious: an unknown constant of 0 ± 0.1 m/s; off: rests are not used.
+    within: the unit stays within this distance of its start, m, 1 σ of a component.
+    rests: times at which the unit rested, s, as in the file; None: those that are detected.
+    start: position, m, east-north-up, and heading of body x from east towards north, rad, or None.
     limit: standard deviation up to which a position is valid, m.
     sensitivity: of counts, LSB/g, where neither calibration nor file gives it.
     """

@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 
 use pyo3::prelude::*;
-use wimu_host::inertial::{self, Choice, InertialPath, Method, PathPoint, SlideMove, Zupt};
+use wimu_host::inertial::{
+    self, Choice, InertialPath, Method, PathPoint, Profile, StartPose, Zupt,
+};
 use wimu_host::motion::{MotionRecording, TableOptions};
 use wimu_host::{ErrorCode, Input, history, navigation};
 
@@ -22,25 +24,25 @@ impl Path {
     }
 }
 
-/// A straight move between two rests, of the method `slide`.
+/// A move between two rests.
 #[pyclass(frozen, get_all, module = "wimu")]
 pub struct Move {
     start: f64,
     end: f64,
     length: f64,
     length_sd: f64,
-    unseen: f64,
+    tilted: f64,
     valid: bool,
 }
 
-impl From<&SlideMove> for Move {
-    fn from(one: &SlideMove) -> Self {
+impl From<&inertial::Move> for Move {
+    fn from(one: &inertial::Move) -> Self {
         Self {
             start: one.from_s,
             end: one.to_s,
-            length: one.done.length_m,
-            length_sd: one.done.length_sd_m,
-            unseen: one.unseen_m,
+            length: one.length_m,
+            length_sd: one.length_sd_m,
+            tilted: one.tilted_rad,
             valid: one.valid,
         }
     }
@@ -126,7 +128,7 @@ impl Path {
         self.0.distance_m()
     }
 
-    /// Moves between rests, of the method `slide`.
+    /// Moves between rests.
     #[getter]
     fn moves(&self) -> Vec<Move> {
         self.0.moves.iter().map(Move::from).collect()
@@ -164,32 +166,37 @@ fn name(method: Method) -> &'static str {
         Method::Strapdown => "strapdown",
         Method::Tilt => "tilt",
         Method::Array => "array",
-        Method::Slide => "slide",
     }
 }
 
 /// Computes position, velocity and attitude of one unit.
 #[pyfunction]
-#[pyo3(signature = (source, *, calibration=None, method="auto", zupt="on", limit=1.0, sensitivity=None))]
+#[pyo3(signature = (source, *, calibration=None, profile="hand", zupt="on", within=None, rests=None, start=None,
+                    limit=1.0, sensitivity=None))]
+#[expect(clippy::too_many_arguments, reason = "keywords of Python")]
 pub fn navigate(
     py: Python<'_>,
     source: Source,
     calibration: Option<Correction>,
-    method: &str,
+    profile: &str,
     zupt: &str,
+    within: Option<f64>,
+    rests: Option<Vec<(f64, f64)>>,
+    start: Option<(f64, f64, f64, Option<f64>)>,
     limit: f64,
     sensitivity: Option<f64>,
 ) -> Result<Path> {
-    let methods = [Method::Strapdown, Method::Tilt, Method::Slide];
-    let method = match methods.into_iter().find(|known| name(*known) == method) {
-        None if method != "auto" => {
-            let message = format!("method={method:?} is not known");
+    let profile = match profile {
+        "hand" => Profile::Hand,
+        "foot" => Profile::Foot,
+        "vehicle" => Profile::Vehicle,
+        "free" => Profile::Free,
+        _ => {
             return Err(usage(
-                message,
-                "the methods are auto, strapdown, tilt and slide",
+                format!("profile={profile:?} is not known"),
+                "give hand, foot, vehicle or free",
             ));
         }
-        method => method,
     };
     let zupt = match zupt {
         "on" => Zupt::Stated,
@@ -202,7 +209,8 @@ pub fn navigate(
             ));
         }
     };
-    for (name, value) in [("limit", Some(limit)), ("sensitivity", sensitivity)] {
+    let positive = [("limit", Some(limit)), ("within", within), ("sensitivity", sensitivity)];
+    for (name, value) in positive {
         if value.is_some_and(|value| !value.is_finite() || value <= 0.0) {
             return Err(usage(
                 format!("{name} is not above 0"),
@@ -213,10 +221,15 @@ pub fn navigate(
     let path = py.detach(|| {
         let motion = motion(&source, calibration.as_ref(), sensitivity)?;
         let choice = Choice {
-            method: method.unwrap_or_else(|| Method::of(&motion)),
             zupt,
+            profile,
             limit_m: limit,
-            drift: None,
+            within_m: within,
+            rests_s: rests.map(|rests| rests.into_iter().map(|(from, to)| from..=to).collect()),
+            start: start.map(|(e, n, u, heading_rad)| StartPose {
+                position_m: [e, n, u],
+                heading_rad,
+            }),
         };
         inertial::navigate(&motion, &choice)
     })?;

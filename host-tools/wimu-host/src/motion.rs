@@ -28,6 +28,8 @@ pub struct UnitSample {
 
 /// Standard deviation of the bias of a calibrated consumer accelerometer, m/s²: what its turn-on changes (datasheets).
 const BIAS_MPS2: f64 = 0.05;
+/// The same of a sensor whose calibration is not known, m/s²: that of public recordings (docs/VALIDATION.md, navigation).
+const UNKNOWN_BIAS_MPS2: f64 = 0.1;
 
 /// Change of scale factor and misalignment after a calibration: 0.01 %/K over 10 K (LSM6DSO, MPU-9250 datasheets).
 const MATRIX_CHANGE: f64 = 0.001;
@@ -129,14 +131,15 @@ impl MotionRecording {
             .map(|(_, values)| values.as_slice())
     }
 
-    /// Standard deviation of the accelerometer's bias, m/s²: what turn-on changes, and what its calibration leaves
-    /// unknown on the worst axis at 1 *g*, with the matrix.
+    /// Standard deviation of the accelerometer's bias, m/s²: of an unknown sensor, or what turn-on changes and what its
+    /// calibration leaves unknown on the worst axis at 1 *g*, with the matrix.
     pub fn bias_mps2(&self) -> f64 {
-        let sd = |place: usize| {
-            self.covariance
-                .map_or(0.0, |known| known[place][place].sqrt())
+        let Some(known) = self.covariance else {
+            return UNKNOWN_BIAS_MPS2;
         };
-        BIAS_MPS2.hypot(crate::calibration::worst_sd(sd))
+        BIAS_MPS2.hypot(crate::calibration::worst_sd(|place| {
+            known[place][place].sqrt()
+        }))
     }
 
     /// Covariance of bias and matrix with what changes after the calibration: a turn-on bias, and a scale factor and axes

@@ -12,7 +12,7 @@ const NEAR: f64 = 0.1;
 /// Beyond this share an accelerometer is not calibrated.
 const CALIBRATED: f64 = 0.02;
 /// |f| of a whole recording is, in the median, gravity within this factor.
-const FAR: f64 = 1.5;
+const FAR: f64 = 3.0;
 /// A second in which |f| departs by less than this is quiet, m/s² rms.
 const QUIET_MPS2: f64 = 0.15;
 /// An axis that gives one value for so long, s, and in so many samples, ...

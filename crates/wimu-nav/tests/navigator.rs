@@ -236,8 +236,8 @@ fn a_foot_s_stance_is_never_gated_and_a_hand_s_rest_is_until_it_is_certain() {
     let speed = |profile, rest_s: f64| {
         let settings = Settings::of(profile);
         let mut navigator = WithGyroscope::<f64>::new(settings, &start).unwrap();
-        for _ in 0..500 {
-            navigator.push(&still(0.005), false).unwrap();
+        for k in 0..1000 {
+            navigator.push(&still(0.005), k < 500).unwrap();
         }
         for _ in 0..10 {
             navigator.push(&shock, false).unwrap();

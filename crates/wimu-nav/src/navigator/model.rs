@@ -70,7 +70,8 @@ pub trait Model<R, const N: usize>: Sized {
 /// Smallest deviation of the mean angular rate over part of a rest, rad/s: resolution of a sensor of 16 bits.
 const LEAST_REST_RATE: f64 = 1e-3;
 
-/// Acceleration of a rest, m/s², a component, over a quarter of a second: a hand's.
+/// Acceleration of a rest, m/s², a component, over a quarter of a second: chosen on simulated journeys with steps and
+/// stops (score_navigation).
 const REST_ACCELERATION: f64 = 0.05;
 
 /// Sums of a rest since the last update there.

@@ -1,4 +1,4 @@
-//! Gravity at a rest: C (f − b) = g. Equation (134).
+//! Gravity at a rest: C (f − b) = g. Equation (131).
 
 use nalgebra::{Matrix3, RealField, Vector3};
 

@@ -21,7 +21,6 @@ use wimu_link::LinkRole;
 use crate::error::{ErrorCode, HostError, Result};
 use crate::finding::{Finding, FindingCode};
 
-mod container;
 mod reader;
 mod writer;
 
@@ -98,8 +97,10 @@ uint32 size
 uint32 stride
 ";
 const METADATA: &str = "wimu";
-/// A chunk is closed after this time, or when it is full.
+/// A chunk is closed after this time, or at this size.
 const FLUSH_NS: u64 = 1_000_000_000;
+const CHUNK_BYTES: u64 = 256 * 1024;
+
 /// What wrote an MCAP file, from its first bytes; `None` if they are not those of one.
 pub(crate) fn library(start: &[u8]) -> Option<&[u8]> {
     let text = |bytes: &mut &[u8]| -> Option<usize> {

@@ -4,8 +4,9 @@ use std::path::Path;
 
 use wimu_host::compare::compare;
 use wimu_host::export::{ExportSource, ExportStream, to_csv};
+use wimu_host::history::Recording;
 use wimu_host::mcap_file::{ClockAnchor, RecordingReader, RecordingWriter};
-use wimu_host::overview::Overview;
+use wimu_link::batch::Stream;
 use wimu_link::message::{Epoch, EpochReason};
 use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry, batch};
 use wimu_model::{Counts, DeviceTimeUs};
@@ -102,7 +103,7 @@ fn do_step(step: &str, path: &Path, minutes: u32) -> u64 {
             assert_eq!(found.identical, found.pairs);
             found.pairs
         }
-        "info" => Overview::read(path).unwrap().links[1].raw() as u64,
+        "info" => Recording::survey(path).unwrap().links[1].samples(Stream::Raw) as u64,
         _ => {
             let table = path.with_extension("csv");
             let wireless = ExportSource {

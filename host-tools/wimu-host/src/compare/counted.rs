@@ -126,7 +126,7 @@ impl Counted {
                 }
             };
             let host_ns = arrival.host_ns;
-            let Some(clock) = overview.clocks.get(&start) else {
+            let Some(clock) = overview.clock(start) else {
                 return Ok(());
             };
             if is_late {
@@ -149,16 +149,16 @@ impl Counted {
                 counted.with_rates += u64::from(sample.rate.is_some() && twin_rate.is_some());
                 counted.rates_differ += u64::from(rates_differ);
                 counted.identical += u64::from(cable == wireless && !rates_differ);
-                let Some(unit) = overview.units.of(start, sample.sequence) else {
+                let Some(unit) = overview.unit(start, sample.sequence) else {
                     counted.without_unit += 1;
                     continue;
                 };
-                counted.lsb_mps2 = counted.lsb_mps2.max(unit.mps2_per_lsb);
+                counted.lsb_mps2 = counted.lsb_mps2.max(unit.mps2_per_lsb());
                 let [c, w] = [cable, wireless].map(|value| unit.mps2(value));
                 if unit.is_saturated(cable) || unit.is_saturated(wireless) {
                     counted.saturated += 1;
                 } else {
-                    counted.before.take(cable, wireless, unit.mps2_per_lsb);
+                    counted.before.take(cable, wireless, unit.mps2_per_lsb());
                     counted.transfer.push(c, w);
                 }
                 let true_ns = clock.host_ns(sample.time);

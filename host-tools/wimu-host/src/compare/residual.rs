@@ -53,10 +53,10 @@ impl Residual {
                 Event::Late(samples) if samples.stream == overview.stream => (samples, true),
                 _ => return Ok(()),
             };
-            let Some(clock) = overview.clocks.get(&start) else {
+            let Some(clock) = overview.clock(start) else {
                 return Ok(());
             };
-            let unit = |sample: &TimedSample| overview.units.of(start, sample.sequence);
+            let unit = |sample: &TimedSample| overview.unit(start, sample.sequence);
             let new = current[link].replace(start) != Some(start);
             let count = samples.values.len();
             // Late samples are of no use by time of arrival.
@@ -94,8 +94,8 @@ impl Residual {
                     if unit.is_saturated(cable) || unit.is_saturated(wireless) {
                         continue;
                     }
-                    let corrected = model.correct_lsb(wireless, unit.mps2_per_lsb);
-                    residual.after.take(cable, corrected, unit.mps2_per_lsb);
+                    let corrected = model.correct_lsb(wireless, unit.mps2_per_lsb());
+                    residual.after.take(cable, corrected, unit.mps2_per_lsb());
                 }
             }
             Ok(())

@@ -23,6 +23,7 @@ pub use datasheet::{DatasheetReport, LimitReport, datasheet};
 pub use export::{CalibrationExport, ExportTarget, KalibrNoise};
 pub use file::{
     CalibrationFile, Session, StoredModel, further_sensors, read_model, read_parameters, sessions,
+    zero_count,
 };
 pub use magnetometer::{FieldPose, MagneticHalfWidths, MagnetometerReport, calibrate_magnetometer};
 pub use paired::Paired;
@@ -419,6 +420,7 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
                 range,
                 data.name,
             )
+            .map(|file| file.with_zero_count(data.info().zero_count))
         }),
         fit: estimate.map(|estimate| numbers(&estimate, range)),
         parameter_id: parameters.as_ref().map(|set| parameter_id(set).to_string()),

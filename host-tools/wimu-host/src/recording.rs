@@ -158,6 +158,8 @@ pub struct TrackInfo {
     pub device: Option<SensorId>,
     /// Full scale of an axis, SI, where the file gives it.
     pub full_scale: Option<f64>,
+    /// Output at zero that was subtracted from the counts of the file, LSB.
+    pub zero_count: Option<f64>,
 }
 
 impl TrackInfo {
@@ -174,6 +176,7 @@ impl TrackInfo {
             timeless: false,
             device: None,
             full_scale: None,
+            zero_count: None,
         }
     }
 

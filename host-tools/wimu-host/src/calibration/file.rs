@@ -68,6 +68,9 @@ pub struct StoredAccelerometer {
     pub range_source: Option<Source>,
     /// Nominal sensitivity, LSB/*g*; null for data in m/s² where none was given.
     pub sensitivity_lsb_per_g: Option<f64>,
+    /// Output at zero that was subtracted from the counts, LSB; absent where none was.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub zero_count: Option<f64>,
     /// The error model, sensor axes.
     pub model: ErrorTerms,
     /// Its uncertainty; null if it was not estimated.
@@ -187,6 +190,7 @@ impl CalibrationFile {
                 range_g: Some(set.range_g),
                 range_source: None,
                 sensitivity_lsb_per_g: Some(set.sensitivity.lsb_per_g()),
+                zero_count: None,
                 model: *set.model.terms(),
                 quality: quality.map(StoredQuality::new),
                 sessions,
@@ -200,6 +204,17 @@ impl CalibrationFile {
             schema: Self::SCHEMA.to_owned(),
             sensors: vec![sensor],
         }
+    }
+
+    /// The file of `set`, which later data made of the calibration `before`: that of the file `path`, if there is one.
+    pub fn after(
+        path: Option<&Path>,
+        before: &ParameterSet,
+        set: &ParameterSet,
+        source: &str,
+    ) -> Self {
+        let file = Self::new(set, &sessions(path, before), source);
+        file.with_zero_count(path.and_then(zero_count))
     }
 
     /// The file of an accelerometer that may have no parameters for a board.
@@ -229,6 +244,15 @@ impl CalibrationFile {
         stored.range_source = range.map(|range| range.source);
         entry.seal();
         Some(file)
+    }
+
+    /// The same with the output at zero that was subtracted from the counts, LSB.
+    #[must_use]
+    pub(super) fn with_zero_count(mut self, zero_count: Option<f64>) -> Self {
+        for sensor in &mut self.sensors {
+            sensor.accelerometer.zero_count = zero_count;
+        }
+        self
     }
 
     /// Writes it.
@@ -449,6 +473,14 @@ pub fn further_sensors(path: &Path) -> Vec<u8> {
     let taken = file.sensor().map_or(0, |sensor| sensor.index);
     let indices = file.sensors.iter().map(|sensor| sensor.index);
     indices.filter(|index| *index != taken).collect()
+}
+
+/// Output at zero that was subtracted from the counts of a calibration, LSB; `None` of an unreadable file.
+pub fn zero_count(path: &Path) -> Option<f64> {
+    match read(path) {
+        Ok(Read::V2(file)) => file.sensor().ok()?.accelerometer.zero_count,
+        _ => None,
+    }
 }
 
 /// The sessions of the calibration `set`: those in the file `path` that it was read from, if there is one.

@@ -284,6 +284,15 @@ pub(super) fn findings(
                 .note("the gyroscope is not calibrated, only the accelerometer"),
         );
     }
+    if data.info().corrected {
+        let text = format!("`{}` was corrected by the device before", data.info().name);
+        let finding = FindingCode::AlreadyCorrected.warning(text);
+        findings.push(
+            finding.remedy(
+                "the result is what that correction left: calibrate the sensor's raw output",
+            ),
+        );
+    }
     let Some(estimate) = estimate else {
         return findings;
     };

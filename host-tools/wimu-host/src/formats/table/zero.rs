@@ -27,6 +27,14 @@ pub enum Zero {
 }
 
 impl Zero {
+    /// The count that is subtracted.
+    pub fn count(self) -> Option<f64> {
+        match self {
+            Self::At(zero) => Some(zero),
+            Self::None | Self::Wrapped => None,
+        }
+    }
+
     pub fn apply(self, count: f64) -> f64 {
         match self {
             Self::None => count,

@@ -2,6 +2,7 @@
 
 mod advice;
 mod bend;
+mod covariance;
 mod datasheet;
 mod export;
 mod file;

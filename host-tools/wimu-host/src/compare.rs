@@ -18,6 +18,7 @@ use crate::mcap_file::{RecordingReader, Wholeness};
 use crate::{ErrorCode, HostError, Result};
 
 mod align;
+mod arrival;
 mod counted;
 mod holes;
 mod link;
@@ -29,7 +30,8 @@ mod quantiles;
 mod residual;
 
 pub use align::{Alignment, Turn, align};
-pub use link::{Burst, ByArrival, LinkReport};
+pub use arrival::ByArrival;
+pub use link::{Burst, LinkReport};
 pub use model::LinkModel;
 pub use quantiles::Quantiles;
 

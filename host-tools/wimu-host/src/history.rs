@@ -334,8 +334,6 @@ pub struct LinkHistory {
     pub boots: Vec<Boot>,
     /// Its statistics.
     pub statistics: LinkStatistics,
-    /// Reasons why frames could not be decoded, the first ten.
-    pub complaints: Vec<String>,
     /// The parameters in use, in order: the first 500.
     pub parameter_ids: Vec<ParameterId>,
 }
@@ -347,7 +345,6 @@ impl LinkHistory {
             role,
             boots: vec![Boot::default()],
             statistics: LinkStatistics::default(),
-            complaints: Vec::new(),
             parameter_ids: Vec::new(),
         }
     }
@@ -457,13 +454,8 @@ impl LinkHistory {
                 Answer::Accepted(Payload::Status(status)) => boot.status = Some(status),
                 _ => {}
             },
-            Event::Unreadable(why) => {
-                if self.complaints.len() < 10 && !self.complaints.contains(why) {
-                    self.complaints.push(why.clone());
-                }
-            }
             Event::Attitude(attitude) => boot.attitude.push(*attitude),
-            Event::Damaged(_) => {}
+            Event::Damaged(_) | Event::Unreadable(_) => {}
         }
     }
 }

@@ -34,6 +34,7 @@ pub mod recording;
 pub mod replay;
 pub mod ros;
 mod standard_input;
+mod stats;
 pub mod stream;
 pub mod transport;
 pub mod units;

@@ -155,8 +155,9 @@ impl Window {
         }
         let boot = self.link.latest();
         let further = boot.further.values().map(|track| track.raw.len());
-        let waiting = boot.raw.len() + boot.corrected.len() + further.sum::<usize>();
-        if waiting < FULL || !matches!(event, Event::Epoch { .. }) {
+        let samples = boot.raw.len() + boot.corrected.len() + further.sum::<usize>();
+        let others = boot.navigation.len() + boot.environment.len();
+        if samples + others < FULL || !matches!(event, Event::Epoch { .. }) {
             return Ok(());
         }
         let latest_us = boot.epochs.last().map_or(0, |mark| mark.epoch.time_us);

@@ -18,25 +18,8 @@ use crate::mcap_file::{Recorded, RecordingReader};
 pub enum Step {
     /// A link received something.
     Arrival(Arrival),
-    /// The host sent these bytes.
-    Sent {
-        /// Before they were written, ns on the host's monotonic clock.
-        host_ns: u64,
-        /// As sent.
-        bytes: Vec<u8>,
-    },
-    /// The link was lost.
-    Lost {
-        /// When, ns on the host's monotonic clock.
-        host_ns: u64,
-    },
-    /// The link is back.
-    Connected {
-        /// When, ns on the host's monotonic clock.
-        host_ns: u64,
-    },
-    /// A part of the file is damaged and left out: what the link received in it is unknown.
-    Damaged,
+    /// What else was recorded of the link.
+    Other(Recorded),
 }
 
 /// One start of the device, numbered in the order of detection, because boot counts may repeat. Starts on two links are
@@ -106,16 +89,15 @@ impl Walker {
                 });
                 outcome
             }
-            Recorded::Sent { host_ns, bytes, .. } => link.step(Step::Sent { host_ns, bytes }, each),
-            Recorded::Lost { host_ns, .. } => {
-                link.decoder.interrupt();
-                link.step(Step::Lost { host_ns }, each)
+            other => {
+                match &other {
+                    Recorded::Lost { .. } => link.decoder.interrupt(),
+                    // What the link received in it is unknown.
+                    Recorded::Damaged { .. } => link.decoder.skip(),
+                    _ => {}
+                }
+                link.step(Step::Other(other), each)
             }
-            Recorded::Damaged { .. } => {
-                link.decoder.skip();
-                link.step(Step::Damaged, each)
-            }
-            Recorded::Connected { host_ns, .. } => link.step(Step::Connected { host_ns }, each),
         }
     }
 

@@ -155,7 +155,7 @@ fn slow_rotation(data: &Samples<'_>) -> Option<f64> {
         .filter(|angle| SLOW_ROTATION.contains(angle))
         .count();
     let enough = angles.len() >= 20 && 10 * turning >= 9 * angles.len();
-    median(angles.into_iter()).filter(|_| enough)
+    median(angles).filter(|_| enough)
 }
 
 /// Whether the rows are pose means instead of samples: no times, few poses found, and nearly all of the magnitude of

@@ -11,7 +11,7 @@ use super::pairing::Pairing;
 use super::{Axis, EXCERPT_NS, UNDER_WAY_NS, index_of};
 use crate::Result;
 use crate::decode::Event;
-use crate::mcap_file::RecordingReader;
+use crate::mcap_file::{Recorded, RecordingReader};
 use crate::walk::{Step, walk};
 
 /// Differences of pairs.
@@ -94,16 +94,12 @@ impl Counted {
             let meter = &mut counted.meters[link];
             let arrival = match step {
                 Step::Arrival(arrival) => arrival,
-                Step::Sent { host_ns, .. } | Step::Connected { host_ns } => {
-                    meter.is_open(host_ns);
-                    return Ok(());
-                }
-                Step::Lost { host_ns } => {
-                    meter.close(host_ns);
-                    return Ok(());
-                }
-                Step::Damaged => {
-                    meter.skip();
+                Step::Other(entry) => {
+                    match entry {
+                        Recorded::Lost { host_ns, .. } => meter.close(host_ns),
+                        Recorded::Damaged { .. } => meter.skip(),
+                        entry => meter.is_open(entry.host_ns()),
+                    }
                     return Ok(());
                 }
             };

@@ -14,7 +14,7 @@ use crate::Result;
 use crate::clock::ClockModel;
 use crate::decode::{Event, LinkStatistics};
 use crate::history::{LinkHistory, Recording};
-use crate::mcap_file::RecordingReader;
+use crate::mcap_file::{Recorded, RecordingReader};
 use crate::units::SampleUnit;
 use crate::walk::{Start, Step};
 
@@ -39,10 +39,12 @@ impl Overview {
         let recording = Recording::survey_of(reader, name, |role, start, step| {
             let link = index_of(role);
             match step {
-                Step::Sent { host_ns, .. } => {
+                Step::Other(Recorded::Sent { host_ns, .. }) => {
                     opened_ns[link].get_or_insert(*host_ns);
                 }
-                Step::Damaged => holes.iter_mut().for_each(|holes| holes.open(link)),
+                Step::Other(Recorded::Damaged { .. }) => {
+                    holes.iter_mut().for_each(|holes| holes.open(link))
+                }
                 Step::Arrival(arrival) => {
                     let (first, last) = span.unwrap_or((arrival.host_ns, arrival.host_ns));
                     span = Some((first.min(arrival.host_ns), last.max(arrival.host_ns)));
@@ -52,7 +54,7 @@ impl Overview {
                         holes[heard.stream as usize].take(link, start, heard);
                     }
                 }
-                Step::Lost { .. } | Step::Connected { .. } => {}
+                Step::Other(_) => {}
             }
         })?;
         let links = ROLES.map(|role| recording.links.iter().find(|link| link.role == role));

@@ -3,15 +3,15 @@
 
 use std::io::Read;
 
+use super::arrival::{ArrivalUser, ByArrival};
 use super::counted::{Counted, Differences};
 use super::index_of;
-use super::link::{ArrivalUser, ByArrival};
 use super::model::LinkModel;
 use super::overview::Overview;
 use super::pairing::Pairing;
 use crate::Result;
 use crate::decode::{Event, TimedSample};
-use crate::mcap_file::RecordingReader;
+use crate::mcap_file::{Recorded, RecordingReader};
 use crate::walk::{Step, walk};
 
 /// Result of the third reading.
@@ -42,7 +42,7 @@ impl Residual {
             let link = index_of(role);
             let arrival = match step {
                 Step::Arrival(arrival) => arrival,
-                Step::Damaged => {
+                Step::Other(Recorded::Damaged { .. }) => {
                     current[link] = None;
                     return Ok(());
                 }

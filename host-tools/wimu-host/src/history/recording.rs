@@ -66,8 +66,10 @@ impl StartData {
                     self.units.entry(epoch.sensor).or_default().see(epoch);
                 }
             }
-            Step::Sent { host_ns, bytes } => self.estimator.asked(*host_ns, bytes),
-            Step::Lost { .. } | Step::Connected { .. } | Step::Damaged => {}
+            Step::Other(Recorded::Sent { host_ns, bytes, .. }) => {
+                self.estimator.asked(*host_ns, bytes);
+            }
+            Step::Other(_) => {}
         }
     }
 }
@@ -137,8 +139,10 @@ impl Recording {
                     boot.start = Some(start);
                     boot.keep_latest(kept);
                 }
-                Step::Sent { host_ns, bytes } => link.latest().clock.asked(*host_ns, bytes),
-                Step::Lost { .. } | Step::Connected { .. } | Step::Damaged => {}
+                Step::Other(Recorded::Sent { host_ns, bytes, .. }) => {
+                    link.latest().clock.asked(*host_ns, bytes);
+                }
+                Step::Other(_) => {}
             }
             Ok(())
         };

@@ -155,13 +155,16 @@ impl<W: Write + Seek> RecordingWriter<W> {
             ("anchor_utc_ns".to_owned(), anchor.utc_ns.to_string()),
         ]);
         let mut channels = [(0, 0); TOPICS.len()];
-        for (channel, (_, content, topic, key)) in channels.iter_mut().zip(TOPICS) {
-            channel.0 = match content {
-                Content::Received | Content::Sent => file.channel(topic, SCHEMA_NAME, SCHEMA)?,
-                Content::State => file.channel(topic, TEXT_SCHEMA_NAME, TEXT_SCHEMA)?,
+        for (channel, topic) in channels.iter_mut().zip(TOPICS) {
+            let (role, content) = topic;
+            let (schema_name, schema) = match content {
+                Content::Received | Content::Sent => (SCHEMA_NAME, SCHEMA),
+                Content::State => (TEXT_SCHEMA_NAME, TEXT_SCHEMA),
             };
+            let name = format!("/{role}/{}", content.name());
+            channel.0 = file.channel(&name, schema_name, schema)?;
             // The channel records are in the first chunk only: the ids here make the rest readable if that is damaged.
-            metadata.insert(key.to_owned(), channel.0.to_string());
+            metadata.insert(channel_key(topic), channel.0.to_string());
         }
         let metadata = Metadata {
             name: METADATA.to_owned(),
@@ -236,8 +239,7 @@ impl<W: Write + Seek> RecordingWriter<W> {
         host_ns: u64,
         message: &[u8],
     ) -> Result<()> {
-        let wanted =
-            |topic: &(LinkRole, Content, &str, &str)| (topic.0, topic.1) == (role, content);
+        let wanted = |topic: &(LinkRole, Content)| *topic == (role, content);
         let index = TOPICS.iter().position(wanted).unwrap_or(0);
         let (channel, sequence) = self.channels[index];
         self.channels[index].1 = sequence.wrapping_add(1);

@@ -39,6 +39,7 @@ use crate::motion::FIELD_CALIBRATED;
 use crate::recording::{Origin, Quantity, Recording, Track, Unit};
 use crate::ros::message::Message;
 use crate::ros::rate_covariance;
+use crate::stats::{median, norm};
 use crate::{ErrorCode, HostError, OutputFile, Result};
 
 /// Largest departure of the median magnitude from gravity, relative: strong motion stays below. Chosen.
@@ -120,13 +121,7 @@ impl<'a> Correction<'a> {
 
     /// A warning where the median of the corrected magnitudes cannot be gravity: another unit, range or sensor.
     fn not_gravity(&self) -> Option<Finding> {
-        let norm = |row: Corrected| row.force_mps2.iter().map(|f| f * f).sum::<f64>().sqrt();
-        let mut norms: Vec<f64> = self.rows().map(norm).collect();
-        let middle = norms.len() / 2;
-        if norms.is_empty() {
-            return None;
-        }
-        let median = *norms.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let median = median(self.rows().map(|row| norm(row.force_mps2)))?;
         ((median / STANDARD_GRAVITY_MPS2 - 1.0).abs() > NOT_GRAVITY).then(|| {
             let text = format!("the median magnitude after correction is {median:.2} m/s², and gravity 9.81");
             let finding = FindingCode::UnitInferred.warning(text);

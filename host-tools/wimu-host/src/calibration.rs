@@ -2,6 +2,7 @@
 
 mod advice;
 mod bend;
+mod covariance;
 mod datasheet;
 mod export;
 mod file;
@@ -24,6 +25,7 @@ pub use export::{CalibrationExport, ExportTarget, KalibrNoise};
 pub(crate) use file::worst_sd;
 pub use file::{
     CalibrationFile, Session, StoredModel, further_sensors, read_model, read_parameters, sessions,
+    zero_count,
 };
 pub use magnetometer::{FieldPose, MagneticHalfWidths, MagnetometerReport, calibrate_magnetometer};
 pub use paired::Paired;
@@ -420,6 +422,7 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
                 range,
                 data.name,
             )
+            .map(|file| file.with_zero_count(data.info().zero_count))
         }),
         fit: estimate.map(|estimate| numbers(&estimate, range)),
         parameter_id: parameters.as_ref().map(|set| parameter_id(set).to_string()),

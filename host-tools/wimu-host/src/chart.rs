@@ -9,6 +9,7 @@ use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
 use plotters::prelude::*;
 use plotters::style::register_font;
 
+use crate::stats::median;
 use crate::{ErrorCode, HostError, OutputFile, Result};
 
 /// Size of a picture, px.
@@ -306,14 +307,10 @@ impl Chart {
 
 /// Points of a line with a break at each step in x of more than twice the median step.
 pub fn broken(points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
-    let mut steps: Vec<f64> = (points.windows(2))
-        .map(|pair| pair[1].0 - pair[0].0)
-        .collect();
-    let middle = steps.len() / 2;
-    if steps.is_empty() {
+    let steps = (points.windows(2)).map(|pair| pair[1].0 - pair[0].0);
+    let Some(usual) = median(steps) else {
         return points;
-    }
-    let usual = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
+    };
     let mut broken = Vec::with_capacity(points.len());
     for point in points {
         if let Some((x, _)) = broken

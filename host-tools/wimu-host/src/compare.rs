@@ -13,10 +13,12 @@ use wimu_link::batch::Stream;
 
 use crate::clock::{ClockModel, ClockSummary};
 use crate::finding::{Finding, FindingCode, without_unit};
+use crate::history::LinkHistory;
 use crate::mcap_file::{RecordingReader, Wholeness};
 use crate::{ErrorCode, HostError, Result};
 
 mod align;
+mod arrival;
 mod counted;
 mod holes;
 mod link;
@@ -26,10 +28,10 @@ mod pairing;
 mod pictures;
 mod quantiles;
 mod residual;
-mod units;
 
 pub use align::{Alignment, Turn, align};
-pub use link::{Burst, ByArrival, LinkReport};
+pub use arrival::ByArrival;
+pub use link::{Burst, LinkReport};
 pub use model::LinkModel;
 pub use quantiles::Quantiles;
 
@@ -198,7 +200,11 @@ pub fn compare<R: Read>(
             "record both at the same time: `wimu record LINK --cable LINK`",
         ));
     }
-    let device_id = overview.devices.first().map(|id| format!("{id:016x}"));
+    let device_id = overview
+        .recording
+        .devices
+        .first()
+        .map(|id| format!("{id:016x}"));
     let found = counted.transfer.result();
     let named = device_id.clone().unwrap_or_default();
     let lines = |found: &Transfer| [0, 1, 2].map(|axis| Axis::new(found, axis, counted.lsb_mps2));
@@ -214,7 +220,7 @@ pub fn compare<R: Read>(
             Stream::Raw => statistics.raw,
             Stream::Corrected => statistics.corrected,
         };
-        let clock = overview.single.get(index).and_then(Option::as_ref);
+        let clock = overview.link(role).and_then(LinkHistory::clock);
         LinkReport {
             by_arrival: Some(residual.by_arrival(index)),
             ..counted.meters[index].report(role, &statistics, &stream, clock)
@@ -239,7 +245,7 @@ pub fn compare<R: Read>(
         "sample",
         "left out of the values",
     );
-    let findings = (overview.wholeness.finding().into_iter())
+    let findings = (overview.recording.wholeness.finding().into_iter())
         .chain(incomparable(values_reason.as_deref()))
         .chain(left_out)
         .collect();
@@ -248,7 +254,7 @@ pub fn compare<R: Read>(
         source: name.to_owned(),
         device_id,
         duration_s: overview.span_ns() as f64 * 1e-9,
-        wholeness: overview.wholeness,
+        wholeness: overview.recording.wholeness,
         starts: overview.starts.len(),
         stream: match overview.stream {
             Stream::Raw => "raw",
@@ -263,7 +269,7 @@ pub fn compare<R: Read>(
         links,
         clock: overview
             .longest()
-            .and_then(|start| overview.clocks.get(&start))
+            .and_then(|start| overview.clock(start))
             .map(ClockModel::summary),
         values,
         values_reason,

@@ -45,6 +45,8 @@ pub struct ReadOptions {
     pub units: Option<String>,
     /// Output at zero, LSB.
     pub zero_count: Option<f64>,
+    /// Output at zero that a calibration holds, LSB: for a table of counts, where [`zero_count`](Self::zero_count) is `None`.
+    pub stored_zero_count: Option<f64>,
     /// Whether the rows of a table are means over static poses, in any order of time.
     pub poses: bool,
     /// Link of a recording of wimu; see [`Recording::link`](crate::history::Recording::link).
@@ -59,7 +61,13 @@ struct Format {
     detect: fn(&Source) -> bool,
     /// Hands tracks and rows to the sink.
     read: fn(&Source, &ReadOptions, &mut dyn Sink) -> Result<()>,
+    /// The options that it has a use for.
+    takes: &'static [&'static str],
 }
+
+const ALL_OPTIONS: &[&str] = &["topic", "columns", "where", "units", "zero-count", "link"];
+const OF_TABLES: &[&str] = &["columns", "where", "units", "zero-count"];
+const OF_LOGS: &[&str] = &["topic"];
 
 const TABLE: &str = "table";
 const UNSUPPORTED: &str = "unsupported";
@@ -67,22 +75,22 @@ const UNSUPPORTED: &str = "unsupported";
 /// In the order in which they are tried.
 #[rustfmt::skip]
 const FORMATS: &[Format] = &[
-    Format { name: OF_WIMU, detect: wimu::detect, read: wimu::read },
-    Format { name: "ROS 1 bag", detect: ros::bag::detect, read: ros::bag::read },
-    Format { name: "ROS 2 MCAP", detect: ros::mcap::detect, read: ros::mcap::read },
-    Format { name: "ROS 2 sqlite", detect: ros::db3::detect, read: ros::db3::read },
-    Format { name: "PX4 ULog", detect: px4::detect, read: px4::read },
-    Format { name: "ArduPilot DataFlash", detect: ardupilot::detect, read: ardupilot::read },
-    Format { name: "Betaflight blackbox", detect: betaflight::detect, read: betaflight::read },
-    Format { name: UNSUPPORTED, detect: unsupported::detect, read: unsupported::read },
-    Format { name: TABLE, detect: table::detect, read: table::read },
+    Format { name: OF_WIMU, detect: wimu::detect, read: wimu::read, takes: &["link"] },
+    Format { name: "ROS 1 bag", detect: ros::bag::detect, read: ros::bag::read, takes: OF_LOGS },
+    Format { name: "ROS 2 MCAP", detect: ros::mcap::detect, read: ros::mcap::read, takes: OF_LOGS },
+    Format { name: "ROS 2 sqlite", detect: ros::db3::detect, read: ros::db3::read, takes: OF_LOGS },
+    Format { name: "PX4 ULog", detect: px4::detect, read: px4::read, takes: OF_LOGS },
+    Format { name: "ArduPilot DataFlash", detect: ardupilot::detect, read: ardupilot::read, takes: OF_LOGS },
+    Format { name: "Betaflight blackbox", detect: betaflight::detect, read: betaflight::read, takes: OF_LOGS },
+    Format { name: UNSUPPORTED, detect: unsupported::detect, read: unsupported::read, takes: ALL_OPTIONS },
+    Format { name: TABLE, detect: table::detect, read: table::read, takes: OF_TABLES },
 ];
 
 /// Reads a file into `sink`; returns the name of its format.
 ///
 /// # Errors
 /// `file_unreadable`; `unknown_format`, which names what was found; `bad_recording` when most of it is
-/// unusable; `usage` for an unknown name of a format.
+/// unusable; `usage` for an unknown name of a format, and for an option that the format ignores.
 pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Result<&'static str> {
     let format = match &options.format {
         Some(name) => named(name)?,
@@ -95,8 +103,28 @@ pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Resu
             },
         },
     };
+    refuse_ignored(format, options).map_err(|error| error.at(source.name()))?;
     (format.read)(source, options, sink)?;
     Ok(format.name)
+}
+
+fn refuse_ignored(format: &Format, options: &ReadOptions) -> Result<()> {
+    let given = [
+        options.topic.is_some(),
+        options.columns.is_some(),
+        options.filter.is_some(),
+        options.units.is_some(),
+        options.zero_count.is_some(),
+        options.role.is_some(),
+    ];
+    let mut given = given.into_iter().zip(ALL_OPTIONS);
+    match given.find(|(given, option)| *given && !format.takes.contains(option)) {
+        None => Ok(()),
+        Some((_, option)) => Err(ErrorCode::Usage.error(
+            format!("--{option} has no effect on the format `{}`", format.name),
+            "leave it out",
+        )),
+    }
 }
 
 fn named(name: &str) -> Result<&'static Format> {

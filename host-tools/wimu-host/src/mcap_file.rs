@@ -21,7 +21,6 @@ use wimu_link::LinkRole;
 use crate::error::{ErrorCode, HostError, Result};
 use crate::finding::{Finding, FindingCode};
 
-mod container;
 mod reader;
 mod writer;
 
@@ -38,45 +37,35 @@ enum Content {
     State,
 }
 
-/// Topics, and the metadata keys of their channels' ids.
-const TOPICS: [(LinkRole, Content, &str, &str); 6] = [
-    (
-        LinkRole::Wireless,
-        Content::Received,
-        "/wireless/bytes",
-        "channel_wireless",
-    ),
-    (
-        LinkRole::Cable,
-        Content::Received,
-        "/cable/bytes",
-        "channel_cable",
-    ),
-    (
-        LinkRole::Wireless,
-        Content::Sent,
-        "/wireless/sent",
-        "channel_wireless_sent",
-    ),
-    (
-        LinkRole::Cable,
-        Content::Sent,
-        "/cable/sent",
-        "channel_cable_sent",
-    ),
-    (
-        LinkRole::Wireless,
-        Content::State,
-        "/wireless/link",
-        "channel_wireless_link",
-    ),
-    (
-        LinkRole::Cable,
-        Content::State,
-        "/cable/link",
-        "channel_cable_link",
-    ),
+impl Content {
+    /// Last part of the topic.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Received => "bytes",
+            Self::Sent => "sent",
+            Self::State => "link",
+        }
+    }
+}
+
+/// What is recorded of each link.
+const TOPICS: [(LinkRole, Content); 6] = [
+    (LinkRole::Wireless, Content::Received),
+    (LinkRole::Cable, Content::Received),
+    (LinkRole::Wireless, Content::Sent),
+    (LinkRole::Cable, Content::Sent),
+    (LinkRole::Wireless, Content::State),
+    (LinkRole::Cable, Content::State),
 ];
+
+/// Key of the metadata that has the number of a topic's channel.
+fn channel_key((role, content): (LinkRole, Content)) -> String {
+    match content {
+        Content::Received => format!("channel_{role}"),
+        _ => format!("channel_{role}_{}", content.name()),
+    }
+}
+
 const CONNECTED: &str = "connected";
 const LOST: &str = "lost: ";
 const DAMAGED: &str = "a part of the recording is missing";
@@ -98,8 +87,10 @@ uint32 size
 uint32 stride
 ";
 const METADATA: &str = "wimu";
-/// A chunk is closed after this time, or when it is full.
+/// A chunk is closed after this time, or at this size.
 const FLUSH_NS: u64 = 1_000_000_000;
+const CHUNK_BYTES: u64 = 256 * 1024;
+
 /// What wrote an MCAP file, from its first bytes; `None` if they are not those of one.
 pub(crate) fn library(start: &[u8]) -> Option<&[u8]> {
     let text = |bytes: &mut &[u8]| -> Option<usize> {

@@ -3,13 +3,14 @@
 use std::collections::VecDeque;
 
 use wimu_integrator::{Integrator, State};
+use wimu_link::LinkRole;
 use wimu_link::batch::{MAX_BATCH, Stream};
 use wimu_link::message::{Attitude, Environment, Epoch, Navigation};
-use wimu_model::{AngularRateQ20, DeviceTimeUs, ParameterId, SpecificForceMps2, SpecificForceQ16};
+use wimu_model::{DeviceTimeUs, ParameterId, SpecificForceMps2};
 
 use crate::decode::{Event, TimedSample, sequence_order};
-use crate::history::Boot;
-use crate::units::RawUnits;
+use crate::history::LinkHistory;
+use crate::units::{RawUnits, SampleUnit};
 
 /// Raw samples kept for the corrected sample of the same number.
 const KEPT: usize = 256;
@@ -80,21 +81,30 @@ pub struct Reading {
 
 /// Combines a link's events to [`Reading`]s: one for each corrected sample, or for each raw sample of
 /// a link without corrected ones; raw samples of unknown range are left out.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Readings {
     /// Raw samples whose corrected ones may still arrive, in order.
     raw: VecDeque<TimedSample>,
     units: RawUnits,
-    parameters: Option<ParameterId>,
-    /// Epoch and parameters.
-    known: Boot,
-    environment: Option<Environment>,
+    /// The latest data.
+    link: LinkHistory,
     field: Option<Field>,
     heading: Option<Heading>,
-    navigation: Option<Navigation>,
-    attitude: Option<Attitude>,
     /// Whether the link carries corrected samples; `None` if unknown.
     corrected_come: Option<bool>,
+}
+
+impl Default for Readings {
+    fn default() -> Self {
+        Self {
+            raw: VecDeque::new(),
+            units: RawUnits::default(),
+            link: LinkHistory::new(LinkRole::Cable),
+            field: None,
+            heading: None,
+            corrected_come: None,
+        }
+    }
 }
 
 impl Readings {
@@ -105,21 +115,21 @@ impl Readings {
 
     /// Takes an event and calls `each` with the completed readings, in order.
     pub fn push(&mut self, event: &Event, mut each: impl FnMut(Reading)) {
-        self.known.take_parameters(event);
+        if let Event::Restart { .. } = event {
+            *self = Self::new();
+        }
+        self.link.take_event(event);
+        self.link.latest().keep_latest(KEPT);
         match event {
             Event::Environment(environment) => {
-                self.environment = Some(*environment);
-                let corrected = self.known.corrected_field_nt(environment);
+                let corrected = self.link.latest().corrected_field_nt(environment);
                 let put_out = environment.magnetic_field_nt.map(|nt| nt.map(f64::from));
                 self.field = corrected.or(put_out).map(|nt| Field {
                     nt,
                     calibrated: corrected.is_some(),
                 });
             }
-            Event::Navigation(navigation) => self.navigation = Some(*navigation),
-            Event::Attitude(attitude) => self.attitude = Some(*attitude),
             Event::Epoch { epoch, .. } => {
-                self.parameters = Some(epoch.parameter_id());
                 self.heading = Heading::of(epoch);
                 self.units.see(epoch);
                 self.units.forget_old();
@@ -129,7 +139,6 @@ impl Readings {
                 let either = settings.cable.corrected || settings.wireless.corrected;
                 self.corrected_come = Some(either);
             }
-            Event::Restart { .. } => *self = Self::new(),
             Event::Samples(samples) => match samples.stream {
                 Stream::Raw => {
                     self.raw.extend(samples.iter());
@@ -141,9 +150,7 @@ impl Readings {
                     self.corrected_come = Some(true);
                     for sample in samples.iter() {
                         let raw = self.twin_of(&sample);
-                        let force = SpecificForceQ16(sample.value).to_mps2();
-                        let rate = sample.rate.map(|rate| AngularRateQ20(rate).to_rad_s());
-                        each(self.reading(&sample, raw, force, rate));
+                        each(self.reading(&sample, raw, SampleUnit::Corrected));
                     }
                 }
             },
@@ -153,12 +160,7 @@ impl Readings {
             && let Some(sample) = self.raw.pop_front()
         {
             if let Some(unit) = self.units.of(sample.sequence) {
-                let force = SpecificForceMps2(unit.mps2(sample.value));
-                let rate = unit.rad_s(sample.rate);
-                each(Reading {
-                    corrected: false,
-                    ..self.reading(&sample, Some(sample), force, rate)
-                });
+                each(self.reading(&sample, Some(sample), SampleUnit::Raw(unit)));
             }
         }
         let old = self.raw.len().saturating_sub(KEPT);
@@ -176,25 +178,25 @@ impl Readings {
     }
 
     fn reading(
-        &self,
+        &mut self,
         sample: &TimedSample,
         raw: Option<TimedSample>,
-        specific_force: SpecificForceMps2,
-        angular_rate: Option<[f64; 3]>,
+        unit: SampleUnit,
     ) -> Reading {
+        let boot = self.link.latest();
         Reading {
             sequence: sample.sequence,
             time: sample.time,
             raw,
-            specific_force,
-            angular_rate,
-            corrected: true,
-            parameters: self.parameters,
-            environment: self.environment,
+            specific_force: SpecificForceMps2(unit.mps2(sample.value)),
+            angular_rate: unit.rad_s(sample.rate),
+            corrected: unit == SampleUnit::Corrected,
+            parameters: boot.epochs.last().map(|mark| mark.epoch.parameter_id()),
+            environment: boot.environment.last().copied(),
             field: self.field,
             heading: self.heading,
-            navigation: self.navigation,
-            attitude: self.attitude,
+            navigation: boot.navigation.last().copied(),
+            attitude: boot.attitude.last().copied(),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Velocity and position of a recording: as computed by the device, and recomputed.
 
 use wimu_integrator::{Config, Integrator, Navigation, Phase};
-use wimu_link::message::{self, WirePhase};
+use wimu_link::message::{self, Epoch, WirePhase};
 use wimu_model::{
     AngularRateQ20, CentiCelsius, DeviceTimeUs, MagneticFieldNt, ParameterSet, PeriodNs,
     PositionNm, SpecificForceQ16, VelocityNmps,
@@ -11,7 +11,7 @@ use crate::decode::TimedSample;
 use crate::history::Boot;
 use crate::motion::{MotionRecording, UnitSample};
 use crate::replay::{Correction, Replay, Step, find};
-use crate::{ErrorCode, Result};
+use crate::{ErrorCode, HostError, Result};
 
 /// Largest specific force after correction per *g* of full-scale range, m/s²: 1.5 g.
 const BEYOND_RANGE: f64 = 1.5 * wimu_model::STANDARD_GRAVITY_MPS2;
@@ -84,16 +84,7 @@ pub fn recomputed(boot: &Boot, parameters: &ParameterSet, zupt: bool) -> Result<
             "record for longer than a second",
         ));
     };
-    let refused = |message: String| {
-        ErrorCode::DataRefused.error(message, "give the calibration of this sensor")
-    };
-    let temperature = boot
-        .environment
-        .iter()
-        .find_map(|e| e.temperature_centi_c)
-        .map(CentiCelsius);
-    let correction = Correction::compile(parameters, &first.epoch, temperature)
-        .map_err(|e| refused(e.to_string()))?;
+    let correction = correction(boot, &first.epoch, parameters)?;
     // The latest epoch has the best estimate of the true period.
     let period = boot
         .epochs
@@ -106,7 +97,7 @@ pub fn recomputed(boot: &Boot, parameters: &ParameterSet, zupt: bool) -> Result<
         zupt,
         gravity_um_s2: first.epoch.state.gravity_um_s2,
     };
-    let config = config.checked().map_err(|e| refused(e.to_string()))?;
+    let config = config.checked().map_err(refused)?;
     let mut integrator = Integrator::new(config);
     let mut next = None;
     Ok(boot
@@ -128,6 +119,16 @@ pub fn recomputed(boot: &Boot, parameters: &ParameterSet, zupt: bool) -> Result<
         .collect())
 }
 
+/// The correction of raw samples with other parameters than the device's, at the first temperature.
+fn correction(boot: &Boot, epoch: &Epoch, parameters: &ParameterSet) -> Result<Correction> {
+    let temperature = boot.environment.iter().find_map(|e| e.temperature_centi_c);
+    Correction::compile(parameters, epoch, temperature.map(CentiCelsius)).map_err(refused)
+}
+
+fn refused(error: impl std::error::Error) -> HostError {
+    ErrorCode::DataRefused.error(error.to_string(), "give the calibration of this sensor")
+}
+
 /// The samples of one start as input of [`crate::inertial::navigate`], with the magnetic field where the
 /// magnetometer is calibrated; corrected by the device, or with other parameters.
 ///
@@ -141,16 +142,7 @@ pub fn motion(
     type Corrected = (DeviceTimeUs, (SpecificForceQ16, Option<AngularRateQ20>));
     let forces: Vec<Corrected> = match (parameters, boot.epochs.first()) {
         (Some(parameters), Some(first)) => {
-            let temperature = boot
-                .environment
-                .iter()
-                .find_map(|e| e.temperature_centi_c)
-                .map(CentiCelsius);
-            let correction =
-                Correction::compile(parameters, &first.epoch, temperature).map_err(|error| {
-                    ErrorCode::DataRefused
-                        .error(error.to_string(), "give the calibration of this sensor")
-                })?;
+            let correction = correction(boot, &first.epoch, parameters)?;
             let correct = |raw: &TimedSample| (raw.time, correction.correct(raw));
             boot.raw.iter().map(correct).collect()
         }

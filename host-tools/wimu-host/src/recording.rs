@@ -24,6 +24,7 @@ mod times;
 use wimu_model::SensorId;
 
 use crate::finding::{Finding, FindingCode, Severity};
+use crate::stats::median;
 pub(crate) use checks::Unusable;
 pub(crate) use link::{FORMAT as OF_WIMU, LinkRows};
 pub(crate) use samples::{ASSUMED_RATE_HZ, gaps_finding, no_usable_row, unit_of};
@@ -158,6 +159,8 @@ pub struct TrackInfo {
     pub device: Option<SensorId>,
     /// Full scale of an axis, SI, where the file gives it.
     pub full_scale: Option<f64>,
+    /// Output at zero that was subtracted from the counts of the file, LSB.
+    pub zero_count: Option<f64>,
 }
 
 impl TrackInfo {
@@ -174,6 +177,7 @@ impl TrackInfo {
             timeless: false,
             device: None,
             full_scale: None,
+            zero_count: None,
         }
     }
 
@@ -269,9 +273,8 @@ impl Track {
     /// Median time between rows, s; `None` with fewer than two.
     pub fn median_step_s(&self) -> Option<f64> {
         let steps = self.times_ns.windows(2).map(|pair| pair[1] - pair[0]);
-        let mut steps: Vec<i64> = steps.filter(|step| *step > 0).collect();
-        let middle = steps.len() / 2;
-        (!steps.is_empty()).then(|| *steps.select_nth_unstable(middle).1 as f64 * 1e-9)
+        let steps = steps.filter(|step| *step > 0).map(|step| step as f64);
+        median(steps).map(|step_ns| step_ns * 1e-9)
     }
 }
 

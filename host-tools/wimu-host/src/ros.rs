@@ -18,31 +18,30 @@
 pub(crate) mod message;
 pub(crate) mod path;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::Serialize;
 use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
-use wimu_link::message::{Attitude, Navigation, WirePhase};
-use wimu_model::{AngularRateQ20, DeviceTimeUs, Matrix3, SpecificForceQ16};
+use wimu_link::message::{Attitude, Environment, Navigation, WirePhase};
+use wimu_model::{DeviceTimeUs, Matrix3};
 
+use crate::clock::ClockModel;
 use crate::compare::LinkModel;
 use crate::decode::{Event, Samples, sequence_order};
 use crate::finding::{Finding, FindingCode, without_unit};
-use crate::history::Boot;
+use crate::history::{Boot, LinkHistory, Recording, StartData};
 use crate::mcap_file::{RecordingReader, RecordingWriter, Wholeness};
 use crate::replay::find;
-use crate::units::RawUnits;
-use crate::walk::{Clocks, Start, Step, Walker, walk};
+use crate::units::SampleUnit;
+use crate::walk::{Start, Step, Walker};
 use crate::{ErrorCode, OutputFile, Result};
 use message::Message;
 use path::{PathTopics, Pose};
 
-/// Attitudes kept for the samples that follow them.
-const MAX_ATTITUDES: usize = 256;
-/// Samples whose time is kept for the positions computed from them, and positions that wait for their sample.
-const MAX_TIMES: usize = 4096;
+/// Samples, attitudes and positions kept for those that belong to them.
+const KEPT: usize = 4096;
 
 /// How many messages of each topic were written.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -131,27 +130,12 @@ impl Kind {
 /// Those of reading a recording and of [`OutputFile`]; `data_refused` when the link
 /// model is of another device.
 pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<Decoded> {
-    let mut clocks = Clocks::default();
-    let mut units: BTreeMap<(Start, u8), RawUnits> = BTreeMap::new();
-    let mut positioned: Option<LinkRole> = None;
-    walk(&mut RecordingReader::open(from)?, |role, start, step| {
-        if let Step::Arrival(arrival) = &step {
-            match (arrival.event.of_any_sensor(), link_model) {
-                (Event::Hello(hello), Some(model)) => model.check_device(hello.device_id)?,
-                // An epoch that one link lost may have arrived on the other.
-                (Event::Epoch { epoch, .. }, _) => {
-                    units.entry((start, epoch.sensor)).or_default().see(epoch);
-                }
-                (Event::Navigation(_), _) if role == LinkRole::Cable || positioned.is_none() => {
-                    positioned = Some(role);
-                }
-                _ => {}
-            }
-        }
-        clocks.see(role, start, &step);
-        Ok(())
-    })?;
-    let clocks = clocks.models();
+    let survey = Recording::survey(from)?;
+    if let Some(model) = link_model {
+        (survey.devices.iter()).try_for_each(|device| model.check_device(*device))?;
+    }
+    let has_positions =
+        |link: &&LinkHistory| link.boots.iter().any(|boot| boot.counts.navigation > 0);
     let mut reader = RecordingReader::open(from)?;
     let Some(anchor) = reader.anchor()? else {
         return Err(ErrorCode::BadRecording
@@ -164,10 +148,15 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
     let (output, file) = OutputFile::create(to)?;
     let mut decoder = Writer {
         out: RecordingWriter::new(file, output.name(), anchor)?,
-        units,
-        parameters: BTreeMap::new(),
+        starts: &survey.starts,
+        links: BTreeMap::new(),
         paths: BTreeMap::new(),
-        positioned,
+        // The cable is the first link.
+        positioned: survey
+            .links
+            .iter()
+            .find(has_positions)
+            .map(|link| link.role),
         link_model,
         decoded: Decoded::default(),
     };
@@ -175,15 +164,14 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
     while let Some(entry) = reader.next_entry()? {
         decoder.out.record(&entry)?;
         walker.push(entry, &mut |role, start, step| {
-            decoder.take(role, start, &step, clocks.get(&start))
+            decoder.take(role, start, &step)
         })?;
     }
-    let links = walker
-        .finish(&mut |role, start, step| decoder.take(role, start, &step, clocks.get(&start)))?;
+    let links = walker.finish(&mut |role, start, step| decoder.take(role, start, &step))?;
     let unplaced = links.iter().map(|(_, link)| link.batches_unplaced);
     decoder.decoded.unplaced = unplaced.sum();
     for path in std::mem::take(&mut decoder.paths).into_values() {
-        path.topics.finish(decoder.out.ros())?;
+        path.finish(decoder.out.ros())?;
     }
     decoder.decoded.messages = decoder.out.ros().counts();
     decoder.out.finish()?;
@@ -243,212 +231,160 @@ pub(crate) fn rate_covariance(rate: [f64; 3], sd: &[f64; 12], rotation: &Matrix3
     [0, 1, 2].map(|i| [0, 1, 2].map(|j| element(i, j)))
 }
 
+/// Number of the latest sample of either stream.
+fn latest_sequence(boot: &Boot) -> Option<u32> {
+    let last = [&boot.raw, &boot.corrected].map(|samples| Some(samples.last()?.sequence));
+    let later = |a: u32, b: u32| if sequence_order(a, b).is_gt() { a } else { b };
+    last.into_iter().flatten().reduce(later)
+}
+
+/// The next position whose sample is known, with the sample's time and angular rate; those whose sample was lost are left
+/// out.
+fn next_position(boot: &mut Boot) -> Option<(Navigation, DeviceTimeUs, [f64; 3])> {
+    let latest = latest_sequence(boot)?;
+    while let Some(next) = boot.navigation.first().copied() {
+        if sequence_order(next.sequence, latest).is_gt() && boot.navigation.len() <= KEPT {
+            return None;
+        }
+        boot.navigation.remove(0);
+        if let Some(time) = boot.time_of(next.sequence) {
+            let corrected = find(&boot.corrected, next.sequence, |sample| sample.sequence);
+            let rate = corrected.and_then(|sample| SampleUnit::Corrected.rad_s(sample.rate));
+            return Some((next, time, rate.unwrap_or_default()));
+        }
+    }
+    None
+}
+
 struct Writer<'a> {
     out: RecordingWriter<std::fs::File>,
-    /// Of raw samples, by sensor.
-    units: BTreeMap<(Start, u8), RawUnits>,
-    /// Parameters and the latest epoch, by which the field is corrected.
-    parameters: BTreeMap<(u8, Start), Boot>,
+    starts: &'a BTreeMap<Start, StartData>,
+    /// The latest data of each link.
+    links: BTreeMap<u8, LinkHistory>,
     /// Positions of each link's start.
-    paths: BTreeMap<(u8, Start), DevicePath>,
+    paths: BTreeMap<(u8, Start), PathTopics>,
     /// The link whose positions are transforms.
     positioned: Option<LinkRole>,
     link_model: Option<&'a LinkModel>,
     decoded: Decoded,
 }
 
-/// Positions that a device sent, and what is needed to place them.
-struct DevicePath {
-    topics: PathTopics,
-    /// Number, time and angular rate of the latest samples.
-    samples: VecDeque<(u32, DeviceTimeUs, Option<[f64; 3]>)>,
-    waiting: VecDeque<Navigation>,
+/// Where a message belongs.
+#[derive(Clone, Copy)]
+struct Source<'a> {
+    role: LinkRole,
+    start: Start,
+    /// What is known of the start.
+    known: Option<&'a StartData>,
+    /// When it arrived, ns on the host's monotonic clock.
+    arrived_ns: u64,
 }
 
-impl DevicePath {
-    fn see(&mut self, samples: &Samples) {
-        let corrected = samples.stream == Stream::Corrected;
-        for sample in samples.iter() {
-            let rate = sample.rate.filter(|_| corrected);
-            let rate = rate.map(|rate| AngularRateQ20(rate).to_rad_s());
-            match find_in(&self.samples, sample.sequence) {
-                Ok(at) => self.samples[at].2 = rate.or(self.samples[at].2),
-                Err(at) => self
-                    .samples
-                    .insert(at, (sample.sequence, sample.time, rate)),
-            }
-        }
-        let old = self.samples.len().saturating_sub(MAX_TIMES);
-        self.samples.drain(..old);
+impl<'a> Source<'a> {
+    fn clock(&self) -> Option<&'a ClockModel> {
+        self.known?.clock.as_ref()
     }
-
-    /// The next position whose sample is known; those whose sample was lost are left out.
-    fn next(&mut self) -> Option<(Navigation, DeviceTimeUs, Option<[f64; 3]>)> {
-        let latest = self.samples.back()?.0;
-        while let Some(next) = self.waiting.front().copied() {
-            if sequence_order(next.sequence, latest).is_gt() && self.waiting.len() <= MAX_TIMES {
-                return None;
-            }
-            self.waiting.pop_front();
-            if let Ok(at) = find_in(&self.samples, next.sequence) {
-                let (_, time, rate) = self.samples[at];
-                return Some((next, time, rate));
-            }
-        }
-        None
-    }
-}
-
-fn find_in<T>(
-    samples: &VecDeque<(u32, DeviceTimeUs, T)>,
-    sequence: u32,
-) -> std::result::Result<usize, usize> {
-    samples.binary_search_by(|sample| sequence_order(sample.0, sequence))
 }
 
 impl Writer<'_> {
-    fn take(
-        &mut self,
-        role: LinkRole,
-        start: Start,
-        step: &Step,
-        clock: Option<&crate::clock::ClockModel>,
-    ) -> Result<()> {
+    fn take(&mut self, role: LinkRole, start: Start, step: &Step) -> Result<()> {
         let Step::Arrival(arrival) = step else {
             return Ok(());
         };
-        let arrived_ns = arrival.host_ns;
-        let event = arrival.event.of_any_sensor();
-        let sensor = event.sensor().unwrap_or_default();
-        let write = |writer: &mut Self, kind: Kind, time: DeviceTimeUs, fields: &[f64]| {
-            let Some(clock) = clock else {
-                writer.decoded.without_time += 1;
-                return Ok(());
-            };
-            writer.write(
-                (role, sensor, kind),
-                arrived_ns,
-                clock.host_ns(time),
-                fields,
-            )
+        let source = Source {
+            role,
+            start,
+            known: self.starts.get(&start),
+            arrived_ns: arrival.host_ns,
         };
-        self.position(role, start, event, arrived_ns, clock)?;
-        let held = self.parameters.entry((role.number(), start)).or_default();
-        held.take_parameters(&arrival.event);
-        match event {
-            Event::Samples(samples) | Event::Late(samples) => {
-                if matches!(event, Event::Late(_)) {
-                    self.decoded.late += samples.values.len() as u64;
-                }
-                let kind = match samples.stream {
-                    Stream::Raw => Kind::Raw,
-                    Stream::Corrected => Kind::Corrected,
-                };
-                let model = (self.link_model).filter(|model| sensor == 0 && model.is_of(role));
-                let gyroscope = gyroscope_of(held).filter(|_| samples.stream == Stream::Corrected);
-                let attitudes = std::mem::take(&mut held.attitude);
-                for sample in samples.iter() {
-                    let units = self.units.get(&(start, sensor));
-                    let unit = units.and_then(|units| units.of(sample.sequence));
-                    let (force, rate) = match (samples.stream, unit) {
-                        (Stream::Raw, None) => {
-                            self.decoded.without_unit += 1;
-                            continue;
-                        }
-                        (Stream::Raw, Some(unit)) => {
-                            (unit.mps2(sample.value), unit.rad_s(sample.rate))
-                        }
-                        (Stream::Corrected, _) => (
-                            SpecificForceQ16(sample.value).to_mps2().0,
-                            sample.rate.map(|rate| AngularRateQ20(rate).to_rad_s()),
-                        ),
-                    };
-                    let force = model.map_or(force, |model| model.correct(force));
-                    let attitude = match samples.stream {
-                        Stream::Raw => None,
-                        Stream::Corrected => find(&attitudes, sample.sequence, |a| a.sequence),
-                    };
-                    let mut fields = imu(force, rate, attitude);
-                    if let (Some(rate), Some((sd, alignment))) = (rate, &gyroscope) {
-                        let covariance = rate_covariance(rate, sd, alignment);
-                        fields[16..25].copy_from_slice(covariance.as_flattened());
-                    }
-                    write(self, kind, sample.time, &fields)?;
-                }
-                if let Some(held) = self.parameters.get_mut(&(role.number(), start)) {
-                    held.attitude = attitudes;
-                }
+        let mut link =
+            (self.links.remove(&role.number())).unwrap_or_else(|| LinkHistory::new(role));
+        link.take_event(&arrival.event);
+        link.boots.drain(..link.boots.len() - 1);
+        let boot = link.latest();
+        boot.keep_latest(KEPT);
+        match arrival.event.of_any_sensor() {
+            Event::Samples(samples) => {
+                self.positions(source, boot)?;
+                self.samples(source, boot, samples)?;
             }
-            Event::Attitude(attitude) => {
-                held.attitude.push(*attitude);
-                let old = held.attitude.len().saturating_sub(MAX_ATTITUDES);
-                held.attitude.drain(..old);
+            Event::Late(samples) => {
+                self.decoded.late += samples.values.len() as u64;
+                self.samples(source, boot, samples)?;
             }
-            Event::Environment(environment) => {
-                let time = DeviceTimeUs(environment.time_us);
-                let corrected = held.corrected_field_nt(environment);
-                let field = environment.magnetic_field_nt.map(|nt| nt.map(f64::from));
-                for (kind, nt) in [
-                    (Kind::Magnetic, field),
-                    (Kind::MagneticCorrected, corrected),
-                ] {
-                    let Some(nt) = nt else { continue };
-                    let mut fields = [0.0; 12];
-                    for axis in 0..3 {
-                        fields[axis] = nt[axis] * 1e-9;
-                    }
-                    write(self, kind, time, &fields)?;
-                }
-                if let Some(centi) = environment.temperature_centi_c {
-                    write(
-                        self,
-                        Kind::Temperature,
-                        time,
-                        &[f64::from(centi) / 100.0, 0.0],
-                    )?;
-                }
+            Event::Navigation(sent) if sent.flags == 0 && sent.phase != WirePhase::Searching => {
+                self.positions(source, boot)?;
             }
+            Event::Navigation(_) => {
+                boot.navigation.pop();
+            }
+            Event::Environment(environment) => self.environment(source, boot, environment)?,
             _ => {}
+        }
+        self.links.insert(role.number(), link);
+        Ok(())
+    }
+
+    fn samples(&mut self, source: Source, boot: &Boot, samples: &Samples) -> Result<()> {
+        let (stream, sensor) = (samples.stream, samples.sensor);
+        let kind = match stream {
+            Stream::Raw => Kind::Raw,
+            Stream::Corrected => Kind::Corrected,
+        };
+        let model = (self.link_model).filter(|model| sensor == 0 && model.is_of(source.role));
+        let gyroscope = gyroscope_of(boot).filter(|_| stream == Stream::Corrected);
+        for sample in samples.iter() {
+            let unit = (source.known).and_then(|start| start.unit(stream, sensor, sample.sequence));
+            let Some(unit) = unit else {
+                self.decoded.without_unit += 1;
+                continue;
+            };
+            let (force, rate) = (unit.mps2(sample.value), unit.rad_s(sample.rate));
+            let force = model.map_or(force, |model| model.correct(force));
+            let attitude = match stream {
+                Stream::Raw => None,
+                Stream::Corrected => find(&boot.attitude, sample.sequence, |a| a.sequence),
+            };
+            let mut fields = imu(force, rate, attitude);
+            if let (Some(rate), Some((sd, alignment))) = (rate, &gyroscope) {
+                let covariance = rate_covariance(rate, sd, alignment);
+                fields[16..25].copy_from_slice(covariance.as_flattened());
+            }
+            self.write(source, (sensor, kind), sample.time, &fields)?;
         }
         Ok(())
     }
 
-    /// Takes the positions that a device sent.
-    fn position(
-        &mut self,
-        role: LinkRole,
-        start: Start,
-        event: &Event,
-        arrived_ns: u64,
-        clock: Option<&crate::clock::ClockModel>,
-    ) -> Result<()> {
-        let key = (role.number(), start);
-        let transforms = self.positioned == Some(role);
-        let path = self.paths.entry(key).or_insert_with(|| DevicePath {
-            topics: PathTopics::new(&format!("/{role}"), transforms),
-            samples: VecDeque::new(),
-            waiting: VecDeque::new(),
-        });
-        match event {
-            Event::Navigation(navigation)
-                if navigation.flags == 0 && navigation.phase != WirePhase::Searching =>
-            {
-                path.waiting.push_back(*navigation);
-            }
-            Event::Samples(samples) if samples.sensor == 0 => path.see(samples),
-            _ => return Ok(()),
+    fn environment(&mut self, source: Source, boot: &Boot, sent: &Environment) -> Result<()> {
+        let time = DeviceTimeUs(sent.time_us);
+        let field = sent.magnetic_field_nt.map(|nt| nt.map(f64::from));
+        for (kind, nt) in [
+            (Kind::Magnetic, field),
+            (Kind::MagneticCorrected, boot.corrected_field_nt(sent)),
+        ] {
+            let Some(nt) = nt else { continue };
+            let mut fields = [0.0; 12];
+            fields[..3].copy_from_slice(&nt.map(|axis| axis * 1e-9));
+            self.write(source, (0, kind), time, &fields)?;
         }
+        match sent.temperature_centi_c {
+            Some(centi) => {
+                let fields = [f64::from(centi) / 100.0, 0.0];
+                self.write(source, (0, Kind::Temperature), time, &fields)
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Writes the positions whose samples have arrived.
+    fn positions(&mut self, source: Source, boot: &mut Boot) -> Result<()> {
         let anchor = self.out.anchor();
-        while let Some((navigation, time, rate)) = path.next() {
-            let Some(clock) = clock else {
+        while let Some((navigation, time, rate_rad_s)) = next_position(boot) {
+            let Some(clock) = source.clock() else {
                 self.decoded.without_time += 1;
                 continue;
             };
-            let attitudes = self
-                .parameters
-                .get(&key)
-                .map_or(&[][..], |held| &held.attitude);
-            let attitude = find(attitudes, navigation.sequence, |a| a.sequence);
+            let attitude = find(&boot.attitude, navigation.sequence, |a| a.sequence);
             let heading = navigation.heading_sd_mrad;
             let heading_sd = heading.map_or(0.0, |mrad| f64::from(mrad) * 1e-3);
             let turn = std::f64::consts::PI;
@@ -460,10 +396,13 @@ impl Writer<'_> {
                 attitude_sd_rad: attitude.map_or([turn; 3], |_| [0.0, 0.0, heading_sd]),
                 velocity_mps: navigation.velocity_nmps.map(|nm| nm as f64 * 1e-9),
                 velocity_sd_mps: [0.0; 3],
-                rate_rad_s: rate.unwrap_or_default(),
+                rate_rad_s,
             };
-            let log_ns = anchor.to_utc_ns(arrived_ns);
-            path.topics.push(self.out.ros(), log_ns, &pose)?;
+            let key = (source.role.number(), source.start);
+            let transforms = self.positioned == Some(source.role);
+            let new = || PathTopics::new(&format!("/{}", source.role), transforms);
+            let path = self.paths.entry(key).or_insert_with(new);
+            path.push(self.out.ros(), anchor.to_utc_ns(source.arrived_ns), &pose)?;
         }
         Ok(())
     }
@@ -471,20 +410,24 @@ impl Writer<'_> {
     /// One message: a header and numbers.
     fn write(
         &mut self,
-        (role, sensor, kind): (LinkRole, u8, Kind),
-        arrived_ns: u64,
-        taken_ns: u64,
+        source: Source,
+        (sensor, kind): (u8, Kind),
+        time: DeviceTimeUs,
         fields: &[f64],
     ) -> Result<()> {
+        let Some(clock) = source.clock() else {
+            self.decoded.without_time += 1;
+            return Ok(());
+        };
         let sensor_name = match sensor {
             0 => "imu".to_owned(),
             further => format!("imu_{further}"),
         };
-        let topic = format!("/{role}/{sensor_name}/{}", kind.topic());
+        let topic = format!("/{}/{sensor_name}/{}", source.role, kind.topic());
         let anchor = self.out.anchor();
-        let stamp_ns = anchor.to_utc_ns(taken_ns);
+        let stamp_ns = anchor.to_utc_ns(clock.host_ns(time));
         let head = Message::new().header(stamp_ns, &format!("{sensor_name}_link"));
-        let log_ns = anchor.to_utc_ns(arrived_ns);
+        let log_ns = anchor.to_utc_ns(source.arrived_ns);
         let message = head.numbers(fields);
         let file = self.out.ros();
         file.publish(&topic, kind.type_name(), log_ns, stamp_ns, &message)

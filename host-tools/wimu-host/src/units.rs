@@ -2,7 +2,7 @@
 //! the sample's number, not of the latest one.
 
 use wimu_link::message::{Epoch, EpochGyroscope, EpochReason};
-use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
+use wimu_model::{AngularRateQ20, STANDARD_GRAVITY_MPS2, Sensitivity, SpecificForceQ16};
 
 use crate::decode::sequence_order;
 
@@ -21,7 +21,7 @@ pub struct RawUnit {
 }
 
 impl RawUnit {
-    fn of(epoch: &Epoch) -> Option<Self> {
+    pub(crate) fn of(epoch: &Epoch) -> Option<Self> {
         Some(Self {
             sensitivity: Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g).ok()?,
             full_scale: epoch.full_scale.unsigned_abs(),
@@ -54,6 +54,46 @@ impl RawUnit {
     /// The full-scale range, m/s².
     pub fn range_mps2(&self) -> f64 {
         f64::from(self.full_scale) * self.mps2_per_lsb()
+    }
+}
+
+/// Unit of the values of a sample of either stream.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SampleUnit {
+    /// Counts, LSB.
+    Raw(RawUnit),
+    /// Corrected by the device: 2⁻¹⁶ m/s² and 2⁻²⁰ rad/s.
+    Corrected,
+}
+
+impl SampleUnit {
+    /// m/s² of one LSB.
+    pub fn mps2_per_lsb(&self) -> f64 {
+        match self {
+            Self::Raw(unit) => unit.mps2_per_lsb(),
+            Self::Corrected => 1.0 / SpecificForceQ16::LSB_PER_MPS2,
+        }
+    }
+
+    /// A value in m/s².
+    pub fn mps2(&self, value: [i32; 3]) -> [f64; 3] {
+        value.map(|v| f64::from(v) * self.mps2_per_lsb())
+    }
+
+    /// An angular rate in rad/s; `None` without a gyroscope.
+    pub fn rad_s(&self, rate: Option<[i32; 3]>) -> Option<[f64; 3]> {
+        match self {
+            Self::Raw(unit) => unit.rad_s(rate),
+            Self::Corrected => rate.map(|rate| AngularRateQ20(rate).to_rad_s()),
+        }
+    }
+
+    /// Whether an axis is at the full scale of the sensor.
+    pub fn is_saturated(&self, value: [i32; 3]) -> bool {
+        match self {
+            Self::Raw(unit) => value.iter().any(|v| v.unsigned_abs() >= unit.full_scale),
+            Self::Corrected => false,
+        }
     }
 }
 

@@ -6,7 +6,6 @@ use std::io::Read;
 use wimu_link::LinkRole;
 
 use crate::Result;
-use crate::clock::{ClockEstimator, ClockModel};
 use crate::decode::{Arrival, Decoder, Event, LinkStatistics};
 use crate::mcap_file::{Recorded, RecordingReader};
 
@@ -19,25 +18,8 @@ use crate::mcap_file::{Recorded, RecordingReader};
 pub enum Step {
     /// A link received something.
     Arrival(Arrival),
-    /// The host sent these bytes.
-    Sent {
-        /// Before they were written, ns on the host's monotonic clock.
-        host_ns: u64,
-        /// As sent.
-        bytes: Vec<u8>,
-    },
-    /// The link was lost.
-    Lost {
-        /// When, ns on the host's monotonic clock.
-        host_ns: u64,
-    },
-    /// The link is back.
-    Connected {
-        /// When, ns on the host's monotonic clock.
-        host_ns: u64,
-    },
-    /// A part of the file is damaged and left out: what the link received in it is unknown.
-    Damaged,
+    /// What else was recorded of the link.
+    Other(Recorded),
 }
 
 /// One start of the device, numbered in the order of detection, because boot counts may repeat. Starts on two links are
@@ -72,8 +54,8 @@ impl Walker {
         Self::default()
     }
 
-    /// Takes the next entry; `each` gets the steps that it completes.
     /// Takes the next entry; `each` gets the completed steps.
+    ///
     /// # Errors
     /// Those of `each`.
     pub fn push(
@@ -107,16 +89,15 @@ impl Walker {
                 });
                 outcome
             }
-            Recorded::Sent { host_ns, bytes, .. } => link.step(Step::Sent { host_ns, bytes }, each),
-            Recorded::Lost { host_ns, .. } => {
-                link.decoder.interrupt();
-                link.step(Step::Lost { host_ns }, each)
+            other => {
+                match &other {
+                    Recorded::Lost { .. } => link.decoder.interrupt(),
+                    // What the link received in it is unknown.
+                    Recorded::Damaged { .. } => link.decoder.skip(),
+                    _ => {}
+                }
+                link.step(Step::Other(other), each)
             }
-            Recorded::Damaged { .. } => {
-                link.decoder.skip();
-                link.step(Step::Damaged, each)
-            }
-            Recorded::Connected { host_ns, .. } => link.step(Step::Connected { host_ns }, each),
         }
     }
 
@@ -284,44 +265,5 @@ impl Place {
                 boot_count,
             })
         })
-    }
-}
-
-/// The device's clock in each of its starts, by both links together and by each alone.
-#[derive(Debug, Default)]
-pub struct Clocks {
-    joint: BTreeMap<Start, ClockEstimator>,
-    single: BTreeMap<(u8, Start), ClockEstimator>,
-}
-
-impl Clocks {
-    /// Takes a step of [`walk`].
-    pub fn see(&mut self, role: LinkRole, start: Start, step: &Step) {
-        let joint = self.joint.entry(start).or_default();
-        let single = self.single.entry((role.number(), start)).or_default();
-        for clock in [joint, single] {
-            match step {
-                Step::Arrival(arrival) => {
-                    clock.heard(role, arrival);
-                }
-                Step::Sent { host_ns, bytes } => clock.asked(*host_ns, bytes),
-                Step::Lost { .. } | Step::Connected { .. } | Step::Damaged => {}
-            }
-        }
-    }
-
-    /// The clock models from both links.
-    pub fn models(&self) -> BTreeMap<Start, ClockModel> {
-        let model = |(start, clock): (&Start, &ClockEstimator)| Some((*start, clock.model()?));
-        self.joint.iter().filter_map(model).collect()
-    }
-
-    /// A link's own model of its longest start.
-    pub fn of_link(&self, role: LinkRole) -> Option<ClockModel> {
-        self.single
-            .iter()
-            .filter(|((number, _), _)| *number == role.number())
-            .max_by_key(|(_, clock)| clock.transfers())
-            .and_then(|(_, clock)| clock.model())
     }
 }

@@ -273,3 +273,57 @@ fn files_of_other_programs_are_read_or_their_columns_named() {
     texts.fails("linear", &wimu(&["calibrate", &csv]), 2, "no_rows");
     texts.check("calibrate_other_column_names");
 }
+
+#[test]
+fn the_count_at_zero_is_stored_with_the_calibration() {
+    let (csv, folder) = in_folder("counts.csv");
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (cal, rest, out) = (path("CAL.json"), path("rest.csv"), path("out.csv"));
+    let names = "Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)";
+    let mut text = names.to_owned();
+    for up in spread(24) {
+        let [x, y, z] = up.map(|u| (30_000.0 + 8000.0 * u).round());
+        write!(text, "\n{x},{y},{z}").unwrap();
+    }
+    fs::write(&csv, text).unwrap();
+    let calibrate = [
+        "calibrate",
+        &csv,
+        "--poses",
+        "--sensitivity",
+        "8000",
+        "--zero-count",
+        "30000",
+        "-o",
+        &cal,
+    ];
+    wimu(&calibrate).succeeds();
+    // One orientation does not show the count at zero.
+    let row = "30000,30000,38000";
+    fs::write(&rest, format!("Time (s),{names}\n0,{row}\n0.01,{row}\n")).unwrap();
+    wimu(&["apply", &cal, &rest, "-o", &out]).succeeds();
+    let corrected = fs::read_to_string(&out).unwrap();
+    let z: f64 = (corrected.lines().nth(1).unwrap().split(',').nth(3).unwrap())
+        .parse()
+        .unwrap();
+    assert!((z - G).abs() < 0.01, "{corrected}");
+}
+
+#[test]
+fn an_option_that_a_format_ignores_is_refused() {
+    let (csv, folder) = in_folder("theirs.csv");
+    fs::write(&csv, turned(&spread(14), [0.0; 3], 0.0)).unwrap();
+    let failure = wimu(&["info", &csv, "--topic", "IMU"]).fails(2, "usage");
+    assert!(failure["message"].as_str().unwrap().contains("--topic"));
+    let bag = folder.path().join("bag.bag").display().to_string();
+    fs::write(&bag, "#ROSBAG V2.0\n").unwrap();
+    for option in [
+        ["--columns", "x=1"],
+        ["--units", "g"],
+        ["--zero-count", "1"],
+    ] {
+        let of = [&["info", &bag][..], &option].concat();
+        let failure = wimu(&of).fails(2, "usage");
+        assert!(failure["message"].as_str().unwrap().contains(option[0]));
+    }
+}

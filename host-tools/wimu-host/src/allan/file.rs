@@ -13,6 +13,7 @@ use crate::recording::{
     ASSUMED_RATE_HZ, BREAK_NS, OutputUnit, Quantity, REACH, RateSource, Recording, Sink, TrackId,
     TrackInfo, Unusable, gaps_finding, no_usable_row, rate_and_gaps, unit_of,
 };
+use crate::stats::{median, norm};
 
 /// Reads a file and measures the noise of an accelerometer in it, in memory that does not grow with the file.
 /// `sensitivity` is for counts; without it and a sensitivity of the board, the median magnitude of the first
@@ -233,12 +234,7 @@ fn scale_of(info: &TrackInfo, given: Option<Sensitivity>, rows: &[(i64, [f64; 3]
         OutputUnit::Mps2 => return 1.0,
         OutputUnit::Counts { nominal, .. } => given.or(nominal),
     };
-    let norm = |row: &(i64, [f64; 3], bool)| row.1.iter().map(|axis| axis * axis).sum::<f64>();
-    let mut squares: Vec<f64> = rows.iter().map(norm).collect();
-    squares.sort_by(f64::total_cmp);
-    let median = squares
-        .get(squares.len() / 2)
-        .map_or(0.0, |square| square.sqrt());
+    let median = median(rows.iter().map(|row| norm(row.1))).unwrap_or_default();
     match known {
         Some(known) => known.mps2_per_lsb(),
         None if median > 0.0 => STANDARD_GRAVITY_MPS2 / median,

@@ -3,15 +3,15 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use wimu_calib::Parameter;
 use wimu_link::message::parameter_id;
 use wimu_model::{
     Alignment, CalibratedTemperature, CalibrationMethod, CalibrationQuality, ErrorModel,
-    ErrorTerms, GyroscopeParameters, MagnetometerModel, ModelCovariance, ParameterSet,
-    QualityTerms, RotationCovariance, STANDARD_GRAVITY_MPS2, Sensitivity, SensorId, TermDeviations,
+    ErrorTerms, GyroscopeParameters, MagnetometerModel, ParameterSet, QualityTerms,
+    STANDARD_GRAVITY_MPS2, Sensitivity, SensorId, TermDeviations,
 };
 
 use super::Source;
+use super::covariance::{Covariance, model_order, rotation_order};
 use super::file_v1::{self, SCHEMAS_V1};
 use super::range::Range;
 use crate::OutputFile;
@@ -68,6 +68,9 @@ pub struct StoredAccelerometer {
     pub range_source: Option<Source>,
     /// Nominal sensitivity, LSB/*g*; null for data in m/s² where none was given.
     pub sensitivity_lsb_per_g: Option<f64>,
+    /// Output at zero that was subtracted from the counts, LSB; absent where none was.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub zero_count: Option<f64>,
     /// The error model, sensor axes.
     pub model: ErrorTerms,
     /// Its uncertainty; null if it was not estimated.
@@ -107,56 +110,6 @@ fn total(sessions: &[Session]) -> u32 {
     poses.fold(0, u32::saturating_add)
 }
 
-/// A covariance matrix L Lᵀ and the order of its parameters.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Covariance {
-    order: Vec<String>,
-    /// L, lower triangular, row by row: exactly as a board stores it.
-    cholesky: Vec<Vec<f32>>,
-}
-
-impl Covariance {
-    fn new<const N: usize>(order: [String; N], factor: &[f32]) -> Self {
-        let row = |row: usize| factor.iter().skip(row * (row + 1) / 2).take(row + 1);
-        Self {
-            order: order.into(),
-            cholesky: (0..N).map(|n| row(n).copied().collect()).collect(),
-        }
-    }
-
-    /// The elements of L, if it has this order.
-    fn factor<const N: usize>(&self, order: [String; N]) -> std::result::Result<Vec<f32>, String> {
-        let rows = self.cholesky.iter().map(Vec::len);
-        if self.order != order || !rows.eq(1..=N) {
-            return Err(format!("a covariance is not one of {}", order.join(", ")));
-        }
-        Ok(self.cholesky.concat())
-    }
-
-    fn of_model(&self) -> std::result::Result<ModelCovariance, String> {
-        let factor = self.factor(model_order())?;
-        let mut rows = [[0.0; 13]; 6];
-        rows.as_flattened_mut().copy_from_slice(&factor);
-        ModelCovariance::from_factor(rows).map_err(|error| error.to_string())
-    }
-
-    fn of_rotation(&self) -> std::result::Result<RotationCovariance, String> {
-        let factor = self.factor(rotation_order())?;
-        let mut rows = [[0.0; 6]];
-        rows.as_flattened_mut().copy_from_slice(&factor);
-        RotationCovariance::from_factor(rows).map_err(|error| error.to_string())
-    }
-}
-
-/// The order of the covariance of an error model, and of an alignment.
-fn model_order() -> [String; Parameter::COUNT] {
-    Parameter::ALL.map(|parameter| parameter.to_string())
-}
-
-fn rotation_order() -> [String; 3] {
-    ["X", "Y", "Z"].map(|axis| format!("rotation about {axis}"))
-}
-
 impl CalibrationFile {
     /// Name of the JSON object.
     pub const SCHEMA: &'static str = "wimu.calibration/2";
@@ -187,6 +140,7 @@ impl CalibrationFile {
                 range_g: Some(set.range_g),
                 range_source: None,
                 sensitivity_lsb_per_g: Some(set.sensitivity.lsb_per_g()),
+                zero_count: None,
                 model: *set.model.terms(),
                 quality: quality.map(StoredQuality::new),
                 sessions,
@@ -200,6 +154,17 @@ impl CalibrationFile {
             schema: Self::SCHEMA.to_owned(),
             sensors: vec![sensor],
         }
+    }
+
+    /// The file of `set`, which later data made of the calibration `before`: that of the file `path`, if there is one.
+    pub fn after(
+        path: Option<&Path>,
+        before: &ParameterSet,
+        set: &ParameterSet,
+        source: &str,
+    ) -> Self {
+        let file = Self::new(set, &sessions(path, before), source);
+        file.with_zero_count(path.and_then(zero_count))
     }
 
     /// The file of an accelerometer that may have no parameters for a board.
@@ -229,6 +194,15 @@ impl CalibrationFile {
         stored.range_source = range.map(|range| range.source);
         entry.seal();
         Some(file)
+    }
+
+    /// The same with the output at zero that was subtracted from the counts, LSB.
+    #[must_use]
+    pub(super) fn with_zero_count(mut self, zero_count: Option<f64>) -> Self {
+        for sensor in &mut self.sensors {
+            sensor.accelerometer.zero_count = zero_count;
+        }
+        self
     }
 
     /// Writes it.
@@ -449,6 +423,14 @@ pub fn further_sensors(path: &Path) -> Vec<u8> {
     let taken = file.sensor().map_or(0, |sensor| sensor.index);
     let indices = file.sensors.iter().map(|sensor| sensor.index);
     indices.filter(|index| *index != taken).collect()
+}
+
+/// Output at zero that was subtracted from the counts of a calibration, LSB; `None` of an unreadable file.
+pub fn zero_count(path: &Path) -> Option<f64> {
+    match read(path) {
+        Ok(Read::V2(file)) => file.sensor().ok()?.accelerometer.zero_count,
+        _ => None,
+    }
 }
 
 /// The sessions of the calibration `set`: those in the file `path` that it was read from, if there is one.

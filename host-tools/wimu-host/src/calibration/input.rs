@@ -6,6 +6,7 @@ use wimu_calib::{Gravity, Model, MultiPosition, Pose, Refusal, UnitHint, multi_p
 
 use super::saturation;
 use crate::recording::{Output, OutputUnit, Samples};
+pub(super) use crate::stats::{median, norm as magnitude};
 
 /// Static poses at an assumed scale.
 pub(super) struct Poses {
@@ -133,16 +134,6 @@ pub(super) fn median_magnitude(data: &Samples<'_>) -> f64 {
     median(data.values().map(magnitude))
         .filter(|median| *median > 0.0)
         .unwrap_or(1.0)
-}
-
-pub(super) fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
-}
-
-pub(super) fn magnitude(vector: [f64; 3]) -> f64 {
-    vector.iter().map(|axis| axis * axis).sum::<f64>().sqrt()
 }
 
 pub(super) fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {

@@ -2,6 +2,7 @@
 
 use wimu_calib::{Pose, find_poses};
 use wimu_link::LinkRole;
+use wimu_link::batch::Stream;
 use wimu_model::{Sensitivity, SensorId};
 
 use super::input::median_magnitude;
@@ -10,7 +11,6 @@ use crate::decode::sequence_order;
 use crate::error::{ErrorCode, Result};
 use crate::history;
 use crate::recording::{OutputUnit, Quantity, Recording, Selection};
-use crate::units::RawUnits;
 
 /// Two streams of one motion, sample by sample.
 #[derive(Clone, Debug)]
@@ -187,15 +187,14 @@ impl Paired {
             let rate_hz = 1e9 / f64::from(mark.epoch.period_ns.max(1));
             sensor = sensor.or(ours.sensor());
             known.get_or_insert((sensitivity, mark.epoch.range_g, rate_hz));
-            // An epoch that one link lost may have arrived on the other.
-            let epochs = ours.epochs.iter().chain(&theirs.epochs);
-            let units = RawUnits::of_epochs(epochs.map(|mark| &mark.epoch));
+            let start = theirs.start.and_then(|start| recording.starts.get(&start));
             for sample in &theirs.raw {
                 let found = ours
                     .raw
                     .binary_search_by(|ours| sequence_order(ours.sequence, sample.sequence));
                 let Ok(index) = found else { continue };
-                let Some(unit) = units.of(sample.sequence) else {
+                let unit = start.and_then(|start| start.unit(Stream::Raw, 0, sample.sequence));
+                let Some(unit) = unit else {
                     without_unit += 1;
                     continue;
                 };

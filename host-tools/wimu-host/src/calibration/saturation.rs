@@ -2,6 +2,8 @@
 
 use wimu_calib::{Pose, is_clipped};
 
+use super::input::median;
+
 /// The axis whose noise is cut off at the limit of its output in some poses.
 pub(super) fn at_rest(samples: impl Iterator<Item = [f64; 3]>, poses: &[Pose]) -> Option<usize> {
     let mut values = [const { Vec::new() }; 3];
@@ -24,9 +26,7 @@ pub(super) fn at_rest(samples: impl Iterator<Item = [f64; 3]>, poses: &[Pose]) -
         let step = steps
             .filter(|step| *step > 0.0)
             .fold(f64::INFINITY, f64::min);
-        let mut noises: Vec<f64> = poses.iter().map(|pose| pose.sd_mps2[axis]).collect();
-        noises.sort_by(f64::total_cmp);
-        let usual = noises.get(noises.len() / 2).copied().unwrap_or(0.0);
+        let usual = median(poses.iter().map(|pose| pose.sd_mps2[axis])).unwrap_or(0.0);
         // Occurrences of the two outermost values at one end.
         let at_limit = |from_end: &mut dyn Iterator<Item = f64>| {
             let mut counts = [0; 2];

@@ -631,3 +631,18 @@ fn six_real_positions_in_counts_and_in_si_are_calibrated() {
         );
     }
 }
+
+#[test]
+fn data_that_the_device_corrected_are_reported() {
+    let mut data = pose_means(Unit::Si, 1.0);
+    let corrected = |data: &Recording| {
+        let report = calibrate(data, &CalibrateOptions::default()).unwrap();
+        let findings = report.outcome.findings.iter();
+        findings
+            .filter(|f| f.code == FindingCode::AlreadyCorrected)
+            .count()
+    };
+    assert_eq!(corrected(&data), 0);
+    data.tracks_mut()[0].info.corrected = true;
+    assert_eq!(corrected(&data), 1);
+}

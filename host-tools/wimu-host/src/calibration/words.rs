@@ -155,7 +155,7 @@ fn slow_rotation(data: &Samples<'_>) -> Option<f64> {
         .filter(|angle| SLOW_ROTATION.contains(angle))
         .count();
     let enough = angles.len() >= 20 && 10 * turning >= 9 * angles.len();
-    median(angles.into_iter()).filter(|_| enough)
+    median(angles).filter(|_| enough)
 }
 
 /// Whether the rows are pose means instead of samples: no times, few poses found, and nearly all of the magnitude of
@@ -282,6 +282,15 @@ pub(super) fn findings(
         findings.push(
             FindingCode::Uncalibrated
                 .note("the gyroscope is not calibrated, only the accelerometer"),
+        );
+    }
+    if data.info().corrected {
+        let text = format!("`{}` was corrected by the device before", data.info().name);
+        let finding = FindingCode::AlreadyCorrected.warning(text);
+        findings.push(
+            finding.remedy(
+                "the result is what that correction left: calibrate the sensor's raw output",
+            ),
         );
     }
     let Some(estimate) = estimate else {

@@ -11,7 +11,7 @@ use super::pairing::Pairing;
 use super::{Axis, EXCERPT_NS, UNDER_WAY_NS, index_of};
 use crate::Result;
 use crate::decode::Event;
-use crate::mcap_file::RecordingReader;
+use crate::mcap_file::{Recorded, RecordingReader};
 use crate::walk::{Step, walk};
 
 /// Differences of pairs.
@@ -94,16 +94,12 @@ impl Counted {
             let meter = &mut counted.meters[link];
             let arrival = match step {
                 Step::Arrival(arrival) => arrival,
-                Step::Sent { host_ns, .. } | Step::Connected { host_ns } => {
-                    meter.is_open(host_ns);
-                    return Ok(());
-                }
-                Step::Lost { host_ns } => {
-                    meter.close(host_ns);
-                    return Ok(());
-                }
-                Step::Damaged => {
-                    meter.skip();
+                Step::Other(entry) => {
+                    match entry {
+                        Recorded::Lost { host_ns, .. } => meter.close(host_ns),
+                        Recorded::Damaged { .. } => meter.skip(),
+                        entry => meter.is_open(entry.host_ns()),
+                    }
                     return Ok(());
                 }
             };
@@ -126,7 +122,7 @@ impl Counted {
                 }
             };
             let host_ns = arrival.host_ns;
-            let Some(clock) = overview.clocks.get(&start) else {
+            let Some(clock) = overview.clock(start) else {
                 return Ok(());
             };
             if is_late {
@@ -149,16 +145,16 @@ impl Counted {
                 counted.with_rates += u64::from(sample.rate.is_some() && twin_rate.is_some());
                 counted.rates_differ += u64::from(rates_differ);
                 counted.identical += u64::from(cable == wireless && !rates_differ);
-                let Some(unit) = overview.units.of(start, sample.sequence) else {
+                let Some(unit) = overview.unit(start, sample.sequence) else {
                     counted.without_unit += 1;
                     continue;
                 };
-                counted.lsb_mps2 = counted.lsb_mps2.max(unit.mps2_per_lsb);
+                counted.lsb_mps2 = counted.lsb_mps2.max(unit.mps2_per_lsb());
                 let [c, w] = [cable, wireless].map(|value| unit.mps2(value));
                 if unit.is_saturated(cable) || unit.is_saturated(wireless) {
                     counted.saturated += 1;
                 } else {
-                    counted.before.take(cable, wireless, unit.mps2_per_lsb);
+                    counted.before.take(cable, wireless, unit.mps2_per_lsb());
                     counted.transfer.push(c, w);
                 }
                 let true_ns = clock.host_ns(sample.time);

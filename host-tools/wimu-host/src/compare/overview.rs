@@ -1,6 +1,6 @@
 //! The first reading: devices, streams and clocks.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::io::Read;
 
 use wimu_link::LinkRole;
@@ -9,77 +9,59 @@ use wimu_link::batch::Stream;
 use super::holes::Holes;
 use super::link::Slicing;
 use super::pairing::Heard;
-use super::units::Units;
 use super::{ROLES, SLICES, UNDER_WAY_NS, index_of, refused};
 use crate::Result;
 use crate::clock::ClockModel;
 use crate::decode::{Event, LinkStatistics};
-use crate::mcap_file::{RecordingReader, Wholeness};
-use crate::units::RawUnits;
-use crate::walk::{Clocks, Start, Step, walk};
+use crate::history::{LinkHistory, Recording};
+use crate::mcap_file::{Recorded, RecordingReader};
+use crate::units::SampleUnit;
+use crate::walk::{Start, Step};
 
 /// Result of the first reading.
 pub(super) struct Overview {
     pub stream: Stream,
-    pub devices: Vec<u64>,
+    pub recording: Recording,
     /// Samples of the stream in each start.
-    pub starts: BTreeMap<Start, u64>,
+    pub starts: BTreeMap<Start, usize>,
     pub span: (u64, u64),
     pub heard: [Heard; 2],
-    pub wholeness: Wholeness,
     pub holes: Holes,
-    pub units: Units,
-    pub clocks: BTreeMap<Start, ClockModel>,
-    pub single: [Option<ClockModel>; 2],
-    pub statistics: Vec<(LinkRole, LinkStatistics)>,
 }
 
 impl Overview {
-    pub fn read<R: Read>(mut reader: RecordingReader<R>, name: &str) -> Result<Self> {
-        let mut clocks = Clocks::default();
-        let mut devices = BTreeSet::new();
-        // By stream and link.
-        let mut samples = [[0_u64; 2]; 2];
-        let mut starts: BTreeMap<Start, [u64; 2]> = BTreeMap::new();
+    pub fn read<R: Read>(reader: RecordingReader<R>, name: &str) -> Result<Self> {
         let mut span: Option<(u64, u64)> = None;
         // Host times of the opening and the first data of each link, and its first decimation.
         let (mut opened_ns, mut heard_ns, mut every) = ([None; 2], [None; 2], [None; 2]);
         // By stream.
         let mut holes: [Holes; 2] = Default::default();
-        let mut raw_units: BTreeMap<Start, RawUnits> = BTreeMap::new();
-        let statistics = walk(&mut reader, |role, start, step| {
-            clocks.see(role, start, &step);
-            if let Step::Sent { host_ns, .. } = step {
-                opened_ns[index_of(role)].get_or_insert(host_ns);
-            }
-            if let Step::Damaged = step {
-                holes
-                    .iter_mut()
-                    .for_each(|holes| holes.open(index_of(role)));
-            }
-            if let Step::Arrival(arrival) = &step {
-                let (first, last) = span.unwrap_or((arrival.host_ns, arrival.host_ns));
-                span = Some((first.min(arrival.host_ns), last.max(arrival.host_ns)));
-                heard_ns[index_of(role)].get_or_insert(arrival.host_ns);
-                match &arrival.event {
-                    Event::Hello(hello) => {
-                        devices.insert(hello.device_id);
-                    }
-                    Event::Epoch { epoch, .. } => raw_units.entry(start).or_default().see(epoch),
-                    Event::Samples(heard) => {
-                        let count = heard.values.len() as u64;
-                        every[index_of(role)].get_or_insert(heard.every);
-                        holes[heard.stream as usize].take(index_of(role), start, heard);
-                        samples[heard.stream as usize][index_of(role)] += count;
-                        starts.entry(start).or_default()[heard.stream as usize] += count;
-                    }
-                    _ => {}
+        let recording = Recording::survey_of(reader, name, |role, start, step| {
+            let link = index_of(role);
+            match step {
+                Step::Other(Recorded::Sent { host_ns, .. }) => {
+                    opened_ns[link].get_or_insert(*host_ns);
                 }
+                Step::Other(Recorded::Damaged { .. }) => {
+                    holes.iter_mut().for_each(|holes| holes.open(link))
+                }
+                Step::Arrival(arrival) => {
+                    let (first, last) = span.unwrap_or((arrival.host_ns, arrival.host_ns));
+                    span = Some((first.min(arrival.host_ns), last.max(arrival.host_ns)));
+                    heard_ns[link].get_or_insert(arrival.host_ns);
+                    if let Event::Samples(heard) = &arrival.event {
+                        every[link].get_or_insert(heard.every);
+                        holes[heard.stream as usize].take(link, start, heard);
+                    }
+                }
+                Step::Other(_) => {}
             }
-            Ok(())
         })?;
-        for (index, role) in ROLES.into_iter().enumerate() {
-            if samples[0][index] + samples[1][index] == 0 {
+        let links = ROLES.map(|role| recording.links.iter().find(|link| link.role == role));
+        for (link, role) in links.into_iter().zip(ROLES) {
+            if link
+                .is_none_or(|link| link.samples(Stream::Raw) + link.samples(Stream::Corrected) == 0)
+            {
                 return Err(refused(
                     name,
                     format!("the {role} link is missing: it has no samples"),
@@ -87,20 +69,23 @@ impl Overview {
                 ));
             }
         }
-        if devices.len() > 1 {
-            let named: Vec<_> = devices.iter().map(|id| format!("{id:016x}")).collect();
+        if recording.devices.len() > 1 {
+            let named = recording.devices.iter().map(|id| format!("{id:016x}"));
             return Err(refused(
                 name,
                 format!(
                     "the recording contains different boards: {}",
-                    named.join(", ")
+                    Vec::from_iter(named).join(", ")
                 ),
                 "record both links of one board; compare two devices by their tables: `wimu compare A.csv B.csv`",
             ));
         }
         let stream = [Stream::Raw, Stream::Corrected]
             .into_iter()
-            .find(|stream| samples[*stream as usize].iter().all(|count| *count > 0))
+            .find(|stream| {
+                let has = |link: &LinkHistory| link.samples(*stream) > 0;
+                links.into_iter().flatten().all(has)
+            })
             .ok_or_else(|| {
                 refused(
                     name,
@@ -110,13 +95,15 @@ impl Overview {
             })?;
         let mut holes = std::mem::take(&mut holes[stream as usize]);
         holes.close();
+        let mut starts: BTreeMap<Start, usize> = BTreeMap::new();
+        for boot in links.into_iter().flatten().flat_map(|link| &link.boots) {
+            if let (Some(start), true) = (boot.start, boot.counts.raw + boot.counts.corrected > 0) {
+                *starts.entry(start).or_default() += boot.counts.samples(stream);
+            }
+        }
         Ok(Self {
             stream,
-            devices: devices.into_iter().collect(),
-            starts: starts
-                .into_iter()
-                .map(|(start, counts)| (start, counts[stream as usize]))
-                .collect(),
+            starts,
             span: span.unwrap_or_default(),
             heard: [0, 1].map(|link| {
                 let heard: u64 = heard_ns[link].unwrap_or_default();
@@ -127,16 +114,24 @@ impl Overview {
                     every: every[link].unwrap_or(1),
                 }
             }),
-            wholeness: reader.wholeness(),
             holes,
-            units: match stream {
-                Stream::Raw => Units::Raw(raw_units),
-                Stream::Corrected => Units::Corrected,
-            },
-            clocks: clocks.models(),
-            single: ROLES.map(|role| clocks.of_link(role)),
-            statistics,
+            recording,
         })
+    }
+
+    /// The device's clock in a start, from both links.
+    pub fn clock(&self, start: Start) -> Option<&ClockModel> {
+        self.recording.starts.get(&start)?.clock.as_ref()
+    }
+
+    /// The unit of a sample of the stream; `None` if unknown.
+    pub fn unit(&self, start: Start, sequence: u32) -> Option<SampleUnit> {
+        let start = self.recording.starts.get(&start)?;
+        start.unit(self.stream, 0, sequence)
+    }
+
+    pub fn link(&self, role: LinkRole) -> Option<&LinkHistory> {
+        self.recording.links.iter().find(|link| link.role == role)
     }
 
     pub fn span_ns(&self) -> u64 {
@@ -162,7 +157,7 @@ impl Overview {
     }
 
     pub fn statistics(&self, role: LinkRole) -> LinkStatistics {
-        let found = self.statistics.iter().find(|(known, _)| *known == role);
-        found.map(|(_, statistics)| *statistics).unwrap_or_default()
+        let link = self.link(role);
+        link.map(|link| link.statistics).unwrap_or_default()
     }
 }

@@ -3,15 +3,15 @@
 
 use std::io::Read;
 
+use super::arrival::{ArrivalUser, ByArrival};
 use super::counted::{Counted, Differences};
 use super::index_of;
-use super::link::{ArrivalUser, ByArrival};
 use super::model::LinkModel;
 use super::overview::Overview;
 use super::pairing::Pairing;
 use crate::Result;
 use crate::decode::{Event, TimedSample};
-use crate::mcap_file::RecordingReader;
+use crate::mcap_file::{Recorded, RecordingReader};
 use crate::walk::{Step, walk};
 
 /// Result of the third reading.
@@ -42,7 +42,7 @@ impl Residual {
             let link = index_of(role);
             let arrival = match step {
                 Step::Arrival(arrival) => arrival,
-                Step::Damaged => {
+                Step::Other(Recorded::Damaged { .. }) => {
                     current[link] = None;
                     return Ok(());
                 }
@@ -53,10 +53,10 @@ impl Residual {
                 Event::Late(samples) if samples.stream == overview.stream => (samples, true),
                 _ => return Ok(()),
             };
-            let Some(clock) = overview.clocks.get(&start) else {
+            let Some(clock) = overview.clock(start) else {
                 return Ok(());
             };
-            let unit = |sample: &TimedSample| overview.units.of(start, sample.sequence);
+            let unit = |sample: &TimedSample| overview.unit(start, sample.sequence);
             let new = current[link].replace(start) != Some(start);
             let count = samples.values.len();
             // Late samples are of no use by time of arrival.
@@ -94,8 +94,8 @@ impl Residual {
                     if unit.is_saturated(cable) || unit.is_saturated(wireless) {
                         continue;
                     }
-                    let corrected = model.correct_lsb(wireless, unit.mps2_per_lsb);
-                    residual.after.take(cable, corrected, unit.mps2_per_lsb);
+                    let corrected = model.correct_lsb(wireless, unit.mps2_per_lsb());
+                    residual.after.take(cable, corrected, unit.mps2_per_lsb());
                 }
             }
             Ok(())

@@ -5,6 +5,7 @@ use wimu_link::{MAX_FRAME, Telemetry};
 use wimu_model::Counts;
 
 use super::anchor::MAX_AHEAD_US;
+use super::batches::MAX_UNPLACED;
 use super::gaps::Gaps;
 use super::*;
 

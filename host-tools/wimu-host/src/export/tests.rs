@@ -2,8 +2,10 @@ use wimu_link::message::{Epoch, EpochReason};
 use wimu_link::{MAX_FRAME, Telemetry, batch};
 use wimu_model::Counts;
 
+use wimu_model::DeviceTimeUs;
+
 use super::*;
-use crate::mcap_file::RecordingWriter;
+use crate::mcap_file::{ClockAnchor, RecordingWriter};
 
 #[test]
 fn every_position_has_its_time_where_numbers_wrap() {
@@ -14,8 +16,8 @@ fn every_position_has_its_time_where_numbers_wrap() {
         utc_ns: 1_795_222_920_000_000_000,
     };
     let mut writer = RecordingWriter::create(&file, anchor).unwrap();
-    // More behind the wrap than times are kept, at 100 Hz.
-    let (start, steps) = (0_u32.wrapping_sub(1600), 1600 + MAX_TIMES as u32 + 3200);
+    // More behind the wrap than a part has, at 100 Hz.
+    let (start, steps) = (0_u32.wrapping_sub(1600), 1600 + 20_000);
     let mut frame = [0; MAX_FRAME];
     for step in (0..steps).step_by(16) {
         let sequence = start.wrapping_add(step);

@@ -9,6 +9,7 @@ use crate::error::Result;
 use crate::finding::{Finding, FindingCode, Severity};
 use crate::plural::counted;
 use crate::recording::{Origin, Quantity, Sink, TrackId, TrackInfo, Unit};
+use crate::stats::{median, norm};
 
 /// Rows by which the sample rate and the unit of a track are judged.
 const FIRST_ROWS: usize = 1000;
@@ -187,16 +188,11 @@ impl TrackCounter {
     /// Finds the usual step and the scale, and counts the first rows.
     fn judge(&mut self) {
         let rows = std::mem::take(&mut self.first_rows);
-        let mut steps: Vec<i64> = rows
-            .windows(2)
-            .map(|pair| pair[1].0.saturating_sub(pair[0].0))
-            .filter(|step| *step > 0)
-            .collect();
-        steps.sort_unstable();
-        let Some(step) = steps.get(steps.len() / 2) else {
+        let steps = (rows.windows(2)).map(|pair| pair[1].0.saturating_sub(pair[0].0));
+        let steps = steps.filter(|step| *step > 0).map(|step| step as f64);
+        let Some(step_ns) = median(steps) else {
             return;
         };
-        let step_ns = *step as f64;
         self.step_ns = Some(step_ns);
         self.summary.rate_hz = Some(1e9 / step_ns);
         if self.info.quantity == Quantity::SpecificForce {
@@ -218,12 +214,9 @@ impl TrackCounter {
             } => return scale,
             _ => {}
         }
-        let mut norms: Vec<f64> = rows.iter().map(|(_, vector)| norm(vector)).collect();
-        norms.retain(|norm| *norm > 0.0);
-        norms.sort_by(f64::total_cmp);
-        norms
-            .get(norms.len() / 2)
-            .map_or(1.0, |median| STANDARD_GRAVITY_MPS2 / median)
+        let norms = rows.iter().map(|(_, vector)| norm(*vector));
+        let median = median(norms.filter(|norm| *norm > 0.0));
+        median.map_or(1.0, |median| STANDARD_GRAVITY_MPS2 / median)
     }
 
     fn take(&mut self, before_ns: Option<i64>, time_ns: i64, vector: [f64; 3]) {
@@ -238,7 +231,7 @@ impl TrackCounter {
         for value in interruption.into_iter().chain([vector]) {
             if let Some(pose) = finder.push(value.map(|axis| axis * *scale)) {
                 self.magnitudes.0 += 1;
-                self.magnitudes.1 += norm(&pose.mean_mps2) / *scale;
+                self.magnitudes.1 += norm(pose.mean_mps2) / *scale;
             }
         }
     }
@@ -250,7 +243,7 @@ impl TrackCounter {
         if let Some((scale, finder)) = &mut self.rests {
             while let Some(pose) = finder.finish() {
                 self.magnitudes.0 += 1;
-                self.magnitudes.1 += norm(&pose.mean_mps2) / *scale;
+                self.magnitudes.1 += norm(pose.mean_mps2) / *scale;
             }
             let (rests, sum) = self.magnitudes;
             self.summary.rests = Some(rests);
@@ -258,10 +251,6 @@ impl TrackCounter {
         }
         self.summary
     }
-}
-
-fn norm(vector: &[f64; 3]) -> f64 {
-    vector.iter().map(|axis| axis * axis).sum::<f64>().sqrt()
 }
 
 impl TrackSummary {

@@ -208,7 +208,7 @@ fn conversions(
             samples: &samples.rows,
             is_integer: group.columns.len() == 3
                 && columns.clone().all(|column| !column.is_fractional),
-            zero_count: options.zero_count,
+            zero_count: options.zero_count.or(options.stored_zero_count),
         };
         infer::conversion(group, evidence, findings)
     };
@@ -361,7 +361,8 @@ impl<'a, 'b> Writer<'a, 'b> {
 impl Output<'_> {
     fn add_track(&mut self, size: String, unit: Unit, sink: &mut dyn Sink) -> TrackId {
         let group = self.group;
-        let info = TrackInfo::new(&group.name, self.conversion.quantity, unit);
+        let mut info = TrackInfo::new(&group.name, self.conversion.quantity, unit);
+        info.zero_count = self.conversion.zero.count();
         let track = sink.track(info.of_sensor(group.sensor).made_by(group.origin));
         self.tracks.push((size, track));
         track

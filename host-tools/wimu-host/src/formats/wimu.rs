@@ -2,16 +2,16 @@
 
 use std::path::Path;
 
-use super::{ReadOptions, Source};
-use crate::error::{ErrorCode, Result};
-use crate::history::LinkHistory;
-use crate::mcap_file::{self, RecordingReader};
-use crate::overview::Overview;
-use crate::recording::{LinkRows, Sink};
-use crate::walk::{Step, walk};
+use wimu_link::LinkRole;
+use wimu_link::batch::Stream;
 
-/// Raw samples that wait for those before them that arrive late.
-const MAX_WAITING: usize = 1 << 14;
+use super::{ReadOptions, Source};
+use crate::decode::{Decoder, Event};
+use crate::error::{ErrorCode, Result};
+use crate::history::Recording;
+use crate::mcap_file::{self, RecordingReader};
+use crate::recording::{LinkRows, Sink};
+use crate::stream;
 
 /// Whether it is an MCAP file that `wimu record` wrote, or one that is cut off or damaged at its beginning.
 pub(crate) fn detect(source: &Source) -> bool {
@@ -39,41 +39,37 @@ pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) 
         return Err(error.at(source.name()));
     };
     let name = path.display().to_string();
-    let overview = Overview::read(path)?;
-    let link = overview.link(options.role);
-    let role = link.map_err(|error| error.at(&name))?.role;
+    let mut role = match options.role {
+        Some(role) => role,
+        None => usual_link(path)?,
+    };
     let mut rows = LinkRows::new(sink);
-    // The latest samples of the latest start, and the parameters and epochs of all of it.
-    let mut latest = LinkHistory::new(role);
-    let mut reader = RecordingReader::open(path)?;
-    walk(&mut reader, |of, _, step| {
-        let Step::Arrival(arrival) = step else {
-            return Ok(());
-        };
-        if of != role {
-            return Ok(());
-        }
-        latest.take(&arrival);
-        if let [before, _] = &latest.boots[..] {
-            rows.boot(before, &name)?;
-            latest.boots.remove(0);
-        }
-        let boot = latest.latest();
-        boot.corrected.clear();
-        boot.navigation.clear();
-        boot.attitude.clear();
-        boot.further.clear();
-        // Those that arrive late still find their place.
-        if boot.raw.len() >= 2 * MAX_WAITING {
-            rows.part(boot, MAX_WAITING, &name)?;
-            boot.raw.drain(..MAX_WAITING);
-            boot.environment.clear();
-            boot.epochs.clear();
-        }
-        Ok(())
+    stream::read(&mut RecordingReader::open(path)?, role, |part| {
+        rows.part(part, &name)
     })?;
-    for boot in &latest.boots {
-        rows.boot(boot, &name)?;
+    if rows.is_empty() {
+        // Gives the reason.
+        role = Recording::survey(path)?.link(options.role)?.role;
     }
     rows.finish(role, &name)
+}
+
+/// The cable if it has raw samples, else the wireless link.
+fn usual_link(path: &Path) -> Result<LinkRole> {
+    let mut reader = RecordingReader::open(path)?;
+    let mut decoder = Decoder::new();
+    while let Some(received) = reader.next_received()? {
+        if received.role == LinkRole::Cable {
+            let mut has_raw = false;
+            decoder.push(received.host_ns, &received.bytes, |arrival| {
+                if let Event::Samples(samples) = arrival.event {
+                    has_raw |= samples.stream == Stream::Raw;
+                }
+            });
+            if has_raw {
+                return Ok(LinkRole::Cable);
+            }
+        }
+    }
+    Ok(LinkRole::Wireless)
 }

@@ -196,10 +196,10 @@ impl<R: Read> RecordingReader<R> {
     fn take(&mut self, record: Record<'static>) -> Result<()> {
         match record {
             Record::Metadata(metadata) if metadata.name == METADATA && self.anchor.is_none() => {
-                for (role, content, _, key) in TOPICS {
-                    let id = metadata.metadata.get(key).and_then(|id| id.parse().ok());
-                    if let Some(id) = id {
-                        self.channels.entry(id).or_insert((role, content));
+                for topic in TOPICS {
+                    let id = metadata.metadata.get(&channel_key(topic));
+                    if let Some(id) = id.and_then(|id| id.parse().ok()) {
+                        self.channels.entry(id).or_insert(topic);
                     }
                 }
                 let number = |key| metadata.metadata.get(key)?.parse().ok();
@@ -256,9 +256,11 @@ impl<R: Read> RecordingReader<R> {
     fn take_message(&mut self, record: Record<'_>) -> Result<()> {
         match record {
             Record::Channel(channel) => {
-                let known = TOPICS.iter().find(|topic| topic.2 == channel.topic);
-                if let Some((role, content, ..)) = known {
-                    self.channels.insert(channel.id, (*role, *content));
+                let is_named = |(role, content): &(LinkRole, Content)| {
+                    channel.topic == format!("/{role}/{}", content.name())
+                };
+                if let Some(topic) = TOPICS.into_iter().find(is_named) {
+                    self.channels.insert(channel.id, topic);
                 }
             }
             Record::Message { header, data } => {

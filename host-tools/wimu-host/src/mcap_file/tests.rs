@@ -28,7 +28,7 @@ fn record(count: u64, close: bool) -> Vec<u8> {
         writer.finish().unwrap().into_inner()
     } else {
         writer.flush().unwrap();
-        writer.file.container.abandon().into_inner()
+        writer.file.container.into_inner().into_inner()
     }
 }
 
@@ -113,12 +113,6 @@ fn other_readers_find_every_message_by_the_index_and_without_it() {
 
 /// A file on a full disk, from some byte on.
 struct Full(Cursor<Vec<u8>>, u64);
-
-impl Read for Full {
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        self.0.read(buffer)
-    }
-}
 
 impl Write for Full {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {

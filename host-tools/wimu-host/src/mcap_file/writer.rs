@@ -1,20 +1,22 @@
 //! Writer of a recording in progress.
 
-use super::container::{Container, Message};
+use mcap::records::{MessageHeader, Metadata};
+use mcap::{McapError, WriteOptions, Writer};
+
 use super::*;
 use crate::ros::message::{Message as Cdr, schema as ros_schema};
 
 /// Writes ROS 2 messages in CDR to an MCAP file, in chunks without compression.
 ///
 /// Dropping it closes the file as well; [`RosFile::finish`] also returns errors.
-pub(crate) struct RosFile<W: Read + Write + Seek> {
+pub(crate) struct RosFile<W: Write + Seek> {
     name: String,
-    pub(super) container: Container<W>,
+    pub(super) container: Writer<W>,
     /// Channel and number of messages of each topic.
     topics: BTreeMap<String, (u16, u32)>,
 }
 
-impl<W: Read + Write + Seek> RosFile<W> {
+impl<W: Write + Seek> RosFile<W> {
     /// Begins a file in the empty `sink`, with this name in errors.
     ///
     /// # Errors
@@ -25,12 +27,29 @@ impl<W: Read + Write + Seek> RosFile<W> {
 
     /// The same, by `library`, which tells recordings from other files: [`library`].
     fn by(library: &str, sink: W, name: &str) -> Result<Self> {
-        let container = Container::new(sink, "ros2", library);
+        // A chunk is written when it is complete: what a cut-off file lacks is known.
+        let options = WriteOptions::new().profile("ros2").library(library);
+        let options = options.chunk_size(Some(CHUNK_BYTES)).disable_seeking(true);
+        // Every chunk has a CRC of its own.
+        let options = options.calculate_data_section_crc(false);
         Ok(Self {
-            container: container.map_err(|error| HostError::file(name, "write", &error))?,
+            container: options.create(sink).map_err(|error| failed(name, error))?,
             name: name.to_owned(),
             topics: BTreeMap::new(),
         })
+    }
+
+    fn channel(&mut self, topic: &str, schema_name: &str, schema: &str) -> Result<u16> {
+        let schema = (self.container).add_schema(schema_name, "ros2msg", schema.as_bytes());
+        let none = BTreeMap::new();
+        schema
+            .and_then(|schema| self.container.add_channel(schema, topic, "cdr", &none))
+            .map_err(|error| failed(&self.name, error))
+    }
+
+    fn write(&mut self, header: &MessageHeader, data: &[u8]) -> Result<()> {
+        let written = self.container.write_to_known_channel(header, data);
+        written.map_err(|error| failed(&self.name, error))
     }
 
     /// Appends a message of a type such as `sensor_msgs/Imu`, with log time and stamp, ns.
@@ -47,22 +66,20 @@ impl<W: Read + Write + Seek> RosFile<W> {
     ) -> Result<()> {
         if !self.topics.contains_key(topic) {
             let schema_name = type_name.replacen('/', "/msg/", 1);
-            let schema = (self.container).schema(&schema_name, &ros_schema(type_name));
-            let channel = self.container.channel(schema, topic);
+            let channel = self.channel(topic, &schema_name, &ros_schema(type_name))?;
             self.topics.insert(topic.to_owned(), (channel, 0));
         }
         let Some((channel, sequence)) = self.topics.get_mut(topic) else {
             return Ok(());
         };
-        let written = self.container.write(&Message {
-            channel: *channel,
+        let header = MessageHeader {
+            channel_id: *channel,
             sequence: *sequence,
             log_time: log_ns,
             publish_time: stamp_ns,
-            data: message.bytes(),
-        });
+        };
         *sequence = sequence.wrapping_add(1);
-        written.map_err(|error| self.failed(&error))
+        self.write(&header, message.bytes())
     }
 
     /// Messages by topic.
@@ -75,23 +92,28 @@ impl<W: Read + Write + Seek> RosFile<W> {
     ///
     /// # Errors
     /// `file_failed`.
-    pub fn finish(self) -> Result<W> {
-        let Self {
-            name, container, ..
-        } = self;
-        let finished = container.finish();
-        finished.map_err(|error| HostError::file(&name, "write", &error))
-    }
-
-    fn failed(&self, error: &io::Error) -> HostError {
-        HostError::file(&self.name, "write", error)
+    pub fn finish(mut self) -> Result<W> {
+        let finished = self.container.finish();
+        finished.map_err(|error| failed(&self.name, error))?;
+        let mut sink = self.container.into_inner();
+        let flushed = sink.flush();
+        flushed.map_err(|error| HostError::file(&self.name, "write", &error))?;
+        Ok(sink)
     }
 }
 
-/// Writes a recording in progress, in memory that does not grow with its length.
+fn failed(name: &str, error: McapError) -> HostError {
+    let error = match error {
+        McapError::Io(error) => error,
+        other => io::Error::other(other),
+    };
+    HostError::file(name, "write", &error)
+}
+
+/// Writes a recording in progress. Its index takes about 1 MB for each hour.
 ///
 /// Dropping it closes the file as well; [`RecordingWriter::finish`] also returns errors.
-pub struct RecordingWriter<W: Read + Write + Seek> {
+pub struct RecordingWriter<W: Write + Seek> {
     pub(super) file: RosFile<W>,
     anchor: ClockAnchor,
     /// Channel and messages so far, in the order of [`TOPICS`].
@@ -117,36 +139,40 @@ impl RecordingWriter<File> {
     }
 }
 
-impl<W: Read + Write + Seek> RecordingWriter<W> {
+impl<W: Write + Seek> RecordingWriter<W> {
     /// Begins a recording in the empty `sink`, with this name in errors.
     ///
     /// # Errors
     /// `file_failed`.
     pub fn new(sink: W, name: &str, anchor: ClockAnchor) -> Result<Self> {
-        let failed = |error| HostError::file(name, "write", &error);
         let mut file = RosFile::by(concat!("wimu ", env!("CARGO_PKG_VERSION")), sink, name)?;
-        let container = &mut file.container;
-        let bytes = container.schema(SCHEMA_NAME, SCHEMA);
-        let text = container.schema(TEXT_SCHEMA_NAME, TEXT_SCHEMA);
-        let mut metadata = vec![
-            ("version", env!("CARGO_PKG_VERSION").to_owned()),
-            ("anchor_monotonic_ns", anchor.monotonic_ns.to_string()),
-            ("anchor_utc_ns", anchor.utc_ns.to_string()),
-        ];
+        let mut metadata = BTreeMap::from([
+            ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+            (
+                "anchor_monotonic_ns".to_owned(),
+                anchor.monotonic_ns.to_string(),
+            ),
+            ("anchor_utc_ns".to_owned(), anchor.utc_ns.to_string()),
+        ]);
         let mut channels = [(0, 0); TOPICS.len()];
-        for (channel, (_, content, topic, key)) in channels.iter_mut().zip(TOPICS) {
-            let schema = match content {
-                Content::Received | Content::Sent => bytes,
-                Content::State => text,
+        for (channel, topic) in channels.iter_mut().zip(TOPICS) {
+            let (role, content) = topic;
+            let (schema_name, schema) = match content {
+                Content::Received | Content::Sent => (SCHEMA_NAME, SCHEMA),
+                Content::State => (TEXT_SCHEMA_NAME, TEXT_SCHEMA),
             };
-            channel.0 = container.channel(schema, topic);
+            let name = format!("/{role}/{}", content.name());
+            channel.0 = file.channel(&name, schema_name, schema)?;
             // The channel records are in the first chunk only: the ids here make the rest readable if that is damaged.
-            metadata.push((key, channel.0.to_string()));
+            metadata.insert(channel_key(topic), channel.0.to_string());
         }
-        container
-            .write_metadata(METADATA, &metadata)
-            .map_err(failed)?;
-        container.flush().map_err(failed)?;
+        let metadata = Metadata {
+            name: METADATA.to_owned(),
+            metadata,
+        };
+        let begun =
+            (file.container.write_metadata(&metadata)).and_then(|()| file.container.flush());
+        begun.map_err(|error| failed(name, error))?;
         Ok(Self {
             file,
             anchor,
@@ -213,20 +239,18 @@ impl<W: Read + Write + Seek> RecordingWriter<W> {
         host_ns: u64,
         message: &[u8],
     ) -> Result<()> {
-        let wanted =
-            |topic: &(LinkRole, Content, &str, &str)| (topic.0, topic.1) == (role, content);
+        let wanted = |topic: &(LinkRole, Content)| *topic == (role, content);
         let index = TOPICS.iter().position(wanted).unwrap_or(0);
         let (channel, sequence) = self.channels[index];
         self.channels[index].1 = sequence.wrapping_add(1);
         let log_time = self.anchor.to_utc_ns(host_ns);
-        let written = self.file.container.write(&Message {
-            channel,
+        let header = MessageHeader {
+            channel_id: channel,
             sequence,
             log_time,
             publish_time: log_time,
-            data: message,
-        });
-        written.map_err(|error| self.file.failed(&error))?;
+        };
+        self.file.write(&header, message)?;
         self.tick(host_ns)
     }
 
@@ -259,7 +283,7 @@ impl<W: Read + Write + Seek> RecordingWriter<W> {
     /// `file_failed`.
     pub fn flush(&mut self) -> Result<()> {
         let flushed = self.file.container.flush();
-        flushed.map_err(|error| self.file.failed(&error))
+        flushed.map_err(|error| failed(&self.file.name, error))
     }
 
     /// Closes the recording with its index.

@@ -1,13 +1,16 @@
 //! The raw samples of a link as a recording.
 
 use wimu_link::LinkRole;
+use wimu_link::batch::Stream;
 use wimu_link::hello::sensor;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use super::samples::ASSUMED_RATE_HZ;
 use super::{Quantity, Recording, Sink, TrackId, TrackInfo, Unit};
+use crate::decode::TimedSample;
 use crate::error::{ErrorCode, Result};
 use crate::history::{Boot, LinkHistory};
+use crate::stream::Part;
 
 /// Name of the format of wimu's recordings in docs/FORMATS.md.
 pub(crate) const FORMAT: &str = "wimu recording";
@@ -23,7 +26,7 @@ impl Recording {
         recording.format = FORMAT;
         let mut rows = LinkRows::new(&mut recording);
         for boot in &link.boots {
-            rows.boot(boot, name)?;
+            rows.part(&Part::from(boot), name)?;
         }
         rows.finish(link.role, name)?;
         Ok(recording)
@@ -61,38 +64,36 @@ impl<'a> LinkRows<'a> {
         }
     }
 
-    /// Hands all samples of a start on.
+    /// Hands the raw samples of a part on.
     ///
     /// # Errors
     /// `data_refused` when the range changes.
-    pub(crate) fn boot(&mut self, boot: &Boot, name: &str) -> Result<()> {
-        self.part(boot, boot.raw.len(), name)?;
-        self.end_of_boot();
-        Ok(())
-    }
-
-    /// The next samples are of another start.
-    pub(crate) fn end_of_boot(&mut self) {
-        if let (Some(tracks), (_, Some(_))) = (&self.tracks, self.begin) {
+    pub(crate) fn part(&mut self, part: &Part, name: &str) -> Result<()> {
+        let samples = part.samples(0, Stream::Raw);
+        if let Some(first) = samples.first() {
+            self.rows(part, samples, first.time.0, name)?;
+        }
+        if let (true, Some(tracks), (_, Some(_))) = (part.is_last, &self.tracks, self.begin) {
             let period_ns = (1e9 / tracks.rate_hz) as i64;
             self.begin = (self.latest_ns.saturating_add(period_ns), None);
             self.next_sequence = None;
         }
+        Ok(())
     }
 
-    /// Hands the first `count` samples of a start, or of what is left of it, on.
-    ///
-    /// # Errors
-    /// `data_refused` when the range changes.
-    pub(crate) fn part(&mut self, boot: &Boot, count: usize, name: &str) -> Result<()> {
-        let Some(first) = boot.raw.first() else {
-            return Ok(());
-        };
+    fn rows(
+        &mut self,
+        part: &Part,
+        samples: &[TimedSample],
+        first_us: u64,
+        name: &str,
+    ) -> Result<()> {
+        let boot = part.boot;
         let tracks = self
             .tracks
             .get_or_insert_with(|| Tracks::of(boot, self.sink));
         one_range(boot, tracks, name)?;
-        let begin_us = *self.begin.1.get_or_insert(first.time.0);
+        let begin_us = *self.begin.1.get_or_insert(first_us);
         let begin_ns = self.begin.0;
         let time_ns = |us: u64| {
             let since_us = us.wrapping_sub(begin_us) as i64;
@@ -103,7 +104,7 @@ impl<'a> LinkRows<'a> {
         let is_replay = |hello: wimu_link::Hello| hello.sensor.number == sensor::REPLAY;
         let environment = match boot.hello.is_some_and(is_replay) {
             true => &[],
-            false => &boot.environment[..],
+            false => part.environment(),
         };
         for environment in environment {
             let time = time_ns(environment.time_us);
@@ -116,7 +117,7 @@ impl<'a> LinkRows<'a> {
                 self.sink.row(tracks.temperature, time, &[celsius]);
             }
         }
-        for sample in &boot.raw[..count] {
+        for sample in samples {
             // Between two starts samples are missing, too.
             let is_first = self.next_sequence.is_none() && begin_ns == 0;
             if self.next_sequence != Some(sample.sequence) && !is_first {
@@ -132,6 +133,11 @@ impl<'a> LinkRows<'a> {
             }
         }
         Ok(())
+    }
+
+    /// Whether there was no sample.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.tracks.is_none()
     }
 
     /// # Errors

@@ -296,6 +296,11 @@ pub(crate) fn unit_of(force: &TrackInfo) -> OutputUnit {
 }
 
 impl<'a> Samples<'a> {
+    /// Description of the accelerometer's track.
+    pub fn info(&self) -> &'a TrackInfo {
+        &self.force.info
+    }
+
     /// Number of samples; at least one.
     pub fn len(&self) -> usize {
         self.rows.len()

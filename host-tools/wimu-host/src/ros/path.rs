@@ -1,6 +1,6 @@
 //! A navigated path as `nav_msgs/Odometry`, `nav_msgs/Path` and `tf2_msgs/TFMessage`.
 
-use std::io::{Read, Seek, Write};
+use std::io::{Seek, Write};
 
 use wimu_model::{Alignment, Matrix3};
 
@@ -105,7 +105,7 @@ impl PathTopics {
     ///
     /// # Errors
     /// `file_failed`.
-    pub fn push<W: Read + Write + Seek>(
+    pub fn push<W: Write + Seek>(
         &mut self,
         out: &mut RosFile<W>,
         log_ns: u64,
@@ -151,7 +151,7 @@ impl PathTopics {
     ///
     /// # Errors
     /// `file_failed`.
-    pub fn finish<W: Read + Write + Seek>(self, out: &mut RosFile<W>) -> Result<()> {
+    pub fn finish<W: Write + Seek>(self, out: &mut RosFile<W>) -> Result<()> {
         let (Some(log_ns), Some((stamp_ns, _))) = (self.begun_ns, self.poses.first()) else {
             return Ok(());
         };

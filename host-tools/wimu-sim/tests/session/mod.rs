@@ -10,10 +10,10 @@ use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::clock::{ClockEstimator, ClockModel, Pace};
 use wimu_host::compare::{Comparison, compare};
 use wimu_host::decode::{Arrival, Event};
+use wimu_host::history;
 use wimu_host::mcap_file::{ClockAnchor, Recorded, RecordingReader, RecordingWriter};
 use wimu_host::recorder::{Tap, Tapped};
 use wimu_host::transport::Transport;
-use wimu_host::walk::{Clocks, walk};
 use wimu_host::{HostError, Result};
 use wimu_link::LinkRole;
 use wimu_sim::board::{Board, BoardConfig, SimLink};
@@ -178,13 +178,12 @@ pub fn compared(file: &[u8]) -> Result<Comparison, HostError> {
 
 /// By both links, and by the wireless one alone.
 pub fn clocks(file: &[u8]) -> [ClockModel; 2] {
-    let mut clocks = Clocks::default();
-    let mut reader = RecordingReader::new(file, "a.mcap").unwrap();
-    walk(&mut reader, |role, start, step| {
-        clocks.see(role, start, &step);
-        Ok(())
-    })
-    .unwrap();
-    let (_, joint) = clocks.models().pop_last().unwrap();
-    [joint, clocks.of_link(LinkRole::Wireless).unwrap()]
+    let reader = RecordingReader::new(file, "a.mcap").unwrap();
+    let overview = history::Recording::read(reader, "a.mcap").unwrap();
+    let wireless = overview.link(Some(LinkRole::Wireless)).unwrap();
+    let (_, start) = overview.starts.last_key_value().unwrap();
+    [
+        start.clock.clone().unwrap(),
+        wireless.clock().unwrap().clone(),
+    ]
 }

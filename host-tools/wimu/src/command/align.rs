@@ -4,7 +4,7 @@ use std::path::Path;
 
 use wimu_host::Result;
 use wimu_host::alignment::{self, AlignOptions};
-use wimu_host::calibration::{CalibrationFile, sessions};
+use wimu_host::calibration::CalibrationFile;
 use wimu_host::decode::Event;
 use wimu_host::history::LinkHistory;
 use wimu_host::recording::{Recording, Selection};
@@ -58,8 +58,8 @@ pub fn run(arguments: &Align, output: Output) -> Result<u8> {
         |client, set| listen(client, arguments, set, &options, output),
     )?;
     let report = alignment::alignment(&data.samples(Selection::default())?, &set, &options);
-    let before = sessions(arguments.calibration.as_deref(), &set);
-    let file = |set| CalibrationFile::new(set, &before, &report.source);
+    let given = arguments.calibration.as_deref();
+    let file = |after| CalibrationFile::after(given, &set, after, &report.source);
     finish(
         &report,
         &report.outcome,

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 use wimu_host::apply::Correction;
-use wimu_host::calibration::read_model;
+use wimu_host::calibration::{read_model, zero_count};
 use wimu_host::finding::Finding;
 use wimu_host::{Result, formats};
 
@@ -23,7 +23,9 @@ pub fn run(arguments: &Apply, output: Output) -> Result<()> {
         not_over_input(input, Some(&arguments.output))?;
     }
     let calibration = read_model(&arguments.calibration)?;
-    let recording = formats::load(&arguments.input, &arguments.reading.options(false))?;
+    let mut options = arguments.reading.options(false);
+    options.stored_zero_count = zero_count(&arguments.calibration);
+    let recording = formats::load(&arguments.input, &options)?;
     let correction = Correction::new(&calibration, &recording)?;
     let rows = correction.write(&arguments.output)?;
     let findings = [&correction.findings[..], &recording.findings].concat();

@@ -73,9 +73,11 @@ pub fn read_calibrated(
     checked: impl Fn(Option<ParameterSet>) -> Result<ParameterSet>,
     listen: impl FnOnce(&mut Connection, &ParameterSet) -> Result<Recording>,
 ) -> Result<(Recording, ParameterSet, Option<Connection>)> {
+    let mut load = load.clone();
+    load.stored_zero_count = given.and_then(calibration::zero_count);
     let given = given.map(calibration::read_parameters).transpose()?;
     match Input::parse(input)? {
-        Input::File(path) => Ok((formats::load(&path, load)?, checked(given)?, None)),
+        Input::File(path) => Ok((formats::load(&path, &load)?, checked(given)?, None)),
         Input::Recording(path) => {
             let recording = history::Recording::load(&path)?;
             let link = recording.link(load.role)?;
@@ -182,8 +184,8 @@ fn update(arguments: &Calibrate, output: Output) -> Result<u8> {
         arguments.gravity,
         utc_s(),
     )?;
-    let before = calibration::sessions(arguments.with.as_deref(), &stored);
-    let file = |set| CalibrationFile::new(set, &before, &report.source);
+    let with = arguments.with.as_deref();
+    let file = |set| CalibrationFile::after(with, &stored, set, &report.source);
     let file = report.parameters.as_ref().map(file);
     let path = arguments.output.as_deref();
     finish(&report, &report.outcome, path, file, output, || Ok(()))

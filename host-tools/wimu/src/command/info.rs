@@ -8,8 +8,8 @@ use serde::Serialize;
 use wimu_host::decode::{self, LinkStatistics};
 use wimu_host::finding::Finding;
 use wimu_host::formats::{Source, Summary};
+use wimu_host::history::{Counts, LinkHistory, Recording};
 use wimu_host::mcap_file::Wholeness;
-use wimu_host::overview::{BootOverview, LinkOverview, Overview};
 use wimu_host::{Input, Result};
 use wimu_link::Hello;
 use wimu_link::message::{SensorStatus, Status};
@@ -44,7 +44,7 @@ struct Link {
     parameter_ids: Vec<String>,
     events: Vec<String>,
     sampling: Option<Sampling>,
-    more_events: u64,
+    more_events: usize,
     statistics: LinkStatistics,
 }
 
@@ -63,10 +63,10 @@ struct Sensor {
 }
 
 impl Sensor {
-    fn of_link(link: &LinkOverview) -> Vec<Self> {
+    fn of_link(link: &LinkHistory) -> Vec<Self> {
         let mut sensors: BTreeMap<u8, Self> = BTreeMap::new();
-        for (index, track) in link.boots.iter().flat_map(|boot| &boot.tracks) {
-            let unit = track.units.latest();
+        for (index, track) in link.boots.iter().flat_map(|boot| &boot.sensors) {
+            let unit = track.unit;
             let before = sensors.get(index);
             let sensor = Self {
                 index: *index,
@@ -259,27 +259,47 @@ fn of_another_program(summary: &Summary, output: Output) {
     output.answer("wimu.info/1", summary);
 }
 
+/// Largest number of events of a link that are listed.
+const MAX_EVENTS: usize = 500;
+
+/// The first events of the device with their times, and the number of further ones.
+fn events(link: &LinkHistory) -> (Vec<String>, usize) {
+    let mut all: Vec<String> = Vec::new();
+    for (time, event) in link.boots.iter().flat_map(|boot| &boot.events) {
+        let text = format!("{:.2} s: {event}", time.to_seconds());
+        // Persistent faults are reported again to each new listener.
+        if !all.contains(&text) {
+            all.push(text);
+        }
+    }
+    let more = all.len().saturating_sub(MAX_EVENTS);
+    all.truncate(MAX_EVENTS);
+    (all, more)
+}
+
 fn recording(path: &Path, output: Output) -> Result<()> {
-    let recording = Overview::read(path)?;
+    let recording = Recording::survey(path)?;
     let links: Vec<Link> = recording
         .links
         .into_iter()
         .map(|link| {
-            let sum = |of: fn(&BootOverview) -> usize| link.boots.iter().map(of).sum();
+            let counts = link.boots.iter().map(|boot| &boot.counts);
+            let sum = |of: fn(&Counts) -> usize| counts.clone().map(of).sum();
+            let (events, more_events) = events(&link);
             Link {
                 role: link.role.to_string(),
-                device: link.hello.as_ref().map(Device::from),
+                device: link.hello().map(Device::from),
                 starts: link.boots.len(),
-                raw_samples: sum(|boot| boot.raw),
-                corrected_samples: sum(|boot| boot.corrected),
-                epochs: sum(|boot| boot.epochs),
-                navigation: sum(|boot| boot.navigation),
-                attitudes: sum(|boot| boot.attitudes),
+                raw_samples: sum(|counts| counts.raw),
+                corrected_samples: sum(|counts| counts.corrected),
+                epochs: sum(|counts| counts.epochs),
+                navigation: sum(|counts| counts.navigation),
+                attitudes: sum(|counts| counts.attitudes),
                 sensors: Sensor::of_link(&link),
                 parameter_ids: link.parameter_ids.iter().map(ToString::to_string).collect(),
-                events: link.events,
-                more_events: link.more_events,
-                sampling: link.status.as_ref().map(Sampling::from),
+                events,
+                more_events,
+                sampling: link.status().map(Sampling::from),
                 statistics: link.statistics,
             }
         })

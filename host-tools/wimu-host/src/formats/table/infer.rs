@@ -8,6 +8,7 @@ use super::zero::{self, Zero};
 use crate::error::{ErrorCode, Result};
 use crate::finding::{Finding, FindingCode, Severity};
 use crate::recording::{Quantity, Unit};
+use crate::stats::{median, norm};
 
 /// Relative tolerance of the median magnitude of a unit. Chosen: covers bias, scale and moderate motion.
 const TOLERANCE: f64 = 0.15;
@@ -42,15 +43,9 @@ pub struct Evidence<'a> {
     pub zero_count: Option<f64>,
 }
 
-pub fn norm(v: &[f64; 3]) -> f64 {
-    v.iter().map(|c| c * c).sum::<f64>().sqrt()
-}
-
 /// Median magnitude.
-pub fn median(samples: &[[f64; 3]]) -> Option<f64> {
-    let mut magnitudes: Vec<f64> = samples.iter().map(norm).collect();
-    magnitudes.sort_by(f64::total_cmp);
-    magnitudes.get(magnitudes.len() / 2).copied()
+pub fn median_norm(samples: &[[f64; 3]]) -> Option<f64> {
+    median(samples.iter().copied().map(norm))
 }
 
 /// Conversion of the values of a track.
@@ -122,7 +117,7 @@ fn inferred(
             .error(message, remedy)
             .at(format!("column `{}`", group.name))
     };
-    let magnitude = median(samples).ok_or_else(|| {
+    let magnitude = median_norm(samples).ok_or_else(|| {
         asks("no unit is named, and there are no values to infer it from".to_owned())
     })?;
     let is_near = |expected: f64| (magnitude / expected - 1.0).abs() <= TOLERANCE;

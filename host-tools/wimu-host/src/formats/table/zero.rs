@@ -1,9 +1,10 @@
 //! Counts that are not around 0: of unsigned converters, and of two's complement read as unsigned.
 
-use super::infer::{Evidence, median, norm};
+use super::infer::{Evidence, median_norm};
 use super::layout::Group;
 use crate::finding::{Finding, FindingCode};
 use crate::recording::Quantity;
+use crate::stats::norm;
 
 /// Middle of the range of 10, 12, 14 and 16 bits.
 const MIDDLES: [f64; 4] = [512.0, 2048.0, 8192.0, 32768.0];
@@ -27,6 +28,14 @@ pub enum Zero {
 }
 
 impl Zero {
+    /// The count that is subtracted.
+    pub fn count(self) -> Option<f64> {
+        match self {
+            Self::At(zero) => Some(zero),
+            Self::None | Self::Wrapped => None,
+        }
+    }
+
     pub fn apply(self, count: f64) -> f64 {
         match self {
             Self::None => count,
@@ -142,7 +151,7 @@ pub fn at_rest(samples: &[[f64; 3]]) -> Option<f64> {
     let blocks = blocks(samples);
     let calm = &blocks[..blocks.len().div_ceil(4)];
     let calm: Vec<[f64; 3]> = calm.iter().flat_map(|block| block.0).copied().collect();
-    median(if calm.is_empty() { samples } else { &calm })
+    median_norm(if calm.is_empty() { samples } else { &calm })
 }
 
 /// Magnitude at rest, if it is the same in several orientations.
@@ -155,11 +164,11 @@ pub fn sensitivity(samples: &[[f64; 3]]) -> Option<f64> {
     let first = rests.first()?;
     let differs = |v: &&[f64; 3]| {
         let dot: f64 = (0..3).map(|k| v[k] * first[k]).sum();
-        dot < OTHER_ORIENTATION * norm(v) * norm(first)
+        dot < OTHER_ORIENTATION * norm(**v) * norm(*first)
     };
     let others = rests.iter().filter(differs).count();
-    let usual = median(&rests)?;
-    let is_alike = |v: &&[f64; 3]| (norm(v) / usual - 1.0).abs() <= TOLERANCE;
+    let usual = median_norm(&rests)?;
+    let is_alike = |v: &&[f64; 3]| (norm(**v) / usual - 1.0).abs() <= TOLERANCE;
     let alike = rests.iter().filter(is_alike).count();
     (others > 0 && 10 * alike >= 9 * rests.len()).then_some(usual)
 }

@@ -1,6 +1,6 @@
 //! `wimu calibrate --sensor magnetometer`.
 
-use wimu_host::calibration::{CalibrateOptions, CalibrationFile, calibrate_magnetometer, sessions};
+use wimu_host::calibration::{CalibrateOptions, CalibrationFile, calibrate_magnetometer};
 use wimu_host::{ErrorCode, Result};
 use wimu_model::ParameterSet;
 
@@ -22,8 +22,8 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
     )?;
     let data = data.samples(selection)?;
     let report = calibrate_magnetometer(&data, &set, arguments.dip.map(f64::to_radians))?;
-    let before = sessions(arguments.with.as_deref(), &set);
-    let file = |set| CalibrationFile::new(set, &before, &report.source);
+    let with = arguments.with.as_deref();
+    let file = |after| CalibrationFile::after(with, &set, after, &report.source);
     let file = report.parameters.as_ref().map(file);
     let path = arguments.output.as_deref();
     finish(&report, &report.outcome, path, file, output, || {

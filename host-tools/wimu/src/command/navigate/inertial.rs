@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Serialize;
 use wimu_host::Result;
-use wimu_host::calibration::read_model;
+use wimu_host::calibration::{read_model, zero_count};
 use wimu_host::finding::Finding;
 use wimu_host::formats;
 use wimu_host::inertial::{
@@ -146,8 +146,9 @@ fn table(arguments: &Navigate, file: &Path) -> Result<MotionRecording> {
         calibration: calibration.map(|file| read_model(file)).transpose()?,
         sensitivity_lsb_per_g: arguments.sensitivity,
     };
-    let recording = formats::load(file, &arguments.reading.options(false))?;
-    MotionRecording::of(&recording, &options)
+    let mut load = arguments.reading.options(false);
+    load.stored_zero_count = calibration.and_then(|file| zero_count(file));
+    MotionRecording::of(&formats::load(file, &load)?, &options)
 }
 
 /// Computes, prints and writes the path of one unit; returns its object.

@@ -209,7 +209,11 @@ pub fn navigate(
             ));
         }
     };
-    let positive = [("limit", Some(limit)), ("within", within), ("sensitivity", sensitivity)];
+    let positive = [
+        ("limit", Some(limit)),
+        ("within", within),
+        ("sensitivity", sensitivity),
+    ];
     for (name, value) in positive {
         if value.is_some_and(|value| !value.is_finite() || value <= 0.0) {
             return Err(usage(

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use wimu_link::message::parameter_id;
 use wimu_model::{
     Alignment, CalibratedTemperature, CalibrationMethod, CalibrationQuality, ErrorModel,
-    ErrorTerms, GyroscopeParameters, MagnetometerModel, ParameterSet, QualityTerms,
-    STANDARD_GRAVITY_MPS2, Sensitivity, SensorId, TermDeviations,
+    ErrorTerms, GyroscopeParameters, MagnetometerModel, ModelCovariance, ParameterSet,
+    QualityTerms, STANDARD_GRAVITY_MPS2, Sensitivity, SensorId, TermDeviations,
 };
 
 use super::Source;

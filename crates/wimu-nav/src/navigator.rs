@@ -320,6 +320,11 @@ where
         &self.recorder
     }
 
+    /// The recorder, to take from it.
+    pub fn recorder_mut(&mut self) -> &mut L {
+        &mut self.recorder
+    }
+
     /// The recorder, at the end.
     pub fn into_recorder(self) -> L {
         self.recorder

@@ -302,7 +302,7 @@ fn journey<M: Model<f64, N>, const N: usize>(
             found
                 .filtered
                 .push((error, navigator.filter().covariance(POSITION)));
-            epochs_at.push(navigator.recorder().count() - 1);
+            epochs_at.push(navigator.recorder().epochs().len() - 1);
         }
     }
     let mut epochs = navigator.into_recorder().into_epochs();
@@ -406,7 +406,7 @@ fn garbage_stays_finite_and_is_counted() {
         filter.update_recorded(&shown, Gate::Open, &mut log);
         log.updated(&filter, STEP_S);
     }
-    let count = log.count();
+    let count = log.epochs().len();
     let mut epochs = log.into_epochs();
     let smoothed = Smoothed::of(&mut epochs);
     assert!(smoothed.contradictions() > 0);

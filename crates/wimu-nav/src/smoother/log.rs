@@ -48,7 +48,6 @@ pub struct Epoch<R, const N: usize> {
 #[derive(Clone, Debug)]
 pub struct Log<R, const N: usize, S> {
     epochs: S,
-    count: usize,
     interval_s: R,
     elapsed_s: R,
     changed: bool,
@@ -61,7 +60,6 @@ impl<R: RealField + Copy, const N: usize, S: Extend<Epoch<R, N>>> Log<R, N, S> {
     pub fn new(epochs: S, interval_s: R) -> Self {
         Self {
             epochs,
-            count: 0,
             interval_s,
             elapsed_s: R::zero(),
             changed: false,
@@ -70,12 +68,17 @@ impl<R: RealField + Copy, const N: usize, S: Extend<Epoch<R, N>>> Log<R, N, S> {
         }
     }
 
-    /// Epochs so far. It has grown with a sample if the last epoch is that of the sample.
-    pub fn count(&self) -> usize {
-        self.count
+    /// The collection. It has grown with a sample if its last epoch is that of the sample.
+    pub fn epochs(&self) -> &S {
+        &self.epochs
     }
 
-    /// The collection.
+    /// The collection, to take epochs from it: the last one must stay, as the next one refers to it.
+    pub fn epochs_mut(&mut self) -> &mut S {
+        &mut self.epochs
+    }
+
+    /// The collection, at the end.
     pub fn into_epochs(self) -> S {
         self.epochs
     }
@@ -99,7 +102,6 @@ impl<R: RealField + Copy, const N: usize, S: Extend<Epoch<R, N>>> Log<R, N, S> {
             epoch.injected = difference(&filter.state, &predicted);
         }
         self.epochs.extend([epoch]);
-        self.count += 1;
         self.elapsed_s = R::zero();
         self.changed = false;
     }

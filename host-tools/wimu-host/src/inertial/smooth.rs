@@ -163,3 +163,67 @@ impl<const N: usize> Recorder<f64, N> for Tape<N> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wimu_nav::navigator::{Navigator, NoGyroscope, Sample, Settings, Start};
+
+    /// Positions of a journey that is smoothed in blocks of so many epochs.
+    fn positions(block: usize) -> Vec<[f64; 3]> {
+        let samples: Vec<Sample<f64>> = (0..3000)
+            .map(|k| {
+                let t = f64::from(k) * 0.01;
+                let noise = f64::from((k * 7919) % 13) * 0.003 - 0.018;
+                let moving = f64::from(u8::from(t > 2.0 && t % 5.0 > 1.5));
+                Sample {
+                    step_s: if k == 0 { 0.0 } else { 0.01 },
+                    force_mps2: Vector3::new(moving * (3.0 * t).sin() + noise, noise, 9.80665),
+                    rate_rad_s: None,
+                    field_ut: Some(Vector3::new(0.0, 20.0 + noise, -40.0)),
+                }
+            })
+            .collect();
+        let start = Start::align(&samples[..50], true).unwrap();
+        let mut tape = Tape::<24>::new(true, Vec::new());
+        tape.block = block;
+        let navigator = Navigator::<f64, NoGyroscope<f64>, 24>::new(Settings::default(), &start);
+        let mut navigator = navigator.unwrap().recorded(tape);
+        let mut points = Vec::new();
+        for (k, sample) in samples.iter().enumerate() {
+            let t = k as f64 * 0.01;
+            navigator.push(sample, t < 2.0 || t % 5.0 < 1.5).unwrap();
+            let found = navigator.solution();
+            points.push(PathPoint {
+                time_s: t,
+                position_m: found.position_m,
+                velocity_mps: found.velocity_mps,
+                quaternion: found.quaternion,
+                rate_rad_s: [0.0; 3],
+                velocity_sd_mps: [0.0; 3],
+                attitude_sd_rad: [0.0; 3],
+                covariance_m2: found.position_covariance,
+                filtered_sd_m: 0.0,
+                resting: false,
+                valid: true,
+            });
+            navigator.recorder_mut().mark(&mut points);
+        }
+        navigator.into_recorder().finish(&mut points);
+        points.iter().map(|p| p.position_m).collect()
+    }
+
+    #[test]
+    fn a_recording_that_is_smoothed_in_blocks_has_the_path_of_one_block() {
+        let (whole, blocks) = (positions(usize::MAX), positions(500));
+        let distance = |a: &[f64; 3], b: &[f64; 3]| (Vector3::from(*a) - Vector3::from(*b)).norm();
+        let most = whole.iter().zip(&blocks).map(|(a, b)| distance(a, b));
+        let most = most.fold(0.0, f64::max);
+        let origin = [0.0; 3];
+        let size = whole
+            .iter()
+            .map(|p| distance(p, &origin))
+            .fold(0.0, f64::max);
+        assert!(most < 0.05 * size, "{most} {size}");
+    }
+}

@@ -357,6 +357,7 @@ def navigate(
     within: float | None = None,
     rests: Sequence[tuple[float, float]] | None = None,
     start: tuple[float, float, float, float | None] | None = None,
+    smooth: bool = True,
     limit: float = 1.0,
     sensitivity: float | None = None,
 ) -> Path:
@@ -369,6 +370,7 @@ def navigate(
     within: the unit stays within this distance of its start, m, 1 σ of a component.
     rests: times at which the unit rested, s, as in the file; None: those that are detected.
     start: position, m, east-north-up, and heading of body x from east towards north, rad, or None.
+    smooth: each point rests on the whole recording; otherwise on the samples before it.
     limit: standard deviation up to which a position is valid, m.
     sensitivity: of counts, LSB/g, where neither calibration nor file gives it.
     """

@@ -6,6 +6,7 @@ use nalgebra::{RealField, Rotation3, SMatrix, SVector};
 use crate::process::{Process, Transition};
 use crate::rotation::{orthonormal, real};
 use crate::sensor::{Measurement, Prediction};
+use crate::smoother::Recorder;
 use crate::state::{Block, Layout, State};
 
 /// Which measurements an update accepts.
@@ -49,8 +50,8 @@ pub struct Innovation<R> {
 pub struct Filter<R, const N: usize> {
     /// Nominal state.
     pub state: State<R, N>,
-    covariance: SMatrix<R, N, N>,
-    considered: [bool; N],
+    pub(crate) covariance: SMatrix<R, N, N>,
+    pub(crate) considered: [bool; N],
     /// Steps since the attitude was made orthonormal.
     steps: u8,
 }
@@ -127,6 +128,15 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
 
     /// Prediction: state and covariance after a step of the process, P ← F P Fᵀ + Q.
     pub fn predict(&mut self, process: &impl Process<R, N>) {
+        self.predict_recorded(process, &mut ());
+    }
+
+    /// Prediction that is recorded for a smoother.
+    pub fn predict_recorded(
+        &mut self,
+        process: &impl Process<R, N>,
+        recorder: &mut impl Recorder<R, N>,
+    ) {
         let mut transition = Transition::new();
         process.propagate(&mut self.state, &mut transition);
         transition.apply(&mut self.covariance);
@@ -134,6 +144,7 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
         if self.steps == 0 {
             self.state.attitude = orthonormal(&self.state.attitude);
         }
+        recorder.predicted(self, &transition);
     }
 
     /// Test of a measurement, without an update.
@@ -149,6 +160,16 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
         measurement: &impl Measurement<R, N, M>,
         gate: Gate,
     ) -> Innovation<R> {
+        self.update_recorded(measurement, gate, &mut ())
+    }
+
+    /// Update that is recorded for a smoother.
+    pub fn update_recorded<const M: usize>(
+        &mut self,
+        measurement: &impl Measurement<R, N, M>,
+        gate: Gate,
+        recorder: &mut impl Recorder<R, N>,
+    ) -> Innovation<R> {
         let prediction = measurement.predict(self);
         let (innovation, gain) = self.solve(&prediction, gate);
         let Some(gain) = gain.filter(|_| innovation.accepted) else {
@@ -161,6 +182,7 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
             left - (left * h.transpose() - gain * prediction.covariance) * gain.transpose();
         self.covariance = (updated + updated.transpose()) * real::<R>(0.5);
         self.state.correct(gain * prediction.innovation);
+        recorder.corrected(&gain, &prediction);
         innovation
     }
 

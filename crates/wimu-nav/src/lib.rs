@@ -10,6 +10,7 @@ pub mod stationarity;
 pub mod filter;
 pub mod process;
 pub mod sensor;
+pub mod smoother;
 pub mod state;
 
 // Many accelerometers on one body.

@@ -12,6 +12,7 @@ use crate::filter::{Filter, Gate, Innovation};
 use crate::process::{ImuErrors, Unmeasured};
 use crate::rotation::{about_up, level, real, yaw};
 use crate::sensor::{MagneticField, Magnetometer, Measurement, Position, Velocity, recover};
+use crate::smoother::Recorder;
 use crate::state::{ATTITUDE, Layout, LayoutFull, POSITION, Role, VELOCITY};
 
 /// What is assumed of the motion.
@@ -226,9 +227,10 @@ struct Since<R> {
     known: R,
 }
 
-/// The navigator: a model of the motion with `N` states.
+/// The navigator: a model of the motion with `N` states. `L` records it for a smoother.
 #[derive(Clone, Debug)]
-pub struct Navigator<R, M, const N: usize> {
+pub struct Navigator<R, M, const N: usize, L = ()> {
+    recorder: L,
     settings: Settings<R>,
     filter: Filter<R, N>,
     model: M,
@@ -265,6 +267,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         let model = M::claim(&mut layout, &settings, start, hidden)?;
         let zero = R::zero();
         Ok(Self {
+            recorder: (),
             settings,
             filter: Filter::new(&layout, start.attitude),
             model,
@@ -283,6 +286,45 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         })
     }
 
+    /// The same navigator, recorded from here on.
+    pub fn recorded<L: Recorder<R, N>>(self, mut recorder: L) -> Navigator<R, M, N, L> {
+        recorder.restarted(&self.filter);
+        Navigator {
+            recorder,
+            settings: self.settings,
+            filter: self.filter,
+            model: self.model,
+            magnetometer: self.magnetometer,
+            reference_ut: self.reference_ut,
+            since: self.since,
+            resting: self.resting,
+            recoveries: self.recoveries,
+            divergences: self.divergences,
+        }
+    }
+}
+
+impl<R, M, const N: usize, L> Navigator<R, M, N, L>
+where
+    R: RealField + Copy,
+    M: Model<R, N>,
+    L: Recorder<R, N>,
+{
+    /// The recorder.
+    pub fn recorder(&self) -> &L {
+        &self.recorder
+    }
+
+    /// The recorder, to take from it.
+    pub fn recorder_mut(&mut self) -> &mut L {
+        &mut self.recorder
+    }
+
+    /// The recorder, at the end.
+    pub fn into_recorder(self) -> L {
+        self.recorder
+    }
+
     /// State and covariance.
     pub fn filter(&self) -> &Filter<R, N> {
         &self.filter
@@ -294,8 +336,10 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         measurement: &impl Measurement<R, N, K>,
         gate: Gate,
     ) -> Innovation<R> {
-        let innovation = self.filter.update(measurement, gate);
-        self.restart_if_diverged();
+        let innovation = self
+            .filter
+            .update_recorded(measurement, gate, &mut self.recorder);
+        self.finish(R::zero());
         innovation
     }
 
@@ -357,9 +401,13 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             return Ok(());
         }
         self.count(step_s);
-        let field = self
-            .model
-            .step(&mut self.filter, sample, at_rest, &self.magnetometer);
+        let field = self.model.step(
+            &mut self.filter,
+            sample,
+            at_rest,
+            &self.magnetometer,
+            &mut self.recorder,
+        );
         if let (Some(field_ut), Some(reference_ut)) = (field, self.reference_ut)
             && self.since.field >= self.model.field_interval_s()
         {
@@ -369,11 +417,12 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
                 field_ut,
                 reference_ut,
             };
-            self.filter.update(&reading, Gate::ChiSquare);
+            self.filter
+                .update_recorded(&reading, Gate::ChiSquare, &mut self.recorder);
             self.since.field = R::zero();
         }
         self.update_velocity(at_rest);
-        self.restart_if_diverged();
+        self.finish(step_s);
         Ok(())
     }
 
@@ -382,9 +431,9 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         self.count(step_s);
         self.since.accepted = R::zero();
         let step_s = step_s + self.model.interrupt();
-        self.filter
-            .predict(&(Unmeasured { step_s }, self.magnetometer.step(step_s)));
-        self.restart_if_diverged();
+        let gap = (Unmeasured { step_s }, self.magnetometer.step(step_s));
+        self.filter.predict_recorded(&gap, &mut self.recorder);
+        self.finish(step_s);
     }
 
     fn count(&mut self, step_s: R) {
@@ -428,17 +477,17 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         };
         if let Some(speed) = speed.filter(|_| !at_rest) {
             let bound = Velocity::zero(real(speed), None);
-            self.filter.update(&bound, Gate::ChiSquare);
+            self.filter
+                .update_recorded(&bound, Gate::ChiSquare, &mut self.recorder);
         }
         if let Some(deviation_m) = self.settings.within_m {
             let position_m = Vector3::zeros();
-            self.filter.update(
-                &Position {
-                    position_m,
-                    deviation_m,
-                },
-                Gate::Open,
-            );
+            let within = Position {
+                position_m,
+                deviation_m,
+            };
+            self.filter
+                .update_recorded(&within, Gate::Open, &mut self.recorder);
         }
     }
 
@@ -449,7 +498,11 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         let stance = self.settings.profile == Profile::Foot;
         let gate = if stance { Gate::Open } else { Gate::ChiSquare };
         let accelerates = !stance && self.model.accelerates(&self.filter);
-        self.resting = !accelerates && self.filter.update(&zero, gate).accepted;
+        self.resting = !accelerates
+            && self
+                .filter
+                .update_recorded(&zero, gate, &mut self.recorder)
+                .accepted;
         let failed = self.since.accepted;
         let drifted = self.since.known - failed >= real(DRIFT_S);
         let certain = if drifted {
@@ -459,21 +512,25 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         };
         if self.resting {
             if !stance && let Some(rate) = self.model.zero_rate() {
-                self.filter.update(&rate, Gate::ChiSquare);
+                self.filter
+                    .update_recorded(&rate, Gate::ChiSquare, &mut self.recorder);
             }
             self.since.accepted = R::zero();
             self.since.known = R::zero();
         } else if failed >= real(certain) {
             recover(&mut self.filter, &zero, self.model.recovered());
+            // A model that failed at an unknown time: the rest says nothing of the time before.
+            self.recorder.restarted(&self.filter);
             self.recoveries += 1;
             self.resting = true;
         }
     }
 
-    /// Begins again with a start in motion at an unknown position.
-    fn restart_if_diverged(&mut self) {
+    /// Ends a step of the filter, s. If it diverged, it begins again with a start in motion at an unknown position.
+    fn finish(&mut self, step_s: R) {
         let speed = self.filter.state.get(VELOCITY).norm();
         if self.filter.is_sound() && speed < real(DIVERGED_SPEED) {
+            self.recorder.updated(&self.filter, step_s);
             return;
         }
         let attitude = self.filter.state.attitude;
@@ -489,19 +546,21 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             force_mps2: self.settings.gravity_mps2,
             rest: false,
         };
-        let Ok(mut restarted) = Self::new(self.settings, &start) else {
+        let Ok(new) = Navigator::<R, M, N>::new(self.settings, &start) else {
             return;
         };
+        self.filter = new.filter;
+        self.model = new.model;
+        self.since = new.since;
+        self.resting = false;
+        self.divergences += 1;
         let lost = Matrix3::from_diagonal_element(real(LOST_POSITION * LOST_POSITION));
-        restarted.filter.set_covariance(POSITION, &lost);
+        self.filter.set_covariance(POSITION, &lost);
         let heading = core::f64::consts::PI;
         let unknown = Matrix1::new(real(heading * heading));
-        restarted
-            .filter
+        self.filter
             .set_covariance(ATTITUDE.part::<1, 2>(), &unknown);
-        restarted.recoveries = self.recoveries;
-        restarted.divergences = self.divergences + 1;
-        *self = restarted;
+        self.recorder.restarted(&self.filter);
     }
 
     /// Rotates the navigation frame so that the heading is this, rad: before the first sample.
@@ -509,6 +568,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         let turn = about_up(heading - self.heading());
         self.filter.state.attitude = turn * self.filter.state.attitude;
         self.reference_ut = self.reference_ut.map(|field| turn * field);
+        self.recorder.restarted(&self.filter);
     }
 
     /// Covariance of a calibration of the accelerometer: bias, m/s², then the matrix by rows, of equation (113), body
@@ -531,6 +591,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         let variance = real(START_POSITION * START_POSITION);
         self.filter
             .set_covariance(POSITION, &Matrix3::from_diagonal_element(variance));
+        self.recorder.restarted(&self.filter);
     }
 
     /// Makes the position of the unit the origin, and its heading known: at the first rest of a start in motion.
@@ -539,6 +600,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         let variance = real(START_HEADING * START_HEADING);
         self.filter
             .set_covariance(ATTITUDE.part::<1, 2>(), &Matrix1::new(variance));
+        self.recorder.restarted(&self.filter);
     }
 
     /// Position, m, velocity, m/s, and heading, rad, from outside, with their standard deviations. Roll, pitch and
@@ -566,6 +628,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             .set_covariance(VELOCITY, &Matrix3::from_diagonal_element(velocity));
         self.filter
             .set_covariance(ATTITUDE.part::<1, 2>(), &Matrix1::new(heading));
+        self.recorder.restarted(&self.filter);
     }
 
     /// Angle of the body x axis from east towards north, rad.

@@ -87,24 +87,29 @@ impl<R: RealField + Copy, const N: usize> Transition<R, N> {
         }
     }
 
+    /// F A in place of A.
+    pub(crate) fn multiply(&self, matrix: &mut SMatrix<R, N, N>) {
+        let before = *matrix;
+        for part in &self.parts {
+            for c in 0..N {
+                for r in 0..3 {
+                    let mut sum = matrix[(part.row + r, c)];
+                    for k in 0..part.columns {
+                        sum += part.matrix[(r, k)] * before[(part.column + k, c)];
+                    }
+                    matrix[(part.row + r, c)] = sum;
+                }
+            }
+        }
+    }
+
     /// F P Fᵀ + Q.
     pub(crate) fn apply(&self, covariance: &mut SMatrix<R, N, N>) {
         if self.overflow {
             covariance.fill(R::zero() / R::zero());
             return;
         }
-        let before = *covariance;
-        for part in &self.parts {
-            for c in 0..N {
-                for r in 0..3 {
-                    let mut sum = covariance[(part.row + r, c)];
-                    for k in 0..part.columns {
-                        sum += part.matrix[(r, k)] * before[(part.column + k, c)];
-                    }
-                    covariance[(part.row + r, c)] = sum;
-                }
-            }
-        }
+        self.multiply(covariance);
         let before = *covariance;
         for part in &self.parts {
             for r in 0..3 {

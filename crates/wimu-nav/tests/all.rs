@@ -8,5 +8,6 @@ mod filter;
 mod finite;
 mod jacobians;
 mod navigator;
+mod smoother;
 mod stationarity;
 mod track;

@@ -172,7 +172,7 @@ fn name(method: Method) -> &'static str {
 /// Computes position, velocity and attitude of one unit.
 #[pyfunction]
 #[pyo3(signature = (source, *, calibration=None, profile="hand", zupt="on", within=None, rests=None, start=None,
-                    limit=1.0, sensitivity=None))]
+                    smooth=true, limit=1.0, sensitivity=None))]
 #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
 pub fn navigate(
     py: Python<'_>,
@@ -183,6 +183,7 @@ pub fn navigate(
     within: Option<f64>,
     rests: Option<Vec<(f64, f64)>>,
     start: Option<(f64, f64, f64, Option<f64>)>,
+    smooth: bool,
     limit: f64,
     sensitivity: Option<f64>,
 ) -> Result<Path> {
@@ -227,6 +228,7 @@ pub fn navigate(
         let choice = Choice {
             zupt,
             profile,
+            smooth,
             limit_m: limit,
             within_m: within,
             rests_s: rests.map(|rests| rests.into_iter().map(|(from, to)| from..=to).collect()),

@@ -9,6 +9,7 @@ use crate::process::{
 };
 use crate::rotation::real;
 use crate::sensor::{Gravity, Magnetometer, SpecificForce, ZeroAngularRate};
+use crate::smoother::Recorder;
 use crate::state::{Block, Layout, LayoutFull, Role, State};
 
 /// How a navigator predicts from one sample to the next.
@@ -34,6 +35,7 @@ pub trait Model<R, const N: usize>: Sized {
         sample: &Sample<R>,
         at_rest: bool,
         magnetometer: &Magnetometer<R>,
+        recorder: &mut impl Recorder<R, N>,
     ) -> Option<Vector3<R>>;
 
     /// Forgets the last samples, as time without a usable sample follows. Returns the time since the last prediction, s.
@@ -152,6 +154,7 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
         sample: &Sample<R>,
         at_rest: bool,
         magnetometer: &Magnetometer<R>,
+        recorder: &mut impl Recorder<R, N>,
     ) -> Option<Vector3<R>> {
         let step_s = sample.step_s;
         if !at_rest {
@@ -159,7 +162,8 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
         }
         let Some(rate) = sample.rate_rad_s else {
             self.last = None;
-            filter.predict(&(Unmeasured { step_s }, magnetometer.step(step_s)));
+            let gap = (Unmeasured { step_s }, magnetometer.step(step_s));
+            filter.predict_recorded(&gap, recorder);
             return sample.field_ut;
         };
         if at_rest {
@@ -176,7 +180,7 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
             rate_rad_s: (before.1 + now.1) * half,
             step_s,
         };
-        filter.predict(&(strapdown, magnetometer.step(step_s)));
+        filter.predict_recorded(&(strapdown, magnetometer.step(step_s)), recorder);
         sample.field_ut
     }
 
@@ -369,6 +373,7 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
         sample: &Sample<R>,
         at_rest: bool,
         magnetometer: &Magnetometer<R>,
+        recorder: &mut impl Recorder<R, N>,
     ) -> Option<Vector3<R>> {
         self.group.count += R::one();
         self.group.time_s += sample.step_s;
@@ -398,7 +403,8 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
             density: self.bias_walk,
             step_s: group.time_s,
         };
-        filter.predict(&((carried, walk), magnetometer.step(group.time_s)));
+        let process = ((carried, walk), magnetometer.step(group.time_s));
+        filter.predict_recorded(&process, recorder);
         let reading = SpecificForce {
             force_mps2: force,
             acceleration: self.blocks.acceleration,
@@ -406,7 +412,7 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
             gravity_mps2: self.gravity_mps2,
             deviation_mps2: real::<R>(FORCE_NOISE) / group.count.sqrt(),
         };
-        filter.update(&reading, Gate::Open);
+        filter.update_recorded(&reading, Gate::Open, recorder);
         field
     }
 

@@ -21,7 +21,7 @@ pub struct Scored {
     pub whole: Whole,
     /// Distance of the end from the origin where there is no truth and both are the same point, m.
     pub closure: Option<f64>,
-    /// `None`: as those of the method before, which differs in zero velocity only.
+    /// `None`: as those of the method before, which differs in the whole run only.
     pub windows: Option<Windows>,
 }
 
@@ -37,9 +37,11 @@ impl Scored {
     }
 }
 
-/// The library with a gyroscope, and without.
+/// The library with a gyroscope, and without: forward filter, and smoothed.
 pub const WITH_GYROSCOPE: &str = "wimu_gyroscope";
 pub const WITHOUT_GYROSCOPE: &str = "wimu_no_gyroscope";
+pub const WITH_GYROSCOPE_SMOOTHED: &str = "wimu_gyroscope_smoothed";
+pub const WITHOUT_GYROSCOPE_SMOOTHED: &str = "wimu_no_gyroscope_smoothed";
 pub const ZUPT_FILTER: &str = "zupt_filter";
 pub const LOW_PASS: &str = "low_pass";
 pub const STAYS: &str = "stays_at_start";
@@ -48,8 +50,13 @@ pub const STAYS: &str = "stays_at_start";
 pub fn score(recording: &Recording) -> Vec<Scored> {
     let windows = recording.windows();
     let mut found = Vec::new();
-    for gyroscope in [true, false] {
-        found.push(library(recording, &windows, gyroscope));
+    for (gyroscope, filtered, smoothed) in [
+        (true, WITH_GYROSCOPE, WITH_GYROSCOPE_SMOOTHED),
+        (false, WITHOUT_GYROSCOPE, WITHOUT_GYROSCOPE_SMOOTHED),
+    ] {
+        let windows = library_windows(recording, &windows, gyroscope);
+        found.push(library(recording, gyroscope, filtered, Some(windows)));
+        found.push(library(recording, gyroscope, smoothed, None));
     }
     found.push(zupt_filter(recording, &windows));
     if recording.has_field() {
@@ -65,28 +72,23 @@ fn closure(recording: &Recording, track: &Track) -> Option<f64> {
     (!truth).then(|| (last.position - first.position).norm())
 }
 
-/// The library: `wimu navigate` on the whole recording, and its navigator on windows.
-fn library(recording: &Recording, windows: &[Window], gyroscope: bool) -> Scored {
-    let name = if gyroscope {
-        WITH_GYROSCOPE
-    } else {
-        WITHOUT_GYROSCOPE
-    };
+/// The library: `wimu navigate` on the whole recording, smoothed if its windows are those of the method before.
+fn library(
+    recording: &Recording,
+    gyroscope: bool,
+    name: &'static str,
+    windows: Option<Windows>,
+) -> Scored {
     let mut motion = recording.motion.clone();
     if !gyroscope {
         motion.samples.iter_mut().for_each(|s| s.rate_rad_s = None);
     }
-    let profile = recording.settings.profile;
     let choice = Choice {
-        profile,
+        profile: recording.settings.profile,
         limit_m: f64::INFINITY,
+        smooth: windows.is_none(),
         ..Choice::default()
     };
-    let ends = match gyroscope {
-        true => library_windows::<Gyroscope<f64>, 40>(recording, windows),
-        false => library_windows::<NoGyroscope<f64>, 24>(recording, windows),
-    };
-    let windows = Some(Windows::of(recording, windows, &ends));
     match navigate(&motion, &choice) {
         Ok(path) => {
             let track = track(&path);
@@ -137,8 +139,16 @@ fn track(path: &InertialPath) -> Track {
 /// Standard deviations of position, m, velocity, m/s, and heading, rad, at the start of a window: those of the truth.
 const WINDOW_START: [f64; 3] = [0.002, 0.02, 0.005];
 
+fn library_windows(recording: &Recording, windows: &[Window], gyroscope: bool) -> Windows {
+    let ends = match gyroscope {
+        true => window_ends::<Gyroscope<f64>, 40>(recording, windows),
+        false => window_ends::<NoGyroscope<f64>, 24>(recording, windows),
+    };
+    Windows::of(recording, windows, &ends)
+}
+
 /// Windows of the navigator, which runs on from the start of the recording. Rests of the windows are not used.
-fn library_windows<M: Model<f64, N> + Clone, const N: usize>(
+fn window_ends<M: Model<f64, N> + Clone, const N: usize>(
     recording: &Recording,
     windows: &[Window],
 ) -> Vec<[Estimate; 3]> {

@@ -16,7 +16,7 @@ const SCHEMA: u32 = 1;
 pub const NOTES: [&str; 9] = [
     "scored: moving samples (column Moving, else truth above 0.05 m/s over 0.2 s; arrays: above 1 rad/s)",
     "windows: from the true position, velocity and heading, at whole seconds whose next 2 s move",
-    "windows: no zero-velocity updates within; *_zupt_on differs in the whole run only; walks have no heading",
+    "windows: no zero-velocity updates within; *_smoothed differs in the whole run only; walks have no heading",
     "whole run: truth moved to the estimate's origin and heading there; walks: the heading that fits best",
     "consistency: samples without a valid estimate are excluded; `valid` is the fraction that remains",
     "truth: 1 mm, 0.02 m/s (robot arm 10 mm, 0.05 m/s; simulated 1 mm, 2 mm/s) added to each covariance",

@@ -140,6 +140,7 @@ fn path_of(
             quaternion: state.quaternion,
             rate_rad_s: state.rate_rad_s,
             covariance_m2: state.position_covariance,
+            filtered_sd_m: state.position_sd_m(),
             resting: choice.zupt.is_on() && state.resting,
             valid: state.valid && state.position_sd_m() <= choice.limit_m,
         })

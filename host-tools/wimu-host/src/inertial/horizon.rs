@@ -27,8 +27,8 @@ pub struct RestTimes {
 }
 
 impl InertialPath {
-    /// When the standard deviation of the position first passes `limit_m`, or the position is lost by a
-    /// gap or a move that is none; `None` when it never does.
+    /// When the standard deviation of the position from the samples up to then first passes `limit_m`, or the position is
+    /// lost by a gap or a move that is none; `None` when it never does.
     pub fn horizon(&self, limit_m: f64) -> Option<Horizon> {
         let known = self.points.get(self.origin..)?;
         let start = known.iter().position(|p| p.valid).unwrap_or(0);
@@ -38,7 +38,7 @@ impl InertialPath {
         // Not a number counts as passed.
         let end = known
             .iter()
-            .position(|p| p.sd_m().is_nan() || p.sd_m() > limit_m || lost(p))?;
+            .position(|p| p.filtered_sd_m.is_nan() || p.filtered_sd_m > limit_m || lost(p))?;
         let at_s = known[end].time_s;
         // Nobody knows whether it moved in a gap, or time jumped.
         let times_s: Vec<f64> = self.points.iter().map(|p| p.time_s).collect();

@@ -27,6 +27,7 @@ mod path;
 mod rates;
 mod report;
 mod sense;
+mod smooth;
 mod truth;
 mod unit;
 
@@ -83,6 +84,8 @@ pub struct Choice {
     pub rests_s: Option<Vec<RangeInclusive<f64>>>,
     /// Pose at the start; `None`: the origin, or the first rest of a start in motion.
     pub start: Option<StartPose>,
+    /// Whether a point rests on all samples, or on those up to it alone: for one unit.
+    pub smooth: bool,
 }
 
 impl Default for Choice {
@@ -94,6 +97,7 @@ impl Default for Choice {
             within_m: None,
             rests_s: None,
             start: None,
+            smooth: true,
         }
     }
 }

@@ -1,16 +1,17 @@
-//! Moves between rests, each measured from the rest before it.
+//! Moves between rests, each measured from the rest before it; with a gyroscope from the smoothed path.
 //!
 //! With a gyroscope a move may be curved and rotated. Without one it must be free of rotation: an angular rate of zero
 //! takes the place of the gyroscope, and the direction of gravity at both rests shows whether that holds.
 
 use std::ops::Range;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use wimu_nav::navigator::{Gyroscope, Navigator, Profile, Sample, Start};
 use wimu_nav::state::POSITION;
 
+use super::smooth::Change;
 use super::unit::{Unit, runs};
-use super::{Choice, Method, Zupt};
+use super::{Choice, Method, PathPoint, Zupt};
 
 /// The shortest rest between two moves, s.
 const REST_S: f64 = 0.3;
@@ -32,7 +33,8 @@ pub struct Move {
     pub from_s: f64,
     /// See [`from_s`](Self::from_s).
     pub to_s: f64,
-    /// Displacement, m, east-north-up; east is next to body x at the start.
+    /// Displacement, m, east-north-up: on the axes of a smoothed path, else east is next to body x at the start of the
+    /// move.
     pub displacement_m: [f64; 3],
     /// Length of the displacement, m, and its standard deviation.
     pub length_m: f64,
@@ -43,6 +45,40 @@ pub struct Move {
     /// Whether it is known: without a gyroscope not after a rotation, and never where the rest at its end contradicts
     /// it.
     pub valid: bool,
+}
+
+impl Move {
+    /// Its first and last sample.
+    pub(super) fn span(&self, times_s: &[f64]) -> (usize, usize) {
+        let at = |time_s: f64| times_s.partition_point(|t| *t < time_s);
+        (at(self.from_s), at(self.to_s))
+    }
+}
+
+/// Replaces what the move alone shows by what the whole recording shows, where it was smoothed.
+pub(super) fn smoothed_moves(
+    moves: &mut [Move],
+    points: &[PathPoint],
+    changes: &[Change],
+    times_s: &[f64],
+) {
+    for one in moves {
+        let (from, to) = one.span(times_s);
+        let Some(change) = changes.iter().find(|c| (c.from, c.to) == (from, to)) else {
+            continue;
+        };
+        let position = |k: usize| Vector3::from(points[k].position_m);
+        let displacement = position(to) - position(from);
+        (one.length_m, one.length_sd_m) = length(&displacement, &change.covariance);
+        one.displacement_m = displacement.into();
+    }
+}
+
+/// Length of a displacement, m, and its standard deviation.
+fn length(displacement: &Vector3<f64>, covariance: &Matrix3<f64>) -> (f64, f64) {
+    let direction = displacement.try_normalize(1e-9).unwrap_or_else(Vector3::x);
+    let variance = direction.dot(&(covariance * direction));
+    (displacement.norm(), variance.max(0.0).sqrt())
 }
 
 /// The moves of a unit: none if rests are not used.
@@ -134,9 +170,8 @@ fn one_move(
         }
         let filter = navigator.filter();
         let displacement = filter.state.get(POSITION);
-        let length_m = displacement.norm();
-        let direction = displacement.try_normalize(1e-9).unwrap_or_else(Vector3::x);
-        let variance = direction.dot(&(filter.covariance(POSITION) * direction));
+        let covariance = filter.covariance(POSITION);
+        let (length_m, length_sd_m) = length(&displacement, &covariance);
         let force = |rest: &Range<usize>| -> Vector3<f64> {
             samples[rest.clone()].iter().map(|s| s.force_mps2).sum()
         };
@@ -149,9 +184,9 @@ fn one_move(
             to_s: unit.times_s[rest.start],
             displacement_m: displacement.into(),
             length_m,
-            length_sd_m: variance.max(0.0).sqrt(),
+            length_sd_m,
             tilted_rad,
-            valid: !rotated && !contradicted && variance.is_finite(),
+            valid: !rotated && !contradicted && covariance.sum().is_finite(),
         };
         return Some((end, found));
     }

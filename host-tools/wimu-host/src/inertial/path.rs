@@ -30,6 +30,8 @@ pub struct PathPoint {
     pub attitude_sd_rad: [f64; 3],
     /// Covariance of the position, m².
     pub covariance_m2: [[f64; 3]; 3],
+    /// Standard deviation of the position in space, m, from the samples up to this one alone.
+    pub filtered_sd_m: f64,
     /// Whether it is taken to rest: never with ZUPT off.
     pub resting: bool,
     /// Whether the position is of use: known to the limit, no gap since the last rest.
@@ -77,6 +79,8 @@ pub struct InertialPath {
     pub findings: Vec<Finding>,
     /// Points known no better than this, m, are not valid.
     pub limit_m: f64,
+    /// Whether the points rest on all samples ([`Choice::smooth`](super::Choice::smooth)).
+    pub smoothed: bool,
     /// NEES of the position at each valid sample that has truth and moves, which is taken to be right to 1 mm; both
     /// begin at the same place and heading.
     pub nees: Vec<f64>,
@@ -101,6 +105,7 @@ impl InertialPath {
             moves: Vec::new(),
             findings: Vec::new(),
             limit_m,
+            smoothed: false,
             nees: Vec::new(),
             rate_nees: Vec::new(),
             velocity_nees: Vec::new(),

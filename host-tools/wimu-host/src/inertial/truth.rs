@@ -144,6 +144,7 @@ mod tests {
                 velocity_sd_mps: [0.0; 3],
                 attitude_sd_rad: [0.0; 3],
                 covariance_m2: [[0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.01]],
+                filtered_sd_m: 0.03_f64.sqrt(),
                 resting: *time_s < 10.0,
                 valid: true,
             }

@@ -10,7 +10,8 @@ use wimu_nav::navigator::{
 use wimu_nav::state::LayoutFull;
 use wimu_nav::stationarity::{Detector, Stationarity};
 
-use super::moves::moves;
+use super::moves::{moves, smoothed_moves};
+use super::smooth::Tape;
 use super::{Choice, InertialPath, Method, PathPoint};
 use crate::finding::{Finding, FindingCode};
 use crate::motion::{UnitSample, median_step_s};
@@ -84,7 +85,14 @@ impl Unit<'_> {
     ) -> Result<InertialPath> {
         let samples: Vec<Sample<f64>> = self.samples.iter().map(sample).collect();
         let rests = self.rests(&samples, choice, method);
-        let mut navigator = self.start::<M, N>(&samples, &rests, choice)?;
+        let mut moves = moves(self, &samples, &rests, choice, method);
+        let smooth_moves = method == Method::Strapdown;
+        let spans = moves
+            .iter()
+            .filter(|_| smooth_moves)
+            .map(|one| one.span(self.times_s));
+        let tape = Tape::new(choice.smooth, spans.collect());
+        let mut navigator = self.start::<M, N>(&samples, &rests, choice)?.recorded(tape);
         let at_rest_first = self.first_rest(&rests, choice.profile).is_some();
         let mut origin = at_rest_first.then_some(0);
         let (mut rest_s, mut in_first_rest) = (0.0, at_rest_first);
@@ -109,10 +117,17 @@ impl Unit<'_> {
             if in_first_rest {
                 origin = Some(k);
             }
-            points.push(self.point(k, &navigator, rests[k], choice));
+            points.push(self.point(k, &navigator, rests[k]));
+            navigator.recorder_mut().mark(&mut points);
         }
         let from = origin.unwrap_or(0);
-        let moves = moves(self, &samples, &rests, choice, method);
+        let [recoveries, divergences] = [navigator.recoveries(), navigator.divergences()];
+        let mut tape = navigator.into_recorder();
+        tape.finish(&mut points);
+        smoothed_moves(&mut moves, &points, &tape.changes, self.times_s);
+        for point in &mut points {
+            point.valid = point.sd_m() <= choice.limit_m;
+        }
         if !at_rest_first && choice.start.is_none() {
             for point in &mut points[..from] {
                 point.valid = false;
@@ -120,6 +135,7 @@ impl Unit<'_> {
         }
         let mut path = InertialPath::new(method, points, from, choice.limit_m);
         path.moves = moves;
+        path.smoothed = choice.smooth;
         if let (false, Some(origin)) = (at_rest_first, origin) {
             path.findings.push(FindingCode::Navigation.note(format!(
                 "no rest at the start: position is measured from the first rest, at {:.2} s",
@@ -134,14 +150,19 @@ impl Unit<'_> {
                 "not used: σ grows there",
             ),
             (
-                navigator.recoveries() as usize,
+                recoveries as usize,
                 "rest",
                 "contradicted the estimated velocity: σ was enlarged there",
             ),
             (
-                navigator.divergences() as usize,
+                divergences as usize,
                 "time",
                 "the filter diverged and began again. Check axes, signs and units of the sensors",
+            ),
+            (
+                tape.contradictions,
+                "time",
+                "later samples contradict the path by far more than σ: it is not smoothed across",
             ),
         ] {
             if count > 0 {
@@ -273,9 +294,8 @@ impl Unit<'_> {
     fn point<M: Model<f64, N>, const N: usize>(
         &self,
         k: usize,
-        navigator: &Navigator<f64, M, N>,
+        navigator: &Navigator<f64, M, N, Tape<N>>,
         at_rest: bool,
-        choice: &Choice,
     ) -> PathPoint {
         let found = navigator.solution();
         let deviations =
@@ -289,10 +309,11 @@ impl Unit<'_> {
             quaternion: found.quaternion,
             rate_rad_s: navigator.angular_rate().into(),
             covariance_m2: found.position_covariance,
+            filtered_sd_m: 0.0,
             resting: at_rest && navigator.is_at_rest(),
             valid: true,
         };
-        point.valid = point.sd_m() <= choice.limit_m;
+        point.filtered_sd_m = point.sd_m();
         point
     }
 }

@@ -24,6 +24,7 @@ Examples:
   wimu navigate session.mcap -o path.csv --report path.html
   wimu navigate walk.csv --profile foot
   wimu navigate desk.csv --rests \"0-3,10.5-12\" --within 0.5
+  wimu navigate walk.csv --smooth off
   wimu navigate raw.csv --calibration CAL.json
   wimu navigate board.csv --geometry positions.csv -o path.csv
   wimu navigate board.csv --geometry ARRAY.json
@@ -86,6 +87,18 @@ pub struct Navigate {
     #[arg(long, value_name = "M", default_value_t = 1.0, value_parser = positive, help_heading = "Model")]
     pub limit: f64,
 
+    /// Whether each point rests on the whole recording. How long σ stays below a limit is always that of the samples up to
+    /// then, as in real time
+    #[arg(
+        long,
+        value_enum,
+        value_name = "ON|OFF",
+        default_value_t,
+        conflicts_with = "geometry",
+        help_heading = "Model"
+    )]
+    pub smooth: Smoothing,
+
     /// Positions of the accelerometers of an array: a file or a preset, see GEOMETRY below
     #[arg(long, value_name = "GEOMETRY", help_heading = "Arrays")]
     pub geometry: Option<PathBuf>,
@@ -134,6 +147,16 @@ impl ZeroVelocity {
             Some(Self::Off) => Zupt::Off,
         }
     }
+}
+
+/// Samples that a point rests on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum Smoothing {
+    /// All samples: fixed-interval smoother
+    #[default]
+    On,
+    /// The samples up to the point, as on a device: forward filter
+    Off,
 }
 
 /// Motion profiles.

@@ -14,7 +14,7 @@ use wimu_host::motion::{MotionRecording, TableOptions};
 use wimu_host::plural::counted;
 
 use super::array;
-use crate::arguments::{Navigate, ZeroVelocity};
+use crate::arguments::{Navigate, Smoothing, ZeroVelocity};
 use crate::command::array::Refined;
 use crate::output::Output;
 
@@ -29,6 +29,8 @@ pub struct Found {
     zupt: &'static str,
     /// Value of the option `--profile`; null for an array.
     profile: Option<&'static str>,
+    /// Whether positions and σ rest on all samples. `horizon` is that of the forward filter.
+    smoothed: bool,
     duration_s: f64,
     /// End of the first rest, where position and velocity are zero by definition.
     origin_s: Option<f64>,
@@ -171,6 +173,7 @@ fn choice(arguments: &Navigate) -> Choice {
         within_m: arguments.within,
         rests_s: arguments.rests.clone(),
         start: arguments.start,
+        smooth: arguments.smooth == Smoothing::On,
     }
 }
 
@@ -213,6 +216,7 @@ fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
             Zupt::Off => "off",
         },
         profile: (path.method != Method::Array).then(|| profile(choice.profile).0),
+        smoothed: path.smoothed,
         duration_s: duration(path),
         origin_s: path.points.get(path.origin).map(|p| p.time_s),
         distance_m: path.distance_m(),
@@ -323,7 +327,7 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
         }
     };
     text += &format!(
-        "path: {:.3} m in {:.1} s, {}; {:.0} % of the samples are valid (σ below {} m)\n",
+        "path: {:.3} m in {:.1} s, {}{}; {:.0} % of the samples are valid (σ below {} m)\n",
         path.distance_m(),
         duration(path),
         match path.method {
@@ -331,6 +335,7 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
             Method::Tilt => "without a gyroscope",
             Method::Array => "with an array of accelerometers",
         },
+        if path.smoothed { ", smoothed" } else { "" },
         100.0 * path.valid_share(),
         choice.limit_m
     );
@@ -342,7 +347,13 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
             end.moving_s, end.at_s
         ),
     });
-    text += &format!("σ: {}\n", horizons.collect::<Vec<_>>().join(", "));
+    let filtered = if path.smoothed {
+        "σ in real time (forward filter)"
+    } else {
+        "σ"
+    };
+    let horizons = horizons.collect::<Vec<_>>().join(", ");
+    text += &format!("{filtered}: {horizons}\n");
     let rests = path.rests();
     let zero = match choice.zupt {
         Zupt::Stated => "velocity zero",

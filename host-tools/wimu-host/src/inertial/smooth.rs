@@ -1,0 +1,229 @@
+//! The smoother over a recording: the log of its navigator, and the points that it corrects.
+
+use nalgebra::{Matrix3, Quaternion, SMatrix, UnitQuaternion, Vector3};
+use wimu_nav::filter::Filter;
+use wimu_nav::process::Transition;
+use wimu_nav::sensor::Prediction;
+use wimu_nav::smoother::{Epoch, Log, Recorder, Smoothed};
+use wimu_nav::state::{ATTITUDE, Block, POSITION, VELOCITY};
+
+use super::PathPoint;
+
+/// Longest interval between two epochs, s. The correction between them is linear in time: with an unknown acceleration of
+/// 0.5 m/s² that is right to 0.6 mm.
+const INTERVAL_S: f64 = 0.1;
+/// Memory of the epochs that are smoothed at once, bytes: a quarter of an hour in a hand.
+const BLOCK_BYTES: usize = 800 << 20;
+/// Part of a block that is smoothed once more with the next one, so that it has measurements after it.
+const OVERLAP: f64 = 0.2;
+
+/// What the smoother knows of the displacement between two samples.
+pub(super) struct Change {
+    /// The samples.
+    pub from: usize,
+    pub to: usize,
+    /// m².
+    pub covariance: Matrix3<f64>,
+}
+
+/// Records a navigator, or nothing.
+pub(super) struct Tape<const N: usize> {
+    log: Option<Log<f64, N, Vec<Epoch<f64, N>>>>,
+    /// Sample of each epoch of the log.
+    samples: Vec<usize>,
+    block: usize,
+    /// Samples between which the covariance of the displacement is wanted.
+    spans: Vec<(usize, usize)>,
+    pub changes: Vec<Change>,
+    pub contradictions: usize,
+}
+
+impl<const N: usize> Tape<N> {
+    pub fn new(smooth: bool, spans: Vec<(usize, usize)>) -> Self {
+        Self {
+            log: smooth.then(|| Log::new(Vec::new(), INTERVAL_S)),
+            samples: Vec::new(),
+            block: BLOCK_BYTES / size_of::<Epoch<f64, N>>(),
+            spans,
+            changes: Vec::new(),
+            contradictions: 0,
+        }
+    }
+
+    /// After the point of a sample: which epochs are its own. Smooths when there are enough of them.
+    pub fn mark(&mut self, points: &mut [PathPoint]) {
+        let Some(log) = &mut self.log else {
+            return;
+        };
+        self.samples.resize(log.epochs().len(), points.len() - 1);
+        if log.epochs().len() >= self.block {
+            let cut = ((1.0 - OVERLAP) * self.block as f64) as usize;
+            let kept = log.epochs()[cut..].to_vec();
+            let epochs = std::mem::replace(log.epochs_mut(), kept);
+            self.smooth(epochs, cut, points);
+            self.samples.drain(..cut);
+        }
+    }
+
+    /// After the last sample.
+    pub fn finish(&mut self, points: &mut [PathPoint]) {
+        if let Some(log) = self.log.take() {
+            let epochs = log.into_epochs();
+            let end = epochs.len().saturating_sub(1);
+            self.smooth(epochs, end, points);
+        }
+    }
+
+    /// Smooths epochs, and corrects the points up to the sample of one of them.
+    fn smooth(&mut self, mut epochs: Vec<Epoch<f64, N>>, end: usize, points: &mut [PathPoint]) {
+        let smoothed = Smoothed::of(&mut epochs);
+        self.contradictions += smoothed.contradictions();
+        let spans = self.spans.iter();
+        self.changes.extend(spans.filter_map(|(from, to)| {
+            let first = self.samples[..=end].partition_point(|s| s <= from);
+            let last = self.samples[..=end].partition_point(|s| s < to);
+            let covariance = (first > 0 && last <= end)
+                .then(|| smoothed.covariance_of_change(first - 1, last, POSITION))??;
+            Some(Change {
+                from: *from,
+                to: *to,
+                covariance,
+            })
+        }));
+        let epochs = (0..end).filter(|epoch| smoothed.is_linked(epoch + 1));
+        for epoch in epochs {
+            let (from, to) = (self.samples[epoch], self.samples[epoch + 1]);
+            let begin_s = points[from].time_s;
+            let lasts_s = (points[to].time_s - begin_s).max(f64::MIN_POSITIVE);
+            for point in &mut points[from..to] {
+                let part = (point.time_s - begin_s) / lasts_s;
+                correct(point, &smoothed, epoch, part.clamp(0.0, 1.0));
+            }
+        }
+    }
+}
+
+/// Corrects a point, and replaces its covariance, a part of the interval after an epoch.
+fn correct<const N: usize>(
+    point: &mut PathPoint,
+    smoothed: &Smoothed<f64, N>,
+    epoch: usize,
+    part: f64,
+) {
+    let after = smoothed.corrections(epoch)[1];
+    let error = after + (smoothed.corrections(epoch + 1)[0] - after) * part;
+    let of = |block: Block<3>| error.fixed_rows::<3>(block.start()).into_owned();
+    let variance = |block: Block<3>| {
+        let [now, next] = [epoch, epoch + 1].map(|k| smoothed.covariance(k, block));
+        now + (next - now) * part
+    };
+    let deviation = |block| {
+        variance(block)
+            .diagonal()
+            .map(|v: f64| v.max(0.0).sqrt())
+            .into()
+    };
+    point.position_m = (Vector3::from(point.position_m) + of(POSITION)).into();
+    point.velocity_mps = (Vector3::from(point.velocity_mps) + of(VELOCITY)).into();
+    let [w, x, y, z] = point.quaternion;
+    let attitude = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+    let attitude = UnitQuaternion::from_scaled_axis(of(ATTITUDE)) * attitude;
+    point.quaternion = [attitude.w, attitude.i, attitude.j, attitude.k];
+    point.covariance_m2 = variance(POSITION).into();
+    point.velocity_sd_mps = deviation(VELOCITY);
+    point.attitude_sd_rad = deviation(ATTITUDE);
+}
+
+impl<const N: usize> Recorder<f64, N> for Tape<N> {
+    fn predicted(&mut self, filter: &Filter<f64, N>, transition: &Transition<f64, N>) {
+        if let Some(log) = &mut self.log {
+            log.predicted(filter, transition);
+        }
+    }
+
+    fn corrected<const M: usize>(
+        &mut self,
+        gain: &SMatrix<f64, N, M>,
+        prediction: &Prediction<f64, N, M>,
+    ) {
+        if let Some(log) = &mut self.log {
+            log.corrected(gain, prediction);
+        }
+    }
+
+    fn updated(&mut self, filter: &Filter<f64, N>, step_s: f64) {
+        if let Some(log) = &mut self.log {
+            log.updated(filter, step_s);
+        }
+    }
+
+    fn restarted(&mut self, filter: &Filter<f64, N>) {
+        if let Some(log) = &mut self.log {
+            log.restarted(filter);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wimu_nav::navigator::{Navigator, NoGyroscope, Sample, Settings, Start};
+
+    /// Positions of a journey that is smoothed in blocks of so many epochs.
+    fn positions(block: usize) -> Vec<[f64; 3]> {
+        let samples: Vec<Sample<f64>> = (0..3000)
+            .map(|k| {
+                let t = f64::from(k) * 0.01;
+                let noise = f64::from((k * 7919) % 13) * 0.003 - 0.018;
+                let moving = f64::from(u8::from(t > 2.0 && t % 5.0 > 1.5));
+                Sample {
+                    step_s: if k == 0 { 0.0 } else { 0.01 },
+                    force_mps2: Vector3::new(moving * (3.0 * t).sin() + noise, noise, 9.80665),
+                    rate_rad_s: None,
+                    field_ut: Some(Vector3::new(0.0, 20.0 + noise, -40.0)),
+                }
+            })
+            .collect();
+        let start = Start::align(&samples[..50], true).unwrap();
+        let mut tape = Tape::<24>::new(true, Vec::new());
+        tape.block = block;
+        let navigator = Navigator::<f64, NoGyroscope<f64>, 24>::new(Settings::default(), &start);
+        let mut navigator = navigator.unwrap().recorded(tape);
+        let mut points = Vec::new();
+        for (k, sample) in samples.iter().enumerate() {
+            let t = k as f64 * 0.01;
+            navigator.push(sample, t < 2.0 || t % 5.0 < 1.5).unwrap();
+            let found = navigator.solution();
+            points.push(PathPoint {
+                time_s: t,
+                position_m: found.position_m,
+                velocity_mps: found.velocity_mps,
+                quaternion: found.quaternion,
+                rate_rad_s: [0.0; 3],
+                velocity_sd_mps: [0.0; 3],
+                attitude_sd_rad: [0.0; 3],
+                covariance_m2: found.position_covariance,
+                filtered_sd_m: 0.0,
+                resting: false,
+                valid: true,
+            });
+            navigator.recorder_mut().mark(&mut points);
+        }
+        navigator.into_recorder().finish(&mut points);
+        points.iter().map(|p| p.position_m).collect()
+    }
+
+    #[test]
+    fn a_recording_that_is_smoothed_in_blocks_has_the_path_of_one_block() {
+        let (whole, blocks) = (positions(usize::MAX), positions(500));
+        let distance = |a: &[f64; 3], b: &[f64; 3]| (Vector3::from(*a) - Vector3::from(*b)).norm();
+        let most = whole.iter().zip(&blocks).map(|(a, b)| distance(a, b));
+        let most = most.fold(0.0, f64::max);
+        let origin = [0.0; 3];
+        let size = whole
+            .iter()
+            .map(|p| distance(p, &origin))
+            .fold(0.0, f64::max);
+        assert!(most < 0.05 * size, "{most} {size}");
+    }
+}

@@ -1,6 +1,7 @@
 //! Decoded data of links, from a recording or from a live board.
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
+use std::sync::OnceLock;
 
 use wimu_link::batch::Stream;
 use wimu_link::hello::sensor;
@@ -127,25 +128,31 @@ pub struct Boot {
     pub settings: Vec<Settings>,
     /// Latest status.
     pub status: Option<Status>,
-    /// Events, each once: the latest [`MAX_KEPT`] and up to as many before them.
+    /// Events, each once: the latest 4096 and up to as many before them.
     pub events: Vec<(DeviceTimeUs, DeviceEvent)>,
     known_events: HashSet<String>,
     /// Estimator of the device's clock.
     pub clock: ClockEstimator,
-    /// Its model at the end of the data.
-    model: Option<ClockModel>,
+    /// Its model at the end of the data, once it is used: the estimate takes seconds.
+    model: OnceLock<Option<ClockModel>>,
+    ended: bool,
 }
 
 impl Boot {
     /// Host time of a device time, ns, after the end of the data; `None` without a model.
     /// See [`ClockModel::host_ns`].
     pub fn host_ns(&self, time: DeviceTimeUs) -> Option<u64> {
-        self.model.as_ref().map(|model| model.host_ns(time))
+        self.model().map(|model| model.host_ns(time))
     }
 
     /// Standard deviation of [`host_ns`](Self::host_ns), ns. See [`ClockModel::sd_ns`].
     pub fn clock_sd_ns(&self, time: DeviceTimeUs) -> Option<f64> {
-        self.model.as_ref().map(|model| model.sd_ns(time))
+        self.model().map(|model| model.sd_ns(time))
+    }
+
+    fn model(&self) -> Option<&ClockModel> {
+        let model = || self.model.get_or_init(|| self.clock.model()).as_ref();
+        self.ended.then(model)?
     }
 
     /// Device time of a sample, if it arrived raw or corrected.
@@ -376,7 +383,7 @@ impl LinkHistory {
     /// The device's clock in the longest start, from this link alone, after the end of the data.
     pub fn clock(&self) -> Option<&ClockModel> {
         let longest = (self.boots.iter()).max_by_key(|boot| boot.clock.transfers());
-        longest?.model.as_ref()
+        longest?.model()
     }
 
     /// The latest start of the device.

@@ -130,7 +130,8 @@ impl Kind {
 /// Those of reading a recording and of [`OutputFile`]; `data_refused` when the link
 /// model is of another device.
 pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<Decoded> {
-    let survey = Recording::survey(from)?;
+    let name = from.display().to_string();
+    let survey = Recording::survey_of(RecordingReader::open(from)?, &name, |_, _, _| {})?;
     if let Some(model) = link_model {
         (survey.devices.iter()).try_for_each(|device| model.check_device(*device))?;
     }
@@ -282,7 +283,7 @@ struct Source<'a> {
 
 impl<'a> Source<'a> {
     fn clock(&self) -> Option<&'a ClockModel> {
-        self.known?.clock.as_ref()
+        self.known?.clock()
     }
 }
 

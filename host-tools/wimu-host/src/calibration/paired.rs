@@ -48,7 +48,7 @@ impl Paired {
     /// For data in m/s² it is only stored for a board.
     ///
     /// # Errors
-    /// Those of [`Samples`]; `usage` when the recording does not have the two.
+    /// Those of [`Recording::samples`]; `usage` when the recording does not have the two.
     pub fn of_recording(
         recording: &Recording,
         [reference, output]: [Option<u8>; 2],

@@ -121,7 +121,7 @@ impl Overview {
 
     /// The device's clock in a start, from both links.
     pub fn clock(&self, start: Start) -> Option<&ClockModel> {
-        self.recording.starts.get(&start)?.clock.as_ref()
+        self.recording.starts.get(&start)?.clock()
     }
 
     /// The unit of a sample of the stream; `None` if unknown.

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 use std::path::Path;
+use std::sync::OnceLock;
 
 use wimu_link::batch::Stream;
 use wimu_link::frame::OLDEST_RECORDED;
@@ -42,14 +43,19 @@ pub struct Recording {
 /// What both links together show of a start of the device.
 #[derive(Clone, Debug, Default)]
 pub struct StartData {
-    /// The device's clock.
-    pub clock: Option<ClockModel>,
+    clock: OnceLock<Option<ClockModel>>,
     /// Units of the raw samples, by sensor. An epoch that one link lost may have arrived on the other.
     units: BTreeMap<u8, RawUnits>,
     estimator: ClockEstimator,
 }
 
 impl StartData {
+    /// The device's clock, from both links together; `None` without [`Recording::survey_of`].
+    pub fn clock(&self) -> Option<&ClockModel> {
+        let model = self.clock.get_or_init(|| self.estimator.model());
+        model.as_ref()
+    }
+
     /// The unit of a sample; `None` for a raw one whose range is unknown.
     pub fn unit(&self, stream: Stream, sensor: u8, sequence: u32) -> Option<SampleUnit> {
         match stream {
@@ -58,10 +64,12 @@ impl StartData {
         }
     }
 
-    fn see(&mut self, role: LinkRole, step: &Step) {
+    fn see(&mut self, role: LinkRole, step: &Step, has_clock: bool) {
         match step {
             Step::Arrival(arrival) => {
-                self.estimator.heard(role, arrival);
+                if has_clock {
+                    self.estimator.heard(role, arrival);
+                }
                 if let Event::Epoch { epoch, .. } = arrival.event.of_any_sensor() {
                     self.units.entry(epoch.sensor).or_default().see(epoch);
                 }
@@ -88,7 +96,7 @@ impl Recording {
     /// # Errors
     /// Those of [`RecordingReader`]; `bad_recording` when all boards in it use another wire version.
     pub fn read<R: Read>(reader: RecordingReader<R>, name: &str) -> Result<Self> {
-        Self::listen(reader, name, usize::MAX / 2, |_, _, _| {})
+        Self::listen(reader, name, (usize::MAX / 2, false), |_, _, _| {})
     }
 
     /// Counts, clocks and units of a recording, with the latest data only: memory does not grow with its length.
@@ -97,10 +105,11 @@ impl Recording {
     /// Those of [`Recording::read`].
     pub fn survey(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
-        Self::survey_of(RecordingReader::open(path)?, &name, |_, _, _| {})
+        let reader = RecordingReader::open(path)?;
+        Self::listen(reader, &name, (SURVEYED, false), |_, _, _| {})
     }
 
-    /// The same from an open reader; `each` gets every step.
+    /// The same from an open reader, with the clock of each start from both links; `each` gets every step.
     ///
     /// # Errors
     /// Those of [`Recording::read`].
@@ -109,14 +118,15 @@ impl Recording {
         name: &str,
         each: impl FnMut(LinkRole, Start, &Step),
     ) -> Result<Self> {
-        Self::listen(reader, name, SURVEYED, each)
+        Self::listen(reader, name, (SURVEYED, true), each)
     }
 
-    /// Reads a recording from start to end and keeps the latest `kept` items of each kind; `each` gets every step.
+    /// Reads a recording from start to end and keeps the latest `kept` items of each kind, with clocks from both links or
+    /// without; `each` gets every step.
     fn listen<R: Read>(
         mut reader: RecordingReader<R>,
         name: &str,
-        kept: usize,
+        (kept, has_clocks): (usize, bool),
         mut each: impl FnMut(LinkRole, Start, &Step),
     ) -> Result<Self> {
         let anchor = reader.anchor()?;
@@ -127,7 +137,8 @@ impl Recording {
         let mut span: Option<(u64, u64)> = None;
         let mut take = |role: LinkRole, start: Start, step: Step| {
             each(role, start, &step);
-            starts.entry(start).or_default().see(role, &step);
+            let known = starts.entry(start).or_default();
+            known.see(role, &step, has_clocks);
             let link = (links.entry(role.number())).or_insert_with(|| LinkHistory::new(role));
             match &step {
                 Step::Arrival(arrival) => {
@@ -157,12 +168,7 @@ impl Recording {
         for (role, carried) in walker.finish(&mut take)? {
             let link = (links.entry(role.number())).or_insert_with(|| LinkHistory::new(role));
             link.statistics = carried;
-            for boot in &mut link.boots {
-                boot.model = boot.clock.model();
-            }
-        }
-        for start in starts.values_mut() {
-            start.clock = start.estimator.model();
+            link.boots.iter_mut().for_each(|boot| boot.ended = true);
         }
         readable(&links, &versions).map_err(|error| error.at(name))?;
         let mut links: Vec<LinkHistory> = links.into_values().collect();

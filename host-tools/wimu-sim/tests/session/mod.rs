@@ -179,11 +179,11 @@ pub fn compared(file: &[u8]) -> Result<Comparison, HostError> {
 /// By both links, and by the wireless one alone.
 pub fn clocks(file: &[u8]) -> [ClockModel; 2] {
     let reader = RecordingReader::new(file, "a.mcap").unwrap();
-    let overview = history::Recording::read(reader, "a.mcap").unwrap();
+    let overview = history::Recording::survey_of(reader, "a.mcap", |_, _, _| {}).unwrap();
     let wireless = overview.link(Some(LinkRole::Wireless)).unwrap();
     let (_, start) = overview.starts.last_key_value().unwrap();
     [
-        start.clock.clone().unwrap(),
+        start.clock().cloned().unwrap(),
         wireless.clock().unwrap().clone(),
     ]
 }

@@ -37,11 +37,10 @@ impl Scored {
     }
 }
 
-/// The library with a gyroscope, and without: forward filter, and smoothed.
+/// The library with a gyroscope: forward filter, and smoothed. Without, where it does not smooth.
 pub const WITH_GYROSCOPE: &str = "wimu_gyroscope";
 pub const WITHOUT_GYROSCOPE: &str = "wimu_no_gyroscope";
 pub const WITH_GYROSCOPE_SMOOTHED: &str = "wimu_gyroscope_smoothed";
-pub const WITHOUT_GYROSCOPE_SMOOTHED: &str = "wimu_no_gyroscope_smoothed";
 pub const ZUPT_FILTER: &str = "zupt_filter";
 pub const LOW_PASS: &str = "low_pass";
 pub const STAYS: &str = "stays_at_start";
@@ -49,15 +48,15 @@ pub const STAYS: &str = "stays_at_start";
 /// Scores every method on a recording: the library with its defaults, then the plain baselines.
 pub fn score(recording: &Recording) -> Vec<Scored> {
     let windows = recording.windows();
-    let mut found = Vec::new();
-    for (gyroscope, filtered, smoothed) in [
-        (true, WITH_GYROSCOPE, WITH_GYROSCOPE_SMOOTHED),
-        (false, WITHOUT_GYROSCOPE, WITHOUT_GYROSCOPE_SMOOTHED),
-    ] {
+    let filtered = |gyroscope, name| {
         let windows = library_windows(recording, &windows, gyroscope);
-        found.push(library(recording, gyroscope, filtered, Some(windows)));
-        found.push(library(recording, gyroscope, smoothed, None));
-    }
+        library(recording, gyroscope, name, Some(windows))
+    };
+    let mut found = vec![
+        filtered(true, WITH_GYROSCOPE),
+        library(recording, true, WITH_GYROSCOPE_SMOOTHED, None),
+        filtered(false, WITHOUT_GYROSCOPE),
+    ];
     found.push(zupt_filter(recording, &windows));
     if recording.has_field() {
         found.push(low_pass(recording, &windows));

@@ -2,10 +2,7 @@
 
 use wimu_testkit::figure;
 
-use crate::methods::{
-    WITH_GYROSCOPE, WITH_GYROSCOPE_SMOOTHED, WITHOUT_GYROSCOPE, WITHOUT_GYROSCOPE_SMOOTHED,
-    ZUPT_FILTER,
-};
+use crate::methods::{WITH_GYROSCOPE, WITH_GYROSCOPE_SMOOTHED, WITHOUT_GYROSCOPE, ZUPT_FILTER};
 use crate::report::{ArrayReport, MethodReport, RecordingReport, Report};
 
 /// Records each pool, the arrays, and the count of values that are not finite.
@@ -51,7 +48,6 @@ fn record_pool(name: &str, pool: &RecordingReport) {
         ("gyroscope", WITH_GYROSCOPE),
         ("gyroscope, smoothed", WITH_GYROSCOPE_SMOOTHED),
         ("no gyroscope", WITHOUT_GYROSCOPE),
-        ("no gyroscope, smoothed", WITHOUT_GYROSCOPE_SMOOTHED),
     ] {
         if let Some(method) = method(library) {
             record_consistency(&format!("{name}, {kind}"), method);

@@ -1,7 +1,6 @@
 //! The path of one unit through the navigator.
 
 use nalgebra::Vector3;
-use wimu_nav::Zupt;
 use wimu_nav::navigator::{
     Gyroscope, Model, Navigator, NoGyroscope, Profile, Rests, Sample, SampleFault, Settings, Start,
 };
@@ -230,11 +229,7 @@ impl Unit<'_> {
         settings.errors.accelerometer_bias = self.bias_mps2;
         settings.errors.time_s = self.time_sd_s;
         settings.within_m = choice.within_m;
-        settings.rests = match choice.zupt {
-            Zupt::Assumed => Rests::ConstantVelocity,
-            Zupt::Stated => Rests::ZeroVelocity,
-            Zupt::Off => Rests::Ignored,
-        };
+        settings.rests = choice.zupt.rests();
         settings
     }
 

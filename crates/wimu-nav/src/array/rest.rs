@@ -47,6 +47,11 @@ impl RestTest {
         }
     }
 
+    /// Forgets the last samples: a rest begins anew.
+    pub fn interrupt(&mut self) {
+        self.quiet_s = 0.0;
+    }
+
     /// Mean specific force of the rest, m/s².
     pub fn force(&self) -> Vector3<f64> {
         self.mean_force

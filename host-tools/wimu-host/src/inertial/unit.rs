@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use wimu_nav::navigator::{
-    Gyroscope, Model, Navigator, NoGyroscope, Profile, Rests, Sample, SampleFault, Settings, Start,
+    Gyroscope, Model, Navigator, NoGyroscope, Profile, Sample, SampleFault, Settings, Start,
 };
 use wimu_nav::stationarity::{Detector, Stationarity};
 

@@ -109,7 +109,7 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
             if next.cost <= state.cost {
                 rate = trial;
                 state = next;
-                damping = damping * real(0.1);
+                damping *= real(0.1);
                 if gain < tiny {
                     break;
                 }

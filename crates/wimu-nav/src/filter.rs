@@ -150,7 +150,7 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
     /// Test of a measurement, without an update.
     pub fn test<const M: usize>(&self, measurement: &impl Measurement<R, N, M>) -> Innovation<R> {
         let prediction = measurement.predict(self);
-        self.solve(&prediction, Gate::ChiSquare).0
+        self.solve(&prediction).0
     }
 
     /// Update with a measurement: the optimal gain, with the rows of considered states set to zero, in Joseph's form
@@ -170,30 +170,57 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
         gate: Gate,
         recorder: &mut impl Recorder<R, N>,
     ) -> Innovation<R> {
+        let accept = |innovation: &Innovation<R>| match gate {
+            Gate::Open => innovation.statistic.is_finite(),
+            Gate::ChiSquare => innovation.statistic <= real(chi_square_quantile(M)),
+        };
+        self.update_if(measurement, accept, recorder)
+    }
+
+    /// Update where a condition on the innovation holds.
+    pub(crate) fn update_if<const M: usize>(
+        &mut self,
+        measurement: &impl Measurement<R, N, M>,
+        accept: impl FnOnce(&Innovation<R>) -> bool,
+        recorder: &mut impl Recorder<R, N>,
+    ) -> Innovation<R> {
         let prediction = measurement.predict(self);
-        let (innovation, gain) = self.solve(&prediction, gate);
-        let Some(gain) = gain.filter(|_| innovation.accepted) else {
+        let (mut innovation, solved) = self.solve(&prediction);
+        innovation.accepted = accept(&innovation);
+        let Some((cross, gain)) = solved.filter(|_| innovation.accepted) else {
+            innovation.accepted = false;
             return innovation;
         };
-        let h = &prediction.jacobian.0;
-        // (1 − K H) P (1 − K H)ᵀ + K R Kᵀ, without products of N × N matrices.
-        let left = self.covariance - gain * (h * self.covariance);
-        let updated =
-            left - (left * h.transpose() - gain * prediction.covariance) * gain.transpose();
-        self.covariance = (updated + updated.transpose()) * real::<R>(0.5);
+        // (1 − K H) P (1 − K H)ᵀ + K R Kᵀ, without products of N × N matrices: P Hᵀ is known.
+        let left = cross - gain * (prediction.jacobian.0 * cross) - gain * prediction.covariance;
+        self.covariance -= gain * cross.transpose() + left * gain.transpose();
+        let transposed = self.covariance.transpose();
+        self.covariance = (self.covariance + transposed) * real::<R>(0.5);
         self.state.correct(gain * prediction.innovation);
         recorder.corrected(&gain, &prediction);
         innovation
     }
 
-    /// Test and gain. No gain where the covariance of the innovation is not positive definite.
+    /// P Hᵀ. Most columns of H are zero.
+    fn cross<const M: usize>(&self, h: &SMatrix<R, M, N>) -> SMatrix<R, N, M> {
+        let mut cross = SMatrix::<R, N, M>::zeros();
+        for k in 0..N {
+            let column = h.column(k);
+            if column.iter().any(|x| *x != R::zero()) {
+                cross.ger(R::one(), &self.covariance.column(k), &column, R::one());
+            }
+        }
+        cross
+    }
+
+    /// Innovation, P Hᵀ and gain. No gain where the covariance of the innovation is not positive definite.
+    #[allow(clippy::type_complexity)]
     fn solve<const M: usize>(
         &self,
         prediction: &Prediction<R, N, M>,
-        gate: Gate,
-    ) -> (Innovation<R>, Option<SMatrix<R, N, M>>) {
+    ) -> (Innovation<R>, Option<(SMatrix<R, N, M>, SMatrix<R, N, M>)>) {
         let h = &prediction.jacobian.0;
-        let cross = self.covariance * h.transpose();
+        let cross = self.cross(h);
         let Some(factor) = (h * cross + prediction.covariance).cholesky() else {
             let statistic = R::zero() / R::zero();
             let innovation = Innovation {
@@ -208,17 +235,13 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
         let statistic = prediction.innovation.dot(&weighted);
         let log_determinant = factor.l_dirty().diagonal().map(|d| d.ln()).sum() * real::<R>(2.0);
         let normalisation = real::<R>(M as f64 * libm::log(core::f64::consts::TAU));
-        let accepted = match gate {
-            Gate::Open => statistic.is_finite(),
-            Gate::ChiSquare => statistic <= real(chi_square_quantile(M)),
-        };
         let innovation = Innovation {
             statistic,
             dof: M,
             log_likelihood: (statistic + log_determinant + normalisation) * real::<R>(-0.5),
-            accepted,
+            accepted: statistic <= real(chi_square_quantile(M)),
         };
-        let mut gain = factor.solve(&cross.transpose()).transpose();
+        let mut gain = cross * factor.inverse();
         for (row, _) in self
             .considered
             .iter()
@@ -227,7 +250,40 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
         {
             gain.row_mut(row).fill(R::zero());
         }
-        (innovation, Some(gain))
+        (innovation, Some((cross, gain)))
+    }
+
+    /// Squared difference of a block to that of another filter, over the mean of both covariances. Infinite where that is
+    /// not positive definite.
+    pub(crate) fn distance<const W: usize>(&self, other: &Self, block: Block<W>) -> R {
+        let difference = other.state.get(block) - self.state.get(block);
+        let covariance = (self.covariance(block) + other.covariance(block)) * real::<R>(0.5);
+        covariance
+            .cholesky()
+            .map_or(R::one() / R::zero(), |factor| {
+                difference.dot(&factor.solve(&difference))
+            })
+    }
+
+    /// Mean and covariance of this and another filter, the other with probability `fraction`.
+    pub(crate) fn moments(&self, other: &Self, fraction: R) -> Self {
+        let mut joined = self.clone();
+        let difference = self.state.difference(&other.state);
+        joined.state.correct(difference * fraction);
+        let rest = R::one() - fraction;
+        joined.covariance = self.covariance * rest + other.covariance * fraction;
+        joined
+            .covariance
+            .ger(fraction * rest, &difference, &difference, R::one());
+        joined
+    }
+
+    /// Adds variances to the states of a block.
+    pub(crate) fn add_variance<const W: usize>(&mut self, block: Block<W>, variance: [R; W]) {
+        for (k, variance) in variance.into_iter().enumerate() {
+            let at = block.start() + k;
+            self.covariance[(at, at)] += variance;
+        }
     }
 
     /// Rotates a block whose vector is in the navigation frame: its values, covariance and correlations.

@@ -8,6 +8,7 @@ pub mod stationarity;
 
 // The error-state filter that it is made of.
 pub mod filter;
+pub mod mixture;
 pub mod process;
 pub mod sensor;
 pub mod smoother;
@@ -18,8 +19,6 @@ pub mod array;
 
 mod real;
 mod rotation;
-mod unseen;
-mod zupt;
 
 /// Standard gravity, m/s² (3rd CGPM, 1901).
 pub const GRAVITY_MPS2: f64 = 9.80665;
@@ -27,4 +26,3 @@ pub const GRAVITY_MPS2: f64 = 9.80665;
 /// Vectors, matrices and rotations of the interface.
 pub use nalgebra;
 pub use real::Real;
-pub use zupt::Zupt;

@@ -2,11 +2,13 @@
 
 mod carried;
 mod gauss_markov;
+mod rigid_array;
 mod strapdown;
 mod unmeasured;
 
 pub use carried::{Carried, CarriedBlocks};
 pub use gauss_markov::{GaussMarkov, RandomWalk};
+pub use rigid_array::{ArrayForce, RigidArray, RigidArrayBlocks};
 pub(crate) use strapdown::by_elements;
 pub use strapdown::{ConsideredBlocks, ImuErrors, Strapdown, StrapdownBlocks};
 pub use unmeasured::Unmeasured;
@@ -44,6 +46,8 @@ struct Part<R> {
 pub struct Transition<R, const N: usize> {
     parts: Vec<Part<R>, N>,
     noise: SVector<R, N>,
+    /// Blocks of Q beside the diagonal.
+    covariances: Vec<Part<R>, N>,
     /// Whether there were more than `N` blocks: then the covariance is not defined.
     overflow: bool,
 }
@@ -53,6 +57,7 @@ impl<R: RealField + Copy, const N: usize> Transition<R, N> {
         Self {
             parts: Vec::new(),
             noise: SVector::zeros(),
+            covariances: Vec::new(),
             overflow: false,
         }
     }
@@ -103,6 +108,22 @@ impl<R: RealField + Copy, const N: usize> Transition<R, N> {
         }
     }
 
+    /// Adds a variance to the noise of one state of a block, for `k` below `W`.
+    pub(crate) fn add_noise_at<const W: usize>(&mut self, block: Block<W>, k: usize, variance: R) {
+        self.noise[block.start() + k.min(W - 1)] += variance;
+    }
+
+    /// Adds the covariance of the noise of two blocks: a block of Q, and for different blocks its transpose.
+    pub fn add_covariance(&mut self, row: Block<3>, column: Block<3>, matrix: Matrix3<R>) {
+        let part = Part {
+            row: row.start(),
+            column: column.start(),
+            columns: 3,
+            matrix,
+        };
+        self.overflow |= self.covariances.push(part).is_err();
+    }
+
     /// F P Fᵀ + Q.
     pub(crate) fn apply(&self, covariance: &mut SMatrix<R, N, N>) {
         if self.overflow {
@@ -123,6 +144,17 @@ impl<R: RealField + Copy, const N: usize> Transition<R, N> {
         }
         for k in 0..N {
             covariance[(k, k)] += self.noise[k];
+        }
+        for part in &self.covariances {
+            for r in 0..3 {
+                for c in 0..3 {
+                    let (row, column) = (part.row + r, part.column + c);
+                    covariance[(row, column)] += part.matrix[(r, c)];
+                    if part.row != part.column {
+                        covariance[(column, row)] += part.matrix[(r, c)];
+                    }
+                }
+            }
         }
     }
 }

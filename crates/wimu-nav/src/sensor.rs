@@ -5,16 +5,20 @@ mod angular_rate;
 mod gravity;
 mod magnetometer;
 mod position;
+mod reduced_array;
 mod second_order;
 mod velocity;
+mod zero;
 
 pub use accelerometer::SpecificForce;
 pub use angular_rate::ZeroAngularRate;
 pub use gravity::Gravity;
 pub use magnetometer::{MagneticField, Magnetometer};
 pub use velocity::{Velocity, recover};
+pub use zero::Zero;
 
 pub use position::Position;
+pub use reduced_array::{ArrayNoise, Prior, ReducedArray};
 pub(crate) use second_order::SecondOrder;
 
 use nalgebra::{SMatrix, SVector};

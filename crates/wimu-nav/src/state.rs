@@ -145,6 +145,16 @@ impl<R: RealField + Copy, const N: usize> State<R, N> {
         self.vector += error;
     }
 
+    /// The error that makes this state the other one.
+    pub(crate) fn difference(&self, other: &Self) -> SVector<R, N> {
+        let mut difference = other.vector - self.vector;
+        let rotation = (other.attitude * self.attitude.transpose()).scaled_axis();
+        difference
+            .fixed_rows_mut::<3>(ATTITUDE.0)
+            .copy_from(&rotation);
+        difference
+    }
+
     pub(crate) fn is_finite(&self) -> bool {
         self.attitude
             .matrix()

@@ -7,6 +7,7 @@ mod consistency;
 mod filter;
 mod finite;
 mod jacobians;
+mod mixture;
 mod navigator;
 mod smoother;
 mod stationarity;

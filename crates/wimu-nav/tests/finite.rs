@@ -2,12 +2,12 @@
 
 use nalgebra::{RealField, Vector3};
 use proptest::prelude::*;
+use wimu_nav::Real;
 use wimu_nav::array::{ArrayConfig, ArrayFilter, Geometry};
 use wimu_nav::navigator::{
     Gyroscope, Model, Navigator, NoGyroscope, Profile, Rests, Sample, Settings, Start,
 };
 use wimu_nav::stationarity::{Detector, Stationarity};
-use wimu_nav::{Real, Zupt};
 use wimu_testkit::{Lane, Random, trials};
 
 /// A stretch of motion, in which every sample has a direction of its own.
@@ -150,10 +150,10 @@ fn of_units<R: RealField + Copy>(
         + of_unit::<R, NoGyroscope<R>, 24>(settings, samples)?)
 }
 
-fn of_array<R: Real>(zupt: Zupt, samples: &[Sample<f64>]) -> Result<(), TestCaseError> {
+fn of_array<R: Real>(rests: Rests, samples: &[Sample<f64>]) -> Result<(), TestCaseError> {
     let board = Geometry::<24>::eight_triads_board(0.02, 0.005, 0.01).unwrap();
     let config = ArrayConfig {
-        zupt,
+        rests,
         range_mps2: 1e6,
         ..ArrayConfig::default()
     };
@@ -162,7 +162,7 @@ fn of_array<R: Real>(zupt: Zupt, samples: &[Sample<f64>]) -> Result<(), TestCase
         let turn = sample.rate_rad_s.unwrap_or_default();
         // What all sensors feel, and what each feels besides.
         let output = core::array::from_fn(|k| {
-            R::from_f64(sample.force_mps2[k % 3] + turn[(k / 3) % 3] * (k as f64 - 12.0))
+            nalgebra::convert(sample.force_mps2[k % 3] + turn[(k / 3) % 3] * (k as f64 - 12.0))
         });
         let _ = filter.push(sample.step_s, &output);
         let state = filter.state();
@@ -205,10 +205,10 @@ proptest! {
     #[test]
     fn no_state_of_an_array_that_is_not_finite_is_valid((seed, all) in stretches()) {
         let samples = samples(seed, &all);
-        for zupt in [Zupt::Assumed, Zupt::Stated, Zupt::Off] {
-            of_array::<f64>(zupt, &samples)?;
+        for rests in [Rests::ConstantVelocity, Rests::ZeroVelocity, Rests::Ignored] {
+            of_array::<f64>(rests, &samples)?;
         }
-        of_array::<f32>(Zupt::Assumed, &samples)?;
+        of_array::<f32>(Rests::ConstantVelocity, &samples)?;
     }
 }
 

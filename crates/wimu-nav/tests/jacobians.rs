@@ -5,13 +5,15 @@ use crate::common;
 use common::Random;
 use common::states::{certain, covariance, difference, nine, shifted, states};
 use nalgebra::{Matrix1, Rotation3, SMatrix, SVector, Vector3};
+use wimu_nav::array::{ArraySolver, Geometry, Linear};
 use wimu_nav::filter::Filter;
 use wimu_nav::process::{
-    Carried, CarriedBlocks, GaussMarkov, ImuErrors, Process, RandomWalk, Strapdown,
-    StrapdownBlocks, Unmeasured,
+    ArrayForce, Carried, CarriedBlocks, GaussMarkov, ImuErrors, Process, RandomWalk, RigidArray,
+    RigidArrayBlocks, Strapdown, StrapdownBlocks, Unmeasured,
 };
 use wimu_nav::sensor::{
-    MagneticField, Magnetometer, Measurement, Position, SpecificForce, Velocity,
+    ArrayNoise, MagneticField, Magnetometer, Measurement, Position, ReducedArray, SpecificForce,
+    Velocity, Zero,
 };
 use wimu_nav::state::{ATTITUDE, Block, Layout, POSITION, Role, State, VELOCITY};
 
@@ -403,5 +405,128 @@ fn the_noise_of_a_strapdown_step_is_that_of_its_sensors_and_times() {
             (found - expected).abs() <= 1e-9 * expected,
             "{found} and {expected}"
         );
+    }
+}
+
+/// Eight triads off the plane and the centre, so that centripetal acceleration is in every measured value.
+fn array() -> ArraySolver<f64, 24> {
+    let axes = Geometry::<24>::eight_triads_board(0.02, 0.005, 0.02).unwrap();
+    ArraySolver::of(&axes, |sensor| sensor != 2).unwrap()
+}
+
+fn array_states(blocks: &RigidArrayBlocks) -> Vec<Block<1>> {
+    let RigidArrayBlocks { bias, z_bias, .. } = *blocks;
+    states(&[
+        blocks.rate(),
+        blocks.acceleration(),
+        bias.part::<3, 0>(),
+        bias.part::<3, 3>(),
+        z_bias.part::<3, 0>(),
+        z_bias.part::<3, 3>(),
+    ])
+}
+
+#[test]
+fn transitions_of_an_array_are_those_of_its_steps() {
+    let mut random = Random::new(31);
+    let solver = array();
+    for _ in 0..20 {
+        let mut layout = layout();
+        let blocks = RigidArrayBlocks::claim(&mut layout, [1.0, 1.0], 0.01).unwrap();
+        let all = array_states(&blocks);
+        let filter = anywhere(&mut random, &layout, &all);
+        let rotation = RigidArray {
+            blocks: &blocks,
+            solver: &solver,
+            acceleration_walk: 3.0,
+            rate_walk: 0.1,
+            bias_decay: 0.9,
+            bias_variance: 0.01,
+            common_variance: 0.0,
+            step_s: 1e-3,
+        };
+        let f = transition(&filter, &all, &rotation);
+        assert_rows(
+            &f,
+            &numerical_of(&filter, &all, &rotation),
+            0..30,
+            &all,
+            2e-6,
+        );
+        let linear = Linear {
+            theta: std::array::from_fn(|_| 3.0 * random.normal()),
+            ..Linear::default()
+        };
+        let force = ArrayForce {
+            blocks: &blocks,
+            solver: &solver,
+            linear: &linear,
+            gravity_mps2: 9.8,
+            noise_factor: 1.0,
+            force_variance: 0.1,
+            step_s: 1e-3,
+            attitude_covariance: nalgebra::Matrix3::zeros(),
+        };
+        let f = transition(&filter, &all, &force);
+        // The position is of second order in the step.
+        assert_rows(&f, &numerical_of(&filter, &all, &force), 0..30, &all, 2e-5);
+    }
+}
+
+#[test]
+fn the_jacobian_of_a_reduced_sample_is_its_derivative() {
+    let mut random = Random::new(32);
+    let solver = array();
+    for _ in 0..20 {
+        let mut layout = layout();
+        let blocks = RigidArrayBlocks::claim(&mut layout, [1.0, 1.0], 0.01).unwrap();
+        let all = array_states(&blocks);
+        let filter = anywhere(&mut random, &layout, &all);
+        let linear = Linear::default();
+        let at = |state: &State<f64, N>| {
+            let mut filter = filter.clone();
+            filter.state = state.clone();
+            let sample = ReducedArray {
+                blocks: &blocks,
+                solver: &solver,
+                linear: &linear,
+                noise: ArrayNoise {
+                    factor: 1.0,
+                    fast: 1.0,
+                },
+                at_rad_s: state.get(blocks.rate()),
+            };
+            sample.predict(&filter)
+        };
+        let jacobian = at(&filter.state).jacobian;
+        for state in &all {
+            let mut error = SVector::zeros();
+            error[state.start()] = SMALL;
+            let change = at(&shifted(&filter.state, &-error)).innovation
+                - at(&shifted(&filter.state, &error)).innovation;
+            let off = (change / (2.0 * SMALL) - jacobian.get(*state)).abs().max();
+            assert!(off < 1e-4, "{state:?}: {off:e}");
+        }
+        // Errors of the lever arms: the sensors show ω + |ω| e.
+        let rate = filter.state.get(blocks.rate());
+        for axis in 0..3 {
+            let shown = |by: f64| {
+                let mut shown = rate;
+                shown[axis] += by * rate.norm();
+                solver.expected_z(shown.into()).0
+            };
+            let (more, less) = (shown(SMALL), shown(-SMALL));
+            for k in 0..6 {
+                let slope = (more[k] - less[k]) / (2.0 * SMALL);
+                let off = (slope - jacobian.get(blocks.lever)[(3 + k, axis)]).abs();
+                assert!(off < 1e-4, "{k} {axis}: {off:e}");
+            }
+        }
+        let zero = Zero {
+            block: blocks.rotation,
+            deviation: [0.1; 6],
+        };
+        let prediction = zero.predict(&filter);
+        assert_eq!(prediction.innovation, -filter.state.get(blocks.rotation));
     }
 }

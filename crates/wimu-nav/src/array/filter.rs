@@ -1,133 +1,65 @@
-//! Inertial navigation with an array alone: equations (71) to (76) and (96) to (98), (104), (105).
+//! Inertial navigation with an array alone: the error-state filter with the process and the measurement of a rigid array, and
+//! a hypothesis for each sign of the angular rate. Equations (96), (97), (102).
 
-mod candidates;
-mod errors;
-mod predict;
-mod rest;
-mod state;
+mod start;
 
-use core::fmt;
-
-use errors::{Strayed, Swing};
-pub use state::ArrayState;
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use super::geometry::{Geometry, GeometryError};
-use super::hypothesis::{Hypothesis, POSITION, STATES, VELOCITY, r};
 use super::monitor::{Array, Dropped};
-use super::solver::{ArraySolver, Linear};
-use crate::unseen::Unseen;
-use crate::{Real, Zupt};
+use super::noise::{Level, Noise};
+use super::rest::RestTest;
+use super::solver::{ArraySolver, Linear, Roots};
+use super::state::{ArrayConfig, ArrayFault, ArrayState};
+use crate::Real;
+use crate::filter::Filter;
+use crate::mixture::Mixture;
+use crate::navigator::Rests;
+use crate::process::{ArrayForce, RigidArray, RigidArrayBlocks};
+use crate::rotation::real;
+use crate::sensor::{ArrayNoise, Prior, ReducedArray};
+use crate::state::{ATTITUDE, Block, Layout, POSITION, Role, VELOCITY};
 
-/// Hypotheses kept from sample to sample.
+/// Attitude, velocity, position (9), rotation (6), biases (12), lever arms (3), constant velocity at rests (3).
+const STATES: usize = 33;
+/// Hypotheses.
 const MOST: usize = 4;
-/// Samples over which the excess is remembered.
-const EXCESS_SAMPLES: f64 = 5.0;
-/// A pause longer than this is a gap: what happened in it is not known.
+/// Hypotheses whose rotation differs by less than this many variances are merged.
+const SAME: f64 = 1.0;
+/// Roots further than this many variances from the predicted angular rate are not tried.
+const REACH: f64 = 60.0;
+/// Degrees of freedom of Student's t.
+const FREEDOM: f64 = 10.0;
+/// Normalised innovation squared above which no hypothesis fits, and deviation of the angular rate then, rad/s.
+const LOST: f64 = 300.0;
+const LOST_RATE: f64 = 20.0;
+/// Samples further apart are a gap, s.
 const GAP_S: f64 = 0.25;
+/// Deviations of angular rate, rad/s, and angular acceleration, rad/s², of a start, and after a gap.
+const START_ROTATION: [f64; 2] = [10.0, 100.0];
+/// Deviation of the constant velocity at rests, m/s, as for one unit.
+const HIDDEN_VELOCITY: f64 = 0.1;
 
-/// How an array is used.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ArrayConfig {
-    /// Local gravity, m/s².
-    pub gravity_mps2: f64,
-    /// What a stillness is taken for: zero velocity and zero angular rate. Accelerometers cannot tell it from uniform
-    /// motion, nor an array from a slow turn about the vertical.
-    pub zupt: Zupt,
-    /// Output at which an axis saturates, m/s².
-    pub range_mps2: f64,
-    /// Standard deviation of each axis's bias, m/s².
-    pub bias_mps2: f64,
-    /// Standard deviation of the bias that all sensors share, m/s², on each axis of the body besides: where what the
-    /// sensors differ by at rest was taken off them, their mean bias is left.
-    pub common_bias_mps2: f64,
-    /// Random walk of the biases, m/s² per √s.
-    pub bias_walk: f64,
-    /// Standard deviation of each axis's sensitivity, as a share, and of its direction, rad: as the body turns, this
-    /// share of what gravity changes by becomes a bias.
-    pub scale: f64,
-    /// The same of the error that all sensors share besides: of what their mean shows.
-    pub common_scale: f64,
-    /// How well each place is known, m, along each axis.
-    pub place_sd_m: f64,
-    /// How well the times of the sensors among each other are known, s.
-    pub delay_sd_s: f64,
-    /// Error of s that the outputs do not show (scale, vibration), m/s² in each sample.
-    pub force_noise_mps2: f64,
-    /// How well the time is known to which a sample belongs, s: a chip's low pass delays it by 1 to 2 ms.
-    pub time_sd_s: f64,
+/// Means for the alignment.
+#[derive(Clone, Copy, Debug)]
+struct Alignment {
+    force: Vector3<f64>,
+    time_s: f64,
+    count: f64,
 }
 
-impl Default for ArrayConfig {
-    fn default() -> Self {
-        Self {
-            gravity_mps2: 9.80665,
-            zupt: Zupt::Assumed,
-            range_mps2: 155.0,
-            bias_mps2: 0.02,
-            common_bias_mps2: 0.0,
-            bias_walk: 1e-4,
-            scale: 0.0,
-            common_scale: 0.0,
-            place_sd_m: 0.0,
-            delay_sd_s: 0.0,
-            force_noise_mps2: 0.05,
-            time_sd_s: 1e-3,
-        }
-    }
+impl Alignment {
+    const EMPTY: Self = Self {
+        force: Vector3::new(0.0, 0.0, 0.0),
+        time_s: 0.0,
+        count: 0.0,
+    };
 }
 
-/// What was wrong with a sample. The filter goes on.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub enum ArrayFault {
-    /// Too few sensors are left for ω̇ and s: the angular rate is carried on, the position is not
-    /// valid until the next rest.
-    Blind(GeometryError),
-    /// Time went back, stood still or is not finite: the sample was left out.
-    NoTime,
-    /// Longer than 0.25 s since the sample before: the position is not valid until the next rest.
-    Gap,
-}
-
-impl fmt::Display for ArrayFault {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Blind(why) => write!(out, "too few sensors can be used: {why}"),
-            Self::NoTime => {
-                out.write_str("time did not go on: the sample was left out; check its time")
-            }
-            Self::Gap => out.write_str(
-                "no sample for 0.25 s: the position is not valid until the body rests again",
-            ),
-        }
-    }
-}
-
-impl core::error::Error for ArrayFault {}
-
-/// Second moments of an even turn about the vertical that no rest would have shown: of its rate, (rad/s)², of what it
-/// turned by, rad², and of that with the way that is off by it, m rad.
-#[derive(Clone, Copy, Debug, Default)]
-struct HiddenTurn {
-    rate2: f64,
-    both: f64,
-    angle2: f64,
-    way: [f64; 3],
-}
-
-/// With ZUPT off: what a rate that may be none turns the attitude by, rad, and speed, m/s, and way, m, that this brings.
-#[derive(Clone, Copy, Debug, Default)]
-struct Wandered {
-    angle: f64,
-    speed: f64,
-    way: f64,
-}
-
-/// The filter of one array: ω, ω̇, attitude, velocity, position and biases, with every root of ω kept
-/// as a hypothesis of its own until the data decide.
+/// The filter of one array: angular rate and acceleration, attitude, velocity, position and biases, with a hypothesis for
+/// each root of the angular rate until the data decide.
 ///
-/// About 32 kB in f64 and 17 kB in f32, and twice that on the stack while it works: for a host or a
-/// large microcontroller.
+/// About 36 kB in f64 and 19 kB in f32, and as much on the stack: for a host or a large microcontroller.
 ///
 /// ```
 /// use wimu_nav::array::{ArrayConfig, ArrayFilter, Geometry};
@@ -148,89 +80,78 @@ struct Wandered {
 pub struct ArrayFilter<R, const M: usize> {
     config: ArrayConfig,
     array: Array<R, M>,
-    hypotheses: [Option<Hypothesis<R>>; MOST],
-    /// Sensors left out when the biases were last begun.
+    blocks: RigidArrayBlocks,
+    hidden: Block<3>,
+    layout: Layout<R, STATES>,
+    mixture: Option<Mixture<R, STATES, MOST>>,
+    level: Level<M>,
+    rest_test: RestTest,
+    align: Alignment,
     dropped: Dropped,
-    excess: f64,
-    /// Mean square of ω̇.
-    activity: f64,
-    /// The output before, and the mean square of what an output changes by, (m/s² per s)².
-    last: Option<[R; M]>,
-    jerk: f64,
-    swing: Swing<R>,
-    align: ([R; 3], f64, f64, f64),
-    /// s low-passed, what the last sample is away from it, and the mean since it is quiet, of so much.
-    slow_force: [R; 3],
-    away: [R; 3],
-    quiet_mean: [R; 3],
-    mean_s: f64,
-    settled: [R; 3],
-    quiet_s: f64,
-    /// The last step, s.
-    step_s: f64,
+    /// The sample before and the variance of its specific force, for the first half of a step.
+    last: Option<(Linear<R>, Noise)>,
+    /// Low-passed direction of the specific force: the effect of scale factors changes with it.
+    direction: Vector3<f64>,
+    /// Times since the last rest, the last velocity update, and since updates of a rest fail, s.
     since_rest_s: f64,
-    strayed: Strayed,
-    unseen: Unseen<R>,
-    /// Velocity as a rest began, and the way that was taken off with it since, m/s and m.
-    taken_off: ([R; 3], [R; 3]),
-    hidden_turn: HiddenTurn,
-    wandered: Wandered,
+    since_update_s: f64,
+    failing_s: f64,
+    since_zero_s: f64,
+    resting: bool,
     started: bool,
-    valid: bool,
-    /// It began without a rest, and none has come yet.
     moving_start: bool,
-    /// It began with a rest, and that lasts.
     still_start: bool,
-    /// How long it rests by now, and the mean square of the speed at which it may move evenly instead, where
-    /// that is likely.
-    rested_s: f64,
-    doubt_mps2: f64,
-    unseen_mps: f64,
-    doubtful: u32,
-    astray: u32,
-    /// What the last sample says of the covariance: 1, or more where it fits badly.
+    valid: bool,
+    lost: bool,
+    recoveries: u32,
+    /// Factor of the covariance by the last innovation, equation (102).
     surprise: f64,
 }
 
 impl<R: Real, const M: usize> ArrayFilter<R, M> {
-    /// A filter that has seen nothing.
+    /// A filter without samples.
     ///
     /// # Errors
     /// As [`Array::new`].
     pub fn new(geometry: Geometry<M>, config: ArrayConfig) -> Result<Self, GeometryError> {
+        let array = Array::<R, M>::new(geometry, real(config.range_mps2))?;
+        let mut layout = Layout::new([R::zero(); 3], R::zero(), R::zero());
+        let solver = array.solver();
+        let lever = libm::sqrt(lever_variance(solver, &config));
+        let full = |_| GeometryError::TooFew { have: 0, need: 6 };
+        let blocks = RigidArrayBlocks::claim(&mut layout, START_ROTATION.map(real), real(lever))
+            .map_err(full)?;
+        let hidden = match config.rests {
+            Rests::ConstantVelocity => HIDDEN_VELOCITY,
+            _ => 0.0,
+        };
+        let hidden = layout
+            .claim(Role::Considered, [real(hidden); 3])
+            .map_err(full)?;
         Ok(Self {
-            array: Array::new(geometry, r(config.range_mps2))?,
+            rest_test: RestTest::new(&config, solver),
             config,
-            hypotheses: [None; MOST],
+            array,
+            blocks,
+            hidden,
+            layout,
+            mixture: None,
+            level: Level::new(),
+            align: Alignment::EMPTY,
             dropped: Dropped::default(),
-            excess: 1.0,
-            activity: 0.0,
             last: None,
-            jerk: 0.0,
-            swing: Swing::at([R::default(); 3]),
-            align: ([R::default(); 3], 0.0, 0.0, 0.0),
-            slow_force: [R::default(); 3],
-            away: [R::default(); 3],
-            quiet_mean: [R::default(); 3],
-            mean_s: 0.0,
-            settled: [R::default(); 3],
-            step_s: 0.0,
-            quiet_s: 0.0,
+            direction: Vector3::zeros(),
             since_rest_s: 0.0,
-            strayed: Strayed::default(),
-            unseen: Unseen::default(),
-            taken_off: ([R::default(); 3], [R::default(); 3]),
-            hidden_turn: HiddenTurn::default(),
-            wandered: Wandered::default(),
+            since_update_s: 0.0,
+            failing_s: 0.0,
+            since_zero_s: 0.0,
+            resting: false,
             started: false,
-            valid: false,
             moving_start: false,
-            still_start: false,
-            rested_s: 0.0,
-            doubt_mps2: 0.0,
-            unseen_mps: 0.0,
-            doubtful: 0,
-            astray: 0,
+            still_start: true,
+            valid: false,
+            lost: false,
+            recoveries: 0,
             surprise: 1.0,
         })
     }
@@ -240,8 +161,14 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         self.array.solver()
     }
 
-    /// Takes one sample: the outputs of all axes, m/s², `step_s` seconds after the one before.
-    /// Returns the sensors that were left out.
+    /// Rests whose velocity failed its test until they were certain: the covariance was scaled there, and the path since the
+    /// rest before is outside of what was reported.
+    pub fn recoveries(&self) -> u32 {
+        self.recoveries
+    }
+
+    /// Takes one sample: the outputs of all axes, m/s², `step_s` seconds after the one before. Returns the sensors that were
+    /// left out.
     ///
     /// # Errors
     /// [`ArrayFault`].
@@ -251,99 +178,277 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             return Err(ArrayFault::NoTime);
         }
         self.started = true;
-        let gap = step_s > GAP_S;
         self.since_rest_s += step_s;
-        let step = step_s.min(GAP_S);
+        self.since_update_s += step_s;
+        let gap = step_s > GAP_S;
         let reduced = self.array.reduce(output_mps2);
-        if gap {
-            self.pause(step_s);
+        if gap || reduced.is_err() {
+            self.interrupt(step_s, gap);
         }
-        match reduced {
-            Ok((linear, dropped)) => {
-                if dropped != self.dropped {
-                    self.dropped = dropped;
-                    self.forget_biases();
-                }
-                self.take(step, output_mps2, &linear);
-                if gap {
-                    return Err(ArrayFault::Gap);
-                }
-                Ok(dropped)
-            }
-            Err(why) => {
-                self.valid = false;
-                self.quiet_s = 0.0;
-                self.carry(step);
-                Err(ArrayFault::Blind(why))
-            }
+        let (linear, dropped) = reduced.map_err(ArrayFault::Blind)?;
+        if dropped != self.dropped {
+            self.dropped = dropped;
+            self.begin_biases(true);
+        }
+        self.take(if gap { 0.0 } else { step_s }, output_mps2, &linear);
+        self.restart_if_diverged();
+        if gap {
+            Err(ArrayFault::Gap)
+        } else {
+            Ok(dropped)
         }
     }
 
     fn take(&mut self, step: f64, output: &[R; M], linear: &Linear<R>) {
-        self.step_s = step;
-        // Centripetal acceleration is nothing where a rest is looked for.
-        let force = [linear.theta[3], linear.theta[4], linear.theta[5]];
-        self.judge_rest(step, force, linear);
-        let noise = self.weigh(step, output, linear);
-        if self.hypotheses[0].is_none() {
-            self.align_with(step, force);
+        let [bias, _] = self.bias_variances();
+        let solver = self.array.solver();
+        let noise = self.level.excess.max(1.0);
+        let at_rest = self.rest_test.push(solver, linear, step, [bias, noise]);
+        let rate = self.best().map_or(Vector3::zeros(), |filter| {
+            filter.state.get(self.blocks.rate()).map(R::to_f64)
+        });
+        let away = self.rest_test.away;
+        let noise = self
+            .level
+            .push(&self.config, solver, step, output, linear, [rate, away]);
+        if self.mixture.is_none() || (self.moving_start && at_rest) {
+            self.align(step, linear, at_rest);
             return;
         }
-        if self.moving_start && self.resting() {
-            self.begin_at_rest();
-        }
-        let swung = self.swung(force);
-        self.predict(step, &noise, swung);
-        self.update(linear, &noise);
-        for hypothesis in self.hypotheses.iter_mut().flatten() {
-            hypothesis.advance(step, linear, self.array.solver(), &noise, &self.config);
-        }
-        self.stray(step);
-        self.hide(step);
-        if self.resting() && self.config.zupt.is_on() {
-            self.doubt_rest(step);
+        self.predict(step, linear, &noise);
+        self.update_rotation(linear, &noise);
+        self.integrate(step, linear, &noise);
+        self.last = Some((*linear, noise));
+        // Without updates at rests, the one that it begins with is part of the alignment.
+        self.still_start &= at_rest;
+        if at_rest && (self.config.rests != Rests::Ignored || self.still_start) {
             self.rest(step);
-            self.strayed = Strayed::default();
         } else {
-            self.rested_s = 0.0;
-            self.doubt_mps2 = 0.0;
-            // The alignment lasts as long as the stillness that it began in: of velocity that says nothing more.
-            self.still_start &= self.resting();
-            if self.still_start {
-                self.measure_rest(step, false);
-                self.strayed = Strayed::default();
-            }
+            (self.resting, self.failing_s) = (false, 0.0);
         }
-        self.merge();
+        if let Some(mixture) = &mut self.mixture {
+            mixture.merge(self.blocks.rotation, real(SAME));
+        }
     }
 
-    /// Sets position (m), velocity (m/s) and their standard deviations from outside.
-    pub fn set_start(&mut self, position_m: [R; 3], velocity_mps: [R; 3], sd: [f64; 2]) {
-        for hypothesis in self.hypotheses.iter_mut().flatten() {
-            for i in 0..3 {
-                let pairs = [
-                    (POSITION, position_m, sd[0]),
-                    (VELOCITY, velocity_mps, sd[1]),
-                ];
-                for (at, value, sd) in pairs {
-                    for k in 0..STATES {
-                        hypothesis.cov[at + i][k] = R::default();
-                        hypothesis.cov[k][at + i] = R::default();
-                    }
-                    hypothesis.mean[at + i] = value[i];
-                    hypothesis.cov[at + i][at + i] = r(sd * sd);
+    /// To be called after the mean differences of the sensors at a rest were removed: the biases of angular acceleration and
+    /// z are then those of the start.
+    pub fn residual_biases_taken_off(&mut self) {
+        self.begin_biases(false);
+    }
+
+    fn predict(&mut self, step: f64, linear: &Linear<R>, noise: &Noise) {
+        let [own, common] = self.bias_variances();
+        let c = &self.config;
+        let solver = self.array.solver();
+        // Scale factors act as a bias that changes with the direction of the specific force: correlation angle 1 rad.
+        let slow = self.rest_test.slow;
+        let angle = self.direction.angle(&slow);
+        self.direction = slow;
+        let angle = if self.resting || !angle.is_finite() {
+            0.0
+        } else {
+            angle
+        };
+        let scale = (c.scale * c.gravity_mps2) * (c.scale * c.gravity_mps2);
+        let part = scale / solver.variance_mps2().to_f64() / own;
+        let decay = 1.0 - part * (1.0 - libm::exp(-angle));
+        let grown = 1.0 - decay * decay;
+        let walk = c.bias_walk * c.bias_walk * step / solver.variance_mps2().to_f64();
+        let rotation = RigidArray {
+            blocks: &self.blocks,
+            solver,
+            acceleration_walk: real(noise.acceleration_walk),
+            rate_walk: real(noise.rate_walk),
+            bias_decay: real(decay),
+            bias_variance: real(own * grown + walk),
+            common_variance: real(common * grown),
+            step_s: real(step),
+        };
+        let (linear, noise) = self.last.as_ref().map_or((linear, noise), |(l, n)| (l, n));
+        let force = force(&self.config, &self.blocks, solver, step, linear, noise);
+        for filter in self.mixture.iter_mut().flat_map(Mixture::filters_mut) {
+            let attitude_covariance = filter.covariance(ATTITUDE);
+            filter.predict(&(
+                ArrayForce {
+                    attitude_covariance,
+                    ..force
+                },
+                rotation,
+            ));
+        }
+    }
+
+    /// Velocity and position over the second half of a step.
+    fn integrate(&mut self, step: f64, linear: &Linear<R>, noise: &Noise) {
+        let solver = self.array.solver();
+        let force = force(&self.config, &self.blocks, solver, step, linear, noise);
+        for filter in self.mixture.iter_mut().flat_map(Mixture::filters_mut) {
+            let attitude_covariance = filter.covariance(ATTITUDE);
+            filter.predict(&ArrayForce {
+                attitude_covariance,
+                ..force
+            });
+        }
+    }
+
+    /// Update of every hypothesis with every root of the sample that is within its reach. Where none fits, the rotation
+    /// before the sample is not known.
+    fn update_rotation(&mut self, linear: &Linear<R>, noise: &Noise) {
+        if self.update_with_roots(linear, noise, LOST) <= LOST {
+            return;
+        }
+        let [rate, acceleration] = [
+            real::<R>(LOST_RATE * LOST_RATE),
+            real(self.level.activity + 1.0),
+        ];
+        let wider = [rate, rate, rate, acceleration, acceleration, acceleration];
+        for filter in self.mixture.iter_mut().flat_map(Mixture::filters_mut) {
+            filter.add_variance(self.blocks.rotation, wider);
+        }
+        self.update_with_roots(linear, noise, f64::INFINITY);
+    }
+
+    /// Returns the normalised innovation squared of the most probable hypothesis.
+    fn update_with_roots(&mut self, linear: &Linear<R>, noise: &Noise, limit: f64) -> f64 {
+        let Some(mixture) = &mut self.mixture else {
+            return 0.0;
+        };
+        let solver = self.array.solver();
+        let sample = ReducedArray {
+            blocks: &self.blocks,
+            solver,
+            linear,
+            noise: ArrayNoise {
+                factor: real(noise.factor),
+                fast: real(noise.fast),
+            },
+            at_rad_s: Vector3::zeros(),
+        };
+        let mut roots = None;
+        let found = mixture.update(real(FREEDOM), real(limit), |filter, put| {
+            let Some(prior) = Prior::of(filter, &sample) else {
+                return;
+            };
+            let mut all = heapless::Vec::<Vector3<R>, 12>::new();
+            let mut refine = |start: Vector3<R>| {
+                let root = prior.maximum(&sample, start);
+                if let Some(root) =
+                    root.filter(|r| all.iter().all(|a| prior.distance(a, r) > real(0.01)))
+                {
+                    let _ = all.push(root);
+                    put(ReducedArray {
+                        at_rad_s: root,
+                        ..sample
+                    });
+                }
+                root
+            };
+            let own = refine(prior.rate_rad_s).unwrap_or(prior.rate_rad_s);
+            let near = |rate: &Vector3<R>| prior.distance(rate, &prior.rate_rad_s) < real(REACH);
+            if !near(&-own) && solver.roots() == Roots::Two {
+                return;
+            }
+            refine(-own);
+            let roots = roots.get_or_insert_with(|| solver.roots_of(linear));
+            for root in roots.hypotheses() {
+                let root = Vector3::from(root.rate_rad_s);
+                if near(&root) {
+                    refine(root);
                 }
             }
-        }
-        self.since_rest_s = 0.0;
+        });
+        let freedom = solver.rank() as f64 + 3.0;
+        let statistic = found.map_or(0.0, |innovation| innovation.statistic.to_f64());
+        self.surprise = ((FREEDOM + statistic) / (FREEDOM + freedom)).max(1.0);
+        statistic
     }
 
-    /// To be called where what the sensors differ by at a rest was just taken off them: the biases of ω̇ and z begin
-    /// anew.
-    pub fn residual_biases_taken_off(&mut self) {
-        for hypothesis in self.hypotheses.iter_mut().flatten() {
-            hypothesis.begin_biases(self.array.solver(), &self.config, false);
-        }
-        self.swing = Swing::at(self.slow_force);
+    fn best(&self) -> Option<&Filter<R, STATES>> {
+        let components = self.mixture.as_ref()?.components();
+        components.first().map(|c| &c.filter)
     }
+
+    /// The angular rates that are possible, rad/s, each with its probability, the most probable first.
+    pub fn hypotheses(&self) -> impl Iterator<Item = (R, [R; 3])> {
+        let components = self.mixture.iter().flat_map(|m| m.components());
+        components.map(|c| {
+            (
+                c.log_weight.exp(),
+                c.filter.state.get(self.blocks.rate()).into(),
+            )
+        })
+    }
+
+    /// What is known now: equation (102).
+    pub fn state(&self) -> ArrayState<R> {
+        let Some(mixture) = &self.mixture else {
+            return ArrayState::unknown();
+        };
+        let all = mixture.moments();
+        let state = &all.state;
+        let c = state.attitude.matrix();
+        let [rate, turn] = [self.blocks.rate(), self.blocks.acceleration()];
+        let velocity = state.get(VELOCITY);
+        let acceleration = self.last.as_ref().map_or(Vector3::zeros(), |(linear, _)| {
+            let force = Vector3::from_fn(|i, _| linear.theta[3 + i]);
+            c * force - Vector3::z() * real::<R>(self.config.gravity_mps2)
+        });
+        let time = real::<R>(self.config.time_sd_s);
+        let at_time = |block: Block<3>, change: Vector3<R>, factor: f64| -> [[R; 3]; 3] {
+            let late = change * time;
+            (all.covariance(block) * real::<R>(factor) + late * late.transpose()).into()
+        };
+        let quaternion = UnitQuaternion::from_rotation_matrix(&state.attitude);
+        let mut result = ArrayState {
+            rate_rad_s: state.get(rate).into(),
+            rate_covariance: at_time(rate, state.get(turn), self.surprise),
+            angular_acceleration_rad_s2: state.get(turn).into(),
+            quaternion: [quaternion.w, quaternion.i, quaternion.j, quaternion.k],
+            attitude_covariance: at_time(ATTITUDE, c * state.get(rate), 1.0),
+            velocity_mps: velocity.into(),
+            velocity_covariance: at_time(VELOCITY, acceleration, 1.0),
+            position_m: state.get(POSITION).into(),
+            position_covariance: at_time(POSITION, velocity, 1.0),
+            certainty: mixture.certainty(),
+            since_rest_s: real(self.since_rest_s),
+            resting: self.resting,
+            valid: self.valid,
+        };
+        result.valid &= result.is_finite();
+        result
+    }
+}
+
+/// Half a step of velocity and position with a sample.
+fn force<'a, R: Real, const M: usize>(
+    config: &ArrayConfig,
+    blocks: &'a RigidArrayBlocks,
+    solver: &'a ArraySolver<R, M>,
+    step: f64,
+    linear: &'a Linear<R>,
+    noise: &Noise,
+) -> ArrayForce<'a, R, M> {
+    let own = config.force_noise_mps2 * config.force_noise_mps2;
+    ArrayForce {
+        blocks,
+        solver,
+        linear,
+        gravity_mps2: real(config.gravity_mps2),
+        noise_factor: real(noise.factor),
+        force_variance: real(own + noise.vibration),
+        step_s: real(step * 0.5),
+        attitude_covariance: Matrix3::zeros(),
+    }
+}
+
+/// Variance of a component of e: relative error of the angular rate by errors of the lever arms, equation (105).
+fn lever_variance<R: Real, const M: usize>(
+    solver: &ArraySolver<R, M>,
+    config: &ArrayConfig,
+) -> f64 {
+    let covariance = solver.covariance();
+    let arms = (0..3).map(|i| covariance[i][i]).sum::<f64>() / 3.0;
+    let place = config.place_sd_m;
+    1.5 * place * place * arms / solver.variance_mps2().to_f64()
 }

@@ -7,14 +7,16 @@
 
 mod filter;
 mod geometry;
-mod hypothesis;
-mod matrix;
 mod monitor;
+mod noise;
+mod rest;
 mod solver;
+mod state;
 mod track;
 
-pub use filter::{ArrayConfig, ArrayFault, ArrayFilter, ArrayState};
+pub use filter::ArrayFilter;
 pub use geometry::{Axis, Geometry, GeometryError, Triad};
 pub use monitor::{Array, Dropped, Update};
 pub use solver::{ArraySolver, Hypothesis, Linear, Roots, Solution};
+pub use state::{ArrayConfig, ArrayFault, ArrayState};
 pub use track::{Observation, Spread, Step, Track, track};

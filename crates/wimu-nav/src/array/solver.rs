@@ -8,6 +8,7 @@ use roots::{dot, inverse3, sub};
 
 use super::geometry::{Axis, Geometry, GeometryError};
 use crate::Real;
+use crate::rotation::real;
 
 /// Least singular value against the largest, of the linear part with arms scaled to 1, below which
 /// a direction counts as not observed.
@@ -211,7 +212,7 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
             weights: [R::default(); M],
             used: have,
             rank: 0,
-            variance: R::from_f64(variance),
+            variance: real(variance),
             arm_m: arm,
             centre_m: centre.into(),
         };
@@ -220,11 +221,11 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
         for (index, axis) in axes() {
             let (h, k) = row(axis);
             let weight = 1.0 / axis.noise_mps2;
-            solver.weights[index] = R::from_f64(weight);
+            solver.weights[index] = real(weight);
             let fit = inverse * h;
             for column in 0..6 {
-                solver.rows[index][column] = R::from_f64(h[column] / (unit(column) * weight));
-                solver.to_theta[column][index] = R::from_f64(fit[column] * unit(column) * weight);
+                solver.rows[index][column] = real(h[column] / (unit(column) * weight));
+                solver.to_theta[column][index] = real(fit[column] * unit(column) * weight);
             }
             let projected = k - quadratic_theta.tr_mul(&h);
             for (row, from) in order.into_iter().enumerate() {
@@ -233,7 +234,7 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
                     break;
                 }
                 let along = projected.dot(&eigen.eigenvectors.column(from));
-                solver.to_z[row][index] = R::from_f64(along / libm::sqrt(lambda) * weight);
+                solver.to_z[row][index] = real(along / libm::sqrt(lambda) * weight);
             }
         }
         for (row, from) in order.into_iter().enumerate() {
@@ -245,14 +246,14 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
             let root = libm::sqrt(lambda);
             for column in 0..6 {
                 let along = eigen.eigenvectors[(column, from)];
-                solver.u[row][column] = R::from_f64(root * along * arm);
-                solver.u_inverse[column][row] = R::from_f64(along / (root * arm));
+                solver.u[row][column] = real(root * along * arm);
+                solver.u_inverse[column][row] = real(along / (root * arm));
             }
         }
         for row in 0..6 {
             for column in 0..6 {
                 solver.quadratic_theta[row][column] =
-                    R::from_f64(quadratic_theta[(row, column)] * unit(row) * arm);
+                    real(quadratic_theta[(row, column)] * unit(row) * arm);
                 solver.theta_covariance[row][column] =
                     inverse[(row, column)] * unit(row) * unit(column);
             }
@@ -319,7 +320,7 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
             }
             sum += rest * rest;
         }
-        Some(sum / R::from_f64(free as f64))
+        Some(sum / real(free as f64))
     }
 
     /// P y, in which neither ω̇ nor s is left, equation (72): what a calibration of the array works on.

@@ -8,7 +8,7 @@ use wimu_calib::Gravity;
 use wimu_host::array::{
     ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, angular_rate, navigated, refine,
 };
-use wimu_nav::Zupt;
+use wimu_host::inertial::Zupt;
 use wimu_nav::array::ArrayState;
 use wimu_testkit::figure;
 

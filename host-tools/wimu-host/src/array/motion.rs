@@ -1,6 +1,5 @@
 //! The motion of a body with an array: its angular rate, and where it is.
 
-use wimu_nav::Zupt;
 use wimu_nav::array::{
     ArrayConfig, ArrayFault, ArrayFilter, ArraySolver, ArrayState, Axis, Geometry, Observation,
     Spread, Step, track,
@@ -9,6 +8,7 @@ use wimu_nav::array::{
 use super::calibration::BIAS_MPS2;
 use super::places::shown_place_sd_m;
 use super::{ArrayCalibration, ArrayGeometry, ArrayRecording};
+use crate::inertial::Zupt;
 use crate::plural::counted;
 use crate::{ErrorCode, HostError, Result};
 
@@ -254,7 +254,7 @@ fn filtered<const M: usize>(
         .count();
     let config = ArrayConfig {
         gravity_mps2,
-        zupt,
+        rests: zupt.rests(),
         range_mps2: AT_LIMIT_MPS2,
         // What the sensors differ by at the rests is taken off them: their mean bias is left.
         bias_mps2: BIAS_MPS2,
@@ -301,8 +301,8 @@ pub(super) fn followed<const M: usize>(
     let mut moving_start = None;
     let mut without = vec![0_usize; recording.sensors()];
     let mut last = recording.times_s[0];
-    // Where the way since the last rest begins, and rests at which it was found to be wrong.
-    let (mut way, mut astray) = (0, 0);
+    // Start of the path since the last rest, and rests whose test failed.
+    let (mut start, mut recoveries) = (0, 0);
     for (index, time) in recording.times_s.iter().enumerate() {
         let output = output(&mut filter, index, states.last());
         let pushed = filter.push(time - last, &output);
@@ -324,14 +324,14 @@ pub(super) fn followed<const M: usize>(
             moving_start.get_or_insert(!state.valid);
         }
         states.push(state);
-        if filter.astray() != astray {
-            astray = filter.astray();
-            for state in &mut states[way..index] {
+        if filter.recoveries() != recoveries {
+            recoveries = filter.recoveries();
+            for state in &mut states[start..index] {
                 state.valid = false;
             }
         }
         if state.resting && zupt.is_on() {
-            way = index + 1;
+            start = index + 1;
         }
     }
     let mut remarks = Vec::new();
@@ -373,16 +373,10 @@ pub(super) fn followed<const M: usize>(
         "with too few sensors: the angular rate is carried over",
     );
     remark(
-        filter.astray() as usize,
-        "sample",
-        "at rests at which velocity or attitude were not what the path said: the way there since the rest \
-         before is not valid; check the size of the places and the sensitivity",
-    );
-    remark(
-        filter.doubtful() as usize,
+        recoveries as usize,
         "rest",
-        "at which the speed was not likely to be zero: the position is as uncertain as if it had gone on \
-         evenly",
+        "at which the estimated velocity was not zero: the path since the rest before is not valid; check \
+         the positions of the sensors and their sensitivity",
     );
     let absent = without.iter().enumerate();
     let absent = absent.filter(|(sensor, count)| **count > 0 && uses(*sensor));

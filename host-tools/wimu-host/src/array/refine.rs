@@ -2,11 +2,11 @@
 //! equation (99).
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix3};
-use wimu_nav::Zupt;
 use wimu_nav::array::ArraySolver;
 
 use super::motion::{axes, navigated, refused, sample, with_room};
 use super::{ArrayCalibration, ArrayGeometry, ArrayRecording};
+use crate::inertial::Zupt;
 use crate::{ErrorCode, HostError, Result};
 
 /// The fit is linearised again so often.

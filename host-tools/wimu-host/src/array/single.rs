@@ -2,12 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 use wimu_model::STANDARD_GRAVITY_MPS2;
-use wimu_nav::Zupt;
 use wimu_nav::array::{ArrayConfig, ArrayFilter, ArraySolver, ArrayState, Axis, Geometry, Roots};
 
 use super::calibration::{BIAS_MPS2, LEAST_SCALE};
 use super::motion::{AT_LIMIT_MPS2, followed, refused, with_room};
 use super::{ArrayGeometry, ArrayRecording, RefineOptions};
+use crate::inertial::Zupt;
 use crate::{ErrorCode, HostError, Result};
 
 /// Noise and biases are those of the quietest stretch of so long, s.
@@ -104,7 +104,7 @@ fn navigate<const M: usize>(
     // In one orientation a bias and an error of scale are one.
     let scale = (square.sqrt() / STANDARD_GRAVITY_MPS2).max(LEAST_SCALE);
     let config = ArrayConfig {
-        zupt,
+        rests: zupt.rests(),
         range_mps2: AT_LIMIT_MPS2,
         bias_mps2,
         scale,

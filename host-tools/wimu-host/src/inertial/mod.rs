@@ -38,8 +38,9 @@ pub use horizon::{Horizon, RestTimes};
 pub use moves::Move;
 pub use path::{InertialPath, PathPoint};
 pub use truth::consistency;
-pub use wimu_nav::Zupt;
 pub use wimu_nav::navigator::Profile;
+
+use wimu_nav::navigator::Rests;
 
 use crate::Result;
 use crate::finding::FindingCode;
@@ -58,6 +59,34 @@ pub enum Method {
     Tilt,
     /// With the angular rate of an array of accelerometers.
     Array,
+}
+
+/// What a detected rest means. An accelerometer does not distinguish a rest from constant velocity.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Zupt {
+    /// The velocity is an unknown constant of 0 ± 0.1 m/s.
+    #[default]
+    Assumed,
+    /// The velocity is zero: the caller knows that the unit was at rest.
+    Stated,
+    /// Nothing.
+    Off,
+}
+
+impl Zupt {
+    /// Whether rests are used.
+    pub fn is_on(self) -> bool {
+        self != Self::Off
+    }
+
+    /// The same for a navigator.
+    pub fn rests(self) -> Rests {
+        match self {
+            Self::Assumed => Rests::ConstantVelocity,
+            Self::Stated => Rests::ZeroVelocity,
+            Self::Off => Rests::Ignored,
+        }
+    }
 }
 
 /// Where and how a unit starts.

@@ -3,9 +3,8 @@
 use std::ops::Range;
 
 use nalgebra::Vector3;
-use wimu_nav::Zupt;
 use wimu_nav::navigator::{
-    Gyroscope, Model, Navigator, NoGyroscope, Profile, Rests, Sample, SampleFault, Settings, Start,
+    Gyroscope, Model, Navigator, NoGyroscope, Profile, Sample, SampleFault, Settings, Start,
 };
 use wimu_nav::state::LayoutFull;
 use wimu_nav::stationarity::{Detector, Stationarity};
@@ -261,11 +260,7 @@ impl Unit<'_> {
         }
         settings.errors.time_s = self.time_sd_s;
         settings.within_m = choice.within_m;
-        settings.rests = match choice.zupt {
-            Zupt::Assumed => Rests::ConstantVelocity,
-            Zupt::Stated => Rests::ZeroVelocity,
-            Zupt::Off => Rests::Ignored,
-        };
+        settings.rests = choice.zupt.rests();
         settings
     }
 

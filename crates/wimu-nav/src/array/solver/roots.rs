@@ -2,6 +2,7 @@
 
 use super::{ArraySolver, HYPOTHESES, Hypothesis, Linear, Solution, inner};
 use crate::Real;
+use crate::rotation::real;
 
 /// Damped Gauss-Newton steps; a good start takes 2 to 4.
 const MOST_STEPS: usize = 20;
@@ -22,11 +23,7 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
         let mut solution = Solution {
             hypotheses: [None; HYPOTHESES],
         };
-        let finite = linear
-            .z
-            .iter()
-            .chain(&linear.theta)
-            .all(|v| Real::is_finite(*v));
+        let finite = linear.z.iter().chain(&linear.theta).all(|v| v.is_finite());
         if self.rank < 3 || !finite {
             return solution;
         }
@@ -60,7 +57,7 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
         let Some(best) = best else { return solution };
         let mut count = 0;
         for candidate in found.into_iter().flatten() {
-            let late = candidate.chi_square > best + R::from_f64(RULED_OUT);
+            let late = candidate.chi_square > best + real(RULED_OUT);
             let opposite = self.complete(linear, candidate.rate_rad_s.map(|w| -w));
             for hypothesis in [candidate, opposite] {
                 let known = solution.hypotheses().any(|other| same(other, &hypothesis));
@@ -90,7 +87,7 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
         let mut rate = start_rad_s;
         let mut state = self.evaluate(linear, rate);
         let mut damping = R::default();
-        let tiny = R::from_f64(1e-3);
+        let tiny = real(1e-3);
         for _ in 0..MOST_STEPS {
             let mut damped = state.information;
             let trace = damped[0][0] + damped[1][1] + damped[2][2];
@@ -99,7 +96,7 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
             }
             let step = inverse3(&damped).map(|inverse| times(&inverse, state.gradient));
             let Some(step) = step else {
-                if damping > R::from_f64(1e3) {
+                if damping > real(1e3) {
                     break;
                 }
                 damping = more(damping);
@@ -112,11 +109,11 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
             if next.cost <= state.cost {
                 rate = trial;
                 state = next;
-                damping = damping * R::from_f64(0.1);
+                damping *= real(0.1);
                 if gain < tiny {
                     break;
                 }
-            } else if gain < tiny || damping > R::from_f64(1e3) {
+            } else if gain < tiny || damping > real(1e3) {
                 break;
             } else {
                 damping = more(damping);
@@ -181,7 +178,7 @@ fn chi<R: Real>(hypotheses: &[Option<Hypothesis<R>>; HYPOTHESES], index: usize) 
 fn same<R: Real>(a: &Hypothesis<R>, b: &Hypothesis<R>) -> bool {
     let d = sub(a.rate_rad_s, b.rate_rad_s);
     let apart = dot(d, times(&a.information, d));
-    apart <= R::from_f64(SAME_ROOT_SIGMA2)
+    apart <= real(SAME_ROOT_SIGMA2)
 }
 
 /// ω from the six monomials, up to its sign: equation (74).
@@ -214,8 +211,8 @@ fn closed_form<R: Real>(q: &[R; 6]) -> [R; 3] {
 }
 
 fn more<R: Real>(damping: R) -> R {
-    let least = R::from_f64(1e-3);
-    let ten = damping * R::from_f64(10.0);
+    let least = real(1e-3);
+    let ten = damping * real(10.0);
     if ten > least { ten } else { least }
 }
 
@@ -239,11 +236,11 @@ pub(super) fn inverse3<R: Real>(m: &[[R; 3]; 3]) -> Option<[[R; 3]; 3]> {
     let xz = b * e - c * d;
     let determinant = a * xx + b * xy + c * xz;
     let trace = a + d + f;
-    let least = trace * trace * trace * R::from_f64(1e-6);
+    let least = trace * trace * trace * real(1e-6);
     if !(determinant > least && determinant > R::default()) {
         return None;
     }
-    let k = R::from_f64(1.0) / determinant;
+    let k = R::one() / determinant;
     let yy = (a * f - c * c) * k;
     let yz = (b * c - a * e) * k;
     let zz = (a * d - b * b) * k;

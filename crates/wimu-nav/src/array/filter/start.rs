@@ -1,0 +1,260 @@
+//! Start, rests, gaps and divergence of the filter of an array: equation (98).
+
+use nalgebra::{Matrix1, Matrix3, Rotation3, SMatrix, SVector, Vector3};
+
+use super::{Alignment, ArrayFilter, FREEDOM, START_ROTATION, STATES};
+use crate::Real;
+use crate::array::noise::Level;
+use crate::array::solver::Linear;
+use crate::filter::{Filter, Gate};
+use crate::mixture::Mixture;
+use crate::navigator::Rests;
+use crate::process::{RigidArray, RigidArrayBlocks, Unmeasured};
+use crate::rotation::{level, real};
+use crate::sensor::{Velocity, Zero};
+use crate::state::{ATTITUDE, POSITION, VELOCITY};
+
+/// Time of the alignment, s.
+const ALIGN_S: f64 = 0.5;
+/// Start in motion: deviations of velocity, m/s, and tilt, rad.
+const MOVING_VELOCITY: f64 = 10.0;
+const MOVING_TILT: f64 = 1.0;
+/// At a rest, as means of half a second: velocity, m/s; angular rate, rad/s; angular acceleration, rad/s².
+const REST_SPEED: f64 = 0.01;
+const REST_ROTATION: [f64; 2] = [0.02, 0.1];
+const REST_S: f64 = 0.5;
+const ZERO_INTERVAL_S: f64 = 0.05;
+/// As for one unit: interval of the velocity updates, and how long a rest fails its test before it is certain, s.
+const REST_INTERVAL_S: f64 = 0.25;
+const CERTAIN_REST_S: f64 = 1.5;
+/// The same where rests are stated to be rests, s.
+const STATED_REST_S: f64 = 0.25;
+/// Variance of an unknown heading, rad²: a uniform distribution.
+const HEADING_UNKNOWN: f64 = 3.29;
+/// Speed beyond which the filter has diverged, m/s, and deviation of the position then, m, as for one unit.
+const DIVERGED_SPEED: f64 = 300.0;
+const LOST_POSITION: f64 = 1e4;
+
+impl<R: Real, const M: usize> ArrayFilter<R, M> {
+    /// Alignment with the mean specific force; after a start in motion with that of the first rest.
+    pub(super) fn align(&mut self, step: f64, linear: &Linear<R>, at_rest: bool) {
+        let align = &mut self.align;
+        align.force += Vector3::from_fn(|i, _| linear.theta[3 + i].to_f64());
+        align.time_s += step;
+        align.count += 1.0;
+        if align.time_s < ALIGN_S && !self.moving_start || align.count < 2.0 && !at_rest {
+            return;
+        }
+        let force = if at_rest {
+            self.rest_test.force()
+        } else {
+            align.force / align.count
+        };
+        self.align = Alignment::EMPTY;
+        if let Some(attitude) = level(&force, None) {
+            self.begin(
+                Rotation3::from_matrix_unchecked(attitude.matrix().map(real)),
+                &force,
+                at_rest,
+            );
+        }
+    }
+
+    pub(super) fn begin(&mut self, attitude: Rotation3<R>, force: &Vector3<f64>, rest: bool) {
+        let g = self.config.gravity_mps2;
+        let [own, common] = self.bias_variances();
+        let bias = own * self.array.solver().covariance()[3][3] + common;
+        let excess = force.norm() - g;
+        let (tilt, velocity) = match rest {
+            true => ((bias + excess * excess / 4.0) / (g * g) + 1e-6, 1e-6),
+            false => (MOVING_TILT * MOVING_TILT, MOVING_VELOCITY * MOVING_VELOCITY),
+        };
+        let diagonal = |variance: f64| Matrix3::from_diagonal_element(real::<R>(variance));
+        let mut filter = Filter::new(&self.layout, attitude);
+        let tilt = Matrix3::from_diagonal(&Vector3::new(tilt, tilt, 1e-8).map(real));
+        filter.set_covariance(ATTITUDE, &tilt);
+        filter.set_covariance(VELOCITY, &diagonal(velocity));
+        if self.lost {
+            filter.set_covariance(POSITION, &diagonal(LOST_POSITION * LOST_POSITION));
+        }
+        self.mixture = Some(Mixture::new(filter));
+        self.begin_biases(true);
+        self.direction = *force;
+        self.last = None;
+        self.moving_start = !rest;
+        self.valid = rest;
+        if rest {
+            self.since_rest_s = 0.0;
+        }
+    }
+
+    /// Variances of the bias of an axis, in units of what the geometry declares for its noise, and of the bias that all
+    /// sensors share, (m/s²)².
+    pub(super) fn bias_variances(&self) -> [f64; 2] {
+        let c = &self.config;
+        let square = |x: f64| x * x;
+        let variance = self.array.solver().variance_mps2().to_f64();
+        [
+            (square(c.bias_mps2) + square(c.scale * c.gravity_mps2)) / variance,
+            square(c.common_bias_mps2) + square(c.common_scale * c.gravity_mps2),
+        ]
+    }
+
+    /// Biases as before the first sample; those of the specific force where `all`.
+    pub(super) fn begin_biases(&mut self, all: bool) {
+        let [own, common] = self.bias_variances();
+        let (own, common) = (real::<R>(own), real::<R>(common));
+        let solver = self.array.solver();
+        let covariance = solver.covariance();
+        let mut theta = SMatrix::<R, 6, 6>::from_fn(|i, j| real::<R>(covariance[i][j]) * own);
+        for i in 3..6 {
+            theta[(i, i)] += common;
+        }
+        let rank = solver.rank();
+        let z =
+            SMatrix::<R, 6, 6>::from_fn(|i, j| if i == j && i < rank { own } else { R::zero() });
+        let RigidArrayBlocks { bias, z_bias, .. } = self.blocks;
+        let first = bias.part::<3, 0>();
+        for filter in self.mixture.iter_mut().flat_map(Mixture::filters_mut) {
+            if all {
+                filter.set_covariance(bias, &theta);
+                filter.state.set(bias, SVector::zeros());
+            } else {
+                filter.set_covariance(first, &theta.fixed_view::<3, 3>(0, 0).into_owned());
+                filter.state.set(first, Vector3::zeros());
+            }
+            filter.set_covariance(z_bias, &z);
+            filter.state.set(z_bias, SVector::zeros());
+        }
+    }
+
+    /// Zero velocity and rotation at what looks like a rest. One whose velocity fails its test is constant velocity; it is a
+    /// rest if it goes on failing, as for one unit.
+    pub(super) fn rest(&mut self, step: f64) {
+        if !self.resting {
+            self.failing_s += step;
+        }
+        if self.since_update_s >= REST_INTERVAL_S
+            && let Some(mixture) = &mut self.mixture
+        {
+            self.since_update_s = 0.0;
+            let zero = Velocity::zero(real(REST_SPEED), Some(self.hidden));
+            let innovation = mixture.update_each(real(FREEDOM), Gate::ChiSquare, &zero);
+            self.resting = innovation.is_some_and(|i| i.accepted);
+            let certain = match self.config.rests {
+                Rests::ZeroVelocity => STATED_REST_S,
+                _ => CERTAIN_REST_S,
+            };
+            if !self.resting && self.failing_s >= certain {
+                self.begin_again();
+                self.resting = true;
+            }
+        }
+        if self.resting {
+            self.failing_s = 0.0;
+            self.since_rest_s = 0.0;
+            self.valid = true;
+            // The mean over half a second, shared among the updates in it.
+            self.since_zero_s += step;
+            if self.since_zero_s < ZERO_INTERVAL_S {
+                return;
+            }
+            let slower = libm::sqrt((REST_S / self.since_zero_s).max(1.0));
+            self.since_zero_s = 0.0;
+            let [rate, acceleration] = REST_ROTATION.map(|d| real::<R>(d * slower));
+            let zero = Zero {
+                block: self.blocks.rotation,
+                deviation: [rate, rate, rate, acceleration, acceleration, acceleration],
+            };
+            if let Some(mixture) = &mut self.mixture {
+                mixture.update_each(real(FREEDOM), Gate::Open, &zero);
+            }
+        }
+    }
+
+    /// At a rest that is certain, and whose velocity failed its test: the linearisation does not hold. Attitude, velocity,
+    /// rotation and biases begin again, the position is uncertain by the velocity times the time since the last rest.
+    pub(super) fn begin_again(&mut self) {
+        let Some(mixture) = &self.mixture else {
+            return;
+        };
+        let before = mixture.moments();
+        let attitude = before.state.attitude;
+        let force = self.rest_test.force().map(real::<R>);
+        let up = attitude * force;
+        let levelled =
+            Rotation3::rotation_between(&up, &Vector3::z()).unwrap_or(Rotation3::identity());
+        let heading = before.covariance(ATTITUDE)[(2, 2)].to_f64()
+            + libm::pow(levelled.angle().to_f64(), 2.0);
+        let moved = before.state.get(VELOCITY) * real::<R>(self.since_rest_s);
+        let position =
+            before.covariance(POSITION) + Matrix3::from_diagonal(&moved.component_mul(&moved));
+        self.begin(levelled * attitude, &self.rest_test.force(), true);
+        self.recoveries = self.recoveries.saturating_add(1);
+        for filter in self.mixture.iter_mut().flat_map(Mixture::filters_mut) {
+            filter.state.set(POSITION, before.state.get(POSITION));
+            filter.set_covariance(POSITION, &position);
+            let heading = Matrix1::new(real::<R>(heading.min(HEADING_UNKNOWN)));
+            filter.set_covariance(ATTITUDE.part::<1, 2>(), &heading);
+        }
+    }
+
+    /// Time without a usable sample. After a gap the rotation is unknown.
+    pub(super) fn interrupt(&mut self, step: f64, gap: bool) {
+        self.valid = false;
+        self.resting = false;
+        self.rest_test.interrupt();
+        self.surprise = 1.0;
+        self.last = None;
+        let step_s = real::<R>(step.min(1e3));
+        let solver = self.array.solver();
+        let rotation = RigidArray {
+            blocks: &self.blocks,
+            solver,
+            acceleration_walk: real(self.level.activity),
+            rate_walk: R::zero(),
+            bias_decay: R::one(),
+            bias_variance: R::zero(),
+            common_variance: R::zero(),
+            step_s,
+        };
+        let [rate, acceleration] = START_ROTATION.map(|d| real::<R>(d * d));
+        let unknown = [rate, rate, rate, acceleration, acceleration, acceleration];
+        let unknown = SMatrix::<R, 6, 6>::from_diagonal(&unknown.into());
+        for filter in self.mixture.iter_mut().flat_map(Mixture::filters_mut) {
+            filter.predict(&Unmeasured { step_s });
+            if gap {
+                filter.set_covariance(self.blocks.rotation, &unknown);
+            } else {
+                filter.predict(&rotation);
+            }
+        }
+    }
+
+    /// Where a number is not finite, or the speed not possible, velocity and position are unknown until the next rest. The
+    /// rotation continues if it is finite.
+    pub(super) fn restart_if_diverged(&mut self) {
+        let Some(mixture) = &mut self.mixture else {
+            return;
+        };
+        let sound = mixture.components().iter().all(|c| c.filter.is_sound());
+        let slow =
+            |filter: &Filter<R, STATES>| filter.state.get(VELOCITY).norm() < real(DIVERGED_SPEED);
+        if sound && mixture.components().iter().all(|c| slow(&c.filter)) {
+            return;
+        }
+        (self.valid, self.resting, self.lost, self.moving_start) = (false, false, true, true);
+        if !sound {
+            self.mixture = None;
+            self.level = Level::new();
+            return;
+        }
+        let diagonal = |d: f64| Matrix3::from_diagonal_element(real::<R>(d * d));
+        for filter in mixture.filters_mut() {
+            filter.state.set(VELOCITY, Vector3::zeros());
+            filter.set_covariance(ATTITUDE, &diagonal(MOVING_TILT));
+            filter.set_covariance(VELOCITY, &diagonal(MOVING_VELOCITY));
+            filter.set_covariance(POSITION, &diagonal(LOST_POSITION));
+        }
+    }
+}

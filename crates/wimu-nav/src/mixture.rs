@@ -1,0 +1,237 @@
+//! Mixture of Gaussians: at most `K` weighted filters, where one Gaussian does not hold what is known. Examples: the sign of
+//! an angular rate of which only the square is measured, a range with or without line of sight. Equations (134) to (136).
+//!
+//! Weights are products of likelihoods; components that agree are merged, and the mean of all is reported, both by their
+//! first two moments (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation",
+//! 2001, sections 1.4.16 and 11.6; H. A. P. Blom and Y. Bar-Shalom, "The interacting multiple model algorithm for systems
+//! with Markovian switching coefficients", IEEE Trans. Autom. Control 33, 1988).
+
+use heapless::Vec;
+use nalgebra::RealField;
+
+use crate::filter::{Filter, Gate, Innovation};
+use crate::rotation::real;
+use crate::sensor::Measurement;
+use crate::state::Block;
+
+/// Components below this fraction of the most probable one are removed, as a logarithm.
+const PRUNED: f64 = -20.0;
+/// Most candidates of one update.
+const CANDIDATES: usize = 24;
+
+/// A filter with the logarithm of its probability.
+#[derive(Clone, Debug)]
+pub struct Component<R, const N: usize> {
+    /// Logarithm of the probability.
+    pub log_weight: R,
+    /// State and covariance under this hypothesis.
+    pub filter: Filter<R, N>,
+}
+
+/// At most `K` filters with their probabilities, the most probable first. There is always one.
+#[derive(Clone, Debug)]
+pub struct Mixture<R, const N: usize, const K: usize> {
+    components: Vec<Component<R, N>, K>,
+}
+
+/// A measurement under one hypothesis of one component.
+struct Candidate<R, Z> {
+    parent: usize,
+    measurement: Z,
+    log_weight: R,
+    innovation: Option<Innovation<R>>,
+}
+
+impl<R: RealField + Copy, const N: usize, const K: usize> Mixture<R, N, K> {
+    /// One filter, with probability 1.
+    pub fn new(filter: Filter<R, N>) -> Self {
+        const { assert!(K >= 1, "a mixture needs a component") };
+        let mut components = Vec::new();
+        let log_weight = R::zero();
+        let _ = components.push(Component { log_weight, filter });
+        Self { components }
+    }
+
+    /// The components, the most probable first.
+    pub fn components(&self) -> &[Component<R, N>] {
+        &self.components
+    }
+
+    /// The filters, for predictions, and updates that do not distinguish between them.
+    pub fn filters_mut(&mut self) -> impl Iterator<Item = &mut Filter<R, N>> {
+        self.components.iter_mut().map(|c| &mut c.filter)
+    }
+
+    /// Probability of the most probable component.
+    pub fn certainty(&self) -> R {
+        self.components
+            .first()
+            .map_or(R::one(), |best| best.log_weight.exp())
+    }
+
+    /// Update with a measurement whose model is ambiguous. `propose` calls its second argument with each model that may hold
+    /// for a component: linearised at each root, or with and without line of sight. Each model makes a component of its
+    /// own; the `K` most probable remain. Likelihoods are those of Student's t with `freedom` degrees of freedom, so that an
+    /// outlier does not decide (M. Roth, E. Özkan, F. Gustafsson, "A Student's t filter for heavy tailed process and
+    /// measurement noise", ICASSP 2013).
+    ///
+    /// Returns the innovation of the most probable one. It is not accepted, and the mixture unchanged, where its statistic
+    /// exceeds `limit`. `None`: no model was proposed, or none had a finite likelihood.
+    pub fn update<const M: usize, Z: Measurement<R, N, M>>(
+        &mut self,
+        freedom: R,
+        limit: R,
+        mut propose: impl FnMut(&Filter<R, N>, &mut dyn FnMut(Z)),
+    ) -> Option<Innovation<R>> {
+        let mut candidates: Vec<Candidate<R, Z>, CANDIDATES> = Vec::new();
+        for (parent, component) in self.components.iter().enumerate() {
+            propose(&component.filter, &mut |measurement| {
+                let _ = candidates.push(Candidate {
+                    parent,
+                    measurement,
+                    log_weight: component.log_weight,
+                    innovation: None,
+                });
+            });
+        }
+        if let ([component], [only]) = (&mut *self.components, &*candidates) {
+            let within = |i: &Innovation<R>| i.statistic <= limit;
+            let innovation = component.filter.update_if(&only.measurement, within, &mut ());
+            return Some(innovation).filter(|i| i.statistic.is_finite());
+        }
+        self.weigh(&mut candidates, freedom);
+        let mut best = candidates.first()?.innovation?;
+        best.accepted = best.statistic <= limit;
+        if !best.accepted {
+            return Some(best);
+        }
+        let mut children: Vec<Component<R, N>, K> = Vec::new();
+        for candidate in &candidates {
+            if let Some(parent) = self.components.get(candidate.parent) {
+                let mut filter = parent.filter.clone();
+                if filter.update(&candidate.measurement, Gate::Open).accepted {
+                    let log_weight = candidate.log_weight;
+                    let _ = children.push(Component { log_weight, filter });
+                }
+            }
+        }
+        if !children.is_empty() {
+            self.components = children;
+            self.normalise();
+        }
+        Some(best)
+    }
+
+    /// Likelihoods of the candidates, the greatest first; without those that are pruned.
+    fn weigh<const M: usize, Z: Measurement<R, N, M>>(
+        &self,
+        candidates: &mut Vec<Candidate<R, Z>, CANDIDATES>,
+        freedom: R,
+    ) {
+        for candidate in candidates.iter_mut() {
+            if let Some(parent) = self.components.get(candidate.parent) {
+                let innovation = parent.filter.test(&candidate.measurement);
+                candidate.log_weight += robust(&innovation, freedom);
+                candidate.innovation = Some(innovation);
+            }
+        }
+        candidates.retain(|c| c.log_weight.is_finite());
+        candidates.sort_unstable_by(|a, b| {
+            let order = b.log_weight.partial_cmp(&a.log_weight);
+            order.unwrap_or(core::cmp::Ordering::Equal)
+        });
+        if let Some(most) = candidates.first().map(|c| c.log_weight) {
+            candidates.retain(|c| c.log_weight > most + real(PRUNED));
+        }
+        candidates.truncate(K);
+    }
+
+    /// Merges components whose states in a block differ by less than `distance` squared deviations.
+    pub fn merge<const W: usize>(&mut self, block: Block<W>, distance: R) {
+        if self.components.len() < 2 {
+            return;
+        }
+        let mut first = 0;
+        while first < self.components.len() {
+            let mut second = first + 1;
+            while second < self.components.len() {
+                let [a, b] = [&self.components[first], &self.components[second]];
+                if a.filter.distance(&b.filter, block) < distance {
+                    let merged = a.merged(b);
+                    self.components[first] = merged;
+                    self.components.swap_remove(second);
+                } else {
+                    second += 1;
+                }
+            }
+            first += 1;
+        }
+        self.normalise();
+    }
+
+    /// One filter with the mean and the covariance of the mixture.
+    pub fn moments(&self) -> Filter<R, N> {
+        let mut all = self.components[0].clone();
+        for component in self.components.iter().skip(1) {
+            all = all.merged(component);
+        }
+        all.filter
+    }
+
+    /// Update of every component with one measurement. Returns the innovation of the component that was the most probable.
+    pub fn update_each<const M: usize>(
+        &mut self,
+        freedom: R,
+        gate: Gate,
+        measurement: &impl Measurement<R, N, M>,
+    ) -> Option<Innovation<R>> {
+        let mut best = None;
+        for component in &mut self.components {
+            let innovation = component.filter.update(measurement, gate);
+            let likelihood = robust(&innovation, freedom);
+            if likelihood.is_finite() {
+                component.log_weight += likelihood;
+            }
+            best = best.or(Some(innovation));
+        }
+        self.normalise();
+        best
+    }
+
+    /// Sorts, prunes, and makes the sum of the probabilities one.
+    fn normalise(&mut self) {
+        self.components.sort_unstable_by(|a, b| {
+            let order = b.log_weight.partial_cmp(&a.log_weight);
+            order.unwrap_or(core::cmp::Ordering::Equal)
+        });
+        let most = self.components[0].log_weight;
+        let mut first = true;
+        self.components
+            .retain(|c| core::mem::take(&mut first) || c.log_weight >= most + real(PRUNED));
+        let weights = self.components.iter().map(|c| (c.log_weight - most).exp());
+        let total = most + weights.fold(R::zero(), |sum, w| sum + w).ln();
+        for component in &mut self.components {
+            component.log_weight -= total;
+        }
+    }
+}
+
+impl<R: RealField + Copy, const N: usize> Component<R, N> {
+    /// Both with their mean and covariance.
+    fn merged(&self, other: &Self) -> Self {
+        let most = self.log_weight.max(other.log_weight);
+        let [a, b] = [self, other].map(|c| (c.log_weight - most).exp());
+        Self {
+            log_weight: most + (a + b).ln(),
+            filter: self.filter.moments(&other.filter, b / (a + b)),
+        }
+    }
+}
+
+/// Logarithm of Student's t density of an innovation, up to a constant.
+fn robust<R: RealField + Copy>(innovation: &Innovation<R>, freedom: R) -> R {
+    let half = real::<R>(0.5);
+    let dof = real::<R>(innovation.dof as f64);
+    let gaussian = innovation.log_likelihood + innovation.statistic * half;
+    gaussian - (freedom + dof) * half * (innovation.statistic / freedom).ln_1p()
+}

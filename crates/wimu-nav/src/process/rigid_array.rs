@@ -1,0 +1,213 @@
+//! A rigid body with several accelerometers: angular rate and angular acceleration are states, the specific force is
+//! measured. Equation (96).
+//!
+//! The angular acceleration is a random walk (white-noise jerk: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with
+//! Applications to Tracking and Navigation", 2001, section 6.2.3). The errors of the sensors act on the closed form of a
+//! sample, equations (71) and (72), as biases of θ and z, and as an error of the size of the array.
+
+use nalgebra::{Matrix3, Rotation3, Vector3};
+
+use super::{Process, Transition};
+use crate::Real;
+use crate::array::{ArraySolver, Linear};
+use crate::rotation::real;
+use crate::state::{ATTITUDE, Block, Layout, LayoutFull, POSITION, Role, State, VELOCITY};
+
+/// Correlation time of the second-order error of the specific force, s: a second of motion between rests, chosen on
+/// simulated journeys (array_journeys).
+const SECOND_ORDER_S: f64 = 1.0;
+
+/// States of an array beside attitude, velocity and position.
+#[derive(Clone, Copy, Debug)]
+pub struct RigidArrayBlocks {
+    /// Angular rate, rad/s, and angular acceleration, rad/s², body frame.
+    pub rotation: Block<6>,
+    /// Biases of [`Linear::theta`]: rad/s², m/s².
+    pub bias: Block<6>,
+    /// Biases of [`Linear::z`].
+    pub z_bias: Block<6>,
+    /// Effect e of errors of the lever arms, considered: the sensors show ω + |ω| e, equation (105).
+    pub lever: Block<3>,
+}
+
+impl RigidArrayBlocks {
+    /// Claims 21 states, with the initial standard deviations of the rotation, rad/s and rad/s², and of e. Those of
+    /// the biases are zero: [`set_covariance`](crate::filter::Filter::set_covariance) gives them.
+    ///
+    /// # Errors
+    /// [`LayoutFull`].
+    pub fn claim<R: Real, const N: usize>(
+        layout: &mut Layout<R, N>,
+        [rate, acceleration]: [R; 2],
+        lever: R,
+    ) -> Result<Self, LayoutFull> {
+        let rotation = [rate, rate, rate, acceleration, acceleration, acceleration];
+        Ok(Self {
+            rotation: layout.claim(Role::Estimated, rotation)?,
+            bias: layout.claim(Role::Estimated, [R::zero(); 6])?,
+            z_bias: layout.claim(Role::Estimated, [R::zero(); 6])?,
+            lever: layout.claim(Role::Considered, [lever; 3])?,
+        })
+    }
+
+    /// Angular rate, rad/s.
+    pub fn rate(&self) -> Block<3> {
+        self.rotation.part::<3, 0>()
+    }
+
+    /// Angular acceleration, rad/s².
+    pub fn acceleration(&self) -> Block<3> {
+        self.rotation.part::<3, 3>()
+    }
+}
+
+/// Rotation over a step, and the drift of the biases.
+#[derive(Clone, Copy, Debug)]
+pub struct RigidArray<'a, R, const M: usize> {
+    /// Its states.
+    pub blocks: &'a RigidArrayBlocks,
+    /// Closed form of a sample.
+    pub solver: &'a ArraySolver<R, M>,
+    /// Density of the noise of the angular acceleration, (rad/s²)²/s.
+    pub acceleration_walk: R,
+    /// Density of the noise of the angular rate, (rad/s)²/s.
+    pub rate_walk: R,
+    /// Factor by which the biases decay, and what is added to their variance: of an axis in units of its noise variance, and
+    /// of the specific force besides, (m/s²)².
+    pub bias_decay: R,
+    /// See [`bias_decay`](Self::bias_decay).
+    pub bias_variance: R,
+    /// See [`bias_decay`](Self::bias_decay).
+    pub common_variance: R,
+    /// Length of the step, s.
+    pub step_s: R,
+}
+
+impl<R: Real, const M: usize> RigidArray<'_, R, M> {
+    fn propagate_rotation<const N: usize>(
+        &self,
+        state: &mut State<R, N>,
+        transition: &mut Transition<R, N>,
+    ) {
+        let (dt, one) = (self.step_s, Matrix3::identity());
+        let (rate, acceleration) = (self.blocks.rate(), self.blocks.acceleration());
+        let c = *state.attitude.matrix();
+        transition.add(ATTITUDE, rate, c * dt);
+        transition.add(ATTITUDE, acceleration, c * (dt * dt * real(0.5)));
+        transition.add(rate, acceleration, one * dt);
+        // White noise of both, integrated over the step.
+        let (walk, jerk) = (self.rate_walk * dt, self.acceleration_walk * dt);
+        let term = |matrix: Matrix3<R>, of_rate: f64, of_acceleration: f64| {
+            matrix * (walk * real(of_rate) + jerk * dt * dt * real(of_acceleration))
+        };
+        transition.add_covariance(ATTITUDE, ATTITUDE, term(one * (dt * dt), 1.0 / 3.0, 0.05));
+        transition.add_covariance(ATTITUDE, rate, term(c * dt, 0.5, 0.125));
+        transition.add_covariance(
+            ATTITUDE,
+            acceleration,
+            c * (jerk * dt * dt * real(1.0 / 6.0)),
+        );
+        transition.add_covariance(rate, rate, term(one, 1.0, 1.0 / 3.0));
+        transition.add_covariance(rate, acceleration, one * (jerk * dt * real(0.5)));
+        transition.add_noise(acceleration, jerk);
+
+        let (w, a) = (state.get(rate), state.get(acceleration));
+        state.attitude *= Rotation3::new((w + a * (dt * real(0.5))) * dt);
+        state.set(rate, w + a * dt);
+    }
+
+    fn propagate_biases<const N: usize>(
+        &self,
+        state: &mut State<R, N>,
+        transition: &mut Transition<R, N>,
+    ) {
+        let RigidArrayBlocks { bias, z_bias, .. } = *self.blocks;
+        let (first, second) = (bias.part::<3, 0>(), bias.part::<3, 3>());
+        if self.bias_decay < R::one() {
+            let lost = Matrix3::identity() * (self.bias_decay - R::one());
+            for block in [first, second, z_bias.part::<3, 0>(), z_bias.part::<3, 3>()] {
+                transition.add(block, block, lost);
+                state.set(block, state.get(block) * self.bias_decay);
+            }
+        }
+        let covariance = self.solver.covariance();
+        let part = |row: usize, column: usize| {
+            Matrix3::from_fn(|i, j| real::<R>(covariance[row + i][column + j]) * self.bias_variance)
+        };
+        transition.add_covariance(first, first, part(0, 0));
+        transition.add_covariance(first, second, part(0, 3));
+        transition.add_covariance(second, second, part(3, 3));
+        transition.add_noise(second, self.common_variance);
+        for k in 0..self.solver.rank().min(6) {
+            transition.add_noise_at(z_bias, k, self.bias_variance);
+        }
+    }
+}
+
+impl<R: Real, const M: usize, const N: usize> Process<R, N> for RigidArray<'_, R, M> {
+    fn propagate(&self, state: &mut State<R, N>, transition: &mut Transition<R, N>) {
+        self.propagate_rotation(state, transition);
+        self.propagate_biases(state, transition);
+    }
+}
+
+/// Velocity and position over half an interval between samples, from the specific force at one end: both halves are the
+/// trapezoidal rule.
+#[derive(Clone, Copy, Debug)]
+pub struct ArrayForce<'a, R, const M: usize> {
+    /// Its states.
+    pub blocks: &'a RigidArrayBlocks,
+    /// Closed form of a sample.
+    pub solver: &'a ArraySolver<R, M>,
+    /// The sample.
+    pub linear: &'a Linear<R>,
+    /// Gravity, m/s².
+    pub gravity_mps2: R,
+    /// Variance of the sample in units of what the geometry declares.
+    pub noise_factor: R,
+    /// Variance of the specific force besides, a component, (m/s²)².
+    pub force_variance: R,
+    /// Half the interval between two samples, s.
+    pub step_s: R,
+    /// Covariance of the attitude error, rad²: the mean specific force is smaller than that of the mean attitude.
+    pub attitude_covariance: Matrix3<R>,
+}
+
+impl<R: Real, const M: usize, const N: usize> Process<R, N> for ArrayForce<'_, R, M> {
+    fn propagate(&self, state: &mut State<R, N>, transition: &mut Transition<R, N>) {
+        let (dt, half) = (self.step_s, real::<R>(0.5));
+        let bias = self.blocks.bias.part::<3, 3>();
+        let rate = state.get(self.blocks.rate());
+        let (theta, slope) = self.solver.expected_theta(rate.into());
+        let b = state.get(bias);
+        let force = Vector3::from_fn(|i, _| self.linear.theta[3 + i] - theta[3 + i] - b[i]);
+        let c = *state.attitude.matrix();
+        // Mean of C f to second order of the attitude error, equation (124); the deviation of that term is its size.
+        let p = &self.attitude_covariance;
+        let second = (p - Matrix3::identity() * p.trace()) * (c * force) * half;
+        let acceleration = c * force + second - Vector3::z() * self.gravity_mps2;
+        let velocity = state.get(VELOCITY);
+        let moved = state.get(POSITION) + (velocity + acceleration * (dt * half)) * dt;
+        state.set(POSITION, moved);
+        state.set(VELOCITY, velocity + acceleration * dt);
+
+        let by_rate = Matrix3::from_fn(|i, j| slope[3 + i][j]);
+        transition.add(POSITION, VELOCITY, Matrix3::identity() * dt);
+        transition.add(VELOCITY, ATTITUDE, (c * force).cross_matrix() * -dt);
+        transition.add(VELOCITY, bias, c * -dt);
+        transition.add(VELOCITY, self.blocks.rate(), c * by_rate * -dt);
+        // The noise of a sample acts in two halves: half the variance of a full step in each.
+        let covariance = self.solver.covariance();
+        let noise = Matrix3::from_fn(|i, j| {
+            let other = if i == j {
+                self.force_variance
+            } else {
+                R::zero()
+            };
+            real::<R>(covariance[3 + i][3 + j]) * self.noise_factor + other
+        });
+        let noise = c * noise * c.transpose() * (dt * dt * real(2.0));
+        let noise = noise + second * second.transpose() * (dt * real(SECOND_ORDER_S));
+        transition.add_covariance(VELOCITY, VELOCITY, noise);
+    }
+}

@@ -11,7 +11,7 @@ use crate::mixture::Mixture;
 use crate::navigator::Rests;
 use crate::process::{RigidArray, RigidArrayBlocks, Unmeasured};
 use crate::rotation::{level, real};
-use crate::sensor::{Velocity, Zero};
+use crate::sensor::{Velocity, VerticalRate, Zero};
 use crate::state::{ATTITUDE, POSITION, VELOCITY};
 
 /// Time of the alignment, s.
@@ -128,8 +128,9 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         }
     }
 
-    /// Zero velocity and rotation at what looks like a rest. One whose velocity fails its test is constant velocity; it is a
-    /// rest if it goes on failing, as for one unit.
+    /// Zero velocity and rotation at what looks like a rest; after the start, where that may be constant velocity, no angular acceleration and
+    /// a rotation about the vertical. One whose velocity fails its test is constant velocity; it is a rest if it goes on
+    /// failing, as for one unit.
     pub(super) fn rest(&mut self, step: f64) {
         if !self.resting {
             self.failing_s += step;
@@ -162,12 +163,22 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             let slower = libm::sqrt((REST_S / self.since_zero_s).max(1.0));
             self.since_zero_s = 0.0;
             let [rate, acceleration] = REST_ROTATION.map(|d| real::<R>(d * slower));
-            let zero = Zero {
-                block: self.blocks.rotation,
-                deviation: [rate, rate, rate, acceleration, acceleration, acceleration],
+            let Some(mixture) = &mut self.mixture else {
+                return;
             };
-            if let Some(mixture) = &mut self.mixture {
-                mixture.update_each(real(FREEDOM), Gate::Open, &zero);
+            let zero = Zero {
+                block: self.blocks.acceleration(),
+                deviation: [acceleration; 3],
+            };
+            mixture.update_each(real(FREEDOM), Gate::Open, &zero);
+            let block = self.blocks.rate();
+            let freedom = real(FREEDOM);
+            if self.still_start || self.config.rests == Rests::ZeroVelocity {
+                let deviation = [rate; 3];
+                mixture.update_each(freedom, Gate::Open, &Zero { block, deviation });
+            } else {
+                let deviation = rate;
+                mixture.update_each(freedom, Gate::Open, &VerticalRate { block, deviation });
             }
         }
     }

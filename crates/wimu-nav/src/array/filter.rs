@@ -68,7 +68,7 @@ impl Alignment {
 /// let mut filter = ArrayFilter::<f32, 24>::new(board, ArrayConfig::default())?;
 /// // At rest, z up.
 /// for k in 0..200 {
-///     let noise = |axis: usize| if (k + axis / 3) % 2 == 0 { 0.01 } else { -0.01 };
+///     let noise = |axis: usize| 0.003 * ((7 * k + 5 * axis) % 11) as f32 - 0.015;
 ///     let sample = core::array::from_fn(|axis| if axis % 3 == 2 { 9.80665 + noise(axis) } else { noise(axis) });
 ///     filter.push(0.01, &sample).unwrap();
 /// }

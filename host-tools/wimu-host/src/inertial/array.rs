@@ -150,7 +150,7 @@ fn path_of(
     path.findings = warnings(recording.remarks.clone()).chain(said).collect();
     let ambiguous = states
         .iter()
-        .filter(|s| s.certainty > 0.0 && s.certainty < 0.99)
+        .filter(|s| !s.resting && s.certainty > 0.0 && s.certainty < 0.99)
         .count();
     if ambiguous > 0 {
         path.findings.push(FindingCode::Navigation.warning(format!(

@@ -105,6 +105,8 @@ struct Motion {
 /// A journey: its parts, each with how it begins.
 struct Journey {
     parts: Vec<(f64, Part, Start)>,
+    /// Where the array is on the body that turns, m.
+    arm: V,
 }
 
 #[derive(Clone, Copy)]
@@ -116,7 +118,7 @@ struct Start {
 }
 
 impl Journey {
-    fn of(parts: &[Part], attitude: Rotation) -> Self {
+    fn of(parts: &[Part], attitude: Rotation, arm: V) -> Self {
         let mut start = Start {
             position: [0.0; 3],
             velocity: [0.0; 3],
@@ -135,7 +137,7 @@ impl Journey {
                 attitude: end.attitude,
             };
         }
-        Self { parts: all }
+        Self { parts: all, arm }
     }
 
     fn seconds(&self) -> f64 {
@@ -145,7 +147,21 @@ impl Journey {
     fn at(&self, time: f64) -> Motion {
         let index = self.parts.partition_point(|(begin, ..)| *begin <= time);
         let (begin, part, start) = &self.parts[index.max(1) - 1];
-        part.at(start, (time - begin).clamp(0.0, part.seconds))
+        let mut motion = part.at(start, (time - begin).clamp(0.0, part.seconds));
+        let arm = self.arm;
+        let fast = add(
+            cross(motion.turning, arm),
+            cross(motion.rate, cross(motion.rate, arm)),
+            1.0,
+        );
+        motion.position = add(motion.position, apply(&motion.attitude, arm), 1.0);
+        motion.velocity = add(
+            motion.velocity,
+            apply(&motion.attitude, cross(motion.rate, arm)),
+            1.0,
+        );
+        motion.acceleration = add(motion.acceleration, apply(&motion.attitude, fast), 1.0);
+        motion
     }
 }
 
@@ -191,6 +207,8 @@ pub enum Kind {
     Slow(f64, f64, f64),
     /// Pushed to so many m/s, then so many s evenly, braked.
     Cart(f64, f64),
+    /// On a turntable at so many rad/s, so many m off its axis, for 10 s.
+    Turntable(f64, f64),
     /// It does not move, for so many s.
     Still(f64),
 }
@@ -285,7 +303,7 @@ impl Case {
             ..Part::default()
         };
         let tilt = rotation(random.normals(0.5));
-        let mut parts = vec![still(2.5)];
+        let (mut parts, mut arm) = (vec![still(2.5)], [0.0; 3]);
         match self.kind {
             Kind::Moves(metres, radians)
             | Kind::Move(metres, radians)
@@ -320,9 +338,18 @@ impl Case {
                     still(2.0),
                 ]);
             }
+            Kind::Turntable(spin, away) => {
+                let of = |seconds, spin| Part {
+                    seconds,
+                    spin,
+                    ..Part::default()
+                };
+                parts.extend([of(1.0, spin), of(10.0, spin), of(1.0, 0.0), still(2.0)]);
+                arm = back(&tilt, [away, 0.0, 0.0]);
+            }
             Kind::Still(seconds) => parts.push(still(seconds)),
         }
-        Journey::of(&parts, tilt)
+        Journey::of(&parts, tilt, arm)
     }
 
     /// The recording of one seed, with the truth.

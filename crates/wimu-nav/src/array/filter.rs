@@ -117,7 +117,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let array = Array::<R, M>::new(geometry, real(config.range_mps2))?;
         let mut layout = Layout::new([R::zero(); 3], R::zero(), R::zero());
         let solver = array.solver();
-        let lever = libm::sqrt(lever_variance(solver, &config));
+        let lever = solver.rate_error(config.place_sd_m);
         let full = |_| GeometryError::TooFew { have: 0, need: 6 };
         let blocks = RigidArrayBlocks::claim(&mut layout, START_ROTATION.map(real), real(lever))
             .map_err(full)?;
@@ -440,15 +440,4 @@ fn force<'a, R: Real, const M: usize>(
         step_s: real(step * 0.5),
         attitude_covariance: Matrix3::zeros(),
     }
-}
-
-/// Variance of a component of e: relative error of the angular rate by errors of the lever arms, equation (105).
-fn lever_variance<R: Real, const M: usize>(
-    solver: &ArraySolver<R, M>,
-    config: &ArrayConfig,
-) -> f64 {
-    let covariance = solver.covariance();
-    let arms = (0..3).map(|i| covariance[i][i]).sum::<f64>() / 3.0;
-    let place = config.place_sd_m;
-    1.5 * place * place * arms / solver.variance_mps2().to_f64()
 }

@@ -5,8 +5,8 @@ use wimu_nav::array::ArrayState;
 use super::truth::{compare, heading_rad, moving};
 use super::{Choice, InertialPath, Method, PathPoint};
 use crate::array::{
-    Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, mended, navigated,
-    navigated_axes,
+    Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, angular_rate,
+    mended, navigated, navigated_axes,
 };
 use crate::finding::{Finding, FindingCode};
 use crate::motion::{LIKELY, nees};
@@ -18,7 +18,9 @@ const CENTRED_M: f64 = 1e-3;
 const GRAVITY_SHARE: f64 = 0.2;
 
 /// Navigates an array; `recording` is in body axes ([`ArrayRecording::arranged`]). A sensor whose times, or places
-/// whose size the motion shows to be others than given are taken as it shows them, which the remarks say.
+/// whose size the motion shows to be others than given are taken as it shows them, which the remarks say. With
+/// [`Choice::smooth`] the angular rate is that from the whole recording, equation (80), where its variance is smaller; attitude, velocity and position are
+/// those of the forward filter.
 ///
 /// # Errors
 /// Those of [`navigated`]; `data_refused` where the sensors contradict each other, what
@@ -55,7 +57,17 @@ pub fn navigate_array(
         )
         .at(&recording.name));
     }
-    let (states, remarks) = navigated(recording, geometry, calibration, gravity, choice.zupt)?;
+    let (mut states, remarks) = navigated(recording, geometry, calibration, gravity, choice.zupt)?;
+    if choice.smooth {
+        let smoothed = angular_rate(recording, geometry, calibration)?;
+        let rates = (smoothed.rate_rad_s.into_iter()).zip(smoothed.rate_covariance);
+        for (state, (rate, covariance)) in states.iter_mut().zip(rates) {
+            // The filter knows of rests, and of sensors that fail on the way.
+            if trace(&covariance) < trace(&state.rate_covariance) {
+                (state.rate_rad_s, state.rate_covariance) = (rate, covariance);
+            }
+        }
+    }
     let agreement = Agreement::of(recording, geometry, calibration)?;
     if let Some(agreement) = &agreement {
         agreement.check(&recording.name)?;
@@ -83,7 +95,9 @@ pub fn navigate_array(
     let said = said
         .into_iter()
         .map(|text| FindingCode::Geometry.note(text));
-    path_of(recording, &states, choice, remarks.chain(said))
+    let mut path = path_of(recording, &states, choice, remarks.chain(said))?;
+    path.smoothed_rate = choice.smooth;
+    Ok(path)
 }
 
 /// Which point the path is that of, where that is not the origin of the places.
@@ -115,6 +129,10 @@ pub fn navigate_axes(
     path_of(recording, &states, choice, warnings(remarks).chain(point))
 }
 
+fn trace(matrix: &[[f64; 3]; 3]) -> f64 {
+    (0..3).map(|i| matrix[i][i]).sum()
+}
+
 fn warnings(texts: Vec<String>) -> impl Iterator<Item = Finding> {
     (texts.into_iter()).map(|text| FindingCode::Navigation.warning(text))
 }
@@ -139,6 +157,7 @@ fn path_of(
             attitude_sd_rad: [0.0; 3],
             quaternion: state.quaternion,
             rate_rad_s: state.rate_rad_s,
+            rate_covariance: Some(state.rate_covariance),
             covariance_m2: state.position_covariance,
             filtered_sd_m: state.position_sd_m(),
             resting: choice.zupt.is_on() && state.resting,

@@ -19,7 +19,8 @@ const GRAVITY_SHARE: f64 = 0.2;
 
 /// Navigates an array; `recording` is in body axes ([`ArrayRecording::arranged`]). A sensor whose times, or places
 /// whose size the motion shows to be others than given are taken as it shows them, which the remarks say. With
-/// [`Choice::smooth`] the angular rate is that from the whole recording, equation (80), where its variance is smaller; attitude, velocity and position are
+/// [`Choice::smooth`] the angular rate is that from the whole recording, equation (80), where its variance is smaller; the deviation of sensors that nobody
+/// calibrated is that of the filter; attitude, velocity and position are
 /// those of the forward filter.
 ///
 /// # Errors
@@ -64,7 +65,11 @@ pub fn navigate_array(
         for (state, (rate, covariance)) in states.iter_mut().zip(rates) {
             // The filter knows of rests, and of sensors that fail on the way.
             if trace(&covariance) < trace(&state.rate_covariance) {
-                (state.rate_rad_s, state.rate_covariance) = (rate, covariance);
+                state.rate_rad_s = rate;
+                // Biases and scale factors that nobody calibrated do not average out: they are in the filter's states.
+                if calibration.uncalibrated.is_none() {
+                    state.rate_covariance = covariance;
+                }
             }
         }
     }

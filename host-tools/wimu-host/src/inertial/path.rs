@@ -168,9 +168,9 @@ impl InertialPath {
             .sum()
     }
 
-    /// Angular rate of an array while it moves, rad/s rms, and the median of its standard deviation in space.
+    /// Angular rate of an array at valid points in motion, rad/s rms, and the median of its standard deviation in space.
     pub fn angular_rate(&self) -> Option<(f64, f64)> {
-        let moving = || self.points.iter().filter(|p| !p.resting);
+        let moving = || self.points.iter().filter(|p| p.valid && !p.resting);
         let rates = moving().flat_map(|p| p.rate_rad_s).map(|w| w * w);
         let mut sigmas: Vec<f64> = (moving())
             .filter_map(PathPoint::rate_sigma_rad_s)

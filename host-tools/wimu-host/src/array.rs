@@ -27,5 +27,5 @@ pub use refine::{RefineOptions, Refinement, refine};
 pub use rests::EvenTurn;
 pub use single::{SingleAxis, navigated_axes};
 pub use stored::{CalibratedArray, calibrate_array};
-pub(crate) use survey::mended;
+pub(crate) use survey::repaired;
 pub use survey::{Survey, surveyed};

@@ -4,7 +4,7 @@ use wimu_calib::Gravity;
 use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
 
 use super::refine::{RefineOptions, Refinement, refine};
-use super::survey::mended;
+use super::survey::repaired;
 use super::{Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
 use crate::{ErrorCode, HostError, Result};
 
@@ -56,14 +56,14 @@ pub fn calibrate_array(
     (calibration.place_sd_m, calibration.delay_sd_s) = (options.place_sd_m, options.delay_sd_s);
     let mut arranged = arranged;
     let mut size_sd_m = 0.0;
-    if let Some(mended) = mended(&arranged, &geometry, &calibration)? {
-        geometry = mended.geometry;
-        for (sensor, delay) in geometry.sensors.iter_mut().zip(mended.delays_s) {
+    if let Some(repaired) = repaired(&arranged, &geometry, &calibration)? {
+        geometry = repaired.geometry;
+        for (sensor, delay) in geometry.sensors.iter_mut().zip(repaired.delays_s) {
             sensor.delay_us += delay * 1e6;
         }
-        size_sd_m = mended.calibration.size_sd_m;
+        size_sd_m = repaired.calibration.size_sd_m;
         geometry.place_sd_mm = Some(options.place_sd_m.hypot(size_sd_m) * 1e3);
-        remarks = mended.remarks;
+        remarks = repaired.remarks;
         (arranged, calibration) = calibrated(&geometry)?;
     }
     let refinement = refine(&arranged, &geometry, &calibration, options);

@@ -89,7 +89,7 @@ fn survey<const M: usize>(
 }
 
 /// An array as its motion shows it where that is not what was given.
-pub(crate) struct Mended {
+pub(crate) struct Repaired {
     pub recording: ArrayRecording,
     pub geometry: ArrayGeometry,
     pub calibration: ArrayCalibration,
@@ -100,11 +100,11 @@ pub(crate) struct Mended {
 
 /// Takes sensors that are later or earlier, and places that are larger or smaller than anybody said as the motion
 /// shows them; `None` where all is as given.
-pub(crate) fn mended(
+pub(crate) fn repaired(
     recording: &ArrayRecording,
     geometry: &ArrayGeometry,
     calibration: &ArrayCalibration,
-) -> Result<Option<Mended>> {
+) -> Result<Option<Repaired>> {
     let survey = surveyed(recording, geometry, calibration)?;
     let mut remarks = Vec::new();
     let late: Vec<f64> = (survey.delays_s.iter())
@@ -134,34 +134,35 @@ pub(crate) fn mended(
     if remarks.is_empty() && size.is_none() {
         return Ok(None);
     }
-    let mut mended = Mended {
+    let mut repaired = Repaired {
         recording: recording.clone(),
         geometry: geometry.clone(),
         calibration: calibration.clone(),
         delays_s: late,
         remarks,
     };
-    let late = &mended.delays_s;
+    let late = &repaired.delays_s;
     if late.iter().any(|delay| *delay != 0.0) {
-        mended.recording = mended.recording.shifted(late);
-        let mut again = ArrayCalibration::of(&mended.recording, geometry, Gravity::UNKNOWN_PLACE)?;
+        repaired.recording = repaired.recording.shifted(late);
+        let mut again =
+            ArrayCalibration::of(&repaired.recording, geometry, Gravity::UNKNOWN_PLACE)?;
         again.place_sd_m = calibration.place_sd_m;
         again.delay_sd_s = calibration.delay_sd_s;
-        mended.calibration = again;
+        repaired.calibration = again;
     }
     if let Some((size, sd)) = size {
-        for sensor in &mut mended.geometry.sensors {
+        for sensor in &mut repaired.geometry.sensors {
             for place in &mut sensor.places_m {
                 *place = place.map(|c| c / size);
             }
         }
-        mended.calibration.size_sd_m = arm_m(&mended.geometry) * sd / size;
-        mended.remarks.push(format!(
+        repaired.calibration.size_sd_m = arm_m(&repaired.geometry) * sd / size;
+        repaired.remarks.push(format!(
             "the places are {size:.3} ± {sd:.3} times as far apart as the sensors: the rate's changes are not what ω̇ \
              adds up to; they are taken divided by that. Check the unit of the places"
         ));
     }
-    Ok(Some(mended))
+    Ok(Some(repaired))
 }
 
 /// Root mean square distance of the sensors from their centre, m.

@@ -6,7 +6,7 @@ use super::truth::{compare, heading_rad, moving};
 use super::{Choice, InertialPath, Method, PathPoint};
 use crate::array::{
     Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, angular_rate,
-    mended, navigated, navigated_axes,
+    navigated, navigated_axes, repaired,
 };
 use crate::finding::{Finding, FindingCode};
 use crate::motion::{LIKELY, nees};
@@ -17,11 +17,11 @@ const CENTRED_M: f64 = 1e-3;
 /// What the uncalibrated mean of an array's sensors may differ from gravity by, as a part of it.
 const GRAVITY_SHARE: f64 = 0.2;
 
-/// Navigates an array; `recording` is in body axes ([`ArrayRecording::arranged`]). A sensor whose times, or places
-/// whose size the motion shows to be others than given are taken as it shows them, which the remarks say. With
-/// [`Choice::smooth`] the angular rate is that from the whole recording, equation (80), where its variance is smaller; the deviation of sensors that nobody
-/// calibrated is that of the filter; attitude, velocity and position are
-/// those of the forward filter.
+/// Navigates an array; `recording` is in body axes ([`ArrayRecording::arranged`]). Delays of sensors and the size of the
+/// array that the motion contradicts are corrected, with a remark.
+///
+/// With [`Choice::smooth`] the angular rate is that from the whole recording, equation (80), where its variance is smaller.
+/// The deviation of an uncalibrated array is that of the filter. Attitude, velocity and position are those of the filter.
 ///
 /// # Errors
 /// Those of [`navigated`]; `data_refused` where the sensors contradict each other, what
@@ -32,8 +32,8 @@ pub fn navigate_array(
     calibration: &ArrayCalibration,
     choice: &Choice,
 ) -> Result<InertialPath> {
-    let mended = mended(recording, geometry, calibration)?;
-    let (recording, geometry, calibration) = match &mended {
+    let repaired = repaired(recording, geometry, calibration)?;
+    let (recording, geometry, calibration) = match &repaired {
         Some(m) => (&m.recording, &m.geometry, &m.calibration),
         None => (recording, geometry, calibration),
     };
@@ -66,7 +66,7 @@ pub fn navigate_array(
             // The filter knows of rests, and of sensors that fail on the way.
             if trace(&covariance) < trace(&state.rate_covariance) {
                 state.rate_rad_s = rate;
-                // Biases and scale factors that nobody calibrated do not average out: they are in the filter's states.
+                // Uncalibrated biases and scale factors do not average out: they are states of the filter.
                 if calibration.uncalibrated.is_none() {
                     state.rate_covariance = covariance;
                 }
@@ -87,8 +87,8 @@ pub fn navigate_array(
         |agreement| agreement.remark(),
     ));
     said.extend(calibration.remarks());
-    if let Some(mended) = &mended {
-        said.extend(mended.remarks.iter().cloned());
+    if let Some(repaired) = &repaired {
+        said.extend(repaired.remarks.iter().cloned());
     }
     said.extend(point_of(geometry));
     let span = geometry.span_m();

@@ -14,6 +14,7 @@ mod evidence;
 mod finder;
 mod force;
 mod gravity;
+mod gyroscope;
 mod input;
 mod knowledge;
 mod least_squares;
@@ -51,6 +52,10 @@ pub use design::Guide;
 pub use estimate::{Deviations, Drift, Estimate, Method, Misplaced, TermDeviations};
 pub use finder::{Noise, PoseFinder, find_poses};
 pub use gravity::{Gravity, GravityError};
+pub use gyroscope::{
+    AccelerometerCalibration, GyroscopeAdvice, GyroscopeEstimate, GyroscopeRefusal,
+    GyroscopeSession, SixAxisSample, TurnFault,
+};
 pub use magnetometer::{
     Disturbed, MagneticEstimate, MagneticPose, MagneticRefusal, MirroredAxes, magnetometer,
 };

@@ -6,6 +6,7 @@ mod common;
 mod datasheet;
 mod finder;
 mod guide;
+mod gyroscope;
 mod honesty;
 mod judgement;
 mod magnetometer;

@@ -1,0 +1,553 @@
+//! The gyroscope's errors from simulated sessions whose truth is known.
+
+use std::f64::consts::{PI, TAU};
+
+use crate::common;
+
+use common::{DrawModel as _, G, Random, cross, exact, norm, unit};
+use wimu_calib::{
+    AccelerometerCalibration, GyroscopeAdvice, GyroscopeEstimate, GyroscopeRefusal,
+    GyroscopeSession, Model, MultiPosition, Pose, SixAxisSample, TurnFault, multi_position_with,
+};
+use wimu_model::{ErrorModel, GyroscopeModel, GyroscopeTerms, SpecificForceMps2};
+use wimu_testkit::{Coverage, coverage_figure, figure, rms_ratio_can_be, trials};
+
+const STEP_S: f64 = 0.01;
+/// Of a sample: 0.01 °/s/√Hz; m/s².
+const RATE_NOISE: f64 = 0.1 * PI / 180.0;
+const FORCE_NOISE: f64 = 0.03;
+/// 0.01 °/s in 100 s, (rad/s)²/s.
+const BIAS_WALK: f64 = 3e-10;
+const REST: usize = 200;
+const RESTS: usize = 18;
+
+/// A session and its truth.
+struct Simulated {
+    poses: Vec<Pose>,
+    samples: Vec<SixAxisSample>,
+    force: ErrorModel,
+    rate: GyroscopeTerms,
+    /// In the middle of the last rest, rad/s.
+    bias: [f64; 3],
+}
+
+/// A rotation of the body: axis, sensor axes, angle, rad, and number of samples.
+type Rotation = ([f64; 3], f64, usize);
+
+fn turns(random: &mut Random) -> Vec<Rotation> {
+    let mut one = || {
+        let angle = PI / 2.0 * (1.0 + random.uniform());
+        (random.direction(), angle, 150 + random.below(150))
+    };
+    (1..RESTS).map(|_| one()).collect()
+}
+
+fn gyroscope(random: &mut Random) -> GyroscopeTerms {
+    let mut matrix = [[0.0; 3]; 3];
+    for (r, row) in matrix.iter_mut().enumerate() {
+        for (c, entry) in row.iter_mut().enumerate() {
+            *entry = if r == c {
+                1.0 + 0.02 * random.normal()
+            } else {
+                0.02 * random.normal()
+            };
+        }
+    }
+    GyroscopeTerms {
+        bias_rad_s: random.normals(0.03),
+        matrix,
+        g_sensitivity: [0; 3].map(|_| random.normals(1e-4)),
+        ..GyroscopeTerms::default()
+    }
+}
+
+fn rotated(v: [f64; 3], axis: [f64; 3], angle: f64) -> [f64; 3] {
+    let (sin, cos) = angle.sin_cos();
+    let along: f64 = v.iter().zip(axis).map(|(v, a)| v * a).sum();
+    let side = cross(axis, v);
+    [0, 1, 2].map(|i| cos * v[i] + sin * side[i] + (1.0 - cos) * along * axis[i])
+}
+
+fn earth(pole: [f64; 3]) -> [f64; 3] {
+    pole.map(|p| 7.292e-5 * p)
+}
+
+impl Simulated {
+    fn new(random: &mut Random, turns: &[Rotation], noise: f64) -> Self {
+        let mut rate = gyroscope(random);
+        let force = random.model(true);
+        let mut simulated = Self {
+            poses: Vec::new(),
+            samples: Vec::new(),
+            force,
+            rate,
+            bias: [0.0; 3],
+        };
+        let mut up = random.direction();
+        // The Earth's axis in sensor axes.
+        let mut pole = random.direction();
+        for k in 0..=turns.len() {
+            let first = simulated.samples.len();
+            for i in 0..REST {
+                if i == REST / 2 {
+                    simulated.bias = rate.bias_rad_s;
+                }
+                simulated.push(random, &mut rate, up, earth(pole), noise);
+            }
+            simulated.rest(first, noise);
+            let Some((axis, angle, count)) = turns.get(k) else {
+                break;
+            };
+            let length_s = (*count as f64 + 1.0) * STEP_S;
+            for i in 1..=*count {
+                let t = i as f64 * STEP_S / length_s;
+                let turned = angle * (t - (TAU * t).sin() / TAU);
+                let omega = angle / length_s * (1.0 - (TAU * t).cos());
+                let now = rotated(up, *axis, -turned);
+                let earth = earth(rotated(pole, *axis, -turned));
+                let omega = [0, 1, 2].map(|j| axis[j] * omega + earth[j]);
+                simulated.push(random, &mut rate, now, omega, noise);
+            }
+            pole = rotated(pole, *axis, -angle);
+            up = rotated(up, *axis, -angle);
+        }
+        simulated
+    }
+
+    fn push(
+        &mut self,
+        random: &mut Random,
+        rate: &mut GyroscopeTerms,
+        up: [f64; 3],
+        omega: [f64; 3],
+        noise: f64,
+    ) {
+        let model = GyroscopeModel::new(*rate).unwrap();
+        let force = up.map(|u| G * u);
+        let ideal = model.distort(omega, force, None);
+        let output = self.force.distort(SpecificForceMps2(force), None).0;
+        self.samples.push(SixAxisSample {
+            step_s: STEP_S,
+            rate_rad_s: ideal.map(|y| y + noise * RATE_NOISE * random.normal()),
+            output_mps2: output.map(|y| y + noise * FORCE_NOISE * random.normal()),
+        });
+        let walk = noise * (BIAS_WALK * STEP_S).sqrt();
+        rate.bias_rad_s = rate.bias_rad_s.map(|b| b + walk * random.normal());
+    }
+
+    fn rest(&mut self, first: usize, noise: f64) {
+        let rest = &self.samples[first..];
+        let mean =
+            |axis: usize| rest.iter().map(|s| s.output_mps2[axis]).sum::<f64>() / rest.len() as f64;
+        self.poses.push(Pose {
+            samples: rest.len() as u32,
+            first_sample: first as u64,
+            sd_mps2: [noise * FORCE_NOISE; 3],
+            ..Pose::from_mean([0, 1, 2].map(mean))
+        });
+    }
+
+    /// The accelerometer, calibrated with the same rests.
+    fn accelerometer(&self) -> Option<AccelerometerCalibration> {
+        let what = MultiPosition {
+            model: Model::Full9,
+            ..MultiPosition::default()
+        };
+        let estimate = multi_position_with(&self.poses, exact(), what).ok()?;
+        Some(AccelerometerCalibration::from(&estimate))
+    }
+
+    fn estimate(
+        &self,
+        accelerometer: &AccelerometerCalibration,
+    ) -> Result<GyroscopeEstimate, GyroscopeRefusal> {
+        let session = GyroscopeSession {
+            poses: &self.poses,
+            samples: &self.samples,
+            accelerometer,
+            full_scale_rad_s: None,
+        };
+        session.estimate()
+    }
+
+    fn truth(&self) -> [f64; 21] {
+        all(self.bias, &self.rate)
+    }
+}
+
+fn all(bias: [f64; 3], terms: &GyroscopeTerms) -> [f64; 21] {
+    let mut all = [0.0; 21];
+    all[..3].copy_from_slice(&bias);
+    all[3..12].copy_from_slice(terms.matrix.as_flattened());
+    all[12..].copy_from_slice(terms.g_sensitivity.as_flattened());
+    all
+}
+
+fn found(estimate: &GyroscopeEstimate) -> [f64; 21] {
+    let terms = estimate.model.terms();
+    all(terms.bias_rad_s, terms)
+}
+
+/// Of a symmetric positive definite matrix, by Gauss and Jordan.
+fn inverse(mut m: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+    let n = m.len();
+    for p in 0..n {
+        let pivot = 1.0 / m[p][p];
+        let row: Vec<f64> = (0..n)
+            .map(|c| if c == p { pivot } else { m[p][c] * pivot })
+            .collect();
+        for (r, other) in m.iter_mut().enumerate() {
+            let factor = other[p];
+            for c in 0..n {
+                let old = if c == p { 0.0 } else { other[c] };
+                other[c] = if r == p {
+                    row[c]
+                } else {
+                    old - factor * row[c]
+                };
+            }
+        }
+    }
+    m
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// Two directions across `up`.
+fn tangents(up: [f64; 3]) -> [[f64; 3]; 2] {
+    let side = if up[0].abs() < 0.7 {
+        [1.0, 0.0, 0.0]
+    } else {
+        [0.0, 1.0, 0.0]
+    };
+    let first = unit(cross(up, side));
+    [first, cross(up, first)]
+}
+
+/// The direction `up` after a turn, by the rates that `terms` gives.
+fn carried(
+    turn: &[SixAxisSample],
+    force: &ErrorModel,
+    terms: &GyroscopeTerms,
+    up: [f64; 3],
+) -> [f64; 3] {
+    let model = GyroscopeModel::new(*terms).unwrap();
+    let rate = |s: &SixAxisSample| {
+        let force = force.correct(SpecificForceMps2(s.output_mps2), None).0;
+        model.correct(s.rate_rad_s, force, None)
+    };
+    turn.windows(2).fold(up, |up, pair| {
+        let [a, b] = [rate(&pair[0]), rate(&pair[1])];
+        let vector = [0, 1, 2].map(|i| 0.5 * STEP_S * (a[i] + b[i]));
+        rotated(up, unit(vector), -norm(vector))
+    })
+}
+
+/// Cramér-Rao bound with the prior: variances of the bias at the last rest, A and G. Unknown are A, G, the
+/// bias and two tilts at each rest, and the accelerometer's nine parameters.
+fn bound(simulated: &Simulated, accelerometer: &AccelerometerCalibration) -> [f64; 21] {
+    const ACCELEROMETER: usize = 18 + 5 * RESTS;
+    let at = |rest: usize| 18 + 5 * rest;
+    let mut information = vec![vec![0.0; ACCELEROMETER + 9]; ACCELEROMETER + 9];
+    let mut add = |row: &[(usize, f64)], variance: f64| {
+        for (i, a) in row {
+            for (j, b) in row {
+                information[*i][*j] += a * b / variance;
+            }
+        }
+    };
+    for i in 0..18 {
+        let prior: f64 = if i < 9 { 0.03 } else { 1.78e-4 };
+        add(&[(i, 1.0)], prior * prior);
+    }
+    let covariance = accelerometer.covariance.matrix();
+    let fitted: Vec<usize> = (0..12).filter(|i| covariance[*i][*i] > 0.0).collect();
+    let correct = |output| simulated.force.correct(SpecificForceMps2(output), None).0;
+    let ups: Vec<[f64; 3]> = simulated
+        .poses
+        .iter()
+        .map(|p| unit(correct(p.mean_mps2)))
+        .collect();
+    for (k, up) in ups.iter().enumerate() {
+        for r in 0..3 {
+            let mut row = vec![(at(k) + r, 1.0)];
+            row.extend((0..3).map(|c| (9 + 3 * r + c, G * up[c])));
+            add(&row, RATE_NOISE * RATE_NOISE / REST as f64);
+        }
+        for (t, side) in tangents(*up).into_iter().enumerate() {
+            let sensitivity = |i: usize| match i {
+                0..3 => side[i],
+                _ => side[(i - 3) / 3] * G * up[(i - 3) % 3],
+            };
+            let mut row = vec![(at(k) + 3 + t, G)];
+            row.extend((0..9).map(|i| (ACCELEROMETER + i, sensitivity(fitted[i]))));
+            add(&row, FORCE_NOISE * FORCE_NOISE / REST as f64);
+        }
+        let Some(next) = simulated.poses.get(k + 1) else {
+            break;
+        };
+        let start = simulated.poses[k].first_sample as usize + REST - 1;
+        let turn = &simulated.samples[start..=next.first_sample as usize];
+        let length_s = (turn.len() - 1) as f64 * STEP_S;
+        for r in 0..3 {
+            let walk = BIAS_WALK * (length_s + REST as f64 * STEP_S);
+            add(&[(at(k) + r, -1.0), (at(k + 1) + r, 1.0)], walk);
+        }
+        const SMALL: f64 = 1e-6;
+        let terms = GyroscopeTerms {
+            bias_rad_s: simulated.bias,
+            ..simulated.rate
+        };
+        let carried = |terms: &GyroscopeTerms, up| carried(turn, &simulated.force, terms, up);
+        let nominal = carried(&terms, *up);
+        let moved = |i: usize| {
+            let mut terms = terms;
+            match i {
+                0..9 => terms.matrix[i / 3][i % 3] += SMALL,
+                9..18 => terms.g_sensitivity[i / 3 - 3][i % 3] += SMALL,
+                _ => terms.bias_rad_s[i - 18] += SMALL,
+            }
+            carried(&terms, *up)
+        };
+        let moved: Vec<[f64; 3]> = (0..21).map(moved).collect();
+        let tilted = tangents(*up)
+            .map(|side| carried(&terms, unit([0, 1, 2].map(|i| up[i] + SMALL * side[i]))));
+        for side in tangents(nominal) {
+            let slope = |to: [f64; 3]| (dot(to, side) - dot(nominal, side)) / SMALL;
+            let mut row: Vec<(usize, f64)> = (0..18).map(|i| (i, slope(moved[i]))).collect();
+            for r in 0..3 {
+                let half = 0.5 * slope(moved[18 + r]);
+                row.extend([(at(k) + r, half), (at(k + 1) + r, half)]);
+            }
+            row.extend([0, 1].map(|u| (at(k) + 3 + u, slope(tilted[u]))));
+            let own = tangents(ups[k + 1]);
+            row.extend([0, 1].map(|u| (at(k + 1) + 3 + u, -dot(own[u], side))));
+            let white = RATE_NOISE * RATE_NOISE * STEP_S * length_s;
+            add(&row, white + BIAS_WALK * length_s.powi(3) / 12.0);
+        }
+    }
+    let known = |i: usize| fitted.iter().map(|j| covariance[i][*j]).collect();
+    let known = inverse(fitted.iter().map(|i| known(*i)).collect());
+    for (a, row) in known.iter().enumerate() {
+        for (b, value) in row.iter().enumerate() {
+            information[ACCELEROMETER + a][ACCELEROMETER + b] += value;
+        }
+    }
+    let all = inverse(information);
+    let place = |i: usize| if i < 3 { at(RESTS - 1) + i } else { i - 3 };
+    std::array::from_fn(|i| all[place(i)][place(i)])
+}
+
+fn session(seed: u64) -> (Simulated, Option<AccelerometerCalibration>) {
+    let mut random = Random::new(seed);
+    let turns = turns(&mut random);
+    let simulated = Simulated::new(&mut random, &turns, 1.0);
+    let accelerometer = simulated.accelerometer();
+    (simulated, accelerometer)
+}
+
+#[test]
+fn errors_are_near_the_cramer_rao_bound() {
+    let mut squares = [[0.0; 2]; 21];
+    let mut used = 0;
+    for seed in 0..trials(200) as u64 {
+        let (simulated, Some(accelerometer)) = session(seed) else {
+            continue;
+        };
+        let estimate = simulated.estimate(&accelerometer).expect("an estimate");
+        let (found, truth) = (found(&estimate), simulated.truth());
+        let bound = bound(&simulated, &accelerometer);
+        used += 1;
+        for i in 0..21 {
+            squares[i][0] += (found[i] - truth[i]).powi(2);
+            squares[i][1] += bound[i];
+        }
+    }
+    // The Earth's rate, of which the bound knows nothing, is most of the error of G's diagonal.
+    let ratios = squares.map(|[error, bound]| (error / bound).sqrt());
+    let kinds = [
+        &ratios[..3],
+        &ratios[3..12],
+        &ratios[13..16],
+        &ratios[17..20],
+    ];
+    println!("{ratios:.3?}");
+    let worst = kinds.concat().into_iter().fold(0.0, f64::max);
+    let mean = |r: &[f64]| (r.iter().map(|r| r * r).sum::<f64>() / r.len() as f64).sqrt();
+    let [bias, matrix] = [mean(kinds[0]), mean(kinds[1])];
+    figure(
+        "gyroscope: rms error over the Cramér-Rao bound, bias and matrix; largest of 18 parameters",
+        format!("{bias:.2}, {matrix:.2}; {worst:.2}"),
+        "at most 1.2",
+        worst <= 1.2,
+    );
+    for (kind, count) in [(bias, 3), (matrix, 9)] {
+        assert!(rms_ratio_can_be(kind, count * used, 0.9..=1.2), "{kind}");
+    }
+}
+
+#[test]
+fn intervals_of_every_parameter_hold_the_truth() {
+    let mut held = [Coverage::default(); 21];
+    let mut squares = [[0.0; 2]; 21];
+    let (mut used, mut walk, mut own) = (0, 0.0, 0.0);
+    let sensors = trials(2000);
+    for seed in 0..sensors as u64 {
+        let (simulated, Some(accelerometer)) = session(seed) else {
+            continue;
+        };
+        let estimate = simulated.estimate(&accelerometer).expect("an estimate");
+        used += 1;
+        walk += estimate.bias_walk_rad_s_rts;
+        own += estimate.turn_error;
+        let (found, truth) = (found(&estimate), simulated.truth());
+        for i in 0..21 {
+            let error = found[i] - truth[i];
+            held[i].count(error.abs() <= estimate.half_width_95(i));
+            squares[i][0] += error * error;
+            squares[i][1] += estimate.sd(i).powi(2);
+        }
+    }
+    for i in 0..21 {
+        let [rms, sd] = squares[i].map(|s| (s / f64::from(used)).sqrt());
+        println!(
+            "{i} {} rms {rms:.2e} sd {sd:.2e} ratio {:.3}",
+            held[i],
+            rms / sd
+        );
+    }
+    println!(
+        "walk {:.2e} own {:.2e} used {used}",
+        walk / f64::from(used),
+        own / f64::from(used)
+    );
+    coverage_figure(
+        "coverage of the gyroscope's 21 parameters",
+        &held,
+        0.93..=0.97,
+    );
+    for (i, held) in held.iter().enumerate() {
+        held.assert_can_be(0.93..=0.97, &format!("parameter {i}"));
+    }
+}
+
+/// A session without noise whose samples are changed.
+fn refused(change: impl Fn(&mut SixAxisSample)) -> GyroscopeRefusal {
+    let (mut simulated, _) = session(7);
+    simulated.samples.iter_mut().for_each(change);
+    let accelerometer = simulated.accelerometer().unwrap();
+    simulated.estimate(&accelerometer).expect_err("a refusal")
+}
+
+#[test]
+fn wrong_units_and_axes_are_named() {
+    for factor in [57.2958, 1.0 / 57.2958, 2.0, 0.25] {
+        match refused(|s| s.rate_rad_s = s.rate_rad_s.map(|y| y * factor)) {
+            GyroscopeRefusal::Unit { factor: named } => {
+                assert!((named / factor - 1.0).abs() < 1e-3, "{factor}: {named}");
+            }
+            other => panic!("{factor}: {other}"),
+        }
+    }
+    let swapped = refused(|s| s.rate_rad_s.swap(0, 1));
+    let axes = [(1, false), (0, false), (2, false)];
+    assert_eq!(swapped, GyroscopeRefusal::Axes { axes });
+    let negated = refused(|s| s.rate_rad_s[2] *= -1.0);
+    let axes = [(0, false), (1, false), (2, true)];
+    assert_eq!(negated, GyroscopeRefusal::Axes { axes });
+    let text = negated.to_string();
+    assert!(text.contains("Z = −Z of the gyroscope"), "{text}");
+    let turned = refused(|s| s.rate_rad_s = [s.rate_rad_s[1], s.rate_rad_s[2], -s.rate_rad_s[0]]);
+    let axes = [(2, true), (0, false), (1, false)];
+    assert_eq!(turned, GyroscopeRefusal::Axes { axes });
+    let dead = refused(|s| s.rate_rad_s[1] = 0.01);
+    assert!(
+        matches!(dead, GyroscopeRefusal::Inconsistent { .. }),
+        "{dead}"
+    );
+}
+
+#[test]
+fn turns_that_are_saturated_interrupted_or_contradicted_are_left_out() {
+    let (clean, _) = session(3);
+    let accelerometer = clean.accelerometer().unwrap();
+    let spoilt = |change: &dyn Fn(&mut [SixAxisSample])| {
+        let mut simulated = Simulated {
+            samples: clean.samples.clone(),
+            poses: clean.poses.clone(),
+            ..clean
+        };
+        let start = simulated.poses[5].first_sample as usize + REST;
+        let end = simulated.poses[6].first_sample as usize;
+        change(&mut simulated.samples[start..end]);
+        let estimate = simulated.estimate(&accelerometer).expect("an estimate");
+        assert!(
+            (estimate.turns, estimate.rms_rad < 0.01) == (RESTS - 2, true),
+            "{estimate:?}"
+        );
+        assert!((0..21).all(|i| estimate.observed(i)));
+        estimate.left_out().collect::<Vec<_>>()
+    };
+    let saturated = spoilt(&|turn| {
+        turn.iter_mut()
+            .for_each(|s| s.rate_rad_s[0] = s.rate_rad_s[0].clamp(-4.4, 4.4) + 0.0);
+        let middle = turn.len() / 2;
+        turn[middle..middle + 5]
+            .iter_mut()
+            .for_each(|s| s.rate_rad_s[0] = 4.36);
+    });
+    assert_eq!(saturated, [(5, TurnFault::Saturated { axis: 0 })]);
+    let gap = spoilt(&|turn| turn[20].step_s = 0.6);
+    assert_eq!(gap, [(5, TurnFault::Gap)]);
+    let struck = spoilt(&|turn| turn.iter_mut().for_each(|s| s.rate_rad_s[1] += 0.15));
+    assert_eq!(struck, [(5, TurnFault::Contradicted)]);
+}
+
+#[test]
+fn rotations_about_one_axis_leave_the_others_at_the_prior_and_advise_them() {
+    let mut random = Random::new(11);
+    let turns: Vec<Rotation> = (1..RESTS).map(|_| ([1.0, 0.0, 0.0], 1.8, 200)).collect();
+    let simulated = Simulated::new(&mut random, &turns, 1.0);
+    let estimate = simulated
+        .estimate(&AccelerometerCalibration::uncalibrated())
+        .expect("an estimate");
+    assert!(estimate.observed(3) && !estimate.observed(7) && !estimate.observed(11));
+    assert!((estimate.model.terms().matrix[1][1] - 1.0).abs() < 0.01);
+    match estimate.advice() {
+        Some(GyroscopeAdvice::Turn { axis }) => assert_ne!(axis, 0),
+        other => panic!("{other:?}"),
+    }
+    // One rest gives the bias, as far as g-sensitivity allows.
+    let alone = Simulated::new(&mut random, &[], 1.0);
+    let estimate = alone
+        .estimate(&AccelerometerCalibration::uncalibrated())
+        .expect("an estimate");
+    assert!((0..21).all(|i| estimate.observed(i) == (i < 3)));
+    let error = norm([0, 1, 2].map(|i| estimate.model.terms().bias_rad_s[i] - alone.bias[i]));
+    assert!(error < 4.0 * estimate.sd(0), "{error}");
+}
+
+#[test]
+fn a_rest_that_moves_and_data_without_rests_are_refused() {
+    let (mut simulated, _) = session(5);
+    let accelerometer = simulated.accelerometer().unwrap();
+    let start = simulated.poses[4].first_sample as usize;
+    for sample in &mut simulated.samples[start..start + REST] {
+        sample.rate_rad_s[2] += 0.3;
+    }
+    let refused = simulated.estimate(&accelerometer).expect_err("it rotates");
+    assert!(
+        matches!(refused, GyroscopeRefusal::NotAtRest { rest: 4, .. }),
+        "{refused}"
+    );
+    simulated.samples[start].rate_rad_s[0] = f64::NAN;
+    let refused = simulated.estimate(&accelerometer);
+    assert_eq!(refused, Err(GyroscopeRefusal::NotFinite { rest: 4 }));
+    simulated.poses.clear();
+    assert_eq!(
+        simulated.estimate(&accelerometer),
+        Err(GyroscopeRefusal::NoRest)
+    );
+}

@@ -7,6 +7,7 @@ mod datasheet;
 mod finder;
 mod guide;
 mod gyroscope;
+mod gyroscope_data;
 mod honesty;
 mod judgement;
 mod magnetometer;

@@ -1,10 +1,12 @@
 //! Noise of a recording at rest from the Allan deviation.
 
 mod file;
+mod gyroscope;
 
 use std::fmt;
 
 pub use file::{noise, noise_of};
+pub use gyroscope::GyroscopeAxis;
 
 use serde::Serialize;
 use wimu_calib::{AllanPoint, AllanVariance, AxisNoise, Measured};
@@ -139,6 +141,8 @@ pub struct NoiseReport {
     pub rate_source: RateSource,
     /// X, Y, Z.
     pub axes: Option<[AxisReport; 3]>,
+    /// The gyroscope, X, Y, Z, where the file has one whose unit is known.
+    pub gyroscope: Option<[GyroscopeAxis; 3]>,
     /// The curve.
     pub points: Vec<PointReport>,
 }
@@ -344,6 +348,7 @@ impl NoiseReport {
                 Vec::new()
             },
             axes,
+            gyroscope: None,
         }
     }
 
@@ -439,6 +444,12 @@ impl fmt::Display for NoiseReport {
                     r.sd * ug * 60.0
                 )?;
             }
+        }
+        for (name, axis) in ["X", "Y", "Z"]
+            .into_iter()
+            .zip(self.gyroscope.iter().flatten())
+        {
+            write!(out, "\ngyroscope {name}: {axis}")?;
         }
         Ok(())
     }

@@ -7,6 +7,7 @@ mod datasheet;
 mod export;
 mod file;
 mod file_v1;
+mod gyroscope;
 mod input;
 mod magnetometer;
 mod numbers;
@@ -27,6 +28,7 @@ pub use file::{
     CalibrationFile, Session, StoredModel, further_sensors, read_model, read_parameters, sessions,
     zero_count,
 };
+pub use gyroscope::GyroscopeReport;
 pub use magnetometer::{FieldPose, MagneticHalfWidths, MagnetometerReport, calibrate_magnetometer};
 pub use paired::Paired;
 pub use reference::{AxisReport, NoiseSource, ReferenceReport, compare_with_reference};
@@ -322,6 +324,16 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
         Ok(estimate) => (Some(estimate), None),
         Err(refusal) => (None, Some(refusal)),
     };
+    let mut gyroscope_findings = Vec::new();
+    let gyroscope = estimate
+        .as_ref()
+        .filter(|_| options.method == MethodChoice::MultiPosition);
+    let gyroscope = gyroscope.and_then(|estimate| {
+        let scale = lsb_per_g.filter(|_| data.unit != OutputUnit::Mps2);
+        let scale = scale.map_or(1.0, |lsb_per_g| STANDARD_GRAVITY_MPS2 / lsb_per_g);
+        gyroscope::calibrate(data, scale, &fitted, estimate, &mut gyroscope_findings)
+    });
+    let gyroscope_parameters = gyroscope.as_ref().and_then(|found| found.parameters);
     let parameters =
         estimate
             .as_ref()
@@ -330,12 +342,14 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
                 model: estimate.model,
                 quality: estimate.quality(options.utc_s, &fitted),
                 sensor: data.sensor,
+                gyroscope: gyroscope_parameters,
                 ..ParameterSet::uncalibrated(range.g, sensitivity)
             });
     let board = sensitivity.zip(range);
     let mut outcome = Outcome::default();
     let found = findings(data, options, &fitted, estimate.as_ref(), board, lsb_per_g);
     outcome.findings.extend(found.into_iter().chain(repeated));
+    outcome.findings.extend(gyroscope_findings);
     outcome.findings.extend(noise_seen_mps2.map(|sd| {
         FindingCode::Residuals.note(format!(
             "poses of fewer samples have larger residuals: a noise of {:.0} mm/s² per sample was estimated, and the poses \
@@ -411,6 +425,7 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
         },
         static_poses: static_poses(&fitted, estimate.as_ref()),
         datasheet,
+        gyroscope,
         file: estimate.as_ref().and_then(|estimate| {
             let quality = estimate.quality(options.utc_s, &fitted);
             CalibrationFile::of_model(
@@ -423,6 +438,7 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
                 data.name,
             )
             .map(|file| file.with_zero_count(data.info().zero_count))
+            .map(|file| file.with_gyroscope(gyroscope_parameters))
         }),
         fit: estimate.map(|estimate| numbers(&estimate, range)),
         parameter_id: parameters.as_ref().map(|set| parameter_id(set).to_string()),

@@ -1,17 +1,17 @@
-//! Noise of an accelerometer in a file, while the file is read.
+//! Noise of an accelerometer, and of the gyroscope beside it, in a file, while the file is read.
 
 use std::path::Path;
 
 use wimu_calib::AllanVariance;
 use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
-use super::NoiseReport;
+use super::{NoiseReport, gyroscope};
 use crate::error::Result;
 use crate::finding::{Finding, FindingCode};
 use crate::formats::{self, ReadOptions, Source};
 use crate::recording::{
-    ASSUMED_RATE_HZ, BREAK_NS, OutputUnit, Quantity, REACH, RateSource, Recording, Sink, TrackId,
-    TrackInfo, Unusable, gaps_finding, no_usable_row, rate_and_gaps, unit_of,
+    ASSUMED_RATE_HZ, BREAK_NS, Origin, OutputUnit, Quantity, REACH, RateSource, Recording, Sink,
+    TrackId, TrackInfo, Unit, Unusable, gaps_finding, no_usable_row, rate_and_gaps, unit_of,
 };
 use crate::stats::{median, norm};
 
@@ -95,6 +95,21 @@ impl NoiseOfTracks {
         let Some(Some((rate_hz, source))) = meter.map(|meter| meter.finish(&chosen.info)) else {
             return Err(no_usable_row(&recording.name, &chosen.info));
         };
+        let sensor = chosen.info.sensor;
+        let is_beside = |info: &TrackInfo| {
+            let raw = info.origin == Origin::Sensor && !info.corrected && is_known(info.unit);
+            info.quantity == Quantity::AngularRate && info.sensor == sensor && raw
+        };
+        let rate = recording
+            .tracks()
+            .iter()
+            .position(|track| is_beside(&track.info));
+        let rate = rate.zip(rate.and_then(|index| self.meters.get_mut(index)));
+        let mut of_gyroscope = Vec::new();
+        let gyroscope = rate.and_then(|(index, meter)| {
+            meter.finish(&recording.tracks()[index].info)?;
+            gyroscope::measured(&meter.allan, &mut of_gyroscope)
+        });
         let meter = &self.meters[index.unwrap_or_default()];
         let mut report = NoiseReport::new(&recording.name, rate_hz, source, &meter.allan);
         // The rate is in the report.
@@ -104,6 +119,8 @@ impl NoiseOfTracks {
             .cloned();
         let before: Vec<Finding> = read.chain(gaps_finding(meter.gaps)).collect();
         report.outcome.findings.splice(0..0, before);
+        report.outcome.findings.extend(of_gyroscope);
+        report.gyroscope = gyroscope;
         Ok(report)
     }
 }
@@ -117,7 +134,10 @@ impl Sink for NoiseOfTracks {
     fn row(&mut self, track: TrackId, time_ns: i64, values: &[f64]) {
         self.start_ns = Some(self.start_ns.map_or(time_ns, |start| start.min(time_ns)));
         let info = &self.recording.tracks()[track.0].info;
-        if info.quantity == Quantity::SpecificForce {
+        if matches!(
+            info.quantity,
+            Quantity::SpecificForce | Quantity::AngularRate
+        ) {
             self.meters[track.0].take(info, time_ns, values);
         }
     }
@@ -228,8 +248,25 @@ impl TrackMeter {
     }
 }
 
-/// m/s² of one unit of a track.
+/// Whether the unit of a rate is known.
+fn is_known(unit: Unit) -> bool {
+    matches!(
+        unit,
+        Unit::Si
+            | Unit::Counts {
+                si_per_lsb: Some(_)
+            }
+    )
+}
+
+/// SI units of one unit of a track.
 fn scale_of(info: &TrackInfo, given: Option<Sensitivity>, rows: &[(i64, [f64; 3], bool)]) -> f64 {
+    if info.quantity == Quantity::AngularRate {
+        return match info.unit {
+            Unit::Counts { si_per_lsb } => si_per_lsb.unwrap_or(f64::NAN),
+            _ => 1.0,
+        };
+    }
     let known = match unit_of(info) {
         OutputUnit::Mps2 => return 1.0,
         OutputUnit::Counts { nominal, .. } => given.or(nominal),

@@ -205,6 +205,16 @@ impl CalibrationFile {
         self
     }
 
+    /// The same with the gyroscope of its sensors.
+    #[must_use]
+    pub(super) fn with_gyroscope(mut self, gyroscope: Option<GyroscopeParameters>) -> Self {
+        for sensor in &mut self.sensors {
+            sensor.gyroscope = gyroscope;
+            sensor.seal();
+        }
+        self
+    }
+
     /// Writes it.
     ///
     /// # Errors

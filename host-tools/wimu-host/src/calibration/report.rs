@@ -7,7 +7,7 @@ use wimu_calib::{Orientation, Parameter};
 use wimu_link::hello::sensor;
 use wimu_model::{CalibrationMethod, ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, SensorId};
 
-use super::{CalibrationFile, DatasheetReport, MethodChoice};
+use super::{CalibrationFile, DatasheetReport, GyroscopeReport, MethodChoice};
 use crate::finding::Outcome;
 use crate::plural::counted;
 use crate::recording::RateSource;
@@ -190,6 +190,8 @@ pub struct CalibrationReport {
     pub poses_worth_adding: usize,
     /// The poses that were found or given; empty above 1000.
     pub static_poses: Vec<StaticPose>,
+    /// The gyroscope, if it was calibrated.
+    pub gyroscope: Option<GyroscopeReport>,
     /// Comparison with the sensor's datasheet, where the sensor is known.
     pub datasheet: Option<DatasheetReport>,
     /// The set for a board; `None` when the data's sensitivity is unknown.
@@ -286,6 +288,9 @@ impl fmt::Display for CalibrationReport {
         match fit.loo_rms_mm_s2 {
             Some(loo) => write!(out, "leave-one-out: {loo:.3} mm/s² rms")?,
             None => write!(out, "leave-one-out: not possible, too few poses")?,
+        }
+        if let Some(gyroscope) = &self.gyroscope {
+            write!(out, "{gyroscope}")?;
         }
         if let Some(loo) = fit.loo_orientation_rms_mm_s2 {
             write!(

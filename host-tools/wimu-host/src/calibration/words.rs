@@ -278,11 +278,10 @@ pub(super) fn findings(
     lsb_per_g: Option<f64>,
 ) -> Vec<Finding> {
     let mut findings = data.findings();
-    if data.has_gyroscope {
-        findings.push(
-            FindingCode::Uncalibrated
-                .note("the gyroscope is not calibrated, only the accelerometer"),
-        );
+    if data.rate.is_some() && (data.poses || options.method != MethodChoice::MultiPosition) {
+        let note =
+            "the gyroscope is not calibrated: multi-position does it with continuous samples";
+        findings.push(FindingCode::Uncalibrated.note(note));
     }
     if data.info().corrected {
         let text = format!("`{}` was corrected by the device before", data.info().name);

@@ -127,7 +127,8 @@ impl MotionRecording {
                         let scale = own_rate.map(|gyroscope| gyroscope.rad_s_per_lsb);
                         correction.rate(value, scale.or(si_per_lsb).unwrap_or(f64::NAN), f)
                     }
-                    _ => value,
+                    _ if track.info.corrected => value,
+                    _ => correction.rate(value, 1.0, f),
                 });
             let tesla = vector(fields.as_mut().and_then(|t| t.latest(row, time_ns)));
             let flag = flags

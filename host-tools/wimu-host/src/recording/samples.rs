@@ -2,7 +2,7 @@
 
 use std::iter;
 
-use wimu_calib::{Datasheet, Pose, find_poses};
+use wimu_calib::{Datasheet, Pose, SixAxisSample, find_poses};
 use wimu_link::hello::sensor;
 use wimu_model::{
     CentiCelsius, Counts, ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity, SensorId,
@@ -91,8 +91,8 @@ pub struct Samples<'a> {
     pub rate_source: RateSource,
     /// The accelerometer, where a device identified it.
     pub sensor: Option<SensorId>,
-    /// Whether the data have a gyroscope, too.
-    pub has_gyroscope: bool,
+    /// The gyroscope beside it, not corrected.
+    pub(crate) rate: Option<&'a Track>,
     /// Warnings and assumptions of reading.
     pub(crate) findings: Vec<Finding>,
     force: &'a Track,
@@ -176,7 +176,7 @@ impl Recording {
             sensor: force.info.device,
             // The rate is in the reports.
             findings: self.relevant(&[FindingCode::Rate]),
-            has_gyroscope: self.of(Quantity::AngularRate).next().is_some(),
+            rate: of_sensor(Quantity::AngularRate),
             force,
             rows,
             gaps,
@@ -384,6 +384,25 @@ impl<'a> Samples<'a> {
             (Some(first), Some(time)) => time - first,
             _ => index as f64 / self.rate_hz,
         }
+    }
+
+    /// The samples with the rates of `rate`, at `mps2` m/s² and `rad_s` rad/s per unit; not a number where there is none.
+    pub(crate) fn six_axis(&self, rate: &Track, mps2: f64, rad_s: f64) -> Vec<SixAxisSample> {
+        let mut rates = rate.beside(self.force);
+        let mut last_s = 0.0;
+        let rows = self.rows.iter().zip(self.values()).enumerate();
+        rows.map(|(index, (row, value))| {
+            let now_s = self.since_start_s(index);
+            let rate = rates
+                .at(*row, self.force.times_ns[*row])
+                .unwrap_or([f64::NAN; 3]);
+            SixAxisSample {
+                step_s: now_s - std::mem::replace(&mut last_s, now_s),
+                rate_rad_s: rate.map(|axis| axis * rad_s),
+                output_mps2: value.map(|axis| axis * mps2),
+            }
+        })
+        .collect()
     }
 
     /// Whether samples are missing in a range of indices.

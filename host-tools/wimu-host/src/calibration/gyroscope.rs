@@ -1,0 +1,195 @@
+//! The gyroscope of a multi-position session, and its report.
+
+use std::fmt;
+
+use serde::Serialize;
+use wimu_calib::{
+    AccelerometerCalibration, Estimate, GyroscopeEstimate, GyroscopeSession, Pose, TurnFault,
+};
+use wimu_model::{GyroscopeParameters, GyroscopeTerms, STANDARD_GRAVITY_MPS2};
+
+use crate::finding::{Finding, FindingCode};
+use crate::plural::counted;
+use crate::recording::{Samples, Unit};
+
+/// Full-scale range, °/s, of a gyroscope whose output came in °/s or rad/s: the largest usual one.
+const USUAL_DPS: f64 = 2000.0;
+/// A scale factor farther from 1 is beyond the tolerance of any gyroscope.
+const TOLERANCE: f64 = 0.1;
+const AXES: [&str; 3] = ["X", "Y", "Z"];
+
+/// The errors of the gyroscope: parameters in the order bias X, Y, Z, A row by row, G row by row.
+#[derive(Clone, Debug, Serialize)]
+pub struct GyroscopeReport {
+    /// The error model; the bias is that at the last rest.
+    pub model: GyroscopeTerms,
+    /// Standard deviations, rad/s, 1, rad/s per m/s²; those of datasheets for what was not observed.
+    pub sd: Vec<f64>,
+    /// Half widths of the 95 % intervals; null for what was not observed.
+    pub half_width_95: Vec<Option<f64>>,
+    /// Number of turns used.
+    pub turns: usize,
+    /// Error of the direction of gravity after a turn, ° rms, uncalibrated and corrected.
+    pub before_deg: f64,
+    /// Corrected.
+    pub rms_deg: f64,
+    /// What would improve the result most.
+    pub advice: Option<String>,
+    /// The parameters for a board.
+    #[serde(skip)]
+    pub parameters: Option<GyroscopeParameters>,
+}
+
+/// Calibrates the gyroscope of `data`, of which `poses` are the rests, m/s², at `mps2` m/s² per unit. `None` without a
+/// gyroscope or with findings only.
+pub(super) fn calibrate(
+    data: &Samples<'_>,
+    mps2: f64,
+    poses: &[Pose],
+    accelerometer: &Estimate,
+    findings: &mut Vec<Finding>,
+) -> Option<GyroscopeReport> {
+    let track = data.rate.filter(|_| !data.poses)?;
+    let full_scale = track.info.full_scale;
+    let (si, lsb) = match track.info.unit {
+        Unit::Si => (1.0, None),
+        Unit::Counts {
+            si_per_lsb: Some(si),
+        } => (si, Some(si)),
+        _ => {
+            let finding = FindingCode::Uncalibrated
+                .note("the gyroscope is not calibrated: its unit is not known");
+            findings.push(finding.remedy("name the unit in its columns: deg/s or rad/s"));
+            return None;
+        }
+    };
+    let samples = data.six_axis(track, mps2, si);
+    let kept = |(k, pose): (usize, &Pose)| (!accelerometer.rejected.contains(k)).then_some(*pose);
+    let poses: Vec<Pose> = poses.iter().enumerate().filter_map(kept).collect();
+    let session = GyroscopeSession {
+        poses: &poses,
+        samples: &samples,
+        accelerometer: &AccelerometerCalibration::from(accelerometer),
+        full_scale_rad_s: full_scale.or(lsb.map(|lsb| 32_700.0 * lsb)),
+    };
+    let refused = |reason: String| {
+        FindingCode::Uncalibrated.warning(format!("the gyroscope is not calibrated: {reason}"))
+    };
+    let estimate = match session.estimate() {
+        Ok(estimate) => estimate,
+        Err(refusal) => {
+            findings.push(refused(refusal.to_string()));
+            return None;
+        }
+    };
+    let range_dps = full_scale.map_or(USUAL_DPS, f64::to_degrees).round();
+    let rad_s_per_lsb = lsb.unwrap_or(range_dps.to_radians() / 32_768.0);
+    let parameters = estimate.parameters(range_dps.clamp(1.0, 65_535.0) as u16, rad_s_per_lsb);
+    if let Err(error) = &parameters {
+        findings.push(refused(error.to_string()));
+    }
+    findings.extend(remarks(&estimate));
+    let all = || 0..estimate.covariance.len();
+    let half_width = |i| estimate.observed(i).then(|| estimate.half_width_95(i));
+    Some(GyroscopeReport {
+        model: *estimate.model.terms(),
+        sd: all().map(|i| estimate.sd(i)).collect(),
+        half_width_95: all().map(half_width).collect(),
+        turns: estimate.turns,
+        before_deg: estimate.before_rad.to_degrees(),
+        rms_deg: estimate.rms_rad.to_degrees(),
+        advice: estimate.advice().map(|advice| advice.to_string()),
+        parameters: parameters.ok(),
+    })
+}
+
+fn remarks(estimate: &GyroscopeEstimate) -> Vec<Finding> {
+    let left_out = estimate.left_out().map(|(rest, fault)| {
+        let code = match fault {
+            TurnFault::Saturated { .. } => FindingCode::Saturated,
+            _ => FindingCode::SamplesLeftOut,
+        };
+        code.warning(format!(
+            "gyroscope: the turn after rest {rest} (from 0) is left out: {fault}"
+        ))
+    });
+    let matrix = estimate.model.terms().matrix;
+    let far = (0..3).filter(|axis| (matrix[*axis][*axis] - 1.0).abs() > TOLERANCE);
+    let far = far.map(|axis| {
+        let scale = matrix[axis][axis];
+        let finding = FindingCode::Datasheet.warning(format!(
+            "gyroscope: scale factor {} = {scale:.3} is beyond the tolerance of a gyroscope",
+            AXES[axis]
+        ));
+        finding.remedy("check the sensitivity and the full-scale range")
+    });
+    left_out.chain(far).collect()
+}
+
+impl GyroscopeReport {
+    fn is_observed(&self, parameter: usize) -> bool {
+        self.half_width_95
+            .get(parameter)
+            .is_some_and(Option::is_some)
+    }
+}
+
+impl fmt::Display for GyroscopeReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let sd = |i: usize| self.sd.get(i).copied().unwrap_or_default();
+        for (axis, name) in AXES.into_iter().enumerate() {
+            let (bias, scale) = (self.model.bias_rad_s[axis], self.model.matrix[axis][axis]);
+            let i = 3 + 4 * axis;
+            let [bias, bias_sd] = [bias, sd(axis)].map(f64::to_degrees);
+            write!(
+                out,
+                "\ngyroscope {name}: bias {bias:+.4} ± {bias_sd:.4} °/s, scale factor "
+            )?;
+            match self.is_observed(i) {
+                true => write!(out, "{scale:.5} ± {:.5}", sd(i))?,
+                false => write!(out, "not observed, taken as 1 ± {:.2}", sd(i))?,
+            }
+        }
+        let cells = || (0..9).map(|k| (k, k / 3, k % 3));
+        let misaligned: Vec<String> = cells()
+            .filter(|(k, r, c)| r != c && self.is_observed(3 + k))
+            .map(|(k, r, c)| {
+                let (size, sd) = (1e3 * self.model.matrix[r][c], 1e3 * sd(3 + k));
+                format!(
+                    "{}{} {size:+.2} ± {sd:.2}",
+                    AXES[c].to_lowercase(),
+                    AXES[r].to_lowercase()
+                )
+            })
+            .collect();
+        if !misaligned.is_empty() {
+            write!(
+                out,
+                "\ngyroscope misalignment, mrad: {}",
+                misaligned.join(", ")
+            )?;
+        }
+        let size = |(_, r, c): &(usize, usize, usize)| self.model.g_sensitivity[*r][*c].abs();
+        let observed = cells().filter(|(k, ..)| self.is_observed(12 + k));
+        if let Some(cell) = observed.max_by(|a, b| size(a).total_cmp(&size(b))) {
+            let per_g = |value: f64| (value * STANDARD_GRAVITY_MPS2).to_degrees();
+            let (largest, sd) = (per_g(size(&cell)), per_g(sd(12 + cell.0)));
+            write!(
+                out,
+                "\ngyroscope g-sensitivity: at most {largest:.4} ± {sd:.4} °/s per g"
+            )?;
+        }
+        if self.turns > 0 {
+            let (before, after) = (self.before_deg, self.rms_deg);
+            let turns = counted(self.turns, "turn");
+            write!(
+                out,
+                "\ndirection of gravity after {turns}: error {before:.2}° rms before, {after:.3}° after"
+            )?;
+        }
+        match &self.advice {
+            Some(advice) => write!(out, "\nto improve the gyroscope: {advice}"),
+            None => Ok(()),
+        }
+    }
+}

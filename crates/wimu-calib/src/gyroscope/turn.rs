@@ -47,6 +47,8 @@ impl Turn {
             let dt = sample.step_s;
             match before {
                 None => {}
+                // A repeated sample.
+                Some(_) if dt == 0.0 => {}
                 Some(before) if dt > 0.0 && dt < LONGEST_STEP_S => turn.step(before, now, dt),
                 Some(_) => return Err(TurnFault::Gap),
             }

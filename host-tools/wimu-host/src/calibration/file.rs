@@ -474,7 +474,7 @@ pub struct StoredModel {
     pub alignment: Alignment,
     /// Model of the magnetometer beside it.
     pub magnetometer: Option<MagnetometerModel>,
-    /// Model of the gyroscope, for its counts.
+    /// Model of the gyroscope, for counts and for output in rad/s.
     pub gyroscope: Option<GyroscopeParameters>,
 }
 

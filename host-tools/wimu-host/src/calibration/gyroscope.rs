@@ -193,3 +193,6 @@ impl fmt::Display for GyroscopeReport {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -6,12 +6,13 @@
 //! with them; [`track`] follows the angular rate through a whole recording, looking ahead too.
 
 mod filter;
-mod geometry;
 mod hypothesis;
 mod matrix;
 mod monitor;
 mod solver;
 mod track;
+
+use wimu_model::geometry;
 
 pub use filter::{ArrayConfig, ArrayFault, ArrayFilter, ArrayState};
 pub use geometry::{Axis, Geometry, GeometryError, Triad};

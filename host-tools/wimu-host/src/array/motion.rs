@@ -137,7 +137,7 @@ pub(super) fn axes<const M: usize>(
         .zip(&calibration.noise_mps2)
         .flat_map(|(sensor, noise)| {
             (0..3).map(|axis| Axis {
-                place_m: sensor.places_m[axis],
+                position_m: sensor.places_m[axis],
                 direction: std::array::from_fn(|i| if i == axis { 1.0 } else { 0.0 }),
                 noise_mps2: *noise,
             })

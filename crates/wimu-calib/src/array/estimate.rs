@@ -179,7 +179,7 @@ pub fn fit_array<'w, const M: usize>(
         covariance,
         cost,
     } = solve_all(geometry, &usable, data, prior, workspace)?;
-    let agreement = agreement(geometry, &usable, data, values)?;
+    let agreement = agreement(geometry, &usable, data, values);
     Ok(ArrayEstimate {
         layout: Layout::of(geometry),
         prior: *prior,
@@ -195,11 +195,10 @@ fn agreement<const M: usize>(
     usable: &dyn Fn(usize) -> bool,
     data: &ArrayData<'_, M>,
     values: &[f64],
-) -> Result<Agreement<M>, ArrayRefusal> {
+) -> Agreement<M> {
     let layout = Layout::of(geometry);
     let start = nominal(geometry, usable);
     let value = |i: usize| values.get(i).copied().unwrap_or(0.0);
-    let body = Body::new(axes_with(&start, layout, &value)).ok_or(ArrayRefusal::Geometry)?;
     let delays: [f64; M] = core::array::from_fn(|s| match s < layout.sensors() {
         true => value(layout.delay(s)),
         false => 0.0,
@@ -212,17 +211,21 @@ fn agreement<const M: usize>(
     };
     let mut found = Agreement {
         samples: 0,
-        degrees: body.degrees(),
+        degrees: 0,
         chi_square: 0.0,
         unexplained: 0.0,
         residual_mps2: 0.0,
         fractions: [0.0; M],
     };
+    let Some(body) = Body::new(axes_with(&start, layout, &value)) else {
+        return found;
+    };
+    found.degrees = body.degrees();
     let weights = || body.axes.iter().map(|a| a.weight * a.weight);
     let variance = body.used as f64 / weights().sum::<f64>();
     let least = (LEAST_MPS2 * LEAST_MPS2 / variance).max(NOISES * NOISES);
     if found.degrees == 0 {
-        return Ok(found);
+        return found;
     }
     for_each(data, |k| {
         let Some(point) = point(data, k, &current, &body).filter(|p| p.reduced.degrees > 0) else {
@@ -242,7 +245,7 @@ fn agreement<const M: usize>(
     });
     if found.samples < LEAST_SAMPLES {
         found.samples = 0;
-        return Ok(found);
+        return found;
     }
     let count = found.samples as f64;
     found.chi_square /= count;
@@ -250,7 +253,7 @@ fn agreement<const M: usize>(
     found.residual_mps2 = libm::sqrt(found.chi_square * variance);
     let all = found.fractions.iter().sum::<f64>().max(f64::MIN_POSITIVE);
     found.fractions = found.fractions.map(|f| f / all);
-    Ok(found)
+    found
 }
 
 /// Variance among the axes of the same number in their sensors, over that of the noise.

@@ -269,6 +269,8 @@ pub(super) fn solve_all<'w, const M: usize>(
         *scale = layout.prior(i, prior);
     }
     values.fill(0.0);
+    let mut moves = false;
+    super::moving::for_each(data, |_| moves = true);
     let mut sums = Sums {
         n,
         normal,
@@ -288,15 +290,18 @@ pub(super) fn solve_all<'w, const M: usize>(
         });
         let gravity = prior.gravity.mps2() + unscaled(layout.gravity());
         let size = libm::exp(unscaled(layout.size()));
-        let body = Body::new(axes).ok_or(ArrayRefusal::Geometry)?;
-        super::rests::add(&body, layout, data, prior, gravity, sums);
-        let scale = super::moving::Current {
+        super::rests::add(&axes, layout, data, prior, gravity, sums);
+        let current = super::moving::Current {
             layout,
             delays: &delays,
             size,
             start: &start,
         };
-        super::moving::add(&body, &scale, data, prior, sums, scratch);
+        match Body::new(axes) {
+            Some(body) => super::moving::add(&body, &current, data, prior, sums, scratch),
+            None if moves => return Err(ArrayRefusal::Geometry),
+            None => {}
+        }
         for i in 0..n {
             sums.normal[i * n + i] += 1.0;
             sums.spread[i * n + i] += 1.0;

@@ -93,7 +93,8 @@ fn stencil<'a, const M: usize>(
     }
     let first = (base as usize).checked_sub(2 * apart)?;
     let lasted = data.times_s.get(first + 4 * apart)? - data.times_s.get(first)?;
-    if !(libm::fabs(lasted / (4.0 * spacing) - 1.0) < 0.1) {
+    let even = libm::fabs(lasted / (4.0 * spacing) - 1.0) < 0.1;
+    if !even {
         return None;
     }
     let row = |i: usize| data.outputs_mps2.get(first + i * apart);

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, SVector, Vector3};
 
 use super::fit::{Layout, PER_AXIS, Sums};
-use super::motion::Body;
+use super::motion::AxisNow;
 use super::{ArrayData, ArrayPrior};
 
 /// Iterations for the direction of gravity.
@@ -59,7 +59,7 @@ pub(super) fn mean_of<const M: usize>(
 
 /// Adds all rests.
 pub(super) fn add<const M: usize>(
-    body: &Body<M>,
+    axes: &[AxisNow; M],
     layout: Layout,
     data: &ArrayData<'_, M>,
     prior: &ArrayPrior,
@@ -70,7 +70,7 @@ pub(super) fn add<const M: usize>(
         let mut rows = [Vector3::zeros(); M];
         let mut output = SVector::<f64, M>::zeros();
         let mut weights = [0.0; M];
-        for (a, axis) in body.axes.iter().enumerate().take(layout.axes) {
+        for (a, axis) in axes.iter().enumerate().take(layout.axes) {
             let mean = mean_of(data, *span, a).filter(|_| axis.weight > 0.0);
             let Some((mean, count)) = mean else { continue };
             let noise = 1.0 / (axis.weight * axis.weight * count);

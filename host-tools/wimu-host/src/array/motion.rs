@@ -7,7 +7,7 @@ use wimu_nav::array::{
 };
 
 use super::calibration::BIAS_MPS2;
-use super::places::shown_place_sd_m;
+use super::fit::Fitted;
 use super::{ArrayCalibration, ArrayGeometry, ArrayRecording};
 use crate::plural::counted;
 use crate::{ErrorCode, HostError, Result};
@@ -246,9 +246,9 @@ fn filtered<const M: usize>(
 ) -> Result<(Vec<ArrayState<f64>>, Vec<String>)> {
     let axes = axes::<M>(geometry, calibration)?;
     // What is missing is said before anything is done.
-    let solver =
-        ArraySolver::<f64, M>::of(&axes, |sensor| calibration.uses(sensor)).map_err(refused)?;
-    let place_sd_m = shown_place_sd_m(recording, calibration, &solver);
+    ArraySolver::<f64, M>::of(&axes, |sensor| calibration.uses(sensor)).map_err(refused)?;
+    let fitted = Fitted::of(recording, geometry, calibration, &calibration.prior())?;
+    let place_sd_m = fitted.shown_position_sd_m(calibration);
     let used = (0..recording.sensors())
         .filter(|sensor| calibration.uses(*sensor))
         .count();

@@ -88,7 +88,7 @@ fn stencil<'a, const M: usize>(
     apart: usize,
     spacing: f64,
 ) -> Option<[&'a [f64; M]; 5]> {
-    if !(base >= 0.0 && base < data.times_s.len() as f64) {
+    if !(0.0..data.times_s.len() as f64).contains(&base) || apart > data.times_s.len() {
         return None;
     }
     let first = (base as usize).checked_sub(2 * apart)?;

@@ -1,19 +1,19 @@
 //! Calibration of an array from the rests in its own recording, or as it is stored.
 
 use wimu_calib::array::ArrayPrior;
-use wimu_calib::{Gravity, Pose, find_poses};
+use wimu_calib::{Gravity, Pose};
 use wimu_model::{ErrorModel, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
 
 use super::fit::{Fitted, at_rests};
 use super::motion::{check, with_room};
+use super::outputs::{
+    apart_of, departures, disagreement, is_dead, is_throughout, mean, pose, scale_of,
+    steady_stretches,
+};
 use super::rests::{EvenTurn, REST_BIAS_MPS2, judged};
 use super::{ArrayGeometry, ArrayRecording};
 use crate::{ErrorCode, HostError, Result};
 
-/// Poses that a recording may have.
-const MOST_POSES: usize = 256;
-/// A sensor lives through a rest that has output in each part of so many samples.
-const PART_SAMPLES: usize = 16;
 /// Noise that is assumed where there is no rest to see it, m/s².
 const ASSUMED_NOISE_MPS2: f64 = 0.05;
 
@@ -25,6 +25,10 @@ pub(super) const LEAST_SCALE: f64 = 0.002;
 const MOST_SCALE: f64 = 0.05;
 /// An array is calibrated where the rests determine the entries of the matrices to this: 0.01 m/s² at 1 g.
 const CALIBRATED_SCALE: f64 = 0.001;
+/// Repeatability of a bias over the rms departure of the sensors from their mean: eight rests or more leave half of the
+/// degrees of freedom; and the least, m/s².
+const REPEATABILITY_TIMES: f64 = 1.5;
+const LEAST_REPEATABILITY_MPS2: f64 = 5e-4;
 /// A sensor whose corrected outputs depart by this from those of the others at the rests, m/s² rms, and by so many times
 /// their median, is left out.
 const FAULTY_MPS2: f64 = 0.1;
@@ -236,7 +240,7 @@ impl ArrayCalibration {
             .unwrap_or(apart / STANDARD_GRAVITY_MPS2)
             .max(LEAST_SCALE);
         self.apart_mps2 = used.iter().map(|k| (*k, apart_of(*k, &offsets))).collect();
-        self.prior = (self.bias_mps2, self.scale.min(MOST_SCALE), self.prior.2);
+        self.prior = (self.bias_mps2, self.scale, self.prior.2);
     }
 
     /// Fits biases and matrices to the rests; what they leave uncertain stays in `scale`.
@@ -246,42 +250,46 @@ impl ArrayCalibration {
         geometry: &ArrayGeometry,
         outputs: &[Vec<Option<[f64; 3]>>],
     ) -> Result<()> {
-        let refusal = |sd: f64| {
-            format!(
-                "the rests leave its scale factors and misalignments uncertain by ± {:.2} %",
-                100.0 * sd
-            )
-        };
-        if self.scale >= MOST_SCALE {
-            self.uncalibrated = (!self.stored).then(|| refusal(self.scale));
-            return Ok(());
-        }
-        let prior = self.prior();
-        let found = loop {
-            let sensors = geometry.sensors.len();
-            let found = with_room!(sensors, at_rests(recording, geometry, self, &prior))?;
-            for (model, found) in self.sensors.iter_mut().zip(&found.models) {
+        let mut prior = self.prior();
+        let mut fitted = |of: &mut Self, prior: &ArrayPrior| -> Result<Fitted> {
+            let found = with_room!(
+                geometry.sensors.len(),
+                at_rests(recording, geometry, of, prior)
+            )?;
+            for (model, found) in of.sensors.iter_mut().zip(&found.models) {
                 *model = found.unwrap_or_default();
             }
-            let Some((sensor, apart)) = self.faulty(outputs) else {
-                break found;
-            };
-            self.left_out.push((
-                sensor,
-                format!("no bias and matrix explain its output at the rests: {apart:.2} m/s² rms are left"),
-            ));
+            Ok(found)
         };
-        let is_calibrated = found.matrix_sd < CALIBRATED_SCALE && !self.stored;
-        if is_calibrated {
+        let mut found = fitted(self, &prior)?;
+        while let Some((sensor, apart)) = self.faulty(outputs) {
+            let why = format!(
+                "no bias and matrix explain its output at the rests: {apart:.2} m/s² rms are left"
+            );
+            self.left_out.push((sensor, why));
+            found = fitted(self, &prior)?;
+        }
+        if found.matrix_sd < CALIBRATED_SCALE && !self.stored {
+            // With as many rests their residuals show how well a bias repeats.
+            let offsets = departures(&self.corrected(outputs), self.rests.len(), &self.used());
+            let shown = REPEATABILITY_TIMES * disagreement(&offsets, &self.used());
+            prior.repeatability_mps2 = shown.clamp(LEAST_REPEATABILITY_MPS2, REST_BIAS_MPS2);
+            found = fitted(self, &prior)?;
             for sensor in self.used() {
                 self.fits[sensor] = Some(self.fit_of(sensor, &outputs[sensor], &found));
             }
             (self.bias_mps2, self.scale) = (BIAS_MPS2, 0.0);
-        } else {
+            return Ok(());
+        }
+        let reason = "the rests do not determine its scale factors and misalignments";
+        self.uncalibrated = (!self.stored).then(|| reason.to_owned());
+        if self.scale < MOST_SCALE {
             let learnt = (self.scale.powi(2) - found.matrix_sd.powi(2)).max(0.0);
             self.common_scale = (learnt / self.used().len().max(1) as f64).sqrt();
             self.scale = found.matrix_sd;
-            self.uncalibrated = (!self.stored).then(|| refusal(self.scale));
+        } else {
+            // Beyond what a sensor's error can be, axes or model are wrong, and nothing is corrected.
+            self.sensors.fill(ErrorModel::default());
         }
         Ok(())
     }
@@ -463,136 +471,4 @@ impl ArrayCalibration {
         let offset = self.offsets[rest][sensor];
         core::array::from_fn(|axis| force[axis] - offset[axis])
     }
-}
-
-/// By how much each sensor departs from the mean of those that are used, at each rest, m/s².
-fn departures(
-    forces: &[Vec<Option<[f64; 3]>>],
-    rests: usize,
-    used: &[usize],
-) -> Vec<Vec<Option<[f64; 3]>>> {
-    let of_rest = |rest: usize| {
-        let mean = mean(used.iter().filter_map(|k| forces[*k][rest]));
-        let from_mean = |f: [f64; 3]| std::array::from_fn(|axis| f[axis] - mean[axis]);
-        forces
-            .iter()
-            .map(|forces| forces[rest].map(from_mean))
-            .collect()
-    };
-    (0..rests).map(of_rest).collect()
-}
-
-/// Departures of the sensors that are used, m/s² rms per axis.
-fn disagreement(offsets: &[Vec<Option<[f64; 3]>>], used: &[usize]) -> f64 {
-    let of_used = || {
-        offsets
-            .iter()
-            .flat_map(|all| used.iter().filter_map(|k| all[*k]))
-    };
-    let squares = of_used().flatten().map(|o| o * o).sum::<f64>();
-    (squares / f64::max(3.0 * of_used().count() as f64, 1.0)).sqrt()
-}
-
-/// How far a sensor departs from the mean at the rests, m/s² rms.
-fn apart_of(sensor: usize, departures: &[Vec<Option<[f64; 3]>>]) -> f64 {
-    let seen = || departures.iter().filter_map(|all| all[sensor]);
-    let squares = seen().flatten().map(|o| o * o).sum::<f64>();
-    (squares / seen().count().max(1) as f64).sqrt()
-}
-
-/// The error of sensitivity and direction that shows as the sensors' departures from their mean change with the
-/// orientation; `None` where the rests are too much alike.
-fn scale_of(
-    offsets: &[Vec<Option<[f64; 3]>>],
-    forces: &[Vec<Option<[f64; 3]>>],
-    used: &[usize],
-) -> Option<f64> {
-    let square = |a: [f64; 3], b: [f64; 3]| (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>();
-    let (mut departures, mut changes, mut most) = (0.0, 0.0, 0.0_f64);
-    for rest in 1..offsets.len() {
-        for k in used {
-            let now = (offsets[rest][*k], forces[*k][rest]);
-            let before = (offsets[rest - 1][*k], forces[*k][rest - 1]);
-            if let ((Some(o), Some(f)), (Some(p), Some(g))) = (now, before) {
-                departures += square(o, p);
-                changes += 3.0 * square(f, g);
-                most = most.max(square(f, g));
-            }
-        }
-    }
-    let count = used.len() as f64;
-    let alike = most < STANDARD_GRAVITY_MPS2.powi(2) || count < 2.0;
-    (!alike).then(|| (departures / changes * count / (count - 1.0)).sqrt())
-}
-
-/// Whether no axis of a sensor ever moves, or it has no output.
-fn is_dead(recording: &ArrayRecording, sensor: usize) -> bool {
-    let outputs = || recording.outputs.iter().map(|row| row[sensor]);
-    let finite = |v: &[f64; 3]| v.iter().all(|axis| axis.is_finite());
-    let Some(first) = outputs().find(finite) else {
-        return true;
-    };
-    outputs().filter(finite).all(|v| v == first)
-}
-
-/// Where the mean of the sensors that are not `dead` is steady: first sample and number of samples.
-fn steady_stretches(recording: &ArrayRecording, dead: &[usize]) -> Vec<(usize, usize)> {
-    let alive: Vec<usize> = (0..recording.sensors())
-        .filter(|sensor| !dead.contains(sensor))
-        .collect();
-    let mean = (0..recording.outputs.len()).map(|k| {
-        let seen = alive.iter().filter(|s| recording.has(k, **s));
-        (mean(seen.map(|s| recording.outputs[k][*s])), None)
-    });
-    let mut poses = vec![Pose::default(); MOST_POSES];
-    let found = find_poses(mean, 1.0 / recording.period_s(), &mut poses).min(MOST_POSES);
-    poses[..found]
-        .iter()
-        .map(|pose| (pose.first_sample as usize, pose.samples as usize))
-        .filter(|(first, count)| first + count <= recording.outputs.len())
-        .collect()
-}
-
-/// 0 of none.
-fn mean(values: impl Iterator<Item = [f64; 3]>) -> [f64; 3] {
-    let (mut sum, mut count) = ([0.0; 3], 0.0);
-    for value in values {
-        for (sum, value) in sum.iter_mut().zip(value) {
-            *sum += value;
-        }
-        count += 1.0;
-    }
-    sum.map(|v| v / f64::max(count, 1.0))
-}
-
-/// A sensor at a rest; `None` where it has no output for the most part.
-fn pose(recording: &ArrayRecording, sensor: usize, (first, count): (usize, usize)) -> Option<Pose> {
-    let rows: Vec<[f64; 3]> = (first..first + count)
-        .filter(|k| recording.has(*k, sensor))
-        .map(|k| recording.outputs[k][sensor])
-        .collect();
-    if rows.len() < 2 || rows.len() * 4 < count {
-        return None;
-    }
-    let n = rows.len() as f64;
-    let mean = mean(rows.iter().copied());
-    let mut pose = Pose::from_mean(mean);
-    pose.sd_mps2 = core::array::from_fn(|axis| {
-        let square: f64 = rows.iter().map(|r| (r[axis] - mean[axis]).powi(2)).sum();
-        (square / n).sqrt()
-    });
-    pose.samples = rows.len() as u32;
-    Some(pose)
-}
-
-/// Whether a sensor gives output all through a rest, and not only for a part of it.
-fn is_throughout(
-    recording: &ArrayRecording,
-    sensor: usize,
-    (first, count): (usize, usize),
-) -> bool {
-    (0..count).step_by(PART_SAMPLES).all(|from| {
-        let part = (first + from, PART_SAMPLES.min(count - from));
-        part.1 < PART_SAMPLES || pose(recording, sensor, part).is_some()
-    })
 }

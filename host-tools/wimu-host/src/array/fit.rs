@@ -1,6 +1,5 @@
 //! The fit of an array ([`wimu_calib::array`]) for recordings: conversion, and what its estimates mean for a geometry.
 
-use wimu_calib::Gravity;
 use wimu_calib::array::{ArrayData, ArrayEstimate, ArrayPrior, fit_array, workspace_len};
 use wimu_model::geometry::Geometry;
 use wimu_model::{ErrorModel, ErrorTerms};
@@ -17,14 +16,6 @@ const LEAST_SAMPLES: usize = 200;
 /// Positions and delays are accepted if they reduce the rms residual by at least this fraction. Chosen on simulated
 /// arrays: errors of scale factors that positions take over reduce it by 0.7 % and worsen the angular rate.
 const LEAST_GAIN: f64 = 0.02;
-/// Priors of a survey: a delay of any sensor, s, and the logarithm of the size of the array.
-const ANY_DELAY_S: f64 = 0.1;
-const ANY_SIZE: f64 = 0.3;
-/// A delay or size differs from the given one from so many posterior and prior deviations on; a size by this fraction.
-const DELAY_SD: f64 = 5.0;
-const SIZE_SD: f64 = 3.0;
-const PRIOR_SD: f64 = 3.0;
-const LEAST_SIZE: f64 = 0.05;
 /// Fraction of the variance among the sensors that no motion explains, from which on the geometry is not this array's.
 const CONTRADICTION: f64 = 0.15;
 /// Residuals below this, m/s², are biases: see `BIAS_MPS2`.
@@ -126,6 +117,8 @@ pub(super) struct Fitted {
     pub size: (f64, f64),
     pub cost: f64,
     pub degrees: usize,
+    /// Quantities of ω that a sample shows, 6 unless the array is in a plane.
+    pub rank: usize,
     pub agreement: Option<Agreement>,
 }
 
@@ -182,6 +175,7 @@ impl Fitted {
             size: found.size(),
             cost: found.cost,
             degrees: agreement.degrees,
+            rank: 0,
             agreement: (agreement.samples > 0).then(|| Agreement {
                 samples: agreement.samples,
                 chi_square: agreement.chi_square,
@@ -243,7 +237,9 @@ fn in_motion<const M: usize>(
 ) -> Result<Fitted> {
     let used = |sensor: usize| calibration.uses(sensor);
     let axes = axes::<M>(geometry, calibration)?;
-    ArraySolver::<f64, M>::of(&axes, used).map_err(refused)?;
+    let rank = ArraySolver::<f64, M>::of(&axes, used)
+        .map_err(refused)?
+        .rank();
     let count = recording.times_s.len();
     let rests: usize = calibration.rests.iter().map(|(_, count)| count).sum();
     let outputs: Vec<[f64; M]> = (0..count).map(|index| row(recording, index)).collect();
@@ -254,7 +250,8 @@ fn in_motion<const M: usize>(
         period_s: recording.period_s(),
         stride: count.saturating_sub(rests).div_ceil(MOST_SAMPLES),
     };
-    solved(&axes, recording.sensors(), &used, &data, prior)
+    let found = solved(&axes, recording.sensors(), &used, &data, prior)?;
+    Ok(Fitted { rank, ..found })
 }
 
 /// Fits biases and matrices to the rests alone.
@@ -344,9 +341,7 @@ pub fn refine(
     };
     let fitted = |prior| Fitted::of(recording, geometry, calibration, prior);
     let (given, found) = (fitted(&given)?, fitted(&prior)?);
-    let sensors = recording.sensors();
-    let used = (0..sensors).filter(|s| calibration.uses(*s)).count();
-    if found.degrees + 9 != 3 * used {
+    if found.rank < 6 {
         return Err(refused(
             "an array in a plane does not show where its sensors are",
         ));
@@ -395,106 +390,4 @@ pub fn refine(
         gain,
         accepted: gain > 1.0,
     })
-}
-
-/// An array with the delays and the size that its motion shows, where they are not those given.
-pub(crate) struct Surveyed {
-    pub recording: ArrayRecording,
-    pub geometry: ArrayGeometry,
-    pub calibration: ArrayCalibration,
-    /// Delay of each sensor beyond the given one.
-    pub delays_s: Vec<f64>,
-    pub remarks: Vec<String>,
-}
-
-/// Looks for delays of any length and for another size of the array; `None` where all is as given.
-pub(crate) fn surveyed(
-    recording: &ArrayRecording,
-    geometry: &ArrayGeometry,
-    calibration: &ArrayCalibration,
-) -> Result<Option<Surveyed>> {
-    let prior = ArrayPrior {
-        delay_s: ANY_DELAY_S,
-        size: ANY_SIZE,
-        ..calibration.prior()
-    };
-    let found = Fitted::of(recording, geometry, calibration, &prior)?;
-    if found.agreement.is_none() {
-        return Ok(None);
-    }
-    let mut remarks = Vec::new();
-    let mut delays: Vec<f64> = used(calibration, recording)
-        .map(|s| found.delays_s[s].0)
-        .collect();
-    delays.sort_by(f64::total_cmp);
-    // The common time of the sensors is that of most of them.
-    let median = 0.5 * (delays[(delays.len() - 1) / 2] + delays[delays.len() / 2]);
-    let mut late = vec![0.0; recording.sensors()];
-    for sensor in used(calibration, recording) {
-        let (delay, sd) = (found.delays_s[sensor].0 - median, found.delays_s[sensor].1);
-        if delay.abs() > (DELAY_SD * sd).max(PRIOR_SD * calibration.delay_sd_s) && delays.len() > 2
-        {
-            late[sensor] = delay;
-            remarks.push(format!(
-                "sensor {sensor} (from 0): its samples are taken {:.2} ± {:.2} ms {} than their times say, relative to \
-                 most sensors; this is corrected",
-                delay.abs() * 1e3,
-                sd * 1e3,
-                if delay > 0.0 { "later" } else { "earlier" }
-            ));
-        }
-    }
-    // The given positions over the true ones.
-    let (size, sd) = (1.0 / found.size.0, found.size.1 / found.size.0.powi(2));
-    let known =
-        PRIOR_SD * calibration.place_sd_m / (arm_m(geometry) * (recording.sensors() as f64).sqrt());
-    let resized = size.ln().abs() > (SIZE_SD * sd / size).max(known).max(LEAST_SIZE);
-    if remarks.is_empty() && !resized {
-        return Ok(None);
-    }
-    let mut changed = Surveyed {
-        recording: recording.clone(),
-        geometry: geometry.clone(),
-        calibration: calibration.clone(),
-        delays_s: late,
-        remarks,
-    };
-    if changed.delays_s.iter().any(|delay| *delay != 0.0) {
-        changed.recording = changed.recording.shifted(&changed.delays_s);
-        let mut again = ArrayCalibration::of(&changed.recording, geometry, Gravity::UNKNOWN_PLACE)?;
-        (again.place_sd_m, again.delay_sd_s) = (calibration.place_sd_m, calibration.delay_sd_s);
-        changed.calibration = again;
-    }
-    if resized {
-        for place in changed
-            .geometry
-            .sensors
-            .iter_mut()
-            .flat_map(|s| &mut s.places_m)
-        {
-            *place = place.map(|c| c / size);
-        }
-        changed.calibration.size_sd_m = arm_m(&changed.geometry) * sd / size;
-        changed.remarks.push(format!(
-            "the positions are {size:.3} ± {sd:.3} times as far apart as the sensors: the changes of ω are not the \
-             integral of ω̇; they are divided by that. Check the unit of the positions"
-        ));
-    }
-    Ok(Some(changed))
-}
-
-fn used<'a>(
-    calibration: &'a ArrayCalibration,
-    recording: &ArrayRecording,
-) -> impl Iterator<Item = usize> + use<'a> {
-    (0..recording.sensors()).filter(|sensor| calibration.uses(*sensor))
-}
-
-/// Root mean square distance of the axes from their centre, m.
-fn arm_m(geometry: &ArrayGeometry) -> f64 {
-    let centre = geometry.centre_m();
-    let places = || geometry.sensors.iter().flat_map(|s| s.places_m);
-    let square = |p: [f64; 3]| (0..3).map(|i| (p[i] - centre[i]).powi(2)).sum::<f64>();
-    let count = f64::max(places().count() as f64, 1.0);
-    (places().map(square).sum::<f64>() / count).sqrt().max(1e-9)
 }

@@ -3,7 +3,8 @@
 use wimu_calib::Gravity;
 use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
 
-use super::fit::{RefineOptions, Refinement, refine, surveyed};
+use super::fit::{RefineOptions, Refinement, refine};
+use super::survey::surveyed;
 use super::{Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
 use crate::{ErrorCode, HostError, Result};
 
@@ -46,7 +47,7 @@ pub fn calibrate_array(
     if let Some(why) = &calibration.uncalibrated {
         return Err(HostError::new(
             ErrorCode::DataRefused,
-            format!("the rests do not tell the sensors' errors: {why}"),
+            format!("the array cannot be calibrated: {why}"),
             "hold the array still for two seconds in a dozen orientations, all sides and some tilts between",
         )
         .at(&recording.name));

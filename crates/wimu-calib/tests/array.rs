@@ -7,10 +7,11 @@ use proptest::prelude::*;
 use wimu_calib::array::{
     ArrayData, ArrayEstimate, ArrayPrior, ArrayRefusal, fit_array, workspace_len,
 };
+use wimu_calib::{Pose, find_poses};
 use wimu_model::geometry::Geometry;
 use wimu_testkit::{Coverage, Lane, Random, coverage_figure, figure};
 
-use crate::common::{G, config, exact};
+use crate::common::{G, config, exact, recording};
 
 const NOISE: f64 = 0.03;
 const RATE_HZ: f64 = 100.0;
@@ -379,4 +380,83 @@ fn what_cannot_be_fitted_is_refused_with_its_reason() {
         refused(&empty, &prior(), &|_| true, len),
         ArrayRefusal::NoData
     );
+}
+
+#[test]
+fn a_real_array_agrees_with_its_drawing_and_shows_its_proof_masses() {
+    for run in [1, 2] {
+        let Some(rows) = recording(&format!("array/mimu4444_run{run}.csv")) else {
+            println!("skipped: the recording is not there");
+            return;
+        };
+        let number = |text: &String| text.trim().parse::<f64>().ok();
+        let rows: Vec<Vec<f64>> = rows
+            .iter()
+            .map(|row| row.iter().map_while(number).collect())
+            .collect();
+        let rows: Vec<Vec<f64>> = rows.into_iter().filter(|row| row.len() >= 49).collect();
+        let times: Vec<f64> = rows.iter().map(|row| row[0]).collect();
+        // Counts near the limit of 16 bits are clipped.
+        let value = |v: f64| {
+            if v.abs() < 32_700.0 {
+                v * G / 2048.0
+            } else {
+                f64::NAN
+            }
+        };
+        let sample = |row: &Vec<f64>| std::array::from_fn(|a| value(row[1 + 6 * (a / 3) + a % 3]));
+        let outputs: Vec<[f64; 24]> = rows.iter().map(sample).collect();
+        let mean = outputs.iter().map(|row| {
+            let of_axis = |i: usize| (0..8).map(|s| row[3 * s + i]).sum::<f64>() / 8.0;
+            ([0, 1, 2].map(of_axis), None)
+        });
+        let mut poses = [Pose::default(); 64];
+        let found = find_poses(mean, 62.5, &mut poses).min(64);
+        let rests: Vec<(usize, usize)> = poses[..found]
+            .iter()
+            .map(|p| (p.first_sample as usize, p.samples as usize))
+            .collect();
+        let (p, h) = (9.45e-3, 1.0e-3);
+        let geometry = Geometry::eight_triads_board(p, h, 0.045).unwrap();
+        let data = ArrayData {
+            times_s: &times,
+            outputs_mps2: &outputs,
+            rests: &rests,
+            period_s: 1.0 / 62.5,
+            stride: 4,
+        };
+        let mut room = room();
+        let start = std::time::Instant::now();
+        let found = fit_array(
+            &geometry,
+            |_| true,
+            &data,
+            &ArrayPrior::default(),
+            &mut room,
+        )
+        .unwrap();
+        let z = |sensors: [usize; 4], i: usize| {
+            sensors
+                .map(|s| found.offset_m(3 * s + 2)[i].0)
+                .iter()
+                .sum::<f64>()
+                / 4e-3
+        };
+        println!(
+            "run {run}: {} rests, {:.1} s, z axes of upper chips at {:+.2} {:+.2} mm, lower {:+.2} {:+.2}; matrix ± {:.4}; {:?}",
+            rests.len(),
+            start.elapsed().as_secs_f64(),
+            z([0, 2, 4, 6], 0),
+            z([0, 2, 4, 6], 1),
+            z([1, 3, 5, 7], 0),
+            z([1, 3, 5, 7], 1),
+            found.matrix_sd(&|_| true),
+            found.agreement
+        );
+        println!(
+            "delays {:?}",
+            [0, 1, 2, 3, 4, 5, 6, 7].map(|s| found.delay_s(s))
+        );
+        assert!(found.agreement.unexplained < 0.15);
+    }
 }

@@ -1,5 +1,5 @@
 //! Mixture of Gaussians: at most `K` weighted filters, where one Gaussian does not hold what is known. Examples: the sign of
-//! an angular rate of which only the square is measured, a range with or without line of sight. Equations (134) to (136).
+//! an angular rate of which only the square is measured, a range with or without line of sight. Equations (140) to (142).
 //!
 //! Weights are products of likelihoods; components that agree are merged, and the mean of all is reported, both by their
 //! first two moments (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation",

@@ -450,7 +450,7 @@ fn places_are_read_in_both_forms_and_must_fit_the_recording() {
     );
     assert!(
         refused(&ArrayGeometry::at(&[[0.01, 0.0, 0.0]; 4]))
-            .contains("all sensors are at one place")
+            .contains("all sensors have one position")
     );
     assert!(angular_rate(&recording, &places, &calibration).is_ok());
 }

@@ -44,14 +44,13 @@ pub fn bench(data: &Path) {
         found.residual_mps2[1]
     );
     println!(
-        "{}: held-out parts differ from the motion by {:.3} m/s² as drawn, {:.3} as found",
+        "{}: χ² falls by {:.1} times what it has to",
         if found.accepted {
             "accepted"
         } else {
             "rejected"
         },
-        found.held_out_mps2[0],
-        found.held_out_mps2[1]
+        found.gain
     );
     let mean = |sensors: [usize; 4], axis: usize, c: usize| {
         sensors

@@ -6,7 +6,7 @@ use wimu_nav::array::{
 };
 
 use super::calibration::BIAS_MPS2;
-use super::places::shown_place_sd_m;
+use super::fit::Fitted;
 use super::{ArrayCalibration, ArrayGeometry, ArrayRecording};
 use crate::inertial::Zupt;
 use crate::plural::counted;
@@ -137,7 +137,7 @@ pub(super) fn axes<const M: usize>(
         .zip(&calibration.noise_mps2)
         .flat_map(|(sensor, noise)| {
             (0..3).map(|axis| Axis {
-                place_m: sensor.places_m[axis],
+                position_m: sensor.places_m[axis],
                 direction: std::array::from_fn(|i| if i == axis { 1.0 } else { 0.0 }),
                 noise_mps2: *noise,
             })
@@ -246,9 +246,9 @@ fn filtered<const M: usize>(
 ) -> Result<(Vec<ArrayState<f64>>, Vec<String>)> {
     let axes = axes::<M>(geometry, calibration)?;
     // What is missing is said before anything is done.
-    let solver =
-        ArraySolver::<f64, M>::of(&axes, |sensor| calibration.uses(sensor)).map_err(refused)?;
-    let place_sd_m = shown_place_sd_m(recording, calibration, &solver);
+    ArraySolver::<f64, M>::of(&axes, |sensor| calibration.uses(sensor)).map_err(refused)?;
+    let fitted = Fitted::of(recording, geometry, calibration, &calibration.prior())?;
+    let place_sd_m = fitted.shown_position_sd_m(calibration);
     let used = (0..recording.sensors())
         .filter(|sensor| calibration.uses(*sensor))
         .count();

@@ -5,8 +5,8 @@ use wimu_nav::array::ArrayState;
 use super::truth::{compare, heading_rad, moving};
 use super::{Choice, InertialPath, Method, PathPoint};
 use crate::array::{
-    Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, mended, navigated,
-    navigated_axes,
+    Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, navigated,
+    navigated_axes, surveyed,
 };
 use crate::finding::{Finding, FindingCode};
 use crate::motion::{LIKELY, nees};
@@ -29,9 +29,9 @@ pub fn navigate_array(
     calibration: &ArrayCalibration,
     choice: &Choice,
 ) -> Result<InertialPath> {
-    let mended = mended(recording, geometry, calibration)?;
-    let (recording, geometry, calibration) = match &mended {
-        Some(m) => (&m.recording, &m.geometry, &m.calibration),
+    let changed = surveyed(recording, geometry, calibration)?;
+    let (recording, geometry, calibration) = match &changed {
+        Some(c) => (&c.recording, &c.geometry, &c.calibration),
         None => (recording, geometry, calibration),
     };
     let standard = wimu_model::STANDARD_GRAVITY_MPS2;
@@ -70,8 +70,8 @@ pub fn navigate_array(
         |agreement| agreement.remark(),
     ));
     said.extend(calibration.remarks());
-    if let Some(mended) = &mended {
-        said.extend(mended.remarks.iter().cloned());
+    if let Some(changed) = &changed {
+        said.extend(changed.remarks.iter().cloned());
     }
     said.extend(point_of(geometry));
     let span = geometry.span_m();

@@ -388,7 +388,7 @@ fn dead_and_saturated_sensors_are_left_out_and_said() {
 fn a_refinement_that_predicts_nothing_better_is_rejected() {
     let mut random = Random::new(23);
     let drawn = ArrayGeometry::at(&board_places());
-    let recording = table(&drawn, 100.0, 0.5, &mut random);
+    let recording = table(&drawn, 100.0, 0.2, &mut random);
     let calibration = ArrayCalibration::of(&recording, &drawn, Gravity::UNKNOWN_PLACE).unwrap();
     let options = RefineOptions {
         place_sd_m: 5e-3,

@@ -20,11 +20,11 @@ pub struct Agreement<const M: usize> {
     pub samples: usize,
     /// Degrees of freedom of a sample.
     pub degrees: usize,
-    /// Mean χ² per degree of freedom, 1 for the noise that the geometry states.
+    /// Mean χ² per degree of freedom, each sample with its weight in the fit; 1 for the noise that the geometry states.
     pub chi_square: f64,
     /// Mean fraction of the variance among the sensors that no motion explains, 0 to about 1.
     pub unexplained: f64,
-    /// Root mean square of that part, m/s² per axis.
+    /// Root of `chi_square` in m/s² per axis.
     pub residual_mps2: f64,
     /// Fraction of the residual variance of each sensor, in their order.
     pub fractions: [f64; M],
@@ -227,6 +227,7 @@ fn agreement<const M: usize>(
     if found.degrees == 0 {
         return found;
     }
+    let mut weights_sum = 0.0;
     for_each(data, |k| {
         let Some(point) = point(data, k, &current, &body).filter(|p| p.reduced.degrees > 0) else {
             return;
@@ -236,8 +237,10 @@ fn agreement<const M: usize>(
             return;
         }
         let left = point.reduced.residual.norm_squared() / point.reduced.degrees as f64;
+        let weight = 1.0 / left.max(1.0);
         found.samples += 1;
-        found.chi_square += left;
+        weights_sum += weight;
+        found.chi_square += weight * left;
         found.unexplained += left / apart;
         for (a, value) in point.reduced.residual.iter().enumerate().take(layout.axes) {
             found.fractions[a / layout.group.max(1)] += value * value / apart;
@@ -248,7 +251,7 @@ fn agreement<const M: usize>(
         return found;
     }
     let count = found.samples as f64;
-    found.chi_square /= count;
+    found.chi_square /= weights_sum;
     found.unexplained /= count;
     found.residual_mps2 = libm::sqrt(found.chi_square * variance);
     let all = found.fractions.iter().sum::<f64>().max(f64::MIN_POSITIVE);

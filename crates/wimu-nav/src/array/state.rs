@@ -39,7 +39,7 @@ impl Default for ArrayConfig {
     fn default() -> Self {
         Self {
             gravity_mps2: crate::GRAVITY_MPS2,
-            rests: Rests::ConstantVelocity,
+            rests: Rests::ZeroVelocity,
             range_mps2: 155.0,
             bias_mps2: 0.02,
             common_bias_mps2: 0.0,

@@ -186,26 +186,17 @@ impl Fitted {
         }
     }
 
-    /// Standard deviation of a coordinate of the positions as given, m: as stated, or smaller where the motion shows it.
+    /// Standard deviation of a coordinate of the positions as given, m, at most that stated: the estimate that maximises the
+    /// evidence (MacKay, "Bayesian Interpolation", Neural Computation 4, 1992), the stated value as one more coordinate.
     pub fn shown_position_sd_m(&self, calibration: &ArrayCalibration) -> f64 {
-        if self.agreement.is_none() {
-            return calibration.place_sd_m;
+        let stated = calibration.place_sd_m;
+        let used = (0..self.moved_m.len()).filter(|s| calibration.uses(*s));
+        let (mut squares, mut determined) = (stated * stated, 1.0);
+        for (value, sd) in used.flat_map(|s| self.moved_m[s].as_flattened()) {
+            squares += value * value;
+            determined += (1.0 - (sd / stated).powi(2)).max(0.0);
         }
-        let used: Vec<_> = (0..self.moved_m.len())
-            .filter(|s| calibration.uses(*s))
-            .map(|s| self.moved_m[s])
-            .collect();
-        let count = (3 * used.len()).max(1) as f64;
-        let values = |i: usize| used.iter().flatten().map(move |axis| axis[i].0);
-        let square = |i: usize| {
-            let mean = values(i).sum::<f64>() / count;
-            values(i).map(|v| (v - mean).powi(2)).sum::<f64>() / count
-        };
-        let moved = (0..3).map(square).sum::<f64>() / 3.0;
-        moved
-            .sqrt()
-            .hypot(self.position_sd_m)
-            .min(calibration.place_sd_m)
+        (squares / determined).sqrt().min(stated)
     }
 }
 

@@ -128,8 +128,8 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         }
     }
 
-    /// Zero velocity and rotation at what looks like a rest. One whose velocity fails its test is constant velocity; it is a
-    /// rest if it goes on failing, as for one unit.
+    /// Zero velocity and rotation at what looks like a rest; where that may be constant velocity, zero angular acceleration. One
+    /// whose velocity fails its test is constant velocity; it is a rest if it goes on failing, as for one unit.
     pub(super) fn rest(&mut self, step: f64) {
         if !self.resting {
             self.failing_s += step;
@@ -162,11 +162,20 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             let slower = libm::sqrt((REST_S / self.since_zero_s).max(1.0));
             self.since_zero_s = 0.0;
             let [rate, acceleration] = REST_ROTATION.map(|d| real::<R>(d * slower));
-            let zero = Zero {
-                block: self.blocks.rotation,
-                deviation: [rate, rate, rate, acceleration, acceleration, acceleration],
+            let Some(mixture) = &mut self.mixture else {
+                return;
             };
-            if let Some(mixture) = &mut self.mixture {
+            let zero = Zero {
+                block: self.blocks.acceleration(),
+                deviation: [acceleration; 3],
+            };
+            mixture.update_each(real(FREEDOM), Gate::Open, &zero);
+            // Constant velocity may be constant rotation.
+            if self.config.rests == Rests::ZeroVelocity {
+                let zero = Zero {
+                    block: self.blocks.rate(),
+                    deviation: [rate; 3],
+                };
                 mixture.update_each(real(FREEDOM), Gate::Open, &zero);
             }
         }

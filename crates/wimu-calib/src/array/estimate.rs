@@ -48,6 +48,10 @@ pub struct ArrayEstimate<'w, const M: usize> {
     covariance: &'w [f64],
     /// Cost at the estimate: χ² of data and prior; residuals above their noise count with their logarithm.
     pub cost: f64,
+    /// Variance of the gradient over that of white residuals, at least 1: residuals are correlated.
+    pub inflation: f64,
+    /// ln |N| of the normal matrix in units of the prior deviations: information of the recording about the unknowns.
+    pub log_determinant: f64,
     /// Test of agreement with the motion of a rigid body.
     pub agreement: Agreement<M>,
 }
@@ -178,6 +182,8 @@ pub fn fit_array<'w, const M: usize>(
         values,
         covariance,
         cost,
+        inflation,
+        log_determinant,
     } = solve_all(geometry, &usable, data, prior, workspace)?;
     let agreement = agreement(geometry, &usable, data, values);
     Ok(ArrayEstimate {
@@ -186,6 +192,8 @@ pub fn fit_array<'w, const M: usize>(
         values,
         covariance,
         cost,
+        inflation,
+        log_determinant,
         agreement,
     })
 }
@@ -229,20 +237,21 @@ fn agreement<const M: usize>(
     }
     let mut weights_sum = 0.0;
     for_each(data, |k| {
-        let Some(point) = point(data, k, &current, &body).filter(|p| p.reduced.degrees > 0) else {
+        let Some(point) = point(data, k, &current, &body) else {
             return;
         };
         let apart = apart(&point.output, &body, layout);
         if apart < least {
             return;
         }
-        let left = point.reduced.residual.norm_squared() / point.reduced.degrees as f64;
-        let weight = 1.0 / left.max(1.0);
+        let unexplained = &point.reduced.unexplained;
+        let left = unexplained.norm_squared() / found.degrees as f64;
         found.samples += 1;
+        let weight = 1.0 / left.max(1.0);
         weights_sum += weight;
         found.chi_square += weight * left;
         found.unexplained += left / apart;
-        for (a, value) in point.reduced.residual.iter().enumerate().take(layout.axes) {
+        for (a, value) in unexplained.iter().enumerate().take(layout.axes) {
             found.fractions[a / layout.group.max(1)] += value * value / apart;
         }
     });

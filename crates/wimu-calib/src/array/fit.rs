@@ -221,6 +221,9 @@ pub(super) struct Solved<'a> {
     /// Posterior covariance, in units of the prior deviations, full.
     pub covariance: &'a [f64],
     pub cost: f64,
+    pub inflation: f64,
+    /// ln |N|, N the normal matrix in units of the prior deviations.
+    pub log_determinant: f64,
 }
 
 /// Variance of the gradient over that of white residuals, at least 1, from the blocks of samples; `normal` holds the inverse
@@ -352,6 +355,7 @@ pub(super) fn solve_all<'w, const M: usize>(
     factorise(factor, n)
         .and_then(|()| invert(factor, sums.normal, n))
         .ok_or(ArrayRefusal::NotFinite)?;
+    let log_determinant = 2.0 * (0..n).map(|i| libm::log(factor[i * n + i])).sum::<f64>();
     let cost = sums.cost;
     let inflation = inflation(&sums);
     let Sums { normal, scale, .. } = sums;
@@ -365,5 +369,7 @@ pub(super) fn solve_all<'w, const M: usize>(
         values,
         covariance: normal,
         cost,
+        inflation,
+        log_determinant,
     })
 }

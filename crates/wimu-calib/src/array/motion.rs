@@ -57,6 +57,8 @@ pub(super) struct Rate<const M: usize> {
 pub(super) struct Reduced<const M: usize> {
     /// Whitened residual, and its degrees of freedom.
     pub residual: SVector<f64, M>,
+    /// What no ω explains, observed or not: the residual, and z − U q(ω) where that is left out of it.
+    pub unexplained: SVector<f64, M>,
     pub degrees: usize,
     /// Orthonormal basis of what the motion explains; the projection is 1 − B Bᵀ.
     pub explained: SMatrix<f64, M, 12>,
@@ -238,8 +240,8 @@ impl<const M: usize> Body<M> {
         let slope = self.to_z * slopes(&w);
         let information = slope.tr_mul(&slope);
         let free = self.used.saturating_sub(6 + self.rank);
-        let left = (output - self.linear * shares - self.basis * z).norm_squared();
-        let excess = (left / free.max(1) as f64).max(1.0);
+        let outside = output - self.linear * shares - self.basis * z;
+        let excess = (outside.norm_squared() / free.max(1) as f64).max(1.0);
         let inverse = information.try_inverse().filter(|inverse| {
             let largest = inverse.symmetric_eigenvalues().max() * excess;
             w.norm_squared() > OBSERVED_SD * OBSERVED_SD * largest
@@ -281,24 +283,24 @@ impl<const M: usize> Body<M> {
                 derivative,
             }
         });
-        let residual =
-            output - self.linear * shares - self.basis * self.explained_z(&z, &q, rate.is_some());
+        let unexplained = match self.rank {
+            6 => outside + self.basis * (z - self.to_z * monomials(&w)),
+            _ => outside,
+        };
+        let residual = if rate.is_some() { unexplained } else { outside };
         let [a, b, c, d, e, f]: [f64; 6] = (q * unit).into();
         let tensor =
             omega_dot.cross_matrix() + Matrix3::new(-b - c, f, e, f, -a - c, d, e, d, -a - b);
         let finite = residual.iter().chain(tensor.iter()).all(|v| v.is_finite());
         finite.then_some(Reduced {
             residual,
+            unexplained,
             degrees: self.used.saturating_sub(6 + motion),
             explained,
             force_mps2: theta.fixed_rows::<3>(3).into(),
             tensor,
             rate,
         })
-    }
-
-    fn explained_z(&self, z: &Vector6<f64>, q: &Vector6<f64>, observed: bool) -> Vector6<f64> {
-        if observed { self.to_z * q } else { *z }
     }
 }
 

@@ -34,13 +34,44 @@ pub(super) struct Current<'a, const M: usize> {
 
 type Rows<const M: usize> = [[f64; PER_AXIS + 1]; M];
 
-/// An output at its time less the delay, and its derivative; `None` where samples are missing.
+/// Fourth-order Lagrange interpolation from five samples.
 struct Interpolated<const M: usize> {
+    /// Outputs at their times less the delays.
     value: SVector<f64, M>,
+    /// Their derivatives by time; 0 where those of a sensor are within their noise and show no delay.
     change: SVector<f64, M>,
+    /// Variance of the noise over that of a sample, and half its derivative by time; 0 for axes that are not used.
+    gain: SVector<f64, M>,
+    slope: SVector<f64, M>,
+    /// Mean square derivative of the outputs over the variance of its noise.
+    moves: f64,
+}
+
+/// Factors of the five samples in the interpolated value, and in its derivative by `u`, in spacings from the third.
+fn lagrange(u: f64) -> [[f64; 5]; 2] {
+    let at = |i: usize| {
+        let first = [1.0, -8.0, 0.0, 8.0, -1.0][i] / 12.0;
+        let second = [-1.0, 16.0, -30.0, 16.0, -1.0][i] / 12.0;
+        let third = [-1.0, 2.0, 0.0, -2.0, 1.0][i] / 2.0;
+        let fourth = [1.0, -4.0, 6.0, -4.0, 1.0][i];
+        let here = if i == 2 { 1.0 } else { 0.0 };
+        [
+            here + u * (first + u * (second / 2.0 + u * (third / 6.0 + u * fourth / 24.0))),
+            first + u * (second + u * (third / 2.0 + u * fourth / 6.0)),
+        ]
+    };
+    [
+        core::array::from_fn(|i| at(i)[0]),
+        core::array::from_fn(|i| at(i)[1]),
+    ]
+}
+
+fn dot(a: &[f64; 5], b: &[f64; 5]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 impl<const M: usize> Interpolated<M> {
+    /// `None` where samples are missing.
     fn at(
         data: &ArrayData<'_, M>,
         k: usize,
@@ -52,30 +83,38 @@ impl<const M: usize> Interpolated<M> {
         let mut found = Self {
             value: SVector::zeros(),
             change: SVector::zeros(),
+            gain: SVector::zeros(),
+            slope: SVector::zeros(),
+            moves: 0.0,
         };
-        let (mut last, mut rows, mut offset) = (usize::MAX, None, 0.0);
-        for (index, axis) in body.axes.iter().enumerate().take(current.layout.axes) {
-            if axis.weight <= 0.0 {
+        let group = current.layout.group.max(1);
+        for first in (0..current.layout.axes).step_by(group) {
+            let axes = first..(first + group).min(current.layout.axes);
+            let used = || axes.clone().filter(|a| body.axes[*a].weight > 0.0);
+            let count = used().count();
+            if count == 0 {
                 continue;
             }
-            let sensor = index / current.layout.group.max(1);
-            if sensor != last {
-                let delay = *current.delays.get(sensor)?;
-                let shift = libm::round(delay / data.period_s);
-                let base = k as f64 - shift;
-                rows = stencil(data, base, apart, spacing);
-                (last, offset) = (sensor, (shift * data.period_s - delay) / spacing);
+            let delay = *current.delays.get(first / group)?;
+            let shift = libm::round(delay / data.period_s);
+            let rows = stencil(data, k as f64 - shift, apart, spacing)?;
+            let [value, change] = lagrange((shift * data.period_s - delay) / spacing);
+            let variance = dot(&change, &change);
+            let mut square = 0.0;
+            for a in used() {
+                let samples = rows.map(|row| row[a]);
+                let difference = dot(&change, &samples);
+                found.value[a] = dot(&value, &samples);
+                found.change[a] = difference / spacing;
+                found.gain[a] = dot(&value, &value);
+                found.slope[a] = dot(&value, &change) / spacing;
+                square += difference * difference * body.axes[a].weight * body.axes[a].weight;
             }
-            let [a, b, c, d, e] = rows.as_ref()?.map(|row: &[f64; M]| row[index]);
-            let first = (8.0 * (d - b) - (e - a)) / 12.0;
-            let second = (16.0 * (b + d) - a - e - 30.0 * c) / 12.0;
-            let third = (e - a) * 0.5 - (d - b);
-            let fourth = a + e - 4.0 * (b + d) + 6.0 * c;
-            let u = offset;
-            found.value[index] =
-                c + u * (first + u * (second / 2.0 + u * (third / 6.0 + u * fourth / 24.0)));
-            found.change[index] =
-                (first + u * (second + u * (third / 2.0 + u * fourth / 6.0))) / spacing;
+            found.moves += square / variance / body.used as f64;
+            // The square of noise alone would count as information about the delay.
+            if square <= LEAST_CHANGE * variance * count as f64 {
+                used().for_each(|a| (found.change[a], found.slope[a]) = (0.0, 0.0));
+            }
         }
         Some(found)
     }
@@ -110,6 +149,8 @@ pub(super) struct Point<const M: usize> {
     by_size: SVector<f64, M>,
     /// Outputs without bias, whitened.
     pub output: SVector<f64, M>,
+    gain: SVector<f64, M>,
+    slope: SVector<f64, M>,
 }
 
 /// Sample `k` where the body moves and all axes in use have an output.
@@ -120,18 +161,13 @@ pub(super) fn point<const M: usize>(
     body: &Body<M>,
 ) -> Option<Point<M>> {
     let found = Interpolated::at(data, k, current, body)?;
-    let whitened =
-        |v: &SVector<f64, M>| SVector::<f64, M>::from_fn(|a, _| v[a] * body.axes[a].weight);
     let output = SVector::<f64, M>::from_fn(|a, _| {
         (found.value[a] - body.axes[a].bias_mps2 - body.axes[a].drift_mps2) * body.axes[a].weight
     });
     let reduced = body.reduce(&output)?;
-    let change = whitened(&found.change);
-    let span = SPACING_S.max(data.period_s);
-    let changes = change.norm_squared() * span * span > LEAST_CHANGE * 0.9 * body.used as f64;
     // |S|² = 2 |ω̇|² + 2 |ω|⁴ for a rotation.
     let turns = reduced.tensor.norm_squared() > 2.0 * LEAST_TURN * LEAST_TURN;
-    if !(turns || changes) {
+    if !(turns || found.moves > LEAST_CHANGE) {
         return None;
     }
     let mut rows = [[0.0; PER_AXIS + 1]; M];
@@ -141,7 +177,15 @@ pub(super) fn point<const M: usize>(
         let force = (reduced.force_mps2 + reduced.tensor * axis.r) * w;
         let position = reduced.tensor.tr_mul(&axis.m) * w;
         rows[a] = [
-            w, force.x, force.y, force.z, position.x, position.y, position.z, w, change[a],
+            w,
+            force.x,
+            force.y,
+            force.z,
+            position.x,
+            position.y,
+            position.z,
+            w,
+            found.change[a] * w,
         ];
         by_size[a] = position.dot(&current.start[a].r) * current.size;
     }
@@ -151,6 +195,8 @@ pub(super) fn point<const M: usize>(
         rows,
         by_size,
         output,
+        gain: found.gain,
+        slope: found.slope,
     })
 }
 
@@ -261,9 +307,20 @@ fn add_sample<const M: usize>(point: &Point<M>, layout: Layout, sums: &mut Sums<
     if reduced.degrees == 0 {
         return;
     }
-    let (cost, weight) = robust(reduced.residual.norm_squared(), reduced.degrees as f64);
-    sums.cost += cost;
     let explained = reduced.explained.transpose();
+    let left = |a: usize| 1.0 - explained.column(a).norm_squared();
+    let sum = |of: &SVector<f64, M>| (0..layout.axes).map(|a| of[a] * left(a)).sum::<f64>();
+    // Interpolation averages noise: χ² of noise alone is not that of the samples, and depends on the delays.
+    let expected = sum(&point.gain);
+    let degrees = reduced.degrees as f64;
+    let square = reduced.residual.norm_squared() / expected;
+    let (cost, weight) = robust(square * degrees, degrees);
+    sums.cost += cost;
+    let weight = weight * degrees / expected;
+    for a in 0..layout.axes {
+        let delay = layout.delay(a / layout.group.max(1));
+        sums.pull[delay] -= sums.scale[delay] * weight * square * point.slope[a] * left(a);
+    }
     let between = |a: usize, b: usize| {
         let one = f64::from(u8::from(a == b));
         (one - explained.column(a).dot(&explained.column(b))) * weight

@@ -401,7 +401,9 @@ fn a_geometry_of_another_array_is_refused() {
     assert!(agreement.unexplained < 0.02 && says(&sound, "fits no motion of one rigid body"));
     // A wrong size fits a rigid body: the rests show it.
     let (larger, _) = path(&all.recording, &octahedron(0.3), true).unwrap();
-    assert!(says(&larger, "check the positions of the sensors") && !says(&sound, "check the positions"));
+    assert!(
+        says(&larger, "check the positions of the sensors") && !says(&sound, "check the positions")
+    );
     let turned = [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]];
     let change = |change: &dyn Fn(&mut Vec<ArraySensor>)| {
         let mut wrong = geometry.clone();

@@ -240,7 +240,12 @@ impl ArrayCalibration {
             .unwrap_or(apart / STANDARD_GRAVITY_MPS2)
             .max(LEAST_SCALE);
         self.apart_mps2 = used.iter().map(|k| (*k, apart_of(*k, &offsets))).collect();
-        self.prior = (self.bias_mps2, self.scale, self.prior.2);
+        let (bias, scale) = (MOST_SCALE * STANDARD_GRAVITY_MPS2, MOST_SCALE);
+        self.prior = (
+            self.bias_mps2.min(bias),
+            self.scale.min(scale),
+            self.prior.2,
+        );
     }
 
     /// Fits biases and matrices to the rests; what they leave uncertain stays in `scale`.

@@ -13,13 +13,8 @@ use crate::{ErrorCode, HostError, Result};
 const MOST_SAMPLES: usize = 2000;
 /// Samples in motion that an estimate of positions needs.
 const LEAST_SAMPLES: usize = 200;
-/// Positions and delays are accepted if they reduce the rms residual by at least this fraction. Chosen on simulated
-/// arrays: errors of scale factors that positions take over reduce it by 0.7 % and worsen the angular rate.
-const LEAST_GAIN: f64 = 0.02;
 /// Fraction of the variance among the sensors that no motion explains, from which on the geometry is not this array's.
 const CONTRADICTION: f64 = 0.15;
-/// Residuals below this, m/s², are biases: see `BIAS_MPS2`.
-const LEAST_CONTRADICTION_MPS2: f64 = 0.06;
 
 /// Uncertainty of the geometry.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,14 +39,14 @@ impl Default for RefineOptions {
 pub struct Agreement {
     /// Samples in which the sensors differ by far more than their noise.
     pub samples: usize,
-    /// χ² per degree of freedom.
-    pub chi_square: f64,
     /// Fraction of the variance among the sensors that no motion explains.
     pub unexplained: f64,
     /// That part, m/s² rms per axis.
     pub unexplained_mps2: f64,
     /// The sensor with the largest residual (from 0).
     pub worst: usize,
+    /// A sensor whose estimated bias and matrix are beyond the bounds of an error model.
+    pub beyond: Option<usize>,
 }
 
 impl Agreement {
@@ -73,17 +68,22 @@ impl Agreement {
     /// # Errors
     /// `data_refused`, with what to check.
     pub fn check(&self, name: &str) -> Result<()> {
-        if self.unexplained < CONTRADICTION || self.unexplained_mps2 < LEAST_CONTRADICTION_MPS2 {
-            return Ok(());
-        }
-        Err(HostError::new(
-            ErrorCode::DataRefused,
-            format!(
-                "the sensors contradict each other: {:.0} % of the variance among them in motion fits no motion of one \
-                 rigid body; sensor {} (from 0) fits worst",
+        let what = match self.beyond {
+            Some(sensor) => format!(
+                "only with scale factors or misalignments beyond 30 % does sensor {sensor} (from 0) measure the motion \
+                 of the others"
+            ),
+            None if self.unexplained > CONTRADICTION => format!(
+                "{:.0} % of the variance among them in motion fits no motion of one rigid body; sensor {} (from 0) \
+                 fits worst",
                 100.0 * self.unexplained,
                 self.worst
             ),
+            None => return Ok(()),
+        };
+        Err(HostError::new(
+            ErrorCode::DataRefused,
+            format!("the sensors contradict each other: {what}"),
             "check the geometry: the order of the sensors, the signs of their positions, and the directions of their \
              axes. If they are right, calibrate the sensors: hold the array still in a dozen orientations, \
              `wimu calibrate RESTS.csv --geometry PLACES.csv -o ARRAY.json`, and navigate with --geometry ARRAY.json",
@@ -116,7 +116,8 @@ pub(super) struct Fitted {
     pub delays_s: Vec<(f64, f64)>,
     pub size: (f64, f64),
     pub cost: f64,
-    pub degrees: usize,
+    pub inflation: f64,
+    pub log_determinant: f64,
     /// Quantities of ω that a sample shows, 6 unless the array is in a plane.
     pub rank: usize,
     pub agreement: Option<Agreement>,
@@ -158,8 +159,8 @@ impl Fitted {
         };
         let all = || 0..sensors;
         let agreement = &found.agreement;
+        let models: Vec<_> = all().map(model).collect();
         Self {
-            models: all().map(model).collect(),
             model_sd: all()
                 .map(|s| {
                     (
@@ -174,15 +175,17 @@ impl Fitted {
             delays_s: all().map(|s| found.delay_s(s)).collect(),
             size: found.size(),
             cost: found.cost,
-            degrees: agreement.degrees,
+            inflation: found.inflation,
+            log_determinant: found.log_determinant,
             rank: 0,
             agreement: (agreement.samples > 0).then(|| Agreement {
                 samples: agreement.samples,
-                chi_square: agreement.chi_square,
                 unexplained: agreement.unexplained,
                 unexplained_mps2: agreement.residual_mps2,
                 worst: agreement.worst(),
+                beyond: all().find(|s| used(*s) && models[*s].is_none()),
             }),
+            models,
         }
     }
 
@@ -289,7 +292,7 @@ pub struct Refinement {
     pub residual_mps2: [f64; 2],
     /// Samples in motion.
     pub samples: usize,
-    /// Reduction of the cost, χ², over that which the residual has to fall by for the estimates to be accepted.
+    /// Reduction of the cost, χ², over the logarithm of the Occam factor: above 1 the evidence is for the estimates.
     pub gain: f64,
     /// Whether they are: `gain` is above 1.
     pub accepted: bool,
@@ -348,8 +351,9 @@ pub fn refine(
             .at(&recording.name));
         }
     };
-    let residuals = (after.samples.min(MOST_SAMPLES) * found.degrees) as f64;
-    let gain = (given.cost - found.cost) / (-2.0 * (1.0 - LEAST_GAIN).ln() * residuals);
+    // Laplace's approximation of the evidence of both models (Kass & Raftery, "Bayes Factors", JASA 90, 1995).
+    let needed = found.log_determinant - given.log_determinant;
+    let gain = (given.cost - found.cost) / (found.inflation * needed);
     let mut refined = geometry.clone();
     for (sensor, new) in refined
         .sensors

@@ -191,8 +191,7 @@ impl Fitted {
 
     /// Standard deviation of a coordinate of the positions as given, m, at most that stated: the estimate that maximises the
     /// evidence (MacKay, "Bayesian Interpolation", Neural Computation 4, 1992), the stated value as one more coordinate.
-    pub fn shown_position_sd_m(&self, calibration: &ArrayCalibration) -> f64 {
-        let stated = calibration.place_sd_m;
+    pub fn shown_position_sd_m(&self, calibration: &ArrayCalibration, stated: f64) -> f64 {
         let used = (0..self.moved_m.len()).filter(|s| calibration.uses(*s));
         let (mut squares, mut determined) = (stated * stated, 1.0);
         for (value, sd) in used.flat_map(|s| self.moved_m[s].as_flattened()) {
@@ -328,13 +327,16 @@ pub fn refine(
         delay_s: options.delay_sd_s,
         ..calibration.prior()
     };
-    let given = ArrayPrior {
+    let exact = ArrayPrior {
         position_m: 1e-8,
-        delay_s: 1e-9,
         ..prior
     };
+    let given = ArrayPrior {
+        delay_s: 1e-9,
+        ..exact
+    };
     let fitted = |prior| Fitted::of(recording, geometry, calibration, prior);
-    let (given, found) = (fitted(&given)?, fitted(&prior)?);
+    let (given, timed, mut found) = (fitted(&given)?, fitted(&exact)?, fitted(&prior)?);
     if found.rank < 6 {
         return Err(refused(
             "an array in a plane does not show where its sensors are",
@@ -351,9 +353,20 @@ pub fn refine(
             .at(&recording.name));
         }
     };
-    // Laplace's approximation of the evidence of both models (Kass & Raftery, "Bayes Factors", JASA 90, 1995).
+    // Laplace's approximation of the evidence of a model (Kass & Raftery, "Bayes Factors", JASA 90, 1995).
+    let inflation = found.inflation;
+    let misfit = |of: &Fitted| of.cost / inflation + of.log_determinant;
+    let residual_mps2 = [before.unexplained_mps2, after.unexplained_mps2];
+    let (samples, mut known_place_m) = (after.samples, found.position_sd_m);
+    if misfit(&timed) < misfit(&given).min(misfit(&found)) {
+        // The recording shows delays; the positions are as given, as well as it shows them to be.
+        known_place_m = found.shown_position_sd_m(calibration, options.place_sd_m);
+        found = timed;
+        let moved = found.moved_m.as_flattened_mut().as_flattened_mut();
+        moved.fill((0.0, known_place_m));
+    }
     let needed = found.log_determinant - given.log_determinant;
-    let gain = (given.cost - found.cost) / (found.inflation * needed);
+    let gain = (given.cost - found.cost) / (inflation * needed);
     let mut refined = geometry.clone();
     for (sensor, new) in refined
         .sensors
@@ -379,9 +392,9 @@ pub fn refine(
         place_sd_m: split(|(_, sd)| *sd),
         delay_s: found.delays_s.iter().map(|(value, _)| *value).collect(),
         delay_sd_s: found.delays_s.iter().map(|(_, sd)| *sd).collect(),
-        known_place_m: found.position_sd_m,
-        residual_mps2: [before.unexplained_mps2, after.unexplained_mps2],
-        samples: after.samples,
+        known_place_m,
+        residual_mps2,
+        samples,
         gain,
         accepted: gain > 1.0,
     })

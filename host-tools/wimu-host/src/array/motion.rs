@@ -248,7 +248,7 @@ fn filtered<const M: usize>(
     // What is missing is said before anything is done.
     ArraySolver::<f64, M>::of(&axes, |sensor| calibration.uses(sensor)).map_err(refused)?;
     let fitted = Fitted::of(recording, geometry, calibration, &calibration.prior())?;
-    let place_sd_m = fitted.shown_position_sd_m(calibration);
+    let place_sd_m = fitted.shown_position_sd_m(calibration, calibration.place_sd_m);
     let used = (0..recording.sensors())
         .filter(|sensor| calibration.uses(*sensor))
         .count();

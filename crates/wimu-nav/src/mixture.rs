@@ -96,7 +96,9 @@ impl<R: RealField + Copy, const N: usize, const K: usize> Mixture<R, N, K> {
         }
         if let ([component], [only]) = (&mut *self.components, &*candidates) {
             let within = |i: &Innovation<R>| i.statistic <= limit;
-            let innovation = component.filter.update_if(&only.measurement, within, &mut ());
+            let innovation = component
+                .filter
+                .update_if(&only.measurement, within, &mut ());
             return Some(innovation).filter(|i| i.statistic.is_finite());
         }
         self.weigh(&mut candidates, freedom);

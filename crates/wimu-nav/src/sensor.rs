@@ -15,7 +15,7 @@ pub use angular_rate::ZeroAngularRate;
 pub use gravity::Gravity;
 pub use magnetometer::{MagneticField, Magnetometer};
 pub use velocity::{Velocity, recover};
-pub use zero::Zero;
+pub use zero::{VerticalRate, Zero};
 
 pub use position::Position;
 pub use reduced_array::{ArrayNoise, Prior, ReducedArray};

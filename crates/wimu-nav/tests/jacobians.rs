@@ -13,7 +13,7 @@ use wimu_nav::process::{
 };
 use wimu_nav::sensor::{
     ArrayNoise, MagneticField, Magnetometer, Measurement, Position, ReducedArray, SpecificForce,
-    Velocity, Zero,
+    Velocity, VerticalRate, Zero,
 };
 use wimu_nav::state::{ATTITUDE, Block, Layout, POSITION, Role, State, VELOCITY};
 
@@ -257,10 +257,10 @@ fn gauss_markov_and_gaps_have_their_derivative() {
 
 /// Asserts that a measurement has the derivative −∂(innovation)/∂x where the covariance is zero.
 #[track_caller]
-fn assert_jacobian(
+fn assert_jacobian<const M: usize>(
     start: &Filter<f64, N>,
     states: &[Block<1>],
-    measurement: &impl Measurement<f64, N, 3>,
+    measurement: &impl Measurement<f64, N, M>,
 ) {
     let mut filter = start.clone();
     certain(&mut filter, states);
@@ -325,6 +325,8 @@ fn the_jacobian_of_each_sensor_is_its_derivative() {
                 deviation_m: 0.1,
             },
         );
+        let (block, deviation) = (acceleration, 0.1);
+        assert_jacobian(&start, &all, &VerticalRate { block, deviation });
         for offset in [None, Some(offset)] {
             let velocity = Velocity {
                 velocity_mps: vector(1.0),

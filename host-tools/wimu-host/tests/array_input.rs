@@ -486,6 +486,29 @@ fn the_truth_of_an_array_gives_its_nees() {
 }
 
 #[test]
+fn the_smoothed_rate_of_an_array_is_closer_to_the_truth_and_within_its_deviation() {
+    let geometry = octahedron(0.03);
+    let all = simulated(&geometry, &carried(), &mut Random::new(12));
+    let arranged = all.recording.clone().judged().arranged(&geometry).unwrap();
+    let calibration = ArrayCalibration::of(&arranged, &geometry, Gravity::UNKNOWN_PLACE).unwrap();
+    let [filtered, smoothed] = [false, true].map(|smooth| {
+        let choice = Choice {
+            zupt: Zupt::Stated,
+            smooth,
+            ..Choice::default()
+        };
+        let path = navigate_array(&arranged, &geometry, &calibration, &choice).unwrap();
+        assert_eq!(path.smoothed_rate, smooth);
+        path
+    });
+    let [before, after] = [&filtered, &smoothed].map(|path| rate_rms(path, &all.rates));
+    println!("{before:.4} and {after:.4} rad/s rms");
+    assert!(after < 0.9 * before, "{after} {before}");
+    let (_, share) = wimu_host::inertial::consistency(&smoothed.rate_nees).unwrap();
+    assert!(share > 0.9, "{share}");
+}
+
+#[test]
 fn rows_that_repeat_among_noisy_ones_are_a_gap_and_a_rest_without_noise_is_none() {
     let mut random = Random::new(7);
     let mut table = |noise: f64| {

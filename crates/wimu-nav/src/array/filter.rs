@@ -68,8 +68,8 @@ impl Alignment {
 /// let mut filter = ArrayFilter::<f32, 24>::new(board, ArrayConfig::default())?;
 /// // At rest, z up.
 /// for k in 0..200 {
-///     let noise = if k % 2 == 0 { 0.01 } else { -0.01 };
-///     let sample = core::array::from_fn(|axis| if axis % 3 == 2 { 9.80665 + noise } else { noise });
+///     let noise = |axis: usize| 0.003 * ((7 * k + 5 * axis) % 11) as f32 - 0.015;
+///     let sample = core::array::from_fn(|axis| if axis % 3 == 2 { 9.80665 + noise(axis) } else { noise(axis) });
 ///     filter.push(0.01, &sample).unwrap();
 /// }
 /// let state = filter.state();
@@ -117,7 +117,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let array = Array::<R, M>::new(geometry, real(config.range_mps2))?;
         let mut layout = Layout::new([R::zero(); 3], R::zero(), R::zero());
         let solver = array.solver();
-        let lever = libm::sqrt(lever_variance(solver, &config));
+        let lever = solver.rate_error(config.place_sd_m);
         let full = |_| GeometryError::TooFew { have: 0, need: 6 };
         let blocks = RigidArrayBlocks::claim(&mut layout, START_ROTATION.map(real), real(lever))
             .map_err(full)?;
@@ -440,15 +440,4 @@ fn force<'a, R: Real, const M: usize>(
         step_s: real(step * 0.5),
         attitude_covariance: Matrix3::zeros(),
     }
-}
-
-/// Variance of a component of e: relative error of the angular rate by errors of the lever arms, equation (105).
-fn lever_variance<R: Real, const M: usize>(
-    solver: &ArraySolver<R, M>,
-    config: &ArrayConfig,
-) -> f64 {
-    let covariance = solver.covariance();
-    let arms = (0..3).map(|i| covariance[i][i]).sum::<f64>() / 3.0;
-    let place = config.place_sd_m;
-    1.5 * place * place * arms / solver.variance_mps2().to_f64()
 }

@@ -296,6 +296,13 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
         self.variance
     }
 
+    /// Relative standard deviation of a component of ω by errors of the lever arms with this deviation of each coordinate, m:
+    /// equation (105).
+    pub fn rate_error(&self, position_sd_m: f64) -> f64 {
+        let arms = (0..3).map(|i| self.theta_covariance[i][i]).sum::<f64>() / 3.0;
+        position_sd_m * libm::sqrt(1.5 * arms / self.variance.to_f64())
+    }
+
     /// Root mean square distance of the sensors from their centre, m.
     pub fn arm_m(&self) -> f64 {
         self.arm_m

@@ -121,7 +121,7 @@ impl<R: Real> ArrayState<R> {
         let none = [zero; 3];
         Self {
             rate_rad_s: zero,
-            rate_covariance: none,
+            rate_covariance: [[R::one() / R::zero(); 3]; 3],
             angular_acceleration_rad_s2: zero,
             quaternion: [R::one(), R::zero(), R::zero(), R::zero()],
             attitude_covariance: none,

@@ -93,7 +93,8 @@ pub fn score(data: &Path, name: &str) -> Result<ArrayScores> {
     }
     let smoothed = angular_rate(&recording, &geometry, &calibration)?;
     methods.push(scored_rates("wimu_array_smoother", &scored, &truth, |k| {
-        let variance = Vector3::from(smoothed.rate_sd_rad_s[k]).map(|s| s * s);
+        let covariance = smoothed.rate_covariance[k];
+        let variance = Vector3::from_fn(|i, _| covariance[i][i]);
         (
             smoothed.rate_rad_s[k].into(),
             Some(Matrix3::from_diagonal(&variance)),

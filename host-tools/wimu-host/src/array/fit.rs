@@ -70,7 +70,7 @@ impl Agreement {
     pub fn check(&self, name: &str) -> Result<()> {
         let what = match self.beyond {
             Some(sensor) => format!(
-                "only with scale factors or misalignments beyond 30 % does sensor {sensor} (from 0) measure the motion \
+                "only with scale factors or misalignments beyond the bounds of a model does sensor {sensor} (from 0) measure the motion \
                  of the others"
             ),
             None if self.unexplained > CONTRADICTION => format!(

@@ -20,8 +20,8 @@ pub(super) const AT_LIMIT_MPS2: f64 = 1e6;
 pub struct ArrayMotion {
     /// ω from all samples, rad/s, body axes.
     pub rate_rad_s: Vec<[f64; 3]>,
-    /// Standard deviation of each component, rad/s.
-    pub rate_sd_rad_s: Vec<[f64; 3]>,
+    /// Its covariance, (rad/s)², with what errors of lever arms and time stamps add: equations (102), (105).
+    pub rate_covariance: Vec<[[f64; 3]; 3]>,
     /// How the angular rate moves, found from the recording.
     pub spread: Spread,
     /// Mean NIS per degree of freedom.
@@ -214,15 +214,28 @@ fn smoothed<const M: usize>(
     let mut steps = vec![Step::default(); observations.len()];
     let found = track(&solver, solver.variance_mps2(), &observations, &mut steps)
         .ok_or_else(|| refused("the sensors' places show no angular rate"))?;
+    let fitted = Fitted::of(recording, geometry, calibration, &calibration.prior())?;
+    let relative = solver.rate_error(fitted.shown_position_sd_m(calibration, calibration.place_sd_m));
     Ok(ArrayMotion {
         rate_rad_s: steps.iter().map(|s| s.rate_rad_s).collect(),
-        rate_sd_rad_s: steps
-            .iter()
-            .map(|s| core::array::from_fn(|i| s.covariance[i][i].max(0.0).sqrt()))
-            .collect(),
+        rate_covariance: steps.iter().map(|s| reported(s, relative)).collect(),
         spread: found.spread,
         nis: found.nis,
     })
+}
+
+/// Covariance of the angular rate with the errors of the lever arms, equation (105), and of the time stamps, (102).
+fn reported(step: &Step, relative: f64) -> [[f64; 3]; 3] {
+    let late = (step.angular_acceleration_rad_s2).map(|w| w * ArrayConfig::default().time_sd_s);
+    let arms = relative * relative * step.rate_rad_s.iter().map(|w| w * w).sum::<f64>();
+    let mut covariance = step.covariance;
+    for (i, row) in covariance.iter_mut().enumerate() {
+        for (value, other) in row.iter_mut().zip(late) {
+            *value += late[i] * other;
+        }
+        row[i] += arms;
+    }
+    covariance
 }
 
 /// Whether the rate may be zero: within three of its deviations.

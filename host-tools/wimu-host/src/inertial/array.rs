@@ -5,8 +5,8 @@ use wimu_nav::array::ArrayState;
 use super::truth::{compare, heading_rad, moving};
 use super::{Choice, InertialPath, Method, PathPoint};
 use crate::array::{
-    Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, navigated,
-    navigated_axes, surveyed,
+    Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, angular_rate,
+    navigated, navigated_axes, surveyed,
 };
 use crate::finding::{Finding, FindingCode};
 use crate::motion::{LIKELY, nees};
@@ -19,6 +19,10 @@ const GRAVITY_SHARE: f64 = 0.2;
 
 /// Navigates an array; `recording` is in body axes ([`ArrayRecording::arranged`]). A sensor whose times, or places
 /// whose size the motion shows to be others than given are taken as it shows them, which the remarks say.
+///
+/// With [`Choice::smooth`] the angular rate is that from the whole recording, equation (80), where its variance is smaller.
+/// Its deviation is that of the filter where nobody calibrated the sensors. Attitude, velocity and position are those of the
+/// filter.
 ///
 /// # Errors
 /// Those of [`navigated`]; `data_refused` where the sensors contradict each other, what
@@ -55,7 +59,21 @@ pub fn navigate_array(
         )
         .at(&recording.name));
     }
-    let (states, remarks) = navigated(recording, geometry, calibration, gravity, choice.zupt)?;
+    let (mut states, remarks) = navigated(recording, geometry, calibration, gravity, choice.zupt)?;
+    if choice.smooth {
+        let smoothed = angular_rate(recording, geometry, calibration)?;
+        let rates = (smoothed.rate_rad_s.into_iter()).zip(smoothed.rate_covariance);
+        for (state, (rate, covariance)) in states.iter_mut().zip(rates) {
+            // The filter knows of rests, and of sensors that fail on the way.
+            if trace(&covariance) < trace(&state.rate_covariance) {
+                state.rate_rad_s = rate;
+                // Biases and scale factors that nobody calibrated do not average out: they are in the filter's states.
+                if calibration.uncalibrated.is_none() {
+                    state.rate_covariance = covariance;
+                }
+            }
+        }
+    }
     let agreement = Agreement::of(recording, geometry, calibration)?;
     if let Some(agreement) = &agreement {
         agreement.check(&recording.name)?;
@@ -83,7 +101,9 @@ pub fn navigate_array(
     let said = said
         .into_iter()
         .map(|text| FindingCode::Geometry.note(text));
-    path_of(recording, &states, choice, remarks.chain(said))
+    let mut path = path_of(recording, &states, choice, remarks.chain(said))?;
+    path.smoothed_rate = choice.smooth;
+    Ok(path)
 }
 
 /// Which point the path is that of, where that is not the origin of the places.
@@ -115,6 +135,10 @@ pub fn navigate_axes(
     path_of(recording, &states, choice, warnings(remarks).chain(point))
 }
 
+fn trace(matrix: &[[f64; 3]; 3]) -> f64 {
+    (0..3).map(|i| matrix[i][i]).sum()
+}
+
 fn warnings(texts: Vec<String>) -> impl Iterator<Item = Finding> {
     (texts.into_iter()).map(|text| FindingCode::Navigation.warning(text))
 }
@@ -139,6 +163,7 @@ fn path_of(
             attitude_sd_rad: [0.0; 3],
             quaternion: state.quaternion,
             rate_rad_s: state.rate_rad_s,
+            rate_covariance: Some(state.rate_covariance),
             covariance_m2: state.position_covariance,
             filtered_sd_m: state.position_sd_m(),
             resting: choice.zupt.is_on() && state.resting,
@@ -150,7 +175,7 @@ fn path_of(
     path.findings = warnings(recording.remarks.clone()).chain(said).collect();
     let ambiguous = states
         .iter()
-        .filter(|s| s.certainty > 0.0 && s.certainty < 0.99)
+        .filter(|s| !s.resting && s.certainty > 0.0 && s.certainty < 0.99)
         .count();
     if ambiguous > 0 {
         path.findings.push(FindingCode::Navigation.warning(format!(

@@ -23,6 +23,8 @@ pub struct PathPoint {
     pub quaternion: [f64; 4],
     /// Angular rate, rad/s, body axes.
     pub rate_rad_s: [f64; 3],
+    /// Its covariance, (rad/s)²; `None` without an array.
+    pub rate_covariance: Option<[[f64; 3]; 3]>,
     /// Standard deviation of the velocity, m/s, and of the attitude about east, north and up, rad; 0 where it is not
     /// estimated.
     pub velocity_sd_mps: [f64; 3],
@@ -58,6 +60,12 @@ impl PathPoint {
         numbers.chain(&self.quaternion).all(|v| v.is_finite())
     }
 
+    /// Standard deviation of each component of the angular rate, rad/s.
+    pub fn rate_sigma_rad_s(&self) -> Option<[f64; 3]> {
+        let covariance = self.rate_covariance?;
+        Some(std::array::from_fn(|i| covariance[i][i].sqrt()))
+    }
+
     /// That of the position in space, m.
     pub fn sd_m(&self) -> f64 {
         self.sigma_m().iter().map(|s| s * s).sum::<f64>().sqrt()
@@ -81,6 +89,8 @@ pub struct InertialPath {
     pub limit_m: f64,
     /// Whether the points rest on all samples ([`Choice::smooth`](super::Choice::smooth)).
     pub smoothed: bool,
+    /// Whether the angular rate of an array rests on all samples.
+    pub smoothed_rate: bool,
     /// NEES of the position at each valid sample that has truth and moves, which is taken to be right to 1 mm; both
     /// begin at the same place and heading.
     pub nees: Vec<f64>,
@@ -106,6 +116,7 @@ impl InertialPath {
             findings: Vec::new(),
             limit_m,
             smoothed: false,
+            smoothed_rate: false,
             nees: Vec::new(),
             rate_nees: Vec::new(),
             velocity_nees: Vec::new(),
@@ -155,6 +166,23 @@ impl InertialPath {
                     .sqrt()
             })
             .sum()
+    }
+
+    /// Angular rate of an array at valid points in motion, rad/s rms, and the median of its standard deviation in space.
+    pub fn angular_rate(&self) -> Option<(f64, f64)> {
+        let moving = || self.points.iter().filter(|p| p.valid && !p.resting);
+        let rates = moving().flat_map(|p| p.rate_rad_s).map(|w| w * w);
+        let mut sigmas: Vec<f64> = (moving())
+            .filter_map(PathPoint::rate_sigma_rad_s)
+            .map(|s| s.iter().map(|s| s * s).sum::<f64>().sqrt())
+            .filter(|s| s.is_finite())
+            .collect();
+        sigmas.sort_by(f64::total_cmp);
+        let median = *sigmas.get(sigmas.len() / 2)?;
+        Some((
+            (rates.sum::<f64>() / moving().count() as f64).sqrt(),
+            median,
+        ))
     }
 
     /// Share of the points that are valid.
@@ -223,18 +251,22 @@ impl InertialPath {
         header.extend(["W", "X", "Y", "Z"].map(|a| format!("Quaternion {a}")));
         header.extend(["X", "Y", "Z"].map(|a| format!("Angular Rate {a} (rad/s)")));
         header.extend(["E", "N", "U"].map(|a| format!("Sigma {a} (m)")));
+        if self.points.iter().any(|p| p.rate_covariance.is_some()) {
+            header.extend(["X", "Y", "Z"].map(|a| format!("Angular Rate Sigma {a} (rad/s)")));
+        }
         header.push("Valid".to_owned());
         writeln!(sink, "{}", header.join(",")).map_err(failed)?;
         for point in &self.points {
             write!(sink, "{}", point.time_s).map_err(failed)?;
-            let sigma = point.sigma_m();
+            let (sigma, rate_sigma) = (point.sigma_m(), point.rate_sigma_rad_s());
             let values = point
                 .position_m
                 .iter()
                 .chain(&point.velocity_mps)
                 .chain(&point.quaternion)
                 .chain(&point.rate_rad_s)
-                .chain(&sigma);
+                .chain(&sigma)
+                .chain(rate_sigma.iter().flatten());
             for value in values {
                 write!(sink, ",{value:.6}").map_err(failed)?;
             }

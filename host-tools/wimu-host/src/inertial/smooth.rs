@@ -200,6 +200,7 @@ mod tests {
                 velocity_mps: found.velocity_mps,
                 quaternion: found.quaternion,
                 rate_rad_s: [0.0; 3],
+                rate_covariance: None,
                 velocity_sd_mps: [0.0; 3],
                 attitude_sd_rad: [0.0; 3],
                 covariance_m2: found.position_covariance,

@@ -141,6 +141,7 @@ mod tests {
                 velocity_mps: [0.0; 3],
                 quaternion: [1.0, 0.0, 0.0, 0.0],
                 rate_rad_s: [0.0; 3],
+                rate_covariance: None,
                 velocity_sd_mps: [0.0; 3],
                 attitude_sd_rad: [0.0; 3],
                 covariance_m2: [[0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.01]],

@@ -281,6 +281,7 @@ impl Unit<'_> {
             attitude_sd_rad: deviations(found.attitude_covariance),
             quaternion: found.quaternion,
             rate_rad_s: navigator.angular_rate().into(),
+            rate_covariance: None,
             covariance_m2: found.position_covariance,
             filtered_sd_m: 0.0,
             resting: at_rest && navigator.is_at_rest(),

@@ -11,7 +11,7 @@ use crate::mixture::Mixture;
 use crate::navigator::Rests;
 use crate::process::{RigidArray, RigidArrayBlocks, Unmeasured};
 use crate::rotation::{level, real};
-use crate::sensor::{Velocity, Zero};
+use crate::sensor::{Velocity, VerticalRate, Zero};
 use crate::state::{ATTITUDE, POSITION, VELOCITY};
 
 /// Time of the alignment, s.
@@ -26,9 +26,7 @@ const REST_S: f64 = 0.5;
 const ZERO_INTERVAL_S: f64 = 0.05;
 /// As for one unit: interval of the velocity updates, and how long a rest fails its test before it is certain, s.
 const REST_INTERVAL_S: f64 = 0.25;
-const CERTAIN_REST_S: f64 = 1.5;
-/// The same where rests are stated to be rests, s.
-const STATED_REST_S: f64 = 0.25;
+const CERTAIN_REST_S: f64 = 0.25;
 /// Variance of an unknown heading, rad²: a uniform distribution.
 const HEADING_UNKNOWN: f64 = 3.29;
 /// Speed beyond which the filter has diverged, m/s, and deviation of the position then, m, as for one unit.
@@ -82,7 +80,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         self.direction = *force;
         self.last = None;
         self.moving_start = !rest;
-        self.valid = rest;
+        (self.valid, self.resting) = (rest, rest);
         if rest {
             self.since_rest_s = 0.0;
         }
@@ -128,24 +126,25 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         }
     }
 
-    /// Zero velocity and rotation at what looks like a rest; where that may be constant velocity, zero angular acceleration. One
-    /// whose velocity fails its test is constant velocity; it is a rest if it goes on failing, as for one unit.
+    /// Zero velocity and rotation at what looks like a rest. Where that may be constant velocity, after the start, no angular
+    /// acceleration and a rotation about the vertical; one whose velocity fails its test is then left. Elsewhere it begins
+    /// again.
     pub(super) fn rest(&mut self, step: f64) {
         if !self.resting {
             self.failing_s += step;
         }
-        if self.since_update_s >= REST_INTERVAL_S
+        if self.config.rests == Rests::Ignored {
+            // Part of the alignment, which gives no velocity.
+            self.resting = true;
+        } else if self.since_update_s >= REST_INTERVAL_S
             && let Some(mixture) = &mut self.mixture
         {
             self.since_update_s = 0.0;
             let zero = Velocity::zero(real(REST_SPEED), Some(self.hidden));
             let innovation = mixture.update_each(real(FREEDOM), Gate::ChiSquare, &zero);
             self.resting = innovation.is_some_and(|i| i.accepted);
-            let certain = match self.config.rests {
-                Rests::ZeroVelocity => STATED_REST_S,
-                _ => CERTAIN_REST_S,
-            };
-            if !self.resting && self.failing_s >= certain {
+            let stated = self.config.rests == Rests::ZeroVelocity;
+            if !self.resting && stated && self.failing_s >= CERTAIN_REST_S {
                 self.begin_again();
                 self.resting = true;
             }
@@ -170,13 +169,14 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
                 deviation: [acceleration; 3],
             };
             mixture.update_each(real(FREEDOM), Gate::Open, &zero);
-            // Constant velocity may be constant rotation.
-            if self.config.rests == Rests::ZeroVelocity {
-                let zero = Zero {
-                    block: self.blocks.rate(),
-                    deviation: [rate; 3],
-                };
-                mixture.update_each(real(FREEDOM), Gate::Open, &zero);
+            let block = self.blocks.rate();
+            let freedom = real(FREEDOM);
+            if self.still_start || self.config.rests == Rests::ZeroVelocity {
+                let deviation = [rate; 3];
+                mixture.update_each(freedom, Gate::Open, &Zero { block, deviation });
+            } else {
+                let deviation = rate;
+                mixture.update_each(freedom, Gate::Open, &VerticalRate { block, deviation });
             }
         }
     }

@@ -31,6 +31,8 @@ pub struct Found {
     profile: Option<&'static str>,
     /// Whether positions and σ rest on all samples. `horizon` is that of the forward filter.
     smoothed: bool,
+    /// That of an array while it moves.
+    angular_rate: Option<AngularRate>,
     duration_s: f64,
     /// End of the first rest, where position and velocity are zero by definition.
     origin_s: Option<f64>,
@@ -51,6 +53,15 @@ pub struct Found {
     moves: Vec<MoveFound>,
     refined: Option<Refined>,
     findings: Vec<Finding>,
+}
+
+#[derive(Serialize)]
+struct AngularRate {
+    rms_rad_s: f64,
+    /// Median of the standard deviation in space.
+    sigma_rad_s: f64,
+    /// Whether it rests on all samples.
+    smoothed: bool,
 }
 
 /// Motion time after which the position's standard deviation exceeds a limit or the position is lost; null if never.
@@ -217,6 +228,13 @@ fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
         },
         profile: (path.method != Method::Array).then(|| profile(choice.profile).0),
         smoothed: path.smoothed,
+        angular_rate: path
+            .angular_rate()
+            .map(|(rms_rad_s, sigma_rad_s)| AngularRate {
+                rms_rad_s,
+                sigma_rad_s,
+                smoothed: path.smoothed_rate,
+            }),
         duration_s: duration(path),
         origin_s: path.points.get(path.origin).map(|p| p.time_s),
         distance_m: path.distance_m(),
@@ -310,7 +328,14 @@ fn moves(path: &InertialPath) -> String {
 
 /// The result first, then what it rests on, then remarks.
 fn text(path: &InertialPath, choice: &Choice) -> String {
-    let mut text = match path.points.iter().rfind(|p| p.valid) {
+    let mut text = match path.angular_rate() {
+        Some((rate, sd)) => format!(
+            "angular rate: {rate:.3} rad/s rms in motion ± {sd:.3} rad/s (median 1 σ){}\n",
+            if path.smoothed_rate { ", smoothed" } else { "" }
+        ),
+        None => String::new(),
+    };
+    text += &match path.points.iter().rfind(|p| p.valid) {
         None => "no position is known to the limit\n".to_owned(),
         Some(point) => {
             let ([e, n, u], sd) = (point.position_m, point.sd_m());

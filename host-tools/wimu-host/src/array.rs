@@ -18,7 +18,7 @@ mod survey;
 pub use calibration::{ArrayCalibration, SensorFit};
 pub use fit::{Agreement, RefineOptions, Refinement, refine};
 pub use geometry::{ArrayGeometry, ArraySensor};
-pub use motion::{ArrayMotion, angular_rate, navigated};
+pub use motion::{ArrayBody, ArrayMotion};
 pub use presets::preset;
 pub use recording::{ArrayRecording, Board, BoardOptions};
 pub use rests::EvenTurn;

@@ -8,7 +8,7 @@ use std::f64::consts::TAU;
 use common::{Random, cross};
 use wimu_calib::Gravity;
 use wimu_host::array::{
-    ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor, Board, RefineOptions, navigated,
+    ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor, Board, RefineOptions,
     refine,
 };
 use wimu_host::inertial::Zupt;
@@ -200,7 +200,9 @@ fn wrong_places_and_delays_are_found_within_their_deviations() {
         let arranged = recording.clone().arranged(geometry).unwrap();
         let calibration =
             ArrayCalibration::of(&arranged, geometry, Gravity::UNKNOWN_PLACE).unwrap();
-        let (states, _) = navigated(&arranged, geometry, &calibration, G, Zupt::Stated).unwrap();
+        let (states, _) = ArrayBody::of(&arranged, geometry, &calibration)
+            .and_then(|body| body.navigated(G, Zupt::Stated))
+            .unwrap();
         let rates: Vec<[f64; 3]> = states.iter().map(|s| s.rate_rad_s).collect();
         rms_error(&rates, &arranged.times_s)
     };
@@ -310,8 +312,9 @@ fn boards_with_clocks_and_axes_of_their_own_make_one_array() {
         let arranged = together.clone().arranged(geometry).unwrap();
         let calibration =
             ArrayCalibration::of(&arranged, geometry, Gravity::UNKNOWN_PLACE).unwrap();
-        let (states, remarks) =
-            navigated(&arranged, geometry, &calibration, G, Zupt::Stated).unwrap();
+        let (states, remarks) = ArrayBody::of(&arranged, geometry, &calibration)
+            .and_then(|body| body.navigated(G, Zupt::Stated))
+            .unwrap();
         let rates: Vec<[f64; 3]> = states.iter().map(|s| s.rate_rad_s).collect();
         (rms_error(&rates, &arranged.times_s), remarks)
     };
@@ -358,8 +361,9 @@ fn dead_and_saturated_sensors_are_left_out_and_said() {
     let calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE).unwrap();
     assert_eq!(calibration.left_out.len(), 1);
     assert_eq!(calibration.left_out[0].0, 3);
-    let (states, remarks) =
-        navigated(&recording, &geometry, &calibration, G, Zupt::Stated).unwrap();
+    let (states, remarks) = ArrayBody::of(&recording, &geometry, &calibration)
+        .and_then(|body| body.navigated(G, Zupt::Stated))
+        .unwrap();
     assert!(
         remarks
             .iter()
@@ -377,7 +381,9 @@ fn dead_and_saturated_sensors_are_left_out_and_said() {
         }
     }
     let calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE).unwrap();
-    let error = navigated(&recording, &geometry, &calibration, G, Zupt::Stated).unwrap_err();
+    let error = ArrayBody::of(&recording, &geometry, &calibration)
+        .and_then(|body| body.navigated(G, Zupt::Stated))
+        .unwrap_err();
     assert!(
         error.to_string().contains("3 usable axes, 6 are needed"),
         "{error}"
@@ -397,7 +403,9 @@ fn a_refinement_that_predicts_nothing_better_is_rejected() {
     };
     let found = refine(&recording, &drawn, &calibration, &options).unwrap();
     let rates = |geometry: &ArrayGeometry| {
-        let (states, _) = navigated(&recording, geometry, &calibration, G, Zupt::Stated).unwrap();
+        let (states, _) = ArrayBody::of(&recording, geometry, &calibration)
+            .and_then(|body| body.navigated(G, Zupt::Stated))
+            .unwrap();
         let rates: Vec<[f64; 3]> = states.iter().map(|s| s.rate_rad_s).collect();
         rms_error(&rates, &recording.times_s)
     };

@@ -50,19 +50,6 @@ pub struct Agreement {
 }
 
 impl Agreement {
-    /// Agreement of a recording in body axes; `None` where too few samples are in motion, or motion explains everything.
-    ///
-    /// # Errors
-    /// As [`angular_rate`](super::angular_rate).
-    pub fn of(
-        recording: &ArrayRecording,
-        geometry: &ArrayGeometry,
-        calibration: &ArrayCalibration,
-    ) -> Result<Option<Self>> {
-        let prior = calibration.prior();
-        Ok(Fitted::of(recording, geometry, calibration, &prior)?.agreement)
-    }
-
     /// Refuses sensors that contradict each other.
     ///
     /// # Errors

@@ -5,7 +5,7 @@ use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
 
 use super::fit::{RefineOptions, Refinement, refine};
 use super::survey::surveyed;
-use super::{Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
+use super::{ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
 use crate::{ErrorCode, HostError, Result};
 
 /// What a recording of rests, and of turns, says of an array.
@@ -85,7 +85,7 @@ pub fn calibrate_array(
         .delay_sd_us
         .map_or(options.delay_sd_s, |us| us * 1e-6);
     // Whoever navigates with these places would be refused.
-    if let Some(agreement) = Agreement::of(&arranged, &geometry, &calibration)? {
+    if let Some(agreement) = ArrayBody::of(&arranged, &geometry, &calibration)?.agreement() {
         agreement.check(&recording.name)?;
         remarks.push(agreement.remark());
     }

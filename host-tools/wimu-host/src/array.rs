@@ -24,4 +24,4 @@ pub use recording::{ArrayRecording, Board, BoardOptions};
 pub use rests::EvenTurn;
 pub use single::{SingleAxis, navigated_axes};
 pub use stored::{CalibratedArray, calibrate_array};
-pub(crate) use survey::surveyed;
+pub(crate) use survey::repaired;

@@ -171,10 +171,6 @@ pub const CAMPAIGNS: [Campaign; 10] = [
                 sources: &NAVIGATION,
             },
             Run {
-                command: "run --release -p wimu-nav --example journeys 300",
-                sources: &NAVIGATION,
-            },
-            Run {
                 command: "run --release -p wimu-host --example array_journeys 40",
                 sources: &HOST_NAVIGATION,
             },

@@ -118,10 +118,7 @@ fn score_recordings(options: &Options, report: &mut Report) {
         output::print(&found);
         report.recordings.push(found);
     }
-    for (name, pool) in [
-        ("hand and robot recordings, pooled", hand),
-        ("walks, pooled", foot),
-    ] {
+    for (name, pool) in [("hand and robot, pooled", hand), ("walks, pooled", foot)] {
         if recordings.len() > 1 && !pool.is_empty() {
             let found = RecordingReport::of(name, &pool);
             output::print(&found);

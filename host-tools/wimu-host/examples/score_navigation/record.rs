@@ -79,7 +79,7 @@ fn record_consistency(name: &str, method: &MethodReport) {
         (90.0..=98.0).contains(&below) && (1.5..=3.5).contains(&median),
     );
     figure(
-        &format!("{name}: moving samples valid, largest valid error"),
+        &format!("{name}: valid, its largest error"),
         format!(
             "{:.0} %, {:.1} σ",
             100.0 * whole.valid,

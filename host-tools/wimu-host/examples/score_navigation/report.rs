@@ -38,7 +38,7 @@ pub struct Report {
     /// Scored values that were not finite, in all.
     pub non_finite: usize,
     pub recordings: Vec<RecordingReport>,
-    /// All hand and robot recordings together, and all walks.
+    /// All hand and robot together, and all walks.
     pub pooled: Vec<RecordingReport>,
     pub arrays: Vec<ArrayReport>,
     pub journeys: Option<JourneysReport>,

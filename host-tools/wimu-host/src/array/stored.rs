@@ -4,7 +4,7 @@ use wimu_calib::Gravity;
 use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
 
 use super::fit::{RefineOptions, Refinement, refine};
-use super::survey::surveyed;
+use super::survey::repaired;
 use super::{ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
 use crate::{ErrorCode, HostError, Result};
 
@@ -56,7 +56,7 @@ pub fn calibrate_array(
     (calibration.place_sd_m, calibration.delay_sd_s) = (options.place_sd_m, options.delay_sd_s);
     let mut arranged = arranged;
     let mut size_sd_m = 0.0;
-    if let Some(found) = surveyed(&arranged, &geometry, &calibration)? {
+    if let Some(found) = repaired(&arranged, &geometry, &calibration)? {
         geometry = found.geometry;
         for (sensor, delay) in geometry.sensors.iter_mut().zip(found.delays_s) {
             sensor.delay_us += delay * 1e6;

@@ -17,7 +17,7 @@ const PRIOR_SD: f64 = 3.0;
 const LEAST_SIZE: f64 = 0.05;
 
 /// An array with the delays and the size that its motion shows, where they are not those given.
-pub(crate) struct Surveyed {
+pub(crate) struct Repaired {
     pub recording: ArrayRecording,
     pub geometry: ArrayGeometry,
     pub calibration: ArrayCalibration,
@@ -27,11 +27,11 @@ pub(crate) struct Surveyed {
 }
 
 /// Looks for delays of any length and for another size of the array; `None` where all is as given.
-pub(crate) fn surveyed(
+pub(crate) fn repaired(
     recording: &ArrayRecording,
     geometry: &ArrayGeometry,
     calibration: &ArrayCalibration,
-) -> Result<Option<Surveyed>> {
+) -> Result<Option<Repaired>> {
     let prior = ArrayPrior {
         delay_s: ANY_DELAY_S,
         size: ANY_SIZE,
@@ -71,7 +71,7 @@ pub(crate) fn surveyed(
     if remarks.is_empty() && !resized {
         return Ok(None);
     }
-    let mut changed = Surveyed {
+    let mut changed = Repaired {
         recording: recording.clone(),
         geometry: geometry.clone(),
         calibration: calibration.clone(),

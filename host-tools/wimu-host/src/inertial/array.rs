@@ -6,7 +6,7 @@ use super::truth::{compare, heading_rad, moving};
 use super::{Choice, InertialPath, Method, PathPoint};
 use crate::array::{
     Agreement, ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions,
-    navigated_axes, surveyed,
+    navigated_axes, repaired,
 };
 use crate::finding::{Finding, FindingCode};
 use crate::motion::{LIKELY, nees};
@@ -17,12 +17,11 @@ const CENTRED_M: f64 = 1e-3;
 /// What the uncalibrated mean of an array's sensors may differ from gravity by, as a part of it.
 const GRAVITY_SHARE: f64 = 0.2;
 
-/// Navigates an array; `recording` is in body axes ([`ArrayRecording::arranged`]). A sensor whose times, or places
-/// whose size the motion shows to be others than given are taken as it shows them, which the remarks say.
+/// Navigates an array; `recording` is in body axes ([`ArrayRecording::arranged`]). Delays of sensors and the size of the
+/// array that the motion contradicts are corrected, with a remark.
 ///
 /// With [`Choice::smooth`] the angular rate is that from the whole recording, equation (80), where its variance is smaller.
-/// Its deviation is that of the filter where nobody calibrated the sensors. Attitude, velocity and position are those of the
-/// filter.
+/// The deviation of an uncalibrated array is that of the filter. Attitude, velocity and position are those of the filter.
 ///
 /// # Errors
 /// Those of [`ArrayBody`]; `data_refused` where the sensors contradict each other, what
@@ -33,9 +32,9 @@ pub fn navigate_array(
     calibration: &ArrayCalibration,
     choice: &Choice,
 ) -> Result<InertialPath> {
-    let changed = surveyed(recording, geometry, calibration)?;
-    let (recording, geometry, calibration) = match &changed {
-        Some(c) => (&c.recording, &c.geometry, &c.calibration),
+    let repaired = repaired(recording, geometry, calibration)?;
+    let (recording, geometry, calibration) = match &repaired {
+        Some(m) => (&m.recording, &m.geometry, &m.calibration),
         None => (recording, geometry, calibration),
     };
     let standard = wimu_model::STANDARD_GRAVITY_MPS2;
@@ -68,7 +67,7 @@ pub fn navigate_array(
             // The filter knows of rests, and of sensors that fail on the way.
             if trace(&covariance) < trace(&state.rate_covariance) {
                 state.rate_rad_s = rate;
-                // Biases and scale factors that nobody calibrated do not average out: they are in the filter's states.
+                // Uncalibrated biases and scale factors do not average out: they are states of the filter.
                 if calibration.uncalibrated.is_none() {
                     state.rate_covariance = covariance;
                 }
@@ -89,8 +88,8 @@ pub fn navigate_array(
         Agreement::remark,
     ));
     said.extend(calibration.remarks());
-    if let Some(changed) = &changed {
-        said.extend(changed.remarks.iter().cloned());
+    if let Some(repaired) = &repaired {
+        said.extend(repaired.remarks.iter().cloned());
     }
     said.extend(point_of(geometry));
     let span = geometry.span_m();

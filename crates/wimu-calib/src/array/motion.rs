@@ -35,8 +35,8 @@ pub(super) struct Body<const M: usize> {
     /// Orthonormal basis of the columns of ω̇ and f₀, and the inverse of their triangular factor.
     linear: SMatrix<f64, M, 6>,
     triangle: Matrix6<f64>,
-    /// Columns of the monomials of ω.
-    quadratic: SMatrix<f64, M, 6>,
+    /// Part of the columns of the monomials of ω in `linear`.
+    coupling: Matrix6<f64>,
     /// Orthonormal basis of what is left of `quadratic` without `linear`; columns from `rank` on are zero.
     basis: SMatrix<f64, M, 6>,
     pub rank: usize,
@@ -45,15 +45,18 @@ pub(super) struct Body<const M: usize> {
     from_z: Matrix6<f64>,
 }
 
-/// ω of a sample with its derivatives.
-pub(super) struct Rate<const M: usize> {
+/// ω of a sample.
+#[derive(Clone)]
+pub(super) struct Rate {
     pub omega: Vector3<f64>,
     pub omega_dot: Vector3<f64>,
-    /// Derivatives of ω (rows 0 to 2) and ω̇ (3 to 5) by the whitened outputs.
-    pub derivative: SMatrix<f64, 6, M>,
+    /// Derivative of ω by z, in units of 1/√arm, and of the monomials.
+    to_rate: SMatrix<f64, 3, 6>,
+    to_monomials: Matrix6<f64>,
 }
 
 /// A sample without its motion.
+#[derive(Clone)]
 pub(super) struct Reduced<const M: usize> {
     /// Whitened residual, and its degrees of freedom.
     pub residual: SVector<f64, M>,
@@ -66,7 +69,7 @@ pub(super) struct Reduced<const M: usize> {
     /// S = [ω̇]× + [ω]×².
     pub tensor: Matrix3<f64>,
     /// `None` where ω is not observed.
-    pub rate: Option<Rate<M>>,
+    pub rate: Option<Rate>,
 }
 
 fn monomials(w: &Vector3<f64>) -> Vector6<f64> {
@@ -161,7 +164,7 @@ impl<const M: usize> Body<M> {
             arm_m,
             linear,
             triangle,
-            quadratic: k,
+            coupling: linear.tr_mul(&k),
             basis: left * from_z,
             rank,
             to_z,
@@ -226,6 +229,19 @@ impl<const M: usize> Body<M> {
         (w, rest.norm_squared())
     }
 
+    /// Derivatives of ω (rows 0 to 2) and ω̇ (3 to 5) by the whitened outputs.
+    pub fn derivative(&self, rate: &Rate) -> SMatrix<f64, 6, M> {
+        let unit = 1.0 / self.arm_m;
+        let by_z = self.coupling * rate.to_monomials;
+        let to_theta = self.triangle * (self.linear.transpose() - by_z * self.basis.transpose());
+        let mut derivative = SMatrix::<f64, 6, M>::zeros();
+        let omega = rate.to_rate * libm::sqrt(unit) * self.basis.transpose();
+        derivative.fixed_rows_mut::<3>(0).copy_from(&omega);
+        let turning = to_theta.fixed_rows::<3>(0) * unit;
+        derivative.fixed_rows_mut::<3>(3).copy_from(&turning);
+        derivative
+    }
+
     /// Takes the motion off whitened outputs without bias; `None` where they are not finite.
     pub fn reduce(&self, output: &SVector<f64, M>) -> Option<Reduced<M>> {
         let shares = self.linear.tr_mul(output);
@@ -262,25 +278,16 @@ impl<const M: usize> Body<M> {
                 self.rank
             }
         };
-        let theta = self.triangle * (shares - self.linear.tr_mul(&(self.quadratic * q)));
+        let theta = self.triangle * (shares - self.coupling * q);
         let unit = 1.0 / self.arm_m;
         let omega_dot = theta.fixed_rows::<3>(0) * unit;
         let rate = inverse.filter(|_| rate_basis.is_some()).map(|inverse| {
-            let to_rate = inverse * slope.tr_mul(&self.basis.transpose());
-            let moved = self.linear.transpose()
-                - self.linear.tr_mul(&self.quadratic) * slopes(&w) * to_rate;
-            let to_theta = self.triangle * moved;
-            let mut derivative = SMatrix::<f64, 6, M>::zeros();
-            let root = libm::sqrt(unit);
-            derivative
-                .fixed_rows_mut::<3>(0)
-                .copy_from(&(to_rate * root));
-            let turning = to_theta.fixed_rows::<3>(0) * unit;
-            derivative.fixed_rows_mut::<3>(3).copy_from(&turning);
+            let to_rate = inverse * slope.transpose();
             Rate {
-                omega: w * root,
+                omega: w * libm::sqrt(unit),
                 omega_dot,
-                derivative,
+                to_rate,
+                to_monomials: slopes(&w) * to_rate,
             }
         });
         let unexplained = match self.rank {

@@ -17,6 +17,8 @@ const LEAST_CHANGE: f64 = 9.0;
 const BLOCK_S: f64 = 0.25;
 /// Length of a window in which the change of ω is compared with the integral of ω̇, s.
 const WINDOW_S: f64 = 0.1;
+/// Windows that are used, about: for 5 % in size a few suffice.
+const MOST_WINDOWS: f64 = 250.0;
 /// Least change of ω in a window, rad/s, and over its standard deviation.
 const LEAST_WINDOW_RAD_S: f64 = 0.4;
 const LEAST_WINDOW_SD: f64 = 3.0;
@@ -141,6 +143,7 @@ fn stencil<'a, const M: usize>(
 }
 
 /// A reduced sample and the derivatives of its model by the unknowns.
+#[derive(Clone)]
 pub(super) struct Point<const M: usize> {
     pub index: usize,
     pub reduced: Reduced<M>,
@@ -233,21 +236,24 @@ pub(super) fn add<const M: usize>(
     let mut last: Option<Point<M>> = None;
     let mut block = f64::NEG_INFINITY;
     let (integral, row) = scratch.split_at_mut(3 * sums.n);
+    let every = windows_apart(data);
     for_each(data, |k| {
         let time = data.times_s[k];
         if time - block > BLOCK_S {
             sums.end_block();
             block = time;
         }
+        let sampled = k.is_multiple_of(data.stride.max(1));
+        let opens = prior.size > 0.0 && ((time / WINDOW_S) as u64).is_multiple_of(every);
+        if !(sampled || opens || window.is_some()) {
+            return;
+        }
         let Some(now) = point(data, k, current, body) else {
             (window, last) = (None, None);
             return;
         };
-        if k.is_multiple_of(data.stride.max(1)) {
+        if sampled {
             add_sample(&now, current.layout, sums);
-        }
-        if prior.size <= 0.0 {
-            return;
         }
         let before = last.take().filter(|last| {
             let gap = time - data.times_s[last.index];
@@ -258,26 +264,19 @@ pub(super) fn add<const M: usize>(
             return;
         }
         if let (Some(before), Some(open)) = (&before, &mut window) {
-            open.extend(
-                before,
-                &now,
-                time - data.times_s[before.index],
-                current.layout,
-                integral,
-            );
+            let dt = time - data.times_s[before.index];
+            open.extend(body, [before, &now], dt, current.layout, integral);
             if time - data.times_s[open.begin.index] > WINDOW_S - 0.5 * data.period_s {
-                open.close(&now, current.layout, integral, row, sums);
+                open.close(body, &now, current.layout, integral, row, sums);
                 window = None;
             }
         } else {
             window = None;
         }
-        if window.is_none()
-            && let Some(begin) = point(data, k, current, body)
-        {
+        if opens && window.is_none() {
             integral.fill(0.0);
             window = Some(Window {
-                begin,
+                begin: now.clone(),
                 steps: None,
                 integral: Vector3::zeros(),
                 variance: 0.0,
@@ -286,6 +285,13 @@ pub(super) fn add<const M: usize>(
         last = Some(now);
     });
     sums.end_block();
+}
+
+/// Every how many windows one is used, so that at most [`MOST_WINDOWS`] are.
+fn windows_apart<const M: usize>(data: &ArrayData<'_, M>) -> u64 {
+    let mut moving = 0.0;
+    for_each(data, |_| moving += data.period_s);
+    libm::fmax(moving / WINDOW_S / MOST_WINDOWS, 1.0) as u64
 }
 
 /// Calls `each` for the samples outside rests.
@@ -357,8 +363,8 @@ fn row_of<const M: usize>(derivative: &SMatrix<f64, 6, M>, row: usize) -> [f64; 
 impl<const M: usize> Window<M> {
     fn extend(
         &mut self,
-        before: &Point<M>,
-        now: &Point<M>,
+        body: &Body<M>,
+        [before, now]: [&Point<M>; 2],
         dt: f64,
         layout: Layout,
         rows: &mut [f64],
@@ -372,10 +378,11 @@ impl<const M: usize> Window<M> {
                 continue;
             };
             self.integral += rate.omega_dot * (0.5 * dt);
-            let turning = rate.derivative.fixed_rows::<3>(3);
+            let derivative = body.derivative(rate);
+            let turning = derivative.fixed_rows::<3>(3);
             self.variance += turning.norm_squared() * (dt * dt * 0.5) / 3.0;
             for (axis, row) in rows.chunks_exact_mut(layout.unknowns()).enumerate().take(3) {
-                let combination = row_of(&rate.derivative, 3 + axis);
+                let combination = row_of(&derivative, 3 + axis);
                 add_derivative(&combination, point, layout, 0.5 * dt, row);
             }
         }
@@ -383,6 +390,7 @@ impl<const M: usize> Window<M> {
 
     fn close(
         &self,
+        body: &Body<M>,
         end: &Point<M>,
         layout: Layout,
         rows: &[f64],
@@ -392,8 +400,9 @@ impl<const M: usize> Window<M> {
         let (Some(first), Some(last)) = (&self.begin.reduced.rate, &end.reduced.rate) else {
             return;
         };
+        let [by_first, by_last] = [body.derivative(first), body.derivative(last)];
         let of_rate =
-            |rate: &super::motion::Rate<M>| rate.derivative.fixed_rows::<3>(0).norm_squared() / 3.0;
+            |derivative: &SMatrix<f64, 6, M>| derivative.fixed_rows::<3>(0).norm_squared() / 3.0;
         // Gregory's end correction of the trapezoidal rule.
         let [first_step, last_step] = self.steps.unwrap_or_default();
         let integral = self.integral - (last_step - first_step) / 12.0;
@@ -410,21 +419,15 @@ impl<const M: usize> Window<M> {
         let Some((a, b)) = best else { return };
         let residual = change((a, b));
         let rough = INTEGRATION * integral.norm();
-        let variance = self.variance + of_rate(first) + of_rate(last) + rough * rough;
+        let variance = self.variance + of_rate(&by_first) + of_rate(&by_last) + rough * rough;
         let (cost, weight) = robust(residual.norm_squared() / variance, 3.0);
         sums.cost += cost;
         for (axis, known) in rows.chunks_exact(layout.unknowns()).enumerate().take(3) {
             for (value, known) in row.iter_mut().zip(known) {
                 *value = -known;
             }
-            add_derivative(&row_of(&last.derivative, axis), end, layout, b, row);
-            add_derivative(
-                &row_of(&first.derivative, axis),
-                &self.begin,
-                layout,
-                -a,
-                row,
-            );
+            add_derivative(&row_of(&by_last, axis), end, layout, b, row);
+            add_derivative(&row_of(&by_first, axis), &self.begin, layout, -a, row);
             sums.add_dense(row, residual[axis], weight / variance);
         }
     }

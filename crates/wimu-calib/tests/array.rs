@@ -170,7 +170,7 @@ fn fitted<'w, const M: usize>(
 
 fn prior() -> ArrayPrior {
     ArrayPrior {
-        gravity: exact(),
+        gravity_sd_mps2: 0.0,
         ..ArrayPrior::default()
     }
 }

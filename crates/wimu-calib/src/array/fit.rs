@@ -76,7 +76,7 @@ impl Layout {
         } else if unknown == self.size() {
             prior.size
         } else {
-            prior.gravity.sd_mps2().max(1e-6)
+            prior.gravity_sd_mps2.max(1e-6)
         }
     }
 }
@@ -226,24 +226,26 @@ pub(super) struct Solved<'a> {
     pub log_determinant: f64,
 }
 
-/// Variance of the gradient over that of white residuals, at least 1, from the blocks of samples; `normal` holds the inverse
-/// of the normal matrix. Residuals of a motion that is no rigid body's are correlated.
-fn inflation(sums: &Sums<'_>) -> f64 {
+/// Variance of the gradient over that of white residuals, at least 1, from the blocks of samples; `factor` is that of the
+/// normal matrix. Residuals of a motion that is no rigid body's are correlated.
+fn inflation(factor: &[f64], sums: &mut Sums<'_>) -> Option<f64> {
     let n = sums.n;
     let (mut found, mut prior) = (0.0, 0.0);
     for i in 0..n {
-        prior += sums.normal[i * n + i];
-        for j in 0..=i {
-            let twice = if i == j { 1.0 } else { 2.0 };
-            found += twice * sums.normal[i * n + j] * sums.spread[i * n + j];
+        sums.pull.fill(0.0);
+        sums.pull[i] = 1.0;
+        solve(factor, sums.pull)?;
+        prior += sums.pull[i];
+        for (j, value) in sums.pull.iter().enumerate() {
+            found += value * sums.spread[i.max(j) * n + i.min(j)];
         }
     }
     let expected = n as f64 - prior;
-    if expected > 0.0 {
+    Some(if expected > 0.0 {
         ((found - prior) / expected).max(1.0)
     } else {
         1.0
-    }
+    })
 }
 
 /// Levenberg-Marquardt on the unknowns in units of their prior deviations.
@@ -291,7 +293,7 @@ pub(super) fn solve_all<'w, const M: usize>(
             true => unscaled(layout.delay(sensor)),
             false => 0.0,
         });
-        let gravity = prior.gravity.mps2() + unscaled(layout.gravity());
+        let gravity = prior.gravity_mps2 + unscaled(layout.gravity());
         let size = libm::exp(unscaled(layout.size()));
         super::rests::add(&axes, layout, data, prior, gravity, sums);
         let current = super::moving::Current {
@@ -352,16 +354,23 @@ pub(super) fn solve_all<'w, const M: usize>(
         }
     }
     factor.copy_from_slice(sums.normal);
-    factorise(factor, n)
-        .and_then(|()| invert(factor, sums.normal, n))
-        .ok_or(ArrayRefusal::NotFinite)?;
+    factorise(factor, n).ok_or(ArrayRefusal::NotFinite)?;
     let log_determinant = 2.0 * (0..n).map(|i| libm::log(factor[i * n + i])).sum::<f64>();
-    let cost = sums.cost;
-    let inflation = inflation(&sums);
-    let Sums { normal, scale, .. } = sums;
-    for value in normal.iter_mut() {
-        *value *= inflation;
+    let inflation = inflation(factor, &mut sums).ok_or(ArrayRefusal::NotFinite)?;
+    let Sums {
+        normal,
+        scale,
+        cost,
+        ..
+    } = sums;
+    // The information of the samples is smaller by that, not that of the prior.
+    for (k, (tempered, value)) in factor.iter_mut().zip(normal.iter()).enumerate() {
+        let prior = if k / n == k % n { 1.0 } else { 0.0 };
+        *tempered = (value - prior) / inflation + prior;
     }
+    factorise(factor, n)
+        .and_then(|()| invert(factor, normal, n))
+        .ok_or(ArrayRefusal::NotFinite)?;
     for (value, scale) in values.iter_mut().zip(scale.iter()) {
         *value *= scale;
     }

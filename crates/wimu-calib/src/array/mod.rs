@@ -47,8 +47,10 @@ pub struct ArrayPrior {
     pub size: f64,
     /// Change of a bias from rest to rest, m/s².
     pub repeatability_mps2: f64,
-    /// Local gravity.
-    pub gravity: Gravity,
+    /// Length of the specific force at rest, m/s²: local gravity, or that in the scale of uncalibrated sensors.
+    pub gravity_mps2: f64,
+    /// Its standard deviation, m/s².
+    pub gravity_sd_mps2: f64,
 }
 
 impl Default for ArrayPrior {
@@ -61,7 +63,8 @@ impl Default for ArrayPrior {
             delay_s: 3e-4,
             size: 0.0,
             repeatability_mps2: 0.015,
-            gravity: Gravity::UNKNOWN_PLACE,
+            gravity_mps2: Gravity::UNKNOWN_PLACE.mps2(),
+            gravity_sd_mps2: Gravity::UNKNOWN_PLACE.sd_mps2(),
         }
     }
 }

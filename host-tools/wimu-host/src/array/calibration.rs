@@ -89,7 +89,7 @@ pub struct ArrayCalibration {
     /// taken into the models.
     apart_mps2: Vec<(usize, f64)>,
     /// Prior deviations of biases, m/s², and of the entries of the matrices, and gravity.
-    prior: (f64, f64, Gravity),
+    prior: ArrayPrior,
     /// Mean force at each rest, m/s².
     rest_forces: Vec<[f64; 3]>,
     /// What each sensor still adds at each rest, m/s².
@@ -203,7 +203,12 @@ impl ArrayCalibration {
             fits: vec![None; sensors],
             left_out,
             apart_mps2: Vec::new(),
-            prior: (BIAS_MPS2, LEAST_SCALE, gravity),
+            prior: ArrayPrior {
+                gravity_mps2: gravity.mps2(),
+                gravity_sd_mps2: gravity.sd_mps2(),
+                repeatability_mps2: REST_BIAS_MPS2,
+                ..ArrayPrior::default()
+            },
             rest_forces: Vec::new(),
             offsets: Vec::new(),
         };
@@ -241,11 +246,8 @@ impl ArrayCalibration {
             .max(LEAST_SCALE);
         self.apart_mps2 = used.iter().map(|k| (*k, apart_of(*k, &offsets))).collect();
         let (bias, scale) = (MOST_SCALE * STANDARD_GRAVITY_MPS2, MOST_SCALE);
-        self.prior = (
-            self.bias_mps2.min(bias),
-            self.scale.min(scale),
-            self.prior.2,
-        );
+        self.prior.bias_mps2 = self.bias_mps2.min(bias);
+        self.prior.matrix = self.scale.min(scale);
     }
 
     /// Fits biases and matrices to the rests; what they leave uncertain stays in `scale`.
@@ -289,6 +291,10 @@ impl ArrayCalibration {
         let reason = "the rests do not determine its scale factors and misalignments";
         self.uncalibrated = (!self.stored).then(|| reason.to_owned());
         if self.scale < MOST_SCALE {
+            // An error that all sensors have is one of the scale in which gravity is measured.
+            self.prior.gravity_mps2 = self.mean_rest_mps2(recording);
+            self.prior.gravity_sd_mps2 = MOST_SCALE * STANDARD_GRAVITY_MPS2;
+            found = fitted(self, &self.prior())?;
             let learnt = (self.scale.powi(2) - found.matrix_sd.powi(2)).max(0.0);
             self.common_scale = (learnt / self.used().len().max(1) as f64).sqrt();
             self.scale = found.matrix_sd;
@@ -331,7 +337,7 @@ impl ArrayCalibration {
             .collect();
         let squares = lengths
             .iter()
-            .map(|l| (l - self.prior.2.mps2()).powi(2))
+            .map(|l| (l - self.prior.gravity_mps2).powi(2))
             .sum::<f64>();
         let (bias_sd_mps2, matrix_sd) = found.model_sd[sensor];
         SensorFit {
@@ -365,15 +371,10 @@ impl ArrayCalibration {
 
     /// Prior of a fit of the whole recording.
     pub(super) fn prior(&self) -> ArrayPrior {
-        let (bias_mps2, matrix, gravity) = self.prior;
         ArrayPrior {
-            bias_mps2,
-            matrix,
             position_m: self.place_sd_m,
             delay_s: self.delay_sd_s,
-            size: 0.0,
-            repeatability_mps2: REST_BIAS_MPS2,
-            gravity,
+            ..self.prior
         }
     }
 

@@ -10,6 +10,8 @@ use crate::Result;
 /// Priors of a survey: a delay of any sensor, s, and the logarithm of the size of the array.
 const ANY_DELAY_S: f64 = 0.1;
 const ANY_SIZE: f64 = 0.3;
+/// Longest delay that is corrected, s: as long as a swing of a hand-held body turns one way.
+const LONGEST_S: f64 = 0.1;
 /// A delay or size differs from the given one from so many posterior and prior deviations on; a size by this fraction.
 const DELAY_SD: f64 = 5.0;
 const SIZE_SD: f64 = 3.0;
@@ -51,6 +53,10 @@ pub(crate) fn repaired(
     let mut late = vec![0.0; recording.sensors()];
     for sensor in used(calibration, recording) {
         let (delay, sd) = (found.delays_s[sensor].0 - median, found.delays_s[sensor].1);
+        if delay.abs() > LONGEST_S {
+            // Something else than a delay: the agreement of the sensors says it.
+            return Ok(None);
+        }
         if delay.abs() > (DELAY_SD * sd).max(PRIOR_SD * calibration.delay_sd_s) && delays.len() > 2
         {
             late[sensor] = delay;

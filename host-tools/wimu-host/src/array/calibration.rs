@@ -4,7 +4,7 @@ use wimu_calib::array::ArrayPrior;
 use wimu_calib::{Gravity, Pose};
 use wimu_model::{ErrorModel, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
 
-use super::fit::{Fitted, at_rests};
+use super::fit::{Fitted, at_rests, contradiction};
 use super::motion::{check, with_room};
 use super::outputs::{
     apart_of, departures, disagreement, is_dead, is_throughout, mean, pose, scale_of,
@@ -386,6 +386,21 @@ impl ArrayCalibration {
             force.iter().map(|f| f * f).sum::<f64>().sqrt()
         };
         self.rests.iter().map(length).sum::<f64>() / self.rests.len() as f64
+    }
+
+    /// Refuses sensors that differ at the rests by more than errors of sensors.
+    ///
+    /// # Errors
+    /// `data_refused`, with what to check.
+    pub fn check(&self, name: &str) -> Result<()> {
+        if self.scale < MOST_SCALE {
+            return Ok(());
+        }
+        let differ = "at rest they differ by more than biases and scale factors of sensors do: by";
+        Err(contradiction(
+            name,
+            &format!("{differ} {:.2} m/s²", self.bias_mps2),
+        ))
     }
 
     /// What was assumed, found wrong and left out.

@@ -68,14 +68,7 @@ impl Agreement {
             ),
             None => return Ok(()),
         };
-        Err(HostError::new(
-            ErrorCode::DataRefused,
-            format!("the sensors contradict each other: {what}"),
-            "check the geometry: the order of the sensors, the signs of their positions, and the directions of their \
-             axes. If they are right, calibrate the sensors: hold the array still in a dozen orientations, \
-             `wimu calibrate RESTS.csv --geometry PLACES.csv -o ARRAY.json`, and navigate with --geometry ARRAY.json",
-        )
-        .at(name))
+        Err(contradiction(name, &what))
     }
 
     /// The agreement as text.
@@ -86,6 +79,18 @@ impl Agreement {
             self.unexplained_mps2
         )
     }
+}
+
+/// Refusal of sensors whose outputs are not those of one rigid body.
+pub(super) fn contradiction(name: &str, what: &str) -> HostError {
+    HostError::new(
+        ErrorCode::DataRefused,
+        format!("the sensors contradict each other: {what}"),
+        "check the geometry: the order of the sensors, the signs of their positions, and the directions of their \
+         axes. If they are right, calibrate the sensors: hold the array still in a dozen orientations, \
+         `wimu calibrate RESTS.csv --geometry PLACES.csv -o ARRAY.json`, and navigate with --geometry ARRAY.json",
+    )
+    .at(name)
 }
 
 /// Values of a fit with their standard deviations.

@@ -75,8 +75,9 @@ pub fn navigate_array(
         }
     }
     let agreement = body.agreement();
-    if let Some(agreement) = agreement {
-        agreement.check(&recording.name)?;
+    match agreement {
+        Some(agreement) => agreement.check(&recording.name)?,
+        None => calibration.check(&recording.name)?,
     }
     let (mut said, remarks) = (Vec::new(), warnings(remarks));
     said.push(agreement.map_or_else(

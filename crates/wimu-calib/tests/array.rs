@@ -11,7 +11,7 @@ use wimu_calib::{Pose, find_poses};
 use wimu_model::geometry::Geometry;
 use wimu_testkit::{Coverage, Lane, Random, coverage_figure, figure};
 
-use crate::common::{G, config, exact, recording};
+use crate::common::{G, config, recording};
 
 const NOISE: f64 = 0.03;
 const RATE_HZ: f64 = 100.0;

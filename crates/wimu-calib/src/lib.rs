@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 mod alignment;
+pub mod array;
 mod blocks;
 mod choice;
 mod covariance;

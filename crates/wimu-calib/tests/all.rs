@@ -1,6 +1,7 @@
 //! All integration tests of `wimu-calib` in one binary: one module a file.
 
 mod alignment;
+mod array;
 mod bad_pose;
 mod common;
 mod datasheet;

@@ -9,6 +9,7 @@ mod corrector;
 mod covariance;
 mod error_model;
 pub mod fixed;
+pub mod geometry;
 mod gyroscope;
 mod kernel;
 mod magnetometer;

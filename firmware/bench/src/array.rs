@@ -48,7 +48,7 @@ fn measure_one<const M: usize>(
         let force = [random(20.0), random(20.0), random(20.0)];
         let mut output = [0.0; M];
         for (value, axis) in output.iter_mut().zip(geometry.axes()) {
-            let position_m = axis.place_m.map(|p| p as f32);
+            let position_m = axis.position_m.map(|p| p as f32);
             let tangential = cross(angular_acceleration, position_m);
             let centripetal = cross(rate, cross(rate, position_m));
             for i in 0..3 {

@@ -5,7 +5,7 @@ use crate::common;
 
 use common::{Random, cross};
 use wimu_calib::Gravity;
-use wimu_host::array::{Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
+use wimu_host::array::{ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
 use wimu_host::inertial::{Choice, InertialPath, Zupt, navigate_array};
 use wimu_host::{ErrorCode, HostError};
 use wimu_testkit::figure;
@@ -394,7 +394,8 @@ fn a_geometry_of_another_array_is_refused() {
     let all = simulated(&geometry, &carried(), &mut Random::new(9));
     let (sound, calibration) = path(&all.recording, &geometry, true).unwrap();
     let arranged = all.recording.clone().arranged(&geometry).unwrap();
-    let agreement = Agreement::of(&arranged, &geometry, &calibration)
+    let agreement = ArrayBody::of(&arranged, &geometry, &calibration)
+        .map(|body| body.agreement().copied())
         .unwrap()
         .unwrap();
     println!("right geometry: {}", agreement.remark());

@@ -101,7 +101,7 @@ fn places_of_a_wrong_size_are_found_and_put_right() {
             }
             let (position, rate, said) = honest(&navigated(recording, &geometry));
             println!("{places:?} times {factor}, seed {seed}: {position:.2} {rate:.2} {said}");
-            let (_, found) = said.split_once("the places are ").expect(&said);
+            let (_, found) = said.split_once("the positions are ").expect(&said);
             let value: f64 = found.split(' ').next().unwrap().parse().unwrap();
             worst = worst.max((value / factor - 1.0).abs());
             assert!((value / factor - 1.0).abs() < 0.06, "{said}");

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use wimu_calib::Gravity;
 use wimu_host::ErrorCode;
-use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording, angular_rate};
+use wimu_host::array::{ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording};
 use wimu_host::inertial::{Choice, InertialPath, Method, StartPose, Zupt, navigate};
 use wimu_host::motion::UnitSample;
 use wimu_host::motion::{MotionRecording, Truth};
@@ -441,7 +441,9 @@ fn places_are_read_in_both_forms_and_must_fit_the_recording() {
         "one pose is not enough to calibrate"
     );
     let refused = |wrong: &ArrayGeometry| {
-        let error = angular_rate(&recording, wrong, &calibration).unwrap_err();
+        let error = ArrayBody::of(&recording, wrong, &calibration)
+            .and_then(|body| body.angular_rate())
+            .unwrap_err();
         error.to_string()
     };
     assert!(
@@ -450,7 +452,11 @@ fn places_are_read_in_both_forms_and_must_fit_the_recording() {
     );
     assert!(
         refused(&ArrayGeometry::at(&[[0.01, 0.0, 0.0]; 4]))
-            .contains("all sensors are at one place")
+            .contains("all sensors have one position")
     );
-    assert!(angular_rate(&recording, &places, &calibration).is_ok());
+    assert!(
+        ArrayBody::of(&recording, &places, &calibration)
+            .and_then(|body| body.angular_rate())
+            .is_ok()
+    );
 }

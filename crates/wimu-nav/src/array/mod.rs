@@ -6,13 +6,14 @@
 //! with them; [`track`] follows the angular rate through a whole recording, looking ahead too.
 
 mod filter;
-mod geometry;
 mod monitor;
 mod noise;
 mod rest;
 mod solver;
 mod state;
 mod track;
+
+use wimu_model::geometry;
 
 pub use filter::ArrayFilter;
 pub use geometry::{Axis, Geometry, GeometryError, Triad};

@@ -166,18 +166,18 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
         let variances = axes().map(|(_, axis)| axis.noise_mps2 * axis.noise_mps2);
         let variance = variances.sum::<f64>() / have as f64;
         let centre: Vector3<f64> = axes()
-            .map(|(_, axis)| Vector3::from(axis.place_m) * (weight(axis.noise_mps2) / total))
+            .map(|(_, axis)| Vector3::from(axis.position_m) * (weight(axis.noise_mps2) / total))
             .sum();
         let arm = libm::sqrt(
             axes()
                 .map(|(_, axis)| {
-                    (Vector3::from(axis.place_m) - centre).norm_squared()
+                    (Vector3::from(axis.position_m) - centre).norm_squared()
                         * (weight(axis.noise_mps2) / total)
                 })
                 .sum(),
         );
         let farthest = axes()
-            .map(|(_, axis)| Vector3::from(axis.place_m).norm())
+            .map(|(_, axis)| Vector3::from(axis.position_m).norm())
             .fold(0.0, f64::max);
         if !(arm > farthest * 1e-9 && arm > 1e-9) {
             return Err(GeometryError::Coincident);
@@ -403,7 +403,7 @@ fn at_rate<'a, R: Real + 'a>(
 
 /// Rows of H and K of one axis, equation (70), over its noise; `arm` is the unit of length.
 fn weighted_row(axis: &Axis, centre: &Vector3<f64>, arm: f64) -> (Vector6<f64>, Vector6<f64>) {
-    let r = (Vector3::from(axis.place_m) - centre) / arm;
+    let r = (Vector3::from(axis.position_m) - centre) / arm;
     let d = Vector3::from(axis.direction);
     let turn = r.cross(&d);
     let along = d.dot(&r);

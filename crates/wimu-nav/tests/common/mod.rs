@@ -19,7 +19,7 @@ pub fn outputs<const M: usize>(
 ) -> [f64; M] {
     let mut out = [0.0; M];
     for (value, axis) in out.iter_mut().zip(geometry.axes()) {
-        let r = axis.place_m;
+        let r = axis.position_m;
         let inner = cross(rate, r);
         let a = cross(angular_acceleration, r);
         let b = cross(rate, inner);

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use wimu_calib::Gravity;
 use wimu_host::array::{
-    ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, angular_rate, navigated, refine,
+    ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, refine,
 };
 use wimu_host::inertial::Zupt;
 use wimu_nav::array::ArrayState;
@@ -44,14 +44,13 @@ pub fn bench(data: &Path) {
         found.residual_mps2[1]
     );
     println!(
-        "{}: held-out parts differ from the motion by {:.3} m/s² as drawn, {:.3} as found",
+        "{}: χ² falls by {:.1} times what it has to",
         if found.accepted {
             "accepted"
         } else {
             "rejected"
         },
-        found.held_out_mps2[0],
-        found.held_out_mps2[1]
+        found.gain
     );
     let mean = |sensors: [usize; 4], axis: usize, c: usize| {
         sensors
@@ -77,7 +76,9 @@ pub fn bench(data: &Path) {
         found.delay_sd_s[largest] * 1e6
     );
     let start = Instant::now();
-    let motion = angular_rate(&recording, &drawn, &calibration).expect("an angular rate");
+    let motion = ArrayBody::of(&recording, &drawn, &calibration)
+        .and_then(|body| body.angular_rate())
+        .expect("an angular rate");
     println!(
         "smoother: {} samples in {:.1} s; {:.0?}; NIS {:.2} a degree of freedom",
         motion.rate_rad_s.len(),
@@ -92,8 +93,9 @@ pub fn bench(data: &Path) {
             .clone()
             .arranged(geometry)
             .expect("as many places");
-        let (states, _) =
-            navigated(&arranged, geometry, &calibration, gravity, Zupt::Stated).expect("a motion");
+        let (states, _) = ArrayBody::of(&arranged, geometry, &calibration)
+            .and_then(|body| body.navigated(gravity, Zupt::Stated))
+            .expect("a motion");
         // A delay is taken off with the help of samples before and after: the first and last have none.
         let lacks = arranged.times_s[0] - recording.times_s[0];
         let first = (lacks / recording.period_s()).round() as usize;

@@ -5,7 +5,7 @@ use std::path::Path;
 use nalgebra::{Matrix3, Vector3};
 use wimu_calib::Gravity;
 use wimu_host::Result;
-use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording, angular_rate, navigated};
+use wimu_host::array::{ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording};
 use wimu_host::inertial::Zupt;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
@@ -77,13 +77,8 @@ pub fn score(data: &Path, name: &str) -> Result<ArrayScores> {
         ("wimu_array", Zupt::Assumed),
         ("wimu_array_zupt_on", Zupt::Stated),
     ] {
-        let (states, _) = navigated(
-            &recording,
-            &geometry,
-            &calibration,
-            STANDARD_GRAVITY_MPS2,
-            zupt,
-        )?;
+        let (states, _) = ArrayBody::of(&recording, &geometry, &calibration)
+            .and_then(|body| body.navigated(STANDARD_GRAVITY_MPS2, zupt))?;
         methods.push(scored_rates(name, &scored, &truth, |k| {
             let state = &states[k];
             let p = Matrix3::from_fn(|r, c| state.rate_covariance[r][c]);
@@ -91,7 +86,8 @@ pub fn score(data: &Path, name: &str) -> Result<ArrayScores> {
             (state.rate_rad_s.into(), Some(p), Some(valid))
         }));
     }
-    let smoothed = angular_rate(&recording, &geometry, &calibration)?;
+    let smoothed =
+        ArrayBody::of(&recording, &geometry, &calibration).and_then(|body| body.angular_rate())?;
     methods.push(scored_rates("wimu_array_smoother", &scored, &truth, |k| {
         let covariance = smoothed.rate_covariance[k];
         let variance = Vector3::from_fn(|i, _| covariance[i][i]);

@@ -1,36 +1,59 @@
-//! An array's calibration from the rests in its own recording, or as it is stored.
+//! Calibration of an array from the rests in its own recording, or as it is stored.
 
-use nalgebra::{Matrix3, Vector3};
-use wimu_calib::{Estimate, Gravity, Model, Pose, find_poses, multi_position};
+use wimu_calib::array::ArrayPrior;
+use wimu_calib::{Gravity, Pose};
 use wimu_model::{ErrorModel, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
 
-use super::departures::Departure;
-use super::motion::check;
+use super::fit::{Fitted, at_rests, contradiction};
+use super::motion::{check, with_room};
+use super::outputs::{
+    apart_of, departures, disagreement, is_dead, is_throughout, mean, pose, scale_of,
+    steady_stretches,
+};
 use super::rests::{EvenTurn, REST_BIAS_MPS2, judged};
 use super::{ArrayGeometry, ArrayRecording};
 use crate::{ErrorCode, HostError, Result};
 
-/// Poses that a recording may have.
-const MOST_POSES: usize = 256;
-/// A sensor lives through a rest that has output in each part of so many samples.
-const PART_SAMPLES: usize = 16;
 /// Noise that is assumed where there is no rest to see it, m/s².
 const ASSUMED_NOISE_MPS2: f64 = 0.05;
 
-/// Bias that is left of a calibrated axis, m/s².
+/// Bias of a calibrated axis in motion, m/s²: MIMU4444 rests of one run repeat within 0.015 m/s².
 pub(super) const BIAS_MPS2: f64 = 0.02;
-/// Error of sensitivity and direction of an uncalibrated axis, at least.
+/// Error of scale factors and misalignments of an uncalibrated axis, at least.
 pub(super) const LEAST_SCALE: f64 = 0.002;
-/// No sensor's sensitivities and directions are wrong by so much: its axes, or its model, are others than given.
-pub(super) const MOST_SCALE: f64 = 0.05;
-/// A sensor with a model of its own that departs by more than this at the rests, m/s², may have another's.
+/// No sensor has scale factors and misalignments this wrong: its axes, or its model, are not those given.
+const MOST_SCALE: f64 = 0.05;
+/// An array is calibrated where the rests determine the entries of the matrices to this: 0.01 m/s² at 1 g.
+const CALIBRATED_SCALE: f64 = 0.001;
+/// Repeatability of a bias over the rms departure of the sensors from their mean: eight rests or more leave half of the
+/// degrees of freedom; and the least, m/s².
+const REPEATABILITY_TIMES: f64 = 1.5;
+const LEAST_REPEATABILITY_MPS2: f64 = 5e-4;
+/// A sensor whose corrected outputs depart by this from those of the others at the rests, m/s² rms, and by so many times
+/// their median, is left out.
+const FAULTY_MPS2: f64 = 0.1;
+const FAULTY_TIMES: f64 = 5.0;
+/// A sensor with a stored model that departs by more than this at the rests, m/s², may have the model of another.
 const DOUBTFUL_MPS2: f64 = 0.5;
+
+/// Fit of one sensor to the rests.
+#[derive(Clone, Copy, Debug)]
+pub struct SensorFit {
+    /// Rests in which it has output.
+    pub rests: usize,
+    /// |f| − g of its corrected output, m/s² rms.
+    pub rms_mps2: f64,
+    /// Standard deviation of its bias, m/s², body axes.
+    pub bias_sd_mps2: [f64; 3],
+    /// Standard deviation of its matrix, body axes.
+    pub matrix_sd: [[f64; 3]; 3],
+}
 
 /// An array's calibration from the rests in its own recording.
 #[derive(Clone, Debug)]
 pub struct ArrayCalibration {
-    /// Each sensor's error model and the small turn from its axes to the body's, rad.
-    pub sensors: Vec<(ErrorModel, [f64; 3])>,
+    /// Error model of each sensor, body axes, with its rotation against the others.
+    pub sensors: Vec<ErrorModel>,
     /// Noise of each sensor at rest, m/s² an axis.
     pub noise_mps2: Vec<f64>,
     /// The rests, as first sample and number of samples.
@@ -58,13 +81,15 @@ pub struct ArrayCalibration {
     pub uncalibrated: Option<String>,
     /// Whether the geometry had an error model of each sensor, so that none was fitted.
     pub stored: bool,
-    /// What came of the fit of each sensor; `None` where there was none.
-    pub estimates: Vec<Option<Estimate>>,
+    /// Fit of each sensor; `None` where the rests do not calibrate it.
+    pub fits: Vec<Option<SensorFit>>,
     /// Sensors that are of no use, and why.
     pub left_out: Vec<(usize, String)>,
     /// What each sensor that is used departs from the mean of all by, m/s² rms, before the rests' departures were
     /// taken into the models.
     apart_mps2: Vec<(usize, f64)>,
+    /// Prior deviations of biases, m/s², and of the entries of the matrices, and gravity.
+    prior: ArrayPrior,
     /// Mean force at each rest, m/s².
     rest_forces: Vec<[f64; 3]>,
     /// What each sensor still adds at each rest, m/s².
@@ -77,11 +102,11 @@ impl ArrayCalibration {
     /// How well the sensors' times among each other are known where nobody says it, s.
     pub const DELAY_SD_S: f64 = 3e-4;
 
-    /// From the accelerometers alone, in body axes: the rests are where the mean of all sensors is steady
-    /// and they agree with each other as at every other rest, each sensor is fitted to gravity (9
-    /// parameters), then turned to agree with the others. A sensor that is dead, or is the only one that
-    /// cannot be fitted, is left out; one that fails on the way counts as long as it lives. Sensors of which the
-    /// geometry has an error model were corrected by [`ArrayRecording::arranged`] and are not fitted.
+    /// From the accelerometers alone, in body axes. A rest is an interval in which the mean of all sensors is steady and
+    /// they agree with each other as at every other rest. Biases and matrices of all sensors are fitted to one
+    /// gravity vector per rest ([`wimu_calib::array`]). A sensor that is dead, or that contradicts the others, is left
+    /// out; one that fails on the way counts as long as it lives. Where the geometry has error models,
+    /// [`ArrayRecording::arranged`] has applied them, and the fit finds what they leave.
     ///
     /// # Errors
     /// `data_refused` when there is no rest at all, or no sensor is alive; `usage` when the geometry has
@@ -156,58 +181,12 @@ impl ArrayCalibration {
                 }
             })
             .collect();
-        let mut models = vec![ErrorModel::default(); sensors];
-        let mut estimates = vec![None; sensors];
-        let mut refusals = Vec::new();
-        let alive: Vec<usize> = (0..sensors)
-            .filter(|sensor| left_out.iter().all(|(out, _)| out != sensor))
-            .collect();
-        let candidates: Vec<usize> = alive
-            .iter()
-            .copied()
-            .filter(|sensor| geometry.sensors[*sensor].model.is_none())
-            .collect();
-        let stored = candidates.is_empty();
-        for sensor in &candidates {
-            let poses: Vec<Pose> = seen(*sensor).copied().collect();
-            match multi_position(&poses, gravity, Model::Full9) {
-                Ok(estimate) => {
-                    models[*sensor] = estimate.model;
-                    estimates[*sensor] = Some(estimate);
-                }
-                Err(refusal) => refusals.push((*sensor, refusal.to_string())),
-            }
-        }
-        // What most of them cannot be fitted to is the recording's fault, not theirs.
-        let mut uncalibrated = None;
-        if refusals.len() * 2 > candidates.len() {
-            uncalibrated = refusals.first().map(|(_, why)| why.clone());
-            models = vec![ErrorModel::default(); sensors];
-            estimates = vec![None; sensors];
-        } else {
-            left_out.extend(refusals);
-        }
-        let used: Vec<usize> = (0..sensors)
-            .filter(|sensor| left_out.iter().all(|(out, _)| out != sensor))
-            .collect();
-        let mut forces: Vec<Vec<Option<[f64; 3]>>> = models
-            .iter()
-            .zip(&per_sensor)
-            .map(|(model, poses)| {
-                let force = |p: &Pose| model.correct(SpecificForceMps2(p.mean_mps2), None).0;
-                poses.iter().map(|p| p.as_ref().map(force)).collect()
-            })
-            .collect();
-        let mut turns = vec![[0.0; 3]; sensors];
-        if uncalibrated.is_none() && !stored {
-            let chosen: Vec<Vec<Option<[f64; 3]>>> =
-                used.iter().map(|k| forces[*k].clone()).collect();
-            for (sensor, small) in used.iter().zip(align(&chosen)) {
-                turns[*sensor] = small;
-            }
-        }
+        let stored = !geometry.sensors.is_empty()
+            && (0..sensors).all(|s| {
+                geometry.sensors[s].model.is_some() || left_out.iter().any(|(out, _)| *out == s)
+            });
         let mut calibration = Self {
-            sensors: models.into_iter().zip(turns).collect(),
+            sensors: vec![ErrorModel::default(); sensors],
             noise_mps2,
             rests,
             turns: judged.turns,
@@ -219,90 +198,184 @@ impl ArrayCalibration {
             place_sd_m: Self::PLACE_SD_M,
             size_sd_m: 0.0,
             delay_sd_s: Self::DELAY_SD_S,
-            uncalibrated,
+            uncalibrated: None,
             stored,
-            estimates,
+            fits: vec![None; sensors],
             left_out,
             apart_mps2: Vec::new(),
+            prior: ArrayPrior {
+                gravity_mps2: gravity.mps2(),
+                gravity_sd_mps2: gravity.sd_mps2(),
+                repeatability_mps2: REST_BIAS_MPS2,
+                ..ArrayPrior::default()
+            },
             rest_forces: Vec::new(),
             offsets: Vec::new(),
         };
-        calibration.rest_forces = (0..calibration.rests.len())
+        let outputs: Vec<Vec<Option<[f64; 3]>>> = (per_sensor.iter())
+            .map(|poses| {
+                poses
+                    .iter()
+                    .map(|p| p.as_ref().map(|p| p.mean_mps2))
+                    .collect()
+            })
+            .collect();
+        calibration.assume(&outputs);
+        calibration.fit(recording, geometry, &outputs)?;
+        calibration.take_off_offsets(&outputs);
+        Ok(calibration)
+    }
+
+    /// Sensors that are used.
+    fn used(&self) -> Vec<usize> {
+        (0..self.sensors.len())
+            .filter(|sensor| self.uses(*sensor))
+            .collect()
+    }
+
+    /// Prior deviations by the method of moments, equation (104), from the mean outputs at the rests.
+    fn assume(&mut self, outputs: &[Vec<Option<[f64; 3]>>]) {
+        let used = self.used();
+        let offsets = departures(outputs, self.rests.len(), &used);
+        let count = used.len() as f64;
+        let apart = disagreement(&offsets, &used) * (count / f64::max(count - 1.0, 1.0)).sqrt();
+        self.bias_mps2 = apart.max(BIAS_MPS2);
+        // In one orientation bias and scale factor cannot be told apart.
+        self.scale = scale_of(&offsets, outputs, &used)
+            .unwrap_or(apart / STANDARD_GRAVITY_MPS2)
+            .max(LEAST_SCALE);
+        self.apart_mps2 = used.iter().map(|k| (*k, apart_of(*k, &offsets))).collect();
+        let (bias, scale) = (MOST_SCALE * STANDARD_GRAVITY_MPS2, MOST_SCALE);
+        self.prior.bias_mps2 = self.bias_mps2.min(bias);
+        self.prior.matrix = self.scale.min(scale);
+    }
+
+    /// Fits biases and matrices to the rests; what they leave uncertain stays in `scale`.
+    fn fit(
+        &mut self,
+        recording: &ArrayRecording,
+        geometry: &ArrayGeometry,
+        outputs: &[Vec<Option<[f64; 3]>>],
+    ) -> Result<()> {
+        let mut prior = self.prior();
+        let fitted = |of: &mut Self, prior: &ArrayPrior| -> Result<Fitted> {
+            let found = with_room!(
+                geometry.sensors.len(),
+                at_rests(recording, geometry, of, prior)
+            )?;
+            for (model, found) in of.sensors.iter_mut().zip(&found.models) {
+                *model = found.unwrap_or_default();
+            }
+            Ok(found)
+        };
+        let mut found = fitted(self, &prior)?;
+        while let Some((sensor, apart)) = self.faulty(outputs) {
+            let why = format!(
+                "no bias and matrix explain its output at the rests: {apart:.2} m/s² rms are left"
+            );
+            self.left_out.push((sensor, why));
+            found = fitted(self, &prior)?;
+        }
+        if found.matrix_sd < CALIBRATED_SCALE && !self.stored {
+            // With as many rests their residuals show how well a bias repeats.
+            let offsets = departures(&self.corrected(outputs), self.rests.len(), &self.used());
+            let shown = REPEATABILITY_TIMES * disagreement(&offsets, &self.used());
+            prior.repeatability_mps2 = shown.clamp(LEAST_REPEATABILITY_MPS2, REST_BIAS_MPS2);
+            found = fitted(self, &prior)?;
+            for sensor in self.used() {
+                self.fits[sensor] = Some(self.fit_of(sensor, &outputs[sensor], &found));
+            }
+            (self.bias_mps2, self.scale) = (BIAS_MPS2, 0.0);
+            return Ok(());
+        }
+        let reason = "the rests do not determine its scale factors and misalignments";
+        self.uncalibrated = (!self.stored).then(|| reason.to_owned());
+        if self.scale < MOST_SCALE {
+            // An error that all sensors have is one of the scale in which gravity is measured.
+            self.prior.gravity_mps2 = self.mean_rest_mps2(recording);
+            self.prior.gravity_sd_mps2 = MOST_SCALE * STANDARD_GRAVITY_MPS2;
+            found = fitted(self, &self.prior())?;
+            let learnt = (self.scale.powi(2) - found.matrix_sd.powi(2)).max(0.0);
+            self.common_scale = (learnt / self.used().len().max(1) as f64).sqrt();
+            self.scale = found.matrix_sd;
+        } else {
+            // Beyond what a sensor's error can be, axes or model are wrong, and nothing is corrected.
+            self.sensors.fill(ErrorModel::default());
+        }
+        Ok(())
+    }
+
+    /// The sensor that departs most from the others after the fit, where that is no error of its model.
+    fn faulty(&self, outputs: &[Vec<Option<[f64; 3]>>]) -> Option<(usize, f64)> {
+        let used = self.used();
+        let forces = self.corrected(outputs);
+        let offsets = departures(&forces, self.rests.len(), &used);
+        let mut apart: Vec<(usize, f64)> =
+            used.iter().map(|k| (*k, apart_of(*k, &offsets))).collect();
+        apart.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let (worst, median) = (*apart.last()?, apart.get(apart.len() / 2)?.1);
+        let alone = apart.len() > 3 && 2 * self.left_out.len() < self.sensors.len();
+        (alone && worst.1 > FAULTY_MPS2 && worst.1 > FAULTY_TIMES * median).then_some(worst)
+    }
+
+    fn corrected(&self, outputs: &[Vec<Option<[f64; 3]>>]) -> Vec<Vec<Option<[f64; 3]>>> {
+        let all = outputs.iter().zip(&self.sensors);
+        all.map(|(outputs, model)| {
+            let force = |output: [f64; 3]| model.correct(SpecificForceMps2(output), None).0;
+            outputs.iter().map(|output| output.map(force)).collect()
+        })
+        .collect()
+    }
+
+    fn fit_of(&self, sensor: usize, outputs: &[Option<[f64; 3]>], found: &Fitted) -> SensorFit {
+        let lengths: Vec<f64> = (outputs.iter().flatten())
+            .map(|output| {
+                self.sensors[sensor]
+                    .correct(SpecificForceMps2(*output), None)
+                    .norm()
+            })
+            .collect();
+        let squares = lengths
+            .iter()
+            .map(|l| (l - self.prior.gravity_mps2).powi(2))
+            .sum::<f64>();
+        let (bias_sd_mps2, matrix_sd) = found.model_sd[sensor];
+        SensorFit {
+            rests: lengths.len(),
+            rms_mps2: (squares / lengths.len().max(1) as f64).sqrt(),
+            bias_sd_mps2,
+            matrix_sd,
+        }
+    }
+
+    /// Mean force of all sensors at each rest, and by how much each sensor departs from it.
+    fn take_off_offsets(&mut self, outputs: &[Vec<Option<[f64; 3]>>]) {
+        let (used, forces) = (self.used(), self.corrected(outputs));
+        self.rest_forces = (0..self.rests.len())
             .map(|rest| mean(used.iter().filter_map(|k| forces[*k][rest])))
             .collect();
-        let mut offsets = departures(&forces, &calibration, &used);
-        let of_used = || {
-            offsets
-                .iter()
-                .flat_map(|all| used.iter().filter_map(|k| all[*k]))
-        };
-        let squares = of_used().flatten().map(|o| o * o).sum::<f64>();
-        let values = 3.0 * of_used().count() as f64;
-        calibration.disagreement_mps2 = (squares / f64::max(values, 1.0)).sqrt();
-        if calibration.uncalibrated.is_some() || stored {
-            let count = used.len() as f64;
-            let apart = calibration.disagreement_mps2 * (count / f64::max(count - 1.0, 1.0)).sqrt();
-            calibration.bias_mps2 = apart.max(BIAS_MPS2);
-            // In one orientation a bias and an error of scale are one.
-            calibration.scale = scale_of(&offsets, &forces, &used)
-                .unwrap_or(apart / STANDARD_GRAVITY_MPS2)
-                .max(LEAST_SCALE);
-            calibration.apart_mps2 = used.iter().map(|k| (*k, apart_of(*k, &offsets))).collect();
-            if calibration.scale < MOST_SCALE {
-                calibration.learn(&mut forces, &offsets, &used);
-                offsets = departures(&forces, &calibration, &used);
-            }
-        }
-        // A rest at which a sensor gave nothing says nothing about it: that before it counts, or the first.
-        for sensor in 0..sensors {
+        let mut offsets = departures(&forces, self.rests.len(), &used);
+        self.disagreement_mps2 = disagreement(&offsets, &used);
+        // A rest at which a sensor has no output takes the departure of the rest before, or of the first.
+        for sensor in 0..self.sensors.len() {
             let mut last = offsets.iter().find_map(|all| all[sensor]);
             for all in &mut offsets {
                 last = all[sensor].or(last);
                 all[sensor] = last;
             }
         }
-        calibration.offsets = offsets
-            .iter()
+        self.offsets = (offsets.iter())
             .map(|all| all.iter().map(|o| o.unwrap_or_default()).collect())
             .collect();
-        Ok(calibration)
     }
 
-    /// Takes what the rests tell of each sensor's departures from the mean of all into its model; what they do not
-    /// tell stays in `scale`: equation (108).
-    fn learn(
-        &mut self,
-        forces: &mut [Vec<Option<[f64; 3]>>],
-        departures: &[Vec<Option<[f64; 3]>>],
-        used: &[usize],
-    ) {
-        let (bias, scale) = (self.bias_mps2, self.scale);
-        let mut left = Vec::new();
-        for sensor in used {
-            let seen = (self.rest_forces.iter().zip(departures))
-                .filter_map(|(force, all)| Some((*force, all[*sensor]?)));
-            let found = Departure::of(seen, bias, scale, REST_BIAS_MPS2);
-            // Beyond what a model holds it is no sensor's error.
-            let Some(model) = found.model() else { continue };
-            self.sensors[*sensor].0 = model;
-            for force in forces[*sensor].iter_mut().flatten() {
-                *force = model.correct(SpecificForceMps2(*force), None).0;
-            }
-            left.push(found);
+    /// Prior of a fit of the whole recording.
+    pub(super) fn prior(&self) -> ArrayPrior {
+        ArrayPrior {
+            position_m: self.place_sd_m,
+            delay_s: self.delay_sd_s,
+            ..self.prior
         }
-        // In any direction alike.
-        let variance = left.iter().map(Departure::mean_variance).sum::<f64>();
-        if !left.is_empty() {
-            self.scale = (variance / left.len() as f64).sqrt();
-        }
-        let learnt = scale * scale - self.scale * self.scale;
-        self.common_scale = (learnt / used.len().max(1) as f64).sqrt();
-    }
-
-    /// What the force at sample `index` is beyond that at the rest before, m/s².
-    pub(super) fn changed(&self, index: usize, force: [f64; 3]) -> [f64; 3] {
-        let rest = self.rest_forces[self.offset_of(index)];
-        std::array::from_fn(|i| force[i] - rest[i])
     }
 
     /// Mean length of the mean output at the rests, m/s².
@@ -313,6 +386,21 @@ impl ArrayCalibration {
             force.iter().map(|f| f * f).sum::<f64>().sqrt()
         };
         self.rests.iter().map(length).sum::<f64>() / self.rests.len() as f64
+    }
+
+    /// Refuses sensors that differ at the rests by more than errors of sensors.
+    ///
+    /// # Errors
+    /// `data_refused`, with what to check.
+    pub fn check(&self, name: &str) -> Result<()> {
+        if self.scale < MOST_SCALE {
+            return Ok(());
+        }
+        let differ = "at rest they differ by more than biases and scale factors of sensors do: by";
+        Err(contradiction(
+            name,
+            &format!("{differ} {:.2} m/s²", self.bias_mps2),
+        ))
     }
 
     /// What was assumed, found wrong and left out.
@@ -397,214 +485,11 @@ impl ArrayCalibration {
         output_mps2: [f64; 3],
         rest: usize,
     ) -> [f64; 3] {
-        let Some((model, small)) = self.sensors.get(sensor) else {
+        let Some(model) = self.sensors.get(sensor) else {
             return output_mps2;
         };
-        let force = turn(
-            model.correct(SpecificForceMps2(output_mps2), None).0,
-            *small,
-        );
+        let force = model.correct(SpecificForceMps2(output_mps2), None).0;
         let offset = self.offsets[rest][sensor];
         core::array::from_fn(|axis| force[axis] - offset[axis])
     }
-}
-
-/// By how much each sensor departs from the mean of those that are used, at each rest, m/s².
-fn departures(
-    forces: &[Vec<Option<[f64; 3]>>],
-    calibration: &ArrayCalibration,
-    used: &[usize],
-) -> Vec<Vec<Option<[f64; 3]>>> {
-    (0..calibration.rests.len())
-        .map(|rest| {
-            let turned: Vec<Option<[f64; 3]>> = (forces.iter().zip(&calibration.sensors))
-                .map(|(forces, (_, small))| Some(turn(forces[rest]?, *small)))
-                .collect();
-            let mean = mean(used.iter().filter_map(|k| turned[*k]));
-            let from_mean = |f: [f64; 3]| std::array::from_fn(|axis| f[axis] - mean[axis]);
-            turned
-                .into_iter()
-                .map(|force| force.map(from_mean))
-                .collect()
-        })
-        .collect()
-}
-
-/// How far a sensor departs from the mean at the rests, m/s² rms.
-fn apart_of(sensor: usize, departures: &[Vec<Option<[f64; 3]>>]) -> f64 {
-    let seen = || departures.iter().filter_map(|all| all[sensor]);
-    let squares = seen().flatten().map(|o| o * o).sum::<f64>();
-    (squares / seen().count().max(1) as f64).sqrt()
-}
-
-/// The error of sensitivity and direction that shows as the sensors' departures from their mean change with the
-/// orientation; `None` where the rests are too much alike.
-fn scale_of(
-    offsets: &[Vec<Option<[f64; 3]>>],
-    forces: &[Vec<Option<[f64; 3]>>],
-    used: &[usize],
-) -> Option<f64> {
-    let square = |a: [f64; 3], b: [f64; 3]| (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>();
-    let (mut departures, mut changes, mut most) = (0.0, 0.0, 0.0_f64);
-    for rest in 1..offsets.len() {
-        for k in used {
-            let now = (offsets[rest][*k], forces[*k][rest]);
-            let before = (offsets[rest - 1][*k], forces[*k][rest - 1]);
-            if let ((Some(o), Some(f)), (Some(p), Some(g))) = (now, before) {
-                departures += square(o, p);
-                changes += 3.0 * square(f, g);
-                most = most.max(square(f, g));
-            }
-        }
-    }
-    let count = used.len() as f64;
-    let alike = most < STANDARD_GRAVITY_MPS2.powi(2) || count < 2.0;
-    (!alike).then(|| (departures / changes * count / (count - 1.0)).sqrt())
-}
-
-/// Whether no axis of a sensor ever moves, or it has no output.
-fn is_dead(recording: &ArrayRecording, sensor: usize) -> bool {
-    let outputs = || recording.outputs.iter().map(|row| row[sensor]);
-    let finite = |v: &[f64; 3]| v.iter().all(|axis| axis.is_finite());
-    let Some(first) = outputs().find(finite) else {
-        return true;
-    };
-    outputs().filter(finite).all(|v| v == first)
-}
-
-/// Where the mean of the sensors that are not `dead` is steady: first sample and number of samples.
-fn steady_stretches(recording: &ArrayRecording, dead: &[usize]) -> Vec<(usize, usize)> {
-    let alive: Vec<usize> = (0..recording.sensors())
-        .filter(|sensor| !dead.contains(sensor))
-        .collect();
-    let mean = (0..recording.outputs.len()).map(|k| {
-        let seen = alive.iter().filter(|s| recording.has(k, **s));
-        (mean(seen.map(|s| recording.outputs[k][*s])), None)
-    });
-    let mut poses = vec![Pose::default(); MOST_POSES];
-    let found = find_poses(mean, 1.0 / recording.period_s(), &mut poses).min(MOST_POSES);
-    poses[..found]
-        .iter()
-        .map(|pose| (pose.first_sample as usize, pose.samples as usize))
-        .filter(|(first, count)| first + count <= recording.outputs.len())
-        .collect()
-}
-
-/// 0 of none.
-fn mean(values: impl Iterator<Item = [f64; 3]>) -> [f64; 3] {
-    let (mut sum, mut count) = ([0.0; 3], 0.0);
-    for value in values {
-        for (sum, value) in sum.iter_mut().zip(value) {
-            *sum += value;
-        }
-        count += 1.0;
-    }
-    sum.map(|v| v / f64::max(count, 1.0))
-}
-
-/// A sensor at a rest; `None` where it has no output for the most part.
-fn pose(recording: &ArrayRecording, sensor: usize, (first, count): (usize, usize)) -> Option<Pose> {
-    let rows: Vec<[f64; 3]> = (first..first + count)
-        .filter(|k| recording.has(*k, sensor))
-        .map(|k| recording.outputs[k][sensor])
-        .collect();
-    if rows.len() < 2 || rows.len() * 4 < count {
-        return None;
-    }
-    let n = rows.len() as f64;
-    let mean = mean(rows.iter().copied());
-    let mut pose = Pose::from_mean(mean);
-    pose.sd_mps2 = core::array::from_fn(|axis| {
-        let square: f64 = rows.iter().map(|r| (r[axis] - mean[axis]).powi(2)).sum();
-        (square / n).sqrt()
-    });
-    pose.samples = rows.len() as u32;
-    Some(pose)
-}
-
-/// Whether a sensor gives output all through a rest, and not only for a part of it.
-fn is_throughout(
-    recording: &ArrayRecording,
-    sensor: usize,
-    (first, count): (usize, usize),
-) -> bool {
-    (0..count).step_by(PART_SAMPLES).all(|from| {
-        let part = (first + from, PART_SAMPLES.min(count - from));
-        part.1 < PART_SAMPLES || pose(recording, sensor, part).is_some()
-    })
-}
-
-/// The small turn of each sensor, rad, that makes all of them agree best; their mean is zero.
-fn align(forces: &[Vec<Option<[f64; 3]>>]) -> Vec<[f64; 3]> {
-    let sensors = forces.len();
-    let poses = forces.first().map_or(0, Vec::len);
-    let mut turns = vec![[0.0; 3]; sensors];
-    for _ in 0..20 {
-        let turned: Vec<Vec<Option<[f64; 3]>>> = forces
-            .iter()
-            .zip(&turns)
-            .map(|(forces, small)| forces.iter().map(|f| f.map(|f| turn(f, *small))).collect())
-            .collect();
-        let means: Vec<[f64; 3]> = (0..poses)
-            .map(|pose| mean(turned.iter().filter_map(|one| one[pose])))
-            .collect();
-        for sensor in 0..sensors {
-            // Σ |mean − f − δ × f|² over poses: (Σ |f|² 1 − f fᵀ) δ = Σ f × mean.
-            let mut left = [[0.0; 3]; 3];
-            let mut right = [0.0; 3];
-            for (f, mean) in turned[sensor].iter().zip(&means) {
-                let Some(f) = f else {
-                    continue;
-                };
-                let square: f64 = f.iter().map(|v| v * v).sum();
-                for i in 0..3 {
-                    left[i][i] += square;
-                    for j in 0..3 {
-                        left[i][j] -= f[i] * f[j];
-                    }
-                    right[i] +=
-                        f[(i + 1) % 3] * mean[(i + 2) % 3] - f[(i + 2) % 3] * mean[(i + 1) % 3];
-                }
-            }
-            if let Some(delta) = solve3(left, right) {
-                for axis in 0..3 {
-                    turns[sensor][axis] += delta[axis];
-                }
-            }
-        }
-        for axis in 0..3 {
-            let mean = turns.iter().map(|t| t[axis]).sum::<f64>() / sensors as f64;
-            for small in &mut turns {
-                small[axis] -= mean;
-            }
-        }
-    }
-    turns
-}
-
-/// m⁻¹ v; `None` where m is singular.
-fn solve3(m: [[f64; 3]; 3], v: [f64; 3]) -> Option<[f64; 3]> {
-    let m = Matrix3::from_fn(|row, column| m[row][column]);
-    let inverse = m.try_inverse()?;
-    let sound = m.determinant().abs() > 1e-9 * m.trace().powi(3).abs();
-    sound.then(|| (inverse * Vector3::from(v)).into())
-}
-
-/// Turns a vector by a rotation vector, rad.
-pub(super) fn turn(v: [f64; 3], by: [f64; 3]) -> [f64; 3] {
-    let angle = by.iter().map(|a| a * a).sum::<f64>().sqrt();
-    if angle < 1e-12 {
-        return v;
-    }
-    let axis = by.map(|a| a / angle);
-    let cross = |a: [f64; 3], b: [f64; 3]| {
-        [
-            a[1] * b[2] - a[2] * b[1],
-            a[2] * b[0] - a[0] * b[2],
-            a[0] * b[1] - a[1] * b[0],
-        ]
-    };
-    let once = cross(axis, v);
-    let twice = cross(axis, once);
-    core::array::from_fn(|i| v[i] + angle.sin() * once[i] + (1.0 - angle.cos()) * twice[i])
 }

@@ -6,7 +6,7 @@ use wimu_nav::array::{
 };
 
 use super::calibration::BIAS_MPS2;
-use super::places::shown_place_sd_m;
+use super::fit::{Agreement, Fitted};
 use super::{ArrayCalibration, ArrayGeometry, ArrayRecording};
 use crate::inertial::Zupt;
 use crate::plural::counted;
@@ -45,41 +45,68 @@ macro_rules! with_room {
 }
 pub(super) use with_room;
 
-/// The angular rate of `recording` from all of it, later samples too; it is in body axes
-/// ([`ArrayRecording::arranged`]). Samples in which a sensor that is used has no output are carried over.
-///
-/// # Errors
-/// `usage` when the numbers of sensors differ or are more than 16; `data_refused` when the geometry
-/// shows no angular rate.
-pub fn angular_rate(
-    recording: &ArrayRecording,
-    geometry: &ArrayGeometry,
-    calibration: &ArrayCalibration,
-) -> Result<ArrayMotion> {
-    check(recording, geometry)?;
-    with_room!(
-        geometry.sensors.len(),
-        smoothed(recording, geometry, calibration)
-    )
+/// A recording of an array in body axes ([`ArrayRecording::arranged`]) with its geometry and calibration, fitted to the motion of
+/// one rigid body: equation (99).
+#[derive(Debug)]
+pub struct ArrayBody<'a> {
+    recording: &'a ArrayRecording,
+    geometry: &'a ArrayGeometry,
+    calibration: &'a ArrayCalibration,
+    agreement: Option<Agreement>,
+    /// Standard deviation of a coordinate of the positions, m.
+    place_sd_m: f64,
 }
 
-/// What the filter of the array knows after each sample, from the samples up to it, and what it met on
-/// the way. `gravity_mps2` is the length of gravity in the recording's own scale.
-///
-/// # Errors
-/// As [`angular_rate`].
-pub fn navigated(
-    recording: &ArrayRecording,
-    geometry: &ArrayGeometry,
-    calibration: &ArrayCalibration,
-    gravity_mps2: f64,
-    zupt: Zupt,
-) -> Result<(Vec<ArrayState<f64>>, Vec<String>)> {
-    check(recording, geometry)?;
-    with_room!(
-        geometry.sensors.len(),
-        filtered(recording, geometry, calibration, gravity_mps2, zupt)
-    )
+impl<'a> ArrayBody<'a> {
+    /// Fits the recording.
+    ///
+    /// # Errors
+    /// `usage` when the numbers of sensors differ or are more than 16; `data_refused` when the geometry
+    /// shows no angular rate.
+    pub fn of(
+        recording: &'a ArrayRecording,
+        geometry: &'a ArrayGeometry,
+        calibration: &'a ArrayCalibration,
+    ) -> Result<Self> {
+        let fitted = Fitted::of(recording, geometry, calibration, &calibration.prior())?;
+        Ok(Self {
+            recording,
+            geometry,
+            calibration,
+            place_sd_m: fitted.shown_position_sd_m(calibration, calibration.place_sd_m),
+            agreement: fitted.agreement,
+        })
+    }
+
+    /// Agreement of the sensors; `None` where too few samples are in motion, or motion explains everything.
+    pub fn agreement(&self) -> Option<&Agreement> {
+        self.agreement.as_ref()
+    }
+
+    /// The angular rate from the whole recording, later samples too. Samples in which a sensor that is used has no output are
+    /// carried over.
+    ///
+    /// # Errors
+    /// `data_refused` when the geometry shows no angular rate.
+    pub fn angular_rate(&self) -> Result<ArrayMotion> {
+        with_room!(self.geometry.sensors.len(), smoothed(self))
+    }
+
+    /// What the filter of the array knows after each sample, from the samples up to it, and what it met on
+    /// the way. `gravity_mps2` is the length of gravity in the recording's own scale.
+    ///
+    /// # Errors
+    /// `data_refused` when the geometry shows no angular acceleration or specific force.
+    pub fn navigated(
+        &self,
+        gravity_mps2: f64,
+        zupt: Zupt,
+    ) -> Result<(Vec<ArrayState<f64>>, Vec<String>)> {
+        with_room!(
+            self.geometry.sensors.len(),
+            filtered(self, gravity_mps2, zupt)
+        )
+    }
 }
 
 pub(super) fn check(recording: &ArrayRecording, geometry: &ArrayGeometry) -> Result<()> {
@@ -137,7 +164,7 @@ pub(super) fn axes<const M: usize>(
         .zip(&calibration.noise_mps2)
         .flat_map(|(sensor, noise)| {
             (0..3).map(|axis| Axis {
-                place_m: sensor.places_m[axis],
+                position_m: sensor.places_m[axis],
                 direction: std::array::from_fn(|i| if i == axis { 1.0 } else { 0.0 }),
                 noise_mps2: *noise,
             })
@@ -177,11 +204,8 @@ fn sample_since<const M: usize>(
     output
 }
 
-fn smoothed<const M: usize>(
-    recording: &ArrayRecording,
-    geometry: &ArrayGeometry,
-    calibration: &ArrayCalibration,
-) -> Result<ArrayMotion> {
+fn smoothed<const M: usize>(body: &ArrayBody<'_>) -> Result<ArrayMotion> {
+    let (recording, geometry, calibration) = (body.recording, body.geometry, body.calibration);
     let axes = axes::<M>(geometry, calibration)?;
     let solver =
         ArraySolver::<f64, M>::of(&axes, |sensor| calibration.uses(sensor)).map_err(refused)?;
@@ -214,7 +238,7 @@ fn smoothed<const M: usize>(
     let mut steps = vec![Step::default(); observations.len()];
     let found = track(&solver, solver.variance_mps2(), &observations, &mut steps)
         .ok_or_else(|| refused("the sensors' places show no angular rate"))?;
-    let relative = solver.rate_error(shown_place_sd_m(recording, calibration, &solver));
+    let relative = solver.rate_error(body.place_sd_m);
     Ok(ArrayMotion {
         rate_rad_s: steps.iter().map(|s| s.rate_rad_s).collect(),
         rate_covariance: steps.iter().map(|s| reported(s, relative)).collect(),
@@ -250,17 +274,12 @@ fn may_rest(state: Option<&ArrayState<f64>>) -> bool {
 }
 
 fn filtered<const M: usize>(
-    recording: &ArrayRecording,
-    geometry: &ArrayGeometry,
-    calibration: &ArrayCalibration,
+    body: &ArrayBody<'_>,
     gravity_mps2: f64,
     zupt: Zupt,
 ) -> Result<(Vec<ArrayState<f64>>, Vec<String>)> {
+    let (recording, geometry, calibration) = (body.recording, body.geometry, body.calibration);
     let axes = axes::<M>(geometry, calibration)?;
-    // What is missing is said before anything is done.
-    let solver =
-        ArraySolver::<f64, M>::of(&axes, |sensor| calibration.uses(sensor)).map_err(refused)?;
-    let place_sd_m = shown_place_sd_m(recording, calibration, &solver);
     let used = (0..recording.sensors())
         .filter(|sensor| calibration.uses(*sensor))
         .count();
@@ -276,7 +295,7 @@ fn filtered<const M: usize>(
             / (used.max(1) as f64).sqrt(),
         scale: calibration.scale,
         common_scale: calibration.common_scale,
-        place_sd_m: place_sd_m.hypot(calibration.size_sd_m),
+        place_sd_m: body.place_sd_m.hypot(calibration.size_sd_m),
         delay_sd_s: calibration.delay_sd_s,
         ..ArrayConfig::default()
     };

@@ -57,7 +57,7 @@ fn triads<const M: usize>(geometry: &Geometry<M>) -> ArrayGeometry {
         .axes()
         .iter()
         .step_by(3)
-        .map(|axis| axis.place_m)
+        .map(|axis| axis.position_m)
         .collect();
     ArrayGeometry::at(&places)
 }

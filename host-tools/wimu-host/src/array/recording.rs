@@ -283,15 +283,6 @@ impl ArrayRecording {
         self.moved(delays_s, first..end)
     }
 
-    /// The same at all its times.
-    pub(super) fn delayed(self, delays_s: &[f64]) -> Self {
-        if delays_s.iter().all(|delay| *delay == 0.0) {
-            return self;
-        }
-        let all = 0..self.times_s.len();
-        self.moved(delays_s, all)
-    }
-
     /// The same at some of its times.
     fn moved(mut self, delays_s: &[f64], at: Range<usize>) -> Self {
         let period_s = self.period_s();

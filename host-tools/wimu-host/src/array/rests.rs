@@ -122,7 +122,7 @@ fn judge<const M: usize>(
         .iter()
         .flat_map(|sensor| {
             (0..3).map(|axis| Axis {
-                place_m: sensor.places_m[axis],
+                position_m: sensor.places_m[axis],
                 direction: std::array::from_fn(|i| if i == axis { 1.0 } else { 0.0 }),
                 noise_mps2: 1.0,
             })

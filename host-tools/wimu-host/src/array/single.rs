@@ -33,7 +33,7 @@ pub struct SingleAxis {
 impl From<&Axis> for SingleAxis {
     fn from(axis: &Axis) -> Self {
         Self {
-            place_m: axis.place_m,
+            place_m: axis.position_m,
             direction: axis.direction,
             column: None,
         }
@@ -75,7 +75,7 @@ fn navigate<const M: usize>(
     let quiet = Quiet::<M>::of(recording);
     let axes: Vec<Axis> = (geometry.axes.iter().zip(&quiet.noise_mps2))
         .map(|(axis, noise)| Axis {
-            place_m: axis.place_m,
+            position_m: axis.place_m,
             direction: axis.direction,
             noise_mps2: *noise,
         })

@@ -3,9 +3,9 @@
 use wimu_calib::Gravity;
 use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
 
-use super::refine::{RefineOptions, Refinement, refine};
+use super::fit::{RefineOptions, Refinement, refine};
 use super::survey::repaired;
-use super::{Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
+use super::{ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
 use crate::{ErrorCode, HostError, Result};
 
 /// What a recording of rests, and of turns, says of an array.
@@ -47,7 +47,7 @@ pub fn calibrate_array(
     if let Some(why) = &calibration.uncalibrated {
         return Err(HostError::new(
             ErrorCode::DataRefused,
-            format!("the rests do not tell the sensors' errors: {why}"),
+            format!("the array cannot be calibrated: {why}"),
             "hold the array still for two seconds in a dozen orientations, all sides and some tilts between",
         )
         .at(&recording.name));
@@ -56,14 +56,14 @@ pub fn calibrate_array(
     (calibration.place_sd_m, calibration.delay_sd_s) = (options.place_sd_m, options.delay_sd_s);
     let mut arranged = arranged;
     let mut size_sd_m = 0.0;
-    if let Some(repaired) = repaired(&arranged, &geometry, &calibration)? {
-        geometry = repaired.geometry;
-        for (sensor, delay) in geometry.sensors.iter_mut().zip(repaired.delays_s) {
+    if let Some(found) = repaired(&arranged, &geometry, &calibration)? {
+        geometry = found.geometry;
+        for (sensor, delay) in geometry.sensors.iter_mut().zip(found.delays_s) {
             sensor.delay_us += delay * 1e6;
         }
-        size_sd_m = repaired.calibration.size_sd_m;
+        size_sd_m = found.calibration.size_sd_m;
         geometry.place_sd_mm = Some(options.place_sd_m.hypot(size_sd_m) * 1e3);
-        remarks = repaired.remarks;
+        remarks = found.remarks;
         (arranged, calibration) = calibrated(&geometry)?;
     }
     let refinement = refine(&arranged, &geometry, &calibration, options);
@@ -85,16 +85,15 @@ pub fn calibrate_array(
         .delay_sd_us
         .map_or(options.delay_sd_s, |us| us * 1e-6);
     // Whoever navigates with these places would be refused.
-    if let Some(agreement) = Agreement::of(&arranged, &geometry, &calibration)? {
+    if let Some(agreement) = ArrayBody::of(&arranged, &geometry, &calibration)?.agreement() {
         agreement.check(&recording.name)?;
         remarks.push(agreement.remark());
     }
     for (k, sensor) in geometry.sensors.iter_mut().enumerate() {
-        if calibration.estimates[k].is_none() || !calibration.uses(k) {
+        if calibration.fits[k].is_none() || !calibration.uses(k) {
             continue;
         }
-        let (model, turn) = &calibration.sensors[k];
-        sensor.model = Some(in_own_axes(sensor, model, *turn)?);
+        sensor.model = Some(in_own_axes(sensor, &calibration.sensors[k])?);
         sensor.sensitivity_lsb_per_g = recording.sensitivities.get(k).copied().flatten();
     }
     Ok(CalibratedArray {
@@ -105,14 +104,13 @@ pub fn calibrate_array(
     })
 }
 
-/// The model of a sensor in its own axes, its small turn included, from that of its output in body axes:
-/// with R from sensor to body axes and T the turn, b ← Rᵀ b, A ← Rᵀ A Tᵀ R.
-fn in_own_axes(sensor: &ArraySensor, model: &ErrorModel, turn: [f64; 3]) -> Result<ErrorModel> {
+/// The model of a sensor in its own axes from that in body axes: with R from sensor to body axes, b ← Rᵀ b,
+/// A ← Rᵀ A R, equation (107).
+fn in_own_axes(sensor: &ArraySensor, model: &ErrorModel) -> Result<ErrorModel> {
     // Of 0, e_x, e_y, e_z in the sensor's axes.
     let output = |own: [f64; 3]| -> [f64; 3] {
         let body = sensor.in_body_axes(own);
-        let force = super::calibration::turn(body, turn.map(|angle| -angle));
-        let out = model.distort(SpecificForceMps2(force), None).0;
+        let out = model.distort(SpecificForceMps2(body), None).0;
         sensor
             .axes
             .map(|axis| (0..3).map(|i| axis[i] * out[i]).sum())

@@ -5,8 +5,8 @@ use wimu_nav::array::ArrayState;
 use super::truth::{compare, heading_rad, moving};
 use super::{Choice, InertialPath, Method, PathPoint};
 use crate::array::{
-    Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, angular_rate,
-    navigated, navigated_axes, repaired,
+    Agreement, ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions,
+    navigated_axes, repaired,
 };
 use crate::finding::{Finding, FindingCode};
 use crate::motion::{LIKELY, nees};
@@ -24,7 +24,7 @@ const GRAVITY_SHARE: f64 = 0.2;
 /// The deviation of an uncalibrated array is that of the filter. Attitude, velocity and position are those of the filter.
 ///
 /// # Errors
-/// Those of [`navigated`]; `data_refused` where the sensors contradict each other, what
+/// Those of [`ArrayBody`]; `data_refused` where the sensors contradict each other, what
 /// they show at rest is not gravity, or no position is valid.
 pub fn navigate_array(
     recording: &ArrayRecording,
@@ -58,9 +58,10 @@ pub fn navigate_array(
         )
         .at(&recording.name));
     }
-    let (mut states, remarks) = navigated(recording, geometry, calibration, gravity, choice.zupt)?;
+    let body = ArrayBody::of(recording, geometry, calibration)?;
+    let (mut states, remarks) = body.navigated(gravity, choice.zupt)?;
     if choice.smooth {
-        let smoothed = angular_rate(recording, geometry, calibration)?;
+        let smoothed = body.angular_rate()?;
         let rates = (smoothed.rate_rad_s.into_iter()).zip(smoothed.rate_covariance);
         for (state, (rate, covariance)) in states.iter_mut().zip(rates) {
             // The filter knows of rests, and of sensors that fail on the way.
@@ -73,9 +74,10 @@ pub fn navigate_array(
             }
         }
     }
-    let agreement = Agreement::of(recording, geometry, calibration)?;
-    if let Some(agreement) = &agreement {
-        agreement.check(&recording.name)?;
+    let agreement = body.agreement();
+    match agreement {
+        Some(agreement) => agreement.check(&recording.name)?,
+        None => calibration.check(&recording.name)?,
     }
     let (mut said, remarks) = (Vec::new(), warnings(remarks));
     said.push(agreement.map_or_else(
@@ -84,7 +86,7 @@ pub fn navigate_array(
              sensors are too few to contradict each other"
                 .to_owned()
         },
-        |agreement| agreement.remark(),
+        Agreement::remark,
     ));
     said.extend(calibration.remarks());
     if let Some(repaired) = &repaired {

@@ -8,7 +8,7 @@ use super::common::{Random, cross};
 use wimu_calib::Gravity;
 use wimu_host::HostError;
 use wimu_host::array::{
-    ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, navigated, navigated_axes,
+    ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, navigated_axes,
     preset,
 };
 use wimu_host::inertial::{Choice, Zupt, navigate_array, navigate_axes};
@@ -456,7 +456,8 @@ impl Case {
                 ArrayCalibration::of(&arranged, &geometry, Gravity::UNKNOWN_PLACE)?;
             (calibration.place_sd_m, calibration.delay_sd_s) = (known.place_sd_m, known.delay_sd_s);
             let path = navigate_array(&arranged, &geometry, &calibration, &choice)?;
-            let (states, _) = navigated(&arranged, &geometry, &calibration, G, self.zupt)?;
+            let (states, _) = ArrayBody::of(&arranged, &geometry, &calibration)
+                .and_then(|body| body.navigated(G, self.zupt))?;
             (arranged, path, states)
         } else {
             let path = navigate_axes(&recording, &geometry, &known, &choice)?;

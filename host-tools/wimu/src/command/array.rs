@@ -62,11 +62,10 @@ pub struct Refined {
     samples: usize,
     residual_before_mps2: f64,
     residual_after_mps2: f64,
-    /// Whether the estimate from one half of the recording predicts the other half better than the given geometry, and
-    /// the rms prediction error of both.
+    /// Whether the reduction of χ² is more than the number of parameters and errors of the models explain.
     accepted: bool,
-    held_out_given_mps2: f64,
-    held_out_refined_mps2: f64,
+    /// That reduction over the least one that is accepted.
+    gain: f64,
     sensors: Vec<RefinedSensor>,
 }
 
@@ -86,14 +85,14 @@ impl Refined {
             "positions and delays from {} samples: residual {:.3} → {:.3} m/s² rms",
             found.samples, found.residual_mps2[0], found.residual_mps2[1]
         ));
-        let [given, refined] = found.held_out_mps2;
         output.print(format!(
-            "{}: the residual in held-out parts of the recording is {refined:.3} m/s² with them, {given:.3} m/s² as given",
+            "{}: χ² falls by {:.1} times the least reduction that is accepted",
             if found.accepted {
                 "accepted"
             } else {
                 "rejected (the given geometry is kept)"
-            }
+            },
+            found.gain
         ));
         let mm = |all: &[[f64; 3]; 3]| all.map(|position| position.map(|v| v * 1e3));
         let sensors: Vec<RefinedSensor> = (0..found.delay_s.len())
@@ -124,8 +123,7 @@ impl Refined {
             residual_before_mps2: found.residual_mps2[0],
             residual_after_mps2: found.residual_mps2[1],
             accepted: found.accepted,
-            held_out_given_mps2: given,
-            held_out_refined_mps2: refined,
+            gain: found.gain,
             sensors,
         }
     }

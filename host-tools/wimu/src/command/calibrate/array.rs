@@ -32,9 +32,9 @@ struct Calibrated {
 struct Sensor {
     /// In the array's axes; null for a sensor that is left out.
     model: Option<ErrorModel>,
-    poses: usize,
+    rests: usize,
+    /// |f| − g at the rests.
     rms_mm_s2: Option<f64>,
-    loo_rms_mm_s2: Option<f64>,
 }
 
 /// Calibrates an array.
@@ -92,28 +92,23 @@ fn present(
     ));
     let mut sensors = Vec::new();
     for (k, sensor) in found.geometry.sensors.iter().enumerate() {
-        let estimate = calibration.estimates[k].as_ref();
+        let fit = calibration.fits[k].as_ref();
         let mm = |mps2: f64| mps2 * 1e3;
-        if let (Some(model), Some(estimate)) = (&sensor.model, estimate) {
+        if let (Some(model), Some(fit)) = (&sensor.model, fit) {
             let terms = model.terms();
-            let sd = estimate.sd();
-            let [x, y, z] = [0, 1, 2].map(|i| signed_with_sd(terms.bias_mps2[i], sd.bias_mps2[i]));
-            let [a, b, c] = [0, 1, 2].map(|i| with_sd(terms.matrix[i][i], sd.matrix[i][i]));
-            let left_out = match estimate.loo_rms_mps2 {
-                Some(loo) => format!(", {:.2} leave-one-out", mm(loo)),
-                None => String::new(),
-            };
+            let [x, y, z] =
+                [0, 1, 2].map(|i| signed_with_sd(terms.bias_mps2[i], fit.bias_sd_mps2[i]));
+            let [a, b, c] = [0, 1, 2].map(|i| with_sd(terms.matrix[i][i], fit.matrix_sd[i][i]));
             output.print(format!(
                 "sensor {k}: bias {x}, {y}, {z} m/s², scale factors {a}, {b}, {c} (1 σ); |f| − g {:.2} mm/s² \
-                 rms{left_out}",
-                mm(estimate.rms_mps2)
+                 rms",
+                mm(fit.rms_mps2)
             ));
         }
         sensors.push(Sensor {
             model: sensor.model,
-            poses: estimate.map_or(0, |e| e.poses),
-            rms_mm_s2: estimate.map(|e| mm(e.rms_mps2)),
-            loo_rms_mm_s2: estimate.and_then(|e| e.loo_rms_mps2).map(mm),
+            rests: fit.map_or(0, |fit| fit.rests),
+            rms_mm_s2: fit.map(|fit| mm(fit.rms_mps2)),
         });
     }
     output.print(format!(

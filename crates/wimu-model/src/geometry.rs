@@ -1,34 +1,34 @@
-//! Where the accelerometers of an array are and which way they point.
+//! Geometry of an accelerometer array: positions and directions of its sensing axes in body axes.
 
 use core::fmt;
 
 /// One sensing axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Axis {
-    /// Place of the sensing element, m, body axes, from any origin.
-    pub place_m: [f64; 3],
-    /// Direction in which it measures, body axes; normalised when the geometry is made.
+    /// Position of the sensing element, m, body axes, from any origin.
+    pub position_m: [f64; 3],
+    /// Direction of its sensitivity, body axes, of any length; a [`Geometry`] holds it as a unit vector.
     pub direction: [f64; 3],
-    /// Standard deviation of a sample's noise, m/s².
+    /// Standard deviation of the noise of a sample, m/s².
     pub noise_mps2: f64,
 }
 
-/// Three sensing axes at one place.
+/// Three sensing axes at one position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Triad {
-    /// Place, m, body axes, from any origin.
-    pub place_m: [f64; 3],
+    /// Position, m, body axes, from any origin.
+    pub position_m: [f64; 3],
     /// Directions of its X, Y and Z axis, body axes.
     pub axes: [[f64; 3]; 3],
-    /// Standard deviation of a sample's noise per axis, m/s².
+    /// Standard deviation of the noise of a sample, m/s² per axis.
     pub noise_mps2: f64,
 }
 
 impl Triad {
     /// A triad whose axes are the body's.
-    pub fn aligned(place_m: [f64; 3], noise_mps2: f64) -> Self {
+    pub fn aligned(position_m: [f64; 3], noise_mps2: f64) -> Self {
         Self {
-            place_m,
+            position_m,
             axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
             noise_mps2,
         }
@@ -49,16 +49,16 @@ impl<const M: usize> Geometry<M> {
     ///
     /// # Errors
     /// [`GeometryError`]: a value that is not finite, an axis without direction or noise, more axes
-    /// than `M`. Whether they suffice is judged by [`ArraySolver::new`](super::ArraySolver::new).
+    /// than `M`. Whether the axes determine a motion is for the solver to check.
     pub fn from_axes(axes: &[Axis]) -> Result<Self, GeometryError> {
         Self::new(axes.iter().copied(), axes.len(), 1)
     }
 
     /// From single axes of which `group` consecutive ones belong to one sensor and fail together: the
-    /// proof masses of one chip are not at one place.
+    /// proof masses of one chip have different positions.
     ///
     /// # Errors
-    /// As [`Geometry::from_axes`]; [`GeometryError::BadGroup`] where the axes do not come out even.
+    /// As [`Geometry::from_axes`]; [`GeometryError::BadGroup`] where the number of axes is not a multiple of `group`.
     pub fn from_grouped_axes(axes: &[Axis], group: usize) -> Result<Self, GeometryError> {
         if group == 0 || !axes.len().is_multiple_of(group) {
             return Err(GeometryError::BadGroup {
@@ -69,14 +69,14 @@ impl<const M: usize> Geometry<M> {
         Self::new(axes.iter().copied(), axes.len(), group)
     }
 
-    /// From triads; output 3 k + i of a sample is axis i of triad k.
+    /// From triads; axis i of triad k is axis 3 k + i of the geometry.
     ///
     /// # Errors
     /// As [`Geometry::from_axes`].
     pub fn from_triads(triads: &[Triad]) -> Result<Self, GeometryError> {
         let axes = triads.iter().flat_map(|triad| {
             triad.axes.map(|direction| Axis {
-                place_m: triad.place_m,
+                position_m: triad.position_m,
                 direction,
                 noise_mps2: triad.noise_mps2,
             })
@@ -93,14 +93,14 @@ impl<const M: usize> Geometry<M> {
             return Err(GeometryError::TooMany { have: len, most: M });
         }
         let unused = Axis {
-            place_m: [0.0; 3],
+            position_m: [0.0; 3],
             direction: [0.0; 3],
             noise_mps2: 0.0,
         };
         let mut axes = [unused; M];
         for (index, (slot, mut axis)) in axes.iter_mut().zip(source).enumerate() {
             let norm = libm::sqrt(axis.direction.iter().map(|d| d * d).sum());
-            let finite = axis.place_m.iter().all(|p| p.is_finite()) && norm.is_finite();
+            let finite = axis.position_m.iter().all(|p| p.is_finite()) && norm.is_finite();
             if !finite || norm <= 0.0 {
                 return Err(GeometryError::BadAxis { axis: index });
             }
@@ -126,28 +126,24 @@ impl<const M: usize> Geometry<M> {
 
 impl Geometry<6> {
     /// Six single axes at the centres of a cube's faces, each along a diagonal of its face, after
-    /// Chen, Lee & DeBra: θ of (71) is their closed form. `side_m` is the length of the cube's side.
+    /// Chen, Lee & DeBra: θ of (71) is their closed form. `side_m` is the length of the side of the cube.
     ///
     /// # Errors
     /// As [`Geometry::from_axes`], for a side or noise that is not positive and finite.
     ///
     /// ```
-    /// use wimu_nav::array::{ArraySolver, Geometry, Roots};
+    /// use wimu_model::geometry::Geometry;
     ///
-    /// let solver = ArraySolver::<f64, 6>::new(&Geometry::chen_cube(0.1, 0.01)?)?;
-    /// // Turned faster and faster about z, 5 rad/s²: the axes on top and below it feel nothing, the others
-    /// // 0.05 m · 5 rad/s² / √2.
-    /// let felt = 0.05 * 5.0 / 2_f64.sqrt();
-    /// let linear = solver.reduce(&[0.0, felt, -felt, felt, -felt, 0.0]);
-    /// assert_eq!(solver.roots(), Roots::None); // no angular rate: integrate ω̇
-    /// let turn = solver.theta(&linear, [0.0; 3]);
-    /// assert!((turn[2] - 5.0).abs() < 1e-9 && turn[0].abs() < 1e-9);
-    /// # Ok::<(), wimu_nav::array::GeometryError>(())
+    /// let cube = Geometry::chen_cube(0.1, 0.01)?;
+    /// let top = cube.axes()[5];
+    /// assert_eq!(top.position_m, [0.0, 0.0, 0.05]);
+    /// assert!((top.direction[0] - 0.5_f64.sqrt()).abs() < 1e-12);
+    /// # Ok::<(), wimu_model::geometry::GeometryError>(())
     /// ```
     pub fn chen_cube(side_m: f64, noise_mps2: f64) -> Result<Self, GeometryError> {
         let half = side_m / 2.0;
-        let axis = |place: [f64; 3], direction: [f64; 3]| Axis {
-            place_m: place.map(|p| p * half),
+        let axis = |position: [f64; 3], direction: [f64; 3]| Axis {
+            position_m: position.map(|p| p * half),
             direction,
             noise_mps2,
         };
@@ -164,17 +160,18 @@ impl Geometry<6> {
 
 impl Geometry<12> {
     /// Four triads at alternate corners of a cube around the origin, `arm_m` from it: the smallest
-    /// set with two roots only.
+    /// set whose angular rate has two roots only.
     ///
     /// # Errors
     /// As [`Geometry::from_axes`], for an arm or noise that is not positive and finite.
     ///
     /// ```
-    /// use wimu_nav::array::{ArraySolver, Geometry, Roots};
+    /// use wimu_model::geometry::Geometry;
     ///
-    /// let solver = ArraySolver::<f64, 12>::new(&Geometry::four_triads(0.02, 0.01)?)?;
-    /// assert_eq!(solver.roots(), Roots::Two);
-    /// # Ok::<(), wimu_nav::array::GeometryError>(())
+    /// let four = Geometry::four_triads(0.03, 0.01)?;
+    /// let [x, y, z] = four.axes()[3].position_m;
+    /// assert!(x > 0.0 && y < 0.0 && (x * x + y * y + z * z - 9e-4).abs() < 1e-12);
+    /// # Ok::<(), wimu_model::geometry::GeometryError>(())
     /// ```
     pub fn four_triads(arm_m: f64, noise_mps2: f64) -> Result<Self, GeometryError> {
         let p = arm_m / libm::sqrt(3.0);
@@ -188,26 +185,25 @@ impl Geometry<12> {
 }
 
 impl Geometry<18> {
-    /// Six triads on the axes, `arm_m` from the origin, in the order +x, −x, +y, −y, +z, −z: alike in all
-    /// directions.
+    /// Six triads on the axes, `arm_m` from the origin, in the order +x, −x, +y, −y, +z, −z: isotropic.
     ///
     /// # Errors
     /// As [`Geometry::from_axes`], for an arm or noise that is not positive and finite.
     ///
     /// ```
-    /// use wimu_nav::array::{ArraySolver, Geometry, Roots};
+    /// use wimu_model::geometry::Geometry;
     ///
-    /// let solver = ArraySolver::<f32, 18>::new(&Geometry::octahedron(0.01, 0.01)?)?;
-    /// assert_eq!(solver.roots(), Roots::Two);
-    /// # Ok::<(), wimu_nav::array::GeometryError>(())
+    /// let octahedron = Geometry::octahedron(0.01, 0.01)?;
+    /// assert_eq!(octahedron.axes()[15].position_m, [0.0, 0.0, -0.01]);
+    /// # Ok::<(), wimu_model::geometry::GeometryError>(())
     /// ```
     pub fn octahedron(arm_m: f64, noise_mps2: f64) -> Result<Self, GeometryError> {
         let triad = |k: usize| {
-            let mut place = [0.0; 3];
-            if let Some(along) = place.get_mut(k / 2) {
+            let mut position = [0.0; 3];
+            if let Some(along) = position.get_mut(k / 2) {
                 *along = if k.is_multiple_of(2) { arm_m } else { -arm_m };
             }
-            Triad::aligned(place, noise_mps2)
+            Triad::aligned(position, noise_mps2)
         };
         Self::from_triads(&core::array::from_fn::<Triad, 6, _>(triad))
     }
@@ -221,15 +217,12 @@ impl Geometry<24> {
     /// As [`Geometry::from_axes`], for lengths or noise that are not positive and finite.
     ///
     /// ```
-    /// use wimu_nav::array::{ArraySolver, Geometry, Roots};
+    /// use wimu_model::geometry::Geometry;
     ///
     /// let board = Geometry::eight_triads_board(0.02, 0.001, 0.01)?;
-    /// let solver = ArraySolver::<f32, 24>::new(&board)?;
-    /// assert_eq!((solver.roots(), solver.rank()), (Roots::Two, 6));
-    /// // All in one plane: a turn and its mirror image at the board look alike, too.
-    /// let flat = ArraySolver::<f32, 24>::new(&Geometry::eight_triads_board(0.02, 0.0, 0.01)?)?;
-    /// assert_eq!((flat.roots(), flat.rank()), (Roots::Four, 3));
-    /// # Ok::<(), wimu_nav::array::GeometryError>(())
+    /// assert_eq!((board.axes().len(), board.group()), (24, 3));
+    /// assert_eq!(board.axes()[3].position_m, [-0.02, 0.02, -0.001]);
+    /// # Ok::<(), wimu_model::geometry::GeometryError>(())
     /// ```
     pub fn eight_triads_board(
         half_side_m: f64,
@@ -237,21 +230,21 @@ impl Geometry<24> {
         noise_mps2: f64,
     ) -> Result<Self, GeometryError> {
         let (p, h) = (half_side_m, half_thickness_m);
-        let place = |x: f64, y: f64, z: f64| Triad::aligned([x * p, y * p, z * h], noise_mps2);
+        let position = |x: f64, y: f64, z: f64| Triad::aligned([x * p, y * p, z * h], noise_mps2);
         Self::from_triads(&[
-            place(-1.0, 1.0, 1.0),
-            place(-1.0, 1.0, -1.0),
-            place(-1.0, -1.0, 1.0),
-            place(-1.0, -1.0, -1.0),
-            place(1.0, 1.0, 1.0),
-            place(1.0, 1.0, -1.0),
-            place(1.0, -1.0, 1.0),
-            place(1.0, -1.0, -1.0),
+            position(-1.0, 1.0, 1.0),
+            position(-1.0, 1.0, -1.0),
+            position(-1.0, -1.0, 1.0),
+            position(-1.0, -1.0, -1.0),
+            position(1.0, 1.0, 1.0),
+            position(1.0, 1.0, -1.0),
+            position(1.0, -1.0, 1.0),
+            position(1.0, -1.0, -1.0),
         ])
     }
 }
 
-/// Why a geometry cannot be used.
+/// Why a geometry is not valid, or does not determine a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum GeometryError {
@@ -262,7 +255,7 @@ pub enum GeometryError {
         /// How many fit.
         most: usize,
     },
-    /// A place or direction is not finite, or a direction is zero.
+    /// A position or direction is not finite, or a direction is zero.
     BadAxis {
         /// Its index; a triad has three.
         axis: usize,
@@ -272,7 +265,7 @@ pub enum GeometryError {
         /// The index of its axis; a triad has three.
         axis: usize,
     },
-    /// Axes that do not make whole sensors.
+    /// The number of axes is not a multiple of those of a sensor.
     BadGroup {
         /// How many axes there are.
         have: usize,
@@ -286,14 +279,14 @@ pub enum GeometryError {
         /// How many are needed: 3 for the specific force, 3 for the angular acceleration.
         need: usize,
     },
-    /// All sensors are at one place, where rotation does not show.
+    /// All sensors have one position, where rotation is not observable.
     Coincident,
     /// No axis measures along this direction.
     NoForce {
         /// Unit vector, body axes.
         along: [f64; 3],
     },
-    /// Angular acceleration about this direction does not show.
+    /// Angular acceleration about this direction is not observable.
     NoTurn {
         /// Unit vector, body axes.
         about: [f64; 3],
@@ -311,8 +304,8 @@ impl fmt::Display for GeometryError {
             ),
             Self::BadAxis { axis } => write!(
                 out,
-                "axis {axis} (from 0) has a place or direction that is not finite, or no direction: \
-                 give its place in m and a direction in body axes"
+                "axis {axis} (from 0) has a position or direction that is not finite, or no direction: \
+                 give its position in m and a direction in body axes"
             ),
             Self::BadNoise { axis } => write!(
                 out,
@@ -328,7 +321,7 @@ impl fmt::Display for GeometryError {
                 "{have} usable axes, {need} are needed at the least: add sensors, or two triads and more"
             ),
             Self::Coincident => out.write_str(
-                "all sensors are at one place, where rotation does not show: place them apart, the \
+                "all sensors have one position, where rotation is not observable: mount them apart, the \
                  farther the better",
             ),
             Self::NoForce { along: [x, y, z] } => write!(
@@ -341,7 +334,7 @@ impl fmt::Display for GeometryError {
             } => {
                 write!(
                     out,
-                    "angular acceleration about ({x:.2}, {y:.2}, {z:.2}) does not show: "
+                    "angular acceleration about ({x:.2}, {y:.2}, {z:.2}) is not observable: "
                 )?;
                 out.write_str(if collinear {
                     "the sensors lie on one line; add one off it"
@@ -354,3 +347,41 @@ impl fmt::Display for GeometryError {
 }
 
 impl core::error::Error for GeometryError {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_that_make_no_geometry_are_refused() {
+        let nan = Triad::aligned([f64::NAN, 0.0, 0.0], 0.01);
+        assert_eq!(
+            Geometry::<3>::from_triads(&[nan]),
+            Err(GeometryError::BadAxis { axis: 0 })
+        );
+        let silent = Triad::aligned([0.0; 3], 0.0);
+        assert_eq!(
+            Geometry::<3>::from_triads(&[silent]),
+            Err(GeometryError::BadNoise { axis: 0 })
+        );
+        let many = [Triad::aligned([0.0; 3], 0.1); 2];
+        assert_eq!(
+            Geometry::<3>::from_triads(&many),
+            Err(GeometryError::TooMany { have: 6, most: 3 })
+        );
+        let five = [Axis {
+            position_m: [0.0; 3],
+            direction: [0.0, 0.0, 2.0],
+            noise_mps2: 0.1,
+        }; 5];
+        assert_eq!(
+            Geometry::<6>::from_grouped_axes(&five, 3),
+            Err(GeometryError::BadGroup { have: 5, group: 3 })
+        );
+        let single = Geometry::<6>::from_axes(&five).expect("five axes");
+        assert_eq!(
+            (single.axes().len(), single.axes()[4].direction[2]),
+            (5, 1.0)
+        );
+    }
+}

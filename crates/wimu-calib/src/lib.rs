@@ -48,7 +48,7 @@ pub use choice::best_model;
 pub use covariance::Covariance;
 pub use datasheet::{Datasheet, Finding, Limit, Quantity, Verdict};
 pub use design::Guide;
-pub use estimate::{Deviations, Drift, Estimate, Method, Misplaced, TermDeviations};
+pub use estimate::{BeyondBounds, Deviations, Drift, Estimate, Method, Misplaced, TermDeviations};
 pub use finder::{Noise, PoseFinder, find_poses};
 pub use gravity::{Gravity, GravityError};
 pub use magnetometer::{

@@ -1,0 +1,316 @@
+//! Test of the residuals for a change of the sensor during the session: equation (43a).
+
+use nalgebra::{DMatrix, DVector};
+use wimu_calib::{Estimate, Method, Pose, Term};
+use wimu_model::STANDARD_GRAVITY_MPS2 as G;
+
+use super::input::{magnitude, same_orientation};
+use crate::finding::{Finding, FindingCode};
+
+/// Prior of the residuals' variance: scatter of the poses of a consumer sensor, m/s², and its degrees of freedom. Chosen
+/// on simulated sessions, see VALIDATION.
+const SCATTER_MPS2: f64 = 0.004;
+const SCATTER_DOF: f64 = 4.0;
+/// Probability of a finding in a session without a change, for drifts and for steps.
+const FALSE_ALARM: f64 = 0.002;
+/// Fewest poses before and after a step.
+const MIN_SIDE: usize = 3;
+/// Largest number of times at which a step is tested.
+const MAX_TIMES: usize = 100;
+/// Time constants of a drift, fractions of the session; the last one is linear.
+const TIME_CONSTANTS: [f64; 4] = [0.1, 0.2, 0.4, f64::INFINITY];
+/// A column with a smaller fraction independent of the fitted ones is not tested.
+const MIN_INDEPENDENT: f64 = 0.01;
+
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    /// Of the bias of one axis, or of all; with its time constant.
+    Drift(Option<usize>, f64),
+    /// Of the bias, or with the scale factor and misalignments, of an axis.
+    Bias(usize),
+    /// Of the scale factor of an axis.
+    Gain(usize),
+    /// Of the sign of an axis.
+    Sign(usize),
+}
+
+/// A change that explains the residuals.
+#[derive(Clone, Copy)]
+struct Change {
+    kind: Kind,
+    /// First pose after a step.
+    after: usize,
+    /// m/s², or relative for a scale factor; the largest component.
+    size: f64,
+    /// Bayesian information criterion; lower is better.
+    score: f64,
+}
+
+/// Most likely change of the sensor during the session, if there is a significant one. `refit` is the fit of other poses;
+/// `since_start_s` the time of a pose, s since the start of the data.
+pub(super) fn finding(
+    poses: &[Pose],
+    estimate: &Estimate,
+    refit: impl Fn(&[Pose]) -> Option<Estimate>,
+    since_start_s: impl Fn(&Pose) -> f64,
+) -> Option<Finding> {
+    if !matches!(estimate.method, Method::MultiPosition(_)) {
+        return None;
+    }
+    let rejected = estimate.rejected.as_slice();
+    let all = rejected.is_empty();
+    // A step may have caused the rejection of the poses beyond it.
+    let of = |all| Rows::new(poses, estimate, all).and_then(|rows| Some((rows.change()?, rows)));
+    let (mut change, rows) = of(all).or_else(|| of(true).filter(|_| !all))?;
+    let after_s = rows.time_s.get(change.after).copied().unwrap_or(0.0);
+    if let Kind::Bias(axis) = change.kind {
+        let flipped = |pose: &Pose| {
+            let mut pose = *pose;
+            if pose.time_s >= after_s {
+                pose.mean_mps2[axis] = -pose.mean_mps2[axis];
+            }
+            pose
+        };
+        let flipped: Vec<Pose> = poses.iter().map(flipped).collect();
+        let better = refit(&flipped).is_some_and(|fit| {
+            let squares = fit.fitted_rms_mps2.powi(2) * fit.poses as f64;
+            fit.rejected.count() <= rejected.len() && rows.score(squares, 1) < change.score
+        });
+        if better {
+            change.kind = Kind::Sign(axis);
+        }
+    }
+    let ends = [change.after.saturating_sub(1), change.after].map(|k| rows.poses[k]);
+    let ends = match change.kind {
+        Kind::Drift(..) => [rows.poses[0], *rows.poses.last()?],
+        _ => ends,
+    };
+    let [from_s, to_s] = ends.map(|k| since_start_s(&poses[k]));
+    Some(described(&change, estimate.terms.contains(Term::Drift)).between(from_s, to_s))
+}
+
+fn described(change: &Change, drift_fitted: bool) -> Finding {
+    let name = |axis: usize| ["X", "Y", "Z"][axis];
+    let mm = change.size * 1e3;
+    let (code, text) = match change.kind {
+        Kind::Drift(..) if drift_fitted => (
+            FindingCode::Drift,
+            "the bias drift was not linear, as during warm-up: the error of the bias at the end exceeds its interval"
+                .to_owned(),
+        ),
+        Kind::Drift(axis, _) => {
+            let of = axis.map_or(String::new(), |axis| format!(" of {}", name(axis)));
+            (
+                FindingCode::Drift,
+                format!("the bias{of} drifted by {:.0} mm/s² during the session", mm.abs()),
+            )
+        }
+        Kind::Bias(axis) => (
+            FindingCode::Step,
+            format!("the bias of {} changed by {mm:+.0} mm/s² between two poses", name(axis)),
+        ),
+        Kind::Gain(axis) => (
+            FindingCode::Step,
+            format!(
+                "the scale factor of {} changed by {:+.1} % between two poses",
+                name(axis),
+                change.size * 1e2
+            ),
+        ),
+        Kind::Sign(axis) => (
+            FindingCode::Step,
+            format!("the sign of {} changed between two poses", name(axis)),
+        ),
+    };
+    let finding = code.warning(text);
+    match change.kind {
+        Kind::Drift(..) if drift_fitted => finding.remedy(
+            "record again when the sensor is warm, or with its temperature and --model auto+temperature",
+        ),
+        Kind::Drift(..) => finding.remedy("use --model 9+drift, or record again when the sensor is warm"),
+        _ => finding.remedy("calibrate the poses before and after it separately; check the mounting and the driver"),
+    }
+}
+
+/// The poses in the order of time, with the derivatives of their residuals.
+struct Rows {
+    /// Index of the (first) pose of a row.
+    poses: Vec<usize>,
+    time_s: Vec<f64>,
+    up: Vec<[f64; 3]>,
+    /// Square root of the weight.
+    root: Vec<f64>,
+    /// Orthonormal basis of the derivatives by the fitted parameters, weighted.
+    basis: DMatrix<f64>,
+    /// Weighted residuals, less their projections on the basis.
+    left: DVector<f64>,
+}
+
+impl Rows {
+    /// `None` where the poses have no times or do not exceed the parameters.
+    fn new(poses: &[Pose], estimate: &Estimate, all: bool) -> Option<Self> {
+        let mut order: Vec<usize> = (0..poses.len())
+            .filter(|k| all || !estimate.rejected.contains(*k))
+            .collect();
+        order.sort_by(|a, b| poses[*a].time_s.total_cmp(&poses[*b].time_s));
+        // Poses of one orientation in succession share an error (42b): the first of them stands for all.
+        order.dedup_by(|next, pose| same_orientation(&poses[*pose], &poses[*next]));
+        let pose = |row: usize| &poses[order[row]];
+        let (first_s, last_s) = (pose(0).time_s, poses[*order.last()?].time_s);
+        let reference_c = estimate.temperature_c.unwrap_or(0.0);
+        let common = estimate.fitted_rms_mps2.powi(2);
+        let noise = |row: usize| {
+            let squares: f64 = pose(row).sd_mps2.iter().map(|sd| sd * sd).sum();
+            squares / (3.0 * f64::from(pose(row).samples.max(1)))
+        };
+        let count = order.len();
+        let mean_noise = (0..count).map(noise).sum::<f64>() / count as f64;
+        let root = |row| ((common + mean_noise) / (common + noise(row)).max(1e-12)).sqrt();
+        let bias = estimate.model.terms().bias_mps2;
+        let up = |row: usize| {
+            let y = pose(row).mean_mps2;
+            let f = [0, 1, 2].map(|axis| y[axis] - bias[axis]);
+            f.map(|f_axis| f_axis / magnitude(f).max(f64::MIN_POSITIVE))
+        };
+        let columns = |row: usize| {
+            let [x, y, z] = up(row);
+            let progress = (pose(row).time_s - first_s) / (last_s - first_s);
+            let warmer = pose(row).temperature_c.unwrap_or(reference_c) - reference_c;
+            let mut columns = vec![x, y, z, x * x, y * y, z * z, x * y, x * z, y * z];
+            for term in estimate.terms.iter() {
+                columns.extend([x, y, z].map(|c| match term {
+                    Term::Drift => c * progress,
+                    Term::BiasTemperature => c * warmer,
+                    Term::ScaleTemperature => c * c * warmer,
+                    Term::Quadratic => c * c * c,
+                }));
+            }
+            columns
+        };
+        let parameters = columns(0).len();
+        if !(last_s > first_s && count > parameters + 1) {
+            return None;
+        }
+        let root: Vec<f64> = (0..count).map(root).collect();
+        let rows: Vec<f64> = (0..count)
+            .flat_map(|row| columns(row).into_iter().map(move |c| (row, c)))
+            .map(|(row, c)| c * root[row])
+            .collect();
+        let residuals = (0..count).map(|row| estimate.residual_mps2(pose(row)) * root[row]);
+        let residuals = DVector::from_iterator(count, residuals);
+        let fitted = DMatrix::from_row_slice(count, parameters, &rows).qr();
+        let diagonal = fitted.r().diagonal();
+        if diagonal.amin() <= 1e-3 * diagonal.amax() {
+            return None;
+        }
+        let basis = fitted.q();
+        let left = &residuals - &basis * basis.tr_mul(&residuals);
+        Some(Self {
+            time_s: (0..count).map(|row| pose(row).time_s).collect(),
+            up: (0..count).map(up).collect(),
+            poses: order,
+            root,
+            basis,
+            left,
+        })
+    }
+
+    /// The significant change of the least score.
+    fn change(&self) -> Option<Change> {
+        let count = self.poses.len();
+        let (first_s, last_s) = (self.time_s[0], self.time_s[count - 1]);
+        let mut found: Vec<Option<Change>> = Vec::new();
+        let axes = [None, Some(0), Some(1), Some(2)];
+        let drifts = axes.len() * TIME_CONSTANTS.len();
+        for time_constant in TIME_CONSTANTS {
+            let shape = |row: usize| {
+                let progress = (self.time_s[row] - first_s) / (last_s - first_s);
+                match time_constant.is_finite() {
+                    true => 1.0 - (-progress / time_constant).exp(),
+                    false => progress,
+                }
+            };
+            for axis in axes {
+                let columns = axis.map_or(vec![0, 1, 2], |axis| vec![axis]);
+                let column = |row: usize, c: usize| self.up[row][columns[c]] * shape(row);
+                let kind = Kind::Drift(axis, time_constant);
+                found.push(self.tested(kind, 0, columns.len(), column, drifts));
+            }
+        }
+        let last = count.checked_sub(MIN_SIDE)?;
+        let times: Vec<usize> = (MIN_SIDE..=last)
+            .step_by(count.div_ceil(MAX_TIMES))
+            .collect();
+        let steps = 9 * times.len();
+        for after in times {
+            let late = |row: usize| f64::from(u8::from(row >= after));
+            for axis in 0..3 {
+                let up = |row: usize, other: usize| self.up[row][axis] * self.up[row][other] * late(row);
+                let bias = |row: usize, _: usize| self.up[row][axis] * late(row);
+                let gain = |row: usize, _: usize| G * up(row, axis);
+                // A changed sign is a step of the bias and of the misalignments.
+                let sign = |row: usize, c: usize| match c {
+                    0 => bias(row, 0),
+                    c => G * up(row, (axis + c) % 3),
+                };
+                found.push(self.tested(Kind::Bias(axis), after, 1, bias, steps));
+                found.push(self.tested(Kind::Gain(axis), after, 1, gain, steps));
+                found.push(self.tested(Kind::Bias(axis), after, 3, sign, steps));
+            }
+        }
+        (found.into_iter().flatten()).min_by(|a, b| a.score.total_cmp(&b.score))
+    }
+
+    /// The change whose derivatives are `column(row, k)`, if it is significant among `tests` such hypotheses: Fisher's
+    /// variance ratio.
+    fn tested(
+        &self,
+        kind: Kind,
+        after: usize,
+        columns: usize,
+        column: impl Fn(usize, usize) -> f64,
+        tests: usize,
+    ) -> Option<Change> {
+        let count = self.poses.len();
+        let whole = DMatrix::from_fn(count, columns, |row, c| self.root[row] * column(row, c));
+        let own = &whole - &self.basis * self.basis.tr_mul(&whole);
+        let independent = |c: usize| {
+            own.column(c).norm_squared() > MIN_INDEPENDENT * whole.column(c).norm_squared()
+        };
+        let normal = own.tr_mul(&own).cholesky().filter(|_| (0..columns).all(independent))?;
+        let right = own.tr_mul(&self.left);
+        let sizes = normal.solve(&right);
+        let gain = sizes.dot(&right);
+        let freedom = count.checked_sub(self.basis.ncols() + columns)? as f64 + SCATTER_DOF;
+        let rest = (self.left.norm_squared() - gain).max(0.0);
+        let variance = (rest + SCATTER_DOF * SCATTER_MPS2 * SCATTER_MPS2) / freedom;
+        let deviate = normal_of_fisher(gain / columns as f64 / variance, columns as f64, freedom);
+        // Upper bound ½ exp(−z²/2) of the normal tail, Bonferroni's over the hypotheses.
+        let limit = (2.0 * (tests as f64 / (2.0 * FALSE_ALARM)).ln()).sqrt();
+        let located = usize::from(after > 0);
+        let largest = |a: f64, b: &f64| if b.abs() > a.abs() { *b } else { a };
+        (deviate > limit).then(|| Change {
+            kind,
+            after,
+            size: match kind {
+                Kind::Drift(..) => sizes.iter().fold(0.0, largest),
+                _ => sizes[0],
+            },
+            score: self.score(rest, columns + located),
+        })
+    }
+
+    /// Bayesian information criterion of `parameters` beyond the fitted ones that leave `squares`, (m/s²)².
+    fn score(&self, squares: f64, parameters: usize) -> f64 {
+        let count = self.poses.len() as f64;
+        let squares = squares + SCATTER_DOF * SCATTER_MPS2 * SCATTER_MPS2;
+        (count + SCATTER_DOF) * squares.ln() + parameters as f64 * count.ln()
+    }
+}
+
+/// Fisher's variance ratio with `a` and `b` degrees of freedom as a standard normal deviate (Wilson and Hilferty).
+fn normal_of_fisher(ratio: f64, a: f64, b: f64) -> f64 {
+    let root = ratio.cbrt();
+    let [a, b] = [a, b].map(|freedom| 2.0 / (9.0 * freedom));
+    ((1.0 - b) * root - (1.0 - a)) / (b * root * root + a).sqrt()
+}

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use wimu_calib::Terms;
+use wimu_calib::Orientation;
 use wimu_host::calibration::{
     CalibrateOptions, CalibrationReport, ModelChoice, calibrate,
 };
@@ -56,13 +56,16 @@ impl Fault {
 /// A sensor of a consumer's accuracy: bias up to 60 mg, scale factor ±4 %, misalignment ±20 mrad.
 fn sensor(random: &mut Random, fault: Fault) -> ErrorTerms {
     let mut terms = ErrorTerms::default();
-    // A sign that changes shows in the bias and the misalignments alone: larger ones are refused.
+    // A sign that changes shows in the bias and the misalignments alone: larger ones are refused, smaller ones harmless.
     let [bias, misalignment] = match fault {
         Fault::SignFlip => [0.06, 0.006],
         _ => [0.6, 0.02],
     };
     for row in 0..3 {
-        terms.bias_mps2[row] = random.within(bias);
+        terms.bias_mps2[row] = match fault {
+            Fault::SignFlip => (0.5 * bias + 0.5 * random.within(bias).abs()) * [-1.0, 1.0][random.below(2)],
+            _ => random.within(bias),
+        };
         terms.matrix[row][row] += random.within(0.04);
         for column in 0..row {
             terms.matrix[row][column] = random.within(misalignment);
@@ -77,9 +80,34 @@ struct Session {
     options: CalibrateOptions,
 }
 
+/// The twelve edges that the guide recommends, held to 8° rms, and random directions, in any order.
+fn directions(random: &mut Random, count: usize) -> Vec<[f64; 3]> {
+    let edges = Orientation::ALL.into_iter().map(Orientation::up);
+    let edges = edges.filter(|up| up.iter().filter(|c| **c == 0.0).count() == 1);
+    let edges: Vec<[f64; 3]> = edges.collect();
+    let mut ups: Vec<[f64; 3]> = (0..count)
+        .map(|k| match edges.get(k) {
+            Some(edge) => {
+                let off = random.normals(0.1);
+                [0, 1, 2].map(|axis| edge[axis] + off[axis])
+            }
+            None => random.direction(),
+        })
+        .collect();
+    for k in (1..count).rev() {
+        ups.swap(k, random.below(k + 1));
+    }
+    ups.into_iter()
+        .map(|up| {
+            let norm = up.iter().map(|c| c * c).sum::<f64>().sqrt();
+            up.map(|c| c / norm)
+        })
+        .collect()
+}
+
 fn session(seed: u64, count: usize, fault: Fault) -> Session {
     let mut random = Random::new(seed);
-    let mut terms = sensor(&mut random, fault);
+    let terms = sensor(&mut random, fault);
     let scatter = 0.001 + 0.005 * random.uniform();
     let begin = (0.3 + 0.4 * random.uniform()) * count as f64;
     let axis = random.below(3);
@@ -90,7 +118,7 @@ fn session(seed: u64, count: usize, fault: Fault) -> Session {
     let time_constant = 0.15 + 0.35 * random.uniform();
     let side = [-1.0, 1.0][random.below(2)];
     let factor = match fault {
-        Fault::Sensitivity => 1.0 + side * (0.13 + 0.07 * random.uniform()),
+        Fault::Sensitivity => 1.0 / (1.0 + side * (0.13 + 0.07 * random.uniform())),
         Fault::SensitivityFar if side > 0.0 => 2.0,
         Fault::SensitivityFar => 0.5,
         _ => 1.0,
@@ -102,10 +130,9 @@ fn session(seed: u64, count: usize, fault: Fault) -> Session {
         ..CalibrateOptions::default()
     };
     if fault == Fault::BeyondBounds {
-        (options.model, options.terms) = (ModelChoice::Auto, Terms::NONE);
-        // A change of temperature that the thermometer does not follow.
-        terms.bias_mps2 = terms.bias_mps2.map(|bias| bias / 3.0);
+        options.model = ModelChoice::Auto;
     }
+    let ups = directions(&mut random, count);
     let mut rows = Vec::new();
     let mut time = 0.0;
     for k in 0..count {
@@ -126,11 +153,13 @@ fn session(seed: u64, count: usize, fault: Fault) -> Session {
         }
         let mut celsius = 25.0;
         if fault == Fault::BeyondBounds {
-            celsius += 1.2 * progress;
-            terms.bias_mps2[axis] += 0.3 * progress * side;
+            // A thermometer that shows a fifth of the change of the sensor's temperature.
+            let warmer = 0.6 * (8.0 * progress).sin();
+            celsius += warmer;
+            terms.bias_mps2[axis] += 0.25 * warmer * side;
         }
         let truth = ErrorModel::new(terms).expect("within bounds");
-        let force = SpecificForceMps2(random.direction().map(|c| c * G));
+        let force = SpecificForceMps2(ups[k].map(|c| c * G));
         let mut y = truth.distort(force, None).0;
         if late && fault == Fault::SignFlip {
             y[axis] = -y[axis];

@@ -10,7 +10,7 @@ use crate::finding::{Finding, FindingCode};
 /// Prior of the residuals' variance: scatter of the poses of a consumer sensor, m/s², and its degrees of freedom. Chosen
 /// on simulated sessions, see VALIDATION.
 const SCATTER_MPS2: f64 = 0.004;
-const SCATTER_DOF: f64 = 4.0;
+const SCATTER_DOF: usize = 6;
 /// Probability of a finding in a session without a change, for drifts and for steps.
 const FALSE_ALARM: f64 = 0.002;
 /// Fewest poses before and after a step.
@@ -19,8 +19,8 @@ const MIN_SIDE: usize = 3;
 const MAX_TIMES: usize = 100;
 /// Time constants of a drift, fractions of the session; the last one is linear.
 const TIME_CONSTANTS: [f64; 4] = [0.1, 0.2, 0.4, f64::INFINITY];
-/// A column with a smaller fraction independent of the fitted ones is not tested.
-const MIN_INDEPENDENT: f64 = 0.01;
+/// A column with a smaller fraction independent of the others is not tested.
+const MIN_INDEPENDENT: f64 = 0.02;
 
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
@@ -274,22 +274,23 @@ impl Rows {
         let count = self.poses.len();
         let whole = DMatrix::from_fn(count, columns, |row, c| self.root[row] * column(row, c));
         let own = &whole - &self.basis * self.basis.tr_mul(&whole);
+        let normal = own.tr_mul(&own).cholesky()?;
+        let pivots = normal.l_dirty().diagonal();
         let independent = |c: usize| {
-            own.column(c).norm_squared() > MIN_INDEPENDENT * whole.column(c).norm_squared()
+            pivots[c] * pivots[c] > MIN_INDEPENDENT * whole.column(c).norm_squared()
         };
-        let normal = own.tr_mul(&own).cholesky().filter(|_| (0..columns).all(independent))?;
+        if !(0..columns).all(independent) {
+            return None;
+        }
         let right = own.tr_mul(&self.left);
         let sizes = normal.solve(&right);
         let gain = sizes.dot(&right);
-        let freedom = count.checked_sub(self.basis.ncols() + columns)? as f64 + SCATTER_DOF;
+        let freedom = count.checked_sub(self.basis.ncols() + columns)? + SCATTER_DOF;
         let rest = (self.left.norm_squared() - gain).max(0.0);
-        let variance = (rest + SCATTER_DOF * SCATTER_MPS2 * SCATTER_MPS2) / freedom;
-        let deviate = normal_of_fisher(gain / columns as f64 / variance, columns as f64, freedom);
-        // Upper bound ½ exp(−z²/2) of the normal tail, Bonferroni's over the hypotheses.
-        let limit = (2.0 * (tests as f64 / (2.0 * FALSE_ALARM)).ln()).sqrt();
+        let chance = fisher_tail(gain / with_prior(rest), columns, freedom);
         let located = usize::from(after > 0);
         let largest = |a: f64, b: &f64| if b.abs() > a.abs() { *b } else { a };
-        (deviate > limit).then(|| Change {
+        (chance * (tests as f64) < FALSE_ALARM).then(|| Change {
             kind,
             after,
             size: match kind {
@@ -303,14 +304,50 @@ impl Rows {
     /// Bayesian information criterion of `parameters` beyond the fitted ones that leave `squares`, (m/s²)².
     fn score(&self, squares: f64, parameters: usize) -> f64 {
         let count = self.poses.len() as f64;
-        let squares = squares + SCATTER_DOF * SCATTER_MPS2 * SCATTER_MPS2;
-        (count + SCATTER_DOF) * squares.ln() + parameters as f64 * count.ln()
+        (count + SCATTER_DOF as f64) * with_prior(squares).ln() + parameters as f64 * count.ln()
     }
 }
 
-/// Fisher's variance ratio with `a` and `b` degrees of freedom as a standard normal deviate (Wilson and Hilferty).
-fn normal_of_fisher(ratio: f64, a: f64, b: f64) -> f64 {
-    let root = ratio.cbrt();
-    let [a, b] = [a, b].map(|freedom| 2.0 / (9.0 * freedom));
-    ((1.0 - b) * root - (1.0 - a)) / (b * root * root + a).sqrt()
+/// A sum of squares with that of the prior, (m/s²)².
+fn with_prior(squares: f64) -> f64 {
+    squares + SCATTER_DOF as f64 * SCATTER_MPS2 * SCATTER_MPS2
+}
+
+/// Probability that the ratio of two sums of squares with `a` and `b` degrees of freedom exceeds `ratio`: the regularised
+/// incomplete beta function of b/2, a/2 by its power series (DLMF 8.17.8).
+fn fisher_tail(ratio: f64, a: usize, b: usize) -> f64 {
+    let x = 1.0 / (1.0 + ratio);
+    let [p, q] = [b, a].map(|freedom| 0.5 * freedom as f64);
+    let mut term = 1.0;
+    let mut sum = 1.0;
+    for k in 0..1000 {
+        term *= (p + q + f64::from(k)) / (p + 1.0 + f64::from(k)) * x;
+        sum += term;
+        if term < 1e-9 * sum {
+            break;
+        }
+    }
+    let ln_beta = ln_gamma_of_half(a) + ln_gamma_of_half(b) - ln_gamma_of_half(a + b);
+    (p * x.ln() + q * (1.0 - x).ln() - ln_beta).exp() / p * sum
+}
+
+/// ln Γ(n/2).
+fn ln_gamma_of_half(n: usize) -> f64 {
+    let begin = if n % 2 == 1 { 0.5 * std::f64::consts::PI.ln() } else { 0.0 };
+    let factors = (2 - n % 2..n).step_by(2);
+    begin + factors.map(|m| (0.5 * m as f64).ln()).sum::<f64>()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_tail_is_that_of_tables() {
+        // Student's t: 3.169 with 10 degrees of freedom is exceeded with 1 %; F(3, 12): 5.953; F(3, 7): 8.451.
+        for (ratio, a, b) in [(3.169 * 3.169 / 10.0, 1, 10), (5.953 * 3.0 / 12.0, 3, 12), (8.451 * 3.0 / 7.0, 3, 7)] {
+            let tail = fisher_tail(ratio, a, b);
+            assert!((tail - 0.01).abs() < 2e-5, "{tail}");
+        }
+    }
 }

@@ -5,7 +5,9 @@ use nalgebra::{SMatrix, SVector, Vector3};
 use crate::multi_position::{Fitted, with_terms};
 use crate::terms::{Slot, Terms, Theta, theta_of};
 use crate::visits::Visits;
-use crate::{BeyondBounds, Estimate, Gravity, Method, Model, MultiPosition, Parameter, Pose, Refusal};
+use crate::{
+    BeyondBounds, Estimate, Gravity, Method, Model, MultiPosition, Parameter, Pose, Refusal,
+};
 
 /// Smallest number of degrees of freedom for further terms.
 const LEAST_DOF: f64 = 4.0;
@@ -78,7 +80,11 @@ pub fn best_model(
                     if let Some((error, variance)) = violation {
                         let score = information(poses.len(), variance, what.parameters());
                         if violated.is_none_or(|(_, least)| score < least) {
-                            let model = BeyondBounds { model, terms, error };
+                            let model = BeyondBounds {
+                                model,
+                                terms,
+                                error,
+                            };
                             violated = Some((model, score));
                         }
                     }

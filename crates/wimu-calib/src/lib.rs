@@ -71,4 +71,4 @@ pub use session::{Phase, Session};
 pub use six_position::{six_position, six_position_labelled};
 pub use terms::{Term, Terms};
 pub use turn::{four_angle, three_angle};
-pub use weights::Rejected;
+pub use weights::{POSE_SCATTER_DOF, POSE_SCATTER_MPS2, Rejected};

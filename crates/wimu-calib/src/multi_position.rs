@@ -278,7 +278,9 @@ fn fit<R: Real, const N: usize>(
     let mut fitted = result(&problem, &fit, &knowledge, gravity, what, weigh)?;
     if weighed {
         let poses = fitted.estimate.poses as f64;
-        fitted.evidence = evidence(&fit, &problem.free, poses, fitted.telling, problem.rejected);
+        let (telling, rejected) = (fitted.telling, problem.rejected);
+        let noise = problem.mean_noise();
+        fitted.evidence = evidence(&fit, &problem.free, poses, telling, rejected, noise);
     }
     Ok(fitted)
 }

@@ -3,6 +3,12 @@
 use crate::Pose;
 use crate::terms::Theta;
 
+/// Prior of the residuals' variance: scatter of the poses of a consumer sensor besides noise, m/s²,
+/// 1 σ, and its degrees of freedom. Chosen on runs 1 and 2 of the MPU-9150, see VALIDATION.
+pub const POSE_SCATTER_MPS2: f64 = 0.004;
+/// Degrees of freedom of [`POSE_SCATTER_MPS2`].
+pub const POSE_SCATTER_DOF: usize = 8;
+
 /// Poses rejected as outliers. The indices of up to [`Rejected::MOST`] are kept; only sets of more
 /// than 320 poses can lose more.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

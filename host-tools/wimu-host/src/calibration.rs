@@ -347,7 +347,15 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
     let refit = |poses: &[Pose]| fit(poses).ok();
     let time_s = |pose: &Pose| data.since_start_s(pose.first_sample as usize);
     let changed = (estimate.as_ref()).and_then(|e| change::finding(&fitted, e, refit, time_s));
-    let found = findings(data, options, &fitted, estimate.as_ref(), changed, board, lsb_per_g);
+    let found = findings(
+        data,
+        options,
+        &fitted,
+        estimate.as_ref(),
+        changed,
+        board,
+        lsb_per_g,
+    );
     outcome.findings.extend(found.into_iter().chain(repeated));
     outcome.findings.extend(noise_seen_mps2.map(|sd| {
         FindingCode::Residuals.note(format!(

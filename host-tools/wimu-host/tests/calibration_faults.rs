@@ -3,9 +3,7 @@
 use std::collections::BTreeMap;
 
 use wimu_calib::Orientation;
-use wimu_host::calibration::{
-    CalibrateOptions, CalibrationReport, ModelChoice, calibrate,
-};
+use wimu_host::calibration::{CalibrateOptions, CalibrationReport, ModelChoice, calibrate};
 use wimu_host::finding::{Finding, FindingCode, Severity};
 use wimu_host::recording::{Quantity, Recording, Selection, Sink, TrackInfo, Unit};
 use wimu_model::{ErrorModel, ErrorTerms, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
@@ -63,7 +61,9 @@ fn sensor(random: &mut Random, fault: Fault) -> ErrorTerms {
     };
     for row in 0..3 {
         terms.bias_mps2[row] = match fault {
-            Fault::SignFlip => (0.5 * bias + 0.5 * random.within(bias).abs()) * [-1.0, 1.0][random.below(2)],
+            Fault::SignFlip => {
+                (0.5 * bias + 0.5 * random.within(bias).abs()) * [-1.0, 1.0][random.below(2)]
+            }
             _ => random.within(bias),
         };
         terms.matrix[row][row] += random.within(0.04);
@@ -287,5 +287,8 @@ fn a_sound_session_has_no_warning() {
         "at most 1 %",
         fraction <= 0.01,
     );
-    assert!(fraction <= 0.01_f64.max(1.5 / sessions as f64), "{fraction}");
+    assert!(
+        fraction <= 0.01_f64.max(1.5 / sessions as f64),
+        "{fraction}"
+    );
 }

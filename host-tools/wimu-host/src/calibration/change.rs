@@ -1,18 +1,14 @@
 //! Test of the residuals for a change of the sensor during the session: equation (43a).
 
 use nalgebra::{DMatrix, DVector};
-use wimu_calib::{Estimate, Method, Pose, Term};
+use wimu_calib::{Estimate, Method, POSE_SCATTER_DOF, POSE_SCATTER_MPS2, Pose, Term};
 use wimu_model::STANDARD_GRAVITY_MPS2 as G;
 
 use super::input::{magnitude, same_orientation};
 use crate::finding::{Finding, FindingCode};
 
-/// Prior of the residuals' variance: scatter of the poses of a consumer sensor, m/s², and its degrees of freedom. Chosen
-/// on simulated sessions, see VALIDATION.
-const SCATTER_MPS2: f64 = 0.004;
-const SCATTER_DOF: usize = 6;
 /// Probability of a finding in a session without a change, for drifts and for steps.
-const FALSE_ALARM: f64 = 0.002;
+const FALSE_ALARM: f64 = 0.003;
 /// Fewest poses before and after a step.
 const MIN_SIDE: usize = 3;
 /// Largest number of times at which a step is tested.
@@ -54,7 +50,8 @@ pub(super) fn finding(
     refit: impl Fn(&[Pose]) -> Option<Estimate>,
     since_start_s: impl Fn(&Pose) -> f64,
 ) -> Option<Finding> {
-    if !matches!(estimate.method, Method::MultiPosition(_)) {
+    // A model that violates a bound explains the residuals already.
+    if !matches!(estimate.method, Method::MultiPosition(_)) || estimate.beyond_bounds.is_some() {
         return None;
     }
     let rejected = estimate.rejected.as_slice();
@@ -158,14 +155,14 @@ impl Rows {
         let pose = |row: usize| &poses[order[row]];
         let (first_s, last_s) = (pose(0).time_s, poses[*order.last()?].time_s);
         let reference_c = estimate.temperature_c.unwrap_or(0.0);
-        let common = estimate.fitted_rms_mps2.powi(2);
-        let noise = |row: usize| {
-            let squares: f64 = pose(row).sd_mps2.iter().map(|sd| sd * sd).sum();
-            squares / (3.0 * f64::from(pose(row).samples.max(1)))
-        };
         let count = order.len();
-        let mean_noise = (0..count).map(noise).sum::<f64>() / count as f64;
-        let root = |row| ((common + mean_noise) / (common + noise(row)).max(1e-12)).sqrt();
+        let residuals: Vec<f64> = (0..count)
+            .map(|row| estimate.residual_mps2(pose(row)))
+            .collect();
+        let noise: Vec<f64> = (0..count).map(|row| noise(pose(row))).collect();
+        let common = common_variance(&residuals, &noise, estimate.dof as f64);
+        let mean_noise = noise.iter().sum::<f64>() / count as f64;
+        let root = |row: usize| ((common + mean_noise) / (common + noise[row])).sqrt();
         let bias = estimate.model.terms().bias_mps2;
         let up = |row: usize| {
             let y = pose(row).mean_mps2;
@@ -196,8 +193,7 @@ impl Rows {
             .flat_map(|row| columns(row).into_iter().map(move |c| (row, c)))
             .map(|(row, c)| c * root[row])
             .collect();
-        let residuals = (0..count).map(|row| estimate.residual_mps2(pose(row)) * root[row]);
-        let residuals = DVector::from_iterator(count, residuals);
+        let residuals = DVector::from_fn(count, |row, _| residuals[row] * root[row]);
         let fitted = DMatrix::from_row_slice(count, parameters, &rows).qr();
         let diagonal = fitted.r().diagonal();
         if diagonal.amin() <= 1e-3 * diagonal.amax() {
@@ -245,7 +241,8 @@ impl Rows {
         for after in times {
             let late = |row: usize| f64::from(u8::from(row >= after));
             for axis in 0..3 {
-                let up = |row: usize, other: usize| self.up[row][axis] * self.up[row][other] * late(row);
+                let up =
+                    |row: usize, other: usize| self.up[row][axis] * self.up[row][other] * late(row);
                 let bias = |row: usize, _: usize| self.up[row][axis] * late(row);
                 let gain = |row: usize, _: usize| G * up(row, axis);
                 // A changed sign is a step of the bias and of the misalignments.
@@ -276,16 +273,15 @@ impl Rows {
         let own = &whole - &self.basis * self.basis.tr_mul(&whole);
         let normal = own.tr_mul(&own).cholesky()?;
         let pivots = normal.l_dirty().diagonal();
-        let independent = |c: usize| {
-            pivots[c] * pivots[c] > MIN_INDEPENDENT * whole.column(c).norm_squared()
-        };
+        let independent =
+            |c: usize| pivots[c] * pivots[c] > MIN_INDEPENDENT * whole.column(c).norm_squared();
         if !(0..columns).all(independent) {
             return None;
         }
         let right = own.tr_mul(&self.left);
         let sizes = normal.solve(&right);
         let gain = sizes.dot(&right);
-        let freedom = count.checked_sub(self.basis.ncols() + columns)? + SCATTER_DOF;
+        let freedom = count.checked_sub(self.basis.ncols() + columns)? + POSE_SCATTER_DOF;
         let rest = (self.left.norm_squared() - gain).max(0.0);
         let chance = fisher_tail(gain / with_prior(rest), columns, freedom);
         let located = usize::from(after > 0);
@@ -304,13 +300,40 @@ impl Rows {
     /// Bayesian information criterion of `parameters` beyond the fitted ones that leave `squares`, (m/s²)².
     fn score(&self, squares: f64, parameters: usize) -> f64 {
         let count = self.poses.len() as f64;
-        (count + SCATTER_DOF as f64) * with_prior(squares).ln() + parameters as f64 * count.ln()
+        (count + POSE_SCATTER_DOF as f64) * with_prior(squares).ln()
+            + parameters as f64 * count.ln()
     }
+}
+
+/// Variance of the mean of a pose from white noise, (m/s²)²; 0 if it is unknown.
+fn noise(pose: &Pose) -> f64 {
+    let squares: f64 = pose.sd_mps2.iter().map(|sd| sd * sd).sum();
+    squares / (3.0 * f64::from(pose.samples.max(1)))
+}
+
+/// Variance of the residuals beside that of the noise, (m/s²)²: equation (40).
+fn common_variance(residuals: &[f64], noise: &[f64], dof: f64) -> f64 {
+    let mut common = 1e-10;
+    // Newton's method from below on a convex decreasing function.
+    for _ in 0..60 {
+        let shares = residuals
+            .iter()
+            .zip(noise)
+            .map(|(r, v)| (r * r / (common + v), common + v));
+        let (excess, slope) = shares.fold((-dof, 0.0), |(sum, slope), (share, variance)| {
+            (sum + share, slope + share / variance)
+        });
+        if excess <= 1e-6 * dof || slope <= 0.0 {
+            break;
+        }
+        common += excess / slope;
+    }
+    common
 }
 
 /// A sum of squares with that of the prior, (m/s²)².
 fn with_prior(squares: f64) -> f64 {
-    squares + SCATTER_DOF as f64 * SCATTER_MPS2 * SCATTER_MPS2
+    squares + POSE_SCATTER_DOF as f64 * POSE_SCATTER_MPS2 * POSE_SCATTER_MPS2
 }
 
 /// Probability that the ratio of two sums of squares with `a` and `b` degrees of freedom exceeds `ratio`: the regularised
@@ -333,7 +356,11 @@ fn fisher_tail(ratio: f64, a: usize, b: usize) -> f64 {
 
 /// ln Γ(n/2).
 fn ln_gamma_of_half(n: usize) -> f64 {
-    let begin = if n % 2 == 1 { 0.5 * std::f64::consts::PI.ln() } else { 0.0 };
+    let begin = if n % 2 == 1 {
+        0.5 * std::f64::consts::PI.ln()
+    } else {
+        0.0
+    };
     let factors = (2 - n % 2..n).step_by(2);
     begin + factors.map(|m| (0.5 * m as f64).ln()).sum::<f64>()
 }
@@ -345,7 +372,11 @@ mod tests {
     #[test]
     fn the_tail_is_that_of_tables() {
         // Student's t: 3.169 with 10 degrees of freedom is exceeded with 1 %; F(3, 12): 5.953; F(3, 7): 8.451.
-        for (ratio, a, b) in [(3.169 * 3.169 / 10.0, 1, 10), (5.953 * 3.0 / 12.0, 3, 12), (8.451 * 3.0 / 7.0, 3, 7)] {
+        for (ratio, a, b) in [
+            (3.169 * 3.169 / 10.0, 1, 10),
+            (5.953 * 3.0 / 12.0, 3, 12),
+            (8.451 * 3.0 / 7.0, 3, 7),
+        ] {
             let tail = fisher_tail(ratio, a, b);
             assert!((tail - 0.01).abs() < 2e-5, "{tail}");
         }

@@ -28,7 +28,10 @@ pub(super) fn refusal(found: &Poses, gravity: Gravity) -> Option<Refusal> {
     }
     let mut apart: Vec<usize> = Vec::new();
     for (k, pose) in found.poses.iter().enumerate() {
-        if !apart.iter().any(|other| same_orientation(&found.poses[*other], pose)) {
+        if !apart
+            .iter()
+            .any(|other| same_orientation(&found.poses[*other], pose))
+        {
             apart.push(k);
         }
     }
@@ -40,20 +43,31 @@ pub(super) fn refusal(found: &Poses, gravity: Gravity) -> Option<Refusal> {
 }
 
 /// What the sensitivity probably is, where that in use is wrong by the factor `ratio`.
-pub(super) fn likely(ratio: f64, used_lsb_per_g: Option<f64>, sensor: Option<&Datasheet>) -> String {
+pub(super) fn likely(
+    ratio: f64,
+    used_lsb_per_g: Option<f64>,
+    sensor: Option<&Datasheet>,
+) -> String {
     let Some(used) = used_lsb_per_g else {
         return format!("the sensitivity that converted the data is {ratio:.3} times too small");
     };
     let fitted = used * ratio;
-    let known = Datasheet::KNOWN.iter().flat_map(|sheet| sheet.sensitivities_lsb_per_g);
+    let known = Datasheet::KNOWN
+        .iter()
+        .flat_map(|sheet| sheet.sensitivities_lsb_per_g);
     let usual: Vec<f64> = match sensor {
         Some(sheet) => sheet.sensitivities_lsb_per_g.to_vec(),
-        None => (0..11).map(|k| 256.0 * f64::from(1 << k)).chain(known.copied()).collect(),
+        None => (0..11)
+            .map(|k| 256.0 * f64::from(1 << k))
+            .chain(known.copied())
+            .collect(),
     };
     let away = |lsb_per_g: &f64| (fitted / lsb_per_g - 1.0).abs();
     let nearest = usual.into_iter().min_by(|a, b| away(a).total_cmp(&away(b)));
     match nearest.filter(|nearest| away(nearest) < NEAR && away(nearest) < away(&used)) {
-        Some(nearest) => format!("{nearest} LSB/g is likely instead of {used}: --sensitivity {nearest}"),
+        Some(nearest) => {
+            format!("{nearest} LSB/g is likely instead of {used}: --sensitivity {nearest}")
+        }
         None => format!("the fit gives {fitted:.0} LSB/g instead of {used}"),
     }
 }

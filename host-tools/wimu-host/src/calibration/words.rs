@@ -65,7 +65,11 @@ pub(super) fn reason(
         }
     }
     let mut reason = refusal.to_string();
-    if let Refusal::UnexpectedMagnitude { mean_mps2, hint: UnitHint::Sensitivity } = *refusal {
+    if let Refusal::UnexpectedMagnitude {
+        mean_mps2,
+        hint: UnitHint::Sensitivity,
+    } = *refusal
+    {
         let ratio = mean_mps2 / options.gravity_mps2.unwrap_or(STANDARD_GRAVITY_MPS2);
         let datasheet = options.datasheet.or(data.datasheet());
         return reason + "; " + &sensitivity::likely(ratio, used_lsb_per_g, datasheet);
@@ -274,7 +278,11 @@ fn most_rms_mm_s2(poses: &[Pose], estimate: &Estimate) -> f64 {
 
 /// A model that fits better than the one that was selected, but is not plausible.
 fn beyond_bounds(beyond: BeyondBounds) -> Finding {
-    let BeyondBounds { model, terms, error } = beyond;
+    let BeyondBounds {
+        model,
+        terms,
+        error,
+    } = beyond;
     let with = match terms == Terms::NONE {
         true => String::new(),
         false => format!(" with {terms}"),

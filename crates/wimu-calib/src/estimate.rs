@@ -54,6 +54,9 @@ pub struct Estimate {
     /// `None` if no orientation is repeated. With more than 256 poses, repeated orientations are
     /// not included.
     pub loo_orientation_rms_mps2: Option<f64>,
+    /// Standard deviation of a fitted pose's residual besides known noise, m/s²; 0 for methods with
+    /// known orientations.
+    pub pose_sd_mps2: f64,
     /// Rejected outliers.
     pub rejected: Rejected,
     /// With [`best_model`](crate::best_model): the model that would fit much better, and the bound
@@ -101,6 +104,7 @@ impl Estimate {
             worst_pose: residuals.worst_pose,
             loo_rms_mps2: None,
             loo_orientation_rms_mps2: None,
+            pose_sd_mps2: 0.0,
             rejected: Rejected::default(),
             beyond_bounds: None,
             condition: 1.0,

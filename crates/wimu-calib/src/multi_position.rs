@@ -493,6 +493,7 @@ fn result<R: Real, const N: usize>(
         worst_pose: all.worst_pose,
         loo_rms_mps2: Some(left_out.rms_mps2()),
         loo_orientation_rms_mps2: visited.again.then(|| by_orientation.rms_mps2()),
+        pose_sd_mps2: problem.weighting.common_sd().unwrap_or(sd),
         rejected: problem.rejected,
         beyond_bounds: None,
         condition: knowledge.condition,

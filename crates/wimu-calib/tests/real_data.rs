@@ -352,7 +352,7 @@ fn auto_predicts_poses_held_out_without_needless_intervals() {
         return;
     };
     // The prior of the scatter was chosen on runs 1 and 2.
-    for (runs, most) in [(["1", "2"], 4.5), (["7", "8"], 4.5)] {
+    for (runs, most) in [(["1", "2"], 5.0), (["7", "8"], 5.0)] {
         let [deviate, width] = held_out(&rows, runs);
         figure(
             &format!(

@@ -88,45 +88,32 @@ pub(super) fn finding(
 
 fn described(change: &Change, drift_fitted: bool) -> Finding {
     let name = |axis: usize| ["X", "Y", "Z"][axis];
-    let mm = change.size * 1e3;
-    let (code, text) = match change.kind {
-        Kind::Drift(..) if drift_fitted => (
-            FindingCode::Drift,
-            "the bias drift was not linear, as during warm-up: the error of the bias at the end exceeds its interval"
-                .to_owned(),
-        ),
+    let (mm, percent) = (change.size * 1e3, change.size * 1e2);
+    let what = match change.kind {
+        Kind::Drift(..) if drift_fitted => {
+            let text = "the bias drift was not linear, as during warm-up: the error of the bias at the end exceeds its \
+                        interval";
+            return FindingCode::Drift.warning(text).remedy(
+                "record again when the sensor is warm, or with its temperature and --model auto+temperature",
+            );
+        }
         Kind::Drift(axis, _) => {
             let of = axis.map_or(String::new(), |axis| format!(" of {}", name(axis)));
-            (
-                FindingCode::Drift,
-                format!("the bias{of} drifted by {:.0} mm/s² during the session", mm.abs()),
-            )
+            let text = format!("the bias{of} drifted by {:.0} mm/s²", mm.abs());
+            let remedy = "use --model 9+drift, or record again when the sensor is warm";
+            return FindingCode::Drift.warning(text).remedy(remedy);
         }
-        Kind::Bias(axis) => (
-            FindingCode::Step,
-            format!("the bias of {} changed by {mm:+.0} mm/s² between two poses", name(axis)),
+        Kind::Bias(axis) => format!("the bias of {} changed by {mm:+.0} mm/s²", name(axis)),
+        Kind::Gain(axis) => format!(
+            "the scale factor of {} changed by {percent:+.1} %",
+            name(axis)
         ),
-        Kind::Gain(axis) => (
-            FindingCode::Step,
-            format!(
-                "the scale factor of {} changed by {:+.1} % between two poses",
-                name(axis),
-                change.size * 1e2
-            ),
-        ),
-        Kind::Sign(axis) => (
-            FindingCode::Step,
-            format!("the sign of {} changed between two poses", name(axis)),
-        ),
+        Kind::Sign(axis) => format!("the sign of {} changed", name(axis)),
     };
-    let finding = code.warning(text);
-    match change.kind {
-        Kind::Drift(..) if drift_fitted => finding.remedy(
-            "record again when the sensor is warm, or with its temperature and --model auto+temperature",
-        ),
-        Kind::Drift(..) => finding.remedy("use --model 9+drift, or record again when the sensor is warm"),
-        _ => finding.remedy("calibrate the poses before and after it separately; check the mounting and the driver"),
-    }
+    let finding = FindingCode::Step.warning(what + " between two poses");
+    finding.remedy(
+        "calibrate the poses before and after it separately; check the mounting and the driver",
+    )
 }
 
 /// The poses in the order of time, with the derivatives of their residuals.
@@ -160,7 +147,7 @@ impl Rows {
             .map(|row| estimate.residual_mps2(pose(row)))
             .collect();
         let noise: Vec<f64> = (0..count).map(|row| noise(pose(row))).collect();
-        let common = common_variance(&residuals, &noise, estimate.dof as f64);
+        let common = estimate.pose_sd_mps2.powi(2);
         let mean_noise = noise.iter().sum::<f64>() / count as f64;
         let root = |row: usize| ((common + mean_noise) / (common + noise[row])).sqrt();
         let bias = estimate.model.terms().bias_mps2;
@@ -309,26 +296,6 @@ impl Rows {
 fn noise(pose: &Pose) -> f64 {
     let squares: f64 = pose.sd_mps2.iter().map(|sd| sd * sd).sum();
     squares / (3.0 * f64::from(pose.samples.max(1)))
-}
-
-/// Variance of the residuals beside that of the noise, (m/s²)²: equation (40).
-fn common_variance(residuals: &[f64], noise: &[f64], dof: f64) -> f64 {
-    let mut common = 1e-10;
-    // Newton's method from below on a convex decreasing function.
-    for _ in 0..60 {
-        let shares = residuals
-            .iter()
-            .zip(noise)
-            .map(|(r, v)| (r * r / (common + v), common + v));
-        let (excess, slope) = shares.fold((-dof, 0.0), |(sum, slope), (share, variance)| {
-            (sum + share, slope + share / variance)
-        });
-        if excess <= 1e-6 * dof || slope <= 0.0 {
-            break;
-        }
-        common += excess / slope;
-    }
-    common
 }
 
 /// A sum of squares with that of the prior, (m/s²)².

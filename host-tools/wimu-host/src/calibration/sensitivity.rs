@@ -11,8 +11,9 @@ const UNUSUAL: f64 = 0.1;
 const WRONG: f64 = 0.25;
 /// Relative difference of the data's sensitivity to a usual one that is taken for it.
 const NEAR: f64 = 0.1;
-/// Largest relative difference of magnitudes that is rounding.
-const ROUNDING: f64 = 3e-5;
+/// Largest relative departure of magnitudes from their median that indicates normalised data, as after rounding to four
+/// digits. Chosen: a sensor differs by more.
+const ROUNDING: f64 = 5e-5;
 /// Fewest orientations for that test.
 const MIN_ORIENTATIONS: usize = 6;
 

@@ -239,22 +239,6 @@ fn unobserved_by_rotations(poses: &[Pose], estimate: &Estimate) -> Vec<Finding> 
     findings
 }
 
-/// Largest relative difference of magnitudes that indicates normalised data. Chosen: a sensor differs by more.
-const NORMALISED: f64 = 1e-4;
-/// Fewest orientations for that test.
-const MIN_NORMALISED: usize = 6;
-
-/// Poses that all have the same magnitude: they were divided by it.
-fn normalised(poses: &[Pose], estimate: &Estimate) -> Option<Finding> {
-    let sizes = || poses.iter().map(|pose| magnitude(pose.mean_mps2));
-    let first = sizes().next()?;
-    let alike = sizes().all(|size| (size / first - 1.0).abs() < NORMALISED);
-    let enough = estimate.orientations >= MIN_NORMALISED;
-    let text = "all poses have the same magnitude to 0.01 %: the data look normalised or already corrected";
-    let finding = || FindingCode::AlreadyCorrected.warning(text);
-    (alike && enough).then(|| finding().remedy("give the raw output of the sensor"))
-}
-
 /// Largest plausible residual of poses, mm/s² rms: 5 mg.
 const SUSPICIOUS_RMS_MM_S2: f64 = 50.0;
 
@@ -374,7 +358,6 @@ pub(super) fn findings(
     }
     findings.extend(placement(poses, estimate));
     findings.extend(in_another_unit(poses, estimate));
-    findings.extend(normalised(poses, estimate));
     findings.extend(estimate.beyond_bounds.map(beyond_bounds));
     let datasheet = options.datasheet.or(data.datasheet());
     let counts = matches!(data.unit, OutputUnit::Counts { .. });
@@ -387,9 +370,9 @@ pub(super) fn findings(
         Method::MultiPosition(Model::Full9) => most_rms_mm_s2(poses, estimate),
         _ => SUSPICIOUS_RMS_MM_S2,
     };
-    let unchanged = changed.is_none();
+    let explained = changed.is_some() || estimate.beyond_bounds.is_some();
     findings.extend(changed);
-    if rms > most && unchanged {
+    if rms > most && !explained {
         findings.push(FindingCode::Residuals.warning(format!(
             "the residuals, {rms:.0} mm/s² rms, are larger than those of an intact sensor: the model is too small, or poses \
              are disturbed"

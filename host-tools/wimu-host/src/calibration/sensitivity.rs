@@ -53,6 +53,7 @@ pub(super) fn likely(
         return format!("the sensitivity that converted the data is {ratio:.3} times too small");
     };
     let fitted = used * ratio;
+    let shown = (10.0 * used).round() / 10.0;
     let known = Datasheet::KNOWN
         .iter()
         .flat_map(|sheet| sheet.sensitivities_lsb_per_g);
@@ -67,9 +68,9 @@ pub(super) fn likely(
     let nearest = usual.into_iter().min_by(|a, b| away(a).total_cmp(&away(b)));
     match nearest.filter(|nearest| away(nearest) < NEAR && away(nearest) < away(&used)) {
         Some(nearest) => {
-            format!("{nearest} LSB/g is likely instead of {used}: --sensitivity {nearest}")
+            format!("{nearest} LSB/g is likely instead of {shown}: --sensitivity {nearest}")
         }
-        None => format!("the fit gives {fitted:.0} LSB/g instead of {used}"),
+        None => format!("the fit gives {fitted:.0} LSB/g instead of {shown}"),
     }
 }
 

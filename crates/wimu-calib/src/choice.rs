@@ -5,7 +5,9 @@ use nalgebra::{SMatrix, SVector, Vector3};
 use crate::multi_position::{Fitted, with_terms};
 use crate::terms::{Slot, Terms, Theta, theta_of};
 use crate::visits::Visits;
-use crate::{Estimate, Gravity, Method, Model, MultiPosition, Parameter, Pose, Refusal};
+use crate::{
+    BeyondBounds, Estimate, Gravity, Method, Model, MultiPosition, Parameter, Pose, Refusal,
+};
 
 /// Smallest number of degrees of freedom for further terms.
 const LEAST_DOF: f64 = 4.0;
@@ -17,6 +19,10 @@ const PER_PARAMETER: f64 = 1.0;
 /// Leave-one-out error assigned to a rejected pose, relative to that of the others: rejecting poses
 /// must not improve the score.
 const LEFT_OUT: f64 = 4.0;
+/// Difference of the Bayesian information criterion that is very strong evidence (Kass and Raftery,
+/// 1995).
+const STRONG: f64 = 10.0;
+
 /// Selects the model with the smallest leave-one-out error among those the poses determine: 3, 6 or
 /// 9 parameters, each with every set of terms that includes `least`. A larger model is selected
 /// only if the error decreases significantly. Equation (49).
@@ -55,6 +61,7 @@ pub fn best_model(
     let mut nine = None;
     let mut average = Average::new();
     let mut nine_known = false;
+    let mut violated: Option<(BeyondBounds, f64)> = None;
     for terms in Terms::every().filter(|terms| terms.include(least)) {
         // An unobserved scale factor would be mistaken for drift or nonlinearity.
         if terms != least && !nine_known {
@@ -66,9 +73,21 @@ pub fn best_model(
                 terms,
                 reject,
             };
-            let fitted = match with_terms(poses, &visits, gravity, what, true) {
+            let mut violation = None;
+            let fitted = match with_terms(poses, &visits, gravity, what, Some(&mut violation)) {
                 Ok(fitted) => fitted,
                 Err(refusal) => {
+                    if let Some((error, variance)) = violation {
+                        let score = information(poses.len(), variance, what.parameters());
+                        if violated.is_none_or(|(_, least)| score < least) {
+                            let model = BeyondBounds {
+                                model,
+                                terms,
+                                error,
+                            };
+                            violated = Some((model, score));
+                        }
+                    }
                     if model == Model::Full9 && terms == least {
                         // A poor fit of observable parameters may need a further term.
                         nine_known = matches!(refusal, Refusal::PoorFit { .. });
@@ -111,7 +130,21 @@ pub fn best_model(
         return Err(nine.unwrap_or(Refusal::NotConverged));
     };
     average.widen(&mut best, nine_known);
-    Ok(best.estimate)
+    let mut estimate = best.estimate;
+    estimate.beyond_bounds = violated.and_then(|(model, score)| {
+        let parameters = estimate.poses - estimate.dof;
+        let rms = estimate.fitted_rms_mps2;
+        let variance = rms * rms * estimate.poses as f64 / estimate.dof as f64;
+        let own = information(poses.len(), variance, parameters);
+        (score + STRONG < own).then_some(model)
+    });
+    Ok(estimate)
+}
+
+/// Bayesian information criterion of a model of `parameters` with this residual variance, (m/s²)².
+fn information(poses: usize, variance: f64, parameters: usize) -> f64 {
+    let n = poses as f64;
+    n * libm::log(variance.max(1e-12)) + parameters as f64 * libm::log(n)
 }
 
 /// Score of a model: n ln(leave-one-out error²) with a penalty for each parameter. Lower is better.

@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use wimu_model::{CentiCelsius, ErrorModel, Matrix3, SpecificForceMps2};
+use wimu_model::{CentiCelsius, ErrorModel, Matrix3, ModelError, SpecificForceMps2};
 
 use crate::linear::Real;
 use crate::terms::{self, Slot, Terms, Theta};
@@ -41,6 +41,8 @@ pub struct Estimate {
     pub interval_dof: Option<f64>,
     /// Residual |f| − g over all given poses, including rejected ones, m/s² rms, unweighted.
     pub rms_mps2: f64,
+    /// The same over the fitted poses only.
+    pub fitted_rms_mps2: f64,
     /// Largest absolute residual, m/s².
     pub max_mps2: f64,
     /// Index of the pose with the largest residual.
@@ -52,8 +54,14 @@ pub struct Estimate {
     /// `None` if no orientation is repeated. With more than 256 poses, repeated orientations are
     /// not included.
     pub loo_orientation_rms_mps2: Option<f64>,
+    /// Standard deviation of a fitted pose's residual besides known noise, m/s²; 0 for methods with
+    /// known orientations.
+    pub pose_sd_mps2: f64,
     /// Rejected outliers.
     pub rejected: Rejected,
+    /// With [`best_model`](crate::best_model): the model that would fit much better, and the bound
+    /// that it violates.
+    pub beyond_bounds: Option<BeyondBounds>,
     /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g; 1 is best.
     pub condition: f64,
     /// Predicted standard deviation of |f| − g in the worst of 26 orientations, m/s².
@@ -91,11 +99,14 @@ impl Estimate {
             dof: 0,
             interval_dof: None,
             rms_mps2: residuals.rms_mps2(),
+            fitted_rms_mps2: residuals.rms_mps2(),
             max_mps2: residuals.largest_mps2,
             worst_pose: residuals.worst_pose,
             loo_rms_mps2: None,
             loo_orientation_rms_mps2: None,
+            pose_sd_mps2: 0.0,
             rejected: Rejected::default(),
+            beyond_bounds: None,
             condition: 1.0,
             worst_sd_mps2: 0.0,
             coverage: 0.0,
@@ -176,6 +187,18 @@ impl Estimate {
         let output = SpecificForceMps2(pose.mean_mps2);
         self.model.correct(output, temperature).norm() - self.gravity.mps2()
     }
+}
+
+/// A model that was not selected because a parameter is not plausible.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct BeyondBounds {
+    /// The model.
+    pub model: Model,
+    /// Its terms.
+    pub terms: Terms,
+    /// The bound that it violates.
+    pub error: ModelError,
 }
 
 /// Linear drift of the bias over a session.

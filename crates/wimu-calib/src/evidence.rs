@@ -5,7 +5,7 @@ use nalgebra::{SMatrix, SVector};
 use crate::least_squares::Fit;
 use crate::linear::{Real, Scaled, double};
 use crate::terms::{PERFECT, Slot, Term};
-use crate::weights::Rejected;
+use crate::weights::{POSE_SCATTER_DOF, POSE_SCATTER_MPS2, Rejected};
 
 /// ln of the prior odds of a term: one in four; one in fifty for the quadratic term, which is
 /// hardly observable at 1 g.
@@ -17,21 +17,24 @@ const fn beforehand(term: Term) -> f64 {
 }
 /// ln of the probability density of an outlier, per m/s².
 const BAD_POSE: f64 = -4.6;
-/// Smallest sum of squared residuals, (m/s²)²: less is rounding.
-const LEAST_SQUARE: f64 = 1e-12;
 
-/// ln p(y | model), with the prior of the parameters from typical datasheets.
+/// ln p(y | model), with the prior of the parameters from typical datasheets, and an inverse gamma
+/// prior of the residuals' variance about that of [`POSE_SCATTER_MPS2`] and of the poses' mean
+/// noise, (m/s²)².
 pub(crate) fn evidence<R: Real, const N: usize>(
     fit: &Fit<R, N>,
     free: &[Slot; N],
     kept: f64,
     telling: f64,
     rejected: Rejected,
+    noise: f64,
 ) -> f64 {
     // Poses of one orientation with a common error count as fewer poses.
     let share = telling / kept;
-    let half_dof = 0.5 * (telling - N as f64).max(1.0);
-    let cost = share * fit.cost.max(LEAST_SQUARE);
+    let prior_dof = POSE_SCATTER_DOF as f64;
+    let half_dof = 0.5 * ((telling - N as f64).max(1.0) + prior_dof);
+    let expected = POSE_SCATTER_MPS2 * POSE_SCATTER_MPS2 + noise;
+    let cost = share * fit.cost + prior_dof * expected;
     let variance = 0.5 * cost / half_dof;
     let inverse = fit.inverse.map(double) / share;
     // About a perfect sensor. Parameters with a flat prior do not contribute.

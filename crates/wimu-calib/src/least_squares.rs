@@ -130,6 +130,17 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         (residual * root, row * root)
     }
 
+    /// Whether the noise of every pose is known.
+    pub fn has_noise(&self) -> bool {
+        self.poses.iter().all(|pose| pose.mean_free_noise() > 0.0)
+    }
+
+    /// Mean variance of the noise of a pose, (m/s²)².
+    pub fn mean_noise(&self) -> f64 {
+        let sum: f64 = self.poses.iter().map(Pose::mean_free_noise).sum();
+        sum / self.poses.len() as f64
+    }
+
     /// Whether `pose`, the k-th, is rejected.
     #[inline(always)]
     pub fn is_rejected(&self, k: usize, pose: &Pose) -> bool {

@@ -50,7 +50,7 @@ pub use choice::best_model;
 pub use covariance::Covariance;
 pub use datasheet::{Datasheet, Finding, Limit, Quantity, Verdict};
 pub use design::Guide;
-pub use estimate::{Deviations, Drift, Estimate, Method, Misplaced, TermDeviations};
+pub use estimate::{BeyondBounds, Deviations, Drift, Estimate, Method, Misplaced, TermDeviations};
 pub use finder::{Noise, PoseFinder, find_poses};
 pub use gravity::{Gravity, GravityError};
 pub use gyroscope::{
@@ -77,4 +77,4 @@ pub use session::{Phase, Session};
 pub use six_position::{six_position, six_position_labelled};
 pub use terms::{Term, Terms};
 pub use turn::{four_angle, three_angle};
-pub use weights::Rejected;
+pub use weights::{POSE_SCATTER_DOF, POSE_SCATTER_MPS2, Rejected};

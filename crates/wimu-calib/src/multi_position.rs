@@ -1,6 +1,6 @@
 //! Calibration from the magnitude of gravity alone, in unknown orientations.
 
-use wimu_model::{ErrorModel, ErrorTerms, TemperatureTerms};
+use wimu_model::{ErrorModel, ErrorTerms, ModelError, TemperatureTerms};
 
 use crate::estimate::{Drift, Residuals, TermDeviations};
 use crate::evidence::evidence;
@@ -68,9 +68,9 @@ fn basic<R: Real>(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Esti
         };
         check(poses, gravity, what)?;
         match model {
-            Model::Bias3 => fit::<R, 3>(poses, &visits, gravity, what, false),
-            Model::BiasScale6 => fit::<R, 6>(poses, &visits, gravity, what, false),
-            Model::Full9 => fit::<R, 9>(poses, &visits, gravity, what, false),
+            Model::Bias3 => fit::<R, 3>(poses, &visits, gravity, what, None),
+            Model::BiasScale6 => fit::<R, 6>(poses, &visits, gravity, what, None),
+            Model::Full9 => fit::<R, 9>(poses, &visits, gravity, what, None),
         }
     };
     advised(model, of)
@@ -92,7 +92,7 @@ pub fn multi_position_with(
     let visits = Visits::of(poses);
     let of = |model| {
         let what = MultiPosition { model, ..what };
-        with_terms(poses, &visits, gravity, what, false)
+        with_terms(poses, &visits, gravity, what, None)
     };
     advised(what.model, of)
 }
@@ -133,13 +133,16 @@ impl Fitted {
     }
 }
 
-/// Fits `what`; with `weigh`, computes the marginal likelihood, too.
+/// What a fit violates: the bound, and the variance of its residuals, (m/s²)².
+pub(crate) type Violation = Option<(ModelError, f64)>;
+
+/// Fits `what`; with `weigh`, computes the marginal likelihood, too, and fills in a violated bound.
 pub(crate) fn with_terms(
     poses: &[Pose],
     visits: &Visits,
     gravity: Gravity,
     what: MultiPosition,
-    weigh: bool,
+    weigh: Option<&mut Violation>,
 ) -> Result<Fitted, Refusal> {
     check(poses, gravity, what)?;
     match what.parameters() {
@@ -211,7 +214,7 @@ fn fit<R: Real, const N: usize>(
     visits: &Visits,
     gravity: Gravity,
     what: MultiPosition,
-    weigh: bool,
+    weigh: Option<&mut Violation>,
 ) -> Result<Fitted, Refusal> {
     let mut problem = Magnitude::<N> {
         poses,
@@ -271,10 +274,13 @@ fn fit<R: Real, const N: usize>(
     if let Some(axis) = input::stuck_axis(poses) {
         return Err(Refusal::AxisStuck { axis });
     }
-    let mut fitted = result(&problem, &fit, &knowledge, gravity, what)?;
-    if weigh {
+    let weighed = weigh.is_some();
+    let mut fitted = result(&problem, &fit, &knowledge, gravity, what, weigh)?;
+    if weighed {
         let poses = fitted.estimate.poses as f64;
-        fitted.evidence = evidence(&fit, &problem.free, poses, fitted.telling, problem.rejected);
+        let (telling, rejected) = (fitted.telling, problem.rejected);
+        let noise = problem.mean_noise();
+        fitted.evidence = evidence(&fit, &problem.free, poses, telling, rejected, noise);
     }
     Ok(fitted)
 }
@@ -330,11 +336,7 @@ fn weighted<R: Real, const N: usize>(
     problem: &mut Magnitude<N>,
     mut fit: Fit<R, N>,
 ) -> Result<Fit<R, N>, Refusal> {
-    if problem
-        .poses
-        .iter()
-        .any(|pose| pose.mean_free_noise() <= 0.0)
-    {
+    if !problem.has_noise() {
         return Ok(fit);
     }
     // Twice: the variance between poses is estimated with weights that depend on it.
@@ -353,6 +355,7 @@ fn result<R: Real, const N: usize>(
     knowledge: &Knowledge<R, N>,
     gravity: Gravity,
     what: MultiPosition,
+    violation: Option<&mut Violation>,
 ) -> Result<Fitted, Refusal> {
     let poses = problem.poses;
     let theta = fit.theta.map(double);
@@ -372,10 +375,14 @@ fn result<R: Real, const N: usize>(
         },
         nonlinearity: terms::triple(&theta, 21),
     };
-    let model = ErrorModel::new(error_terms).map_err(Refusal::OutOfBounds)?;
-
     let fitted_poses = poses.len() - problem.rejected.count();
     let dof = fitted_poses - N;
+    let model = ErrorModel::new(error_terms).map_err(|error| {
+        if let Some(violation) = violation {
+            *violation = Some((error, fit.cost / dof as f64));
+        }
+        Refusal::OutOfBounds(error)
+    })?;
     let visited = problem.visited();
     let shared = problem
         .shared(fit, &visited)
@@ -481,11 +488,14 @@ fn result<R: Real, const N: usize>(
         dof,
         interval_dof: Some(unfitted.as_ref().map_or(shared.dof, |u| u.dof)),
         rms_mps2: all.rms_mps2(),
+        fitted_rms_mps2: kept.rms_mps2(),
         max_mps2: all.largest_mps2,
         worst_pose: all.worst_pose,
         loo_rms_mps2: Some(left_out.rms_mps2()),
         loo_orientation_rms_mps2: visited.again.then(|| by_orientation.rms_mps2()),
+        pose_sd_mps2: problem.weighting.common_sd().unwrap_or(sd),
         rejected: problem.rejected,
+        beyond_bounds: None,
         condition: knowledge.condition,
         worst_sd_mps2: unfitted.as_ref().map_or_else(
             || problem.worst_sd(fit, knowledge, &shared),

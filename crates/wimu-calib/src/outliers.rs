@@ -59,9 +59,17 @@ pub(crate) fn reject<R: Real, const N: usize>(
         return Ok(fit);
     }
     let unfitted_mps2 = unfitted(problem.gravity_mps2, model);
-    problem.rejected = farthest(problem, &robust(problem, &fit), most);
+    let theta = robust(problem, &fit);
+    let noisy = problem.has_noise();
+    if noisy {
+        // A residual is judged by the noise of its pose.
+        let scatter = PER_MEDIAN * median_residual(problem, &theta);
+        problem.weighting = Weighting::new(scatter * scatter, problem.mean_noise());
+    }
+    problem.rejected = farthest(problem, &theta, most);
     let Some(mut inner) = problem.solve(&fit.theta, Without::Nothing) else {
         problem.rejected = Rejected::default();
+        problem.weighting = Weighting::EQUAL;
         return Ok(fit);
     };
     while let Some((place, deviate)) = nearest(problem, &inner, unfitted_mps2) {
@@ -78,8 +86,12 @@ pub(crate) fn reject<R: Real, const N: usize>(
             Some(wider) => inner = wider,
             None => break,
         }
+        if noisy {
+            problem.weighting = weighting(problem, &inner);
+        }
     }
     problem.rejected = Rejected::default();
+    problem.weighting = Weighting::EQUAL;
     Ok(fit)
 }
 
@@ -302,9 +314,11 @@ fn farthest<R: Real, const N: usize>(
 ) -> Rejected {
     let mut worst = [(0.0, 0); Rejected::MOST];
     problem.residuals(theta, |k, residual| {
+        let pose = problem.poses.get(k);
+        let weight = pose.map_or(1.0, |pose| problem.weighting.of(pose));
         keep_largest(
             worst.get_mut(..most).unwrap_or_default(),
-            (residual.abs(), k),
+            (residual.abs() * libm::sqrt(weight), k),
         );
     });
     worst
@@ -326,7 +340,8 @@ fn nearest<R: Real, const N: usize>(
     let mut nearest: Option<(usize, f64)> = None;
     for (place, &pose) in problem.rejected.as_slice().iter().enumerate() {
         let (residual, growth) = problem.predicted(fit, pose)?;
-        let variance = sd * sd * (1.0 + growth) + unfitted_mps2 * unfitted_mps2;
+        let own = 1.0 / problem.weighting.of(problem.poses.get(pose)?);
+        let variance = sd * sd * (own + growth) + unfitted_mps2 * unfitted_mps2;
         let deviate = residual.abs() / libm::sqrt(variance);
         if nearest.is_none_or(|(_, least)| deviate < least) {
             nearest = Some((place, deviate));

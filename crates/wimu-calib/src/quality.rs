@@ -31,7 +31,7 @@ impl Estimate {
             temperature,
             poses: u32::try_from(self.poses).unwrap_or(u32::MAX),
             dof: u32::try_from(self.dof).unwrap_or(u32::MAX),
-            rms_mps2: self.rms_mps2 as f32,
+            rms_mps2: self.fitted_rms_mps2 as f32,
             loo_rms_mps2: self.loo_rms_mps2.map(|loo| loo as f32),
             condition: Some(self.condition.max(1.0) as f32),
             covariance: ModelCovariance::from_matrix(self.covariance.matrix()).ok()?,

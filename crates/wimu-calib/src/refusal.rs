@@ -185,6 +185,10 @@ pub enum UnitHint {
     MilliGOrCounts,
     /// Raw counts.
     Counts,
+    /// m/s² by a wrong sensitivity.
+    Sensitivity,
+    /// Normalised to unit length.
+    Normalised,
     /// Not gravity in any known unit.
     NotGravity,
 }
@@ -204,6 +208,13 @@ impl fmt::Display for UnitHint {
             }
             Self::Counts => {
                 "which looks like counts, not m/s²: divide by the sensitivity in LSB per m/s²"
+            }
+            Self::Sensitivity => {
+                "which is too far from gravity for a scale factor: the sensitivity is wrong"
+            }
+            Self::Normalised => {
+                "equal in every pose: the data were normalised, which removes the errors of the \
+                 sensor; give its raw output"
             }
             Self::NotGravity => {
                 "not gravity in m/s²: check the unit, the sensitivity, and that the sensor measures \

@@ -3,6 +3,12 @@
 use crate::Pose;
 use crate::terms::Theta;
 
+/// Prior of the residuals' variance: scatter of the poses of a consumer sensor besides noise, m/s²,
+/// 1 σ, and its degrees of freedom. Chosen on runs 1 and 2 of the MPU-9150, see VALIDATION.
+pub const POSE_SCATTER_MPS2: f64 = 0.004;
+/// Degrees of freedom of [`POSE_SCATTER_MPS2`].
+pub const POSE_SCATTER_DOF: usize = 6;
+
 /// Poses rejected as outliers. The indices of up to [`Rejected::MOST`] are kept; only sets of more
 /// than 320 poses can lose more.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -93,6 +99,11 @@ impl Weighting {
 
     pub fn is_equal(&self) -> bool {
         self.mean_noise <= 0.0
+    }
+
+    /// σ₀, m/s²; `None` for equal weights.
+    pub fn common_sd(&self) -> Option<f64> {
+        (!self.is_equal()).then(|| libm::sqrt(self.common))
     }
 
     pub fn of(&self, pose: &Pose) -> f64 {

@@ -1,7 +1,7 @@
 //! Calibration: from recorded data to an error model, its report, and the file for a board.
 
 mod advice;
-mod bend;
+mod change;
 mod covariance;
 mod datasheet;
 mod export;
@@ -17,6 +17,7 @@ mod range;
 mod reference;
 mod report;
 mod saturation;
+mod sensitivity;
 mod update;
 mod weights;
 mod words;
@@ -284,7 +285,8 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
     };
     let mut fitted = found.poses.clone();
     let saturated = found.saturated.map(|axis| Refusal::Saturated { axis });
-    let mut outcome = match wrong_unit(data, &found, gravity).or(saturated) {
+    let implausible = wrong_unit(data, &found, gravity).or(saturated);
+    let mut outcome = match implausible.or_else(|| sensitivity::refusal(&found, gravity)) {
         Some(refusal) => Err(refusal),
         None => fit(&fitted),
     };
@@ -306,12 +308,20 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
     let mut noise_seen_mps2 = None;
     if data.poses && options.method == MethodChoice::MultiPosition {
         let bare = fitted.clone();
-        // Twice: the noise is estimated from residuals of a fit that depends on it.
+        let what = MultiPosition {
+            model: wanted(options),
+            terms: options.terms,
+            reject: false,
+        };
+        // First from all poses: without weights, the noisier ones would be rejected. Then again, because the noise is
+        // estimated from residuals of a fit that depends on it.
+        let mut of_all = multi_position_with(&bare, gravity, what).ok();
         for _ in 0..2 {
-            let Ok(estimate) = &outcome else { break };
-            let Some(poses) = weights::with_noise(estimate, &bare) else {
-                break;
-            };
+            let of_all = of_all.take();
+            let with_noise = |estimate| weights::with_noise(estimate, &bare);
+            let poses = (of_all.as_ref().and_then(with_noise))
+                .or_else(|| outcome.as_ref().ok().and_then(with_noise));
+            let Some(poses) = poses else { break };
             let Ok(better) = fit(&poses) else { break };
             noise_seen_mps2 = poses.first().map(|pose| pose.sd_mps2[0]);
             (outcome, fitted) = (Ok(better), poses);
@@ -347,7 +357,18 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
             });
     let board = sensitivity.zip(range);
     let mut outcome = Outcome::default();
-    let found = findings(data, options, &fitted, estimate.as_ref(), board, lsb_per_g);
+    let refit = |poses: &[Pose]| fit(poses).ok();
+    let time_s = |pose: &Pose| data.since_start_s(pose.first_sample as usize);
+    let changed = (estimate.as_ref()).and_then(|e| change::finding(&fitted, e, refit, time_s));
+    let found = findings(
+        data,
+        options,
+        &fitted,
+        estimate.as_ref(),
+        changed,
+        board,
+        lsb_per_g,
+    );
     outcome.findings.extend(found.into_iter().chain(repeated));
     outcome.findings.extend(gyroscope_findings);
     outcome.findings.extend(noise_seen_mps2.map(|sd| {
@@ -386,7 +407,9 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
         (outcome.findings).push(FindingCode::PosesLeftOut.warning(text));
     }
     if let Some(refusal) = &refusal {
-        outcome.refuse(reason(refusal, &fitted, data, options));
+        let counts = matches!(data.unit, OutputUnit::Counts { .. });
+        let used = lsb_per_g.filter(|_| counts);
+        outcome.refuse(reason(refusal, &fitted, data, options, used));
     }
     let unit = match data.unit {
         OutputUnit::Counts { .. } => AccelerationUnit::Lsb,

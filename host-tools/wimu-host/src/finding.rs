@@ -71,8 +71,16 @@ pub enum FindingCode {
     NotObserved,
     /// Errors of the placement in known orientations, and their repeatability.
     Placement,
-    /// Residuals larger than those of the model, or a drift that is not linear.
+    /// Residuals larger than those of the model.
     Residuals,
+    /// The bias drifted during the session.
+    Drift,
+    /// The bias, the scale factor or the sign of an axis changed at one time during the session.
+    Step,
+    /// The nominal sensitivity is not that of the data, or an axis departs far from it.
+    Sensitivity,
+    /// A smaller model was used because a parameter of the one that fits best is not plausible.
+    SmallerModel,
     /// The data were normalised or corrected before.
     AlreadyCorrected,
     /// Estimates compared with the limits of a datasheet.

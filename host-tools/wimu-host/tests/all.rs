@@ -5,6 +5,7 @@ mod array_input;
 mod array_journeys;
 mod array_survey;
 mod arrays;
+mod calibration_faults;
 mod common;
 mod export_calibration;
 mod formats_document;

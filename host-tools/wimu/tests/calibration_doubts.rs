@@ -190,14 +190,14 @@ fn a_bias_that_does_not_drift_linearly_is_remarked() {
 }
 
 #[test]
-fn poses_that_were_divided_by_their_length_are_remarked() {
+fn poses_that_were_divided_by_their_length_are_refused() {
     let normal = |_: usize, force: [f64; 3]| {
         let size = force.iter().map(|axis| axis * axis).sum::<f64>().sqrt();
         force.map(|axis| G * axis / size)
     };
     let mut texts = Transcript::default();
     let divided = means(&spread(20), normal);
-    texts.findings("divided", &run(&divided, &["--poses"]));
+    texts.refuses("divided", &run(&divided, &["--poses"]));
     let plain = means(&spread(20), |_, force| force);
     texts.findings("plain", &run(&plain, &["--poses"]));
     texts.check("calibrate_normalised_poses");

@@ -153,6 +153,14 @@ pub const CAMPAIGNS: [Campaign; 10] = [
                 ],
             },
             Run {
+                command: "test --release -p wimu-host --test all -- --include-ignored calibration_faults::",
+                sources: &[
+                    "crates/wimu-calib/src",
+                    "host-tools/wimu-host/src/calibration",
+                    "host-tools/wimu-host/tests/calibration_faults.rs",
+                ],
+            },
+            Run {
                 command: "run --release -p wimu-calib --example speed",
                 sources: &CALIBRATION,
             },

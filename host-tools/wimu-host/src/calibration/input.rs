@@ -67,7 +67,7 @@ impl Poses {
 /// Cosine of 10°: poses closer than that have the same orientation.
 const SAME_ORIENTATION_COS: f64 = 0.984_8;
 
-fn same_orientation(a: &Pose, b: &Pose) -> bool {
+pub(super) fn same_orientation(a: &Pose, b: &Pose) -> bool {
     let [a, b] = [a.mean_mps2, b.mean_mps2];
     let dot: f64 = a.iter().zip(b).map(|(a, b)| a * b).sum();
     dot > SAME_ORIENTATION_COS * magnitude(a) * magnitude(b)

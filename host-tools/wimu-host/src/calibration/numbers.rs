@@ -24,6 +24,7 @@ pub(super) fn numbers(estimate: &Estimate, range: Option<Range>) -> Fit {
             .collect(),
         dof: estimate.dof,
         rms_mm_s2: estimate.rms_mps2 * 1e3,
+        fitted_rms_mm_s2: estimate.fitted_rms_mps2 * 1e3,
         max_mm_s2: estimate.max_mps2 * 1e3,
         loo_rms_mm_s2: estimate.loo_rms_mps2.map(|loo| loo * 1e3),
         loo_orientation_rms_mm_s2: estimate.loo_orientation_rms_mps2.map(|loo| loo * 1e3),

@@ -61,7 +61,9 @@ pub struct Fit {
     pub dof: usize,
     /// |f| − g over all poses, mm/s² rms.
     pub rms_mm_s2: f64,
-    /// The largest of them, mm/s².
+    /// |f| − g over the fitted poses, mm/s² rms.
+    pub fitted_rms_mm_s2: f64,
+    /// The largest over all poses, mm/s².
     pub max_mm_s2: f64,
     /// |f| − g of each pose under the model fitted without it, mm/s² rms; `None` where no pose can be left out.
     pub loo_rms_mm_s2: Option<f64>,
@@ -278,11 +280,15 @@ impl fmt::Display for CalibrationReport {
         if !misaligned.is_empty() {
             writeln!(out, "misalignment, mrad: {}", misaligned.join(", "))?;
         }
+        let all = match self.rejected {
+            0 => String::new(),
+            _ => format!(" over the fitted poses, {:.3} over all", fit.rms_mm_s2),
+        };
         writeln!(
             out,
-            "|f| − g over the poses: {:.2} mm/s² rms before, {:.3} after (largest {:.3})",
+            "|f| − g over the poses: {:.2} mm/s² rms before, {:.3} after{all} (largest {:.3})",
             self.uncalibrated_rms_mm_s2.unwrap_or_default(),
-            fit.rms_mm_s2,
+            fit.fitted_rms_mm_s2,
             fit.max_mm_s2
         )?;
         match fit.loo_rms_mm_s2 {

@@ -1,15 +1,17 @@
 //! Messages of a calibration: reasons for a refusal, and findings.
 
-use wimu_calib::{Estimate, Face, Method, Model, Parameter, Pose, Refusal, Term};
-use wimu_model::Sensitivity;
+use wimu_calib::{
+    BeyondBounds, Estimate, Face, Method, Model, Parameter, Pose, Refusal, Term, Terms, UnitHint,
+};
+use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
 use super::input::{magnitude, median, median_magnitude};
 use super::range::Range;
-use super::{CalibrateOptions, MethodChoice, ModelChoice, bend};
+use super::{CalibrateOptions, MethodChoice, ModelChoice, sensitivity};
 use crate::digits::significant;
 use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
-use crate::recording::{RateSource, Samples};
+use crate::recording::{OutputUnit, RateSource, Samples};
 
 /// How many poses were left out because they repeat an earlier one, and how.
 pub(super) fn left_out(poses: usize, why: &str) -> Option<Finding> {
@@ -36,6 +38,7 @@ pub(super) fn reason(
     poses: &[Pose],
     data: &Samples<'_>,
     options: &CalibrateOptions,
+    used_lsb_per_g: Option<f64>,
 ) -> String {
     let has = poses.len();
     if let Refusal::NotATurn { pose, steps } = *refusal {
@@ -62,6 +65,15 @@ pub(super) fn reason(
         }
     }
     let mut reason = refusal.to_string();
+    if let Refusal::UnexpectedMagnitude {
+        mean_mps2,
+        hint: UnitHint::Sensitivity,
+    } = *refusal
+    {
+        let ratio = mean_mps2 / options.gravity_mps2.unwrap_or(STANDARD_GRAVITY_MPS2);
+        let datasheet = options.datasheet.or(data.datasheet());
+        return reason + "; " + &sensitivity::likely(ratio, used_lsb_per_g, datasheet);
+    }
     if looks_like_means(data, has) {
         return reason + "; the rows look like means over static poses: if they are, add --poses";
     }
@@ -227,27 +239,42 @@ fn unobserved_by_rotations(poses: &[Pose], estimate: &Estimate) -> Vec<Finding> 
     findings
 }
 
-/// Largest relative difference of magnitudes that indicates normalised data. Chosen: a sensor differs by more.
-const NORMALISED: f64 = 1e-4;
-/// Fewest orientations for that test.
-const MIN_NORMALISED: usize = 6;
-
-/// Poses that all have the same magnitude: they were divided by it.
-fn normalised(poses: &[Pose], estimate: &Estimate) -> Option<Finding> {
-    let sizes = || poses.iter().map(|pose| magnitude(pose.mean_mps2));
-    let first = sizes().next()?;
-    let alike = sizes().all(|size| (size / first - 1.0).abs() < NORMALISED);
-    let enough = estimate.orientations >= MIN_NORMALISED;
-    let text = "all poses have the same magnitude to 0.01 %: the data look normalised or already corrected";
-    let finding = || FindingCode::AlreadyCorrected.warning(text);
-    (alike && enough).then(|| finding().remedy("give the raw output of the sensor"))
-}
-
 /// Largest plausible residual of poses, mm/s² rms: 5 mg.
 const SUSPICIOUS_RMS_MM_S2: f64 = 50.0;
 
 /// Largest plausible residual of rotations, mm/s² rms: twice g √2 · 0.02/2, the 1 σ effect of misalignments of 2 %, which they do not fit.
 const SUSPICIOUS_OF_TURNS_RMS_MM_S2: f64 = 280.0;
+
+/// Scatter of the poses of a consumer sensor, mm/s², 1 σ.
+const SCATTER_MM_S2: f64 = 10.0;
+/// Normal deviate that is exceeded with a probability of 0.1 %.
+const UNLIKELY: f64 = 3.09;
+
+/// Largest plausible residual of nine or more parameters, mm/s² rms: the 99.9 % point of χ² (Wilson and Hilferty) for the
+/// usual scatter and the noise of the poses.
+fn most_rms_mm_s2(poses: &[Pose], estimate: &Estimate) -> f64 {
+    let dof = estimate.dof.max(1) as f64;
+    let ninths = 2.0 / (9.0 * dof);
+    let ratio = (1.0 - ninths + UNLIKELY * ninths.sqrt()).powi(3);
+    let scatter = SCATTER_MM_S2.hypot(pose_noise_mps2(poses) * 1e3);
+    scatter * (ratio * dof / estimate.poses as f64).sqrt()
+}
+
+/// A model that fits better than the one that was selected, but is not plausible.
+fn beyond_bounds(beyond: BeyondBounds) -> Finding {
+    let BeyondBounds {
+        model,
+        terms,
+        error,
+    } = beyond;
+    let with = match terms == Terms::NONE {
+        true => String::new(),
+        false => format!(" with {terms}"),
+    };
+    let text = format!("the {model}{with} fits much better, but is not plausible: {error}");
+    let finding = FindingCode::SmallerModel.warning(text);
+    finding.remedy("a smaller model was used, whose intervals do not include this: check the sensor and the data")
+}
 
 /// Why a calibration cannot be pushed or exported.
 pub(super) fn no_sensitivity() -> Finding {
@@ -274,6 +301,7 @@ pub(super) fn findings(
     options: &CalibrateOptions,
     poses: &[Pose],
     estimate: Option<&Estimate>,
+    changed: Option<Finding>,
     board: Option<(Sensitivity, Range)>,
     lsb_per_g: Option<f64>,
 ) -> Vec<Finding> {
@@ -329,15 +357,21 @@ pub(super) fn findings(
     }
     findings.extend(placement(poses, estimate));
     findings.extend(in_another_unit(poses, estimate));
-    findings.extend(bend::finding(poses, estimate));
-    findings.extend(normalised(poses, estimate));
+    findings.extend(estimate.beyond_bounds.map(beyond_bounds));
+    let datasheet = options.datasheet.or(data.datasheet());
+    let counts = matches!(data.unit, OutputUnit::Counts { .. });
+    let used = lsb_per_g.filter(|_| counts);
+    findings.extend(sensitivity::finding(estimate, used, datasheet));
     findings.extend(unobserved_by_rotations(poses, estimate));
-    let rms = estimate.rms_mps2 * 1e3;
+    let rms = estimate.fitted_rms_mps2 * 1e3;
     let most = match estimate.method {
         Method::FourAngle | Method::ThreeAngle => SUSPICIOUS_OF_TURNS_RMS_MM_S2,
+        Method::MultiPosition(Model::Full9) => most_rms_mm_s2(poses, estimate),
         _ => SUSPICIOUS_RMS_MM_S2,
     };
-    if rms > most && estimate.rejected.as_slice().is_empty() {
+    let explained = changed.is_some() || estimate.beyond_bounds.is_some();
+    findings.extend(changed);
+    if rms > most && !explained {
         findings.push(FindingCode::Residuals.warning(format!(
             "the residuals, {rms:.0} mm/s² rms, are larger than those of an intact sensor: the model is too small, or poses \
              are disturbed"

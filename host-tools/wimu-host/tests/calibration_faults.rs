@@ -1,0 +1,294 @@
+//! Faults of a calibration session: whether the first finding names them, and how often sound sessions get one.
+
+use std::collections::BTreeMap;
+
+use wimu_calib::Orientation;
+use wimu_host::calibration::{CalibrateOptions, CalibrationReport, ModelChoice, calibrate};
+use wimu_host::finding::{Finding, FindingCode, Severity};
+use wimu_host::recording::{Quantity, Recording, Selection, Sink, TrackInfo, Unit};
+use wimu_model::{ErrorModel, ErrorTerms, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
+use wimu_testkit::{Random, figure, trials};
+
+const G: f64 = STANDARD_GRAVITY_MPS2;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Fault {
+    None,
+    ColdStart,
+    BiasStep,
+    GainChange,
+    SignFlip,
+    Sensitivity,
+    SensitivityFar,
+    BeyondBounds,
+    Normalised,
+    ShortPoses,
+}
+
+impl Fault {
+    const ALL: [Self; 9] = [
+        Self::ColdStart,
+        Self::BiasStep,
+        Self::GainChange,
+        Self::SignFlip,
+        Self::Sensitivity,
+        Self::SensitivityFar,
+        Self::BeyondBounds,
+        Self::Normalised,
+        Self::ShortPoses,
+    ];
+
+    /// The code that should rank first; `None` where there should be no warning.
+    fn code(self) -> Option<FindingCode> {
+        match self {
+            Self::None | Self::ShortPoses => None,
+            Self::ColdStart => Some(FindingCode::Drift),
+            Self::BiasStep | Self::GainChange | Self::SignFlip => Some(FindingCode::Step),
+            Self::Sensitivity | Self::SensitivityFar => Some(FindingCode::Sensitivity),
+            Self::BeyondBounds => Some(FindingCode::SmallerModel),
+            Self::Normalised => Some(FindingCode::AlreadyCorrected),
+        }
+    }
+}
+
+/// A sensor of a consumer's accuracy: bias up to 60 mg, scale factor ±4 %, misalignment ±20 mrad.
+fn sensor(random: &mut Random, fault: Fault) -> ErrorTerms {
+    let mut terms = ErrorTerms::default();
+    // A sign that changes shows in the bias and the misalignments alone: larger ones are refused, smaller ones harmless.
+    let [bias, misalignment] = match fault {
+        Fault::SignFlip => [0.06, 0.006],
+        _ => [0.6, 0.02],
+    };
+    for row in 0..3 {
+        terms.bias_mps2[row] = match fault {
+            Fault::SignFlip => {
+                (0.5 * bias + 0.5 * random.within(bias).abs()) * [-1.0, 1.0][random.below(2)]
+            }
+            _ => random.within(bias),
+        };
+        terms.matrix[row][row] += random.within(0.04);
+        for column in 0..row {
+            terms.matrix[row][column] = random.within(misalignment);
+        }
+    }
+    terms
+}
+
+/// Pose means: time, s; samples; temperature, °C; counts at 2048 LSB/g.
+struct Session {
+    rows: Vec<(f64, f64, f64, [f64; 3])>,
+    options: CalibrateOptions,
+}
+
+/// The twelve edges that the guide recommends, held to 8° rms, and random directions, in any order.
+fn directions(random: &mut Random, count: usize) -> Vec<[f64; 3]> {
+    let edges = Orientation::ALL.into_iter().map(Orientation::up);
+    let edges = edges.filter(|up| up.iter().filter(|c| **c == 0.0).count() == 1);
+    let edges: Vec<[f64; 3]> = edges.collect();
+    let mut ups: Vec<[f64; 3]> = (0..count)
+        .map(|k| match edges.get(k) {
+            Some(edge) => {
+                let off = random.normals(0.1);
+                [0, 1, 2].map(|axis| edge[axis] + off[axis])
+            }
+            None => random.direction(),
+        })
+        .collect();
+    for k in (1..count).rev() {
+        ups.swap(k, random.below(k + 1));
+    }
+    ups.into_iter()
+        .map(|up| {
+            let norm = up.iter().map(|c| c * c).sum::<f64>().sqrt();
+            up.map(|c| c / norm)
+        })
+        .collect()
+}
+
+fn session(seed: u64, count: usize, fault: Fault) -> Session {
+    let mut random = Random::new(seed);
+    let terms = sensor(&mut random, fault);
+    let scatter = 0.001 + 0.005 * random.uniform();
+    let begin = (0.3 + 0.4 * random.uniform()) * count as f64;
+    let axis = random.below(3);
+    let mut drift = [0.0; 3];
+    for change in &mut drift {
+        *change = (0.02 + 0.04 * random.uniform()) * [-1.0, 1.0][random.below(2)];
+    }
+    let time_constant = 0.15 + 0.35 * random.uniform();
+    let side = [-1.0, 1.0][random.below(2)];
+    let factor = match fault {
+        Fault::Sensitivity => 1.0 / (1.0 + side * (0.13 + 0.07 * random.uniform())),
+        Fault::SensitivityFar if side > 0.0 => 2.0,
+        Fault::SensitivityFar => 0.5,
+        _ => 1.0,
+    };
+    let mut options = CalibrateOptions {
+        gravity_mps2: Some(G),
+        sensitivity_lsb_per_g: Some(2048.0 * factor),
+        range_g: Some(16),
+        ..CalibrateOptions::default()
+    };
+    if fault == Fault::BeyondBounds {
+        options.model = ModelChoice::Auto;
+    }
+    let ups = directions(&mut random, count);
+    let mut rows = Vec::new();
+    let mut time = 0.0;
+    for k in 0..count {
+        time += 8.0 + 8.0 * random.uniform();
+        let progress = k as f64 / (count - 1) as f64;
+        let late = k as f64 >= begin;
+        let mut terms = terms;
+        if late && fault == Fault::BiasStep {
+            terms.bias_mps2[axis] += 0.05 * side;
+        }
+        if late && fault == Fault::GainChange {
+            terms.matrix[axis][axis] += 0.02 * side;
+        }
+        if fault == Fault::ColdStart {
+            for (bias, change) in terms.bias_mps2.iter_mut().zip(drift) {
+                *bias += change * (-progress / time_constant).exp();
+            }
+        }
+        let mut celsius = 25.0;
+        if fault == Fault::BeyondBounds {
+            // A thermometer that shows a fifth of the change of the sensor's temperature.
+            let warmer = 0.6 * (8.0 * progress).sin();
+            celsius += warmer;
+            terms.bias_mps2[axis] += 0.25 * warmer * side;
+        }
+        let truth = ErrorModel::new(terms).expect("within bounds");
+        let force = SpecificForceMps2(ups[k].map(|c| c * G));
+        let mut y = truth.distort(force, None).0;
+        if late && fault == Fault::SignFlip {
+            y[axis] = -y[axis];
+        }
+        let short = fault == Fault::ShortPoses && k % 5 == 2;
+        let samples = if short { 10.0 } else { 1000.0 };
+        for y in &mut y {
+            *y += scatter * random.normal();
+            if fault == Fault::ShortPoses {
+                *y += 0.25 * random.normal() / f64::sqrt(samples);
+            }
+        }
+        if fault == Fault::Normalised {
+            let norm = y.iter().map(|c| c * c).sum::<f64>().sqrt();
+            y = y.map(|c| c / norm * G);
+        }
+        rows.push((time, samples, celsius, y.map(|c| c * 2048.0 / G)));
+    }
+    Session { rows, options }
+}
+
+fn run(session: &Session, options: &CalibrateOptions) -> CalibrationReport {
+    let mut recording = Recording::new("poses");
+    let unit = Unit::Counts { si_per_lsb: None };
+    let force = TrackInfo::new("poses", Quantity::SpecificForce, unit);
+    let force = recording.track(force);
+    let celsius = recording.track(TrackInfo::new("poses", Quantity::Temperature, Unit::Si));
+    let counts = recording.track(TrackInfo::new("Samples", Quantity::Scalar, Unit::Si));
+    for (time, samples, temperature, value) in &session.rows {
+        let time = (time * 1e9) as i64;
+        recording.row(force, time, value);
+        recording.row(counts, time, &[*samples]);
+        recording.row(celsius, time, &[*temperature]);
+    }
+    let selection = Selection {
+        accelerometer: None,
+        poses: true,
+    };
+    let data = recording.samples(selection).expect("poses");
+    calibrate(&data, options).expect("options")
+}
+
+/// Findings of severity warning or higher, in the order in which they are printed; a refusal by the code of its cause.
+fn warnings(report: &CalibrationReport) -> Vec<&Finding> {
+    let severe = |finding: &&Finding| {
+        finding.severity >= Severity::Warning && finding.code != FindingCode::NoResult
+    };
+    report.outcome.findings.iter().filter(severe).collect()
+}
+
+/// Whether the first warning names the fault; for a refusal, whether the reason does.
+fn is_named(report: &CalibrationReport, fault: Fault) -> bool {
+    let refused = |part: &str| {
+        let reason = report.outcome.reason.as_deref();
+        reason.is_some_and(|reason| reason.contains(part))
+    };
+    match fault {
+        Fault::SensitivityFar => refused("2048 LSB/g is likely"),
+        Fault::Normalised => refused("normalised"),
+        Fault::ShortPoses => report.rejected == 0 && warnings(report).is_empty(),
+        _ => warnings(report).first().map(|finding| finding.code) == fault.code(),
+    }
+}
+
+#[test]
+fn the_first_finding_names_the_fault() {
+    let mut counts: BTreeMap<Fault, [usize; 4]> = BTreeMap::new();
+    let sessions = trials(500);
+    for seed in 0..sessions {
+        let fault = Fault::ALL[seed % Fault::ALL.len()];
+        let session = session(seed as u64, 16 + seed % 15, fault);
+        let report = run(&session, &session.options);
+        let [all, named, many, refused] = counts.entry(fault).or_default();
+        *all += 1;
+        *named += usize::from(is_named(&report, fault));
+        *many += usize::from(warnings(&report).len() > 2);
+        *refused += usize::from(report.fit.is_none());
+        if !is_named(&report, fault) || warnings(&report).len() > 2 {
+            println!("{fault:?} {seed}: {:?}", report.outcome.reason);
+            for finding in warnings(&report) {
+                println!("    {:?}: {finding}", finding.code);
+            }
+        }
+    }
+    let mut named = 0;
+    let mut many = 0;
+    for (fault, [all, first, more, refused]) in counts {
+        println!("{fault:?}: {first} of {all} named, {refused} refused, {more} with more than two");
+        named += first;
+        many += more;
+    }
+    let fraction = named as f64 / sessions as f64;
+    figure(
+        &format!("{sessions} sessions with a fault: the first finding names it"),
+        format!("{:.1} %", 100.0 * fraction),
+        "at least 90 %",
+        fraction >= 0.9,
+    );
+    figure(
+        &format!("{sessions} sessions with a fault: more than two findings"),
+        many,
+        "0",
+        many == 0,
+    );
+    assert!(fraction >= 0.9 && many == 0, "{fraction}, {many}");
+}
+
+#[test]
+fn a_sound_session_has_no_warning() {
+    let sessions = trials(500);
+    let mut warned = 0;
+    for seed in 0..sessions {
+        let session = session(10_000 + seed as u64, 12 + seed % 19, Fault::None);
+        let report = run(&session, &session.options);
+        let warnings = warnings(&report);
+        if !warnings.is_empty() || report.fit.is_none() {
+            warned += 1;
+            println!("{seed}: {:?} {warnings:?}", report.outcome.reason);
+        }
+    }
+    let fraction = warned as f64 / sessions as f64;
+    figure(
+        &format!("{sessions} sound sessions: a warning or a refusal"),
+        format!("{:.1} %", 100.0 * fraction),
+        "at most 1 %",
+        fraction <= 0.01,
+    );
+    assert!(
+        fraction <= 0.01_f64.max(1.5 / sessions as f64),
+        "{fraction}"
+    );
+}

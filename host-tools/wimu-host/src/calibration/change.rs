@@ -15,8 +15,8 @@ const MIN_SIDE: usize = 3;
 const MAX_TIMES: usize = 100;
 /// Time constants of a drift, fractions of the session; the last one is linear.
 const TIME_CONSTANTS: [f64; 4] = [0.1, 0.2, 0.4, f64::INFINITY];
-/// A column with a smaller fraction independent of the others is not tested.
-const MIN_INDEPENDENT: f64 = 0.02;
+/// A column with a smaller fraction independent of the others is not tested: of an exponential beside a line 0.01 is.
+const MIN_INDEPENDENT: f64 = 0.001;
 
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
@@ -58,7 +58,8 @@ pub(super) fn finding(
     let all = rejected.is_empty();
     // A step may have caused the rejection of the poses beyond it.
     let of = |all| Rows::new(poses, estimate, all).and_then(|rows| Some((rows.change()?, rows)));
-    let (mut change, rows) = of(all).or_else(|| of(true).filter(|_| !all))?;
+    let beyond_step = rejected.len() >= MIN_SIDE;
+    let (mut change, rows) = of(all).or_else(|| of(true).filter(|_| beyond_step))?;
     let after_s = rows.time_s.get(change.after).copied().unwrap_or(0.0);
     if let Kind::Bias(axis) = change.kind {
         let flipped = |pose: &Pose| {

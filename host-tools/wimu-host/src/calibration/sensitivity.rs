@@ -2,8 +2,9 @@
 
 use wimu_calib::{Datasheet, Estimate, Gravity, Parameter, Refusal, UnitHint};
 
-use super::input::{Poses, magnitude, median, same_orientation};
+use super::input::{Poses, magnitude, median, rms, same_orientation};
 use crate::finding::{Finding, FindingCode};
+use crate::recording::OutputUnit;
 
 /// Departure of a scale factor from 1 that is reported: three times the tolerance of usual datasheets, 3 %.
 const UNUSUAL: f64 = 0.1;
@@ -18,13 +19,14 @@ const ROUNDING: f64 = 5e-5;
 const MIN_ORIENTATIONS: usize = 6;
 
 /// A magnitude at rest that a wrong sensitivity explains, or one that is the same in every pose.
-pub(super) fn refusal(found: &Poses, gravity: Gravity) -> Option<Refusal> {
+pub(super) fn refusal(found: &Poses, gravity: Gravity, unit: OutputUnit) -> Option<Refusal> {
     let sizes = || found.poses.iter().map(|pose| magnitude(pose.mean_mps2));
     let mean_mps2 = median(sizes())?;
     let refused = |hint| Some(Refusal::UnexpectedMagnitude { mean_mps2, hint });
     let ratio = mean_mps2 / gravity.mps2();
-    // Beyond, it is another unit.
-    if (ratio - 1.0).abs() > WRONG && (0.4..=2.1).contains(&ratio) {
+    let apart = rms(sizes().map(|size| size / mean_mps2 - 1.0))?;
+    // Beyond, it is another unit; where the magnitudes differ, it is one axis.
+    if (ratio - 1.0).abs() > WRONG && (0.4..=2.1).contains(&ratio) && apart < UNUSUAL {
         return refused(UnitHint::Sensitivity);
     }
     let mut apart: Vec<usize> = Vec::new();
@@ -37,7 +39,8 @@ pub(super) fn refusal(found: &Poses, gravity: Gravity) -> Option<Refusal> {
         }
     }
     let alike = sizes().all(|size| (size / mean_mps2 - 1.0).abs() < ROUNDING);
-    if alike && apart.len() >= MIN_ORIENTATIONS {
+    // Counts are not normalised.
+    if alike && unit == OutputUnit::Mps2 && apart.len() >= MIN_ORIENTATIONS {
         return refused(UnitHint::Normalised);
     }
     None

@@ -4,7 +4,8 @@ use std::fmt;
 
 use serde::Serialize;
 use wimu_calib::{
-    AccelerometerCalibration, Estimate, GyroscopeEstimate, GyroscopeSession, Pose, TurnFault,
+    AccelerometerCalibration, Estimate, GyroscopeEstimate, GyroscopeRefusal, GyroscopeSession,
+    Pose, TurnFault,
 };
 use wimu_model::{GyroscopeParameters, GyroscopeTerms, STANDARD_GRAVITY_MPS2};
 
@@ -66,22 +67,33 @@ pub(super) fn calibrate(
     let samples = data.six_axis(track, mps2, si);
     let kept = |(k, pose): (usize, &Pose)| (!accelerometer.rejected.contains(k)).then_some(*pose);
     let poses: Vec<Pose> = poses.iter().enumerate().filter_map(kept).collect();
-    let session = GyroscopeSession {
-        poses: &poses,
-        samples: &samples,
-        accelerometer: &AccelerometerCalibration::from(accelerometer),
-        full_scale_rad_s: full_scale.or(lsb.map(|lsb| 32_700.0 * lsb)),
-    };
+    let accelerometer = AccelerometerCalibration::from(accelerometer);
+    let full_scale_rad_s = full_scale.or(lsb.map(|lsb| 32_700.0 * lsb));
     let refused = |reason: String| {
         FindingCode::Uncalibrated.warning(format!("the gyroscope is not calibrated: {reason}"))
     };
-    let estimate = match session.estimate() {
-        Ok(estimate) => estimate,
+    let estimate = at_rests(poses, |poses| {
+        let session = GyroscopeSession {
+            poses,
+            samples: &samples,
+            accelerometer: &accelerometer,
+            full_scale_rad_s,
+        };
+        session.estimate()
+    });
+    let (estimate, turning) = match estimate {
+        Ok(found) => found,
         Err(refusal) => {
             findings.push(refused(refusal.to_string()));
             return None;
         }
     };
+    if turning > 0 {
+        findings.push(FindingCode::PosesLeftOut.note(format!(
+            "gyroscope: {} left out, in which the sensor rotated about the vertical",
+            counted(turning, "pose")
+        )));
+    }
     let range_dps = full_scale.map_or(USUAL_DPS, f64::to_degrees).round();
     let rad_s_per_lsb = lsb.unwrap_or(range_dps.to_radians() / 32_768.0);
     let parameters = estimate.parameters(range_dps.clamp(1.0, 65_535.0) as u16, rad_s_per_lsb);
@@ -101,6 +113,24 @@ pub(super) fn calibrate(
         advice: estimate.advice().map(|advice| advice.to_string()),
         parameters: parameters.ok(),
     })
+}
+
+/// The estimate without the poses in which the gyroscope shows a rotation, at most one of five, and their number.
+fn at_rests(
+    mut poses: Vec<Pose>,
+    estimate: impl Fn(&[Pose]) -> Result<GyroscopeEstimate, GyroscopeRefusal>,
+) -> Result<(GyroscopeEstimate, usize), GyroscopeRefusal> {
+    let most = poses.len() / 5;
+    let mut turning = 0;
+    loop {
+        match estimate(&poses) {
+            Err(GyroscopeRefusal::NotAtRest { rest, .. }) if turning < most => {
+                poses.remove(rest);
+                turning += 1;
+            }
+            found => return found.map(|found| (found, turning)),
+        }
+    }
 }
 
 fn remarks(estimate: &GyroscopeEstimate) -> Vec<Finding> {

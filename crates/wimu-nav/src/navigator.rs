@@ -330,7 +330,8 @@ where
         &self.filter
     }
 
-    /// Update with a measurement of another sensor: a position, a range, a height.
+    /// Update with a measurement of another sensor, at the time of the last prediction: a position, a range, a height. A
+    /// sensor with states of its own, such as a bias, needs a [`Filter`].
     pub fn update<const K: usize>(
         &mut self,
         measurement: &impl Measurement<R, N, K>,

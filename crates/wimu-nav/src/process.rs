@@ -85,7 +85,7 @@ impl<R: RealField + Copy, const N: usize> Transition<R, N> {
         }
     }
 
-    /// Adds a variance to the noise of every state of a block.
+    /// Adds a variance to the noise of every state of a block. For a random walk it is density² × step.
     pub fn add_noise<const W: usize>(&mut self, block: Block<W>, variance: R) {
         for k in block.start()..block.start() + W {
             self.noise[k] += variance;

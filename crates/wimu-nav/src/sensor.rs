@@ -26,12 +26,12 @@ use nalgebra::{SMatrix, SVector};
 use crate::filter::Filter;
 use crate::state::Jacobian;
 
-/// Measured minus predicted value, its derivative with respect to the error state, and the covariance of its noise.
+/// Measured minus predicted value, derivative of the predicted value, and covariance of the noise.
 #[derive(Clone, Debug)]
 pub struct Prediction<R, const N: usize, const M: usize> {
     /// Measured minus predicted value.
     pub innovation: SVector<R, M>,
-    /// Derivative of the measurement.
+    /// Derivative of the predicted value with respect to the error of the state (true minus estimated): H of (118).
     pub jacobian: Jacobian<R, M, N>,
     /// Covariance of the noise.
     pub covariance: SMatrix<R, M, M>,

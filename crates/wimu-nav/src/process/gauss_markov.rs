@@ -34,7 +34,7 @@ impl<R: RealField + Copy, const N: usize> Process<R, N> for GaussMarkov<R> {
     }
 }
 
-/// A step of a random walk: a bias.
+/// A step of a random walk: a bias with three components. For other blocks: [`Transition::add_noise`].
 #[derive(Clone, Copy, Debug)]
 pub struct RandomWalk<R> {
     /// Its states.

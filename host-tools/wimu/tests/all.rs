@@ -16,6 +16,7 @@ mod files_people_bring;
 mod flash;
 mod full_disk;
 mod full_scale;
+mod gyroscope;
 mod hostile;
 mod keys;
 mod kit;

@@ -18,6 +18,7 @@ mod reference;
 mod report;
 mod saturation;
 mod sensitivity;
+mod text;
 mod update;
 mod weights;
 mod words;

@@ -9,6 +9,7 @@ use wimu_calib::{
 };
 use wimu_model::{GyroscopeParameters, GyroscopeTerms, STANDARD_GRAVITY_MPS2};
 
+use crate::digits::{signed_with_sd, significant, with_sd};
 use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
 use crate::recording::{Samples, Unit};
@@ -18,6 +19,9 @@ const USUAL_DPS: f64 = 2000.0;
 /// A scale factor farther from 1 is beyond the tolerance of any gyroscope.
 const TOLERANCE: f64 = 0.1;
 const AXES: [&str; 3] = ["X", "Y", "Z"];
+/// Where A and G begin among the parameters.
+const MATRIX: usize = 3;
+const G_SENSITIVITY: usize = 12;
 
 /// The errors of the gyroscope: parameters in the order bias X, Y, Z, A row by row, G row by row.
 #[derive(Clone, Debug, Serialize)]
@@ -168,57 +172,51 @@ impl fmt::Display for GyroscopeReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let sd = |i: usize| self.sd.get(i).copied().unwrap_or_default();
         for (axis, name) in AXES.into_iter().enumerate() {
-            let (bias, scale) = (self.model.bias_rad_s[axis], self.model.matrix[axis][axis]);
-            let i = 3 + 4 * axis;
-            let [bias, bias_sd] = [bias, sd(axis)].map(f64::to_degrees);
-            write!(
-                out,
-                "\ngyroscope {name}: bias {bias:+.4} ± {bias_sd:.4} °/s, scale factor "
-            )?;
+            let [bias, bias_sd] = [self.model.bias_rad_s[axis], sd(axis)].map(f64::to_degrees);
+            let bias = signed_with_sd(bias, bias_sd);
+            write!(out, "gyroscope {name}: bias {bias} °/s, scale factor ")?;
+            let (i, scale) = (MATRIX + 4 * axis, self.model.matrix[axis][axis]);
             match self.is_observed(i) {
-                true => write!(out, "{scale:.5} ± {:.5}", sd(i))?,
-                false => write!(out, "not observed, taken as 1 ± {:.2}", sd(i))?,
+                true => writeln!(out, "{}", with_sd(scale, sd(i)))?,
+                false => writeln!(out, "not observed, taken as 1 ± {:.2}", sd(i))?,
             }
         }
         let cells = || (0..9).map(|k| (k, k / 3, k % 3));
         let misaligned: Vec<String> = cells()
-            .filter(|(k, r, c)| r != c && self.is_observed(3 + k))
+            .filter(|(k, r, c)| r != c && self.is_observed(MATRIX + k))
             .map(|(k, r, c)| {
-                let (size, sd) = (1e3 * self.model.matrix[r][c], 1e3 * sd(3 + k));
+                let off = signed_with_sd(1e3 * self.model.matrix[r][c], 1e3 * sd(MATRIX + k));
                 format!(
-                    "{}{} {size:+.2} ± {sd:.2}",
+                    "m_{}{} {off}",
                     AXES[c].to_lowercase(),
                     AXES[r].to_lowercase()
                 )
             })
             .collect();
         if !misaligned.is_empty() {
-            write!(
+            writeln!(
                 out,
-                "\ngyroscope misalignment, mrad: {}",
+                "gyroscope misalignment, mrad: {}",
                 misaligned.join(", ")
             )?;
         }
         let size = |(_, r, c): &(usize, usize, usize)| self.model.g_sensitivity[*r][*c].abs();
-        let observed = cells().filter(|(k, ..)| self.is_observed(12 + k));
+        let observed = cells().filter(|(k, ..)| self.is_observed(G_SENSITIVITY + k));
         if let Some(cell) = observed.max_by(|a, b| size(a).total_cmp(&size(b))) {
             let per_g = |value: f64| (value * STANDARD_GRAVITY_MPS2).to_degrees();
-            let (largest, sd) = (per_g(size(&cell)), per_g(sd(12 + cell.0)));
-            write!(
-                out,
-                "\ngyroscope g-sensitivity: at most {largest:.4} ± {sd:.4} °/s per g"
-            )?;
+            let largest = with_sd(per_g(size(&cell)), per_g(sd(G_SENSITIVITY + cell.0)));
+            writeln!(out, "gyroscope g-sensitivity: at most {largest} °/s per g")?;
         }
         if self.turns > 0 {
-            let (before, after) = (self.before_deg, self.rms_deg);
+            let [before, after] = [self.before_deg, self.rms_deg].map(|deg| significant(deg, 3));
             let turns = counted(self.turns, "turn");
-            write!(
+            writeln!(
                 out,
-                "\ndirection of gravity after {turns}: error {before:.2}° rms before, {after:.3}° after"
+                "direction of gravity after a turn: error {before}° rms before, {after}° after ({turns})"
             )?;
         }
         match &self.advice {
-            Some(advice) => write!(out, "\nto improve the gyroscope: {advice}"),
+            Some(advice) => writeln!(out, "to improve the gyroscope: {advice}"),
             None => Ok(()),
         }
     }

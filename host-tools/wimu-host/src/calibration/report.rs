@@ -1,15 +1,12 @@
 //! The result of a calibration: as text, as JSON, and as parameters for a board.
 
-use std::fmt;
-
 use serde::{Deserialize, Serialize};
 use wimu_calib::{Orientation, Parameter};
 use wimu_link::hello::sensor;
-use wimu_model::{CalibrationMethod, ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, SensorId};
+use wimu_model::{CalibrationMethod, ErrorTerms, ParameterSet, SensorId};
 
-use super::{CalibrationFile, DatasheetReport, GyroscopeReport, MethodChoice};
+use super::{CalibrationFile, DatasheetReport, GyroscopeReport};
 use crate::finding::Outcome;
-use crate::plural::counted;
 use crate::recording::RateSource;
 
 /// Where a number comes from.
@@ -209,173 +206,6 @@ impl CalibrationReport {
     /// Name of the JSON object.
     pub const SCHEMA: &'static str = "wimu.calibration/1";
 }
-
-impl fmt::Display for CalibrationReport {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let uncertain = |sd: f64| {
-            if sd > 0.0 {
-                format!(" ± {sd:.3}")
-            } else {
-                String::new()
-            }
-        };
-        writeln!(
-            out,
-            "{}: {}, {}, g = {}{} m/s²",
-            self.source,
-            counted(self.poses, "static pose"),
-            self.method,
-            self.gravity_m_s2,
-            uncertain(self.gravity_sd_m_s2),
-        )?;
-        if let (Some(sensitivity), Some(source)) =
-            (self.sensitivity_lsb_per_g, self.sensitivity_source)
-        {
-            let source = match source {
-                Source::Fit => "mean of the fit",
-                Source::Board => "the board's",
-                Source::Given | Source::Default | Source::SixteenBits => "given",
-            };
-            writeln!(out, "sensitivity {sensitivity:.3} LSB/g ({source})")?;
-        }
-        let Some(fit) = &self.fit else {
-            write!(out, "{}", self.outcome)?;
-            for pose in &self.next_poses {
-                write!(out, "\nadd a pose with {}: {}", pose.text, pose.instruction)?;
-            }
-            return Ok(());
-        };
-        let to_mg = 1e3 / STANDARD_GRAVITY_MPS2;
-        for (axis, name) in ["X", "Y", "Z"].into_iter().enumerate() {
-            if fit.not_observed.contains(&format!("bias {name}")) {
-                write!(
-                    out,
-                    "{name}: bias not observed, taken as 0 ± {:.1} m/s², ",
-                    fit.sd.bias_mps2[axis]
-                )?;
-            } else {
-                write!(
-                    out,
-                    "{name}: bias {:+.4} ± {:.4} m/s² ({:+.2} mg), ",
-                    fit.model.bias_mps2[axis],
-                    fit.sd.bias_mps2[axis],
-                    fit.model.bias_mps2[axis] * to_mg,
-                )?;
-            }
-            let (scale, sd) = (fit.model.matrix[axis][axis], fit.sd.matrix[axis][axis]);
-            if fit.fitted.contains(&format!("scale factor {name}")) {
-                writeln!(out, "scale factor {scale:.5} ± {sd:.5}")?;
-            } else {
-                writeln!(out, "scale factor not observed, taken as 1 ± {sd:.2}")?;
-            }
-        }
-        let misaligned: Vec<String> = MISALIGNMENTS
-            .into_iter()
-            .filter(|(name, ..)| fit.fitted.contains(&format!("misalignment {name}")))
-            .map(|(name, r, c)| {
-                let (off, sd) = (fit.model.matrix[r][c] * 1e3, fit.sd.matrix[r][c] * 1e3);
-                format!("{name} {off:+.2} ± {sd:.2}")
-            })
-            .collect();
-        if !misaligned.is_empty() {
-            writeln!(out, "misalignment, mrad: {}", misaligned.join(", "))?;
-        }
-        let all = match self.rejected {
-            0 => String::new(),
-            _ => format!(" over the fitted poses, {:.3} over all", fit.rms_mm_s2),
-        };
-        writeln!(
-            out,
-            "|f| − g over the poses: {:.2} mm/s² rms before, {:.3} after{all} (largest {:.3})",
-            self.uncalibrated_rms_mm_s2.unwrap_or_default(),
-            fit.fitted_rms_mm_s2,
-            fit.max_mm_s2
-        )?;
-        match fit.loo_rms_mm_s2 {
-            Some(loo) => write!(out, "leave-one-out: {loo:.3} mm/s² rms")?,
-            None => write!(out, "leave-one-out: not possible, too few poses")?,
-        }
-        if let Some(gyroscope) = &self.gyroscope {
-            write!(out, "{gyroscope}")?;
-        }
-        if let Some(loo) = fit.loo_orientation_rms_mm_s2 {
-            write!(
-                out,
-                "; leave-one-orientation-out ({} orientations): {loo:.3}",
-                fit.orientations
-            )?;
-        }
-        writeln!(
-            out,
-            "\ncondition {:.1}, {} degrees of freedom, {:.0} % of the orientations covered; ± is 1 σ",
-            fit.condition,
-            fit.dof,
-            fit.coverage * 100.0
-        )?;
-        if let Some(drift) = &fit.drift {
-            let [x, y, z] = drift.change_m_s2.map(|axis| axis * 1e3);
-            writeln!(
-                out,
-                "bias drift over {:.0} s: {x:+.1} {y:+.1} {z:+.1} mm/s²; the bias is that at the end",
-                drift.span_s
-            )?;
-        }
-        if let Some([low, high]) = fit.temperature_range_c {
-            let terms = &fit.model.temperature;
-            if terms.bias_mps2_per_k != [0.0; 3] || terms.scale_per_k != [0.0; 3] {
-                let [x, y, z] = terms.bias_mps2_per_k.map(|slope| slope * 1e3);
-                writeln!(
-                    out,
-                    "temperature coefficients of the bias: {x:+.2} {y:+.2} {z:+.2} mm/s²/K, valid from {low:.1} to {high:.1} °C"
-                )?;
-            }
-        }
-        let mut worst: Vec<_> = self
-            .static_poses
-            .iter()
-            .enumerate()
-            .filter_map(|(k, pose)| Some((k, pose.residual_mm_s2?)))
-            .collect();
-        worst.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
-        let listed: Vec<String> = worst
-            .iter()
-            .take(3)
-            .map(|(k, residual)| format!("{k} ({residual:+.2})"))
-            .collect();
-        if !listed.is_empty() {
-            writeln!(
-                out,
-                "largest residuals, poses (from 0), mm/s²: {}",
-                listed.join(", ")
-            )?;
-        }
-        match (self.poses_worth_adding, self.next_poses.first()) {
-            _ if self.method != MethodChoice::MultiPosition.name() => {
-                write!(
-                    out,
-                    "place the sensor more accurately rather than adding poses"
-                )
-            }
-            (0, _) | (_, None) => write!(out, "more poses would improve it little"),
-            (1, Some(next)) => write!(out, "one more pose is worthwhile: {}", next.instruction),
-            (more, Some(next)) => write!(
-                out,
-                "{more} more poses are worthwhile; the next: {}",
-                next.instruction
-            ),
-        }
-    }
-}
-
-/// Misalignments by name, row and column of A.
-const MISALIGNMENTS: [(&str, usize, usize); 6] = [
-    ("m_yx", 0, 1),
-    ("m_zx", 0, 2),
-    ("m_xy", 1, 0),
-    ("m_zy", 1, 2),
-    ("m_xz", 2, 0),
-    ("m_yz", 2, 1),
-];
 
 /// Name of the JSON objects that hold a parameter set: of `wimu params`, alignment and magnetometer.
 pub const HELD_SCHEMA: &str = "wimu.params/1";

@@ -1,5 +1,6 @@
 //! The result of a calibration as text: the answer, the parameters, the numbers behind them.
 
+use std::cmp::Ordering;
 use std::fmt;
 
 use wimu_model::STANDARD_GRAVITY_MPS2;
@@ -95,9 +96,19 @@ impl CalibrationReport {
             0 => String::new(),
             _ => format!(" ({} over all poses)", significant(fit.rms_mm_s2, 3)),
         };
+        let sizes = self
+            .static_poses
+            .iter()
+            .map(|pose| pose.residual_mm_s2.map(f64::abs));
+        let worst = sizes
+            .enumerate()
+            .max_by(|a, b| a.1.partial_cmp(&b.1).unwrap_or(Ordering::Equal));
+        let at = worst.map_or(String::new(), |(pose, _)| {
+            format!(" at pose {pose} (from 0)")
+        });
         writeln!(
             out,
-            "in sample {} mm/s² rms{all}, largest {}; condition {:.1}, {} degrees of freedom, {:.0} % of the orientations \
+            "in sample {} mm/s² rms{all}, largest {}{at}; condition {:.1}, {} degrees of freedom, {:.0} % of the orientations \
              covered; ± is 1 σ",
             significant(fit.fitted_rms_mm_s2, 3),
             significant(fit.max_mm_s2, 3),

@@ -494,7 +494,7 @@ impl<'a> Sessions<'a> {
     /// Mean of the variance between sessions over its confidence distribution, equation (154): with
     /// negligible variances within the sessions dof/(dof − 2) times the estimate.
     fn expected(&self, found: &Between) -> f64 {
-        const NODES: usize = 48;
+        const NODES: usize = 32;
         if found.dof < 1.0 {
             return 0.0;
         }

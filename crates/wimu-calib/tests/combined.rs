@@ -91,9 +91,9 @@ fn normalised(sensor: &mut Sensor, found: &Combined) -> [f64; 9] {
 
 /// Coverage of bias, scale factor and misalignment of a new session, and of the temperature
 /// coefficients, by 1.96 standard deviations.
-fn coverage(count: usize, between: [f64; 3], range_k: f64) -> [Coverage; 4] {
+fn coverage(draws: usize, count: usize, between: [f64; 3], range_k: f64) -> [Coverage; 4] {
     let mut held = [Coverage::default(); 4];
-    for seed in 0..trials(2000) as u64 {
+    for seed in 0..draws as u64 {
         let mut sensor = Sensor::new(seed, between, range_k > 0.0);
         let sessions = sensor.sessions(count, range_k);
         let found = combine(&sessions, exact()).expect("an answer");
@@ -119,7 +119,7 @@ const LARGE: [f64; 3] = [0.03, 3e-3, 3e-3];
 fn the_covariance_covers_a_new_session() {
     let mut all = Vec::new();
     for (count, range_k) in [(2, 0.0), (3, 0.0), (5, 0.0), (3, 2.0), (3, 30.0), (5, 30.0)] {
-        let held = coverage(count, LARGE, range_k);
+        let held = coverage(trials(2000), count, LARGE, range_k);
         let kinds = ["bias", "scale factor", "misalignment", "slopes"];
         // Over 2 K the slopes are those of the prior, wider than these sensors'.
         let used = if range_k > 2.0 { 4 } else { 3 };
@@ -144,7 +144,7 @@ fn the_covariance_is_not_overconfident_if_sessions_differ_as_little_as_their_noi
         // Standard deviations within a session: 1.2 mm/s², 2·10⁻⁴, 3·10⁻⁴.
         for factor in [0.0, 0.5, 1.0, 2.0, 4.0] {
             let between = [0.0012, 2e-4, 3e-4].map(|sd| factor * sd);
-            for (kind, held) in (0..3).zip(coverage(count, between, 0.0)) {
+            for (kind, held) in (0..3).zip(coverage(trials(500), count, between, 0.0)) {
                 println!("{count} sessions, {factor} of the noise, {kind}: {held}");
                 held.assert_can_be(0.93..=1.0, "a new session");
             }

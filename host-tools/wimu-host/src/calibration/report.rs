@@ -3,7 +3,7 @@
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
-use wimu_calib::{Orientation, Parameter};
+use wimu_calib::{Estimate, Orientation, Parameter};
 use wimu_link::hello::sensor;
 use wimu_model::{CalibrationMethod, ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, SensorId};
 
@@ -24,6 +24,8 @@ pub enum Source {
     Board,
     /// The fit, so that the mean scale factor is 1.
     Fit,
+    /// Computed from a latitude and a height.
+    Latitude,
     /// Assumed: the range that a 16-bit sensor has at this sensitivity.
     SixteenBits,
 }
@@ -199,6 +201,9 @@ pub struct CalibrationReport {
     /// The calibration file.
     #[serde(skip)]
     pub file: Option<CalibrationFile>,
+    /// What was estimated, if there is an answer.
+    #[serde(skip)]
+    pub estimate: Option<Estimate>,
 }
 
 impl CalibrationReport {
@@ -230,7 +235,7 @@ impl fmt::Display for CalibrationReport {
             let source = match source {
                 Source::Fit => "mean of the fit",
                 Source::Board => "the board's",
-                Source::Given | Source::Default | Source::SixteenBits => "given",
+                Source::Given | Source::Default | Source::Latitude | Source::SixteenBits => "given",
             };
             writeln!(out, "sensitivity {sensitivity:.3} LSB/g ({source})")?;
         }
@@ -357,7 +362,7 @@ impl fmt::Display for CalibrationReport {
 }
 
 /// Misalignments by name, row and column of A.
-const MISALIGNMENTS: [(&str, usize, usize); 6] = [
+pub(super) const MISALIGNMENTS: [(&str, usize, usize); 6] = [
     ("m_yx", 0, 1),
     ("m_zx", 0, 2),
     ("m_xy", 1, 0),

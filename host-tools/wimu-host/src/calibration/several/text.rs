@@ -14,6 +14,10 @@ impl fmt::Display for SeveralReport {
         };
         let of = |value: f64, unit: f64| significant(value * unit, 3);
         let (between, within) = (&fit.between_sd, &fit.within_sd);
+        let changes = |between: f64, within: f64, unit: f64, name: &str| match between > 0.0 {
+            true => format!("± {} {name} (± {})", of(between, unit), of(within, unit)),
+            false => format!("no change seen (± {} {name})", of(within, unit)),
+        };
         writeln!(
             out,
             "{}: bias repeats within ± {} mm/s² between sessions (± {} within one)",
@@ -23,11 +27,14 @@ impl fmt::Display for SeveralReport {
         )?;
         writeln!(
             out,
-            "scale factor ± {} ppm (± {}), misalignment ± {} mrad (± {})",
-            of(between.scale, 1e6),
-            of(within.scale, 1e6),
-            of(between.misalignment_rad, 1e3),
-            of(within.misalignment_rad, 1e3),
+            "scale factor {}, misalignment {}",
+            changes(between.scale, within.scale, 1e6, "ppm"),
+            changes(
+                between.misalignment_rad,
+                within.misalignment_rad,
+                1e3,
+                "mrad"
+            ),
         )?;
         writeln!(
             out,

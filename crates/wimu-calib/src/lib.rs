@@ -6,6 +6,7 @@ mod alignment;
 pub mod array;
 mod blocks;
 mod choice;
+mod combined;
 mod covariance;
 mod datasheet;
 mod design;
@@ -47,6 +48,7 @@ mod weights;
 
 pub use alignment::{AlignmentEstimate, AlignmentRefusal, KnownDirection, align, straight_move};
 pub use choice::best_model;
+pub use combined::{CombineRefusal, Combined, Departure, Group, combine};
 pub use covariance::Covariance;
 pub use datasheet::{Datasheet, Finding, Limit, Quantity, Verdict};
 pub use design::Guide;

@@ -3,6 +3,7 @@
 mod alignment;
 mod array;
 mod bad_pose;
+mod combined;
 mod common;
 mod datasheet;
 mod finder;

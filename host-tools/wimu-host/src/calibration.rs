@@ -7,6 +7,7 @@ mod datasheet;
 mod export;
 mod file;
 mod file_v1;
+mod gravity;
 mod gyroscope;
 mod input;
 mod magnetometer;
@@ -18,6 +19,7 @@ mod reference;
 mod report;
 mod saturation;
 mod sensitivity;
+mod several;
 mod text;
 mod update;
 mod weights;
@@ -38,13 +40,15 @@ pub use report::{
     CalibrationReport, DriftReport, Fit, HELD_SCHEMA, NextPose, OtherUnits, Source, StaticPose,
     describe, not_observed,
 };
-
+pub use several::{
+    DepartureReport, Repeatability, SessionReport, SeveralFit, SeveralReport, calibrate_several,
+};
 pub use update::{RestReport, UpdateReport, update};
 
 use wimu_calib::{
-    Datasheet, Estimate, Face, Gravity, Guide, Method, Model, MultiPosition, Placement, Pose,
-    Refusal, Term, Terms, best_model, four_angle, multi_position_with, six_position,
-    six_position_labelled, three_angle,
+    Datasheet, Estimate, Face, Guide, Method, Model, MultiPosition, Placement, Pose, Refusal, Term,
+    Terms, best_model, four_angle, multi_position_with, six_position, six_position_labelled,
+    three_angle,
 };
 use wimu_link::message::parameter_id;
 use wimu_model::{ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity};
@@ -175,6 +179,8 @@ pub struct CalibrateOptions {
     pub sides: Option<Vec<Face>>,
     /// Local gravity, m/s², taken as exact; `None`: 9.80665 ± 0.015.
     pub gravity_mps2: Option<f64>,
+    /// Geodetic latitude, degrees, and height, m, instead of gravity: see [`wimu_calib::Gravity::at`].
+    pub place: Option<[f64; 2]>,
     /// Nominal sensitivity, LSB/g; `None`: the board's, else the mean of the fit.
     pub sensitivity_lsb_per_g: Option<f64>,
     /// Full-scale range at which the data were taken, ± *g*, where the data do not contain it.
@@ -196,13 +202,7 @@ pub struct CalibrateOptions {
 pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<CalibrationReport> {
     let usage =
         |message: String, flag: &str| ErrorCode::Usage.error(message, format!("check {flag}"));
-    let (gravity, gravity_source) = match options.gravity_mps2 {
-        Some(mps2) => (
-            Gravity::new(mps2, 0.0).map_err(|e| usage(e.to_string(), "--gravity"))?,
-            Source::Given,
-        ),
-        None => (Gravity::UNKNOWN_PLACE, Source::Default),
-    };
+    let (gravity, gravity_source) = gravity::gravity(options)?;
     let placement = match options.placement_sd_deg {
         Some(degrees) => Placement::new(degrees.to_radians())
             .map_err(|e| usage(e.to_string(), "--placement-sd"))?,
@@ -392,6 +392,8 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
             DatasheetReport::new(datasheet, estimate, used, range)
         });
     (outcome.findings).extend(datasheet.iter().flat_map(DatasheetReport::findings));
+    let of_gravity = (estimate.as_ref()).and_then(|e| gravity::finding_of(e, gravity_source));
+    outcome.findings.extend(of_gravity);
     let rejected = estimate.as_ref().map_or(0, |e| e.rejected.count());
     let rejected_poses: Vec<usize> = match options.method {
         MethodChoice::SixPosition => (0..fitted.len())
@@ -465,7 +467,8 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
             .map(|file| file.with_zero_count(data.info().zero_count))
             .map(|file| file.with_gyroscope(gyroscope_parameters))
         }),
-        fit: estimate.map(|estimate| numbers(&estimate, range)),
+        fit: estimate.as_ref().map(|e| numbers(e, range)),
+        estimate,
         parameter_id: parameters.as_ref().map(|set| parameter_id(set).to_string()),
         parameters,
     })

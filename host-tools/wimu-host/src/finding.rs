@@ -55,6 +55,8 @@ pub enum FindingCode {
     GravityMissing,
     /// Gravity, recorded apart, was added to the linear acceleration.
     GravityAdded,
+    /// The default gravity dominates the uncertainty of the scale factors.
+    GravityAssumed,
     /// The sample rate was assumed or has gaps.
     Rate,
     /// The clock of the times: what they are relative to.

@@ -93,6 +93,9 @@ pub struct MotionRecording {
     /// Covariance of the calibration of its accelerometer, body axes: bias, m/s², then the matrix by rows; `None` where it
     /// is not known.
     pub covariance: Option<[[f64; 12]; 12]>,
+    /// Whether the covariance is that of a new session and includes the turn-on bias: a calibration from several
+    /// sessions measured it.
+    pub of_sessions: bool,
     /// Full scale of its accelerometer, m/s², where the recording gives it. A sample beyond it, or else beyond
     /// [`FULL_SCALE_MPS2`], was not measured.
     pub full_scale_mps2: Option<f64>,
@@ -137,9 +140,15 @@ impl MotionRecording {
         let Some(known) = self.covariance else {
             return UNKNOWN_BIAS_MPS2;
         };
-        BIAS_MPS2.hypot(crate::calibration::worst_sd(|place| {
-            known[place][place].sqrt()
-        }))
+        self.turn_on_mps2()
+            .hypot(crate::calibration::worst_sd(|place| {
+                known[place][place].sqrt()
+            }))
+    }
+
+    /// Standard deviation of the turn-on bias that the covariance does not include, m/s².
+    fn turn_on_mps2(&self) -> f64 {
+        if self.of_sessions { 0.0 } else { BIAS_MPS2 }
     }
 
     /// Covariance of bias and matrix with what changes after the calibration: a turn-on bias, and a scale factor and axes
@@ -147,7 +156,10 @@ impl MotionRecording {
     pub fn calibration_covariance(&self) -> Option<[[f64; 12]; 12]> {
         let mut all = self.covariance?;
         for (place, row) in all.iter_mut().enumerate() {
-            let later = if place < 3 { BIAS_MPS2 } else { MATRIX_CHANGE };
+            let later = match place {
+                0..3 => self.turn_on_mps2(),
+                _ => MATRIX_CHANGE,
+            };
             row[place] += later * later;
         }
         Some(all)

@@ -144,6 +144,7 @@ pub fn calibrate(
         terms,
         sides: sides.transpose()?,
         gravity_mps2: gravity,
+        place: None,
         sensitivity_lsb_per_g: sensitivity,
         range_g,
         placement_sd_deg: placement_sd,

@@ -37,6 +37,7 @@ mod recording;
 mod reference_input;
 mod round_trip;
 mod session;
+mod several_sessions;
 mod single_axes;
 mod six_axes;
 mod streams;

@@ -582,6 +582,7 @@ fn exported_tables_have_rates_and_attitudes_and_serve_as_input() {
             sensitivity_lsb_per_g: Some(LSB_PER_G),
             of_counts: true,
             covariance: None,
+            of_sessions: false,
             alignment: set.alignment,
             magnetometer: None,
             gyroscope: set.gyroscope,

@@ -22,6 +22,7 @@ fn calibration(of_counts: bool) -> StoredModel {
         sensitivity_lsb_per_g: of_counts.then_some(LSB_PER_G),
         of_counts,
         covariance: None,
+        of_sessions: false,
         // Body X is the sensor's Y.
         alignment: Alignment::from_quaternion([0.5_f64.sqrt(), 0.0, 0.0, -(0.5_f64.sqrt())])
             .unwrap(),

@@ -215,6 +215,24 @@ impl CalibrationFile {
         self
     }
 
+    /// The same with the model of several sessions.
+    #[must_use]
+    pub(super) fn with_sessions(
+        mut self,
+        model: &ErrorModel,
+        quality: Option<&CalibrationQuality>,
+        sessions: Vec<Session>,
+    ) -> Self {
+        for sensor in &mut self.sensors {
+            let stored = &mut sensor.accelerometer;
+            stored.model = *model.terms();
+            stored.quality = quality.map(|quality| StoredQuality::new(quality.terms()));
+            stored.sessions.clone_from(&sessions);
+            sensor.seal();
+        }
+        self
+    }
+
     /// Writes it.
     ///
     /// # Errors
@@ -293,6 +311,8 @@ impl StoredSensor {
             sensitivity_lsb_per_g: accelerometer.sensitivity_lsb_per_g,
             of_counts: accelerometer.unit == AccelerationUnit::Lsb.as_str(),
             covariance,
+            of_sessions: accelerometer.sessions.len() > 1
+                && quality.is_some_and(|quality| quality.method != CalibrationMethod::Updated),
             alignment: self.alignment_wxyz,
             magnetometer: self.magnetometer,
             gyroscope: self.gyroscope()?,
@@ -470,6 +490,8 @@ pub struct StoredModel {
     pub of_counts: bool,
     /// Covariance of bias and matrix, sensor axes; `None` where the file does not contain it.
     pub covariance: Option<ModelCovariance>,
+    /// Whether it combines sessions: its covariance is that of a new session, with the change between sessions.
+    pub of_sessions: bool,
     /// Sensor axes to body axes.
     pub alignment: Alignment,
     /// Model of the magnetometer beside it.

@@ -1,7 +1,7 @@
 //! The result of a calibration: as text, as JSON, and as parameters for a board.
 
 use serde::{Deserialize, Serialize};
-use wimu_calib::{Orientation, Parameter};
+use wimu_calib::{Estimate, Orientation, Parameter};
 use wimu_link::hello::sensor;
 use wimu_model::{CalibrationMethod, ErrorTerms, ParameterSet, SensorId};
 
@@ -21,6 +21,8 @@ pub enum Source {
     Board,
     /// The fit, so that the mean scale factor is 1.
     Fit,
+    /// Computed from a latitude and a height.
+    Latitude,
     /// Assumed: the range that a 16-bit sensor has at this sensitivity.
     SixteenBits,
 }
@@ -200,6 +202,9 @@ pub struct CalibrationReport {
     /// The calibration file.
     #[serde(skip)]
     pub file: Option<CalibrationFile>,
+    /// What was estimated, if there is an answer.
+    #[serde(skip)]
+    pub estimate: Option<Estimate>,
 }
 
 impl CalibrationReport {

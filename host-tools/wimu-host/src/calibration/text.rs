@@ -13,7 +13,7 @@ use crate::plural::counted;
 /// Suggested poses.
 const SUGGESTED: usize = 3;
 /// Misalignments by name, row and column of A.
-const MISALIGNMENTS: [(&str, usize, usize); 6] = [
+pub(super) const MISALIGNMENTS: [(&str, usize, usize); 6] = [
     ("m_yx", 0, 1),
     ("m_zx", 0, 2),
     ("m_xy", 1, 0),
@@ -83,7 +83,7 @@ impl CalibrationReport {
             let source = match source {
                 Source::Fit => "mean of the fit",
                 Source::Board => "the board's",
-                Source::Given | Source::Default | Source::SixteenBits => "given",
+                Source::Given | Source::Default | Source::Latitude | Source::SixteenBits => "given",
             };
             text += &format!(", {sensitivity:.1} LSB/g ({source})");
         }

@@ -94,6 +94,7 @@ impl Holes {
         let mut others = MotionRecording::new(recording.name.clone(), times_s, samples);
         others.truth = truth;
         others.covariance = recording.covariance;
+        others.of_sessions = recording.of_sessions;
         others.findings.clone_from(&recording.findings);
         others
     }

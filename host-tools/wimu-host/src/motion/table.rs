@@ -91,6 +91,7 @@ impl MotionRecording {
                 let known = stored.covariance?;
                 Some(in_body_axes(&known, &stored.alignment))
             }),
+            of_sessions: stored.is_some_and(|stored| stored.of_sessions),
             full_scale_mps2: force.info.full_scale,
             other: scalars
                 .iter()

@@ -17,6 +17,7 @@ Examples:
   wimu calibrate tcp://127.0.0.1:7100 --push -o CAL.json
   wimu calibrate session.csv --model auto+drift --report report.html
   wimu calibrate sides.csv --method six-position --sides x,-x,y,-y,z,-z
+  wimu calibrate cold.csv room.csv warm.csv --latitude 47.4 --height 400 -o CAL.json
   wimu calibrate rotation.csv --method four-angle --placement-sd 0.5
   wimu calibrate means.csv --poses --where \"Run=2,IMU=0\" --gravity 9.818
   wimu calibrate later.csv --method update --with CAL.json -o NOW.json
@@ -27,9 +28,10 @@ Examples:
 pub struct Calibrate {
     /// A LINK, or a recording of any format
     pub input: String,
-    /// With --geometry: recordings of further boards on the same body, in the order of the geometry
-    #[arg(value_name = "BOARD", requires = "geometry")]
-    pub boards: Vec<PathBuf>,
+    /// Further sessions of the same sensor: their parameters are combined, with the change between sessions. With
+    /// --geometry: recordings of further boards on the same body, in the order of the geometry
+    #[arg(value_name = "FILE")]
+    pub more: Vec<PathBuf>,
 
     #[command(flatten)]
     pub reading: Reading,
@@ -70,6 +72,12 @@ pub struct Calibrate {
     /// Local gravity, m/s² [default: 9.80665 m/s², uncertainty ± 0.015 m/s² (1 σ)]
     #[arg(long, value_name = "M_S2", value_parser = from_to(9.7, 9.9), help_heading = "Model")]
     pub gravity: Option<f64>,
+    /// Latitude of the place, degrees, negative in the south: gravity by the WGS 84 formula, ± 0.0005 m/s² (1 σ)
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true, value_parser = from_to(-90.0, 90.0), conflicts_with = "gravity", help_heading = "Model")]
+    pub latitude: Option<f64>,
+    /// Height of the place above sea level, m
+    #[arg(long, value_name = "M", allow_negative_numbers = true, value_parser = from_to(-500.0, 9000.0), default_value_t = 0.0, requires = "latitude", help_heading = "Model")]
+    pub height: f64,
     /// Compare with the datasheet of this sensor, such as MPU-6050 [default: the board's sensor]
     #[arg(long, value_name = "NAME", help_heading = "Model")]
     pub sensor_model: Option<String>,

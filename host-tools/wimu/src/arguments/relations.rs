@@ -1,10 +1,12 @@
 //! Relations between options that depend on a value or on the kind of input; clap declares all others.
 
+use std::path::PathBuf;
+
 use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory};
 use wimu_host::{Input, Result};
 
-use super::{Arguments, Calibrated};
+use super::{Arguments, Calibrated, Method};
 use crate::output::usage;
 
 /// Which options of a command go with which value of another option. Options without a row go with all of them.
@@ -30,6 +32,7 @@ const TABLES: [Table; 3] = [
             ("model",                 "× × × × · · ·"),
             ("sensor-model",          "× × × × · · ·"),
             ("gravity",               "× × × × · × ·"),
+            ("latitude",              "× × × × · · ·"),
             ("sensitivity",           "× × × × × · ·"),
             ("range",                 "× × × × × · ·"),
             ("placement-sd",          "· × × × · · ·"),
@@ -112,6 +115,39 @@ pub fn check(matches: &ArgMatches) -> Result<()> {
         && !given.contains(&"geometry")
     {
         by_input(matches, &given)?;
+        if name == "calibrate" {
+            several(matches, &given)?;
+        }
+    }
+    Ok(())
+}
+
+/// Several sessions are files, each calibrated with the same method.
+fn several(matches: &ArgMatches, given: &[&str]) -> Result<()> {
+    let Some(more) = matches.get_many::<PathBuf>("more") else {
+        return Ok(());
+    };
+    let one = "give one file, or calibrate with --method multi-position or six-position";
+    let methods = [Method::MultiPosition, Method::SixPosition];
+    let method = matches.get_one::<Method>("method");
+    if matches.get_one("sensor") == Some(&Calibrated::Magnetometer)
+        || !method.is_some_and(|method| methods.contains(method))
+    {
+        return Err(usage("several sessions do not go with this method", one));
+    }
+    if given.contains(&"report") {
+        return Err(usage(
+            "--report needs a single session",
+            "leave it out, or give one file",
+        ));
+    }
+    let input = matches.get_one::<String>("input").cloned();
+    let names = more.map(|file| file.display().to_string());
+    for name in input.into_iter().chain(names) {
+        if let Ok(Input::Link(_)) = Input::parse(&name) {
+            let remedy = "record each session with `wimu record LINK -o FILE.mcap` first";
+            return Err(usage("several sessions are files, and this is a LINK", remedy).at(name));
+        }
     }
     Ok(())
 }

@@ -33,11 +33,15 @@ use crate::output::{Output, usage};
 /// Returns the exit code: 0, or 3 if the data do not support an answer.
 pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
     not_over_input(Path::new(&arguments.input), arguments.output.as_deref())?;
+    for file in &arguments.more {
+        not_over_input(file, arguments.output.as_deref())?;
+    }
     match (&arguments.geometry, arguments.sensor, arguments.method) {
         (Some(geometry), ..) => array::run(arguments, geometry, output).map(|()| 0),
         (_, Calibrated::Magnetometer, _) => magnetometer::run(arguments, output),
         (_, _, Method::Update) => update(arguments, output),
         (_, _, Method::Reference) => against_reference(arguments, output),
+        _ if !arguments.more.is_empty() => several(arguments, output),
         _ => with_gravity(arguments, output),
     }
 }
@@ -128,6 +132,24 @@ fn with_gravity(arguments: &Calibrate, output: Output) -> Result<u8> {
     })
 }
 
+/// Calibrates with several sessions of one sensor.
+fn several(arguments: &Calibrate, output: Output) -> Result<u8> {
+    let options = options(arguments)?;
+    let (load, selection) = reading(arguments);
+    let first = Path::new(&arguments.input);
+    let files = std::iter::once(first).chain(arguments.more.iter().map(AsRef::as_ref));
+    let sessions: Vec<Recording> = files
+        .map(|file| formats::load(file, &load))
+        .collect::<Result<_>>()?;
+    let data: Vec<_> = sessions
+        .iter()
+        .map(|session| session.samples(selection))
+        .collect::<Result<_>>()?;
+    let report = calibration::calibrate_several(&data, &options)?;
+    let (path, file) = (arguments.output.as_deref(), report.file.clone());
+    finish(&report, &report.outcome, path, file, output, || Ok(()))
+}
+
 /// Calibrates one stream with another of the same motion.
 fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
     let sensitivity = arguments.sensitivity.map(Sensitivity::from_lsb_per_g);
@@ -213,6 +235,9 @@ fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
         terms,
         sides: arguments.sides.clone(),
         gravity_mps2: arguments.gravity,
+        place: arguments
+            .latitude
+            .map(|latitude| [latitude, arguments.height]),
         sensitivity_lsb_per_g: arguments.sensitivity,
         range_g: arguments.range,
         placement_sd_deg: arguments.placement_sd,

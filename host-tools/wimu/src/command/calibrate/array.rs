@@ -42,7 +42,7 @@ pub fn run(arguments: &Calibrate, geometry: &Path, output: Output) -> Result<()>
     let input = Path::new(&arguments.input);
     for read in [input, geometry]
         .into_iter()
-        .chain(arguments.boards.iter().map(AsRef::as_ref))
+        .chain(arguments.more.iter().map(AsRef::as_ref))
     {
         not_over_input(read, arguments.output.as_deref())?;
     }
@@ -50,17 +50,17 @@ pub fn run(arguments: &Calibrate, geometry: &Path, output: Output) -> Result<()>
     let options = array::prior(arguments.place_sd, arguments.delay_sd, &geometry);
     let recording = array::read(
         input,
-        &arguments.boards,
+        &arguments.more,
         arguments.sensitivity,
         arguments.reading.link,
         true,
     )?;
-    let gravity = match arguments.gravity {
-        Some(mps2) => {
-            Gravity::new(mps2, 0.0).map_err(|e| usage(e.to_string(), "check --gravity"))?
-        }
-        None => Gravity::UNKNOWN_PLACE,
+    let gravity = match (arguments.gravity, arguments.latitude) {
+        (Some(mps2), _) => Gravity::new(mps2, 0.0),
+        (None, Some(latitude)) => Gravity::at(latitude, arguments.height),
+        (None, None) => Ok(Gravity::UNKNOWN_PLACE),
     };
+    let gravity = gravity.map_err(|e| usage(e.to_string(), "check --gravity"))?;
     let found = calibrate_array(&recording, &geometry, gravity, &options)?;
     let calibrated = present(&found, arguments, gravity, output);
     if let Some(file) = &arguments.output {

@@ -1,0 +1,277 @@
+//! Several calibration sessions of one sensor: parameters with temperature coefficients, and the
+//! standard deviation between sessions. Equations (151) to (155).
+
+mod regression;
+
+use core::fmt;
+use core::mem::discriminant;
+
+use wimu_model::{CalibratedTemperature, ErrorModel, ErrorTerms, ModelError, TemperatureTerms};
+
+use crate::estimate::TermDeviations;
+use crate::terms;
+use crate::{Covariance, Estimate, Gravity, Parameter, Parameters, Term, Terms, student};
+use regression::{LEAST_SD, Sessions, slope_of};
+
+/// Probability that the session that departs most of those without a fault reaches the limit.
+const FALSE_ALARM: f64 = 0.0027;
+
+/// Several sessions of one sensor, combined.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub struct Combined {
+    /// The error model, with temperature coefficients if they were estimated.
+    pub model: ErrorModel,
+    /// Which of the 12 parameters were fitted.
+    pub fitted: Parameters,
+    /// Covariance of the parameters of a new session at the reference temperature: that of the
+    /// mean and that between sessions, including the uncertainty of both and of gravity. 1.96
+    /// standard deviations are a 95 % interval.
+    pub covariance: Covariance,
+    /// Standard deviation within a session, rms over the sessions, of each [`Group`].
+    pub within_sd: [f64; 3],
+    /// Standard deviation between sessions of each [`Group`], the best estimate.
+    pub between_sd: [f64; 3],
+    /// Degrees of freedom of `between_sd`; 0 of a group that was not fitted.
+    pub dof: [f64; 3],
+    /// Standard deviations of the temperature coefficients; 0 where they were not estimated.
+    pub slope_sd: TermDeviations,
+    /// Temperatures of the sessions, if all have one.
+    pub temperature: Option<CalibratedTemperature>,
+    /// The session that departs most from the others, with three or more sessions.
+    pub worst: Option<Departure>,
+}
+
+/// Parameters that have one standard deviation between sessions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Group {
+    /// The bias, m/s².
+    Bias,
+    /// The scale factors.
+    Scale,
+    /// The misalignments, rad.
+    Misalignment,
+}
+
+impl Group {
+    /// All groups, in the order of [`Combined::between_sd`].
+    pub const ALL: [Self; 3] = [Self::Bias, Self::Scale, Self::Misalignment];
+
+    fn of(parameter: Parameter) -> Self {
+        match parameter.index() {
+            0..3 => Self::Bias,
+            3 | 7 | 11 => Self::Scale,
+            _ => Self::Misalignment,
+        }
+    }
+}
+
+/// A session that departs from the others.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Departure {
+    /// Its index.
+    pub session: usize,
+    /// The parameter that departs.
+    pub parameter: Parameter,
+    /// Difference to its prediction by the other sessions, in standard deviations.
+    pub sigmas: f64,
+    /// Student's limit, which the worst of sessions without a fault exceeds in 0.27 % of
+    /// calibrations.
+    pub limit: f64,
+}
+
+/// Why sessions cannot be combined.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum CombineRefusal {
+    /// Fewer than two sessions.
+    TooFew {
+        /// Number of sessions.
+        have: usize,
+    },
+    /// A session has another method or other fitted parameters than the first.
+    Different {
+        /// Its index.
+        session: usize,
+    },
+    /// A session has temperature or quadratic terms.
+    Terms {
+        /// Its index.
+        session: usize,
+    },
+    /// A session was not fitted with the same exact gravity (standard deviation 0).
+    Gravity {
+        /// Its index.
+        session: usize,
+    },
+    /// A value of a session is not a finite number.
+    NotFinite {
+        /// Its index.
+        session: usize,
+    },
+    /// The result is out of bounds.
+    Model(ModelError),
+}
+
+impl fmt::Display for CombineRefusal {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::TooFew { have } => {
+                write!(
+                    out,
+                    "{have} of at least 2 sessions: record one more session"
+                )
+            }
+            Self::Different { session } => write!(
+                out,
+                "session {session} has another method or model than session 0: fit all with one"
+            ),
+            Self::Terms { session } => write!(
+                out,
+                "session {session} has temperature or quadratic terms: fit the sessions without \
+                 them"
+            ),
+            Self::Gravity { session } => write!(
+                out,
+                "session {session} was not fitted with the exact gravity of session 0"
+            ),
+            Self::NotFinite { session } => {
+                write!(out, "session {session} has values that are not finite")
+            }
+            Self::Model(error) => write!(out, "the combined model is out of bounds: {error}"),
+        }
+    }
+}
+
+impl core::error::Error for CombineRefusal {}
+
+/// Combines the sessions of one sensor, each fitted with the same method and with the mean of
+/// `gravity` taken as exact. Each has its own parameters; `gravity` is common to all.
+///
+/// # Errors
+/// [`CombineRefusal`] names the session that does not go with the first.
+pub fn combine(estimates: &[Estimate], gravity: Gravity) -> Result<Combined, CombineRefusal> {
+    check(estimates)?;
+    let sessions = Sessions::new(estimates, None);
+    let found = Group::ALL.map(|group| sessions.between(group));
+    // The covariance is that of the mean of what τ² can be.
+    let expected = found.map(|between| sessions.expected(&between));
+    let lines = Parameter::ALL.map(|p| sessions.line(p, expected[Group::of(p) as usize]));
+    let best = Parameter::ALL.map(|p| sessions.line(p, found[Group::of(p) as usize].variance));
+
+    let mut theta = terms::theta_of(&estimates[0].model);
+    let mut slope_sd = TermDeviations::default();
+    for parameter in estimates[0].fitted.iter() {
+        let i = parameter.index();
+        theta[i] = best[i].level;
+        if let Some(slot) = slope_of(parameter) {
+            let unit = if i < 3 { 1.0 } else { best[i].level };
+            theta[slot.index()] = best[i].slope / unit;
+            slope_sd.set(slot, libm::sqrt(lines[i].slope_variance) / unit);
+        }
+    }
+    let model = model(&theta, &sessions).map_err(CombineRefusal::Model)?;
+    let mut covariance = sessions.covariance(&lines);
+    for parameter in estimates[0].fitted.iter() {
+        let between = expected[Group::of(parameter) as usize];
+        covariance.add(parameter, parameter, between);
+    }
+    covariance.add_gravity(&theta, gravity);
+    Ok(Combined {
+        model,
+        fitted: estimates[0].fitted,
+        covariance,
+        within_sd: Group::ALL.map(|group| sessions.within_sd(group)),
+        between_sd: found.map(|between| libm::sqrt(between.variance)),
+        dof: found.map(|between| between.dof),
+        slope_sd,
+        temperature: sessions.temperature(),
+        worst: departure(estimates),
+    })
+}
+
+fn check(estimates: &[Estimate]) -> Result<(), CombineRefusal> {
+    let first = match estimates {
+        [first, _, ..] => first,
+        _ => {
+            return Err(CombineRefusal::TooFew {
+                have: estimates.len(),
+            });
+        }
+    };
+    for (session, estimate) in estimates.iter().enumerate() {
+        let allowed = [Terms::NONE, Terms::NONE.with(Term::Drift)];
+        let sound = |p: Parameter| estimate.covariance.sd(p).is_finite();
+        if estimate.fitted != first.fitted
+            || discriminant(&estimate.method) != discriminant(&first.method)
+        {
+            return Err(CombineRefusal::Different { session });
+        } else if !allowed.contains(&estimate.terms) {
+            return Err(CombineRefusal::Terms { session });
+        } else if estimate.gravity.sd_mps2() > 0.0 || estimate.gravity != first.gravity {
+            return Err(CombineRefusal::Gravity { session });
+        } else if !Parameter::ALL.into_iter().all(sound) {
+            return Err(CombineRefusal::NotFinite { session });
+        }
+    }
+    Ok(())
+}
+
+fn model(theta: &terms::Theta<f64>, sessions: &Sessions<'_>) -> Result<ErrorModel, ModelError> {
+    ErrorModel::new(ErrorTerms {
+        bias_mps2: terms::bias(theta),
+        matrix: terms::matrix(theta),
+        temperature: match sessions.slopes {
+            false => TemperatureTerms::default(),
+            true => TemperatureTerms {
+                reference_c: sessions.reference_c,
+                bias_mps2_per_k: terms::triple(theta, 15),
+                bias_mps2_per_k2: [0.0; 3],
+                scale_per_k: terms::triple(theta, 18),
+            },
+        },
+        nonlinearity: [0.0; 3],
+    })
+}
+
+/// The session whose difference to the prediction by the others is the largest share of its limit.
+fn departure(estimates: &[Estimate]) -> Option<Departure> {
+    let mut worst: Option<Departure> = None;
+    let fitted = estimates.first()?.fitted;
+    let tests = (estimates.len() * fitted.iter().count()) as f64;
+    if estimates.len() < 3 {
+        return None;
+    }
+    for (session, estimate) in estimates.iter().enumerate() {
+        let others = Sessions::new(estimates, Some(session));
+        let found = Group::ALL.map(|group| others.between(group));
+        let theta = terms::theta_of(&estimate.model);
+        let dt = others.kelvin(estimate);
+        for parameter in fitted.iter() {
+            let between = found[Group::of(parameter) as usize];
+            let line = others.line(parameter, between.variance);
+            let own = estimate.covariance.get(parameter, parameter) + between.variance;
+            let sd = libm::sqrt(line.variance(dt) + own.max(LEAST_SD * LEAST_SD));
+            let off = theta[parameter.index()] - line.level - line.slope * dt;
+            let departs = Departure {
+                session,
+                parameter,
+                sigmas: libm::fabs(off) / sd,
+                limit: student::two_sided(FALSE_ALARM / tests, between.dof),
+            };
+            let share = |d: &Departure| d.sigmas / d.limit;
+            if between.dof >= 1.0
+                && worst
+                    .as_ref()
+                    .is_none_or(|before| share(&departs) > share(before))
+            {
+                worst = Some(departs);
+            }
+        }
+    }
+    worst
+}

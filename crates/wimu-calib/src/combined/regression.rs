@@ -1,0 +1,317 @@
+//! Regression of the parameters of several sessions on temperature.
+
+use wimu_model::CalibratedTemperature;
+
+use super::Group;
+use crate::terms::Slot;
+use crate::{Covariance, Estimate, Parameter, Parameters};
+
+/// Sessions from which on temperature coefficients are estimated.
+const SESSIONS_FOR_SLOPES: usize = 3;
+/// Smallest standard deviation of a parameter within a session, its unit: noiseless data.
+pub(super) const LEAST_SD: f64 = 1e-8;
+
+/// The temperature coefficient of a bias or scale factor.
+pub(super) fn slope_of(parameter: Parameter) -> Option<Slot> {
+    let pairs = Parameter::BIAS.into_iter().chain(Parameter::SCALE);
+    let mut pairs = pairs.zip(Slot::ALL.into_iter().skip(15));
+    pairs.find(|(of, _)| *of == parameter).map(|pair| pair.1)
+}
+
+/// Sessions, perhaps without one of them.
+pub(super) struct Sessions<'a> {
+    all: &'a [Estimate],
+    skipped: Option<usize>,
+    /// Whether temperature coefficients are estimated.
+    pub slopes: bool,
+    /// Mean temperature, °C.
+    pub reference_c: f64,
+}
+
+/// Variance between sessions.
+#[derive(Clone, Copy)]
+pub(super) struct Between {
+    group: Group,
+    pub variance: f64,
+    pub dof: f64,
+    /// [`Line::shrinkage`] of each parameter.
+    shrinkage: [f64; Parameter::COUNT],
+}
+
+/// One parameter as a function of temperature.
+#[derive(Clone, Copy)]
+pub(super) struct Line {
+    /// At the reference temperature, and its change per K.
+    pub level: f64,
+    pub slope: f64,
+    pub slope_variance: f64,
+    /// Sum of the weights, and the weighted mean temperature from the reference, K.
+    weight: f64,
+    mean_k: f64,
+    /// Variance between sessions.
+    between: f64,
+    /// Precision of the slope's prior; infinite if it is 0.
+    prior: f64,
+    /// Fraction by which the prior reduces the slope, 0..=1.
+    shrinkage: f64,
+    /// Weighted sum of squared residuals, and its expectation.
+    residual: f64,
+    dof: f64,
+}
+
+impl Line {
+    /// Variance at a temperature.
+    pub fn variance(&self, dt: f64) -> f64 {
+        let from_mean = dt - self.mean_k;
+        1.0 / self.weight + from_mean * from_mean * self.slope_variance
+    }
+}
+
+impl<'a> Sessions<'a> {
+    pub fn new(all: &'a [Estimate], skipped: Option<usize>) -> Self {
+        let known = all.iter().all(|session| session.temperature_c.is_some());
+        let mut sessions = Self {
+            all,
+            skipped,
+            slopes: known && all.len() >= SESSIONS_FOR_SLOPES,
+            reference_c: 0.0,
+        };
+        let sum: f64 = sessions.iter().filter_map(|s| s.temperature_c).sum();
+        sessions.reference_c = sum / sessions.iter().count() as f64;
+        sessions
+    }
+
+    fn iter(&self) -> impl Iterator<Item = &'a Estimate> {
+        let skipped = self.skipped;
+        let all = self.all.iter().enumerate();
+        all.filter(move |(k, _)| Some(*k) != skipped)
+            .map(|pair| pair.1)
+    }
+
+    /// Temperature of a session from the reference, K; 0 if no coefficients are estimated.
+    pub fn kelvin(&self, session: &Estimate) -> f64 {
+        match session.temperature_c {
+            Some(celsius) if self.slopes => celsius - self.reference_c,
+            _ => 0.0,
+        }
+    }
+
+    /// Value of a parameter in each session, its variance there and the temperature from the
+    /// reference.
+    fn values(&self, parameter: Parameter) -> impl Iterator<Item = (f64, f64, f64)> {
+        self.iter().map(move |session| {
+            let terms = session.model.terms();
+            let value = match parameter.index() {
+                axis @ 0..3 => terms.bias_mps2[axis],
+                place => terms.matrix[(place - 3) / 3][(place - 3) % 3],
+            };
+            let variance = session.covariance.get(parameter, parameter);
+            let variance = variance.max(LEAST_SD * LEAST_SD);
+            (value, variance, self.kelvin(session))
+        })
+    }
+
+    /// Regression on temperature with the variance `between` sessions and the slope's prior.
+    /// Equation (152).
+    pub fn line(&self, parameter: Parameter, between: f64) -> Line {
+        self.line_with(parameter, between, None)
+    }
+
+    /// The same with a given shrinkage of the slope instead of its prior.
+    fn line_with(&self, parameter: Parameter, between: f64, shrinkage: Option<f64>) -> Line {
+        let prior_sd = slope_of(parameter).filter(|_| self.slopes);
+        let prior_sd = prior_sd.and_then(Slot::usual_sd);
+        let mut prior = prior_sd.map_or(f64::INFINITY, |sd| 1.0 / (sd * sd));
+        let (mut count, mut weight, mut mean, mut mean_k) = (0.0, 0.0, 0.0, 0.0);
+        for (value, variance, dt) in self.values(parameter) {
+            let w = 1.0 / (variance + between);
+            count += 1.0;
+            weight += w;
+            mean += w * value;
+            mean_k += w * dt;
+        }
+        (mean, mean_k) = (mean / weight, mean_k / weight);
+        let (mut square, mut product) = (0.0, 0.0);
+        for (value, variance, dt) in self.values(parameter) {
+            let w = 1.0 / (variance + between);
+            square += w * (dt - mean_k) * (dt - mean_k);
+            product += w * (dt - mean_k) * value;
+        }
+        if let Some(fraction) = shrinkage.filter(|_| prior.is_finite()) {
+            prior = square * fraction / (1.0 - fraction).max(f64::MIN_POSITIVE);
+        }
+        let slope_variance = 1.0 / (square + prior);
+        let slope = product * slope_variance;
+        let mut residual = 0.0;
+        for (value, variance, dt) in self.values(parameter) {
+            let off = value - mean - slope * (dt - mean_k);
+            residual += off * off / (variance + between);
+        }
+        let shrinkage = match prior.is_finite() {
+            true => prior * slope_variance,
+            false => 1.0,
+        };
+        Line {
+            level: mean - slope * mean_k,
+            slope,
+            slope_variance,
+            weight,
+            mean_k,
+            between,
+            prior,
+            shrinkage,
+            residual,
+            dof: count - 2.0 + shrinkage * shrinkage,
+        }
+    }
+
+    /// The fitted parameters of a group.
+    fn of(&self, group: Group) -> impl Iterator<Item = Parameter> {
+        let fitted = self.all.first().map(|session| session.fitted);
+        let fitted = fitted.unwrap_or_default();
+        fitted.iter().filter(move |p| Group::of(*p) == group)
+    }
+
+    /// Sum of squared residuals of a group over its expectation, which falls with the variance
+    /// between sessions, and the expectation; with the shrinkages of `fixed`, if given.
+    fn ratio(&self, group: Group, between: f64, fixed: Option<&Between>) -> (f64, f64) {
+        let (mut residual, mut dof) = (0.0, 0.0);
+        for parameter in self.of(group) {
+            let shrinkage = fixed.map(|found| found.shrinkage[parameter.index()]);
+            let line = self.line_with(parameter, between, shrinkage);
+            residual += line.residual;
+            dof += line.dof;
+        }
+        (residual / dof, dof)
+    }
+
+    /// The variance between sessions at which the ratio is `target`.
+    fn variance_at(&self, group: Group, target: f64, fixed: Option<&Between>) -> f64 {
+        let above = |between: f64| self.ratio(group, between, fixed).0 > target;
+        let (mut low, mut high) = (0.0, LEAST_SD * LEAST_SD);
+        if !above(0.0) {
+            return 0.0;
+        }
+        for _ in 0..40 {
+            if !above(high) {
+                break;
+            }
+            (low, high) = (high, 4.0 * high);
+        }
+        for _ in 0..24 {
+            let middle = 0.5 * (low + high);
+            if above(middle) {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        0.5 * (low + high)
+    }
+
+    /// Paule and Mandel's estimate. Equation (153).
+    pub fn between(&self, group: Group) -> Between {
+        let variance = self.variance_at(group, 1.0, None);
+        let mut shrinkage = [1.0; Parameter::COUNT];
+        for parameter in self.of(group) {
+            shrinkage[parameter.index()] = self.line(parameter, variance).shrinkage;
+        }
+        let (_, dof) = self.ratio(group, variance, None);
+        Between {
+            group,
+            variance,
+            dof,
+            shrinkage,
+        }
+    }
+
+    /// Mean of the variance between sessions over its confidence distribution, equation (154): with
+    /// negligible variances within the sessions dof/(dof − 2) times the estimate.
+    pub fn expected(&self, found: &Between) -> f64 {
+        const NODES: usize = 32;
+        if found.dof < 1.0 {
+            return 0.0;
+        }
+        // Over χ, the root of χ², whose density is smooth at 0.
+        let end = libm::sqrt(found.dof) + 5.0;
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for k in 0..NODES {
+            let chi = end * (k as f64 + 0.5) / NODES as f64;
+            let density = libm::pow(chi, found.dof - 1.0) * libm::exp(-0.5 * chi * chi);
+            let target = chi * chi / found.dof;
+            sum += density * self.variance_at(found.group, target, Some(found));
+            weights += density;
+        }
+        sum / weights
+    }
+
+    /// Covariance of the levels. Equation (155).
+    pub fn covariance(&self, lines: &[Line; Parameter::COUNT]) -> Covariance {
+        let mut sum = Covariance::ZERO;
+        let Some(first) = self.all.first() else {
+            return sum;
+        };
+        let fitted = first.fitted;
+        for parameter in Parameters::ALL.without(fitted).iter() {
+            sum.set(
+                parameter,
+                parameter,
+                first.covariance.get(parameter, parameter),
+            );
+        }
+        for session in self.iter() {
+            let dt = self.kelvin(session);
+            let gain = |p: Parameter| {
+                let line = &lines[p.index()];
+                let own = session.covariance.get(p, p).max(LEAST_SD * LEAST_SD);
+                let slope = line.slope_variance * (dt - line.mean_k);
+                (1.0 / line.weight - line.mean_k * slope) / (own + line.between)
+            };
+            for a in fitted.iter() {
+                for b in fitted.iter() {
+                    let own = session.covariance.get(a, b);
+                    let between = if a == b {
+                        lines[a.index()].between
+                    } else {
+                        0.0
+                    };
+                    sum.add(a, b, gain(a) * gain(b) * (own + between));
+                }
+            }
+        }
+        for parameter in fitted.iter() {
+            let line = &lines[parameter.index()];
+            if line.prior.is_finite() {
+                let off = line.mean_k * line.slope_variance;
+                sum.add(parameter, parameter, off * off * line.prior);
+            }
+        }
+        sum
+    }
+
+    /// Standard deviation within a session, rms over sessions and parameters.
+    pub fn within_sd(&self, group: Group) -> f64 {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for parameter in self.of(group) {
+            for (_, variance, _) in self.values(parameter) {
+                sum += variance;
+                count += 1.0;
+            }
+        }
+        libm::sqrt(sum / f64::max(count, 1.0))
+    }
+
+    pub fn temperature(&self) -> Option<CalibratedTemperature> {
+        let (mut lowest, mut highest) = (f64::INFINITY, f64::NEG_INFINITY);
+        for session in self.iter() {
+            let mean = session.temperature_c?;
+            let [low, high] = session.temperature_range_c.unwrap_or([mean, mean]);
+            (lowest, highest) = (lowest.min(low), highest.max(high));
+        }
+        Some(CalibratedTemperature {
+            mean_c: self.reference_c as f32,
+            lowest_c: lowest as f32,
+            highest_c: highest as f32,
+        })
+    }
+}

@@ -1,0 +1,389 @@
+//! Several calibration sessions of one sensor.
+
+use serde::Serialize;
+use wimu_calib::{Combined, Estimate, Gravity, Parameter, combine};
+use wimu_link::message::parameter_id;
+use wimu_model::{
+    CalibratedTemperature, CalibrationMethod, CalibrationQuality, CentiCelsius, ErrorModel,
+    ErrorTerms, ModelCovariance, ParameterSet, QualityTerms, SpecificForceMps2, TemperatureTerms,
+    TermDeviations,
+};
+
+use super::gravity;
+use super::input::{magnitude, rms};
+use super::{
+    CalibrateOptions, CalibrationFile, CalibrationReport, MethodChoice, Session, Source, calibrate,
+};
+use crate::error::{ErrorCode, Result};
+use crate::finding::{FindingCode, Outcome, Severity};
+use crate::recording::{OutputUnit, Samples};
+
+/// Standard deviations of one kind of parameters.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Repeatability {
+    /// Of the biases, m/s².
+    pub bias_m_s2: f64,
+    /// Of the scale factors.
+    pub scale: f64,
+    /// Of the misalignments, rad.
+    pub misalignment_rad: f64,
+}
+
+impl From<[f64; 3]> for Repeatability {
+    fn from([bias_m_s2, scale, misalignment_rad]: [f64; 3]) -> Self {
+        Self {
+            bias_m_s2,
+            scale,
+            misalignment_rad,
+        }
+    }
+}
+
+/// One of several sessions.
+#[derive(Clone, Debug, Serialize)]
+pub struct SessionReport {
+    /// The data.
+    pub source: String,
+    /// Number of static poses.
+    pub poses: usize,
+    /// Mean temperature, °C.
+    pub temperature_c: Option<f64>,
+    /// |f| − g under the session's own calibration, mm/s² rms.
+    pub own_rms_mm_s2: f64,
+    /// |f| − g under the combined calibration, mm/s² rms.
+    pub rms_mm_s2: Option<f64>,
+    /// Bias minus that of the combined calibration at the session's temperature, m/s².
+    pub bias_difference_m_s2: [f64; 3],
+}
+
+/// The session that departs most from the prediction by the others.
+#[derive(Clone, Debug, Serialize)]
+pub struct DepartureReport {
+    /// Its data.
+    pub source: String,
+    /// The parameter.
+    pub parameter: String,
+    /// Departure in standard deviations.
+    pub sigmas: f64,
+    /// Limit that 0.27 % of calibrations without a fault exceed.
+    pub limit: f64,
+}
+
+/// Result of a calibration from several sessions: the JSON of `wimu calibrate A B … --json`.
+#[derive(Clone, Debug, Serialize)]
+pub struct SeveralReport {
+    /// [`SeveralReport::SCHEMA`].
+    pub schema: &'static str,
+    /// Status and findings.
+    #[serde(flatten)]
+    pub outcome: Outcome,
+    /// `multi-position` or `six-position`.
+    pub method: &'static str,
+    /// Gravity, m/s².
+    pub gravity_m_s2: f64,
+    /// Its standard deviation, m/s².
+    pub gravity_sd_m_s2: f64,
+    /// Source of gravity.
+    pub gravity_source: Source,
+    /// Nominal sensitivity of all sessions, LSB/g.
+    pub sensitivity_lsb_per_g: Option<f64>,
+    /// The sessions.
+    pub sessions: Vec<SessionReport>,
+    /// The combination; absent in a refusal.
+    #[serde(flatten)]
+    pub fit: Option<SeveralFit>,
+    /// The set for a board; `None` without a sensitivity.
+    pub parameters: Option<ParameterSet>,
+    /// Id of that set.
+    pub parameter_id: Option<String>,
+    /// The calibration file.
+    #[serde(skip)]
+    pub file: Option<CalibrationFile>,
+}
+
+/// The numbers of a combination.
+#[derive(Clone, Debug, Serialize)]
+pub struct SeveralFit {
+    /// The fitted parameters by name.
+    pub fitted: Vec<String>,
+    /// |y| − g over all poses before correction, mm/s² rms.
+    pub uncalibrated_rms_mm_s2: Option<f64>,
+    /// |f| − g over all poses, mm/s² rms.
+    pub rms_mm_s2: Option<f64>,
+    /// Standard deviations between sessions.
+    pub between_sd: Repeatability,
+    /// Standard deviations within a session.
+    pub within_sd: Repeatability,
+    /// Degrees of freedom of those between sessions: bias, scale factor, misalignment.
+    pub between_dof: [f64; 3],
+    /// The session that departs most.
+    pub departure: Option<DepartureReport>,
+    /// Temperatures of the sessions, °C.
+    pub temperature: Option<CalibratedTemperature>,
+    /// The error model.
+    pub model: ErrorTerms,
+    /// Standard deviations of the parameters of a new session, in the model's shape.
+    pub sd: ErrorTerms,
+    /// Covariance of the parameters of a new session: the bias, then A row by row.
+    pub covariance: [[f64; Parameter::COUNT]; Parameter::COUNT],
+}
+
+impl SeveralReport {
+    /// Name of the JSON object.
+    pub const SCHEMA: &'static str = "wimu.calibration-sessions/1";
+}
+
+/// Calibrates each of several sessions of one sensor, and combines them: a refused session refuses all.
+///
+/// # Errors
+/// `usage` for another method than multi-position and six-position, and for data of different units or sensors.
+pub fn calibrate_several(
+    data: &[Samples<'_>],
+    options: &CalibrateOptions,
+) -> Result<SeveralReport> {
+    check(data, options)?;
+    let (gravity, gravity_source) = gravity::gravity(options)?;
+    let mut each = options.clone();
+    (each.gravity_mps2, each.place) = (Some(gravity.mps2()), None);
+    let mut report = SeveralReport {
+        schema: SeveralReport::SCHEMA,
+        outcome: Outcome::default(),
+        method: options.method.name(),
+        gravity_m_s2: gravity.mps2(),
+        gravity_sd_m_s2: gravity.sd_mps2(),
+        gravity_source,
+        sensitivity_lsb_per_g: None,
+        sessions: Vec::new(),
+        fit: None,
+        parameters: None,
+        parameter_id: None,
+        file: None,
+    };
+    let mut singles: Vec<CalibrationReport> = Vec::new();
+    for samples in data {
+        let single = calibrate(samples, &each)?;
+        if let Some(reason) = &single.outcome.reason {
+            report.outcome.refuse(format!("{}: {reason}", samples.name));
+            return Ok(report);
+        }
+        let means = |report: &CalibrationReport| -> Vec<[f64; 3]> {
+            report.static_poses.iter().map(|p| p.mean_m_s2).collect()
+        };
+        let same = |before: &&CalibrationReport| {
+            !before.static_poses.is_empty() && means(before) == means(&single)
+        };
+        if let Some(before) = singles.iter().find(same) {
+            let text = format!("{} and {} hold the same data", before.source, samples.name);
+            report.outcome.refuse(text + ": give each session once");
+            return Ok(report);
+        }
+        each.sensitivity_lsb_per_g = single.sensitivity_lsb_per_g;
+        singles.push(single);
+    }
+    let estimates: Vec<Estimate> = singles.iter().filter_map(|s| s.estimate.clone()).collect();
+    match combine(&estimates, gravity) {
+        Ok(found) => report.complete(&found, &singles, &estimates, options, gravity),
+        Err(refusal) => {
+            let names: Vec<&str> = data.iter().map(|samples| samples.name).collect();
+            let text = format!("{refusal} (sessions from 0: {})", names.join(", "));
+            report.outcome.refuse(text);
+        }
+    }
+    Ok(report)
+}
+
+fn check(data: &[Samples<'_>], options: &CalibrateOptions) -> Result<()> {
+    let usage = |message: String, remedy: &str| Err(ErrorCode::Usage.error(message, remedy));
+    if !matches!(
+        options.method,
+        MethodChoice::MultiPosition | MethodChoice::SixPosition
+    ) {
+        let message = format!("--method {} takes one session", options.method.name());
+        return usage(
+            message,
+            "use multi-position or six-position, or give one file",
+        );
+    }
+    let counts = |samples: &Samples<'_>| matches!(samples.unit, OutputUnit::Counts { .. });
+    for (before, after) in data.iter().zip(data.iter().skip(1)) {
+        let names = format!("{} and {}", before.name, after.name);
+        if counts(before) != counts(after) {
+            let message = format!("{names} differ in their unit");
+            return usage(message, "give sessions that are all in counts, or none");
+        }
+        if let (Some(one), Some(other)) = (before.sensor, after.sensor)
+            && one != other
+        {
+            return usage(
+                format!("{names} are of different sensors"),
+                "give sessions of one sensor",
+            );
+        }
+    }
+    Ok(())
+}
+
+/// |f| − g over the poses of sessions, corrected by `model` at their temperatures, mm/s² rms.
+fn residual_mm_s2(model: &ErrorModel, of: &[CalibrationReport], gravity: Gravity) -> Option<f64> {
+    let poses = of.iter().flat_map(|report| &report.static_poses);
+    let residual = poses.map(|pose| {
+        let at = pose.temperature_c.map(CentiCelsius::from_celsius);
+        let force = model.correct(SpecificForceMps2(pose.mean_m_s2), at);
+        magnitude(force.0) - gravity.mps2()
+    });
+    rms(residual).map(|rms| rms * 1e3)
+}
+
+impl SeveralReport {
+    fn complete(
+        &mut self,
+        found: &Combined,
+        singles: &[CalibrationReport],
+        estimates: &[Estimate],
+        options: &CalibrateOptions,
+        gravity: Gravity,
+    ) {
+        let terms = *found.model.terms();
+        for (single, estimate) in singles.iter().zip(estimates) {
+            let dt = match (estimate.temperature_c, found.temperature) {
+                (Some(celsius), Some(_)) => celsius - terms.temperature.reference_c,
+                _ => 0.0,
+            };
+            let own = estimate.model.terms().bias_mps2;
+            let slope = terms.temperature.bias_mps2_per_k;
+            self.sessions.push(SessionReport {
+                source: single.source.clone(),
+                poses: single.poses,
+                temperature_c: estimate.temperature_c,
+                own_rms_mm_s2: estimate.rms_mps2 * 1e3,
+                rms_mm_s2: residual_mm_s2(&found.model, std::slice::from_ref(single), gravity),
+                bias_difference_m_s2: [0, 1, 2]
+                    .map(|axis| own[axis] - terms.bias_mps2[axis] - slope[axis] * dt),
+            });
+        }
+        let departure = found.worst.map(|worst| DepartureReport {
+            source: singles[worst.session].source.clone(),
+            parameter: worst.parameter.to_string(),
+            sigmas: worst.sigmas,
+            limit: worst.limit,
+        });
+        let rms_mm_s2 = residual_mm_s2(&found.model, singles, gravity);
+        let sd = Parameter::ALL.map(|parameter| found.covariance.sd(parameter));
+        let fit = SeveralFit {
+            fitted: found.fitted.iter().map(|p| p.to_string()).collect(),
+            uncalibrated_rms_mm_s2: residual_mm_s2(&ErrorModel::default(), singles, gravity),
+            rms_mm_s2,
+            between_sd: found.between_sd.into(),
+            within_sd: found.within_sd.into(),
+            between_dof: found.dof,
+            departure,
+            temperature: found.temperature,
+            model: terms,
+            sd: ErrorTerms {
+                bias_mps2: [sd[0], sd[1], sd[2]],
+                matrix: [0, 1, 2].map(|row| [0, 1, 2].map(|column| sd[3 + 3 * row + column])),
+                temperature: TemperatureTerms {
+                    reference_c: 0.0,
+                    bias_mps2_per_k: found.slope_sd.bias_mps2_per_k,
+                    bias_mps2_per_k2: [0.0; 3],
+                    scale_per_k: found.slope_sd.scale_per_k,
+                },
+                nonlinearity: [0.0; 3],
+            },
+            covariance: *found.covariance.matrix(),
+        };
+        self.find(&fit, found, singles);
+        self.fit = Some(fit);
+        self.sensitivity_lsb_per_g = singles[0].sensitivity_lsb_per_g;
+        let quality = quality(found, estimates, options, rms_mm_s2);
+        self.parameters = singles[0].parameters.map(|set| ParameterSet {
+            model: found.model,
+            quality,
+            ..set
+        });
+        self.parameter_id = (self.parameters.as_ref()).map(|set| parameter_id(set).to_string());
+        let sessions: Vec<Session> = singles
+            .iter()
+            .zip(estimates)
+            .map(|(single, estimate)| Session {
+                utc_s: options.utc_s,
+                file: Some(single.source.clone()),
+                poses: u32::try_from(estimate.poses).unwrap_or(u32::MAX),
+            })
+            .collect();
+        self.file = (singles[0].file.clone())
+            .map(|file| file.with_sessions(&found.model, quality.as_ref(), sessions));
+    }
+
+    /// Warnings of the sessions, and what their combination shows.
+    fn find(&mut self, fit: &SeveralFit, found: &Combined, singles: &[CalibrationReport]) {
+        let findings = &mut self.outcome.findings;
+        for (k, single) in singles.iter().enumerate() {
+            for finding in &single.outcome.findings {
+                if finding.severity > Severity::Note {
+                    let mut finding = finding.clone();
+                    finding.evidence = format!("{}: {}", single.source, finding.evidence);
+                    findings.push(finding);
+                } else if k == 0 {
+                    findings.push(finding.clone());
+                }
+            }
+        }
+        if let Some(departs) = (fit.departure.iter()).find(|worst| worst.sigmas > worst.limit) {
+            let text = format!(
+                "{} departs from the other sessions by {:.1} standard deviations in {} (limit {:.1})",
+                departs.source, departs.sigmas, departs.parameter, departs.limit
+            );
+            let finding = FindingCode::Residuals.warning(text);
+            findings.push(finding.remedy("repeat it, or leave it out"));
+        }
+        if fit.temperature.is_none() && singles.len() > 2 {
+            let text = "not all sessions have temperatures: no temperature coefficients";
+            findings.push(FindingCode::Temperature.note(text));
+        }
+        let (model, source) = (found.model.terms(), self.gravity_source);
+        let gravity = [self.gravity_m_s2, self.gravity_sd_m_s2];
+        let of_gravity = gravity::finding(model, &found.covariance, found.fitted, gravity, source);
+        findings.extend(of_gravity);
+    }
+}
+
+/// Quality record of a combination.
+fn quality(
+    found: &Combined,
+    estimates: &[Estimate],
+    options: &CalibrateOptions,
+    rms_mm_s2: Option<f64>,
+) -> Option<CalibrationQuality> {
+    let total = |of: fn(&Estimate) -> usize| {
+        let sum: usize = estimates.iter().map(of).sum();
+        u32::try_from(sum).unwrap_or(u32::MAX)
+    };
+    let condition = estimates.iter().map(|e| e.condition).fold(1.0, f64::max);
+    let slopes = found.slope_sd;
+    CalibrationQuality::new(QualityTerms {
+        method: match options.method {
+            MethodChoice::SixPosition => CalibrationMethod::SixPosition,
+            _ => CalibrationMethod::MultiPosition,
+        },
+        utc_s: options.utc_s,
+        temperature: found.temperature,
+        poses: total(|estimate| estimate.poses),
+        dof: total(|estimate| estimate.dof),
+        rms_mps2: (rms_mm_s2.unwrap_or_default() * 1e-3) as f32,
+        loo_rms_mps2: None,
+        condition: Some(condition as f32),
+        covariance: ModelCovariance::from_matrix(found.covariance.matrix()).ok()?,
+        other_sd: TermDeviations {
+            bias_mps2_per_k: slopes.bias_mps2_per_k.map(|sd| sd as f32),
+            scale_per_k: slopes.scale_per_k.map(|sd| sd as f32),
+            ..TermDeviations::default()
+        },
+    })
+    .ok()
+}
+
+mod text;
+
+#[cfg(test)]
+mod tests;

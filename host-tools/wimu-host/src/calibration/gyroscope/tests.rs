@@ -127,6 +127,7 @@ fn the_short_walk_of_x_io_closes_no_worse_after_calibration() {
         estimate.turns
     );
     let stored = StoredModel {
+        of_sessions: false,
         model: ErrorModel::default(),
         sensitivity_lsb_per_g: None,
         of_counts: false,

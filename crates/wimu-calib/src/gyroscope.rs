@@ -55,8 +55,8 @@ const CHANCE: f64 = 0.5;
 /// Most passes, and the relative change at which the fit has converged.
 const PASSES: usize = 20;
 const SETTLED: f64 = 0.02;
-/// An outlier is larger than this, rad (1°), and than so many times the rms of the other turns; at most
-/// one turn of so many is left out.
+/// An outlier is larger than this, rad (1°), and than this multiple of the rms of the other turns; at most one
+/// turn of this number is left out.
 const OUTLIER: (f64, f64, usize) = (0.017, 5.0, 5);
 /// Largest error of the predicted directions, rad rms (3°).
 const LARGEST_RAD: f64 = 0.052;

@@ -69,7 +69,7 @@ impl Default for ArrayPrior {
     }
 }
 
-/// Number of f64 that [`fit_array`] works in, for an array of so many axes, `group` of them a sensor.
+/// Number of f64 that [`fit_array`] works in, for an array of `axes` axes, `group` of them a sensor.
 pub const fn workspace_len(axes: usize, group: usize) -> usize {
     let sensors = match group {
         0 => axes,

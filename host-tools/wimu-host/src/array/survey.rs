@@ -12,7 +12,8 @@ const ANY_DELAY_S: f64 = 0.1;
 const ANY_SIZE: f64 = 0.3;
 /// Longest delay that is corrected, s: as long as a swing of a hand-held body turns one way.
 const LONGEST_S: f64 = 0.1;
-/// A delay or size differs from the given one from so many posterior and prior deviations on; a size by this fraction.
+/// Multiples of the posterior and prior deviations from which on a delay or size differs from the given one; a size by
+/// this fraction too.
 const DELAY_SD: f64 = 5.0;
 const SIZE_SD: f64 = 3.0;
 const PRIOR_SD: f64 = 3.0;
@@ -54,7 +55,7 @@ pub(crate) fn repaired(
     for sensor in used(calibration, recording) {
         let (delay, sd) = (found.delays_s[sensor].0 - median, found.delays_s[sensor].1);
         if delay.abs() > LONGEST_S {
-            // Something else than a delay: the agreement of the sensors says it.
+            // Not a delay: the agreement of the sensors is tested later.
             return Ok(None);
         }
         if delay.abs() > (DELAY_SD * sd).max(PRIOR_SD * calibration.delay_sd_s) && delays.len() > 2

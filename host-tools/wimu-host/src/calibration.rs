@@ -287,8 +287,7 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
     let mut fitted = found.poses.clone();
     let saturated = found.saturated.map(|axis| Refusal::Saturated { axis });
     let implausible = wrong_unit(data, &found, gravity).or(saturated);
-    let mut outcome = match implausible.or_else(|| sensitivity::refusal(&found, gravity, data.unit))
-    {
+    let mut outcome = match implausible.or_else(|| sensitivity::refusal(&found, gravity, scale)) {
         Some(refusal) => Err(refusal),
         None => fit(&fitted),
     };

@@ -118,12 +118,12 @@ fn the_noise_is_not_taken_across_a_pause() {
     assert!((moved["rate_hz"].as_f64().unwrap() - 100.0).abs() < 1e-6);
 }
 
-/// Means of poses of a sensor without errors, by `per_g` counts.
+/// Means of poses of a sensor with a bias of 1 mg, by `per_g` counts.
 fn counts(per_g: f64) -> String {
     let mut text =
         String::from("Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)");
     for up in spread(24) {
-        let [x, y, z] = up.map(|u| u * per_g);
+        let [x, y, z] = up.map(|u| (u + 0.001) * per_g);
         write!(text, "\n{x:.2},{y:.2},{z:.2}").unwrap();
     }
     text

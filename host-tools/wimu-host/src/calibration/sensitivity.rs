@@ -4,7 +4,6 @@ use wimu_calib::{Datasheet, Estimate, Gravity, Parameter, Refusal, UnitHint};
 
 use super::input::{Poses, magnitude, median, rms, same_orientation};
 use crate::finding::{Finding, FindingCode};
-use crate::recording::OutputUnit;
 
 /// Departure of a scale factor from 1 that is reported: three times the tolerance of usual datasheets, 3 %.
 const UNUSUAL: f64 = 0.1;
@@ -18,8 +17,9 @@ const ROUNDING: f64 = 5e-5;
 /// Fewest orientations for that test.
 const MIN_ORIENTATIONS: usize = 6;
 
-/// A magnitude at rest that a wrong sensitivity explains, or one that is the same in every pose.
-pub(super) fn refusal(found: &Poses, gravity: Gravity, unit: OutputUnit) -> Option<Refusal> {
+/// A magnitude at rest that a wrong sensitivity explains, or one that is the same in every pose; `mps2_per_unit` is that of a
+/// unit of the data.
+pub(super) fn refusal(found: &Poses, gravity: Gravity, mps2_per_unit: f64) -> Option<Refusal> {
     let sizes = || found.poses.iter().map(|pose| magnitude(pose.mean_mps2));
     let mean_mps2 = median(sizes())?;
     let refused = |hint| Some(Refusal::UnexpectedMagnitude { mean_mps2, hint });
@@ -39,8 +39,11 @@ pub(super) fn refusal(found: &Poses, gravity: Gravity, unit: OutputUnit) -> Opti
         }
     }
     let alike = sizes().all(|size| (size / mean_mps2 - 1.0).abs() < ROUNDING);
-    // Counts are not normalised.
-    if alike && unit == OutputUnit::Mps2 && apart.len() >= MIN_ORIENTATIONS {
+    // Coarse counts of an accurate sensor are equal too, but whole numbers.
+    let counts = |value: &f64| value / mps2_per_unit;
+    let is_whole = |value: &f64| (counts(value) - counts(value).round()).abs() < 1e-6;
+    let mut values = found.poses.iter().flat_map(|pose| &pose.mean_mps2);
+    if alike && !values.all(is_whole) && apart.len() >= MIN_ORIENTATIONS {
         return refused(UnitHint::Normalised);
     }
     None

@@ -7,21 +7,25 @@ use wimu_model::STANDARD_GRAVITY_MPS2 as G;
 use super::input::{magnitude, same_orientation};
 use crate::finding::{Finding, FindingCode};
 
-/// Probability of a finding in a session without a change, for drifts and for steps.
-const FALSE_ALARM: f64 = 0.003;
+/// Probability of a finding in a session without a change, for drifts: a cold start is more frequent than a step.
+const FALSE_ALARM_DRIFT: f64 = 0.006;
+/// The same for steps.
+const FALSE_ALARM_STEP: f64 = 0.002;
 /// Fewest poses before and after a step.
 const MIN_SIDE: usize = 3;
 /// Largest number of times at which a step is tested.
 const MAX_TIMES: usize = 100;
-/// Time constants of a drift, fractions of the session; the last one is linear.
-const TIME_CONSTANTS: [f64; 4] = [0.1, 0.2, 0.4, f64::INFINITY];
+/// Time constants of a drift, fractions of the session: of a warm-up, and linear.
+const TIME_CONSTANTS: [f64; 2] = [0.3, f64::INFINITY];
+/// Smallest residual that is tested, m/s²: of data without noise, the rounding is not a drift.
+const FLOOR_MPS2: f64 = 1e-4;
 /// A column with a smaller fraction independent of the others is not tested: of an exponential beside a line 0.01 is.
 const MIN_INDEPENDENT: f64 = 0.001;
 
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
-    /// Of the bias of one axis, or of all; with its time constant.
-    Drift(Option<usize>, f64),
+    /// Of the bias.
+    Drift,
     /// Of the bias, or with the scale factor and misalignments, of an axis.
     Bias(usize),
     /// Of the scale factor of an axis.
@@ -80,7 +84,7 @@ pub(super) fn finding(
     }
     let ends = [change.after.saturating_sub(1), change.after].map(|k| rows.poses[k]);
     let ends = match change.kind {
-        Kind::Drift(..) => [rows.poses[0], *rows.poses.last()?],
+        Kind::Drift => [rows.poses[0], *rows.poses.last()?],
         _ => ends,
     };
     let [from_s, to_s] = ends.map(|k| since_start_s(&poses[k]));
@@ -91,16 +95,15 @@ fn described(change: &Change, drift_fitted: bool) -> Finding {
     let name = |axis: usize| ["X", "Y", "Z"][axis];
     let (mm, percent) = (change.size * 1e3, change.size * 1e2);
     let what = match change.kind {
-        Kind::Drift(..) if drift_fitted => {
+        Kind::Drift if drift_fitted => {
             let text = "the bias drift was not linear, as during warm-up: the error of the bias at the end exceeds its \
                         interval";
             return FindingCode::Drift.warning(text).remedy(
                 "record again when the sensor is warm, or with its temperature and --model auto+temperature",
             );
         }
-        Kind::Drift(axis, _) => {
-            let of = axis.map_or(String::new(), |axis| format!(" of {}", name(axis)));
-            let text = format!("the bias{of} drifted by {:.0} mm/s²", mm.abs());
+        Kind::Drift => {
+            let text = format!("the bias drifted by {:.0} mm/s²", mm.abs());
             let remedy = "use --model 9+drift, or record again when the sensor is warm";
             return FindingCode::Drift.warning(text).remedy(remedy);
         }
@@ -204,8 +207,7 @@ impl Rows {
         let count = self.poses.len();
         let (first_s, last_s) = (self.time_s[0], self.time_s[count - 1]);
         let mut found: Vec<Option<Change>> = Vec::new();
-        let axes = [None, Some(0), Some(1), Some(2)];
-        let drifts = axes.len() * TIME_CONSTANTS.len();
+        let alone = FALSE_ALARM_DRIFT / TIME_CONSTANTS.len() as f64;
         for time_constant in TIME_CONSTANTS {
             let shape = |row: usize| {
                 let progress = (self.time_s[row] - first_s) / (last_s - first_s);
@@ -214,18 +216,14 @@ impl Rows {
                     false => progress,
                 }
             };
-            for axis in axes {
-                let columns = axis.map_or(vec![0, 1, 2], |axis| vec![axis]);
-                let column = |row: usize, c: usize| self.up[row][columns[c]] * shape(row);
-                let kind = Kind::Drift(axis, time_constant);
-                found.push(self.tested(kind, 0, columns.len(), column, drifts));
-            }
+            let column = |row: usize, axis: usize| self.up[row][axis] * shape(row);
+            found.push(self.tested(Kind::Drift, 0, 3, column, alone));
         }
         let last = count.checked_sub(MIN_SIDE)?;
         let times: Vec<usize> = (MIN_SIDE..=last)
             .step_by(count.div_ceil(MAX_TIMES))
             .collect();
-        let steps = 9 * times.len();
+        let alone = FALSE_ALARM_STEP / (9 * times.len()) as f64;
         for after in times {
             let late = |row: usize| f64::from(u8::from(row >= after));
             for axis in 0..3 {
@@ -238,23 +236,23 @@ impl Rows {
                     0 => bias(row, 0),
                     c => G * up(row, (axis + c) % 3),
                 };
-                found.push(self.tested(Kind::Bias(axis), after, 1, bias, steps));
-                found.push(self.tested(Kind::Gain(axis), after, 1, gain, steps));
-                found.push(self.tested(Kind::Bias(axis), after, 3, sign, steps));
+                found.push(self.tested(Kind::Bias(axis), after, 1, bias, alone));
+                found.push(self.tested(Kind::Gain(axis), after, 1, gain, alone));
+                found.push(self.tested(Kind::Bias(axis), after, 3, sign, alone));
             }
         }
         (found.into_iter().flatten()).min_by(|a, b| a.score.total_cmp(&b.score))
     }
 
-    /// The change whose derivatives are `column(row, k)`, if it is significant among `tests` such hypotheses: Fisher's
-    /// variance ratio.
+    /// The change whose derivatives are `column(row, k)`, if Fisher's variance ratio has a probability below
+    /// `false_alarm` without it.
     fn tested(
         &self,
         kind: Kind,
         after: usize,
         columns: usize,
         column: impl Fn(usize, usize) -> f64,
-        tests: usize,
+        false_alarm: f64,
     ) -> Option<Change> {
         let count = self.poses.len();
         let whole = DMatrix::from_fn(count, columns, |row, c| self.root[row] * column(row, c));
@@ -269,16 +267,25 @@ impl Rows {
         let right = own.tr_mul(&self.left);
         let sizes = normal.solve(&right);
         let gain = sizes.dot(&right);
-        let freedom = count.checked_sub(self.basis.ncols() + columns)? + POSE_SCATTER_DOF;
+        let freedom = count
+            .checked_sub(self.basis.ncols() + columns)
+            .filter(|f| *f > 0)?;
         let rest = (self.left.norm_squared() - gain).max(0.0);
-        let chance = fisher_tail(gain / with_prior(rest), columns, freedom);
         let located = usize::from(after > 0);
+        // The many hypotheses of a step need the scatter that sensors have. It would hide the drift of those with less.
+        let chance = match kind {
+            Kind::Drift => {
+                let floor = freedom as f64 * FLOOR_MPS2 * FLOOR_MPS2;
+                fisher_tail(gain / (rest + floor), columns, freedom)
+            }
+            _ => fisher_tail(gain / with_prior(rest), columns, freedom + POSE_SCATTER_DOF),
+        };
         let largest = |a: f64, b: &f64| if b.abs() > a.abs() { *b } else { a };
-        (chance * (tests as f64) < FALSE_ALARM).then(|| Change {
+        (chance < false_alarm).then(|| Change {
             kind,
             after,
             size: match kind {
-                Kind::Drift(..) => sizes.iter().fold(0.0, largest),
+                Kind::Drift => sizes.iter().fold(0.0, largest),
                 _ => sizes[0],
             },
             score: self.score(rest, columns + located),

@@ -571,6 +571,35 @@ fn eight_real_sensors_reach_the_floor_of_a_float64_reference() {
 }
 
 #[test]
+fn the_drift_of_real_sensors_after_a_cold_start_is_found() {
+    let Some(path) = recording("calibration/mpu9150_array_pose_means.csv") else {
+        return;
+    };
+    let options = CalibrateOptions {
+        gravity_mps2: Some(9.818),
+        ..CalibrateOptions::default()
+    };
+    let with_drift = CalibrateOptions {
+        terms: Terms::NONE.with(Term::Drift),
+        ..options.clone()
+    };
+    let drifted = |run: usize, imu: usize, options: &CalibrateOptions| {
+        let data = load(&path, Some(&format!("Run={run},IMU={imu}")), true);
+        let report = calibrate_rows(&data, true, options).unwrap();
+        let mut findings = report.outcome.findings.iter();
+        findings.any(|finding| finding.code == FindingCode::Drift)
+    };
+    let count = |runs: [usize; 2], options| {
+        let sensors = (0..16).filter(|k| drifted(runs[k / 8], k % 8, options));
+        sensors.count()
+    };
+    let (cold, warm) = (count([1, 7], &options), count([2, 8], &options));
+    println!("drift found: {cold} of 16 sensors after a cold start, {warm} of 16 when warm");
+    assert!(cold >= 8 && warm <= 4, "{cold}, {warm}");
+    assert_eq!(count([1, 7], &with_drift), 0);
+}
+
+#[test]
 fn a_navigation_grade_sensor_needs_nine_parameters() {
     let Some(path) = recording("calibration/innalabs_49_pose_means.csv") else {
         return;

@@ -320,12 +320,17 @@ impl SeveralReport {
         let findings = &mut self.outcome.findings;
         for (k, single) in singles.iter().enumerate() {
             for finding in &single.outcome.findings {
-                if finding.severity > Severity::Note {
+                let equal = |other: &CalibrationReport| {
+                    let others = &mut other.outcome.findings.iter();
+                    others.any(|f| f.code == finding.code && f.evidence == finding.evidence)
+                };
+                // What holds for all sessions is said once.
+                if singles.iter().all(equal) || finding.severity <= Severity::Note {
+                    findings.extend((k == 0).then(|| finding.clone()));
+                } else {
                     let mut finding = finding.clone();
                     finding.evidence = format!("{}: {}", single.source, finding.evidence);
                     findings.push(finding);
-                } else if k == 0 {
-                    findings.push(finding.clone());
                 }
             }
         }

@@ -46,11 +46,14 @@ impl fmt::Display for SeveralReport {
         for session in &self.sessions {
             session.line(out)?;
         }
+        let gravity = match self.gravity_sd_m_s2 {
+            0.0 => self.gravity_m_s2.to_string(),
+            sd => with_sd(self.gravity_m_s2, sd),
+        };
+        let method = self.method;
         write!(
             out,
-            "{}, g = {} m/s²; ± is 1 σ of a new session",
-            self.method,
-            with_sd(self.gravity_m_s2, self.gravity_sd_m_s2),
+            "{method}, g = {gravity} m/s²; ± is 1 σ of a new session"
         )
     }
 }

@@ -19,21 +19,22 @@ const ASSUMED_NOISE_MPS2: f64 = 0.05;
 
 /// Bias of a calibrated axis in motion, m/s²: MIMU4444 rests of one run repeat within 0.015 m/s².
 pub(super) const BIAS_MPS2: f64 = 0.02;
-/// Error of scale factors and misalignments of an uncalibrated axis, at least.
+/// Least error of the scale factors and misalignments of an uncalibrated axis.
 pub(super) const LEAST_SCALE: f64 = 0.002;
-/// No sensor has scale factors and misalignments this wrong: its axes, or its model, are not those given.
+/// Largest error of scale factors and misalignments: beyond it the axes or the model are not those of the sensor.
 const MOST_SCALE: f64 = 0.05;
-/// An array is calibrated where the rests determine the entries of the matrices to this: 0.01 m/s² at 1 g.
+/// Largest standard deviation of the matrices of a calibrated array: 0.01 m/s² at 1 g.
 const CALIBRATED_SCALE: f64 = 0.001;
-/// Repeatability of a bias over the rms departure of the sensors from their mean: eight rests or more leave half of the
-/// degrees of freedom; and the least, m/s².
+/// Repeatability of a bias over the rms deviation of the sensors from their mean: eight rests or more leave half of the
+/// degrees of freedom.
 const REPEATABILITY_TIMES: f64 = 1.5;
+/// Least repeatability of a bias, m/s².
 const LEAST_REPEATABILITY_MPS2: f64 = 5e-4;
-/// A sensor whose corrected outputs depart by this from those of the others at the rests, m/s² rms, and by so many times
-/// their median, is left out.
+/// Least deviation of a faulty sensor from the others at the rests, m/s² rms.
 const FAULTY_MPS2: f64 = 0.1;
+/// Least ratio of that deviation to the median of the sensors.
 const FAULTY_TIMES: f64 = 5.0;
-/// A sensor with a stored model that departs by more than this at the rests, m/s², may have the model of another.
+/// Deviation at the rests beyond which a stored model may be that of another sensor, m/s².
 const DOUBTFUL_MPS2: f64 = 0.5;
 
 /// Fit of one sensor to the rests.

@@ -1,34 +1,38 @@
-//! Sensors that stop on the way, and limits that a table shows by itself.
+//! Faults of the sensors of an array: repeated rows, spikes, stopped outputs, and outputs at the end of their range.
 
 use super::ArrayRecording;
 use crate::plural::counted;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
-/// Samples in which an output has not moved by one bit, while most others moved in each, of one that
-/// has stopped.
+/// Shortest constant output of a stopped sensor while most others change in each sample, samples.
 const STOPPED_SAMPLES: usize = 64;
-/// Rows that repeat for longer than this, and than one recording in so many would by chance, are no measurements.
+/// Longest run of equal rows that can be measurements whatever its probability, samples.
 const FEW_SAMPLES: f64 = 3.0;
+/// Probability, per recording, of a longer run of equal rows by chance.
 const UNLIKELY: f64 = 1e-3;
-/// An output is at a limit that is found again so often, at least once in two samples on end, and more
-/// than twice as often as anything within 2 % or three steps below it.
+/// Fewest samples at the end of the range.
 const LIMIT_SAMPLES: usize = 4;
+/// Width of the band below the end of the range that is compared with it, relative to the largest output.
 const NEAR_LIMIT: f64 = 0.02;
+/// Least width of that band, steps of the output.
 const NEAR_STEPS: f64 = 3.0;
-/// No sensor's limit is lower, as a part of gravity; and those of one array are alike to this part.
+/// Lowest range of a sensor, g.
 const LEAST_LIMIT: f64 = 1.08;
+/// Least ratio of the ranges of two sensors of one array.
 const ALIKE: f64 = 0.8;
 
-/// A spike is shorter than so many samples, and so many times what the sensor's noise and the motion that the others
-/// show together are.
+/// Longest spike, samples.
 const SPIKE_SAMPLES: usize = 3;
+/// Spike threshold: deviation over the sum of the sensor's noise and the common motion.
 const SPIKE_TIMES: f64 = 10.0;
 
-/// One sensor's own limit: it is there so often, and in this share of the samples in which the median of the others
-/// is beyond by so much, m/s², which goes about by so much meanwhile.
+/// Fewest samples of one sensor at its own limit, while the others exceed it.
 const LIMIT_OF_ONE_SAMPLES: usize = 10;
+/// Least fraction at the limit of the samples in which the median of the others exceeds it.
 const LIMIT_OF_ONE_SHARE: f64 = 0.9;
+/// By which that median exceeds it, m/s².
 const BEYOND_MPS2: f64 = 0.1;
+/// Least change of that median meanwhile, m/s².
 const ABOUT_MPS2: f64 = 0.2;
 
 /// Same value but for rounding.
@@ -37,9 +41,8 @@ fn same(a: f64, b: f64) -> bool {
 }
 
 impl ArrayRecording {
-    /// Leaves out spikes, which one sensor shows and the others do not, and what sensors give after they have stopped (an output that repeats itself for long, while
-    /// the others move), and marks samples at a limit that the recording shows itself (the largest output,
-    /// repeated while hardly anything lies just below it). Both are said in the remarks.
+    /// Leaves out repeated rows, spikes of one sensor, and the constant outputs of stopped sensors. Marks samples at the
+    /// end of the range: the largest output, if it is more frequent than those just below it. Remarks report each.
     #[must_use]
     pub fn judged(mut self) -> Self {
         self.leave_out_repeated();
@@ -50,7 +53,7 @@ impl ArrayRecording {
         self
     }
 
-    /// The same of single axes, none of which measures what the others do.
+    /// The same for single axes of different directions, which cannot be compared with each other.
     pub(super) fn judged_axes(mut self) -> Self {
         self.leave_out_repeated();
         self.leave_out_stopped();

@@ -7,12 +7,13 @@ use super::motion::{refused, with_room};
 use super::{ArrayGeometry, ArrayRecording};
 use crate::{ErrorCode, HostError, Result};
 
-/// A stretch is looked at in blocks of this length, s, and at least so many samples.
+/// Length of a block, s.
 const BLOCK_S: f64 = 0.1;
+/// Fewest samples of a block.
 const BLOCK_SAMPLES: usize = 5;
-/// Blocks of the shortest rest.
+/// Shortest rest, blocks.
 const REST_BLOCKS: usize = 3;
-/// What biases may move from block to block and from rest to rest, m/s² an axis.
+/// Standard deviation of the change of a bias between blocks and between rests, m/s².
 const BLOCK_BIAS_MPS2: f64 = 0.01;
 pub(super) const REST_BIAS_MPS2: f64 = 0.015;
 /// Biases and relative errors of scale and direction of a sensor that is not calibrated yet.

@@ -386,7 +386,8 @@ impl<'a> Samples<'a> {
         }
     }
 
-    /// The samples with the rates of `rate`, at `mps2` m/s² and `rad_s` rad/s per unit; not a number where there is none.
+    /// The samples, `mps2` m/s² per unit, with the angular rate of `rate`, `rad_s` rad/s per unit; NaN where it has no
+    /// row.
     pub(crate) fn six_axis(&self, rate: &Track, mps2: f64, rad_s: f64) -> Vec<SixAxisSample> {
         let mut rates = rate.beside(self.force);
         let mut last_s = 0.0;

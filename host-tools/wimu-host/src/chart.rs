@@ -16,6 +16,8 @@ use crate::{ErrorCode, HostError, OutputFile, Result};
 const SIZE: (u32, u32) = (860, 380);
 /// Pixels of a PNG per pixel of [`SIZE`]: for print and high-resolution screens.
 const FINER: u32 = 2;
+/// Width over height of the area inside the axes.
+const ASPECT: f64 = 3.1;
 const FONT: &str = "sans-serif";
 /// Colours that can be distinguished without seeing red and green.
 const COLOURS: [RGBColor; 4] = [
@@ -90,6 +92,8 @@ pub struct Chart {
     pub y: String,
     /// Logarithmic y axis; values must be positive.
     pub log: bool,
+    /// Equal scales of both axes.
+    pub equal: bool,
     /// Range of y; `None` for that of the data.
     pub y_range: Option<(f64, f64)>,
     /// The series.
@@ -171,10 +175,17 @@ impl Chart {
             .unwrap_or_else(|| span(&mut all().map(|point| point.1)));
         let room = if self.log { 0.0 } else { 0.05 * (high - low) };
         let stretch = if self.log { 1.5 } else { 1.0 };
-        (
-            left - side..right + side,
-            low / stretch - room..high * stretch + room,
-        )
+        let x = left - side..right + side;
+        let y = low / stretch - room..high * stretch + room;
+        if !self.equal {
+            return (x, y);
+        }
+        let height = (y.end - y.start).max((x.end - x.start) / ASPECT);
+        let around = |range: Range<f64>, length: f64| {
+            let middle = 0.5 * (range.start + range.end);
+            middle - 0.5 * length..middle + 0.5 * length
+        };
+        (around(x, height * ASPECT), around(y, height))
     }
 
     fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, fine: u32) -> Result<()>
@@ -183,7 +194,7 @@ impl Chart {
     {
         let (x, y) = self.ranges();
         let drawn = have_font().and_then(|()| {
-            let range = y.clone();
+            let range = (x.clone(), y.clone());
             if self.log {
                 let y = (y.start.max(1e-9)..y.end).log_scale();
                 self.draw_on(area, fine, x, y, &range)
@@ -205,7 +216,7 @@ impl Chart {
         fine: u32,
         x: Range<f64>,
         y: Y,
-        shown: &Range<f64>,
+        (wide, shown): &(Range<f64>, Range<f64>),
     ) -> Drawn
     where
         B::ErrorType: 'static,
@@ -233,6 +244,7 @@ impl Chart {
             .configure_mesh()
             .x_desc(&self.x)
             .y_desc(&self.y)
+            .x_label_formatter(&|x| rounded(*x, (wide.end - wide.start) / 10.0))
             .y_label_formatter(&|y| if log { decade(*y) } else { rounded(*y, linear) })
             .light_line_style(WHITE)
             .bold_line_style(GRID.stroke_width(fine))
@@ -391,6 +403,7 @@ mod tests {
             x: "t (s)".to_owned(),
             y: "p (m)".to_owned(),
             log,
+            equal: false,
             y_range: None,
             series: vec![Series {
                 name: "one".to_owned(),
@@ -450,6 +463,20 @@ mod tests {
             [0.1 + 0.2, -1e-17, 12.5, 100.0].map(|v| rounded(v, 0.1)),
             ["0.3", "0", "12.5", "100"]
         );
+    }
+
+    #[test]
+    fn equal_scales_show_all_points() {
+        let long = |points| Chart {
+            equal: true,
+            ..chart(points, false)
+        };
+        for points in [vec![(0.0, 0.0), (9.0, 0.1)], vec![(0.0, 0.0), (0.1, 9.0)]] {
+            let (x, y) = long(points.clone()).ranges();
+            let ratio = (x.end - x.start) / (y.end - y.start);
+            assert!((ratio - ASPECT).abs() < 1e-9, "{ratio}");
+            assert!((points.iter()).all(|p| x.contains(&p.0) && y.contains(&p.1)));
+        }
     }
 
     #[test]

@@ -1,12 +1,16 @@
 //! The report of a calibration as a page.
 
-use super::{CalibrationReport, magnitude};
+use super::{CalibrationReport, StaticPose, magnitude};
 use crate::chart::{Chart, Series};
 use crate::error::Result;
 use crate::html::Report;
 
+/// Smallest residual on the logarithmic axis, mm/s².
+const LEAST_SHOWN_MM_S2: f64 = 1e-3;
+
 impl CalibrationReport {
-    /// The report as one HTML page: the text, |f| − g of each pose before and after, and a table of the poses.
+    /// The report as one HTML page: the text, |f| − g of each pose before and after, the poses on a sphere, and their
+    /// table.
     ///
     /// # Errors
     /// `file_failed` when a picture cannot be drawn.
@@ -14,54 +18,8 @@ impl CalibrationReport {
         let mut page = Report::new(format!("Calibration of {}", self.source));
         page.printed(&self.to_string())
             .findings(&self.outcome.findings);
-        let before =
-            |k: usize| (magnitude(self.static_poses[k].mean_m_s2) - self.gravity_m_s2) * 1e3;
-        let numbered = |value: &dyn Fn(usize) -> Option<f64>| -> Vec<(f64, f64)> {
-            (0..self.static_poses.len())
-                .filter_map(|k| Some((k as f64, value(k)?)))
-                .collect()
-        };
-        let after = numbered(&|k| self.static_poses[k].residual_mm_s2);
-        let uncorrected = numbered(&|k| Some(before(k)));
-        for (title, series) in [
-            (
-                "|f| − g before correction",
-                Series::dots("before", uncorrected),
-            ),
-            ("|f| − g after correction", Series::dots("after", after)),
-        ] {
-            if series.points.is_empty() {
-                continue;
-            }
-            page.chart(&Chart {
-                title: title.to_owned(),
-                x: "pose".to_owned(),
-                y: "mm/s²".to_owned(),
-                series: vec![series],
-                ..Chart::default()
-            })?;
-        }
-        let sky = |up: [f64; 3]| {
-            let [x, y, z] = up;
-            let size = magnitude(up);
-            (size > 0.0).then(|| (y.atan2(x).to_degrees(), (z / size).asin().to_degrees()))
-        };
-        let held = self.static_poses.iter();
-        let held: Vec<_> = held.filter_map(|pose| sky(pose.mean_m_s2)).collect();
-        let advised: Vec<_> = self.next_poses.iter().filter_map(|p| sky(p.up)).collect();
-        if !held.is_empty() {
-            let mut series = vec![Series::dots("held", held)];
-            if !advised.is_empty() {
-                series.push(Series::dots("add", advised));
-            }
-            page.chart(&Chart {
-                title: "Upward directions of the poses: they should cover the picture".to_owned(),
-                x: "azimuth about Z from X towards Y, degrees".to_owned(),
-                y: "elevation above the XY plane, degrees".to_owned(),
-                y_range: Some((-95.0, 95.0)),
-                series,
-                ..Chart::default()
-            })?;
+        if !self.static_poses.is_empty() {
+            page.chart(&self.residuals())?.chart(&self.sphere())?;
         }
         let rows: Vec<Vec<String>> = self
             .static_poses
@@ -100,5 +58,62 @@ impl CalibrationReport {
             &rows,
         );
         Ok(page)
+    }
+
+    /// |f| − g of each pose before and after correction.
+    fn residuals(&self) -> Chart {
+        let dots = |name: &str, of: &dyn Fn(&StaticPose) -> Option<f64>| {
+            let poses = self.static_poses.iter().zip(0_u32..);
+            let points = poses.filter_map(|(pose, k)| {
+                Some((f64::from(k), of(pose)?.abs().max(LEAST_SHOWN_MM_S2)))
+            });
+            Series::dots(name, points.collect())
+        };
+        let before = |pose: &StaticPose| (magnitude(pose.mean_m_s2) - self.gravity_m_s2) * 1e3;
+        Chart {
+            title: "Size of |f| − g in each pose".to_owned(),
+            x: "pose".to_owned(),
+            y: "mm/s²".to_owned(),
+            log: true,
+            series: vec![
+                dots("before correction", &|pose| Some(before(pose))),
+                dots("after correction", &|pose| pose.residual_mm_s2),
+            ],
+            ..Chart::default()
+        }
+    }
+
+    /// The upward directions of the poses on the sphere: its upper half as seen from above, and its lower half.
+    fn sphere(&self) -> Chart {
+        const APART: f64 = 1.2;
+        let seen = |up: [f64; 3]| {
+            let [x, y, z] = up.map(|axis| axis / magnitude(up));
+            (x + if z < 0.0 { APART } else { -APART }, y)
+        };
+        let circle = |middle: f64| {
+            let angles = (0..=72).map(|k| f64::from(k) * std::f64::consts::PI / 36.0);
+            angles.map(move |angle| (middle + angle.cos(), angle.sin()))
+        };
+        let outline = circle(-APART)
+            .chain([(0.0, f64::NAN)])
+            .chain(circle(APART))
+            .collect();
+        let held = self.static_poses.iter().map(|pose| seen(pose.mean_m_s2));
+        let mut series = vec![
+            Series::dots("pose held", held.collect()),
+            Series::line("left: Z up, right: Z down", outline),
+        ];
+        if !self.next_poses.is_empty() {
+            let advised = self.next_poses.iter().map(|pose| seen(pose.up));
+            series.push(Series::dots("pose to add", advised.collect()));
+        }
+        Chart {
+            title: "Upward directions of the poses on a sphere: they should cover it".to_owned(),
+            x: "X".to_owned(),
+            y: "Y".to_owned(),
+            equal: true,
+            series,
+            ..Chart::default()
+        }
     }
 }

@@ -4,8 +4,9 @@ use crate::common;
 
 use common::{cross, norm, recording, unit, vector};
 use wimu_calib::{
-    AccelerometerCalibration, Gravity, GyroscopeEstimate, GyroscopeSession, Model, MultiPosition,
-    Pose, SixAxisSample, find_poses, multi_position_with,
+    AccelerometerCalibration, Gravity, GyroscopeEstimate, GyroscopeSession, MagneticPose,
+    MagneticRefusal, Model, MultiPosition, Pose, SixAxisSample, find_poses, magnetometer,
+    multi_position_with,
 };
 use wimu_model::{GyroscopeModel, GyroscopeTerms, SpecificForceMps2};
 use wimu_testkit::figure;
@@ -212,4 +213,50 @@ fn the_orientation_of_broad_is_not_worse_after_calibration() {
         after <= before,
     );
     assert!(after <= before, "{before} {after}");
+}
+
+#[test]
+fn a_magnetometer_that_was_only_translated_is_not_calibrated() {
+    let Some(rows) = recording("motion/broad_slow_translation_A.csv") else {
+        return;
+    };
+    // Ten times a second: true attitude, and field, nT.
+    let all: Vec<([f64; 4], [f64; 3])> = (rows.iter().step_by(14))
+        .map(|row| {
+            let q = [0, 1, 2, 3].map(|i| row[13 + i].parse().unwrap_or(f64::NAN));
+            (q, vector(row, 7, 1e3))
+        })
+        .filter(|(q, _)| q[0].is_finite())
+        .collect();
+    let inverse = |q: [f64; 4]| [q[0], -q[1], -q[2], -q[3]];
+    let level = all.iter().map(|(q, [x, y, z])| {
+        let [_, e, n, _] = product(product(*q, [0.0, *x, *y, *z]), inverse(*q));
+        [e / e.hypot(n), n / e.hypot(n)]
+    });
+    let [e, n] = (level.clone()).fold([0.0; 2], |sum, v| [sum[0] + v[0], sum[1] + v[1]]);
+    let off: Vec<f64> = level
+        .map(|v| (e * v[1] - n * v[0]).atan2(e * v[0] + n * v[1]))
+        .collect();
+    let poses: Vec<MagneticPose> = (all.iter().step_by(all.len() / 100))
+        .map(|(q, output_nt)| {
+            let [_, x, y, z] = product(product(inverse(*q), [0.0, 0.0, 0.0, 1.0]), *q);
+            let (output_nt, up) = (*output_nt, [x, y, z]);
+            MagneticPose { output_nt, up }
+        })
+        .collect();
+    let refused = magnetometer(&poses, None);
+    figure(
+        "BROAD slow A: heading of the uncalibrated magnetometer about its mean, ° rms; calibration",
+        format!(
+            "{:.2}, {}",
+            rms(&off),
+            if refused.is_ok() { "made" } else { "refused" }
+        ),
+        "refused: no pose is upside down",
+        refused.is_err(),
+    );
+    assert!(
+        matches!(refused, Err(MagneticRefusal::NotObservable { .. })),
+        "{refused:?}"
+    );
 }

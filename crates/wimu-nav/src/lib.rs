@@ -4,6 +4,7 @@
 
 // One unit.
 pub mod navigator;
+pub mod stance;
 pub mod stationarity;
 
 // The error-state filter that it is made of.

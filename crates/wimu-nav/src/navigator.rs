@@ -22,7 +22,7 @@ pub enum Profile {
     /// In a hand or on a small robot: the velocity is 0 ± 2 m/s, once a second.
     #[default]
     Hand,
-    /// On a foot: a rest is the stance of a step, and is certain.
+    /// On a foot: stances of steps are given to [`Navigator::stance`].
     Foot,
     /// In a vehicle: the velocity is 0 ± 30 m/s, once a second.
     Vehicle,
@@ -68,9 +68,11 @@ impl<R: RealField> Settings<R> {
     pub fn of(profile: Profile) -> Self {
         let mut errors = ImuErrors::default();
         if profile == Profile::Foot {
-            // Shocks of up to 16 g: scale factors, clipping and bandwidth act as noise (pyshoe recordings).
-            errors.accelerometer_noise = real(0.05);
-            errors.gyroscope_noise = real(0.003);
+            // Shocks of up to 16 g: bandwidth, clipping, scale factors and delay of the gyroscope act as noise (pyshoe).
+            errors.accelerometer_noise = real(0.15);
+            errors.gyroscope_noise = real(0.005);
+            errors.gyroscope_matrix = [real(0.0), real(0.0)];
+            errors.delay_s = real(0.0);
         }
         if profile == Profile::Slide {
             // The rotation is a random walk of 0.1 deg/√s.
@@ -199,7 +201,6 @@ const START_POSITION: f64 = 1e-4;
 const REST_SPEED: f64 = 0.01;
 /// Interval of updates at rests, s: the window of the detector, so that they are independent.
 const REST_INTERVAL_S: f64 = 0.25;
-const STANCE_INTERVAL_S: f64 = 0.025;
 /// Speeds of the profiles, m/s, a component, and interval of the updates with the profile's bounds, s.
 const HAND_SPEED: f64 = 2.0;
 const VEHICLE_SPEED: f64 = 30.0;
@@ -427,6 +428,11 @@ where
         Ok(())
     }
 
+    /// Stance of a foot at the last sample, which is never tested: the velocity is 0 ± `deviation_mps` m/s, a component.
+    pub fn stance(&mut self, deviation_mps: R) {
+        self.update(&Velocity::zero(deviation_mps, None), Gate::Open);
+    }
+
     /// Time without a usable sample, s: a gap, or clipped or missing samples.
     pub fn interrupt(&mut self, step_s: R) {
         self.count(step_s);
@@ -454,12 +460,7 @@ where
         let profile = self.settings.profile;
         let at_rest = at_rest && self.settings.rests != Rests::Ignored;
         if at_rest {
-            let interval = if profile == Profile::Foot {
-                STANCE_INTERVAL_S
-            } else {
-                REST_INTERVAL_S
-            };
-            if self.since.rest >= real(interval) {
+            if self.since.rest >= real(REST_INTERVAL_S) {
                 self.update_rest();
                 self.since.rest = R::zero();
             }
@@ -493,16 +494,14 @@ where
     }
 
     /// A rest that fails the test is constant velocity, or the start of a motion. One that goes on failing is certain,
-    /// until an update passes or the unit moves, as is the stance of a foot.
+    /// until an update passes or the unit moves.
     fn update_rest(&mut self) {
         let zero = Velocity::zero(real(REST_SPEED), self.model.hidden_velocity());
-        let stance = self.settings.profile == Profile::Foot;
-        let gate = if stance { Gate::Open } else { Gate::ChiSquare };
-        let accelerates = !stance && self.model.accelerates(&self.filter);
+        let accelerates = self.model.accelerates(&self.filter);
         self.resting = !accelerates
             && self
                 .filter
-                .update_recorded(&zero, gate, &mut self.recorder)
+                .update_recorded(&zero, Gate::ChiSquare, &mut self.recorder)
                 .accepted;
         let failed = self.since.accepted;
         let drifted = self.since.known - failed >= real(DRIFT_S);
@@ -512,7 +511,7 @@ where
             CONSTANT_VELOCITY_S
         };
         if self.resting {
-            if !stance && let Some(rate) = self.model.zero_rate() {
+            if let Some(rate) = self.model.zero_rate() {
                 self.filter
                     .update_recorded(&rate, Gate::ChiSquare, &mut self.recorder);
             }

@@ -38,15 +38,16 @@ pub struct Detector<R> {
 }
 
 impl<R: RealField> Detector<R> {
-    /// The stance of a foot: deviations and window of pyshoe's published fixed threshold (B. Wagstaff, V. Peretroukhin, J.
-    /// Kelly, "Robust data-driven zero-velocity detection for foot-mounted inertial navigation", IEEE Sensors J. 20, 2020).
+    /// For [`stances`](crate::stance::stances) of a foot: 2 m/s², 10 °/s. Window and ratio of the deviations are those of
+    /// B. Wagstaff, V. Peretroukhin, J. Kelly, "Robust data-driven zero-velocity detection for foot-mounted inertial
+    /// navigation", IEEE Sensors J. 20, 2020.
     pub fn foot() -> Self {
         Self {
             window_s: real(0.025),
-            force_mps2: real(5.8),
-            force_offset_mps2: real(5.8),
-            rate_rad_s: real(0.516),
-            rate_offset_rad_s: real(0.516),
+            force_mps2: real(1.96),
+            force_offset_mps2: real(1.96),
+            rate_rad_s: real(0.1745),
+            rate_offset_rad_s: real(0.1745),
             threshold: real(1.0),
             gravity_mps2: real(crate::GRAVITY_MPS2),
         }

@@ -10,5 +10,6 @@ mod jacobians;
 mod mixture;
 mod navigator;
 mod smoother;
+mod stance;
 mod stationarity;
 mod track;

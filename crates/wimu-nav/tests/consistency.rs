@@ -9,7 +9,7 @@ use wimu_testkit::trials;
 #[test]
 fn in_each_kind_of_motion_the_truth_lies_within_the_covariance() {
     for kind in KINDS {
-        for gyroscope in [true, false] {
+        for gyroscope in kind.gyroscopes() {
             let found = Consistency::over(kind, gyroscope, trials(200) as u64);
             println!("{found}");
             // Simulated rests are exact, and the filter assumes 1 cm/s: conservative. Without a gyroscope a displacement

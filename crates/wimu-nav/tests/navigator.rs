@@ -242,8 +242,12 @@ fn a_foot_s_stance_is_never_gated_and_a_hand_s_rest_is_until_it_is_certain() {
         for _ in 0..10 {
             navigator.push(&shock, false).unwrap();
         }
+        let foot = profile == Profile::Foot;
         for _ in 0..(rest_s / 0.005) as usize {
-            navigator.push(&still(0.005), true).unwrap();
+            navigator.push(&still(0.005), !foot).unwrap();
+            if foot {
+                navigator.stance(0.01);
+            }
         }
         let velocity = Vector3::from(navigator.solution().velocity_mps);
         (velocity.norm(), navigator.recoveries())

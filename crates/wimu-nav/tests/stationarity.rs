@@ -206,32 +206,3 @@ fn single_precision_gives_the_same_statistic() {
         assert!(wide.statistic().is_some() && narrow.statistic().is_some());
     }
 }
-
-#[test]
-fn a_stance_of_a_foot_is_found_between_strides() {
-    // A stride of 1.2 m in 0.6 s, 0.6 s of stance.
-    let travel = (0..5).fold(Travel::rest(), |travel, k| {
-        travel.leg(
-            1.0 + 1.2 * f64::from(k),
-            0.6,
-            [1.2, 0.0, 0.0],
-            [0.0, 0.8, 0.0],
-        )
-    });
-    let mut detector = Stationarity::new(Detector::foot());
-    let mut random = Random::new(24);
-    let (mut stance, mut swing) = (Vec::new(), Vec::new());
-    for k in 0..1200 {
-        let t = f64::from(k) * 0.005;
-        let (force, rate) = force(&travel, t, &mut random);
-        let rest = detector.push(&force, Some(&rate), 0.005);
-        let phase = (t - 1.0).rem_euclid(1.2);
-        if t > 1.0 && phase > 0.65 && phase < 1.15 {
-            stance.push(rest);
-        } else if t > 1.0 && phase > 0.1 && phase < 0.5 {
-            swing.push(rest);
-        }
-    }
-    assert!(stance.iter().all(|rest| *rest) && stance.len() > 300);
-    assert!(swing.iter().all(|rest| !rest) && swing.len() > 300);
-}

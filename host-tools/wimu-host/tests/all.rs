@@ -8,6 +8,7 @@ mod arrays;
 mod calibration_faults;
 mod common;
 mod export_calibration;
+mod feet;
 mod formats_document;
 mod inertial;
 mod ros_topics;

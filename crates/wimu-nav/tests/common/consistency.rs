@@ -20,6 +20,12 @@ pub enum Kind {
 pub const KINDS: [Kind; 3] = [Kind::StopAndGo, Kind::Hand, Kind::Foot];
 
 impl Kind {
+    /// With a gyroscope, and without; a foot has one.
+    pub fn gyroscopes(self) -> impl Iterator<Item = bool> {
+        let foot = self == Self::Foot;
+        [true, false].into_iter().filter(move |with| *with || !foot)
+    }
+
     /// Times after the start, s, at which the error counts: in motion, and at a rest.
     fn times_s(self) -> [f64; 3] {
         match self {

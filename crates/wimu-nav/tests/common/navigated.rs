@@ -4,7 +4,7 @@ use super::Random;
 use super::travel::{Errors, Travel};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use wimu_nav::navigator::{
-    Gyroscope, Model, Navigator, NoGyroscope, Sample, Settings, Solution, Start,
+    Gyroscope, Model, Navigator, NoGyroscope, Profile, Sample, Settings, Solution, Start,
 };
 use wimu_nav::stationarity::{Detector, Stationarity};
 
@@ -140,14 +140,10 @@ fn run<M: Model<f64, N>, const N: usize>(
     let x = travel.attitude(0.0) * Vector3::x();
     navigator.set_heading(x.y.atan2(x.x));
     let origin = travel.position(0.0);
-    let settings = match how.settings.profile {
-        wimu_nav::navigator::Profile::Foot => Detector::foot(),
-        _ => Detector::default(),
-    };
     let settings = if how.gyroscope {
-        settings
+        Detector::default()
     } else {
-        settings.without_gyroscope(errors.force_noise * how.rate_hz.sqrt())
+        Detector::default().without_gyroscope(errors.force_noise * how.rate_hz.sqrt())
     };
     let mut detector = Stationarity::new(settings);
     let rests: Vec<bool> = samples
@@ -155,7 +151,7 @@ fn run<M: Model<f64, N>, const N: usize>(
         .map(|s| detector.push(&s.force_mps2, s.rate_rad_s.as_ref(), s.step_s))
         .collect();
     let mut points = Vec::new();
-    let mut missing_s = 0.0;
+    let (mut missing_s, mut walked) = (0.0, false);
     for (k, sample) in samples.iter().enumerate() {
         let t = k as f64 / how.rate_hz;
         if t > how.gap_s[0] && t < how.gap_s[1] {
@@ -170,7 +166,13 @@ fn run<M: Model<f64, N>, const N: usize>(
         } else {
             travel.at_rest(t)
         };
-        navigator.push(sample, rest).unwrap();
+        let foot = how.gyroscope && how.settings.profile == Profile::Foot;
+        // A foot stands before its first step.
+        walked |= !rest;
+        navigator.push(sample, rest && !(foot && walked)).unwrap();
+        if rest && foot {
+            navigator.stance(0.01);
+        }
         let solution = navigator.solution();
         let up = attitude(&solution) * travel.attitude(t).inverse() * Vector3::z();
         points.push(Point {

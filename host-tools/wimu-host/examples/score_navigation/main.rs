@@ -17,6 +17,7 @@ mod score;
 mod settings;
 #[cfg(test)]
 mod tests;
+mod walks;
 
 use std::path::{Path, PathBuf};
 
@@ -118,6 +119,7 @@ fn score_recordings(options: &Options, report: &mut Report) {
         output::print(&found);
         report.recordings.push(found);
     }
+    walks::print(&foot);
     for (name, pool) in [("hand and robot, pooled", hand), ("walks, pooled", foot)] {
         if recordings.len() > 1 && !pool.is_empty() {
             let found = RecordingReport::of(name, &pool);

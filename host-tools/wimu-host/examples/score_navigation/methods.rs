@@ -1,7 +1,7 @@
 //! The methods that are scored. In a window none of them takes a rest for zero velocity: that is a prior on speed.
 
 use nalgebra::{Matrix3, Vector3};
-use wimu_host::inertial::{Choice, InertialPath, navigate};
+use wimu_host::inertial::{Choice, InertialPath, Profile, navigate};
 use wimu_host::motion::UnitSample;
 use wimu_nav::navigator::{
     Gyroscope, Model, Navigator, NoGyroscope, Sample, Settings, Solution, Start,
@@ -11,6 +11,7 @@ use crate::baseline::{Filter, POSITION, VELOCITY};
 use crate::low_pass::LowPass;
 use crate::recording::{Recording, Window};
 use crate::score::{Estimate, Track, Whole, Windows};
+use crate::walks::{self, Walk};
 
 /// Score of one method.
 #[derive(Clone, Debug, Default)]
@@ -23,12 +24,15 @@ pub struct Scored {
     pub closure: Option<f64>,
     /// `None`: as those of the method before, which differs in the whole run only.
     pub windows: Option<Windows>,
+    /// Walks on a foot.
+    pub walks: Vec<Walk>,
 }
 
 impl Scored {
     /// Adds the score of another recording.
     pub fn merge(&mut self, other: &Self) {
         self.whole.merge(&other.whole);
+        self.walks.extend(other.walks.iter().cloned());
         match (&mut self.windows, &other.windows) {
             (Some(windows), Some(more)) => windows.merge(more),
             (windows @ None, Some(more)) => *windows = Some(more.clone()),
@@ -95,6 +99,7 @@ fn library(
                 name,
                 whole: Whole::of(recording, &track, &track),
                 closure: closure(recording, &track),
+                walks: walk(recording, &track),
                 windows,
                 refused: None,
             }
@@ -104,9 +109,15 @@ fn library(
             refused: Some(error.to_string()),
             whole: Whole::refused(recording),
             windows,
-            closure: None,
+            ..Scored::default()
         },
     }
+}
+
+fn walk(recording: &Recording, track: &Track) -> Vec<Walk> {
+    let on_foot = recording.settings.profile == Profile::Foot;
+    let scored = on_foot.then(|| walks::score(recording, track));
+    scored.flatten().into_iter().collect()
 }
 
 fn matrix(rows: [[f64; 3]; 3]) -> Matrix3<f64> {
@@ -230,6 +241,7 @@ fn zupt_filter(recording: &Recording, windows: &[Window]) -> Scored {
         name: ZUPT_FILTER,
         whole,
         closure: closure(recording, &track),
+        walks: walk(recording, &track),
         windows: Some(Windows::of(recording, windows, &ends)),
         refused: None,
     }

@@ -152,6 +152,7 @@ impl InertialPath {
         }
         Chart {
             title: "Plan, as far as it is valid".to_owned(),
+            equal: true,
             x: "east, m".to_owned(),
             y: "north, m".to_owned(),
             series: all,

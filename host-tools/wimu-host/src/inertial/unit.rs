@@ -4,8 +4,9 @@ use std::ops::Range;
 
 use nalgebra::Vector3;
 use wimu_nav::navigator::{
-    Gyroscope, Model, Navigator, NoGyroscope, Profile, Sample, SampleFault, Settings, Start,
+    Gyroscope, Model, Navigator, NoGyroscope, Profile, Rests, Sample, SampleFault, Settings, Start,
 };
+use wimu_nav::stance::stances;
 use wimu_nav::state::LayoutFull;
 use wimu_nav::stationarity::{Detector, Stationarity};
 
@@ -19,7 +20,7 @@ use crate::{ErrorCode, Result};
 
 /// A reading of the magnetometer that is repeated within this time is a held one, s.
 const HELD_S: f64 = 0.25;
-/// Time of the initial alignment, s: at rest, and of a start in motion or on a foot.
+/// Time of the initial alignment, s: at rest, and of a start in motion.
 const ALIGNMENT_S: f64 = 0.7;
 const SHORT_ALIGNMENT_S: f64 = 0.1;
 /// A start in motion ends with the first rest of this length, s.
@@ -69,10 +70,16 @@ impl Unit<'_> {
     /// The path with a gyroscope, or without.
     ///
     /// # Errors
-    /// `data_refused`: nothing to align with.
+    /// `data_refused`: nothing to align with, or a foot without a gyroscope.
     pub fn path(&self, choice: &Choice, method: Method) -> Result<InertialPath> {
         match method {
             Method::Strapdown => self.follow::<Gyroscope<f64>, 40>(choice, method),
+            _ if choice.profile == Profile::Foot => Err(ErrorCode::DataRefused
+                .error(
+                    "--profile foot needs a gyroscope",
+                    "record the angular rate, or use another profile",
+                )
+                .at(self.name)),
             _ => self.follow::<NoGyroscope<f64>, 24>(choice, method),
         }
     }
@@ -84,29 +91,35 @@ impl Unit<'_> {
     ) -> Result<InertialPath> {
         let samples: Vec<Sample<f64>> = self.samples.iter().map(sample).collect();
         let rests = self.rests(&samples, choice, method);
+        let stances = self.stances(&samples, choice, method);
         let mut moves = moves(self, &samples, &rests, choice, method);
         // Without a gyroscope the smoother gains nothing: 0.1 % of the error (score_navigation).
         let smooth = choice.smooth && method == Method::Strapdown;
         let spans = moves.iter().map(|one| one.span(self.times_s));
         let tape = Tape::new(smooth, spans.collect());
         let mut navigator = self.start::<M, N>(&samples, &rests, choice)?.recorded(tape);
-        let at_rest_first = self.first_rest(&rests, choice.profile).is_some();
+        let at_rest_first = self.first_rest(&rests).is_some();
         let mut origin = at_rest_first.then_some(0);
         let (mut rest_s, mut in_first_rest) = (0.0, at_rest_first);
         let mut faults = Faults::default();
         let mut points = Vec::with_capacity(samples.len());
         for (k, sample) in samples.iter().enumerate() {
-            if self.clipped.binary_search(&k).is_ok() {
+            // A foot's shocks are short: the largest reading is nearer to them than none.
+            if choice.profile != Profile::Foot && self.clipped.binary_search(&k).is_ok() {
                 navigator.interrupt(sample.step_s);
             } else {
                 faults.count(navigator.push(sample, rests[k]));
+            }
+            if let Some(deviation_mps) = stances[k] {
+                navigator.stance(deviation_mps);
             }
             rest_s = if rests[k] {
                 rest_s + sample.step_s
             } else {
                 0.0
             };
-            if origin.is_none() && rest_s >= FIRST_REST_S && choice.start.is_none() {
+            let lies = rest_s >= FIRST_REST_S || stances[k].is_some();
+            if origin.is_none() && lies && choice.start.is_none() {
                 navigator.set_origin();
                 (origin, in_first_rest) = (Some(k), true);
             }
@@ -114,7 +127,9 @@ impl Unit<'_> {
             if in_first_rest {
                 origin = Some(k);
             }
-            points.push(self.point(k, &navigator, rests[k]));
+            let mut point = self.point(k, &navigator, rests[k]);
+            point.resting |= stances[k].is_some();
+            points.push(point);
             navigator.recorder_mut().mark(&mut points);
         }
         let from = origin.unwrap_or(0);
@@ -156,34 +171,54 @@ impl Unit<'_> {
             let inside = |t: &f64| given.iter().any(|rest| rest.contains(t));
             return self.times_s.iter().map(inside).collect();
         }
-        let mut settings = match choice.profile {
-            Profile::Foot => Detector::foot(),
-            _ => Detector::default(),
-        };
-        settings.gravity_mps2 = self.gravity_mps2;
+        let mut settings = Detector::default();
         if method != Method::Strapdown {
             settings = settings.without_gyroscope(noise_mps2(self.times_s, self.samples));
         }
+        let statistics = self.statistics(samples, settings);
+        let at_rest = statistics
+            .iter()
+            .map(|statistic| *statistic < settings.threshold);
+        at_rest.collect()
+    }
+
+    /// The stances of a foot: the standard deviation of the velocity there, m/s.
+    fn stances(
+        &self,
+        samples: &[Sample<f64>],
+        choice: &Choice,
+        method: Method,
+    ) -> Vec<Option<f64>> {
+        let mut found = vec![None; samples.len()];
+        let used = choice.rests_s.is_none() && choice.zupt.rests() != Rests::Ignored;
+        if choice.profile == Profile::Foot && method == Method::Strapdown && used {
+            let statistics = self.statistics(samples, Detector::foot());
+            stances(&statistics, 1.0 / median_step_s(self.times_s), &mut found);
+        }
+        found
+    }
+
+    /// Statistic of the window about each sample; the nearest full window at both ends.
+    fn statistics(&self, samples: &[Sample<f64>], mut settings: Detector<f64>) -> Vec<f64> {
+        settings.gravity_mps2 = self.gravity_mps2;
         let mut detector = Stationarity::new(settings);
-        let (mut rests, mut ahead_s) = (Vec::with_capacity(samples.len()), 0.0);
+        let (mut found, mut ahead_s) = (Vec::with_capacity(samples.len()), 0.0);
         let mut filling = 0;
+        let mut last = f64::INFINITY;
         for sample in samples {
             let rate = sample.rate_rad_s.as_ref();
-            let rest = detector.push(&sample.force_mps2, rate, sample.step_s);
+            detector.push(&sample.force_mps2, rate, sample.step_s);
             ahead_s += sample.step_s;
+            last = detector.statistic().unwrap_or(f64::INFINITY);
             if ahead_s + 0.5 * sample.step_s >= detector.lag_s() {
-                rests.push(rest);
-                filling += usize::from(detector.statistic().is_none());
+                found.push(last);
+                filling += usize::from(filling + 1 == found.len() && last.is_infinite());
             }
         }
-        // Windows at the start and the end are the nearest full one.
-        let first = rests.get(filling).copied().unwrap_or(false);
-        rests
-            .iter_mut()
-            .take(filling)
-            .for_each(|rest| *rest = first);
-        rests.resize(samples.len(), detector.is_at_rest());
-        rests
+        let first = found.get(filling).copied().unwrap_or(f64::INFINITY);
+        found[..filling].fill(first);
+        found.resize(samples.len(), last);
+        found
     }
 
     /// Samples within a time of the start: at least one.
@@ -193,12 +228,12 @@ impl Unit<'_> {
     }
 
     /// The rest at the start: its number of samples. In a motion whose acceleration changes its sign a short window looks
-    /// like a rest. A stance is short.
-    fn first_rest(&self, rests: &[bool], profile: Profile) -> Option<usize> {
+    /// like a rest.
+    fn first_rest(&self, rests: &[bool]) -> Option<usize> {
         let rest = runs(rests).into_iter().next()?;
         let lasts_s = self.times_s[rest.end - 1] - self.times_s[rest.start];
-        let long = profile == Profile::Foot || lasts_s >= FIRST_REST_S;
-        (rest.start < self.within(SHORT_ALIGNMENT_S) && long).then_some(rest.end)
+        let at_start = rest.start < self.within(SHORT_ALIGNMENT_S);
+        (at_start && lasts_s >= FIRST_REST_S).then_some(rest.end)
     }
 
     fn start<M: Model<f64, N>, const N: usize>(
@@ -207,10 +242,10 @@ impl Unit<'_> {
         rests: &[bool],
         choice: &Choice,
     ) -> Result<Navigator<f64, M, N>> {
-        let rest = self.first_rest(rests, choice.profile);
+        let rest = self.first_rest(rests);
         let count = match rest {
-            Some(end) if choice.profile != Profile::Foot => self.within(ALIGNMENT_S).min(end),
-            _ => self.within(SHORT_ALIGNMENT_S),
+            Some(end) => self.within(ALIGNMENT_S).min(end),
+            None => self.within(SHORT_ALIGNMENT_S),
         };
         let usable: Vec<Sample<f64>> = samples[..count]
             .iter()

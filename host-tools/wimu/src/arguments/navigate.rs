@@ -165,7 +165,7 @@ pub enum MotionProfile {
     /// In a hand or on a small robot: velocity 0 ± 2 m/s
     #[default]
     Hand,
-    /// On a foot: rests are the stances of steps
+    /// On a foot: velocity zero in the stances of steps, walking, running or on stairs
     Foot,
     /// In a vehicle: velocity 0 ± 30 m/s
     Vehicle,

@@ -276,7 +276,7 @@ fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
 fn profile(profile: Profile) -> (&'static str, &'static str) {
     match profile {
         Profile::Hand => ("hand", "velocity 0 ± 2 m/s"),
-        Profile::Foot => ("foot", "rests are stances"),
+        Profile::Foot => ("foot", "velocity zero in stances"),
         Profile::Vehicle => ("vehicle", "velocity 0 ± 30 m/s"),
         _ => ("free", "no bound"),
     }

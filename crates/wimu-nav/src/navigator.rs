@@ -483,10 +483,10 @@ where
                 .update_recorded(&bound, Gate::ChiSquare, &mut self.recorder);
         }
         if let Some(deviation_m) = self.settings.within_m {
-            let position_m = Vector3::zeros();
             let within = Position {
-                position_m,
-                deviation_m,
+                position_m: Vector3::zeros(),
+                deviation_m: Vector3::repeat(deviation_m),
+                lever_arm_m: Vector3::zeros(),
             };
             self.filter
                 .update_recorded(&within, Gate::Open, &mut self.recorder);
@@ -591,6 +591,13 @@ where
         let variance = real(START_POSITION * START_POSITION);
         self.filter
             .set_covariance(POSITION, &Matrix3::from_diagonal_element(variance));
+        self.recorder.restarted(&self.filter);
+    }
+
+    /// Adds an uncertainty to the position, m, 1 σ of a component: it moved in a way that the sensors do not show.
+    pub fn loosen_position(&mut self, deviation_m: R) {
+        let variance = [deviation_m * deviation_m; 3];
+        self.filter.add_variance(POSITION, variance);
         self.recorder.restarted(&self.filter);
     }
 

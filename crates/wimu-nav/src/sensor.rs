@@ -3,6 +3,7 @@
 mod accelerometer;
 mod angular_rate;
 mod gravity;
+mod heading;
 mod magnetometer;
 mod position;
 mod reduced_array;
@@ -13,6 +14,7 @@ mod zero;
 pub use accelerometer::SpecificForce;
 pub use angular_rate::ZeroAngularRate;
 pub use gravity::Gravity;
+pub use heading::Heading;
 pub use magnetometer::{MagneticField, Magnetometer};
 pub use velocity::{Velocity, recover};
 pub use zero::{VerticalRate, Zero};

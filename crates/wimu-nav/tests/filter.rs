@@ -132,7 +132,8 @@ fn a_measurement_beyond_its_gate_changes_nothing() {
     let mut filter = Filter::new(&layout, Rotation3::identity());
     let fix = |x: f64| Position {
         position_m: Vector3::new(x, 0.0, 0.0),
-        deviation_m: 1.0,
+        deviation_m: Vector3::repeat(1.0),
+        lever_arm_m: Vector3::zeros(),
     };
     // The variance of the innovation is 2 m²: 16.27 is reached at 5.70 m.
     for (x, accepted) in [(5.6, true), (5.85, false)] {

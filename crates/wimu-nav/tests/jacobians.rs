@@ -12,8 +12,8 @@ use wimu_nav::process::{
     RigidArrayBlocks, Strapdown, StrapdownBlocks, Unmeasured,
 };
 use wimu_nav::sensor::{
-    ArrayNoise, MagneticField, Magnetometer, Measurement, Position, ReducedArray, SpecificForce,
-    Velocity, VerticalRate, Zero,
+    ArrayNoise, Heading, MagneticField, Magnetometer, Measurement, Position, ReducedArray,
+    SpecificForce, Velocity, VerticalRate, Zero,
 };
 use wimu_nav::state::{ATTITUDE, Block, Layout, POSITION, Role, State, VELOCITY};
 
@@ -322,7 +322,16 @@ fn the_jacobian_of_each_sensor_is_its_derivative() {
             &all,
             &Position {
                 position_m,
-                deviation_m: 0.1,
+                deviation_m: Vector3::repeat(0.1),
+                lever_arm_m: vector(0.5),
+            },
+        );
+        assert_jacobian(
+            &start,
+            &all,
+            &Heading {
+                heading_rad: 0.3,
+                deviation_rad: 0.1,
             },
         );
         let (block, deviation) = (acceleration, 0.1);

@@ -11,7 +11,7 @@ use wimu_nav::navigator::{
     Profile, Rests, Sample, SampleFault, Settings, Start, WithGyroscope, WithoutGyroscope,
 };
 use wimu_nav::process::ImuErrors;
-use wimu_nav::sensor::Position;
+use wimu_nav::sensor::{Heading, Position};
 use wimu_nav::state::{ATTITUDE, POSITION};
 use wimu_testkit::{Coverage, trials};
 
@@ -667,7 +667,8 @@ fn a_position_from_outside_finds_a_lost_unit() {
     assert!(deviation(&navigator.solution().position_covariance) > 10.0);
     let fix = Position {
         position_m: Vector3::new(3.0, -1.0, 0.5),
-        deviation_m: 0.1,
+        deviation_m: Vector3::repeat(0.1),
+        lever_arm_m: Vector3::zeros(),
     };
     assert!(navigator.update(&fix, Gate::ChiSquare).accepted);
     let found = navigator.solution();
@@ -675,10 +676,49 @@ fn a_position_from_outside_finds_a_lost_unit() {
     let sd = deviation(&found.position_covariance);
     assert!((0.16..0.18).contains(&sd), "{sd}");
     let elsewhere = Position {
-        deviation_m: 0.1,
         position_m: Vector3::zeros(),
+        ..fix
     };
     assert!(!navigator.update(&elsewhere, Gate::ChiSquare).accepted);
+}
+
+#[test]
+fn a_height_alone_leaves_the_horizontal_position() {
+    let start = Start::align(&[still(0.01); 10], true).unwrap();
+    let mut navigator = WithGyroscope::<f64>::new(Settings::default(), &start).unwrap();
+    navigator.interrupt(2.0);
+    let before = navigator.solution();
+    let height = Position {
+        position_m: Vector3::new(f64::NAN, f64::NAN, 2.0),
+        deviation_m: Vector3::new(f64::INFINITY, f64::INFINITY, 0.1),
+        lever_arm_m: Vector3::zeros(),
+    };
+    assert!(navigator.update(&height, Gate::ChiSquare).accepted);
+    let after = navigator.solution();
+    assert!((after.position_m[2] - 2.0).abs() < 0.01);
+    assert!(after.position_covariance[2][2].sqrt() < 0.11);
+    for k in 0..2 {
+        assert!((after.position_m[k] - before.position_m[k]).abs() < 1e-6);
+        assert!(after.position_covariance[k][k] > 0.99 * before.position_covariance[k][k]);
+    }
+}
+
+#[test]
+fn a_heading_from_outside_rotates_the_unit_the_short_way() {
+    let start = Start::align(&[still(0.01); 10], true).unwrap();
+    let mut navigator = WithGyroscope::<f64>::new(Settings::default(), &start).unwrap();
+    let zero = Vector3::zeros();
+    navigator.set_pose(zero, zero, 3.0, [1.0, 1.0, 0.5]);
+    let heading = Heading {
+        heading_rad: -3.0,
+        deviation_rad: 0.01,
+    };
+    assert!(navigator.update(&heading, Gate::ChiSquare).accepted);
+    // From 3 rad through π: 0.28 rad.
+    let off = (navigator.heading() + 3.0).rem_euclid(std::f64::consts::TAU);
+    assert!(off.min(std::f64::consts::TAU - off) < 1e-3, "{off}");
+    let sd = navigator.solution().attitude_covariance[2][2].sqrt();
+    assert!((0.0095..0.0105).contains(&sd), "{sd}");
 }
 
 #[test]

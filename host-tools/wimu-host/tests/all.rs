@@ -9,6 +9,7 @@ mod calibration_faults;
 mod common;
 mod export_calibration;
 mod feet;
+mod fixes;
 mod formats_document;
 mod inertial;
 mod ros_topics;

@@ -54,5 +54,8 @@ fn a_foot_without_a_gyroscope_is_refused() {
         sample.rate_rad_s = None;
     }
     let refused = navigate(&recording, &on_foot()).unwrap_err();
-    assert!(refused.to_string().contains("needs a gyroscope"), "{refused}");
+    assert!(
+        refused.to_string().contains("needs a gyroscope"),
+        "{refused}"
+    );
 }

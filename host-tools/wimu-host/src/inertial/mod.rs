@@ -19,6 +19,7 @@
 //! ```
 
 mod array;
+mod fixes;
 mod frozen;
 mod holes;
 mod horizon;
@@ -34,6 +35,7 @@ mod unit;
 use std::ops::RangeInclusive;
 
 pub use array::{navigate_array, navigate_axes};
+pub use fixes::{Fix, Fixes};
 pub use horizon::{Horizon, RestTimes};
 pub use moves::Move;
 pub use path::{InertialPath, PathPoint};
@@ -115,6 +117,10 @@ pub struct Choice {
     pub start: Option<StartPose>,
     /// Whether a point rests on all samples, or on those up to it alone: for one unit.
     pub smooth: bool,
+    /// Measurements of other systems, for one unit. The path is in the frame of their positions.
+    pub fixes: Fixes,
+    /// The path ends where it began, with this standard deviation, m, a component.
+    pub loop_m: Option<f64>,
 }
 
 impl Default for Choice {
@@ -127,6 +133,8 @@ impl Default for Choice {
             rests_s: None,
             start: None,
             smooth: true,
+            fixes: Fixes::default(),
+            loop_m: None,
         }
     }
 }

@@ -10,6 +10,7 @@ use wimu_nav::stance::stances;
 use wimu_nav::state::LayoutFull;
 use wimu_nav::stationarity::{Detector, Stationarity};
 
+use super::fixes::{self, Aiding, Fix, Fixes};
 use super::moves::{moves, smoothed_moves};
 use super::smooth::Tape;
 use super::{Choice, InertialPath, Method, PathPoint};
@@ -23,6 +24,9 @@ const HELD_S: f64 = 0.25;
 /// Time of the initial alignment, s: at rest, and of a start in motion.
 const ALIGNMENT_S: f64 = 0.7;
 const SHORT_ALIGNMENT_S: f64 = 0.1;
+/// Headings at the start that are tried where fixes show the position, and time of the trial, s.
+const HEADINGS: u32 = 12;
+const HEADING_TRIAL_S: f64 = 120.0;
 /// A start in motion ends with the first rest of this length, s.
 const FIRST_REST_S: f64 = 0.5;
 
@@ -97,7 +101,15 @@ impl Unit<'_> {
         let smooth = choice.smooth && method == Method::Strapdown;
         let spans = moves.iter().map(|one| one.span(self.times_s));
         let tape = Tape::new(smooth, spans.collect());
+        let fixes = self.fixes(choice);
+        let mut aiding = Aiding::from(&fixes, self.times_s[0]);
         let mut navigator = self.start::<M, N>(&samples, &rests, choice)?.recorded(tape);
+        let shown = choice.fixes.origin();
+        if let Some(fix) = shown.filter(|_| choice.start.is_none()) {
+            let heading = self.heading::<M, N>(&samples, &rests, &stances, choice, fix)?;
+            fixes::place(&mut navigator, fix, heading);
+        }
+        let framed = choice.start.is_some() || shown.is_some();
         let at_rest_first = self.first_rest(&rests).is_some();
         let mut origin = at_rest_first.then_some(0);
         let (mut rest_s, mut in_first_rest) = (0.0, at_rest_first);
@@ -119,7 +131,8 @@ impl Unit<'_> {
                 0.0
             };
             let lies = rest_s >= FIRST_REST_S || stances[k].is_some();
-            if origin.is_none() && lies && choice.start.is_none() {
+            aiding.update(self.times_s[k], &mut navigator);
+            if origin.is_none() && lies && !framed {
                 navigator.set_origin();
                 (origin, in_first_rest) = (Some(k), true);
             }
@@ -140,7 +153,7 @@ impl Unit<'_> {
         for point in &mut points {
             point.valid = point.sd_m() <= choice.limit_m;
         }
-        if !at_rest_first && choice.start.is_none() {
+        if !at_rest_first && !framed {
             for point in &mut points[..from] {
                 point.valid = false;
             }
@@ -155,6 +168,7 @@ impl Unit<'_> {
             )));
         }
         path.findings.extend(faults.findings());
+        path.findings.extend(aiding.findings());
         let counts = [
             self.clipped.len(),
             recoveries as usize,
@@ -163,6 +177,56 @@ impl Unit<'_> {
         ];
         path.findings.extend(counted_findings(counts));
         Ok(path)
+    }
+
+    /// The fixes, and the end of a path that closes.
+    fn fixes(&self, choice: &Choice) -> Fixes {
+        let mut fixes = choice.fixes.clone();
+        if let (Some(sd_m), Some(last)) = (choice.loop_m, self.times_s.last()) {
+            let start = choice.start.map_or([0.0; 3], |pose| pose.position_m);
+            fixes.fixes.push(Fix {
+                time_s: *last,
+                position_m: start,
+                position_sd_m: [sd_m; 3],
+                velocity_mps: None,
+                heading_rad: None,
+            });
+        }
+        fixes
+    }
+
+    /// The heading at the start that explains the fixes of the first minutes best, rad.
+    fn heading<M: Model<f64, N>, const N: usize>(
+        &self,
+        samples: &[Sample<f64>],
+        rests: &[bool],
+        stances: &[Option<f64>],
+        choice: &Choice,
+        fix: &Fix,
+    ) -> Result<f64> {
+        let until = self
+            .times_s
+            .partition_point(|t| *t < fix.time_s + HEADING_TRIAL_S);
+        let (mut best, mut most) = (0.0, f64::NEG_INFINITY);
+        for k in 0..HEADINGS {
+            let heading = f64::from(k) * std::f64::consts::TAU / f64::from(HEADINGS);
+            let navigator = self.start::<M, N>(samples, rests, choice)?;
+            let mut navigator = navigator.recorded(Tape::new(false, Vec::new()));
+            fixes::place(&mut navigator, fix, heading);
+            let mut aiding = Aiding::from(&choice.fixes, self.times_s[0]);
+            for k in 0..until {
+                // A sample that is not usable grows the covariance.
+                let _ = navigator.push(&samples[k], rests[k]);
+                if let Some(deviation_mps) = stances[k] {
+                    navigator.stance(deviation_mps);
+                }
+                aiding.update(self.times_s[k], &mut navigator);
+            }
+            if aiding.log_likelihood > most {
+                (best, most) = (heading, aiding.log_likelihood);
+            }
+        }
+        Ok(best)
     }
 
     /// Whether the unit is at rest at each sample: a window about the sample, or the times that were given.

@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use wimu_host::inertial::{Profile, StartPose, Zupt};
 
 use super::reading::Reading;
-use super::values::{TimeSpans, positive, start_pose, time_spans};
+use super::values::{TimeSpans, from_to, numbers, positive, start_pose, time_spans};
 
 #[derive(Args)]
 #[command(after_help = "\
@@ -25,6 +25,8 @@ Examples:
   wimu navigate walk.csv --profile foot
   wimu navigate desk.csv --rests \"0-3,10.5-12\" --within 0.5
   wimu navigate walk.csv --smooth off
+  wimu navigate drive.csv --profile vehicle --fixes gnss.csv
+  wimu navigate walk.csv --profile foot --loop
   wimu navigate raw.csv --calibration CAL.json
   wimu navigate board.csv --geometry positions.csv -o path.csv
   wimu navigate board.csv --geometry ARRAY.json
@@ -83,6 +85,48 @@ pub struct Navigate {
         help_heading = "Model"
     )]
     pub start: Option<StartPose>,
+    /// Position, velocity or heading by another system: CSV with `Time (s)` and any of `Position E (m)`, `Position N (m)`,
+    /// `Position U (m)` or `Height (m)`, `Velocity E (m/s)`, …, `Heading (deg)`, each with `Position Sigma E (m)`, …. The path
+    /// is in their frame, and starts with the heading that explains them
+    #[arg(
+        long,
+        value_name = "FIXES.csv",
+        conflicts_with = "geometry",
+        help_heading = "Aiding"
+    )]
+    pub fixes: Option<PathBuf>,
+    /// Time from a fix to its time stamp, s
+    #[arg(
+        long,
+        value_name = "S",
+        default_value_t = 0.0,
+        value_parser = from_to(-2.0, 2.0),
+        allow_hyphen_values = true,
+        requires = "fixes",
+        help_heading = "Aiding"
+    )]
+    pub fix_delay: f64,
+    /// Position of the antenna from the inertial sensor, m, body axes
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        value_parser = numbers::<3>,
+        requires = "fixes",
+        allow_hyphen_values = true,
+        help_heading = "Aiding"
+    )]
+    pub lever_arm: Option<[f64; 3]>,
+    /// The path ends where it began, within M metres (1 σ of a component)
+    #[arg(
+        long = "loop",
+        value_name = "M",
+        num_args = 0..=1,
+        default_missing_value = "0.1",
+        value_parser = positive,
+        conflicts_with = "geometry",
+        help_heading = "Aiding"
+    )]
+    pub closes: Option<f64>,
     /// Standard deviation up to which a position is valid, m
     #[arg(long, value_name = "M", default_value_t = 1.0, value_parser = positive, help_heading = "Model")]
     pub limit: f64,

@@ -118,7 +118,9 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         return Err(usage("navigate reads recordings, and this is a LINK", remedy).at(input));
     }
     for file in [&arguments.report, &arguments.output] {
-        not_over_input(&arguments.input, file.as_deref())?;
+        for read in [Some(&arguments.input), arguments.fixes.as_ref()] {
+            read.map_or(Ok(()), |read| not_over_input(read, file.as_deref()))?;
+        }
     }
     if arguments.calibration.len() > 1 && arguments.geometry.is_none() {
         return Err(usage(

@@ -8,7 +8,7 @@ use wimu_host::calibration::{read_model, zero_count};
 use wimu_host::finding::Finding;
 use wimu_host::formats;
 use wimu_host::inertial::{
-    Choice, InertialPath, Method, Move, Profile, Zupt, consistency, navigate,
+    Choice, Fixes, InertialPath, Method, Move, Profile, Zupt, consistency, navigate,
 };
 use wimu_host::motion::{MotionRecording, TableOptions};
 use wimu_host::plural::counted;
@@ -137,7 +137,7 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     let source = arguments.input.display().to_string();
     let found = match &arguments.geometry {
         Some(geometry) => {
-            let choice = choice(arguments);
+            let choice = choice(arguments)?;
             let (path, refined) = array::path(arguments, geometry, &choice, output)?;
             let mut found = present(arguments, &path, &choice, source, output)?;
             found.refined = refined;
@@ -171,13 +171,20 @@ pub fn one_unit(
     source: String,
     output: Output,
 ) -> Result<Found> {
-    let choice = choice(arguments);
+    let choice = choice(arguments)?;
     let path = navigate(recording, &choice)?;
     present(arguments, &path, &choice, source, output)
 }
 
-fn choice(arguments: &Navigate) -> Choice {
-    Choice {
+fn choice(arguments: &Navigate) -> Result<Choice> {
+    let fixes = match &arguments.fixes {
+        Some(file) => Fixes {
+            lever_arm_m: arguments.lever_arm.unwrap_or_default(),
+            ..Fixes::read(file, arguments.fix_delay)?
+        },
+        None => Fixes::default(),
+    };
+    Ok(Choice {
         zupt: ZeroVelocity::of(arguments.zupt),
         profile: arguments.profile.into(),
         limit_m: arguments.limit,
@@ -185,7 +192,9 @@ fn choice(arguments: &Navigate) -> Choice {
         rests_s: arguments.rests.clone(),
         start: arguments.start,
         smooth: arguments.smooth == Smoothing::On,
-    }
+        fixes,
+        loop_m: arguments.closes,
+    })
 }
 
 fn present(

@@ -1,0 +1,207 @@
+//! Fixes of position, velocity and heading beside a unit on a known path.
+
+use wimu_host::inertial::{Choice, Fix, Fixes, InertialPath, navigate};
+use wimu_host::motion::{MotionRecording, UnitSample};
+use wimu_testkit::Random;
+
+const RATE_HZ: f64 = 100.0;
+/// The path closes then.
+const LENGTH_S: f64 = 2.0 + 8.0 * std::f64::consts::PI / 0.7;
+const GRAVITY: f64 = 9.80665;
+/// Heading at the start in the frame of the fixes, rad.
+const HEADING: f64 = 1.2;
+
+/// Heading, position, velocity and acceleration: two seconds at rest, then a figure of 4 m by 2 m.
+fn truth(t: f64) -> (f64, [[f64; 2]; 3]) {
+    let t = (t - 2.0).max(0.0);
+    // Smooth at the start.
+    let (w, s) = (0.7, 1.0 - (-t).exp() * (1.0 + t));
+    let p = |t: f64| {
+        let s = 1.0 - (-t).exp() * (1.0 + t);
+        [
+            4.0 * (w * t).sin() * s,
+            2.0 * (1.0 - (2.0 * w * t).cos()) * s,
+        ]
+    };
+    let h = 1e-3;
+    let [a, b, c] = [p((t - h).max(0.0)), p(t), p(t + h)];
+    let v = [0, 1].map(|k| (c[k] - a[k]) / (t + h - (t - h).max(0.0)));
+    let f = [0, 1].map(|k| {
+        if t > h {
+            (c[k] - 2.0 * b[k] + a[k]) / (h * h)
+        } else {
+            0.0
+        }
+    });
+    (HEADING + 0.8 * (0.5 * t).sin() * s, [b, v, f])
+}
+
+/// The recording, and a fix each second at the antenna `arm_m` before the unit, `late_s` after its measurement.
+fn recorded(arm_m: f64, late_s: f64) -> (MotionRecording, Vec<Fix>) {
+    let mut random = Random::new(5);
+    let (mut times, mut samples, mut fixes) = (Vec::new(), Vec::new(), Vec::new());
+    for k in 0..(LENGTH_S * RATE_HZ) as usize {
+        let t = k as f64 / RATE_HZ;
+        let (heading, [_, _, a]) = truth(t);
+        let rate = (truth(t + 1e-4).0 - truth(t - 1e-4).0) / 2e-4;
+        let (sin, cos) = heading.sin_cos();
+        let noise = random.normals(0.02);
+        let force = [cos * a[0] + sin * a[1], cos * a[1] - sin * a[0], GRAVITY];
+        let turn = random.normals(0.002);
+        times.push(t);
+        samples.push(UnitSample {
+            step_s: 1.0 / RATE_HZ,
+            force_mps2: [0, 1, 2].map(|i| force[i] + noise[i]),
+            rate_rad_s: Some([turn[0], turn[1], rate + turn[2]]),
+            field_ut: None,
+        });
+        if k % 100 == 50 && k < 3750 {
+            let (heading, [p, ..]) = truth(t);
+            let noise = random.normals(0.05);
+            let at = [
+                100.0 + p[0] + arm_m * heading.cos(),
+                -50.0 + p[1] + arm_m * heading.sin(),
+                7.0,
+            ];
+            fixes.push(fix(t + late_s, [0, 1, 2].map(|i| at[i] + noise[i])));
+        }
+    }
+    (MotionRecording::new("simulated", times, samples), fixes)
+}
+
+fn fix(time_s: f64, position_m: [f64; 3]) -> Fix {
+    Fix {
+        time_s,
+        position_m,
+        position_sd_m: [0.05; 3],
+        velocity_mps: None,
+        heading_rad: None,
+    }
+}
+
+fn aided(fixes: Vec<Fix>, arm_m: f64) -> Choice {
+    Choice {
+        fixes: Fixes {
+            fixes,
+            lever_arm_m: [arm_m, 0.0, 0.0],
+        },
+        ..Choice::default()
+    }
+}
+
+/// Largest error of the position after the first ten seconds, m.
+fn error_m(path: &InertialPath) -> f64 {
+    let late = path.points.iter().filter(|p| p.time_s > 10.0);
+    let off = late.map(|point| {
+        let (_, [p, ..]) = truth(point.time_s);
+        let [e, n, u] = point.position_m;
+        (e - 100.0 - p[0]).hypot(n + 50.0 - p[1]).hypot(u - 7.0)
+    });
+    off.fold(0.0, f64::max)
+}
+
+fn says(path: &InertialPath, text: &str) -> bool {
+    path.findings.iter().any(|f| f.evidence.contains(text))
+}
+
+#[test]
+fn the_path_is_in_the_frame_of_the_fixes() {
+    let (recording, fixes) = recorded(0.0, 0.0);
+    for smooth in [true, false] {
+        let choice = Choice {
+            smooth,
+            ..aided(fixes.clone(), 0.0)
+        };
+        let path = navigate(&recording, &choice).unwrap();
+        let off = error_m(&path);
+        println!("{off}");
+        assert!(off < 0.4, "{off}");
+        let sd = path.points[3000].sd_m();
+        assert!((0.01..0.2).contains(&sd), "{sd}");
+        assert!(!says(&path, "contradict"), "{:?}", path.findings);
+    }
+}
+
+#[test]
+fn a_fix_that_contradicts_the_path_is_reported_and_not_used() {
+    let (recording, mut fixes) = recorded(0.0, 0.0);
+    fixes[20].position_m[0] += 30.0;
+    let path = navigate(&recording, &aided(fixes, 0.0)).unwrap();
+    assert!(
+        says(&path, "1 of 37 fixes contradict"),
+        "{:?}",
+        path.findings
+    );
+    assert!(!says(&path, "jumps"), "{:?}", path.findings);
+    assert!(error_m(&path) < 0.5, "{}", error_m(&path));
+}
+
+#[test]
+fn fixes_that_go_on_contradicting_are_followed_with_a_finding() {
+    let (recording, mut fixes) = recorded(0.0, 0.0);
+    for fix in &mut fixes[20..] {
+        fix.position_m[0] += 30.0;
+    }
+    let path = navigate(&recording, &aided(fixes, 0.0)).unwrap();
+    assert!(
+        says(&path, "5 fixes in succession contradicted the path, 1 time"),
+        "{:?}",
+        path.findings
+    );
+    let end = path.points[path.points.len() - 1];
+    let (_, [p, ..]) = truth(end.time_s);
+    assert!((end.position_m[0] - 130.0 - p[0]).abs() < 1.0, "{end:?}");
+}
+
+#[test]
+fn lever_arm_and_delay_are_taken_into_account() {
+    let (recording, fixes) = recorded(1.5, 0.4);
+    let shifted = fixes.iter().map(|fix| Fix {
+        time_s: fix.time_s - 0.4,
+        ..*fix
+    });
+    let known = navigate(&recording, &aided(shifted.collect(), 1.5)).unwrap();
+    assert!(error_m(&known) < 0.4, "{}", error_m(&known));
+    let unknown = navigate(&recording, &aided(fixes, 0.0)).unwrap();
+    assert!(error_m(&unknown) > 0.5, "{}", error_m(&unknown));
+}
+
+#[test]
+fn a_path_that_closes_ends_at_its_start() {
+    let (recording, _) = recorded(0.0, 0.0);
+    let open = navigate(&recording, &Choice::default()).unwrap();
+    let choice = Choice {
+        loop_m: Some(0.1),
+        ..Choice::default()
+    };
+    let closed = navigate(&recording, &choice).unwrap();
+    let far = |path: &InertialPath| {
+        let end = path.points[path.points.len() - 1].position_m;
+        end.iter().map(|p| p * p).sum::<f64>().sqrt()
+    };
+    assert!(far(&open) > 0.5, "{}", far(&open));
+    assert!(far(&closed) < 0.1, "{}", far(&closed));
+}
+
+#[test]
+fn a_table_of_fixes_may_leave_out_columns_and_values() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("fixes.csv");
+    let text =
+        "Time (ms),Height (cm),Height Sigma (cm),Heading (deg)\n500,200,10,\n1500,,,90\n2500,,,\n";
+    std::fs::write(&file, text).unwrap();
+    let read = Fixes::read(&file, 0.25).unwrap();
+    let [height, heading] = read.fixes[..] else {
+        panic!("{read:?}");
+    };
+    assert_eq!((height.time_s, height.position_m[2]), (0.25, 2.0));
+    assert!(height.position_sd_m[0].is_infinite() && (height.position_sd_m[2] - 0.1).abs() < 1e-12);
+    assert_eq!(height.heading_rad, None);
+    assert!((heading.heading_rad.unwrap()[0] - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+    std::fs::write(&file, "Time (s),Speed (m/s)\n1,2\n").unwrap();
+    let refused = Fixes::read(&file, 0.0).unwrap_err();
+    assert!(
+        refused.to_string().contains("`Position E (m)` is missing"),
+        "{refused}"
+    );
+}

@@ -3,8 +3,10 @@
 mod accelerometer;
 mod angular_rate;
 mod gravity;
+mod line_of_sight;
 mod magnetometer;
 mod position;
+mod range;
 mod reduced_array;
 mod second_order;
 mod velocity;
@@ -13,7 +15,9 @@ mod zero;
 pub use accelerometer::SpecificForce;
 pub use angular_rate::ZeroAngularRate;
 pub use gravity::Gravity;
+pub use line_of_sight::{LineOfSight, NonLineOfSight};
 pub use magnetometer::{MagneticField, Magnetometer};
+pub use range::{Anchor, CorrelatedErrors, Range, RangeErrors};
 pub use velocity::{Velocity, recover};
 pub use zero::{VerticalRate, Zero};
 

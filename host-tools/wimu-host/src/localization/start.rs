@@ -1,0 +1,135 @@
+//! Positions from the first ranges alone: robust least squares from several points.
+
+use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+use wimu_nav::sensor::NonLineOfSight;
+
+use super::RangeSample;
+
+/// Ranges of this time are used, s, and at least so many.
+const LENGTH_S: f64 = 1.0;
+pub(super) const LEAST: usize = 12;
+/// Standard deviations of a range in successive rounds, m: the cost function of the first one has few local minima. The
+/// last one holds what the unit moves within the time.
+const ROUNDS_M: [f64; 5] = [3.0, 1.0, 0.5, 0.3, 0.3];
+const ITERATIONS: usize = 8;
+/// Two positions closer than this, m, are one.
+const DISTINCT_M: f64 = 0.6;
+/// Logarithm of the odds beyond which a position is not a candidate.
+const ODDS: f64 = 30.0;
+/// Standard deviation of the distance from the mean anchor, m: it only regularises.
+const FAR_M: f64 = 1e3;
+
+/// Candidates, at most.
+const MOST: usize = 4;
+
+/// A position that explains ranges.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Found {
+    pub position_m: Vector3<f64>,
+    /// Largest standard deviation of a component, m.
+    pub deviation_m: f64,
+    pub log_likelihood: f64,
+}
+
+/// Positions that explain the first ranges, the most probable first.
+pub(super) fn candidates(
+    anchors: &[Vector3<f64>],
+    ranges: &[RangeSample],
+    line_of_sight: &NonLineOfSight,
+    planar: bool,
+) -> Vec<Found> {
+    let Some(first) = ranges.first() else {
+        return Vec::new();
+    };
+    let count = ranges.partition_point(|r| r.time_s < first.time_s + LENGTH_S);
+    let used = &ranges[..count.max(LEAST).min(ranges.len())];
+    let centre = anchors.iter().sum::<Vector3<f64>>() / anchors.len() as f64;
+    let mean_m = used.iter().map(|r| r.range_m).sum::<f64>() / used.len() as f64;
+    let axes = principal_axes(anchors, &centre);
+    let from = axes.column_iter().flat_map(|axis| {
+        let step = axis.into_owned() * (0.5 * mean_m);
+        [centre + step, centre - step]
+    });
+    let mut found: Vec<Found> = Vec::new();
+    for mut position in from {
+        if planar {
+            position.z = centre.z;
+        }
+        let problem = Problem {
+            anchors,
+            used,
+            line_of_sight,
+            centre,
+            planar,
+        };
+        let Some(new) = problem.solve(position) else {
+            continue;
+        };
+        let near = |known: &&mut Found| (known.position_m - new.position_m).norm() < DISTINCT_M;
+        match found.iter_mut().find(near) {
+            Some(known) if known.log_likelihood < new.log_likelihood => *known = new,
+            Some(_) => {}
+            None => found.push(new),
+        }
+    }
+    found.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
+    let most = found.first().map_or(0.0, |best| best.log_likelihood);
+    found.retain(|one| most - one.log_likelihood < ODDS);
+    found.truncate(MOST);
+    found
+}
+
+/// Principal axes of the anchors, the longest first; in a plane or line the last ones are its normals.
+pub(super) fn principal_axes(anchors: &[Vector3<f64>], centre: &Vector3<f64>) -> Matrix3<f64> {
+    let outer = |a: &Vector3<f64>| (a - centre) * (a - centre).transpose();
+    let eigen = SymmetricEigen::new(anchors.iter().map(outer).sum::<Matrix3<f64>>());
+    let mut order = [0, 1, 2];
+    order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
+    Matrix3::from_columns(&order.map(|k| eigen.eigenvectors.column(k).into_owned()))
+}
+
+struct Problem<'a> {
+    anchors: &'a [Vector3<f64>],
+    used: &'a [RangeSample],
+    line_of_sight: &'a NonLineOfSight,
+    centre: Vector3<f64>,
+    planar: bool,
+}
+
+impl Problem<'_> {
+    /// Gauss–Newton with the weights of the mixture.
+    fn solve(&self, mut position_m: Vector3<f64>) -> Option<Found> {
+        let (mut log_likelihood, mut deviation_m) = (0.0, 0.0);
+        for round_m in ROUNDS_M {
+            for _ in 0..ITERATIONS {
+                let mut information = Matrix3::identity() / (FAR_M * FAR_M);
+                let mut gradient = (self.centre - position_m) / (FAR_M * FAR_M);
+                log_likelihood = 0.0;
+                for range in self.used {
+                    let difference = position_m - self.anchors[range.anchor];
+                    let distance = difference.norm();
+                    let mut direction = difference / distance.max(1e-6);
+                    if self.planar {
+                        direction.z = 0.0;
+                    }
+                    let variance = round_m * round_m;
+                    let found = self.line_of_sight.weigh(range.range_m - distance, variance);
+                    let weight = found.weight / variance;
+                    information += direction * direction.transpose() * weight;
+                    gradient += direction * (found.innovation_m * weight);
+                    log_likelihood += found.log_likelihood;
+                }
+                let factor = information.cholesky()?;
+                position_m += factor.solve(&gradient);
+                let variances = factor.inverse().diagonal();
+                let axes = if self.planar { 2 } else { 3 };
+                deviation_m = variances.rows(0, axes).max().sqrt();
+            }
+        }
+        Some(Found {
+            position_m,
+            deviation_m,
+            log_likelihood,
+        })
+    }
+}

@@ -1,5 +1,6 @@
 //! Process models: how state and covariance change between two samples.
 
+mod acceleration_offset;
 mod carried;
 mod constant_velocity;
 mod gauss_markov;
@@ -8,6 +9,7 @@ mod rigid_array;
 mod strapdown;
 mod unmeasured;
 
+pub use acceleration_offset::AccelerationOffset;
 pub use carried::{Carried, CarriedBlocks};
 pub use constant_velocity::ConstantVelocity;
 pub use gauss_markov::{GaussMarkov, RandomWalk};

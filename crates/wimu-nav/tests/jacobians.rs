@@ -8,9 +8,9 @@ use nalgebra::{Matrix1, Rotation3, SMatrix, SVector, Vector3};
 use wimu_nav::array::{ArraySolver, Geometry, Linear};
 use wimu_nav::filter::Filter;
 use wimu_nav::process::{
-    ArrayForce, Carried, CarriedBlocks, ConstantVelocity, GaussMarkov, ImuErrors, Odometry,
-    OdometryBlocks, OdometryErrors, Process, RandomWalk, RigidArray, RigidArrayBlocks, Strapdown,
-    StrapdownBlocks, Unmeasured,
+    AccelerationOffset, ArrayForce, Carried, CarriedBlocks, ConstantVelocity, GaussMarkov,
+    ImuErrors, Odometry, OdometryBlocks, OdometryErrors, Process, RandomWalk, RigidArray,
+    RigidArrayBlocks, Strapdown, StrapdownBlocks, Unmeasured,
 };
 use wimu_nav::sensor::{
     Anchor, ArrayNoise, CorrelatedErrors, MagneticField, Magnetometer, Measurement, Position,
@@ -227,6 +227,7 @@ fn gauss_markov_and_gaps_have_their_derivative() {
     let block = layout.claim(Role::Estimated, [1.0; 3]).unwrap();
     let all = states(&[block]);
     let start = anywhere(&mut random, &layout, &all);
+    let offset = AccelerationOffset { block, step_s: 0.7 };
     let markov = GaussMarkov {
         block,
         deviation: 3.0,
@@ -248,6 +249,10 @@ fn gauss_markov_and_gaps_have_their_derivative() {
     check(
         transition(&start, &all, &gap),
         numerical_of(&start, &all, &gap),
+    );
+    check(
+        transition(&start, &all, &offset),
+        numerical_of(&start, &all, &offset),
     );
     let both = (gap, (markov, walk));
     check(

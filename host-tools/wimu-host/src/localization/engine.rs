@@ -3,7 +3,8 @@
 use nalgebra::{Matrix1, Matrix3, Rotation3, UnitQuaternion, Vector3};
 use wimu_nav::filter::{Filter, Gate};
 use wimu_nav::process::{
-    ConstantVelocity, Odometry, OdometryBlocks, Strapdown, StrapdownBlocks, Unmeasured,
+    AccelerationOffset, ConstantVelocity, Odometry, OdometryBlocks, Strapdown, StrapdownBlocks,
+    Unmeasured,
 };
 use wimu_nav::sensor::{Anchor, CorrelatedErrors, LineOfSight, Range};
 use wimu_nav::smoother::Recorder as _;
@@ -34,6 +35,8 @@ pub(super) struct Start {
     pub attitude: Rotation3<f64>,
     /// About the horizontal axes, and about the vertical, rad.
     pub attitude_sd_rad: [f64; 2],
+    /// Whether the up axis of the anchors points down.
+    pub inverted: bool,
 }
 
 /// Constant parameters of the sensors, estimated from the whole recording.
@@ -73,6 +76,9 @@ impl Calibration {
     }
 }
 
+/// Standard deviation of gravity in the frame of the anchors, m/s²: a tilt of 3°.
+const GRAVITY_SD_MPS2: [f64; 3] = [0.5, 0.5, 0.05];
+
 /// Standard deviation of the delay between two sensors of one recording, s.
 pub(super) const DELAY_S: f64 = 0.05;
 
@@ -108,7 +114,8 @@ pub(super) struct Recording<'a> {
 struct States {
     anchors: Vec<Anchor<f64>>,
     odometry: Option<OdometryBlocks>,
-    strapdown: Option<StrapdownBlocks>,
+    /// With the error of gravity in the frame of the anchors, m/s².
+    strapdown: Option<(StrapdownBlocks, Block<3>)>,
     /// Delay of the ranges after the other sensor, s.
     delay: Option<Block<1>>,
 }
@@ -123,7 +130,7 @@ impl Recording<'_> {
         let other = match self.motion {
             Motion::Free => 0,
             Motion::Odometry(_) => 3,
-            Motion::Inertial(..) => 7,
+            Motion::Inertial(..) => 10,
         };
         9 + other + self.anchors.len() * (claimed + surveyed)
     }
@@ -157,6 +164,10 @@ impl Recording<'_> {
         smooth: bool,
         until_s: f64,
     ) -> Result<Run, LayoutFull> {
+        let model = &Model {
+            gravity_mps2: if start.inverted { -1.0 } else { 1.0 } * model.gravity_mps2,
+            ..*model
+        };
         let (mut filter, states) = self.filter::<N>(model, start)?;
         let mut tape = Tape::<N>::new(smooth, Vec::new());
         tape.restarted(&filter);
@@ -264,7 +275,11 @@ impl Recording<'_> {
         let [tilt, heading] = start.attitude_sd_rad;
         let mut layout = Layout::<f64, N>::new([tilt, tilt, heading], 0.0, 0.0);
         let strapdown = match self.motion {
-            Motion::Inertial(..) => Some(StrapdownBlocks::claim(&mut layout, &model.imu)?),
+            Motion::Inertial(..) => {
+                let blocks = StrapdownBlocks::claim(&mut layout, &model.imu)?;
+                let gravity = layout.claim(Role::Estimated, GRAVITY_SD_MPS2)?;
+                Some((blocks, gravity))
+            }
             _ => None,
         };
         let odometry = match self.motion {
@@ -341,7 +356,7 @@ impl Recording<'_> {
                 };
                 filter.predict_recorded(&(odometry, errors), tape);
             }
-            (Motion::Inertial(times_s, samples), _, Some(blocks)) => {
+            (Motion::Inertial(times_s, samples), _, Some((blocks, gravity))) => {
                 while times_s.get(*input).is_some_and(|t| *t <= from) {
                     *input += 1;
                 }
@@ -356,7 +371,11 @@ impl Recording<'_> {
                             rate_rad_s,
                             step_s,
                         };
-                        filter.predict_recorded(&(strapdown, errors), tape);
+                        let offset = AccelerationOffset {
+                            block: *gravity,
+                            step_s,
+                        };
+                        filter.predict_recorded(&((strapdown, offset), errors), tape);
                     }
                     None => filter.predict_recorded(&(Unmeasured { step_s }, errors), tape),
                 }

@@ -9,6 +9,7 @@ use super::model::Model;
 use super::{Localization, Parameter, RangeRecording};
 use crate::digits::significant;
 use crate::finding::{Finding, FindingCode};
+use crate::plural::counted;
 use crate::{ErrorCode, Result};
 
 /// Fewer ranges do not make a path.
@@ -57,12 +58,7 @@ pub(super) fn before(recording: &RangeRecording) -> Result<Vec<Finding>> {
         );
         return refused(message, "record for longer");
     }
-    let gap = |pair: &[super::RangeSample]| {
-        let [from, to] = [pair[0].time_s, pair[1].time_s];
-        let text = format!("no range from {from:.1} to {to:.1} s: σ grows there");
-        (to - from > GAP_S).then(|| FindingCode::Rate.note(text))
-    };
-    let mut found: Vec<Finding> = recording.ranges.windows(2).filter_map(gap).collect();
+    let mut found: Vec<Finding> = gaps(recording).into_iter().collect();
     let silent = recording
         .anchors
         .iter()
@@ -74,6 +70,25 @@ pub(super) fn before(recording: &RangeRecording) -> Result<Vec<Finding>> {
         found.push(FindingCode::Navigation.note(text));
     }
     Ok(found)
+}
+
+/// Times without a range.
+fn gaps(recording: &RangeRecording) -> Option<Finding> {
+    let steps = recording
+        .ranges
+        .windows(2)
+        .map(|pair| [pair[0].time_s, pair[1].time_s]);
+    let gaps: Vec<[f64; 2]> = steps.filter(|[from, to]| to - from > GAP_S).collect();
+    let longest = gaps
+        .iter()
+        .max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])))?;
+    let [from, to] = *longest;
+    let text = format!(
+        "{} without a range, the longest of {:.1} s: σ grows there",
+        counted(gaps.len(), "time"),
+        to - from
+    );
+    Some(FindingCode::Rate.note(text).between(from, to))
 }
 
 /// What a run shows.
@@ -99,6 +114,10 @@ pub(super) fn after(
         );
         let remedy = "give the side with --start E,N,U, or move an anchor out of it";
         found.push(FindingCode::NotObserved.warning(text).remedy(remedy));
+    }
+    if chosen.start.inverted {
+        let text = "gravity is along the up axis of the anchors: their frame points down";
+        found.push(FindingCode::Axes.note(text));
     }
     for time_s in &run.recoveries {
         let text = "several ranges contradicted the path: the position was found again from the ranges, and may jump";

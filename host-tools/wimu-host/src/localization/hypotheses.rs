@@ -1,6 +1,8 @@
 //! Where the unit starts: positions from the first ranges, and headings where nothing shows one, by the likelihood of the
 //! ranges that follow.
 
+use std::f64::consts::{PI, TAU};
+
 use nalgebra::{Rotation3, Vector3};
 use wimu_nav::state::LayoutFull;
 
@@ -132,23 +134,29 @@ fn starts(
             (Motion::Free, _) => vec![(0.0, 0.0)],
             (_, Some(heading)) => vec![(heading, GIVEN_HEADING)],
             _ => (0..HEADINGS)
-                .map(|k| {
-                    (
-                        std::f64::consts::TAU * f64::from(k) / f64::from(HEADINGS),
-                        HEADING_SD,
-                    )
-                })
+                .map(|k| (TAU * f64::from(k) / f64::from(HEADINGS), HEADING_SD))
                 .collect(),
         };
+    let poses: &[bool] = match recording.motion {
+        Motion::Inertial(..) => &[false, true],
+        _ => &[false],
+    };
     let mut starts = Vec::new();
     for (position_m, position_sd_m) in positions {
-        for (heading, heading_sd) in &headings {
+        for ((heading, heading_sd), inverted) in headings
+            .iter()
+            .flat_map(|h| poses.iter().map(move |p| (h, *p)))
+        {
+            let about_east =
+                Rotation3::from_axis_angle(&Vector3::x_axis(), if inverted { PI } else { 0.0 });
+            let about_up = Rotation3::from_axis_angle(&Vector3::z_axis(), *heading);
             starts.push(Start {
                 position_m,
                 position_sd_m,
                 velocity_sd_mps: SPEED_MPS,
-                attitude: Rotation3::from_axis_angle(&Vector3::z_axis(), *heading) * level,
+                attitude: about_up * about_east * level,
                 attitude_sd_rad: [tilt, *heading_sd],
+                inverted,
             });
         }
     }

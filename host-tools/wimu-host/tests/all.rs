@@ -10,5 +10,6 @@ mod common;
 mod export_calibration;
 mod formats_document;
 mod inertial;
+mod localization;
 mod ros_topics;
 mod violent;

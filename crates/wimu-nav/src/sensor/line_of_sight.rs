@@ -50,7 +50,7 @@ impl NonLineOfSight {
         let log_excess = 0.5 * ratio * ratio - innovation_m / self.mean_m + log_normal(z - ratio)
             - libm::log(self.mean_m);
         let direct = (1.0 - self.probability) * libm::exp(log_direct);
-        let excess = self.probability * (libm::exp(log_excess) + OUTLIER_DENSITY);
+        let excess = self.probability * libm::exp(log_excess) + OUTLIER_DENSITY;
         found(direct / (direct + excess), libm::log(direct + excess))
     }
 }

@@ -59,6 +59,7 @@ fn main() -> Result<(), String> {
     }
     let wants = |name: &str| name.contains(&only);
     let mut found = 0;
+    let mut pool = [[0; 2]; 2];
     for (name, anchors) in recordings(&data) {
         found += 1;
         let truth = Truth::read(&data.join(format!("uwb/{name}_truth.csv")))?;
@@ -97,6 +98,10 @@ fn main() -> Result<(), String> {
                 &alignment,
             )?;
             record(&name, &scores);
+            for (pool, score) in pool.iter_mut().zip(&scores) {
+                pool[0] += score.below;
+                pool[1] += score.independent;
+            }
         }
         let imu = data.join(format!("uwb/{name}_imu.csv"));
         let aided = format!("{name} with gyroscope");
@@ -123,6 +128,18 @@ fn main() -> Result<(), String> {
     if wants("plaza1") && data.join("vehicle/plaza1_ranges.csv").exists() {
         found += 1;
         plaza(&data.join("vehicle"))?;
+    }
+    for ([below, count], kind) in pool.into_iter().zip(["filter", "smoother"]) {
+        let fraction = below as f64 / f64::from(u32::try_from(count).unwrap_or(u32::MAX));
+        if count > 0 {
+            println!();
+            figure(
+                &format!("ranges alone, pooled: {kind}, fraction of NEES below the 95 % point"),
+                format!("{fraction:.2} of {count}"),
+                "0.90–0.98",
+                (0.895..0.985).contains(&fraction),
+            );
+        }
     }
     match found {
         0 => Err(format!("nothing to score in {}", data.display())),

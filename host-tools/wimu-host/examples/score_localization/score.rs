@@ -5,7 +5,7 @@ use std::path::Path;
 
 use nalgebra::{Matrix3, Vector3};
 use wimu_host::inertial::PathPoint;
-use wimu_host::localization::RangeRecording;
+use wimu_host::localization::{RangeRecording, RangeSample};
 
 /// 95 % points of χ² with 2 and 3 degrees of freedom.
 const CHI_SQUARE: [f64; 2] = [5.991, 7.815];
@@ -92,6 +92,7 @@ pub struct Score {
     /// Fraction of the NEES below the 95 % point: of all samples, and of independent ones.
     all: f64,
     pub thinned: f64,
+    pub below: usize,
     pub thinned_s: f64,
     pub independent: usize,
     /// Median NEES over its expectation.
@@ -149,6 +150,7 @@ impl Score {
             largest_m: errors.iter().map(Vector3::norm).fold(0.0, f64::max),
             all: below(nees),
             thinned: below(&thinned),
+            below: (below(&thinned) * thinned.len() as f64).round() as usize,
             thinned_s,
             independent: thinned.len(),
             median: sorted[sorted.len() / 2] / MEDIAN[dof - 2],
@@ -264,6 +266,29 @@ pub fn planar(points: &[PathPoint], times_s: &[f64], truth: &Truth) -> Score {
     Score::of(times_s, &errors, &nees, 2, 0.0)
 }
 
+/// Position of least squares from a start, and its sum of squares.
+fn solve(
+    anchors: &[Vector3<f64>],
+    epoch: &[RangeSample],
+    start: Vector3<f64>,
+) -> (f64, Vector3<f64>) {
+    let (mut position, mut squares) = (start, f64::INFINITY);
+    for _ in 0..20 {
+        let (mut information, mut gradient) = (Matrix3::identity() * 1e-3, Vector3::zeros());
+        squares = 0.0;
+        for range in epoch {
+            let difference = position - anchors[range.anchor];
+            let direction = difference.normalize();
+            let residual = range.range_m - difference.norm();
+            information += direction * direction.transpose();
+            gradient += direction * residual;
+            squares += residual * residual;
+        }
+        position += information.cholesky().expect("positive").solve(&gradient);
+    }
+    (squares, position)
+}
+
 /// Least squares at each time with four ranges or more, from the position before.
 pub fn least_squares(recording: &RangeRecording, truth: &Truth, alignment: &Alignment) -> String {
     let anchors: Vec<Vector3<f64>> = recording
@@ -271,24 +296,18 @@ pub fn least_squares(recording: &RangeRecording, truth: &Truth, alignment: &Alig
         .iter()
         .map(|a| a.position_m.into())
         .collect();
-    let mut position =
-        anchors.iter().sum::<Vector3<f64>>() / anchors.len() as f64 + Vector3::z() * 0.5;
+    let centre = anchors.iter().sum::<Vector3<f64>>() / anchors.len() as f64;
+    let starts = [0.5, -0.5, 1.5, -1.5].map(|up| centre + Vector3::z() * up);
+    let mut position = starts[0];
     let mut points = Vec::new();
-    for epoch in recording
-        .ranges
-        .chunk_by(|a, b| a.time_s == b.time_s)
-        .filter(|e| e.len() >= 4)
-    {
-        for _ in 0..10 {
-            let (mut information, mut gradient) = (Matrix3::identity() * 1e-6, Vector3::zeros());
-            for range in epoch {
-                let difference = position - anchors[range.anchor];
-                let direction = difference.normalize();
-                information += direction * direction.transpose();
-                gradient += direction * (range.range_m - difference.norm());
-            }
-            position += information.cholesky().expect("positive").solve(&gradient);
-        }
+    let epochs = recording.ranges.chunk_by(|a, b| a.time_s == b.time_s);
+    for epoch in epochs.filter(|e| e.len() >= 4) {
+        let found = starts
+            .iter()
+            .chain([&position])
+            .map(|start| solve(&anchors, epoch, *start));
+        let best = found.min_by(|a, b| a.0.total_cmp(&b.0));
+        position = best.expect("a start").1;
         points.push(PathPoint {
             time_s: epoch[0].time_s,
             position_m: position.into(),

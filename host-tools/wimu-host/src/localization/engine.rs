@@ -217,8 +217,7 @@ impl Recording<'_> {
             let recent = from.max(known)..next;
             let window = &self.ranges[recent.clone()];
             if model.gate.is_infinite() && is_lost(window, &judged[recent]) {
-                let found =
-                    start::candidates(self.anchors, window, &model.line_of_sight, model.planar);
+                let found = start::candidates(self.anchors, window, model);
                 if let Some(found) = found.first() {
                     let again = Start {
                         position_m: found.position_m,
@@ -342,7 +341,7 @@ impl Recording<'_> {
                 }
                 let next = increments
                     .get(*input)
-                    .filter(|i| i.time_s - i.interval_s <= from);
+                    .filter(|i| i.time_s - i.interval_s < 0.5 * (from + to));
                 let [distance_m, rotation_rad, interval_s] = next.map_or([0.0, 0.0, step_s], |i| {
                     [i.distance_m, i.rotation_rad, i.interval_s]
                 });

@@ -1,14 +1,15 @@
 //! What is noticed of ranges: geometry, calibration that is not observed, jumps, moved anchors, clocks.
 
-use nalgebra::Vector3;
+use nalgebra::{Rotation3, Vector3};
 use wimu_nav::state::LayoutFull;
 
 use super::engine::{Motion, Recording, Run};
-use super::hypotheses::Chosen;
+use super::hypotheses::{Chosen, choose};
 use super::model::Model;
 use super::{Localization, Parameter, RangeRecording};
 use crate::digits::significant;
 use crate::finding::{Finding, FindingCode};
+use crate::inertial::StartPose;
 use crate::plural::counted;
 use crate::{ErrorCode, Result};
 
@@ -19,12 +20,14 @@ const GAP_S: f64 = 3.0;
 /// Blocks in which the residuals of an anchor are compared with the path, s, and ranges of a block at least.
 const BLOCK_S: f64 = 5.0;
 const LEAST_BLOCK: usize = 5;
-/// Median residual of a block that is reported: so many standard deviations of the correlated error, and m.
+/// Median residual of a block that is reported: so many standard deviations of a range, and m.
 const RESIDUAL_SIGMA: f64 = 6.0;
 const LEAST_RESIDUAL_M: f64 = 0.4;
 /// Shifts of the clock that are tried, s, and the gain of the log-likelihood that shows one.
 const SHIFTS_S: [f64; 5] = [0.25, 0.5, 1.0, 2.0, 4.0];
 const SHIFT_GAIN: f64 = 50.0;
+/// They are tried if the noise of the ranges is larger than assumed by this factor.
+const CLOCK_NOISE: f64 = 1.5;
 /// Part of this many ranges is compared for it.
 const SHIFT_RANGES: usize = 3000;
 
@@ -94,11 +97,10 @@ fn gaps(recording: &RangeRecording) -> Option<Finding> {
 /// What a run shows.
 pub(super) fn after(
     recording: &RangeRecording,
-    problem: &Recording,
     model: &Model,
     run: &Run,
     chosen: &Chosen,
-) -> std::result::Result<Vec<Finding>, LayoutFull> {
+) -> Vec<Finding> {
     let mut found = Vec::new();
     if let Some(other) = &chosen.other {
         let at = |p: &Vector3<f64>| format!("E {:.2} N {:.2} U {:.2} m", p.x, p.y, p.z);
@@ -135,16 +137,12 @@ pub(super) fn after(
         found.push(FindingCode::Navigation.note(text));
     }
     found.extend(residuals(recording, model, run));
-    found.extend(clock(problem, model, run, chosen)?);
-    Ok(found)
+    found
 }
 
 /// Anchors whose ranges depart from the path for some time.
 fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Finding> {
-    let limit_m = f64::max(
-        LEAST_RESIDUAL_M,
-        RESIDUAL_SIGMA * model.ranges.noise_m.hypot(model.ranges.correlated_m),
-    );
+    let limit_m = f64::max(LEAST_RESIDUAL_M, RESIDUAL_SIGMA * model.expected_m);
     let mut found = Vec::new();
     for (index, anchor) in recording.anchors.iter().enumerate() {
         let own = &run.anchors[index];
@@ -210,45 +208,46 @@ fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Findin
     found
 }
 
-/// A shift between the clocks of the ranges and of the other sensor.
-fn clock(
+/// A shift between the clocks of the ranges and of the other sensor. Each shift has its own most probable start.
+pub(super) fn clock(
     problem: &Recording,
     model: &Model,
-    run: &Run,
-    chosen: &Chosen,
+    given: Option<&StartPose>,
+    level: Rotation3<f64>,
 ) -> std::result::Result<Option<Finding>, LayoutFull> {
-    if matches!(problem.motion, Motion::Free) {
+    let noise_m = model.ranges.noise_m.hypot(model.ranges.correlated_m);
+    let fits = noise_m < CLOCK_NOISE * model.expected_m && model.line_of_sight.probability < 0.5;
+    if matches!(problem.motion, Motion::Free) || fits {
         return Ok(None);
     }
     let part = Recording {
         ranges: &problem.ranges[..problem.ranges.len().min(SHIFT_RANGES)],
         ..*problem
     };
-    let until_s = part.ranges.last().map_or(0.0, |r| r.time_s);
+    let last_s = part.ranges.last().map_or(0.0, |r| r.time_s);
     let likelihood = |shift_s: f64| {
         let shifted = Model { shift_s, ..*model };
-        let run = part.run(&shifted, &chosen.start, false, until_s + shift_s.max(0.0))?;
+        let Some(chosen) = choose(&part, &shifted, given, level)? else {
+            return Ok((f64::NEG_INFINITY, shift_s));
+        };
+        let run = part.run(&shifted, &chosen.start, false, last_s + shift_s.max(0.0))?;
         Ok((run.log_likelihood, shift_s))
     };
-    let unshifted: f64 = run.judged[..part.ranges.len()]
-        .iter()
-        .map(|l| l.log_likelihood)
-        .sum();
+    let unshifted = likelihood(0.0)?.0;
     let shifts = SHIFTS_S.iter().flat_map(|s| [*s, -*s]);
     let found = shifts
         .map(likelihood)
         .collect::<std::result::Result<Vec<_>, _>>()?;
     let best = found.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
-    Ok(best
-        .filter(|(most, _)| *most > unshifted + SHIFT_GAIN)
-        .map(|(_, shift_s)| {
-            let text = format!(
-                "the clock of the ranges differs from that of the other sensor by about {:.2} s",
-                -shift_s
-            );
-            let remedy = format!("add {shift_s:+.2} s to the times of the ranges");
-            FindingCode::Clock.warning(text).remedy(remedy)
-        }))
+    let best = best.filter(|(most, _)| *most > unshifted + SHIFT_GAIN);
+    Ok(best.map(|(_, shift_s)| {
+        let text = format!(
+            "the clock of the ranges differs from that of the other sensor by about {:.2} s",
+            -shift_s
+        );
+        let remedy = format!("add {shift_s:+.2} s to the times of the ranges");
+        FindingCode::Clock.warning(text).remedy(remedy)
+    }))
 }
 
 /// Calibration parameters that the data do not show.

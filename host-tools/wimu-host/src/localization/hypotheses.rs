@@ -8,7 +8,7 @@ use wimu_nav::state::LayoutFull;
 
 use super::engine::{Motion, Recording, START_M, Start};
 use super::model::Model;
-use super::start::{LEAST, candidates};
+use super::start::candidates;
 use crate::inertial::StartPose;
 
 /// A hypothesis is followed for this time, s: without a heading, until the unit has moved.
@@ -94,15 +94,6 @@ fn judged(
     Ok(found)
 }
 
-/// Standard deviation of a range from bias and scale error, m.
-fn systematic_m(recording: &Recording, model: &Model) -> f64 {
-    let ranges = recording.ranges.iter().take(LEAST);
-    let mean_m = ranges.clone().map(|r| r.range_m).sum::<f64>() / ranges.count().max(1) as f64;
-    let [bias, scale] = model.common;
-    let bias_m = model.ranges.bias_m.hypot(bias);
-    bias_m.hypot(model.ranges.scale.hypot(scale) * mean_m)
-}
-
 fn starts(
     recording: &Recording,
     model: &Model,
@@ -112,16 +103,10 @@ fn starts(
     let positions: Vec<(Vector3<f64>, f64)> = match given {
         Some(pose) => vec![(pose.position_m.into(), GIVEN_M)],
         None => {
-            let found = candidates(
-                recording.anchors,
-                recording.ranges,
-                &model.line_of_sight,
-                model.planar,
-            );
-            let error_m = START_M + systematic_m(recording, model);
+            let found = candidates(recording.anchors, recording.ranges, model);
             found
                 .iter()
-                .map(|f| (f.position_m, f.deviation_m + error_m))
+                .map(|f| (f.position_m, f.deviation_m + START_M))
                 .collect()
         }
     };

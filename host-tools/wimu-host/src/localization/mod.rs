@@ -259,7 +259,9 @@ pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Resu
     let (run, model, chosen) = solved(&problem, model, choice, level)
         .map_err(refused)?
         .ok_or_else(|| no_start(recording))?;
-    noticed.extend(findings::after(recording, &problem, &model, &run, &chosen).map_err(refused)?);
+    noticed.extend(findings::after(recording, &model, &run, &chosen));
+    let given = choice.start.as_ref();
+    noticed.extend(findings::clock(&problem, &model, given, level).map_err(refused)?);
     let mut found = presented(recording, &problem, choice, &model, run);
     noticed.extend(findings::unobserved(&found));
     found.path.findings = noticed;

@@ -63,6 +63,8 @@ pub(super) struct Model {
     /// Part of the bias, m, and of the scale error that all anchors have in common, standard deviations.
     pub common: [f64; 2],
     pub line_of_sight: NonLineOfSight,
+    /// Standard deviation of a range beside its bias before the search for the noise, m.
+    pub expected_m: f64,
     /// A range is rejected beyond this number of standard deviations.
     pub gate: f64,
     /// Power spectral density of the acceleration, m²/s³.
@@ -108,6 +110,7 @@ impl Model {
             ranges,
             common: [prior.bias_m * OWN_BIAS, prior.scale],
             line_of_sight: BLOCKED,
+            expected_m: ranges.noise_m.hypot(ranges.correlated_m),
             gate: f64::INFINITY,
             acceleration: ACCELERATION,
             odometry: OdometryErrors::default(),

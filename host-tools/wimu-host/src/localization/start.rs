@@ -1,13 +1,13 @@
 //! Positions from the first ranges alone: robust least squares from several points.
 
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
-use wimu_nav::sensor::NonLineOfSight;
 
 use super::RangeSample;
+use super::model::Model;
 
 /// Ranges of this time are used, s, and at least so many.
 const LENGTH_S: f64 = 1.0;
-pub(super) const LEAST: usize = 12;
+const LEAST: usize = 12;
 /// Standard deviations of a range in successive rounds, m: the cost function of the first one has few local minima. The
 /// last one holds what the unit moves within the time.
 const ROUNDS_M: [f64; 5] = [3.0, 1.0, 0.5, 0.3, 0.3];
@@ -19,6 +19,8 @@ const ODDS: f64 = 30.0;
 /// Standard deviation of the distance from the mean anchor, m: it only regularises.
 const FAR_M: f64 = 1e3;
 
+/// Information of a direction that no range has: a dilution of ten.
+const LEAST_INFORMATION: f64 = 0.01;
 /// Candidates, at most.
 const MOST: usize = 4;
 
@@ -35,8 +37,7 @@ pub(super) struct Found {
 pub(super) fn candidates(
     anchors: &[Vector3<f64>],
     ranges: &[RangeSample],
-    line_of_sight: &NonLineOfSight,
-    planar: bool,
+    model: &Model,
 ) -> Vec<Found> {
     let Some(first) = ranges.first() else {
         return Vec::new();
@@ -52,15 +53,15 @@ pub(super) fn candidates(
     });
     let mut found: Vec<Found> = Vec::new();
     for mut position in from {
-        if planar {
+        if model.planar {
             position.z = centre.z;
         }
         let problem = Problem {
             anchors,
             used,
-            line_of_sight,
+            model,
             centre,
-            planar,
+            systematic_m: systematic_m(mean_m, model),
         };
         let Some(new) = problem.solve(position) else {
             continue;
@@ -91,15 +92,22 @@ pub(super) fn principal_axes(anchors: &[Vector3<f64>], centre: &Vector3<f64>) ->
 struct Problem<'a> {
     anchors: &'a [Vector3<f64>],
     used: &'a [RangeSample],
-    line_of_sight: &'a NonLineOfSight,
+    model: &'a Model,
     centre: Vector3<f64>,
-    planar: bool,
+    systematic_m: f64,
+}
+
+/// Standard deviation of a range, m, from its bias and scale error.
+fn systematic_m(range_m: f64, model: &Model) -> f64 {
+    let [bias, scale] = model.common;
+    let bias_m = model.ranges.bias_m.hypot(bias);
+    bias_m.hypot(model.ranges.scale.hypot(scale) * range_m)
 }
 
 impl Problem<'_> {
     /// Gauss–Newton with the weights of the mixture.
     fn solve(&self, mut position_m: Vector3<f64>) -> Option<Found> {
-        let (mut log_likelihood, mut deviation_m) = (0.0, 0.0);
+        let (mut log_likelihood, mut noise_m) = (0.0, 0.0);
         for round_m in ROUNDS_M {
             for _ in 0..ITERATIONS {
                 let mut information = Matrix3::identity() / (FAR_M * FAR_M);
@@ -109,11 +117,14 @@ impl Problem<'_> {
                     let difference = position_m - self.anchors[range.anchor];
                     let distance = difference.norm();
                     let mut direction = difference / distance.max(1e-6);
-                    if self.planar {
+                    if self.model.planar {
                         direction.z = 0.0;
                     }
-                    let variance = round_m * round_m;
-                    let found = self.line_of_sight.weigh(range.range_m - distance, variance);
+                    let variance = round_m.max(self.systematic_m).powi(2);
+                    let found = self
+                        .model
+                        .line_of_sight
+                        .weigh(range.range_m - distance, variance);
                     let weight = found.weight / variance;
                     information += direction * direction.transpose() * weight;
                     gradient += direction * (found.innovation_m * weight);
@@ -121,15 +132,34 @@ impl Problem<'_> {
                 }
                 let factor = information.cholesky()?;
                 position_m += factor.solve(&gradient);
-                let variances = factor.inverse().diagonal();
-                let axes = if self.planar { 2 } else { 3 };
-                deviation_m = variances.rows(0, axes).max().sqrt();
+                noise_m = self.largest(&factor.inverse());
             }
         }
+        let deviation_m = noise_m.hypot(self.systematic_m * self.dilution(&position_m)?);
         Some(Found {
             position_m,
             deviation_m,
             log_likelihood,
         })
+    }
+
+    /// Largest standard deviation of a component.
+    fn largest(&self, covariance: &Matrix3<f64>) -> f64 {
+        let axes = if self.model.planar { 2 } else { 3 };
+        covariance.diagonal().rows(0, axes).max().sqrt()
+    }
+
+    /// Dilution of precision: the deviation of the position over that of a range, with one range to each anchor.
+    fn dilution(&self, position_m: &Vector3<f64>) -> Option<f64> {
+        let mut seen: Vec<usize> = self.used.iter().map(|range| range.anchor).collect();
+        seen.sort_unstable();
+        seen.dedup();
+        let mut information = Matrix3::identity() * LEAST_INFORMATION;
+        for anchor in seen {
+            let difference = position_m - self.anchors[anchor];
+            let direction = difference / difference.norm().max(1e-6);
+            information += direction * direction.transpose();
+        }
+        Some(self.largest(&information.try_inverse()?))
     }
 }

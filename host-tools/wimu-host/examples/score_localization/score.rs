@@ -266,7 +266,7 @@ pub fn planar(points: &[PathPoint], times_s: &[f64], truth: &Truth) -> Score {
     Score::of(times_s, &errors, &nees, 2, 0.0)
 }
 
-/// Position of least squares from a start, and its sum of squares.
+/// Position of robust least squares from a start, and its cost.
 fn solve(
     anchors: &[Vector3<f64>],
     epoch: &[RangeSample],
@@ -280,16 +280,18 @@ fn solve(
             let difference = position - anchors[range.anchor];
             let direction = difference.normalize();
             let residual = range.range_m - difference.norm();
-            information += direction * direction.transpose();
-            gradient += direction * residual;
-            squares += residual * residual;
+            // Soft L1 with a scale of 0.1 m, as the reference's first position.
+            let root = (1.0 + (residual / 0.1).powi(2)).sqrt();
+            information += direction * direction.transpose() / root;
+            gradient += direction * residual / root;
+            squares += root;
         }
         position += information.cholesky().expect("positive").solve(&gradient);
     }
     (squares, position)
 }
 
-/// Least squares at each time with four ranges or more, from the position before.
+/// Robust least squares at each time with four ranges or more, from the position before.
 pub fn least_squares(recording: &RangeRecording, truth: &Truth, alignment: &Alignment) -> String {
     let anchors: Vec<Vector3<f64>> = recording
         .anchors

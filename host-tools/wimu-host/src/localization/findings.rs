@@ -250,9 +250,11 @@ pub(super) fn clock(
     }))
 }
 
+type ParameterOf = fn(&super::AnchorFound) -> Option<Parameter>;
+
 /// Calibration parameters that the data do not show.
 pub(super) fn unobserved(found: &Localization) -> Vec<Finding> {
-    let kinds: [(&str, fn(&super::AnchorFound) -> Option<Parameter>, &str); 2] = [
+    let kinds: [(&str, ParameterOf, &str); 2] = [
         ("bias", |anchor| anchor.bias_m, " m"),
         ("scale error", |anchor| anchor.scale, ""),
     ];

@@ -213,6 +213,15 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
         cross
     }
 
+    /// Covariance of an innovation: H P Hᵀ + R.
+    pub(crate) fn variance_of<const M: usize>(
+        &self,
+        prediction: &Prediction<R, N, M>,
+    ) -> SMatrix<R, M, M> {
+        let h = &prediction.jacobian.0;
+        h * self.cross(h) + prediction.covariance
+    }
+
     /// Innovation, P Hᵀ and gain. No gain where the covariance of the innovation is not positive definite.
     #[allow(clippy::type_complexity)]
     fn solve<const M: usize>(

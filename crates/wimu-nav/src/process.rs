@@ -1,13 +1,19 @@
 //! Process models: how state and covariance change between two samples.
 
+mod acceleration_offset;
 mod carried;
+mod constant_velocity;
 mod gauss_markov;
+mod odometry;
 mod rigid_array;
 mod strapdown;
 mod unmeasured;
 
+pub use acceleration_offset::AccelerationOffset;
 pub use carried::{Carried, CarriedBlocks};
+pub use constant_velocity::ConstantVelocity;
 pub use gauss_markov::{GaussMarkov, RandomWalk};
+pub use odometry::{Odometry, OdometryBlocks, OdometryErrors};
 pub use rigid_array::{ArrayForce, RigidArray, RigidArrayBlocks};
 pub(crate) use strapdown::by_elements;
 pub use strapdown::{ConsideredBlocks, ImuErrors, Strapdown, StrapdownBlocks};
@@ -31,10 +37,11 @@ impl<R, const N: usize, A: Process<R, N>, B: Process<R, N>> Process<R, N> for (A
     }
 }
 
-/// Part of F − 1: three rows, and up to three columns.
+/// Part of F − 1: up to three rows and three columns.
 #[derive(Clone, Debug)]
 struct Part<R> {
     row: usize,
+    rows: usize,
     column: usize,
     columns: usize,
     matrix: Matrix3<R>,
@@ -62,21 +69,24 @@ impl<R: RealField + Copy, const N: usize> Transition<R, N> {
         }
     }
 
-    /// Adds a block to F − 1. A model has at most `N` groups of three rows and three columns.
-    pub fn add<const W: usize>(
+    /// Adds a block to F − 1. A model has at most `N` groups of up to three rows and three columns.
+    pub fn add<const V: usize, const W: usize>(
         &mut self,
-        row: Block<3>,
+        row: Block<V>,
         column: Block<W>,
-        matrix: SMatrix<R, 3, W>,
+        matrix: SMatrix<R, V, W>,
     ) {
-        for first in (0..W).step_by(3) {
-            let columns = (W - first).min(3);
+        for (first, top) in (0..W)
+            .step_by(3)
+            .flat_map(|first| (0..V).step_by(3).map(move |top| (first, top)))
+        {
+            let (rows, columns) = ((V - top).min(3), (W - first).min(3));
             let mut part = Matrix3::zeros();
-            for c in 0..columns {
-                part.set_column(c, &matrix.column(first + c));
-            }
+            let view = matrix.view((top, first), (rows, columns));
+            part.view_mut((0, 0), (rows, columns)).copy_from(&view);
             let part = Part {
-                row: row.start(),
+                row: row.start() + top,
+                rows,
                 column: column.start() + first,
                 columns,
                 matrix: part,
@@ -97,7 +107,7 @@ impl<R: RealField + Copy, const N: usize> Transition<R, N> {
         let before = *matrix;
         for part in &self.parts {
             for c in 0..N {
-                for r in 0..3 {
+                for r in 0..part.rows {
                     let mut sum = matrix[(part.row + r, c)];
                     for k in 0..part.columns {
                         sum += part.matrix[(r, k)] * before[(part.column + k, c)];
@@ -117,6 +127,7 @@ impl<R: RealField + Copy, const N: usize> Transition<R, N> {
     pub fn add_covariance(&mut self, row: Block<3>, column: Block<3>, matrix: Matrix3<R>) {
         let part = Part {
             row: row.start(),
+            rows: 3,
             column: column.start(),
             columns: 3,
             matrix,
@@ -133,7 +144,7 @@ impl<R: RealField + Copy, const N: usize> Transition<R, N> {
         self.multiply(covariance);
         let before = *covariance;
         for part in &self.parts {
-            for r in 0..3 {
+            for r in 0..part.rows {
                 for k in 0..part.columns {
                     let factor = part.matrix[(r, k)];
                     for c in 0..N {

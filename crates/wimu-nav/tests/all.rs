@@ -9,6 +9,7 @@ mod finite;
 mod jacobians;
 mod mixture;
 mod navigator;
+mod ranges;
 mod smoother;
 mod stance;
 mod stationarity;

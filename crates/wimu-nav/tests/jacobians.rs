@@ -8,12 +8,13 @@ use nalgebra::{Matrix1, Rotation3, SMatrix, SVector, Vector3};
 use wimu_nav::array::{ArraySolver, Geometry, Linear};
 use wimu_nav::filter::Filter;
 use wimu_nav::process::{
-    ArrayForce, Carried, CarriedBlocks, GaussMarkov, ImuErrors, Process, RandomWalk, RigidArray,
+    AccelerationOffset, ArrayForce, Carried, CarriedBlocks, ConstantVelocity, GaussMarkov,
+    ImuErrors, Odometry, OdometryBlocks, OdometryErrors, Process, RandomWalk, RigidArray,
     RigidArrayBlocks, Strapdown, StrapdownBlocks, Unmeasured,
 };
 use wimu_nav::sensor::{
-    ArrayNoise, Heading, MagneticField, Magnetometer, Measurement, Position, ReducedArray,
-    SpecificForce, Velocity, VerticalRate, Zero,
+    Anchor, ArrayNoise, CorrelatedErrors, Heading, MagneticField, Magnetometer, Measurement,
+    Position, Range, RangeErrors, ReducedArray, SpecificForce, Velocity, VerticalRate, Zero,
 };
 use wimu_nav::state::{ATTITUDE, Block, Layout, POSITION, Role, State, VELOCITY};
 
@@ -226,6 +227,7 @@ fn gauss_markov_and_gaps_have_their_derivative() {
     let block = layout.claim(Role::Estimated, [1.0; 3]).unwrap();
     let all = states(&[block]);
     let start = anywhere(&mut random, &layout, &all);
+    let offset = AccelerationOffset { block, step_s: 0.7 };
     let markov = GaussMarkov {
         block,
         deviation: 3.0,
@@ -247,6 +249,10 @@ fn gauss_markov_and_gaps_have_their_derivative() {
     check(
         transition(&start, &all, &gap),
         numerical_of(&start, &all, &gap),
+    );
+    check(
+        transition(&start, &all, &offset),
+        numerical_of(&start, &all, &offset),
     );
     let both = (gap, (markov, walk));
     check(
@@ -345,6 +351,75 @@ fn the_jacobian_of_each_sensor_is_its_derivative() {
             assert_jacobian(&start, &all, &velocity);
         }
     }
+}
+
+#[test]
+fn a_range_has_its_derivative_with_every_state_of_its_anchor() {
+    let mut random = Random::new(5);
+    for _ in 0..20 {
+        let mut layout = layout();
+        let mut errors = RangeErrors::default();
+        (errors.scale, errors.position_m) = (0.1, 0.5);
+        let position_m = Vector3::from(random.normals(5.0));
+        let anchor = Anchor::claim(&mut layout, position_m, &errors).unwrap();
+        let delay = layout.claim(Role::Estimated, [0.1]).unwrap();
+        let mut all = states(&[anchor.offset.unwrap()]);
+        let own = [anchor.bias, anchor.scale, anchor.correlated, Some(delay)];
+        all.extend(own.into_iter().flatten());
+        let range = Range {
+            anchor: &anchor,
+            range_m: 4.0,
+            deviation_m: 0.1,
+            lever_arm_m: Vector3::from(random.normals(0.3)),
+            delay: Some(delay),
+        };
+        assert_jacobian(&anywhere(&mut random, &layout, &all), &all, &range);
+    }
+}
+
+#[test]
+fn constant_velocity_and_odometry_have_their_derivative() {
+    let mut random = Random::new(6);
+    let mut layout = layout();
+    let errors = OdometryErrors::default();
+    let blocks = OdometryBlocks::claim(&mut layout, &errors).unwrap();
+    let ranges = RangeErrors::default();
+    let anchors = [Anchor::claim(&mut layout, Vector3::zeros(), &ranges).unwrap()];
+    let mut all = states(&[]);
+    all.extend([blocks.scale, blocks.drift, anchors[0].correlated.unwrap()]);
+    let mut start = anywhere(&mut random, &layout, &all);
+    let free = ConstantVelocity {
+        density: Vector3::new(0.1, 0.2, 0.3),
+        step_s: 0.7,
+    };
+    let correlated = CorrelatedErrors {
+        anchors: &anchors,
+        errors: &ranges,
+        step_s: 0.7,
+    };
+    let free = (free, correlated);
+    let (analytic, numeric) = (
+        transition(&start, &all, &free),
+        numerical_of(&start, &all, &free),
+    );
+    assert_rows(&analytic, &numeric, 0..N, &all, 1e-8);
+
+    // In the plane.
+    start.state.attitude = Rotation3::new(Vector3::z() * 2.0);
+    all.retain(|block| block.start() > 1);
+    let odometry = Odometry {
+        blocks: &blocks,
+        errors: &errors,
+        distance_m: 0.8,
+        rotation_rad: 0.3,
+        interval_s: 0.5,
+        step_s: 0.2,
+    };
+    let analytic = transition(&start, &all, &odometry);
+    let numeric = numerical_of(&start, &all, &odometry);
+    assert_rows(&analytic, &numeric, 0..3, &all, 1e-8);
+    // The noise input of half a rotation is of second order. The velocity has no error of its own.
+    assert_rows(&analytic, &numeric, 6..N, &all, 1e-3);
 }
 
 #[test]

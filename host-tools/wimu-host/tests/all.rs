@@ -12,5 +12,6 @@ mod feet;
 mod fixes;
 mod formats_document;
 mod inertial;
+mod localization;
 mod ros_topics;
 mod violent;

@@ -166,6 +166,9 @@ fn name(method: Method) -> &'static str {
         Method::Strapdown => "strapdown",
         Method::Tilt => "tilt",
         Method::Array => "array",
+        Method::Ranges => "ranges",
+        Method::Odometry => "odometry",
+        Method::RangesInertial => "ranges_inertial",
     }
 }
 

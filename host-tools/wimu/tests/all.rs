@@ -22,6 +22,7 @@ mod keys;
 mod kit;
 mod line_rates;
 mod live;
+mod localize;
 mod magnetometer;
 mod magnetometer_input;
 mod messages;

@@ -30,11 +30,12 @@ const NAVIGATION: [&str; 3] = [
     "crates/wimu-nav/tests",
     "crates/wimu-nav/examples",
 ];
-const HOST_NAVIGATION: [&str; 8] = [
+const HOST_NAVIGATION: [&str; 9] = [
     "crates/wimu-nav/src",
     "host-tools/wimu-host/src/array",
     "host-tools/wimu-host/src/array.rs",
     "host-tools/wimu-host/src/inertial",
+    "host-tools/wimu-host/src/localization",
     "host-tools/wimu-host/src/motion",
     "host-tools/wimu-host/src/motion.rs",
     "host-tools/wimu-host/examples",
@@ -188,6 +189,10 @@ pub const CAMPAIGNS: [Campaign; 10] = [
             },
             Run {
                 command: "run --release -p wimu-host --example score_navigation -- {data} --json {results}/navigation-reference.json",
+                sources: &HOST_NAVIGATION,
+            },
+            Run {
+                command: "run --release -p wimu-host --example score_localization -- {data}",
                 sources: &HOST_NAVIGATION,
             },
             Run {

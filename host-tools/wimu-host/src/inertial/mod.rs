@@ -39,6 +39,7 @@ pub use fixes::{Fix, Fixes};
 pub use horizon::{Horizon, RestTimes};
 pub use moves::Move;
 pub use path::{InertialPath, PathPoint};
+pub(crate) use smooth::Tape;
 pub use truth::consistency;
 pub use wimu_nav::navigator::Profile;
 
@@ -61,6 +62,12 @@ pub enum Method {
     Tilt,
     /// With the angular rate of an array of accelerometers.
     Array,
+    /// From ranges to anchors.
+    Ranges,
+    /// From ranges and wheel odometry.
+    Odometry,
+    /// From ranges, with the angular rate of a gyroscope.
+    RangesInertial,
 }
 
 /// What a detected rest means. An accelerometer does not distinguish a rest from constant velocity.

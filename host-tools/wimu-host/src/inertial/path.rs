@@ -107,7 +107,7 @@ pub struct InertialPath {
 
 impl InertialPath {
     /// A path without moves, not yet compared with any truth.
-    pub(super) fn new(method: Method, points: Vec<PathPoint>, origin: usize, limit_m: f64) -> Self {
+    pub(crate) fn new(method: Method, points: Vec<PathPoint>, origin: usize, limit_m: f64) -> Self {
         Self {
             method,
             points,
@@ -129,7 +129,7 @@ impl InertialPath {
     ///
     /// # Errors
     /// `data_refused` where nothing is valid.
-    pub(super) fn checked(mut self, name: &str) -> Result<Self> {
+    pub(crate) fn checked(mut self, name: &str) -> Result<Self> {
         let diverged = self.points.iter().position(|p| !p.is_finite());
         for point in self.points.iter_mut().skip(diverged.unwrap_or(usize::MAX)) {
             point.valid = false;

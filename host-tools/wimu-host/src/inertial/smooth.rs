@@ -18,7 +18,7 @@ const BLOCK_BYTES: usize = 800 << 20;
 const OVERLAP: f64 = 0.2;
 
 /// What the smoother knows of the displacement between two samples.
-pub(super) struct Change {
+pub(crate) struct Change {
     /// The samples.
     pub from: usize,
     pub to: usize,
@@ -27,7 +27,7 @@ pub(super) struct Change {
 }
 
 /// Records a navigator, or nothing.
-pub(super) struct Tape<const N: usize> {
+pub(crate) struct Tape<const N: usize> {
     log: Option<Log<f64, N, Vec<Epoch<f64, N>>>>,
     /// Sample of each epoch of the log.
     samples: Vec<usize>,

@@ -31,9 +31,13 @@ Examples:
   wimu navigate board.csv --geometry positions.csv -o path.csv
   wimu navigate board.csv --geometry ARRAY.json
   wimu navigate cube.csv --geometry cube:100mm
-  wimu navigate a.mcap b.mcap c.mcap d.mcap --geometry boards.json")]
+  wimu navigate a.mcap b.mcap c.mcap d.mcap --geometry boards.json
+  wimu navigate ranges.csv --anchors anchors.csv -o path.csv
+  wimu navigate ranges.csv --anchors anchors.csv --odometry wheels.csv
+  wimu navigate imu.csv --ranges ranges.csv --anchors anchors.csv")]
 pub struct Navigate {
-    /// A recording of any format; of other programs: corrected samples, or with --calibration the sensor's output
+    /// A recording of any format; of other programs: corrected samples, or with --calibration the sensor's output. With
+    /// --anchors alone: ranges
     pub input: PathBuf,
     /// With --geometry: recordings of further boards on the same body, in the order of the geometry
     #[arg(value_name = "BOARD", requires = "geometry")]
@@ -91,7 +95,7 @@ pub struct Navigate {
     #[arg(
         long,
         value_name = "FIXES.csv",
-        conflicts_with = "geometry",
+        conflicts_with_all = ["geometry", "anchors"],
         help_heading = "Aiding"
     )]
     pub fixes: Option<PathBuf>,
@@ -106,12 +110,11 @@ pub struct Navigate {
         help_heading = "Aiding"
     )]
     pub fix_delay: f64,
-    /// Position of the antenna from the inertial sensor, m, body axes
+    /// Position of the antenna from the inertial sensor or the odometer, m, body axes
     #[arg(
         long,
         value_name = "X,Y,Z",
         value_parser = numbers::<3>,
-        requires = "fixes",
         allow_hyphen_values = true,
         help_heading = "Aiding"
     )]
@@ -123,7 +126,7 @@ pub struct Navigate {
         num_args = 0..=1,
         default_missing_value = "0.1",
         value_parser = positive,
-        conflicts_with = "geometry",
+        conflicts_with_all = ["geometry", "anchors"],
         help_heading = "Aiding"
     )]
     pub closes: Option<f64>,
@@ -161,6 +164,48 @@ pub struct Navigate {
     /// Standard deviation of the sensors' delays, µs [default: that of the geometry file, or 300]
     #[arg(long, value_name = "US", value_parser = positive, requires = "geometry", help_heading = "Arrays")]
     pub delay_sd: Option<f64>,
+
+    /// Positions of the anchors of ranges: CSV with columns `Anchor`, `Position E (m)`, `Position N (m)` and, in space,
+    /// `Position U (m)`. Ranges are INPUT, or --ranges beside an inertial recording
+    #[arg(
+        long,
+        value_name = "ANCHORS.csv",
+        conflicts_with_all = ["geometry", "zupt", "within", "rests", "profile"],
+        help_heading = "Aiding"
+    )]
+    pub anchors: Option<PathBuf>,
+    /// Ranges beside an inertial recording: CSV with columns `Time (s)`, `Anchor`, `Range (m)`, or `Range ID (m)` for each
+    /// anchor. The times are those of INPUT
+    #[arg(
+        long,
+        value_name = "RANGES.csv",
+        requires = "anchors",
+        help_heading = "Aiding"
+    )]
+    pub ranges: Option<PathBuf>,
+    /// Wheel odometry beside ranges in the plane: CSV with columns `Time (s)`, `Distance Increment (m)`, `Heading Increment
+    /// (rad)`
+    #[arg(
+        long,
+        value_name = "WHEELS.csv",
+        requires = "anchors",
+        conflicts_with = "ranges",
+        help_heading = "Aiding"
+    )]
+    pub odometry: Option<PathBuf>,
+    /// Standard deviations of noise, m, bias, m, and scale error of the ranges, before the calibration from the recording
+    /// [default: 0.03,0.1,0; with --odometry 0.5,0.5,0.1]
+    #[arg(
+        long,
+        value_name = "NOISE,BIAS,SCALE",
+        value_parser = numbers::<3>,
+        requires = "anchors",
+        help_heading = "Aiding"
+    )]
+    pub range_errors: Option<[f64; 3]>,
+    /// Estimate the positions of the anchors, which are known to M metres (1 σ of a component)
+    #[arg(long, value_name = "M", value_parser = positive, requires = "anchors", help_heading = "Aiding")]
+    pub survey: Option<f64>,
 
     /// Write velocity and position to this CSV file, or as ROS 2 odometry, path and transforms where its name ends in
     /// .mcap; - is standard output, as CSV

@@ -25,6 +25,15 @@ pub fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
+/// Finite numbers between commas.
+pub fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
+    let values: Option<Vec<f64>> = (text.split(','))
+        .map(|part| part.trim().parse().ok().filter(|v: &f64| v.is_finite()))
+        .collect();
+    let values = values.and_then(|values| values.try_into().ok());
+    values.ok_or_else(|| format!("give {N} numbers between commas"))
+}
+
 /// A duration in seconds.
 pub fn seconds(text: &str) -> Result<Duration, String> {
     text.parse()
@@ -65,15 +74,6 @@ pub fn time_spans(text: &str) -> Result<TimeSpans, String> {
     };
     let spans: Option<TimeSpans> = text.split(',').map(span).collect();
     spans.ok_or_else(|| "give times from-to in seconds, such as 0-3,10.5-12".to_owned())
-}
-
-/// Finite numbers between commas.
-pub fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
-    let values: Option<Vec<f64>> = (text.split(','))
-        .map(|part| part.trim().parse().ok().filter(|v: &f64| v.is_finite()))
-        .collect();
-    let values = values.and_then(|values| values.try_into().ok());
-    values.ok_or_else(|| format!("give {N} numbers between commas"))
 }
 
 /// A start: `E,N,U` in metres, and perhaps the heading in degrees.

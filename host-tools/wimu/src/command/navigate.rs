@@ -2,6 +2,7 @@
 
 mod array;
 mod inertial;
+mod ranges;
 
 use serde::Serialize;
 use wimu_host::calibration::read_parameters;
@@ -127,6 +128,9 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
             "--calibration was given more than once for a single sensor",
             "give one, or --geometry",
         ));
+    }
+    if let Some(anchors) = &arguments.anchors {
+        return ranges::run(arguments, anchors, output);
     }
     let is_of_wimu = matches!(Input::parse(&input), Ok(Input::Recording(_)));
     if !is_of_wimu || arguments.geometry.is_some() {

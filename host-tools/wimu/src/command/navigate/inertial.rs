@@ -153,7 +153,7 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
 }
 
 /// Reads a recording of one unit and corrects it.
-fn table(arguments: &Navigate, file: &Path) -> Result<MotionRecording> {
+pub fn table(arguments: &Navigate, file: &Path) -> Result<MotionRecording> {
     let calibration = arguments.calibration.first();
     let options = TableOptions {
         calibration: calibration.map(|file| read_model(file)).transpose()?,
@@ -368,6 +368,7 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
             Method::Strapdown => "with a gyroscope",
             Method::Tilt => "without a gyroscope",
             Method::Array => "with an array of accelerometers",
+            Method::Ranges | Method::Odometry | Method::RangesInertial => "with ranges",
         },
         if path.smoothed { ", smoothed" } else { "" },
         100.0 * path.valid_share(),

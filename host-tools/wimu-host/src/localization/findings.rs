@@ -1,0 +1,283 @@
+//! What is noticed of ranges: geometry, calibration that is not observed, jumps, moved anchors, clocks.
+
+use nalgebra::{Rotation3, Vector3};
+use wimu_nav::state::LayoutFull;
+
+use super::engine::{Motion, Recording, Run};
+use super::hypotheses::{Chosen, choose};
+use super::model::Model;
+use super::{Localization, Parameter, RangeRecording};
+use crate::digits::significant;
+use crate::finding::{Finding, FindingCode};
+use crate::inertial::StartPose;
+use crate::plural::counted;
+use crate::{ErrorCode, Result};
+
+/// Fewer ranges do not make a path.
+const LEAST_RANGES: usize = 12;
+/// A longer time without a range is reported, s.
+const GAP_S: f64 = 3.0;
+/// Blocks in which the residuals of an anchor are compared with the path, s, and ranges of a block at least.
+const BLOCK_S: f64 = 5.0;
+const LEAST_BLOCK: usize = 5;
+/// Median residual of a block that is reported: so many standard deviations of a range, and m.
+const RESIDUAL_SIGMA: f64 = 6.0;
+const LEAST_RESIDUAL_M: f64 = 0.4;
+/// Shifts of the clock that are tried, s, and the gain of the log-likelihood that shows one.
+const SHIFTS_S: [f64; 5] = [0.25, 0.5, 1.0, 2.0, 4.0];
+const SHIFT_GAIN: f64 = 50.0;
+/// They are tried if the noise of the ranges is larger than assumed by this factor.
+const CLOCK_NOISE: f64 = 1.5;
+/// Part of this many ranges is compared for it.
+const SHIFT_RANGES: usize = 3000;
+
+/// Refuses what cannot be solved, and reports gaps.
+pub(super) fn before(recording: &RangeRecording) -> Result<Vec<Finding>> {
+    let mut seen: Vec<usize> = recording.ranges.iter().map(|r| r.anchor).collect();
+    seen.sort_unstable();
+    seen.dedup();
+    let moving = !recording.increments.is_empty() || recording.motion.is_some();
+    let least = match (recording.planar, moving) {
+        (true, true) => 1,
+        (true, false) | (false, true) => 2,
+        (false, false) => 3,
+    };
+    let refused = |message: String, remedy: &str| {
+        Err(ErrorCode::DataRefused
+            .error(message, remedy)
+            .at(&recording.name))
+    };
+    if seen.len() < least {
+        let message = format!(
+            "ranges to {} anchors do not determine a position: {least} are needed",
+            seen.len()
+        );
+        return refused(message, "add anchors, or wheel odometry (--odometry)");
+    }
+    if recording.ranges.len() < LEAST_RANGES {
+        let message = format!(
+            "{} ranges are too few: {LEAST_RANGES} are needed",
+            recording.ranges.len()
+        );
+        return refused(message, "record for longer");
+    }
+    let mut found: Vec<Finding> = gaps(recording).into_iter().collect();
+    let silent = recording
+        .anchors
+        .iter()
+        .enumerate()
+        .filter(|(k, _)| !seen.contains(k));
+    let silent: Vec<&str> = silent.map(|(_, anchor)| anchor.id.as_str()).collect();
+    if !silent.is_empty() {
+        let text = format!("no range to anchor {}", silent.join(", "));
+        found.push(FindingCode::Navigation.note(text));
+    }
+    Ok(found)
+}
+
+/// Times without a range.
+fn gaps(recording: &RangeRecording) -> Option<Finding> {
+    let steps = recording
+        .ranges
+        .windows(2)
+        .map(|pair| [pair[0].time_s, pair[1].time_s]);
+    let gaps: Vec<[f64; 2]> = steps.filter(|[from, to]| to - from > GAP_S).collect();
+    let longest = gaps
+        .iter()
+        .max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])))?;
+    let [from, to] = *longest;
+    let text = format!(
+        "{} without a range, the longest of {:.1} s: σ grows there",
+        counted(gaps.len(), "time"),
+        to - from
+    );
+    Some(FindingCode::Rate.note(text).between(from, to))
+}
+
+/// What a run shows.
+pub(super) fn after(
+    recording: &RangeRecording,
+    model: &Model,
+    run: &Run,
+    chosen: &Chosen,
+) -> Vec<Finding> {
+    let mut found = Vec::new();
+    if let Some(other) = &chosen.other {
+        let at = |p: &Vector3<f64>| format!("E {:.2} N {:.2} U {:.2} m", p.x, p.y, p.z);
+        let geometry = if recording.planar {
+            "on a line"
+        } else {
+            "in a plane"
+        };
+        let text = format!(
+            "two starts are equally probable, {} (used) and {}: the anchors are {geometry}, and the path may be the mirror image",
+            at(&chosen.start.position_m),
+            at(&other.position_m)
+        );
+        let remedy = "give the side with --start E,N,U, or move an anchor out of it";
+        found.push(FindingCode::NotObserved.warning(text).remedy(remedy));
+    }
+    if chosen.start.inverted {
+        let text = "gravity is along the up axis of the anchors: their frame points down";
+        found.push(FindingCode::Axes.note(text));
+    }
+    for time_s in &run.recoveries {
+        let text = "several ranges contradicted the path: the position was found again from the ranges, and may jump";
+        found.push(
+            FindingCode::Navigation
+                .warning(text)
+                .between(time_s - 1.0, *time_s),
+        );
+    }
+    if run.contradictions > 0 {
+        let text = format!(
+            "later ranges contradict the path by far more than σ at {} times: it is not smoothed across",
+            run.contradictions
+        );
+        found.push(FindingCode::Navigation.note(text));
+    }
+    found.extend(residuals(recording, model, run));
+    found
+}
+
+/// Anchors whose ranges depart from the path for some time.
+fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Finding> {
+    let limit_m = f64::max(LEAST_RESIDUAL_M, RESIDUAL_SIGMA * model.expected_m);
+    let mut found = Vec::new();
+    for (index, anchor) in recording.anchors.iter().enumerate() {
+        let own = &run.anchors[index];
+        let value = |block| {
+            run.calibration
+                .parameter(block)
+                .map_or(0.0, |[value, _]| value)
+        };
+        let (bias, scale) = (value(own.bias), value(own.scale));
+        let offset = own.offset.map_or([0.0; 3], |block| {
+            run.calibration
+                .vector(block)
+                .map(|axis| axis.map_or(0.0, |[v, _]| v))
+        });
+        let place = Vector3::from(anchor.position_m) + Vector3::from(offset);
+        let residual = |time_s: f64, range_m: f64| {
+            let at = run
+                .points
+                .partition_point(|p| p.time_s < time_s)
+                .min(run.points.len() - 1);
+            let distance = (Vector3::from(run.points[at].position_m) - place).norm();
+            range_m - bias - (1.0 + scale) * distance
+        };
+        let pairs = recording.ranges.iter().filter(|r| r.anchor == index);
+        let pairs: Vec<(f64, f64)> = pairs
+            .map(|r| (r.time_s, residual(r.time_s + model.shift_s, r.range_m)))
+            .collect();
+        let mut spans: Vec<(f64, f64, f64)> = Vec::new();
+        for block in pairs.chunk_by(|a, b| (a.0 / BLOCK_S).floor() == (b.0 / BLOCK_S).floor()) {
+            let mut values: Vec<f64> = block.iter().map(|(_, r)| *r).collect();
+            values.sort_by(f64::total_cmp);
+            let median = values[values.len() / 2];
+            if block.len() < LEAST_BLOCK || median.abs() < limit_m {
+                continue;
+            }
+            let (from, to) = (block[0].0, block[block.len() - 1].0);
+            match spans
+                .last_mut()
+                .filter(|last| from - last.1 < BLOCK_S && last.2 * median > 0.0)
+            {
+                Some(last) => last.1 = to,
+                None => spans.push((from, to, median)),
+            }
+        }
+        for (from, to, median) in spans {
+            let (how, why) = match median > 0.0 {
+                true => ("longer", "has it moved, or no line of sight?"),
+                false => ("shorter", "has it moved?"),
+            };
+            let size = significant(median.abs(), 3);
+            let text = format!(
+                "ranges of anchor {} are {size} m {how} than from the path: {why}",
+                anchor.id
+            );
+            found.push(
+                FindingCode::Residuals
+                    .warning(text)
+                    .between(from, to)
+                    .remedy("they have little weight there"),
+            );
+        }
+    }
+    found
+}
+
+/// A shift between the clocks of the ranges and of the other sensor. Each shift has its own most probable start.
+pub(super) fn clock(
+    problem: &Recording,
+    model: &Model,
+    given: Option<&StartPose>,
+    level: Rotation3<f64>,
+) -> std::result::Result<Option<Finding>, LayoutFull> {
+    let noise_m = model.ranges.noise_m.hypot(model.ranges.correlated_m);
+    let fits = noise_m < CLOCK_NOISE * model.expected_m && model.line_of_sight.probability < 0.5;
+    if matches!(problem.motion, Motion::Free) || fits {
+        return Ok(None);
+    }
+    let part = Recording {
+        ranges: &problem.ranges[..problem.ranges.len().min(SHIFT_RANGES)],
+        ..*problem
+    };
+    let last_s = part.ranges.last().map_or(0.0, |r| r.time_s);
+    let likelihood = |shift_s: f64| {
+        let shifted = Model { shift_s, ..*model };
+        let Some(chosen) = choose(&part, &shifted, given, level)? else {
+            return Ok((f64::NEG_INFINITY, shift_s));
+        };
+        let run = part.run(&shifted, &chosen.start, false, last_s + shift_s.max(0.0))?;
+        Ok((run.log_likelihood, shift_s))
+    };
+    let unshifted = likelihood(0.0)?.0;
+    let shifts = SHIFTS_S.iter().flat_map(|s| [*s, -*s]);
+    let found = shifts
+        .map(likelihood)
+        .collect::<std::result::Result<Vec<_>, _>>()?;
+    let best = found.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
+    let best = best.filter(|(most, _)| *most > unshifted + SHIFT_GAIN);
+    Ok(best.map(|(_, shift_s)| {
+        let text = format!(
+            "the clock of the ranges differs from that of the other sensor by about {:.2} s",
+            -shift_s
+        );
+        let remedy = format!("add {shift_s:+.2} s to the times of the ranges");
+        FindingCode::Clock.warning(text).remedy(remedy)
+    }))
+}
+
+type ParameterOf = fn(&super::AnchorFound) -> Option<Parameter>;
+
+/// Calibration parameters that the data do not show.
+pub(super) fn unobserved(found: &Localization) -> Vec<Finding> {
+    let kinds: [(&str, ParameterOf, &str); 2] = [
+        ("bias", |anchor| anchor.bias_m, " m"),
+        ("scale error", |anchor| anchor.scale, ""),
+    ];
+    let mut findings = Vec::new();
+    for (what, of, unit) in kinds {
+        let hidden = found
+            .anchors
+            .iter()
+            .filter(|a| a.ranges > 0 && of(a).is_some_and(|p| !p.is_observed()));
+        let hidden: Vec<&super::AnchorFound> = hidden.collect();
+        if let Some(prior) = hidden.first().and_then(|a| of(a)).map(|p| p.prior) {
+            let names: Vec<&str> = hidden.iter().map(|a| a.id.as_str()).collect();
+            let text = format!(
+                "{what} of anchor {} not observed: it stays near its prior, 0 ± {}{unit}",
+                names.join(", "),
+                significant(prior, 2)
+            );
+            findings.push(
+                FindingCode::NotObserved
+                    .note(text)
+                    .remedy("move through more of the space between the anchors"),
+            );
+        }
+    }
+    findings
+}

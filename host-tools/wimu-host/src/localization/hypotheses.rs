@@ -1,0 +1,149 @@
+//! Where the unit starts: positions from the first ranges, and headings where nothing shows one, by the likelihood of the
+//! ranges that follow.
+
+use std::f64::consts::{PI, TAU};
+
+use nalgebra::{Rotation3, Vector3};
+use wimu_nav::state::LayoutFull;
+
+use super::engine::{Motion, Recording, START_M, Start};
+use super::model::Model;
+use super::start::candidates;
+use crate::inertial::StartPose;
+
+/// A hypothesis is followed for this time, s: without a heading, until the unit has moved.
+const TRIAL_S: f64 = 10.0;
+const HEADING_TRIAL_S: f64 = 60.0;
+/// Headings that are tried, and the standard deviation of each, rad.
+const HEADINGS: u32 = 12;
+const HEADING_SD: f64 = 0.3;
+/// Standard deviations of a start that is given, m and rad.
+const GIVEN_M: f64 = 0.3;
+const GIVEN_HEADING: f64 = 0.05;
+/// Standard deviation of the velocity at the start, m/s: walking speed.
+const SPEED_MPS: f64 = 1.0;
+/// Tilt of a start in motion, rad: see `wimu_nav::navigator`.
+const TILT: f64 = 0.1;
+/// Logarithm of the odds below which two starts are equally probable, 150 to 1.
+const DECIDED: f64 = 5.0;
+/// Two positions or headings that differ by less, m and rad, are one.
+const SAME_M: f64 = 1.0;
+
+/// The start, and another one that is as probable.
+pub(super) struct Chosen {
+    pub start: Start,
+    pub other: Option<Start>,
+}
+
+/// The most probable start; `None` without a candidate.
+///
+/// # Errors
+/// [`LayoutFull`].
+pub(super) fn choose(
+    recording: &Recording,
+    model: &Model,
+    given: Option<&StartPose>,
+    level: Rotation3<f64>,
+) -> Result<Option<Chosen>, LayoutFull> {
+    let starts = starts(recording, model, given, level);
+    let first_s = recording
+        .ranges
+        .first()
+        .map_or(0.0, |r| r.time_s + model.shift_s);
+    let trial_s = match recording.motion {
+        Motion::Free => TRIAL_S,
+        _ => HEADING_TRIAL_S,
+    };
+    let mut order = judged(recording, model, &starts, first_s + trial_s)?;
+    if order.len() > 1 && order[0].0 - order[1].0 < DECIDED {
+        let close: Vec<Start> = order.iter().take(2).map(|(_, start)| *start).collect();
+        order = judged(recording, model, &close, f64::INFINITY)?;
+    }
+    let Some(mut start) = order.first().map(|(_, start)| *start) else {
+        return Ok(None);
+    };
+    let equal = order
+        .get(1)
+        .filter(|(found, _)| order[0].0 - found < DECIDED);
+    let mut other = equal
+        .map(|(_, other)| *other)
+        .filter(|other| (other.position_m - start.position_m).norm() > SAME_M);
+    // Of a position and its mirror image, the upper one.
+    if let Some(above) = other.filter(|o| o.position_m.z > start.position_m.z) {
+        (start, other) = (above, Some(start));
+    }
+    Ok(Some(Chosen { start, other }))
+}
+
+/// Log-likelihoods of the ranges up to a time, s, the greatest first.
+fn judged(
+    recording: &Recording,
+    model: &Model,
+    starts: &[Start],
+    until_s: f64,
+) -> Result<Vec<(f64, Start)>, LayoutFull> {
+    if let [only] = starts {
+        return Ok(vec![(0.0, *only)]);
+    }
+    let judge = |start: &Start| {
+        let run = recording.run(model, start, false, until_s)?;
+        Ok((run.log_likelihood, *start))
+    };
+    let mut found = starts.iter().map(judge).collect::<Result<Vec<_>, _>>()?;
+    found.sort_by(|a, b| b.0.total_cmp(&a.0));
+    Ok(found)
+}
+
+fn starts(
+    recording: &Recording,
+    model: &Model,
+    given: Option<&StartPose>,
+    level: Rotation3<f64>,
+) -> Vec<Start> {
+    let positions: Vec<(Vector3<f64>, f64)> = match given {
+        Some(pose) => vec![(pose.position_m.into(), GIVEN_M)],
+        None => {
+            let found = candidates(recording.anchors, recording.ranges, model);
+            found
+                .iter()
+                .map(|f| (f.position_m, f.deviation_m + START_M))
+                .collect()
+        }
+    };
+    let tilt = match recording.motion {
+        Motion::Inertial(..) => TILT,
+        _ => 0.0,
+    };
+    let headings: Vec<(f64, f64)> =
+        match (recording.motion, given.and_then(|pose| pose.heading_rad)) {
+            (Motion::Free, _) => vec![(0.0, 0.0)],
+            (_, Some(heading)) => vec![(heading, GIVEN_HEADING)],
+            _ => (0..HEADINGS)
+                .map(|k| (TAU * f64::from(k) / f64::from(HEADINGS), HEADING_SD))
+                .collect(),
+        };
+    let poses: &[bool] = match recording.motion {
+        Motion::Inertial(..) => &[false, true],
+        _ => &[false],
+    };
+    let mut starts = Vec::new();
+    for (position_m, position_sd_m) in positions {
+        for ((heading, heading_sd), inverted) in headings
+            .iter()
+            .flat_map(|h| poses.iter().map(move |p| (h, *p)))
+        {
+            let about_east =
+                Rotation3::from_axis_angle(&Vector3::x_axis(), if inverted { PI } else { 0.0 });
+            let about_up = Rotation3::from_axis_angle(&Vector3::z_axis(), *heading);
+            starts.push(Start {
+                position_m,
+                position_sd_m,
+                velocity_sd_mps: SPEED_MPS,
+                attitude: about_up * about_east * level,
+                attitude_sd_rad: [tilt, *heading_sd],
+                inverted,
+            });
+        }
+    }
+    starts
+}

@@ -1,0 +1,368 @@
+//! Position from ranges to anchors, alone or with wheel odometry or an inertial sensor: filter and smoother with bias, scale
+//! and correlated errors of every anchor. Equations (160) to (167) of docs/EQUATIONS.md.
+
+mod engine;
+mod findings;
+mod hypotheses;
+mod input;
+mod model;
+mod scales;
+mod start;
+
+use nalgebra::{Rotation3, Vector3};
+use wimu_nav::navigator::{Sample, Start as Alignment};
+use wimu_nav::state::LayoutFull;
+
+pub use model::{Plain, RangePrior};
+
+use crate::finding::{Finding, FindingCode};
+use crate::inertial::{InertialPath, Method, StartPose};
+use crate::motion::{MotionRecording, UnitSample};
+use crate::{ErrorCode, HostError, Result};
+use engine::{Motion, Recording, Run};
+use hypotheses::{Chosen, choose};
+use model::Model;
+
+/// An anchor as its file has it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AnchorPosition {
+    /// Name.
+    pub id: String,
+    /// Position, m: east, north, up.
+    pub position_m: [f64; 3],
+}
+
+/// A range.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RangeSample {
+    /// Time, s.
+    pub time_s: f64,
+    /// Index of the anchor.
+    pub anchor: usize,
+    /// m, above zero.
+    pub range_m: f64,
+}
+
+/// Wheel odometry over an interval.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Increment {
+    /// Its end, s.
+    pub time_s: f64,
+    /// Its length, s, above zero.
+    pub interval_s: f64,
+    /// Distance, m.
+    pub distance_m: f64,
+    /// Rotation from east towards north, rad.
+    pub rotation_rad: f64,
+}
+
+/// Ranges and what was recorded beside them.
+#[derive(Clone, Debug)]
+pub struct RangeRecording {
+    /// What errors call it.
+    pub name: String,
+    /// The anchors.
+    pub anchors: Vec<AnchorPosition>,
+    /// Whether the anchors have no height: all is in the plane.
+    pub planar: bool,
+    /// In the order of time.
+    pub ranges: Vec<RangeSample>,
+    /// Wheel odometry; empty without.
+    pub increments: Vec<Increment>,
+    /// Samples of an inertial sensor.
+    pub motion: Option<MotionRecording>,
+    /// What was noticed at reading.
+    pub findings: Vec<Finding>,
+}
+
+/// How to localize.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LocalizationChoice {
+    /// The position is valid as long as its standard deviation is below this, m.
+    pub limit_m: f64,
+    /// Whether a point rests on all ranges, or on those up to it alone.
+    pub smooth: bool,
+    /// Pose at the start; `None`: the most probable one.
+    pub start: Option<StartPose>,
+    /// What is known of the ranges; `None`: that of the kind of recording.
+    pub prior: Option<RangePrior>,
+    /// The anchors' positions are estimated; standard deviation of a component as given, m.
+    pub survey_m: Option<f64>,
+    /// Antenna of the unit, m, body axes.
+    pub lever_arm_m: [f64; 3],
+    /// A plain filter in place of all this, for comparison.
+    pub plain: Option<Plain>,
+}
+
+impl Default for LocalizationChoice {
+    fn default() -> Self {
+        Self {
+            limit_m: 1.0,
+            smooth: true,
+            start: None,
+            prior: None,
+            survey_m: None,
+            lever_arm_m: [0.0; 3],
+            plain: None,
+        }
+    }
+}
+
+/// A parameter with its standard deviations before and after.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Parameter {
+    /// Estimate.
+    pub value: f64,
+    /// Standard deviation.
+    pub sigma: f64,
+    /// Standard deviation of the prior, with mean zero.
+    pub prior: f64,
+}
+
+impl Parameter {
+    /// Whether the data say more than the prior.
+    pub fn is_observed(&self) -> bool {
+        self.sigma < OBSERVED * self.prior
+    }
+}
+
+/// A parameter is observed if its standard deviation falls below this part of the prior.
+const OBSERVED: f64 = 0.7;
+
+/// What was found of an anchor.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct AnchorFound {
+    /// Name.
+    pub id: String,
+    /// Ranges.
+    pub ranges: usize,
+    /// Fraction of the ranges that probably had no line of sight.
+    pub blocked: f64,
+    /// Bias, m.
+    pub bias_m: Option<Parameter>,
+    /// Scale error.
+    pub scale: Option<Parameter>,
+    /// Position, m, and its standard deviation, where it is estimated.
+    pub position_m: [f64; 3],
+    /// See [`position_m`](Self::position_m).
+    pub position_sd_m: Option<[f64; 3]>,
+}
+
+/// Scales of the noise, estimated from the recording.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Noise {
+    /// White noise of a range, m.
+    pub white_m: f64,
+    /// Error that is correlated over 1 s, m.
+    pub correlated_m: f64,
+    /// Probability of a range without line of sight.
+    pub blocked: f64,
+    /// Power spectral density of the acceleration, m²/s³, without other sensors.
+    pub acceleration_m2s3: Option<f64>,
+}
+
+/// A path from ranges.
+#[derive(Clone, Debug)]
+pub struct Localization {
+    /// One point at each time of a range or of the other sensor.
+    pub path: InertialPath,
+    /// In the order of the anchors.
+    pub anchors: Vec<AnchorFound>,
+    /// Noise of the ranges.
+    pub noise: Noise,
+    /// Scale error of the odometer.
+    pub odometer_scale: Option<Parameter>,
+    /// Delay of the ranges after the other sensor, s.
+    pub delay_s: Option<Parameter>,
+}
+
+/// Samples of an inertial sensor from the first range on.
+struct Inertial<'a> {
+    times_s: &'a [f64],
+    samples: &'a [UnitSample],
+    level: Rotation3<f64>,
+}
+
+impl<'a> Inertial<'a> {
+    /// `None` without a gyroscope, or without gravity to align with.
+    fn of(motion: &'a MotionRecording, first_s: f64) -> Option<Self> {
+        let from = motion.times_s.partition_point(|t| *t < first_s);
+        let (times_s, samples) = (&motion.times_s[from..], &motion.samples[from..]);
+        samples
+            .iter()
+            .any(|s| s.rate_rad_s.is_some())
+            .then_some(())?;
+        let begin_s = *times_s.first()?;
+        let count = times_s.partition_point(|t| *t < begin_s + ALIGNMENT_S);
+        let sample = |s: &UnitSample| Sample {
+            step_s: s.step_s,
+            force_mps2: s.force_mps2.into(),
+            rate_rad_s: None,
+            field_ut: None,
+        };
+        let first: Vec<Sample<f64>> = samples[..count].iter().map(sample).collect();
+        let level = Alignment::align(&first, false)?.attitude;
+        Some(Self {
+            times_s,
+            samples,
+            level,
+        })
+    }
+}
+
+/// Time of the initial alignment with gravity, s.
+const ALIGNMENT_S: f64 = 0.5;
+
+/// Estimates the path of a recording.
+///
+/// # Errors
+/// `data_refused`: too few ranges or anchors, too many anchors, no position to the limit.
+pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<Localization> {
+    let mut noticed = recording.findings.clone();
+    noticed.extend(findings::before(recording)?);
+    let first_s = recording.ranges[0].time_s;
+    let inertial = recording
+        .motion
+        .as_ref()
+        .and_then(|motion| Inertial::of(motion, first_s));
+    if recording.motion.is_some() && inertial.is_none() {
+        noticed.push(FindingCode::Navigation.warning(
+            "the inertial samples are not used: no gyroscope, no gravity, or other times than those of the ranges",
+        ));
+    }
+    let (motion, level) = match &inertial {
+        Some(found) => (Motion::Inertial(found.times_s, found.samples), found.level),
+        None if recording.increments.is_empty() => (Motion::Free, Rotation3::identity()),
+        None => (
+            Motion::Odometry(&recording.increments),
+            Rotation3::identity(),
+        ),
+    };
+    let positions: Vec<Vector3<f64>> = recording
+        .anchors
+        .iter()
+        .map(|a| a.position_m.into())
+        .collect();
+    let problem = Recording {
+        anchors: &positions,
+        ranges: &recording.ranges,
+        motion,
+    };
+    let model = Model::of(recording, choice, &problem);
+    let refused = |error: LayoutFull| {
+        let message = format!("too many anchors: {error}");
+        let remedy = "give at most 16 anchors; with --survey at most 8";
+        ErrorCode::DataRefused
+            .error(message, remedy)
+            .at(&recording.name)
+    };
+    let (run, model, chosen) = solved(&problem, model, choice, level)
+        .map_err(refused)?
+        .ok_or_else(|| no_start(recording))?;
+    noticed.extend(findings::after(recording, &model, &run, &chosen));
+    let given = choice.start.as_ref();
+    noticed.extend(findings::clock(&problem, &model, given, level).map_err(refused)?);
+    let mut found = presented(recording, &problem, choice, &model, run);
+    noticed.extend(findings::unobserved(&found));
+    found.path.findings = noticed;
+    found.path = found.path.checked(&recording.name)?;
+    Ok(found)
+}
+
+/// The run with the most probable start and the scales of greatest likelihood.
+fn solved(
+    problem: &Recording,
+    mut model: Model,
+    choice: &LocalizationChoice,
+    level: Rotation3<f64>,
+) -> std::result::Result<Option<(Run, Model, Chosen)>, LayoutFull> {
+    let given = choice.start.as_ref();
+    let Some(mut chosen) = choose(problem, &model, given, level)? else {
+        return Ok(None);
+    };
+    if choice.plain.is_none() {
+        model = scales::adapted(problem, &model, &chosen.start)?;
+        if let Some(again) = choose(problem, &model, given, level)? {
+            chosen = again;
+        }
+    }
+    let run = problem.run(&model, &chosen.start, choice.smooth, f64::INFINITY)?;
+    Ok(Some((run, model, chosen)))
+}
+
+fn no_start(recording: &RangeRecording) -> HostError {
+    let remedy = "check units and anchors, or give the start: --start E,N,U";
+    ErrorCode::DataRefused
+        .error("no position explains the first ranges", remedy)
+        .at(&recording.name)
+}
+
+fn presented(
+    recording: &RangeRecording,
+    problem: &Recording,
+    choice: &LocalizationChoice,
+    model: &Model,
+    run: Run,
+) -> Localization {
+    let method = match problem.motion {
+        Motion::Free => Method::Ranges,
+        Motion::Odometry(_) => Method::Odometry,
+        Motion::Inertial(..) => Method::RangesInertial,
+    };
+    let parameter = |block, prior: f64| {
+        let [value, sigma] = run.calibration.parameter(block)?;
+        Some(Parameter {
+            value,
+            sigma,
+            prior,
+        })
+    };
+    let [bias, scale] = model.common;
+    let anchor = |(index, anchor): (usize, &AnchorPosition)| {
+        let own = &run.anchors[index];
+        let judged = recording
+            .ranges
+            .iter()
+            .zip(&run.judged)
+            .filter(|(r, _)| r.anchor == index);
+        let blocked = judged
+            .clone()
+            .filter(|(_, l)| l.weight < 0.5 && l.innovation_m > 0.0)
+            .count();
+        let ranges = judged.count();
+        let offset = own.offset.map(|block| run.calibration.vector(block));
+        let at = |k: usize| {
+            anchor.position_m[k] + offset.map_or(0.0, |o| o[k].map_or(0.0, |[value, _]| value))
+        };
+        AnchorFound {
+            id: anchor.id.clone(),
+            ranges,
+            blocked: blocked as f64 / ranges.max(1) as f64,
+            bias_m: parameter(own.bias, model.ranges.bias_m.hypot(bias)),
+            scale: parameter(own.scale, model.ranges.scale.hypot(scale)),
+            position_m: [at(0), at(1), at(2)],
+            position_sd_m: offset.map(|o| o.map(|axis| axis.map_or(0.0, |[_, sigma]| sigma))),
+        }
+    };
+    let anchors = recording.anchors.iter().enumerate().map(anchor).collect();
+    let odometer_scale = parameter(run.odometry.map(|o| o.scale), model.odometry.scale);
+    let delay_s = parameter(run.delay, engine::DELAY_S);
+    let free = matches!(problem.motion, Motion::Free);
+    let mut path = InertialPath::new(method, run.points, 0, choice.limit_m);
+    for point in &mut path.points {
+        point.valid = point.sd_m() <= choice.limit_m;
+    }
+    path.smoothed = choice.smooth;
+    Localization {
+        path,
+        anchors,
+        noise: Noise {
+            white_m: model.ranges.noise_m,
+            correlated_m: model.ranges.correlated_m,
+            blocked: model.line_of_sight.probability,
+            acceleration_m2s3: free.then_some(model.acceleration),
+        },
+        odometer_scale,
+        delay_s,
+    }
+}

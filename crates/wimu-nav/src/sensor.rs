@@ -1,6 +1,7 @@
 //! Sensors: each is one file with the prediction of its measurement.
 
 mod accelerometer;
+mod anchor;
 mod angular_rate;
 mod gravity;
 mod heading;
@@ -14,12 +15,13 @@ mod velocity;
 mod zero;
 
 pub use accelerometer::SpecificForce;
+pub use anchor::{Anchor, CorrelatedErrors, RangeErrors};
 pub use angular_rate::ZeroAngularRate;
 pub use gravity::Gravity;
 pub use heading::Heading;
 pub use line_of_sight::{LineOfSight, NonLineOfSight};
 pub use magnetometer::{MagneticField, Magnetometer};
-pub use range::{Anchor, CorrelatedErrors, Range, RangeErrors};
+pub use range::Range;
 pub use velocity::{Velocity, recover};
 pub use zero::{VerticalRate, Zero};
 

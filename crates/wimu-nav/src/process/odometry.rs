@@ -6,8 +6,8 @@ use super::{Process, Transition};
 use crate::rotation::{about_up, real, yaw};
 use crate::state::{ATTITUDE, Block, Layout, LayoutFull, POSITION, Role, State, VELOCITY};
 
-/// Errors of wheel odometry, all as standard deviations. The defaults are those of a robot on grass (Plaza 1): wheels that
-/// slip, and a heading from a gyroscope.
+/// Errors of wheel odometry, all as standard deviations. The defaults are those of a robot on grass, with a gyroscope: chosen
+/// on Plaza 1 (reference/localization).
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct OdometryErrors<R> {

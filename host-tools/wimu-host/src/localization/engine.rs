@@ -178,16 +178,10 @@ impl Recording<'_> {
         let mut now = times.first().copied().unwrap_or_default();
         let mut input = 0;
         for time_s in times {
-            while now < time_s {
-                let end = self.predict(
-                    model,
-                    &states,
-                    &mut input,
-                    [now, time_s],
-                    &mut filter,
-                    &mut tape,
-                );
-                now = end;
+            if now < time_s {
+                let span = [now, time_s];
+                self.predict(model, &states, &mut input, span, &mut filter, &mut tape);
+                now = time_s;
             }
             let step_s = time_s - points.last().map_or(time_s, |p: &PathPoint| p.time_s);
             while let Some(sample) = self
@@ -318,7 +312,7 @@ impl Recording<'_> {
         filter.set_covariance(VELOCITY, &(axes * velocity_sd_mps.powi(2)));
     }
 
-    /// Predicts from a time to another, or to the end of the other sensor's sample before it; returns the time.
+    /// Predicts from a time to another, with the sample of the other sensor between them.
     fn predict<const N: usize>(
         &self,
         model: &Model,
@@ -327,7 +321,7 @@ impl Recording<'_> {
         [from, to]: [f64; 2],
         filter: &mut Filter<f64, N>,
         tape: &mut Tape<N>,
-    ) -> f64 {
+    ) {
         let step_s = to - from;
         let errors = CorrelatedErrors {
             anchors: &states.anchors,
@@ -392,7 +386,6 @@ impl Recording<'_> {
                 filter.predict_recorded(&(free, errors), tape);
             }
         }
-        to
     }
 }
 

@@ -251,7 +251,7 @@ pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Resu
     let model = Model::of(recording, choice, &problem);
     let refused = |error: LayoutFull| {
         let message = format!("too many anchors: {error}");
-        let remedy = "give at most 16 anchors; with --survey at most 8";
+        let remedy = "give at most 22 anchors; with --survey at most 9";
         ErrorCode::DataRefused
             .error(message, remedy)
             .at(&recording.name)

@@ -1,9 +1,10 @@
 //! Linear least-squares fit of an ellipsoid: equation (11).
 
-use nalgebra::{Cholesky, Matrix3, SMatrix, SVector, Vector3};
+use nalgebra::{Cholesky, Matrix3, Vector3};
 
 use crate::Pose;
 use crate::linear::{Real, real};
+use crate::symmetric::{MOST, Scaled, Symmetric, add};
 use crate::terms::{Slot, Theta};
 
 /// Centre c and matrix Q of the ellipsoid (x − c)ᵀ Q (x − c) = 1 nearest to `points`; `None` where
@@ -11,20 +12,18 @@ use crate::terms::{Slot, Theta};
 pub(crate) fn ellipsoid<R: Real>(
     points: impl Iterator<Item = Vector3<R>>,
 ) -> Option<(Vector3<R>, Matrix3<R>)> {
-    let mut information = SMatrix::<R, 9, 9>::zeros();
-    let mut right = SVector::<R, 9>::zeros();
+    let mut information = Symmetric::zero(9);
+    let mut right = [R::zero(); MOST];
     let two: R = real(2.0);
     for point in points {
         let [x, y, z] = [point.x, point.y, point.z];
-        let mixed = [x * y, x * z, y * z, x, y, z].map(|value| two * value);
-        let squares = [x * x, y * y, z * z];
-        let mut row = squares.into_iter().chain(mixed);
-        let row = SVector::<R, 9>::from_fn(|_, _| row.next().unwrap_or_default());
-        information += row * row.transpose();
-        right += row;
+        let [xy, xz, yz, x2, y2, z2] = [x * y, x * z, y * z, x, y, z].map(|value| two * value);
+        let row = [x * x, y * y, z * z, xy, xz, yz, x2, y2, z2];
+        information.add_outer(&row, R::one());
+        add(&mut right, R::one(), &row);
     }
     // xᵀSx + 2pᵀx = 1.
-    let s = Cholesky::new(information)?.solve(&right);
+    let (s, _) = Scaled::new(&information, R::zero())?.solve(&right);
     let shape = Matrix3::new(s[0], s[3], s[4], s[3], s[1], s[5], s[4], s[5], s[2]);
     let p = Vector3::new(s[6], s[7], s[8]);
     let centre = -(shape.try_inverse()? * p);

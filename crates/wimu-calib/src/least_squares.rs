@@ -1,13 +1,12 @@
 //! Least squares on |f| − g: equations (12) to (17), (40), (41).
 
-use nalgebra::{SMatrix, SVector};
-
-use crate::Pose;
 use crate::force::{Applied, Conditions, Evaluated};
-use crate::linear::{Real, Scaled, double, real};
-use crate::terms::{Slot, Theta};
+use crate::linear::{Real, double, real};
+use crate::symmetric::{self, Scaled, Symmetric, Vector, dot};
+use crate::terms::{Slot, Slots, Theta};
 use crate::visits::Visits;
 use crate::weights::{FarOff, Rejected, Weighting};
+use crate::{Model, Pose};
 
 /// Largest number of iterations; a fit that needs more has not converged. Typical: 3 to 6.
 const MOST_ITERATIONS: usize = 100;
@@ -35,24 +34,23 @@ pub(crate) enum Without {
 
 /// The normal equations: JᵀWJ, JᵀWr and rᵀWr summed over the poses.
 #[derive(Clone)]
-pub(crate) struct Normal<R: Real, const N: usize> {
-    /// Only the lower triangle is used.
-    pub information: SMatrix<R, N, N>,
-    gradient: SVector<R, N>,
+pub(crate) struct Normal<R: Real> {
+    pub information: Symmetric<R>,
+    gradient: Vector<R>,
     cost: R,
     poses: usize,
 }
 
-impl<R: Real, const N: usize> Normal<R, N> {
+impl<R: Real> Normal<R> {
     /// (JᵀWJ)⁻¹.
-    pub fn inverse(&self) -> Option<SMatrix<R, N, N>> {
+    pub fn inverse(&self) -> Option<Symmetric<R>> {
         Some(Scaled::new(&self.information, R::zero())?.inverse())
     }
 }
 
 /// Least-squares problem: some parameters fitted to |f| = g over static poses. Equations (12) to
 /// (17), (40), (41).
-pub(crate) struct Magnitude<'a, const N: usize> {
+pub(crate) struct Magnitude<'a> {
     pub poses: &'a [Pose],
     pub visits: &'a Visits,
     pub gravity_mps2: f64,
@@ -62,31 +60,31 @@ pub(crate) struct Magnitude<'a, const N: usize> {
     /// Rule that rejects further poses, when there are too many to list.
     pub far: Option<FarOff>,
     /// The fitted parameters; the others keep their starting values.
-    pub free: [Slot; N],
+    pub free: Slots,
     /// Whether the fitted parameters include terms beyond the first twelve.
     pub terms: bool,
 }
 
 /// A converged fit.
-pub(crate) struct Fit<R: Real, const N: usize> {
+pub(crate) struct Fit<R: Real> {
     pub theta: Theta<R>,
     /// (JᵀWJ)⁻¹: the covariance for residuals of unit variance.
-    pub inverse: SMatrix<R, N, N>,
+    pub inverse: Symmetric<R>,
     /// Σ w r², (m/s²)².
     pub cost: f64,
-    pub normal: Normal<R, N>,
+    pub normal: Normal<R>,
 }
 
-impl<R: Real, const N: usize> Fit<R, N> {
+impl<R: Real> Fit<R> {
     /// Standard deviation of a residual, m/s².
     pub fn sd(&self, dof: usize) -> f64 {
         libm::sqrt(self.cost / dof.max(1) as f64)
     }
 }
 
-impl<'a, const N: usize> Magnitude<'a, N> {
+impl<'a> Magnitude<'a> {
     /// The same problem with bias and scale factors only.
-    pub fn smaller(&self) -> Magnitude<'a, 6> {
+    pub fn smaller(&self) -> Magnitude<'a> {
         Magnitude {
             poses: self.poses,
             visits: self.visits,
@@ -95,7 +93,7 @@ impl<'a, const N: usize> Magnitude<'a, N> {
             weighting: self.weighting,
             rejected: self.rejected,
             far: self.far,
-            free: [0, 1, 2, 3, 7, 11].map(|i| Slot::ALL[i]),
+            free: Model::BiasScale6.fitted().iter().map(Slot::of).collect(),
             terms: false,
         }
     }
@@ -111,23 +109,32 @@ impl<'a, const N: usize> Magnitude<'a, N> {
 
     /// |f| − g of one pose, m/s², and its derivatives.
     #[inline(always)]
-    fn row<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> (R, SVector<R, N>) {
+    fn row<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> (R, Vector<R>) {
         let applied = self.applied(at, pose);
         let residual = applied.force.norm() - real(self.gravity_mps2);
         (residual, self.derivatives(at, &applied))
     }
 
     #[inline(always)]
-    pub fn derivatives<R: Real>(&self, at: &Evaluated<R>, applied: &Applied<R>) -> SVector<R, N> {
-        let all = at.derivatives(applied);
-        SVector::from_fn(|i, _| all[self.free[i].index()])
+    pub fn derivatives<R: Real>(&self, at: &Evaluated<R>, applied: &Applied<R>) -> Vector<R> {
+        self.fitted(&at.derivatives(applied))
+    }
+
+    /// The elements of the fitted parameters.
+    #[inline(always)]
+    fn fitted<R: Real>(&self, all: &Theta<R>) -> Vector<R> {
+        let mut row = [R::zero(); symmetric::MOST];
+        for (place, slot) in row.iter_mut().zip(&self.free) {
+            *place = all[slot.index()];
+        }
+        row
     }
 
     /// Residual and derivatives, multiplied by the square root of the weight.
-    pub fn weighted_row<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> (R, SVector<R, N>) {
+    pub fn weighted_row<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> (R, Vector<R>) {
         let root: R = real(libm::sqrt(self.weighting.of(pose)));
         let (residual, row) = self.row(at, pose);
-        (residual * root, row * root)
+        (residual * root, row.map(|d| d * root))
     }
 
     /// Whether the noise of every pose is known.
@@ -167,7 +174,7 @@ impl<'a, const N: usize> Magnitude<'a, N> {
             }
     }
 
-    fn normal<R: Real>(&self, theta: &Theta<R>, without: Without) -> Option<Normal<R, N>> {
+    fn normal<R: Real>(&self, theta: &Theta<R>, without: Without) -> Option<Normal<R>> {
         self.weighted_normal(theta, without, &self.weighting, None)
     }
 
@@ -179,11 +186,11 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         without: Without,
         weighting: &Weighting,
         cauchy: Option<f64>,
-    ) -> Option<Normal<R, N>> {
+    ) -> Option<Normal<R>> {
         let at = Evaluated::new(theta, self.terms)?;
-        let mut normal = Normal::<R, N> {
-            information: SMatrix::zeros(),
-            gradient: SVector::zeros(),
+        let mut normal = Normal::<R> {
+            information: Symmetric::zero(self.free.len()),
+            gradient: [R::zero(); symmetric::MOST],
             cost: R::zero(),
             poses: 0,
         };
@@ -200,14 +207,8 @@ impl<'a, const N: usize> Magnitude<'a, N> {
                 cost = square * grown.ln();
                 weight = R::one() / grown;
             }
-            for c in 0..N {
-                let weighted = row[c] * weight;
-                normal.gradient[c] += weighted * residual;
-                // From an even row on, which vector instructions can take in pairs.
-                for r in c & !1..N {
-                    normal.information[(r, c)] += weighted * row[r];
-                }
-            }
+            normal.information.add_outer(&row, weight);
+            symmetric::add(&mut normal.gradient, weight * residual, &row);
             normal.cost += cost;
             normal.poses += 1;
         }
@@ -216,13 +217,13 @@ impl<'a, const N: usize> Magnitude<'a, N> {
 
     /// Levenberg-Marquardt from `start`. `None` when it does not converge or a parameter is not
     /// determined.
-    pub fn solve<R: Real>(&self, start: &Theta<R>, without: Without) -> Option<Fit<R, N>> {
+    pub fn solve<R: Real>(&self, start: &Theta<R>, without: Without) -> Option<Fit<R>> {
         self.minimise(start, |theta| self.normal(theta, without))
     }
 
     /// Robust fit with the Cauchy cost of scale `cauchy`, m/s²: large residuals have little
     /// influence.
-    pub fn solve_robust<R: Real>(&self, start: &Theta<R>, cauchy: f64) -> Option<Fit<R, N>> {
+    pub fn solve_robust<R: Real>(&self, start: &Theta<R>, cauchy: f64) -> Option<Fit<R>> {
         let normal = |theta: &Theta<R>| {
             self.weighted_normal(theta, Without::Nothing, &Weighting::EQUAL, Some(cauchy))
         };
@@ -232,8 +233,8 @@ impl<'a, const N: usize> Magnitude<'a, N> {
     fn minimise<R: Real>(
         &self,
         start: &Theta<R>,
-        normal_at: impl Fn(&Theta<R>) -> Option<Normal<R, N>>,
-    ) -> Option<Fit<R, N>> {
+        normal_at: impl Fn(&Theta<R>) -> Option<Normal<R>>,
+    ) -> Option<Fit<R>> {
         let epsilon = double(R::default_epsilon());
         let last_step = LAST_STEP_MPS2.max(4.0 * epsilon * self.gravity_mps2);
         let mut theta = *start;
@@ -291,13 +292,12 @@ impl<'a, const N: usize> Magnitude<'a, N> {
     pub fn rows<'b, R: Real>(
         &'b self,
         at: &'b Evaluated<'b, R>,
-    ) -> impl Iterator<Item = (SVector<R, N>, Theta<R>, f64)> + 'b {
+    ) -> impl Iterator<Item = (Vector<R>, Theta<R>, f64)> + 'b {
         let kept = self.poses.iter().enumerate();
         kept.filter(|(k, pose)| !self.is_rejected(*k, pose))
             .map(|(_, pose)| {
                 let all = at.derivatives(&self.applied(at, pose));
-                let row = SVector::from_fn(|i, _| all[self.free[i].index()]);
-                (row, all, self.weighting.of(pose))
+                (self.fitted(&all), all, self.weighting.of(pose))
             })
     }
 
@@ -323,39 +323,39 @@ impl<'a, const N: usize> Magnitude<'a, N> {
 
     /// Residual of a pose that was left out, m/s², and the variance of its prediction relative to
     /// that of a residual.
-    pub fn predicted<R: Real>(&self, fit: &Fit<R, N>, pose: usize) -> Option<(f64, f64)> {
+    pub fn predicted<R: Real>(&self, fit: &Fit<R>, pose: usize) -> Option<(f64, f64)> {
         let at = Evaluated::new(&fit.theta, self.terms)?;
         let (residual, row) = self.row(&at, self.poses.get(pose)?);
-        Some((double(residual), double(row.dot(&(fit.inverse * row)))))
+        Some((double(residual), double(fit.inverse.form(&row))))
     }
 
     /// The parameters fitted without one orientation.
-    pub fn solve_without<R: Real>(&self, fit: &Fit<R, N>, group: usize) -> Option<Theta<R>> {
+    pub fn solve_without<R: Real>(&self, fit: &Fit<R>, group: usize) -> Option<Theta<R>> {
         let at = Evaluated::new(&fit.theta, self.terms)?;
-        let mut rest = fit.normal.clone();
+        let mut rest = fit.normal.information.clone();
         let mut leverage = R::zero();
-        let mut pull = SVector::<R, N>::zeros();
+        let mut pull = [R::zero(); symmetric::MOST];
         for (k, pose) in self.poses.iter().enumerate() {
             if self.visits.group(k, pose) != group || self.is_rejected(k, pose) {
                 continue;
             }
             let (residual, row) = self.weighted_row(&at, pose);
-            leverage += row.dot(&(fit.inverse * row));
-            pull += row * residual;
-            rest.information -= row * row.transpose();
+            leverage += fit.inverse.form(&row);
+            symmetric::add(&mut pull, residual, &row);
+            rest.add_outer(&row, -R::one());
         }
         if double(leverage) > MOST_LEVERAGE {
             let refit = self.solve(&fit.theta, Without::Orientation(group));
             return refit.map(|without| without.theta);
         }
-        let (step, _) = Scaled::new(&rest.information, R::zero())?.solve(&pull);
+        let (step, _) = Scaled::new(&rest, R::zero())?.solve(&pull);
         Some(self.moved(&fit.theta, &step, R::one()))
     }
 
     /// `theta` with `factor` times `step` added to the fitted parameters.
-    fn moved<R: Real>(&self, theta: &Theta<R>, step: &SVector<R, N>, factor: R) -> Theta<R> {
+    fn moved<R: Real>(&self, theta: &Theta<R>, step: &Vector<R>, factor: R) -> Theta<R> {
         let mut moved = *theta;
-        for (slot, step) in self.free.iter().zip(step.iter()) {
+        for (slot, step) in self.free.iter().zip(step) {
             moved[slot.index()] += *step * factor;
         }
         moved
@@ -364,7 +364,7 @@ impl<'a, const N: usize> Magnitude<'a, N> {
     /// Calls `take` with the index of every pose, its residual, and its residual under the fit to
     /// all other poses: equation (16). The latter is infinite if the others do not determine the
     /// parameters.
-    pub fn leave_out<R: Real>(&self, fit: &Fit<R, N>, mut take: impl FnMut(usize, f64, f64)) {
+    pub fn leave_out<R: Real>(&self, fit: &Fit<R>, mut take: impl FnMut(usize, f64, f64)) {
         let Some(at) = Evaluated::new(&fit.theta, self.terms) else {
             return;
         };
@@ -376,8 +376,8 @@ impl<'a, const N: usize> Magnitude<'a, N> {
                 continue;
             }
             let weight: R = real(self.weighting.of(pose));
-            let step = fit.inverse * row;
-            let leverage = weight * row.dot(&step);
+            let step = fit.inverse.times(&row);
+            let leverage = weight * dot(&row, &step);
             let left_out = if few && double(leverage) > MOST_LEVERAGE {
                 self.solve(&fit.theta, Without::Pose(k))
                     .and_then(|without| self.residual(&without.theta, pose))

@@ -40,6 +40,7 @@ mod set;
 mod shared;
 mod six_position;
 mod student;
+mod symmetric;
 mod terms;
 mod turn;
 mod unfitted;

@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use crate::terms::{Slot, Terms};
+use crate::terms::{Slot, Slots, Terms};
 use crate::{Parameter, Parameters};
 
 /// Which parameters are fitted; the others are those of a perfect sensor.
@@ -76,17 +76,12 @@ impl MultiPosition {
         self.model.parameters() + self.terms.parameters()
     }
 
-    pub(crate) fn slots<const N: usize>(self) -> [Slot; N] {
-        let mut slots = [Slot::ALL[0]; N];
+    pub(crate) fn slots(self) -> Slots {
         let basic = self.model.fitted();
-        let basic = basic.iter().map(Slot::of);
         let terms = self
             .terms
             .iter()
             .flat_map(|term| Slot::ALL.into_iter().skip(term.first_slot()).take(3));
-        for (place, slot) in slots.iter_mut().zip(basic.chain(terms)) {
-            *place = slot;
-        }
-        slots
+        basic.iter().map(Slot::of).chain(terms).collect()
     }
 }

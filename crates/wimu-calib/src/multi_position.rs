@@ -67,11 +67,7 @@ fn basic<R: Real>(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Esti
             ..MultiPosition::default()
         };
         check(poses, gravity, what)?;
-        match model {
-            Model::Bias3 => fit::<R, 3>(poses, &visits, gravity, what, None),
-            Model::BiasScale6 => fit::<R, 6>(poses, &visits, gravity, what, None),
-            Model::Full9 => fit::<R, 9>(poses, &visits, gravity, what, None),
-        }
+        fit::<R>(poses, &visits, gravity, what, None)
     };
     advised(model, of)
 }
@@ -145,15 +141,7 @@ pub(crate) fn with_terms(
     weigh: Option<&mut Violation>,
 ) -> Result<Fitted, Refusal> {
     check(poses, gravity, what)?;
-    match what.parameters() {
-        3 => fit::<f64, 3>(poses, visits, gravity, what, weigh),
-        6 => fit::<f64, 6>(poses, visits, gravity, what, weigh),
-        9 => fit::<f64, 9>(poses, visits, gravity, what, weigh),
-        12 => fit::<f64, 12>(poses, visits, gravity, what, weigh),
-        15 => fit::<f64, 15>(poses, visits, gravity, what, weigh),
-        18 => fit::<f64, 18>(poses, visits, gravity, what, weigh),
-        _ => fit::<f64, 21>(poses, visits, gravity, what, weigh),
-    }
+    fit::<f64>(poses, visits, gravity, what, weigh)
 }
 
 fn check(poses: &[Pose], gravity: Gravity, what: MultiPosition) -> Result<(), Refusal> {
@@ -209,14 +197,14 @@ fn conditions(poses: &[Pose], terms: Terms) -> Conditions {
     }
 }
 
-fn fit<R: Real, const N: usize>(
+fn fit<R: Real>(
     poses: &[Pose],
     visits: &Visits,
     gravity: Gravity,
     what: MultiPosition,
     weigh: Option<&mut Violation>,
 ) -> Result<Fitted, Refusal> {
-    let mut problem = Magnitude::<N> {
+    let mut problem = Magnitude {
         poses,
         visits,
         gravity_mps2: gravity.mps2(),
@@ -236,10 +224,10 @@ fn fit<R: Real, const N: usize>(
         let dead = || input::dead_axis(poses, gravity).map(|axis| Refusal::AxisStuck { axis });
         input::mixed_units(poses).or_else(dead)
     };
-    let not_observable = |knowledge: &Knowledge<R, N>, problem: &Magnitude<N>| {
+    let not_observable = |knowledge: &Knowledge<R>, problem: &Magnitude| {
         defect().unwrap_or_else(|| knowledge.refusal(what, &problem.free))
     };
-    let unsolved = |problem: &Magnitude<N>| {
+    let unsolved = |problem: &Magnitude| {
         // Observability near the solution: at the bias and scale factors that fit best.
         let smaller = problem.smaller().solve(&perfect, Without::Nothing);
         let near = smaller.map_or(perfect, |fit| fit.theta);
@@ -253,7 +241,7 @@ fn fit<R: Real, const N: usize>(
         .flatten()
         .find_map(|start| problem.solve(&start, Without::Nothing));
     // A gross outlier may keep least squares, but not the robust fit, from converging.
-    let robust = |problem: &Magnitude<N>| problem.solve_robust(&perfect, FAR_OFF_MPS2);
+    let robust = |problem: &Magnitude| problem.solve_robust(&perfect, FAR_OFF_MPS2);
     let converged = squares.is_some();
     let Some(first) = squares.or_else(|| robust(&problem).filter(|_| what.reject)) else {
         return Err(unsolved(&problem));
@@ -286,11 +274,11 @@ fn fit<R: Real, const N: usize>(
 }
 
 /// Weights the poses and rejects outliers, if requested, and fits again.
-fn refine<R: Real, const N: usize>(
-    problem: &mut Magnitude<N>,
-    mut fit: Fit<R, N>,
+fn refine<R: Real>(
+    problem: &mut Magnitude,
+    mut fit: Fit<R>,
     what: MultiPosition,
-) -> Result<Fit<R, N>, Refusal> {
+) -> Result<Fit<R>, Refusal> {
     if !what.reject {
         return weighted(problem, fit);
     }
@@ -332,10 +320,7 @@ fn refine<R: Real, const N: usize>(
 }
 
 /// Weights the poses, if every one has a noise figure, and fits again.
-fn weighted<R: Real, const N: usize>(
-    problem: &mut Magnitude<N>,
-    mut fit: Fit<R, N>,
-) -> Result<Fit<R, N>, Refusal> {
+fn weighted<R: Real>(problem: &mut Magnitude, mut fit: Fit<R>) -> Result<Fit<R>, Refusal> {
     if !problem.has_noise() {
         return Ok(fit);
     }
@@ -349,10 +334,10 @@ fn weighted<R: Real, const N: usize>(
     Ok(fit)
 }
 
-fn result<R: Real, const N: usize>(
-    problem: &Magnitude<N>,
-    fit: &Fit<R, N>,
-    knowledge: &Knowledge<R, N>,
+fn result<R: Real>(
+    problem: &Magnitude,
+    fit: &Fit<R>,
+    knowledge: &Knowledge<R>,
     gravity: Gravity,
     what: MultiPosition,
     violation: Option<&mut Violation>,
@@ -376,7 +361,7 @@ fn result<R: Real, const N: usize>(
         nonlinearity: terms::triple(&theta, 21),
     };
     let fitted_poses = poses.len() - problem.rejected.count();
-    let dof = fitted_poses - N;
+    let dof = fitted_poses - free.len();
     let model = ErrorModel::new(error_terms).map_err(|error| {
         if let Some(violation) = violation {
             *violation = Some((error, fit.cost / dof as f64));
@@ -388,7 +373,7 @@ fn result<R: Real, const N: usize>(
         .shared(fit, &visited)
         .ok_or_else(|| Refusal::TooFewPoses {
             have: visited.apart,
-            need: N + 1,
+            need: free.len() + 1,
             model: what.model,
             instead: None,
         })?;
@@ -460,8 +445,8 @@ fn result<R: Real, const N: usize>(
             return Err(refusal);
         }
     }
-    let added = |r, c| unfitted.as_ref().map_or(0.0, |u| u.covariance[(r, c)]);
-    let known = |r, c| shared.variance * double(shared.spread[(r, c)]) + added(r, c);
+    let added = |r, c| unfitted.as_ref().map_or(0.0, |u| u.covariance.at(r, c));
+    let known = |r, c| shared.variance * double(shared.spread.at(r, c)) + added(r, c);
     let mut covariance = Covariance::ZERO;
     let mut term_sd = TermDeviations::default();
     for (r, &a) in free.iter().enumerate() {
@@ -520,10 +505,7 @@ fn result<R: Real, const N: usize>(
 }
 
 /// `fit` with the derivatives of a perfect sensor.
-fn at_perfect<R: Real, const N: usize>(
-    problem: &Magnitude<N>,
-    fit: &Fit<R, N>,
-) -> Option<Fit<R, N>> {
+fn at_perfect<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> Option<Fit<R>> {
     let theta = PERFECT.map(real::<R>);
     let normal = problem.weighted_normal(&theta, Without::Nothing, &problem.weighting, None)?;
     Some(Fit {

@@ -45,11 +45,11 @@ const ROBUST_FITS: usize = 4;
 ///
 /// # Errors
 /// The worst pose, when more than every fifth of very many is an outlier.
-pub(crate) fn reject<R: Real, const N: usize>(
-    problem: &mut Magnitude<N>,
-    fit: Fit<R, N>,
+pub(crate) fn reject<R: Real>(
+    problem: &mut Magnitude,
+    fit: Fit<R>,
     model: Model,
-) -> Result<Fit<R, N>, usize> {
+) -> Result<Fit<R>, usize> {
     let count = problem.poses.len();
     if count > MANY {
         return leave_far_off(problem, fit, model);
@@ -73,7 +73,11 @@ pub(crate) fn reject<R: Real, const N: usize>(
         return Ok(fit);
     };
     while let Some((place, deviate)) = nearest(problem, &inner, unfitted_mps2) {
-        let dof = problem.visited().apart.saturating_sub(N).max(1);
+        let dof = problem
+            .visited()
+            .apart
+            .saturating_sub(problem.free.len())
+            .max(1);
         let limit = student::two_sided(SIGNIFICANCE / count as f64, dof as f64);
         let known = problem
             .knowledge(&inner)
@@ -96,12 +100,12 @@ pub(crate) fn reject<R: Real, const N: usize>(
 }
 
 /// Largest number of poses that may be rejected.
-fn spare<const N: usize>(problem: &Magnitude<N>) -> usize {
+fn spare(problem: &Magnitude) -> usize {
     let count = problem.poses.len();
     problem
         .visits
         .apart(count)
-        .saturating_sub(N + LEAST_DOF)
+        .saturating_sub(problem.free.len() + LEAST_DOF)
         .min(count / DOUBTED)
         .min(Rejected::MOST)
 }
@@ -120,13 +124,16 @@ pub(crate) struct Contradicted {
 /// The pose with the largest leave-one-out residual, if it is significant: equation (42d). It is
 /// found even if it has great leverage. Not used for very many poses, where a single one has little
 /// influence.
-pub(crate) fn contradicted<R: Real, const N: usize>(
-    problem: &mut Magnitude<N>,
-    fit: &Fit<R, N>,
+pub(crate) fn contradicted<R: Real>(
+    problem: &mut Magnitude,
+    fit: &Fit<R>,
     model: Model,
 ) -> Option<Contradicted> {
     let count = problem.poses.len();
-    let dof = problem.visited().apart.checked_sub(N + 1)?;
+    let dof = problem
+        .visited()
+        .apart
+        .checked_sub(problem.free.len() + 1)?;
     if count > MANY || dof == 0 {
         return None;
     }
@@ -163,10 +170,7 @@ pub(crate) fn contradicted<R: Real, const N: usize>(
 }
 
 /// The poses whose removal reduces the cost of the linearised fit most.
-fn suspects<R: Real, const N: usize>(
-    problem: &Magnitude<N>,
-    fit: &Fit<R, N>,
-) -> [Option<usize>; TRIED] {
+fn suspects<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> [Option<usize>; TRIED] {
     let mut worst = [(0.0, None); TRIED];
     let Some(at) = Evaluated::new(&fit.theta, problem.terms) else {
         return [None; TRIED];
@@ -176,7 +180,7 @@ fn suspects<R: Real, const N: usize>(
             continue;
         }
         let (residual, row) = problem.weighted_row(&at, pose);
-        let left = 1.0 - double(row.dot(&(fit.inverse * row)));
+        let left = 1.0 - double(fit.inverse.form(&row));
         let residual = double(residual);
         keep_largest(&mut worst, (residual * residual / left.max(0.0), Some(k)));
     }
@@ -194,16 +198,18 @@ fn keep_largest<T>(largest: &mut [(f64, T)], mut candidate: (f64, T)) {
 
 /// Residual of a pose under the fit of all others, m/s², and in standard deviations of its
 /// prediction.
-fn doubt<R: Real, const N: usize>(
-    problem: &Magnitude<N>,
-    fit: &Fit<R, N>,
+fn doubt<R: Real>(
+    problem: &Magnitude,
+    fit: &Fit<R>,
     pose: usize,
     unfitted_mps2: f64,
 ) -> Option<(f64, f64)> {
     let inside = problem.poses.len() - problem.rejected.count();
     let without = problem.solve(&fit.theta, Without::Pose(pose))?;
     let (residual, growth) = problem.predicted(&without, pose)?;
-    let dof = inside.checked_sub(N + 1).filter(|dof| *dof > 0)?;
+    let dof = inside
+        .checked_sub(problem.free.len() + 1)
+        .filter(|dof| *dof > 0)?;
     let squares = without.cost + REPEATS * REPEATS_MPS2 * REPEATS_MPS2;
     let own = 1.0 / problem.weighting.of(problem.poses.get(pose)?);
     let variance = squares / dof as f64 * (own + growth) + unfitted_mps2 * unfitted_mps2;
@@ -221,11 +227,11 @@ fn unfitted(gravity_mps2: f64, model: Model) -> f64 {
 }
 
 /// Rejects all distant poses: equation (42c).
-fn leave_far_off<R: Real, const N: usize>(
-    problem: &mut Magnitude<N>,
-    fit: Fit<R, N>,
+fn leave_far_off<R: Real>(
+    problem: &mut Magnitude,
+    fit: Fit<R>,
     model: Model,
-) -> Result<Fit<R, N>, usize> {
+) -> Result<Fit<R>, usize> {
     let count = problem.poses.len();
     let least = unfitted(problem.gravity_mps2, model);
     let mut fit = fit;
@@ -268,12 +274,12 @@ fn leave_far_off<R: Real, const N: usize>(
 }
 
 /// Robust fit, starting from the least-squares fit.
-fn robust<R: Real, const N: usize>(problem: &Magnitude<N>, fit: &Fit<R, N>) -> Theta<R> {
+fn robust<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> Theta<R> {
     let mut theta = fit.theta;
     let count = problem.poses.len();
     for _ in 0..ROBUST_FITS {
         let median = median_residual(problem, &theta);
-        let small_sample = libm::sqrt(count as f64 / (count - N) as f64);
+        let small_sample = libm::sqrt(count as f64 / (count - problem.free.len()) as f64);
         let scale = CAUCHY * PER_MEDIAN * median * small_sample;
         match problem.solve_robust(&theta, scale) {
             Some(better) => theta = better.theta,
@@ -284,7 +290,7 @@ fn robust<R: Real, const N: usize>(problem: &Magnitude<N>, fit: &Fit<R, N>) -> T
 }
 
 /// Median of |r| to 1 %, by bisection: there is no memory to sort.
-fn median_residual<R: Real, const N: usize>(problem: &Magnitude<N>, theta: &Theta<R>) -> f64 {
+fn median_residual<R: Real>(problem: &Magnitude, theta: &Theta<R>) -> f64 {
     let mut largest = 0.0_f64;
     problem.residuals(theta, |_, residual| largest = largest.max(residual.abs()));
     let (mut low, mut high) = (0.0, largest);
@@ -307,11 +313,7 @@ fn median_residual<R: Real, const N: usize>(problem: &Magnitude<N>, theta: &Thet
 }
 
 /// The `most` poses with the largest residuals.
-fn farthest<R: Real, const N: usize>(
-    problem: &Magnitude<N>,
-    theta: &Theta<R>,
-    most: usize,
-) -> Rejected {
+fn farthest<R: Real>(problem: &Magnitude, theta: &Theta<R>, most: usize) -> Rejected {
     let mut worst = [(0.0, 0); Rejected::MOST];
     problem.residuals(theta, |k, residual| {
         let pose = problem.poses.get(k);
@@ -330,13 +332,9 @@ fn farthest<R: Real, const N: usize>(
 
 /// The rejected pose that the fit predicts best: its index among the rejected poses, and its
 /// residual in standard deviations of the prediction.
-fn nearest<R: Real, const N: usize>(
-    problem: &Magnitude<N>,
-    fit: &Fit<R, N>,
-    unfitted_mps2: f64,
-) -> Option<(usize, f64)> {
+fn nearest<R: Real>(problem: &Magnitude, fit: &Fit<R>, unfitted_mps2: f64) -> Option<(usize, f64)> {
     let inside = problem.poses.len() - problem.rejected.as_slice().len();
-    let sd = fit.sd(inside - N);
+    let sd = fit.sd(inside - problem.free.len());
     let mut nearest: Option<(usize, f64)> = None;
     for (place, &pose) in problem.rejected.as_slice().iter().enumerate() {
         let (residual, growth) = problem.predicted(fit, pose)?;
@@ -352,10 +350,7 @@ fn nearest<R: Real, const N: usize>(
 
 /// Weights from the residuals: the variance σ₀² between poses is chosen such that the residuals
 /// agree with it and with the noise of the poses. Equation (40).
-pub(crate) fn weighting<R: Real, const N: usize>(
-    problem: &Magnitude<N>,
-    fit: &Fit<R, N>,
-) -> Weighting {
+pub(crate) fn weighting<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> Weighting {
     let kept = |k: usize, pose: &Pose| !problem.is_rejected(k, pose);
     let (mut count, mut mean_noise) = (0.0, 0.0);
     let poses = problem.poses.iter().enumerate();
@@ -364,7 +359,7 @@ pub(crate) fn weighting<R: Real, const N: usize>(
         mean_noise += pose.mean_free_noise();
     }
     mean_noise /= count;
-    let dof = count - N as f64;
+    let dof = count - problem.free.len() as f64;
     let mut common = 0.0;
     // Newton's method from below on a convex decreasing function: it does not overshoot.
     for _ in 0..30 {

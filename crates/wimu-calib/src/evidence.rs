@@ -1,10 +1,10 @@
 //! Marginal likelihood of a model: equation (49).
 
-use crate::least_squares::Fit;
+use crate::least_squares::{Fit, Magnitude};
 use crate::linear::{Real, double};
 use crate::symmetric::{MOST, Scaled, Symmetric, dot};
-use crate::terms::{PERFECT, Slot, Term};
-use crate::weights::{POSE_SCATTER_DOF, POSE_SCATTER_MPS2, Rejected};
+use crate::terms::{PERFECT, Term};
+use crate::weights::{POSE_SCATTER_DOF, POSE_SCATTER_MPS2};
 
 /// ln of the prior odds of a term: one in four; one in fifty for the quadratic term, which is
 /// hardly observable at 1 g.
@@ -20,16 +20,11 @@ const BAD_POSE: f64 = -4.6;
 /// ln p(y | model), with the prior of the parameters from typical datasheets, and an inverse gamma
 /// prior of the residuals' variance about that of [`POSE_SCATTER_MPS2`] and of the poses' mean
 /// noise, (m/s²)².
-pub(crate) fn evidence<R: Real>(
-    fit: &Fit<R>,
-    free: &[Slot],
-    kept: f64,
-    telling: f64,
-    rejected: Rejected,
-    noise: f64,
-) -> f64 {
+pub(crate) fn evidence<R: Real>(fit: &Fit<R>, problem: &Magnitude, telling: f64) -> f64 {
+    let (free, rejected) = (&problem.free, problem.rejected);
+    let (kept, noise) = (problem.poses.len() - rejected.count(), problem.mean_noise());
     // Poses of one orientation with a common error count as fewer poses.
-    let share = telling / kept;
+    let share = telling / kept as f64;
     let prior_dof = POSE_SCATTER_DOF as f64;
     let half_dof = 0.5 * ((telling - free.len() as f64).max(1.0) + prior_dof);
     let expected = POSE_SCATTER_MPS2 * POSE_SCATTER_MPS2 + noise;

@@ -23,6 +23,9 @@ const MOST_REFITS: usize = 256;
 /// The error of the single step is of second order and grows with 1 / (1 − leverage).
 const MOST_LEVERAGE: f64 = 0.5;
 
+/// Poses whose sums are taken together.
+const BLOCK: usize = 4;
+
 /// What is left out of a fit, besides the rejected poses.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) enum Without {
@@ -194,23 +197,31 @@ impl<'a> Magnitude<'a> {
             cost: R::zero(),
             poses: 0,
         };
-        for (k, pose) in self.poses.iter().enumerate() {
-            if self.is_out(without, k, pose) {
-                continue;
+        let n = self.free.len();
+        for (block, poses) in self.poses.chunks(BLOCK).enumerate() {
+            let mut rows = [[R::zero(); symmetric::MOST]; BLOCK];
+            let mut weights = [R::zero(); BLOCK];
+            for (i, pose) in poses.iter().enumerate() {
+                if self.is_out(without, BLOCK * block + i, pose) {
+                    continue;
+                }
+                let (residual, row) = self.row(&at, pose);
+                let mut weight: R = real(weighting.of(pose));
+                let mut cost = weight * residual * residual;
+                if let Some(cauchy) = cauchy {
+                    let square: R = real(cauchy * cauchy);
+                    let grown = R::one() + residual * residual / square;
+                    cost = square * grown.ln();
+                    weight = R::one() / grown;
+                }
+                symmetric::add(&mut normal.gradient[..n], weight * residual, &row);
+                normal.cost += cost;
+                normal.poses += 1;
+                (rows[i], weights[i]) = (row, weight);
             }
-            let (residual, row) = self.row(&at, pose);
-            let mut weight: R = real(weighting.of(pose));
-            let mut cost = weight * residual * residual;
-            if let Some(cauchy) = cauchy {
-                let square: R = real(cauchy * cauchy);
-                let grown = R::one() + residual * residual / square;
-                cost = square * grown.ln();
-                weight = R::one() / grown;
-            }
-            normal.information.add_outer(&row, weight);
-            symmetric::add(&mut normal.gradient, weight * residual, &row);
-            normal.cost += cost;
-            normal.poses += 1;
+            normal
+                .information
+                .add_outers(rows.each_ref().map(|row| &row[..]), weights);
         }
         normal.cost.is_finite().then_some(normal)
     }
@@ -361,10 +372,9 @@ impl<'a> Magnitude<'a> {
         moved
     }
 
-    /// Calls `take` with the index of every pose, its residual, and its residual under the fit to
-    /// all other poses: equation (16). The latter is infinite if the others do not determine the
-    /// parameters.
-    pub fn leave_out<R: Real>(&self, fit: &Fit<R>, mut take: impl FnMut(usize, f64, f64)) {
+    /// Calls `take` with the index of every pose and its residual under the fit to all other poses:
+    /// equation (16). It is infinite if the others do not determine the parameters.
+    pub fn leave_out<R: Real>(&self, fit: &Fit<R>, mut take: impl FnMut(usize, f64)) {
         let Some(at) = Evaluated::new(&fit.theta, self.terms) else {
             return;
         };
@@ -372,7 +382,7 @@ impl<'a> Magnitude<'a> {
         for (k, pose) in self.poses.iter().enumerate() {
             let (residual, row) = self.row(&at, pose);
             if self.is_rejected(k, pose) {
-                take(k, double(residual), double(residual));
+                take(k, double(residual));
                 continue;
             }
             let weight: R = real(self.weighting.of(pose));
@@ -386,7 +396,7 @@ impl<'a> Magnitude<'a> {
                 self.residual(&self.moved(&fit.theta, &step, by), pose)
             };
             let left_out = left_out.filter(|r| r.is_finite());
-            take(k, double(residual), left_out.unwrap_or(f64::INFINITY));
+            take(k, left_out.unwrap_or(f64::INFINITY));
         }
     }
 }

@@ -64,7 +64,7 @@ pub use magnetometer::{
     Disturbed, MagneticEstimate, MagneticPose, MagneticRefusal, MirroredAxes, magnetometer,
 };
 pub use model::{Model, MultiPosition};
-pub use multi_position::{multi_position, multi_position_f32, multi_position_with};
+pub use multi_position::{minimal_fit, multi_position, multi_position_f32, multi_position_with};
 pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured, NoiseRefusal, is_clipped};
 pub use orientation::{Face, Instruction, Orientation};
 pub use parameter::{Parameter, Parameters};

@@ -8,13 +8,14 @@ use crate::force::Conditions;
 use crate::knowledge::Knowledge;
 use crate::least_squares::{Fit, Magnitude, Without};
 use crate::linear::{Real, double, real};
-use crate::terms::{self, PERFECT, Term, Terms};
+use crate::shared::{Shared, Visited};
+use crate::terms::{self, PERFECT, Slot, Term, Terms};
 use crate::unfitted::Unfitted;
 use crate::visits::Visits;
 use crate::weights::{Rejected, Weighting};
 use crate::{
-    Covariance, Estimate, Gravity, Method, Model, MultiPosition, Pose, Refusal, design, ellipsoid,
-    input, outliers, pose,
+    Covariance, Estimate, Gravity, Method, Model, MultiPosition, Pose, Refusal, Scalar, design,
+    ellipsoid, input, outliers, pose,
 };
 
 /// Largest leave-one-out error, in standard deviations of a residual. Above it a single pose
@@ -66,10 +67,22 @@ fn basic<R: Real>(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Esti
             model,
             ..MultiPosition::default()
         };
-        check(poses, gravity, what)?;
-        fit::<R>(poses, &visits, gravity, what, None)
+        let found = fit::<R>(poses, &visits, gravity, what, weighted)?;
+        found.fitted(found.estimate(None)?)
     };
     advised(model, of)
+}
+
+/// The nine-parameter fit of [`multi_position`] with its covariance, for the flash of a device: without
+/// the leave-one-out error, and without the refusals that follow from it or advise a smaller model.
+/// In f32 or f64.
+///
+/// # Errors
+/// Those of [`multi_position`], without [`Refusal::PoorPrediction`].
+pub fn minimal_fit<R: Scalar>(poses: &[Pose], gravity: Gravity) -> Result<Estimate, Refusal> {
+    let visits = Visits::of(poses);
+    let found = fit::<R>(poses, &visits, gravity, MultiPosition::default(), weighted)?;
+    Ok(found.estimate(None)?.0)
 }
 
 /// [`multi_position`] with further terms, and optionally with rejection of outliers. Equations (41)
@@ -140,8 +153,14 @@ pub(crate) fn with_terms(
     what: MultiPosition,
     weigh: Option<&mut Violation>,
 ) -> Result<Fitted, Refusal> {
-    check(poses, gravity, what)?;
-    fit::<f64>(poses, visits, gravity, what, weigh)
+    let refine = if what.reject { searched } else { weighted };
+    let found = fit::<f64>(poses, visits, gravity, what, refine)?;
+    let weighed = weigh.is_some();
+    let mut fitted = found.fitted(found.estimate(weigh)?)?;
+    if weighed {
+        fitted.evidence = evidence(&found.fit, &found.problem, fitted.telling);
+    }
+    Ok(fitted)
 }
 
 fn check(poses: &[Pose], gravity: Gravity, what: MultiPosition) -> Result<(), Refusal> {
@@ -197,13 +216,28 @@ fn conditions(poses: &[Pose], terms: Terms) -> Conditions {
     }
 }
 
-fn fit<R: Real>(
-    poses: &[Pose],
-    visits: &Visits,
+/// Weights the poses, and rejects outliers if that is asked for, and fits again, from the least-squares
+/// fit with equal weights if that converged. `None` if no fit converges.
+type Refine<R> =
+    fn(&mut Magnitude, Option<Fit<R>>, MultiPosition) -> Result<Option<Fit<R>>, Refusal>;
+
+/// A fit whose parameters are observable.
+struct Found<'a, R: Real> {
+    problem: Magnitude<'a>,
+    fit: Fit<R>,
+    knowledge: Knowledge<R>,
     gravity: Gravity,
     what: MultiPosition,
-    weigh: Option<&mut Violation>,
-) -> Result<Fitted, Refusal> {
+}
+
+fn fit<'a, R: Real>(
+    poses: &'a [Pose],
+    visits: &'a Visits,
+    gravity: Gravity,
+    what: MultiPosition,
+    refine: Refine<R>,
+) -> Result<Found<'a, R>, Refusal> {
+    check(poses, gravity, what)?;
     let mut problem = Magnitude {
         poses,
         visits,
@@ -224,66 +258,63 @@ fn fit<R: Real>(
         let dead = || input::dead_axis(poses, gravity).map(|axis| Refusal::AxisStuck { axis });
         input::mixed_units(poses).or_else(dead)
     };
-    let not_observable = |knowledge: &Knowledge<R>, problem: &Magnitude| {
-        defect().unwrap_or_else(|| knowledge.refusal(what, &problem.free))
-    };
-    let unsolved = |problem: &Magnitude| {
-        // Observability near the solution: at the bias and scale factors that fit best.
-        let smaller = problem.smaller().solve(&perfect, Without::Nothing);
-        let near = smaller.map_or(perfect, |fit| fit.theta);
-        match problem.knowledge_at(&near) {
-            Some(knowledge) if !knowledge.suffices() => not_observable(&knowledge, problem),
-            _ => defect().unwrap_or(Refusal::NotConverged),
-        }
-    };
     let squares = [ellipsoid, Some(perfect)]
         .into_iter()
         .flatten()
         .find_map(|start| problem.solve(&start, Without::Nothing));
-    // A gross outlier may keep least squares, but not the robust fit, from converging.
-    let robust = |problem: &Magnitude| problem.solve_robust(&perfect, FAR_OFF_MPS2);
-    let converged = squares.is_some();
-    let Some(first) = squares.or_else(|| robust(&problem).filter(|_| what.reject)) else {
-        return Err(unsolved(&problem));
-    };
-    let fit = refine(&mut problem, first, what).map_err(|refusal| match refusal {
+    let fit = refine(&mut problem, squares, what).map_err(|refusal| match refusal {
         Refusal::NotConverged => defect().unwrap_or(refusal),
         refusal => refusal,
     })?;
-    if !converged && problem.rejected.count() == 0 {
-        return Err(unsolved(&problem));
+    let knowledge = match &fit {
+        Some(fit) => problem.knowledge(fit),
+        None => {
+            // Observability near the solution: at the bias and scale factors that fit best.
+            let smaller = problem.smaller().solve(&perfect, Without::Nothing);
+            problem.knowledge_at(&smaller.map_or(perfect, |fit| fit.theta))
+        }
+    };
+    if let Some(knowledge) = knowledge.as_ref().filter(|knowledge| !knowledge.suffices()) {
+        return Err(defect().unwrap_or_else(|| knowledge.refusal(what, &problem.free)));
     }
-    let knowledge = problem
-        .knowledge(&fit)
-        .ok_or_else(|| defect().unwrap_or(Refusal::NotConverged))?;
-    if !knowledge.suffices() {
-        return Err(not_observable(&knowledge, &problem));
-    }
+    let Some((fit, knowledge)) = fit.zip(knowledge) else {
+        return Err(defect().unwrap_or(Refusal::NotConverged));
+    };
     if let Some(axis) = input::stuck_axis(poses) {
         return Err(Refusal::AxisStuck { axis });
     }
-    let weighed = weigh.is_some();
-    let mut fitted = result(&problem, &fit, &knowledge, gravity, what, weigh)?;
-    if weighed {
-        let poses = fitted.estimate.poses as f64;
-        let (telling, rejected) = (fitted.telling, problem.rejected);
-        let noise = problem.mean_noise();
-        fitted.evidence = evidence(&fit, &problem.free, poses, telling, rejected, noise);
-    }
-    Ok(fitted)
+    Ok(Found {
+        problem,
+        fit,
+        knowledge,
+        gravity,
+        what,
+    })
 }
 
-/// Weights the poses and rejects outliers, if requested, and fits again.
-fn refine<R: Real>(
+/// Rejects outliers.
+fn searched<R: Real>(
     problem: &mut Magnitude,
-    mut fit: Fit<R>,
+    squares: Option<Fit<R>>,
     what: MultiPosition,
-) -> Result<Fit<R>, Refusal> {
-    if !what.reject {
-        return weighted(problem, fit);
-    }
-    let start = fit.theta;
-    fit = outliers::reject(problem, fit, what.model).map_err(|pose| {
+) -> Result<Option<Fit<R>>, Refusal> {
+    // A gross outlier may keep least squares, but not the robust fit, from converging.
+    let converged = squares.is_some();
+    let robust = || problem.solve_robust(&PERFECT.map(real), FAR_OFF_MPS2);
+    let Some(first) = squares.or_else(robust) else {
+        return Ok(None);
+    };
+    let fit = refined(problem, first, what)?;
+    Ok(fit.filter(|_| converged || problem.rejected.count() > 0))
+}
+
+fn refined<R: Real>(
+    problem: &mut Magnitude,
+    first: Fit<R>,
+    what: MultiPosition,
+) -> Result<Option<Fit<R>>, Refusal> {
+    let start = first.theta;
+    let fit = outliers::reject(problem, first, what.model).map_err(|pose| {
         let mut squares = 0.0;
         problem.residuals(&start, |_, residual| squares += residual * residual);
         input::mixed_units(problem.poses).unwrap_or(Refusal::PoorFit {
@@ -291,9 +322,11 @@ fn refine<R: Real>(
             pose,
         })
     })?;
-    fit = weighted(problem, fit)?;
-    while let Some(bad) = outliers::contradicted(problem, &fit, what.model) {
-        let known = problem.knowledge(&fit);
+    let mut fit = weighted(problem, Some(fit), what)?;
+    while let Some(current) = &fit
+        && let Some(bad) = outliers::contradicted(problem, current, what.model)
+    {
+        let known = problem.knowledge(current);
         if !known.is_some_and(|known| known.suffices()) {
             // The poses do not determine the parameters: no outlier is the cause.
             break;
@@ -311,197 +344,220 @@ fn refine<R: Real>(
         }
         problem.rejected = problem.rejected.with(bad.pose);
         problem.weighting = Weighting::EQUAL;
-        fit = problem
-            .solve(&fit.theta, Without::Nothing)
-            .ok_or(Refusal::NotConverged)?;
-        fit = weighted(problem, fit)?;
+        let without = problem.solve(&current.theta, Without::Nothing);
+        fit = weighted(problem, Some(without.ok_or(Refusal::NotConverged)?), what)?;
     }
     Ok(fit)
 }
 
-/// Weights the poses, if every one has a noise figure, and fits again.
-fn weighted<R: Real>(problem: &mut Magnitude, mut fit: Fit<R>) -> Result<Fit<R>, Refusal> {
+/// Weights the poses, if every one has a noise figure.
+fn weighted<R: Real>(
+    problem: &mut Magnitude,
+    mut fit: Option<Fit<R>>,
+    _: MultiPosition,
+) -> Result<Option<Fit<R>>, Refusal> {
     if !problem.has_noise() {
         return Ok(fit);
     }
     // Twice: the variance between poses is estimated with weights that depend on it.
     for _ in 0..2 {
-        problem.weighting = outliers::weighting(problem, &fit);
-        fit = problem
-            .solve(&fit.theta, Without::Nothing)
-            .ok_or(Refusal::NotConverged)?;
+        let Some(current) = &fit else { break };
+        problem.weighting = outliers::weighting(problem, current);
+        let again = problem.solve(&current.theta, Without::Nothing);
+        fit = Some(again.ok_or(Refusal::NotConverged)?);
     }
     Ok(fit)
 }
 
-fn result<R: Real>(
-    problem: &Magnitude,
-    fit: &Fit<R>,
-    knowledge: &Knowledge<R>,
-    gravity: Gravity,
-    what: MultiPosition,
-    violation: Option<&mut Violation>,
-) -> Result<Fitted, Refusal> {
-    let poses = problem.poses;
-    let theta = fit.theta.map(double);
-    let free = &problem.free;
-    let error_terms = ErrorTerms {
-        bias_mps2: terms::bias(&theta),
-        matrix: terms::matrix(&theta),
-        temperature: if what.terms.moves_with_temperature() {
-            TemperatureTerms {
-                reference_c: problem.conditions.reference_c,
-                bias_mps2_per_k: terms::triple(&theta, 15),
-                scale_per_k: terms::triple(&theta, 18),
-                ..TemperatureTerms::default()
+impl<R: Real> Found<'_, R> {
+    /// The estimate, without what leaving poses out shows, and the variance of the residuals.
+    fn estimate(
+        &self,
+        violation: Option<&mut Violation>,
+    ) -> Result<(Estimate, Visited, Shared<R>), Refusal> {
+        let Self {
+            problem, fit, what, ..
+        } = self;
+        let poses = problem.poses;
+        let theta = fit.theta.map(double);
+        let free = &problem.free;
+        let error_terms = ErrorTerms {
+            bias_mps2: terms::bias(&theta),
+            matrix: terms::matrix(&theta),
+            temperature: if what.terms.moves_with_temperature() {
+                TemperatureTerms {
+                    reference_c: problem.conditions.reference_c,
+                    bias_mps2_per_k: terms::triple(&theta, 15),
+                    scale_per_k: terms::triple(&theta, 18),
+                    ..TemperatureTerms::default()
+                }
+            } else {
+                TemperatureTerms::default()
+            },
+            nonlinearity: terms::triple(&theta, 21),
+        };
+        let fitted_poses = poses.len() - problem.rejected.count();
+        let dof = fitted_poses - free.len();
+        let model = ErrorModel::new(error_terms).map_err(|error| {
+            if let Some(violation) = violation {
+                *violation = Some((error, fit.cost / dof as f64));
             }
-        } else {
-            TemperatureTerms::default()
-        },
-        nonlinearity: terms::triple(&theta, 21),
-    };
-    let fitted_poses = poses.len() - problem.rejected.count();
-    let dof = fitted_poses - free.len();
-    let model = ErrorModel::new(error_terms).map_err(|error| {
-        if let Some(violation) = violation {
-            *violation = Some((error, fit.cost / dof as f64));
-        }
-        Refusal::OutOfBounds(error)
-    })?;
-    let visited = problem.visited();
-    let shared = problem
-        .shared(fit, &visited)
-        .ok_or_else(|| Refusal::TooFewPoses {
-            have: visited.apart,
-            need: free.len() + 1,
-            model: what.model,
-            instead: None,
+            Refusal::OutOfBounds(error)
         })?;
-    let sd = libm::sqrt(shared.variance);
-    let mut all = Residuals::default();
-    let mut left_out = Residuals::default();
-    let mut kept = Residuals::default();
-    // By orientation: a repeated orientation does not confirm the model elsewhere.
-    let mut kept_left_out = Residuals::default();
-    let mut by_orientation = Residuals::default();
-    problem.leave_out(fit, |k, residual, without| {
-        all.add(k, residual);
-        left_out.add(k, without);
-        if poses
-            .get(k)
-            .is_some_and(|pose| problem.is_rejected(k, pose))
-        {
-            by_orientation.add(k, without);
-            return;
-        }
-        kept.add(k, residual);
-        if !problem.comes_again(&visited, k) {
-            kept_left_out.add(k, without);
-            by_orientation.add(k, without);
-        }
-    });
-    problem.leave_orientations_out(fit, &visited, |k, without| {
-        kept_left_out.add(k, without);
-        by_orientation.add(k, without);
-    });
-    if kept.rms_mps2() > SUSPICIOUS_RMS_MPS2
-        && let Some(axis) = input::clipped_axis(poses)
-    {
-        return Err(Refusal::Saturated { axis });
-    }
-    let most_rms = match (what.model, what.terms) {
-        (Model::Full9, Terms::NONE) => MOST_RMS_MPS2[1],
-        (Model::Full9, _) => MOST_RMS_MPS2[2],
-        _ => MOST_RMS_MPS2[0],
-    };
-    if kept.rms_mps2() > most_rms {
-        return Err(input::mixed_units(poses).unwrap_or(Refusal::PoorFit {
-            rms_mps2: kept.rms_mps2(),
-            pose: kept.worst_pose,
-        }));
-    }
-    let most = (MOST_LEFT_OUT * sd).max(GOOD_LEFT_OUT_MPS2);
-    let predicted = kept_left_out.rms_mps2();
-    if predicted > most || predicted.is_nan() {
-        return Err(Refusal::PoorPrediction {
-            model: what.model,
-            loo_rms_mps2: predicted,
-            rms_mps2: kept.rms_mps2(),
-            pose: kept_left_out.worst_pose,
-            instead: None,
+        let visited = problem.visited();
+        let shared = problem
+            .shared(fit, &visited)
+            .ok_or_else(|| Refusal::TooFewPoses {
+                have: visited.apart,
+                need: free.len() + 1,
+                model: what.model,
+                instead: None,
+            })?;
+        let (mut all, mut kept) = (Residuals::default(), Residuals::default());
+        problem.residuals(&fit.theta, |k, residual| {
+            all.add(k, residual);
+            if !problem.is_rejected(k, &poses[k]) {
+                kept.add(k, residual);
+            }
         });
+        if kept.rms_mps2() > SUSPICIOUS_RMS_MPS2
+            && let Some(axis) = input::clipped_axis(poses)
+        {
+            return Err(Refusal::Saturated { axis });
+        }
+        let most_rms = match (what.model, what.terms) {
+            (Model::Full9, Terms::NONE) => MOST_RMS_MPS2[1],
+            (Model::Full9, _) => MOST_RMS_MPS2[2],
+            _ => MOST_RMS_MPS2[0],
+        };
+        if kept.rms_mps2() > most_rms {
+            return Err(input::mixed_units(poses).unwrap_or(Refusal::PoorFit {
+                rms_mps2: kept.rms_mps2(),
+                pose: kept.worst_pose,
+            }));
+        }
+        let known = |r, c| shared.variance * double(shared.spread.at(r, c));
+        let (mut covariance, mut term_sd) = (Covariance::ZERO, TermDeviations::default());
+        add_covariance(&mut covariance, &mut term_sd, free, known);
+        if what.model != Model::Bias3 {
+            covariance.add_gravity(&theta, self.gravity);
+        }
+        let sd = libm::sqrt(shared.variance);
+        let estimate = Estimate {
+            model,
+            method: Method::MultiPosition(what.model),
+            terms: what.terms,
+            fitted: what.model.fitted(),
+            covariance,
+            term_sd,
+            gravity: self.gravity,
+            poses: fitted_poses,
+            orientations: visited.orientations,
+            dof,
+            interval_dof: Some(shared.dof),
+            rms_mps2: all.rms_mps2(),
+            fitted_rms_mps2: kept.rms_mps2(),
+            max_mps2: all.largest_mps2,
+            worst_pose: all.worst_pose,
+            loo_rms_mps2: None,
+            loo_orientation_rms_mps2: None,
+            pose_sd_mps2: problem.weighting.common_sd().unwrap_or(sd),
+            rejected: problem.rejected,
+            beyond_bounds: None,
+            condition: self.knowledge.condition,
+            worst_sd_mps2: problem.worst_sd(fit, &self.knowledge, &shared),
+            coverage: design::coverage(poses),
+            temperature_c: pose::mean_temperature(poses.iter()),
+            temperature_range_c: range(poses, |pose| pose.temperature_c),
+            drift: what.terms.contains(Term::Drift).then(|| Drift {
+                change_mps2: terms::triple(&theta, 12),
+                end_s: problem.conditions.end_s,
+                span_s: 1.0 / problem.conditions.per_span,
+            }),
+        };
+        Ok((estimate, visited, shared))
     }
 
-    let unfitted = Unfitted::of(problem, fit, &shared, what, true);
-    // Poses in a plane determine the bias normal to the plane up to its sign, and that only by its
-    // square: the derivatives vanish for a perfect sensor.
-    let perfect = unfitted
-        .is_some()
-        .then(|| at_perfect(problem, fit))
-        .flatten();
-    let perfect = perfect.and_then(|fit| Unfitted::of(problem, &fit, &shared, what, false));
-    for unfitted in [&unfitted, &perfect].into_iter().flatten() {
-        if let Some(refusal) = unfitted.refusal(what.model) {
-            return Err(refusal);
+    /// The estimate judged by leaving poses out, and with what its model leaves out.
+    fn fitted(
+        &self,
+        (mut estimate, visited, shared): (Estimate, Visited, Shared<R>),
+    ) -> Result<Fitted, Refusal> {
+        let Self {
+            problem, fit, what, ..
+        } = self;
+        let mut left_out = Residuals::default();
+        // By orientation: a repeated orientation does not confirm the model elsewhere.
+        let mut kept_left_out = Residuals::default();
+        let mut by_orientation = Residuals::default();
+        problem.leave_out(fit, |k, without| {
+            left_out.add(k, without);
+            if problem.is_rejected(k, &problem.poses[k]) {
+                by_orientation.add(k, without);
+            } else if !problem.comes_again(&visited, k) {
+                kept_left_out.add(k, without);
+                by_orientation.add(k, without);
+            }
+        });
+        problem.leave_orientations_out(fit, &visited, |k, without| {
+            kept_left_out.add(k, without);
+            by_orientation.add(k, without);
+        });
+        let most = (MOST_LEFT_OUT * libm::sqrt(shared.variance)).max(GOOD_LEFT_OUT_MPS2);
+        let predicted = kept_left_out.rms_mps2();
+        if predicted > most || predicted.is_nan() {
+            return Err(Refusal::PoorPrediction {
+                model: what.model,
+                loo_rms_mps2: predicted,
+                rms_mps2: estimate.fitted_rms_mps2,
+                pose: kept_left_out.worst_pose,
+                instead: None,
+            });
         }
+        estimate.loo_rms_mps2 = Some(left_out.rms_mps2());
+        estimate.loo_orientation_rms_mps2 = visited.again.then(|| by_orientation.rms_mps2());
+        if let Some(unfitted) = Unfitted::of(problem, fit, &shared, *what, true) {
+            // Poses in a plane determine the bias normal to the plane up to its sign, and that only by
+            // its square: the derivatives vanish for a perfect sensor.
+            let perfect = at_perfect(problem, fit)
+                .and_then(|perfect| Unfitted::of(problem, &perfect, &shared, *what, false));
+            for unfitted in [Some(&unfitted), perfect.as_ref()].into_iter().flatten() {
+                if let Some(refusal) = unfitted.refusal(what.model) {
+                    return Err(refusal);
+                }
+            }
+            let added = |r, c| unfitted.covariance.at(r, c);
+            let (covariance, term_sd) = (&mut estimate.covariance, &mut estimate.term_sd);
+            add_covariance(covariance, term_sd, &problem.free, added);
+            estimate.interval_dof = Some(unfitted.dof);
+            estimate.worst_sd_mps2 = unfitted.worst_sd_mps2;
+        }
+        Ok(Fitted {
+            estimate,
+            kept_left_out_mps2: predicted,
+            dof: shared.dof,
+            telling: shared.poses,
+            evidence: 0.0,
+        })
     }
-    let added = |r, c| unfitted.as_ref().map_or(0.0, |u| u.covariance.at(r, c));
-    let known = |r, c| shared.variance * double(shared.spread.at(r, c)) + added(r, c);
-    let mut covariance = Covariance::ZERO;
-    let mut term_sd = TermDeviations::default();
+}
+
+/// Adds a covariance of the fitted parameters `free`.
+fn add_covariance(
+    covariance: &mut Covariance,
+    term_sd: &mut TermDeviations,
+    free: &[Slot],
+    more: impl Fn(usize, usize) -> f64,
+) {
     for (r, &a) in free.iter().enumerate() {
-        term_sd.set(a, libm::sqrt(known(r, r).max(0.0)));
+        let sd = term_sd.get(a);
+        term_sd.set(a, libm::sqrt((sd * sd + more(r, r)).max(0.0)));
         for (c, &b) in free.iter().enumerate() {
             if let Some((a, b)) = a.parameter().zip(b.parameter()) {
-                covariance.add(a, b, known(r, c));
+                covariance.add(a, b, more(r, c));
             }
         }
     }
-    if what.model != Model::Bias3 {
-        covariance.add_gravity(&theta, gravity);
-    }
-    let estimate = Estimate {
-        model,
-        method: Method::MultiPosition(what.model),
-        terms: what.terms,
-        fitted: what.model.fitted(),
-        covariance,
-        term_sd,
-        gravity,
-        poses: fitted_poses,
-        orientations: visited.orientations,
-        dof,
-        interval_dof: Some(unfitted.as_ref().map_or(shared.dof, |u| u.dof)),
-        rms_mps2: all.rms_mps2(),
-        fitted_rms_mps2: kept.rms_mps2(),
-        max_mps2: all.largest_mps2,
-        worst_pose: all.worst_pose,
-        loo_rms_mps2: Some(left_out.rms_mps2()),
-        loo_orientation_rms_mps2: visited.again.then(|| by_orientation.rms_mps2()),
-        pose_sd_mps2: problem.weighting.common_sd().unwrap_or(sd),
-        rejected: problem.rejected,
-        beyond_bounds: None,
-        condition: knowledge.condition,
-        worst_sd_mps2: unfitted.as_ref().map_or_else(
-            || problem.worst_sd(fit, knowledge, &shared),
-            |u| u.worst_sd_mps2,
-        ),
-        coverage: design::coverage(poses),
-        temperature_c: pose::mean_temperature(poses.iter()),
-        temperature_range_c: range(poses, |pose| pose.temperature_c),
-        drift: what.terms.contains(Term::Drift).then(|| Drift {
-            change_mps2: terms::triple(&theta, 12),
-            end_s: problem.conditions.end_s,
-            span_s: 1.0 / problem.conditions.per_span,
-        }),
-    };
-    Ok(Fitted {
-        estimate,
-        kept_left_out_mps2: predicted,
-        dof: shared.dof,
-        telling: shared.poses,
-        evidence: 0.0,
-    })
 }
 
 /// `fit` with the derivatives of a perfect sensor.

@@ -2,10 +2,10 @@
 
 use nalgebra::{Cholesky, Matrix3, Vector3};
 
-use crate::Pose;
 use crate::linear::{Real, real};
 use crate::symmetric::{MOST, Scaled, Symmetric, add};
 use crate::terms::{Slot, Theta};
+use crate::{Gravity, Model, Pose};
 
 /// Centre c and matrix Q of the ellipsoid (x − c)ᵀ Q (x − c) = 1 nearest to `points`; `None` where
 /// the fit is singular. Q is not positive definite if the points are not on an ellipsoid.
@@ -30,8 +30,12 @@ pub(crate) fn ellipsoid<R: Real>(
     Some((centre, shape / (R::one() - p.dot(&centre))))
 }
 
-/// Starting parameters of a nine-parameter fit. `None` when the points are not on an ellipsoid.
-pub(crate) fn start<R: Real>(poses: &[Pose], gravity_mps2: f64) -> Option<Theta<R>> {
+/// Starting parameters of a nine-parameter fit. `None` for other models, or when the points are not on an ellipsoid.
+pub(crate) fn start<R: Real>(poses: &[Pose], gravity: Gravity, model: Model) -> Option<Theta<R>> {
+    if model != Model::Full9 {
+        return None;
+    }
+    let gravity_mps2 = gravity.mps2();
     let points = poses
         .iter()
         .map(|pose| Vector3::from(pose.mean_mps2.map(|y| real(y / gravity_mps2))));

@@ -1,6 +1,7 @@
 //! Specific force from an output under given parameters, and its derivatives.
 
 use nalgebra::{Matrix3, Vector3};
+use wimu_model::TemperatureTerms;
 
 use crate::linear::{Real, double, real};
 use crate::terms::{Slot, Theta};
@@ -18,6 +19,15 @@ pub(crate) struct Conditions {
 }
 
 impl Conditions {
+    /// Those of a fit without terms.
+    pub fn none() -> Self {
+        Self {
+            end_s: 0.0,
+            per_span: 0.0,
+            reference_c: TemperatureTerms::default().reference_c,
+        }
+    }
+
     /// Time relative to the session: −1 at the first pose, 0 at the last.
     pub fn progress(&self, pose: &Pose) -> f64 {
         (pose.time_s - self.end_s) * self.per_span
@@ -42,7 +52,7 @@ pub(crate) struct Evaluated<'a, R: Real> {
 
 /// A⁻¹ of a matrix with positive determinant. A mirrored A gives the same magnitudes; a step that
 /// leads to one was too long.
-#[inline(always)]
+#[inline]
 fn inverse<R: Real>(a: &Matrix3<R>) -> Option<Matrix3<R>> {
     let (zero, one) = (R::zero(), R::one());
     if a[(0, 1)] == zero && a[(0, 2)] == zero && a[(1, 2)] == zero {
@@ -78,7 +88,7 @@ pub(crate) struct Applied<R: Real> {
 }
 
 impl<'a, R: Real> Evaluated<'a, R> {
-    #[inline(always)]
+    #[inline]
     pub fn new(theta: &'a Theta<R>, terms: bool) -> Option<Self> {
         Some(Self {
             theta,
@@ -102,7 +112,7 @@ impl<'a, R: Real> Evaluated<'a, R> {
     }
 
     /// Specific force from `output`: equation (41).
-    #[inline(always)]
+    #[inline]
     pub fn apply(&self, output: [R; 3], progress: R, warmer: R) -> Applied<R> {
         let theta = self.theta;
         let inverse = if self.warms && !warmer.is_zero() {
@@ -144,7 +154,7 @@ impl<'a, R: Real> Evaluated<'a, R> {
     }
 
     /// Common factors of the derivatives of |f|: w = A⁻ᵀ (1 − 2 diag(q ∘ z)) n, and n = f/|f|.
-    #[inline(always)]
+    #[inline]
     fn directions(&self, at: &Applied<R>) -> (Vector3<R>, Vector3<R>) {
         let mut m = at.force;
         if self.terms {
@@ -164,7 +174,7 @@ impl<'a, R: Real> Evaluated<'a, R> {
     }
 
     /// ∂|f|/∂θ of all parameters: equations (13) and (41).
-    #[inline(always)]
+    #[inline]
     pub fn derivatives(&self, at: &Applied<R>) -> Theta<R> {
         let (w, n) = self.directions(at);
         let z = &at.z;

@@ -18,6 +18,9 @@ const MOST_AMPLIFICATION: f64 = 10.0;
 /// diagonal.
 const MOST_REGULARISATIONS: usize = 10;
 
+/// Condition number of a problem with these normal equations.
+pub(crate) type Condition<R> = fn(&Magnitude, &Normal<R>) -> f64;
+
 /// Observability of the fitted parameters.
 pub(crate) struct Knowledge<R: Real> {
     /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g.
@@ -69,7 +72,7 @@ impl Magnitude<'_> {
             knowledge.amplification
         } else {
             Evaluated::new(&fit.theta, self.terms).map_or(f64::INFINITY, |at| {
-                self.with_condition(&at, R::one(), &shared.spread)
+                self.with_inverse(&at, f64::NAN, &shared.spread)
                     .amplification
             })
         };
@@ -77,21 +80,30 @@ impl Magnitude<'_> {
     }
 
     /// Observability of the fitted parameters.
-    pub fn knowledge<R: Real>(&self, fit: &Fit<R>) -> Option<Knowledge<R>> {
+    pub fn knowledge<R: Real>(
+        &self,
+        fit: &Fit<R>,
+        condition: Condition<R>,
+    ) -> Option<Knowledge<R>> {
         if self.weighting.is_equal() {
             let at = Evaluated::new(&fit.theta, self.terms)?;
-            Some(self.at_inverse(&at, &fit.normal, &fit.inverse))
+            Some(self.with_inverse(&at, condition(self, &fit.normal), &fit.inverse))
         } else {
-            self.knowledge_at(&fit.theta)
+            self.knowledge_at(&fit.theta, condition)
         }
     }
 
     /// Observability at `theta`, which need not be a solution.
-    pub fn knowledge_at<R: Real>(&self, theta: &Theta<R>) -> Option<Knowledge<R>> {
+    pub fn knowledge_at<R: Real>(
+        &self,
+        theta: &Theta<R>,
+        condition: Condition<R>,
+    ) -> Option<Knowledge<R>> {
         let at = Evaluated::new(theta, self.terms)?;
         let normal = self.weighted_normal(theta, Without::Nothing, &Weighting::EQUAL, None)?;
+        let condition = condition(self, &normal);
         if let Some(inverse) = normal.inverse() {
-            return Some(self.at_inverse(&at, &normal, &inverse));
+            return Some(self.with_inverse(&at, condition, &inverse));
         }
         // Singular: the smallest diagonal at the level of rounding that makes it invertible.
         let information = normal.information.rescaled(&self.units());
@@ -107,7 +119,7 @@ impl Magnitude<'_> {
             rounding *= real(4.0);
             Some(Scaled::with_pivots(&regular, R::zero(), R::zero())?.inverse())
         })?;
-        Some(self.at_inverse(&at, &normal, &inverse.rescaled(&self.units())))
+        Some(self.with_inverse(&at, condition, &inverse.rescaled(&self.units())))
     }
 
     /// Value of each parameter that causes an error of 1 m/s² at 1 g.
@@ -119,23 +131,18 @@ impl Magnitude<'_> {
         units
     }
 
-    fn at_inverse<R: Real>(
-        &self,
-        at: &Evaluated<R>,
-        normal: &Normal<R>,
-        inverse: &Symmetric<R>,
-    ) -> Knowledge<R> {
+    /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g.
+    pub fn condition<R: Real>(&self, normal: &Normal<R>) -> f64 {
         let (least, largest) = eigenvalue_range(normal.information.rescaled(&self.units()));
         // A zero eigenvalue comes out as rounding of about this size.
         let floor = largest * R::default_epsilon() * real(0.5);
-        let condition = (largest / least.max(floor)).sqrt();
-        self.with_condition(at, condition, inverse)
+        double((largest / least.max(floor)).sqrt())
     }
 
-    fn with_condition<R: Real>(
+    fn with_inverse<R: Real>(
         &self,
         at: &Evaluated<R>,
-        condition: R,
+        condition: f64,
         inverse: &Symmetric<R>,
     ) -> Knowledge<R> {
         let units = self.units::<R>();
@@ -166,7 +173,7 @@ impl Magnitude<'_> {
             see(inverse.form(&derivatives), other);
         }
         Knowledge {
-            condition: double(condition),
+            condition,
             amplification: double(worst.sqrt()),
             poorest,
             variance: core::array::from_fn(|i| match i < inverse.n() {

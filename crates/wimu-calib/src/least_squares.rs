@@ -1,12 +1,12 @@
 //! Least squares on |f| − g: equations (12) to (17), (40), (41).
 
+use crate::Pose;
 use crate::force::{Applied, Conditions, Evaluated};
 use crate::linear::{Real, double, real};
 use crate::symmetric::{self, Scaled, Symmetric, Vector, dot};
-use crate::terms::{Slot, Slots, Theta};
+use crate::terms::{Slots, Theta};
 use crate::visits::Visits;
 use crate::weights::{FarOff, Rejected, Weighting};
-use crate::{Model, Pose};
 
 /// Largest number of iterations; a fit that needs more has not converged. Typical: 3 to 6.
 const MOST_ITERATIONS: usize = 100;
@@ -85,23 +85,8 @@ impl<R: Real> Fit<R> {
     }
 }
 
-impl<'a> Magnitude<'a> {
-    /// The same problem with bias and scale factors only.
-    pub fn smaller(&self) -> Magnitude<'a> {
-        Magnitude {
-            poses: self.poses,
-            visits: self.visits,
-            gravity_mps2: self.gravity_mps2,
-            conditions: self.conditions,
-            weighting: self.weighting,
-            rejected: self.rejected,
-            far: self.far,
-            free: Model::BiasScale6.fitted().iter().map(Slot::of).collect(),
-            terms: false,
-        }
-    }
-
-    #[inline(always)]
+impl Magnitude<'_> {
+    #[inline]
     fn applied<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> Applied<R> {
         at.apply(
             pose.mean_mps2.map(real),
@@ -111,20 +96,20 @@ impl<'a> Magnitude<'a> {
     }
 
     /// |f| − g of one pose, m/s², and its derivatives.
-    #[inline(always)]
+    #[inline]
     fn row<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> (R, Vector<R>) {
         let applied = self.applied(at, pose);
         let residual = applied.force.norm() - real(self.gravity_mps2);
         (residual, self.derivatives(at, &applied))
     }
 
-    #[inline(always)]
+    #[inline]
     pub fn derivatives<R: Real>(&self, at: &Evaluated<R>, applied: &Applied<R>) -> Vector<R> {
         self.fitted(&at.derivatives(applied))
     }
 
     /// The elements of the fitted parameters.
-    #[inline(always)]
+    #[inline]
     fn fitted<R: Real>(&self, all: &Theta<R>) -> Vector<R> {
         let mut row = [R::zero(); symmetric::MOST];
         for (place, slot) in row.iter_mut().zip(&self.free) {
@@ -152,22 +137,17 @@ impl<'a> Magnitude<'a> {
     }
 
     /// Whether `pose`, the k-th, is rejected.
-    #[inline(always)]
+    #[inline]
     pub fn is_rejected(&self, k: usize, pose: &Pose) -> bool {
-        self.rejected.contains(k) || (self.far.is_some() && self.is_far_off(pose))
-    }
-
-    #[cold]
-    #[inline(never)]
-    fn is_far_off(&self, pose: &Pose) -> bool {
-        self.far.as_ref().is_some_and(|far| {
-            let residual = self.residual(&far.theta, pose);
-            residual.is_none_or(|residual| far.has(residual, pose))
-        })
+        self.rejected.contains(k)
+            || self
+                .far
+                .as_ref()
+                .is_some_and(|far| (far.rejects)(far, self, pose))
     }
 
     /// Whether `pose`, the k-th, is left out of a fit.
-    #[inline(always)]
+    #[inline]
     pub fn is_out(&self, without: Without, k: usize, pose: &Pose) -> bool {
         self.is_rejected(k, pose)
             || match without {
@@ -313,7 +293,7 @@ impl<'a> Magnitude<'a> {
     }
 
     /// |f| − g of `pose` under `theta`, m/s².
-    #[inline(always)]
+    #[inline]
     pub fn residual<R: Real>(&self, theta: &Theta<R>, pose: &Pose) -> Option<f64> {
         let at = Evaluated::new(theta, self.terms)?;
         Some(double(
@@ -372,9 +352,10 @@ impl<'a> Magnitude<'a> {
         moved
     }
 
-    /// Calls `take` with the index of every pose and its residual under the fit to all other poses:
-    /// equation (16). It is infinite if the others do not determine the parameters.
-    pub fn leave_out<R: Real>(&self, fit: &Fit<R>, mut take: impl FnMut(usize, f64)) {
+    /// Calls `take` with the index of every pose, its residual, and its residual under the fit to
+    /// all other poses: equation (16). The latter is infinite if the others do not determine the
+    /// parameters.
+    pub fn leave_out<R: Real>(&self, fit: &Fit<R>, mut take: impl FnMut(usize, f64, f64)) {
         let Some(at) = Evaluated::new(&fit.theta, self.terms) else {
             return;
         };
@@ -382,7 +363,7 @@ impl<'a> Magnitude<'a> {
         for (k, pose) in self.poses.iter().enumerate() {
             let (residual, row) = self.row(&at, pose);
             if self.is_rejected(k, pose) {
-                take(k, double(residual));
+                take(k, double(residual), double(residual));
                 continue;
             }
             let weight: R = real(self.weighting.of(pose));
@@ -396,7 +377,7 @@ impl<'a> Magnitude<'a> {
                 self.residual(&self.moved(&fit.theta, &step, by), pose)
             };
             let left_out = left_out.filter(|r| r.is_finite());
-            take(k, left_out.unwrap_or(f64::INFINITY));
+            take(k, double(residual), left_out.unwrap_or(f64::INFINITY));
         }
     }
 }

@@ -25,11 +25,18 @@ impl Model {
 
     /// The parameters that are fitted.
     pub fn fitted(self) -> Parameters {
+        use Parameter::{BiasX, BiasY, BiasZ, ScaleX, ScaleY, ScaleZ};
         use Parameter::{MisalignmentXy, MisalignmentXz, MisalignmentYz};
-        let below = [MisalignmentXy, MisalignmentXz, MisalignmentYz];
-        let all = [Parameter::BIAS, Parameter::SCALE, below];
-        let all = all.into_iter().flatten();
-        all.take(self.parameters()).collect()
+        const BIAS: Parameters = Parameters::NONE.with(BiasX).with(BiasY).with(BiasZ);
+        const SCALE: Parameters = BIAS.with(ScaleX).with(ScaleY).with(ScaleZ);
+        match self {
+            Self::Bias3 => BIAS,
+            Self::BiasScale6 => SCALE,
+            Self::Full9 => SCALE
+                .with(MisalignmentXy)
+                .with(MisalignmentXz)
+                .with(MisalignmentYz),
+        }
     }
 
     /// Number of fitted parameters.
@@ -77,11 +84,11 @@ impl MultiPosition {
     }
 
     pub(crate) fn slots(self) -> Slots {
-        let basic = self.model.fitted();
-        let terms = self
-            .terms
-            .iter()
-            .flat_map(|term| Slot::ALL.into_iter().skip(term.first_slot()).take(3));
-        basic.iter().map(Slot::of).chain(terms).collect()
+        let fitted = self.model.fitted();
+        let is_fitted = |slot: &Slot| match slot.parameter() {
+            Some(parameter) => fitted.contains(parameter),
+            None => slot.term().is_some_and(|term| self.terms.contains(term)),
+        };
+        Slot::ALL.into_iter().filter(is_fitted).collect()
     }
 }

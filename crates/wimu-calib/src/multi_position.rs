@@ -5,11 +5,11 @@ use wimu_model::{ErrorModel, ErrorTerms, ModelError, TemperatureTerms};
 use crate::estimate::{Drift, Residuals, TermDeviations};
 use crate::evidence::evidence;
 use crate::force::Conditions;
-use crate::knowledge::Knowledge;
+use crate::knowledge::{Condition, Knowledge};
 use crate::least_squares::{Fit, Magnitude, Without};
 use crate::linear::{Real, double, real};
 use crate::shared::{Shared, Visited};
-use crate::terms::{self, PERFECT, Slot, Term, Terms};
+use crate::terms::{self, PERFECT, Term, Terms, Theta};
 use crate::unfitted::Unfitted;
 use crate::visits::Visits;
 use crate::weights::{Rejected, Weighting};
@@ -67,22 +67,61 @@ fn basic<R: Real>(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Esti
             model,
             ..MultiPosition::default()
         };
-        let found = fit::<R>(poses, &visits, gravity, what, weighted)?;
-        found.fitted(found.estimate(None)?)
+        check(poses, gravity, what)?;
+        let found = fit(
+            poses,
+            &visits,
+            gravity,
+            what,
+            Parts::<R>::all(weighted, Conditions::none()),
+        )?;
+        found.fitted(None)
     };
     advised(model, of)
 }
 
-/// The nine-parameter fit of [`multi_position`] with its covariance, for the flash of a device: without
-/// the leave-one-out error, and without the refusals that follow from it or advise a smaller model.
-/// In f32 or f64.
+/// A nine-parameter fit with its covariance only: [`minimal_fit`].
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub struct MinimalEstimate {
+    /// The error model.
+    pub model: ErrorModel,
+    /// Covariance of its 12 parameters, including the uncertainty of gravity.
+    pub covariance: Covariance,
+    /// Degrees of freedom of the standard deviations, without the contribution of gravity.
+    pub interval_dof: f64,
+    /// Residual |f| − g over the poses, m/s² rms, unweighted.
+    pub rms_mps2: f64,
+    /// Index of the pose with the largest residual.
+    pub worst_pose: usize,
+}
+
+/// The nine-parameter fit of [`multi_position`] for the flash of a device, in f32 or f64: without
+/// leave-one-out errors, condition number and advice.
+///
+/// Poses of the same orientation count as fully correlated, where [`multi_position`] estimates their
+/// correlation: where at least 20 % of the poses repeat an orientation, standard deviations are larger.
 ///
 /// # Errors
-/// Those of [`multi_position`], without [`Refusal::PoorPrediction`].
-pub fn minimal_fit<R: Scalar>(poses: &[Pose], gravity: Gravity) -> Result<Estimate, Refusal> {
+/// Those of [`multi_position`], without [`Refusal::PoorPrediction`]; the condition number in
+/// [`Refusal::NotObservable`] is NaN.
+pub fn minimal_fit<R: Scalar>(
+    poses: &[Pose],
+    gravity: Gravity,
+) -> Result<MinimalEstimate, Refusal> {
     let visits = Visits::of(poses);
-    let found = fit::<R>(poses, &visits, gravity, MultiPosition::default(), weighted)?;
-    Ok(found.estimate(None)?.0)
+    let parts = Parts::<R> {
+        conditions: Conditions::none(),
+        start: |_, _, _| None,
+        refine: weighted,
+        condition: |_, _| f64::NAN,
+        shared: |problem, fit, visited| problem.correlated(fit, visited),
+    };
+    let what = MultiPosition::default();
+    check(poses, gravity, what)?;
+    let found = fit(poses, &visits, gravity, what, parts)?;
+    Ok(found.basis(None)?.minimal)
 }
 
 /// [`multi_position`] with further terms, and optionally with rejection of outliers. Equations (41)
@@ -154,9 +193,17 @@ pub(crate) fn with_terms(
     weigh: Option<&mut Violation>,
 ) -> Result<Fitted, Refusal> {
     let refine = if what.reject { searched } else { weighted };
-    let found = fit::<f64>(poses, visits, gravity, what, refine)?;
+    check(poses, gravity, what)?;
+    check_terms(poses, what.terms)?;
+    let found = fit(
+        poses,
+        visits,
+        gravity,
+        what,
+        Parts::<f64>::all(refine, conditions(poses, what.terms)),
+    )?;
     let weighed = weigh.is_some();
-    let mut fitted = found.fitted(found.estimate(weigh)?)?;
+    let mut fitted = found.fitted(weigh)?;
     if weighed {
         fitted.evidence = evidence(&found.fit, &found.problem, fitted.telling);
     }
@@ -179,11 +226,15 @@ fn check(poses: &[Pose], gravity: Gravity, what: MultiPosition) -> Result<(), Re
     if different < need {
         return Err(too_few(different));
     }
+    Ok(())
+}
+
+fn check_terms(poses: &[Pose], terms: Terms) -> Result<(), Refusal> {
     let varies = |least: f64, value: fn(&Pose) -> Option<f64>| {
         let range = range(poses, value);
         range.is_some_and(|[low, high]| high > low && high - low >= least)
     };
-    for term in what.terms.iter() {
+    for term in terms.iter() {
         let shown = match term {
             Term::Drift => varies(0.0, |pose| Some(pose.time_s)),
             Term::BiasTemperature | Term::ScaleTemperature => {
@@ -206,20 +257,47 @@ fn range(poses: &[Pose], value: impl Fn(&Pose) -> Option<f64>) -> Option<[f64; 2
 }
 
 fn conditions(poses: &[Pose], terms: Terms) -> Conditions {
-    let session = range(poses, |pose| Some(pose.time_s)).filter(|_| terms.contains(Term::Drift));
-    let (end_s, per_span) = session.map_or((0.0, 0.0), |[start, end]| (end, 1.0 / (end - start)));
-    Conditions {
-        end_s,
-        per_span,
-        reference_c: pose::mean_temperature(poses.iter())
-            .unwrap_or(TemperatureTerms::default().reference_c),
+    let mut conditions = Conditions::none();
+    if terms.contains(Term::Drift)
+        && let Some([start, end]) = range(poses, |pose| Some(pose.time_s))
+    {
+        (conditions.end_s, conditions.per_span) = (end, 1.0 / (end - start));
     }
+    if terms.moves_with_temperature()
+        && let Some(mean) = pose::mean_temperature(poses.iter())
+    {
+        conditions.reference_c = mean;
+    }
+    conditions
 }
 
 /// Weights the poses, and rejects outliers if that is asked for, and fits again, from the least-squares
 /// fit with equal weights if that converged. `None` if no fit converges.
 type Refine<R> =
     fn(&mut Magnitude, Option<Fit<R>>, MultiPosition) -> Result<Option<Fit<R>>, Refusal>;
+
+/// Parts of a fit that a program may do without. As pointers, so that it contains those that it uses.
+struct Parts<R: Real> {
+    conditions: Conditions,
+    /// Starting values, if there are better ones than a perfect sensor.
+    start: fn(&[Pose], Gravity, Model) -> Option<Theta<R>>,
+    refine: Refine<R>,
+    condition: Condition<R>,
+    /// Variance components; `None` when the parameters use up the differences between orientations.
+    shared: fn(&Magnitude, &Fit<R>, &Visited) -> Option<Shared<R>>,
+}
+
+impl<R: Real> Parts<R> {
+    fn all(refine: Refine<R>, conditions: Conditions) -> Self {
+        Self {
+            conditions,
+            start: ellipsoid::start,
+            refine,
+            condition: |problem, normal| problem.condition(normal),
+            shared: |problem, fit, visited| problem.shared(fit, visited),
+        }
+    }
+}
 
 /// A fit whose parameters are observable.
 struct Found<'a, R: Real> {
@@ -228,6 +306,14 @@ struct Found<'a, R: Real> {
     knowledge: Knowledge<R>,
     gravity: Gravity,
     what: MultiPosition,
+    shared: fn(&Magnitude, &Fit<R>, &Visited) -> Option<Shared<R>>,
+}
+
+/// A fit that explains the poses, before poses are left out.
+struct Basis<R: Real> {
+    minimal: MinimalEstimate,
+    visited: Visited,
+    shared: Shared<R>,
 }
 
 fn fit<'a, R: Real>(
@@ -235,14 +321,13 @@ fn fit<'a, R: Real>(
     visits: &'a Visits,
     gravity: Gravity,
     what: MultiPosition,
-    refine: Refine<R>,
+    parts: Parts<R>,
 ) -> Result<Found<'a, R>, Refusal> {
-    check(poses, gravity, what)?;
     let mut problem = Magnitude {
         poses,
         visits,
         gravity_mps2: gravity.mps2(),
-        conditions: conditions(poses, what.terms),
+        conditions: parts.conditions,
         weighting: Weighting::EQUAL,
         rejected: Rejected::default(),
         far: None,
@@ -250,28 +335,30 @@ fn fit<'a, R: Real>(
         terms: what.terms != Terms::NONE,
     };
     let perfect = PERFECT.map(real::<R>);
-    let ellipsoid = match what.model {
-        Model::Full9 => ellipsoid::start::<R>(poses, gravity.mps2()),
-        Model::Bias3 | Model::BiasScale6 => None,
-    };
     let defect = || {
         let dead = || input::dead_axis(poses, gravity).map(|axis| Refusal::AxisStuck { axis });
         input::mixed_units(poses).or_else(dead)
     };
-    let squares = [ellipsoid, Some(perfect)]
+    let squares = [(parts.start)(poses, gravity, what.model), Some(perfect)]
         .into_iter()
         .flatten()
         .find_map(|start| problem.solve(&start, Without::Nothing));
-    let fit = refine(&mut problem, squares, what).map_err(|refusal| match refusal {
+    let fit = (parts.refine)(&mut problem, squares, what).map_err(|refusal| match refusal {
         Refusal::NotConverged => defect().unwrap_or(refusal),
         refusal => refusal,
     })?;
     let knowledge = match &fit {
-        Some(fit) => problem.knowledge(fit),
+        Some(fit) => problem.knowledge(fit, parts.condition),
         None => {
             // Observability near the solution: at the bias and scale factors that fit best.
-            let smaller = problem.smaller().solve(&perfect, Without::Nothing);
-            problem.knowledge_at(&smaller.map_or(perfect, |fit| fit.theta))
+            problem.free = MultiPosition {
+                model: Model::BiasScale6,
+                ..MultiPosition::default()
+            }
+            .slots();
+            let smaller = problem.solve(&perfect, Without::Nothing);
+            problem.free = what.slots();
+            problem.knowledge_at(&smaller.map_or(perfect, |fit| fit.theta), parts.condition)
         }
     };
     if let Some(knowledge) = knowledge.as_ref().filter(|knowledge| !knowledge.suffices()) {
@@ -284,6 +371,7 @@ fn fit<'a, R: Real>(
         return Err(Refusal::AxisStuck { axis });
     }
     Ok(Found {
+        shared: parts.shared,
         problem,
         fit,
         knowledge,
@@ -326,7 +414,7 @@ fn refined<R: Real>(
     while let Some(current) = &fit
         && let Some(bad) = outliers::contradicted(problem, current, what.model)
     {
-        let known = problem.knowledge(current);
+        let known = problem.knowledge(current, |_, _| f64::NAN);
         if !known.is_some_and(|known| known.suffices()) {
             // The poses do not determine the parameters: no outlier is the cause.
             break;
@@ -370,11 +458,7 @@ fn weighted<R: Real>(
 }
 
 impl<R: Real> Found<'_, R> {
-    /// The estimate, without what leaving poses out shows, and the variance of the residuals.
-    fn estimate(
-        &self,
-        violation: Option<&mut Violation>,
-    ) -> Result<(Estimate, Visited, Shared<R>), Refusal> {
+    fn basis(&self, violation: Option<&mut Violation>) -> Result<Basis<R>, Refusal> {
         let Self {
             problem, fit, what, ..
         } = self;
@@ -384,15 +468,11 @@ impl<R: Real> Found<'_, R> {
         let error_terms = ErrorTerms {
             bias_mps2: terms::bias(&theta),
             matrix: terms::matrix(&theta),
-            temperature: if what.terms.moves_with_temperature() {
-                TemperatureTerms {
-                    reference_c: problem.conditions.reference_c,
-                    bias_mps2_per_k: terms::triple(&theta, 15),
-                    scale_per_k: terms::triple(&theta, 18),
-                    ..TemperatureTerms::default()
-                }
-            } else {
-                TemperatureTerms::default()
+            temperature: TemperatureTerms {
+                reference_c: problem.conditions.reference_c,
+                bias_mps2_per_k: terms::triple(&theta, 15),
+                scale_per_k: terms::triple(&theta, 18),
+                ..TemperatureTerms::default()
             },
             nonlinearity: terms::triple(&theta, 21),
         };
@@ -405,17 +485,14 @@ impl<R: Real> Found<'_, R> {
             Refusal::OutOfBounds(error)
         })?;
         let visited = problem.visited();
-        let shared = problem
-            .shared(fit, &visited)
-            .ok_or_else(|| Refusal::TooFewPoses {
-                have: visited.apart,
-                need: free.len() + 1,
-                model: what.model,
-                instead: None,
-            })?;
-        let (mut all, mut kept) = (Residuals::default(), Residuals::default());
+        let shared = (self.shared)(problem, fit, &visited).ok_or_else(|| Refusal::TooFewPoses {
+            have: visited.apart,
+            need: free.len() + 1,
+            model: what.model,
+            instead: None,
+        })?;
+        let mut kept = Residuals::default();
         problem.residuals(&fit.theta, |k, residual| {
-            all.add(k, residual);
             if !problem.is_rejected(k, &poses[k]) {
                 kept.add(k, residual);
             }
@@ -437,26 +514,72 @@ impl<R: Real> Found<'_, R> {
             }));
         }
         let known = |r, c| shared.variance * double(shared.spread.at(r, c));
-        let (mut covariance, mut term_sd) = (Covariance::ZERO, TermDeviations::default());
-        add_covariance(&mut covariance, &mut term_sd, free, known);
+        let mut covariance = Covariance::ZERO;
+        covariance.add_fitted(free, known);
         if what.model != Model::Bias3 {
             covariance.add_gravity(&theta, self.gravity);
         }
+        Ok(Basis {
+            minimal: MinimalEstimate {
+                model,
+                covariance,
+                interval_dof: shared.dof,
+                rms_mps2: kept.rms_mps2(),
+                worst_pose: kept.worst_pose,
+            },
+            visited,
+            shared,
+        })
+    }
+
+    /// The estimate, judged by leaving poses out and by what its model leaves out.
+    fn fitted(&self, violation: Option<&mut Violation>) -> Result<Fitted, Refusal> {
+        let Basis {
+            minimal,
+            visited,
+            shared,
+        } = self.basis(violation)?;
+        let Self {
+            problem, fit, what, ..
+        } = self;
+        let (poses, free) = (problem.poses, &problem.free);
+        let theta = fit.theta.map(double);
+        let fitted_poses = poses.len() - problem.rejected.count();
+        let (mut all, mut left_out) = (Residuals::default(), Residuals::default());
+        // By orientation: a repeated orientation does not confirm the model elsewhere.
+        let mut kept_left_out = Residuals::default();
+        let mut by_orientation = Residuals::default();
+        problem.leave_out(fit, |k, residual, without| {
+            all.add(k, residual);
+            left_out.add(k, without);
+            if problem.is_rejected(k, &poses[k]) {
+                by_orientation.add(k, without);
+            } else if !problem.comes_again(&visited, k) {
+                kept_left_out.add(k, without);
+                by_orientation.add(k, without);
+            }
+        });
+        problem.leave_orientations_out(fit, &visited, |k, without| {
+            kept_left_out.add(k, without);
+            by_orientation.add(k, without);
+        });
         let sd = libm::sqrt(shared.variance);
-        let estimate = Estimate {
-            model,
+        let mut term_sd = TermDeviations::default();
+        term_sd.add_fitted(free, |i| shared.variance * double(shared.spread.at(i, i)));
+        let mut estimate = Estimate {
+            model: minimal.model,
             method: Method::MultiPosition(what.model),
             terms: what.terms,
             fitted: what.model.fitted(),
-            covariance,
+            covariance: minimal.covariance,
             term_sd,
             gravity: self.gravity,
             poses: fitted_poses,
             orientations: visited.orientations,
-            dof,
+            dof: fitted_poses - free.len(),
             interval_dof: Some(shared.dof),
             rms_mps2: all.rms_mps2(),
-            fitted_rms_mps2: kept.rms_mps2(),
+            fitted_rms_mps2: minimal.rms_mps2,
             max_mps2: all.largest_mps2,
             worst_pose: all.worst_pose,
             loo_rms_mps2: None,
@@ -475,35 +598,7 @@ impl<R: Real> Found<'_, R> {
                 span_s: 1.0 / problem.conditions.per_span,
             }),
         };
-        Ok((estimate, visited, shared))
-    }
-
-    /// The estimate judged by leaving poses out, and with what its model leaves out.
-    fn fitted(
-        &self,
-        (mut estimate, visited, shared): (Estimate, Visited, Shared<R>),
-    ) -> Result<Fitted, Refusal> {
-        let Self {
-            problem, fit, what, ..
-        } = self;
-        let mut left_out = Residuals::default();
-        // By orientation: a repeated orientation does not confirm the model elsewhere.
-        let mut kept_left_out = Residuals::default();
-        let mut by_orientation = Residuals::default();
-        problem.leave_out(fit, |k, without| {
-            left_out.add(k, without);
-            if problem.is_rejected(k, &problem.poses[k]) {
-                by_orientation.add(k, without);
-            } else if !problem.comes_again(&visited, k) {
-                kept_left_out.add(k, without);
-                by_orientation.add(k, without);
-            }
-        });
-        problem.leave_orientations_out(fit, &visited, |k, without| {
-            kept_left_out.add(k, without);
-            by_orientation.add(k, without);
-        });
-        let most = (MOST_LEFT_OUT * libm::sqrt(shared.variance)).max(GOOD_LEFT_OUT_MPS2);
+        let most = (MOST_LEFT_OUT * sd).max(GOOD_LEFT_OUT_MPS2);
         let predicted = kept_left_out.rms_mps2();
         if predicted > most || predicted.is_nan() {
             return Err(Refusal::PoorPrediction {
@@ -527,8 +622,8 @@ impl<R: Real> Found<'_, R> {
                 }
             }
             let added = |r, c| unfitted.covariance.at(r, c);
-            let (covariance, term_sd) = (&mut estimate.covariance, &mut estimate.term_sd);
-            add_covariance(covariance, term_sd, &problem.free, added);
+            estimate.covariance.add_fitted(free, added);
+            estimate.term_sd.add_fitted(free, |i| added(i, i));
             estimate.interval_dof = Some(unfitted.dof);
             estimate.worst_sd_mps2 = unfitted.worst_sd_mps2;
         }
@@ -539,24 +634,6 @@ impl<R: Real> Found<'_, R> {
             telling: shared.poses,
             evidence: 0.0,
         })
-    }
-}
-
-/// Adds a covariance of the fitted parameters `free`.
-fn add_covariance(
-    covariance: &mut Covariance,
-    term_sd: &mut TermDeviations,
-    free: &[Slot],
-    more: impl Fn(usize, usize) -> f64,
-) {
-    for (r, &a) in free.iter().enumerate() {
-        let sd = term_sd.get(a);
-        term_sd.set(a, libm::sqrt((sd * sd + more(r, r)).max(0.0)));
-        for (c, &b) in free.iter().enumerate() {
-            if let Some((a, b)) = a.parameter().zip(b.parameter()) {
-                covariance.add(a, b, more(r, c));
-            }
-        }
     }
 }
 

@@ -79,10 +79,11 @@ pub(crate) fn reject<R: Real>(
             .saturating_sub(problem.free.len())
             .max(1);
         let limit = student::two_sided(SIGNIFICANCE / count as f64, dof as f64);
-        let known = problem
-            .knowledge(&inner)
-            .is_some_and(|knowledge| knowledge.suffices());
-        if known && deviate > limit {
+        let known = || {
+            let knowledge = problem.knowledge(&inner, |_, _| f64::NAN);
+            knowledge.is_some_and(|knowledge| knowledge.suffices())
+        };
+        if deviate > limit && known() {
             return Ok(inner);
         }
         problem.rejected = problem.rejected.without(place);
@@ -241,6 +242,7 @@ fn leave_far_off<R: Real>(
             theta: theta.map(double),
             sd_mps2: libm::hypot(PER_MEDIAN * median_residual(problem, &theta), least),
             deviations: student::normal_two_sided(SIGNIFICANCE / count as f64),
+            rejects: FarOff::rejects,
         };
         let (mut found, mut worst) = (0, (0.0, 0));
         problem.residuals(&theta, |k, residual| {

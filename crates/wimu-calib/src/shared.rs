@@ -67,6 +67,20 @@ impl Magnitude<'_> {
                 .is_some_and(|pose| visited.of(self.visits.group(k, pose)) > 1)
     }
 
+    /// With residuals that are equal within an orientation and independent between orientations, each
+    /// visited equally often: conservative.
+    pub fn correlated<R: Real>(&self, fit: &Fit<R>, visited: &Visited) -> Option<Shared<R>> {
+        let (n, p) = (self.poses.len() - self.rejected.count(), self.free.len());
+        let dof = visited.apart.checked_sub(p).filter(|dof| *dof > 0)? as f64;
+        let visits = n as f64 / visited.apart as f64;
+        Some(Shared {
+            variance: fit.cost / (visits * dof),
+            spread: Symmetric::from_fn(p, |r, c| fit.inverse.at(r, c) * real(visits)),
+            dof,
+            poses: visited.apart as f64,
+        })
+    }
+
     /// Variance within and between orientations. `None` when the differences between orientations
     /// are used up by the parameters.
     pub fn shared<R: Real>(&self, fit: &Fit<R>, visited: &Visited) -> Option<Shared<R>> {

@@ -148,10 +148,6 @@ impl Term {
         Self::ScaleTemperature,
         Self::Quadratic,
     ];
-
-    pub(crate) fn first_slot(self) -> usize {
-        12 + 3 * self as usize
-    }
 }
 
 impl fmt::Display for Term {

@@ -79,47 +79,46 @@ impl Magnitude<'_> {
         amplification * libm::sqrt(shared.variance)
     }
 
-    /// Observability of the fitted parameters.
+    /// Observability of the fitted parameters, with equal weights.
     pub fn knowledge<R: Real>(
         &self,
         fit: &Fit<R>,
         condition: Condition<R>,
     ) -> Option<Knowledge<R>> {
+        let at = Evaluated::new(&fit.theta, self.terms)?;
         if self.weighting.is_equal() {
-            let at = Evaluated::new(&fit.theta, self.terms)?;
-            Some(self.with_inverse(&at, condition(self, &fit.normal), &fit.inverse))
-        } else {
-            self.knowledge_at(&fit.theta, condition)
+            return Some(self.with_inverse(&at, condition(self, &fit.normal), &fit.inverse));
         }
+        let normal = self.equally_weighted(&fit.theta)?;
+        Some(self.with_inverse(&at, condition(self, &normal), &normal.inverse()?))
     }
 
-    /// Observability at `theta`, which need not be a solution.
-    pub fn knowledge_at<R: Real>(
-        &self,
-        theta: &Theta<R>,
-        condition: Condition<R>,
-    ) -> Option<Knowledge<R>> {
+    fn equally_weighted<R: Real>(&self, theta: &Theta<R>) -> Option<Normal<R>> {
+        self.weighted_normal(theta, Without::Nothing, &Weighting::EQUAL, None)
+    }
+
+    /// Observability at `theta`, which need not be a solution; the parameters may be undetermined.
+    pub fn knowledge_at<R: Real>(&self, theta: &Theta<R>) -> Option<Knowledge<R>> {
         let at = Evaluated::new(theta, self.terms)?;
-        let normal = self.weighted_normal(theta, Without::Nothing, &Weighting::EQUAL, None)?;
-        let condition = condition(self, &normal);
-        if let Some(inverse) = normal.inverse() {
-            return Some(self.with_inverse(&at, condition, &inverse));
-        }
-        // Singular: the smallest diagonal at the level of rounding that makes it invertible.
-        let information = normal.information.rescaled(&self.units());
-        let largest = information
-            .diagonal()
-            .fold(R::zero(), |most, d| most.max(d));
+        let normal = self.equally_weighted(theta)?;
+        // Where singular, the smallest addition to the diagonal at the level of rounding that makes it
+        // invertible.
+        let squares = self.units::<R>().map(|unit| unit * unit);
+        let scaled = normal.information.diagonal().zip(squares);
+        let largest = scaled.fold(R::zero(), |most, (d, square)| most.max(d * square));
         let mut rounding = largest * R::default_epsilon();
-        let inverse = (0..MOST_REGULARISATIONS).find_map(|_| {
-            let mut regular = information.clone();
-            for i in 0..self.free.len() {
-                regular.row_mut(i)[i] += rounding;
-            }
-            rounding *= real(4.0);
-            Some(Scaled::with_pivots(&regular, R::zero(), R::zero())?.inverse())
-        })?;
-        Some(self.with_inverse(&at, condition, &inverse.rescaled(&self.units())))
+        let regular = || {
+            (0..MOST_REGULARISATIONS).find_map(|_| {
+                let mut regular = normal.information.clone();
+                for i in 0..self.free.len() {
+                    regular.row_mut(i)[i] += rounding / squares[i];
+                }
+                rounding *= real(4.0);
+                Some(Scaled::with_pivots(&regular, R::zero(), R::zero())?.inverse())
+            })
+        };
+        let inverse = normal.inverse().or_else(regular)?;
+        Some(self.with_inverse(&at, self.condition(&normal), &inverse))
     }
 
     /// Value of each parameter that causes an error of 1 m/s² at 1 g.

@@ -23,9 +23,6 @@ const MOST_REFITS: usize = 256;
 /// The error of the single step is of second order and grows with 1 / (1 − leverage).
 const MOST_LEVERAGE: f64 = 0.5;
 
-/// Poses whose sums are taken together.
-const BLOCK: usize = 4;
-
 /// What is left out of a fit, besides the rejected poses.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) enum Without {
@@ -86,7 +83,7 @@ impl<R: Real> Fit<R> {
 }
 
 impl Magnitude<'_> {
-    #[inline]
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     fn applied<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> Applied<R> {
         at.apply(
             pose.mean_mps2.map(real),
@@ -96,20 +93,20 @@ impl Magnitude<'_> {
     }
 
     /// |f| − g of one pose, m/s², and its derivatives.
-    #[inline]
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     fn row<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> (R, Vector<R>) {
         let applied = self.applied(at, pose);
         let residual = applied.force.norm() - real(self.gravity_mps2);
         (residual, self.derivatives(at, &applied))
     }
 
-    #[inline]
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     pub fn derivatives<R: Real>(&self, at: &Evaluated<R>, applied: &Applied<R>) -> Vector<R> {
         self.fitted(&at.derivatives(applied))
     }
 
     /// The elements of the fitted parameters.
-    #[inline]
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     fn fitted<R: Real>(&self, all: &Theta<R>) -> Vector<R> {
         let mut row = [R::zero(); symmetric::MOST];
         for (place, slot) in row.iter_mut().zip(&self.free) {
@@ -137,7 +134,7 @@ impl Magnitude<'_> {
     }
 
     /// Whether `pose`, the k-th, is rejected.
-    #[inline]
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     pub fn is_rejected(&self, k: usize, pose: &Pose) -> bool {
         self.rejected.contains(k)
             || self
@@ -147,7 +144,7 @@ impl Magnitude<'_> {
     }
 
     /// Whether `pose`, the k-th, is left out of a fit.
-    #[inline]
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     pub fn is_out(&self, without: Without, k: usize, pose: &Pose) -> bool {
         self.is_rejected(k, pose)
             || match without {
@@ -177,31 +174,24 @@ impl Magnitude<'_> {
             cost: R::zero(),
             poses: 0,
         };
-        let n = self.free.len();
-        for (block, poses) in self.poses.chunks(BLOCK).enumerate() {
-            let mut rows = [[R::zero(); symmetric::MOST]; BLOCK];
-            let mut weights = [R::zero(); BLOCK];
-            for (i, pose) in poses.iter().enumerate() {
-                if self.is_out(without, BLOCK * block + i, pose) {
-                    continue;
-                }
-                let (residual, row) = self.row(&at, pose);
-                let mut weight: R = real(weighting.of(pose));
-                let mut cost = weight * residual * residual;
-                if let Some(cauchy) = cauchy {
-                    let square: R = real(cauchy * cauchy);
-                    let grown = R::one() + residual * residual / square;
-                    cost = square * grown.ln();
-                    weight = R::one() / grown;
-                }
-                symmetric::add(&mut normal.gradient[..n], weight * residual, &row);
-                normal.cost += cost;
-                normal.poses += 1;
-                (rows[i], weights[i]) = (row, weight);
+        for (k, pose) in self.poses.iter().enumerate() {
+            if self.is_out(without, k, pose) {
+                continue;
             }
-            normal
-                .information
-                .add_outers(rows.each_ref().map(|row| &row[..]), weights);
+            let (residual, row) = self.row(&at, pose);
+            let mut weight: R = real(weighting.of(pose));
+            let mut cost = weight * residual * residual;
+            if let Some(cauchy) = cauchy {
+                let square: R = real(cauchy * cauchy);
+                let grown = R::one() + residual * residual / square;
+                cost = square * grown.ln();
+                weight = R::one() / grown;
+            }
+            normal.information.add_outer(&row, weight);
+            let gradient = &mut normal.gradient[..self.free.len()];
+            symmetric::add(gradient, weight * residual, &row);
+            normal.cost += cost;
+            normal.poses += 1;
         }
         normal.cost.is_finite().then_some(normal)
     }
@@ -293,7 +283,7 @@ impl Magnitude<'_> {
     }
 
     /// |f| − g of `pose` under `theta`, m/s².
-    #[inline]
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     pub fn residual<R: Real>(&self, theta: &Theta<R>, pose: &Pose) -> Option<f64> {
         let at = Evaluated::new(theta, self.terms)?;
         Some(double(

@@ -116,6 +116,7 @@ pub fn minimal_fit<R: Scalar>(
         start: |_, _, _| None,
         refine: weighted,
         condition: |_, _| f64::NAN,
+        unsolved: |_, _| None,
         shared: |problem, fit, visited| problem.correlated(fit, visited),
     };
     let what = MultiPosition::default();
@@ -283,6 +284,8 @@ struct Parts<R: Real> {
     start: fn(&[Pose], Gravity, Model) -> Option<Theta<R>>,
     refine: Refine<R>,
     condition: Condition<R>,
+    /// Observability where no fit converges.
+    unsolved: fn(&mut Magnitude, MultiPosition) -> Option<Knowledge<R>>,
     /// Variance components; `None` when the parameters use up the differences between orientations.
     shared: fn(&Magnitude, &Fit<R>, &Visited) -> Option<Shared<R>>,
 }
@@ -294,6 +297,7 @@ impl<R: Real> Parts<R> {
             start: ellipsoid::start,
             refine,
             condition: |problem, normal| problem.condition(normal),
+            unsolved: near_solution,
             shared: |problem, fit, visited| problem.shared(fit, visited),
         }
     }
@@ -339,27 +343,16 @@ fn fit<'a, R: Real>(
         let dead = || input::dead_axis(poses, gravity).map(|axis| Refusal::AxisStuck { axis });
         input::mixed_units(poses).or_else(dead)
     };
-    let squares = [(parts.start)(poses, gravity, what.model), Some(perfect)]
-        .into_iter()
-        .flatten()
-        .find_map(|start| problem.solve(&start, Without::Nothing));
+    let solve = |start: &Theta<R>| problem.solve(start, Without::Nothing);
+    let squares = (parts.start)(poses, gravity, what.model).and_then(|start| solve(&start));
+    let squares = squares.or_else(|| solve(&perfect));
     let fit = (parts.refine)(&mut problem, squares, what).map_err(|refusal| match refusal {
         Refusal::NotConverged => defect().unwrap_or(refusal),
         refusal => refusal,
     })?;
     let knowledge = match &fit {
         Some(fit) => problem.knowledge(fit, parts.condition),
-        None => {
-            // Observability near the solution: at the bias and scale factors that fit best.
-            problem.free = MultiPosition {
-                model: Model::BiasScale6,
-                ..MultiPosition::default()
-            }
-            .slots();
-            let smaller = problem.solve(&perfect, Without::Nothing);
-            problem.free = what.slots();
-            problem.knowledge_at(&smaller.map_or(perfect, |fit| fit.theta), parts.condition)
-        }
+        None => (parts.unsolved)(&mut problem, what),
     };
     if let Some(knowledge) = knowledge.as_ref().filter(|knowledge| !knowledge.suffices()) {
         return Err(defect().unwrap_or_else(|| knowledge.refusal(what, &problem.free)));
@@ -378,6 +371,19 @@ fn fit<'a, R: Real>(
         gravity,
         what,
     })
+}
+
+/// Observability at the bias and scale factors that fit best.
+fn near_solution<R: Real>(problem: &mut Magnitude, what: MultiPosition) -> Option<Knowledge<R>> {
+    let perfect = PERFECT.map(real);
+    problem.free = MultiPosition {
+        model: Model::BiasScale6,
+        ..MultiPosition::default()
+    }
+    .slots();
+    let smaller = problem.solve(&perfect, Without::Nothing);
+    problem.free = what.slots();
+    problem.knowledge_at(&smaller.map_or(perfect, |fit| fit.theta))
 }
 
 /// Rejects outliers.

@@ -79,22 +79,10 @@ impl<R: Real> Symmetric<R> {
 
     /// Adds `weight` · v vᵀ.
     pub fn add_outer(&mut self, v: &[R], weight: R) {
-        self.add_outers([v], [weight]);
-    }
-
-    /// Adds the sum of `weights` · v vᵀ: of several vectors at once in fewer passes.
-    pub fn add_outers<const K: usize>(&mut self, vectors: [&[R]; K], weights: [R; K]) {
         let mut rest = self.lower.as_mut_slice();
-        let n = vectors.iter().fold(self.n, |n, v| n.min(v.len()));
-        for r in 0..n {
+        for (r, x) in v.iter().enumerate().take(self.n) {
             let (row, below) = rest.split_at_mut(r + 1);
-            let vectors = vectors.map(|v| &v[..=r]);
-            let factors: [R; K] = core::array::from_fn(|k| vectors[k][r] * weights[k]);
-            for (c, sum) in row.iter_mut().enumerate() {
-                for k in 0..K {
-                    *sum += factors[k] * vectors[k][c];
-                }
-            }
+            add(row, *x * weight, v);
             rest = below;
         }
     }

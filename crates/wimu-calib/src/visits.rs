@@ -60,7 +60,7 @@ impl Visits {
     }
 
     /// The first orientation within 10°.
-    #[inline]
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     fn alike(&self, up: [f32; 3]) -> Option<usize> {
         self.first
             .iter()
@@ -79,7 +79,7 @@ impl Visits {
     }
 }
 
-#[inline]
+#[cfg_attr(not(target_os = "none"), inline(always))]
 fn cosine(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }

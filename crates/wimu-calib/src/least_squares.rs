@@ -342,6 +342,18 @@ impl Magnitude<'_> {
         moved
     }
 
+    /// The parameters of the linearised fit with (`sign` 1) or without (−1) a pose. `None` if it is
+    /// singular.
+    pub fn changed<R: Real>(&self, fit: &Fit<R>, pose: usize, sign: R) -> Option<Theta<R>> {
+        let at = Evaluated::new(&fit.theta, self.terms)?;
+        let pose = self.poses.get(pose)?;
+        let (residual, row) = self.row(&at, pose);
+        let weight = sign * real(self.weighting.of(pose));
+        let step = fit.inverse.times(&row);
+        let by = -weight * residual / (R::one() + weight * dot(&row, &step));
+        by.is_finite().then(|| self.moved(&fit.theta, &step, by))
+    }
+
     /// Calls `take` with the index of every pose, its residual, and its residual under the fit to
     /// all other poses: equation (16). The latter is infinite if the others do not determine the
     /// parameters.

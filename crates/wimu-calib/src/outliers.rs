@@ -35,7 +35,9 @@ const DOUBTED: usize = 5;
 const CAUCHY: f64 = 2.385;
 /// Standard deviation of normal deviates per median of their absolute values.
 const PER_MEDIAN: f64 = 1.4826;
-/// Number of robust fits, each with a scale from the previous one.
+/// Relative error of a median of residuals.
+const MEDIAN_ERROR: f64 = 0.01;
+/// Largest number of robust fits, each with a scale from the previous one.
 const ROBUST_FITS: usize = 4;
 
 /// Rejects outliers by a forward search: equation (42). A robust fit ranks the poses by their
@@ -72,7 +74,7 @@ pub(crate) fn reject<R: Real>(
         problem.weighting = Weighting::EQUAL;
         return Ok(fit);
     };
-    while let Some((place, deviate)) = nearest(problem, &inner, unfitted_mps2) {
+    while let Some((place, pose, deviate)) = nearest(problem, &inner, unfitted_mps2) {
         let dof = problem
             .visited()
             .apart
@@ -87,7 +89,10 @@ pub(crate) fn reject<R: Real>(
             return Ok(inner);
         }
         problem.rejected = problem.rejected.without(place);
-        match problem.solve(&inner.theta, Without::Nothing) {
+        let Some(start) = problem.changed(&inner, pose, R::one()) else {
+            break;
+        };
+        match problem.solve(&start, Without::Nothing) {
             Some(wider) => inner = wider,
             None => break,
         }
@@ -206,7 +211,8 @@ fn doubt<R: Real>(
     unfitted_mps2: f64,
 ) -> Option<(f64, f64)> {
     let inside = problem.poses.len() - problem.rejected.count();
-    let without = problem.solve(&fit.theta, Without::Pose(pose))?;
+    let start = problem.changed(fit, pose, -R::one())?;
+    let without = problem.solve(&start, Without::Pose(pose))?;
     let (residual, growth) = problem.predicted(&without, pose)?;
     let dof = inside
         .checked_sub(problem.free.len() + 1)
@@ -279,8 +285,13 @@ fn leave_far_off<R: Real>(
 fn robust<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> Theta<R> {
     let mut theta = fit.theta;
     let count = problem.poses.len();
+    let mut last = 0.0;
     for _ in 0..ROBUST_FITS {
         let median = median_residual(problem, &theta);
+        if (median - last).abs() <= MEDIAN_ERROR * median {
+            break;
+        }
+        last = median;
         let small_sample = libm::sqrt(count as f64 / (count - problem.free.len()) as f64);
         let scale = CAUCHY * PER_MEDIAN * median * small_sample;
         match problem.solve_robust(&theta, scale) {
@@ -291,23 +302,33 @@ fn robust<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> Theta<R> {
     theta
 }
 
-/// Median of |r| to 1 %, by bisection: there is no memory to sort.
+/// Median of |r| to 1 %, by bisection: there is no memory to sort the residuals of very many poses.
 fn median_residual<R: Real>(problem: &Magnitude, theta: &Theta<R>) -> f64 {
+    let mut sizes = heapless::Vec::<f64, MANY>::new();
     let mut largest = 0.0_f64;
-    problem.residuals(theta, |_, residual| largest = largest.max(residual.abs()));
+    problem.residuals(theta, |_, residual| {
+        largest = largest.max(residual.abs());
+        let _ = sizes.push(residual.abs());
+    });
+    let below = |middle: f64| {
+        let mut count = 0;
+        let mut take = |size: f64| count += usize::from(size <= middle);
+        if problem.poses.len() > MANY {
+            problem.residuals(theta, |_, residual| take(residual.abs()));
+        } else {
+            sizes.iter().copied().for_each(take);
+        }
+        count
+    };
     let (mut low, mut high) = (0.0, largest);
     for _ in 0..60 {
         let middle = 0.5 * (low + high);
-        let mut below = 0;
-        problem.residuals(theta, |_, residual| {
-            below += usize::from(residual.abs() <= middle)
-        });
-        if 2 * below > problem.poses.len() {
+        if 2 * below(middle) > problem.poses.len() {
             high = middle;
         } else {
             low = middle;
         }
-        if high - low <= 0.01 * high {
+        if high - low <= MEDIAN_ERROR * high {
             break;
         }
     }
@@ -332,19 +353,23 @@ fn farthest<R: Real>(problem: &Magnitude, theta: &Theta<R>, most: usize) -> Reje
         .fold(Rejected::default(), |all, &(_, pose)| all.with(pose))
 }
 
-/// The rejected pose that the fit predicts best: its index among the rejected poses, and its
-/// residual in standard deviations of the prediction.
-fn nearest<R: Real>(problem: &Magnitude, fit: &Fit<R>, unfitted_mps2: f64) -> Option<(usize, f64)> {
+/// The rejected pose that the fit predicts best: its index among the rejected poses and
+/// among all, and its residual in standard deviations of the prediction.
+fn nearest<R: Real>(
+    problem: &Magnitude,
+    fit: &Fit<R>,
+    unfitted_mps2: f64,
+) -> Option<(usize, usize, f64)> {
     let inside = problem.poses.len() - problem.rejected.as_slice().len();
     let sd = fit.sd(inside - problem.free.len());
-    let mut nearest: Option<(usize, f64)> = None;
+    let mut nearest: Option<(usize, usize, f64)> = None;
     for (place, &pose) in problem.rejected.as_slice().iter().enumerate() {
         let (residual, growth) = problem.predicted(fit, pose)?;
         let own = 1.0 / problem.weighting.of(problem.poses.get(pose)?);
         let variance = sd * sd * (own + growth) + unfitted_mps2 * unfitted_mps2;
         let deviate = residual.abs() / libm::sqrt(variance);
-        if nearest.is_none_or(|(_, least)| deviate < least) {
-            nearest = Some((place, deviate));
+        if nearest.is_none_or(|(.., least)| deviate < least) {
+            nearest = Some((place, pose, deviate));
         }
     }
     nearest

@@ -23,6 +23,9 @@ const MOST_REFITS: usize = 256;
 /// The error of the single step is of second order and grows with 1 / (1 − leverage).
 const MOST_LEVERAGE: f64 = 0.5;
 
+/// Poses whose products are summed together, for vector instructions.
+const BLOCK: usize = 4;
+
 /// What is left out of a fit, besides the rejected poses.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) enum Without {
@@ -174,24 +177,32 @@ impl Magnitude<'_> {
             cost: R::zero(),
             poses: 0,
         };
-        for (k, pose) in self.poses.iter().enumerate() {
-            if self.is_out(without, k, pose) {
-                continue;
+        let n = self.free.len();
+        let mut rows = [[R::zero(); BLOCK]; symmetric::MOST];
+        for (block, poses) in self.poses.chunks(BLOCK).enumerate() {
+            let mut weights = [R::zero(); BLOCK];
+            for (i, pose) in poses.iter().enumerate() {
+                if self.is_out(without, BLOCK * block + i, pose) {
+                    continue;
+                }
+                let (residual, row) = self.row(&at, pose);
+                let mut weight: R = real(weighting.of(pose));
+                let mut cost = weight * residual * residual;
+                if let Some(cauchy) = cauchy {
+                    let square: R = real(cauchy * cauchy);
+                    let grown = R::one() + residual * residual / square;
+                    cost = square * grown.ln();
+                    weight = R::one() / grown;
+                }
+                symmetric::add(&mut normal.gradient[..n], weight * residual, &row);
+                normal.cost += cost;
+                normal.poses += 1;
+                weights[i] = weight;
+                for (elements, d) in rows.iter_mut().zip(&row[..n]) {
+                    elements[i] = *d;
+                }
             }
-            let (residual, row) = self.row(&at, pose);
-            let mut weight: R = real(weighting.of(pose));
-            let mut cost = weight * residual * residual;
-            if let Some(cauchy) = cauchy {
-                let square: R = real(cauchy * cauchy);
-                let grown = R::one() + residual * residual / square;
-                cost = square * grown.ln();
-                weight = R::one() / grown;
-            }
-            normal.information.add_outer(&row, weight);
-            let gradient = &mut normal.gradient[..self.free.len()];
-            symmetric::add(gradient, weight * residual, &row);
-            normal.cost += cost;
-            normal.poses += 1;
+            normal.information.add_outers(&rows, &weights);
         }
         normal.cost.is_finite().then_some(normal)
     }

@@ -87,6 +87,17 @@ impl<R: Real> Symmetric<R> {
         }
     }
 
+    /// Adds the sum of `weights` · v vᵀ over the vectors v, which are the columns of `elements`.
+    pub fn add_outers<const K: usize>(&mut self, elements: &[[R; K]; MOST], weights: &[R; K]) {
+        let mut sums = self.lower.iter_mut();
+        for r in 0..self.n {
+            let weighted: [R; K] = core::array::from_fn(|k| elements[r][k] * weights[k]);
+            for (sum, element) in sums.by_ref().take(r + 1).zip(elements) {
+                *sum += dot(&weighted, element);
+            }
+        }
+    }
+
     /// M v from row and column `first` on.
     pub fn times_from(&self, first: usize, v: &Vector<R>) -> Vector<R> {
         let mut product = [R::zero(); MOST];

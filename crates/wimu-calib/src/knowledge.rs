@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::force::Evaluated;
-use crate::least_squares::{Fit, Magnitude, Normal, Without};
+use crate::least_squares::{Fit, Magnitude, Normal};
 use crate::linear::{Real, double, eigenvalue_range, real};
 use crate::shared::Shared;
 use crate::symmetric::{MOST, Scaled, Symmetric, Vector};
@@ -89,18 +89,14 @@ impl Magnitude<'_> {
         if self.weighting.is_equal() {
             return Some(self.with_inverse(&at, condition(self, &fit.normal), &fit.inverse));
         }
-        let normal = self.equally_weighted(&fit.theta)?;
+        let normal = self.normal(&fit.theta, &Weighting::EQUAL)?;
         Some(self.with_inverse(&at, condition(self, &normal), &normal.inverse()?))
-    }
-
-    fn equally_weighted<R: Real>(&self, theta: &Theta<R>) -> Option<Normal<R>> {
-        self.weighted_normal(theta, Without::Nothing, &Weighting::EQUAL, None)
     }
 
     /// Observability at `theta`, which need not be a solution; the parameters may be undetermined.
     pub fn knowledge_at<R: Real>(&self, theta: &Theta<R>) -> Option<Knowledge<R>> {
         let at = Evaluated::new(theta, self.terms)?;
-        let normal = self.equally_weighted(theta)?;
+        let normal = self.normal(theta, &Weighting::EQUAL)?;
         // Where singular, the smallest addition to the diagonal at the level of rounding that makes it
         // invertible.
         let squares = self.units::<R>().map(|unit| unit * unit);
@@ -132,7 +128,7 @@ impl Magnitude<'_> {
 
     /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g.
     pub fn condition<R: Real>(&self, normal: &Normal<R>) -> f64 {
-        let (least, largest) = eigenvalue_range(normal.information.rescaled(&self.units()));
+        let (least, largest) = eigenvalue_range(normal.information.clone().rescaled(&self.units()));
         // A zero eigenvalue comes out as rounding of about this size.
         let floor = largest * R::default_epsilon() * real(0.5);
         double((largest / least.max(floor)).sqrt())

@@ -45,6 +45,15 @@ pub(crate) struct Normal<R: Real> {
 }
 
 impl<R: Real> Normal<R> {
+    fn zero(n: usize) -> Self {
+        Self {
+            information: Symmetric::zero(n),
+            gradient: [R::zero(); symmetric::MOST],
+            cost: R::zero(),
+            poses: 0,
+        }
+    }
+
     /// (JᵀWJ)⁻¹.
     pub fn inverse(&self) -> Option<Symmetric<R>> {
         Some(Scaled::new(&self.information, R::zero())?.inverse())
@@ -157,26 +166,27 @@ impl Magnitude<'_> {
             }
     }
 
-    fn normal<R: Real>(&self, theta: &Theta<R>, without: Without) -> Option<Normal<R>> {
-        self.weighted_normal(theta, without, &self.weighting, None)
+    /// Normal equations at `theta` with the given weights.
+    pub fn normal<R: Real>(&self, theta: &Theta<R>, weighting: &Weighting) -> Option<Normal<R>> {
+        let mut normal = Normal::zero(self.free.len());
+        self.sum(theta, Without::Nothing, weighting, None, &mut normal)?;
+        Some(normal)
     }
 
-    /// Normal equations at `theta`. With `cauchy`, a scale in m/s², the cost of a residual r is
-    /// cauchy² ln(1 + (r/cauchy)²) instead of r².
-    pub fn weighted_normal<R: Real>(
+    /// Puts the normal equations at `theta` in `normal`. With `cauchy`, a scale in m/s², the cost of a
+    /// residual r is cauchy² ln(1 + (r/cauchy)²) instead of r².
+    fn sum<R: Real>(
         &self,
         theta: &Theta<R>,
         without: Without,
         weighting: &Weighting,
         cauchy: Option<f64>,
-    ) -> Option<Normal<R>> {
+        normal: &mut Normal<R>,
+    ) -> Option<()> {
         let at = Evaluated::new(theta, self.terms)?;
-        let mut normal = Normal::<R> {
-            information: Symmetric::zero(self.free.len()),
-            gradient: [R::zero(); symmetric::MOST],
-            cost: R::zero(),
-            poses: 0,
-        };
+        normal.information.clear();
+        normal.gradient = [R::zero(); symmetric::MOST];
+        (normal.cost, normal.poses) = (R::zero(), 0);
         let n = self.free.len();
         let mut rows = [[R::zero(); BLOCK]; symmetric::MOST];
         for (block, poses) in self.poses.chunks(BLOCK).enumerate() {
@@ -204,33 +214,37 @@ impl Magnitude<'_> {
             }
             normal.information.add_outers(&rows, &weights);
         }
-        normal.cost.is_finite().then_some(normal)
+        normal.cost.is_finite().then_some(())
     }
 
     /// Levenberg-Marquardt from `start`. `None` when it does not converge or a parameter is not
     /// determined.
     pub fn solve<R: Real>(&self, start: &Theta<R>, without: Without) -> Option<Fit<R>> {
-        self.minimise(start, |theta| self.normal(theta, without))
+        self.minimise(start, |theta, normal| {
+            self.sum(theta, without, &self.weighting, None, normal)
+        })
     }
 
     /// Robust fit with the Cauchy cost of scale `cauchy`, m/s²: large residuals have little
     /// influence.
     pub fn solve_robust<R: Real>(&self, start: &Theta<R>, cauchy: f64) -> Option<Fit<R>> {
-        let normal = |theta: &Theta<R>| {
-            self.weighted_normal(theta, Without::Nothing, &Weighting::EQUAL, Some(cauchy))
-        };
-        self.minimise(start, normal)
+        self.minimise(start, |theta, normal| {
+            let weighting = &Weighting::EQUAL;
+            self.sum(theta, Without::Nothing, weighting, Some(cauchy), normal)
+        })
     }
 
     fn minimise<R: Real>(
         &self,
         start: &Theta<R>,
-        normal_at: impl Fn(&Theta<R>) -> Option<Normal<R>>,
+        sum: impl Fn(&Theta<R>, &mut Normal<R>) -> Option<()>,
     ) -> Option<Fit<R>> {
         let epsilon = double(R::default_epsilon());
         let last_step = LAST_STEP_MPS2.max(4.0 * epsilon * self.gravity_mps2);
         let mut theta = *start;
-        let mut normal = normal_at(&theta)?;
+        let mut both = [0, 1].map(|_| Normal::zero(self.free.len()));
+        let [mut normal, mut next] = both.each_mut();
+        sum(&theta, normal)?;
         let mut damping = 0.0;
         for _ in 0..MOST_ITERATIONS {
             // The damped Gauss-Newton step: equation (14).
@@ -255,17 +269,17 @@ impl Magnitude<'_> {
                         factor.inverse()
                     },
                     cost: (double(normal.cost) - gained).max(0.0),
-                    normal,
+                    normal: normal.clone(),
                 });
             }
             let cost = double(normal.cost);
             // Rounding error of the cost.
             let rounding =
                 20.0 * epsilon * self.gravity_mps2 * libm::sqrt(cost * normal.poses as f64);
-            match normal_at(&trial) {
-                Some(next) if double(next.cost) <= cost + rounding => {
+            match sum(&trial, next) {
+                Some(()) if double(next.cost) <= cost + rounding => {
                     theta = trial;
-                    normal = next;
+                    core::mem::swap(&mut normal, &mut next);
                     damping = if damping > LEAST_DAMPING {
                         damping * 0.1
                     } else {

@@ -646,7 +646,7 @@ impl<R: Real> Found<'_, R> {
 /// `fit` with the derivatives of a perfect sensor.
 fn at_perfect<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> Option<Fit<R>> {
     let theta = PERFECT.map(real::<R>);
-    let normal = problem.weighted_normal(&theta, Without::Nothing, &problem.weighting, None)?;
+    let normal = problem.normal(&theta, &problem.weighting)?;
     Some(Fit {
         inverse: normal.inverse()?,
         cost: fit.cost,

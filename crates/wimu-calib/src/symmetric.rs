@@ -40,6 +40,10 @@ impl<R: Real> Symmetric<R> {
         }
     }
 
+    pub fn clear(&mut self) {
+        self.lower[..start(self.n)].fill(R::zero());
+    }
+
     pub fn n(&self) -> usize {
         self.n
     }
@@ -73,8 +77,14 @@ impl<R: Real> Symmetric<R> {
     }
 
     /// D M D with D = diag(`scale`).
-    pub fn rescaled(&self, scale: &Vector<R>) -> Self {
-        Self::from_fn(self.n, |r, c| self.at(r, c) * scale[r] * scale[c])
+    #[must_use]
+    pub fn rescaled(mut self, scale: &Vector<R>) -> Self {
+        for r in 0..self.n {
+            for (element, other) in self.row_mut(r).iter_mut().zip(scale) {
+                *element *= *other * scale[r];
+            }
+        }
+        self
     }
 
     /// Adds `weight` · v vᵀ.
@@ -170,7 +180,7 @@ impl<R: Real> Scaled<R> {
                 return None;
             }
         }
-        let mut factor = matrix.rescaled(&scale);
+        let mut factor = matrix.clone().rescaled(&scale);
         let mut column = [R::zero(); MOST];
         for k in 0..n {
             let pivot = factor.at(k, k) + damping;

@@ -128,7 +128,9 @@ impl Magnitude<'_> {
 
     /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g.
     pub fn condition<R: Real>(&self, normal: &Normal<R>) -> f64 {
-        let (least, largest) = eigenvalue_range(normal.information.clone().rescaled(&self.units()));
+        let mut information = normal.information.clone();
+        information.rescale(&self.units());
+        let (least, largest) = eigenvalue_range(information);
         // A zero eigenvalue comes out as rounding of about this size.
         let floor = largest * R::default_epsilon() * real(0.5);
         double((largest / least.max(floor)).sqrt())

@@ -23,8 +23,8 @@ const MOST_REFITS: usize = 256;
 /// The error of the single step is of second order and grows with 1 / (1 − leverage).
 const MOST_LEVERAGE: f64 = 0.5;
 
-/// Poses whose products are summed together, for vector instructions.
-const BLOCK: usize = 4;
+/// Poses whose products are summed together, for vector instructions, which a device lacks.
+const BLOCK: usize = if cfg!(target_os = "none") { 1 } else { 4 };
 
 /// What is left out of a fit, besides the rejected poses.
 #[derive(Clone, Copy, PartialEq)]
@@ -97,11 +97,12 @@ impl<R: Real> Fit<R> {
 impl Magnitude<'_> {
     #[cfg_attr(not(target_os = "none"), inline(always))]
     fn applied<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> Applied<R> {
-        at.apply(
-            pose.mean_mps2.map(real),
-            real(self.conditions.progress(pose)),
-            real(self.conditions.warmer(pose)),
-        )
+        let (mut progress, mut warmer) = (R::zero(), R::zero());
+        if self.terms {
+            progress = real(self.conditions.progress(pose));
+            warmer = real(self.conditions.warmer(pose));
+        }
+        at.apply(pose.mean_mps2.map(real), progress, warmer)
     }
 
     /// |f| − g of one pose, m/s², and its derivatives.

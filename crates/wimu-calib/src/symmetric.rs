@@ -76,15 +76,13 @@ impl<R: Real> Symmetric<R> {
         (0..self.n).map(|i| self.at(i, i))
     }
 
-    /// D M D with D = diag(`scale`).
-    #[must_use]
-    pub fn rescaled(mut self, scale: &Vector<R>) -> Self {
+    /// Replaces M by D M D with D = diag(`scale`).
+    pub fn rescale(&mut self, scale: &Vector<R>) {
         for r in 0..self.n {
             for (element, other) in self.row_mut(r).iter_mut().zip(scale) {
                 *element *= *other * scale[r];
             }
         }
-        self
     }
 
     /// Adds `weight` · v vᵀ.
@@ -173,14 +171,18 @@ impl<R: Real> Scaled<R> {
     /// Of a matrix whose pivots, relative to the diagonal, all exceed `least`.
     pub fn with_pivots(matrix: &Symmetric<R>, damping: R, least: R) -> Option<Self> {
         let n = matrix.n;
-        let mut scale = [R::zero(); MOST];
+        let mut scaled = Self {
+            scale: [R::zero(); MOST],
+            factor: matrix.clone(),
+        };
+        let Self { scale, factor } = &mut scaled;
         for (scale, element) in scale.iter_mut().zip(matrix.diagonal()) {
             *scale = R::one() / element.sqrt();
             if !scale.is_finite() {
                 return None;
             }
         }
-        let mut factor = matrix.clone().rescaled(&scale);
+        factor.rescale(scale);
         let mut column = [R::zero(); MOST];
         for k in 0..n {
             let pivot = factor.at(k, k) + damping;
@@ -198,7 +200,7 @@ impl<R: Real> Scaled<R> {
                 add(row, below, &column[k + 1..]);
             }
         }
-        Some(Self { scale, factor })
+        Some(scaled)
     }
 
     /// Solution of matrix · x = `right`, and its norm in the scaled unknowns.
@@ -240,7 +242,8 @@ impl<R: Real> Scaled<R> {
             }
             inverse.add_outer(roots.row(r), R::one());
         }
-        inverse.rescaled(&self.scale)
+        inverse.rescale(&self.scale);
+        inverse
     }
 
     /// ln of the determinant of the matrix.

@@ -191,7 +191,7 @@ impl Magnitude<'_> {
         let n = self.free.len();
         let mut rows = [[R::zero(); BLOCK]; symmetric::MOST];
         for (block, poses) in self.poses.chunks(BLOCK).enumerate() {
-            let mut weights = [R::zero(); BLOCK];
+            let (mut weights, mut pulls) = ([R::zero(); BLOCK], [R::zero(); BLOCK]);
             for (i, pose) in poses.iter().enumerate() {
                 if self.is_out(without, BLOCK * block + i, pose) {
                     continue;
@@ -205,15 +205,17 @@ impl Magnitude<'_> {
                     cost = square * grown.ln();
                     weight = R::one() / grown;
                 }
-                symmetric::add(&mut normal.gradient[..n], weight * residual, &row);
                 normal.cost += cost;
                 normal.poses += 1;
-                weights[i] = weight;
+                (weights[i], pulls[i]) = (weight, weight * residual);
                 for (elements, d) in rows.iter_mut().zip(&row[..n]) {
                     elements[i] = *d;
                 }
             }
             normal.information.add_outers(&rows, &weights);
+            for (gradient, elements) in normal.gradient[..n].iter_mut().zip(&rows) {
+                *gradient += dot(&pulls, elements);
+            }
         }
         normal.cost.is_finite().then_some(())
     }

@@ -14,6 +14,7 @@ mod ellipsoid;
 mod estimate;
 mod evidence;
 mod finder;
+mod fit;
 mod force;
 mod gravity;
 mod gyroscope;

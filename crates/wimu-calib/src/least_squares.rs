@@ -121,11 +121,7 @@ impl Magnitude<'_> {
     /// The elements of the fitted parameters.
     #[cfg_attr(not(target_os = "none"), inline(always))]
     fn fitted<R: Real>(&self, all: &Theta<R>) -> Vector<R> {
-        let mut row = [R::zero(); symmetric::MOST];
-        for (place, slot) in row.iter_mut().zip(&self.free) {
-            *place = all[slot.index()];
-        }
-        row
+        core::array::from_fn(|i| self.free.get(i).map_or(R::zero(), |slot| all[slot.index()]))
     }
 
     /// Residual and derivatives, multiplied by the square root of the weight.
@@ -196,7 +192,9 @@ impl Magnitude<'_> {
                 if self.is_out(without, BLOCK * block + i, pose) {
                     continue;
                 }
-                let (residual, row) = self.row(&at, pose);
+                let applied = self.applied(&at, pose);
+                let residual = applied.force.norm() - real(self.gravity_mps2);
+                let derivatives = at.derivatives(&applied);
                 let mut weight: R = real(weighting.of(pose));
                 let mut cost = weight * residual * residual;
                 if let Some(cauchy) = cauchy {
@@ -208,8 +206,8 @@ impl Magnitude<'_> {
                 normal.cost += cost;
                 normal.poses += 1;
                 (weights[i], pulls[i]) = (weight, weight * residual);
-                for (elements, d) in rows.iter_mut().zip(&row[..n]) {
-                    elements[i] = *d;
+                for (elements, slot) in rows.iter_mut().zip(&self.free) {
+                    elements[i] = derivatives[slot.index()];
                 }
             }
             normal.information.add_outers(&rows, &weights);

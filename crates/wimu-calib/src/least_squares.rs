@@ -26,6 +26,9 @@ const MOST_LEVERAGE: f64 = 0.5;
 /// Poses whose products are summed together, for vector instructions, which a device lacks.
 const BLOCK: usize = if cfg!(target_os = "none") { 1 } else { 4 };
 
+/// Derivatives of poses: a row for each fitted parameter.
+type Block<R> = [[R; BLOCK]; symmetric::MOST];
+
 /// What is left out of a fit, besides the rejected poses.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) enum Without {
@@ -113,6 +116,23 @@ impl Magnitude<'_> {
         (residual, self.derivatives(at, &applied))
     }
 
+    /// Puts the derivatives of `pose` in a column of `rows`; returns its residual.
+    #[cfg_attr(not(target_os = "none"), inline(always))]
+    fn put<R: Real>(
+        &self,
+        at: &Evaluated<R>,
+        pose: &Pose,
+        rows: &mut Block<R>,
+        column: usize,
+    ) -> R {
+        let applied = self.applied(at, pose);
+        let all = at.derivatives(&applied);
+        for (elements, slot) in rows.iter_mut().zip(&self.free) {
+            elements[column] = all[slot.index()];
+        }
+        applied.force.norm() - real(self.gravity_mps2)
+    }
+
     #[cfg_attr(not(target_os = "none"), inline(always))]
     pub fn derivatives<R: Real>(&self, at: &Evaluated<R>, applied: &Applied<R>) -> Vector<R> {
         self.fitted(&at.derivatives(applied))
@@ -192,9 +212,7 @@ impl Magnitude<'_> {
                 if self.is_out(without, BLOCK * block + i, pose) {
                     continue;
                 }
-                let applied = self.applied(&at, pose);
-                let residual = applied.force.norm() - real(self.gravity_mps2);
-                let derivatives = at.derivatives(&applied);
+                let residual = self.put(&at, pose, &mut rows, i);
                 let mut weight: R = real(weighting.of(pose));
                 let mut cost = weight * residual * residual;
                 if let Some(cauchy) = cauchy {
@@ -206,9 +224,6 @@ impl Magnitude<'_> {
                 normal.cost += cost;
                 normal.poses += 1;
                 (weights[i], pulls[i]) = (weight, weight * residual);
-                for (elements, slot) in rows.iter_mut().zip(&self.free) {
-                    elements[i] = derivatives[slot.index()];
-                }
             }
             normal.information.add_outers(&rows, &weights);
             for (gradient, elements) in normal.gradient[..n].iter_mut().zip(&rows) {
@@ -257,7 +272,7 @@ impl Magnitude<'_> {
                 continue;
             };
             let (step, change) = factor.solve(&normal.gradient);
-            let trial = self.moved(&theta, &step, -R::one());
+            let trial = self.moved(&theta, step, -R::one());
             // The step lowers the cost by the square of the change of the residuals.
             let gained = double(change * change);
             let change_mps2 = libm::sqrt(gained / normal.poses as f64);
@@ -356,14 +371,19 @@ impl Magnitude<'_> {
             return refit.map(|without| without.theta);
         }
         let (step, _) = Scaled::new(&rest, R::zero())?.solve(&pull);
-        Some(self.moved(&fit.theta, &step, R::one()))
+        Some(self.moved(&fit.theta, step, R::one()))
     }
 
     /// `theta` with `factor` times `step` added to the fitted parameters.
-    fn moved<R: Real>(&self, theta: &Theta<R>, step: &Vector<R>, factor: R) -> Theta<R> {
+    fn moved<R: Real>(
+        &self,
+        theta: &Theta<R>,
+        step: impl IntoIterator<Item = R>,
+        factor: R,
+    ) -> Theta<R> {
         let mut moved = *theta;
         for (slot, step) in self.free.iter().zip(step) {
-            moved[slot.index()] += *step * factor;
+            moved[slot.index()] += step * factor;
         }
         moved
     }
@@ -377,7 +397,7 @@ impl Magnitude<'_> {
         let weight = sign * real(self.weighting.of(pose));
         let step = fit.inverse.times(&row);
         let by = -weight * residual / (R::one() + weight * dot(&row, &step));
-        by.is_finite().then(|| self.moved(&fit.theta, &step, by))
+        by.is_finite().then(|| self.moved(&fit.theta, step, by))
     }
 
     /// Calls `take` with the index of every pose, its residual, and its residual under the fit to
@@ -388,24 +408,33 @@ impl Magnitude<'_> {
             return;
         };
         let few = self.poses.len() <= MOST_REFITS;
-        for (k, pose) in self.poses.iter().enumerate() {
-            let (residual, row) = self.row(&at, pose);
-            if self.is_rejected(k, pose) {
-                take(k, double(residual), double(residual));
-                continue;
+        let mut rows: Block<R> = [[R::zero(); BLOCK]; symmetric::MOST];
+        let mut residuals = [R::zero(); BLOCK];
+        for (block, poses) in self.poses.chunks(BLOCK).enumerate() {
+            for (i, pose) in poses.iter().enumerate() {
+                residuals[i] = self.put(&at, pose, &mut rows, i);
             }
-            let weight: R = real(self.weighting.of(pose));
-            let step = fit.inverse.times(&row);
-            let leverage = weight * dot(&row, &step);
-            let left_out = if few && double(leverage) > MOST_LEVERAGE {
-                self.solve(&fit.theta, Without::Pose(k))
-                    .and_then(|without| self.residual(&without.theta, pose))
-            } else {
-                let by = weight * residual / (R::one() - leverage);
-                self.residual(&self.moved(&fit.theta, &step, by), pose)
-            };
-            let left_out = left_out.filter(|r| r.is_finite());
-            take(k, double(residual), left_out.unwrap_or(f64::INFINITY));
+            let steps = fit.inverse.times_columns(&rows);
+            for (i, pose) in poses.iter().enumerate() {
+                let (k, residual) = (BLOCK * block + i, residuals[i]);
+                if self.is_rejected(k, pose) {
+                    take(k, double(residual), double(residual));
+                    continue;
+                }
+                let step = steps.iter().map(|row| row[i]);
+                let weight: R = real(self.weighting.of(pose));
+                let products = rows.iter().zip(step.clone()).map(|(row, x)| row[i] * x);
+                let leverage = weight * products.fold(R::zero(), |sum, x| sum + x);
+                let left_out = if few && double(leverage) > MOST_LEVERAGE {
+                    self.solve(&fit.theta, Without::Pose(k))
+                        .and_then(|without| self.residual(&without.theta, pose))
+                } else {
+                    let by = weight * residual / (R::one() - leverage);
+                    self.residual(&self.moved(&fit.theta, step, by), pose)
+                };
+                let left_out = left_out.filter(|r| r.is_finite());
+                take(k, double(residual), left_out.unwrap_or(f64::INFINITY));
+            }
         }
     }
 }

@@ -122,6 +122,24 @@ impl<R: Real> Symmetric<R> {
         self.times_from(0, v)
     }
 
+    /// M V for the matrix V of the columns of `elements`.
+    pub fn times_columns<const K: usize>(&self, elements: &[[R; K]; MOST]) -> [[R; K]; MOST] {
+        let mut products = [[R::zero(); K]; MOST];
+        for r in 0..self.n {
+            let (before, rest) = products.split_at_mut(r);
+            let row = self.row(r);
+            let mut sum = elements[r].map(|x| x * row[r]);
+            for ((m, column), product) in row[..r].iter().zip(elements).zip(before) {
+                for k in 0..K {
+                    sum[k] += *m * column[k];
+                    product[k] += *m * elements[r][k];
+                }
+            }
+            rest[0] = sum;
+        }
+        products
+    }
+
     /// vᵀ M v.
     pub fn form(&self, v: &Vector<R>) -> R {
         (0..self.n).fold(R::zero(), |sum, r| {

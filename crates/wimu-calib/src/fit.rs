@@ -5,7 +5,7 @@ use wimu_model::{ErrorModel, ErrorTerms, TemperatureTerms};
 use crate::estimate::{Drift, Residuals, TermDeviations};
 use crate::force::Conditions;
 use crate::knowledge::{Condition, Knowledge};
-use crate::least_squares::{Fit, Magnitude, Without};
+use crate::least_squares::{Fit, LAST_STEP_MPS2, Magnitude, Without};
 use crate::linear::{Real, double, real};
 use crate::multi_position::{Fitted, MinimalEstimate, Violation, range};
 use crate::shared::{Shared, Visited};
@@ -55,7 +55,7 @@ impl<R: Real> Parts<R> {
             conditions,
             start: ellipsoid::start,
             refine,
-            condition: |problem, normal| problem.condition(normal),
+            condition: |problem, inverse| problem.condition(inverse),
             unsolved: near_solution,
             shared: |problem, fit, visited| problem.shared(fit, visited),
         }
@@ -153,7 +153,7 @@ pub(crate) fn searched<R: Real>(
 ) -> Result<Option<Fit<R>>, Refusal> {
     // A gross outlier may keep least squares, but not the robust fit, from converging.
     let converged = squares.is_some();
-    let robust = || problem.solve_robust(&PERFECT.map(real), FAR_OFF_MPS2);
+    let robust = || problem.solve_robust(&PERFECT.map(real), FAR_OFF_MPS2, LAST_STEP_MPS2);
     let Some(first) = squares.or_else(robust) else {
         return Ok(None);
     };
@@ -405,11 +405,10 @@ impl<R: Real> Found<'_, R> {
 /// `fit` with the derivatives of a perfect sensor.
 fn at_perfect<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> Option<Fit<R>> {
     let theta = PERFECT.map(real::<R>);
-    let normal = problem.normal(&theta, &problem.weighting)?;
+    let information = problem.information(&theta, &problem.weighting)?;
     Some(Fit {
-        inverse: normal.inverse()?,
+        inverse: information.inverse()?,
         cost: fit.cost,
         theta,
-        normal,
     })
 }

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::force::Evaluated;
-use crate::least_squares::{Fit, Magnitude, Normal};
+use crate::least_squares::{Fit, Magnitude};
 use crate::linear::{Real, double, eigenvalue_range, real};
 use crate::shared::Shared;
 use crate::symmetric::{MOST, Scaled, Symmetric, Vector};
@@ -18,8 +18,8 @@ const MOST_AMPLIFICATION: f64 = 10.0;
 /// diagonal.
 const MOST_REGULARISATIONS: usize = 10;
 
-/// Condition number of a problem with these normal equations.
-pub(crate) type Condition<R> = fn(&Magnitude, &Normal<R>) -> f64;
+/// Condition number of a problem with this inverse of the information matrix.
+pub(crate) type Condition<R> = fn(&Magnitude, &Symmetric<R>) -> f64;
 
 /// Observability of the fitted parameters.
 pub(crate) struct Knowledge<R: Real> {
@@ -72,7 +72,7 @@ impl Magnitude<'_> {
             knowledge.amplification
         } else {
             Evaluated::new(&fit.theta, self.terms).map_or(f64::INFINITY, |at| {
-                self.with_inverse(&at, f64::NAN, &shared.spread)
+                self.with_inverse(&at, |_, _| f64::NAN, &shared.spread)
                     .amplification
             })
         };
@@ -87,25 +87,25 @@ impl Magnitude<'_> {
     ) -> Option<Knowledge<R>> {
         let at = Evaluated::new(&fit.theta, self.terms)?;
         if self.weighting.is_equal() {
-            return Some(self.with_inverse(&at, condition(self, &fit.normal), &fit.inverse));
+            return Some(self.with_inverse(&at, condition, &fit.inverse));
         }
-        let normal = self.normal(&fit.theta, &Weighting::EQUAL)?;
-        Some(self.with_inverse(&at, condition(self, &normal), &normal.inverse()?))
+        let information = self.information(&fit.theta, &Weighting::EQUAL)?;
+        Some(self.with_inverse(&at, condition, &information.inverse()?))
     }
 
     /// Observability at `theta`, which need not be a solution; the parameters may be undetermined.
     pub fn knowledge_at<R: Real>(&self, theta: &Theta<R>) -> Option<Knowledge<R>> {
         let at = Evaluated::new(theta, self.terms)?;
-        let normal = self.normal(theta, &Weighting::EQUAL)?;
+        let information = self.information(theta, &Weighting::EQUAL)?;
         // Where singular, the smallest addition to the diagonal at the level of rounding that makes it
         // invertible.
         let squares = self.units::<R>().map(|unit| unit * unit);
-        let scaled = normal.information.diagonal().zip(squares);
+        let scaled = information.diagonal().zip(squares);
         let largest = scaled.fold(R::zero(), |most, (d, square)| most.max(d * square));
         let mut rounding = largest * R::default_epsilon();
         let regular = || {
             (0..MOST_REGULARISATIONS).find_map(|_| {
-                let mut regular = normal.information.clone();
+                let mut regular = information.clone();
                 for i in 0..self.free.len() {
                     regular.row_mut(i)[i] += rounding / squares[i];
                 }
@@ -113,8 +113,8 @@ impl Magnitude<'_> {
                 Some(Scaled::with_pivots(&regular, R::zero(), R::zero())?.inverse())
             })
         };
-        let inverse = normal.inverse().or_else(regular)?;
-        Some(self.with_inverse(&at, self.condition(&normal), &inverse))
+        let inverse = information.inverse().or_else(regular)?;
+        Some(self.with_inverse(&at, |problem, inverse| problem.condition(inverse), &inverse))
     }
 
     /// Value of each parameter that causes an error of 1 m/s² at 1 g.
@@ -127,10 +127,10 @@ impl Magnitude<'_> {
     }
 
     /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g.
-    pub fn condition<R: Real>(&self, normal: &Normal<R>) -> f64 {
-        let mut information = normal.information.clone();
-        information.rescale(&self.units());
-        let (least, largest) = eigenvalue_range(information);
+    pub fn condition<R: Real>(&self, inverse: &Symmetric<R>) -> f64 {
+        let mut inverse = inverse.clone();
+        inverse.rescale(&self.units().map(|unit| R::one() / unit));
+        let (least, largest) = eigenvalue_range(inverse);
         // A zero eigenvalue comes out as rounding of about this size.
         let floor = largest * R::default_epsilon() * real(0.5);
         double((largest / least.max(floor)).sqrt())
@@ -139,7 +139,7 @@ impl Magnitude<'_> {
     fn with_inverse<R: Real>(
         &self,
         at: &Evaluated<R>,
-        condition: f64,
+        condition: Condition<R>,
         inverse: &Symmetric<R>,
     ) -> Knowledge<R> {
         let units = self.units::<R>();
@@ -170,7 +170,7 @@ impl Magnitude<'_> {
             see(inverse.form(&derivatives), other);
         }
         Knowledge {
-            condition,
+            condition: condition(self, inverse),
             amplification: double(worst.sqrt()),
             poorest,
             variance: core::array::from_fn(|i| match i < inverse.n() {

@@ -12,7 +12,7 @@ use crate::weights::{FarOff, Rejected, Weighting};
 const MOST_ITERATIONS: usize = 100;
 /// Convergence threshold: rms change of the residuals in a Gauss-Newton step, m/s². The remaining
 /// error is smaller than the last step by the ratio of residuals to gravity, 10⁻³ or less.
-const LAST_STEP_MPS2: f64 = 1e-6;
+pub(crate) const LAST_STEP_MPS2: f64 = 1e-6;
 /// Smallest damping other than 0, relative to the unit diagonal of the information matrix.
 const LEAST_DAMPING: f64 = 1e-6;
 /// Largest damping; the fit fails when even this step does not reduce the cost.
@@ -39,9 +39,8 @@ pub(crate) enum Without {
 }
 
 /// The normal equations: JᵀWJ, JᵀWr and rᵀWr summed over the poses.
-#[derive(Clone)]
-pub(crate) struct Normal<R: Real> {
-    pub information: Symmetric<R>,
+struct Normal<R: Real> {
+    information: Symmetric<R>,
     gradient: Vector<R>,
     cost: R,
     poses: usize,
@@ -55,11 +54,6 @@ impl<R: Real> Normal<R> {
             cost: R::zero(),
             poses: 0,
         }
-    }
-
-    /// (JᵀWJ)⁻¹.
-    pub fn inverse(&self) -> Option<Symmetric<R>> {
-        Some(Scaled::new(&self.information, R::zero())?.inverse())
     }
 }
 
@@ -81,19 +75,29 @@ pub(crate) struct Magnitude<'a> {
 }
 
 /// A converged fit.
+#[derive(Clone)]
 pub(crate) struct Fit<R: Real> {
     pub theta: Theta<R>,
     /// (JᵀWJ)⁻¹: the covariance for residuals of unit variance.
     pub inverse: Symmetric<R>,
     /// Σ w r², (m/s²)².
     pub cost: f64,
-    pub normal: Normal<R>,
 }
 
 impl<R: Real> Fit<R> {
     /// Standard deviation of a residual, m/s².
     pub fn sd(&self, dof: usize) -> f64 {
         libm::sqrt(self.cost / dof.max(1) as f64)
+    }
+
+    /// Adds a pose to the linearised fit, or with negative `weight` removes one; returns the step of
+    /// the fitted parameters: equation (16).
+    fn update(&mut self, row: &Vector<R>, residual: R, weight: R) -> Vector<R> {
+        let gain = self.inverse.times(row);
+        let factor = weight / (R::one() + weight * dot(row, &gain));
+        self.inverse.add_outer(&gain, -factor);
+        self.cost += double(factor * residual * residual);
+        gain.map(|x| -factor * residual * x)
     }
 }
 
@@ -183,11 +187,15 @@ impl Magnitude<'_> {
             }
     }
 
-    /// Normal equations at `theta` with the given weights.
-    pub fn normal<R: Real>(&self, theta: &Theta<R>, weighting: &Weighting) -> Option<Normal<R>> {
+    /// JᵀWJ at `theta` with the given weights.
+    pub fn information<R: Real>(
+        &self,
+        theta: &Theta<R>,
+        weighting: &Weighting,
+    ) -> Option<Symmetric<R>> {
         let mut normal = Normal::zero(self.free.len());
         self.sum(theta, Without::Nothing, weighting, None, &mut normal)?;
-        Some(normal)
+        Some(normal.information)
     }
 
     /// Puts the normal equations at `theta` in `normal`. With `cauchy`, a scale in m/s², the cost of a
@@ -236,15 +244,20 @@ impl Magnitude<'_> {
     /// Levenberg-Marquardt from `start`. `None` when it does not converge or a parameter is not
     /// determined.
     pub fn solve<R: Real>(&self, start: &Theta<R>, without: Without) -> Option<Fit<R>> {
-        self.minimise(start, |theta, normal| {
+        self.minimise(start, LAST_STEP_MPS2, |theta, normal| {
             self.sum(theta, without, &self.weighting, None, normal)
         })
     }
 
     /// Robust fit with the Cauchy cost of scale `cauchy`, m/s²: large residuals have little
-    /// influence.
-    pub fn solve_robust<R: Real>(&self, start: &Theta<R>, cauchy: f64) -> Option<Fit<R>> {
-        self.minimise(start, |theta, normal| {
+    /// influence. It ends at a step that changes the residuals by less than `last_step_mps2`, rms.
+    pub fn solve_robust<R: Real>(
+        &self,
+        start: &Theta<R>,
+        cauchy: f64,
+        last_step_mps2: f64,
+    ) -> Option<Fit<R>> {
+        self.minimise(start, last_step_mps2, |theta, normal| {
             let weighting = &Weighting::EQUAL;
             self.sum(theta, Without::Nothing, weighting, Some(cauchy), normal)
         })
@@ -253,10 +266,11 @@ impl Magnitude<'_> {
     fn minimise<R: Real>(
         &self,
         start: &Theta<R>,
+        last_step_mps2: f64,
         sum: impl Fn(&Theta<R>, &mut Normal<R>) -> Option<()>,
     ) -> Option<Fit<R>> {
         let epsilon = double(R::default_epsilon());
-        let last_step = LAST_STEP_MPS2.max(4.0 * epsilon * self.gravity_mps2);
+        let last_step = last_step_mps2.max(4.0 * epsilon * self.gravity_mps2);
         let mut theta = *start;
         let mut both = [0, 1].map(|_| Normal::zero(self.free.len()));
         let [mut normal, mut next] = both.each_mut();
@@ -280,12 +294,11 @@ impl Magnitude<'_> {
                 return Some(Fit {
                     theta: trial,
                     inverse: if damping > 0.0 {
-                        normal.inverse()?
+                        normal.information.inverse()?
                     } else {
                         factor.inverse()
                     },
                     cost: (double(normal.cost) - gained).max(0.0),
-                    normal: normal.clone(),
                 });
             }
             let cost = double(normal.cost);
@@ -354,23 +367,22 @@ impl Magnitude<'_> {
     /// The parameters fitted without one orientation.
     pub fn solve_without<R: Real>(&self, fit: &Fit<R>, group: usize) -> Option<Theta<R>> {
         let at = Evaluated::new(&fit.theta, self.terms)?;
-        let mut rest = fit.normal.information.clone();
+        let mut without = fit.clone();
         let mut leverage = R::zero();
-        let mut pull = [R::zero(); symmetric::MOST];
+        let mut step = [R::zero(); symmetric::MOST];
         for (k, pose) in self.poses.iter().enumerate() {
             if self.visits.group(k, pose) != group || self.is_rejected(k, pose) {
                 continue;
             }
             let (residual, row) = self.weighted_row(&at, pose);
             leverage += fit.inverse.form(&row);
-            symmetric::add(&mut pull, residual, &row);
-            rest.add_outer(&row, -R::one());
+            let more = without.update(&row, residual + dot(&row, &step), -R::one());
+            symmetric::add(&mut step, R::one(), &more);
         }
         if double(leverage) > MOST_LEVERAGE {
             let refit = self.solve(&fit.theta, Without::Orientation(group));
             return refit.map(|without| without.theta);
         }
-        let (step, _) = Scaled::new(&rest, R::zero())?.solve(&pull);
         Some(self.moved(&fit.theta, step, R::one()))
     }
 
@@ -388,16 +400,15 @@ impl Magnitude<'_> {
         moved
     }
 
-    /// The parameters of the linearised fit with (`sign` 1) or without (−1) a pose. `None` if it is
-    /// singular.
-    pub fn changed<R: Real>(&self, fit: &Fit<R>, pose: usize, sign: R) -> Option<Theta<R>> {
+    /// Adds (`sign` 1) or removes (−1) a pose in one step, with an error of second order. `None` if
+    /// the fit becomes singular.
+    pub fn change<R: Real>(&self, fit: &mut Fit<R>, pose: usize, sign: R) -> Option<()> {
         let at = Evaluated::new(&fit.theta, self.terms)?;
         let pose = self.poses.get(pose)?;
         let (residual, row) = self.row(&at, pose);
-        let weight = sign * real(self.weighting.of(pose));
-        let step = fit.inverse.times(&row);
-        let by = -weight * residual / (R::one() + weight * dot(&row, &step));
-        by.is_finite().then(|| self.moved(&fit.theta, step, by))
+        let step = fit.update(&row, residual, sign * real(self.weighting.of(pose)));
+        fit.theta = self.moved(&fit.theta, step, R::one());
+        fit.theta.iter().all(|t| t.is_finite()).then_some(())
     }
 
     /// Calls `take` with the index of every pose, its residual, and its residual under the fit to

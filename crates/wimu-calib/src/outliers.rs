@@ -89,10 +89,10 @@ pub(crate) fn reject<R: Real>(
             return Ok(inner);
         }
         problem.rejected = problem.rejected.without(place);
-        let Some(start) = problem.changed(&inner, pose, R::one()) else {
+        if problem.change(&mut inner, pose, R::one()).is_none() {
             break;
-        };
-        match problem.solve(&start, Without::Nothing) {
+        }
+        match problem.solve(&inner.theta, Without::Nothing) {
             Some(wider) => inner = wider,
             None => break,
         }
@@ -211,8 +211,9 @@ fn doubt<R: Real>(
     unfitted_mps2: f64,
 ) -> Option<(f64, f64)> {
     let inside = problem.poses.len() - problem.rejected.count();
-    let start = problem.changed(fit, pose, -R::one())?;
-    let without = problem.solve(&start, Without::Pose(pose))?;
+    let mut without = fit.clone();
+    problem.change(&mut without, pose, -R::one())?;
+    let without = problem.solve(&without.theta, Without::Pose(pose))?;
     let (residual, growth) = problem.predicted(&without, pose)?;
     let dof = inside
         .checked_sub(problem.free.len() + 1)
@@ -294,7 +295,7 @@ fn robust<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> Theta<R> {
         last = median;
         let small_sample = libm::sqrt(count as f64 / (count - problem.free.len()) as f64);
         let scale = CAUCHY * PER_MEDIAN * median * small_sample;
-        match problem.solve_robust(&theta, scale) {
+        match problem.solve_robust(&theta, scale, crate::least_squares::LAST_STEP_MPS2) {
             Some(better) => theta = better.theta,
             None => break,
         }

@@ -156,6 +156,11 @@ impl<R: Real> Symmetric<R> {
         })
     }
 
+    /// M⁻¹; `None` unless M is positive definite beyond rounding.
+    pub fn inverse(&self) -> Option<Self> {
+        Some(Scaled::new(self, R::zero())?.inverse())
+    }
+
     /// M `inner` M.
     pub fn around(&self, inner: &Self) -> Self {
         let mut product = Self::zero(self.n);

@@ -37,6 +37,12 @@ const CAUCHY: f64 = 2.385;
 const PER_MEDIAN: f64 = 1.4826;
 /// Relative error of a median of residuals.
 const MEDIAN_ERROR: f64 = 0.01;
+/// Fraction of a limit below which the deviate of the linearised fit decides: its error is of second
+/// order.
+const CLOSE: f64 = 0.9;
+/// Convergence threshold of a robust fit: rms change of the residuals in a step, fraction of the scale
+/// of its cost.
+const LAST_ROBUST_STEP: f64 = 1e-3;
 /// Largest number of robust fits, each with a scale from the previous one.
 const ROBUST_FITS: usize = 4;
 
@@ -74,6 +80,7 @@ pub(crate) fn reject<R: Real>(
         problem.weighting = Weighting::EQUAL;
         return Ok(fit);
     };
+    let mut linearised = false;
     while let Some((place, pose, deviate)) = nearest(problem, &inner, unfitted_mps2) {
         let dof = problem
             .visited()
@@ -81,6 +88,13 @@ pub(crate) fn reject<R: Real>(
             .saturating_sub(problem.free.len())
             .max(1);
         let limit = student::two_sided(SIGNIFICANCE / count as f64, dof as f64);
+        if linearised && deviate > CLOSE * limit {
+            let Some(exact) = problem.solve(&inner.theta, Without::Nothing) else {
+                break;
+            };
+            (inner, linearised) = (exact, false);
+            continue;
+        }
         let known = || {
             let knowledge = problem.knowledge(&inner, |_, _| f64::NAN);
             knowledge.is_some_and(|knowledge| knowledge.suffices())
@@ -92,11 +106,12 @@ pub(crate) fn reject<R: Real>(
         if problem.change(&mut inner, pose, R::one()).is_none() {
             break;
         }
-        match problem.solve(&inner.theta, Without::Nothing) {
-            Some(wider) => inner = wider,
-            None => break,
-        }
+        linearised = !noisy;
         if noisy {
+            match problem.solve(&inner.theta, Without::Nothing) {
+                Some(wider) => inner = wider,
+                None => break,
+            }
             problem.weighting = weighting(problem, &inner);
         }
     }
@@ -148,8 +163,8 @@ pub(crate) fn contradicted<R: Real>(
     let limit = beyond(UNSPARED);
     let tried = suspects(problem, fit).map(|pose| {
         let pose = pose?;
-        let (off_mps2, deviate) = doubt(problem, fit, pose, unfitted_mps2)?;
-        (deviate > limit).then_some((pose, off_mps2, deviate))
+        let (off_mps2, deviate) = doubt(problem, fit, pose, unfitted_mps2, limit)?;
+        Some((pose, off_mps2, deviate))
     });
     let found = tried.into_iter().flatten();
     let (pose, off_mps2, deviate) = found.clone().max_by(|a, b| a.2.total_cmp(&b.2))?;
@@ -159,11 +174,11 @@ pub(crate) fn contradicted<R: Real>(
             return other != pose;
         }
         problem.rejected = kept.with(other);
-        let either = problem
-            .solve(&fit.theta, Without::Nothing)
-            .and_then(|without| doubt(problem, &without, pose, unfitted_mps2));
         let limit = student::two_sided(EITHER, (dof - 1) as f64);
-        either.is_none_or(|(_, deviate)| deviate <= limit)
+        problem
+            .solve(&fit.theta, Without::Nothing)
+            .and_then(|without| doubt(problem, &without, pose, unfitted_mps2, limit))
+            .is_none()
     });
     problem.rejected = kept;
     let spared = or.is_none() && kept.count() < spare(problem);
@@ -203,25 +218,35 @@ fn keep_largest<T>(largest: &mut [(f64, T)], mut candidate: (f64, T)) {
 }
 
 /// Residual of a pose under the fit of all others, m/s², and in standard deviations of its
-/// prediction.
+/// prediction; `None` if these do not exceed `limit`.
 fn doubt<R: Real>(
     problem: &Magnitude,
     fit: &Fit<R>,
     pose: usize,
     unfitted_mps2: f64,
+    limit: f64,
 ) -> Option<(f64, f64)> {
     let inside = problem.poses.len() - problem.rejected.count();
-    let mut without = fit.clone();
-    problem.change(&mut without, pose, -R::one())?;
-    let without = problem.solve(&without.theta, Without::Pose(pose))?;
-    let (residual, growth) = problem.predicted(&without, pose)?;
     let dof = inside
         .checked_sub(problem.free.len() + 1)
         .filter(|dof| *dof > 0)?;
-    let squares = without.cost + REPEATS * REPEATS_MPS2 * REPEATS_MPS2;
     let own = 1.0 / problem.weighting.of(problem.poses.get(pose)?);
-    let variance = squares / dof as f64 * (own + growth) + unfitted_mps2 * unfitted_mps2;
-    Some((residual, residual.abs() / libm::sqrt(variance)))
+    let predicted = |without: &Fit<R>| {
+        let (residual, growth) = problem.predicted(without, pose)?;
+        let squares = without.cost + REPEATS * REPEATS_MPS2 * REPEATS_MPS2;
+        let variance = squares / dof as f64 * (own + growth) + unfitted_mps2 * unfitted_mps2;
+        Some((residual, residual.abs() / libm::sqrt(variance), growth))
+    };
+    let mut without = fit.clone();
+    problem.change(&mut without, pose, -R::one())?;
+    let (_, deviate, growth) = predicted(&without)?;
+    // Of a leverage above one half, the linearised fit does not decide.
+    if growth < own && deviate < CLOSE * limit {
+        return None;
+    }
+    let without = problem.solve(&without.theta, Without::Pose(pose))?;
+    let (residual, deviate, _) = predicted(&without)?;
+    (deviate > limit).then_some((residual, deviate))
 }
 
 /// Standard deviation of |f| caused by the parameters that the model leaves out, m/s².
@@ -295,7 +320,7 @@ fn robust<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> Theta<R> {
         last = median;
         let small_sample = libm::sqrt(count as f64 / (count - problem.free.len()) as f64);
         let scale = CAUCHY * PER_MEDIAN * median * small_sample;
-        match problem.solve_robust(&theta, scale, crate::least_squares::LAST_STEP_MPS2) {
+        match problem.solve_robust(&theta, scale, LAST_ROBUST_STEP * scale) {
             Some(better) => theta = better.theta,
             None => break,
         }

@@ -62,9 +62,13 @@ impl Visits {
     /// The first orientation within 10°.
     #[cfg_attr(not(target_os = "none"), inline(always))]
     fn alike(&self, up: [f32; 3]) -> Option<usize> {
-        self.first
+        let near = |first: &[f32; 3]| cosine(up, *first) > ALIKE;
+        // Without a branch for each orientation: most poses have a new one.
+        let any = self
+            .first
             .iter()
-            .position(|first| cosine(up, *first) > ALIKE)
+            .fold(false, |any, first| any | near(first));
+        any.then(|| self.first.iter().position(near)).flatten()
     }
 
     fn nearest(&self, up: [f32; 3]) -> usize {

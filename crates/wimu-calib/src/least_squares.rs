@@ -426,21 +426,26 @@ impl Magnitude<'_> {
                 residuals[i] = self.put(&at, pose, &mut rows, i);
             }
             let steps = fit.inverse.times_columns(&rows);
+            let mut leverages = [R::zero(); BLOCK];
+            for (row, step) in rows.iter().zip(&steps).take(self.free.len()) {
+                for i in 0..BLOCK {
+                    leverages[i] += row[i] * step[i];
+                }
+            }
             for (i, pose) in poses.iter().enumerate() {
                 let (k, residual) = (BLOCK * block + i, residuals[i]);
                 if self.is_rejected(k, pose) {
                     take(k, double(residual), double(residual));
                     continue;
                 }
-                let step = steps.iter().map(|row| row[i]);
                 let weight: R = real(self.weighting.of(pose));
-                let products = rows.iter().zip(step.clone()).map(|(row, x)| row[i] * x);
-                let leverage = weight * products.fold(R::zero(), |sum, x| sum + x);
+                let leverage = weight * leverages[i];
                 let left_out = if few && double(leverage) > MOST_LEVERAGE {
                     self.solve(&fit.theta, Without::Pose(k))
                         .and_then(|without| self.residual(&without.theta, pose))
                 } else {
                     let by = weight * residual / (R::one() - leverage);
+                    let step = steps.iter().map(|row| row[i]);
                     self.residual(&self.moved(&fit.theta, step, by), pose)
                 };
                 let left_out = left_out.filter(|r| r.is_finite());

@@ -30,6 +30,17 @@ impl Covariance {
         self.0[a.index()][b.index()] += covariance;
     }
 
+    /// Adds the covariances of the fitted parameters `free`, as far as they are among the 12.
+    pub(crate) fn add_fitted(&mut self, free: &[Slot], more: impl Fn(usize, usize) -> f64) {
+        for (r, &a) in free.iter().enumerate() {
+            for (c, &b) in free.iter().enumerate() {
+                if let Some((a, b)) = a.parameter().zip(b.parameter()) {
+                    self.add(a, b, more(r, c));
+                }
+            }
+        }
+    }
+
     pub(crate) fn set(&mut self, a: Parameter, b: Parameter, covariance: f64) {
         self.0[a.index()][b.index()] = covariance;
     }

@@ -18,23 +18,14 @@ const MOST_ADVISED: usize = 60;
 
 /// Fraction of the 26 orientations within 40° of the mean output of a pose.
 pub(crate) fn coverage(poses: &[Pose]) -> f64 {
-    let mut missing = Orientation::ALL.map(|orientation| Some(orientation.up()));
-    let mut covered = 0_u32;
-    for pose in poses {
-        let Some(up) = unit(pose.mean_mps2) else {
-            continue;
-        };
-        for direction in &mut missing {
-            if direction.is_some_and(|direction| dot(up, direction) >= NEAR) {
-                *direction = None;
-                covered += 1;
-            }
-        }
-        if covered == Orientation::ALL.len() as u32 {
-            break;
-        }
-    }
-    f64::from(covered) / Orientation::ALL.len() as f64
+    let covered = Orientation::ALL.iter().filter(|orientation| {
+        let up = orientation.up();
+        poses.iter().any(|pose| {
+            let along = dot(up, pose.mean_mps2);
+            along > 0.0 && along * along >= NEAR * NEAR * dot(pose.mean_mps2, pose.mean_mps2)
+        })
+    });
+    covered.count() as f64 / Orientation::ALL.len() as f64
 }
 
 fn unit(v: [f64; 3]) -> Option<[f64; 3]> {

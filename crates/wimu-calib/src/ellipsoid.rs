@@ -1,38 +1,41 @@
 //! Linear least-squares fit of an ellipsoid: equation (11).
 
-use nalgebra::{Cholesky, Matrix3, SMatrix, SVector, Vector3};
+use nalgebra::{Cholesky, Matrix3, Vector3};
 
-use crate::Pose;
 use crate::linear::{Real, real};
+use crate::symmetric::{MOST, Scaled, Symmetric, add};
 use crate::terms::{Slot, Theta};
+use crate::{Gravity, Model, Pose};
 
 /// Centre c and matrix Q of the ellipsoid (x − c)ᵀ Q (x − c) = 1 nearest to `points`; `None` where
 /// the fit is singular. Q is not positive definite if the points are not on an ellipsoid.
 pub(crate) fn ellipsoid<R: Real>(
     points: impl Iterator<Item = Vector3<R>>,
 ) -> Option<(Vector3<R>, Matrix3<R>)> {
-    let mut information = SMatrix::<R, 9, 9>::zeros();
-    let mut right = SVector::<R, 9>::zeros();
+    let mut information = Symmetric::zero(9);
+    let mut right = [R::zero(); MOST];
     let two: R = real(2.0);
     for point in points {
         let [x, y, z] = [point.x, point.y, point.z];
-        let mixed = [x * y, x * z, y * z, x, y, z].map(|value| two * value);
-        let squares = [x * x, y * y, z * z];
-        let mut row = squares.into_iter().chain(mixed);
-        let row = SVector::<R, 9>::from_fn(|_, _| row.next().unwrap_or_default());
-        information += row * row.transpose();
-        right += row;
+        let [xy, xz, yz, x2, y2, z2] = [x * y, x * z, y * z, x, y, z].map(|value| two * value);
+        let row = [x * x, y * y, z * z, xy, xz, yz, x2, y2, z2];
+        information.add_outer(&row, R::one());
+        add(&mut right, R::one(), &row);
     }
     // xᵀSx + 2pᵀx = 1.
-    let s = Cholesky::new(information)?.solve(&right);
+    let (s, _) = Scaled::new(&information, R::zero())?.solve(&right);
     let shape = Matrix3::new(s[0], s[3], s[4], s[3], s[1], s[5], s[4], s[5], s[2]);
     let p = Vector3::new(s[6], s[7], s[8]);
     let centre = -(shape.try_inverse()? * p);
     Some((centre, shape / (R::one() - p.dot(&centre))))
 }
 
-/// Starting parameters of a nine-parameter fit. `None` when the points are not on an ellipsoid.
-pub(crate) fn start<R: Real>(poses: &[Pose], gravity_mps2: f64) -> Option<Theta<R>> {
+/// Starting parameters of a nine-parameter fit. `None` for other models, or when the points are not on an ellipsoid.
+pub(crate) fn start<R: Real>(poses: &[Pose], gravity: Gravity, model: Model) -> Option<Theta<R>> {
+    if model != Model::Full9 {
+        return None;
+    }
+    let gravity_mps2 = gravity.mps2();
     let points = poses
         .iter()
         .map(|pose| Vector3::from(pose.mean_mps2.map(|y| real(y / gravity_mps2))));

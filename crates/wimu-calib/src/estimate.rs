@@ -306,6 +306,14 @@ impl TermDeviations {
         }
     }
 
+    /// Adds variances of the fitted parameters `free`, as far as they belong to terms.
+    pub(crate) fn add_fitted(&mut self, free: &[Slot], variance: impl Fn(usize) -> f64) {
+        for (i, &slot) in free.iter().enumerate() {
+            let sd = self.get(slot);
+            self.set(slot, libm::sqrt((sd * sd + variance(i)).max(0.0)));
+        }
+    }
+
     fn get_mut(&mut self, slot: Slot) -> Option<&mut f64> {
         let group = match slot.term()? {
             terms::Term::Drift => &mut self.drift_mps2,

@@ -1,11 +1,10 @@
 //! Marginal likelihood of a model: equation (49).
 
-use nalgebra::{SMatrix, SVector};
-
-use crate::least_squares::Fit;
-use crate::linear::{Real, Scaled, double};
-use crate::terms::{PERFECT, Slot, Term};
-use crate::weights::{POSE_SCATTER_DOF, POSE_SCATTER_MPS2, Rejected};
+use crate::least_squares::{Fit, Magnitude};
+use crate::linear::{Real, double};
+use crate::symmetric::{MOST, Scaled, Symmetric, dot};
+use crate::terms::{PERFECT, Term};
+use crate::weights::{POSE_SCATTER_DOF, POSE_SCATTER_MPS2};
 
 /// ln of the prior odds of a term: one in four; one in fifty for the quadratic term, which is
 /// hardly observable at 1 g.
@@ -21,42 +20,40 @@ const BAD_POSE: f64 = -4.6;
 /// ln p(y | model), with the prior of the parameters from typical datasheets, and an inverse gamma
 /// prior of the residuals' variance about that of [`POSE_SCATTER_MPS2`] and of the poses' mean
 /// noise, (m/s²)².
-pub(crate) fn evidence<R: Real, const N: usize>(
-    fit: &Fit<R, N>,
-    free: &[Slot; N],
-    kept: f64,
-    telling: f64,
-    rejected: Rejected,
-    noise: f64,
-) -> f64 {
+pub(crate) fn evidence<R: Real>(fit: &Fit<R>, problem: &Magnitude, telling: f64) -> f64 {
+    let (free, rejected) = (&problem.free, problem.rejected);
+    let (kept, noise) = (problem.poses.len() - rejected.count(), problem.mean_noise());
     // Poses of one orientation with a common error count as fewer poses.
-    let share = telling / kept;
+    let share = telling / kept as f64;
     let prior_dof = POSE_SCATTER_DOF as f64;
-    let half_dof = 0.5 * ((telling - N as f64).max(1.0) + prior_dof);
+    let half_dof = 0.5 * ((telling - free.len() as f64).max(1.0) + prior_dof);
     let expected = POSE_SCATTER_MPS2 * POSE_SCATTER_MPS2 + noise;
     let cost = share * fit.cost + prior_dof * expected;
     let variance = 0.5 * cost / half_dof;
-    let inverse = fit.inverse.map(double) / share;
+    let n = free.len();
+    let inverse = Symmetric::from_fn(n, |r, c| double(fit.inverse.at(r, c)) / share);
     // About a perfect sensor. Parameters with a flat prior do not contribute.
-    let mut known = SMatrix::<f64, N, N>::identity();
-    let mut off = SVector::<f64, N>::zeros();
-    let mut constants = 0.0;
-    for (i, a) in free.iter().enumerate() {
-        let Some(usual) = a.usual_sd() else { continue };
-        off[i] = double(fit.theta[a.index()]) - PERFECT[a.index()];
-        constants += libm::log(core::f64::consts::TAU);
-        for (j, b) in free.iter().enumerate() {
-            if b.usual_sd().is_some() {
-                known[(i, j)] = variance * inverse[(i, j)];
-            }
+    let known = Symmetric::from_fn(n, |r, c| match (free[r].usual_sd(), free[c].usual_sd()) {
+        (Some(usual), Some(_)) => {
+            let prior = if r == c { usual * usual } else { 0.0 };
+            variance * inverse.at(r, c) + prior
         }
-        known[(i, i)] += usual * usual;
+        _ if r == c => 1.0,
+        _ => 0.0,
+    });
+    let mut off = [0.0; MOST];
+    let mut constants = 0.0;
+    for (off, slot) in off.iter_mut().zip(free) {
+        if slot.usual_sd().is_some() {
+            *off = double(fit.theta[slot.index()]) - PERFECT[slot.index()];
+            constants += libm::log(core::f64::consts::TAU);
+        }
     }
     let (Some(posterior), Some(prior)) = (Scaled::new(&inverse, 0.0), Scaled::new(&known, 0.0))
     else {
         return f64::NEG_INFINITY;
     };
-    let square = off.dot(&prior.solve(&off).0);
+    let square = dot(&off, &prior.solve(&off).0);
     let terms = free.iter().filter_map(|slot| slot.term());
     let terms: f64 = terms.map(|term| beforehand(term) / 3.0).sum();
     let bad = rejected.count() as f64 * BAD_POSE;

@@ -1,6 +1,7 @@
 //! Specific force from an output under given parameters, and its derivatives.
 
 use nalgebra::{Matrix3, Vector3};
+use wimu_model::TemperatureTerms;
 
 use crate::linear::{Real, double, real};
 use crate::terms::{Slot, Theta};
@@ -18,6 +19,15 @@ pub(crate) struct Conditions {
 }
 
 impl Conditions {
+    /// Those of a fit without terms.
+    pub fn none() -> Self {
+        Self {
+            end_s: 0.0,
+            per_span: 0.0,
+            reference_c: TemperatureTerms::default().reference_c,
+        }
+    }
+
     /// Time relative to the session: −1 at the first pose, 0 at the last.
     pub fn progress(&self, pose: &Pose) -> f64 {
         (pose.time_s - self.end_s) * self.per_span
@@ -34,6 +44,7 @@ pub(crate) struct Evaluated<'a, R: Real> {
     theta: &'a Theta<R>,
     /// A⁻¹ at T₀.
     inverse: Matrix3<R>,
+    invert: Invert<R>,
     /// Whether A depends on temperature.
     warms: bool,
     /// Whether terms beyond the first twelve parameters are evaluated.
@@ -42,20 +53,9 @@ pub(crate) struct Evaluated<'a, R: Real> {
 
 /// A⁻¹ of a matrix with positive determinant. A mirrored A gives the same magnitudes; a step that
 /// leads to one was too long.
-#[inline(always)]
-fn inverse<R: Real>(a: &Matrix3<R>) -> Option<Matrix3<R>> {
-    let (zero, one) = (R::zero(), R::one());
-    if a[(0, 1)] == zero && a[(0, 2)] == zero && a[(1, 2)] == zero {
-        // Lower triangular, as determined by gravity alone: the divisions are independent of each
-        // other.
-        let [x, y, z] = [one / a[(0, 0)], one / a[(1, 1)], one / a[(2, 2)]];
-        let yx = -a[(1, 0)] * x * y;
-        let zy = -a[(2, 1)] * y * z;
-        let zx = -(a[(2, 0)] * x + a[(2, 1)] * yx) * z;
-        let size = x * y * z;
-        let inverse = Matrix3::new(x, zero, zero, yx, y, zero, zx, zy, z);
-        return (size > zero && size.is_finite()).then_some(inverse);
-    }
+type Invert<R> = fn(&Matrix3<R>) -> Option<Matrix3<R>>;
+
+fn general<R: Real>(a: &Matrix3<R>) -> Option<Matrix3<R>> {
     let minor = |r: usize, c: usize| {
         let (i, j) = ((r + 1) % 3, (r + 2) % 3);
         let (k, l) = ((c + 1) % 3, (c + 2) % 3);
@@ -64,8 +64,22 @@ fn inverse<R: Real>(a: &Matrix3<R>) -> Option<Matrix3<R>> {
     let minors = Matrix3::from_fn(|r, c| minor(c, r));
     let determinant =
         a[(0, 0)] * minors[(0, 0)] + a[(0, 1)] * minors[(1, 0)] + a[(0, 2)] * minors[(2, 0)];
-    let factor = one / determinant;
-    (determinant > zero && factor.is_finite()).then(|| minors * factor)
+    let factor = R::one() / determinant;
+    (determinant > R::zero() && factor.is_finite()).then(|| minors * factor)
+}
+
+/// Of a lower triangular A, as determined by gravity alone.
+#[cfg_attr(not(target_os = "none"), inline(always))]
+fn triangular<R: Real>(a: &Matrix3<R>) -> Option<Matrix3<R>> {
+    let (zero, one) = (R::zero(), R::one());
+    // The divisions are independent of each other.
+    let [x, y, z] = [one / a[(0, 0)], one / a[(1, 1)], one / a[(2, 2)]];
+    let yx = -a[(1, 0)] * x * y;
+    let zy = -a[(2, 1)] * y * z;
+    let zx = -(a[(2, 0)] * x + a[(2, 1)] * yx) * z;
+    let size = x * y * z;
+    let inverse = Matrix3::new(x, zero, zero, yx, y, zero, zx, zy, z);
+    (size > zero && size.is_finite()).then_some(inverse)
 }
 
 /// Intermediate results for one pose.
@@ -78,17 +92,24 @@ pub(crate) struct Applied<R: Real> {
 }
 
 impl<'a, R: Real> Evaluated<'a, R> {
-    #[inline(always)]
-    pub fn new(theta: &'a Theta<R>, terms: bool) -> Option<Self> {
+    #[cfg_attr(not(target_os = "none"), inline(always))]
+    fn with(theta: &'a Theta<R>, terms: bool, invert: Invert<R>) -> Option<Self> {
         Some(Self {
             theta,
-            inverse: inverse(&Self::matrix(theta, R::zero()))?,
+            inverse: invert(&Self::matrix(theta, R::zero()))?,
+            invert,
             warms: terms
                 && Slot::SCALE_SLOPE
                     .iter()
                     .any(|slot| !theta[slot.index()].is_zero()),
             terms,
         })
+    }
+
+    /// Of parameters with a lower triangular A.
+    #[cfg_attr(not(target_os = "none"), inline(always))]
+    pub fn new(theta: &'a Theta<R>, terms: bool) -> Option<Self> {
+        Self::with(theta, terms, triangular)
     }
 
     fn matrix(theta: &Theta<R>, warmer: R) -> Matrix3<R> {
@@ -102,11 +123,11 @@ impl<'a, R: Real> Evaluated<'a, R> {
     }
 
     /// Specific force from `output`: equation (41).
-    #[inline(always)]
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     pub fn apply(&self, output: [R; 3], progress: R, warmer: R) -> Applied<R> {
         let theta = self.theta;
         let inverse = if self.warms && !warmer.is_zero() {
-            inverse(&Self::matrix(theta, warmer)).unwrap_or(self.inverse)
+            (self.invert)(&Self::matrix(theta, warmer)).unwrap_or(self.inverse)
         } else {
             self.inverse
         };
@@ -144,7 +165,7 @@ impl<'a, R: Real> Evaluated<'a, R> {
     }
 
     /// Common factors of the derivatives of |f|: w = A⁻ᵀ (1 − 2 diag(q ∘ z)) n, and n = f/|f|.
-    #[inline(always)]
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     fn directions(&self, at: &Applied<R>) -> (Vector3<R>, Vector3<R>) {
         let mut m = at.force;
         if self.terms {
@@ -164,7 +185,7 @@ impl<'a, R: Real> Evaluated<'a, R> {
     }
 
     /// ∂|f|/∂θ of all parameters: equations (13) and (41).
-    #[inline(always)]
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     pub fn derivatives(&self, at: &Applied<R>) -> Theta<R> {
         let (w, n) = self.directions(at);
         let z = &at.z;
@@ -196,7 +217,7 @@ pub(crate) fn magnitude<R: Real>(
     output: [R; 3],
     warmer: R,
 ) -> Option<(R, [R; 12])> {
-    let at = Evaluated::new(theta, true)?;
+    let at = Evaluated::with(theta, true, general)?;
     let applied = at.apply(output, R::zero(), warmer);
     let all = at.derivatives(&applied);
     Some((applied.force.norm(), core::array::from_fn(|i| all[i])))
@@ -204,7 +225,7 @@ pub(crate) fn magnitude<R: Real>(
 
 /// Residual |f| − g of a pose under the first twelve parameters, m/s²; infinite if A is singular.
 pub(crate) fn residual<R: Real>(theta: &Theta<R>, pose: &Pose, gravity_mps2: f64) -> f64 {
-    Evaluated::new(theta, false).map_or(f64::INFINITY, |at| {
+    Evaluated::with(theta, false, general).map_or(f64::INFINITY, |at| {
         let applied = at.apply(pose.mean_mps2.map(real), R::zero(), R::zero());
         double(applied.force.norm() - real(gravity_mps2))
     })
@@ -217,7 +238,7 @@ pub(crate) fn worst_sd<R: Real>(
     covariance: &crate::Covariance,
     gravity_mps2: f64,
 ) -> f64 {
-    let Some(at) = Evaluated::new(theta, true) else {
+    let Some(at) = Evaluated::with(theta, true, general) else {
         return f64::INFINITY;
     };
     let covariance = covariance.matrix().map(|row| row.map(real::<R>));

@@ -1,11 +1,12 @@
 //! Observability of the parameters: equation (17).
 
-use nalgebra::{Cholesky, SMatrix, SVector, Vector3};
+use nalgebra::Vector3;
 
 use crate::force::Evaluated;
-use crate::least_squares::{Fit, Magnitude, Normal, Without};
-use crate::linear::{Real, double, eigenvalue_range, real, rescaled};
+use crate::least_squares::{Fit, Magnitude};
+use crate::linear::{Real, double, eigenvalue_range, real};
 use crate::shared::Shared;
+use crate::symmetric::{MOST, Scaled, Symmetric, Vector};
 use crate::terms::{Slot, Theta};
 use crate::weights::Weighting;
 use crate::{MultiPosition, Orientation, Refusal};
@@ -17,8 +18,11 @@ const MOST_AMPLIFICATION: f64 = 10.0;
 /// diagonal.
 const MOST_REGULARISATIONS: usize = 10;
 
+/// Condition number of a problem with this inverse of the information matrix.
+pub(crate) type Condition<R> = fn(&Magnitude, &Symmetric<R>) -> f64;
+
 /// Observability of the fitted parameters.
-pub(crate) struct Knowledge<R: Real, const N: usize> {
+pub(crate) struct Knowledge<R: Real> {
     /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g.
     pub condition: f64,
     /// Standard deviation of |f| − g in the worst of 26 orientations, relative to that of the
@@ -27,16 +31,17 @@ pub(crate) struct Knowledge<R: Real, const N: usize> {
     /// That orientation: a pose there adds most information.
     pub poorest: Orientation,
     /// Variance of each parameter for residuals of unit variance, in terms of the error at 1 g.
-    pub variance: SVector<R, N>,
+    pub variance: Vector<R>,
 }
 
-impl<R: Real, const N: usize> Knowledge<R, N> {
+impl<R: Real> Knowledge<R> {
     pub(crate) fn suffices(&self) -> bool {
         self.amplification < MOST_AMPLIFICATION
     }
 
-    pub(crate) fn refusal(&self, what: MultiPosition, free: &[Slot; N]) -> Refusal {
-        let largest = double(self.variance.max());
+    pub(crate) fn refusal(&self, what: MultiPosition, free: &[Slot]) -> Refusal {
+        let largest = self.variance.iter().copied().map(double);
+        let largest = largest.fold(0.0, f64::max);
         let poor = || {
             free.iter()
                 .zip(self.variance.iter())
@@ -55,78 +60,88 @@ impl<R: Real, const N: usize> Knowledge<R, N> {
     }
 }
 
-impl<const N: usize> Magnitude<'_, N> {
+impl Magnitude<'_> {
     /// Standard deviation of |f| − g in the worst orientation, m/s².
     pub fn worst_sd<R: Real>(
         &self,
-        fit: &Fit<R, N>,
-        knowledge: &Knowledge<R, N>,
-        shared: &Shared<R, N>,
+        fit: &Fit<R>,
+        knowledge: &Knowledge<R>,
+        shared: &Shared<R>,
     ) -> f64 {
         let amplification = if shared.spread == fit.inverse {
             knowledge.amplification
         } else {
             Evaluated::new(&fit.theta, self.terms).map_or(f64::INFINITY, |at| {
-                self.with_condition(&at, R::one(), &shared.spread)
+                self.with_inverse(&at, |_, _| f64::NAN, &shared.spread)
                     .amplification
             })
         };
         amplification * libm::sqrt(shared.variance)
     }
 
-    /// Observability of the fitted parameters.
-    pub fn knowledge<R: Real>(&self, fit: &Fit<R, N>) -> Option<Knowledge<R, N>> {
+    /// Observability of the fitted parameters, with equal weights.
+    pub fn knowledge<R: Real>(
+        &self,
+        fit: &Fit<R>,
+        condition: Condition<R>,
+    ) -> Option<Knowledge<R>> {
+        let at = Evaluated::new(&fit.theta, self.terms)?;
         if self.weighting.is_equal() {
-            let at = Evaluated::new(&fit.theta, self.terms)?;
-            Some(self.at_inverse(&at, &fit.normal, &fit.inverse))
-        } else {
-            self.knowledge_at(&fit.theta)
+            return Some(self.with_inverse(&at, condition, &fit.inverse));
         }
+        let information = self.information(&fit.theta, &Weighting::EQUAL)?;
+        Some(self.with_inverse(&at, condition, &information.inverse()?))
     }
 
-    /// Observability at `theta`, which need not be a solution.
-    pub fn knowledge_at<R: Real>(&self, theta: &Theta<R>) -> Option<Knowledge<R, N>> {
+    /// Observability at `theta`, which need not be a solution; the parameters may be undetermined.
+    pub fn knowledge_at<R: Real>(&self, theta: &Theta<R>) -> Option<Knowledge<R>> {
         let at = Evaluated::new(theta, self.terms)?;
-        let normal = self.weighted_normal(theta, Without::Nothing, &Weighting::EQUAL, None)?;
-        if let Some(inverse) = normal.inverse() {
-            return Some(self.at_inverse(&at, &normal, &inverse));
-        }
-        // Singular: the smallest diagonal at the level of rounding that makes it invertible.
-        let units = self.units();
-        let information = rescaled(&normal.information, &units);
-        let mut rounding = information.diagonal().max() * R::default_epsilon();
-        let inverse = (0..MOST_REGULARISATIONS).find_map(|_| {
-            let regular = information + SMatrix::from_diagonal_element(rounding);
-            rounding *= real(4.0);
-            Some(Cholesky::new(regular)?.inverse())
-        })?;
-        Some(self.at_inverse(&at, &normal, &rescaled(&inverse, &units)))
+        let information = self.information(theta, &Weighting::EQUAL)?;
+        // Where singular, the smallest addition to the diagonal at the level of rounding that makes it
+        // invertible.
+        let squares = self.units::<R>().map(|unit| unit * unit);
+        let scaled = information.diagonal().zip(squares);
+        let largest = scaled.fold(R::zero(), |most, (d, square)| most.max(d * square));
+        let mut rounding = largest * R::default_epsilon();
+        let regular = || {
+            (0..MOST_REGULARISATIONS).find_map(|_| {
+                let mut regular = information.clone();
+                for i in 0..self.free.len() {
+                    regular.row_mut(i)[i] += rounding / squares[i];
+                }
+                rounding *= real(4.0);
+                Some(Scaled::with_pivots(&regular, R::zero(), R::zero())?.inverse())
+            })
+        };
+        let inverse = information.inverse().or_else(regular)?;
+        Some(self.with_inverse(&at, |problem, inverse| problem.condition(inverse), &inverse))
     }
 
     /// Value of each parameter that causes an error of 1 m/s² at 1 g.
-    fn units<R: Real>(&self) -> SVector<R, N> {
-        SVector::from_fn(|i, _| real(self.free[i].per_mps2(self.gravity_mps2)))
+    fn units<R: Real>(&self) -> Vector<R> {
+        let mut units = [R::zero(); MOST];
+        for (unit, slot) in units.iter_mut().zip(&self.free) {
+            *unit = real(slot.per_mps2(self.gravity_mps2));
+        }
+        units
     }
 
-    fn at_inverse<R: Real>(
-        &self,
-        at: &Evaluated<R>,
-        normal: &Normal<R, N>,
-        inverse: &SMatrix<R, N, N>,
-    ) -> Knowledge<R, N> {
-        let (least, largest) = eigenvalue_range(rescaled(&normal.information, &self.units()));
+    /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g.
+    pub fn condition<R: Real>(&self, inverse: &Symmetric<R>) -> f64 {
+        let mut inverse = inverse.clone();
+        inverse.rescale(&self.units().map(|unit| R::one() / unit));
+        let (least, largest) = eigenvalue_range(inverse);
         // A zero eigenvalue comes out as rounding of about this size.
         let floor = largest * R::default_epsilon() * real(0.5);
-        let condition = (largest / least.max(floor)).sqrt();
-        self.with_condition(at, condition, inverse)
+        double((largest / least.max(floor)).sqrt())
     }
 
-    fn with_condition<R: Real>(
+    fn with_inverse<R: Real>(
         &self,
         at: &Evaluated<R>,
-        condition: R,
-        inverse: &SMatrix<R, N, N>,
-    ) -> Knowledge<R, N> {
+        condition: Condition<R>,
+        inverse: &Symmetric<R>,
+    ) -> Knowledge<R> {
         let units = self.units::<R>();
         let mut worst = R::zero();
         let mut poorest = Orientation::ALL[0];
@@ -140,39 +155,28 @@ impl<const N: usize> Magnitude<'_, N> {
             let force = Vector3::from(orientation.up().map(|c| real(c * self.gravity_mps2)));
             self.derivatives(at, &at.at(force))
         };
-        if at.terms {
-            for orientation in Orientation::ALL {
-                let row = row(orientation);
-                see(row.dot(&(inverse * row)), orientation);
-            }
-        } else {
-            // Opposite orientations differ only in the sign of the derivatives of the bias, the
-            // first three.
-            let opposites = Orientation::ALL.iter().zip(Orientation::ALL.iter().rev());
-            for (&one, &other) in opposites.take(Orientation::ALL.len() / 2) {
-                let mut rest = row(one);
-                let mut bias = SVector::<R, N>::zeros();
-                for i in 0..3.min(N) {
-                    bias[i] = rest[i];
-                    rest[i] = R::zero();
+        let opposites = Orientation::ALL.iter().zip(Orientation::ALL.iter().rev());
+        for (&one, &other) in opposites.take(Orientation::ALL.len() / 2) {
+            let mut derivatives = row(one);
+            see(inverse.form(&derivatives), one);
+            if at.terms {
+                derivatives = row(other);
+            } else {
+                // Only the derivatives of the bias, the first three, change their sign.
+                for d in &mut derivatives[..3] {
+                    *d = -*d;
                 }
-                let along = inverse * rest;
-                let mut own = R::zero();
-                for r in 0..3.min(N) {
-                    for c in 0..3.min(N) {
-                        own += bias[r] * inverse[(r, c)] * bias[c];
-                    }
-                }
-                let (square, cross) = (rest.dot(&along) + own, bias.dot(&along));
-                see(square + cross + cross, one);
-                see(square - cross - cross, other);
             }
+            see(inverse.form(&derivatives), other);
         }
         Knowledge {
-            condition: double(condition),
+            condition: condition(self, inverse),
             amplification: double(worst.sqrt()),
             poorest,
-            variance: SVector::from_fn(|i, _| inverse[(i, i)] / (units[i] * units[i])),
+            variance: core::array::from_fn(|i| match i < inverse.n() {
+                true => inverse.at(i, i) / (units[i] * units[i]),
+                false => R::zero(),
+            }),
         }
     }
 }

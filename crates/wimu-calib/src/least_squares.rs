@@ -1,11 +1,10 @@
 //! Least squares on |f| − g: equations (12) to (17), (40), (41).
 
-use nalgebra::{SMatrix, SVector};
-
 use crate::Pose;
 use crate::force::{Applied, Conditions, Evaluated};
-use crate::linear::{Real, Scaled, double, real};
-use crate::terms::{Slot, Theta};
+use crate::linear::{Real, double, real};
+use crate::symmetric::{self, Scaled, Symmetric, Vector, dot};
+use crate::terms::{Slots, Theta};
 use crate::visits::Visits;
 use crate::weights::{FarOff, Rejected, Weighting};
 
@@ -13,7 +12,7 @@ use crate::weights::{FarOff, Rejected, Weighting};
 const MOST_ITERATIONS: usize = 100;
 /// Convergence threshold: rms change of the residuals in a Gauss-Newton step, m/s². The remaining
 /// error is smaller than the last step by the ratio of residuals to gravity, 10⁻³ or less.
-const LAST_STEP_MPS2: f64 = 1e-6;
+pub(crate) const LAST_STEP_MPS2: f64 = 1e-6;
 /// Smallest damping other than 0, relative to the unit diagonal of the information matrix.
 const LEAST_DAMPING: f64 = 1e-6;
 /// Largest damping; the fit fails when even this step does not reduce the cost.
@@ -23,6 +22,12 @@ const MOST_REFITS: usize = 256;
 /// Leverage above which a pose or orientation is left out by a complete refit instead of one step.
 /// The error of the single step is of second order and grows with 1 / (1 − leverage).
 const MOST_LEVERAGE: f64 = 0.5;
+
+/// Poses whose products are summed together, for vector instructions, which a device lacks.
+const BLOCK: usize = if cfg!(target_os = "none") { 1 } else { 4 };
+
+/// Derivatives of poses: a row for each fitted parameter.
+type Block<R> = [[R; BLOCK]; symmetric::MOST];
 
 /// What is left out of a fit, besides the rejected poses.
 #[derive(Clone, Copy, PartialEq)]
@@ -34,25 +39,27 @@ pub(crate) enum Without {
 }
 
 /// The normal equations: JᵀWJ, JᵀWr and rᵀWr summed over the poses.
-#[derive(Clone)]
-pub(crate) struct Normal<R: Real, const N: usize> {
-    /// Only the lower triangle is used.
-    pub information: SMatrix<R, N, N>,
-    gradient: SVector<R, N>,
+struct Normal<R: Real> {
+    information: Symmetric<R>,
+    gradient: Vector<R>,
     cost: R,
     poses: usize,
 }
 
-impl<R: Real, const N: usize> Normal<R, N> {
-    /// (JᵀWJ)⁻¹.
-    pub fn inverse(&self) -> Option<SMatrix<R, N, N>> {
-        Some(Scaled::new(&self.information, R::zero())?.inverse())
+impl<R: Real> Normal<R> {
+    fn zero(n: usize) -> Self {
+        Self {
+            information: Symmetric::zero(n),
+            gradient: [R::zero(); symmetric::MOST],
+            cost: R::zero(),
+            poses: 0,
+        }
     }
 }
 
 /// Least-squares problem: some parameters fitted to |f| = g over static poses. Equations (12) to
 /// (17), (40), (41).
-pub(crate) struct Magnitude<'a, const N: usize> {
+pub(crate) struct Magnitude<'a> {
     pub poses: &'a [Pose],
     pub visits: &'a Visits,
     pub gravity_mps2: f64,
@@ -62,72 +69,90 @@ pub(crate) struct Magnitude<'a, const N: usize> {
     /// Rule that rejects further poses, when there are too many to list.
     pub far: Option<FarOff>,
     /// The fitted parameters; the others keep their starting values.
-    pub free: [Slot; N],
+    pub free: Slots,
     /// Whether the fitted parameters include terms beyond the first twelve.
     pub terms: bool,
 }
 
 /// A converged fit.
-pub(crate) struct Fit<R: Real, const N: usize> {
+#[derive(Clone)]
+pub(crate) struct Fit<R: Real> {
     pub theta: Theta<R>,
     /// (JᵀWJ)⁻¹: the covariance for residuals of unit variance.
-    pub inverse: SMatrix<R, N, N>,
+    pub inverse: Symmetric<R>,
     /// Σ w r², (m/s²)².
     pub cost: f64,
-    pub normal: Normal<R, N>,
 }
 
-impl<R: Real, const N: usize> Fit<R, N> {
+impl<R: Real> Fit<R> {
     /// Standard deviation of a residual, m/s².
     pub fn sd(&self, dof: usize) -> f64 {
         libm::sqrt(self.cost / dof.max(1) as f64)
     }
+
+    /// Adds a pose to the linearised fit, or with negative `weight` removes one; returns the step of
+    /// the fitted parameters: equation (16).
+    fn update(&mut self, row: &Vector<R>, residual: R, weight: R) -> Vector<R> {
+        let gain = self.inverse.times(row);
+        let factor = weight / (R::one() + weight * dot(row, &gain));
+        self.inverse.add_outer(&gain, -factor);
+        self.cost += double(factor * residual * residual);
+        gain.map(|x| -factor * residual * x)
+    }
 }
 
-impl<'a, const N: usize> Magnitude<'a, N> {
-    /// The same problem with bias and scale factors only.
-    pub fn smaller(&self) -> Magnitude<'a, 6> {
-        Magnitude {
-            poses: self.poses,
-            visits: self.visits,
-            gravity_mps2: self.gravity_mps2,
-            conditions: self.conditions,
-            weighting: self.weighting,
-            rejected: self.rejected,
-            far: self.far,
-            free: [0, 1, 2, 3, 7, 11].map(|i| Slot::ALL[i]),
-            terms: false,
-        }
-    }
-
-    #[inline(always)]
+impl Magnitude<'_> {
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     fn applied<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> Applied<R> {
-        at.apply(
-            pose.mean_mps2.map(real),
-            real(self.conditions.progress(pose)),
-            real(self.conditions.warmer(pose)),
-        )
+        let (mut progress, mut warmer) = (R::zero(), R::zero());
+        if self.terms {
+            progress = real(self.conditions.progress(pose));
+            warmer = real(self.conditions.warmer(pose));
+        }
+        at.apply(pose.mean_mps2.map(real), progress, warmer)
     }
 
     /// |f| − g of one pose, m/s², and its derivatives.
-    #[inline(always)]
-    fn row<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> (R, SVector<R, N>) {
+    #[cfg_attr(not(target_os = "none"), inline(always))]
+    fn row<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> (R, Vector<R>) {
         let applied = self.applied(at, pose);
         let residual = applied.force.norm() - real(self.gravity_mps2);
         (residual, self.derivatives(at, &applied))
     }
 
-    #[inline(always)]
-    pub fn derivatives<R: Real>(&self, at: &Evaluated<R>, applied: &Applied<R>) -> SVector<R, N> {
-        let all = at.derivatives(applied);
-        SVector::from_fn(|i, _| all[self.free[i].index()])
+    /// Puts the derivatives of `pose` in a column of `rows`; returns its residual.
+    #[cfg_attr(not(target_os = "none"), inline(always))]
+    fn put<R: Real>(
+        &self,
+        at: &Evaluated<R>,
+        pose: &Pose,
+        rows: &mut Block<R>,
+        column: usize,
+    ) -> R {
+        let applied = self.applied(at, pose);
+        let all = at.derivatives(&applied);
+        for (elements, slot) in rows.iter_mut().zip(&self.free) {
+            elements[column] = all[slot.index()];
+        }
+        applied.force.norm() - real(self.gravity_mps2)
+    }
+
+    #[cfg_attr(not(target_os = "none"), inline(always))]
+    pub fn derivatives<R: Real>(&self, at: &Evaluated<R>, applied: &Applied<R>) -> Vector<R> {
+        self.fitted(&at.derivatives(applied))
+    }
+
+    /// The elements of the fitted parameters.
+    #[cfg_attr(not(target_os = "none"), inline(always))]
+    fn fitted<R: Real>(&self, all: &Theta<R>) -> Vector<R> {
+        core::array::from_fn(|i| self.free.get(i).map_or(R::zero(), |slot| all[slot.index()]))
     }
 
     /// Residual and derivatives, multiplied by the square root of the weight.
-    pub fn weighted_row<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> (R, SVector<R, N>) {
+    pub fn weighted_row<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> (R, Vector<R>) {
         let root: R = real(libm::sqrt(self.weighting.of(pose)));
         let (residual, row) = self.row(at, pose);
-        (residual * root, row * root)
+        (residual * root, row.map(|d| d * root))
     }
 
     /// Whether the noise of every pose is known.
@@ -142,22 +167,17 @@ impl<'a, const N: usize> Magnitude<'a, N> {
     }
 
     /// Whether `pose`, the k-th, is rejected.
-    #[inline(always)]
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     pub fn is_rejected(&self, k: usize, pose: &Pose) -> bool {
-        self.rejected.contains(k) || (self.far.is_some() && self.is_far_off(pose))
-    }
-
-    #[cold]
-    #[inline(never)]
-    fn is_far_off(&self, pose: &Pose) -> bool {
-        self.far.as_ref().is_some_and(|far| {
-            let residual = self.residual(&far.theta, pose);
-            residual.is_none_or(|residual| far.has(residual, pose))
-        })
+        self.rejected.contains(k)
+            || self
+                .far
+                .as_ref()
+                .is_some_and(|far| (far.rejects)(far, self, pose))
     }
 
     /// Whether `pose`, the k-th, is left out of a fit.
-    #[inline(always)]
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     pub fn is_out(&self, without: Without, k: usize, pose: &Pose) -> bool {
         self.is_rejected(k, pose)
             || match without {
@@ -167,77 +187,94 @@ impl<'a, const N: usize> Magnitude<'a, N> {
             }
     }
 
-    fn normal<R: Real>(&self, theta: &Theta<R>, without: Without) -> Option<Normal<R, N>> {
-        self.weighted_normal(theta, without, &self.weighting, None)
+    /// JᵀWJ at `theta` with the given weights.
+    pub fn information<R: Real>(
+        &self,
+        theta: &Theta<R>,
+        weighting: &Weighting,
+    ) -> Option<Symmetric<R>> {
+        let mut normal = Normal::zero(self.free.len());
+        self.sum(theta, Without::Nothing, weighting, None, &mut normal)?;
+        Some(normal.information)
     }
 
-    /// Normal equations at `theta`. With `cauchy`, a scale in m/s², the cost of a residual r is
-    /// cauchy² ln(1 + (r/cauchy)²) instead of r².
-    pub fn weighted_normal<R: Real>(
+    /// Puts the normal equations at `theta` in `normal`. With `cauchy`, a scale in m/s², the cost of a
+    /// residual r is cauchy² ln(1 + (r/cauchy)²) instead of r².
+    fn sum<R: Real>(
         &self,
         theta: &Theta<R>,
         without: Without,
         weighting: &Weighting,
         cauchy: Option<f64>,
-    ) -> Option<Normal<R, N>> {
+        normal: &mut Normal<R>,
+    ) -> Option<()> {
         let at = Evaluated::new(theta, self.terms)?;
-        let mut normal = Normal::<R, N> {
-            information: SMatrix::zeros(),
-            gradient: SVector::zeros(),
-            cost: R::zero(),
-            poses: 0,
-        };
-        for (k, pose) in self.poses.iter().enumerate() {
-            if self.is_out(without, k, pose) {
-                continue;
-            }
-            let (residual, row) = self.row(&at, pose);
-            let mut weight: R = real(weighting.of(pose));
-            let mut cost = weight * residual * residual;
-            if let Some(cauchy) = cauchy {
-                let square: R = real(cauchy * cauchy);
-                let grown = R::one() + residual * residual / square;
-                cost = square * grown.ln();
-                weight = R::one() / grown;
-            }
-            for c in 0..N {
-                let weighted = row[c] * weight;
-                normal.gradient[c] += weighted * residual;
-                // From an even row on, which vector instructions can take in pairs.
-                for r in c & !1..N {
-                    normal.information[(r, c)] += weighted * row[r];
+        normal.information.clear();
+        normal.gradient = [R::zero(); symmetric::MOST];
+        (normal.cost, normal.poses) = (R::zero(), 0);
+        let n = self.free.len();
+        let mut rows = [[R::zero(); BLOCK]; symmetric::MOST];
+        for (block, poses) in self.poses.chunks(BLOCK).enumerate() {
+            let (mut weights, mut pulls) = ([R::zero(); BLOCK], [R::zero(); BLOCK]);
+            for (i, pose) in poses.iter().enumerate() {
+                if self.is_out(without, BLOCK * block + i, pose) {
+                    continue;
                 }
+                let residual = self.put(&at, pose, &mut rows, i);
+                let mut weight: R = real(weighting.of(pose));
+                let mut cost = weight * residual * residual;
+                if let Some(cauchy) = cauchy {
+                    let square: R = real(cauchy * cauchy);
+                    let grown = R::one() + residual * residual / square;
+                    cost = square * grown.ln();
+                    weight = R::one() / grown;
+                }
+                normal.cost += cost;
+                normal.poses += 1;
+                (weights[i], pulls[i]) = (weight, weight * residual);
             }
-            normal.cost += cost;
-            normal.poses += 1;
+            normal.information.add_outers(&rows, &weights);
+            for (gradient, elements) in normal.gradient[..n].iter_mut().zip(&rows) {
+                *gradient += dot(&pulls, elements);
+            }
         }
-        normal.cost.is_finite().then_some(normal)
+        normal.cost.is_finite().then_some(())
     }
 
     /// Levenberg-Marquardt from `start`. `None` when it does not converge or a parameter is not
     /// determined.
-    pub fn solve<R: Real>(&self, start: &Theta<R>, without: Without) -> Option<Fit<R, N>> {
-        self.minimise(start, |theta| self.normal(theta, without))
+    pub fn solve<R: Real>(&self, start: &Theta<R>, without: Without) -> Option<Fit<R>> {
+        self.minimise(start, LAST_STEP_MPS2, |theta, normal| {
+            self.sum(theta, without, &self.weighting, None, normal)
+        })
     }
 
     /// Robust fit with the Cauchy cost of scale `cauchy`, m/s²: large residuals have little
-    /// influence.
-    pub fn solve_robust<R: Real>(&self, start: &Theta<R>, cauchy: f64) -> Option<Fit<R, N>> {
-        let normal = |theta: &Theta<R>| {
-            self.weighted_normal(theta, Without::Nothing, &Weighting::EQUAL, Some(cauchy))
-        };
-        self.minimise(start, normal)
+    /// influence. It ends at a step that changes the residuals by less than `last_step_mps2`, rms.
+    pub fn solve_robust<R: Real>(
+        &self,
+        start: &Theta<R>,
+        cauchy: f64,
+        last_step_mps2: f64,
+    ) -> Option<Fit<R>> {
+        self.minimise(start, last_step_mps2, |theta, normal| {
+            let weighting = &Weighting::EQUAL;
+            self.sum(theta, Without::Nothing, weighting, Some(cauchy), normal)
+        })
     }
 
     fn minimise<R: Real>(
         &self,
         start: &Theta<R>,
-        normal_at: impl Fn(&Theta<R>) -> Option<Normal<R, N>>,
-    ) -> Option<Fit<R, N>> {
+        last_step_mps2: f64,
+        sum: impl Fn(&Theta<R>, &mut Normal<R>) -> Option<()>,
+    ) -> Option<Fit<R>> {
         let epsilon = double(R::default_epsilon());
-        let last_step = LAST_STEP_MPS2.max(4.0 * epsilon * self.gravity_mps2);
+        let last_step = last_step_mps2.max(4.0 * epsilon * self.gravity_mps2);
         let mut theta = *start;
-        let mut normal = normal_at(&theta)?;
+        let mut both = [0, 1].map(|_| Normal::zero(self.free.len()));
+        let [mut normal, mut next] = both.each_mut();
+        sum(&theta, normal)?;
         let mut damping = 0.0;
         for _ in 0..MOST_ITERATIONS {
             // The damped Gauss-Newton step: equation (14).
@@ -249,7 +286,7 @@ impl<'a, const N: usize> Magnitude<'a, N> {
                 continue;
             };
             let (step, change) = factor.solve(&normal.gradient);
-            let trial = self.moved(&theta, &step, -R::one());
+            let trial = self.moved(&theta, step, -R::one());
             // The step lowers the cost by the square of the change of the residuals.
             let gained = double(change * change);
             let change_mps2 = libm::sqrt(gained / normal.poses as f64);
@@ -257,22 +294,21 @@ impl<'a, const N: usize> Magnitude<'a, N> {
                 return Some(Fit {
                     theta: trial,
                     inverse: if damping > 0.0 {
-                        normal.inverse()?
+                        normal.information.inverse()?
                     } else {
                         factor.inverse()
                     },
                     cost: (double(normal.cost) - gained).max(0.0),
-                    normal,
                 });
             }
             let cost = double(normal.cost);
             // Rounding error of the cost.
             let rounding =
                 20.0 * epsilon * self.gravity_mps2 * libm::sqrt(cost * normal.poses as f64);
-            match normal_at(&trial) {
-                Some(next) if double(next.cost) <= cost + rounding => {
+            match sum(&trial, next) {
+                Some(()) if double(next.cost) <= cost + rounding => {
                     theta = trial;
-                    normal = next;
+                    core::mem::swap(&mut normal, &mut next);
                     damping = if damping > LEAST_DAMPING {
                         damping * 0.1
                     } else {
@@ -291,18 +327,17 @@ impl<'a, const N: usize> Magnitude<'a, N> {
     pub fn rows<'b, R: Real>(
         &'b self,
         at: &'b Evaluated<'b, R>,
-    ) -> impl Iterator<Item = (SVector<R, N>, Theta<R>, f64)> + 'b {
+    ) -> impl Iterator<Item = (Vector<R>, Theta<R>, f64)> + 'b {
         let kept = self.poses.iter().enumerate();
         kept.filter(|(k, pose)| !self.is_rejected(*k, pose))
             .map(|(_, pose)| {
                 let all = at.derivatives(&self.applied(at, pose));
-                let row = SVector::from_fn(|i, _| all[self.free[i].index()]);
-                (row, all, self.weighting.of(pose))
+                (self.fitted(&all), all, self.weighting.of(pose))
             })
     }
 
     /// |f| − g of `pose` under `theta`, m/s².
-    #[inline(always)]
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     pub fn residual<R: Real>(&self, theta: &Theta<R>, pose: &Pose) -> Option<f64> {
         let at = Evaluated::new(theta, self.terms)?;
         Some(double(
@@ -323,70 +358,99 @@ impl<'a, const N: usize> Magnitude<'a, N> {
 
     /// Residual of a pose that was left out, m/s², and the variance of its prediction relative to
     /// that of a residual.
-    pub fn predicted<R: Real>(&self, fit: &Fit<R, N>, pose: usize) -> Option<(f64, f64)> {
+    pub fn predicted<R: Real>(&self, fit: &Fit<R>, pose: usize) -> Option<(f64, f64)> {
         let at = Evaluated::new(&fit.theta, self.terms)?;
         let (residual, row) = self.row(&at, self.poses.get(pose)?);
-        Some((double(residual), double(row.dot(&(fit.inverse * row)))))
+        Some((double(residual), double(fit.inverse.form(&row))))
     }
 
     /// The parameters fitted without one orientation.
-    pub fn solve_without<R: Real>(&self, fit: &Fit<R, N>, group: usize) -> Option<Theta<R>> {
+    pub fn solve_without<R: Real>(&self, fit: &Fit<R>, group: usize) -> Option<Theta<R>> {
         let at = Evaluated::new(&fit.theta, self.terms)?;
-        let mut rest = fit.normal.clone();
+        let mut without = fit.clone();
         let mut leverage = R::zero();
-        let mut pull = SVector::<R, N>::zeros();
+        let mut step = [R::zero(); symmetric::MOST];
         for (k, pose) in self.poses.iter().enumerate() {
             if self.visits.group(k, pose) != group || self.is_rejected(k, pose) {
                 continue;
             }
             let (residual, row) = self.weighted_row(&at, pose);
-            leverage += row.dot(&(fit.inverse * row));
-            pull += row * residual;
-            rest.information -= row * row.transpose();
+            leverage += fit.inverse.form(&row);
+            let more = without.update(&row, residual + dot(&row, &step), -R::one());
+            symmetric::add(&mut step, R::one(), &more);
         }
         if double(leverage) > MOST_LEVERAGE {
             let refit = self.solve(&fit.theta, Without::Orientation(group));
             return refit.map(|without| without.theta);
         }
-        let (step, _) = Scaled::new(&rest.information, R::zero())?.solve(&pull);
-        Some(self.moved(&fit.theta, &step, R::one()))
+        Some(self.moved(&fit.theta, step, R::one()))
     }
 
     /// `theta` with `factor` times `step` added to the fitted parameters.
-    fn moved<R: Real>(&self, theta: &Theta<R>, step: &SVector<R, N>, factor: R) -> Theta<R> {
+    fn moved<R: Real>(
+        &self,
+        theta: &Theta<R>,
+        step: impl IntoIterator<Item = R>,
+        factor: R,
+    ) -> Theta<R> {
         let mut moved = *theta;
-        for (slot, step) in self.free.iter().zip(step.iter()) {
-            moved[slot.index()] += *step * factor;
+        for (slot, step) in self.free.iter().zip(step) {
+            moved[slot.index()] += step * factor;
         }
         moved
+    }
+
+    /// Adds (`sign` 1) or removes (−1) a pose in one step, with an error of second order. `None` if
+    /// the fit becomes singular.
+    pub fn change<R: Real>(&self, fit: &mut Fit<R>, pose: usize, sign: R) -> Option<()> {
+        let at = Evaluated::new(&fit.theta, self.terms)?;
+        let pose = self.poses.get(pose)?;
+        let (residual, row) = self.row(&at, pose);
+        let step = fit.update(&row, residual, sign * real(self.weighting.of(pose)));
+        fit.theta = self.moved(&fit.theta, step, R::one());
+        fit.theta.iter().all(|t| t.is_finite()).then_some(())
     }
 
     /// Calls `take` with the index of every pose, its residual, and its residual under the fit to
     /// all other poses: equation (16). The latter is infinite if the others do not determine the
     /// parameters.
-    pub fn leave_out<R: Real>(&self, fit: &Fit<R, N>, mut take: impl FnMut(usize, f64, f64)) {
+    pub fn leave_out<R: Real>(&self, fit: &Fit<R>, mut take: impl FnMut(usize, f64, f64)) {
         let Some(at) = Evaluated::new(&fit.theta, self.terms) else {
             return;
         };
         let few = self.poses.len() <= MOST_REFITS;
-        for (k, pose) in self.poses.iter().enumerate() {
-            let (residual, row) = self.row(&at, pose);
-            if self.is_rejected(k, pose) {
-                take(k, double(residual), double(residual));
-                continue;
+        let mut rows: Block<R> = [[R::zero(); BLOCK]; symmetric::MOST];
+        let mut residuals = [R::zero(); BLOCK];
+        for (block, poses) in self.poses.chunks(BLOCK).enumerate() {
+            for (i, pose) in poses.iter().enumerate() {
+                residuals[i] = self.put(&at, pose, &mut rows, i);
             }
-            let weight: R = real(self.weighting.of(pose));
-            let step = fit.inverse * row;
-            let leverage = weight * row.dot(&step);
-            let left_out = if few && double(leverage) > MOST_LEVERAGE {
-                self.solve(&fit.theta, Without::Pose(k))
-                    .and_then(|without| self.residual(&without.theta, pose))
-            } else {
-                let by = weight * residual / (R::one() - leverage);
-                self.residual(&self.moved(&fit.theta, &step, by), pose)
-            };
-            let left_out = left_out.filter(|r| r.is_finite());
-            take(k, double(residual), left_out.unwrap_or(f64::INFINITY));
+            let steps = fit.inverse.times_columns(&rows);
+            let mut leverages = [R::zero(); BLOCK];
+            for (row, step) in rows.iter().zip(&steps).take(self.free.len()) {
+                for i in 0..BLOCK {
+                    leverages[i] += row[i] * step[i];
+                }
+            }
+            for (i, pose) in poses.iter().enumerate() {
+                let (k, residual) = (BLOCK * block + i, residuals[i]);
+                if self.is_rejected(k, pose) {
+                    take(k, double(residual), double(residual));
+                    continue;
+                }
+                let weight: R = real(self.weighting.of(pose));
+                let leverage = weight * leverages[i];
+                let left_out = if few && double(leverage) > MOST_LEVERAGE {
+                    self.solve(&fit.theta, Without::Pose(k))
+                        .and_then(|without| self.residual(&without.theta, pose))
+                } else {
+                    let by = weight * residual / (R::one() - leverage);
+                    let step = steps.iter().map(|row| row[i]);
+                    self.residual(&self.moved(&fit.theta, step, by), pose)
+                };
+                let left_out = left_out.filter(|r| r.is_finite());
+                take(k, double(residual), left_out.unwrap_or(f64::INFINITY));
+            }
         }
     }
 }

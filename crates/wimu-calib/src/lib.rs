@@ -14,6 +14,7 @@ mod ellipsoid;
 mod estimate;
 mod evidence;
 mod finder;
+mod fit;
 mod force;
 mod gravity;
 mod gyroscope;
@@ -40,6 +41,7 @@ mod set;
 mod shared;
 mod six_position;
 mod student;
+mod symmetric;
 mod terms;
 mod turn;
 mod unfitted;
@@ -63,7 +65,7 @@ pub use magnetometer::{
     Disturbed, MagneticEstimate, MagneticPose, MagneticRefusal, MirroredAxes, magnetometer,
 };
 pub use model::{Model, MultiPosition};
-pub use multi_position::{multi_position, multi_position_f32, multi_position_with};
+pub use multi_position::{minimal_fit, multi_position, multi_position_f32, multi_position_with};
 pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured, NoiseRefusal, is_clipped};
 pub use orientation::{Face, Instruction, Orientation};
 pub use parameter::{Parameter, Parameters};

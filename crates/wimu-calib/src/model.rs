@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use crate::terms::{Slot, Terms};
+use crate::terms::{Slot, Slots, Terms};
 use crate::{Parameter, Parameters};
 
 /// Which parameters are fitted; the others are those of a perfect sensor.
@@ -25,11 +25,18 @@ impl Model {
 
     /// The parameters that are fitted.
     pub fn fitted(self) -> Parameters {
+        use Parameter::{BiasX, BiasY, BiasZ, ScaleX, ScaleY, ScaleZ};
         use Parameter::{MisalignmentXy, MisalignmentXz, MisalignmentYz};
-        let below = [MisalignmentXy, MisalignmentXz, MisalignmentYz];
-        let all = [Parameter::BIAS, Parameter::SCALE, below];
-        let all = all.into_iter().flatten();
-        all.take(self.parameters()).collect()
+        const BIAS: Parameters = Parameters::NONE.with(BiasX).with(BiasY).with(BiasZ);
+        const SCALE: Parameters = BIAS.with(ScaleX).with(ScaleY).with(ScaleZ);
+        match self {
+            Self::Bias3 => BIAS,
+            Self::BiasScale6 => SCALE,
+            Self::Full9 => SCALE
+                .with(MisalignmentXy)
+                .with(MisalignmentXz)
+                .with(MisalignmentYz),
+        }
     }
 
     /// Number of fitted parameters.
@@ -76,17 +83,12 @@ impl MultiPosition {
         self.model.parameters() + self.terms.parameters()
     }
 
-    pub(crate) fn slots<const N: usize>(self) -> [Slot; N] {
-        let mut slots = [Slot::ALL[0]; N];
-        let basic = self.model.fitted();
-        let basic = basic.iter().map(Slot::of);
-        let terms = self
-            .terms
-            .iter()
-            .flat_map(|term| Slot::ALL.into_iter().skip(term.first_slot()).take(3));
-        for (place, slot) in slots.iter_mut().zip(basic.chain(terms)) {
-            *place = slot;
-        }
-        slots
+    pub(crate) fn slots(self) -> Slots {
+        let fitted = self.model.fitted();
+        let is_fitted = |slot: &Slot| match slot.parameter() {
+            Some(parameter) => fitted.contains(parameter),
+            None => slot.term().is_some_and(|term| self.terms.contains(term)),
+        };
+        Slot::ALL.into_iter().filter(is_fitted).collect()
     }
 }

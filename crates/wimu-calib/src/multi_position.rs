@@ -1,36 +1,19 @@
 //! Calibration from the magnitude of gravity alone, in unknown orientations.
 
-use wimu_model::{ErrorModel, ErrorTerms, ModelError, TemperatureTerms};
+use wimu_model::{ErrorModel, ModelError};
 
-use crate::estimate::{Drift, Residuals, TermDeviations};
 use crate::evidence::evidence;
+use crate::fit::{Parts, fit, searched, weighted};
 use crate::force::Conditions;
-use crate::knowledge::Knowledge;
-use crate::least_squares::{Fit, Magnitude, Without};
-use crate::linear::{Real, double, real};
-use crate::terms::{self, PERFECT, Term, Terms};
-use crate::unfitted::Unfitted;
+use crate::linear::Real;
+use crate::terms::{Term, Terms};
 use crate::visits::Visits;
-use crate::weights::{Rejected, Weighting};
 use crate::{
-    Covariance, Estimate, Gravity, Method, Model, MultiPosition, Pose, Refusal, design, ellipsoid,
-    input, outliers, pose,
+    Covariance, Estimate, Gravity, Model, MultiPosition, Pose, Refusal, Scalar, input, pose,
 };
 
-/// Largest leave-one-out error, in standard deviations of a residual. Above it a single pose
-/// dominates the fit. Twelve well distributed poses give 2 to 3.
-const MOST_LEFT_OUT: f64 = 10.0;
-/// Largest residual of a fit to static poses, m/s² rms: with three or six parameters; with nine (10
-/// mg, as after a cold start); with nine and further terms.
-const MOST_RMS_MPS2: [f64; 3] = [0.5, 0.1, 0.05];
-/// Residual above which clipped axes are searched for, m/s² rms: 5 mg.
-const SUSPICIOUS_RMS_MPS2: f64 = 0.05;
-/// Scale of the Cauchy cost when least squares does not converge, m/s².
-const FAR_OFF_MPS2: f64 = 0.5;
 /// Smallest temperature range for a temperature term, K: thermometers have as much noise.
 const LEAST_WARMING_K: f64 = 1.0;
-/// Leave-one-out error that is always accepted, m/s².
-const GOOD_LEFT_OUT_MPS2: f64 = 1e-4;
 
 /// Estimates the error model from static poses in unknown orientations: |f| = g in each. Equations
 /// (11) to (17) and (40) of docs/EQUATIONS.md.
@@ -67,13 +50,61 @@ fn basic<R: Real>(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Esti
             ..MultiPosition::default()
         };
         check(poses, gravity, what)?;
-        match model {
-            Model::Bias3 => fit::<R, 3>(poses, &visits, gravity, what, None),
-            Model::BiasScale6 => fit::<R, 6>(poses, &visits, gravity, what, None),
-            Model::Full9 => fit::<R, 9>(poses, &visits, gravity, what, None),
-        }
+        let found = fit(
+            poses,
+            &visits,
+            gravity,
+            what,
+            Parts::<R>::all(weighted, Conditions::none()),
+        )?;
+        found.fitted(None)
     };
     advised(model, of)
+}
+
+/// A nine-parameter fit with its covariance only: [`minimal_fit`].
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub struct MinimalEstimate {
+    /// The error model.
+    pub model: ErrorModel,
+    /// Covariance of its 12 parameters, including the uncertainty of gravity.
+    pub covariance: Covariance,
+    /// Degrees of freedom of the standard deviations, without the contribution of gravity.
+    pub interval_dof: f64,
+    /// Residual |f| − g over the poses, m/s² rms, unweighted.
+    pub rms_mps2: f64,
+    /// Index of the pose with the largest residual.
+    pub worst_pose: usize,
+}
+
+/// The nine-parameter fit of [`multi_position`] for the flash of a device, in f32 or f64: without
+/// leave-one-out errors, condition number and advice.
+///
+/// Poses of the same orientation count as fully correlated, where [`multi_position`] estimates their
+/// correlation: where at least 20 % of the poses repeat an orientation, standard deviations are larger.
+///
+/// # Errors
+/// Those of [`multi_position`], without [`Refusal::PoorPrediction`]; the condition number in
+/// [`Refusal::NotObservable`] is NaN.
+pub fn minimal_fit<R: Scalar>(
+    poses: &[Pose],
+    gravity: Gravity,
+) -> Result<MinimalEstimate, Refusal> {
+    let visits = Visits::of(poses);
+    let parts = Parts::<R> {
+        conditions: Conditions::none(),
+        start: |_, _, _| None,
+        refine: weighted,
+        condition: |_, _| f64::NAN,
+        unsolved: |_, _| None,
+        shared: |problem, fit, visited| problem.correlated(fit, visited),
+    };
+    let what = MultiPosition::default();
+    check(poses, gravity, what)?;
+    let found = fit(poses, &visits, gravity, what, parts)?;
+    Ok(found.basis(None)?.minimal)
 }
 
 /// [`multi_position`] with further terms, and optionally with rejection of outliers. Equations (41)
@@ -144,16 +175,22 @@ pub(crate) fn with_terms(
     what: MultiPosition,
     weigh: Option<&mut Violation>,
 ) -> Result<Fitted, Refusal> {
+    let refine = if what.reject { searched } else { weighted };
     check(poses, gravity, what)?;
-    match what.parameters() {
-        3 => fit::<f64, 3>(poses, visits, gravity, what, weigh),
-        6 => fit::<f64, 6>(poses, visits, gravity, what, weigh),
-        9 => fit::<f64, 9>(poses, visits, gravity, what, weigh),
-        12 => fit::<f64, 12>(poses, visits, gravity, what, weigh),
-        15 => fit::<f64, 15>(poses, visits, gravity, what, weigh),
-        18 => fit::<f64, 18>(poses, visits, gravity, what, weigh),
-        _ => fit::<f64, 21>(poses, visits, gravity, what, weigh),
+    check_terms(poses, what.terms)?;
+    let found = fit(
+        poses,
+        visits,
+        gravity,
+        what,
+        Parts::<f64>::all(refine, conditions(poses, what.terms)),
+    )?;
+    let weighed = weigh.is_some();
+    let mut fitted = found.fitted(weigh)?;
+    if weighed {
+        fitted.evidence = evidence(&found.fit, &found.problem, fitted.telling);
     }
+    Ok(fitted)
 }
 
 fn check(poses: &[Pose], gravity: Gravity, what: MultiPosition) -> Result<(), Refusal> {
@@ -172,11 +209,15 @@ fn check(poses: &[Pose], gravity: Gravity, what: MultiPosition) -> Result<(), Re
     if different < need {
         return Err(too_few(different));
     }
+    Ok(())
+}
+
+fn check_terms(poses: &[Pose], terms: Terms) -> Result<(), Refusal> {
     let varies = |least: f64, value: fn(&Pose) -> Option<f64>| {
         let range = range(poses, value);
         range.is_some_and(|[low, high]| high > low && high - low >= least)
     };
-    for term in what.terms.iter() {
+    for term in terms.iter() {
         let shown = match term {
             Term::Drift => varies(0.0, |pose| Some(pose.time_s)),
             Term::BiasTemperature | Term::ScaleTemperature => {
@@ -192,344 +233,23 @@ fn check(poses: &[Pose], gravity: Gravity, what: MultiPosition) -> Result<(), Re
 }
 
 /// Range of a value over the poses; `None` if a pose has none or it is not finite.
-fn range(poses: &[Pose], value: impl Fn(&Pose) -> Option<f64>) -> Option<[f64; 2]> {
+pub(crate) fn range(poses: &[Pose], value: impl Fn(&Pose) -> Option<f64>) -> Option<[f64; 2]> {
     let values = || poses.iter().map(&value);
     let complete = values().all(|value| value.is_some_and(f64::is_finite));
     complete.then(|| input::extremes(values().flatten()))
 }
 
 fn conditions(poses: &[Pose], terms: Terms) -> Conditions {
-    let session = range(poses, |pose| Some(pose.time_s)).filter(|_| terms.contains(Term::Drift));
-    let (end_s, per_span) = session.map_or((0.0, 0.0), |[start, end]| (end, 1.0 / (end - start)));
-    Conditions {
-        end_s,
-        per_span,
-        reference_c: pose::mean_temperature(poses.iter())
-            .unwrap_or(TemperatureTerms::default().reference_c),
-    }
-}
-
-fn fit<R: Real, const N: usize>(
-    poses: &[Pose],
-    visits: &Visits,
-    gravity: Gravity,
-    what: MultiPosition,
-    weigh: Option<&mut Violation>,
-) -> Result<Fitted, Refusal> {
-    let mut problem = Magnitude::<N> {
-        poses,
-        visits,
-        gravity_mps2: gravity.mps2(),
-        conditions: conditions(poses, what.terms),
-        weighting: Weighting::EQUAL,
-        rejected: Rejected::default(),
-        far: None,
-        free: what.slots(),
-        terms: what.terms != Terms::NONE,
-    };
-    let perfect = PERFECT.map(real::<R>);
-    let ellipsoid = match what.model {
-        Model::Full9 => ellipsoid::start::<R>(poses, gravity.mps2()),
-        Model::Bias3 | Model::BiasScale6 => None,
-    };
-    let defect = || {
-        let dead = || input::dead_axis(poses, gravity).map(|axis| Refusal::AxisStuck { axis });
-        input::mixed_units(poses).or_else(dead)
-    };
-    let not_observable = |knowledge: &Knowledge<R, N>, problem: &Magnitude<N>| {
-        defect().unwrap_or_else(|| knowledge.refusal(what, &problem.free))
-    };
-    let unsolved = |problem: &Magnitude<N>| {
-        // Observability near the solution: at the bias and scale factors that fit best.
-        let smaller = problem.smaller().solve(&perfect, Without::Nothing);
-        let near = smaller.map_or(perfect, |fit| fit.theta);
-        match problem.knowledge_at(&near) {
-            Some(knowledge) if !knowledge.suffices() => not_observable(&knowledge, problem),
-            _ => defect().unwrap_or(Refusal::NotConverged),
-        }
-    };
-    let squares = [ellipsoid, Some(perfect)]
-        .into_iter()
-        .flatten()
-        .find_map(|start| problem.solve(&start, Without::Nothing));
-    // A gross outlier may keep least squares, but not the robust fit, from converging.
-    let robust = |problem: &Magnitude<N>| problem.solve_robust(&perfect, FAR_OFF_MPS2);
-    let converged = squares.is_some();
-    let Some(first) = squares.or_else(|| robust(&problem).filter(|_| what.reject)) else {
-        return Err(unsolved(&problem));
-    };
-    let fit = refine(&mut problem, first, what).map_err(|refusal| match refusal {
-        Refusal::NotConverged => defect().unwrap_or(refusal),
-        refusal => refusal,
-    })?;
-    if !converged && problem.rejected.count() == 0 {
-        return Err(unsolved(&problem));
-    }
-    let knowledge = problem
-        .knowledge(&fit)
-        .ok_or_else(|| defect().unwrap_or(Refusal::NotConverged))?;
-    if !knowledge.suffices() {
-        return Err(not_observable(&knowledge, &problem));
-    }
-    if let Some(axis) = input::stuck_axis(poses) {
-        return Err(Refusal::AxisStuck { axis });
-    }
-    let weighed = weigh.is_some();
-    let mut fitted = result(&problem, &fit, &knowledge, gravity, what, weigh)?;
-    if weighed {
-        let poses = fitted.estimate.poses as f64;
-        let (telling, rejected) = (fitted.telling, problem.rejected);
-        let noise = problem.mean_noise();
-        fitted.evidence = evidence(&fit, &problem.free, poses, telling, rejected, noise);
-    }
-    Ok(fitted)
-}
-
-/// Weights the poses and rejects outliers, if requested, and fits again.
-fn refine<R: Real, const N: usize>(
-    problem: &mut Magnitude<N>,
-    mut fit: Fit<R, N>,
-    what: MultiPosition,
-) -> Result<Fit<R, N>, Refusal> {
-    if !what.reject {
-        return weighted(problem, fit);
-    }
-    let start = fit.theta;
-    fit = outliers::reject(problem, fit, what.model).map_err(|pose| {
-        let mut squares = 0.0;
-        problem.residuals(&start, |_, residual| squares += residual * residual);
-        input::mixed_units(problem.poses).unwrap_or(Refusal::PoorFit {
-            rms_mps2: libm::sqrt(squares / problem.poses.len() as f64),
-            pose,
-        })
-    })?;
-    fit = weighted(problem, fit)?;
-    while let Some(bad) = outliers::contradicted(problem, &fit, what.model) {
-        let known = problem.knowledge(&fit);
-        if !known.is_some_and(|known| known.suffices()) {
-            // The poses do not determine the parameters: no outlier is the cause.
-            break;
-        }
-        if !bad.spared {
-            let poses = problem.poses;
-            let stuck = || input::stuck_axis(poses).map(|axis| Refusal::AxisStuck { axis });
-            let clipped = || input::clipped_axis(poses).map(|axis| Refusal::Saturated { axis });
-            let refusal = input::mixed_units(poses).or_else(stuck).or_else(clipped);
-            return Err(refusal.unwrap_or(Refusal::PoseContradicted {
-                pose: bad.pose,
-                or: bad.or,
-                off_mps2: bad.off_mps2,
-            }));
-        }
-        problem.rejected = problem.rejected.with(bad.pose);
-        problem.weighting = Weighting::EQUAL;
-        fit = problem
-            .solve(&fit.theta, Without::Nothing)
-            .ok_or(Refusal::NotConverged)?;
-        fit = weighted(problem, fit)?;
-    }
-    Ok(fit)
-}
-
-/// Weights the poses, if every one has a noise figure, and fits again.
-fn weighted<R: Real, const N: usize>(
-    problem: &mut Magnitude<N>,
-    mut fit: Fit<R, N>,
-) -> Result<Fit<R, N>, Refusal> {
-    if !problem.has_noise() {
-        return Ok(fit);
-    }
-    // Twice: the variance between poses is estimated with weights that depend on it.
-    for _ in 0..2 {
-        problem.weighting = outliers::weighting(problem, &fit);
-        fit = problem
-            .solve(&fit.theta, Without::Nothing)
-            .ok_or(Refusal::NotConverged)?;
-    }
-    Ok(fit)
-}
-
-fn result<R: Real, const N: usize>(
-    problem: &Magnitude<N>,
-    fit: &Fit<R, N>,
-    knowledge: &Knowledge<R, N>,
-    gravity: Gravity,
-    what: MultiPosition,
-    violation: Option<&mut Violation>,
-) -> Result<Fitted, Refusal> {
-    let poses = problem.poses;
-    let theta = fit.theta.map(double);
-    let free = &problem.free;
-    let error_terms = ErrorTerms {
-        bias_mps2: terms::bias(&theta),
-        matrix: terms::matrix(&theta),
-        temperature: if what.terms.moves_with_temperature() {
-            TemperatureTerms {
-                reference_c: problem.conditions.reference_c,
-                bias_mps2_per_k: terms::triple(&theta, 15),
-                scale_per_k: terms::triple(&theta, 18),
-                ..TemperatureTerms::default()
-            }
-        } else {
-            TemperatureTerms::default()
-        },
-        nonlinearity: terms::triple(&theta, 21),
-    };
-    let fitted_poses = poses.len() - problem.rejected.count();
-    let dof = fitted_poses - N;
-    let model = ErrorModel::new(error_terms).map_err(|error| {
-        if let Some(violation) = violation {
-            *violation = Some((error, fit.cost / dof as f64));
-        }
-        Refusal::OutOfBounds(error)
-    })?;
-    let visited = problem.visited();
-    let shared = problem
-        .shared(fit, &visited)
-        .ok_or_else(|| Refusal::TooFewPoses {
-            have: visited.apart,
-            need: N + 1,
-            model: what.model,
-            instead: None,
-        })?;
-    let sd = libm::sqrt(shared.variance);
-    let mut all = Residuals::default();
-    let mut left_out = Residuals::default();
-    let mut kept = Residuals::default();
-    // By orientation: a repeated orientation does not confirm the model elsewhere.
-    let mut kept_left_out = Residuals::default();
-    let mut by_orientation = Residuals::default();
-    problem.leave_out(fit, |k, residual, without| {
-        all.add(k, residual);
-        left_out.add(k, without);
-        if poses
-            .get(k)
-            .is_some_and(|pose| problem.is_rejected(k, pose))
-        {
-            by_orientation.add(k, without);
-            return;
-        }
-        kept.add(k, residual);
-        if !problem.comes_again(&visited, k) {
-            kept_left_out.add(k, without);
-            by_orientation.add(k, without);
-        }
-    });
-    problem.leave_orientations_out(fit, &visited, |k, without| {
-        kept_left_out.add(k, without);
-        by_orientation.add(k, without);
-    });
-    if kept.rms_mps2() > SUSPICIOUS_RMS_MPS2
-        && let Some(axis) = input::clipped_axis(poses)
+    let mut conditions = Conditions::none();
+    if terms.contains(Term::Drift)
+        && let Some([start, end]) = range(poses, |pose| Some(pose.time_s))
     {
-        return Err(Refusal::Saturated { axis });
+        (conditions.end_s, conditions.per_span) = (end, 1.0 / (end - start));
     }
-    let most_rms = match (what.model, what.terms) {
-        (Model::Full9, Terms::NONE) => MOST_RMS_MPS2[1],
-        (Model::Full9, _) => MOST_RMS_MPS2[2],
-        _ => MOST_RMS_MPS2[0],
-    };
-    if kept.rms_mps2() > most_rms {
-        return Err(input::mixed_units(poses).unwrap_or(Refusal::PoorFit {
-            rms_mps2: kept.rms_mps2(),
-            pose: kept.worst_pose,
-        }));
+    if terms.moves_with_temperature()
+        && let Some(mean) = pose::mean_temperature(poses.iter())
+    {
+        conditions.reference_c = mean;
     }
-    let most = (MOST_LEFT_OUT * sd).max(GOOD_LEFT_OUT_MPS2);
-    let predicted = kept_left_out.rms_mps2();
-    if predicted > most || predicted.is_nan() {
-        return Err(Refusal::PoorPrediction {
-            model: what.model,
-            loo_rms_mps2: predicted,
-            rms_mps2: kept.rms_mps2(),
-            pose: kept_left_out.worst_pose,
-            instead: None,
-        });
-    }
-
-    let unfitted = Unfitted::of(problem, fit, &shared, what, true);
-    // Poses in a plane determine the bias normal to the plane up to its sign, and that only by its
-    // square: the derivatives vanish for a perfect sensor.
-    let perfect = unfitted
-        .is_some()
-        .then(|| at_perfect(problem, fit))
-        .flatten();
-    let perfect = perfect.and_then(|fit| Unfitted::of(problem, &fit, &shared, what, false));
-    for unfitted in [&unfitted, &perfect].into_iter().flatten() {
-        if let Some(refusal) = unfitted.refusal(what.model) {
-            return Err(refusal);
-        }
-    }
-    let added = |r, c| unfitted.as_ref().map_or(0.0, |u| u.covariance[(r, c)]);
-    let known = |r, c| shared.variance * double(shared.spread[(r, c)]) + added(r, c);
-    let mut covariance = Covariance::ZERO;
-    let mut term_sd = TermDeviations::default();
-    for (r, &a) in free.iter().enumerate() {
-        term_sd.set(a, libm::sqrt(known(r, r).max(0.0)));
-        for (c, &b) in free.iter().enumerate() {
-            if let Some((a, b)) = a.parameter().zip(b.parameter()) {
-                covariance.add(a, b, known(r, c));
-            }
-        }
-    }
-    if what.model != Model::Bias3 {
-        covariance.add_gravity(&theta, gravity);
-    }
-    let estimate = Estimate {
-        model,
-        method: Method::MultiPosition(what.model),
-        terms: what.terms,
-        fitted: what.model.fitted(),
-        covariance,
-        term_sd,
-        gravity,
-        poses: fitted_poses,
-        orientations: visited.orientations,
-        dof,
-        interval_dof: Some(unfitted.as_ref().map_or(shared.dof, |u| u.dof)),
-        rms_mps2: all.rms_mps2(),
-        fitted_rms_mps2: kept.rms_mps2(),
-        max_mps2: all.largest_mps2,
-        worst_pose: all.worst_pose,
-        loo_rms_mps2: Some(left_out.rms_mps2()),
-        loo_orientation_rms_mps2: visited.again.then(|| by_orientation.rms_mps2()),
-        pose_sd_mps2: problem.weighting.common_sd().unwrap_or(sd),
-        rejected: problem.rejected,
-        beyond_bounds: None,
-        condition: knowledge.condition,
-        worst_sd_mps2: unfitted.as_ref().map_or_else(
-            || problem.worst_sd(fit, knowledge, &shared),
-            |u| u.worst_sd_mps2,
-        ),
-        coverage: design::coverage(poses),
-        temperature_c: pose::mean_temperature(poses.iter()),
-        temperature_range_c: range(poses, |pose| pose.temperature_c),
-        drift: what.terms.contains(Term::Drift).then(|| Drift {
-            change_mps2: terms::triple(&theta, 12),
-            end_s: problem.conditions.end_s,
-            span_s: 1.0 / problem.conditions.per_span,
-        }),
-    };
-    Ok(Fitted {
-        estimate,
-        kept_left_out_mps2: predicted,
-        dof: shared.dof,
-        telling: shared.poses,
-        evidence: 0.0,
-    })
-}
-
-/// `fit` with the derivatives of a perfect sensor.
-fn at_perfect<R: Real, const N: usize>(
-    problem: &Magnitude<N>,
-    fit: &Fit<R, N>,
-) -> Option<Fit<R, N>> {
-    let theta = PERFECT.map(real::<R>);
-    let normal = problem.weighted_normal(&theta, Without::Nothing, &problem.weighting, None)?;
-    Some(Fit {
-        inverse: normal.inverse()?,
-        cost: fit.cost,
-        theta,
-        normal,
-    })
+    conditions
 }

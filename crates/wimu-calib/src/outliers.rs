@@ -35,7 +35,15 @@ const DOUBTED: usize = 5;
 const CAUCHY: f64 = 2.385;
 /// Standard deviation of normal deviates per median of their absolute values.
 const PER_MEDIAN: f64 = 1.4826;
-/// Number of robust fits, each with a scale from the previous one.
+/// Relative error of a median of residuals.
+const MEDIAN_ERROR: f64 = 0.01;
+/// Fraction of a limit below which the deviate of the linearised fit decides: its error is of second
+/// order.
+const CLOSE: f64 = 0.9;
+/// Convergence threshold of a robust fit: rms change of the residuals in a step, fraction of the scale
+/// of its cost.
+const LAST_ROBUST_STEP: f64 = 1e-3;
+/// Largest number of robust fits, each with a scale from the previous one.
 const ROBUST_FITS: usize = 4;
 
 /// Rejects outliers by a forward search: equation (42). A robust fit ranks the poses by their
@@ -45,11 +53,11 @@ const ROBUST_FITS: usize = 4;
 ///
 /// # Errors
 /// The worst pose, when more than every fifth of very many is an outlier.
-pub(crate) fn reject<R: Real, const N: usize>(
-    problem: &mut Magnitude<N>,
-    fit: Fit<R, N>,
+pub(crate) fn reject<R: Real>(
+    problem: &mut Magnitude,
+    fit: Fit<R>,
     model: Model,
-) -> Result<Fit<R, N>, usize> {
+) -> Result<Fit<R>, usize> {
     let count = problem.poses.len();
     if count > MANY {
         return leave_far_off(problem, fit, model);
@@ -72,21 +80,38 @@ pub(crate) fn reject<R: Real, const N: usize>(
         problem.weighting = Weighting::EQUAL;
         return Ok(fit);
     };
-    while let Some((place, deviate)) = nearest(problem, &inner, unfitted_mps2) {
-        let dof = problem.visited().apart.saturating_sub(N).max(1);
+    let mut linearised = false;
+    while let Some((place, pose, deviate)) = nearest(problem, &inner, unfitted_mps2) {
+        let dof = problem
+            .visited()
+            .apart
+            .saturating_sub(problem.free.len())
+            .max(1);
         let limit = student::two_sided(SIGNIFICANCE / count as f64, dof as f64);
-        let known = problem
-            .knowledge(&inner)
-            .is_some_and(|knowledge| knowledge.suffices());
-        if known && deviate > limit {
+        if linearised && deviate > CLOSE * limit {
+            let Some(exact) = problem.solve(&inner.theta, Without::Nothing) else {
+                break;
+            };
+            (inner, linearised) = (exact, false);
+            continue;
+        }
+        let known = || {
+            let knowledge = problem.knowledge(&inner, |_, _| f64::NAN);
+            knowledge.is_some_and(|knowledge| knowledge.suffices())
+        };
+        if deviate > limit && known() {
             return Ok(inner);
         }
         problem.rejected = problem.rejected.without(place);
-        match problem.solve(&inner.theta, Without::Nothing) {
-            Some(wider) => inner = wider,
-            None => break,
+        if problem.change(&mut inner, pose, R::one()).is_none() {
+            break;
         }
+        linearised = !noisy;
         if noisy {
+            match problem.solve(&inner.theta, Without::Nothing) {
+                Some(wider) => inner = wider,
+                None => break,
+            }
             problem.weighting = weighting(problem, &inner);
         }
     }
@@ -96,12 +121,12 @@ pub(crate) fn reject<R: Real, const N: usize>(
 }
 
 /// Largest number of poses that may be rejected.
-fn spare<const N: usize>(problem: &Magnitude<N>) -> usize {
+fn spare(problem: &Magnitude) -> usize {
     let count = problem.poses.len();
     problem
         .visits
         .apart(count)
-        .saturating_sub(N + LEAST_DOF)
+        .saturating_sub(problem.free.len() + LEAST_DOF)
         .min(count / DOUBTED)
         .min(Rejected::MOST)
 }
@@ -120,13 +145,16 @@ pub(crate) struct Contradicted {
 /// The pose with the largest leave-one-out residual, if it is significant: equation (42d). It is
 /// found even if it has great leverage. Not used for very many poses, where a single one has little
 /// influence.
-pub(crate) fn contradicted<R: Real, const N: usize>(
-    problem: &mut Magnitude<N>,
-    fit: &Fit<R, N>,
+pub(crate) fn contradicted<R: Real>(
+    problem: &mut Magnitude,
+    fit: &Fit<R>,
     model: Model,
 ) -> Option<Contradicted> {
     let count = problem.poses.len();
-    let dof = problem.visited().apart.checked_sub(N + 1)?;
+    let dof = problem
+        .visited()
+        .apart
+        .checked_sub(problem.free.len() + 1)?;
     if count > MANY || dof == 0 {
         return None;
     }
@@ -135,8 +163,8 @@ pub(crate) fn contradicted<R: Real, const N: usize>(
     let limit = beyond(UNSPARED);
     let tried = suspects(problem, fit).map(|pose| {
         let pose = pose?;
-        let (off_mps2, deviate) = doubt(problem, fit, pose, unfitted_mps2)?;
-        (deviate > limit).then_some((pose, off_mps2, deviate))
+        let (off_mps2, deviate) = doubt(problem, fit, pose, unfitted_mps2, limit)?;
+        Some((pose, off_mps2, deviate))
     });
     let found = tried.into_iter().flatten();
     let (pose, off_mps2, deviate) = found.clone().max_by(|a, b| a.2.total_cmp(&b.2))?;
@@ -146,11 +174,11 @@ pub(crate) fn contradicted<R: Real, const N: usize>(
             return other != pose;
         }
         problem.rejected = kept.with(other);
-        let either = problem
-            .solve(&fit.theta, Without::Nothing)
-            .and_then(|without| doubt(problem, &without, pose, unfitted_mps2));
         let limit = student::two_sided(EITHER, (dof - 1) as f64);
-        either.is_none_or(|(_, deviate)| deviate <= limit)
+        problem
+            .solve(&fit.theta, Without::Nothing)
+            .and_then(|without| doubt(problem, &without, pose, unfitted_mps2, limit))
+            .is_none()
     });
     problem.rejected = kept;
     let spared = or.is_none() && kept.count() < spare(problem);
@@ -163,10 +191,7 @@ pub(crate) fn contradicted<R: Real, const N: usize>(
 }
 
 /// The poses whose removal reduces the cost of the linearised fit most.
-fn suspects<R: Real, const N: usize>(
-    problem: &Magnitude<N>,
-    fit: &Fit<R, N>,
-) -> [Option<usize>; TRIED] {
+fn suspects<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> [Option<usize>; TRIED] {
     let mut worst = [(0.0, None); TRIED];
     let Some(at) = Evaluated::new(&fit.theta, problem.terms) else {
         return [None; TRIED];
@@ -176,7 +201,7 @@ fn suspects<R: Real, const N: usize>(
             continue;
         }
         let (residual, row) = problem.weighted_row(&at, pose);
-        let left = 1.0 - double(row.dot(&(fit.inverse * row)));
+        let left = 1.0 - double(fit.inverse.form(&row));
         let residual = double(residual);
         keep_largest(&mut worst, (residual * residual / left.max(0.0), Some(k)));
     }
@@ -193,21 +218,35 @@ fn keep_largest<T>(largest: &mut [(f64, T)], mut candidate: (f64, T)) {
 }
 
 /// Residual of a pose under the fit of all others, m/s², and in standard deviations of its
-/// prediction.
-fn doubt<R: Real, const N: usize>(
-    problem: &Magnitude<N>,
-    fit: &Fit<R, N>,
+/// prediction; `None` if these do not exceed `limit`.
+fn doubt<R: Real>(
+    problem: &Magnitude,
+    fit: &Fit<R>,
     pose: usize,
     unfitted_mps2: f64,
+    limit: f64,
 ) -> Option<(f64, f64)> {
     let inside = problem.poses.len() - problem.rejected.count();
-    let without = problem.solve(&fit.theta, Without::Pose(pose))?;
-    let (residual, growth) = problem.predicted(&without, pose)?;
-    let dof = inside.checked_sub(N + 1).filter(|dof| *dof > 0)?;
-    let squares = without.cost + REPEATS * REPEATS_MPS2 * REPEATS_MPS2;
+    let dof = inside
+        .checked_sub(problem.free.len() + 1)
+        .filter(|dof| *dof > 0)?;
     let own = 1.0 / problem.weighting.of(problem.poses.get(pose)?);
-    let variance = squares / dof as f64 * (own + growth) + unfitted_mps2 * unfitted_mps2;
-    Some((residual, residual.abs() / libm::sqrt(variance)))
+    let predicted = |without: &Fit<R>| {
+        let (residual, growth) = problem.predicted(without, pose)?;
+        let squares = without.cost + REPEATS * REPEATS_MPS2 * REPEATS_MPS2;
+        let variance = squares / dof as f64 * (own + growth) + unfitted_mps2 * unfitted_mps2;
+        Some((residual, residual.abs() / libm::sqrt(variance), growth))
+    };
+    let mut without = fit.clone();
+    problem.change(&mut without, pose, -R::one())?;
+    let (_, deviate, growth) = predicted(&without)?;
+    // Of a leverage above one half, the linearised fit does not decide.
+    if growth < own && deviate < CLOSE * limit {
+        return None;
+    }
+    let without = problem.solve(&without.theta, Without::Pose(pose))?;
+    let (residual, deviate, _) = predicted(&without)?;
+    (deviate > limit).then_some((residual, deviate))
 }
 
 /// Standard deviation of |f| caused by the parameters that the model leaves out, m/s².
@@ -221,11 +260,11 @@ fn unfitted(gravity_mps2: f64, model: Model) -> f64 {
 }
 
 /// Rejects all distant poses: equation (42c).
-fn leave_far_off<R: Real, const N: usize>(
-    problem: &mut Magnitude<N>,
-    fit: Fit<R, N>,
+fn leave_far_off<R: Real>(
+    problem: &mut Magnitude,
+    fit: Fit<R>,
     model: Model,
-) -> Result<Fit<R, N>, usize> {
+) -> Result<Fit<R>, usize> {
     let count = problem.poses.len();
     let least = unfitted(problem.gravity_mps2, model);
     let mut fit = fit;
@@ -235,6 +274,7 @@ fn leave_far_off<R: Real, const N: usize>(
             theta: theta.map(double),
             sd_mps2: libm::hypot(PER_MEDIAN * median_residual(problem, &theta), least),
             deviations: student::normal_two_sided(SIGNIFICANCE / count as f64),
+            rejects: FarOff::rejects,
         };
         let (mut found, mut worst) = (0, (0.0, 0));
         problem.residuals(&theta, |k, residual| {
@@ -268,14 +308,19 @@ fn leave_far_off<R: Real, const N: usize>(
 }
 
 /// Robust fit, starting from the least-squares fit.
-fn robust<R: Real, const N: usize>(problem: &Magnitude<N>, fit: &Fit<R, N>) -> Theta<R> {
+fn robust<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> Theta<R> {
     let mut theta = fit.theta;
     let count = problem.poses.len();
+    let mut last = 0.0;
     for _ in 0..ROBUST_FITS {
         let median = median_residual(problem, &theta);
-        let small_sample = libm::sqrt(count as f64 / (count - N) as f64);
+        if (median - last).abs() <= MEDIAN_ERROR * median {
+            break;
+        }
+        last = median;
+        let small_sample = libm::sqrt(count as f64 / (count - problem.free.len()) as f64);
         let scale = CAUCHY * PER_MEDIAN * median * small_sample;
-        match problem.solve_robust(&theta, scale) {
+        match problem.solve_robust(&theta, scale, LAST_ROBUST_STEP * scale) {
             Some(better) => theta = better.theta,
             None => break,
         }
@@ -283,23 +328,33 @@ fn robust<R: Real, const N: usize>(problem: &Magnitude<N>, fit: &Fit<R, N>) -> T
     theta
 }
 
-/// Median of |r| to 1 %, by bisection: there is no memory to sort.
-fn median_residual<R: Real, const N: usize>(problem: &Magnitude<N>, theta: &Theta<R>) -> f64 {
+/// Median of |r| to 1 %, by bisection: there is no memory to sort the residuals of very many poses.
+fn median_residual<R: Real>(problem: &Magnitude, theta: &Theta<R>) -> f64 {
+    let mut sizes = heapless::Vec::<f64, MANY>::new();
     let mut largest = 0.0_f64;
-    problem.residuals(theta, |_, residual| largest = largest.max(residual.abs()));
+    problem.residuals(theta, |_, residual| {
+        largest = largest.max(residual.abs());
+        let _ = sizes.push(residual.abs());
+    });
+    let below = |middle: f64| {
+        let mut count = 0;
+        let mut take = |size: f64| count += usize::from(size <= middle);
+        if problem.poses.len() > MANY {
+            problem.residuals(theta, |_, residual| take(residual.abs()));
+        } else {
+            sizes.iter().copied().for_each(take);
+        }
+        count
+    };
     let (mut low, mut high) = (0.0, largest);
     for _ in 0..60 {
         let middle = 0.5 * (low + high);
-        let mut below = 0;
-        problem.residuals(theta, |_, residual| {
-            below += usize::from(residual.abs() <= middle)
-        });
-        if 2 * below > problem.poses.len() {
+        if 2 * below(middle) > problem.poses.len() {
             high = middle;
         } else {
             low = middle;
         }
-        if high - low <= 0.01 * high {
+        if high - low <= MEDIAN_ERROR * high {
             break;
         }
     }
@@ -307,11 +362,7 @@ fn median_residual<R: Real, const N: usize>(problem: &Magnitude<N>, theta: &Thet
 }
 
 /// The `most` poses with the largest residuals.
-fn farthest<R: Real, const N: usize>(
-    problem: &Magnitude<N>,
-    theta: &Theta<R>,
-    most: usize,
-) -> Rejected {
+fn farthest<R: Real>(problem: &Magnitude, theta: &Theta<R>, most: usize) -> Rejected {
     let mut worst = [(0.0, 0); Rejected::MOST];
     problem.residuals(theta, |k, residual| {
         let pose = problem.poses.get(k);
@@ -328,23 +379,23 @@ fn farthest<R: Real, const N: usize>(
         .fold(Rejected::default(), |all, &(_, pose)| all.with(pose))
 }
 
-/// The rejected pose that the fit predicts best: its index among the rejected poses, and its
-/// residual in standard deviations of the prediction.
-fn nearest<R: Real, const N: usize>(
-    problem: &Magnitude<N>,
-    fit: &Fit<R, N>,
+/// The rejected pose that the fit predicts best: its index among the rejected poses and
+/// among all, and its residual in standard deviations of the prediction.
+fn nearest<R: Real>(
+    problem: &Magnitude,
+    fit: &Fit<R>,
     unfitted_mps2: f64,
-) -> Option<(usize, f64)> {
+) -> Option<(usize, usize, f64)> {
     let inside = problem.poses.len() - problem.rejected.as_slice().len();
-    let sd = fit.sd(inside - N);
-    let mut nearest: Option<(usize, f64)> = None;
+    let sd = fit.sd(inside - problem.free.len());
+    let mut nearest: Option<(usize, usize, f64)> = None;
     for (place, &pose) in problem.rejected.as_slice().iter().enumerate() {
         let (residual, growth) = problem.predicted(fit, pose)?;
         let own = 1.0 / problem.weighting.of(problem.poses.get(pose)?);
         let variance = sd * sd * (own + growth) + unfitted_mps2 * unfitted_mps2;
         let deviate = residual.abs() / libm::sqrt(variance);
-        if nearest.is_none_or(|(_, least)| deviate < least) {
-            nearest = Some((place, deviate));
+        if nearest.is_none_or(|(.., least)| deviate < least) {
+            nearest = Some((place, pose, deviate));
         }
     }
     nearest
@@ -352,10 +403,7 @@ fn nearest<R: Real, const N: usize>(
 
 /// Weights from the residuals: the variance σ₀² between poses is chosen such that the residuals
 /// agree with it and with the noise of the poses. Equation (40).
-pub(crate) fn weighting<R: Real, const N: usize>(
-    problem: &Magnitude<N>,
-    fit: &Fit<R, N>,
-) -> Weighting {
+pub(crate) fn weighting<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> Weighting {
     let kept = |k: usize, pose: &Pose| !problem.is_rejected(k, pose);
     let (mut count, mut mean_noise) = (0.0, 0.0);
     let poses = problem.poses.iter().enumerate();
@@ -364,7 +412,7 @@ pub(crate) fn weighting<R: Real, const N: usize>(
         mean_noise += pose.mean_free_noise();
     }
     mean_noise /= count;
-    let dof = count - N as f64;
+    let dof = count - problem.free.len() as f64;
     let mut common = 0.0;
     // Newton's method from below on a convex decreasing function: it does not overshoot.
     for _ in 0..30 {

@@ -89,6 +89,8 @@ pub struct Parameters(u16);
 crate::set::set!(Parameters(u16) of Parameter);
 
 impl Parameters {
+    pub(crate) const NONE: Self = Self(0);
+
     /// All 12.
     pub const ALL: Self = Self((1 << Parameter::COUNT) - 1);
 

@@ -1,18 +1,17 @@
 //! Correlation of residuals within an orientation: equation (42b).
 
-use nalgebra::SMatrix;
-
 use crate::force::Evaluated;
 use crate::least_squares::{Fit, Magnitude};
 use crate::linear::{Real, double, real};
+use crate::symmetric::{self, Symmetric};
 use crate::visits::{MOST, apart};
 
 /// Variance components of the residuals: equation (42b).
-pub(crate) struct Shared<R: Real, const N: usize> {
+pub(crate) struct Shared<R: Real> {
     /// Variance of a residual of weight 1, (m/s²)².
     pub variance: f64,
     /// Covariance of the fitted parameters, relative to `variance`.
-    pub spread: SMatrix<R, N, N>,
+    pub spread: Symmetric<R>,
     /// Degrees of freedom of `variance`.
     pub dof: f64,
     /// Effective number of poses: poses in different orientations that would carry as much
@@ -37,7 +36,7 @@ impl Visited {
     }
 }
 
-impl<const N: usize> Magnitude<'_, N> {
+impl Magnitude<'_> {
     pub fn visited(&self) -> Visited {
         let mut counts = [0; MOST];
         for (k, pose) in self.poses.iter().enumerate() {
@@ -68,15 +67,29 @@ impl<const N: usize> Magnitude<'_, N> {
                 .is_some_and(|pose| visited.of(self.visits.group(k, pose)) > 1)
     }
 
+    /// With residuals that are equal within an orientation and independent between orientations, each
+    /// visited equally often: conservative.
+    pub fn correlated<R: Real>(&self, fit: &Fit<R>, visited: &Visited) -> Option<Shared<R>> {
+        let (n, p) = (self.poses.len() - self.rejected.count(), self.free.len());
+        let dof = visited.apart.checked_sub(p).filter(|dof| *dof > 0)? as f64;
+        let visits = n as f64 / visited.apart as f64;
+        Some(Shared {
+            variance: fit.cost / (visits * dof),
+            spread: Symmetric::from_fn(p, |r, c| fit.inverse.at(r, c) * real(visits)),
+            dof,
+            poses: visited.apart as f64,
+        })
+    }
+
     /// Variance within and between orientations. `None` when the differences between orientations
     /// are used up by the parameters.
-    pub fn shared<R: Real>(&self, fit: &Fit<R, N>, visited: &Visited) -> Option<Shared<R, N>> {
+    pub fn shared<R: Real>(&self, fit: &Fit<R>, visited: &Visited) -> Option<Shared<R>> {
         let orientations = visited.orientations;
         let kept = self.poses.len() - self.rejected.count();
-        let (n, p) = (kept as f64, N as f64);
+        let (n, p) = (kept as f64, self.free.len() as f64);
         let apart = Shared {
             variance: fit.cost / (n - p),
-            spread: fit.inverse,
+            spread: fit.inverse.clone(),
             dof: n - p,
             poses: n,
         };
@@ -87,8 +100,8 @@ impl<const N: usize> Magnitude<'_, N> {
         // root of the weight: Σ e; G = Σ g gᵀ with g = Σ x; Σ m²; Σ m g gᵀ.
         let at = Evaluated::new(&fit.theta, self.terms)?;
         let mut sums = [0.0; MOST];
-        let mut rows = SMatrix::<R, N, N>::zeros();
-        let mut weighted = SMatrix::<R, N, N>::zeros();
+        let mut rows = Symmetric::zero(self.free.len());
+        let mut weighted = rows.clone();
         let mut squares = 0.0;
         let few = self.poses.len() <= MOST;
         let mut seen = [false; MOST];
@@ -109,24 +122,24 @@ impl<const N: usize> Magnitude<'_, N> {
                 }
                 for (j, other) in self.poses.iter().enumerate().skip(k + 1) {
                     if self.visits.group(j, other) == group && !self.is_rejected(j, other) {
-                        row += self.weighted_row(&at, other).1;
+                        let (_, other) = self.weighted_row(&at, other);
+                        symmetric::add(&mut row, R::one(), &other);
                     }
                 }
             } else if m > 1 {
                 // Poses of one orientation are taken as identical when there are many.
-                row *= real::<R>(f64::from(m)).sqrt();
+                let root = real::<R>(f64::from(m)).sqrt();
+                row = row.map(|d| d * root);
             }
-            let m: R = real(f64::from(m));
-            let product = row * row.transpose();
-            rows += product;
-            weighted += product * m;
+            rows.add_outer(&row, R::one());
+            weighted.add_outer(&row, real(f64::from(m)));
         }
         let together: f64 = sums.iter().map(|sum| sum * sum).sum();
-        let gain = fit.inverse * rows;
-        let trace = double(gain.trace());
-        let fourth = double((gain * gain).trace());
+        let around = fit.inverse.around(&rows);
+        let trace = double(fit.inverse.trace_with(&rows));
+        let fourth = double(around.trace_with(&rows));
         let a = n - trace;
-        let k = squares - 2.0 * double((fit.inverse * weighted).trace()) + fourth;
+        let k = squares - 2.0 * double(fit.inverse.trace_with(&weighted)) + fourth;
         // The parameters use up the differences between orientations.
         if a < 0.5 * n / orientations as f64 {
             return None;
@@ -146,10 +159,12 @@ impl<const N: usize> Magnitude<'_, N> {
             .iter()
             .map(|&m| f64::from(m) / (1.0 + share * (f64::from(m) - 1.0).max(0.0)))
             .sum();
-        let inverse = fit.inverse * real::<R>(1.0 - share);
+        let (of_inverse, of_around): (R, R) = (real(1.0 - share), real(share));
         Some(Shared {
             variance,
-            spread: inverse + gain * fit.inverse * real::<R>(share),
+            spread: Symmetric::from_fn(self.free.len(), |r, c| {
+                fit.inverse.at(r, c) * of_inverse + around.at(r, c) * of_around
+            }),
             dof: (a * a / k).clamp(1.0, n - p),
             poses,
         })
@@ -160,7 +175,7 @@ impl<const N: usize> Magnitude<'_, N> {
     /// determine the model. Only for up to 256 poses.
     pub fn leave_orientations_out<R: Real>(
         &self,
-        fit: &Fit<R, N>,
+        fit: &Fit<R>,
         visited: &Visited,
         mut take: impl FnMut(usize, f64),
     ) {

@@ -5,10 +5,14 @@ use core::fmt;
 use wimu_model::ErrorModel;
 
 use crate::Parameter;
+use crate::symmetric::MOST;
 
 /// All parameters of a fit: the 12 of [`Parameter::ALL`], then three each of the drift of the bias
 /// (m/s² from the first pose to the last), b₁, s₁ and q.
 pub(crate) type Theta<R> = [R; Slot::COUNT];
+
+/// The fitted parameters.
+pub(crate) type Slots = heapless::Vec<Slot, MOST>;
 
 /// An index into [`Theta`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -144,10 +148,6 @@ impl Term {
         Self::ScaleTemperature,
         Self::Quadratic,
     ];
-
-    pub(crate) fn first_slot(self) -> usize {
-        12 + 3 * self as usize
-    }
 }
 
 impl fmt::Display for Term {

@@ -1,11 +1,12 @@
 //! Effect of parameters that a smaller model leaves out: equation (42a).
 
-use nalgebra::{SMatrix, Vector3};
+use nalgebra::Vector3;
 
 use crate::force::Evaluated;
 use crate::least_squares::{Fit, Magnitude};
 use crate::linear::{Real, double, real};
 use crate::shared::Shared;
+use crate::symmetric::{self, Symmetric, Vector, dot};
 use crate::terms::{Slot, USUAL_BIAS_MPS2};
 use crate::{Model, MultiPosition, Orientation, Parameters, Refusal, Terms};
 
@@ -18,9 +19,9 @@ const LEAST_KNOWN_BEFORE: f64 = 1.0;
 
 /// Effect of scale factors and misalignments that are assumed perfect: as far as the poses do not
 /// show them, they bias the fitted parameters.
-pub(crate) struct Unfitted<const N: usize> {
+pub(crate) struct Unfitted {
     /// Their contribution to the covariance of the fitted parameters.
-    pub covariance: SMatrix<f64, N, N>,
+    pub covariance: Symmetric<f64>,
     /// Standard deviation of |f| − g in the worst of 26 orientations from noise and these
     /// parameters, m/s².
     pub worst_sd_mps2: f64,
@@ -32,13 +33,13 @@ pub(crate) struct Unfitted<const N: usize> {
     poorest: Orientation,
 }
 
-impl<const N: usize> Unfitted<N> {
+impl Unfitted {
     /// `None` for a model that leaves nothing out. If `seen`, the residuals limit the size of the
     /// parameters left out; otherwise the prior alone does.
     pub fn of<R: Real>(
-        problem: &Magnitude<N>,
-        fit: &Fit<R, N>,
-        shared: &Shared<R, N>,
+        problem: &Magnitude,
+        fit: &Fit<R>,
+        shared: &Shared<R>,
         what: MultiPosition,
         seen: bool,
     ) -> Option<Self> {
@@ -50,6 +51,7 @@ impl<const N: usize> Unfitted<N> {
         if left_out.is_empty() {
             return None;
         }
+        let n = problem.free.len();
         // Prior variances.
         let usual: [f64; MOST] = slots.map(|slot| {
             let sd = slot.and_then(Slot::usual_sd).unwrap_or(0.0);
@@ -59,32 +61,28 @@ impl<const N: usize> Unfitted<N> {
         let pick = |all: &crate::terms::Theta<R>| {
             slots.map(|slot: Option<Slot>| slot.map_or(R::zero(), |slot| all[slot.index()]))
         };
-        let mut both = SMatrix::<R, N, MOST>::zeros();
-        let mut own = SMatrix::<R, MOST, MOST>::zeros();
+        let mut both = [[R::zero(); symmetric::MOST]; MOST];
+        let mut own = Symmetric::zero(MOST);
         for (row, all, weight) in problem.rows(&at) {
             let others = pick(&all);
             let weight: R = real(weight);
-            for (c, other) in others.into_iter().enumerate() {
-                for r in 0..N {
-                    both[(r, c)] += weight * row[r] * other;
-                }
-                for (r, another) in others.into_iter().enumerate() {
-                    own[(r, c)] += weight * another * other;
-                }
+            for (both, other) in both.iter_mut().zip(others) {
+                symmetric::add(both, weight * other, &row);
             }
+            own.add_outer(&others, weight);
         }
         // Change of the fitted parameters per unit of a parameter left out, and what remains of it
         // in the residuals.
-        let gain = fit.inverse * both;
-        let left = (own - both.tr_mul(&gain)).map(double);
-        let gain = gain.map(double);
+        let gain: [Vector<R>; MOST] = core::array::from_fn(|j| fit.inverse.times(&both[j]));
+        let left = |i: usize, j: usize| double(own.at(i, j) - dot(&both[i], &gain[j]));
+        let gain = gain.map(|column| column.map(double));
         let (variance, dof) = (shared.variance, shared.dof);
-        let inverse = shared.spread.map(double);
+        let own_variance = |i: usize| variance * double(shared.spread.at(i, i));
         let (mut trace, mut square) = (0.0, 0.0);
         for i in 0..MOST {
-            trace += usual[i] * left[(i, i)].max(0.0);
+            trace += usual[i] * left(i, i).max(0.0);
             for j in 0..MOST {
-                square += usual[i] * left[(i, j)] * usual[j] * left[(j, i)];
+                square += usual[i] * left(i, j) * usual[j] * left(j, i);
             }
         }
         // Variance factor: the prior, or less if all residuals came from these parameters and are
@@ -100,11 +98,11 @@ impl<const N: usize> Unfitted<N> {
             f64::INFINITY
         };
         let added = |i: usize| {
-            let squares = (0..MOST).map(|j| gain[(i, j)] * gain[(i, j)] * usual[j]);
+            let squares = (0..MOST).map(|j| gain[j][i] * gain[j][i] * usual[j]);
             share * squares.sum::<f64>()
         };
-        let ratio = |i: usize| added(i) / (variance * inverse[(i, i)]);
-        let most = (0..N).map(ratio).fold(0.0, f64::max);
+        let ratio = |i: usize| added(i) / own_variance(i);
+        let most = (0..n).map(ratio).fold(0.0, f64::max);
         // An effect below that of the residual variance is included there already.
         let weight = match seen {
             true if most > 1.0 => 1.0 - 1.0 / most,
@@ -119,8 +117,8 @@ impl<const N: usize> Unfitted<N> {
         let counted = weight * share;
 
         let mut found = Self {
-            covariance: SMatrix::from_fn(|r, c| {
-                let products = (0..MOST).map(|j| gain[(r, j)] * gain[(c, j)] * usual[j]);
+            covariance: Symmetric::from_fn(n, |r, c| {
+                let products = (0..MOST).map(|j| gain[j][r] * gain[j][c] * usual[j]);
                 counted * products.sum::<f64>()
             }),
             worst_sd_mps2: 0.0,
@@ -130,7 +128,7 @@ impl<const N: usize> Unfitted<N> {
             poorest: Orientation::ALL[0],
         };
         for (i, slot) in problem.free.iter().enumerate() {
-            let (noise, more) = (variance * inverse[(i, i)], found.covariance[(i, i)]);
+            let (noise, more) = (own_variance(i), found.covariance.at(i, i));
             let freedom =
                 (noise + more) * (noise + more) / (noise * noise / dof + more * more / share_dof);
             if freedom.is_finite() {
@@ -148,11 +146,11 @@ impl<const N: usize> Unfitted<N> {
             let applied = at.at(Vector3::from(up));
             let row = problem.derivatives(&at, &applied);
             let others = pick(&at.derivatives(&applied)).map(double);
-            let noise = variance * double(row.dot(&(shared.spread * row)));
+            let noise = variance * double(shared.spread.form(&row));
             let row = row.map(double);
             let more: f64 = (0..MOST)
                 .map(|j| {
-                    let passed: f64 = (0..N).map(|i| row[i] * gain[(i, j)]).sum();
+                    let passed = dot(&row, &gain[j]);
                     let off = others[j] - passed;
                     off * off * usual[j]
                 })

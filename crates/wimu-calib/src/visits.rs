@@ -60,11 +60,15 @@ impl Visits {
     }
 
     /// The first orientation within 10°.
-    #[inline(always)]
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     fn alike(&self, up: [f32; 3]) -> Option<usize> {
-        self.first
+        let near = |first: &[f32; 3]| cosine(up, *first) > ALIKE;
+        // Without a branch for each orientation: most poses have a new one.
+        let any = self
+            .first
             .iter()
-            .position(|first| cosine(up, *first) > ALIKE)
+            .fold(false, |any, first| any | near(first));
+        any.then(|| self.first.iter().position(near)).flatten()
     }
 
     fn nearest(&self, up: [f32; 3]) -> usize {
@@ -79,7 +83,7 @@ impl Visits {
     }
 }
 
-#[inline(always)]
+#[cfg_attr(not(target_os = "none"), inline(always))]
 fn cosine(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }

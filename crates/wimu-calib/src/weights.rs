@@ -1,6 +1,7 @@
 //! Rejected poses and weights of the others.
 
 use crate::Pose;
+use crate::least_squares::Magnitude;
 use crate::terms::Theta;
 
 /// Prior of the residuals' variance: scatter of the poses of a consumer sensor besides noise, m/s²,
@@ -28,9 +29,16 @@ pub(crate) struct FarOff {
     pub sd_mps2: f64,
     /// Threshold, standard deviations.
     pub deviations: f64,
+    /// Whether it rejects a pose. A pointer, so that only programs that reject poses contain it.
+    pub rejects: fn(&Self, &Magnitude, &Pose) -> bool,
 }
 
 impl FarOff {
+    pub fn rejects(&self, problem: &Magnitude, pose: &Pose) -> bool {
+        let residual = problem.residual(&self.theta, pose);
+        residual.is_none_or(|residual| self.has(residual, pose))
+    }
+
     /// Whether a pose with this residual is rejected. The noise of the pose itself is allowed for.
     pub fn has(&self, residual_mps2: f64, pose: &Pose) -> bool {
         let variance = (self.sd_mps2 * self.sd_mps2).max(pose.mean_free_noise());

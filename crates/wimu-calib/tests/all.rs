@@ -13,6 +13,7 @@ mod gyroscope_data;
 mod honesty;
 mod judgement;
 mod magnetometer;
+mod minimal;
 mod model_choice;
 mod multi_position;
 mod noise;

@@ -7,8 +7,9 @@ use object::read::elf::ElfFile32;
 use object::{Object as _, ObjectSection as _, ObjectSymbol as _, SectionFlags, SymbolKind};
 use wimu_testkit::figure;
 
-use crate::command_line::heading;
+use crate::command_line::{CommandLine, heading};
 use crate::firmware;
+use crate::output::Output;
 use crate::setup::{self, Need, TARGETS, ThisMachine};
 use crate::workspace::Workspace;
 
@@ -32,6 +33,15 @@ const MOST: [(&str, u32, u32); 2] = [
     ("wimu-microbit-v2", 111 << 10, 21_700),
     ("wimu-pico-adxl345", 109 << 10, 21_700),
 ];
+/// The images of `firmware/calibration`: what is measured, and the most flash it may take, bytes.
+const CALIBRATION_TARGET: &str = "thumbv7em-none-eabihf";
+const EMPTY: &str = "calibration-empty";
+const CALIBRATIONS: [(&str, &str, u32); 4] = [
+    ("calibration-minimal-f32", "minimal_fit::<f32>", 24 << 10),
+    ("calibration-minimal-f64", "minimal_fit::<f64>", u32::MAX),
+    ("calibration-multi-position", "multi_position", u32::MAX),
+    ("calibration-best-model", "best_model", u32::MAX),
+];
 /// What an image should take, bytes.
 const AIM_FLASH: u32 = 48 << 10;
 const AIM_RAM: u32 = 12 << 10;
@@ -44,7 +54,8 @@ const RAM: std::ops::Range<u32> = 0x2000_0000..0x4000_0000;
 /// Says which command failed, which image cannot be read, or which is too large.
 pub fn run(workspace: &Workspace) -> Result<(), String> {
     let found = built(workspace)?;
-    for (name, size) in &found {
+    calibrations(workspace, &found)?;
+    for (name, size) in found.iter().filter(|(name, _)| !is_calibration(name)) {
         heading(name);
         print!("{}", table(size));
         if !MOST.iter().any(|(board, ..)| board == name) {
@@ -65,7 +76,58 @@ pub fn run(workspace: &Workspace) -> Result<(), String> {
             );
         }
     }
-    found.iter().try_for_each(|(name, size)| within(name, size))
+    found
+        .iter()
+        .try_for_each(|(name, size)| within(name, size))?;
+    small_enough(&found)
+}
+
+fn is_calibration(program: &str) -> bool {
+    program == EMPTY || CALIBRATIONS.iter().any(|(name, ..)| *name == program)
+}
+
+/// Prints the flash and the stack that each function of wimu-calib takes; the stack where QEMU is
+/// installed.
+fn calibrations(workspace: &Workspace, found: &[(String, Size)]) -> Result<(), String> {
+    heading("wimu-calib on Cortex-M4F");
+    let folder = workspace
+        .firmware
+        .iter()
+        .find(|f| f.ends_with("calibration"));
+    let output = Output::of(folder.ok_or("firmware/calibration is missing")?)?;
+    for (program, about, most) in CALIBRATIONS {
+        let flash = attributable(found, program)?;
+        let target = if most < u32::MAX {
+            format!("at most {} KiB", most >> 10)
+        } else {
+            "–".into()
+        };
+        let measured = format!("{:.1} KiB", f64::from(flash) / 1024.0);
+        let claim = format!("flash of {about}, Cortex-M4F");
+        figure(&claim, measured, &target, flash <= most);
+        let image = output.image(program, CALIBRATION_TARGET);
+        let run = CommandLine::new("qemu-system-arm -M mps2-an386 -display none -monitor none")
+            .words("-serial none -semihosting-config enable=on,target=native -kernel")
+            .word(&image.display().to_string());
+        match run
+            .output()
+            .and_then(|text| text.trim().parse::<u32>().ok())
+        {
+            Some(stack) => println!("stack of {about}: {:.1} KiB", f64::from(stack) / 1024.0),
+            None => println!("stack of {about}: not measured, `{run}` failed"),
+        }
+    }
+    Ok(())
+}
+
+/// Flash of a calibration beyond that of the empty image, bytes.
+fn attributable(found: &[(String, Size)], program: &str) -> Result<u32, String> {
+    let flash = |program: &str| {
+        let size = found.iter().find(|(name, _)| name == program);
+        size.map(|(_, size)| size.flash)
+            .ok_or_else(|| format!("{program} was not built"))
+    };
+    Ok(flash(program)?.saturating_sub(flash(EMPTY)?))
 }
 
 /// Builds every board, and looks whether its image is as small as it is to be.
@@ -74,7 +136,23 @@ pub fn run(workspace: &Workspace) -> Result<(), String> {
 /// As [`run`].
 pub fn check(workspace: &Workspace) -> Result<(), String> {
     let found = built(workspace)?;
-    found.iter().try_for_each(|(name, size)| within(name, size))
+    found
+        .iter()
+        .try_for_each(|(name, size)| within(name, size))?;
+    small_enough(&found)
+}
+
+/// Whether each calibration is as small as it is to be.
+fn small_enough(found: &[(String, Size)]) -> Result<(), String> {
+    for (program, about, most) in CALIBRATIONS {
+        let flash = attributable(found, program)?;
+        if flash > most {
+            return Err(format!(
+                "{about} takes {flash} bytes of flash, at most {most} are allowed"
+            ));
+        }
+    }
+    Ok(())
 }
 
 /// The images of all boards, by the names of their programs.
@@ -305,6 +383,26 @@ mod tests {
             assert!(refusal.starts_with(program), "{refusal}");
         }
         assert_eq!(within("wimu-qemu-mps2", &size(1 << 20, 1 << 20)), Ok(()));
+    }
+
+    #[test]
+    fn a_calibration_that_has_grown_is_refused() {
+        let found = |extra: u32| -> Vec<(String, Size)> {
+            let images =
+                CALIBRATIONS.map(|(name, _, most)| (name, 100 + most.min(1 << 20) + extra));
+            let images = images.into_iter().chain([(EMPTY, 100)]);
+            let size = |flash| Size {
+                flash,
+                ..Size::default()
+            };
+            images
+                .map(|(name, flash)| (name.to_owned(), size(flash)))
+                .collect()
+        };
+        assert_eq!(small_enough(&found(0)), Ok(()));
+        let refusal = small_enough(&found(1)).expect_err("too large");
+        assert!(refusal.starts_with("minimal_fit::<f32>"), "{refusal}");
+        assert!(small_enough(&[]).is_err());
     }
 
     #[test]

@@ -1,0 +1,13 @@
+//! The minimal fit in f32.
+
+#![no_std]
+#![no_main]
+
+use wimu_calib::{Gravity, minimal_fit};
+
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    calibration::run(|poses| {
+        core::hint::black_box(minimal_fit::<f32>(poses, Gravity::UNKNOWN_PLACE)).is_ok()
+    })
+}

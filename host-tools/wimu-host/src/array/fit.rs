@@ -307,7 +307,7 @@ impl Refinement {
 /// their prior. The estimates are accepted where they reduce the residual by more than their number explains.
 ///
 /// # Errors
-/// `data_refused`: fewer than 200 samples in motion, or an array in a plane; those of [`navigated`](super::navigated).
+/// `data_refused`: fewer than 200 samples in motion, or an array in a plane; those of the angular rate of the array.
 pub fn refine(
     recording: &ArrayRecording,
     geometry: &ArrayGeometry,

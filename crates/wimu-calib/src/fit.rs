@@ -5,7 +5,7 @@ use wimu_model::{ErrorModel, ErrorTerms, TemperatureTerms};
 use crate::estimate::{Drift, Residuals, TermDeviations};
 use crate::force::Conditions;
 use crate::knowledge::{Condition, Knowledge};
-use crate::least_squares::{Fit, LAST_STEP_MPS2, Magnitude, Without};
+use crate::least_squares::{Fit, Magnitude, Without};
 use crate::linear::{Real, double, real};
 use crate::multi_position::{Fitted, MinimalEstimate, Violation, range};
 use crate::shared::{Shared, Visited};
@@ -153,7 +153,7 @@ pub(crate) fn searched<R: Real>(
 ) -> Result<Option<Fit<R>>, Refusal> {
     // A gross outlier may keep least squares, but not the robust fit, from converging.
     let converged = squares.is_some();
-    let robust = || problem.solve_robust(&PERFECT.map(real), FAR_OFF_MPS2, LAST_STEP_MPS2);
+    let robust = || problem.solve_robust(&PERFECT.map(real), FAR_OFF_MPS2);
     let Some(first) = squares.or_else(robust) else {
         return Ok(None);
     };

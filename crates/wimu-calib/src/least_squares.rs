@@ -12,7 +12,9 @@ use crate::weights::{FarOff, Rejected, Weighting};
 const MOST_ITERATIONS: usize = 100;
 /// Convergence threshold: rms change of the residuals in a Gauss-Newton step, m/s². The remaining
 /// error is smaller than the last step by the ratio of residuals to gravity, 10⁻³ or less.
-pub(crate) const LAST_STEP_MPS2: f64 = 1e-6;
+const LAST_STEP_MPS2: f64 = 1e-6;
+/// The same for a robust fit, which only ranks poses: fraction of the scale of its cost.
+const LAST_ROBUST_STEP: f64 = 1e-3;
 /// Smallest damping other than 0, relative to the unit diagonal of the information matrix.
 const LEAST_DAMPING: f64 = 1e-6;
 /// Largest damping; the fit fails when even this step does not reduce the cost.
@@ -250,14 +252,9 @@ impl Magnitude<'_> {
     }
 
     /// Robust fit with the Cauchy cost of scale `cauchy`, m/s²: large residuals have little
-    /// influence. It ends at a step that changes the residuals by less than `last_step_mps2`, rms.
-    pub fn solve_robust<R: Real>(
-        &self,
-        start: &Theta<R>,
-        cauchy: f64,
-        last_step_mps2: f64,
-    ) -> Option<Fit<R>> {
-        self.minimise(start, last_step_mps2, |theta, normal| {
+    /// influence.
+    pub fn solve_robust<R: Real>(&self, start: &Theta<R>, cauchy: f64) -> Option<Fit<R>> {
+        self.minimise(start, LAST_ROBUST_STEP * cauchy, |theta, normal| {
             let weighting = &Weighting::EQUAL;
             self.sum(theta, Without::Nothing, weighting, Some(cauchy), normal)
         })
@@ -290,14 +287,10 @@ impl Magnitude<'_> {
             // The step lowers the cost by the square of the change of the residuals.
             let gained = double(change * change);
             let change_mps2 = libm::sqrt(gained / normal.poses as f64);
-            if damping < LEAST_DAMPING && change_mps2 <= last_step {
+            if damping <= 0.0 && change_mps2 <= last_step {
                 return Some(Fit {
                     theta: trial,
-                    inverse: if damping > 0.0 {
-                        normal.information.inverse()?
-                    } else {
-                        factor.inverse()
-                    },
+                    inverse: factor.inverse(),
                     cost: (double(normal.cost) - gained).max(0.0),
                 });
             }

@@ -40,9 +40,6 @@ const MEDIAN_ERROR: f64 = 0.01;
 /// Fraction of a limit below which the deviate of the linearised fit decides: its error is of second
 /// order.
 const CLOSE: f64 = 0.9;
-/// Convergence threshold of a robust fit: rms change of the residuals in a step, fraction of the scale
-/// of its cost.
-const LAST_ROBUST_STEP: f64 = 1e-3;
 /// Largest number of robust fits, each with a scale from the previous one.
 const ROBUST_FITS: usize = 4;
 
@@ -320,7 +317,7 @@ fn robust<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> Theta<R> {
         last = median;
         let small_sample = libm::sqrt(count as f64 / (count - problem.free.len()) as f64);
         let scale = CAUCHY * PER_MEDIAN * median * small_sample;
-        match problem.solve_robust(&theta, scale, LAST_ROBUST_STEP * scale) {
+        match problem.solve_robust(&theta, scale) {
             Some(better) => theta = better.theta,
             None => break,
         }

@@ -68,7 +68,7 @@ impl Magnitude<'_> {
     }
 
     /// With residuals that are equal within an orientation and independent between orientations, each
-    /// visited equally often: conservative.
+    /// visited equally often: conservative. Equation (159).
     pub fn correlated<R: Real>(&self, fit: &Fit<R>, visited: &Visited) -> Option<Shared<R>> {
         let (n, p) = (self.poses.len() - self.rejected.count(), self.free.len());
         let dof = visited.apart.checked_sub(p).filter(|dof| *dof > 0)? as f64;

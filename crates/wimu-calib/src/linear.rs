@@ -149,6 +149,11 @@ mod tests {
             let off = |(i, x): (usize, &f64)| (x - if i == 3 { 1.0 } else { 0.0 }).abs();
             let largest = solution.iter().enumerate().map(off).fold(0.0, f64::max);
             assert!(largest < 1e-15 * high / low);
+            let (once, columns) = (m.times(&right), right.map(|x| [x, -2.0 * x]));
+            for (x, [a, b]) in once.iter().zip(m.times_columns(&columns)) {
+                assert!((x - a).abs() <= 1e-14 * high * high);
+                assert!((2.0 * x + b).abs() <= 1e-14 * high * high);
+            }
             let ln_det = libm::log(full.determinant());
             assert!((factor.ln_det() - ln_det).abs() < 1e-3);
             // M⁻¹ M M⁻¹ = M⁻¹, and tr(M⁻¹ M) = 9.

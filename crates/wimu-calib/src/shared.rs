@@ -68,15 +68,14 @@ impl Magnitude<'_> {
     }
 
     /// With residuals that are equal within an orientation and independent between orientations, each
-    /// visited equally often: conservative. Equation (159).
+    /// visited equally often: conservative. Equation (159). `variance` is that of the mean of an
+    /// orientation, for the weight of its poses together.
     pub fn correlated<R: Real>(&self, fit: &Fit<R>, visited: &Visited) -> Option<Shared<R>> {
-        let (n, p) = (self.poses.len() - self.rejected.count(), self.free.len());
-        let dof = visited.apart.checked_sub(p).filter(|dof| *dof > 0)? as f64;
-        let visits = n as f64 / visited.apart as f64;
-        Some(Shared {
-            variance: fit.cost / (visits * dof),
-            spread: Symmetric::from_fn(p, |r, c| fit.inverse.at(r, c) * real(visits)),
-            dof,
+        let dof = visited.apart.checked_sub(self.free.len())?;
+        (dof > 0).then(|| Shared {
+            variance: fit.cost / dof as f64,
+            spread: fit.inverse.clone(),
+            dof: dof as f64,
             poses: visited.apart as f64,
         })
     }

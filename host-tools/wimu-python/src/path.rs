@@ -239,6 +239,7 @@ pub fn navigate(
                 position_m: [e, n, u],
                 heading_rad,
             }),
+            ..Choice::default()
         };
         inertial::navigate(&motion, &choice)
     })?;

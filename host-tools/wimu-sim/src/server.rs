@@ -120,6 +120,12 @@ impl Server {
         }
     }
 
+    /// The start from which the board would have run as far as it has.
+    fn started_if_on_time(&self) -> Option<Instant> {
+        let ran = self.board.now_us() as f64 * 1e-6 / self.speed;
+        Instant::now().checked_sub(Duration::from_secs_f64(ran))
+    }
+
     /// Waits for data of a client, or until the board has something to do or to send.
     fn wait(&mut self) {
         let Some(started) = self.started else {
@@ -175,7 +181,7 @@ impl Server {
         }
         let connected = self.cable.client.is_some() || self.wireless.client.is_some();
         if self.started.is_none() && (connected || !self.wait_for_client) {
-            self.started = Some(Instant::now());
+            self.started = self.started_if_on_time();
         }
         let mut stopped = false;
         if let Some(started) = self.started {
@@ -183,8 +189,7 @@ impl Server {
             // In small steps, so that a fast board's links are emptied in between.
             while !stopped && self.board.now_us() < now_us {
                 if self.speed > 1.0 && (self.cable.is_slow() || self.wireless.is_slow()) {
-                    let ran = self.board.now_us() as f64 * 1e-6 / self.speed;
-                    self.started = Instant::now().checked_sub(Duration::from_secs_f64(ran));
+                    self.started = self.started_if_on_time();
                     break;
                 }
                 let step = (self.board.now_us() + STEP_US).min(now_us);

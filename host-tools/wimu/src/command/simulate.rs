@@ -25,6 +25,8 @@ use crate::output::{Output, usage};
 
 /// Time to deliver the last batches after the end of the motion, µs.
 const LINGER_US: u64 = 2_000_000;
+/// Device time in which the board erases a lost key, µs: above the longest pause of its store.
+const ERASE_US: u64 = 1_000_000;
 
 #[derive(Serialize)]
 struct Listening {
@@ -72,7 +74,7 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
         replay: arguments.replay.is_some(),
         ..BoardConfig::default()
     };
-    let (board, played) = match &arguments.replay {
+    let (mut board, played) = match &arguments.replay {
         Some(path) => {
             let counts = counts_of(arguments, path)?;
             output.print(format!(
@@ -102,6 +104,8 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
     };
     if arguments.forget_key {
         board.forget_key();
+        // The erase is complete before a client connects.
+        board.run_until(board.now_us() + ERASE_US);
     }
     let mut server = Server::bind(board, arguments.cable, arguments.wireless)
         .map_err(|(address, error)| {

@@ -18,6 +18,8 @@ const STEP_S: f64 = 0.6;
 const UPPER: f64 = 4.0;
 /// Time before a sample, and time after it, that each have a stance, s: a slow step.
 const SLOW_STEP_S: f64 = 2.0;
+/// Time after a sample whose statistics decide about it, s.
+pub const AHEAD_S: f64 = SLOW_STEP_S;
 /// Lower threshold over the larger of both minima.
 const LOWER: f64 = 7.0;
 /// Velocity in a still stance, m/s, a component, 1 σ.

@@ -1,6 +1,6 @@
 //! Fixes of position, velocity and heading beside a unit on a known path.
 
-use wimu_host::inertial::{Choice, Fix, Fixes, InertialPath, navigate};
+use wimu_host::inertial::{Choice, Fix, Fixes, InertialPath, Live, PathPoint, navigate};
 use wimu_host::motion::{MotionRecording, UnitSample};
 use wimu_testkit::Random;
 
@@ -204,4 +204,71 @@ fn a_table_of_fixes_may_leave_out_columns_and_values() {
         refused.to_string().contains("`Position E (m)` is missing"),
         "{refused}"
     );
+}
+
+/// The recording as a stream: each fix arrives `late_s` after its time. The answer at each tenth sample.
+fn streamed(live: &mut Live, late_s: f64, arm_m: f64) -> Vec<PathPoint> {
+    let (recording, fixes) = recorded(arm_m, 0.0);
+    let mut fixes = fixes.into_iter().peekable();
+    let mut points = Vec::new();
+    for (k, (time_s, sample)) in recording.times_s.iter().zip(&recording.samples).enumerate() {
+        while let Some(fix) = fixes.next_if(|fix| fix.time_s + late_s <= *time_s) {
+            live.fix(fix);
+        }
+        live.push(*time_s, *sample).unwrap();
+        if k % 10 == 9 {
+            points.extend(live.now());
+        }
+    }
+    points
+}
+
+#[test]
+fn a_stream_has_the_path_of_its_recording_though_fixes_are_late() {
+    let (recording, fixes) = recorded(0.5, 0.0);
+    let choice = Choice {
+        smooth: false,
+        ..aided(fixes, 0.5)
+    };
+    let path = navigate(&recording, &choice).unwrap();
+    let begun = Choice {
+        fixes: Fixes {
+            lever_arm_m: [0.5, 0.0, 0.0],
+            ..Fixes::default()
+        },
+        ..Choice::default()
+    };
+    let off = |late_s: f64, delay_s: f64| {
+        let mut live = Live::new(begun.clone(), MotionRecording::default(), delay_s);
+        let points = streamed(&mut live, late_s, 0.5);
+        assert!(points.iter().all(|p| p.time_s > 2.9), "{:?}", points[0]);
+        // The heading is decided.
+        let decided = points.iter().filter(|p| p.time_s > 15.0);
+        let apart = decided.map(|point| {
+            assert!(point.valid, "{point:?}");
+            let same = &path.points[(point.time_s * RATE_HZ).round() as usize];
+            let [e, n, u] = [0, 1, 2].map(|i| point.position_m[i] - same.position_m[i]);
+            e.hypot(n).hypot(u)
+        });
+        (apart.fold(0.0, f64::max), live.findings())
+    };
+    let (far, findings) = off(0.0, 0.0);
+    println!("{far}");
+    assert!(far < 0.15, "{far}");
+    assert_eq!(
+        findings
+            .iter()
+            .filter(|f| f.evidence.contains("frame of the fixes"))
+            .count(),
+        1
+    );
+    // Each answer is up to 2.5 s from the last fix.
+    let (far, _) = off(1.5, 1.6);
+    println!("{far}");
+    assert!((0.05..1.0).contains(&far), "{far}");
+    let mut live = Live::new(begun, MotionRecording::default(), 0.5);
+    streamed(&mut live, 1.5, 0.5);
+    let late = "37 fixes arrived later than the filter waits";
+    let found = live.findings();
+    assert!(found.iter().any(|f| f.evidence.contains(late)), "{found:?}");
 }

@@ -3,9 +3,14 @@
 use crate::kit;
 
 use std::fs;
+use std::io::Write as _;
+use std::net::TcpListener;
 use std::path::Path;
+use std::thread;
+use std::time::Duration;
 
 use kit::{Background, Simulator, Transcript, folder, record_motion, wimu};
+use serde_json::Value;
 use wimu_host::calibration::read_parameters;
 
 const SEED: u64 = 5;
@@ -149,4 +154,61 @@ fn an_ambiguous_alignment_is_refused() {
     let ran = wimu(&[&["align", &shaken, "--up", "z,x"][..], &calibration].concat());
     texts.refuses("no rest", &ran);
     texts.check("align_refusals");
+}
+
+#[test]
+fn a_board_is_navigated_live_and_fixes_over_a_link_move_it_to_their_frame() {
+    let board = Simulator::start(&["--sensor", "lsm6dso", "--motion", "rest"]);
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let fixes = format!("tcp://{}", listener.local_addr().unwrap());
+    thread::spawn(move || {
+        let (mut client, _) = listener.accept().unwrap();
+        let header = "Position E (m),Position N (m),Height (m),Position Sigma E (m),Position Sigma N (m),Height Sigma (m)";
+        writeln!(client, "{header}\nno,fix,,,,").unwrap();
+        while writeln!(client, "10,-5,1,0.1,0.1,0.1").is_ok() {
+            thread::sleep(Duration::from_millis(100));
+        }
+    });
+    let folder = folder();
+    let file = folder.path().join("path.csv");
+    let arguments = [
+        "navigate",
+        &board.cable,
+        "--json",
+        "--for",
+        "8",
+        "--fixes",
+        &fixes,
+        "-o",
+    ];
+    let ran = wimu(&[&arguments[..], &[file.to_str().unwrap()]].concat());
+    let lines: Vec<Value> = ran
+        .stdout
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    let [first, .., last, path] = &lines[..] else {
+        panic!("{ran:?}");
+    };
+    assert_eq!(
+        (&first["schema"], &path["schema"]),
+        (&"wimu.pose/1".into(), &"wimu.path/1".into())
+    );
+    let position = |pose: &Value| [0, 1, 2].map(|k| pose["position_m"][k].as_f64().unwrap());
+    let near = |[e, n, u]: [f64; 3]| (e - 10.0).hypot(n + 5.0).hypot(u - 1.0);
+    assert!(near(position(last)) < 0.2, "{last}");
+    let rows = fs::read_to_string(file).unwrap().lines().count();
+    assert_eq!(rows, lines.len(), "a header, and a row for each position");
+    let said = |text: &str| {
+        let findings = path["findings"].as_array().unwrap();
+        findings
+            .iter()
+            .any(|f| f["evidence"].as_str().unwrap().contains(text))
+    };
+    assert!(said("moved to the frame of the fixes"), "{path}");
+    assert!(
+        ran.stderr.contains("1 line of the fixes cannot be read"),
+        "{}",
+        ran.stderr
+    );
 }

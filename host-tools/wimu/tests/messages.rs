@@ -129,10 +129,19 @@ fn poses_of_a_continuous_recording_are_refused() {
 }
 
 #[test]
-fn navigate_refuses_a_link() {
+fn navigate_needs_a_file_or_a_link_and_its_options() {
     let mut texts = Transcript::default();
-    let ran = wimu(&["navigate", "tcp://127.0.0.1:7100"]);
-    texts.fails("LINK", &ran, 2, "usage");
+    for option in [
+        ["--rests", "0-3"],
+        ["--smooth", "off"],
+        ["--calibration", "CAL.json"],
+    ] {
+        let ran = wimu(&[&["navigate", "tcp://127.0.0.1:7100"], &option[..]].concat());
+        texts.fails(option[0], &ran, 2, "usage");
+    }
+    let (file, _folder) = kit::in_folder("walk.csv");
+    fs::write(&file, "Accelerometer X (g)\n").unwrap();
+    wimu(&["navigate", &file, "--rate", "5"]).fails(2, "usage");
     let ran = wimu(&["navigate", "no/such/file.mcap"]);
     texts.fails("no file", &ran, 2, "file_unreadable");
     texts.check("navigate_needs_a_file");

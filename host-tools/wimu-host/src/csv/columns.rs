@@ -33,7 +33,12 @@ impl Table {
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
-        let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
+        Self::of(name, &text)
+    }
+
+    /// The table that a text is.
+    pub fn of(name: String, text: &str) -> Result<Self> {
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let mut reader = csv::ReaderBuilder::new()
             .flexible(true)
             .trim(csv::Trim::All)

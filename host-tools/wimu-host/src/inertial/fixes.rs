@@ -6,8 +6,8 @@ use nalgebra::{Matrix3, Vector3};
 use wimu_nav::filter::{Gate, Innovation};
 use wimu_nav::navigator::{Model, Navigator};
 use wimu_nav::sensor::{Heading, Position, Velocity};
+use wimu_nav::smoother::Recorder;
 
-use super::smooth::Tape;
 use crate::csv::columns::{ANGLE, LENGTH, SPEED, TIME, Table};
 use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
@@ -51,8 +51,15 @@ impl Fixes {
     /// # Errors
     /// `file_unreadable`, `csv_missing_column`, `csv_bad_number`, `no_rows` without a fix.
     pub fn read(path: &Path, delay_s: f64) -> Result<Self> {
-        let table = Table::read(path)?;
-        let time = table.needed(&["Time"], TIME)?;
+        Self::of(&Table::read(path)?, delay_s, None)
+    }
+
+    /// Those of a table. `arrived_s`: the time of rows of a table without times.
+    pub(super) fn of(table: &Table, delay_s: f64, arrived_s: Option<f64>) -> Result<Self> {
+        let time = match arrived_s {
+            Some(_) => table.column(&["Time"], TIME),
+            None => Some(table.needed(&["Time"], TIME)?),
+        };
         let axes = |name: &str, units| {
             ["E", "N", "U"].map(|axis| table.column(&[&format!("{name} {axis}")], units))
         };
@@ -76,7 +83,7 @@ impl Fixes {
             let three = |columns: [Option<_>; 3]| -> Result<[Option<f64>; 3]> {
                 Ok([value(columns[0])?, value(columns[1])?, value(columns[2])?])
             };
-            let Some(time_s) = value(Some(time))? else {
+            let Some(time_s) = value(time)?.or(arrived_s) else {
                 continue;
             };
             let velocity_sd = three(velocity_sd)?.into_iter().flatten();
@@ -135,9 +142,10 @@ const CONTRADICTIONS: usize = 5;
 const OUTLIER: f64 = -13.8;
 
 /// The use of fixes along a path.
-pub(super) struct Aiding<'a> {
-    fixes: &'a Fixes,
-    next: usize,
+#[derive(Clone, Debug)]
+pub(super) struct Aiding {
+    /// Fixes before this time were compared with the path, s.
+    from_s: f64,
     /// Of all fixes that were compared with the path.
     pub log_likelihood: f64,
     used: usize,
@@ -146,12 +154,11 @@ pub(super) struct Aiding<'a> {
     jumps: Vec<f64>,
 }
 
-impl<'a> Aiding<'a> {
+impl Aiding {
     /// From a time on, s: earlier fixes are left out.
-    pub fn from(fixes: &'a Fixes, time_s: f64) -> Self {
+    pub fn from(time_s: f64) -> Self {
         Self {
-            fixes,
-            next: fixes.fixes.partition_point(|fix| fix.time_s < time_s),
+            from_s: time_s,
             log_likelihood: 0.0,
             used: 0,
             rejected: Vec::new(),
@@ -161,56 +168,65 @@ impl<'a> Aiding<'a> {
     }
 
     /// Updates with the fixes up to a time, s.
-    pub fn update<M: Model<f64, N>, const N: usize>(
+    pub fn update<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>>(
         &mut self,
+        fixes: &Fixes,
         time_s: f64,
-        navigator: &mut Navigator<f64, M, N, Tape<N>>,
+        navigator: &mut Navigator<f64, M, N, L>,
     ) {
-        while let Some(fix) = self
-            .fixes
-            .fixes
-            .get(self.next)
-            .filter(|f| f.time_s <= time_s)
+        let next = fixes.fixes.partition_point(|fix| fix.time_s < self.from_s);
+        for fix in fixes.fixes[next..]
+            .iter()
+            .take_while(|fix| fix.time_s <= time_s)
         {
-            self.next += 1;
-            let mut accepted = true;
-            if fix.has_position() {
-                let position = Position {
-                    position_m: fix.position_m.into(),
-                    deviation_m: fix.position_sd_m.into(),
-                    lever_arm_m: self.fixes.lever_arm_m.into(),
-                };
-                if self.in_succession >= CONTRADICTIONS {
-                    let off = position.position_m - Vector3::from(navigator.solution().position_m);
-                    let known = position.deviation_m.map(f64::is_finite);
-                    let off = off.zip_map(&known, |off, known| if known { off } else { 0.0 });
-                    navigator.loosen_position(off.norm());
-                    self.jumps.push(fix.time_s);
-                }
-                accepted &= self.count(&navigator.update(&position, Gate::ChiSquare));
-                self.in_succession = if accepted { 0 } else { self.in_succession + 1 };
-            }
-            if let Some((velocity_mps, deviation_mps)) = fix.velocity_mps {
-                let velocity = Velocity {
-                    velocity_mps: velocity_mps.into(),
-                    deviation_mps,
-                    offset: None,
-                };
-                accepted &= self.count(&navigator.update(&velocity, Gate::ChiSquare));
-            }
-            if let Some([heading_rad, deviation_rad]) = fix.heading_rad {
-                let heading = Heading {
-                    heading_rad,
-                    deviation_rad,
-                };
-                accepted &= self.count(&navigator.update(&heading, Gate::ChiSquare));
-            }
-            if accepted {
+            if self.is_accepted(fix, fixes.lever_arm_m, navigator) {
                 self.used += 1;
             } else {
                 self.rejected.push(fix.time_s);
             }
         }
+        self.from_s = time_s.next_up();
+    }
+
+    fn is_accepted<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>>(
+        &mut self,
+        fix: &Fix,
+        lever_arm_m: [f64; 3],
+        navigator: &mut Navigator<f64, M, N, L>,
+    ) -> bool {
+        let mut accepted = true;
+        if fix.has_position() {
+            let position = Position {
+                position_m: fix.position_m.into(),
+                deviation_m: fix.position_sd_m.into(),
+                lever_arm_m: lever_arm_m.into(),
+            };
+            if self.in_succession >= CONTRADICTIONS {
+                let off = position.position_m - Vector3::from(navigator.solution().position_m);
+                let known = position.deviation_m.map(f64::is_finite);
+                let off = off.zip_map(&known, |off, known| if known { off } else { 0.0 });
+                navigator.loosen_position(off.norm());
+                self.jumps.push(fix.time_s);
+            }
+            accepted &= self.count(&navigator.update(&position, Gate::ChiSquare));
+            self.in_succession = if accepted { 0 } else { self.in_succession + 1 };
+        }
+        if let Some((velocity_mps, deviation_mps)) = fix.velocity_mps {
+            let velocity = Velocity {
+                velocity_mps: velocity_mps.into(),
+                deviation_mps,
+                offset: None,
+            };
+            accepted &= self.count(&navigator.update(&velocity, Gate::ChiSquare));
+        }
+        if let Some([heading_rad, deviation_rad]) = fix.heading_rad {
+            let heading = Heading {
+                heading_rad,
+                deviation_rad,
+            };
+            accepted &= self.count(&navigator.update(&heading, Gate::ChiSquare));
+        }
+        accepted
     }
 
     fn count(&mut self, innovation: &Innovation<f64>) -> bool {
@@ -218,9 +234,9 @@ impl<'a> Aiding<'a> {
         innovation.accepted
     }
 
-    /// What happened to the fixes.
+    /// What happened to the fixes up to now.
     pub fn findings(&self) -> Vec<Finding> {
-        let all = self.fixes.fixes.len();
+        let all = self.used + self.rejected.len();
         let mut found = Vec::new();
         if let (Some(first), Some(last)) = (self.rejected.first(), self.rejected.last()) {
             let text = format!(
@@ -239,15 +255,19 @@ impl<'a> Aiding<'a> {
             let finding = FindingCode::Navigation.warning(text);
             found.push(finding.between(*first, *last));
         }
+        found
+    }
+
+    /// Says how many of `all` fixes were not compared.
+    pub fn outside(&self, all: usize) -> Option<Finding> {
         let outside = all - self.used - self.rejected.len();
-        if outside > 0 {
-            let text = format!(
+        let text = || {
+            format!(
                 "{} outside the time of the recording",
                 counted(outside, "fix")
-            );
-            found.push(FindingCode::Clock.note(text));
-        }
-        found
+            )
+        };
+        (outside > 0).then(|| FindingCode::Clock.note(text()))
     }
 }
 
@@ -256,8 +276,8 @@ const START_M: f64 = 100.0;
 const HEADING_SD: f64 = 0.3;
 
 /// Moves a navigator to the frame of fixes, at a heading, rad.
-pub(super) fn place<M: Model<f64, N>, const N: usize>(
-    navigator: &mut Navigator<f64, M, N, Tape<N>>,
+pub(super) fn place<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>>(
+    navigator: &mut Navigator<f64, M, N, L>,
     fix: &Fix,
     heading: f64,
 ) {

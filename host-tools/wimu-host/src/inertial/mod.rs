@@ -19,24 +19,29 @@
 //! ```
 
 mod array;
+mod fix_link;
 mod fixes;
 mod frozen;
 mod holes;
 mod horizon;
+mod live;
 mod moves;
 mod path;
 mod rates;
 mod report;
 mod sense;
 mod smooth;
+mod track;
 mod truth;
 mod unit;
 
 use std::ops::RangeInclusive;
 
 pub use array::{navigate_array, navigate_axes};
+pub use fix_link::{FixLink, LeastDelay};
 pub use fixes::{Fix, Fixes};
 pub use horizon::{Horizon, RestTimes};
+pub use live::Live;
 pub use moves::Move;
 pub use path::{InertialPath, PathPoint};
 pub(crate) use smooth::Tape;
@@ -50,7 +55,7 @@ use crate::finding::FindingCode;
 use crate::motion::{MotionRecording, TIME_SD_S, UnitSample, sampled_times};
 use holes::Holes;
 use truth::{compare, moving};
-use unit::{Unit, once_each_field};
+use unit::{OnceEachField, Unit, noise_mps2};
 
 /// How a path was found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -196,7 +201,8 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
             "the times are those of arrival: a constant sample period and the least delay are used",
         ));
     }
-    let samples = once_each_field(&samples);
+    let mut once = OnceEachField::default();
+    let samples: Vec<UnitSample> = samples.iter().map(|sample| once.of(sample)).collect();
     let method = match samples.iter().any(|s| s.rate_rad_s.is_some()) {
         true => Method::Strapdown,
         false => Method::Tilt,
@@ -211,6 +217,7 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
         covariance: recording.calibration_covariance(),
         uncalibrated: senses.uncalibrated,
         time_sd_s,
+        noise_mps2: noise_mps2(&recording.times_s, &samples),
     };
     let mut path = unit.path(choice, method)?;
     if samples.iter().all(|s| s.field_ut.is_none()) {

@@ -95,7 +95,7 @@ impl Senses {
         }
         let face_down = face_down(recording).map(|text| FindingCode::Axes.warning(text));
         senses.findings.extend(face_down);
-        senses.clipped = clipped(recording);
+        senses.clipped = clipped(&recording.samples);
         if let Some(first) = senses.clipped.first() {
             senses.findings.push(FindingCode::Saturated.warning(format!(
                 "the accelerometer clips in {}, first at {:.2} s: what it felt there is not \
@@ -208,8 +208,7 @@ fn face_down(recording: &MotionRecording) -> Option<String> {
 }
 
 /// Samples at an axis's full scale, where it comes there more than once.
-fn clipped(recording: &MotionRecording) -> Vec<usize> {
-    let samples = &recording.samples;
+pub(super) fn clipped(samples: &[UnitSample]) -> Vec<usize> {
     let mut found = Vec::new();
     for axis in 0..3 {
         for sign in [-1.0, 1.0] {

@@ -4,19 +4,19 @@ use std::ops::Range;
 
 use nalgebra::Vector3;
 use wimu_nav::navigator::{
-    Gyroscope, Model, Navigator, NoGyroscope, Profile, Rests, Sample, SampleFault, Settings, Start,
+    Gyroscope, Model, Navigator, NoGyroscope, Profile, Rests, Sample, Settings, Start,
 };
 use wimu_nav::stance::stances;
 use wimu_nav::state::LayoutFull;
 use wimu_nav::stationarity::{Detector, Stationarity};
 
-use super::fixes::{self, Aiding, Fix, Fixes};
+use super::fixes::{Fix, Fixes};
 use super::moves::{moves, smoothed_moves};
 use super::smooth::Tape;
-use super::{Choice, InertialPath, Method, PathPoint};
-use crate::finding::{Finding, FindingCode};
+use super::track::{FIRST_REST_S, Input, Track, counted_findings};
+use super::{Choice, InertialPath, Method};
+use crate::finding::FindingCode;
 use crate::motion::{UnitSample, median_step_s};
-use crate::plural::counted;
 use crate::{ErrorCode, Result};
 
 /// A reading of the magnetometer that is repeated within this time is a held one, s.
@@ -25,27 +25,30 @@ const HELD_S: f64 = 0.25;
 const ALIGNMENT_S: f64 = 0.7;
 const SHORT_ALIGNMENT_S: f64 = 0.1;
 /// Headings at the start that are tried where fixes show the position, and time of the trial, s.
-const HEADINGS: u32 = 12;
+pub(super) const HEADINGS: u32 = 12;
 const HEADING_TRIAL_S: f64 = 120.0;
-/// A start in motion ends with the first rest of this length, s.
-const FIRST_REST_S: f64 = 0.5;
 
 /// The samples, each reading of a magnetometer that is slower than the accelerometer once.
-pub(super) fn once_each_field(samples: &[UnitSample]) -> Vec<UnitSample> {
-    let (mut last, mut age_s) = (None, 0.0);
-    let once = |sample: &UnitSample| {
-        age_s += sample.step_s;
-        let held = sample.field_ut.is_none() || (sample.field_ut == last && age_s < HELD_S);
+#[derive(Default)]
+pub(super) struct OnceEachField {
+    last: Option<[f64; 3]>,
+    age_s: f64,
+}
+
+impl OnceEachField {
+    /// The next sample.
+    pub fn of(&mut self, sample: &UnitSample) -> UnitSample {
+        self.age_s += sample.step_s;
+        let held =
+            sample.field_ut.is_none() || (sample.field_ut == self.last && self.age_s < HELD_S);
         if !held {
-            last = sample.field_ut;
-            age_s = 0.0;
+            (self.last, self.age_s) = (sample.field_ut, 0.0);
         }
         UnitSample {
             field_ut: sample.field_ut.filter(|_| !held),
             ..*sample
         }
-    };
-    samples.iter().map(once).collect()
+    }
 }
 
 /// Scale factor and misalignment of an accelerometer that is not calibrated: MPU-9250 datasheet, initial tolerance and
@@ -68,6 +71,8 @@ pub(super) struct Unit<'a> {
     pub uncalibrated: bool,
     /// Standard deviation of a sample's time, s.
     pub time_sd_s: f64,
+    /// Noise of the accelerometer, m/s², a component.
+    pub noise_mps2: f64,
 }
 
 impl Unit<'_> {
@@ -76,107 +81,114 @@ impl Unit<'_> {
     /// # Errors
     /// `data_refused`: nothing to align with, or a foot without a gyroscope.
     pub fn path(&self, choice: &Choice, method: Method) -> Result<InertialPath> {
+        self.accepts(choice, method)?;
         match method {
             Method::Strapdown => self.follow::<Gyroscope<f64>, 40>(choice, method),
-            _ if choice.profile == Profile::Foot => Err(ErrorCode::DataRefused
-                .error(
-                    "--profile foot needs a gyroscope",
-                    "record the angular rate, or use another profile",
-                )
-                .at(self.name)),
             _ => self.follow::<NoGyroscope<f64>, 24>(choice, method),
         }
     }
 
-    fn follow<M: Model<f64, N>, const N: usize>(
+    /// Whether the sensors are those that the choice needs.
+    ///
+    /// # Errors
+    /// `data_refused`: a foot without a gyroscope.
+    pub fn accepts(&self, choice: &Choice, method: Method) -> Result<()> {
+        if choice.profile == Profile::Foot && method != Method::Strapdown {
+            let remedy = "record the angular rate, or use another profile";
+            return Err(ErrorCode::DataRefused
+                .error("--profile foot needs a gyroscope", remedy)
+                .at(self.name));
+        }
+        Ok(())
+    }
+
+    fn follow<M: Model<f64, N> + Clone, const N: usize>(
         &self,
         choice: &Choice,
         method: Method,
     ) -> Result<InertialPath> {
         let samples: Vec<Sample<f64>> = self.samples.iter().map(sample).collect();
-        let rests = self.rests(&samples, choice, method);
-        let stances = self.stances(&samples, choice, method);
+        let inputs = self.inputs(&samples, choice, method);
+        let rests: Vec<bool> = inputs.iter().map(|input| input.resting).collect();
         let mut moves = moves(self, &samples, &rests, choice, method);
         // Without a gyroscope the smoother gains nothing: 0.1 % of the error (score_navigation).
         let smooth = choice.smooth && method == Method::Strapdown;
         let spans = moves.iter().map(|one| one.span(self.times_s));
         let tape = Tape::new(smooth, spans.collect());
         let fixes = self.fixes(choice);
-        let mut aiding = Aiding::from(&fixes, self.times_s[0]);
-        let mut navigator = self.start::<M, N>(&samples, &rests, choice)?.recorded(tape);
-        let shown = choice.fixes.origin();
-        if let Some(fix) = shown.filter(|_| choice.start.is_none()) {
-            let heading = self.heading::<M, N>(&samples, &rests, &stances, choice, fix)?;
-            fixes::place(&mut navigator, fix, heading);
-        }
-        let framed = choice.start.is_some() || shown.is_some();
         let at_rest_first = self.first_rest(&rests).is_some();
-        let mut origin = at_rest_first.then_some(0);
-        let (mut rest_s, mut in_first_rest) = (0.0, at_rest_first);
-        let mut faults = Faults::default();
-        let mut points = Vec::with_capacity(samples.len());
-        for (k, sample) in samples.iter().enumerate() {
-            // A foot's shocks are short: the largest reading is nearer to them than none.
-            if choice.profile != Profile::Foot && self.clipped.binary_search(&k).is_ok() {
-                navigator.interrupt(sample.step_s);
-            } else {
-                faults.count(navigator.push(sample, rests[k]));
-            }
-            if let Some(deviation_mps) = stances[k] {
-                navigator.stance(deviation_mps);
-            }
-            rest_s = if rests[k] {
-                rest_s + sample.step_s
-            } else {
-                0.0
-            };
-            let lies = rest_s >= FIRST_REST_S || stances[k].is_some();
-            aiding.update(self.times_s[k], &mut navigator);
-            if origin.is_none() && lies && !framed {
-                navigator.set_origin();
-                (origin, in_first_rest) = (Some(k), true);
-            }
-            in_first_rest &= rests[k];
-            if in_first_rest {
-                origin = Some(k);
-            }
-            let mut point = self.point(k, &navigator, rests[k]);
-            point.resting |= stances[k].is_some();
-            points.push(point);
-            navigator.recorder_mut().mark(&mut points);
+        let start = self.start::<M, N>(&samples, &rests, choice)?;
+        let shown = choice.fixes.origin().filter(|_| choice.start.is_none());
+        let placed = shown.map(|fix| (fix, self.heading(&start, &inputs, choice, fix)));
+        let begin_s = self.times_s[0];
+        let mut track = Track::new(start.recorded(tape), choice, begin_s, at_rest_first);
+        if let Some((fix, heading)) = placed {
+            track.place(fix, heading);
         }
+        let has_origin = track.has_origin();
+        let mut points = Vec::with_capacity(samples.len());
+        for input in &inputs {
+            points.push(track.step(input, &fixes));
+            track.navigator.recorder_mut().mark(&mut points);
+        }
+        let origin = track.origin;
         let from = origin.unwrap_or(0);
-        let [recoveries, divergences] = [navigator.recoveries(), navigator.divergences()];
-        let mut tape = navigator.into_recorder();
+        let mut findings = track.findings();
+        findings.extend(track.aiding.outside(fixes.fixes.len()));
+        let mut tape = track.navigator.into_recorder();
         tape.finish(&mut points);
         smoothed_moves(&mut moves, &points, &tape.changes, self.times_s);
         for point in &mut points {
             point.valid = point.sd_m() <= choice.limit_m;
         }
-        if !at_rest_first && !framed {
+        if !has_origin {
             for point in &mut points[..from] {
                 point.valid = false;
             }
         }
+        if let (false, Some(origin)) = (at_rest_first, origin) {
+            let text = format!(
+                "no rest at the start: position is measured from the first rest, at {:.2} s",
+                self.times_s[origin]
+            );
+            findings.insert(0, FindingCode::Navigation.note(text));
+        }
+        let contradicted =
+            "later samples contradict the path by far more than σ: it is not smoothed across";
+        findings.extend(counted_findings(
+            FindingCode::Navigation,
+            "time",
+            &[(tape.contradictions, contradicted)],
+        ));
+        findings.extend(counted_findings(
+            FindingCode::Navigation,
+            "clipped sample",
+            &[(self.clipped.len(), "not used: σ grows there")],
+        ));
         let mut path = InertialPath::new(method, points, from, choice.limit_m);
         path.moves = moves;
         path.smoothed = smooth;
-        if let (false, Some(origin)) = (at_rest_first, origin) {
-            path.findings.push(FindingCode::Navigation.note(format!(
-                "no rest at the start: position is measured from the first rest, at {:.2} s",
-                self.times_s[origin]
-            )));
-        }
-        path.findings.extend(faults.findings());
-        path.findings.extend(aiding.findings());
-        let counts = [
-            self.clipped.len(),
-            recoveries as usize,
-            divergences as usize,
-            tape.contradictions,
-        ];
-        path.findings.extend(counted_findings(counts));
+        path.findings = findings;
         Ok(path)
+    }
+
+    /// The samples with what windows about them show of the motion.
+    pub fn inputs<'s>(
+        &self,
+        samples: &'s [Sample<f64>],
+        choice: &Choice,
+        method: Method,
+    ) -> Vec<Input<'s>> {
+        let rests = self.rests(samples, choice, method);
+        let stances = self.stances(samples, choice, method);
+        let inputs = samples.iter().enumerate().map(|(k, sample)| Input {
+            time_s: self.times_s[k],
+            sample,
+            resting: rests[k],
+            stance_mps: stances[k],
+            clipped: self.clipped.binary_search(&k).is_ok(),
+        });
+        inputs.collect()
     }
 
     /// The fixes, and the end of a path that closes.
@@ -196,37 +208,29 @@ impl Unit<'_> {
     }
 
     /// The heading at the start that explains the fixes of the first minutes best, rad.
-    fn heading<M: Model<f64, N>, const N: usize>(
+    fn heading<M: Model<f64, N> + Clone, const N: usize>(
         &self,
-        samples: &[Sample<f64>],
-        rests: &[bool],
-        stances: &[Option<f64>],
+        start: &Navigator<f64, M, N>,
+        inputs: &[Input],
         choice: &Choice,
         fix: &Fix,
-    ) -> Result<f64> {
-        let until = self
-            .times_s
-            .partition_point(|t| *t < fix.time_s + HEADING_TRIAL_S);
-        let (mut best, mut most) = (0.0, f64::NEG_INFINITY);
-        for k in 0..HEADINGS {
-            let heading = f64::from(k) * std::f64::consts::TAU / f64::from(HEADINGS);
-            let navigator = self.start::<M, N>(samples, rests, choice)?;
-            let mut navigator = navigator.recorded(Tape::new(false, Vec::new()));
-            fixes::place(&mut navigator, fix, heading);
-            let mut aiding = Aiding::from(&choice.fixes, self.times_s[0]);
-            for k in 0..until {
-                // A sample that is not usable grows the covariance.
-                let _ = navigator.push(&samples[k], rests[k]);
-                if let Some(deviation_mps) = stances[k] {
-                    navigator.stance(deviation_mps);
-                }
-                aiding.update(self.times_s[k], &mut navigator);
+    ) -> f64 {
+        let until_s = fix.time_s + HEADING_TRIAL_S;
+        let trial = |heading: &f64| {
+            let mut track = Track::new(start.clone(), choice, self.times_s[0], false);
+            track.place(fix, *heading);
+            for input in inputs.iter().take_while(|input| input.time_s < until_s) {
+                track.step(input, &choice.fixes);
             }
-            if aiding.log_likelihood > most {
-                (best, most) = (heading, aiding.log_likelihood);
-            }
-        }
-        Ok(best)
+            track.aiding.log_likelihood
+        };
+        let of = |k| f64::from(k) * std::f64::consts::TAU / f64::from(HEADINGS);
+        let tried = (0..HEADINGS)
+            .rev()
+            .map(of)
+            .map(|heading| (heading, trial(&heading)));
+        let best = tried.max_by(|a, b| a.1.total_cmp(&b.1));
+        best.map_or(0.0, |(heading, _)| heading)
     }
 
     /// Whether the unit is at rest at each sample: a window about the sample, or the times that were given.
@@ -237,7 +241,7 @@ impl Unit<'_> {
         }
         let mut settings = Detector::default();
         if method != Method::Strapdown {
-            settings = settings.without_gyroscope(noise_mps2(self.times_s, self.samples));
+            settings = settings.without_gyroscope(self.noise_mps2);
         }
         let statistics = self.statistics(samples, settings);
         let at_rest = statistics
@@ -293,14 +297,14 @@ impl Unit<'_> {
 
     /// The rest at the start: its number of samples. In a motion whose acceleration changes its sign a short window looks
     /// like a rest.
-    fn first_rest(&self, rests: &[bool]) -> Option<usize> {
+    pub fn first_rest(&self, rests: &[bool]) -> Option<usize> {
         let rest = runs(rests).into_iter().next()?;
         let lasts_s = self.times_s[rest.end - 1] - self.times_s[rest.start];
         let at_start = rest.start < self.within(SHORT_ALIGNMENT_S);
         (at_start && lasts_s >= FIRST_REST_S).then_some(rest.end)
     }
 
-    fn start<M: Model<f64, N>, const N: usize>(
+    pub fn start<M: Model<f64, N>, const N: usize>(
         &self,
         samples: &[Sample<f64>],
         rests: &[bool],
@@ -362,56 +366,6 @@ impl Unit<'_> {
         settings.rests = choice.zupt.rests();
         settings
     }
-
-    fn point<M: Model<f64, N>, const N: usize>(
-        &self,
-        k: usize,
-        navigator: &Navigator<f64, M, N, Tape<N>>,
-        at_rest: bool,
-    ) -> PathPoint {
-        let found = navigator.solution();
-        let deviations =
-            |covariance: [[f64; 3]; 3]| std::array::from_fn(|i| covariance[i][i].sqrt());
-        let mut point = PathPoint {
-            time_s: self.times_s[k],
-            position_m: found.position_m,
-            velocity_mps: found.velocity_mps,
-            velocity_sd_mps: deviations(found.velocity_covariance),
-            attitude_sd_rad: deviations(found.attitude_covariance),
-            quaternion: found.quaternion,
-            rate_rad_s: navigator.angular_rate().into(),
-            rate_covariance: None,
-            covariance_m2: found.position_covariance,
-            filtered_sd_m: 0.0,
-            resting: at_rest && navigator.is_at_rest(),
-            valid: true,
-        };
-        point.filtered_sd_m = point.sd_m();
-        point
-    }
-}
-
-/// Findings on clipped samples, recoveries and restarts of the filter, and contradictions of the smoother.
-fn counted_findings(counts: [usize; 4]) -> impl Iterator<Item = Finding> {
-    let what = [
-        ("clipped sample", "not used: σ grows there"),
-        (
-            "rest",
-            "contradicted the estimated velocity: σ was enlarged there",
-        ),
-        (
-            "time",
-            "the filter diverged and began again. Check axes, signs and units of the sensors",
-        ),
-        (
-            "time",
-            "later samples contradict the path by far more than σ: it is not smoothed across",
-        ),
-    ];
-    let found = counts.into_iter().zip(what).filter(|(count, _)| *count > 0);
-    found.map(|(count, (one, what))| {
-        FindingCode::Navigation.warning(format!("{} {what}", counted(count, one)))
-    })
 }
 
 /// Runs of samples at rest.
@@ -442,41 +396,11 @@ pub(super) fn noise_mps2(times_s: &[f64], samples: &[UnitSample]) -> f64 {
         .map_or(0.0, |v| v.sqrt())
 }
 
-fn sample(sample: &UnitSample) -> Sample<f64> {
+pub(super) fn sample(sample: &UnitSample) -> Sample<f64> {
     Sample {
         step_s: sample.step_s,
         force_mps2: sample.force_mps2.into(),
         rate_rad_s: sample.rate_rad_s.map(Into::into),
         field_ut: sample.field_ut.map(Into::into),
-    }
-}
-
-/// Samples that were not used.
-#[derive(Default)]
-struct Faults {
-    times: usize,
-    values: usize,
-}
-
-impl Faults {
-    fn count(&mut self, pushed: std::result::Result<(), SampleFault>) {
-        match pushed {
-            Ok(()) => {}
-            Err(SampleFault::NoTime) => self.times += 1,
-            Err(_) => self.values += 1,
-        }
-    }
-
-    fn findings(&self) -> impl Iterator<Item = Finding> {
-        [
-            (self.times, "whose time goes back: not used"),
-            (self.values, "that is not finite: not used"),
-        ]
-        .into_iter()
-        .filter(|(count, _)| *count > 0)
-        .map(|(count, what)| {
-            let text = format!("{} {what}", counted(count, "sample"));
-            FindingCode::SamplesLeftOut.warning(text)
-        })
     }
 }

@@ -1,12 +1,13 @@
 //! Options of `wimu navigate`.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 use wimu_host::inertial::{Profile, StartPose, Zupt};
 
 use super::reading::Reading;
-use super::values::{TimeSpans, from_to, numbers, positive, start_pose, time_spans};
+use super::values::{TimeSpans, from_to, numbers, positive, seconds, start_pose, time_spans};
 
 #[derive(Args)]
 #[command(after_help = "\
@@ -27,6 +28,7 @@ Examples:
   wimu navigate walk.csv --smooth off
   wimu navigate drive.csv --profile vehicle --fixes gnss.csv
   wimu navigate walk.csv --profile foot --loop
+  wimu navigate /dev/ttyACM0 --profile foot --fixes tcp://127.0.0.1:9000
   wimu navigate raw.csv --calibration CAL.json
   wimu navigate board.csv --geometry positions.csv -o path.csv
   wimu navigate board.csv --geometry ARRAY.json
@@ -36,9 +38,15 @@ Examples:
   wimu navigate ranges.csv --anchors anchors.csv --odometry wheels.csv
   wimu navigate imu.csv --ranges ranges.csv --anchors anchors.csv")]
 pub struct Navigate {
-    /// A recording of any format; of other programs: corrected samples, or with --calibration the sensor's output. With
-    /// --anchors alone: ranges
+    /// A LINK, or a recording of any format; of other programs: corrected samples, or with --calibration the sensor's
+    /// output. With --anchors alone: ranges
     pub input: PathBuf,
+    /// Stop after this time, s
+    #[arg(long = "for", value_name = "SECONDS", value_parser = seconds, help_heading = "Output")]
+    pub seconds: Option<Duration>,
+    /// Positions a second that are computed while a board sends [default: 10]
+    #[arg(long, value_name = "HZ", value_parser = from_to(0.01, 1000.0), help_heading = "Output")]
+    pub rate: Option<f64>,
     /// With --geometry: recordings of further boards on the same body, in the order of the geometry
     #[arg(value_name = "BOARD", requires = "geometry")]
     pub boards: Vec<PathBuf>,
@@ -89,12 +97,12 @@ pub struct Navigate {
         help_heading = "Model"
     )]
     pub start: Option<StartPose>,
-    /// Position, velocity or heading by another system: CSV with `Time (s)` and any of `Position E (m)`, `Position N (m)`,
+    /// Position, velocity or heading by another system: a CSV file, or with INPUT a LINK also a LINK that sends its lines, with `Time (s)` and any of `Position E (m)`, `Position N (m)`,
     /// `Position U (m)` or `Height (m)`, `Velocity E (m/s)`, …, `Heading (deg)`, each with `Position Sigma E (m)`, …. The path
     /// is in their frame, and starts with the heading that explains them
     #[arg(
         long,
-        value_name = "FIXES.csv",
+        value_name = "FIXES.csv|LINK",
         conflicts_with_all = ["geometry", "anchors"],
         help_heading = "Aiding"
     )]

@@ -71,8 +71,11 @@ const TABLES: [Table; 3] = [
 /// What is read by its format.
 const TABLE: &str = "a table or a recording of another program";
 
+/// What is complete.
+const FILE: &str = "a file";
+
 /// Options of `align`, `allan`, `calibrate`, `info` and `navigate` that one kind of input has.
-const INPUTS: [(&str, &str); 14] = [
+const INPUTS: [(&str, &str); 19] = [
     ("where", TABLE),
     ("poses", TABLE),
     ("accelerometer", TABLE),
@@ -87,6 +90,11 @@ const INPUTS: [(&str, &str); 14] = [
     ("count", "a LINK"),
     ("for", "a LINK"),
     ("push", "a LINK"),
+    ("rate", "a LINK"),
+    ("rests", FILE),
+    ("smooth", FILE),
+    ("loop", FILE),
+    ("anchors", FILE),
 ];
 
 /// Refuses options that the command would ignore.
@@ -198,7 +206,8 @@ fn by_input(matches: &ArgMatches, given: &[&str]) -> Result<()> {
         Err(_) => return Ok(()),
     };
     for (option, needed) in INPUTS {
-        if needed != kind && given.contains(&option) {
+        let fits = needed == kind || (needed == FILE && kind != "a LINK");
+        if !fits && given.contains(&option) {
             let remedy = match option {
                 "push" => {
                     "write the result with -o and push it with `wimu params push LINK CAL.json`"

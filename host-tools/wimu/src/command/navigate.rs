@@ -2,6 +2,7 @@
 
 mod array;
 mod inertial;
+mod live;
 mod ranges;
 
 use serde::Serialize;
@@ -115,8 +116,7 @@ fn to_tenth_mm(m: f64) -> f64 {
 pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     let input = arguments.input.to_string_lossy();
     if let Ok(Input::Link(link)) = Input::parse(&input) {
-        let remedy = format!("record first: `wimu record {link} -o FILE.mcap`");
-        return Err(usage("navigate reads recordings, and this is a LINK", remedy).at(input));
+        return live::run(arguments, &link.to_string(), output);
     }
     for file in [&arguments.report, &arguments.output] {
         for read in [Some(&arguments.input), arguments.fixes.as_ref()] {

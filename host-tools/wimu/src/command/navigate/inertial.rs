@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use serde::Serialize;
-use wimu_host::Result;
 use wimu_host::calibration::{read_model, zero_count};
 use wimu_host::finding::Finding;
 use wimu_host::formats;
@@ -12,6 +11,7 @@ use wimu_host::inertial::{
 };
 use wimu_host::motion::{MotionRecording, TableOptions};
 use wimu_host::plural::counted;
+use wimu_host::{Input, Result};
 
 use super::array;
 use crate::arguments::{Navigate, Smoothing, ZeroVelocity};
@@ -176,14 +176,17 @@ pub fn one_unit(
     present(arguments, &path, &choice, source, output)
 }
 
-fn choice(arguments: &Navigate) -> Result<Choice> {
+/// What the options say.
+pub fn choice(arguments: &Navigate) -> Result<Choice> {
     let fixes = match &arguments.fixes {
-        Some(file) => Fixes {
-            lever_arm_m: arguments.lever_arm.unwrap_or_default(),
-            ..Fixes::read(file, arguments.fix_delay)?
+        // A link has none yet.
+        Some(from) => match Input::parse(&from.to_string_lossy())? {
+            Input::Link(_) => Fixes::default(),
+            _ => Fixes::read(from, arguments.fix_delay)?,
         },
         None => Fixes::default(),
     };
+    let lever_arm_m = arguments.lever_arm.unwrap_or_default();
     Ok(Choice {
         zupt: ZeroVelocity::of(arguments.zupt),
         profile: arguments.profile.into(),
@@ -192,12 +195,16 @@ fn choice(arguments: &Navigate) -> Result<Choice> {
         rests_s: arguments.rests.clone(),
         start: arguments.start,
         smooth: arguments.smooth == Smoothing::On,
-        fixes,
+        fixes: Fixes {
+            lever_arm_m,
+            ..fixes
+        },
         loop_m: arguments.closes,
     })
 }
 
-fn present(
+/// Prints and writes a path; returns its object.
+pub fn present(
     arguments: &Navigate,
     path: &InertialPath,
     choice: &Choice,
@@ -362,7 +369,8 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
     };
     text += &format!(
         "path: {:.3} m in {:.1} s, {}{}; {:.0} % of the samples are valid (σ below {} m)\n",
-        path.distance_m(),
+        // An empty sum is −0.
+        path.distance_m() + 0.0,
         duration(path),
         match path.method {
             Method::Strapdown => "with a gyroscope",

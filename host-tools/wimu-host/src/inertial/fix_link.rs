@@ -1,0 +1,177 @@
+//! Fixes that arrive over a link, as lines of a table.
+
+use std::sync::mpsc::{self, Receiver};
+use std::thread;
+use std::time::Duration;
+
+use super::fixes::{Fix, Fixes};
+use crate::csv::columns::Table;
+use crate::finding::{Finding, FindingCode};
+use crate::plural::counted;
+use crate::transport::{self, Transport};
+use crate::{LinkUrl, Result};
+
+/// Time for which a least delay counts, s: two clocks drift apart by 6 ms meanwhile (50 ppm).
+const COUNTS_S: f64 = 120.0;
+/// Longest line, bytes: the rest of a longer one is dropped.
+const MAX_LINE: usize = 4096;
+
+/// The offset of another clock, from messages with its time: that of the least delay.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct LeastDelay {
+    /// Smallest differences, s, of the running half of [`COUNTS_S`] and of the half before.
+    least: [Option<f64>; 2],
+    begun_s: f64,
+}
+
+impl LeastDelay {
+    /// A message with a time of the other clock, s, and when it arrived.
+    pub fn see(&mut self, time_s: f64, arrived_s: f64) {
+        if arrived_s - self.begun_s > 0.5 * COUNTS_S {
+            self.least = [None, self.least[0]];
+            self.begun_s = arrived_s;
+        }
+        let offset = arrived_s - time_s;
+        self.least[0] = Some(self.least[0].map_or(offset, |least| least.min(offset)));
+    }
+
+    /// The other clock's time minus this clock's, s, if the least delay is zero; `None` before the first message.
+    pub fn offset_s(&self) -> Option<f64> {
+        let least = self.least.into_iter().flatten();
+        least.reduce(f64::min).map(|least| -least)
+    }
+}
+
+/// A link that carries fixes: the header of [`Fixes::read`]'s table, then a line for each fix. Without a column of times
+/// a fix is measured when it arrives; with one, the least delayed is.
+pub struct FixLink {
+    name: String,
+    /// Lines, and when they arrived on the clock of the host's links, s.
+    lines: Receiver<(f64, Result<String>)>,
+    header: Option<String>,
+    clock: LeastDelay,
+    delay_s: f64,
+    unreadable: usize,
+    finding: Option<Finding>,
+}
+
+impl FixLink {
+    /// Opens the link. A fix was measured `delay_s` before it arrives.
+    ///
+    /// # Errors
+    /// Those of [`transport::open`].
+    pub fn open(link: &LinkUrl, delay_s: f64) -> Result<Self> {
+        let mut transport = transport::open(link)?;
+        let (give, lines) = mpsc::channel();
+        thread::spawn(move || {
+            let mut reader = Lines::default();
+            loop {
+                let read = reader.next(&mut transport);
+                let over = read.is_err();
+                if give.send((transport.now().as_secs_f64(), read)).is_err() || over {
+                    return;
+                }
+            }
+        });
+        Ok(Self {
+            name: link.to_string(),
+            lines,
+            header: None,
+            clock: LeastDelay::default(),
+            delay_s,
+            unreadable: 0,
+            finding: None,
+        })
+    }
+
+    /// The fixes that have arrived, at times of the host's links.
+    pub fn arrived(&mut self) -> Vec<Fix> {
+        let mut found = Vec::new();
+        while let Ok((arrived_s, line)) = self.lines.try_recv() {
+            let line = match line {
+                Ok(line) => line,
+                Err(error) => {
+                    let text = format!("no more fixes: {error}");
+                    self.finding = Some(FindingCode::Navigation.warning(text));
+                    break;
+                }
+            };
+            let Some(header) = &self.header else {
+                self.header = Some(line);
+                continue;
+            };
+            let text = format!("{header}\n{line}\n");
+            let fixes = Table::of(self.name.clone(), &text)
+                .and_then(|table| Fixes::of(&table, 0.0, Some(arrived_s)));
+            match fixes {
+                Ok(fixes) => found.extend(fixes.fixes.into_iter().map(|fix| {
+                    self.clock.see(fix.time_s, arrived_s);
+                    let offset_s = self.clock.offset_s().unwrap_or_default();
+                    Fix {
+                        time_s: fix.time_s - offset_s - self.delay_s,
+                        ..fix
+                    }
+                })),
+                Err(error) => {
+                    self.unreadable += 1;
+                    let text = format!(
+                        "{} of the fixes cannot be read: {error}",
+                        counted(self.unreadable, "line")
+                    );
+                    self.finding = Some(FindingCode::SamplesLeftOut.warning(text));
+                }
+            }
+        }
+        found
+    }
+
+    /// What was noticed last: a lost link, lines that are no fixes.
+    pub fn finding(&self) -> Option<&Finding> {
+        self.finding.as_ref()
+    }
+}
+
+/// Lines of a byte stream.
+#[derive(Default)]
+struct Lines {
+    bytes: Vec<u8>,
+}
+
+impl Lines {
+    /// The next line that is not empty.
+    fn next(&mut self, transport: &mut dyn Transport) -> Result<String> {
+        loop {
+            if let Some(end) = self.bytes.iter().position(|byte| *byte == b'\n') {
+                let line: Vec<u8> = self.bytes.drain(..=end).collect();
+                let line = String::from_utf8_lossy(&line).trim().to_owned();
+                if !line.is_empty() {
+                    return Ok(line);
+                }
+                continue;
+            }
+            self.bytes.truncate(MAX_LINE);
+            let mut buffer = [0; 1024];
+            let count = transport.read(&mut buffer, Duration::from_secs(1))?;
+            self.bytes.extend_from_slice(&buffer[..count]);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_offset_of_a_clock_is_that_of_the_least_delayed_of_the_last_two_minutes() {
+        let mut clock = LeastDelay::default();
+        assert_eq!(clock.offset_s(), None);
+        // The other clock is 1000 s ahead, and gains 1 ms a second.
+        for k in 0..600 {
+            let arrived_s = f64::from(k);
+            let delay_s = f64::from((k * 7) % 10) * 0.02;
+            clock.see((arrived_s - delay_s) * 1.001 + 1000.0, arrived_s);
+        }
+        let offset_s = clock.offset_s().unwrap();
+        assert!((1000.48..1000.6).contains(&offset_s), "{offset_s}");
+    }
+}

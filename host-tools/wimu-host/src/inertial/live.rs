@@ -1,0 +1,390 @@
+//! Navigation of a stream.
+
+use nalgebra::Matrix3;
+use wimu_nav::navigator::{Gyroscope, Model, NoGyroscope, Profile, Sample};
+use wimu_nav::stance::AHEAD_S;
+use wimu_nav::stationarity::Detector;
+
+use super::fixes::{Fix, Fixes};
+use super::sense::{Senses, clipped};
+use super::track::{Input, Track, counted_findings};
+use super::unit::{HEADINGS, OnceEachField, Unit, noise_mps2, sample};
+use super::{Choice, InertialPath, Method, PathPoint};
+use crate::Result;
+use crate::finding::{Finding, FindingCode};
+use crate::motion::{MotionRecording, UnitSample};
+
+/// Samples before the first answer, s: what shows whether the sensors are calibrated, and the alignment.
+const START_S: f64 = 3.0;
+/// The navigator takes samples in blocks of this length, s.
+const BLOCK_S: f64 = 0.1;
+/// Samples that are kept before the horizon, s: those that a stance looks back to.
+const KEPT_S: f64 = AHEAD_S + 1.0;
+/// Difference of the logarithms of two likelihoods beyond which the smaller one is ruled out: odds of 1 to 2·10⁹.
+const RULED_OUT: f64 = 21.4;
+
+/// A unit that is navigated while it moves, with the filter of [`navigate`](super::navigate).
+///
+/// The filter is behind the newest sample by a horizon, within which fixes may arrive late and the detector of rests sees
+/// samples before and after. Each answer predicts the samples since then anew (delayed fusion horizon, as PX4's EKF2).
+///
+/// ```
+/// use wimu_host::inertial::{Choice, Live};
+/// use wimu_host::motion::{MotionRecording, UnitSample};
+///
+/// let mut live = Live::new(Choice::default(), MotionRecording::default(), 0.5);
+/// for k in 0..500 {
+///     let force_mps2 = [0.0, 0.0, if k % 2 == 0 { 9.80 } else { 9.81 }];
+///     live.push(f64::from(k) * 0.01, UnitSample { force_mps2, ..UnitSample::default() })?;
+/// }
+/// let point = live.now().expect("an answer after three seconds");
+/// assert!(point.valid && point.time_s == 4.99 && point.position_m[2].abs() < 0.01);
+/// # Ok::<(), wimu_host::HostError>(())
+/// ```
+pub struct Live {
+    choice: Choice,
+    /// The samples since a little before the horizon, and what is known of the sensors.
+    recording: MotionRecording,
+    /// How late fixes may arrive, s.
+    delay_s: f64,
+    /// Of the buffered samples, those before the horizon.
+    taken: usize,
+    once: OnceEachField,
+    begun: Option<Begun>,
+    findings: Vec<Finding>,
+    late: usize,
+    not_finite: usize,
+    clipped: usize,
+}
+
+/// What the first seconds have shown.
+struct Begun {
+    method: Method,
+    senses: Senses,
+    noise_mps2: f64,
+    path: Box<dyn Follow + Send>,
+}
+
+impl Live {
+    /// Before the first sample. `of` has the full scale and the calibration of the sensors; fixes may arrive `delay_s` late.
+    pub fn new(choice: Choice, of: MotionRecording, delay_s: f64) -> Self {
+        let window_s = match choice.profile {
+            Profile::Foot => Detector::<f64>::foot().window_s + AHEAD_S,
+            _ => Detector::<f64>::default().window_s,
+        };
+        Self {
+            choice,
+            recording: of,
+            delay_s: delay_s.max(window_s),
+            taken: 0,
+            once: OnceEachField::default(),
+            begun: None,
+            findings: Vec::new(),
+            late: 0,
+            not_finite: 0,
+            clipped: 0,
+        }
+    }
+
+    /// The next sample, at a time on the device's clock, s; its `step_s` is not read. A reading of the magnetometer may be
+    /// repeated.
+    ///
+    /// # Errors
+    /// `data_refused`, three seconds after the first sample: these do not show gravity.
+    pub fn push(&mut self, time_s: f64, sample: UnitSample) -> Result<()> {
+        let mut values = sample.force_mps2.into_iter().chain([time_s]);
+        if !values.all(f64::is_finite) {
+            self.not_finite += 1;
+            return Ok(());
+        }
+        let last_s = self.recording.times_s.last().copied().unwrap_or(time_s);
+        let sample = UnitSample {
+            step_s: time_s - last_s,
+            ..sample
+        };
+        self.recording.times_s.push(time_s);
+        self.recording.samples.push(self.once.of(&sample));
+        let times_s = &self.recording.times_s;
+        if self.begun.is_none() {
+            if time_s - times_s[0] >= START_S {
+                self.begin()?;
+            }
+        } else if time_s - times_s[self.taken.min(times_s.len() - 1)] >= self.delay_s + BLOCK_S {
+            self.advance(time_s - self.delay_s);
+        }
+        Ok(())
+    }
+
+    /// A measurement of another system. A fix of the horizontal position moves the path to the frame of the fixes.
+    pub fn fix(&mut self, fix: Fix) {
+        let horizon_s = self.recording.times_s.get(self.taken);
+        if self.begun.is_some() && horizon_s.is_some_and(|horizon_s| fix.time_s < *horizon_s) {
+            self.late += 1;
+            return;
+        }
+        let fixes = &mut self.choice.fixes.fixes;
+        let at = fixes.partition_point(|other| other.time_s <= fix.time_s);
+        fixes.insert(at, fix);
+    }
+
+    /// The magnetometer is not calibrated: its field is not given.
+    pub fn field_is_uncalibrated(&mut self) {
+        self.recording.field_uncalibrated = true;
+    }
+
+    /// The path through answers of [`now`](Self::now).
+    pub fn path(&self, points: Vec<PathPoint>) -> InertialPath {
+        let method = self
+            .begun
+            .as_ref()
+            .map_or(Method::Strapdown, |begun| begun.method);
+        let mut path = InertialPath::new(method, points, 0, self.choice.limit_m);
+        path.findings = self.findings();
+        path
+    }
+
+    /// Where the unit is at the newest sample; `None` in the first three seconds.
+    pub fn now(&self) -> Option<PathPoint> {
+        let begun = self.begun.as_ref()?;
+        let samples: Vec<_> = self.recording.samples.iter().map(sample).collect();
+        let inputs = self.inputs(&samples, begun);
+        let mut point = begun
+            .path
+            .ahead(inputs.get(self.taken..)?, &self.choice.fixes)?;
+        point.valid &= point.sd_m() <= self.choice.limit_m;
+        Some(point)
+    }
+
+    /// Time of the newest sample, s.
+    pub fn newest_s(&self) -> Option<f64> {
+        self.recording.times_s.last().copied()
+    }
+
+    /// What was noticed up to now.
+    pub fn findings(&self) -> Vec<Finding> {
+        let mut found = self.findings.clone();
+        let late = "arrived later than the filter waits: not used (--fix-delay)";
+        let counts = [
+            (self.late, "fix", late),
+            (self.clipped, "clipped sample", "not used: σ grows there"),
+            (self.not_finite, "sample", "that is not finite: not used"),
+        ];
+        for (count, one, what) in counts {
+            let counts = [(count, what)];
+            found.extend(counted_findings(FindingCode::SamplesLeftOut, one, &counts));
+        }
+        if let Some(begun) = &self.begun {
+            found.extend(begun.path.findings());
+        }
+        found
+    }
+
+    fn begin(&mut self) -> Result<()> {
+        let recording = &self.recording;
+        let senses = Senses::of(recording)?;
+        let method = match recording.samples.iter().any(|s| s.rate_rad_s.is_some()) {
+            true => Method::Strapdown,
+            false => Method::Tilt,
+        };
+        self.findings = senses.findings.clone();
+        if recording.samples.iter().all(|s| s.field_ut.is_none()) {
+            let text = format!(
+                "{}: heading is that of the body at the start, until fixes show it",
+                recording.without_field()
+            );
+            self.findings.push(FindingCode::Navigation.note(text));
+        }
+        let noise_mps2 = noise_mps2(&recording.times_s, &recording.samples);
+        let unit = unit(recording, &senses, &senses.clipped, noise_mps2);
+        let path: Box<dyn Follow + Send> = match method {
+            Method::Strapdown => unit.begin::<Gyroscope<f64>, 40>(&self.choice, method)?,
+            _ => unit.begin::<NoGyroscope<f64>, 24>(&self.choice, method)?,
+        };
+        self.begun = Some(Begun {
+            method,
+            senses,
+            noise_mps2,
+            path,
+        });
+        Ok(())
+    }
+
+    fn inputs<'s>(&self, samples: &'s [Sample<f64>], begun: &Begun) -> Vec<Input<'s>> {
+        let clipped = clipped(&self.recording.samples);
+        let unit = unit(&self.recording, &begun.senses, &clipped, begun.noise_mps2);
+        unit.inputs(samples, &self.choice, begun.method)
+    }
+
+    /// Moves the horizon up to a time, s.
+    fn advance(&mut self, until_s: f64) {
+        let Some(mut begun) = self.begun.take() else {
+            return;
+        };
+        let samples: Vec<_> = self.recording.samples.iter().map(sample).collect();
+        let inputs = self.inputs(&samples, &begun);
+        let times_s = &self.recording.times_s;
+        let end = times_s.partition_point(|t| *t <= until_s).max(self.taken);
+        let block = &inputs[self.taken..end];
+        self.clipped += block.iter().filter(|input| input.clipped).count();
+        begun.path.advance(block, &self.choice.fixes);
+        self.begun = Some(begun);
+        let old = times_s.partition_point(|t| *t < until_s - KEPT_S).min(end);
+        self.recording.times_s.drain(..old);
+        self.recording.samples.drain(..old);
+        self.taken = end - old;
+        let fixes = &mut self.choice.fixes.fixes;
+        let used = fixes.partition_point(|fix| fix.time_s < until_s - KEPT_S);
+        fixes.drain(..used);
+    }
+}
+
+fn unit<'a>(
+    recording: &'a MotionRecording,
+    senses: &Senses,
+    clipped: &'a [usize],
+    noise_mps2: f64,
+) -> Unit<'a> {
+    Unit {
+        name: &recording.name,
+        times_s: &recording.times_s,
+        samples: &recording.samples,
+        clipped,
+        gravity_mps2: recording.gravity_mps2(),
+        bias_mps2: senses.bias_mps2,
+        covariance: recording.calibration_covariance(),
+        uncalibrated: senses.uncalibrated,
+        time_sd_s: 0.0,
+        noise_mps2,
+    }
+}
+
+impl Unit<'_> {
+    /// The path from the first sample on.
+    fn begin<M, const N: usize>(
+        &self,
+        choice: &Choice,
+        method: Method,
+    ) -> Result<Box<Headings<M, N>>>
+    where
+        M: Model<f64, N> + Clone,
+    {
+        self.accepts(choice, method)?;
+        let samples: Vec<_> = self.samples.iter().map(sample).collect();
+        let inputs = self.inputs(&samples, choice, method);
+        let rests: Vec<bool> = inputs.iter().map(|input| input.resting).collect();
+        let start = self.start::<M, N>(&samples, &rests, choice)?;
+        let at_rest = self.first_rest(&rests).is_some();
+        Ok(Box::new(Headings {
+            tracks: vec![Track::new(start, choice, self.times_s[0], at_rest)],
+            placed: choice.start.is_some(),
+            jumped_s: None,
+        }))
+    }
+}
+
+/// A path whose samples and fixes arrive.
+trait Follow {
+    /// Takes samples.
+    fn advance(&mut self, inputs: &[Input], fixes: &Fixes);
+
+    /// The point after further samples, which are not taken.
+    fn ahead(&self, inputs: &[Input], fixes: &Fixes) -> Option<PathPoint>;
+
+    fn findings(&self) -> Vec<Finding>;
+}
+
+/// A path at several headings, until fixes rule out all but one.
+struct Headings<M, const N: usize> {
+    tracks: Vec<Track<M, N>>,
+    /// Whether the path is in the frame of the fixes.
+    placed: bool,
+    /// When it was moved to it, s.
+    jumped_s: Option<f64>,
+}
+
+impl<M: Model<f64, N> + Clone, const N: usize> Headings<M, N> {
+    fn best(&self) -> Option<&Track<M, N>> {
+        let likelihood = |track: &&Track<M, N>| track.aiding.log_likelihood;
+        let ordered = |a: &&_, b: &&_| likelihood(a).total_cmp(&likelihood(b));
+        self.tracks.iter().max_by(ordered)
+    }
+
+    /// Moves the path to the first fix, at all headings.
+    fn place(&mut self, fix: &Fix) {
+        let track = &self.tracks[0];
+        let all = (0..HEADINGS).map(|k| {
+            let mut track = track.clone();
+            track.place(
+                fix,
+                f64::from(k) * std::f64::consts::TAU / f64::from(HEADINGS),
+            );
+            track
+        });
+        self.tracks = all.collect();
+        (self.placed, self.jumped_s) = (true, Some(fix.time_s));
+    }
+
+    /// Drops headings that are ruled out, and those that have come to the solution of a more probable one.
+    fn prune(&mut self) {
+        self.tracks
+            .sort_by(|a, b| b.aiding.log_likelihood.total_cmp(&a.aiding.log_likelihood));
+        let mut kept: Vec<Track<M, N>> = Vec::new();
+        for track in self.tracks.drain(..) {
+            let same = |other: &Track<M, N>| {
+                let apart = track.navigator.heading() - other.navigator.heading();
+                let apart = apart.sin().atan2(apart.cos()).abs();
+                let covariance = other.navigator.solution().attitude_covariance;
+                apart < Matrix3::from(covariance)[(2, 2)].sqrt()
+            };
+            let is_lost = kept.first().is_some_and(|best| {
+                best.aiding.log_likelihood - track.aiding.log_likelihood > RULED_OUT
+            });
+            if !is_lost && !kept.iter().any(same) {
+                kept.push(track);
+            }
+        }
+        self.tracks = kept;
+    }
+}
+
+impl<M: Model<f64, N> + Clone, const N: usize> Follow for Headings<M, N> {
+    fn advance(&mut self, inputs: &[Input], fixes: &Fixes) {
+        for input in inputs {
+            let first = fixes.origin().filter(|fix| fix.time_s <= input.time_s);
+            if let (false, Some(fix)) = (self.placed, first) {
+                self.place(fix);
+            }
+            for track in &mut self.tracks {
+                track.step(input, fixes);
+            }
+        }
+        if self.tracks.len() > 1 {
+            self.prune();
+        }
+    }
+
+    fn ahead(&self, inputs: &[Input], fixes: &Fixes) -> Option<PathPoint> {
+        let mut track = self.best()?.clone();
+        let unplaced = Fixes::default();
+        let fixes = if self.placed { fixes } else { &unplaced };
+        let mut last = None;
+        for input in inputs {
+            last = Some(track.step(input, fixes));
+        }
+        let mut point = last?;
+        point.valid = track.has_origin() && self.tracks.len() == 1;
+        Some(point)
+    }
+
+    fn findings(&self) -> Vec<Finding> {
+        let mut found = Vec::new();
+        if let Some(jumped_s) = self.jumped_s {
+            let text = format!("the path was moved to the frame of the fixes at {jumped_s:.2} s");
+            found.push(FindingCode::Navigation.note(text));
+        }
+        if let Some(best) = self.best() {
+            found.extend(best.findings());
+        }
+        found
+    }
+}

@@ -1,0 +1,171 @@
+//! A navigator along the samples of a unit, with what aids it.
+
+use wimu_nav::navigator::{Model, Navigator, Profile, Sample, SampleFault};
+use wimu_nav::smoother::Recorder;
+
+use super::fixes::{self, Aiding, Fix, Fixes};
+use super::{Choice, PathPoint};
+use crate::finding::{Finding, FindingCode};
+use crate::plural::counted;
+
+/// A start in motion ends with the first rest of this length, s.
+pub(super) const FIRST_REST_S: f64 = 0.5;
+
+/// A sample with what is known of the motion at its time.
+pub(super) struct Input<'a> {
+    pub time_s: f64,
+    pub sample: &'a Sample<f64>,
+    pub resting: bool,
+    /// Standard deviation of the velocity of a foot in a stance, m/s.
+    pub stance_mps: Option<f64>,
+    /// Whether the accelerometer clips.
+    pub clipped: bool,
+}
+
+/// A navigator with the fixes up to its time.
+#[derive(Clone, Debug)]
+pub(super) struct Track<M, const N: usize, L = ()> {
+    pub navigator: Navigator<f64, M, N, L>,
+    pub aiding: Aiding,
+    profile: Profile,
+    /// Whether its positions are in a frame that was given: that of fixes, or of a pose at the start.
+    framed: bool,
+    /// Number of the sample at which position is zero: the last of the first rest.
+    pub origin: Option<usize>,
+    in_first_rest: bool,
+    rest_s: f64,
+    samples: usize,
+    no_time: usize,
+    not_finite: usize,
+}
+
+impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
+    /// At the first sample, at `time_s`.
+    pub fn new(
+        navigator: Navigator<f64, M, N, L>,
+        choice: &Choice,
+        time_s: f64,
+        at_rest: bool,
+    ) -> Self {
+        Self {
+            navigator,
+            aiding: Aiding::from(time_s),
+            profile: choice.profile,
+            framed: choice.start.is_some(),
+            origin: at_rest.then_some(0),
+            in_first_rest: at_rest,
+            rest_s: 0.0,
+            samples: 0,
+            no_time: 0,
+            not_finite: 0,
+        }
+    }
+
+    /// Moves to the frame of fixes, at a heading, rad.
+    pub fn place(&mut self, fix: &Fix, heading_rad: f64) {
+        fixes::place(&mut self.navigator, fix, heading_rad);
+        self.framed = true;
+    }
+
+    /// Whether position is measured from a place that is known.
+    pub fn has_origin(&self) -> bool {
+        self.framed || self.origin.is_some()
+    }
+
+    /// The next sample, and the fixes up to its time.
+    pub fn step(&mut self, input: &Input, fixes: &Fixes) -> PathPoint {
+        let Input {
+            sample, resting, ..
+        } = *input;
+        // A foot's shocks are short: the largest reading is nearer to them than none.
+        if self.profile != Profile::Foot && input.clipped {
+            self.navigator.interrupt(sample.step_s);
+        } else {
+            match self.navigator.push(sample, resting) {
+                Ok(()) => {}
+                Err(SampleFault::NoTime) => self.no_time += 1,
+                Err(_) => self.not_finite += 1,
+            }
+        }
+        if let Some(deviation_mps) = input.stance_mps {
+            self.navigator.stance(deviation_mps);
+        }
+        self.rest_s = if resting {
+            self.rest_s + sample.step_s
+        } else {
+            0.0
+        };
+        self.aiding.update(fixes, input.time_s, &mut self.navigator);
+        let lies = self.rest_s >= FIRST_REST_S || input.stance_mps.is_some();
+        if !self.has_origin() && lies {
+            self.navigator.set_origin();
+            (self.origin, self.in_first_rest) = (Some(self.samples), true);
+        }
+        self.in_first_rest &= resting;
+        if self.in_first_rest {
+            self.origin = Some(self.samples);
+        }
+        self.samples += 1;
+        self.point(input)
+    }
+
+    fn point(&self, input: &Input) -> PathPoint {
+        let found = self.navigator.solution();
+        let deviations =
+            |covariance: [[f64; 3]; 3]| std::array::from_fn(|i| covariance[i][i].sqrt());
+        let at_rest = input.resting && self.navigator.is_at_rest();
+        let mut point = PathPoint {
+            time_s: input.time_s,
+            position_m: found.position_m,
+            velocity_mps: found.velocity_mps,
+            velocity_sd_mps: deviations(found.velocity_covariance),
+            attitude_sd_rad: deviations(found.attitude_covariance),
+            quaternion: found.quaternion,
+            rate_rad_s: self.navigator.angular_rate().into(),
+            rate_covariance: None,
+            covariance_m2: found.position_covariance,
+            filtered_sd_m: 0.0,
+            resting: at_rest || input.stance_mps.is_some(),
+            valid: true,
+        };
+        point.filtered_sd_m = point.sd_m();
+        point
+    }
+
+    /// What was noticed: samples that were not used, recoveries and restarts of the filter, and the use of fixes.
+    pub fn findings(&self) -> Vec<Finding> {
+        let left_out = [
+            (self.no_time, "whose time goes back: not used"),
+            (self.not_finite, "that is not finite: not used"),
+        ];
+        let mut found = counted_findings(FindingCode::SamplesLeftOut, "sample", &left_out);
+        found.extend(self.aiding.findings());
+        let recoveries = self.navigator.recoveries() as usize;
+        let contradicted = "contradicted the estimated velocity: σ was enlarged there";
+        found.extend(counted_findings(
+            FindingCode::Navigation,
+            "rest",
+            &[(recoveries, contradicted)],
+        ));
+        let divergences = self.navigator.divergences() as usize;
+        let diverged =
+            "the filter diverged and began again. Check axes, signs and units of the sensors";
+        found.extend(counted_findings(
+            FindingCode::Navigation,
+            "time",
+            &[(divergences, diverged)],
+        ));
+        found
+    }
+}
+
+/// A warning for each count above zero: so many of something, and what happened to them.
+pub(super) fn counted_findings(
+    code: FindingCode,
+    one: &str,
+    counts: &[(usize, &str)],
+) -> Vec<Finding> {
+    let some = counts.iter().filter(|(count, _)| *count > 0);
+    some.map(|(count, what)| code.warning(format!("{} {what}", counted(*count, one))))
+        .collect()
+}

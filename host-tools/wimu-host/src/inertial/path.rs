@@ -3,6 +3,10 @@
 use std::io::Write as _;
 use std::path::Path as FilePath;
 
+use nalgebra::UnitQuaternion;
+use wimu_nav::filter::Filter;
+use wimu_nav::state::{ATTITUDE, POSITION, VELOCITY};
+
 use super::truth::consistency;
 use super::{Method, Move};
 use crate::finding::{Finding, FindingCode};
@@ -41,6 +45,31 @@ pub struct PathPoint {
 }
 
 impl PathPoint {
+    /// What a filter estimates at a time, s.
+    pub(crate) fn of<const N: usize>(time_s: f64, filter: &Filter<f64, N>) -> Self {
+        let deviation = |block| {
+            let variance = filter.covariance::<3>(block).diagonal();
+            variance.map(|v| v.max(0.0).sqrt()).into()
+        };
+        let attitude = UnitQuaternion::from_rotation_matrix(&filter.state.attitude);
+        let mut point = Self {
+            time_s,
+            position_m: filter.state.get(POSITION).into(),
+            velocity_mps: filter.state.get(VELOCITY).into(),
+            velocity_sd_mps: deviation(VELOCITY),
+            attitude_sd_rad: deviation(ATTITUDE),
+            quaternion: [attitude.w, attitude.i, attitude.j, attitude.k],
+            rate_rad_s: [0.0; 3],
+            rate_covariance: None,
+            covariance_m2: filter.covariance(POSITION).into(),
+            filtered_sd_m: 0.0,
+            resting: false,
+            valid: true,
+        };
+        point.filtered_sd_m = point.sd_m();
+        point
+    }
+
     /// Standard deviation of each component, m: not a number where the variance is none.
     pub fn sigma_m(&self) -> [f64; 3] {
         let variance = |i: usize| self.covariance_m2[i][i];

@@ -369,25 +369,11 @@ impl Unit<'_> {
         navigator: &Navigator<f64, M, N, Tape<N>>,
         at_rest: bool,
     ) -> PathPoint {
-        let found = navigator.solution();
-        let deviations =
-            |covariance: [[f64; 3]; 3]| std::array::from_fn(|i| covariance[i][i].sqrt());
-        let mut point = PathPoint {
-            time_s: self.times_s[k],
-            position_m: found.position_m,
-            velocity_mps: found.velocity_mps,
-            velocity_sd_mps: deviations(found.velocity_covariance),
-            attitude_sd_rad: deviations(found.attitude_covariance),
-            quaternion: found.quaternion,
+        PathPoint {
             rate_rad_s: navigator.angular_rate().into(),
-            rate_covariance: None,
-            covariance_m2: found.position_covariance,
-            filtered_sd_m: 0.0,
             resting: at_rest && navigator.is_at_rest(),
-            valid: true,
-        };
-        point.filtered_sd_m = point.sd_m();
-        point
+            ..PathPoint::of(self.times_s[k], navigator.filter())
+        }
     }
 }
 

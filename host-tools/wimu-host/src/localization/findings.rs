@@ -146,24 +146,13 @@ fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Findin
     let mut found = Vec::new();
     for (index, anchor) in recording.anchors.iter().enumerate() {
         let own = &run.anchors[index];
-        let value = |block| {
-            run.calibration
-                .parameter(block)
-                .map_or(0.0, |[value, _]| value)
-        };
-        let (bias, scale) = (value(own.bias), value(own.scale));
-        let offset = own.offset.map_or([0.0; 3], |block| {
-            run.calibration
-                .vector(block)
-                .map(|axis| axis.map_or(0.0, |[v, _]| v))
-        });
-        let place = Vector3::from(anchor.position_m) + Vector3::from(offset);
+        let [bias, scale] = [own.bias_m, own.scale].map(|e| e.map_or(0.0, |[value, _]| value));
         let residual = |time_s: f64, range_m: f64| {
             let at = run
                 .points
                 .partition_point(|p| p.time_s < time_s)
                 .min(run.points.len() - 1);
-            let distance = (Vector3::from(run.points[at].position_m) - place).norm();
+            let distance = (Vector3::from(run.points[at].position_m) - own.position_m).norm();
             range_m - bias - (1.0 + scale) * distance
         };
         let pairs = recording.ranges.iter().filter(|r| r.anchor == index);

@@ -20,8 +20,6 @@ const HEADING_SD: f64 = 0.3;
 /// Standard deviations of a start that is given, m and rad.
 const GIVEN_M: f64 = 0.3;
 const GIVEN_HEADING: f64 = 0.05;
-/// Standard deviation of the velocity at the start, m/s: walking speed.
-const SPEED_MPS: f64 = 1.0;
 /// Tilt of a start in motion, rad: see `wimu_nav::navigator`.
 const TILT: f64 = 0.1;
 /// Logarithm of the odds below which two starts are equally probable, 150 to 1.
@@ -138,7 +136,6 @@ fn starts(
             starts.push(Start {
                 position_m,
                 position_sd_m,
-                velocity_sd_mps: SPEED_MPS,
                 attitude: about_up * about_east * level,
                 attitude_sd_rad: [tilt, *heading_sd],
                 inverted,

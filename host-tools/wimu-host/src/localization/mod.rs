@@ -13,7 +13,7 @@ use nalgebra::{Rotation3, Vector3};
 use wimu_nav::navigator::{Sample, Start as Alignment};
 use wimu_nav::state::LayoutFull;
 
-pub use model::{Plain, RangePrior};
+pub use model::RangePrior;
 
 use crate::finding::{Finding, FindingCode};
 use crate::inertial::{InertialPath, Method, StartPose};
@@ -90,8 +90,6 @@ pub struct LocalizationChoice {
     pub survey_m: Option<f64>,
     /// Antenna of the unit, m, body axes.
     pub lever_arm_m: [f64; 3],
-    /// A plain filter in place of all this, for comparison.
-    pub plain: Option<Plain>,
 }
 
 impl Default for LocalizationChoice {
@@ -103,7 +101,6 @@ impl Default for LocalizationChoice {
             prior: None,
             survey_m: None,
             lever_arm_m: [0.0; 3],
-            plain: None,
         }
     }
 }
@@ -176,38 +173,23 @@ pub struct Localization {
     pub delay_s: Option<Parameter>,
 }
 
-/// Samples of an inertial sensor from the first range on.
-struct Inertial<'a> {
-    times_s: &'a [f64],
-    samples: &'a [UnitSample],
-    level: Rotation3<f64>,
-}
-
-impl<'a> Inertial<'a> {
-    /// `None` without a gyroscope, or without gravity to align with.
-    fn of(motion: &'a MotionRecording, first_s: f64) -> Option<Self> {
-        let from = motion.times_s.partition_point(|t| *t < first_s);
-        let (times_s, samples) = (&motion.times_s[from..], &motion.samples[from..]);
-        samples
-            .iter()
-            .any(|s| s.rate_rad_s.is_some())
-            .then_some(())?;
-        let begin_s = *times_s.first()?;
-        let count = times_s.partition_point(|t| *t < begin_s + ALIGNMENT_S);
-        let sample = |s: &UnitSample| Sample {
-            step_s: s.step_s,
-            force_mps2: s.force_mps2.into(),
-            rate_rad_s: None,
-            field_ut: None,
-        };
-        let first: Vec<Sample<f64>> = samples[..count].iter().map(sample).collect();
-        let level = Alignment::align(&first, false)?.attitude;
-        Some(Self {
-            times_s,
-            samples,
-            level,
-        })
-    }
+/// Samples of an inertial sensor from the first range on, and the attitude that levels them; `None` without a gyroscope, or
+/// without gravity to align with.
+fn inertial(motion: &MotionRecording, first_s: f64) -> Option<(Motion<'_>, Rotation3<f64>)> {
+    let from = motion.times_s.partition_point(|t| *t < first_s);
+    let (times_s, samples) = (&motion.times_s[from..], &motion.samples[from..]);
+    let has_rate = samples.iter().any(|s| s.rate_rad_s.is_some());
+    let begin_s = *times_s.first().filter(|_| has_rate)?;
+    let count = times_s.partition_point(|t| *t < begin_s + ALIGNMENT_S);
+    let sample = |s: &UnitSample| Sample {
+        step_s: s.step_s,
+        force_mps2: s.force_mps2.into(),
+        rate_rad_s: None,
+        field_ut: None,
+    };
+    let first: Vec<Sample<f64>> = samples[..count].iter().map(sample).collect();
+    let level = Alignment::align(&first, false)?.attitude;
+    Some((Motion::Inertial(times_s, samples), level))
 }
 
 /// Time of the initial alignment with gravity, s.
@@ -221,23 +203,20 @@ pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Resu
     let mut noticed = recording.findings.clone();
     noticed.extend(findings::before(recording)?);
     let first_s = recording.ranges[0].time_s;
-    let inertial = recording
-        .motion
-        .as_ref()
-        .and_then(|motion| Inertial::of(motion, first_s));
-    if recording.motion.is_some() && inertial.is_none() {
+    let motion = recording.motion.as_ref();
+    let sensed = motion.and_then(|motion| inertial(motion, first_s));
+    if motion.is_some() && sensed.is_none() {
         noticed.push(FindingCode::Navigation.warning(
             "the inertial samples are not used: no gyroscope, no gravity, or other times than those of the ranges",
         ));
     }
-    let (motion, level) = match &inertial {
-        Some(found) => (Motion::Inertial(found.times_s, found.samples), found.level),
-        None if recording.increments.is_empty() => (Motion::Free, Rotation3::identity()),
-        None => (
-            Motion::Odometry(&recording.increments),
-            Rotation3::identity(),
-        ),
-    };
+    let (motion, level) = sensed.unwrap_or_else(|| {
+        let motion = match recording.increments.is_empty() {
+            true => Motion::Free,
+            false => Motion::Odometry(&recording.increments),
+        };
+        (motion, Rotation3::identity())
+    });
     let positions: Vec<Vector3<f64>> = recording
         .anchors
         .iter()
@@ -248,7 +227,7 @@ pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Resu
         ranges: &recording.ranges,
         motion,
     };
-    let model = Model::of(recording, choice, &problem);
+    let model = Model::of(recording, choice);
     let refused = |error: LayoutFull| {
         let message = format!("too many anchors: {error}");
         let remedy = "give at most 22 anchors; with --survey at most 9";
@@ -280,7 +259,7 @@ fn solved(
     let Some(mut chosen) = choose(problem, &model, given, level)? else {
         return Ok(None);
     };
-    if choice.plain.is_none() {
+    if model.adapts {
         model = scales::adapted(problem, &model, &chosen.start)?;
         if let Some(again) = choose(problem, &model, given, level)? {
             chosen = again;
@@ -309,9 +288,8 @@ fn presented(
         Motion::Odometry(_) => Method::Odometry,
         Motion::Inertial(..) => Method::RangesInertial,
     };
-    let parameter = |block, prior: f64| {
-        let [value, sigma] = run.calibration.parameter(block)?;
-        Some(Parameter {
+    let parameter = |estimate: Option<[f64; 2]>, prior: f64| {
+        estimate.map(|[value, sigma]| Parameter {
             value,
             sigma,
             prior,
@@ -320,33 +298,25 @@ fn presented(
     let [bias, scale] = model.common;
     let anchor = |(index, anchor): (usize, &AnchorPosition)| {
         let own = &run.anchors[index];
-        let judged = recording
-            .ranges
-            .iter()
-            .zip(&run.judged)
-            .filter(|(r, _)| r.anchor == index);
+        let pairs = recording.ranges.iter().zip(&run.judged);
+        let judged: Vec<_> = pairs.filter(|(r, _)| r.anchor == index).collect();
         let blocked = judged
-            .clone()
+            .iter()
             .filter(|(_, l)| l.weight < 0.5 && l.innovation_m > 0.0)
             .count();
-        let ranges = judged.count();
-        let offset = own.offset.map(|block| run.calibration.vector(block));
-        let at = |k: usize| {
-            anchor.position_m[k] + offset.map_or(0.0, |o| o[k].map_or(0.0, |[value, _]| value))
-        };
         AnchorFound {
             id: anchor.id.clone(),
-            ranges,
-            blocked: blocked as f64 / ranges.max(1) as f64,
-            bias_m: parameter(own.bias, model.ranges.bias_m.hypot(bias)),
+            ranges: judged.len(),
+            blocked: blocked as f64 / judged.len().max(1) as f64,
+            bias_m: parameter(own.bias_m, model.ranges.bias_m.hypot(bias)),
             scale: parameter(own.scale, model.ranges.scale.hypot(scale)),
-            position_m: [at(0), at(1), at(2)],
-            position_sd_m: offset.map(|o| o.map(|axis| axis.map_or(0.0, |[_, sigma]| sigma))),
+            position_m: own.position_m.into(),
+            position_sd_m: own.position_sd_m.map(Into::into),
         }
     };
     let anchors = recording.anchors.iter().enumerate().map(anchor).collect();
-    let odometer_scale = parameter(run.odometry.map(|o| o.scale), model.odometry.scale);
-    let delay_s = parameter(run.delay, engine::DELAY_S);
+    let odometer_scale = parameter(run.odometer_scale, model.odometry.scale);
+    let delay_s = parameter(run.delay_s, engine::DELAY_S);
     let free = matches!(problem.motion, Motion::Free);
     let mut path = InertialPath::new(method, run.points, 0, choice.limit_m);
     for point in &mut path.points {

@@ -46,9 +46,8 @@ impl Walks {
     pub fn new(seed: u64) -> Result<Self> {
         let ranges = RangeWalk::new(seed, &HALL_M, WALK_S, BLOCKED);
         let exact = RangePrior {
-            noise_m: 0.03,
             bias_m: 0.0,
-            scale: 0.0,
+            ..RangePrior::ULTRA_WIDEBAND
         };
         let located = |prior| {
             let choice = LocalizationChoice {

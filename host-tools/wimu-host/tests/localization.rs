@@ -346,10 +346,27 @@ fn odometry_finds_start_heading_and_the_scale_of_the_ranges() {
 }
 
 #[test]
-fn a_clock_that_is_off_by_seconds_is_reported_with_its_size() {
-    let found = found(&vehicle(2.0));
-    let clock = finding(&found, FindingCode::Clock, "differs").expect("reported");
-    assert!(clock.remedy.contains("-2.00 s"), "{clock}");
+fn a_clock_that_is_off_by_seconds_is_corrected_and_reported() {
+    let truth = vehicle_path();
+    // RMS error after a minute, m.
+    let error = |found: &Localization| {
+        let points = found.path.points.iter().filter(|p| p.time_s > 60.0);
+        let squares = points.filter_map(|p| {
+            let [e, n] = *truth.get((p.time_s * 10.0).round() as usize)?;
+            Some(distance(p.position_m, [e, n, 0.0]).powi(2))
+        });
+        let squares: Vec<f64> = squares.collect();
+        (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+    };
+    let right = error(&found(&vehicle(0.0)));
+    for late_s in [2.0, -1.3] {
+        let found = found(&vehicle(late_s));
+        let clock = finding(&found, FindingCode::Clock, "corrected").expect("reported");
+        let named: f64 = clock.remedy.split(' ').nth(1).unwrap().parse().unwrap();
+        println!("{late_s} s: {clock}, {} m, {right} m", error(&found));
+        assert!((named + late_s).abs() < 0.1, "{clock}");
+        assert!(error(&found) < 1.2 * right, "{} and {right}", error(&found));
+    }
 }
 
 #[test]

@@ -8,10 +8,10 @@ use wimu_nav::navigator::{Model, Navigator};
 use wimu_nav::sensor::{Heading, Position, Velocity};
 
 use super::smooth::Tape;
+use crate::Result;
 use crate::csv::columns::{ANGLE, LENGTH, SPEED, TIME, Table};
 use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
-use crate::{ErrorCode, Result};
 
 /// A measurement at one time, east-north-up.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -104,9 +104,7 @@ impl Fixes {
         }
         if fixes.is_empty() {
             let remedy = "fill in the position, velocity or heading of at least one row";
-            return Err(ErrorCode::NoRows
-                .error("there is no fix", remedy)
-                .at(&table.name));
+            return Err(table.empty("there is no fix", remedy));
         }
         fixes.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
         Ok(Self {

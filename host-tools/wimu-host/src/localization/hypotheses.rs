@@ -6,7 +6,7 @@ use std::f64::consts::{PI, TAU};
 use nalgebra::{Rotation3, Vector3};
 use wimu_nav::state::LayoutFull;
 
-use super::engine::{Motion, Recording, START_M, Start};
+use super::engine::{DELAY_S, Motion, Recording, START_M, Start};
 use super::model::Model;
 use super::start::candidates;
 use crate::inertial::StartPose;
@@ -143,4 +143,74 @@ fn starts(
         }
     }
     starts
+}
+
+/// Shifts of the clock that are tried, s, and the gain of the log-likelihood that shows one.
+const SHIFTS_S: [f64; 5] = [0.25, 0.5, 1.0, 2.0, 4.0];
+const SHIFT_GAIN: f64 = 50.0;
+/// They are tried if the noise of the ranges is larger than assumed by this factor, or the delay that was found is larger
+/// than this number of its prior's standard deviations.
+const CLOCK_NOISE: f64 = 1.5;
+const CLOCK_DELAY: f64 = 2.0;
+/// The first ranges that are compared for it, at most.
+const SHIFT_RANGES: usize = 3000;
+/// The shift is found to this, s: half of what the state of the delay allows.
+const SHIFT_S: f64 = 0.03;
+
+/// Time that the clock of the ranges is behind that of the other sensor, s, where it explains the ranges far better. Each
+/// shift has its own most probable start.
+///
+/// # Errors
+/// [`LayoutFull`].
+pub(super) fn clock_shift(
+    recording: &Recording,
+    model: &Model,
+    delay_s: f64,
+    given: Option<&StartPose>,
+    level: Rotation3<f64>,
+) -> Result<Option<f64>, LayoutFull> {
+    let noise_m = model.ranges.noise_m.hypot(model.ranges.correlated_m);
+    let fits = noise_m < CLOCK_NOISE * model.expected_m
+        && model.line_of_sight.probability < 0.5
+        && delay_s.abs() < CLOCK_DELAY * DELAY_S;
+    if matches!(recording.motion, Motion::Free) || fits {
+        return Ok(None);
+    }
+    let part = Recording {
+        ranges: &recording.ranges[..recording.ranges.len().min(SHIFT_RANGES)],
+        ..*recording
+    };
+    let last_s = part.ranges.last().map_or(0.0, |r| r.time_s);
+    let shifted = |shift_s: f64| Model { shift_s, ..*model };
+    let likelihood = |shift_s: f64, start: &Start| {
+        let run = part.run(&shifted(shift_s), start, false, last_s + shift_s.max(0.0))?;
+        Ok(run.log_likelihood)
+    };
+    let chosen = |shift_s: f64| {
+        let Some(Chosen { start, .. }) = choose(&part, &shifted(shift_s), given, level)? else {
+            return Ok(None);
+        };
+        Ok(Some((likelihood(shift_s, &start)?, shift_s, start)))
+    };
+    let mut best = chosen(0.0)?;
+    let least = best.map_or(f64::NEG_INFINITY, |(found, ..)| found) + SHIFT_GAIN;
+    for shift_s in SHIFTS_S.into_iter().flat_map(|s| [s, -s]) {
+        let found = chosen(shift_s)?;
+        let most = best.map_or(f64::NEG_INFINITY, |(most, ..)| most);
+        best = found.filter(|(found, ..)| *found > most).or(best);
+    }
+    let Some((mut most, mut shift_s, start)) = best.filter(|(most, ..)| *most > least) else {
+        return Ok(None);
+    };
+    let mut step_s = 0.25 * shift_s.abs();
+    while step_s > SHIFT_S {
+        for next_s in [shift_s - step_s, shift_s + step_s] {
+            let found = likelihood(next_s, &start)?;
+            if found > most {
+                (most, shift_s) = (found, next_s);
+            }
+        }
+        step_s *= 0.5;
+    }
+    Ok(Some(shift_s))
 }

@@ -20,7 +20,7 @@ use crate::inertial::{InertialPath, Method, StartPose};
 use crate::motion::{MotionRecording, UnitSample};
 use crate::{ErrorCode, HostError, Result};
 use engine::{Motion, Recording, Run};
-use hypotheses::{Chosen, choose};
+use hypotheses::{Chosen, choose, clock_shift};
 use model::Model;
 
 /// An anchor as its file has it.
@@ -227,7 +227,6 @@ pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Resu
         ranges: &recording.ranges,
         motion,
     };
-    let model = Model::of(recording, choice);
     let refused = |error: LayoutFull| {
         let message = format!("too many anchors: {error}");
         let remedy = "give at most 22 anchors; with --survey at most 9";
@@ -235,12 +234,26 @@ pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Resu
             .error(message, remedy)
             .at(&recording.name)
     };
-    let (run, model, chosen) = solved(&problem, model, choice, level)
-        .map_err(refused)?
-        .ok_or_else(|| no_start(recording))?;
-    noticed.extend(findings::after(recording, &model, &run, &chosen));
     let given = choice.start.as_ref();
-    noticed.extend(findings::clock(&problem, &model, given, level).map_err(refused)?);
+    let solved = |model| {
+        solved(&problem, model, choice, level)
+            .map_err(refused)?
+            .ok_or_else(|| no_start(recording))
+    };
+    let prior = Model::of(recording, choice);
+    let (mut run, mut model, mut chosen) = solved(prior)?;
+    let delay_s = run.delay_s.map_or(0.0, |[delay_s, _]| delay_s);
+    let shift_s = clock_shift(&problem, &model, delay_s, given, level).map_err(refused)?;
+    if let Some(shift_s) = shift_s {
+        (run, model, chosen) = solved(Model { shift_s, ..prior })?;
+        let text = format!(
+            "the clock of the ranges is off by {:+.2} s from that of the other sensor: corrected",
+            -shift_s
+        );
+        let remedy = format!("add {shift_s:+.2} s to the times of the ranges");
+        noticed.push(FindingCode::Clock.warning(text).remedy(remedy));
+    }
+    noticed.extend(findings::after(recording, &model, &run, &chosen));
     let mut found = presented(recording, &problem, choice, &model, run);
     noticed.extend(findings::unobserved(&found));
     found.path.findings = noticed;

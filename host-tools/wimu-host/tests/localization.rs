@@ -177,6 +177,30 @@ fn anchors_in_a_plane_leave_two_paths_and_both_are_named() {
 }
 
 #[test]
+fn a_path_that_is_not_determined_is_refused_with_its_cause() {
+    let refused = |recording: &RangeRecording| {
+        let error = localize(recording, &LocalizationChoice::default()).unwrap_err();
+        error.to_string()
+    };
+    // Around a line all positions are equal.
+    let line = [0.0, 3.0, 6.0, 9.0].map(|e| [e, 0.0, 1.0]);
+    let text = refused(&hall(2, &line).recording);
+    assert!(
+        text.contains("on a line") && text.contains("at best"),
+        "{text}"
+    );
+    let mut millimetres = hall(2, &HALL).recording;
+    for range in &mut millimetres.ranges {
+        range.range_m *= 1e3;
+    }
+    let text = refused(&millimetres);
+    assert!(
+        text.contains("check the units") && !text.contains("line"),
+        "{text}"
+    );
+}
+
+#[test]
 fn a_moved_anchor_is_named_with_its_time() {
     for moved_m in [1.0, -1.0] {
         let mut hall = hall(3, &HALL);

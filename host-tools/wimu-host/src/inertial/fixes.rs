@@ -8,10 +8,10 @@ use wimu_nav::navigator::{Model, Navigator};
 use wimu_nav::sensor::{Heading, Position, Velocity};
 
 use super::smooth::Tape;
-use crate::Result;
 use crate::csv::columns::{ANGLE, LENGTH, SPEED, TIME, Table};
 use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
+use crate::{ErrorCode, Result};
 
 /// A measurement at one time, east-north-up.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -111,6 +111,27 @@ impl Fixes {
             fixes,
             lever_arm_m: [0.0; 3],
         })
+    }
+
+    /// Refuses fixes of which none is within the times of a recording, s.
+    pub(super) fn within(&self, times_s: &[f64]) -> Result<()> {
+        let ends =
+            (self.fixes.first().zip(self.fixes.last())).zip(times_s.first().zip(times_s.last()));
+        let Some(((first, last), (from, to))) = ends else {
+            return Ok(());
+        };
+        if self
+            .fixes
+            .iter()
+            .any(|fix| (*from..=*to).contains(&fix.time_s))
+        {
+            return Ok(());
+        }
+        let message = format!(
+            "no fix is within the time of the recording: fixes from {:.2} to {:.2} s, samples from {from:.2} to {to:.2} s",
+            first.time_s, last.time_s
+        );
+        Err(ErrorCode::DataRefused.error(message, "give both the times of one clock"))
     }
 
     /// The first fix of the horizontal position: the path is in its frame.

@@ -9,6 +9,7 @@ use wimu_nav::state::{ATTITUDE, POSITION, VELOCITY};
 
 use super::truth::consistency;
 use super::{Method, Move};
+use crate::digits::significant;
 use crate::finding::{Finding, FindingCode};
 use crate::mcap_file::RosFile;
 use crate::ros::path::{PathTopics, Pose};
@@ -154,11 +155,11 @@ impl InertialPath {
         }
     }
 
-    /// Makes not valid what is not finite and all after it, and says so.
+    /// Makes not valid what is not finite and all after it, and reports it.
     ///
     /// # Errors
-    /// `data_refused` where nothing is valid.
-    pub(crate) fn checked(mut self, name: &str) -> Result<Self> {
+    /// `data_refused` with the remedy where nothing is valid.
+    pub(crate) fn checked(mut self, name: &str, remedy: &str) -> Result<Self> {
         let diverged = self.points.iter().position(|p| !p.is_finite());
         for point in self.points.iter_mut().skip(diverged.unwrap_or(usize::MAX)) {
             point.valid = false;
@@ -175,12 +176,19 @@ impl InertialPath {
         if self.points.iter().any(|p| p.valid) {
             return Ok(self);
         }
-        Err(HostError::new(
-            ErrorCode::DataRefused,
-            diverged.unwrap_or_else(|| "no position could be found to the limit".to_owned()),
-            "hold the unit still for a second first, and see that its times go on",
-        )
-        .at(name))
+        let sigmas = self.points.iter().map(PathPoint::sd_m);
+        let best_m = sigmas
+            .filter(|sd| sd.is_finite())
+            .fold(f64::INFINITY, f64::min);
+        let message = diverged.unwrap_or_else(|| match best_m > self.limit_m {
+            true => format!(
+                "no position is known to {} m: σ is {} m at best",
+                self.limit_m,
+                significant(best_m, 3)
+            ),
+            false => "no position could be found to the limit".to_owned(),
+        });
+        Err(HostError::new(ErrorCode::DataRefused, message, remedy).at(name))
     }
 
     /// Length of the path over its valid points, m.

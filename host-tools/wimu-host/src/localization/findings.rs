@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 use super::engine::Run;
 use super::hypotheses::Chosen;
 use super::model::Model;
+use super::start::principal_axes;
 use super::{AnchorFound, Localization, Parameter, RangeRecording};
 use crate::digits::significant;
 use crate::finding::{Finding, FindingCode};
@@ -57,6 +58,34 @@ pub(super) fn before(recording: &RangeRecording) -> Result<Vec<Finding>> {
         found.push(FindingCode::Navigation.note(text));
     }
     Ok(found)
+}
+
+/// Anchors are on a line if they are off it by less than this part of their distance along it: a dilution of 20.
+const LINE: f64 = 0.05;
+/// Ranges longer than the extent of the anchors by this factor have probably another unit.
+const FAR: f64 = 20.0;
+
+/// What to do where no position is known to the limit.
+pub(super) fn remedy(recording: &RangeRecording, anchors_m: &[Vector3<f64>]) -> String {
+    let centre = anchors_m.iter().sum::<Vector3<f64>>() / anchors_m.len() as f64;
+    let axes = principal_axes(anchors_m, &centre);
+    let extent = |axis: usize| {
+        let along = anchors_m
+            .iter()
+            .map(|a| (a - centre).dot(&axes.column(axis)).abs());
+        2.0 * along.fold(0.0, f64::max)
+    };
+    let mut ranges_m: Vec<f64> = recording.ranges.iter().map(|r| r.range_m).collect();
+    ranges_m.sort_by(f64::total_cmp);
+    let median_m = ranges_m[ranges_m.len() / 2];
+    if median_m > FAR * extent(0) {
+        let [median, extent] = [median_m, extent(0)].map(|length| significant(length, 3));
+        format!("check the units: the ranges are {median} m, the anchors within {extent} m")
+    } else if !recording.planar && extent(1) < LINE * extent(0) {
+        "the anchors are on a line: move one out of it, or leave out `Position U`".to_owned()
+    } else {
+        "give a larger --limit, or put anchors on more sides".to_owned()
+    }
 }
 
 /// Times without a range.

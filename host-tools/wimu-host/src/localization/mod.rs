@@ -257,7 +257,9 @@ pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Resu
     let mut found = presented(recording, &problem, choice, &model, run);
     noticed.extend(findings::unobserved(&found));
     found.path.findings = noticed;
-    found.path = found.path.checked(&recording.name)?;
+    found.path = found
+        .path
+        .checked(&recording.name, &findings::remedy(recording, &positions))?;
     Ok(found)
 }
 

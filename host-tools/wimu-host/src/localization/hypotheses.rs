@@ -158,7 +158,7 @@ const SHIFT_RANGES: usize = 3000;
 const SHIFT_S: f64 = 0.03;
 
 /// Time that the clock of the ranges is behind that of the other sensor, s, where it explains the ranges far better. Each
-/// shift has its own most probable start.
+/// shift has its own most probable start. Equation (172).
 ///
 /// # Errors
 /// [`LayoutFull`].

@@ -12,8 +12,9 @@ use wimu_nav::state::{Block, Layout, LayoutFull, POSITION, Role, VELOCITY};
 
 use super::model::Model;
 use super::{Increment, RangeSample, start};
-use crate::inertial::{PathPoint, Tape};
+use crate::inertial::{PathPoint, StartPose, Tape};
 use crate::motion::UnitSample;
+use crate::{ErrorCode, Result};
 
 /// What carries the unit from one range to the next.
 #[derive(Clone, Copy, Debug)]
@@ -85,6 +86,10 @@ pub(super) struct Recording<'a> {
     pub anchors: &'a [Vector3<f64>],
     pub ranges: &'a [RangeSample],
     pub motion: Motion<'a>,
+    /// Attitude that levels the inertial sensor at its first sample.
+    pub level: Rotation3<f64>,
+    /// Pose at the start, where it is given.
+    pub given: Option<&'a StartPose>,
 }
 
 /// States of the filter with all their blocks.
@@ -101,17 +106,15 @@ impl Recording<'_> {
     /// Runs the smallest filter that has the states over the ranges up to a time, s, and with `smooth` its smoother.
     ///
     /// # Errors
-    /// [`LayoutFull`]: too many anchors.
-    pub fn run(
-        &self,
-        model: &Model,
-        start: &Start,
-        smooth: bool,
-        until_s: f64,
-    ) -> Result<Run, LayoutFull> {
+    /// `data_refused`: too many anchors.
+    pub fn run(&self, model: &Model, start: &Start, smooth: bool, until_s: f64) -> Result<Run> {
         self.run_with::<24>(model, start, smooth, until_s)
             .or_else(|_| self.run_with::<36>(model, start, smooth, until_s))
             .or_else(|_| self.run_with::<64>(model, start, smooth, until_s))
+            .map_err(|error| {
+                let remedy = "give at most 22 anchors; with --survey at most 9";
+                ErrorCode::DataRefused.error(format!("too many anchors: {error}"), remedy)
+            })
     }
 
     fn run_with<const N: usize>(
@@ -120,7 +123,7 @@ impl Recording<'_> {
         start: &Start,
         smooth: bool,
         until_s: f64,
-    ) -> Result<Run, LayoutFull> {
+    ) -> std::result::Result<Run, LayoutFull> {
         let model = &Model {
             gravity_mps2: if start.inverted { -1.0 } else { 1.0 } * model.gravity_mps2,
             ..*model
@@ -230,7 +233,7 @@ impl Recording<'_> {
         &self,
         model: &Model,
         start: &Start,
-    ) -> Result<(Filter<f64, N>, States), LayoutFull> {
+    ) -> std::result::Result<(Filter<f64, N>, States), LayoutFull> {
         let [tilt, heading] = start.attitude_sd_rad;
         let mut layout = Layout::<f64, N>::new([tilt, tilt, heading], 0.0, 0.0);
         let strapdown = match self.motion {
@@ -251,7 +254,7 @@ impl Recording<'_> {
         };
         let anchors = self.anchors.iter();
         let anchors = anchors.map(|position| Anchor::claim(&mut layout, *position, &model.ranges));
-        let anchors = anchors.collect::<Result<Vec<_>, _>>()?;
+        let anchors = anchors.collect::<std::result::Result<Vec<_>, _>>()?;
         let mut filter = Filter::new(&layout, start.attitude);
         self.place(model, start, &mut filter);
         let states = States {

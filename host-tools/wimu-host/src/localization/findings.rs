@@ -210,6 +210,16 @@ fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Findin
     found
 }
 
+/// A clock that is corrected by adding a time, s.
+pub(super) fn clock(shift_s: f64) -> Finding {
+    let text = format!(
+        "the clock of the ranges is off by {:+.2} s from that of the other sensor: corrected",
+        -shift_s
+    );
+    let remedy = format!("add {shift_s:+.2} s to the times of the ranges");
+    FindingCode::Clock.warning(text).remedy(remedy)
+}
+
 /// Calibration parameters that the data do not show.
 pub(super) fn unobserved(found: &Localization) -> Vec<Finding> {
     let hidden = |what: &str, unit: &str, of: fn(&AnchorFound) -> Option<Parameter>| {

@@ -4,12 +4,11 @@
 use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Rotation3, Vector3};
-use wimu_nav::state::LayoutFull;
 
 use super::engine::{DELAY_S, Motion, Recording, START_M, Start};
 use super::model::Model;
 use super::start::candidates;
-use crate::inertial::StartPose;
+use crate::Result;
 
 /// A hypothesis is followed for this time, s: without a heading, until the unit has moved.
 const TRIAL_S: f64 = 10.0;
@@ -36,14 +35,9 @@ pub(super) struct Chosen {
 /// The most probable start; `None` without a candidate.
 ///
 /// # Errors
-/// [`LayoutFull`].
-pub(super) fn choose(
-    recording: &Recording,
-    model: &Model,
-    given: Option<&StartPose>,
-    level: Rotation3<f64>,
-) -> Result<Option<Chosen>, LayoutFull> {
-    let starts = starts(recording, model, given, level);
+/// Those of [`Recording::run`].
+pub(super) fn choose(recording: &Recording, model: &Model) -> Result<Option<Chosen>> {
+    let starts = starts(recording, model);
     let first_s = recording
         .ranges
         .first()
@@ -79,7 +73,7 @@ fn judged(
     model: &Model,
     starts: &[Start],
     until_s: f64,
-) -> Result<Vec<(f64, Start)>, LayoutFull> {
+) -> Result<Vec<(f64, Start)>> {
     if let [only] = starts {
         return Ok(vec![(0.0, *only)]);
     }
@@ -92,12 +86,8 @@ fn judged(
     Ok(found)
 }
 
-fn starts(
-    recording: &Recording,
-    model: &Model,
-    given: Option<&StartPose>,
-    level: Rotation3<f64>,
-) -> Vec<Start> {
+fn starts(recording: &Recording, model: &Model) -> Vec<Start> {
+    let given = recording.given;
     let positions: Vec<(Vector3<f64>, f64)> = match given {
         Some(pose) => vec![(pose.position_m.into(), GIVEN_M)],
         None => {
@@ -136,7 +126,7 @@ fn starts(
             starts.push(Start {
                 position_m,
                 position_sd_m,
-                attitude: about_up * about_east * level,
+                attitude: about_up * about_east * recording.level,
                 attitude_sd_rad: [tilt, *heading_sd],
                 inverted,
             });
@@ -161,14 +151,12 @@ const SHIFT_S: f64 = 0.03;
 /// shift has its own most probable start. Equation (172).
 ///
 /// # Errors
-/// [`LayoutFull`].
+/// Those of [`Recording::run`].
 pub(super) fn clock_shift(
     recording: &Recording,
     model: &Model,
     delay_s: f64,
-    given: Option<&StartPose>,
-    level: Rotation3<f64>,
-) -> Result<Option<f64>, LayoutFull> {
+) -> Result<Option<f64>> {
     let noise_m = model.ranges.noise_m.hypot(model.ranges.correlated_m);
     let fits = noise_m < CLOCK_NOISE * model.expected_m
         && model.line_of_sight.probability < 0.5
@@ -187,7 +175,7 @@ pub(super) fn clock_shift(
         Ok(run.log_likelihood)
     };
     let chosen = |shift_s: f64| {
-        let Some(Chosen { start, .. }) = choose(&part, &shifted(shift_s), given, level)? else {
+        let Some(Chosen { start, .. }) = choose(&part, &shifted(shift_s))? else {
             return Ok(None);
         };
         Ok(Some((likelihood(shift_s, &start)?, shift_s, start)))

@@ -11,7 +11,6 @@ mod start;
 
 use nalgebra::{Rotation3, Vector3};
 use wimu_nav::navigator::{Sample, Start as Alignment};
-use wimu_nav::state::LayoutFull;
 
 pub use model::RangePrior;
 
@@ -226,32 +225,17 @@ pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Resu
         anchors: &positions,
         ranges: &recording.ranges,
         motion,
-    };
-    let refused = |error: LayoutFull| {
-        let message = format!("too many anchors: {error}");
-        let remedy = "give at most 22 anchors; with --survey at most 9";
-        ErrorCode::DataRefused
-            .error(message, remedy)
-            .at(&recording.name)
-    };
-    let given = choice.start.as_ref();
-    let solved = |model| {
-        solved(&problem, model, choice, level)
-            .map_err(refused)?
-            .ok_or_else(|| no_start(recording))
+        level,
+        given: choice.start.as_ref(),
     };
     let prior = Model::of(recording, choice);
-    let (mut run, mut model, mut chosen) = solved(prior)?;
+    let at = |error: HostError| error.at(&recording.name);
+    let (mut run, mut model, mut chosen) = solved(&problem, prior, choice).map_err(at)?;
     let delay_s = run.delay_s.map_or(0.0, |[delay_s, _]| delay_s);
-    let shift_s = clock_shift(&problem, &model, delay_s, given, level).map_err(refused)?;
-    if let Some(shift_s) = shift_s {
-        (run, model, chosen) = solved(Model { shift_s, ..prior })?;
-        let text = format!(
-            "the clock of the ranges is off by {:+.2} s from that of the other sensor: corrected",
-            -shift_s
-        );
-        let remedy = format!("add {shift_s:+.2} s to the times of the ranges");
-        noticed.push(FindingCode::Clock.warning(text).remedy(remedy));
+    if let Some(shift_s) = clock_shift(&problem, &model, delay_s).map_err(at)? {
+        let shifted = Model { shift_s, ..prior };
+        (run, model, chosen) = solved(&problem, shifted, choice).map_err(at)?;
+        noticed.push(findings::clock(shift_s));
     }
     noticed.extend(findings::after(recording, &model, &run, &chosen));
     let mut found = presented(recording, &problem, choice, &model, run);
@@ -268,27 +252,17 @@ fn solved(
     problem: &Recording,
     mut model: Model,
     choice: &LocalizationChoice,
-    level: Rotation3<f64>,
-) -> std::result::Result<Option<(Run, Model, Chosen)>, LayoutFull> {
-    let given = choice.start.as_ref();
-    let Some(mut chosen) = choose(problem, &model, given, level)? else {
-        return Ok(None);
-    };
+) -> Result<(Run, Model, Chosen)> {
+    let mut chosen = choose(problem, &model)?.ok_or_else(|| {
+        let remedy = "check units and anchors, or give the start: --start E,N,U";
+        ErrorCode::DataRefused.error("no position explains the first ranges", remedy)
+    })?;
     if model.adapts {
         model = scales::adapted(problem, &model, &chosen.start)?;
-        if let Some(again) = choose(problem, &model, given, level)? {
-            chosen = again;
-        }
+        chosen = choose(problem, &model)?.unwrap_or(chosen);
     }
     let run = problem.run(&model, &chosen.start, choice.smooth, f64::INFINITY)?;
-    Ok(Some((run, model, chosen)))
-}
-
-fn no_start(recording: &RangeRecording) -> HostError {
-    let remedy = "check units and anchors, or give the start: --start E,N,U";
-    ErrorCode::DataRefused
-        .error("no position explains the first ranges", remedy)
-        .at(&recording.name)
+    Ok((run, model, chosen))
 }
 
 fn presented(

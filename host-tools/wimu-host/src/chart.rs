@@ -308,7 +308,12 @@ impl Chart {
         for ((series, width), colour) in self.series.iter().zip(widths).zip(COLOURS.iter().cycle())
         {
             let style = colour.stroke_width(2 * fine);
-            area.draw(&PathElement::new([(x, y), (x + line, y)], style))?;
+            if series.dots {
+                let dot = (x + line / 2, y);
+                area.draw(&Circle::new(dot, 5 * fine, colour.filled()))?;
+            } else {
+                area.draw(&PathElement::new([(x, y), (x + line, y)], style))?;
+            }
             let place = (x + line + gap, y - 7 * fine as i32);
             area.draw(&Text::new(series.name.clone(), place, font.clone()))?;
             x += width;

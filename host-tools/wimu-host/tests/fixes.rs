@@ -123,6 +123,18 @@ fn the_path_is_in_the_frame_of_the_fixes() {
 }
 
 #[test]
+fn fixes_by_another_clock_are_refused_with_both_times() {
+    let (recording, mut fixes) = recorded(0.0, 0.0);
+    fixes.iter_mut().for_each(|fix| fix.time_s += 1e4);
+    let refused = navigate(&recording, &aided(fixes, 0.0)).unwrap_err();
+    let text = refused.to_string();
+    assert!(
+        text.contains("no fix is within the time") && text.contains("fixes from 100"),
+        "{text}"
+    );
+}
+
+#[test]
 fn a_fix_that_contradicts_the_path_is_reported_and_not_used() {
     let (recording, mut fixes) = recorded(0.0, 0.0);
     fixes[20].position_m[0] += 30.0;

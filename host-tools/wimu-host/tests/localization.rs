@@ -177,6 +177,30 @@ fn anchors_in_a_plane_leave_two_paths_and_both_are_named() {
 }
 
 #[test]
+fn a_path_that_is_not_determined_is_refused_with_its_cause() {
+    let refused = |recording: &RangeRecording| {
+        let error = localize(recording, &LocalizationChoice::default()).unwrap_err();
+        error.to_string()
+    };
+    // Around a line all positions are equal.
+    let line = [0.0, 3.0, 6.0, 9.0].map(|e| [e, 0.0, 1.0]);
+    let text = refused(&hall(2, &line).recording);
+    assert!(
+        text.contains("on a line") && text.contains("at best"),
+        "{text}"
+    );
+    let mut millimetres = hall(2, &HALL).recording;
+    for range in &mut millimetres.ranges {
+        range.range_m *= 1e3;
+    }
+    let text = refused(&millimetres);
+    assert!(
+        text.contains("check the units") && !text.contains("line"),
+        "{text}"
+    );
+}
+
+#[test]
 fn a_moved_anchor_is_named_with_its_time() {
     for moved_m in [1.0, -1.0] {
         let mut hall = hall(3, &HALL);
@@ -346,10 +370,27 @@ fn odometry_finds_start_heading_and_the_scale_of_the_ranges() {
 }
 
 #[test]
-fn a_clock_that_is_off_by_seconds_is_reported_with_its_size() {
-    let found = found(&vehicle(2.0));
-    let clock = finding(&found, FindingCode::Clock, "differs").expect("reported");
-    assert!(clock.remedy.contains("-2.00 s"), "{clock}");
+fn a_clock_that_is_off_by_seconds_is_corrected_and_reported() {
+    let truth = vehicle_path();
+    // RMS error after a minute, m.
+    let error = |found: &Localization| {
+        let points = found.path.points.iter().filter(|p| p.time_s > 60.0);
+        let squares = points.filter_map(|p| {
+            let [e, n] = *truth.get((p.time_s * 10.0).round() as usize)?;
+            Some(distance(p.position_m, [e, n, 0.0]).powi(2))
+        });
+        let squares: Vec<f64> = squares.collect();
+        (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+    };
+    let right = error(&found(&vehicle(0.0)));
+    for late_s in [2.0, -1.3] {
+        let found = found(&vehicle(late_s));
+        let clock = finding(&found, FindingCode::Clock, "corrected").expect("reported");
+        let named: f64 = clock.remedy.split(' ').nth(1).unwrap().parse().unwrap();
+        println!("{late_s} s: {clock}, {} m, {right} m", error(&found));
+        assert!((named + late_s).abs() < 0.1, "{clock}");
+        assert!(error(&found) < 1.2 * right, "{} and {right}", error(&found));
+    }
 }
 
 #[test]

@@ -23,3 +23,4 @@ pub mod source;
 pub mod spi;
 pub mod storage;
 pub mod truth;
+pub mod walk;

@@ -524,7 +524,7 @@ impl Tones {
 
 /// 10 τ³ − 15 τ⁴ + 6 τ⁵, from 0 at τ ≤ 0 to 1 at τ ≥ 1, and its first two derivatives in τ, which
 /// are 0 at both ends: the path of least jerk, equation (31).
-fn smooth_step(tau: f64) -> [f64; 3] {
+pub(crate) fn smooth_step(tau: f64) -> [f64; 3] {
     let t = tau.clamp(0.0, 1.0);
     let rest = 1.0 - t;
     [

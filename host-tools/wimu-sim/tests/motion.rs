@@ -6,6 +6,7 @@ use wimu_model::STANDARD_GRAVITY_MPS2;
 use wimu_sim::attitude::Attitude;
 use wimu_sim::motion::{Hand, Motion, NAMES, Poses, Rest, Slide, named};
 use wimu_sim::scene::{Scene, World};
+use wimu_sim::walk::Strides;
 
 fn norm(v: [f64; 3]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
@@ -16,6 +17,9 @@ fn all() -> Vec<(&'static str, Rc<dyn Motion>)> {
     let mut all: Vec<_> = names.map(|name| (name, named(name, 6).unwrap())).collect();
     let joined = "hand,slide,tilts, hand ,rest";
     all.push((joined, named(joined, 6).unwrap()));
+    // A corner each way, and one that reverses.
+    let corners = [[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [7.0, 3.0], [0.0, 3.0]];
+    all.push(("strides", Rc::new(Strides::along(&corners))));
     all
 }
 

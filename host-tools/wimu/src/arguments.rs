@@ -183,7 +183,8 @@ pub enum Board {
 #[command(after_help = "\
 Examples:
   wimu demo --seed 7
-  wimu demo --sensor lsm6dso")]
+  wimu demo --sensor lsm6dso
+  wimu demo --localize --files walks")]
 pub struct Demo {
     /// Sensor on the board
     #[arg(long, value_enum, default_value_t = Sensor::Lsm303agr)]
@@ -201,6 +202,12 @@ pub struct Demo {
     /// Write the pictures to this folder, as SVG and PNG
     #[arg(long, value_name = "FOLDER")]
     pub pictures: Option<PathBuf>,
+    /// Localize simulated walks instead: ranges to anchors, a unit on a shoe, position fixes
+    #[arg(long, conflicts_with = "sensor")]
+    pub localize: bool,
+    /// Write the simulated recordings of --localize to this folder, as CSV
+    #[arg(long, value_name = "FOLDER", requires = "localize")]
+    pub files: Option<PathBuf>,
 }
 
 #[derive(Args)]

@@ -86,3 +86,71 @@ fn readme_shows_what_the_demo_prints_and_draws() {
         );
     }
 }
+
+#[test]
+fn calibrated_ranges_give_a_smaller_error_and_a_sigma_that_holds_it() {
+    let folder = folder();
+    let folder = folder.path();
+    let at = |name: &str| folder.join(name).display().to_string();
+    let (report, files) = (at("demo.html"), at(""));
+    let ran = wimu(&[
+        "demo",
+        "--localize",
+        "--report",
+        &report,
+        "--pictures",
+        &files,
+        "--files",
+        &files,
+    ]);
+    let found = ran.succeeds();
+    let number = |pointer: &str| found.pointer(pointer).unwrap().as_f64().unwrap();
+    let within = |pointer: &str, range: std::ops::Range<f64>| {
+        let value = number(pointer);
+        assert!(range.contains(&value), "{pointer}: {value}");
+    };
+    // The biases are 0.1 m, 1 σ; three independent errors of 2 to 7 cm remain.
+    within("/before/rmse_m", 0.25..0.5);
+    within("/before/nees_below_95", 0.0..0.5);
+    within("/after/rmse_m", 0.07..0.18);
+    within("/after/sigma_m", 0.07..0.18);
+    within("/after/nees_below_95", 0.85..0.99);
+    let biases = found["biases"].as_array().unwrap();
+    let squares = biases.iter().map(|bias| {
+        let [truth, value, sigma] =
+            ["true_m", "value_m", "sigma_m"].map(|key| bias[key].as_f64().unwrap());
+        ((value - truth) / sigma).powi(2)
+    });
+    let mean = squares.sum::<f64>() / 6.0;
+    assert!((0.1..2.5).contains(&mean) && biases.len() == 6, "{mean}");
+    assert!((number("/blocked/0") - number("/blocked/1")).abs() < 0.01);
+    let [error, sigma] = [0, 1].map(|k| number(&format!("/foot_end_m/{k}")));
+    assert!((0.1..3.0).contains(&(error / sigma)), "{error} {sigma}");
+    within("/foot_integrated_m", 100.0..f64::INFINITY);
+    within("/fixes_rmse_m/0", 0.3..1.0);
+    within("/fixes_rmse_m/1", 0.05..0.3);
+    // The files are those of the guides, and give the same biases.
+    let [ranges, anchors] = ["ranges.csv", "anchors.csv"].map(at);
+    let again = wimu(&["navigate", &ranges, "--anchors", &anchors]).succeeds();
+    for (anchor, bias) in again["anchors"].as_array().unwrap().iter().zip(biases) {
+        let [a, b] = [&anchor["bias_m"]["value"], &bias["value_m"]].map(|v| v.as_f64().unwrap());
+        assert!((a - b).abs() < 1e-3, "{anchor} {bias}");
+    }
+    assert!(fs::metadata(&report).unwrap().len() > 10_000);
+    let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    for picture in ["ranges.svg", "feet.svg", "fixes.svg"] {
+        let shown = fs::read_to_string(repository.join("docs/pictures").join(picture)).unwrap();
+        assert!(
+            fs::read_to_string(at(picture)).unwrap() == shown,
+            "docs/pictures/{picture} is another: draw it by `cargo wimu demo --localize --pictures docs/pictures`"
+        );
+    }
+    let story: Vec<&str> = ran.stderr.lines().collect();
+    let guide = fs::read_to_string(repository.join("docs/localization/ranges.md")).unwrap();
+    for line in &story[..story.len() - 1] {
+        assert!(
+            guide.contains(line),
+            "docs/localization/ranges.md lacks: {line}"
+        );
+    }
+}

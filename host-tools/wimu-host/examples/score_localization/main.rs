@@ -12,7 +12,9 @@ use std::path::{Path, PathBuf};
 
 use score::{Alignment, Score, Truth};
 use wimu_host::inertial::{PathPoint, StartPose};
-use wimu_host::localization::{Localization, LocalizationChoice, Plain, RangeRecording, localize};
+use wimu_host::localization::{
+    Localization, LocalizationChoice, RangePrior, RangeRecording, localize,
+};
 use wimu_host::motion::MotionRecording;
 use wimu_testkit::Random;
 use wimu_testkit::figure;
@@ -71,10 +73,15 @@ fn main() -> Result<(), String> {
                 score::least_squares(&recording, &truth, &alignment)
             );
             let plain = |noise_m| LocalizationChoice {
-                plain: Some(Plain {
+                prior: Some(RangePrior {
                     noise_m,
+                    correlated_m: 0.0,
+                    bias_m: 0.0,
+                    scale: 0.0,
+                    blocked: 0.0,
                     acceleration_m2s3: 0.3,
-                    gate: Some(3.5),
+                    gate: 3.5,
+                    adapts: false,
                 }),
                 ..LocalizationChoice::default()
             };

@@ -83,6 +83,11 @@ impl Table {
             .at(&self.name)
     }
 
+    /// A table without what is looked for.
+    pub fn empty(&self, message: &str, remedy: &str) -> HostError {
+        ErrorCode::NoRows.error(message, remedy).at(&self.name)
+    }
+
     /// Value of a row in SI units; `None` if the field is empty or not finite.
     pub fn value(&self, row: usize, column: Column) -> Result<Option<f64>> {
         let text = self.rows[row].get(column.0).unwrap_or("");

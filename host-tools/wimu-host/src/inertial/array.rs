@@ -192,7 +192,7 @@ fn path_of(
     };
     let text = format!("{field}: heading is that of the body at the start");
     path.findings.push(FindingCode::Navigation.note(text));
-    let mut path = path.checked(&recording.name)?;
+    let mut path = path.checked(&recording.name, super::REMEDY)?;
     let truth = recording.truth();
     let true_rate = recording.true_rate_rad_s();
     let column = recording.other.iter().find(|(name, _)| name == "Moving");

@@ -111,15 +111,34 @@ impl Fixes {
         }
         if fixes.is_empty() {
             let remedy = "fill in the position, velocity or heading of at least one row";
-            return Err(ErrorCode::NoRows
-                .error("there is no fix", remedy)
-                .at(&table.name));
+            return Err(table.empty("there is no fix", remedy));
         }
         fixes.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
         Ok(Self {
             fixes,
             lever_arm_m: [0.0; 3],
         })
+    }
+
+    /// Refuses fixes of which none is within the times of a recording, s.
+    pub(super) fn within(&self, times_s: &[f64]) -> Result<()> {
+        let ends =
+            (self.fixes.first().zip(self.fixes.last())).zip(times_s.first().zip(times_s.last()));
+        let Some(((first, last), (from, to))) = ends else {
+            return Ok(());
+        };
+        if self
+            .fixes
+            .iter()
+            .any(|fix| (*from..=*to).contains(&fix.time_s))
+        {
+            return Ok(());
+        }
+        let message = format!(
+            "no fix is within the time of the recording: fixes from {:.2} to {:.2} s, samples from {from:.2} to {to:.2} s",
+            first.time_s, last.time_s
+        );
+        Err(ErrorCode::DataRefused.error(message, "give both the times of one clock"))
     }
 
     /// The first fix of the horizontal position: the path is in its frame.

@@ -169,12 +169,15 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
     };
     path.findings
         .splice(0..0, recording.findings.iter().cloned());
-    let mut path = path.checked(&recording.name)?;
+    let mut path = path.checked(&recording.name, REMEDY)?;
     let column = recording.column("Moving");
     let moving = moving(&recording.times_s, column, &recording.truth, &[]);
     compare(&mut path, &recording.truth, &moving);
     Ok(path)
 }
+
+/// What to do where no position is valid.
+const REMEDY: &str = "give a larger --limit, or hold the unit still for a second first, and see that its times go on";
 
 /// The path of a recording of which every sample is a number.
 fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath> {

@@ -3,8 +3,13 @@
 use std::io::Write as _;
 use std::path::Path as FilePath;
 
+use nalgebra::UnitQuaternion;
+use wimu_nav::filter::Filter;
+use wimu_nav::state::{ATTITUDE, POSITION, VELOCITY};
+
 use super::truth::consistency;
 use super::{Method, Move};
+use crate::digits::significant;
 use crate::finding::{Finding, FindingCode};
 use crate::mcap_file::RosFile;
 use crate::ros::path::{PathTopics, Pose};
@@ -41,6 +46,31 @@ pub struct PathPoint {
 }
 
 impl PathPoint {
+    /// What a filter estimates at a time, s.
+    pub(crate) fn of<const N: usize>(time_s: f64, filter: &Filter<f64, N>) -> Self {
+        let deviation = |block| {
+            let variance = filter.covariance::<3>(block).diagonal();
+            variance.map(|v| v.max(0.0).sqrt()).into()
+        };
+        let attitude = UnitQuaternion::from_rotation_matrix(&filter.state.attitude);
+        let mut point = Self {
+            time_s,
+            position_m: filter.state.get(POSITION).into(),
+            velocity_mps: filter.state.get(VELOCITY).into(),
+            velocity_sd_mps: deviation(VELOCITY),
+            attitude_sd_rad: deviation(ATTITUDE),
+            quaternion: [attitude.w, attitude.i, attitude.j, attitude.k],
+            rate_rad_s: [0.0; 3],
+            rate_covariance: None,
+            covariance_m2: filter.covariance(POSITION).into(),
+            filtered_sd_m: 0.0,
+            resting: false,
+            valid: true,
+        };
+        point.filtered_sd_m = point.sd_m();
+        point
+    }
+
     /// Standard deviation of each component, m: not a number where the variance is none.
     pub fn sigma_m(&self) -> [f64; 3] {
         let variance = |i: usize| self.covariance_m2[i][i];
@@ -125,11 +155,11 @@ impl InertialPath {
         }
     }
 
-    /// Makes not valid what is not finite and all after it, and says so.
+    /// Makes not valid what is not finite and all after it, and reports it.
     ///
     /// # Errors
-    /// `data_refused` where nothing is valid.
-    pub(crate) fn checked(mut self, name: &str) -> Result<Self> {
+    /// `data_refused` with the remedy where nothing is valid.
+    pub(crate) fn checked(mut self, name: &str, remedy: &str) -> Result<Self> {
         let diverged = self.points.iter().position(|p| !p.is_finite());
         for point in self.points.iter_mut().skip(diverged.unwrap_or(usize::MAX)) {
             point.valid = false;
@@ -146,12 +176,19 @@ impl InertialPath {
         if self.points.iter().any(|p| p.valid) {
             return Ok(self);
         }
-        Err(HostError::new(
-            ErrorCode::DataRefused,
-            diverged.unwrap_or_else(|| "no position could be found to the limit".to_owned()),
-            "hold the unit still for a second first, and see that its times go on",
-        )
-        .at(name))
+        let sigmas = self.points.iter().map(PathPoint::sd_m);
+        let best_m = sigmas
+            .filter(|sd| sd.is_finite())
+            .fold(f64::INFINITY, f64::min);
+        let message = diverged.unwrap_or_else(|| match best_m > self.limit_m {
+            true => format!(
+                "no position is known to {} m: σ is {} m at best",
+                self.limit_m,
+                significant(best_m, 3)
+            ),
+            false => "no position could be found to the limit".to_owned(),
+        });
+        Err(HostError::new(ErrorCode::DataRefused, message, remedy).at(name))
     }
 
     /// Length of the path over its valid points, m.

@@ -193,21 +193,7 @@ mod tests {
         for (k, sample) in samples.iter().enumerate() {
             let t = k as f64 * 0.01;
             navigator.push(sample, t < 2.0 || t % 5.0 < 1.5).unwrap();
-            let found = navigator.solution();
-            points.push(PathPoint {
-                time_s: t,
-                position_m: found.position_m,
-                velocity_mps: found.velocity_mps,
-                quaternion: found.quaternion,
-                rate_rad_s: [0.0; 3],
-                rate_covariance: None,
-                velocity_sd_mps: [0.0; 3],
-                attitude_sd_rad: [0.0; 3],
-                covariance_m2: found.position_covariance,
-                filtered_sd_m: 0.0,
-                resting: false,
-                valid: true,
-            });
+            points.push(PathPoint::of(t, navigator.filter()));
             navigator.recorder_mut().mark(&mut points);
         }
         navigator.into_recorder().finish(&mut points);

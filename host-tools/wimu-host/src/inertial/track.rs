@@ -110,26 +110,12 @@ impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
     }
 
     fn point(&self, input: &Input) -> PathPoint {
-        let found = self.navigator.solution();
-        let deviations =
-            |covariance: [[f64; 3]; 3]| std::array::from_fn(|i| covariance[i][i].sqrt());
         let at_rest = input.resting && self.navigator.is_at_rest();
-        let mut point = PathPoint {
-            time_s: input.time_s,
-            position_m: found.position_m,
-            velocity_mps: found.velocity_mps,
-            velocity_sd_mps: deviations(found.velocity_covariance),
-            attitude_sd_rad: deviations(found.attitude_covariance),
-            quaternion: found.quaternion,
+        PathPoint {
             rate_rad_s: self.navigator.angular_rate().into(),
-            rate_covariance: None,
-            covariance_m2: found.position_covariance,
-            filtered_sd_m: 0.0,
             resting: at_rest || input.stance_mps.is_some(),
-            valid: true,
-        };
-        point.filtered_sd_m = point.sd_m();
-        point
+            ..PathPoint::of(input.time_s, self.navigator.filter())
+        }
     }
 
     /// What was noticed: samples that were not used, recoveries and restarts of the filter, and the use of fixes.

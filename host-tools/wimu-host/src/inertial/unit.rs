@@ -115,6 +115,10 @@ impl Unit<'_> {
         let smooth = choice.smooth && method == Method::Strapdown;
         let spans = moves.iter().map(|one| one.span(self.times_s));
         let tape = Tape::new(smooth, spans.collect());
+        choice
+            .fixes
+            .within(self.times_s)
+            .map_err(|error| error.at(self.name))?;
         let fixes = self.fixes(choice);
         let at_rest_first = self.first_rest(&rests).is_some();
         let start = self.start::<M, N>(&samples, &rests, choice)?;

@@ -1,6 +1,6 @@
 //! The filter over ranges with what carries the unit between them, and its smoother.
 
-use nalgebra::{Matrix1, Matrix3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix1, Matrix3, Rotation3, Vector3};
 use wimu_nav::filter::{Filter, Gate};
 use wimu_nav::process::{
     AccelerationOffset, ConstantVelocity, Odometry, OdometryBlocks, Strapdown, StrapdownBlocks,
@@ -8,12 +8,13 @@ use wimu_nav::process::{
 };
 use wimu_nav::sensor::{Anchor, CorrelatedErrors, LineOfSight, Range};
 use wimu_nav::smoother::Recorder as _;
-use wimu_nav::state::{ATTITUDE, Block, Layout, LayoutFull, POSITION, Role, VELOCITY};
+use wimu_nav::state::{Block, Layout, LayoutFull, POSITION, Role, VELOCITY};
 
 use super::model::Model;
 use super::{Increment, RangeSample, start};
-use crate::inertial::{PathPoint, Tape};
+use crate::inertial::{PathPoint, StartPose, Tape};
 use crate::motion::UnitSample;
+use crate::{ErrorCode, Result};
 
 /// What carries the unit from one range to the next.
 #[derive(Clone, Copy, Debug)]
@@ -31,7 +32,6 @@ pub(super) enum Motion<'a> {
 pub(super) struct Start {
     pub position_m: Vector3<f64>,
     pub position_sd_m: f64,
-    pub velocity_sd_mps: f64,
     pub attitude: Rotation3<f64>,
     /// About the horizontal axes, and about the vertical, rad.
     pub attitude_sd_rad: [f64; 2],
@@ -39,41 +39,17 @@ pub(super) struct Start {
     pub inverted: bool,
 }
 
-/// Constant parameters of the sensors, estimated from the whole recording.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Calibration {
-    blocks: Vec<Block<1>>,
-    values: Vec<f64>,
-    deviations: Vec<f64>,
-}
+/// Value and standard deviation of a state at the end of a run.
+type Estimate = [f64; 2];
 
-impl Calibration {
-    fn of<const N: usize>(filter: &Filter<f64, N>, blocks: Vec<Block<1>>) -> Self {
-        let values = blocks.iter().map(|b| filter.state.get(*b).x).collect();
-        let deviation = |b: &Block<1>| filter.covariance(*b).x.max(0.0).sqrt();
-        let deviations = blocks.iter().map(deviation).collect();
-        Self {
-            blocks,
-            values,
-            deviations,
-        }
-    }
-
-    /// Value and standard deviation of a parameter.
-    pub fn parameter(&self, block: Option<Block<1>>) -> Option<[f64; 2]> {
-        let k = self.blocks.iter().position(|b| Some(*b) == block)?;
-        Some([self.values[k], self.deviations[k]])
-    }
-
-    /// The three of a vector.
-    pub fn vector(&self, block: Block<3>) -> [Option<[f64; 2]>; 3] {
-        let axes = [
-            block.part::<1, 0>(),
-            block.part::<1, 1>(),
-            block.part::<1, 2>(),
-        ];
-        axes.map(|axis| self.parameter(Some(axis)))
-    }
+/// An anchor at the end of a run.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct AnchorEstimate {
+    pub position_m: Vector3<f64>,
+    /// Standard deviation of its components, m, where it is estimated.
+    pub position_sd_m: Option<Vector3<f64>>,
+    pub bias_m: Option<Estimate>,
+    pub scale: Option<Estimate>,
 }
 
 /// Standard deviation of gravity in the frame of the anchors, m/s²: a tilt of 3°.
@@ -86,16 +62,18 @@ pub(super) const DELAY_S: f64 = 0.05;
 /// within their time.
 pub(super) const START_M: f64 = 0.1;
 
+/// Standard deviation of the velocity at the start, m/s: walking speed.
+const SPEED_MPS: f64 = 1.0;
+
 /// A run over a recording.
 pub(super) struct Run {
     pub points: Vec<PathPoint>,
     /// Of each range that was used.
     pub judged: Vec<LineOfSight>,
     pub log_likelihood: f64,
-    pub anchors: Vec<Anchor<f64>>,
-    pub odometry: Option<OdometryBlocks>,
-    pub delay: Option<Block<1>>,
-    pub calibration: Calibration,
+    pub anchors: Vec<AnchorEstimate>,
+    pub odometer_scale: Option<Estimate>,
+    pub delay_s: Option<Estimate>,
     pub contradictions: usize,
     /// Times at which the filter was lost and began again at the position that the last ranges show.
     pub recoveries: Vec<f64>,
@@ -108,6 +86,10 @@ pub(super) struct Recording<'a> {
     pub anchors: &'a [Vector3<f64>],
     pub ranges: &'a [RangeSample],
     pub motion: Motion<'a>,
+    /// Attitude that levels the inertial sensor at its first sample.
+    pub level: Rotation3<f64>,
+    /// Pose at the start, where it is given.
+    pub given: Option<&'a StartPose>,
 }
 
 /// States of the filter with all their blocks.
@@ -121,49 +103,27 @@ struct States {
 }
 
 impl Recording<'_> {
-    /// States of the filter.
-    fn states(&self, model: &Model) -> usize {
-        let errors = &model.ranges;
-        let own = [errors.bias_m, errors.scale, errors.correlated_m];
-        let claimed = own.iter().filter(|sigma| **sigma > 0.0).count();
-        let surveyed = if errors.position_m > 0.0 { 3 } else { 0 };
-        let other = match self.motion {
-            Motion::Free => 0,
-            Motion::Odometry(_) => 3,
-            Motion::Inertial(..) => 10,
-        };
-        9 + other + self.anchors.len() * (claimed + surveyed)
-    }
-
-    /// [`run_with`](Self::run_with) the smallest filter that has the states.
+    /// Runs the smallest filter that has the states over the ranges up to a time, s, and with `smooth` its smoother.
     ///
     /// # Errors
-    /// [`LayoutFull`]: too many anchors.
-    pub fn run(
-        &self,
-        model: &Model,
-        start: &Start,
-        smooth: bool,
-        until_s: f64,
-    ) -> Result<Run, LayoutFull> {
-        match self.states(model) {
-            ..=24 => self.run_with::<24>(model, start, smooth, until_s),
-            25..=36 => self.run_with::<36>(model, start, smooth, until_s),
-            _ => self.run_with::<64>(model, start, smooth, until_s),
-        }
+    /// `data_refused`: too many anchors.
+    pub fn run(&self, model: &Model, start: &Start, smooth: bool, until_s: f64) -> Result<Run> {
+        self.run_with::<24>(model, start, smooth, until_s)
+            .or_else(|_| self.run_with::<36>(model, start, smooth, until_s))
+            .or_else(|_| self.run_with::<64>(model, start, smooth, until_s))
+            .map_err(|error| {
+                let remedy = "give at most 22 anchors; with --survey at most 9";
+                ErrorCode::DataRefused.error(format!("too many anchors: {error}"), remedy)
+            })
     }
 
-    /// Runs the filter over the ranges up to a time, s, and with `smooth` its smoother.
-    ///
-    /// # Errors
-    /// [`LayoutFull`].
     fn run_with<const N: usize>(
         &self,
         model: &Model,
         start: &Start,
         smooth: bool,
         until_s: f64,
-    ) -> Result<Run, LayoutFull> {
+    ) -> std::result::Result<Run, LayoutFull> {
         let model = &Model {
             gravity_mps2: if start.inverted { -1.0 } else { 1.0 } * model.gravity_mps2,
             ..*model
@@ -176,14 +136,12 @@ impl Recording<'_> {
         let mut recoveries = Vec::new();
         let times = self.times(model, until_s);
         let mut now = times.first().copied().unwrap_or_default();
-        let mut input = 0;
         for time_s in times {
-            if now < time_s {
-                let span = [now, time_s];
-                self.predict(model, &states, &mut input, span, &mut filter, &mut tape);
+            let step_s = time_s - now;
+            if step_s > 0.0 {
+                self.predict(model, &states, [now, time_s], &mut filter, &mut tape);
                 now = time_s;
             }
-            let step_s = time_s - points.last().map_or(time_s, |p: &PathPoint| p.time_s);
             while let Some(sample) = self
                 .ranges
                 .get(next)
@@ -224,19 +182,30 @@ impl Recording<'_> {
                     known = next;
                 }
             }
-            points.push(point(time_s, &filter));
+            points.push(PathPoint::of(time_s, &filter));
             tape.mark(&mut points);
         }
         tape.finish(&mut points);
-        let calibration = Calibration::of(&filter, states.parameters());
+        let estimate = |block: Block<1>| {
+            let variance = filter.covariance(block).x;
+            [filter.state.get(block).x, variance.max(0.0).sqrt()]
+        };
+        let anchor = |anchor: &Anchor<f64>| AnchorEstimate {
+            position_m: anchor.position(&filter.state),
+            position_sd_m: anchor.offset.map(|block| {
+                let variances = filter.covariance(block).diagonal();
+                variances.map(|v| v.max(0.0).sqrt())
+            }),
+            bias_m: anchor.bias.map(estimate),
+            scale: anchor.scale.map(estimate),
+        };
         Ok(Run {
             points,
             judged,
             log_likelihood,
-            anchors: states.anchors,
-            odometry: states.odometry,
-            delay: states.delay,
-            calibration,
+            anchors: states.anchors.iter().map(anchor).collect(),
+            odometer_scale: states.odometry.map(|blocks| estimate(blocks.scale)),
+            delay_s: states.delay.map(estimate),
             contradictions: tape.contradictions,
             recoveries,
         })
@@ -264,7 +233,7 @@ impl Recording<'_> {
         &self,
         model: &Model,
         start: &Start,
-    ) -> Result<(Filter<f64, N>, States), LayoutFull> {
+    ) -> std::result::Result<(Filter<f64, N>, States), LayoutFull> {
         let [tilt, heading] = start.attitude_sd_rad;
         let mut layout = Layout::<f64, N>::new([tilt, tilt, heading], 0.0, 0.0);
         let strapdown = match self.motion {
@@ -285,7 +254,7 @@ impl Recording<'_> {
         };
         let anchors = self.anchors.iter();
         let anchors = anchors.map(|position| Anchor::claim(&mut layout, *position, &model.ranges));
-        let anchors = anchors.collect::<Result<Vec<_>, _>>()?;
+        let anchors = anchors.collect::<std::result::Result<Vec<_>, _>>()?;
         let mut filter = Filter::new(&layout, start.attitude);
         self.place(model, start, &mut filter);
         let states = States {
@@ -300,11 +269,11 @@ impl Recording<'_> {
 
     /// Sets position and velocity.
     fn place<const N: usize>(&self, model: &Model, start: &Start, filter: &mut Filter<f64, N>) {
-        let up = if model.planar { 0.0 } else { 1.0 };
+        let up = f64::from(!model.planar);
         let axes = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, up));
         let velocity_sd_mps = match self.motion {
             Motion::Odometry(_) => 0.0,
-            _ => start.velocity_sd_mps,
+            _ => SPEED_MPS,
         };
         filter.state.set(POSITION, start.position_m);
         filter.set_covariance(POSITION, &(axes * start.position_sd_m.powi(2)));
@@ -317,7 +286,6 @@ impl Recording<'_> {
         &self,
         model: &Model,
         states: &States,
-        input: &mut usize,
         [from, to]: [f64; 2],
         filter: &mut Filter<f64, N>,
         tape: &mut Tape<N>,
@@ -330,57 +298,42 @@ impl Recording<'_> {
         };
         match (self.motion, &states.odometry, &states.strapdown) {
             (Motion::Odometry(increments), Some(blocks), _) => {
-                while increments.get(*input).is_some_and(|i| i.time_s <= from) {
-                    *input += 1;
-                }
-                let next = increments
-                    .get(*input)
-                    .filter(|i| i.time_s - i.interval_s < 0.5 * (from + to));
-                let [distance_m, rotation_rad, interval_s] = next.map_or([0.0, 0.0, step_s], |i| {
-                    [i.distance_m, i.rotation_rad, i.interval_s]
-                });
+                let next = increments.partition_point(|i| i.time_s <= from);
+                let next =
+                    (increments.get(next)).filter(|i| i.time_s - i.interval_s < 0.5 * (from + to));
                 let odometry = Odometry {
                     blocks,
                     errors: &model.odometry,
-                    distance_m,
-                    rotation_rad,
-                    interval_s,
+                    distance_m: next.map_or(0.0, |i| i.distance_m),
+                    rotation_rad: next.map_or(0.0, |i| i.rotation_rad),
+                    interval_s: next.map_or(step_s, |i| i.interval_s),
                     step_s,
                 };
                 filter.predict_recorded(&(odometry, errors), tape);
             }
             (Motion::Inertial(times_s, samples), _, Some((blocks, gravity))) => {
-                while times_s.get(*input).is_some_and(|t| *t <= from) {
-                    *input += 1;
-                }
-                let mean = mean_sample(times_s, samples, *input);
-                match mean {
-                    Some([force_mps2, rate_rad_s]) => {
-                        let strapdown = Strapdown {
-                            blocks,
-                            errors: &model.imu,
-                            gravity_mps2: model.gravity_mps2,
-                            force_mps2,
-                            rate_rad_s,
-                            step_s,
-                        };
-                        let offset = AccelerationOffset {
-                            block: *gravity,
-                            step_s,
-                        };
-                        filter.predict_recorded(&((strapdown, offset), errors), tape);
-                    }
-                    None => filter.predict_recorded(&(Unmeasured { step_s }, errors), tape),
-                }
+                let next = times_s.partition_point(|t| *t <= from);
+                let Some([force_mps2, rate_rad_s]) = mean_sample(times_s, samples, next) else {
+                    return filter.predict_recorded(&(Unmeasured { step_s }, errors), tape);
+                };
+                let strapdown = Strapdown {
+                    blocks,
+                    errors: &model.imu,
+                    gravity_mps2: model.gravity_mps2,
+                    force_mps2,
+                    rate_rad_s,
+                    step_s,
+                };
+                let offset = AccelerationOffset {
+                    block: *gravity,
+                    step_s,
+                };
+                filter.predict_recorded(&((strapdown, offset), errors), tape);
             }
             _ => {
-                let up = if model.planar {
-                    0.0
-                } else {
-                    model.acceleration
-                };
+                let up = f64::from(!model.planar);
                 let free = ConstantVelocity {
-                    density: Vector3::new(model.acceleration, model.acceleration, up),
+                    density: Vector3::new(1.0, 1.0, up) * model.acceleration,
                     step_s,
                 };
                 filter.predict_recorded(&(free, errors), tape);
@@ -398,18 +351,12 @@ const LOST_SIGMA: f64 = 4.0;
 const LOST_LEAST: usize = 8;
 
 fn is_lost(ranges: &[RangeSample], judged: &[LineOfSight]) -> bool {
-    let short = |l: &LineOfSight| l.innovation_m < -LOST_SIGMA * l.variance_m2.sqrt();
-    let pairs = ranges.iter().zip(judged);
-    let mut anchors: Vec<usize> = pairs
-        .filter(|(_, l)| short(l))
-        .map(|(r, _)| r.anchor)
-        .collect();
-    let count = anchors.len();
-    anchors.sort_unstable();
-    anchors.dedup();
+    let is_short = |l: &LineOfSight| l.innovation_m < -LOST_SIGMA * l.variance_m2.sqrt();
+    let pairs = ranges.iter().zip(judged).filter(|(_, l)| is_short(l));
+    let short: Vec<usize> = pairs.map(|(r, _)| r.anchor).collect();
     judged.len() >= LOST_LEAST
-        && anchors.len() > 1
-        && count as f64 > LOST_PART * judged.len() as f64
+        && short.iter().any(|anchor| *anchor != short[0])
+        && short.len() as f64 > LOST_PART * judged.len() as f64
 }
 
 /// A longer interval between two samples of an IMU is a gap, s.
@@ -430,23 +377,6 @@ fn mean_sample(times_s: &[f64], samples: &[UnitSample], k: usize) -> Option<[Vec
 }
 
 impl States {
-    /// All constant parameters of the ranges and the odometry.
-    fn parameters(&self) -> Vec<Block<1>> {
-        let of = |anchor: &Anchor<f64>| {
-            let offset = anchor
-                .offset
-                .map(|o| [o.part::<1, 0>(), o.part::<1, 1>(), o.part::<1, 2>()]);
-            [anchor.bias, anchor.scale]
-                .into_iter()
-                .flatten()
-                .chain(offset.into_iter().flatten())
-                .collect::<Vec<_>>()
-        };
-        let odometry = self.odometry.iter().map(|odometry| odometry.scale);
-        let others = odometry.chain(self.delay);
-        self.anchors.iter().flat_map(of).chain(others).collect()
-    }
-
     /// Adds the common part of the biases and scale errors to the covariance.
     fn correlate<const N: usize>(&self, model: &Model, filter: &mut Filter<f64, N>) {
         let biases: Vec<Block<1>> = self.anchors.iter().filter_map(|a| a.bias).collect();
@@ -463,28 +393,5 @@ impl States {
                 }
             }
         }
-    }
-}
-
-fn point<const N: usize>(time_s: f64, filter: &Filter<f64, N>) -> PathPoint {
-    let deviation = |block| {
-        let variance = filter.covariance::<3>(block).diagonal();
-        variance.map(|v| v.max(0.0).sqrt()).into()
-    };
-    let attitude = UnitQuaternion::from_rotation_matrix(&filter.state.attitude);
-    let covariance_m2 = filter.covariance(POSITION);
-    PathPoint {
-        time_s,
-        position_m: filter.state.get(POSITION).into(),
-        velocity_mps: filter.state.get(VELOCITY).into(),
-        velocity_sd_mps: deviation(VELOCITY),
-        attitude_sd_rad: deviation(ATTITUDE),
-        quaternion: [attitude.w, attitude.i, attitude.j, attitude.k],
-        rate_rad_s: [0.0; 3],
-        rate_covariance: None,
-        covariance_m2: covariance_m2.into(),
-        filtered_sd_m: covariance_m2.trace().max(0.0).sqrt(),
-        resting: false,
-        valid: true,
     }
 }

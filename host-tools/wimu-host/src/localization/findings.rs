@@ -1,15 +1,14 @@
-//! What is noticed of ranges: geometry, calibration that is not observed, jumps, moved anchors, clocks.
+//! What is noticed of ranges: geometry, calibration that is not observed, jumps, moved anchors.
 
-use nalgebra::{Rotation3, Vector3};
-use wimu_nav::state::LayoutFull;
+use nalgebra::Vector3;
 
-use super::engine::{Motion, Recording, Run};
-use super::hypotheses::{Chosen, choose};
+use super::engine::Run;
+use super::hypotheses::Chosen;
 use super::model::Model;
-use super::{Localization, Parameter, RangeRecording};
+use super::start::principal_axes;
+use super::{AnchorFound, Localization, Parameter, RangeRecording};
 use crate::digits::significant;
 use crate::finding::{Finding, FindingCode};
-use crate::inertial::StartPose;
 use crate::plural::counted;
 use crate::{ErrorCode, Result};
 
@@ -23,14 +22,6 @@ const LEAST_BLOCK: usize = 5;
 /// Median residual of a block that is reported: so many standard deviations of a range, and m.
 const RESIDUAL_SIGMA: f64 = 6.0;
 const LEAST_RESIDUAL_M: f64 = 0.4;
-/// Shifts of the clock that are tried, s, and the gain of the log-likelihood that shows one.
-const SHIFTS_S: [f64; 5] = [0.25, 0.5, 1.0, 2.0, 4.0];
-const SHIFT_GAIN: f64 = 50.0;
-/// They are tried if the noise of the ranges is larger than assumed by this factor.
-const CLOCK_NOISE: f64 = 1.5;
-/// Part of this many ranges is compared for it.
-const SHIFT_RANGES: usize = 3000;
-
 /// Refuses what cannot be solved, and reports gaps.
 pub(super) fn before(recording: &RangeRecording) -> Result<Vec<Finding>> {
     let mut seen: Vec<usize> = recording.ranges.iter().map(|r| r.anchor).collect();
@@ -42,37 +33,59 @@ pub(super) fn before(recording: &RangeRecording) -> Result<Vec<Finding>> {
         (true, false) | (false, true) => 2,
         (false, false) => 3,
     };
-    let refused = |message: String, remedy: &str| {
-        Err(ErrorCode::DataRefused
-            .error(message, remedy)
-            .at(&recording.name))
+    let count = recording.ranges.len();
+    let (message, remedy) = if seen.len() < least {
+        let message = format!(
+            "ranges to {} do not determine a position: {least} are needed",
+            counted(seen.len(), "anchor")
+        );
+        (message, "add anchors, or wheel odometry (--odometry)")
+    } else {
+        let message = format!("{count} ranges are too few: {LEAST_RANGES} are needed");
+        (message, "record for longer")
     };
-    if seen.len() < least {
-        let message = format!(
-            "ranges to {} anchors do not determine a position: {least} are needed",
-            seen.len()
-        );
-        return refused(message, "add anchors, or wheel odometry (--odometry)");
-    }
-    if recording.ranges.len() < LEAST_RANGES {
-        let message = format!(
-            "{} ranges are too few: {LEAST_RANGES} are needed",
-            recording.ranges.len()
-        );
-        return refused(message, "record for longer");
+    if seen.len() < least || count < LEAST_RANGES {
+        return Err(ErrorCode::DataRefused
+            .error(message, remedy)
+            .at(&recording.name));
     }
     let mut found: Vec<Finding> = gaps(recording).into_iter().collect();
-    let silent = recording
-        .anchors
-        .iter()
-        .enumerate()
-        .filter(|(k, _)| !seen.contains(k));
+    let anchors = recording.anchors.iter().enumerate();
+    let silent = anchors.filter(|(k, _)| !seen.contains(k));
     let silent: Vec<&str> = silent.map(|(_, anchor)| anchor.id.as_str()).collect();
     if !silent.is_empty() {
         let text = format!("no range to anchor {}", silent.join(", "));
         found.push(FindingCode::Navigation.note(text));
     }
     Ok(found)
+}
+
+/// Anchors are on a line if they are off it by less than this part of their distance along it: a dilution of 20.
+const LINE: f64 = 0.05;
+/// Ranges longer than the extent of the anchors by this factor have probably another unit.
+const FAR: f64 = 20.0;
+
+/// What to do where no position is known to the limit.
+pub(super) fn remedy(recording: &RangeRecording, anchors_m: &[Vector3<f64>]) -> String {
+    let centre = anchors_m.iter().sum::<Vector3<f64>>() / anchors_m.len() as f64;
+    let axes = principal_axes(anchors_m, &centre);
+    let extent = |axis: usize| {
+        let along = anchors_m
+            .iter()
+            .map(|a| (a - centre).dot(&axes.column(axis)).abs());
+        2.0 * along.fold(0.0, f64::max)
+    };
+    let mut ranges_m: Vec<f64> = recording.ranges.iter().map(|r| r.range_m).collect();
+    ranges_m.sort_by(f64::total_cmp);
+    let median_m = ranges_m[ranges_m.len() / 2];
+    if median_m > FAR * extent(0) {
+        let [median, extent] = [median_m, extent(0)].map(|length| significant(length, 3));
+        format!("check the units: the ranges are {median} m, the anchors within {extent} m")
+    } else if !recording.planar && extent(1) < LINE * extent(0) {
+        "the anchors are on a line: move one out of it, or leave out `Position U`".to_owned()
+    } else {
+        "give a larger --limit, or put anchors on more sides".to_owned()
+    }
 }
 
 /// Times without a range.
@@ -146,24 +159,13 @@ fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Findin
     let mut found = Vec::new();
     for (index, anchor) in recording.anchors.iter().enumerate() {
         let own = &run.anchors[index];
-        let value = |block| {
-            run.calibration
-                .parameter(block)
-                .map_or(0.0, |[value, _]| value)
-        };
-        let (bias, scale) = (value(own.bias), value(own.scale));
-        let offset = own.offset.map_or([0.0; 3], |block| {
-            run.calibration
-                .vector(block)
-                .map(|axis| axis.map_or(0.0, |[v, _]| v))
-        });
-        let place = Vector3::from(anchor.position_m) + Vector3::from(offset);
+        let [bias, scale] = [own.bias_m, own.scale].map(|e| e.map_or(0.0, |[value, _]| value));
         let residual = |time_s: f64, range_m: f64| {
             let at = run
                 .points
                 .partition_point(|p| p.time_s < time_s)
                 .min(run.points.len() - 1);
-            let distance = (Vector3::from(run.points[at].position_m) - place).norm();
+            let distance = (Vector3::from(run.points[at].position_m) - own.position_m).norm();
             range_m - bias - (1.0 + scale) * distance
         };
         let pairs = recording.ranges.iter().filter(|r| r.anchor == index);
@@ -208,76 +210,32 @@ fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Findin
     found
 }
 
-/// A shift between the clocks of the ranges and of the other sensor. Each shift has its own most probable start.
-pub(super) fn clock(
-    problem: &Recording,
-    model: &Model,
-    given: Option<&StartPose>,
-    level: Rotation3<f64>,
-) -> std::result::Result<Option<Finding>, LayoutFull> {
-    let noise_m = model.ranges.noise_m.hypot(model.ranges.correlated_m);
-    let fits = noise_m < CLOCK_NOISE * model.expected_m && model.line_of_sight.probability < 0.5;
-    if matches!(problem.motion, Motion::Free) || fits {
-        return Ok(None);
-    }
-    let part = Recording {
-        ranges: &problem.ranges[..problem.ranges.len().min(SHIFT_RANGES)],
-        ..*problem
-    };
-    let last_s = part.ranges.last().map_or(0.0, |r| r.time_s);
-    let likelihood = |shift_s: f64| {
-        let shifted = Model { shift_s, ..*model };
-        let Some(chosen) = choose(&part, &shifted, given, level)? else {
-            return Ok((f64::NEG_INFINITY, shift_s));
-        };
-        let run = part.run(&shifted, &chosen.start, false, last_s + shift_s.max(0.0))?;
-        Ok((run.log_likelihood, shift_s))
-    };
-    let unshifted = likelihood(0.0)?.0;
-    let shifts = SHIFTS_S.iter().flat_map(|s| [*s, -*s]);
-    let found = shifts
-        .map(likelihood)
-        .collect::<std::result::Result<Vec<_>, _>>()?;
-    let best = found.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
-    let best = best.filter(|(most, _)| *most > unshifted + SHIFT_GAIN);
-    Ok(best.map(|(_, shift_s)| {
-        let text = format!(
-            "the clock of the ranges differs from that of the other sensor by about {:.2} s",
-            -shift_s
-        );
-        let remedy = format!("add {shift_s:+.2} s to the times of the ranges");
-        FindingCode::Clock.warning(text).remedy(remedy)
-    }))
+/// A clock that is corrected by adding a time, s.
+pub(super) fn clock(shift_s: f64) -> Finding {
+    let text = format!(
+        "the clock of the ranges is off by {:+.2} s from that of the other sensor: corrected",
+        -shift_s
+    );
+    let remedy = format!("add {shift_s:+.2} s to the times of the ranges");
+    FindingCode::Clock.warning(text).remedy(remedy)
 }
-
-type ParameterOf = fn(&super::AnchorFound) -> Option<Parameter>;
 
 /// Calibration parameters that the data do not show.
 pub(super) fn unobserved(found: &Localization) -> Vec<Finding> {
-    let kinds: [(&str, ParameterOf, &str); 2] = [
-        ("bias", |anchor| anchor.bias_m, " m"),
-        ("scale error", |anchor| anchor.scale, ""),
-    ];
-    let mut findings = Vec::new();
-    for (what, of, unit) in kinds {
-        let hidden = found
-            .anchors
-            .iter()
-            .filter(|a| a.ranges > 0 && of(a).is_some_and(|p| !p.is_observed()));
-        let hidden: Vec<&super::AnchorFound> = hidden.collect();
-        if let Some(prior) = hidden.first().and_then(|a| of(a)).map(|p| p.prior) {
-            let names: Vec<&str> = hidden.iter().map(|a| a.id.as_str()).collect();
-            let text = format!(
-                "{what} of anchor {} not observed: it stays near its prior, 0 ± {}{unit}",
-                names.join(", "),
-                significant(prior, 2)
-            );
-            findings.push(
-                FindingCode::NotObserved
-                    .note(text)
-                    .remedy("move through more of the space between the anchors"),
-            );
-        }
-    }
-    findings
+    let hidden = |what: &str, unit: &str, of: fn(&AnchorFound) -> Option<Parameter>| {
+        let anchors = found.anchors.iter().filter(|a| a.ranges > 0);
+        let hidden = anchors.filter_map(|a| Some((a.id.as_str(), of(a)?)));
+        let hidden = hidden.filter(|(_, parameter)| !parameter.is_observed());
+        let (names, parameters): (Vec<&str>, Vec<Parameter>) = hidden.unzip();
+        let text = format!(
+            "{what} of anchor {} not observed: it stays near its prior, 0 ± {}{unit}",
+            names.join(", "),
+            significant(parameters.first()?.prior, 2)
+        );
+        let remedy = "move through more of the space between the anchors";
+        Some(FindingCode::NotObserved.note(text).remedy(remedy))
+    };
+    let bias = hidden("bias", " m", |anchor| anchor.bias_m);
+    let scale = hidden("scale error", "", |anchor| anchor.scale);
+    bias.into_iter().chain(scale).collect()
 }

@@ -4,12 +4,11 @@
 use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Rotation3, Vector3};
-use wimu_nav::state::LayoutFull;
 
-use super::engine::{Motion, Recording, START_M, Start};
+use super::engine::{DELAY_S, Motion, Recording, START_M, Start};
 use super::model::Model;
 use super::start::candidates;
-use crate::inertial::StartPose;
+use crate::Result;
 
 /// A hypothesis is followed for this time, s: without a heading, until the unit has moved.
 const TRIAL_S: f64 = 10.0;
@@ -20,8 +19,6 @@ const HEADING_SD: f64 = 0.3;
 /// Standard deviations of a start that is given, m and rad.
 const GIVEN_M: f64 = 0.3;
 const GIVEN_HEADING: f64 = 0.05;
-/// Standard deviation of the velocity at the start, m/s: walking speed.
-const SPEED_MPS: f64 = 1.0;
 /// Tilt of a start in motion, rad: see `wimu_nav::navigator`.
 const TILT: f64 = 0.1;
 /// Logarithm of the odds below which two starts are equally probable, 150 to 1.
@@ -38,14 +35,9 @@ pub(super) struct Chosen {
 /// The most probable start; `None` without a candidate.
 ///
 /// # Errors
-/// [`LayoutFull`].
-pub(super) fn choose(
-    recording: &Recording,
-    model: &Model,
-    given: Option<&StartPose>,
-    level: Rotation3<f64>,
-) -> Result<Option<Chosen>, LayoutFull> {
-    let starts = starts(recording, model, given, level);
+/// Those of [`Recording::run`].
+pub(super) fn choose(recording: &Recording, model: &Model) -> Result<Option<Chosen>> {
+    let starts = starts(recording, model);
     let first_s = recording
         .ranges
         .first()
@@ -81,7 +73,7 @@ fn judged(
     model: &Model,
     starts: &[Start],
     until_s: f64,
-) -> Result<Vec<(f64, Start)>, LayoutFull> {
+) -> Result<Vec<(f64, Start)>> {
     if let [only] = starts {
         return Ok(vec![(0.0, *only)]);
     }
@@ -94,12 +86,8 @@ fn judged(
     Ok(found)
 }
 
-fn starts(
-    recording: &Recording,
-    model: &Model,
-    given: Option<&StartPose>,
-    level: Rotation3<f64>,
-) -> Vec<Start> {
+fn starts(recording: &Recording, model: &Model) -> Vec<Start> {
+    let given = recording.given;
     let positions: Vec<(Vector3<f64>, f64)> = match given {
         Some(pose) => vec![(pose.position_m.into(), GIVEN_M)],
         None => {
@@ -138,12 +126,79 @@ fn starts(
             starts.push(Start {
                 position_m,
                 position_sd_m,
-                velocity_sd_mps: SPEED_MPS,
-                attitude: about_up * about_east * level,
+                attitude: about_up * about_east * recording.level,
                 attitude_sd_rad: [tilt, *heading_sd],
                 inverted,
             });
         }
     }
     starts
+}
+
+/// Shifts of the clock that are tried, s, and the gain of the log-likelihood that shows one.
+const SHIFTS_S: [f64; 5] = [0.25, 0.5, 1.0, 2.0, 4.0];
+const SHIFT_GAIN: f64 = 50.0;
+/// They are tried if the noise of the ranges is larger than assumed by this factor, or the delay that was found is larger
+/// than this number of its prior's standard deviations.
+const CLOCK_NOISE: f64 = 1.5;
+const CLOCK_DELAY: f64 = 2.0;
+/// The first ranges that are compared for it, at most.
+const SHIFT_RANGES: usize = 3000;
+/// The shift is found to this, s: half of what the state of the delay allows.
+const SHIFT_S: f64 = 0.03;
+
+/// Time that the clock of the ranges is behind that of the other sensor, s, where it explains the ranges far better. Each
+/// shift has its own most probable start. Equation (172).
+///
+/// # Errors
+/// Those of [`Recording::run`].
+pub(super) fn clock_shift(
+    recording: &Recording,
+    model: &Model,
+    delay_s: f64,
+) -> Result<Option<f64>> {
+    let noise_m = model.ranges.noise_m.hypot(model.ranges.correlated_m);
+    let fits = noise_m < CLOCK_NOISE * model.expected_m
+        && model.line_of_sight.probability < 0.5
+        && delay_s.abs() < CLOCK_DELAY * DELAY_S;
+    if matches!(recording.motion, Motion::Free) || fits {
+        return Ok(None);
+    }
+    let part = Recording {
+        ranges: &recording.ranges[..recording.ranges.len().min(SHIFT_RANGES)],
+        ..*recording
+    };
+    let last_s = part.ranges.last().map_or(0.0, |r| r.time_s);
+    let shifted = |shift_s: f64| Model { shift_s, ..*model };
+    let likelihood = |shift_s: f64, start: &Start| {
+        let run = part.run(&shifted(shift_s), start, false, last_s + shift_s.max(0.0))?;
+        Ok(run.log_likelihood)
+    };
+    let chosen = |shift_s: f64| {
+        let Some(Chosen { start, .. }) = choose(&part, &shifted(shift_s))? else {
+            return Ok(None);
+        };
+        Ok(Some((likelihood(shift_s, &start)?, shift_s, start)))
+    };
+    let mut best = chosen(0.0)?;
+    let least = best.map_or(f64::NEG_INFINITY, |(found, ..)| found) + SHIFT_GAIN;
+    for shift_s in SHIFTS_S.into_iter().flat_map(|s| [s, -s]) {
+        let found = chosen(shift_s)?;
+        let most = best.map_or(f64::NEG_INFINITY, |(most, ..)| most);
+        best = found.filter(|(found, ..)| *found > most).or(best);
+    }
+    let Some((mut most, mut shift_s, start)) = best.filter(|(most, ..)| *most > least) else {
+        return Ok(None);
+    };
+    let mut step_s = 0.25 * shift_s.abs();
+    while step_s > SHIFT_S {
+        for next_s in [shift_s - step_s, shift_s + step_s] {
+            let found = likelihood(next_s, &start)?;
+            if found > most {
+                (most, shift_s) = (found, next_s);
+            }
+        }
+        step_s *= 0.5;
+    }
+    Ok(Some(shift_s))
 }

@@ -15,57 +15,36 @@ fn anchors(path: &Path) -> Result<(Vec<AnchorPosition>, bool)> {
     let id = table
         .named("Anchor")
         .ok_or_else(|| table.missing("Anchor"))?;
-    let axis = |names: &[&str]| table.column(names, LENGTH);
     let east = table.needed(&["Position E", "X"], LENGTH)?;
     let north = table.needed(&["Position N", "Y"], LENGTH)?;
-    let up = axis(&["Position U", "Z"]);
+    let up = table.column(&["Position U", "Z"], LENGTH);
     let mut anchors: Vec<AnchorPosition> = Vec::new();
+    let bad = |message: String, remedy: &str| {
+        Err(ErrorCode::CsvBadNumber
+            .error(message, remedy)
+            .at(&table.name))
+    };
     for row in 0..table.rows.len() {
         let id = table.text(row, id).to_owned();
-        let mut position_m = [0.0; 3];
-        let columns = [Some(east), Some(north), up];
-        for (component, column) in position_m.iter_mut().zip(columns) {
-            if let Some(column) = column {
-                *component = table.value(row, column)?.ok_or_else(|| {
-                    let message = format!("the position of anchor {id} is incomplete");
-                    ErrorCode::CsvBadNumber
-                        .error(message, "give all coordinates")
-                        .at(&table.name)
-                })?;
-            }
-        }
+        let value = |column: Option<Column>| column.map_or(Ok(Some(0.0)), |c| table.value(row, c));
+        let [Some(e), Some(n), Some(u)] = [value(Some(east))?, value(Some(north))?, value(up)?]
+        else {
+            let message = format!("the position of anchor {id} is incomplete");
+            return bad(message, "give all coordinates");
+        };
         if anchors.iter().any(|known| known.id == id) {
             let message = format!("anchor {id} is given twice");
-            return Err(ErrorCode::CsvBadNumber
-                .error(message, "give each anchor once")
-                .at(&table.name));
+            return bad(message, "give each anchor once");
         }
-        anchors.push(AnchorPosition { id, position_m });
+        anchors.push(AnchorPosition {
+            id,
+            position_m: [e, n, u],
+        });
     }
     if anchors.is_empty() {
-        return Err(ErrorCode::NoRows
-            .error("there are no anchors", "give one row each")
-            .at(&table.name));
+        return Err(table.empty("there are no anchors", "give one row each"));
     }
     Ok((anchors, up.is_none()))
-}
-
-/// Rows that are left out, and why.
-#[derive(Default)]
-struct LeftOut(BTreeMap<String, usize>);
-
-impl LeftOut {
-    fn count(&mut self, why: impl Into<String>) {
-        *self.0.entry(why.into()).or_default() += 1;
-    }
-
-    fn findings(self) -> Vec<Finding> {
-        let one = |(why, count): (String, usize)| {
-            let text = format!("{} left out: {why}", counted(count, "range"));
-            FindingCode::SamplesLeftOut.warning(text)
-        };
-        self.0.into_iter().map(one).collect()
-    }
 }
 
 impl RangeRecording {
@@ -96,28 +75,33 @@ impl RangeRecording {
         if columns.is_empty() {
             return Err(table.missing("Anchor"));
         }
-        let (mut samples, mut left_out) = (Vec::new(), LeftOut::default());
+        let (mut samples, mut left_out) = (Vec::new(), BTreeMap::new());
         for row in 0..table.rows.len() {
             let time_s = table.value(row, time)?;
             for (name, column) in &columns {
                 let name = id.map_or(name.as_str(), |id| table.text(row, id));
-                match (time_s, table.value(row, *column)?, of(name)) {
-                    (_, None, _) => {}
-                    (None, ..) => left_out.count("no time"),
-                    (_, _, None) => left_out.count(format!(
-                        "anchor {name} is not in {}",
-                        anchors_file.display()
-                    )),
-                    (_, Some(range_m), _) if range_m <= 0.0 => left_out.count("zero or negative"),
-                    (Some(time_s), Some(range_m), Some(anchor)) => samples.push(RangeSample {
-                        time_s,
-                        anchor,
-                        range_m,
-                    }),
-                }
+                let why = match (time_s, table.value(row, *column)?, of(name)) {
+                    (_, None, _) => continue,
+                    (None, ..) => "no time".to_owned(),
+                    (.., None) => format!("anchor {name} is not in {}", anchors_file.display()),
+                    (_, Some(range_m), _) if range_m <= 0.0 => "zero or negative".to_owned(),
+                    (Some(time_s), Some(range_m), Some(anchor)) => {
+                        samples.push(RangeSample {
+                            time_s,
+                            anchor,
+                            range_m,
+                        });
+                        continue;
+                    }
+                };
+                *left_out.entry(why).or_default() += 1;
             }
         }
-        let mut findings = left_out.findings();
+        let left_out = left_out.into_iter().map(|(why, count): (String, usize)| {
+            let text = format!("{} left out: {why}", counted(count, "range"));
+            FindingCode::SamplesLeftOut.warning(text)
+        });
+        let mut findings: Vec<Finding> = left_out.collect();
         if !samples.is_sorted_by(|a, b| a.time_s <= b.time_s) {
             samples.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
             findings.push(
@@ -127,9 +111,7 @@ impl RangeRecording {
         }
         if samples.is_empty() {
             let remedy = "check the names of the anchors in both files";
-            return Err(ErrorCode::NoRows
-                .error("there is no range to a known anchor", remedy)
-                .at(&table.name));
+            return Err(table.empty("there is no range to a known anchor", remedy));
         }
         Ok(Self {
             name: table.name,
@@ -154,9 +136,9 @@ impl RangeRecording {
         let heading = table.needed(&["Heading Increment"], ANGLE)?;
         let mut rows: Vec<[f64; 3]> = Vec::new();
         for row in 0..table.rows.len() {
-            let values = [time, distance, heading].map(|column| table.value(row, column));
+            let value = |column| table.value(row, column);
             let [Some(time_s), Some(distance_m), Some(rotation_rad)] =
-                [values[0].clone()?, values[1].clone()?, values[2].clone()?]
+                [value(time)?, value(distance)?, value(heading)?]
             else {
                 continue;
             };
@@ -176,20 +158,17 @@ impl RangeRecording {
         let times_s: Vec<f64> = rows.iter().map(|row| row[0]).collect();
         let usual_s = crate::motion::median_step_s(&times_s);
         if usual_s <= 0.0 {
-            return Err(ErrorCode::NoRows
-                .error("there are fewer than two increments", "check the file")
-                .at(&table.name));
+            return Err(table.empty("there are fewer than two increments", "check the file"));
         }
-        let mut before_s = times_s[0] - usual_s;
-        for [time_s, distance_m, rotation_rad] in rows {
-            self.increments.push(Increment {
+        let before = std::iter::once(times_s[0] - usual_s).chain(times_s.iter().copied());
+        let increment =
+            |([time_s, distance_m, rotation_rad], before_s): ([f64; 3], f64)| Increment {
                 time_s,
                 interval_s: time_s - before_s,
                 distance_m,
                 rotation_rad,
-            });
-            before_s = time_s;
-        }
+            };
+        self.increments = rows.into_iter().zip(before).map(increment).collect();
         Ok(self)
     }
 }

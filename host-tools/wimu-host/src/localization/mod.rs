@@ -1,5 +1,5 @@
 //! Position from ranges to anchors, alone or with wheel odometry or an inertial sensor: filter and smoother with bias, scale
-//! and correlated errors of every anchor. Equations (160) to (167) of docs/EQUATIONS.md.
+//! and correlated errors of every anchor. Equations (160) to (168) and (172) of docs/EQUATIONS.md.
 
 mod engine;
 mod findings;
@@ -11,16 +11,15 @@ mod start;
 
 use nalgebra::{Rotation3, Vector3};
 use wimu_nav::navigator::{Sample, Start as Alignment};
-use wimu_nav::state::LayoutFull;
 
-pub use model::{Plain, RangePrior};
+pub use model::RangePrior;
 
 use crate::finding::{Finding, FindingCode};
 use crate::inertial::{InertialPath, Method, StartPose};
 use crate::motion::{MotionRecording, UnitSample};
 use crate::{ErrorCode, HostError, Result};
 use engine::{Motion, Recording, Run};
-use hypotheses::{Chosen, choose};
+use hypotheses::{Chosen, choose, clock_shift};
 use model::Model;
 
 /// An anchor as its file has it.
@@ -90,8 +89,6 @@ pub struct LocalizationChoice {
     pub survey_m: Option<f64>,
     /// Antenna of the unit, m, body axes.
     pub lever_arm_m: [f64; 3],
-    /// A plain filter in place of all this, for comparison.
-    pub plain: Option<Plain>,
 }
 
 impl Default for LocalizationChoice {
@@ -103,7 +100,6 @@ impl Default for LocalizationChoice {
             prior: None,
             survey_m: None,
             lever_arm_m: [0.0; 3],
-            plain: None,
         }
     }
 }
@@ -176,38 +172,23 @@ pub struct Localization {
     pub delay_s: Option<Parameter>,
 }
 
-/// Samples of an inertial sensor from the first range on.
-struct Inertial<'a> {
-    times_s: &'a [f64],
-    samples: &'a [UnitSample],
-    level: Rotation3<f64>,
-}
-
-impl<'a> Inertial<'a> {
-    /// `None` without a gyroscope, or without gravity to align with.
-    fn of(motion: &'a MotionRecording, first_s: f64) -> Option<Self> {
-        let from = motion.times_s.partition_point(|t| *t < first_s);
-        let (times_s, samples) = (&motion.times_s[from..], &motion.samples[from..]);
-        samples
-            .iter()
-            .any(|s| s.rate_rad_s.is_some())
-            .then_some(())?;
-        let begin_s = *times_s.first()?;
-        let count = times_s.partition_point(|t| *t < begin_s + ALIGNMENT_S);
-        let sample = |s: &UnitSample| Sample {
-            step_s: s.step_s,
-            force_mps2: s.force_mps2.into(),
-            rate_rad_s: None,
-            field_ut: None,
-        };
-        let first: Vec<Sample<f64>> = samples[..count].iter().map(sample).collect();
-        let level = Alignment::align(&first, false)?.attitude;
-        Some(Self {
-            times_s,
-            samples,
-            level,
-        })
-    }
+/// Samples of an inertial sensor from the first range on, and the attitude that levels them; `None` without a gyroscope, or
+/// without gravity to align with.
+fn inertial(motion: &MotionRecording, first_s: f64) -> Option<(Motion<'_>, Rotation3<f64>)> {
+    let from = motion.times_s.partition_point(|t| *t < first_s);
+    let (times_s, samples) = (&motion.times_s[from..], &motion.samples[from..]);
+    let has_rate = samples.iter().any(|s| s.rate_rad_s.is_some());
+    let begin_s = *times_s.first().filter(|_| has_rate)?;
+    let count = times_s.partition_point(|t| *t < begin_s + ALIGNMENT_S);
+    let sample = |s: &UnitSample| Sample {
+        step_s: s.step_s,
+        force_mps2: s.force_mps2.into(),
+        rate_rad_s: None,
+        field_ut: None,
+    };
+    let first: Vec<Sample<f64>> = samples[..count].iter().map(sample).collect();
+    let level = Alignment::align(&first, false)?.attitude;
+    Some((Motion::Inertial(times_s, samples), level))
 }
 
 /// Time of the initial alignment with gravity, s.
@@ -221,23 +202,20 @@ pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Resu
     let mut noticed = recording.findings.clone();
     noticed.extend(findings::before(recording)?);
     let first_s = recording.ranges[0].time_s;
-    let inertial = recording
-        .motion
-        .as_ref()
-        .and_then(|motion| Inertial::of(motion, first_s));
-    if recording.motion.is_some() && inertial.is_none() {
+    let motion = recording.motion.as_ref();
+    let sensed = motion.and_then(|motion| inertial(motion, first_s));
+    if motion.is_some() && sensed.is_none() {
         noticed.push(FindingCode::Navigation.warning(
             "the inertial samples are not used: no gyroscope, no gravity, or other times than those of the ranges",
         ));
     }
-    let (motion, level) = match &inertial {
-        Some(found) => (Motion::Inertial(found.times_s, found.samples), found.level),
-        None if recording.increments.is_empty() => (Motion::Free, Rotation3::identity()),
-        None => (
-            Motion::Odometry(&recording.increments),
-            Rotation3::identity(),
-        ),
-    };
+    let (motion, level) = sensed.unwrap_or_else(|| {
+        let motion = match recording.increments.is_empty() {
+            true => Motion::Free,
+            false => Motion::Odometry(&recording.increments),
+        };
+        (motion, Rotation3::identity())
+    });
     let positions: Vec<Vector3<f64>> = recording
         .anchors
         .iter()
@@ -247,25 +225,25 @@ pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Resu
         anchors: &positions,
         ranges: &recording.ranges,
         motion,
+        level,
+        given: choice.start.as_ref(),
     };
-    let model = Model::of(recording, choice, &problem);
-    let refused = |error: LayoutFull| {
-        let message = format!("too many anchors: {error}");
-        let remedy = "give at most 22 anchors; with --survey at most 9";
-        ErrorCode::DataRefused
-            .error(message, remedy)
-            .at(&recording.name)
-    };
-    let (run, model, chosen) = solved(&problem, model, choice, level)
-        .map_err(refused)?
-        .ok_or_else(|| no_start(recording))?;
+    let prior = Model::of(recording, choice);
+    let at = |error: HostError| error.at(&recording.name);
+    let (mut run, mut model, mut chosen) = solved(&problem, prior, choice).map_err(at)?;
+    let delay_s = run.delay_s.map_or(0.0, |[delay_s, _]| delay_s);
+    if let Some(shift_s) = clock_shift(&problem, &model, delay_s).map_err(at)? {
+        let shifted = Model { shift_s, ..prior };
+        (run, model, chosen) = solved(&problem, shifted, choice).map_err(at)?;
+        noticed.push(findings::clock(shift_s));
+    }
     noticed.extend(findings::after(recording, &model, &run, &chosen));
-    let given = choice.start.as_ref();
-    noticed.extend(findings::clock(&problem, &model, given, level).map_err(refused)?);
     let mut found = presented(recording, &problem, choice, &model, run);
     noticed.extend(findings::unobserved(&found));
     found.path.findings = noticed;
-    found.path = found.path.checked(&recording.name)?;
+    found.path = found
+        .path
+        .checked(&recording.name, &findings::remedy(recording, &positions))?;
     Ok(found)
 }
 
@@ -274,27 +252,17 @@ fn solved(
     problem: &Recording,
     mut model: Model,
     choice: &LocalizationChoice,
-    level: Rotation3<f64>,
-) -> std::result::Result<Option<(Run, Model, Chosen)>, LayoutFull> {
-    let given = choice.start.as_ref();
-    let Some(mut chosen) = choose(problem, &model, given, level)? else {
-        return Ok(None);
-    };
-    if choice.plain.is_none() {
+) -> Result<(Run, Model, Chosen)> {
+    let mut chosen = choose(problem, &model)?.ok_or_else(|| {
+        let remedy = "check units and anchors, or give the start: --start E,N,U";
+        ErrorCode::DataRefused.error("no position explains the first ranges", remedy)
+    })?;
+    if model.adapts {
         model = scales::adapted(problem, &model, &chosen.start)?;
-        if let Some(again) = choose(problem, &model, given, level)? {
-            chosen = again;
-        }
+        chosen = choose(problem, &model)?.unwrap_or(chosen);
     }
     let run = problem.run(&model, &chosen.start, choice.smooth, f64::INFINITY)?;
-    Ok(Some((run, model, chosen)))
-}
-
-fn no_start(recording: &RangeRecording) -> HostError {
-    let remedy = "check units and anchors, or give the start: --start E,N,U";
-    ErrorCode::DataRefused
-        .error("no position explains the first ranges", remedy)
-        .at(&recording.name)
+    Ok((run, model, chosen))
 }
 
 fn presented(
@@ -309,9 +277,8 @@ fn presented(
         Motion::Odometry(_) => Method::Odometry,
         Motion::Inertial(..) => Method::RangesInertial,
     };
-    let parameter = |block, prior: f64| {
-        let [value, sigma] = run.calibration.parameter(block)?;
-        Some(Parameter {
+    let parameter = |estimate: Option<[f64; 2]>, prior: f64| {
+        estimate.map(|[value, sigma]| Parameter {
             value,
             sigma,
             prior,
@@ -320,33 +287,25 @@ fn presented(
     let [bias, scale] = model.common;
     let anchor = |(index, anchor): (usize, &AnchorPosition)| {
         let own = &run.anchors[index];
-        let judged = recording
-            .ranges
-            .iter()
-            .zip(&run.judged)
-            .filter(|(r, _)| r.anchor == index);
+        let pairs = recording.ranges.iter().zip(&run.judged);
+        let judged: Vec<_> = pairs.filter(|(r, _)| r.anchor == index).collect();
         let blocked = judged
-            .clone()
+            .iter()
             .filter(|(_, l)| l.weight < 0.5 && l.innovation_m > 0.0)
             .count();
-        let ranges = judged.count();
-        let offset = own.offset.map(|block| run.calibration.vector(block));
-        let at = |k: usize| {
-            anchor.position_m[k] + offset.map_or(0.0, |o| o[k].map_or(0.0, |[value, _]| value))
-        };
         AnchorFound {
             id: anchor.id.clone(),
-            ranges,
-            blocked: blocked as f64 / ranges.max(1) as f64,
-            bias_m: parameter(own.bias, model.ranges.bias_m.hypot(bias)),
+            ranges: judged.len(),
+            blocked: blocked as f64 / judged.len().max(1) as f64,
+            bias_m: parameter(own.bias_m, model.ranges.bias_m.hypot(bias)),
             scale: parameter(own.scale, model.ranges.scale.hypot(scale)),
-            position_m: [at(0), at(1), at(2)],
-            position_sd_m: offset.map(|o| o.map(|axis| axis.map_or(0.0, |[_, sigma]| sigma))),
+            position_m: own.position_m.into(),
+            position_sd_m: own.position_sd_m.map(Into::into),
         }
     };
     let anchors = recording.anchors.iter().enumerate().map(anchor).collect();
-    let odometer_scale = parameter(run.odometry.map(|o| o.scale), model.odometry.scale);
-    let delay_s = parameter(run.delay, engine::DELAY_S);
+    let odometer_scale = parameter(run.odometer_scale, model.odometry.scale);
+    let delay_s = parameter(run.delay_s, engine::DELAY_S);
     let free = matches!(problem.motion, Motion::Free);
     let mut path = InertialPath::new(method, run.points, 0, choice.limit_m);
     for point in &mut path.points {

@@ -1,11 +1,11 @@
 //! Scales of the noise, by the likelihood of the ranges: equation (167).
 
 use wimu_nav::sensor::LineOfSight;
-use wimu_nav::state::LayoutFull;
 
 use super::RangeSample;
 use super::engine::{Motion, Recording, Start};
 use super::model::Model;
+use crate::Result;
 
 /// Ranges that are used, at most: several minutes of a usual system.
 const MOST: usize = 12_000;
@@ -55,12 +55,8 @@ fn scaled(model: &Model, motion: &Motion, direction: usize, factor: f64) -> Opti
 /// The model with the scales of greatest likelihood.
 ///
 /// # Errors
-/// [`LayoutFull`].
-pub(super) fn adapted(
-    recording: &Recording,
-    model: &Model,
-    start: &Start,
-) -> Result<Model, LayoutFull> {
+/// Those of [`Recording::run`].
+pub(super) fn adapted(recording: &Recording, model: &Model, start: &Start) -> Result<Model> {
     let used = &recording.ranges[..recording.ranges.len().min(MOST)];
     let until_s = used.last().map_or(0.0, |r| r.time_s + model.shift_s);
     let first = recording.run(model, start, false, until_s)?;

@@ -1,5 +1,8 @@
 //! `wimu demo`: record, calibrate and navigate with a simulated board.
 
+mod localize;
+mod walks;
+
 use std::time::Instant;
 
 use serde::Serialize;
@@ -37,6 +40,9 @@ struct Demonstrated {
 }
 
 pub fn run(arguments: &Demo, output: Output) -> Result<()> {
+    if arguments.localize {
+        return localize::run(arguments, output);
+    }
     let began = Instant::now();
     let sensor = arguments.sensor.into();
     let outcome = FirstLight {

@@ -61,6 +61,7 @@ pub fn run(arguments: &Navigate, anchors: &Path, output: Output) -> Result<()> {
         noise_m,
         bias_m,
         scale,
+        ..RangePrior::of(&recording)
     };
     let choice = LocalizationChoice {
         limit_m: arguments.limit,
@@ -69,7 +70,6 @@ pub fn run(arguments: &Navigate, anchors: &Path, output: Output) -> Result<()> {
         prior: arguments.range_errors.map(prior),
         survey_m: arguments.survey,
         lever_arm_m: arguments.lever_arm.unwrap_or_default(),
-        plain: None,
     };
     let found = localize(&recording, &choice)?;
     let source = arguments.input.display().to_string();

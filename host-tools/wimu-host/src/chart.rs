@@ -150,4 +150,3 @@ pub fn broken(points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
     }
     broken
 }
-

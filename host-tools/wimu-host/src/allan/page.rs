@@ -122,33 +122,50 @@ fn curve(sensor: &str, unit: &str, points: &[PointReport]) -> Chart {
 /// A term of the noise at an averaging time.
 type Term<'a> = &'a dyn Fn(&AxisReport, f64) -> Option<f64>;
 
-/// The noise terms that were found, in the geometric mean of the axes, over these averaging times, s.
+/// The slopes of the noise terms in the geometric mean of the axes, over these averaging times, s. Without a bias
+/// instability the level of the smallest deviation is shown, without a random walk a line through its end.
 fn slopes(axes: &[AxisReport; 3], ends_s: [f64; 2]) -> Vec<Series> {
-    let white: Term<'_> = &|axis, tau_s| {
-        Some(axis.noise_density_m_s2_rthz.value / (SQRT_2 * tau_s.sqrt()))
-    };
+    let white: Term<'_> =
+        &|axis, tau_s| Some(axis.noise_density_m_s2_rthz.value / (SQRT_2 * tau_s.sqrt()));
     let bias: Term<'_> = &|axis, _| {
         let factor = (2.0 * LN_2 / PI).sqrt();
         Some(factor * axis.bias_instability_m_s2?.value)
     };
+    let floor: Term<'_> = &|axis, _| Some(axis.floor_m_s2);
     let walk: Term<'_> = &|axis, tau_s| {
         let density = axis.acceleration_random_walk_m_s2_rts?.value;
         Some(density * (tau_s / 3.0).sqrt())
     };
-    let terms: [(&str, Term<'_>); 3] = [
-        ("slope −½: white noise", white),
-        ("slope 0: bias instability", bias),
-        ("slope +½: random walk", walk),
+    let from_floor: Term<'_> = &|axis, tau_s| Some(axis.floor_m_s2 * (tau_s / ends_s[1]).sqrt());
+    let terms: [(&str, Term<'_>, &str, Term<'_>); 3] = [
+        ("slope −½: white noise", white, "", white),
+        (
+            "slope 0: bias instability",
+            bias,
+            "slope 0: smallest deviation",
+            floor,
+        ),
+        (
+            "slope +½: random walk",
+            walk,
+            "slope +½, for comparison",
+            from_floor,
+        ),
     ];
-    let line = |(name, term): (&str, Term<'_>)| {
-        let mean = |tau_s: f64| {
-            let found: Vec<f64> = axes.iter().filter_map(|axis| term(axis, tau_s)).collect();
-            let logs = found.iter().map(|value| value.ln()).sum::<f64>();
-            (!found.is_empty()).then(|| (logs / found.len() as f64).exp())
-        };
-        let points = ends_s.map(|tau_s| mean(tau_s).map(|value| (tau_s, value)));
-        let points: Vec<_> = points.into_iter().flatten().collect();
-        (!points.is_empty()).then(|| Series::guide(name, points))
+    let mean = |term: Term<'_>, tau_s: f64| {
+        let found: Vec<f64> = axes.iter().filter_map(|axis| term(axis, tau_s)).collect();
+        let logs = found.iter().map(|value| value.ln()).sum::<f64>();
+        (!found.is_empty()).then(|| (logs / found.len() as f64).exp())
     };
-    terms.into_iter().filter_map(line).collect()
+    let line = |(name, term, instead, otherwise): (&str, Term<'_>, &str, Term<'_>)| {
+        let is_found = mean(term, 1.0).is_some();
+        let (name, term) = if is_found {
+            (name, term)
+        } else {
+            (instead, otherwise)
+        };
+        let points = ends_s.map(|tau_s| (tau_s, mean(term, tau_s).unwrap_or(f64::NAN)));
+        Series::guide(name, points.into())
+    };
+    terms.map(line).into()
 }

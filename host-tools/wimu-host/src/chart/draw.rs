@@ -20,13 +20,15 @@ const FINER: u32 = 2;
 const ASPECT: f64 = 3.1;
 const FONT: &str = "sans-serif";
 /// Colours that can be distinguished without seeing red and green.
-const COLOURS: [RGBColor; 6] = [
+const COLOURS: [RGBColor; 8] = [
     RGBColor(213, 94, 0),
     RGBColor(0, 114, 178),
     RGBColor(0, 158, 115),
     RGBColor(204, 121, 167),
     RGBColor(230, 159, 0),
     RGBColor(86, 180, 233),
+    RGBColor(122, 98, 201),
+    RGBColor(165, 72, 63),
 ];
 /// Colour of guides.
 const GUIDE: RGBColor = RGBColor(150, 150, 150);
@@ -99,7 +101,11 @@ impl Chart {
         let (left, right) = self
             .x_range
             .unwrap_or_else(|| span(&mut all().map(|point| point.0)));
-        let side = if self.log_x { 0.0 } else { 0.03 * (right - left) };
+        let side = if self.log_x {
+            0.0
+        } else {
+            0.03 * (right - left)
+        };
         let widen = if self.log_x { 1.2 } else { 1.0 };
         let (low, high) = self
             .y_range
@@ -190,17 +196,15 @@ impl Chart {
             .draw()?;
         for band in &self.bands {
             let colour = self.colours().nth(band.series).unwrap_or(GUIDE).mix(0.15);
-            let finite = || {
-                band.points
-                    .iter()
-                    .filter(|(_, low, high)| low.is_finite() && high.is_finite())
-            };
             let inside = |y: f64| y.clamp(shown.start, shown.end);
-            let outline: Vec<_> = finite()
-                .map(|&(x, low, _)| (x, inside(low)))
-                .chain(finite().rev().map(|&(x, _, high)| (x, inside(high))))
-                .collect();
-            chart.draw_series([Polygon::new(outline, colour.filled())])?;
+            let is_break =
+                |(_, low, high): &(f64, f64, f64)| !(low.is_finite() && high.is_finite());
+            for run in band.points.split(is_break).filter(|run| run.len() > 1) {
+                let low = run.iter().map(|&(x, low, _)| (x, inside(low)));
+                let high = run.iter().rev().map(|&(x, _, high)| (x, inside(high)));
+                let outline: Vec<_> = low.chain(high).collect();
+                chart.draw_series([Polygon::new(outline, colour.filled())])?;
+            }
         }
         for (series, colour) in self.series.iter().zip(self.colours()) {
             let style = colour.stroke_width(series.width() * fine);

@@ -231,7 +231,11 @@ fn evolution(history: &History) -> Vec<(&'static str, Chart)> {
         "mm/s²",
         &bias,
     );
-    let scale = picture("Figure 7, continued: estimated error of its scale factor, ± 2 σ", "%", &scale);
+    let scale = picture(
+        "Figure 7, continued: estimated error of its scale factor, ± 2 σ",
+        "%",
+        &scale,
+    );
     let mut charts = vec![("error", bias)];
     if !scale.series.is_empty() {
         charts.push(("error-scale", scale));

@@ -26,6 +26,7 @@ class WimuPlot {
     this.legend = make(figure, "div", "plot-legend");
     this.canvas = make(figure, "canvas");
     this.tip = make(figure, "div", "plot-tip");
+    this.tip.style.display = "none";
     const caption = figure.querySelector("figcaption");
     if (caption) figure.append(caption);
     this.canvas.tabIndex = 0;
@@ -53,7 +54,7 @@ class WimuPlot {
     const numbers = (values, log) => Float64Array.from(values, (v) => (v === null || (log && v <= 0) ? NaN : log ? Math.log10(v) : v));
     this.series = chart.series.map((one) => ({
       ...one, guide: one.style === "guide",
-      colour: one.style === "guide" ? "guide" : "c" + (colour++ % 6),
+      colour: one.style === "guide" ? "guide" : "c" + (colour++ % 8),
       x: numbers(one.x, chart.logX), y: numbers(one.y, chart.logY), z: numbers(one.z || [], false),
     }));
     this.bands = (chart.bands || []).map((band) => ({
@@ -85,13 +86,12 @@ class WimuPlot {
       return low > high ? [0, 1] : low === high ? [low - 0.5, high + 0.5] : [low, high];
     };
     if (chart.space) {
-      const axes = ["x", "y", "z"].map((key) => {
-        let [low, high] = [Infinity, -Infinity];
-        for (const one of series) for (const v of one.guide && data !== series && chart.z ? [] : one[key]) if (isFinite(v)) { low = Math.min(low, v); high = Math.max(high, v); }
-        return low > high ? [0, 1] : [low, high];
-      });
-      const half = Math.max(1e-9, ...axes.map(([low, high]) => (high - low) / 2));
-      return { centre: axes.map(([low, high]) => (low + high) / 2), half, axes, turn: [...WimuPlot.VIEW], zoom: 1 };
+      // With named axes the box of the data, to whole steps of its grid; otherwise the unit sphere.
+      let axes = ["x", "y", "z"].map((key) => (chart.z ? span(key) : [-1, 1]));
+      const grid = WimuPlot.steps(Math.max(...axes.map(([low, high]) => high - low)), 6);
+      if (chart.z) axes = axes.map(([low, high]) => [Math.floor(low / grid + 1e-9) * grid, Math.ceil(high / grid - 1e-9) * grid]);
+      const centre = axes.map(([low, high]) => (low + high) / 2), halves = axes.map(([low, high]) => (high - low) / 2 || grid / 2);
+      return { centre, halves, axes, grid, turn: [...WimuPlot.VIEW], zoom: 1 };
     }
     const range = (key, given, log, margin) => {
       const [low, high] = given ? given.map((v) => (log ? Math.log10(Math.max(v, 1e-300)) : v)) : span(key);
@@ -141,6 +141,7 @@ class WimuPlot {
     g.clearRect(0, 0, width, height);
     g.font = WimuPlot.FONT;
     g.lineJoin = "round";
+    this.labels = [];
     if (chart.space) this.drawSpace(g, width, height);
     else this.drawPlane(g, width, height);
   }
@@ -165,10 +166,13 @@ class WimuPlot {
     }
     g.strokeStyle = this.colour("line");
     g.lineWidth = 1;
-    g.beginPath();
-    for (const tick of xs) { const a = Math.round(this.px(tick.at)) + 0.5; g.moveTo(a, y); g.lineTo(a, y + h); }
-    for (const tick of ys) { const b = Math.round(this.py(tick.at)) + 0.5; g.moveTo(x, b); g.lineTo(x + w, b); }
-    g.stroke();
+    for (const minor of [true, false]) {
+      g.globalAlpha = minor ? 0.4 : 1;
+      g.beginPath();
+      for (const tick of xs) if (!tick.text === minor) { const a = Math.round(this.px(tick.at)) + 0.5; g.moveTo(a, y); g.lineTo(a, y + h); }
+      for (const tick of ys) if (!tick.text === minor) { const b = Math.round(this.py(tick.at)) + 0.5; g.moveTo(x, b); g.lineTo(x + w, b); }
+      g.stroke();
+    }
     for (const band of this.bands) this.drawBand(g, band);
     for (const one of this.series) this.drawSeries(g, one, (k) => [this.px(one.x[k]), this.py(one.y[k])]);
     if (this.box) {
@@ -193,14 +197,17 @@ class WimuPlot {
   }
 
   drawBand(g, band) {
-    g.beginPath();
-    const order = [...band.x.keys()].filter((k) => isFinite(band.x[k]) && isFinite(band.low[k]) && isFinite(band.high[k]));
+    const known = (k) => isFinite(band.x[k]) && isFinite(band.low[k]) && isFinite(band.high[k]);
     const line = (k, value) => g.lineTo(this.px(band.x[k]), Math.min(Math.max(this.py(value[k]), -9999), 9999));
-    for (const k of order) line(k, band.low);
-    for (const k of order.reverse()) line(k, band.high);
     g.globalAlpha = 0.2;
     g.fillStyle = this.colour(this.series[band.series]?.colour || "guide");
-    g.fill();
+    for (let first = 0, k = 0; k <= band.x.length; k++) if (k === band.x.length || !known(k)) {
+      g.beginPath();
+      for (let m = first; m < k; m++) line(m, band.low);
+      for (let m = k - 1; m >= first; m--) line(m, band.high);
+      g.fill();
+      first = k + 1;
+    }
     g.globalAlpha = 1;
   }
 
@@ -208,18 +215,30 @@ class WimuPlot {
     g.strokeStyle = g.fillStyle = this.colour(one.colour);
     g.lineWidth = one.guide ? 1 : 1.8;
     const dots = one.style === "dots", radius = one.x.length > 200 ? 1.7 : 4.5;
-    let pen = false;
+    let last = null, pen = false;
     g.beginPath();
     for (let k = 0; k < one.x.length; k++) {
-      const [a, b, behind] = at(k);
-      if (!isFinite(a) || !isFinite(b) || (back !== undefined && behind !== back && (dots || one.guide))) { pen = false; continue; }
-      if (dots) { g.moveTo(a + radius, b); g.arc(a, b, radius, 0, 7); } else if (pen) g.lineTo(a, b); else g.moveTo(a, b);
-      pen = true;
+      const [a, b, behind] = at(k), known = isFinite(a) && isFinite(b);
+      if (known && (back === undefined || behind === back)) {
+        if (dots) { g.moveTo(a + radius, b); g.arc(a, b, radius, 0, 7); } else {
+          if (!pen) g.moveTo(...(last || [a, b]));
+          g.lineTo(a, b);
+        }
+        pen = true;
+      } else pen = false;
+      last = known ? [a, b] : null;
     }
     dots ? g.fill() : g.stroke();
     g.textBaseline = "bottom"; g.textAlign = "left";
     g.fillStyle = this.colour("ink");
-    one.labels?.forEach((label, k) => { const [a, b, behind] = at(k); if (back === undefined || behind === back) g.fillText(label, a + 5, b - 3); });
+    one.labels?.forEach((label, k) => {
+      const [a, b, behind] = at(k), width = g.measureText(label).width;
+      // A label upon another one would be illegible.
+      const covers = ([x, y, w]) => a + 5 < x + w && x < a + 5 + width && Math.abs(b - y) < 12;
+      if (!isFinite(a) || (back !== undefined && behind !== back) || this.labels.some(covers)) return;
+      this.labels.push([a + 5, b, width]);
+      g.fillText(label, a + 5, b - 3);
+    });
   }
 
   drawMarker(g) {
@@ -236,29 +255,30 @@ class WimuPlot {
   }
 
   drawSpace(g, width, height) {
-    const { chart, view } = this, size = 0.44 * Math.min(width, height) * view.zoom / view.half;
+    const { chart, view } = this, [hx, hy, hz] = view.halves;
     const [ca, sa] = [Math.cos(view.turn[0]), Math.sin(view.turn[0])], [ce, se] = [Math.cos(view.turn[1]), Math.sin(view.turn[1])];
-    // Radius of a sphere fits; a path is half as far from its corners.
-    const scale = chart.z ? size * 0.8 : size;
+    // The data fit at every azimuth; without named axes they are a sphere.
+    const across = chart.z ? Math.hypot(hx, hy) : hx, up = chart.z ? across * Math.abs(se) + hz * ce : hz;
+    const scale = view.zoom * Math.min((width / 2 - 46) / across, (height / 2 - 34) / up);
     this.project = (x, y, z) => {
       const [u, v, w] = [x - view.centre[0], y - view.centre[1], z - view.centre[2]];
       const depth = u * sa + v * ca;
-      return [width / 2 + scale * (u * ca - v * sa), height / 2 - scale * (w * ce + depth * se), depth * ce - w * se > 1e-6 * view.half];
+      return [width / 2 + scale * (u * ca - v * sa), height / 2 - scale * (w * ce + depth * se), depth * ce - w * se > 0];
     };
     if (chart.z) this.drawFloor(g);
-    for (const back of [true, false]) {
+    // Of a sphere, the back is faint.
+    for (const back of chart.z ? [undefined] : [true, false]) {
       g.globalAlpha = back ? 0.35 : 1;
-      for (const one of this.series) if (one.style !== "line") this.drawSeries(g, one, (k) => this.project(one.x[k], one.y[k], one.z[k]), back);
+      this.labels = [];
+      for (const one of this.series) this.drawSeries(g, one, (k) => this.project(one.x[k], one.y[k], one.z[k]), back);
     }
-    for (const one of this.series) if (one.style === "line") this.drawSeries(g, one, (k) => this.project(one.x[k], one.y[k], one.z[k]));
     this.drawMarker(g);
   }
 
   // The floor of the data with a grid, and the vertical axis.
   drawFloor(g) {
-    const { axes, half } = this.home, grid = WimuPlot.steps(2 * half, 6), soft = this.colour("soft");
-    const bounds = axes.map(([low, high]) => [Math.floor(low / grid + 1e-9) * grid, Math.ceil(high / grid - 1e-9) * grid]).map(([a, b]) => [a, b > a ? b : a + grid]);
-    const [bx, by, bz] = bounds, values = ([a, b]) => Array.from({ length: Math.round((b - a) / grid) + 1 }, (_, k) => a + k * grid);
+    const { axes: [bx, by, bz], grid } = this.home, soft = this.colour("soft");
+    const values = ([a, b]) => Array.from({ length: Math.round((b - a) / grid) + 1 }, (_, k) => a + k * grid);
     const line = (from, to) => { g.moveTo(...this.project(...from)); g.lineTo(...this.project(...to)); };
     g.strokeStyle = this.colour("line"); g.lineWidth = 1;
     g.beginPath();

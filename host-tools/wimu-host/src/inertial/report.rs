@@ -65,9 +65,8 @@ impl InertialPath {
             }
             chart
         }));
-        let velocity = |axis: usize| {
-            move |p: &PathPoint| (p.velocity_mps[axis], p.velocity_sd_mps[axis])
-        };
+        let velocity =
+            |axis: usize| move |p: &PathPoint| (p.velocity_mps[axis], p.velocity_sd_mps[axis]);
         let [east, north, up] = [0, 1, 2].map(velocity);
         let named: [(&str, Of<'_>); 3] = [("east", &east), ("north", &north), ("up", &up)];
         charts.push(self.over_time("Velocity, ± 1 σ", "m/s", &named));
@@ -103,6 +102,7 @@ impl InertialPath {
             let points = self.points.iter().map(|p| (p.time_s, value(p).0));
             let band = self.points.iter().map(|p| {
                 let (value, sd) = value(p);
+                let sd = if p.valid { sd } else { f64::NAN };
                 (p.time_s, value - sd, value + sd)
             });
             chart.bands.push(Band {
@@ -310,7 +310,10 @@ mod tests {
         let charts = path.charts(&[]);
         let plan = &charts[0].series[0];
         let x: Vec<f64> = plan.points.iter().map(|p| p.0).collect();
-        assert!(x[2].is_nan() && x[3..] == [4.0, 5.0] && x.len() == 5, "{x:?}");
+        assert!(
+            x[2].is_nan() && x[3..] == [4.0, 5.0] && x.len() == 5,
+            "{x:?}"
+        );
         assert_eq!(plan.times_s[3..], [4.0, 5.0]);
         let (low, high) = charts[2].y_range.unwrap();
         assert!(low > -1.0 && high < 6.0);

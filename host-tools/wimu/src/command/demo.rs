@@ -314,8 +314,11 @@ fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
 
 fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Result<Report> {
     let mut report = Report::new("wimu demo");
-    let [before, after] = outcome.tilts_rms_mps2().map(|rms| significant(rms * 1e3, 3));
-    let slide = [outcome.slide.uncalibrated_m, outcome.slide.calibrated_m].map(|m| significant(m, 3));
+    let [before, after] = outcome
+        .tilts_rms_mps2()
+        .map(|rms| significant(rms * 1e3, 3));
+    let slide =
+        [outcome.slide.uncalibrated_m, outcome.slide.calibrated_m].map(|m| significant(m, 3));
     report
         .result("A simulated board with unknown errors was streamed, recorded, calibrated and corrected. It sent all data below.")
         .key("|f| − g on new tilts, rms", &format!("{before} → {after} mm/s²"))

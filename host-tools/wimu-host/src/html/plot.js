@@ -20,7 +20,7 @@ class WimuPlot {
     };
     const head = make(figure, "div", "plot-head");
     this.title = make(head, "strong");
-    this.button = make(head, "button");
+    this.button = make(figure, "button");
     this.button.textContent = "Reset";
     this.button.onclick = () => this.reset();
     this.legend = make(figure, "div", "plot-legend");
@@ -135,7 +135,8 @@ class WimuPlot {
       canvas.height = Math.round(height * ratio);
       canvas.style.height = height + "px";
     }
-    this.button.style.visibility = this.zoomed() ? "visible" : "hidden";
+    this.button.style.display = this.zoomed() ? "block" : "none";
+    this.button.style.top = canvas.offsetTop + "px";
     const g = canvas.getContext("2d");
     g.setTransform(ratio, 0, 0, ratio, 0, 0);
     g.clearRect(0, 0, width, height);
@@ -292,17 +293,23 @@ class WimuPlot {
     const corner = bx.flatMap((a) => by.map((b) => [a, b])).reduce((a, b) => (this.project(...b, 0)[0] < this.project(...a, 0)[0] ? b : a));
     g.strokeStyle = soft;
     g.beginPath(); line([...corner, bz[0]], [...corner, bz[1]]); g.stroke();
-    g.fillStyle = soft; g.textBaseline = "top"; g.textAlign = "center";
-    const text = (label, at, down, side = 0) => { const [a, b] = this.project(...at); g.fillText(label, a + side, b + down); };
+    g.fillStyle = soft; g.textBaseline = "middle"; g.textAlign = "center";
+    // Away from the middle of the floor.
+    const [ox, oy] = this.project(...middle, bz[0]);
+    const text = (label, at, far) => {
+      const [a, b] = this.project(...at), length = Math.max(Math.hypot(a - ox, b - oy), 1);
+      const d = (far + (g.measureText(label).width / 2) * Math.abs(a - ox) / length) / length;
+      g.fillText(label, a + d * (a - ox), b + d * (b - oy));
+    };
     const label = (v) => WimuPlot.format(v, grid);
-    for (const v of values(bx)) text(label(v), [v, ey, bz[0]], 5);
-    for (const v of values(by)) text(label(v), [ex, v, bz[0]], 5);
-    text(this.chart.x, [middle[0], ey, bz[0]], 21);
-    text(this.chart.y, [ex, middle[1], bz[0]], 21);
-    g.textBaseline = "middle"; g.textAlign = "right";
-    for (const v of values(bz)) text(label(v), [...corner, v], 0, -5);
-    g.textBaseline = "bottom"; g.textAlign = "center";
-    text(this.chart.z, [...corner, bz[1]], -8);
+    for (const v of values(bx)) text(label(v), [v, ey, bz[0]], 9);
+    for (const v of values(by)) text(label(v), [ex, v, bz[0]], 9);
+    text(this.chart.x, [middle[0], ey, bz[0]], 32);
+    text(this.chart.y, [ex, middle[1], bz[0]], 32);
+    g.textAlign = "right";
+    for (const v of values(bz).slice(1)) { const [a, b] = this.project(...corner, v); g.fillText(label(v), a - 5, b); }
+    const [a, b] = this.project(...corner, bz[1]);
+    g.textAlign = "center"; g.fillText(this.chart.z, a, b - 14);
   }
 
   // ---- Scales
@@ -338,7 +345,7 @@ class WimuPlot {
   static short(v) {
     const size = Math.abs(v);
     if (!isFinite(v)) return "–";
-    return (size !== 0 && (size < 1e-3 || size >= 1e6) ? v.toExponential(3) : String(+v.toPrecision(4))).replace("-", "−");
+    return (size !== 0 && (size < 1e-4 || size >= 1e6) ? v.toExponential(3) : String(+v.toPrecision(4))).replace("-", "−");
   }
 
   ticks(axis) {
@@ -347,10 +354,10 @@ class WimuPlot {
     if (axis === "x") this.offset = 0;
     const list = [];
     if (log && high - low > 0.9) {
-      const every = Math.max(1, Math.ceil((high - low) / count));
+      const every = Math.max(1, Math.ceil((high - low) / (1.8 * count)));
       for (let k = Math.floor(low); k <= high; k++) {
         const power = (m) => (Math.abs(k) > 3 ? `${m}e${k}` : String(+(m * 10 ** k).toPrecision(3))).replace("-", "−");
-        if (k % every === 0) list.push({ at: k, text: power(1) });
+        list.push({ at: k, text: k % every === 0 ? power(1) : "" });
         if (every === 1) for (let m = 2; m < 10; m++) list.push({ at: k + Math.log10(m), text: high - low < 1.6 && (m === 2 || m === 5) ? power(m) : "" });
       }
       return list.filter((tick) => tick.at >= low && tick.at <= high);
@@ -375,9 +382,10 @@ class WimuPlot {
   hover(x, y) {
     this.near = null;
     const { chart } = this, number = (v, log) => WimuPlot.short(log ? 10 ** v : v);
-    const named = (axis, value, log) => {
-      const [name, unit] = axis.split(", ");
-      return unit ? `${name} ${number(value, log)} ${unit}` : /^(m|mm|%|s|ms|µT)\b/.test(axis) ? `${number(value, log)} ${axis}` : `${axis} ${number(value, log)}`;
+    // Value with the unit of its axis, after a comma or in brackets, and the axis' name if it has one beside the unit.
+    const named = (axis, value, log, bare) => {
+      const [, name, unit] = axis.match(/^(.*?)(?:, | \()([^()]*)\)?$/) || (/^(m|mm|%|s|ms|µT|rad)(\W|$)/.test(axis) ? [axis, "", axis] : [axis, axis, ""]);
+      return `${bare ? "" : name} ${number(value, log)} ${unit}`.trim();
     };
     const lines = [], points = [];
     const timed = !chart.space && !chart.equal && this.series.some((one) => one.style === "line");
@@ -400,7 +408,7 @@ class WimuPlot {
         const [a, b] = at(one, k), band = this.bands.find((band) => band.series === index);
         const m = band ? band.x.reduce((best, v, k2) => (Math.abs(v - one.x[k]) < Math.abs(band.x[best] - one.x[k]) ? k2 : best), 0) : -1;
         const limits = band ? ` (${number(band.low[m], chart.logY)} to ${number(band.high[m], chart.logY)})` : "";
-        lines.push([one, `${one.name}: ${named(chart.y, one.y[k], chart.logY)}${limits}`]);
+        lines.push([one, `${one.name}: ${named(chart.y, one.y[k], chart.logY, true)}${limits}`]);
         points.push([a, b, one.colour]);
       });
       if (first !== undefined) {
@@ -432,6 +440,7 @@ class WimuPlot {
     }));
     this.tip.style.display = lines.length ? "block" : "none";
     if (lines.length) {
+      this.tip.style.left = "0";
       const { offsetWidth: w, offsetHeight: h } = this.tip, right = x + 14 + w < this.figure.clientWidth;
       this.tip.style.left = Math.max(0, right ? x + 14 : x - 14 - w) + "px";
       this.tip.style.top = this.canvas.offsetTop + Math.max(0, y - h - 12) + "px";

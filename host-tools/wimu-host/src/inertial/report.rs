@@ -11,7 +11,7 @@ use crate::html::Report;
 /// Least standard deviation that is drawn, m.
 const LEAST_M: f64 = 1e-4;
 /// Ellipses in a plan.
-const ELLIPSES: usize = 30;
+const ELLIPSES: usize = 12;
 /// Corners of an ellipse.
 const CORNERS: u32 = 40;
 

@@ -350,7 +350,7 @@ class WimuPlot {
 
   ticks(axis) {
     const log = axis === "x" ? this.chart.logX : this.chart.logY, [low, high] = this.shown[axis];
-    let count = axis === "x" ? this.area.w / 90 : this.area.h / 45;
+    let count = axis === "x" ? this.area.w / 80 : this.area.h / 38;
     if (axis === "x") this.offset = 0;
     const list = [];
     if (log && high - low > 0.9) {

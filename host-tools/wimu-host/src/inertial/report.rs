@@ -51,11 +51,14 @@ impl InertialPath {
     /// The charts; `more` is drawn in the plan and in space.
     pub(crate) fn charts(&self, more: &[Series]) -> Vec<Chart> {
         let mut charts = vec![self.plan(more)];
-        if self.valid().count() > 1 {
+        // Ranges may be in a plane.
+        let is_plane = self.points.iter().all(|point| point.position_m[2] == 0.0);
+        let axes = ["East", "North", "Up: height above the origin"].into_iter();
+        let axes = axes.enumerate().take(if is_plane { 2 } else { 3 });
+        if !is_plane {
             charts.push(self.space(more));
         }
-        let axes = ["East", "North", "Up: height above the start"].into_iter();
-        charts.extend(axes.enumerate().map(|(axis, name)| {
+        charts.extend(axes.map(|(axis, name)| {
             let of = |p: &PathPoint| (p.position_m[axis], p.sigma_m()[axis]);
             let mut chart = self.over_time(&format!("{name}, ± 1 σ"), "m", &[("path", &of)]);
             let truth = |k: usize| Some((self.points[k].time_s, self.truth_at(k)?[axis]));

@@ -48,12 +48,6 @@ impl Report {
         self
     }
 
-    /// A paragraph of text.
-    pub fn text(&mut self, text: &str) -> &mut Self {
-        let _ = writeln!(self.body, "<p>{}</p>", escape(text));
-        self
-    }
-
     /// The text that the command prints.
     pub fn printed(&mut self, text: &str) -> &mut Self {
         let _ = writeln!(self.details, "<pre>{}</pre>", escape(text));
@@ -170,7 +164,6 @@ mod tests {
         report
             .result(EVIL)
             .key(EVIL, EVIL)
-            .text(EVIL)
             .printed(EVIL)
             .findings(&[FindingCode::Clock.warning(EVIL)])
             .table(EVIL, &[EVIL], &[vec![EVIL.to_owned()]]);

@@ -147,6 +147,7 @@ impl CalibrationReport {
         series.push(Series::space("", Style::Guide, &graticule()));
         Chart {
             title: "Upward directions of the poses: they should cover the sphere".to_owned(),
+            equal: true,
             series,
             ..Chart::default()
         }

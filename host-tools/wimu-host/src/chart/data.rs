@@ -10,11 +10,6 @@ const MOST_POINTS: usize = 8000;
 const STEPS: f64 = 1e6;
 
 impl Chart {
-    /// Whether it is in space.
-    pub(super) fn is_space(&self) -> bool {
-        self.series.iter().any(|series| !series.z.is_empty())
-    }
-
     /// The same with at most about 8,000 points: of each interval of consecutive points those with the extremes of every
     /// coordinate, and breaks. Also the number of points before and after.
     pub(crate) fn decimated(&self) -> (Self, [usize; 2]) {
@@ -92,7 +87,7 @@ impl Chart {
             "x": self.x,
             "y": self.y,
             "z": self.z,
-            "space": self.is_space(),
+            "space": self.series.iter().any(|series| !series.z.is_empty()),
             "logX": self.log_x,
             "logY": self.log,
             "equal": self.equal,
@@ -102,37 +97,6 @@ impl Chart {
             "bands": bands.collect::<Vec<_>>(),
             "marked": self.marked,
         })
-    }
-
-    /// The chart in a plane: of space, a parallel projection seen from the south-west and above.
-    pub(super) fn flat(&self) -> Self {
-        if !self.is_space() {
-            return self.clone();
-        }
-        // Azimuth and elevation of the view, rad: those of the script.
-        let (azimuth, elevation) = (0.6_f64, 0.45_f64);
-        let seen = |((x, y), z): (&(f64, f64), &f64)| {
-            let depth = x * azimuth.sin() + y * azimuth.cos();
-            let across = x * azimuth.cos() - y * azimuth.sin();
-            (across, z * elevation.cos() + depth * elevation.sin())
-        };
-        let series = self.series.iter().map(|series| Series {
-            points: series.points.iter().zip(&series.z).map(seen).collect(),
-            z: Vec::new(),
-            ..series.clone()
-        });
-        let axes = [&self.x, &self.y, &self.z].map(String::as_str);
-        Self {
-            series: series.collect(),
-            x: if self.z.is_empty() {
-                String::new()
-            } else {
-                format!("{}, seen from the south-west and above", axes.join(", "))
-            },
-            y: String::new(),
-            equal: true,
-            ..self.clone()
-        }
     }
 }
 
@@ -263,20 +227,5 @@ mod tests {
             assert!(y[1].is_null() && y[3].is_null());
             assert!((y[2].as_f64().unwrap() / 1e300 - 1.0).abs() < 1e-5);
         }
-    }
-
-    #[test]
-    fn space_is_projected_with_up_upwards() {
-        let corners = [[0.0; 3], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
-        let chart = Chart {
-            series: vec![Series::space("a", Style::Line, &corners)],
-            ..Chart::default()
-        };
-        let flat = chart.flat();
-        let [origin, up, east, north] = flat.series[0].points[..] else {
-            panic!("four points")
-        };
-        assert!(up.1 > origin.1 + 0.5 && up.0.abs() < 1e-9);
-        assert!(east.0 > 0.5 && north.1 > 0.0 && !flat.is_space() && flat.equal);
     }
 }

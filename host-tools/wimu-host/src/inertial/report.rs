@@ -210,6 +210,7 @@ impl InertialPath {
             x: "east, m".to_owned(),
             y: "north, m".to_owned(),
             z: "up, m".to_owned(),
+            equal: true,
             series: [&self.lines(), more].concat(),
             note: "Drag to rotate.".to_owned(),
             ..Chart::default()

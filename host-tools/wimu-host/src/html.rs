@@ -95,7 +95,9 @@ impl Report {
     /// # Errors
     /// `file_failed` when it cannot be drawn.
     pub fn chart(&mut self, chart: &Chart) -> Result<&mut Self> {
-        let (small, [before, after]) = chart.decimated();
+        let small = chart.decimated();
+        let points = |chart: &Chart| chart.series.iter().map(|s| s.points.len()).sum::<usize>();
+        let [before, after] = [points(chart), points(&small)];
         let mut notes: Vec<String> = Vec::from_iter(Some(chart.note.clone()));
         notes.retain(|note| !note.is_empty());
         if after < before {

@@ -11,43 +11,30 @@ const STEPS: f64 = 1e6;
 
 impl Chart {
     /// The same with at most about 8,000 points: of each interval of consecutive points those with the extremes of every
-    /// coordinate, and breaks. Also the number of points before and after.
-    pub(crate) fn decimated(&self) -> (Self, [usize; 2]) {
-        let lines = self.series.len() + self.bands.len();
-        let most = MOST_POINTS / lines.max(1);
-        let mut counts = [0; 2];
-        let mut kept = |coordinates: &[&[f64]]| {
-            let indices = extremes(coordinates, most);
-            let before = coordinates.first().map_or(0, |values| values.len());
-            counts = [counts[0] + before, counts[1] + indices.len()];
-            indices
-        };
+    /// coordinate, and breaks.
+    pub(crate) fn decimated(&self) -> Self {
+        let most = MOST_POINTS / (self.series.len() + self.bands.len()).max(1);
         let series = self.series.iter().map(|series| {
             let (x, y) = columns(series);
             let mut coordinates = vec![&x[..], &y[..]];
             if !series.z.is_empty() {
                 coordinates.push(&series.z);
             }
-            series.at(&kept(&coordinates))
+            series.at(&extremes(&coordinates, most))
         });
-        let series = series.collect();
         let bands = self.bands.iter().map(|band| {
-            let column =
-                |of: fn(&(f64, f64, f64)) -> f64| band.points.iter().map(of).collect::<Vec<_>>();
-            let [x, low, high] = [column(|p| p.0), column(|p| p.1), column(|p| p.2)];
+            let [x, low, high] = band.columns();
             let indices = extremes(&[&x, &low, &high], most);
             Band {
                 series: band.series,
                 points: indices.into_iter().map(|k| band.points[k]).collect(),
             }
         });
-        let bands = bands.collect();
-        let chart = Self {
-            series,
-            bands,
+        Self {
+            series: series.collect(),
+            bands: bands.collect(),
             ..self.clone()
-        };
-        (chart, counts)
+        }
     }
 
     /// The chart for the script. What is not finite is null.
@@ -76,11 +63,8 @@ impl Chart {
             })
         });
         let bands = self.bands.iter().map(|band| {
-            let column = |of: fn(&(f64, f64, f64)) -> f64, power| {
-                rounded(&band.points.iter().map(of).collect::<Vec<_>>(), power)
-            };
-            let [low, high] = [column(|p| p.1, y), column(|p| p.2, y)];
-            json!({"series": band.series, "x": column(|p| p.0, x), "low": low, "high": high})
+            let ([xs, low, high], series) = (band.columns(), band.series);
+            json!({"series": series, "x": rounded(&xs, x), "low": rounded(&low, y), "high": rounded(&high, y)})
         });
         json!({
             "title": self.title,
@@ -97,6 +81,14 @@ impl Chart {
             "bands": bands.collect::<Vec<_>>(),
             "marked": self.marked,
         })
+    }
+}
+
+impl Band {
+    /// x, lowest y and highest.
+    fn columns(&self) -> [Vec<f64>; 3] {
+        let column = |of: fn(&(f64, f64, f64)) -> f64| self.points.iter().map(of).collect();
+        [column(|p| p.0), column(|p| p.1), column(|p| p.2)]
     }
 }
 
@@ -188,9 +180,9 @@ mod tests {
             series: vec![Series::line("a", points.clone())],
             ..Chart::default()
         };
-        let (small, [before, after]) = chart.decimated();
+        let small = chart.decimated();
         let kept = &small.series[0].points;
-        assert!(before == 100_000 && after == kept.len());
+        let after = kept.len();
         assert!((2000..=2 * MOST_POINTS).contains(&after), "{after}");
         for k in [0, 12_345, 54_321, 99_999] {
             assert!(kept.contains(&points[k]), "{k}");
@@ -201,7 +193,7 @@ mod tests {
             series: vec![Series::line("a", points[..100].to_vec())],
             ..Chart::default()
         };
-        assert_eq!(few.decimated().0.series[0].points, points[..100]);
+        assert_eq!(few.decimated().series[0].points, points[..100]);
     }
 
     #[test]

@@ -47,7 +47,7 @@ impl Chart {
     pub fn svg(&self) -> Result<String> {
         let mut svg = String::new();
         let area = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
-        self.decimated().0.draw(&area, 1)?;
+        self.decimated().draw(&area, 1)?;
         drop(area);
         Ok(svg)
     }
@@ -65,7 +65,7 @@ impl Chart {
                 let size = (FINER * SIZE.0, FINER * SIZE.1);
                 let (output, _) = OutputFile::create(path)?;
                 let area = BitMapBackend::new(output.path(), size).into_drawing_area();
-                let chart = self.decimated().0;
+                let chart = self.decimated();
                 chart.draw(&area, FINER).map_err(|error| error.at(name))?;
                 drop(area);
                 output.finish()

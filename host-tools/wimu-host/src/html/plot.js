@@ -363,7 +363,9 @@ class WimuPlot {
       return list.filter((tick) => tick.at >= low && tick.at <= high);
     }
     const [a, b] = log ? [10 ** low, 10 ** high] : [low, high];
-    const step = WimuPlot.steps(b - a, count);
+    // Numbers of poses have no fractions.
+    const whole = axis === "x" && this.series.every((one) => one.style === "dots" && one.x.every((v) => !(v % 1)));
+    const step = Math.max(WimuPlot.steps(b - a, count), whole ? 1 : 0);
     if (!(step > 0) || !isFinite(step)) return list;
     // Of a long time only what changes is written beside the ticks.
     if (axis === "x" && !log && Math.max(Math.abs(a), Math.abs(b)) > 1e5 && Math.abs(a) > 20 * (b - a)) {

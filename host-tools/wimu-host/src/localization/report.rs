@@ -29,7 +29,7 @@ impl Localization {
             ..Series::space("anchor", Style::Dots, &positions)
         };
         let mut charts = self.path.charts(&[anchors]);
-        charts.insert(2.min(charts.len()), self.innovations());
+        charts.insert(1, self.innovations());
         for chart in charts {
             page.chart(&chart)?;
         }

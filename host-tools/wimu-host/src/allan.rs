@@ -2,6 +2,7 @@
 
 mod file;
 mod gyroscope;
+mod page;
 
 use std::fmt;
 
@@ -13,11 +14,9 @@ use wimu_calib::{AllanPoint, AllanVariance, AxisNoise, Measured};
 use wimu_link::batch::Stream;
 use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
-use crate::chart::{Chart, Series};
 use crate::decode::Event;
 use crate::error::{ErrorCode, Result};
 use crate::finding::{Finding, FindingCode, Outcome};
-use crate::html::Report;
 use crate::recording::RateSource;
 
 /// A number and its standard deviation, 1 σ.
@@ -145,6 +144,9 @@ pub struct NoiseReport {
     pub gyroscope: Option<[GyroscopeAxis; 3]>,
     /// The curve.
     pub points: Vec<PointReport>,
+    /// That of the gyroscope, rad/s.
+    #[serde(skip)]
+    pub gyroscope_points: Vec<PointReport>,
 }
 
 /// The noise of a board at rest, while its samples arrive.
@@ -349,45 +351,8 @@ impl NoiseReport {
             },
             axes,
             gyroscope: None,
+            gyroscope_points: Vec::new(),
         }
-    }
-
-    /// The report as a page with its picture.
-    ///
-    /// # Errors
-    /// `file_failed` when the picture cannot be drawn.
-    pub fn page(&self) -> Result<Report> {
-        let mut page = Report::new(format!("Noise of {}", self.source));
-        page.printed(&self.to_string())
-            .findings(&self.outcome.findings);
-        let series = ["X", "Y", "Z"].into_iter().enumerate().map(|(axis, name)| {
-            let points = self.points.iter();
-            Series::line(
-                name,
-                points
-                    .map(|point| (point.tau_s.log10(), point.deviation_m_s2[axis]))
-                    .collect(),
-            )
-        });
-        page.chart(&Chart {
-            title: "Allan deviation".to_owned(),
-            x: "averaging time τ, log₁₀ of s".to_owned(),
-            y: "σ(τ), m/s²".to_owned(),
-            log: true,
-            series: series.collect(),
-            ..Chart::default()
-        })?;
-        let rows: Vec<Vec<String>> = self
-            .points
-            .iter()
-            .map(|point| {
-                let [x, y, z] = point.deviation_m_s2.map(|d| format!("{:.4}", d * 1e3));
-                let share = format!("{:.1}", point.relative_sd * 100.0);
-                vec![format!("{:.3}", point.tau_s), x, y, z, share]
-            })
-            .collect();
-        page.table(&["τ, s", "X, mm/s²", "Y, mm/s²", "Z, mm/s²", "± %"], &rows);
-        Ok(page)
     }
 }
 

@@ -1,34 +1,12 @@
-//! Line and point charts as SVG and PNG, drawn in Rust alone.
+//! Charts: one description, drawn as SVG and PNG in Rust alone and by the script of a [report](crate::html).
 
-use std::ops::Range;
+mod data;
+mod draw;
+
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
-
-use plotters::coord::Shift;
-use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
-use plotters::prelude::*;
-use plotters::style::register_font;
 
 use crate::stats::median;
-use crate::{ErrorCode, HostError, OutputFile, Result};
-
-/// Size of a picture, px.
-const SIZE: (u32, u32) = (860, 380);
-/// Pixels of a PNG per pixel of [`SIZE`]: for print and high-resolution screens.
-const FINER: u32 = 2;
-/// Width over height of the area inside the axes.
-const ASPECT: f64 = 3.1;
-const FONT: &str = "sans-serif";
-/// Colours that can be distinguished without seeing red and green.
-const COLOURS: [RGBColor; 4] = [
-    RGBColor(213, 94, 0),
-    RGBColor(0, 114, 178),
-    RGBColor(0, 158, 115),
-    RGBColor(90, 90, 90),
-];
-const INK: RGBColor = RGBColor(40, 40, 40);
-const GRID: RGBColor = RGBColor(225, 225, 225);
-const MARK: RGBColor = RGBColor(236, 236, 236);
+use crate::{HostError, Result};
 
 /// Writes every chart under its name into a folder, created if necessary, as SVG and PNG; returns the files.
 ///
@@ -48,15 +26,33 @@ pub fn write_all(folder: &Path, charts: &[(&str, Chart)]) -> Result<Vec<PathBuf>
     Ok(files)
 }
 
+/// How a [`Series`] is drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Style {
+    /// A line.
+    #[default]
+    Line,
+    /// Points.
+    Dots,
+    /// A thin grey line that neither extends the range of the chart nor shows its values: a limit, an outline.
+    Guide,
+}
+
 /// A line, or points, in a [`Chart`].
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Series {
-    /// Its name in the legend.
+    /// Its name in the legend; empty: not in the legend.
     pub name: String,
     /// x and y.
     pub points: Vec<(f64, f64)>,
-    /// Points instead of a line.
-    pub dots: bool,
+    /// Third coordinate of each point in a chart of space, otherwise empty.
+    pub z: Vec<f64>,
+    /// Time of each point, s, where neither axis is the time; empty: not shown.
+    pub times_s: Vec<f64>,
+    /// Text beside each point; empty: none.
+    pub labels: Vec<String>,
+    /// How it is drawn.
+    pub style: Style,
 }
 
 impl Series {
@@ -65,23 +61,37 @@ impl Series {
         Self {
             name: name.to_owned(),
             points,
-            dots: false,
+            ..Self::default()
         }
     }
 
     /// Points.
     pub fn dots(name: &str, points: Vec<(f64, f64)>) -> Self {
         Self {
-            dots: true,
+            style: Style::Dots,
             ..Self::line(name, points)
+        }
+    }
+
+    /// A guide.
+    pub fn guide(name: &str, points: Vec<(f64, f64)>) -> Self {
+        Self {
+            style: Style::Guide,
+            ..Self::line(name, points)
+        }
+    }
+
+    /// The same in space: a line, or what `style` says.
+    pub fn space(name: &str, style: Style, points: &[[f64; 3]]) -> Self {
+        Self {
+            z: points.iter().map(|point| point[2]).collect(),
+            style,
+            ..Self::line(name, points.iter().map(|p| (p[0], p[1])).collect())
         }
     }
 }
 
-/// Result of drawing.
-type Drawn = std::result::Result<(), Box<dyn std::error::Error>>;
-
-/// A chart of some series over one x axis.
+/// A chart of some series over one x axis, in a plane, or in space.
 #[derive(Clone, Debug, Default)]
 pub struct Chart {
     /// Its title.
@@ -90,11 +100,17 @@ pub struct Chart {
     pub x: String,
     /// The y axis with its unit.
     pub y: String,
+    /// The z axis with its unit; empty in a plane.
+    pub z: String,
+    /// Logarithmic x axis; values must be positive.
+    pub log_x: bool,
     /// Logarithmic y axis; values must be positive.
     pub log: bool,
-    /// Equal scales of both axes.
+    /// Equal scales of all axes; always so in space.
     pub equal: bool,
-    /// Range of y; `None` for that of the data.
+    /// Range of x; `None` for that of the data without guides.
+    pub x_range: Option<(f64, f64)>,
+    /// Range of y; `None` for that of the data without guides.
     pub y_range: Option<(f64, f64)>,
     /// The series.
     pub series: Vec<Series>,
@@ -102,6 +118,8 @@ pub struct Chart {
     pub bands: Vec<Band>,
     /// Intervals of x marked in grey.
     pub marked: Vec<(f64, f64)>,
+    /// Remark below the chart in a report.
+    pub note: String,
 }
 
 /// Confidence band of a series of a [`Chart`].
@@ -111,215 +129,6 @@ pub struct Band {
     pub series: usize,
     /// x, lowest y and highest.
     pub points: Vec<(f64, f64, f64)>,
-}
-
-impl Chart {
-    /// The picture as SVG text.
-    ///
-    /// # Errors
-    /// `file_failed` when it cannot be drawn.
-    pub fn svg(&self) -> Result<String> {
-        let mut svg = String::new();
-        let area = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
-        self.draw(&area, 1)?;
-        drop(area);
-        Ok(svg)
-    }
-
-    /// Writes the chart to a file, replacing an existing one: as SVG or PNG, by its extension.
-    ///
-    /// # Errors
-    /// `usage` for another extension; `file_failed`, `file_unreadable`.
-    pub fn write(&self, path: &Path) -> Result<()> {
-        let name = path.display().to_string();
-        let extension = path.extension().and_then(|extension| extension.to_str());
-        match extension {
-            Some("svg") => OutputFile::write(path, self.svg()?),
-            Some("png") => {
-                let size = (FINER * SIZE.0, FINER * SIZE.1);
-                let (output, _) = OutputFile::create(path)?;
-                let area = BitMapBackend::new(output.path(), size).into_drawing_area();
-                self.draw(&area, FINER).map_err(|error| error.at(name))?;
-                drop(area);
-                output.finish()
-            }
-            _ => Err(ErrorCode::Usage
-                .error(
-                    "a chart is written as SVG or PNG",
-                    "give a name that ends in .svg or .png",
-                )
-                .at(name)),
-        }
-    }
-
-    fn ranges(&self) -> (Range<f64>, Range<f64>) {
-        let all = || self.series.iter().flat_map(|series| &series.points);
-        let span = |values: &mut dyn Iterator<Item = f64>| {
-            let (low, high) = values
-                .filter(|value| value.is_finite())
-                .fold((f64::MAX, f64::MIN), |(low, high), value| {
-                    (low.min(value), high.max(value))
-                });
-            if low < high {
-                (low, high)
-            } else if low == high {
-                (low - 0.5, high + 0.5)
-            } else {
-                (0.0, 1.0)
-            }
-        };
-        let (left, right) = span(&mut all().map(|point| point.0));
-        let side = 0.03 * (right - left);
-        let (low, high) = self
-            .y_range
-            .unwrap_or_else(|| span(&mut all().map(|point| point.1)));
-        let room = if self.log { 0.0 } else { 0.05 * (high - low) };
-        let stretch = if self.log { 1.5 } else { 1.0 };
-        let x = left - side..right + side;
-        let y = low / stretch - room..high * stretch + room;
-        if !self.equal {
-            return (x, y);
-        }
-        let height = (y.end - y.start).max((x.end - x.start) / ASPECT);
-        let around = |range: Range<f64>, length: f64| {
-            let middle = 0.5 * (range.start + range.end);
-            middle - 0.5 * length..middle + 0.5 * length
-        };
-        (around(x, height * ASPECT), around(y, height))
-    }
-
-    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, fine: u32) -> Result<()>
-    where
-        B::ErrorType: 'static,
-    {
-        let (x, y) = self.ranges();
-        let drawn = have_font().and_then(|()| {
-            let range = (x.clone(), y.clone());
-            if self.log {
-                let y = (y.start.max(1e-9)..y.end).log_scale();
-                self.draw_on(area, fine, x, y, &range)
-            } else {
-                self.draw_on(area, fine, x, y, &range)
-            }
-        });
-        drawn.map_err(|reason| {
-            ErrorCode::FileFailed.error(
-                format!("the chart cannot be drawn: {reason}"),
-                "check the file's folder; if it exists, report this as a fault of wimu",
-            )
-        })
-    }
-
-    fn draw_on<B: DrawingBackend, Y>(
-        &self,
-        area: &DrawingArea<B, Shift>,
-        fine: u32,
-        x: Range<f64>,
-        y: Y,
-        (wide, shown): &(Range<f64>, Range<f64>),
-    ) -> Drawn
-    where
-        B::ErrorType: 'static,
-        Y: AsRangedCoord<Value = f64>,
-        Y::CoordDescType: ValueFormatter<f64>,
-    {
-        let font = |size: u32| (FONT, size * fine).into_font().color(&INK);
-        area.fill(&WHITE)?;
-        let area = area.margin(12 * fine, 0, 0, 0);
-        let area = area.titled(&self.title, font(18))?;
-        // Above the chart, where it covers nothing.
-        let (legend, below) = area.split_vertically(24 * fine);
-        let mut chart = ChartBuilder::on(&below)
-            .margin(12 * fine)
-            .x_label_area_size(42 * fine)
-            .y_label_area_size(68 * fine)
-            .build_cartesian_2d(x, y)?;
-        for &(from, to) in &self.marked {
-            let corners = [(from, shown.start), (to, shown.end)];
-            chart.draw_series([Rectangle::new(corners, MARK.filled())])?;
-        }
-        let linear = (shown.end - shown.start) / 10.0;
-        let log = self.log;
-        chart
-            .configure_mesh()
-            .x_desc(&self.x)
-            .y_desc(&self.y)
-            .x_label_formatter(&|x| rounded(*x, (wide.end - wide.start) / 10.0))
-            .y_label_formatter(&|y| if log { decade(*y) } else { rounded(*y, linear) })
-            .light_line_style(WHITE)
-            .bold_line_style(GRID.stroke_width(fine))
-            .axis_style(INK.stroke_width(fine))
-            .set_all_tick_mark_size(4 * fine)
-            .label_style(font(13))
-            .draw()?;
-        for band in &self.bands {
-            let colour = COLOURS[band.series % COLOURS.len()].mix(0.15);
-            let finite = || {
-                band.points
-                    .iter()
-                    .filter(|(_, low, high)| low.is_finite() && high.is_finite())
-            };
-            let inside = |y: f64| y.clamp(shown.start, shown.end);
-            let outline: Vec<_> = finite()
-                .map(|&(x, low, _)| (x, inside(low)))
-                .chain(finite().rev().map(|&(x, _, high)| (x, inside(high))))
-                .collect();
-            chart.draw_series([Polygon::new(outline, colour.filled())])?;
-        }
-        for (series, colour) in self.series.iter().zip(COLOURS.iter().cycle()) {
-            let style = colour.stroke_width(2 * fine);
-            if series.dots {
-                let dots = series.points.iter();
-                chart.draw_series(dots.map(|&dot| Circle::new(dot, 5 * fine, colour.filled())))?;
-            } else {
-                for piece in within(&series.points, shown) {
-                    if fine > 1 {
-                        // Step by step: the corners of a broad line of pixels would stick out.
-                        let steps = piece.windows(2);
-                        chart.draw_series(
-                            steps.map(|step| PathElement::new(step.to_vec(), style)),
-                        )?;
-                    } else {
-                        chart.draw_series([PathElement::new(piece, style)])?;
-                    }
-                }
-            }
-        }
-        self.name_series(&legend, fine)?;
-        area.present()?;
-        Ok(())
-    }
-
-    /// Draws the legend in one line in the middle of `area`.
-    fn name_series<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, fine: u32) -> Drawn
-    where
-        B::ErrorType: 'static,
-    {
-        let font = (FONT, 13 * fine).into_font().color(&INK);
-        let (line, gap) = (24 * fine as i32, 8 * fine as i32);
-        let mut widths = Vec::new();
-        for series in &self.series {
-            let (width, _) = area.estimate_text_size(&series.name, &font)?;
-            widths.push(line + gap + width as i32 + 3 * gap);
-        }
-        let (width, height) = area.dim_in_pixel();
-        let mut x = (width as i32 - widths.iter().sum::<i32>()).max(0) / 2;
-        let y = height as i32 / 2;
-        for ((series, width), colour) in self.series.iter().zip(widths).zip(COLOURS.iter().cycle())
-        {
-            let style = colour.stroke_width(2 * fine);
-            if series.dots {
-                let dot = (x + line / 2, y);
-                area.draw(&Circle::new(dot, 5 * fine, colour.filled()))?;
-            } else {
-                area.draw(&PathElement::new([(x, y), (x + line, y)], style))?;
-            }
-            let place = (x + line + gap, y - 7 * fine as i32);
-            area.draw(&Text::new(series.name.clone(), place, font.clone()))?;
-            x += width;
-        }
-        Ok(())
-    }
 }
 
 /// Points of a line with a break at each step in x of more than twice the median step.
@@ -340,167 +149,4 @@ pub fn broken(points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
         broken.push(point);
     }
     broken
-}
-
-/// A tick label on a logarithmic axis.
-fn decade(value: f64) -> String {
-    let short = format!("{value:.2e}").parse::<f64>().unwrap_or(value);
-    if (1e-3..1e4).contains(&short.abs()) {
-        short.to_string()
-    } else {
-        format!("{short:e}")
-    }
-}
-
-/// A tick label on an axis whose ticks are about `step` apart, without digits from rounding errors.
-fn rounded(value: f64, step: f64) -> String {
-    let digits = (2.0 - step.abs().max(1e-12).log10().floor()).clamp(0.0, 12.0) as usize;
-    let text = format!("{value:.digits$}");
-    let short = match text.contains('.') {
-        true => text.trim_end_matches('0').trim_end_matches('.'),
-        false => &text,
-    };
-    if short == "-0" { "0" } else { short }.to_owned()
-}
-
-/// The pieces of a line within this range of y, cut at its edges.
-fn within(points: &[(f64, f64)], range: &Range<f64>) -> Vec<Vec<(f64, f64)>> {
-    let inside = |point: (f64, f64)| (range.start..=range.end).contains(&point.1);
-    // Intersection of the edge and the line from a point inside to one outside.
-    let edge = |from: (f64, f64), to: (f64, f64)| {
-        let y = to.1.clamp(range.start, range.end);
-        (from.0 + (y - from.1) / (to.1 - from.1) * (to.0 - from.0), y)
-    };
-    let (mut pieces, mut piece) = (Vec::new(), Vec::new());
-    let mut last: Option<(f64, f64)> = None;
-    for &point in points {
-        let before = last.replace(point);
-        if inside(point) {
-            let from = before.filter(|&before| !inside(before) && before.1.is_finite());
-            piece.extend(from.map(|from| edge(point, from)));
-            piece.push(point);
-        } else if !piece.is_empty() {
-            let to = before.filter(|_| point.1.is_finite());
-            piece.extend(to.map(|before| edge(before, point)));
-            pieces.push(std::mem::take(&mut piece));
-        }
-    }
-    pieces.push(piece);
-    pieces
-}
-
-/// Registers the embedded font: searching for those of the system needs a C library.
-fn have_font() -> Drawn {
-    static DONE: OnceLock<bool> = OnceLock::new();
-    let done = DONE
-        .get_or_init(|| register_font(FONT, FontStyle::Normal, dejavu::sans::regular()).is_ok());
-    let known = done.then_some(());
-    Ok(known.ok_or("the font cannot be read")?)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn chart(points: Vec<(f64, f64)>, log: bool) -> Chart {
-        Chart {
-            title: "a < b".to_owned(),
-            x: "t (s)".to_owned(),
-            y: "p (m)".to_owned(),
-            log,
-            equal: false,
-            y_range: None,
-            series: vec![Series {
-                name: "one".to_owned(),
-                points,
-                dots: log,
-            }],
-            bands: vec![Band {
-                series: 0,
-                points: vec![(0.0, f64::NAN, 1.0), (0.0, 0.5, 1.0), (1.0, 0.5, 1.5)],
-            }],
-            marked: vec![(0.2, 0.4)],
-        }
-    }
-
-    #[test]
-    fn a_line_ends_where_it_leaves_the_picture() {
-        let points = [
-            (0.0, 0.0),
-            (1.0, 2.0),
-            (2.0, 2.0),
-            (3.0, 0.0),
-            (4.0, f64::NAN),
-            (5.0, 0.5),
-        ];
-        let pieces = within(&points, &(0.0..1.0));
-        let expected = [
-            vec![(0.0, 0.0), (0.5, 1.0)],
-            vec![(2.5, 1.0), (3.0, 0.0)],
-            vec![(5.0, 0.5)],
-        ];
-        assert_eq!(pieces, expected);
-    }
-
-    #[test]
-    fn a_line_is_broken_where_points_are_missing() {
-        let line = |xs: &[f64]| xs.iter().map(|x| (*x, 1.0)).collect::<Vec<_>>();
-        let found = broken(line(&[0.0, 1.0, 2.0, 7.0, 8.0]));
-        assert_eq!(found.len(), 6);
-        assert!(found[3].0 == 2.0 && found[3].1.is_nan());
-        assert_eq!(
-            within(&found, &(0.0..2.0)),
-            [line(&[0.0, 1.0, 2.0]), line(&[7.0, 8.0])]
-        );
-        for whole in [&[][..], &[0.0], &[0.0, 5.0], &[0.0, 1.0, 3.0]] {
-            assert_eq!(broken(line(whole)), line(whole));
-        }
-    }
-
-    #[test]
-    fn ticks_are_named_without_the_digits_that_rounding_leaves() {
-        let tick = 10f64.powf(-5.0) * (1.0 - 1e-15);
-        assert_eq!(
-            [tick, 0.001, 0.1, 99.999_999_999, 1e5].map(decade),
-            ["1e-5", "0.001", "0.1", "100", "1e5"]
-        );
-        assert_eq!(
-            [0.1 + 0.2, -1e-17, 12.5, 100.0].map(|v| rounded(v, 0.1)),
-            ["0.3", "0", "12.5", "100"]
-        );
-    }
-
-    #[test]
-    fn equal_scales_show_all_points() {
-        let long = |points| Chart {
-            equal: true,
-            ..chart(points, false)
-        };
-        for points in [vec![(0.0, 0.0), (9.0, 0.1)], vec![(0.0, 0.0), (0.1, 9.0)]] {
-            let (x, y) = long(points.clone()).ranges();
-            let ratio = (x.end - x.start) / (y.end - y.start);
-            assert!((ratio - ASPECT).abs() < 1e-9, "{ratio}");
-            assert!((points.iter()).all(|p| x.contains(&p.0) && y.contains(&p.1)));
-        }
-    }
-
-    #[test]
-    fn any_points_can_be_drawn() {
-        for points in [
-            vec![],
-            vec![(1.0, 2.0)],
-            vec![(0.0, 1.0), (1.0, 1.0)],
-            vec![(0.0, f64::NAN), (1.0, f64::INFINITY)],
-            vec![(0.0, 1e-3), (1.0, 1e3)],
-        ] {
-            for log in [false, true] {
-                let svg = chart(points.clone(), log).svg().unwrap();
-                assert!(svg.contains("</svg>") && svg.contains("t (s)"));
-                let folder = tempfile::tempdir().unwrap();
-                let path = folder.path().join("a.png");
-                chart(points.clone(), log).write(&path).unwrap();
-                assert!(std::fs::read(path).unwrap().starts_with(b"\x89PNG"));
-            }
-        }
-    }
 }

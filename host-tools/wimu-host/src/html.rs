@@ -1,17 +1,29 @@
-//! HTML reports: one file with its charts inside.
+//! HTML reports: one file with its charts inside, which its own script draws; without a script they are pictures.
 
 use std::fmt::Write as _;
 use std::path::Path;
 
 use crate::chart::Chart;
-use crate::finding::{self, Finding};
+use crate::finding::{self, Finding, FindingCode, Severity};
+use crate::plural::counted;
 use crate::{OutputFile, Result};
 
-/// A page that is written from top to bottom.
-#[derive(Clone, Debug)]
+/// The script that draws charts into the `figure`s of a page; `new WimuPlot(element, chart)` draws one.
+pub const PLOT_SCRIPT: &str = include_str!("html/plot.js");
+/// The style that it needs.
+pub const STYLE: &str = include_str!("html/style.css");
+/// Rows of a table that is not folded.
+const OPEN_ROWS: usize = 12;
+
+/// A page: the result, key figures and warnings, then charts and tables, then the text of the command, folded.
+#[derive(Clone, Debug, Default)]
 pub struct Report {
     title: String,
+    result: String,
+    keys: String,
+    warnings: String,
     body: String,
+    details: String,
 }
 
 impl Report {
@@ -19,54 +31,89 @@ impl Report {
     pub fn new(title: impl Into<String>) -> Self {
         Self {
             title: title.into(),
-            body: String::new(),
+            ..Self::default()
         }
     }
 
-    /// A paragraph of text.
-    pub fn text(&mut self, text: &str) -> &mut Self {
-        let _ = writeln!(self.body, "<p>{}</p>", escape(text));
+    /// The result as a sentence.
+    pub fn result(&mut self, text: &str) -> &mut Self {
+        let _ = writeln!(self.result, "<p class=\"result\">{}</p>", escape(text));
         self
     }
 
-    /// Preformatted text.
+    /// A key figure with its unit.
+    pub fn key(&mut self, name: &str, value: &str) -> &mut Self {
+        let (name, value) = (escape(name), escape(value));
+        let _ = writeln!(self.keys, "<div><dt>{name}</dt><dd>{value}</dd></div>");
+        self
+    }
+
+    /// The text that the command prints.
     pub fn printed(&mut self, text: &str) -> &mut Self {
-        let _ = writeln!(self.body, "<pre>{}</pre>", escape(text));
+        let _ = writeln!(self.details, "<pre>{}</pre>", escape(text));
         self
     }
 
-    /// All findings, if there are any.
+    /// All findings, if there are any: warnings with the result, and all of them with the text of the command.
     pub fn findings(&mut self, findings: &[Finding]) -> &mut Self {
+        let is_warning = |finding: &&Finding| {
+            finding.severity >= Severity::Warning && finding.code != FindingCode::NoResult
+        };
+        for finding in findings.iter().filter(is_warning) {
+            let text = escape(&finding.to_string());
+            let _ = writeln!(self.warnings, "<p>{text}</p>");
+        }
         match finding::text(findings, usize::MAX) {
             text if text.is_empty() => self,
             text => self.printed(text.trim_end()),
         }
     }
 
-    /// A table with a header row.
-    pub fn table(&mut self, head: &[&str], rows: &[Vec<String>]) -> &mut Self {
+    /// A table with a header row; a long one is folded.
+    pub fn table(&mut self, name: &str, head: &[&str], rows: &[Vec<String>]) -> &mut Self {
         let cells = |tag: &str, cells: &mut dyn Iterator<Item = &str>| {
             let cells: String = cells
                 .map(|cell| format!("<{tag}>{}</{tag}>", escape(cell)))
                 .collect();
-            format!("<tr>{cells}</tr>")
+            format!("<tr>{cells}</tr>\n")
         };
-        self.body.push_str("<table>");
-        self.body.push_str(&cells("th", &mut head.iter().copied()));
-        for row in rows {
-            self.body
-                .push_str(&cells("td", &mut row.iter().map(String::as_str)));
-        }
-        self.body.push_str("</table>\n");
+        let rows_text: String = (rows.iter())
+            .map(|row| cells("td", &mut row.iter().map(String::as_str)))
+            .collect();
+        let _ = writeln!(
+            self.body,
+            "<details{}><summary>{}</summary><div class=\"table\"><table>\n{}{rows_text}</table></div></details>",
+            if rows.len() > OPEN_ROWS { "" } else { " open" },
+            escape(name),
+            cells("th", &mut head.iter().copied())
+        );
         self
     }
 
-    /// A chart.
+    /// A chart: its data for the script, and its picture where there is no script.
     ///
     /// # Errors
     /// `file_failed` when it cannot be drawn.
     pub fn chart(&mut self, chart: &Chart) -> Result<&mut Self> {
-        let _ = writeln!(self.body, "<figure>{}</figure>", chart.svg()?);
+        let small = chart.decimated();
+        let points = |chart: &Chart| chart.series.iter().map(|s| s.points.len()).sum::<usize>();
+        let [before, after] = [points(chart), points(&small)];
+        let mut notes: Vec<String> = Vec::from_iter(Some(chart.note.clone()));
+        notes.retain(|note| !note.is_empty());
+        if after < before {
+            notes.push(format!(
+                "Drawn: {after} of {} (the extremes of equal intervals).",
+                counted(before, "point")
+            ));
+        }
+        let _ = writeln!(
+            self.body,
+            "<figure><script type=\"application/json\">{}</script><noscript>{}</noscript><figcaption>{}</figcaption></figure>",
+            // A `<` could end the script.
+            small.json().to_string().replace('<', "\\u003c"),
+            small.svg()?,
+            escape(&notes.join(" "))
+        );
         Ok(self)
     }
 
@@ -75,37 +122,93 @@ impl Report {
     /// # Errors
     /// `file_failed`, `file_unreadable`.
     pub fn write(&self, path: &Path) -> Result<()> {
+        OutputFile::write(path, self.page())
+    }
+
+    /// The page as text.
+    fn page(&self) -> String {
         let title = escape(&self.title);
-        let page = format!(
-            "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{title}</title>\n\
-             <style>{STYLE}</style></head>\n<body><h1>{title}</h1>\n{}</body></html>\n",
-            self.body
-        );
-        OutputFile::write(path, page)
+        let within = |open: &str, text: &str, close: &str| match text {
+            "" => String::new(),
+            text => format!("{open}\n{text}{close}\n"),
+        };
+        let keys = within("<dl class=\"key\">", &self.keys, "</dl>");
+        let warnings = within("<div class=\"warnings\">", &self.warnings, "</div>");
+        let text = "<details><summary>Text of the command</summary>";
+        let details = within(text, &self.details, "</details>");
+        format!(
+            "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
+             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"><title>{title}</title>\n\
+             <style>\n{STYLE}</style></head>\n<body><h1>{title}</h1>\n{}{keys}{warnings}{}{details}\
+             <script>\n{PLOT_SCRIPT}</script></body></html>\n",
+            self.result, self.body
+        )
     }
 }
-
-const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;max-width:900px;margin:2em auto;\
-    padding:0 1em;color:#222}pre{background:#f4f4f4;padding:1em;white-space:pre-wrap;font-size:14px}h1{overflow-wrap:anywhere}\
-    table{border-collapse:collapse}td,th{padding:.2em 1em;border-bottom:1px solid #ddd;\
-    text-align:right}figure{margin:1.5em 0}svg{max-width:100%;height:auto}";
 
 fn escape(text: &str) -> String {
     text.replace('&', "&amp;")
         .replace('<', "&lt;")
         .replace('>', "&gt;")
+        .replace('"', "&quot;")
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::chart::Series;
+
+    const EVIL: &str = "</script><img src=x onerror=alert(1)><!--\"&";
 
     #[test]
-    fn text_cannot_break_the_page() {
-        let mut report = Report::new("<x>");
+    fn names_cannot_break_the_page() {
+        let mut report = Report::new(EVIL);
         report
-            .text("1 < 2 & 3")
-            .table(&["<h>"], &[vec!["<td>".to_owned()]]);
-        assert!(!report.body.contains("<h>") && report.body.contains("1 &lt; 2 &amp; 3"));
+            .result(EVIL)
+            .key(EVIL, EVIL)
+            .printed(EVIL)
+            .findings(&[FindingCode::Clock.warning(EVIL)])
+            .table(EVIL, &[EVIL], &[vec![EVIL.to_owned()]]);
+        let chart = Chart {
+            title: EVIL.to_owned(),
+            x: EVIL.to_owned(),
+            note: EVIL.to_owned(),
+            series: vec![Series {
+                labels: vec![EVIL.to_owned()],
+                ..Series::dots(EVIL, vec![(0.0, f64::NAN)])
+            }],
+            ..Chart::default()
+        };
+        let page = report.chart(&chart).unwrap().page();
+        assert!(!page.contains("<img") && !page.contains("<!--"), "{page}");
+        // The data and the script of the page, once each.
+        assert_eq!(page.matches("</script>").count(), 2);
+        let (_, data) = page.split_once("json\">").unwrap();
+        let (data, _) = data.split_once("</script>").unwrap();
+        let data: serde_json::Value = serde_json::from_str(data).unwrap();
+        assert_eq!(data["title"], EVIL);
+        assert!(data["series"][0]["y"][0].is_null());
+    }
+
+    #[test]
+    fn the_result_comes_first_and_the_text_of_the_command_last() {
+        let mut report = Report::new("title");
+        report
+            .printed("printed text")
+            .table("a table", &["a"], &[])
+            .key("key", "1 m")
+            .result("the result")
+            .findings(&[FindingCode::Clock.warning("careful")]);
+        let page = report.page();
+        let order = [
+            "the result",
+            "1 m",
+            "careful",
+            "a table",
+            "<summary>Text of the command",
+            "printed text",
+        ];
+        let places = order.map(|text| page.find(text).unwrap());
+        assert!(places.is_sorted(), "{places:?}");
     }
 }

@@ -26,7 +26,7 @@ fn path(t: f64) -> [f64; 3] {
 }
 
 /// Ranges of 20 s without noise, with a bias of 5 cm, and their anchors.
-fn write(folder: &Path) {
+pub fn write(folder: &Path) {
     let (mut ranges, mut anchors) = (
         "Time (s),Anchor,Range (m)\n".to_owned(),
         "Anchor,Position E (m),Position N (m),Position U (m)\n".to_owned(),

@@ -1,5 +1,5 @@
 //! Finds or installs what the tests need beyond cargo: the formatter, the linter, `core` for two
-//! microcontrollers, emulators of two, Python and a C compiler.
+//! microcontrollers, emulators of two, Python, a C compiler and a browser.
 
 use std::path::Path;
 
@@ -20,6 +20,8 @@ pub enum Need {
     Qemu,
     /// The oldest compiler that users may have.
     Oldest,
+    /// Of reports: Chromium.
+    Browser,
     /// Of the Python module and of reading sqlite: Python with virtual environments, and a C compiler.
     Optional,
 }
@@ -49,8 +51,10 @@ pub fn run() -> Result<(), String> {
     }
     python::environment("numpy")?;
     // Without one of these a step is left out, no more.
-    if let Err(why) = provide(Need::Oldest, &mut ThisMachine) {
-        println!("{why}");
+    for need in [Need::Oldest, Need::Browser] {
+        if let Err(why) = provide(need, &mut ThisMachine) {
+            println!("{why}");
+        }
     }
     if let Err(why) = emulator() {
         println!("{why}");
@@ -185,7 +189,7 @@ fn install(need: Need, source: Source) -> Vec<CommandLine> {
             Need::Targets => {
                 vec![CommandLine::new("rustup target add").words(&TARGETS.join(" "))]
             }
-            Need::Qemu | Need::Optional => Vec::new(),
+            Need::Qemu | Need::Browser | Need::Optional => Vec::new(),
             Need::Oldest => {
                 vec![CommandLine::new("rustup toolchain install --profile minimal").word(OLDEST)]
             }
@@ -195,6 +199,7 @@ fn install(need: Need, source: Source) -> Vec<CommandLine> {
                 Need::Components => "rustfmt-web rust-web-clippy",
                 Need::Targets => "rustc-web cargo-web rust-web-src lld",
                 Need::Qemu => "qemu-system-arm",
+                Need::Browser => "chromium",
                 Need::Optional => "python3 python3-venv gcc libc6-dev",
                 Need::Oldest => return Vec::new(),
             };
@@ -215,6 +220,7 @@ impl Need {
             Self::Components => "rustfmt and clippy".into(),
             Self::Targets => TARGETS.join(" and "),
             Self::Qemu => "qemu-system-arm".into(),
+            Self::Browser => "Chromium".into(),
             Self::Oldest => format!("Rust {OLDEST}"),
             Self::Optional => "Python 3 with venv and a C compiler".into(),
         }
@@ -223,7 +229,7 @@ impl Need {
     /// Where it was found.
     fn found(self, source: Source) -> &'static str {
         match (self, source) {
-            (Self::Qemu | Self::Oldest | Self::Optional, _) => "installed",
+            (Self::Qemu | Self::Oldest | Self::Browser | Self::Optional, _) => "installed",
             (_, Source::Toolchain) => "in the active toolchain",
             (_, Source::Debian) => "from Debian's packages",
         }
@@ -236,6 +242,7 @@ impl Need {
                 "install Rust with rustup (https://rustup.rs)"
             }
             Self::Qemu => "install QEMU (https://www.qemu.org/download)",
+            Self::Browser => "install Chromium (https://www.chromium.org)",
             Self::Optional => "install Python (https://www.python.org/downloads) and a C compiler",
         }
     }
@@ -255,9 +262,9 @@ impl Machine for ThisMachine {
             (Need::Oldest, Source::Toolchain) => {
                 succeeds(&format!("rustup run {OLDEST} cargo --version"))
             }
-            (Need::Qemu | Need::Optional, Source::Toolchain) | (Need::Oldest, Source::Debian) => {
-                false
-            }
+            (Need::Qemu | Need::Browser | Need::Optional, Source::Toolchain)
+            | (Need::Oldest, Source::Debian) => false,
+            (Need::Browser, Source::Debian) => succeeds("chromium --version"),
             (Need::Optional, Source::Debian) => {
                 let python = CommandLine::new("python3 -c").word("import venv, ensurepip");
                 python.output().is_some() && succeeds("cc --version")

@@ -5,7 +5,7 @@ use std::path::Path;
 use wimu_calib::AllanVariance;
 use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
-use super::{NoiseReport, gyroscope};
+use super::{NoiseReport, PointReport, gyroscope};
 use crate::error::Result;
 use crate::finding::{Finding, FindingCode};
 use crate::formats::{self, ReadOptions, Source};
@@ -106,8 +106,10 @@ impl NoiseOfTracks {
             .position(|track| is_beside(&track.info));
         let rate = rate.zip(rate.and_then(|index| self.meters.get_mut(index)));
         let mut of_gyroscope = Vec::new();
+        let mut gyroscope_points = Vec::new();
         let gyroscope = rate.and_then(|(index, meter)| {
             meter.finish(&recording.tracks()[index].info)?;
+            gyroscope_points.extend(meter.allan.points().map(PointReport::from));
             gyroscope::measured(&meter.allan, &mut of_gyroscope)
         });
         let meter = &self.meters[index.unwrap_or_default()];
@@ -120,7 +122,7 @@ impl NoiseOfTracks {
         let before: Vec<Finding> = read.chain(gaps_finding(meter.gaps)).collect();
         report.outcome.findings.splice(0..0, before);
         report.outcome.findings.extend(of_gyroscope);
-        report.gyroscope = gyroscope;
+        (report.gyroscope, report.gyroscope_points) = (gyroscope, gyroscope_points);
         Ok(report)
     }
 }

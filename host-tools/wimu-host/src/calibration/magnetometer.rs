@@ -13,6 +13,7 @@ use super::HELD_SCHEMA;
 use super::input::magnitude;
 use super::report::NextPose;
 use crate::chart::{Chart, Series};
+use crate::digits::significant;
 use crate::error::{ErrorCode, Result};
 use crate::finding::{Finding, FindingCode, Outcome};
 use crate::html::Report;
@@ -283,8 +284,20 @@ impl MagnetometerReport {
     /// `file_failed` when a picture cannot be drawn.
     pub fn page(&self) -> Result<Report> {
         let mut page = Report::new(format!("Magnetometer of {}", self.source));
-        page.printed(&self.to_string())
-            .findings(&self.outcome.findings);
+        let (text, ut) = (self.to_string(), |value: f64| {
+            format!("{} µT", significant(value, 3))
+        });
+        page.result(text.lines().next().unwrap_or_default());
+        if let Some(found) = &self.magnetometer {
+            let hard_iron = magnitude(found.hard_iron_nt.map(|axis| f64::from(axis) / 1e3));
+            page.key("hard iron", &ut(hard_iron))
+                .key("field", &ut(f64::from(found.field_nt) / 1e3))
+                .key(
+                    "|B| less the mean field, rms",
+                    &ut(f64::from(found.rms_nt) / 1e3),
+                );
+        }
+        page.printed(&text).findings(&self.outcome.findings);
         let numbered = |value: &dyn Fn(&FieldPose) -> Option<f64>| -> Vec<(f64, f64)> {
             let values = self.poses.iter().enumerate();
             values
@@ -326,6 +339,7 @@ impl MagnetometerReport {
             })
             .collect();
         page.table(
+            "Poses",
             &[
                 "pose",
                 "output, µT",

@@ -1,26 +1,62 @@
 //! The report of a calibration as a page.
 
+use std::f64::consts::{FRAC_PI_6, PI};
+
 use super::{CalibrationReport, StaticPose, magnitude};
-use crate::chart::{Chart, Series};
+use crate::chart::{Chart, Series, Style};
+use crate::digits::significant;
 use crate::error::Result;
 use crate::html::Report;
+use crate::plural::counted;
 
 /// Smallest residual on the logarithmic axis, mm/s².
 const LEAST_SHOWN_MM_S2: f64 = 1e-3;
 
 impl CalibrationReport {
-    /// The report as one HTML page: the text, |f| − g of each pose before and after, the poses on a sphere, and their
-    /// table.
+    /// The report as one HTML page: the result, |f| − g of each pose before and after, the poses on a sphere, their table,
+    /// and the text.
     ///
     /// # Errors
     /// `file_failed` when a picture cannot be drawn.
     pub fn page(&self) -> Result<Report> {
         let mut page = Report::new(format!("Calibration of {}", self.source));
+        self.key_figures(&mut page);
         page.printed(&self.to_string())
             .findings(&self.outcome.findings);
         if !self.static_poses.is_empty() {
             page.chart(&self.residuals())?.chart(&self.sphere())?;
         }
+        self.table(&mut page);
+        Ok(page)
+    }
+
+    fn key_figures(&self, page: &mut Report) {
+        let (Some(fit), None) = (&self.fit, &self.outcome.reason) else {
+            page.result(&self.outcome.to_string());
+            return;
+        };
+        page.result(&format!(
+            "{} fitted to {}: {}.",
+            counted(fit.fitted.len(), "parameter"),
+            counted(self.poses, "static pose"),
+            self.terms.join(", ")
+        ));
+        let mm_s2 = |value: f64| format!("{} mm/s²", significant(value, 3));
+        let before = self.uncalibrated_rms_mm_s2;
+        let before = before.map_or(String::new(), |rms| format!("{} → ", significant(rms, 3)));
+        page.key(
+            "|f| − g, rms, before and after",
+            &(before + &mm_s2(fit.rms_mm_s2)),
+        );
+        let left_out = fit.loo_orientation_rms_mm_s2.or(fit.loo_rms_mm_s2);
+        if let Some(rms) = left_out {
+            page.key("at poses left out of the fit, rms", &mm_s2(rms));
+        }
+        let name = "expected in the worst orientation, 1 σ";
+        page.key(name, &mm_s2(fit.worst_sd_mm_s2));
+    }
+
+    fn table(&self, page: &mut Report) {
         let rows: Vec<Vec<String>> = self
             .static_poses
             .iter()
@@ -46,6 +82,7 @@ impl CalibrationReport {
             })
             .collect();
         page.table(
+            "Static poses",
             &[
                 "pose",
                 "mean output, m/s²",
@@ -57,7 +94,6 @@ impl CalibrationReport {
             ],
             &rows,
         );
-        Ok(page)
     }
 
     /// |f| − g of each pose before and after correction.
@@ -83,37 +119,53 @@ impl CalibrationReport {
         }
     }
 
-    /// The upward directions of the poses on the sphere: its upper half as seen from above, and its lower half.
+    /// The upward directions of the poses on the unit sphere in sensor axes.
     fn sphere(&self) -> Chart {
-        const APART: f64 = 1.2;
-        let seen = |up: [f64; 3]| {
-            let [x, y, z] = up.map(|axis| axis / magnitude(up));
-            (x + if z < 0.0 { APART } else { -APART }, y)
+        let unit = |up: [f64; 3]| up.map(|axis| axis / magnitude(up));
+        let indices = |left_out: bool| {
+            let all = 0..self.static_poses.len();
+            all.filter(move |k| self.rejected_poses.contains(k) == left_out)
         };
-        let circle = |middle: f64| {
-            let angles = (0..=72).map(|k| f64::from(k) * std::f64::consts::PI / 36.0);
-            angles.map(move |angle| (middle + angle.cos(), angle.sin()))
+        let poses = |name: &str, left_out: bool| {
+            let up = indices(left_out).map(|k| unit(self.static_poses[k].mean_m_s2));
+            Series {
+                labels: indices(left_out).map(|k| k.to_string()).collect(),
+                ..Series::space(name, Style::Dots, &up.collect::<Vec<_>>())
+            }
         };
-        let outline = circle(-APART)
-            .chain([(0.0, f64::NAN)])
-            .chain(circle(APART))
-            .collect();
-        let held = self.static_poses.iter().map(|pose| seen(pose.mean_m_s2));
-        let mut series = vec![
-            Series::dots("pose held", held.collect()),
-            Series::line("left: Z up, right: Z down", outline),
-        ];
-        if !self.next_poses.is_empty() {
-            let advised = self.next_poses.iter().map(|pose| seen(pose.up));
-            series.push(Series::dots("pose to add", advised.collect()));
-        }
+        let mut series = vec![poses("pose held", false), poses("left out", true)];
+        let advised: Vec<_> = self.next_poses.iter().map(|pose| unit(pose.up)).collect();
+        series.push(Series::space("pose to add", Style::Dots, &advised));
+        series.retain(|series| !series.points.is_empty());
+        let axis = |k: usize, end: f64| std::array::from_fn(|i| if i == k { end } else { 0.0 });
+        let axes = [0, 1, 2].map(|k| [axis(k, 1.15), axis(k, -1.15), [f64::NAN; 3]]);
+        let labels = ["+X", "−X", "", "+Y", "−Y", "", "+Z", "−Z", ""];
+        series.push(Series {
+            labels: labels.map(String::from).into(),
+            ..Series::space("", Style::Guide, axes.as_flattened())
+        });
+        series.push(Series::space("", Style::Guide, &graticule()));
         Chart {
-            title: "Upward directions of the poses on a sphere: they should cover it".to_owned(),
-            x: "X".to_owned(),
-            y: "Y".to_owned(),
+            title: "Upward directions of the poses: they should cover the sphere".to_owned(),
             equal: true,
             series,
             ..Chart::default()
         }
     }
+}
+
+/// Circles of latitude and longitude on the unit sphere, 30° apart.
+fn graticule() -> Vec<[f64; 3]> {
+    let point = |latitude: f64, longitude: f64| {
+        let (up, across) = latitude.sin_cos();
+        [across * longitude.cos(), across * longitude.sin(), up]
+    };
+    let circle = |of: &dyn Fn(f64) -> [f64; 3]| {
+        let angles = (0..=48).map(|k| f64::from(k) * PI / 24.0);
+        let points: Vec<_> = angles.map(of).chain([[f64::NAN; 3]]).collect();
+        points
+    };
+    let parallels = (-2..=2).flat_map(|k| circle(&|angle| point(f64::from(k) * FRAC_PI_6, angle)));
+    let meridians = (0..6).flat_map(|k| circle(&|angle| point(angle, f64::from(k) * FRAC_PI_6)));
+    parallels.chain(meridians).collect()
 }

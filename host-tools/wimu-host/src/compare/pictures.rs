@@ -6,13 +6,12 @@ use super::link::Slice;
 use super::{Axis, Comparison, History, Values};
 use crate::Result;
 use crate::chart::{self, Band, Chart, Series};
+use crate::digits::significant;
 use crate::html::Report;
 
 const AXES: [&str; 3] = ["X", "Y", "Z"];
 /// Smallest latency shown, ms: the uncertainty of the clock.
 const LEAST_SHOWN_MS: f64 = 0.1;
-/// Largest number of points of a line.
-const MAX_POINTS: usize = 1000;
 
 impl Comparison {
     /// A page with the charts; `printed` is the text of the command.
@@ -21,18 +20,42 @@ impl Comparison {
     /// `file_failed` when one cannot be drawn.
     pub fn page(&self, printed: &str) -> Result<Report> {
         let mut report = Report::new(format!("Wireless against cable: {}", self.source));
+        report.result(printed.lines().next().unwrap_or_default());
+        let wireless = &self.links[1];
+        let lost = wireless.lost as f64 / (wireless.delivered + wireless.lost).max(1) as f64;
+        report.key(
+            "wireless samples lost",
+            &format!("{} ({} %)", wireless.lost, significant(100.0 * lost, 2)),
+        );
+        let latency = &wireless.latency;
+        report.key(
+            "wireless latency, median and 99 %",
+            &format!("{:.1}, {:.1} ms", latency.median_ms, latency.p99_ms),
+        );
+        if let Some(values) = &self.values {
+            let largest = |of: fn(&Axis) -> f64| values.axes.iter().map(of).fold(0.0, f64::max);
+            let [before, after] = [
+                largest(|axis| axis.rms_before_mps2),
+                largest(|axis| axis.rms_after_mps2),
+            ]
+            .map(|mps2| significant(mps2 * 1e3, 3));
+            let name = "difference of the links, rms, before and after the model";
+            report.key(name, &format!("{before} → {after} mm/s²"));
+        }
         report.printed(printed).findings(&self.findings);
         self.pictures(&mut report)?;
         Ok(report)
     }
 
-    /// Adds the charts to a page.
+    /// Adds the charts to a page, without those whose curves lie upon each other.
     ///
     /// # Errors
     /// `file_failed` when one cannot be drawn.
     pub fn pictures(&self, report: &mut Report) -> Result<()> {
-        for (_, chart) in self.charts() {
-            report.chart(&chart)?;
+        for (name, chart) in self.charts() {
+            if !name.starts_with("both") {
+                report.chart(&chart)?;
+            }
         }
         Ok(())
     }
@@ -63,19 +86,20 @@ impl Comparison {
         let sides = |pairs: &[(f64, [[f64; 3]; 2])], wireless: &str| {
             let side = |which: usize, name: &str| {
                 let points = pairs.iter().map(|(time, pair)| (*time, pair[which][axis]));
-                Series::line(name, chart::broken(thin(points)))
+                Series::line(name, chart::broken(points.collect()))
             };
             vec![side(1, wireless), side(0, "cable")]
         };
         let name = AXES[axis];
-        let mut charts = vec![(
+        let mut charts = over_time(history).to_vec();
+        charts.push((
             "both",
             chart(
                 format!("{name} as received on both links ({})", self.stream),
                 "m/s²",
                 sides(&history.excerpt, "wireless"),
             ),
-        )];
+        ));
         if let Some(values) = &self.values {
             let corrected: Vec<_> = history
                 .excerpt
@@ -93,7 +117,6 @@ impl Comparison {
             charts.extend(gap(history, values));
         }
         charts.extend(evolution(history));
-        charts.extend(over_time(history));
         charts
     }
 
@@ -113,17 +136,11 @@ impl Comparison {
 fn chart(title: String, y: &str, series: Vec<Series>) -> Chart {
     Chart {
         title,
-        x: "time (s)".to_owned(),
+        x: "time, s".to_owned(),
         y: y.to_owned(),
         series,
         ..Chart::default()
     }
-}
-
-/// At most [`MAX_POINTS`] of them, evenly spaced.
-fn thin(points: impl ExactSizeIterator<Item = (f64, f64)>) -> Vec<(f64, f64)> {
-    let step = points.len().div_ceil(MAX_POINTS).max(1);
-    points.step_by(step).collect()
 }
 
 /// Wireless less cable, before and after correction.
@@ -131,12 +148,12 @@ fn gap(history: &History, values: &Values) -> [(&'static str, Chart); 2] {
     [
         (
             "gap",
-            "Difference between the links: wireless less cable",
+            "Figure 5 of Yu & Chaczko: wireless less cable, as received",
             false,
         ),
         (
             "gap-corrected",
-            "The same after correction by the model",
+            "Figure 6 of Yu & Chaczko: wireless less cable, corrected by the link's model",
             true,
         ),
     ]
@@ -151,7 +168,7 @@ fn gap(history: &History, values: &Values) -> [(&'static str, Chart); 2] {
                     };
                     (*time, (w[axis] - c[axis]) * 1e3)
                 });
-                Series::line(AXES[axis], chart::broken(thin(points)))
+                Series::line(AXES[axis], chart::broken(points.collect()))
             })
             .collect();
         (name, chart(title.to_owned(), "mm/s²", series))
@@ -210,11 +227,15 @@ fn evolution(history: &History) -> Vec<(&'static str, Chart)> {
         Some(((line.scale - 1.0) * 100.0, line.scale_sd * 100.0))
     };
     let bias = picture(
-        "Estimated bias of the wireless link over time, ± 2 σ",
+        "Figure 7 of Yu & Chaczko: estimated bias of the wireless link, ± 2 σ",
         "mm/s²",
         &bias,
     );
-    let scale = picture("Estimated error of its scale factor, ± 2 σ", "%", &scale);
+    let scale = picture(
+        "Figure 7, continued: estimated error of its scale factor, ± 2 σ",
+        "%",
+        &scale,
+    );
     let mut charts = vec![("error", bias)];
     if !scale.series.is_empty() {
         charts.push(("error-scale", scale));

@@ -1,49 +1,124 @@
-//! Pictures of a path.
+//! Report of a path: plan, path in space, coordinates, velocity and standard deviation.
 
-use std::path::Path as FilePath;
+use std::f64::consts::PI;
 
 use super::{InertialPath, PathPoint};
 use crate::Result;
-use crate::chart::{Band, Chart, Series};
+use crate::chart::{Band, Chart, Series, Style};
+use crate::digits::significant;
 use crate::html::Report;
 
-/// Points of a line, at most about.
-const SHOWN: usize = 2000;
 /// Least standard deviation that is drawn, m.
 const LEAST_M: f64 = 1e-4;
+/// Ellipses in a plan.
+const ELLIPSES: usize = 12;
+/// Corners of an ellipse.
+const CORNERS: u32 = 40;
 
 impl InertialPath {
-    /// Pictures of the path with its standard deviation, what is not valid in grey, and the truth where
-    /// there is one: each coordinate, the deviation, and the plan.
+    /// A page with the result of the path, its charts and `text`, that of the command.
     ///
     /// # Errors
     /// Those of [`Report`].
-    pub fn report(&self, source: &str, text: &str, file: &FilePath) -> Result<()> {
-        let mut report = Report::new(format!("Path of {source}"));
-        report.printed(text).findings(&self.findings);
-        for (axis, name) in ["East", "North", "Up"].into_iter().enumerate() {
-            report.chart(&self.coordinate(axis, name))?;
+    pub fn page(&self, source: &str, text: &str) -> Result<Report> {
+        let mut page = self.summary(source, text);
+        for chart in self.charts(&[]) {
+            page.chart(&chart)?;
         }
-        report.chart(&self.deviation())?;
-        let plan = self.plan();
-        if plan.series[0].points.len() > 1 {
-            report.chart(&plan)?;
-        }
-        report.write(file)
+        Ok(page)
     }
 
-    /// Indices of the points that are drawn.
-    fn shown(&self) -> impl Iterator<Item = usize> + Clone {
-        let thin = (self.points.len() / SHOWN).max(1);
-        (0..self.points.len()).step_by(thin)
+    /// The page without charts.
+    pub(crate) fn summary(&self, source: &str, text: &str) -> Report {
+        let mut page = Report::new(format!("Path of {source}"));
+        let (mut lines, last) = (text.lines(), self.points.iter().rfind(|point| point.valid));
+        page.result(lines.next().unwrap_or_default());
+        page.key(
+            "path, while valid",
+            &format!("{} m", significant(self.distance_m(), 3)),
+        );
+        if let Some(last) = last {
+            let name = format!("1 σ at {:.1} s, the last valid point", last.time_s);
+            page.key(&name, &format!("± {} m", significant(last.sd_m(), 2)));
+        }
+        let share = 100.0 * self.valid_share();
+        let name = format!("of the points valid: σ below {} m", self.limit_m);
+        page.key(&name, &format!("{share:.0} %"));
+        page.printed(text).findings(&self.findings);
+        page
+    }
+
+    /// The charts; `more` is drawn in the plan and in space.
+    pub(crate) fn charts(&self, more: &[Series]) -> Vec<Chart> {
+        let mut charts = vec![self.plan(more)];
+        // Ranges may be in a plane.
+        let is_plane = self.points.iter().all(|point| point.position_m[2] == 0.0);
+        let axes = ["East", "North", "Up: height above the origin"].into_iter();
+        let axes = axes.enumerate().take(if is_plane { 2 } else { 3 });
+        if !is_plane {
+            charts.push(self.space(more));
+        }
+        charts.extend(axes.map(|(axis, name)| {
+            let of = |p: &PathPoint| (p.position_m[axis], p.sigma_m()[axis]);
+            let mut chart = self.over_time(&format!("{name}, ± 1 σ"), "m", &[("path", &of)]);
+            let truth = |k: usize| Some((self.points[k].time_s, self.truth_at(k)?[axis]));
+            let truth: Vec<_> = (0..self.points.len()).filter_map(truth).collect();
+            if !truth.is_empty() {
+                chart.series.push(Series::line("truth", truth));
+            }
+            chart
+        }));
+        let velocity =
+            |axis: usize| move |p: &PathPoint| (p.velocity_mps[axis], p.velocity_sd_mps[axis]);
+        let [east, north, up] = [0, 1, 2].map(velocity);
+        let named: [(&str, Of<'_>); 3] = [("east", &east), ("north", &north), ("up", &up)];
+        charts.push(self.over_time("Velocity, ± 1 σ", "m/s", &named));
+        charts.push(self.deviation());
+        charts
+    }
+
+    fn valid(&self) -> impl DoubleEndedIterator<Item = &PathPoint> + Clone {
+        self.points.iter().filter(|point| point.valid)
     }
 
     fn truth_at(&self, k: usize) -> Option<[f64; 3]> {
         self.truth_m.get(k).copied().flatten()
     }
 
-    /// A chart over time in which what is not valid is marked.
-    fn over_time(&self, title: String, y: &str) -> Chart {
+    /// A chart of values with their standard deviations over time, in which what is not valid is marked.
+    fn over_time(&self, title: &str, unit: &str, of: &[(&str, Of<'_>)]) -> Chart {
+        let mut chart = Chart {
+            title: title.to_owned(),
+            x: "time, s".to_owned(),
+            y: unit.to_owned(),
+            marked: self.not_valid(),
+            y_range: self.range_of(&of.iter().map(|(_, of)| *of).collect::<Vec<_>>()),
+            ..Chart::default()
+        };
+        if !chart.marked.is_empty() {
+            chart.note = format!(
+                "Grey: not valid (1 σ above {} m, or a gap since the last rest).",
+                self.limit_m
+            );
+        }
+        for (name, value) in of {
+            let points = self.points.iter().map(|p| (p.time_s, value(p).0));
+            let band = self.points.iter().map(|p| {
+                let (value, sd) = value(p);
+                let sd = if p.valid { sd } else { f64::NAN };
+                (p.time_s, value - sd, value + sd)
+            });
+            chart.bands.push(Band {
+                series: chart.series.len(),
+                points: band.collect(),
+            });
+            chart.series.push(Series::line(name, points.collect()));
+        }
+        chart
+    }
+
+    /// Intervals that are not valid, s.
+    fn not_valid(&self) -> Vec<(f64, f64)> {
         let mut marked: Vec<(f64, f64)> = Vec::new();
         let mut open = false;
         for pair in self.points.windows(2) {
@@ -55,108 +130,196 @@ impl InertialPath {
             }
             open = bad;
         }
-        Chart {
-            title,
-            x: "time, s".to_owned(),
-            y: y.to_owned(),
-            marked,
-            ..Chart::default()
-        }
+        marked
     }
 
-    fn line(&self, name: &str, value: impl Fn(usize, &PathPoint) -> Option<f64>) -> Series {
-        let points = self.shown().filter_map(|k| {
-            let point = &self.points[k];
-            Some((point.time_s, value(k, point)?))
-        });
-        Series {
-            name: name.to_owned(),
-            points: points.collect(),
-            dots: false,
-        }
-    }
-
-    fn coordinate(&self, axis: usize, name: &str) -> Chart {
-        let title = format!("{name} (grey: not valid)");
-        let mut chart = self.over_time(title, "m");
-        chart
-            .series
-            .push(self.line("path ± 1 σ", |_, p| Some(p.position_m[axis])));
-        let truth = self.line("truth", |k, _| Some(self.truth_at(k)?[axis]));
-        if !truth.points.is_empty() {
-            chart.series.push(truth);
-        }
-        let band = self.shown().map(|k| {
-            let (p, sigma) = (self.points[k], self.points[k].sigma_m()[axis]);
-            (
-                p.time_s,
-                p.position_m[axis] - sigma,
-                p.position_m[axis] + sigma,
-            )
-        });
-        chart.bands.push(Band {
-            series: 0,
-            points: band.collect(),
-        });
-        // What is not valid may be anywhere: it must not hide the rest.
-        let valid = self.shown().filter(|k| self.points[*k].valid);
-        let seen = valid.flat_map(|k| {
-            let (p, sigma) = (self.points[k], self.points[k].sigma_m()[axis]);
-            let truth = self.truth_at(k).map_or(p.position_m[axis], |t| t[axis]);
-            [
-                p.position_m[axis] - sigma,
-                p.position_m[axis] + sigma,
-                truth,
-            ]
+    /// Range of values ± 1 σ where they are valid: what is not valid may be anywhere and must not hide the rest.
+    fn range_of(&self, of: &[Of<'_>]) -> Option<(f64, f64)> {
+        let seen = self.valid().flat_map(|point| {
+            of.iter().flat_map(move |of| {
+                let (value, sd) = of(point);
+                [value - sd, value + sd]
+            })
         });
         let (low, high) = seen
             .filter(|v| v.is_finite())
             .fold((f64::MAX, f64::MIN), |(low, high), v| {
                 (low.min(v), high.max(v))
             });
-        if low <= high {
-            let room = (0.1 * (high - low)).max(0.005);
-            chart.y_range = Some((low - room, high + room));
-        }
-        chart
+        let room = (0.05 * (high - low)).max(0.005);
+        (low <= high).then_some((low - room, high + room))
     }
 
     fn deviation(&self) -> Chart {
-        let title = "How well it is known: 1 σ in space (grey: not valid)".to_owned();
-        let mut chart = self.over_time(title, "m");
-        chart.log = true;
-        chart.series.push(self.line("1 σ", |_, p| {
-            Some(p.sd_m().clamp(LEAST_M, 1e9)).filter(|sd| sd.is_finite())
-        }));
-        chart
-            .series
-            .push(self.line("limit", |_, _| Some(self.limit_m)));
-        chart
+        let line = |of: &dyn Fn(&PathPoint) -> f64| {
+            let points = self.points.iter().map(|p| (p.time_s, of(p)));
+            points.filter(|(_, value)| value.is_finite()).collect()
+        };
+        Chart {
+            title: "Standard deviation of the position in space".to_owned(),
+            log: true,
+            series: vec![
+                Series::line("1 σ", line(&|p| p.sd_m().clamp(LEAST_M, 1e9))),
+                Series::guide("limit of validity", line(&|_| self.limit_m)),
+            ],
+            bands: Vec::new(),
+            y_range: None,
+            ..self.over_time("", "m", &[])
+        }
     }
 
-    fn plan(&self) -> Chart {
-        let valid = || self.shown().filter(|k| self.points[*k].valid);
-        let place = |p: [f64; 3]| (p[0], p[1]);
-        let series = |name: &str, points: Vec<(f64, f64)>| Series {
-            name: name.to_owned(),
-            points,
-            dots: false,
+    /// Path and truth as far as they are valid, in runs with breaks between them.
+    fn lines(&self) -> Vec<Series> {
+        let run = |name: &str, at: &dyn Fn(usize) -> Option<[f64; 3]>| {
+            let mut points: Vec<[f64; 3]> = Vec::new();
+            let mut times_s = Vec::new();
+            for (k, point) in self.points.iter().enumerate() {
+                let here = at(k).filter(|_| point.valid);
+                let is_new = here.is_some() || points.last().is_some_and(|p| p[0].is_finite());
+                if is_new {
+                    points.push(here.unwrap_or([f64::NAN; 3]));
+                    times_s.push(point.time_s);
+                }
+            }
+            Series {
+                times_s,
+                ..Series::space(name, Style::Line, &points)
+            }
         };
-        let path = valid().map(|k| place(self.points[k].position_m)).collect();
-        let truth: Vec<_> = valid()
-            .filter_map(|k| self.truth_at(k).map(place))
-            .collect();
-        let mut all = vec![series("path", path)];
-        if !truth.is_empty() {
-            all.push(series("truth", truth));
-        }
+        let path = run("path", &|k| Some(self.points[k].position_m));
+        let truth = run("truth", &|k| self.truth_at(k));
+        let ends = [self.valid().next(), self.valid().next_back()];
+        let ends: Vec<_> = ends.into_iter().flatten().collect();
+        let marks = Series {
+            times_s: ends.iter().map(|p| p.time_s).collect(),
+            labels: ["start", "end"].map(String::from).into(),
+            ..Series::space(
+                "",
+                Style::Dots,
+                &ends.iter().map(|p| p.position_m).collect::<Vec<_>>(),
+            )
+        };
+        let mut lines = vec![path, truth, marks];
+        lines.retain(|series| !series.points.is_empty());
+        lines
+    }
+
+    fn space(&self, more: &[Series]) -> Chart {
         Chart {
-            title: "Plan, as far as it is valid".to_owned(),
+            title: "Path in space, while valid".to_owned(),
+            x: "east, m".to_owned(),
+            y: "north, m".to_owned(),
+            z: "up, m".to_owned(),
+            equal: true,
+            series: [&self.lines(), more].concat(),
+            note: "Drag to rotate.".to_owned(),
+            ..Chart::default()
+        }
+    }
+
+    fn plan(&self, more: &[Series]) -> Chart {
+        let mut series = [&self.lines(), more].concat();
+        for one in &mut series {
+            one.z.clear();
+        }
+        series.push(Series::guide("1 σ", self.ellipses()));
+        let range = |axis: usize, of: fn(&(f64, f64)) -> f64| {
+            let own = self.range_of(&[&|p| (p.position_m[axis], p.sigma_m()[axis])]);
+            let others = more.iter().flat_map(|series| &series.points).map(of);
+            own.map(|own| others.fold(own, |(low, high), v| (low.min(v), high.max(v))))
+        };
+        Chart {
+            title: "Plan, while valid".to_owned(),
             equal: true,
             x: "east, m".to_owned(),
             y: "north, m".to_owned(),
-            series: all,
+            x_range: range(0, |point| point.0),
+            y_range: range(1, |point| point.1),
+            series,
+            note: "Ellipses: 1 σ (39 % probability).".to_owned(),
             ..Chart::default()
         }
+    }
+
+    /// Ellipses of 1 σ at equal times, with breaks between them: x = L [cos φ, sin φ] with L Lᵀ the covariance.
+    fn ellipses(&self) -> Vec<(f64, f64)> {
+        let valid: Vec<&PathPoint> = self.valid().collect();
+        let every = (valid.len() / ELLIPSES).max(1);
+        let mut outline = Vec::new();
+        for point in valid.into_iter().rev().step_by(every) {
+            let (at, c) = (point.position_m, point.covariance_m2);
+            let a = c[0][0].max(0.0).sqrt();
+            let b = if a > 0.0 { c[0][1] / a } else { 0.0 };
+            let d = (c[1][1] - b * b).max(0.0).sqrt();
+            outline.extend((0..=CORNERS).map(|k| {
+                let (sine, cosine) = (f64::from(k) * 2.0 * PI / f64::from(CORNERS)).sin_cos();
+                (at[0] + a * cosine, at[1] + b * cosine + d * sine)
+            }));
+            outline.push((f64::NAN, f64::NAN));
+        }
+        outline
+    }
+}
+
+/// A value of a point and its standard deviation.
+type Of<'a> = &'a dyn Fn(&PathPoint) -> (f64, f64);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::inertial::Method;
+
+    fn point(time_s: f64, covariance: [[f64; 2]; 2]) -> PathPoint {
+        let [[ee, en], [ne, nn]] = covariance;
+        PathPoint {
+            time_s,
+            position_m: [time_s, 0.0, 0.0],
+            velocity_mps: [1.0, 0.0, 0.0],
+            quaternion: [1.0, 0.0, 0.0, 0.0],
+            rate_rad_s: [0.0; 3],
+            rate_covariance: None,
+            velocity_sd_mps: [0.0; 3],
+            attitude_sd_rad: [0.0; 3],
+            covariance_m2: [[ee, en, 0.0], [ne, nn, 0.0], [0.0; 3]],
+            filtered_sd_m: 0.0,
+            resting: false,
+            valid: true,
+        }
+    }
+
+    #[test]
+    fn ellipses_are_the_contour_of_one_sigma() {
+        let covariance = [[4.0, 1.2], [1.2, 1.0]];
+        let path = InertialPath::new(Method::Tilt, vec![point(0.0, covariance)], 0, 1.0);
+        let outline = path.ellipses();
+        assert_eq!(outline.len(), 42);
+        let determinant = 4.0 * 1.0 - 1.2 * 1.2;
+        for (x, y) in &outline[..41] {
+            let distance = (x * x - 2.0 * 1.2 * x * y + 4.0 * y * y) / determinant;
+            assert!((distance - 1.0).abs() < 1e-9, "{distance}");
+        }
+        assert!(outline[41].0.is_nan());
+    }
+
+    #[test]
+    fn what_is_not_valid_is_marked_and_left_out_of_the_plan() {
+        let mut points: Vec<_> = (0..6)
+            .map(|k| point(f64::from(k), [[0.01, 0.0], [0.0, 0.01]]))
+            .collect();
+        points[2].valid = false;
+        points[3].valid = false;
+        points[3].position_m[0] = 1e9;
+        let path = InertialPath::new(Method::Tilt, points, 0, 1.0);
+        assert_eq!(path.not_valid(), [(1.0, 4.0)]);
+        let charts = path.charts(&[]);
+        let plan = &charts[0].series[0];
+        let x: Vec<f64> = plan.points.iter().map(|p| p.0).collect();
+        assert!(
+            x[2].is_nan() && x[3..] == [4.0, 5.0] && x.len() == 5,
+            "{x:?}"
+        );
+        assert_eq!(plan.times_s[3..], [4.0, 5.0]);
+        let (low, high) = charts[2].y_range.unwrap();
+        assert!(low > -1.0 && high < 6.0);
     }
 }

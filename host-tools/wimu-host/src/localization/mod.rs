@@ -6,6 +6,7 @@ mod findings;
 mod hypotheses;
 mod input;
 mod model;
+mod report;
 mod scales;
 mod start;
 
@@ -13,6 +14,7 @@ use nalgebra::{Rotation3, Vector3};
 use wimu_nav::navigator::{Sample, Start as Alignment};
 
 pub use model::RangePrior;
+pub use report::Innovation;
 
 use crate::finding::{Finding, FindingCode};
 use crate::inertial::{InertialPath, Method, StartPose};
@@ -164,6 +166,8 @@ pub struct Localization {
     pub path: InertialPath,
     /// In the order of the anchors.
     pub anchors: Vec<AnchorFound>,
+    /// One of each range.
+    pub innovations: Vec<Innovation>,
     /// Noise of the ranges.
     pub noise: Noise,
     /// Scale error of the odometer.
@@ -306,6 +310,13 @@ fn presented(
     let anchors = recording.anchors.iter().enumerate().map(anchor).collect();
     let odometer_scale = parameter(run.odometer_scale, model.odometry.scale);
     let delay_s = parameter(run.delay_s, engine::DELAY_S);
+    let judged = recording.ranges.iter().zip(&run.judged);
+    let innovations = judged.map(|(range, judged)| Innovation {
+        time_s: range.time_s,
+        anchor: range.anchor,
+        innovation_m: judged.innovation_m,
+    });
+    let innovations = innovations.collect();
     let free = matches!(problem.motion, Motion::Free);
     let mut path = InertialPath::new(method, run.points, 0, choice.limit_m);
     for point in &mut path.points {
@@ -315,6 +326,7 @@ fn presented(
     Localization {
         path,
         anchors,
+        innovations,
         noise: Noise {
             white_m: model.ranges.noise_m,
             correlated_m: model.ranges.correlated_m,

@@ -192,6 +192,9 @@ pub struct Allan {
     /// Write a report with the Allan deviation to this file
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
+    /// Noise density of the datasheet, µg/√Hz, to compare in the report
+    #[arg(long, value_name = "UG_RTHZ", value_parser = positive, requires = "report")]
+    pub datasheet: Option<f64>,
     /// Nominal sensitivity, LSB/g [default: the board's; for a CSV file such that gravity is 1 g]
     #[arg(long, value_name = "LSB_PER_G", value_parser = sensitivity)]
     pub sensitivity: Option<Sensitivity>,

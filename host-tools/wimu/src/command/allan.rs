@@ -29,7 +29,7 @@ pub fn run(arguments: &Allan, output: Output) -> Result<u8> {
     if report.axes.is_some()
         && let Some(path) = &arguments.report
     {
-        report.page()?.write(path)?;
+        report.page(arguments.datasheet)?.write(path)?;
     }
     output.object(&report);
     Ok(report.outcome.exit_code())

@@ -8,6 +8,7 @@ use std::time::Instant;
 use serde::Serialize;
 use wimu_host::chart::{self, Chart, Series};
 use wimu_host::compare::{Comparison, compare};
+use wimu_host::digits::significant;
 use wimu_host::html::Report;
 use wimu_host::mcap_file::RecordingReader;
 use wimu_host::navigation::{Point, distance_m};
@@ -270,15 +271,10 @@ impl SixAxes {
 
 /// The demo's own pictures, with their file names.
 fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
-    let tilt = |which: usize, name: &str| Series {
-        name: name.to_owned(),
-        points: outcome
-            .tilts
-            .iter()
-            .enumerate()
-            .map(|(index, tilt)| (index as f64 + 1.0, tilt[which].abs() * 1e3))
-            .collect(),
-        dots: true,
+    let tilt = |which: usize, name: &str| {
+        let tilts = outcome.tilts.iter().enumerate();
+        let points = tilts.map(|(index, tilt)| (index as f64 + 1.0, tilt[which].abs() * 1e3));
+        Series::dots(name, points.collect())
     };
     let tilts = Chart {
         title: "|f| − g on ten tilts that were not used in the fit".to_owned(),
@@ -294,17 +290,11 @@ fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
         let from = points
             .first()
             .map_or([0.0; 3], |point| point.navigation.position.to_m());
-        Series {
-            name: name.to_owned(),
-            points: points
-                .iter()
-                .map(|point| {
-                    let to = point.navigation.position.to_m();
-                    (point.time.to_seconds() - start, distance_m(from, to))
-                })
-                .collect(),
-            dots: false,
-        }
+        let distance = |point: &Point| {
+            let to = point.navigation.position.to_m();
+            (point.time.to_seconds() - start, distance_m(from, to))
+        };
+        Series::line(name, points.iter().map(distance).collect())
     };
     let slide = Chart {
         title: format!(
@@ -330,7 +320,22 @@ fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
 
 fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Result<Report> {
     let mut report = Report::new("wimu demo");
-    report.text("A simulated board with unknown errors is streamed, recorded, calibrated and corrected. All data below was sent by the board.");
+    let [before, after] = outcome
+        .tilts_rms_mps2()
+        .map(|rms| significant(rms * 1e3, 3));
+    let slide =
+        [outcome.slide.uncalibrated_m, outcome.slide.calibrated_m].map(|m| significant(m, 3));
+    report
+        .result("A simulated board with unknown errors was streamed, recorded, calibrated and corrected. It sent all data below.")
+        .key("|f| − g on new tilts, rms", &format!("{before} → {after} mm/s²"))
+        .key("position error after 3 s", &format!("{} → {} m", slide[0], slide[1]))
+        .key(
+            "samples replayed on the host",
+            match outcome.replays.iter().all(|replay| replay.is_exact()) {
+                true => "bit for bit equal",
+                false => "different",
+            },
+        );
     report.printed(&story.join("\n"));
     for (_, chart) in charts {
         report.chart(chart)?;
@@ -355,6 +360,7 @@ fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Resu
             })
             .collect();
         report.table(
+            "Error model: truth and estimate",
             &[
                 "axis",
                 "true bias (m/s²)",

@@ -149,7 +149,13 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
     }
     let charts = walks.charts();
     let mut page = Report::new("wimu demo --localize");
-    page.text("Simulated walks with range anchors, a unit on a shoe, and position fixes.");
+    page.result("Simulated walks with range anchors, a unit on a shoe, and position fixes");
+    let three = |value: f64| format!("{} m", significant(value, 3));
+    page.key(
+        "ranges before calibration, RMS",
+        &three(found.before.rmse_m),
+    );
+    page.key("ranges after calibration, RMS", &three(found.after.rmse_m));
     page.printed(&story.join("\n"));
     for (_, chart) in &charts {
         page.chart(chart)?;

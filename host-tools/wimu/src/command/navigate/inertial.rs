@@ -223,7 +223,7 @@ pub fn present(
         ));
     }
     if let Some(file) = &arguments.report {
-        path.report(&source, &text, file)?;
+        path.page(&source, &text)?.write(file)?;
         output.print(format!("wrote {}", file.display()));
     }
     Ok(found(path, choice, source))

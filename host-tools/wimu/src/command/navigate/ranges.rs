@@ -81,7 +81,7 @@ pub fn run(arguments: &Navigate, anchors: &Path, output: Output) -> Result<()> {
         output.print(format!("wrote {}", file.display()));
     }
     if let Some(file) = &arguments.report {
-        found.path.report(&source, &text, file)?;
+        found.page(&source, &text)?.write(file)?;
         output.print(format!("wrote {}", file.display()));
     }
     output.answer("wimu.localization/1", &object(source, found));

@@ -10,7 +10,7 @@ use wimu_host::Result;
 use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::history::Recording;
 use wimu_host::mcap_file::{ClockAnchor, Recorded, RecordingReader, RecordingWriter};
-use wimu_host::recorder::Tap;
+use wimu_host::live::Tap;
 use wimu_host::transport::Transport;
 use wimu_link::LinkRole;
 use wimu_link::auth::DeviceKey;

@@ -12,7 +12,7 @@ use wimu_host::compare::{Comparison, compare};
 use wimu_host::decode::{Arrival, Event};
 use wimu_host::history;
 use wimu_host::mcap_file::{ClockAnchor, Recorded, RecordingReader, RecordingWriter};
-use wimu_host::recorder::{Tap, Tapped};
+use wimu_host::live::{Tap, Tapped};
 use wimu_host::transport::Transport;
 use wimu_host::{HostError, Result};
 use wimu_link::LinkRole;

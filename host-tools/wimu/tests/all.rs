@@ -37,6 +37,7 @@ mod real_time;
 mod recording;
 mod reference_input;
 mod round_trip;
+mod screens;
 mod session;
 mod several_sessions;
 mod single_axes;

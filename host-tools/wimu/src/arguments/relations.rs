@@ -47,6 +47,7 @@ const TABLES: [Table; 3] = [
             ("report",                "× × × × · · ×"),
             ("count",                 "× × × × · · ×"),
             ("push",                  "× × × × · · ×"),
+            ("resume",                "× × × × · · ×"),
         ],
     },
     Table {
@@ -72,7 +73,7 @@ const TABLES: [Table; 3] = [
 const TABLE: &str = "a table or a recording of another program";
 
 /// Options of `align`, `allan`, `calibrate`, `info` and `navigate` that one kind of input has.
-const INPUTS: [(&str, &str); 14] = [
+const INPUTS: [(&str, &str); 16] = [
     ("where", TABLE),
     ("poses", TABLE),
     ("accelerometer", TABLE),
@@ -85,6 +86,8 @@ const INPUTS: [(&str, &str); 14] = [
     ("zero-count", TABLE),
     ("link", "a recording of wimu"),
     ("count", "a LINK"),
+    ("resume", "a LINK"),
+    ("cable", "a LINK"),
     ("for", "a LINK"),
     ("push", "a LINK"),
 ];

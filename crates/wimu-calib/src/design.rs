@@ -2,7 +2,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use crate::{Model, Orientation, Parameters, Pose};
+use crate::{Model, Orientation, Parameter, Parameters, Pose};
 
 /// cos 40°: twelve well distributed poses cover all 26 orientations, the six sides cover only
 /// themselves.
@@ -205,6 +205,13 @@ impl Guide {
     pub fn amplification(&self) -> f64 {
         let variances = Orientation::ALL.into_iter().map(|o| self.variance(o.up()));
         libm::sqrt(variances.fold(0.0, f64::max))
+    }
+
+    /// Expected standard deviation of a parameter for poses of unit variance, (m/s²)²: of a bias in m/s², of the others at
+    /// 1 g in m/s². Before any pose 100.
+    pub fn sd(&self, parameter: Parameter) -> f64 {
+        let i = parameter.index();
+        libm::sqrt(self.inverse[(i, i)])
     }
 
     fn expected_error(&self) -> f64 {

@@ -59,12 +59,15 @@ pub enum Phase {
 #[derive(Clone, Debug)]
 pub struct Session<const POSES: usize> {
     finder: PoseFinder,
+    model: Model,
     guide: Guide,
     poses: heapless::Vec<Pose, POSES>,
     wanted: usize,
     capture_samples: u32,
     /// Whether the current hold was captured.
     taken: bool,
+    /// Whether the current hold is left out because its pose was removed.
+    ignored: bool,
     /// Unreachable orientations, a bit each by [`Orientation::index`].
     unreachable: u32,
 }
@@ -75,12 +78,14 @@ impl<const POSES: usize> Session<POSES> {
     pub fn new(rate_hz: f64, model: Model, wanted: usize) -> Self {
         Self {
             finder: PoseFinder::new(rate_hz),
+            model,
             guide: Guide::new(model),
             poses: heapless::Vec::new(),
             wanted: wanted.min(POSES),
             // NaN becomes 0.
             capture_samples: ((CAPTURE_S * rate_hz) as u32).max(1),
             taken: false,
+            ignored: false,
             unreachable: 0,
         }
     }
@@ -96,8 +101,12 @@ impl<const POSES: usize> Session<POSES> {
         self.finder.push(output_mps2);
         let Some(hold) = self.finder.held() else {
             self.taken = false;
+            self.ignored = false;
             return self.waiting(Phase::WaitingForRest);
         };
+        if self.ignored {
+            return Phase::WaitingForMotion;
+        }
         if self.taken {
             if let Some(pose) = self.poses.last_mut() {
                 *pose = hold;
@@ -124,8 +133,38 @@ impl<const POSES: usize> Session<POSES> {
     /// moves, the hold is already captured, or there are enough.
     pub fn capture(&mut self) -> Option<usize> {
         let hold = self.finder.held()?;
-        let is_new = !self.taken && !self.is_again(&hold) && self.poses.len() < self.wanted;
+        let is_new =
+            !self.taken && !self.ignored && !self.is_again(&hold) && self.poses.len() < self.wanted;
         is_new.then(|| self.take(hold))
+    }
+
+    /// Removes the latest pose and returns it. If the sensor still rests, that hold is not captured again.
+    pub fn undo(&mut self) -> Option<Pose> {
+        let removed = self.poses.pop()?;
+        self.guide = Guide::after(self.model, &self.poses);
+        self.taken = false;
+        self.ignored = self.finder.held().is_some();
+        Some(removed)
+    }
+
+    /// Whether the sensor still rests as in a pose that was removed.
+    pub fn ignores_hold(&self) -> bool {
+        self.ignored
+    }
+
+    /// The current hold; `None` in motion.
+    pub fn held(&self) -> Option<Pose> {
+        self.finder.held()
+    }
+
+    /// Number of samples of a hold at which it is captured.
+    pub fn capture_samples(&self) -> u32 {
+        self.capture_samples
+    }
+
+    /// The design of the poses so far.
+    pub fn guide(&self) -> &Guide {
+        &self.guide
     }
 
     fn is_again(&self, hold: &Pose) -> bool {
@@ -152,6 +191,11 @@ impl<const POSES: usize> Session<POSES> {
             .filter(|n| *n > 0)?;
         let reachable = |o: Orientation| self.unreachable >> o.index() & 1 == 0;
         self.guide.next_of(remaining, reachable)
+    }
+
+    /// Sets the number of poses to capture, at most `POSES`.
+    pub fn want(&mut self, wanted: usize) {
+        self.wanted = wanted.min(POSES);
     }
 
     /// Excludes the recommended orientation: it cannot be reached.

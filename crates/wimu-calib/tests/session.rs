@@ -3,7 +3,7 @@
 use crate::common;
 
 use common::{DrawModel as _, G, Random, parameters};
-use wimu_calib::{Gravity, Model, Orientation, Phase, Session, multi_position};
+use wimu_calib::{Gravity, Model, Orientation, Parameter, Phase, Session, multi_position};
 use wimu_model::{ErrorModel, SpecificForceMps2};
 
 /// A hand that follows advice, with a sensor of this noise in it.
@@ -131,6 +131,48 @@ fn what_cannot_be_reached_is_skipped_and_a_pose_is_not_taken_twice() {
     assert_eq!(session.push([f64::NAN; 3]), Phase::Done);
     let mut none = Session::<0>::new(f64::NAN, Model::Bias3, 3);
     assert_eq!(none.push([0.0, 0.0, G]), Phase::Done);
+}
+
+#[test]
+fn a_removed_pose_is_advised_again_and_its_hold_is_left_out() {
+    let truth = ErrorModel::default();
+    let mut session = Session::<16>::new(100.0, Model::Full9, 12);
+    assert_eq!(session.undo(), None);
+    let mut hand = Hand {
+        random: Random::new(7),
+        truth: &truth,
+        noise: 0.01,
+        up: [0.0, 0.0, 1.0],
+    };
+    for _ in 0..3 {
+        let next = session.next().expect("advice");
+        hand.turn(&mut session, next.up(), 50, 300);
+    }
+    let (before, spread) = (session.poses().len(), session.guide().sd(Parameter::BiasX));
+    let advised = session.next().expect("advice");
+    hand.turn(&mut session, advised.up(), 50, 300);
+    assert_eq!(session.poses().len(), before + 1);
+    assert!(session.guide().sd(Parameter::BiasX) < spread);
+    assert!(session.undo().is_some() && session.ignores_hold());
+    assert_eq!(session.next(), Some(advised));
+    // Held on, it is not captured again, by itself or by hand; the poses before stay as they are.
+    let kept = session.poses()[before - 1];
+    for _ in 0..300 {
+        let noise = 0.01 * hand.random.normal();
+        session.push(hand.up.map(|axis| G * axis + noise));
+    }
+    assert_eq!((session.poses().len(), session.capture()), (before, None));
+    assert_eq!(session.poses()[before - 1], kept);
+    // After a motion it is.
+    hand.turn(&mut session, [1.0, 0.0, 0.0], 50, 300);
+    hand.turn(&mut session, advised.up(), 50, 300);
+    assert_eq!(session.poses().len(), before + 2);
+    assert!(!session.ignores_hold());
+    // More poses than were wanted at first.
+    session.want(before + 2);
+    assert_eq!(session.next(), None);
+    session.want(16);
+    assert!(session.next().is_some());
 }
 
 #[test]

@@ -29,8 +29,8 @@ pub use datasheet::{DatasheetReport, LimitReport, datasheet};
 pub use export::{CalibrationExport, ExportTarget, KalibrNoise};
 pub(crate) use file::worst_sd;
 pub use file::{
-    CalibrationFile, Session, StoredModel, further_sensors, read_model, read_parameters, sessions,
-    zero_count,
+    CalibrationFile, Session, StoredModel, force_sd_mps2, further_sensors, read_model,
+    read_parameters, sessions, zero_count,
 };
 pub use gyroscope::GyroscopeReport;
 pub use magnetometer::{FieldPose, MagneticHalfWidths, MagnetometerReport, calibrate_magnetometer};
@@ -46,9 +46,9 @@ pub use several::{
 pub use update::{RestReport, UpdateReport, update};
 
 use wimu_calib::{
-    Datasheet, Estimate, Face, Guide, Method, Model, MultiPosition, Placement, Pose, Refusal, Term,
-    Terms, best_model, four_angle, multi_position_with, six_position, six_position_labelled,
-    three_angle,
+    Datasheet, Estimate, Face, Gravity, Guide, Method, Model, MultiPosition, Placement, Pose,
+    Refusal, Term, Terms, best_model, four_angle, multi_position_with, six_position,
+    six_position_labelled, three_angle,
 };
 use wimu_link::message::parameter_id;
 use wimu_model::{ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity};
@@ -191,6 +191,14 @@ pub struct CalibrateOptions {
     pub datasheet: Option<&'static Datasheet>,
     /// Time of the calibration, s since 1970 UTC, stored in the parameter set.
     pub utc_s: Option<u64>,
+}
+
+/// Local gravity by the options.
+///
+/// # Errors
+/// `usage` when it is out of bounds, or given twice.
+pub fn local_gravity(options: &CalibrateOptions) -> Result<Gravity> {
+    gravity::gravity(options).map(|(gravity, _)| gravity)
 }
 
 /// Estimates the error model from a dataset.

@@ -269,6 +269,27 @@ impl<T: Transport> Client<T> {
         greeted
     }
 
+    /// The same connection over a transport that contains the one in use.
+    #[must_use]
+    pub fn map_transport<U>(self, wrap: impl FnOnce(T) -> U) -> Client<U> {
+        Client {
+            transport: wrap(self.transport),
+            name: self.name,
+            decoder: self.decoder,
+            requester: self.requester,
+            hello: self.hello,
+            arrivals: self.arrivals,
+            dropped: self.dropped,
+            greeting: self.greeting,
+            answer: self.answer,
+            key: self.key,
+            seed: self.seed,
+            deaf_until: self.deaf_until,
+            pauses_left: self.pauses_left,
+            time_bytes: self.time_bytes,
+        }
+    }
+
     /// Whether the device may have restarted unnoticed: its identification decides.
     pub fn is_in_doubt(&self) -> bool {
         self.decoder.is_in_doubt()

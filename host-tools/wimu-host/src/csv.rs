@@ -15,6 +15,8 @@ use crate::error::{ErrorCode, HostError, Result};
 pub const TIME: &str = "Time (s)";
 /// The column with the sensitivity of the counts of a row.
 pub const SENSITIVITY: &str = "Sensitivity (LSB/g)";
+/// The column with the unit of the angular rates of a row.
+pub const GYROSCOPE_SCALE: &str = "Gyroscope Scale (rad/s/LSB)";
 /// The column of temperatures.
 pub const TEMPERATURE: &str = "Temperature (°C)";
 

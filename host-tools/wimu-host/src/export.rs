@@ -335,7 +335,7 @@ fn columns(
     columns.extend([csv::TEMPERATURE, "Sequence", last].map(str::to_owned));
     if has_gyroscope {
         columns.extend(csv::axes("Gyroscope", rate));
-        let scale = is_raw.then(|| "Gyroscope Scale (rad/s/LSB)".to_owned());
+        let scale = is_raw.then(|| csv::GYROSCOPE_SCALE.to_owned());
         columns.extend(scale);
     }
     columns

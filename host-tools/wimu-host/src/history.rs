@@ -406,6 +406,15 @@ impl LinkHistory {
             .transpose()
     }
 
+    /// Removes the latest `count` raw samples of sensor 0.
+    pub fn drop_latest_raw(&mut self, mut count: usize) {
+        for boot in self.boots.iter_mut().rev() {
+            let kept = boot.raw.len().saturating_sub(count);
+            count -= boot.raw.len() - kept;
+            boot.raw.truncate(kept);
+        }
+    }
+
     /// Adds an arrival.
     pub fn take(&mut self, arrival: &Arrival) {
         let role = self.role;

@@ -22,6 +22,7 @@ pub mod html;
 pub mod inertial;
 pub mod keys;
 mod link_url;
+pub mod live;
 pub mod localization;
 pub mod mcap_file;
 pub mod monitor;

@@ -66,7 +66,7 @@ impl Seek for Watched {
 
 impl Drop for Watched {
     fn drop(&mut self) {
-        if let Some(observer) = OBSERVER.get().filter(|_| self.reported > 0) {
+        if let Some(observer) = OBSERVER.get() {
             observer(None);
         }
     }

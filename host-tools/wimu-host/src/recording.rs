@@ -17,6 +17,7 @@
 
 mod beside;
 mod checks;
+mod join;
 mod link;
 mod samples;
 mod times;

@@ -14,6 +14,12 @@ use crate::link_url::{DEFAULT_BAUD, LinkUrl};
 /// Longest wait for a connection, and for a link to accept data.
 const PATIENCE: Duration = Duration::from_secs(3);
 
+/// The monotonic clock of real links: time since its first use.
+pub fn now() -> Duration {
+    static START: OnceLock<Instant> = OnceLock::new();
+    START.get_or_init(Instant::now).elapsed()
+}
+
 /// A byte stream to and from a board.
 pub trait Transport {
     /// Reads available data, at least one byte; `Ok(0)` without any within `timeout`.
@@ -31,8 +37,7 @@ pub trait Transport {
     /// The monotonic clock of this link: all times of data and answers on it are from this clock,
     /// so that a simulated link can run in virtual time.
     fn now(&self) -> Duration {
-        static START: OnceLock<Instant> = OnceLock::new();
-        START.get_or_init(Instant::now).elapsed()
+        now()
     }
 
     /// Baud rate at this end; `None` for a link without one.

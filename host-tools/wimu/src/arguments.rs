@@ -321,12 +321,20 @@ pub struct Ports {
 }
 
 #[derive(Args)]
-#[command(after_help = "Example: wimu monitor tcp://127.0.0.1:7100 --for 5")]
+#[command(after_help = "\
+Examples:
+  wimu monitor tcp://127.0.0.1:7100
+  wimu monitor tcp://127.0.0.1:7101 --cable tcp://127.0.0.1:7100
+  wimu monitor tcp://127.0.0.1:7100 --rate 10 --for 5
+In a terminal of 80x24 or more a LINK is a screen with its keys at the bottom; otherwise, and with \
+--rate or --json, it prints lines.")]
 pub struct Monitor {
     /// A LINK, or a recording
     pub input: String,
-    /// Lines per second of device time [default: 1; with --json every reading; in a terminal one line
-    /// that is refreshed 20 times a second]
+    /// A second link of the same board, shown with the first on the screen
+    #[arg(long, value_name = "LINK")]
+    pub cable: Option<String>,
+    /// Lines per second of device time [default: 1; with --json every reading]
     #[arg(long, value_name = "HZ", value_parser = from_to(1e-6, 1e6))]
     pub rate: Option<f64>,
     /// Stop after this time, s

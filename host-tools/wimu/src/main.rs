@@ -4,6 +4,7 @@ mod arguments;
 mod command;
 mod output;
 mod progress;
+mod screen;
 
 use std::process::ExitCode;
 

@@ -38,6 +38,7 @@ mod recording;
 mod reference_input;
 mod report_pages;
 mod round_trip;
+mod screens;
 mod session;
 mod several_sessions;
 mod single_axes;

@@ -330,7 +330,7 @@ fn a_write_to_flash_is_announced_on_both_links_before_it_begins() {
 
 #[test]
 fn no_recording_holds_a_key() {
-    use wimu_host::recorder::Tap;
+    use wimu_host::live::Tap;
 
     let board = start();
     let tap = Tap::on(SimLink::new(&board, CABLE));

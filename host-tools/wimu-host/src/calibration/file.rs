@@ -527,6 +527,13 @@ pub fn read_model(path: &Path) -> Result<StoredModel> {
     }
 }
 
+/// Standard deviation of the specific force corrected by a parameter set at 1 *g* on the worst axis, m/s²; `None` if
+/// the set holds none.
+pub fn force_sd_mps2(set: &ParameterSet) -> Option<f64> {
+    let covariance = set.quality?.terms().covariance;
+    Some(worst_sd(|place| covariance.sd(place)))
+}
+
 /// Standard deviation of the specific force at 1 *g* on the worst axis, m/s², from those of the parameters.
 pub(crate) fn worst_sd(sd: impl Fn(usize) -> f64) -> f64 {
     let of_axis = |axis: usize| {

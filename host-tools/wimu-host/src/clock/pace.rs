@@ -80,6 +80,8 @@ pub struct Pace {
     /// Shed frames in the latest status, and whether they have increased.
     shed: Option<u32>,
     full: bool,
+    /// Whether requests are sparse from the start.
+    sparse: bool,
 }
 
 impl Default for Pace {
@@ -100,6 +102,7 @@ impl Default for Pace {
             rest: REST,
             shed: None,
             full: false,
+            sparse: false,
         }
     }
 }
@@ -115,6 +118,14 @@ impl Pace {
         }
     }
 
+    /// One request a second: shows the duration of transfers, at little cost.
+    pub fn sparse(baud: Option<u32>) -> Self {
+        Self {
+            sparse: true,
+            ..Self::on_line(baud)
+        }
+    }
+
     /// Whether a request is due at `now`, on the link's clock.
     pub fn is_due(&self, now: Duration) -> bool {
         self.due_in(now).is_zero()
@@ -126,7 +137,7 @@ impl Pace {
             return Duration::ZERO;
         };
         let silent = now.saturating_sub(self.answered.unwrap_or(first)) >= ASK_EVERY_SETTLED;
-        let settled = now.saturating_sub(first) >= SETTLED;
+        let settled = self.sparse || now.saturating_sub(first) >= SETTLED;
         let every = match self.least_trip {
             Some(trip) if !silent && !settled && !self.full && !self.rests(now) => {
                 // A request and its answer may take only a part of the capacity.

@@ -105,7 +105,7 @@ pub struct Calibrate {
         help_heading = "Arrays",
         conflicts_with_all = [
             "method", "sensor", "model", "with", "sensor_model", "range", "poses", "filter", "accelerometer", "reference",
-            "reference_sensitivity", "noise_ratio", "placement_sd", "sides", "report", "count", "dip", "push",
+            "reference_sensitivity", "noise_ratio", "placement_sd", "sides", "report", "count", "dip", "push", "resume",
         ]
     )]
     pub geometry: Option<PathBuf>,
@@ -129,6 +129,9 @@ pub struct Calibrate {
     /// Number of poses to capture (LINK only), at most 64 [default: 12]
     #[arg(long, value_name = "N", value_parser = value_parser!(u8).range(..=64), help_heading = "Device")]
     pub count: Option<u8>,
+    /// Continue an interrupted session: its poses are in CAL.poses.csv, or wimu-calibration.poses.csv without -o (LINK only)
+    #[arg(long, help_heading = "Device")]
+    pub resume: bool,
 }
 
 #[derive(Args)]

@@ -47,6 +47,7 @@ const TABLES: [Table; 3] = [
             ("report",                "× × × × · · ×"),
             ("count",                 "× × × × · · ×"),
             ("push",                  "× × × × · · ×"),
+            ("resume",                "× × × × · · ×"),
         ],
     },
     Table {
@@ -75,7 +76,7 @@ const TABLE: &str = "a table or a recording of another program";
 const FILE: &str = "a file";
 
 /// Options of `align`, `allan`, `calibrate`, `info` and `navigate` that one kind of input has.
-const INPUTS: [(&str, &str); 19] = [
+const INPUTS: [(&str, &str); 21] = [
     ("where", TABLE),
     ("poses", TABLE),
     ("accelerometer", TABLE),
@@ -88,6 +89,8 @@ const INPUTS: [(&str, &str); 19] = [
     ("zero-count", TABLE),
     ("link", "a recording of wimu"),
     ("count", "a LINK"),
+    ("resume", "a LINK"),
+    ("cable", "a LINK"),
     ("for", "a LINK"),
     ("push", "a LINK"),
     ("rate", "a LINK"),

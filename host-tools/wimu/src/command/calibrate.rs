@@ -1,34 +1,27 @@
 //! `wimu calibrate`.
 
 mod array;
+mod guided;
+mod live;
 mod magnetometer;
 
 use std::fmt::Display;
-use std::io::IsTerminal;
 use std::path::Path;
-use std::sync::atomic::Ordering;
-use std::sync::mpsc;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
-use wimu_calib::{Face, Model, Phase, Session};
-use wimu_host::calibration::{
-    self, CalibrateOptions, CalibrationFile, MethodChoice, ModelChoice, Paired,
-};
-use wimu_host::decode::Event;
+use wimu_host::calibration::{self, CalibrateOptions, CalibrationFile, MethodChoice, Paired};
 use wimu_host::finding::Outcome;
 use wimu_host::formats::{self, ReadOptions};
-use wimu_host::history::{self, LinkHistory};
+use wimu_host::history;
 use wimu_host::recording::{Recording, Selection};
 use wimu_host::{Input, Result};
-use wimu_link::batch::Stream;
-use wimu_link::hello::board;
-use wimu_link::message::Event as Happened;
 use wimu_model::{ParameterSet, Sensitivity};
 
 use crate::arguments::{Calibrate, Calibrated, Method};
-use crate::command::{Connection, connect_for, interrupted, not_over_input, params};
+use crate::command::{Connection, connect_for, not_over_input, params};
 use crate::output::{Output, usage};
+use crate::screen::Screen;
 
 /// Returns the exit code: 0, or 3 if the data do not support an answer.
 pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
@@ -114,9 +107,12 @@ fn with_gravity(arguments: &Calibrate, output: Output) -> Result<u8> {
     let mut client = None;
     let data = match Input::parse(&arguments.input)? {
         Input::File(path) | Input::Recording(path) => formats::load(&path, &load)?,
+        Input::Link(_) if Screen::is_possible(output) => {
+            return guided::run(arguments, &options, output);
+        }
         Input::Link(_) => {
             let client = client.insert(connect_for(&arguments.input, arguments.push)?);
-            collect(client, arguments, &options, output)?
+            live::collect(client, arguments, &options, output)?
         }
     };
     let report = calibration::calibrate(&data.samples(selection)?, &options)?;
@@ -244,228 +240,4 @@ fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
         datasheet: datasheet.map(calibration::datasheet).transpose()?,
         utc_s: utc_s(),
     })
-}
-
-/// Capacity of a live calibration, poses.
-const CAPACITY: usize = 64;
-/// Default number of poses of a live calibration.
-const POSES: usize = 12;
-
-/// A message for each line `s` that is entered; none if stdin is no terminal.
-fn skips() -> mpsc::Receiver<()> {
-    let (sender, receiver) = mpsc::channel();
-    if std::io::stdin().is_terminal() {
-        std::thread::spawn(move || {
-            for line in std::io::stdin().lines().map_while(std::result::Result::ok) {
-                if line.trim() == "s" && sender.send(()).is_err() {
-                    return;
-                }
-            }
-        });
-    }
-    receiver
-}
-
-/// Collects a live board's samples until enough poses were captured, or Ctrl-C.
-fn collect(
-    client: &mut Connection,
-    arguments: &Calibrate,
-    options: &CalibrateOptions,
-    output: Output,
-) -> Result<Recording> {
-    let six = arguments.method == Method::SixPosition;
-    let count = arguments.count.map_or(POSES, usize::from);
-    let fewest = match options.model {
-        ModelChoice::Fixed(model) => model.parameters() + 1,
-        ModelChoice::Auto => Model::Bias3.parameters() + 1,
-    };
-    if !six && count < fewest {
-        return Err(usage(
-            format!("--count {count} is too small for this model"),
-            format!("give {fewest} or more, or a smaller --model"),
-        ));
-    }
-    output.print(if six {
-        "hold the board still with each of its six sides up, in any order; the board's button \
-         captures a side at once"
-            .to_owned()
-    } else {
-        format!(
-            "hold the board still in {count} different orientations; the board's button, or s and Enter, \
-             skips a suggested one; Ctrl-C stops early"
-        )
-    });
-    let stop = interrupted()?;
-    let skips = skips();
-    let needed = if six { CAPACITY } else { count };
-    let model = match options.model {
-        ModelChoice::Fixed(model) => model,
-        ModelChoice::Auto => Model::Full9,
-    };
-    let mut record = LinkHistory::new(client.hello().role);
-    let mut live: Option<LivePoses> = None;
-    while !stop.load(Ordering::Relaxed) {
-        while skips.try_recv().is_ok() {
-            if let Some(live) = &mut live {
-                live.skip();
-            }
-        }
-        let Some(arrival) = client.next_event(Duration::from_millis(100))? else {
-            continue;
-        };
-        record.take(&arrival);
-        match &arrival.event {
-            Event::Epoch { epoch, .. } if live.is_none() => {
-                let rate_hz = 1e9 / f64::from(epoch.period_ns.max(1));
-                if let Ok(sensitivity) = Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g) {
-                    let live = live.insert(LivePoses {
-                        session: Session::new(rate_hz, model, needed),
-                        sensitivity,
-                        needed,
-                        names: side_names(client.hello().board.number),
-                        sides: six.then(Vec::new),
-                        output,
-                    });
-                    live.advise();
-                }
-            }
-            Event::Samples(samples) if samples.stream == Stream::Raw => {
-                let Some(live) = &mut live else {
-                    continue;
-                };
-                samples.iter().for_each(|sample| live.push(sample.value));
-                if live.is_complete() {
-                    break;
-                }
-            }
-            Event::Device {
-                event: Happened::Marked { .. },
-                ..
-            } => {
-                if let Some(live) = &mut live {
-                    live.press();
-                }
-            }
-            _ => {}
-        }
-    }
-    Recording::of_link(&record, client.name())
-}
-
-/// Names of the sides that are up, in the order of [`Face::ALL`], as printed on boards whose layout is known.
-fn side_names(board: u16) -> &'static [&'static str; 6] {
-    match board {
-        board::MICROBIT_V2 => &[
-            "logo up",
-            "logo down",
-            "button A up",
-            "button A down",
-            "display up",
-            "display down",
-        ],
-        _ => &Face::NAMES,
-    }
-}
-
-/// Instructions of a live calibration.
-struct LivePoses {
-    session: Session<CAPACITY>,
-    sensitivity: Sensitivity,
-    /// Number of poses to capture, if `sides` is `None`.
-    needed: usize,
-    names: &'static [&'static str; 6],
-    /// For the six-position method: the sides captured.
-    sides: Option<Vec<Face>>,
-    output: Output,
-}
-
-impl LivePoses {
-    /// Takes a raw sample.
-    fn push(&mut self, counts: [i32; 3]) {
-        let scale = self.sensitivity.mps2_per_lsb();
-        let output = counts.map(|axis| f64::from(axis) * scale);
-        if let Phase::Captured { pose } = self.session.push(output) {
-            self.captured(pose);
-        }
-    }
-
-    /// The board's button captures the pose that is held, or skips the suggested one.
-    fn press(&mut self) {
-        match self.session.capture() {
-            Some(pose) => self.captured(pose),
-            None => self.skip(),
-        }
-    }
-
-    fn skip(&mut self) {
-        self.session.skip();
-        self.advise();
-    }
-
-    fn captured(&mut self, pose: usize) {
-        let side = self.session.poses().get(pose).and_then(Face::of);
-        self.output.print(match side {
-            Some(side) => format!("pose {} captured: {}", pose + 1, self.name(side)),
-            None => format!("pose {} captured", pose + 1),
-        });
-        if let (Some(sides), Some(side)) = (&mut self.sides, side)
-            && !sides.contains(&side)
-        {
-            sides.push(side);
-        }
-        self.advise();
-    }
-
-    fn advise(&self) {
-        match &self.sides {
-            Some(sides) => {
-                let left = Face::ALL.iter().filter(|side| !sides.contains(side));
-                let left: Vec<_> = left.map(|side| self.name(*side)).collect();
-                if !left.is_empty() {
-                    self.output.print(format!("remaining: {}", left.join("; ")));
-                }
-            }
-            None => {
-                if let Some(next) = self.session.next() {
-                    let how = next.instruction_with(self.names);
-                    self.output.print(format!("suggested next: {how}"));
-                }
-            }
-        }
-    }
-
-    fn name(&self, side: Face) -> &'static str {
-        let all = Face::ALL.iter().zip(self.names);
-        let mut named = all.filter(|(other, _)| **other == side);
-        named.next().map_or("", |(_, name)| name)
-    }
-
-    /// Whether all poses were captured.
-    fn is_complete(&self) -> bool {
-        let all = match &self.sides {
-            Some(sides) => sides.len() == Face::ALL.len(),
-            None => self.session.poses().len() >= self.needed,
-        };
-        all || self.session.poses().len() == CAPACITY
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use wimu_calib::Orientation;
-
-    use super::*;
-
-    #[test]
-    fn the_sides_of_a_microbit_have_the_names_of_its_parts() {
-        let instruction = |board, side: Face| {
-            let names = side_names(board);
-            Orientation::from(side).instruction_with(names).to_string()
-        };
-        let microbit = |side| instruction(board::MICROBIT_V2, side);
-        assert_eq!(microbit(Face::ZUp), "hold it with display up");
-        assert_eq!(microbit(Face::XDown), "hold it with logo down");
-        assert_eq!(microbit(Face::YUp), "hold it with button A up");
-        assert_eq!(instruction(0, Face::YUp), "hold it with Y up");
-    }
 }

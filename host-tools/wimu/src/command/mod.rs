@@ -20,8 +20,8 @@ pub mod settings;
 pub mod simulate;
 
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use wimu_host::client::{self, Client};
@@ -94,9 +94,13 @@ fn not_over_input(input: &Path, output: Option<&Path>) -> Result<()> {
     Ok(())
 }
 
-/// A flag that Ctrl-C and SIGTERM set.
+/// The flag that Ctrl-C and SIGTERM set.
 fn interrupted() -> Result<Arc<AtomicBool>> {
-    let flag = Arc::new(AtomicBool::new(false));
+    static FLAG: OnceLock<Arc<AtomicBool>> = OnceLock::new();
+    if let Some(flag) = FLAG.get() {
+        return Ok(flag.clone());
+    }
+    let flag = FLAG.get_or_init(Arc::default).clone();
     let set = flag.clone();
     ctrlc::set_handler(move || set.store(true, Ordering::Relaxed)).map_err(|error| {
         ErrorCode::FileFailed.error(

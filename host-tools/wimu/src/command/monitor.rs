@@ -1,8 +1,6 @@
 //! `wimu monitor`.
 
 use std::cmp::Reverse;
-use std::io::{self, IsTerminal};
-use std::time::{Duration, Instant};
 
 use serde::Serialize;
 use wimu_host::decode::{Decoder, Event};
@@ -11,44 +9,45 @@ use wimu_host::monitor::{Reading, Readings};
 use wimu_host::{ErrorCode, Input, Result};
 use wimu_link::Hello;
 use wimu_link::message::Status;
+use wimu_model::ParameterId;
 
 use crate::arguments::Monitor;
 use crate::command::info::Sampling;
 use crate::command::record::left_out_text;
 use crate::command::{connect, listen_until};
 use crate::output::Output;
+use crate::screen::Screen;
 
-/// Interval between refreshes of a terminal's line.
-const REFRESH: Duration = Duration::from_millis(50);
+mod live;
 
 /// One reading as JSON.
-#[derive(Serialize)]
-struct Line {
-    schema: &'static str,
-    sequence: u32,
-    time_s: f64,
-    raw_lsb: Option<[i32; 3]>,
-    raw_angular_rate_lsb: Option<[i32; 3]>,
-    specific_force_m_s2: [f64; 3],
-    angular_rate_rad_s: Option<[f64; 3]>,
-    corrected: bool,
+#[derive(Clone, Debug, Serialize)]
+pub struct Line {
+    pub schema: &'static str,
+    pub sequence: u32,
+    pub time_s: f64,
+    pub raw_lsb: Option<[i32; 3]>,
+    pub raw_angular_rate_lsb: Option<[i32; 3]>,
+    pub specific_force_m_s2: [f64; 3],
+    pub angular_rate_rad_s: Option<[f64; 3]>,
+    pub corrected: bool,
     /// Parameters in use; "00000000" on an uncalibrated device.
-    parameter_id: Option<String>,
-    magnetic_field_ut: Option<[f64; 3]>,
+    pub parameter_id: Option<String>,
+    pub magnetic_field_ut: Option<[f64; 3]>,
     /// Whether the field is corrected and in body axes.
-    magnetic_field_calibrated: Option<bool>,
+    pub magnetic_field_calibrated: Option<bool>,
     /// Heading of body x, clockwise from magnetic north, 0 to 360. Without a standard deviation it is uncalibrated:
     /// 90 (east) at the first rest, by definition.
-    heading_deg: Option<f64>,
-    heading_sd_deg: Option<f64>,
-    temperature_c: Option<f64>,
-    phase: Option<String>,
-    velocity_m_s: Option<[f64; 3]>,
-    position_m: Option<[f64; 3]>,
-    since_rest_s: Option<f64>,
-    valid: Option<bool>,
+    pub heading_deg: Option<f64>,
+    pub heading_sd_deg: Option<f64>,
+    pub temperature_c: Option<f64>,
+    pub phase: Option<String>,
+    pub velocity_m_s: Option<[f64; 3]>,
+    pub position_m: Option<[f64; 3]>,
+    pub since_rest_s: Option<f64>,
+    pub valid: Option<bool>,
     /// Attitude W, X, Y, Z, body axes to east-north-up.
-    quaternion: Option<[f64; 4]>,
+    pub quaternion: Option<[f64; 4]>,
 }
 
 impl From<&Reading> for Line {
@@ -89,6 +88,14 @@ impl From<&Reading> for Line {
 }
 
 impl Line {
+    /// Whether the device has a calibration.
+    pub fn is_calibrated(&self) -> bool {
+        let uncalibrated = ParameterId::UNCALIBRATED.to_string();
+        self.parameter_id
+            .as_ref()
+            .is_some_and(|id| *id != uncalibrated)
+    }
+
     /// The most important parts that fit into `width` characters.
     fn text(&self, width: Option<usize>) -> String {
         let parts = self.parts();
@@ -147,7 +154,7 @@ impl Line {
 }
 
 /// Roll, pitch and yaw of a quaternion W, X, Y, Z, degrees: rotations about x, then y, then z.
-fn euler_deg([w, x, y, z]: [f64; 4]) -> [f64; 3] {
+pub fn euler_deg([w, x, y, z]: [f64; 4]) -> [f64; 3] {
     let roll = (2.0 * (w * x + y * z)).atan2(1.0 - 2.0 * (x * x + y * y));
     let pitch = (2.0 * (w * y - x * z)).clamp(-1.0, 1.0).asin();
     let yaw = (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z));
@@ -156,7 +163,10 @@ fn euler_deg([w, x, y, z]: [f64; 4]) -> [f64; 3] {
 
 pub fn run(arguments: &Monitor, output: Output) -> Result<()> {
     match Input::parse(&arguments.input)? {
-        Input::Link(_) => live(arguments, output),
+        Input::Link(_) if arguments.rate.is_none() && Screen::is_possible(output) => {
+            live::run(arguments, output)
+        }
+        Input::Link(_) => lines(arguments, output),
         Input::Recording(path) => recorded(&path, arguments.rate, output),
         Input::File(_) => Err(ErrorCode::UnknownFormat.error("monitor does not read files of other programs",
             "give a LINK or a recording of wimu; `wimu simulate --replay` streams counts of a table",
@@ -165,7 +175,7 @@ pub fn run(arguments: &Monitor, output: Output) -> Result<()> {
     }
 }
 
-fn live(arguments: &Monitor, output: Output) -> Result<()> {
+fn lines(arguments: &Monitor, output: Output) -> Result<()> {
     let mut client = connect(&arguments.input)?;
     let hello = *client.hello();
     output.print(format!(
@@ -178,11 +188,10 @@ fn live(arguments: &Monitor, output: Output) -> Result<()> {
         cause(&hello)
     ));
     let mut readings = Readings::new();
-    let mut screen = Screen::new(arguments.rate, output);
+    let mut lines = Lines::new(arguments.rate, output);
     listen_until(&mut client, arguments.seconds, |arrival| {
-        Ok(screen.show(&arrival.event, &mut readings))
+        Ok(lines.show(&arrival.event, &mut readings))
     })?;
-    output.end_refresh();
     let statistics = client.statistics();
     output.print(format!(
         "{} frames, {} damaged{}; {} samples missing",
@@ -191,7 +200,7 @@ fn live(arguments: &Monitor, output: Output) -> Result<()> {
         left_out_text(0, statistics.frames_rejected),
         statistics.raw.missing.max(statistics.corrected.missing)
     ));
-    if let Some(status) = &screen.status {
+    if let Some(status) = &lines.status {
         output.print(Sampling::from(status).text());
     }
     Ok(())
@@ -201,7 +210,7 @@ fn recorded(path: &std::path::Path, rate: Option<f64>, output: Output) -> Result
     let mut reader = RecordingReader::open(path)?;
     let mut decoder = Decoder::new();
     let mut readings = Readings::new();
-    let mut screen = Screen::new(rate, output);
+    let mut lines = Lines::new(rate, output);
     let mut role = None;
     let mut going = true;
     while let Some(received) = reader.next_received()? {
@@ -210,13 +219,12 @@ fn recorded(path: &std::path::Path, rate: Option<f64>, output: Output) -> Result
             continue;
         }
         decoder.push(received.host_ns, &received.bytes, |arrival| {
-            going = going && screen.show(&arrival.event, &mut readings);
+            going = going && lines.show(&arrival.event, &mut readings);
         });
         if !going {
             break;
         }
     }
-    output.end_refresh();
     Ok(())
 }
 
@@ -229,11 +237,8 @@ fn cause(hello: &Hello) -> String {
 }
 
 /// Prints readings and device events.
-struct Screen {
+struct Lines {
     output: Output,
-    /// Last refresh of a terminal's line.
-    last: Option<Instant>,
-    refreshes: bool,
     /// Device time between two lines, s.
     every_s: f64,
     /// Device time of the latest line, s.
@@ -244,18 +249,13 @@ struct Screen {
     restarted: bool,
 }
 
-impl Screen {
+impl Lines {
     fn new(rate: Option<f64>, output: Output) -> Self {
-        let terminal = io::stdout().is_terminal() && io::stderr().is_terminal();
-        let refreshes = terminal && !output.is_json() && rate.is_none();
-        let all = refreshes || output.is_json();
-        let usual_hz = if all { f64::INFINITY } else { 1.0 };
+        let usual_hz = if output.is_json() { f64::INFINITY } else { 1.0 };
         Self {
             output,
-            last: None,
             status: None,
             restarted: false,
-            refreshes,
             every_s: rate.unwrap_or(usual_hz).recip(),
             shown_s: None,
         }
@@ -265,7 +265,6 @@ impl Screen {
     fn show(&mut self, event: &Event, readings: &mut Readings) -> bool {
         match event {
             Event::Device { time, event } => {
-                self.output.end_refresh();
                 self.output
                     .print(format!("{:8.2} s  {event}", time.to_seconds()));
             }
@@ -275,7 +274,6 @@ impl Screen {
                 self.shown_s = None;
             }
             Event::Hello(hello) if core::mem::take(&mut self.restarted) => {
-                self.output.end_refresh();
                 self.output
                     .print(format!("the device has restarted: {}", cause(hello)));
             }
@@ -292,11 +290,8 @@ impl Screen {
             self.shown_s = Some(line.time_s);
             if self.output.is_json() {
                 going = going && self.output.object(&line);
-            } else if !self.refreshes {
+            } else {
                 self.output.print(line.text(Output::width()));
-            } else if self.last.is_none_or(|last| last.elapsed() >= REFRESH) {
-                self.last = Some(Instant::now());
-                self.output.refresh(&line.text(Output::width()));
             }
         });
         going

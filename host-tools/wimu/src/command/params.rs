@@ -6,6 +6,8 @@ use serde::Serialize;
 use wimu_host::calibration::{
     self, CalibrationFile, HELD_SCHEMA, further_sensors, read_parameters,
 };
+use wimu_host::client::Client;
+use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::message::ActiveParameters;
 use wimu_model::{ParameterId, ParameterSet};
@@ -82,6 +84,13 @@ pub fn push(client: &mut Connection, set: &ParameterSet, output: Output) -> Resu
             unseen.join(", ")
         ));
     }
+    let id = write(client, set)?;
+    output.print(format!("pushed {id}"));
+    Ok(())
+}
+
+/// Pushes a calibration, and verifies that the device holds it. Returns its id.
+pub fn write<T: Transport>(client: &mut Client<T>, set: &ParameterSet) -> Result<ParameterId> {
     let id = client.push_parameters(set)?;
     let found = client.parameters().map_err(|error| {
         let message = format!(
@@ -99,8 +108,7 @@ pub fn push(client: &mut Connection, set: &ParameterSet, output: Output) -> Resu
             "push again; another computer may have pushed at the same time",
         ));
     }
-    output.print(format!("pushed {id}"));
-    Ok(())
+    Ok(id)
 }
 
 /// Prints the terms that a push changes.

@@ -49,7 +49,8 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
         ));
     }
     let finished = AtomicBool::new(false);
-    let mut shown = Instant::now();
+    let began = Instant::now();
+    let mut shown = began;
     let progress = std::thread::scope(|scope| {
         // The deadline holds even while no byte arrives.
         let watch = scope.spawn(|| {
@@ -61,7 +62,15 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
         let outcome = recorder.run(&arguments.output, &finished, |progress| {
             if shown.elapsed() >= Duration::from_millis(250) {
                 shown = Instant::now();
-                output.refresh(&summary(progress));
+                let time = match arguments.seconds {
+                    Some(whole) => format!(
+                        "{:.0} of {:.0} s",
+                        began.elapsed().as_secs_f64(),
+                        whole.as_secs_f64()
+                    ),
+                    None => format!("{:.0} s", began.elapsed().as_secs_f64()),
+                };
+                output.refresh(&format!("{time}: {}", summary(progress)));
             }
         });
         finished.store(true, Ordering::Relaxed);

@@ -4,7 +4,8 @@ use wimu_host::calibration::{CalibrateOptions, CalibrationFile, calibrate_magnet
 use wimu_host::{ErrorCode, Result};
 use wimu_model::ParameterSet;
 
-use super::{collect, finish, read_calibrated, reading};
+use super::live::collect;
+use super::{finish, read_calibrated, reading};
 use crate::arguments::Calibrate;
 use crate::command::params;
 use crate::output::Output;

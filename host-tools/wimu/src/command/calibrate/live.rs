@@ -1,0 +1,503 @@
+//! Poses of a live board: what is captured of them, and the text interface.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+use std::sync::mpsc;
+use std::time::Duration;
+
+use wimu_calib::{
+    Face, Gravity, Model, MultiPosition, Orientation, Parameter, Phase, Placement, Pose, Session,
+    multi_position_with, six_position,
+};
+use wimu_host::Result;
+use wimu_host::calibration::{CalibrateOptions, ModelChoice, local_gravity};
+use wimu_host::decode::{Arrival, Event};
+use wimu_host::formats;
+use wimu_host::history::LinkHistory;
+use wimu_host::recording::{Recording, Selection};
+use wimu_link::Hello;
+use wimu_link::batch::Stream;
+use wimu_link::hello::board;
+use wimu_link::message::Event as Happened;
+use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
+
+use crate::arguments::{Calibrate, Method};
+use crate::command::{Connection, interrupted};
+use crate::output::{Output, usage};
+use crate::screen::calibrate::Uncertainty;
+
+/// Capacity of a live calibration, poses.
+const CAPACITY: usize = 64;
+/// Default number of poses of a live calibration.
+const POSES: usize = 12;
+/// Typical residual of a pose, m/s²: the prior of [`wimu_calib::Guide`] is relative to it.
+const POSE_SD_MPS2: f64 = 0.003;
+
+/// What a live calibration captures.
+#[derive(Clone, Copy)]
+pub struct Plan {
+    /// Whether it is each of six sides, of which the orientations are known.
+    pub six: bool,
+    /// Number of poses.
+    pub count: usize,
+    model: Model,
+    gravity: Gravity,
+    /// Names of the sides that are up, in the order of [`Face::ALL`].
+    pub names: &'static [&'static str; 6],
+}
+
+impl Plan {
+    /// # Errors
+    /// `usage` for fewer poses than the model needs.
+    pub fn new(arguments: &Calibrate, options: &CalibrateOptions, hello: &Hello) -> Result<Self> {
+        let six = arguments.method == Method::SixPosition;
+        let count = arguments.count.map_or(POSES, usize::from);
+        let fewest = match options.model {
+            ModelChoice::Fixed(model) => model.parameters() + 1,
+            ModelChoice::Auto => Model::Bias3.parameters() + 1,
+        };
+        if !six && count < fewest {
+            return Err(usage(
+                format!("--count {count} is too small for this model"),
+                format!("give {fewest} or more, or a smaller --model"),
+            ));
+        }
+        Ok(Self {
+            six,
+            count: if six { Face::ALL.len() } else { count },
+            model: match options.model {
+                ModelChoice::Fixed(model) => model,
+                ModelChoice::Auto => Model::Full9,
+            },
+            gravity: local_gravity(options)?,
+            names: side_names(hello.board.number),
+        })
+    }
+
+    /// Name of a side.
+    pub fn name(&self, side: Face) -> &'static str {
+        let all = Face::ALL.iter().zip(self.names);
+        let mut named = all.filter(|(other, _)| **other == side);
+        named.next().map_or("", |(_, name)| name)
+    }
+
+    /// Standard deviations after these poses: of the fit, or expected where they do not support one.
+    pub fn uncertainty(&self, session: &Session<CAPACITY>) -> Uncertainty {
+        let poses = session.poses();
+        let estimate = match self.six {
+            true => six_position(poses, self.gravity, Placement::BY_HAND),
+            false => {
+                let what = MultiPosition {
+                    model: self.model,
+                    ..MultiPosition::default()
+                };
+                multi_position_with(poses, self.gravity, what)
+            }
+        };
+        if let Ok(estimate) = estimate {
+            let sd = estimate.sd();
+            return Uncertainty {
+                bias_mps2: sd.bias_mps2,
+                scale: [0, 1, 2].map(|axis| sd.matrix[axis][axis]),
+                fitted: true,
+            };
+        }
+        let expected = |parameter| session.guide().sd(parameter) * POSE_SD_MPS2;
+        use Parameter::{BiasX, BiasY, BiasZ, ScaleX, ScaleY, ScaleZ};
+        Uncertainty {
+            bias_mps2: [BiasX, BiasY, BiasZ].map(expected),
+            scale: [ScaleX, ScaleY, ScaleZ].map(|scale| expected(scale) / STANDARD_GRAVITY_MPS2),
+            fitted: false,
+        }
+    }
+}
+
+/// Names of the sides that are up, in the order of [`Face::ALL`], as printed on boards whose layout is known.
+fn side_names(board: u16) -> &'static [&'static str; 6] {
+    match board {
+        board::MICROBIT_V2 => &[
+            "logo up",
+            "logo down",
+            "button A up",
+            "button A down",
+            "display up",
+            "display down",
+        ],
+        _ => &Face::NAMES,
+    }
+}
+
+/// Something that a person is told.
+pub enum News {
+    /// The rate of the samples is known: poses can be captured from now on.
+    Ready,
+    Captured(Pose),
+    /// The board's button skipped the suggested orientation.
+    Skipped,
+}
+
+/// The poses of a live board, and everything recorded of them.
+pub struct LivePoses {
+    pub plan: Plan,
+    record: LinkHistory,
+    /// Samples of an interrupted session.
+    earlier: Option<Recording>,
+    session: Option<Session<CAPACITY>>,
+    /// The suggested orientation.
+    next: Option<Orientation>,
+    sensitivity: Option<Sensitivity>,
+    phase: Phase,
+    /// Samples that were pushed to the session, and those of them that are kept.
+    pushed: u64,
+    kept: u64,
+    /// Number of kept samples before each pose.
+    starts: Vec<u64>,
+    /// The present output, m/s², smoothed over about ten samples.
+    output_mps2: Option<[f64; 3]>,
+    rate_hz: f64,
+}
+
+impl LivePoses {
+    /// Before any sample.
+    pub fn new(plan: Plan, hello: &Hello) -> Self {
+        Self {
+            plan,
+            record: LinkHistory::new(hello.role),
+            earlier: None,
+            session: None,
+            next: None,
+            sensitivity: None,
+            phase: Phase::WaitingForRest,
+            pushed: 0,
+            kept: 0,
+            starts: Vec::new(),
+            output_mps2: None,
+            rate_hz: 0.0,
+        }
+    }
+
+    /// Takes an arrival and hands on what a person is told.
+    pub fn take(&mut self, arrival: &Arrival, mut tell: impl FnMut(&Self, News)) {
+        self.record.take(arrival);
+        match &arrival.event {
+            Event::Epoch { epoch, .. } if self.session.is_none() => {
+                self.sensitivity = Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g).ok();
+                if self.sensitivity.is_some() {
+                    self.rate_hz = 1e9 / f64::from(epoch.period_ns.max(1));
+                    self.begin();
+                    tell(self, News::Ready);
+                }
+            }
+            Event::Samples(samples) if samples.stream == Stream::Raw && samples.sensor == 0 => {
+                let ignored = self.session.as_ref().is_some_and(Session::ignores_hold);
+                for sample in samples.iter() {
+                    if let Some(pose) = self.push(sample.value.map(f64::from)) {
+                        tell(self, News::Captured(pose));
+                    }
+                }
+                // The rest of a hold whose pose was removed.
+                if ignored {
+                    self.drop_latest(samples.values.len() as u64);
+                }
+            }
+            Event::Device {
+                event: Happened::Marked { .. },
+                ..
+            } => {
+                let captured = self.session.as_mut().and_then(Session::capture);
+                match captured.and_then(|index| self.captured(index)) {
+                    Some(pose) => tell(self, News::Captured(pose)),
+                    None => {
+                        self.skip();
+                        tell(self, News::Skipped);
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Begins a session with the samples of the interrupted one.
+    fn begin(&mut self) {
+        let count = if self.plan.six {
+            CAPACITY
+        } else {
+            self.plan.count
+        };
+        self.session = Some(Session::new(self.rate_hz, self.plan.model, count));
+        (self.pushed, self.kept) = (0, 0);
+        self.starts.clear();
+        let earlier = self.earlier.take();
+        if let Some(samples) = earlier
+            .as_ref()
+            .and_then(|all| all.samples(Selection::default()).ok())
+        {
+            for counts in samples.values() {
+                self.push(counts);
+            }
+        }
+        self.earlier = earlier;
+        self.suggest();
+    }
+
+    /// Plans the next orientation, after a change of the poses: it takes milliseconds.
+    fn suggest(&mut self) {
+        self.next = match self.plan.six {
+            true => self
+                .sides_left()
+                .first()
+                .map(|side| Orientation::from(*side)),
+            false => self.session.as_ref().and_then(Session::next),
+        };
+    }
+
+    /// The suggested orientation.
+    pub fn next(&self) -> Option<Orientation> {
+        self.next
+    }
+
+    fn push(&mut self, counts: [f64; 3]) -> Option<Pose> {
+        let (session, sensitivity) = (self.session.as_mut()?, self.sensitivity?);
+        let scale = sensitivity.mps2_per_lsb();
+        let output = counts.map(|axis| axis * scale);
+        let smooth = self.output_mps2.get_or_insert(output);
+        (0..3).for_each(|axis| smooth[axis] += 0.1 * (output[axis] - smooth[axis]));
+        self.pushed += 1;
+        self.kept += 1;
+        self.phase = session.push(output);
+        match self.phase {
+            Phase::Captured { pose } => self.captured(pose),
+            _ => None,
+        }
+    }
+
+    /// The pose with this index, which was captured now.
+    fn captured(&mut self, index: usize) -> Option<Pose> {
+        let pose = *self.poses().get(index)?;
+        let since = self.pushed.saturating_sub(pose.first_sample);
+        self.starts.push(self.kept.saturating_sub(since));
+        self.suggest();
+        Some(pose)
+    }
+
+    /// Captures this many more poses.
+    pub fn extend(&mut self, more: usize) {
+        self.plan.count = (self.plan.count + more).min(CAPACITY);
+        let count = if self.plan.six {
+            CAPACITY
+        } else {
+            self.plan.count
+        };
+        self.session
+            .iter_mut()
+            .for_each(|session| session.want(count));
+    }
+
+    /// Skips the suggested orientation.
+    pub fn skip(&mut self) {
+        self.session.iter_mut().for_each(Session::skip);
+        self.suggest();
+    }
+
+    /// Removes the latest pose with its samples; returns whether there was one.
+    pub fn undo(&mut self) -> bool {
+        let removed = self.session.as_mut().and_then(Session::undo);
+        let Some(start) = removed.and(self.starts.pop()) else {
+            return false;
+        };
+        // The first block of a hold is left out of its pose: 0.1 s.
+        let start = start.saturating_sub((0.1 * self.rate_hz) as u64);
+        self.drop_latest(self.kept.saturating_sub(start));
+        self.suggest();
+        true
+    }
+
+    fn drop_latest(&mut self, count: u64) {
+        self.kept = self.kept.saturating_sub(count);
+        let count = usize::try_from(count).unwrap_or(usize::MAX);
+        let own: usize = self.record.boots.iter().map(|boot| boot.raw.len()).sum();
+        self.record.drop_latest_raw(count);
+        if let Some(earlier) = &mut self.earlier {
+            earlier.drop_latest(count.saturating_sub(own));
+        }
+    }
+
+    /// Continues an interrupted session; poses so far are left out.
+    ///
+    /// # Errors
+    /// Those of [`formats::load`].
+    pub fn resume(&mut self, file: &Path) -> Result<()> {
+        self.earlier = Some(formats::load(file, &formats::ReadOptions::default())?);
+        if self.session.is_some() {
+            self.record.drop_latest_raw(usize::MAX);
+            self.begin();
+        }
+        Ok(())
+    }
+
+    /// All samples so far.
+    ///
+    /// # Errors
+    /// Those of [`Recording::of_link`] and [`Recording::prepend`].
+    pub fn recording(&self, name: &str) -> Result<Recording> {
+        let mut recording = Recording::of_link(&self.record, name)?;
+        if let Some(earlier) = &self.earlier {
+            recording.prepend(earlier)?;
+        }
+        Ok(recording)
+    }
+
+    pub fn poses(&self) -> &[Pose] {
+        self.session.as_ref().map_or(&[], |session| session.poses())
+    }
+
+    pub fn session(&self) -> Option<&Session<CAPACITY>> {
+        self.session.as_ref()
+    }
+
+    pub fn phase(&self) -> Phase {
+        self.phase
+    }
+
+    pub fn rate_hz(&self) -> f64 {
+        self.rate_hz
+    }
+
+    /// The present output of the sensor, m/s².
+    pub fn output_mps2(&self) -> Option<[f64; 3]> {
+        self.output_mps2
+    }
+
+    /// The sides that were not captured yet, of six.
+    pub fn sides_left(&self) -> Vec<Face> {
+        let captured: Vec<_> = self.poses().iter().filter_map(Face::of).collect();
+        let left = Face::ALL
+            .into_iter()
+            .filter(|side| !captured.contains(side));
+        left.collect()
+    }
+
+    /// Whether all poses were captured.
+    pub fn is_complete(&self) -> bool {
+        let has_sides = !self.plan.six || self.sides_left().is_empty();
+        let count = self.poses().len();
+        (has_sides && count >= self.plan.count) || count == CAPACITY
+    }
+}
+
+/// The file with the poses of a session whose calibration goes to `output`.
+pub fn poses_file(output: Option<&Path>) -> PathBuf {
+    let path = output.unwrap_or(Path::new("wimu-calibration.json"));
+    path.with_extension("poses.csv")
+}
+
+/// A message for each line `s` that is entered; none if stdin is no terminal.
+fn skips() -> mpsc::Receiver<()> {
+    let (sender, receiver) = mpsc::channel();
+    if std::io::IsTerminal::is_terminal(&std::io::stdin()) {
+        std::thread::spawn(move || {
+            for line in std::io::stdin().lines().map_while(std::result::Result::ok) {
+                if line.trim() == "s" && sender.send(()).is_err() {
+                    return;
+                }
+            }
+        });
+    }
+    receiver
+}
+
+/// Collects a live board's samples with instructions in text, until enough poses were captured, or Ctrl-C. With an
+/// output file, the poses are saved beside it.
+pub fn collect(
+    client: &mut Connection,
+    arguments: &Calibrate,
+    options: &CalibrateOptions,
+    output: Output,
+) -> Result<Recording> {
+    let mut live = LivePoses::new(
+        Plan::new(arguments, options, client.hello())?,
+        client.hello(),
+    );
+    let file = arguments
+        .output
+        .as_deref()
+        .map(|path| poses_file(Some(path)));
+    if arguments.resume {
+        live.resume(&poses_file(arguments.output.as_deref()))?;
+    }
+    output.print(match live.plan {
+        Plan { six: true, .. } => {
+            "hold the board still with each of its six sides up, in any order; the board's button \
+             captures a side at once"
+                .to_owned()
+        }
+        Plan { count, .. } => format!(
+            "hold the board still in {count} different orientations; the board's button, or s and Enter, \
+             skips a suggested one; Ctrl-C stops early"
+        ),
+    });
+    let stop = interrupted()?;
+    let skips = skips();
+    while !stop.load(Ordering::Relaxed) && !live.is_complete() {
+        while skips.try_recv().is_ok() {
+            live.skip();
+            advise(&live, output);
+        }
+        let Some(arrival) = client.next_event(Duration::from_millis(100))? else {
+            continue;
+        };
+        let mut captured = false;
+        live.take(&arrival, |live, news| {
+            if let News::Captured(pose) = news {
+                captured = true;
+                output.print(match Face::of(&pose) {
+                    Some(side) => format!(
+                        "pose {} captured: {}",
+                        live.poses().len(),
+                        live.plan.name(side)
+                    ),
+                    None => format!("pose {} captured", live.poses().len()),
+                });
+            }
+            advise(live, output);
+        });
+        if let Some(file) = file.as_ref().filter(|_| captured) {
+            live.recording(client.name())?.write_table(file)?;
+        }
+    }
+    live.recording(client.name())
+}
+
+fn advise(live: &LivePoses, output: Output) {
+    if live.plan.six {
+        let left: Vec<_> = live
+            .sides_left()
+            .into_iter()
+            .map(|side| live.plan.name(side))
+            .collect();
+        if !left.is_empty() {
+            output.print(format!("remaining: {}", left.join("; ")));
+        }
+    } else if let Some(next) = live.next() {
+        let how = next.instruction_with(live.plan.names);
+        output.print(format!("suggested next: {how}"));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_sides_of_a_microbit_have_the_names_of_its_parts() {
+        let instruction = |board, side: Face| {
+            let names = side_names(board);
+            Orientation::from(side).instruction_with(names).to_string()
+        };
+        let microbit = |side| instruction(board::MICROBIT_V2, side);
+        assert_eq!(microbit(Face::ZUp), "hold it with display up");
+        assert_eq!(microbit(Face::XDown), "hold it with logo down");
+        assert_eq!(microbit(Face::YUp), "hold it with button A up");
+        assert_eq!(instruction(0, Face::YUp), "hold it with Y up");
+    }
+}

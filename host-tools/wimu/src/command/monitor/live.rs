@@ -1,0 +1,363 @@
+//! The screen of `wimu monitor`: state, keys and links.
+
+use std::collections::VecDeque;
+use std::path::PathBuf;
+use std::sync::mpsc::RecvTimeoutError;
+use std::time::{Duration, Instant};
+
+use clap::Parser;
+use wimu_host::calibration;
+use wimu_host::clock::{ClockModel, Pace};
+use wimu_host::decode::{Arrival, Event};
+use wimu_host::live::{Heard, LiveLinks, Tap};
+use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
+use wimu_host::monitor::{Reading, Readings};
+use wimu_host::{LinkUrl, Result, transport};
+use wimu_model::{DeviceTimeUs, ParameterSet};
+
+use super::{Line, cause};
+use crate::arguments::{Arguments, Command, Monitor};
+use crate::command::{calibrate, connect, deadline, interrupted, is_over};
+use crate::output::{Output, usage};
+use crate::screen::monitor::{LinkView, MonitorView, draw};
+use crate::screen::{Key, Screen};
+
+/// Longest wait for data before keys are read.
+const GLANCE: Duration = Duration::from_millis(20);
+/// Interval between the points of a curve.
+const POINT: Duration = Duration::from_millis(100);
+/// Span of rates and latencies, ns.
+const SPAN_NS: u64 = 5_000_000_000;
+/// Most samples of a link whose latency is kept.
+const LATENCIES: usize = 4096;
+
+/// What a person does after the screen.
+enum Next {
+    Quit,
+    Calibrate,
+}
+
+pub fn run(arguments: &Monitor, output: Output) -> Result<()> {
+    let stop = interrupted()?;
+    let end = deadline(arguments.seconds);
+    loop {
+        let links = connected(arguments)?;
+        let mut live = Live::new(&links);
+        let live_links = LiveLinks::start(
+            links
+                .into_iter()
+                .map(|(url, client)| (url, client.map_transport(Tap::on)))
+                .collect(),
+            Pace::sparse,
+        );
+        let screen = Screen::open()?;
+        let next = live.show(screen, &live_links, || is_over(end, &stop));
+        live_links.finish();
+        let next = next.and_then(|next| live.stop_recording().map(|()| next))?;
+        for line in &live.ended {
+            output.print(line);
+        }
+        match next {
+            Next::Quit => return Ok(()),
+            Next::Calibrate => {
+                let link = arguments.cable.as_ref().unwrap_or(&arguments.input);
+                let words = ["wimu", "calibrate", link];
+                if let Ok(Arguments {
+                    command: Command::Calibrate(calibrate),
+                    ..
+                }) = Arguments::try_parse_from(words)
+                {
+                    calibrate::run(&calibrate, output)?;
+                }
+            }
+        }
+        if is_over(end, &stop) {
+            return Ok(());
+        }
+    }
+}
+
+/// The links, which must be of one board.
+fn connected(arguments: &Monitor) -> Result<Vec<(LinkUrl, crate::command::Connection)>> {
+    let mut links: Vec<(LinkUrl, crate::command::Connection)> = Vec::new();
+    for link in std::iter::once(&arguments.input).chain(&arguments.cable) {
+        let client = connect(link)?;
+        links.push((client.name().parse()?, client));
+    }
+    let mut ids = links
+        .iter()
+        .map(|(_, client)| (client.hello().device_id, client.hello().role));
+    if let (Some(first), Some(second)) = (ids.next(), ids.next())
+        && (first.0 != second.0 || first.1 == second.1)
+    {
+        return Err(usage(
+            "--cable is not the other link of this board",
+            "give the wireless link and the cable of one board",
+        ));
+    }
+    Ok(links)
+}
+
+/// Traffic of a link within [`SPAN_NS`].
+#[derive(Default)]
+struct Traffic {
+    clock: Option<ClockModel>,
+    /// Host time, ns, samples and bytes since the last entry.
+    received: VecDeque<(u64, u64, u64)>,
+    before: (u64, u64),
+    /// Host time, ns, and latency, ms.
+    latencies: VecDeque<(u64, f64)>,
+}
+
+struct Live {
+    readings: Readings,
+    traffic: Vec<Traffic>,
+    view: MonitorView,
+    latest: Option<Reading>,
+    point: Instant,
+    writer: Option<(PathBuf, RecordingWriter<std::fs::File>)>,
+    /// What is printed after the screen.
+    ended: Vec<String>,
+}
+
+impl Live {
+    fn new(links: &[(LinkUrl, crate::command::Connection)]) -> Self {
+        let name = |(_, client): &(_, crate::command::Connection)| LinkView {
+            name: client.hello().role.to_string(),
+            ..LinkView::default()
+        };
+        let device = links.first().map(|(_, client)| {
+            let hello = client.hello();
+            format!(
+                "{} with {}, device {:016x}",
+                hello.board.name, hello.sensor.name, hello.device_id
+            )
+        });
+        Self {
+            readings: Readings::new(),
+            traffic: links.iter().map(|_| Traffic::default()).collect(),
+            view: MonitorView {
+                device: device.unwrap_or_default(),
+                links: links.iter().map(name).collect(),
+                ..MonitorView::default()
+            },
+            latest: None,
+            point: Instant::now(),
+            writer: None,
+            ended: Vec::new(),
+        }
+    }
+
+    /// Shows the screen until the person leaves it, or it is `over`.
+    fn show(
+        &mut self,
+        mut screen: Screen,
+        links: &LiveLinks,
+        over: impl Fn() -> bool,
+    ) -> Result<Next> {
+        while !over() {
+            match links.next(GLANCE) {
+                Ok((index, heard)) => self.take(index, &heard)?,
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            while let Some(key) = screen.key() {
+                if let Some(next) = self.press(key, links) {
+                    return Ok(next);
+                }
+            }
+            if !self.view.paused {
+                self.refresh();
+            }
+            screen.draw(|frame| draw(&self.view, frame))?;
+        }
+        Ok(Next::Quit)
+    }
+
+    fn take(&mut self, index: usize, heard: &Heard) -> Result<()> {
+        if let Some((_, writer)) = &mut self.writer {
+            heard
+                .entries
+                .iter()
+                .try_for_each(|entry| writer.record(entry))?;
+        }
+        let traffic = &mut self.traffic[index];
+        traffic.clock = heard.clock.clone().or(traffic.clock.take());
+        for arrival in &heard.arrivals {
+            traffic.note(arrival);
+        }
+        let raw = heard.statistics.raw;
+        let of_stream = if raw.received > 0 {
+            raw
+        } else {
+            heard.statistics.corrected
+        };
+        if let Some(last) = heard.arrivals.last() {
+            traffic.count(last.host_ns, of_stream.received, heard.statistics.bytes);
+        }
+        let link = &mut self.view.links[index];
+        link.lost = heard.lost.as_ref().map(|error| error.message().to_owned());
+        link.frames_damaged = heard.statistics.frames_damaged;
+        link.loss =
+            of_stream.missing as f64 / (of_stream.received + of_stream.missing).max(1) as f64;
+        if index == 0 {
+            heard
+                .arrivals
+                .iter()
+                .for_each(|arrival| self.event(&arrival.event));
+        }
+        Ok(())
+    }
+
+    fn event(&mut self, event: &Event) {
+        match event {
+            Event::Device { time, event } => {
+                self.view.message = format!("{:.2} s  {event}", time.to_seconds());
+            }
+            Event::Restart { .. } => {
+                self.view.message = "the device has restarted".to_owned();
+                self.view.origin_m = [0.0; 3];
+            }
+            Event::Hello(hello) if self.view.message == "the device has restarted" => {
+                self.view.message = format!("the device has restarted: {}", cause(hello));
+            }
+            Event::Parameters(parameters) => {
+                let set = parameters.active.as_ref().map(ParameterSet::try_from);
+                let set = set.and_then(std::result::Result::ok);
+                self.view.force_sd_mps2 = set.as_ref().and_then(calibration::force_sd_mps2);
+            }
+            _ => {}
+        }
+        let Self {
+            readings,
+            latest,
+            view,
+            ..
+        } = self;
+        readings.push(event, |reading| {
+            *latest = Some(reading);
+            if !view.paused {
+                let f = reading.specific_force.0;
+                let norm = f.iter().map(|axis| axis * axis).sum::<f64>().sqrt();
+                let all = [norm, f[0], f[1], f[2]]
+                    .into_iter()
+                    .chain(reading.angular_rate.into_iter().flatten());
+                let curves = view.force_curves.iter_mut().chain(&mut view.rate_curves);
+                curves.zip(all).for_each(|(curve, value)| curve.add(value));
+            }
+        });
+    }
+
+    /// Brings the view up to date.
+    fn refresh(&mut self) {
+        let view = &mut self.view;
+        if self.point.elapsed() >= POINT {
+            self.point = Instant::now();
+            let curves = view.force_curves.iter_mut().chain(&mut view.rate_curves);
+            curves.for_each(|curve| curve.step());
+        }
+        for (link, traffic) in view.links.iter_mut().zip(&self.traffic) {
+            traffic.show(link);
+        }
+        view.line = self.latest.as_ref().map(Line::from);
+    }
+
+    /// Handles a key; returns what is next if the person leaves the screen.
+    fn press(&mut self, key: Key, links: &LiveLinks) -> Option<Next> {
+        match key {
+            Key::Quit | Key::Char('q') => return Some(Next::Quit),
+            Key::Char('c') => return Some(Next::Calibrate),
+            Key::Char('p') => self.view.paused = !self.view.paused,
+            Key::Char('u') => self.view.other_units = !self.view.other_units,
+            Key::Char('z') => {
+                let sent = self.latest.and_then(|reading| reading.navigation);
+                self.view.origin_m =
+                    sent.map_or([0.0; 3], |sent| sent.position_nm.map(|nm| nm as f64 * 1e-9));
+                self.view.message = "the position counts from here".to_owned();
+            }
+            Key::Char('r') => {
+                let done = match self.writer.is_some() {
+                    true => self.stop_recording(),
+                    false => self.record(links),
+                };
+                if let Err(error) = done {
+                    self.view.message = format!("not recorded: {}", error.message());
+                }
+            }
+            _ => {}
+        }
+        None
+    }
+
+    /// Records everything from now on, in a new file in the current folder.
+    fn record(&mut self, links: &LiveLinks) -> Result<()> {
+        let name = |number: u32| PathBuf::from(format!("wimu-{number}.mcap"));
+        let path = (1..)
+            .map(name)
+            .find(|path| !path.exists())
+            .unwrap_or_default();
+        let writer = RecordingWriter::create(&path, ClockAnchor::now(transport::now()))?;
+        self.view.recording = Some(path.display().to_string());
+        self.view.message = format!("recording all links to {}", path.display());
+        self.writer = Some((path, writer));
+        links.introduce();
+        Ok(())
+    }
+
+    fn stop_recording(&mut self) -> Result<()> {
+        if let Some((path, writer)) = self.writer.take() {
+            self.view.recording = None;
+            writer.finish()?;
+            self.view.message = format!("recorded: {}", path.display());
+            self.ended.push(self.view.message.clone());
+        }
+        Ok(())
+    }
+}
+
+impl Traffic {
+    /// Latency of samples.
+    fn note(&mut self, arrival: &Arrival) {
+        if let (Event::Samples(samples), Some(clock)) = (&arrival.event, &self.clock)
+            && let Some(last) = samples.iter().last()
+        {
+            let ms = clock.delay_ns(DeviceTimeUs(last.time.0), arrival.host_ns) as f64 * 1e-6;
+            self.latencies.push_back((arrival.host_ns, ms));
+        }
+        let is_old = |(at, _): &(u64, f64)| at + SPAN_NS < arrival.host_ns;
+        while self.latencies.len() > LATENCIES || self.latencies.front().is_some_and(is_old) {
+            self.latencies.pop_front();
+        }
+    }
+
+    /// Takes the samples and bytes received so far.
+    fn count(&mut self, host_ns: u64, samples: u64, bytes: u64) {
+        let before = std::mem::replace(&mut self.before, (samples, bytes));
+        let since = |now: u64, before: u64| now.saturating_sub(before);
+        self.received
+            .push_back((host_ns, since(samples, before.0), since(bytes, before.1)));
+        while self
+            .received
+            .front()
+            .is_some_and(|(at, ..)| at + SPAN_NS < host_ns)
+        {
+            self.received.pop_front();
+        }
+    }
+
+    fn show(&self, link: &mut LinkView) {
+        if let (Some((first, ..)), Some((last, ..))) = (self.received.front(), self.received.back())
+        {
+            let span_s = last.saturating_sub(*first).max(1) as f64 * 1e-9;
+            // What the first entry counts arrived before the span.
+            let sums = self.received.iter().skip(1);
+            let (samples, bytes) =
+                sums.fold((0, 0), |sum, entry| (sum.0 + entry.1, sum.1 + entry.2));
+            link.rate_hz = samples as f64 / span_s;
+            link.kilobytes_s = bytes as f64 / span_s / 1e3;
+        }
+        let mut sorted: Vec<f64> = self.latencies.iter().map(|(_, ms)| *ms).collect();
+        sorted.sort_by(f64::total_cmp);
+        link.latency_ms = sorted.last().map(|most| [sorted[sorted.len() / 2], *most]);
+    }
+}

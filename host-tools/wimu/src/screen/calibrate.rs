@@ -1,0 +1,260 @@
+//! The screen of a guided calibration.
+
+use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::prelude::{Frame, Span};
+use ratatui::text::Line;
+use ratatui::widgets::{Paragraph, Wrap};
+use wimu_host::digits::significant;
+use wimu_model::STANDARD_GRAVITY_MPS2;
+
+use super::board;
+use super::widgets::{self, BAD, GOOD, STRONG};
+
+/// Largest tilt from the next orientation that counts as reached, degrees. Chosen: any orientation is accepted.
+const REACHED_DEG: f64 = 10.0;
+/// Smallest height of the curve of uncertainties, powers of ten.
+const UNCERTAINTY_SPAN: f64 = 0.5;
+
+/// Whether the board rests.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Hold {
+    /// No sample arrived yet.
+    #[default]
+    Waiting,
+    Moving,
+    /// At rest for this long, of the duration of a capture, s.
+    Holding(f64, f64),
+    /// Captured: another orientation is needed.
+    Captured,
+}
+
+/// Standard deviations of the parameters.
+#[derive(Clone, Copy, Debug)]
+pub struct Uncertainty {
+    pub bias_mps2: [f64; 3],
+    /// Of 1.
+    pub scale: [f64; 3],
+    /// Whether they are of a fit; if not, they are expected for poses so far.
+    pub fitted: bool,
+}
+
+/// What the screen shows.
+#[derive(Clone, Debug, Default)]
+pub struct CalibrateView {
+    pub device: String,
+    /// Names of the sides that are up, in the order X up, X down, Y up, ….
+    pub sides: [&'static str; 6],
+    pub wanted: usize,
+    /// Directions that were up in the captured poses, unit vectors, sensor axes.
+    pub poses: Vec<[f64; 3]>,
+    /// Present and next direction that is up.
+    pub up: Option<[f64; 3]>,
+    pub next: Option<[f64; 3]>,
+    /// How to reach the next one, in words.
+    pub instruction: String,
+    pub hold: Hold,
+    /// After each pose.
+    pub uncertainty: Vec<Uncertainty>,
+    /// Why the link is lost at present.
+    pub lost: Option<String>,
+    pub message: String,
+    /// An interrupted session can be resumed.
+    pub resumable: bool,
+    /// Text of the finished calibration and its first visible line.
+    pub result: Option<(String, u16)>,
+    /// Whether the result can be used.
+    pub usable: bool,
+    pub pushed: bool,
+}
+
+/// Draws the screen.
+pub fn draw(view: &CalibrateView, frame: &mut Frame) {
+    let [header, body, message, keys] = widgets::page(frame);
+    let count = format!("pose {} of {}", view.poses.len(), view.wanted);
+    widgets::header(
+        frame,
+        header,
+        &format!("wimu calibrate  {}", view.device),
+        &count,
+    );
+    let style = if view.lost.is_some() { BAD } else { STRONG };
+    let text = match &view.lost {
+        Some(why) => format!(" link lost ({why}): poses are kept, reconnecting …"),
+        None => format!(" {}", view.message),
+    };
+    frame.render_widget(Line::from(Span::styled(text, style)), message);
+    if let Some((text, first)) = &view.result {
+        result(view, frame, body, text, *first);
+        let push = if view.pushed {
+            "push again"
+        } else {
+            "push to the board"
+        };
+        let all = [
+            ("p", push),
+            ("w", "write a file"),
+            ("m", "more poses"),
+            ("↑↓", "scroll"),
+            ("q", "quit"),
+        ];
+        let usable = if view.usable { &all[..] } else { &all[2..] };
+        widgets::keys(frame, keys, usable);
+        return;
+    }
+    let pictures = body.height.saturating_sub(10);
+    let [above, guide, below] = Layout::vertical([
+        Constraint::Length(pictures),
+        Constraint::Length(4),
+        Constraint::Length(6),
+    ])
+    .areas(body);
+    three_pictures(view, frame, above);
+    guidance(view, frame, guide);
+    uncertainties(view, frame, below);
+    let resume = [("r", "resume the interrupted session")];
+    let usual = [
+        ("u", "undo"),
+        ("s", "skip"),
+        ("Enter", "finish now"),
+        ("q", "quit, poses are kept"),
+    ];
+    let before = if view.resumable { &resume[..] } else { &[] };
+    widgets::keys(frame, keys, &[before, &usual].concat());
+}
+
+fn result(view: &CalibrateView, frame: &mut Frame, area: Rect, text: &str, first: u16) {
+    let title = match (view.usable, view.pushed) {
+        (false, _) => "no calibration yet: capture more poses",
+        (_, false) => "calibrated: p pushes it to the board",
+        (_, true) => "calibrated and pushed: the board corrects its samples now",
+    };
+    let inner = widgets::panel(frame, area, title);
+    frame.render_widget(
+        Paragraph::new(text)
+            .wrap(Wrap { trim: false })
+            .scroll((first, 0)),
+        inner,
+    );
+}
+
+fn three_pictures(view: &CalibrateView, frame: &mut Frame, area: Rect) {
+    let [next, now, done] = Layout::horizontal([Constraint::Fill(1); 3]).areas(area);
+    let inner = widgets::panel(frame, next, "next: hold it like this");
+    if let Some(up) = view.next {
+        board::board(frame, inner, up, up, &view.sides);
+    }
+    let inner = widgets::panel(frame, now, "now");
+    if let Some(up) = view.up {
+        board::board(frame, inner, up, view.next.unwrap_or(up), &view.sides);
+    }
+    let inner = widgets::panel(frame, done, "poses (N next, + now)");
+    board::sphere(frame, inner, &view.poses, view.up, view.next);
+}
+
+/// The instruction, the tilt from the next orientation and the countdown.
+fn guidance(view: &CalibrateView, frame: &mut Frame, area: Rect) {
+    let [words, more, tilt, hold] = Layout::vertical([Constraint::Length(1); 4]).areas(area);
+    frame.render_widget(
+        Line::from(Span::styled(format!(" {}", view.instruction), STRONG)),
+        words,
+    );
+    let any = " Any other orientation serves as well: hold the board still until the bell.";
+    frame.render_widget(Line::from(any), more);
+    if let (Some(up), Some(next)) = (view.up, view.next) {
+        let angle = board::angle_deg(up, next);
+        let (text, style) = match angle <= REACHED_DEG {
+            true => (format!("{angle:.0}° from it: reached"), GOOD),
+            false => {
+                let side = view.sides[board::side_to_raise(up, next)];
+                (format!("{angle:.0}° from it: tilt it towards {side}"), BAD)
+            }
+        };
+        widgets::bar(frame, inset(tilt), 1.0 - angle / 180.0, &text, style);
+    }
+    let (fraction, text, style) = match view.hold {
+        Hold::Waiting => (0.0, "waiting for samples".to_owned(), BAD),
+        Hold::Moving => (0.0, "moving: hold it still".to_owned(), BAD),
+        Hold::Holding(so_far, whole) => {
+            let left = (whole - so_far).max(0.0);
+            (so_far / whole, format!("still: {left:.1} s more"), GOOD)
+        }
+        Hold::Captured => (
+            1.0,
+            "captured: turn it to the next orientation".to_owned(),
+            GOOD,
+        ),
+    };
+    widgets::bar(frame, inset(hold), fraction, &text, style);
+}
+
+fn inset(area: Rect) -> Rect {
+    Rect {
+        x: area.x + 1,
+        width: area.width.saturating_sub(2),
+        ..area
+    }
+}
+
+/// Uncertainty of bias and scale factor, and its course from pose to pose.
+fn uncertainties(view: &CalibrateView, frame: &mut Frame, area: Rect) {
+    let fitted = view.uncertainty.last().is_some_and(|latest| latest.fitted);
+    let inner = widgets::panel(
+        frame,
+        area,
+        match fitted {
+            true => "standard deviation of the fit",
+            false => "expected standard deviation (a fit needs more poses)",
+        },
+    );
+    let Some(latest) = view.uncertainty.last() else {
+        return;
+    };
+    let worst = |axes: [f64; 3]| axes.into_iter().fold(0.0, f64::max);
+    let milli_g = |mps2: f64| mps2 * 1e3 / STANDARD_GRAVITY_MPS2;
+    let percent = |of_1: f64| of_1 * 100.0;
+    let rows: [(&str, [f64; 3], &str, Vec<f64>); 2] = [
+        (
+            "bias",
+            latest.bias_mps2.map(milli_g),
+            "mg",
+            view.uncertainty
+                .iter()
+                .map(|u| milli_g(worst(u.bias_mps2)))
+                .collect(),
+        ),
+        (
+            "scale factor",
+            latest.scale.map(percent),
+            "%",
+            view.uncertainty
+                .iter()
+                .map(|u| percent(worst(u.scale)))
+                .collect(),
+        ),
+    ];
+    for (index, (name, axes, unit, course)) in rows.into_iter().enumerate() {
+        let row = Rect {
+            y: inner.y + 2 * index as u16,
+            height: 1,
+            ..inner
+        }
+        .intersection(inner);
+        let [text, curve] =
+            Layout::horizontal([Constraint::Length(52), Constraint::Fill(1)]).areas(row);
+        let [x, y, z] = axes.map(|axis| significant(axis, 2));
+        frame.render_widget(
+            Line::from(format!(" {name:13} ± {x} X, {y} Y, {z} Z {unit}")),
+            text,
+        );
+        let steps = usize::from(curve.width) / course.len().max(1);
+        let wide = course
+            .iter()
+            .flat_map(|value| std::iter::repeat_n(value.log10(), steps.clamp(1, 3)));
+        let wide: Vec<f64> = wide.collect();
+        let curve = Rect {
+            width: curve.width.min(wide.len() as u16),
+            ..curve
+        };
+        widgets::curve(frame, curve, wide.into_iter(), UNCERTAINTY_SPAN);
+    }
+}

@@ -9,6 +9,7 @@ mod widgets;
 pub use board::unit;
 
 use std::io::{self, IsTerminal, Stdout, Write};
+use std::mem::ManuallyDrop;
 use std::time::{Duration, Instant};
 
 use ratatui::Terminal;
@@ -41,7 +42,8 @@ pub enum Key {
 
 /// The terminal as a screen. Dropping it, and a panic, restore the terminal.
 pub struct Screen {
-    terminal: Terminal<CrosstermBackend<Stdout>>,
+    /// Its own drop prints to stderr, and panics where that is a closed terminal.
+    terminal: ManuallyDrop<Terminal<CrosstermBackend<Stdout>>>,
     ascii: bool,
     drawn: Option<Instant>,
 }
@@ -60,7 +62,7 @@ impl Screen {
     pub fn open() -> Result<Self> {
         progress::hide(true);
         Ok(Self {
-            terminal: ratatui::try_init().map_err(|error| failed(&error))?,
+            terminal: ManuallyDrop::new(ratatui::try_init().map_err(|error| failed(&error))?),
             ascii: !ascii::is_utf8(|name| std::env::var(name).ok()),
             drawn: None,
         })
@@ -121,6 +123,7 @@ impl Screen {
 
 impl Drop for Screen {
     fn drop(&mut self) {
+        let _ = self.terminal.show_cursor();
         let _ = ratatui::try_restore();
         progress::hide(false);
     }

@@ -132,6 +132,10 @@ impl Guided<'_> {
                 if self.press(key) {
                     return Ok(true);
                 }
+                // A closed terminal goes on giving `Quit`.
+                if self.done {
+                    return Ok(false);
+                }
             }
             if self.stop.load(Ordering::Relaxed) {
                 self.done = true;

@@ -174,7 +174,6 @@ fn a_board_is_navigated_live_and_fixes_over_a_link_move_it_to_their_frame() {
     let arguments = [
         "navigate",
         &board.cable,
-        "--json",
         "--for",
         "8",
         "--fixes",

@@ -107,13 +107,18 @@ impl Terminal {
 
     /// Waits until the screen shows `text`.
     fn shows(&self, text: &str) -> String {
+        self.until(text, |screen| screen.contains(text))
+    }
+
+    /// Waits until the screen `holds` what is named.
+    fn until(&self, named: &str, holds: impl Fn(&str) -> bool) -> String {
         let until = Instant::now() + TIME_LIMIT;
         loop {
             let screen = self.text();
-            if screen.contains(text) {
+            if holds(&screen) {
                 return screen;
             }
-            assert!(Instant::now() < until, "{text:?} is not shown:\n{screen}");
+            assert!(Instant::now() < until, "{named:?} is not shown:\n{screen}");
             thread::sleep(Duration::from_millis(20));
         }
     }
@@ -232,9 +237,12 @@ fn a_lost_link_keeps_the_poses_and_resume_continues_them() {
     let store = folder.path().join("store");
     let fast = [&FAST[..], &["--store", store.to_str().expect("text")]].concat();
     let board = Simulator::start(&fast);
-    let arguments = ["calibrate", &board.cable, "-o", "CAL.json", "--count", "20"];
+    // More than are captured until the board is gone, on a busy computer too.
+    let arguments = ["calibrate", &board.cable, "-o", "CAL.json", "--count", "60"];
     let mut screen = Terminal::start(&arguments, folder.path(), USUAL, &UTF8);
-    screen.shows("pose 8 of 20");
+    screen.until("pose 8", |shown| {
+        shown.contains("of 60") && poses(shown) >= 8
+    });
     drop(board);
     let kept = poses(&screen.shows("link lost"));
     assert!(kept >= 8, "{kept}");

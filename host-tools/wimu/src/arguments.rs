@@ -140,6 +140,51 @@ pub enum Command {
     Navigate(Navigate),
     /// Write firmware to a board through its debug probe
     Flash(Flash),
+    /// Write a file for a bug report: answers and bytes of a link
+    ReportBug(ReportBug),
+    /// Print the completion script of a shell
+    Completions(Completions),
+    /// Write manual pages
+    Man(Man),
+}
+
+#[derive(Args)]
+#[command(after_help = "\
+Example: wimu report-bug /dev/ttyACM0 --cable /dev/ttyUSB0
+The file is JSON: version, operating system, serial ports, answers of the board, received bytes. It has no key.")]
+pub struct ReportBug {
+    /// Serial port, tcp://HOST:PORT or `auto`
+    pub link: String,
+    /// A second link of the same board
+    #[arg(long, value_name = "LINK")]
+    pub cable: Option<String>,
+    /// File to write
+    #[arg(
+        short,
+        long,
+        value_name = "FILE.json",
+        default_value = "wimu-bug-report.json"
+    )]
+    pub output: PathBuf,
+    /// Time to listen, s
+    #[arg(long = "for", value_name = "SECONDS", default_value = "30", value_parser = seconds)]
+    pub seconds: Duration,
+}
+
+#[derive(Args)]
+#[command(
+    after_help = "Example: wimu completions bash > ~/.local/share/bash-completion/completions/wimu"
+)]
+pub struct Completions {
+    /// Shell
+    pub shell: clap_complete::Shell,
+}
+
+#[derive(Args)]
+#[command(after_help = "Example: wimu man ~/.local/share/man/man1")]
+pub struct Man {
+    /// Folder for the pages
+    pub folder: PathBuf,
 }
 
 #[derive(Args)]

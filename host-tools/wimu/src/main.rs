@@ -66,6 +66,9 @@ fn run(command: Command, output: Output) -> Result<u8> {
         Command::Params { action } => command::params::run(&action, output),
         Command::Key(arguments) => command::key::run(&arguments, output),
         Command::Settings { action } => command::settings::run(&action, output),
+        Command::ReportBug(arguments) => command::report_bug::run(&arguments, output),
+        Command::Completions(arguments) => command::manual::completions(&arguments),
+        Command::Man(arguments) => command::manual::man(&arguments, output),
         Command::Navigate(arguments) => command::navigate::run(&arguments, output),
     }
     .map(|()| 0)

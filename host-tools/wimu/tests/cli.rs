@@ -306,3 +306,63 @@ fn a_file_that_is_no_recording_or_calibration_is_reported() {
     }
     texts.check("files_that_are_no_recording_or_calibration");
 }
+
+#[test]
+fn a_bug_report_has_the_answers_and_bytes_of_both_links_and_no_key() {
+    let folder = folder();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let user = folder.path().join("user");
+    let board = Simulator::start(&["--motion", "rest"]);
+    Background::start_as(&user, &["key", "set", &board.cable])
+        .finish()
+        .succeeds();
+    let key = fs::read_dir(user.join("wimu/keys"))
+        .unwrap()
+        .next()
+        .unwrap()
+        .unwrap()
+        .path();
+    let key = fs::read_to_string(key).unwrap()[..64].to_owned();
+    let file = path("report.json");
+    let links = [board.wireless.as_str(), "--cable", &board.cable];
+    let report = |links: &[&str]| {
+        let arguments = [&["report-bug"], links, &["--for", "2", "-o", &file]].concat();
+        Background::start_as(&user, &arguments).finish().succeeds();
+        let text = fs::read_to_string(&file).unwrap();
+        assert!(!text.contains(&key));
+        serde_json::from_str::<serde_json::Value>(&text).unwrap()
+    };
+    let found = report(&links);
+    for link in found["links"].as_array().unwrap() {
+        assert_eq!(link["device"]["sensor"], "LSM303AGR", "{found}");
+        let bytes = link["bytes"].as_u64().unwrap() as usize;
+        let received = link["received"].as_array().unwrap().iter();
+        let digits: usize = received
+            .map(|entry| entry["hex"].as_str().unwrap().len())
+            .sum();
+        assert!(bytes > 200 && digits == 2 * bytes, "{bytes} {digits}");
+    }
+    drop(board);
+    let found = report(&["tcp://127.0.0.1:1"]);
+    assert_eq!(
+        found["links"][0]["error"]["code"], "link_refused",
+        "{found}"
+    );
+}
+
+#[test]
+fn every_command_has_a_manual_page_and_completions() {
+    let folder = folder();
+    let pages = folder.path().join("man1");
+    let ran = wimu(&["man", pages.to_str().unwrap()]);
+    assert_eq!(ran.code, 0, "{ran:?}");
+    let page = fs::read_to_string(pages.join("wimu-navigate.1")).unwrap();
+    assert!(page.contains("anchors"), "{page}");
+    for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
+        let ran = wimu(&["completions", shell]);
+        assert!(
+            ran.code == 0 && ran.stdout.contains("report-bug"),
+            "{ran:?}"
+        );
+    }
+}

@@ -15,9 +15,9 @@ use wimu_link::Hello;
 use wimu_link::message::{SensorStatus, Status};
 
 use crate::arguments::Info;
-use crate::command::connect;
 use crate::command::key::access_text;
 use crate::command::record::left_out_text;
+use crate::command::{Connection, connect};
 use crate::output::Output;
 
 #[derive(Serialize)]
@@ -198,39 +198,53 @@ impl Device {
     }
 }
 
+/// What a board tells of itself.
+#[derive(Serialize)]
+pub struct Live {
+    role: String,
+    #[serde(flatten)]
+    device: Device,
+    /// Events that the device reports.
+    troubles: Vec<String>,
+    sampling: Sampling,
+}
+
+impl Live {
+    /// Asks a board.
+    ///
+    /// # Errors
+    /// Those of the link.
+    pub fn of(client: &mut Connection) -> Result<Self> {
+        let sampling = Sampling::from(&client.status()?);
+        let mut troubles = Vec::new();
+        while let Some(arrival) = client.next_event(Duration::ZERO)? {
+            if let decode::Event::Device { event, .. } = arrival.event {
+                troubles.push(event.to_string());
+            }
+        }
+        Ok(Self {
+            role: client.hello().role.to_string(),
+            device: Device::from(client.hello()),
+            troubles,
+            sampling,
+        })
+    }
+
+    pub fn text(&self) -> String {
+        let mut text = format!("{} link of {}\n", self.role, self.device.text());
+        for trouble in &self.troubles {
+            text += &format!("  {trouble}\n");
+        }
+        text + "  " + &self.sampling.text()
+    }
+}
+
 pub fn run(arguments: &Info, output: Output) -> Result<()> {
     match Input::parse(&arguments.input)? {
         Input::Recording(path) => recording(&path, output),
         Input::Link(_) => {
-            #[derive(Serialize)]
-            struct Live {
-                role: String,
-                #[serde(flatten)]
-                device: Device,
-                /// Events that the device reports.
-                troubles: Vec<String>,
-                sampling: Sampling,
-            }
-            let mut client = connect(&arguments.input)?;
-            let device = Device::from(client.hello());
-            let role = client.hello().role.to_string();
-            output.print(format!("{role} link of {}", device.text()));
-            let sampling = Sampling::from(&client.status()?);
-            let mut troubles = Vec::new();
-            while let Some(arrival) = client.next_event(Duration::ZERO)? {
-                if let decode::Event::Device { event, .. } = arrival.event {
-                    let trouble = event.to_string();
-                    output.print(format!("  {trouble}"));
-                    troubles.push(trouble);
-                }
-            }
-            output.print(format!("  {}", sampling.text()));
-            let live = Live {
-                role,
-                device,
-                troubles,
-                sampling,
-            };
+            let live = Live::of(&mut connect(&arguments.input)?)?;
+            output.print(live.text());
             output.answer("wimu.device/1", &live);
             Ok(())
         }

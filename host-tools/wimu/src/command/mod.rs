@@ -11,11 +11,13 @@ pub mod export;
 pub mod flash;
 pub mod info;
 pub mod key;
+pub mod manual;
 pub mod monitor;
 pub mod navigate;
 pub mod params;
 pub mod ports;
 pub mod record;
+pub mod report_bug;
 pub mod settings;
 pub mod simulate;
 

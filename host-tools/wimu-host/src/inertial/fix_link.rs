@@ -13,6 +13,8 @@ use crate::{LinkUrl, Result};
 
 /// Time for which a least delay counts, s: two clocks drift apart by 6 ms meanwhile (50 ppm).
 const COUNTS_S: f64 = 120.0;
+/// Lines that are taken at once: a faster link waits.
+const MOST_LINES: usize = 1000;
 /// Longest line, bytes: the rest of a longer one is dropped.
 const MAX_LINE: usize = 4096;
 
@@ -62,7 +64,7 @@ impl FixLink {
     /// Those of [`transport::open`].
     pub fn open(link: &LinkUrl, delay_s: f64) -> Result<Self> {
         let mut transport = transport::open(link)?;
-        let (give, lines) = mpsc::channel();
+        let (give, lines) = mpsc::sync_channel(MOST_LINES);
         thread::spawn(move || {
             let mut reader = Lines::default();
             loop {
@@ -87,7 +89,10 @@ impl FixLink {
     /// The fixes that have arrived, at times of the host's links.
     pub fn arrived(&mut self) -> Vec<Fix> {
         let mut found = Vec::new();
-        while let Ok((arrived_s, line)) = self.lines.try_recv() {
+        for _ in 0..MOST_LINES {
+            let Ok((arrived_s, line)) = self.lines.try_recv() else {
+                break;
+            };
             let line = match line {
                 Ok(line) => line,
                 Err(error) => {

@@ -117,8 +117,9 @@ impl Live {
 
     /// A measurement of another system. A fix of the horizontal position moves the path to the frame of the fixes.
     pub fn fix(&mut self, fix: Fix) {
+        // Before the filter begins the horizon is at the first sample.
         let horizon_s = self.recording.times_s.get(self.taken);
-        if self.begun.is_some() && horizon_s.is_some_and(|horizon_s| fix.time_s < *horizon_s) {
+        if horizon_s.is_some_and(|horizon_s| fix.time_s < *horizon_s) {
             self.late += 1;
             return;
         }
@@ -155,6 +156,11 @@ impl Live {
         Some(point)
     }
 
+    /// Headings that explain the fixes: the path is not valid while there are several.
+    pub fn headings(&self) -> usize {
+        self.begun.as_ref().map_or(1, |begun| begun.path.headings())
+    }
+
     /// Time of the newest sample, s.
     pub fn newest_s(&self) -> Option<f64> {
         self.recording.times_s.last().copied()
@@ -180,6 +186,11 @@ impl Live {
     }
 
     fn begin(&mut self) -> Result<()> {
+        let begun_s = self.recording.times_s[0];
+        let fixes = &mut self.choice.fixes.fixes;
+        let before = fixes.partition_point(|fix| fix.time_s < begun_s);
+        fixes.drain(..before);
+        self.late += before;
         let recording = &self.recording;
         let senses = Senses::of(recording)?;
         let method = match recording.samples.iter().any(|s| s.rate_rad_s.is_some()) {
@@ -291,6 +302,8 @@ trait Follow {
     fn ahead(&self, inputs: &[Input], fixes: &Fixes) -> Option<PathPoint>;
 
     fn findings(&self) -> Vec<Finding>;
+
+    fn headings(&self) -> usize;
 }
 
 /// A path at several headings, until fixes rule out all but one.
@@ -374,6 +387,10 @@ impl<M: Model<f64, N> + Clone, const N: usize> Follow for Headings<M, N> {
         let mut point = last?;
         point.valid = track.has_origin() && self.tracks.len() == 1;
         Some(point)
+    }
+
+    fn headings(&self) -> usize {
+        self.tracks.len()
     }
 
     fn findings(&self) -> Vec<Finding> {

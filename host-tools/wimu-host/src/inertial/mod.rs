@@ -223,7 +223,8 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
         noise_mps2: noise_mps2(&recording.times_s, &samples),
     };
     let mut path = unit.path(choice, method)?;
-    if samples.iter().all(|s| s.field_ut.is_none()) {
+    let placed = choice.start.is_some() || choice.fixes.origin().is_some();
+    if samples.iter().all(|s| s.field_ut.is_none()) && !placed {
         let why = recording.without_field();
         let text = format!("{why}: heading is that of the body at the start");
         path.findings.push(FindingCode::Navigation.note(text));

@@ -178,7 +178,10 @@ impl Guided<'_> {
             self.view.message = message.unwrap_or(std::mem::take(&mut self.view.message));
             if captured {
                 screen.bell();
-                self.view.resumable = false;
+                if std::mem::take(&mut self.view.resumable) {
+                    // The poses of an earlier session are kept.
+                    let _ = std::fs::rename(&self.file, self.file.with_extension("old.csv"));
+                }
                 self.save();
             }
         }

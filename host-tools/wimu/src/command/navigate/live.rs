@@ -56,7 +56,8 @@ impl Pose {
         }
     }
 
-    fn text(&self) -> String {
+    /// A line, where so many headings are possible.
+    fn text(&self, headings: usize) -> String {
         let [e, n, u] = self.position_m;
         let sd = self.sigma_m.iter().map(|s| s * s).sum::<f64>().sqrt();
         let speed = self.velocity_m_s.iter().map(|v| v * v).sum::<f64>().sqrt();
@@ -64,7 +65,11 @@ impl Pose {
             true => "at rest".to_owned(),
             false => format!("{speed:.2} m/s"),
         };
-        let note = if self.valid { "" } else { "  not valid" };
+        let note = match (self.valid, headings) {
+            (true, _) => String::new(),
+            (false, 2..) => format!("  not valid: {headings} headings fit the fixes, move"),
+            (false, _) => "  not valid".to_owned(),
+        };
         format!(
             "{:8.2} s  E {e:+.3} N {n:+.3} U {u:+.3} m ± {sd:.3} m  {motion}{note}",
             self.time_s
@@ -78,6 +83,15 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
         let remedy =
             format!("write the calibration to the board: `wimu params push {link} CAL.json`");
         return Err(usage("a board corrects its samples itself", remedy));
+    }
+    for file in [&arguments.output, &arguments.report].into_iter().flatten() {
+        let folder = file
+            .parent()
+            .filter(|folder| !folder.as_os_str().is_empty());
+        if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+            let message = format!("there is no folder {}", folder.display());
+            return Err(usage(message, "create it, or name another file"));
+        }
     }
     let mut choice = choice(arguments)?;
     let mut fixes = match arguments.fixes.as_deref() {
@@ -98,7 +112,7 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
     let mut session = Session::new(&choice, link, late_s);
     let mut shown = Shown::new(arguments.rate.unwrap_or(RATE_HZ), output);
     let mut points = Vec::new();
-    listen_until(&mut client, arguments.seconds, |arrival| {
+    let ended = listen_until(&mut client, arguments.seconds, |arrival| {
         fixes.give(&mut session);
         let restarted = session.take(arrival)?;
         if restarted {
@@ -112,9 +126,10 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
         }
         shown.say(&session.live.findings());
         Ok(shown.going)
-    })?;
+    });
     output.end_refresh();
     if points.is_empty() {
+        ended?;
         return Err(ErrorCode::NoRows
             .error(
                 "no position within the time: the first needs three seconds of samples",
@@ -122,7 +137,9 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
             )
             .at(link));
     }
-    let path = session.live.path(points);
+    // A lost link loses no position.
+    let mut path = session.live.path(points);
+    path.findings.extend(fixes.finding().cloned());
     output.object(&present(
         arguments,
         &path,
@@ -130,7 +147,7 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
         link.to_owned(),
         output,
     )?);
-    Ok(())
+    ended
 }
 
 /// Where fixes come from.
@@ -271,10 +288,10 @@ impl Shown {
         if self.output.is_json() {
             self.going &= self.output.object(&pose);
         } else if self.refreshes {
-            self.output.refresh(&pose.text());
+            self.output.refresh(&pose.text(session.live.headings()));
         } else if is_due(self.printed_s, 1.0) {
             self.printed_s = Some(newest_s);
-            self.output.print(pose.text());
+            self.output.print(pose.text(session.live.headings()));
         }
         Some(point)
     }

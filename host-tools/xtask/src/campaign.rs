@@ -88,6 +88,14 @@ const DEVICE: [&str; 8] = [
     "firmware",
 ];
 
+/// What `wimu` is built from.
+const COMMAND: [&str; 5] = [
+    "Cargo.lock",
+    "crates",
+    "host-tools/wimu/src",
+    "host-tools/wimu-host/src",
+    "host-tools/wimu-sim/src",
+];
 const PYTHON: [&str; 2] = ["host-tools/wimu-python", "host-tools/wimu-host/src"];
 
 /// Commands whose figures are kept together.
@@ -105,7 +113,7 @@ struct Run {
     sources: &'static [&'static str],
 }
 
-pub const CAMPAIGNS: [Campaign; 10] = [
+pub const CAMPAIGNS: [Campaign; 11] = [
     Campaign {
         name: "arithmetic",
         about: "corrector and integrator against f64 and exact integers",
@@ -300,6 +308,15 @@ pub const CAMPAIGNS: [Campaign; 10] = [
         runs: &[Run {
             command: "run -p xtask -- python",
             sources: &PYTHON,
+        }],
+    },
+    Campaign {
+        name: "systems",
+        about: "`wimu` compiles for Windows, macOS and Linux without a C library",
+        // A target that is missing is named with the rustup command that adds it.
+        runs: &[Run {
+            command: "check -p wimu --target x86_64-pc-windows-gnu --target x86_64-apple-darwin --target aarch64-apple-darwin --target x86_64-unknown-linux-musl --target aarch64-unknown-linux-musl",
+            sources: &COMMAND,
         }],
     },
 ];

@@ -41,20 +41,25 @@ pub fn write() -> Result<(), String> {
     fs::write(document, text).map_err(|error| format!("{document}: {error}"))
 }
 
-/// The table of a command: one row a figure, missed targets included.
+/// The table of a command: one row a figure, missed targets included. Without figures, whether it passes.
 fn section(result: &Value, fresh: bool) -> Result<String, String> {
+    let figures = result["figures"].as_array().map_or(&[][..], Vec::as_slice);
     let mut text = format!(
-        "\n    cargo {}\n\n{} minutes at commit {:.8}{}.\n\n| claim | figure | target | met |\n|---|---|---|---|\n",
+        "\n    cargo {}\n\n{} minutes at commit {:.8}{}.\n",
         result["command"].as_str().unwrap_or_default(),
         result["minutes"],
         result["commit"].as_str().unwrap_or_default(),
-        if result["passed"] == false {
-            ", **fails**"
-        } else {
-            ""
+        match (result["passed"] == false, figures.is_empty(), fresh) {
+            (true, ..) => ", **fails**",
+            (_, true, true) => ", passes",
+            (_, true, false) => ", passes *stale*",
+            _ => "",
         },
     );
-    for figure in result["figures"].as_array().into_iter().flatten() {
+    if !figures.is_empty() {
+        text.push_str("\n| claim | figure | target | met |\n|---|---|---|---|\n");
+    }
+    for figure in figures {
         let field = |key: &str| figure[key].as_str().unwrap_or_default().replace('|', "\\|");
         let met = match figure["met"] == false {
             true => "**no**",
@@ -99,6 +104,13 @@ mod tests {
         }
         let stale = section(&result("|f|"), false).expect("narrow");
         assert!(stale.contains("| yes *stale* |"), "{stale}");
+    }
+
+    #[test]
+    fn a_command_without_figures_has_no_table() {
+        let result = json!({ "command": "check", "commit": "0123456789", "minutes": 1, "passed": true, "figures": [] });
+        let text = section(&result, true).expect("narrow");
+        assert!(text.ends_with("01234567, passes.\n"), "{text}");
     }
 
     #[test]

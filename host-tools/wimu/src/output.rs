@@ -45,7 +45,7 @@ pub fn usage(message: impl Into<String>, remedy: impl Into<String>) -> HostError
 }
 
 /// Text whose longer lines are broken between words; what follows is indented as the line and two more.
-fn wrapped(text: &str, width: Option<usize>) -> Cow<'_, str> {
+pub fn wrapped(text: &str, width: Option<usize>) -> Cow<'_, str> {
     let Some(width) = width.filter(|width| text.lines().any(|line| line.chars().count() > *width))
     else {
         return text.into();

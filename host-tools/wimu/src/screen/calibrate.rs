@@ -1,6 +1,6 @@
 //! The screen of a guided calibration.
 
-use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::layout::{Alignment, Constraint, Layout, Rect};
 use ratatui::prelude::{Frame, Span};
 use ratatui::text::Line;
 use ratatui::widgets::{Paragraph, Wrap};
@@ -29,13 +29,13 @@ pub enum Hold {
 }
 
 /// Standard deviations of the parameters.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Uncertainty {
     pub bias_mps2: [f64; 3],
     /// Of 1.
     pub scale: [f64; 3],
-    /// Whether they are of a fit; if not, they are expected for poses so far.
-    pub fitted: bool,
+    /// Why there is no fit: they are then expected of these poses.
+    pub no_fit: Option<String>,
 }
 
 /// What the screen shows.
@@ -69,57 +69,45 @@ pub struct CalibrateView {
 
 /// Draws the screen.
 pub fn draw(view: &CalibrateView, frame: &mut Frame) {
-    let [header, body, message, keys] = widgets::page(frame);
+    let title = format!("wimu calibrate  {}", view.device);
     let count = format!("pose {} of {}", view.poses.len(), view.wanted);
-    widgets::header(
-        frame,
-        header,
-        &format!("wimu calibrate  {}", view.device),
-        &count,
-    );
-    let style = if view.lost.is_some() { BAD } else { STRONG };
-    let text = match &view.lost {
-        Some(why) => format!(" link lost ({why}): poses are kept, reconnecting …"),
-        None => format!(" {}", view.message),
+    let message = match &view.lost {
+        Some(why) => widgets::lost("the board", why, "Poses are kept"),
+        None => Span::styled(view.message.clone(), STRONG),
     };
-    frame.render_widget(Line::from(Span::styled(text, style)), message);
-    if let Some((text, first)) = &view.result {
-        result(view, frame, body, text, *first);
-        let push = if view.pushed {
-            "push again"
-        } else {
-            "push to the board"
-        };
-        let all = [
-            ("p", push),
-            ("w", "write a file"),
-            ("m", "more poses"),
-            ("↑↓", "scroll"),
-            ("q", "quit"),
-        ];
-        let usable = if view.usable { &all[..] } else { &all[2..] };
-        widgets::keys(frame, keys, usable);
-        return;
-    }
-    let pictures = body.height.saturating_sub(10);
-    let [above, guide, below] = Layout::vertical([
-        Constraint::Length(pictures),
-        Constraint::Length(4),
-        Constraint::Length(6),
-    ])
-    .areas(body);
-    three_pictures(view, frame, above);
-    guidance(view, frame, guide);
-    uncertainties(view, frame, below);
-    let resume = [("r", "resume the interrupted session")];
-    let usual = [
+    let push = if view.pushed {
+        "push again"
+    } else {
+        "push to the board"
+    };
+    let of_result = [
+        ("p", push),
+        ("w", "write a file"),
+        ("m", "more poses"),
+        ("↑↓", "scroll"),
+        ("q", "quit"),
+    ];
+    let of_poses = [
+        ("r", "resume the interrupted session"),
         ("u", "undo"),
         ("s", "skip"),
         ("Enter", "finish now"),
         ("q", "quit, poses are kept"),
     ];
-    let before = if view.resumable { &resume[..] } else { &[] };
-    widgets::keys(frame, keys, &[before, &usual].concat());
+    let keys = match &view.result {
+        Some(_) => &of_result[if view.usable { 0 } else { 2 }..],
+        None => &of_poses[usize::from(!view.resumable)..],
+    };
+    let body = widgets::page(frame, [&title, &count], &message, keys);
+    if let Some((text, first)) = &view.result {
+        return result(view, frame, body, text, *first);
+    }
+    let pictures = body.height.saturating_sub(10);
+    let rows = [pictures, 4, 6].map(Constraint::Length);
+    let [above, guide, below] = Layout::vertical(rows).areas(body);
+    three_pictures(view, frame, above);
+    guidance(view, frame, guide);
+    uncertainties(view, frame, below);
 }
 
 fn result(view: &CalibrateView, frame: &mut Frame, area: Rect, text: &str, first: u16) {
@@ -147,7 +135,15 @@ fn three_pictures(view: &CalibrateView, frame: &mut Frame, area: Rect) {
     if let Some(up) = view.up {
         board::board(frame, inner, up, view.next.unwrap_or(up), &view.sides);
     }
-    let inner = widgets::panel(frame, done, "poses (N next, + now)");
+    let inner = widgets::panel(frame, done, "poses ●, next N, now +");
+    let legend = Line::from(" behind the sphere: · n ").alignment(Alignment::Right);
+    let bottom = Rect {
+        y: done.bottom().saturating_sub(1),
+        x: done.x + 1,
+        height: 1,
+        width: done.width.saturating_sub(2),
+    };
+    frame.render_widget(legend, bottom.intersection(done));
     board::sphere(frame, inner, &view.poses, view.up, view.next);
 }
 
@@ -197,64 +193,49 @@ fn inset(area: Rect) -> Rect {
 
 /// Uncertainty of bias and scale factor, and its course from pose to pose.
 fn uncertainties(view: &CalibrateView, frame: &mut Frame, area: Rect) {
-    let fitted = view.uncertainty.last().is_some_and(|latest| latest.fitted);
-    let inner = widgets::panel(
-        frame,
-        area,
-        match fitted {
-            true => "standard deviation of the fit",
-            false => "expected standard deviation (a fit needs more poses)",
-        },
-    );
-    let Some(latest) = view.uncertainty.last() else {
-        return;
+    let latest = view.uncertainty.last();
+    let title = match latest.is_some_and(|latest| latest.no_fit.is_none()) {
+        true => "standard deviation of the fit",
+        false => "expected standard deviation: not a result yet",
     };
-    let worst = |axes: [f64; 3]| axes.into_iter().fold(0.0, f64::max);
-    let milli_g = |mps2: f64| mps2 * 1e3 / STANDARD_GRAVITY_MPS2;
-    let percent = |of_1: f64| of_1 * 100.0;
-    let rows: [(&str, [f64; 3], &str, Vec<f64>); 2] = [
-        (
-            "bias",
-            latest.bias_mps2.map(milli_g),
-            "mg",
-            view.uncertainty
-                .iter()
-                .map(|u| milli_g(worst(u.bias_mps2)))
-                .collect(),
-        ),
-        (
-            "scale factor",
-            latest.scale.map(percent),
-            "%",
-            view.uncertainty
-                .iter()
-                .map(|u| percent(worst(u.scale)))
-                .collect(),
-        ),
-    ];
-    for (index, (name, axes, unit, course)) in rows.into_iter().enumerate() {
-        let row = Rect {
-            y: inner.y + 2 * index as u16,
+    let inner = widgets::panel(frame, area, title);
+    let Some(latest) = latest else { return };
+    let line = |y: u16| {
+        Rect {
+            y: inner.y + y,
             height: 1,
             ..inner
         }
-        .intersection(inner);
-        let [text, curve] =
-            Layout::horizontal([Constraint::Length(52), Constraint::Fill(1)]).areas(row);
-        let [x, y, z] = axes.map(|axis| significant(axis, 2));
-        frame.render_widget(
-            Line::from(format!(" {name:13} ± {x} X, {y} Y, {z} Z {unit}")),
-            text,
-        );
-        let steps = usize::from(curve.width) / course.len().max(1);
-        let wide = course
-            .iter()
-            .flat_map(|value| std::iter::repeat_n(value.log10(), steps.clamp(1, 3)));
-        let wide: Vec<f64> = wide.collect();
+        .intersection(inner)
+    };
+    let milli_g = |mps2: f64| mps2 * 1e3 / STANDARD_GRAVITY_MPS2;
+    let percent = |of_1: f64| of_1 * 100.0;
+    let bias = |of: &Uncertainty| of.bias_mps2.map(milli_g);
+    let scale = |of: &Uncertainty| of.scale.map(percent);
+    type Axes<'a> = &'a dyn Fn(&Uncertainty) -> [f64; 3];
+    let rows: [(&str, &str, Axes); 2] = [("bias", "mg", &bias), ("scale factor", "%", &scale)];
+    for (y, (name, unit, axes)) in [0, 2].into_iter().zip(rows) {
+        let parts = [Constraint::Length(52), Constraint::Fill(1)];
+        let [text, curve] = Layout::horizontal(parts).areas(line(y));
+        let [x, y, z] = axes(latest).map(|axis| significant(axis, 2));
+        let text_of = Line::from(format!(" {name:13} ± {x} X, {y} Y, {z} Z {unit}"));
+        frame.render_widget(text_of, text);
+        let width = usize::from(curve.width) / view.uncertainty.len();
+        let worst = |of: &Uncertainty| axes(of).into_iter().fold(0.0, f64::max).log10();
+        let wide: Vec<f64> = (view.uncertainty.iter().map(worst))
+            .flat_map(|value| std::iter::repeat_n(value, width.clamp(1, 3)))
+            .collect();
+        let first = wide.len().saturating_sub(curve.width.into());
+        let shown = &wide[first..];
+        let bounds = widgets::bounds(shown.iter().copied(), UNCERTAINTY_SPAN);
         let curve = Rect {
-            width: curve.width.min(wide.len() as u16),
+            width: shown.len() as u16,
             ..curve
         };
-        widgets::curve(frame, curve, wide.into_iter(), UNCERTAINTY_SPAN);
+        widgets::curve(frame, curve, shown, bounds);
+    }
+    if let Some(why) = &latest.no_fit {
+        let text = format!(" no fit yet: {why}");
+        frame.render_widget(Line::from(Span::styled(text, BAD)), line(3));
     }
 }

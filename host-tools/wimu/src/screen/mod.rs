@@ -15,6 +15,7 @@ use std::time::{Duration, Instant};
 use ratatui::Terminal;
 use ratatui::backend::CrosstermBackend;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
+use ratatui::crossterm::terminal::size;
 use ratatui::layout::Rect;
 use ratatui::prelude::Frame;
 use wimu_host::{HostError, Result};
@@ -49,10 +50,13 @@ pub struct Screen {
 }
 
 impl Screen {
-    /// Whether a person sits at a terminal that can show a screen.
+    /// Whether a person sits at a terminal that can show a screen and is large enough for it.
     pub fn is_possible(output: Output) -> bool {
         let terminals = io::stdin().is_terminal() && io::stdout().is_terminal();
-        terminals && !output.is_json() && std::env::var_os("TERM").is_none_or(|term| term != "dumb")
+        terminals
+            && !output.is_json()
+            && std::env::var_os("TERM").is_none_or(|term| term != "dumb")
+            && size().is_ok_and(|(width, height)| is_enough(width, height))
     }
 
     /// Takes the terminal over.
@@ -146,12 +150,16 @@ fn is_gone() -> bool {
     false
 }
 
+fn is_enough(width: u16, height: u16) -> bool {
+    width >= LEAST.0 && height >= LEAST.1
+}
+
 /// Draws a view, in ASCII if need be; in a terminal that is too small, that it is.
 fn paint(frame: &mut Frame, ascii: bool, view: impl FnOnce(&mut Frame)) {
     let Rect { width, height, .. } = frame.area();
-    match width < LEAST.0 || height < LEAST.1 {
-        true => widgets::too_small(frame, LEAST),
-        false => view(frame),
+    match is_enough(width, height) {
+        true => view(frame),
+        false => widgets::too_small(frame, LEAST),
     }
     if ascii {
         ascii::convert(frame.buffer_mut());

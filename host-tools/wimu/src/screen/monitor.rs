@@ -18,7 +18,8 @@ const POINTS: usize = 512;
 const FORCE_SPAN: f64 = 0.1;
 const RATE_SPAN: f64 = 0.05;
 /// Columns of a label, of a value and of the limits of a curve.
-const COLUMNS: [u16; 3] = [4, 10, 18];
+const COLUMNS: [u16; 3] = [4, 10, 21];
+const NAMES: [&str; 4] = ["|f|", "x", "y", "z"];
 /// Standard deviation of the position up to which it is called valid, m. Chosen.
 const VALID_SD_M: f64 = 1.0;
 /// Largest height of a curve, rows.
@@ -48,6 +49,12 @@ impl Curve {
         if self.points.len() > POINTS {
             self.points.pop_front();
         }
+    }
+
+    /// The latest means, at most `count`.
+    fn latest(&self, count: u16) -> impl Iterator<Item = f64> {
+        let first = self.points.len().saturating_sub(count.into());
+        self.points.range(first..).copied()
     }
 }
 
@@ -89,14 +96,29 @@ pub struct MonitorView {
 
 /// Draws the screen.
 pub fn draw(view: &MonitorView, frame: &mut Frame) {
-    let [header, body, message, keys] = widgets::page(frame);
     let line = view.line.as_ref();
+    let lost = view.links.iter().find(|link| link.lost.is_some());
     let recording = view.recording.as_ref().map(|file| format!("REC {file}"));
     let paused = view.paused.then(|| "PAUSED".to_owned());
-    let time = line.map(|line| format!("{:.1} s", line.time_s));
+    let time = match lost {
+        Some(_) => Some("LINK LOST".to_owned()),
+        None => line.map(|line| format!("{:.1} s", line.time_s)),
+    };
     let state: Vec<String> = [paused, recording, time].into_iter().flatten().collect();
-    let title = format!("wimu monitor  {}", view.device);
-    widgets::header(frame, header, &title, &state.join("  "));
+    let message = match lost.and_then(|link| link.lost.as_ref().map(|why| (&link.name, why))) {
+        Some((name, why)) => widgets::lost(name, why, "Values are the last ones received"),
+        None => Span::styled(view.message.clone(), STRONG),
+    };
+    let record = if view.recording.is_some() {
+        "stop recording"
+    } else {
+        "record"
+    };
+    let pause = if view.paused { "continue" } else { "pause" };
+    let first = [("q", "quit"), ("r", record), ("z", "zero"), ("u", "units")];
+    let keys = [&first[..], &[("p", pause), ("c", "calibrate")]].concat();
+    let body = widgets::page(frame, [&view.device, &state.join("  ")], &message, &keys);
+
     let rate = line.and_then(|line| line.angular_rate_rad_s);
     let (curves, boxes) = if rate.is_some() { (7, 4) } else { (4, 2) };
     // The lower panels need 9 rows.
@@ -111,40 +133,41 @@ pub fn draw(view: &MonitorView, frame: &mut Frame) {
         ],
         false => [("m/s²", 1.0), ("rad/s", 1.0)],
     };
-    let corrected = line.is_some_and(|line| line.corrected && line.is_calibrated());
-    let state = if corrected {
-        "corrected"
-    } else {
-        "nominal sensitivity"
+    let state = match line.is_some_and(|line| line.corrected && line.is_calibrated()) {
+        true => "corrected",
+        false => "nominal sensitivity",
     };
-    let title = format!("specific force, {} ({state})", force_unit.0);
     let force = line.map(|line| {
         let [x, y, z] = line.specific_force_m_s2;
         [(x * x + y * y + z * z).sqrt(), x, y, z]
     });
-    let names = ["|f|", "x", "y", "z"];
-    let inner = widgets::panel(frame, first, &title);
-    for (index, (name, curve)) in names.into_iter().zip(&view.force_curves).enumerate() {
-        let value = force.map(|force| force[index]);
+    let inner = widgets::panel(
+        frame,
+        first,
+        &format!("specific force, {} ({state})", force_unit.0),
+    );
+    for (index, curve) in view.force_curves.iter().enumerate() {
+        let (value, unit) = (force.map(|force| force[index]), (force_unit.1, FORCE_SPAN));
         row(
             frame,
             slice(inner, index, rows),
-            name,
+            NAMES[index],
             value,
             curve,
-            (force_unit.1, FORCE_SPAN),
+            unit,
         );
     }
     if let Some(rate) = rate {
         let inner = widgets::panel(frame, second, &format!("angular rate, {}", rate_unit.0));
-        for (index, (name, curve)) in names[1..].iter().zip(&view.rate_curves).enumerate() {
+        for (index, curve) in view.rate_curves.iter().enumerate() {
+            let (value, unit) = (Some(rate[index]), (rate_unit.1, RATE_SPAN));
             row(
                 frame,
                 slice(inner, index, rows),
-                name,
-                Some(rate[index]),
+                NAMES[1 + index],
+                value,
                 curve,
-                (rate_unit.1, RATE_SPAN),
+                unit,
             );
         }
     }
@@ -156,19 +179,6 @@ pub fn draw(view: &MonitorView, frame: &mut Frame) {
     }
     let inner = widgets::panel(frame, links, "links");
     frame.render_widget(Text::from(link_rows(view)), inner);
-    frame.render_widget(Span::styled(format!(" {}", view.message), STRONG), message);
-    let record = if view.recording.is_some() {
-        "stop recording"
-    } else {
-        "record"
-    };
-    let pause = if view.paused { "continue" } else { "pause" };
-    let first = [("q", "quit"), ("r", record), ("z", "zero"), ("u", "units")];
-    widgets::keys(
-        frame,
-        keys,
-        &[&first[..], &[("p", pause), ("c", "calibrate")]].concat(),
-    );
 }
 
 /// The part of an area for curve `index`, each `rows` high.
@@ -195,11 +205,14 @@ fn row(
     let parts = [label_width, value_width, Constraint::Fill(1), limits_width];
     let [first, second, middle, last] = Layout::horizontal(parts).areas(area);
     frame.render_widget(Span::styled(format!(" {label}"), LABEL), first);
-    let value = value.map_or("-".to_owned(), |value| format!("{:+8.3}", value * factor));
-    frame.render_widget(Span::styled(value, STRONG), second);
-    widgets::curve(frame, middle, curve.points.iter().copied(), least_span);
-    let latest = curve.points.iter().rev().take(middle.width.into()).copied();
-    let [low, high] = widgets::bounds(latest, least_span).map(|limit| limit * factor);
+    let shown = value.map_or("-".to_owned(), |value| format!("{:+8.3}", value * factor));
+    frame.render_widget(Span::styled(shown, STRONG), second);
+    let points: Vec<f64> = curve.latest(middle.width).collect();
+    // A mean of 100 ms lies between samples: the latest sample widens the limits.
+    let bounds = widgets::bounds(points.iter().copied().chain(value), least_span);
+    widgets::curve(frame, middle, &points, bounds);
+    let [low, high] = bounds.map(|limit| limit * factor * 100.0);
+    let (low, high) = (low.floor() / 100.0, high.ceil() / 100.0);
     frame.render_widget(Span::raw(format!(" {low:+.2} to {high:+.2}")), last);
 }
 
@@ -212,7 +225,12 @@ fn state_rows(view: &MonitorView, line: &Line) -> Vec<(&'static str, Span<'stati
         "searching" => Span::styled("hold it still: no rest seen yet", BAD),
         _ => Span::raw("-"),
     };
-    let mut rows = vec![("motion", motion)];
+    let parameters = match &line.parameter_id {
+        Some(id) if line.is_calibrated() => Span::styled(format!("{id} in use"), GOOD),
+        _ => Span::styled("none: uncalibrated, press c", BAD),
+    };
+    // The last rows are hidden by a message of several rows.
+    let mut rows = vec![("parameters", parameters), ("motion", motion)];
     let known = phase != "searching";
     let place = line.position_m.zip(line.velocity_m_s).filter(|_| known);
     if let Some((position, [ve, vn, vu])) = place {
@@ -250,11 +268,6 @@ fn state_rows(view: &MonitorView, line: &Line) -> Vec<(&'static str, Span<'stati
     let celsius = line.temperature_c.map(|celsius| format!("{celsius:.1} °C"));
     let both: Vec<String> = [celsius, heading].into_iter().flatten().collect();
     rows.push(("temperature", both.join(", ").into()));
-    let parameters = match &line.parameter_id {
-        Some(id) if line.is_calibrated() => Span::styled(format!("{id} in use"), GOOD),
-        _ => Span::styled("none: uncalibrated, press c", BAD),
-    };
-    rows.push(("parameters", parameters));
     rows
 }
 
@@ -295,14 +308,9 @@ fn link_rows(view: &MonitorView) -> Vec<Row<'static>> {
         }),
         row("kB/s", &|link| significant(link.kilobytes_s, 3)),
     ];
-    let lost = |link: &LinkView| {
-        link.lost
-            .as_ref()
-            .map(|why| format!("{} lost: {why}", link.name))
-    };
-    match view.links.iter().find_map(lost) {
-        Some(lost) => rows.push(Row::from(Span::styled(lost, BAD))),
-        None => rows.push(row("damaged", &|link| link.frames_damaged.to_string())),
-    }
+    rows.push(row("damaged", &|link| match &link.lost {
+        Some(_) => "lost".to_owned(),
+        None => link.frames_damaged.to_string(),
+    }));
     rows
 }

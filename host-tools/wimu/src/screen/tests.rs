@@ -69,7 +69,7 @@ fn readings() -> MonitorView {
         quaternion: Some([0.5, -0.5, -0.5, 0.5]),
     };
     MonitorView {
-        device: "pico-adxl345 with LSM303AGR, device 0123456789abcdef".to_owned(),
+        device: "pico-adxl345, LSM303AGR, 0123456789abcdef".to_owned(),
         line: Some(line),
         force_sd_mps2: Some(0.0157),
         force_curves: [0; 4].map(|_| curve.clone()),
@@ -88,10 +88,10 @@ fn with(view: &MonitorView, change: impl FnOnce(&mut Line)) -> MonitorView {
 }
 
 fn poses() -> CalibrateView {
-    let after = |bias: f64, fitted| Uncertainty {
+    let after = |bias: f64, no_fit: Option<&str>| Uncertainty {
         bias_mps2: [bias, 0.5 * bias, bias],
         scale: [0.03, 0.02, 0.0123],
-        fitted,
+        no_fit: no_fit.map(str::to_owned),
     };
     CalibrateView {
         device: "microbit-v2 with LSM303AGR, cable link".to_owned(),
@@ -102,7 +102,7 @@ fn poses() -> CalibrateView {
         next: Some([1.0, 0.0, 0.0]),
         instruction: "start with display down, then tilt it 45° towards button A up, then 35° towards logo up".to_owned(),
         hold: Hold::Holding(0.6, 1.5),
-        uncertainty: vec![after(0.3, false), after(0.01, true)],
+        uncertainty: vec![after(0.3, Some("2 static poses")), after(0.01, None)],
         message: "pose 3 captured: display down".to_owned(),
         resumable: true,
         ..CalibrateView::default()
@@ -156,7 +156,9 @@ fn what_is_wrong_is_said_where_its_value_would_be() {
     let shown = show(&view);
     for part in [
         "uncalibrated, press c",
-        "wireless lost: refused",
+        "LINK LOST: wireless (refused). Values are the last ones received. Check power,",
+        "wimu reconnects by itself. q quits",
+        "LINK LOST \n",
         "± unknown",
         "nominal",
     ] {
@@ -169,6 +171,7 @@ fn what_is_wrong_is_said_where_its_value_would_be() {
     for part in [
         "invalid: it rotated",
         "PAUSED",
+        "0123456789abcdef",
         "REC wimu-1.mcap",
         "stop recording",
         "continue",
@@ -212,10 +215,11 @@ fn a_guided_calibration_says_what_to_do_on_the_smallest_screen() {
     view.uncertainty.truncate(1);
     let shown = text(&drawn(USUAL, false, |frame| calibrate::draw(&view, frame)));
     assert!(
-        shown.contains("link lost (no answer): poses are kept"),
+        shown.contains("LINK LOST: the board (no answer). Poses are kept."),
         "{shown}"
     );
-    assert!(shown.contains("expected standard deviation"), "{shown}");
+    assert!(shown.contains("no fit yet: 2 static poses"), "{shown}");
+    assert!(shown.contains("not a result yet"), "{shown}");
     view.result = Some(("usable\nX: bias".to_owned(), 1));
     view.usable = true;
     let shown = text(&drawn(USUAL, false, |frame| calibrate::draw(&view, frame)));
@@ -223,6 +227,17 @@ fn a_guided_calibration_says_what_to_do_on_the_smallest_screen() {
         shown.contains("p pushes it") && !shown.contains("usable") && shown.contains("X: bias"),
         "{shown}"
     );
+}
+
+#[test]
+fn a_long_message_wraps_and_a_value_is_within_its_limits() {
+    let mut view = with(&readings(), |line| line.specific_force_m_s2[0] = 19.126);
+    view.message = format!("not pushed: {}end", "words of a remedy ".repeat(8));
+    let shown = text(&drawn(USUAL, false, |frame| monitor::draw(&view, frame)));
+    assert!(shown.contains("remedy end"), "{shown}");
+    assert!(shown.contains("quit"), "{shown}");
+    let row = shown.lines().find(|row| row.contains("x   "));
+    assert!(row.is_some_and(|row| row.contains("to +19.13")), "{shown}");
 }
 
 #[test]

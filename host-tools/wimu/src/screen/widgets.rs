@@ -6,6 +6,8 @@ use ratatui::style::Color;
 use ratatui::text::Text;
 use ratatui::widgets::{Block, Gauge, Paragraph, Sparkline, Wrap};
 
+use crate::output::wrapped;
+
 /// Style of what counts most.
 pub const STRONG: Style = Style::new().add_modifier(Modifier::BOLD);
 /// Styles of a good state, of one that needs attention, and of labels.
@@ -13,38 +15,53 @@ pub const GOOD: Style = Style::new().fg(Color::Green).add_modifier(Modifier::BOL
 pub const BAD: Style = Style::new().fg(Color::Yellow).add_modifier(Modifier::BOLD);
 pub const LABEL: Style = Style::new().fg(Color::Cyan);
 
-/// The frame's header, body, message line and keys.
-pub fn page(frame: &Frame) -> [Rect; 4] {
-    let rows = [1, 0, 1, 1].map(|rows| match rows {
-        0 => Constraint::Fill(1),
-        rows => Constraint::Length(rows),
-    });
-    Layout::vertical(rows).areas(frame.area())
-}
+/// Most rows of a message.
+const MESSAGE_ROWS: usize = 3;
 
-/// A line across the screen in reverse.
-pub fn header(frame: &mut Frame, area: Rect, left: &str, right: &str) {
+/// Draws the header (title and state), the message, which wraps, and the keys; returns the area between them.
+pub fn page(
+    frame: &mut Frame,
+    [title, state]: [&str; 2],
+    message: &Span,
+    keys: &[(&str, &str)],
+) -> Rect {
+    let width = usize::from(frame.area().width).saturating_sub(2);
+    let text = wrapped(&message.content, Some(width));
+    let lines: Vec<Line> = text
+        .lines()
+        .take(MESSAGE_ROWS)
+        .map(|line| Line::from(format!(" {}", line.trim_start())))
+        .collect();
+    let [first, body, middle, last] = Layout::vertical([
+        Constraint::Length(1),
+        Constraint::Fill(1),
+        Constraint::Length(lines.len().max(1) as u16),
+        Constraint::Length(1),
+    ])
+    .areas(frame.area());
     let bar = Style::new().add_modifier(Modifier::REVERSED);
     let parts = [
         Constraint::Fill(1),
-        Constraint::Length(right.chars().count() as u16 + 2),
+        Constraint::Length(state.chars().count() as u16 + 2),
     ];
-    let [first, last] = Layout::horizontal(parts).areas(area);
-    frame.render_widget(Paragraph::new(format!(" {left}")).style(bar), first);
-    frame.render_widget(Paragraph::new(format!(" {right} ")).style(bar), last);
+    let [left, right] = Layout::horizontal(parts).areas(first);
+    frame.render_widget(Paragraph::new(format!(" {title}")).style(bar), left);
+    frame.render_widget(Paragraph::new(format!(" {state} ")).style(bar), right);
+    frame.render_widget(Paragraph::new(lines).style(message.style), middle);
+    let keys = keys.iter().flat_map(|(key, does)| {
+        let key = Span::styled(format!(" {key} "), bar);
+        [key, Span::raw(format!(" {does}  "))]
+    });
+    frame.render_widget(Line::from_iter(keys), last);
+    body
 }
 
-/// Keys with what they do; those that do not fit are left out.
-pub fn keys(frame: &mut Frame, area: Rect, keys: &[(&str, &str)]) {
-    let mut spans = Vec::new();
-    for (key, does) in keys {
-        spans.push(Span::styled(
-            format!(" {key} "),
-            Style::new().add_modifier(Modifier::REVERSED),
-        ));
-        spans.push(Span::raw(format!(" {does}  ")));
-    }
-    frame.render_widget(Line::from(spans), area);
+/// A message that a link is lost, what that means for what is `shown`, and what to do.
+pub fn lost(link: &str, why: &str, shown: &str) -> Span<'static> {
+    let text = format!(
+        "LINK LOST: {link} ({why}). {shown}. Check power, cable and range: wimu reconnects by itself. q quits"
+    );
+    Span::styled(text, BAD.add_modifier(Modifier::REVERSED))
 }
 
 /// A box with a title; returns its inner area.
@@ -77,25 +94,18 @@ pub fn bar(frame: &mut Frame, area: Rect, fraction: f64, text: &str, style: Styl
     frame.render_widget(gauge.label(text).gauge_style(style).use_unicode(true), area);
 }
 
-/// The latest values as a curve from their smallest to their largest; `least_span` is the smallest height of it.
-pub fn curve(
-    frame: &mut Frame,
-    area: Rect,
-    values: impl DoubleEndedIterator<Item = f64>,
-    least_span: f64,
-) {
+/// Values as a curve within `bounds`, as far right as they reach.
+pub fn curve(frame: &mut Frame, area: Rect, values: &[f64], [low, high]: [f64; 2]) {
     const STEPS: f64 = 1000.0;
-    let mut values: Vec<f64> = values.rev().take(area.width.into()).collect();
-    values.reverse();
-    let [low, high] = bounds(values.iter().copied(), least_span);
     let step = |value: &f64| ((value - low) / (high - low) * STEPS) as u64 + 1;
     let data: Vec<u64> = values.iter().map(step).collect();
     let width = data.len() as u16;
     let area = Rect {
-        x: area.right() - width,
+        x: area.right().saturating_sub(width),
         width,
         ..area
     };
+    let area = area.intersection(frame.area());
     frame.render_widget(Sparkline::default().data(data).max(STEPS as u64 + 1), area);
 }
 

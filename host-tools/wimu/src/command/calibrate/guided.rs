@@ -9,6 +9,7 @@ use std::time::Duration;
 use wimu_calib::{Face, Orientation, Phase};
 use wimu_host::calibration::{self, CalibrateOptions, CalibrationReport};
 use wimu_host::clock::Pace;
+use wimu_host::finding;
 use wimu_host::keys::KeyFolder;
 use wimu_host::live::{Heard, LiveClient, LiveLinks, Tap};
 use wimu_host::recording::Selection;
@@ -24,6 +25,8 @@ use crate::screen::{Key, Screen, unit};
 
 /// Longest wait for data before keys are read.
 const GLANCE: Duration = Duration::from_millis(20);
+/// Poses that are added at a time. Chosen: a third of the usual number.
+const MORE: usize = 4;
 /// File of the calibration where none was named.
 const DEFAULT_FILE: &str = "wimu-calibration.json";
 
@@ -40,6 +43,7 @@ pub fn run(arguments: &Calibrate, options: &CalibrateOptions, output: Output) ->
         url,
         file: poses_file(arguments.output.as_deref()),
         written: None,
+        overwrite: false,
         unsaved: None,
         stop: interrupted()?,
         view: view_of(&hello, &live.plan),
@@ -65,6 +69,8 @@ struct Guided<'a> {
     file: PathBuf,
     /// File of the calibration, once it is written.
     written: Option<PathBuf>,
+    /// Whether a file of an earlier session may be overwritten.
+    overwrite: bool,
     /// Why the poses could not be saved.
     unsaved: Option<String>,
     stop: Arc<AtomicBool>,
@@ -221,7 +227,7 @@ impl Guided<'_> {
         match (key, shown) {
             (Key::Quit | Key::Char('q'), _) => self.done = true,
             (Key::Char('p'), Some(_)) if self.view.usable => return true,
-            (Key::Char('w'), Some(_)) if self.view.usable => self.write(),
+            (Key::Char('w'), Some(_)) if self.view.usable => self.write(true),
             (Key::Char('m'), Some(_)) => self.more(),
             (Key::Up, Some((_, first))) => *first = first.saturating_sub(1),
             (Key::Down, Some((text, first))) => {
@@ -264,32 +270,41 @@ impl Guided<'_> {
         match report {
             Ok(report) => {
                 self.view.usable = report.outcome.exit_code() == 0;
-                self.view.result = Some((report.to_string(), 0));
+                let findings = finding::text(&report.outcome.findings, usize::MAX);
+                self.view.result = Some((format!("{report}{findings}"), 0));
                 self.view.pushed = false;
                 self.report = Some(report);
                 self.view.message = String::new();
                 if self.view.usable && self.arguments.output.is_some() {
-                    self.write();
+                    self.write(false);
                 }
             }
             Err(error) => self.view.message = format!("no calibration: {}", error.message()),
         }
     }
 
-    /// Goes back to the poses for four more, or one more side.
+    /// Goes back to the poses for [`MORE`].
     fn more(&mut self) {
-        self.live.extend(4);
+        let before = self.live.plan.count;
+        self.live.extend(MORE);
         self.view.wanted = self.live.plan.count;
         (self.report, self.view.result, self.tried) = (None, None, None);
-        self.view.message = "capture more poses; Enter finishes".to_owned();
+        self.view.message = format!(
+            "{before} + {} = {} poses are wanted now, for a smaller uncertainty; Enter finishes earlier",
+            self.view.wanted - before,
+            self.view.wanted
+        );
     }
 
-    fn write(&mut self) {
-        let path = self
-            .arguments
-            .output
-            .as_deref()
-            .unwrap_or(Path::new(DEFAULT_FILE));
+    /// Writes the calibration; a file of an earlier session only once it was `asked` for twice.
+    fn write(&mut self, asked: bool) {
+        let named = self.arguments.output.as_deref();
+        let path = named.unwrap_or(Path::new(DEFAULT_FILE));
+        if asked && self.written.is_none() && path.exists() && !self.overwrite {
+            self.overwrite = true;
+            self.view.message = format!("{} exists: w overwrites it, q keeps it", path.display());
+            return;
+        }
         let Some(file) = self.report.as_ref().and_then(|report| report.file.as_ref()) else {
             return;
         };

@@ -94,20 +94,24 @@ impl Plan {
                 multi_position_with(poses, self.gravity, what)
             }
         };
-        if let Ok(estimate) = estimate {
-            let sd = estimate.sd();
-            return Uncertainty {
-                bias_mps2: sd.bias_mps2,
-                scale: [0, 1, 2].map(|axis| sd.matrix[axis][axis]),
-                fitted: true,
-            };
-        }
+        let refusal = match estimate {
+            Ok(estimate) => {
+                let sd = estimate.sd();
+                return Uncertainty {
+                    bias_mps2: sd.bias_mps2,
+                    scale: [0, 1, 2].map(|axis| sd.matrix[axis][axis]),
+                    no_fit: None,
+                };
+            }
+            Err(refusal) => refusal.to_string(),
+        };
         let expected = |parameter| session.guide().sd(parameter) * POSE_SD_MPS2;
         use Parameter::{BiasX, BiasY, BiasZ, ScaleX, ScaleY, ScaleZ};
         Uncertainty {
             bias_mps2: [BiasX, BiasY, BiasZ].map(expected),
             scale: [ScaleX, ScaleY, ScaleZ].map(|scale| expected(scale) / STANDARD_GRAVITY_MPS2),
-            fitted: false,
+            // The remedy behind the colon is what the screen shows anyway.
+            no_fit: refusal.split(':').next().map(str::to_owned),
         }
     }
 }

@@ -24,6 +24,8 @@ use crate::screen::{Key, Screen};
 
 /// Longest wait for data before keys are read.
 const GLANCE: Duration = Duration::from_millis(20);
+/// Duration of a message. Chosen: two lines are read twice.
+const MESSAGE: Duration = Duration::from_secs(10);
 /// Interval between the points of a curve.
 const POINT: Duration = Duration::from_millis(100);
 /// Span of rates and latencies, ns.
@@ -115,6 +117,8 @@ struct Live {
     view: MonitorView,
     latest: Option<Reading>,
     point: Instant,
+    /// The message that is shown, and since when.
+    shown: (String, Instant),
     writer: Option<(PathBuf, RecordingWriter<std::fs::File>)>,
     /// What is printed after the screen.
     ended: Vec<String>,
@@ -129,7 +133,7 @@ impl Live {
         let device = links.first().map(|(_, client)| {
             let hello = client.hello();
             format!(
-                "{} with {}, device {:016x}",
+                "{}, {}, {:016x}",
                 hello.board.name, hello.sensor.name, hello.device_id
             )
         });
@@ -143,6 +147,7 @@ impl Live {
             },
             latest: None,
             point: Instant::now(),
+            shown: (String::new(), Instant::now()),
             writer: None,
             ended: Vec::new(),
         }
@@ -169,9 +174,20 @@ impl Live {
             if !self.view.paused {
                 self.refresh();
             }
+            self.clear_message();
             screen.draw(|frame| draw(&self.view, frame))?;
         }
         Ok(Next::Quit)
+    }
+
+    /// Clears a message that was shown for [`MESSAGE`].
+    fn clear_message(&mut self) {
+        let (message, since) = &mut self.shown;
+        if *message != self.view.message {
+            (*message, *since) = (self.view.message.clone(), Instant::now());
+        } else if since.elapsed() >= MESSAGE {
+            self.view.message.clear();
+        }
     }
 
     fn take(&mut self, index: usize, heard: &Heard) -> Result<()> {

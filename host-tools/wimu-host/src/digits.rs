@@ -33,6 +33,12 @@ pub fn signed_with_sd(value: f64, sd: f64) -> String {
     format!("{value} ± {sd}")
 }
 
+/// `E +1.002 N +0.000 U -0.250`: components with three decimals, zero without a minus sign.
+pub fn east_north_up(components: [f64; 3]) -> String {
+    let [e, n, u] = components.map(|axis| (axis * 1e3).round() / 1e3 + 0.0);
+    format!("E {e:+.3} N {n:+.3} U {u:+.3}")
+}
+
 fn parts(value: f64, sd: f64) -> [String; 2] {
     if sd < 5e-8 {
         return [format!("{value:+.5}"), "0".to_owned()];
@@ -53,5 +59,7 @@ mod tests {
         assert_eq!(with_sd(1.002_345, 0.001_234), "1.0023 ± 0.0012");
         assert_eq!(signed_with_sd(0.5, 0.0), "+0.50000 ± 0");
         assert_eq!(signed_with_sd(12.3, f64::INFINITY), "+12 ± inf");
+        let enu = east_north_up([1.0024, -0.0004, -0.0006]);
+        assert_eq!(enu, "E +1.002 N +0.000 U -0.001");
     }
 }

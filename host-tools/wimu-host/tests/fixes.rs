@@ -84,6 +84,7 @@ fn aided(fixes: Vec<Fix>, arm_m: f64) -> Choice {
         fixes: Fixes {
             fixes,
             lever_arm_m: [arm_m, 0.0, 0.0],
+            ..Fixes::default()
         },
         ..Choice::default()
     }
@@ -215,6 +216,48 @@ fn a_table_of_fixes_may_leave_out_columns_and_values() {
     assert!(
         refused.to_string().contains("`Position E (m)` is missing"),
         "{refused}"
+    );
+}
+
+#[test]
+fn what_of_a_table_of_fixes_is_not_used_is_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("fixes.csv");
+    let noticed = |text: &str| {
+        std::fs::write(&file, text).unwrap();
+        let read = Fixes::read(&file, 0.0).unwrap();
+        let texts: Vec<String> = read.findings.iter().map(ToString::to_string).collect();
+        texts.join("\n")
+    };
+    let sigma = "Position Sigma E (m),Position Sigma N (m)";
+    let header = format!("Time (s),Position E (m),Position N (m),{sigma}");
+    assert_eq!(noticed(&format!("{header}\n1,2,3,0.1,0.1\n")), "");
+    let text = noticed(&format!("{header}\n1,2,3,0,-1\n2,2,3,0.1,0.1\n"));
+    assert!(
+        text.contains("2 standard deviations of the fixes are not positive"),
+        "{text}"
+    );
+    let text = noticed("Time (s),East,Position N (m)\n1,2,3\n");
+    for part in [
+        "not used: East",
+        "have only one",
+        "no standard deviation: 3 m",
+    ] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+}
+
+#[test]
+fn a_path_that_its_fixes_cannot_hold_to_the_limit_is_refused_with_their_sigma() {
+    let (recording, mut fixes) = recorded(0.0, 0.0);
+    fixes
+        .iter_mut()
+        .for_each(|fix| fix.position_sd_m = [30.0; 3]);
+    let refused = navigate(&recording, &aided(fixes, 0.0)).unwrap_err();
+    assert!(
+        refused.remedy().contains("the fixes are ± 52 m"),
+        "{refused} {}",
+        refused.remedy()
     );
 }
 

@@ -74,6 +74,14 @@ impl Table {
             .ok_or_else(|| self.missing(&format!("{} ({})", names[0], units[0].0)))
     }
 
+    /// Names of the columns that none of `used` is.
+    pub fn others(&self, used: impl Iterator<Item = Column>) -> Vec<&str> {
+        let used: Vec<usize> = used.map(|column| column.0).collect();
+        let others = self.header.iter().enumerate();
+        let others = others.filter(|(at, name)| !used.contains(at) && !name.is_empty());
+        others.map(|(_, name)| name.as_str()).collect()
+    }
+
     pub fn missing(&self, column: &str) -> HostError {
         let found = self.header.join(", ");
         let remedy = format!("name a column `{column}`; the file has: {found}");

@@ -8,7 +8,8 @@ use wimu_nav::navigator::{Model, Navigator};
 use wimu_nav::sensor::{Heading, Position, Velocity};
 use wimu_nav::smoother::Recorder;
 
-use crate::csv::columns::{ANGLE, LENGTH, SPEED, TIME, Table};
+use crate::csv::columns::{ANGLE, Column, LENGTH, SPEED, TIME, Table};
+use crate::digits::significant;
 use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
 use crate::{ErrorCode, Result};
@@ -35,6 +36,8 @@ pub struct Fixes {
     pub fixes: Vec<Fix>,
     /// The antenna from the origin of the unit, m, body axes.
     pub lever_arm_m: [f64; 3],
+    /// What was noticed while they were read.
+    pub findings: Vec<Finding>,
 }
 
 /// Standard deviations of a file without them: a position by GNSS without corrections, m; a velocity by its Doppler shift,
@@ -70,11 +73,35 @@ impl Fixes {
         let velocity = axes("Velocity", SPEED);
         let velocity_sd = axes("Velocity Sigma", SPEED);
         let heading = [["Heading"], ["Heading Sigma"]].map(|names| table.column(&names, ANGLE));
-        let columns = position.iter().chain(&velocity).chain(&heading[..1]);
-        if columns.flatten().next().is_none() {
+        let measured = position.iter().chain(&velocity).chain(&heading[..1]);
+        if measured.clone().flatten().next().is_none() {
             return Err(table.missing("Position E (m)"));
         }
-        let mut fixes = Vec::new();
+        let deviations = position_sd.iter().chain(&velocity_sd).chain(&heading[1..]);
+        let mut findings = Vec::new();
+        let used = measured.chain(deviations).chain([&time]);
+        let others = table.others(used.copied().flatten());
+        if !others.is_empty() {
+            let text = format!(
+                "columns of the fixes that are not used: {}",
+                others.join(", ")
+            );
+            let remedy = "known names: Position E (m), N, U, Height (m), Velocity E (m/s), N, U, Heading (deg), each with Sigma";
+            findings.push(FindingCode::Navigation.note(text).remedy(remedy));
+        }
+        if position[0].is_some() != position[1].is_some() {
+            let text = "of Position E (m) and N the fixes have only one: the other is not measured";
+            findings.push(FindingCode::Navigation.warning(text));
+        }
+        let has_no_sd = |values: &[Option<Column>], sds: &[Option<Column>]| {
+            values.iter().any(Option::is_some) && sds.iter().all(Option::is_none)
+        };
+        if has_no_sd(&position, &position_sd) {
+            let text = format!("the fixes have no standard deviation: {POSITION_SD_M} m is used");
+            let remedy = "give it as Position Sigma E (m), N, U";
+            findings.push(FindingCode::Navigation.note(text).remedy(remedy));
+        }
+        let (mut fixes, mut not_positive) = (Vec::new(), 0);
         for row in 0..table.rows.len() {
             let value = |column: Option<_>| match column {
                 Some(column) => table.value(row, column),
@@ -86,13 +113,16 @@ impl Fixes {
             let Some(time_s) = value(time)?.or(arrived_s) else {
                 continue;
             };
+            let mut sd = |value: Option<f64>, usual: f64| {
+                not_positive += usize::from(value.is_some_and(|sd| sd <= 0.0));
+                value.filter(|sd| *sd > 0.0).unwrap_or(usual)
+            };
             let velocity_sd = three(velocity_sd)?.into_iter().flatten();
-            let velocity_sd = velocity_sd.reduce(f64::max).unwrap_or(VELOCITY_SD_MPS);
+            let velocity_sd = sd(velocity_sd.reduce(f64::max), VELOCITY_SD_MPS);
             let velocity = match three(velocity)? {
                 [Some(e), Some(n), Some(u)] => Some(([e, n, u], velocity_sd)),
                 _ => None,
             };
-            let sd = |value: Option<f64>, usual: f64| value.filter(|sd| *sd > 0.0).unwrap_or(usual);
             let heading_sd = sd(value(heading[1])?, HEADING_SD_RAD);
             let (position, position_sd) = (three(position)?, three(position_sd)?);
             let fix = Fix {
@@ -109,6 +139,14 @@ impl Fixes {
                 fixes.push(fix);
             }
         }
+        if not_positive > 0 {
+            let what = counted(not_positive, "standard deviation");
+            let text = format!(
+                "{what} of the fixes are not positive: {POSITION_SD_M} m, {VELOCITY_SD_MPS} m/s, {:.0}° are used there",
+                HEADING_SD_RAD.to_degrees()
+            );
+            findings.push(FindingCode::Navigation.warning(text));
+        }
         if fixes.is_empty() {
             let remedy = "fill in the position, velocity or heading of at least one row";
             return Err(table.empty("there is no fix", remedy));
@@ -117,7 +155,28 @@ impl Fixes {
         Ok(Self {
             fixes,
             lever_arm_m: [0.0; 3],
+            findings,
         })
+    }
+
+    /// The remedy of a path that is not known to `limit_m`, where the fixes are the cause.
+    pub(super) fn remedy(&self, limit_m: f64) -> Option<String> {
+        let sd = |fix: &Fix| {
+            fix.position_sd_m
+                .iter()
+                .map(|sd| sd * sd)
+                .sum::<f64>()
+                .sqrt()
+        };
+        let least_m = self.fixes.iter().map(sd).reduce(f64::min)?;
+        let text = || {
+            let sd = significant(least_m, 2);
+            format!(
+                "the fixes are ± {sd} m in space at best: give their σ as Position Sigma E (m), N, U if it is smaller, or a \
+                 larger --limit"
+            )
+        };
+        (least_m > limit_m && least_m.is_finite()).then(text)
     }
 
     /// Refuses fixes of which none is within the times of a recording, s.
@@ -142,7 +201,7 @@ impl Fixes {
     }
 
     /// The first fix of the horizontal position: the path is in its frame.
-    pub(super) fn origin(&self) -> Option<&Fix> {
+    pub fn origin(&self) -> Option<&Fix> {
         let level = |fix: &&Fix| fix.position_sd_m[..2].iter().all(|sd| sd.is_finite());
         self.fixes.iter().find(level)
     }

@@ -139,7 +139,9 @@ impl Live {
             .begun
             .as_ref()
             .map_or(Method::Strapdown, |begun| begun.method);
-        let mut path = InertialPath::new(method, points, 0, self.choice.limit_m);
+        let moves = points.iter().position(|point| !point.resting);
+        let origin = moves.unwrap_or(points.len()).saturating_sub(1);
+        let mut path = InertialPath::new(method, points, origin, self.choice.limit_m);
         path.findings = self.findings();
         path
     }
@@ -168,7 +170,7 @@ impl Live {
 
     /// What was noticed up to now.
     pub fn findings(&self) -> Vec<Finding> {
-        let mut found = self.findings.clone();
+        let mut found = [&self.choice.fixes.findings[..], &self.findings].concat();
         let late = "arrived later than the filter waits: not used (--fix-delay)";
         let counts = [
             (self.late, "fix", late),

@@ -169,7 +169,9 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
     };
     path.findings
         .splice(0..0, recording.findings.iter().cloned());
-    let mut path = path.checked(&recording.name, REMEDY)?;
+    let remedy = choice.fixes.remedy(choice.limit_m);
+    let remedy = remedy.as_deref().unwrap_or(REMEDY);
+    let mut path = path.checked(&recording.name, remedy)?;
     let column = recording.column("Moving");
     let moving = moving(&recording.times_s, column, &recording.truth, &[]);
     compare(&mut path, &recording.truth, &moving);

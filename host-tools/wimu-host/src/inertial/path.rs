@@ -202,7 +202,9 @@ impl InertialPath {
                     .sum::<f64>()
                     .sqrt()
             })
-            .sum()
+            // An empty sum is −0.
+            .sum::<f64>()
+            + 0.0
     }
 
     /// Angular rate of an array at valid points in motion, rad/s rms, and the median of its standard deviation in space.

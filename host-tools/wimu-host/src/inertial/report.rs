@@ -33,11 +33,9 @@ impl InertialPath {
         let mut page = Report::new(format!("Path of {source}"));
         let (mut lines, last) = (text.lines(), self.points.iter().rfind(|point| point.valid));
         page.result(lines.next().unwrap_or_default());
-        page.key(
-            "path, while valid",
-            &format!("{} m", significant(self.distance_m(), 3)),
-        );
         if let Some(last) = last {
+            let length = significant(self.distance_m(), 3);
+            page.key("path, while valid", &format!("{length} m"));
             let name = format!("1 σ at {:.1} s, the last valid point", last.time_s);
             page.key(&name, &format!("± {} m", significant(last.sd_m(), 2)));
         }

@@ -137,7 +137,8 @@ impl Unit<'_> {
         }
         let origin = track.origin;
         let from = origin.unwrap_or(0);
-        let mut findings = track.findings();
+        let mut findings = fixes.findings.clone();
+        findings.extend(track.findings());
         findings.extend(track.aiding.outside(fixes.fixes.len()));
         let mut tape = track.navigator.into_recorder();
         tape.finish(&mut points);

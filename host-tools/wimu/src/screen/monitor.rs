@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::prelude::{Frame, Span};
 use ratatui::text::{Line as Row, Text};
-use wimu_host::digits::significant;
+use wimu_host::digits::{east_north_up, significant};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use crate::command::monitor::{Line, euler_deg};
@@ -233,20 +233,16 @@ fn state_rows(view: &MonitorView, line: &Line) -> Vec<(&'static str, Span<'stati
     let mut rows = vec![("parameters", parameters), ("motion", motion)];
     let known = phase != "searching";
     let place = line.position_m.zip(line.velocity_m_s).filter(|_| known);
-    if let Some((position, [ve, vn, vu])) = place {
-        let [e, n, u] = [0, 1, 2].map(|axis| position[axis] - view.origin_m[axis]);
-        rows.push((
-            "position",
-            format!("E {e:+.3} N {n:+.3} U {u:+.3} m").into(),
-        ));
+    if let Some((position, velocity)) = place {
+        let from_origin = [0, 1, 2].map(|axis| position[axis] - view.origin_m[axis]);
+        let text = format!("{} m", east_north_up(from_origin));
+        rows.push(("position", text.into()));
         rows.push((
             "",
             uncertainty(line.valid, view.force_sd_mps2, since_rest_s),
         ));
-        rows.push((
-            "velocity",
-            format!("E {ve:+.3} N {vn:+.3} U {vu:+.3} m/s").into(),
-        ));
+        let text = format!("{} m/s", east_north_up(velocity));
+        rows.push(("velocity", text.into()));
     }
     if let Some([roll, pitch, yaw]) = line.quaternion.map(euler_deg) {
         let text = format!("roll {roll:+.0}°  pitch {pitch:+.0}°  yaw {yaw:+.0}°");
@@ -294,18 +290,16 @@ fn link_rows(view: &MonitorView) -> Vec<Row<'static>> {
         );
         Row::from(spans)
     };
+    let latency = |link: &LinkView, which: usize| {
+        let text = |ms: [f64; 2]| format!("{} ms", significant(ms[which], 3));
+        link.latency_ms.map_or("-".to_owned(), text)
+    };
     let mut rows = vec![
         row("", &|link| link.name.clone()),
         row("rate Hz", &|link| significant(link.rate_hz, 4)),
         row("loss %", &|link| significant(100.0 * link.loss, 3)),
-        row("latency", &|link| {
-            link.latency_ms
-                .map_or("-".to_owned(), |[median, _]| format!("{median:.1} ms"))
-        }),
-        row("largest", &|link| {
-            link.latency_ms
-                .map_or("-".to_owned(), |[_, most]| format!("{most:.1} ms"))
-        }),
+        row("latency", &|link| latency(link, 0)),
+        row("largest", &|link| latency(link, 1)),
         row("kB/s", &|link| significant(link.kilobytes_s, 3)),
     ];
     rows.push(row("damaged", &|link| match &link.lost {

@@ -133,7 +133,7 @@ fn every_reading_has_its_place_on_the_smallest_screen() {
             "cable",
             "1.23",
             "12.3 ms",
-            "1234.5 ms",
+            "1234 ms",
             "12345",
             "mark 1",
             "quit",

@@ -345,7 +345,8 @@ impl Guided<'_> {
             .collect();
         self.view.up = live.output_mps2().and_then(unit);
         let samples = |count: u32| f64::from(count) / live.rate_hz();
-        self.view.hold = match (live.session(), live.phase()) {
+        let session = live.session().filter(|_| self.view.lost.is_none());
+        self.view.hold = match (session, live.phase()) {
             (None, _) => Hold::Waiting,
             (_, Phase::WaitingForRest) => Hold::Moving,
             (Some(session), Phase::Collecting { samples: held }) => {

@@ -30,6 +30,8 @@ const MESSAGE: Duration = Duration::from_secs(10);
 const POINT: Duration = Duration::from_millis(100);
 /// Span of rates and latencies, ns.
 const SPAN_NS: u64 = 5_000_000_000;
+/// Largest error of a clock model by half a round trip, ms. Chosen.
+const CLOCK_ERROR_MS: f64 = 10.0;
 /// Most samples of a link whose latency is kept.
 const LATENCIES: usize = 4096;
 
@@ -340,6 +342,11 @@ impl Traffic {
             let ms = clock.delay_ns(DeviceTimeUs(last.time.0), arrival.host_ns) as f64 * 1e-6;
             self.latencies.push_back((arrival.host_ns, ms));
         }
+        // The device's clock begins again.
+        if matches!(arrival.event, Event::Restart { .. }) {
+            self.clock = None;
+            self.latencies.clear();
+        }
         let is_old = |(at, _): &(u64, f64)| at + SPAN_NS < arrival.host_ns;
         while self.latencies.len() > LATENCIES || self.latencies.front().is_some_and(is_old) {
             self.latencies.pop_front();
@@ -374,6 +381,8 @@ impl Traffic {
         }
         let mut sorted: Vec<f64> = self.latencies.iter().map(|(_, ms)| *ms).collect();
         sorted.sort_by(f64::total_cmp);
-        link.latency_ms = sorted.last().map(|most| [sorted[sorted.len() / 2], *most]);
+        let latency = sorted.last().map(|most| [sorted[sorted.len() / 2], *most]);
+        // A clock model that gives negative latencies does not hold.
+        link.latency_ms = latency.filter(|[median, _]| *median > -CLOCK_ERROR_MS);
     }
 }

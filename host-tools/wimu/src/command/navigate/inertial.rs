@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde::Serialize;
 use wimu_host::calibration::{read_model, zero_count};
+use wimu_host::digits::east_north_up;
 use wimu_host::finding::Finding;
 use wimu_host::formats;
 use wimu_host::inertial::{
@@ -139,7 +140,7 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         Some(geometry) => {
             let choice = choice(arguments)?;
             let (path, refined) = array::path(arguments, geometry, &choice, output)?;
-            let mut found = present(arguments, &path, &choice, source, output)?;
+            let mut found = present(arguments, &path, &path.findings, &choice, source, output)?;
             found.refined = refined;
             found
         }
@@ -173,7 +174,7 @@ pub fn one_unit(
 ) -> Result<Found> {
     let choice = choice(arguments)?;
     let path = navigate(recording, &choice)?;
-    present(arguments, &path, &choice, source, output)
+    present(arguments, &path, &path.findings, &choice, source, output)
 }
 
 /// What the options say.
@@ -203,22 +204,23 @@ pub fn choice(arguments: &Navigate) -> Result<Choice> {
     })
 }
 
-/// Prints and writes a path; returns its object.
+/// Prints a path with the findings that are `new` to the user, and writes it; returns its object.
 pub fn present(
     arguments: &Navigate,
     path: &InertialPath,
+    new: &[Finding],
     choice: &Choice,
     source: String,
     output: Output,
 ) -> Result<Found> {
-    let text = text(path, choice);
+    let text = text(path, choice, arguments.fixes.is_some());
     output.print(text.trim_end());
-    output.findings(&path.findings);
+    output.findings(new);
     if let Some(file) = &arguments.output {
         path.write(file)?;
         output.print(format!(
-            "wrote {} rows to {}",
-            path.points.len(),
+            "wrote {} to {}",
+            counted(path.points.len(), "row"),
             file.display()
         ));
     }
@@ -342,8 +344,25 @@ fn moves(path: &InertialPath) -> String {
     )
 }
 
+/// From where position is measured.
+fn origin(path: &InertialPath, choice: &Choice, has_fixes: bool) -> String {
+    // Those of a link are not part of the choice.
+    let of_fixes = has_fixes && (choice.fixes.fixes.is_empty() || choice.fixes.origin().is_some());
+    match path.points.get(path.origin) {
+        _ if choice.start.is_some() => "origin: that of --start\n".to_owned(),
+        _ if of_fixes => "origin: that of the fixes\n".to_owned(),
+        Some(point) if point.resting || path.method == Method::Array => {
+            format!(
+                "origin: t = {:.2} s (end of the first rest)\n",
+                point.time_s
+            )
+        }
+        _ => String::new(),
+    }
+}
+
 /// The result first, then what it rests on, then remarks.
-fn text(path: &InertialPath, choice: &Choice) -> String {
+fn text(path: &InertialPath, choice: &Choice, has_fixes: bool) -> String {
     let mut text = match path.angular_rate() {
         Some((rate, sd)) => format!(
             "angular rate: {rate:.3} rad/s rms in motion ± {sd:.3} rad/s (median 1 σ){}\n",
@@ -354,7 +373,7 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
     text += &match path.points.iter().rfind(|p| p.valid) {
         None => "no position is known to the limit\n".to_owned(),
         Some(point) => {
-            let ([e, n, u], sd) = (point.position_m, point.sd_m());
+            let (at, sd) = (east_north_up(point.position_m), point.sd_m());
             let ends = path.points.last().is_some_and(|last| last.valid);
             let what = if ends {
                 "final position"
@@ -362,15 +381,14 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
                 "last valid position"
             };
             format!(
-                "{what}: E {e:+.3} N {n:+.3} U {u:+.3} m ± {sd:.3} m (1 σ), at {:.2} s\n",
+                "{what}: {at} m ± {sd:.3} m (1 σ), at {:.2} s\n",
                 point.time_s
             )
         }
     };
     text += &format!(
         "path: {:.3} m in {:.1} s, {}{}; {:.0} % of the samples are valid (σ below {} m)\n",
-        // An empty sum is −0.
-        path.distance_m() + 0.0,
+        path.distance_m(),
         duration(path),
         match path.method {
             Method::Strapdown => "with a gyroscope",
@@ -416,12 +434,7 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
         text += &format!("; within {within_m} m of the start");
     }
     text.push('\n');
-    if let Some(origin) = path.points.get(path.origin) {
-        text += &format!(
-            "origin: t = {:.2} s (end of the first rest)\n",
-            origin.time_s
-        );
-    }
+    text += &origin(path, choice, has_fixes);
     text += &moves(path);
     let fitted = if path.heading_fitted {
         ", heading fitted"

@@ -140,9 +140,12 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
     // A lost link loses no position.
     let mut path = session.live.path(points);
     path.findings.extend(fixes.finding().cloned());
+    let mut new = path.findings.clone();
+    new.retain(|finding| shown.is_new(finding));
     output.object(&present(
         arguments,
         &path,
+        &new,
         &choice,
         link.to_owned(),
         output,
@@ -201,7 +204,7 @@ impl Session {
         let choice = Choice {
             fixes: Fixes {
                 fixes: Vec::new(),
-                lever_arm_m: choice.fixes.lever_arm_m,
+                ..choice.fixes.clone()
             },
             ..choice.clone()
         };
@@ -296,17 +299,26 @@ impl Shown {
         Some(point)
     }
 
+    /// Whether no finding of this kind was printed.
+    fn is_new(&self, finding: &Finding) -> bool {
+        !self.said.contains(&kind(finding))
+    }
+
     /// Prints findings of a kind that was not printed before.
     fn say(&mut self, findings: &[Finding]) {
         for finding in findings {
-            let is_word = |c: &char| !c.is_ascii_digit() && *c != '.' && *c != 's';
-            let kind: String = finding.evidence.chars().filter(is_word).collect();
-            if !self.said.contains(&kind) {
-                self.said.push(kind);
+            if self.is_new(finding) {
+                self.said.push(kind(finding));
                 self.output.end_refresh();
                 let text = text(std::slice::from_ref(finding), 1);
                 self.output.print(text.trim_end());
             }
         }
     }
+}
+
+/// The text of a finding without its figures.
+fn kind(finding: &Finding) -> String {
+    let is_word = |c: &char| !c.is_ascii_digit() && *c != '.' && *c != 's';
+    finding.evidence.chars().filter(is_word).collect()
 }

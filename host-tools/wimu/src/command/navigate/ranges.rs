@@ -4,8 +4,8 @@ use std::path::Path;
 
 use serde::Serialize;
 use wimu_host::Result;
-use wimu_host::digits::significant;
-use wimu_host::finding::Finding;
+use wimu_host::digits::{east_north_up, significant};
+use wimu_host::finding::{Finding, FindingCode};
 use wimu_host::inertial::Method;
 use wimu_host::localization::{
     AnchorFound, Localization, LocalizationChoice, Noise, Parameter, RangePrior, RangeRecording,
@@ -49,6 +49,10 @@ pub fn run(arguments: &Navigate, anchors: &Path, output: Output) -> Result<()> {
     }
     let ranges = arguments.ranges.as_ref().unwrap_or(&arguments.input);
     let mut recording = RangeRecording::read(ranges, anchors)?;
+    if recording.planar {
+        let text = "the anchors have no Position U (m): all heights are zero";
+        recording.findings.push(FindingCode::Navigation.note(text));
+    }
     if arguments.ranges.is_some() {
         let motion = inertial::table(arguments, &arguments.input)?;
         recording.findings.extend(motion.findings.iter().cloned());
@@ -129,11 +133,8 @@ fn text(found: &Localization) -> String {
         median_sigma_m(found)
     );
     if let Some(point) = path.points.iter().rfind(|p| p.valid) {
-        let ([e, n, u], sd) = (point.position_m, point.sd_m());
-        text += &format!(
-            "; last: E {e:+.3} N {n:+.3} U {u:+.3} m ± {sd:.3} m at {:.2} s",
-            point.time_s
-        );
+        let (at, sd) = (east_north_up(point.position_m), point.sd_m());
+        text += &format!("; last: {at} m ± {sd:.3} m at {:.2} s", point.time_s);
     }
     let kind = match path.method {
         Method::Odometry => "ranges and wheel odometry",

@@ -13,6 +13,7 @@ mod input;
 mod magnetometer;
 mod numbers;
 mod page;
+mod pages;
 mod paired;
 mod range;
 mod reference;
@@ -261,8 +262,8 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
     {
         return Err(usage(
             format!(
-                "--sides names {} poses, the data have {}{}",
-                sides.len(),
+                "--sides names {}, the data have {}{}",
+                counted(sides.len(), "pose"),
                 found.poses.len(),
                 start_times(data, &found.poses)
             ),

@@ -212,6 +212,10 @@ pub trait Sink {
     fn gap(&mut self, _track: TrackId) {}
     /// Something noticed.
     fn finding(&mut self, finding: Finding);
+    /// Whether a file without inertial data serves.
+    fn takes_any(&self) -> bool {
+        false
+    }
 }
 
 /// Values of one quantity over time.

@@ -38,6 +38,7 @@ fn main() -> ExitCode {
             false => arguments.take_standard_input(),
         })
         .and_then(|_input| run(arguments.command, output));
+    progress::clear();
     match done.and_then(|code| Output::finish().map(|()| code)) {
         Ok(code) => ExitCode::from(code),
         Err(error) => {

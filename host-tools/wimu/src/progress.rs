@@ -1,4 +1,5 @@
-//! Progress on stderr of what takes longer than a second: a bar while a file is read, then the time of computing.
+//! Progress on stderr of what takes longer than a second: a bar while a file is read, otherwise the time since the latest
+//! output.
 
 use std::io::{IsTerminal, stderr};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,7 +11,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 /// Time after which progress is shown.
 const DELAY: Duration = Duration::from_secs(1);
-/// Interval between two looks at the time of computing.
+/// Interval between two looks at the time since the latest output.
 const TICK: Duration = Duration::from_millis(250);
 
 /// What takes long, since when, and what is shown of it.
@@ -22,7 +23,7 @@ struct Work {
 
 static WORK: Mutex<Option<Work>> = Mutex::new(None);
 
-/// Whether a screen has the terminal.
+/// Whether a screen has the terminal, or the command waits for data.
 static HIDDEN: AtomicBool = AtomicBool::new(false);
 
 fn work() -> MutexGuard<'static, Option<Work>> {
@@ -33,6 +34,7 @@ fn work() -> MutexGuard<'static, Option<Work>> {
 pub fn show() {
     if stderr().is_terminal() {
         wimu_host::progress::observe(step);
+        *work() = Some(Work::new(false));
         thread::spawn(|| {
             loop {
                 thread::sleep(TICK);
@@ -44,7 +46,7 @@ pub fn show() {
     }
 }
 
-/// Hides progress while a screen has the terminal.
+/// Hides progress while a screen has the terminal, or the command waits for data.
 pub fn hide(hidden: bool) {
     clear();
     HIDDEN.store(hidden, Ordering::Relaxed);
@@ -52,34 +54,39 @@ pub fn hide(hidden: bool) {
 
 /// Ends what is shown, before something is printed.
 pub fn clear() {
-    if let Some(bar) = work().take().and_then(|work| work.shown) {
-        bar.finish_and_clear();
+    if let Some(work) = work().as_mut() {
+        work.end(false);
     }
 }
 
 /// Takes the bytes read of a file and its length; `None` at its end.
 fn step(read: Option<(u64, u64)>) {
     let mut work = work();
-    let is_reading = read.is_some();
-    if work
-        .as_ref()
-        .is_none_or(|work| work.is_reading != is_reading)
-    {
-        let before = work.replace(Work {
-            is_reading,
-            began: Instant::now(),
-            shown: None,
-        });
-        if let Some(bar) = before.and_then(|before| before.shown) {
-            bar.finish_and_clear();
-        }
+    let Some(work) = work.as_mut() else { return };
+    if work.is_reading != read.is_some() {
+        work.end(read.is_some());
     }
-    if let (Some(work), Some(_)) = (work.as_mut(), read) {
+    if read.is_some() {
         work.display(read);
     }
 }
 
 impl Work {
+    fn new(is_reading: bool) -> Self {
+        Self {
+            is_reading,
+            began: Instant::now(),
+            shown: None,
+        }
+    }
+
+    /// Ends it; the next begins.
+    fn end(&mut self, is_reading: bool) {
+        if let Some(bar) = std::mem::replace(self, Self::new(is_reading)).shown {
+            bar.finish_and_clear();
+        }
+    }
+
     /// Shows it if it takes long.
     fn display(&mut self, read: Option<(u64, u64)>) {
         if self.began.elapsed() < DELAY || HIDDEN.load(Ordering::Relaxed) {
@@ -88,7 +95,7 @@ impl Work {
         let bar = self.shown.get_or_insert_with(|| {
             let template = match read {
                 Some(_) => "reading [{bar:30}] {percent} % of {total_bytes}, {eta} left",
-                None => "{spinner} computing, {elapsed}",
+                None => "{spinner} working, {elapsed}",
             };
             let style = ProgressStyle::with_template(template);
             let style = style.unwrap_or(ProgressStyle::default_bar());

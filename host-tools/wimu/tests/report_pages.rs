@@ -98,14 +98,16 @@ fn titled<'a>(seen: &'a Value, title: &str) -> &'a Value {
 }
 
 fn write_inputs(folder: &Path) {
-    let mut poses =
-        "Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)\n".to_owned();
-    for up in spread(20) {
-        let [x, y, z] = up.map(|f| 1024.0 * f + 20.0);
-        writeln!(poses, "{x},{y},{z}").unwrap();
-    }
-    fs::write(folder.join("poses.csv"), poses).unwrap();
     let mut noise = noise();
+    for (name, bias) in [("poses.csv", 20.0), ("later.csv", 20.5)] {
+        let mut poses =
+            "Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)\n".to_owned();
+        for up in spread(20) {
+            let [x, y, z] = up.map(|f| 1024.0 * f + bias + 0.1 * noise());
+            writeln!(poses, "{x},{y},{z}").unwrap();
+        }
+        fs::write(folder.join(name), poses).unwrap();
+    }
     let mut rest =
         "Time (s),Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²)".to_owned();
     for k in 0..12_000 {
@@ -180,6 +182,30 @@ fn every_report_works_in_a_browser() {
     let poses = ["calibrate", &poses, "--poses", "--sensitivity", "1024"];
     let sphere = report("calibrate.html", &poses);
     assert_eq!(titled(&sphere, "sphere")["space"], true);
+    let [first, later, cal] = ["poses.csv", "later.csv", "CAL.json"].map(at);
+    let several = [
+        &["calibrate", &first, &later][..],
+        &poses[2..],
+        &["-o", &cal],
+    ]
+    .concat();
+    let several = report("several.html", &several);
+    titled(&several, "Bias of each session");
+    let update = [
+        "calibrate",
+        &later,
+        "--poses",
+        "--method",
+        "update",
+        "--with",
+        &cal,
+    ];
+    titled(&report("update.html", &update), "each rest");
+    let reference = report(
+        "reference.html",
+        &["calibrate", &demo, "--method", "reference"],
+    );
+    titled(&reference, "Z: output less reference");
     let (ranges, anchors) = (at("ranges.csv"), at("anchors.csv"));
     let ranges = report("ranges.html", &["navigate", &ranges, "--anchors", &anchors]);
     titled(&ranges, "Innovation");

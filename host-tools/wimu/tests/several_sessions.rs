@@ -90,7 +90,6 @@ fn sessions_are_combined_and_navigation_uses_their_change() {
     for (case, more) in [
         ("four-angle", &[room.as_str(), "--method", "four-angle"][..]),
         ("magnetometer", &[&room, "--sensor", "magnetometer"]),
-        ("a report", &[&room, "--report", "report.html"]),
         ("a link", &["tcp://127.0.0.1:7100"]),
         ("height alone", &["--height", "100"]),
         (

@@ -7,6 +7,7 @@ use wimu_model::{CalibrationMethod, ErrorTerms, ParameterSet, SensorId};
 
 use super::{CalibrationFile, DatasheetReport, GyroscopeReport};
 use crate::finding::Outcome;
+use crate::plural::counted;
 use crate::recording::RateSource;
 
 /// Where a number comes from.
@@ -280,10 +281,10 @@ pub fn describe(set: &ParameterSet) -> Vec<String> {
                 sd(11)
             ));
             let mut line = format!(
-                "made by {}, {} poses, {} degrees of freedom, {:.2} mm/s² rms",
+                "made by {}, {}, {} of freedom, {:.2} mm/s² rms",
                 q.method,
-                q.poses,
-                q.dof,
+                counted(q.poses as usize, "pose"),
+                counted(q.dof as usize, "degree"),
                 q.rms_mps2 * 1e3
             );
             if let Some(loo) = q.loo_rms_mps2 {

@@ -191,7 +191,11 @@ impl<'a> Messages<'a> {
             topic.choose_clock(self.sink);
         }
         let damage = self.damage.text();
-        if !self.imu_topics().any(Topic::is_inertial) {
+        let serves = match self.sink.takes_any() && self.options.topic.is_none() {
+            true => self.topics.iter().any(|topic| topic.sensor.is_some()),
+            false => self.imu_topics().any(Topic::is_inertial),
+        };
+        if !serves {
             return Err(self.refusal(damage));
         }
         if let Some(damage) = damage {

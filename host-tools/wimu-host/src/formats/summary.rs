@@ -121,6 +121,10 @@ impl Sink for Counter {
             self.findings.push(finding);
         }
     }
+
+    fn takes_any(&self) -> bool {
+        true
+    }
 }
 
 struct TrackCounter {
@@ -285,7 +289,8 @@ impl std::fmt::Display for TrackSummary {
         } else {
             write!(out, "{} of {}", self.origin, self.quantity)?;
         }
-        write!(out, " ({}, {}): {} rows", self.name, self.unit, self.rows)?;
+        let rows = counted(self.rows as usize, "row");
+        write!(out, " ({}, {}): {rows}", self.name, self.unit)?;
         if let Some(rate) = self.rate_hz {
             write!(out, ", {rate:.1} Hz")?;
         }

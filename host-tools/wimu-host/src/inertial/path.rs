@@ -296,7 +296,8 @@ impl InertialPath {
         header.push("Valid".to_owned());
         writeln!(sink, "{}", header.join(",")).map_err(failed)?;
         for point in &self.points {
-            write!(sink, "{}", point.time_s).map_err(failed)?;
+            let time_s = (point.time_s * 1e9).round() / 1e9;
+            write!(sink, "{time_s}").map_err(failed)?;
             let (sigma, rate_sigma) = (point.sigma_m(), point.rate_sigma_rad_s());
             let values = point
                 .position_m

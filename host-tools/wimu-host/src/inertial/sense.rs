@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use crate::digits::significant;
 use crate::finding::{Finding, FindingCode};
 use crate::motion::{MotionRecording, UnitSample, median_step_s};
 use crate::plural::counted;
@@ -172,7 +173,10 @@ fn steps(recording: &MotionRecording) -> Result<()> {
     };
     Err(HostError::new(
         ErrorCode::DataRefused,
-        format!("its samples are {step_s} s apart: no position is found from those"),
+        format!(
+            "its samples are {} s apart: no position is found from those",
+            significant(step_s, 3)
+        ),
         remedy,
     )
     .at(&recording.name))

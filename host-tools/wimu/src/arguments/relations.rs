@@ -44,7 +44,7 @@ const TABLES: [Table; 3] = [
             ("dip",                   "· · · · · · ×"),
             ("poses",                 "× × × × · × ×"),
             ("link",                  "× × × × · × ×"),
-            ("report",                "× × × × · · ×"),
+            ("report",                "× × × × × × ×"),
             ("count",                 "× × × × · · ×"),
             ("push",                  "× × × × · · ×"),
             ("resume",                "× × × × · · ×"),
@@ -127,14 +127,14 @@ pub fn check(matches: &ArgMatches) -> Result<()> {
     {
         by_input(matches, &given)?;
         if name == "calibrate" {
-            several(matches, &given)?;
+            several(matches)?;
         }
     }
     Ok(())
 }
 
 /// Several sessions are files, each calibrated with the same method.
-fn several(matches: &ArgMatches, given: &[&str]) -> Result<()> {
+fn several(matches: &ArgMatches) -> Result<()> {
     let Some(more) = matches.get_many::<PathBuf>("more") else {
         return Ok(());
     };
@@ -145,12 +145,6 @@ fn several(matches: &ArgMatches, given: &[&str]) -> Result<()> {
         || !method.is_some_and(|method| methods.contains(method))
     {
         return Err(usage("several sessions do not go with this method", one));
-    }
-    if given.contains(&"report") {
-        return Err(usage(
-            "--report needs a single session",
-            "leave it out, or give one file",
-        ));
     }
     let input = matches.get_one::<String>("input").cloned();
     let names = more.map(|file| file.display().to_string());

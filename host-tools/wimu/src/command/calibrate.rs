@@ -14,6 +14,7 @@ use wimu_host::calibration::{self, CalibrateOptions, CalibrationFile, MethodChoi
 use wimu_host::finding::Outcome;
 use wimu_host::formats::{self, ReadOptions};
 use wimu_host::history;
+use wimu_host::html::Report;
 use wimu_host::recording::{Recording, Selection};
 use wimu_host::{Input, Result};
 use wimu_model::{ParameterSet, Sensitivity};
@@ -58,6 +59,14 @@ pub fn finish<R: Display + Serialize>(
     rest()?;
     output.object(report);
     Ok(exit_code)
+}
+
+/// Writes the report, if one was asked for.
+fn write_page(arguments: &Calibrate, page: impl FnOnce() -> Result<Report>) -> Result<()> {
+    match &arguments.report {
+        Some(path) => page()?.write(path),
+        None => Ok(()),
+    }
 }
 
 /// Reads the samples of `input` and the calibration that belongs to them: `given`, else that of the recording or of the
@@ -118,9 +127,7 @@ fn with_gravity(arguments: &Calibrate, output: Output) -> Result<u8> {
     let report = calibration::calibrate(&data.samples(selection)?, &options)?;
     let (path, file) = (arguments.output.as_deref(), report.file.clone());
     finish(&report, &report.outcome, path, file, output, || {
-        if let Some(path) = &arguments.report {
-            report.page()?.write(path)?;
-        }
+        write_page(arguments, || report.page())?;
         match (&mut client, &report.parameters) {
             (Some(client), Some(set)) if arguments.push => params::push(client, set, output),
             _ => Ok(()),
@@ -143,7 +150,9 @@ fn several(arguments: &Calibrate, output: Output) -> Result<u8> {
         .collect::<Result<_>>()?;
     let report = calibration::calibrate_several(&data, &options)?;
     let (path, file) = (arguments.output.as_deref(), report.file.clone());
-    finish(&report, &report.outcome, path, file, output, || Ok(()))
+    finish(&report, &report.outcome, path, file, output, || {
+        write_page(arguments, || report.page())
+    })
 }
 
 /// Calibrates one stream with another of the same motion.
@@ -170,7 +179,9 @@ fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
     };
     let report = calibration::compare_with_reference(&data, arguments.noise_ratio, utc_s())?;
     let (path, file) = (arguments.output.as_deref(), report.file.clone());
-    finish(&report, &report.outcome, path, file, output, || Ok(()))
+    finish(&report, &report.outcome, path, file, output, || {
+        write_page(arguments, || report.page(&data))
+    })
 }
 
 /// Checks and updates a stored calibration with later rests.
@@ -206,7 +217,9 @@ fn update(arguments: &Calibrate, output: Output) -> Result<u8> {
     let file = |set| CalibrationFile::after(with, &stored, set, &report.source);
     let file = report.parameters.as_ref().map(file);
     let path = arguments.output.as_deref();
-    finish(&report, &report.outcome, path, file, output, || Ok(()))
+    finish(&report, &report.outcome, path, file, output, || {
+        write_page(arguments, || report.page())
+    })
 }
 
 /// Now, s since 1970 UTC.

@@ -7,6 +7,7 @@ use wimu_host::csv::SENSITIVITY;
 use wimu_host::export::{self, ExportSource, ExportStream};
 use wimu_host::finding::{Finding, FindingCode, without_unit};
 use wimu_host::mcap_file::Wholeness;
+use wimu_host::plural::counted;
 use wimu_host::ros::{self, Decoded};
 use wimu_host::{HostError, Input, OutputFile, Result};
 
@@ -84,7 +85,8 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
     };
     let table = export::to_csv(&arguments.input, &source, stream, to)?;
     let (rows, link) = (table.rows, table.role.to_string());
-    output.print(format!("{file}: {rows} rows of the {link} link"));
+    let counted_rows = counted(rows as usize, "row");
+    output.print(format!("{file}: {counted_rows} of the {link} link"));
     let what = match model {
         Some(_) => "left out",
         None => "without a sensitivity",

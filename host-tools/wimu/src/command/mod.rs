@@ -33,6 +33,7 @@ use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, LinkUrl, Result};
 
 use crate::output::{Output, usage};
+use crate::progress;
 
 /// A connection to a board over a real link.
 type Connection = Client<Box<dyn Transport + Send>>;
@@ -98,6 +99,7 @@ fn not_over_input(input: &Path, output: Option<&Path>) -> Result<()> {
 
 /// The flag that Ctrl-C and SIGTERM set.
 fn interrupted() -> Result<Arc<AtomicBool>> {
+    progress::hide(true);
     static FLAG: OnceLock<Arc<AtomicBool>> = OnceLock::new();
     if let Some(flag) = FLAG.get() {
         return Ok(flag.clone());

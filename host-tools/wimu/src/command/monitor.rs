@@ -58,7 +58,8 @@ impl From<&Reading> for Line {
         Self {
             schema: "wimu.reading/1",
             sequence: reading.sequence,
-            time_s: reading.time.to_seconds(),
+            // The nearest number, which has no more digits than the microseconds.
+            time_s: reading.time.0 as f64 / 1e6,
             raw_lsb: reading.raw.map(|sample| sample.value),
             raw_angular_rate_lsb: reading.raw.and_then(|sample| sample.rate),
             specific_force_m_s2: reading.specific_force.0,

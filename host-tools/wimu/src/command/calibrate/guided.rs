@@ -12,6 +12,7 @@ use wimu_host::clock::Pace;
 use wimu_host::finding;
 use wimu_host::keys::KeyFolder;
 use wimu_host::live::{Heard, LiveClient, LiveLinks, Tap};
+use wimu_host::plural::counted;
 use wimu_host::recording::Selection;
 use wimu_host::{LinkUrl, Result};
 use wimu_link::Hello;
@@ -367,7 +368,8 @@ impl Guided<'_> {
             match (self.live.poses().len(), self.unsaved) {
                 (0, _) => output.print("no pose was captured"),
                 (count, None) => output.print(format!(
-                    "{count} poses are in {}; --resume continues there",
+                    "{} saved in {}; --resume continues there",
+                    counted(count, "pose"),
                     self.file.display()
                 )),
                 (_, Some(error)) => output.print(format!("the poses are not saved: {error}")),
@@ -379,10 +381,7 @@ impl Guided<'_> {
             let _ = std::fs::remove_file(&self.file);
         }
         let code = super::finish(report, &report.outcome, None, None, output, || {
-            if let Some(path) = &self.arguments.report {
-                report.page()?.write(path)?;
-            }
-            Ok(())
+            super::write_page(self.arguments, || report.page())
         })?;
         if let Some(path) = &self.written {
             output.print(format!("the calibration is in {}", path.display()));

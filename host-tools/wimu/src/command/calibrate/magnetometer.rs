@@ -5,7 +5,7 @@ use wimu_host::{ErrorCode, Result};
 use wimu_model::ParameterSet;
 
 use super::live::collect;
-use super::{finish, read_calibrated, reading};
+use super::{finish, read_calibrated, reading, write_page};
 use crate::arguments::Calibrate;
 use crate::command::params;
 use crate::output::Output;
@@ -28,9 +28,7 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
     let file = report.parameters.as_ref().map(file);
     let path = arguments.output.as_deref();
     finish(&report, &report.outcome, path, file, output, || {
-        if let Some(path) = &arguments.report {
-            report.page()?.write(path)?;
-        }
+        write_page(arguments, || report.page())?;
         match (&mut client, &report.parameters) {
             (Some(client), Some(set)) if arguments.push => params::push(client, set, output),
             _ => Ok(()),

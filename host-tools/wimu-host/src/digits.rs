@@ -10,14 +10,23 @@ fn decimals(value: f64, digits: i32) -> usize {
     (digits - 1 - leading).clamp(0, 7) as usize
 }
 
+/// The same text; of zero without a minus sign, with `sign` in its place.
+fn of_zero(text: String, sign: &str) -> String {
+    let is_zero = !text.contains(|c: char| matches!(c, '1'..='9' | 'N' | 'i'));
+    match text.strip_prefix('-') {
+        Some(rest) if is_zero => format!("{sign}{rest}"),
+        _ => text,
+    }
+}
+
 /// A number with `digits` significant digits; those before the decimal point are all shown.
 pub fn significant(value: f64, digits: i32) -> String {
-    format!("{value:.0$}", decimals(value, digits))
+    of_zero(format!("{value:.0$}", decimals(value, digits)), "")
 }
 
 /// As [`significant`], with the sign of a positive number.
 pub fn signed(value: f64, digits: i32) -> String {
-    format!("{value:+.0$}", decimals(value, digits))
+    of_zero(format!("{value:+.0$}", decimals(value, digits)), "+")
 }
 
 /// `1.0023 ± 0.0012`: the standard deviation with two significant digits, the value with as many decimals.
@@ -35,16 +44,17 @@ pub fn signed_with_sd(value: f64, sd: f64) -> String {
 
 /// `E +1.002 N +0.000 U -0.250`: components with three decimals, zero without a minus sign.
 pub fn east_north_up(components: [f64; 3]) -> String {
-    let [e, n, u] = components.map(|axis| (axis * 1e3).round() / 1e3 + 0.0);
-    format!("E {e:+.3} N {n:+.3} U {u:+.3}")
+    let [e, n, u] = components.map(|axis| of_zero(format!("{axis:+.3}"), "+"));
+    format!("E {e} N {n} U {u}")
 }
 
 fn parts(value: f64, sd: f64) -> [String; 2] {
     if sd < 5e-8 {
-        return [format!("{value:+.5}"), "0".to_owned()];
+        return [of_zero(format!("{value:+.5}"), "+"), "0".to_owned()];
     }
     let decimals = decimals(sd, 2);
-    [format!("{value:+.decimals$}"), format!("{sd:.decimals$}")]
+    let value = of_zero(format!("{value:+.decimals$}"), "+");
+    [value, format!("{sd:.decimals$}")]
 }
 
 #[cfg(test)]
@@ -56,6 +66,11 @@ mod tests {
         assert_eq!(significant(1849.771, 3), "1850");
         assert_eq!(significant(0.012_34, 3), "0.0123");
         assert_eq!(signed(30.525, 3), "+30.5");
+        assert_eq!(
+            [significant(-0.0, 3), signed(-1e-9, 3)],
+            ["0", "+0.0000000"]
+        );
+        assert_eq!(signed_with_sd(-0.04, 1.2), "+0.0 ± 1.2");
         assert_eq!(with_sd(1.002_345, 0.001_234), "1.0023 ± 0.0012");
         assert_eq!(signed_with_sd(0.5, 0.0), "+0.50000 ± 0");
         assert_eq!(signed_with_sd(12.3, f64::INFINITY), "+12 ± inf");

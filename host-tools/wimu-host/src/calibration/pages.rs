@@ -159,12 +159,16 @@ impl UpdateReport {
             return Ok(page);
         }
         let rests = || (0_u32..).map(f64::from).zip(&self.rests);
+        // Symmetric, and wide enough for both.
+        let half = rests().map(|(_, rest)| rest.residual_mm_s2.abs().max(rest.expected_sd_mm_s2));
+        let half = 1.1 * half.fold(0.0, f64::max);
         let expected =
             rests().map(|(k, rest)| (k, -rest.expected_sd_mm_s2, rest.expected_sd_mm_s2));
         page.chart(&Chart {
             title: "|f| − g of each rest under the stored calibration".to_owned(),
             x: "rest".to_owned(),
             y: "mm/s²".to_owned(),
+            y_range: Some((-half, half)),
             series: vec![
                 Series::line("expected, ± 1 σ", rests().map(|(k, _)| (k, 0.0)).collect()),
                 Series::dots(

@@ -20,6 +20,7 @@ use crate::csv::AccelerationUnit;
 use crate::digits::{signed_with_sd, with_sd};
 use crate::error::{ErrorCode, Result};
 use crate::finding::{FindingCode, Outcome, without_unit};
+use crate::plural::counted;
 
 /// An axis in a [`ReferenceReport`].
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -393,8 +394,8 @@ impl fmt::Display for ReferenceReport {
         }
         write!(
             out,
-            "± is 1 σ with {} degrees of freedom",
-            self.dof.unwrap_or(0)
+            "± is 1 σ with {} of freedom",
+            counted(self.dof.unwrap_or(0), "degree")
         )
     }
 }

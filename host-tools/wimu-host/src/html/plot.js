@@ -234,11 +234,14 @@ class WimuPlot {
     g.fillStyle = this.colour("ink");
     one.labels?.forEach((label, k) => {
       const [a, b, behind] = at(k), width = g.measureText(label).width;
+      // Left of the point where the right edge would cut it, below it where the upper edge would.
+      const left = this.area && a + 5 + width > this.area.x + this.area.w ? a - 5 - width : a + 5;
+      const low = this.area && b - 15 < this.area.y ? b + 17 : b;
       // A label upon another one would be illegible.
-      const covers = ([x, y, w]) => a + 5 < x + w && x < a + 5 + width && Math.abs(b - y) < 12;
+      const covers = ([x, y, w]) => left < x + w && x < left + width && Math.abs(low - y) < 12;
       if (!isFinite(a) || (back !== undefined && behind !== back) || this.labels.some(covers)) return;
-      this.labels.push([a + 5, b, width]);
-      g.fillText(label, a + 5, b - 3);
+      this.labels.push([left, low, width]);
+      g.fillText(label, left, low - 3);
     });
   }
 

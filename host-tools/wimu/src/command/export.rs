@@ -85,7 +85,7 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
     };
     let table = export::to_csv(&arguments.input, &source, stream, to)?;
     let (rows, link) = (table.rows, table.role.to_string());
-    let counted_rows = counted(rows as usize, "row");
+    let counted_rows = counted(rows, "row");
     output.print(format!("{file}: {counted_rows} of the {link} link"));
     let what = match model {
         Some(_) => "left out",

@@ -101,13 +101,18 @@ impl Output {
 
     /// Prints human text.
     pub fn print(self, text: impl AsRef<str>) {
+        self.line(text);
+    }
+
+    /// Prints human text. Returns false when the pipe is closed.
+    pub fn line(self, text: impl AsRef<str>) -> bool {
         progress::clear();
         let text = wrapped(text.as_ref(), self.text_width());
         if self.json || self.content {
             let _ = writeln!(io::stderr(), "{text}");
-        } else {
-            note(writeln!(io::stdout(), "{text}"));
+            return true;
         }
+        note(writeln!(io::stdout(), "{text}"))
     }
 
     /// Width at which human text wraps: that of the terminal that it goes to.

@@ -2,9 +2,10 @@
 
 use crate::kit;
 
+use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 
-use kit::{Simulator, in_folder, record_motion, snapshot, wimu};
+use kit::{Simulator, in_folder, record_motion, snapshot, wait_until, wimu};
 use serde_json::Value;
 
 /// What the command prints into a pipe.
@@ -80,4 +81,25 @@ fn a_board_that_was_asked_a_moment_ago_shows_every_sample_once() {
         .collect();
     assert!(numbers.len() > 16);
     assert!(numbers.is_sorted_by(|a, b| a < b), "{numbers:?}");
+}
+
+#[test]
+fn a_closed_pipe_ends_the_command() {
+    let board = Simulator::start(&["--motion", "rest"]);
+    for arguments in [&["monitor"][..], &["--json", "monitor"]] {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_wimu"))
+            .args(arguments)
+            .args([&board.cable, "--rate", "10"])
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("wimu was built");
+        let mut stdout = BufReader::new(child.stdout.take().expect("a pipe"));
+        stdout.read_line(&mut String::new()).expect("a line");
+        drop(stdout);
+        wait_until("the command ends", || {
+            child.try_wait().expect("a child").is_some()
+        });
+    }
 }

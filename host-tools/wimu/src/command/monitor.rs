@@ -54,7 +54,7 @@ impl From<&Reading> for Line {
     fn from(reading: &Reading) -> Self {
         let environment = reading.environment;
         let navigation = reading.navigation;
-        let scaled = |nm: [i64; 3]| nm.map(|nm| nm as f64 * 1e-9);
+        let scaled = |nm: [i64; 3]| nm.map(|nm| nm as f64 / 1e9);
         Self {
             schema: "wimu.reading/1",
             sequence: reading.sequence,
@@ -289,11 +289,10 @@ impl Lines {
                 return;
             }
             self.shown_s = Some(line.time_s);
-            if self.output.is_json() {
-                going = going && self.output.object(&line);
-            } else {
-                self.output.print(line.text(Output::width()));
-            }
+            going &= match self.output.is_json() {
+                true => self.output.object(&line),
+                false => self.output.line(line.text(Output::width())),
+            };
         });
         going
     }

@@ -3,12 +3,13 @@
 use ratatui::layout::{Alignment, Constraint, Layout, Rect};
 use ratatui::prelude::{Frame, Span};
 use ratatui::text::Line;
-use ratatui::widgets::{Paragraph, Wrap};
+use ratatui::widgets::Paragraph;
 use wimu_host::digits::significant;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use super::board;
 use super::widgets::{self, BAD, GOOD, STRONG};
+use crate::output::wrapped;
 
 /// Largest tilt from the next orientation that counts as reached, degrees. Chosen: any orientation is accepted.
 const REACHED_DEG: f64 = 10.0;
@@ -118,9 +119,7 @@ fn result(view: &CalibrateView, frame: &mut Frame, area: Rect, text: &str, first
     };
     let inner = widgets::panel(frame, area, title);
     frame.render_widget(
-        Paragraph::new(text)
-            .wrap(Wrap { trim: false })
-            .scroll((first, 0)),
+        Paragraph::new(wrapped(text, Some(inner.width.into()))).scroll((first, 0)),
         inner,
     );
 }

@@ -487,7 +487,7 @@ pub fn in_folder(name: &str) -> (String, tempfile::TempDir) {
 }
 
 /// Waits until a condition holds.
-pub fn wait_until(what: &str, holds: impl Fn() -> bool) {
+pub fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
     let until = Instant::now() + TIME_LIMIT;
     while !holds() {
         assert!(Instant::now() < until, "{what}: not in time");

@@ -272,7 +272,7 @@ impl Guided<'_> {
             Ok(report) => {
                 self.view.usable = report.outcome.exit_code() == 0;
                 let findings = finding::text(&report.outcome.findings, usize::MAX);
-                self.view.result = Some((format!("{report}{findings}"), 0));
+                self.view.result = Some((format!("{report}\n{findings}"), 0));
                 self.view.pushed = false;
                 self.report = Some(report);
                 self.view.message = String::new();

@@ -122,6 +122,19 @@ pub struct Chart {
     pub note: String,
 }
 
+impl Chart {
+    /// A chart in a plane: its title, its axes with their units, and its series.
+    pub fn new(title: impl Into<String>, x: &str, y: &str, series: Vec<Series>) -> Self {
+        Self {
+            title: title.into(),
+            x: x.to_owned(),
+            y: y.to_owned(),
+            series,
+            ..Self::default()
+        }
+    }
+}
+
 /// Confidence band of a series of a [`Chart`].
 #[derive(Clone, Debug)]
 pub struct Band {

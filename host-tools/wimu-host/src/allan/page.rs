@@ -107,15 +107,13 @@ fn curve(sensor: &str, unit: &str, points: &[PointReport]) -> Chart {
         let points = points.iter().map(|p| (p.tau_s, p.deviation_m_s2[axis]));
         Series::line(AXES[axis], points.collect())
     };
+    let title = format!("Allan deviation of the {sensor}, with its 95 % band");
+    let series = [0, 1, 2].map(line).into();
     Chart {
-        title: format!("Allan deviation of the {sensor}, with its 95 % band"),
-        x: "averaging time τ, s".to_owned(),
-        y: unit.to_owned(),
         log_x: true,
         log: true,
-        series: [0, 1, 2].map(line).into(),
         bands: [0, 1, 2].map(band).into(),
-        ..Chart::default()
+        ..Chart::new(title, "averaging time τ, s", unit, series)
     }
 }
 

@@ -313,13 +313,8 @@ impl MagnetometerReport {
             if points.is_empty() {
                 continue;
             }
-            page.chart(&Chart {
-                title: title.to_owned(),
-                x: "pose".to_owned(),
-                y: "µT".to_owned(),
-                series: vec![Series::dots(name, points)],
-                ..Chart::default()
-            })?;
+            let series = vec![Series::dots(name, points)];
+            page.chart(&Chart::new(title, "pose", "µT", series))?;
         }
         let rows: Vec<Vec<String>> = self
             .poses

@@ -106,16 +106,13 @@ impl CalibrationReport {
             Series::dots(name, points.collect())
         };
         let before = |pose: &StaticPose| (magnitude(pose.mean_m_s2) - self.gravity_m_s2) * 1e3;
+        let series = vec![
+            dots("before correction", &|pose| Some(before(pose))),
+            dots("after correction", &|pose| pose.residual_mm_s2),
+        ];
         Chart {
-            title: "Size of |f| − g in each pose".to_owned(),
-            x: "pose".to_owned(),
-            y: "mm/s²".to_owned(),
             log: true,
-            series: vec![
-                dots("before correction", &|pose| Some(before(pose))),
-                dots("after correction", &|pose| pose.residual_mm_s2),
-            ],
-            ..Chart::default()
+            ..Chart::new("Size of |f| − g in each pose", "pose", "mm/s²", series)
         }
     }
 

@@ -2,7 +2,7 @@
 
 use wimu_model::{ErrorModel, SpecificForceMps2};
 
-use super::{Paired, ReferenceReport, SeveralReport, UpdateReport};
+use super::{Paired, ReferenceReport, RestReport, SessionReport, SeveralReport, UpdateReport};
 use crate::chart::{Band, Chart, Series};
 use crate::digits::significant;
 use crate::error::Result;
@@ -55,47 +55,35 @@ impl SeveralReport {
             &format!("{scale} ppm"),
         );
         let warm = self.sessions.iter().all(|s| s.temperature_c.is_some());
-        let at = |k: usize| match self.sessions[k].temperature_c {
-            Some(celsius) if warm => celsius,
-            _ => k as f64,
-        };
-        let dots = |name: &str, of: &dyn Fn(usize) -> Option<f64>| Series {
-            labels: names.clone(),
-            ..Series::dots(
-                name,
-                (0..names.len())
-                    .map(|k| (at(k), of(k).unwrap_or(f64::NAN)))
-                    .collect(),
-            )
+        let dots = |name: &str, labels: &[String], of: &dyn Fn(&SessionReport) -> f64| {
+            let point = |(k, session): (usize, &SessionReport)| {
+                let celsius = session.temperature_c.filter(|_| warm);
+                (celsius.unwrap_or(k as f64), of(session))
+            };
+            Series {
+                labels: labels.to_vec(),
+                ..Series::dots(name, self.sessions.iter().enumerate().map(point).collect())
+            }
         };
         let x = if warm { "temperature, °C" } else { "session" };
         let bias = |axis: usize| {
-            dots(AXES[axis], &|k| {
-                Some(self.sessions[k].bias_difference_m_s2[axis] * 1e3)
-            })
+            let labels = if axis == 0 { &names[..] } else { &[] };
+            dots(AXES[axis], labels, &|s| s.bias_difference_m_s2[axis] * 1e3)
         };
+        let title = "Bias of each session less that of the combination";
+        page.chart(&Chart::new(title, x, "mm/s²", [0, 1, 2].map(bias).into()))?;
+        let own = |session: &SessionReport| session.own_rms_mm_s2.max(LEAST_MM_S2);
+        let combined = |session: &SessionReport| {
+            let rms = session.rms_mm_s2;
+            rms.map_or(f64::NAN, |rms| rms.max(LEAST_MM_S2))
+        };
+        let series = vec![
+            dots("its own calibration", &[], &own),
+            dots("combined calibration", &names, &combined),
+        ];
         page.chart(&Chart {
-            title: "Bias of each session less that of the combination".to_owned(),
-            x: x.to_owned(),
-            y: "mm/s²".to_owned(),
-            series: [0, 1, 2].map(bias).into(),
-            ..Chart::default()
-        })?;
-        let least = |rms: f64| rms.max(LEAST_MM_S2);
-        page.chart(&Chart {
-            title: "Size of |f| − g in each session, rms".to_owned(),
-            x: x.to_owned(),
-            y: "mm/s²".to_owned(),
             log: true,
-            series: vec![
-                dots("its own calibration", &|k| {
-                    Some(least(self.sessions[k].own_rms_mm_s2))
-                }),
-                dots("combined calibration", &|k| {
-                    self.sessions[k].rms_mm_s2.map(least)
-                }),
-            ],
-            ..Chart::default()
+            ..Chart::new("Size of |f| − g in each session, rms", x, "mm/s²", series)
         })?;
         Ok(page)
     }
@@ -126,16 +114,12 @@ impl ReferenceReport {
                 pairs.map(point).collect()
             };
             let after = |output| model.correct(SpecificForceMps2(output), None).0;
-            page.chart(&Chart {
-                title: format!("{name}: output less reference"),
-                x: "time, s".to_owned(),
-                y: "mm/s²".to_owned(),
-                series: vec![
-                    Series::line("before correction", over_time(&|output| output)),
-                    Series::line("after correction", over_time(&after)),
-                ],
-                ..Chart::default()
-            })?;
+            let series = vec![
+                Series::line("before correction", over_time(&|output| output)),
+                Series::line("after correction", over_time(&after)),
+            ];
+            let title = format!("{name}: output less reference");
+            page.chart(&Chart::new(title, "time, s", "mm/s²", series))?;
         }
         Ok(page)
     }
@@ -158,29 +142,26 @@ impl UpdateReport {
         if self.rests.is_empty() {
             return Ok(page);
         }
-        let rests = || (0_u32..).map(f64::from).zip(&self.rests);
-        // Symmetric, and wide enough for both.
-        let half = rests().map(|(_, rest)| rest.residual_mm_s2.abs().max(rest.expected_sd_mm_s2));
-        let half = 1.1 * half.fold(0.0, f64::max);
-        let expected =
-            rests().map(|(k, rest)| (k, -rest.expected_sd_mm_s2, rest.expected_sd_mm_s2));
+        let over = |of: &dyn Fn(&RestReport) -> f64| -> Vec<(f64, f64)> {
+            let numbered = (0_u32..).map(f64::from).zip(&self.rests);
+            numbered.map(|(k, rest)| (k, of(rest))).collect()
+        };
+        let sd = over(&|rest| rest.expected_sd_mm_s2);
+        // Symmetric, and wide enough for all.
+        let sizes = (self.rests.iter()).flat_map(|r| [r.residual_mm_s2.abs(), r.expected_sd_mm_s2]);
+        let half = 1.1 * sizes.fold(0.0, f64::max);
+        let series = vec![
+            Series::line("expected, ± 1 σ", over(&|_| 0.0)),
+            Series::dots("rest", over(&|rest| rest.residual_mm_s2)),
+        ];
+        let title = "|f| − g of each rest under the stored calibration";
         page.chart(&Chart {
-            title: "|f| − g of each rest under the stored calibration".to_owned(),
-            x: "rest".to_owned(),
-            y: "mm/s²".to_owned(),
             y_range: Some((-half, half)),
-            series: vec![
-                Series::line("expected, ± 1 σ", rests().map(|(k, _)| (k, 0.0)).collect()),
-                Series::dots(
-                    "rest",
-                    rests().map(|(k, rest)| (k, rest.residual_mm_s2)).collect(),
-                ),
-            ],
             bands: vec![Band {
                 series: 0,
-                points: expected.collect(),
+                points: sd.into_iter().map(|(k, sd)| (k, -sd, sd)).collect(),
             }],
-            ..Chart::default()
+            ..Chart::new(title, "rest", "mm/s²", series)
         })?;
         Ok(page)
     }

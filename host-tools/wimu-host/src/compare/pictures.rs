@@ -133,14 +133,8 @@ impl Comparison {
     }
 }
 
-fn chart(title: String, y: &str, series: Vec<Series>) -> Chart {
-    Chart {
-        title,
-        x: "time, s".to_owned(),
-        y: y.to_owned(),
-        series,
-        ..Chart::default()
-    }
+fn chart(title: impl Into<String>, y: &str, series: Vec<Series>) -> Chart {
+    Chart::new(title, "time, s", y, series)
 }
 
 /// Wireless less cable, before and after correction.
@@ -171,7 +165,7 @@ fn gap(history: &History, values: &Values) -> [(&'static str, Chart); 2] {
                 Series::line(AXES[axis], chart::broken(points.collect()))
             })
             .collect();
-        (name, chart(title.to_owned(), "mm/s²", series))
+        (name, chart(title, "mm/s²", series))
     })
 }
 
@@ -184,7 +178,7 @@ fn evolution(history: &History) -> Vec<(&'static str, Chart)> {
     let last = history.evolution.last().map(|(_, axes)| *axes);
     let has_line = |axis: usize| last.is_some_and(|axes| axes[axis].line.is_some());
     let picture = |title: &str, y: &str, of: &Estimate<'_>| {
-        let mut picture = chart(title.to_owned(), y, Vec::new());
+        let mut picture = chart(title, y, Vec::new());
         for (axis, name) in AXES.into_iter().enumerate() {
             let points: Vec<(f64, f64, f64)> = history
                 .evolution
@@ -264,7 +258,7 @@ fn over_time(history: &History) -> [(&'static str, Chart); 2] {
     let latency = Chart {
         log: true,
         ..chart(
-            "Latency from the newest sample of a batch to its arrival".to_owned(),
+            "Latency from the newest sample of a batch to its arrival",
             "ms",
             series,
         )

@@ -86,12 +86,9 @@ impl InertialPath {
     /// A chart of values with their standard deviations over time, in which what is not valid is marked.
     fn over_time(&self, title: &str, unit: &str, of: &[(&str, Of<'_>)]) -> Chart {
         let mut chart = Chart {
-            title: title.to_owned(),
-            x: "time, s".to_owned(),
-            y: unit.to_owned(),
             marked: self.not_valid(),
             y_range: self.range_of(&of.iter().map(|(_, of)| *of).collect::<Vec<_>>()),
-            ..Chart::default()
+            ..Chart::new(title, "time, s", unit, Vec::new())
         };
         if !chart.marked.is_empty() {
             chart.note = format!(
@@ -203,15 +200,12 @@ impl InertialPath {
     }
 
     fn space(&self, more: &[Series]) -> Chart {
+        let series = [&self.lines(), more].concat();
         Chart {
-            title: "Path in space, while valid".to_owned(),
-            x: "east, m".to_owned(),
-            y: "north, m".to_owned(),
             z: "up, m".to_owned(),
             equal: true,
-            series: [&self.lines(), more].concat(),
             note: "Drag to rotate.".to_owned(),
-            ..Chart::default()
+            ..Chart::new("Path in space, while valid", "east, m", "north, m", series)
         }
     }
 
@@ -227,15 +221,11 @@ impl InertialPath {
             own.map(|own| others.fold(own, |(low, high), v| (low.min(v), high.max(v))))
         };
         Chart {
-            title: "Plan, while valid".to_owned(),
             equal: true,
-            x: "east, m".to_owned(),
-            y: "north, m".to_owned(),
             x_range: range(0, |point| point.0),
             y_range: range(1, |point| point.1),
-            series,
             note: "Ellipses: 1 σ (39 % probability).".to_owned(),
-            ..Chart::default()
+            ..Chart::new("Plan, while valid", "east, m", "north, m", series)
         }
     }
 

@@ -276,14 +276,12 @@ fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
         let points = tilts.map(|(index, tilt)| (index as f64 + 1.0, tilt[which].abs() * 1e3));
         Series::dots(name, points.collect())
     };
+    let title = "|f| − g on ten tilts that were not used in the fit";
+    let series = vec![tilt(0, "uncorrected"), tilt(1, "corrected on the board")];
     let tilts = Chart {
-        title: "|f| − g on ten tilts that were not used in the fit".to_owned(),
-        x: "tilt".to_owned(),
-        y: "mm/s²".to_owned(),
         log: true,
         y_range: Some((0.01, 2000.0)),
-        series: vec![tilt(0, "uncorrected"), tilt(1, "corrected on the board")],
-        ..Chart::default()
+        ..Chart::new(title, "tilt", "mm/s²", series)
     };
     let path = |points: &[Point], name: &str| {
         let start = points.first().map_or(0.0, |point| point.time.to_seconds());
@@ -296,24 +294,20 @@ fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
         };
         Series::line(name, points.iter().map(distance).collect())
     };
+    let what = match outcome.attitude_deg {
+        Some(_) => "path",
+        None => "slide",
+    };
+    let title =
+        format!("Distance computed by the board, for a {what} of 1 m in 3 s between two rests");
+    let series = vec![
+        path(&outcome.uncalibrated_path, "uncalibrated"),
+        path(&outcome.calibrated_path, "calibrated"),
+        path(&outcome.zupt_path, "calibrated, zero-velocity updates"),
+    ];
     let slide = Chart {
-        title: format!(
-            "Distance computed by the board, for a {} of 1 m in 3 s between two rests",
-            if outcome.attitude_deg.is_some() {
-                "path"
-            } else {
-                "slide"
-            }
-        ),
-        x: "time (s)".to_owned(),
-        y: "distance from the start (m)".to_owned(),
         y_range: Some((0.0, 3.0)),
-        series: vec![
-            path(&outcome.uncalibrated_path, "uncalibrated"),
-            path(&outcome.calibrated_path, "calibrated"),
-            path(&outcome.zupt_path, "calibrated, zero-velocity updates"),
-        ],
-        ..Chart::default()
+        ..Chart::new(title, "time (s)", "distance from the start (m)", series)
     };
     [("tilts", tilts), ("slide", slide)]
 }

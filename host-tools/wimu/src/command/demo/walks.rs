@@ -207,11 +207,7 @@ impl Walks {
 
 fn plan(title: &str, series: Vec<Series>) -> Chart {
     Chart {
-        title: title.to_owned(),
-        x: "east, m".to_owned(),
-        y: "north, m".to_owned(),
         equal: true,
-        series,
-        ..Chart::default()
+        ..Chart::new(title, "east, m", "north, m", series)
     }
 }

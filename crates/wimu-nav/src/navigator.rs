@@ -9,7 +9,7 @@ use core::fmt;
 use nalgebra::{Matrix1, Matrix3, RealField, Rotation3, SMatrix, UnitQuaternion, Vector3};
 
 use crate::filter::{Filter, Gate, Innovation};
-use crate::process::{ImuErrors, Unmeasured};
+use crate::process::{ImuErrors, Process, Unmeasured};
 use crate::rotation::{about_up, level, real, yaw};
 use crate::sensor::{MagneticField, Magnetometer, Measurement, Position, Velocity, recover};
 use crate::smoother::Recorder;
@@ -233,6 +233,7 @@ struct Since<R> {
 pub struct Navigator<R, M, const N: usize, L = ()> {
     recorder: L,
     settings: Settings<R>,
+    layout: Layout<R, N>,
     filter: Filter<R, N>,
     model: M,
     magnetometer: Magnetometer<R>,
@@ -271,6 +272,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             recorder: (),
             settings,
             filter: Filter::new(&layout, start.attitude),
+            layout,
             model,
             magnetometer,
             reference_ut: start.field_ut,
@@ -293,6 +295,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         Navigator {
             recorder,
             settings: self.settings,
+            layout: self.layout,
             filter: self.filter,
             model: self.model,
             magnetometer: self.magnetometer,
@@ -331,8 +334,34 @@ where
         &self.filter
     }
 
-    /// Update with a measurement of another sensor, at the time of the last prediction: a position, a range, a height. A
-    /// sensor with states of its own, such as a bias, needs a [`Filter`].
+    /// States of another sensor, such as the bias of a range: `claim` claims them in the layout.
+    ///
+    /// # Errors
+    /// [`LayoutFull`].
+    pub fn claim<T>(
+        &mut self,
+        claim: impl FnOnce(&mut Layout<R, N>) -> Result<T, LayoutFull>,
+    ) -> Result<T, LayoutFull> {
+        let mut layout = self.layout.clone();
+        let claimed = claim(&mut layout)?;
+        self.filter.extend(&layout, self.layout.used);
+        self.layout = layout;
+        self.recorder.restarted(&self.filter);
+        Ok(claimed)
+    }
+
+    /// Changes what is known of claimed states, such as a correlation between them.
+    pub fn correlate(&mut self, change: impl FnOnce(&mut Filter<R, N>)) {
+        change(&mut self.filter);
+        self.recorder.restarted(&self.filter);
+    }
+
+    /// Predicts claimed states, such as a correlated error, up to the last sample. The process changes no other state.
+    pub fn predict(&mut self, process: &impl Process<R, N>) {
+        self.filter.predict_recorded(process, &mut self.recorder);
+    }
+
+    /// Update with a measurement of another sensor, at the time of the last prediction: a position, a range, a height.
     pub fn update<const K: usize>(
         &mut self,
         measurement: &impl Measurement<R, N, K>,
@@ -550,6 +579,7 @@ where
             return;
         };
         self.filter = new.filter;
+        self.filter.extend(&self.layout, new.layout.used);
         self.model = new.model;
         self.since = new.since;
         self.resting = false;

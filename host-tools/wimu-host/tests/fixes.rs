@@ -71,11 +71,9 @@ fn recorded(arm_m: f64, late_s: f64) -> (MotionRecording, Vec<Fix>) {
 
 fn fix(time_s: f64, position_m: [f64; 3]) -> Fix {
     Fix {
-        time_s,
         position_m,
         position_sd_m: [0.05; 3],
-        velocity_mps: None,
-        heading_rad: None,
+        ..Fix::at(time_s)
     }
 }
 
@@ -84,6 +82,7 @@ fn aided(fixes: Vec<Fix>, arm_m: f64) -> Choice {
         fixes: Fixes {
             fixes,
             lever_arm_m: [arm_m, 0.0, 0.0],
+            ..Fixes::default()
         },
         ..Choice::default()
     }

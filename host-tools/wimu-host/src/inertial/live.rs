@@ -1,18 +1,20 @@
 //! Navigation of a stream.
 
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Vector3};
 use wimu_nav::navigator::{Gyroscope, Model, NoGyroscope, Profile, Sample};
 use wimu_nav::stance::AHEAD_S;
+use wimu_nav::state::{POSITION, VELOCITY};
 use wimu_nav::stationarity::Detector;
 
-use super::fixes::{Fix, Fixes};
+use super::fixes::{Aided, Fix, Fixes};
 use super::sense::{Senses, clipped};
 use super::track::{Input, Track, counted_findings};
 use super::unit::{HEADINGS, OnceEachField, Unit, noise_mps2, sample};
-use super::{Choice, InertialPath, Method, PathPoint};
-use crate::Result;
+use super::{Choice, InertialPath, Method, PathPoint, StartPose};
 use crate::finding::{Finding, FindingCode};
+use crate::localization::AnchorStates;
 use crate::motion::{MotionRecording, UnitSample};
+use crate::{ErrorCode, Result};
 
 /// Samples before the first answer, s: what shows whether the sensors are calibrated, and the alignment.
 const START_S: f64 = 3.0;
@@ -22,6 +24,8 @@ const BLOCK_S: f64 = 0.1;
 const KEPT_S: f64 = AHEAD_S + 1.0;
 /// Difference of the logarithms of two likelihoods beyond which the smaller one is ruled out: odds of 1 to 2·10⁹.
 const RULED_OUT: f64 = 21.4;
+/// Standard deviation of a heading of which nothing is known, rad.
+const ANY_HEADING: f64 = 1.81;
 
 /// A unit that is navigated while it moves, with the filter of [`navigate`](super::navigate).
 ///
@@ -52,7 +56,8 @@ pub struct Live {
     once: OnceEachField,
     begun: Option<Begun>,
     findings: Vec<Finding>,
-    late: usize,
+    /// Fixes and ranges that came too late.
+    late: [usize; 2],
     not_finite: usize,
     clipped: usize,
 }
@@ -80,7 +85,7 @@ impl Live {
             once: OnceEachField::default(),
             begun: None,
             findings: Vec::new(),
-            late: 0,
+            late: [0; 2],
             not_finite: 0,
             clipped: 0,
         }
@@ -90,7 +95,7 @@ impl Live {
     /// repeated.
     ///
     /// # Errors
-    /// `data_refused`, three seconds after the first sample: these do not show gravity.
+    /// `data_refused`, three seconds after the first sample: these do not show gravity, or there are too many anchors.
     pub fn push(&mut self, time_s: f64, sample: UnitSample) -> Result<()> {
         let mut values = sample.force_mps2.into_iter().chain([time_s]);
         if !values.all(f64::is_finite) {
@@ -115,12 +120,12 @@ impl Live {
         Ok(())
     }
 
-    /// A measurement of another system. A fix of the horizontal position moves the path to the frame of the fixes.
+    /// A measurement of another system. A fix of the horizontal position, or ranges of a second, move the path to their frame.
     pub fn fix(&mut self, fix: Fix) {
         // Before the filter begins the horizon is at the first sample.
         let horizon_s = self.recording.times_s.get(self.taken);
         if horizon_s.is_some_and(|horizon_s| fix.time_s < *horizon_s) {
-            self.late += 1;
+            self.late[usize::from(fix.range_m.is_some())] += 1;
             return;
         }
         let fixes = &mut self.choice.fixes.fixes;
@@ -141,7 +146,18 @@ impl Live {
             .map_or(Method::Strapdown, |begun| begun.method);
         let mut path = InertialPath::new(method, points, 0, self.choice.limit_m);
         path.findings = self.findings();
+        path.aided = self.aided();
         path
+    }
+
+    /// What happened to the fixes and to the ranges up to now.
+    pub fn aided(&self) -> [Aided; 2] {
+        let begun = self.begun.as_ref();
+        let mut aided = begun.map_or_else(Default::default, |begun| begun.path.aided());
+        for (aided, late) in aided.iter_mut().zip(self.late) {
+            aided.late = late;
+        }
+        aided
     }
 
     /// Where the unit is at the newest sample; `None` in the first three seconds.
@@ -156,7 +172,7 @@ impl Live {
         Some(point)
     }
 
-    /// Headings that explain the fixes: the path is not valid while there are several.
+    /// Headings that explain the fixes: the path is not valid while they have different positions.
     pub fn headings(&self) -> usize {
         self.begun.as_ref().map_or(1, |begun| begun.path.headings())
     }
@@ -171,7 +187,8 @@ impl Live {
         let mut found = self.findings.clone();
         let late = "arrived later than the filter waits: not used (--fix-delay)";
         let counts = [
-            (self.late, "fix", late),
+            (self.late[0], "fix", late),
+            (self.late[1], "range", late),
             (self.clipped, "clipped sample", "not used: σ grows there"),
             (self.not_finite, "sample", "that is not finite: not used"),
         ];
@@ -180,7 +197,7 @@ impl Live {
             found.extend(counted_findings(FindingCode::SamplesLeftOut, one, &counts));
         }
         if let Some(begun) = &self.begun {
-            found.extend(begun.path.findings());
+            found.extend(begun.path.findings(&self.choice.fixes));
         }
         found
     }
@@ -189,8 +206,9 @@ impl Live {
         let begun_s = self.recording.times_s[0];
         let fixes = &mut self.choice.fixes.fixes;
         let before = fixes.partition_point(|fix| fix.time_s < begun_s);
-        fixes.drain(..before);
-        self.late += before;
+        for fix in fixes.drain(..before) {
+            self.late[usize::from(fix.range_m.is_some())] += 1;
+        }
         let recording = &self.recording;
         let senses = Senses::of(recording)?;
         let method = match recording.samples.iter().any(|s| s.rate_rad_s.is_some()) {
@@ -207,9 +225,12 @@ impl Live {
         }
         let noise_mps2 = noise_mps2(&recording.times_s, &recording.samples);
         let unit = unit(recording, &senses, &senses.clipped, noise_mps2);
-        let path: Box<dyn Follow + Send> = match method {
-            Method::Strapdown => unit.begin::<Gyroscope<f64>, 40>(&self.choice, method)?,
-            _ => unit.begin::<NoGyroscope<f64>, 24>(&self.choice, method)?,
+        let (choice, ranges) = (&self.choice, self.choice.fixes.ranging.is_some());
+        let path: Box<dyn Follow + Send> = match (method, ranges) {
+            (Method::Strapdown, false) => unit.begin::<Gyroscope<f64>, 40>(choice, method)?,
+            (Method::Strapdown, true) => unit.begin::<Gyroscope<f64>, 64>(choice, method)?,
+            (_, false) => unit.begin::<NoGyroscope<f64>, 24>(choice, method)?,
+            (_, true) => unit.begin::<NoGyroscope<f64>, 48>(choice, method)?,
         };
         self.begun = Some(Begun {
             method,
@@ -283,11 +304,20 @@ impl Unit<'_> {
         let samples: Vec<_> = self.samples.iter().map(sample).collect();
         let inputs = self.inputs(&samples, choice, method);
         let rests: Vec<bool> = inputs.iter().map(|input| input.resting).collect();
-        let start = self.start::<M, N>(&samples, &rests, choice)?;
+        let mut start = self.start::<M, N>(&samples, &rests, choice)?;
         let at_rest = self.first_rest(&rests).is_some();
+        let ranging = choice.fixes.ranging.as_ref();
+        let anchors = ranging.map(|ranging| AnchorStates::claim(ranging, &mut start));
+        let anchors = anchors.transpose().map_err(|error| {
+            let remedy = "give at most 12 anchors beside a board";
+            ErrorCode::DataRefused.error(format!("too many anchors: {error}"), remedy)
+        })?;
         Ok(Box::new(Headings {
             tracks: vec![Track::new(start, choice, self.times_s[0], at_rest)],
-            placed: choice.start.is_some(),
+            placed: choice.start.is_some() && anchors.is_none(),
+            anchors,
+            given: choice.start,
+            limit_m: choice.limit_m,
             jumped_s: None,
         }))
     }
@@ -301,14 +331,22 @@ trait Follow {
     /// The point after further samples, which are not taken.
     fn ahead(&self, inputs: &[Input], fixes: &Fixes) -> Option<PathPoint>;
 
-    fn findings(&self) -> Vec<Finding>;
+    fn findings(&self, fixes: &Fixes) -> Vec<Finding>;
 
     fn headings(&self) -> usize;
+
+    /// What happened to fixes and ranges.
+    fn aided(&self) -> [Aided; 2];
 }
 
 /// A path at several headings, until fixes rule out all but one.
 struct Headings<M, const N: usize> {
     tracks: Vec<Track<M, N>>,
+    /// States of the anchors of ranges.
+    anchors: Option<AnchorStates>,
+    /// Pose at the start in the frame of the anchors.
+    given: Option<StartPose>,
+    limit_m: f64,
     /// Whether the path is in the frame of the fixes.
     placed: bool,
     /// When it was moved to it, s.
@@ -322,19 +360,38 @@ impl<M: Model<f64, N> + Clone, const N: usize> Headings<M, N> {
         self.tracks.iter().max_by(ordered)
     }
 
-    /// Moves the path to the first fix, at all headings.
-    fn place(&mut self, fix: &Fix) {
+    /// Moves the path at a time, s, to positions that fixes or ranges show, each at all headings.
+    fn place(&mut self, positions: &[(Vector3<f64>, f64)], time_s: f64) {
         let track = &self.tracks[0];
-        let all = (0..HEADINGS).map(|k| {
+        let turn = |k| f64::from(k) * std::f64::consts::TAU / f64::from(HEADINGS);
+        let given = self.given.and_then(|pose| pose.heading_rad);
+        let headings: Vec<f64> = given.map_or_else(
+            || (0..HEADINGS).map(turn).collect(),
+            |heading| vec![heading],
+        );
+        let pairs = positions
+            .iter()
+            .flat_map(|position| headings.iter().map(move |heading| (position, heading)));
+        let all = pairs.map(|(position, heading)| {
             let mut track = track.clone();
-            track.place(
-                fix,
-                f64::from(k) * std::f64::consts::TAU / f64::from(HEADINGS),
-            );
+            track.place(*position, *heading);
+            track.aiding.anchors = self.anchors.clone();
             track
         });
         self.tracks = all.collect();
-        (self.placed, self.jumped_s) = (true, Some(fix.time_s));
+        (self.placed, self.jumped_s) = (true, Some(time_s));
+    }
+
+    /// Whether all headings have the position of the best one to the limit, also after the time of further samples.
+    fn agree(&self, best: &Track<M, N>, inputs: &[Input]) -> bool {
+        let ends = inputs.first().zip(inputs.last());
+        let ahead_s = ends.map_or(0.0, |(first, last)| last.time_s - first.time_s);
+        let at = |track: &Track<M, N>| {
+            let state = &track.navigator.filter().state;
+            state.get(POSITION) + state.get(VELOCITY) * ahead_s
+        };
+        let apart = |track: &Track<M, N>| (at(track) - at(best)).norm();
+        self.tracks.iter().all(|track| apart(track) <= self.limit_m)
     }
 
     /// Drops headings that are ruled out, and those that have come to the solution of a more probable one.
@@ -347,7 +404,12 @@ impl<M: Model<f64, N> + Clone, const N: usize> Headings<M, N> {
                 let apart = track.navigator.heading() - other.navigator.heading();
                 let apart = apart.sin().atan2(apart.cos()).abs();
                 let covariance = other.navigator.solution().attitude_covariance;
+                let [here, there] = [&track, other].map(|track| track.navigator.filter());
+                let distance = here.state.get(POSITION) - there.state.get(POSITION);
+                let variance =
+                    there.covariance(POSITION).trace() + here.covariance(POSITION).trace();
                 apart < Matrix3::from(covariance)[(2, 2)].sqrt()
+                    && distance.norm_squared() < variance
             };
             let is_lost = kept.first().is_some_and(|best| {
                 best.aiding.log_likelihood - track.aiding.log_likelihood > RULED_OUT
@@ -363,9 +425,11 @@ impl<M: Model<f64, N> + Clone, const N: usize> Headings<M, N> {
 impl<M: Model<f64, N> + Clone, const N: usize> Follow for Headings<M, N> {
     fn advance(&mut self, inputs: &[Input], fixes: &Fixes) {
         for input in inputs {
-            let first = fixes.origin().filter(|fix| fix.time_s <= input.time_s);
-            if let (false, Some(fix)) = (self.placed, first) {
-                self.place(fix);
+            if !self.placed {
+                let positions = fixes.positions(input.time_s, self.given.as_ref());
+                if !positions.is_empty() {
+                    self.place(&positions, input.time_s);
+                }
             }
             for track in &mut self.tracks {
                 track.step(input, fixes);
@@ -385,7 +449,10 @@ impl<M: Model<f64, N> + Clone, const N: usize> Follow for Headings<M, N> {
             last = Some(track.step(input, fixes));
         }
         let mut point = last?;
-        point.valid = track.has_origin() && self.tracks.len() == 1;
+        point.valid = track.has_origin() && self.agree(self.best()?, inputs);
+        if self.tracks.len() > 1 {
+            point.attitude_sd_rad[2] = ANY_HEADING;
+        }
         Some(point)
     }
 
@@ -393,14 +460,20 @@ impl<M: Model<f64, N> + Clone, const N: usize> Follow for Headings<M, N> {
         self.tracks.len()
     }
 
-    fn findings(&self) -> Vec<Finding> {
+    fn aided(&self) -> [Aided; 2] {
+        let of = |track: &Track<M, N>| [track.aiding.fixes, track.aiding.ranges];
+        self.best().map_or_else(Default::default, of)
+    }
+
+    fn findings(&self, fixes: &Fixes) -> Vec<Finding> {
         let mut found = Vec::new();
         if let Some(jumped_s) = self.jumped_s {
-            let text = format!("the path was moved to the frame of the fixes at {jumped_s:.2} s");
+            let whose = fixes.ranging.as_ref().map_or("fixes", |_| "anchors");
+            let text = format!("the path was moved to the frame of the {whose} at {jumped_s:.2} s");
             found.push(FindingCode::Navigation.note(text));
         }
         if let Some(best) = self.best() {
-            found.extend(best.findings());
+            found.extend(best.findings(fixes.ranging.as_ref()));
         }
         found
     }

@@ -31,6 +31,7 @@ mod rates;
 mod report;
 mod sense;
 mod smooth;
+mod suspects;
 mod track;
 mod truth;
 mod unit;
@@ -39,7 +40,7 @@ use std::ops::RangeInclusive;
 
 pub use array::{navigate_array, navigate_axes};
 pub use fix_link::{FixLink, LeastDelay};
-pub use fixes::{Fix, Fixes};
+pub use fixes::{Aided, Fix, Fixes};
 pub use horizon::{Horizon, RestTimes};
 pub use live::Live;
 pub use moves::Move;

@@ -1,11 +1,13 @@
 //! A navigator along the samples of a unit, with what aids it.
 
+use nalgebra::Vector3;
 use wimu_nav::navigator::{Model, Navigator, Profile, Sample, SampleFault};
 use wimu_nav::smoother::Recorder;
 
-use super::fixes::{self, Aiding, Fix, Fixes};
+use super::fixes::{self, Aiding, Fixes};
 use super::{Choice, PathPoint};
 use crate::finding::{Finding, FindingCode};
+use crate::localization::Ranging;
 use crate::plural::counted;
 
 /// A start in motion ends with the first rest of this length, s.
@@ -61,9 +63,9 @@ impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
         }
     }
 
-    /// Moves to the frame of fixes, at a heading, rad.
-    pub fn place(&mut self, fix: &Fix, heading_rad: f64) {
-        fixes::place(&mut self.navigator, fix, heading_rad);
+    /// Moves to a position in the frame of fixes, m, with its standard deviation, at a heading, rad.
+    pub fn place(&mut self, position: (Vector3<f64>, f64), heading_rad: f64) {
+        fixes::place(&mut self.navigator, position, heading_rad);
         self.framed = true;
     }
 
@@ -119,13 +121,13 @@ impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
     }
 
     /// What was noticed: samples that were not used, recoveries and restarts of the filter, and the use of fixes.
-    pub fn findings(&self) -> Vec<Finding> {
+    pub fn findings(&self, ranging: Option<&Ranging>) -> Vec<Finding> {
         let left_out = [
             (self.no_time, "whose time goes back: not used"),
             (self.not_finite, "that is not finite: not used"),
         ];
         let mut found = counted_findings(FindingCode::SamplesLeftOut, "sample", &left_out);
-        found.extend(self.aiding.findings());
+        found.extend(self.aiding.findings(ranging));
         let recoveries = self.navigator.recoveries() as usize;
         let contradicted = "contradicted the estimated velocity: σ was enlarged there";
         found.extend(counted_findings(

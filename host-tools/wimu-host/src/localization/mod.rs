@@ -6,6 +6,7 @@ mod findings;
 mod hypotheses;
 mod input;
 mod model;
+mod ranging;
 mod report;
 mod scales;
 mod start;
@@ -14,6 +15,8 @@ use nalgebra::{Rotation3, Vector3};
 use wimu_nav::navigator::{Sample, Start as Alignment};
 
 pub use model::RangePrior;
+pub(crate) use ranging::AnchorStates;
+pub use ranging::Ranging;
 pub use report::Innovation;
 
 use crate::finding::{Finding, FindingCode};

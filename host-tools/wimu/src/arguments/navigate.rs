@@ -36,7 +36,8 @@ Examples:
   wimu navigate a.mcap b.mcap c.mcap d.mcap --geometry boards.json
   wimu navigate ranges.csv --anchors anchors.csv -o path.csv
   wimu navigate ranges.csv --anchors anchors.csv --odometry wheels.csv
-  wimu navigate imu.csv --ranges ranges.csv --anchors anchors.csv")]
+  wimu navigate imu.csv --ranges ranges.csv --anchors anchors.csv
+  wimu navigate /dev/ttyACM0 --ranges tcp://127.0.0.1:9000 --anchors anchors.csv")]
 pub struct Navigate {
     /// A LINK, or a recording of any format; of other programs: corrected samples, or with --calibration the sensor's
     /// output. With --anchors alone: ranges
@@ -103,18 +104,19 @@ pub struct Navigate {
     #[arg(
         long,
         value_name = "FIXES.csv|LINK",
+        group = "aids",
         conflicts_with_all = ["geometry", "anchors"],
         help_heading = "Aiding"
     )]
     pub fixes: Option<PathBuf>,
-    /// Time from a fix to its time stamp, s
+    /// Time from a fix or range to its time stamp, s
     #[arg(
         long,
         value_name = "S",
         default_value_t = 0.0,
         value_parser = from_to(-2.0, 2.0),
         allow_hyphen_values = true,
-        requires = "fixes",
+        requires = "aids",
         help_heading = "Aiding"
     )]
     pub fix_delay: f64,
@@ -178,15 +180,16 @@ pub struct Navigate {
     #[arg(
         long,
         value_name = "ANCHORS.csv",
-        conflicts_with_all = ["geometry", "zupt", "within", "rests", "profile"],
+        conflicts_with_all = ["geometry", "rests"],
         help_heading = "Aiding"
     )]
     pub anchors: Option<PathBuf>,
-    /// Ranges beside an inertial recording: CSV with columns `Time (s)`, `Anchor`, `Range (m)`, or `Range ID (m)` for each
-    /// anchor. The times are those of INPUT
+    /// Ranges beside inertial samples: CSV with columns `Time (s)`, `Anchor`, `Range (m)`, or `Range ID (m)` for each anchor.
+    /// The times are those of INPUT. Beside a board also a LINK that sends its lines
     #[arg(
         long,
-        value_name = "RANGES.csv",
+        value_name = "RANGES.csv|LINK",
+        group = "aids",
         requires = "anchors",
         help_heading = "Aiding"
     )]

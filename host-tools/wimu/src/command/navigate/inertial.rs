@@ -7,7 +7,7 @@ use wimu_host::calibration::{read_model, zero_count};
 use wimu_host::finding::Finding;
 use wimu_host::formats;
 use wimu_host::inertial::{
-    Choice, Fixes, InertialPath, Method, Move, Profile, Zupt, consistency, navigate,
+    Aided, Choice, Fixes, InertialPath, Method, Move, Profile, Zupt, consistency, navigate,
 };
 use wimu_host::motion::{MotionRecording, TableOptions};
 use wimu_host::plural::counted;
@@ -45,6 +45,9 @@ pub struct Found {
     horizon: Horizon,
     rests: usize,
     rests_s: f64,
+    /// Use of `--fixes` and `--ranges`; null without.
+    fixes: Option<Aided>,
+    ranges: Option<Aided>,
     nees: Option<Nees>,
     /// NEES of an array's angular rate and velocity.
     rate_nees: Option<Nees>,
@@ -279,6 +282,8 @@ fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
         },
         rests: rests.rests,
         rests_s: rests.lasted_s,
+        fixes: some(path.aided[0]),
+        ranges: some(path.aided[1]),
         nees: Nees::of(&path.nees, path),
         rate_nees: Nees::of(&path.rate_nees, path),
         velocity_nees: Nees::of(&path.velocity_nees, path),
@@ -286,6 +291,10 @@ fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
         refined: None,
         findings: path.findings.clone(),
     }
+}
+
+fn some(aided: Aided) -> Option<Aided> {
+    (aided != Aided::default()).then_some(aided)
 }
 
 /// Value of the option, and what it assumes.
@@ -421,6 +430,16 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
             "origin: t = {:.2} s (end of the first rest)\n",
             origin.time_s
         );
+    }
+    for (what, aided) in ["fixes", "ranges"].iter().zip(path.aided) {
+        if let Some(Aided {
+            used,
+            rejected,
+            late,
+        }) = some(aided)
+        {
+            text += &format!("{what}: {used} used, {rejected} rejected, {late} late\n");
+        }
     }
     text += &moves(path);
     let fitted = if path.heading_fitted {

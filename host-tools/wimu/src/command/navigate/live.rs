@@ -6,13 +6,14 @@ use serde::Serialize;
 use wimu_host::decode::{Arrival, Event};
 use wimu_host::finding::{Finding, text};
 use wimu_host::inertial::{Choice, Fix, FixLink, Fixes, LeastDelay, Live, PathPoint};
+use wimu_host::localization::{RangeRecording, Ranging};
 use wimu_host::monitor::{Reading, Readings};
 use wimu_host::motion::{MotionRecording, UnitSample};
-use wimu_host::{ErrorCode, Input, LinkUrl, Result};
+use wimu_host::{ErrorCode, Input, Result};
 
 use super::inertial::{choice, present};
 use crate::arguments::Navigate;
-use crate::command::{connect, listen_until};
+use crate::command::{connect, listen_until, not_over_input};
 use crate::output::{Output, usage};
 
 /// Answers a second without `--rate`.
@@ -67,7 +68,7 @@ impl Pose {
         };
         let note = match (self.valid, headings) {
             (true, _) => String::new(),
-            (false, 2..) => format!("  not valid: {headings} headings fit the fixes, move"),
+            (false, 2..) => format!("  not valid: {headings} headings fit, move"),
             (false, _) => "  not valid".to_owned(),
         };
         format!(
@@ -84,7 +85,11 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
             format!("write the calibration to the board: `wimu params push {link} CAL.json`");
         return Err(usage("a board corrects its samples itself", remedy));
     }
+    let read = [&arguments.fixes, &arguments.ranges, &arguments.anchors];
     for file in [&arguments.output, &arguments.report].into_iter().flatten() {
+        for read in read.into_iter().flatten() {
+            not_over_input(read, Some(file))?;
+        }
         let folder = file
             .parent()
             .filter(|folder| !folder.as_os_str().is_empty());
@@ -94,16 +99,7 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
         }
     }
     let mut choice = choice(arguments)?;
-    let mut fixes = match arguments.fixes.as_deref() {
-        None => Aiding::None,
-        Some(from) => match Input::parse(&from.to_string_lossy())? {
-            Input::Link(url) => {
-                choice.fixes.fixes.clear();
-                Aiding::of(&url, arguments.fix_delay)?
-            }
-            _ => Aiding::Table(std::mem::take(&mut choice.fixes.fixes)),
-        },
-    };
+    let mut fixes = Aiding::of(arguments, &mut choice)?;
     let late_s = match fixes {
         Aiding::None => 0.0,
         _ => (arguments.fix_delay + LATE_S).clamp(LATE_S, MOST_LATE_S),
@@ -121,9 +117,7 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
         if let Some(point) = shown.due(&session) {
             points.push(point);
         }
-        if let Some(finding) = fixes.finding() {
-            shown.say(std::slice::from_ref(finding));
-        }
+        shown.say(fixes.findings());
         shown.say(&session.live.findings());
         Ok(shown.going)
     });
@@ -139,7 +133,7 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
     }
     // A lost link loses no position.
     let mut path = session.live.path(points);
-    path.findings.extend(fixes.finding().cloned());
+    path.findings.extend(fixes.findings().iter().cloned());
     output.object(&present(
         arguments,
         &path,
@@ -150,23 +144,49 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
     ended
 }
 
-/// Where fixes come from.
+/// Where fixes or ranges come from.
 enum Aiding {
     None,
-    /// At times of the device's clock.
-    Table(Vec<Fix>),
+    /// At times of the device's clock, and what was noticed at reading.
+    Table(Vec<Fix>, Vec<Finding>),
     Link(FixLink),
 }
 
 impl Aiding {
-    fn of(link: &LinkUrl, delay_s: f64) -> Result<Self> {
-        Ok(Self::Link(FixLink::open(link, delay_s)?))
+    /// Opens what the arguments name, and gives the choice the anchors.
+    fn of(arguments: &Navigate, choice: &mut Choice) -> Result<Self> {
+        let fixes = std::mem::take(&mut choice.fixes.fixes);
+        if let Some(anchors) = &arguments.anchors {
+            choice.fixes.ranging = Some(Ranging::read(anchors, arguments.range_errors)?);
+        }
+        let from = match (&arguments.fixes, &arguments.ranges, &arguments.anchors) {
+            (Some(from), ..) | (_, Some(from), _) => from,
+            (.., Some(_)) => {
+                let remedy = "give the ranges: --ranges FILE or LINK";
+                return Err(usage("--anchors beside a board needs ranges", remedy));
+            }
+            _ => return Ok(Self::None),
+        };
+        if let Input::Link(url) = Input::parse(&from.to_string_lossy())? {
+            let ranging = choice.fixes.ranging.clone();
+            return Ok(Self::Link(FixLink::open(
+                &url,
+                arguments.fix_delay,
+                ranging,
+            )?));
+        }
+        let Some(anchors) = &arguments.anchors else {
+            return Ok(Self::Table(fixes, Vec::new()));
+        };
+        let read = RangeRecording::read(from, anchors)?.delayed(arguments.fix_delay);
+        let fixes = read.ranges.into_iter().map(Fix::from).collect();
+        Ok(Self::Table(fixes, read.findings))
     }
 
     fn give(&mut self, session: &mut Session) {
         match self {
             Self::None => {}
-            Self::Table(fixes) => fixes.drain(..).for_each(|fix| session.live.fix(fix)),
+            Self::Table(fixes, _) => fixes.drain(..).for_each(|fix| session.live.fix(fix)),
             Self::Link(link) => {
                 for fix in link.arrived() {
                     let offset_s = session.clock.offset_s().unwrap_or_default();
@@ -177,10 +197,11 @@ impl Aiding {
         }
     }
 
-    fn finding(&self) -> Option<&Finding> {
+    fn findings(&self) -> &[Finding] {
         match self {
-            Self::Link(link) => link.finding(),
-            _ => None,
+            Self::None => &[],
+            Self::Table(_, findings) => findings,
+            Self::Link(link) => link.finding().map_or(&[], std::slice::from_ref),
         }
     }
 }
@@ -201,7 +222,7 @@ impl Session {
         let choice = Choice {
             fixes: Fixes {
                 fixes: Vec::new(),
-                lever_arm_m: choice.fixes.lever_arm_m,
+                ..choice.fixes.clone()
             },
             ..choice.clone()
         };

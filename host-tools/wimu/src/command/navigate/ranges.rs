@@ -48,7 +48,7 @@ pub fn run(arguments: &Navigate, anchors: &Path, output: Output) -> Result<()> {
         }
     }
     let ranges = arguments.ranges.as_ref().unwrap_or(&arguments.input);
-    let mut recording = RangeRecording::read(ranges, anchors)?;
+    let mut recording = RangeRecording::read(ranges, anchors)?.delayed(arguments.fix_delay);
     if arguments.ranges.is_some() {
         let motion = inertial::table(arguments, &arguments.input)?;
         recording.findings.extend(motion.findings.iter().cloned());
@@ -57,12 +57,7 @@ pub fn run(arguments: &Navigate, anchors: &Path, output: Output) -> Result<()> {
     if let Some(odometry) = &arguments.odometry {
         recording = recording.with_odometry(odometry)?;
     }
-    let prior = |[noise_m, bias_m, scale]: [f64; 3]| RangePrior {
-        noise_m,
-        bias_m,
-        scale,
-        ..RangePrior::of(&recording)
-    };
+    let prior = |errors| RangePrior::of(&recording).with_errors(errors);
     let choice = LocalizationChoice {
         limit_m: arguments.limit,
         smooth: arguments.smooth == Smoothing::On,

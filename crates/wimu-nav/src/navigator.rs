@@ -240,6 +240,7 @@ pub struct Navigator<R, M, const N: usize, L = ()> {
     reference_ut: Option<Vector3<R>>,
     since: Since<R>,
     resting: bool,
+    fields: [u32; 2],
     recoveries: u32,
     divergences: u32,
 }
@@ -284,6 +285,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
                 known: zero,
             },
             resting: false,
+            fields: [0; 2],
             recoveries: 0,
             divergences: 0,
         })
@@ -302,6 +304,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             reference_ut: self.reference_ut,
             since: self.since,
             resting: self.resting,
+            fields: self.fields,
             recoveries: self.recoveries,
             divergences: self.divergences,
         }
@@ -372,6 +375,11 @@ where
             .update_recorded(measurement, gate, &mut self.recorder);
         self.finish(R::zero());
         innovation
+    }
+
+    /// Readings of the magnetic field that were used, and that contradicted the attitude: a magnet or iron is near.
+    pub fn fields(&self) -> [u32; 2] {
+        self.fields
     }
 
     /// Updates at rests that are certain which failed their test: the covariance was scaled there.
@@ -448,8 +456,11 @@ where
                 field_ut,
                 reference_ut,
             };
-            self.filter
+            let found = self
+                .filter
                 .update_recorded(&reading, Gate::ChiSquare, &mut self.recorder);
+            let count = &mut self.fields[usize::from(!found.accepted)];
+            *count = count.saturating_add(1);
             self.since.field = R::zero();
         }
         self.update_velocity(at_rest);

@@ -224,10 +224,9 @@ fn ranges_over_a_link_or_from_a_file_move_a_board_to_the_frame_of_the_anchors() 
     assert!(near(last, AT_M) < 0.2 && last["valid"] == true, "{last}");
     let used = found["ranges"]["used"].as_u64().unwrap();
     assert!((60..400).contains(&used), "{found}");
-    assert_eq!(
-        (&found["ranges"]["late"], &found["fixes"]),
-        (&0.into(), &Value::Null)
-    );
+    // Those that arrived before the first sample.
+    assert!(found["ranges"]["late"].as_u64().unwrap() < 40, "{found}");
+    assert_eq!(found["fixes"], Value::Null);
     let text = found["findings"].to_string();
     assert!(
         text.contains("2 lines of the ranges cannot be read"),

@@ -10,11 +10,12 @@ use wimu_nav::smoother::Recorder;
 
 use super::StartPose;
 use super::suspects::{Lag, Suspects};
+use crate::Result;
 use crate::csv::columns::{ANGLE, LENGTH, SPEED, TIME, Table};
 use crate::finding::{Finding, FindingCode};
 use crate::localization::{AnchorStates, RangeSample, Ranging};
+use crate::motion::other_clock;
 use crate::plural::counted;
-use crate::{ErrorCode, Result};
 
 /// A measurement at one time, east-north-up.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -135,18 +136,14 @@ impl Fixes {
         let Some(((first, last), (from, to))) = ends else {
             return Ok(());
         };
-        if self
-            .fixes
-            .iter()
-            .any(|fix| (*from..=*to).contains(&fix.time_s))
-        {
-            return Ok(());
+        let inside = |fix: &Fix| (*from..=*to).contains(&fix.time_s);
+        match self.fixes.iter().any(inside) {
+            true => Ok(()),
+            false => Err(other_clock([
+                ("fixes", [first.time_s, last.time_s]),
+                ("samples", [*from, *to]),
+            ])),
         }
-        let message = format!(
-            "no fix is within the time of the recording: fixes from {:.2} to {:.2} s, samples from {from:.2} to {to:.2} s",
-            first.time_s, last.time_s
-        );
-        Err(ErrorCode::DataRefused.error(message, "give both the times of one clock"))
     }
 
     /// Positions at a time, s, in the frame of the fixes, m, with standard deviations: that of the first fix, or those that

@@ -13,7 +13,7 @@ use super::unit::{HEADINGS, OnceEachField, Unit, noise_mps2, sample};
 use super::{Choice, InertialPath, Method, PathPoint, StartPose};
 use crate::finding::{Finding, FindingCode};
 use crate::localization::AnchorStates;
-use crate::motion::{MotionRecording, UnitSample};
+use crate::motion::{MotionRecording, UnitSample, other_clock};
 use crate::{ErrorCode, Result};
 
 /// Samples before the first answer, s: what shows whether the sensors are calibrated, and the alignment.
@@ -24,6 +24,8 @@ const BLOCK_S: f64 = 0.1;
 const KEPT_S: f64 = AHEAD_S + 1.0;
 /// Difference of the logarithms of two likelihoods beyond which the smaller one is ruled out: odds of 1 to 2·10⁹.
 const RULED_OUT: f64 = 21.4;
+/// Fixes that are all later than the newest sample by this time, s, are of another clock: a day.
+const FAR_S: f64 = 86_400.0;
 /// Standard deviation of a heading of which nothing is known, rad.
 const ANY_HEADING: f64 = 1.81;
 
@@ -196,10 +198,28 @@ impl Live {
             let counts = [(count, what)];
             found.extend(counted_findings(FindingCode::SamplesLeftOut, one, &counts));
         }
+        found.extend(self.other_clock());
         if let Some(begun) = &self.begun {
             found.extend(begun.path.findings(&self.choice.fixes));
         }
         found
+    }
+
+    /// Fixes of a file whose times are not those of the device.
+    fn other_clock(&self) -> Option<Finding> {
+        let fixes = &self.choice.fixes.fixes;
+        let (first, last) = fixes.first().zip(fixes.last())?;
+        let newest_s = self.newest_s()?;
+        if first.time_s < newest_s + FAR_S {
+            return None;
+        }
+        let fixes = ("fixes or ranges", [first.time_s, last.time_s]);
+        let error = other_clock([fixes, ("device", [newest_s; 2])]);
+        Some(
+            FindingCode::Clock
+                .warning(error.message())
+                .remedy(error.remedy()),
+        )
     }
 
     fn begin(&mut self) -> Result<()> {

@@ -93,7 +93,7 @@ impl Aiding {
             );
             let remedy = match self.lag.delay_s() {
                 Some(delay_s) => format!(
-                    "a delay of {} s explains most of them: --fix-delay",
+                    "a delay of about {} s explains most of them: try --fix-delay",
                     significant(delay_s, 2)
                 ),
                 None => "check their standard deviations, the delay (--fix-delay) and the lever arm (--lever-arm)".to_owned(),

@@ -13,6 +13,9 @@ use crate::plural::counted;
 /// A start in motion ends with the first rest of this length, s.
 pub(super) const FIRST_REST_S: f64 = 0.5;
 
+/// Part of the readings of the magnetic field above which rejected ones are reported: indoors iron explains some.
+const MAGNET: f64 = 0.2;
+
 /// A sample with what is known of the motion at its time.
 pub(super) struct Input<'a> {
     pub time_s: f64,
@@ -120,6 +123,17 @@ impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
         }
     }
 
+    /// A magnetic field that is not that of the Earth for part of the time.
+    fn magnet(&self) -> Option<Finding> {
+        let [used, rejected] = self.navigator.fields().map(f64::from);
+        let part = rejected / (used + rejected).max(1.0);
+        let text = format!(
+            "the magnetic field contradicted the motion in {:.0} % of its readings, not used: magnet or iron near the unit?",
+            100.0 * part
+        );
+        (part > MAGNET).then(|| FindingCode::Navigation.warning(text))
+    }
+
     /// What was noticed: samples that were not used, recoveries and restarts of the filter, and the use of fixes.
     pub fn findings(&self, ranging: Option<&Ranging>) -> Vec<Finding> {
         let left_out = [
@@ -128,6 +142,7 @@ impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
         ];
         let mut found = counted_findings(FindingCode::SamplesLeftOut, "sample", &left_out);
         found.extend(self.aiding.findings(ranging));
+        found.extend(self.magnet());
         let recoveries = self.navigator.recoveries() as usize;
         let contradicted = "contradicted the estimated velocity: σ was enlarged there";
         found.extend(counted_findings(

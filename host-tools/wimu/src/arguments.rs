@@ -1,5 +1,6 @@
 //! The commands and their options.
 
+mod aids;
 mod apply;
 mod calibration;
 mod device;
@@ -8,6 +9,7 @@ mod reading;
 mod relations;
 mod values;
 
+pub use aids::Aids;
 pub use apply::Apply;
 pub use calibration::{Align, Allan, Calibrate, Calibrated, Method};
 pub use device::{Carried, Change, Key, KeyAction, Params, Resolution, Settings};
@@ -385,6 +387,11 @@ pub struct Monitor {
     /// Stop after this time, s
     #[arg(long = "for", value_name = "SECONDS", value_parser = seconds)]
     pub seconds: Option<Duration>,
+    /// Show on the screen the position of `wimu navigate LINK`, with the options below
+    #[arg(long)]
+    pub navigate: bool,
+    #[command(flatten)]
+    pub aids: Aids,
 }
 
 #[derive(Args)]

@@ -22,6 +22,7 @@ mod array;
 mod fix_link;
 mod fixes;
 mod frozen;
+mod headings;
 mod holes;
 mod horizon;
 mod live;

@@ -14,7 +14,7 @@ use wimu_host::plural::counted;
 use wimu_host::{Input, Result};
 
 use super::array;
-use crate::arguments::{Navigate, Smoothing, ZeroVelocity};
+use crate::arguments::{Aids, Navigate, Smoothing, ZeroVelocity};
 use crate::command::array::Refined;
 use crate::output::Output;
 
@@ -181,28 +181,35 @@ pub fn one_unit(
 
 /// What the options say.
 pub fn choice(arguments: &Navigate) -> Result<Choice> {
-    let fixes = match &arguments.fixes {
-        // A link has none yet.
-        Some(from) => match Input::parse(&from.to_string_lossy())? {
-            Input::Link(_) => Fixes::default(),
-            _ => Fixes::read(from, arguments.fix_delay)?,
-        },
-        None => Fixes::default(),
-    };
-    let lever_arm_m = arguments.lever_arm.unwrap_or_default();
     Ok(Choice {
         zupt: ZeroVelocity::of(arguments.zupt),
-        profile: arguments.profile.into(),
         limit_m: arguments.limit,
         within_m: arguments.within,
         rests_s: arguments.rests.clone(),
         start: arguments.start,
         smooth: arguments.smooth == Smoothing::On,
+        loop_m: arguments.closes,
+        ..aided_choice(&arguments.aids)?
+    })
+}
+
+/// What the options of the aids say, and the defaults.
+pub fn aided_choice(aids: &Aids) -> Result<Choice> {
+    let fixes = match &aids.fixes {
+        // A link has none yet.
+        Some(from) => match Input::parse(&from.to_string_lossy())? {
+            Input::Link(_) => Fixes::default(),
+            _ => Fixes::read(from, aids.fix_delay)?,
+        },
+        None => Fixes::default(),
+    };
+    Ok(Choice {
+        profile: aids.profile.into(),
         fixes: Fixes {
-            lever_arm_m,
+            lever_arm_m: aids.lever_arm.unwrap_or_default(),
             ..fixes
         },
-        loop_m: arguments.closes,
+        ..Choice::default()
     })
 }
 
@@ -291,6 +298,22 @@ fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
         refined: None,
         findings: path.findings.clone(),
     }
+}
+
+/// What happened to fixes and to ranges, a line each.
+fn uses(aided: [Aided; 2]) -> Vec<String> {
+    let kinds = ["fixes", "ranges"].iter().zip(aided);
+    let line = |(kind, aided): (_, Aided)| {
+        let Aided {
+            used,
+            rejected,
+            late,
+        } = some(aided)?;
+        Some(format!(
+            "{kind}: {used} used, {rejected} rejected, {late} late"
+        ))
+    };
+    kinds.filter_map(line).collect()
 }
 
 fn some(aided: Aided) -> Option<Aided> {
@@ -431,15 +454,8 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
             origin.time_s
         );
     }
-    for (what, aided) in ["fixes", "ranges"].iter().zip(path.aided) {
-        if let Some(Aided {
-            used,
-            rejected,
-            late,
-        }) = some(aided)
-        {
-            text += &format!("{what}: {used} used, {rejected} rejected, {late} late\n");
-        }
+    for line in uses(path.aided) {
+        text += &format!("{line}\n");
     }
     text += &moves(path);
     let fitted = if path.heading_fitted {

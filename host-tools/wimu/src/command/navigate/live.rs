@@ -5,14 +5,14 @@ use std::io::{self, IsTerminal};
 use serde::Serialize;
 use wimu_host::decode::{Arrival, Event};
 use wimu_host::finding::{Finding, text};
-use wimu_host::inertial::{Choice, Fix, FixLink, Fixes, LeastDelay, Live, PathPoint};
+use wimu_host::inertial::{Aided, Choice, Fix, FixLink, Fixes, LeastDelay, Live, PathPoint};
 use wimu_host::localization::{RangeRecording, Ranging};
 use wimu_host::monitor::{Reading, Readings};
 use wimu_host::motion::{MotionRecording, UnitSample};
 use wimu_host::{ErrorCode, Input, Result};
 
-use super::inertial::{choice, present};
-use crate::arguments::Navigate;
+use super::inertial::{aided_choice, choice, present};
+use crate::arguments::{Aids, Navigate};
 use crate::command::{connect, listen_until, not_over_input};
 use crate::output::{Output, usage};
 
@@ -68,7 +68,7 @@ impl Pose {
         };
         let note = match (self.valid, headings) {
             (true, _) => String::new(),
-            (false, 2..) => format!("  not valid: {headings} headings fit, move"),
+            (false, 2..) => format!("  not valid: {headings} starts fit, move"),
             (false, _) => "  not valid".to_owned(),
         };
         format!(
@@ -85,7 +85,11 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
             format!("write the calibration to the board: `wimu params push {link} CAL.json`");
         return Err(usage("a board corrects its samples itself", remedy));
     }
-    let read = [&arguments.fixes, &arguments.ranges, &arguments.anchors];
+    let read = [
+        &arguments.aids.fixes,
+        &arguments.aids.ranges,
+        &arguments.aids.anchors,
+    ];
     for file in [&arguments.output, &arguments.report].into_iter().flatten() {
         for read in read.into_iter().flatten() {
             not_over_input(read, Some(file))?;
@@ -99,13 +103,9 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
         }
     }
     let mut choice = choice(arguments)?;
-    let mut fixes = Aiding::of(arguments, &mut choice)?;
-    let late_s = match fixes {
-        Aiding::None => 0.0,
-        _ => (arguments.fix_delay + LATE_S).clamp(LATE_S, MOST_LATE_S),
-    };
+    let mut fixes = Aiding::of(&arguments.aids, &mut choice)?;
     let mut client = connect(link)?;
-    let mut session = Session::new(&choice, link, late_s);
+    let mut session = Session::new(&choice, link, fixes.late_s(&arguments.aids));
     let mut shown = Shown::new(arguments.rate.unwrap_or(RATE_HZ), output);
     let mut points = Vec::new();
     let ended = listen_until(&mut client, arguments.seconds, |arrival| {
@@ -153,13 +153,13 @@ enum Aiding {
 }
 
 impl Aiding {
-    /// Opens what the arguments name, and gives the choice the anchors.
-    fn of(arguments: &Navigate, choice: &mut Choice) -> Result<Self> {
+    /// Opens what the options name, and gives the choice the anchors.
+    fn of(aids: &Aids, choice: &mut Choice) -> Result<Self> {
         let fixes = std::mem::take(&mut choice.fixes.fixes);
-        if let Some(anchors) = &arguments.anchors {
-            choice.fixes.ranging = Some(Ranging::read(anchors, arguments.range_errors)?);
+        if let Some(anchors) = &aids.anchors {
+            choice.fixes.ranging = Some(Ranging::read(anchors, aids.range_errors)?);
         }
-        let from = match (&arguments.fixes, &arguments.ranges, &arguments.anchors) {
+        let from = match (&aids.fixes, &aids.ranges, &aids.anchors) {
             (Some(from), ..) | (_, Some(from), _) => from,
             (.., Some(_)) => {
                 let remedy = "give the ranges: --ranges FILE or LINK";
@@ -169,18 +169,22 @@ impl Aiding {
         };
         if let Input::Link(url) = Input::parse(&from.to_string_lossy())? {
             let ranging = choice.fixes.ranging.clone();
-            return Ok(Self::Link(FixLink::open(
-                &url,
-                arguments.fix_delay,
-                ranging,
-            )?));
+            return Ok(Self::Link(FixLink::open(&url, aids.fix_delay, ranging)?));
         }
-        let Some(anchors) = &arguments.anchors else {
+        let Some(anchors) = &aids.anchors else {
             return Ok(Self::Table(fixes, Vec::new()));
         };
-        let read = RangeRecording::read(from, anchors)?.delayed(arguments.fix_delay);
+        let read = RangeRecording::read(from, anchors)?.delayed(aids.fix_delay);
         let fixes = read.ranges.into_iter().map(Fix::from).collect();
         Ok(Self::Table(fixes, read.findings))
+    }
+
+    /// How late fixes may be, s.
+    fn late_s(&self, aids: &Aids) -> f64 {
+        match self {
+            Self::None => 0.0,
+            _ => (aids.fix_delay + LATE_S).clamp(LATE_S, MOST_LATE_S),
+        }
     }
 
     fn give(&mut self, session: &mut Session) {
@@ -266,6 +270,36 @@ impl Session {
             rate_rad_s: reading.angular_rate,
             field_ut: field.map(|field| field.nt.map(|nt| nt * 1e-3)),
         }
+    }
+}
+
+/// A board that is navigated beside another display of its samples.
+pub struct Beside {
+    fixes: Aiding,
+    session: Session,
+}
+
+impl Beside {
+    /// # Errors
+    /// Those of the files and links that the options name.
+    pub fn new(aids: &Aids, link: &str) -> Result<Self> {
+        let mut choice = aided_choice(aids)?;
+        let fixes = Aiding::of(aids, &mut choice)?;
+        let session = Session::new(&choice, link, fixes.late_s(aids));
+        Ok(Self { fixes, session })
+    }
+
+    /// # Errors
+    /// Those of [`Live::push`].
+    pub fn take(&mut self, arrival: &Arrival) -> Result<()> {
+        self.fixes.give(&mut self.session);
+        self.session.take(arrival).map(drop)
+    }
+
+    /// Where the unit is, and what happened to fixes and ranges.
+    pub fn now(&self) -> Option<(PathPoint, [Aided; 2])> {
+        let live = &self.session.live;
+        Some((live.now()?, live.aided()))
     }
 }
 

@@ -373,6 +373,7 @@ Examples:
   wimu monitor tcp://127.0.0.1:7100
   wimu monitor tcp://127.0.0.1:7101 --cable tcp://127.0.0.1:7100
   wimu monitor tcp://127.0.0.1:7100 --rate 10 --for 5
+  wimu monitor tcp://127.0.0.1:7100 --navigate --fixes tcp://127.0.0.1:9000
 In a terminal of 80x24 or more a LINK is a screen with its keys at the bottom; otherwise, and with \
 --rate or --json, it prints lines.")]
 pub struct Monitor {

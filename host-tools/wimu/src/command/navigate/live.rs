@@ -149,7 +149,7 @@ enum Aiding {
     None,
     /// At times of the device's clock, and what was noticed at reading.
     Table(Vec<Fix>, Vec<Finding>),
-    Link(FixLink),
+    Link(Box<FixLink>),
 }
 
 impl Aiding {
@@ -169,7 +169,11 @@ impl Aiding {
         };
         if let Input::Link(url) = Input::parse(&from.to_string_lossy())? {
             let ranging = choice.fixes.ranging.clone();
-            return Ok(Self::Link(FixLink::open(&url, aids.fix_delay, ranging)?));
+            return Ok(Self::Link(Box::new(FixLink::open(
+                &url,
+                aids.fix_delay,
+                ranging,
+            )?)));
         }
         let Some(anchors) = &aids.anchors else {
             return Ok(Self::Table(fixes, Vec::new()));

@@ -71,6 +71,14 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
         }
     }
 
+    /// Adds the states of a layout from the index `first` on, with their standard deviations.
+    pub(crate) fn extend(&mut self, layout: &Layout<R, N>, first: usize) {
+        for k in first..layout.used {
+            self.covariance[(k, k)] = layout.deviation[k] * layout.deviation[k];
+            self.considered[k] = layout.considered[k];
+        }
+    }
+
     /// Covariance of a block.
     pub fn covariance<const W: usize>(&self, block: Block<W>) -> SMatrix<R, W, W> {
         self.cross_covariance(block, block)

@@ -9,7 +9,7 @@ use core::fmt;
 use nalgebra::{Matrix1, Matrix3, RealField, Rotation3, SMatrix, UnitQuaternion, Vector3};
 
 use crate::filter::{Filter, Gate, Innovation};
-use crate::process::{ImuErrors, Unmeasured};
+use crate::process::{ImuErrors, Process, Unmeasured};
 use crate::rotation::{about_up, level, real, yaw};
 use crate::sensor::{MagneticField, Magnetometer, Measurement, Position, Velocity, recover};
 use crate::smoother::Recorder;
@@ -233,12 +233,14 @@ struct Since<R> {
 pub struct Navigator<R, M, const N: usize, L = ()> {
     recorder: L,
     settings: Settings<R>,
+    layout: Layout<R, N>,
     filter: Filter<R, N>,
     model: M,
     magnetometer: Magnetometer<R>,
     reference_ut: Option<Vector3<R>>,
     since: Since<R>,
     resting: bool,
+    fields: [u32; 2],
     recoveries: u32,
     divergences: u32,
 }
@@ -271,6 +273,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             recorder: (),
             settings,
             filter: Filter::new(&layout, start.attitude),
+            layout,
             model,
             magnetometer,
             reference_ut: start.field_ut,
@@ -282,6 +285,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
                 known: zero,
             },
             resting: false,
+            fields: [0; 2],
             recoveries: 0,
             divergences: 0,
         })
@@ -293,12 +297,14 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
         Navigator {
             recorder,
             settings: self.settings,
+            layout: self.layout,
             filter: self.filter,
             model: self.model,
             magnetometer: self.magnetometer,
             reference_ut: self.reference_ut,
             since: self.since,
             resting: self.resting,
+            fields: self.fields,
             recoveries: self.recoveries,
             divergences: self.divergences,
         }
@@ -331,8 +337,34 @@ where
         &self.filter
     }
 
-    /// Update with a measurement of another sensor, at the time of the last prediction: a position, a range, a height. A
-    /// sensor with states of its own, such as a bias, needs a [`Filter`].
+    /// States of another sensor, such as the bias of a range: `claim` claims them in the layout.
+    ///
+    /// # Errors
+    /// [`LayoutFull`].
+    pub fn claim<T>(
+        &mut self,
+        claim: impl FnOnce(&mut Layout<R, N>) -> Result<T, LayoutFull>,
+    ) -> Result<T, LayoutFull> {
+        let mut layout = self.layout.clone();
+        let claimed = claim(&mut layout)?;
+        self.filter.extend(&layout, self.layout.used);
+        self.layout = layout;
+        self.recorder.restarted(&self.filter);
+        Ok(claimed)
+    }
+
+    /// Changes what is known of claimed states, such as a correlation between them.
+    pub fn correlate(&mut self, change: impl FnOnce(&mut Filter<R, N>)) {
+        change(&mut self.filter);
+        self.recorder.restarted(&self.filter);
+    }
+
+    /// Predicts claimed states, such as a correlated error, up to the last sample. The process changes no other state.
+    pub fn predict(&mut self, process: &impl Process<R, N>) {
+        self.filter.predict_recorded(process, &mut self.recorder);
+    }
+
+    /// Update with a measurement of another sensor, at the time of the last prediction: a position, a range, a height.
     pub fn update<const K: usize>(
         &mut self,
         measurement: &impl Measurement<R, N, K>,
@@ -343,6 +375,11 @@ where
             .update_recorded(measurement, gate, &mut self.recorder);
         self.finish(R::zero());
         innovation
+    }
+
+    /// Readings of the magnetic field that were used, and that contradicted the attitude: a magnet or iron is near.
+    pub fn fields(&self) -> [u32; 2] {
+        self.fields
     }
 
     /// Updates at rests that are certain which failed their test: the covariance was scaled there.
@@ -419,8 +456,11 @@ where
                 field_ut,
                 reference_ut,
             };
-            self.filter
+            let found = self
+                .filter
                 .update_recorded(&reading, Gate::ChiSquare, &mut self.recorder);
+            let count = &mut self.fields[usize::from(!found.accepted)];
+            *count = count.saturating_add(1);
             self.since.field = R::zero();
         }
         self.update_velocity(at_rest);
@@ -550,6 +590,7 @@ where
             return;
         };
         self.filter = new.filter;
+        self.filter.extend(&self.layout, new.layout.used);
         self.model = new.model;
         self.since = new.since;
         self.resting = false;

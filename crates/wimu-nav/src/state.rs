@@ -69,7 +69,7 @@ impl core::error::Error for LayoutFull {}
 pub struct Layout<R, const N: usize> {
     pub(crate) deviation: SVector<R, N>,
     pub(crate) considered: [bool; N],
-    used: usize,
+    pub(crate) used: usize,
 }
 
 impl<R: RealField + Copy, const N: usize> Layout<R, N> {

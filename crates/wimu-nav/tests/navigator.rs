@@ -8,11 +8,12 @@ use common::travel::{Errors, Travel};
 use nalgebra::Vector3;
 use wimu_nav::filter::Gate;
 use wimu_nav::navigator::{
-    Profile, Rests, Sample, SampleFault, Settings, Start, WithGyroscope, WithoutGyroscope,
+    Gyroscope, Navigator, Profile, Rests, Sample, SampleFault, Settings, Start, WithGyroscope,
+    WithoutGyroscope,
 };
 use wimu_nav::process::ImuErrors;
-use wimu_nav::sensor::{Heading, Position};
-use wimu_nav::state::{ATTITUDE, POSITION};
+use wimu_nav::sensor::{Anchor, CorrelatedErrors, Heading, Position, Range, RangeErrors};
+use wimu_nav::state::{ATTITUDE, POSITION, Role};
 use wimu_testkit::{Coverage, trials};
 
 /// Errors within those that the navigator assumes, with biases below those that hide rests from the detector: 0.05 rad/s
@@ -816,4 +817,54 @@ fn single_precision_agrees_over_a_minute() {
         without[0] < 0.05 && without[1] < 0.05 && without[2] < 0.02,
         "{without:?}"
     );
+}
+
+#[test]
+fn a_sensor_s_own_states_are_estimated_and_begin_again_with_the_filter() {
+    let start = Start::align(&[still(0.0); 10], true).unwrap();
+    let mut navigator =
+        Navigator::<f64, Gyroscope<f64>, 42>::new(Settings::default(), &start).unwrap();
+    let mut errors = RangeErrors::default();
+    (errors.bias_m, errors.correlated_m) = (0.5, 0.05);
+    let at = Vector3::new(5.0, 0.0, 0.0);
+    let anchor = navigator
+        .claim(|layout| Anchor::claim(layout, at, &errors))
+        .unwrap();
+    let full = navigator.claim(|layout| layout.claim(Role::Estimated, [1.0; 9]));
+    assert!(full.is_err());
+    let bias = anchor.bias.unwrap();
+    let sd = |navigator: &Navigator<f64, Gyroscope<f64>, 42>| {
+        navigator.filter().covariance(bias).x.sqrt()
+    };
+    assert!((sd(&navigator) - 0.5).abs() < 1e-12);
+    for _ in 0..500 {
+        navigator.push(&still(0.01), true).unwrap();
+        navigator.predict(&CorrelatedErrors {
+            anchors: &[anchor],
+            errors: &errors,
+            step_s: 0.01,
+        });
+        let range = Range {
+            anchor: &anchor,
+            range_m: 5.3,
+            deviation_m: 0.03,
+            lever_arm_m: Vector3::zeros(),
+            delay: None,
+        };
+        navigator.update(&range, Gate::ChiSquare);
+    }
+    let found = navigator.filter().state.get(bias).x;
+    assert!(
+        (found - 0.3).abs() < 0.03 && (0.01..0.06).contains(&sd(&navigator)),
+        "{found} ± {}",
+        sd(&navigator)
+    );
+    let blow = Sample {
+        force_mps2: Vector3::new(1e6, 0.0, 0.0),
+        ..still(0.01)
+    };
+    navigator.push(&blow, false).unwrap();
+    assert_eq!(navigator.divergences(), 1);
+    assert!((sd(&navigator) - 0.5).abs() < 1e-12);
+    assert_eq!(navigator.filter().state.get(bias).x, 0.0);
 }

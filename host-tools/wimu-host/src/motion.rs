@@ -2,10 +2,12 @@
 //! has them.
 
 mod arrival;
+mod clocks;
 mod table;
 
 pub(crate) use arrival::TIME_SD_S;
 pub use arrival::sampled_times;
+pub(crate) use clocks::{one_clock, other_clock};
 pub use table::TableOptions;
 
 use nalgebra::{Matrix3, SMatrix};

@@ -1,6 +1,7 @@
 //! Fixes of position, velocity and heading beside a unit on a known path.
 
-use wimu_host::inertial::{Choice, Fix, Fixes, InertialPath, Live, PathPoint, navigate};
+use wimu_host::finding::Finding;
+use wimu_host::inertial::{Choice, Fix, Fixes, InertialPath, Live, PathPoint, StartPose, navigate};
 use wimu_host::motion::{MotionRecording, UnitSample};
 use wimu_testkit::Random;
 
@@ -71,11 +72,9 @@ fn recorded(arm_m: f64, late_s: f64) -> (MotionRecording, Vec<Fix>) {
 
 fn fix(time_s: f64, position_m: [f64; 3]) -> Fix {
     Fix {
-        time_s,
         position_m,
         position_sd_m: [0.05; 3],
-        velocity_mps: None,
-        heading_rad: None,
+        ..Fix::at(time_s)
     }
 }
 
@@ -126,13 +125,19 @@ fn the_path_is_in_the_frame_of_the_fixes() {
 #[test]
 fn fixes_by_another_clock_are_refused_with_both_times() {
     let (recording, mut fixes) = recorded(0.0, 0.0);
-    fixes.iter_mut().for_each(|fix| fix.time_s += 1e4);
-    let refused = navigate(&recording, &aided(fixes, 0.0)).unwrap_err();
-    let text = refused.to_string();
+    let mut refused = |offset_s: f64| {
+        fixes.iter_mut().for_each(|fix| fix.time_s += offset_s);
+        let refused = navigate(&recording, &aided(fixes.clone(), 0.0));
+        refused.unwrap_err().to_string()
+    };
+    let text = refused(1e4);
     assert!(
-        text.contains("no fix is within the time") && text.contains("fixes from 100"),
+        text.contains("none of the fixes is within the time") && text.contains("fixes from 100"),
         "{text}"
     );
+    assert!(!text.contains("Unix"), "{text}");
+    let text = refused(1.7e9);
+    assert!(text.contains("the fixes have Unix times"), "{text}");
 }
 
 #[test]
@@ -327,4 +332,62 @@ fn a_stream_has_the_path_of_its_recording_though_fixes_are_late() {
     let late = "34 fixes arrived later than the filter waits";
     let found = live.findings();
     assert!(found.iter().any(|f| f.evidence.contains(late)), "{found:?}");
+}
+
+#[test]
+fn late_fixes_without_their_delay_name_it() {
+    for late_s in [2.0, 1.0] {
+        let (recording, fixes) = recorded(0.0, late_s);
+        let choice = |fixes| Choice {
+            start: Some(StartPose {
+                position_m: [100.0, -50.0, 7.0],
+                heading_rad: Some(HEADING),
+            }),
+            ..aided(fixes, 0.0)
+        };
+        let path = navigate(&recording, &choice(fixes)).unwrap();
+        let remedy = |path: &InertialPath| {
+            let named = |f: &&Finding| f.remedy.contains("a delay of");
+            path.findings.iter().find(named).map(|f| f.remedy.clone())
+        };
+        let named = remedy(&path).unwrap_or_else(|| panic!("{:?}", path.findings));
+        println!("{named}");
+        let delay_s: f64 = named.split(' ').nth(4).unwrap().parse().unwrap();
+        assert!((0.5..2.0).contains(&(delay_s / late_s)), "{named}");
+    }
+    // A wrong fix is not late.
+    let (recording, mut fixes) = recorded(0.0, 0.0);
+    for k in [12, 20, 30] {
+        fixes[k].position_m[k % 2] += 30.0;
+    }
+    let path = navigate(&recording, &aided(fixes, 0.0)).unwrap();
+    assert!(says(&path, "3 of 37 fixes"), "{:?}", path.findings);
+    assert!(
+        !path
+            .findings
+            .iter()
+            .any(|f| f.remedy.contains("a delay of"))
+    );
+}
+
+#[test]
+fn a_magnet_near_the_unit_is_reported() {
+    let (mut recording, fixes) = recorded(0.0, 0.0);
+    for (sample, time_s) in recording.samples.iter_mut().zip(&recording.times_s) {
+        let (sin, cos) = truth(*time_s).0.sin_cos();
+        sample.field_ut = Some([20.0 * sin, 20.0 * cos, -40.0]);
+    }
+    let magnet = "the magnetic field contradicted";
+    let path = navigate(&recording, &aided(fixes.clone(), 0.0)).unwrap();
+    assert!(!says(&path, magnet), "{:?}", path.findings);
+    for (sample, time_s) in recording.samples.iter_mut().zip(&recording.times_s) {
+        if (10.0..25.0).contains(time_s)
+            && let Some(field) = &mut sample.field_ut
+        {
+            field[0] += 80.0;
+        }
+    }
+    let path = navigate(&recording, &aided(fixes, 0.0)).unwrap();
+    assert!(says(&path, magnet), "{:?}", path.findings);
+    assert!(error_m(&path) < 0.5, "{}", error_m(&path));
 }

@@ -383,7 +383,7 @@ fn a_clock_that_is_off_by_seconds_is_corrected_and_reported() {
         (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
     };
     let right = error(&found(&vehicle(0.0)));
-    for late_s in [2.0, -1.3] {
+    for late_s in [2.0, -1.3, 6.5] {
         let found = found(&vehicle(late_s));
         let clock = finding(&found, FindingCode::Clock, "corrected").expect("reported");
         let named: f64 = clock.remedy.split(' ').nth(1).unwrap().parse().unwrap();
@@ -391,6 +391,32 @@ fn a_clock_that_is_off_by_seconds_is_corrected_and_reported() {
         assert!((named + late_s).abs() < 0.1, "{clock}");
         assert!(error(&found) < 1.2 * right, "{} and {right}", error(&found));
     }
+}
+
+#[test]
+fn a_clock_that_is_off_by_more_than_the_search_is_refused_or_reported() {
+    let refused = |recording: &RangeRecording| {
+        let error = localize(recording, &LocalizationChoice::default()).unwrap_err();
+        error.to_string()
+    };
+    let text = refused(&vehicle(-15.0));
+    assert!(text.contains("off by -12 s or more"), "{text}");
+    assert!(text.contains("give both the times of one clock"), "{text}");
+    let found = found(&vehicle(20.0));
+    let unfit = finding(
+        &found,
+        FindingCode::Clock,
+        "at any clock offset within ± 12 s",
+    );
+    assert!(unfit.is_some(), "{:?}", found.path.findings);
+    assert!(finding(&found, FindingCode::Clock, "corrected").is_none());
+    let text = refused(&vehicle(400.0));
+    assert!(
+        text.contains("none of the ranges is within the time of the odometry"),
+        "{text}"
+    );
+    let text = refused(&vehicle(1.7e9));
+    assert!(text.contains("the ranges have Unix times"), "{text}");
 }
 
 #[test]

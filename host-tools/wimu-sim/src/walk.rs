@@ -54,6 +54,17 @@ pub fn carried_m(t: f64) -> [f64; 3] {
 impl RangeWalk {
     /// Ranges of [`carried_m`] to some anchors over a time, s; a fraction of them has no line of sight.
     pub fn new(seed: u64, anchors_m: &[[f64; 3]], duration_s: f64, blocked: f64) -> Self {
+        Self::along(seed, anchors_m, duration_s, blocked, carried_m)
+    }
+
+    /// The same along another path, m at a time, s.
+    pub fn along(
+        seed: u64,
+        anchors_m: &[[f64; 3]],
+        duration_s: f64,
+        blocked: f64,
+        position_m: impl Fn(f64) -> [f64; 3],
+    ) -> Self {
         let mut random = Random::new(seed, 20);
         let common_m = COMMON_M * random.gaussian();
         let biases_m: Vec<f64> = (anchors_m.iter())
@@ -66,7 +77,7 @@ impl RangeWalk {
         let (mut ranges, mut hidden) = (Vec::new(), Vec::new());
         for k in 0..(duration_s * RANGES_HZ) as usize {
             let time_s = k as f64 / RANGES_HZ;
-            for (anchor, position_m) in anchors_m.iter().enumerate() {
+            for (anchor, anchor_m) in anchors_m.iter().enumerate() {
                 let drift = CORRELATED_M * (1.0 - decay * decay).sqrt() * random.gaussian();
                 correlated_m[anchor] = decay * correlated_m[anchor] + drift;
                 let is_blocked = random.uniform(0.0, 1.0) < blocked;
@@ -75,7 +86,7 @@ impl RangeWalk {
                     + correlated_m[anchor]
                     + NOISE_M * random.gaussian()
                     + excess_m;
-                let range_m = distance_m(carried_m(time_s), *position_m) + error_m;
+                let range_m = distance_m(position_m(time_s), *anchor_m) + error_m;
                 ranges.push(RangeSample {
                     time_s,
                     anchor,
@@ -258,11 +269,9 @@ pub fn fixes(motion: &dyn Motion, interval_s: f64, deviation_m: f64, seed: u64) 
         let time_s = k as f64 * interval_s;
         let position_m = motion.pose(time_s).position_m;
         Fix {
-            time_s,
             position_m: position_m.map(|p| p + deviation_m * random.gaussian()),
             position_sd_m: [deviation_m; 3],
-            velocity_mps: None,
-            heading_rad: None,
+            ..Fix::at(time_s)
         }
     };
     let count = (motion.duration() / interval_s) as usize;

@@ -1,5 +1,6 @@
 //! The commands and their options.
 
+mod aids;
 mod apply;
 mod calibration;
 mod device;
@@ -8,6 +9,7 @@ mod reading;
 mod relations;
 mod values;
 
+pub use aids::Aids;
 pub use apply::Apply;
 pub use calibration::{Align, Allan, Calibrate, Calibrated, Method};
 pub use device::{Carried, Change, Key, KeyAction, Params, Resolution, Settings};
@@ -371,6 +373,7 @@ Examples:
   wimu monitor tcp://127.0.0.1:7100
   wimu monitor tcp://127.0.0.1:7101 --cable tcp://127.0.0.1:7100
   wimu monitor tcp://127.0.0.1:7100 --rate 10 --for 5
+  wimu monitor tcp://127.0.0.1:7100 --navigate --fixes tcp://127.0.0.1:9000
 In a terminal of 80x24 or more a LINK is a screen with its keys at the bottom; otherwise, and with \
 --rate or --json, it prints lines.")]
 pub struct Monitor {
@@ -385,6 +388,11 @@ pub struct Monitor {
     /// Stop after this time, s
     #[arg(long = "for", value_name = "SECONDS", value_parser = seconds)]
     pub seconds: Option<Duration>,
+    /// Show on the screen the position of `wimu navigate LINK`, with the options below
+    #[arg(long)]
+    pub navigate: bool,
+    #[command(flatten)]
+    pub aids: Aids,
 }
 
 #[derive(Args)]

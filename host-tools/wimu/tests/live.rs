@@ -156,6 +156,101 @@ fn an_ambiguous_alignment_is_refused() {
     texts.check("align_refusals");
 }
 
+/// Objects of `wimu navigate LINK`: poses, and the path.
+fn navigated(arguments: &[&str]) -> (Vec<Value>, Value) {
+    let ran = wimu(arguments);
+    let mut lines: Vec<Value> = ran
+        .stdout
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    let path = lines.pop().unwrap_or_else(|| panic!("{ran:?}"));
+    assert_eq!(path["schema"], "wimu.path/1", "{ran:?}");
+    (lines, path)
+}
+
+fn near(pose: &Value, [e, n, u]: [f64; 3]) -> f64 {
+    let p = [0, 1, 2].map(|k| pose["position_m"][k].as_f64().unwrap());
+    (p[0] - e).hypot(p[1] - n).hypot(p[2] - u)
+}
+
+/// A unit at rest, and anchors.
+const AT_M: [f64; 3] = [2.0, 3.0, 1.0];
+const ANCHORS: &str =
+    "Anchor,Position E (m),Position N (m),Position U (m)\nA,0,0,0\nB,8,0,2\nC,8,6,0\nD,0,6,2.5\n";
+
+/// Ranges of it, one anchor after the other.
+fn range_m(anchor: usize) -> f64 {
+    let [e, n, u] = [
+        [0.0, 0.0, 0.0],
+        [8.0, 0.0, 2.0],
+        [8.0, 6.0, 0.0],
+        [0.0, 6.0, 2.5],
+    ][anchor];
+    (AT_M[0] - e).hypot(AT_M[1] - n).hypot(AT_M[2] - u)
+}
+
+#[test]
+fn ranges_over_a_link_or_from_a_file_move_a_board_to_the_frame_of_the_anchors() {
+    let board = Simulator::start(&["--sensor", "lsm6dso", "--motion", "rest"]);
+    let folder = folder();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (anchors, file) = (path("anchors.csv"), path("ranges.csv"));
+    fs::write(&anchors, ANCHORS).unwrap();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let link = format!("tcp://{}", listener.local_addr().unwrap());
+    thread::spawn(move || {
+        let (mut client, _) = listener.accept().unwrap();
+        writeln!(client, "Anchor,Range (m)\nX,1\nA,-1").unwrap();
+        for k in 0.. {
+            let id = ["A", "B", "C", "D"][k % 4];
+            if writeln!(client, "{id},{:.3}", range_m(k % 4)).is_err() {
+                return;
+            }
+            thread::sleep(Duration::from_millis(25));
+        }
+    });
+    let of = [
+        "navigate",
+        &board.cable,
+        "--anchors",
+        &anchors,
+        "--for",
+        "7",
+        "--ranges",
+    ];
+    let (poses, found) = navigated(&[&of[..], &[&link]].concat());
+    let last = poses.last().unwrap();
+    assert!(near(last, AT_M) < 0.2 && last["valid"] == true, "{last}");
+    let used = found["ranges"]["used"].as_u64().unwrap();
+    assert!((60..400).contains(&used), "{found}");
+    // Those that arrived before the first sample.
+    assert!(found["ranges"]["late"].as_u64().unwrap() < 40, "{found}");
+    assert_eq!(found["fixes"], Value::Null);
+    let text = found["findings"].to_string();
+    assert!(
+        text.contains("2 lines of the ranges cannot be read"),
+        "{text}"
+    );
+
+    // By the device's clock.
+    let row = |k: usize| {
+        format!(
+            "{:.3},{},{:.3}\n",
+            k as f64 * 0.025,
+            ["A", "B", "C", "D"][k % 4],
+            range_m(k % 4)
+        )
+    };
+    let rows: String = (0..4000).map(row).collect();
+    fs::write(&file, format!("Time (s),Anchor,Range (m)\n{rows}")).unwrap();
+    let (poses, found) = navigated(&[&of[..], &[&file]].concat());
+    let last = poses.last().unwrap();
+    assert!(near(last, AT_M) < 0.2, "{last}");
+    assert!(found["ranges"]["used"].as_u64().unwrap() > 60, "{found}");
+    wimu(&of[..6]).fails(2, "usage");
+}
+
 #[test]
 fn a_board_is_navigated_live_and_fixes_over_a_link_move_it_to_their_frame() {
     let board = Simulator::start(&["--sensor", "lsm6dso", "--motion", "rest"]);
@@ -180,24 +275,17 @@ fn a_board_is_navigated_live_and_fixes_over_a_link_move_it_to_their_frame() {
         &fixes,
         "-o",
     ];
-    let ran = wimu(&[&arguments[..], &[file.to_str().unwrap()]].concat());
-    let lines: Vec<Value> = ran
-        .stdout
-        .lines()
-        .map(|line| serde_json::from_str(line).unwrap())
-        .collect();
-    let [first, .., last, path] = &lines[..] else {
-        panic!("{ran:?}");
-    };
-    assert_eq!(
-        (&first["schema"], &path["schema"]),
-        (&"wimu.pose/1".into(), &"wimu.path/1".into())
-    );
-    let position = |pose: &Value| [0, 1, 2].map(|k| pose["position_m"][k].as_f64().unwrap());
-    let near = |[e, n, u]: [f64; 3]| (e - 10.0).hypot(n + 5.0).hypot(u - 1.0);
-    assert!(near(position(last)) < 0.2, "{last}");
+    let (poses, path) = navigated(&[&arguments[..], &[file.to_str().unwrap()]].concat());
+    assert_eq!(poses[0]["schema"], "wimu.pose/1");
+    let last = poses.last().unwrap();
+    assert!(near(last, [10.0, -5.0, 1.0]) < 0.2, "{last}");
+    assert!(path["fixes"]["used"].as_u64().unwrap() > 20, "{path}");
     let rows = fs::read_to_string(file).unwrap().lines().count();
-    assert_eq!(rows, lines.len(), "a header, and a row for each position");
+    assert_eq!(
+        rows,
+        poses.len() + 1,
+        "a header, and a row for each position"
+    );
     let said = |text: &str| {
         let findings = path["findings"].as_array().unwrap();
         findings
@@ -205,6 +293,7 @@ fn a_board_is_navigated_live_and_fixes_over_a_link_move_it_to_their_frame() {
             .any(|f| f["evidence"].as_str().unwrap().contains(text))
     };
     assert!(said("moved to the frame of the fixes"), "{path}");
+    assert!(said("1 line of the fixes cannot be read"), "{path}");
     let count = ran.stderr.matches("of the fixes cannot be read").count();
     assert_eq!(count, 1, "once: {}", ran.stderr);
 }

@@ -384,3 +384,39 @@ fn a_terminal_that_is_closed_ends_the_command() {
         thread::sleep(Duration::from_millis(20));
     }
 }
+
+#[test]
+fn monitor_shows_the_position_that_ranges_aid() {
+    let board = Simulator::start(&["--sensor", "lsm6dso", "--motion", "rest"]);
+    let folder = folder();
+    let anchors = "Anchor,Position E (m),Position N (m),Position U (m)\nA,0,0,0\nB,8,0,2\nC,8,6,0\nD,0,6,2.5\n";
+    fs::write(folder.path().join("anchors.csv"), anchors).unwrap();
+    // Of a unit at E 2 N 3 U 1 m.
+    let rows: String = (0..8000)
+        .map(|k| {
+            let (id, range_m) = [("A", 3.742), ("B", 6.782), ("C", 6.782), ("D", 3.905)][k % 4];
+            format!("{:.3},{id},{range_m}\n", k as f64 * 0.025)
+        })
+        .collect();
+    let ranges = format!("Time (s),Anchor,Range (m)\n{rows}");
+    fs::write(folder.path().join("ranges.csv"), ranges).unwrap();
+    let mut arguments = vec!["monitor", &board.cable, "--anchors", "anchors.csv"];
+    arguments.extend(["--ranges", "ranges.csv"]);
+    wimu(
+        &[
+            &arguments[..2],
+            &["--ranges", "ranges.csv", "--anchors", "anchors.csv"],
+        ]
+        .concat(),
+    )
+    .fails(2, "usage");
+    arguments.push("--navigate");
+    wimu(&arguments).fails(2, "usage");
+    let mut screen = Terminal::start(&arguments, folder.path(), USUAL, &UTF8);
+    screen.shows("ranges used");
+    screen.until("the position", |text| {
+        ["E +2.0", "E +1.9"].iter().any(|east| text.contains(east)) && !text.contains("not valid")
+    });
+    screen.press("q");
+    assert!(screen.ends().success());
+}

@@ -7,6 +7,7 @@ use std::time::Duration;
 use super::fixes::{Fix, Fixes};
 use crate::csv::columns::Table;
 use crate::finding::{Finding, FindingCode};
+use crate::localization::Ranging;
 use crate::plural::counted;
 use crate::transport::{self, Transport};
 use crate::{LinkUrl, Result};
@@ -44,8 +45,8 @@ impl LeastDelay {
     }
 }
 
-/// A link that carries fixes: the header of [`Fixes::read`]'s table, then a line for each fix. Without a column of times
-/// a fix is measured when it arrives; with one, the least delayed is.
+/// A link that carries fixes or ranges: the header of their table, then its lines. Without a column of times a measurement
+/// is made when it arrives; with one, the least delayed is.
 pub struct FixLink {
     name: String,
     /// Lines, and when they arrived on the clock of the host's links, s.
@@ -53,16 +54,18 @@ pub struct FixLink {
     header: Option<String>,
     clock: LeastDelay,
     delay_s: f64,
+    /// The anchors, of ranges.
+    ranging: Option<Ranging>,
     unreadable: usize,
     finding: Option<Finding>,
 }
 
 impl FixLink {
-    /// Opens the link. A fix was measured `delay_s` before it arrives.
+    /// Opens the link. A measurement is made `delay_s` before it arrives. With anchors it carries ranges to them.
     ///
     /// # Errors
     /// Those of [`transport::open`].
-    pub fn open(link: &LinkUrl, delay_s: f64) -> Result<Self> {
+    pub fn open(link: &LinkUrl, delay_s: f64, ranging: Option<Ranging>) -> Result<Self> {
         let mut transport = transport::open(link)?;
         let (give, lines) = mpsc::sync_channel(MOST_LINES);
         thread::spawn(move || {
@@ -81,6 +84,7 @@ impl FixLink {
             header: None,
             clock: LeastDelay::default(),
             delay_s,
+            ranging,
             unreadable: 0,
             finding: None,
         })
@@ -96,7 +100,7 @@ impl FixLink {
             let line = match line {
                 Ok(line) => line,
                 Err(error) => {
-                    let text = format!("no more fixes: {error}");
+                    let text = format!("no more {}: {error}", self.kind());
                     self.finding = Some(FindingCode::Navigation.warning(text));
                     break;
                 }
@@ -106,10 +110,8 @@ impl FixLink {
                 continue;
             };
             let text = format!("{header}\n{line}\n");
-            let fixes = Table::of(self.name.clone(), &text)
-                .and_then(|table| Fixes::of(&table, 0.0, Some(arrived_s)));
-            match fixes {
-                Ok(fixes) => found.extend(fixes.fixes.into_iter().map(|fix| {
+            match self.fixes(&text, arrived_s) {
+                Ok(fixes) => found.extend(fixes.into_iter().map(|fix| {
                     self.clock.see(fix.time_s, arrived_s);
                     let offset_s = self.clock.offset_s().unwrap_or_default();
                     Fix {
@@ -120,14 +122,30 @@ impl FixLink {
                 Err(error) => {
                     self.unreadable += 1;
                     let text = format!(
-                        "{} of the fixes cannot be read: {error}",
-                        counted(self.unreadable, "line")
+                        "{} of the {} cannot be read: {error}",
+                        counted(self.unreadable, "line"),
+                        self.kind()
                     );
                     self.finding = Some(FindingCode::SamplesLeftOut.warning(text));
                 }
             }
         }
         found
+    }
+
+    fn kind(&self) -> &'static str {
+        self.ranging.as_ref().map_or("fixes", |_| "ranges")
+    }
+
+    fn fixes(&self, text: &str, arrived_s: f64) -> Result<Vec<Fix>> {
+        let table = Table::of(self.name.clone(), text)?;
+        match &self.ranging {
+            None => Ok(Fixes::of(&table, 0.0, Some(arrived_s))?.fixes),
+            Some(ranging) => {
+                let ranges = ranging.ranges(&table, arrived_s)?;
+                Ok(ranges.into_iter().map(Fix::from).collect())
+            }
+        }
     }
 
     /// What was noticed last: a lost link, lines that are no fixes.

@@ -1,4 +1,4 @@
-//! Measurements of other systems: position, height, velocity and heading fixes, and a path that ends where it began.
+//! Measurements of other systems: position, height, velocity and heading fixes, and ranges to anchors.
 
 use std::path::Path;
 
@@ -8,11 +8,15 @@ use wimu_nav::navigator::{Model, Navigator};
 use wimu_nav::sensor::{Heading, Position, Velocity};
 use wimu_nav::smoother::Recorder;
 
+use super::StartPose;
+use super::suspects::{Lag, Suspects};
+use crate::Result;
 use crate::csv::columns::{ANGLE, Column, LENGTH, SPEED, TIME, Table};
 use crate::digits::significant;
 use crate::finding::{Finding, FindingCode};
+use crate::localization::{AnchorStates, RangeSample, Ranging};
+use crate::motion::other_clock;
 use crate::plural::counted;
-use crate::{ErrorCode, Result};
 
 /// A measurement at one time, east-north-up.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,6 +31,8 @@ pub struct Fix {
     pub velocity_mps: Option<([f64; 3], f64)>,
     /// Angle of the body x axis from east towards north, and its standard deviation, rad.
     pub heading_rad: Option<[f64; 2]>,
+    /// Range to an anchor of [`Fixes::ranging`], by its index, m.
+    pub range_m: Option<(usize, f64)>,
 }
 
 /// Fixes, in the order of time.
@@ -38,6 +44,8 @@ pub struct Fixes {
     pub lever_arm_m: [f64; 3],
     /// What was noticed while they were read.
     pub findings: Vec<Finding>,
+    /// The anchors of ranges.
+    pub ranging: Option<Ranging>,
 }
 
 /// Standard deviations of a file without them: a position by GNSS without corrections, m; a velocity by its Doppler shift,
@@ -134,6 +142,7 @@ impl Fixes {
                 }),
                 velocity_mps: velocity,
                 heading_rad: value(heading[0])?.map(|heading| [heading, heading_sd]),
+                range_m: None,
             };
             if fix.has_position() || fix.velocity_mps.is_some() || fix.heading_rad.is_some() {
                 fixes.push(fix);
@@ -154,8 +163,8 @@ impl Fixes {
         fixes.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
         Ok(Self {
             fixes,
-            lever_arm_m: [0.0; 3],
             findings,
+            ..Self::default()
         })
     }
 
@@ -186,18 +195,39 @@ impl Fixes {
         let Some(((first, last), (from, to))) = ends else {
             return Ok(());
         };
-        if self
-            .fixes
-            .iter()
-            .any(|fix| (*from..=*to).contains(&fix.time_s))
-        {
-            return Ok(());
+        let inside = |fix: &Fix| (*from..=*to).contains(&fix.time_s);
+        match self.fixes.iter().any(inside) {
+            true => Ok(()),
+            false => Err(other_clock([
+                ("fixes", [first.time_s, last.time_s]),
+                ("samples", [*from, *to]),
+            ])),
         }
-        let message = format!(
-            "no fix is within the time of the recording: fixes from {:.2} to {:.2} s, samples from {from:.2} to {to:.2} s",
-            first.time_s, last.time_s
-        );
-        Err(ErrorCode::DataRefused.error(message, "give both the times of one clock"))
+    }
+
+    /// Positions at a time, s, in the frame of the fixes, m, with standard deviations: that of the first fix, or those that
+    /// ranges show; `given` instead of the latter. None as long as there are none.
+    pub(super) fn positions(
+        &self,
+        time_s: f64,
+        given: Option<&StartPose>,
+    ) -> Vec<(Vector3<f64>, f64)> {
+        let fix = self.origin().filter(|fix| fix.time_s <= time_s);
+        if let Some(fix) = fix {
+            return vec![fix.position()];
+        }
+        let Some(ranging) = &self.ranging else {
+            return Vec::new();
+        };
+        let end = self.fixes.partition_point(|fix| fix.time_s <= time_s);
+        let ranges: Vec<RangeSample> = self.fixes[..end].iter().filter_map(Fix::range).collect();
+        match (given, ranges.first()) {
+            (Some(pose), Some(_)) => vec![(pose.position_m.into(), GIVEN_M)],
+            (None, Some(first)) if first.time_s <= time_s - FIRST_RANGES_S => {
+                ranging.positions(&ranges)
+            }
+            _ => Vec::new(),
+        }
     }
 
     /// The first fix of the horizontal position: the path is in its frame.
@@ -208,16 +238,80 @@ impl Fixes {
 }
 
 impl Fix {
+    /// Nothing that is measured, at a time, s.
+    pub fn at(time_s: f64) -> Self {
+        Self {
+            time_s,
+            position_m: [0.0; 3],
+            position_sd_m: [f64::INFINITY; 3],
+            velocity_mps: None,
+            heading_rad: None,
+            range_m: None,
+        }
+    }
+
+    /// Position, m, and its standard deviation at a start.
+    pub(super) fn position(&self) -> (Vector3<f64>, f64) {
+        (self.position_m.into(), START_M)
+    }
+
     fn has_position(&self) -> bool {
         self.position_sd_m.iter().any(|sd| sd.is_finite())
+    }
+
+    fn range(&self) -> Option<RangeSample> {
+        self.range_m.map(|(anchor, range_m)| RangeSample {
+            time_s: self.time_s,
+            anchor,
+            range_m,
+        })
+    }
+}
+
+impl From<RangeSample> for Fix {
+    fn from(range: RangeSample) -> Self {
+        Self {
+            range_m: Some((range.anchor, range.range_m)),
+            ..Self::at(range.time_s)
+        }
     }
 }
 
 /// Fixes of the position in succession that fail their test until one is taken for true: the path is wrong.
-const CONTRADICTIONS: usize = 5;
+pub(super) const CONTRADICTIONS: usize = 5;
 
 /// Logarithm of the density of a fix that contradicts the path, in 1/m³: a fix anywhere within 100 m.
 const OUTLIER: f64 = -13.8;
+
+/// A range whose line of sight is less probable is counted as not used.
+const LINE_OF_SIGHT: f64 = 0.5;
+
+/// What happened to the measurements of one kind.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Aided {
+    /// Number that was used.
+    pub used: usize,
+    /// Number that contradicted the path. A rejected range had no line of sight, or little weight for another reason.
+    pub rejected: usize,
+    /// Number that came too late.
+    pub late: usize,
+}
+
+impl Aided {
+    fn count(&mut self, used: bool) {
+        let counter = if used {
+            &mut self.used
+        } else {
+            &mut self.rejected
+        };
+        *counter += 1;
+    }
+
+    /// Of all that was compared with the path.
+    pub(super) fn compared(&self) -> usize {
+        self.used + self.rejected
+    }
+}
 
 /// The use of fixes along a path.
 #[derive(Clone, Debug)]
@@ -226,10 +320,16 @@ pub(super) struct Aiding {
     from_s: f64,
     /// Of all fixes that were compared with the path.
     pub log_likelihood: f64,
-    used: usize,
-    rejected: Vec<f64>,
+    pub fixes: Aided,
+    pub ranges: Aided,
+    /// Times of the first and of the last fix that contradicted the path, s.
+    pub rejected_s: Option<[f64; 2]>,
     in_succession: usize,
-    jumps: Vec<f64>,
+    pub jumps: Vec<f64>,
+    /// The anchors in the state, as soon as the path is in their frame.
+    pub anchors: Option<AnchorStates>,
+    pub suspects: Suspects,
+    pub lag: Lag,
 }
 
 impl Aiding {
@@ -238,10 +338,14 @@ impl Aiding {
         Self {
             from_s: time_s,
             log_likelihood: 0.0,
-            used: 0,
-            rejected: Vec::new(),
+            fixes: Aided::default(),
+            ranges: Aided::default(),
+            rejected_s: None,
             in_succession: 0,
             jumps: Vec::new(),
+            anchors: None,
+            suspects: Suspects::default(),
+            lag: Lag::default(),
         }
     }
 
@@ -257,13 +361,40 @@ impl Aiding {
             .iter()
             .take_while(|fix| fix.time_s <= time_s)
         {
-            if self.is_accepted(fix, fixes.lever_arm_m, navigator) {
-                self.used += 1;
+            if fix.range_m.is_some() {
+                self.take_range(fix, fixes, navigator);
             } else {
-                self.rejected.push(fix.time_s);
+                let accepted = self.is_accepted(fix, fixes.lever_arm_m, navigator);
+                self.fixes.count(accepted);
+                if !accepted {
+                    self.rejected_s =
+                        Some([self.rejected_s.map_or(fix.time_s, |s| s[0]), fix.time_s]);
+                }
             }
         }
         self.from_s = time_s.next_up();
+    }
+
+    fn take_range<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>>(
+        &mut self,
+        fix: &Fix,
+        fixes: &Fixes,
+        navigator: &mut Navigator<f64, M, N, L>,
+    ) {
+        let states = self.anchors.as_mut().zip(fixes.ranging.as_ref());
+        let (Some((states, ranging)), Some(range)) = (states, fix.range()) else {
+            return;
+        };
+        let Some(found) = states.update(ranging, range, fixes.lever_arm_m, navigator) else {
+            return;
+        };
+        self.log_likelihood += found.log_likelihood;
+        let believed = found.weight >= LINE_OF_SIGHT;
+        self.ranges.count(believed);
+        self.suspects.see(&range, believed);
+        if states.recovers(ranging, navigator) {
+            self.jumps.push(fix.time_s);
+        }
     }
 
     fn is_accepted<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>>(
@@ -279,14 +410,18 @@ impl Aiding {
                 deviation_m: fix.position_sd_m.into(),
                 lever_arm_m: lever_arm_m.into(),
             };
+            let solution = navigator.solution();
+            let off = position.position_m - Vector3::from(solution.position_m);
+            let known = position.deviation_m.map(f64::is_finite);
+            let off = off.zip_map(&known, |off, known| if known { off } else { 0.0 });
             if self.in_succession >= CONTRADICTIONS {
-                let off = position.position_m - Vector3::from(navigator.solution().position_m);
-                let known = position.deviation_m.map(f64::is_finite);
-                let off = off.zip_map(&known, |off, known| if known { off } else { 0.0 });
                 navigator.loosen_position(off.norm());
                 self.jumps.push(fix.time_s);
             }
             accepted &= self.count(&navigator.update(&position, Gate::ChiSquare));
+            if !accepted {
+                self.lag.see(&off, &solution.velocity_mps.into());
+            }
             self.in_succession = if accepted { 0 } else { self.in_succession + 1 };
         }
         if let Some((velocity_mps, deviation_mps)) = fix.velocity_mps {
@@ -312,33 +447,9 @@ impl Aiding {
         innovation.accepted
     }
 
-    /// What happened to the fixes up to now.
-    pub fn findings(&self) -> Vec<Finding> {
-        let all = self.used + self.rejected.len();
-        let mut found = Vec::new();
-        if let (Some(first), Some(last)) = (self.rejected.first(), self.rejected.last()) {
-            let text = format!(
-                "{} of {all} fixes contradict the path by far more than both standard deviations: not used",
-                self.rejected.len()
-            );
-            let remedy = "check their standard deviations, the delay (--fix-delay) and the lever arm (--lever-arm)";
-            let finding = FindingCode::Navigation.warning(text).remedy(remedy);
-            found.push(finding.between(*first, *last));
-        }
-        if let (Some(first), Some(last)) = (self.jumps.first(), self.jumps.last()) {
-            let text = format!(
-                "{CONTRADICTIONS} fixes in succession contradicted the path, {}: it jumps to the next one there",
-                counted(self.jumps.len(), "time")
-            );
-            let finding = FindingCode::Navigation.warning(text);
-            found.push(finding.between(*first, *last));
-        }
-        found
-    }
-
     /// Says how many of `all` fixes were not compared.
     pub fn outside(&self, all: usize) -> Option<Finding> {
-        let outside = all - self.used - self.rejected.len();
+        let outside = all - self.fixes.compared();
         let text = || {
             format!(
                 "{} outside the time of the recording",
@@ -349,24 +460,27 @@ impl Aiding {
     }
 }
 
-/// Standard deviations of a start whose position the first fix gives, m, and of each heading that is tried, rad.
+/// Standard deviations of a start whose position the first fix gives, m, that `--start` gives, m, and of each heading that
+/// is tried, rad.
 const START_M: f64 = 100.0;
+const GIVEN_M: f64 = 0.3;
 const HEADING_SD: f64 = 0.3;
+/// Ranges of this time show the position at the start, s.
+const FIRST_RANGES_S: f64 = 1.0;
 
-/// Moves a navigator to the frame of fixes, at a heading, rad.
+/// Moves a navigator to a position in the frame of fixes, m, with its standard deviation, at a heading, rad.
 pub(super) fn place<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>>(
     navigator: &mut Navigator<f64, M, N, L>,
-    fix: &Fix,
+    (position, position_sd): (Vector3<f64>, f64),
     heading: f64,
 ) {
     let solution = navigator.solution();
     let variance = Matrix3::from(solution.velocity_covariance).diagonal().max();
     navigator.set_heading(heading);
-    let deviations = [START_M, variance.sqrt(), HEADING_SD];
     navigator.set_pose(
-        fix.position_m.into(),
+        position,
         solution.velocity_mps.into(),
         heading,
-        deviations,
+        [position_sd, variance.sqrt(), HEADING_SD],
     );
 }

@@ -1,18 +1,18 @@
 //! Navigation of a stream.
 
-use nalgebra::Matrix3;
-use wimu_nav::navigator::{Gyroscope, Model, NoGyroscope, Profile, Sample};
+use wimu_nav::navigator::{Gyroscope, NoGyroscope, Profile, Sample};
 use wimu_nav::stance::AHEAD_S;
 use wimu_nav::stationarity::Detector;
 
-use super::fixes::{Fix, Fixes};
+use super::fixes::{Aided, Fix};
+use super::headings::Follow;
 use super::sense::{Senses, clipped};
-use super::track::{Input, Track, counted_findings};
-use super::unit::{HEADINGS, OnceEachField, Unit, noise_mps2, sample};
+use super::track::{Input, counted_findings};
+use super::unit::{OnceEachField, Unit, noise_mps2, sample};
 use super::{Choice, InertialPath, Method, PathPoint};
 use crate::Result;
 use crate::finding::{Finding, FindingCode};
-use crate::motion::{MotionRecording, UnitSample};
+use crate::motion::{MotionRecording, UnitSample, other_clock};
 
 /// Samples before the first answer, s: what shows whether the sensors are calibrated, and the alignment.
 const START_S: f64 = 3.0;
@@ -20,8 +20,8 @@ const START_S: f64 = 3.0;
 const BLOCK_S: f64 = 0.1;
 /// Samples that are kept before the horizon, s: those that a stance looks back to.
 const KEPT_S: f64 = AHEAD_S + 1.0;
-/// Difference of the logarithms of two likelihoods beyond which the smaller one is ruled out: odds of 1 to 2·10⁹.
-const RULED_OUT: f64 = 21.4;
+/// Fixes that are all later than the newest sample by this time, s, are of another clock: a day.
+const FAR_S: f64 = 86_400.0;
 
 /// A unit that is navigated while it moves, with the filter of [`navigate`](super::navigate).
 ///
@@ -52,7 +52,8 @@ pub struct Live {
     once: OnceEachField,
     begun: Option<Begun>,
     findings: Vec<Finding>,
-    late: usize,
+    /// Fixes and ranges that came too late.
+    late: [usize; 2],
     not_finite: usize,
     clipped: usize,
 }
@@ -80,7 +81,7 @@ impl Live {
             once: OnceEachField::default(),
             begun: None,
             findings: Vec::new(),
-            late: 0,
+            late: [0; 2],
             not_finite: 0,
             clipped: 0,
         }
@@ -90,7 +91,7 @@ impl Live {
     /// repeated.
     ///
     /// # Errors
-    /// `data_refused`, three seconds after the first sample: these do not show gravity.
+    /// `data_refused`, three seconds after the first sample: these do not show gravity, or there are too many anchors.
     pub fn push(&mut self, time_s: f64, sample: UnitSample) -> Result<()> {
         let mut values = sample.force_mps2.into_iter().chain([time_s]);
         if !values.all(f64::is_finite) {
@@ -115,12 +116,12 @@ impl Live {
         Ok(())
     }
 
-    /// A measurement of another system. A fix of the horizontal position moves the path to the frame of the fixes.
+    /// A measurement of another system. A fix of the horizontal position, or ranges of a second, move the path to their frame.
     pub fn fix(&mut self, fix: Fix) {
         // Before the filter begins the horizon is at the first sample.
         let horizon_s = self.recording.times_s.get(self.taken);
         if horizon_s.is_some_and(|horizon_s| fix.time_s < *horizon_s) {
-            self.late += 1;
+            self.late[usize::from(fix.range_m.is_some())] += 1;
             return;
         }
         let fixes = &mut self.choice.fixes.fixes;
@@ -143,7 +144,18 @@ impl Live {
         let origin = moves.unwrap_or(points.len()).saturating_sub(1);
         let mut path = InertialPath::new(method, points, origin, self.choice.limit_m);
         path.findings = self.findings();
+        path.aided = self.aided();
         path
+    }
+
+    /// What happened to the fixes and to the ranges up to now.
+    pub fn aided(&self) -> [Aided; 2] {
+        let begun = self.begun.as_ref();
+        let mut aided = begun.map_or_else(Default::default, |begun| begun.path.aided());
+        for (aided, late) in aided.iter_mut().zip(self.late) {
+            aided.late = late;
+        }
+        aided
     }
 
     /// Where the unit is at the newest sample; `None` in the first three seconds.
@@ -158,7 +170,7 @@ impl Live {
         Some(point)
     }
 
-    /// Headings that explain the fixes: the path is not valid while there are several.
+    /// Headings that explain the fixes: the path is not valid while they have different positions.
     pub fn headings(&self) -> usize {
         self.begun.as_ref().map_or(1, |begun| begun.path.headings())
     }
@@ -173,7 +185,8 @@ impl Live {
         let mut found = [&self.choice.fixes.findings[..], &self.findings].concat();
         let late = "arrived later than the filter waits: not used (--fix-delay)";
         let counts = [
-            (self.late, "fix", late),
+            (self.late[0], "fix", late),
+            (self.late[1], "range", late),
             (self.clipped, "clipped sample", "not used: σ grows there"),
             (self.not_finite, "sample", "that is not finite: not used"),
         ];
@@ -181,18 +194,37 @@ impl Live {
             let counts = [(count, what)];
             found.extend(counted_findings(FindingCode::SamplesLeftOut, one, &counts));
         }
+        found.extend(self.other_clock());
         if let Some(begun) = &self.begun {
-            found.extend(begun.path.findings());
+            found.extend(begun.path.findings(&self.choice.fixes));
         }
         found
+    }
+
+    /// Fixes of a file whose times are not those of the device.
+    fn other_clock(&self) -> Option<Finding> {
+        let fixes = &self.choice.fixes.fixes;
+        let (first, last) = fixes.first().zip(fixes.last())?;
+        let newest_s = self.newest_s()?;
+        if first.time_s < newest_s + FAR_S {
+            return None;
+        }
+        let fixes = ("fixes or ranges", [first.time_s, last.time_s]);
+        let error = other_clock([fixes, ("device", [newest_s; 2])]);
+        Some(
+            FindingCode::Clock
+                .warning(error.message())
+                .remedy(error.remedy()),
+        )
     }
 
     fn begin(&mut self) -> Result<()> {
         let begun_s = self.recording.times_s[0];
         let fixes = &mut self.choice.fixes.fixes;
         let before = fixes.partition_point(|fix| fix.time_s < begun_s);
-        fixes.drain(..before);
-        self.late += before;
+        for fix in fixes.drain(..before) {
+            self.late[usize::from(fix.range_m.is_some())] += 1;
+        }
         let recording = &self.recording;
         let senses = Senses::of(recording)?;
         let method = match recording.samples.iter().any(|s| s.rate_rad_s.is_some()) {
@@ -209,9 +241,12 @@ impl Live {
         }
         let noise_mps2 = noise_mps2(&recording.times_s, &recording.samples);
         let unit = unit(recording, &senses, &senses.clipped, noise_mps2);
-        let path: Box<dyn Follow + Send> = match method {
-            Method::Strapdown => unit.begin::<Gyroscope<f64>, 40>(&self.choice, method)?,
-            _ => unit.begin::<NoGyroscope<f64>, 24>(&self.choice, method)?,
+        let (choice, ranges) = (&self.choice, self.choice.fixes.ranging.is_some());
+        let path: Box<dyn Follow + Send> = match (method, ranges) {
+            (Method::Strapdown, false) => unit.begin::<Gyroscope<f64>, 40>(choice, method)?,
+            (Method::Strapdown, true) => unit.begin::<Gyroscope<f64>, 64>(choice, method)?,
+            (_, false) => unit.begin::<NoGyroscope<f64>, 24>(choice, method)?,
+            (_, true) => unit.begin::<NoGyroscope<f64>, 48>(choice, method)?,
         };
         self.begun = Some(Begun {
             method,
@@ -268,142 +303,5 @@ fn unit<'a>(
         uncalibrated: senses.uncalibrated,
         time_sd_s: 0.0,
         noise_mps2,
-    }
-}
-
-impl Unit<'_> {
-    /// The path from the first sample on.
-    fn begin<M, const N: usize>(
-        &self,
-        choice: &Choice,
-        method: Method,
-    ) -> Result<Box<Headings<M, N>>>
-    where
-        M: Model<f64, N> + Clone,
-    {
-        self.accepts(choice, method)?;
-        let samples: Vec<_> = self.samples.iter().map(sample).collect();
-        let inputs = self.inputs(&samples, choice, method);
-        let rests: Vec<bool> = inputs.iter().map(|input| input.resting).collect();
-        let start = self.start::<M, N>(&samples, &rests, choice)?;
-        let at_rest = self.first_rest(&rests).is_some();
-        Ok(Box::new(Headings {
-            tracks: vec![Track::new(start, choice, self.times_s[0], at_rest)],
-            placed: choice.start.is_some(),
-            jumped_s: None,
-        }))
-    }
-}
-
-/// A path whose samples and fixes arrive.
-trait Follow {
-    /// Takes samples.
-    fn advance(&mut self, inputs: &[Input], fixes: &Fixes);
-
-    /// The point after further samples, which are not taken.
-    fn ahead(&self, inputs: &[Input], fixes: &Fixes) -> Option<PathPoint>;
-
-    fn findings(&self) -> Vec<Finding>;
-
-    fn headings(&self) -> usize;
-}
-
-/// A path at several headings, until fixes rule out all but one.
-struct Headings<M, const N: usize> {
-    tracks: Vec<Track<M, N>>,
-    /// Whether the path is in the frame of the fixes.
-    placed: bool,
-    /// When it was moved to it, s.
-    jumped_s: Option<f64>,
-}
-
-impl<M: Model<f64, N> + Clone, const N: usize> Headings<M, N> {
-    fn best(&self) -> Option<&Track<M, N>> {
-        let likelihood = |track: &&Track<M, N>| track.aiding.log_likelihood;
-        let ordered = |a: &&_, b: &&_| likelihood(a).total_cmp(&likelihood(b));
-        self.tracks.iter().max_by(ordered)
-    }
-
-    /// Moves the path to the first fix, at all headings.
-    fn place(&mut self, fix: &Fix) {
-        let track = &self.tracks[0];
-        let all = (0..HEADINGS).map(|k| {
-            let mut track = track.clone();
-            track.place(
-                fix,
-                f64::from(k) * std::f64::consts::TAU / f64::from(HEADINGS),
-            );
-            track
-        });
-        self.tracks = all.collect();
-        (self.placed, self.jumped_s) = (true, Some(fix.time_s));
-    }
-
-    /// Drops headings that are ruled out, and those that have come to the solution of a more probable one.
-    fn prune(&mut self) {
-        self.tracks
-            .sort_by(|a, b| b.aiding.log_likelihood.total_cmp(&a.aiding.log_likelihood));
-        let mut kept: Vec<Track<M, N>> = Vec::new();
-        for track in self.tracks.drain(..) {
-            let same = |other: &Track<M, N>| {
-                let apart = track.navigator.heading() - other.navigator.heading();
-                let apart = apart.sin().atan2(apart.cos()).abs();
-                let covariance = other.navigator.solution().attitude_covariance;
-                apart < Matrix3::from(covariance)[(2, 2)].sqrt()
-            };
-            let is_lost = kept.first().is_some_and(|best| {
-                best.aiding.log_likelihood - track.aiding.log_likelihood > RULED_OUT
-            });
-            if !is_lost && !kept.iter().any(same) {
-                kept.push(track);
-            }
-        }
-        self.tracks = kept;
-    }
-}
-
-impl<M: Model<f64, N> + Clone, const N: usize> Follow for Headings<M, N> {
-    fn advance(&mut self, inputs: &[Input], fixes: &Fixes) {
-        for input in inputs {
-            let first = fixes.origin().filter(|fix| fix.time_s <= input.time_s);
-            if let (false, Some(fix)) = (self.placed, first) {
-                self.place(fix);
-            }
-            for track in &mut self.tracks {
-                track.step(input, fixes);
-            }
-        }
-        if self.tracks.len() > 1 {
-            self.prune();
-        }
-    }
-
-    fn ahead(&self, inputs: &[Input], fixes: &Fixes) -> Option<PathPoint> {
-        let mut track = self.best()?.clone();
-        let unplaced = Fixes::default();
-        let fixes = if self.placed { fixes } else { &unplaced };
-        let mut last = None;
-        for input in inputs {
-            last = Some(track.step(input, fixes));
-        }
-        let mut point = last?;
-        point.valid = track.has_origin() && self.tracks.len() == 1;
-        Some(point)
-    }
-
-    fn headings(&self) -> usize {
-        self.tracks.len()
-    }
-
-    fn findings(&self) -> Vec<Finding> {
-        let mut found = Vec::new();
-        if let Some(jumped_s) = self.jumped_s {
-            let text = format!("the path was moved to the frame of the fixes at {jumped_s:.2} s");
-            found.push(FindingCode::Navigation.note(text));
-        }
-        if let Some(best) = self.best() {
-            found.extend(best.findings());
-        }
-        found
     }
 }

@@ -7,6 +7,7 @@ use nalgebra::UnitQuaternion;
 use wimu_nav::filter::Filter;
 use wimu_nav::state::{ATTITUDE, POSITION, VELOCITY};
 
+use super::fixes::Aided;
 use super::truth::consistency;
 use super::{Method, Move};
 use crate::digits::significant;
@@ -115,6 +116,8 @@ pub struct InertialPath {
     pub moves: Vec<Move>,
     /// What was noticed on the way.
     pub findings: Vec<Finding>,
+    /// What happened to fixes and to ranges.
+    pub aided: [Aided; 2],
     /// Points known no better than this, m, are not valid.
     pub limit_m: f64,
     /// Whether the points rest on all samples ([`Choice::smooth`](super::Choice::smooth)).
@@ -144,6 +147,7 @@ impl InertialPath {
             origin,
             moves: Vec::new(),
             findings: Vec::new(),
+            aided: Default::default(),
             limit_m,
             smoothed: false,
             smoothed_rate: false,

@@ -1,15 +1,20 @@
 //! A navigator along the samples of a unit, with what aids it.
 
+use nalgebra::Vector3;
 use wimu_nav::navigator::{Model, Navigator, Profile, Sample, SampleFault};
 use wimu_nav::smoother::Recorder;
 
-use super::fixes::{self, Aiding, Fix, Fixes};
+use super::fixes::{self, Aiding, Fixes};
 use super::{Choice, PathPoint};
 use crate::finding::{Finding, FindingCode};
+use crate::localization::Ranging;
 use crate::plural::counted;
 
 /// A start in motion ends with the first rest of this length, s.
 pub(super) const FIRST_REST_S: f64 = 0.5;
+
+/// Part of the readings of the magnetic field above which rejected ones are reported: indoors iron explains some.
+const MAGNET: f64 = 0.2;
 
 /// A sample with what is known of the motion at its time.
 pub(super) struct Input<'a> {
@@ -61,9 +66,9 @@ impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
         }
     }
 
-    /// Moves to the frame of fixes, at a heading, rad.
-    pub fn place(&mut self, fix: &Fix, heading_rad: f64) {
-        fixes::place(&mut self.navigator, fix, heading_rad);
+    /// Moves to a position in the frame of fixes, m, with its standard deviation, at a heading, rad.
+    pub fn place(&mut self, position: (Vector3<f64>, f64), heading_rad: f64) {
+        fixes::place(&mut self.navigator, position, heading_rad);
         self.framed = true;
     }
 
@@ -118,14 +123,26 @@ impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
         }
     }
 
+    /// A magnetic field that is not that of the Earth for part of the time.
+    fn magnet(&self) -> Option<Finding> {
+        let [used, rejected] = self.navigator.fields().map(f64::from);
+        let part = rejected / (used + rejected).max(1.0);
+        let text = format!(
+            "the magnetic field contradicted the motion in {:.0} % of its readings, not used: magnet or iron near the unit?",
+            100.0 * part
+        );
+        (part > MAGNET).then(|| FindingCode::Navigation.warning(text))
+    }
+
     /// What was noticed: samples that were not used, recoveries and restarts of the filter, and the use of fixes.
-    pub fn findings(&self) -> Vec<Finding> {
+    pub fn findings(&self, ranging: Option<&Ranging>) -> Vec<Finding> {
         let left_out = [
             (self.no_time, "whose time goes back: not used"),
             (self.not_finite, "that is not finite: not used"),
         ];
         let mut found = counted_findings(FindingCode::SamplesLeftOut, "sample", &left_out);
-        found.extend(self.aiding.findings());
+        found.extend(self.aiding.findings(ranging));
+        found.extend(self.magnet());
         let recoveries = self.navigator.recoveries() as usize;
         let contradicted = "contradicted the estimated velocity: σ was enlarged there";
         found.extend(counted_findings(

@@ -123,11 +123,14 @@ impl Unit<'_> {
         let at_rest_first = self.first_rest(&rests).is_some();
         let start = self.start::<M, N>(&samples, &rests, choice)?;
         let shown = choice.fixes.origin().filter(|_| choice.start.is_none());
-        let placed = shown.map(|fix| (fix, self.heading(&start, &inputs, choice, fix)));
+        let placed = shown.map(|fix| {
+            let heading = self.heading(&start, &inputs, choice, fix);
+            (fix.position(), heading)
+        });
         let begin_s = self.times_s[0];
         let mut track = Track::new(start.recorded(tape), choice, begin_s, at_rest_first);
-        if let Some((fix, heading)) = placed {
-            track.place(fix, heading);
+        if let Some((position, heading)) = placed {
+            track.place(position, heading);
         }
         let has_origin = track.has_origin();
         let mut points = Vec::with_capacity(samples.len());
@@ -138,8 +141,9 @@ impl Unit<'_> {
         let origin = track.origin;
         let from = origin.unwrap_or(0);
         let mut findings = fixes.findings.clone();
-        findings.extend(track.findings());
+        findings.extend(track.findings(None));
         findings.extend(track.aiding.outside(fixes.fixes.len()));
+        let aided = [track.aiding.fixes, track.aiding.ranges];
         let mut tape = track.navigator.into_recorder();
         tape.finish(&mut points);
         smoothed_moves(&mut moves, &points, &tape.changes, self.times_s);
@@ -174,6 +178,7 @@ impl Unit<'_> {
         path.moves = moves;
         path.smoothed = smooth;
         path.findings = findings;
+        path.aided = aided;
         Ok(path)
     }
 
@@ -202,11 +207,9 @@ impl Unit<'_> {
         if let (Some(sd_m), Some(last)) = (choice.loop_m, self.times_s.last()) {
             let start = choice.start.map_or([0.0; 3], |pose| pose.position_m);
             fixes.fixes.push(Fix {
-                time_s: *last,
                 position_m: start,
                 position_sd_m: [sd_m; 3],
-                velocity_mps: None,
-                heading_rad: None,
+                ..Fix::at(*last)
             });
         }
         fixes
@@ -223,7 +226,7 @@ impl Unit<'_> {
         let until_s = fix.time_s + HEADING_TRIAL_S;
         let trial = |heading: &f64| {
             let mut track = Track::new(start.clone(), choice, self.times_s[0], false);
-            track.place(fix, *heading);
+            track.place(fix.position(), *heading);
             for input in inputs.iter().take_while(|input| input.time_s < until_s) {
                 track.step(input, &choice.fixes);
             }

@@ -63,7 +63,7 @@ pub(super) const DELAY_S: f64 = 0.05;
 pub(super) const START_M: f64 = 0.1;
 
 /// Standard deviation of the velocity at the start, m/s: walking speed.
-const SPEED_MPS: f64 = 1.0;
+pub(super) const SPEED_MPS: f64 = 1.0;
 
 /// A run over a recording.
 pub(super) struct Run {
@@ -263,7 +263,7 @@ impl Recording<'_> {
             strapdown,
             delay,
         };
-        states.correlate(model, &mut filter);
+        correlate(&states.anchors, model.common, &mut filter);
         Ok((filter, states))
     }
 
@@ -344,13 +344,13 @@ impl Recording<'_> {
 
 /// The filter is lost if a part of the ranges of a time, s, from two anchors or more, are too short by many deviations: an
 /// obstacle makes ranges longer.
-const LOST_S: f64 = 1.0;
+pub(super) const LOST_S: f64 = 1.0;
 const LOST_PART: f64 = 0.2;
 const LOST_SIGMA: f64 = 4.0;
 /// Ranges below which this is not decided.
 const LOST_LEAST: usize = 8;
 
-fn is_lost(ranges: &[RangeSample], judged: &[LineOfSight]) -> bool {
+pub(super) fn is_lost(ranges: &[RangeSample], judged: &[LineOfSight]) -> bool {
     let is_short = |l: &LineOfSight| l.innovation_m < -LOST_SIGMA * l.variance_m2.sqrt();
     let pairs = ranges.iter().zip(judged).filter(|(_, l)| is_short(l));
     let short: Vec<usize> = pairs.map(|(r, _)| r.anchor).collect();
@@ -376,21 +376,23 @@ fn mean_sample(times_s: &[f64], samples: &[UnitSample], k: usize) -> Option<[Vec
     ])
 }
 
-impl States {
-    /// Adds the common part of the biases and scale errors to the covariance.
-    fn correlate<const N: usize>(&self, model: &Model, filter: &mut Filter<f64, N>) {
-        let biases: Vec<Block<1>> = self.anchors.iter().filter_map(|a| a.bias).collect();
-        let scales: Vec<Block<1>> = self.anchors.iter().filter_map(|a| a.scale).collect();
-        for (blocks, common) in [(biases, model.common[0]), (scales, model.common[1])] {
-            let variance = Matrix1::new(common * common);
-            for block in &blocks {
-                let own = filter.covariance(*block);
-                filter.set_covariance(*block, &(own + variance));
-            }
-            for (k, block) in blocks.iter().enumerate() {
-                for other in &blocks[..k] {
-                    filter.set_cross_covariance(*block, *other, &variance);
-                }
+/// Adds the common part of the biases and scale errors to the covariance.
+pub(super) fn correlate<const N: usize>(
+    anchors: &[Anchor<f64>],
+    common: [f64; 2],
+    filter: &mut Filter<f64, N>,
+) {
+    let biases: Vec<Block<1>> = anchors.iter().filter_map(|a| a.bias).collect();
+    let scales: Vec<Block<1>> = anchors.iter().filter_map(|a| a.scale).collect();
+    for (blocks, common) in [(biases, common[0]), (scales, common[1])] {
+        let variance = Matrix1::new(common * common);
+        for block in &blocks {
+            let own = filter.covariance(*block);
+            filter.set_covariance(*block, &(own + variance));
+        }
+        for (k, block) in blocks.iter().enumerate() {
+            for other in &blocks[..k] {
+                filter.set_cross_covariance(*block, *other, &variance);
             }
         }
     }

@@ -3,14 +3,15 @@
 use nalgebra::Vector3;
 
 use super::engine::Run;
-use super::hypotheses::Chosen;
+use super::hypotheses::{Chosen, LAST_SHIFT_S};
 use super::model::Model;
 use super::start::principal_axes;
 use super::{AnchorFound, Localization, Parameter, RangeRecording};
 use crate::digits::significant;
 use crate::finding::{Finding, FindingCode};
+use crate::motion::one_clock;
 use crate::plural::counted;
-use crate::{ErrorCode, Result};
+use crate::{ErrorCode, HostError, Result};
 
 /// Fewer ranges do not make a path.
 const LEAST_RANGES: usize = 12;
@@ -210,14 +211,53 @@ fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Findin
     found
 }
 
-/// A clock that is corrected by adding a time, s.
-pub(super) fn clock(shift_s: f64) -> Finding {
+/// A clock that is off by a time, s: corrected where that explains the ranges.
+pub(super) fn clock(shift_s: f64, explains: bool) -> Finding {
+    if !explains {
+        let text = format!(
+            "the ranges do not fit the other sensor, at any clock offset within ± {LAST_SHIFT_S} s: the path may be wrong"
+        );
+        let remedy = "give both the times of one clock; check axes and signs of the other sensor";
+        return FindingCode::Clock.warning(text).remedy(remedy);
+    }
     let text = format!(
         "the clock of the ranges is off by {:+.2} s from that of the other sensor: corrected",
         -shift_s
     );
     let remedy = format!("add {shift_s:+.2} s to the times of the ranges");
     FindingCode::Clock.warning(text).remedy(remedy)
+}
+
+/// The best clock offset is at the end of the search.
+pub(super) fn last_shift(shift_s: f64) -> HostError {
+    let end = LAST_SHIFT_S.copysign(-shift_s);
+    let message = format!(
+        "the clock of the ranges is off by {end:+} s or more from that of the other sensor, the end of the search"
+    );
+    ErrorCode::DataRefused.error(message, "give both the times of one clock")
+}
+
+/// Refuses ranges of which none is within the time of the other sensor.
+pub(super) fn same_time(recording: &RangeRecording) -> Result<()> {
+    let of = |times: Option<(f64, f64)>| times.map(|(first, last)| [first, last]);
+    let ranges = &recording.ranges;
+    let ranges = of(ranges
+        .first()
+        .zip(ranges.last())
+        .map(|(a, b)| (a.time_s, b.time_s)));
+    let wheels = &recording.increments;
+    let wheels = of(wheels
+        .first()
+        .zip(wheels.last())
+        .map(|(a, b)| (a.time_s, b.time_s)));
+    let motion = recording.motion.as_ref().map(|motion| &motion.times_s);
+    let motion = of(motion.and_then(|t| Some((*t.first()?, *t.last()?))));
+    for (what, other) in [("odometry", wheels), ("inertial samples", motion)] {
+        if let (Some(ranges), Some(other)) = (ranges, other) {
+            one_clock([("ranges", ranges), (what, other)]).map_err(|e| e.at(&recording.name))?;
+        }
+    }
+    Ok(())
 }
 
 /// Calibration parameters that the data do not show.

@@ -136,7 +136,9 @@ fn starts(recording: &Recording, model: &Model) -> Vec<Start> {
 }
 
 /// Shifts of the clock that are tried, s, and the gain of the log-likelihood that shows one.
-const SHIFTS_S: [f64; 5] = [0.25, 0.5, 1.0, 2.0, 4.0];
+const SHIFTS_S: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
+/// End of the search, s: halved steps about the last shift reach it.
+pub(super) const LAST_SHIFT_S: f64 = 12.0;
 const SHIFT_GAIN: f64 = 50.0;
 /// They are tried if the noise of the ranges is larger than assumed by this factor, or the delay that was found is larger
 /// than this number of its prior's standard deviations.
@@ -146,6 +148,19 @@ const CLOCK_DELAY: f64 = 2.0;
 const SHIFT_RANGES: usize = 3000;
 /// The shift is found to this, s: half of what the state of the delay allows.
 const SHIFT_S: f64 = 0.03;
+
+/// Whether the noise of the ranges, and their delay, s, are those that were assumed.
+pub(super) fn fits(model: &Model, delay_s: f64) -> bool {
+    let noise_m = model.ranges.noise_m.hypot(model.ranges.correlated_m);
+    noise_m < CLOCK_NOISE * model.expected_m
+        && model.line_of_sight.probability < 0.5
+        && delay_s.abs() < CLOCK_DELAY * DELAY_S
+}
+
+/// Whether a shift of the clock, s, is at the end of the search.
+pub(super) fn is_last(shift_s: f64) -> bool {
+    shift_s.abs() > LAST_SHIFT_S - 2.0 * SHIFT_S
+}
 
 /// Time that the clock of the ranges is behind that of the other sensor, s, where it explains the ranges far better. Each
 /// shift has its own most probable start. Equation (172).
@@ -157,11 +172,7 @@ pub(super) fn clock_shift(
     model: &Model,
     delay_s: f64,
 ) -> Result<Option<f64>> {
-    let noise_m = model.ranges.noise_m.hypot(model.ranges.correlated_m);
-    let fits = noise_m < CLOCK_NOISE * model.expected_m
-        && model.line_of_sight.probability < 0.5
-        && delay_s.abs() < CLOCK_DELAY * DELAY_S;
-    if matches!(recording.motion, Motion::Free) || fits {
+    if matches!(recording.motion, Motion::Free) || fits(model, delay_s) {
         return Ok(None);
     }
     let part = Recording {

@@ -10,7 +10,7 @@ use crate::plural::counted;
 use crate::{ErrorCode, Result};
 
 /// Anchors, and whether they have no height.
-fn anchors(path: &Path) -> Result<(Vec<AnchorPosition>, bool)> {
+pub(super) fn anchors(path: &Path) -> Result<(Vec<AnchorPosition>, bool)> {
     let table = Table::read(path)?;
     let id = table
         .named("Anchor")
@@ -47,6 +47,63 @@ fn anchors(path: &Path) -> Result<(Vec<AnchorPosition>, bool)> {
     Ok((anchors, up.is_none()))
 }
 
+/// Ranges of a table to anchors of the file `known`, and what was left out. `arrived_s`: the time of rows without one.
+pub(super) fn samples(
+    table: &Table,
+    anchors: &[AnchorPosition],
+    known: &str,
+    arrived_s: Option<f64>,
+) -> Result<(Vec<RangeSample>, Vec<Finding>)> {
+    let time = match arrived_s {
+        Some(_) => table.column(&["Time"], TIME),
+        None => Some(table.needed(&["Time"], TIME)?),
+    };
+    let of = |id: &str| anchors.iter().position(|anchor| anchor.id == id);
+    let id = table.named("Anchor");
+    let columns: Vec<(String, Column)> = match id {
+        Some(_) => vec![(String::new(), table.needed(&["Range"], LENGTH)?)],
+        None => {
+            let wide = |name: &String| {
+                let id = name.strip_prefix("Range ")?.split_once(" (")?.0.to_owned();
+                let column = table.column(&[&format!("Range {id}")], LENGTH)?;
+                Some((id, column))
+            };
+            table.header.iter().filter_map(wide).collect()
+        }
+    };
+    if columns.is_empty() {
+        return Err(table.missing("Anchor"));
+    }
+    let (mut samples, mut left_out) = (Vec::new(), BTreeMap::<String, usize>::new());
+    for row in 0..table.rows.len() {
+        let time_s = time.map_or(Ok(None), |time| table.value(row, time))?;
+        let time_s = time_s.or(arrived_s);
+        for (name, column) in &columns {
+            let name = id.map_or(name.as_str(), |id| table.text(row, id));
+            let why = match (time_s, table.value(row, *column)?, of(name)) {
+                (_, None, _) => continue,
+                (None, ..) => "no time".to_owned(),
+                (.., None) => format!("anchor {name} is not in {known}"),
+                (_, Some(range_m), _) if range_m <= 0.0 => "zero or negative".to_owned(),
+                (Some(time_s), Some(range_m), Some(anchor)) => {
+                    samples.push(RangeSample {
+                        time_s,
+                        anchor,
+                        range_m,
+                    });
+                    continue;
+                }
+            };
+            *left_out.entry(why).or_default() += 1;
+        }
+    }
+    let left_out = left_out.into_iter().map(|(why, count)| {
+        let text = format!("{} left out: {why}", counted(count, "range"));
+        FindingCode::SamplesLeftOut.warning(text)
+    });
+    Ok((samples, left_out.collect()))
+}
+
 impl RangeRecording {
     /// Reads ranges and anchors.
     ///
@@ -58,50 +115,8 @@ impl RangeRecording {
     pub fn read(ranges: &Path, anchors_file: &Path) -> Result<Self> {
         let (anchors, planar) = anchors(anchors_file)?;
         let table = Table::read(ranges)?;
-        let time = table.needed(&["Time"], TIME)?;
-        let of = |id: &str| anchors.iter().position(|anchor| anchor.id == id);
-        let id = table.named("Anchor");
-        let columns: Vec<(String, Column)> = match id {
-            Some(_) => vec![(String::new(), table.needed(&["Range"], LENGTH)?)],
-            None => {
-                let wide = |name: &String| {
-                    let id = name.strip_prefix("Range ")?.split_once(" (")?.0.to_owned();
-                    let column = table.column(&[&format!("Range {id}")], LENGTH)?;
-                    Some((id, column))
-                };
-                table.header.iter().filter_map(wide).collect()
-            }
-        };
-        if columns.is_empty() {
-            return Err(table.missing("Anchor"));
-        }
-        let (mut samples, mut left_out) = (Vec::new(), BTreeMap::new());
-        for row in 0..table.rows.len() {
-            let time_s = table.value(row, time)?;
-            for (name, column) in &columns {
-                let name = id.map_or(name.as_str(), |id| table.text(row, id));
-                let why = match (time_s, table.value(row, *column)?, of(name)) {
-                    (_, None, _) => continue,
-                    (None, ..) => "no time".to_owned(),
-                    (.., None) => format!("anchor {name} is not in {}", anchors_file.display()),
-                    (_, Some(range_m), _) if range_m <= 0.0 => "zero or negative".to_owned(),
-                    (Some(time_s), Some(range_m), Some(anchor)) => {
-                        samples.push(RangeSample {
-                            time_s,
-                            anchor,
-                            range_m,
-                        });
-                        continue;
-                    }
-                };
-                *left_out.entry(why).or_default() += 1;
-            }
-        }
-        let left_out = left_out.into_iter().map(|(why, count): (String, usize)| {
-            let text = format!("{} left out: {why}", counted(count, "range"));
-            FindingCode::SamplesLeftOut.warning(text)
-        });
-        let mut findings: Vec<Finding> = left_out.collect();
+        let known = anchors_file.display().to_string();
+        let (mut samples, mut findings) = samples(&table, &anchors, &known, None)?;
         if !samples.is_sorted_by(|a, b| a.time_s <= b.time_s) {
             samples.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
             findings.push(
@@ -122,6 +137,15 @@ impl RangeRecording {
             motion: None,
             findings,
         })
+    }
+
+    /// The same, if each range was measured `delay_s` before its time.
+    #[must_use]
+    pub fn delayed(mut self, delay_s: f64) -> Self {
+        for range in &mut self.ranges {
+            range.time_s -= delay_s;
+        }
+        self
     }
 
     /// The same with wheel odometry: columns `Time (s)`, `Distance Increment (m)`, `Heading Increment (rad)`. Each increment

@@ -6,6 +6,7 @@ mod findings;
 mod hypotheses;
 mod input;
 mod model;
+mod ranging;
 mod report;
 mod scales;
 mod start;
@@ -14,6 +15,8 @@ use nalgebra::{Rotation3, Vector3};
 use wimu_nav::navigator::{Sample, Start as Alignment};
 
 pub use model::RangePrior;
+pub(crate) use ranging::AnchorStates;
+pub use ranging::Ranging;
 pub use report::Innovation;
 
 use crate::finding::{Finding, FindingCode};
@@ -21,7 +24,7 @@ use crate::inertial::{InertialPath, Method, StartPose};
 use crate::motion::{MotionRecording, UnitSample};
 use crate::{ErrorCode, HostError, Result};
 use engine::{Motion, Recording, Run};
-use hypotheses::{Chosen, choose, clock_shift};
+use hypotheses::{Chosen, choose, clock_shift, fits, is_last};
 use model::Model;
 
 /// An anchor as its file has it.
@@ -205,6 +208,7 @@ const ALIGNMENT_S: f64 = 0.5;
 pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<Localization> {
     let mut noticed = recording.findings.clone();
     noticed.extend(findings::before(recording)?);
+    findings::same_time(recording)?;
     let first_s = recording.ranges[0].time_s;
     let motion = recording.motion.as_ref();
     let sensed = motion.and_then(|motion| inertial(motion, first_s));
@@ -235,11 +239,18 @@ pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Resu
     let prior = Model::of(recording, choice);
     let at = |error: HostError| error.at(&recording.name);
     let (mut run, mut model, mut chosen) = solved(&problem, prior, choice).map_err(at)?;
-    let delay_s = run.delay_s.map_or(0.0, |[delay_s, _]| delay_s);
-    if let Some(shift_s) = clock_shift(&problem, &model, delay_s).map_err(at)? {
+    let delay_s = |run: &Run| run.delay_s.map_or(0.0, |[delay_s, _]| delay_s);
+    if let Some(shift_s) = clock_shift(&problem, &model, delay_s(&run)).map_err(at)? {
         let shifted = Model { shift_s, ..prior };
-        (run, model, chosen) = solved(&problem, shifted, choice).map_err(at)?;
-        noticed.push(findings::clock(shift_s));
+        let found = solved(&problem, shifted, choice).map_err(at)?;
+        let explains = fits(&found.1, delay_s(&found.0));
+        if is_last(shift_s) {
+            return Err(at(findings::last_shift(shift_s)));
+        }
+        noticed.push(findings::clock(shift_s, explains));
+        if explains {
+            (run, model, chosen) = found;
+        }
     }
     noticed.extend(findings::after(recording, &model, &run, &chosen));
     let mut found = presented(recording, &problem, choice, &model, run);

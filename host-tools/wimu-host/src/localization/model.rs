@@ -50,6 +50,17 @@ impl RangePrior {
         ..Self::ULTRA_WIDEBAND
     };
 
+    /// The same with standard deviations of noise, m, bias, m, and scale error.
+    #[must_use]
+    pub fn with_errors(self, [noise_m, bias_m, scale]: [f64; 3]) -> Self {
+        Self {
+            noise_m,
+            bias_m,
+            scale,
+            ..self
+        }
+    }
+
     /// That of the kind of recording.
     pub fn of(recording: &RangeRecording) -> Self {
         match recording.increments.is_empty() || recording.motion.is_some() {
@@ -98,15 +109,23 @@ pub(super) struct Model {
 impl Model {
     pub fn of(recording: &RangeRecording, choice: &LocalizationChoice) -> Self {
         let prior = choice.prior.unwrap_or_else(|| RangePrior::of(recording));
+        let mut model = Self::new(&prior, recording.planar);
+        model.ranges.position_m = choice.survey_m.unwrap_or(0.0);
+        model.lever_arm_m = choice.lever_arm_m;
+        if let Some(motion) = &recording.motion {
+            model.gravity_mps2 = motion.gravity_mps2();
+        }
+        model
+    }
+
+    pub fn new(prior: &RangePrior, planar: bool) -> Self {
         let mut ranges = RangeErrors::default();
         ranges.noise_m = prior.noise_m;
         ranges.correlated_m = prior.correlated_m;
         ranges.bias_m = prior.bias_m * OWN_BIAS;
         ranges.scale = prior.scale * OWN_SCALE;
-        ranges.position_m = choice.survey_m.unwrap_or(0.0);
         let mut imu = ImuErrors::default();
         (imu.accelerometer_noise, imu.gyroscope_noise) = (FORCE_NOISE, RATE_NOISE);
-        let motion = recording.motion.as_ref();
         Self {
             ranges,
             common: [prior.bias_m * OWN_BIAS, prior.scale],
@@ -120,9 +139,9 @@ impl Model {
             acceleration: prior.acceleration_m2s3,
             odometry: OdometryErrors::default(),
             imu,
-            gravity_mps2: motion.map_or(wimu_nav::GRAVITY_MPS2, |motion| motion.gravity_mps2()),
-            lever_arm_m: choice.lever_arm_m,
-            planar: recording.planar,
+            gravity_mps2: wimu_nav::GRAVITY_MPS2,
+            lever_arm_m: [0.0; 3],
+            planar,
             shift_s: 0.0,
         }
     }

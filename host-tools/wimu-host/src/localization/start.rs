@@ -6,8 +6,8 @@ use super::RangeSample;
 use super::model::Model;
 
 /// Ranges of this time are used, s, and at least so many.
-const LENGTH_S: f64 = 1.0;
-const LEAST: usize = 12;
+pub(super) const LENGTH_S: f64 = 1.0;
+pub(super) const LEAST: usize = 12;
 /// Standard deviations of a range in successive rounds, m: the cost function of the first one has few local minima. The
 /// last one holds what the unit moves within the time.
 const ROUNDS_M: [f64; 5] = [3.0, 1.0, 0.5, 0.3, 0.3];

@@ -4,10 +4,11 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
-use wimu_host::inertial::{Profile, StartPose, Zupt};
+use wimu_host::inertial::{StartPose, Zupt};
 
+use super::aids::Aids;
 use super::reading::Reading;
-use super::values::{TimeSpans, from_to, numbers, positive, seconds, start_pose, time_spans};
+use super::values::{TimeSpans, from_to, positive, seconds, start_pose, time_spans};
 
 #[derive(Args)]
 #[command(after_help = "\
@@ -36,7 +37,8 @@ Examples:
   wimu navigate a.mcap b.mcap c.mcap d.mcap --geometry boards.json
   wimu navigate ranges.csv --anchors anchors.csv -o path.csv
   wimu navigate ranges.csv --anchors anchors.csv --odometry wheels.csv
-  wimu navigate imu.csv --ranges ranges.csv --anchors anchors.csv")]
+  wimu navigate imu.csv --ranges ranges.csv --anchors anchors.csv
+  wimu navigate /dev/ttyACM0 --ranges tcp://127.0.0.1:9000 --anchors anchors.csv")]
 pub struct Navigate {
     /// A LINK, or a recording of any format; of other programs: corrected samples, or with --calibration the sensor's
     /// output. With --anchors alone: ranges
@@ -66,15 +68,6 @@ pub struct Navigate {
     /// Zero-velocity updates at rests. The path that the device itself has computed does not change
     #[arg(long, value_enum, help_heading = "Model")]
     pub zupt: Option<ZeroVelocity>,
-    /// What is assumed of the motion
-    #[arg(
-        long,
-        value_enum,
-        default_value_t,
-        conflicts_with = "geometry",
-        help_heading = "Model"
-    )]
-    pub profile: MotionProfile,
     /// The unit stays within M metres of its start (1 σ of a component)
     #[arg(long, value_name = "M", value_parser = positive, conflicts_with = "geometry", help_heading = "Model")]
     pub within: Option<f64>,
@@ -83,7 +76,7 @@ pub struct Navigate {
         long,
         value_name = "FROM-TO,…",
         value_parser = time_spans,
-        conflicts_with = "geometry",
+        conflicts_with_all = ["geometry", "anchors"],
         help_heading = "Model"
     )]
     pub rests: Option<TimeSpans>,
@@ -97,36 +90,8 @@ pub struct Navigate {
         help_heading = "Model"
     )]
     pub start: Option<StartPose>,
-    /// Position, velocity or heading by another system: a CSV file, or with INPUT a LINK also a LINK that sends its lines, with `Time (s)` and any of `Position E (m)`, `Position N (m)`,
-    /// `Position U (m)` or `Height (m)`, `Velocity E (m/s)`, …, `Heading (deg)`, each with `Position Sigma E (m)`, …. The path
-    /// is in their frame, and starts with the heading that explains them
-    #[arg(
-        long,
-        value_name = "FIXES.csv|LINK",
-        conflicts_with_all = ["geometry", "anchors"],
-        help_heading = "Aiding"
-    )]
-    pub fixes: Option<PathBuf>,
-    /// Time from a fix to its time stamp, s
-    #[arg(
-        long,
-        value_name = "S",
-        default_value_t = 0.0,
-        value_parser = from_to(-2.0, 2.0),
-        allow_hyphen_values = true,
-        requires = "fixes",
-        help_heading = "Aiding"
-    )]
-    pub fix_delay: f64,
-    /// Position of the antenna from the inertial sensor or the odometer, m, body axes
-    #[arg(
-        long,
-        value_name = "X,Y,Z",
-        value_parser = numbers::<3>,
-        allow_hyphen_values = true,
-        help_heading = "Aiding"
-    )]
-    pub lever_arm: Option<[f64; 3]>,
+    #[command(flatten)]
+    pub aids: Aids,
     /// The path ends where it began, within M metres (1 σ of a component)
     #[arg(
         long = "loop",
@@ -155,7 +120,12 @@ pub struct Navigate {
     pub smooth: Smoothing,
 
     /// Positions of the accelerometers of an array: a file or a preset, see GEOMETRY below
-    #[arg(long, value_name = "GEOMETRY", help_heading = "Arrays")]
+    #[arg(
+        long,
+        value_name = "GEOMETRY",
+        conflicts_with_all = ["profile", "fixes", "anchors"],
+        help_heading = "Arrays"
+    )]
     pub geometry: Option<PathBuf>,
     /// Estimate the positions of all axes and the delays of all sensors. Use them and write them to this file if they
     /// predict other parts of the recording better than --geometry does
@@ -173,24 +143,6 @@ pub struct Navigate {
     #[arg(long, value_name = "US", value_parser = positive, requires = "geometry", help_heading = "Arrays")]
     pub delay_sd: Option<f64>,
 
-    /// Positions of the anchors of ranges: CSV with columns `Anchor`, `Position E (m)`, `Position N (m)` and, in space,
-    /// `Position U (m)`. Ranges are INPUT, or --ranges beside an inertial recording
-    #[arg(
-        long,
-        value_name = "ANCHORS.csv",
-        conflicts_with_all = ["geometry", "zupt", "within", "rests", "profile"],
-        help_heading = "Aiding"
-    )]
-    pub anchors: Option<PathBuf>,
-    /// Ranges beside an inertial recording: CSV with columns `Time (s)`, `Anchor`, `Range (m)`, or `Range ID (m)` for each
-    /// anchor. The times are those of INPUT
-    #[arg(
-        long,
-        value_name = "RANGES.csv",
-        requires = "anchors",
-        help_heading = "Aiding"
-    )]
-    pub ranges: Option<PathBuf>,
     /// Wheel odometry beside ranges in the plane: CSV with columns `Time (s)`, `Distance Increment (m)`, `Heading Increment
     /// (rad)`
     #[arg(
@@ -201,16 +153,6 @@ pub struct Navigate {
         help_heading = "Aiding"
     )]
     pub odometry: Option<PathBuf>,
-    /// Standard deviations of noise, m, bias, m, and scale error of the ranges, before the calibration from the recording
-    /// [default: 0.03,0.1,0; with --odometry 0.5,0.5,0.1]
-    #[arg(
-        long,
-        value_name = "NOISE,BIAS,SCALE",
-        value_parser = numbers::<3>,
-        requires = "anchors",
-        help_heading = "Aiding"
-    )]
-    pub range_errors: Option<[f64; 3]>,
     /// Estimate the positions of the anchors, which are known to M metres (1 σ of a component)
     #[arg(long, value_name = "M", value_parser = positive, requires = "anchors", help_heading = "Aiding")]
     pub survey: Option<f64>,
@@ -254,29 +196,4 @@ pub enum Smoothing {
     On,
     /// The samples up to the point, as on a device: forward filter
     Off,
-}
-
-/// Motion profiles.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum MotionProfile {
-    /// In a hand or on a small robot: velocity 0 ± 2 m/s
-    #[default]
-    Hand,
-    /// On a foot: velocity zero in the stances of steps, walking, running or on stairs
-    Foot,
-    /// In a vehicle: velocity 0 ± 30 m/s
-    Vehicle,
-    /// No assumption
-    Free,
-}
-
-impl From<MotionProfile> for Profile {
-    fn from(profile: MotionProfile) -> Self {
-        match profile {
-            MotionProfile::Hand => Self::Hand,
-            MotionProfile::Foot => Self::Foot,
-            MotionProfile::Vehicle => Self::Vehicle,
-            MotionProfile::Free => Self::Free,
-        }
-    }
 }

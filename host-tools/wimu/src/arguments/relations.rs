@@ -76,7 +76,7 @@ const TABLE: &str = "a table or a recording of another program";
 const FILE: &str = "a file";
 
 /// Options of `align`, `allan`, `calibrate`, `info` and `navigate` that one kind of input has.
-const INPUTS: [(&str, &str); 21] = [
+const INPUTS: [(&str, &str); 22] = [
     ("where", TABLE),
     ("poses", TABLE),
     ("accelerometer", TABLE),
@@ -97,8 +97,23 @@ const INPUTS: [(&str, &str); 21] = [
     ("rests", FILE),
     ("smooth", FILE),
     ("loop", FILE),
-    ("anchors", FILE),
+    ("odometry", FILE),
+    ("survey", FILE),
 ];
+
+/// Options of `monitor --navigate`.
+const AIDS: [&str; 7] = [
+    "profile",
+    "fixes",
+    "fix-delay",
+    "lever-arm",
+    "anchors",
+    "ranges",
+    "range-errors",
+];
+
+/// Options of `navigate` that ranges beside a board have, and those of a recording do not.
+const BESIDE_A_BOARD: [&str; 3] = ["zupt", "within", "profile"];
 
 /// Refuses options that the command would ignore.
 ///
@@ -121,6 +136,13 @@ pub fn check(matches: &ArgMatches) -> Result<()> {
         .collect();
     for table in TABLES.iter().filter(|table| table.command == name) {
         by_value(table, matches, &given)?;
+    }
+    let aid = AIDS.iter().find(|option| given.contains(option));
+    if let ("monitor", false, Some(option)) = (name, given.contains(&"navigate"), aid) {
+        return Err(usage(
+            format!("--{option} needs --navigate"),
+            "add it, or leave both out",
+        ));
     }
     if matches!(name, "align" | "allan" | "calibrate" | "info" | "navigate")
         && !given.contains(&"geometry")
@@ -202,6 +224,14 @@ fn by_input(matches: &ArgMatches, given: &[&str]) -> Result<()> {
         // The command reports it when it reads the input.
         Err(_) => return Ok(()),
     };
+    let beside = |option: &&&str| given.contains(*option);
+    if let (true, Some(option)) = (
+        given.contains(&"anchors") && kind != "a LINK",
+        BESIDE_A_BOARD.iter().find(beside),
+    ) {
+        let message = format!("--{option} goes with --anchors only if INPUT is a LINK");
+        return Err(usage(message, "leave one of the two out").at(input));
+    }
     for (option, needed) in INPUTS {
         let fits = needed == kind || (needed == FILE && kind != "a LINK");
         if !fits && given.contains(&option) {

@@ -15,7 +15,7 @@ use crate::arguments::Monitor;
 use crate::command::info::Sampling;
 use crate::command::record::left_out_text;
 use crate::command::{connect, listen_until};
-use crate::output::Output;
+use crate::output::{Output, usage};
 use crate::screen::Screen;
 
 mod live;
@@ -167,6 +167,10 @@ pub fn run(arguments: &Monitor, output: Output) -> Result<()> {
         Input::Link(_) if arguments.rate.is_none() && Screen::is_possible(output) => {
             live::run(arguments, output)
         }
+        _ if arguments.navigate => Err(usage(
+            "--navigate is for the screen of a LINK",
+            "use `wimu navigate` for lines, --json and recordings",
+        )),
         Input::Link(_) => lines(arguments, output),
         Input::Recording(path) => recorded(&path, arguments.rate, output),
         Input::File(_) => Err(ErrorCode::UnknownFormat.error("monitor does not read files of other programs",

@@ -5,6 +5,8 @@ mod inertial;
 mod live;
 mod ranges;
 
+pub use live::Beside;
+
 use serde::Serialize;
 use wimu_host::calibration::read_parameters;
 use wimu_host::digits::{signed, significant};
@@ -119,7 +121,7 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         return live::run(arguments, &link.to_string(), output);
     }
     for file in [&arguments.report, &arguments.output] {
-        for read in [Some(&arguments.input), arguments.fixes.as_ref()] {
+        for read in [Some(&arguments.input), arguments.aids.fixes.as_ref()] {
             read.map_or(Ok(()), |read| not_over_input(read, file.as_deref()))?;
         }
     }
@@ -129,7 +131,7 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
             "give one, or --geometry",
         ));
     }
-    if let Some(anchors) = &arguments.anchors {
+    if let Some(anchors) = &arguments.aids.anchors {
         return ranges::run(arguments, anchors, output);
     }
     let is_of_wimu = matches!(Input::parse(&input), Ok(Input::Recording(_)));

@@ -6,6 +6,7 @@ use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::prelude::{Frame, Span};
 use ratatui::text::{Line as Row, Text};
 use wimu_host::digits::{east_north_up, significant};
+use wimu_host::inertial::{Aided, PathPoint};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use crate::command::monitor::{Line, euler_deg};
@@ -85,6 +86,8 @@ pub struct MonitorView {
     pub line: Option<Line>,
     /// Standard deviation of the specific force, m/s²; `None` for an uncalibrated device.
     pub force_sd_mps2: Option<f64>,
+    /// The position of `wimu navigate`, and what happened to fixes and ranges, instead of the device's.
+    pub navigated: Option<(PathPoint, [Aided; 2])>,
     /// Position that counts as zero, m.
     pub origin_m: [f64; 3],
     /// |f|, then X, Y, Z.
@@ -233,14 +236,19 @@ fn state_rows(view: &MonitorView, line: &Line) -> Vec<(&'static str, Span<'stati
     let mut rows = vec![("parameters", parameters), ("motion", motion)];
     let known = phase != "searching";
     let place = line.position_m.zip(line.velocity_m_s).filter(|_| known);
-    if let Some((position, velocity)) = place {
+    let place = place.map(|(position, velocity)| {
+        let note = uncertainty(line.valid, view.force_sd_mps2, since_rest_s);
+        (position, velocity, note)
+    });
+    let navigated = view.navigated.map(|(point, aided)| {
+        let note = navigated_note(&point, aided);
+        (point.position_m, point.velocity_mps, note)
+    });
+    if let Some((position, velocity, note)) = navigated.or(place) {
         let from_origin = [0, 1, 2].map(|axis| position[axis] - view.origin_m[axis]);
         let text = format!("{} m", east_north_up(from_origin));
         rows.push(("position", text.into()));
-        rows.push((
-            "",
-            uncertainty(line.valid, view.force_sd_mps2, since_rest_s),
-        ));
+        rows.push(("", note));
         let text = format!("{} m/s", east_north_up(velocity));
         rows.push(("velocity", text.into()));
     }
@@ -265,6 +273,21 @@ fn state_rows(view: &MonitorView, line: &Line) -> Vec<(&'static str, Span<'stati
     let both: Vec<String> = [celsius, heading].into_iter().flatten().collect();
     rows.push(("temperature", both.join(", ").into()));
     rows
+}
+
+/// Standard deviation of a position of the filter, and the use of fixes and ranges.
+fn navigated_note(point: &PathPoint, aided: [Aided; 2]) -> Span<'static> {
+    let mut text = format!("± {} m", significant(point.sd_m(), 2));
+    for (kind, aided) in ["fixes", "ranges"].into_iter().zip(aided) {
+        let left_out = aided.rejected + aided.late;
+        if aided.used + left_out > 0 {
+            text += &format!("; {} {kind} used, {left_out} not", aided.used);
+        }
+    }
+    match point.valid {
+        true => text.into(),
+        false => Span::styled(format!("not valid, {text}"), BAD),
+    }
 }
 
 /// Standard deviation of the position `t` after a rest and time until it reaches 1 m: that of a constant acceleration.

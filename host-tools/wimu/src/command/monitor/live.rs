@@ -17,6 +17,7 @@ use wimu_model::{DeviceTimeUs, ParameterSet};
 
 use super::{Line, cause};
 use crate::arguments::{Arguments, Command, Monitor};
+use crate::command::navigate::Beside;
 use crate::command::{calibrate, connect, deadline, interrupted, is_over};
 use crate::output::{Output, usage};
 use crate::screen::monitor::{LinkView, MonitorView, draw};
@@ -47,6 +48,9 @@ pub fn run(arguments: &Monitor, output: Output) -> Result<()> {
     loop {
         let links = connected(arguments)?;
         let mut live = Live::new(&links);
+        if arguments.navigate {
+            live.navigator = Some(Beside::new(&arguments.aids, &arguments.input)?);
+        }
         let live_links = LiveLinks::start(
             links
                 .into_iter()
@@ -118,6 +122,8 @@ struct Live {
     traffic: Vec<Traffic>,
     view: MonitorView,
     latest: Option<Reading>,
+    /// The filter of `wimu navigate`.
+    navigator: Option<Beside>,
     point: Instant,
     /// The message that is shown, and since when.
     shown: (String, Instant),
@@ -148,6 +154,7 @@ impl Live {
                 ..MonitorView::default()
             },
             latest: None,
+            navigator: None,
             point: Instant::now(),
             shown: (String::new(), Instant::now()),
             writer: None,
@@ -219,6 +226,12 @@ impl Live {
         link.loss =
             of_stream.missing as f64 / (of_stream.received + of_stream.missing).max(1) as f64;
         if index == 0 {
+            let navigator = self.navigator.as_mut();
+            let taken = navigator.map(|n| heard.arrivals.iter().try_for_each(|a| n.take(a)));
+            if let Some(Err(error)) = taken {
+                self.navigator = None;
+                self.view.message = format!("not navigated: {}", error.message());
+            }
             heard
                 .arrivals
                 .iter()
@@ -273,6 +286,7 @@ impl Live {
             self.point = Instant::now();
             let curves = view.force_curves.iter_mut().chain(&mut view.rate_curves);
             curves.for_each(|curve| curve.step());
+            view.navigated = self.navigator.as_ref().and_then(Beside::now);
         }
         for (link, traffic) in view.links.iter_mut().zip(&self.traffic) {
             traffic.show(link);
@@ -289,8 +303,9 @@ impl Live {
             Key::Char('u') => self.view.other_units = !self.view.other_units,
             Key::Char('z') => {
                 let sent = self.latest.and_then(|reading| reading.navigation);
-                self.view.origin_m =
-                    sent.map_or([0.0; 3], |sent| sent.position_nm.map(|nm| nm as f64 * 1e-9));
+                let sent = sent.map(|sent| sent.position_nm.map(|nm| nm as f64 * 1e-9));
+                let found = self.view.navigated.map(|(point, _)| point.position_m);
+                self.view.origin_m = found.or(sent).unwrap_or_default();
                 self.view.message = "the position counts from here".to_owned();
             }
             Key::Char('r') => {

@@ -8,14 +8,14 @@ use wimu_host::digits::east_north_up;
 use wimu_host::finding::Finding;
 use wimu_host::formats;
 use wimu_host::inertial::{
-    Choice, Fixes, InertialPath, Method, Move, Profile, Zupt, consistency, navigate,
+    Aided, Choice, Fixes, InertialPath, Method, Move, Profile, Zupt, consistency, navigate,
 };
 use wimu_host::motion::{MotionRecording, TableOptions};
 use wimu_host::plural::counted;
 use wimu_host::{Input, Result};
 
 use super::array;
-use crate::arguments::{Navigate, Smoothing, ZeroVelocity};
+use crate::arguments::{Aids, Navigate, Smoothing, ZeroVelocity};
 use crate::command::array::Refined;
 use crate::output::Output;
 
@@ -46,6 +46,9 @@ pub struct Found {
     horizon: Horizon,
     rests: usize,
     rests_s: f64,
+    /// Use of `--fixes` and `--ranges`; null without.
+    fixes: Option<Aided>,
+    ranges: Option<Aided>,
     nees: Option<Nees>,
     /// NEES of an array's angular rate and velocity.
     rate_nees: Option<Nees>,
@@ -179,28 +182,35 @@ pub fn one_unit(
 
 /// What the options say.
 pub fn choice(arguments: &Navigate) -> Result<Choice> {
-    let fixes = match &arguments.fixes {
-        // A link has none yet.
-        Some(from) => match Input::parse(&from.to_string_lossy())? {
-            Input::Link(_) => Fixes::default(),
-            _ => Fixes::read(from, arguments.fix_delay)?,
-        },
-        None => Fixes::default(),
-    };
-    let lever_arm_m = arguments.lever_arm.unwrap_or_default();
     Ok(Choice {
         zupt: ZeroVelocity::of(arguments.zupt),
-        profile: arguments.profile.into(),
         limit_m: arguments.limit,
         within_m: arguments.within,
         rests_s: arguments.rests.clone(),
         start: arguments.start,
         smooth: arguments.smooth == Smoothing::On,
+        loop_m: arguments.closes,
+        ..aided_choice(&arguments.aids)?
+    })
+}
+
+/// What the options of the aids say, and the defaults.
+pub fn aided_choice(aids: &Aids) -> Result<Choice> {
+    let fixes = match &aids.fixes {
+        // A link has none yet.
+        Some(from) => match Input::parse(&from.to_string_lossy())? {
+            Input::Link(_) => Fixes::default(),
+            _ => Fixes::read(from, aids.fix_delay)?,
+        },
+        None => Fixes::default(),
+    };
+    Ok(Choice {
+        profile: aids.profile.into(),
         fixes: Fixes {
-            lever_arm_m,
+            lever_arm_m: aids.lever_arm.unwrap_or_default(),
             ..fixes
         },
-        loop_m: arguments.closes,
+        ..Choice::default()
     })
 }
 
@@ -281,6 +291,8 @@ fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
         },
         rests: rests.rests,
         rests_s: rests.lasted_s,
+        fixes: some(path.aided[0]),
+        ranges: some(path.aided[1]),
         nees: Nees::of(&path.nees, path),
         rate_nees: Nees::of(&path.rate_nees, path),
         velocity_nees: Nees::of(&path.velocity_nees, path),
@@ -288,6 +300,26 @@ fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
         refined: None,
         findings: path.findings.clone(),
     }
+}
+
+/// What happened to fixes and to ranges, a line each.
+fn uses(aided: [Aided; 2]) -> Vec<String> {
+    let kinds = ["fixes", "ranges"].iter().zip(aided);
+    let line = |(kind, aided): (_, Aided)| {
+        let Aided {
+            used,
+            rejected,
+            late,
+        } = some(aided)?;
+        Some(format!(
+            "{kind}: {used} used, {rejected} rejected, {late} late"
+        ))
+    };
+    kinds.filter_map(line).collect()
+}
+
+fn some(aided: Aided) -> Option<Aided> {
+    (aided != Aided::default()).then_some(aided)
 }
 
 /// Value of the option, and what it assumes.
@@ -435,6 +467,9 @@ fn text(path: &InertialPath, choice: &Choice, has_fixes: bool) -> String {
     }
     text.push('\n');
     text += &origin(path, choice, has_fixes);
+    for line in uses(path.aided) {
+        text += &format!("{line}\n");
+    }
     text += &moves(path);
     let fitted = if path.heading_fitted {
         ", heading fitted"

@@ -5,14 +5,15 @@ use std::io::{self, IsTerminal};
 use serde::Serialize;
 use wimu_host::decode::{Arrival, Event};
 use wimu_host::finding::{Finding, text};
-use wimu_host::inertial::{Choice, Fix, FixLink, Fixes, LeastDelay, Live, PathPoint};
+use wimu_host::inertial::{Aided, Choice, Fix, FixLink, Fixes, LeastDelay, Live, PathPoint};
+use wimu_host::localization::{RangeRecording, Ranging};
 use wimu_host::monitor::{Reading, Readings};
 use wimu_host::motion::{MotionRecording, UnitSample};
-use wimu_host::{ErrorCode, Input, LinkUrl, Result};
+use wimu_host::{ErrorCode, Input, Result};
 
-use super::inertial::{choice, present};
-use crate::arguments::Navigate;
-use crate::command::{connect, listen_until};
+use super::inertial::{aided_choice, choice, present};
+use crate::arguments::{Aids, Navigate};
+use crate::command::{connect, listen_until, not_over_input};
 use crate::output::{Output, usage};
 
 /// Answers a second without `--rate`.
@@ -67,7 +68,7 @@ impl Pose {
         };
         let note = match (self.valid, headings) {
             (true, _) => String::new(),
-            (false, 2..) => format!("  not valid: {headings} headings fit the fixes, move"),
+            (false, 2..) => format!("  not valid: {headings} starts fit, move"),
             (false, _) => "  not valid".to_owned(),
         };
         format!(
@@ -84,7 +85,15 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
             format!("write the calibration to the board: `wimu params push {link} CAL.json`");
         return Err(usage("a board corrects its samples itself", remedy));
     }
+    let read = [
+        &arguments.aids.fixes,
+        &arguments.aids.ranges,
+        &arguments.aids.anchors,
+    ];
     for file in [&arguments.output, &arguments.report].into_iter().flatten() {
+        for read in read.into_iter().flatten() {
+            not_over_input(read, Some(file))?;
+        }
         let folder = file
             .parent()
             .filter(|folder| !folder.as_os_str().is_empty());
@@ -94,22 +103,9 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
         }
     }
     let mut choice = choice(arguments)?;
-    let mut fixes = match arguments.fixes.as_deref() {
-        None => Aiding::None,
-        Some(from) => match Input::parse(&from.to_string_lossy())? {
-            Input::Link(url) => {
-                choice.fixes.fixes.clear();
-                Aiding::of(&url, arguments.fix_delay)?
-            }
-            _ => Aiding::Table(std::mem::take(&mut choice.fixes.fixes)),
-        },
-    };
-    let late_s = match fixes {
-        Aiding::None => 0.0,
-        _ => (arguments.fix_delay + LATE_S).clamp(LATE_S, MOST_LATE_S),
-    };
+    let mut fixes = Aiding::of(&arguments.aids, &mut choice)?;
     let mut client = connect(link)?;
-    let mut session = Session::new(&choice, link, late_s);
+    let mut session = Session::new(&choice, link, fixes.late_s(&arguments.aids));
     let mut shown = Shown::new(arguments.rate.unwrap_or(RATE_HZ), output);
     let mut points = Vec::new();
     let ended = listen_until(&mut client, arguments.seconds, |arrival| {
@@ -121,9 +117,7 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
         if let Some(point) = shown.due(&session) {
             points.push(point);
         }
-        if let Some(finding) = fixes.finding() {
-            shown.say(std::slice::from_ref(finding));
-        }
+        shown.say(fixes.findings());
         shown.say(&session.live.findings());
         Ok(shown.going)
     });
@@ -139,7 +133,7 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
     }
     // A lost link loses no position.
     let mut path = session.live.path(points);
-    path.findings.extend(fixes.finding().cloned());
+    path.findings.extend(fixes.findings().iter().cloned());
     let mut new = path.findings.clone();
     new.retain(|finding| shown.is_new(finding));
     output.object(&present(
@@ -153,23 +147,57 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
     ended
 }
 
-/// Where fixes come from.
+/// Where fixes or ranges come from.
 enum Aiding {
     None,
-    /// At times of the device's clock.
-    Table(Vec<Fix>),
-    Link(FixLink),
+    /// At times of the device's clock, and what was noticed at reading.
+    Table(Vec<Fix>, Vec<Finding>),
+    Link(Box<FixLink>),
 }
 
 impl Aiding {
-    fn of(link: &LinkUrl, delay_s: f64) -> Result<Self> {
-        Ok(Self::Link(FixLink::open(link, delay_s)?))
+    /// Opens what the options name, and gives the choice the anchors.
+    fn of(aids: &Aids, choice: &mut Choice) -> Result<Self> {
+        let fixes = std::mem::take(&mut choice.fixes.fixes);
+        if let Some(anchors) = &aids.anchors {
+            choice.fixes.ranging = Some(Ranging::read(anchors, aids.range_errors)?);
+        }
+        let from = match (&aids.fixes, &aids.ranges, &aids.anchors) {
+            (Some(from), ..) | (_, Some(from), _) => from,
+            (.., Some(_)) => {
+                let remedy = "give the ranges: --ranges FILE or LINK";
+                return Err(usage("--anchors beside a board needs ranges", remedy));
+            }
+            _ => return Ok(Self::None),
+        };
+        if let Input::Link(url) = Input::parse(&from.to_string_lossy())? {
+            let ranging = choice.fixes.ranging.clone();
+            return Ok(Self::Link(Box::new(FixLink::open(
+                &url,
+                aids.fix_delay,
+                ranging,
+            )?)));
+        }
+        let Some(anchors) = &aids.anchors else {
+            return Ok(Self::Table(fixes, Vec::new()));
+        };
+        let read = RangeRecording::read(from, anchors)?.delayed(aids.fix_delay);
+        let fixes = read.ranges.into_iter().map(Fix::from).collect();
+        Ok(Self::Table(fixes, read.findings))
+    }
+
+    /// How late fixes may be, s.
+    fn late_s(&self, aids: &Aids) -> f64 {
+        match self {
+            Self::None => 0.0,
+            _ => (aids.fix_delay + LATE_S).clamp(LATE_S, MOST_LATE_S),
+        }
     }
 
     fn give(&mut self, session: &mut Session) {
         match self {
             Self::None => {}
-            Self::Table(fixes) => fixes.drain(..).for_each(|fix| session.live.fix(fix)),
+            Self::Table(fixes, _) => fixes.drain(..).for_each(|fix| session.live.fix(fix)),
             Self::Link(link) => {
                 for fix in link.arrived() {
                     let offset_s = session.clock.offset_s().unwrap_or_default();
@@ -180,10 +208,11 @@ impl Aiding {
         }
     }
 
-    fn finding(&self) -> Option<&Finding> {
+    fn findings(&self) -> &[Finding] {
         match self {
-            Self::Link(link) => link.finding(),
-            _ => None,
+            Self::None => &[],
+            Self::Table(_, findings) => findings,
+            Self::Link(link) => link.finding().map_or(&[], std::slice::from_ref),
         }
     }
 }
@@ -248,6 +277,36 @@ impl Session {
             rate_rad_s: reading.angular_rate,
             field_ut: field.map(|field| field.nt.map(|nt| nt * 1e-3)),
         }
+    }
+}
+
+/// A board that is navigated beside another display of its samples.
+pub struct Beside {
+    fixes: Aiding,
+    session: Session,
+}
+
+impl Beside {
+    /// # Errors
+    /// Those of the files and links that the options name.
+    pub fn new(aids: &Aids, link: &str) -> Result<Self> {
+        let mut choice = aided_choice(aids)?;
+        let fixes = Aiding::of(aids, &mut choice)?;
+        let session = Session::new(&choice, link, fixes.late_s(aids));
+        Ok(Self { fixes, session })
+    }
+
+    /// # Errors
+    /// Those of [`Live::push`].
+    pub fn take(&mut self, arrival: &Arrival) -> Result<()> {
+        self.fixes.give(&mut self.session);
+        self.session.take(arrival).map(drop)
+    }
+
+    /// Where the unit is, and what happened to fixes and ranges.
+    pub fn now(&self) -> Option<(PathPoint, [Aided; 2])> {
+        let live = &self.session.live;
+        Some((live.now()?, live.aided()))
     }
 }
 

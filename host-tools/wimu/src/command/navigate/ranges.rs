@@ -40,20 +40,20 @@ struct Found {
 
 /// Localizes, prints and writes.
 pub fn run(arguments: &Navigate, anchors: &Path, output: Output) -> Result<()> {
-    let others = [&arguments.ranges, &arguments.odometry];
+    let others = [&arguments.aids.ranges, &arguments.odometry];
     for written in [&arguments.output, &arguments.report] {
         let others = others.into_iter().flatten().map(|file| file.as_path());
         for read in others.chain([anchors]) {
             not_over_input(read, written.as_deref())?;
         }
     }
-    let ranges = arguments.ranges.as_ref().unwrap_or(&arguments.input);
-    let mut recording = RangeRecording::read(ranges, anchors)?;
+    let ranges = arguments.aids.ranges.as_ref().unwrap_or(&arguments.input);
+    let mut recording = RangeRecording::read(ranges, anchors)?.delayed(arguments.aids.fix_delay);
     if recording.planar {
         let text = "the anchors have no Position U (m): all heights are zero";
         recording.findings.push(FindingCode::Navigation.note(text));
     }
-    if arguments.ranges.is_some() {
+    if arguments.aids.ranges.is_some() {
         let motion = inertial::table(arguments, &arguments.input)?;
         recording.findings.extend(motion.findings.iter().cloned());
         recording.motion = Some(motion);
@@ -61,19 +61,14 @@ pub fn run(arguments: &Navigate, anchors: &Path, output: Output) -> Result<()> {
     if let Some(odometry) = &arguments.odometry {
         recording = recording.with_odometry(odometry)?;
     }
-    let prior = |[noise_m, bias_m, scale]: [f64; 3]| RangePrior {
-        noise_m,
-        bias_m,
-        scale,
-        ..RangePrior::of(&recording)
-    };
+    let prior = |errors| RangePrior::of(&recording).with_errors(errors);
     let choice = LocalizationChoice {
         limit_m: arguments.limit,
         smooth: arguments.smooth == Smoothing::On,
         start: arguments.start,
-        prior: arguments.range_errors.map(prior),
+        prior: arguments.aids.range_errors.map(prior),
         survey_m: arguments.survey,
-        lever_arm_m: arguments.lever_arm.unwrap_or_default(),
+        lever_arm_m: arguments.aids.lever_arm.unwrap_or_default(),
     };
     let found = localize(&recording, &choice)?;
     let source = arguments.input.display().to_string();

@@ -1,0 +1,187 @@
+//! A walk with ranges that arrive while it goes on, beside the filter of its recording.
+
+use nalgebra::{Matrix3, Vector3};
+use wimu_host::finding::{Finding, FindingCode, Severity};
+use wimu_host::inertial::{Choice, Fix, Fixes, Live, PathPoint, Profile};
+use wimu_host::localization::{
+    LocalizationChoice, RangePrior, RangeRecording, RangeSample, Ranging, localize,
+};
+use wimu_host::motion::MotionRecording;
+use wimu_sim::motion::Motion as _;
+use wimu_sim::walk::{HALL_M, RangeWalk, Strides, distance_m, sensed};
+
+/// A walk on foot through the hall: the unit's samples, and ranges of which a part has no line of sight.
+fn walked(seed: u64, blocked: f64) -> (Strides, MotionRecording, RangeWalk) {
+    let corner = [[1.5, 1.0], [7.5, 1.5], [7.0, 6.0], [2.0, 5.5]];
+    let corners: Vec<[f64; 2]> = corner.into_iter().cycle().take(7).collect();
+    let strides = Strides::along(&corners);
+    let motion = sensed(&strides, 100.0, seed);
+    let until_s = strides.duration();
+    let ranges = RangeWalk::along(seed, &HALL_M, until_s, blocked, |t| {
+        strides.pose(t).position_m
+    });
+    (strides, motion, ranges)
+}
+
+fn live(anchors: &RangeRecording, profile: Profile) -> Live {
+    let prior = RangePrior::ULTRA_WIDEBAND;
+    let ranging = Ranging::new("hall", anchors.anchors.clone(), anchors.planar, &prior);
+    let fixes = Fixes {
+        ranging: Some(ranging),
+        ..Fixes::default()
+    };
+    let choice = Choice {
+        profile,
+        fixes,
+        ..Choice::default()
+    };
+    Live::new(choice, MotionRecording::default(), 0.5)
+}
+
+/// The answers to a stream whose ranges arrive `late_s` after their time.
+fn streamed(
+    live: &mut Live,
+    motion: &MotionRecording,
+    ranges: &[RangeSample],
+    late_s: impl Fn(usize) -> f64,
+) -> Vec<PathPoint> {
+    let arrivals = ranges.iter().enumerate();
+    let mut arrivals: Vec<_> = arrivals.map(|(k, r)| (r.time_s + late_s(k), *r)).collect();
+    arrivals.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut arrivals = arrivals.into_iter().peekable();
+    let mut points = Vec::new();
+    for (k, (time_s, sample)) in motion.times_s.iter().zip(&motion.samples).enumerate() {
+        while let Some((_, range)) = arrivals.next_if(|(arrived_s, _)| arrived_s <= time_s) {
+            live.fix(Fix::from(range));
+        }
+        live.push(*time_s, *sample).unwrap();
+        if k % 20 == 19 {
+            points.extend(live.now());
+        }
+    }
+    points
+}
+
+/// RMS error of valid points after a time, s, and their fraction.
+fn error_m(strides: &Strides, points: &[PathPoint], from_s: f64) -> (f64, f64) {
+    let late: Vec<_> = points.iter().filter(|p| p.time_s > from_s).collect();
+    let valid: Vec<_> = late.iter().filter(|p| p.valid).collect();
+    let square =
+        |p: &&&PathPoint| distance_m(p.position_m, strides.pose(p.time_s).position_m).powi(2);
+    let mean = valid.iter().map(square).sum::<f64>() / valid.len() as f64;
+    (mean.sqrt(), valid.len() as f64 / late.len() as f64)
+}
+
+/// RMS error of the filter of the recording after 8 s, m.
+fn recorded_m(strides: &Strides, motion: &MotionRecording, ranges: &RangeRecording) -> f64 {
+    let recording = RangeRecording {
+        motion: Some(motion.clone()),
+        ..ranges.clone()
+    };
+    let choice = LocalizationChoice {
+        smooth: false,
+        ..LocalizationChoice::default()
+    };
+    error_m(
+        strides,
+        &localize(&recording, &choice).unwrap().path.points,
+        8.0,
+    )
+    .0
+}
+
+#[test]
+fn a_stream_with_ranges_is_as_good_as_the_filter_of_its_recording() {
+    let (mut below, mut count) = (0, 0);
+    for (seed, profile) in [(1, Profile::Foot), (2, Profile::Hand), (3, Profile::Foot)] {
+        let (strides, motion, ranges) = walked(seed, 0.1);
+        let filtered = recorded_m(&strides, &motion, &ranges.recording);
+        let mut live = live(&ranges.recording, profile);
+        let points = streamed(&mut live, &motion, &ranges.recording.ranges, |_| 0.0);
+        let (found, valid) = error_m(&strides, &points, 8.0);
+        println!("{profile:?}: {found:.3} m, recording {filtered:.3} m");
+        assert!(
+            (0.03..1.1 * filtered).contains(&found),
+            "{found} {filtered}"
+        );
+        assert_eq!(valid, 1.0);
+        for point in points.iter().filter(|p| p.time_s > 8.0).step_by(10) {
+            let truth = Vector3::from(strides.pose(point.time_s).position_m);
+            let error = Vector3::from(point.position_m) - truth;
+            let inverse = Matrix3::from(point.covariance_m2).try_inverse().unwrap();
+            below += usize::from(error.dot(&(inverse * error)) < 7.81);
+            count += 1;
+        }
+        let found = live.findings();
+        assert!(
+            !found.iter().any(|f| f.severity > Severity::Note),
+            "{found:?}"
+        );
+    }
+    let fraction = f64::from(below as u32) / f64::from(count);
+    println!("NEES below its 95 % point at {fraction:.3} of {count} positions");
+    assert!((0.85..=1.0).contains(&fraction), "{fraction}");
+}
+
+#[test]
+fn late_and_blocked_ranges_are_counted_and_not_believed() {
+    let (strides, motion, ranges) = walked(4, 0.3);
+    let all = &ranges.recording.ranges;
+    let is_late = |k: usize| k % 10 == 3 && all[k].time_s > 5.0;
+    let mut live = live(&ranges.recording, Profile::Hand);
+    let points = streamed(
+        &mut live,
+        &motion,
+        all,
+        |k| if is_late(k) { 1.5 } else { 0.0 },
+    );
+    let [_, aided] = live.aided();
+    println!("{aided:?}");
+    let until_s = motion.times_s[motion.times_s.len() - 1];
+    let arrived = |k: &usize| is_late(*k) && all[*k].time_s + 1.5 <= until_s;
+    assert_eq!(aided.late, (0..all.len()).filter(arrived).count());
+    let blocked = ranges.blocked.iter().filter(|blocked| **blocked).count() as f64;
+    let rejected = aided.rejected as f64 / (0.9 * blocked);
+    assert!((0.8..1.2).contains(&rejected), "{rejected}");
+    let (found, valid) = error_m(&strides, &points, 8.0);
+    println!("{found}");
+    assert!(found < 0.3 && valid > 0.99, "{found} {valid}");
+    let text = format!("{} ranges arrived later than the filter waits", aided.late);
+    let said = live.findings();
+    assert!(said.iter().any(|f| f.evidence.contains(&text)), "{said:?}");
+}
+
+#[test]
+fn an_anchor_that_was_moved_is_named() {
+    let (strides, motion, mut ranges) = walked(5, 0.0);
+    for range in &mut ranges.recording.ranges {
+        if range.anchor == 2 && range.time_s > 15.0 {
+            range.range_m += 2.0;
+        }
+    }
+    let mut live = live(&ranges.recording, Profile::Foot);
+    let points = streamed(&mut live, &motion, &ranges.recording.ranges, |_| 0.0);
+    let said = live.findings();
+    let named = |f: &&Finding| f.code == FindingCode::Residuals;
+    let named: Vec<_> = said.iter().filter(named).collect();
+    assert_eq!(named.len(), 1, "{said:?}");
+    assert!(
+        named[0].evidence.contains("anchor A3 from 1"),
+        "{}",
+        named[0]
+    );
+    let (found, _) = error_m(&strides, &points, 8.0);
+    assert!(found < 0.3, "{found}");
+}
+
+#[test]
+fn more_anchors_than_the_filter_holds_are_refused() {
+    let (_, motion, mut ranges) = walked(6, 0.0);
+    let one = ranges.recording.anchors[0].clone();
+    ranges.recording.anchors.extend((0..8).map(|_| one.clone()));
+    let mut live = live(&ranges.recording, Profile::Foot);
+    let mut pairs = motion.times_s.iter().zip(&motion.samples);
+    let refused = pairs.find_map(|(time_s, sample)| live.push(*time_s, *sample).err());
+    let text = refused.unwrap().to_string();
+    assert!(text.contains("at most 12 anchors"), "{text}");
+}

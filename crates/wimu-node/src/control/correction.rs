@@ -68,6 +68,14 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         plan: &Plan,
         committed: Option<EncodedParameters>,
     ) -> Result<Correction<A::Sample>, Refusal> {
+        if !cfg!(feature = "correction") {
+            return Ok(Correction {
+                correctors: None,
+                parameters: ParameterId::UNCALIBRATED,
+                temperature: None,
+                compass: None,
+            });
+        }
         let range_g = plan.settings.range_g;
         if let Some(set) = committed {
             match self.compiled(plan, set) {
@@ -115,13 +123,15 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         parameters: ParameterId,
     ) -> Result<Correction<A::Sample>, Refusal> {
         Ok(Correction {
-            corrector: Corrector::compile(set, self.latched)
-                .map_err(|fault| Refusal::InvalidParameters(fault.into()))?,
-            gyroscope: A::Sample::compile_gyroscope(set, &plan.sensor, self.latched)
-                .map_err(Refusal::InvalidParameters)?,
+            correctors: Some((
+                Corrector::compile(set, self.latched)
+                    .map_err(|fault| Refusal::InvalidParameters(fault.into()))?,
+                A::Sample::compile_gyroscope(set, &plan.sensor, self.latched)
+                    .map_err(Refusal::InvalidParameters)?,
+            )),
             parameters,
             temperature: self.latched,
-            compass: if A::MAGNETOMETER {
+            compass: if A::MAGNETOMETER && cfg!(feature = "heading") {
                 Compass::new(set)
             } else {
                 None

@@ -160,7 +160,8 @@ impl Run {
     /// Mean specific force over all windows but the latest, 2⁻³² m/s².
     pub(crate) fn mean(&self, window_steps: u16) -> [i64; 3] {
         let steps = 2 * i64::from(self.windows.saturating_sub(1).max(1)) * i64::from(window_steps);
-        self.sum.map(|sum| (sum << 16) / steps)
+        self.sum
+            .map(|sum| (sum << 16).checked_div(steps).unwrap_or(0))
     }
 }
 

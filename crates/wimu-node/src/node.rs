@@ -10,7 +10,7 @@ use crate::link::{LinkReader, LinkWriter};
 use crate::sampler::Sampler;
 use crate::sensor::InertialSensor;
 use crate::shared::Shared;
-use crate::store::Store;
+use crate::store::{Store, records};
 use crate::timer::Timer;
 
 /// The parts of a board.
@@ -99,7 +99,7 @@ where
             control: Control {
                 planner,
                 orders,
-                store: self.store.into(),
+                store: records(self.store),
                 timer: self.timer,
                 shared: common,
                 record: [0; RECORD],

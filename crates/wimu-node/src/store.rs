@@ -88,6 +88,10 @@ pub trait Store {
 /// What the node keeps its records in: the board's store, or, without the feature `store`, nothing.
 #[cfg(feature = "store")]
 pub(crate) type Records<S> = S;
+#[cfg(feature = "store")]
+pub(crate) fn records<S>(store: S) -> Records<S> {
+    store
+}
 #[cfg(not(feature = "store"))]
 pub(crate) type Records<S> = Volatile<S>;
 
@@ -96,10 +100,8 @@ pub(crate) type Records<S> = Volatile<S>;
 pub struct Volatile<S>(core::marker::PhantomData<S>);
 
 #[cfg(not(feature = "store"))]
-impl<S> From<S> for Volatile<S> {
-    fn from(_: S) -> Self {
-        Self(core::marker::PhantomData)
-    }
+pub(crate) fn records<S>(_: S) -> Records<S> {
+    Volatile(core::marker::PhantomData)
 }
 
 #[cfg(not(feature = "store"))]

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use crate::command_line::{CommandLine, heading};
 use crate::firmware;
 use crate::instructions;
+use crate::panics;
 use crate::python;
 use crate::setup::{self, Need, OLDEST, Source, TARGETS, ThisMachine, cargo, embedded_cargo};
 use crate::size;
@@ -109,6 +110,11 @@ pub const TEST: Lane = Lane {
                 let source = setup::provide(Need::Targets, &mut ThisMachine)?;
                 all(embedded(workspace, source, &TARGETS))
             },
+        },
+        Step {
+            name: "panics",
+            about: "no function of the libraries for the device can panic, on Cortex-M4F and Cortex-M0+",
+            run: |_| panics::run(),
         },
         Step {
             name: "firmware",

@@ -376,7 +376,10 @@ impl<'a> EncodedParameters<'a> {
         let mut reader = Reader(bytes);
         let mut parameters = WireParameters::BLANK;
         parameters.exchange_v0(&mut reader)?;
-        let (parameters, rest) = bytes.split_at(bytes.len() - reader.0.len());
+        let length = bytes.len().saturating_sub(reader.0.len());
+        let (parameters, rest) = bytes
+            .split_at_checked(length)
+            .ok_or(MessageError::TooShort)?;
         Ok((Self(parameters), rest))
     }
 

@@ -51,7 +51,7 @@ pub use rate::{LineRate, RateKeeper};
 pub use sampler::Sampler;
 pub use secondary::Secondary;
 pub use sensor::InertialSensor;
-pub use shared::{Health, Shared};
+pub use shared::{Health, LINKS, Shared};
 pub use store::{Key, MAX_RECORD, Store, StoreFault};
 pub use timer::Timer;
 pub use {wimu_adxl345, wimu_lsm6dso};

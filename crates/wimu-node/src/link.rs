@@ -2,9 +2,10 @@
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_io_async::{Read, Write};
+use wimu_link::frame::{FrameError, RequestDeframer};
 use wimu_link::message::{Command, Refusal};
 use wimu_link::responder::Decision;
-use wimu_link::{Deframer, Kind, LinkRole};
+use wimu_link::{Kind, LinkRole};
 use wimu_model::DeviceTimeUs;
 
 use crate::queue::PIECE;
@@ -66,7 +67,7 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
     }
 
     async fn listen(&mut self) -> ! {
-        let mut deframer = Deframer::new();
+        let mut deframer = RequestDeframer::default();
         let mut bytes = [0; 64];
         let mut introduced: Option<DeviceTimeUs> = None;
         loop {
@@ -106,7 +107,7 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
                         self.shared.requests.send((self.role, command)).await;
                     }
                     // Frames of a device, looped back.
-                    Ok(_) => {}
+                    Ok(_) | Err(FrameError::TooLong) => {}
                     Err(_) => self.count_damaged(),
                 }
             }

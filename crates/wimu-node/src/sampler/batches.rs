@@ -16,11 +16,14 @@ use crate::shared::{ALL, Common, NONE, ROLES, Roles};
 /// Age at which a batch is sent before it is full, µs.
 const OLDEST_BATCH_US: u64 = 250_000;
 
+/// One, or none without the feature `correction`.
+const CORRECTED: usize = cfg!(feature = "correction") as usize;
+
 /// Batches for one link, or for both if their lengths and decimations are equal.
 pub(crate) struct Lane<S: RawSample> {
     roles: Roles,
     raw: Batcher<S>,
-    corrected: Batcher<S::Corrected>,
+    corrected: [Batcher<S::Corrected>; CORRECTED],
     length: usize,
     /// Decimation: samples whose sequence number is a multiple of this are sent. 0 for an unused lane.
     every: u8,
@@ -31,7 +34,7 @@ impl<S: RawSample> Default for Lane<S> {
         Self {
             roles: NONE,
             raw: Batcher::default(),
-            corrected: Batcher::default(),
+            corrected: [(); CORRECTED].map(|()| Batcher::default()),
             length: 0,
             every: 0,
         }
@@ -77,8 +80,8 @@ impl<S: RawSample> Lane<S> {
         }
         if self.takes(sequence) {
             self.raw.add(sequence, time, sample);
-            if let Some(corrected) = corrected {
-                self.corrected.add(sequence, time, corrected);
+            if let (Some(corrected), [batcher]) = (corrected, &mut self.corrected[..]) {
+                batcher.add(sequence, time, corrected);
             }
         }
         let age = time.0.saturating_sub(self.raw.first_time.0);
@@ -104,8 +107,8 @@ impl<S: RawSample> Lane<S> {
         let every = self.every();
         let layout = Layout { sensor: 0, every };
         self.raw.flush(shared, self.roles, layout);
-        if cfg!(feature = "correction") {
-            self.corrected.flush(shared, self.roles, layout);
+        for corrected in &mut self.corrected {
+            corrected.flush(shared, self.roles, layout);
         }
     }
 

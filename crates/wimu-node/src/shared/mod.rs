@@ -36,6 +36,9 @@ pub(crate) const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
 #[cfg(not(feature = "wireless"))]
 pub(crate) const ROLES: [LinkRole; 1] = [LinkRole::Cable];
 
+/// The number of links: 2, or without the feature `wireless` 1. A board needs no tasks for the others.
+pub const LINKS: usize = ROLES.len();
+
 /// One value for each link, in the order of [`ROLES`].
 pub(crate) type Roles<T = bool> = [T; ROLES.len()];
 pub(crate) const ALL: Roles = [true; _];

@@ -2,7 +2,7 @@
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_io_async::{Read, Write};
-use wimu_link::frame::{FrameError, RequestDeframer};
+use wimu_link::frame::RequestDeframer;
 use wimu_link::message::{Command, Refusal};
 use wimu_link::responder::Decision;
 use wimu_link::{Kind, LinkRole};
@@ -106,8 +106,8 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
                         let command = command.map(|_| taken);
                         self.shared.requests.send((self.role, command)).await;
                     }
-                    // Frames of a device, looped back.
-                    Ok(_) | Err(FrameError::TooLong) => {}
+                    // Frames of a device, looped back; those longer than a request count as damaged.
+                    Ok(_) => {}
                     Err(_) => self.count_damaged(),
                 }
             }

@@ -41,6 +41,7 @@ pub fn window_steps(period: PeriodNs) -> u16 {
 /// Statistics of the samples of the current window.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Window {
     /// The segment at the start of the window.
     pub start: Segment,
@@ -112,6 +113,7 @@ impl Window {
 /// Successive quiet windows with equal means.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Run {
     /// Number of windows, at least one.
     pub windows: u16,

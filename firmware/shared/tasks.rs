@@ -8,7 +8,7 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use static_cell::StaticCell;
 use wimu_link::hello::{Capabilities, Fault, Part, ResetReason};
 use wimu_link::{Hello, LinkRole};
-use wimu_node::{Control, LinkReader, LinkWriter, RateKeeper, Sampler, Shared};
+use wimu_node::{Control, LINKS, LinkReader, LinkWriter, RateKeeper, Sampler, Shared};
 
 use crate::{BoardTimer, Memory, Rate, Receiver, Sensor, Transmitter};
 
@@ -52,9 +52,11 @@ pub fn spawn(
     others.spawn(listen(&mut node.cable_reader).unwrap());
     others.spawn(talk(&mut node.cable_writer).unwrap());
     others.spawn(keep(cable).unwrap());
-    others.spawn(listen(&mut node.wireless_reader).unwrap());
-    others.spawn(talk(&mut node.wireless_writer).unwrap());
-    others.spawn(keep(wireless).unwrap());
+    if LINKS > 1 {
+        others.spawn(listen(&mut node.wireless_reader).unwrap());
+        others.spawn(talk(&mut node.wireless_writer).unwrap());
+        others.spawn(keep(wireless).unwrap());
+    }
 }
 
 /// The rate keepers of the UARTs, the cable's first. To be made before the node runs.
@@ -73,17 +75,17 @@ async fn control(control: &'static mut Control<'static, Sensor, BoardTimer, Memo
     control.run().await
 }
 
-#[task(pool_size = 2)]
+#[task(pool_size = LINKS)]
 async fn listen(reader: &'static mut LinkReader<'static, Receiver, BoardTimer, M>) -> ! {
     reader.run().await
 }
 
-#[task(pool_size = 2)]
+#[task(pool_size = LINKS)]
 async fn talk(writer: &'static mut LinkWriter<'static, Transmitter, M>) -> ! {
     writer.run().await
 }
 
-#[task(pool_size = 2)]
+#[task(pool_size = LINKS)]
 async fn keep(mut keeper: Keeper) -> ! {
     keeper.run().await
 }

@@ -43,7 +43,7 @@ Reply: u32 u32 signature Answer
 Answer: | Accepted Payload | Refused Refusal | Unknown
 Payload: | None | Parameters Piece | Staged u32 | Settings Settings | Status Status | Session u32 u8*16 | KeyStatus KeyId? | Time u64
 KeyId: u8*4
-Refusal: | KeyNeeded | Locked | InvalidParameters ParameterFault | WrongRange u8 u8 | NothingStaged | HashMismatch u32 | UnsupportedSettings Settings | StoreFailed | SensorFailed | Stale | WrongSensitivity f64 f64 | FixedLineRate | AdapterLineRate | UnsupportedLineRate u32 | SignatureNeeded | WrongSignature | SessionEnded | CableOnly | WrongPiece u16
+Refusal: | KeyNeeded | Locked | InvalidParameters ParameterFault | WrongRange u8 u8 | NothingStaged | HashMismatch u32 | UnsupportedSettings Settings | StoreFailed | SensorFailed | Stale | WrongSensitivity f64 f64 | FixedLineRate | AdapterLineRate | UnsupportedLineRate u32 | SignatureNeeded | WrongSignature | SessionEnded | CableOnly | WrongPiece u16 | NotSupported
 ";
 
 /// Names that the examples give their structs, which the wire does not know.

@@ -63,8 +63,10 @@ fn scales(supply_mv: i32) -> (i32, i32) {
         if let [low, high] = pair
             && supply_mv <= high.0
         {
-            let between =
-                |from: i32, to: i32| from + (to - from) * (supply_mv - low.0) / (high.0 - low.0);
+            let between = |from: i32, to: i32| {
+                let rise = (to - from) * (supply_mv - low.0);
+                from + rise.checked_div(high.0 - low.0).unwrap_or(0)
+            };
             return (between(low.1, high.1), between(low.2, high.2));
         }
     }

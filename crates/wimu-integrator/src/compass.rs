@@ -23,6 +23,7 @@ const GRAVITY_MPS2: f32 = 9.81;
 /// Direction of magnetic east and its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct MagneticHeading {
     /// Direction of magnetic east in body axes, horizontal, 2⁻³⁰ per LSB.
     pub east: [i32; 3],

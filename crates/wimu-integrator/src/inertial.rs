@@ -26,6 +26,7 @@ const RATE_TOLERANCE: u64 = 20_972;
 /// The sensors of a sample with an axis at full scale.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Saturation {
     /// An axis of the accelerometer.
     pub accelerometer: bool,
@@ -37,6 +38,7 @@ pub struct Saturation {
 /// to the earth from then on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct RotationState {
     /// Quaternion w, x, y, z from body to integration axes, 2⁻⁵⁹.
     pub quaternion: [i64; 4],

@@ -19,6 +19,7 @@ const SUM_LIMIT: u64 = 1 << 62;
 /// Event of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Transition {
     /// Nothing changed.
     None,
@@ -34,6 +35,7 @@ pub enum Transition {
 /// Velocity and position after a sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Navigation {
     /// Position since the first rest, nm, east-north-up. Without a compass, body x points east at
     /// that rest; with one, north is magnetic.

@@ -15,6 +15,7 @@ use wimu_model::{PeriodNs, SpecificForceQ16};
 /// ±2²⁹ LSB, which [`Corrector`](wimu_model::Corrector) guarantees.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Segment {
     /// Number of steps, one less than the samples.
     pub steps: u32,

@@ -11,6 +11,7 @@ use crate::stationarity::{Run, Window};
 /// Configuration of the integrator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Config {
     /// Sample period, 100 µs to 1 s.
     pub period: PeriodNs,
@@ -53,6 +54,7 @@ impl Config {
 /// Phase of the integration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Phase {
     /// No rest yet: attitude, velocity and position are unknown.
     #[default]
@@ -66,6 +68,7 @@ pub enum Phase {
 /// Faults of the current leg, or of an earlier one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Flags(pub u8);
 
 impl Flags {
@@ -119,6 +122,7 @@ impl Flags {
 /// rest, fixed to the earth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct State {
     /// Configuration.
     pub config: Config,

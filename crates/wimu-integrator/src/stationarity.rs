@@ -41,6 +41,7 @@ pub fn window_steps(period: PeriodNs) -> u16 {
 /// Statistics of the samples of the current window.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Window {
     /// The segment at the start of the window.
     pub start: Segment,
@@ -112,6 +113,7 @@ impl Window {
 /// Successive quiet windows with equal means.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Run {
     /// Number of windows, at least one.
     pub windows: u16,
@@ -160,7 +162,8 @@ impl Run {
     /// Mean specific force over all windows but the latest, 2⁻³² m/s².
     pub(crate) fn mean(&self, window_steps: u16) -> [i64; 3] {
         let steps = 2 * i64::from(self.windows.saturating_sub(1).max(1)) * i64::from(window_steps);
-        self.sum.map(|sum| (sum << 16) / steps)
+        self.sum
+            .map(|sum| (sum << 16).checked_div(steps).unwrap_or(0))
     }
 }
 

@@ -29,7 +29,7 @@ use cobs::{CobsEncoder, DecodeResult, DecoderState};
 use heapless::VecView;
 
 use crate::checksum::{Digest, crc_32c};
-use crate::message::WireParameters;
+use crate::message::{Piece, WireParameters};
 
 /// The version of the wire protocol, independent of the crate's version.
 pub const WIRE_VERSION: u8 = 2;
@@ -215,6 +215,14 @@ pub struct Deframer<const PLAIN: usize = MAX_PLAIN> {
 
 /// A [`Deframer`] with room for the longest frame of wire version 1 too, for recordings.
 pub type RecordedDeframer = Deframer<{ 1 + MAX_BODY_V1 + CRC_BYTES }>;
+
+/// A [`Deframer`] with room for the longest request, for devices. Any longer frame is
+/// [`FrameError::TooLong`].
+pub type RequestDeframer = Deframer<{ 1 + MAX_REQUEST + CRC_BYTES }>;
+
+/// Longest body of a request, bytes: session, id, signature, and a piece of parameters with its variant,
+/// offset, total and length.
+const MAX_REQUEST: usize = 5 + 5 + (1 + 8) + (1 + 3 + 3 + 2 + Piece::MAX);
 
 impl Deframer {
     /// A deframer for a stream. In the middle of a stream, the bytes before the first zero are reported as

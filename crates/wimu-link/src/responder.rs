@@ -216,8 +216,11 @@ impl Responder {
                 return Decision::Ignore;
             }
             self.accept_unsigned(request, class, command, lock)
-        } else {
+        } else if cfg!(feature = "auth") {
             self.accept_signed(request, head.signature, command, lock)
+        } else {
+            let answer = Answer::Refused(Refusal::NotSupported);
+            self.refuse(Class::Other, request.answer(&answer))
         }
     }
 
@@ -386,7 +389,7 @@ impl Responder {
     }
 
     fn open_session(&mut self, lock: &Lock) -> ShortAnswer {
-        let number = self.sessions.open();
+        let number = self.sessions.open().filter(|_| cfg!(feature = "auth"));
         match number.and_then(|number| lock.session(self.role, number)) {
             Some(session) => Answer::Accepted(Payload::Session {
                 number: session.number,
@@ -416,10 +419,10 @@ impl Responder {
         let executing = self.executing.take();
         let reply = match executing {
             Some(Executing::Unsigned(request, ..)) => request.answer(answer),
-            Some(Executing::Signed(request, session, signature)) => {
+            Some(Executing::Signed(request, session, signature)) if cfg!(feature = "auth") => {
                 request.signed_answer(&session, signature, answer)
             }
-            None => return &[],
+            _ => return &[],
         };
         let length = reply.encode(frame).unwrap_or(0);
         let frame = frame.get(..length).unwrap_or_default();

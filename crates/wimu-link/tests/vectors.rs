@@ -814,6 +814,7 @@ fn replies_are_as_they_were() {
             Refusal::SessionEnded,
             Refusal::CableOnly,
             Refusal::WrongPiece { received: 256 },
+            Refusal::NotSupported,
         ]
         .map(Answer::Refused),
     );

@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use crate::kernel::{Fixed, Kernel, LOW_BITS, Split};
+use crate::kernel::{Fixed, Kernel, LOW_BITS, whole};
 use crate::matrix::{self, Matrix3};
 use crate::{CentiCelsius, Counts, ParameterSet, SpecificForceQ16, WideCounts};
 
@@ -63,6 +63,75 @@ impl Corrector {
         Ok(Self { kernel })
     }
 
+    /// The corrector of these integers, for a calibration in the source of a firmware: without a model,
+    /// without floating point, at compile time.
+    ///
+    /// ```
+    /// use wimu_model::{Corrector, CorrectorParts, Counts};
+    ///
+    /// /// From `wimu export CAL.json --format rust`.
+    /// const PARTS: CorrectorParts = CorrectorParts {
+    ///     shift: 9,
+    ///     coefficients: [[658_113_141, 0, 0], [0, 658_113_141, 0], [0, 0, 658_113_141]],
+    ///     offset: [257; 3],
+    /// };
+    /// const CORRECTOR: Corrector = Corrector::from_parts(PARTS).unwrap();
+    /// assert_eq!(CORRECTOR.to_parts(), PARTS);
+    /// let force = CORRECTOR.correct(Counts([0, 0, 16384]));
+    /// assert!((force.to_mps2().0[2] - 9.80665).abs() < 1e-4);
+    /// ```
+    ///
+    /// Returns `None` where the sums of full-scale counts would not fit: [`CompileError::Overflow`].
+    pub const fn from_parts(parts: CorrectorParts) -> Option<Self> {
+        let shift = parts.shift as u32;
+        if shift < MIN_SHIFT || shift > MAX_SHIFT {
+            return None;
+        }
+        // As `kernel` asks, and the rounding of its sums.
+        let largest = (LARGEST_OUTPUT as i64) << shift;
+        let word = (1 << 31) - 131_072;
+        let most = (if largest < word { largest } else { word }) + (1 << 14);
+        let mut axis = 0;
+        while axis < 3 {
+            let mut reach = (parts.offset[axis] as i64).abs();
+            let mut i = 0;
+            while i < 3 {
+                let coefficient = (parts.coefficients[axis][i] as i64).abs();
+                // The high part has 16 bits.
+                if coefficient > 32766 << LOW_BITS {
+                    return None;
+                }
+                reach += coefficient;
+                i += 1;
+            }
+            if reach > most {
+                return None;
+            }
+            axis += 1;
+        }
+        Some(Self {
+            kernel: Kernel::new(&Fixed {
+                shift,
+                coefficients: parts.coefficients,
+                offset: parts.offset,
+            }),
+        })
+    }
+
+    /// Its integers.
+    pub fn to_parts(&self) -> CorrectorParts {
+        let Fixed {
+            shift,
+            coefficients,
+            offset,
+        } = self.kernel.fixed();
+        CorrectorParts {
+            shift: shift as u8,
+            coefficients,
+            offset,
+        }
+    }
+
     /// Specific force in body axes for counts in sensor axes.
     #[inline]
     pub fn correct(&self, counts: Counts) -> SpecificForceQ16 {
@@ -76,6 +145,20 @@ impl Corrector {
     pub fn correct_wide(&self, counts: WideCounts) -> SpecificForceQ16 {
         SpecificForceQ16(self.kernel.apply_wide(counts))
     }
+}
+
+/// The integers of a [`Corrector`], the same for every target: those of M and o in equation (3) of
+/// docs/EQUATIONS.md.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct CorrectorParts {
+    /// Fraction bits of the offset, 3 to 14.
+    pub shift: u8,
+    /// M, row by row, 2^−(shift + 15) · 2⁻¹⁶ m/s² per LSB.
+    pub coefficients: [[i32; 3]; 3],
+    /// o and the rounding of sums, 2^−shift · 2⁻¹⁶ m/s².
+    pub offset: [i32; 3],
 }
 
 /// The integers of y = M c + o, LSB; `None` where full-scale counts exceed [`LARGEST_OUTPUT`] or the
@@ -106,11 +189,11 @@ pub(crate) fn kernel(coefficients: Matrix3, offset: [f64; 3]) -> Option<Kernel> 
     }))
 }
 
-/// `value` as high + low · 2⁻¹⁵, both rounded to nearest.
-fn split(value: f64) -> Split {
+/// `value` as high + low · 2⁻¹⁵, both rounded to nearest, in units of 2⁻¹⁵.
+fn split(value: f64) -> i32 {
     let high = round(value);
     let low = round((value - high as f64) * (1_u32 << LOW_BITS) as f64);
-    Split { high, low }
+    whole(high, low)
 }
 
 pub(crate) fn round(value: f64) -> i32 {

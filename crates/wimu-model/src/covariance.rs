@@ -70,11 +70,10 @@ macro_rules! covariance {
                     }
                 }
                 let mut packed = Self::ZERO;
-                for row in 0..$size {
-                    for column in 0..=row {
-                        let place = row * (row + 1) / 2 + column;
-                        packed.0[place / $columns][place % $columns] = factor[row][column] as f32;
-                    }
+                let rows = factor.iter().enumerate();
+                let lower = rows.flat_map(|(row, factors)| factors.iter().take(row + 1));
+                for (place, &factor) in packed.0.as_flattened_mut().iter_mut().zip(lower) {
+                    *place = factor as f32;
                 }
                 Self::from_factor(packed.0)
             }

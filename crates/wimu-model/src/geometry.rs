@@ -4,6 +4,7 @@ use core::fmt;
 
 /// One sensing axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Axis {
     /// Position of the sensing element, m, body axes, from any origin.
     pub position_m: [f64; 3],
@@ -15,6 +16,7 @@ pub struct Axis {
 
 /// Three sensing axes at one position.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Triad {
     /// Position, m, body axes, from any origin.
     pub position_m: [f64; 3],
@@ -246,6 +248,7 @@ impl Geometry<24> {
 
 /// Why a geometry is not valid, or does not determine a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum GeometryError {
     /// More axes than the type has room for.

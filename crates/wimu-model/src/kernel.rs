@@ -22,19 +22,10 @@ pub(crate) const LOW_BITS: u32 = 15;
 pub(crate) struct Fixed {
     /// Fraction bits of the high parts, 3 to 14.
     pub(crate) shift: u32,
-    /// Coefficients, rows: high and low part.
-    pub(crate) coefficients: [[Split; 3]; 3],
+    /// Coefficients, rows, 2^−(shift + 15) output LSB per count.
+    pub(crate) coefficients: [[i32; 3]; 3],
     /// Offset and rounding in the unit of the high parts.
     pub(crate) offset: [i32; 3],
-}
-
-/// high · 2^−shift + low · 2^−(shift + 15) output LSB per count.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Split {
-    /// 16 bits.
-    pub(crate) high: i32,
-    /// −2¹⁴..=2¹⁴.
-    pub(crate) low: i32,
 }
 
 /// Largest magnitude of an output from wide counts, LSB: the integrator adds two samples in 32 bits.
@@ -54,8 +45,14 @@ fn wide(coefficients: [i32; 3], offset: i64, bits: u32, counts: WideCounts) -> i
 
 /// high · 2¹⁵ + low.
 #[inline]
-fn whole(high: i32, low: i32) -> i32 {
+pub(crate) const fn whole(high: i32, low: i32) -> i32 {
     (high << LOW_BITS) + low
+}
+
+/// A coefficient as high · 2¹⁵ + low: the high part of 16 bits, to nearest, and the low part.
+const fn split(whole: i32) -> (i32, i32) {
+    let high = (whole + (1 << (LOW_BITS - 1))) >> LOW_BITS;
+    (high, whole - (high << LOW_BITS))
 }
 
 /// Kernel with nine multiplications of 32 by 32 to 64 bits.
@@ -73,15 +70,30 @@ pub(crate) struct Long {
 }
 
 impl Long {
-    pub(crate) fn new(fixed: &Fixed) -> Self {
-        Self {
-            offset: fixed.offset.map(|o| i64::from(o) << (32 - fixed.shift)),
-            columns: [0, 1, 2].map(|column| {
-                fixed
-                    .coefficients
-                    .map(|row| whole(row[column].high, row[column].low))
-            }),
+    pub(crate) const fn new(fixed: &Fixed) -> Self {
+        let mut kernel = Self {
+            offset: [0; 3],
+            columns: [[0; 3]; 3],
             scale: 1 << (32 - LOW_BITS - fixed.shift),
+        };
+        let mut axis = 0;
+        while axis < 3 {
+            kernel.offset[axis] = (fixed.offset[axis] as i64) << (32 - fixed.shift);
+            let [x, y, z] = fixed.coefficients[axis];
+            kernel.columns[0][axis] = x;
+            kernel.columns[1][axis] = y;
+            kernel.columns[2][axis] = z;
+            axis += 1;
+        }
+        kernel
+    }
+
+    pub(crate) fn fixed(&self) -> Fixed {
+        let shift = 32 - LOW_BITS - self.scale.trailing_zeros();
+        Fixed {
+            shift,
+            coefficients: [0, 1, 2].map(|axis| self.columns.map(|column| column[axis])),
+            offset: self.offset.map(|o| (o >> (32 - shift)) as i32),
         }
     }
 
@@ -126,14 +138,36 @@ struct Row {
 }
 
 impl Short {
-    pub(crate) fn new(fixed: &Fixed) -> Self {
-        Self {
-            rows: [0, 1, 2].map(|axis| Row {
-                low: fixed.coefficients[axis].map(|k| k.low),
-                high: fixed.coefficients[axis].map(|k| k.high),
-                offset: fixed.offset[axis],
-            }),
+    pub(crate) const fn new(fixed: &Fixed) -> Self {
+        const ROW: Row = Row {
+            low: [0; 3],
+            high: [0; 3],
+            offset: 0,
+        };
+        let mut kernel = Self {
+            rows: [ROW; 3],
             shift: fixed.shift,
+        };
+        let mut axis = 0;
+        while axis < 3 {
+            let row = &mut kernel.rows[axis];
+            row.offset = fixed.offset[axis];
+            let mut i = 0;
+            while i < 3 {
+                (row.high[i], row.low[i]) = split(fixed.coefficients[axis][i]);
+                i += 1;
+            }
+            axis += 1;
+        }
+        kernel
+    }
+
+    pub(crate) fn fixed(&self) -> Fixed {
+        let whole = |row: &Row| [0, 1, 2].map(|i| whole(row.high[i], row.low[i]));
+        Fixed {
+            shift: self.shift,
+            coefficients: [0, 1, 2].map(|axis| whole(&self.rows[axis])),
+            offset: [0, 1, 2].map(|axis| self.rows[axis].offset),
         }
     }
 
@@ -174,7 +208,7 @@ mod tests {
             parts in prop::array::uniform9((-21_500..=21_500, -16_384..=16_384)),
             offset in prop::array::uniform3(-30_000_000..=30_000_000),
         ) -> Fixed {
-            let coefficient = |(high, low)| Split { high, low };
+            let coefficient = |(high, low)| whole(high, low);
             Fixed {
                 shift,
                 coefficients: [0, 3, 6].map(|i| [parts[i], parts[i + 1], parts[i + 2]].map(coefficient)),
@@ -189,6 +223,7 @@ mod tests {
         #[test]
         fn both_ways_agree_on_every_input(fixed in fixed(), counts: [i16; 3], wide: [i32; 3]) {
             let (long, short) = (Long::new(&fixed), Short::new(&fixed));
+            prop_assert_eq!((long.fixed(), short.fixed()), (fixed, fixed));
             let extreme = counts.map(|c| if c < 0 { i16::MIN } else { i16::MAX });
             for counts in [counts, extreme] {
                 let narrow = long.apply(counts);

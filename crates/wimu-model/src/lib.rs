@@ -19,7 +19,7 @@ mod quality;
 mod quantities;
 pub mod root;
 
-pub use corrector::{CompileError, Corrector};
+pub use corrector::{CompileError, Corrector, CorrectorParts};
 pub use covariance::{CovarianceError, ModelCovariance, RotationCovariance};
 pub use error_model::{ErrorModel, ErrorTerms, ModelError, TemperatureTerms, Term};
 pub use gyroscope::{

@@ -5,8 +5,8 @@ use std::cell::Cell;
 use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 use wimu_model::{
-    Alignment, CentiCelsius, CompileError, Corrector, Counts, ErrorModel, ErrorTerms, ParameterSet,
-    Sensitivity, SpecificForceMps2, TemperatureTerms, WideCounts,
+    Alignment, CentiCelsius, CompileError, Corrector, CorrectorParts, Counts, ErrorModel,
+    ErrorTerms, ParameterSet, Sensitivity, SpecificForceMps2, TemperatureTerms, WideCounts,
 };
 use wimu_testkit::{figure, trials};
 
@@ -262,4 +262,38 @@ fn full_scale_is_seen_at_both_ends_of_a_left_justified_12_bit_sensor() {
     assert!(Counts([0, 0, -32768]).saturated(32752));
     assert!(Counts([0, -32752, 0]).saturated(32752));
     assert!(!Counts([32736, -32736, 0]).saturated(32752));
+}
+
+proptest! {
+    #[test]
+    fn the_integers_of_a_corrector_make_it_again(set in parameters()) {
+        if let Ok(corrector) = Corrector::compile(&set, None) {
+            prop_assert_eq!(Corrector::from_parts(corrector.to_parts()), Some(corrector));
+        }
+    }
+
+    /// In tests an overflow panics.
+    #[test]
+    fn integers_that_would_overflow_are_refused(
+        shift in 0..17_u8,
+        coefficients in prop::array::uniform3(prop::array::uniform3(prop::num::i32::ANY)),
+        offset in prop::array::uniform3(prop::num::i32::ANY),
+        smaller in 0..31_u32,
+        counts: [i16; 3],
+    ) {
+        let parts = CorrectorParts {
+            shift,
+            coefficients: coefficients.map(|row| row.map(|k| k >> smaller)),
+            offset: offset.map(|o| o >> smaller),
+        };
+        if let Some(corrector) = Corrector::from_parts(parts) {
+            prop_assert_eq!(corrector.to_parts(), parts);
+            for counts in [counts, [i16::MIN; 3], [i16::MAX; 3]] {
+                let force = corrector.correct(Counts(counts)).0;
+                prop_assert!(force.iter().all(|f| f.unsigned_abs() <= (1 << 29) + (1 << 14)));
+            }
+        } else {
+            prop_assert!(!(3..=14).contains(&shift) || smaller < 10);
+        }
+    }
 }

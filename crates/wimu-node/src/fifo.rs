@@ -37,6 +37,7 @@ pub struct SensorFifo {
 
 /// State of a FIFO before a read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub struct FifoState {
     /// Time of the data-ready edge, or of the wake-up without a captured edge.

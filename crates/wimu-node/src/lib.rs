@@ -1,6 +1,11 @@
 #![doc = include_str!("../README.md")]
 #![no_std]
 #![forbid(unsafe_code)]
+// A node of fewer features leaves functions of the others out.
+#![cfg_attr(
+    not(feature = "full"),
+    allow(dead_code, unused_variables, unreachable_patterns)
+)]
 
 #[cfg(test)]
 extern crate std;
@@ -46,7 +51,7 @@ pub use rate::{LineRate, RateKeeper};
 pub use sampler::Sampler;
 pub use secondary::Secondary;
 pub use sensor::InertialSensor;
-pub use shared::{Health, Shared};
+pub use shared::{Health, LINKS, Shared};
 pub use store::{Key, MAX_RECORD, Store, StoreFault};
 pub use timer::Timer;
 pub use {wimu_adxl345, wimu_lsm6dso};

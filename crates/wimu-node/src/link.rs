@@ -2,13 +2,14 @@
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_io_async::{Read, Write};
-use wimu_link::message::Command;
+use wimu_link::frame::RequestDeframer;
+use wimu_link::message::{Command, Refusal};
 use wimu_link::responder::Decision;
-use wimu_link::{Deframer, Kind, LinkRole};
+use wimu_link::{Kind, LinkRole};
 use wimu_model::DeviceTimeUs;
 
 use crate::queue::PIECE;
-use crate::shared::Common;
+use crate::shared::{Common, runs};
 use crate::timer::Timer;
 
 /// Shortest interval between answers to [`Kind::WhoAreYou`], µs.
@@ -24,6 +25,13 @@ pub struct LinkWriter<'a, W, M: RawMutex> {
 impl<W: Write, M: RawMutex> LinkWriter<'_, W, M> {
     /// Runs for ever. A failure of the line loses the current frame; the next one is sent.
     pub async fn run(&mut self) -> ! {
+        if runs(self.role) {
+            self.send().await
+        }
+        core::future::pending().await
+    }
+
+    async fn send(&mut self) -> ! {
         let mut piece = [0; PIECE];
         // Ends a frame that a restart has interrupted.
         let _ = self.line.write_all(&[0]).await;
@@ -52,7 +60,14 @@ pub struct LinkReader<'a, R, T, M: RawMutex> {
 impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
     /// Runs for ever. The line's `read` must be cancel-safe: a cancelled read loses no bytes.
     pub async fn run(&mut self) -> ! {
-        let mut deframer = Deframer::new();
+        if runs(self.role) {
+            self.listen().await
+        }
+        core::future::pending().await
+    }
+
+    async fn listen(&mut self) -> ! {
+        let mut deframer = RequestDeframer::default();
         let mut bytes = [0; 64];
         let mut introduced: Option<DeviceTimeUs> = None;
         loop {
@@ -87,20 +102,11 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
                         let Some(command) = self.accept(frame.body).await else {
                             continue;
                         };
-                        let mut taken = Ok(());
-                        if let Command::StageParameters {
-                            offset,
-                            total,
-                            piece,
-                        } = command
-                        {
-                            let mut staging = self.shared.staging.lock().await;
-                            taken = staging.take(self.role, offset, total, piece);
-                        }
+                        let taken = self.stage(&command).await;
                         let command = command.map(|_| taken);
                         self.shared.requests.send((self.role, command)).await;
                     }
-                    // Frames of a device, looped back.
+                    // Frames of a device, looped back; those longer than a request count as damaged.
                     Ok(_) => {}
                     Err(_) => self.count_damaged(),
                 }
@@ -111,6 +117,26 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
                 false => signals.noise.signal(()),
             }
         }
+    }
+
+    /// Takes a piece of parameters.
+    #[cfg(feature = "correction")]
+    async fn stage(&self, command: &Command<&[u8]>) -> Result<(), Refusal> {
+        let &Command::StageParameters {
+            offset,
+            total,
+            piece,
+        } = command
+        else {
+            return Ok(());
+        };
+        let mut staging = self.shared.staging.lock().await;
+        staging.take(self.role, offset, total, piece)
+    }
+
+    #[cfg(not(feature = "correction"))]
+    async fn stage(&self, _: &Command<&[u8]>) -> Result<(), Refusal> {
+        Ok(())
     }
 
     /// The command to execute; a request that needs none is answered here.

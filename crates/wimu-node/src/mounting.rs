@@ -2,6 +2,7 @@
 
 /// An axis of a sensor, with its direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Axis {
     /// Along x.
     X,
@@ -42,6 +43,7 @@ impl Axis {
 /// assert_eq!(MOUNTING.to_board([1, 2, 3]), [2, 1, -3]);
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Mounting([Axis; 3]);
 
 impl Mounting {

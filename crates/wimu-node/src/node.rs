@@ -2,14 +2,15 @@
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_io_async::{Read, Write};
+use wimu_link::hello::Capabilities;
 use wimu_link::{Hello, LinkRole};
 
-use crate::control::Control;
+use crate::control::{Control, RECORD};
 use crate::link::{LinkReader, LinkWriter};
 use crate::sampler::Sampler;
 use crate::sensor::InertialSensor;
 use crate::shared::Shared;
-use crate::store::Store;
+use crate::store::{Store, records};
 use crate::timer::Timer;
 
 /// The parts of a board.
@@ -67,6 +68,7 @@ where
         let planner = self.sensor.planner();
         common.publish(|published| {
             published.hello = self.hello;
+            published.hello.capabilities = capabilities(self.hello.capabilities);
             published.lock.device_id = self.hello.device_id;
             published.lock.entropy = self.entropy;
         });
@@ -97,16 +99,36 @@ where
             control: Control {
                 planner,
                 orders,
-                store: self.store,
+                store: records(self.store),
                 timer: self.timer,
                 shared: common,
-                record: [0; _],
+                record: [0; RECORD],
                 parameters_changed: false,
                 #[cfg(feature = "self-check")]
                 self_check: Default::default(),
                 latched: None,
             },
         }
+    }
+}
+
+/// The capabilities of a board, with what this build of the node can do.
+fn capabilities(board: Capabilities) -> Capabilities {
+    let mut all = board.with(Capabilities::LISTED);
+    for (there, functions) in [
+        (cfg!(feature = "correction"), Capabilities::CORRECTION),
+        (cfg!(feature = "navigation"), Capabilities::NAVIGATION),
+        (cfg!(feature = "heading"), Capabilities::HEADING),
+        (cfg!(feature = "auth"), Capabilities::AUTHENTICATION),
+        (cfg!(feature = "line-rates"), Capabilities::LINE_RATES),
+    ] {
+        if there {
+            all = all.with(functions);
+        }
+    }
+    match cfg!(feature = "store") {
+        true => all,
+        false => all.without(Capabilities::STORE),
     }
 }
 

@@ -3,8 +3,13 @@
 /// Room for telemetry, of which the oldest frames are dropped when the link is too slow, bytes.
 const TELEMETRY_BYTES: usize = 1024;
 /// Room for kept frames, bytes: the longest reply, epoch and Hello together, or everything
-/// sent to a new listener except the parameters, which are queued when there is room.
-const KEPT_BYTES: usize = 1450 + SIGNED_BYTES;
+/// sent to a new listener except the parameters, which are queued when there is room. Without parameters no
+/// reply is longer than a status, without navigation an epoch has no state.
+const KEPT_BYTES: usize = if cfg!(feature = "correction") {
+    1450
+} else {
+    750
+} + SIGNED_BYTES;
 /// Room that unsigned replies leave free, bytes: the longest signed reply to a write, and its length.
 const SIGNED_BYTES: usize = 80 + 2;
 /// Bytes of a frame that are taken at once.
@@ -153,7 +158,7 @@ impl Ring<[u8]> {
         }
         let mut taken = 0;
         for (place, byte) in piece.iter_mut().zip(0..self.begun) {
-            *place = self.bytes[self.place(byte)];
+            *place = self.at(byte);
             taken += 1;
         }
         self.begun -= taken;
@@ -169,7 +174,10 @@ impl Ring<[u8]> {
         let removed = 2 + self.length_at(self.begun);
         // Moves the rest of the begun frame up.
         for byte in (0..self.begun).rev() {
-            self.bytes[self.place(byte + removed)] = self.bytes[self.place(byte)];
+            let (value, to) = (self.at(byte), self.place(byte + removed));
+            if let Some(place) = self.bytes.get_mut(to) {
+                *place = value;
+            }
         }
         self.skip(removed);
         true
@@ -177,9 +185,12 @@ impl Ring<[u8]> {
 
     /// The length stored at `offset` bytes after the start.
     fn length_at(&self, offset: usize) -> usize {
-        let low = self.bytes[self.place(offset)];
-        let high = self.bytes[self.place(offset + 1)];
-        usize::from(u16::from_le_bytes([low, high]))
+        usize::from(u16::from_le_bytes([self.at(offset), self.at(offset + 1)]))
+    }
+
+    /// The byte at `offset` bytes after the start.
+    fn at(&self, offset: usize) -> u8 {
+        self.bytes.get(self.place(offset)).copied().unwrap_or(0)
     }
 
     /// The index of the byte at `offset` bytes after the start. Without a division, which some processors do
@@ -191,9 +202,13 @@ impl Ring<[u8]> {
 
     fn append(&mut self, bytes: &[u8]) {
         let end = self.place(self.used);
-        let (before_wrap, after_wrap) = bytes.split_at(bytes.len().min(self.bytes.len() - end));
-        self.bytes[end..end + before_wrap.len()].copy_from_slice(before_wrap);
-        self.bytes[..after_wrap.len()].copy_from_slice(after_wrap);
+        let (start, rest) = self.bytes.split_at_mut(end.min(self.bytes.len()));
+        let (before_wrap, after_wrap) = bytes.split_at(bytes.len().min(rest.len()));
+        for (part, place) in [(before_wrap, rest), (after_wrap, start)] {
+            if let Some(place) = place.get_mut(..part.len()) {
+                place.copy_from_slice(part);
+            }
+        }
         self.used += bytes.len();
     }
 

@@ -37,7 +37,7 @@ pub trait LineRate {
 ///
 /// A board spawns its `run` beside the node's tasks for each line with an adjustable rate; without it the
 /// device reports a fixed rate. A cable uses the rate at which the board opened it until another one is
-/// stored. A wireless link uses the stored rate, or that at which it was opened. If bytes arrive without an
+/// stored. Without the feature `line-rates` its `run` does nothing. A wireless link uses the stored rate, or that at which it was opened. If bytes arrive without an
 /// undamaged frame, it tries that rate, 115,200, 9600 and 38,400 baud for 2 s each until an undamaged frame
 /// arrives, and stores the rate.
 pub struct RateKeeper<'a, L, T, M: RawMutex> {
@@ -49,6 +49,7 @@ pub struct RateKeeper<'a, L, T, M: RawMutex> {
     rate: u32,
 }
 
+#[cfg_attr(not(feature = "line-rates"), allow(dead_code))]
 impl<'a, L: LineRate, T: Timer, M: RawMutex> RateKeeper<'a, L, T, M> {
     /// For the line of the link `role`, which the board has opened at `opened` bit/s. To be called before the
     /// node runs.
@@ -60,7 +61,9 @@ impl<'a, L: LineRate, T: Timer, M: RawMutex> RateKeeper<'a, L, T, M> {
         shared: &'a Shared<M, S>,
     ) -> Self {
         let shared = &shared.common;
-        shared.has_rate(role, L::nearest);
+        if cfg!(feature = "line-rates") {
+            shared.has_rate(role, L::nearest);
+        }
         Self {
             role,
             line,
@@ -72,6 +75,14 @@ impl<'a, L: LineRate, T: Timer, M: RawMutex> RateKeeper<'a, L, T, M> {
 
     /// Runs for ever.
     pub async fn run(&mut self) -> ! {
+        #[cfg(feature = "line-rates")]
+        if crate::shared::runs(self.role) {
+            self.keep().await
+        }
+        core::future::pending().await
+    }
+
+    async fn keep(&mut self) -> ! {
         let signals = self.shared.rate_signals(self.role);
         let mut next = None;
         loop {

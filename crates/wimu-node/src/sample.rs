@@ -4,7 +4,7 @@ use core::ops::RangeInclusive;
 
 use wimu_integrator::{Integrator, Saturation, Transition};
 use wimu_link::batch;
-use wimu_link::message::ParameterFault;
+use wimu_link::message::{ParameterFault, WireParameters};
 use wimu_model::{
     AngularRateQ20, CentiCelsius, Corrector, Counts, GyroscopeCorrector, GyroscopeError,
     GyroscopeModel, GyroscopeTerm, ParameterSet, SpecificForceQ16, WideCounts,
@@ -27,6 +27,11 @@ impl RawSample for WideCounts {}
 impl RawSample for (Counts, Counts) {}
 impl RawSample for (WideCounts, WideCounts) {}
 
+/// Whether the quality of a calibration, and the magnetometer's model, are used. The heading's uncertainty
+/// depends on the quality too.
+const QUALITY: bool = cfg!(any(feature = "self-check", feature = "heading"));
+const MAGNETOMETER: bool = cfg!(feature = "heading");
+
 pub(crate) mod sealed {
     use super::*;
 
@@ -38,6 +43,12 @@ pub(crate) mod sealed {
         type Corrected: batch::Sample;
         /// The compiled corrector of the gyroscope; `()` without one.
         type Gyroscope: Copy;
+
+        /// Decodes the parts of a set that this node uses.
+        ///
+        /// # Errors
+        /// What is invalid in them.
+        fn decode(wire: &WireParameters) -> Result<ParameterSet, ParameterFault>;
 
         /// Compiles the gyroscope's part of `set`; without one, the nominal scale of `plan`.
         ///
@@ -106,6 +117,10 @@ impl<C: Triad> sealed::Process for C {
     type Corrected = SpecificForceQ16;
     type Gyroscope = ();
 
+    fn decode(wire: &WireParameters) -> Result<ParameterSet, ParameterFault> {
+        wire.to_set::<QUALITY, MAGNETOMETER, false>()
+    }
+
     fn compile_gyroscope(
         _: &ParameterSet,
         _: &SensorPlan,
@@ -139,6 +154,10 @@ where
     type Accelerometer = C;
     type Corrected = (SpecificForceQ16, AngularRateQ20);
     type Gyroscope = GyroscopeCorrector;
+
+    fn decode(wire: &WireParameters) -> Result<ParameterSet, ParameterFault> {
+        wire.to_set::<QUALITY, MAGNETOMETER, true>()
+    }
 
     fn compile_gyroscope(
         set: &ParameterSet,

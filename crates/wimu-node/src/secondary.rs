@@ -10,7 +10,7 @@ use crate::sampler::batches::{Batcher, Lane};
 use crate::sampler::clock::{Reads, sample_time};
 use crate::sampler::{EPOCH_DUE_US, epoch_gyroscope};
 use crate::sensor::{Batch, SensorPlan};
-use crate::shared::{Common, Message};
+use crate::shared::{ALL, Common, Message};
 
 /// A sensor with index 1 and up: its samples are sent without correction, with their own numbers and epochs, and
 /// corrected on the host.
@@ -88,7 +88,7 @@ impl Secondary {
                 gyroscope: epoch_gyroscope(&plan),
                 ..Epoch::default()
             });
-            shared.announce(&epoch, [true; 2]);
+            shared.announce(&epoch, ALL);
         }
         for lane in lanes {
             let first = self.next_sequence;

@@ -85,6 +85,40 @@ pub trait Store {
     async fn remove(&mut self, which: fn(Key) -> bool) -> Result<(), StoreFault>;
 }
 
+/// What the node keeps its records in: the board's store, or, without the feature `store`, nothing.
+#[cfg(feature = "store")]
+pub(crate) type Records<S> = S;
+#[cfg(feature = "store")]
+pub(crate) fn records<S>(store: S) -> Records<S> {
+    store
+}
+#[cfg(not(feature = "store"))]
+pub(crate) type Records<S> = Volatile<S>;
+
+/// Keeps nothing: parameters and settings are lost at a restart.
+#[cfg(not(feature = "store"))]
+pub struct Volatile<S>(core::marker::PhantomData<S>);
+
+#[cfg(not(feature = "store"))]
+pub(crate) fn records<S>(_: S) -> Records<S> {
+    Volatile(core::marker::PhantomData)
+}
+
+#[cfg(not(feature = "store"))]
+impl<S> Store for Volatile<S> {
+    async fn load(&mut self, _: Key, _: &mut [u8]) -> Result<Option<usize>, StoreFault> {
+        Ok(None)
+    }
+
+    async fn save(&mut self, _: Key, _: &[u8]) -> Result<(), StoreFault> {
+        Ok(())
+    }
+
+    async fn remove(&mut self, _: fn(Key) -> bool) -> Result<(), StoreFault> {
+        Ok(())
+    }
+}
+
 /// Longest record, bytes.
 pub const MAX_RECORD: usize = wimu_link::frame::MAX_RECORD;
 

@@ -1,5 +1,8 @@
 //! The sampler in a whole node, with a sensor that follows a script: six axes, wide counts, several sensors.
 
+// A node of all features and one of none take different tests.
+#![allow(dead_code, unused_imports)]
+
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -13,12 +16,15 @@ use embassy_futures::select::select;
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embedded_io_async::{ErrorType, Read, Write};
 use wimu_integrator::Flags;
+use wimu_link::auth::DeviceKey;
 use wimu_link::batch::Stream;
+use wimu_link::hello::Capabilities;
 use wimu_link::message::{
-    BusFault, EncodedParameters, Epoch, EpochReason, Event, ParameterFault, Record, Settings,
-    Telemetry, WireGyroscopeTerm, WireParameters,
+    Answer, BusFault, Command, EncodedParameters, Epoch, EpochReason, Event, ParameterFault,
+    Payload, Record, Refusal, Reply, Request, Settings, Streams, Telemetry, WireGyroscopeTerm,
+    WireParameters,
 };
-use wimu_link::{Batch as WireBatch, Deframer, Hello, LinkRole};
+use wimu_link::{Batch as WireBatch, Deframer, Hello, Kind, LinkRole, MAX_FRAME};
 use wimu_model::{
     Counts, DeviceTimeUs, GyroscopeModel, GyroscopeParameters, GyroscopeTerms, ParameterSet,
     PeriodNs, Sensitivity, WideCounts,
@@ -71,7 +77,7 @@ impl Store for Memory {
     }
 }
 
-/// A line that receives nothing and keeps what is sent.
+/// A line that receives what it holds, then nothing, and keeps what is sent.
 #[derive(Clone, Default)]
 struct Line(Rc<RefCell<Vec<u8>>>);
 
@@ -80,8 +86,17 @@ impl ErrorType for Line {
 }
 
 impl Read for Line {
-    async fn read(&mut self, _: &mut [u8]) -> Result<usize, Infallible> {
-        pending().await
+    async fn read(&mut self, bytes: &mut [u8]) -> Result<usize, Infallible> {
+        let mut held = self.0.borrow_mut();
+        let count = bytes.len().min(held.len());
+        if count == 0 {
+            drop(held);
+            return pending().await;
+        }
+        for (place, byte) in bytes.iter_mut().zip(held.drain(..count)) {
+            *place = byte;
+        }
+        Ok(count)
     }
 }
 
@@ -163,6 +178,8 @@ struct Received {
     epochs: Vec<Epoch>,
     events: Vec<Event>,
     flags: Flags,
+    hello: Option<Hello>,
+    answers: Vec<Answer>,
     /// Of the latest sample with an attitude.
     quaternion: Option<[f64; 4]>,
 }
@@ -200,6 +217,27 @@ fn run_with<S: RawSample>(
     plans: &[SensorPlan],
     steps: impl IntoIterator<Item = Step<S>>,
 ) -> Received {
+    run_asked(None, parameters, plans, steps)
+}
+
+/// Runs it with a request on the cable.
+fn run_asked<S: RawSample>(
+    command: Option<Command>,
+    parameters: Option<ParameterSet>,
+    plans: &[SensorPlan],
+    steps: impl IntoIterator<Item = Step<S>>,
+) -> Received {
+    let mut request = vec![0; MAX_FRAME];
+    let length = command.map_or(0, |command| {
+        let request_of = Request {
+            session: 1,
+            id: 1,
+            signature: Default::default(),
+            command,
+        };
+        request_of.encode(&mut request).expect("it fits")
+    });
+    request.truncate(length);
     let (clock, cable, done) = (Clock::default(), Line::default(), Rc::default());
     let board = Board {
         hello: Hello::new(LinkRole::Cable),
@@ -217,7 +255,7 @@ fn run_with<S: RawSample>(
         timer: clock,
         store: Memory(parameters),
         entropy: [0; 16],
-        cable: (Line::default(), cable.clone()),
+        cable: (Line(Rc::new(RefCell::new(request))), cable.clone()),
         wireless: (Line::default(), Line::default()),
     };
     let shared = Shared::<NoopRawMutex, S>::new();
@@ -236,6 +274,15 @@ fn run_with<S: RawSample>(
         if frame.kind.is_batch() {
             let batch = WireBatch::decode(frame.kind, frame.body);
             received.batches.push(batch.expect("a batch"));
+            continue;
+        }
+        if frame.kind == Kind::Reply {
+            let reply = Reply::decode(frame.body).expect("a reply");
+            received.answers.push(reply.answer);
+            continue;
+        }
+        if frame.kind == Kind::Hello {
+            received.hello = Hello::decode(frame.body).ok();
             continue;
         }
         match Telemetry::decode(frame.body) {
@@ -279,6 +326,7 @@ fn level(rate: [i16; 3]) -> (Counts, Counts) {
     (LEVEL, Counts(rate))
 }
 
+#[cfg(feature = "full")]
 #[test]
 fn six_axes_are_sent_raw_and_corrected_and_turn_the_attitude() {
     // At rest with a gyroscope bias of 5 mrad/s, then a quarter turn about z in 0.96 s.
@@ -305,6 +353,7 @@ fn six_axes_are_sent_raw_and_corrected_and_turn_the_attitude() {
     assert!(received.epochs[0].state.is_ours());
 }
 
+#[cfg(feature = "full")]
 #[test]
 fn a_saturated_gyroscope_is_flagged_apart_from_a_saturated_accelerometer() {
     let saturated = |accelerometer, gyroscope| {
@@ -318,6 +367,7 @@ fn a_saturated_gyroscope_is_flagged_apart_from_a_saturated_accelerometer() {
     assert_eq!(saturated([i16::MIN, 0, 0], [0, 500, 0]), [true, false]);
 }
 
+#[cfg(feature = "full")]
 #[test]
 fn a_gyroscope_that_stops_is_reported_once_and_then_its_return() {
     let stopped = || Err(SensorFault::GyroscopeStopped);
@@ -338,6 +388,7 @@ fn a_gyroscope_that_stops_is_reported_once_and_then_its_return() {
     );
 }
 
+#[cfg(feature = "full")]
 #[test]
 fn another_chip_is_named() {
     let wrong = SensorFault::WrongIdentity {
@@ -355,6 +406,7 @@ fn another_chip_is_named() {
     );
 }
 
+#[cfg(feature = "full")]
 #[test]
 fn counts_beyond_20_bits_are_clamped_and_saturated() {
     let (most, least) = (WideCounts::MAX, WideCounts::MIN);
@@ -380,6 +432,7 @@ fn counts_beyond_20_bits_are_clamped_and_saturated() {
     assert_eq!(received.epochs[0].full_scale, most);
 }
 
+#[cfg(feature = "full")]
 #[test]
 fn a_second_sensor_is_sent_raw_with_its_own_numbers_and_epochs() {
     let sensitivity = Sensitivity::from_lsb_per_g(163.84).expect("in range");
@@ -439,6 +492,7 @@ fn a_second_sensor_is_sent_raw_with_its_own_numbers_and_epochs() {
     }
 }
 
+#[cfg(feature = "full")]
 #[test]
 fn three_axes_stay_in_batches_of_version_1() {
     let received = run(&[three_axes()], reads(6, LEVEL));
@@ -453,6 +507,7 @@ fn three_axes_stay_in_batches_of_version_1() {
     assert_eq!(received.epochs[0].gyroscope, None);
 }
 
+#[cfg(feature = "full")]
 #[test]
 fn a_calibrated_gyroscope_is_corrected_and_a_set_for_another_scale_is_refused() {
     let calibrated = |rad_s_per_lsb| {
@@ -497,4 +552,84 @@ fn a_calibrated_gyroscope_is_corrected_and_a_set_for_another_scale_is_refused() 
         *term == WireGyroscopeTerm::Sensitivity
     };
     assert!(events.iter().any(refused), "{events:?}");
+}
+
+/// The answer of a node with three axes to a command, what it says of itself, and what it sends.
+fn asked(command: Command) -> (Answer, Capabilities, Received) {
+    let sensitivity = Sensitivity::from_lsb_per_g(16384.0).expect("in bounds");
+    let plan = SensorPlan::new(PeriodNs(10_000_000), sensitivity, i16::MAX.into());
+    let steps = (0..6).map(|_| Ok((0, vec![Counts([0, 0, 16384]); 16])));
+    let received = run_asked(Some(command), None, &[plan], steps);
+    let hello = received.hello.expect("a Hello");
+    let [answer] = received.answers[..] else {
+        panic!("{:?}", received.answers)
+    };
+    (answer, hello.capabilities, received)
+}
+
+const FUNCTIONS: [(Command, Capabilities); 4] = [
+    (
+        Command::GetParameters { offset: 0 },
+        Capabilities::CORRECTION,
+    ),
+    (
+        Command::CommitParameters { hash: 1 },
+        Capabilities::CORRECTION,
+    ),
+    (
+        Command::SetKey(DeviceKey::new([1; 32])),
+        Capabilities::AUTHENTICATION,
+    ),
+    (
+        Command::SetLineRate {
+            link: 1,
+            baud: 9600,
+        },
+        Capabilities::LINE_RATES,
+    ),
+];
+
+#[cfg(not(any(feature = "correction", feature = "store", feature = "line-rates")))]
+#[test]
+fn a_node_without_features_streams_and_refuses_what_it_lacks() {
+    for (command, function) in FUNCTIONS {
+        let (answer, capabilities, received) = asked(command);
+        assert_eq!(
+            answer,
+            Answer::Refused(Refusal::NotSupported),
+            "{command:?}"
+        );
+        assert!(!capabilities.offers(function), "{command:?}");
+        assert_eq!(received.samples(0, Stream::Raw).0, [[0, 0, 16384]; 96]);
+        assert!(received.samples(0, Stream::Corrected).0.is_empty());
+    }
+    let raw = |streams: Streams| Streams {
+        corrected: false,
+        navigation: false,
+        ..streams
+    };
+    let default = Settings::default();
+    let nearest = Settings {
+        cable: raw(default.cable),
+        wireless: raw(default.wireless),
+        ..default
+    };
+    let refused = Answer::Refused(Refusal::UnsupportedSettings { nearest });
+    assert_eq!(asked(Command::SetSettings(default)).0, refused);
+    let accepted = Answer::Accepted(Payload::Settings(nearest));
+    assert_eq!(asked(Command::SetSettings(nearest)).0, accepted);
+}
+
+#[cfg(feature = "full")]
+#[test]
+fn a_full_node_refuses_no_function() {
+    for (command, function) in FUNCTIONS {
+        let (answer, capabilities, _) = asked(command);
+        assert_ne!(
+            answer,
+            Answer::Refused(Refusal::NotSupported),
+            "{command:?}"
+        );
+        assert!(capabilities.contains(Capabilities::LISTED) && capabilities.offers(function));
+    }
 }

@@ -1,11 +1,12 @@
 //! Counts → [`Corrector`] → [`Integrator`] in a blocking loop, on any microcontroller: the crates
-//! stand alone. `read` is your sensor's driver; `calibration` is what `wimu calibrate` found.
+//! stand alone. `read` is your sensor's driver; `corrector` is what `wimu export CAL.json --format rust`
+//! wrote, or is compiled from a model on the device.
 
 #![no_std]
 #![forbid(unsafe_code)]
 
-use wimu_integrator::{Config, Integrator, Navigation};
-use wimu_model::{Corrector, Counts, ParameterSet, PeriodNs};
+use wimu_integrator::{Config, ConfigError, Integrator, Navigation};
+use wimu_model::{Corrector, Counts, PeriodNs};
 
 /// Positive full scale of your sensor, LSB: this is that of 12 bits left-justified.
 const FULL_SCALE: i32 = 32752;
@@ -14,15 +15,14 @@ const FULL_SCALE: i32 = 32752;
 /// that knows when it missed a sample calls [`Integrator::gap`] there.
 ///
 /// # Errors
-/// When `calibration` cannot be compiled into integers, or `period` is outside 100 µs..=1 s.
+/// When `period` is outside 100 µs..=1 s.
 pub fn run(
-    calibration: &ParameterSet,
+    corrector: &Corrector,
     period: PeriodNs,
     mut read: impl FnMut() -> Option<Counts>,
     mut report: impl FnMut(&Navigation),
-) -> Result<(), Error> {
-    let corrector = Corrector::compile(calibration, None).map_err(|_| Error::Calibration)?;
-    let mut integrator = Integrator::new(Config::new(period).map_err(|_| Error::Period)?);
+) -> Result<(), ConfigError> {
+    let mut integrator = Integrator::new(Config::new(period)?);
     while let Some(counts) = read() {
         let force = corrector.correct(counts);
         integrator.step(force, counts.saturated(FULL_SCALE));
@@ -31,19 +31,10 @@ pub fn run(
     Ok(())
 }
 
-/// Why the loop did not start.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Error {
-    /// The calibration cannot be compiled into integers.
-    Calibration,
-    /// The sample period is outside 100 µs..=1 s.
-    Period,
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use wimu_model::Sensitivity;
+    use wimu_model::{ParameterSet, Sensitivity};
 
     #[test]
     fn a_push_and_a_stop_move_it_by_a_metre() {
@@ -60,7 +51,7 @@ mod tests {
         });
         let mut last = Navigation::default();
         run(
-            &ParameterSet::uncalibrated(2, sensitivity),
+            &Corrector::compile(&ParameterSet::uncalibrated(2, sensitivity), None).unwrap(),
             PeriodNs(10_000_000),
             || samples.next(),
             |navigation| last = *navigation,

@@ -6,9 +6,9 @@ use std::process::Command;
 
 use wimu_host::calibration::{CalibrationExport, CalibrationFile, ExportTarget, KalibrNoise};
 use wimu_model::{
-    Alignment, CentiCelsius, ErrorModel, ErrorTerms, GyroscopeModel, GyroscopeParameters,
-    GyroscopeTemperatureTerms, GyroscopeTerms, ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity,
-    SpecificForceMps2, TemperatureTerms,
+    Alignment, CentiCelsius, Corrector, ErrorModel, ErrorTerms, GyroscopeModel,
+    GyroscopeParameters, GyroscopeTemperatureTerms, GyroscopeTerms, ParameterSet,
+    STANDARD_GRAVITY_MPS2, Sensitivity, SpecificForceMps2, TemperatureTerms,
 };
 
 use crate::common::Random;
@@ -400,4 +400,26 @@ fn kalibr_has_its_keys_and_never_an_invented_noise() {
     let text = kalibr(None);
     let has_noise = |line: &str| line.starts_with("accelerometer_noise");
     assert!(!text.lines().any(has_noise));
+}
+
+#[test]
+fn rust_has_the_integers_of_the_corrector_of_counts_only() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = ParameterSet {
+        gyroscope: None,
+        ..set()
+    };
+    let parts = Corrector::compile(&set, None).unwrap().to_parts();
+    let text = |of_counts| {
+        let export = export(&set, of_counts, folder.path());
+        export.text(ExportTarget::Rust, None)
+    };
+    for line in [
+        format!("SHIFT: u8 = {};", parts.shift),
+        format!("COEFFICIENTS: [[i32; 3]; 3] = {:?};", parts.coefficients),
+        format!("OFFSET: [i32; 3] = {:?};", parts.offset),
+    ] {
+        assert!(text(true).contains(&line), "{line}");
+    }
+    assert!(!text(false).contains("SHIFT"));
 }

@@ -1,10 +1,11 @@
 //! The measured figures: every example of a library that measures a budget or an accuracy, and
-//! what a sample costs on a microcontroller.
+//! what the node and a sample cost on a microcontroller.
 
 use std::path::Path;
 
 use crate::command_line::heading;
 use crate::instructions;
+use crate::profile;
 use crate::setup::cargo;
 use crate::workspace::Workspace;
 
@@ -35,5 +36,6 @@ pub fn run(workspace: &Workspace, data: Option<&str>) -> Result<(), String> {
                 .run()?;
         }
     }
+    profile::run()?;
     instructions::run()
 }

@@ -126,7 +126,20 @@ fn without_this_machine() -> String {
 /// # Errors
 /// Says which command failed.
 pub fn built(source: Source, folder: &Path, target: Option<&str>) -> Result<Output, String> {
-    build(source, folder, target).run()?;
+    built_with(source, folder, target, "")
+}
+
+/// The same with further options of cargo.
+///
+/// # Errors
+/// As [`built`].
+pub fn built_with(
+    source: Source,
+    folder: &Path,
+    target: Option<&str>,
+    options: &str,
+) -> Result<Output, String> {
+    build(source, folder, target).words(options).run()?;
     Output::of(folder)
 }
 

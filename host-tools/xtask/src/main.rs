@@ -7,6 +7,8 @@ mod firmware;
 mod image;
 mod instructions;
 mod output;
+mod panics;
+mod profile;
 mod python;
 mod setup;
 mod size;

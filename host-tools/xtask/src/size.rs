@@ -1,6 +1,7 @@
 //! How much flash and RAM an image takes, in whole and by crate, read from its ELF file.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use object::elf::{SHF_ALLOC, SHF_WRITE};
 use object::read::elf::ElfFile32;
@@ -165,12 +166,9 @@ fn built(workspace: &Workspace) -> Result<Vec<(String, Size)>, String> {
             for target in TARGETS {
                 // A board is built for one of them only.
                 let image = output.image(program, target);
-                let Ok(bytes) = std::fs::read(&image) else {
-                    continue;
-                };
-                let size = Size::of(&bytes);
-                let size = size.map_err(|error| format!("{}: {error}", image.display()))?;
-                found.push((program.clone(), size));
+                if image.is_file() {
+                    found.push((program.clone(), Size::read(&image)?));
+                }
             }
         }
     }
@@ -201,10 +199,10 @@ fn within(program: &str, size: &Size) -> Result<(), String> {
 
 /// Bytes.
 #[derive(Debug, Default, PartialEq)]
-struct Size {
-    flash: u32,
+pub struct Size {
+    pub flash: u32,
     /// Without the stack.
-    ram: u32,
+    pub ram: u32,
     /// Flash of [`AUTHENTICATION`].
     authentication: u32,
     /// What has a name, by the crate that it is from.
@@ -227,6 +225,16 @@ impl Share {
 }
 
 impl Size {
+    /// Of the image in a file.
+    ///
+    /// # Errors
+    /// Says why it cannot be read.
+    pub fn read(image: &Path) -> Result<Self, String> {
+        let failed = |error: &dyn std::fmt::Display| format!("{}: {error}", image.display());
+        let bytes = std::fs::read(image).map_err(|error| failed(&error))?;
+        Self::of(&bytes).map_err(|error| failed(&error))
+    }
+
     /// Of a 32-bit little-endian ELF file.
     fn of(elf: &[u8]) -> object::Result<Self> {
         let elf = ElfFile32::<object::LittleEndian>::parse(elf)?;

@@ -5,6 +5,8 @@ use std::time::{Duration, Instant};
 use crate::command_line::{CommandLine, heading};
 use crate::firmware;
 use crate::instructions;
+use crate::panics;
+use crate::profile;
 use crate::python;
 use crate::setup::{self, Need, OLDEST, Source, TARGETS, ThisMachine, cargo, embedded_cargo};
 use crate::size;
@@ -111,14 +113,27 @@ pub const TEST: Lane = Lane {
             },
         },
         Step {
+            name: "features",
+            about: "wimu-node compiles without a warning with every choice of its features, and works with none",
+            run: |_| {
+                cargo("test -p wimu-node --test sampler").run()?;
+                all(choices_of_features())
+            },
+        },
+        Step {
+            name: "panics",
+            about: "no function of the libraries for the device can panic, on Cortex-M4F and Cortex-M0+",
+            run: |_| panics::run(),
+        },
+        Step {
             name: "firmware",
             about: "every board builds, without a warning, and no larger than it may be",
             run: |workspace| firmware::check(workspace).and_then(|()| size::check(workspace)),
         },
         Step {
             name: "budget",
-            about: "a sample costs no more instructions than it may, counted in QEMU",
-            run: |_| instructions::run(),
+            about: "profiles are no larger, and a sample costs no more instructions in QEMU, than they may",
+            run: |_| profile::run().and_then(|()| instructions::run()),
         },
         Step {
             name: "host",
@@ -243,6 +258,45 @@ fn without_c_libraries(command: &str) -> CommandLine {
     cargo(command).with("PKG_CONFIG", "false")
 }
 
+/// wimu-node with every choice of its features; those that a feature brings with it are not chosen beside it.
+fn choices_of_features() -> Vec<CommandLine> {
+    const ALTERNATIVES: [&[&str]; 4] = [
+        &[
+            "",
+            "correction",
+            "navigation",
+            "heading",
+            "self-check",
+            "heading,self-check",
+        ],
+        &["", "store", "auth"],
+        &["", "line-rates"],
+        &["", "wireless"],
+    ];
+    let mut choices = vec![String::new()];
+    for alternatives in ALTERNATIVES {
+        let with = |choice: &String| {
+            alternatives
+                .iter()
+                .map(move |one| format!("{choice},{one}"))
+                .collect()
+        };
+        choices = choices
+            .iter()
+            .flat_map(|choice| -> Vec<String> { with(choice) })
+            .collect();
+    }
+    let one = |choice: String| {
+        let choice: Vec<_> = choice.split(',').filter(|name| !name.is_empty()).collect();
+        cargo(&format!(
+            "clippy --quiet -p wimu-node --features={}",
+            choice.join(",")
+        ))
+        .words("-- -D warnings")
+    };
+    choices.into_iter().map(one).collect()
+}
+
 /// Each package by itself: built together, one could lean on features that another asks for.
 fn embedded(workspace: &Workspace, source: Source, targets: &[&str]) -> Vec<CommandLine> {
     let mut commands = Vec::new();
@@ -333,6 +387,22 @@ mod tests {
                 "desk --lib",
             ]
         );
+    }
+
+    #[test]
+    fn every_choice_of_features_is_compiled_once() {
+        let mut lines = tails(choices_of_features());
+        assert_eq!(lines.len(), 6 * 3 * 2 * 2);
+        assert!(lines.contains(&"wimu-node --features= -- -D warnings".into()));
+        assert!(
+            lines.contains(
+                &"wimu-node --features=heading,self-check,auth,line-rates,wireless -- -D warnings"
+                    .into()
+            )
+        );
+        lines.sort();
+        lines.dedup();
+        assert_eq!(lines.len(), 72);
     }
 
     #[test]

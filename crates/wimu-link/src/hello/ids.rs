@@ -150,11 +150,35 @@ impl Capabilities {
     pub const STORE: Self = Self(1 << 4);
     /// A gyroscope.
     pub const GYROSCOPE: Self = Self(1 << 5);
+    /// The following functions are listed. Firmware that does not list them has all of them:
+    /// [`offers`](Self::offers).
+    pub const LISTED: Self = Self(1 << 6);
+    /// Accepts parameters and corrects samples.
+    pub const CORRECTION: Self = Self(1 << 7);
+    /// Computes velocity, position and attitude.
+    pub const NAVIGATION: Self = Self(1 << 8);
+    /// Sets the heading from a calibrated magnetometer.
+    pub const HEADING: Self = Self(1 << 9);
+    /// Accepts a key and signed requests.
+    pub const AUTHENTICATION: Self = Self(1 << 10);
+    /// The rate of its serial lines can be set.
+    pub const LINE_RATES: Self = Self(1 << 11);
 
     /// Both sets.
     #[must_use]
     pub const fn with(self, other: Self) -> Self {
         Self(self.0 | other.0)
+    }
+
+    /// This set less all of `other`.
+    #[must_use]
+    pub const fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0)
+    }
+
+    /// Whether the device has these functions, or does not list any.
+    pub const fn offers(self, functions: Self) -> bool {
+        !self.contains(Self::LISTED) || self.contains(functions)
     }
 
     /// Whether all of `other` are there.

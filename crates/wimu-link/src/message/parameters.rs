@@ -131,6 +131,11 @@ impl WireGyroscope {
     }
 }
 
+/// An optional part of a set, if it is used.
+fn part<'a, W, T: TryFrom<&'a W>>(wire: Option<&'a W>, used: bool) -> Result<Option<T>, T::Error> {
+    wire.filter(|_| used).map(TryInto::try_into).transpose()
+}
+
 impl WireParameters {
     /// Longest wire form, bytes.
     pub const MAX: usize = 1122;
@@ -210,6 +215,41 @@ impl WireParameters {
             WireMagnetometer::BLANK,
             WireMagnetometer::exchange,
         )
+    }
+
+    /// The set with those of its optional parts that a device uses, validated; the others are `None`. The alignment's
+    /// covariance comes with quality or magnetometer.
+    ///
+    /// # Errors
+    /// [`ParameterFault`]: what is invalid in the decoded parts.
+    pub fn to_set<const QUALITY: bool, const MAGNETOMETER: bool, const GYROSCOPE: bool>(
+        &self,
+    ) -> Result<ParameterSet, ParameterFault> {
+        Ok(ParameterSet {
+            range_g: self.range_g,
+            sensitivity: Sensitivity::from_lsb_per_g(self.sensitivity_lsb_per_g)?,
+            model: ErrorModel::new(ErrorTerms {
+                bias_mps2: self.bias_mps2,
+                matrix: self.matrix,
+                temperature: TemperatureTerms {
+                    reference_c: self.reference_c,
+                    bias_mps2_per_k: self.bias_mps2_per_k,
+                    bias_mps2_per_k2: self.bias_mps2_per_k2,
+                    scale_per_k: self.scale_per_k,
+                },
+                nonlinearity: self.nonlinearity,
+            })?,
+            quality: part(self.quality.as_ref(), QUALITY)?,
+            alignment: Alignment::try_from(self.alignment_wxyz)?,
+            alignment_covariance: (self.alignment_factor)
+                .filter(|_| QUALITY || MAGNETOMETER)
+                .map(rotation_covariance)
+                .transpose()?,
+            magnetometer: part(self.magnetometer.as_ref(), MAGNETOMETER)?,
+            sensor: self.sensor.map(SensorId),
+            sensor_index: self.sensor_index,
+            gyroscope: part(self.gyroscope.as_ref(), GYROSCOPE)?,
+        })
     }
 
     /// Replaces the quaternions by the normalised ones of `set`, which was decoded from `self`.
@@ -376,7 +416,10 @@ impl<'a> EncodedParameters<'a> {
         let mut reader = Reader(bytes);
         let mut parameters = WireParameters::BLANK;
         parameters.exchange_v0(&mut reader)?;
-        let (parameters, rest) = bytes.split_at(bytes.len() - reader.0.len());
+        let length = bytes.len().saturating_sub(reader.0.len());
+        let (parameters, rest) = bytes
+            .split_at_checked(length)
+            .ok_or(MessageError::TooShort)?;
         Ok((Self(parameters), rest))
     }
 
@@ -453,32 +496,7 @@ impl TryFrom<&WireParameters> for ParameterSet {
     /// Validates every number. [`Corrector::compile`](wimu_model::Corrector::compile) checks whether the set
     /// can be compiled to integers.
     fn try_from(wire: &WireParameters) -> Result<Self, ParameterFault> {
-        Ok(Self {
-            range_g: wire.range_g,
-            sensitivity: Sensitivity::from_lsb_per_g(wire.sensitivity_lsb_per_g)?,
-            model: ErrorModel::new(ErrorTerms {
-                bias_mps2: wire.bias_mps2,
-                matrix: wire.matrix,
-                temperature: TemperatureTerms {
-                    reference_c: wire.reference_c,
-                    bias_mps2_per_k: wire.bias_mps2_per_k,
-                    bias_mps2_per_k2: wire.bias_mps2_per_k2,
-                    scale_per_k: wire.scale_per_k,
-                },
-                nonlinearity: wire.nonlinearity,
-            })?,
-            quality: wire.quality.as_ref().map(TryInto::try_into).transpose()?,
-            alignment: Alignment::try_from(wire.alignment_wxyz)?,
-            alignment_covariance: wire.alignment_factor.map(rotation_covariance).transpose()?,
-            magnetometer: wire
-                .magnetometer
-                .as_ref()
-                .map(TryInto::try_into)
-                .transpose()?,
-            sensor: wire.sensor.map(SensorId),
-            sensor_index: wire.sensor_index,
-            gyroscope: wire.gyroscope.as_ref().map(TryInto::try_into).transpose()?,
-        })
+        wire.to_set::<true, true, true>()
     }
 }
 

@@ -330,6 +330,8 @@ pub enum Refusal {
         /// Number of bytes that it has.
         received: u16,
     },
+    /// The device's firmware was built without this function ([`Capabilities`](crate::hello::Capabilities)).
+    NotSupported,
     /// A reason that is unknown to this version; never sent. Keep it last.
     #[serde(skip)]
     Other {
@@ -401,6 +403,9 @@ impl fmt::Display for Refusal {
             } => write!(
                 out,
                 "the parameters are for {parameters_lsb_per_g} LSB/g, the sensor has {device_lsb_per_g} LSB/g; calibrate from this board's own recording"
+            ),
+            Self::NotSupported => out.write_str(
+                "the device's firmware was built without this function; flash a firmware that has it",
             ),
             Self::Other { number } => write!(
                 out,

@@ -68,6 +68,14 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         plan: &Plan,
         committed: Option<EncodedParameters>,
     ) -> Result<Correction<A::Sample>, Refusal> {
+        if !cfg!(feature = "correction") {
+            return Ok(Correction {
+                correctors: None,
+                parameters: ParameterId::UNCALIBRATED,
+                temperature: None,
+                compass: None,
+            });
+        }
         let range_g = plan.settings.range_g;
         if let Some(set) = committed {
             match self.compiled(plan, set) {
@@ -103,7 +111,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         let mut wire = WireParameters::BLANK;
         wire.read(set.0).map_err(|_| Refusal::NothingStaged)?;
         // By reference: a copy of the set takes 1.2 kB of stack.
-        let decoded = ParameterSet::try_from(&wire);
+        let decoded = A::Sample::decode(&wire);
         let decoded = (decoded.as_ref()).map_err(|fault| Refusal::InvalidParameters(*fault))?;
         Ok((self.compile(plan, decoded, set.id())?, decoded.range_g))
     }
@@ -115,13 +123,15 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         parameters: ParameterId,
     ) -> Result<Correction<A::Sample>, Refusal> {
         Ok(Correction {
-            corrector: Corrector::compile(set, self.latched)
-                .map_err(|fault| Refusal::InvalidParameters(fault.into()))?,
-            gyroscope: A::Sample::compile_gyroscope(set, &plan.sensor, self.latched)
-                .map_err(Refusal::InvalidParameters)?,
+            correctors: Some((
+                Corrector::compile(set, self.latched)
+                    .map_err(|fault| Refusal::InvalidParameters(fault.into()))?,
+                A::Sample::compile_gyroscope(set, &plan.sensor, self.latched)
+                    .map_err(Refusal::InvalidParameters)?,
+            )),
             parameters,
             temperature: self.latched,
-            compass: if A::MAGNETOMETER {
+            compass: if A::MAGNETOMETER && cfg!(feature = "heading") {
                 Compass::new(set)
             } else {
                 None
@@ -140,7 +150,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         let mut wire = WireParameters::BLANK;
         let read = wire.read(set.0).map_err(ParameterFault::from);
         read.map_err(Refusal::InvalidParameters)?;
-        let set = ParameterSet::try_from(&wire);
+        let set = A::Sample::decode(&wire);
         let set = (set.as_ref()).map_err(|fault| Refusal::InvalidParameters(*fault))?;
         self.check_sensor(&wire)
             .map_err(Refusal::InvalidParameters)?;
@@ -170,7 +180,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         if wire.read(stored.0).is_err() || wire.range_g != range_g {
             return Some(Event::StoreUnreadable);
         }
-        let fault = match ParameterSet::try_from(&wire) {
+        let fault = match A::Sample::decode(&wire) {
             Ok(_) => self.check_sensor(&wire).err(),
             Err(fault) => Some(fault),
         };
@@ -207,7 +217,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         let mut active = Set::NONE;
         self.shared.active(&mut active);
         let wire = active.get().and_then(|set| set.decode().ok());
-        let set = wire.and_then(|wire| ParameterSet::try_from(&wire).ok());
+        let set = wire.and_then(|wire| A::Sample::decode(&wire).ok());
         let set = set.map(|set| (parameters, set));
         match self
             .self_check

@@ -13,9 +13,11 @@ use wimu_link::message::{Answer, Command, Event, Payload, Record, Refusal, Setti
 use wimu_model::{CentiCelsius, DeviceTimeUs, ParameterId};
 
 use crate::sensor::{InertialSensor, Plan};
-use crate::shared::{Common, Message, Order, Orders, PersistentFault, ROLES, RateOrder, Staged};
+use crate::shared::{
+    ALL, Common, Message, Order, Orders, PersistentFault, ROLES, RateOrder, Staged,
+};
 use crate::slot::put;
-use crate::store::{Key, MAX_RECORD, Store, StoreFault};
+use crate::store::{Key, MAX_RECORD, Records, Store, StoreFault};
 use crate::timer::Timer;
 
 /// Longest wait for the links to send the announcement of a pause, µs.
@@ -23,18 +25,25 @@ const DRAIN_US: u64 = 100_000;
 /// Interval between status messages, µs.
 const STATUS_US: u64 = 5_000_000;
 
+/// Room for a record, bytes.
+pub(crate) const RECORD: usize = if cfg!(feature = "store") {
+    MAX_RECORD
+} else {
+    0
+};
+
 /// A payload without parameters.
 type ShortPayload = Payload<&'static [u8]>;
 
 /// Executes requests, and stores parameters and settings.
 pub struct Control<'a, A: InertialSensor, T, S, M: RawMutex> {
     pub(crate) planner: A::Planner,
-    pub(crate) store: S,
+    pub(crate) store: Records<S>,
     pub(crate) timer: T,
     pub(crate) shared: &'a Common<M>,
     pub(crate) orders: &'a Orders<M, A::Sample>,
     /// A record on its way to the store or from it.
-    pub(crate) record: [u8; MAX_RECORD],
+    pub(crate) record: [u8; RECORD],
     /// The new parameters have to be announced.
     pub(crate) parameters_changed: bool,
     #[cfg(feature = "self-check")]
@@ -60,6 +69,9 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
             .await;
             let event = match event {
                 Either::First(event) => event,
+                #[cfg(not(feature = "line-rates"))]
+                Either::Second(Either::First(_)) => continue,
+                #[cfg(feature = "line-rates")]
                 Either::Second(Either::First((role, baud))) => {
                     // A rate that cannot be stored is used until the next start.
                     let _ = self.save_rate(role, baud).await;
@@ -74,6 +86,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                 Either::Second(Either::Second(_)) => continue,
             };
             match event {
+                #[cfg(feature = "line-rates")]
                 Either4::First((role, Command::SetLineRate { link, baud })) => {
                     let outcome = self.set_rate(role, link, baud).await;
                     let answer = match outcome {
@@ -87,6 +100,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                         self.shared.rate_signals(line).order.signal(order);
                     }
                 }
+                #[cfg(feature = "correction")]
                 Either4::First((role, Command::GetParameters { offset })) => {
                     let piece = self.shared.active_piece(offset);
                     let answer = Answer::Accepted(Payload::Parameters(piece.borrowed()));
@@ -103,20 +117,24 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                         self.announce_parameters();
                     }
                 }
+                #[cfg(feature = "correction")]
                 Either4::Second(temperature) => self.follow_temperature(&plan, temperature).await,
                 Either4::Third(()) => {
                     let now = self.timer.now();
                     next_status = DeviceTimeUs(now.0.saturating_add(STATUS_US));
                     self.send_status(now);
                 }
+                #[cfg(feature = "store")]
                 Either4::Fourth(()) => self.forget_lost_key(&mut plan).await,
+                #[cfg(not(all(feature = "correction", feature = "store")))]
+                Either4::Second(_) | Either4::Fourth(()) => {}
             }
         }
     }
 
     fn send_status(&self, now: DeviceTimeUs) {
         let status = Message::Status(self.shared.status(now));
-        self.shared.stream([true; 2], &status, |_| true);
+        self.shared.stream(ALL, &status, |_| true);
     }
 
     /// Answers a request.
@@ -161,14 +179,11 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         command: Command<Result<(), Refusal>>,
     ) -> Result<ShortPayload, Refusal> {
         match command {
-            // Answered by `run`.
-            Command::GetParameters { .. } => Ok(Payload::None),
-            Command::SetLineRate { .. } => Err(Refusal::FixedLineRate),
-            // Answered by the responder.
-            Command::OpenSession => Err(Refusal::KeyNeeded),
             Command::GetSettings => Ok(Payload::Settings(plan.settings)),
             Command::GetKeyStatus => Ok(self.key_status()),
+            #[cfg(feature = "auth")]
             Command::SetKey(key) => self.set_key(key).await,
+            #[cfg(feature = "auth")]
             Command::ForgetKey => {
                 self.announce_pause().await;
                 let removed = self.store.remove(|key| key == Key::DeviceKey).await;
@@ -180,6 +195,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                 uptime_us: self.timer.now().0,
             }),
             Command::GetStatus => Ok(Payload::Status(self.shared.status(self.timer.now()))),
+            #[cfg(feature = "correction")]
             Command::StageParameters { piece: taken, .. } => {
                 taken?;
                 let mut staging = self.shared.staging.lock().await;
@@ -190,6 +206,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                 staging.id = Some(id);
                 Ok(Payload::Staged { hash: id.0 })
             }
+            #[cfg(feature = "correction")]
             Command::CommitParameters { hash } => self.commit(plan, ParameterId(hash)).await,
             Command::SetSettings(wanted) => {
                 let new = plan::or_refusal(&self.planner, &wanted)?;
@@ -216,6 +233,8 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                 self.announce_parameters();
                 Ok(Payload::None)
             }
+            // Not among the features of this node, or answered before.
+            _ => Err(Refusal::NotSupported),
         }
     }
 
@@ -277,7 +296,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
     fn key_status(&self) -> ShortPayload {
         Payload::KeyStatus {
             key: match self.shared.lock().key {
-                KeyState::Set(key) => Some(key.id()),
+                KeyState::Set(key) if cfg!(feature = "auth") => Some(key.id()),
                 _ => None,
             },
         }
@@ -366,7 +385,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
     }
 
     fn announce(&self, message: &Message) {
-        self.shared.announce(message, [true; 2]);
+        self.shared.announce(message, ALL);
     }
 
     fn set_fault(&self, fault: PersistentFault, event: Event) {

@@ -13,6 +13,8 @@ pub(super) fn for_settings(planner: &impl Planner, wanted: &Settings) -> Result<
     let streams = |streams: Streams| Streams {
         batch: streams.batch.clamp(1, MAX_BATCH as u8),
         every: streams.every.max(1),
+        corrected: streams.corrected && cfg!(feature = "correction"),
+        navigation: streams.navigation && cfg!(feature = "navigation"),
         ..streams
     };
     let possible = Settings {

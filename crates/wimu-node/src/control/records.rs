@@ -9,7 +9,7 @@ use wimu_link::{Kind, LinkRole, frame};
 
 use super::{Control, plan};
 use crate::sensor::{InertialSensor, Plan};
-use crate::shared::{Message, PersistentFault, ROLES, RateOrder};
+use crate::shared::{Message, PersistentFault, ROLES};
 use crate::store::{Key, Store, StoreFault};
 use crate::timer::Timer;
 
@@ -21,6 +21,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
     pub(super) async fn start(&mut self) -> Plan {
         let mut bytes = [0; 4];
         let boot_count = match self.load_raw(Key::BootCount, &mut bytes).await {
+            _ if !cfg!(feature = "store") => Some(0),
             // A count that cannot be stored must not be used: it would be used again.
             Ok(_) => self.count_start(u32::from_le_bytes(bytes)).await,
             Err(StoreFault) => None,
@@ -30,6 +31,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         }
         let mut key = [0; DeviceKey::LENGTH];
         let key = match self.load_raw(Key::DeviceKey, &mut key).await {
+            _ if !cfg!(feature = "auth") => KeyState::None,
             Ok(false) => KeyState::None,
             Ok(true) => KeyState::Set(DeviceKey::new(key)),
             Err(StoreFault) => {
@@ -70,10 +72,13 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
             published.ready = true;
         });
         for role in ROLES {
-            let stored = self.load_raw(rate_key(role), &mut bytes).await == Ok(true);
-            let baud = u32::from_le_bytes(bytes);
-            let order = RateOrder::Use(stored.then_some(baud));
-            self.shared.rate_signals(role).order.signal(order);
+            #[cfg(feature = "line-rates")]
+            {
+                let stored = self.load_raw(rate_key(role), &mut bytes).await == Ok(true);
+                let baud = u32::from_le_bytes(bytes);
+                let order = crate::shared::RateOrder::Use(stored.then_some(baud));
+                self.shared.rate_signals(role).order.signal(order);
+            }
             self.shared.introduce(role, self.timer.now());
         }
         // The sampler reports a sensor that does not start, and retries.
@@ -81,8 +86,14 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         plan
     }
 
+    #[cfg(not(feature = "correction"))]
+    pub(super) async fn load_parameters(&mut self, _: u8) -> Option<Range<usize>> {
+        None
+    }
+
     /// Loads the set committed for a range; returns its position in `record`. A set that cannot be read or
     /// used is reported.
+    #[cfg(feature = "correction")]
     pub(super) async fn load_parameters(&mut self, range_g: u8) -> Option<Range<usize>> {
         let loaded = self.load(Key::Parameters { range_g }).await;
         let place = match loaded {

@@ -112,11 +112,12 @@ impl Directory {
     /// The directory as it is stored. An empty one has one entry of zeros, because an empty item is a
     /// seal.
     pub(super) fn to_bytes(&self) -> Vec<u8, MAX_BYTES> {
-        let mut bytes: Vec<u8, MAX_BYTES> = (self.entries.iter())
-            .flat_map(|entry| entry.to_bytes())
-            .collect();
+        let mut bytes = Vec::new();
+        for entry in &self.entries {
+            let _ = bytes.extend_from_slice(&entry.to_bytes());
+        }
         if bytes.is_empty() {
-            bytes.extend([0; ENTRY_BYTES]);
+            let _ = bytes.extend_from_slice(&[0; ENTRY_BYTES]);
         }
         bytes
     }

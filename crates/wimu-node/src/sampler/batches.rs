@@ -11,16 +11,19 @@ use wimu_link::message::{Settings, Streams};
 use wimu_model::DeviceTimeUs;
 
 use crate::sample::RawSample;
-use crate::shared::{Common, ROLES};
+use crate::shared::{ALL, Common, NONE, ROLES, Roles};
 
 /// Age at which a batch is sent before it is full, µs.
 const OLDEST_BATCH_US: u64 = 250_000;
 
+/// One, or none without the feature `correction`.
+const CORRECTED: usize = cfg!(feature = "correction") as usize;
+
 /// Batches for one link, or for both if their lengths and decimations are equal.
 pub(crate) struct Lane<S: RawSample> {
-    roles: [bool; 2],
+    roles: Roles,
     raw: Batcher<S>,
-    corrected: Batcher<S::Corrected>,
+    corrected: [Batcher<S::Corrected>; CORRECTED],
     length: usize,
     /// Decimation: samples whose sequence number is a multiple of this are sent. 0 for an unused lane.
     every: u8,
@@ -29,9 +32,9 @@ pub(crate) struct Lane<S: RawSample> {
 impl<S: RawSample> Default for Lane<S> {
     fn default() -> Self {
         Self {
-            roles: [false; 2],
+            roles: NONE,
             raw: Batcher::default(),
-            corrected: Batcher::default(),
+            corrected: [(); CORRECTED].map(|()| Batcher::default()),
             length: 0,
             every: 0,
         }
@@ -39,19 +42,29 @@ impl<S: RawSample> Default for Lane<S> {
 }
 
 impl<S: RawSample> Lane<S> {
-    pub(super) fn of(settings: &Settings) -> [Self; 2] {
+    pub(super) fn of(settings: &Settings) -> Roles<Self> {
         let lane = |roles, streams: Streams| Self {
             roles,
             length: usize::from(streams.batch).clamp(1, MAX_BATCH),
             every: streams.every.max(1),
             ..Self::default()
         };
-        let (cable, wireless) = (settings.cable, settings.wireless);
-        if (cable.batch, cable.every) == (wireless.batch, wireless.every) {
-            [lane([true; 2], cable), Self::default()]
-        } else {
-            [lane([true, false], cable), lane([false, true], wireless)]
+        let streams = ROLES.map(|role| match role {
+            LinkRole::Cable => settings.cable,
+            _ => settings.wireless,
+        });
+        let [first, ..] = streams;
+        let alike = |other: &Streams| (other.batch, other.every) == (first.batch, first.every);
+        if streams.iter().all(alike) {
+            let mut lanes = ROLES.map(|_| Self::default());
+            lanes[0] = lane(ALL, first);
+            return lanes;
         }
+        let mut roles = ROLES.into_iter();
+        streams.map(|streams| {
+            let role = roles.next();
+            lane(ROLES.map(|other| Some(other) == role), streams)
+        })
     }
 
     pub(super) fn add<M: RawMutex>(
@@ -60,14 +73,16 @@ impl<S: RawSample> Lane<S> {
         sequence: u32,
         time: DeviceTimeUs,
         sample: S,
-        corrected: S::Corrected,
+        corrected: Option<S::Corrected>,
     ) {
-        if self.roles == [false; 2] {
+        if self.roles == NONE {
             return;
         }
         if self.takes(sequence) {
             self.raw.add(sequence, time, sample);
-            self.corrected.add(sequence, time, corrected);
+            if let (Some(corrected), [batcher]) = (corrected, &mut self.corrected[..]) {
+                batcher.add(sequence, time, corrected);
+            }
         }
         let age = time.0.saturating_sub(self.raw.first_time.0);
         if self.raw.samples.len() >= self.length::<S>() || age >= OLDEST_BATCH_US {
@@ -92,7 +107,9 @@ impl<S: RawSample> Lane<S> {
         let every = self.every();
         let layout = Layout { sensor: 0, every };
         self.raw.flush(shared, self.roles, layout);
-        self.corrected.flush(shared, self.roles, layout);
+        for corrected in &mut self.corrected {
+            corrected.flush(shared, self.roles, layout);
+        }
     }
 
     /// Sends the samples in `batcher` as those of `sensor`.
@@ -141,7 +158,7 @@ impl<S: Sample> Batcher<S> {
         let _ = self.samples.push(sample);
     }
 
-    fn flush<M: RawMutex>(&mut self, shared: &Common<M>, roles: [bool; 2], layout: Layout) {
+    fn flush<M: RawMutex>(&mut self, shared: &Common<M>, roles: Roles, layout: Layout) {
         let mut frame = [0; MAX_FRAME];
         let (sequence, time) = (self.first_sequence, self.first_time);
         let encoded = batch::encode_with(layout, sequence, time, &self.samples, &mut frame);
@@ -155,8 +172,3 @@ impl<S: Sample> Batcher<S> {
         }
     }
 }
-
-const _: () = {
-    // `roles` of a lane are in the order of `ROLES`.
-    assert!(matches!(ROLES, [LinkRole::Cable, LinkRole::Wireless]));
-};

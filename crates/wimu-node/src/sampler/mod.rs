@@ -8,7 +8,7 @@ use wimu_integrator::{Config, FieldMean, Integrator, Phase, Transition};
 use wimu_link::batch;
 use wimu_link::message::{
     Attitude, BusFault, Environment, Epoch, EpochGyroscope, EpochReason, Event, Navigation,
-    Settings,
+    Settings, WireState,
 };
 use wimu_model::{DeviceTimeUs, MagneticFieldNt, PeriodNs};
 
@@ -17,11 +17,15 @@ use self::clock::SampleClock;
 use crate::sample::RawSample;
 use crate::sample::sealed::Process as _;
 use crate::sensor::{Batch, InertialSensor, Plan, SensorFault, SensorPlan, Surroundings};
-use crate::shared::{Common, Correction, Message, Order, Orders, PersistentFault, ROLES, Shared};
+use crate::shared::{
+    ALL, Common, Correction, Message, NONE, Order, Orders, PersistentFault, ROLES, Roles, Shared,
+};
 use crate::timer::Timer;
 
 /// Most samples in one read.
 const MAX_READ: usize = 32;
+/// One, or none without the feature `navigation`.
+const INTEGRATORS: usize = cfg!(feature = "navigation") as usize;
 /// Interval between navigation messages, ns.
 const NAVIGATION_NS: u32 = 100_000_000;
 /// Minimum age of an epoch, µs, after which the next end of a detector window begins a new one. The state is
@@ -42,7 +46,7 @@ pub struct Sampler<'a, A: InertialSensor, T, M: RawMutex> {
     timer: T,
     shared: &'a Common<M>,
     orders: &'a Orders<M, A::Sample>,
-    lanes: [Lane<A::Sample>; 2],
+    lanes: Roles<Lane<A::Sample>>,
     next_sequence: u32,
     /// Epochs sent on both links, modulo 256.
     epochs: u8,
@@ -55,7 +59,7 @@ pub struct Sampler<'a, A: InertialSensor, T, M: RawMutex> {
 struct Running<S: RawSample> {
     plan: Plan,
     correction: Correction<S>,
-    integrator: Integrator,
+    integrator: [Integrator; INTEGRATORS],
     clock: SampleClock,
     epoch_reason: Option<EpochReason>,
     last_epoch: DeviceTimeUs,
@@ -73,7 +77,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             timer,
             shared: &shared.common,
             orders: &shared.orders,
-            lanes: [Lane::default(), Lane::default()],
+            lanes: ROLES.map(|_| Lane::default()),
             next_sequence: 0,
             epochs: 0,
             next_surroundings: DeviceTimeUs(0),
@@ -190,7 +194,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         } else {
             self.flush();
             running.clock.restart_measurement();
-            running.integrator.gap();
+            running.gap();
             self.next_sequence = self.next_sequence.wrapping_add(missed);
             running.begin_epoch(EpochReason::Gap);
         }
@@ -232,19 +236,26 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             Some(reason) => {
                 running.last_epoch = time;
                 self.epochs = self.epochs.wrapping_add(1);
-                self.send_epoch(running, reason, time, [true; 2]);
+                self.send_epoch(running, reason, time, ALL);
             }
             // Only for the link with a new listener.
-            None if wanted != [false; 2] => {
+            None if wanted != NONE => {
                 self.send_epoch(running, EpochReason::Periodic, time, wanted);
             }
             None => {}
         }
         let sequence = self.next_sequence;
         let correction = &running.correction;
-        let corrected = sample.correct(&correction.corrector, &correction.gyroscope);
+        let correctors = correction.correctors.as_ref();
+        let corrected = correctors
+            .filter(|_| cfg!(feature = "correction"))
+            .map(|(corrector, gyroscope)| sample.correct(corrector, gyroscope));
         let sensor = &running.plan.sensor;
-        let transition = sample.integrate(corrected, sensor, &mut running.integrator);
+        let transition = match (running.integrator.first_mut(), corrected) {
+            (Some(integrator), Some(corrected)) => sample.integrate(corrected, sensor, integrator),
+            // An epoch may begin at any sample.
+            _ => Transition::Window,
+        };
         for lane in &mut self.lanes {
             lane.add(self.shared, sequence, time, sample, corrected);
         }
@@ -261,10 +272,12 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             if running.correction.compass.is_some() {
                 self.next_surroundings = time;
             }
-            let mean = running.integrator.rest_force();
-            self.shared
-                .rest
-                .signal((mean, running.correction.parameters));
+            if let Some(integrator) = running.integrator.first() {
+                let mean = integrator.rest_force();
+                self.shared
+                    .rest
+                    .signal((mean, running.correction.parameters));
+            }
         }
         let since_epoch = time.0.saturating_sub(running.last_epoch.0);
         running.epoch_reason = match transition {
@@ -283,7 +296,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         running: &Running<A::Sample>,
         reason: EpochReason,
         time: DeviceTimeUs,
-        roles: [bool; 2],
+        roles: Roles,
     ) {
         let epoch = Message::Epoch(Epoch {
             reason,
@@ -296,7 +309,10 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             full_scale: running.plan.sensor.full_scale,
             parameters: running.correction.parameters.0,
             temperature_centi_c: running.correction.temperature.map(|t| t.0),
-            state: running.integrator.state().into(),
+            state: match running.integrator.first() {
+                Some(integrator) => integrator.state().into(),
+                None => WireState::default(),
+            },
             gyroscope: epoch_gyroscope(&running.plan.sensor),
             ..Epoch::default()
         });
@@ -304,10 +320,13 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
     }
 
     fn send_navigation(&self, running: &Running<A::Sample>, sequence: u32) {
-        let navigation = running.integrator.navigation();
+        let Some(integrator) = running.integrator.first() else {
+            return;
+        };
+        let navigation = integrator.navigation();
         let message = Message::Navigation(Navigation::new(sequence, &navigation));
         self.shared
-            .stream([true; 2], &message, |streams| streams.navigation);
+            .stream(ALL, &message, |streams| streams.navigation);
         if let Some(quaternion) = navigation
             .attitude
             .filter(|_| <A::Sample as batch::Sample>::AXES == 6)
@@ -317,7 +336,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
                 quaternion,
             });
             self.shared
-                .stream([true; 2], &message, |streams| streams.navigation);
+                .stream(ALL, &message, |streams| streams.navigation);
         }
     }
 
@@ -329,6 +348,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             Ok(nothing) if nothing == Surroundings::default() => {}
             Ok(surroundings) => {
                 if A::MAGNETOMETER
+                    && cfg!(feature = "heading")
                     && let Some(field) = surroundings.magnetic_field
                 {
                     running.take_field(field);
@@ -342,7 +362,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
                     temperature_centi_c: surroundings.temperature.map(|t| t.0),
                 });
                 self.shared
-                    .stream([true; 2], &message, |streams| streams.environment);
+                    .stream(ALL, &message, |streams| streams.environment);
             }
             Err(fault) => self.fail(running, fault),
         }
@@ -357,7 +377,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
     /// The sensor has failed: sends the samples read so far, marks a gap and schedules a restart.
     fn fail(&mut self, running: &mut Running<A::Sample>, fault: SensorFault) {
         self.flush();
-        running.integrator.gap();
+        running.gap();
         running.begin_epoch(EpochReason::Gap);
         running.clock.reads.broken = true;
         self.restart_secondary(EpochReason::Gap);
@@ -412,13 +432,13 @@ pub(crate) fn epoch_gyroscope(plan: &SensorPlan) -> Option<EpochGyroscope> {
     })
 }
 
-fn integrator(settings: &Settings, period: PeriodNs) -> Integrator {
+fn integrator(settings: &Settings, period: PeriodNs) -> [Integrator; INTEGRATORS] {
     let config = Config {
         period,
         zupt: settings.zupt,
         gravity_um_s2: settings.gravity_um_s2,
     };
-    Integrator::new(config)
+    [(); INTEGRATORS].map(|()| Integrator::new(config))
 }
 
 impl<S: RawSample> Running<S> {
@@ -433,6 +453,12 @@ impl<S: RawSample> Running<S> {
             until_navigation: 1,
             field: FieldMean::default(),
             lost: false,
+        }
+    }
+
+    fn gap(&mut self) {
+        for integrator in &mut self.integrator {
+            integrator.gap();
         }
     }
 
@@ -457,15 +483,17 @@ impl<S: RawSample> Running<S> {
 
     /// Sets the heading from the magnetometer, if it is calibrated and the unit is at rest.
     fn take_field(&mut self, field: MagneticFieldNt) {
-        let Some(compass) = &self.correction.compass else {
+        let (Some(compass), Some(integrator)) =
+            (&self.correction.compass, self.integrator.first_mut())
+        else {
             return;
         };
-        let state = self.integrator.state();
+        let state = integrator.state();
         if state.phase != Phase::Resting || !self.field.push(field) {
             return;
         }
-        if let Some(heading) = compass.heading(&self.field, self.integrator.rest_force())
-            && self.integrator.set_heading(heading)
+        if let Some(heading) = compass.heading(&self.field, integrator.rest_force())
+            && integrator.set_heading(heading)
         {
             self.begin_epoch(EpochReason::Heading);
         }
@@ -474,14 +502,16 @@ impl<S: RawSample> Running<S> {
     /// Integrates with the measured sample period from now on. Not in motion, where a change of the period
     /// would add an error.
     fn adopt_measured_period(&mut self) {
-        if self.integrator.navigation().phase == Phase::Moving {
+        let moving = |integrator: &Integrator| integrator.navigation().phase == Phase::Moving;
+        if self.integrator.iter().any(moving) {
             return;
         }
         if let Some(measured) = self.clock.measured() {
             let used = self.clock.period;
             let change = u64::from(measured.0.abs_diff(used.0)) * 1_000_000;
             if change > PERIOD_CHANGE_PPM * u64::from(used.0)
-                && self.integrator.set_period(measured).is_ok()
+                && (self.integrator.iter_mut())
+                    .all(|integrator| integrator.set_period(measured).is_ok())
             {
                 self.clock.period = measured;
             }

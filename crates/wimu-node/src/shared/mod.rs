@@ -30,8 +30,24 @@ use crate::slot::Slot;
 /// A message of the device, with parameters in their wire form.
 pub(crate) type Message<'a> = Telemetry<EncodedParameters<'a>>;
 
-/// Both links.
+/// The links: both, or without the feature `wireless` the cable.
+#[cfg(feature = "wireless")]
 pub(crate) const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
+#[cfg(not(feature = "wireless"))]
+pub(crate) const ROLES: [LinkRole; 1] = [LinkRole::Cable];
+
+/// The number of links: 2, or without the feature `wireless` 1. A board needs no tasks for the others.
+pub const LINKS: usize = ROLES.len();
+
+/// One value for each link, in the order of [`ROLES`].
+pub(crate) type Roles<T = bool> = [T; ROLES.len()];
+pub(crate) const ALL: Roles = [true; _];
+pub(crate) const NONE: Roles = [false; _];
+
+/// Whether the link of this role is one of [`ROLES`]. The tasks of another do nothing.
+pub(crate) fn runs(role: LinkRole) -> bool {
+    ROLES.contains(&role)
+}
 
 /// Memory that a node's tasks share. Put it in a `static` or where it outlives them.
 ///
@@ -78,7 +94,7 @@ impl<M: RawMutex, S: RawSample> Default for Shared<M, S> {
 
 /// Memory of all tasks, whatever the sensor.
 pub(crate) struct Common<M: RawMutex> {
-    links: [LinkShared<M>; 2],
+    links: Roles<LinkShared<M>>,
     pub(crate) configured: Signal<M, Result<(), SensorFault>>,
     pub(crate) temperature: Signal<M, CentiCelsius>,
     /// Accepted requests. A piece of parameters to stage is in `staging`, unless it was refused.
@@ -237,7 +253,7 @@ impl Published {
 impl<M: RawMutex> Common<M> {
     const fn new() -> Self {
         Self {
-            links: [const { LinkShared::new() }; 2],
+            links: [const { LinkShared::new() }; _],
             configured: Signal::new(),
             temperature: Signal::new(),
             requests: Channel::new(),
@@ -251,10 +267,9 @@ impl<M: RawMutex> Common<M> {
     }
 
     fn link(&self, role: LinkRole) -> &LinkShared<M> {
-        let [cable, wireless] = &self.links;
-        match role {
-            LinkRole::Cable => cable,
-            _ => wireless,
+        match (&self.links, role) {
+            ([cable, ..], LinkRole::Cable) => cable,
+            ([.., last], _) => last,
         }
     }
 
@@ -370,7 +385,6 @@ impl<M: RawMutex> Common<M> {
                 let outbox = &self.link(role).outbox;
                 outbox.lock(|outbox| outbox.borrow().shed)
             });
-            let [cable, wireless] = shed;
             Health {
                 samples: published.sensor.samples,
                 sensor_lost: matches!(
@@ -378,7 +392,7 @@ impl<M: RawMutex> Common<M> {
                     Some(Some(_))
                 ),
                 calibrated: published.parameters != ParameterId::UNCALIBRATED,
-                shed: cable.wrapping_add(wireless),
+                shed: shed.into_iter().fold(0, u32::wrapping_add),
             }
         })
     }

@@ -68,8 +68,8 @@ impl<M: RawMutex, S: RawSample> Orders<M, S> {
 
 /// A corrector and what it was compiled from.
 pub(crate) struct Correction<S: RawSample> {
-    pub(crate) corrector: Corrector,
-    pub(crate) gyroscope: S::Gyroscope,
+    /// `None` without the feature `correction`.
+    pub(crate) correctors: Option<(Corrector, S::Gyroscope)>,
     pub(crate) parameters: ParameterId,
     pub(crate) temperature: Option<CentiCelsius>,
     /// `None` without a calibrated magnetometer.

@@ -8,8 +8,15 @@ use wimu_model::ParameterId;
 
 use crate::slot::Slot;
 
+/// Longest set, bytes.
+const MAX: usize = if cfg!(feature = "correction") {
+    WireParameters::MAX
+} else {
+    0
+};
+
 /// A parameter set in its wire form, or none.
-pub(crate) struct Set(Vec<u8, { WireParameters::MAX }>);
+pub(crate) struct Set(Vec<u8, MAX>);
 
 impl Set {
     pub(crate) const NONE: Self = Self(Vec::new());
@@ -20,7 +27,7 @@ impl Set {
 
     /// Stores the wire form of `set`; returns its id.
     pub(crate) fn encode(&mut self, set: &WireParameters) -> ParameterId {
-        let _ = self.0.resize_default(WireParameters::MAX);
+        let _ = self.0.resize_default(MAX);
         let length = set.encode(&mut self.0).unwrap_or(0);
         self.0.truncate(length);
         id(self.get())
@@ -36,7 +43,7 @@ impl Set {
     /// Copies the set that `lend` passes on. It is one copy of an array, because interrupts are disabled meanwhile,
     /// and needs no further set on the stack.
     pub(super) fn copy(&mut self, lend: impl FnOnce(&mut dyn FnMut(&Self))) {
-        let _ = self.0.resize_default(WireParameters::MAX);
+        let _ = self.0.resize_default(MAX);
         let mut length = 0;
         lend(&mut |lent| {
             if let Some(bytes) = self.0.get_mut(..lent.0.len()) {
@@ -79,8 +86,8 @@ impl Staged {
         total: u16,
         piece: &[u8],
     ) -> Result<(), Refusal> {
-        if usize::from(total) > WireParameters::MAX {
-            let bytes = total - WireParameters::MAX as u16;
+        if usize::from(total) > MAX {
+            let bytes = total - MAX as u16;
             return Err(Refusal::InvalidParameters(ParameterFault::Unknown {
                 bytes,
             }));

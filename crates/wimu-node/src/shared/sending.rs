@@ -6,7 +6,7 @@ use wimu_link::message::{Event, LinkStatus, Status, Streams, Telemetry};
 use wimu_link::{Hello, LinkRole};
 use wimu_model::DeviceTimeUs;
 
-use super::{Common, Message, ROLES};
+use super::{ALL, Common, Message, ROLES, Roles, runs};
 use crate::queue::{FrameQueue, PIECE};
 
 /// Longest telemetry message (a status) in its frame, bytes.
@@ -31,19 +31,14 @@ impl<M: RawMutex> Common<M> {
     }
 
     /// Queues a message that is dropped when the link is too slow, on the links that want it.
-    pub(crate) fn stream(&self, roles: [bool; 2], message: &Message, wanted: fn(&Streams) -> bool) {
+    pub(crate) fn stream(&self, roles: Roles, message: &Message, wanted: fn(&Streams) -> bool) {
         let mut frame = [0; MAX_TELEMETRY];
         let length = message.encode(&mut frame).unwrap_or(0);
         self.stream_frame(roles, frame.get(..length).unwrap_or_default(), wanted);
     }
 
     /// Queues an encoded frame that is dropped when the link is too slow, on the links that want it.
-    pub(crate) fn stream_frame(
-        &self,
-        roles: [bool; 2],
-        frame: &[u8],
-        wanted: fn(&Streams) -> bool,
-    ) {
+    pub(crate) fn stream_frame(&self, roles: Roles, frame: &[u8], wanted: fn(&Streams) -> bool) {
         let settings = self.settings();
         for ((role, on), streams) in ROLES
             .into_iter()
@@ -58,7 +53,7 @@ impl<M: RawMutex> Common<M> {
 
     /// Queues a message that is kept on the chosen links, in the order of [`ROLES`]: dropped only when a link
     /// has stalled.
-    pub(crate) fn announce(&self, message: &Message, roles: [bool; 2]) {
+    pub(crate) fn announce(&self, message: &Message, roles: Roles) {
         let mut frame = [0; MAX_FRAME];
         if let Ok(length) = message.encode(&mut frame) {
             for (role, _) in ROLES.into_iter().zip(roles).filter(|(_, on)| *on) {
@@ -90,7 +85,7 @@ impl<M: RawMutex> Common<M> {
     /// Sends an event on both links.
     pub(crate) fn report(&self, now: DeviceTimeUs, event: Event) {
         let time_us = now.0;
-        self.announce(&Telemetry::Event { time_us, event }, [true; 2]);
+        self.announce(&Telemetry::Event { time_us, event }, ALL);
     }
 
     /// Sends what a new listener needs: Hello, settings, parameters, status and present faults. The sampler
@@ -140,7 +135,7 @@ impl<M: RawMutex> Common<M> {
         Status {
             uptime_us: now.0,
             cable: Some(link(LinkRole::Cable)),
-            wireless: Some(link(LinkRole::Wireless)),
+            wireless: runs(LinkRole::Wireless).then(|| link(LinkRole::Wireless)),
             sensor: published.sensor,
             measured_period_ns: published.measured_period_ns,
             jitter_ns: published.jitter_ns,

@@ -6,7 +6,10 @@ use std::fmt::Write;
 use std::path::Path;
 
 use wimu_link::message::parameter_id;
-use wimu_model::{Alignment, GyroscopeParameters, Matrix3, STANDARD_GRAVITY_MPS2};
+use wimu_model::{
+    Alignment, Corrector, CorrectorParts, GyroscopeParameters, Matrix3, ParameterSet,
+    STANDARD_GRAVITY_MPS2, Sensitivity,
+};
 
 pub use noise::KalibrNoise;
 
@@ -231,6 +234,19 @@ impl CalibrationExport {
         text
     }
 
+    /// The corrector of counts at the reference temperature; `None` where the output is in m/s² or the corrector
+    /// would overflow.
+    fn integers(&self) -> Option<CorrectorParts> {
+        let sensitivity = Sensitivity::from_lsb_per_g(self.stored.sensitivity_lsb_per_g?).ok()?;
+        let set = ParameterSet {
+            model: self.stored.model,
+            alignment: self.stored.alignment,
+            // The range has no influence.
+            ..ParameterSet::uncalibrated(1, sensitivity)
+        };
+        Some(Corrector::compile(&set, None).ok()?.to_parts())
+    }
+
     /// A template with its comment and numbers; `list` opens, separates the rows of a matrix in, and closes a list.
     fn fill(&self, template: &str, comment: &str, list: [&str; 3]) -> String {
         let vector = |v: [f64; 3]| {
@@ -279,11 +295,20 @@ impl CalibrationExport {
                 ("wg", matrix(terms.g_sensitivity)),
             ]);
         }
+        let integers = self.integers();
+        if let Some(parts) = integers {
+            values.extend([
+                ("shift", parts.shift.to_string()),
+                ("coefficients", format!("{:?}", parts.coefficients)),
+                ("offset", format!("{:?}", parts.offset)),
+            ]);
+        }
         let mut keep = true;
         let mut text = String::new();
         for line in template.lines() {
             match line {
                 "@gyroscope{" => keep = self.stored.gyroscope.is_some(),
+                "@integers{" => keep = integers.is_some(),
                 "@}" => keep = true,
                 _ if keep => text += &format!("{line}\n"),
                 _ => {}

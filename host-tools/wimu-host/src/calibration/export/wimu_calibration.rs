@@ -36,6 +36,17 @@ pub fn correct(output: [f64; 3], temperature_c: Option<f64>) -> [f64; 3] {
     let z = solve(A, S1, dt, y);
     apply(R, [0, 1, 2].map(|i| z[i] - Q[i] * z[i] * z[i]))
 }
+@integers{
+
+/// The same for counts in integers, at REFERENCE_C and without q, for wimu-model:
+/// `Corrector::from_parts(CorrectorParts { shift: SHIFT, coefficients: COEFFICIENTS, offset: OFFSET })`.
+#[allow(dead_code)]
+pub mod integers {
+    pub const SHIFT: u8 = @shift@;
+    pub const COEFFICIENTS: [[i32; 3]; 3] = @coefficients@;
+    pub const OFFSET: [i32; 3] = @offset@;
+}
+@}
 @gyroscope{
 
 /// Angular rate, rad/s, body axes, of the gyroscope's output in LSB, with the specific force of [`correct`].

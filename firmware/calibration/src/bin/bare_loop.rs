@@ -1,0 +1,37 @@
+//! The bare loop with a fixed calibration: counts to position.
+
+#![no_std]
+#![no_main]
+
+use core::hint::black_box;
+
+use bare_loop::run;
+use wimu_model::{Corrector, CorrectorParts, Counts, PeriodNs};
+
+/// As `wimu export CAL.json --format rust` writes it.
+const CORRECTOR: Corrector = Corrector::from_parts(CorrectorParts {
+    shift: 9,
+    coefficients: [
+        [658_113_141, 2_105_344, 0],
+        [-1_052_672, 655_360_000, 4_210_688],
+        [0, 0, 660_602_880],
+    ],
+    offset: [257, -12_288, 6_144],
+})
+.unwrap();
+
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    calibration::run(|poses| {
+        let mut counts = poses.iter().map(|_| black_box(Counts([0, 0, 16384])));
+        let mut position = [0; 3];
+        let ran = run(
+            &CORRECTOR,
+            PeriodNs(10_000_000),
+            || counts.next(),
+            |navigation| position = navigation.position.0,
+        );
+        black_box(position);
+        ran.is_ok()
+    })
+}

@@ -5,11 +5,11 @@
 //! read without an acknowledgement returns 0xFF bytes, as from an idle bus, and the sensor's data-ready
 //! line is bit 0 of the port.
 
-use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_sync::mutex::Mutex;
 use embedded_hal_async::i2c::{Error, ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 use embedded_io_async::{Read, Write};
 use heapless::{CapacityError, Vec};
+use wimu_embassy::Mutex as RawMutex;
 use wimu_model::DeviceTimeUs;
 use wimu_node::Timer;
 
@@ -156,7 +156,7 @@ impl Error for BridgeError {
 }
 
 /// The sensor's bus.
-pub struct BridgeI2c(pub &'static Mutex<NoopRawMutex, Bridge>);
+pub struct BridgeI2c(pub &'static Mutex<RawMutex, Bridge>);
 
 impl ErrorType for BridgeI2c {
     type Error = BridgeError;

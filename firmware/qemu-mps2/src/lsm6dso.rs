@@ -9,9 +9,6 @@ mod data_ready;
 mod interrupts;
 mod lockstep;
 mod log;
-// As on the real boards.
-#[path = "../../shared/memory.rs"]
-mod memory;
 mod node;
 mod register;
 mod semihosting;

@@ -5,15 +5,14 @@ use core::sync::atomic::{AtomicBool, Ordering};
 
 use cortex_m_rt::entry;
 use embassy_executor::raw::Executor;
-use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_sync::mutex::Mutex;
 use static_cell::StaticCell;
+use wimu_embassy::Start;
+use wimu_link::Hello;
 use wimu_link::hello::{Capabilities, Part, ResetReason, board};
-use wimu_link::{Hello, LinkRole};
-use wimu_node::{
-    Board, Control, FlashStore, InertialSensor, LinkReader, LinkWriter, Sampler, Shared,
-};
+use wimu_node::{Board, FlashStore};
 
+use self::tasks::Shared;
 use crate::bridge::{Bridge, BridgeI2c};
 use crate::clock::BoardTimer;
 use crate::data_ready::DataReady;
@@ -22,40 +21,15 @@ use crate::store::{self, Flash};
 use crate::uart::{CABLE, LOG, Reader, SENSOR_BUS, WIRELESS, Writer};
 use crate::{PART, QUANTITIES, Sensor, clock, interrupts, log, semihosting, sensor};
 
-type M = NoopRawMutex;
-type Sample = <Sensor as InertialSensor>::Sample;
-type Node = wimu_node::Node<
-    'static,
-    Sensor,
-    BoardTimer,
-    FlashStore<Flash>,
-    Reader,
-    Writer,
-    Reader,
-    Writer,
-    M,
->;
-
-#[embassy_executor::task]
-async fn sample(sampler: &'static mut Sampler<'static, Sensor, BoardTimer, M>) -> ! {
-    sampler.run().await
-}
-
-#[embassy_executor::task]
-async fn control(
-    control: &'static mut Control<'static, Sensor, BoardTimer, FlashStore<Flash>, M>,
-) -> ! {
-    control.run().await
-}
-
-#[embassy_executor::task(pool_size = 2)]
-async fn listen(reader: &'static mut LinkReader<'static, Reader, BoardTimer, M>) -> ! {
-    reader.run().await
-}
-
-#[embassy_executor::task(pool_size = 2)]
-async fn talk(writer: &'static mut LinkWriter<'static, Writer, M>) -> ! {
-    writer.run().await
+/// The tasks of the node.
+mod tasks {
+    use super::{BoardTimer, Flash, FlashStore, Reader, Sensor, Writer};
+    wimu_embassy::tasks! {
+        sensor: Sensor,
+        timer: BoardTimer,
+        store: FlashStore<Flash>,
+        links: (Reader, Writer),
+    }
 }
 
 /// Whether a task has been woken.
@@ -69,8 +43,8 @@ fn pend(_context: *mut ()) {
 #[entry]
 fn main() -> ! {
     static EXECUTOR: StaticCell<Executor> = StaticCell::new();
-    static SHARED: StaticCell<Shared<M, Sample>> = StaticCell::new();
-    static BRIDGE: StaticCell<Mutex<M, Bridge>> = StaticCell::new();
+    static SHARED: Shared = Shared::new();
+    static BRIDGE: StaticCell<Mutex<wimu_embassy::Mutex, Bridge>> = StaticCell::new();
 
     LOG.start_polled();
     let mut line = [0; 256];
@@ -88,18 +62,10 @@ fn main() -> ! {
         cable: CABLE.start(),
         wireless: WIRELESS.start(),
     };
-    static NODE: StaticCell<Node> = StaticCell::new();
-    let node = NODE.init_with(|| board.split(SHARED.init(Shared::new())));
-
+    let node = tasks::place(board, &SHARED);
     let executor: &'static Executor = EXECUTOR.init(Executor::new(core::ptr::null_mut()));
     let spawner = executor.spawner();
-    // No task is spawned more often than its pool allows.
-    spawner.spawn(sample(&mut node.sampler).unwrap());
-    spawner.spawn(control(&mut node.control).unwrap());
-    spawner.spawn(listen(&mut node.cable_reader).unwrap());
-    spawner.spawn(talk(&mut node.cable_writer).unwrap());
-    spawner.spawn(listen(&mut node.wireless_reader).unwrap());
-    spawner.spawn(talk(&mut node.wireless_writer).unwrap());
+    tasks::spawn(node, spawner.make_send(), spawner);
     // SAFETY: no critical section is under way.
     unsafe { interrupts::unmask() };
     defmt::info!("started, lockstep {}", lockstep);
@@ -151,21 +117,18 @@ fn unknown(option: &str) -> ! {
 }
 
 fn hello() -> Hello {
-    let part = |text: &str| text.parse().unwrap_or(0);
-    Hello {
-        device_id: 0x5145_0386,
-        firmware: [
-            part(env!("CARGO_PKG_VERSION_MAJOR")),
-            part(env!("CARGO_PKG_VERSION_MINOR")),
-            part(env!("CARGO_PKG_VERSION_PATCH")),
-        ],
-        reset_reason: ResetReason::PowerOn,
-        capabilities: QUANTITIES
+    let start = Start {
+        reason: ResetReason::PowerOn,
+        ..Start::default()
+    };
+    wimu_embassy::hello(
+        0x5145_0386,
+        env!("CARGO_PKG_VERSION"),
+        &start,
+        QUANTITIES
             .with(Capabilities::ACCELEROMETER)
             .with(Capabilities::STORE),
-        sensitivity_known: true,
-        board: Part::new(board::QEMU_MPS2, "QEMU mps2-an386"),
-        sensor: PART,
-        ..Hello::new(LinkRole::Cable)
-    }
+        Part::new(board::QEMU_MPS2, "QEMU mps2-an386"),
+        PART,
+    )
 }

@@ -98,13 +98,13 @@ impl Target {
     }
 }
 
-/// The folders in `parent` that hold a package.
+/// The folders in `parent` that hold a package with a target of its own.
 fn firmware(parent: &Path) -> Result<Vec<PathBuf>, String> {
     let failed = |problem| format!("cannot list {}: {problem}", parent.display());
     let mut folders = Vec::new();
     for entry in std::fs::read_dir(parent).map_err(failed)? {
         let folder = entry.map_err(failed)?.path();
-        if folder.join("Cargo.toml").is_file() {
+        if folder.join(".cargo/config.toml").is_file() {
             folders.push(folder);
         }
     }

@@ -176,7 +176,8 @@ impl Name {
         Self::from_bytes(text.as_bytes())
     }
 
-    pub(super) const fn from_bytes(text: &[u8]) -> Self {
+    /// The first 15 of `text`; what is not printable ASCII becomes `?`.
+    pub const fn from_bytes(text: &[u8]) -> Self {
         let mut bytes = [0; NAME_LENGTH];
         let mut rest = text;
         let mut length = 0;

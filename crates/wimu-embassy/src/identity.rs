@@ -25,6 +25,7 @@ pub fn hello(
         fault: start.fault,
         capabilities,
         sensitivity_known: true,
+        safe_mode: start.is_safe_mode(),
         board,
         sensor,
         ..Hello::new(LinkRole::Cable)

@@ -58,6 +58,16 @@ impl Start {
         self.failures >= FAILURES
     }
 
+    /// The same start in safe mode, because of `fault`.
+    #[must_use]
+    pub fn in_safe_mode(self, fault: Fault) -> Self {
+        Self {
+            reason: ResetReason::Fault,
+            fault: Some(fault),
+            failures: self.failures.max(FAILURES),
+        }
+    }
+
     /// How long to wait before the start, ms: 0, 0, 250, 500, … up to 8000 after 0, 1, 2, 3, … failures. It limits the
     /// wear of the flash, in which every start is counted.
     pub fn delay_ms(&self) -> u32 {

@@ -8,7 +8,7 @@ use wimu_link::{Deframer, Kind, LinkRole};
 use wimu_model::DeviceTimeUs;
 
 use crate::queue::PIECE;
-use crate::shared::Common;
+use crate::shared::{Common, Worker};
 use crate::timer::Timer;
 
 /// Shortest interval between answers to [`Kind::WhoAreYou`], µs.
@@ -28,6 +28,7 @@ impl<W: Write, M: RawMutex> LinkWriter<'_, W, M> {
         // Ends a frame that a restart has interrupted.
         let _ = self.line.write_all(&[0]).await;
         loop {
+            self.shared.progressed(Worker::Writer(self.role));
             let (length, ended) = self.shared.next_piece(self.role, &mut piece).await;
             let piece = piece.get(..length).unwrap_or_default();
             if self.line.write_all(piece).await.is_err() {

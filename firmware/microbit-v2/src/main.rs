@@ -26,7 +26,8 @@ use embassy_nrf::{Peri, bind_interrupts, pac, uarte};
 #[cfg(feature = "defmt")]
 use defmt_rtt as _;
 use static_cell::StaticCell;
-use wimu_cortex_m::START;
+use wimu_cortex_m::{START, stack};
+use wimu_embassy::LIMITS_US;
 use wimu_link::hello::{Capabilities, Part, ResetReason, board, sensor};
 use wimu_node::{Axis, Board, FlashLayout, FlashStore, Lsm303agr, Mounting, TimeoutBus, Timer};
 
@@ -84,27 +85,38 @@ const DEBOUNCE: u32 = 10;
 /// Rows of the display for which button B must be held to erase the key: 5 s.
 const KEY_LOST_ROWS: u32 = 5 * ROWS_A_SECOND;
 
-/// Shows the device's state, polls the buttons, and feeds the watchdog.
+/// Cycles of the processor in a millisecond.
+const CYCLES_A_MS: u32 = 64_000;
+
+/// Feeds the watchdog while the node works.
+#[embassy_executor::task]
+async fn supervise(shared: &'static Shared, mut watchdog: WatchdogHandle) -> ! {
+    wimu_embassy::supervise(LIMITS_US, shared, &START, BoardTimer, stack::status, || {
+        watchdog.pet();
+    })
+    .await
+}
+
+/// Shows the device's state and polls the buttons.
 #[embassy_executor::task]
 async fn attend(
     shared: &'static Shared,
+    is_safe_mode: bool,
     mut matrix: Matrix,
     button_a: Input<'static>,
     button_b: Input<'static>,
-    mut watchdog: WatchdogHandle,
 ) -> ! {
     let mut before = shared.health();
-    let mut picture = display::picture(&before, &before);
+    let mut picture = display::picture(&before, &before, is_safe_mode);
     let mut pressed = 0;
     // A button that has been down since the start is ignored.
     let mut released = false;
     let mut held = 0;
     let mut marks = 0_u16;
     for tick in (0..ROWS_A_SECOND).cycle() {
-        watchdog.pet();
         if tick == 0 {
             let now = shared.health();
-            picture = display::picture(&before, &now);
+            picture = display::picture(&before, &now, is_safe_mode);
             before = now;
         }
         pressed = if button_a.is_low() { pressed + 1 } else { 0 };
@@ -148,6 +160,8 @@ fn start(spawner: Spawner) {
     static BUFFERS: StaticCell<[[u8; 128]; 4]> = StaticCell::new();
     static BUS_BUFFER: StaticCell<[u8; 16]> = StaticCell::new();
 
+    let begun = wimu_cortex_m::begin(reason());
+    cortex_m::asm::delay(begun.delay_ms() * CYCLES_A_MS);
     let mut config = Config::default();
     // The device's clock needs the crystal.
     config.hfclk_source = HfclkSource::ExternalXtal;
@@ -214,7 +228,7 @@ fn start(spawner: Spawner) {
         hello: wimu_embassy::hello(
             high << 32 | low,
             env!("CARGO_PKG_VERSION"),
-            &START.begin(reason()),
+            &begun,
             Capabilities::ACCELEROMETER
                 .with(Capabilities::MAGNETOMETER)
                 .with(Capabilities::TEMPERATURE)
@@ -266,7 +280,8 @@ fn start(spawner: Spawner) {
     let sampling = SAMPLING.start(interrupt::EGU1_SWI1);
     tasks::spawn(node, sampling, spawner);
     // Spawned once.
-    spawner.spawn(attend(shared, matrix, button_a, button_b, watchdog).unwrap());
+    spawner.spawn(supervise(shared, watchdog).unwrap());
+    spawner.spawn(attend(shared, begun.is_safe_mode(), matrix, button_a, button_b).unwrap());
 }
 
 /// Resets the chip.

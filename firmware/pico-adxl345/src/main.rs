@@ -12,7 +12,7 @@ mod sender;
 
 use cortex_m_rt::entry;
 use embassy_executor::{Executor, InterruptExecutor, Spawner};
-use embassy_rp::clocks::RoscRng;
+use embassy_rp::clocks::{RoscRng, clk_sys_freq};
 use embassy_rp::gpio::{Input, Level, Output, Pull};
 use embassy_rp::i2c::{self, I2c};
 use embassy_rp::interrupt::{self, InterruptExt, Priority};
@@ -25,7 +25,8 @@ use embassy_time::Duration;
 #[cfg(feature = "defmt")]
 use defmt_rtt as _;
 use static_cell::StaticCell;
-use wimu_cortex_m::START;
+use wimu_cortex_m::{START, stack};
+use wimu_embassy::LIMITS_US;
 use wimu_link::hello::{Capabilities, Part, ResetReason, board, sensor};
 use wimu_node::wimu_adxl345::{Address, I2cBus};
 use wimu_node::{Adxl345, Board, FlashStore, TimeoutBus};
@@ -65,7 +66,7 @@ wimu_cortex_m::fault_handlers!(restart);
 /// The rate at which the UARTs are opened, bits/s, 8N1.
 const BAUD: u32 = 115_200;
 
-/// Timeout of the watchdog, longer than an erase of the flash.
+/// Timeout of the watchdog, longer than an erase of a sector of the flash.
 const WATCHDOG_TIME: Duration = Duration::from_secs(2);
 /// Longest erase of a sector (datasheet), ms.
 const PAUSE_MS: u16 = 400;
@@ -96,6 +97,8 @@ fn start(spawner: Spawner) {
 
     let chip = embassy_rp::init(Default::default());
     let mut watchdog = Watchdog::new(chip.WATCHDOG);
+    let begun = wimu_cortex_m::begin(reason(&watchdog));
+    cortex_m::asm::delay(begun.delay_ms() * (clk_sys_freq() / 1000));
     let mut flash = chip.FLASH;
     let device_id = flash::chip_number(flash.reborrow());
     let mut bus = i2c::Config::default();
@@ -118,7 +121,7 @@ fn start(spawner: Spawner) {
         hello: wimu_embassy::hello(
             device_id,
             env!("CARGO_PKG_VERSION"),
-            &START.begin(reason(&watchdog)),
+            &begun,
             Capabilities::ACCELEROMETER
                 .with(Capabilities::DATA_READY)
                 .with(Capabilities::STORE),
@@ -160,16 +163,26 @@ fn start(spawner: Spawner) {
     let led = Output::new(chip.PIN_25, Level::Low);
     let key_lost = Input::new(chip.PIN_22, Pull::Up);
     tasks::spawn(node, sampling, spawner);
-    spawner.spawn(show(shared, led, key_lost, watchdog).unwrap());
+    spawner.spawn(supervise(shared, watchdog).unwrap());
+    spawner.spawn(show(shared, begun.is_safe_mode(), led, key_lost).unwrap());
 }
 
-/// Shows the device's state with the LED, polls the pin, and feeds the watchdog.
+/// Feeds the watchdog while the node works.
+#[embassy_executor::task]
+async fn supervise(shared: &'static Shared, mut watchdog: Watchdog) -> ! {
+    wimu_embassy::supervise(LIMITS_US, shared, &START, BoardTimer, stack::status, || {
+        watchdog.feed(WATCHDOG_TIME);
+    })
+    .await
+}
+
+/// Shows the device's state with the LED and polls the pin.
 #[embassy_executor::task]
 async fn show(
     shared: &'static Shared,
+    is_safe_mode: bool,
     mut led: Output<'static>,
     key_lost: Input<'static>,
-    mut watchdog: Watchdog,
 ) -> ! {
     let mut before = shared.health();
     let mut step = 0_u32;
@@ -177,7 +190,6 @@ async fn show(
     let mut released = false;
     let mut held = 0;
     loop {
-        watchdog.feed(WATCHDOG_TIME);
         released |= key_lost.is_high();
         let is_held = released && key_lost.is_low();
         held = if is_held { held + 1 } else { 0 };
@@ -188,6 +200,8 @@ async fn show(
         // One bit per step of 125 ms, lowest first: LED on.
         let pattern: u8 = if now.sensor_lost {
             0b0101_0101
+        } else if is_safe_mode {
+            0b0001_0101
         } else if now.shed != before.shed {
             0b0000_0101
         } else if now.calibrated {

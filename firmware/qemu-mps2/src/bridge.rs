@@ -15,6 +15,7 @@ use wimu_node::Timer;
 
 use crate::clock::{BoardTimer, is_lockstep};
 use crate::uart::{Reader, SENSOR_BUS, Writer};
+use crate::watchdog;
 
 /// Register I2CStat.
 const STATUS_REGISTER: u8 = 0x0A;
@@ -168,6 +169,7 @@ impl I2c for BridgeI2c {
         address: u8,
         operations: &mut [Operation<'_>],
     ) -> Result<(), BridgeError> {
+        watchdog::fail_as_requested().await;
         let mut request = Vec::<u8, MESSAGE>::new();
         let mut expected = 1;
         // Neighbours in one direction are one message on the bus.

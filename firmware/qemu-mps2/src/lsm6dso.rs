@@ -14,6 +14,7 @@ mod register;
 mod semihosting;
 mod store;
 mod uart;
+mod watchdog;
 
 use wimu_link::hello::{Capabilities, Part, sensor};
 use wimu_node::Lsm6dso;

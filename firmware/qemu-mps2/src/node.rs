@@ -1,15 +1,16 @@
 //! The node's tasks and `main`, for the sensor that the image's root names: `Sensor`, made by `sensor`, `PART`
 //! and `QUANTITIES`.
 
-use core::sync::atomic::{AtomicBool, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use cortex_m_rt::entry;
 use embassy_executor::raw::Executor;
 use embassy_sync::mutex::Mutex;
 use static_cell::StaticCell;
-use wimu_embassy::Start;
+use wimu_cortex_m::stack;
+use wimu_embassy::{LIMITS_US, Start};
 use wimu_link::Hello;
-use wimu_link::hello::{Capabilities, Part, ResetReason, board};
+use wimu_link::hello::{Capabilities, Part, board};
 use wimu_node::{Board, FlashStore};
 
 use self::tasks::Shared;
@@ -19,7 +20,8 @@ use crate::data_ready::DataReady;
 use crate::lockstep::Lockstep;
 use crate::store::{self, Flash};
 use crate::uart::{CABLE, LOG, Reader, SENSOR_BUS, WIRELESS, Writer};
-use crate::{PART, QUANTITIES, Sensor, clock, interrupts, log, semihosting, sensor};
+use crate::watchdog::FAILURES;
+use crate::{PART, QUANTITIES, Sensor, clock, interrupts, log, semihosting, sensor, watchdog};
 
 /// The tasks of the node.
 mod tasks {
@@ -30,6 +32,21 @@ mod tasks {
         store: FlashStore<Flash>,
         links: (Reader, Writer),
     }
+}
+
+/// Feeds the watchdog while the node works.
+#[embassy_executor::task]
+async fn supervise(shared: &'static Shared) -> ! {
+    let record = &watchdog::kept().start;
+    wimu_embassy::supervise(
+        LIMITS_US,
+        shared,
+        record,
+        BoardTimer,
+        stack::status,
+        watchdog::feed,
+    )
+    .await
 }
 
 /// Whether a task has been woken.
@@ -52,7 +69,7 @@ fn main() -> ! {
     clock::start(lockstep);
     let bridge = &*BRIDGE.init(Mutex::new(Bridge::new(SENSOR_BUS.start())));
     let board = Board {
-        hello: hello(),
+        hello: hello(&watchdog::begin()),
         sensor: sensor(BridgeI2c(bridge), DataReady(bridge)),
         timer: BoardTimer,
         // SAFETY: nothing else uses the memory there.
@@ -66,6 +83,8 @@ fn main() -> ! {
     let executor: &'static Executor = EXECUTOR.init(Executor::new(core::ptr::null_mut()));
     let spawner = executor.spawner();
     tasks::spawn(node, spawner.make_send(), spawner);
+    // Spawned once.
+    spawner.spawn(supervise(&SHARED).unwrap());
     // SAFETY: no critical section is under way.
     unsafe { interrupts::unmask() };
     defmt::info!("started, lockstep {}", lockstep);
@@ -75,6 +94,7 @@ fn main() -> ! {
         WOKEN.store(false, Ordering::Relaxed);
         // SAFETY: only called here.
         unsafe { executor.poll() };
+        watchdog::check();
         // Interrupts are disabled between the check and `wfi`; a pending one still ends `wfi`.
         let idle = cortex_m::interrupt::free(|_| {
             let idle = !WOKEN.load(Ordering::Relaxed);
@@ -105,10 +125,23 @@ fn options(line: &str) -> bool {
                 Ok(cycles) => store::slow_down(cycles),
                 Err(_) => unknown(word),
             },
+            (_, Some((failure, ms))) => match (failing(failure), ms.parse()) {
+                (Some(at), Ok(ms)) => at.store(ms, Ordering::Relaxed),
+                _ => unknown(word),
+            },
             _ => unknown(word),
         }
     }
     lockstep
+}
+
+fn failing(how: &str) -> Option<&'static AtomicU32> {
+    match how {
+        "panic" => Some(&FAILURES.panic),
+        "stuck" => Some(&FAILURES.stuck),
+        "overflow" => Some(&FAILURES.overflow),
+        _ => None,
+    }
 }
 
 fn unknown(option: &str) -> ! {
@@ -116,15 +149,11 @@ fn unknown(option: &str) -> ! {
     semihosting::exit(log::exit_code::USAGE)
 }
 
-fn hello() -> Hello {
-    let start = Start {
-        reason: ResetReason::PowerOn,
-        ..Start::default()
-    };
+fn hello(start: &Start) -> Hello {
     wimu_embassy::hello(
         0x5145_0386,
         env!("CARGO_PKG_VERSION"),
-        &start,
+        start,
         QUANTITIES
             .with(Capabilities::ACCELEROMETER)
             .with(Capabilities::STORE),

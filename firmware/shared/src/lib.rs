@@ -1,11 +1,14 @@
-//! What the boards share that needs `unsafe`: the memory of the start record, the handlers of panics and faults, and
-//! small memory routines.
+//! What the boards share that needs `unsafe`: the memory of the start record, the handlers of panics and faults, the
+//! guard of the stack, the check of the image, and small memory routines.
 
 #![no_std]
 
+mod image;
 mod memory;
+pub mod stack;
 
-use wimu_embassy::StartRecord;
+use wimu_embassy::wimu_link::hello::{Fault, ResetReason};
+use wimu_embassy::{Start, StartRecord};
 
 pub use {cortex_m, cortex_m_rt, wimu_embassy};
 
@@ -14,6 +17,27 @@ pub use {cortex_m, cortex_m_rt, wimu_embassy};
 #[used]
 #[unsafe(link_section = ".uninit.WIMU_START")]
 pub static START: StartRecord = StartRecord::new();
+
+/// Guards the stack and begins a start that the hardware explains with `reason`. An image in flash that differs from
+/// its CRC starts in safe mode. Call it once, first of all.
+pub fn begin(reason: ResetReason) -> Start {
+    stack::guard();
+    let start = START.begin(reason);
+    match image::damaged() {
+        Some(crc) => start.in_safe_mode(Fault::processor("image CRC", crc)),
+        None => start,
+    }
+}
+
+/// The fault of the processor with this stack frame.
+pub fn fault_of(frame: &cortex_m_rt::ExceptionFrame) -> Fault {
+    let address = core::ptr::from_ref(frame) as u32;
+    match stack::is_overflow(address) {
+        // The frame could not be written.
+        true => Fault::processor("stack overflow", address),
+        false => Fault::processor("hard fault", frame.pc()),
+    }
+}
 
 /// Defines the handlers of panics and processor faults. They record the place in [`START`] and call `$restart`, a
 /// function `fn() -> !` that resets the chip. With the board's feature `defmt` a panic is also logged.
@@ -36,9 +60,8 @@ macro_rules! fault_handlers {
 
         #[$crate::cortex_m_rt::exception]
         unsafe fn HardFault(frame: &$crate::cortex_m_rt::ExceptionFrame) -> ! {
-            use $crate::wimu_embassy::wimu_link::hello::Fault;
             $crate::cortex_m::interrupt::disable();
-            $crate::START.record(&Fault::processor("hard fault", frame.pc()));
+            $crate::START.record(&$crate::fault_of(frame));
             $restart()
         }
     };

@@ -13,7 +13,9 @@ use wimu_link::message::{Answer, Command, Event, Payload, Record, Refusal, Setti
 use wimu_model::{CentiCelsius, DeviceTimeUs, ParameterId};
 
 use crate::sensor::{InertialSensor, Plan};
-use crate::shared::{Common, Message, Order, Orders, PersistentFault, ROLES, RateOrder, Staged};
+use crate::shared::{
+    Common, Message, Order, Orders, PersistentFault, ROLES, RateOrder, Staged, Worker,
+};
 use crate::slot::put;
 use crate::store::{Key, MAX_RECORD, Store, StoreFault};
 use crate::timer::Timer;
@@ -48,6 +50,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         let mut plan = self.start().await;
         let mut next_status = self.timer.now();
         loop {
+            self.shared.progressed(Worker::Control);
             let event = select(
                 select4(
                     self.shared.requests.receive(),

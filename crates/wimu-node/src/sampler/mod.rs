@@ -17,7 +17,9 @@ use self::clock::SampleClock;
 use crate::sample::RawSample;
 use crate::sample::sealed::Process as _;
 use crate::sensor::{Batch, InertialSensor, Plan, SensorFault, SensorPlan, Surroundings};
-use crate::shared::{Common, Correction, Message, Order, Orders, PersistentFault, ROLES, Shared};
+use crate::shared::{
+    Common, Correction, Message, Order, Orders, PersistentFault, ROLES, Shared, Worker,
+};
 use crate::timer::Timer;
 
 /// Most samples in one read.
@@ -97,6 +99,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         };
         let mut samples = [A::Sample::default(); MAX_READ];
         loop {
+            self.shared.progressed(Worker::Sampler);
             if self.orders.given.try_take().is_some() {
                 match self.orders.plan() {
                     Some(plan) => {

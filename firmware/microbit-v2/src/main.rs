@@ -22,6 +22,7 @@ use embassy_nrf::rng::Rng;
 use embassy_nrf::twim::{self, Twim};
 use embassy_nrf::wdt::{self, Watchdog, WatchdogHandle};
 use embassy_nrf::{Peri, bind_interrupts, pac, uarte};
+use embassy_time::Duration;
 // Where the log goes: to the debug probe.
 #[cfg(feature = "defmt")]
 use defmt_rtt as _;
@@ -84,9 +85,6 @@ const DEBOUNCE: u32 = 10;
 
 /// Rows of the display for which button B must be held to erase the key: 5 s.
 const KEY_LOST_ROWS: u32 = 5 * ROWS_A_SECOND;
-
-/// Cycles of the processor in a millisecond.
-const CYCLES_A_MS: u32 = 64_000;
 
 /// Feeds the watchdog while the node works.
 #[embassy_executor::task]
@@ -161,13 +159,13 @@ fn start(spawner: Spawner) {
     static BUS_BUFFER: StaticCell<[u8; 16]> = StaticCell::new();
 
     let begun = wimu_cortex_m::begin(reason());
-    cortex_m::asm::delay(begun.delay_ms() * CYCLES_A_MS);
     let mut config = Config::default();
     // The device's clock needs the crystal.
     config.hfclk_source = HfclkSource::ExternalXtal;
     config.gpiote_interrupt_priority = Priority::P1;
     config.time_interrupt_priority = Priority::P2;
     let chip = embassy_nrf::init(config);
+    embassy_time::block_for(Duration::from_millis(begun.delay_ms().into()));
     // Below 2.1 V the hardware blocks writes to the flash.
     pac::POWER.pofcon().write(|power_fail| {
         power_fail.set_pof(true);

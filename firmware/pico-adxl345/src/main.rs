@@ -12,7 +12,7 @@ mod sender;
 
 use cortex_m_rt::entry;
 use embassy_executor::{Executor, InterruptExecutor, Spawner};
-use embassy_rp::clocks::{RoscRng, clk_sys_freq};
+use embassy_rp::clocks::RoscRng;
 use embassy_rp::gpio::{Input, Level, Output, Pull};
 use embassy_rp::i2c::{self, I2c};
 use embassy_rp::interrupt::{self, InterruptExt, Priority};
@@ -98,7 +98,7 @@ fn start(spawner: Spawner) {
     let chip = embassy_rp::init(Default::default());
     let mut watchdog = Watchdog::new(chip.WATCHDOG);
     let begun = wimu_cortex_m::begin(reason(&watchdog));
-    cortex_m::asm::delay(begun.delay_ms() * (clk_sys_freq() / 1000));
+    embassy_time::block_for(Duration::from_millis(begun.delay_ms().into()));
     let mut flash = chip.FLASH;
     let device_id = flash::chip_number(flash.reborrow());
     let mut bus = i2c::Config::default();

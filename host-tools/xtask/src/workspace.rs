@@ -9,8 +9,8 @@ use crate::command_line::CommandLine;
 /// The packages of this repository.
 pub struct Workspace {
     pub packages: Vec<Package>,
-    /// The firmware packages' folders below the repository's root, each with a lock file, a target
-    /// and a profile of its own, by name.
+    /// The firmware packages' folders below the repository's root, the template of a port among them, each with a
+    /// lock file, a target and a profile of its own, by name.
     pub firmware: Vec<PathBuf>,
 }
 
@@ -48,7 +48,11 @@ impl Workspace {
         let packages: Result<_, String> = packages.iter().map(|p| Package::read(p, root)).collect();
         Ok(Self {
             packages: packages?,
-            firmware: firmware(Path::new("firmware"))?,
+            firmware: [
+                firmware(Path::new("firmware"))?,
+                firmware(Path::new("examples"))?,
+            ]
+            .concat(),
         })
     }
 

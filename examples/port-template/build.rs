@@ -10,7 +10,11 @@ fn main() {
     // The HAL brings the table of interrupts: delete this line, and the feature `device` of cortex-m-rt.
     fs::write(Path::new(&folder).join("device.x"), "").expect("OUT_DIR can be written");
     println!("cargo::rustc-link-search={folder}");
-    for argument in ["--nmagic", "-Tlink.x"] {
+    let mut arguments = vec!["--nmagic", "-Tlink.x"];
+    if env::var_os("CARGO_FEATURE_DEFMT").is_some() {
+        arguments.push("-Tdefmt.x");
+    }
+    for argument in arguments {
         println!("cargo::rustc-link-arg-bins={argument}");
     }
     println!("cargo::rerun-if-changed=memory.x");

@@ -6,6 +6,9 @@
 mod hal;
 
 use cortex_m_rt::entry;
+// Where the log goes: to the debug probe.
+#[cfg(feature = "defmt")]
+use defmt_rtt as _;
 use embassy_executor::{Executor, InterruptExecutor, Spawner};
 use static_cell::StaticCell;
 use wimu_cortex_m::{START, stack};

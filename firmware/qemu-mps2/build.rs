@@ -9,7 +9,7 @@ mod link;
 const MEMORY: &str = "
 MEMORY {
   FLASH : ORIGIN = 0x00000000, LENGTH = 4M
-  RAM : ORIGIN = 0x20000000, LENGTH = 4M
+  RAM : ORIGIN = 0x20000000, LENGTH = 256K
 }";
 
 fn main() {

@@ -4,7 +4,7 @@
 // is a list of {"at_ms", "uart", "hex"}, bytes to send, {"at_ms", "uart", "baud"}, the rate of the
 // other end from then on, and {"at_ms", "do"}: "unplug" and "plug" the sensor, "exchange" it for
 // another chip, "hold" the bus low and "release" it, "nack" a byte of the sensor's, give the flash
-// its longest erase ("slow_flash"), "hang" or "fault" the processor, let it go on in the function at
+// its longest erase ("slow_flash"), "damage" the image, "hang" or "fault" the processor, let it go on in the function at
 // "address" with an "argument" ("call"), press "reset", take the "power" off, or when the flash has been changed "count" times from then on, in the middle of that ("cut").
 
 import { mkdirSync, readFileSync, writeFileSync } from 'node:fs';
@@ -67,6 +67,9 @@ for (const action of actions) {
       break;
     case 'hang':
       pico.hang();
+      break;
+    case 'damage':
+      pico.damage();
       break;
     case 'fault':
       pico.fault();

@@ -279,6 +279,11 @@ impl Listener {
         &self.record.boots
     }
 
+    /// Takes what it has brought, for each start of the device.
+    pub fn take_boots(&mut self) -> Vec<Boot> {
+        std::mem::take(&mut self.record.boots)
+    }
+
     /// The bytes, as they came.
     pub fn bytes(&self) -> Vec<u8> {
         self.heard

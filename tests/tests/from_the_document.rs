@@ -27,7 +27,8 @@ Mounting: f64*4 f32*6 f32 f32
 Settings: u8 u16 Resolution bool u32 Streams Streams
 Resolution: | Low | Normal | High
 Streams: bool bool bool bool u8 u8
-Status: u64 LinkStatus? LinkStatus? SensorStatus u32? u32?
+Status: u64 LinkStatus? LinkStatus? SensorStatus u32? u32? stack
+StackStatus: u32 u32
 LinkStatus: u32 u64 u32 u32 u32
 SensorStatus: u32 u32 u32 u32
 Event: | SensorLost Lost | SensorFound | WrongSensor u8 u8 | StoreUnreadable | ModelRejected ParameterFault | SettingsAdjusted | Pause u16 | Marked u16 | CalibrationContradicted i32 u32 | GyroscopeLost Lost
@@ -47,7 +48,7 @@ Refusal: | KeyNeeded | Locked | InvalidParameters ParameterFault | WrongRange u8
 ";
 
 /// Names that the examples give their structs, which the wire does not know.
-const STRUCTS: [&str; 18] = [
+const STRUCTS: [&str; 19] = [
     "ActiveParameters",
     "Attitude",
     "DeviceKey",
@@ -64,6 +65,7 @@ const STRUCTS: [&str; 18] = [
     "SensorStatus",
     "Settings",
     "Signature",
+    "StackStatus",
     "Status",
     "Streams",
 ];
@@ -196,6 +198,9 @@ impl Reader<'_> {
                 self.read("u8");
                 self.read("GyroscopeModel?");
             }
+            // A status may end before it.
+            "stack" if self.rest.is_empty() => {}
+            "stack" => self.read("StackStatus?"),
             "range" => {
                 let number = u16::from_le_bytes(self.bytes());
                 self.note(number);
@@ -393,15 +398,29 @@ fn a_greeting_and_its_question_read_as_the_document_says() {
             decimal(38, 2),
             decimal(40, 2),
             one_of(&resets, 42),
-            "None".to_owned(),
+        ];
+        match &body[usize::from(body[4])..] {
+            [] => found.push("None".to_owned()),
+            [1, length, place @ ..] if place.len() == usize::from(*length) => {
+                let line = decimal(body.len() - place.len(), 4);
+                let file = std::str::from_utf8(&place[4..]).expect("ASCII");
+                found.push(format!("Some(Fault {{ line: {line}, file: {file:?} }})"));
+            }
+            other => panic!("the examples have no extension {other:?}"),
+        }
+        found.extend([
             (body[43] & 1 == 1).to_string(),
+            // Earlier examples do not name it.
+            if text.contains("safe_mode") {
+                (body[43] >> 1 & 1 == 1).to_string()
+            } else {
+                String::new()
+            },
             decimal(44, 2),
             name(48),
             decimal(46, 2),
             name(64),
-        ];
-        // Extensions, of which the examples have none.
-        assert_eq!(body.len(), usize::from(body[4]));
+        ]);
         found = said(&found.join(" "));
         assert_eq!(found, said(&text), "{text}");
     }

@@ -9,8 +9,8 @@ pub(crate) use self::Fast as Digest;
 #[cfg(not(target_pointer_width = "64"))]
 pub(crate) use self::Small as Digest;
 
-/// CRC-32C of `bytes`.
-pub(crate) fn crc_32c(bytes: &[u8]) -> u32 {
+/// CRC-32C (CRC-32/ISCSI) of `bytes`.
+pub fn crc_32c(bytes: &[u8]) -> u32 {
     Digest::of(bytes)
 }
 

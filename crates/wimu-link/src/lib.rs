@@ -16,6 +16,7 @@ pub mod requester;
 pub mod responder;
 
 pub use batch::Batch;
+pub use checksum::crc_32c;
 pub use frame::{Deframer, Frame, FrameError, Kind, MAX_BODY, MAX_FRAME, WIRE_VERSION};
 pub use hello::{Hello, LinkRole, WhoAreYou, WriteAccess};
 pub use message::{Answer, Command, Reply, Request, Settings, Telemetry};

@@ -8,8 +8,8 @@ use sha2::Sha256;
 use wimu_link::auth::{DeviceKey, KeyState, Lock, Session};
 use wimu_link::frame::{self, Frame, FrameError};
 use wimu_link::message::{
-    Epoch, EpochGyroscope, EpochReason, Event, MessageError, Payload, Refusal, Signature, Status,
-    WireState,
+    Epoch, EpochGyroscope, EpochReason, Event, MessageError, Payload, Refusal, Signature,
+    StackStatus, Status, WireState,
 };
 use wimu_link::responder::{Decision, Responder};
 use wimu_link::{
@@ -36,10 +36,14 @@ fn body_of(encode: impl FnOnce(&mut [u8]) -> Result<usize, frame::EncodeError>) 
 
 #[test]
 fn fields_that_a_later_device_adds_at_the_end_are_left() {
-    let status = Telemetry::Status(Status {
+    // With all fields of today.
+    let status = Status {
         uptime_us: 5,
+        stack: Some(StackStatus::default()),
         ..Status::default()
-    });
+    };
+    let answer = Answer::Accepted(Payload::Status(status));
+    let status = Telemetry::Status(status);
     let mut body = body_of(|line| status.encode(line));
     body.extend([1, 2, 3]);
     assert_eq!(Telemetry::decode(&body), Ok(status));
@@ -48,11 +52,26 @@ fn fields_that_a_later_device_adds_at_the_end_are_left() {
         session: 1,
         id: 2,
         signature: Signature::NONE,
-        answer: Answer::Accepted(Payload::Status(Status::default())),
+        answer,
     };
     let mut body = body_of(|line| reply.encode(line));
     body.extend([1, 2, 3]);
     assert_eq!(Reply::decode(&body), Ok(reply));
+}
+
+#[test]
+fn a_status_that_ends_before_the_stack_has_none() {
+    let old = Status::default();
+    let stack = Some(StackStatus {
+        size: 4096,
+        used: 1000,
+    });
+    let [old, new]: [Telemetry; 2] = [old, Status { stack, ..old }].map(Telemetry::Status);
+    let [until, body] = [old, new].map(|message| body_of(|line| message.encode(line)));
+    assert_eq!(body.len(), until.len() + 5);
+    assert!(body.starts_with(&until));
+    assert_eq!(Telemetry::decode(&until), Ok(old));
+    assert_eq!(Telemetry::decode(&body), Ok(new));
 }
 
 #[test]

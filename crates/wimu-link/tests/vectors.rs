@@ -12,12 +12,14 @@ use std::path::PathBuf;
 use wimu_link::auth::{DeviceKey, KeyId};
 use wimu_link::batch::Layout;
 use wimu_link::frame::{self, EncodeError, FrameError, RecordedDeframer};
-use wimu_link::hello::{Capabilities, LinkRole, Part, ResetReason, WriteAccess, board, sensor};
+use wimu_link::hello::{
+    Capabilities, Fault, LinkRole, Part, ResetReason, WriteAccess, board, sensor,
+};
 use wimu_link::message::{
     ARITHMETIC_REVISION, ActiveParameters, Answer, Attitude, BusFault, Command, EncodedParameters,
     Environment, Epoch, EpochGyroscope, EpochReason, Event, LinkStatus, Navigation, ParameterFault,
     ParametersPiece, Payload, Piece, Record, Refusal, Reply, Request, Resolution, SensorStatus,
-    Settings, Signature, Status, Streams, Telemetry, WireGyroscope, WireGyroscopeTerm,
+    Settings, Signature, StackStatus, Status, Streams, Telemetry, WireGyroscope, WireGyroscopeTerm,
     WireMagnetometer, WireMagnetometerFault, WireMagnetometerRotation, WireMethod, WireParameters,
     WirePhase, WireQuality, WireQualityFault, WireRotation, WireRun, WireSegment, WireState,
     WireTerm, WireWindow,
@@ -250,6 +252,7 @@ fn what_devices_of_version_1_sent_is_read_as_what_it_is() {
                     let message = message.replace(added, "");
                     let message = message.replace(", sensor_index: 0, gyroscope: None", "");
                     let message = message.replace(", rotation: None", "");
+                    let message = message.replace(", stack: None", "");
                     assert_eq!(message, pair[0]);
                 }
             }
@@ -312,6 +315,12 @@ fn hello_is_as_it_was() {
             board: Part::new(board::MICROBIT_V2, "micro:bit v2"),
             sensor: Part::new(sensor::LSM303AGR, "LSM303AGR"),
             ..Hello::new(LinkRole::Wireless)
+        },
+        Hello {
+            reset_reason: ResetReason::Fault,
+            fault: Some(Fault::panic("sampler/mod.rs", 300)),
+            safe_mode: true,
+            ..Hello::new(LinkRole::Cable)
         },
     ];
     let mut vectors = Vectors::new("hello", Kind::Hello);
@@ -535,6 +544,17 @@ fn status() -> Status {
         },
         measured_period_ns: Some(10_012_345),
         jitter_ns: Some(1_250),
+        stack: None,
+    }
+}
+
+fn status_with_stack() -> Status {
+    Status {
+        stack: Some(StackStatus {
+            size: 100_000,
+            used: 2_345,
+        }),
+        ..status()
     }
 }
 
@@ -634,6 +654,7 @@ fn telemetry_is_as_it_was() {
         }),
         Telemetry::Settings(settings()),
         Telemetry::Status(status()),
+        Telemetry::Status(status_with_stack()),
     ]);
     messages.extend(
         [WirePhase::Searching, WirePhase::Resting, WirePhase::Moving].map(|phase| {
@@ -770,6 +791,7 @@ fn replies_are_as_they_were() {
         Payload::Staged { hash: 0xdead_beef },
         Payload::Settings(settings()),
         Payload::Status(status()),
+        Payload::Status(status_with_stack()),
         Payload::Session {
             number: 300,
             nonce: core::array::from_fn(|at| at as u8),

@@ -9,7 +9,7 @@ use wimu_link::{Kind, LinkRole};
 use wimu_model::DeviceTimeUs;
 
 use crate::queue::PIECE;
-use crate::shared::{Common, runs};
+use crate::shared::{Common, Worker, runs};
 use crate::timer::Timer;
 
 /// Shortest interval between answers to [`Kind::WhoAreYou`], µs.
@@ -36,6 +36,7 @@ impl<W: Write, M: RawMutex> LinkWriter<'_, W, M> {
         // Ends a frame that a restart has interrupted.
         let _ = self.line.write_all(&[0]).await;
         loop {
+            self.shared.progressed(Worker::Writer(self.role));
             let (length, ended) = self.shared.next_piece(self.role, &mut piece).await;
             let piece = piece.get(..length).unwrap_or_default();
             if self.line.write_all(piece).await.is_err() {

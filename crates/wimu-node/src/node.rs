@@ -15,7 +15,8 @@ use crate::timer::Timer;
 
 /// The parts of a board.
 pub struct Board<A, T, S, CR, CW, WR, WW> {
-    /// Identity of the device. The node fills in role, boot count, uptime and parameters.
+    /// Identity of the device. The node fills in role, boot count, uptime and parameters. In safe mode it uses neither
+    /// stored parameters nor stored settings until the next start, and sends raw samples only.
     pub hello: Hello,
     /// The sensor.
     pub sensor: A,

@@ -10,6 +10,8 @@ type Picture = [u8; 5];
 const NO_SENSOR: Picture = [0b01110, 0b00010, 0b00100, 0b00000, 0b00100];
 /// Three dots: no samples in the last second.
 const NO_SAMPLES: Picture = [0b00000, 0b00000, 0b10101, 0b00000, 0b00000];
+/// An exclamation mark: safe mode.
+const SAFE_MODE: Picture = [0b00100, 0b00100, 0b00100, 0b00000, 0b00100];
 /// A cross: samples, but no calibration.
 const UNCALIBRATED: Picture = [0b10001, 0b01010, 0b00100, 0b01010, 0b10001];
 /// A tick: samples and a calibration.
@@ -20,11 +22,13 @@ const POOR_LINK: Picture = [0b00000, 0b00000, 0b00000, 0b00000, 0b11111];
 pub const MARKED: Picture = [0b11111, 0b11111, 0b11111, 0b11111, 0b11111];
 
 /// The picture for the present state `now` and that of a second ago, `before`.
-pub fn picture(before: &Health, now: &Health) -> Picture {
+pub fn picture(before: &Health, now: &Health, is_safe_mode: bool) -> Picture {
     let mut picture = if now.sensor_lost {
         NO_SENSOR
     } else if now.samples == before.samples {
         NO_SAMPLES
+    } else if is_safe_mode {
+        SAFE_MODE
     } else if now.calibrated {
         CALIBRATED
     } else {

@@ -8,13 +8,7 @@ mod clock;
 mod data_ready;
 mod display;
 mod flash;
-#[path = "../../shared/last_words.rs"]
-mod last_words;
-#[path = "../../shared/memory.rs"]
-mod memory;
 mod rate;
-#[path = "../../shared/tasks.rs"]
-mod tasks;
 
 use cortex_m_rt::entry;
 use embassy_executor::{Executor, InterruptExecutor, Spawner};
@@ -28,11 +22,15 @@ use embassy_nrf::rng::Rng;
 use embassy_nrf::twim::{self, Twim};
 use embassy_nrf::wdt::{self, Watchdog, WatchdogHandle};
 use embassy_nrf::{Peri, bind_interrupts, pac, uarte};
+use embassy_time::Duration;
+// Where the log goes: to the debug probe.
+#[cfg(feature = "defmt")]
+use defmt_rtt as _;
 use static_cell::StaticCell;
-use wimu_link::hello::{Capabilities, Fault, Part, ResetReason, board, sensor};
-use wimu_node::{
-    Axis, Board, FlashLayout, FlashStore, Lsm303agr, Mounting, Shared, TimeoutBus, Timer,
-};
+use wimu_cortex_m::{START, stack};
+use wimu_embassy::LIMITS_US;
+use wimu_link::hello::{Capabilities, Part, ResetReason, board, sensor};
+use wimu_node::{Axis, Board, FlashLayout, FlashStore, Lsm303agr, Mounting, TimeoutBus, Timer};
 
 use crate::bus::Bus;
 use crate::clock::BoardTimer;
@@ -40,7 +38,7 @@ use crate::data_ready::Line;
 use crate::display::Matrix;
 use crate::flash::StoreFlash;
 use crate::rate::Rate;
-use crate::tasks::M;
+use crate::tasks::Shared;
 
 bind_interrupts!(struct Interrupts {
     TWISPI0 => twim::InterruptHandler<TWISPI0>;
@@ -51,8 +49,23 @@ bind_interrupts!(struct Interrupts {
 /// The types of the node.
 type Sensor = Lsm303agr<TimeoutBus<Bus, BoardTimer>, Line, BoardTimer>;
 type Memory = FlashStore<StoreFlash>;
-type Receiver = BufferedUarteRx<'static>;
-type Transmitter = BufferedUarteTx<'static>;
+
+/// The tasks of the node.
+mod tasks {
+    use super::{BoardTimer, BufferedUarteRx, BufferedUarteTx, Memory, Rate, Sensor};
+    wimu_embassy::tasks! {
+        sensor: Sensor,
+        timer: BoardTimer,
+        store: Memory,
+        links: (BufferedUarteRx<'static>, BufferedUarteTx<'static>),
+        rate: Rate,
+    }
+}
+
+wimu_cortex_m::fault_handlers!(restart);
+
+/// The rate at which the UARTs are opened, the default of their driver, bits/s, 8N1.
+const BAUD: u32 = 115_200;
 
 /// The last 16 KiB of the flash, which memory.x excludes.
 const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0x7C000..0x80000);
@@ -73,27 +86,35 @@ const DEBOUNCE: u32 = 10;
 /// Rows of the display for which button B must be held to erase the key: 5 s.
 const KEY_LOST_ROWS: u32 = 5 * ROWS_A_SECOND;
 
-/// Shows the device's state, polls the buttons, and feeds the watchdog.
+/// Feeds the watchdog while the node works.
+#[embassy_executor::task]
+async fn supervise(shared: &'static Shared, mut watchdog: WatchdogHandle) -> ! {
+    wimu_embassy::supervise(LIMITS_US, shared, &START, BoardTimer, stack::status, || {
+        watchdog.pet();
+    })
+    .await
+}
+
+/// Shows the device's state and polls the buttons.
 #[embassy_executor::task]
 async fn attend(
-    shared: &'static Shared<M>,
+    shared: &'static Shared,
+    is_safe_mode: bool,
     mut matrix: Matrix,
     button_a: Input<'static>,
     button_b: Input<'static>,
-    mut watchdog: WatchdogHandle,
 ) -> ! {
     let mut before = shared.health();
-    let mut picture = display::picture(&before, &before);
+    let mut picture = display::picture(&before, &before, is_safe_mode);
     let mut pressed = 0;
     // A button that has been down since the start is ignored.
     let mut released = false;
     let mut held = 0;
     let mut marks = 0_u16;
     for tick in (0..ROWS_A_SECOND).cycle() {
-        watchdog.pet();
         if tick == 0 {
             let now = shared.health();
-            picture = display::picture(&before, &now);
+            picture = display::picture(&before, &now, is_safe_mode);
             before = now;
         }
         pressed = if button_a.is_low() { pressed + 1 } else { 0 };
@@ -133,16 +154,18 @@ fn main() -> ! {
 /// A separate function, so that its stack frame is gone before the tasks run.
 #[inline(never)]
 fn start(spawner: Spawner) {
-    static SHARED: Shared<M> = Shared::new();
+    static SHARED: Shared = Shared::new();
     static BUFFERS: StaticCell<[[u8; 128]; 4]> = StaticCell::new();
     static BUS_BUFFER: StaticCell<[u8; 16]> = StaticCell::new();
 
+    let begun = wimu_cortex_m::begin(reason());
     let mut config = Config::default();
     // The device's clock needs the crystal.
     config.hfclk_source = HfclkSource::ExternalXtal;
     config.gpiote_interrupt_priority = Priority::P1;
     config.time_interrupt_priority = Priority::P2;
     let chip = embassy_nrf::init(config);
+    embassy_time::block_for(Duration::from_millis(begun.delay_ms().into()));
     // Below 2.1 V the hardware blocks writes to the flash.
     pac::POWER.pofcon().write(|power_fail| {
         power_fail.set_pof(true);
@@ -165,7 +188,6 @@ fn start(spawner: Spawner) {
         bus,
         BUS_BUFFER.init([0; 16]),
     );
-    // The default is `tasks::BAUD`, 8N1.
     let uart = uarte::Config::default;
     let [a, b, c, d] = BUFFERS.init([[0; 128]; 4]);
     let cable = BufferedUarte::new(
@@ -198,15 +220,18 @@ fn start(spawner: Spawner) {
     let mut entropy = [0; 16];
     Rng::new_blocking(chip.RNG).blocking_fill_bytes(&mut entropy);
     let rates = [pac::UARTE0, pac::UARTE1].map(Rate);
-    let keepers = tasks::keepers(rates, shared);
+    tasks::spawn_keepers(rates, BAUD, BoardTimer, shared, spawner);
     let [low, high] = [0, 1].map(|word| u64::from(pac::FICR.deviceid(word).read()));
     let board = Board {
-        hello: tasks::hello(
+        hello: wimu_embassy::hello(
             high << 32 | low,
-            reason(),
+            env!("CARGO_PKG_VERSION"),
+            &begun,
             Capabilities::ACCELEROMETER
                 .with(Capabilities::MAGNETOMETER)
-                .with(Capabilities::TEMPERATURE),
+                .with(Capabilities::TEMPERATURE)
+                .with(Capabilities::DATA_READY)
+                .with(Capabilities::STORE),
             Part::new(board::MICROBIT_V2, "micro:bit v2"),
             Part::new(sensor::LSM303AGR, "LSM303AGR"),
         ),
@@ -251,9 +276,10 @@ fn start(spawner: Spawner) {
     };
 
     let sampling = SAMPLING.start(interrupt::EGU1_SWI1);
-    tasks::spawn(node, keepers, sampling, spawner);
+    tasks::spawn(node, sampling, spawner);
     // Spawned once.
-    spawner.spawn(attend(shared, matrix, button_a, button_b, watchdog).unwrap());
+    spawner.spawn(supervise(shared, watchdog).unwrap());
+    spawner.spawn(attend(shared, begun.is_safe_mode(), matrix, button_a, button_b).unwrap());
 }
 
 /// Resets the chip.
@@ -261,14 +287,12 @@ fn restart() -> ! {
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// The reset reason, and the recorded fault.
-fn reason() -> (ResetReason, Option<Fault>) {
-    let fault = last_words::take();
+/// The reset reason.
+fn reason() -> ResetReason {
     let found = pac::POWER.resetreas().read();
     // The bits accumulate until they are cleared by writing ones.
     pac::POWER.resetreas().write_value(found);
-    let reason = match found {
-        _ if fault.is_some() => ResetReason::Fault,
+    match found {
         // Power-on and brown-out are not distinguished.
         _ if found.0 == 0 => ResetReason::PowerOn,
         _ if found.dog() => ResetReason::Watchdog,
@@ -276,6 +300,5 @@ fn reason() -> (ResetReason, Option<Fault>) {
         _ if found.sreq() => ResetReason::Software,
         _ if found.resetpin() => ResetReason::Pin,
         _ => ResetReason::Unknown,
-    };
-    (reason, fault)
+    }
 }

@@ -3,6 +3,7 @@
 //! While the flash is erased or written, neither data nor code can be read from it. So interrupts are disabled
 //! and the routine runs from RAM, with functions of the chip's ROM.
 
+use embassy_futures::yield_now;
 use embassy_rp::Peri;
 use embassy_rp::flash::{Blocking, ERASE_SIZE, FLASH_BASE, PAGE_SIZE};
 use embassy_rp::peripherals::FLASH;
@@ -67,8 +68,12 @@ impl NorFlash for StoreFlash {
 
     async fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
         let length = to.checked_sub(from).ok_or(NorFlashErrorKind::OutOfBounds)? as usize;
-        let at = Self::range(from, length, ERASE_SIZE)?;
-        change(Change::Erase { at, length });
+        let start = Self::range(from, length, ERASE_SIZE)?;
+        for at in (start..start + length).step_by(ERASE_SIZE) {
+            change(Change::Erase { at });
+            // Interrupts and tasks run between two sectors.
+            yield_now().await;
+        }
         Ok(())
     }
 
@@ -111,8 +116,8 @@ pub const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0..SIZE as u32);
 #[derive(Clone, Copy)]
 enum Change<'a> {
     Erase {
+        /// The sector.
         at: usize,
-        length: usize,
     },
     Write {
         at: usize,
@@ -160,7 +165,8 @@ unsafe fn in_ram(rom: &Rom, change: Change<'_>) {
         (rom.connect)();
         (rom.exit_xip)();
         match change {
-            Change::Erase { at, length } => (rom.erase)(at as u32, length, 1 << 31, 0),
+            // The command for larger blocks is never used.
+            Change::Erase { at } => (rom.erase)(at as u32, ERASE_SIZE, 1 << 31, 0),
             Change::Write { at, page } => (rom.program)(at as u32, page.as_ptr(), PAGE_SIZE),
         }
         (rom.flush_cache)();

@@ -7,14 +7,8 @@
 mod clock;
 mod data_ready;
 mod flash;
-#[path = "../../shared/last_words.rs"]
-mod last_words;
-#[path = "../../shared/memory.rs"]
-mod memory;
 mod rate;
 mod sender;
-#[path = "../../shared/tasks.rs"]
-mod tasks;
 
 use cortex_m_rt::entry;
 use embassy_executor::{Executor, InterruptExecutor, Spawner};
@@ -27,17 +21,22 @@ use embassy_rp::uart::{self, BufferedUart, BufferedUartRx};
 use embassy_rp::watchdog::{ResetReason as WatchdogReason, Watchdog};
 use embassy_rp::{bind_interrupts, pac};
 use embassy_time::Duration;
+// Where the log goes: to the debug probe.
+#[cfg(feature = "defmt")]
+use defmt_rtt as _;
 use static_cell::StaticCell;
-use wimu_link::hello::{Capabilities, Fault, Part, ResetReason, board, sensor};
+use wimu_cortex_m::{START, stack};
+use wimu_embassy::LIMITS_US;
+use wimu_link::hello::{Capabilities, Part, ResetReason, board, sensor};
 use wimu_node::wimu_adxl345::{Address, I2cBus};
-use wimu_node::{Adxl345, Board, FlashStore, Shared, TimeoutBus};
+use wimu_node::{Adxl345, Board, FlashStore, TimeoutBus};
 
 use crate::clock::BoardTimer;
 use crate::data_ready::Line;
 use crate::flash::StoreFlash;
 use crate::rate::Rate;
 use crate::sender::Sender;
-use crate::tasks::M;
+use crate::tasks::Shared;
 
 bind_interrupts!(struct Interrupts {
     I2C0_IRQ => i2c::InterruptHandler<I2C0>;
@@ -49,10 +48,25 @@ bind_interrupts!(struct Interrupts {
 type Bus = I2cBus<TimeoutBus<I2c<'static, I2C0, i2c::Async>, BoardTimer>>;
 type Sensor = Adxl345<Bus, Line, BoardTimer>;
 type Memory = FlashStore<StoreFlash>;
-type Receiver = BufferedUartRx;
-type Transmitter = Sender;
 
-/// Timeout of the watchdog, longer than an erase of the flash.
+/// The tasks of the node.
+mod tasks {
+    use super::{BoardTimer, BufferedUartRx, Memory, Rate, Sender, Sensor};
+    wimu_embassy::tasks! {
+        sensor: Sensor,
+        timer: BoardTimer,
+        store: Memory,
+        links: (BufferedUartRx, Sender),
+        rate: Rate,
+    }
+}
+
+wimu_cortex_m::fault_handlers!(restart);
+
+/// The rate at which the UARTs are opened, bits/s, 8N1.
+const BAUD: u32 = 115_200;
+
+/// Timeout of the watchdog, longer than an erase of a sector of the flash.
 const WATCHDOG_TIME: Duration = Duration::from_secs(2);
 /// Longest erase of a sector (datasheet), ms.
 const PAUSE_MS: u16 = 400;
@@ -78,11 +92,13 @@ fn main() -> ! {
 /// A separate function, so that its stack frame is gone before the tasks run.
 #[inline(never)]
 fn start(spawner: Spawner) {
-    static SHARED: Shared<M> = Shared::new();
+    static SHARED: Shared = Shared::new();
     static BUFFERS: StaticCell<[[u8; 128]; 4]> = StaticCell::new();
 
     let chip = embassy_rp::init(Default::default());
     let mut watchdog = Watchdog::new(chip.WATCHDOG);
+    let begun = wimu_cortex_m::begin(reason(&watchdog));
+    embassy_time::block_for(Duration::from_millis(begun.delay_ms().into()));
     let mut flash = chip.FLASH;
     let device_id = flash::chip_number(flash.reborrow());
     let mut bus = i2c::Config::default();
@@ -94,7 +110,7 @@ fn start(spawner: Spawner) {
     let [a, b, c, d] = BUFFERS.init([[0; 128]; 4]);
     let uart = || {
         let mut config = uart::Config::default();
-        config.baudrate = tasks::BAUD;
+        config.baudrate = BAUD;
         config
     };
     let wireless = BufferedUart::new(chip.UART0, chip.PIN_0, chip.PIN_1, Interrupts, a, b, uart());
@@ -102,10 +118,13 @@ fn start(spawner: Spawner) {
     let (wireless_tx, wireless_rx) = wireless.split();
     let (cable_tx, cable_rx) = cable.split();
     let board = Board {
-        hello: tasks::hello(
+        hello: wimu_embassy::hello(
             device_id,
-            reason(&watchdog),
-            Capabilities::ACCELEROMETER,
+            env!("CARGO_PKG_VERSION"),
+            &begun,
+            Capabilities::ACCELEROMETER
+                .with(Capabilities::DATA_READY)
+                .with(Capabilities::STORE),
             Part::new(board::PICO_ADXL345, "Pico"),
             Part::new(sensor::ADXL345, "ADXL345"),
         ),
@@ -130,7 +149,7 @@ fn start(spawner: Spawner) {
     };
     let shared = &SHARED;
     let rates = [pac::UART1, pac::UART0].map(Rate);
-    let keepers = tasks::keepers(rates, shared);
+    tasks::spawn_keepers(rates, BAUD, BoardTimer, shared, spawner);
     let node = tasks::place(board, shared);
     watchdog.start(WATCHDOG_TIME);
 
@@ -143,17 +162,27 @@ fn start(spawner: Spawner) {
     let sampling = SAMPLING.start(interrupt::SWI_IRQ_1);
     let led = Output::new(chip.PIN_25, Level::Low);
     let key_lost = Input::new(chip.PIN_22, Pull::Up);
-    tasks::spawn(node, keepers, sampling, spawner);
-    spawner.spawn(show(shared, led, key_lost, watchdog).unwrap());
+    tasks::spawn(node, sampling, spawner);
+    spawner.spawn(supervise(shared, watchdog).unwrap());
+    spawner.spawn(show(shared, begun.is_safe_mode(), led, key_lost).unwrap());
 }
 
-/// Shows the device's state with the LED, polls the pin, and feeds the watchdog.
+/// Feeds the watchdog while the node works.
+#[embassy_executor::task]
+async fn supervise(shared: &'static Shared, mut watchdog: Watchdog) -> ! {
+    wimu_embassy::supervise(LIMITS_US, shared, &START, BoardTimer, stack::status, || {
+        watchdog.feed(WATCHDOG_TIME);
+    })
+    .await
+}
+
+/// Shows the device's state with the LED and polls the pin.
 #[embassy_executor::task]
 async fn show(
-    shared: &'static Shared<M>,
+    shared: &'static Shared,
+    is_safe_mode: bool,
     mut led: Output<'static>,
     key_lost: Input<'static>,
-    mut watchdog: Watchdog,
 ) -> ! {
     let mut before = shared.health();
     let mut step = 0_u32;
@@ -161,7 +190,6 @@ async fn show(
     let mut released = false;
     let mut held = 0;
     loop {
-        watchdog.feed(WATCHDOG_TIME);
         released |= key_lost.is_high();
         let is_held = released && key_lost.is_low();
         held = if is_held { held + 1 } else { 0 };
@@ -172,6 +200,8 @@ async fn show(
         // One bit per step of 125 ms, lowest first: LED on.
         let pattern: u8 = if now.sensor_lost {
             0b0101_0101
+        } else if is_safe_mode {
+            0b0001_0101
         } else if now.shed != before.shed {
             0b0000_0101
         } else if now.calibrated {
@@ -197,20 +227,17 @@ fn restart() -> ! {
     }
 }
 
-/// The reset reason, and the recorded fault.
-fn reason(watchdog: &Watchdog) -> (ResetReason, Option<Fault>) {
-    let fault = last_words::take();
+/// The reset reason.
+fn reason(watchdog: &Watchdog) -> ResetReason {
     let chip = pac::VREG_AND_CHIP_RESET.chip_reset().read();
-    let reason = match watchdog.reset_reason() {
-        _ if fault.is_some() => ResetReason::Fault,
+    match watchdog.reset_reason() {
         Some(WatchdogReason::TimedOut) => ResetReason::Watchdog,
         Some(WatchdogReason::Forced) => ResetReason::Software,
         None if chip.had_run() => ResetReason::Pin,
         // Power-on and brown-out resets are not distinguished.
         None if chip.had_por() => ResetReason::PowerOn,
         None => ResetReason::Unknown,
-    };
-    (reason, fault)
+    }
 }
 
 /// From the ring oscillator, which is not a qualified cryptographic source: should it fail, the boot count makes

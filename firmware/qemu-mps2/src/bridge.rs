@@ -5,16 +5,17 @@
 //! read without an acknowledgement returns 0xFF bytes, as from an idle bus, and the sensor's data-ready
 //! line is bit 0 of the port.
 
-use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_sync::mutex::Mutex;
 use embedded_hal_async::i2c::{Error, ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 use embedded_io_async::{Read, Write};
 use heapless::{CapacityError, Vec};
+use wimu_embassy::Mutex as RawMutex;
 use wimu_model::DeviceTimeUs;
 use wimu_node::Timer;
 
 use crate::clock::{BoardTimer, is_lockstep};
 use crate::uart::{Reader, SENSOR_BUS, Writer};
+use crate::watchdog;
 
 /// Register I2CStat.
 const STATUS_REGISTER: u8 = 0x0A;
@@ -156,7 +157,7 @@ impl Error for BridgeError {
 }
 
 /// The sensor's bus.
-pub struct BridgeI2c(pub &'static Mutex<NoopRawMutex, Bridge>);
+pub struct BridgeI2c(pub &'static Mutex<RawMutex, Bridge>);
 
 impl ErrorType for BridgeI2c {
     type Error = BridgeError;
@@ -168,6 +169,7 @@ impl I2c for BridgeI2c {
         address: u8,
         operations: &mut [Operation<'_>],
     ) -> Result<(), BridgeError> {
+        watchdog::fail_as_requested().await;
         let mut request = Vec::<u8, MESSAGE>::new();
         let mut expected = 1;
         // Neighbours in one direction are one message on the bus.

@@ -5,8 +5,8 @@ use core::future::{pending, poll_fn};
 use core::task::{Poll, Waker};
 
 use critical_section::Mutex as CsMutex;
-use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_sync::mutex::Mutex;
+use wimu_embassy::Mutex as RawMutex;
 use wimu_model::DeviceTimeUs;
 use wimu_node::Timer;
 
@@ -49,7 +49,7 @@ pub fn set(high: bool) {
 }
 
 /// The data-ready line. Waiting can be cancelled at any time.
-pub struct DataReady(pub &'static Mutex<NoopRawMutex, Bridge>);
+pub struct DataReady(pub &'static Mutex<RawMutex, Bridge>);
 
 impl DataReady {
     async fn high(&mut self) {

@@ -5,9 +5,11 @@ use core::panic::PanicInfo;
 
 use cortex_m_rt::{ExceptionFrame, exception};
 use critical_section::RestoreState;
+use wimu_link::hello::Fault;
 
 use crate::semihosting;
 use crate::uart::LOG;
+use crate::watchdog::kept;
 
 /// Exit codes of the board.
 pub mod exit_code {
@@ -15,6 +17,8 @@ pub mod exit_code {
     pub const USAGE: u8 = 2;
     /// Simulated power loss.
     pub const POWER_LOSS: u8 = 3;
+    /// The watchdog.
+    pub const WATCHDOG: u8 = 4;
     /// A panic.
     pub const PANIC: u8 = 101;
     /// A fault of the processor.
@@ -71,6 +75,9 @@ unsafe impl defmt::Logger for Logger {
 fn panic(info: &PanicInfo<'_>) -> ! {
     cortex_m::interrupt::disable();
     defmt::error!("{}", defmt::Display2Format(info));
+    let place = info.location();
+    let fault = place.map(|place| Fault::panic(place.file(), place.line()));
+    kept().start.record(&fault.unwrap_or_default());
     semihosting::exit(exit_code::PANIC)
 }
 
@@ -81,6 +88,8 @@ fn defmt_panic() -> ! {
 
 #[exception]
 unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
-    defmt::error!("hard fault at {=u32:#010x}", frame.pc());
+    let fault = wimu_cortex_m::fault_of(frame);
+    defmt::error!("{}", fault);
+    kept().start.record(&fault);
     semihosting::exit(exit_code::FAULT)
 }

@@ -9,14 +9,12 @@ mod data_ready;
 mod interrupts;
 mod lockstep;
 mod log;
-// As on the real boards.
-#[path = "../../shared/memory.rs"]
-mod memory;
 mod node;
 mod register;
 mod semihosting;
 mod store;
 mod uart;
+mod watchdog;
 
 use wimu_link::hello::{Capabilities, Part, sensor};
 use wimu_node::Lsm6dso;

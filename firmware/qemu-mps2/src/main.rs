@@ -4,7 +4,7 @@
 //! logs. The flash is the memory at 0x2100_0000, which QEMU keeps in a file. Command line: `free-running`, time
 //! from the machine's timers, or `lockstep`, time from the host that simulates the sensor;
 //! `power-loss=WORDS` ends the machine after as many written words of flash; `slow-flash=CYCLES` delays each
-//! written word.
+//! written word; `panic=MS`, `stuck=MS` and `overflow=MS` make the sensor's driver fail at a time.
 
 #![no_std]
 #![no_main]
@@ -15,14 +15,12 @@ mod data_ready;
 mod interrupts;
 mod lockstep;
 mod log;
-// As on the real boards.
-#[path = "../../shared/memory.rs"]
-mod memory;
 mod node;
 mod register;
 mod semihosting;
 mod store;
 mod uart;
+mod watchdog;
 
 use wimu_link::hello::{Capabilities, Part, sensor};
 use wimu_node::Lsm303agr;

@@ -1,61 +1,52 @@
 //! The node's tasks and `main`, for the sensor that the image's root names: `Sensor`, made by `sensor`, `PART`
 //! and `QUANTITIES`.
 
-use core::sync::atomic::{AtomicBool, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use cortex_m_rt::entry;
 use embassy_executor::raw::Executor;
-use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_sync::mutex::Mutex;
 use static_cell::StaticCell;
-use wimu_link::hello::{Capabilities, Part, ResetReason, board};
-use wimu_link::{Hello, LinkRole};
-use wimu_node::{
-    Board, Control, FlashStore, InertialSensor, LinkReader, LinkWriter, Sampler, Shared,
-};
+use wimu_cortex_m::stack;
+use wimu_embassy::{LIMITS_US, Start};
+use wimu_link::Hello;
+use wimu_link::hello::{Capabilities, Part, board};
+use wimu_node::{Board, FlashStore};
 
+use self::tasks::Shared;
 use crate::bridge::{Bridge, BridgeI2c};
 use crate::clock::BoardTimer;
 use crate::data_ready::DataReady;
 use crate::lockstep::Lockstep;
 use crate::store::{self, Flash};
 use crate::uart::{CABLE, LOG, Reader, SENSOR_BUS, WIRELESS, Writer};
-use crate::{PART, QUANTITIES, Sensor, clock, interrupts, log, semihosting, sensor};
+use crate::watchdog::FAILURES;
+use crate::{PART, QUANTITIES, Sensor, clock, interrupts, log, semihosting, sensor, watchdog};
 
-type M = NoopRawMutex;
-type Sample = <Sensor as InertialSensor>::Sample;
-type Node = wimu_node::Node<
-    'static,
-    Sensor,
-    BoardTimer,
-    FlashStore<Flash>,
-    Reader,
-    Writer,
-    Reader,
-    Writer,
-    M,
->;
+/// The tasks of the node.
+mod tasks {
+    use super::{BoardTimer, Flash, FlashStore, Reader, Sensor, Writer};
+    wimu_embassy::tasks! {
+        sensor: Sensor,
+        timer: BoardTimer,
+        store: FlashStore<Flash>,
+        links: (Reader, Writer),
+    }
+}
 
+/// Feeds the watchdog while the node works.
 #[embassy_executor::task]
-async fn sample(sampler: &'static mut Sampler<'static, Sensor, BoardTimer, M>) -> ! {
-    sampler.run().await
-}
-
-#[embassy_executor::task]
-async fn control(
-    control: &'static mut Control<'static, Sensor, BoardTimer, FlashStore<Flash>, M>,
-) -> ! {
-    control.run().await
-}
-
-#[embassy_executor::task(pool_size = 2)]
-async fn listen(reader: &'static mut LinkReader<'static, Reader, BoardTimer, M>) -> ! {
-    reader.run().await
-}
-
-#[embassy_executor::task(pool_size = 2)]
-async fn talk(writer: &'static mut LinkWriter<'static, Writer, M>) -> ! {
-    writer.run().await
+async fn supervise(shared: &'static Shared) -> ! {
+    let record = &watchdog::kept().start;
+    wimu_embassy::supervise(
+        LIMITS_US,
+        shared,
+        record,
+        BoardTimer,
+        stack::status,
+        watchdog::feed,
+    )
+    .await
 }
 
 /// Whether a task has been woken.
@@ -69,8 +60,8 @@ fn pend(_context: *mut ()) {
 #[entry]
 fn main() -> ! {
     static EXECUTOR: StaticCell<Executor> = StaticCell::new();
-    static SHARED: StaticCell<Shared<M, Sample>> = StaticCell::new();
-    static BRIDGE: StaticCell<Mutex<M, Bridge>> = StaticCell::new();
+    static SHARED: Shared = Shared::new();
+    static BRIDGE: StaticCell<Mutex<wimu_embassy::Mutex, Bridge>> = StaticCell::new();
 
     LOG.start_polled();
     let mut line = [0; 256];
@@ -78,7 +69,7 @@ fn main() -> ! {
     clock::start(lockstep);
     let bridge = &*BRIDGE.init(Mutex::new(Bridge::new(SENSOR_BUS.start())));
     let board = Board {
-        hello: hello(),
+        hello: hello(&watchdog::begin()),
         sensor: sensor(BridgeI2c(bridge), DataReady(bridge)),
         timer: BoardTimer,
         // SAFETY: nothing else uses the memory there.
@@ -88,18 +79,12 @@ fn main() -> ! {
         cable: CABLE.start(),
         wireless: WIRELESS.start(),
     };
-    static NODE: StaticCell<Node> = StaticCell::new();
-    let node = NODE.init_with(|| board.split(SHARED.init(Shared::new())));
-
+    let node = tasks::place(board, &SHARED);
     let executor: &'static Executor = EXECUTOR.init(Executor::new(core::ptr::null_mut()));
     let spawner = executor.spawner();
-    // No task is spawned more often than its pool allows.
-    spawner.spawn(sample(&mut node.sampler).unwrap());
-    spawner.spawn(control(&mut node.control).unwrap());
-    spawner.spawn(listen(&mut node.cable_reader).unwrap());
-    spawner.spawn(talk(&mut node.cable_writer).unwrap());
-    spawner.spawn(listen(&mut node.wireless_reader).unwrap());
-    spawner.spawn(talk(&mut node.wireless_writer).unwrap());
+    tasks::spawn(node, spawner.make_send(), spawner);
+    // Spawned once.
+    spawner.spawn(supervise(&SHARED).unwrap());
     // SAFETY: no critical section is under way.
     unsafe { interrupts::unmask() };
     defmt::info!("started, lockstep {}", lockstep);
@@ -109,6 +94,7 @@ fn main() -> ! {
         WOKEN.store(false, Ordering::Relaxed);
         // SAFETY: only called here.
         unsafe { executor.poll() };
+        watchdog::check();
         // Interrupts are disabled between the check and `wfi`; a pending one still ends `wfi`.
         let idle = cortex_m::interrupt::free(|_| {
             let idle = !WOKEN.load(Ordering::Relaxed);
@@ -139,10 +125,23 @@ fn options(line: &str) -> bool {
                 Ok(cycles) => store::slow_down(cycles),
                 Err(_) => unknown(word),
             },
+            (_, Some((failure, ms))) => match (failing(failure), ms.parse()) {
+                (Some(at), Ok(ms)) => at.store(ms, Ordering::Relaxed),
+                _ => unknown(word),
+            },
             _ => unknown(word),
         }
     }
     lockstep
+}
+
+fn failing(how: &str) -> Option<&'static AtomicU32> {
+    match how {
+        "panic" => Some(&FAILURES.panic),
+        "stuck" => Some(&FAILURES.stuck),
+        "overflow" => Some(&FAILURES.overflow),
+        _ => None,
+    }
 }
 
 fn unknown(option: &str) -> ! {
@@ -150,22 +149,15 @@ fn unknown(option: &str) -> ! {
     semihosting::exit(log::exit_code::USAGE)
 }
 
-fn hello() -> Hello {
-    let part = |text: &str| text.parse().unwrap_or(0);
-    Hello {
-        device_id: 0x5145_0386,
-        firmware: [
-            part(env!("CARGO_PKG_VERSION_MAJOR")),
-            part(env!("CARGO_PKG_VERSION_MINOR")),
-            part(env!("CARGO_PKG_VERSION_PATCH")),
-        ],
-        reset_reason: ResetReason::PowerOn,
-        capabilities: QUANTITIES
+fn hello(start: &Start) -> Hello {
+    wimu_embassy::hello(
+        0x5145_0386,
+        env!("CARGO_PKG_VERSION"),
+        start,
+        QUANTITIES
             .with(Capabilities::ACCELEROMETER)
             .with(Capabilities::STORE),
-        sensitivity_known: true,
-        board: Part::new(board::QEMU_MPS2, "QEMU mps2-an386"),
-        sensor: PART,
-        ..Hello::new(LinkRole::Cable)
-    }
+        Part::new(board::QEMU_MPS2, "QEMU mps2-an386"),
+        PART,
+    )
 }

@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use ihex::Record;
 use object::LittleEndian;
 use object::elf::{FileHeader32, PT_LOAD};
-use object::read::elf::{FileHeader, ProgramHeader};
+use object::read::elf::{ElfFile32, FileHeader, ProgramHeader};
+use object::{Object as _, ObjectSymbol as _};
 
 /// Where the files go.
 const FOLDER: &str = "target/firmware";
@@ -52,6 +53,8 @@ pub fn write(folder: &Path, elf: &Path, format: Format) -> Result<PathBuf, Strin
         |path: &Path, problem: &dyn std::fmt::Display| format!("{}: {problem}", path.display());
     let bytes = std::fs::read(elf).map_err(|problem| failed(elf, &problem))?;
     let segments = segments(&bytes).map_err(|problem| failed(elf, &problem))?;
+    let (start, image) = sealed(&bytes, &segments).map_err(|problem| failed(elf, &problem))?;
+    let segments = [(start, &image[..])];
     let content = match format {
         Format::Hex => hex(&segments)?.into_bytes(),
         Format::Uf2 => uf2(&segments),
@@ -83,6 +86,36 @@ fn segments(elf: &[u8]) -> Result<Vec<Segment<'_>>, String> {
     }
     segments.sort_by_key(|(address, _)| *address);
     Ok(segments)
+}
+
+/// The whole image from its lowest address on, and behind it the two words that `firmware/shared/src/image.rs` checks:
+/// "WIMU", and the CRC-32C from the reset vector on. Gaps are erased flash.
+fn sealed(elf: &[u8], segments: &[Segment<'_>]) -> Result<(u32, Vec<u8>), String> {
+    let file = ElfFile32::<LittleEndian>::parse(elf).map_err(|error| error.to_string())?;
+    let mut symbols = file.symbols();
+    let table = symbols.find(|symbol| symbol.name() == Ok("__vector_table"));
+    let table = table.ok_or("it has no vector table")?.address() as u32;
+    let start = segments.first().ok_or("it is empty")?.0;
+    let mut image = Vec::new();
+    for (address, data) in segments {
+        image.resize((address - start) as usize, 0xFF);
+        image.extend_from_slice(data);
+    }
+    image.resize(image.len().next_multiple_of(4), 0xFF);
+    let checked = table.checked_sub(start).map(|offset| offset as usize + 4);
+    let checked = checked.and_then(|from| image.get(from..));
+    let crc = crc_32c(checked.ok_or("its vector table is elsewhere")?);
+    image.extend_from_slice(b"WIMU");
+    image.extend_from_slice(&crc.to_le_bytes());
+    Ok((start, image))
+}
+
+fn crc_32c(bytes: &[u8]) -> u32 {
+    !bytes.iter().fold(u32::MAX, |crc, &byte| {
+        (0..8).fold(crc ^ u32::from(byte), |crc, _| {
+            crc >> 1 ^ if crc & 1 == 1 { 0x82F6_3B78 } else { 0 }
+        })
+    })
 }
 
 fn hex(segments: &[Segment<'_>]) -> Result<String, String> {
@@ -152,6 +185,12 @@ mod tests {
         for damaged in [&b""[..], b"\x7fELF\x01\x01", &[0; 64]] {
             assert!(segments(damaged).is_err());
         }
+    }
+
+    #[test]
+    fn the_check_value_of_the_crc_is_right() {
+        // Catalogue of parametrised CRC algorithms, CRC-32/ISCSI.
+        assert_eq!(crc_32c(b"123456789"), 0xE306_9283);
     }
 
     #[test]

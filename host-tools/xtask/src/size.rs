@@ -31,8 +31,8 @@ const MOST_AUTHENTICATION: u32 = 12 << 10;
 /// The most bytes of flash, and of RAM without the stack, that an image may take: a little more than it
 /// does, for another compiler's sake. Who makes it smaller lowers them.
 const MOST: [(&str, u32, u32); 2] = [
-    ("wimu-microbit-v2", 111 << 10, 21_700),
-    ("wimu-pico-adxl345", 109 << 10, 21_700),
+    ("wimu-microbit-v2", 113 << 10, 22_000),
+    ("wimu-pico-adxl345", 111 << 10, 22_000),
 ];
 /// The images of `firmware/calibration`: what is measured, and the most flash it may take, bytes.
 const CALIBRATION_TARGET: &str = "thumbv7em-none-eabihf";

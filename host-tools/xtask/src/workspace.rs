@@ -9,8 +9,8 @@ use crate::command_line::CommandLine;
 /// The packages of this repository.
 pub struct Workspace {
     pub packages: Vec<Package>,
-    /// The firmware packages' folders below the repository's root, each with a lock file, a target
-    /// and a profile of its own, by name.
+    /// The firmware packages' folders below the repository's root, the template of a port among them, each with a
+    /// lock file, a target and a profile of its own, by name.
     pub firmware: Vec<PathBuf>,
 }
 
@@ -48,7 +48,11 @@ impl Workspace {
         let packages: Result<_, String> = packages.iter().map(|p| Package::read(p, root)).collect();
         Ok(Self {
             packages: packages?,
-            firmware: firmware(Path::new("firmware"))?,
+            firmware: [
+                firmware(Path::new("firmware"))?,
+                firmware(Path::new("examples"))?,
+            ]
+            .concat(),
         })
     }
 
@@ -98,13 +102,13 @@ impl Target {
     }
 }
 
-/// The folders in `parent` that hold a package.
+/// The folders in `parent` that hold a package with a target of its own.
 fn firmware(parent: &Path) -> Result<Vec<PathBuf>, String> {
     let failed = |problem| format!("cannot list {}: {problem}", parent.display());
     let mut folders = Vec::new();
     for entry in std::fs::read_dir(parent).map_err(failed)? {
         let folder = entry.map_err(failed)?.path();
-        if folder.join("Cargo.toml").is_file() {
+        if folder.join(".cargo/config.toml").is_file() {
             folders.push(folder);
         }
     }

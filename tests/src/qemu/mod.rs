@@ -50,6 +50,8 @@ pub struct Machine {
     pub power_loss_after: Option<u32>,
     /// Extra processor cycles for each word of flash written.
     pub slow_flash: Option<u32>,
+    /// How its sensor's driver fails, such as `panic=1500` (at 1500 ms).
+    pub failure: Option<String>,
 }
 
 impl Machine {
@@ -72,6 +74,7 @@ impl Machine {
             log: None,
             power_loss_after: None,
             slow_flash: None,
+            failure: None,
         }
     }
 
@@ -115,6 +118,9 @@ impl Machine {
         }
         if let Some(cycles) = self.slow_flash {
             semihosting.push_str(&format!(",arg=slow-flash={cycles}"));
+        }
+        if let Some(failure) = &self.failure {
+            semihosting.push_str(&format!(",arg={failure}"));
         }
         command.args(["-semihosting-config", &semihosting]);
         for (name, device) in [
@@ -175,7 +181,7 @@ impl Process {
         Some(HostError::new(
             ErrorCode::LinkLost,
             format!("{QEMU} has ended ({status}): {message}"),
-            "exit code 3: requested power loss, 101: firmware panic, 102: processor fault; see its log",
+            "exit code 3: requested power loss, 4: watchdog, 101: firmware panic, 102: processor fault; see its log",
         ))
     }
 }

@@ -86,6 +86,41 @@ fn a_processor_that_hangs_is_started_anew_by_its_watchdog_which_the_hello_tells(
 
 #[test]
 #[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+fn three_starts_that_fail_lead_to_safe_mode_until_the_next_reset() {
+    let faults = [500, 1_500, 2_500].map(|at_ms| happens(at_ms, "fault"));
+    let [first, second, third] = faults;
+    let run = run(7.0, &[first, second, third, happens(6_000, "reset")]);
+    for role in ROLES {
+        let hellos = run.boots(role).iter().filter_map(|boot| boot.hello);
+        let hellos: Vec<_> = hellos.collect();
+        let modes: Vec<bool> = hellos.iter().map(|hello| hello.safe_mode).collect();
+        assert_eq!(modes, [false, false, false, true, false]);
+        assert_eq!(hellos[3].reset_reason, ResetReason::Fault);
+        assert!(hellos[3].fault.is_some());
+        let safe = &run.boots(role)[3];
+        assert!(safe.raw.len() > 150 && safe.corrected.is_empty());
+    }
+    assert_samples_again(&run, 40);
+}
+
+#[test]
+#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+fn an_image_that_differs_from_its_crc_starts_in_safe_mode() {
+    let run = run(5.0, &[happens(1_500, "damage"), happens(2_500, "reset")]);
+    for role in ROLES {
+        let hellos = run.boots(role).iter().filter_map(|boot| boot.hello);
+        let hellos: Vec<_> = hellos.collect();
+        assert_eq!((hellos[0].safe_mode, hellos[0].fault), (false, None));
+        assert!(hellos[1].safe_mode);
+        let fault = hellos[1].fault.expect("a fault").to_string();
+        assert!(fault.starts_with("image CRC at 0x"), "{fault}");
+        let raw = run.boots(role)[1].raw.len();
+        assert!(raw > 100, "{raw}");
+    }
+}
+
+#[test]
+#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
 fn starts_are_counted_in_the_flash_and_power_is_told_from_the_reset_button() {
     let run = run(
         4.0,

@@ -7,6 +7,7 @@
 #![cfg(unix)]
 
 mod comparison;
+mod failures;
 mod links;
 mod storage;
 

@@ -13,7 +13,10 @@ pub mod board {
     /// Raspberry Pi Pico with an ADXL345.
     pub const PICO_ADXL345: u16 = 3;
     /// QEMU's mps2-an386.
+    /// QEMU's mps2-an386.
     pub const QEMU_MPS2: u16 = 4;
+    /// STM32F411.
+    pub const STM32F411: u16 = 5;
 }
 
 /// Numbers of sensors in [`Hello::sensor`](super::Hello::sensor). Numbers are never reused; 0 is any other.
@@ -200,7 +203,8 @@ impl Name {
         Self::from_bytes(text.as_bytes())
     }
 
-    pub(super) const fn from_bytes(text: &[u8]) -> Self {
+    /// The first 15 of `text`; what is not printable ASCII becomes `?`.
+    pub const fn from_bytes(text: &[u8]) -> Self {
         let mut bytes = [0; NAME_LENGTH];
         let mut rest = text;
         let mut length = 0;

@@ -19,7 +19,7 @@
 //! | 28 | 8 | uptime, µs |
 //! | 36 | 2, 2, 2 | firmware version: major, minor, patch |
 //! | 42 | 1 | why the device last started: [`ResetReason`] |
-//! | 43 | 1 | flags: bit 0, the sensor's nominal sensitivity is known; the others 0 |
+//! | 43 | 1 | flags: bit 0, the sensor's nominal sensitivity is known; bit 1, safe mode; the others 0 |
 //! | 44 | 2 | board, a number of [`board`] |
 //! | 46 | 2 | sensor, a number of [`sensor`] |
 //! | 48 | 1, 15 | length of the board's name, the name in ASCII |
@@ -51,6 +51,7 @@ const MAGIC: [u8; 4] = *b"WIMU";
 const HELLO_LENGTH: usize = 80;
 const WHO_LENGTH: usize = 6;
 const SENSITIVITY_KNOWN: u8 = 1;
+const SAFE_MODE: u8 = 1 << 1;
 const FAULT: u8 = 1;
 
 /// Identity, capabilities and state of a device. Sent at start and on request.
@@ -103,6 +104,8 @@ pub struct Hello {
     pub fault: Option<Fault>,
     /// Whether the sensor's nominal sensitivity is known; false for a replayed recording.
     pub sensitivity_known: bool,
+    /// Safe mode: its last starts have failed, and it uses neither stored parameters nor stored settings.
+    pub safe_mode: bool,
     /// Its board.
     pub board: Part,
     /// Its accelerometer.
@@ -125,6 +128,7 @@ impl Hello {
             reset_reason: ResetReason::Unknown,
             fault: None,
             sensitivity_known: false,
+            safe_mode: false,
             board: Part::new(0, ""),
             sensor: Part::new(0, ""),
         }
@@ -136,11 +140,9 @@ impl Hello {
     /// [`EncodeError::NoRoom`] when the frame does not fit.
     pub fn encode(&self, frame: &mut [u8]) -> Result<usize, EncodeError> {
         let [major, minor, patch] = self.firmware.map(u16::to_le_bytes);
-        let flags = if self.sensitivity_known {
-            SENSITIVITY_KNOWN
-        } else {
-            0
-        };
+        let flag = |on, flag| if on { flag } else { 0 };
+        let flags =
+            flag(self.sensitivity_known, SENSITIVITY_KNOWN) | flag(self.safe_mode, SAFE_MODE);
         // The pieces have the sizes of the table above.
         frame::build(Kind::Hello, frame, &mut |body| {
             body.push(&MAGIC)?;
@@ -227,6 +229,7 @@ impl Hello {
                 })
             }),
             sensitivity_known: flags & SENSITIVITY_KNOWN != 0,
+            safe_mode: flags & SAFE_MODE != 0,
             board,
             sensor,
         })

@@ -45,7 +45,7 @@ pub use state::{
 };
 pub use telemetry::{
     ActiveParameters, Attitude, BusFault, Environment, Event, LinkStatus, Navigation, Record,
-    SensorStatus, Status, Telemetry,
+    SensorStatus, StackStatus, Status, Telemetry,
 };
 
 macro_rules! framed {

@@ -2,6 +2,8 @@
 
 use core::fmt;
 
+use serde::de::{Deserializer, Error as _, SeqAccess, Visitor};
+use serde::ser::{SerializeTuple as _, Serializer};
 use serde::{Deserialize, Serialize};
 
 use super::MessageError;
@@ -197,7 +199,7 @@ pub struct ActiveParameters<P = WireParameters> {
 }
 
 /// Status of a device. Counts begin at its start and wrap.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Status {
     /// Time since start, µs.
@@ -213,6 +215,79 @@ pub struct Status {
     /// Jitter of the data-ready times, ns: running mean of the deviation of their intervals from the measured
     /// period (equation (95)); `None` until it is known.
     pub jitter_ns: Option<u32>,
+    /// The stack; `None` on a board that does not measure it. The last field on the wire, absent if `None`.
+    pub stack: Option<StackStatus>,
+}
+
+/// The fields of a status before the stack.
+type StatusFields = (
+    u64,
+    Option<LinkStatus>,
+    Option<LinkStatus>,
+    SensorStatus,
+    Option<u32>,
+    Option<u32>,
+);
+
+impl Serialize for Status {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let fields: StatusFields = (
+            self.uptime_us,
+            self.cable,
+            self.wireless,
+            self.sensor,
+            self.measured_period_ns,
+            self.jitter_ns,
+        );
+        let mut tuple = serializer.serialize_tuple(2)?;
+        tuple.serialize_element(&fields)?;
+        if self.stack.is_some() {
+            tuple.serialize_element(&self.stack)?;
+        }
+        tuple.end()
+    }
+}
+
+impl<'de> Deserialize<'de> for Status {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Fields;
+
+        impl<'de> Visitor<'de> for Fields {
+            type Value = Status;
+
+            fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+                out.write_str("a status")
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut fields: A) -> Result<Status, A::Error> {
+                let first: Option<StatusFields> = fields.next_element()?;
+                let missing = || A::Error::missing_field("status");
+                let (uptime_us, cable, wireless, sensor, measured_period_ns, jitter_ns) =
+                    first.ok_or_else(missing)?;
+                Ok(Status {
+                    uptime_us,
+                    cable,
+                    wireless,
+                    sensor,
+                    measured_period_ns,
+                    jitter_ns,
+                    // Earlier devices end before it.
+                    stack: fields.next_element().ok().flatten().flatten(),
+                })
+            }
+        }
+        deserializer.deserialize_tuple(2, Fields)
+    }
+}
+
+/// Use of a device's stack, bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct StackStatus {
+    /// Size.
+    pub size: u32,
+    /// The most that has been in use since the start.
+    pub used: u32,
 }
 
 /// Status of a link.

@@ -14,7 +14,7 @@ use wimu_model::{CentiCelsius, DeviceTimeUs, ParameterId};
 
 use crate::sensor::{InertialSensor, Plan};
 use crate::shared::{
-    ALL, Common, Message, Order, Orders, PersistentFault, ROLES, RateOrder, Staged,
+    ALL, Common, Message, Order, Orders, PersistentFault, ROLES, RateOrder, Staged, Worker,
 };
 use crate::slot::put;
 use crate::store::{Key, MAX_RECORD, Records, Store, StoreFault};
@@ -57,6 +57,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         let mut plan = self.start().await;
         let mut next_status = self.timer.now();
         loop {
+            self.shared.progressed(Worker::Control);
             let event = select(
                 select4(
                     self.shared.requests.receive(),

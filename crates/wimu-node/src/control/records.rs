@@ -39,8 +39,13 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                 KeyState::Unreadable
             }
         };
-        let loaded = self.load(Key::Settings).await;
-        let wanted = match loaded.map(|place| place.map(|at| Record::decode(self.content(&at)))) {
+        let is_safe_mode = self.shared.is_safe_mode();
+        let loaded = match is_safe_mode {
+            true => Ok(None),
+            false => self.load(Key::Settings).await,
+        };
+        let mut wanted = match loaded.map(|place| place.map(|at| Record::decode(self.content(&at))))
+        {
             Ok(Some(Ok(Record::Settings(settings)))) => settings,
             // Nothing is stored: the sensor's settings nearest to the default ones are its default.
             Ok(None) => plan::nearest(&self.planner, &Settings::default())
@@ -50,6 +55,11 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                 Settings::default()
             }
         };
+        if is_safe_mode {
+            for streams in [&mut wanted.cable, &mut wanted.wireless] {
+                (streams.corrected, streams.navigation) = (false, false);
+            }
+        }
         let plan = match plan::for_settings(&self.planner, &wanted) {
             Ok(plan) => Some(plan),
             Err(nearest) => {
@@ -92,9 +102,12 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
     }
 
     /// Loads the set committed for a range; returns its position in `record`. A set that cannot be read or
-    /// used is reported.
+    /// used is reported. None in safe mode.
     #[cfg(feature = "correction")]
     pub(super) async fn load_parameters(&mut self, range_g: u8) -> Option<Range<usize>> {
+        if self.shared.is_safe_mode() {
+            return None;
+        }
         let loaded = self.load(Key::Parameters { range_g }).await;
         let place = match loaded {
             Ok(place) => place,

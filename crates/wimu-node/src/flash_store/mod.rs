@@ -31,7 +31,8 @@ const REMOVAL_DIRECTORIES: usize = 2;
 ///
 /// Four pages of 4 KiB hold what a node keeps: complete parameter sets for four
 /// ranges, settings, key, boot count. Two hold complete sets for two ranges, or shorter ones for four.
-/// With more pages each is erased less often.
+/// With more pages each is erased less often. All pages have one size; of a flash with unequal sectors, `F` is a driver of
+/// those of one size.
 #[derive(Clone, Debug)]
 pub struct FlashLayout<F> {
     range: Range<u32>,

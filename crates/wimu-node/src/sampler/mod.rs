@@ -19,6 +19,7 @@ use crate::sample::sealed::Process as _;
 use crate::sensor::{Batch, InertialSensor, Plan, SensorFault, SensorPlan, Surroundings};
 use crate::shared::{
     ALL, Common, Correction, Message, NONE, Order, Orders, PersistentFault, ROLES, Roles, Shared,
+    Worker,
 };
 use crate::timer::Timer;
 
@@ -101,6 +102,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         };
         let mut samples = [A::Sample::default(); MAX_READ];
         loop {
+            self.shared.progressed(Worker::Sampler);
             if self.orders.given.try_take().is_some() {
                 match self.orders.plan() {
                     Some(plan) => {

@@ -5,6 +5,7 @@ mod parameters;
 mod sending;
 
 use core::cell::{Cell, RefCell};
+use core::sync::atomic::{AtomicU32, Ordering};
 
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::RawMutex;
@@ -13,7 +14,8 @@ use embassy_sync::mutex::{MappedMutexGuard, Mutex as AsyncMutex, MutexGuard};
 use embassy_sync::signal::Signal;
 use wimu_link::auth::Lock;
 use wimu_link::message::{
-    Command, EncodedParameters, Event, ParametersPiece, Refusal, SensorStatus, Settings, Telemetry,
+    Command, EncodedParameters, Event, ParametersPiece, Refusal, SensorStatus, Settings,
+    StackStatus, Telemetry,
 };
 use wimu_link::{Hello, LinkRole, Responder};
 use wimu_model::{CentiCelsius, Counts, DeviceTimeUs, ParameterId};
@@ -84,6 +86,27 @@ impl<M: RawMutex, S: RawSample> Shared<M, S> {
     pub fn health(&self) -> Health {
         self.common.health()
     }
+
+    /// How often each task has gone around its loop, modulo 2³²: the sampler, the control task, the writer of the cable,
+    /// the writer of the wireless link. A working sampler goes around within four sample periods, restarts of a failed
+    /// sensor aside; the others within 5 s, changes of the store and frames longer than that aside. A link that this build
+    /// does not have counts as the control task does.
+    pub fn progress(&self) -> [u32; 4] {
+        let progress = self.common.progress.each_ref();
+        let mut progress = progress.map(|turns| turns.load(Ordering::Relaxed));
+        for (link, role) in [(2, LinkRole::Cable), (3, LinkRole::Wireless)] {
+            if !runs(role) {
+                progress[link] = progress[1];
+            }
+        }
+        progress
+    }
+
+    /// Reports the use of the stack in the next status.
+    pub fn report_stack(&self, stack: StackStatus) {
+        self.common
+            .publish(|published| published.stack = Some(stack));
+    }
 }
 
 impl<M: RawMutex, S: RawSample> Default for Shared<M, S> {
@@ -92,8 +115,18 @@ impl<M: RawMutex, S: RawSample> Default for Shared<M, S> {
     }
 }
 
+/// A task that counts its turns.
+#[derive(Clone, Copy)]
+pub(crate) enum Worker {
+    Sampler,
+    Control,
+    Writer(LinkRole),
+}
+
 /// Memory of all tasks, whatever the sensor.
 pub(crate) struct Common<M: RawMutex> {
+    /// In the order of [`Shared::progress`].
+    progress: [AtomicU32; 4],
     links: Roles<LinkShared<M>>,
     pub(crate) configured: Signal<M, Result<(), SensorFault>>,
     pub(crate) temperature: Signal<M, CentiCelsius>,
@@ -228,6 +261,7 @@ pub(crate) struct Published {
     pub(crate) sensor: SensorStatus,
     pub(crate) measured_period_ns: Option<u32>,
     pub(crate) jitter_ns: Option<u32>,
+    stack: Option<StackStatus>,
     /// Present faults by [`PersistentFault`], and when each began.
     faults: [Option<(DeviceTimeUs, Event)>; PersistentFault::COUNT],
     /// Whether the store has been read; before that nothing is sent.
@@ -244,6 +278,7 @@ impl Published {
             sensor: SensorStatus::default(),
             measured_period_ns: None,
             jitter_ns: None,
+            stack: None,
             faults: [None; PersistentFault::COUNT],
             ready: false,
         }
@@ -253,6 +288,7 @@ impl Published {
 impl<M: RawMutex> Common<M> {
     const fn new() -> Self {
         Self {
+            progress: [const { AtomicU32::new(0) }; 4],
             links: [const { LinkShared::new() }; _],
             configured: Signal::new(),
             temperature: Signal::new(),
@@ -271,6 +307,20 @@ impl<M: RawMutex> Common<M> {
             ([cable, ..], LinkRole::Cable) => cable,
             ([.., last], _) => last,
         }
+    }
+
+    /// Notes that a task has gone around its loop.
+    pub(crate) fn progressed(&self, worker: Worker) {
+        let [sampler, control, cable, wireless] = &self.progress;
+        let turns = match worker {
+            Worker::Sampler => sampler,
+            Worker::Control => control,
+            Worker::Writer(LinkRole::Cable) => cable,
+            Worker::Writer(_) => wireless,
+        };
+        // Only the task itself writes it; a Cortex-M0+ has no atomic addition.
+        let next = turns.load(Ordering::Relaxed).wrapping_add(1);
+        turns.store(next, Ordering::Relaxed);
     }
 
     pub(crate) fn has_rate(&self, role: LinkRole, nearest: NearestRate) {
@@ -295,6 +345,11 @@ impl<M: RawMutex> Common<M> {
 
     pub(crate) fn published(&self) -> Published {
         self.with_published(|published| *published)
+    }
+
+    /// Whether stored parameters and settings are not to be used.
+    pub(crate) fn is_safe_mode(&self) -> bool {
+        self.with_published(|published| published.hello.safe_mode)
     }
 
     /// The id of the parameters in use.

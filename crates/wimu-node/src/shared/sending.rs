@@ -139,6 +139,7 @@ impl<M: RawMutex> Common<M> {
             sensor: published.sensor,
             measured_period_ns: published.measured_period_ns,
             jitter_ns: published.jitter_ns,
+            stack: published.stack,
         }
     }
 

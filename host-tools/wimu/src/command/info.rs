@@ -112,6 +112,9 @@ pub struct Sampling {
     missed: u32,
     overruns: u32,
     bus_errors: u32,
+    /// Bytes of the device's stack: size, and most used since its start.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    stack_bytes: Option<[u32; 2]>,
 }
 
 impl From<&Status> for Sampling {
@@ -129,6 +132,7 @@ impl From<&Status> for Sampling {
             missed,
             overruns,
             bus_errors,
+            stack_bytes: status.stack.map(|stack| [stack.size, stack.used]),
         }
     }
 }
@@ -145,9 +149,15 @@ impl Sampling {
         if let Some(jitter) = self.jitter_us {
             text += &format!(", jitter {jitter:.1} µs");
         }
+        if let Some([size, used]) = self.stack_bytes {
+            text += &format!("; stack: at most {used} of {size} bytes used");
+        }
         text
     }
 }
+
+/// What safe mode means, after the cause of the start.
+pub const SAFE_MODE: &str = "; safe mode after three failed starts: stored parameters and settings are not used until the next reset";
 
 #[derive(Serialize)]
 struct Device {
@@ -158,6 +168,8 @@ struct Device {
     boot_count: u32,
     reset_reason: String,
     fault: Option<String>,
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    safe_mode: bool,
     write_access: String,
     parameter_id: String,
 }
@@ -173,6 +185,7 @@ impl From<&Hello> for Device {
             boot_count: hello.boot_count,
             reset_reason: hello.reset_reason.to_string(),
             fault: hello.fault.map(|fault| fault.to_string()),
+            safe_mode: hello.safe_mode,
             write_access: hello.access.to_string(),
             parameter_id: hello.parameter_id.to_string(),
         }
@@ -182,7 +195,7 @@ impl From<&Hello> for Device {
 impl Device {
     fn text(&self) -> String {
         format!(
-            "{} with {}, device {}, firmware {}, start {} ({}{}), parameters {}, write access: {}",
+            "{} with {}, device {}, firmware {}, start {} ({}{}{}), parameters {}, write access: {}",
             self.board,
             self.sensor,
             self.device_id,
@@ -192,6 +205,7 @@ impl Device {
             self.fault
                 .as_ref()
                 .map_or(String::new(), |fault| format!(": {fault}")),
+            if self.safe_mode { SAFE_MODE } else { "" },
             self.parameter_id,
             access_text(&self.write_access)
         )

@@ -12,7 +12,7 @@ use wimu_link::message::Status;
 use wimu_model::ParameterId;
 
 use crate::arguments::Monitor;
-use crate::command::info::Sampling;
+use crate::command::info::{SAFE_MODE, Sampling};
 use crate::command::record::left_out_text;
 use crate::command::{connect, listen_until};
 use crate::output::{Output, usage};
@@ -235,10 +235,14 @@ fn recorded(path: &std::path::Path, rate: Option<f64>, output: Output) -> Result
 
 /// Cause of the last start.
 fn cause(hello: &Hello) -> String {
-    match hello.fault {
-        Some(fault) => format!("{}, {fault}", hello.reset_reason),
-        None => hello.reset_reason.to_string(),
+    let mut cause = hello.reset_reason.to_string();
+    if let Some(fault) = hello.fault {
+        cause += &format!(", {fault}");
     }
+    if hello.safe_mode {
+        cause += SAFE_MODE;
+    }
+    cause
 }
 
 /// Prints readings and device events.

@@ -1,0 +1,135 @@
+//! The node's tasks.
+
+/// Defines the tasks of a node with the board's types, because a task of embassy cannot be generic.
+///
+/// | argument | type |
+/// |---|---|
+/// | `sensor` | the [`InertialSensor`](wimu_node::InertialSensor) |
+/// | `timer` | the [`Timer`](wimu_node::Timer) |
+/// | `store` | the [`Store`](wimu_node::Store) |
+/// | `links` | the receiving and the sending half of a link: both links have the same types |
+/// | `rate` | the [`LineRate`](wimu_node::LineRate) of a link; may be left out |
+///
+/// Expands to
+/// - `Shared` and `Node`, the types of the node,
+/// - `place(board, &'static Shared) -> &'static mut Node`, which builds the node in a `static`,
+/// - `spawn(node, above: SendSpawner, others: Spawner)`, which spawns the tasks, the sampler with `above`,
+/// - with `rate`, `spawn_keepers([cable, wireless], baud, timer, &'static Shared, others: Spawner)`, to be called
+///   before `spawn`; `baud` is the rate at which the lines are open, bits/s.
+///
+/// Each function may be called once; a second call panics. The board depends on `static_cell`.
+#[macro_export]
+macro_rules! tasks {
+    (
+        sensor: $sensor:ty,
+        timer: $timer:ty,
+        store: $store:ty,
+        links: ($reader:ty, $writer:ty),
+        $(rate: $rate:ty,)?
+    ) => {
+        /// Memory of the node's tasks.
+        pub type Shared = $crate::wimu_node::Shared<
+            $crate::Mutex,
+            <$sensor as $crate::wimu_node::InertialSensor>::Sample,
+        >;
+        /// The board's node.
+        pub type Node = $crate::wimu_node::Node<
+            'static, $sensor, $timer, $store, $reader, $writer, $reader, $writer, $crate::Mutex,
+        >;
+
+        /// Builds the node of a board in a `static`.
+        pub fn place(
+            board: $crate::wimu_node::Board<
+                $sensor, $timer, $store, $reader, $writer, $reader, $writer,
+            >,
+            shared: &'static Shared,
+        ) -> &'static mut Node {
+            static NODE: ::static_cell::StaticCell<Node> = ::static_cell::StaticCell::new();
+            NODE.init_with(|| board.split(shared))
+        }
+
+        /// Spawns the node's tasks, the sampler with `above`.
+        pub fn spawn(
+            node: &'static mut Node,
+            above: $crate::embassy_executor::SendSpawner,
+            others: $crate::embassy_executor::Spawner,
+        ) {
+            // No task is spawned more often than its pool allows.
+            above.spawn(sample(&mut node.sampler).unwrap());
+            others.spawn(control(&mut node.control).unwrap());
+            others.spawn(listen(&mut node.cable_reader).unwrap());
+            others.spawn(talk(&mut node.cable_writer).unwrap());
+            if $crate::wimu_node::LINKS > 1 {
+                others.spawn(listen(&mut node.wireless_reader).unwrap());
+                others.spawn(talk(&mut node.wireless_writer).unwrap());
+            }
+        }
+
+        #[$crate::embassy_executor::task(embassy_executor = $crate::embassy_executor)]
+        async fn sample(
+            sampler: &'static mut $crate::wimu_node::Sampler<
+                'static, $sensor, $timer, $crate::Mutex,
+            >,
+        ) -> ! {
+            sampler.run().await
+        }
+
+        #[$crate::embassy_executor::task(embassy_executor = $crate::embassy_executor)]
+        async fn control(
+            control: &'static mut $crate::wimu_node::Control<
+                'static, $sensor, $timer, $store, $crate::Mutex,
+            >,
+        ) -> ! {
+            control.run().await
+        }
+
+        #[$crate::embassy_executor::task(pool_size = $crate::wimu_node::LINKS, embassy_executor = $crate::embassy_executor)]
+        async fn listen(
+            reader: &'static mut $crate::wimu_node::LinkReader<
+                'static, $reader, $timer, $crate::Mutex,
+            >,
+        ) -> ! {
+            reader.run().await
+        }
+
+        #[$crate::embassy_executor::task(pool_size = $crate::wimu_node::LINKS, embassy_executor = $crate::embassy_executor)]
+        async fn talk(
+            writer: &'static mut $crate::wimu_node::LinkWriter<'static, $writer, $crate::Mutex>,
+        ) -> ! {
+            writer.run().await
+        }
+
+        $($crate::keeper_tasks!($rate, $timer);)?
+    };
+}
+
+/// The part of [`tasks!`] for lines with an adjustable rate.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! keeper_tasks {
+    ($rate:ty, $timer:ty) => {
+        /// Spawns the tasks that set the rates of the lines.
+        pub fn spawn_keepers(
+            [cable, wireless]: [$rate; 2],
+            baud: u32,
+            timer: $timer,
+            shared: &'static Shared,
+            others: $crate::embassy_executor::Spawner,
+        ) {
+            use $crate::wimu_node::RateKeeper;
+            use $crate::wimu_link::LinkRole::{Cable, Wireless};
+            let lines = [(Cable, cable), (Wireless, wireless)];
+            for (role, line) in lines.into_iter().take($crate::wimu_node::LINKS) {
+                let keeper = RateKeeper::new(role, line, baud, timer.clone(), shared);
+                others.spawn(keep(keeper).unwrap());
+            }
+        }
+
+        #[$crate::embassy_executor::task(pool_size = $crate::wimu_node::LINKS, embassy_executor = $crate::embassy_executor)]
+        async fn keep(
+            mut keeper: $crate::wimu_node::RateKeeper<'static, $rate, $timer, $crate::Mutex>,
+        ) -> ! {
+            keeper.run().await
+        }
+    };
+}

@@ -175,13 +175,36 @@ fn an_anchor_that_was_moved_is_named() {
 }
 
 #[test]
-fn more_anchors_than_the_filter_holds_are_refused() {
-    let (_, motion, mut ranges) = walked(6, 0.0);
-    let one = ranges.recording.anchors[0].clone();
-    ranges.recording.anchors.extend((0..8).map(|_| one.clone()));
+fn anchors_without_heights_are_in_the_plane_of_the_unit() {
+    let (strides, motion, _) = walked(7, 0.1);
+    let level = HALL_M.map(|[e, n, _]| [e, n, 0.0]);
+    let at = |t: f64| strides.pose(t).position_m;
+    let mut ranges = RangeWalk::along(7, &level, strides.duration(), 0.1, at);
+    ranges.recording.planar = true;
     let mut live = live(&ranges.recording, Profile::Foot);
-    let mut pairs = motion.times_s.iter().zip(&motion.samples);
-    let refused = pairs.find_map(|(time_s, sample)| live.push(*time_s, *sample).err());
-    let text = refused.unwrap().to_string();
+    let points = streamed(&mut live, &motion, &ranges.recording.ranges, |_| 0.0);
+    let (found, valid) = error_m(&strides, &points, 8.0);
+    println!("{found} {valid}");
+    assert!(found < 0.4 && valid > 0.9, "{found} {valid}");
+}
+
+#[test]
+fn a_unit_without_a_gyroscope_and_too_many_anchors_are_refused() {
+    let (_, mut motion, mut ranges) = walked(6, 0.0);
+    let refused = |ranges: &RangeRecording, motion: &MotionRecording| {
+        let mut live = live(ranges, Profile::Hand);
+        let mut pairs = motion.times_s.iter().zip(&motion.samples);
+        let refused = pairs.find_map(|(time_s, sample)| live.push(*time_s, *sample).err());
+        refused.unwrap().to_string()
+    };
+    let one = ranges.recording.anchors[0].clone();
+    let add = std::iter::repeat_n(one, 8);
+    ranges.recording.anchors.extend(add);
+    let text = refused(&ranges.recording, &motion);
     assert!(text.contains("at most 12 anchors"), "{text}");
+    for sample in &mut motion.samples {
+        sample.rate_rad_s = None;
+    }
+    let text = refused(&ranges.recording, &motion);
+    assert!(text.contains("needs a gyroscope"), "{text}");
 }

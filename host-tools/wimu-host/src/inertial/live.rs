@@ -245,8 +245,7 @@ impl Live {
         let path: Box<dyn Follow + Send> = match (method, ranges) {
             (Method::Strapdown, false) => unit.begin::<Gyroscope<f64>, 40>(choice, method)?,
             (Method::Strapdown, true) => unit.begin::<Gyroscope<f64>, 64>(choice, method)?,
-            (_, false) => unit.begin::<NoGyroscope<f64>, 24>(choice, method)?,
-            (_, true) => unit.begin::<NoGyroscope<f64>, 48>(choice, method)?,
+            _ => unit.begin::<NoGyroscope<f64>, 24>(choice, method)?,
         };
         self.begun = Some(Begun {
             method,

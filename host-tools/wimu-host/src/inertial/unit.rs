@@ -91,13 +91,23 @@ impl Unit<'_> {
     /// Whether the sensors are those that the choice needs.
     ///
     /// # Errors
-    /// `data_refused`: a foot without a gyroscope.
+    /// `data_refused`: a foot, or ranges, without a gyroscope.
     pub fn accepts(&self, choice: &Choice, method: Method) -> Result<()> {
-        if choice.profile == Profile::Foot && method != Method::Strapdown {
-            let remedy = "record the angular rate, or use another profile";
-            return Err(ErrorCode::DataRefused
-                .error("--profile foot needs a gyroscope", remedy)
-                .at(self.name));
+        let needed = match choice.profile {
+            Profile::Foot => Some("--profile foot"),
+            _ => choice
+                .fixes
+                .ranging
+                .as_ref()
+                .map(|_| "--ranges beside a board"),
+        };
+        if let (Some(what), true) = (needed, method != Method::Strapdown) {
+            let message = format!("{what} needs a gyroscope");
+            let remedy = match choice.profile {
+                Profile::Foot => "record the angular rate, or use another profile",
+                _ => "navigate the ranges alone: `wimu navigate RANGES.csv --anchors ANCHORS.csv`",
+            };
+            return Err(ErrorCode::DataRefused.error(message, remedy).at(self.name));
         }
         Ok(())
     }

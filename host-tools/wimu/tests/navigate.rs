@@ -326,6 +326,12 @@ fn a_boards_recording_is_navigated() {
     assert!(fs::read_to_string(&page).unwrap().contains("<svg"));
     let limits = wimu(&["navigate", &session, "--limit", "0.3", "--zupt", "off"]).succeeds();
     assert_eq!(number(&limits, "/path/horizon/limit_m"), 0.3);
+    // A path in ROS messages has no inertial data.
+    let bag = folder.path().join("path.mcap").display().to_string();
+    wimu(&["navigate", &session, "-o", &bag]).succeeds();
+    let tracks = &wimu(&["info", &bag]).succeeds()["tracks"];
+    assert_eq!(tracks[0]["quantity"], "position", "{tracks}");
+    wimu(&["calibrate", &bag]).fails(2, "no_rows");
     // A path holds no positions of boards on their body.
     wimu(&["navigate", &session, "--geometry", &out]).fails(2, "csv_missing_column");
 }

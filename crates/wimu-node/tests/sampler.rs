@@ -87,13 +87,11 @@ impl ErrorType for Line {
 
 impl Read for Line {
     async fn read(&mut self, bytes: &mut [u8]) -> Result<usize, Infallible> {
-        let mut held = self.0.borrow_mut();
-        let count = bytes.len().min(held.len());
+        let count = bytes.len().min(self.0.borrow().len());
         if count == 0 {
-            drop(held);
             return pending().await;
         }
-        for (place, byte) in bytes.iter_mut().zip(held.drain(..count)) {
+        for (place, byte) in bytes.iter_mut().zip(self.0.borrow_mut().drain(..count)) {
             *place = byte;
         }
         Ok(count)

@@ -42,19 +42,19 @@ const PROFILES: [Profile; 3] = [
     Profile {
         name: "stream",
         features: "",
-        flash: kib(48, 54_400),
+        flash: kib(48, 53_400),
         ram: kib(8, 8_192),
     },
     Profile {
         name: "navigate",
         features: "navigate",
-        flash: kib(64, 95_300),
+        flash: kib(64, 94_200),
         ram: kib(12, 15_600),
     },
     Profile {
         name: "full",
         features: "full",
-        flash: kib(80, 113_000),
+        flash: kib(80, 111_800),
         ram: kib(16, 20_700),
     },
 ];

@@ -227,9 +227,9 @@ fn has_log_feature(folder: &Path) -> bool {
     manifest.lines().any(|line| line.starts_with("defmt = ["))
 }
 
-/// Whether the boards' source is formatted.
+/// Whether the source of the boards, and of the packages that they share, is formatted.
 pub fn format(workspace: &Workspace) -> Vec<CommandLine> {
-    let check = CommandLine::new("cargo fmt --check");
+    let check = CommandLine::new("cargo fmt --all --check");
     let folders = workspace.firmware.iter();
     folders.map(|folder| check.clone().inside(folder)).collect()
 }

@@ -76,7 +76,7 @@ pub const TEST: Lane = Lane {
             run: |workspace| {
                 formatted()?;
                 all(firmware::format(workspace))
-                    .map_err(|problem| format!("{problem}; `cargo fmt` there formats it"))
+                    .map_err(|problem| format!("{problem}; `cargo fmt --all` there formats it"))
             },
         },
         Step {

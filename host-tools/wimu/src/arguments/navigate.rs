@@ -36,7 +36,8 @@ Examples:
   wimu navigate a.mcap b.mcap c.mcap d.mcap --geometry boards.json
   wimu navigate ranges.csv --anchors anchors.csv -o path.csv
   wimu navigate ranges.csv --anchors anchors.csv --odometry wheels.csv
-  wimu navigate imu.csv --ranges ranges.csv --anchors anchors.csv")]
+  wimu navigate imu.csv --ranges ranges.csv --anchors anchors.csv
+  wimu navigate thigh.csv shank.csv --relative -o angle.csv")]
 pub struct Navigate {
     /// A LINK, or a recording of any format; of other programs: corrected samples, or with --calibration the sensor's
     /// output. With --anchors alone: ranges
@@ -47,8 +48,9 @@ pub struct Navigate {
     /// Positions a second that are computed while a board sends [default: 10]
     #[arg(long, value_name = "HZ", value_parser = from_to(0.01, 1000.0), help_heading = "Output")]
     pub rate: Option<f64>,
-    /// With --geometry: recordings of further boards on the same body, in the order of the geometry
-    #[arg(value_name = "BOARD", requires = "geometry")]
+    /// With --geometry: recordings of further boards on the same body, in the order of the geometry. With --relative: that
+    /// of the second unit
+    #[arg(value_name = "BOARD", requires = "several")]
     pub boards: Vec<PathBuf>,
 
     #[command(flatten)]
@@ -155,7 +157,12 @@ pub struct Navigate {
     pub smooth: Smoothing,
 
     /// Positions of the accelerometers of an array: a file or a preset, see GEOMETRY below
-    #[arg(long, value_name = "GEOMETRY", help_heading = "Arrays")]
+    #[arg(
+        long,
+        value_name = "GEOMETRY",
+        group = "several",
+        help_heading = "Arrays"
+    )]
     pub geometry: Option<PathBuf>,
     /// Estimate the positions of all axes and the delays of all sensors. Use them and write them to this file if they
     /// predict other parts of the recording better than --geometry does
@@ -172,6 +179,30 @@ pub struct Navigate {
     /// Standard deviation of the sensors' delays, µs [default: that of the geometry file, or 300]
     #[arg(long, value_name = "US", value_parser = positive, requires = "geometry", help_heading = "Arrays")]
     pub delay_sd: Option<f64>,
+
+    /// Angle and rotation between two units on two bodies that a joint connects: INPUT and BOARD. Two calibrations are those
+    /// of both, in this order
+    #[arg(
+        long,
+        group = "several",
+        requires = "boards",
+        conflicts_with_all = ["geometry", "anchors", "fixes", "zupt", "within", "rests", "start", "closes"],
+        help_heading = "Two units"
+    )]
+    pub relative: bool,
+    /// Axis of the hinge, in the axes of both units [default: found from the motion]
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        value_parser = numbers::<3>,
+        allow_hyphen_values = true,
+        requires = "relative",
+        help_heading = "Two units"
+    )]
+    pub hinge: Option<[f64; 3]>,
+    /// Use the magnetometers of both units: calibrated, and away from iron
+    #[arg(long, requires = "relative", help_heading = "Two units")]
+    pub magnetometers: bool,
 
     /// Positions of the anchors of ranges: CSV with columns `Anchor`, `Position E (m)`, `Position N (m)` and, in space,
     /// `Position U (m)`. Ranges are INPUT, or --ranges beside an inertial recording

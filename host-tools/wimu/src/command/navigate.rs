@@ -4,6 +4,7 @@ mod array;
 mod inertial;
 mod live;
 mod ranges;
+mod relative;
 
 use serde::Serialize;
 use wimu_host::calibration::read_parameters;
@@ -122,6 +123,9 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         for read in [Some(&arguments.input), arguments.fixes.as_ref()] {
             read.map_or(Ok(()), |read| not_over_input(read, file.as_deref()))?;
         }
+    }
+    if arguments.relative {
+        return relative::run(arguments, output);
     }
     if arguments.calibration.len() > 1 && arguments.geometry.is_none() {
         return Err(usage(

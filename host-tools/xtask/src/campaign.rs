@@ -36,6 +36,7 @@ const HOST_NAVIGATION: [&str; 9] = [
     "host-tools/wimu-host/src/array.rs",
     "host-tools/wimu-host/src/inertial",
     "host-tools/wimu-host/src/localization",
+    "host-tools/wimu-host/src/relative",
     "host-tools/wimu-host/src/motion",
     "host-tools/wimu-host/src/motion.rs",
     "host-tools/wimu-host/examples",

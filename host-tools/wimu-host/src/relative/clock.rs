@@ -21,9 +21,11 @@ const LEAST_SD_S: f64 = 0.002;
 const SIGNIFICANT: f64 = 3.0;
 /// Offset that the search about the clocks as recorded reaches, s.
 const NEAR_S: f64 = 0.2;
-/// Least correlation of the angular rates at another offset, and its lead over that at other offsets.
+/// Least correlation of the angular rates at another offset, its lead over that at other offsets, and over that as recorded:
+/// limbs of one body are not always in phase.
 const CORRELATION: f64 = 0.6;
 const LEAD: f64 = 0.1;
+const LEAD_AS_RECORDED: f64 = 0.2;
 
 /// The clock of the second unit.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -50,7 +52,8 @@ pub(super) fn coarse(units: &[Unit; 2]) -> Result<(Clock, Vec<Finding>)> {
     let common = overlap_s >= LEAST_OVERLAP_S;
     match lag {
         Some(lag)
-            if lag.best - lag.second >= LEAD && (!common || lag.best - lag.as_recorded >= LEAD) =>
+            if lag.best - lag.second >= LEAD
+                && (!common || lag.best - lag.as_recorded >= LEAD_AS_RECORDED) =>
         {
             let clock = Clock {
                 offset_s: lag.offset_s,

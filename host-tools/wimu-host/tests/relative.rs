@@ -75,7 +75,8 @@ fn the_angle_of_a_hinge_has_its_stated_standard_deviation() {
     assert!(worst_deg < 2.0, "{worst_deg}");
     assert!(angle.can_be(0.9..=0.995), "{angle}");
     assert!((0.5..1.2).contains(&ratio), "{ratio}");
-    assert!(axes.can_be(0.8..=1.0), "{axes}");
+    // Two components: 86.5 % are expected.
+    assert!(axes.can_be(0.75..=0.97), "{axes}");
 }
 
 #[test]
@@ -108,11 +109,17 @@ fn a_given_axis_is_used_as_it_is_and_a_wrong_one_is_seen_in_the_error() {
 
 #[test]
 fn clocks_that_differ_are_aligned() {
-    for behind_s in [0.05, -0.04, 3.7] {
+    // Shaken together: the correlation of the angular rates finds seconds.
+    let shaken = Rig {
+        base: [1.2, 0.15],
+        swing_rad: [0.0, 0.0, 0.3],
+        ..Rig::knee(5)
+    };
+    for (behind_s, rig) in [(0.05, Rig::knee(5)), (-0.04, Rig::knee(5)), (3.7, shaken)] {
         let rig = Rig {
             behind_s,
             rates_hz: [100.0, 50.0],
-            ..Rig::knee(5)
+            ..rig
         };
         let found = found(&rig);
         let off_s = found.clock.offset_s - behind_s;
@@ -129,7 +136,14 @@ fn clocks_that_differ_are_aligned() {
         );
         assert!(rms_deg(&errors(&rig, &found)) < 2.0);
     }
+    let apart = found(&Rig {
+        behind_s: 3.7,
+        ..Rig::knee(5)
+    });
+    println!("NIS of the joint with a wrong clock: {}", apart.joint_nis);
+    assert!(!apart.is_accurate() && has(&apart, FindingCode::Residuals, "common joint"));
     let found = found(&Rig::knee(5));
+    println!("NIS of the joint: {}", found.joint_nis);
     assert_eq!(found.clock.offset_s, 0.0);
     assert!(!has(&found, FindingCode::Clock, "behind"));
 }
@@ -210,7 +224,7 @@ fn magnetometers_give_the_heading_that_a_resting_joint_does_not_show() {
     let resting = Rig {
         swing_rad: [0.0; 3],
         base: [0.0; 2],
-        mounts: [[0.0, 0.3, 0.1], [0.2, 1.4, -0.1]].map(|m| nalgebra::Rotation3::new(m.into())),
+        mounts: [[0.0, 0.3, 0.0], [0.0, 1.4, 0.0]].map(|m| nalgebra::Rotation3::new(m.into())),
         field_ut: Some([0.0, 20.0, -44.0]),
         ..Rig::knee(2)
     };

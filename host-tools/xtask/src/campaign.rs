@@ -30,7 +30,7 @@ const NAVIGATION: [&str; 3] = [
     "crates/wimu-nav/tests",
     "crates/wimu-nav/examples",
 ];
-const HOST_NAVIGATION: [&str; 9] = [
+const HOST_NAVIGATION: [&str; 10] = [
     "crates/wimu-nav/src",
     "host-tools/wimu-host/src/array",
     "host-tools/wimu-host/src/array.rs",

@@ -21,6 +21,7 @@ pub struct Rig {
     pub rows: usize,
     /// The second unit's clock is so much behind, s.
     pub behind_s: f64,
+    /// Length, s.
     pub seconds: f64,
     /// Whether the sensors have errors: those that the estimator assumes.
     pub errors: bool,
@@ -29,9 +30,11 @@ pub struct Rig {
     /// Axes of the units to those of their bodies.
     pub mounts: [Rotation3<f64>; 2],
     /// Of the joint from each unit, m, axes of the body.
-    arms: [Vector3<f64>; 2],
-    phases: [f64; 12],
-    seed: u64,
+    pub arms: [Vector3<f64>; 2],
+    /// Phases of the sines, rad.
+    pub phases: [f64; 12],
+    /// Of the random errors.
+    pub seed: u64,
 }
 
 impl Rig {

@@ -56,6 +56,8 @@ pub(super) struct Pose {
 pub(super) struct Run {
     pub poses: Vec<Pose>,
     pub log_likelihood: f64,
+    /// Normalised innovation squared of the joint over its degrees of freedom, mean.
+    pub joint_nis: f64,
     /// Of the first and the second unit: lever arm and its standard deviation, m.
     pub lever_arms_m: [[Vector3<f64>; 2]; 2],
 }
@@ -73,7 +75,7 @@ pub(super) fn run(steps: &[Step], start: Rotation3<f64>, model: &Model) -> Resul
     errors.accelerometer_bias = model.bias_mps2;
     errors.time_s = TIME_S;
     let (mut filter, blocks) = begun(start, model, &errors)?;
-    let mut log_likelihood = 0.0;
+    let (mut log_likelihood, mut joint_nis) = (0.0, [0.0; 2]);
     let mut poses = Vec::with_capacity(steps.len());
     let mut since_joint_s = JOINT_S;
     for step in steps {
@@ -85,7 +87,10 @@ pub(super) fn run(steps: &[Step], start: Rotation3<f64>, model: &Model) -> Resul
                 lever_arms: blocks.arms,
                 deviation_m: PLAY_M,
             };
-            log_likelihood += filter.update(&point, Gate::Open).log_likelihood;
+            let found = filter.update(&point, Gate::Open);
+            log_likelihood += found.log_likelihood;
+            joint_nis[0] += found.statistic;
+            joint_nis[1] += found.dof as f64;
             if model.hinge.is_some() {
                 let axis = CommonAxis {
                     axes: blocks.axes,
@@ -122,6 +127,7 @@ pub(super) fn run(steps: &[Step], start: Rotation3<f64>, model: &Model) -> Resul
     Ok(Run {
         poses,
         log_likelihood,
+        joint_nis: joint_nis[0] / joint_nis[1],
         lever_arms_m,
     })
 }

@@ -14,6 +14,10 @@ const ANGLE_RAD: f64 = 0.035;
 /// Root mean square of the relative rate across the axis over that along it, from which a joint is no hinge.
 const NOT_A_HINGE: f64 = 0.5;
 
+/// Normalised innovation squared over its degrees of freedom, mean, from which the joint contradicts the samples: the expectation
+/// of a consistent filter.
+const CONTRADICTS: f64 = 1.0;
+
 impl Hinge {
     /// Whether the joint turns about one axis.
     pub fn is_a_hinge(&self) -> bool {
@@ -27,9 +31,11 @@ impl Hinge {
 }
 
 impl RelativePath {
-    /// Whether axis and angle are accurate enough: standard deviations up to 10° and 2°.
+    /// Whether axis and angle are accurate enough: standard deviations up to 10° and 2°, and a joint that explains the samples.
     pub fn is_accurate(&self) -> bool {
-        self.hinge.is_a_hinge()
+        let is_explained = self.joint_nis <= CONTRADICTS;
+        is_explained
+            && self.hinge.is_a_hinge()
             && self.hinge.worst_sd_rad() <= AXIS_RAD
             && self.median_sigma_rad() <= ANGLE_RAD
     }
@@ -52,6 +58,14 @@ pub(super) fn after(found: &RelativePath) -> Vec<Finding> {
         let remedy =
             "turn the joint through its range several times, or give the axis: --hinge X,Y,Z";
         findings.push(FindingCode::NotObserved.warning(evidence).remedy(remedy));
+    }
+    if found.joint_nis > CONTRADICTS {
+        let nis = found.joint_nis;
+        let evidence = format!(
+            "the accelerations of both units do not fit a common joint: NIS {nis:.1} (at most 1)"
+        );
+        let remedy = "the clocks differ (shake both bodies together once), a unit slips, or the bodies have no joint";
+        findings.push(FindingCode::Residuals.warning(evidence).remedy(remedy));
     }
     if sigma_rad > ANGLE_RAD {
         let evidence = format!(

@@ -76,6 +76,9 @@ pub struct RelativePath {
     pub hinge: Hinge,
     /// Clock of the second unit.
     pub clock: Clock,
+    /// Normalised innovation squared of the joint over its degrees of freedom, mean: 1 at most where the bodies have a point in
+    /// common.
+    pub joint_nis: f64,
     /// Position of the joint from each unit.
     pub lever_arms: [LeverArm; 2],
     /// What was noticed.
@@ -233,6 +236,7 @@ fn presented(run: Run, hinge: Hinge, clock: Clock) -> RelativePath {
         points,
         hinge,
         clock,
+        joint_nis: run.joint_nis,
         lever_arms,
         findings: Vec::new(),
     }

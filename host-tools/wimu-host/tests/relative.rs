@@ -111,15 +111,21 @@ fn a_given_axis_is_used_as_it_is_and_a_wrong_one_is_seen_in_the_error() {
 fn clocks_that_differ_are_aligned() {
     // Shaken together: the correlation of the angular rates finds seconds.
     let shaken = Rig {
-        base: [1.2, 0.15],
-        swing_rad: [0.0, 0.0, 0.3],
+        shake_rad: 0.6,
         ..Rig::knee(5)
     };
-    for (behind_s, rig) in [(0.05, Rig::knee(5)), (-0.04, Rig::knee(5)), (3.7, shaken)] {
+    let knee = Rig::knee(5);
+    let cases = [
+        (0.05, &knee),
+        (-0.04, &knee),
+        (3.7, &shaken),
+        (100.0, &shaken),
+    ];
+    for (behind_s, rig) in cases {
         let rig = Rig {
             behind_s,
             rates_hz: [100.0, 50.0],
-            ..rig
+            ..rig.clone()
         };
         let found = found(&rig);
         let off_s = found.clock.offset_s - behind_s;

@@ -73,7 +73,6 @@ impl<R: RealField + Copy, const N: usize> Process<R, N> for Relative<'_, R> {
         let (velocity, position) = (state.get(VELOCITY), state.get(POSITION));
         let back = Rotation3::new(rate[0] * -dt);
         let turned = *back.matrix();
-
         state.attitude = back * state.attitude * Rotation3::new(rate[1] * dt);
         let moved = position + (velocity + acceleration * (dt * real(0.5))) * dt;
         state.set(POSITION, turned * moved);

@@ -15,6 +15,8 @@ pub struct Rig {
     pub swing_rad: [f64; 3],
     /// Amplitudes of the motion of the first body: rotation, rad, and of the joint, m.
     pub base: [f64; 2],
+    /// Amplitude of a rotation of the first body by which both are shaken at 6 s, rad.
+    pub shake_rad: f64,
     /// Sample rates, Hz.
     pub rates_hz: [f64; 2],
     /// Rows that hold each sample.
@@ -44,6 +46,7 @@ impl Rig {
         Self {
             swing_rad: [0.0, 0.0, 0.7],
             base: [0.4, 0.15],
+            shake_rad: 0.0,
             rates_hz: [50.0; 2],
             rows: 1,
             behind_s: 0.0,
@@ -65,6 +68,9 @@ impl Rig {
     fn attitudes(&self, t: f64) -> [Rotation3<f64>; 2] {
         let of = |k: usize, hz: f64| self.wave(k, hz, t);
         let base = Vector3::new(of(0, 0.31), of(1, 0.43), of(2, 0.23)) * self.base[0];
+        let shake = (t - 6.0) / 0.6;
+        let shake = self.shake_rad * (-shake * shake).exp() * (14.5 * t).sin();
+        let base = base + Vector3::new(shake, shake, 0.0);
         let swing = Vector3::from(self.swing_rad);
         let turn = swing.component_mul(&Vector3::new(of(3, 0.7), of(4, 0.9), of(5, 0.8)));
         // A leg: the body's y axis is up.

@@ -58,8 +58,8 @@ pub(super) struct Run {
     pub log_likelihood: f64,
     /// Normalised innovation squared of the joint over its degrees of freedom, mean.
     pub joint_nis: f64,
-    /// Of the first and the second unit: lever arm and its standard deviation, m.
-    pub lever_arms_m: [[Vector3<f64>; 2]; 2],
+    /// Position of the joint from each unit, m.
+    pub lever_arms_m: [Vector3<f64>; 2],
 }
 
 struct Blocks {
@@ -120,10 +120,7 @@ pub(super) fn run(steps: &[Step], start: Rotation3<f64>, model: &Model) -> Resul
             measured: step.measured && filter.is_sound(),
         });
     }
-    let deviation = |block| filter.covariance::<3>(block).diagonal().map(f64::sqrt);
-    let lever_arms_m = blocks
-        .arms
-        .map(|arm| [filter.state.get(arm), deviation(arm)]);
+    let lever_arms_m = blocks.arms.map(|arm| filter.state.get(arm));
     Ok(Run {
         poses,
         log_likelihood,

@@ -58,15 +58,6 @@ pub struct RelativePoint {
     pub valid: bool,
 }
 
-/// Position of the joint from a unit, in its axes.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct LeverArm {
-    /// m.
-    pub value_m: [f64; 3],
-    /// Standard deviation, m.
-    pub sd_m: [f64; 3],
-}
-
 /// Rotation between two units.
 #[derive(Clone, Debug)]
 pub struct RelativePath {
@@ -79,8 +70,8 @@ pub struct RelativePath {
     /// Normalised innovation squared of the joint over its degrees of freedom, mean: 1 at most where the bodies have a point in
     /// common.
     pub joint_nis: f64,
-    /// Position of the joint from each unit.
-    pub lever_arms: [LeverArm; 2],
+    /// Position of the joint from each unit, m, in its axes, about: it is not observed along the axis of a hinge.
+    pub lever_arms_m: [[f64; 3]; 2],
     /// What was noticed.
     pub findings: Vec<Finding>,
 }
@@ -228,16 +219,12 @@ fn presented(run: Run, hinge: Hinge, clock: Clock) -> RelativePath {
         }
     };
     let points = run.poses.iter().map(point).collect();
-    let lever_arms = run.lever_arms_m.map(|[value, sd]| LeverArm {
-        value_m: value.into(),
-        sd_m: sd.into(),
-    });
     RelativePath {
         points,
         hinge,
         clock,
         joint_nis: run.joint_nis,
-        lever_arms,
+        lever_arms_m: run.lever_arms_m.map(Into::into),
         findings: Vec::new(),
     }
 }

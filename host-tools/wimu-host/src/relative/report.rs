@@ -51,14 +51,13 @@ impl RelativePath {
         let origin = if self.hinge.given { "given" } else { "found" };
         for (k, unit) in ["A", "B"].into_iter().enumerate() {
             let [x, y, z] = self.hinge.axes[k];
-            let (arm, sd) = (self.lever_arms[k].value_m, self.lever_arms[k].sd_m);
+            let arm = self.lever_arms_m[k];
             text += &format!(
-                "{unit}: hinge axis {x:+.3} {y:+.3} {z:+.3} ± {:.1}° ({origin}); joint at {:+.2} {:+.2} {:+.2} ± {:.2} m\n",
+                "{unit}: hinge axis {x:+.3} {y:+.3} {z:+.3} ± {:.1}° ({origin}); joint about {:+.2} {:+.2} {:+.2} m from it\n",
                 deg(self.hinge.sd_rad[k]),
                 arm[0],
                 arm[1],
-                arm[2],
-                sd.iter().fold(0.0, |most: f64, sd| most.max(*sd))
+                arm[2]
             );
         }
         let clock = &self.clock;
@@ -84,7 +83,7 @@ impl RelativePath {
         columns.push("Valid".to_owned());
         let mut out = CsvWriter::new(BufWriter::new(sink), output.name(), &columns)?;
         for point in &self.points {
-            out.number(Some(point.time_s));
+            out.field(format!("{:.6}", point.time_s));
             out.vector(Some(
                 [point.angle_rad, point.sigma_rad].map(f64::to_degrees),
             ));

@@ -7,7 +7,7 @@ use wimu_host::calibration::read_parameters;
 use wimu_host::finding::Finding;
 use wimu_host::history::Recording;
 use wimu_host::motion::MotionRecording;
-use wimu_host::relative::{Clock, Hinge, LeverArm, RelativeChoice, RelativePath, relative};
+use wimu_host::relative::{Clock, Hinge, RelativeChoice, RelativePath, relative};
 use wimu_host::{ErrorCode, Input, Result, navigation};
 
 use super::inertial;
@@ -31,7 +31,8 @@ struct Found {
     /// Whether axis and angle are accurate enough.
     accurate: bool,
     hinge: Hinge,
-    lever_arms: [LeverArm; 2],
+    lever_arms_m: [[f64; 3]; 2],
+    joint_nis: f64,
     clock: Clock,
     findings: Vec<Finding>,
 }
@@ -128,7 +129,8 @@ fn object(sources: [String; 2], found: RelativePath) -> Found {
         valid_share: found.valid().count() as f64 / found.points.len() as f64,
         accurate: found.is_accurate(),
         hinge: found.hinge,
-        lever_arms: found.lever_arms,
+        lever_arms_m: found.lever_arms_m,
+        joint_nis: found.joint_nis,
         clock: found.clock,
         findings: found.findings,
     }

@@ -3,18 +3,19 @@
 use crate::common;
 
 use common::Random;
-use common::states::{certain, covariance, difference, nine, shifted, states};
+use common::states::{certain, covariance, difference, nine, shifted, states, three};
 use nalgebra::{Matrix1, Rotation3, SMatrix, SVector, Vector3};
 use wimu_nav::array::{ArraySolver, Geometry, Linear};
 use wimu_nav::filter::Filter;
 use wimu_nav::process::{
     AccelerationOffset, ArrayForce, Carried, CarriedBlocks, ConstantVelocity, GaussMarkov,
-    ImuErrors, Odometry, OdometryBlocks, OdometryErrors, Process, RandomWalk, RigidArray,
-    RigidArrayBlocks, Strapdown, StrapdownBlocks, Unmeasured,
+    ImuErrors, Odometry, OdometryBlocks, OdometryErrors, Process, RandomWalk, Relative,
+    RelativeBlocks, RigidArray, RigidArrayBlocks, Strapdown, StrapdownBlocks, Unmeasured,
 };
 use wimu_nav::sensor::{
-    Anchor, ArrayNoise, CorrelatedErrors, Heading, MagneticField, Magnetometer, Measurement,
-    Position, Range, RangeErrors, ReducedArray, SpecificForce, Velocity, VerticalRate, Zero,
+    Anchor, ArrayNoise, CommonAxis, CommonField, CommonPoint, CorrelatedErrors, Heading,
+    MagneticField, Magnetometer, Measurement, Position, Range, RangeErrors, ReducedArray,
+    SpecificForce, Velocity, VerticalRate, Zero,
 };
 use wimu_nav::state::{ATTITUDE, Block, Layout, POSITION, Role, State, VELOCITY};
 
@@ -614,5 +615,84 @@ fn the_jacobian_of_a_reduced_sample_is_its_derivative() {
         };
         let prediction = zero.predict(&filter);
         assert_eq!(prediction.innovation, -filter.state.get(blocks.rotation));
+    }
+}
+
+#[test]
+fn relative_motion_and_its_joint_have_their_derivative() {
+    let mut random = Random::new(11);
+    for _ in 0..5 {
+        let mut layout = layout();
+        let errors = ImuErrors::default();
+        let blocks = RelativeBlocks::claim(&mut layout, &errors).unwrap();
+        let mut claim = || layout.claim(Role::Estimated, [1.0; 3]).unwrap();
+        let (lever_arms, difference) = ([claim(), claim()], claim());
+        let estimated = [
+            blocks.gyroscope_bias,
+            blocks.accelerometer_bias,
+            lever_arms,
+            [difference; 2],
+        ]
+        .concat();
+        let all = states(&estimated);
+        let start = anywhere(&mut random, &layout, &all);
+        let mut vector = |size: f64| Vector3::from(random.normals(size));
+        // The derivative is to first order in the step.
+        let step_s = 1e-4;
+        let process = Relative {
+            step_s,
+            force_mps2: [vector(10.0), vector(10.0)],
+            rate_rad_s: [vector(2.0), vector(2.0)],
+            blocks: &blocks,
+            errors: &errors,
+        };
+        let f = transition(&start, &all, &process);
+        let numeric = numerical_of(&start, &all, &process);
+        assert_rows(&f, &numeric, 0..21, &all, 30.0 * step_s * step_s * 10.0);
+        // A scale error is a bias that is proportional to the rate.
+        let scales = blocks.gyroscope_scale.map(three).concat();
+        let both = [all.clone(), scales].concat();
+        let f = transition(&start, &both, &process);
+        for (unit, scale) in blocks.gyroscope_scale.into_iter().enumerate() {
+            let bias = blocks.gyroscope_bias[unit];
+            let rate = process.rate_rad_s[unit] - start.state.get(bias);
+            for axis in 0..3 {
+                let by = |block: Block<3>| {
+                    f.column(block.start() + axis)
+                        .fixed_rows::<9>(0)
+                        .into_owned()
+                };
+                let off = by(scale) - by(bias) * rate[axis];
+                assert!(off.norm() < 1e-12, "{off}");
+            }
+        }
+        let deviation_m = 0.01;
+        assert_jacobian(
+            &start,
+            &all,
+            &CommonPoint {
+                lever_arms,
+                deviation_m,
+            },
+        );
+        let field_ut = [vector(40.0), vector(40.0)];
+        let field = CommonField {
+            field_ut,
+            difference,
+            noise_ut: 1.0,
+        };
+        assert_jacobian(&start, &all, &field);
+        // The axis of the first unit also chooses the components: only the second's is free here.
+        let mut start = start;
+        let axis = vector(1.0).normalize();
+        start.state.set(lever_arms[0], axis);
+        start
+            .state
+            .set(lever_arms[1], start.state.attitude.inverse() * axis);
+        let hinge = CommonAxis {
+            axes: lever_arms,
+            deviation_rad: 0.01,
+        };
+        assert_jacobian(&start, &all, &hinge);
     }
 }

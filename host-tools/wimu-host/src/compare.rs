@@ -17,7 +17,7 @@ use crate::history::LinkHistory;
 use crate::mcap_file::{RecordingReader, Wholeness};
 use crate::{ErrorCode, HostError, Result};
 
-mod align;
+pub(crate) mod align;
 mod arrival;
 mod counted;
 mod holes;

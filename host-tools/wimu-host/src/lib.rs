@@ -33,6 +33,7 @@ pub mod plural;
 pub mod progress;
 pub mod recorder;
 pub mod recording;
+pub mod relative;
 pub mod replay;
 pub mod ros;
 mod standard_input;

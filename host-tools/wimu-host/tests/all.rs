@@ -13,5 +13,6 @@ mod fixes;
 mod formats_document;
 mod inertial;
 mod localization;
+mod relative;
 mod ros_topics;
 mod violent;

@@ -36,6 +36,7 @@ mod ranges;
 mod real_time;
 mod recording;
 mod reference_input;
+mod relative;
 mod report_pages;
 mod round_trip;
 mod screens;

@@ -30,12 +30,13 @@ const NAVIGATION: [&str; 3] = [
     "crates/wimu-nav/tests",
     "crates/wimu-nav/examples",
 ];
-const HOST_NAVIGATION: [&str; 9] = [
+const HOST_NAVIGATION: [&str; 10] = [
     "crates/wimu-nav/src",
     "host-tools/wimu-host/src/array",
     "host-tools/wimu-host/src/array.rs",
     "host-tools/wimu-host/src/inertial",
     "host-tools/wimu-host/src/localization",
+    "host-tools/wimu-host/src/relative",
     "host-tools/wimu-host/src/motion",
     "host-tools/wimu-host/src/motion.rs",
     "host-tools/wimu-host/examples",

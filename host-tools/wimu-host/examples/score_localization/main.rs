@@ -1,4 +1,4 @@
-//! Scores of localization with ranges on recordings with truth, beside least squares, a plain filter and the float64
+//! Scores of localization with ranges, and of the angle between two units, on recordings with truth, beside least squares, a plain filter and the float64
 //! reference: `cargo run --release -p wimu-host --example score_localization -- [DATA] [--only NAME]`.
 //!
 //! Walks and drones: RMSE in space after one rigid transform and one time offset, both fitted (drone 1: 1.08 s). The first
@@ -6,6 +6,7 @@
 //! without alignment, every fifth increment from the 20th on. NEES: fraction of the positions below the 95 % point of χ², of
 //! all, and thinned to the interval over which the autocorrelation of the error falls below 0.2.
 
+mod protractor;
 mod score;
 
 use std::path::{Path, PathBuf};
@@ -143,6 +144,7 @@ fn main() -> Result<(), String> {
         found += 1;
         plaza(&data.join("vehicle"))?;
     }
+    found += protractor::score(&data.join("protractor"), &only)?;
     for ([below, count], kind) in pool.into_iter().zip(["filter", "smoother"]) {
         let fraction = below as f64 / f64::from(u32::try_from(count).unwrap_or(u32::MAX));
         if count > 0 {

@@ -9,7 +9,7 @@ use super::{Axis, incomparable, refused};
 use crate::Result;
 use crate::finding::{Finding, FindingCode};
 
-mod correlation;
+pub(crate) mod correlation;
 mod signal;
 mod time_fit;
 mod turn;

@@ -38,7 +38,8 @@ Examples:
   wimu navigate ranges.csv --anchors anchors.csv -o path.csv
   wimu navigate ranges.csv --anchors anchors.csv --odometry wheels.csv
   wimu navigate imu.csv --ranges ranges.csv --anchors anchors.csv
-  wimu navigate /dev/ttyACM0 --ranges tcp://127.0.0.1:9000 --anchors anchors.csv")]
+  wimu navigate /dev/ttyACM0 --ranges tcp://127.0.0.1:9000 --anchors anchors.csv
+  wimu navigate thigh.csv shank.csv --relative -o angle.csv")]
 pub struct Navigate {
     /// A LINK, or a recording of any format; of other programs: corrected samples, or with --calibration the sensor's
     /// output. With --anchors alone: ranges
@@ -49,8 +50,9 @@ pub struct Navigate {
     /// Positions a second that are computed while a board sends [default: 10]
     #[arg(long, value_name = "HZ", value_parser = from_to(0.01, 1000.0), help_heading = "Output")]
     pub rate: Option<f64>,
-    /// With --geometry: recordings of further boards on the same body, in the order of the geometry
-    #[arg(value_name = "BOARD", requires = "geometry")]
+    /// With --geometry: recordings of further boards on the same body, in the order of the geometry. With --relative: that
+    /// of the second unit
+    #[arg(value_name = "BOARD", requires = "several")]
     pub boards: Vec<PathBuf>,
 
     #[command(flatten)]
@@ -124,6 +126,7 @@ pub struct Navigate {
         long,
         value_name = "GEOMETRY",
         conflicts_with_all = ["profile", "fixes", "anchors"],
+        group = "several",
         help_heading = "Arrays"
     )]
     pub geometry: Option<PathBuf>,
@@ -142,6 +145,30 @@ pub struct Navigate {
     /// Standard deviation of the sensors' delays, µs [default: that of the geometry file, or 300]
     #[arg(long, value_name = "US", value_parser = positive, requires = "geometry", help_heading = "Arrays")]
     pub delay_sd: Option<f64>,
+
+    /// Angle and rotation between two units on two bodies that a joint connects: INPUT and BOARD. Two calibrations are those
+    /// of both, in this order
+    #[arg(
+        long,
+        group = "several",
+        requires = "boards",
+        conflicts_with_all = ["geometry", "anchors", "fixes", "zupt", "within", "rests", "start", "closes"],
+        help_heading = "Two units"
+    )]
+    pub relative: bool,
+    /// Axis of the hinge, in the axes of both units [default: found from the motion]
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        value_parser = numbers::<3>,
+        allow_hyphen_values = true,
+        requires = "relative",
+        help_heading = "Two units"
+    )]
+    pub hinge: Option<[f64; 3]>,
+    /// Use the magnetometers of both units: calibrated, and away from iron
+    #[arg(long, requires = "relative", help_heading = "Two units")]
+    pub magnetometers: bool,
 
     /// Wheel odometry beside ranges in the plane: CSV with columns `Time (s)`, `Distance Increment (m)`, `Heading Increment
     /// (rad)`

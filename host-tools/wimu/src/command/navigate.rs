@@ -4,6 +4,7 @@ mod array;
 mod inertial;
 mod live;
 mod ranges;
+mod relative;
 
 pub use live::Beside;
 
@@ -124,6 +125,9 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         for read in [Some(&arguments.input), arguments.aids.fixes.as_ref()] {
             read.map_or(Ok(()), |read| not_over_input(read, file.as_deref()))?;
         }
+    }
+    if arguments.relative {
+        return relative::run(arguments, output);
     }
     if arguments.calibration.len() > 1 && arguments.geometry.is_none() {
         return Err(usage(

@@ -32,7 +32,7 @@ fn correlation(a: &[f64], b: &[f64], lag: i64, least: usize) -> Option<f64> {
 }
 
 /// The correlation at every lag.
-pub(super) fn scores(a: &[f64], b: &[f64], least: usize) -> Vec<(f64, i64)> {
+pub(crate) fn scores(a: &[f64], b: &[f64], least: usize) -> Vec<(f64, i64)> {
     (-(b.len() as i64)..=a.len() as i64)
         .filter_map(|lag| Some((correlation(a, b, lag, least)?, lag)))
         .collect()

@@ -1,6 +1,6 @@
 //! `wimu navigate` with its own estimators, on CSV files, recordings and arrays.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use wimu_host::calibration::{read_model, zero_count};
@@ -158,7 +158,15 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
 
 /// Reads a recording of one unit and corrects it.
 pub fn table(arguments: &Navigate, file: &Path) -> Result<MotionRecording> {
-    let calibration = arguments.calibration.first();
+    calibrated(arguments, file, arguments.calibration.first())
+}
+
+/// Reads a recording of one unit and corrects it with a calibration.
+pub fn calibrated(
+    arguments: &Navigate,
+    file: &Path,
+    calibration: Option<&PathBuf>,
+) -> Result<MotionRecording> {
     let options = TableOptions {
         calibration: calibration.map(|file| read_model(file)).transpose()?,
         sensitivity_lsb_per_g: arguments.sensitivity,

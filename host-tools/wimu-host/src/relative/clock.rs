@@ -1,0 +1,139 @@
+//! Alignment of the clocks of two units by their motion.
+
+use nalgebra::Rotation3;
+
+use super::engine::{self, Model};
+use super::internal;
+use super::pair::{LEAST_OVERLAP_S, Unit, lag, steps};
+use crate::finding::{Finding, FindingCode};
+use crate::{ErrorCode, Result};
+
+/// Offsets that are tried on each side of the best one, and their distance, s.
+const TRIED: i32 = 2;
+const STEP_S: f64 = 0.02;
+/// Motion by which the offset is found, s.
+const REFINED_S: f64 = 60.0;
+/// Standard deviation of the offset of clocks that the recordings have in common, s, where the motion does not show it.
+const COMMON_SD_S: f64 = 0.005;
+/// Least standard deviation of an offset, s: repeated samples and filters of the sensors.
+const LEAST_SD_S: f64 = 0.002;
+/// An offset below this number of standard deviations is not corrected.
+const SIGNIFICANT: f64 = 3.0;
+/// Offset that the search about the clocks as recorded reaches, s.
+const NEAR_S: f64 = 0.2;
+/// Least correlation of the angular rates at another offset, its lead over that at other offsets, and over that as recorded:
+/// limbs of one body are not always in phase.
+const CORRELATION: f64 = 0.6;
+const LEAD: f64 = 0.1;
+const LEAD_AS_RECORDED: f64 = 0.2;
+
+/// The clock of the second unit.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Clock {
+    /// Added to the second unit's times, s.
+    pub offset_s: f64,
+    /// Its standard deviation, s.
+    pub sd_s: f64,
+    /// What the motion shows of the offset, s, if it does.
+    pub measured_s: Option<f64>,
+}
+
+/// The offset of clocks that differ by more than [`NEAR_S`], by the magnitudes of the angular rates.
+pub(super) fn coarse(units: &[Unit; 2]) -> Result<(Clock, Vec<Finding>)> {
+    let [[a0, a1], [b0, b1]] = [units[0].span_s(), units[1].span_s()];
+    let overlap_s = a1.min(b1) - a0.max(b0);
+    let as_recorded = Clock {
+        offset_s: 0.0,
+        sd_s: COMMON_SD_S,
+        measured_s: None,
+    };
+    let lag = lag(units, NEAR_S).filter(|lag| lag.best >= CORRELATION);
+    let lag = lag.filter(|lag| lag.offset_s.abs() > NEAR_S);
+    let common = overlap_s >= LEAST_OVERLAP_S;
+    match lag {
+        Some(lag)
+            if lag.best - lag.second >= LEAD
+                && (!common || lag.best - lag.as_recorded >= LEAD_AS_RECORDED) =>
+        {
+            let clock = Clock {
+                offset_s: lag.offset_s,
+                sd_s: STEP_S,
+                measured_s: Some(lag.offset_s),
+            };
+            let evidence = format!(
+                "the clock of the second unit is {:+.2} s behind (correlation of the angular rates {:.2}, as recorded {:.2}): corrected",
+                lag.offset_s,
+                lag.best,
+                lag.as_recorded.max(-1.0)
+            );
+            let remedy = "where the clocks are common, the joint moved too little to tell: move both bodies together once";
+            Ok((
+                clock,
+                vec![FindingCode::Clock.warning(evidence).remedy(remedy)],
+            ))
+        }
+        _ if common => Ok((as_recorded, Vec::new())),
+        _ => Err(ErrorCode::DataRefused.error(
+            "the recordings have less than 5 s in common, and their motion does not align them",
+            "record both at the same time, and shake both bodies together once",
+        )),
+    }
+}
+
+/// The offset of greatest likelihood near the coarse one, by the accelerations of the joint: a parabola through five runs.
+pub(super) fn refined(
+    units: &[Unit; 2],
+    mut clock: Clock,
+    start: Rotation3<f64>,
+    model: &Model,
+    noticed: &mut Vec<Finding>,
+) -> Result<Clock> {
+    let moved = clock.offset_s != 0.0;
+    for _ in 0..2 {
+        let (mut found, mut count) = (Vec::new(), 0.0);
+        for k in -TRIED..=TRIED {
+            let mut all = steps(units, clock.offset_s + f64::from(k) * STEP_S);
+            let end_s = all.first().map_or(0.0, |step| step.time_s + REFINED_S);
+            all.retain(|step| step.time_s <= end_s);
+            let log_likelihood = engine::run(&all, start, model)
+                .map_err(internal)?
+                .log_likelihood;
+            // Runs of different lengths have different numbers of updates.
+            count = all.len().max(1) as f64;
+            found.push(log_likelihood / count);
+        }
+        let Some((peak, sd)) = parabola(&found, count) else {
+            break;
+        };
+        let offset_s = clock.offset_s + STEP_S * peak.clamp(-f64::from(TRIED), f64::from(TRIED));
+        let sd_s = (STEP_S * sd).max(LEAST_SD_S);
+        clock.measured_s = Some(offset_s);
+        let is_significant = moved || offset_s.abs() > SIGNIFICANT * sd_s;
+        clock.sd_s = if moved { sd_s } else { sd_s.min(COMMON_SD_S) };
+        if !is_significant {
+            return Ok(clock);
+        }
+        (clock.offset_s, clock.sd_s) = (offset_s, sd_s);
+        if peak.abs() < f64::from(TRIED) {
+            break;
+        }
+    }
+    if !moved && clock.offset_s != 0.0 {
+        let (offset_ms, sd_ms) = (clock.offset_s * 1e3, clock.sd_s * 1e3);
+        let evidence = format!(
+            "the clock of the second unit is {offset_ms:+.0} ± {sd_ms:.0} ms behind: corrected"
+        );
+        noticed.push(FindingCode::Clock.note(evidence));
+    }
+    Ok(clock)
+}
+
+/// Vertex of the parabola through log-likelihoods per step at −2 … 2, and its standard deviation; `None` without a maximum.
+fn parabola(found: &[f64], count: f64) -> Option<(f64, f64)> {
+    let moment = |weights: [f64; 5]| found.iter().zip(weights).map(|(y, w)| y * w).sum::<f64>();
+    // Least squares on five equal steps (Savitzky and Golay, 1964).
+    let slope = moment([-2.0, -1.0, 0.0, 1.0, 2.0]) / 10.0;
+    let bend = moment([2.0, -1.0, -2.0, -1.0, 2.0]) / 7.0;
+    let is_peak = bend < 0.0 && found.iter().all(|y| y.is_finite());
+    is_peak.then(|| (-slope / bend, (-1.0 / (bend * count)).sqrt()))
+}

@@ -1,0 +1,193 @@
+//! The filter of the relative motion of two units.
+
+use nalgebra::{Matrix3, Rotation3, Vector3};
+use wimu_nav::filter::{Filter, Gate};
+use wimu_nav::process::{GaussMarkov, ImuErrors, Relative, RelativeBlocks, Unmeasured};
+use wimu_nav::sensor::{CommonAxis, CommonField, CommonPoint};
+use wimu_nav::state::{ATTITUDE, Block, Layout, LayoutFull, Role};
+
+use super::Hinge;
+use super::pair::Step;
+
+/// Attitude, velocity, position 9, errors of both units 18, lever arms 6, axes 6, difference of the fields 3.
+const STATES: usize = 42;
+/// Standard deviation of a lever arm, m, a component: units are mounted within about half a metre of the joint.
+const LEVER_ARM_M: f64 = 0.3;
+/// Standard deviation of the relative velocity at the start, m/s.
+const VELOCITY_MPS: f64 = 1.0;
+/// Standard deviation of the attitude at a start hypothesis, rad: half of the distance between two of them.
+pub(super) const START_RAD: f64 = std::f64::consts::PI / 8.0;
+/// The joint is used once in this time, s.
+const JOINT_S: f64 = 0.05;
+/// Play of the joint, m, and of the hinge, rad, 1 σ.
+const PLAY_M: f64 = 0.01;
+const PLAY_RAD: f64 = 0.0175;
+/// Deviation of a sample's time, s: rows that repeat a sample.
+const TIME_S: f64 = 0.002;
+/// Noise of a magnetometer, µT, and difference of the fields at both units, µT, with its correlation time, s: indoors.
+const FIELD_NOISE_UT: f64 = 1.0;
+const FIELD_DIFFERENCE_UT: f64 = 5.0;
+const FIELD_TIME_S: f64 = 10.0;
+
+/// What is known of both units.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Model<'a> {
+    pub hinge: Option<&'a Hinge>,
+    pub fields: bool,
+    /// Standard deviation of the biases of the accelerometers, m/s².
+    pub bias_mps2: f64,
+}
+
+/// Attitude after a step.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pose {
+    pub time_s: f64,
+    pub step_s: f64,
+    /// Axes of the second unit to those of the first.
+    pub attitude: Rotation3<f64>,
+    /// rad², axes of the first unit.
+    pub covariance: Matrix3<f64>,
+    /// Angular rates without bias, rad/s, each in its axes.
+    pub rate_rad_s: [Vector3<f64>; 2],
+    pub measured: bool,
+}
+
+/// A run of the filter.
+pub(super) struct Run {
+    pub poses: Vec<Pose>,
+    pub log_likelihood: f64,
+    /// Normalised innovation squared of the joint over its degrees of freedom, mean.
+    pub joint_nis: f64,
+    /// Position of the joint from each unit, m.
+    pub lever_arms_m: [Vector3<f64>; 2],
+}
+
+struct Blocks {
+    motion: RelativeBlocks,
+    arms: [Block<3>; 2],
+    axes: [Block<3>; 2],
+    field: Block<3>,
+}
+
+/// Runs the filter from a rotation at the start.
+pub(super) fn run(steps: &[Step], start: Rotation3<f64>, model: &Model) -> Result<Run, LayoutFull> {
+    let mut errors = ImuErrors::default();
+    errors.accelerometer_bias = model.bias_mps2;
+    errors.time_s = TIME_S;
+    let (mut filter, blocks) = begun(start, model, &errors)?;
+    let (mut log_likelihood, mut joint_nis) = (0.0, [0.0; 2]);
+    let mut poses = Vec::with_capacity(steps.len());
+    let mut since_joint_s = JOINT_S;
+    for step in steps {
+        predict(&mut filter, step, &blocks, &errors);
+        since_joint_s += step.step_s;
+        if since_joint_s >= JOINT_S && step.measured {
+            since_joint_s = 0.0;
+            let point = CommonPoint {
+                lever_arms: blocks.arms,
+                deviation_m: PLAY_M,
+            };
+            let found = filter.update(&point, Gate::Open);
+            log_likelihood += found.log_likelihood;
+            joint_nis[0] += found.statistic;
+            joint_nis[1] += found.dof as f64;
+            if model.hinge.is_some() {
+                let axis = CommonAxis {
+                    axes: blocks.axes,
+                    deviation_rad: PLAY_RAD,
+                };
+                log_likelihood += filter.update(&axis, Gate::Open).log_likelihood;
+            }
+        }
+        if let Some(field_ut) = step.field_ut.filter(|_| model.fields) {
+            let difference = blocks.field;
+            let field = CommonField {
+                field_ut,
+                difference,
+                noise_ut: FIELD_NOISE_UT,
+            };
+            let found = filter.update(&field, Gate::Open);
+            log_likelihood += found.log_likelihood;
+        }
+        let rate =
+            |k: usize| step.rate_rad_s[k] - filter.state.get(blocks.motion.gyroscope_bias[k]);
+        poses.push(Pose {
+            time_s: step.time_s,
+            step_s: step.step_s,
+            attitude: filter.state.attitude,
+            covariance: filter.covariance(ATTITUDE),
+            rate_rad_s: [rate(0), rate(1)],
+            measured: step.measured && filter.is_sound(),
+        });
+    }
+    let lever_arms_m = blocks.arms.map(|arm| filter.state.get(arm));
+    Ok(Run {
+        poses,
+        log_likelihood,
+        joint_nis: joint_nis[0] / joint_nis[1],
+        lever_arms_m,
+    })
+}
+
+fn begun(
+    start: Rotation3<f64>,
+    model: &Model,
+    errors: &ImuErrors<f64>,
+) -> Result<(Filter<f64, STATES>, Blocks), LayoutFull> {
+    let mut layout = Layout::new([START_RAD; 3], VELOCITY_MPS, 2.0 * LEVER_ARM_M);
+    let motion = RelativeBlocks::claim(&mut layout, errors)?;
+    let arms = [
+        layout.claim(Role::Estimated, [LEVER_ARM_M; 3])?,
+        layout.claim(Role::Estimated, [LEVER_ARM_M; 3])?,
+    ];
+    let axes = [
+        layout.claim(Role::Considered, [0.0; 3])?,
+        layout.claim(Role::Considered, [0.0; 3])?,
+    ];
+    let field = layout.claim(Role::Estimated, [FIELD_DIFFERENCE_UT; 3])?;
+    let mut filter = Filter::new(&layout, start);
+    if let Some(hinge) = model.hinge {
+        for (k, block) in axes.into_iter().enumerate() {
+            let (axis, variance) = (Vector3::from(hinge.axes[k]), hinge.sd_rad[k].powi(2));
+            filter.state.set(block, axis);
+            // The axis is a unit vector: its error is across it.
+            let across = Matrix3::identity() - axis * axis.transpose();
+            filter.set_covariance(block, &(across * variance));
+        }
+    }
+    Ok((
+        filter,
+        Blocks {
+            motion,
+            arms,
+            axes,
+            field,
+        },
+    ))
+}
+
+fn predict(
+    filter: &mut Filter<f64, STATES>,
+    step: &Step,
+    blocks: &Blocks,
+    errors: &ImuErrors<f64>,
+) {
+    let step_s = step.step_s;
+    let field = GaussMarkov {
+        block: blocks.field,
+        deviation: FIELD_DIFFERENCE_UT,
+        time_s: FIELD_TIME_S,
+        step_s,
+    };
+    if !step.measured {
+        return filter.predict(&(Unmeasured { step_s }, field));
+    }
+    let motion = Relative {
+        step_s,
+        force_mps2: step.force_mps2,
+        rate_rad_s: step.rate_rad_s,
+        blocks: &blocks.motion,
+        errors,
+    };
+    filter.predict(&(motion, field));
+}

@@ -1,0 +1,137 @@
+//! `wimu navigate A B --relative`: angle and rotation between two units.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use wimu_host::calibration::read_parameters;
+use wimu_host::finding::Finding;
+use wimu_host::history::Recording;
+use wimu_host::motion::MotionRecording;
+use wimu_host::relative::{Clock, Hinge, RelativeChoice, RelativePath, relative};
+use wimu_host::{ErrorCode, Input, Result, navigation};
+
+use super::inertial;
+use crate::arguments::Navigate;
+use crate::command::not_over_input;
+use crate::output::{Output, usage};
+
+/// The rotation, as `--json` prints it.
+#[derive(Serialize)]
+struct Found {
+    sources: [String; 2],
+    duration_s: f64,
+    final_angle_deg: f64,
+    final_sigma_deg: f64,
+    /// B's axes to A's, W X Y Z.
+    final_quaternion: [f64; 4],
+    least_angle_deg: f64,
+    largest_angle_deg: f64,
+    median_sigma_deg: f64,
+    valid_share: f64,
+    /// Whether axis and angle are accurate enough.
+    accurate: bool,
+    hinge: Hinge,
+    lever_arms_m: [[f64; 3]; 2],
+    joint_nis: f64,
+    clock: Clock,
+    findings: Vec<Finding>,
+}
+
+/// Computes, prints and writes the angle.
+pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
+    let [other] = arguments.boards.as_slice() else {
+        return Err(usage(
+            "--relative takes two recordings",
+            "wimu navigate A.csv B.csv --relative",
+        ));
+    };
+    let files = [&arguments.input, other];
+    for written in [&arguments.output, &arguments.report] {
+        not_over_input(other, written.as_deref())?;
+    }
+    let calibrations = &arguments.calibration;
+    if calibrations.len() == 1 || calibrations.len() > 2 {
+        return Err(usage(
+            "--relative takes a calibration for each unit",
+            "give --calibration A.json --calibration B.json, or none",
+        ));
+    }
+    let a = unit(arguments, files[0], calibrations.first())?;
+    let b = unit(arguments, files[1], calibrations.get(1))?;
+    let choice = RelativeChoice {
+        hinge: arguments.hinge,
+        magnetometers: arguments.magnetometers,
+    };
+    let found = relative([&a, &b], &choice)?;
+    let text = found.text();
+    output.print(text.trim_end());
+    output.findings(&found.findings);
+    if let Some(file) = &arguments.output {
+        found.write(file)?;
+        output.print(format!(
+            "wrote {} rows to {}",
+            found.points.len(),
+            file.display()
+        ));
+    }
+    let sources = files.map(|file| file.display().to_string());
+    if let Some(file) = &arguments.report {
+        found.page(&sources.join(" and "), &text)?.write(file)?;
+        output.print(format!("wrote {}", file.display()));
+    }
+    output.answer("wimu.relative/1", &object(sources, found));
+    Ok(())
+}
+
+/// A recording of a unit, of any format; of a board the longest start.
+fn unit(
+    arguments: &Navigate,
+    file: &Path,
+    calibration: Option<&PathBuf>,
+) -> Result<MotionRecording> {
+    match Input::parse(&file.to_string_lossy())? {
+        Input::Link(_) => Err(usage(
+            "--relative reads recordings",
+            "record both boards first: wimu record LINK -o A.mcap",
+        )),
+        Input::Recording(_) => {
+            let recording = Recording::load(file)?;
+            let link = recording.link(arguments.reading.link.map(Into::into))?;
+            let longest = link
+                .boots
+                .iter()
+                .max_by_key(|boot| boot.raw.len().max(boot.corrected.len()));
+            let longest = longest.ok_or_else(|| {
+                ErrorCode::NoRows
+                    .error("the recording has no samples", "record again")
+                    .at(&recording.name)
+            })?;
+            let calibration = calibration.map(|file| read_parameters(file)).transpose()?;
+            navigation::motion(&recording.name, longest, calibration.as_ref())
+        }
+        _ => inertial::calibrated(arguments, file, calibration),
+    }
+}
+
+fn object(sources: [String; 2], found: RelativePath) -> Found {
+    let last = found.valid().next_back();
+    let ends = found.points.first().zip(found.points.last());
+    let [least, largest] = found.range_rad().map(f64::to_degrees);
+    Found {
+        sources,
+        duration_s: ends.map_or(0.0, |(first, last)| last.time_s - first.time_s),
+        final_angle_deg: last.map_or(f64::NAN, |p| p.angle_rad.to_degrees()),
+        final_sigma_deg: last.map_or(f64::NAN, |p| p.sigma_rad.to_degrees()),
+        final_quaternion: last.map(|p| p.quaternion).unwrap_or_default(),
+        least_angle_deg: least,
+        largest_angle_deg: largest,
+        median_sigma_deg: found.median_sigma_rad().to_degrees(),
+        valid_share: found.valid().count() as f64 / found.points.len() as f64,
+        accurate: found.is_accurate(),
+        hinge: found.hinge,
+        lever_arms_m: found.lever_arms_m,
+        joint_nis: found.joint_nis,
+        clock: found.clock,
+        findings: found.findings,
+    }
+}

@@ -6,8 +6,8 @@ use super::stream::{PoseStream, StreamPose};
 
 /// Parameters of the answer: rotation, translation, clock offset, scale of the camera's positions.
 pub(super) const SHARED: usize = 8;
-/// Parameters of a block: rotation and position of the frames, then the drift of dead reckoning.
-const BLOCK: usize = 18;
+/// Parameters of a block: rotation and position of the frames, then the drift of a gyroscope.
+const BLOCK: usize = 9;
 /// Degrees of freedom of Student's t: heavy tails of poses that jump (Lange, Little & Taylor 1989).
 const STUDENT_DOF: f64 = 4.0;
 /// Standard deviation of the scale error of a camera's positions. Chosen on `camera/falcon_3`, `prime_sense_1`: −2 to 6 %.
@@ -21,6 +21,9 @@ const ROUNDING: [f64; 2] = [1e-6, 1e-6];
 /// Gauss–Newton steps at most, and the step that ends them, rad, m or s.
 const STEPS: usize = 40;
 const SETTLED: f64 = 1e-8;
+/// Groups of neighbouring poses whose scores are taken as independent: at least so many, else one every two seconds.
+const GROUPS: usize = 24;
+const GROUP_S: f64 = 2.0;
 /// An eigenvalue below this fraction of the largest one is none.
 const RANK: f64 = 1e-9;
 
@@ -32,8 +35,8 @@ type Gradient = SVector<f64, SHARED>;
 struct Frames {
     /// Rotation from the camera's frame to the body's.
     rotation: UnitQuaternion<f64>,
-    /// Position of the camera's frame in the body's, and its drift of first, second and third order over half a block, m.
-    position_m: [Vector3<f64>; 4],
+    /// Position of the camera's frame in the body's, m.
+    position_m: Vector3<f64>,
     /// Drift of the body's rotation over half a block, rad, body axes.
     rotation_drift: Vector3<f64>,
 }
@@ -106,6 +109,16 @@ struct Row {
     own: SMatrix<f64, 6, BLOCK>,
 }
 
+impl Row {
+    fn rotation_square(&self) -> f64 {
+        self.rotation.norm_squared()
+    }
+
+    fn position_square(&self) -> f64 {
+        self.position.norm_squared()
+    }
+}
+
 impl State {
     /// The state of a rotation and a clock offset, everything else from medians and zero.
     pub fn begin(
@@ -134,12 +147,7 @@ impl State {
             let position = apart.sum::<Vector3<f64>>() / count;
             Frames {
                 rotation,
-                position_m: [
-                    position,
-                    Vector3::zeros(),
-                    Vector3::zeros(),
-                    Vector3::zeros(),
-                ],
+                position_m: position,
                 rotation_drift: Vector3::zeros(),
             }
         };
@@ -159,46 +167,33 @@ impl State {
         let frames = &self.frames[observation.block];
         let turn = at.rotation * UnitQuaternion::from_scaled_axis(frames.rotation_drift * u);
         let placed = frames.rotation * camera.position_m;
-        let powers = [1.0, u, u * u, u * u * u];
-        let frame: Vector3<f64> = (frames.position_m.iter().zip(powers))
-            .map(|(p, u)| p * u)
-            .sum();
         let arm = turn * self.translation_m;
         let error = (turn * self.rotation).inverse() * frames.rotation * camera.rotation;
         let rotation = error.scaled_axis();
-        let position = placed * (1.0 + self.scale) + frame - at.position_m - arm;
+        let position = placed * (1.0 + self.scale) + frames.position_m - at.position_m - arm;
         // Inverse left Jacobian of SO(3), to first order of the residual (Barfoot 2017, equation 7.76).
         let jacobian = Matrix3::identity() - rotation.cross_matrix() * 0.5;
         let to_camera = self.rotation.inverse().to_rotation_matrix();
-        let turn_matrix = turn.to_rotation_matrix();
 
         let mut shared = SMatrix::<f64, 6, SHARED>::zeros();
         shared.fixed_view_mut::<3, 3>(0, 0).copy_from(&-jacobian);
-        shared
-            .fixed_view_mut::<3, 3>(3, 3)
-            .copy_from(&-turn_matrix.matrix());
         let rate = -(jacobian * (to_camera * at.rate_rad_s));
         shared.fixed_view_mut::<3, 1>(0, 6).copy_from(&rate);
-        let velocity = -at.velocity_mps - turn * at.rate_rad_s.cross(&self.translation_m);
-        shared.fixed_view_mut::<3, 1>(3, 6).copy_from(&velocity);
-        shared.fixed_view_mut::<3, 1>(3, 7).copy_from(&placed);
-
         let mut own = SMatrix::<f64, 6, BLOCK>::zeros();
         let left = jacobian * (turn * self.rotation).inverse().to_rotation_matrix();
         own.fixed_view_mut::<3, 3>(0, 0).copy_from(&left);
-        let lever = -placed.cross_matrix() * (1.0 + self.scale);
-        own.fixed_view_mut::<3, 3>(3, 0).copy_from(&lever);
-        let orders = if body.inertial { 4 } else { 1 };
-        for (order, power) in powers.into_iter().enumerate().take(orders) {
-            let part = Matrix3::identity() * power;
-            own.fixed_view_mut::<3, 3>(3, 3 + 3 * order)
-                .copy_from(&part);
-        }
         if body.inertial {
             let drift = -(jacobian * to_camera.matrix()) * u;
-            own.fixed_view_mut::<3, 3>(0, 15).copy_from(&drift);
-            let drift = turn_matrix * self.translation_m.cross_matrix() * u;
-            own.fixed_view_mut::<3, 3>(3, 15).copy_from(&drift);
+            own.fixed_view_mut::<3, 3>(0, 6).copy_from(&drift);
+        } else {
+            let turned = -turn.to_rotation_matrix().into_inner();
+            shared.fixed_view_mut::<3, 3>(3, 3).copy_from(&turned);
+            let velocity = -at.velocity_mps - turn * at.rate_rad_s.cross(&self.translation_m);
+            shared.fixed_view_mut::<3, 1>(3, 6).copy_from(&velocity);
+            shared.fixed_view_mut::<3, 1>(3, 7).copy_from(&placed);
+            let lever = -placed.cross_matrix() * (1.0 + self.scale);
+            own.fixed_view_mut::<3, 3>(3, 0).copy_from(&lever);
+            own.fixed_view_mut::<3, 3>(3, 3).fill_with_identity();
         }
         Some(Row {
             block: observation.block,
@@ -224,10 +219,8 @@ impl State {
                 .map_or_else(SVector::zeros, |c| c.solve(&right));
             let turn = UnitQuaternion::from_scaled_axis(own.fixed_rows::<3>(0).into_owned());
             frames.rotation = turn * frames.rotation;
-            for (order, position) in frames.position_m.iter_mut().enumerate() {
-                *position += own.fixed_rows::<3>(3 + 3 * order);
-            }
-            frames.rotation_drift += own.fixed_rows::<3>(15);
+            frames.position_m += own.fixed_rows::<3>(3);
+            frames.rotation_drift += own.fixed_rows::<3>(6);
         }
     }
 }
@@ -287,41 +280,51 @@ impl Normal {
     }
 }
 
-/// Fits; `None` if the equations are singular.
-pub(super) fn fit(
-    mut state: State,
-    body: &PoseStream,
-    observations: &[Observation],
-) -> Option<Fit> {
-    let searched_s = state.offset_s;
-    let least = ROUNDING.map(|sd| sd * sd);
-    let mut variances: Option<[f64; 2]> = None;
-    let mut last = None;
-    for _ in 0..STEPS {
-        let rows: Vec<Row> = observations
-            .iter()
-            .filter_map(|o| state.row(o, body))
-            .collect();
+/// The equations at one state.
+struct Equations {
+    rows: Vec<Row>,
+    /// Weights of rotation and position of each row over their variances.
+    weights: Vec<[f64; 2]>,
+    normals: Vec<Normal>,
+    reduced: Vec<(Shared, Gradient)>,
+    /// Inverse of the information of the shared parameters.
+    covariance: Shared,
+    step: Gradient,
+}
+
+impl Equations {
+    /// At `state`; the variances of rotation and position are updated. `None` if they are singular.
+    fn at(
+        state: &State,
+        body: &PoseStream,
+        observations: &[Observation],
+        searched_s: f64,
+        variances: &mut Option<[f64; 2]>,
+    ) -> Option<Self> {
+        let rows = observations.iter().filter_map(|o| state.row(o, body));
+        let rows: Vec<Row> = rows.collect();
         if rows.is_empty() {
             return None;
         }
-        let squares: [Vec<f64>; 2] = [
-            rows.iter().map(|row| row.rotation.norm_squared()).collect(),
-            rows.iter().map(|row| row.position.norm_squared()).collect(),
-        ];
+        let least = ROUNDING.map(|sd| sd * sd);
+        let squares = [Row::rotation_square, Row::position_square]
+            .map(|square| rows.iter().map(square).collect::<Vec<f64>>());
         let variances = variances.get_or_insert_with(|| {
             std::array::from_fn(|k| initial_variance(&squares[k], least[k]))
         });
-        let weights: [Vec<f64>; 2] =
-            std::array::from_fn(|k| student(&squares[k], &mut variances[k], least[k]));
+        let [r, p] = std::array::from_fn(|k| student(&squares[k], &mut variances[k], least[k]));
+        let weights = r
+            .iter()
+            .zip(&p)
+            .map(|(r, p)| [r / variances[0], p / variances[1]]);
+        let weights: Vec<[f64; 2]> = weights.collect();
         let mut normals = vec![Normal::zero(); state.frames.len()];
-        for (k, row) in rows.iter().enumerate() {
-            let weights = std::array::from_fn(|part| weights[part][k] / variances[part]);
-            normals[row.block].push(row, weights);
+        for (row, weights) in rows.iter().zip(&weights) {
+            normals[row.block].push(row, *weights);
         }
         for normal in &mut normals {
             for k in 0..BLOCK {
-                // Drift that the stream does not have, and blocks without poses.
+                // What the stream does not have, and blocks without poses.
                 if normal.yy[(k, k)] == 0.0 {
                     normal.yy[(k, k)] = 1.0;
                 }
@@ -332,35 +335,63 @@ pub(super) fn fit(
         precision.fixed_rows_mut::<3>(0).fill(0.0);
         (precision[6], precision[7]) = (OFFSET_SD_S.powi(-2), SCALE_SD.powi(-2));
         let mut deviation = Gradient::zeros();
-        deviation
-            .fixed_rows_mut::<3>(3)
-            .copy_from(&state.translation_m);
+        let translation = deviation.fixed_rows_mut::<3>(3);
+        { translation }.copy_from(&state.translation_m);
         (deviation[6], deviation[7]) = (state.offset_s - searched_s, state.scale);
-        let information =
-            reduced.iter().map(|r| r.0).sum::<Shared>() + Shared::from_diagonal(&precision);
-        let gradient =
-            reduced.iter().map(|r| r.1).sum::<Gradient>() + precision.component_mul(&deviation);
+        let prior = Shared::from_diagonal(&precision);
+        let information = reduced.iter().map(|r| r.0).sum::<Shared>() + prior;
+        let gradient = reduced.iter().map(|r| r.1).sum::<Gradient>() + prior * deviation;
         let solved = information.cholesky()?;
-        let step = -solved.solve(&gradient);
-        let residuals = rows.iter().enumerate().map(|(k, row)| Residual {
-            time_s: row.time_s,
-            rotation_rad: squares[0][k].sqrt(),
-            position_m: squares[1][k].sqrt(),
-            weight: weights[0][k].min(weights[1][k]),
-        });
-        last = Some((
-            residuals.collect(),
+        Some(Self {
+            step: -solved.solve(&gradient),
+            covariance: solved.inverse(),
+            rows,
+            weights,
+            normals,
             reduced,
-            solved.inverse(),
-            variances.map(f64::sqrt),
-        ));
-        state.add(&step, &normals);
-        if step.amax() < SETTLED {
+        })
+    }
+
+    /// Sum of the squared scores of groups of neighbouring poses: what stands for the information where errors are
+    /// correlated within a group (Huber 1967, White 1980; groups: Liang & Zeger 1986).
+    fn scatter(&self) -> Shared {
+        let seconds = self.rows[self.rows.len() - 1].time_s - self.rows[0].time_s;
+        let groups = GROUPS.max((seconds / GROUP_S) as usize);
+        let mut scores = vec![Gradient::zeros(); groups];
+        for (k, (row, weights)) in self.rows.iter().zip(&self.weights).enumerate() {
+            let mut one = Normal::zero();
+            one.push(row, *weights);
+            let normal = &self.normals[row.block];
+            let own = normal
+                .yy
+                .cholesky()
+                .map_or_else(SVector::zeros, |c| c.solve(&one.y));
+            scores[k * groups / self.rows.len()] += one.x - normal.xy * own;
+        }
+        let few = groups as f64 / (groups - SHARED) as f64;
+        scores.iter().map(|s| s * s.transpose()).sum::<Shared>() * few
+    }
+}
+
+/// Fits; `None` if the equations are singular.
+pub(super) fn fit(
+    mut state: State,
+    body: &PoseStream,
+    observations: &[Observation],
+) -> Option<Fit> {
+    let searched_s = state.offset_s;
+    let mut variances = None;
+    for _ in 0..STEPS {
+        let equations = Equations::at(&state, body, observations, searched_s, &mut variances)?;
+        state.add(&equations.step, &equations.normals);
+        if equations.step.amax() < SETTLED {
             break;
         }
     }
-    let (residuals, reduced, covariance, noise) = last?;
-    let (birge, dof) = birge(&reduced);
+    let equations = Equations::at(&state, body, observations, searched_s, &mut variances)?;
+    let variances = variances?;
+    let scatter = equations.scatter();
+    let (birge, dof) = birge(&equations.reduced, &scatter);
     // Variance of Student's t with the degrees of freedom of the Birge ratio.
     let widened = birge.max(1.0)
         * if dof > 2.0 {
@@ -368,33 +399,48 @@ pub(super) fn fit(
         } else {
             f64::INFINITY
         };
+    let covariance = equations.covariance * scatter * equations.covariance * widened
+        // What the data do not show keeps its prior.
+        + Shared::from_diagonal(&Gradient::repeat(f64::EPSILON));
+    let residuals = equations.rows.iter().zip(&equations.weights);
+    let residuals = residuals.map(|(row, weights)| Residual {
+        time_s: row.time_s,
+        rotation_rad: row.rotation.norm(),
+        position_m: row.position.norm(),
+        weight: f64::min(weights[0] * variances[0], weights[1] * variances[1]),
+    });
     let finite = covariance.iter().all(|c: &f64| c.is_finite());
     finite.then_some(Fit {
+        residuals: residuals.collect(),
         state,
-        covariance: covariance * widened,
+        covariance,
         birge,
-
-        noise,
-        residuals,
+        noise: variances.map(f64::sqrt),
     })
 }
 
-/// Scatter of the blocks' own estimates over their stated covariance (Birge 1932), and its degrees of freedom.
-fn birge(reduced: &[(Shared, Gradient)]) -> (f64, f64) {
-    let (mut sum, mut dof) = (0.0, -(SHARED as f64));
-    for (information, gradient) in reduced {
-        let scale = information
-            .diagonal()
-            .map(|d| if d > 0.0 { d.sqrt().recip() } else { 0.0 });
-        let scaled = Shared::from_diagonal(&scale) * information * Shared::from_diagonal(&scale);
-        let eigen = scaled.symmetric_eigen();
-        let along = eigen.eigenvectors.transpose() * gradient.component_mul(&scale);
-        let largest = eigen.eigenvalues.max();
-        for (value, along) in eigen.eigenvalues.iter().zip(along.iter()) {
-            if *value > RANK * largest {
-                sum += along * along / value;
-                dof += 1.0;
-            }
+/// Scatter of the blocks' scores over that of their groups (Birge 1932), and its degrees of freedom.
+fn birge(reduced: &[(Shared, Gradient)], scatter: &Shared) -> (f64, f64) {
+    let scale = scatter
+        .diagonal()
+        .map(|d| if d > 0.0 { d.sqrt().recip() } else { 0.0 });
+    let scaled = Shared::from_diagonal(&scale) * scatter * Shared::from_diagonal(&scale);
+    let eigen = (scaled / reduced.len() as f64).symmetric_eigen();
+    let largest = eigen.eigenvalues.max();
+    let (mut sum, mut dof) = (0.0, 0.0);
+    for (value, axis) in eigen
+        .eigenvalues
+        .iter()
+        .zip(eigen.eigenvectors.column_iter())
+    {
+        if *value > RANK * largest {
+            let along =
+                |(_, gradient): &(Shared, Gradient)| axis.dot(&gradient.component_mul(&scale));
+            sum += reduced
+                .iter()
+                .map(|block| along(block).powi(2) / value)
+                .sum::<f64>();
+            dof += reduced.len() as f64 - 1.0;
         }
     }
     if dof > 0.0 {

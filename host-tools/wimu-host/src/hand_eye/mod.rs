@@ -25,7 +25,7 @@ use fit::{Fit, Observation, SHARED, State};
 const APART_S: f64 = 0.1;
 /// Blocks of a recording: the fewest whose scatter gives a Birge ratio with 27 degrees of freedom or more.
 const BLOCKS: usize = 5;
-/// Longest block of dead reckoning, s: its drift is a polynomial of third order over it.
+/// Longest block of a gyroscope, s: its bias is constant over it.
 const INERTIAL_BLOCK_S: f64 = 5.0;
 /// Fewest poses of a block.
 const BLOCK_POSES: usize = 10;
@@ -115,7 +115,7 @@ pub fn hand_eye(camera: &PoseStream, body: &PoseStream, options: &HandEyeOptions
     let findings = camera.findings.iter().chain(&body.findings).cloned();
     report.outcome.findings.extend(findings);
     match solve(camera, body, options, &mut report.outcome) {
-        Ok(fit) => report.state(fit, options),
+        Ok(fit) => report.state(fit, body.inertial, options),
         Err(reason) => report.outcome.refuse(reason),
     }
     report
@@ -166,7 +166,7 @@ fn observations(
     for pose in camera.poses() {
         let due = poses
             .last()
-            .is_none_or(|last| pose.time_s - last.time_s >= APART_S);
+            .is_none_or(|last| pose.time_s - last.time_s > 0.99 * APART_S);
         if due && body.at(pose.time_s + offset_s).is_some() {
             poses.push(*pose);
         }
@@ -198,7 +198,7 @@ fn observations(
 
 impl HandEye {
     /// States what a fit found, as far as the limits allow.
-    fn state(&mut self, fit: Fit, options: &HandEyeOptions) {
+    fn state(&mut self, fit: Fit, inertial: bool, options: &HandEyeOptions) {
         let sd: [f64; SHARED] = std::array::from_fn(|k| fit.covariance[(k, k)].sqrt());
         let contradicting = fit
             .residuals
@@ -230,7 +230,12 @@ impl HandEye {
         self.rotation_sd_rad = Some([sd[0], sd[1], sd[2]]);
         self.offset_s = Some([fit.state.offset_s, sd[6]]);
         let worst = largest_sd(&fit.covariance.fixed_view::<3, 3>(3, 3).into_owned());
-        if worst > options.translation_limit_m {
+        if inertial {
+            let text = "inertial data show the rotation and the clock offset, not the translation";
+            let finding = FindingCode::NotObserved.note(text);
+            let remedy = "for the translation, give poses of the body, such as those of a motion capture system";
+            self.outcome.findings.push(finding.remedy(remedy));
+        } else if worst > options.translation_limit_m {
             let text = format!(
                 "the motion does not show the translation (± {} m)",
                 digits::significant(worst, 2)

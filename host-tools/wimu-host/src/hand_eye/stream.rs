@@ -17,8 +17,6 @@ const RATE_OVER_S: f64 = 0.1;
 const OFFSET_STEP_S: f64 = 0.02;
 /// Shortest overlap in which two streams can be compared, s.
 const OVERLAP_S: f64 = 5.0;
-/// Gravity that dead reckoning removes, m/s² (ISO 80000-3). An error is absorbed by the polynomials of equation (201).
-const GRAVITY_MPS2: f64 = 9.80665;
 
 /// A pose: position and rotation of a body in its tracker's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,7 +34,7 @@ pub struct StreamPose {
 pub struct PoseStream {
     /// What findings call it.
     pub name: String,
-    /// Whether it is dead reckoning of an inertial sensor, which drifts.
+    /// Whether it has rotations of a gyroscope only, which drift.
     pub inertial: bool,
     /// What was noticed at reading.
     pub findings: Vec<Finding>,
@@ -145,33 +143,24 @@ impl PoseStream {
         Ok(stream)
     }
 
-    /// Dead reckoning of a recording with a gyroscope: equation (200). Its errors grow with time; [`hand_eye`](super::hand_eye)
-    /// estimates them for each block.
+    /// Rotations of a recording with a gyroscope: equation (201). Positions are zero; they are not used.
     ///
     /// # Errors
     /// `no_rows` without angular rates.
     pub fn of_inertial(recording: &MotionRecording) -> Result<Self> {
-        let mut rotation: Option<UnitQuaternion<f64>> = None;
-        let (mut position_m, mut velocity) = (Vector3::zeros(), Vector3::zeros());
-        let mut poses = Vec::with_capacity(recording.samples.len());
-        for (time_s, sample) in recording.times_s.iter().zip(&recording.samples) {
-            let Some(rate) = sample.rate_rad_s else {
-                continue;
-            };
-            let force = Vector3::from(sample.force_mps2);
-            let before = rotation.unwrap_or_else(|| level(&force));
-            let step = sample.step_s.max(0.0);
-            let half = UnitQuaternion::from_scaled_axis(Vector3::from(rate) * (0.5 * step));
-            let acceleration = before * half * force - Vector3::z() * GRAVITY_MPS2;
-            position_m += velocity * step + acceleration * (0.5 * step * step);
-            velocity += acceleration * step;
-            let rotation = *rotation.insert(before * half * half);
-            poses.push(StreamPose {
-                time_s: *time_s,
-                position_m,
+        let mut rotation = UnitQuaternion::identity();
+        let samples = recording.times_s.iter().zip(&recording.samples);
+        let rates = samples.filter_map(|(t, sample)| Some((*t, sample.step_s, sample.rate_rad_s?)));
+        let pose = |(time_s, step_s, rate): (f64, f64, [f64; 3])| {
+            let angle = Vector3::from(rate) * step_s.max(0.0);
+            rotation *= UnitQuaternion::from_scaled_axis(angle);
+            StreamPose {
+                time_s,
+                position_m: Vector3::zeros(),
                 rotation,
-            });
-        }
+            }
+        };
+        let poses: Vec<StreamPose> = rates.map(pose).collect();
         if poses.is_empty() {
             let message = format!("{} has no angular rates", recording.name);
             let remedy = "the rotation to a camera needs a gyroscope, or poses of the body";
@@ -229,13 +218,6 @@ impl PoseStream {
 }
 
 const TUM: &str = "Time (s),Position X (m),Position Y (m),Position Z (m),Quaternion X,Quaternion Y,Quaternion Z,Quaternion W";
-
-/// Smallest rotation that makes a specific force point up.
-fn level(force: &Vector3<f64>) -> UnitQuaternion<f64> {
-    UnitQuaternion::rotation_between(force, &Vector3::z()).unwrap_or_else(|| {
-        UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
-    })
-}
 
 /// Clock offset of two streams: the lag of the largest correlation of their angular rates' magnitudes.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -228,12 +228,10 @@ fn rotation_about_one_axis_is_refused_and_no_rotation_too() {
         let rig = Rig::new(&mut random, axes);
         let camera = stream(rig.camera(60.0, &mut random, 0.0));
         let found = hand_eye(&camera, &rig.bodies(60.0), &HandEyeOptions::default());
+        let reason = found.outcome.reason.unwrap();
         assert!(
-            found
-                .outcome
-                .reason
-                .is_some_and(|reason| reason.contains("axis") || reason.contains("axes")),
-            "{axes}"
+            reason.contains("axis") || reason.contains("axes"),
+            "{axes}: {reason}"
         );
         assert!(found.quaternion.is_none());
     }

@@ -10,6 +10,8 @@ pub(super) const SHARED: usize = 8;
 const BLOCK: usize = 9;
 /// Degrees of freedom of Student's t: heavy tails of poses that jump (Lange, Little & Taylor 1989).
 const STUDENT_DOF: f64 = 4.0;
+/// Part of the curvature of Student's log-likelihood that its weights have, of three components.
+const CURVATURE: f64 = 2.0 / (STUDENT_DOF + 3.0);
 /// Standard deviation of the scale error of a camera's positions. Chosen on `camera/falcon_3`, `prime_sense_1`: −2 to 6 %.
 const SCALE_SD: f64 = 0.05;
 /// Standard deviation of the clock offset after its search, s.
@@ -21,9 +23,9 @@ const ROUNDING: [f64; 2] = [1e-6, 1e-6];
 /// Gauss–Newton steps at most, and the step that ends them, rad, m or s.
 const STEPS: usize = 40;
 const SETTLED: f64 = 1e-8;
-/// Groups of neighbouring poses whose scores are taken as independent: at least so many, else one every two seconds.
-const GROUPS: usize = 24;
-const GROUP_S: f64 = 2.0;
+/// Groups of neighbouring poses whose errors are taken as independent: their least number, and their length, s.
+const GROUPS: usize = 20;
+const GROUP_S: f64 = 3.0;
 /// An eigenvalue below this fraction of the largest one is none.
 const RANK: f64 = 1e-9;
 
@@ -82,11 +84,24 @@ pub(super) struct Fit {
     pub state: State,
     /// Of the shared parameters, with the Birge ratio.
     pub covariance: Shared,
+    /// The same if the noise were white: what the data do not show has its prior here.
+    pub white: Shared,
     /// Birge ratio: scatter of the blocks over what white noise would do.
     pub birge: f64,
     /// Standard deviations of the noise: rotation, rad, and position, m, of each component.
     pub noise: [f64; 2],
     pub residuals: Vec<Residual>,
+}
+
+impl Fit {
+    /// Largest standard deviation of any direction of three parameters from `first` on.
+    pub fn worst_sd(&self, first: usize) -> f64 {
+        let of = |covariance: &Shared| {
+            let part = covariance.fixed_view::<3, 3>(first, first).into_owned();
+            part.symmetric_eigenvalues().max().max(0.0).sqrt()
+        };
+        of(&self.covariance).max(of(&self.white))
+    }
 }
 
 /// Equations of one block.
@@ -253,12 +268,19 @@ impl Normal {
         }
     }
 
-    fn push(&mut self, row: &Row, weights: [f64; 2]) {
-        let [r, p] = weights;
-        let weight = Matrix6::from_diagonal(&nalgebra::Vector6::new(r, r, r, p, p, p));
-        let residual = nalgebra::Vector6::from_iterator(
-            row.rotation.iter().chain(row.position.iter()).copied(),
-        );
+    /// Adds a row. `curvature` 0 gives the equations of reweighted least squares; 2/(ν + 3) those of Newton, with the change
+    /// of the weights: what a standard deviation must be computed from.
+    fn push(&mut self, row: &Row, weights: [f64; 2], curvature: f64) {
+        let mut weight = Matrix6::zeros();
+        let mut weighted = nalgebra::Vector6::zeros();
+        for (k, residual) in [row.rotation, row.position].into_iter().enumerate() {
+            let outer = residual * residual.transpose() * (curvature * weights[k] * weights[k]);
+            let part = Matrix3::from_diagonal_element(weights[k]) - outer;
+            weight.fixed_view_mut::<3, 3>(3 * k, 3 * k).copy_from(&part);
+            weighted
+                .fixed_rows_mut::<3>(3 * k)
+                .copy_from(&(residual * weights[k]));
+        }
         let (xw, yw) = (
             row.shared.transpose() * weight,
             row.own.transpose() * weight,
@@ -266,8 +288,18 @@ impl Normal {
         self.xx += xw * row.shared;
         self.xy += xw * row.own;
         self.yy += yw * row.own;
-        self.x += xw * residual;
-        self.y += yw * residual;
+        self.x += row.shared.transpose() * weighted;
+        self.y += row.own.transpose() * weighted;
+    }
+
+    /// The same without some of its poses, at the solution: information, and gradient of those that are left.
+    fn without(&self, part: &Self) -> (Shared, Gradient) {
+        let Some(own) = (self.yy - part.yy).cholesky() else {
+            return (Shared::zeros(), -part.x);
+        };
+        let xy = self.xy - part.xy;
+        let information = self.xx - part.xx - xy * own.solve(&xy.transpose());
+        (information, xy * own.solve(&part.y) - part.x)
     }
 
     /// Information and gradient of the shared parameters, the block's own eliminated (Schur complement).
@@ -287,8 +319,8 @@ struct Equations {
     weights: Vec<[f64; 2]>,
     normals: Vec<Normal>,
     reduced: Vec<(Shared, Gradient)>,
-    /// Inverse of the information of the shared parameters.
-    covariance: Shared,
+    /// Information of the shared parameters with its prior.
+    information: Shared,
     step: Gradient,
 }
 
@@ -300,6 +332,7 @@ impl Equations {
         observations: &[Observation],
         searched_s: f64,
         variances: &mut Option<[f64; 2]>,
+        curvature: f64,
     ) -> Option<Self> {
         let rows = observations.iter().filter_map(|o| state.row(o, body));
         let rows: Vec<Row> = rows.collect();
@@ -320,7 +353,7 @@ impl Equations {
         let weights: Vec<[f64; 2]> = weights.collect();
         let mut normals = vec![Normal::zero(); state.frames.len()];
         for (row, weights) in rows.iter().zip(&weights) {
-            normals[row.block].push(row, *weights);
+            normals[row.block].push(row, *weights, curvature);
         }
         for normal in &mut normals {
             for k in 0..BLOCK {
@@ -344,7 +377,7 @@ impl Equations {
         let solved = information.cholesky()?;
         Some(Self {
             step: -solved.solve(&gradient),
-            covariance: solved.inverse(),
+            information,
             rows,
             weights,
             normals,
@@ -352,24 +385,37 @@ impl Equations {
         })
     }
 
-    /// Sum of the squared scores of groups of neighbouring poses: what stands for the information where errors are
-    /// correlated within a group (Huber 1967, White 1980; groups: Liang & Zeger 1986).
-    fn scatter(&self) -> Shared {
+    /// Normal equations of groups of neighbouring poses, each with its block.
+    fn groups(&self) -> Vec<(usize, Normal)> {
         let seconds = self.rows[self.rows.len() - 1].time_s - self.rows[0].time_s;
-        let groups = GROUPS.max((seconds / GROUP_S) as usize);
-        let mut scores = vec![Gradient::zeros(); groups];
+        let count = GROUPS.max((seconds / GROUP_S) as usize);
+        let mut groups: Vec<(usize, usize, Normal)> = Vec::new();
         for (k, (row, weights)) in self.rows.iter().zip(&self.weights).enumerate() {
-            let mut one = Normal::zero();
-            one.push(row, *weights);
-            let normal = &self.normals[row.block];
-            let own = normal
-                .yy
-                .cholesky()
-                .map_or_else(SVector::zeros, |c| c.solve(&one.y));
-            scores[k * groups / self.rows.len()] += one.x - normal.xy * own;
+            let group = k * count / self.rows.len();
+            if !matches!(groups.last(), Some(last) if (last.0, last.1) == (group, row.block)) {
+                groups.push((group, row.block, Normal::zero()));
+            }
+            if let Some((.., normal)) = groups.last_mut() {
+                normal.push(row, *weights, CURVATURE);
+            }
         }
-        let few = groups as f64 / (groups - SHARED) as f64;
-        scores.iter().map(|s| s * s.transpose()).sum::<Shared>() * few
+        groups
+            .into_iter()
+            .map(|(_, block, normal)| (block, normal))
+            .collect()
+    }
+
+    /// Covariance from the changes of the answer when one part after the other is left out (block jackknife, Künsch 1989): to
+    /// first order, errors within a part may be correlated.
+    fn jackknife(&self, parts: &[(usize, Normal)]) -> Shared {
+        let changes = parts.iter().filter_map(|(block, part)| {
+            let (information, gradient) = self.normals[*block].without(part);
+            let all = self.information - self.reduced[*block].0 + information;
+            let change = all.cholesky()?.solve(&gradient);
+            Some(change * change.transpose())
+        });
+        let count = parts.len() as f64;
+        changes.sum::<Shared>() * ((count - 1.0) / count)
     }
 }
 
@@ -382,26 +428,26 @@ pub(super) fn fit(
     let searched_s = state.offset_s;
     let mut variances = None;
     for _ in 0..STEPS {
-        let equations = Equations::at(&state, body, observations, searched_s, &mut variances)?;
+        let equations = Equations::at(&state, body, observations, searched_s, &mut variances, 0.0)?;
         state.add(&equations.step, &equations.normals);
         if equations.step.amax() < SETTLED {
             break;
         }
     }
-    let equations = Equations::at(&state, body, observations, searched_s, &mut variances)?;
+    let equations = Equations::at(
+        &state,
+        body,
+        observations,
+        searched_s,
+        &mut variances,
+        CURVATURE,
+    )?;
     let variances = variances?;
-    let scatter = equations.scatter();
-    let (birge, dof) = birge(&equations.reduced, &scatter);
+    let groups = equations.jackknife(&equations.groups());
+    let blocks: Vec<(usize, Normal)> = equations.normals.iter().cloned().enumerate().collect();
+    let (birge, dof) = birge(&groups, &equations.jackknife(&blocks), blocks.len());
     // Variance of Student's t with the degrees of freedom of the Birge ratio.
-    let widened = birge.max(1.0)
-        * if dof > 2.0 {
-            dof / (dof - 2.0)
-        } else {
-            f64::INFINITY
-        };
-    let covariance = equations.covariance * scatter * equations.covariance * widened
-        // What the data do not show keeps its prior.
-        + Shared::from_diagonal(&Gradient::repeat(f64::EPSILON));
+    let covariance = groups * (birge.max(1.0) * dof / (dof - 2.0));
     let residuals = equations.rows.iter().zip(&equations.weights);
     let residuals = residuals.map(|(row, weights)| Residual {
         time_s: row.time_s,
@@ -414,38 +460,26 @@ pub(super) fn fit(
         residuals: residuals.collect(),
         state,
         covariance,
+        white: equations.information.try_inverse()?,
         birge,
         noise: variances.map(f64::sqrt),
     })
 }
 
-/// Scatter of the blocks' scores over that of their groups (Birge 1932), and its degrees of freedom.
-fn birge(reduced: &[(Shared, Gradient)], scatter: &Shared) -> (f64, f64) {
-    let scale = scatter
+/// Scatter of the blocks over that of the groups of poses (Birge 1932), and its degrees of freedom.
+fn birge(groups: &Shared, blocks: &Shared, count: usize) -> (f64, f64) {
+    let scale = groups
         .diagonal()
         .map(|d| if d > 0.0 { d.sqrt().recip() } else { 0.0 });
-    let scaled = Shared::from_diagonal(&scale) * scatter * Shared::from_diagonal(&scale);
-    let eigen = (scaled / reduced.len() as f64).symmetric_eigen();
+    let scaled =
+        |matrix: &Shared| Shared::from_diagonal(&scale) * matrix * Shared::from_diagonal(&scale);
+    let eigen = scaled(groups).symmetric_eigen();
+    let rotated = eigen.eigenvectors.transpose() * scaled(blocks) * eigen.eigenvectors;
     let largest = eigen.eigenvalues.max();
-    let (mut sum, mut dof) = (0.0, 0.0);
-    for (value, axis) in eigen
-        .eigenvalues
-        .iter()
-        .zip(eigen.eigenvectors.column_iter())
-    {
-        if *value > RANK * largest {
-            let along =
-                |(_, gradient): &(Shared, Gradient)| axis.dot(&gradient.component_mul(&scale));
-            sum += reduced
-                .iter()
-                .map(|block| along(block).powi(2) / value)
-                .sum::<f64>();
-            dof += reduced.len() as f64 - 1.0;
-        }
-    }
-    if dof > 0.0 {
-        (sum / dof, dof)
-    } else {
-        (1.0, dof)
-    }
+    let shown = (0..SHARED).filter(|k| eigen.eigenvalues[*k] > RANK * largest);
+    let ratios: Vec<f64> = shown
+        .map(|k| rotated[(k, k)] / eigen.eigenvalues[k])
+        .collect();
+    let dof = (ratios.len() * (count - 1)) as f64;
+    (ratios.iter().sum::<f64>() / ratios.len() as f64, dof)
 }

@@ -10,7 +10,7 @@ mod report;
 mod start;
 mod stream;
 
-use nalgebra::{Matrix3, SMatrix};
+use nalgebra::SMatrix;
 use serde::Serialize;
 
 pub use fit::Residual;
@@ -130,7 +130,7 @@ fn solve(
 ) -> std::result::Result<Fit, String> {
     let limit = options.offset_limit_s;
     let offset = stream::clock_offset(camera, body, limit).ok_or(
-        "the two streams do not overlap for 5 s: record both at once, or widen --offset-limit",
+        "the two streams do not overlap for 5 s, or one does not turn: record both while the body turns about two axes",
     )?;
     if limit.is_some_and(|limit| offset.offset_s.abs() > limit - 0.1) {
         return Err(format!(
@@ -217,7 +217,7 @@ impl HandEye {
                 .findings
                 .push(FindingCode::Residuals.note(text));
         }
-        let worst = largest_sd(&fit.covariance.fixed_view::<3, 3>(0, 0).into_owned());
+        let worst = fit.worst_sd(0);
         if worst > options.rotation_limit_rad {
             self.outcome.refuse(format!(
                 "the rotation is known to ± {}° only: turn the body about two axes, by 60° or more",
@@ -229,7 +229,7 @@ impl HandEye {
         self.quaternion = Some([q.w, q.i, q.j, q.k]);
         self.rotation_sd_rad = Some([sd[0], sd[1], sd[2]]);
         self.offset_s = Some([fit.state.offset_s, sd[6]]);
-        let worst = largest_sd(&fit.covariance.fixed_view::<3, 3>(3, 3).into_owned());
+        let worst = fit.worst_sd(3);
         if inertial {
             let text = "inertial data show the rotation and the clock offset, not the translation";
             let finding = FindingCode::NotObserved.note(text);
@@ -253,11 +253,6 @@ impl HandEye {
         self.covariance = Some(block.into());
         self.residuals = fit.residuals;
     }
-}
-
-/// Largest standard deviation of any direction.
-fn largest_sd(covariance: &Matrix3<f64>) -> f64 {
-    covariance.symmetric_eigenvalues().max().max(0.0).sqrt()
 }
 
 impl HandEye {

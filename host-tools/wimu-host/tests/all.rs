@@ -11,6 +11,7 @@ mod export_calibration;
 mod feet;
 mod fixes;
 mod formats_document;
+mod hand_eye;
 mod inertial;
 mod localization;
 mod relative;

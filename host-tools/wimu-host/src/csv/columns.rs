@@ -7,6 +7,8 @@ use crate::{ErrorCode, HostError, Result};
 
 /// Names of units and their size in SI units.
 pub(crate) type Units = &'static [(&'static str, f64)];
+/// A number without a unit.
+pub(crate) const NUMBER: Units = &[("", 1.0)];
 pub(crate) const LENGTH: Units = &[("m", 1.0), ("cm", 1e-2), ("mm", 1e-3)];
 pub(crate) const TIME: Units = &[
     ("s", 1.0),
@@ -31,9 +33,14 @@ pub(crate) struct Column(usize, f64);
 
 impl Table {
     pub fn read(path: &Path) -> Result<Self> {
+        Self::read_or(path, |_| None)
+    }
+
+    /// The same of a file that `converted` may turn into a CSV table with a header.
+    pub fn read_or(path: &Path, converted: impl Fn(&str) -> Option<String>) -> Result<Self> {
         let name = path.display().to_string();
         let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
-        Self::of(name, &text)
+        Self::of(name, &converted(&text).unwrap_or(text))
     }
 
     /// The table that a text is.
@@ -59,10 +66,11 @@ impl Table {
         Ok(Self { name, header, rows })
     }
 
-    /// The column `NAME (UNIT)` for one of several names.
+    /// The column `NAME (UNIT)`, or `NAME` without a unit, for one of several names.
     pub fn column(&self, names: &[&str], units: Units) -> Option<Column> {
         self.header.iter().enumerate().find_map(|(at, column)| {
-            let (name, unit) = column.strip_suffix(')')?.split_once(" (")?;
+            let united = column.strip_suffix(')').and_then(|c| c.split_once(" ("));
+            let (name, unit) = united.unwrap_or((column, ""));
             let known = names.iter().any(|n| n.eq_ignore_ascii_case(name));
             let size = units.iter().find(|(u, _)| *u == unit)?.1;
             known.then_some(Column(at, size))
@@ -70,8 +78,12 @@ impl Table {
     }
 
     pub fn needed(&self, names: &[&str], units: Units) -> Result<Column> {
-        self.column(names, units)
-            .ok_or_else(|| self.missing(&format!("{} ({})", names[0], units[0].0)))
+        self.column(names, units).ok_or_else(|| {
+            self.missing(&match units[0].0 {
+                "" => names[0].to_owned(),
+                unit => format!("{} ({unit})", names[0]),
+            })
+        })
     }
 
     /// Names of the columns that none of `used` is.

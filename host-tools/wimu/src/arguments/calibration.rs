@@ -145,6 +145,8 @@ Examples:
       rests level, moves straight ahead, rests again
   wimu align tcp://127.0.0.1:7100 --up z,x --push
       listens until both rests were found
+  wimu align imu.csv --camera poses.csv --report camera.html
+      pose of a camera in the body, from its poses and inertial data or poses of the body
 Push a written result with `wimu params push LINK CAL.json`.")]
 pub struct Align {
     /// A LINK, or a recording of any format
@@ -181,6 +183,15 @@ pub struct Align {
     /// Push the result to the device (LINK only)
     #[arg(long)]
     pub push: bool,
+    /// Find the pose of a camera in the body instead: its poses, a CSV table or a TUM trajectory
+    #[arg(long, value_name = "POSES", conflicts_with_all = ["up", "rests", "forward", "placement_sd", "output", "seconds", "push"])]
+    pub camera: Option<PathBuf>,
+    /// Largest offset of the two clocks with --camera, s [default: any]
+    #[arg(long, value_name = "SECONDS", value_parser = positive, requires = "camera")]
+    pub offset_limit: Option<f64>,
+    /// Write a report with the residuals to this file
+    #[arg(long, value_name = "FILE.html", requires = "camera")]
+    pub report: Option<PathBuf>,
 }
 
 #[derive(Args)]

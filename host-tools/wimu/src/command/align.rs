@@ -1,5 +1,7 @@
 //! `wimu align`.
 
+mod camera;
+
 use std::path::Path;
 
 use wimu_host::Result;
@@ -17,6 +19,9 @@ use crate::output::{Output, usage};
 
 /// Returns the exit code: 0, or 3 if the data do not support an answer.
 pub fn run(arguments: &Align, output: Output) -> Result<u8> {
+    if let Some(camera) = &arguments.camera {
+        return camera::run(arguments, camera, output);
+    }
     let options = AlignOptions {
         up: arguments
             .up

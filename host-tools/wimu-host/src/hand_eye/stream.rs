@@ -1,0 +1,265 @@
+//! Streams of poses: read from tables, interpolated, and the clock offset of two of them.
+
+use std::path::Path;
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+
+use crate::csv::columns::{LENGTH, NUMBER, TIME, Table};
+use crate::finding::{Finding, FindingCode};
+use crate::motion::{MotionRecording, median_step_s};
+use crate::plural::counted;
+use crate::{ErrorCode, Result};
+
+/// Interval over which the angular rate of a stream is taken, s: longer than the period of a camera, shorter than a motion
+/// of a hand.
+const RATE_OVER_S: f64 = 0.1;
+/// Step of the search for the clock offset, s.
+const OFFSET_STEP_S: f64 = 0.02;
+/// Shortest overlap in which two streams can be compared, s.
+const OVERLAP_S: f64 = 5.0;
+
+/// A pose: position and rotation of a body in its tracker's frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StreamPose {
+    /// Time, s, of the stream's own clock.
+    pub time_s: f64,
+    /// Position of the body in the tracker's frame, m.
+    pub position_m: Vector3<f64>,
+    /// Rotation from body axes to the tracker's.
+    pub rotation: UnitQuaternion<f64>,
+}
+
+/// Poses in the order of time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PoseStream {
+    /// What findings call it.
+    pub name: String,
+    /// Whether it has rotations of a gyroscope only, which drift.
+    pub inertial: bool,
+    /// What was noticed at reading.
+    pub findings: Vec<Finding>,
+    poses: Vec<StreamPose>,
+    /// Longest interval over which poses are interpolated, s.
+    gap_s: f64,
+}
+
+/// Pose and velocity between two poses.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Interpolated {
+    pub position_m: Vector3<f64>,
+    pub rotation: UnitQuaternion<f64>,
+    /// m/s, the tracker's axes.
+    pub velocity_mps: Vector3<f64>,
+    /// rad/s, body axes.
+    pub rate_rad_s: Vector3<f64>,
+}
+
+impl PoseStream {
+    /// Poses in any order; times that repeat are left out with a finding.
+    ///
+    /// # Errors
+    /// `no_rows` for fewer than two poses.
+    pub fn new(name: impl Into<String>, mut poses: Vec<StreamPose>) -> Result<Self> {
+        let name = name.into();
+        let given = poses.len();
+        poses.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+        poses.dedup_by(|b, a| b.time_s <= a.time_s);
+        if poses.len() < 2 {
+            let message = format!("{name} has fewer than two poses");
+            return Err(ErrorCode::NoRows.error(message, "record the motion for a minute"));
+        }
+        let mut findings = Vec::new();
+        if poses.len() < given {
+            let lost = counted(given - poses.len(), "pose");
+            let text = format!("{name}: {lost} left out: the time repeats");
+            findings.push(FindingCode::TimesUnordered.warning(text));
+        }
+        let times: Vec<f64> = poses.iter().map(|pose| pose.time_s).collect();
+        let gap_s = f64::max(0.15, 3.0 * median_step_s(&times));
+        Ok(Self {
+            name,
+            inertial: false,
+            findings,
+            poses,
+            gap_s,
+        })
+    }
+
+    /// Reads a table with `Time (s)`, `Position X (m)` (or `E`), …, `Quaternion W`, … (body to frame), or a trajectory in the
+    /// TUM format: lines of `time x y z qx qy qz qw`.
+    ///
+    /// # Errors
+    /// `file_unreadable`, `csv_missing_column`, `csv_bad_number`, `no_rows`.
+    pub fn read(path: &Path) -> Result<Self> {
+        let mut table = Table::read_or(path, |text| {
+            let rows = text.lines().filter(|line| !line.starts_with('#'));
+            let fields = |line: &str| line.split_whitespace().count() == 8 && !line.contains(',');
+            let mut rows = rows.filter(|line| !line.trim().is_empty()).peekable();
+            rows.peek().is_some_and(|line| fields(line)).then(|| {
+                let rows = rows.map(|row| row.split_whitespace().collect::<Vec<_>>().join(","));
+                let rows: Vec<String> = rows.collect();
+                format!("{TUM}\n{}\n", rows.join("\n"))
+            })
+        })?;
+        table.name = path.display().to_string();
+        let time = table.needed(&["Time"], TIME)?;
+        let mut columns = Vec::new();
+        for [first, second] in [["X", "E"], ["Y", "N"], ["Z", "U"]] {
+            let names = [format!("Position {first}"), format!("Position {second}")];
+            columns.push(table.needed(&[&names[0], &names[1]], LENGTH)?);
+        }
+        for axis in ["W", "X", "Y", "Z"] {
+            columns.push(table.needed(&[&format!("Quaternion {axis}")], NUMBER)?);
+        }
+        let (mut poses, mut left_out) = (Vec::new(), 0);
+        for row in 0..table.rows.len() {
+            let values = columns.iter().map(|column| table.value(row, *column));
+            let values: Option<Vec<f64>> =
+                values.collect::<Result<Vec<_>>>()?.into_iter().collect();
+            let (Some(time_s), Some(v)) = (table.value(row, time)?, values) else {
+                left_out += 1;
+                continue;
+            };
+            let quaternion = Quaternion::new(v[3], v[4], v[5], v[6]);
+            let Some(rotation) = UnitQuaternion::try_new(quaternion, 0.5) else {
+                left_out += 1;
+                continue;
+            };
+            poses.push(StreamPose {
+                time_s,
+                position_m: Vector3::new(v[0], v[1], v[2]),
+                rotation,
+            });
+        }
+        let mut stream = Self::new(table.name, poses)?;
+        if left_out > 0 {
+            let text = format!(
+                "{}: {} left out: a field is empty or the quaternion is not one",
+                stream.name,
+                counted(left_out, "row")
+            );
+            stream.findings.push(FindingCode::RowsMasked.warning(text));
+        }
+        Ok(stream)
+    }
+
+    /// Rotations of a recording with a gyroscope: equation (201). Positions are zero; they are not used.
+    ///
+    /// # Errors
+    /// `no_rows` without angular rates.
+    pub fn of_inertial(recording: &MotionRecording) -> Result<Self> {
+        let mut rotation = UnitQuaternion::identity();
+        let samples = recording.times_s.iter().zip(&recording.samples);
+        let rates = samples.filter_map(|(t, sample)| Some((*t, sample.step_s, sample.rate_rad_s?)));
+        let pose = |(time_s, step_s, rate): (f64, f64, [f64; 3])| {
+            let angle = Vector3::from(rate) * step_s.max(0.0);
+            rotation *= UnitQuaternion::from_scaled_axis(angle);
+            StreamPose {
+                time_s,
+                position_m: Vector3::zeros(),
+                rotation,
+            }
+        };
+        let poses: Vec<StreamPose> = rates.map(pose).collect();
+        if poses.is_empty() {
+            let message = format!("{} has no angular rates", recording.name);
+            let remedy = "the rotation to a camera needs a gyroscope, or poses of the body";
+            return Err(ErrorCode::NoRows.error(message, remedy));
+        }
+        let mut stream = Self::new(&*recording.name, poses)?;
+        stream.inertial = true;
+        stream.findings.extend(recording.findings.iter().cloned());
+        Ok(stream)
+    }
+
+    /// The poses.
+    pub fn poses(&self) -> &[StreamPose] {
+        &self.poses
+    }
+
+    /// First and last time, s.
+    pub fn span_s(&self) -> [f64; 2] {
+        [
+            self.poses[0].time_s,
+            self.poses[self.poses.len() - 1].time_s,
+        ]
+    }
+
+    /// The pose at a time; `None` outside the stream and in its gaps. Constant velocity and angular rate between poses.
+    pub(super) fn at(&self, time_s: f64) -> Option<Interpolated> {
+        let after = self.poses.partition_point(|pose| pose.time_s <= time_s);
+        let after = after.min(self.poses.len() - 1).max(1);
+        let (a, b) = (&self.poses[after - 1], &self.poses[after]);
+        let step = b.time_s - a.time_s;
+        let part = (time_s - a.time_s) / step;
+        if !(0.0..=1.0).contains(&part) || step > self.gap_s {
+            return None;
+        }
+        let rotation = (a.rotation.inverse() * b.rotation).scaled_axis();
+        Some(Interpolated {
+            position_m: a.position_m.lerp(&b.position_m, part),
+            rotation: a.rotation * UnitQuaternion::from_scaled_axis(rotation * part),
+            velocity_mps: (b.position_m - a.position_m) / step,
+            rate_rad_s: rotation / step,
+        })
+    }
+
+    /// Magnitudes of the angular rate at equal steps from the first pose on, rad/s; `None` in gaps.
+    fn rates(&self) -> Vec<Option<f64>> {
+        let [from, to] = self.span_s();
+        let count = ((to - from - RATE_OVER_S) / OFFSET_STEP_S).max(0.0) as usize;
+        let rate = |step: usize| {
+            let time_s = from + step as f64 * OFFSET_STEP_S;
+            let (a, b) = (self.at(time_s)?, self.at(time_s + RATE_OVER_S)?);
+            Some(a.rotation.angle_to(&b.rotation) / RATE_OVER_S)
+        };
+        (0..count).map(rate).collect()
+    }
+}
+
+const TUM: &str = "Time (s),Position X (m),Position Y (m),Position Z (m),Quaternion X,Quaternion Y,Quaternion Z,Quaternion W";
+
+/// Clock offset of two streams: the lag of the largest correlation of their angular rates' magnitudes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Offset {
+    /// Time of the body's clock less that of the camera's, s.
+    pub offset_s: f64,
+    /// The correlation there.
+    pub correlation: f64,
+}
+
+/// The clock offset within ± `limit_s`, or any without a limit; `None` if the streams overlap nowhere for [`OVERLAP_S`].
+pub(super) fn clock_offset(
+    camera: &PoseStream,
+    body: &PoseStream,
+    limit_s: Option<f64>,
+) -> Option<Offset> {
+    let (a, b) = (camera.rates(), body.rates());
+    let apart_s = body.span_s()[0] - camera.span_s()[0];
+    let lags = -(a.len() as i64)..=b.len() as i64;
+    let of_lag = |lag: i64| Offset {
+        offset_s: apart_s + lag as f64 * OFFSET_STEP_S,
+        correlation: correlation(&a, &b, lag).unwrap_or(f64::NEG_INFINITY),
+    };
+    let all = lags.map(of_lag).filter(|offset| {
+        offset.correlation.is_finite() && limit_s.is_none_or(|limit| offset.offset_s.abs() <= limit)
+    });
+    all.max_by(|a, b| a.correlation.total_cmp(&b.correlation))
+}
+
+/// Correlation of `a` with `b` moved by a lag.
+fn correlation(a: &[Option<f64>], b: &[Option<f64>], lag: i64) -> Option<f64> {
+    let from = (-lag).max(0) as usize;
+    let pairs = a.iter().skip(from).zip(b.iter().skip(lag.max(0) as usize));
+    let (mut n, mut sa, mut sb, mut saa, mut sbb, mut sab) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+    for (a, b) in pairs.filter_map(|(a, b)| Some(((*a)?, (*b)?))) {
+        n += 1.0;
+        (sa, sb) = (sa + a, sb + b);
+        (saa, sbb, sab) = (saa + a * a, sbb + b * b, sab + a * b);
+    }
+    if n * OFFSET_STEP_S < OVERLAP_S {
+        return None;
+    }
+    let variance = (saa - sa * sa / n) * (sbb - sb * sb / n);
+    (variance > 0.0).then(|| (sab - sa * sb / n) / variance.sqrt())
+}

@@ -1,0 +1,60 @@
+//! `wimu align --camera`: the pose of a camera in the body.
+
+use std::path::Path;
+
+use wimu_host::calibration::{read_model, zero_count};
+use wimu_host::formats;
+use wimu_host::hand_eye::{HandEyeOptions, PoseStream, hand_eye};
+use wimu_host::motion::{MotionRecording, TableOptions};
+use wimu_host::{ErrorCode, Result};
+
+use crate::arguments::Align;
+use crate::command::not_over_input;
+use crate::output::Output;
+
+/// Returns the exit code: 0, or 3 if the motion does not show the rotation.
+pub fn run(arguments: &Align, camera: &Path, output: Output) -> Result<u8> {
+    let file = Path::new(&arguments.input);
+    for read in [camera, file] {
+        not_over_input(read, arguments.report.as_deref())?;
+    }
+    let options = HandEyeOptions {
+        offset_limit_s: arguments.offset_limit,
+        ..HandEyeOptions::default()
+    };
+    let report = hand_eye(
+        &PoseStream::read(camera)?,
+        &body(arguments, file)?,
+        &options,
+    );
+    let text = report.to_string();
+    output.print(&text);
+    output.findings(&report.outcome.findings);
+    if let Some(path) = &arguments.report {
+        report.page(&text)?.write(path)?;
+    }
+    output.object(&report);
+    Ok(report.outcome.exit_code())
+}
+
+/// Poses of the body: as the file has them, or the dead reckoning of its inertial data.
+fn body(arguments: &Align, file: &Path) -> Result<PoseStream> {
+    match PoseStream::read(file) {
+        Err(error) if error.code() == ErrorCode::CsvMissingColumn || !is_text(file) => {
+            let calibration = arguments.calibration.as_ref();
+            let table = TableOptions {
+                calibration: calibration.map(|file| read_model(file)).transpose()?,
+                sensitivity_lsb_per_g: None,
+            };
+            let mut load = arguments.reading.options(false);
+            load.stored_zero_count = calibration.and_then(|file| zero_count(file));
+            PoseStream::of_inertial(&MotionRecording::of(&formats::load(file, &load)?, &table)?)
+        }
+        read => read,
+    }
+}
+
+/// Whether a file is text, which a table of poses is.
+fn is_text(file: &Path) -> bool {
+    std::fs::read_to_string(file).is_ok()
+}

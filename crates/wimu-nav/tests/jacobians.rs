@@ -13,8 +13,9 @@ use wimu_nav::process::{
     RigidArrayBlocks, Strapdown, StrapdownBlocks, Unmeasured,
 };
 use wimu_nav::sensor::{
-    Anchor, ArrayNoise, CorrelatedErrors, Heading, MagneticField, Magnetometer, Measurement,
-    Position, Range, RangeErrors, ReducedArray, SpecificForce, Velocity, VerticalRate, Zero,
+    Anchor, Antenna, ArrayNoise, CorrelatedErrors, ForwardAxis, Heading, MagneticField,
+    Magnetometer, Measurement, Mounting, NonHolonomic, Odometer, Position, Range, RangeErrors,
+    ReducedArray, SpecificForce, Velocity, VerticalRate, Zero,
 };
 use wimu_nav::state::{ATTITUDE, Block, Layout, POSITION, Role, State, VELOCITY};
 
@@ -156,7 +157,9 @@ fn the_strapdown_transition_is_the_derivative_to_first_order_in_the_step() {
     for step_s in [0.002, 0.01] {
         let (mut layout, errors) = (layout(), ImuErrors::default());
         let blocks = StrapdownBlocks::claim(&mut layout, &errors).unwrap();
-        let blocks = blocks.consider(&mut layout, &errors).unwrap();
+        let blocks = blocks
+            .consider(&mut layout, &errors, Role::Considered)
+            .unwrap();
         let considered = blocks.considered.unwrap();
         let estimated = states(&[blocks.gyroscope_bias, blocks.accelerometer_bias]);
         let mut all = estimated.clone();
@@ -374,6 +377,59 @@ fn a_range_has_its_derivative_with_every_state_of_its_anchor() {
             delay: Some(delay),
         };
         assert_jacobian(&anywhere(&mut random, &layout, &all), &all, &range);
+    }
+}
+
+#[test]
+fn a_vehicle_has_its_derivatives_while_it_moves_along_its_forward_axis() {
+    let mut random = Random::new(15);
+    for _ in 0..20 {
+        let mut layout = layout();
+        let blocks = [(); 3].map(|()| layout.claim(Role::Estimated, [1.0; 3]).unwrap());
+        let ones = [(); 2].map(|()| layout.claim(Role::Estimated, [1.0]).unwrap());
+        let [forward, axle, offset] = blocks;
+        let [clock, scale] = ones;
+        let mut all = states(&blocks);
+        all.extend(ones);
+        let mut start = anywhere(&mut random, &layout, &all);
+        let mounting = Mounting { forward, axle };
+        let rate_rad_s = Vector3::from(random.normals(0.5));
+        let fix = Position {
+            position_m: Vector3::from(random.normals(3.0)),
+            deviation_m: Vector3::new(0.1, f64::INFINITY, 0.1),
+            lever_arm_m: Vector3::from(random.normals(0.5)),
+        };
+        let antenna = Antenna {
+            fix,
+            offset,
+            clock,
+            age_s: 0.03,
+            rate_rad_s,
+        };
+        assert_jacobian(&start, &all, &antenna);
+        let velocity = start.state.get(forward) * 20.0 - rate_rad_s.cross(&start.state.get(axle));
+        start.state.set(VELOCITY, start.state.attitude * velocity);
+        let constraint = NonHolonomic {
+            mounting: &mounting,
+            rate_rad_s,
+            deviation_mps: [0.1, 0.2],
+        };
+        assert_jacobian(&start, &all, &constraint);
+        let odometer = Odometer {
+            mounting: &mounting,
+            scale,
+            speed_mps: 4.0,
+            deviation_mps: 0.1,
+            rate_rad_s,
+        };
+        assert_jacobian(&start, &all, &odometer);
+        let direction = Vector3::from(random.normals(1.0));
+        let axis = ForwardAxis {
+            block: forward,
+            direction,
+            deviation_rad: 0.1,
+        };
+        assert_jacobian(&start, &all, &axis);
     }
 }
 

@@ -84,6 +84,7 @@ fn aided(fixes: Vec<Fix>, arm_m: f64) -> Choice {
         fixes: Fixes {
             fixes,
             lever_arm_m: [arm_m, 0.0, 0.0],
+            ..Fixes::default()
         },
         ..Choice::default()
     }

@@ -11,7 +11,7 @@ mod values;
 pub use apply::Apply;
 pub use calibration::{Align, Allan, Calibrate, Calibrated, Method};
 pub use device::{Carried, Change, Key, KeyAction, Params, Resolution, Settings};
-pub use navigate::{Navigate, Smoothing, ZeroVelocity};
+pub use navigate::{MotionProfile, Navigate, Smoothing, ZeroVelocity};
 pub use reading::Reading;
 pub use relations::check;
 

@@ -35,6 +35,8 @@ pub struct Fixes {
     pub fixes: Vec<Fix>,
     /// The antenna from the origin of the unit, m, body axes.
     pub lever_arm_m: [f64; 3],
+    /// Speeds by the wheels of a vehicle, positive forward: time, s, and speed, m/s.
+    pub speeds: Vec<[f64; 2]>,
 }
 
 /// Standard deviations of a file without them: a position by GNSS without corrections, m; a velocity by its Doppler shift,
@@ -116,7 +118,7 @@ impl Fixes {
         fixes.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
         Ok(Self {
             fixes,
-            lever_arm_m: [0.0; 3],
+            ..Self::default()
         })
     }
 
@@ -198,11 +200,16 @@ impl Aiding {
             .iter()
             .take_while(|fix| fix.time_s <= time_s)
         {
-            if self.is_accepted(fix, fixes.lever_arm_m, navigator) {
+            if self.is_accepted(fix, time_s - fix.time_s, fixes.lever_arm_m, navigator) {
                 self.used += 1;
             } else {
                 self.rejected.push(fix.time_s);
             }
+        }
+        let next = fixes.speeds.partition_point(|speed| speed[0] < self.from_s);
+        let speeds = fixes.speeds[next..].iter();
+        for [_, speed_mps] in speeds.take_while(|speed| speed[0] <= time_s) {
+            navigator.odometer(*speed_mps);
         }
         self.from_s = time_s.next_up();
     }
@@ -210,6 +217,7 @@ impl Aiding {
     fn is_accepted<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>>(
         &mut self,
         fix: &Fix,
+        age_s: f64,
         lever_arm_m: [f64; 3],
         navigator: &mut Navigator<f64, M, N, L>,
     ) -> bool {
@@ -227,10 +235,12 @@ impl Aiding {
                 navigator.loosen_position(off.norm());
                 self.jumps.push(fix.time_s);
             }
-            accepted &= self.count(&navigator.update(&position, Gate::ChiSquare));
+            accepted &= self.count(&navigator.fix(position, age_s, Gate::ChiSquare));
             self.in_succession = if accepted { 0 } else { self.in_succession + 1 };
         }
-        if let Some((velocity_mps, deviation_mps)) = fix.velocity_mps {
+        // A receiver filters its velocity more than its position: 0.1 s later on the drive of a car (score_localization).
+        let delayed = navigator.vehicle().is_some() && fix.has_position();
+        if let (false, Some((velocity_mps, deviation_mps))) = (delayed, fix.velocity_mps) {
             let velocity = Velocity {
                 velocity_mps: velocity_mps.into(),
                 deviation_mps,

@@ -8,7 +8,7 @@ use wimu_nav::stationarity::Detector;
 use super::fixes::{Fix, Fixes};
 use super::sense::{Senses, clipped};
 use super::track::{Input, Track, counted_findings};
-use super::unit::{HEADINGS, OnceEachField, Unit, noise_mps2, sample};
+use super::unit::{HEADINGS, OnceEachField, Unit, detector, noise_mps2, sample};
 use super::{Choice, InertialPath, Method, PathPoint};
 use crate::Result;
 use crate::finding::{Finding, FindingCode};
@@ -70,7 +70,7 @@ impl Live {
     pub fn new(choice: Choice, of: MotionRecording, delay_s: f64) -> Self {
         let window_s = match choice.profile {
             Profile::Foot => Detector::<f64>::foot().window_s + AHEAD_S,
-            _ => Detector::<f64>::default().window_s,
+            profile => detector(profile).window_s,
         };
         Self {
             choice,
@@ -208,6 +208,9 @@ impl Live {
         let noise_mps2 = noise_mps2(&recording.times_s, &recording.samples);
         let unit = unit(recording, &senses, &senses.clipped, noise_mps2);
         let path: Box<dyn Follow + Send> = match method {
+            Method::Strapdown if self.choice.profile == Profile::Vehicle => {
+                unit.begin::<Gyroscope<f64>, 51>(&self.choice, method)?
+            }
             Method::Strapdown => unit.begin::<Gyroscope<f64>, 40>(&self.choice, method)?,
             _ => unit.begin::<NoGyroscope<f64>, 24>(&self.choice, method)?,
         };

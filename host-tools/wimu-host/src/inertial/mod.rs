@@ -34,6 +34,7 @@ mod smooth;
 mod track;
 mod truth;
 mod unit;
+mod vehicle;
 
 use std::ops::RangeInclusive;
 

@@ -4,7 +4,7 @@ use wimu_nav::navigator::{Model, Navigator, Profile, Sample, SampleFault};
 use wimu_nav::smoother::Recorder;
 
 use super::fixes::{self, Aiding, Fix, Fixes};
-use super::{Choice, PathPoint};
+use super::{Choice, PathPoint, vehicle};
 use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
 
@@ -111,11 +111,13 @@ impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
 
     fn point(&self, input: &Input) -> PathPoint {
         let at_rest = input.resting && self.navigator.is_at_rest();
-        PathPoint {
+        let mut point = PathPoint {
             rate_rad_s: self.navigator.angular_rate().into(),
             resting: at_rest || input.stance_mps.is_some(),
             ..PathPoint::of(input.time_s, self.navigator.filter())
-        }
+        };
+        vehicle::by_clock_of_fixes(&mut point, &self.navigator);
+        point
     }
 
     /// What was noticed: samples that were not used, recoveries and restarts of the filter, and the use of fixes.
@@ -126,6 +128,7 @@ impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
         ];
         let mut found = counted_findings(FindingCode::SamplesLeftOut, "sample", &left_out);
         found.extend(self.aiding.findings());
+        found.extend(vehicle::findings(&self.navigator));
         let recoveries = self.navigator.recoveries() as usize;
         let contradicted = "contradicted the estimated velocity: σ was enlarged there";
         found.extend(counted_findings(

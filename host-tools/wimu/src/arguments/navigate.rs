@@ -26,7 +26,7 @@ Examples:
   wimu navigate walk.csv --profile foot
   wimu navigate desk.csv --rests \"0-3,10.5-12\" --within 0.5
   wimu navigate walk.csv --smooth off
-  wimu navigate drive.csv --profile vehicle --fixes gnss.csv
+  wimu navigate drive.csv --profile vehicle --fixes gnss.csv --odometry wheels.csv
   wimu navigate walk.csv --profile foot --loop
   wimu navigate /dev/ttyACM0 --profile foot --fixes tcp://127.0.0.1:9000
   wimu navigate raw.csv --calibration CAL.json
@@ -191,13 +191,12 @@ pub struct Navigate {
         help_heading = "Aiding"
     )]
     pub ranges: Option<PathBuf>,
-    /// Wheel odometry beside ranges in the plane: CSV with columns `Time (s)`, `Distance Increment (m)`, `Heading Increment
-    /// (rad)`
+    /// Wheel odometry: CSV with columns `Time (s)` and, with --profile vehicle, `Speed (m/s)` or `Distance Increment (m)`;
+    /// beside ranges in the plane `Distance Increment (m)` and `Heading Increment (rad)`
     #[arg(
         long,
         value_name = "WHEELS.csv",
-        requires = "anchors",
-        conflicts_with = "ranges",
+        conflicts_with_all = ["ranges", "geometry"],
         help_heading = "Aiding"
     )]
     pub odometry: Option<PathBuf>,
@@ -264,7 +263,7 @@ pub enum MotionProfile {
     Hand,
     /// On a foot: velocity zero in the stances of steps, walking, running or on stairs
     Foot,
-    /// In a vehicle: velocity 0 ± 30 m/s
+    /// In a vehicle: motion along its forward axis, which is found; 0 ± 30 m/s
     Vehicle,
     /// No assumption
     Free,

@@ -76,7 +76,7 @@ const TABLE: &str = "a table or a recording of another program";
 const FILE: &str = "a file";
 
 /// Options of `align`, `allan`, `calibrate`, `info` and `navigate` that one kind of input has.
-const INPUTS: [(&str, &str); 21] = [
+const INPUTS: [(&str, &str); 22] = [
     ("where", TABLE),
     ("poses", TABLE),
     ("accelerometer", TABLE),
@@ -98,6 +98,7 @@ const INPUTS: [(&str, &str); 21] = [
     ("smooth", FILE),
     ("loop", FILE),
     ("anchors", FILE),
+    ("odometry", FILE),
 ];
 
 /// Refuses options that the command would ignore.

@@ -186,6 +186,10 @@ pub fn choice(arguments: &Navigate) -> Result<Choice> {
         },
         None => Fixes::default(),
     };
+    let fixes = match &arguments.odometry {
+        Some(odometry) => fixes.with_odometry(odometry)?,
+        None => fixes,
+    };
     let lever_arm_m = arguments.lever_arm.unwrap_or_default();
     Ok(Choice {
         zupt: ZeroVelocity::of(arguments.zupt),
@@ -293,7 +297,7 @@ fn profile(profile: Profile) -> (&'static str, &'static str) {
     match profile {
         Profile::Hand => ("hand", "velocity 0 ± 2 m/s"),
         Profile::Foot => ("foot", "velocity zero in stances"),
-        Profile::Vehicle => ("vehicle", "velocity 0 ± 30 m/s"),
+        Profile::Vehicle => ("vehicle", "motion along the forward axis, below 30 m/s"),
         _ => ("free", "no bound"),
     }
 }

@@ -200,8 +200,8 @@ impl Session {
     fn new(choice: &Choice, name: &str, late_s: f64) -> Self {
         let choice = Choice {
             fixes: Fixes {
-                fixes: Vec::new(),
                 lever_arm_m: choice.fixes.lever_arm_m,
+                ..Fixes::default()
             },
             ..choice.clone()
         };

@@ -444,6 +444,9 @@ where
         self.update_velocity(at_rest);
         if let Some(vehicle) = &mut self.vehicle {
             let rate = self.model.angular_rate(&self.filter.state);
+            let gravity = Vector3::z() * self.settings.gravity_mps2;
+            let force = self.filter.state.attitude * sample.force_mps2;
+            vehicle.accelerate(force - gravity, step_s);
             vehicle.step(&mut self.filter, &rate, step_s, at_rest, &mut self.recorder);
         }
         self.finish(step_s);
@@ -523,6 +526,8 @@ where
         self.since.bound = R::zero();
         let speed = match profile {
             Profile::Hand | Profile::Slide => Some(HAND_SPEED),
+            // A known forward axis bounds it better: beside it the bound would only pull the speed towards zero.
+            Profile::Vehicle if self.vehicle.is_some_and(|v| v.forward().is_some()) => None,
             Profile::Vehicle => Some(VEHICLE_SPEED),
             Profile::Foot | Profile::Free => None,
         };

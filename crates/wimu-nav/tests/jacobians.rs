@@ -405,6 +405,7 @@ fn a_vehicle_has_its_derivatives_while_it_moves_along_its_forward_axis() {
             clock,
             age_s: 0.03,
             rate_rad_s,
+            acceleration_mps2: Vector3::from(random.normals(2.0)),
         };
         assert_jacobian(&start, &all, &antenna);
         let velocity = start.state.get(forward) * 20.0 - rate_rad_s.cross(&start.state.get(axle));

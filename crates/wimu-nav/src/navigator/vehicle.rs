@@ -53,6 +53,9 @@ const INTERVAL_S: f64 = 0.2;
 /// The forward axis has changed if the constraint fails its test for so long, s: longer than a skid.
 const TURNED_S: f64 = 3.0;
 
+/// Time constant of the mean acceleration, s: it averages vibration.
+const MEAN_S: f64 = 0.1;
+
 /// The vehicle and its states.
 #[derive(Clone, Copy, Debug)]
 pub struct Vehicle<R> {
@@ -66,6 +69,8 @@ pub struct Vehicle<R> {
     /// Integral of the angular rate since the last constraint, and its mean before that, rad/s.
     turned: Vector3<R>,
     rate: Vector3<R>,
+    /// Mean acceleration of the last samples, m/s², navigation frame.
+    acceleration: Vector3<R>,
     lasts_s: R,
     failing_s: R,
     reverse: bool,
@@ -93,6 +98,7 @@ impl<R: RealField + Copy> Vehicle<R> {
             known: false,
             turned: Vector3::zeros(),
             rate: Vector3::zeros(),
+            acceleration: Vector3::zeros(),
             lasts_s: R::zero(),
             failing_s: R::zero(),
             reverse: false,
@@ -140,7 +146,14 @@ impl<R: RealField + Copy> Vehicle<R> {
             clock: self.clock,
             age_s,
             rate_rad_s,
+            acceleration_mps2: self.acceleration,
         }
+    }
+
+    /// The acceleration of a sample, m/s², navigation frame.
+    pub(super) fn accelerate(&mut self, acceleration: Vector3<R>, step_s: R) {
+        let weight = (step_s / real(MEAN_S)).min(R::one());
+        self.acceleration += (acceleration - self.acceleration) * weight;
     }
 
     /// After a sample: the constraint, or the forward axis while it is not known.

@@ -146,8 +146,14 @@ impl<R: RealField + Copy, const N: usize> Process<R, N> for Strapdown<'_, R> {
     /// step, of second order, is left out.
     fn propagate(&self, state: &mut State<R, N>, transition: &mut Transition<R, N>) {
         let (dt, half) = (self.step_s, real::<R>(0.5));
-        let force = self.force_mps2 - state.get(self.blocks.accelerometer_bias);
-        let rate = self.rate_rad_s - state.get(self.blocks.gyroscope_bias);
+        let mut force = self.force_mps2 - state.get(self.blocks.accelerometer_bias);
+        let mut rate = self.rate_rad_s - state.get(self.blocks.gyroscope_bias);
+        if let Some(matrices) = &self.blocks.considered {
+            // Zero where they are considered.
+            let matrix = |block| Matrix3::from_row_slice(state.get::<9>(block).as_slice());
+            force -= matrix(matrices.accelerometer_matrix) * force;
+            rate -= matrix(matrices.gyroscope_matrix) * rate;
+        }
         let middle = *(state.attitude * Rotation3::new(rate * (dt * half))).matrix();
         let force_nav = middle * force;
         let acceleration = force_nav - Vector3::z() * self.gravity_mps2;

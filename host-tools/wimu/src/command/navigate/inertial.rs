@@ -297,7 +297,7 @@ fn profile(profile: Profile) -> (&'static str, &'static str) {
     match profile {
         Profile::Hand => ("hand", "velocity 0 ± 2 m/s"),
         Profile::Foot => ("foot", "velocity zero in stances"),
-        Profile::Vehicle => ("vehicle", "motion along the forward axis, below 30 m/s"),
+        Profile::Vehicle => ("vehicle", "motion along the forward axis where it is known"),
         _ => ("free", "no bound"),
     }
 }

@@ -66,7 +66,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         for (k, sample) in samples.iter().enumerate() {
             let t = k as f64 * STEP_S;
             navigator.push(sample, t < REST_S)?;
-            if t < OUTAGE_S && k % FIX == 0 {
+            if t < OUTAGE_S && k.is_multiple_of(FIX) {
                 let fix = Position {
                     position_m: positions[k] + vector(FIX_M),
                     deviation_m: Vector3::repeat(FIX_M),
@@ -74,7 +74,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 };
                 navigator.fix(fix, 0.0, Gate::ChiSquare);
             }
-            if wheels && k % WHEELS == 0 {
+            if wheels && k.is_multiple_of(WHEELS) {
                 navigator.odometer(speeds[k]);
             }
         }

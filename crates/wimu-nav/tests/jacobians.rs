@@ -109,7 +109,7 @@ fn assert_rows(
     }
 }
 
-/// A strapdown step, and the same step of a true unit whose sensor matrices and delay differ from zero by an error.
+/// A strapdown step, and the same step of a true unit whose states and delay differ by an error.
 struct StrapdownCase {
     filter: Filter<f64, N>,
     blocks: StrapdownBlocks,
@@ -135,17 +135,10 @@ impl StrapdownCase {
         let considered = self.blocks.considered.unwrap();
         let mut filter = self.filter.clone();
         filter.state = shifted(&self.filter.state, error);
-        let matrix = |block: Block<9>| {
-            nalgebra::Matrix3::from_row_iterator(filter.state.get(block).iter().copied())
-        };
-        let bias = |block: Block<3>| filter.state.get(block);
-        let force = self.force - bias(self.blocks.accelerometer_bias);
-        let rate = self.rate - bias(self.blocks.gyroscope_bias);
-        let force = self.force - matrix(considered.accelerometer_matrix) * force;
-        let true_rate = self.rate - matrix(considered.gyroscope_matrix) * rate;
+        let rate = self.rate - filter.state.get(self.blocks.gyroscope_bias);
         let lead = Rotation3::new(rate * filter.state.get(considered.delay).x);
         filter.state.attitude *= lead;
-        filter.predict(&self.process(force, true_rate));
+        filter.predict(&self.process(self.force, self.rate));
         filter.state.attitude *= lead.inverse();
         filter.state
     }

@@ -112,7 +112,7 @@ fn wheels_that_slip_are_not_used_and_their_scale_is_found() {
             for k in 0..drive.len() {
                 let t = k as f64 * 0.01;
                 push(&mut navigator, &drive, k, t < OUTAGE_S, &mut random);
-                if k % 10 == 0 {
+                if k.is_multiple_of(10) {
                     // The wheels are 3 % smaller than stated; they spin for 2 s within the outage.
                     let spin = if slips && (110.0..112.0).contains(&t) {
                         1.5

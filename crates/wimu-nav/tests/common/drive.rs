@@ -120,7 +120,7 @@ pub fn push(
     let t = k as f64 * STEP_S;
     navigator.push(&drive[k].sample, t < REST_S).unwrap();
     let at = k + (CLOCK_S / STEP_S) as usize;
-    if aided && k % FIX_EVERY == 0 && at < drive.len() {
+    if aided && k.is_multiple_of(FIX_EVERY) && at < drive.len() {
         let antenna = drive[at].position_m + drive[at].attitude * Vector3::from(ANTENNA_M);
         let fix = Position {
             position_m: antenna + Vector3::from(random.normals(FIX_M)),

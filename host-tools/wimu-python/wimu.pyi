@@ -364,8 +364,8 @@ def navigate(
     """Computes position, velocity and attitude of one unit.
 
     calibration: corrects the samples; without it they are taken as corrected, or as the device corrects them.
-    profile: what is assumed of the motion. hand: velocity 0 ± 2 m/s; foot: rests are stances; vehicle: velocity
-    0 ± 30 m/s; free: nothing.
+    profile: what is assumed of the motion. hand: velocity 0 ± 2 m/s; foot: rests are stances; vehicle: motion along
+    its forward axis, 0 ± 30 m/s; free: nothing.
     zupt: velocity is zero at rests; cautious: an unknown constant of 0 ± 0.1 m/s; off: rests are not used.
     within: the unit stays within this distance of its start, m, 1 σ of a component.
     rests: times at which the unit rested, s, as in the file; None: those that are detected.

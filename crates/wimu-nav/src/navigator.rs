@@ -1,8 +1,10 @@
 //! One unit: start, prediction, rests and motion profile, sample by sample. Equations (130) to (133).
 
 mod model;
+mod vehicle;
 
 pub use model::{Gyroscope, Model, NoGyroscope};
+pub use vehicle::{Vehicle, VehicleErrors};
 
 use core::fmt;
 
@@ -61,6 +63,8 @@ pub struct Settings<R> {
     pub rests: Rests,
     /// The position stays within this distance of the origin, m, 1 σ of a component.
     pub within_m: Option<R>,
+    /// The motion of a vehicle along its forward axis, which the unit must have a gyroscope for: eleven states.
+    pub vehicle: Option<VehicleErrors<R>>,
 }
 
 impl<R: RealField> Settings<R> {
@@ -73,6 +77,11 @@ impl<R: RealField> Settings<R> {
             errors.gyroscope_noise = real(0.005);
             errors.gyroscope_matrix = [real(0.0), real(0.0)];
             errors.delay_s = real(0.0);
+        }
+        if profile == Profile::Vehicle {
+            // Vibration of engine and road: chosen on one drive of a car (score_localization).
+            errors.accelerometer_noise = real(0.02);
+            errors.gyroscope_noise = real(0.0015);
         }
         if profile == Profile::Slide {
             // The rotation is a random walk of 0.1 deg/√s.
@@ -87,6 +96,7 @@ impl<R: RealField> Settings<R> {
             profile,
             rests: Rests::ZeroVelocity,
             within_m: None,
+            vehicle: None,
         }
     }
 }
@@ -237,6 +247,7 @@ pub struct Navigator<R, M, const N: usize, L = ()> {
     filter: Filter<R, N>,
     model: M,
     magnetometer: Magnetometer<R>,
+    vehicle: Option<Vehicle<R>>,
     reference_ut: Option<Vector3<R>>,
     since: Since<R>,
     resting: bool,
@@ -247,6 +258,8 @@ pub struct Navigator<R, M, const N: usize, L = ()> {
 
 /// A navigator with a gyroscope.
 pub type WithGyroscope<R> = Navigator<R, Gyroscope<R>, 40>;
+/// A navigator with a gyroscope in a vehicle: with [`Settings::vehicle`].
+pub type InVehicle<R> = Navigator<R, Gyroscope<R>, 51>;
 /// A navigator without a gyroscope.
 pub type WithoutGyroscope<R> = Navigator<R, NoGyroscope<R>, 24>;
 
@@ -268,6 +281,9 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             _ => Some(layout.claim(Role::Considered, [real(HIDDEN_VELOCITY); 3])?),
         };
         let model = M::claim(&mut layout, &settings, start, hidden)?;
+        let errors = settings.vehicle.as_ref();
+        let vehicle = errors.map(|errors| Vehicle::claim(&mut layout, errors));
+        let vehicle = vehicle.transpose()?;
         let zero = R::zero();
         Ok(Self {
             recorder: (),
@@ -276,6 +292,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             layout,
             model,
             magnetometer,
+            vehicle,
             reference_ut: start.field_ut,
             since: Since {
                 field: zero,
@@ -301,6 +318,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             filter: self.filter,
             model: self.model,
             magnetometer: self.magnetometer,
+            vehicle: self.vehicle,
             reference_ut: self.reference_ut,
             since: self.since,
             resting: self.resting,
@@ -464,6 +482,13 @@ where
             self.since.field = R::zero();
         }
         self.update_velocity(at_rest);
+        if let Some(vehicle) = &mut self.vehicle {
+            let rate = self.model.angular_rate(&self.filter.state);
+            let gravity = Vector3::z() * self.settings.gravity_mps2;
+            let force = self.filter.state.attitude * sample.force_mps2;
+            vehicle.accelerate(force - gravity, step_s);
+            vehicle.step(&mut self.filter, &rate, step_s, at_rest, &mut self.recorder);
+        }
         self.finish(step_s);
         Ok(())
     }
@@ -471,6 +496,33 @@ where
     /// Stance of a foot at the last sample, which is never tested: the velocity is 0 ± `deviation_mps` m/s, a component.
     pub fn stance(&mut self, deviation_mps: R) {
         self.update(&Velocity::zero(deviation_mps, None), Gate::Open);
+    }
+
+    /// The vehicle, with [`Settings::vehicle`].
+    pub fn vehicle(&self) -> Option<&Vehicle<R>> {
+        self.vehicle.as_ref()
+    }
+
+    /// Speed over ground by the wheels at the last sample, m/s, positive forward. Without [`Settings::vehicle`] it is not
+    /// used, and the answer is `None`; so it is until the forward axis is known.
+    pub fn odometer(&mut self, speed_mps: R) -> Option<Innovation<R>> {
+        let vehicle = self.vehicle.as_mut()?;
+        let innovation = vehicle.odometer(&mut self.filter, speed_mps, &mut self.recorder);
+        self.finish(R::zero());
+        innovation
+    }
+
+    /// A position fix that was measured `age_s` before the last sample, by their time stamps. The states of the antenna and
+    /// of the clock are used where there are some: with [`Settings::vehicle`].
+    pub fn fix(&mut self, fix: Position<R>, age_s: R, gate: Gate) -> Innovation<R> {
+        let rate_rad_s = self.angular_rate();
+        match &self.vehicle {
+            Some(vehicle) => {
+                let antenna = vehicle.antenna(fix, age_s, rate_rad_s);
+                self.update(&antenna, gate)
+            }
+            None => self.update(&fix, gate),
+        }
     }
 
     /// Time without a usable sample, s: a gap, or clipped or missing samples.
@@ -514,6 +566,8 @@ where
         self.since.bound = R::zero();
         let speed = match profile {
             Profile::Hand | Profile::Slide => Some(HAND_SPEED),
+            // A known forward axis bounds it better: beside it the bound would only pull the speed towards zero.
+            Profile::Vehicle if self.vehicle.is_some_and(|v| v.forward().is_some()) => None,
             Profile::Vehicle => Some(VEHICLE_SPEED),
             Profile::Foot | Profile::Free => None,
         };
@@ -592,6 +646,7 @@ where
         self.filter = new.filter;
         self.filter.extend(&self.layout, new.layout.used);
         self.model = new.model;
+        self.vehicle = new.vehicle;
         self.since = new.since;
         self.resting = false;
         self.divergences += 1;

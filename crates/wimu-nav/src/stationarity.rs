@@ -53,6 +53,19 @@ impl<R: RealField> Detector<R> {
         }
     }
 
+    /// For a vehicle whose engine may run: chosen on one drive of a car (score_localization).
+    pub fn vehicle() -> Self {
+        Self {
+            window_s: real(1.0),
+            force_mps2: real(0.1),
+            force_offset_mps2: real(0.2),
+            rate_rad_s: real(0.03),
+            rate_offset_rad_s: real(0.03),
+            threshold: real(10.0),
+            gravity_mps2: real(crate::GRAVITY_MPS2),
+        }
+    }
+
     /// Without a gyroscope: half the terms, half the threshold. An accelerometer sees the start of a motion only if its
     /// noise, m/s², a component, is known: 1.5 times it is used, if that is less than the default.
     #[must_use]

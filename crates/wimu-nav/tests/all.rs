@@ -14,3 +14,4 @@ mod smoother;
 mod stance;
 mod stationarity;
 mod track;
+mod vehicle;

@@ -251,7 +251,9 @@ fn strapdown_nees<const N: usize>(seed: u64, consider: bool) -> [f64; 2] {
     let mut layout = Layout::<f64, N>::new([tilt; 3], 1e-3, 1e-4);
     let mut blocks = StrapdownBlocks::claim(&mut layout, &errors).unwrap();
     if consider {
-        blocks = blocks.consider(&mut layout, &errors).unwrap();
+        blocks = blocks
+            .consider(&mut layout, &errors, Role::Considered)
+            .unwrap();
     }
     let travel = Travel::tumbling(&mut random);
     let drawn = Errors::drawn(&errors, &mut random);
@@ -380,7 +382,7 @@ fn nine_states_of_a_sensor_matrix_are_those_of_its_rows() {
     errors.accelerometer_matrix = [0.01, 0.002];
     let blocks = StrapdownBlocks::claim(&mut layout, &errors).unwrap();
     let considered = blocks
-        .consider(&mut layout, &errors)
+        .consider(&mut layout, &errors, Role::Considered)
         .unwrap()
         .considered
         .unwrap();

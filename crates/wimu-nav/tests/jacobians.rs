@@ -13,9 +13,10 @@ use wimu_nav::process::{
     RelativeBlocks, RigidArray, RigidArrayBlocks, Strapdown, StrapdownBlocks, Unmeasured,
 };
 use wimu_nav::sensor::{
-    Anchor, ArrayNoise, CommonAxis, CommonField, CommonPoint, CorrelatedErrors, Heading,
-    MagneticField, Magnetometer, Measurement, Position, Range, RangeErrors, ReducedArray,
-    SpecificForce, Velocity, VerticalRate, Zero,
+    Anchor, Antenna, ArrayNoise, CommonAxis, CommonField, CommonPoint, CorrelatedErrors,
+    ForwardAxis, Heading, MagneticField, Magnetometer, Measurement, Mounting, NonHolonomic,
+    Odometer, Position, Range, RangeErrors, ReducedArray, SpecificForce, Velocity, VerticalRate,
+    Zero,
 };
 use wimu_nav::state::{ATTITUDE, Block, Layout, POSITION, Role, State, VELOCITY};
 
@@ -109,7 +110,7 @@ fn assert_rows(
     }
 }
 
-/// A strapdown step, and the same step of a true unit whose sensor matrices and delay differ from zero by an error.
+/// A strapdown step, and the same step of a true unit whose states and delay differ by an error.
 struct StrapdownCase {
     filter: Filter<f64, N>,
     blocks: StrapdownBlocks,
@@ -135,17 +136,10 @@ impl StrapdownCase {
         let considered = self.blocks.considered.unwrap();
         let mut filter = self.filter.clone();
         filter.state = shifted(&self.filter.state, error);
-        let matrix = |block: Block<9>| {
-            nalgebra::Matrix3::from_row_iterator(filter.state.get(block).iter().copied())
-        };
-        let bias = |block: Block<3>| filter.state.get(block);
-        let force = self.force - bias(self.blocks.accelerometer_bias);
-        let rate = self.rate - bias(self.blocks.gyroscope_bias);
-        let force = self.force - matrix(considered.accelerometer_matrix) * force;
-        let true_rate = self.rate - matrix(considered.gyroscope_matrix) * rate;
+        let rate = self.rate - filter.state.get(self.blocks.gyroscope_bias);
         let lead = Rotation3::new(rate * filter.state.get(considered.delay).x);
         filter.state.attitude *= lead;
-        filter.predict(&self.process(force, true_rate));
+        filter.predict(&self.process(self.force, self.rate));
         filter.state.attitude *= lead.inverse();
         filter.state
     }
@@ -157,7 +151,9 @@ fn the_strapdown_transition_is_the_derivative_to_first_order_in_the_step() {
     for step_s in [0.002, 0.01] {
         let (mut layout, errors) = (layout(), ImuErrors::default());
         let blocks = StrapdownBlocks::claim(&mut layout, &errors).unwrap();
-        let blocks = blocks.consider(&mut layout, &errors).unwrap();
+        let blocks = blocks
+            .consider(&mut layout, &errors, Role::Considered)
+            .unwrap();
         let considered = blocks.considered.unwrap();
         let estimated = states(&[blocks.gyroscope_bias, blocks.accelerometer_bias]);
         let mut all = estimated.clone();
@@ -375,6 +371,60 @@ fn a_range_has_its_derivative_with_every_state_of_its_anchor() {
             delay: Some(delay),
         };
         assert_jacobian(&anywhere(&mut random, &layout, &all), &all, &range);
+    }
+}
+
+#[test]
+fn a_vehicle_has_its_derivatives_while_it_moves_along_its_forward_axis() {
+    let mut random = Random::new(15);
+    for _ in 0..20 {
+        let mut layout = layout();
+        let blocks = [(); 3].map(|()| layout.claim(Role::Estimated, [1.0; 3]).unwrap());
+        let ones = [(); 2].map(|()| layout.claim(Role::Estimated, [1.0]).unwrap());
+        let [forward, axle, offset] = blocks;
+        let [clock, scale] = ones;
+        let mut all = states(&blocks);
+        all.extend(ones);
+        let mut start = anywhere(&mut random, &layout, &all);
+        let mounting = Mounting { forward, axle };
+        let rate_rad_s = Vector3::from(random.normals(0.5));
+        let fix = Position {
+            position_m: Vector3::from(random.normals(3.0)),
+            deviation_m: Vector3::new(0.1, f64::INFINITY, 0.1),
+            lever_arm_m: Vector3::from(random.normals(0.5)),
+        };
+        let antenna = Antenna {
+            fix,
+            offset,
+            clock,
+            age_s: 0.03,
+            rate_rad_s,
+            acceleration_mps2: Vector3::from(random.normals(2.0)),
+        };
+        assert_jacobian(&start, &all, &antenna);
+        let velocity = start.state.get(forward) * 20.0 - rate_rad_s.cross(&start.state.get(axle));
+        start.state.set(VELOCITY, start.state.attitude * velocity);
+        let constraint = NonHolonomic {
+            mounting: &mounting,
+            rate_rad_s,
+            deviation_mps: [0.1, 0.2],
+        };
+        assert_jacobian(&start, &all, &constraint);
+        let odometer = Odometer {
+            mounting: &mounting,
+            scale,
+            speed_mps: 4.0,
+            deviation_mps: 0.1,
+            rate_rad_s,
+        };
+        assert_jacobian(&start, &all, &odometer);
+        let direction = Vector3::from(random.normals(1.0));
+        let axis = ForwardAxis {
+            block: forward,
+            direction,
+            deviation_rad: 0.1,
+        };
+        assert_jacobian(&start, &all, &axis);
     }
 }
 

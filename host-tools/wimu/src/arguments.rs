@@ -9,7 +9,7 @@ mod reading;
 mod relations;
 mod values;
 
-pub use aids::Aids;
+pub use aids::{Aids, MotionProfile};
 pub use apply::Apply;
 pub use calibration::{Align, Allan, Calibrate, Calibrated, Method};
 pub use device::{Carried, Change, Key, KeyAction, Params, Resolution, Settings};

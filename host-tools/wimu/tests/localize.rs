@@ -80,8 +80,9 @@ fn ranges_give_a_path_with_sigma_and_calibration() {
 }
 
 #[test]
-fn odometry_without_anchors_is_refused() {
+fn odometry_without_anchors_or_a_vehicle_is_refused() {
     let run = wimu(&["navigate", "a.csv", "--odometry", "b.csv"]);
     assert_eq!(run.code, 2);
     assert!(run.stderr.contains("--anchors"), "{}", run.stderr);
+    assert!(run.stderr.contains("--profile vehicle"), "{}", run.stderr);
 }

@@ -133,7 +133,12 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
         hidden: Option<Block<3>>,
     ) -> Result<Self, LayoutFull> {
         let errors = settings.errors;
-        let blocks = StrapdownBlocks::claim(layout, &errors)?.consider(layout, &errors)?;
+        let role = match settings.vehicle {
+            // Fixes and turns show them.
+            Some(_) => Role::Estimated,
+            None => Role::Considered,
+        };
+        let blocks = StrapdownBlocks::claim(layout, &errors)?.consider(layout, &errors, role)?;
         Ok(Self {
             blocks,
             errors,

@@ -62,7 +62,7 @@ fn elements<R: RealField + Copy>([scale, misalignment]: [R; 2]) -> [R; 9] {
     core::array::from_fn(|k| if k % 4 == 0 { scale } else { misalignment })
 }
 
-/// Considered blocks of the strapdown model.
+/// Sensor matrices and delay of the strapdown model: considered, or matrices that are estimated.
 #[derive(Clone, Copy, Debug)]
 pub struct ConsideredBlocks {
     /// M_f, by rows.
@@ -100,7 +100,7 @@ impl StrapdownBlocks {
         })
     }
 
-    /// Claims both sensor matrices and the delay as considered states: 19 more.
+    /// Claims both sensor matrices, in a role, and the delay as a considered state: 19 more.
     ///
     /// # Errors
     /// [`LayoutFull`].
@@ -108,12 +108,12 @@ impl StrapdownBlocks {
         mut self,
         layout: &mut Layout<R, N>,
         errors: &ImuErrors<R>,
+        role: Role,
     ) -> Result<Self, LayoutFull> {
-        let role = Role::Considered;
         self.considered = Some(ConsideredBlocks {
             accelerometer_matrix: layout.claim(role, elements(errors.accelerometer_matrix))?,
             gyroscope_matrix: layout.claim(role, elements(errors.gyroscope_matrix))?,
-            delay: layout.claim(role, [errors.delay_s])?,
+            delay: layout.claim(Role::Considered, [errors.delay_s])?,
         });
         Ok(self)
     }
@@ -146,8 +146,14 @@ impl<R: RealField + Copy, const N: usize> Process<R, N> for Strapdown<'_, R> {
     /// step, of second order, is left out.
     fn propagate(&self, state: &mut State<R, N>, transition: &mut Transition<R, N>) {
         let (dt, half) = (self.step_s, real::<R>(0.5));
-        let force = self.force_mps2 - state.get(self.blocks.accelerometer_bias);
-        let rate = self.rate_rad_s - state.get(self.blocks.gyroscope_bias);
+        let mut force = self.force_mps2 - state.get(self.blocks.accelerometer_bias);
+        let mut rate = self.rate_rad_s - state.get(self.blocks.gyroscope_bias);
+        if let Some(matrices) = &self.blocks.considered {
+            // Zero where they are considered.
+            let matrix = |block| Matrix3::from_row_slice(state.get::<9>(block).as_slice());
+            force -= matrix(matrices.accelerometer_matrix) * force;
+            rate -= matrix(matrices.gyroscope_matrix) * rate;
+        }
         let middle = *(state.attitude * Rotation3::new(rate * (dt * half))).matrix();
         let force_nav = middle * force;
         let acceleration = force_nav - Vector3::z() * self.gravity_mps2;

@@ -4,6 +4,7 @@
 pub use wimu_testkit::Random;
 
 pub mod consistency;
+pub mod drive;
 pub mod navigated;
 pub mod states;
 pub mod travel;

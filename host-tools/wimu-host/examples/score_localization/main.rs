@@ -3,11 +3,13 @@
 //!
 //! Walks and drones: RMSE in space after one rigid transform and one time offset, both fitted (drone 1: 1.08 s). The first
 //! 4 s and the last second of a walk's truth, and the first 2 s of a drone, are not scored. Vehicle: RMSE in the plane
-//! without alignment, every fifth increment from the 20th on. NEES: fraction of the positions below the 95 % point of χ², of
+//! without alignment, every fifth increment from the 20th on; drives with position fixes: error at the end of outages.
+//! NEES: fraction of the positions below the 95 % point of χ², of
 //! all, and thinned to the interval over which the autocorrelation of the error falls below 0.2.
 
 mod protractor;
 mod score;
+mod vehicle;
 
 use std::path::{Path, PathBuf};
 
@@ -145,6 +147,12 @@ fn main() -> Result<(), String> {
         plaza(&data.join("vehicle"))?;
     }
     found += protractor::score(&data.join("protractor"), &only)?;
+    for name in names(&data.join("vehicle"), "_gnss.csv") {
+        if wants(&name) {
+            found += 1;
+            vehicle::score(&data.join("vehicle"), &name)?;
+        }
+    }
     for ([below, count], kind) in pool.into_iter().zip(["filter", "smoother"]) {
         let fraction = below as f64 / f64::from(u32::try_from(count).unwrap_or(u32::MAX));
         if count > 0 {
@@ -163,23 +171,18 @@ fn main() -> Result<(), String> {
     }
 }
 
+/// Names of the files in a folder, without an ending that they have.
+fn names(folder: &Path, ending: &str) -> Vec<String> {
+    let files = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let name =
+        |file: std::fs::DirEntry| Some(file.file_name().to_str()?.strip_suffix(ending)?.to_owned());
+    let mut names: Vec<String> = files.filter_map(name).collect();
+    names.sort();
+    names
+}
+
 /// Recordings of ultra-wideband ranges in the folder, with their anchors.
 fn recordings(data: &Path) -> Vec<(String, &'static str)> {
-    let files = std::fs::read_dir(data.join("uwb"))
-        .into_iter()
-        .flatten()
-        .flatten();
-    let mut names: Vec<String> = files
-        .filter_map(|file| {
-            Some(
-                file.file_name()
-                    .to_str()?
-                    .strip_suffix("_ranges.csv")?
-                    .to_owned(),
-            )
-        })
-        .collect();
-    names.sort();
     let anchors = |name: &str| {
         if name.starts_with("drone") {
             "drone_anchors.csv"
@@ -187,7 +190,7 @@ fn recordings(data: &Path) -> Vec<(String, &'static str)> {
             "anchors.csv"
         }
     };
-    names
+    names(&data.join("uwb"), "_ranges.csv")
         .into_iter()
         .map(|name| (name.clone(), anchors(&name)))
         .collect()

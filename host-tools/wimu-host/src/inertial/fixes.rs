@@ -46,6 +46,8 @@ pub struct Fixes {
     pub findings: Vec<Finding>,
     /// The anchors of ranges.
     pub ranging: Option<Ranging>,
+    /// Speeds by the wheels of a vehicle, positive forward: time, s, and speed, m/s.
+    pub speeds: Vec<[f64; 2]>,
 }
 
 /// Standard deviations of a file without them: a position by GNSS without corrections, m; a velocity by its Doppler shift,
@@ -364,13 +366,19 @@ impl Aiding {
             if fix.range_m.is_some() {
                 self.take_range(fix, fixes, navigator);
             } else {
-                let accepted = self.is_accepted(fix, fixes.lever_arm_m, navigator);
+                let age_s = time_s - fix.time_s;
+                let accepted = self.is_accepted(fix, age_s, fixes.lever_arm_m, navigator);
                 self.fixes.count(accepted);
                 if !accepted {
                     self.rejected_s =
                         Some([self.rejected_s.map_or(fix.time_s, |s| s[0]), fix.time_s]);
                 }
             }
+        }
+        let next = fixes.speeds.partition_point(|speed| speed[0] < self.from_s);
+        let speeds = fixes.speeds[next..].iter();
+        for [_, speed_mps] in speeds.take_while(|speed| speed[0] <= time_s) {
+            navigator.odometer(*speed_mps);
         }
         self.from_s = time_s.next_up();
     }
@@ -400,6 +408,7 @@ impl Aiding {
     fn is_accepted<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>>(
         &mut self,
         fix: &Fix,
+        age_s: f64,
         lever_arm_m: [f64; 3],
         navigator: &mut Navigator<f64, M, N, L>,
     ) -> bool {
@@ -418,13 +427,15 @@ impl Aiding {
                 navigator.loosen_position(off.norm());
                 self.jumps.push(fix.time_s);
             }
-            accepted &= self.count(&navigator.update(&position, Gate::ChiSquare));
+            accepted &= self.count(&navigator.fix(position, age_s, Gate::ChiSquare));
             if !accepted {
                 self.lag.see(&off, &solution.velocity_mps.into());
             }
             self.in_succession = if accepted { 0 } else { self.in_succession + 1 };
         }
-        if let Some((velocity_mps, deviation_mps)) = fix.velocity_mps {
+        // A receiver filters its velocity more than its position: 0.1 s later on the drive of a car (score_localization).
+        let delayed = navigator.vehicle().is_some() && fix.has_position();
+        if let (false, Some((velocity_mps, deviation_mps))) = (delayed, fix.velocity_mps) {
             let velocity = Velocity {
                 velocity_mps: velocity_mps.into(),
                 deviation_mps,

@@ -8,7 +8,7 @@ use super::fixes::{Aided, Fix};
 use super::headings::Follow;
 use super::sense::{Senses, clipped};
 use super::track::{Input, counted_findings};
-use super::unit::{OnceEachField, Unit, noise_mps2, sample};
+use super::unit::{OnceEachField, Unit, detector, noise_mps2, sample};
 use super::{Choice, InertialPath, Method, PathPoint};
 use crate::Result;
 use crate::finding::{Finding, FindingCode};
@@ -71,7 +71,7 @@ impl Live {
     pub fn new(choice: Choice, of: MotionRecording, delay_s: f64) -> Self {
         let window_s = match choice.profile {
             Profile::Foot => Detector::<f64>::foot().window_s + AHEAD_S,
-            _ => Detector::<f64>::default().window_s,
+            profile => detector(profile).window_s,
         };
         Self {
             choice,
@@ -243,8 +243,11 @@ impl Live {
         let unit = unit(recording, &senses, &senses.clipped, noise_mps2);
         let (choice, ranges) = (&self.choice, self.choice.fixes.ranging.is_some());
         let path: Box<dyn Follow + Send> = match (method, ranges) {
-            (Method::Strapdown, false) => unit.begin::<Gyroscope<f64>, 40>(choice, method)?,
             (Method::Strapdown, true) => unit.begin::<Gyroscope<f64>, 64>(choice, method)?,
+            (Method::Strapdown, false) if choice.profile == Profile::Vehicle => {
+                unit.begin::<Gyroscope<f64>, 51>(choice, method)?
+            }
+            (Method::Strapdown, false) => unit.begin::<Gyroscope<f64>, 40>(choice, method)?,
             _ => unit.begin::<NoGyroscope<f64>, 24>(choice, method)?,
         };
         self.begun = Some(Begun {

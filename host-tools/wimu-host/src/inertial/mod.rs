@@ -36,6 +36,7 @@ mod suspects;
 mod track;
 mod truth;
 mod unit;
+mod vehicle;
 
 use std::ops::RangeInclusive;
 

@@ -135,7 +135,7 @@ fn one_move(
         .max(unit.times_s.partition_point(|t| *t < begin));
     let start = Start::align(&samples[begin..first.end], true)?;
     let mut navigator = unit
-        .navigator::<Gyroscope<f64>, 40>(profile, choice, &start)
+        .navigator::<Gyroscope<f64>, 40>(unit.settings(profile, choice), &start)
         .ok()?;
     let push = |navigator: &mut Navigator<f64, Gyroscope<f64>, 40>, k: usize, rest: bool| {
         let rate_rad_s = if gyroscope {

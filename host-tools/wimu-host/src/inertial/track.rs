@@ -5,7 +5,7 @@ use wimu_nav::navigator::{Model, Navigator, Profile, Sample, SampleFault};
 use wimu_nav::smoother::Recorder;
 
 use super::fixes::{self, Aiding, Fixes};
-use super::{Choice, PathPoint};
+use super::{Choice, PathPoint, vehicle};
 use crate::finding::{Finding, FindingCode};
 use crate::localization::Ranging;
 use crate::plural::counted;
@@ -116,11 +116,13 @@ impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
 
     fn point(&self, input: &Input) -> PathPoint {
         let at_rest = input.resting && self.navigator.is_at_rest();
-        PathPoint {
+        let mut point = PathPoint {
             rate_rad_s: self.navigator.angular_rate().into(),
             resting: at_rest || input.stance_mps.is_some(),
             ..PathPoint::of(input.time_s, self.navigator.filter())
-        }
+        };
+        vehicle::by_clock_of_fixes(&mut point, &self.navigator);
+        point
     }
 
     /// A magnetic field that is not that of the Earth for part of the time.
@@ -143,6 +145,7 @@ impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
         let mut found = counted_findings(FindingCode::SamplesLeftOut, "sample", &left_out);
         found.extend(self.aiding.findings(ranging));
         found.extend(self.magnet());
+        found.extend(vehicle::findings(&self.navigator));
         let recoveries = self.navigator.recoveries() as usize;
         let contradicted = "contradicted the estimated velocity: σ was enlarged there";
         found.extend(counted_findings(

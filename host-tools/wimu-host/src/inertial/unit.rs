@@ -5,6 +5,7 @@ use std::ops::Range;
 use nalgebra::Vector3;
 use wimu_nav::navigator::{
     Gyroscope, Model, Navigator, NoGyroscope, Profile, Rests, Sample, Settings, Start,
+    VehicleErrors,
 };
 use wimu_nav::stance::stances;
 use wimu_nav::state::LayoutFull;
@@ -83,6 +84,9 @@ impl Unit<'_> {
     pub fn path(&self, choice: &Choice, method: Method) -> Result<InertialPath> {
         self.accepts(choice, method)?;
         match method {
+            Method::Strapdown if choice.profile == Profile::Vehicle => {
+                self.follow::<Gyroscope<f64>, 51>(choice, method)
+            }
             Method::Strapdown => self.follow::<Gyroscope<f64>, 40>(choice, method),
             _ => self.follow::<NoGyroscope<f64>, 24>(choice, method),
         }
@@ -257,7 +261,7 @@ impl Unit<'_> {
             let inside = |t: &f64| given.iter().any(|rest| rest.contains(t));
             return self.times_s.iter().map(inside).collect();
         }
-        let mut settings = Detector::default();
+        let mut settings = detector(choice.profile);
         if method != Method::Strapdown {
             settings = settings.without_gyroscope(self.noise_mps2);
         }
@@ -344,7 +348,11 @@ impl Unit<'_> {
         };
         let start = Start::align(&usable, rest.is_some())
             .ok_or_else(|| refused("the first samples show no gravity to align with"))?;
-        let navigator = self.navigator(choice.profile, choice, &start);
+        let with_rate = self.samples.iter().any(|s| s.rate_rad_s.is_some());
+        let in_vehicle = choice.profile == Profile::Vehicle && with_rate;
+        let mut settings = self.settings(choice.profile, choice);
+        settings.vehicle = in_vehicle.then(VehicleErrors::default);
+        let navigator = self.navigator(settings, &start);
         let mut navigator = navigator.map_err(|error| refused(&error.to_string()))?;
         if let Some(pose) = &choice.start {
             if let Some(heading_rad) = pose.heading_rad {
@@ -361,18 +369,17 @@ impl Unit<'_> {
     /// [`LayoutFull`].
     pub fn navigator<M: Model<f64, N>, const N: usize>(
         &self,
-        profile: Profile,
-        choice: &Choice,
+        settings: Settings<f64>,
         start: &Start<f64>,
     ) -> std::result::Result<Navigator<f64, M, N>, LayoutFull> {
-        let mut navigator = Navigator::new(self.settings(profile, choice), start)?;
+        let mut navigator = Navigator::new(settings, start)?;
         if let Some(covariance) = &self.covariance {
             navigator.set_calibration(&(*covariance).into());
         }
         Ok(navigator)
     }
 
-    fn settings(&self, profile: Profile, choice: &Choice) -> Settings<f64> {
+    pub fn settings(&self, profile: Profile, choice: &Choice) -> Settings<f64> {
         let mut settings = Settings::of(profile);
         settings.gravity_mps2 = self.gravity_mps2;
         settings.errors.accelerometer_bias = self.bias_mps2;
@@ -383,6 +390,14 @@ impl Unit<'_> {
         settings.within_m = choice.within_m;
         settings.rests = choice.zupt.rests();
         settings
+    }
+}
+
+/// The detector of rests for a profile.
+pub(super) fn detector(profile: Profile) -> Detector<f64> {
+    match profile {
+        Profile::Vehicle => Detector::vehicle(),
+        _ => Detector::default(),
     }
 }
 

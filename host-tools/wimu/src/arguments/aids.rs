@@ -72,7 +72,7 @@ pub enum MotionProfile {
     Hand,
     /// On a foot: velocity zero in the stances of steps, walking, running or on stairs
     Foot,
-    /// In a vehicle: velocity 0 ± 30 m/s
+    /// In a vehicle: motion along its forward axis, which is found; 0 ± 30 m/s
     Vehicle,
     /// No assumption
     Free,

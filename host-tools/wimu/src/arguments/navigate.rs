@@ -27,7 +27,7 @@ Examples:
   wimu navigate walk.csv --profile foot
   wimu navigate desk.csv --rests \"0-3,10.5-12\" --within 0.5
   wimu navigate walk.csv --smooth off
-  wimu navigate drive.csv --profile vehicle --fixes gnss.csv
+  wimu navigate drive.csv --profile vehicle --fixes gnss.csv --odometry wheels.csv
   wimu navigate walk.csv --profile foot --loop
   wimu navigate /dev/ttyACM0 --profile foot --fixes tcp://127.0.0.1:9000
   wimu navigate raw.csv --calibration CAL.json
@@ -170,13 +170,12 @@ pub struct Navigate {
     #[arg(long, requires = "relative", help_heading = "Two units")]
     pub magnetometers: bool,
 
-    /// Wheel odometry beside ranges in the plane: CSV with columns `Time (s)`, `Distance Increment (m)`, `Heading Increment
-    /// (rad)`
+    /// Wheel odometry: CSV with columns `Time (s)` and, with --profile vehicle, `Speed (m/s)` or `Distance Increment (m)`;
+    /// beside ranges in the plane `Distance Increment (m)` and `Heading Increment (rad)`
     #[arg(
         long,
         value_name = "WHEELS.csv",
-        requires = "anchors",
-        conflicts_with = "ranges",
+        conflicts_with_all = ["ranges", "geometry"],
         help_heading = "Aiding"
     )]
     pub odometry: Option<PathBuf>,

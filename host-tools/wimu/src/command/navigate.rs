@@ -19,7 +19,7 @@ use wimu_host::{ErrorCode, Input, Result};
 use wimu_integrator::Phase;
 use wimu_model::ParameterSet;
 
-use crate::arguments::{Navigate, ZeroVelocity};
+use crate::arguments::{MotionProfile, Navigate, ZeroVelocity};
 use crate::command::not_over_input;
 use crate::output::{Output, usage};
 
@@ -122,7 +122,11 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         return live::run(arguments, &link.to_string(), output);
     }
     for file in [&arguments.report, &arguments.output] {
-        for read in [Some(&arguments.input), arguments.aids.fixes.as_ref()] {
+        for read in [
+            Some(&arguments.input),
+            arguments.aids.fixes.as_ref(),
+            arguments.odometry.as_ref(),
+        ] {
             read.map_or(Ok(()), |read| not_over_input(read, file.as_deref()))?;
         }
     }
@@ -133,6 +137,14 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         return Err(usage(
             "--calibration was given more than once for a single sensor",
             "give one, or --geometry",
+        ));
+    }
+    let in_vehicle = arguments.aids.profile == MotionProfile::Vehicle;
+    if arguments.odometry.is_some() && arguments.aids.anchors.is_none() && !in_vehicle {
+        let remedy = "add `--profile vehicle`, or ranges with --anchors";
+        return Err(usage(
+            "--odometry goes with a vehicle or with ranges",
+            remedy,
         ));
     }
     if let Some(anchors) = &arguments.aids.anchors {

@@ -190,6 +190,10 @@ pub fn one_unit(
 
 /// What the options say.
 pub fn choice(arguments: &Navigate) -> Result<Choice> {
+    let mut aided = aided_choice(&arguments.aids)?;
+    if let Some(odometry) = &arguments.odometry {
+        aided.fixes = aided.fixes.with_odometry(odometry)?;
+    }
     Ok(Choice {
         zupt: ZeroVelocity::of(arguments.zupt),
         limit_m: arguments.limit,
@@ -198,7 +202,7 @@ pub fn choice(arguments: &Navigate) -> Result<Choice> {
         start: arguments.start,
         smooth: arguments.smooth == Smoothing::On,
         loop_m: arguments.closes,
-        ..aided_choice(&arguments.aids)?
+        ..aided
     })
 }
 
@@ -335,7 +339,7 @@ fn profile(profile: Profile) -> (&'static str, &'static str) {
     match profile {
         Profile::Hand => ("hand", "velocity 0 ± 2 m/s"),
         Profile::Foot => ("foot", "velocity zero in stances"),
-        Profile::Vehicle => ("vehicle", "velocity 0 ± 30 m/s"),
+        Profile::Vehicle => ("vehicle", "motion along the forward axis where it is known"),
         _ => ("free", "no bound"),
     }
 }

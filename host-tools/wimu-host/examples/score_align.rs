@@ -43,7 +43,7 @@ fn main() -> Result<(), String> {
                 .filter(|p| (p.time_s < middle) == first);
             PoseStream::new(camera, poses.copied().collect()).map_err(|e| e.to_string())
         };
-        let halves = [true, false].map(|first| Ok(solved(&half(first)?, &body_stream)?));
+        let halves = [true, false].map(|first| solved(&half(first)?, &body_stream));
         let (sd_deg, sd_mm) = worst_sd(&whole);
         print!(
             "{:36} {:5} {sd_deg:6.2} {sd_mm:6.1} {:6.1}",

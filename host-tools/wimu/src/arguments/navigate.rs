@@ -8,7 +8,7 @@ use wimu_host::inertial::{StartPose, Zupt};
 
 use super::aids::Aids;
 use super::reading::Reading;
-use super::values::{TimeSpans, from_to, positive, seconds, start_pose, time_spans};
+use super::values::{TimeSpans, from_to, numbers, positive, seconds, start_pose, time_spans};
 
 #[derive(Args)]
 #[command(after_help = "\

@@ -235,7 +235,7 @@ pub fn present(
     source: String,
     output: Output,
 ) -> Result<Found> {
-    let text = text(path, choice, arguments.fixes.is_some());
+    let text = text(path, choice, arguments.aids.fixes.is_some());
     output.print(text.trim_end());
     output.findings(new);
     if let Some(file) = &arguments.output {

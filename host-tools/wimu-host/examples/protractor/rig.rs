@@ -25,7 +25,7 @@ pub struct Rig {
     pub behind_s: f64,
     /// Length, s.
     pub seconds: f64,
-    /// Whether the sensors have errors: those that the estimator assumes.
+    /// Whether the sensors have errors: biases of half the standard deviation that the estimator assumes, no play of the joint.
     pub errors: bool,
     /// Magnetic field, µT, east north up; the readings are without error.
     pub field_ut: Option<[f64; 3]>,

@@ -42,20 +42,20 @@ const PROFILES: [Profile; 3] = [
     Profile {
         name: "stream",
         features: "",
-        flash: kib(48, 53_400),
-        ram: kib(8, 8_192),
+        flash: kib(48, 55_600),
+        ram: kib(8, 8_600),
     },
     Profile {
         name: "navigate",
         features: "navigate",
-        flash: kib(64, 94_200),
-        ram: kib(12, 15_600),
+        flash: kib(64, 96_600),
+        ram: kib(12, 15_900),
     },
     Profile {
         name: "full",
         features: "full",
-        flash: kib(80, 111_800),
-        ram: kib(16, 20_700),
+        flash: kib(80, 114_200),
+        ram: kib(16, 21_000),
     },
 ];
 

@@ -33,6 +33,9 @@ const BY_PIN = 1 << 16;
 /** Where the stack begins in memory: the firmware leaves the rest out. */
 const STACK_TOP = 256 * 1024;
 
+/** Each byte of the stack at the start of the firmware. */
+const STACK_PAINT = 0xcc;
+
 /** What memory holds when power comes. */
 const chance = (index) => ((index * 2654435761) >>> 13) & 0xff;
 
@@ -144,12 +147,12 @@ export class Pico {
     chip.core.PC = FLASH;
   }
 
-  /** The most bytes that the stack has had so far: below them memory is as power left it. */
+  /** The most bytes that the stack has had so far: below them is the paint of the start (`cortex-m-rt`). */
   deepestStack({ sram } = this.chip) {
     let used = 0;
     for (let deep = 1, alike = 0; alike < 8192 && deep <= STACK_TOP; deep += 1) {
       const index = STACK_TOP - deep;
-      alike = sram[index] === chance(index) ? alike + 1 : 0;
+      alike = sram[index] === STACK_PAINT ? alike + 1 : 0;
       used = alike === 0 ? deep : used;
     }
     return Math.max(used, this.deepest);

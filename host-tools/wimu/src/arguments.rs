@@ -307,7 +307,7 @@ pub struct Simulate {
     /// Number (from 0) of the accelerometer in a CSV file that has several
     #[arg(long, value_name = "N", requires = "replay")]
     pub accelerometer: Option<u8>,
-    /// Seed of the sensor's errors and noise
+    /// Seed of the sensor's errors and noise, and the board's serial number
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// Keep the board's flash memory in this file [default: in memory only]

@@ -6,7 +6,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{folder, wimu};
+use kit::{Simulator, folder, wimu};
 
 /// Angle of each body about z, rad.
 fn angles(t: f64) -> [f64; 2] {
@@ -111,4 +111,36 @@ fn what_is_not_two_units_of_a_joint_is_refused() {
         let ran = wimu(&wrong);
         assert_eq!(ran.code, 2, "{wrong:?}: {}", ran.stderr);
     }
+}
+
+#[test]
+fn live_units_without_a_joint_are_not_accurate_and_one_board_is_refused() {
+    let boards = ["1", "2"].map(|seed| {
+        let words = ["--sensor", "lsm6dso", "--motion", "hand", "--seed", seed];
+        Simulator::start(&words)
+    });
+    let [a, b] = boards.each_ref().map(|board| board.cable.as_str());
+    // Each board is moved by a hand of its own: there is no joint.
+    let ran = wimu(&["navigate", a, b, "--relative", "--for", "12"]);
+    let objects = ran.objects();
+    let (path, angles) = objects.split_last().expect("a result");
+    assert_eq!(angles[0]["schema"], "wimu.angle/1", "{ran:?}");
+    assert!(angles.iter().all(|angle| angle["accurate"] == false));
+    assert_eq!(
+        (&path["schema"], &path["accurate"]),
+        (&"wimu.relative/1".into(), &false.into())
+    );
+    assert!(
+        kit::findings(path)
+            .join("\n")
+            .contains("do not fit a common joint"),
+        "{path}"
+    );
+    let soon = wimu(&["navigate", a, b, "--relative", "--for", "2"]);
+    soon.fails(2, "no_rows");
+    let one_board = ["navigate", a, &boards[0].wireless, "--relative"];
+    wimu(&one_board).fails(2, "usage");
+    let (file, _folder) = kit::in_folder("a.csv");
+    fs::write(&file, "Accelerometer X (g)\n").unwrap();
+    wimu(&["navigate", a, &file, "--relative"]).fails(2, "usage");
 }

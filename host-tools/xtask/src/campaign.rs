@@ -30,10 +30,11 @@ const NAVIGATION: [&str; 3] = [
     "crates/wimu-nav/tests",
     "crates/wimu-nav/examples",
 ];
-const HOST_NAVIGATION: [&str; 10] = [
+const HOST_NAVIGATION: [&str; 11] = [
     "crates/wimu-nav/src",
     "host-tools/wimu-host/src/array",
     "host-tools/wimu-host/src/array.rs",
+    "host-tools/wimu-host/src/hand_eye",
     "host-tools/wimu-host/src/inertial",
     "host-tools/wimu-host/src/localization",
     "host-tools/wimu-host/src/relative",
@@ -202,6 +203,14 @@ pub const CAMPAIGNS: [Campaign; 11] = [
             },
             Run {
                 command: "run --release -p wimu-host --example score_localization -- {data}",
+                sources: &HOST_NAVIGATION,
+            },
+            Run {
+                command: "run --release -p wimu-host --example score_align -- {data}",
+                sources: &HOST_NAVIGATION,
+            },
+            Run {
+                command: "test --release -p wimu-host --test all -- --include-ignored hand_eye:: relative::",
                 sources: &HOST_NAVIGATION,
             },
             Run {

@@ -31,8 +31,8 @@ const FIELD_TIME_S: f64 = 10.0;
 
 /// What is known of both units.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Model<'a> {
-    pub hinge: Option<&'a Hinge>,
+pub(super) struct Model {
+    pub hinge: Option<Hinge>,
     pub fields: bool,
     /// Standard deviation of the biases of the accelerometers, m/s².
     pub bias_mps2: f64,
@@ -69,64 +69,103 @@ struct Blocks {
     field: Block<3>,
 }
 
+/// The filter on its way.
+pub(super) struct Engine {
+    filter: Filter<f64, STATES>,
+    blocks: Blocks,
+    model: Model,
+    errors: ImuErrors<f64>,
+    since_joint_s: f64,
+    log_likelihood: f64,
+    /// Sums of the normalised innovations squared of the joint, and of their degrees of freedom.
+    joint: [f64; 2],
+}
+
 /// Runs the filter from a rotation at the start.
 pub(super) fn run(steps: &[Step], start: Rotation3<f64>, model: &Model) -> Result<Run, LayoutFull> {
-    let mut errors = ImuErrors::default();
-    errors.accelerometer_bias = model.bias_mps2;
-    errors.time_s = TIME_S;
-    let (mut filter, blocks) = begun(start, model, &errors)?;
-    let (mut log_likelihood, mut joint_nis) = (0.0, [0.0; 2]);
-    let mut poses = Vec::with_capacity(steps.len());
-    let mut since_joint_s = JOINT_S;
-    for step in steps {
-        predict(&mut filter, step, &blocks, &errors);
-        since_joint_s += step.step_s;
-        if since_joint_s >= JOINT_S && step.measured {
-            since_joint_s = 0.0;
+    let mut engine = Engine::new(start, model)?;
+    let poses = steps.iter().map(|step| engine.step(step)).collect();
+    Ok(Run {
+        poses,
+        log_likelihood: engine.log_likelihood,
+        joint_nis: engine.joint_nis(),
+        lever_arms_m: engine.lever_arms_m(),
+    })
+}
+
+impl Engine {
+    pub(super) fn new(start: Rotation3<f64>, model: &Model) -> Result<Self, LayoutFull> {
+        let mut errors = ImuErrors::default();
+        errors.accelerometer_bias = model.bias_mps2;
+        errors.time_s = TIME_S;
+        let (filter, blocks) = begun(start, model, &errors)?;
+        Ok(Self {
+            filter,
+            blocks,
+            model: *model,
+            errors,
+            since_joint_s: JOINT_S,
+            log_likelihood: 0.0,
+            joint: [0.0; 2],
+        })
+    }
+
+    pub(super) fn step(&mut self, step: &Step) -> Pose {
+        let (filter, blocks) = (&mut self.filter, &self.blocks);
+        predict(filter, step, blocks, &self.errors);
+        self.since_joint_s += step.step_s;
+        if self.since_joint_s >= JOINT_S && step.measured {
+            self.since_joint_s = 0.0;
             let point = CommonPoint {
                 lever_arms: blocks.arms,
                 deviation_m: PLAY_M,
             };
             let found = filter.update(&point, Gate::Open);
-            log_likelihood += found.log_likelihood;
-            joint_nis[0] += found.statistic;
-            joint_nis[1] += found.dof as f64;
-            if model.hinge.is_some() {
+            self.log_likelihood += found.log_likelihood;
+            self.joint[0] += found.statistic;
+            self.joint[1] += found.dof as f64;
+            if self.model.hinge.is_some() {
                 let axis = CommonAxis {
                     axes: blocks.axes,
                     deviation_rad: PLAY_RAD,
                 };
-                log_likelihood += filter.update(&axis, Gate::Open).log_likelihood;
+                self.log_likelihood += filter.update(&axis, Gate::Open).log_likelihood;
             }
         }
-        if let Some(field_ut) = step.field_ut.filter(|_| model.fields) {
-            let difference = blocks.field;
+        if let Some(field_ut) = step.field_ut.filter(|_| self.model.fields) {
             let field = CommonField {
                 field_ut,
-                difference,
+                difference: blocks.field,
                 noise_ut: FIELD_NOISE_UT,
             };
-            let found = filter.update(&field, Gate::Open);
-            log_likelihood += found.log_likelihood;
+            self.log_likelihood += filter.update(&field, Gate::Open).log_likelihood;
         }
         let rate =
             |k: usize| step.rate_rad_s[k] - filter.state.get(blocks.motion.gyroscope_bias[k]);
-        poses.push(Pose {
+        Pose {
             time_s: step.time_s,
             step_s: step.step_s,
             attitude: filter.state.attitude,
             covariance: filter.covariance(ATTITUDE),
             rate_rad_s: [rate(0), rate(1)],
             measured: step.measured && filter.is_sound(),
-        });
+        }
     }
-    let lever_arms_m = blocks.arms.map(|arm| filter.state.get(arm));
-    Ok(Run {
-        poses,
-        log_likelihood,
-        joint_nis: joint_nis[0] / joint_nis[1],
-        lever_arms_m,
-    })
+
+    /// Whether its numbers are finite and its covariance is one.
+    pub(super) fn is_sound(&self) -> bool {
+        self.filter.is_sound()
+    }
+
+    /// Normalised innovation squared of the joint over its degrees of freedom, mean.
+    pub(super) fn joint_nis(&self) -> f64 {
+        self.joint[0] / self.joint[1]
+    }
+
+    /// Position of the joint from each unit, m.
+    pub(super) fn lever_arms_m(&self) -> [Vector3<f64>; 2] {
+        self.blocks.arms.map(|arm| self.filter.state.get(arm))
+    }
 }
 
 fn begun(
@@ -146,7 +185,7 @@ fn begun(
     ];
     let field = layout.claim(Role::Estimated, [FIELD_DIFFERENCE_UT; 3])?;
     let mut filter = Filter::new(&layout, start);
-    if let Some(hinge) = model.hinge {
+    if let Some(hinge) = &model.hinge {
         for (k, block) in axes.into_iter().enumerate() {
             let (axis, variance) = (Vector3::from(hinge.axes[k]), hinge.sd_rad[k].powi(2));
             filter.state.set(block, axis);

@@ -5,6 +5,7 @@ mod clock;
 mod engine;
 mod findings;
 mod hinge;
+mod live;
 mod pair;
 mod report;
 
@@ -14,6 +15,7 @@ use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 
 pub use clock::Clock;
 pub use hinge::Hinge;
+pub use live::{Body, LiveRelative};
 
 use crate::finding::Finding;
 use crate::motion::MotionRecording;
@@ -85,6 +87,14 @@ pub fn relative(
     recordings: [&MotionRecording; 2],
     choice: &RelativeChoice,
 ) -> Result<RelativePath> {
+    Ok(search(recordings, choice)?.0)
+}
+
+/// The rotation, and the start and the model of its last run.
+fn search(
+    recordings: [&MotionRecording; 2],
+    choice: &RelativeChoice,
+) -> Result<(RelativePath, Rotation3<f64>, Model)> {
     let names = recordings
         .map(|recording| recording.name.as_str())
         .join(" and ");
@@ -98,8 +108,8 @@ pub fn relative(
     let (clock, mut noticed) = clock::coarse(&units).map_err(at)?;
     let has_fields =
         recordings.map(|r| r.samples.iter().any(|s| s.field_ut.is_some())) == [true; 2];
-    let model = Model {
-        hinge: given.as_ref(),
+    let mut model = Model {
+        hinge: given,
         fields: choice.magnetometers && has_fields,
         bias_mps2: recordings[0].bias_mps2().max(recordings[1].bias_mps2()),
     };
@@ -117,8 +127,8 @@ pub fn relative(
             let mut hinge = found(&run)?;
             for _ in 0..PASSES {
                 if hinge.is_a_hinge() {
-                    let hinge = Some(&hinge);
-                    run = engine::run(&all, start, &Model { hinge, ..model }).map_err(internal)?;
+                    model.hinge = Some(hinge);
+                    run = engine::run(&all, start, &model).map_err(internal)?;
                 }
                 hinge = found(&run)?;
             }
@@ -133,7 +143,7 @@ pub fn relative(
     noticed.extend(findings::after(&found));
     found.findings = noticed;
     match found.points.iter().any(|point| point.valid) {
-        true => Ok(found),
+        true => Ok((found, start, model)),
         false => Err(at(findings::no_answer())),
     }
 }
@@ -197,30 +207,49 @@ fn start(steps: &[Step], model: &Model, noticed: &mut Vec<Finding>) -> Result<Ro
     Ok(start)
 }
 
-fn presented(run: Run, hinge: Hinge, clock: Clock) -> RelativePath {
-    let axis = Vector3::from(hinge.axes[0]);
-    let mut turns = 0.0;
-    let mut last = None;
-    let point = |pose: &engine::Pose| {
-        // Continuous: more than half a revolution is not folded.
-        let angle = hinge.angle(&pose.attitude);
-        turns += last.map_or(0.0, |last: f64| TAU * ((last - angle) / TAU).round());
-        last = Some(angle);
-        let by_clock = (pose.attitude * pose.rate_rad_s[1]).dot(&axis) * clock.sd_s;
+/// The angle about a hinge, continuous: more than half a revolution is not folded.
+struct Angle {
+    hinge: Hinge,
+    clock_sd_s: f64,
+    /// The last one, rad.
+    last: Option<f64>,
+}
+
+impl Angle {
+    fn new(hinge: Hinge, clock: &Clock) -> Self {
+        Self {
+            hinge,
+            clock_sd_s: clock.sd_s,
+            last: None,
+        }
+    }
+
+    fn point(&mut self, pose: &engine::Pose) -> RelativePoint {
+        let axis = Vector3::from(self.hinge.axes[0]);
+        let folded = self.hinge.angle(&pose.attitude);
+        let turns = self
+            .last
+            .map_or(0.0, |last| ((last - folded) / TAU).round());
+        let angle_rad = folded + TAU * turns;
+        self.last = Some(angle_rad);
+        let by_clock = (pose.attitude * pose.rate_rad_s[1]).dot(&axis) * self.clock_sd_s;
         let quaternion = UnitQuaternion::from_rotation_matrix(&pose.attitude);
         let [x, y, z] = quaternion.imag().into();
         RelativePoint {
             time_s: pose.time_s,
-            angle_rad: angle + turns,
+            angle_rad,
             sigma_rad: axis.dot(&(pose.covariance * axis)).sqrt().hypot(by_clock),
             quaternion: [quaternion.w, x, y, z],
             attitude_sd_rad: pose.covariance.diagonal().map(f64::sqrt).into(),
             valid: pose.measured,
         }
-    };
-    let points = run.poses.iter().map(point).collect();
+    }
+}
+
+fn presented(run: Run, hinge: Hinge, clock: Clock) -> RelativePath {
+    let mut angle = Angle::new(hinge, &clock);
     RelativePath {
-        points,
+        points: run.poses.iter().map(|pose| angle.point(pose)).collect(),
         hinge,
         clock,
         joint_nis: run.joint_nis,

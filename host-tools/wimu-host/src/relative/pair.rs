@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::compare::align::correlation::scores;
-use crate::motion::{MotionRecording, gap_s, median_step_s};
+use crate::motion::{MotionRecording, UnitSample, gap_s, median_step_s};
 
 /// Shortest common step, s: joints of machines and limbs move below 20 Hz.
 const LEAST_STEP_S: f64 = 0.005;
@@ -34,6 +34,8 @@ pub(super) struct Unit {
     times_s: Vec<f64>,
     /// Of force and rate up to each time.
     integrals: Vec<[Vector3<f64>; 2]>,
+    /// Force and rate of the last sample.
+    last: Option<[Vector3<f64>; 2]>,
     fields: Vec<(f64, Vector3<f64>)>,
     gap_s: f64,
     step_s: f64,
@@ -42,38 +44,56 @@ pub(super) struct Unit {
 impl Unit {
     /// `None` without a gyroscope.
     pub(super) fn of(recording: &MotionRecording) -> Option<Self> {
-        let usual_s = gap_s(&recording.times_s);
         let mut unit = Self {
             times_s: Vec::new(),
             integrals: Vec::new(),
+            last: None,
             fields: Vec::new(),
-            gap_s: usual_s,
+            gap_s: gap_s(&recording.times_s),
             step_s: median_step_s(&recording.times_s),
         };
-        let mut last: Option<[Vector3<f64>; 2]> = None;
         for (&time_s, sample) in recording.times_s.iter().zip(&recording.samples) {
-            let now = [sample.force_mps2, sample.rate_rad_s?].map(Vector3::from);
-            if !now.iter().flatten().chain([&time_s]).all(|v| v.is_finite()) {
-                continue;
-            }
-            let sum = match (last, unit.times_s.last(), unit.integrals.last()) {
-                (Some(before), Some(last_s), Some(sum)) if time_s > *last_s => {
-                    let half = 0.5 * (time_s - last_s);
-                    [0, 1].map(|k| sum[k] + (before[k] + now[k]) * half)
-                }
-                (Some(_), ..) => continue,
-                _ => [Vector3::zeros(); 2],
-            };
-            unit.times_s.push(time_s);
-            unit.integrals.push(sum);
-            if let Some(field) = sample.field_ut.map(Vector3::from)
-                && unit.fields.last().is_none_or(|(_, last)| *last != field)
-            {
-                unit.fields.push((time_s, field));
-            }
-            last = Some(now);
+            unit.push(time_s, sample);
         }
         (unit.times_s.len() > 2).then_some(unit)
+    }
+
+    /// The next sample. One that is not finite, not later than the last one or without angular rate is left out.
+    pub(super) fn push(&mut self, time_s: f64, sample: &UnitSample) {
+        let Some(rate_rad_s) = sample.rate_rad_s else {
+            return;
+        };
+        let now = [sample.force_mps2, rate_rad_s].map(Vector3::from);
+        if !now.iter().flatten().chain([&time_s]).all(|v| v.is_finite()) {
+            return;
+        }
+        let sum = match (self.last, self.times_s.last(), self.integrals.last()) {
+            (Some(before), Some(last_s), Some(sum)) if time_s > *last_s => {
+                let half = 0.5 * (time_s - last_s);
+                [0, 1].map(|k| sum[k] + (before[k] + now[k]) * half)
+            }
+            (Some(_), ..) => return,
+            _ => [Vector3::zeros(); 2],
+        };
+        self.times_s.push(time_s);
+        self.integrals.push(sum);
+        if let Some(field) = sample.field_ut.map(Vector3::from)
+            && self.fields.last().is_none_or(|(_, last)| *last != field)
+        {
+            self.fields.push((time_s, field));
+        }
+        self.last = Some(now);
+    }
+
+    /// Forgets samples before a time, s, but for the last two and the last reading of the magnetometer.
+    pub(super) fn forget(&mut self, before_s: f64) {
+        let old = self.times_s.partition_point(|t| *t < before_s);
+        let old = old.min(self.times_s.len().saturating_sub(2));
+        self.times_s.drain(..old);
+        self.integrals.drain(..old);
+        let old = self.fields.partition_point(|(t, _)| *t < before_s);
+        self.fields
+            .drain(..old.min(self.fields.len().saturating_sub(1)));
     }
 
     pub(super) fn span_s(&self) -> [f64; 2] {
@@ -113,27 +133,59 @@ impl Unit {
     }
 }
 
-/// Common steps where the second unit's clock is `offset_s` behind the first's.
-pub(super) fn steps(units: &[Unit; 2], offset_s: f64) -> Vec<Step> {
-    let [[a0, a1], [b0, b1]] = [units[0].span_s(), units[1].span_s()];
-    let (start_s, end_s) = (a0.max(b0 + offset_s), a1.min(b1 + offset_s));
-    let step_s = units[0].step_s.max(units[1].step_s).max(LEAST_STEP_S);
-    let count = ((end_s - start_s) / step_s).max(0.0) as usize;
-    let shift_s = [0.0, -offset_s];
-    let at = |time_s: f64| [0, 1].map(|k| units[k].until(time_s + shift_s[k]));
-    let mut before = at(start_s);
-    let mut field_s = f64::NEG_INFINITY;
-    let mut all = Vec::with_capacity(count);
-    for k in 1..=count {
-        let time_s = start_s + k as f64 * step_s;
-        let now = at(time_s);
+/// Common steps, one after the other.
+pub(super) struct Steps {
+    /// The second unit's clock is so much behind the first's, s.
+    pub offset_s: f64,
+    start_s: f64,
+    step_s: f64,
+    count: u32,
+    /// Integrals of both units up to the last step, and whether they are not in a gap.
+    before: [Until; 2],
+    field_s: f64,
+}
+
+/// Integrals of force and rate, and whether they are not in a gap.
+type Until = ([Vector3<f64>; 2], bool);
+
+impl Steps {
+    /// From the first time that both have in common.
+    pub(super) fn new(units: &[Unit; 2], offset_s: f64) -> Self {
+        let start_s = f64::max(units[0].span_s()[0], units[1].span_s()[0] + offset_s);
+        Self {
+            offset_s,
+            start_s,
+            step_s: units[0].step_s.max(units[1].step_s).max(LEAST_STEP_S),
+            count: 0,
+            before: both(units, start_s, offset_s),
+            field_s: f64::NEG_INFINITY,
+        }
+    }
+
+    /// The end of the last step, s, clock of the first unit.
+    pub(super) fn time_s(&self) -> f64 {
+        self.start_s + f64::from(self.count) * self.step_s
+    }
+
+    /// The next step; `None` until both units have samples up to its end.
+    pub(super) fn next(&mut self, units: &[Unit; 2]) -> Option<Step> {
+        let (step_s, offset_s) = (self.step_s, self.offset_s);
+        let time_s = self.start_s + f64::from(self.count + 1) * step_s;
+        if time_s > units[0].span_s()[1].min(units[1].span_s()[1] + offset_s) {
+            return None;
+        }
+        self.count += 1;
+        let now = both(units, time_s, offset_s);
+        let before = std::mem::replace(&mut self.before, now);
         let mean = |what: usize| [0, 1].map(|k| (now[k].0[what] - before[k].0[what]) / step_s);
-        let field = |k: usize| units[k].field(time_s + shift_s[k]);
-        let fields = field(0)
-            .zip(field(1))
-            .filter(|_| time_s - field_s >= FIELD_S);
-        field_s = if fields.is_some() { time_s } else { field_s };
-        all.push(Step {
+        let fields = units[0]
+            .field(time_s)
+            .zip(units[1].field(time_s - offset_s))
+            .filter(|_| time_s - self.field_s >= FIELD_S);
+        if fields.is_some() {
+            self.field_s = time_s;
+        }
+        Some(Step {
             time_s,
             step_s,
             force_mps2: mean(0),
@@ -143,10 +195,18 @@ pub(super) fn steps(units: &[Unit; 2], offset_s: f64) -> Vec<Step> {
                 .iter()
                 .flatten()
                 .all(|(_, measured)| *measured),
-        });
-        before = now;
+        })
     }
-    all
+}
+
+fn both(units: &[Unit; 2], time_s: f64, offset_s: f64) -> [Until; 2] {
+    [units[0].until(time_s), units[1].until(time_s - offset_s)]
+}
+
+/// All common steps where the second unit's clock is `offset_s` behind the first's.
+pub(super) fn steps(units: &[Unit; 2], offset_s: f64) -> Vec<Step> {
+    let mut steps = Steps::new(units, offset_s);
+    std::iter::from_fn(|| steps.next(units)).collect()
 }
 
 /// Offset of the clocks by the correlation of the magnitudes of both angular rates, s, with its correlation; the best

@@ -5,6 +5,7 @@ mod inertial;
 mod live;
 mod ranges;
 mod relative;
+mod shown;
 
 pub use live::Beside;
 
@@ -118,7 +119,9 @@ fn to_tenth_mm(m: f64) -> f64 {
 
 pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     let input = arguments.input.to_string_lossy();
-    if let Ok(Input::Link(link)) = Input::parse(&input) {
+    if !arguments.relative
+        && let Ok(Input::Link(link)) = Input::parse(&input)
+    {
         return live::run(arguments, &link.to_string(), output);
     }
     for file in [&arguments.report, &arguments.output] {

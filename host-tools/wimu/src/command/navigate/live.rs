@@ -1,10 +1,8 @@
 //! `wimu navigate LINK`.
 
-use std::io::{self, IsTerminal};
-
 use serde::Serialize;
 use wimu_host::decode::{Arrival, Event};
-use wimu_host::finding::{Finding, text};
+use wimu_host::finding::Finding;
 use wimu_host::inertial::{Aided, Choice, Fix, FixLink, Fixes, LeastDelay, Live, PathPoint};
 use wimu_host::localization::{RangeRecording, Ranging};
 use wimu_host::monitor::{Reading, Readings};
@@ -12,12 +10,11 @@ use wimu_host::motion::{MotionRecording, UnitSample};
 use wimu_host::{ErrorCode, Input, Result};
 
 use super::inertial::{aided_choice, choice, present};
+use super::shown::{Shown, WAIT, corrected_there, writable};
 use crate::arguments::{Aids, Navigate};
-use crate::command::{connect, listen_until, not_over_input};
+use crate::command::{connect, listen_until};
 use crate::output::{Output, usage};
 
-/// Answers a second without `--rate`.
-const RATE_HZ: f64 = 10.0;
 /// Shortest wait for late fixes, s.
 const LATE_S: f64 = 0.5;
 /// Longest, s.
@@ -80,33 +77,15 @@ impl Pose {
 
 /// Navigates the samples of a board while they arrive.
 pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
-    if !arguments.calibration.is_empty() || arguments.sensitivity.is_some() {
-        let remedy =
-            format!("write the calibration to the board: `wimu params push {link} CAL.json`");
-        return Err(usage("a board corrects its samples itself", remedy));
-    }
-    let read = [
-        &arguments.aids.fixes,
-        &arguments.aids.ranges,
-        &arguments.aids.anchors,
-    ];
-    for file in [&arguments.output, &arguments.report].into_iter().flatten() {
-        for read in read.into_iter().flatten() {
-            not_over_input(read, Some(file))?;
-        }
-        let folder = file
-            .parent()
-            .filter(|folder| !folder.as_os_str().is_empty());
-        if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
-            let message = format!("there is no folder {}", folder.display());
-            return Err(usage(message, "create it, or name another file"));
-        }
-    }
+    corrected_there(arguments, link)?;
+    let aids = &arguments.aids;
+    let read = [&aids.fixes, &aids.ranges, &aids.anchors];
+    writable(arguments, read.into_iter().flatten())?;
     let mut choice = choice(arguments)?;
-    let mut fixes = Aiding::of(&arguments.aids, &mut choice)?;
+    let mut fixes = Aiding::of(aids, &mut choice)?;
     let mut client = connect(link)?;
-    let mut session = Session::new(&choice, link, fixes.late_s(&arguments.aids));
-    let mut shown = Shown::new(arguments.rate.unwrap_or(RATE_HZ), output);
+    let mut session = Session::new(&choice, link, fixes.late_s(aids));
+    let mut shown = Shown::new(arguments.rate, output);
     let mut points = Vec::new();
     let ended = listen_until(&mut client, arguments.seconds, |arrival| {
         fixes.give(&mut session);
@@ -114,7 +93,12 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
         if restarted {
             output.print("the device has restarted: position begins again at zero");
         }
-        if let Some(point) = shown.due(&session) {
+        if let Some(newest_s) = session.live.newest_s()
+            && shown.is_due(newest_s)
+            && let Some(point) = session.live.now()
+        {
+            let pose = Pose::of(&point);
+            shown.show(newest_s, &pose, || pose.text(session.live.headings()));
             points.push(point);
         }
         shown.say(fixes.findings());
@@ -124,12 +108,8 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
     output.end_refresh();
     if points.is_empty() {
         ended?;
-        return Err(ErrorCode::NoRows
-            .error(
-                "no position within the time: the first needs three seconds of samples",
-                "wait longer; `wimu monitor LINK` shows whether samples arrive",
-            )
-            .at(link));
+        let message = "no position within the time: the first needs three seconds of samples";
+        return Err(ErrorCode::NoRows.error(message, WAIT).at(link));
     }
     // A lost link loses no position.
     let mut path = session.live.path(points);
@@ -260,23 +240,23 @@ impl Session {
         for reading in arrived {
             let time_s = reading.time.to_seconds();
             self.clock.see(time_s, arrival.host_ns as f64 * 1e-9);
-            let sample = self.sample(&reading);
-            self.live.push(time_s, sample)?;
+            if reading.field.is_some_and(|field| !field.calibrated) {
+                self.live.field_is_uncalibrated();
+            }
+            self.live.push(time_s, sample(&reading))?;
         }
         Ok(restarted)
     }
+}
 
-    fn sample(&mut self, reading: &Reading) -> UnitSample {
-        if reading.field.is_some_and(|field| !field.calibrated) {
-            self.live.field_is_uncalibrated();
-        }
-        let field = reading.field.filter(|field| field.calibrated);
-        UnitSample {
-            step_s: 0.0,
-            force_mps2: reading.specific_force.0,
-            rate_rad_s: reading.angular_rate,
-            field_ut: field.map(|field| field.nt.map(|nt| nt * 1e-3)),
-        }
+/// A reading as the estimators take it: its field where it is calibrated.
+pub(super) fn sample(reading: &Reading) -> UnitSample {
+    let field = reading.field.filter(|field| field.calibrated);
+    UnitSample {
+        step_s: 0.0,
+        force_mps2: reading.specific_force.0,
+        rate_rad_s: reading.angular_rate,
+        field_ut: field.map(|field| field.nt.map(|nt| nt * 1e-3)),
     }
 }
 
@@ -308,76 +288,4 @@ impl Beside {
         let live = &self.session.live;
         Some((live.now()?, live.aided()))
     }
-}
-
-/// What is printed while it goes on.
-struct Shown {
-    output: Output,
-    refreshes: bool,
-    every_s: f64,
-    last_s: Option<f64>,
-    printed_s: Option<f64>,
-    /// Findings that were printed, without their figures.
-    said: Vec<String>,
-    going: bool,
-}
-
-impl Shown {
-    fn new(rate_hz: f64, output: Output) -> Self {
-        Self {
-            output,
-            refreshes: io::stdout().is_terminal() && io::stderr().is_terminal(),
-            every_s: rate_hz.recip(),
-            last_s: None,
-            printed_s: None,
-            said: Vec::new(),
-            going: true,
-        }
-    }
-
-    /// Prints the answer, if the next one is due.
-    fn due(&mut self, session: &Session) -> Option<PathPoint> {
-        let newest_s = session.live.newest_s()?;
-        let is_due = |last: Option<f64>, every_s: f64| {
-            last.is_none_or(|last| !(0.0..every_s - 1e-6).contains(&(newest_s - last)))
-        };
-        if !is_due(self.last_s, self.every_s) {
-            return None;
-        }
-        let point = session.live.now()?;
-        self.last_s = Some(newest_s);
-        let pose = Pose::of(&point);
-        if self.output.is_json() {
-            self.going &= self.output.object(&pose);
-        } else if self.refreshes {
-            self.output.refresh(&pose.text(session.live.headings()));
-        } else if is_due(self.printed_s, 1.0) {
-            self.printed_s = Some(newest_s);
-            self.output.print(pose.text(session.live.headings()));
-        }
-        Some(point)
-    }
-
-    /// Whether no finding of this kind was printed.
-    fn is_new(&self, finding: &Finding) -> bool {
-        !self.said.contains(&kind(finding))
-    }
-
-    /// Prints findings of a kind that was not printed before.
-    fn say(&mut self, findings: &[Finding]) {
-        for finding in findings {
-            if self.is_new(finding) {
-                self.said.push(kind(finding));
-                self.output.end_refresh();
-                let text = text(std::slice::from_ref(finding), 1);
-                self.output.print(text.trim_end());
-            }
-        }
-    }
-}
-
-/// The text of a finding without its figures.
-fn kind(finding: &Finding) -> String {
-    let is_word = |c: &char| !c.is_ascii_digit() && *c != '.' && *c != 's';
-    finding.evidence.chars().filter(is_word).collect()
 }

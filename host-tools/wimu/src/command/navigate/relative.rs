@@ -1,5 +1,7 @@
 //! `wimu navigate A B --relative`: angle and rotation between two units.
 
+mod live;
+
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -46,6 +48,14 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         ));
     };
     let files = [&arguments.input, other];
+    let links = files.map(|file| Input::parse(&file.to_string_lossy()));
+    let choice = RelativeChoice {
+        hinge: arguments.hinge,
+        magnetometers: arguments.magnetometers,
+    };
+    if let [Ok(Input::Link(a)), Ok(Input::Link(b))] = links {
+        return live::run(arguments, [a, b], choice, output);
+    }
     for written in [&arguments.output, &arguments.report] {
         not_over_input(other, written.as_deref())?;
     }
@@ -58,11 +68,18 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     }
     let a = unit(arguments, files[0], calibrations.first())?;
     let b = unit(arguments, files[1], calibrations.get(1))?;
-    let choice = RelativeChoice {
-        hinge: arguments.hinge,
-        magnetometers: arguments.magnetometers,
-    };
     let found = relative([&a, &b], &choice)?;
+    let sources = files.map(|file| file.display().to_string());
+    present(arguments, sources, found, output)
+}
+
+/// Prints and writes a result.
+fn present(
+    arguments: &Navigate,
+    sources: [String; 2],
+    found: RelativePath,
+    output: Output,
+) -> Result<()> {
     let text = found.text();
     output.print(text.trim_end());
     output.findings(&found.findings);
@@ -74,7 +91,6 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
             file.display()
         ));
     }
-    let sources = files.map(|file| file.display().to_string());
     if let Some(file) = &arguments.report {
         found.page(&sources.join(" and "), &text)?.write(file)?;
         output.print(format!("wrote {}", file.display()));
@@ -91,8 +107,8 @@ fn unit(
 ) -> Result<MotionRecording> {
     match Input::parse(&file.to_string_lossy())? {
         Input::Link(_) => Err(usage(
-            "--relative reads recordings",
-            "record both boards first: wimu record LINK -o A.mcap",
+            "--relative takes two LINKs or two recordings, not one of each",
+            "record the board: wimu record LINK -o A.mcap",
         )),
         Input::Recording(_) => {
             let recording = Recording::load(file)?;

@@ -1,0 +1,180 @@
+//! `wimu navigate LINK_A LINK_B --relative`.
+
+use std::sync::mpsc::{self, Sender};
+use std::thread;
+
+use serde::Serialize;
+use wimu_host::decode::{Arrival, Event};
+use wimu_host::monitor::Readings;
+use wimu_host::motion::{MotionRecording, UnitSample};
+use wimu_host::relative::{Body, LiveRelative, RelativeChoice, RelativePoint};
+use wimu_host::{ErrorCode, HostError, LinkUrl, Result};
+
+use super::super::live::sample;
+use super::super::shown::{Shown, WAIT, corrected_there, writable};
+use super::present;
+use crate::arguments::Navigate;
+use crate::command::{Connection, connect, interrupted, listen_until};
+use crate::output::{Output, usage};
+
+/// A rotation, as `--json` prints it.
+#[derive(Serialize)]
+struct Angle {
+    schema: &'static str,
+    /// Clock of the first unit.
+    time_s: f64,
+    angle_deg: f64,
+    sigma_deg: f64,
+    /// B's axes to A's, W, X, Y, Z.
+    quaternion: [f64; 4],
+    attitude_sigma_deg: [f64; 3],
+    /// Whether axis and angle are accurate enough.
+    accurate: bool,
+    valid: bool,
+}
+
+impl Angle {
+    fn of(point: &RelativePoint, accurate: bool) -> Self {
+        Self {
+            schema: "wimu.angle/1",
+            time_s: point.time_s,
+            angle_deg: point.angle_rad.to_degrees(),
+            sigma_deg: point.sigma_rad.to_degrees(),
+            quaternion: point.quaternion,
+            attitude_sigma_deg: point.attitude_sd_rad.map(f64::to_degrees),
+            accurate,
+            valid: point.valid,
+        }
+    }
+
+    fn text(&self) -> String {
+        let note = match (self.valid, self.accurate) {
+            (false, _) => "  not valid: a unit is silent",
+            (true, false) => "  not accurate yet: turn the joint through its range",
+            _ => "",
+        };
+        format!(
+            "{:8.2} s  {:+.1}° ± {:.1}°{note}",
+            self.time_s, self.angle_deg, self.sigma_deg
+        )
+    }
+}
+
+/// What a unit sends.
+enum Message {
+    Sample {
+        time_s: f64,
+        arrived_s: f64,
+        sample: UnitSample,
+    },
+    Restart,
+    Ended(HostError),
+}
+
+/// Prints the angle between two boards while they move.
+pub fn run(
+    arguments: &Navigate,
+    links: [LinkUrl; 2],
+    choice: RelativeChoice,
+    output: Output,
+) -> Result<()> {
+    let names = links.map(|link| link.to_string());
+    corrected_there(arguments, &names[0])?;
+    writable(arguments, std::iter::empty())?;
+    let clients = [connect(&names[0])?, connect(&names[1])?];
+    if clients[0].hello().device_id == clients[1].hello().device_id {
+        let remedy = "give a LINK of each of two boards";
+        return Err(usage("both LINKs are of one board", remedy));
+    }
+    // Before the threads, which share its flag.
+    interrupted()?;
+    let begin = || {
+        let of = |name: &String| MotionRecording::new(name, Vec::new(), Vec::new());
+        LiveRelative::new(choice, names.each_ref().map(of))
+    };
+    let (mut live, mut points, mut ended) = (begin(), Vec::new(), Ok(()));
+    let mut shown = Shown::new(arguments.rate, output);
+    thread::scope(|scope| {
+        let (send, received) = mpsc::channel();
+        for (body, client) in [Body::A, Body::B].into_iter().zip(clients) {
+            let send = send.clone();
+            scope.spawn(move || listen(arguments, client, body, &send));
+        }
+        drop(send);
+        for (body, message) in received {
+            match message {
+                Message::Sample {
+                    time_s,
+                    arrived_s,
+                    sample,
+                } => live.push(body, time_s, arrived_s, sample),
+                Message::Restart => {
+                    output.print(format!(
+                        "{} has restarted: turn the joint again",
+                        names[body as usize]
+                    ));
+                    live = begin();
+                }
+                Message::Ended(error) => {
+                    ended = Err(error);
+                    break;
+                }
+            }
+            for point in live.take() {
+                if shown.is_due(point.time_s) {
+                    let angle = Angle::of(&point, live.is_accurate());
+                    shown.show(point.time_s, &angle, || angle.text());
+                    points.push(point);
+                }
+            }
+            shown.say(&live.findings());
+            if !shown.going {
+                break;
+            }
+        }
+    });
+    output.end_refresh();
+    let Some(path) = live.path(points) else {
+        ended?;
+        let message =
+            "no angle within the time: the first needs eight seconds in which the joint turns";
+        return Err(live.lacks().cloned().unwrap_or_else(|| {
+            ErrorCode::NoRows
+                .error(message, WAIT)
+                .at(names.join(" and "))
+        }));
+    };
+    present(arguments, names, path, output)?;
+    ended
+}
+
+/// Passes on what a unit sends, until the time is over, Ctrl-C, or nobody receives.
+fn listen(
+    arguments: &Navigate,
+    mut client: Connection,
+    body: Body,
+    send: &Sender<(Body, Message)>,
+) {
+    let mut readings = Readings::new();
+    let heard = |arrival: &Arrival| {
+        let mut messages = Vec::new();
+        if let Event::Restart { .. } = arrival.event {
+            readings = Readings::new();
+            messages.push(Message::Restart);
+        }
+        readings.push(&arrival.event, |reading| {
+            messages.push(Message::Sample {
+                time_s: reading.time.to_seconds(),
+                arrived_s: arrival.host_ns as f64 * 1e-9,
+                sample: sample(&reading),
+            });
+        });
+        Ok(messages
+            .into_iter()
+            .all(|message| send.send((body, message)).is_ok()))
+    };
+    if let Err(error) = listen_until(&mut client, arguments.seconds, heard) {
+        // Nobody receives it where the other unit has ended first.
+        let _ = send.send((body, Message::Ended(error)));
+    }
+}

@@ -43,7 +43,8 @@ pub enum Telemetry<P = WireParameters> {
     Attitude(Attitude),
     /// A piece of the parameters in use.
     ParametersPiece(ParametersPiece),
-    /// The authentication of the frames before it.
+    /// The authentication of the frames before it. Sent by devices with the feature `auth`: others are as small as before.
+    #[cfg_attr(not(feature = "auth"), serde(skip_serializing))]
     Tag(Tag),
 }
 

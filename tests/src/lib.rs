@@ -5,6 +5,7 @@ pub mod behind_faults;
 pub mod campaign;
 #[cfg(unix)]
 pub mod qemu;
+pub mod tags;
 pub mod wire;
 
 use std::collections::HashSet;
@@ -463,6 +464,7 @@ pub fn fuzz_once(seeded: &mut Random) {
     assert_eq!(statistics.bytes, line.len() as u64);
     fuzz_order(seeded);
     fuzz_pieces(seeded);
+    tags::fuzz_tags(seeded);
 }
 
 /// Pieces of two parameter sets that are lost, repeated, exchanged and damaged: a set that becomes complete is

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 /// The messages as the document has them. A line is a name and what it holds, one after another:
 /// fields for a struct; for an enum `|` before each variant. `T?` may be absent, `T*3` is three of them.
 const DOCUMENT: &str = "
-Telemetry: | Epoch Epoch | Environment u64 i32*3? i16? | Navigation u32 i64*3 i64*3 u32 Phase u8 u16? | Parameters u32 Parameters? | Settings Settings | Status Status | Event u64 Event | Attitude u32 i32*4 | ParametersPiece Piece
+Telemetry: | Epoch Epoch | Environment u64 i32*3? i16? | Navigation u32 i64*3 i64*3 u32 Phase u8 u16? | Parameters u32 Parameters? | Settings Settings | Status Status | Event u64 Event | Attitude u32 i32*4 | ParametersPiece Piece | Tag KeyId u32 u32 u32 u8*8
 Piece: u32 u16 u16 bytes
 Epoch: Reason u8 u32 u64 u32 u8 f64 i32 u32 i16? revision
 Gyroscope: f64 i32
@@ -48,7 +48,7 @@ Refusal: | KeyNeeded | Locked | InvalidParameters ParameterFault | WrongRange u8
 ";
 
 /// Names that the examples give their structs, which the wire does not know.
-const STRUCTS: [&str; 19] = [
+const STRUCTS: [&str; 20] = [
     "ActiveParameters",
     "Attitude",
     "DeviceKey",
@@ -68,6 +68,7 @@ const STRUCTS: [&str; 19] = [
     "StackStatus",
     "Status",
     "Streams",
+    "Tag",
 ];
 
 fn definition(name: &str) -> Option<&'static str> {

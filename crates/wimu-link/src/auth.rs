@@ -52,18 +52,23 @@ impl DeviceKey {
         KeyId(truncated(self.mac(b"i")))
     }
 
-    fn mac(&self, label: &[u8; 1]) -> Hmac<Sha256> {
+    pub(crate) fn mac(&self, label: &[u8; 1]) -> Hmac<Sha256> {
+        self.keyed().chain_update(label)
+    }
+
+    /// A HMAC of nothing yet.
+    pub(crate) fn keyed(&self) -> Hmac<Sha256> {
         // A key shorter than a block of SHA-256 is padded with zeros.
         let mut block = [0; 64];
         if let Some(start) = block.first_chunk_mut() {
             *start = self.0;
         }
-        Hmac::new(&block.into()).chain_update(label)
+        Hmac::new(&block.into())
     }
 }
 
 /// The first `N` bytes of a HMAC.
-fn truncated<const N: usize>(mac: Hmac<Sha256>) -> [u8; N] {
+pub(crate) fn truncated<const N: usize>(mac: Hmac<Sha256>) -> [u8; N] {
     let bytes: [u8; 32] = mac.finalize().into_bytes().into();
     bytes.first_chunk().copied().unwrap_or([0; N])
 }

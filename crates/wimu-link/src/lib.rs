@@ -14,10 +14,13 @@ pub mod hello;
 pub mod message;
 pub mod requester;
 pub mod responder;
+pub mod tag;
 
 pub use batch::Batch;
 pub use checksum::crc_32c;
-pub use frame::{Deframer, Frame, FrameError, Kind, MAX_BODY, MAX_FRAME, WIRE_VERSION};
+pub use frame::{
+    Deframer, EncodeError, Frame, FrameError, Kind, MAX_BODY, MAX_FRAME, WIRE_VERSION,
+};
 pub use hello::{Hello, LinkRole, WhoAreYou, WriteAccess};
 pub use message::{Answer, Command, Reply, Request, Settings, Telemetry};
 pub use requester::Requester;

@@ -9,7 +9,7 @@ use std::fmt::Write as _;
 use std::num::NonZeroU8;
 use std::path::PathBuf;
 
-use wimu_link::auth::{DeviceKey, KeyId};
+use wimu_link::auth::{DeviceKey, KeyId, KeyState, Lock};
 use wimu_link::batch::Layout;
 use wimu_link::frame::{self, EncodeError, FrameError, RecordedDeframer};
 use wimu_link::hello::{
@@ -24,6 +24,7 @@ use wimu_link::message::{
     WirePhase, WireQuality, WireQualityFault, WireRotation, WireRun, WireSegment, WireState,
     WireTerm, WireWindow,
 };
+use wimu_link::tag::{Tag, Tagger};
 use wimu_link::{Batch, Hello, Kind, MAX_FRAME, WIRE_VERSION, WhoAreYou, batch};
 use wimu_model::{Counts, DeviceTimeUs, ParameterId, SpecificForceQ16};
 
@@ -112,7 +113,7 @@ const FROZEN: [(u8, &str, usize, u32); 13] = [
     (2, "inertial", 10, 0x9495_f6e2),
     (2, "reply", 66, 0xae2e_a0bc),
     (2, "request", 18, 0x868b_0143),
-    (2, "telemetry", 39, 0x1e6e_2ee6),
+    (2, "telemetry", 41, 0xd0c0_1de7),
     (2, "who_are_you", 1, 0xcd76_9215),
 ];
 
@@ -612,6 +613,34 @@ fn epoch(reason: EpochReason) -> Epoch {
     }
 }
 
+/// The tag of an interval of two frames.
+fn tag() -> Tag {
+    let lock = Lock {
+        key: KeyState::Set(DeviceKey::new(core::array::from_fn(|at| at as u8))),
+        device_id: 0x0123_4567_89ab_cdef,
+        boot_count: Some(300),
+        ..Lock::default()
+    };
+    let mut tagger = Tagger::new(LinkRole::Wireless);
+    let environment = [3, 0x24, 1, 1, 1, 5, 0x6a, 0xd7, 0xda, 0x63, 0];
+    assert_eq!(tagger.sent(&environment[..3], false, || lock), None);
+    assert_eq!(tagger.sent(&environment[3..], true, || lock), None);
+    // As an epoch begins.
+    tagger.sent(&[2, 0x24, 9, 9, 9, 0], true, || lock).unwrap()
+}
+
+/// Against Python's `hmac` and `hashlib`.
+#[test]
+fn tags_are_those_of_an_independent_implementation() {
+    let tag = tag();
+    assert_eq!((tag.boot_count, tag.number, tag.frames), (300, 1, 2));
+    let code = [0xfc, 0x87, 0xf3, 0x2a, 0xd2, 0xc4, 0x4b, 0x05];
+    assert_eq!(
+        (tag.key.to_string(), tag.code),
+        ("2661c013".to_owned(), code)
+    );
+}
+
 #[test]
 fn telemetry_is_as_it_was() {
     let mut messages: Vec<_> = [
@@ -734,6 +763,7 @@ fn telemetry_is_as_it_was() {
     messages.push(Telemetry::ParametersPiece(
         EncodedParameters(&[]).piece(ParameterId::UNCALIBRATED, 0),
     ));
+    messages.push(Telemetry::Tag(tag()));
     let mut vectors = Vectors::new("telemetry", Kind::Telemetry);
     for message in &messages {
         vectors.add(format!("{message:?}"), |line| message.encode(line));

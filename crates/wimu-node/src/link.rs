@@ -5,10 +5,14 @@ use embedded_io_async::{Read, Write};
 use wimu_link::frame::RequestDeframer;
 use wimu_link::message::{Command, Refusal};
 use wimu_link::responder::Decision;
+#[cfg(feature = "auth")]
+use wimu_link::tag::{Tag, Tagger};
 use wimu_link::{Kind, LinkRole};
 use wimu_model::DeviceTimeUs;
 
 use crate::queue::PIECE;
+#[cfg(feature = "auth")]
+use crate::shared::Message;
 use crate::shared::{Common, Worker, runs};
 use crate::timer::Timer;
 
@@ -33,6 +37,8 @@ impl<W: Write, M: RawMutex> LinkWriter<'_, W, M> {
 
     async fn send(&mut self) -> ! {
         let mut piece = [0; PIECE];
+        #[cfg(feature = "auth")]
+        let mut tagger = Tagger::new(self.role);
         // Ends a frame that a restart has interrupted.
         let _ = self.line.write_all(&[0]).await;
         loop {
@@ -42,11 +48,25 @@ impl<W: Write, M: RawMutex> LinkWriter<'_, W, M> {
             if self.line.write_all(piece).await.is_err() {
                 embassy_futures::yield_now().await;
             }
+            #[cfg(feature = "auth")]
+            if let Some(tag) = tagger.sent(piece, ended, || self.shared.lock()) {
+                self.send_tag(tag).await;
+            }
             if ended {
                 let _ = self.line.flush().await;
                 self.shared.frame_sent(self.role);
             }
         }
+    }
+
+    /// Sends a tag, before any other frame.
+    #[cfg(feature = "auth")]
+    async fn send_tag(&mut self, tag: Tag) {
+        let mut frame = [0; Tag::MAX_FRAME];
+        let length = Message::Tag(tag).encode(&mut frame).unwrap_or(0);
+        let frame = frame.get(..length).unwrap_or_default();
+        let _ = self.line.write_all(frame).await;
+        self.shared.count_sent(self.role, frame.len());
     }
 }
 

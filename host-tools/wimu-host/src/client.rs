@@ -396,6 +396,11 @@ impl<T: Transport> Client<T> {
             .at(&self.name)
     }
 
+    /// Verifies the board's tags with these keys; the results are among the events.
+    pub fn verify_with(&mut self, keys: Vec<DeviceKey>) {
+        self.decoder.use_keys(keys);
+    }
+
     /// The board's latest identification.
     pub fn hello(&self) -> &Hello {
         &self.hello

@@ -2,6 +2,7 @@
 
 use std::cmp::Ordering;
 
+use wimu_link::auth::DeviceKey;
 use wimu_link::batch;
 use wimu_link::frame::RecordedDeframer;
 use wimu_link::message::{Attitude, Environment, Epoch, Navigation};
@@ -17,15 +18,18 @@ mod order;
 mod pieces;
 mod repeats;
 mod start;
+mod tags;
 
 pub use event::{Arrival, Event, LinkStatistics, Samples, StreamStatistics, TimedSample};
 pub use pieces::Pieces;
+pub use tags::{Authenticity, Interval};
 
 use anchor::Anchor;
 use message::{Message, read};
 use order::{Moment, Place, Verdict};
 use repeats::Repeats;
 use start::{Held, Start};
+use tags::Verifier;
 
 /// Largest lead of an epoch over a greeting after it, µs: its first sample is still to come.
 const EXPECTED_US: u64 = 1_000_000;
@@ -97,12 +101,18 @@ pub struct Decoder {
     foreign_version: Option<u8>,
     pieces: Pieces,
     latest_version: Option<u8>,
+    verifier: Verifier,
 }
 
 impl Decoder {
     /// A decoder at any position in a stream.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// Verifies tags with these keys, from the next one on.
+    pub fn use_keys(&mut self, keys: Vec<DeviceKey>) {
+        self.verifier.set_keys(keys);
     }
 
     /// Takes bytes that arrived at `host_ns`, ns on the host's monotonic clock; calls `each` for
@@ -120,6 +130,7 @@ impl Decoder {
                 Ok(frame) if frame.kind.is_batch() => {
                     self.statistics.frames += 1;
                     self.listening = true;
+                    self.verifier.take(host_ns, &frame);
                     match Batch::decode(frame.kind, frame.body) {
                         Ok(batch) => {
                             self.take_batch(received, &batch, &mut each);
@@ -135,7 +146,11 @@ impl Decoder {
                     self.statistics.frames += 1;
                     self.listening = true;
                     self.latest_version = Some(frame.version);
-                    let message = match read(&frame) {
+                    let message = read(&frame);
+                    if !matches!(message, Ok(Some(Message::Tag(_)))) {
+                        self.verifier.take(host_ns, &frame);
+                    }
+                    let message = match message {
                         Ok(None) => continue,
                         Ok(Some(Message::Piece(piece))) => match self.pieces.take(&piece) {
                             Ok(None) => continue,
@@ -166,7 +181,15 @@ impl Decoder {
                 }
             };
             match event {
-                Message::Hello(hello) => self.take_hello(received, hello, &mut each),
+                Message::Hello(hello) => {
+                    self.verifier.greet(&hello);
+                    self.take_hello(received, hello, &mut each);
+                }
+                Message::Tag(tag) => {
+                    if let Some(interval) = self.verifier.judge(host_ns, &tag) {
+                        each(received.with(Event::Tagged(interval)));
+                    }
+                }
                 Message::Epoch(epoch) => self.take_epoch(received, epoch, &mut each),
                 Message::Piece(_) => {}
                 Message::Event(event) if self.start.order.holds() && event.is_of_a_start() => {
@@ -187,6 +210,7 @@ impl Decoder {
         self.deframer = RecordedDeframer::default();
         self.listening = false;
         self.began_ns = None;
+        self.verifier.interrupt();
         // A reopened link does not repeat earlier data.
         self.repeats = Repeats::default();
         self.statistics.interruptions += 1;
@@ -197,6 +221,7 @@ impl Decoder {
         self.deframer = RecordedDeframer::default();
         self.listening = false;
         self.began_ns = None;
+        self.verifier.interrupt();
         for track in &mut self.start.tracks {
             track.skipped = [true; 2];
         }

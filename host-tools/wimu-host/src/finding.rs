@@ -111,6 +111,8 @@ pub enum FindingCode {
     NotExpressible,
     /// Positions and delays of an array.
     Geometry,
+    /// Data that the device did not send.
+    Forged,
     /// Assumptions and events of a navigation.
     Navigation,
 }

@@ -12,6 +12,7 @@ use wimu_link::message::{
 use wimu_link::{Hello, LinkRole, Settings};
 use wimu_model::{DeviceTimeUs, MagneticFieldNt, ParameterId, ParameterSet, Sensitivity, SensorId};
 
+use crate::authentication::Authentication;
 use crate::clock::{ClockEstimator, ClockModel};
 use crate::decode::{Arrival, Event, LinkStatistics, Samples, TimedSample, sequence_order};
 use crate::error::{ErrorCode, Result};
@@ -343,6 +344,8 @@ pub struct LinkHistory {
     pub statistics: LinkStatistics,
     /// The parameters in use, in order: the first 500.
     pub parameter_ids: Vec<ParameterId>,
+    /// What the device's tags show.
+    pub authentication: Authentication,
 }
 
 impl LinkHistory {
@@ -353,6 +356,7 @@ impl LinkHistory {
             boots: vec![Boot::default()],
             statistics: LinkStatistics::default(),
             parameter_ids: Vec::new(),
+            authentication: Authentication::default(),
         }
     }
 
@@ -419,6 +423,7 @@ impl LinkHistory {
     pub fn take(&mut self, arrival: &Arrival) {
         let role = self.role;
         self.latest().clock.heard(role, arrival);
+        self.authentication.see(arrival);
         self.take_event(&arrival.event);
     }
 
@@ -471,7 +476,7 @@ impl LinkHistory {
                 _ => {}
             },
             Event::Attitude(attitude) => boot.attitude.push(*attitude),
-            Event::Damaged(_) | Event::Unreadable(_) => {}
+            Event::Tagged(_) | Event::Damaged(_) | Event::Unreadable(_) => {}
         }
     }
 }

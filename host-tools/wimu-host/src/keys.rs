@@ -92,6 +92,26 @@ impl KeyFolder {
         Ok(keys)
     }
 
+    /// All keys in the folder: to verify recordings. Files without a key are left out.
+    ///
+    /// # Errors
+    /// `file_unreadable` when others can read a key or change the folder.
+    pub fn all(&self) -> Result<Vec<DeviceKey>> {
+        self.is_ours_alone()?;
+        let Ok(folder) = fs::read_dir(&self.0) else {
+            return Ok(Vec::new());
+        };
+        let mut keys = Vec::new();
+        for path in folder.flatten().map(|entry| entry.path()) {
+            if path.extension().is_some_and(|extension| extension == "key")
+                && let Found::Key(key) = read(&path)?
+            {
+                keys.push(key);
+            }
+        }
+        Ok(keys)
+    }
+
     /// The key of a device with the id `held`, as the device reports it. If it is the one being sent,
     /// it is confirmed by that.
     ///

@@ -5,6 +5,7 @@ pub mod alignment;
 pub mod allan;
 pub mod apply;
 pub mod array;
+pub mod authentication;
 pub mod calibration;
 pub mod chart;
 pub mod client;

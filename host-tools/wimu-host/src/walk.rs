@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::io::Read;
 
 use wimu_link::LinkRole;
+use wimu_link::auth::DeviceKey;
 
 use crate::Result;
 use crate::decode::{Arrival, Decoder, Event, LinkStatistics};
@@ -46,12 +47,21 @@ pub fn walk<R: Read>(
 pub struct Walker {
     links: BTreeMap<u8, Link>,
     starts: Starts,
+    keys: Vec<DeviceKey>,
 }
 
 impl Walker {
     /// At the start of a recording.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// The same with keys, with which tags are verified.
+    pub fn with_keys(keys: Vec<DeviceKey>) -> Self {
+        Self {
+            keys,
+            ..Self::default()
+        }
     }
 
     /// Takes the next entry; `each` gets the completed steps.
@@ -64,11 +74,15 @@ impl Walker {
         each: &mut impl FnMut(LinkRole, Start, Step) -> Result<()>,
     ) -> Result<()> {
         let role = entry.role();
-        let link = self.links.entry(role.number()).or_insert_with(|| Link {
-            role,
-            decoder: Decoder::new(),
-            place: Place::default(),
-            held: Vec::new(),
+        let link = self.links.entry(role.number()).or_insert_with(|| {
+            let mut decoder = Decoder::new();
+            decoder.use_keys(self.keys.clone());
+            Link {
+                role,
+                decoder,
+                place: Place::default(),
+                held: Vec::new(),
+            }
         });
         match entry {
             Recorded::Received(received) => {

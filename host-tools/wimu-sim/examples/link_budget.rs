@@ -6,6 +6,7 @@ use std::time::Duration;
 use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::transport::Transport;
 use wimu_link::LinkRole;
+use wimu_link::auth::DeviceKey;
 use wimu_link::message::{Settings, Streams};
 use wimu_sim::board::{Board, BoardConfig, SimLink};
 use wimu_sim::motion;
@@ -16,6 +17,7 @@ use wimu_sim::truth::{Gauge, SensorTruth};
 use wimu_testkit::figure;
 
 const SECONDS: u64 = 30;
+const KEY: DeviceKey = DeviceKey::new([7; 32]);
 
 fn main() -> wimu_host::Result<()> {
     println!(
@@ -28,8 +30,11 @@ fn main() -> wimu_host::Result<()> {
     );
     for motion in ["rest", "hand"] {
         let mut all = Vec::new();
+        let mut tags = Vec::new();
         for rate_hz in [100, 400, 1344] {
-            let bytes = bytes_per_sample(motion, rate_hz)?;
+            let bytes = bytes_per_sample(motion, rate_hz, None)?;
+            let tagged = bytes_per_sample(motion, rate_hz, Some(KEY))?;
+            tags.push(format!("{:.3}", tagged - bytes));
             println!(
                 "{motion:8} {rate_hz:6} {bytes:10.3} {:18.0}",
                 11_520.0 / bytes
@@ -38,11 +43,13 @@ fn main() -> wimu_host::Result<()> {
         }
         let claim = format!("whole link, {motion}, 100, 400, 1344 Hz: bytes a sample");
         figure(&claim, all.join(" / "), "–", true);
+        let claim = format!("authentication, {motion}, 100, 400, 1344 Hz: bytes a sample more");
+        figure(&claim, tags.join(" / "), "–", true);
     }
     Ok(())
 }
 
-fn bytes_per_sample(name: &str, rate_hz: u16) -> wimu_host::Result<f64> {
+fn bytes_per_sample(name: &str, rate_hz: u16, key: Option<DeviceKey>) -> wimu_host::Result<f64> {
     let scene = Scene::new(World::default());
     let truth = SensorTruth::random(1, Gauge::Full);
     let config = BoardConfig {
@@ -53,6 +60,9 @@ fn bytes_per_sample(name: &str, rate_hz: u16) -> wimu_host::Result<f64> {
     let board = RefCell::new(Board::start(config, Physics::new(truth, scene.clone(), 1)));
     let link = SimLink::new(&board, LinkRole::Cable);
     let mut client = Client::connect(link, "the cable", ConnectOptions::default())?;
+    if let Some(key) = key {
+        client.set_key(key)?;
+    }
     let settings = client.settings()?;
     client.set_settings(Settings {
         range_g: 4,

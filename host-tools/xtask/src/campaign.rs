@@ -115,7 +115,7 @@ struct Run {
     sources: &'static [&'static str],
 }
 
-pub const CAMPAIGNS: [Campaign; 11] = [
+pub const CAMPAIGNS: [Campaign; 12] = [
     Campaign {
         name: "arithmetic",
         about: "corrector and integrator against f64 and exact integers",
@@ -318,6 +318,14 @@ pub const CAMPAIGNS: [Campaign; 11] = [
         runs: &[Run {
             command: "run -p xtask -- python",
             sources: &PYTHON,
+        }],
+    },
+    Campaign {
+        name: "miri",
+        about: "the fast tests of the crates under Miri: undefined behaviour",
+        runs: &[Run {
+            command: "run -p xtask -- miri",
+            sources: &DEVICE,
         }],
     },
     Campaign {

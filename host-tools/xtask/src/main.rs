@@ -6,6 +6,7 @@ mod command_line;
 mod firmware;
 mod image;
 mod instructions;
+mod miri;
 mod output;
 mod panics;
 mod profile;
@@ -38,6 +39,7 @@ enum Task {
     Flash(String, Vec<String>),
     Size,
     Python,
+    Miri,
     /// Options of the emulated board.
     Qemu(Vec<String>),
 }
@@ -85,6 +87,10 @@ fn run(task: Task) -> Result<(), String> {
             Workspace::enter()?;
             python::run()
         }
+        Task::Miri => {
+            Workspace::enter()?;
+            miri::run()
+        }
         Task::Qemu(options) => {
             Workspace::enter()?;
             firmware::qemu(&options)
@@ -128,9 +134,10 @@ fn parse(words: &[String]) -> Result<Task, String> {
         )),
         ["size"] => Ok(Task::Size),
         ["python"] => Ok(Task::Python),
+        ["miri"] => Ok(Task::Miri),
         [
             "setup" | "check" | "test" | "campaign" | "validation" | "budget" | "firmware"
-            | "flash" | "size" | "python",
+            | "flash" | "size" | "python" | "miri",
             extra,
             ..,
         ] => Err(format!("`{}` does not take `{extra}`", words[0])),
@@ -182,6 +189,7 @@ Usage: cargo xtask TASK
                         it is more than it may be
   python                build the wheel of the Python module, install it in target/python, and run all
                         its tests
+  miri                  run the fast tests of the crates under Miri, if it is installed
   qemu [OPTION VALUE]…  start the board in QEMU in real time with a moving sensor, and print its
                         links; Ctrl-C stops it; `qemu --help` lists the options
 

@@ -54,8 +54,8 @@ const PROFILES: [Profile; 3] = [
     Profile {
         name: "full",
         features: "full",
-        flash: kib(80, 114_200),
-        ram: kib(16, 21_000),
+        flash: kib(80, 116_000),
+        ram: kib(16, 21_900),
     },
 ];
 

@@ -14,4 +14,5 @@ mod rates;
 mod requests;
 mod self_check;
 mod sensor;
+mod tags;
 mod versions;

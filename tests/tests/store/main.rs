@@ -1,6 +1,7 @@
 //! The store in a flash that loses power at every byte, wears out, fills up and rots.
 
 mod cells;
+mod marks;
 
 use std::collections::BTreeMap;
 use std::future::Future;

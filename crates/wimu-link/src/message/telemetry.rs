@@ -13,6 +13,7 @@ use super::parameters::{EncodedParameters, ParametersPiece, WireParameters};
 use super::settings::Settings;
 use super::state::WirePhase;
 use crate::frame::{EncodeError, Kind, MAX_RECORD_BODY, WIRE_VERSION};
+use crate::tag::Tag;
 
 /// Messages that a device sends without a request, other than samples. Append only.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,6 +43,9 @@ pub enum Telemetry<P = WireParameters> {
     Attitude(Attitude),
     /// A piece of the parameters in use.
     ParametersPiece(ParametersPiece),
+    /// The authentication of the frames before it. Sent by devices with the feature `auth`: others are as small as before.
+    #[cfg_attr(not(feature = "auth"), serde(skip_serializing))]
+    Tag(Tag),
 }
 
 /// The messages that a device also stores. All later firmware can read them.

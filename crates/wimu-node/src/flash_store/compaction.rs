@@ -93,7 +93,8 @@ impl<F: NorFlash> FlashStore<F> {
         self.survey().await
     }
 
-    /// Copies the records in use that `is_copied` chooses, as far as there is room.
+    /// Copies the records in use that `is_copied` chooses, as far as there is room. One that cannot be read any more is an
+    /// error: no seal follows, and the page that it was in is kept.
     async fn copy(&mut self, is_copied: impl Fn(&Entry) -> bool) -> Result<(), StoreFault> {
         let room = Self::limit(self.page.ok_or(StoreFault)?) - Self::OPENING as u32;
         for index in 0..self.directory.entries.len() {
@@ -101,7 +102,8 @@ impl<F: NorFlash> FlashStore<F> {
                 break;
             };
             let fits = self.end + Self::footprint(entry.length) as u32 <= room;
-            if entry.at > 0 && fits && is_copied(&entry) && self.item(entry.at).await?.is_some() {
+            if entry.at > 0 && fits && is_copied(&entry) {
+                self.item(entry.at).await?.ok_or(StoreFault)?;
                 self.append(HEAD + usize::from(entry.length)).await?;
             }
         }

@@ -7,6 +7,9 @@ use super::item::{HEAD, Word};
 use super::{DIRECTORY, FlashStore, MARK, WORD};
 use crate::store::StoreFault;
 
+/// Times that an item of a foreign page is read again before it is accepted. Chosen in the campaign `storage`.
+const CONFIRMATIONS: usize = 8;
+
 /// Reliability of an item, ascending.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Rank {
@@ -158,7 +161,9 @@ impl<F: NorFlash> FlashStore<F> {
             let mut at = state.begin;
             while let Some((item, end)) = self.next_item(at, state.end).await? {
                 at = end;
-                if let Some(rank) = state.rank(end, self.newest_seal) {
+                if let Some(rank) = state.rank(end, self.newest_seal)
+                    && (!state.is_foreign || self.is_stable(&item).await?)
+                {
                     self.is_corrupt = false;
                     self.is_empty = false;
                     note(self, Entry { rank, ..item })?;
@@ -166,6 +171,20 @@ impl<F: NorFlash> FlashStore<F> {
             }
         }
         Ok(())
+    }
+
+    /// Whether an item reads the same every time; its data is in the buffer afterwards. A page of this firmware whose erase
+    /// was interrupted can look like a foreign one, with copies that can be read only now and then: if they were preferred
+    /// to those of another page, that page would be erased.
+    async fn is_stable(&mut self, item: &Entry) -> Result<bool, StoreFault> {
+        for _ in 0..CONFIRMATIONS {
+            let again = self.item(item.at).await?;
+            let again = again.map(|again| (again.key, again.generation, again.length));
+            if again != Some((item.key, item.generation, item.length)) {
+                return Ok(false);
+            }
+        }
+        Ok(true)
     }
 
     /// Takes the generations of an item, whose data is in the buffer.

@@ -157,6 +157,16 @@ impl<M: RawMutex> Common<M> {
             .lock(|outbox| outbox.borrow_mut().sending = false);
     }
 
+    /// Counts a frame that was sent beside the queue.
+    #[cfg(feature = "auth")]
+    pub(crate) fn count_sent(&self, role: LinkRole, bytes: usize) {
+        self.link(role).outbox.lock(|outbox| {
+            let mut outbox = outbox.borrow_mut();
+            outbox.frames_sent = outbox.frames_sent.wrapping_add(1);
+            outbox.bytes_sent = outbox.bytes_sent.wrapping_add(bytes as u64);
+        });
+    }
+
     /// Waits for the next piece of a frame to send on a link and takes it.
     pub(crate) async fn next_piece(
         &self,

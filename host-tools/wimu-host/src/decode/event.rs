@@ -5,6 +5,8 @@ use wimu_link::message::{ActiveParameters, Attitude, Environment, Epoch, Navigat
 use wimu_link::{FrameError, Hello, Reply, Settings};
 use wimu_model::{DeviceTimeUs, PeriodNs};
 
+use super::tags::Interval;
+
 /// An event of a link.
 #[derive(Clone, Debug)]
 #[allow(
@@ -58,6 +60,8 @@ pub enum Event {
         /// The frame's body, which is signed.
         body: Vec<u8>,
     },
+    /// An interval has ended with a tag of the device.
+    Tagged(Interval),
     /// A damaged frame, or one of another version.
     Damaged(FrameError),
     /// An undamaged frame with an invalid body.
@@ -96,7 +100,7 @@ impl Event {
     pub(super) fn is_of_a_start(&self) -> bool {
         !matches!(
             self,
-            Self::Reply { .. } | Self::Damaged(_) | Self::Unreadable(_)
+            Self::Reply { .. } | Self::Tagged(_) | Self::Damaged(_) | Self::Unreadable(_)
         )
     }
 }

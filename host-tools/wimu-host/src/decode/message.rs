@@ -2,6 +2,7 @@
 
 use wimu_link::batch::MAX_SENSOR;
 use wimu_link::message::{Epoch, ParametersPiece, Payload};
+use wimu_link::tag::Tag;
 use wimu_link::{Answer, Frame, Hello, Kind, Reply, Telemetry, WIRE_VERSION};
 use wimu_model::DeviceTimeUs;
 
@@ -13,6 +14,7 @@ pub enum Message {
     Hello(Hello),
     Epoch(Epoch),
     Piece(ParametersPiece),
+    Tag(Tag),
     Event(Event),
 }
 
@@ -57,6 +59,7 @@ fn message(kind: Kind, body: &[u8]) -> Result<Message, String> {
             }
             Telemetry::Epoch(epoch) => return Ok(Message::Epoch(epoch)),
             Telemetry::ParametersPiece(piece) => return Ok(Message::Piece(piece)),
+            Telemetry::Tag(tag) => return Ok(Message::Tag(tag)),
             Telemetry::Environment(environment) => Event::Environment(environment),
             Telemetry::Navigation(navigation) => Event::Navigation(navigation),
             Telemetry::Attitude(attitude) => Event::Attitude(attitude),

@@ -5,6 +5,7 @@ use std::io::Read;
 use std::path::Path;
 use std::sync::OnceLock;
 
+use wimu_link::auth::DeviceKey;
 use wimu_link::batch::Stream;
 use wimu_link::frame::OLDEST_RECORDED;
 use wimu_link::message::ActiveParameters;
@@ -96,7 +97,8 @@ impl Recording {
     /// # Errors
     /// Those of [`RecordingReader`]; `bad_recording` when all boards in it use another wire version.
     pub fn read<R: Read>(reader: RecordingReader<R>, name: &str) -> Result<Self> {
-        Self::listen(reader, name, (usize::MAX / 2, false), |_, _, _| {})
+        let walker = Walker::new();
+        Self::listen(walker, reader, name, (usize::MAX / 2, false), |_, _, _| {})
     }
 
     /// Counts, clocks and units of a recording, with the latest data only: memory does not grow with its length.
@@ -104,9 +106,17 @@ impl Recording {
     /// # Errors
     /// Those of [`Recording::read`].
     pub fn survey(path: &Path) -> Result<Self> {
+        Self::survey_with_keys(path, Vec::new())
+    }
+
+    /// The same with keys, with which tags are verified.
+    ///
+    /// # Errors
+    /// Those of [`Recording::read`].
+    pub fn survey_with_keys(path: &Path, keys: Vec<DeviceKey>) -> Result<Self> {
         let name = path.display().to_string();
-        let reader = RecordingReader::open(path)?;
-        Self::listen(reader, &name, (SURVEYED, false), |_, _, _| {})
+        let (walker, reader) = (Walker::with_keys(keys), RecordingReader::open(path)?);
+        Self::listen(walker, reader, &name, (SURVEYED, false), |_, _, _| {})
     }
 
     /// The same from an open reader, with the clock of each start from both links; `each` gets every step.
@@ -118,19 +128,19 @@ impl Recording {
         name: &str,
         each: impl FnMut(LinkRole, Start, &Step),
     ) -> Result<Self> {
-        Self::listen(reader, name, (SURVEYED, true), each)
+        Self::listen(Walker::new(), reader, name, (SURVEYED, true), each)
     }
 
     /// Reads a recording from start to end and keeps the latest `kept` items of each kind, with clocks from both links or
     /// without; `each` gets every step.
     fn listen<R: Read>(
+        mut walker: Walker,
         mut reader: RecordingReader<R>,
         name: &str,
         (kept, has_clocks): (usize, bool),
         mut each: impl FnMut(LinkRole, Start, &Step),
     ) -> Result<Self> {
         let anchor = reader.anchor()?;
-        let mut walker = Walker::new();
         let mut links: BTreeMap<u8, LinkHistory> = BTreeMap::new();
         let mut starts: BTreeMap<Start, StartData> = BTreeMap::new();
         let mut devices = BTreeSet::new();

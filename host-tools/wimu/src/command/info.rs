@@ -5,10 +5,12 @@ use std::path::Path;
 use std::time::Duration;
 
 use serde::Serialize;
+use wimu_host::authentication::Authentication;
 use wimu_host::decode::{self, LinkStatistics};
 use wimu_host::finding::Finding;
 use wimu_host::formats::{Source, Summary};
 use wimu_host::history::{Counts, LinkHistory, Recording};
+use wimu_host::keys::KeyFolder;
 use wimu_host::mcap_file::Wholeness;
 use wimu_host::{Input, Result};
 use wimu_link::Hello;
@@ -45,6 +47,8 @@ struct Link {
     events: Vec<String>,
     sampling: Option<Sampling>,
     more_events: usize,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    authentication: Option<Authentication>,
     statistics: LinkStatistics,
 }
 
@@ -306,7 +310,14 @@ fn events(link: &LinkHistory) -> (Vec<String>, usize) {
 }
 
 fn recording(path: &Path, output: Output) -> Result<()> {
-    let recording = Recording::survey(path)?;
+    // Without usable keys tags are not verified, and that is reported where there are tags.
+    let keys = KeyFolder::of_user().and_then(|folder| folder.all());
+    let recording = Recording::survey_with_keys(path, keys.unwrap_or_default())?;
+    let wholeness = recording.wholeness;
+    let forged = recording.links.iter();
+    let forged = forged.flat_map(|link| &link.authentication.findings);
+    let findings = wholeness.finding().into_iter().chain(forged.cloned());
+    let findings = Vec::from_iter(findings);
     let links: Vec<Link> = recording
         .links
         .into_iter()
@@ -329,14 +340,15 @@ fn recording(path: &Path, output: Output) -> Result<()> {
                 more_events,
                 sampling: link.status().map(Sampling::from),
                 statistics: link.statistics,
+                authentication: Some(link.authentication).filter(Authentication::has_tags),
             }
         })
         .collect();
     let contents = Contents {
         source: path.display().to_string(),
         duration_s: recording.duration_ns as f64 * 1e-9,
-        wholeness: recording.wholeness,
-        findings: Vec::from_iter(recording.wholeness.finding()),
+        wholeness,
+        findings,
         links,
     };
     output.print(format!("{}: {:.1} s", contents.source, contents.duration_s));
@@ -370,6 +382,9 @@ fn recording(path: &Path, output: Output) -> Result<()> {
         }
         if let Some(sampling) = &link.sampling {
             output.print(format!("         {}", sampling.text()));
+        }
+        if let Some(authentication) = link.authentication.as_ref().and_then(|a| a.text()) {
+            output.print(format!("         {authentication}"));
         }
         for event in &link.events {
             output.print(format!("         {event}"));

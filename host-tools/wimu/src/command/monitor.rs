@@ -3,7 +3,9 @@
 use std::cmp::Reverse;
 
 use serde::Serialize;
+use wimu_host::authentication::Authentication;
 use wimu_host::decode::{Decoder, Event};
+use wimu_host::keys::KeyFolder;
 use wimu_host::mcap_file::RecordingReader;
 use wimu_host::monitor::{Reading, Readings};
 use wimu_host::{ErrorCode, Input, Result};
@@ -183,6 +185,10 @@ pub fn run(arguments: &Monitor, output: Output) -> Result<()> {
 fn lines(arguments: &Monitor, output: Output) -> Result<()> {
     let mut client = connect(&arguments.input)?;
     let hello = *client.hello();
+    let mut authentication = Authentication::default();
+    // Without usable keys tags are not verified, and that is reported where there are tags.
+    let keys = KeyFolder::of_user().and_then(|folder| folder.candidates(hello.device_id));
+    client.verify_with(keys.unwrap_or_default());
     output.print(format!(
         "{} with {}, device {:016x}, {} link, parameters {}, last start: {}",
         hello.board.name,
@@ -195,6 +201,9 @@ fn lines(arguments: &Monitor, output: Output) -> Result<()> {
     let mut readings = Readings::new();
     let mut lines = Lines::new(arguments.rate, output);
     listen_until(&mut client, arguments.seconds, |arrival| {
+        if let Some(finding) = authentication.see(arrival) {
+            output.findings(std::slice::from_ref(finding));
+        }
         Ok(lines.show(&arrival.event, &mut readings))
     })?;
     let statistics = client.statistics();
@@ -205,6 +214,9 @@ fn lines(arguments: &Monitor, output: Output) -> Result<()> {
         left_out_text(0, statistics.frames_rejected),
         statistics.raw.missing.max(statistics.corrected.missing)
     ));
+    if let Some(text) = authentication.text() {
+        output.print(text);
+    }
     if let Some(status) = &lines.status {
         output.print(Sampling::from(status).text());
     }

@@ -224,6 +224,9 @@ pub enum Board {
     /// Raspberry Pi Pico with an ADXL345
     #[value(name = "pico-adxl345")]
     PicoAdxl345,
+    /// Nordic nRF52840 DK with an LSM6DSO, over Bluetooth Low Energy
+    #[value(name = "nrf52840-ble")]
+    Nrf52840Ble,
 }
 
 #[derive(Args)]
@@ -362,7 +365,8 @@ impl From<Sensor> for SensorPart {
 #[derive(Args)]
 #[command(after_help = "Example: wimu ports --probe")]
 pub struct Ports {
-    /// Open the ports that look like a board and identify it, 1 s each
+    /// Open the ports that look like a board and identify it, 1 s each; with the feature `ble` also list the Bluetooth
+    /// units in range
     #[arg(long)]
     pub probe: bool,
 }

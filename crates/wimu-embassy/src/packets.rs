@@ -264,3 +264,5 @@ impl Write for PacketWriter<'_> {
 
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod with_node;

@@ -365,8 +365,7 @@ impl From<Sensor> for SensorPart {
 #[derive(Args)]
 #[command(after_help = "Example: wimu ports --probe")]
 pub struct Ports {
-    /// Open the ports that look like a board and identify it, 1 s each; with the feature `ble` also list the Bluetooth
-    /// units in range
+    /// Open the ports that look like a board and identify it, 1 s each
     #[arg(long)]
     pub probe: bool,
 }

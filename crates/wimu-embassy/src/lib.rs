@@ -7,6 +7,8 @@ extern crate std;
 
 mod flash;
 mod identity;
+mod light;
+mod packets;
 mod start;
 mod supervisor;
 mod tasks;
@@ -15,6 +17,8 @@ pub use embassy_executor;
 pub use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex as Mutex;
 pub use flash::BlockingFlash;
 pub use identity::hello;
+pub use light::attend;
+pub use packets::{PacketLink, PacketReader, PacketWriter};
 pub use start::{Start, StartRecord};
 pub use supervisor::{LIMITS_US, Supervisor, supervise};
 pub use {wimu_link, wimu_node};

@@ -8,7 +8,8 @@
 /// | `timer` | the [`Timer`](wimu_node::Timer) |
 /// | `store` | the [`Store`](wimu_node::Store) |
 /// | `links` | the receiving and the sending half of a link: both links have the same types |
-/// | `rate` | the [`LineRate`](wimu_node::LineRate) of a link; may be left out |
+/// | `wireless` | those of the wireless link, if they differ; may be left out |
+/// | `rate` | the [`LineRate`](wimu_node::LineRate) of a link, if both have the same types; may be left out |
 ///
 /// Expands to
 /// - `Shared` and `Node`, the types of the node,
@@ -25,7 +26,33 @@ macro_rules! tasks {
         timer: $timer:ty,
         store: $store:ty,
         links: ($reader:ty, $writer:ty),
+        wireless: ($wireless_reader:ty, $wireless_writer:ty),
+    ) => {
+        $crate::node_tasks!($sensor, $timer, $store, $reader, $writer, $wireless_reader, $wireless_writer);
+        $crate::link_tasks!(1, listen, talk, $reader, $writer, $timer);
+        $crate::link_tasks!(1, listen_wireless, talk_wireless, $wireless_reader, $wireless_writer, $timer);
+        $crate::spawn_tasks!(listen_wireless, talk_wireless);
+    };
+    (
+        sensor: $sensor:ty,
+        timer: $timer:ty,
+        store: $store:ty,
+        links: ($reader:ty, $writer:ty),
         $(rate: $rate:ty,)?
+    ) => {
+        $crate::node_tasks!($sensor, $timer, $store, $reader, $writer, $reader, $writer);
+        $crate::link_tasks!($crate::wimu_node::LINKS, listen, talk, $reader, $writer, $timer);
+        $crate::spawn_tasks!(listen, talk);
+        $($crate::keeper_tasks!($rate, $timer);)?
+    };
+}
+
+/// The part of [`tasks!`] for the node, its sampler and its control task.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! node_tasks {
+    (
+        $sensor:ty, $timer:ty, $store:ty, $reader:ty, $writer:ty, $wireless_reader:ty, $wireless_writer:ty
     ) => {
         /// Memory of the node's tasks.
         pub type Shared = $crate::wimu_node::Shared<
@@ -34,13 +61,27 @@ macro_rules! tasks {
         >;
         /// The board's node.
         pub type Node = $crate::wimu_node::Node<
-            'static, $sensor, $timer, $store, $reader, $writer, $reader, $writer, $crate::Mutex,
+            'static,
+            $sensor,
+            $timer,
+            $store,
+            $reader,
+            $writer,
+            $wireless_reader,
+            $wireless_writer,
+            $crate::Mutex,
         >;
 
         /// Builds the node of a board in a `static`.
         pub fn place(
             board: $crate::wimu_node::Board<
-                $sensor, $timer, $store, $reader, $writer, $reader, $writer,
+                $sensor,
+                $timer,
+                $store,
+                $reader,
+                $writer,
+                $wireless_reader,
+                $wireless_writer,
             >,
             shared: &'static Shared,
         ) -> &'static mut Node {
@@ -48,6 +89,38 @@ macro_rules! tasks {
             NODE.init_with(|| board.split(shared))
         }
 
+        #[$crate::embassy_executor::task(embassy_executor = $crate::embassy_executor)]
+        async fn sample(
+            sampler: &'static mut $crate::wimu_node::Sampler<
+                'static,
+                $sensor,
+                $timer,
+                $crate::Mutex,
+            >,
+        ) -> ! {
+            sampler.run().await
+        }
+
+        #[$crate::embassy_executor::task(embassy_executor = $crate::embassy_executor)]
+        async fn control(
+            control: &'static mut $crate::wimu_node::Control<
+                'static,
+                $sensor,
+                $timer,
+                $store,
+                $crate::Mutex,
+            >,
+        ) -> ! {
+            control.run().await
+        }
+    };
+}
+
+/// The part of [`tasks!`] that spawns; the names are those of the wireless link's tasks.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! spawn_tasks {
+    ($listen:ident, $talk:ident) => {
         /// Spawns the node's tasks, the sampler with `above`.
         pub fn spawn(
             node: &'static mut Node,
@@ -60,31 +133,20 @@ macro_rules! tasks {
             others.spawn(listen(&mut node.cable_reader).unwrap());
             others.spawn(talk(&mut node.cable_writer).unwrap());
             if $crate::wimu_node::LINKS > 1 {
-                others.spawn(listen(&mut node.wireless_reader).unwrap());
-                others.spawn(talk(&mut node.wireless_writer).unwrap());
+                others.spawn($listen(&mut node.wireless_reader).unwrap());
+                others.spawn($talk(&mut node.wireless_writer).unwrap());
             }
         }
+    };
+}
 
-        #[$crate::embassy_executor::task(embassy_executor = $crate::embassy_executor)]
-        async fn sample(
-            sampler: &'static mut $crate::wimu_node::Sampler<
-                'static, $sensor, $timer, $crate::Mutex,
-            >,
-        ) -> ! {
-            sampler.run().await
-        }
-
-        #[$crate::embassy_executor::task(embassy_executor = $crate::embassy_executor)]
-        async fn control(
-            control: &'static mut $crate::wimu_node::Control<
-                'static, $sensor, $timer, $store, $crate::Mutex,
-            >,
-        ) -> ! {
-            control.run().await
-        }
-
-        #[$crate::embassy_executor::task(pool_size = $crate::wimu_node::LINKS, embassy_executor = $crate::embassy_executor)]
-        async fn listen(
+/// The part of [`tasks!`] for links of one type.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! link_tasks {
+    ($pool:expr, $listen:ident, $talk:ident, $reader:ty, $writer:ty, $timer:ty) => {
+        #[$crate::embassy_executor::task(pool_size = $pool, embassy_executor = $crate::embassy_executor)]
+        async fn $listen(
             reader: &'static mut $crate::wimu_node::LinkReader<
                 'static, $reader, $timer, $crate::Mutex,
             >,
@@ -92,14 +154,12 @@ macro_rules! tasks {
             reader.run().await
         }
 
-        #[$crate::embassy_executor::task(pool_size = $crate::wimu_node::LINKS, embassy_executor = $crate::embassy_executor)]
-        async fn talk(
+        #[$crate::embassy_executor::task(pool_size = $pool, embassy_executor = $crate::embassy_executor)]
+        async fn $talk(
             writer: &'static mut $crate::wimu_node::LinkWriter<'static, $writer, $crate::Mutex>,
         ) -> ! {
             writer.run().await
         }
-
-        $($crate::keeper_tasks!($rate, $timer);)?
     };
 }
 

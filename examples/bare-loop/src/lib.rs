@@ -1,9 +1,11 @@
 //! Counts → [`Corrector`] → [`Integrator`] in a blocking loop, on any microcontroller: the crates
 //! stand alone. `read` is your sensor's driver; `corrector` is what `wimu export CAL.json --format rust`
-//! wrote, or is compiled from a model on the device.
+//! wrote, or is compiled from a model on the device. [`blocking`] includes the driver, on `embedded-hal`.
 
 #![no_std]
 #![forbid(unsafe_code)]
+
+pub mod blocking;
 
 use wimu_integrator::{Config, ConfigError, Integrator, Navigation};
 use wimu_model::{Corrector, Counts, PeriodNs};

@@ -9,8 +9,7 @@ use embassy_nrf::pac::nvmc::vals::Wen;
 use embedded_storage::nor_flash::{NorFlash as _, ReadNorFlash as _};
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
 use wimu_node::Timer;
-
-use crate::clock::BoardTimer;
+use wimu_nrf::BoardTimer;
 
 /// Total time to erase a page (datasheet), ms.
 const ERASE_MS: u8 = 87;

@@ -3,9 +3,6 @@
 #![no_std]
 #![no_main]
 
-mod bus;
-mod clock;
-mod data_ready;
 mod display;
 mod flash;
 mod rate;
@@ -29,12 +26,10 @@ use defmt_rtt as _;
 use static_cell::StaticCell;
 use wimu_cortex_m::{START, stack};
 use wimu_embassy::LIMITS_US;
-use wimu_link::hello::{Capabilities, Part, ResetReason, board, sensor};
+use wimu_link::hello::{Capabilities, Part, board, sensor};
 use wimu_node::{Axis, Board, FlashLayout, FlashStore, Lsm303agr, Mounting, TimeoutBus, Timer};
+use wimu_nrf::{BoardTimer, Bus, Line};
 
-use crate::bus::Bus;
-use crate::clock::BoardTimer;
-use crate::data_ready::Line;
 use crate::display::Matrix;
 use crate::flash::StoreFlash;
 use crate::rate::Rate;
@@ -158,7 +153,7 @@ fn start(spawner: Spawner) {
     static BUFFERS: StaticCell<[[u8; 128]; 4]> = StaticCell::new();
     static BUS_BUFFER: StaticCell<[u8; 16]> = StaticCell::new();
 
-    let begun = wimu_cortex_m::begin(reason());
+    let begun = wimu_cortex_m::begin(wimu_nrf::reset_reason());
     let mut config = Config::default();
     // The device's clock needs the crystal.
     config.hfclk_source = HfclkSource::ExternalXtal;
@@ -166,18 +161,17 @@ fn start(spawner: Spawner) {
     config.time_interrupt_priority = Priority::P2;
     let chip = embassy_nrf::init(config);
     embassy_time::block_for(Duration::from_millis(begun.delay_ms().into()));
-    // Below 2.1 V the hardware blocks writes to the flash.
-    pac::POWER.pofcon().write(|power_fail| {
-        power_fail.set_pof(true);
-        power_fail.set_threshold(pac::power::vals::Threshold::V21);
-    });
+    wimu_nrf::protect_flash();
     interrupt::TWISPI0.set_priority(Priority::P1);
     interrupt::EGU1_SWI1.set_priority(Priority::P3);
     interrupt::UARTE0.set_priority(Priority::P2);
     interrupt::UARTE1.set_priority(Priority::P2);
 
-    let fell = clock::start(chip.TIMER0);
-    let line = Line::new(chip.GPIOTE_CH0, chip.P0_25, chip.PPI_CH0, fell);
+    let fell = wimu_nrf::start_clock(chip.TIMER0);
+    // The sensor's INT1 turns a transistor on that pulls the line down, against the pull-up in this chip. The magnetometer
+    // and the interface chip can pull it down too.
+    let (channel, pin, ppi) = (chip.GPIOTE_CH0, chip.P0_25, chip.PPI_CH0);
+    let line = Line::new(channel, pin, Pull::Up, Level::Low, ppi, fell);
     let mut bus = twim::Config::default();
     bus.frequency = twim::Frequency::K400;
     let i2c = Twim::new(
@@ -221,10 +215,9 @@ fn start(spawner: Spawner) {
     Rng::new_blocking(chip.RNG).blocking_fill_bytes(&mut entropy);
     let rates = [pac::UARTE0, pac::UARTE1].map(Rate);
     tasks::spawn_keepers(rates, BAUD, BoardTimer, shared, spawner);
-    let [low, high] = [0, 1].map(|word| u64::from(pac::FICR.deviceid(word).read()));
     let board = Board {
         hello: wimu_embassy::hello(
-            high << 32 | low,
+            wimu_nrf::device_id(),
             env!("CARGO_PKG_VERSION"),
             &begun,
             Capabilities::ACCELEROMETER
@@ -285,20 +278,4 @@ fn start(spawner: Spawner) {
 /// Resets the chip.
 fn restart() -> ! {
     cortex_m::peripheral::SCB::sys_reset()
-}
-
-/// The reset reason.
-fn reason() -> ResetReason {
-    let found = pac::POWER.resetreas().read();
-    // The bits accumulate until they are cleared by writing ones.
-    pac::POWER.resetreas().write_value(found);
-    match found {
-        // Power-on and brown-out are not distinguished.
-        _ if found.0 == 0 => ResetReason::PowerOn,
-        _ if found.dog() => ResetReason::Watchdog,
-        _ if found.lockup() => ResetReason::Fault,
-        _ if found.sreq() => ResetReason::Software,
-        _ if found.resetpin() => ResetReason::Pin,
-        _ => ResetReason::Unknown,
-    }
 }

@@ -68,8 +68,6 @@ const PAUSE_MS: u16 = 800;
 const WATCHDOG_US: u32 = 2_000_000;
 /// Crystal of the board, Hz.
 const CRYSTAL: Hertz = Hertz(25_000_000);
-/// Steps of 125 ms for which KEY must be held to erase the key: 5 s.
-const KEY_LOST_STEPS: u32 = 40;
 
 /// Time since the start, from a timer of 1 MHz.
 #[derive(Clone, Copy)]
@@ -102,28 +100,9 @@ async fn show(
     mut led: Output<'static>,
     key: Input<'static>,
 ) -> ! {
-    // A button that has been down since the start is ignored.
-    let (mut released, mut held) = (false, 0);
-    for step in (0..8).cycle() {
-        released |= key.is_high();
-        let is_held = released && key.is_low();
-        held = if is_held { held + 1 } else { 0 };
-        if held == KEY_LOST_STEPS {
-            shared.forget_key();
-        }
-        let now = shared.health();
-        // One bit per step of 125 ms, lowest first: LED on.
-        let pattern: u8 = match (now.sensor_lost, is_safe_mode, now.calibrated) {
-            (true, ..) => 0b0101_0101,
-            (_, true, _) => 0b0001_0101,
-            (_, _, true) => 0b1111_1110,
-            _ => 0b0000_1111,
-        };
-        // Lit while low.
-        led.set_level((pattern >> step & 1 == 0).into());
-        embassy_time::Timer::after_millis(125).await;
-    }
-    core::future::pending().await
+    // Lit while low.
+    let light = |on: bool| led.set_level((!on).into());
+    wimu_embassy::attend(shared, is_safe_mode, BoardTimer, light, || key.is_low()).await
 }
 
 /// Runs the sampler above all tasks, below the interrupts of the bus and of the data-ready line.

@@ -18,6 +18,7 @@ pub const DEFAULT_BAUD: u32 = 115_200;
 /// | `serial:///dev/ttyACM0?baud=auto` | the same, at the baud rate of the board, which is searched |
 /// | `/dev/ttyACM0`, `/dev/rfcomm0`, `/dev/cu.usbmodem1`, `COM5` | the same, at 115200 baud |
 /// | `tcp://127.0.0.1:7100`, `tcp://[::1]:7100` | a TCP server |
+/// | `ble://wimu-1a2b`, `ble://D4:7C:12:34:56:78` | a unit with the Nordic UART Service; needs the feature `ble` |
 /// | `auto` | the serial port with the USB id of a known board |
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum LinkUrl {
@@ -34,6 +35,11 @@ pub enum LinkUrl {
         host: String,
         /// Port.
         port: u16,
+    },
+    /// A unit with the Nordic UART Service over Bluetooth Low Energy.
+    Ble {
+        /// Its name, or its address.
+        name: String,
     },
     /// The only port with the USB id of a known board.
     Auto,
@@ -58,13 +64,8 @@ impl FromStr for LinkUrl {
         if let Some(rest) = text.strip_prefix("tcp://") {
             return parse_tcp(rest).map_err(bad);
         }
-        if text.starts_with("ble://") {
-            return Err(ErrorCode::LinkKindMissing
-                .error(
-                    "Bluetooth Low Energy is not built into this wimu",
-                    "use a Bluetooth serial (SPP) adapter through its serial port, or a cable",
-                )
-                .at(text));
+        if let Some(name) = text.strip_prefix("ble://") {
+            return parse_ble(name, text).map_err(|error| error.at(text));
         }
         if let Some((scheme, _)) = text.split_once("://") {
             return Err(bad(format!("`{scheme}` is not a kind of link")));
@@ -104,6 +105,22 @@ fn parse_serial(rest: &str) -> Result<LinkUrl, String> {
         path: path.to_owned(),
         baud,
     })
+}
+
+#[cfg(feature = "ble")]
+fn parse_ble(name: &str, _: &str) -> Result<LinkUrl> {
+    let missing = || {
+        let message = "the name of the unit is missing";
+        ErrorCode::BadLink.error(message, "`wimu ports --probe` lists the units in range")
+    };
+    let name = Some(name.trim_end_matches('/')).filter(|name| !name.is_empty());
+    let name = name.ok_or_else(missing)?.to_owned();
+    Ok(LinkUrl::Ble { name })
+}
+
+#[cfg(not(feature = "ble"))]
+fn parse_ble(_: &str, text: &str) -> Result<LinkUrl> {
+    Err(crate::transport::without_ble(text))
 }
 
 fn parse_tcp(rest: &str) -> Result<LinkUrl, String> {
@@ -149,6 +166,7 @@ impl fmt::Display for LinkUrl {
             Self::Serial { path, baud: None } => write!(out, "serial://{path}?baud=auto"),
             Self::Tcp { host, port } if host.contains(':') => write!(out, "tcp://[{host}]:{port}"),
             Self::Tcp { host, port } => write!(out, "tcp://{host}:{port}"),
+            Self::Ble { name } => write!(out, "ble://{name}"),
             Self::Auto => out.write_str("auto"),
         }
     }
@@ -261,7 +279,10 @@ mod tests {
             ("tcp://::1:7100", ErrorCode::BadLink, "brackets"),
             ("tcp://:7100", ErrorCode::BadLink, "host is missing"),
             ("tcp://host:99999", ErrorCode::BadLink, "99999"),
+            #[cfg(not(feature = "ble"))]
             ("ble://wimu", ErrorCode::LinkKindMissing, "Low Energy"),
+            #[cfg(feature = "ble")]
+            ("ble:///", ErrorCode::BadLink, "name of the unit"),
             ("http://host", ErrorCode::BadLink, "`http`"),
             ("COMX", ErrorCode::BadLink, "not a LINK"),
             ("", ErrorCode::BadLink, "not a LINK"),
@@ -283,9 +304,18 @@ mod tests {
             Input::parse("tcp://127.0.0.1:7100").unwrap(),
             Input::Link(tcp("127.0.0.1", 7100))
         );
-        assert_eq!(
-            Input::parse("ble://x").unwrap_err().code(),
-            ErrorCode::LinkKindMissing
-        );
+        #[cfg(not(feature = "ble"))]
+        {
+            let error = Input::parse("ble://x").unwrap_err();
+            assert_eq!(error.code(), ErrorCode::LinkKindMissing);
+            assert!(error.remedy().contains("--features ble"), "{error}");
+        }
+        #[cfg(feature = "ble")]
+        {
+            let name = "wimu-1a2b".to_owned();
+            let link = LinkUrl::Ble { name };
+            assert_eq!(link.to_string(), "ble://wimu-1a2b");
+            assert_eq!(Input::parse("ble://wimu-1a2b").unwrap(), Input::Link(link));
+        }
     }
 }

@@ -1,4 +1,9 @@
-//! Byte streams to and from a board, blocking with time-outs: serial ports and TCP.
+//! Byte streams to and from a board, blocking with time-outs: serial ports, TCP, and with the feature `ble` Bluetooth Low
+//! Energy.
+
+#[cfg(feature = "ble")]
+mod ble;
+pub mod nus;
 
 use std::fmt;
 use std::io::{self, ErrorKind, Read, Write};
@@ -91,6 +96,10 @@ pub fn open(link: &LinkUrl) -> Result<Box<dyn Transport + Send>> {
             Ok(Box::new(SerialLink::open(path, baud)?))
         }
         LinkUrl::Tcp { host, port } => Ok(Box::new(TcpLink::open(link, host, *port)?)),
+        #[cfg(feature = "ble")]
+        LinkUrl::Ble { name } => Ok(Box::new(ble::open(name)?)),
+        #[cfg(not(feature = "ble"))]
+        LinkUrl::Ble { .. } => Err(without_ble(&link.to_string())),
         LinkUrl::Auto => match candidates()?.as_slice() {
             [only] => open(only),
             several => {
@@ -130,7 +139,30 @@ pub fn candidates() -> Result<Vec<LinkUrl>> {
     }
 }
 
-/// A serial port of this computer.
+/// The error of a LINK that needs the feature `ble`.
+#[cfg(not(feature = "ble"))]
+pub(crate) fn without_ble(link: &str) -> HostError {
+    ErrorCode::LinkKindMissing
+        .error(
+            "Bluetooth Low Energy is not built into this wimu",
+            "install it with `cargo install --path host-tools/wimu --features ble` (Debian: package libdbus-1-dev), \
+             or use a Bluetooth serial (SPP) adapter or a cable",
+        )
+        .at(link)
+}
+
+/// The units with the Nordic UART Service in range, as ports; takes 4 s. None without the feature `ble`.
+///
+/// # Errors
+/// `link_absent` without a Bluetooth adapter.
+pub fn nearby() -> Result<Vec<Port>> {
+    #[cfg(feature = "ble")]
+    return ble::nearby();
+    #[cfg(not(feature = "ble"))]
+    Ok(Vec::new())
+}
+
+/// A serial port of this computer, or a unit in range.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Port {
     /// Path or name, as a LINK.
@@ -173,8 +205,9 @@ impl fmt::Display for UsbId {
 }
 
 /// Vendor, product (any if `None`), name.
-const KNOWN_BOARDS: [(u16, Option<u16>, &str); 6] = [
+const KNOWN_BOARDS: [(u16, Option<u16>, &str); 7] = [
     (0x0d28, Some(0x0204), "micro:bit"),
+    (0x1366, None, "SEGGER probe, such as on the nRF52840 DK"),
     (0x2e8a, None, "Raspberry Pi Pico or its debug probe"),
     (0x0403, None, "FTDI serial adapter"),
     (0x10c4, Some(0xea60), "CP210x serial adapter"),

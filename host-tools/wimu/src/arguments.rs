@@ -224,6 +224,9 @@ pub enum Board {
     /// Raspberry Pi Pico with an ADXL345
     #[value(name = "pico-adxl345")]
     PicoAdxl345,
+    /// Nordic nRF52840 DK with an LSM6DSO, over Bluetooth Low Energy
+    #[value(name = "nrf52840-ble")]
+    Nrf52840Ble,
 }
 
 #[derive(Args)]

@@ -23,7 +23,7 @@ const PICO: &str = "firmware/pico-adxl345";
 /// Says which command failed.
 pub fn run(workspace: &Workspace) -> Result<(), String> {
     let source = setup::provide(Need::Targets, &mut ThisMachine)?;
-    for folder in &workspace.firmware {
+    for folder in buildable(workspace) {
         heading(&folder.display().to_string());
         let output = built(source, folder, None)?;
         if let Some(format) = Format::of(folder) {
@@ -32,6 +32,40 @@ pub fn run(workspace: &Workspace) -> Result<(), String> {
         }
     }
     Ok(())
+}
+
+/// The boards that can be built on this machine; says why one is left out.
+pub fn buildable(workspace: &Workspace) -> Vec<&PathBuf> {
+    let (needing, others): (Vec<_>, Vec<_>) =
+        (workspace.firmware.iter()).partition(|folder| needs_libclang(folder));
+    if needing.is_empty() {
+        return others;
+    }
+    match setup::provide(Need::Libclang, &mut ThisMachine) {
+        Ok(_) => workspace.firmware.iter().collect(),
+        Err(why) => {
+            for folder in needing {
+                println!("skipped: {}: {why}", folder.display());
+            }
+            others
+        }
+    }
+}
+
+/// Whether a build script of a board reads C headers.
+fn needs_libclang(folder: &Path) -> bool {
+    let locked = std::fs::read_to_string(folder.join("Cargo.lock")).unwrap_or_default();
+    locked.lines().any(|line| line == "name = \"bindgen\"")
+}
+
+/// The same command with what a build script of the board in `folder` needs.
+fn prepared(cargo: CommandLine, folder: &Path) -> CommandLine {
+    match setup::libclang() {
+        Some(library) if needs_libclang(folder) => {
+            cargo.with("LIBCLANG_PATH", &library.display().to_string())
+        }
+        _ => cargo,
+    }
 }
 
 /// The one image of a board.
@@ -104,6 +138,7 @@ fn build(source: Source, folder: &Path, target: Option<&str>) -> CommandLine {
         .words("--release --config")
         .word(&format!("build.rustflags=[{}]", without_this_machine()))
         .inside(folder);
+    let cargo = prepared(cargo, folder);
     target.map_or(cargo.clone(), |target| cargo.word("--target").word(target))
 }
 
@@ -204,7 +239,8 @@ pub fn test() -> Result<(), String> {
 /// Says which command failed.
 pub fn check(workspace: &Workspace) -> Result<(), String> {
     let source = setup::provide(Need::Targets, &mut ThisMachine)?;
-    for folder in &workspace.firmware {
+    let boards = buildable(workspace);
+    for folder in &boards {
         if has_log_feature(folder) {
             build(source, folder, None)
                 .words("--features defmt")
@@ -215,8 +251,8 @@ pub fn check(workspace: &Workspace) -> Result<(), String> {
     run(workspace)?;
     if setup::provide(Need::Targets, &mut ThisMachine)? == Source::Toolchain {
         let clippy = CommandLine::new("cargo clippy --release --locked").words("-- -D warnings");
-        for folder in &workspace.firmware {
-            clippy.clone().inside(folder).run()?;
+        for folder in boards {
+            prepared(clippy.clone().inside(folder), folder).run()?;
         }
     }
     Ok(())
@@ -241,10 +277,19 @@ mod tests {
     #[test]
     fn the_boards_to_buy_have_a_log_for_a_probe() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-        for board in ["firmware/microbit-v2", PICO] {
+        for board in ["firmware/microbit-v2", "firmware/nrf52840-ble", PICO] {
             assert!(has_log_feature(&root.join(board)), "{board}");
         }
         assert!(!has_log_feature(&root.join(QEMU_BOARD)));
+    }
+
+    #[test]
+    fn the_board_with_a_radio_needs_libclang_and_no_other() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        assert!(needs_libclang(&root.join("firmware/nrf52840-ble")));
+        for board in ["firmware/microbit-v2", PICO, QEMU_BOARD] {
+            assert!(!needs_libclang(&root.join(board)), "{board}");
+        }
     }
 
     #[test]

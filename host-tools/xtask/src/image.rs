@@ -30,7 +30,7 @@ impl Format {
     /// That of the board in `folder`, if it has one.
     pub fn of(folder: &Path) -> Option<Self> {
         match folder.file_name()?.to_str()? {
-            "microbit-v2" => Some(Self::Hex),
+            "microbit-v2" | "nrf52840-ble" => Some(Self::Hex),
             "pico-adxl345" => Some(Self::Uf2),
             _ => None,
         }

@@ -1,7 +1,7 @@
 //! Finds or installs what the tests need beyond cargo: the formatter, the linter, `core` for two
 //! microcontrollers, emulators of two, Python, a C compiler and a browser.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::command_line::{CommandLine, is_ci};
 use crate::python;
@@ -22,6 +22,10 @@ pub enum Need {
     Oldest,
     /// Of reports: Chromium.
     Browser,
+    /// Of boards with a radio: their build scripts read C headers.
+    Libclang,
+    /// Of links over Bluetooth Low Energy, on Linux.
+    Dbus,
     /// Of the Python module and of reading sqlite: Python with virtual environments, and a C compiler.
     Optional,
 }
@@ -51,7 +55,7 @@ pub fn run() -> Result<(), String> {
     }
     python::environment("numpy")?;
     // Without one of these a step is left out, no more.
-    for need in [Need::Oldest, Need::Browser] {
+    for need in [Need::Oldest, Need::Browser, Need::Libclang, Need::Dbus] {
         if let Err(why) = provide(need, &mut ThisMachine) {
             println!("{why}");
         }
@@ -181,6 +185,43 @@ fn locked(cargo: CommandLine) -> CommandLine {
     }
 }
 
+/// The folder of libclang: that in `LIBCLANG_PATH`, or the newest that is installed. Debian's finds its own headers only
+/// in its folder below `/usr/lib`.
+pub fn libclang() -> Option<PathBuf> {
+    if let Some(named) = std::env::var_os("LIBCLANG_PATH") {
+        return Some(named.into());
+    }
+    let debian = std::fs::read_dir("/usr/lib").into_iter().flatten();
+    let debian = debian.flatten().filter_map(|entry| {
+        let name = entry.file_name();
+        let version: u32 = name.to_str()?.strip_prefix("llvm-")?.parse().ok()?;
+        Some((version, entry.path().join("lib")))
+    });
+    let others = [
+        "/usr/lib64",
+        "/usr/lib",
+        "/opt/homebrew/opt/llvm/lib",
+        "/Library/Developer/CommandLineTools/usr/lib",
+    ];
+    let others = others.into_iter().map(|folder| (0, folder.into()));
+    let found = debian
+        .chain(others)
+        .filter(|(_, folder)| holds_libclang(folder));
+    found
+        .max_by_key(|(version, _)| *version)
+        .map(|(_, folder)| folder)
+}
+
+fn holds_libclang(folder: &Path) -> bool {
+    let is_library = |name: &str| {
+        let rest = name.strip_prefix("libclang").unwrap_or_default();
+        rest.starts_with(['.', '-']) && !rest.starts_with("-cpp") && !rest.ends_with(".a")
+    };
+    std::fs::read_dir(folder).is_ok_and(|mut entries| {
+        entries.any(|e| e.is_ok_and(|e| e.file_name().to_str().is_some_and(is_library)))
+    })
+}
+
 /// None where `source` has nothing of the kind.
 fn install(need: Need, source: Source) -> Vec<CommandLine> {
     match source {
@@ -189,7 +230,7 @@ fn install(need: Need, source: Source) -> Vec<CommandLine> {
             Need::Targets => {
                 vec![CommandLine::new("rustup target add").words(&TARGETS.join(" "))]
             }
-            Need::Qemu | Need::Browser | Need::Optional => Vec::new(),
+            Need::Qemu | Need::Browser | Need::Libclang | Need::Dbus | Need::Optional => Vec::new(),
             Need::Oldest => {
                 vec![CommandLine::new("rustup toolchain install --profile minimal").word(OLDEST)]
             }
@@ -200,6 +241,8 @@ fn install(need: Need, source: Source) -> Vec<CommandLine> {
                 Need::Targets => "rustc-web cargo-web rust-web-src lld",
                 Need::Qemu => "qemu-system-arm",
                 Need::Browser => "chromium",
+                Need::Libclang => "libclang-dev",
+                Need::Dbus => "libdbus-1-dev pkg-config",
                 Need::Optional => "python3 python3-venv gcc libc6-dev",
                 Need::Oldest => return Vec::new(),
             };
@@ -222,6 +265,8 @@ impl Need {
             Self::Qemu => "qemu-system-arm".into(),
             Self::Browser => "Chromium".into(),
             Self::Oldest => format!("Rust {OLDEST}"),
+            Self::Libclang => "libclang".into(),
+            Self::Dbus => "libdbus".into(),
             Self::Optional => "Python 3 with venv and a C compiler".into(),
         }
     }
@@ -229,9 +274,9 @@ impl Need {
     /// Where it was found.
     fn found(self, source: Source) -> &'static str {
         match (self, source) {
-            (Self::Qemu | Self::Oldest | Self::Browser | Self::Optional, _) => "installed",
-            (_, Source::Toolchain) => "in the active toolchain",
-            (_, Source::Debian) => "from Debian's packages",
+            (Self::Components | Self::Targets, Source::Toolchain) => "in the active toolchain",
+            (Self::Components | Self::Targets, Source::Debian) => "from Debian's packages",
+            _ => "installed",
         }
     }
 
@@ -243,6 +288,8 @@ impl Need {
             }
             Self::Qemu => "install QEMU (https://www.qemu.org/download)",
             Self::Browser => "install Chromium (https://www.chromium.org)",
+            Self::Libclang => "install LLVM (https://releases.llvm.org)",
+            Self::Dbus => "install the development files of libdbus",
             Self::Optional => "install Python (https://www.python.org/downloads) and a C compiler",
         }
     }
@@ -262,20 +309,17 @@ impl Machine for ThisMachine {
             (Need::Oldest, Source::Toolchain) => {
                 succeeds(&format!("rustup run {OLDEST} cargo --version"))
             }
-            (Need::Qemu | Need::Browser | Need::Optional, Source::Toolchain)
-            | (Need::Oldest, Source::Debian) => false,
+            (Need::Oldest, Source::Debian) => false,
+            (Need::Libclang, Source::Debian) => libclang().is_some(),
+            (Need::Dbus, Source::Debian) => {
+                !cfg!(target_os = "linux") || succeeds("pkg-config --exists dbus-1")
+            }
             (Need::Browser, Source::Debian) => succeeds("chromium --version"),
             (Need::Optional, Source::Debian) => {
                 let python = CommandLine::new("python3 -c").word("import venv, ensurepip");
                 python.output().is_some() && succeeds("cc --version")
             }
             (Need::Qemu, Source::Debian) => succeeds("qemu-system-arm --version"),
-            (Need::Targets, Source::Toolchain) => TARGETS.iter().all(|target| {
-                CommandLine::new("rustc --print target-libdir --target")
-                    .word(target)
-                    .output()
-                    .is_some_and(|folder| holds_core(Path::new(folder.trim())))
-            }),
             (Need::Targets, Source::Debian) => {
                 succeeds("/usr/bin/cargo --version")
                     && succeeds("ld.lld --version")
@@ -287,6 +331,13 @@ impl Machine for ThisMachine {
                             source.join("core/Cargo.toml").exists()
                         })
             }
+            (Need::Targets, Source::Toolchain) => TARGETS.iter().all(|target| {
+                CommandLine::new("rustc --print target-libdir --target")
+                    .word(target)
+                    .output()
+                    .is_some_and(|folder| holds_core(Path::new(folder.trim())))
+            }),
+            (_, Source::Toolchain) => false,
         }
     }
 
@@ -361,6 +412,22 @@ mod tests {
             self.has.push(source);
             Ok(())
         }
+    }
+
+    #[test]
+    fn a_folder_with_libclang_is_told_from_one_with_other_libraries_of_llvm() {
+        let folder = std::env::temp_dir().join(format!("wimu-libclang-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        for (file, found) in [
+            ("libclang-cpp.so.14", false),
+            ("libclang.a", false),
+            ("libLLVM-14.so", false),
+            ("libclang-14.so.1", true),
+        ] {
+            std::fs::write(folder.join(file), "").unwrap();
+            assert_eq!(holds_libclang(&folder), found, "{file}");
+        }
+        std::fs::remove_dir_all(&folder).unwrap();
     }
 
     const BOTH: [Source; 2] = [Source::Toolchain, Source::Debian];

@@ -160,12 +160,20 @@ pub const TEST: Lane = Lane {
         },
         Step {
             name: "optional",
-            about: "the Python module calibrates as the command does; ROS 2 bags in sqlite are read",
+            about: "the Python module calibrates as the command does; ROS 2 bags in sqlite are read; links over \
+                    Bluetooth Low Energy work with a unit in memory",
             run: |_| {
                 python::smoke()?;
                 cargo("test -p wimu-host --features sqlite --lib")
                     .word("formats::ros::tests::a_bag_in_sqlite_is_read")
-                    .run()
+                    .run()?;
+                match setup::provide(Need::Dbus, &mut ThisMachine) {
+                    Ok(_) => all(bluetooth()),
+                    Err(why) => {
+                        println!("skipped: links over Bluetooth Low Energy: {why}");
+                        Ok(())
+                    }
+                }
             },
         },
     ],
@@ -243,6 +251,13 @@ fn oldest() -> CommandLine {
     CommandLine::new("rustup run")
         .word(OLDEST)
         .words("cargo check --workspace --locked")
+}
+
+/// The links over Bluetooth Low Energy, and `wimu` with them.
+fn bluetooth() -> Vec<CommandLine> {
+    let tests = cargo("test -p wimu-host --features ble --lib").words("-- transport:: link_url::");
+    let lint = cargo("clippy -p wimu -p wimu-host --features wimu/ble,wimu-host/ble");
+    vec![tests, lint.words(DENY)]
 }
 
 fn doc(workspace: &Workspace) -> CommandLine {

@@ -13,10 +13,11 @@ pub mod board {
     /// Raspberry Pi Pico with an ADXL345.
     pub const PICO_ADXL345: u16 = 3;
     /// QEMU's mps2-an386.
-    /// QEMU's mps2-an386.
     pub const QEMU_MPS2: u16 = 4;
     /// STM32F411.
     pub const STM32F411: u16 = 5;
+    /// Nordic nRF52840 DK with Bluetooth Low Energy.
+    pub const NRF52840_BLE: u16 = 6;
 }
 
 /// Numbers of sensors in [`Hello::sensor`](super::Hello::sensor). Numbers are never reused; 0 is any other.

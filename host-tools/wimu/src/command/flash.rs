@@ -27,6 +27,7 @@ impl Board {
         match self {
             Self::MicrobitV2 => "microbit-v2",
             Self::PicoAdxl345 => "pico-adxl345",
+            Self::Nrf52840Ble => "nrf52840-ble",
         }
     }
 
@@ -44,6 +45,12 @@ impl Board {
                 ram: 0x2000_0000..0x2004_2000,
                 vectors: 0x1000_0100,
             },
+            Self::Nrf52840Ble => Chip {
+                name: "nRF52840_xxAA",
+                flash: 0..0x10_0000,
+                ram: 0x2000_0000..0x2004_0000,
+                vectors: 0,
+            },
         }
     }
 
@@ -52,6 +59,7 @@ impl Board {
         match self {
             Self::MicrobitV2 => ("target/firmware/microbit-v2.hex", "MICROBIT"),
             Self::PicoAdxl345 => ("target/firmware/pico-adxl345.uf2", "RPI-RP2"),
+            Self::Nrf52840Ble => ("target/firmware/nrf52840-ble.hex", "JLINK"),
         }
     }
 }

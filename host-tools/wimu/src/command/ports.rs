@@ -23,13 +23,23 @@ struct Listed {
 }
 
 pub fn run(arguments: &Ports, output: Output) -> Result<()> {
-    let ports: Vec<Listed> = transport::ports()?
+    let mut ports: Vec<Listed> = transport::ports()?
         .into_iter()
         .map(|port| Listed {
             probe: (arguments.probe && port.board.is_some()).then(|| probe(&port)),
             port,
         })
         .collect();
+    if arguments.probe {
+        match transport::nearby() {
+            Ok(units) => ports.extend(units.into_iter().map(|port| Listed { port, probe: None })),
+            Err(error) => output.print(format!(
+                "Bluetooth: {}; {}",
+                error.message(),
+                error.remedy()
+            )),
+        }
+    }
     if ports.is_empty() {
         output.print("no serial ports; `wimu simulate` runs a board without one");
     }
@@ -41,7 +51,11 @@ pub fn run(arguments: &Ports, output: Output) -> Result<()> {
             Some(Err(why)) => format!("  → {why}"),
             None => String::new(),
         };
-        output.print(format!("{}{usb}{board}{answer}", port.path));
+        let unit = match &port.serial_number {
+            Some(address) if port.path.starts_with("ble://") => format!("  {address}"),
+            _ => String::new(),
+        };
+        output.print(format!("{}{usb}{board}{unit}{answer}", port.path));
     }
     output.answer("wimu.ports/1", &Listing { ports });
     Ok(())

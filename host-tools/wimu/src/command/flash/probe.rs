@@ -251,7 +251,7 @@ mod tests {
     #[test]
     fn probe_rs_knows_the_chips_and_has_flash_where_the_images_are() {
         let registry = probe_rs::config::Registry::from_builtin_families();
-        for board in [Board::MicrobitV2, Board::PicoAdxl345] {
+        for board in [Board::MicrobitV2, Board::PicoAdxl345, Board::Nrf52840Ble] {
             let chip = board.chip();
             let target = registry.get_target_by_name(chip.name).expect(chip.name);
             let mut loader = target.flash_loader();

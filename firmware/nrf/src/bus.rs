@@ -4,7 +4,7 @@ use embassy_nrf::pac;
 use embassy_nrf::twim::{Error, Twim};
 use embedded_hal_async::i2c::{ErrorType, I2c, Operation};
 
-/// [`Twim`] that stops a transfer when its future is dropped. Otherwise its DMA would continue to write to
+/// [`Twim`] on TWISPI0 that stops a transfer when its future is dropped. Otherwise its DMA would continue to write to
 /// the dropped buffer.
 pub struct Bus(pub Twim<'static>);
 

@@ -1,11 +1,10 @@
-//! The device's clock: TIMER0 at 1 MHz from the crystal. The HAL's clock has a resolution of 30 µs.
+//! The device's clock: a timer at 1 MHz from the crystal. The HAL's clock has a resolution of 30 µs.
 
 use core::cell::Cell;
 
 use critical_section::Mutex;
 use embassy_nrf::Peri;
-use embassy_nrf::peripherals::TIMER0;
-use embassy_nrf::timer::{Cc, Frequency, Timer as Counter};
+use embassy_nrf::timer::{Cc, Frequency, Instance, Timer as Counter};
 use wimu_model::DeviceTimeUs;
 use wimu_node::Timer;
 
@@ -24,8 +23,9 @@ struct Clock {
     wraps: u32,
 }
 
-/// Starts the clock; returns the capture register for the data-ready line.
-pub fn start(timer: Peri<'static, TIMER0>) -> Cc<'static> {
+/// Starts the clock on a timer of 32 bits; returns the capture register for the data-ready line. The high-frequency clock
+/// must run from the crystal.
+pub fn start_clock(timer: Peri<'static, impl Instance>) -> Cc<'static> {
     let mut counter = Counter::new(timer);
     counter.set_frequency(Frequency::F1MHz);
     counter.clear();
@@ -59,12 +59,12 @@ fn now() -> DeviceTimeUs {
 }
 
 /// The time at which the counter last showed `low`.
-pub fn when(low: u32) -> DeviceTimeUs {
+pub(crate) fn when(low: u32) -> DeviceTimeUs {
     let now = now().0;
     DeviceTimeUs(now.saturating_sub(u64::from((now as u32).wrapping_sub(low))))
 }
 
-/// Time since the start.
+/// Time since [`start_clock`].
 #[derive(Clone, Copy)]
 pub struct BoardTimer;
 

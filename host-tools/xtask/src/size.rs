@@ -33,7 +33,7 @@ const MOST_AUTHENTICATION: u32 = 12 << 10;
 const MOST: [(&str, u32, u32); 3] = [
     ("wimu-microbit-v2", 113 << 10, 22_000),
     ("wimu-pico-adxl345", 111 << 10, 22_000),
-    (WITH_RADIO, 168 << 10, 29_000),
+    (WITH_RADIO, 230 << 10, 42_000),
 ];
 /// Half of it is the controller and the host stack of Bluetooth: it has no target.
 const WITH_RADIO: &str = "wimu-nrf52840-ble";

@@ -129,7 +129,7 @@ async fn serve(
     loop {
         tokio::select! {
             value = values.next() => {
-                if !value.is_some_and(|value| notify.send(value).is_ok()) {
+                if value.is_none_or(|value| notify.send(value).is_err()) {
                     break;
                 }
             }

@@ -77,6 +77,19 @@ fn a_key_lets_only_its_owner_write_over_the_wireless_link() {
         (&true.into(), &false.into())
     );
 
+    // What the board sends is authentic, to its owner.
+    let session = folder.path().join("session.mcap");
+    let session = session.to_str().unwrap();
+    let record = ["record", &board.wireless, "-o", session, "--for", "4"];
+    run_as(&owner, &record).succeeds();
+    let link = &run_as(&owner, &["info", session]).succeeds()["links"][0]["authentication"];
+    assert!(link["verified"].as_u64() >= Some(2), "{link}");
+    assert_eq!((&link["forged"], &link["replayed"]), (&0.into(), &0.into()));
+    let ran = run_as(&other, &["info", session]);
+    assert!(ran.stderr.contains("authentication not checked"), "{ran:?}");
+    let ran = run_as(&owner, &["monitor", &board.cable, "--for", "4"]);
+    assert!(ran.stderr.contains("authentic: "), "{ran:?}");
+
     // It outlives a restart, and is exchanged for another.
     drop(board);
     let board = Simulator::start(&arguments);

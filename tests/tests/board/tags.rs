@@ -2,7 +2,10 @@
 
 use std::num::NonZeroU8;
 
+use wimu_host::authentication::Authentication;
 use wimu_host::decode::{Authenticity, Decoder, Event, Interval};
+use wimu_host::history::Recording;
+use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
 use wimu_link::auth::DeviceKey;
 use wimu_link::batch::{self, Batch, Layout, Stream};
 use wimu_link::frame::{Deframer, Kind};
@@ -236,6 +239,46 @@ fn a_replayed_interval_of_an_earlier_start_is_refused() {
         "{intervals:?}"
     );
     assert_eq!(count(&intervals, Authenticity::Forged), 1, "{intervals:?}");
+}
+
+/// What `wimu info` sees of a recording of these frames.
+fn surveyed(frames: &[Vec<u8>], keys: Vec<DeviceKey>) -> Authentication {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("session.mcap");
+    let anchor = ClockAnchor {
+        monotonic_ns: 0,
+        utc_ns: 1_700_000_000_000_000_000,
+    };
+    let mut writer = RecordingWriter::create(&path, anchor).expect("a file");
+    for (index, frame) in frames.iter().enumerate() {
+        let host_ns = index as u64 * 10_000_000;
+        writer.append(WIRELESS, host_ns, frame).expect("room");
+    }
+    writer.finish().expect("room");
+    let recording = Recording::survey_with_keys(&path, keys).expect("own file");
+    recording.links[0].authentication.clone()
+}
+
+#[test]
+fn a_recording_is_verified_afterwards_and_its_forged_second_is_named() {
+    let mut sent = frames(&mut rig(), WIRELESS, 8.0);
+    let genuine = surveyed(&sent, vec![KEY]);
+    assert!(genuine.verified >= 6, "{genuine:?}");
+    assert!(genuine.findings.is_empty(), "{genuine:?}");
+    assert!(genuine.verified_s > 0.8 * genuine.total_s, "{genuine:?}");
+    let at = (sent.len() / 2..sent.len()).find(|&at| forged(&sent[at]).is_some());
+    let at = at.expect("a batch");
+    sent[at] = forged(&sent[at]).expect("a batch");
+    let changed = surveyed(&sent, vec![KEY]);
+    assert_eq!((changed.forged, changed.findings.len()), (1, 1));
+    assert_eq!(changed.verified, genuine.verified - 1);
+    let [from_s, to_s] = changed.findings[0].span_s.expect("a time");
+    assert!(
+        from_s > 1.0 && to_s < 9.0 && to_s - from_s < 1.2,
+        "{changed:?}"
+    );
+    let text = surveyed(&sent, Vec::new()).text().expect("tags");
+    assert!(text.contains("lacks the key"), "{text}");
 }
 
 #[test]

@@ -189,17 +189,23 @@ impl<'a> Judged<'a> {
             sum: tag.sum(key),
             frames: coded.collect(),
         };
-        // A device may send two equal frames: leave out repetitions only if there are too many.
-        if judged.authenticity(tag.frames as usize, true) == Authenticity::Verified {
+        // A device may send equal frames: leave out as few as possible.
+        let is_right = |judged: &Self| {
+            judged.authenticity(tag.frames as usize, true) == Authenticity::Verified
+        };
+        if is_right(&judged) {
             return judged;
         }
         let mut known = HashSet::new();
-        let mut late = before.and_then(|before| before.missing);
         judged.frames.retain(|(frame, code)| {
             let is_repeated = frame.is_batch && before.is_some_and(|b| b.batches.contains(code));
-            let is_late = late.take_if(|late| late == code).is_some();
-            known.insert(*code) && !is_repeated && !is_late
+            known.insert(*code) && !is_repeated
         });
+        if let Some(late) = before.and_then(|before| before.missing)
+            && !is_right(&judged)
+        {
+            judged.frames.retain(|(_, code)| *code != late);
+        }
         judged
     }
 

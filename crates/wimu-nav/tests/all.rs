@@ -8,6 +8,7 @@ mod filter;
 mod finite;
 mod jacobians;
 mod mixture;
+mod multi_range;
 mod navigator;
 mod ranges;
 mod smoother;

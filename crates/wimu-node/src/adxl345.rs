@@ -112,7 +112,8 @@ impl<B, D, T> Adxl345<B, D, T> {
             let format = format(range, wanted.resolution);
             let sensitivity = Sensitivity::from_lsb_per_g(f64::from(format.lsb_per_g()))?;
             let period = PeriodNs(rate.period_ns());
-            let full_scale = i16::MAX << (16 - format.bits());
+            // The largest digit, left-justified.
+            let full_scale = i16::MAX >> (16 - format.bits()) << (16 - format.bits());
             Ok(SensorPlan::new(period, sensitivity, full_scale.into()))
         })
     }

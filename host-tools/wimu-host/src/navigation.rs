@@ -4,17 +4,24 @@ use wimu_integrator::{Config, Integrator, Navigation, Phase};
 use wimu_link::message::{self, Epoch, WirePhase};
 use wimu_model::{
     AngularRateQ20, CentiCelsius, DeviceTimeUs, MagneticFieldNt, ParameterSet, PeriodNs,
-    PositionNm, SpecificForceQ16, VelocityNmps,
+    PositionNm, SpecificForceMps2, SpecificForceQ16, VelocityNmps,
 };
 
 use crate::decode::TimedSample;
+use crate::finding::FindingCode;
 use crate::history::Boot;
 use crate::motion::{MotionRecording, UnitSample};
+use crate::multi_range::{FullScales, Merge};
+use crate::recording::{Quantity, Recording};
 use crate::replay::{Correction, Replay, Step, find};
+use crate::stream::Part;
 use crate::{ErrorCode, HostError, Result};
 
 /// Largest specific force after correction per *g* of full-scale range, m/s²: 1.5 g.
 const BEYOND_RANGE: f64 = 1.5 * wimu_model::STANDARD_GRAVITY_MPS2;
+
+/// m/s² per *g*.
+const G: f64 = wimu_model::STANDARD_GRAVITY_MPS2;
 
 /// Velocity and position after one sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -207,7 +214,61 @@ pub fn motion(
         .any(|e| e.magnetic_field_nt.is_some());
     recording.field_uncalibrated =
         has_field && recording.samples.iter().all(|s| s.field_ut.is_none());
+    if !boot.further.is_empty() && !boot.raw.is_empty() {
+        widen(&mut recording, boot, parameters)?;
+    }
     Ok(recording)
+}
+
+/// Merges further accelerometers of other ranges with the first. Where that is not possible, the first stays as it is.
+fn widen(
+    motion: &mut MotionRecording,
+    boot: &Boot,
+    parameters: Option<&ParameterSet>,
+) -> Result<()> {
+    let (Some(first), Some(mark)) = (boot.raw.first(), boot.epochs.first()) else {
+        return Ok(());
+    };
+    let merge = Recording::of_boot(boot, &motion.name)
+        .and_then(|recording| Merge::of(&recording, &FullScales::default()));
+    let merge = match merge {
+        Ok(Some(merge)) => merge,
+        Ok(None) => return Ok(()),
+        Err(error) => {
+            let finding =
+                FindingCode::Navigation.warning(format!("not merged: {}", error.message()));
+            motion.findings.push(finding.remedy(error.remedy()));
+            return Ok(());
+        }
+    };
+    let set = match parameters {
+        Some(set) => *set,
+        None => boot.parameters_of(&mark.epoch)?,
+    };
+    let Some(track) = merge.recording.first(Quantity::SpecificForce) else {
+        return Ok(());
+    };
+    let part = Part::from(boot);
+    let mut rows = track.times_ns().iter().enumerate().peekable();
+    for (time_s, sample) in motion.times_s.iter().zip(&mut motion.samples) {
+        let time_us = (time_s * 1e6).round() as u64;
+        let since_ns = time_us.wrapping_sub(first.time.0) as i64 * 1000;
+        while rows.next_if(|(_, time_ns)| **time_ns < since_ns).is_some() {}
+        let Some((row, _)) = rows.next_if(|(_, time_ns)| **time_ns == since_ns) else {
+            continue;
+        };
+        let Some(Ok(counts)) = track.row(row).map(<[f64; 3]>::try_from) else {
+            continue;
+        };
+        let celsius = part.environment_at(DeviceTimeUs(time_us));
+        let celsius = celsius.and_then(|known| known.temperature_centi_c.map(CentiCelsius));
+        let output = SpecificForceMps2(counts.map(|axis| axis * set.sensitivity.mps2_per_lsb()));
+        let force = set.model.correct(output, celsius).0;
+        sample.force_mps2 = set.alignment.rotate(force);
+    }
+    motion.full_scale_mps2 = track.info.full_scale.map(|full| full * BEYOND_RANGE / G);
+    motion.findings.extend(merge.findings);
+    Ok(())
 }
 
 /// Length of the path through the valid `points`, m.

@@ -339,6 +339,32 @@ impl Recording {
         self.findings.iter().filter(is_news).cloned().collect()
     }
 
+    /// The same with the accelerometer `sensor` only, and other values in its rows where they are given; its full scale is
+    /// `full_scale`, m/s².
+    pub(crate) fn with_one_force(
+        &self,
+        sensor: u8,
+        values: &[Option<[f64; 3]>],
+        full_scale: f64,
+    ) -> Self {
+        let mut recording = self.clone();
+        let is_force = |track: &Track| {
+            track.info.quantity == Quantity::SpecificForce && track.info.origin == Origin::Sensor
+        };
+        (recording.tracks).retain(|track| !is_force(track) || track.info.sensor == sensor);
+        for track in recording.tracks.iter_mut().filter(|track| is_force(track)) {
+            track.info.full_scale = Some(full_scale);
+            let rows = track.values.as_chunks_mut().0.iter_mut();
+            for ((row, valid), value) in rows.zip(&mut track.valid).zip(values) {
+                if let Some(value) = value {
+                    *row = *value;
+                    *valid = value.iter().all(|axis| axis.is_finite());
+                }
+            }
+        }
+        recording
+    }
+
     /// Time of the first row of any track, ns on the clock of the file.
     pub fn start_ns(&self) -> Option<i64> {
         let first = |track: &Track| track.times_ns.iter().min().copied();

@@ -3,6 +3,7 @@
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::future::Future;
+use std::iter;
 use std::pin::Pin;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -20,7 +21,8 @@ use wimu_link::{Hello, LinkRole};
 use wimu_model::DeviceTimeUs;
 use wimu_node::sensor::RawSample;
 use wimu_node::{
-    DataReady, InertialSensor, RateKeeper, Shared, TimeoutBus, Timer, wimu_adxl345, wimu_lsm6dso,
+    DataReady, InertialSensor, Pair, RateKeeper, Shared, TimeoutBus, Timer, wimu_adxl345,
+    wimu_lsm6dso,
 };
 
 use crate::clock::{Until, VirtualClock};
@@ -33,6 +35,9 @@ use crate::pipe::{
 use crate::sensor::{DataReadyPin, Sensor};
 use crate::source::Source;
 use crate::storage::Storage;
+
+/// Range of a second accelerometer, ± g.
+const SECOND_G: u8 = 16;
 
 /// Configuration of a simulated board.
 #[derive(Clone, Debug)]
@@ -90,6 +95,7 @@ pub struct Board {
     started_us: u64,
     config: BoardConfig,
     sensor: Sensor,
+    second: Option<(SensorPart, Sensor)>,
     bus_faults: Faults,
     cable: HostEnd,
     wireless: HostEnd,
@@ -103,20 +109,41 @@ pub struct Board {
 impl Board {
     /// Starts a board whose sensor takes its samples from `source`.
     pub fn start(config: BoardConfig, source: impl Source + 'static) -> Self {
+        Self::of_sensors(config, source, |_| None)
+    }
+
+    /// Starts a board with a second sensor, index 1, of ± 16 g on the same bus: both an LSM303AGR and an ADXL345.
+    pub fn start_pair(
+        config: BoardConfig,
+        source: impl Source + 'static,
+        (part, second): (SensorPart, impl Source + 'static),
+    ) -> Self {
+        Self::of_sensors(config, source, |clock| {
+            Some((part, part.power_on(clock, second)))
+        })
+    }
+
+    fn of_sensors(
+        config: BoardConfig,
+        source: impl Source + 'static,
+        second: impl FnOnce(&VirtualClock) -> Option<(SensorPart, Sensor)>,
+    ) -> Self {
         let clock = VirtualClock::new();
         let sensor = config.sensor.power_on(&clock, source);
+        let second = second(&clock);
         let channels = [
             (&config.cable_faults, config.fault_seed),
             (&config.wireless_faults, config.fault_seed.wrapping_add(1)),
         ]
         .map(|(faults, seed)| (!faults.is_none()).then(|| Channels::new(faults, seed)));
         let ((node, buttons), bus_faults, cable, wireless) =
-            boot(&clock, &config, &sensor, &channels);
+            boot(&clock, &config, &sensor, second.as_ref(), &channels);
         Self {
             clock,
             started_us: 0,
             config,
             sensor,
+            second,
             bus_faults,
             cable,
             wireless,
@@ -131,6 +158,9 @@ impl Board {
     /// under way on the links are lost; time continues, but the device's clock starts at 0.
     pub fn restart(&mut self) {
         self.sensor.power_cycle();
+        if let Some((_, second)) = &self.second {
+            second.power_cycle();
+        }
         self.started_us = self.clock.now();
         for channels in self.channels.iter().flatten() {
             channels.clear();
@@ -141,7 +171,13 @@ impl Board {
             self.bus_faults,
             self.cable,
             self.wireless,
-        ) = boot(&self.clock, &self.config, &self.sensor, &self.channels);
+        ) = boot(
+            &self.clock,
+            &self.config,
+            &self.sensor,
+            self.second.as_ref(),
+            &self.channels,
+        );
         // The other ends keep their baud rates.
         for (link, baud) in [&mut self.cable, &mut self.wireless].into_iter().zip(bauds) {
             if let Some(baud) = baud {
@@ -187,6 +223,11 @@ impl Board {
     /// The sensor, for faults or other samples.
     pub fn sensor(&self) -> &Sensor {
         &self.sensor
+    }
+
+    /// The second sensor, if it has one.
+    pub fn second(&self) -> Option<&Sensor> {
+        self.second.as_ref().map(|(_, sensor)| sensor)
     }
 
     /// Faults of the sensor's bus.
@@ -261,9 +302,12 @@ fn boot(
     clock: &VirtualClock,
     config: &BoardConfig,
     device: &Sensor,
+    second: Option<&(SensorPart, Sensor)>,
     channels: &[Option<Channels>; 2],
 ) -> Boot {
-    let i2c = SimI2c::new(clock, [Rc::new(device.clone()) as Rc<dyn Target>]);
+    let devices = iter::once(device).chain(second.map(|(_, sensor)| sensor));
+    let targets = devices.map(|device| Rc::new(device.clone()) as Rc<dyn Target>);
+    let i2c = SimI2c::new(clock, targets);
     let faults = i2c.faults();
     let link = |config: LinkConfig, faults: &LinkFaults, channels: &Option<Channels>| {
         let config = LinkConfig {
@@ -294,33 +338,46 @@ fn boot(
         },
         ..Hello::new(LinkRole::Cable)
     };
-    let i2c = TimeoutBus::new(i2c, timer.clone());
     let storage = config.storage.clone();
     let links = [
         (cable_reader, cable_writer),
         (wireless_reader, wireless_writer),
     ];
     let rates = [&cable, &wireless].map(|link| Some((link.device_rate(), link.baud()?)));
-    let line = Stamped {
+    let bus = || TimeoutBus::new(i2c.clone(), timer.clone());
+    let line = |device: &Sensor| Stamped {
         pin: device.data_ready(),
         timer: timer.clone(),
     };
-    let node = match config.sensor {
-        SensorPart::Lsm303agr => {
-            let sensor = wimu_node::Lsm303agr::new(i2c, line, timer.clone());
-            node(hello, sensor, timer, storage, links, rates)
+    let lsm303agr = |device: &Sensor| wimu_node::Lsm303agr::new(bus(), line(device), timer.clone());
+    let adxl345 = |device: &Sensor| {
+        let address = wimu_adxl345::Address::Low;
+        let bus = wimu_adxl345::I2cBus {
+            i2c: bus(),
+            address,
+        };
+        wimu_node::Adxl345::new(bus, line(device), timer.clone())
+    };
+    let time = timer.clone();
+    let node = match (config.sensor, second) {
+        (SensorPart::Lsm303agr, Some((SensorPart::Adxl345, other))) => {
+            let sensor = Pair::new(lsm303agr(device), adxl345(other), time.clone(), SECOND_G);
+            node(hello, sensor, time, storage, links, rates)
         }
-        SensorPart::Adxl345 => {
-            let address = wimu_adxl345::Address::Low;
-            let bus = wimu_adxl345::I2cBus { i2c, address };
-            let sensor = wimu_node::Adxl345::new(bus, line, timer.clone());
-            node(hello, sensor, timer, storage, links, rates)
+        (SensorPart::Adxl345, Some((SensorPart::Lsm303agr, other))) => {
+            let sensor = Pair::new(adxl345(device), lsm303agr(other), time.clone(), SECOND_G);
+            node(hello, sensor, time, storage, links, rates)
         }
-        SensorPart::Lsm6dso => {
+        (SensorPart::Lsm303agr, _) => node(hello, lsm303agr(device), time, storage, links, rates),
+        (SensorPart::Adxl345, _) => node(hello, adxl345(device), time, storage, links, rates),
+        (SensorPart::Lsm6dso, _) => {
             let address = wimu_lsm6dso::Address::Low;
-            let bus = wimu_lsm6dso::I2cBus { i2c, address };
-            let sensor = wimu_node::Lsm6dso::new(bus, line, timer.clone());
-            node(hello, sensor, timer, storage, links, rates)
+            let bus = wimu_lsm6dso::I2cBus {
+                i2c: bus(),
+                address,
+            };
+            let sensor = wimu_node::Lsm6dso::new(bus, line(device), timer.clone());
+            node(hello, sensor, time, storage, links, rates)
         }
     };
     (node, faults, cable, wireless)

@@ -26,7 +26,9 @@ pub trait Target {
 
 /// The bus as its controller sees it; [`SimI2c::faults`] injects faults.
 ///
-/// A cancelled transaction ends at the byte it had reached.
+/// A cancelled transaction ends at the byte it had reached. Clones are the same bus: each waits for its own transactions
+/// only.
+#[derive(Clone)]
 pub struct SimI2c {
     clock: VirtualClock,
     targets: Vec<Rc<dyn Target>>,

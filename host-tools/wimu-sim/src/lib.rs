@@ -11,6 +11,7 @@ pub mod i2c;
 pub mod lsm303agr;
 pub mod lsm6dso;
 pub mod motion;
+pub mod multi_range;
 mod part;
 pub mod pipe;
 mod random;

@@ -49,7 +49,7 @@ pub trait Motion: fmt::Debug {
 }
 
 /// The names accepted by [`named`], with descriptions.
-pub const NAMES: [(&str, &str); 7] = [
+pub const NAMES: [(&str, &str); 8] = [
     ("rest", "level, for 10 s"),
     (
         "six-positions",
@@ -69,6 +69,10 @@ pub const NAMES: [(&str, &str); 7] = [
         "1.000 m in 3 s, rotated by 90° about a tilted axis meanwhile, 3 s of rest at both ends",
     ),
     ("hand", "waved about by hand for 10 s, up to 20 m/s²"),
+    (
+        "impact",
+        "a run of 1.9 m at up to 2.5 m/s, stopped in 0.1 s at up to 50 m/s²; 3 s of rest at both ends",
+    ),
 ];
 
 /// The motion of a name in [`NAMES`], or several separated by commas. Random
@@ -87,6 +91,7 @@ pub fn named(names: &str, seed: u64) -> Result<Rc<dyn Motion>, UnknownMotion> {
             "slide" => Rc::new(Slide::default()),
             "carry" => Rc::new(Slide::carry()),
             "hand" => Rc::new(Hand::new(seed, 10.0, 20.0)),
+            "impact" => Rc::new(Impact::default()),
             _ => return Err(UnknownMotion(name.into())),
         };
         sequence.push_at(0.0, motion);
@@ -391,6 +396,99 @@ impl Motion for Slide {
 
     fn duration(&self) -> f64 {
         self.rest_before_s + self.move_s + self.rest_after_s
+    }
+}
+
+/// A run that an impact stops: smooth up to a speed, a half-sine pulse of acceleration against it, a rebound, and rests at
+/// both ends. Level, without rotation: equation (225).
+#[derive(Clone, Copy, Debug)]
+pub struct Impact {
+    /// Speed before the impact, m/s.
+    pub speed_mps: f64,
+    /// Largest acceleration of the pulse, m/s².
+    pub peak_mps2: f64,
+    /// Duration of the pulse, s, more than 0.
+    pub pulse_s: f64,
+    /// Direction of the run, a unit vector.
+    pub direction: [f64; 3],
+}
+
+impl Impact {
+    /// Rest at each end, run-up, and the end of the rebound, s.
+    const REST_S: f64 = 3.0;
+    const RUN_UP_S: f64 = 1.5;
+    const SLOW_DOWN_S: f64 = 1.0;
+
+    /// Beginning of the pulse, s from the motion's start.
+    pub fn begin_s(&self) -> f64 {
+        Self::REST_S + Self::RUN_UP_S
+    }
+
+    /// Distance, speed and acceleration along the direction.
+    fn along(&self, t: f64) -> [f64; 3] {
+        // Of a speed that rises from 0 to 1 between τ = 0 and 1.
+        let rise = |tau: f64| {
+            let t = tau.clamp(0.0, 1.0);
+            let distance = t * t * t * t * (2.5 + t * (t - 3.0)) + (tau - 1.0).max(0.0);
+            let [speed, acceleration, _] = smooth_step(tau);
+            [distance, speed, acceleration]
+        };
+        let run_up = (t - Self::REST_S).min(Self::RUN_UP_S) / Self::RUN_UP_S;
+        let [x, v, a] = rise(run_up);
+        let (speed, pulse) = (self.speed_mps, self.pulse_s);
+        let mut moved = [
+            speed * Self::RUN_UP_S * x,
+            speed * v,
+            speed / Self::RUN_UP_S * a,
+        ];
+        let since = t - self.begin_s();
+        if since <= 0.0 {
+            return moved;
+        }
+        let within = since.min(pulse);
+        let (sin, cos) = libm::sincos(PI * within / pulse);
+        let change = self.peak_mps2 * pulse / PI;
+        moved[0] += speed * within - change * (within - pulse / PI * sin);
+        moved[1] = speed - change * (1.0 - cos);
+        moved[2] = -self.peak_mps2 * sin;
+        let after = (since - pulse).min(Self::SLOW_DOWN_S);
+        if after > 0.0 {
+            let [x, v, a] = rise(after / Self::SLOW_DOWN_S);
+            let rebound = speed - 2.0 * change;
+            moved[0] += rebound * (after - Self::SLOW_DOWN_S * x);
+            moved[1] = rebound * (1.0 - v);
+            moved[2] = -rebound / Self::SLOW_DOWN_S * a;
+        }
+        moved
+    }
+}
+
+impl Default for Impact {
+    /// At 2.5 m/s along body x, with some y, stopped within 0.1 s at up to 50 m/s².
+    fn default() -> Self {
+        Self {
+            speed_mps: 2.5,
+            peak_mps2: 50.0,
+            pulse_s: 0.1,
+            direction: [0.8, -0.6, 0.0],
+        }
+    }
+}
+
+impl Motion for Impact {
+    fn pose(&self, t: f64) -> Pose {
+        let [x, v, a] = self.along(t);
+        let along = |size: f64| self.direction.map(|axis| axis * size);
+        Pose {
+            position_m: along(x),
+            velocity_mps: along(v),
+            acceleration_mps2: along(a),
+            ..Pose::resting(Attitude::LEVEL)
+        }
+    }
+
+    fn duration(&self) -> f64 {
+        self.begin_s() + self.pulse_s + Self::SLOW_DOWN_S + Self::REST_S
     }
 }
 

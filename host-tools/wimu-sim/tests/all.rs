@@ -11,6 +11,7 @@ mod lsm303agr_fifo;
 mod lsm6dso;
 mod lsm6dso_node;
 mod motion;
+mod multi_range;
 mod physics;
 mod pipe;
 mod session;

@@ -290,15 +290,15 @@ Examples:
   wimu simulate --faults loss=2%,burst=20,bits=1e-4,jitter=50ms,stall=3s@30s
   wimu simulate --faults other-unit --faults cable:latency=2ms")]
 pub struct Simulate {
-    /// Sensor on the board
-    #[arg(long, value_enum, default_value_t = Sensor::Lsm303agr)]
-    pub sensor: Sensor,
+    /// Sensor on the board, or lsm303agr,adxl345: two accelerometers, the second of ± 16 g; either may be the first
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "lsm303agr")]
+    pub sensor: Vec<Sensor>,
     /// Fault of the sensor, may be given again: absent, identity (WHO_AM_I of another chip),
     /// gyroscope-stops, gyroscope-stuck or gyroscope-saturates, with duration and start as for stalls
     #[arg(long, value_name = "FAULT=3s@30s")]
     pub sensor_fault: Vec<SensorFault>,
     /// Motions of the board, in order and repeated: rest, six-positions, twelve-poses, tilts, slide,
-    /// carry, hand
+    /// carry, hand, impact
     #[arg(long, default_value = "twelve-poses,slide", value_name = "NAMES")]
     pub motion: String,
     /// Replay the raw counts of this CSV file instead; it starts when a host connects
@@ -457,6 +457,7 @@ pub struct Compare {
 #[command(after_help = "\
 Examples:
   wimu export session.mcap -o session.csv --stream corrected
+  wimu export session.mcap --merge -o merged.csv
   wimu export CAL.json --format c -o wimu_calibration.h
   wimu export CAL.json --format kalibr --noise NOISE.json -o imu.yaml
   wimu export session.mcap --format ros -o topics.mcap
@@ -483,6 +484,9 @@ pub struct Export {
     /// Index of the sensor whose samples a CSV table has; those above 0 have raw samples only
     #[arg(long, value_name = "INDEX", default_value_t = 0)]
     pub sensor: u8,
+    /// Merge accelerometers of different full scale into one: counts of the finest, range of the widest
+    #[arg(long, conflicts_with_all = ["sensor", "stream", "link_model"])]
+    pub merge: bool,
     /// Link of the recording to use [default: the cable if it was recorded]
     #[arg(long, value_enum)]
     pub link: Option<Role>,

@@ -29,6 +29,7 @@ mod messages;
 mod methods;
 mod middleman;
 mod monitor;
+mod multi_range;
 mod navigate;
 mod navigate_calibrated;
 mod navigate_input;

@@ -43,6 +43,13 @@ const HOST_NAVIGATION: [&str; 11] = [
     "host-tools/wimu-host/examples",
     "host-tools/wimu-host/tests",
 ];
+const MULTI_RANGE: [&str; 5] = [
+    "crates/wimu-nav/src/sensor",
+    "host-tools/wimu-host/src/multi_range",
+    "host-tools/wimu-host/src/multi_range.rs",
+    "host-tools/wimu-sim/src/multi_range.rs",
+    "host-tools/wimu-sim/examples/multi_range.rs",
+];
 const LINK: [&str; 6] = [
     "crates/wimu-link/src",
     "crates/wimu-node/src",
@@ -212,6 +219,10 @@ pub const CAMPAIGNS: [Campaign; 12] = [
             Run {
                 command: "test --release -p wimu-host --test all -- --include-ignored hand_eye:: relative::",
                 sources: &HOST_NAVIGATION,
+            },
+            Run {
+                command: "run --release -p wimu-sim --example multi_range -- 20",
+                sources: &MULTI_RANGE,
             },
             Run {
                 command: "test --release -p wimu-nav --test all -- --include-ignored",

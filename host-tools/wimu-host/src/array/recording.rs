@@ -13,6 +13,7 @@ use crate::history::{Boot, Recording};
 use crate::motion::{FULL_SCALE_MPS2, Truth};
 use crate::plural::counted;
 use crate::recording::{Origin, Quantity, Track, Unit};
+use crate::series::{Series, period_s};
 use crate::units::RawUnits;
 use crate::{ErrorCode, HostError, Result};
 
@@ -20,8 +21,6 @@ use crate::{ErrorCode, HostError, Result};
 const LIMIT_COUNTS: f64 = 32_700.0;
 /// Part of a board's range from which on an axis counts as being at its limit.
 const LIMIT_SHARE: f64 = 0.995;
-/// Four samples that are farther apart than this many periods have a gap between them.
-const GAP_PERIODS: f64 = 5.0;
 /// A recording's sensors are counted in the bits of a word.
 const MOST_SENSORS: usize = 32;
 
@@ -216,12 +215,7 @@ impl ArrayRecording {
         };
         let (mut squares, mut count, mut missing) = (0.0, 0.0, 0_usize);
         for (sensor, series) in series.iter().enumerate() {
-            let mut at = 0;
-            for (k, time) in times_s.iter().enumerate() {
-                while at + 1 < series.times_s.len() && series.times_s[at + 1] <= *time {
-                    at += 1;
-                }
-                let (value, doubt, limit) = series.between(at, *time);
+            for (k, (value, doubt, limit)) in series.sampled(&times_s).enumerate() {
                 recording.outputs[k].push(value);
                 recording.saturated[k] |= u32::from(limit) << sensor;
                 if value[0].is_nan() {
@@ -424,12 +418,6 @@ impl ArrayRecording {
         }
         f64::sqrt(squares / f64::max(count, 1.0))
     }
-}
-
-fn period_s(times_s: &[f64]) -> f64 {
-    let mut steps: Vec<f64> = times_s.windows(2).map(|w| w[1] - w[0]).collect();
-    steps.sort_by(f64::total_cmp);
-    steps.get(steps.len() / 2).copied().unwrap_or(1.0).max(1e-6)
 }
 
 /// Samples of accelerometers at the times of the first one.
@@ -700,62 +688,5 @@ impl Board {
             saturated: self.saturated.clone(),
             period_s: period_s(&self.times_s),
         }
-    }
-}
-
-/// One sensor's samples at its own times.
-struct Series {
-    times_s: Vec<f64>,
-    values: Vec<[f64; 3]>,
-    saturated: Vec<bool>,
-    period_s: f64,
-}
-
-impl Series {
-    /// The value at `time`, which lies between samples `at` and `at + 1`: cubic through the four
-    /// around; by how much the parabolas through three of them differ; and whether one was at its
-    /// limit. Not a number next to a gap and at the ends.
-    fn between(&self, at: usize, time: f64) -> ([f64; 3], f64, bool) {
-        let nothing = ([f64::NAN; 3], 0.0, false);
-        if self.times_s.get(at).is_some_and(|t| *t == time) {
-            return (self.values[at], 0.0, self.saturated[at]);
-        }
-        let (Some(from), to) = (at.checked_sub(1), at + 3) else {
-            return nothing;
-        };
-        let Some(times) = self.times_s.get(from..to) else {
-            return nothing;
-        };
-        if time < times[1] || time > times[2] || times[3] - times[0] > GAP_PERIODS * self.period_s {
-            return nothing;
-        }
-        let weights = |used: &[usize]| {
-            let mut weights = [0.0; 4];
-            for i in used {
-                weights[*i] = used
-                    .iter()
-                    .filter(|j| *j != i)
-                    .map(|j| (time - times[*j]) / (times[*i] - times[*j]))
-                    .product();
-            }
-            weights
-        };
-        let values = &self.values[from..to];
-        let sum = |weights: [f64; 4], axis: usize| -> f64 {
-            weights.iter().zip(values).map(|(w, v)| w * v[axis]).sum()
-        };
-        let (all, left, right) = (
-            weights(&[0, 1, 2, 3]),
-            weights(&[0, 1, 2]),
-            weights(&[1, 2, 3]),
-        );
-        let doubt = (0..3)
-            .map(|a| (sum(left, a) - sum(right, a)).abs())
-            .fold(0.0, f64::max);
-        (
-            std::array::from_fn(|axis| sum(all, axis)),
-            doubt / 2.0,
-            self.saturated[from..to].contains(&true),
-        )
     }
 }

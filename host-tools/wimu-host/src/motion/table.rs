@@ -7,6 +7,7 @@ use crate::apply::Corrector;
 use crate::calibration::StoredModel;
 use crate::finding::{Finding, FindingCode};
 use crate::formats::{self, ReadOptions};
+use crate::multi_range::{FullScales, Merge};
 use crate::recording::{Origin, Quantity, Recording, Track, Unit};
 use crate::{ErrorCode, HostError, Result};
 
@@ -38,12 +39,18 @@ impl MotionRecording {
 
     /// The samples of a recording with times and one accelerometer; with angular rates, the magnetic field and truth if
     /// there are. A magnetic field whose `Field Calibrated` is 0 is left out, unless the calibration has a model of the
-    /// magnetometer. A calibration is of the unit in which the accelerations are: of counts, or of m/s² and g.
+    /// magnetometer. A calibration is of the unit in which the accelerations are: of counts, or of m/s² and g. Two or three
+    /// accelerometers whose full scales are known and differ are [merged](Merge) first; the calibration is that of the finest.
     ///
     /// # Errors
     /// `csv_missing_column` without times, or with other than one accelerometer; `unknown_format` for counts of unknown
     /// sensitivity and a calibration of the other unit; `no_rows` with fewer than two samples.
     pub fn of(recording: &Recording, options: &TableOptions) -> Result<Self> {
+        if let Some(merge) = Merge::of(recording, &FullScales::default())? {
+            let mut motion = Self::of(&merge.recording, options)?;
+            motion.findings.splice(0..0, merge.findings);
+            return Ok(motion);
+        }
         let name = recording.name.as_str();
         let sensor = |track: &&Track| track.info.origin == Origin::Sensor;
         let mut forces = recording.of(Quantity::SpecificForce).filter(sensor);
@@ -178,7 +185,7 @@ fn without_unit(recording: &Recording) -> HostError {
         }
         (_, count @ 2..) => ErrorCode::CsvMissingColumn.error(
             format!("it has {count} accelerometers: {}", names.join(", ")),
-            "choose one with --topic; for several on one body give --geometry",
+            "choose one with --topic; for several on one body give --geometry, or --full-scales where their ranges differ",
         ),
         _ => ErrorCode::CsvMissingColumn.error(
             "navigation needs times and one accelerometer",

@@ -60,6 +60,28 @@ impl Recording {
         Ok(())
     }
 
+    /// Adds the accelerometer of another recording on the same body as the next one: its times are those of its file.
+    ///
+    /// # Errors
+    /// `csv_missing_column` where it has not one accelerometer with times.
+    pub fn add_accelerometer(&mut self, other: &Self) -> Result<()> {
+        let mut tracks = other.of(Quantity::SpecificForce);
+        let (Some(track), None) = (tracks.next(), tracks.next()) else {
+            let error = ErrorCode::CsvMissingColumn.error(
+                "a recording beside another one has one accelerometer",
+                "give one file of each accelerometer, or one file of all",
+            );
+            return Err(error.at(&other.name));
+        };
+        let mut track = track.clone();
+        let last = self
+            .of(Quantity::SpecificForce)
+            .map(|track| track.info.sensor);
+        track.info.sensor = last.max().map_or(0, |last| last.saturating_add(1));
+        self.tracks.push(track);
+        Ok(())
+    }
+
     /// Removes the latest `count` rows of the accelerometer and of the gyroscope beside it.
     pub fn drop_latest(&mut self, count: usize) {
         let sampled = [Quantity::SpecificForce, Quantity::AngularRate];

@@ -1,5 +1,7 @@
 //! The raw samples of a link as a recording.
 
+use std::collections::BTreeMap;
+
 use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
 use wimu_link::hello::sensor;
@@ -16,8 +18,8 @@ use crate::stream::Part;
 pub(crate) const FORMAT: &str = "wimu recording";
 
 impl Recording {
-    /// The raw samples of a link, at device time from the first sample on, continued where the device restarted;
-    /// `name` is its name in errors.
+    /// The raw samples of all sensors of a link, at device time from the first sample on, continued where the device
+    /// restarted; `name` is its name in errors.
     ///
     /// # Errors
     /// `no_rows` without samples, `data_refused` when the range changed.
@@ -33,6 +35,15 @@ impl Recording {
     }
 }
 
+impl Recording {
+    /// The same of one start of the device, at device time from the first sample on.
+    pub(crate) fn of_boot(boot: &Boot, name: &str) -> Result<Self> {
+        let mut recording = Self::new(name);
+        LinkRows::new(&mut recording).part(&Part::from(boot), name)?;
+        Ok(recording)
+    }
+}
+
 /// Hands the raw samples of a link to a sink, one start of the device after the other.
 pub(crate) struct LinkRows<'a> {
     sink: &'a mut dyn Sink,
@@ -42,6 +53,8 @@ pub(crate) struct LinkRows<'a> {
     /// Time of the latest sample, ns.
     latest_ns: i64,
     next_sequence: Option<u32>,
+    /// Accelerometers with index 1 and up, and the number of their next sample.
+    further: BTreeMap<u8, (TrackId, Option<u32>)>,
 }
 
 struct Tracks {
@@ -61,6 +74,7 @@ impl<'a> LinkRows<'a> {
             begin: (0, None),
             latest_ns: 0,
             next_sequence: None,
+            further: BTreeMap::new(),
         }
     }
 
@@ -70,15 +84,40 @@ impl<'a> LinkRows<'a> {
     /// `data_refused` when the range changes.
     pub(crate) fn part(&mut self, part: &Part, name: &str) -> Result<()> {
         let samples = part.samples(0, Stream::Raw);
-        if let Some(first) = samples.first() {
+        let further = |sensor: &u8| part.samples(*sensor, Stream::Raw).first();
+        let without = || (self.tracks.as_ref()).and(part.boot.further.keys().find_map(further));
+        if let Some(first) = samples.first().or_else(without) {
             self.rows(part, samples, first.time.0, name)?;
         }
         if let (true, Some(tracks), (_, Some(_))) = (part.is_last, &self.tracks, self.begin) {
             let period_ns = (1e9 / tracks.rate_hz) as i64;
             self.begin = (self.latest_ns.saturating_add(period_ns), None);
             self.next_sequence = None;
+            self.further.values_mut().for_each(|(_, next)| *next = None);
         }
         Ok(())
+    }
+
+    /// The samples of the sensors with index 1 and up; `time_ns` is that of a device time.
+    fn further(&mut self, part: &Part, time_ns: impl Fn(u64) -> i64) {
+        for sensor in part.boot.further.keys() {
+            let samples = part.samples(*sensor, Stream::Raw);
+            if samples.is_empty() {
+                continue;
+            }
+            let sink = &mut *self.sink;
+            let track = || (sink.track(further_track(part.boot, *sensor)), None);
+            let (track, next) = self.further.entry(*sensor).or_insert_with(track);
+            for sample in samples {
+                let is_first = next.is_none() && self.begin.0 == 0;
+                if *next != Some(sample.sequence) && !is_first {
+                    self.sink.gap(*track);
+                }
+                *next = Some(sample.sequence.wrapping_add(1));
+                let value = sample.value.map(f64::from);
+                self.sink.row(*track, time_ns(sample.time.0), &value);
+            }
+        }
     }
 
     fn rows(
@@ -132,6 +171,7 @@ impl<'a> LinkRows<'a> {
                 self.sink.row(track, time, &value.map(f64::from));
             }
         }
+        self.further(part, time_ns);
         Ok(())
     }
 
@@ -184,6 +224,19 @@ impl Tracks {
             temperature,
         }
     }
+}
+
+/// The accelerometer of a sensor with index 1 and up.
+fn further_track(boot: &Boot, sensor: u8) -> TrackInfo {
+    let epochs = boot.further.get(&sensor).map(|track| &track.epochs);
+    let epoch = epochs.and_then(|epochs| Some(epochs.first()?.epoch));
+    let si_per_lsb = epoch.map(|epoch| STANDARD_GRAVITY_MPS2 / epoch.sensitivity_lsb_per_g);
+    let unit = Unit::Counts { si_per_lsb };
+    let name = format!("raw {sensor}");
+    let mut info = TrackInfo::new(name, Quantity::SpecificForce, unit).of_sensor(sensor);
+    info.rate_hz = epoch.map(|epoch| 1e9 / f64::from(epoch.period_ns.max(1)));
+    info.full_scale = epoch.map(|epoch| f64::from(epoch.range_g) * STANDARD_GRAVITY_MPS2);
+    info
 }
 
 /// Refuses epochs of another range than the first one.

@@ -249,6 +249,8 @@ impl Recording {
                 ),
             },
             ([only], None, _) => Ok(only),
+            // A board corrects its first sensor.
+            (_, None, Some(track)) if self.format == super::OF_WIMU => Ok(track),
             (_, Some(_), Some(track)) => Ok(track),
             (_, Some(number), None) => fail(
                 ErrorCode::Usage,

@@ -39,6 +39,7 @@ Examples:
   wimu navigate ranges.csv --anchors anchors.csv --odometry wheels.csv
   wimu navigate imu.csv --ranges ranges.csv --anchors anchors.csv
   wimu navigate /dev/ttyACM0 --ranges tcp://127.0.0.1:9000 --anchors anchors.csv
+  wimu navigate fine.csv coarse.csv --full-scales 2,16
   wimu navigate thigh.csv shank.csv --relative -o angle.csv")]
 pub struct Navigate {
     /// A LINK, or a recording of any format; of other programs: corrected samples, or with --calibration the sensor's
@@ -50,8 +51,8 @@ pub struct Navigate {
     /// Positions a second that are computed while a board sends [default: 10]
     #[arg(long, value_name = "HZ", value_parser = from_to(0.01, 1000.0), help_heading = "Output")]
     pub rate: Option<f64>,
-    /// With --geometry: recordings of further boards on the same body, in the order of the geometry. With --relative: that
-    /// of the second unit
+    /// With --geometry: recordings of further boards on the same body, in the order of the geometry. With --full-scales: those
+    /// of the coarser accelerometers. With --relative: that of the second unit
     #[arg(value_name = "BOARD", requires = "several")]
     pub boards: Vec<PathBuf>,
 
@@ -130,6 +131,17 @@ pub struct Navigate {
         help_heading = "Arrays"
     )]
     pub geometry: Option<PathBuf>,
+    /// Full scale of each accelerometer of a body, ± g: they are merged into one. A recording of wimu has them
+    #[arg(
+        long,
+        value_name = "G,G[,G]",
+        value_delimiter = ',',
+        value_parser = positive,
+        group = "several",
+        conflicts_with_all = ["geometry", "relative", "anchors"],
+        help_heading = "Arrays"
+    )]
+    pub full_scales: Vec<f64>,
     /// Estimate the positions of all axes and the delays of all sensors. Use them and write them to this file if they
     /// predict other parts of the recording better than --geometry does
     #[arg(

@@ -1,12 +1,16 @@
 //! `wimu export`.
 
+use std::path::Path;
+
 use serde::Serialize;
 use wimu_host::calibration::{CalibrationExport, ExportTarget, KalibrNoise, further_sensors};
 use wimu_host::compare::LinkModel;
 use wimu_host::csv::SENSITIVITY;
 use wimu_host::export::{self, ExportSource, ExportStream};
 use wimu_host::finding::{Finding, FindingCode, without_unit};
+use wimu_host::formats::{self, ReadOptions};
 use wimu_host::mcap_file::Wholeness;
+use wimu_host::multi_range::{FullScales, Merge, MergedSensor};
 use wimu_host::plural::counted;
 use wimu_host::ros::{self, Decoded};
 use wimu_host::{HostError, Input, OutputFile, Result};
@@ -36,6 +40,15 @@ struct ExportedCalibration {
     file: Option<String>,
     text: Option<String>,
     /// What the format cannot express.
+    findings: Vec<Finding>,
+}
+
+/// Merged accelerometers.
+#[derive(Serialize)]
+struct Merged {
+    file: String,
+    rows: usize,
+    sensors: Vec<MergedSensor>,
     findings: Vec<Finding>,
 }
 
@@ -72,6 +85,9 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
         output.findings(&decoded.findings);
         output.answer("wimu.export_topics/1", &ExportedTopics { file, decoded });
         return Ok(());
+    }
+    if arguments.merge {
+        return merged(arguments, to, output);
     }
     let stream = match arguments.stream {
         Stream::Raw => ExportStream::Raw,
@@ -113,6 +129,30 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
         findings,
     };
     output.answer("wimu.export/1", &exported);
+    Ok(())
+}
+
+/// Writes merged accelerometers.
+fn merged(arguments: &Export, to: &Path, output: Output) -> Result<()> {
+    let mut load = ReadOptions::default();
+    load.role = arguments.link.map(Into::into);
+    let recording = formats::load(&arguments.input, &load)?;
+    let Some(merge) = Merge::of(&recording, &FullScales::default())? else {
+        return Err(usage(
+            "--merge: there are not two or three accelerometers of different full scale",
+            "`wimu info FILE` lists them",
+        ));
+    };
+    merge.recording.write_table(to)?;
+    let merged = Merged {
+        file: to.display().to_string(),
+        rows: merge.deviations_mps2.len(),
+        sensors: merge.sensors,
+        findings: merge.findings,
+    };
+    output.print(format!("{}: {}", merged.file, counted(merged.rows, "row")));
+    output.findings(&merged.findings);
+    output.answer("wimu.export_merged/1", &merged);
     Ok(())
 }
 

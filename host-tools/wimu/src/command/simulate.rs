@@ -25,6 +25,8 @@ use crate::output::{Output, usage};
 
 /// Time to deliver the last batches after the end of the motion, µs.
 const LINGER_US: u64 = 2_000_000;
+/// Added to the seed for the second sensor.
+const SECOND_SEED: u64 = 0x5EC0;
 /// Device time in which the board erases a lost key, µs: above the longest pause of its store.
 const ERASE_US: u64 = 1_000_000;
 
@@ -60,7 +62,7 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
             .map_err(|error| HostError::file(&path.display().to_string(), "read", &error))?,
         None => Storage::in_memory(),
     };
-    let part = SensorPart::from(arguments.sensor);
+    let (part, second) = sensors(arguments)?;
     let config = BoardConfig {
         // TCP has no baud rate; a slow client makes the board shed telemetry.
         cable: LinkConfig::default(),
@@ -100,7 +102,17 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
             scene.play(0.0, motion.clone());
             let truth = part.random_truth(arguments.seed, Gauge::LowerTriangular);
             let physics = Physics::new(truth, scene.clone(), arguments.seed);
-            (Board::start(config, physics), Some((scene, motion)))
+            let board = match second {
+                Some(second) => {
+                    // Errors and noise of its own.
+                    let seed = arguments.seed.wrapping_add(SECOND_SEED);
+                    let truth = second.random_truth(seed, Gauge::Full);
+                    let other = Physics::new(truth, scene.clone(), seed);
+                    Board::start_pair(config, physics, (second, other))
+                }
+                None => Board::start(config, physics),
+            };
+            (board, Some((scene, motion)))
         }
     };
     if arguments.forget_key {
@@ -204,6 +216,25 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
     }
     output.answer("wimu.simulate-truth/1", &truth);
     Ok(())
+}
+
+/// The sensor, and a second one.
+fn sensors(arguments: &Simulate) -> Result<(SensorPart, Option<SensorPart>)> {
+    use SensorPart::{Adxl345, Lsm303agr};
+    let parts: Vec<SensorPart> = arguments.sensor.iter().map(|s| (*s).into()).collect();
+    match parts[..] {
+        [part] => Ok((part, None)),
+        [first @ Lsm303agr, second @ Adxl345] | [first @ Adxl345, second @ Lsm303agr] => {
+            match arguments.replay {
+                None => Ok((first, Some(second))),
+                Some(_) => Err(usage("--replay replays one sensor", "give one --sensor")),
+            }
+        }
+        _ => Err(usage(
+            "--sensor: these sensors are not simulated on one board",
+            "give one, or lsm303agr,adxl345",
+        )),
+    }
 }
 
 /// The faults of the cable and of the wireless link.

@@ -11,6 +11,7 @@ use wimu_host::inertial::{
     Aided, Choice, Fixes, InertialPath, Method, Move, Profile, Zupt, consistency, navigate,
 };
 use wimu_host::motion::{MotionRecording, TableOptions};
+use wimu_host::multi_range::{FullScales, Merge};
 use wimu_host::plural::counted;
 use wimu_host::{Input, Result};
 
@@ -173,7 +174,20 @@ pub fn calibrated(
     };
     let mut load = arguments.reading.options(false);
     load.stored_zero_count = calibration.and_then(|file| zero_count(file));
-    MotionRecording::of(&formats::load(file, &load)?, &options)
+    let mut recording = formats::load(file, &load)?;
+    if arguments.full_scales.is_empty() {
+        return MotionRecording::of(&recording, &options);
+    }
+    for other in &arguments.boards {
+        recording.add_accelerometer(&formats::load(other, &load)?)?;
+    }
+    let scales = FullScales::of(&arguments.full_scales)?;
+    let Some(merge) = Merge::of(&recording, &scales)? else {
+        return MotionRecording::of(&recording, &options);
+    };
+    let mut motion = MotionRecording::of(&merge.recording, &options)?;
+    motion.findings.splice(0..0, merge.findings);
+    Ok(motion)
 }
 
 /// Computes, prints and writes the path of one unit; returns its object.

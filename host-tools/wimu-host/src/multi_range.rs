@@ -1,0 +1,380 @@
+//! Accelerometers of different full scale on one body, merged by likelihood into one with the noise of the finest and the
+//! range of the widest: equations (220) to (224).
+//!
+//! ```
+//! use wimu_host::multi_range::{FullScales, Merge};
+//! use wimu_host::recording::{Quantity, Recording, Sink, TrackInfo, Unit};
+//!
+//! let mut recording = Recording::new("example");
+//! let tracks = [0, 1].map(|sensor| {
+//!     let info = TrackInfo::new("acc", Quantity::SpecificForce, Unit::Si).of_sensor(sensor);
+//!     recording.track(info)
+//! });
+//! for k in 0..400 {
+//!     let time_s = 0.01 * f64::from(k);
+//!     // Beyond ± 2 g from 3 s on.
+//!     let swing = if k < 300 { 10.0 } else { 40.0 } * (3.0 * time_s).sin();
+//!     let time_ns = i64::from(k) * 10_000_000;
+//!     recording.row(tracks[0], time_ns, &[swing.clamp(-19.6, 19.6), 0.0, 9.8]);
+//!     recording.row(tracks[1], time_ns, &[1.1 * swing + 0.3, 0.0, 9.8]);
+//! }
+//! let merge = Merge::of(&recording, &FullScales::of(&[2.0, 16.0])?)?.expect("two ranges");
+//! let force = merge.recording.first(Quantity::SpecificForce).expect("one accelerometer");
+//! let peak = force.vectors().map(|(_, [x, ..])| x.abs()).fold(0.0, f64::max);
+//! assert!((peak - 40.0).abs() < 0.4);
+//! # Ok::<(), wimu_host::HostError>(())
+//! ```
+
+mod findings;
+mod fit;
+
+use nalgebra::Vector3;
+use serde::Serialize;
+use wimu_model::STANDARD_GRAVITY_MPS2;
+use wimu_nav::sensor::Reading;
+
+use crate::finding::Finding;
+use crate::recording::{Origin, Quantity, Recording, Track, Unit};
+use crate::series::{Series, period_s};
+use crate::{ErrorCode, Result};
+use findings::{judged, saturated, summary};
+use fit::{Clock, Fine, Fit};
+
+/// Most accelerometers of a merge.
+pub const MOST: usize = 3;
+/// Part of the full scale from which on an axis is saturated: 8 bits of ± 128 end at 0.992.
+const RAIL: f64 = 0.99;
+/// Least ratio of two full scales that are different ranges.
+const WIDER: f64 = 1.5;
+/// Full scales that a file does not give, in the order of the accelerometers.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FullScales([Option<f64>; MOST]);
+
+impl FullScales {
+    /// From values in *g*; none where there are none.
+    ///
+    /// # Errors
+    /// `usage` for one value, more than three, or one that is not positive.
+    pub fn of(values_g: &[f64]) -> Result<Self> {
+        let are_positive = values_g.iter().all(|g| g.is_finite() && *g > 0.0);
+        if !are_positive || values_g.len() == 1 || values_g.len() > MOST {
+            return Err(ErrorCode::Usage.error(
+                format!("full scales of two or three accelerometers are needed, got {values_g:?}"),
+                "give them in g, in the order of the accelerometers: 2,16",
+            ));
+        }
+        let mps2 = |k: usize| Some(values_g.get(k)? * STANDARD_GRAVITY_MPS2);
+        Ok(Self(std::array::from_fn(mps2)))
+    }
+
+    fn count(&self) -> usize {
+        self.0.iter().flatten().count()
+    }
+}
+
+/// An accelerometer of a merge.
+#[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
+pub struct MergedSensor {
+    /// Its index in the recording.
+    pub sensor: u8,
+    /// Full scale, m/s².
+    pub full_scale_mps2: f64,
+    /// Noise of a sample, m/s² (1 σ, RMS of the axes).
+    pub noise_mps2: f64,
+    /// Relative to the finer ones; `None` of the finest.
+    pub relative: Option<Relative>,
+    /// Samples in which a finer one was saturated or missing, and it was not.
+    pub stands_in: usize,
+}
+
+/// Calibration of an accelerometer by the finer ones: output = bias + matrix × specific force.
+#[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
+pub struct Relative {
+    /// m/s².
+    pub bias_mps2: [f64; 3],
+    /// Rows.
+    pub matrix: [[f64; 3]; 3],
+    /// Standard deviations of a bias, m/s², and of an element of the matrix, the largest.
+    pub bias_sd_mps2: f64,
+    /// See `bias_sd_mps2`.
+    pub matrix_sd: f64,
+    /// How late its time stamps are in the middle of the recording, s.
+    pub delay_s: f64,
+    /// Its standard deviation, s.
+    pub delay_sd_s: f64,
+    /// How fast its clock is, ppm.
+    pub drift_ppm: f64,
+}
+
+/// Accelerometers merged into one.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct Merge {
+    /// The recording with one accelerometer: axes, scale and errors of the finest, range of the widest. Samples in which all
+    /// are saturated are not numbers.
+    pub recording: Recording,
+    /// Standard deviation of each of its rows, m/s²; NaN where nothing measures.
+    pub deviations_mps2: Vec<[f64; 3]>,
+    /// The accelerometers, the finest first.
+    pub sensors: Vec<MergedSensor>,
+    /// What was found; the first says what was merged.
+    pub findings: Vec<Finding>,
+}
+
+impl Merge {
+    /// Merges the accelerometers of a recording; `None` unless it has two or three whose full scales are known and differ.
+    ///
+    /// # Errors
+    /// `usage` where full scales of another number of accelerometers are given; `data_refused` for accelerometers that do not
+    /// measure one motion, or whose relative rotation is large and not observed.
+    pub fn of(recording: &Recording, given: &FullScales) -> Result<Option<Self>> {
+        let tracks = forces(recording);
+        if given.count() > 0 && given.count() != tracks.len() {
+            let error = ErrorCode::Usage.error(
+                format!("{} full scales for {} accelerometers", given.count(), tracks.len()),
+                "give the full scale of each accelerometer with times, in g: `wimu info FILE` lists them",
+            );
+            return Err(error.at(&recording.name));
+        }
+        let sensor = |(k, track): (usize, &&Track)| Sensor::of(track, given.0.get(k).copied()?);
+        let mut sensors: Vec<Sensor> = tracks.iter().enumerate().filter_map(sensor).collect();
+        sensors.sort_by(|a, b| a.full_scale.total_cmp(&b.full_scale));
+        let [finest, .., widest] = &sensors[..] else {
+            return Ok(None);
+        };
+        let differ = widest.full_scale >= WIDER * finest.full_scale;
+        let are_known = sensors.len() == tracks.len();
+        if given.count() > 0 && !are_known {
+            let error = ErrorCode::UnknownFormat.error(
+                "the unit of an accelerometer is not known",
+                "name it in its columns, as `Accelerometer 0 X (m/s²)` or (g)",
+            );
+            return Err(error.at(&recording.name));
+        }
+        let wanted = differ || given.count() > 0;
+        if !(2..=MOST).contains(&sensors.len()) || !are_known || !wanted {
+            return Ok(None);
+        }
+        let merge = Self::of_sensors(recording, &tracks, &sensors);
+        merge.map(Some).map_err(|error| error.at(&recording.name))
+    }
+
+    fn of_sensors(recording: &Recording, tracks: &[&Track], sensors: &[Sensor]) -> Result<Self> {
+        let (finest, coarser) = (&sensors[0], &sensors[1..]);
+        let mut readings = finest.readings();
+        let mut merged = vec![finest.merged(finest.noise, None, 0)];
+        let mut findings = Vec::new();
+        let mut noise = finest.noise;
+        for coarse in coarser {
+            let fine = Fine {
+                times_s: &finest.series.times_s,
+                readings: &readings,
+                noise,
+            };
+            let fit = fine.fit(&coarse.series, coarse.noise).ok_or_else(|| {
+                ErrorCode::DataRefused.error(
+                    format!(
+                        "accelerometers {} and {} have too few samples in common",
+                        finest.sensor, coarse.sensor
+                    ),
+                    "record both at the same time, some seconds of it within the range of the finer one",
+                )
+            })?;
+            findings.extend(judged(finest, coarse, &fit)?);
+            let (next, stands_in) = combine(&fine, coarse, &fit);
+            merged.push(coarse.merged(fit.noise, Some(relative(&fit)), stands_in));
+            readings = next;
+            noise = std::array::from_fn(|axis| {
+                let (p, q) = (noise[axis], fit.noise[axis]);
+                p * q / (p + q)
+            });
+        }
+        findings.insert(0, summary(&merged));
+        findings.extend(saturated(&readings, sensors));
+        let track = tracks
+            .iter()
+            .find(|track| track.info.sensor == finest.sensor);
+        let widest = sensors[sensors.len() - 1].full_scale;
+        let (recording, deviations_mps2) = finest.replaced(recording, track, &readings, widest);
+        Ok(Self {
+            recording,
+            deviations_mps2,
+            sensors: merged,
+            findings,
+        })
+    }
+}
+
+/// The accelerometers that may be merged, by index.
+fn forces(recording: &Recording) -> Vec<&Track> {
+    let is_output = |track: &&Track| track.info.origin == Origin::Sensor && !track.info.timeless;
+    let mut tracks: Vec<&Track> = recording
+        .of(Quantity::SpecificForce)
+        .filter(is_output)
+        .collect();
+    tracks.sort_by_key(|track| track.info.sensor);
+    tracks
+}
+
+/// An accelerometer.
+struct Sensor {
+    sensor: u8,
+    full_scale: f64,
+    si_per_unit: f64,
+    /// Rows of its track that are in `series`.
+    rows: Vec<usize>,
+    series: Series,
+    noise: [f64; 3],
+}
+
+impl Sensor {
+    /// `None` where its unit or full scale is not known.
+    fn of(track: &Track, given: Option<f64>) -> Option<Self> {
+        let (si_per_unit, step) = match track.info.unit {
+            Unit::Si => (1.0, 0.0),
+            Unit::Counts { si_per_lsb } => (si_per_lsb?, si_per_lsb?),
+            Unit::Unknown => return None,
+        };
+        let full_scale = given.or(track.info.full_scale).filter(|full| *full > 0.0)?;
+        let (mut rows, mut times_s, mut values) = (Vec::new(), Vec::new(), Vec::new());
+        for (row, time_ns) in track.times_ns().iter().enumerate() {
+            let time_s = *time_ns as f64 * 1e-9;
+            let value: [f64; 3] = track.row(row)?.try_into().ok()?;
+            let is_number = value.iter().all(|axis| axis.is_finite());
+            // A masked row of numbers is out of order.
+            let in_order = track.mask()[row] || !is_number;
+            if in_order && times_s.last().is_none_or(|last| time_s > *last) {
+                rows.push(row);
+                times_s.push(time_s);
+                values.push(value.map(|axis| axis * si_per_unit));
+            }
+        }
+        let beyond = |value: &[f64; 3]| value.iter().any(|axis| axis.abs() >= RAIL * full_scale);
+        Some(Self {
+            sensor: track.info.sensor,
+            full_scale,
+            si_per_unit,
+            rows,
+            noise: fit::noise(&values, step),
+            series: Series {
+                saturated: values.iter().map(beyond).collect(),
+                period_s: period_s(&times_s),
+                times_s,
+                values,
+            },
+        })
+    }
+
+    fn readings(&self) -> Vec<[Reading; 3]> {
+        let rail = RAIL * self.full_scale;
+        let reading = |value: &[f64; 3]| {
+            std::array::from_fn(|axis| Reading::new(value[axis], self.noise[axis], rail))
+        };
+        self.series.values.iter().map(reading).collect()
+    }
+
+    fn merged(
+        &self,
+        noise: [f64; 3],
+        relative: Option<Relative>,
+        stands_in: usize,
+    ) -> MergedSensor {
+        MergedSensor {
+            sensor: self.sensor,
+            full_scale_mps2: self.full_scale,
+            noise_mps2: (noise.iter().sum::<f64>() / 3.0).sqrt(),
+            relative,
+            stands_in,
+        }
+    }
+
+    /// The recording with the merged values in place of its track, and without the other accelerometers.
+    fn replaced(
+        &self,
+        recording: &Recording,
+        track: Option<&&Track>,
+        readings: &[[Reading; 3]],
+        widest: f64,
+    ) -> (Recording, Vec<[f64; 3]>) {
+        let count = track.map_or(0, |track| track.len());
+        let mut values = vec![None; count];
+        let mut deviations = vec![[f64::NAN; 3]; count];
+        for (row, readings) in self.rows.iter().zip(readings) {
+            let parts = readings.map(|reading| match reading {
+                Reading::Measured(value, variance) => (value / self.si_per_unit, variance.sqrt()),
+                _ => (f64::NAN, f64::NAN),
+            });
+            values[*row] = Some(parts.map(|(value, _)| value));
+            deviations[*row] = parts.map(|(_, deviation)| deviation);
+        }
+        let merged = recording.with_one_force(self.sensor, &values, widest);
+        (merged, deviations)
+    }
+
+    fn name(&self) -> String {
+        name(self.sensor, self.full_scale)
+    }
+}
+
+fn name(sensor: u8, full_scale_mps2: f64) -> String {
+    format!(
+        "{sensor} (±{:.0} g)",
+        full_scale_mps2 / STANDARD_GRAVITY_MPS2
+    )
+}
+
+/// Merges the coarse accelerometer with the finer side: readings, and samples in which it stands in.
+fn combine(fine: &Fine, coarse: &Sensor, fit: &Fit) -> (Vec<[Reading; 3]>, usize) {
+    let series = fit.clock.corrected(&coarse.series);
+    let mut stands_in = 0;
+    let sampled = series.sampled(fine.times_s).enumerate();
+    let merge = |(k, (value, doubt, limited)): (usize, ([f64; 3], f64, bool))| {
+        let known: [Reading; 3] = fine.readings[k];
+        if limited || value.iter().any(|axis| !axis.is_finite()) {
+            return known;
+        }
+        // Errors of interpolation, of which half is the difference of two parabolas, and of the time.
+        let (force, calibration) = fit.model.to_fine(&Vector3::from(value), 0.0);
+        let timing = fit.clock.variance(fine.times_s[k]);
+        let jerk = slope(&series, fine.times_s[k]).unwrap_or_else(Vector3::zeros);
+        let is_measured = |reading: &Reading| matches!(reading, Reading::Measured(..));
+        stands_in += usize::from(!known.iter().all(is_measured));
+        std::array::from_fn(|axis| {
+            let errors = calibration[axis] + (2.0 * doubt).powi(2) + timing * jerk[axis].powi(2);
+            let coarse = Reading::new(force[axis], fit.noise[axis] + errors, f64::INFINITY);
+            known[axis].merge(coarse)
+        })
+    };
+    let readings = sampled.map(merge).collect();
+    (readings, stands_in)
+}
+
+/// Change of the coarse accelerometer's output around a time, m/s³.
+fn slope(series: &Series, time_s: f64) -> Option<Vector3<f64>> {
+    let after = series.times_s.partition_point(|time| *time <= time_s);
+    let [from, to] = [after.checked_sub(1)?, after];
+    let change = Vector3::from(*series.values.get(to)?) - Vector3::from(series.values[from]);
+    let slope = change / (series.times_s[to] - series.times_s[from]);
+    slope.iter().all(|axis| axis.is_finite()).then_some(slope)
+}
+
+fn relative(fit: &Fit) -> Relative {
+    let sd = fit.model.covariance.diagonal().map(f64::sqrt);
+    let Clock {
+        delay_s,
+        delay_sd_s,
+        drift,
+        ..
+    } = fit.clock;
+    Relative {
+        bias_mps2: fit.model.bias_mps2.into(),
+        matrix: fit.model.matrix.transpose().into(),
+        bias_sd_mps2: sd[0],
+        matrix_sd: sd[1].max(sd[2]).max(sd[3]),
+        delay_s,
+        delay_sd_s,
+        drift_ppm: drift * 1e6,
+    }
+}

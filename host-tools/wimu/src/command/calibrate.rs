@@ -93,7 +93,7 @@ pub fn read_calibrated(
         }
         Input::Link(_) => {
             let mut client = connect_for(input, push)?;
-            let set = given.map_or_else(|| params::held(&mut client), |set| Ok(Some(set)))?;
+            let set = given.map_or_else(|| client.held_parameters(), |set| Ok(Some(set)))?;
             let set = checked(set)?;
             Ok((listen(&mut client, &set)?, set, Some(client)))
         }

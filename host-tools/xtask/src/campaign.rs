@@ -114,7 +114,7 @@ struct Run {
     sources: &'static [&'static str],
 }
 
-pub const CAMPAIGNS: [Campaign; 11] = [
+pub const CAMPAIGNS: [Campaign; 12] = [
     Campaign {
         name: "arithmetic",
         about: "corrector and integrator against f64 and exact integers",
@@ -302,6 +302,17 @@ pub const CAMPAIGNS: [Campaign; 11] = [
                 sources: &CLOCKS,
             },
         ],
+    },
+    Campaign {
+        name: "dashboard",
+        about: "the dashboard in Chromium: latency, load, memory, a recording of 1 GB; its pictures",
+        runs: &[Run {
+            command: "test --release -p wimu --test all -- --include-ignored --test-threads=1 --nocapture dashboard::",
+            sources: &[
+                "host-tools/wimu/src/command/dashboard",
+                "host-tools/wimu/tests/dashboard",
+            ],
+        }],
     },
     Campaign {
         name: "python",

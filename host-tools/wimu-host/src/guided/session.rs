@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use wimu_calib::{Face, Orientation, Phase};
 use wimu_link::Hello;
+use wimu_model::{ParameterId, ParameterSet};
 
 use super::poses::{LivePoses, News, Plan, Uncertainty};
 use crate::Result;
@@ -19,13 +20,21 @@ use crate::transport::Transport;
 /// Poses that are added at a time. Chosen: a third of the usual number.
 pub const MORE: usize = 4;
 /// File of the calibration where none was named.
-const DEFAULT_FILE: &str = "wimu-calibration.json";
+pub const DEFAULT_FILE: &str = "wimu-calibration.json";
 
-/// The file with the poses of a session whose calibration goes to `output`.
-pub fn poses_file(output: Option<&Path>) -> PathBuf {
-    output
-        .unwrap_or(Path::new(DEFAULT_FILE))
-        .with_extension("poses.csv")
+/// The file with the poses of a session whose calibration goes to `file`.
+pub fn poses_file(file: &Path) -> PathBuf {
+    file.with_extension("poses.csv")
+}
+
+/// Writes a calibration to a board, signed if this computer has its key, and verifies that the board holds it.
+///
+/// # Errors
+/// Those of [`KeyFolder::candidates`], [`Client::use_key_among`] and [`Client::push_verified`].
+pub fn push<T: Transport>(client: &mut Client<T>, set: &ParameterSet) -> Result<ParameterId> {
+    let known = KeyFolder::of_user()?.candidates(client.hello().device_id)?;
+    client.use_key_among(&known)?;
+    client.push_verified(set)
 }
 
 /// Whether the board rests.
@@ -83,11 +92,12 @@ pub struct Guided {
     options: CalibrateOptions,
     name: String,
     /// File of the poses.
+    poses_file: PathBuf,
+    /// File of the calibration.
     file: PathBuf,
-    /// File of the calibration that was named.
-    output: Option<PathBuf>,
-    /// File of the calibration, once it is written.
-    written: Option<PathBuf>,
+    /// Whether a usable result is written at once.
+    pub writes: bool,
+    written: bool,
     /// Whether a file of an earlier session may be overwritten.
     overwrite: bool,
     /// Why the poses could not be saved.
@@ -101,8 +111,7 @@ pub struct Guided {
 }
 
 impl Guided {
-    /// A session of `count` poses (12 if `None`) of the board `hello` at the link `name`. A usable result is written to
-    /// `output` at once where it is named.
+    /// A session of `count` poses (12 if `None`) of the board `hello` at the link `name`, whose calibration goes to `file`.
     ///
     /// # Errors
     /// Those of [`Plan::new`].
@@ -111,10 +120,10 @@ impl Guided {
         count: Option<usize>,
         hello: &Hello,
         name: &str,
-        output: Option<&Path>,
+        file: &Path,
     ) -> Result<Self> {
         let plan = Plan::new(&options, count, hello)?;
-        let file = poses_file(output);
+        let poses_file = poses_file(file);
         let mut view = GuidedView {
             device: format!(
                 "{} with {}, {} link",
@@ -124,17 +133,18 @@ impl Guided {
             wanted: plan.count,
             ..GuidedView::default()
         };
-        view.resumable = file.exists();
+        view.resumable = poses_file.exists();
         view.message = match view.resumable {
-            true => format!("{} has poses of an earlier session", file.display()),
+            true => format!("{} has poses of an earlier session", poses_file.display()),
             false => "hold the board as drawn on the left, or in any other orientation".to_owned(),
         };
         Ok(Self {
             options,
             name: name.to_owned(),
-            file,
-            output: output.map(Path::to_owned),
-            written: None,
+            poses_file,
+            file: file.to_owned(),
+            writes: false,
+            written: false,
             overwrite: false,
             unsaved: None,
             live: LivePoses::new(plan, hello),
@@ -149,9 +159,9 @@ impl Guided {
     /// # Errors
     /// Those of [`LivePoses::resume`].
     pub fn resume(&mut self) -> Result<()> {
-        self.live.resume(&self.file)?;
+        self.live.resume(&self.poses_file)?;
         self.view.resumable = false;
-        self.view.message = format!("continuing the poses in {}", self.file.display());
+        self.view.message = format!("continuing the poses in {}", self.poses_file.display());
         self.uncertainty();
         Ok(())
     }
@@ -183,7 +193,10 @@ impl Guided {
                 any = true;
                 if std::mem::take(&mut self.view.resumable) {
                     // The poses of an earlier session are kept.
-                    let _ = std::fs::rename(&self.file, self.file.with_extension("old.csv"));
+                    let _ = std::fs::rename(
+                        &self.poses_file,
+                        self.poses_file.with_extension("old.csv"),
+                    );
                 }
                 self.save();
             }
@@ -195,11 +208,11 @@ impl Guided {
     /// Saves the poses after a change.
     fn save(&mut self) {
         if self.live.poses().is_empty() {
-            let _ = std::fs::remove_file(&self.file);
+            let _ = std::fs::remove_file(&self.poses_file);
             return;
         }
         let recording = self.live.recording(&self.name);
-        let saved = recording.and_then(|all| all.write_table(&self.file));
+        let saved = recording.and_then(|all| all.write_table(&self.poses_file));
         self.unsaved = saved.err().map(|error| error.to_string());
         if let Some(error) = &self.unsaved {
             self.view.message = format!("the poses are not saved: {error}");
@@ -258,7 +271,7 @@ impl Guided {
                 self.view.pushed = false;
                 self.report = Some(report);
                 self.view.message = String::new();
-                if self.view.usable && self.output.is_some() {
+                if self.view.usable && self.writes {
                     self.write(false);
                 }
             }
@@ -281,8 +294,8 @@ impl Guided {
 
     /// Writes the calibration; a file of an earlier session only once it was `asked` for twice.
     pub fn write(&mut self, asked: bool) {
-        let path = self.output.as_deref().unwrap_or(Path::new(DEFAULT_FILE));
-        if asked && self.written.is_none() && path.exists() && !self.overwrite {
+        let path = &self.file;
+        if asked && !self.written && path.exists() && !self.overwrite {
             self.overwrite = true;
             self.view.message = format!("{} exists: write again to overwrite it", path.display());
             return;
@@ -294,7 +307,7 @@ impl Guided {
             Ok(()) => format!("written to {}", path.display()),
             Err(error) => format!("not written: {}; {}", error.message(), error.remedy()),
         };
-        self.written = Some(path.to_owned());
+        self.written = true;
     }
 
     /// Writes the result to the board, signed if this computer has its key.
@@ -306,11 +319,7 @@ impl Guided {
         else {
             return;
         };
-        let device = client.hello().device_id;
-        let known = KeyFolder::of_user().and_then(|folder| folder.candidates(device));
-        let pushed = known
-            .and_then(|known| client.use_key_among(&known))
-            .and_then(|_| client.push_verified(set));
+        let pushed = push(client, set);
         self.view.message = match &pushed {
             Ok(id) => format!("pushed {id}"),
             Err(error) => format!("not pushed: {}; {}", error.message(), error.remedy()),
@@ -345,8 +354,8 @@ impl Guided {
     /// one.
     pub fn end(&self) -> Option<String> {
         if self.report.is_some() {
-            if self.view.pushed || self.written.is_some() {
-                let _ = std::fs::remove_file(&self.file);
+            if self.view.pushed || self.written {
+                let _ = std::fs::remove_file(&self.poses_file);
             }
             return None;
         }
@@ -355,7 +364,7 @@ impl Guided {
             (count, None) => format!(
                 "{} saved in {}; --resume continues there",
                 crate::plural::counted(count, "pose"),
-                self.file.display()
+                self.poses_file.display()
             ),
             (_, Some(error)) => format!("the poses are not saved: {error}"),
         })
@@ -368,7 +377,7 @@ impl Guided {
 
     /// File of the calibration, once it is written.
     pub fn written(&self) -> Option<&Path> {
-        self.written.as_deref()
+        self.written.then_some(&*self.file)
     }
 }
 

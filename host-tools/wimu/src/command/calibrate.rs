@@ -223,7 +223,7 @@ fn update(arguments: &Calibrate, output: Output) -> Result<u8> {
 }
 
 /// Now, s since 1970 UTC.
-fn utc_s() -> Option<u64> {
+pub fn utc_s() -> Option<u64> {
     let since = SystemTime::now().duration_since(UNIX_EPOCH);
     since.ok().map(|since| since.as_secs())
 }

@@ -1,5 +1,6 @@
 //! `wimu calibrate LINK` on a screen.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
@@ -7,7 +8,7 @@ use std::time::Duration;
 
 use wimu_host::calibration::CalibrateOptions;
 use wimu_host::clock::Pace;
-use wimu_host::guided::Guided;
+use wimu_host::guided::{DEFAULT_FILE, Guided};
 use wimu_host::live::{LiveClient, LiveLinks, Tap};
 use wimu_host::{LinkUrl, Result};
 
@@ -24,9 +25,14 @@ const GLANCE: Duration = Duration::from_millis(20);
 pub fn run(arguments: &Calibrate, options: &CalibrateOptions, output: Output) -> Result<u8> {
     let client = connect_for(&arguments.input, arguments.push)?;
     let hello = *client.hello();
-    let (name, file) = (client.name().to_owned(), arguments.output.as_deref());
+    let name = client.name().to_owned();
+    let file = arguments
+        .output
+        .as_deref()
+        .unwrap_or(Path::new(DEFAULT_FILE));
     let count = arguments.count.map(usize::from);
     let mut guided = Guided::new(options.clone(), count, &hello, &name, file)?;
+    guided.writes = arguments.output.is_some();
     if arguments.resume {
         guided.resume()?;
     }

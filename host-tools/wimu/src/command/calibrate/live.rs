@@ -1,5 +1,6 @@
 //! Poses of a live board with instructions in text.
 
+use std::path::Path;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc;
 use std::time::Duration;
@@ -7,7 +8,7 @@ use std::time::Duration;
 use wimu_calib::Face;
 use wimu_host::Result;
 use wimu_host::calibration::CalibrateOptions;
-use wimu_host::guided::{LivePoses, News, Plan, poses_file};
+use wimu_host::guided::{DEFAULT_FILE, LivePoses, News, Plan, poses_file};
 use wimu_host::recording::Recording;
 
 use crate::arguments::Calibrate;
@@ -41,12 +42,10 @@ pub fn collect(
         Plan::new(options, arguments.count.map(usize::from), client.hello())?,
         client.hello(),
     );
-    let file = arguments
-        .output
-        .as_deref()
-        .map(|path| poses_file(Some(path)));
+    let file = arguments.output.as_deref().map(poses_file);
     if arguments.resume {
-        live.resume(&poses_file(arguments.output.as_deref()))?;
+        let poses = poses_file(Path::new(DEFAULT_FILE));
+        live.resume(file.as_ref().unwrap_or(&poses))?;
     }
     output.print(match live.plan {
         Plan { six: true, .. } => {

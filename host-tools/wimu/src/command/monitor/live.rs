@@ -1,6 +1,6 @@
 //! The screen of `wimu monitor`: state, keys and links.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 
@@ -11,7 +11,7 @@ use wimu_host::decode::Event;
 use wimu_host::live::{Heard, LiveLinks, Tap};
 use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
 use wimu_host::monitor::{LinkHealth, Reading, Readings, Traffic};
-use wimu_host::{LinkUrl, Result, transport};
+use wimu_host::{LinkUrl, Result, recorder, transport};
 use wimu_model::ParameterSet;
 
 use super::{Line, cause};
@@ -288,11 +288,7 @@ impl Live {
 
     /// Records everything from now on, in a new file in the current folder.
     fn record(&mut self, links: &LiveLinks) -> Result<()> {
-        let name = |number: u32| PathBuf::from(format!("wimu-{number}.mcap"));
-        let path = (1..)
-            .map(name)
-            .find(|path| !path.exists())
-            .unwrap_or_default();
+        let path = recorder::free_name(Path::new(""));
         let writer = RecordingWriter::create(&path, ClockAnchor::now(transport::now()))?;
         self.view.recording = Some(path.display().to_string());
         self.view.message = format!("recording all links to {}", path.display());

@@ -84,7 +84,8 @@ class WimuPlot {
   // The range of the data: of both axes, after the logarithm; in space the centre and half the width of a cube.
   extent() {
     const { chart, series } = this;
-    const data = series.some((one) => !one.guide) ? series.filter((one) => !one.guide) : series;
+    // In space a guide is an ellipsoid, which is to be seen whole.
+    const data = !chart.space && series.some((one) => !one.guide) ? series.filter((one) => !one.guide) : series;
     const span = (key) => {
       let low = Infinity, high = -Infinity;
       for (const one of data) for (const v of one[key]) if (isFinite(v)) { low = Math.min(low, v); high = Math.max(high, v); }

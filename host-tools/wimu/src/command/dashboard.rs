@@ -10,8 +10,9 @@ mod replay;
 mod samples;
 mod server;
 
+use std::collections::BTreeSet;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::mpsc::{self, Sender};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
@@ -21,7 +22,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 use wimu_host::live::{LiveClient, Tap};
 use wimu_host::transport;
-use wimu_host::{ErrorCode, Input, LinkUrl, Result, client};
+use wimu_host::{ErrorCode, HostError, Input, LinkUrl, Result, client};
 
 use self::access::Token;
 use self::actions::{Action, Job};
@@ -58,6 +59,7 @@ pub fn run(arguments: &Dashboard, output: Output) -> Result<()> {
         token: Token::generate()?,
         open_reads: server.address().ip().is_loopback(),
         boards: Mutex::default(),
+        waiting: Mutex::default(),
     });
     desk.hub.publish(
         "about",
@@ -71,7 +73,11 @@ pub fn run(arguments: &Dashboard, output: Output) -> Result<()> {
         desk.connect(link);
     }
     for file in files {
-        desk.open(&file.display().to_string(), &file)?;
+        let name = file.display().to_string();
+        desk.open(&name, &file);
+        if let Input::Recording(path) = Input::parse(&name)? {
+            desk.play(&name, &path)?;
+        }
     }
     let url = url(server.address(), desk.token.text());
     server.run(desk.hub.clone(), Arc::new(desk.clone()));
@@ -142,6 +148,10 @@ enum General {
     Connect {
         link: String,
     },
+    /// Give up a link that does not answer.
+    Forget {
+        link: String,
+    },
     Ports,
     Files,
     /// Show what a file holds.
@@ -170,6 +180,8 @@ struct Desk {
     /// Whether a page without the token may read.
     open_reads: bool,
     boards: Mutex<Vec<Seat>>,
+    /// Links that do not answer yet.
+    waiting: Mutex<BTreeSet<String>>,
 }
 
 impl Desk {
@@ -177,28 +189,45 @@ impl Desk {
         self.boards.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Connects in a thread, again and again until the link answers.
+    fn waiting(&self) -> std::sync::MutexGuard<'_, BTreeSet<String>> {
+        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Connects in a thread, again and again until the link answers or is given up.
     fn connect(self: &Arc<Self>, link: LinkUrl) {
-        let (desk, topic) = (self.clone(), format!("link/{link}"));
+        let (desk, name) = (self.clone(), link.to_string());
+        if !self.waiting().insert(name.clone()) {
+            return;
+        }
+        let topic = format!("link/{name}");
+        self.hub
+            .publish(&topic, &json!({"link": name, "error": null}));
         thread::spawn(move || {
-            let name = link.to_string();
-            desk.hub
-                .publish(&topic, &json!({"link": name, "error": null}));
+            let connected = || {
+                let client = client::connect(&link)?;
+                Ok((client.name().parse()?, client))
+            };
             loop {
-                let error = match client::connect(&link) {
-                    Ok(client) => match client.name().parse() {
-                        Ok(url) => {
-                            desk.hub.withdraw(&topic);
-                            return desk.seat(url, client.map_transport(Tap::on));
-                        }
-                        Err(error) => error,
-                    },
-                    Err(error) => error,
-                };
-                desk.hub
-                    .publish(&topic, &json!({"link": name, "error": failure(&error)}));
-                thread::sleep(TRY_EVERY);
+                let outcome = connected();
+                // A link that was given up meanwhile is closed again.
+                if !desk.waiting().contains(&name) {
+                    break;
+                }
+                match outcome {
+                    Ok((url, client)) => {
+                        desk.waiting().remove(&name);
+                        desk.seat(url, client.map_transport(Tap::on));
+                        break;
+                    }
+                    Err(error) => {
+                        let error: HostError = error;
+                        let value = json!({"link": name, "error": failure(&error)});
+                        desk.hub.publish(&topic, &value);
+                        thread::sleep(TRY_EVERY);
+                    }
+                }
             }
+            desk.hub.withdraw(&topic);
         });
     }
 
@@ -244,29 +273,43 @@ impl Desk {
     }
 
     /// Shows what a file holds, read in a thread of its own.
-    fn open(self: &Arc<Self>, name: &str, path: &Path) -> Result<()> {
-        let (desk, name, path): (_, _, PathBuf) = (self.clone(), name.to_owned(), path.to_owned());
+    fn open(self: &Arc<Self>, name: &str, path: &Path) {
+        let (desk, name, path) = (self.clone(), name.to_owned(), path.to_owned());
         thread::spawn(move || folder::show(&desk.hub, &format!("file/{name}"), &name, &path));
+    }
+
+    /// Replays a recording of wimu.
+    fn play(&self, name: &str, path: &Path) -> Result<()> {
+        let player = Player::open(path)?;
+        let mut boards = self.boards();
+        self.sit(&mut boards, name, None, Vec::new(), |board, jobs| {
+            board.replay(player, &jobs);
+        });
         Ok(())
+    }
+
+    fn has_room(&self) -> Result<()> {
+        let is_running = |seat: &&Seat| seat.thread.as_ref().is_some_and(|one| !one.is_finished());
+        let count = self.boards().iter().filter(is_running).count() + self.waiting().len();
+        match count < MOST_BOARDS {
+            true => Ok(()),
+            false => Err(usage("there are too many boards", "close one of them")),
+        }
     }
 
     fn general(self: &Arc<Self>, what: General) -> Result<serde_json::Value> {
         match what {
             General::Hello => {}
-            General::Connect { link } => match Input::parse(&link)? {
-                Input::Link(url) if self.boards().len() < MOST_BOARDS => self.connect(url),
-                Input::Link(_) => {
-                    return Err(usage(
-                        "there are too many boards",
-                        "start the dashboard again",
-                    ));
-                }
-                _ => {
-                    return Err(usage(
-                        "this is no LINK",
-                        "give tcp://HOST:PORT, a serial port or auto",
-                    ));
-                }
+            General::Connect { link } => {
+                let Input::Link(url) = Input::parse(&link)? else {
+                    let remedy = "give tcp://HOST:PORT, a serial port or auto";
+                    return Err(usage("this is no LINK", remedy));
+                };
+                self.has_room()?;
+                self.connect(url);
+            }
+            General::Forget { link } => {
+                self.waiting().remove(&link);
             },
             General::Ports => {
                 let ports = transport::ports()?;
@@ -275,13 +318,10 @@ impl Desk {
                 ));
             }
             General::Files => self.hub.publish("files", &self.folder.list()),
-            General::Open { file } => self.open(&file, &self.folder.file(&file)?)?,
+            General::Open { file } => self.open(&file, &self.folder.file(&file)?),
             General::Play { file } => {
-                let player = Player::open(&self.folder.file(&file)?)?;
-                let mut boards = self.boards();
-                self.sit(&mut boards, &file, None, Vec::new(), |board, jobs| {
-                    board.replay(player, &jobs);
-                });
+                self.has_room()?;
+                self.play(&file, &self.folder.file(&file)?)?;
             }
         }
         Ok(serde_json::Value::Null)

@@ -6,6 +6,8 @@ use std::path::Path;
 use std::thread;
 use std::time::{Duration, Instant};
 
+use wimu_testkit::figure;
+
 use super::Served;
 use super::browser::{Browser, COUNT};
 use crate::kit::{Simulator, folder, record_motion};
@@ -51,18 +53,19 @@ fn two_boards_at_1_khz() {
         .filter_map(|ms| ms.as_f64())
         .collect();
     let at = |part: f64| all[((all.len() - 1) as f64 * part) as usize];
-    println!(
-        "latency from arrival to picture at 2 x 1 kHz: median {:.0} ms, 95 % {:.0} ms, largest {:.0} ms",
-        at(0.5),
+    let measured = format!(
+        "{:.0} ms (95 %), median {:.0}, largest {:.0}",
         at(0.95),
+        at(0.5),
         at(1.0)
     );
+    let claim = "dashboard: arrival of a sample to its picture, 2 × 1 kHz";
+    figure(claim, measured, "≤ 100 ms", at(0.95) <= 100.0);
     if let (Some(before), Some(after)) = (before, used(served.process.id())) {
-        println!(
-            "CPU of the server: {:.1} % of a core; memory {:.0} MB",
-            100.0 * (after.0 - before.0) / seconds,
-            after.1
-        );
+        let percent = 100.0 * (after.0 - before.0) / seconds;
+        let measured = format!("{percent:.1} % of a core, {:.0} MB", after.1);
+        let claim = "dashboard: load of the server, 2 × 1 kHz";
+        figure(claim, measured, "≤ 20 %", percent <= 20.0);
     }
     let size: usize = ["/", "/style.css", "/plot.js", "/dashboard.js"]
         .map(|path| {
@@ -72,8 +75,8 @@ fn two_boards_at_1_khz() {
         })
         .into_iter()
         .sum();
-    println!("size of the page: {:.0} kB", size as f64 / 1e3);
-    assert!(at(0.95) <= 100.0 && size < 2_000_000);
+    let measured = format!("{:.0} kB", size as f64 / 1e3);
+    figure("dashboard: size of the page", measured, "≤ 2 MB", size <= 2_000_000);
 }
 
 #[test]
@@ -89,15 +92,15 @@ fn the_page_does_not_grow_in_a_fast_hour() {
     browser.until(&tab, &format!("{COUNT} > 1000"));
     let time = "[...boards.values()][0].ring.last()";
     let from = browser.value(&tab, time).as_f64().unwrap();
-    let mut text = "heap of the page, MB:".to_owned();
+    let mut text = "MB:".to_owned();
     let mut heaps = Vec::new();
     for minute in 1..=6 {
         browser.until(&tab, &format!("{time} - {from} > {}", minute * 600));
         heaps.push(browser.heap_bytes(&tab) / 1e6);
         write!(text, " {:.1}", heaps[heaps.len() - 1]).unwrap();
     }
-    println!("{text} after each ten minutes of a simulated hour");
-    assert!(heaps[5] < heaps[1] + 3.0, "{text}");
+    let claim = "dashboard: heap of the page after each 10 min of a simulated hour";
+    figure(claim, text, "bounded", heaps[5] < heaps[1] + 3.0);
 }
 
 #[test]
@@ -145,15 +148,12 @@ fn a_recording_of_1_gb_is_shown_in_little_memory() {
         .as_array()
         .unwrap()
         .len();
-    println!(
-        "{:.2} GB: {:.0} s, {points} points a curve",
-        bytes as f64 * 1e-9,
-        began.elapsed().as_secs_f64()
-    );
-    if let Some((_, peak)) = used(served.process.id()) {
-        println!("largest memory of the server: {peak:.0} MB");
-        assert!(peak < 300.0);
-    }
+    let peak = used(served.process.id()).map_or(0.0, |(_, peak)| peak);
+    let (gigabytes, seconds) = (bytes as f64 * 1e-9, began.elapsed().as_secs_f64());
+    let measured = format!("{gigabytes:.2} GB in {seconds:.0} s, server at most {peak:.0} MB");
+    assert!((1000..10_000).contains(&points));
+    let claim = "dashboard: a large table is shown decimated";
+    figure(claim, measured, "≤ 300 MB", peak <= 300.0);
 }
 
 #[test]

@@ -173,7 +173,11 @@ impl Board {
                 self.path = Path3::default();
             }
             Action::Zero => self.path.zero(),
-            Action::Pause | Action::Speed { .. } | Action::Seek { .. } => play(feed, &action)?,
+            Action::Pause | Action::Speed { .. } => play(feed, &action)?,
+            Action::Seek { .. } => {
+                play(feed, &action)?;
+                self.begin_again();
+            }
             action => self.guide(&action)?,
         }
         Ok(())

@@ -286,6 +286,13 @@ impl Board {
         }
     }
 
+    /// The data continue none before.
+    pub fn begin_again(&mut self) {
+        self.readings = Readings::new();
+        self.samples.restart();
+        self.path = Path3::default();
+    }
+
     fn event(&mut self, event: &Event, host_ns: u64) {
         match event {
             Event::Device { time, event } => {
@@ -293,8 +300,7 @@ impl Board {
             }
             Event::Restart { .. } => {
                 self.message = "the device has restarted".to_owned();
-                self.samples.restart();
-                self.path = Path3::default();
+                self.begin_again();
             }
             Event::Hello(hello) => {
                 if self.message == "the device has restarted" {

@@ -13,8 +13,8 @@ use super::hub::{Hub, failure};
 const PICTURE: Duration = Duration::from_millis(500);
 /// Most files that are listed.
 const MOST_LISTED: usize = 500;
-const KNOWN: [&str; 12] = [
-    "mcap", "csv", "txt", "json", "bag", "db3", "ulg", "bin", "bbl", "bfl", "zip", "log",
+const KNOWN: [&str; 11] = [
+    "mcap", "csv", "txt", "json", "bag", "db3", "ulg", "bin", "bbl", "bfl", "zip",
 ];
 
 /// A folder, and files besides.

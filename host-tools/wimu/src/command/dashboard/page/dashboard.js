@@ -5,7 +5,7 @@ const $ = (id) => document.getElementById(id);
 // An element with properties or attributes, and its children.
 const el = (tag, given = {}, ...children) => {
   const made = document.createElement(tag);
-  for (const [name, value] of Object.entries(given)) name in made ? (made[name] = value) : made.setAttribute(name, value);
+  for (const [name, value] of Object.entries(given)) name in made && name !== "list" ? (made[name] = value) : made.setAttribute(name, value);
   made.append(...children.filter((child) => child !== null && child !== undefined));
   return made;
 };
@@ -81,9 +81,17 @@ let listed = [], paused = false;
 
 const topics = {
   about: (about) => { document.title = `wimu dashboard ${about.version}`; topics.folder = about.folder; },
-  files: (list) => { listed = list; drawView(true); },
+  files: (list) => {
+    listed = list;
+    $("tables").replaceChildren(...list.filter((file) => /\.csv$/i.test(file.name)).map((file) => el("option", { value: file.name })));
+    drawView(true);
+  },
   link: (link, name) => { links.set(name, link); drawView(true); },
-  file: (file, name) => { files.set(name, file); drawView(true); },
+  file: (file, name) => {
+    files.set(name, file);
+    if (!boards.size && !links.size && view === "live") choose("files");
+    drawView(true);
+  },
 };
 
 function board(index) {
@@ -352,7 +360,7 @@ function liveCard(board) {
   };
   const cells = new Map();
   const cell = (name, value) => {
-    if (!cells.has(name)) { const dd = el("dd"); cells.set(name, dd); figures.append(el("div", {}, el("dt", { textContent: name }), dd)); }
+    if (!cells.has(name)) { const dd = el("dd"); cells.set(name, dd); figures.append(el("div", { className: /x, y, z|state/.test(name) ? "wide" : "" }, el("dt", { textContent: name }), dd)); }
     text(cells.get(name), value);
   };
   const draw = () => {
@@ -375,7 +383,7 @@ function liveCard(board) {
       if (line.phase) cell("state", line.phase + (line.valid ? "" : ", not valid"));
     }
     if (!paused && ring.count && ring.v.length) {
-      curves(force, line?.corrected ? "Specific force, corrected" : "Specific force", "m/s²", [0, 1, 2, 3], ["X", "Y", "Z", "|f|"]);
+      curves(force, board.parameters?.calibrated && line?.corrected ? "Specific force, corrected" : "Specific force", "m/s²", [0, 1, 2, 3], ["X", "Y", "Z", "|f|"]);
       if (ring.v.length > 4) {
         rate ??= plotIn(plots, { title: "Angular rate", x: "time, s", y: "rad/s", series: [] });
         curves(rate, "Angular rate", "rad/s", [4, 5, 6], ["X", "Y", "Z"]);
@@ -467,7 +475,7 @@ function noiseCard(board) {
     if (board.noise && board.noise !== shown) {
       shown = board.noise;
       text(words, shown.text);
-      if (shown.chart) { plot ??= plotIn(plots, shown.chart); plot.set(shown.chart); }
+      if (shown.chart?.series[0].x.length) { plot ??= plotIn(plots, shown.chart); plot.set(shown.chart); }
     }
   };
   return { element: el("article", {}, top.element, el("div", { className: "row" }, start, again), words, plots), draw };
@@ -507,7 +515,7 @@ function calibrateCard(board) {
       el("button", { textContent: "With each of six sides up", onclick: () => board.ask({ do: "calibrate", six: true }) })));
   const picture = (caption) => { const canvas = el("canvas", { role: "img", ariaLabel: caption }); return [canvas, el("figure", {}, el("h3", { textContent: caption }), canvas)]; };
   const [[next, nextFigure], [now, nowFigure], [sphere, sphereFigure]] = ["next: hold it like this", "now", "poses"].map(picture);
-  const count = el("h3"), instruction = el("p", { className: "instruction" }), message = el("p", { className: "soft" });
+  const count = el("h3"), instruction = el("p", { className: "instruction" }), message = el("p", { className: "soft", ariaLive: "polite" });
   const bar = (name) => { const progress = el("progress", { max: 1, ariaLabel: name }), words = el("span"); return { progress, words, element: el("div", { className: "bar" }, progress, words) }; };
   const [tilt, hold] = [bar("Tilt towards the next pose"), bar("Time at rest")];
   const sd = table(["standard deviation", "X", "Y", "Z"]), fit = el("p", { className: "soft" }), resume = button("resume", "Resume the earlier session");
@@ -516,7 +524,7 @@ function calibrateCard(board) {
   poses.append(el("div", { className: "pictures" }, nextFigure, nowFigure, sphereFigure), count, instruction, tilt.element, hold.element, message,
     el("div", { className: "row" }, resume, button("undo", "Undo"), button("skip", "Skip"), button("finish", "Finish now"), button("end_calibration", "Stop, keep the poses")),
     sd.element, fit, course);
-  const words = el("pre"), verdict = el("p", { className: "instruction" }), told = el("p", { className: "soft" });
+  const words = el("pre"), verdict = el("p", { className: "instruction", ariaLive: "polite" }), told = el("p", { className: "soft", ariaLive: "polite" });
   const push = button("push", "Push to the board", true), write = button("write_file", "Write a file"), more = button("more", "More poses");
   result.append(verdict, told, el("div", { className: "row" }, push, write, more, button("end_calibration", "Done")), words);
   const draw = () => {
@@ -627,8 +635,8 @@ function fileList() {
     body.key = key;
     body.replaceChildren(...listed.filter((file) => !/\.json$/i.test(file.name)).map((file) => el("tr", {},
       el("td", { textContent: file.name }), el("td", { textContent: size(file.bytes) }),
-      el("td", {}, el("button", { textContent: "Show", onclick: () => act({ do: "open", file: file.name }) }),
-        /\.mcap$/i.test(file.name) ? el("button", { textContent: "Replay", onclick: () => act({ do: "open", file: file.name }).then(() => act({ do: "play", file: file.name })).then(() => choose("live")) }) : null))));
+      el("td", {}, el("div", { className: "row end" }, el("button", { textContent: "Show", onclick: () => act({ do: "open", file: file.name }) }),
+        /\.mcap$/i.test(file.name) ? el("button", { textContent: "Replay", onclick: () => act({ do: "open", file: file.name }).then(() => act({ do: "play", file: file.name })).then(() => choose("live")) }) : null)))));
   };
   return { element: el("article", {}, el("div", { className: "row" }, note, refresh), el("div", { className: "table" }, el("table", {}, body))), draw };
 }
@@ -673,7 +681,9 @@ function drawView(all = false) {
     for (const board of boards.values()) board.changed = false;
     const waits = [...links.values()];
     empty.hidden = [...boards.values()].some((board) => board.state) && !waits.length;
-    empty.querySelector("ul").replaceChildren(...waits.map(({ link, error }) => el("li", { textContent: error ? `${link}: ${error}` : `${link}: connecting …` })));
+    const key = JSON.stringify(waits);
+    if (empty.key !== key) empty.querySelector("ul").replaceChildren(...waits.map(({ link, error }) => el("li", {}, error ? `${link}: ${error} ` : `${link}: connecting … `, el("button", { textContent: "Give up", onclick: () => act({ do: "forget", link }) }))));
+    empty.key = key;
     empty.querySelector("p").hidden = waits.length > 0;
   });
 }
@@ -696,7 +706,6 @@ function start() {
     choose(names[(names.indexOf(view) + step + names.length) % names.length]);
     sections[view].tab.focus();
   });
-  document.body.append(el("datalist", { id: "tables" }));
   $("connect").addEventListener("submit", (event) => {
     event.preventDefault();
     act({ do: "connect", link: $("link").value.trim() || $("link").placeholder });

@@ -18,14 +18,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use serde_json::json;
 use wimu_host::live::{LiveClient, Tap};
 use wimu_host::transport;
 use wimu_host::{ErrorCode, HostError, Input, LinkUrl, Result, client};
 
 use self::access::Token;
-use self::actions::{Action, Job};
+use self::actions::{Action, File, Job};
 use self::board::Board;
 use self::folder::Folder;
 use self::hub::{Asker, Hub, Page, failure};
@@ -84,7 +84,7 @@ pub fn run(arguments: &Dashboard, output: Output) -> Result<()> {
     output.print(format!(
         "open {url}\nThe page is for this computer only; what follows # allows writes. Ctrl-C ends it."
     ));
-    output.answer("wimu.dashboard/1", &Started { url: &url });
+    output.answer("wimu.dashboard/1", &json!({ "url": url }));
     if arguments.open {
         show(&url)?;
     }
@@ -95,11 +95,6 @@ pub fn run(arguments: &Dashboard, output: Output) -> Result<()> {
     }
     desk.close();
     Ok(())
-}
-
-#[derive(Serialize)]
-struct Started<'a> {
-    url: &'a str,
 }
 
 /// The page's address. Of all interfaces, this computer's own is named.
@@ -145,22 +140,19 @@ struct Message {
 enum General {
     /// The first message of a page.
     Hello,
-    Connect {
-        link: String,
-    },
+    Connect(Link),
     /// Give up a link that does not answer.
-    Forget {
-        link: String,
-    },
+    Forget(Link),
     Ports,
     Files,
     /// Show what a file holds.
-    Open {
-        file: String,
-    },
-    Play {
-        file: String,
-    },
+    Open(File),
+    Play(File),
+}
+
+#[derive(Deserialize)]
+struct Link {
+    link: String,
 }
 
 /// A board, as the desk knows it.
@@ -300,7 +292,7 @@ impl Desk {
     fn general(self: &Arc<Self>, what: General) -> Result<serde_json::Value> {
         match what {
             General::Hello => {}
-            General::Connect { link } => {
+            General::Connect(Link { link }) => {
                 let Input::Link(url) = Input::parse(&link)? else {
                     let remedy = "give tcp://HOST:PORT, a serial port or auto";
                     return Err(usage("this is no LINK", remedy));
@@ -308,9 +300,9 @@ impl Desk {
                 self.has_room()?;
                 self.connect(url);
             }
-            General::Forget { link } => {
+            General::Forget(Link { link }) => {
                 self.waiting().remove(&link);
-            },
+            }
             General::Ports => {
                 let ports = transport::ports()?;
                 return Ok(json!(
@@ -318,8 +310,8 @@ impl Desk {
                 ));
             }
             General::Files => self.hub.publish("files", &self.folder.list()),
-            General::Open { file } => self.open(&file, &self.folder.file(&file)?),
-            General::Play { file } => {
+            General::Open(File { file }) => self.open(&file, &self.folder.file(&file)?),
+            General::Play(File { file }) => {
                 self.has_room()?;
                 self.play(&file, &self.folder.file(&file)?)?;
             }

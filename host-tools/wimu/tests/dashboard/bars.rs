@@ -76,7 +76,12 @@ fn two_boards_at_1_khz() {
         .into_iter()
         .sum();
     let measured = format!("{:.0} kB", size as f64 / 1e3);
-    figure("dashboard: size of the page", measured, "≤ 2 MB", size <= 2_000_000);
+    figure(
+        "dashboard: size of the page",
+        measured,
+        "≤ 2 MB",
+        size <= 2_000_000,
+    );
 }
 
 #[test]

@@ -16,6 +16,28 @@ use crate::arguments::{Arguments, Command};
 use crate::command::navigate::Beside;
 use crate::output::usage;
 
+/// A file of the folder.
+#[derive(Clone, Debug, Deserialize)]
+pub struct File {
+    pub file: String,
+}
+
+/// Speed, or time since the start of a recording, s.
+#[derive(Clone, Copy, Debug, Deserialize)]
+pub struct Number {
+    value: f64,
+}
+
+/// Options of the filter of `wimu navigate`, as on the command line; empty: not given.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(default)]
+pub struct Aiding {
+    profile: String,
+    fixes: String,
+    ranges: String,
+    anchors: String,
+}
+
 /// A request about one board.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case")]
@@ -39,32 +61,15 @@ pub enum Action {
     Record,
     Noise,
     EndNoise,
-    Navigate {
-        #[serde(default)]
-        profile: String,
-        #[serde(default)]
-        fixes: String,
-        #[serde(default)]
-        ranges: String,
-        #[serde(default)]
-        anchors: String,
-    },
+    Navigate(Aiding),
     EndNavigation,
     Zero,
     /// What a push of a file would change.
-    Difference {
-        file: String,
-    },
-    PushFile {
-        file: String,
-    },
+    Difference(File),
+    PushFile(File),
     Pause,
-    Speed {
-        factor: f64,
-    },
-    Seek {
-        to_s: f64,
-    },
+    Speed(Number),
+    Seek(Number),
     Close,
 }
 
@@ -74,9 +79,9 @@ impl Action {
         matches!(
             self,
             Self::Pause
-                | Self::Speed { .. }
-                | Self::Seek { .. }
-                | Self::Navigate { .. }
+                | Self::Speed(_)
+                | Self::Seek(_)
+                | Self::Navigate(_)
                 | Self::EndNavigation
                 | Self::Noise
                 | Self::EndNoise
@@ -113,7 +118,7 @@ impl Board {
                 Some(Next::Close)
             }
             Action::Push if matches!(feed, Feed::Live(_)) => Some(Next::Push(None, asker)),
-            Action::PushFile { file } if matches!(feed, Feed::Live(_)) => {
+            Action::PushFile(File { file }) if matches!(feed, Feed::Live(_)) => {
                 match self
                     .folder
                     .file(&file)
@@ -126,7 +131,7 @@ impl Board {
                     }
                 }
             }
-            Action::Difference { file } => {
+            Action::Difference(File { file }) => {
                 let set = self
                     .folder
                     .file(&file)
@@ -159,13 +164,8 @@ impl Board {
                 self.noise = Some(NoiseMeter::new(&self.name, None, known));
             }
             Action::EndNoise => self.noise = None,
-            Action::Navigate {
-                profile,
-                fixes,
-                ranges,
-                anchors,
-            } => {
-                self.navigator = Some(self.navigator(&profile, &fixes, &ranges, &anchors)?);
+            Action::Navigate(aiding) => {
+                self.navigator = Some(self.navigator(&aiding)?);
                 self.path = Path3::default();
             }
             Action::EndNavigation => {
@@ -173,8 +173,8 @@ impl Board {
                 self.path = Path3::default();
             }
             Action::Zero => self.path.zero(),
-            Action::Pause | Action::Speed { .. } => play(feed, &action)?,
-            Action::Seek { .. } => {
+            Action::Pause | Action::Speed(_) => play(feed, &action)?,
+            Action::Seek(_) => {
                 play(feed, &action)?;
                 self.begin_again();
             }
@@ -228,17 +228,18 @@ impl Board {
     }
 
     /// The filter of `wimu navigate`, with aiding from files of the folder or links.
-    fn navigator(&self, profile: &str, fixes: &str, ranges: &str, anchors: &str) -> Result<Beside> {
+    fn navigator(&self, aiding: &Aiding) -> Result<Beside> {
         let source = |name: &str| match Input::parse(name) {
             Ok(Input::Link(_)) => Ok(name.to_owned()),
-            _ => self
-                .folder
-                .file(name)
-                .map(|path| path.display().to_string()),
+            _ => Ok(self.folder.file(name)?.display().to_string()),
         };
-        let mut words: Vec<String> = ["wimu", "monitor", &self.name, "--navigate"]
-            .map(String::from)
-            .into();
+        let Aiding {
+            profile,
+            fixes,
+            ranges,
+            anchors,
+        } = aiding;
+        let mut words = Vec::from(["wimu", "monitor", &self.name, "--navigate"].map(String::from));
         for (option, name) in [("fixes", fixes), ("ranges", ranges), ("anchors", anchors)] {
             if !name.is_empty() {
                 words.push(format!("--{option}={}", source(name)?));
@@ -269,8 +270,10 @@ fn play(feed: &mut Feed, action: &Action) -> Result<()> {
     };
     match *action {
         Action::Pause => player.view.paused = !player.view.paused,
-        Action::Speed { factor } if (0.01..=100.0).contains(&factor) => player.view.speed = factor,
-        Action::Seek { to_s } if to_s >= 0.0 => player.seek(to_s)?,
+        Action::Speed(Number { value }) if (0.01..=100.0).contains(&value) => {
+            player.view.speed = value;
+        }
+        Action::Seek(Number { value }) if value >= 0.0 => player.seek(value)?,
         _ => {
             return Err(usage(
                 "this speed or time cannot be played",

@@ -11,7 +11,6 @@ use wimu_host::allan::NoiseMeter;
 use wimu_host::clock::Pace;
 use wimu_host::decode::Event;
 use wimu_host::guided::Guided;
-use wimu_host::inertial::{Aided, PathPoint};
 use wimu_host::live::{Heard, LiveClient, LiveLinks};
 use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
 use wimu_host::monitor::{LinkHealth, Reading, Readings, Traffic};
@@ -24,7 +23,7 @@ use super::folder::Folder;
 use super::hub::{Hub, failure};
 use super::path::Path3;
 use super::replay::{Player, ReplayView};
-use super::samples::{Points, Samples};
+use super::samples::Samples;
 use crate::command::monitor::{Line, cause};
 use crate::command::navigate::Beside;
 
@@ -34,64 +33,6 @@ pub const TICK: Duration = Duration::from_millis(33);
 const STATE: u64 = 3;
 const PATH: u64 = 15;
 const NOISE: u64 = 30;
-
-/// New samples.
-#[derive(Serialize)]
-struct Frame {
-    board: usize,
-    #[serde(flatten)]
-    points: Points,
-    /// Attitude W, X, Y, Z, body axes to east-north-up; the direction of the specific force where it is not known.
-    q: Option<[f64; 4]>,
-    up: Option<[f64; 3]>,
-    /// When the newest arrived, ms since 1970.
-    at_ms: f64,
-}
-
-/// All that changes slowly.
-#[derive(Serialize)]
-struct State<'a> {
-    device: &'a str,
-    id: String,
-    source: &'a str,
-    links: &'a [LinkHealth],
-    line: Option<Line>,
-    force_sd_m_s2: Option<f64>,
-    message: &'a str,
-    recording: Option<String>,
-    calibrating: bool,
-    measuring: bool,
-    navigating: bool,
-    navigated: Option<Navigated>,
-    replay: Option<&'a ReplayView>,
-}
-
-/// The position of the filter of `wimu navigate`.
-#[derive(Serialize)]
-struct Navigated {
-    position_m: [f64; 3],
-    sigma_m: [f64; 3],
-    speed_m_s: f64,
-    resting: bool,
-    valid: bool,
-    fixes: Aided,
-    ranges: Aided,
-}
-
-impl Navigated {
-    fn of((point, [fixes, ranges]): &(PathPoint, [Aided; 2])) -> Self {
-        let speed = point.velocity_mps.iter().map(|v| v * v).sum::<f64>();
-        Self {
-            position_m: point.position_m,
-            sigma_m: point.sigma_m(),
-            speed_m_s: speed.sqrt(),
-            resting: point.resting,
-            valid: point.valid,
-            fixes: *fixes,
-            ranges: *ranges,
-        }
-    }
-}
 
 /// Where the data come from.
 pub enum Feed {
@@ -362,13 +303,17 @@ impl Board {
         let is_new = std::mem::replace(&mut self.joined, joined) != joined;
         if let Some(points) = self.samples.take(is_new) {
             let attitude = self.latest.and_then(|latest| latest.attitude);
-            self.hub.stream(&Frame {
-                board: self.index,
-                points,
-                q: attitude.map(|attitude| attitude.to_quaternion()),
-                up: self.latest.map(|latest| latest.specific_force.0),
-                at_ms: arrived_ms(self.latest_ns),
-            });
+            // `q` is W, X, Y, Z, body axes to east-north-up; `at_ms` since 1970.
+            self.hub.stream(&json!({
+                "board": self.index,
+                "t": points.t,
+                "v": points.v,
+                "whole": points.whole,
+                "restarted": points.restarted,
+                "q": attitude.map(|attitude| attitude.to_quaternion()),
+                "up": self.latest.map(|latest| latest.specific_force.0),
+                "at_ms": arrived_ms(self.latest_ns),
+            }));
         }
         if let Some(guided) = &mut self.guided {
             if guided.is_due() {
@@ -419,21 +364,32 @@ impl Board {
         for (link, traffic) in self.links.iter_mut().zip(&self.traffic) {
             traffic.show(link);
         }
-        let state = State {
-            device: device.as_deref().unwrap_or(&self.name),
-            id: hello.map_or(String::new(), |hello| format!("{:016x}", hello.device_id)),
-            source: &self.name,
-            links: &self.links,
-            line: self.latest.as_ref().map(Line::from),
-            force_sd_m_s2: held.and_then(calibration::force_sd_mps2),
-            message: &self.message,
-            recording: is_recording,
-            calibrating: self.guided.is_some(),
-            measuring: self.noise.is_some(),
-            navigating: self.navigator.is_some(),
-            navigated: navigated.as_ref().map(Navigated::of),
-            replay,
-        };
+        let navigated = navigated.map(|(point, [fixes, ranges])| {
+            let speed = point.velocity_mps.iter().map(|v| v * v).sum::<f64>();
+            json!({
+                "position_m": point.position_m,
+                "sigma_m": point.sigma_m(),
+                "speed_m_s": speed.sqrt(),
+                "resting": point.resting,
+                "valid": point.valid,
+                "fixes": fixes,
+                "ranges": ranges,
+            })
+        });
+        let state = json!({
+            "device": device.as_deref().unwrap_or(&self.name),
+            "id": hello.map_or(String::new(), |hello| format!("{:016x}", hello.device_id)),
+            "source": self.name,
+            "links": self.links,
+            "line": self.latest.as_ref().map(Line::from),
+            "force_sd_m_s2": held.and_then(calibration::force_sd_mps2),
+            "message": self.message,
+            "recording": is_recording,
+            "measuring": self.noise.is_some(),
+            "navigating": self.navigator.is_some(),
+            "navigated": navigated,
+            "replay": replay,
+        });
         self.publish("state", &state);
     }
 

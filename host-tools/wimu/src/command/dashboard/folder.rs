@@ -4,6 +4,8 @@ use std::path::{Component, Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
+use serde_json::json;
+use wimu_host::chart::Chart;
 use wimu_host::formats::{Overview, ReadOptions, Source};
 use wimu_host::{ErrorCode, HostError, Result};
 
@@ -115,35 +117,20 @@ impl Folder {
     }
 }
 
-/// What a page shows of a file.
-#[derive(Serialize)]
-struct FileView<'a> {
-    name: &'a str,
-    rows: u64,
-    done: bool,
-    error: Option<String>,
-    duration_s: f64,
-    format: &'static str,
-    charts: Vec<serde_json::Value>,
-    findings: Vec<String>,
-}
-
 /// Reads a file in this thread, and shows what it holds under `topic` while it is read.
 pub fn show(hub: &Hub, topic: &str, name: &str, path: &Path) {
     let mut shown = Instant::now();
-    let view = |overview: &Overview, format, done, error| FileView {
-        name,
-        rows: overview.rows(),
-        done,
-        error,
-        duration_s: overview.duration_s(),
-        format,
-        charts: overview.charts().iter().map(|chart| chart.json()).collect(),
-        findings: overview
-            .findings()
-            .iter()
-            .map(ToString::to_string)
-            .collect(),
+    let view = |overview: &Overview, format: &str, done, error: Option<String>| {
+        json!({
+            "name": name,
+            "rows": overview.rows(),
+            "done": done,
+            "error": error,
+            "duration_s": overview.duration_s(),
+            "format": format,
+            "charts": Vec::from_iter(overview.charts().iter().map(Chart::json)),
+            "findings": Vec::from_iter(overview.findings().iter().map(ToString::to_string)),
+        })
     };
     let mut overview = Overview::default();
     hub.publish(topic, &view(&overview, "", false, None));

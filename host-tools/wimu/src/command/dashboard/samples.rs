@@ -2,7 +2,6 @@
 
 use std::collections::VecDeque;
 
-use serde::Serialize;
 use wimu_host::monitor::Reading;
 
 /// Points of a frame. Chosen: those of 1 kHz are not thinned at [`TICK`](super::board::TICK).
@@ -29,14 +28,15 @@ pub struct Samples {
 }
 
 /// Points for the page.
-#[derive(Serialize)]
 pub struct Points {
     /// Whether they are all that is known, for a page that has joined.
-    whole: bool,
+    pub whole: bool,
     /// Whether the device's clock has begun again.
-    restarted: bool,
-    t: Vec<f64>,
-    v: Vec<Vec<f32>>,
+    pub restarted: bool,
+    /// Device time, s.
+    pub t: Vec<f64>,
+    /// The values of each channel.
+    pub v: Vec<Vec<f32>>,
 }
 
 impl Samples {

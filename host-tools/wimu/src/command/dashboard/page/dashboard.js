@@ -400,9 +400,9 @@ function liveCard(board) {
 
 function replayControls(board) {
   const pause = el("button", { onclick: () => board.ask({ do: "pause" }) });
-  const speed = el("select", { ariaLabel: "Speed", onchange: () => board.ask({ do: "speed", factor: +speed.value }) },
+  const speed = el("select", { ariaLabel: "Speed", onchange: () => board.ask({ do: "speed", value: +speed.value }) },
     ...[0.1, 0.5, 1, 2, 5, 10, 50].map((s) => el("option", { value: s, textContent: `× ${s}`, selected: s === 1 })));
-  const seek = el("input", { type: "range", min: 0, max: 1, step: 0.1, ariaLabel: "Time of the recording", onchange: () => board.ask({ do: "seek", to_s: +seek.value }) });
+  const seek = el("input", { type: "range", min: 0, max: 1, step: 0.1, ariaLabel: "Time of the recording", onchange: () => board.ask({ do: "seek", value: +seek.value }) });
   const at = el("span", { className: "soft" });
   const row = el("span", { className: "row" }, pause, speed, seek, at);
   const draw = () => {
@@ -728,6 +728,7 @@ function start() {
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => drawView(true));
   addEventListener("resize", () => drawView(true));
   choose("live");
+  server.token();
   server.open();
 }
 

@@ -217,16 +217,9 @@ fn a_page_leads_from_a_board_to_a_pushed_calibration() {
     let files = page.topic("files", |files| {
         files.as_array().is_some_and(|files| !files.is_empty())
     });
-    let name = files
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|file| file["name"].as_str().unwrap());
-    let name = name
-        .filter(|name| name.ends_with(".json"))
-        .next_back()
-        .expect("the calibration")
-        .to_owned();
+    let mut names = (files.as_array().unwrap().iter()).map(|file| file["name"].as_str().unwrap());
+    let name = names.rfind(|name| name.ends_with(".json"));
+    let name = name.expect("the calibration").to_owned();
     let same = page.ask(json!({"do": "difference", "board": 0, "file": name}));
     assert!(
         same["value"]["result"]

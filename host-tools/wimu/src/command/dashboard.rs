@@ -371,7 +371,8 @@ impl Answers for Arc<Desk> {
         };
         let writes = self.token.is(&message.token);
         // A wrong token is never taken for none.
-        if !writes && !(self.open_reads && message.token.is_empty()) {
+        let may_read = self.open_reads && message.token.is_empty();
+        if !writes && !may_read {
             return false;
         }
         if message.what["do"] == "hello" {

@@ -10,10 +10,7 @@ use wimu_testkit::figure;
 
 use super::Served;
 use super::browser::{Browser, COUNT};
-use crate::kit::{Simulator, folder, record_motion};
-
-/// Ten times the rate of the board: 1 kHz.
-const KILOHERTZ: [&str; 4] = ["--motion", "twelve-poses,slide", "--speed", "10"];
+use crate::kit::{Simulator, folder, record_motion, wimu};
 
 /// CPU time of a process so far, s, and the most memory that it had, MB.
 fn used(process: u32) -> Option<(f64, f64)> {
@@ -35,8 +32,10 @@ fn two_boards_at_1_khz() {
     let Some(mut browser) = Browser::start(folder.path()) else {
         return;
     };
-    let [one, two] =
-        ["1", "2"].map(|seed| Simulator::start(&[&KILOHERTZ[..], &["--seed", seed]].concat()));
+    let [one, two] = ["1", "2"].map(|seed| Simulator::start(&["--seed", seed]));
+    for board in [&one, &two] {
+        wimu(&["settings", "set", &board.cable, "--rate", "1344"]).succeeds();
+    }
     let served = Served::start(folder.path(), &[&one.cable, &two.cable]);
     let tab = browser.open(&served.url, 1200, false);
     browser.until(&tab, &format!("{COUNT} > 1000"));
@@ -59,12 +58,12 @@ fn two_boards_at_1_khz() {
         at(0.5),
         at(1.0)
     );
-    let claim = "dashboard: arrival of a sample to its picture, 2 × 1 kHz";
+    let claim = "dashboard: arrival of a sample to its picture, 2 × 1344 Hz";
     figure(claim, measured, "≤ 100 ms", at(0.95) <= 100.0);
     if let (Some(before), Some(after)) = (before, used(served.process.id())) {
         let percent = 100.0 * (after.0 - before.0) / seconds;
         let measured = format!("{percent:.1} % of a core, {:.0} MB", after.1);
-        let claim = "dashboard: load of the server, 2 × 1 kHz";
+        let claim = "dashboard: load of the server, 2 × 1344 Hz";
         figure(claim, measured, "≤ 20 %", percent <= 20.0);
     }
     let size: usize = ["/", "/style.css", "/plot.js", "/dashboard.js"]
@@ -187,6 +186,7 @@ fn pictures() {
     browser.until(&tab, &format!("{COUNT} > 1000"));
     browser.picture(&tab, &to.join("dashboard-live.webp"));
     let phone = browser.open(&served.url, 360, true);
+    browser.until(&phone, &format!("{COUNT} > 100"));
     browser.value(&phone, "choose('calibrate')");
     browser.click(&phone, "Calibrate");
     browser.until(&phone, "[...boards.values()][0].guided?.poses.length >= 3");

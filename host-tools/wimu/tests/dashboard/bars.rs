@@ -188,7 +188,10 @@ fn pictures() {
     let phone = browser.open(&served.url, 360, true);
     browser.until(&phone, &format!("{COUNT} > 100"));
     browser.value(&phone, "choose('calibrate')");
-    browser.click(&phone, "Calibrate");
+    browser.value(
+        &phone,
+        "document.querySelector('#view-calibrate .main').click()",
+    );
     browser.until(&phone, "[...boards.values()][0].guided?.poses.length >= 3");
     browser.picture(&phone, &to.join("dashboard-phone.webp"));
     browser.value(&tab, "choose('calibrate')");

@@ -184,6 +184,7 @@ fn pictures() {
     let to = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/pictures");
     let tab = browser.open(&served.url, 1200, false);
     browser.until(&tab, &format!("{COUNT} > 1000"));
+    browser.until(&tab, "document.body.innerText.includes('uncalibrated')");
     browser.picture(&tab, &to.join("dashboard-live.webp"));
     let phone = browser.open(&served.url, 360, true);
     browser.until(&phone, &format!("{COUNT} > 100"));

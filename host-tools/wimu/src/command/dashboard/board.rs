@@ -33,6 +33,8 @@ pub const TICK: Duration = Duration::from_millis(33);
 const STATE: u64 = 3;
 const PATH: u64 = 15;
 const NOISE: u64 = 30;
+/// Frames between two requests for the parameters of a board that has not reported them.
+const ASK: u64 = 100;
 
 /// Where the data come from.
 pub enum Feed {
@@ -314,6 +316,10 @@ impl Board {
                 "up": self.latest.map(|latest| latest.specific_force.0),
                 "at_ms": arrived_ms(self.latest_ns),
             }));
+        }
+        if let (Feed::Live(links), None, true) = (feed, &self.held, self.ticks.is_multiple_of(ASK))
+        {
+            links.introduce();
         }
         if let Some(guided) = &mut self.guided {
             if guided.is_due() {

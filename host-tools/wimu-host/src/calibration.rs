@@ -4,6 +4,7 @@ mod advice;
 mod change;
 mod covariance;
 mod datasheet;
+mod difference;
 mod export;
 mod file;
 mod file_v1;
@@ -27,6 +28,7 @@ mod weights;
 mod words;
 
 pub use datasheet::{DatasheetReport, LimitReport, datasheet};
+pub use difference::{Change, Difference, parameter_figures, values_text};
 pub use export::{CalibrationExport, ExportTarget, KalibrNoise};
 pub(crate) use file::worst_sd;
 pub use file::{

@@ -6,6 +6,7 @@ mod ardupilot;
 mod autopilot;
 mod betaflight;
 mod ned;
+mod overview;
 mod px4;
 mod ros;
 pub(crate) mod source;
@@ -19,6 +20,7 @@ use std::path::Path;
 
 use wimu_link::LinkRole;
 
+pub use overview::Overview;
 pub use source::Source;
 pub use summary::{Summary, TrackSummary};
 pub(crate) use table::acceleration_unit;

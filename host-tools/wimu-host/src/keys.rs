@@ -233,7 +233,7 @@ pub fn generate() -> Result<DeviceKey> {
 }
 
 /// Fills `bytes` from the random source of the operating system.
-pub(crate) fn random(bytes: &mut [u8]) -> Result<()> {
+pub fn random(bytes: &mut [u8]) -> Result<()> {
     getrandom::fill(bytes).map_err(|error| {
         ErrorCode::FileFailed.error(
             format!("no random numbers from the operating system: {error}"),

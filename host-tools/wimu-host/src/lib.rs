@@ -18,6 +18,7 @@ mod error;
 pub mod export;
 pub mod finding;
 pub mod formats;
+pub mod guided;
 pub mod hand_eye;
 pub mod history;
 pub mod html;

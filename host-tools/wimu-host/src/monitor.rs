@@ -1,5 +1,9 @@
 //! Samples combined with the latest data of slow sensors, for display.
 
+mod traffic;
+
+pub use traffic::{LinkHealth, Traffic};
+
 use std::collections::VecDeque;
 
 use wimu_integrator::{Integrator, State};

@@ -1,6 +1,6 @@
 //! Recording of one or two links of a board.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
@@ -155,4 +155,11 @@ impl Recorder {
         writer.finish()?;
         Ok(progress)
     }
+}
+
+/// A name for a new recording in a folder: `wimu-1.mcap`, or the next one.
+pub fn free_name(folder: &Path) -> PathBuf {
+    let name = |number: u32| folder.join(format!("wimu-{number}.mcap"));
+    let mut names = (1..).map(name);
+    names.find(|path| !path.exists()).unwrap_or_default()
 }

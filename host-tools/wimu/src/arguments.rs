@@ -110,6 +110,8 @@ pub enum Command {
     Ports(Ports),
     /// Show readings of a board or a recording
     Monitor(Monitor),
+    /// Show boards and recordings in the browser: plots, calibration, parameters
+    Dashboard(Dashboard),
     /// Record everything a board sends, byte for byte
     Record(Record),
     /// Show what a recording of any format contains, or which device is on a link
@@ -396,6 +398,35 @@ pub struct Monitor {
     pub navigate: bool,
     #[command(flatten)]
     pub aids: Aids,
+}
+
+#[derive(Args)]
+#[command(after_help = "\
+Examples:
+  wimu dashboard tcp://127.0.0.1:7100 --open
+  wimu dashboard tcp://127.0.0.1:7101 tcp://127.0.0.1:7100
+  wimu dashboard session.mcap --folder recordings
+The page is for this computer only; what follows # in its address allows writes. Two links of one \
+board are shown as one board.")]
+pub struct Dashboard {
+    /// LINKs of boards, and recordings; more can be added on the page
+    #[arg(value_name = "LINK|FILE")]
+    pub inputs: Vec<String>,
+    /// Open the page in the browser
+    #[arg(long)]
+    pub open: bool,
+    /// Port of the page; 0 for a free one
+    #[arg(long, value_name = "N", default_value_t = 7180)]
+    pub port: u16,
+    /// Serve other computers too, at this address; every page then needs the token, which the network can read
+    #[arg(long, value_name = "ADDRESS:PORT", conflicts_with = "port")]
+    pub listen: Option<SocketAddr>,
+    /// Folder whose files the page can open, and to which it writes
+    #[arg(long, value_name = "FOLDER", default_value = ".")]
+    pub folder: PathBuf,
+    /// Stop after this time, s
+    #[arg(long = "for", value_name = "SECONDS", value_parser = seconds)]
+    pub seconds: Option<Duration>,
 }
 
 #[derive(Args)]

@@ -59,6 +59,7 @@ fn run(command: Command, output: Output) -> Result<u8> {
         Command::Simulate(arguments) => command::simulate::run(&arguments, output),
         Command::Ports(arguments) => command::ports::run(&arguments, output),
         Command::Monitor(arguments) => command::monitor::run(&arguments, output),
+        Command::Dashboard(arguments) => command::dashboard::run(&arguments, output),
         Command::Record(arguments) => command::record::run(&arguments, output),
         Command::Info(arguments) => command::info::run(&arguments, output),
         Command::Compare(arguments) => command::compare::run(&arguments, output),

@@ -11,6 +11,7 @@ mod calibration_input;
 mod cli;
 mod coarse_and_fine;
 mod comparisons;
+mod dashboard;
 mod demo;
 mod files_people_bring;
 mod flash;

@@ -18,7 +18,7 @@ const WIDTHS: [u32; 2] = [1240, 390];
 const MOST_BYTES: usize = 5_000_000;
 
 /// The name by which this machine starts Chromium.
-fn chromium() -> Option<&'static str> {
+pub fn chromium() -> Option<&'static str> {
     let answers = |name: &&str| Command::new(name).arg("--version").output().is_ok();
     let found = ["chromium", "chromium-browser", "google-chrome"]
         .into_iter()

@@ -324,6 +324,17 @@ pub const CAMPAIGNS: [Campaign; 12] = [
         ],
     },
     Campaign {
+        name: "dashboard",
+        about: "the dashboard in Chromium: latency, load, memory, a recording of 1 GB; its pictures",
+        runs: &[Run {
+            command: "test --release -p wimu --test all -- --include-ignored --test-threads=1 --nocapture dashboard::",
+            sources: &[
+                "host-tools/wimu/src/command/dashboard",
+                "host-tools/wimu/tests/dashboard",
+            ],
+        }],
+    },
+    Campaign {
         name: "python",
         about: "the wheel of the Python module beside the command, on wrong and damaged input",
         runs: &[Run {

@@ -25,11 +25,9 @@ impl NoiseReport {
         self.key_figures(&mut page, datasheet_ug_rthz);
         page.printed(&self.to_string())
             .findings(&self.outcome.findings);
-        let mut chart = curve("accelerometer", "m/s²", &self.points);
-        if let Some(axes) = &self.axes {
-            let ends = [self.points.first(), self.points.last()];
-            let ends = ends.map(|point| point.map_or(1.0, |point| point.tau_s));
-            chart.series.extend(slopes(axes, ends));
+        let mut chart = self.chart();
+        if self.axes.is_some() {
+            let ends = self.ends_s();
             if let Some(ug_rthz) = datasheet_ug_rthz {
                 let density = ug_rthz / UG;
                 let white = ends.map(|tau_s| (tau_s, density / (2.0 * tau_s).sqrt()));
@@ -53,6 +51,21 @@ impl NoiseReport {
         let head = ["τ, s", "X, mm/s²", "Y, mm/s²", "Z, mm/s²", "± %"];
         page.table("Allan deviation", &head, &rows);
         Ok(page)
+    }
+
+    /// The Allan deviation of the accelerometer with its noise terms.
+    pub fn chart(&self) -> Chart {
+        let mut chart = curve("accelerometer", "m/s²", &self.points);
+        if let Some(axes) = &self.axes {
+            chart.series.extend(slopes(axes, self.ends_s()));
+        }
+        chart
+    }
+
+    /// The shortest and the longest averaging time, s.
+    fn ends_s(&self) -> [f64; 2] {
+        let ends = [self.points.first(), self.points.last()];
+        ends.map(|point| point.map_or(1.0, |point| point.tau_s))
     }
 
     fn key_figures(&self, page: &mut Report, datasheet_ug_rthz: Option<f64>) {

@@ -38,7 +38,7 @@ impl Chart {
     }
 
     /// The chart for the script. What is not finite is null.
-    pub(crate) fn json(&self) -> Value {
+    pub fn json(&self) -> Value {
         let linear = |log: bool, values: &[f64]| (!log).then(|| power_of_steps(values));
         let all = |of: &dyn Fn(&(f64, f64)) -> f64| -> Vec<f64> {
             let points = self.series.iter().flat_map(|series| &series.points);

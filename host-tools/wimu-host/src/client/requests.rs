@@ -429,6 +429,46 @@ impl<T: Transport> Client<T> {
             _ => Err(error),
         }
     }
+
+    /// Stores a calibration as [`Client::push_parameters`] does, and verifies that the device holds it.
+    ///
+    /// # Errors
+    /// Those of [`Client::push_parameters`]; `verify_failed` when the device holds another one.
+    pub fn push_verified(&mut self, set: &ParameterSet) -> Result<ParameterId> {
+        let id = self.push_parameters(set)?;
+        let found = self.parameters().map_err(|error| {
+            let message = format!(
+                "the device accepted {id}, but verifying it failed: {}",
+                error.message()
+            );
+            HostError::new(error.code(), message, error.remedy()).at(&self.name)
+        })?;
+        if found.id != id.0 {
+            return Err(ErrorCode::VerifyFailed.error(
+                format!(
+                    "the device holds parameters {:08x} instead of the pushed {id}",
+                    found.id
+                ),
+                "push again; another computer may have pushed at the same time",
+            ));
+        }
+        Ok(id)
+    }
+
+    /// The calibration that the device holds; `None` if it is uncalibrated.
+    ///
+    /// # Errors
+    /// Those of [`Client::parameters`]; `verify_failed` when it is invalid.
+    pub fn held_parameters(&mut self) -> Result<Option<ParameterSet>> {
+        let ActiveParameters { active, .. } = self.parameters()?;
+        let held = active.as_ref().map(ParameterSet::try_from).transpose();
+        held.map_err(|fault| {
+            ErrorCode::VerifyFailed.error(
+                format!("the device holds invalid parameters: {fault}"),
+                "calibrate and push again",
+            )
+        })
+    }
 }
 
 fn random_number() -> Result<u32> {

@@ -41,7 +41,7 @@ class WimuPlot {
 
   // Replaces the chart; a view that was zoomed stays.
   set(chart) {
-    const first = !this.chart;
+    const before = this.chart && this.zoomed() ? this.view : null;
     this.chart = chart;
     this.title.textContent = chart.title;
     this.canvas.setAttribute("aria-label", chart.title);
@@ -61,12 +61,17 @@ class WimuPlot {
       ...band, x: numbers(band.x, chart.logX), low: numbers(band.low, chart.logY), high: numbers(band.high, chart.logY),
     }));
     this.home = this.extent();
-    if (first || !this.zoomed()) this.view = structuredClone(this.home);
+    this.view = structuredClone(this.home);
+    // In space the rotation stays, and the view follows the data.
+    if (before) chart.space ? Object.assign(this.view, { turn: before.turn, zoom: before.zoom }) : (this.view = before);
     this.listSeries();
-    this.draw();
+    this.pointer && this.near ? this.hover(...this.pointer) : this.draw();
   }
 
   listSeries() {
+    const names = this.series.map((one) => [one.name, one.style, this.colour(one.colour)]).join();
+    if (names === this.listed) return;
+    this.listed = names;
     this.legend.replaceChildren(...this.series.filter((one) => one.name).map((one) => {
       const entry = document.createElement("span"), line = document.createElement("i");
       line.className = one.style;
@@ -79,7 +84,8 @@ class WimuPlot {
   // The range of the data: of both axes, after the logarithm; in space the centre and half the width of a cube.
   extent() {
     const { chart, series } = this;
-    const data = series.some((one) => !one.guide) ? series.filter((one) => !one.guide) : series;
+    // In space a guide is an ellipsoid, which is to be seen whole.
+    const data = !chart.space && series.some((one) => !one.guide) ? series.filter((one) => !one.guide) : series;
     const span = (key) => {
       let low = Infinity, high = -Infinity;
       for (const one of data) for (const v of one[key]) if (isFinite(v)) { low = Math.min(low, v); high = Math.max(high, v); }
@@ -385,6 +391,7 @@ class WimuPlot {
   // ---- Values under the pointer
 
   hover(x, y) {
+    this.pointer = [x, y];
     this.near = null;
     const { chart } = this, number = (v, log) => WimuPlot.short(log ? 10 ** v : v);
     // Value with the unit of its axis, after a comma or in brackets, and the axis' name if it has one beside the unit.

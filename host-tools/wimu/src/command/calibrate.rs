@@ -93,7 +93,7 @@ pub fn read_calibrated(
         }
         Input::Link(_) => {
             let mut client = connect_for(input, push)?;
-            let set = given.map_or_else(|| params::held(&mut client), |set| Ok(Some(set)))?;
+            let set = given.map_or_else(|| client.held_parameters(), |set| Ok(Some(set)))?;
             let set = checked(set)?;
             Ok((listen(&mut client, &set)?, set, Some(client)))
         }
@@ -223,7 +223,7 @@ fn update(arguments: &Calibrate, output: Output) -> Result<u8> {
 }
 
 /// Now, s since 1970 UTC.
-fn utc_s() -> Option<u64> {
+pub fn utc_s() -> Option<u64> {
     let since = SystemTime::now().duration_since(UNIX_EPOCH);
     since.ok().map(|since| since.as_secs())
 }

@@ -6,6 +6,7 @@ pub mod apply;
 mod array;
 pub mod calibrate;
 pub mod compare;
+pub mod dashboard;
 pub mod demo;
 pub mod export;
 pub mod flash;

@@ -246,7 +246,7 @@ fn recorded(path: &std::path::Path, rate: Option<f64>, output: Output) -> Result
 }
 
 /// Cause of the last start.
-fn cause(hello: &Hello) -> String {
+pub fn cause(hello: &Hello) -> String {
     let mut cause = hello.reset_reason.to_string();
     if let Some(fault) = hello.fault {
         cause += &format!(", {fault}");

@@ -4,12 +4,9 @@ use std::path::Path;
 
 use serde::Serialize;
 use wimu_host::calibration::{
-    self, CalibrationFile, HELD_SCHEMA, further_sensors, read_parameters,
+    self, CalibrationFile, Change, Difference, HELD_SCHEMA, further_sensors, read_parameters,
 };
-use wimu_host::client::Client;
-use wimu_host::transport::Transport;
-use wimu_host::{ErrorCode, HostError, Result};
-use wimu_link::message::ActiveParameters;
+use wimu_host::{ErrorCode, Result};
 use wimu_model::{ParameterId, ParameterSet};
 
 use crate::arguments::Params;
@@ -48,7 +45,7 @@ pub fn run(action: &Params, output: Output) -> Result<()> {
             let set = read_parameters(calibration)?;
             let mut client = connect_to_write(link)?;
             if *dry_run {
-                let before = held(&mut client)?;
+                let before = client.held_parameters()?;
                 print_difference(before.as_ref(), &set, output);
                 output.print("nothing was written");
             } else {
@@ -75,7 +72,7 @@ pub fn run(action: &Params, output: Output) -> Result<()> {
 
 /// Prints what changes, pushes a calibration, and verifies that the device holds it.
 pub fn push(client: &mut Connection, set: &ParameterSet, output: Output) -> Result<()> {
-    let before = held(client)?;
+    let before = client.held_parameters()?;
     print_difference(before.as_ref(), set, output);
     let unseen = calibration::not_observed(set);
     if !unseen.is_empty() {
@@ -84,112 +81,25 @@ pub fn push(client: &mut Connection, set: &ParameterSet, output: Output) -> Resu
             unseen.join(", ")
         ));
     }
-    let id = write(client, set)?;
+    let id = client.push_verified(set)?;
     output.print(format!("pushed {id}"));
     Ok(())
 }
 
-/// Pushes a calibration, and verifies that the device holds it. Returns its id.
-pub fn write<T: Transport>(client: &mut Client<T>, set: &ParameterSet) -> Result<ParameterId> {
-    let id = client.push_parameters(set)?;
-    let found = client.parameters().map_err(|error| {
-        let message = format!(
-            "the device accepted {id}, but verifying it failed: {}",
-            error.message()
-        );
-        HostError::new(error.code(), message, error.remedy()).at(client.name())
-    })?;
-    if found.id != id.0 {
-        return Err(ErrorCode::VerifyFailed.error(
-            format!(
-                "the device holds parameters {:08x} instead of the pushed {id}",
-                found.id
-            ),
-            "push again; another computer may have pushed at the same time",
-        ));
-    }
-    Ok(id)
-}
-
 /// Prints the terms that a push changes.
 fn print_difference(before: Option<&ParameterSet>, after: &ParameterSet, output: Output) {
-    let Some(before) = before else {
-        output.print("the device is uncalibrated");
-        return;
-    };
-    let name = |set| wimu_link::message::parameter_id(set);
-    if name(before) == name(after) {
-        output.print(format!("the device already holds {}", name(after)));
-        return;
+    let difference = Difference::of(before, after);
+    output.print(&difference.result);
+    for Change {
+        name,
+        before,
+        after,
+        ..
+    } in &difference.changed
+    {
+        output.print(format!("{name:24} {before} → {after}"));
     }
-    output.print(format!("{} → {}", name(before), name(after)));
-    let mut below_precision = Vec::new();
-    for ((name, old), (_, new)) in figures(before).into_iter().zip(figures(after)) {
-        let [old_text, new_text] = [&old, &new].map(|values| numbers(values));
-        if old_text != new_text {
-            output.print(format!("{name:24} {old_text} → {new_text}"));
-        } else if old != new {
-            below_precision.push(name);
-        }
-    }
-    if !below_precision.is_empty() {
-        output.print(format!(
-            "differences below the printed precision: {}",
-            below_precision.join("; ")
-        ));
-    }
-    let others = [
-        ("alignment differs", before.alignment != after.alignment),
-        (
-            "magnetometer calibration differs",
-            before.magnetometer != after.magnetometer,
-        ),
-        ("fit statistics differ", before.quality != after.quality),
-        ("sensor differs", before.sensor != after.sensor),
-        (
-            "gyroscope calibration differs",
-            before.gyroscope != after.gyroscope,
-        ),
-    ];
-    for (text, differs) in others {
-        if differs {
-            output.print(text);
-        }
-    }
-}
-
-/// The numbers of a parameter set, with their names and units.
-fn figures(set: &ParameterSet) -> Vec<(&'static str, Vec<f64>)> {
-    let terms = set.model.terms();
-    let ([x, y, z], thermal) = (terms.matrix, terms.temperature);
-    vec![
-        ("bias, m/s²", terms.bias_mps2.to_vec()),
-        ("matrix, row X", x.to_vec()),
-        ("matrix, row Y", y.to_vec()),
-        ("matrix, row Z", z.to_vec()),
-        ("bias slope, m/s²/K", thermal.bias_mps2_per_k.to_vec()),
-        ("bias curvature, m/s²/K²", thermal.bias_mps2_per_k2.to_vec()),
-        ("scale slope, 1/K", thermal.scale_per_k.to_vec()),
-        ("nonlinearity, s²/m", terms.nonlinearity.to_vec()),
-        ("sensitivity, LSB/g", vec![set.sensitivity.lsb_per_g()]),
-        ("range, ± g", vec![set.range_g.into()]),
-        ("reference, °C", vec![thermal.reference_c]),
-    ]
-}
-
-/// The parameters that a device holds.
-pub fn held(client: &mut Connection) -> Result<Option<ParameterSet>> {
-    let ActiveParameters { active, .. } = client.parameters()?;
-    active
-        .as_ref()
-        .map(ParameterSet::try_from)
-        .transpose()
-        .map_err(|fault| {
-            ErrorCode::VerifyFailed.error(
-                format!("the device holds invalid parameters: {fault}"),
-                "calibrate and push again",
-            )
-        })
+    difference.notes.iter().for_each(|note| output.print(note));
 }
 
 /// Writes the parameters to a file for `params push`.
@@ -211,7 +121,7 @@ fn show(
     not_pushed: Vec<u8>,
     output: Output,
 ) -> Result<()> {
-    let parameters = held(client)?;
+    let parameters = client.held_parameters()?;
     // Before anything is printed: an error is the only JSON object.
     if let Some(file) = file {
         save(file, parameters.as_ref())?;
@@ -228,10 +138,10 @@ fn show(
                 "parameters {id} for ±{} g, {:.2} LSB/g\nbias   {} m/s²",
                 set.range_g,
                 set.sensitivity.lsb_per_g(),
-                numbers(&terms.bias_mps2)
+                calibration::values_text(&terms.bias_mps2)
             ));
             for (name, row) in ["matrix", "", ""].iter().zip(terms.matrix) {
-                output.print(format!("{name:6} {}", numbers(&row)));
+                output.print(format!("{name:6} {}", calibration::values_text(&row)));
             }
             for line in calibration::describe(set) {
                 output.print(line);
@@ -262,16 +172,5 @@ pub fn applies(parameters: Option<&ParameterSet>, range_g: u8, output: Output) -
             false
         }
         other => other.is_some(),
-    }
-}
-
-fn numbers(values: &[f64]) -> String {
-    match values {
-        [value] => value.to_string(),
-        all => all
-            .iter()
-            .map(|value| format!("{value:+.5}"))
-            .collect::<Vec<_>>()
-            .join(" "),
     }
 }

@@ -54,7 +54,7 @@ pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
                 true => before,
                 false => client.set_settings(wanted)?,
             };
-            params::applies(params::held(&mut client)?.as_ref(), now.range_g, output);
+            params::applies(client.held_parameters()?.as_ref(), now.range_g, output);
             (now, client.signs().then_some(true))
         }
     };

@@ -25,12 +25,6 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|k| a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3])
 }
 
-/// The unit vector along `v`; `None` without a direction.
-pub fn unit(v: [f64; 3]) -> Option<[f64; 3]> {
-    let norm = dot(v, v).sqrt();
-    (norm > 1e-9 && norm.is_finite()).then(|| v.map(|axis| axis / norm))
-}
-
 /// Angle between two unit vectors, degrees.
 pub fn angle_deg(a: [f64; 3], b: [f64; 3]) -> f64 {
     let c = cross(a, b);

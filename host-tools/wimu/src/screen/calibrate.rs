@@ -5,6 +5,7 @@ use ratatui::prelude::{Frame, Span};
 use ratatui::text::Line;
 use ratatui::widgets::Paragraph;
 use wimu_host::digits::significant;
+use wimu_host::guided::{GuidedView, Hold, Uncertainty};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use super::board;
@@ -16,60 +17,8 @@ const REACHED_DEG: f64 = 10.0;
 /// Smallest height of the curve of uncertainties, powers of ten.
 const UNCERTAINTY_SPAN: f64 = 0.5;
 
-/// Whether the board rests.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum Hold {
-    /// No sample arrived yet.
-    #[default]
-    Waiting,
-    Moving,
-    /// At rest for this long, of the duration of a capture, s.
-    Holding(f64, f64),
-    /// Captured: another orientation is needed.
-    Captured,
-}
-
-/// Standard deviations of the parameters.
-#[derive(Clone, Debug)]
-pub struct Uncertainty {
-    pub bias_mps2: [f64; 3],
-    /// Of 1.
-    pub scale: [f64; 3],
-    /// Why there is no fit: they are then expected of these poses.
-    pub no_fit: Option<String>,
-}
-
-/// What the screen shows.
-#[derive(Clone, Debug, Default)]
-pub struct CalibrateView {
-    pub device: String,
-    /// Names of the sides that are up, in the order X up, X down, Y up, ….
-    pub sides: [&'static str; 6],
-    pub wanted: usize,
-    /// Directions that were up in the captured poses, unit vectors, sensor axes.
-    pub poses: Vec<[f64; 3]>,
-    /// Present and next direction that is up.
-    pub up: Option<[f64; 3]>,
-    pub next: Option<[f64; 3]>,
-    /// How to reach the next one, in words.
-    pub instruction: String,
-    pub hold: Hold,
-    /// After each pose.
-    pub uncertainty: Vec<Uncertainty>,
-    /// Why the link is lost at present.
-    pub lost: Option<String>,
-    pub message: String,
-    /// An interrupted session can be resumed.
-    pub resumable: bool,
-    /// Text of the finished calibration and its first visible line.
-    pub result: Option<(String, u16)>,
-    /// Whether the result can be used.
-    pub usable: bool,
-    pub pushed: bool,
-}
-
-/// Draws the screen.
-pub fn draw(view: &CalibrateView, frame: &mut Frame) {
+/// Draws the screen; the result from `first_line` on.
+pub fn draw(view: &GuidedView, first_line: u16, frame: &mut Frame) {
     let title = format!("wimu calibrate  {}", view.device);
     let count = format!("pose {} of {}", view.poses.len(), view.wanted);
     let message = match &view.lost {
@@ -100,8 +49,8 @@ pub fn draw(view: &CalibrateView, frame: &mut Frame) {
         None => &of_poses[usize::from(!view.resumable)..],
     };
     let body = widgets::page(frame, [&title, &count], &message, keys);
-    if let Some((text, first)) = &view.result {
-        return result(view, frame, body, text, *first);
+    if let Some(text) = &view.result {
+        return result(view, frame, body, text, first_line);
     }
     let pictures = body.height.saturating_sub(10);
     let rows = [pictures, 4, 6].map(Constraint::Length);
@@ -111,7 +60,7 @@ pub fn draw(view: &CalibrateView, frame: &mut Frame) {
     uncertainties(view, frame, below);
 }
 
-fn result(view: &CalibrateView, frame: &mut Frame, area: Rect, text: &str, first: u16) {
+fn result(view: &GuidedView, frame: &mut Frame, area: Rect, text: &str, first: u16) {
     let title = match (view.usable, view.pushed) {
         (false, _) => "no calibration yet: capture more poses",
         (_, false) => "calibrated: p pushes it to the board",
@@ -124,7 +73,7 @@ fn result(view: &CalibrateView, frame: &mut Frame, area: Rect, text: &str, first
     );
 }
 
-fn three_pictures(view: &CalibrateView, frame: &mut Frame, area: Rect) {
+fn three_pictures(view: &GuidedView, frame: &mut Frame, area: Rect) {
     let [next, now, done] = Layout::horizontal([Constraint::Fill(1); 3]).areas(area);
     let inner = widgets::panel(frame, next, "next: hold it like this");
     if let Some(up) = view.next {
@@ -147,7 +96,7 @@ fn three_pictures(view: &CalibrateView, frame: &mut Frame, area: Rect) {
 }
 
 /// The instruction, the tilt from the next orientation and the countdown.
-fn guidance(view: &CalibrateView, frame: &mut Frame, area: Rect) {
+fn guidance(view: &GuidedView, frame: &mut Frame, area: Rect) {
     let [words, more, tilt, hold] = Layout::vertical([Constraint::Length(1); 4]).areas(area);
     frame.render_widget(
         Line::from(Span::styled(format!(" {}", view.instruction), STRONG)),
@@ -191,7 +140,7 @@ fn inset(area: Rect) -> Rect {
 }
 
 /// Uncertainty of bias and scale factor, and its course from pose to pose.
-fn uncertainties(view: &CalibrateView, frame: &mut Frame, area: Rect) {
+fn uncertainties(view: &GuidedView, frame: &mut Frame, area: Rect) {
     let latest = view.uncertainty.last();
     let title = match latest.is_some_and(|latest| latest.no_fit.is_none()) {
         true => "standard deviation of the fit",

@@ -6,8 +6,6 @@ pub mod calibrate;
 pub mod monitor;
 mod widgets;
 
-pub use board::unit;
-
 use std::io::{self, IsTerminal, Stdout, Write};
 use std::mem::ManuallyDrop;
 use std::time::{Duration, Instant};

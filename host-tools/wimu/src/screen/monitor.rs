@@ -7,6 +7,7 @@ use ratatui::prelude::{Frame, Span};
 use ratatui::text::{Line as Row, Text};
 use wimu_host::digits::{east_north_up, significant};
 use wimu_host::inertial::{Aided, PathPoint};
+use wimu_host::monitor::LinkHealth;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use crate::command::monitor::{Line, euler_deg};
@@ -59,21 +60,6 @@ impl Curve {
     }
 }
 
-/// A link of the board.
-#[derive(Clone, Debug, Default)]
-pub struct LinkView {
-    pub name: String,
-    /// Why it is lost at present.
-    pub lost: Option<String>,
-    pub rate_hz: f64,
-    /// Fraction of the samples that did not arrive.
-    pub loss: f64,
-    /// Median and largest latency of the latest samples, ms; `None` before the clock is known.
-    pub latency_ms: Option<[f64; 2]>,
-    pub kilobytes_s: f64,
-    pub frames_damaged: u64,
-}
-
 /// What the screen shows.
 #[derive(Clone, Debug, Default)]
 pub struct MonitorView {
@@ -93,7 +79,7 @@ pub struct MonitorView {
     /// |f|, then X, Y, Z.
     pub force_curves: [Curve; 4],
     pub rate_curves: [Curve; 3],
-    pub links: Vec<LinkView>,
+    pub links: Vec<LinkHealth>,
     pub message: String,
 }
 
@@ -304,7 +290,7 @@ fn uncertainty(valid: Option<bool>, force_sd_mps2: Option<f64>, t: f64) -> Span<
 }
 
 fn link_rows(view: &MonitorView) -> Vec<Row<'static>> {
-    let row = |label: &str, text: &dyn Fn(&LinkView) -> String| {
+    let row = |label: &str, text: &dyn Fn(&LinkHealth) -> String| {
         let mut spans = vec![Span::styled(format!("{label:9}"), LABEL)];
         spans.extend(
             view.links
@@ -313,7 +299,7 @@ fn link_rows(view: &MonitorView) -> Vec<Row<'static>> {
         );
         Row::from(spans)
     };
-    let latency = |link: &LinkView, which: usize| {
+    let latency = |link: &LinkHealth, which: usize| {
         let text = |ms: [f64; 2]| format!("{} ms", significant(ms[which], 3));
         link.latency_ms.map_or("-".to_owned(), text)
     };

@@ -5,8 +5,10 @@ use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
 use ratatui::prelude::Frame;
 
-use super::calibrate::{CalibrateView, Hold, Uncertainty};
-use super::monitor::{Curve, LinkView, MonitorView};
+use wimu_host::guided::{GuidedView, Hold, Uncertainty, unit};
+use wimu_host::monitor::LinkHealth;
+
+use super::monitor::{Curve, MonitorView};
 use crate::command::monitor::Line;
 
 use super::{ascii, board, calibrate, monitor, paint, widgets};
@@ -37,7 +39,7 @@ fn readings() -> MonitorView {
         curve.add(f64::from(k).sin());
         curve.step();
     }
-    let link = |name: &str| LinkView {
+    let link = |name: &str| LinkHealth {
         name: name.to_owned(),
         lost: None,
         rate_hz: 1000.0,
@@ -87,13 +89,13 @@ fn with(view: &MonitorView, change: impl FnOnce(&mut Line)) -> MonitorView {
     view
 }
 
-fn poses() -> CalibrateView {
+fn poses() -> GuidedView {
     let after = |bias: f64, no_fit: Option<&str>| Uncertainty {
         bias_mps2: [bias, 0.5 * bias, bias],
         scale: [0.03, 0.02, 0.0123],
         no_fit: no_fit.map(str::to_owned),
     };
-    CalibrateView {
+    GuidedView {
         device: "microbit-v2 with LSM303AGR, cable link".to_owned(),
         sides: ["logo up", "logo down", "button A up", "button A down", "display up", "display down"],
         wanted: 12,
@@ -105,7 +107,7 @@ fn poses() -> CalibrateView {
         uncertainty: vec![after(0.3, Some("2 static poses")), after(0.01, None)],
         message: "pose 3 captured: display down".to_owned(),
         resumable: true,
-        ..CalibrateView::default()
+        ..GuidedView::default()
     }
 }
 
@@ -189,7 +191,7 @@ fn what_is_wrong_is_said_where_its_value_would_be() {
 fn a_guided_calibration_says_what_to_do_on_the_smallest_screen() {
     for size in [USUAL, LARGE] {
         let shown = text(&drawn(size, false, |frame| {
-            calibrate::draw(&poses(), frame)
+            calibrate::draw(&poses(), 0, frame)
         }));
         for part in [
             "pose 3 of 12",
@@ -213,16 +215,20 @@ fn a_guided_calibration_says_what_to_do_on_the_smallest_screen() {
     let mut view = poses();
     view.lost = Some("no answer".to_owned());
     view.uncertainty.truncate(1);
-    let shown = text(&drawn(USUAL, false, |frame| calibrate::draw(&view, frame)));
+    let shown = text(&drawn(USUAL, false, |frame| {
+        calibrate::draw(&view, 1, frame)
+    }));
     assert!(
         shown.contains("LINK LOST: the board (no answer). Poses are kept."),
         "{shown}"
     );
     assert!(shown.contains("no fit yet: 2 static poses"), "{shown}");
     assert!(shown.contains("not a result yet"), "{shown}");
-    view.result = Some(("usable\nX: bias".to_owned(), 1));
+    view.result = Some("usable\nX: bias".to_owned());
     view.usable = true;
-    let shown = text(&drawn(USUAL, false, |frame| calibrate::draw(&view, frame)));
+    let shown = text(&drawn(USUAL, false, |frame| {
+        calibrate::draw(&view, 1, frame)
+    }));
     assert!(
         shown.contains("p pushes it") && !shown.contains("usable") && shown.contains("X: bias"),
         "{shown}"
@@ -250,7 +256,7 @@ fn a_terminal_that_is_too_small_says_how_large_it_must_be() {
         assert!(shown.contains("80x24"), "{shown}");
     }
     for size in [(1, 1), (2, 1), (1, 3)] {
-        drawn(size, true, |frame| calibrate::draw(&poses(), frame));
+        drawn(size, true, |frame| calibrate::draw(&poses(), 0, frame));
     }
 }
 
@@ -265,7 +271,9 @@ fn a_plain_screen_is_ascii_and_keeps_every_word() {
         for part in ["m/s2", "359 +/-12", "-120.5 +20.5 +43.0 uT", "+/-0.012 m"] {
             assert!(shown.contains(part), "{part}:\n{shown}");
         }
-        let shown = text(&drawn(size, true, |frame| calibrate::draw(&poses(), frame)));
+        let shown = text(&drawn(size, true, |frame| {
+            calibrate::draw(&poses(), 0, frame)
+        }));
         assert!(shown.is_ascii() && !shown.contains('?'), "{shown}");
     }
 }
@@ -301,7 +309,7 @@ fn the_side_to_raise_reduces_the_tilt() {
             let side = board::side_to_raise(*up, *wanted);
             let mut moved = *up;
             moved[side / 2] += if side.is_multiple_of(2) { 0.1 } else { -0.1 };
-            let moved = board::unit(moved).expect("a direction");
+            let moved = unit(moved).expect("a direction");
             let after = board::angle_deg(moved, *wanted);
             assert!(
                 after < before,

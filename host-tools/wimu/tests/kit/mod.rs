@@ -271,6 +271,11 @@ impl Background {
         }
     }
 
+    /// Number of its process.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
     /// Waits for its next line on stdout.
     pub fn line(&mut self) -> String {
         let start = self.read.len();

@@ -1,26 +1,25 @@
 //! The screen of `wimu monitor`: state, keys and links.
 
-use std::collections::VecDeque;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 
 use clap::Parser;
 use wimu_host::calibration;
-use wimu_host::clock::{ClockModel, Pace};
-use wimu_host::decode::{Arrival, Event};
+use wimu_host::clock::Pace;
+use wimu_host::decode::Event;
 use wimu_host::live::{Heard, LiveLinks, Tap};
 use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
-use wimu_host::monitor::{Reading, Readings};
-use wimu_host::{LinkUrl, Result, transport};
-use wimu_model::{DeviceTimeUs, ParameterSet};
+use wimu_host::monitor::{LinkHealth, Reading, Readings, Traffic};
+use wimu_host::{LinkUrl, Result, recorder, transport};
+use wimu_model::ParameterSet;
 
 use super::{Line, cause};
 use crate::arguments::{Arguments, Command, Monitor};
 use crate::command::navigate::Beside;
 use crate::command::{calibrate, connect, deadline, interrupted, is_over};
 use crate::output::{Output, usage};
-use crate::screen::monitor::{LinkView, MonitorView, draw};
+use crate::screen::monitor::{MonitorView, draw};
 use crate::screen::{Key, Screen};
 
 /// Longest wait for data before keys are read.
@@ -29,12 +28,6 @@ const GLANCE: Duration = Duration::from_millis(20);
 const MESSAGE: Duration = Duration::from_secs(10);
 /// Interval between the points of a curve.
 const POINT: Duration = Duration::from_millis(100);
-/// Span of rates and latencies, ns.
-const SPAN_NS: u64 = 5_000_000_000;
-/// Largest error of a clock model by half a round trip, ms. Chosen.
-const CLOCK_ERROR_MS: f64 = 10.0;
-/// Most samples of a link whose latency is kept.
-const LATENCIES: usize = 4096;
 
 /// What a person does after the screen.
 enum Next {
@@ -106,17 +99,6 @@ fn connected(arguments: &Monitor) -> Result<Vec<(LinkUrl, crate::command::Connec
     Ok(links)
 }
 
-/// Traffic of a link within [`SPAN_NS`].
-#[derive(Default)]
-struct Traffic {
-    clock: Option<ClockModel>,
-    /// Host time, ns, samples and bytes since the last entry.
-    received: VecDeque<(u64, u64, u64)>,
-    before: (u64, u64),
-    /// Host time, ns, and latency, ms.
-    latencies: VecDeque<(u64, f64)>,
-}
-
 struct Live {
     readings: Readings,
     traffic: Vec<Traffic>,
@@ -134,9 +116,9 @@ struct Live {
 
 impl Live {
     fn new(links: &[(LinkUrl, crate::command::Connection)]) -> Self {
-        let name = |(_, client): &(_, crate::command::Connection)| LinkView {
+        let name = |(_, client): &(_, crate::command::Connection)| LinkHealth {
             name: client.hello().role.to_string(),
-            ..LinkView::default()
+            ..LinkHealth::default()
         };
         let device = links.first().map(|(_, client)| {
             let hello = client.hello();
@@ -206,25 +188,7 @@ impl Live {
                 .iter()
                 .try_for_each(|entry| writer.record(entry))?;
         }
-        let traffic = &mut self.traffic[index];
-        traffic.clock = heard.clock.clone().or(traffic.clock.take());
-        for arrival in &heard.arrivals {
-            traffic.note(arrival);
-        }
-        let raw = heard.statistics.raw;
-        let of_stream = if raw.received > 0 {
-            raw
-        } else {
-            heard.statistics.corrected
-        };
-        if let Some(last) = heard.arrivals.last() {
-            traffic.count(last.host_ns, of_stream.received, heard.statistics.bytes);
-        }
-        let link = &mut self.view.links[index];
-        link.lost = heard.lost.as_ref().map(|error| error.message().to_owned());
-        link.frames_damaged = heard.statistics.frames_damaged;
-        link.loss =
-            of_stream.missing as f64 / (of_stream.received + of_stream.missing).max(1) as f64;
+        self.traffic[index].take(heard);
         if index == 0 {
             let navigator = self.navigator.as_mut();
             let taken = navigator.map(|n| heard.arrivals.iter().try_for_each(|a| n.take(a)));
@@ -324,11 +288,7 @@ impl Live {
 
     /// Records everything from now on, in a new file in the current folder.
     fn record(&mut self, links: &LiveLinks) -> Result<()> {
-        let name = |number: u32| PathBuf::from(format!("wimu-{number}.mcap"));
-        let path = (1..)
-            .map(name)
-            .find(|path| !path.exists())
-            .unwrap_or_default();
+        let path = recorder::free_name(Path::new(""));
         let writer = RecordingWriter::create(&path, ClockAnchor::now(transport::now()))?;
         self.view.recording = Some(path.display().to_string());
         self.view.message = format!("recording all links to {}", path.display());
@@ -345,59 +305,5 @@ impl Live {
             self.ended.push(self.view.message.clone());
         }
         Ok(())
-    }
-}
-
-impl Traffic {
-    /// Latency of samples.
-    fn note(&mut self, arrival: &Arrival) {
-        if let (Event::Samples(samples), Some(clock)) = (&arrival.event, &self.clock)
-            && let Some(last) = samples.iter().last()
-        {
-            let ms = clock.delay_ns(DeviceTimeUs(last.time.0), arrival.host_ns) as f64 * 1e-6;
-            self.latencies.push_back((arrival.host_ns, ms));
-        }
-        // The device's clock begins again.
-        if matches!(arrival.event, Event::Restart { .. }) {
-            self.clock = None;
-            self.latencies.clear();
-        }
-        let is_old = |(at, _): &(u64, f64)| at + SPAN_NS < arrival.host_ns;
-        while self.latencies.len() > LATENCIES || self.latencies.front().is_some_and(is_old) {
-            self.latencies.pop_front();
-        }
-    }
-
-    /// Takes the samples and bytes received so far.
-    fn count(&mut self, host_ns: u64, samples: u64, bytes: u64) {
-        let before = std::mem::replace(&mut self.before, (samples, bytes));
-        let since = |now: u64, before: u64| now.saturating_sub(before);
-        self.received
-            .push_back((host_ns, since(samples, before.0), since(bytes, before.1)));
-        while self
-            .received
-            .front()
-            .is_some_and(|(at, ..)| at + SPAN_NS < host_ns)
-        {
-            self.received.pop_front();
-        }
-    }
-
-    fn show(&self, link: &mut LinkView) {
-        if let (Some((first, ..)), Some((last, ..))) = (self.received.front(), self.received.back())
-        {
-            let span_s = last.saturating_sub(*first).max(1) as f64 * 1e-9;
-            // What the first entry counts arrived before the span.
-            let sums = self.received.iter().skip(1);
-            let (samples, bytes) =
-                sums.fold((0, 0), |sum, entry| (sum.0 + entry.1, sum.1 + entry.2));
-            link.rate_hz = samples as f64 / span_s;
-            link.kilobytes_s = bytes as f64 / span_s / 1e3;
-        }
-        let mut sorted: Vec<f64> = self.latencies.iter().map(|(_, ms)| *ms).collect();
-        sorted.sort_by(f64::total_cmp);
-        let latency = sorted.last().map(|most| [sorted[sorted.len() / 2], *most]);
-        // A clock model that gives negative latencies does not hold.
-        link.latency_ms = latency.filter(|[median, _]| *median > -CLOCK_ERROR_MS);
     }
 }

@@ -1,0 +1,421 @@
+//! Poses of a live board: what is captured of them.
+
+use std::path::Path;
+
+use serde::Serialize;
+use wimu_calib::{
+    Face, Gravity, Model, MultiPosition, Orientation, Parameter, Phase, Placement, Pose, Session,
+    multi_position_with, six_position,
+};
+use wimu_link::Hello;
+use wimu_link::batch::Stream;
+use wimu_link::hello::board;
+use wimu_link::message::Event as Happened;
+use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
+
+use crate::calibration::{CalibrateOptions, MethodChoice, ModelChoice, local_gravity};
+use crate::decode::{Arrival, Event};
+use crate::formats;
+use crate::history::LinkHistory;
+use crate::recording::{Recording, Selection};
+use crate::{ErrorCode, Result};
+
+/// Capacity of a live calibration, poses.
+pub const CAPACITY: usize = 64;
+/// Default number of poses of a live calibration.
+const POSES: usize = 12;
+/// Typical residual of a pose, m/s²: the prior of [`wimu_calib::Guide`] is relative to it.
+const POSE_SD_MPS2: f64 = 0.003;
+
+/// What a live calibration captures.
+#[derive(Clone, Copy)]
+pub struct Plan {
+    /// Whether it is each of six sides, of which the orientations are known.
+    pub six: bool,
+    /// Number of poses.
+    pub count: usize,
+    model: Model,
+    gravity: Gravity,
+    /// Names of the sides that are up, in the order of [`Face::ALL`].
+    pub names: &'static [&'static str; 6],
+}
+
+impl Plan {
+    /// Of `count` poses (12 if `None`) of a board that identified itself so.
+    ///
+    /// # Errors
+    /// `usage` for fewer poses than the model needs; those of [`local_gravity`].
+    pub fn new(options: &CalibrateOptions, count: Option<usize>, hello: &Hello) -> Result<Self> {
+        let six = options.method == MethodChoice::SixPosition;
+        let count = count.unwrap_or(POSES);
+        let fewest = match options.model {
+            ModelChoice::Fixed(model) => model.parameters() + 1,
+            ModelChoice::Auto => Model::Bias3.parameters() + 1,
+        };
+        if !six && count < fewest {
+            return Err(ErrorCode::Usage.error(
+                format!("--count {count} is too small for this model"),
+                format!("give {fewest} or more, or a smaller --model"),
+            ));
+        }
+        Ok(Self {
+            six,
+            count: if six { Face::ALL.len() } else { count },
+            model: match options.model {
+                ModelChoice::Fixed(model) => model,
+                ModelChoice::Auto => Model::Full9,
+            },
+            gravity: local_gravity(options)?,
+            names: side_names(hello.board.number),
+        })
+    }
+
+    /// Name of a side.
+    pub fn name(&self, side: Face) -> &'static str {
+        let all = Face::ALL.iter().zip(self.names);
+        let mut named = all.filter(|(other, _)| **other == side);
+        named.next().map_or("", |(_, name)| name)
+    }
+
+    /// Standard deviations after these poses: of the fit, or expected where they do not support one.
+    pub fn uncertainty(&self, session: &Session<CAPACITY>) -> Uncertainty {
+        let poses = session.poses();
+        let estimate = match self.six {
+            true => six_position(poses, self.gravity, Placement::BY_HAND),
+            false => {
+                let what = MultiPosition {
+                    model: self.model,
+                    ..MultiPosition::default()
+                };
+                multi_position_with(poses, self.gravity, what)
+            }
+        };
+        let refusal = match estimate {
+            Ok(estimate) => {
+                let sd = estimate.sd();
+                return Uncertainty {
+                    bias_mps2: sd.bias_mps2,
+                    scale: [0, 1, 2].map(|axis| sd.matrix[axis][axis]),
+                    no_fit: None,
+                };
+            }
+            Err(refusal) => refusal.to_string(),
+        };
+        let expected = |parameter| session.guide().sd(parameter) * POSE_SD_MPS2;
+        use Parameter::{BiasX, BiasY, BiasZ, ScaleX, ScaleY, ScaleZ};
+        Uncertainty {
+            bias_mps2: [BiasX, BiasY, BiasZ].map(expected),
+            scale: [ScaleX, ScaleY, ScaleZ].map(|scale| expected(scale) / STANDARD_GRAVITY_MPS2),
+            // The remedy behind the colon is what the screen shows anyway.
+            no_fit: refusal.split(':').next().map(str::to_owned),
+        }
+    }
+}
+
+/// Names of the sides that are up, in the order of [`Face::ALL`], as printed on boards whose layout is known.
+fn side_names(board: u16) -> &'static [&'static str; 6] {
+    match board {
+        board::MICROBIT_V2 => &[
+            "logo up",
+            "logo down",
+            "button A up",
+            "button A down",
+            "display up",
+            "display down",
+        ],
+        _ => &Face::NAMES,
+    }
+}
+
+/// Standard deviations of the parameters.
+#[derive(Clone, Debug, Serialize)]
+pub struct Uncertainty {
+    /// Of the bias of each axis, m/s².
+    pub bias_mps2: [f64; 3],
+    /// Of the scale factor of each axis, of 1.
+    pub scale: [f64; 3],
+    /// Why there is no fit: they are then expected of these poses.
+    pub no_fit: Option<String>,
+}
+
+/// Something that a person is told.
+pub enum News {
+    /// The rate of the samples is known: poses can be captured from now on.
+    Ready,
+    /// A pose was captured.
+    Captured(Pose),
+    /// The board's button skipped the suggested orientation.
+    Skipped,
+}
+
+/// The poses of a live board, and everything recorded of them.
+pub struct LivePoses {
+    /// What is captured.
+    pub plan: Plan,
+    record: LinkHistory,
+    /// Samples of an interrupted session.
+    earlier: Option<Recording>,
+    session: Option<Session<CAPACITY>>,
+    /// The suggested orientation.
+    next: Option<Orientation>,
+    sensitivity: Option<Sensitivity>,
+    phase: Phase,
+    /// Samples that were pushed to the session, and those of them that are kept.
+    pushed: u64,
+    kept: u64,
+    /// Number of kept samples before each pose.
+    starts: Vec<u64>,
+    /// The present output, m/s², smoothed over about ten samples.
+    output_mps2: Option<[f64; 3]>,
+    rate_hz: f64,
+}
+
+impl LivePoses {
+    /// Before any sample.
+    pub fn new(plan: Plan, hello: &Hello) -> Self {
+        Self {
+            plan,
+            record: LinkHistory::new(hello.role),
+            earlier: None,
+            session: None,
+            next: None,
+            sensitivity: None,
+            phase: Phase::WaitingForRest,
+            pushed: 0,
+            kept: 0,
+            starts: Vec::new(),
+            output_mps2: None,
+            rate_hz: 0.0,
+        }
+    }
+
+    /// Takes an arrival and hands on what a person is told.
+    pub fn take(&mut self, arrival: &Arrival, mut tell: impl FnMut(&Self, News)) {
+        self.record.take(arrival);
+        match &arrival.event {
+            Event::Epoch { epoch, .. } if self.session.is_none() => {
+                self.sensitivity = Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g).ok();
+                if self.sensitivity.is_some() {
+                    self.rate_hz = 1e9 / f64::from(epoch.period_ns.max(1));
+                    self.begin();
+                    tell(self, News::Ready);
+                }
+            }
+            Event::Samples(samples) if samples.stream == Stream::Raw && samples.sensor == 0 => {
+                let ignored = self.session.as_ref().is_some_and(Session::ignores_hold);
+                for sample in samples.iter() {
+                    if let Some(pose) = self.push(sample.value.map(f64::from)) {
+                        tell(self, News::Captured(pose));
+                    }
+                }
+                // The rest of a hold whose pose was removed.
+                if ignored {
+                    self.drop_latest(samples.values.len() as u64);
+                }
+            }
+            Event::Device {
+                event: Happened::Marked { .. },
+                ..
+            } => {
+                let captured = self.session.as_mut().and_then(Session::capture);
+                match captured.and_then(|index| self.captured(index)) {
+                    Some(pose) => tell(self, News::Captured(pose)),
+                    None => {
+                        self.skip();
+                        tell(self, News::Skipped);
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Begins a session with the samples of the interrupted one.
+    fn begin(&mut self) {
+        let count = if self.plan.six {
+            CAPACITY
+        } else {
+            self.plan.count
+        };
+        self.session = Some(Session::new(self.rate_hz, self.plan.model, count));
+        (self.pushed, self.kept) = (0, 0);
+        self.starts.clear();
+        let earlier = self.earlier.take();
+        if let Some(samples) = earlier
+            .as_ref()
+            .and_then(|all| all.samples(Selection::default()).ok())
+        {
+            for counts in samples.values() {
+                self.push(counts);
+            }
+        }
+        self.earlier = earlier;
+        self.suggest();
+    }
+
+    /// Plans the next orientation, after a change of the poses: it takes milliseconds.
+    fn suggest(&mut self) {
+        self.next = match self.plan.six {
+            true => self
+                .sides_left()
+                .first()
+                .map(|side| Orientation::from(*side)),
+            false => self.session.as_ref().and_then(Session::next),
+        };
+    }
+
+    /// The suggested orientation.
+    pub fn next(&self) -> Option<Orientation> {
+        self.next
+    }
+
+    fn push(&mut self, counts: [f64; 3]) -> Option<Pose> {
+        let (session, sensitivity) = (self.session.as_mut()?, self.sensitivity?);
+        let scale = sensitivity.mps2_per_lsb();
+        let output = counts.map(|axis| axis * scale);
+        let smooth = self.output_mps2.get_or_insert(output);
+        (0..3).for_each(|axis| smooth[axis] += 0.1 * (output[axis] - smooth[axis]));
+        self.pushed += 1;
+        self.kept += 1;
+        self.phase = session.push(output);
+        match self.phase {
+            Phase::Captured { pose } => self.captured(pose),
+            _ => None,
+        }
+    }
+
+    /// The pose with this index, which was captured now.
+    fn captured(&mut self, index: usize) -> Option<Pose> {
+        let pose = *self.poses().get(index)?;
+        let since = self.pushed.saturating_sub(pose.first_sample);
+        self.starts.push(self.kept.saturating_sub(since));
+        self.suggest();
+        Some(pose)
+    }
+
+    /// Captures this many more poses.
+    pub fn extend(&mut self, more: usize) {
+        self.plan.count = (self.plan.count + more).min(CAPACITY);
+        let count = if self.plan.six {
+            CAPACITY
+        } else {
+            self.plan.count
+        };
+        self.session
+            .iter_mut()
+            .for_each(|session| session.want(count));
+    }
+
+    /// Skips the suggested orientation.
+    pub fn skip(&mut self) {
+        self.session.iter_mut().for_each(Session::skip);
+        self.suggest();
+    }
+
+    /// Removes the latest pose with its samples; returns whether there was one.
+    pub fn undo(&mut self) -> bool {
+        let removed = self.session.as_mut().and_then(Session::undo);
+        let Some(start) = removed.and(self.starts.pop()) else {
+            return false;
+        };
+        // The first block of a hold is left out of its pose: 0.1 s.
+        let start = start.saturating_sub((0.1 * self.rate_hz) as u64);
+        self.drop_latest(self.kept.saturating_sub(start));
+        self.suggest();
+        true
+    }
+
+    fn drop_latest(&mut self, count: u64) {
+        self.kept = self.kept.saturating_sub(count);
+        let count = usize::try_from(count).unwrap_or(usize::MAX);
+        let own: usize = self.record.boots.iter().map(|boot| boot.raw.len()).sum();
+        self.record.drop_latest_raw(count);
+        if let Some(earlier) = &mut self.earlier {
+            earlier.drop_latest(count.saturating_sub(own));
+        }
+    }
+
+    /// Continues an interrupted session; poses so far are left out.
+    ///
+    /// # Errors
+    /// Those of [`formats::load`].
+    pub fn resume(&mut self, file: &Path) -> Result<()> {
+        self.earlier = Some(formats::load(file, &formats::ReadOptions::default())?);
+        if self.session.is_some() {
+            self.record.drop_latest_raw(usize::MAX);
+            self.begin();
+        }
+        Ok(())
+    }
+
+    /// All samples so far.
+    ///
+    /// # Errors
+    /// Those of [`Recording::of_link`] and [`Recording::prepend`].
+    pub fn recording(&self, name: &str) -> Result<Recording> {
+        let mut recording = Recording::of_link(&self.record, name)?;
+        if let Some(earlier) = &self.earlier {
+            recording.prepend(earlier)?;
+        }
+        Ok(recording)
+    }
+
+    /// The captured poses, in order.
+    pub fn poses(&self) -> &[Pose] {
+        self.session.as_ref().map_or(&[], |session| session.poses())
+    }
+
+    /// The session; `None` before the rate is known.
+    pub fn session(&self) -> Option<&Session<CAPACITY>> {
+        self.session.as_ref()
+    }
+
+    /// Whether the board rests.
+    pub fn phase(&self) -> Phase {
+        self.phase
+    }
+
+    /// Sample rate, Hz; 0 before it is known.
+    pub fn rate_hz(&self) -> f64 {
+        self.rate_hz
+    }
+
+    /// The present output of the sensor, m/s².
+    pub fn output_mps2(&self) -> Option<[f64; 3]> {
+        self.output_mps2
+    }
+
+    /// The sides that were not captured yet, of six.
+    pub fn sides_left(&self) -> Vec<Face> {
+        let captured: Vec<_> = self.poses().iter().filter_map(Face::of).collect();
+        let left = Face::ALL
+            .into_iter()
+            .filter(|side| !captured.contains(side));
+        left.collect()
+    }
+
+    /// Whether all poses were captured.
+    pub fn is_complete(&self) -> bool {
+        let has_sides = !self.plan.six || self.sides_left().is_empty();
+        let count = self.poses().len();
+        (has_sides && count >= self.plan.count) || count == CAPACITY
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_sides_of_a_microbit_have_the_names_of_its_parts() {
+        let instruction = |board, side: Face| {
+            let names = side_names(board);
+            Orientation::from(side).instruction_with(names).to_string()
+        };
+        let microbit = |side| instruction(board::MICROBIT_V2, side);
+        assert_eq!(microbit(Face::ZUp), "hold it with display up");
+        assert_eq!(microbit(Face::XDown), "hold it with logo down");
+        assert_eq!(microbit(Face::YUp), "hold it with button A up");
+        assert_eq!(instruction(0, Face::YUp), "hold it with Y up");
+    }
+}

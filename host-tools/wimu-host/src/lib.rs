@@ -16,6 +16,7 @@ pub mod digits;
 mod error;
 pub mod export;
 pub mod finding;
+pub mod fleet;
 pub mod formats;
 pub mod hand_eye;
 pub mod history;

@@ -1,4 +1,4 @@
-//! Byte streams to and from a board, blocking with time-outs: serial ports and TCP.
+//! Byte streams to and from a board, blocking with time-outs: serial ports, TCP, and gateways behind a broker.
 
 use std::fmt;
 use std::io::{self, ErrorKind, Read, Write};
@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use serialport::{ClearBuffer, SerialPort, SerialPortType};
 
 use crate::error::{ErrorCode, HostError, Result};
+use crate::fleet;
 use crate::link_url::{DEFAULT_BAUD, LinkUrl};
 
 /// Longest wait for a connection, and for a link to accept data.
@@ -38,6 +39,12 @@ pub trait Transport {
     /// so that a simulated link can run in virtual time.
     fn now(&self) -> Duration {
         now()
+    }
+
+    /// Time on this clock at which the latest data read had arrived at this computer or, over a broker, at the
+    /// gateway.
+    fn received_at(&self) -> Duration {
+        self.now()
     }
 
     /// Baud rate at this end; `None` for a link without one.
@@ -70,6 +77,10 @@ impl<T: Transport + ?Sized> Transport for Box<T> {
         (**self).now()
     }
 
+    fn received_at(&self) -> Duration {
+        (**self).received_at()
+    }
+
     fn baud(&self) -> Option<u32> {
         (**self).baud()
     }
@@ -91,6 +102,16 @@ pub fn open(link: &LinkUrl) -> Result<Box<dyn Transport + Send>> {
             Ok(Box::new(SerialLink::open(path, baud)?))
         }
         LinkUrl::Tcp { host, port } => Ok(Box::new(TcpLink::open(link, host, *port)?)),
+        LinkUrl::Mqtt {
+            broker,
+            fleet,
+            board,
+        } => Ok(Box::new(fleet::open(
+            &link.to_string(),
+            broker,
+            fleet,
+            board,
+        )?)),
         LinkUrl::Auto => match candidates()?.as_slice() {
             [only] => open(only),
             several => {

@@ -14,6 +14,10 @@ mod comparisons;
 mod demo;
 mod files_people_bring;
 mod flash;
+#[cfg(target_os = "linux")]
+mod fleet;
+#[cfg(target_os = "linux")]
+mod fleet_campaign;
 mod full_disk;
 mod full_scale;
 mod gyroscope;

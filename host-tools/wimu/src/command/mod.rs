@@ -9,6 +9,8 @@ pub mod compare;
 pub mod demo;
 pub mod export;
 pub mod flash;
+pub mod fleet;
+pub mod gateway;
 pub mod info;
 pub mod key;
 pub mod manual;

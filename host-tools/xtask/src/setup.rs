@@ -1,5 +1,5 @@
 //! Finds or installs what the tests need beyond cargo: the formatter, the linter, `core` for two
-//! microcontrollers, emulators of two, Python, a C compiler and a browser.
+//! microcontrollers, emulators of two, Python, a C compiler, a browser and an MQTT broker.
 
 use std::path::Path;
 
@@ -22,6 +22,8 @@ pub enum Need {
     Oldest,
     /// Of reports: Chromium.
     Browser,
+    /// Of fleets: Mosquitto.
+    Broker,
     /// Of the Python module and of reading sqlite: Python with virtual environments, and a C compiler.
     Optional,
 }
@@ -51,7 +53,7 @@ pub fn run() -> Result<(), String> {
     }
     python::environment("numpy")?;
     // Without one of these a step is left out, no more.
-    for need in [Need::Oldest, Need::Browser] {
+    for need in [Need::Oldest, Need::Browser, Need::Broker] {
         if let Err(why) = provide(need, &mut ThisMachine) {
             println!("{why}");
         }
@@ -189,7 +191,7 @@ fn install(need: Need, source: Source) -> Vec<CommandLine> {
             Need::Targets => {
                 vec![CommandLine::new("rustup target add").words(&TARGETS.join(" "))]
             }
-            Need::Qemu | Need::Browser | Need::Optional => Vec::new(),
+            Need::Qemu | Need::Browser | Need::Broker | Need::Optional => Vec::new(),
             Need::Oldest => {
                 vec![CommandLine::new("rustup toolchain install --profile minimal").word(OLDEST)]
             }
@@ -200,6 +202,7 @@ fn install(need: Need, source: Source) -> Vec<CommandLine> {
                 Need::Targets => "rustc-web cargo-web rust-web-src lld",
                 Need::Qemu => "qemu-system-arm",
                 Need::Browser => "chromium",
+                Need::Broker => "mosquitto",
                 Need::Optional => "python3 python3-venv gcc libc6-dev",
                 Need::Oldest => return Vec::new(),
             };
@@ -221,6 +224,7 @@ impl Need {
             Self::Targets => TARGETS.join(" and "),
             Self::Qemu => "qemu-system-arm".into(),
             Self::Browser => "Chromium".into(),
+            Self::Broker => "Mosquitto".into(),
             Self::Oldest => format!("Rust {OLDEST}"),
             Self::Optional => "Python 3 with venv and a C compiler".into(),
         }
@@ -229,7 +233,9 @@ impl Need {
     /// Where it was found.
     fn found(self, source: Source) -> &'static str {
         match (self, source) {
-            (Self::Qemu | Self::Oldest | Self::Browser | Self::Optional, _) => "installed",
+            (Self::Qemu | Self::Oldest | Self::Browser | Self::Broker | Self::Optional, _) => {
+                "installed"
+            }
             (_, Source::Toolchain) => "in the active toolchain",
             (_, Source::Debian) => "from Debian's packages",
         }
@@ -243,6 +249,7 @@ impl Need {
             }
             Self::Qemu => "install QEMU (https://www.qemu.org/download)",
             Self::Browser => "install Chromium (https://www.chromium.org)",
+            Self::Broker => "install Mosquitto (https://mosquitto.org/download)",
             Self::Optional => "install Python (https://www.python.org/downloads) and a C compiler",
         }
     }
@@ -262,9 +269,11 @@ impl Machine for ThisMachine {
             (Need::Oldest, Source::Toolchain) => {
                 succeeds(&format!("rustup run {OLDEST} cargo --version"))
             }
-            (Need::Qemu | Need::Browser | Need::Optional, Source::Toolchain)
+            (Need::Qemu | Need::Browser | Need::Broker | Need::Optional, Source::Toolchain)
             | (Need::Oldest, Source::Debian) => false,
             (Need::Browser, Source::Debian) => succeeds("chromium --version"),
+            // Its help ends with an error.
+            (Need::Broker, Source::Debian) => Path::new("/usr/sbin/mosquitto").exists(),
             (Need::Optional, Source::Debian) => {
                 let python = CommandLine::new("python3 -c").word("import venv, ensurepip");
                 python.output().is_some() && succeeds("cc --version")

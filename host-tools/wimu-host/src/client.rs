@@ -476,7 +476,8 @@ impl<T: Transport> Client<T> {
             time_bytes,
             ..
         } = self;
-        let host_ns = u64::try_from(now.as_nanos()).unwrap_or(u64::MAX);
+        let received = self.transport.received_at();
+        let host_ns = u64::try_from(received.as_nanos()).unwrap_or(u64::MAX);
         decoder.push(host_ns, &buffer[..count], |arrival| {
             match &arrival.event {
                 Event::Hello(new) => {

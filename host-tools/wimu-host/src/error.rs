@@ -169,6 +169,8 @@ codes! {
     LinkKindMissing = "link_kind_missing", 2;
     /// Something that this build leaves out.
     FeatureMissing = "feature_missing", 2;
+    /// A configuration with an error.
+    BadConfig = "bad_config", 2;
     /// A firmware image of another board.
     WrongImage = "wrong_image", 2;
     /// A wrong flag or value.
@@ -211,6 +213,8 @@ codes! {
     DataRefused = "data_refused", 3;
     /// The device refused a command.
     DeviceRefused = "device_refused", 4;
+    /// This does not pass a broker: unsigned writes, keys.
+    NotThroughBroker = "not_through_broker", 4;
     /// The device takes this on the link only with its key.
     KeyNeeded = "key_needed", 4;
 }

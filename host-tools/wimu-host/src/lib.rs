@@ -17,6 +17,7 @@ pub mod digits;
 mod error;
 pub mod export;
 pub mod finding;
+pub mod fleet;
 pub mod formats;
 pub mod guided;
 pub mod hand_eye;

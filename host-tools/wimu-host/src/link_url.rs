@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use crate::error::{ErrorCode, HostError, Result};
+use crate::fleet::topics::{Broker, Name};
 use crate::formats::{self, Source};
 
 /// Default baud rate.
@@ -19,6 +20,7 @@ pub const DEFAULT_BAUD: u32 = 115_200;
 /// | `/dev/ttyACM0`, `/dev/rfcomm0`, `/dev/cu.usbmodem1`, `COM5` | the same, at 115200 baud |
 /// | `tcp://127.0.0.1:7100`, `tcp://[::1]:7100` | a TCP server |
 /// | `ble://wimu-1a2b`, `ble://D4:7C:12:34:56:78` | a unit with the Nordic UART Service; needs the feature `ble` |
+/// | `mqtt://127.0.0.1/hall/board-1`, `mqtts://me@host:8883/hall/board-1` | a board of a fleet, through a broker |
 /// | `auto` | the serial port with the USB id of a known board |
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum LinkUrl {
@@ -41,6 +43,15 @@ pub enum LinkUrl {
         /// Its name, or its address.
         name: String,
     },
+    /// A board of a fleet, through a broker.
+    Mqtt {
+        /// The broker.
+        broker: Broker,
+        /// Name of the fleet.
+        fleet: Name,
+        /// Name of the board.
+        board: Name,
+    },
     /// The only port with the USB id of a known board.
     Auto,
 }
@@ -51,7 +62,7 @@ impl FromStr for LinkUrl {
     fn from_str(text: &str) -> Result<Self> {
         let bad = |message: String| {
             ErrorCode::BadLink.error(message,
-                "write serial:///dev/ttyACM0?baud=115200, COM5, /dev/ttyACM0, tcp://127.0.0.1:7100 or auto",
+                "write serial:///dev/ttyACM0?baud=115200, COM5, /dev/ttyACM0, tcp://127.0.0.1:7100, mqtt://HOST/FLEET/BOARD or auto",
             )
             .at(text)
         };
@@ -63,6 +74,13 @@ impl FromStr for LinkUrl {
         }
         if let Some(rest) = text.strip_prefix("tcp://") {
             return parse_tcp(rest).map_err(bad);
+        }
+        if text.starts_with("mqtt://") || text.starts_with("mqtts://") {
+            return parse_mqtt(text).map_err(|why| {
+                ErrorCode::BadLink
+                    .error(why, "write mqtt://HOST/FLEET/BOARD")
+                    .at(text)
+            });
         }
         if let Some(name) = text.strip_prefix("ble://") {
             return parse_ble(name, text).map_err(|error| error.at(text));
@@ -149,6 +167,23 @@ fn parse_tcp(rest: &str) -> Result<LinkUrl, String> {
     })
 }
 
+fn parse_mqtt(text: &str) -> Result<LinkUrl, String> {
+    let (broker, path) = Broker::split(text)?;
+    let path = path.strip_suffix('/').unwrap_or(path);
+    let (fleet, board) = path
+        .split_once('/')
+        .ok_or("the fleet or the board is missing")?;
+    let name = |what: &str, text: &str| {
+        text.parse::<Name>()
+            .map_err(|why| format!("the {what}: {why}"))
+    };
+    Ok(LinkUrl::Mqtt {
+        broker,
+        fleet: name("fleet", fleet)?,
+        board: name("board", board)?,
+    })
+}
+
 fn is_com_port(text: &str) -> bool {
     text.get(..3)
         .is_some_and(|prefix| prefix.eq_ignore_ascii_case("COM"))
@@ -167,6 +202,11 @@ impl fmt::Display for LinkUrl {
             Self::Tcp { host, port } if host.contains(':') => write!(out, "tcp://[{host}]:{port}"),
             Self::Tcp { host, port } => write!(out, "tcp://{host}:{port}"),
             Self::Ble { name } => write!(out, "ble://{name}"),
+            Self::Mqtt {
+                broker,
+                fleet,
+                board,
+            } => write!(out, "{broker}/{fleet}/{board}"),
             Self::Auto => out.write_str("auto"),
         }
     }
@@ -252,6 +292,14 @@ mod tests {
             ("tcp://127.0.0.1:7100", tcp("127.0.0.1", 7100)),
             ("tcp://localhost:1/", tcp("localhost", 1)),
             ("tcp://[::1]:7100", tcp("::1", 7100)),
+            (
+                "mqtts://me@host/hall/b-1",
+                LinkUrl::Mqtt {
+                    broker: "mqtts://me@host:8883".parse().unwrap(),
+                    fleet: "hall".parse().unwrap(),
+                    board: "b-1".parse().unwrap(),
+                },
+            ),
             ("auto", LinkUrl::Auto),
         ] {
             let parsed: LinkUrl = text.parse().unwrap();
@@ -279,6 +327,10 @@ mod tests {
             ("tcp://::1:7100", ErrorCode::BadLink, "brackets"),
             ("tcp://:7100", ErrorCode::BadLink, "host is missing"),
             ("tcp://host:99999", ErrorCode::BadLink, "99999"),
+            ("mqtt://host/hall", ErrorCode::BadLink, "missing"),
+            ("mqtt://host/hall/#", ErrorCode::BadLink, "'#'"),
+            ("mqtt://host/a/b/c", ErrorCode::BadLink, "'/'"),
+            ("mqtt:///hall/b", ErrorCode::BadLink, "host is missing"),
             #[cfg(not(feature = "ble"))]
             ("ble://wimu", ErrorCode::LinkKindMissing, "Low Energy"),
             #[cfg(feature = "ble")]

@@ -368,7 +368,7 @@ impl<T: Transport> Tap<T> {
     }
 
     /// The latest data.
-    fn last(&self) -> Option<&Tapped> {
+    pub(crate) fn last(&self) -> Option<&Tapped> {
         self.heard.last()
     }
 }
@@ -378,7 +378,7 @@ impl<T: Transport> Transport for Tap<T> {
         let count = self.inner.read(buffer, timeout)?;
         if count > 0 {
             self.heard.push(Tapped::Received {
-                host_ns: nanoseconds(self.inner.now()),
+                host_ns: nanoseconds(self.inner.received_at()),
                 bytes: buffer[..count].to_vec(),
             });
         }
@@ -399,6 +399,10 @@ impl<T: Transport> Transport for Tap<T> {
 
     fn now(&self) -> Duration {
         self.inner.now()
+    }
+
+    fn received_at(&self) -> Duration {
+        self.inner.received_at()
     }
 
     fn baud(&self) -> Option<u32> {

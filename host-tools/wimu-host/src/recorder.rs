@@ -122,7 +122,15 @@ impl Recorder {
                 .collect(),
             ended: None,
         };
-        let live = LiveLinks::start(self.links, Pace::on_line);
+        let through_broker = self
+            .links
+            .iter()
+            .any(|(url, _)| matches!(url, LinkUrl::Mqtt { .. }));
+        let pace = match through_broker {
+            true => Pace::sparse,
+            false => Pace::on_line,
+        };
+        let live = LiveLinks::start(self.links, pace);
         let mut outcome = Ok(());
         let mut lost_since: Option<Instant> = None;
         loop {

@@ -1,5 +1,5 @@
-//! Byte streams to and from a board, blocking with time-outs: serial ports, TCP, and with the feature `ble` Bluetooth Low
-//! Energy.
+//! Byte streams to and from a board, blocking with time-outs: serial ports, TCP, gateways behind a
+//! broker, and with the feature `ble` Bluetooth Low Energy.
 
 #[cfg(feature = "ble")]
 mod ble;
@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 use serialport::{ClearBuffer, SerialPort, SerialPortType};
 
 use crate::error::{ErrorCode, HostError, Result};
+use crate::fleet;
 use crate::link_url::{DEFAULT_BAUD, LinkUrl};
 
 /// Longest wait for a connection, and for a link to accept data.
@@ -43,6 +44,12 @@ pub trait Transport {
     /// so that a simulated link can run in virtual time.
     fn now(&self) -> Duration {
         now()
+    }
+
+    /// Time on this clock at which the latest data read had arrived at this computer or, over a broker, at the
+    /// gateway.
+    fn received_at(&self) -> Duration {
+        self.now()
     }
 
     /// Baud rate at this end; `None` for a link without one.
@@ -75,6 +82,10 @@ impl<T: Transport + ?Sized> Transport for Box<T> {
         (**self).now()
     }
 
+    fn received_at(&self) -> Duration {
+        (**self).received_at()
+    }
+
     fn baud(&self) -> Option<u32> {
         (**self).baud()
     }
@@ -100,6 +111,16 @@ pub fn open(link: &LinkUrl) -> Result<Box<dyn Transport + Send>> {
         LinkUrl::Ble { name } => Ok(Box::new(ble::open(name)?)),
         #[cfg(not(feature = "ble"))]
         LinkUrl::Ble { .. } => Err(without_ble(&link.to_string())),
+        LinkUrl::Mqtt {
+            broker,
+            fleet,
+            board,
+        } => Ok(Box::new(fleet::open(
+            &link.to_string(),
+            broker,
+            fleet,
+            board,
+        )?)),
         LinkUrl::Auto => match candidates()?.as_slice() {
             [only] => open(only),
             several => {

@@ -4,6 +4,7 @@ mod aids;
 mod apply;
 mod calibration;
 mod device;
+mod fleet;
 mod navigate;
 mod reading;
 mod relations;
@@ -13,6 +14,7 @@ pub use aids::{Aids, MotionProfile};
 pub use apply::Apply;
 pub use calibration::{Align, Allan, Calibrate, Calibrated, Method};
 pub use device::{Carried, Change, Key, KeyAction, Params, Resolution, Settings};
+pub use fleet::{Fleet, Gateway};
 pub use navigate::{Navigate, Smoothing, ZeroVelocity};
 pub use reading::Reading;
 pub use relations::check;
@@ -32,8 +34,8 @@ use crate::output::usage;
 
 /// Make a wireless inertial measurement unit of a MEMS accelerometer: record, calibrate, correct, navigate.
 ///
-/// LINK is tcp://127.0.0.1:7100, serial:///dev/ttyACM0?baud=115200, a port (COM5, /dev/rfcomm0) or
-/// `auto`.
+/// LINK is tcp://127.0.0.1:7100, serial:///dev/ttyACM0?baud=115200, a port (COM5, /dev/rfcomm0),
+/// mqtt://HOST/FLEET/BOARD or `auto`.
 #[derive(Parser)]
 #[command(
     name = "wimu",
@@ -142,6 +144,13 @@ pub enum Command {
     Compare(Compare),
     /// Compute velocity and position with their uncertainty
     Navigate(Navigate),
+    /// Serve many boards: record them, and publish them through an MQTT broker
+    Gateway(Gateway),
+    /// Show the boards of a fleet, or push calibrations to them
+    Fleet {
+        #[command(subcommand)]
+        action: Fleet,
+    },
     /// Write firmware to a board through its debug probe
     Flash(Flash),
     /// Write a file for a bug report: answers and bytes of a link

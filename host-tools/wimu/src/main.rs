@@ -69,6 +69,8 @@ fn run(command: Command, output: Output) -> Result<u8> {
         Command::Key(arguments) => command::key::run(&arguments, output),
         Command::Settings { action } => command::settings::run(&action, output),
         Command::ReportBug(arguments) => command::report_bug::run(&arguments, output),
+        Command::Gateway(arguments) => command::gateway::run(&arguments, output),
+        Command::Fleet { action } => command::fleet::run(&action, output),
         Command::Completions(arguments) => command::manual::completions(&arguments),
         Command::Man(arguments) => command::manual::man(&arguments, output),
         Command::Navigate(arguments) => command::navigate::run(&arguments, output),

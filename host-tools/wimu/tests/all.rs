@@ -15,6 +15,10 @@ mod dashboard;
 mod demo;
 mod files_people_bring;
 mod flash;
+#[cfg(target_os = "linux")]
+mod fleet;
+#[cfg(target_os = "linux")]
+mod fleet_campaign;
 mod full_disk;
 mod full_scale;
 mod gyroscope;

@@ -105,6 +105,14 @@ const COMMAND: [&str; 5] = [
     "host-tools/wimu-host/src",
     "host-tools/wimu-sim/src",
 ];
+const FLEET: [&str; 6] = [
+    "crates/wimu-link/src",
+    "host-tools/wimu/src",
+    "host-tools/wimu-host/src",
+    "host-tools/wimu-sim/src",
+    "host-tools/wimu/tests/fleet_campaign.rs",
+    "host-tools/wimu/tests/kit",
+];
 const PYTHON: [&str; 2] = ["host-tools/wimu-python", "host-tools/wimu-host/src"];
 
 /// Commands whose figures are kept together.
@@ -122,7 +130,7 @@ struct Run {
     sources: &'static [&'static str],
 }
 
-pub const CAMPAIGNS: [Campaign; 12] = [
+pub const CAMPAIGNS: [Campaign; 14] = [
     Campaign {
         name: "arithmetic",
         about: "corrector and integrator against f64 and exact integers",
@@ -332,6 +340,15 @@ pub const CAMPAIGNS: [Campaign; 12] = [
                 "host-tools/wimu/src/command/dashboard",
                 "host-tools/wimu/tests/dashboard",
             ],
+        }],
+    },
+    Campaign {
+        name: "fleet",
+        about: "a thousand replayed boards through Mosquitto: faults of every part, every loss counted",
+        // `WIMU_FLEET_BOARDS` and `WIMU_FLEET_SECONDS` make it smaller.
+        runs: &[Run {
+            command: "test --release -p wimu --test all -- --ignored fleet_campaign:: --nocapture",
+            sources: &FLEET,
         }],
     },
     Campaign {

@@ -1,5 +1,5 @@
 //! Finds or installs what the tests need beyond cargo: the formatter, the linter, `core` for two
-//! microcontrollers, emulators of two, Python, a C compiler and a browser.
+//! microcontrollers, emulators of two, Python, a C compiler, a browser and an MQTT broker.
 
 use std::path::{Path, PathBuf};
 
@@ -26,6 +26,8 @@ pub enum Need {
     Libclang,
     /// Of links over Bluetooth Low Energy, on Linux.
     Dbus,
+    /// Of fleets: Mosquitto.
+    Broker,
     /// Of the Python module and of reading sqlite: Python with virtual environments, and a C compiler.
     Optional,
 }
@@ -55,7 +57,13 @@ pub fn run() -> Result<(), String> {
     }
     python::environment("numpy")?;
     // Without one of these a step is left out, no more.
-    for need in [Need::Oldest, Need::Browser, Need::Libclang, Need::Dbus] {
+    for need in [
+        Need::Oldest,
+        Need::Browser,
+        Need::Broker,
+        Need::Libclang,
+        Need::Dbus,
+    ] {
         if let Err(why) = provide(need, &mut ThisMachine) {
             println!("{why}");
         }
@@ -230,7 +238,12 @@ fn install(need: Need, source: Source) -> Vec<CommandLine> {
             Need::Targets => {
                 vec![CommandLine::new("rustup target add").words(&TARGETS.join(" "))]
             }
-            Need::Qemu | Need::Browser | Need::Libclang | Need::Dbus | Need::Optional => Vec::new(),
+            Need::Qemu
+            | Need::Browser
+            | Need::Broker
+            | Need::Libclang
+            | Need::Dbus
+            | Need::Optional => Vec::new(),
             Need::Oldest => {
                 vec![CommandLine::new("rustup toolchain install --profile minimal").word(OLDEST)]
             }
@@ -243,6 +256,7 @@ fn install(need: Need, source: Source) -> Vec<CommandLine> {
                 Need::Browser => "chromium",
                 Need::Libclang => "libclang-dev",
                 Need::Dbus => "libdbus-1-dev pkg-config",
+                Need::Broker => "mosquitto",
                 Need::Optional => "python3 python3-venv gcc libc6-dev",
                 Need::Oldest => return Vec::new(),
             };
@@ -264,6 +278,7 @@ impl Need {
             Self::Targets => TARGETS.join(" and "),
             Self::Qemu => "qemu-system-arm".into(),
             Self::Browser => "Chromium".into(),
+            Self::Broker => "Mosquitto".into(),
             Self::Oldest => format!("Rust {OLDEST}"),
             Self::Libclang => "libclang".into(),
             Self::Dbus => "libdbus".into(),
@@ -290,6 +305,7 @@ impl Need {
             Self::Browser => "install Chromium (https://www.chromium.org)",
             Self::Libclang => "install LLVM (https://releases.llvm.org)",
             Self::Dbus => "install the development files of libdbus",
+            Self::Broker => "install Mosquitto (https://mosquitto.org/download)",
             Self::Optional => "install Python (https://www.python.org/downloads) and a C compiler",
         }
     }
@@ -315,6 +331,8 @@ impl Machine for ThisMachine {
                 !cfg!(target_os = "linux") || succeeds("pkg-config --exists dbus-1")
             }
             (Need::Browser, Source::Debian) => succeeds("chromium --version"),
+            // Its help ends with an error.
+            (Need::Broker, Source::Debian) => Path::new("/usr/sbin/mosquitto").exists(),
             (Need::Optional, Source::Debian) => {
                 let python = CommandLine::new("python3 -c").word("import venv, ensurepip");
                 python.output().is_some() && succeeds("cc --version")

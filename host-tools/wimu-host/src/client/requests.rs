@@ -87,6 +87,8 @@ impl<T: Transport> Client<T> {
             answer => answer.and_then(|answer| self.accepted(answer)),
         };
         match outcome {
+            // It has not left this computer.
+            Err(error) if error.code() == ErrorCode::NotThroughBroker => Err(error),
             Err(error) if has_effect && !certain => Err(possibly_done(&error)),
             outcome => outcome,
         }

@@ -264,6 +264,11 @@ impl<W: Write + Seek> RecordingWriter<W> {
         self.anchor
     }
 
+    /// Time of the latest flush, ns.
+    pub(crate) fn flushed_ns(&self) -> Option<u64> {
+        self.last_flush_ns
+    }
+
     /// Flushes if a second has passed: to be called while nothing is received.
     ///
     /// # Errors

@@ -10,6 +10,8 @@ pub mod dashboard;
 pub mod demo;
 pub mod export;
 pub mod flash;
+pub mod fleet;
+pub mod gateway;
 pub mod info;
 pub mod key;
 pub mod manual;

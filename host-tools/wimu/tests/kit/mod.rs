@@ -2,6 +2,9 @@
 
 #![allow(dead_code, reason = "each test file uses its own part of it")]
 
+#[cfg(target_os = "linux")]
+pub mod fleet;
+
 use std::cell::RefCell;
 use std::fmt::{Display, Write};
 use std::fs;
@@ -240,9 +243,15 @@ impl Background {
 
     /// As a user whose configuration is in `config`.
     pub fn start_as(config: &Path, arguments: &[&str]) -> Self {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_wimu"))
+        Self::start_by(&[], config, arguments)
+    }
+
+    /// The same through a program that executes its last arguments.
+    pub fn start_by(program: &[&str], config: &Path, arguments: &[&str]) -> Self {
+        let words = [program, &[env!("CARGO_BIN_EXE_wimu")], arguments].concat();
+        let mut child = Command::new(words[0])
             .env("XDG_CONFIG_HOME", config)
-            .args(arguments)
+            .args(&words[1..])
             .arg("--json")
             .stdin(Stdio::null())
             .stdout(Stdio::piped())

@@ -1,0 +1,504 @@
+//! One board of a gateway: its link, its recording, its batches and its state.
+
+use std::fs;
+use std::path::PathBuf;
+use std::sync::mpsc::Receiver;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use wimu_link::LinkRole;
+use wimu_link::message::Event as DeviceEvent;
+use wimu_model::ParameterSet;
+
+use super::Batch;
+use super::commands::{self, Asks};
+use super::gateway::Shared;
+use super::state::{self, BoardState};
+use super::topics::{Content, Name, topic};
+use crate::client::{Client, ConnectOptions};
+use crate::clock::ClockEstimator;
+use crate::decode::{Arrival, Event};
+use crate::live::{LiveClient, Tap, Tapped};
+use crate::mcap_file::{Recorded, RecordingWriter};
+use crate::transport::{self, Transport, now};
+use crate::{ErrorCode, HostError, LinkUrl, Result};
+
+/// Longest wait for data before commands and the stop flag are checked; and while a client waits for answers.
+const GLANCE: Duration = Duration::from_millis(100);
+const GLANCE_ASKED: Duration = Duration::from_millis(10);
+/// Time after a command in which whole frames are published at once.
+const ASKED_FOR: Duration = Duration::from_secs(2);
+/// Intervals of time requests: at first for [`CLOCK_SETTLES`], then.
+const ASK_TIME: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(10)];
+const CLOCK_SETTLES: Duration = Duration::from_secs(30);
+/// Interval of estimates of the clock, which take some ms; the first ones of many boards are spread over it.
+const CLOCK: Duration = Duration::from_secs(300);
+/// Interval of requests for the identification, which has the parameters in use.
+const ASK_WHO: Duration = Duration::from_secs(60);
+/// Interval between reports of the state to the broker, and to the metrics.
+const REPORT: Duration = Duration::from_secs(30);
+const COUNT: Duration = Duration::from_secs(1);
+/// Shortest and longest interval between attempts to open a lost link, and to write again after a full disk.
+const RETRY: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(5)];
+const RECORD_AGAIN: Duration = Duration::from_secs(5);
+/// A batch is published at this size, bytes; without the end of a frame at the second one.
+const ENOUGH: usize = 16 << 10;
+const MOST: usize = 64 << 10;
+
+/// What the gateway's threads know of a board.
+#[derive(Debug)]
+pub struct Shown(Mutex<BoardState>);
+
+impl Shown {
+    pub fn new(state: BoardState) -> Self {
+        Self(Mutex::new(state))
+    }
+
+    pub fn lock(&self) -> MutexGuard<'_, BoardState> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The board, in a thread of its own.
+pub struct Bridge {
+    pub name: Name,
+    pub link: LinkUrl,
+    pub shared: std::sync::Arc<Shared>,
+    pub shown: std::sync::Arc<Shown>,
+    pub down: Receiver<Vec<u8>>,
+    batch: Outgoing,
+    recording: Option<Recording>,
+    clock: ClockEstimator,
+    state: BoardState,
+    /// What was reported last, and when.
+    reported: Option<(BoardState, Duration)>,
+    counted: Duration,
+    asked: Option<Duration>,
+    /// When the clock is estimated next.
+    clock_at: Duration,
+}
+
+impl Bridge {
+    pub fn new(
+        name: Name,
+        link: LinkUrl,
+        shared: std::sync::Arc<Shared>,
+        shown: std::sync::Arc<Shown>,
+        down: Receiver<Vec<u8>>,
+    ) -> Self {
+        let recording = shared
+            .config
+            .recordings
+            .as_ref()
+            .map(|folder| Recording::new(folder.join(name.as_str()), &shared));
+        let state = shown.lock().clone();
+        Self {
+            batch: Outgoing {
+                topic: topic(&shared.config.fleet, &name, Content::Up),
+                pending: Vec::new(),
+                bytes: 0,
+                number: 0,
+                since: None,
+            },
+            name,
+            link,
+            shared,
+            shown,
+            down,
+            recording,
+            clock: ClockEstimator::new(),
+            state,
+            reported: None,
+            counted: Duration::ZERO,
+            asked: None,
+            clock_at: Duration::ZERO,
+        }
+    }
+
+    /// Runs until the gateway stops.
+    pub fn run(mut self) {
+        let mut client = None;
+        let mut retry = RETRY[0];
+        while !self.shared.stopped() {
+            let outcome = self.open(&mut client).and_then(|()| {
+                retry = RETRY[0];
+                client.as_mut().map_or(Ok(()), |client| self.serve(client))
+            });
+            if let Some(client) = &mut client {
+                self.keep(client);
+                self.count(client);
+            }
+            self.batch.flush(&self.shared, true);
+            if let Err(error) = outcome {
+                self.lose(&error);
+                let until = now() + retry;
+                while !self.shared.stopped() && now() < until {
+                    std::thread::sleep(GLANCE.min(retry));
+                }
+                // Commands for a board that is away are not delivered late.
+                self.state.commands_refused += self.down.try_iter().count() as u64;
+                retry = (retry * 2).min(RETRY[1]);
+            }
+        }
+        if let Some(recording) = &mut self.recording {
+            recording.close();
+        }
+        self.report(true);
+    }
+
+    /// Opens the link and greets the board.
+    fn open(&mut self, client: &mut Option<LiveClient>) -> Result<()> {
+        let tap = Tap::on(transport::open(&self.link)?);
+        match client {
+            Some(client) => {
+                client.resume(tap)?;
+                self.state.reconnections += 1;
+            }
+            None => {
+                *client = Some(Client::connect(
+                    tap,
+                    &self.link.to_string(),
+                    ConnectOptions::default(),
+                )?)
+            }
+        }
+        if let Some(client) = client {
+            let share = Duration::from_secs(client.hello().device_id % CLOCK.as_secs());
+            self.clock_at = now() + CLOCK_SETTLES + share;
+            self.state.identify(client.hello());
+            self.record(&[Recorded::Connected {
+                role: client.hello().role,
+                host_ns: nanoseconds(now()),
+            }]);
+        }
+        self.state.alive = true;
+        self.state.lost = None;
+        self.report(true);
+        Ok(())
+    }
+
+    /// Serves the link until it is lost.
+    fn serve(&mut self, client: &mut LiveClient) -> Result<()> {
+        let began = now();
+        let (mut time_at, mut who_at) = (began, began + ASK_WHO);
+        while !self.shared.stopped() {
+            self.forward(client)?;
+            let at = now();
+            if at >= time_at {
+                time_at = at + ASK_TIME[usize::from(at > began + CLOCK_SETTLES)];
+                client.ask_time()?;
+                if let Some(Tapped::Sent { host_ns, bytes }) = client.transport().last() {
+                    self.clock.asked(*host_ns, &bytes.clone());
+                }
+            }
+            if at >= who_at {
+                who_at = at + ASK_WHO;
+                client.ask_who()?;
+            }
+            let is_asked = self.asked.is_some_and(|asked| at < asked + ASKED_FOR);
+            let until = at + if is_asked { GLANCE_ASKED } else { GLANCE };
+            while let Some(arrival) = client.next_event(until.saturating_sub(now()))? {
+                self.take(client.hello().role, &arrival);
+                if now() >= until {
+                    break;
+                }
+            }
+            self.keep(client);
+            let due = self
+                .batch
+                .since
+                .is_some_and(|since| now() >= since + self.shared.config.batch);
+            if due || is_asked || self.batch.bytes >= ENOUGH {
+                self.batch.flush(&self.shared, false);
+            }
+            if now() >= self.counted + COUNT {
+                self.count(client);
+            }
+        }
+        Ok(())
+    }
+
+    /// Sends the broker's commands to the board, unless they are not allowed.
+    fn forward(&mut self, client: &mut LiveClient) -> Result<()> {
+        while let Ok(message) = self.down.try_recv() {
+            match commands::check(&message) {
+                Ok(asks) => {
+                    if asks == Asks::Answer {
+                        self.asked = Some(now());
+                    }
+                    self.state.commands += 1;
+                    client.transport().write_all(&message)?;
+                }
+                Err(_) => self.state.commands_refused += 1,
+            }
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, role: LinkRole, arrival: &Arrival) {
+        match &arrival.event {
+            Event::Restart { .. } => self.clock = ClockEstimator::new(),
+            Event::Hello(hello) => self.state.identify(hello),
+            Event::Parameters(held) => {
+                let set = held
+                    .active
+                    .as_ref()
+                    .and_then(|set| ParameterSet::try_from(set).ok());
+                let utc_s = set.and_then(|set| set.quality?.terms().utc_s);
+                if self.state.parameter_id.as_ref()
+                    != Some(&wimu_model::ParameterId(held.id).to_string())
+                {
+                    self.state.contradicted = false;
+                }
+                self.state.parameter_id = Some(wimu_model::ParameterId(held.id).to_string());
+                self.state.calibrated_utc_s = utc_s;
+            }
+            Event::Device {
+                event: DeviceEvent::CalibrationContradicted { .. },
+                ..
+            } => self.state.contradicted = true,
+            _ => {}
+        }
+        self.clock.heard(role, arrival);
+    }
+
+    /// Records and batches what passed over the link.
+    fn keep(&mut self, client: &mut LiveClient) {
+        let role = client.hello().role;
+        let entries: Vec<_> = client
+            .transport()
+            .take()
+            .into_iter()
+            .map(|entry| entry.of(role))
+            .collect();
+        for entry in &entries {
+            if let Recorded::Received(received) = entry {
+                self.state.last_seen_utc_s =
+                    Some(self.shared.utc_ns(received.host_ns) as f64 * 1e-9);
+                self.batch.push(received.host_ns, &received.bytes);
+            }
+        }
+        self.record(&entries);
+    }
+
+    fn record(&mut self, entries: &[Recorded]) {
+        if let Some(recording) = &mut self.recording {
+            for entry in entries {
+                self.state.unrecorded_bytes += recording.write(entry, &self.shared);
+            }
+        }
+    }
+
+    fn lose(&mut self, error: &HostError) {
+        if self.state.alive {
+            let role = self.state.role.as_deref();
+            let role = if role == Some("wireless") {
+                LinkRole::Wireless
+            } else {
+                LinkRole::Cable
+            };
+            self.record(&[Recorded::Lost {
+                role,
+                host_ns: nanoseconds(now()),
+                reason: error.message().to_owned(),
+            }]);
+            self.shared
+                .note(format!("{}: lost: {}", self.name, error.message()));
+        } else if self.state.lost.as_deref() != Some(error.message()) {
+            self.shared
+                .note(format!("{}: {}", self.name, error.message()));
+        }
+        self.state.alive = false;
+        self.state.lost = Some(error.message().to_owned());
+        self.report(true);
+    }
+
+    /// Takes the figures of the link.
+    fn count(&mut self, client: &LiveClient) {
+        self.counted = now();
+        let statistics = client.statistics();
+        self.state.samples = statistics.raw.received;
+        self.state.missing = statistics.raw.missing;
+        self.state.frames_damaged = statistics.frames_damaged;
+        self.state.bytes = statistics.bytes;
+        self.report(false);
+    }
+
+    /// Reports the state to the metrics and, when it has changed or is due, to the broker.
+    fn report(&mut self, at_once: bool) {
+        let at = now();
+        let due = self
+            .reported
+            .as_ref()
+            .is_none_or(|(last, since)| at >= *since + REPORT || last.differs(&self.state));
+        if due || at_once {
+            if at >= self.clock_at {
+                self.clock_at = at + CLOCK;
+                let clock = self.clock.model().map(|model| model.summary());
+                self.state.clock_rate_ppm = clock.map(|clock| clock.rate_ppm);
+                self.state.clock_sd_ms = clock.map(|clock| clock.offset_sd_ms);
+            }
+            self.state.reported_utc_s = self.shared.utc_ns(nanoseconds(at)) as f64 * 1e-9;
+            let topic = topic(&self.shared.config.fleet, &self.name, Content::State);
+            self.shared
+                .mqtt()
+                .retain(topic, state::message(&self.state));
+            self.reported = Some((self.state.clone(), at));
+        }
+        self.shown.lock().clone_from(&self.state);
+    }
+}
+
+/// Received bytes that wait for the next batch.
+struct Outgoing {
+    topic: String,
+    pending: Vec<(u64, Vec<u8>)>,
+    bytes: usize,
+    number: u32,
+    /// When the first of them arrived.
+    since: Option<Duration>,
+}
+
+impl Outgoing {
+    fn push(&mut self, host_ns: u64, bytes: &[u8]) {
+        self.since.get_or_insert_with(now);
+        self.bytes += bytes.len();
+        self.pending.push((host_ns, bytes.to_vec()));
+    }
+
+    /// Publishes whole frames; with `all` everything.
+    fn flush(&mut self, shared: &Shared, all: bool) {
+        let mut rest = Vec::new();
+        if !all && self.bytes < MOST {
+            let ends = |bytes: &[u8]| bytes.iter().rposition(|byte| *byte == 0);
+            let last = self.pending.iter().enumerate().rev();
+            let Some((index, end)) = last
+                .clone()
+                .find_map(|(index, (_, bytes))| Some((index, ends(bytes)? + 1)))
+            else {
+                return;
+            };
+            rest = self.pending.split_off(index + 1);
+            if let Some((host_ns, bytes)) = self.pending.last_mut() {
+                let cut = bytes.split_off(end);
+                if !cut.is_empty() {
+                    rest.insert(0, (*host_ns, cut));
+                }
+            }
+        }
+        if self.pending.is_empty() {
+            return;
+        }
+        let mut batch = Batch::new(shared.session, self.number);
+        self.number = self.number.wrapping_add(1);
+        for (host_ns, bytes) in self.pending.drain(..) {
+            batch.push(shared.utc_ns(host_ns), &bytes);
+        }
+        let message = batch.encode(shared.utc_ns(nanoseconds(now())));
+        shared.mqtt().publish(self.topic.clone(), message);
+        self.since = (!rest.is_empty()).then(now);
+        self.bytes = rest.iter().map(|(_, bytes)| bytes.len()).sum();
+        self.pending = rest;
+    }
+}
+
+/// The files of a board, one after the other.
+struct Recording {
+    folder: PathBuf,
+    rotate: Duration,
+    writer: Option<(RecordingWriter<fs::File>, Duration)>,
+    /// Bytes written since the last flush: lost when the disk is full.
+    unflushed: u64,
+    retry_at: Duration,
+}
+
+impl Recording {
+    fn new(folder: PathBuf, shared: &Shared) -> Self {
+        Self {
+            folder,
+            rotate: shared.config.rotate,
+            writer: None,
+            unflushed: 0,
+            retry_at: Duration::ZERO,
+        }
+    }
+
+    /// Writes an entry; returns the number of received bytes that could not be recorded.
+    fn write(&mut self, entry: &Recorded, shared: &Shared) -> u64 {
+        let bytes = match entry {
+            Recorded::Received(received) => received.bytes.len() as u64,
+            _ => 0,
+        };
+        let Err(error) = self.try_write(entry, shared, bytes) else {
+            return 0;
+        };
+        if now() >= self.retry_at {
+            shared.note(format!("not recorded: {error}"));
+            self.retry_at = now() + RECORD_AGAIN;
+        }
+        self.writer = None;
+        bytes + std::mem::take(&mut self.unflushed)
+    }
+
+    fn try_write(&mut self, entry: &Recorded, shared: &Shared, bytes: u64) -> Result<()> {
+        let at = now();
+        let ends_frame =
+            !matches!(entry, Recorded::Received(received) if received.bytes.last() != Some(&0));
+        if self
+            .writer
+            .as_ref()
+            .is_some_and(|(_, since)| at >= *since + self.rotate)
+            && ends_frame
+        {
+            self.write_now(entry, bytes)?;
+            self.close();
+            return Ok(());
+        }
+        if self.writer.is_none() {
+            let full =
+                ErrorCode::FileFailed.error("the disk was full a moment ago", "free some space");
+            if at < self.retry_at {
+                return Err(full.at(self.folder.display().to_string()));
+            }
+            let failed =
+                |error| HostError::file(&self.folder.display().to_string(), "create", &error);
+            fs::create_dir_all(&self.folder).map_err(failed)?;
+            let begin = shared.utc_ns(nanoseconds(at)) / 1_000_000;
+            // Named by UTC in ms: sorted by time.
+            let path = self.folder.join(format!("{begin:013}.mcap"));
+            let written = RecordingWriter::create(&path, shared.anchor);
+            if written.is_err() {
+                // What a full disk leaves is no recording.
+                let _ = fs::remove_file(&path);
+            }
+            self.writer = Some((written?, at));
+        }
+        self.write_now(entry, bytes)
+    }
+
+    fn write_now(&mut self, entry: &Recorded, bytes: u64) -> Result<()> {
+        if let Some((writer, _)) = &mut self.writer {
+            let flushed = writer.flushed_ns();
+            self.unflushed += bytes;
+            let outcome = writer.record(entry);
+            if outcome.is_ok() && writer.flushed_ns() != flushed {
+                self.unflushed = 0;
+            } else if outcome.is_err() {
+                self.unflushed -= bytes;
+            }
+            outcome?;
+        }
+        Ok(())
+    }
+
+    fn close(&mut self) {
+        if let Some((writer, _)) = self.writer.take() {
+            self.unflushed = 0;
+            let _ = writer.finish();
+        }
+    }
+}
+
+pub fn nanoseconds(time: Duration) -> u64 {
+    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
+}

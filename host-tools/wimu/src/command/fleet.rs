@@ -1,0 +1,181 @@
+//! `wimu fleet`.
+
+use std::path::Path;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use serde::Serialize;
+use wimu_host::fleet::rollout::{Plan, Rollout};
+use wimu_host::fleet::state::BoardState;
+use wimu_host::fleet::status::{self, FleetStatus};
+use wimu_host::fleet::topics::Fleet as Address;
+use wimu_host::{ErrorCode, Result};
+
+use crate::arguments::Fleet;
+use crate::output::Output;
+
+/// Time to listen for the states before a push.
+const LISTEN: std::time::Duration = std::time::Duration::from_secs(2);
+
+#[derive(Serialize)]
+struct Pushed {
+    state: String,
+    boards: usize,
+    done: usize,
+    without_file: Vec<String>,
+    away: Vec<String>,
+}
+
+pub fn run(action: &Fleet, output: Output) -> Result<()> {
+    match action {
+        Fleet::Status { fleet, seconds } => {
+            let status = status::read(&fleet.parse()?, *seconds)?;
+            show(&status, output);
+            output.answer("wimu.fleet-status/1", &status);
+            Ok(())
+        }
+        Fleet::Push {
+            fleet,
+            folder,
+            state,
+            until,
+        } => push(&fleet.parse()?, folder, state, *until, output),
+    }
+}
+
+fn show(status: &FleetStatus, output: Output) {
+    let alive = status.alive().count();
+    let (mut samples, mut missing) = (0, 0);
+    for state in status.boards.values() {
+        samples += state.samples;
+        missing += state.missing;
+    }
+    output.print(format!(
+        "{alive} of {} boards alive; {missing} of {} samples missing",
+        status.boards.len(),
+        samples + missing
+    ));
+    let now = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .map_or(0.0, |since| since.as_secs_f64());
+    let width = status
+        .boards
+        .keys()
+        .map(String::len)
+        .max()
+        .unwrap_or_default()
+        .max(5);
+    if !status.boards.is_empty() {
+        output.print(format!(
+            "{:width$}  {:>9}  {:>11}  {:12}  {:>10}  {:>8}",
+            "board", "last seen", "calibrated", "self-check", "samples", "missing"
+        ));
+    }
+    for (name, state) in &status.boards {
+        output.print(format!("{name:width$}  {}", row(state, now)));
+    }
+    if status.unreadable > 0 {
+        output.print(format!(
+            "{} retained messages are no state: another program publishes there",
+            status.unreadable
+        ));
+    }
+}
+
+fn row(state: &BoardState, now: f64) -> String {
+    // Reports come every 30 s: a live board was seen since.
+    let seen = match state.last_seen_utc_s {
+        _ if state.alive => "now".to_owned(),
+        Some(at) => age(now - at),
+        None => "never".to_owned(),
+    };
+    let calibrated = match (state.calibrated_utc_s, state.parameter_id.as_deref()) {
+        (Some(at), _) => age(now - at as f64),
+        (None, None | Some("00000000")) => "no".to_owned(),
+        (None, Some(_)) => "date unknown".to_owned(),
+    };
+    let check = if state.contradicted {
+        "contradicted"
+    } else {
+        "ok"
+    };
+    let lost = state
+        .lost
+        .as_ref()
+        .map(|why| format!("  {why}"))
+        .unwrap_or_default();
+    format!(
+        "{seen:>9}  {calibrated:>11}  {check:12}  {:>10}  {:>8}{lost}",
+        state.samples, state.missing
+    )
+}
+
+/// A time in s as text.
+fn age(seconds: f64) -> String {
+    match seconds.max(0.0) {
+        s if s < 120.0 => format!("{s:.0} s ago"),
+        s if s < 7200.0 => format!("{:.0} min ago", s / 60.0),
+        s if s < 172_800.0 => format!("{:.0} h ago", s / 3600.0),
+        s => format!("{:.0} d ago", s / 86_400.0),
+    }
+}
+
+fn push(fleet: &Address, folder: &Path, file: &Path, until: u8, output: Output) -> Result<()> {
+    let status = status::read(fleet, LISTEN)?;
+    let plan = Plan::new(&status, folder)?;
+    if plan.targets.is_empty() {
+        return Err(ErrorCode::DataRefused.error(
+            format!(
+                "no board of fleet `{}` that is alive has a file in the folder",
+                fleet.fleet
+            ),
+            "name the files BOARD.json or DEVICE_ID.json; `wimu fleet status` lists the boards",
+        ));
+    }
+    let mut rollout = Rollout::read(file, fleet)?;
+    if !rollout.done.is_empty() {
+        output.print(format!(
+            "resuming: {} boards are done by {}",
+            rollout.done.len(),
+            file.display()
+        ));
+    }
+    for (what, boards) in [("without a file", &plan.without_file), ("away", &plan.away)] {
+        if !boards.is_empty() {
+            output.print(format!("left out, {what}: {}", boards.join(", ")));
+        }
+    }
+    let stages = plan.stages();
+    for (stage, count) in (1..=until).zip(stages) {
+        output.print(format!(
+            "stage {stage}: {count} of {} boards",
+            plan.targets.len()
+        ));
+        rollout.push(fleet, &plan.targets, count, file, |board, id, written| {
+            let did = if written {
+                "pushed, confirmed"
+            } else {
+                "already held"
+            };
+            output.print(format!("{board}: {id} {did}"));
+        })?;
+    }
+    let boards = plan.targets.len();
+    let done = plan
+        .targets
+        .iter()
+        .filter(|target| rollout.done.contains_key(target.board.as_str()))
+        .count();
+    output.print(format!("{done} of {boards} boards hold their calibration"));
+    let state = file.display().to_string();
+    output.answer(
+        "wimu.fleet-push/1",
+        &Pushed {
+            state,
+            boards,
+            done,
+            without_file: plan.without_file,
+            away: plan.away,
+        },
+    );
+    Ok(())
+}

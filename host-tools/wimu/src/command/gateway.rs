@@ -1,0 +1,72 @@
+//! `wimu gateway`.
+
+use std::time::{Duration, Instant};
+
+use serde::Serialize;
+use wimu_host::Result;
+use wimu_host::fleet::config::GatewayConfig;
+use wimu_host::fleet::gateway::{Gateway, GatewaySummary};
+
+use crate::arguments::Gateway as Arguments;
+use crate::command::{deadline, interrupted, is_over};
+use crate::output::Output;
+
+/// Interval of the lines of figures.
+const EVERY: Duration = Duration::from_secs(10);
+
+#[derive(Serialize)]
+struct Started {
+    boards: usize,
+    metrics: Option<String>,
+}
+
+pub fn run(arguments: &Arguments, output: Output) -> Result<()> {
+    let config = GatewayConfig::read(&arguments.config)?;
+    let end = deadline(arguments.seconds);
+    let stop = interrupted()?;
+    let head = format!(
+        "gateway `{}` of fleet `{}`: {} boards to {}; Ctrl-C stops",
+        config.gateway,
+        config.fleet,
+        config.boards.len(),
+        config.broker
+    );
+    let boards = config.boards.len();
+    let gateway = Gateway::start(config)?;
+    let metrics = gateway.metrics();
+    output.print(head);
+    if let Some(address) = metrics {
+        output.print(format!("metrics at http://{address}/metrics"));
+    }
+    let metrics = metrics.map(|address| address.to_string());
+    output.answer("wimu.gateway/1", &Started { boards, metrics });
+    let mut shown = Instant::now();
+    while !is_over(end, &stop) {
+        std::thread::sleep(Duration::from_millis(50));
+        gateway.notes().for_each(|note| output.print(note));
+        if shown.elapsed() >= EVERY {
+            shown = Instant::now();
+            output.print(line(&gateway.summary()));
+        }
+    }
+    let summary = gateway.stop();
+    output.print(format!("stopped: {}", line(&summary)));
+    output.answer("wimu.gateway-end/1", &summary);
+    Ok(())
+}
+
+fn line(sum: &GatewaySummary) -> String {
+    let broker = if sum.broker { "" } else { ", BROKER AWAY" };
+    let dropped = match sum.dropped {
+        0 => String::new(),
+        count => format!(", {count} batches dropped"),
+    };
+    let unrecorded = match sum.unrecorded_bytes {
+        0 => String::new(),
+        count => format!(", {count} bytes not recorded"),
+    };
+    format!(
+        "{} of {} boards, {} samples, {} missing, {} batches published, {} waiting{dropped}{unrecorded}{broker}",
+        sum.alive, sum.boards, sum.samples, sum.missing, sum.acknowledged, sum.waiting
+    )
+}

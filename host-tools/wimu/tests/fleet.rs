@@ -1,0 +1,375 @@
+//! Many boards through a real broker. Skipped where Mosquitto is missing.
+
+use crate::kit;
+
+use std::fs;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use kit::fleet::{Boards, Gateway, Mosquitto, Tape, client, files, name, publish};
+use kit::{Background, Simulator, folder, wait_until, wimu};
+use wimu_host::calibration::CalibrationFile;
+use wimu_host::fleet::Batch;
+use wimu_host::fleet::mqtt::{Heard, Mqtt, MqttConfig};
+use wimu_host::mcap_file::{Recorded, RecordingReader};
+use wimu_link::auth::{DeviceKey, Session};
+use wimu_link::message::Settings;
+use wimu_link::{Command, LinkRole, Requester};
+use wimu_model::{ParameterSet, Sensitivity};
+
+const METRICS: &str =
+    "metrics = \"127.0.0.1:0\"\nrecordings = \"recordings\"\nspool = \"spool\"\nbatch_ms = 500\n";
+
+/// All bytes that the files hold, in order.
+fn bytes(files: &[std::path::PathBuf]) -> Vec<u8> {
+    let mut all = Vec::new();
+    for file in files {
+        let mut reader = RecordingReader::open(file).expect("a recording");
+        while let Some(entry) = reader.next_entry().expect("readable") {
+            if let Recorded::Received(received) = entry {
+                all.extend(received.bytes);
+            }
+        }
+    }
+    all
+}
+
+fn contains(all: &[u8], part: &[u8]) -> bool {
+    !part.is_empty() && all.windows(part.len()).any(|window| window == part)
+}
+
+#[test]
+fn a_recording_through_the_broker_is_bit_exact() {
+    let Some(broker) = Mosquitto::start() else {
+        return;
+    };
+    let tape = Tape::record(60.0);
+    let boards = Boards::start(&tape, 20, None);
+    let folder = folder();
+    let gateway = Gateway::start(folder.path(), &boards.config(&broker.url(), METRICS));
+    wait_until("all boards", || gateway.metric("wimu_board_alive") == 20.0);
+    let link = format!("mqtt://127.0.0.1:{}/hall/{}", broker.port, name(3));
+    let remote = folder.path().join("remote.mcap");
+    let record = Background::start(&["record", &link, "-o", remote.to_str().unwrap()]);
+    wait_until("samples through the broker", || {
+        gateway.metric("wimu_board_samples") > 20.0 * 600.0
+            && fs::metadata(&remote).is_ok_and(|file| file.len() > 3000)
+    });
+    let status = wimu(&[
+        "fleet",
+        "status",
+        &format!("mqtt://127.0.0.1:{}/hall", broker.port),
+    ])
+    .succeeds();
+    let states = status["boards"].as_object().unwrap();
+    assert!(
+        states.len() == 20 && states.values().all(|state| state["alive"] == true),
+        "{status}"
+    );
+    assert_eq!(states[&name(3)]["device_id"], "0000f1ee70000003");
+    record.signal("-INT").succeeds();
+    let sums = gateway.stop();
+    assert_eq!(
+        (
+            &sums["missing"],
+            &sums["dropped"],
+            &sums["unrecorded_bytes"]
+        ),
+        (&0.into(), &0.into(), &0.into()),
+        "{sums}"
+    );
+    let recordings = folder.path().join("recordings");
+    for index in 0..20 {
+        let found = tape.verify(&files(&recordings, &name(index)));
+        assert!(
+            found.received > 500 && found.missing == 0 && found.frames_damaged == 0,
+            "{index}: {found:?}"
+        );
+    }
+    let (own, through) = (
+        bytes(&files(&recordings, &name(3))),
+        bytes(std::slice::from_ref(&remote)),
+    );
+    assert!(
+        contains(&own, &through),
+        "{} bytes of the gateway, {} through the broker",
+        own.len(),
+        through.len()
+    );
+    let found = tape.verify(&[remote]);
+    assert!(found.received > 100 && found.missing == 0, "{found:?}");
+    let status = wimu(&[
+        "fleet",
+        "status",
+        &format!("mqtt://127.0.0.1:{}/hall", broker.port),
+    ])
+    .succeeds();
+    assert!(
+        status["boards"]
+            .as_object()
+            .unwrap()
+            .values()
+            .all(|state| state["alive"] == false),
+        "{status}"
+    );
+}
+
+#[test]
+fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
+    let Some(broker) = Mosquitto::start() else {
+        return;
+    };
+    let folder = folder();
+    let store = folder.path().join("board.store");
+    let board = Simulator::start(&["--store", store.to_str().unwrap(), "--motion", "rest"]);
+    let owner = folder.path().join("owner");
+    let run = |arguments: &[&str]| Background::start_as(&owner, arguments).finish();
+    run(&["key", "set", &board.cable]).succeeds();
+    let config = format!(
+        "fleet = \"hall\"\nbroker = \"{}\"\n{METRICS}[boards]\nb = \"{}\"\n",
+        broker.url(),
+        board.wireless
+    );
+    let gateway = Gateway::start(folder.path(), &config);
+    wait_until("the board", || gateway.metric("wimu_board_alive") == 1.0);
+
+    // The malicious client hears all commands, as the broker does.
+    let overheard = Arc::new(Mutex::new(Vec::new()));
+    let ear = overheard.clone();
+    let down = "wimu/hall/b/down".to_owned();
+    let filters = vec![down.clone()];
+    let malicious = Mqtt::start(
+        MqttConfig::new(&broker.url().parse().unwrap(), filters),
+        move |heard| {
+            if let Heard::Message { payload, .. } = heard {
+                ear.lock().unwrap().push(payload.to_vec());
+            }
+        },
+    );
+    let malicious = malicious.unwrap();
+    wait_until("the malicious client", || malicious.is_connected());
+
+    let link = format!("mqtt://127.0.0.1:{}/hall/b", broker.port);
+    let rate = || run(&["settings", "get", &link]).succeeds()["rate_hz"].clone();
+    assert_eq!(
+        run(&["settings", "set", &link, "--rate", "50"]).succeeds()["rate_hz"],
+        50
+    );
+    let written = overheard.lock().unwrap().clone();
+    assert_eq!(
+        run(&["settings", "set", &link, "--rate", "200"]).succeeds()["rate_hz"],
+        200
+    );
+    for message in written {
+        malicious.send(down.clone(), message);
+    }
+    let reset = Command::FactoryReset;
+    malicious.send(
+        down.clone(),
+        Requester::new(1).start(reset, Duration::ZERO).to_vec(),
+    );
+    let mut forged = Requester::new(1);
+    let key = DeviceKey::new([1; 32]);
+    forged.sign(
+        Session {
+            key,
+            role: LinkRole::Wireless,
+            device_id: 0x5157_0001,
+            number: 1,
+            nonce: [0; 16],
+        },
+        1,
+    );
+    malicious.send(down.clone(), forged.start(reset, Duration::ZERO).to_vec());
+    malicious.send(
+        down,
+        forged
+            .start(Command::SetSettings(Settings::default()), Duration::ZERO)
+            .to_vec(),
+    );
+    wait_until("the unsigned command is refused", || {
+        gateway.metric("wimu_board_commands_refused") >= 1.0
+    });
+    assert_eq!(rate(), 200);
+
+    // Nobody changes a board or a key through a broker without a key.
+    for (arguments, code) in [
+        (
+            &["settings", "set", &link, "--rate", "50"][..],
+            "not_through_broker",
+        ),
+        (&["key", "set", &link], "key_needed"),
+    ] {
+        wimu(arguments).fails(4, code);
+    }
+    assert_eq!(rate(), 200);
+
+    // A calibration for the fleet, pushed once and then found.
+    let set = ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16_384.0).unwrap());
+    let calibrations = folder.path().join("calibrations");
+    fs::create_dir(&calibrations).unwrap();
+    CalibrationFile::new(&set, &[], "")
+        .write(&calibrations.join("b.json"))
+        .unwrap();
+    let state = folder.path().join("push.json");
+    let fleet = format!("mqtt://127.0.0.1:{}/hall", broker.port);
+    let push = [
+        "fleet",
+        "push",
+        &fleet,
+        calibrations.to_str().unwrap(),
+        "--state",
+        state.to_str().unwrap(),
+    ];
+    wimu(&push).fails(4, "key_needed");
+    assert!(
+        fs::read_to_string(&state)
+            .unwrap()
+            .contains("no key of the board"),
+        "the file says why it stopped"
+    );
+    for _ in 0..2 {
+        let done = run(&push).succeeds();
+        assert_eq!((&done["boards"], &done["done"]), (&1.into(), &1.into()));
+    }
+    gateway.stop();
+}
+
+#[test]
+fn a_killed_broker_and_a_killed_gateway_leave_only_counted_gaps() {
+    let Some(mut broker) = Mosquitto::start() else {
+        return;
+    };
+    let tape = Tape::record(240.0);
+    let boards = Boards::start(&tape, 3, None);
+    let folder = folder();
+    let config = boards.config(&broker.url(), METRICS);
+    let gateway = Gateway::start(folder.path(), &config);
+    wait_until("all boards", || gateway.metric("wimu_board_alive") == 3.0);
+    let link = format!("mqtt://127.0.0.1:{}/hall/{}", broker.port, name(0));
+    let remote = folder.path().join("remote.mcap");
+    let record = Background::start(&["record", &link, "-o", remote.to_str().unwrap()]);
+    let samples = |gateway: &Gateway| gateway.metric("wimu_board_samples");
+    wait_until("a recording", || {
+        fs::metadata(&remote).is_ok_and(|file| file.len() > 3000)
+    });
+    broker.kill();
+    wait_until("batches wait", || {
+        gateway.metric("wimu_gateway_waiting") > 6.0
+    });
+    broker.restart();
+    wait_until("the broker is back", || {
+        gateway.metric("wimu_gateway_broker") == 1.0 && gateway.metric("wimu_gateway_waiting") < 6.0
+    });
+    assert_eq!(gateway.metric("wimu_gateway_dropped"), 0.0);
+    gateway.kill();
+    let gateway = Gateway::start(folder.path(), &config);
+    let length = fs::metadata(&remote).unwrap().len();
+    wait_until("the recording goes on", || {
+        samples(&gateway) > 1000.0
+            && fs::metadata(&remote).is_ok_and(|file| file.len() > length + 3000)
+    });
+    record.signal("-INT").succeeds();
+    gateway.stop();
+    let recordings = folder.path().join("recordings");
+    for index in 0..3 {
+        let found = tape.verify(&files(&recordings, &name(index)));
+        // Of a killed gateway at most the last second of a file is missing, and the time until the next one.
+        assert!(found.files == 2 && found.received > 500, "{found:?}");
+    }
+    let found = tape.verify(&[remote]);
+    assert!(found.received > 500, "{found:?}");
+}
+
+#[test]
+fn garbage_large_messages_and_a_second_gateway_disturb_nobody() {
+    let Some(broker) = Mosquitto::start() else {
+        return;
+    };
+    let tape = Tape::record(240.0);
+    let boards = Boards::start(&tape, 2, None);
+    let folder = folder();
+    let address = broker.url().parse().unwrap();
+    let vandal = Mqtt::start(MqttConfig::new(&address, Vec::new()), |_| {}).unwrap();
+    wait_until("the vandal", || vandal.is_connected());
+    for topic in [
+        "wimu/hall/board-0000/up",
+        "wimu/hall/board-0000/down",
+        "wimu/hall/board-0001/state",
+        "wimu/hall/_gateway/gateway",
+    ] {
+        vandal.retain(topic.to_owned(), vec![0xa5; 1 << 20]);
+    }
+    wait_until("the garbage", || {
+        vandal
+            .counters()
+            .waiting
+            .load(std::sync::atomic::Ordering::Relaxed)
+            == 0
+    });
+    let gateway = Gateway::start(folder.path(), &boards.config(&broker.url(), METRICS));
+    wait_until("all boards", || gateway.metric("wimu_board_alive") == 2.0);
+    let link = format!("mqtt://127.0.0.1:{}/hall/{}", broker.port, name(0));
+    let mut reader = client(&link).expect("the board through the broker");
+    assert_eq!(reader.hello().device_id, 0xf1ee_7000_0000);
+
+    // Batches of another, later and earlier session, with wrong numbers, while the reader listens.
+    for session in [0, u64::MAX] {
+        let mut forged = Batch::new(session, 7);
+        forged.push(5, b"\x05abcd\0");
+        vandal.send("wimu/hall/board-0000/up".to_owned(), forged.encode(9));
+    }
+    for _ in 0..100 {
+        vandal.send("wimu/hall/board-0000/down".to_owned(), vec![7; 5000]);
+    }
+    wait_until("the commands are refused", || {
+        gateway.metric("wimu_board_commands_refused") + gateway.metric("wimu_gateway_crowded")
+            >= 100.0
+    });
+    let other = folder.path().join("other");
+    fs::create_dir(&other).unwrap();
+    let second = Gateway::start(
+        &other,
+        &boards.config(
+            &broker.url(),
+            "gateway = \"other\"\nmetrics = \"127.0.0.1:0\"",
+        ),
+    );
+    assert_eq!(second.metric("wimu_board_alive"), 0.0);
+    // Above the limit of a message, and retained: the gateway goes on without commands.
+    publish(broker.port, "wimu/hall/board-0001/down", &vec![0; 5 << 20]);
+    wait_until("the message is too long", || {
+        gateway.metric("wimu_gateway_too_long") >= 1.0
+    });
+    wait_until("the broker is back", || {
+        gateway.metric("wimu_gateway_broker") == 1.0
+    });
+    let samples = gateway.metric("wimu_board_samples");
+    wait_until("the boards go on", || {
+        gateway.metric("wimu_board_samples") > samples + 400.0
+    });
+    second.stop();
+    assert!(reader.next_event(Duration::from_secs(1)).is_ok());
+    drop(reader);
+    gateway.stop();
+    for index in 0..2 {
+        let found = tape.verify(&files(&folder.path().join("recordings"), &name(index)));
+        assert!(found.received > 400 && found.missing == 0, "{found:?}");
+    }
+}
+
+#[test]
+fn a_wrong_configuration_or_address_is_named() {
+    let folder = folder();
+    let file = folder.path().join("fleet.toml");
+    fs::write(&file, "fleet = \"hall\"\nbroker = \"mqtt://127.0.0.1:1\"\n[boards]\n\"a/#\" = \"tcp://127.0.0.1:1\"\n").unwrap();
+    let failure = wimu(&["gateway", "--config", file.to_str().unwrap()]).fails(2, "bad_config");
+    assert!(
+        failure["where"].as_str().unwrap().ends_with("line 4"),
+        "{failure}"
+    );
+    wimu(&["gateway", "--config", "/nonexistent.toml"]).fails(2, "file_unreadable");
+    wimu(&["monitor", "mqtt://127.0.0.1:1/hall"]).fails(2, "bad_link");
+    wimu(&["fleet", "status", "mqtt://127.0.0.1:1/+"]).fails(2, "bad_link");
+    wimu(&["fleet", "status", "mqtt://127.0.0.1:1/hall"]).fails(1, "link_refused");
+}

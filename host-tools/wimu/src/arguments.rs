@@ -143,7 +143,7 @@ pub enum Command {
     /// Compare wireless and cable: loss, latency, clock, values
     Compare(Compare),
     /// Compute velocity and position with their uncertainty
-    Navigate(Navigate),
+    Navigate(Box<Navigate>),
     /// Serve many boards: record them, and publish them through an MQTT broker
     Gateway(Gateway),
     /// Show the boards of a fleet, or push calibrations to them

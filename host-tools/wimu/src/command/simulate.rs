@@ -75,7 +75,6 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
         sensor: part,
         replay: arguments.replay.is_some(),
         device_id: 0x5157_0000_u64.wrapping_add(arguments.seed),
-        ..BoardConfig::default()
     };
     let (mut board, played) = match &arguments.replay {
         Some(path) => {

@@ -25,7 +25,8 @@ fn all() -> Vec<(&'static str, Rc<dyn Motion>)> {
 
 #[test]
 fn velocity_and_acceleration_are_the_derivatives_of_position() {
-    for (name, motion) in all() {
+    // Simpson's rule does not hold over the kinks of an impact.
+    for (name, motion) in all().into_iter().filter(|(name, _)| *name != "impact") {
         // Simpson's rule over each step, and the change it should be.
         let h = 0.005;
         let steps = (motion.duration() / h) as usize;
@@ -235,6 +236,6 @@ fn an_unknown_name_says_which_are_known() {
     let error = named("rest,jump", 1).unwrap_err().to_string();
     assert_eq!(
         error,
-        "there is no motion `jump`; known are rest, six-positions, twelve-poses, tilts, slide, carry, hand"
+        "there is no motion `jump`; known are rest, six-positions, twelve-poses, tilts, slide, carry, hand, impact"
     );
 }

@@ -278,8 +278,8 @@ fn a_pair_streams_both_accelerometers_without_a_gap() {
                 steps.clone().min(),
                 steps.max()
             );
-            // The data-ready edges of both coincide now and then.
-            assert!(50 * odd <= samples.len(), "{odd} of {}", samples.len());
+            // The data-ready edges of both coincide now and then: most often at 400 Hz, where a read takes long.
+            assert!(10 * odd <= samples.len(), "{odd} of {}", samples.len());
         }
         let epoch = second.epochs[second.epochs.len() - 1].epoch;
         assert_eq!((epoch.range_g, epoch.sensor), (16, 1));

@@ -16,7 +16,7 @@ fn a_simulated_pair_is_recorded_listed_exported_and_navigated() {
         "--sensor",
         "lsm303agr,adxl345",
         "--motion",
-        "twelve-poses,impact",
+        "twelve-poses,impact,rest",
     ];
     let arguments = [&arguments[..], &["--exit-when-done", "--speed", "20"]].concat();
     Simulator::start(&arguments).record_to_the_end(&session);
@@ -108,7 +108,7 @@ fn tables_need_the_full_scales_and_bad_input_is_explained() {
     fs::write(&turned, table(|[x, y, z]| [z, y, -x])).unwrap();
 
     let without = wimu(&["navigate", &good]);
-    assert_eq!(without.code, 1);
+    assert_eq!(without.code, 2);
     assert!(without.stderr.contains("--full-scales"), "{without:?}");
     let found = wimu(&["navigate", &good, "--full-scales", "2,16"]).succeeds();
     assert!(

@@ -242,10 +242,9 @@ fn a_person_calibrates_a_board_by_the_page_alone() {
     browser.until(&tab, &format!("{picture} !== {held}"));
 
     browser.click(&tab, "Calibrate");
-    browser.value(
-        &tab,
-        "document.querySelector('#view-calibrate .main').click()",
-    );
+    let begin = "document.querySelector('#view-calibrate .main')";
+    browser.until(&tab, begin);
+    browser.value(&tab, &format!("{begin}.click()"));
     browser.until(
         &tab,
         "document.body.innerText.includes('Calibrated. Push it to the board')",

@@ -80,10 +80,15 @@ pub fn run(arguments: &Dashboard, output: Output) -> Result<()> {
         }
     }
     let url = url(server.address(), desk.token.text());
+    let is_local = server.address().ip().is_loopback();
     server.run(desk.hub.clone(), Arc::new(desk.clone()));
-    output.print(format!(
-        "open {url}\nThe page is for this computer only; what follows # allows writes. Ctrl-C ends it."
-    ));
+    let readers = match is_local {
+        true => "The page is for this computer only; what follows # allows writes.",
+        false => {
+            "Other computers reach it at this computer's address; what follows # allows them to read and write, in plaintext."
+        }
+    };
+    output.print(format!("open {url}\n{readers} Ctrl-C ends it."));
     output.answer("wimu.dashboard/1", &json!({ "url": url }));
     if arguments.open {
         show(&url)?;

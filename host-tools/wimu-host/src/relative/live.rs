@@ -11,7 +11,7 @@ use nalgebra::Rotation3;
 
 /// Motion before the first search for clock, axis and start, s.
 const START_S: f64 = 8.0;
-/// The next search is made after so many times the motion of the last one, until the result is accurate enough.
+/// Ratio of the motion at a search to that at the last one, until the result is accurate enough.
 const MORE: f64 = 1.25;
 /// Length of the motion that a search uses, s.
 const KEPT_S: f64 = 60.0;

@@ -25,12 +25,12 @@ pub struct Shown {
     printed_s: Option<f64>,
     /// Findings that were printed, without their figures.
     said: Vec<String>,
-    /// False where nobody reads any more.
+    /// False once the output is closed.
     pub going: bool,
 }
 
 impl Shown {
-    /// With so many answers a second, as `--rate` gives.
+    /// Answers per second from `--rate`, [`RATE_HZ`] without it.
     pub fn new(rate_hz: Option<f64>, output: Output) -> Self {
         Self {
             output,

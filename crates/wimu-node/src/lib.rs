@@ -43,7 +43,7 @@ pub use data_ready::DataReady;
 pub use fifo::{FifoState, SensorFifo};
 #[cfg(feature = "flash-store")]
 pub use flash_store::{FlashLayout, FlashStore};
-pub use link::{LinkReader, LinkWriter};
+pub use link::{LinkReader, LinkWriter, NoLink};
 pub use lsm6dso::Lsm6dso;
 pub use lsm303agr::Lsm303agr;
 pub use mounting::{Axis, Mounting};

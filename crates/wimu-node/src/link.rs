@@ -1,7 +1,10 @@
 //! The two halves of a link.
 
+use core::convert::Infallible;
+use core::future::pending;
+
 use embassy_sync::blocking_mutex::raw::RawMutex;
-use embedded_io_async::{Read, Write};
+use embedded_io_async::{ErrorType, Read, Write};
 use wimu_link::frame::RequestDeframer;
 use wimu_link::message::{Command, Refusal};
 use wimu_link::responder::Decision;
@@ -19,6 +22,29 @@ use crate::timer::Timer;
 /// Shortest interval between answers to [`Kind::WhoAreYou`], µs.
 const INTRODUCED_US: u64 = 250_000;
 
+/// Both halves of a link that the board does not have: nothing arrives, and what is sent is discarded.
+pub struct NoLink;
+
+impl ErrorType for NoLink {
+    type Error = Infallible;
+}
+
+impl Read for NoLink {
+    async fn read(&mut self, _: &mut [u8]) -> Result<usize, Infallible> {
+        pending().await
+    }
+}
+
+impl Write for NoLink {
+    async fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+        Ok(bytes.len())
+    }
+
+    async fn flush(&mut self) -> Result<(), Infallible> {
+        Ok(())
+    }
+}
+
 /// Sends the frames queued for one link.
 pub struct LinkWriter<'a, W, M: RawMutex> {
     pub(crate) role: LinkRole,
@@ -32,7 +58,7 @@ impl<W: Write, M: RawMutex> LinkWriter<'_, W, M> {
         if runs(self.role) {
             self.send().await
         }
-        core::future::pending().await
+        pending().await
     }
 
     async fn send(&mut self) -> ! {
@@ -84,7 +110,7 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
         if runs(self.role) {
             self.listen().await
         }
-        core::future::pending().await
+        pending().await
     }
 
     async fn listen(&mut self) -> ! {

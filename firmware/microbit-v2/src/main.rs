@@ -5,6 +5,7 @@
 
 mod display;
 mod flash;
+#[cfg(feature = "full")]
 mod rate;
 
 use cortex_m_rt::entry;
@@ -14,11 +15,13 @@ use embassy_nrf::config::{Config, HfclkSource};
 use embassy_nrf::gpio::{AnyPin, Input, Level, Output, OutputDrive, Pull};
 use embassy_nrf::interrupt::{self, InterruptExt, Priority};
 use embassy_nrf::nvmc::Nvmc;
-use embassy_nrf::peripherals::{TWISPI0, UARTE0, UARTE1};
+#[cfg(feature = "full")]
+use embassy_nrf::peripherals::UARTE1;
+use embassy_nrf::peripherals::{TWISPI0, UARTE0};
 use embassy_nrf::rng::Rng;
 use embassy_nrf::twim::{self, Twim};
 use embassy_nrf::wdt::{self, Watchdog, WatchdogHandle};
-use embassy_nrf::{Peri, bind_interrupts, pac, uarte};
+use embassy_nrf::{Peri, bind_interrupts, uarte};
 use embassy_time::Duration;
 // Where the log goes: to the debug probe.
 #[cfg(feature = "defmt")]
@@ -27,17 +30,19 @@ use static_cell::StaticCell;
 use wimu_cortex_m::{START, stack};
 use wimu_embassy::LIMITS_US;
 use wimu_link::hello::{Capabilities, Part, board, sensor};
-use wimu_node::{Axis, Board, FlashLayout, FlashStore, Lsm303agr, Mounting, TimeoutBus, Timer};
+use wimu_node::{
+    Axis, Board, FlashLayout, FlashStore, LINKS, Lsm303agr, Mounting, TimeoutBus, Timer,
+};
 use wimu_nrf::{BoardTimer, Bus, Line};
 
 use crate::display::Matrix;
 use crate::flash::StoreFlash;
-use crate::rate::Rate;
 use crate::tasks::Shared;
 
 bind_interrupts!(struct Interrupts {
     TWISPI0 => twim::InterruptHandler<TWISPI0>;
     UARTE0 => buffered_uarte::InterruptHandler<UARTE0>;
+    #[cfg(feature = "full")]
     UARTE1 => buffered_uarte::InterruptHandler<UARTE1>;
 });
 
@@ -47,20 +52,26 @@ type Memory = FlashStore<StoreFlash>;
 
 /// The tasks of the node.
 mod tasks {
-    use super::{BoardTimer, BufferedUarteRx, BufferedUarteTx, Memory, Rate, Sensor};
+    use super::{BoardTimer, BufferedUarteRx, BufferedUarteTx, Memory, Sensor};
+    #[cfg(feature = "full")]
     wimu_embassy::tasks! {
         sensor: Sensor,
         timer: BoardTimer,
         store: Memory,
         links: (BufferedUarteRx<'static>, BufferedUarteTx<'static>),
-        rate: Rate,
+        rate: crate::rate::Rate,
+    }
+    #[cfg(not(feature = "full"))]
+    wimu_embassy::tasks! {
+        sensor: Sensor,
+        timer: BoardTimer,
+        store: Memory,
+        links: (BufferedUarteRx<'static>, BufferedUarteTx<'static>),
+        wireless: (wimu_node::NoLink, wimu_node::NoLink),
     }
 }
 
 wimu_cortex_m::fault_handlers!(restart);
-
-/// The rate at which the UARTs are opened, the default of their driver, bits/s, 8N1.
-const BAUD: u32 = 115_200;
 
 /// The last 16 KiB of the flash, which memory.x excludes.
 const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0x7C000..0x80000);
@@ -150,7 +161,7 @@ fn main() -> ! {
 #[inline(never)]
 fn start(spawner: Spawner) {
     static SHARED: Shared = Shared::new();
-    static BUFFERS: StaticCell<[[u8; 128]; 4]> = StaticCell::new();
+    static BUFFERS: StaticCell<[[u8; 128]; 2 * LINKS]> = StaticCell::new();
     static BUS_BUFFER: StaticCell<[u8; 16]> = StaticCell::new();
 
     let begun = wimu_cortex_m::begin(wimu_nrf::reset_reason());
@@ -183,7 +194,7 @@ fn start(spawner: Spawner) {
         BUS_BUFFER.init([0; 16]),
     );
     let uart = uarte::Config::default;
-    let [a, b, c, d] = BUFFERS.init([[0; 128]; 4]);
+    let [a, b, _wireless @ ..] = BUFFERS.init([[0; 128]; _]);
     let cable = BufferedUarte::new(
         chip.UARTE0,
         chip.TIMER1,
@@ -197,24 +208,37 @@ fn start(spawner: Spawner) {
         a,
         b,
     );
-    let wireless = BufferedUarte::new(
-        chip.UARTE1,
-        chip.TIMER2,
-        chip.PPI_CH3,
-        chip.PPI_CH4,
-        chip.PPI_GROUP1,
-        chip.P0_03,
-        chip.P0_02,
-        Interrupts,
-        uart(),
-        c,
-        d,
-    );
+    #[cfg(not(feature = "full"))]
+    let wireless = (wimu_node::NoLink, wimu_node::NoLink);
+    #[cfg(feature = "full")]
+    let wireless = {
+        let [c, d] = _wireless;
+        BufferedUarte::new(
+            chip.UARTE1,
+            chip.TIMER2,
+            chip.PPI_CH3,
+            chip.PPI_CH4,
+            chip.PPI_GROUP1,
+            chip.P0_03,
+            chip.P0_02,
+            Interrupts,
+            uart(),
+            c,
+            d,
+        )
+        .split()
+    };
     let shared = &SHARED;
     let mut entropy = [0; 16];
     Rng::new_blocking(chip.RNG).blocking_fill_bytes(&mut entropy);
-    let rates = [pac::UARTE0, pac::UARTE1].map(Rate);
-    tasks::spawn_keepers(rates, BAUD, BoardTimer, shared, spawner);
+    #[cfg(feature = "full")]
+    tasks::spawn_keepers(
+        [embassy_nrf::pac::UARTE0, embassy_nrf::pac::UARTE1].map(rate::Rate),
+        rate::OPENED,
+        BoardTimer,
+        shared,
+        spawner,
+    );
     let board = Board {
         hello: wimu_embassy::hello(
             wimu_nrf::device_id(),
@@ -234,7 +258,7 @@ fn start(spawner: Spawner) {
         store: FlashStore::new(StoreFlash(Nvmc::new(chip.NVMC)), LAYOUT, PAUSE_MS),
         entropy,
         cable: cable.split(),
-        wireless: wireless.split(),
+        wireless,
     };
     let node = tasks::place(board, shared);
 

@@ -7,6 +7,9 @@ use wimu_node::LineRate;
 /// A UART's rate. The driver can set it only before it is split.
 pub struct Rate(pub Uarte);
 
+/// The rate at which the UARTs are opened, the default of their driver, bit/s, 8N1.
+pub const OPENED: u32 = 115_200;
+
 /// The rates of the datasheet, bit/s.
 const RATES: [(u32, Baudrate); 17] = [
     (1200, Baudrate::Baud1200),

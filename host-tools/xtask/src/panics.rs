@@ -1,5 +1,6 @@
 //! That no panic is reachable in the libraries: no function of a library's optimised object file refers to a
-//! panic of `core`. Generic functions count where the library itself uses them.
+//! panic of `core`. Generic functions count where the library itself uses them. Not covered: `wimu-calib` and `wimu-nav`,
+//! which index matrices of `nalgebra`, and the borrows inside critical sections of generic and asynchronous functions.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -49,6 +49,7 @@ impl HostError {
                 "name another file, or remove this one",
             ),
             ErrorKind::IsADirectory => (ErrorCode::FileUnreadable, "name a file, not a folder"),
+            ErrorKind::NotADirectory => (ErrorCode::FileUnreadable, "name a folder, not a file"),
             ErrorKind::StorageFull => (ErrorCode::FileFailed, "free some space"),
             _ => (
                 ErrorCode::FileFailed,

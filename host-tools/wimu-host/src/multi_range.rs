@@ -46,6 +46,8 @@ pub const MOST: usize = 3;
 const RAIL: f64 = 0.99;
 /// Least ratio of two full scales that are different ranges.
 const WIDER: f64 = 1.5;
+/// Largest full scale, *g*: of shock accelerometers.
+const WIDEST_G: f64 = 200_000.0;
 /// Full scales that a file does not give, in the order of the accelerometers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FullScales([Option<f64>; MOST]);
@@ -54,10 +56,10 @@ impl FullScales {
     /// From values in *g*; none where there are none.
     ///
     /// # Errors
-    /// `usage` for one value, more than three, or one that is not positive.
+    /// `usage` for one value, more than three, or one that no accelerometer has.
     pub fn of(values_g: &[f64]) -> Result<Self> {
-        let are_positive = values_g.iter().all(|g| g.is_finite() && *g > 0.0);
-        if !are_positive || values_g.len() == 1 || values_g.len() > MOST {
+        let are_possible = values_g.iter().all(|g| *g > 0.0 && *g <= WIDEST_G);
+        if !are_possible || values_g.len() == 1 || values_g.len() > MOST {
             return Err(ErrorCode::Usage.error(
                 format!("full scales of two or three accelerometers are needed, got {values_g:?}"),
                 "give them in g, in the order of the accelerometers: 2,16",
@@ -127,8 +129,9 @@ impl Merge {
     /// Merges the accelerometers of a recording; `None` unless it has two or three whose full scales are known and differ.
     ///
     /// # Errors
-    /// `usage` where full scales of another number of accelerometers are given; `data_refused` for accelerometers that do not
-    /// measure one motion, or whose relative rotation is large and not observed.
+    /// `usage` where full scales of another number of accelerometers are given, or one that samples exceed; `data_refused` for
+    /// accelerometers that have the same samples or do not measure one motion, or whose relative rotation is large and not
+    /// observed.
     pub fn of(recording: &Recording, given: &FullScales) -> Result<Option<Self>> {
         let tracks = forces(recording);
         if given.count() > 0 && given.count() != tracks.len() {
@@ -152,6 +155,9 @@ impl Merge {
                 "name it in its columns, as `Accelerometer 0 X (m/s²)` or (g)",
             );
             return Err(error.at(&recording.name));
+        }
+        if given.count() > 0 {
+            findings::contradicted(&sensors).map_err(|error| error.at(&recording.name))?;
         }
         let wanted = differ || given.count() > 0;
         if !(2..=MOST).contains(&sensors.len()) || !are_known || !wanted {

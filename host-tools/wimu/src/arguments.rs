@@ -166,7 +166,7 @@ pub enum Command {
 Example: wimu report-bug /dev/ttyACM0 --cable /dev/ttyUSB0
 The file is JSON: version, operating system, serial ports, answers of the board, received bytes. It has no key.")]
 pub struct ReportBug {
-    /// Serial port, tcp://HOST:PORT or `auto`
+    /// Serial port, tcp://HOST:PORT, mqtt://HOST/FLEET/BOARD or `auto`
     pub link: String,
     /// A second link of the same board
     #[arg(long, value_name = "LINK")]
@@ -443,7 +443,7 @@ pub struct Dashboard {
 Example: wimu record tcp://127.0.0.1:7101 --cable tcp://127.0.0.1:7100 -o session.mcap
 Ctrl-C ends the recording.")]
 pub struct Record {
-    /// Serial port, tcp://HOST:PORT or `auto`
+    /// Serial port, tcp://HOST:PORT, mqtt://HOST/FLEET/BOARD or `auto`
     pub link: String,
     /// A second link of the same board, recorded with the first
     #[arg(long, value_name = "LINK")]

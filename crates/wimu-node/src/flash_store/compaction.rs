@@ -47,7 +47,12 @@ impl<F: NorFlash> FlashStore<F> {
                     self.prefers_last = false;
                     self.survey().await?;
                 }
-                Some(page) => self.compact(Some(page)).await?,
+                // A copy that cannot be read any more may not be found by the next survey, or another one of the record.
+                Some(page) => {
+                    if self.compact(Some(page)).await.is_err() {
+                        self.survey().await?;
+                    }
+                }
                 None => self.survey().await?,
             }
         }

@@ -7,7 +7,7 @@ use super::recovery::Rank;
 use crate::store::StoreFault;
 
 /// Records that a store can hold, removed ones included until their slot is needed.
-const KEYS: usize = 16;
+pub(super) const KEYS: usize = 16;
 /// Bytes of an entry in flash: key, whether the record exists, generation.
 pub(super) const ENTRY_BYTES: usize = 6;
 /// Bytes of the longest directory in flash.

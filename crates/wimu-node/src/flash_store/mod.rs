@@ -9,8 +9,9 @@ use core::marker::PhantomData;
 use core::ops::Range;
 
 use embedded_storage_async::nor_flash::NorFlash;
+use heapless::Vec;
 
-use self::directory::{Directory, Entry};
+use self::directory::{Directory, Entry, KEYS};
 use self::item::{Buffer, HEAD, HEADER, Word};
 use crate::store::{Key, MAX_RECORD, Store, StoreFault};
 
@@ -81,8 +82,9 @@ impl<F: NorFlash> FlashLayout<F> {
 ///   or not the seal stays readable.
 /// - The valid part of an unfinished page is copied to another page, and the page is erased, before any
 ///   record is read from it. A change that was found once stays, one that was not found never appears.
-/// - A page is erased when it is begun, and only if it holds no record in use. A new page is accepted from
-///   its first seal on, so the source of a copy exists until the copy is complete.
+/// - A page is erased when it is begun, and only if it holds no record in use, neither by all items nor by the sealed ones
+///   alone: what follows a seal may read differently at the next start. A new page is accepted from its first seal on, so the
+///   source of a copy exists until the copy is complete.
 /// - Words that read as erased may be a partly written header. The first change after a restart overwrites them with
 ///   zeros and appends behind them.
 ///
@@ -127,6 +129,8 @@ pub struct FlashStore<F: NorFlash> {
     prefers_last: bool,
     /// There are pages that are neither empty nor finished.
     has_unfinished: bool,
+    /// Addresses of the records that are in use by the sealed items alone, while there are such pages.
+    sealed: Vec<u32, KEYS>,
     /// Latest number of an accepted directory or seal.
     serial: u32,
     /// Latest number of a seal.
@@ -169,6 +173,7 @@ impl<F: NorFlash> FlashStore<F> {
             is_corrupt: false,
             prefers_last: true,
             has_unfinished: false,
+            sealed: Vec::new(),
             serial: 0,
             newest_seal: 0,
             page: None,
@@ -232,8 +237,10 @@ impl<F: NorFlash> FlashStore<F> {
         in_use.map(|entry| Self::footprint(entry.length)).sum()
     }
 
+    /// The same for a page; and one for each record that is in use there by the sealed items.
     fn used_in(&self, page: u32) -> usize {
-        self.used(page..page + Self::PAGE)
+        let sealed = self.sealed.iter().filter(|at| Self::page_of(**at) == page);
+        self.used(page..page + Self::PAGE) + sealed.count()
     }
 
     /// Appends the directory `count` times, and a seal.

@@ -116,16 +116,31 @@ impl<F: NorFlash> FlashStore<F> {
         Ok(state)
     }
 
-    /// Reads the whole flash: the pages, then the generations, then where their items are.
+    /// Reads the whole flash.
     pub(super) async fn survey(&mut self) -> Result<(), StoreFault> {
         self.is_known = false;
-        self.directory.entries.clear();
         self.survey_pages().await?;
-        self.is_empty = true;
-        self.survey_items(Self::note_generation).await?;
-        self.survey_items(Self::note_position).await?;
+        self.sealed.clear();
+        if self.has_unfinished {
+            self.survey_records(Self::is_sealed).await?;
+            let in_use = self.directory.entries.iter().map(|entry| entry.at);
+            self.sealed.extend(in_use.filter(|at| *at > 0));
+        }
+        self.survey_records(|_| true).await?;
         self.is_known = true;
         Ok(())
+    }
+
+    fn is_sealed(rank: Rank) -> bool {
+        matches!(rank, Rank::Sealed(_))
+    }
+
+    /// Reads the generations of the records, then where their items are.
+    async fn survey_records(&mut self, is_read: fn(Rank) -> bool) -> Result<(), StoreFault> {
+        self.directory.entries.clear();
+        self.is_empty = true;
+        self.survey_items(is_read, Self::note_generation).await?;
+        self.survey_items(is_read, Self::note_position).await
     }
 
     async fn survey_pages(&mut self) -> Result<(), StoreFault> {
@@ -151,9 +166,10 @@ impl<F: NorFlash> FlashStore<F> {
         Ok(())
     }
 
-    /// Calls `note` for every accepted item.
+    /// Calls `note` for every accepted item of the ranks that are read.
     async fn survey_items(
         &mut self,
+        is_read: fn(Rank) -> bool,
         note: fn(&mut Self, Entry) -> Result<(), StoreFault>,
     ) -> Result<(), StoreFault> {
         for page in self.pages() {
@@ -162,6 +178,7 @@ impl<F: NorFlash> FlashStore<F> {
             while let Some((item, end)) = self.next_item(at, state.end).await? {
                 at = end;
                 if let Some(rank) = state.rank(end, self.newest_seal)
+                    && is_read(rank)
                     && (!state.is_foreign || self.is_stable(&item).await?)
                 {
                     self.is_corrupt = false;

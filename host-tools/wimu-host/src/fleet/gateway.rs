@@ -53,7 +53,7 @@ impl Shared {
         self.mqtt.wait()
     }
 
-    /// A line for people; dropped when nobody reads.
+    /// A line for people; dropped without a reader.
     pub fn note(&self, text: String) {
         let _ = self
             .notes
@@ -324,16 +324,15 @@ fn ear(
                     ));
                 }
             } else if let Some(state) = GatewayState::read(payload) {
-                if state.session != format!("{:016x}", shared.session) {
-                    if !retained && state.alive {
-                        shared.note(format!(
-                            "another gateway is named `{}`, too: rename one of them",
-                            shared.config.gateway
-                        ));
-                    }
-                } else if !state.alive && !shared.stopped() {
-                    // The will of an earlier connection.
+                let is_ours = state.session == format!("{:016x}", shared.session);
+                if !state.alive && (is_ours || !retained) && !shared.stopped() {
+                    // The will of an earlier connection, or the end of another gateway of this name.
                     shared.rebirth();
+                } else if state.alive && !is_ours && !retained {
+                    shared.note(format!(
+                        "another gateway is named `{}`, too: rename one of them",
+                        shared.config.gateway
+                    ));
                 }
             }
         }

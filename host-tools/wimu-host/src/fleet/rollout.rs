@@ -1,13 +1,12 @@
 //! Calibrations for a fleet in stages: one board, then 10 %, then all; stops at the first disagreement, and resumes.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use wimu_link::message::parameter_id;
 use wimu_model::ParameterSet;
 
-use super::state::BoardState;
 use super::status::FleetStatus;
 use super::topics::{Fleet, Name};
 use crate::calibration::read_parameters;
@@ -53,17 +52,23 @@ pub struct Plan {
     pub without_file: Vec<String>,
     /// Boards with a file that are away.
     pub away: Vec<String>,
+    /// Files of calibrations that are of no board.
+    pub without_board: Vec<String>,
 }
 
 impl Plan {
     /// Finds the file of each board in `folder`: `BOARD.json`, or `DEVICE_ID.json`.
     ///
     /// # Errors
-    /// Those of [`read_parameters`], before anything is pushed.
+    /// `file_unreadable` without the folder; those of [`read_parameters`], before anything is pushed.
     pub fn new(status: &FleetStatus, folder: &Path) -> Result<Self> {
         let mut plan = Self::default();
+        let mut unused = calibrations(folder)?;
         for (board, state) in &status.boards {
-            let Some(file) = file_of(folder, board, state) else {
+            let names = [Some(board.as_str()), state.device_id.as_deref()];
+            let names = names.map(|name| name.map(|name| format!("{name}.json")));
+            let file = names.iter().flatten().find(|name| unused.remove(*name));
+            let Some(file) = file.map(|name| folder.join(name)) else {
                 plan.without_file.push(board.clone());
                 continue;
             };
@@ -78,6 +83,7 @@ impl Plan {
                 set,
             });
         }
+        plan.without_board = unused.into_iter().collect();
         Ok(plan)
     }
 
@@ -89,12 +95,16 @@ impl Plan {
     }
 }
 
-fn file_of(folder: &Path, board: &str, state: &BoardState) -> Option<PathBuf> {
-    let by_id = state.device_id.as_deref();
-    let names = [Some(board), by_id].into_iter().flatten();
-    names
-        .map(|name| folder.join(format!("{name}.json")))
-        .find(|file| file.is_file())
+/// Names of the `.json` files of a folder.
+fn calibrations(folder: &Path) -> Result<BTreeSet<String>> {
+    let name = folder.display().to_string();
+    let entries =
+        std::fs::read_dir(folder).map_err(|error| HostError::file(&name, "open", &error))?;
+    let names = entries.flatten().map(|entry| entry.file_name());
+    Ok(names
+        .filter_map(|name| name.into_string().ok())
+        .filter(|name| name.ends_with(".json"))
+        .collect())
 }
 
 impl Rollout {

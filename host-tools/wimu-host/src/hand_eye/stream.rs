@@ -18,6 +18,9 @@ const OFFSET_STEP_S: f64 = 0.02;
 /// Shortest overlap in which two streams can be compared, s.
 const OVERLAP_S: f64 = 5.0;
 
+/// Longest median step of a stream, s: a slower one does not show the motion of a hand.
+const MOST_STEP_S: f64 = 1.0;
+
 /// A pose: position and rotation of a body in its tracker's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StreamPose {
@@ -58,7 +61,7 @@ impl PoseStream {
     /// Poses in any order; times that repeat are left out with a finding.
     ///
     /// # Errors
-    /// `no_rows` for fewer than two poses.
+    /// `no_rows` for fewer than two poses; `data_refused` where they are seconds apart, as with times in ms.
     pub fn new(name: impl Into<String>, mut poses: Vec<StreamPose>) -> Result<Self> {
         let name = name.into();
         let given = poses.len();
@@ -75,7 +78,14 @@ impl PoseStream {
             findings.push(FindingCode::TimesUnordered.warning(text));
         }
         let times: Vec<f64> = poses.iter().map(|pose| pose.time_s).collect();
-        let gap_s = f64::max(0.15, 3.0 * median_step_s(&times));
+        let step_s = median_step_s(&times);
+        if step_s > MOST_STEP_S {
+            let message = format!("{name}: the poses are {step_s:.3} s apart");
+            let remedy =
+                "check the unit of the times: name the column `Time (ms)` if they are in ms";
+            return Err(ErrorCode::DataRefused.error(message, remedy));
+        }
+        let gap_s = f64::max(0.15, 3.0 * step_s);
         Ok(Self {
             name,
             inertial: false,

@@ -1,5 +1,6 @@
 //! Findings on merged accelerometers.
 
+use wimu_model::STANDARD_GRAVITY_MPS2;
 use wimu_nav::sensor::Reading;
 
 use super::fit::{BIAS_MPS2, Fit, MATRIX, rotation_deg};
@@ -20,6 +21,38 @@ const UNEXPLAINED: f64 = 0.1;
 const SEEN: f64 = 4.0;
 const LATE_S: f64 = 5e-4;
 const FAST: f64 = 50e-6;
+
+/// A sample beyond the full scale by this factor is none of that accelerometer: their sensitivities are 20 % off at most.
+const EXCEEDS: f64 = 1.25;
+
+/// Whether the samples contradict the full scales that were given, in ascending order.
+pub(super) fn contradicted(sensors: &[Sensor]) -> Result<()> {
+    let is_same = |pair: &&[Sensor]| pair[0].series.values == pair[1].series.values;
+    if let Some([a, b]) = sensors.windows(2).find(is_same) {
+        return Err(ErrorCode::DataRefused.error(
+            format!(
+                "accelerometers {} and {} have the same samples",
+                a.sensor, b.sensor
+            ),
+            "name the files of different accelerometers",
+        ));
+    }
+    for sensor in sensors {
+        let axes = sensor.series.values.iter().flatten();
+        let most = axes.fold(0.0, |most: f64, axis| most.max(axis.abs()));
+        if most > EXCEEDS * sensor.full_scale {
+            return Err(ErrorCode::Usage.error(
+                format!(
+                    "accelerometer {} has samples of {:.3} g",
+                    sensor.name(),
+                    most / STANDARD_GRAVITY_MPS2
+                ),
+                "give --full-scales in g, in the order of the accelerometers",
+            ));
+        }
+    }
+    Ok(())
+}
 
 /// What was merged.
 pub(super) fn summary(sensors: &[MergedSensor]) -> Finding {

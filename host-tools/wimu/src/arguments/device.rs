@@ -12,7 +12,7 @@ pub enum Params {
     /// Show the calibration that the device uses
     #[command(after_help = "Example: wimu params get tcp://127.0.0.1:7100 -o CAL.json")]
     Get {
-        /// Serial port, tcp://HOST:PORT or `auto`
+        /// Serial port, tcp://HOST:PORT, mqtt://HOST/FLEET/BOARD or `auto`
         link: String,
         /// Write it to this file, for `params push`
         #[arg(short, long, value_name = "CAL.json")]
@@ -21,7 +21,7 @@ pub enum Params {
     /// Write a calibration: stage, compare, commit
     #[command(after_help = "Example: wimu params push tcp://127.0.0.1:7100 CAL.json")]
     Push {
-        /// Serial port, tcp://HOST:PORT or `auto`. A device without a key accepts writes over the cable only
+        /// Serial port, tcp://HOST:PORT, mqtt://HOST/FLEET/BOARD or `auto`. A device without a key accepts writes over the cable only
         link: String,
         /// File that `wimu calibrate -o` or `wimu params get -o` wrote
         calibration: PathBuf,
@@ -32,7 +32,7 @@ pub enum Params {
     /// Erase calibration and settings
     #[command(after_help = "Example: wimu params factory-reset tcp://127.0.0.1:7100")]
     FactoryReset {
-        /// Serial port, tcp://HOST:PORT or `auto`
+        /// Serial port, tcp://HOST:PORT, mqtt://HOST/FLEET/BOARD or `auto`
         link: String,
     },
 }
@@ -46,7 +46,7 @@ pub struct Key {
     /// What to do; all actions but `status` need the cable
     #[arg(value_enum)]
     pub action: KeyAction,
-    /// Serial port, tcp://HOST:PORT or `auto`
+    /// Serial port, tcp://HOST:PORT, mqtt://HOST/FLEET/BOARD or `auto`
     pub link: String,
 }
 
@@ -67,7 +67,7 @@ pub enum Settings {
     /// Show the settings
     #[command(after_help = "Example: wimu settings get tcp://127.0.0.1:7100")]
     Get {
-        /// Serial port, tcp://HOST:PORT or `auto`
+        /// Serial port, tcp://HOST:PORT, mqtt://HOST/FLEET/BOARD or `auto`
         link: String,
     },
     /// Change settings; those that are not given are kept
@@ -79,7 +79,7 @@ pub enum Settings {
   wimu settings set /dev/ttyACM0 --baud 460800"
     )]
     Set {
-        /// Serial port, tcp://HOST:PORT or `auto`
+        /// Serial port, tcp://HOST:PORT, mqtt://HOST/FLEET/BOARD or `auto`
         link: String,
         #[command(flatten)]
         change: Change,

@@ -16,7 +16,7 @@ use std::path::Path;
 use std::sync::mpsc::{self, Sender};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde::Deserialize;
 use serde_json::json;
@@ -37,6 +37,8 @@ use crate::output::{Output, usage};
 
 /// Interval between attempts to connect.
 const TRY_EVERY: Duration = Duration::from_secs(1);
+/// Interval between looks at the folder.
+const LIST_EVERY: Duration = Duration::from_secs(2);
 /// Most boards and files of a dashboard.
 const MOST_BOARDS: usize = 32;
 
@@ -95,8 +97,13 @@ pub fn run(arguments: &Dashboard, output: Output) -> Result<()> {
     }
     let stop = interrupted()?;
     let end = deadline(arguments.seconds);
+    let mut listed = Instant::now();
     while !is_over(end, &stop) {
         thread::sleep(Duration::from_millis(50));
+        if listed.elapsed() >= LIST_EVERY {
+            listed = Instant::now();
+            desk.hub.publish("files", &desk.folder.list());
+        }
     }
     desk.close();
     Ok(())
@@ -149,7 +156,6 @@ enum General {
     /// Give up a link that does not answer.
     Forget(Link),
     Ports,
-    Files,
     /// Show what a file holds.
     Open(File),
     Play(File),
@@ -314,7 +320,6 @@ impl Desk {
                     ports.iter().map(|port| &port.path).collect::<Vec<_>>()
                 ));
             }
-            General::Files => self.hub.publish("files", &self.folder.list()),
             General::Open(File { file }) => self.open(&file, &self.folder.file(&file)?),
             General::Play(File { file }) => {
                 self.has_room()?;

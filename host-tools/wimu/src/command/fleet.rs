@@ -23,6 +23,7 @@ struct Pushed {
     done: usize,
     without_file: Vec<String>,
     away: Vec<String>,
+    without_board: Vec<String>,
 }
 
 pub fn run(action: &Fleet, output: Output) -> Result<()> {
@@ -73,6 +74,9 @@ fn show(status: &FleetStatus, output: Output) {
     for (name, state) in &status.boards {
         output.print(format!("{name:width$}  {}", row(state, now)));
     }
+    if status.boards.is_empty() {
+        output.print("no gateway has published a board of this fleet: check its name");
+    }
     if status.unreadable > 0 {
         output.print(format!(
             "{} retained messages are no state: another program publishes there",
@@ -93,10 +97,10 @@ fn row(state: &BoardState, now: f64) -> String {
         (None, None | Some("00000000")) => "no".to_owned(),
         (None, Some(_)) => "date unknown".to_owned(),
     };
-    let check = if state.contradicted {
-        "contradicted"
-    } else {
-        "ok"
+    let check = match state.last_seen_utc_s {
+        _ if state.contradicted => "contradicted",
+        None if !state.alive => "–",
+        _ => "ok",
     };
     let lost = state
         .lost
@@ -122,6 +126,15 @@ fn age(seconds: f64) -> String {
 fn push(fleet: &Address, folder: &Path, file: &Path, until: u8, output: Output) -> Result<()> {
     let status = status::read(fleet, LISTEN)?;
     let plan = Plan::new(&status, folder)?;
+    for (what, names) in [
+        ("without a file", &plan.without_file),
+        ("away", &plan.away),
+        ("files of no board", &plan.without_board),
+    ] {
+        if !names.is_empty() {
+            output.print(format!("left out, {what}: {}", names.join(", ")));
+        }
+    }
     if plan.targets.is_empty() {
         return Err(ErrorCode::DataRefused.error(
             format!(
@@ -138,11 +151,6 @@ fn push(fleet: &Address, folder: &Path, file: &Path, until: u8, output: Output) 
             rollout.done.len(),
             file.display()
         ));
-    }
-    for (what, boards) in [("without a file", &plan.without_file), ("away", &plan.away)] {
-        if !boards.is_empty() {
-            output.print(format!("left out, {what}: {}", boards.join(", ")));
-        }
     }
     let stages = plan.stages();
     for (stage, count) in (1..=until).zip(stages) {
@@ -175,6 +183,7 @@ fn push(fleet: &Address, folder: &Path, file: &Path, until: u8, output: Output) 
             done,
             without_file: plan.without_file,
             away: plan.away,
+            without_board: plan.without_board,
         },
     );
     Ok(())

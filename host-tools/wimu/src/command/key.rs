@@ -105,10 +105,10 @@ fn store_key(client: &mut Connection, folder: &KeyFolder, device: u64) -> Result
             Ok(())
         }
         Err(error) => {
-            // After a refusal the device has the old key; otherwise it may have either, and both files are kept.
+            // After a refusal, or unsent, the device has the old key; otherwise it may have either, and both files are kept.
             if matches!(
                 error.code(),
-                ErrorCode::KeyNeeded | ErrorCode::DeviceRefused
+                ErrorCode::KeyNeeded | ErrorCode::DeviceRefused | ErrorCode::NotThroughBroker
             ) {
                 folder.withdraw(device);
             }

@@ -10,7 +10,7 @@ use wimu_host::{ErrorCode, Result};
 
 use crate::arguments::Align;
 use crate::command::not_over_input;
-use crate::output::Output;
+use crate::output::{Output, usage};
 
 /// Returns the exit code: 0, or 3 if the motion does not show the rotation.
 pub fn run(arguments: &Align, camera: &Path, output: Output) -> Result<u8> {
@@ -22,11 +22,12 @@ pub fn run(arguments: &Align, camera: &Path, output: Output) -> Result<u8> {
         offset_limit_s: arguments.offset_limit,
         ..HandEyeOptions::default()
     };
-    let report = hand_eye(
-        &PoseStream::read(camera)?,
-        &body(arguments, file)?,
-        &options,
-    );
+    let streams = [PoseStream::read(camera)?, body(arguments, file)?];
+    if streams[0].poses() == streams[1].poses() {
+        let remedy = "name the poses of the camera with --camera, those of the body first";
+        return Err(usage("both files have the same poses", remedy));
+    }
+    let report = hand_eye(&streams[0], &streams[1], &options);
     let text = report.to_string();
     output.print(&text);
     output.findings(&report.outcome.findings);

@@ -34,12 +34,18 @@ pub struct Listed {
 
 impl Folder {
     /// # Errors
-    /// `file_unreadable` where there is no such folder.
+    /// `file_unreadable` where there is no such folder or file, or one for the other.
     pub fn new(path: &Path, given: Vec<PathBuf>) -> Result<Self> {
         let name = path.display().to_string();
-        let path = path
-            .canonicalize()
-            .map_err(|error| HostError::file(&name, "open", &error))?;
+        let failed = |error: std::io::Error| HostError::file(&name, "open", &error);
+        let path = path.canonicalize().map_err(failed)?;
+        if !path.is_dir() {
+            return Err(failed(std::io::ErrorKind::NotADirectory.into()));
+        }
+        for file in &given {
+            let name = file.display().to_string();
+            std::fs::File::open(file).map_err(|error| HostError::file(&name, "open", &error))?;
+        }
         Ok(Self { path, given })
     }
 
@@ -92,12 +98,14 @@ impl Folder {
                 .to_lowercase();
             KNOWN.contains(&extension.as_str())
         };
+        let given = self.given.iter().flat_map(|path| path.canonicalize());
+        let given: Vec<PathBuf> = given.collect();
         let entries = std::fs::read_dir(&self.path)
             .into_iter()
             .flatten()
             .flatten();
         let mut listed: Vec<Listed> = entries
-            .filter(|entry| is_known(&entry.path()))
+            .filter(|entry| is_known(&entry.path()) && !given.contains(&entry.path()))
             .filter_map(|entry| {
                 let about = entry.metadata().ok().filter(|about| about.is_file())?;
                 let name = entry.file_name().into_string().ok()?;
@@ -195,7 +203,28 @@ mod tests {
                 "{name}: {error}"
             );
         }
-        let listed: Vec<_> = folder.list().into_iter().map(|file| file.name).collect();
+        let names = |folder: &Folder| Vec::from_iter(folder.list().into_iter().map(|one| one.name));
+        let listed = names(&folder);
         assert!(listed.contains(&"mine.csv".to_owned()) && !listed.contains(&"key.pem".to_owned()));
+        let mine = inside.join("mine.csv");
+        let folder = Folder::new(&inside, vec![mine.clone()]).unwrap();
+        let once = names(&folder)
+            .into_iter()
+            .filter(|name| name.ends_with("mine.csv"));
+        assert_eq!(Vec::from_iter(once), [mine.display().to_string()]);
+    }
+
+    #[test]
+    fn what_cannot_be_read_is_told_at_the_start() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a.csv");
+        std::fs::write(&file, "x").unwrap();
+        for (path, given) in [
+            (file.as_path(), vec![]),
+            (folder.path(), vec![folder.path().join("absent.csv")]),
+        ] {
+            let error = Folder::new(path, given).err().unwrap();
+            assert_eq!(error.code(), ErrorCode::FileUnreadable);
+        }
     }
 }

@@ -52,7 +52,7 @@ impl Server {
     pub fn bind(address: SocketAddr) -> Result<Self> {
         let failed = |error: std::io::Error| {
             let message = format!("cannot listen: {error}");
-            let remedy = "give another --port, or --port 0 for a free one";
+            let remedy = "give another port with --port, or in --listen; 0 is a free one";
             ErrorCode::LinkBusy
                 .error(message, remedy)
                 .at(address.to_string())

@@ -627,7 +627,6 @@ function fileCard(name) {
 function fileList() {
   const body = el("tbody"), note = el("p", { className: "soft" });
   const size = (bytes) => (bytes < 1e6 ? `${significant(bytes / 1e3)} kB` : `${significant(bytes / 1e6)} MB`);
-  const refresh = el("button", { textContent: "Look again", onclick: () => act({ do: "files" }) });
   const draw = () => {
     text(note, topics.folder ? `Files of ${topics.folder}` : "");
     const key = JSON.stringify(listed);
@@ -638,7 +637,7 @@ function fileList() {
       el("td", {}, el("div", { className: "row end" }, el("button", { textContent: "Show", onclick: () => act({ do: "open", file: file.name }) }),
         /\.mcap$/i.test(file.name) ? el("button", { textContent: "Replay", onclick: () => act({ do: "open", file: file.name }).then(() => act({ do: "play", file: file.name })).then(() => choose("live")) }) : null)))));
   };
-  return { element: el("article", {}, el("div", { className: "row" }, note, refresh), el("div", { className: "table" }, el("table", {}, body))), draw };
+  return { element: el("article", {}, note, el("div", { className: "table" }, el("table", {}, body))), draw };
 }
 
 const views = { live: ["Live", liveCard], space: ["Orientation & path", spaceCard], noise: ["Noise", noiseCard], links: ["Links", linksCard], calibrate: ["Calibrate", calibrateCard], parameters: ["Parameters", parametersCard], files: ["Recordings", null] };
@@ -708,6 +707,7 @@ function start() {
   });
   $("connect").addEventListener("submit", (event) => {
     event.preventDefault();
+    say("");
     act({ do: "connect", link: $("link").value.trim() || $("link").placeholder });
   });
   const pause = () => { paused = !paused; $("pause").setAttribute("aria-pressed", paused); text($("pause"), paused ? "Go on" : "Pause"); drawView(true); };

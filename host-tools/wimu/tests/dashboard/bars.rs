@@ -194,6 +194,7 @@ fn pictures() {
     let phone = browser.open(&served.url, 360, true);
     browser.until(&phone, &format!("{COUNT} > 100"));
     browser.value(&phone, "choose('calibrate')");
+    browser.until(&phone, "!!document.querySelector('#view-calibrate .main')");
     browser.value(
         &phone,
         "document.querySelector('#view-calibrate .main').click()",

@@ -247,7 +247,7 @@ fn coverage_of_unknown_noise(hz: f64, amplitude: f64, sd: [f64; 2], memory: f64)
 }
 
 #[test]
-fn intervals_hold_the_truth_where_nobody_says_whose_noise_it_is() {
+fn intervals_hold_the_truth_where_the_source_of_the_noise_is_unknown() {
     let mut held = Vec::new();
     for (amplitude, sd) in [
         (2.0, [0.02, 0.02]),

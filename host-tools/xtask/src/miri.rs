@@ -4,9 +4,10 @@ use crate::command_line::CommandLine;
 
 /// What installs Miri.
 const INSTALL: &str = "rustup toolchain install nightly --component miri,rust-src";
-/// Packages and tests: those of the golden vectors have all messages, and none takes many repetitions.
+/// Packages and tests: those of the golden vectors have all messages, and none takes many repetitions. The crates forbid
+/// `unsafe`; of their dependencies these two use some that have it, for queues, frames and tasks.
 const TESTS: [&str; 2] = [
-    "-p wimu-model -p wimu-integrator -p wimu-link -p wimu-node --lib",
+    "-p wimu-link -p wimu-node --lib",
     "-p wimu-link --test all vectors::",
 ];
 

@@ -18,10 +18,10 @@ pub struct ArraySensor {
     /// Direction of its X, Y and Z axis, body axes: unit vectors at right angles.
     #[serde(default = "aligned")]
     pub axes: [[f64; 3]; 3],
-    /// Its samples are taken so much later than their times say, µs.
+    /// Delay of its samples against their time stamps, µs.
     #[serde(default)]
     pub delay_us: f64,
-    /// Error model of its output, in its own axes; `None` where nobody calibrated it, and the rests of a
+    /// Error model of its output, in its own axes; `None` where it is uncalibrated, and the rests of a
     /// recording must tell.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model: Option<ErrorModel>,

@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 use super::RangeSample;
 use super::model::Model;
 
-/// Ranges of this time are used, s, and at least so many.
+/// Time whose ranges are used, s, and the least number of ranges.
 pub(super) const LENGTH_S: f64 = 1.0;
 pub(super) const LEAST: usize = 12;
 /// Standard deviations of a range in successive rounds, m: the cost function of the first one has few local minima. The

@@ -92,7 +92,7 @@ impl Bridge {
                         runtime.block_on(serve(connection, received, notify));
                     }
                 }
-                // If nobody waits, nobody needs to know.
+                // Without a reader there is nothing to report to.
                 Err(error) => drop(ready.send(Err(error))),
             }
         });

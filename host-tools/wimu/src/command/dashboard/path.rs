@@ -15,7 +15,7 @@ const CORNERS: u32 = 48;
 pub struct Path3 {
     points: Vec<[f64; 3]>,
     covariance_m2: Option<[[f64; 3]; 3]>,
-    /// Points are taken each so many calls.
+    /// Calls for each point.
     every: u32,
     calls: u32,
     origin_m: [f64; 3],

@@ -218,7 +218,7 @@ impl Ring<[u8]> {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "full"))]
 mod tests {
     use super::*;
 

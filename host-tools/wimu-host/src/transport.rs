@@ -407,8 +407,8 @@ impl TcpLink {
 
 impl Transport for TcpLink {
     fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize> {
-        // Zero would mean without limit.
-        let timeout = Some(timeout.max(Duration::from_millis(1)));
+        // Whole ms, so that equal waits need no system call to set it; zero would mean without limit.
+        let timeout = Some(Duration::from_millis(timeout.as_millis() as u64 + 1));
         if self.timeout != timeout {
             self.stream
                 .set_read_timeout(timeout)

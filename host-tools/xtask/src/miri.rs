@@ -7,7 +7,7 @@ const INSTALL: &str = "rustup toolchain install nightly --component miri,rust-sr
 /// Packages and tests: those of the golden vectors have all messages, and none takes many repetitions. The crates forbid
 /// `unsafe`; of their dependencies these two use some that have it, for queues, frames and tasks.
 const TESTS: [&str; 2] = [
-    "-p wimu-link -p wimu-node --lib",
+    "-p wimu-link -p wimu-node --features wimu-node/full --lib",
     "-p wimu-link --test all vectors::",
 ];
 

@@ -136,7 +136,7 @@ pub(crate) fn id(set: Option<EncodedParameters>) -> ParameterId {
     set.map_or(ParameterId::UNCALIBRATED, EncodedParameters::id)
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "full"))]
 mod tests {
     use super::*;
 

@@ -58,6 +58,10 @@ impl Folded {
                 keep_least_of(&mut cell.least, slopes, KEPT);
                 keep_least_of(&mut cell.most, slopes.map(|slope| -slope), KEPT);
             }
+            // Blocks are kept for minutes.
+            cell.hull.shrink_to_fit();
+            cell.least.shrink_to_fit();
+            cell.most.shrink_to_fit();
         }
         self
     }

@@ -24,7 +24,7 @@ use crate::transport::{self, Transport, now};
 use crate::{ErrorCode, HostError, LinkUrl, Result};
 
 /// Longest wait for data before commands and the stop flag are checked; and while a client waits for answers.
-const GLANCE: Duration = Duration::from_millis(100);
+const GLANCE: Duration = Duration::from_millis(250);
 const GLANCE_ASKED: Duration = Duration::from_millis(10);
 /// Time after a command in which whole frames are published at once.
 const ASKED_FOR: Duration = Duration::from_secs(2);
@@ -196,8 +196,10 @@ impl Bridge {
                 client.ask_who()?;
             }
             let is_asked = self.asked.is_some_and(|asked| at < asked + ASKED_FOR);
-            let until = at + if is_asked { GLANCE_ASKED } else { GLANCE };
-            while let Some(arrival) = client.next_event(until.saturating_sub(now()))? {
+            // The time-out stays the same: a socket is told of each new one.
+            let glance = if is_asked { GLANCE_ASKED } else { GLANCE };
+            let until = at + glance;
+            while let Some(arrival) = client.next_event(glance)? {
                 self.take(client.hello().role, &arrival);
                 if now() >= until {
                     break;

@@ -11,6 +11,7 @@ use kit::{Background, Simulator, folder, wait_until, wimu};
 use wimu_host::calibration::CalibrationFile;
 use wimu_host::fleet::Batch;
 use wimu_host::fleet::mqtt::{Heard, Mqtt, MqttConfig};
+use wimu_host::fleet::state::GatewayState;
 use wimu_host::mcap_file::{Recorded, RecordingReader};
 use wimu_link::auth::{DeviceKey, Session};
 use wimu_link::message::Settings;
@@ -282,7 +283,7 @@ fn a_killed_broker_and_a_killed_gateway_leave_only_counted_gaps() {
 }
 
 #[test]
-fn garbage_large_messages_and_a_second_gateway_disturb_nobody() {
+fn garbage_large_messages_and_other_gateways_do_no_harm() {
     let Some(broker) = Mosquitto::start() else {
         return;
     };
@@ -349,6 +350,29 @@ fn garbage_large_messages_and_a_second_gateway_disturb_nobody() {
         gateway.metric("wimu_board_samples") > samples + 400.0
     });
     second.stop();
+    // Another gateway of the same name ends: the living one is announced again.
+    let announced = Arc::new(Mutex::new(None));
+    let hear = {
+        let announced = announced.clone();
+        move |heard: Heard| {
+            if let Heard::Message { payload, .. } = heard {
+                *announced.lock().unwrap() = GatewayState::read(payload);
+            }
+        }
+    };
+    let topic = "wimu/hall/_gateway/gateway".to_owned();
+    let _listener = Mqtt::start(MqttConfig::new(&address, vec![topic]), hear).unwrap();
+    let now = || announced.lock().unwrap().clone();
+    wait_until("the first gateway", || now().is_some());
+    let first = now().unwrap().session;
+    let home = folder.path().join("namesake");
+    fs::create_dir(&home).unwrap();
+    let namesake = Gateway::start(&home, &boards.config(&broker.url(), METRICS));
+    wait_until("the namesake", || now().unwrap().session != first);
+    namesake.stop();
+    wait_until("the first gateway again", || {
+        now().is_some_and(|state| state.session == first && state.alive)
+    });
     assert!(reader.next_event(Duration::from_secs(1)).is_ok());
     drop(reader);
     gateway.stop();

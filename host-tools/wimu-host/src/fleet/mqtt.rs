@@ -278,7 +278,10 @@ async fn run(
                 }
                 let settles = out.connected.map(|since| since + SETTLE);
                 let settles = settles.filter(|end| *end > Instant::now());
-                let wake = [stop, retry_at, settles].into_iter().flatten().min();
+                let resumes = suspended.filter(|_| out.connected.is_some());
+                let resumes = resumes.map(|since| since + SUSPENDED);
+                let wakes = [stop, retry_at, settles, resumes];
+                let wake = wakes.into_iter().flatten().min();
                 tokio::select! {
                     event = &mut poll, if retry_at.is_none() => break Some(event),
                     order = orders.recv(), if stop.is_none() => match order {
@@ -287,6 +290,10 @@ async fn run(
                     },
                     () = sleep_until(wake.unwrap_or_else(Instant::now).into()), if wake.is_some() => {
                         retry_at.take_if(|at| *at <= Instant::now());
+                        if resumes.is_some_and(|at| at <= Instant::now()) {
+                            suspended = None;
+                            out.subscribe(&subscriptions);
+                        }
                         out.fill();
                     }
                 }
@@ -296,10 +303,8 @@ async fn run(
             None => break,
             Some(Ok(Event::Incoming(Incoming::ConnAck(_)))) => {
                 suspended.take_if(|since| since.elapsed() >= SUSPENDED);
-                if suspended.is_none() && !subscriptions.is_empty() {
-                    let filters = subscriptions.iter().cloned();
-                    let filters = filters.map(|path| SubscribeFilter::new(path, QoS::AtLeastOnce));
-                    let _ = out.client.try_subscribe_many(filters);
+                if suspended.is_none() {
+                    out.subscribe(&subscriptions);
                 }
                 out.connect();
                 hear(Heard::Connected);
@@ -373,6 +378,14 @@ impl Outbound {
             Order::Stop => {}
         }
         self.count();
+    }
+
+    fn subscribe(&self, filters: &[String]) {
+        let filters = filters.iter().cloned();
+        let filters = filters.map(|path| SubscribeFilter::new(path, QoS::AtLeastOnce));
+        if filters.len() > 0 {
+            let _ = self.client.try_subscribe_many(filters);
+        }
     }
 
     fn hand(&mut self, message: Message, retain: bool, repeat: bool) {

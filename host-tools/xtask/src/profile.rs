@@ -42,14 +42,14 @@ const PROFILES: [Profile; 3] = [
     Profile {
         name: "stream",
         features: "",
-        flash: kib(48, 55_600),
-        ram: kib(8, 8_600),
+        flash: kib(48, 54_700),
+        ram: kib(8, 8_192),
     },
     Profile {
         name: "navigate",
         features: "navigate",
-        flash: kib(64, 96_600),
-        ram: kib(12, 15_900),
+        flash: kib(64, 95_900),
+        ram: kib(12, 15_700),
     },
     Profile {
         name: "full",

@@ -163,9 +163,9 @@ fn power_lost_with_any_page_marks_leaves_the_old_records_or_the_new() {
     }
     println!("{combinations} combinations: {all:?}");
     figure(
-        "power lost with any combination of page marks, in any model of cells: neither old nor new",
+        "power lost with any page marks and cells: neither old nor new",
         format!("0 of {} ({combinations} combinations)", all.cuts),
-        "none of 200,000",
+        "none",
         Lane::current() != Lane::Campaign || all.cuts >= 200_000,
     );
     assert!(all.kept_old > 5 && all.took_new > 2, "{all:?}");

@@ -123,8 +123,10 @@ impl<F: NorFlash> FlashStore<F> {
         self.sealed.clear();
         if self.has_unfinished {
             self.survey_records(Self::is_sealed).await?;
-            let in_use = self.directory.entries.iter().map(|entry| entry.at);
-            self.sealed.extend(in_use.filter(|at| *at > 0));
+            for entry in self.directory.entries.iter().filter(|entry| entry.at > 0) {
+                // There is room for all keys.
+                let _ = self.sealed.push(entry.at);
+            }
         }
         self.survey_records(|_| true).await?;
         self.is_known = true;

@@ -47,7 +47,7 @@ impl<F: NorFlash> FlashStore<F> {
                     self.prefers_last = false;
                     self.survey().await?;
                 }
-                // A copy that cannot be read any more may not be found by the next survey, or another one of the record.
+                // A record could not be copied: the next survey may find another copy of it.
                 Some(page) => {
                     if self.compact(Some(page)).await.is_err() {
                         self.survey().await?;

@@ -237,7 +237,7 @@ impl<F: NorFlash> FlashStore<F> {
         in_use.map(|entry| Self::footprint(entry.length)).sum()
     }
 
-    /// The same for a page; and one for each record that is in use there by the sealed items.
+    /// Footprint of the records in use in a page, bytes, plus 1 for each record that the sealed items alone place there.
     fn used_in(&self, page: u32) -> usize {
         let sealed = self.sealed.iter().filter(|at| Self::page_of(**at) == page);
         self.used(page..page + Self::PAGE) + sealed.count()

@@ -22,7 +22,8 @@ const SEEN: f64 = 4.0;
 const LATE_S: f64 = 5e-4;
 const FAST: f64 = 50e-6;
 
-/// A sample beyond the full scale by this factor is none of that accelerometer: their sensitivities are 20 % off at most.
+/// Largest sample of an accelerometer over its nominal full scale. Chosen: MEMS datasheets allow a scale factor error of 10 %,
+/// and a bias of some percent of the range.
 const EXCEEDS: f64 = 1.25;
 
 /// Whether the samples contradict the full scales that were given, in ascending order.

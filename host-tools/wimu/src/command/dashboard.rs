@@ -37,7 +37,7 @@ use crate::output::{Output, usage};
 
 /// Interval between attempts to connect.
 const TRY_EVERY: Duration = Duration::from_secs(1);
-/// Interval between looks at the folder.
+/// Interval between updates of the list of files.
 const LIST_EVERY: Duration = Duration::from_secs(2);
 /// Most boards and files of a dashboard.
 const MOST_BOARDS: usize = 32;

@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_read_is_told_at_the_start() {
+    fn an_unreadable_folder_or_file_is_an_error_at_the_start() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("a.csv");
         std::fs::write(&file, "x").unwrap();

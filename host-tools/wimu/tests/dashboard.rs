@@ -214,12 +214,12 @@ fn a_page_leads_from_a_board_to_a_pushed_calibration() {
     page.topic("board/0/state", |state| state["line"]["corrected"] == true);
     // A file, its difference to itself, and a push of it.
     page.ask(json!({"do": "write_file", "board": 0}));
-    let files = page.topic("files", |files| {
-        files.as_array().is_some_and(|files| !files.is_empty())
+    let name = page.until("the calibration in the list", |page| {
+        let files = page.topics.get("files")?.as_array()?;
+        let mut names = files.iter().filter_map(|file| file["name"].as_str());
+        let name = names.rfind(|name| name.ends_with(".json"))?;
+        Some(name.to_owned())
     });
-    let mut names = (files.as_array().unwrap().iter()).map(|file| file["name"].as_str().unwrap());
-    let name = names.rfind(|name| name.ends_with(".json"));
-    let name = name.expect("the calibration").to_owned();
     let same = page.ask(json!({"do": "difference", "board": 0, "file": name}));
     assert!(
         same["value"]["result"]

@@ -11,6 +11,7 @@ pub mod config;
 pub mod gateway;
 mod metrics;
 pub mod mqtt;
+mod recording;
 pub mod rollout;
 mod session;
 mod spool;

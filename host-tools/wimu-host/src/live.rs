@@ -428,6 +428,6 @@ fn carries_key(bytes: &[u8]) -> bool {
     })
 }
 
-fn nanoseconds(time: Duration) -> u64 {
+pub(crate) fn nanoseconds(time: Duration) -> u64 {
     u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }

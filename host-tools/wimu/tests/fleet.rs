@@ -3,10 +3,11 @@
 use crate::kit;
 
 use std::fs;
+use std::path::Path;
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use kit::fleet::{Boards, Gateway, Mosquitto, Tape, client, files, name, publish};
+use kit::fleet::{Boards, Foreign, Gateway, Mosquitto, Tape, client, files, name};
 use kit::{Background, Simulator, folder, wait_until, wimu};
 use wimu_host::calibration::CalibrationFile;
 use wimu_host::fleet::Batch;
@@ -162,10 +163,10 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
         200
     );
     for message in written {
-        malicious.send(down.clone(), message);
+        malicious.publish(down.clone(), message);
     }
     let reset = Command::FactoryReset;
-    malicious.send(
+    malicious.publish(
         down.clone(),
         Requester::new(1).start(reset, Duration::ZERO).to_vec(),
     );
@@ -181,8 +182,8 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
         },
         1,
     );
-    malicious.send(down.clone(), forged.start(reset, Duration::ZERO).to_vec());
-    malicious.send(
+    malicious.publish(down.clone(), forged.start(reset, Duration::ZERO).to_vec());
+    malicious.publish(
         down,
         forged
             .start(Command::SetSettings(Settings::default()), Duration::ZERO)
@@ -301,13 +302,7 @@ fn garbage_large_messages_and_other_gateways_do_no_harm() {
     ] {
         vandal.retain(topic.to_owned(), vec![0xa5; 1 << 20]);
     }
-    wait_until("the garbage", || {
-        vandal
-            .counters()
-            .waiting
-            .load(std::sync::atomic::Ordering::Relaxed)
-            == 0
-    });
+    wait_until("the garbage", || vandal.figures().waiting == 0);
     let gateway = Gateway::start(folder.path(), &boards.config(&broker.url(), METRICS));
     wait_until("all boards", || gateway.metric("wimu_board_alive") == 2.0);
     let link = format!("mqtt://127.0.0.1:{}/hall/{}", broker.port, name(0));
@@ -318,10 +313,10 @@ fn garbage_large_messages_and_other_gateways_do_no_harm() {
     for session in [0, u64::MAX] {
         let mut forged = Batch::new(session, 7);
         forged.push(5, b"\x05abcd\0");
-        vandal.send("wimu/hall/board-0000/up".to_owned(), forged.encode(9));
+        vandal.publish("wimu/hall/board-0000/up".to_owned(), forged.encode(9));
     }
     for _ in 0..100 {
-        vandal.send("wimu/hall/board-0000/down".to_owned(), vec![7; 5000]);
+        vandal.publish("wimu/hall/board-0000/down".to_owned(), vec![7; 5000]);
     }
     wait_until("the commands are refused", || {
         gateway.metric("wimu_board_commands_refused") + gateway.metric("wimu_gateway_crowded")
@@ -337,6 +332,16 @@ fn garbage_large_messages_and_other_gateways_do_no_harm() {
         ),
     );
     assert_eq!(second.metric("wimu_board_alive"), 0.0);
+    // It has reported the boards as away, which the gateway that serves them corrects at once.
+    let fleet = format!("mqtt://127.0.0.1:{}/hall", broker.port);
+    let states = || wimu(&["fleet", "status", &fleet]).succeeds()["boards"].clone();
+    let began = Instant::now();
+    wait_until("the states are corrected", || {
+        let states = states();
+        let mut states = states.as_object().unwrap().values();
+        states.all(|state| state["alive"] == true && state["gateway"] == "gateway")
+    });
+    assert!(began.elapsed() < Duration::from_secs(15), "no later report");
     // Another gateway of the same name ends: the living one is announced again.
     let announced = Arc::new(Mutex::new(None));
     let hear = {
@@ -361,7 +366,8 @@ fn garbage_large_messages_and_other_gateways_do_no_harm() {
         now().is_some_and(|state| state.session == first && state.alive)
     });
     // Above the limit of a message, and retained: the gateway goes on without commands.
-    publish(broker.port, "wimu/hall/board-0001/down", &vec![0; 5 << 20]);
+    Foreign::connect(broker.port, "foreign")
+        .publish("wimu/hall/board-0001/down", &vec![0; 5 << 20]);
     wait_until("the message is too long", || {
         gateway.metric("wimu_gateway_too_long") >= 1.0
     });
@@ -380,6 +386,100 @@ fn garbage_large_messages_and_other_gateways_do_no_harm() {
         let found = tape.verify(&files(&folder.path().join("recordings"), &name(index)));
         assert!(found.received > 400 && found.missing == 0, "{found:?}");
     }
+}
+
+#[test]
+fn a_client_that_takes_the_gateways_id_leaves_no_gap() {
+    let Some(broker) = Mosquitto::start() else {
+        return;
+    };
+    let tape = Tape::record(120.0);
+    let boards = Boards::start(&tape, 2, None);
+    let folder = folder();
+    let gateway = Gateway::start(folder.path(), &boards.config(&broker.url(), METRICS));
+    wait_until("all boards", || gateway.metric("wimu_board_alive") == 2.0);
+    let link = format!("mqtt://127.0.0.1:{}/hall/{}", broker.port, name(0));
+    let id = broker.clients().first().expect("the gateway").clone();
+    let remote = folder.path().join("remote.mcap");
+    let record = Background::start(&["record", &link, "-o", remote.to_str().unwrap()]);
+    let recorded = |bytes: u64| fs::metadata(&remote).is_ok_and(|file| file.len() > bytes);
+    wait_until("a recording", || recorded(3000));
+    // It takes the id back whenever it loses it, as a second gateway with this id would.
+    let mut thief = Foreign::connect(broker.port, &id);
+    while thief.is_ended_within(Duration::from_secs(6)) {
+        thief = Foreign::connect(broker.port, &id);
+    }
+    assert_ne!(broker.clients().last(), Some(&id));
+    let length = fs::metadata(&remote).unwrap().len();
+    wait_until("the recording goes on", || recorded(length + 3000));
+    assert_eq!(gateway.metric("wimu_gateway_dropped"), 0.0);
+    record.signal("-INT").succeeds();
+    gateway.stop();
+    let found = tape.verify(&[remote]);
+    assert!(found.received > 500 && found.missing == 0, "{found:?}");
+}
+
+#[test]
+fn a_host_clock_that_jumps_loses_no_sample() {
+    let library = Path::new("/usr/lib/x86_64-linux-gnu/faketime/libfaketime.so.1");
+    let Some(broker) = Mosquitto::start().filter(|_| {
+        let found = library.exists();
+        if !found {
+            println!("skipped: faketime is missing; `cargo xtask setup` installs it");
+        }
+        found
+    }) else {
+        return;
+    };
+    let tape = Tape::record(240.0);
+    let boards = Boards::start(&tape, 2, None);
+    let folder = folder();
+    let clock = folder.path().join("clock");
+    let set = |offset: &str| fs::write(&clock, offset).unwrap();
+    set("+0");
+    let variables = format!(
+        "export FAKETIME_TIMESTAMP_FILE={} FAKETIME_NO_CACHE=1 FAKETIME_DONT_FAKE_MONOTONIC=1 LD_PRELOAD={};",
+        clock.display(),
+        library.display()
+    );
+    let config = boards.config(&broker.url(), METRICS);
+    let start = || Gateway::start_in(folder.path(), &config, &variables);
+    let gateway = start();
+    wait_until("all boards", || gateway.metric("wimu_board_alive") == 2.0);
+    let link = format!("mqtt://127.0.0.1:{}/hall/{}", broker.port, name(0));
+    let remote = folder.path().join("remote.mcap");
+    let record = Background::start(&["record", &link, "-o", remote.to_str().unwrap()]);
+    let goes_on = || {
+        let length = fs::metadata(&remote).map_or(0, |file| file.len());
+        wait_until("the recording goes on", || {
+            fs::metadata(&remote).is_ok_and(|file| file.len() > length + 3000)
+        });
+    };
+    goes_on();
+    for jump in ["-3600", "+7200"] {
+        set(jump);
+        goes_on();
+    }
+    // The next session has an earlier number and an earlier file.
+    set("-3600");
+    gateway.stop();
+    let gateway = start();
+    goes_on();
+    record.signal("-INT").succeeds();
+    gateway.stop();
+    let found = files(&folder.path().join("recordings"), &name(0));
+    let begins_ms = |path: &Path| path.file_stem()?.to_str()?.parse::<u64>().ok();
+    let times: Vec<u64> = found.iter().filter_map(|path| begins_ms(path)).collect();
+    assert!(
+        times.len() == 2 && times[1] - times[0] > 3_000_000,
+        "{times:?}"
+    );
+    for file in found {
+        let found = tape.verify(&[file]);
+        assert!(found.received > 200 && found.missing == 0, "{found:?}");
+    }
+    let found = tape.verify(&[remote]);
+    assert!(found.received > 800, "{found:?}");
 }
 
 #[test]

@@ -26,7 +26,7 @@ pub enum Need {
     Libclang,
     /// Of links over Bluetooth Low Energy, on Linux.
     Dbus,
-    /// Of fleets: Mosquitto.
+    /// Of fleets: Mosquitto, and a clock that jumps.
     Broker,
     /// Of the Python module and of reading sqlite: Python with virtual environments, and a C compiler.
     Optional,
@@ -256,7 +256,7 @@ fn install(need: Need, source: Source) -> Vec<CommandLine> {
                 Need::Browser => "chromium",
                 Need::Libclang => "libclang-dev",
                 Need::Dbus => "libdbus-1-dev pkg-config",
-                Need::Broker => "mosquitto",
+                Need::Broker => "mosquitto faketime",
                 Need::Optional => "python3 python3-venv gcc libc6-dev",
                 Need::Oldest => return Vec::new(),
             };
@@ -278,7 +278,7 @@ impl Need {
             Self::Targets => TARGETS.join(" and "),
             Self::Qemu => "qemu-system-arm".into(),
             Self::Browser => "Chromium".into(),
-            Self::Broker => "Mosquitto".into(),
+            Self::Broker => "Mosquitto with faketime".into(),
             Self::Oldest => format!("Rust {OLDEST}"),
             Self::Libclang => "libclang".into(),
             Self::Dbus => "libdbus".into(),
@@ -332,7 +332,9 @@ impl Machine for ThisMachine {
             }
             (Need::Browser, Source::Debian) => succeeds("chromium --version"),
             // Its help ends with an error.
-            (Need::Broker, Source::Debian) => Path::new("/usr/sbin/mosquitto").exists(),
+            (Need::Broker, Source::Debian) => {
+                Path::new("/usr/sbin/mosquitto").exists() && Path::new("/usr/bin/faketime").exists()
+            }
             (Need::Optional, Source::Debian) => {
                 let python = CommandLine::new("python3 -c").word("import venv, ensurepip");
                 python.output().is_some() && succeeds("cc --version")

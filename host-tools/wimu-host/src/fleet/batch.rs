@@ -1,13 +1,12 @@
 //! Batches: what a board sent, with the gateway's times of arrival, as one MQTT message.
 
-use std::fmt;
-
 /// Version of the format.
 const VERSION: u8 = 1;
-/// Bytes before the pieces.
-const HEAD: usize = 1 + 8 + 4 + 8;
 /// Most bytes of a batch that is accepted: 16 times the most that a gateway sends.
 pub const MAX_BATCH: usize = 1 << 20;
+
+/// Version, session, number, first time, duration in µs: fixed-size fields as bytes, so that postcard writes no varints.
+type Head = (u8, [u8; 8], [u8; 4], [u8; 8], u64);
 
 /// Bytes of one board in the order of arrival, cut after a frame.
 ///
@@ -45,31 +44,25 @@ pub struct Batch {
 }
 
 /// Why a message is no batch.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum BatchError {
     /// It has another version.
+    #[error("a batch of version {0}; this wimu reads {VERSION}")]
     Version(u8),
     /// It is longer than [`MAX_BATCH`].
+    #[error("{0} bytes; a batch has at most {MAX_BATCH}")]
     TooLong(usize),
     /// It ends within a field, or a number is too large.
+    #[error("not a batch of frames")]
     Damaged,
 }
 
-impl fmt::Display for BatchError {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Version(version) => write!(
-                out,
-                "a batch of version {version}; this wimu reads {VERSION}"
-            ),
-            Self::TooLong(length) => write!(out, "{length} bytes; a batch has at most {MAX_BATCH}"),
-            Self::Damaged => out.write_str("not a batch of frames"),
-        }
+impl From<postcard::Error> for BatchError {
+    fn from(_: postcard::Error) -> Self {
+        Self::Damaged
     }
 }
-
-impl std::error::Error for BatchError {}
 
 impl Batch {
     /// An empty batch.
@@ -101,16 +94,19 @@ impl Batch {
         let first = self.pieces.first().map_or(end_ns, |(first, _)| *first);
         let last = self.pieces.last().map_or(first, |(last, _)| *last);
         self.end_ns = (first + end_ns.saturating_sub(first) / 1000 * 1000).max(last);
-        let mut out = Vec::with_capacity(HEAD + 4 + self.bytes() + 6 * self.pieces.len());
-        out.push(VERSION);
-        out.extend(self.session.to_le_bytes());
-        out.extend(self.number.to_le_bytes());
-        out.extend(first.to_le_bytes());
-        put(&mut out, (self.end_ns - first) / 1000);
+        let head: Head = (
+            VERSION,
+            self.session.to_le_bytes(),
+            self.number.to_le_bytes(),
+            first.to_le_bytes(),
+            (self.end_ns - first) / 1000,
+        );
+        // Writing to a vector does not fail.
+        let mut out = postcard::to_stdvec(&head).unwrap_or_default();
         let mut before = first;
         for (at, bytes) in &self.pieces {
-            put(&mut out, (at - before) / 1000);
-            put(&mut out, bytes.len() as u64);
+            let piece = ((at - before) / 1000, bytes.len() as u64);
+            out = postcard::to_extend(&piece, out).unwrap_or_default();
             out.extend(bytes);
             before = *at;
         }
@@ -122,59 +118,29 @@ impl Batch {
     /// # Errors
     /// [`BatchError`]; any bytes are accepted.
     pub fn decode(bytes: &[u8]) -> Result<Self, BatchError> {
-        if bytes.len() > MAX_BATCH {
-            return Err(BatchError::TooLong(bytes.len()));
+        match bytes {
+            [] => return Err(BatchError::Damaged),
+            [version, ..] if *version != VERSION => return Err(BatchError::Version(*version)),
+            _ if bytes.len() > MAX_BATCH => return Err(BatchError::TooLong(bytes.len())),
+            _ => {}
         }
-        let (head, mut rest) = bytes
-            .split_first_chunk::<HEAD>()
-            .ok_or(BatchError::Damaged)?;
-        if head[0] != VERSION {
-            return Err(BatchError::Version(head[0]));
-        }
-        let number = |from: usize, to: usize| {
-            head[from..to]
-                .iter()
-                .rev()
-                .fold(0, |sum, byte| sum << 8 | u64::from(*byte))
-        };
-        let mut at = number(13, 21);
+        let (head, mut rest) = postcard::take_from_bytes::<Head>(bytes)?;
+        let (_, session, number, first, duration_us) = head;
         let later = |at: u64, us: u64| {
-            us.checked_mul(1000)
-                .and_then(|ns| at.checked_add(ns))
-                .ok_or(BatchError::Damaged)
+            let ns = us.checked_mul(1000).ok_or(BatchError::Damaged)?;
+            at.checked_add(ns).ok_or(BatchError::Damaged)
         };
-        let mut batch = Self::new(number(1, 9), number(9, 13) as u32);
-        batch.end_ns = later(at, take(&mut rest)?)?;
+        let mut at = u64::from_le_bytes(first);
+        let mut batch = Self::new(u64::from_le_bytes(session), u32::from_le_bytes(number));
+        batch.end_ns = later(at, duration_us)?;
         while !rest.is_empty() {
-            at = later(at, take(&mut rest)?)?;
-            let length = usize::try_from(take(&mut rest)?).map_err(|_| BatchError::Damaged)?;
-            let (piece, after) = rest.split_at_checked(length).ok_or(BatchError::Damaged)?;
+            let ((us, piece), after) = postcard::take_from_bytes::<(u64, &[u8])>(rest)?;
+            at = later(at, us)?;
             batch.pieces.push((at, piece.to_vec()));
             rest = after;
         }
         Ok(batch)
     }
-}
-
-fn put(out: &mut Vec<u8>, mut value: u64) {
-    while value >= 0x80 {
-        out.push(value as u8 | 0x80);
-        value >>= 7;
-    }
-    out.push(value as u8);
-}
-
-fn take(bytes: &mut &[u8]) -> Result<u64, BatchError> {
-    let mut value = 0;
-    for shift in (0..63).step_by(7) {
-        let (&byte, rest) = bytes.split_first().ok_or(BatchError::Damaged)?;
-        *bytes = rest;
-        value |= u64::from(byte & 0x7f) << shift;
-        if byte < 0x80 {
-            return Ok(value);
-        }
-    }
-    Err(BatchError::Damaged)
 }
 
 #[cfg(test)]

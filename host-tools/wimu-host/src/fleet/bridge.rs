@@ -1,27 +1,26 @@
 //! One board of a gateway: its link, its recording, its batches and its state.
 
-use std::fs;
-use std::path::PathBuf;
 use std::sync::mpsc::Receiver;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use wimu_link::LinkRole;
 use wimu_link::message::Event as DeviceEvent;
-use wimu_model::ParameterSet;
+use wimu_model::{ParameterId, ParameterSet};
 
 use super::Batch;
 use super::commands::{self, Asks};
 use super::gateway::Shared;
+use super::recording::Recording;
 use super::state::{self, BoardState};
 use super::topics::{Content, Name, topic};
 use crate::client::{Client, ConnectOptions};
 use crate::clock::ClockEstimator;
 use crate::decode::{Arrival, Event};
-use crate::live::{LiveClient, Tap, Tapped};
-use crate::mcap_file::{Recorded, RecordingWriter};
+use crate::live::{LiveClient, Tap, Tapped, nanoseconds};
+use crate::mcap_file::Recorded;
 use crate::transport::{self, Transport, now};
-use crate::{ErrorCode, HostError, LinkUrl, Result};
+use crate::{HostError, LinkUrl, Result};
 
 /// Longest wait for data before commands and the stop flag are checked; and while a client waits for answers.
 const GLANCE: Duration = Duration::from_millis(250);
@@ -38,9 +37,8 @@ const ASK_WHO: Duration = Duration::from_secs(60);
 /// Interval between reports of the state to the broker, and to the metrics.
 const REPORT: Duration = Duration::from_secs(30);
 const COUNT: Duration = Duration::from_secs(1);
-/// Shortest and longest interval between attempts to open a lost link, and to write again after a full disk.
+/// Shortest and longest interval between attempts to open a lost link.
 const RETRY: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(5)];
-const RECORD_AGAIN: Duration = Duration::from_secs(5);
 /// A batch is published at this size, bytes; without the end of a frame at the second one.
 const ENOUGH: usize = 16 << 10;
 const MOST: usize = 64 << 10;
@@ -62,10 +60,10 @@ impl Shown {
 /// The board, in a thread of its own.
 pub struct Bridge {
     pub name: Name,
-    pub link: LinkUrl,
-    pub shared: std::sync::Arc<Shared>,
-    pub shown: std::sync::Arc<Shown>,
-    pub down: Receiver<Vec<u8>>,
+    link: LinkUrl,
+    shared: Arc<Shared>,
+    shown: Arc<Shown>,
+    down: Receiver<Vec<u8>>,
     batch: Outgoing,
     recording: Option<Recording>,
     clock: ClockEstimator,
@@ -82,36 +80,26 @@ impl Bridge {
     pub fn new(
         name: Name,
         link: LinkUrl,
-        shared: std::sync::Arc<Shared>,
-        shown: std::sync::Arc<Shown>,
+        shared: Arc<Shared>,
+        shown: Arc<Shown>,
         down: Receiver<Vec<u8>>,
     ) -> Self {
-        let recording = shared
-            .config
-            .recordings
-            .as_ref()
-            .map(|folder| Recording::new(folder.join(name.as_str()), &shared));
+        let folder = shared.config.recordings.as_ref();
         let state = shown.lock().clone();
         Self {
-            batch: Outgoing {
-                topic: topic(&shared.config.fleet, &name, Content::Up),
-                pending: Vec::new(),
-                bytes: 0,
-                number: 0,
-                since: None,
-            },
+            batch: Outgoing::new(topic(&shared.config.fleet, &name, Content::Up)),
+            recording: folder.map(|folder| Recording::new(folder.join(name.as_str()))),
+            state,
+            clock: ClockEstimator::new(),
+            reported: None,
+            counted: Duration::ZERO,
+            asked: None,
+            clock_at: Duration::ZERO,
             name,
             link,
             shared,
             shown,
             down,
-            recording,
-            clock: ClockEstimator::new(),
-            state,
-            reported: None,
-            counted: Duration::ZERO,
-            asked: None,
-            clock_at: Duration::ZERO,
         }
     }
 
@@ -124,13 +112,15 @@ impl Bridge {
                 retry = RETRY[0];
                 client.as_mut().map_or(Ok(()), |client| self.serve(client))
             });
+            let mut role = LinkRole::Cable;
             if let Some(client) = &mut client {
+                role = client.hello().role;
                 self.keep(client);
                 self.count(client);
             }
             self.batch.flush(&self.shared, true);
             if let Err(error) = outcome {
-                self.lose(&error);
+                self.lose(role, &error);
                 let until = now() + retry;
                 while !self.shared.stopped() && now() < until {
                     std::thread::sleep(GLANCE.min(retry));
@@ -242,18 +232,12 @@ impl Bridge {
             Event::Restart { .. } => self.clock = ClockEstimator::new(),
             Event::Hello(hello) => self.state.identify(hello),
             Event::Parameters(held) => {
-                let set = held
-                    .active
-                    .as_ref()
-                    .and_then(|set| ParameterSet::try_from(set).ok());
-                let utc_s = set.and_then(|set| set.quality?.terms().utc_s);
-                if self.state.parameter_id.as_ref()
-                    != Some(&wimu_model::ParameterId(held.id).to_string())
-                {
-                    self.state.contradicted = false;
-                }
-                self.state.parameter_id = Some(wimu_model::ParameterId(held.id).to_string());
-                self.state.calibrated_utc_s = utc_s;
+                let set = held.active.as_ref();
+                let set = set.and_then(|set| ParameterSet::try_from(set).ok());
+                let id = Some(ParameterId(held.id).to_string());
+                self.state.contradicted &= self.state.parameter_id == id;
+                self.state.parameter_id = id;
+                self.state.calibrated_utc_s = set.and_then(|set| set.quality?.terms().utc_s);
             }
             Event::Device {
                 event: DeviceEvent::CalibrationContradicted { .. },
@@ -267,16 +251,11 @@ impl Bridge {
     /// Records and batches what passed over the link.
     fn keep(&mut self, client: &mut LiveClient) {
         let role = client.hello().role;
-        let entries: Vec<_> = client
-            .transport()
-            .take()
-            .into_iter()
-            .map(|entry| entry.of(role))
-            .collect();
+        let entries = client.transport().take().into_iter();
+        let entries: Vec<_> = entries.map(|entry| entry.of(role)).collect();
         for entry in &entries {
             if let Recorded::Received(received) = entry {
-                self.state.last_seen_utc_s =
-                    Some(self.shared.utc_ns(received.host_ns) as f64 * 1e-9);
+                self.state.last_seen_utc_s = Some(self.shared.utc_s(received.host_ns));
                 self.batch.push(received.host_ns, &received.bytes);
             }
         }
@@ -291,27 +270,20 @@ impl Bridge {
         }
     }
 
-    fn lose(&mut self, error: &HostError) {
+    fn lose(&mut self, role: LinkRole, error: &HostError) {
+        let reason = error.message();
         if self.state.alive {
-            let role = self.state.role.as_deref();
-            let role = if role == Some("wireless") {
-                LinkRole::Wireless
-            } else {
-                LinkRole::Cable
-            };
             self.record(&[Recorded::Lost {
                 role,
                 host_ns: nanoseconds(now()),
-                reason: error.message().to_owned(),
+                reason: reason.to_owned(),
             }]);
-            self.shared
-                .note(format!("{}: lost: {}", self.name, error.message()));
-        } else if self.state.lost.as_deref() != Some(error.message()) {
-            self.shared
-                .note(format!("{}: {}", self.name, error.message()));
+            self.shared.note(format!("{}: lost: {reason}", self.name));
+        } else if self.state.lost.as_deref() != Some(reason) {
+            self.shared.note(format!("{}: {reason}", self.name));
         }
         self.state.alive = false;
-        self.state.lost = Some(error.message().to_owned());
+        self.state.lost = Some(reason.to_owned());
         self.report(true);
     }
 
@@ -329,10 +301,9 @@ impl Bridge {
     /// Reports the state to the metrics and, when it has changed or is due, to the broker.
     fn report(&mut self, at_once: bool) {
         let at = now();
-        let due = self
-            .reported
-            .as_ref()
-            .is_none_or(|(last, since)| at >= *since + REPORT || last.differs(&self.state));
+        let last = self.reported.as_ref();
+        let due =
+            last.is_none_or(|(last, since)| at >= *since + REPORT || last.differs(&self.state));
         if due || at_once {
             if at >= self.clock_at {
                 self.clock_at = at + CLOCK;
@@ -340,11 +311,10 @@ impl Bridge {
                 self.state.clock_rate_ppm = clock.map(|clock| clock.rate_ppm);
                 self.state.clock_sd_ms = clock.map(|clock| clock.offset_sd_ms);
             }
-            self.state.reported_utc_s = self.shared.utc_ns(nanoseconds(at)) as f64 * 1e-9;
+            self.state.reported_utc_s = self.shared.utc_s(nanoseconds(at));
             let topic = topic(&self.shared.config.fleet, &self.name, Content::State);
-            self.shared
-                .mqtt()
-                .retain(topic, state::message(&self.state));
+            let mqtt = self.shared.mqtt();
+            mqtt.retain(topic, state::message(&self.state));
             self.reported = Some((self.state.clone(), at));
         }
         self.shown.lock().clone_from(&self.state);
@@ -362,6 +332,16 @@ struct Outgoing {
 }
 
 impl Outgoing {
+    fn new(topic: String) -> Self {
+        Self {
+            topic,
+            pending: Vec::new(),
+            bytes: 0,
+            number: 0,
+            since: None,
+        }
+    }
+
     fn push(&mut self, host_ns: u64, bytes: &[u8]) {
         self.since.get_or_insert_with(now);
         self.bytes += bytes.len();
@@ -402,105 +382,4 @@ impl Outgoing {
         self.bytes = rest.iter().map(|(_, bytes)| bytes.len()).sum();
         self.pending = rest;
     }
-}
-
-/// The files of a board, one after the other.
-struct Recording {
-    folder: PathBuf,
-    rotate: Duration,
-    writer: Option<(RecordingWriter<fs::File>, Duration)>,
-    /// Bytes written since the last flush: lost when the disk is full.
-    unflushed: u64,
-    retry_at: Duration,
-}
-
-impl Recording {
-    fn new(folder: PathBuf, shared: &Shared) -> Self {
-        Self {
-            folder,
-            rotate: shared.config.rotate,
-            writer: None,
-            unflushed: 0,
-            retry_at: Duration::ZERO,
-        }
-    }
-
-    /// Writes an entry; returns the number of received bytes that could not be recorded.
-    fn write(&mut self, entry: &Recorded, shared: &Shared) -> u64 {
-        let bytes = match entry {
-            Recorded::Received(received) => received.bytes.len() as u64,
-            _ => 0,
-        };
-        let Err(error) = self.try_write(entry, shared, bytes) else {
-            return 0;
-        };
-        if now() >= self.retry_at {
-            shared.note(format!("not recorded: {error}"));
-            self.retry_at = now() + RECORD_AGAIN;
-        }
-        self.writer = None;
-        bytes + std::mem::take(&mut self.unflushed)
-    }
-
-    fn try_write(&mut self, entry: &Recorded, shared: &Shared, bytes: u64) -> Result<()> {
-        let at = now();
-        let ends_frame =
-            !matches!(entry, Recorded::Received(received) if received.bytes.last() != Some(&0));
-        if self
-            .writer
-            .as_ref()
-            .is_some_and(|(_, since)| at >= *since + self.rotate)
-            && ends_frame
-        {
-            self.write_now(entry, bytes)?;
-            self.close();
-            return Ok(());
-        }
-        if self.writer.is_none() {
-            let full =
-                ErrorCode::FileFailed.error("the disk was full a moment ago", "free some space");
-            if at < self.retry_at {
-                return Err(full.at(self.folder.display().to_string()));
-            }
-            let failed =
-                |error| HostError::file(&self.folder.display().to_string(), "create", &error);
-            fs::create_dir_all(&self.folder).map_err(failed)?;
-            let begin = shared.utc_ns(nanoseconds(at)) / 1_000_000;
-            // Named by UTC in ms: sorted by time.
-            let path = self.folder.join(format!("{begin:013}.mcap"));
-            let written = RecordingWriter::create(&path, shared.anchor);
-            if written.is_err() {
-                // What a full disk leaves is no recording.
-                let _ = fs::remove_file(&path);
-            }
-            self.writer = Some((written?, at));
-        }
-        self.write_now(entry, bytes)
-    }
-
-    fn write_now(&mut self, entry: &Recorded, bytes: u64) -> Result<()> {
-        if let Some((writer, _)) = &mut self.writer {
-            let flushed = writer.flushed_ns();
-            self.unflushed += bytes;
-            let outcome = writer.record(entry);
-            if outcome.is_ok() && writer.flushed_ns() != flushed {
-                self.unflushed = 0;
-            } else if outcome.is_err() {
-                self.unflushed -= bytes;
-            }
-            outcome?;
-        }
-        Ok(())
-    }
-
-    fn close(&mut self) {
-        if let Some((writer, _)) = self.writer.take() {
-            self.unflushed = 0;
-            let _ = writer.finish();
-        }
-    }
-}
-
-pub fn nanoseconds(time: Duration) -> u64 {
-    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }

@@ -1,11 +1,14 @@
 //! The file that `wimu gateway` reads.
 
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 use std::time::Duration;
 
-use serde::Deserialize;
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer};
 use toml::Spanned;
 
 use super::topics::{Broker, Name};
@@ -24,7 +27,7 @@ use crate::{ErrorCode, HostError, LinkUrl, Result};
 ///     gateway = "north"                # name of this gateway; default `gateway`
 ///     recordings = "recordings"        # folder, beside this file; without it nothing is recorded
 ///     rotate_minutes = 60              # a new file for each board after this time
-///     spool = "spool"                  # folder for messages while the broker is away; in memory without
+///     spool = "spool"                  # folder for messages while the broker is away; they are in spool/GATEWAY
 ///     spool_mb = 256                   # most of them; the oldest are dropped first
 ///     batch_ms = 1000                  # data are published at least this often
 ///     metrics = "127.0.0.1:9180"       # address for Prometheus
@@ -52,7 +55,7 @@ pub struct GatewayConfig {
     /// Longest time of a file.
     pub rotate: Duration,
     /// Folder of messages that wait for the broker.
-    pub spool: Option<PathBuf>,
+    pub spool: PathBuf,
     /// Most bytes that wait.
     pub spool_bytes: u64,
     /// Longest time from a read to its publication.
@@ -66,16 +69,67 @@ pub struct GatewayConfig {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Text {
-    fleet: Spanned<String>,
-    broker: Spanned<String>,
-    gateway: Option<Spanned<String>>,
+    fleet: Parsed<Name>,
+    broker: Parsed<Broker>,
+    #[serde(default = "gateway")]
+    gateway: Parsed<Name>,
     recordings: Option<PathBuf>,
-    rotate_minutes: Option<Spanned<u64>>,
-    spool: Option<PathBuf>,
-    spool_mb: Option<Spanned<u64>>,
-    batch_ms: Option<Spanned<u64>>,
-    metrics: Option<Spanned<String>>,
-    boards: BTreeMap<Spanned<String>, Spanned<String>>,
+    #[serde(default)]
+    rotate_minutes: Within<60, 1, 10_080>,
+    #[serde(default = "spool")]
+    spool: PathBuf,
+    #[serde(default)]
+    spool_mb: Within<256, 2, 1_048_576>,
+    #[serde(default)]
+    batch_ms: Within<1000, 10, 60_000>,
+    metrics: Option<Parsed<SocketAddr>>,
+    boards: BTreeMap<Parsed<Name>, Spanned<Parsed<LinkUrl>>>,
+}
+
+fn gateway() -> Parsed<Name> {
+    Parsed(Name::gateway())
+}
+
+fn spool() -> PathBuf {
+    "spool".into()
+}
+
+/// What a text says, or why it does not.
+#[derive(PartialEq, Eq, PartialOrd, Ord)]
+struct Parsed<T>(T);
+
+impl<'de, T: FromStr<Err: Display>> Deserialize<'de> for Parsed<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        let wrong = |why| D::Error::custom(format!("`{text}`: {why}"));
+        text.parse().map(Self).map_err(wrong)
+    }
+}
+
+/// A number with its default, least and greatest value.
+#[derive(Deserialize)]
+#[serde(try_from = "u64")]
+struct Within<const DEFAULT: u64, const LEAST: u64, const MOST: u64>(u64);
+
+impl<const DEFAULT: u64, const LEAST: u64, const MOST: u64> Default
+    for Within<DEFAULT, LEAST, MOST>
+{
+    fn default() -> Self {
+        Self(DEFAULT)
+    }
+}
+
+impl<const DEFAULT: u64, const LEAST: u64, const MOST: u64> TryFrom<u64>
+    for Within<DEFAULT, LEAST, MOST>
+{
+    type Error = String;
+
+    fn try_from(number: u64) -> Result<Self, String> {
+        match (LEAST..=MOST).contains(&number) {
+            true => Ok(Self(number)),
+            false => Err(format!("{number} is not within {LEAST} to {MOST}")),
+        }
+    }
 }
 
 impl GatewayConfig {
@@ -95,27 +149,19 @@ impl GatewayConfig {
     /// # Errors
     /// `bad_config` with file and line.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
-        let file = File { text, path };
+        let failed = |at: usize, message: &str| {
+            let line = text.get(..at).unwrap_or_default().matches('\n').count() + 1;
+            ErrorCode::BadConfig
+                .error(message, "see `wimu gateway --help` for an example")
+                .at(format!("{}, line {line}", path.display()))
+        };
         let found: Text = toml::from_str(text).map_err(|error| {
-            file.error(
-                error.span().map_or(0, |span| span.start),
-                error.message().lines().next().unwrap_or_default(),
-            )
+            let at = error.span().map_or(0, |span| span.start);
+            failed(at, error.message().lines().next().unwrap_or_default())
         })?;
-        let beside = |folder: PathBuf| path.parent().unwrap_or(Path::new("")).join(folder);
-        let number =
-            |value: Option<Spanned<u64>>, default: u64, [least, most]: [u64; 2]| match value {
-                Some(value) if !(least..=most).contains(value.get_ref()) => Err(file.error(
-                    value.span().start,
-                    &format!("{} is not within {least} to {most}", value.get_ref()),
-                )),
-                value => Ok(value.map_or(default, Spanned::into_inner)),
-            };
         let mut boards: BTreeMap<Name, LinkUrl> = BTreeMap::new();
-        for (board, link) in &found.boards {
-            let name = file.read::<Name>(board)?;
-            let url = link.get_ref().parse::<LinkUrl>();
-            let url = url.map_err(|error| file.error(link.span().start, error.message()))?;
+        for (board, link) in found.boards {
+            let (at, url) = (link.span().start, link.into_inner().0);
             let trouble = match &url {
                 LinkUrl::Auto | LinkUrl::Serial { baud: None, .. } => {
                     "a gateway needs the port and its baud rate"
@@ -123,67 +169,31 @@ impl GatewayConfig {
                 LinkUrl::Mqtt { .. } => "a gateway needs a link to the board itself",
                 _ if boards.values().any(|other| *other == url) => "another board has this LINK",
                 _ => {
-                    boards.insert(name, url);
+                    boards.insert(board.0, url);
                     continue;
                 }
             };
-            return Err(file.error(link.span().start, trouble));
+            return Err(failed(at, trouble));
         }
         if boards.is_empty() {
-            return Err(file.error(0, "there is no board: write [boards] and NAME = \"LINK\""));
+            return Err(failed(
+                0,
+                "there is no board: write [boards] and NAME = \"LINK\"",
+            ));
         }
-        let metrics = found
-            .metrics
-            .as_ref()
-            .map(|text| file.read(text))
-            .transpose()?;
-        let gateway = found
-            .gateway
-            .as_ref()
-            .map(|text| file.read(text))
-            .transpose()?;
+        let beside = |folder: PathBuf| path.parent().unwrap_or(Path::new("")).join(folder);
         Ok(Self {
-            fleet: file.read(&found.fleet)?,
-            gateway: match gateway {
-                Some(name) => name,
-                None => "gateway"
-                    .parse()
-                    .map_err(|why: String| file.error(0, &why))?,
-            },
-            broker: file.read(&found.broker)?,
+            fleet: found.fleet.0,
+            spool: beside(found.spool).join(found.gateway.0.as_str()),
+            gateway: found.gateway.0,
+            broker: found.broker.0,
             recordings: found.recordings.map(beside),
-            rotate: Duration::from_secs(60 * number(found.rotate_minutes, 60, [1, 7 * 24 * 60])?),
-            spool: found.spool.map(beside),
-            spool_bytes: number(found.spool_mb, 256, [2, 1 << 20])? << 20,
-            batch: Duration::from_millis(number(found.batch_ms, 1000, [10, 60_000])?),
-            metrics,
+            rotate: Duration::from_secs(60 * found.rotate_minutes.0),
+            spool_bytes: found.spool_mb.0 << 20,
+            batch: Duration::from_millis(found.batch_ms.0),
+            metrics: found.metrics.map(|address| address.0),
             boards,
         })
-    }
-}
-
-/// A text with its file, for errors.
-struct File<'a> {
-    text: &'a str,
-    path: &'a Path,
-}
-
-impl File<'_> {
-    fn read<T: std::str::FromStr>(&self, text: &Spanned<String>) -> Result<T>
-    where
-        T::Err: std::fmt::Display,
-    {
-        let wrong =
-            |why: T::Err| self.error(text.span().start, &format!("`{}`: {why}", text.get_ref()));
-        text.get_ref().parse().map_err(wrong)
-    }
-
-    fn error(&self, at: usize, message: &str) -> HostError {
-        let before = self.text.get(..at).unwrap_or_default();
-        let line = before.matches('\n').count() + 1;
-        ErrorCode::BadConfig
-            .error(message, "see `wimu gateway --help` for an example")
-            .at(format!("{}, line {line}", self.path.display()))
     }
 }
 

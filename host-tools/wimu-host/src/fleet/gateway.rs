@@ -9,7 +9,7 @@ use std::thread::{self, JoinHandle};
 use super::bridge::{Bridge, Shown};
 use super::config::GatewayConfig;
 use super::metrics;
-use super::mqtt::{Heard, Mqtt, MqttConfig};
+use super::mqtt::{Figures, Heard, Mqtt, MqttConfig};
 use super::state::{self, BoardState, GatewayState};
 use super::topics::{Content, Name, all_boards, board_of, gateway_topic};
 use crate::mcap_file::ClockAnchor;
@@ -48,6 +48,11 @@ impl Shared {
         self.anchor.to_utc_ns(host_ns)
     }
 
+    /// The same in s.
+    pub fn utc_s(&self, host_ns: u64) -> f64 {
+        self.utc_ns(host_ns) as f64 * 1e-9
+    }
+
     /// The connection to the broker.
     pub fn mqtt(&self) -> &Mqtt {
         self.mqtt.wait()
@@ -83,10 +88,9 @@ pub struct GatewaySummary {
     pub boards: usize,
     /// Boards that are connected.
     pub alive: usize,
-    /// Whether the broker is connected.
-    pub broker: bool,
-    /// How often it was.
-    pub broker_connections: u64,
+    /// The connection to the broker.
+    #[serde(flatten)]
+    pub mqtt: Figures,
     /// Raw samples received.
     pub samples: u64,
     /// Raw samples missing.
@@ -95,18 +99,6 @@ pub struct GatewaySummary {
     pub bytes: u64,
     /// Bytes that could not be recorded.
     pub unrecorded_bytes: u64,
-    /// Batches that the broker has acknowledged.
-    pub acknowledged: u64,
-    /// Bytes of these batches and their topics.
-    pub acknowledged_bytes: u64,
-    /// Batches that wait for the broker.
-    pub waiting: u64,
-    /// Bytes of the files in which they wait.
-    pub spool_bytes: u64,
-    /// Batches dropped because too many waited.
-    pub dropped: u64,
-    /// Messages of the broker that were too long.
-    pub too_long: u64,
     /// Commands dropped because too many waited for a board.
     pub crowded: u64,
     /// States of boards of this gateway that another one has published.
@@ -115,20 +107,11 @@ pub struct GatewaySummary {
 
 impl GatewaySummary {
     pub(crate) fn of(shared: &Shared, boards: &Boards) -> Self {
-        let counters = shared.mqtt().counters();
-        let load = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let mut sum = Self {
             boards: boards.len(),
-            broker: shared.mqtt().is_connected(),
-            broker_connections: load(&counters.connections),
-            acknowledged: load(&counters.acknowledged),
-            acknowledged_bytes: load(&counters.acknowledged_bytes),
-            waiting: load(&counters.waiting),
-            spool_bytes: load(&counters.spool_bytes),
-            dropped: load(&counters.dropped),
-            too_long: load(&counters.too_long),
-            crowded: load(&shared.crowded),
-            conflicts: load(&shared.conflicts),
+            mqtt: shared.mqtt().figures(),
+            crowded: shared.crowded.load(Ordering::Relaxed),
+            conflicts: shared.conflicts.load(Ordering::Relaxed),
             ..Self::default()
         };
         for (_, shown) in boards {
@@ -164,7 +147,7 @@ impl Gateway {
             crowded: AtomicU64::new(0),
         });
         let config = &shared.config;
-        let mut downs = HashMap::new();
+        let mut heard = HashMap::new();
         let mut boards = Vec::new();
         let mut bridges = Vec::new();
         for (name, link) in &config.boards {
@@ -173,7 +156,7 @@ impl Gateway {
                 config.gateway.as_str(),
                 shared.session,
             )));
-            downs.insert(name.clone(), down);
+            heard.insert(name.clone(), (down, shown.clone()));
             boards.push((name.clone(), shown.clone()));
             bridges.push(Bridge::new(
                 name.clone(),
@@ -184,11 +167,15 @@ impl Gateway {
             ));
         }
         let (topic, alive, dead) = births(&shared);
+        let mut ear = Ear {
+            shared: shared.clone(),
+            boards: heard,
+            lost: false,
+        };
         let mqtt = Mqtt::start(
             MqttConfig {
                 will: Some((topic.clone(), dead)),
-                spool: config.spool.clone(),
-                spool_bytes: config.spool_bytes,
+                spool: Some((config.spool.clone(), config.spool_bytes)),
                 ..MqttConfig::new(
                     &config.broker,
                     vec![
@@ -198,7 +185,7 @@ impl Gateway {
                     ],
                 )
             },
-            ear(shared.clone(), downs),
+            move |message| ear.hear(message),
         )?;
         mqtt.retain(topic, alive);
         let _ = shared.mqtt.set(mqtt);
@@ -256,10 +243,9 @@ impl Gateway {
         self.shared.mqtt().retain(topic, dead);
         let broker = self.shared.mqtt().is_connected();
         self.shared.mqtt().stop();
-        GatewaySummary {
-            broker,
-            ..self.summary()
-        }
+        let mut summary = self.summary();
+        summary.mqtt.broker = broker;
+        summary
     }
 }
 
@@ -278,74 +264,89 @@ fn births(shared: &Shared) -> (String, Vec<u8>, Vec<u8>) {
     )
 }
 
-/// Passes commands to the boards, and finds other gateways with the same boards.
-fn ear(
+/// What is heard of the broker: commands for the boards, and other gateways with the same name or boards.
+struct Ear {
     shared: Arc<Shared>,
-    downs: HashMap<Name, SyncSender<Vec<u8>>>,
-) -> impl FnMut(Heard) + Send + 'static {
-    let mut connected = None;
-    move |heard| match heard {
-        Heard::Connected => {
-            connected = Some(true);
-            shared.note(format!("connected to {}", shared.config.broker));
-        }
-        Heard::Lost(reason) => {
-            if connected.replace(false) != Some(false) {
-                shared.note(format!(
-                    "{}: {reason}; data are stored until it is back",
-                    shared.config.broker
-                ));
+    boards: HashMap<Name, (SyncSender<Vec<u8>>, Arc<Shown>)>,
+    lost: bool,
+}
+
+impl Ear {
+    fn hear(&mut self, heard: Heard) {
+        let shared = &self.shared;
+        match heard {
+            Heard::Connected => {
+                self.lost = false;
+                shared.note(format!("connected to {}", shared.config.broker));
             }
-        }
-        Heard::Message {
-            topic,
-            payload,
-            retained,
-        } => {
-            let fleet = &shared.config.fleet;
-            if let Some(board) = board_of(topic, fleet, Content::Down) {
-                // A retained command is old.
-                if let Some(down) = downs.get(&board).filter(|_| !retained)
-                    && down.try_send(payload.to_vec()).is_err()
-                {
-                    shared.crowded.fetch_add(1, Ordering::Relaxed);
-                }
-            } else if let Some(board) = board_of(topic, fleet, Content::State) {
-                let ours = format!("{:016x}", shared.session);
-                if let Some(state) =
-                    BoardState::read(payload).filter(|_| !retained && downs.contains_key(&board))
-                    && state.alive
-                    && state.session != ours
-                {
-                    shared.conflicts.fetch_add(1, Ordering::Relaxed);
+            Heard::Lost(reason) => {
+                if !std::mem::replace(&mut self.lost, true) {
                     shared.note(format!(
-                        "{board}: gateway `{}` serves it, too: remove it from one of them",
-                        state.gateway
+                        "{}: {reason}; data are stored until it is back",
+                        shared.config.broker
                     ));
                 }
-            } else if let Some(state) = GatewayState::read(payload) {
-                let is_ours = state.session == format!("{:016x}", shared.session);
-                if !state.alive && (is_ours || !retained) && !shared.stopped() {
-                    // The will of an earlier connection, or the end of another gateway of this name.
-                    shared.rebirth();
-                } else if state.alive && !is_ours && !retained {
-                    shared.note(format!(
-                        "another gateway is named `{}`, too: rename one of them",
-                        shared.config.gateway
-                    ));
+            }
+            Heard::Message {
+                topic,
+                payload,
+                retained,
+            } => {
+                let fleet = &shared.config.fleet;
+                if let Some(board) = board_of(topic, fleet, Content::Down) {
+                    // A retained command is old.
+                    if let Some((down, _)) = self.boards.get(&board).filter(|_| !retained)
+                        && down.try_send(payload.to_vec()).is_err()
+                    {
+                        shared.crowded.fetch_add(1, Ordering::Relaxed);
+                    }
+                } else if let Some(board) = board_of(topic, fleet, Content::State) {
+                    if let Some(state) = BoardState::read(payload).filter(|_| !retained) {
+                        self.board(topic, &board, &state);
+                    }
+                } else if let Some(state) = GatewayState::read(payload) {
+                    self.gateway(topic, &state, retained);
                 }
             }
         }
     }
-}
 
-impl Shared {
-    /// Publishes the birth again. The connection's own thread may not wait for itself.
-    fn rebirth(self: &Arc<Self>) {
-        let shared = self.clone();
-        thread::spawn(move || {
-            let (topic, alive, _) = births(&shared);
-            shared.mqtt().retain(topic, alive);
-        });
+    fn board(&self, topic: &str, board: &Name, state: &BoardState) {
+        let Some((_, shown)) = self.boards.get(board) else {
+            return;
+        };
+        let (shared, ours) = (&self.shared, shown.lock().clone());
+        if state.session == ours.session {
+            return;
+        }
+        if state.alive {
+            shared.conflicts.fetch_add(1, Ordering::Relaxed);
+            shared.note(format!(
+                "{board}: gateway `{}` serves it, too: remove it from one of them",
+                state.gateway
+            ));
+        } else if ours.alive {
+            // Another gateway does not reach the board; this one does.
+            shared
+                .mqtt()
+                .retain(topic.to_owned(), state::message(&ours));
+        }
+    }
+
+    fn gateway(&self, topic: &str, state: &GatewayState, retained: bool) {
+        let shared = &self.shared;
+        let ours = GatewayState::new(shared.session, shared.config.boards.len());
+        let is_ours = state.session == ours.session;
+        if !state.alive && (is_ours || !retained) && !shared.stopped() {
+            // The will of an earlier connection, or the end of another gateway of this name.
+            shared
+                .mqtt()
+                .retain(topic.to_owned(), state::message(&ours));
+        } else if state.alive && !is_ours && !retained {
+            shared.note(format!(
+                "another gateway is named `{}`, too: rename one of them",
+                shared.config.gateway
+            ));
+        }
     }
 }

@@ -1,19 +1,18 @@
 //! A connection to a broker in a thread of its own: reconnects, resends what was not acknowledged, and stores what waits.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use rumqttc::mqttbytes::Error as Malformed;
 use rumqttc::{
     AsyncClient, ConnectionError, Event, EventLoop, Incoming, LastWill, MqttOptions, Outgoing, QoS,
-    StateError, SubscribeFilter,
+    Request, StateError, SubscribeFilter,
 };
-use tokio::sync::mpsc;
-use tokio::time::sleep_until;
+use serde::Serialize;
+use tokio::sync::Notify;
 
 use super::spool::{Message, Spool};
 use super::topics::Broker;
@@ -23,10 +22,8 @@ use crate::{ErrorCode, HostError, Result};
 const WINDOW: u16 = 500;
 /// Most messages that the client holds: the states of all boards after a reconnection.
 const HANDED: usize = 1 << 16;
-/// Orders that wait for the connection's thread; beyond, the boards' threads wait.
-const ORDERS: usize = 4096;
-/// Shortest and longest interval between attempts to connect.
-const RETRY: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(1)];
+/// Interval between attempts to connect.
+const RETRY: Duration = Duration::from_millis(500);
 /// After a new connection stored messages wait for this time, so that their receivers can come back too.
 const SETTLE: Duration = Duration::from_millis(1500);
 /// A connection that ends within this time may have been taken over by a client of the same id.
@@ -36,6 +33,10 @@ const MAX_INCOMING: usize = 4 << 20;
 /// Time without subscriptions after a message that was too long, so that a retained one does not end every connection.
 const SUSPENDED: Duration = Duration::from_secs(60);
 const KEEP_ALIVE: Duration = Duration::from_secs(10);
+/// Longest wait for the first connection.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// Interval between looks at the connection while something waits for it.
+const GLANCE: Duration = Duration::from_millis(10);
 /// Longest time in which messages are still delivered when the connection is stopped.
 const PARTING: Duration = Duration::from_secs(2);
 
@@ -66,60 +67,49 @@ pub struct MqttConfig {
     pub will: Option<(String, Vec<u8>)>,
     /// Topic filters.
     pub subscriptions: Vec<String>,
-    /// Folder for messages that wait while the broker is away; in memory without.
-    pub spool: Option<PathBuf>,
-    /// Most bytes that wait; the oldest messages are dropped first.
-    pub spool_bytes: u64,
+    /// Folder for messages that wait while the broker is away, and most bytes of them. Without it messages are dropped then.
+    pub spool: Option<(PathBuf, u64)>,
 }
 
 impl MqttConfig {
-    /// Subscribes to these filters, and publishes little.
+    /// Subscribes to these filters, and publishes nothing that may wait.
     pub fn new(broker: &Broker, subscriptions: Vec<String>) -> Self {
         Self {
             broker: broker.clone(),
             will: None,
             subscriptions,
             spool: None,
-            spool_bytes: 0,
         }
     }
 }
 
 /// Figures of a connection.
-#[derive(Debug, Default)]
-pub struct Counters {
-    /// Whether it is connected.
-    pub connected: AtomicBool,
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct Figures {
+    /// Whether the broker is connected.
+    pub broker: bool,
     /// How often it was.
-    pub connections: AtomicU64,
-    /// Messages that the broker has acknowledged, and their bytes with topics.
-    pub acknowledged: AtomicU64,
+    pub broker_connections: u64,
+    /// Messages published, without retained ones and those lost with a connection.
+    pub published: u64,
     /// Bytes of these messages and their topics.
-    pub acknowledged_bytes: AtomicU64,
-    /// Messages that wait.
-    pub waiting: AtomicU64,
+    pub published_bytes: u64,
+    /// Messages that wait, or that the broker has not acknowledged.
+    pub waiting: u64,
     /// Bytes of the files in which they wait.
-    pub spool_bytes: AtomicU64,
+    pub spool_bytes: u64,
     /// Messages dropped because too many waited.
-    pub dropped: AtomicU64,
+    pub dropped: u64,
     /// Messages received that were too long.
-    pub too_long: AtomicU64,
-}
-
-enum Order {
-    /// Publish in order, stored while the broker is away.
-    Publish(Message),
-    /// Publish now, or never.
-    Send(Message),
-    /// Publish retained, and again after each reconnection.
-    Retain(Message),
-    Stop,
+    pub too_long: u64,
 }
 
 /// A connection to a broker.
 pub struct Mqtt {
-    orders: mpsc::Sender<Order>,
-    counters: Arc<Counters>,
+    broker: Broker,
+    outbound: Arc<Mutex<Outbound>>,
+    stop: Arc<Notify>,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
@@ -129,70 +119,94 @@ impl Mqtt {
     /// # Errors
     /// `feature_missing` for TLS in a build without; `file_failed` for the folder of messages that wait.
     pub fn start(config: MqttConfig, hear: impl FnMut(Heard) + Send + 'static) -> Result<Self> {
-        let options = options(&config)?;
-        let folder = config.spool.as_deref();
-        let spool = Spool::open(folder, config.spool_bytes).map_err(|error| {
-            let name = folder.map(|folder| folder.display().to_string());
-            HostError::file(&name.unwrap_or_default(), "open", &error)
-        })?;
-        let (orders, received) = mpsc::channel(ORDERS);
-        let counters = Arc::new(Counters::default());
-        let figures = counters.clone();
+        let (client, mut events) = AsyncClient::new(options(&config)?, HANDED);
+        events.network_options.set_tcp_nodelay(true);
+        let open = |(folder, bytes): &(PathBuf, u64)| {
+            let failed = |error| HostError::file(&folder.display().to_string(), "open", &error);
+            Spool::open(folder, *bytes).map_err(failed)
+        };
+        let outbound = Arc::new(Mutex::new(Outbound {
+            client,
+            spool: config.spool.as_ref().map(open).transpose()?,
+            retained: BTreeMap::new(),
+            under_way: 0,
+            connected: None,
+            figures: Figures::default(),
+            reason: None,
+        }));
+        let stop = Arc::new(Notify::new());
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build();
         let runtime =
             runtime.map_err(|error| HostError::file("the MQTT connection", "start", &error))?;
+        let (out, stopped) = (outbound.clone(), stop.clone());
         let thread = thread::spawn(move || {
-            let (client, events) = AsyncClient::new(options, HANDED);
-            let outgoing = Outbound {
-                client,
-                spool,
-                retained: BTreeMap::new(),
-                handed: VecDeque::new(),
-                unacknowledged: BTreeMap::new(),
-                given: 0,
-                connected: None,
-                counters: figures,
-            };
-            runtime.block_on(run(outgoing, events, received, config.subscriptions, hear));
+            runtime.block_on(async {
+                tokio::select! {
+                    () = run(&out, &mut events, &config.subscriptions, hear) => {}
+                    () = stopped.notified() => {}
+                }
+                disconnect(&out, &mut events).await;
+            });
         });
         Ok(Self {
-            orders,
-            counters,
+            broker: config.broker,
+            outbound,
+            stop,
             thread: Mutex::new(Some(thread)),
         })
     }
 
     /// Figures of the connection.
-    pub fn counters(&self) -> &Arc<Counters> {
-        &self.counters
+    pub fn figures(&self) -> Figures {
+        lock(&self.outbound).figures()
     }
 
     /// Whether the broker is connected.
     pub fn is_connected(&self) -> bool {
-        self.counters.connected.load(Ordering::Relaxed)
+        self.figures().broker
     }
 
-    /// Publishes a message after all earlier ones; it is stored while the broker is away.
+    /// Waits until the broker is connected.
+    ///
+    /// # Errors
+    /// `link_refused` when it refuses, or does not answer for 5 s.
+    pub fn wait_connected(&self) -> Result<()> {
+        let until = Instant::now() + PATIENCE;
+        while !self.is_connected() {
+            let reason = lock(&self.outbound).reason.clone();
+            if reason.is_some() || Instant::now() >= until {
+                let reason = reason.unwrap_or_else(|| "no answer".to_owned());
+                return Err(ErrorCode::LinkRefused
+                    .error(
+                        format!("the broker does not answer: {reason}"),
+                        "start it, or check address, user and password",
+                    )
+                    .at(self.broker.to_string()));
+            }
+            thread::sleep(GLANCE);
+        }
+        Ok(())
+    }
+
+    /// Publishes a message after all earlier ones. While the broker is away it waits in the spool, or is dropped without one.
     pub fn publish(&self, topic: String, payload: Vec<u8>) {
-        let _ = self
-            .orders
-            .blocking_send(Order::Publish(Message { topic, payload }));
-    }
-
-    /// Publishes a message now; without a connection it is dropped.
-    pub fn send(&self, topic: String, payload: Vec<u8>) {
-        let _ = self
-            .orders
-            .blocking_send(Order::Send(Message { topic, payload }));
+        let message = Message { topic, payload };
+        let mut out = lock(&self.outbound);
+        match &mut out.spool {
+            Some(spool) => spool.push(message),
+            None => drop(out.hand(&message, false)),
+        }
+        out.fill();
     }
 
     /// Publishes the retained message of a topic, and again after each reconnection.
     pub fn retain(&self, topic: String, payload: Vec<u8>) {
-        let _ = self
-            .orders
-            .blocking_send(Order::Retain(Message { topic, payload }));
+        let message = Message { topic, payload };
+        let mut out = lock(&self.outbound);
+        out.hand(&message, true);
+        out.retained.insert(message.topic, message.payload);
     }
 
     /// Delivers for at most 2 s what waits, stores the rest, and disconnects.
@@ -204,7 +218,12 @@ impl Mqtt {
             .take();
         // The last owner may be the thread itself.
         if let Some(thread) = thread.filter(|other| other.thread().id() != thread::current().id()) {
-            let _ = self.orders.blocking_send(Order::Stop);
+            let until = Instant::now() + PARTING;
+            while !lock(&self.outbound).is_done() && Instant::now() < until {
+                lock(&self.outbound).fill();
+                thread::sleep(GLANCE);
+            }
+            self.stop.notify_one();
             let _ = thread.join();
         }
     }
@@ -257,84 +276,65 @@ fn client_id() -> String {
 }
 
 async fn run(
-    mut out: Outbound,
-    mut events: EventLoop,
-    mut orders: mpsc::Receiver<Order>,
-    subscriptions: Vec<String>,
+    out: &Mutex<Outbound>,
+    events: &mut EventLoop,
+    subscriptions: &[String],
     mut hear: impl FnMut(Heard),
 ) {
-    events.network_options.set_tcp_nodelay(true);
-    let mut retry = RETRY[0];
-    let mut retry_at: Option<Instant> = None;
+    let mut subscribed = false;
     let mut suspended: Option<Instant> = None;
-    let mut stop: Option<Instant> = None;
     loop {
-        let event = {
-            let poll = events.poll();
-            tokio::pin!(poll);
-            loop {
-                if stop.is_some_and(|end| end <= Instant::now() || out.is_done()) {
-                    break None;
-                }
-                let settles = out.connected.map(|since| since + SETTLE);
-                let settles = settles.filter(|end| *end > Instant::now());
-                let resumes = suspended.filter(|_| out.connected.is_some());
-                let resumes = resumes.map(|since| since + SUSPENDED);
-                let wakes = [stop, retry_at, settles, resumes];
-                let wake = wakes.into_iter().flatten().min();
-                tokio::select! {
-                    event = &mut poll, if retry_at.is_none() => break Some(event),
-                    order = orders.recv(), if stop.is_none() => match order {
-                        Some(Order::Stop) | None => stop = Some(Instant::now() + PARTING),
-                        Some(order) => out.take(order),
-                    },
-                    () = sleep_until(wake.unwrap_or_else(Instant::now).into()), if wake.is_some() => {
-                        retry_at.take_if(|at| *at <= Instant::now());
-                        if resumes.is_some_and(|at| at <= Instant::now()) {
-                            suspended = None;
-                            out.subscribe(&subscriptions);
-                        }
-                        out.fill();
-                    }
-                }
-            }
-        };
+        let event = events.poll().await;
+        if let Ok(Event::Incoming(Incoming::ConnAck(_))) = event {
+            lock(out).connect();
+            subscribed = false;
+        }
+        suspended.take_if(|since| since.elapsed() >= SUSPENDED);
+        if event.is_ok() && !subscribed && suspended.is_none() {
+            lock(out).subscribe(subscriptions);
+            subscribed = true;
+        }
         match event {
-            None => break,
-            Some(Ok(Event::Incoming(Incoming::ConnAck(_)))) => {
-                suspended.take_if(|since| since.elapsed() >= SUSPENDED);
-                if suspended.is_none() {
-                    out.subscribe(&subscriptions);
-                }
-                out.connect();
-                hear(Heard::Connected);
-            }
-            Some(Ok(Event::Incoming(Incoming::Publish(publish)))) => hear(Heard::Message {
+            Ok(Event::Incoming(Incoming::ConnAck(_))) => hear(Heard::Connected),
+            Ok(Event::Incoming(Incoming::Publish(publish))) => hear(Heard::Message {
                 topic: &publish.topic,
                 payload: &publish.payload,
                 retained: publish.retain,
             }),
-            Some(Ok(Event::Incoming(Incoming::PubAck(ack)))) => out.acknowledge(ack.pkid),
-            Some(Ok(Event::Outgoing(Outgoing::Publish(id)))) => out.sent(id),
-            Some(Ok(_)) => {}
-            Some(Err(error)) => {
-                let since = out.lose();
+            Ok(Event::Incoming(Incoming::PubAck(_))) => lock(out).acknowledge(),
+            Ok(_) => {}
+            Err(error) => {
+                let since = lock(out).lose(events, &error);
                 if is_too_long(&error) {
                     suspended = Some(Instant::now());
-                    out.counters.too_long.fetch_add(1, Ordering::Relaxed);
+                    lock(out).figures.too_long += 1;
                 } else if since.is_some_and(|since| since.elapsed() < SHORT) {
                     events.mqtt_options.set_client_id(client_id());
                 }
-                retry = match since {
-                    Some(_) => RETRY[0],
-                    None => (retry * 2).min(RETRY[1]),
-                };
-                retry_at = Some(Instant::now() + retry);
                 hear(Heard::Lost(&error.to_string()));
+                tokio::time::sleep(RETRY).await;
             }
         }
     }
-    out.finish(&mut events).await;
+}
+
+async fn disconnect(out: &Mutex<Outbound>, events: &mut EventLoop) {
+    let client = lock(out).client.clone();
+    if lock(out).connected.is_some() && client.try_disconnect().is_ok() {
+        let disconnect = async {
+            while let Ok(event) = events.poll().await {
+                if event == Event::Outgoing(Outgoing::Disconnect) {
+                    break;
+                }
+            }
+        };
+        let _ = tokio::time::timeout(Duration::from_millis(500), disconnect).await;
+    }
+    let mut out = lock(out);
+    out.lose(events, &ConnectionError::RequestsDone);
+    if let Some(spool) = &mut out.spool {
+        let _ = spool.save();
+    }
 }
 
 fn is_too_long(error: &ConnectionError) -> bool {
@@ -349,37 +349,22 @@ fn is_too_long(error: &ConnectionError) -> bool {
 /// What is published.
 struct Outbound {
     client: AsyncClient,
-    spool: Spool,
+    spool: Option<Spool>,
     retained: BTreeMap<String, Vec<u8>>,
-    /// Handed to the client and not yet sent, with their order; `None` for those that are not repeated.
-    handed: VecDeque<(u64, Option<Message>)>,
-    /// Sent and not yet acknowledged, by packet id.
-    unacknowledged: BTreeMap<u16, (u64, Option<Message>)>,
-    /// Messages handed to the client so far.
-    given: u64,
+    /// Messages handed to the client and not yet acknowledged.
+    under_way: u64,
     /// Since when it is connected.
     connected: Option<Instant>,
-    counters: Arc<Counters>,
+    figures: Figures,
+    /// Why it is not connected.
+    reason: Option<String>,
+}
+
+fn lock(outbound: &Mutex<Outbound>) -> MutexGuard<'_, Outbound> {
+    outbound.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Outbound {
-    fn take(&mut self, order: Order) {
-        match order {
-            Order::Publish(message) => {
-                self.spool.push(message);
-                self.fill();
-            }
-            Order::Send(message) => self.hand(message, false, false),
-            Order::Retain(message) => {
-                self.retained
-                    .insert(message.topic.clone(), message.payload.clone());
-                self.hand(message, true, false);
-            }
-            Order::Stop => {}
-        }
-        self.count();
-    }
-
     fn subscribe(&self, filters: &[String]) {
         let filters = filters.iter().cloned();
         let filters = filters.map(|path| SubscribeFilter::new(path, QoS::AtLeastOnce));
@@ -388,20 +373,14 @@ impl Outbound {
         }
     }
 
-    fn hand(&mut self, message: Message, retain: bool, repeat: bool) {
-        if self.connected.is_none() {
-            return;
-        }
-        let kept = repeat.then(|| message.clone());
-        let published =
-            self.client
-                .try_publish(message.topic, QoS::AtLeastOnce, retain, message.payload);
-        if published.is_ok() {
-            self.handed.push_back((self.given, kept));
-            self.given += 1;
-        } else if let Some(message) = kept {
-            self.spool.put_back([message].into_iter());
-        }
+    /// Hands a message to the client; returns whether it took it.
+    fn hand(&mut self, message: &Message, retain: bool) -> bool {
+        let Message { topic, payload } = message;
+        let qos = QoS::AtLeastOnce;
+        let publish = || self.client.try_publish(topic, qos, retain, payload.clone());
+        let taken = self.connected.is_some() && publish().is_ok();
+        self.under_way += u64::from(taken);
+        taken
     }
 
     /// Hands stored messages to the client, as many as may be under way.
@@ -409,83 +388,71 @@ impl Outbound {
         let settled = self
             .connected
             .is_some_and(|since| since.elapsed() >= SETTLE);
-        while settled && self.handed.len() + self.unacknowledged.len() < WINDOW.into() {
-            let Some(message) = self.spool.pop() else {
+        while settled
+            && self.under_way < WINDOW.into()
+            && let Some(message) = self.spool.as_mut().and_then(Spool::pop)
+        {
+            self.figures.published += 1;
+            self.figures.published_bytes += message.bytes();
+            if !self.hand(&message, false) {
+                self.take_back(message);
                 break;
-            };
-            self.hand(message, false, true);
+            }
         }
-        self.count();
+    }
+
+    fn take_back(&mut self, message: Message) {
+        if let Some(spool) = &mut self.spool {
+            self.figures.published -= 1;
+            self.figures.published_bytes -= message.bytes();
+            spool.put_back(message);
+        }
     }
 
     fn connect(&mut self) {
         self.connected = Some(Instant::now());
-        self.counters.connected.store(true, Ordering::Relaxed);
-        self.counters.connections.fetch_add(1, Ordering::Relaxed);
+        self.figures.broker_connections += 1;
         for (topic, payload) in self.retained.clone() {
-            self.hand(Message { topic, payload }, true, false);
+            self.hand(&Message { topic, payload }, true);
         }
-        self.fill();
     }
 
-    /// The client has forgotten all messages under way: they are next again. Returns since when it was connected.
-    fn lose(&mut self) -> Option<Instant> {
-        self.counters.connected.store(false, Ordering::Relaxed);
-        let sent = std::mem::take(&mut self.unacknowledged).into_values();
-        let mut again: Vec<_> = sent.chain(self.handed.drain(..)).collect();
-        again.sort_by_key(|(order, _)| *order);
-        self.spool
-            .put_back(again.into_iter().filter_map(|(_, message)| message));
-        self.count();
+    /// Takes back what the client has not delivered: it is next again. Returns since when it was connected.
+    fn lose(&mut self, events: &mut EventLoop, reason: &ConnectionError) -> Option<Instant> {
+        events.clean();
+        let collided = events.state.collision.take().map(Request::Publish);
+        for request in events.pending.drain(..).chain(collided).rev() {
+            if let Request::Publish(publish) = request
+                && !publish.retain
+            {
+                self.take_back(Message {
+                    topic: publish.topic,
+                    payload: publish.payload.into(),
+                });
+            }
+        }
+        self.under_way = 0;
+        self.reason = Some(reason.to_string());
         self.connected.take()
     }
 
-    fn sent(&mut self, id: u16) {
-        if let Some(message) = self.handed.pop_front() {
-            self.unacknowledged.insert(id, message);
-        }
-    }
-
-    fn acknowledge(&mut self, id: u16) {
-        if let Some((_, Some(message))) = self.unacknowledged.remove(&id) {
-            self.counters.acknowledged.fetch_add(1, Ordering::Relaxed);
-            let bytes = message.topic.len() + message.payload.len();
-            self.counters
-                .acknowledged_bytes
-                .fetch_add(bytes as u64, Ordering::Relaxed);
-        }
+    fn acknowledge(&mut self) {
+        self.under_way = self.under_way.saturating_sub(1);
         self.fill();
     }
 
     fn is_done(&self) -> bool {
-        let nothing = self.handed.is_empty() && self.unacknowledged.is_empty();
-        self.connected.is_none() || (nothing && self.spool.messages() == 0)
+        self.connected.is_none() || self.figures().waiting == 0
     }
 
-    fn count(&self) {
-        let waiting =
-            self.spool.messages() + self.handed.len() as u64 + self.unacknowledged.len() as u64;
-        self.counters.waiting.store(waiting, Ordering::Relaxed);
-        self.counters
-            .spool_bytes
-            .store(self.spool.file_bytes(), Ordering::Relaxed);
-        self.counters
-            .dropped
-            .store(self.spool.dropped, Ordering::Relaxed);
-    }
-
-    async fn finish(mut self, events: &mut EventLoop) {
-        if self.connected.is_some() && self.client.try_disconnect().is_ok() {
-            let disconnect = async {
-                while let Ok(event) = events.poll().await {
-                    if event == Event::Outgoing(Outgoing::Disconnect) {
-                        break;
-                    }
-                }
-            };
-            let _ = tokio::time::timeout(Duration::from_millis(500), disconnect).await;
+    fn figures(&self) -> Figures {
+        let spool = self.spool.as_ref();
+        Figures {
+            broker: self.connected.is_some(),
+            waiting: self.under_way + spool.map_or(0, Spool::messages),
+            spool_bytes: spool.map_or(0, Spool::file_bytes),
+            dropped: spool.map_or(0, |spool| spool.dropped),
+            ..self.figures
         }
-        self.lose();
-        let _ = self.spool.save();
     }
 }

@@ -1,4 +1,4 @@
-//! One board's batches as a receiver follows them: repetitions left out, missing batches counted, one gateway at a time.
+//! One board's batches as a receiver follows them: repetitions left out, one gateway at a time.
 
 use std::time::Duration;
 
@@ -8,21 +8,6 @@ use super::Batch;
 const SILENT: Duration = Duration::from_secs(5);
 /// Rate at which the estimated difference of the clocks may grow, ns per s: two oscillators of 50 ppm.
 const DRIFT_NS_PER_S: f64 = 100_000.0;
-
-/// Figures of the batches of a board.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-pub struct BatchCounts {
-    /// Batches followed.
-    pub received: u64,
-    /// Batches between them that did not arrive.
-    pub missing: u64,
-    /// Repetitions; left out.
-    pub repeated: u64,
-    /// Batches of another gateway; left out.
-    pub foreign: u64,
-    /// Messages that are no batch; left out.
-    pub malformed: u64,
-}
 
 /// Follows the batches of one board.
 ///
@@ -36,43 +21,33 @@ pub struct Follower {
     /// Receiver's time less gateway's time, ns, and when it was found.
     offset: Option<(i128, Duration)>,
     last_ns: u64,
-    pub counts: BatchCounts,
 }
 
 impl Follower {
-    /// Takes a message that arrived at `now`; returns its pieces with times on the receiver's clock, ns.
-    pub fn take(&mut self, now: Duration, message: &[u8]) -> Vec<(u64, Vec<u8>)> {
-        let Ok(batch) = Batch::decode(message) else {
-            self.counts.malformed += 1;
-            return Vec::new();
-        };
+    /// Takes a message that arrived at `now`; returns its pieces with times on the receiver's clock, ns. `None` for
+    /// repetitions, batches of another gateway, and anything else.
+    pub fn take(&mut self, now: Duration, message: &[u8]) -> Option<Vec<(u64, Vec<u8>)>> {
+        let batch = Batch::decode(message).ok()?;
         match self.session {
             Some(session) if session == batch.session => {
-                match batch.number.wrapping_sub(self.number) as i32 {
-                    ..=0 => {
-                        self.counts.repeated += 1;
-                        return Vec::new();
-                    }
-                    ahead => self.counts.missing += ahead as u64 - 1,
+                let ahead = batch.number.wrapping_sub(self.number) as i32;
+                if ahead <= 0 {
+                    return None;
                 }
             }
-            Some(session) if batch.session < session && now < self.latest + SILENT => {
-                self.counts.foreign += 1;
-                return Vec::new();
-            }
+            Some(session) if batch.session < session && now < self.latest + SILENT => return None,
             _ => self.offset = None,
         }
         self.session = Some(batch.session);
         self.number = batch.number;
         self.latest = now;
-        self.counts.received += 1;
         let offset = self.offset(now, batch.end_ns);
         let local = |(at, bytes): (u64, Vec<u8>)| {
             let ns = (i128::from(at) + offset).clamp(self.last_ns.into(), now.as_nanos() as i128);
             self.last_ns = ns as u64;
             (self.last_ns, bytes)
         };
-        batch.pieces.into_iter().map(local).collect()
+        Some(batch.pieces.into_iter().map(local).collect())
     }
 
     fn offset(&mut self, now: Duration, end_ns: u64) -> i128 {
@@ -101,40 +76,33 @@ mod tests {
     }
 
     #[test]
-    fn a_batch_is_followed_once_and_missing_ones_are_counted() {
+    fn a_batch_is_followed_once() {
         let mut follower = Follower::default();
-        let mut seen = Vec::new();
-        for (at, number) in [(1, 0), (2, 1), (3, 1), (4, 0), (5, 4)] {
-            seen.extend(numbers(
-                &follower.take(Duration::from_secs(at), &message(9, number, at * 1000)),
-            ));
+        let mut take = |at: u64, message: &[u8]| follower.take(Duration::from_secs(at), message);
+        for (at, number, taken) in [
+            (1, 0, true),
+            (2, 1, true),
+            (3, 1, false),
+            (4, 0, false),
+            (5, 4, true),
+        ] {
+            let pieces = take(at, &message(9, number, at * 1000));
+            let expected = taken.then(|| vec![number as u8]);
+            assert_eq!(pieces.map(|pieces| numbers(&pieces)), expected);
         }
-        follower.take(Duration::from_secs(6), b"retained garbage");
-        assert_eq!(seen, [0, 1, 4]);
-        let counts = follower.counts;
-        assert_eq!(
-            (
-                counts.received,
-                counts.missing,
-                counts.repeated,
-                counts.malformed
-            ),
-            (3, 2, 2, 1)
-        );
+        assert_eq!(take(6, b"retained garbage"), None);
     }
 
     #[test]
     fn of_two_gateways_the_later_one_is_followed_until_it_is_silent() {
         let mut follower = Follower::default();
         let mut take = |at_s: u64, session: u64, number: u32| {
-            numbers(&follower.take(Duration::from_secs(at_s), &message(session, number, 0))).len()
+            let message = message(session, number, 0);
+            follower.take(Duration::from_secs(at_s), &message).is_some()
         };
-        assert_eq!(take(1, 5, 0), 1);
-        assert_eq!(take(2, 7, 0), 1);
-        assert_eq!(take(3, 5, 1), 0);
-        assert_eq!(take(6, 5, 2), 0, "4 s after the later one");
-        assert_eq!(take(8, 5, 3), 1, "6 s after it");
-        assert_eq!(follower.counts.foreign, 2);
+        assert!(take(1, 5, 0) && take(2, 7, 0) && !take(3, 5, 1));
+        assert!(!take(6, 5, 2), "4 s after the later one");
+        assert!(take(8, 5, 3), "6 s after it");
     }
 
     #[test]
@@ -142,7 +110,11 @@ mod tests {
         let mut follower = Follower::default();
         // Arrives 100 ms after its piece, then 20 ms later than the first, then 30 ms earlier.
         let mut at = |now_ms: u64, number, at_ms| {
-            follower.take(Duration::from_millis(now_ms), &message(1, number, at_ms))[0].0
+            let message = message(1, number, at_ms);
+            follower
+                .take(Duration::from_millis(now_ms), &message)
+                .unwrap()[0]
+                .0
         };
         let first = at(5000, 0, 1000);
         assert_eq!(first, 4_900_000_000);

@@ -2,60 +2,46 @@
 
 use std::collections::VecDeque;
 use std::fs::{self, File};
-use std::io::{self, Read, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
 
 /// Bytes held in memory before files are used: what a killed gateway may lose beside what is under way.
 const MEMORY: u64 = 1 << 20;
 /// A file is closed at this size, and dropped as a whole.
 const SEGMENT: u64 = 1 << 20;
-/// Bytes before topic and payload: their lengths (2, 4) and the CRC-32 of both.
-const HEAD: usize = 10;
 /// Number of the first file: smaller ones are for messages that precede it.
 const FIRST: u64 = 1 << 32;
 
 /// A message to publish.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Message {
     pub topic: String,
     pub payload: Vec<u8>,
 }
 
 impl Message {
-    fn bytes(&self) -> u64 {
+    pub fn bytes(&self) -> u64 {
         (self.topic.len() + self.payload.len()) as u64
     }
 
-    fn encode(&self) -> Vec<u8> {
+    fn crc(&self) -> u32 {
         let mut crc = crc32fast::Hasher::new();
         crc.update(self.topic.as_bytes());
         crc.update(&self.payload);
-        let mut out = Vec::with_capacity(HEAD + self.topic.len() + self.payload.len());
-        out.extend((self.topic.len() as u16).to_le_bytes());
-        out.extend((self.payload.len() as u32).to_le_bytes());
-        out.extend(crc.finalize().to_le_bytes());
-        out.extend(self.topic.as_bytes());
-        out.extend(&self.payload);
-        out
+        crc.finalize()
+    }
+
+    fn encode(&self) -> Vec<u8> {
+        postcard::to_stdvec(&(self.crc(), self)).unwrap_or_default()
     }
 
     /// Removes a message from the front of `bytes`; `None` at their end, or where they are damaged.
     fn decode(bytes: &mut &[u8]) -> Option<Self> {
-        let (head, rest) = bytes.split_first_chunk::<HEAD>()?;
-        let [a, b, c, d, e, f, crc @ ..] = *head;
-        let (topic, rest) = rest.split_at_checked(u16::from_le_bytes([a, b]).into())?;
-        let (payload, rest) = rest.split_at_checked(u32::from_le_bytes([c, d, e, f]) as usize)?;
-        let mut found = crc32fast::Hasher::new();
-        found.update(topic);
-        found.update(payload);
-        if found.finalize() != u32::from_le_bytes(crc) {
-            return None;
-        }
+        let ((crc, message), rest) = postcard::take_from_bytes::<(u32, Self)>(bytes).ok()?;
         *bytes = rest;
-        Some(Self {
-            topic: String::from_utf8(topic.to_vec()).ok()?,
-            payload: payload.to_vec(),
-        })
+        (crc == message.crc()).then_some(message)
     }
 }
 
@@ -63,8 +49,10 @@ impl Message {
 pub struct Spool {
     memory: VecDeque<Message>,
     memory_bytes: u64,
-    folder: Option<PathBuf>,
-    /// Most bytes in files; without a folder, in memory.
+    folder: PathBuf,
+    /// Held while the folder is used.
+    _lock: File,
+    /// Most bytes in files.
     limit: u64,
     segments: VecDeque<Segment>,
     /// The last segment, if it is being written.
@@ -80,42 +68,39 @@ struct Segment {
 }
 
 impl Spool {
-    /// A spool of at most `limit` bytes in files of `folder`, with what an earlier one has left there; without a folder in
-    /// memory.
+    /// A spool of at most `limit` bytes in files of `folder`, with what an earlier one has left there.
     ///
     /// # Errors
-    /// Those of the folder.
-    pub fn open(folder: Option<&Path>, limit: u64) -> io::Result<Self> {
-        let mut segments = Vec::new();
-        if let Some(folder) = folder {
-            fs::create_dir_all(folder)?;
-            for entry in fs::read_dir(folder)? {
-                let name = entry?.file_name();
-                let number = name.to_str().and_then(|name| name.strip_suffix(".spool"));
-                if let Some(number) = number.and_then(|hex| u64::from_str_radix(hex, 16).ok()) {
-                    segments.push(Segment {
-                        number,
-                        messages: 0,
-                        bytes: 0,
-                    });
-                }
-            }
-        }
-        segments.sort_by_key(|segment| segment.number);
+    /// Those of the folder; also when another program uses it.
+    pub fn open(folder: &Path, limit: u64) -> io::Result<Self> {
+        fs::create_dir_all(folder)?;
+        let lock = File::create(folder.join("lock"))?;
+        lock.try_lock()
+            .map_err(|_| io::Error::other("another gateway uses this folder"))?;
         let mut spool = Self {
             memory: VecDeque::new(),
             memory_bytes: 0,
-            folder: folder.map(Path::to_owned),
+            folder: folder.to_owned(),
+            _lock: lock,
             limit: limit.max(2 * SEGMENT),
-            segments: segments.into(),
+            segments: VecDeque::new(),
             writer: None,
             dropped: 0,
         };
-        for index in 0..spool.segments.len() {
-            let (messages, bytes) = spool.read(spool.segments[index].number)?;
-            spool.segments[index].messages = messages.len() as u64;
-            spool.segments[index].bytes = bytes;
+        for entry in fs::read_dir(folder)? {
+            let name = entry?.file_name();
+            let number = name.to_str().and_then(|name| name.strip_suffix(".spool"));
+            if let Some(number) = number.and_then(|hex| u64::from_str_radix(hex, 16).ok()) {
+                let (messages, bytes) = spool.read(number)?;
+                spool.segments.push_back(Segment {
+                    number,
+                    messages: messages.len() as u64,
+                    bytes,
+                });
+            }
         }
+        let segments = spool.segments.make_contiguous();
+        segments.sort_by_key(|segment| segment.number);
         Ok(spool)
     }
 
@@ -132,12 +117,9 @@ impl Spool {
     /// Appends a message.
     pub fn push(&mut self, message: Message) {
         let fits = self.memory_bytes + message.bytes() <= MEMORY;
-        if self.segments.is_empty() && (fits || self.folder.is_none()) {
+        if self.segments.is_empty() && fits {
             self.memory_bytes += message.bytes();
             self.memory.push_back(message);
-            while self.folder.is_none() && self.memory_bytes > self.limit {
-                self.dropped += u64::from(self.take_memory().is_some());
-            }
         } else if self.append(&message.encode()).is_err() {
             // The disk is full: room is made once at the cost of the oldest.
             self.writer = None;
@@ -146,12 +128,10 @@ impl Spool {
         }
     }
 
-    /// Puts messages back that precede all others.
-    pub fn put_back(&mut self, messages: impl DoubleEndedIterator<Item = Message>) {
-        for message in messages.rev() {
-            self.memory_bytes += message.bytes();
-            self.memory.push_front(message);
-        }
+    /// Puts a message back that precedes all others.
+    pub fn put_back(&mut self, message: Message) {
+        self.memory_bytes += message.bytes();
+        self.memory.push_front(message);
     }
 
     /// The oldest message.
@@ -167,7 +147,9 @@ impl Spool {
             self.memory = messages.into();
             self.remove(segment.number);
         }
-        self.take_memory()
+        let message = self.memory.pop_front()?;
+        self.memory_bytes -= message.bytes();
+        Some(message)
     }
 
     /// Writes what is in memory to a file, before the program ends.
@@ -175,38 +157,24 @@ impl Spool {
     /// # Errors
     /// Those of the file.
     pub fn save(&mut self) -> io::Result<()> {
-        let Some(folder) = self.folder.as_ref().filter(|_| !self.memory.is_empty()) else {
+        if self.memory.is_empty() {
             return Ok(());
-        };
-        let number = self
-            .segments
-            .front()
-            .map_or(FIRST, |segment| segment.number)
-            - 1;
+        }
+        let next = self.segments.front().map_or(FIRST, |next| next.number);
         let bytes: Vec<u8> = self.memory.iter().flat_map(Message::encode).collect();
-        fs::write(file(folder, number), bytes)
-    }
-
-    fn take_memory(&mut self) -> Option<Message> {
-        let message = self.memory.pop_front()?;
-        self.memory_bytes -= message.bytes();
-        Some(message)
+        fs::write(self.file(next - 1), bytes)
     }
 
     fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
-        let folder = self.folder.as_ref().ok_or(io::ErrorKind::NotFound)?;
         let is_full = self
             .segments
             .back()
             .is_some_and(|last| last.bytes >= SEGMENT);
         if self.writer.is_none() || is_full {
             let number = self.segments.back().map_or(FIRST, |last| last.number + 1);
-            self.writer = Some(
-                File::options()
-                    .create_new(true)
-                    .append(true)
-                    .open(file(folder, number))?,
-            );
+            let mut options = File::options();
+            options.create_new(true).append(true);
+            self.writer = Some(options.open(self.file(number))?);
             self.segments.push_back(Segment {
                 number,
                 messages: 0,
@@ -240,24 +208,19 @@ impl Spool {
     }
 
     fn read(&self, number: u64) -> io::Result<(Vec<Message>, u64)> {
-        let mut bytes = Vec::new();
-        if let Some(folder) = &self.folder {
-            File::open(file(folder, number))?.read_to_end(&mut bytes)?;
-        }
+        let bytes = fs::read(self.file(number))?;
         let mut rest = &bytes[..];
         let messages = std::iter::from_fn(|| Message::decode(&mut rest)).collect();
         Ok((messages, bytes.len() as u64))
     }
 
     fn remove(&self, number: u64) {
-        if let Some(folder) = &self.folder {
-            let _ = fs::remove_file(file(folder, number));
-        }
+        let _ = fs::remove_file(self.file(number));
     }
-}
 
-fn file(folder: &Path, number: u64) -> PathBuf {
-    folder.join(format!("{number:016x}.spool"))
+    fn file(&self, number: u64) -> PathBuf {
+        self.folder.join(format!("{number:016x}.spool"))
+    }
 }
 
 #[cfg(test)]
@@ -281,44 +244,47 @@ mod tests {
     #[test]
     fn order_is_kept_across_memory_files_and_a_restart() {
         let folder = tempfile::tempdir().unwrap();
-        let open = || Spool::open(Some(folder.path()), 64 << 20).unwrap();
+        let open = || Spool::open(folder.path(), 64 << 20).unwrap();
         let mut spool = open();
         (0..500).for_each(|number| spool.push(message(number)));
         assert!(spool.file_bytes() > 3_000_000);
         let first: Vec<_> = (0..3).map(|_| spool.pop().unwrap()).collect();
-        spool.put_back(first.into_iter());
+        first.into_iter().rev().for_each(|m| spool.put_back(m));
         spool.save().unwrap();
+        drop(spool);
         let mut spool = open();
         assert_eq!(spool.messages(), 500);
         spool.push(message(500));
         assert_eq!(numbers(&mut spool), Vec::from_iter(0..=500));
         assert_eq!(
             (spool.dropped, fs::read_dir(folder.path()).unwrap().count()),
-            (0, 0)
+            (0, 1),
+            "the lock alone is left"
         );
+        let busy = Spool::open(folder.path(), 64 << 20);
+        assert!(busy.is_err(), "another program uses the folder");
     }
 
     #[test]
     fn beyond_the_limit_the_oldest_are_dropped_and_counted() {
         let folder = tempfile::tempdir().unwrap();
-        for folder in [Some(folder.path()), None] {
-            let mut spool = Spool::open(folder, 2 << 20).unwrap();
-            (0..1000).for_each(|number| spool.push(message(number)));
-            let (dropped, kept) = (spool.dropped as usize, numbers(&mut spool));
-            assert_eq!(dropped + kept.len(), 1000);
-            assert_eq!(kept.last(), Some(&999));
-            assert!(kept.is_sorted() && kept.len() < 330, "{}", kept.len());
-        }
+        let mut spool = Spool::open(folder.path(), 2 << 20).unwrap();
+        (0..1000).for_each(|number| spool.push(message(number)));
+        let (dropped, kept) = (spool.dropped as usize, numbers(&mut spool));
+        assert_eq!(dropped + kept.len(), 1000);
+        assert_eq!(kept.last(), Some(&999));
+        assert!(kept.is_sorted() && kept.len() < 330, "{}", kept.len());
     }
 
     #[test]
     fn a_damaged_file_loses_what_follows_the_damage_and_no_other() {
         let folder = tempfile::tempdir().unwrap();
-        let mut spool = Spool::open(Some(folder.path()), 64 << 20).unwrap();
+        let mut spool = Spool::open(folder.path(), 64 << 20).unwrap();
         (0..400).for_each(|number| spool.push(message(number)));
         let mut files: Vec<_> = fs::read_dir(folder.path())
             .unwrap()
             .map(|e| e.unwrap().path())
+            .filter(|path| path.extension().is_some())
             .collect();
         files.sort();
         let mut bytes = fs::read(&files[0]).unwrap();

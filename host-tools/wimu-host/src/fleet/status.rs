@@ -9,11 +9,7 @@ use serde::Serialize;
 use super::mqtt::{Heard, Mqtt, MqttConfig};
 use super::state::{BoardState, GatewayState};
 use super::topics::{Content, Fleet, Name, all_boards, all_gateways, board_of};
-use crate::transport::now;
-use crate::{ErrorCode, Result};
-
-/// Longest wait for the broker.
-const PATIENCE: Duration = Duration::from_secs(5);
+use crate::Result;
 
 /// The states of a fleet.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -34,7 +30,8 @@ impl FleetStatus {
         alive.filter_map(|(name, _)| name.parse().ok())
     }
 
-    fn take(&mut self, fleet: &Name, topic: &str, payload: &[u8]) {
+    /// Takes a message of the broker.
+    pub(super) fn take(&mut self, fleet: &Name, topic: &str, payload: &[u8]) {
         if let Some(board) = board_of(topic, fleet, Content::State) {
             match BoardState::read(payload) {
                 Some(state) => drop(self.boards.insert(board.to_string(), state)),
@@ -48,16 +45,17 @@ impl FleetStatus {
         }
     }
 
-    /// A board is only as alive as the session of its gateway.
-    fn bury(&mut self) {
-        for state in self.boards.values_mut() {
-            let gateway = self.gateways.get(&state.gateway);
-            if state.alive
-                && !gateway.is_some_and(|gateway| gateway.alive && gateway.session == state.session)
-            {
-                state.alive = false;
-                state.lost = Some(format!("gateway `{}` has ended", state.gateway));
-            }
+    /// Why a board is away. It is only as alive as the session of its gateway.
+    pub(super) fn why_away(&self, board: &BoardState) -> Option<String> {
+        let name = &board.gateway;
+        let gateway = self.gateways.get(name);
+        if !gateway.is_some_and(|found| found.alive && found.session == board.session) {
+            Some(format!("its gateway `{name}` has ended"))
+        } else if !board.alive {
+            let why = board.lost.as_deref().unwrap_or("not reached yet");
+            Some(format!("the gateway `{name}` does not reach it: {why}"))
+        } else {
+            None
         }
     }
 }
@@ -67,38 +65,25 @@ impl FleetStatus {
 /// # Errors
 /// `link_refused` when the broker does not answer.
 pub fn read(fleet: &Fleet, time: Duration) -> Result<FleetStatus> {
-    let found = Arc::new(Mutex::new((None, String::new(), FleetStatus::default())));
+    let found = Arc::new(Mutex::new(FleetStatus::default()));
     let (shared, name) = (found.clone(), fleet.fleet.clone());
     let filters = vec![all_boards(&name, Content::State), all_gateways(&name)];
     let mqtt = Mqtt::start(MqttConfig::new(&fleet.broker, filters), move |heard| {
-        let mut found = shared.lock().unwrap_or_else(PoisonError::into_inner);
-        match heard {
-            Heard::Connected => found.0 = Some(now()),
-            Heard::Lost(why) => why.clone_into(&mut found.1),
-            Heard::Message { topic, payload, .. } => found.2.take(&name, topic, payload),
+        if let Heard::Message { topic, payload, .. } = heard {
+            let mut status = shared.lock().unwrap_or_else(PoisonError::into_inner);
+            status.take(&name, topic, payload);
         }
     })?;
-    let began = now();
-    loop {
-        std::thread::sleep(Duration::from_millis(20));
-        let mut found = found.lock().unwrap_or_else(PoisonError::into_inner);
-        match found.0 {
-            Some(connected) if now() >= connected + time => {
-                let mut status = std::mem::take(&mut found.2);
-                drop(found);
-                mqtt.stop();
-                status.bury();
-                return Ok(status);
-            }
-            None if now() >= began + PATIENCE => {
-                return Err(ErrorCode::LinkRefused
-                    .error(
-                        format!("the broker does not answer: {}", found.1),
-                        "start it, or check address, user and password",
-                    )
-                    .at(fleet.broker.to_string()));
-            }
-            _ => {}
+    mqtt.wait_connected()?;
+    std::thread::sleep(time);
+    mqtt.stop();
+    let mut status = found.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    for mut state in std::mem::take(&mut status.boards) {
+        if let Some(why) = status.why_away(&state.1) {
+            state.1.alive = false;
+            state.1.lost = Some(why);
         }
+        status.boards.insert(state.0, state.1);
     }
+    Ok(status)
 }

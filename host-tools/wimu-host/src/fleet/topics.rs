@@ -16,6 +16,11 @@ const PORTS: [u16; 2] = [1883, 8883];
 pub struct Name(String);
 
 impl Name {
+    /// The default name of a gateway.
+    pub fn gateway() -> Self {
+        Self("gateway".to_owned())
+    }
+
     /// The text.
     pub fn as_str(&self) -> &str {
         &self.0

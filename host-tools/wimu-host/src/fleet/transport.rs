@@ -1,20 +1,20 @@
 //! `mqtt://HOST/FLEET/BOARD` as a LINK.
 
-use std::sync::mpsc::{self, Receiver, RecvTimeoutError, TrySendError};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use super::commands::{self, CommandFault};
 use super::mqtt::{Heard, Mqtt, MqttConfig};
 use super::session::Follower;
-use super::state::{BoardState, GatewayState};
-use super::topics::{Broker, Content, Name, all_gateways, board_of, topic};
+use super::status::FleetStatus;
+use super::topics::{Broker, Content, Name, all_gateways, topic};
 use crate::transport::{Transport, now};
 use crate::{ErrorCode, HostError, Result};
 
-/// Longest wait for the broker, and then for the board's state.
-const PATIENCE: Duration = Duration::from_secs(5);
-const STATE_PATIENCE: Duration = Duration::from_secs(2);
+/// Longest wait for the board's state.
+const PATIENCE: Duration = Duration::from_secs(2);
+const GLANCE: Duration = Duration::from_millis(10);
 /// Time after which a link whose broker, gateway or board is away counts as lost. Shorter absences are gaps.
 const LOST_AFTER: Duration = Duration::from_secs(10);
 /// Pieces that wait for their reader; beyond, they are dropped, which the sequence numbers show.
@@ -23,21 +23,16 @@ const PIECES: usize = 1 << 14;
 /// What the connection's thread has found.
 #[derive(Default)]
 struct Known {
-    connected: bool,
-    reason: String,
-    state: Option<BoardState>,
-    /// Session of the latest gateway that died.
-    dead: Option<String>,
+    status: FleetStatus,
     follower: Follower,
-    /// Pieces dropped because too many waited.
-    dropped: u64,
     /// When a batch last arrived.
-    heard: Duration,
+    heard: Option<Duration>,
 }
 
 /// A board behind a gateway and a broker.
 pub(crate) struct MqttLink {
     name: String,
+    board: Name,
     down: String,
     mqtt: Mqtt,
     known: Arc<Mutex<Known>>,
@@ -45,6 +40,7 @@ pub(crate) struct MqttLink {
     /// The piece that is being read, and how much of it was.
     piece: (u64, Vec<u8>),
     used: usize,
+    opened: Duration,
 }
 
 /// Opens the link to a board through a broker.
@@ -57,119 +53,61 @@ pub fn open(
     fleet: &Name,
     board: &Name,
 ) -> Result<impl Transport + Send + use<>> {
-    let known = Arc::new(Mutex::new(Known {
-        heard: now(),
-        ..Known::default()
-    }));
+    let known = Arc::new(Mutex::new(Known::default()));
     let (sender, pieces) = mpsc::sync_channel(PIECES);
-    let shared = known.clone();
-    let (ours, of_fleet) = (board.clone(), fleet.clone());
+    let (shared, of_fleet) = (known.clone(), fleet.clone());
     let up = topic(fleet, board, Content::Up);
-    let filters = vec![
-        topic(fleet, board, Content::State),
-        all_gateways(fleet),
-        up.clone(),
-    ];
+    let state = topic(fleet, board, Content::State);
+    let filters = vec![state, all_gateways(fleet), up.clone()];
     let mqtt = Mqtt::start(MqttConfig::new(broker, filters), move |heard| {
+        let Heard::Message { topic, payload, .. } = heard else {
+            return;
+        };
         let mut known = shared.lock().unwrap_or_else(PoisonError::into_inner);
-        match heard {
-            Heard::Connected => known.connected = true,
-            Heard::Lost(reason) => {
-                known.connected = false;
-                reason.clone_into(&mut known.reason);
-            }
-            Heard::Message { topic, payload, .. } if topic == up => {
-                known.heard = now();
-                for piece in known.follower.take(now(), payload) {
-                    if let Err(TrySendError::Full(_)) = sender.try_send(piece) {
-                        known.dropped += 1;
-                    }
-                }
-            }
-            Heard::Message { topic, payload, .. }
-                if board_of(topic, &of_fleet, Content::State).is_some_and(|b| b == ours) =>
-            {
-                if let Some(state) = BoardState::read(payload) {
-                    known.state = Some(state);
-                }
-            }
-            Heard::Message { payload, .. } => {
-                if let Some(gateway) = GatewayState::read(payload) {
-                    match gateway.alive {
-                        false => known.dead = Some(gateway.session),
-                        true => drop(known.dead.take_if(|dead| *dead == gateway.session)),
-                    }
-                }
+        if topic != up {
+            return known.status.take(&of_fleet, topic, payload);
+        }
+        if let Some(pieces) = known.follower.take(now(), payload) {
+            known.heard = Some(now());
+            for piece in pieces {
+                let _ = sender.try_send(piece);
             }
         }
     })?;
+    mqtt.wait_connected()?;
     let link = MqttLink {
         name: name.to_owned(),
+        board: board.clone(),
         down: topic(fleet, board, Content::Down),
         mqtt,
         known,
         pieces,
         piece: (0, Vec::new()),
         used: 0,
+        opened: now(),
     };
-    link.wait_for_board(broker, fleet, board)?;
+    while let Some(why) = link.away() {
+        if now() >= link.opened + PATIENCE {
+            let remedy = "`wimu fleet status` lists the boards; check the names, that `wimu gateway` runs, and the board's link there";
+            return Err(ErrorCode::LinkAbsent.error(why, remedy).at(name));
+        }
+        std::thread::sleep(GLANCE);
+    }
     Ok(link)
 }
 
 impl MqttLink {
-    fn known<T>(&self, of: impl FnOnce(&Known) -> T) -> T {
-        of(&self.known.lock().unwrap_or_else(PoisonError::into_inner))
-    }
-
-    fn wait_for_board(&self, broker: &Broker, fleet: &Name, board: &Name) -> Result<()> {
-        let glance = Duration::from_millis(10);
-        let began = now();
-        while !self.known(|known| known.connected) {
-            if now() >= began + PATIENCE {
-                let reason = self.known(|known| known.reason.clone());
-                return Err(ErrorCode::LinkRefused
-                    .error(
-                        format!("the broker {broker} does not answer: {reason}"),
-                        "start it, or check address, user and password",
-                    )
-                    .at(&self.name));
-            }
-            std::thread::sleep(glance);
-        }
-        let connected = now();
-        while now() < connected + STATE_PATIENCE {
-            if self.known(|known| known.away().is_none() && known.state.is_some()) {
-                return Ok(());
-            }
-            std::thread::sleep(glance);
-        }
-        Err(match self.known(Known::away) {
-            Some(why) => ErrorCode::LinkAbsent.error(why, "start its gateway, or check the board's link there"),
-            None => ErrorCode::LinkAbsent.error(
-                format!("no gateway has reported a board `{board}` of fleet `{fleet}`"),
-                "`wimu fleet status` lists the boards; check the names, and that `wimu gateway` runs",
-            ),
-        }
-        .at(&self.name))
-    }
-}
-
-impl Known {
-    /// Why the board is away.
+    /// Why the board is away: it is not while its batches arrive, whatever its state says.
     fn away(&self) -> Option<String> {
-        let state = self.state.as_ref()?;
-        if !self.connected {
-            Some(format!("the broker is away: {}", self.reason))
-        } else if self.dead.as_ref() == Some(&state.session) {
-            Some(format!("its gateway `{}` has ended", state.gateway))
-        } else if !state.alive {
-            let why = state.lost.as_deref().unwrap_or("not reached yet");
-            Some(format!(
-                "the gateway `{}` does not reach it: {why}",
-                state.gateway
-            ))
-        } else {
+        let known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        if known.heard.is_some_and(|heard| now() < heard + LOST_AFTER) {
             None
+        } else if !self.mqtt.is_connected() {
+            Some("the broker is away".to_owned())
+        } else if let Some(state) = known.status.boards.get(self.board.as_str()) {
+            known.status.why_away(state)
+        } else {
+            Some(format!("no gateway has reported a board `{}`", self.board))
         }
     }
 }
@@ -181,8 +119,7 @@ impl Transport for MqttLink {
             match self.pieces.recv_timeout(timeout) {
                 Ok(piece) => (self.piece, self.used) = (piece, 0),
                 Err(RecvTimeoutError::Timeout) => {
-                    let lost = self
-                        .known(|known| known.away().filter(|_| now() >= known.heard + LOST_AFTER));
+                    let lost = self.away().filter(|_| now() >= self.opened + LOST_AFTER);
                     return lost.map_or(Ok(0), |why| Err(self.lost(why)));
                 }
                 Err(RecvTimeoutError::Disconnected) => {
@@ -201,9 +138,7 @@ impl Transport for MqttLink {
     fn write_all(&mut self, bytes: &[u8]) -> Result<()> {
         let (message, remedy) = match commands::check(bytes) {
             Ok(_) => {
-                if self.mqtt.is_connected() {
-                    self.mqtt.send(self.down.clone(), bytes.to_vec());
-                }
+                self.mqtt.publish(self.down.clone(), bytes.to_vec());
                 return Ok(());
             }
             Err(CommandFault::Unsigned) => (

@@ -17,7 +17,7 @@ fleet.toml:
   gateway = \"north\"                  # a name for each gateway of the fleet
   recordings = \"recordings\"          # folder; optional, as all that follows
   rotate_minutes = 60
-  spool = \"spool\"                    # folder for data while the broker is away
+  spool = \"spool\"                    # folder for data while the broker is away, the default
   spool_mb = 256
   batch_ms = 1000
   metrics = \"127.0.0.1:9180\"         # Prometheus

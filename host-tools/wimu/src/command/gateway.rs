@@ -6,6 +6,7 @@ use serde::Serialize;
 use wimu_host::Result;
 use wimu_host::fleet::config::GatewayConfig;
 use wimu_host::fleet::gateway::{Gateway, GatewaySummary};
+use wimu_host::plural::counted;
 
 use crate::arguments::Gateway as Arguments;
 use crate::command::{deadline, interrupted, is_over};
@@ -25,10 +26,10 @@ pub fn run(arguments: &Arguments, output: Output) -> Result<()> {
     let end = deadline(arguments.seconds);
     let stop = interrupted()?;
     let head = format!(
-        "gateway `{}` of fleet `{}`: {} boards to {}; Ctrl-C stops",
+        "gateway `{}` of fleet `{}`: {} to {}; Ctrl-C stops",
         config.gateway,
         config.fleet,
-        config.boards.len(),
+        counted(config.boards.len(), "board"),
         config.broker
     );
     let boards = config.boards.len();
@@ -56,8 +57,8 @@ pub fn run(arguments: &Arguments, output: Output) -> Result<()> {
 }
 
 fn line(sum: &GatewaySummary) -> String {
-    let broker = if sum.broker { "" } else { ", BROKER AWAY" };
-    let dropped = match sum.dropped {
+    let broker = if sum.mqtt.broker { "" } else { ", BROKER AWAY" };
+    let dropped = match sum.mqtt.dropped {
         0 => String::new(),
         count => format!(", {count} batches dropped"),
     };
@@ -67,6 +68,6 @@ fn line(sum: &GatewaySummary) -> String {
     };
     format!(
         "{} of {} boards, {} samples, {} missing, {} batches published, {} waiting{dropped}{unrecorded}{broker}",
-        sum.alive, sum.boards, sum.samples, sum.missing, sum.acknowledged, sum.waiting
+        sum.alive, sum.boards, sum.samples, sum.missing, sum.mqtt.published, sum.mqtt.waiting
     )
 }

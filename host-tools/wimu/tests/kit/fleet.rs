@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 use std::fs;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -65,6 +65,26 @@ impl Mosquitto {
         format!("mqtt://127.0.0.1:{}", self.port)
     }
 
+    fn log(&self) -> PathBuf {
+        self.folder.path().join("log")
+    }
+
+    /// Ids of the clients that have connected, in their order.
+    pub fn clients(&self) -> Vec<String> {
+        let log = fs::read_to_string(self.log()).expect("a log");
+        let ids = log.lines().filter_map(|line| {
+            let (_, rest) = line.split_once("New client connected from ")?;
+            Some(
+                rest.split_once(" as ")?
+                    .1
+                    .split_whitespace()
+                    .next()?
+                    .to_owned(),
+            )
+        });
+        ids.collect()
+    }
+
     pub fn pid(&self) -> u32 {
         self.child.as_ref().expect("it runs").id()
     }
@@ -90,11 +110,12 @@ impl Mosquitto {
         let binary = ["/usr/sbin/mosquitto", "/usr/bin/mosquitto"]
             .into_iter()
             .find(|path| Path::new(path).exists());
+        let log = fs::File::create(self.log()).expect("a file");
         let child = Command::new(binary.expect("installed"))
             .arg("-c")
             .arg(&file)
             .stdout(Stdio::null())
-            .stderr(Stdio::null())
+            .stderr(log)
             .spawn();
         self.child = Some(child.expect("mosquitto"));
         let address = SocketAddr::from(([127, 0, 0, 1], self.port));
@@ -567,31 +588,49 @@ fn delayed(mut from: TcpStream, mut to: TcpStream, delay: Duration, cuts: &Atomi
     let _ = to.shutdown(Shutdown::Both);
 }
 
-/// Publishes a retained message as a foreign client, of any length.
-pub fn publish(port: u16, topic: &str, payload: &[u8]) {
-    let text = |text: &str| [&(text.len() as u16).to_be_bytes()[..], text.as_bytes()].concat();
-    let packet = |kind: u8, content: &[u8]| {
-        let mut out = vec![kind];
-        let mut length = content.len();
-        while length >= 128 {
-            out.push(length as u8 | 128);
-            length >>= 7;
-        }
-        out.push(length as u8);
-        [&out[..], content].concat()
-    };
-    let mut stream = TcpStream::connect(("127.0.0.1", port)).expect("the broker");
-    let connect = [&text("MQTT")[..], &[4, 2, 0, 60], &text("foreign")].concat();
-    stream
-        .write_all(&packet(0x10, &connect))
-        .expect("connected");
-    stream.read_exact(&mut [0; 4]).expect("accepted");
-    stream
-        .write_all(&packet(0x31, &[&text(topic), payload].concat()))
-        .expect("published");
-    // It has read all when it answers a ping.
-    stream.write_all(&[0xc0, 0]).expect("a ping");
-    stream.read_exact(&mut [0; 2]).expect("an answer");
+/// A connection to the broker as a foreign client with an id.
+pub struct Foreign(TcpStream);
+
+impl Foreign {
+    pub fn connect(port: u16, id: &str) -> Self {
+        let mut stream = TcpStream::connect(("127.0.0.1", port)).expect("the broker");
+        let connect = [&field("MQTT")[..], &[4, 2, 0, 60], &field(id)].concat();
+        stream
+            .write_all(&packet(0x10, &connect))
+            .expect("connected");
+        stream.read_exact(&mut [0; 4]).expect("accepted");
+        Self(stream)
+    }
+
+    /// Publishes a retained message of any length.
+    pub fn publish(&mut self, topic: &str, payload: &[u8]) {
+        let publish = packet(0x31, &[&field(topic), payload].concat());
+        self.0.write_all(&publish).expect("published");
+        // It has read all when it answers a ping.
+        self.0.write_all(&[0xc0, 0]).expect("a ping");
+        self.0.read_exact(&mut [0; 2]).expect("an answer");
+    }
+
+    /// Whether the broker ends the connection within a time.
+    pub fn is_ended_within(&mut self, time: Duration) -> bool {
+        self.0.set_read_timeout(Some(time)).expect("a socket");
+        matches!(self.0.read(&mut [0; 16]), Ok(0))
+    }
+}
+
+fn field(text: &str) -> Vec<u8> {
+    [&(text.len() as u16).to_be_bytes()[..], text.as_bytes()].concat()
+}
+
+fn packet(kind: u8, content: &[u8]) -> Vec<u8> {
+    let mut out = vec![kind];
+    let mut length = content.len();
+    while length >= 128 {
+        out.push(length as u8 | 128);
+        length >>= 7;
+    }
+    out.push(length as u8);
+    [&out[..], content].concat()
 }
 
 /// Resident memory of a process, bytes, and the processor time it has used, s.
@@ -606,7 +645,22 @@ pub fn usage(pid: u32) -> (f64, f64) {
         .next()
         .and_then(|text| text.parse().ok())
         .unwrap_or_default();
-    let stat = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+    (kilobytes * 1024.0, processor_time(&format!("/proc/{pid}")))
+}
+
+/// Processor time of the threads of this process that have a name, s.
+pub fn threads_usage(name: &str) -> f64 {
+    let threads = fs::read_dir("/proc/self/task").expect("Linux").flatten();
+    let named = threads.map(|thread| thread.path()).filter(|path| {
+        fs::read_to_string(path.join("comm")).is_ok_and(|found| found.trim() == name)
+    });
+    named
+        .map(|path| processor_time(&path.display().to_string()))
+        .sum()
+}
+
+fn processor_time(folder: &str) -> f64 {
+    let stat = fs::read_to_string(format!("{folder}/stat")).unwrap_or_default();
     let fields: Vec<f64> = stat
         .rsplit(')')
         .next()
@@ -616,7 +670,7 @@ pub fn usage(pid: u32) -> (f64, f64) {
         .collect();
     // utime and stime in ticks of 10 ms, the 14th and 15th field of all.
     let ticks = fields.get(11).unwrap_or(&0.0) + fields.get(12).unwrap_or(&0.0);
-    (kilobytes * 1024.0, ticks * 0.01)
+    ticks * 0.01
 }
 
 /// A gateway in a process of its own.
@@ -627,10 +681,16 @@ pub struct Gateway {
 
 impl Gateway {
     pub fn start(folder: &Path, config: &str) -> Self {
+        Self::start_in(folder, config, "")
+    }
+
+    /// With variables of its environment.
+    pub fn start_in(folder: &Path, config: &str, variables: &str) -> Self {
         let file = folder.join("fleet.toml");
         fs::write(&file, config).expect("written");
         // A file that may not grow is an error and not the end.
-        let program = ["sh", "-c", "trap '' XFSZ; exec \"$0\" \"$@\""];
+        let script = format!("trap '' XFSZ; {variables} exec \"$0\" \"$@\"");
+        let program = ["sh", "-c", &script];
         let mut process = Background::start_by(
             &program,
             Path::new("/nonexistent"),

@@ -1,9 +1,9 @@
-//! Calibrations for a fleet in stages: one board, then 10 %, then all; stops at the first disagreement, and resumes.
+//! Calibrations for a fleet in stages: one board, then 10 %, then all; stops at the first disagreement. What the boards hold
+//! is the state: to resume is to begin again.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::Path;
 
-use serde::{Deserialize, Serialize};
 use wimu_link::message::parameter_id;
 use wimu_model::ParameterSet;
 
@@ -12,25 +12,10 @@ use super::topics::{Fleet, Name};
 use crate::calibration::read_parameters;
 use crate::client;
 use crate::keys::KeyFolder;
-use crate::{ErrorCode, HostError, LinkUrl, OutputFile, Result};
+use crate::{ErrorCode, HostError, LinkUrl, Result};
 
-const SCHEMA: &str = "wimu.fleet-push/1";
 /// Fraction of the boards after the second stage.
 const SECOND: f64 = 0.1;
-
-/// What a push has done so far, kept in a file.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[non_exhaustive]
-pub struct Rollout {
-    /// `wimu.fleet-push/1`.
-    pub schema: String,
-    /// Name of the fleet.
-    pub fleet: String,
-    /// The parameters that each board has confirmed.
-    pub done: BTreeMap<String, String>,
-    /// The board that disagreed last, and how.
-    pub stopped: Option<(String, String)>,
-}
 
 /// A board and its calibration.
 #[derive(Clone, Debug)]
@@ -107,81 +92,11 @@ fn calibrations(folder: &Path) -> Result<BTreeSet<String>> {
         .collect())
 }
 
-impl Rollout {
-    /// What the file says, or nothing if there is none.
-    ///
-    /// # Errors
-    /// `file_unreadable`; `usage` when it is no such file, or of another fleet.
-    pub fn read(path: &Path, fleet: &Fleet) -> Result<Self> {
-        let name = path.display().to_string();
-        let text = match std::fs::read_to_string(path) {
-            Ok(text) => text,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                return Ok(Self {
-                    schema: SCHEMA.to_owned(),
-                    fleet: fleet.fleet.to_string(),
-                    done: BTreeMap::new(),
-                    stopped: None,
-                });
-            }
-            Err(error) => return Err(HostError::file(&name, "read", &error)),
-        };
-        let other = |why: String| {
-            ErrorCode::Usage
-                .error(why, "name another file with --state")
-                .at(&name)
-        };
-        let found: Self = serde_json::from_str(&text)
-            .map_err(|error| other(format!("no state of a fleet push: {error}")))?;
-        match found.schema == SCHEMA && found.fleet == fleet.fleet.as_str() {
-            true => Ok(found),
-            false => Err(other(format!("it is of fleet `{}`", found.fleet))),
-        }
-    }
-
-    /// Pushes to the boards in order until `until` of them are done; `report` gets each board with its id, and whether it
-    /// was written now. The file is written after each board.
-    ///
-    /// # Errors
-    /// The first disagreement: a board that is away, refuses, or confirms other parameters. It is in the file, too.
-    pub fn push(
-        &mut self,
-        fleet: &Fleet,
-        targets: &[Target],
-        until: usize,
-        file: &Path,
-        mut report: impl FnMut(&Name, &str, bool),
-    ) -> Result<()> {
-        for target in targets.iter().take(until) {
-            let id = parameter_id(&target.set).to_string();
-            if self.done.get(target.board.as_str()) == Some(&id) {
-                continue;
-            }
-            match push(fleet, target) {
-                Ok(written) => {
-                    self.done.insert(target.board.to_string(), id.clone());
-                    self.stopped = None;
-                    self.write(file)?;
-                    report(&target.board, &id, written);
-                }
-                Err(error) => {
-                    self.stopped = Some((target.board.to_string(), error.to_string()));
-                    self.write(file)?;
-                    return Err(error);
-                }
-            }
-        }
-        Ok(())
-    }
-
-    fn write(&self, file: &Path) -> Result<()> {
-        let text = serde_json::to_string_pretty(self).unwrap_or_default();
-        OutputFile::write(file, &(text + "\n"))
-    }
-}
-
-/// Pushes a calibration and compares what the board then holds; returns whether it was written.
-fn push(fleet: &Fleet, target: &Target) -> Result<bool> {
+/// Pushes a calibration unless the board holds it, and compares what it then holds; returns whether it was written.
+///
+/// # Errors
+/// The disagreement: a board that is away, refuses, or confirms other parameters.
+pub fn push(fleet: &Fleet, target: &Target) -> Result<bool> {
     let link = LinkUrl::Mqtt {
         broker: fleet.broker.clone(),
         fleet: fleet.fleet.clone(),
@@ -189,24 +104,18 @@ fn push(fleet: &Fleet, target: &Target) -> Result<bool> {
     };
     let mut client = client::connect(&link)?;
     let name = link.to_string();
-    let device_id = format!("{:016x}", client.hello().device_id);
+    let device_id = client.hello().device_id;
     let disagrees = |message: String| {
-        (ErrorCode::VerifyFailed.error(
-            message,
-            "find out why before the next boards: run `wimu params get LINK`",
-        ))
-        .at(&name)
+        let remedy = "find out why before the next boards: run `wimu params get LINK`";
+        Err(ErrorCode::VerifyFailed.error(message, remedy).at(&name))
     };
-    if target
-        .device_id
-        .as_ref()
-        .is_some_and(|known| *known != device_id)
-    {
-        return Err(disagrees(format!(
-            "device {device_id} answers, the fleet's state names another one"
-        )));
+    let found = format!("{device_id:016x}");
+    if target.device_id.as_ref().is_some_and(|id| *id != found) {
+        return disagrees(format!(
+            "device {found} answers, the fleet's state names another one"
+        ));
     }
-    let keys = KeyFolder::of_user()?.candidates(client.hello().device_id)?;
+    let keys = KeyFolder::of_user()?.candidates(device_id)?;
     if !client.use_key_among(&keys)? {
         return Err(ErrorCode::KeyNeeded
             .error(
@@ -215,17 +124,17 @@ fn push(fleet: &Fleet, target: &Target) -> Result<bool> {
             )
             .at(&name));
     }
+    // With a key only signed answers count.
     let id = parameter_id(&target.set);
-    let written = client.parameters()?.id != id.0;
-    if written {
-        client.push_parameters(&target.set)?;
+    if client.parameters()?.id == id.0 {
+        return Ok(false);
     }
-    let held = client.parameters()?.id;
-    match held == id.0 {
-        true => Ok(written),
-        false => Err(disagrees(format!(
+    client.push_parameters(&target.set)?;
+    match client.parameters()?.id {
+        held if held == id.0 => Ok(true),
+        held => disagrees(format!(
             "the board holds {held:08x} instead of the pushed {id}"
-        ))),
+        )),
     }
 }
 

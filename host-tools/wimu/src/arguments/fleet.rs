@@ -48,16 +48,14 @@ pub enum Fleet {
     },
     /// Push calibrations: one board, then 10 %, then all; stops at the first disagreement
     #[command(after_help = "\
-Example: wimu fleet push mqtt://127.0.0.1/hall calibrations --state rollout.json
-FOLDER has a calibration for each board: BOARD.json, or DEVICE_ID.json. Run the command again to resume.")]
+Example: wimu fleet push mqtt://127.0.0.1/hall calibrations
+FOLDER has a calibration for each board: BOARD.json, or DEVICE_ID.json. Run the command again to resume: boards that hold
+their calibration are left as they are.")]
     Push {
         /// mqtt://HOST/FLEET
         fleet: String,
         /// Folder of calibrations
         folder: PathBuf,
-        /// File of what is done; created, and read when the push is resumed
-        #[arg(long, value_name = "FILE.json", default_value = "fleet-push.json")]
-        state: PathBuf,
         /// End after this stage: 1, 2 or 3
         #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=3))]
         until: u8,

@@ -4,11 +4,13 @@ use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
-use wimu_host::fleet::rollout::{Plan, Rollout};
+use wimu_host::fleet::rollout::{self, Plan};
 use wimu_host::fleet::state::BoardState;
 use wimu_host::fleet::status::{self, FleetStatus};
 use wimu_host::fleet::topics::Fleet as Address;
+use wimu_host::plural::counted;
 use wimu_host::{ErrorCode, Result};
+use wimu_link::message::parameter_id;
 
 use crate::arguments::Fleet;
 use crate::output::Output;
@@ -18,9 +20,9 @@ const LISTEN: std::time::Duration = std::time::Duration::from_secs(2);
 
 #[derive(Serialize)]
 struct Pushed {
-    state: String,
     boards: usize,
     done: usize,
+    written: usize,
     without_file: Vec<String>,
     away: Vec<String>,
     without_board: Vec<String>,
@@ -37,9 +39,8 @@ pub fn run(action: &Fleet, output: Output) -> Result<()> {
         Fleet::Push {
             fleet,
             folder,
-            state,
             until,
-        } => push(&fleet.parse()?, folder, state, *until, output),
+        } => push(&fleet.parse()?, folder, *until, output),
     }
 }
 
@@ -51,8 +52,8 @@ fn show(status: &FleetStatus, output: Output) {
         missing += state.missing;
     }
     output.print(format!(
-        "{alive} of {} boards alive; {missing} of {} samples missing",
-        status.boards.len(),
+        "{alive} of {} alive; {missing} of {} samples missing",
+        counted(status.boards.len(), "board"),
         samples + missing
     ));
     let now = SystemTime::now()
@@ -123,7 +124,7 @@ fn age(seconds: f64) -> String {
     }
 }
 
-fn push(fleet: &Address, folder: &Path, file: &Path, until: u8, output: Output) -> Result<()> {
+fn push(fleet: &Address, folder: &Path, until: u8, output: Output) -> Result<()> {
     let status = status::read(fleet, LISTEN)?;
     let plan = Plan::new(&status, folder)?;
     for (what, names) in [
@@ -144,43 +145,35 @@ fn push(fleet: &Address, folder: &Path, file: &Path, until: u8, output: Output) 
             "name the files BOARD.json or DEVICE_ID.json; `wimu fleet status` lists the boards",
         ));
     }
-    let mut rollout = Rollout::read(file, fleet)?;
-    if !rollout.done.is_empty() {
-        output.print(format!(
-            "resuming: {} boards are done by {}",
-            rollout.done.len(),
-            file.display()
-        ));
-    }
-    let stages = plan.stages();
-    for (stage, count) in (1..=until).zip(stages) {
-        output.print(format!(
-            "stage {stage}: {count} of {} boards",
-            plan.targets.len()
-        ));
-        rollout.push(fleet, &plan.targets, count, file, |board, id, written| {
-            let did = if written {
-                "pushed, confirmed"
-            } else {
-                "already held"
-            };
-            output.print(format!("{board}: {id} {did}"));
-        })?;
-    }
     let boards = plan.targets.len();
-    let done = plan
-        .targets
-        .iter()
-        .filter(|target| rollout.done.contains_key(target.board.as_str()))
-        .count();
-    output.print(format!("{done} of {boards} boards hold their calibration"));
-    let state = file.display().to_string();
+    let (mut done, mut written) = (0, 0);
+    for (stage, count) in (1..=until).zip(plan.stages()) {
+        output.print(format!(
+            "stage {stage}: {count} of {}",
+            counted(boards, "board")
+        ));
+        for target in &plan.targets[done..count] {
+            let pushed = rollout::push(fleet, target)?;
+            let did = match pushed {
+                true => "pushed, confirmed",
+                false => "held already",
+            };
+            let id = parameter_id(&target.set);
+            output.print(format!("{}: {id} {did}", target.board));
+            written += usize::from(pushed);
+        }
+        done = count;
+    }
+    output.print(format!(
+        "{done} of {} hold their calibration, {written} of them by this push",
+        counted(boards, "board")
+    ));
     output.answer(
         "wimu.fleet-push/1",
         &Pushed {
-            state,
             boards,
             done,
+            written,
             without_file: plan.without_file,
             away: plan.away,
             without_board: plan.without_board,

@@ -53,6 +53,22 @@ impl Shared {
         self.utc_ns(host_ns) as f64 * 1e-9
     }
 
+    /// Topic and message of the gateway's state.
+    fn state(&self, alive: bool) -> (String, Vec<u8>) {
+        let config = &self.config;
+        let state = GatewayState {
+            alive,
+            ..GatewayState::new(self.session, config.boards.len())
+        };
+        let topic = gateway_topic(&config.fleet, &config.gateway);
+        (topic, state::message(&state))
+    }
+
+    fn announce(&self, alive: bool) {
+        let (topic, message) = self.state(alive);
+        self.mqtt().retain(topic, message);
+    }
+
     /// The connection to the broker.
     pub fn mqtt(&self) -> &Mqtt {
         self.mqtt.wait()
@@ -166,35 +182,30 @@ impl Gateway {
                 commands,
             ));
         }
-        let (topic, alive, dead) = births(&shared);
+        let will = shared.state(false);
         let mut ear = Ear {
             shared: shared.clone(),
             boards: heard,
             lost: false,
         };
-        let mqtt = Mqtt::start(
-            MqttConfig {
-                will: Some((topic.clone(), dead)),
-                spool: Some((config.spool.clone(), config.spool_bytes)),
-                ..MqttConfig::new(
-                    &config.broker,
-                    vec![
-                        all_boards(&config.fleet, Content::Down),
-                        all_boards(&config.fleet, Content::State),
-                        topic.clone(),
-                    ],
-                )
-            },
-            move |message| ear.hear(message),
-        )?;
-        mqtt.retain(topic, alive);
+        let subscriptions = vec![
+            all_boards(&config.fleet, Content::Down),
+            all_boards(&config.fleet, Content::State),
+            will.0.clone(),
+        ];
+        let connection = MqttConfig {
+            will: Some(will),
+            spool: Some((config.spool.clone(), config.spool_bytes)),
+            ..MqttConfig::new(&config.broker, subscriptions)
+        };
+        let mqtt = Mqtt::start(connection, move |message| ear.hear(message))?;
         let _ = shared.mqtt.set(mqtt);
+        shared.announce(true);
         let boards = Arc::new(boards);
-        let metrics = listener
-            .as_ref()
-            .and_then(|listener| listener.local_addr().ok());
+        let mut metrics = None;
         let mut threads = Vec::new();
         if let Some(listener) = listener {
+            metrics = listener.local_addr().ok();
             let (shared, boards) = (shared.clone(), boards.clone());
             threads.push(thread::spawn(move || {
                 metrics::serve(&listener, &shared, &boards)
@@ -239,29 +250,13 @@ impl Gateway {
         for thread in self.threads.drain(..) {
             let _ = thread.join();
         }
-        let (topic, _, dead) = births(&self.shared);
-        self.shared.mqtt().retain(topic, dead);
+        self.shared.announce(false);
         let broker = self.shared.mqtt().is_connected();
         self.shared.mqtt().stop();
         let mut summary = self.summary();
         summary.mqtt.broker = broker;
         summary
     }
-}
-
-/// The gateway's topic, and its states alive and dead.
-fn births(shared: &Shared) -> (String, Vec<u8>, Vec<u8>) {
-    let config = &shared.config;
-    let alive = GatewayState::new(shared.session, config.boards.len());
-    let dead = GatewayState {
-        alive: false,
-        ..alive.clone()
-    };
-    (
-        gateway_topic(&config.fleet, &config.gateway),
-        state::message(&alive),
-        state::message(&dead),
-    )
 }
 
 /// What is heard of the broker: commands for the boards, and other gateways with the same name or boards.
@@ -305,7 +300,7 @@ impl Ear {
                         self.board(topic, &board, &state);
                     }
                 } else if let Some(state) = GatewayState::read(payload) {
-                    self.gateway(topic, &state, retained);
+                    self.gateway(&state, retained);
                 }
             }
         }
@@ -333,15 +328,12 @@ impl Ear {
         }
     }
 
-    fn gateway(&self, topic: &str, state: &GatewayState, retained: bool) {
+    fn gateway(&self, state: &GatewayState, retained: bool) {
         let shared = &self.shared;
-        let ours = GatewayState::new(shared.session, shared.config.boards.len());
-        let is_ours = state.session == ours.session;
+        let is_ours = state.session == format!("{:016x}", shared.session);
         if !state.alive && (is_ours || !retained) && !shared.stopped() {
             // The will of an earlier connection, or the end of another gateway of this name.
-            shared
-                .mqtt()
-                .retain(topic.to_owned(), state::message(&ours));
+            shared.announce(true);
         } else if state.alive && !is_ours && !retained {
             shared.note(format!(
                 "another gateway is named `{}`, too: rename one of them",

@@ -14,6 +14,7 @@ use crate::motion::{FULL_SCALE_MPS2, Truth};
 use crate::plural::counted;
 use crate::recording::{Origin, Quantity, Track, Unit};
 use crate::series::{Series, period_s};
+use crate::stats::norm;
 use crate::units::RawUnits;
 use crate::{ErrorCode, HostError, Result};
 
@@ -390,7 +391,7 @@ impl ArrayRecording {
                     aw * by + ax * bz - ay * bw - az * bx,
                     aw * bz - ax * by + ay * bx - az * bw,
                 ];
-                let sine = v.iter().map(|c| c * c).sum::<f64>().sqrt();
+                let sine = norm(v);
                 let by = if sine > 0.0 {
                     2.0 * sine.atan2(w.abs()) / sine * w.signum()
                 } else {

@@ -5,6 +5,7 @@ use wimu_nav::array::{ArraySolver, Axis, Geometry};
 
 use super::motion::{refused, with_room};
 use super::{ArrayGeometry, ArrayRecording};
+use crate::stats::{median, norm};
 use crate::{ErrorCode, HostError, Result};
 
 /// Length of a block, s.
@@ -104,10 +105,6 @@ impl<const M: usize> Mean<M> {
     }
 }
 
-fn norm(v: [f64; 3]) -> f64 {
-    v.iter().map(|c| c * c).sum::<f64>().sqrt()
-}
-
 fn minus<const N: usize>(a: [f64; N], b: [f64; N]) -> [f64; N] {
     std::array::from_fn(|i| a[i] - b[i])
 }
@@ -186,7 +183,7 @@ fn judge<const M: usize>(
         let force = first.force(used);
         let size = norm(force).max(1e-9);
         let (z, _) = solver.expected_z(force.map(|f| f / size));
-        let shown = z.iter().map(|z| z * z).sum::<f64>().sqrt().max(1e-12);
+        let shown = norm(z).max(1e-12);
         let variance = if means.len() > 1 {
             2.0 * of_rest(first)
         } else {
@@ -208,9 +205,7 @@ fn steady<const M: usize>(
     let blocks: Vec<Mean<M>> = (0..count / length)
         .map(|b| Mean::of(recording, (first + b * length, length), used))
         .collect();
-    let mut variances: Vec<f64> = blocks.iter().map(|b| b.variance).collect();
-    variances.sort_by(f64::total_cmp);
-    let Some(noise) = variances.get(variances.len() / 2) else {
+    let Some(noise) = median(blocks.iter().map(|b| b.variance)) else {
         return vec![(first, count)];
     };
     let variance = BLOCK_BIAS_MPS2.powi(2) + noise / length as f64;

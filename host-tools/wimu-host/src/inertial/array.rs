@@ -10,6 +10,7 @@ use crate::array::{
 };
 use crate::finding::{Finding, FindingCode};
 use crate::motion::{LIKELY, nees};
+use crate::stats::norm;
 use crate::{ErrorCode, HostError, Result};
 
 /// A centre nearer to the origin than this, m, is at it.
@@ -110,7 +111,7 @@ pub fn navigate_array(
 /// Which point the path is that of, where that is not the origin of the places.
 fn point_of(geometry: &ArrayGeometry) -> Option<String> {
     let centre = geometry.centre_m();
-    let off = centre.iter().map(|c| c * c).sum::<f64>().sqrt();
+    let off = norm(centre);
     (off > CENTRED_M).then(|| {
         let [x, y, z] = centre.map(|c| c * 1e3);
         format!(

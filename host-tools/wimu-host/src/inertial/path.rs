@@ -14,6 +14,7 @@ use crate::digits::significant;
 use crate::finding::{Finding, FindingCode};
 use crate::mcap_file::RosFile;
 use crate::ros::path::{PathTopics, Pose};
+use crate::stats::{median, norm};
 use crate::{ErrorCode, HostError, OutputFile, Result};
 
 /// Where the unit was at a sample.
@@ -99,7 +100,7 @@ impl PathPoint {
 
     /// That of the position in space, m.
     pub fn sd_m(&self) -> f64 {
-        self.sigma_m().iter().map(|s| s * s).sum::<f64>().sqrt()
+        norm(self.sigma_m())
     }
 }
 
@@ -215,17 +216,10 @@ impl InertialPath {
     pub fn angular_rate(&self) -> Option<(f64, f64)> {
         let moving = || self.points.iter().filter(|p| p.valid && !p.resting);
         let rates = moving().flat_map(|p| p.rate_rad_s).map(|w| w * w);
-        let mut sigmas: Vec<f64> = (moving())
-            .filter_map(PathPoint::rate_sigma_rad_s)
-            .map(|s| s.iter().map(|s| s * s).sum::<f64>().sqrt())
-            .filter(|s| s.is_finite())
-            .collect();
-        sigmas.sort_by(f64::total_cmp);
-        let median = *sigmas.get(sigmas.len() / 2)?;
-        Some((
-            (rates.sum::<f64>() / moving().count() as f64).sqrt(),
-            median,
-        ))
+        let sigmas = moving().filter_map(PathPoint::rate_sigma_rad_s).map(norm);
+        let sigma = median(sigmas.filter(|s| s.is_finite()))?;
+        let rms = (rates.sum::<f64>() / moving().count() as f64).sqrt();
+        Some((rms, sigma))
     }
 
     /// Share of the points that are valid.

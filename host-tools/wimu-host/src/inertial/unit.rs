@@ -18,6 +18,7 @@ use super::track::{FIRST_REST_S, Input, Track, counted_findings};
 use super::{Choice, InertialPath, Method};
 use crate::finding::FindingCode;
 use crate::motion::{UnitSample, median_step_s};
+use crate::stats::quantile;
 use crate::{ErrorCode, Result};
 
 /// A reading of the magnetometer that is repeated within this time is a held one, s.
@@ -422,11 +423,8 @@ pub(super) fn noise_mps2(times_s: &[f64], samples: &[UnitSample]) -> f64 {
         let mean = force().sum::<Vector3<f64>>() / length as f64;
         force().map(|f| (f - mean).norm_squared()).sum::<f64>() / (3.0 * length as f64)
     };
-    let mut variances: Vec<f64> = samples.chunks_exact(length).map(variance).collect();
-    variances.sort_by(f64::total_cmp);
-    variances
-        .get(variances.len() / 20)
-        .map_or(0.0, |v| v.sqrt())
+    let variances = samples.chunks_exact(length).map(variance);
+    quantile(variances, 20).map_or(0.0, f64::sqrt)
 }
 
 pub(super) fn sample(sample: &UnitSample) -> Sample<f64> {

@@ -20,11 +20,11 @@ use wimu_model::{ParameterId, ParameterSet};
 
 use super::actions::{Job, Next};
 use super::folder::Folder;
-use super::hub::{Hub, failure};
+use super::hub::Hub;
 use super::path::Path3;
 use super::replay::{Player, ReplayView};
 use super::samples::Samples;
-use crate::command::monitor::{Line, cause};
+use crate::command::monitor::{Line, notice};
 use crate::command::navigate::Beside;
 
 /// Interval between frames, 30 Hz.
@@ -198,7 +198,7 @@ impl Board {
                 .iter()
                 .try_for_each(|entry| writer.record(entry));
             if let Err(error) = written {
-                self.message = format!("not recorded: {}", failure(&error));
+                self.message = format!("not recorded: {error}");
                 self.writer = None;
             }
         }
@@ -219,11 +219,11 @@ impl Board {
         for arrival in &heard.arrivals {
             if let Some(Err(error)) = self.navigator.as_mut().map(|n| n.take(arrival)) {
                 self.navigator = None;
-                self.message = format!("not navigated: {}", failure(&error));
+                self.message = format!("not navigated: {error}");
             }
             if let Some(Err(error)) = self.noise.as_mut().map(|meter| meter.take(&arrival.event)) {
                 self.noise = None;
-                self.message = format!("noise is not measured: {}", failure(&error));
+                self.message = format!("noise is not measured: {error}");
             }
             self.event(&arrival.event, arrival.host_ns);
         }
@@ -237,20 +237,10 @@ impl Board {
     }
 
     fn event(&mut self, event: &Event, host_ns: u64) {
+        notice(event, &mut self.message);
         match event {
-            Event::Device { time, event } => {
-                self.message = format!("{:.2} s  {event}", time.to_seconds());
-            }
-            Event::Restart { .. } => {
-                self.message = "the device has restarted".to_owned();
-                self.begin_again();
-            }
-            Event::Hello(hello) => {
-                if self.message == "the device has restarted" {
-                    self.message = format!("the device has restarted: {}", cause(hello));
-                }
-                self.hello = Some(*hello);
-            }
+            Event::Restart { .. } => self.begin_again(),
+            Event::Hello(hello) => self.hello = Some(*hello),
             Event::Parameters(parameters) => {
                 let set = parameters.active.as_ref().map(ParameterSet::try_from);
                 self.held = Some(set.and_then(std::result::Result::ok));

@@ -61,9 +61,13 @@ pub struct Truth {
 impl Truth {
     /// Direction of body x from east to north, rad.
     pub fn heading_rad(&self) -> f64 {
-        let [w, x, y, z] = self.quaternion;
-        (2.0 * (x * y + w * z)).atan2(1.0 - 2.0 * (y * y + z * z))
+        heading_rad(self.quaternion)
     }
+}
+
+/// Heading of the rotation from body to navigation axes: angle of body x from east towards north, rad.
+pub(crate) fn heading_rad([w, x, y, z]: [f64; 4]) -> f64 {
+    (2.0 * (x * y + w * z)).atan2(1.0 - 2.0 * (y * y + z * z))
 }
 
 /// The column that says whether the magnetic field is corrected.

@@ -2,14 +2,14 @@
 
 use wimu_nav::array::ArrayState;
 
-use super::truth::{compare, heading_rad, moving};
+use super::truth::{compare, moving};
 use super::{Choice, InertialPath, Method, PathPoint};
 use crate::array::{
     Agreement, ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions,
     navigated_axes, repaired,
 };
 use crate::finding::{Finding, FindingCode};
-use crate::motion::{LIKELY, nees};
+use crate::motion::{LIKELY, heading_rad, nees};
 use crate::stats::norm;
 use crate::{ErrorCode, HostError, Result};
 

@@ -13,11 +13,12 @@ use wimu_nav::stationarity::{Detector, Stationarity};
 
 use super::fixes::{Fix, Fixes};
 use super::moves::{moves, smoothed_moves};
+use super::sense::Senses;
 use super::smooth::Tape;
 use super::track::{FIRST_REST_S, Input, Track, counted_findings};
 use super::{Choice, InertialPath, Method};
 use crate::finding::FindingCode;
-use crate::motion::{UnitSample, median_step_s};
+use crate::motion::{MotionRecording, UnitSample, median_step_s};
 use crate::stats::quantile;
 use crate::{ErrorCode, Result};
 
@@ -77,7 +78,29 @@ pub(super) struct Unit<'a> {
     pub noise_mps2: f64,
 }
 
-impl Unit<'_> {
+impl<'a> Unit<'a> {
+    /// Samples of a recording whose times are exact.
+    pub fn of(
+        recording: &'a MotionRecording,
+        samples: &'a [UnitSample],
+        senses: &Senses,
+        clipped: &'a [usize],
+        noise_mps2: f64,
+    ) -> Self {
+        Self {
+            name: &recording.name,
+            times_s: &recording.times_s,
+            samples,
+            clipped,
+            gravity_mps2: recording.gravity_mps2(),
+            bias_mps2: senses.bias_mps2,
+            covariance: recording.calibration_covariance(),
+            uncalibrated: senses.uncalibrated,
+            time_sd_s: 0.0,
+            noise_mps2,
+        }
+    }
+
     /// The path with a gyroscope, or without.
     ///
     /// # Errors

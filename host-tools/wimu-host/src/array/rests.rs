@@ -1,9 +1,9 @@
 //! Which steady stretches of an array's mean output are rests: an array that turns evenly about the
 //! vertical has a steady mean too, equation (100).
 
-use wimu_nav::array::{ArraySolver, Axis, Geometry};
+use wimu_nav::array::ArraySolver;
 
-use super::motion::{refused, with_room};
+use super::motion::{axes_of, with_room};
 use super::{ArrayGeometry, ArrayRecording};
 use crate::stats::{median, norm};
 use crate::{ErrorCode, HostError, Result};
@@ -115,18 +115,7 @@ fn judge<const M: usize>(
     stretches: &[(usize, usize)],
     used: &[bool],
 ) -> Result<Judged> {
-    let axes: Vec<Axis> = geometry
-        .sensors
-        .iter()
-        .flat_map(|sensor| {
-            (0..3).map(|axis| Axis {
-                position_m: sensor.places_m[axis],
-                direction: std::array::from_fn(|i| if i == axis { 1.0 } else { 0.0 }),
-                noise_mps2: 1.0,
-            })
-        })
-        .collect();
-    let axes = Geometry::<M>::from_grouped_axes(&axes, 3).map_err(refused)?;
+    let axes = axes_of::<M>(geometry, &vec![1.0; geometry.sensors.len()])?;
     let solver = match ArraySolver::<f64, M>::of(&axes, |sensor| used[sensor]) {
         Ok(solver) if solver.rank() > 0 => solver,
         // What is missing is said where the motion is looked for.

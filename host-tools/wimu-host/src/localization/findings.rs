@@ -237,25 +237,21 @@ pub(super) fn last_shift(shift_s: f64) -> HostError {
 
 /// Refuses ranges of which none is within the time of the other sensor.
 pub(super) fn same_time(recording: &RangeRecording) -> Result<()> {
-    let of = |times: Option<(f64, f64)>| times.map(|(first, last)| [first, last]);
-    let ranges = &recording.ranges;
-    let ranges = of(ranges
-        .first()
-        .zip(ranges.last())
-        .map(|(a, b)| (a.time_s, b.time_s)));
-    let wheels = &recording.increments;
-    let wheels = of(wheels
-        .first()
-        .zip(wheels.last())
-        .map(|(a, b)| (a.time_s, b.time_s)));
-    let motion = recording.motion.as_ref().map(|motion| &motion.times_s);
-    let motion = of(motion.and_then(|t| Some((*t.first()?, *t.last()?))));
+    let ranges = ends(&recording.ranges, |range| range.time_s);
+    let wheels = ends(&recording.increments, |increment| increment.time_s);
+    let motion = recording.motion.as_ref();
+    let motion = motion.and_then(|motion| ends(&motion.times_s, |time_s| *time_s));
     for (what, other) in [("odometry", wheels), ("inertial samples", motion)] {
         if let (Some(ranges), Some(other)) = (ranges, other) {
             one_clock([("ranges", ranges), (what, other)]).map_err(|e| e.at(&recording.name))?;
         }
     }
     Ok(())
+}
+
+/// Times of the first and the last element, s.
+fn ends<T>(all: &[T], time_s: impl Fn(&T) -> f64) -> Option<[f64; 2]> {
+    Some([time_s(all.first()?), time_s(all.last()?)])
 }
 
 /// Calibration parameters that the data do not show.

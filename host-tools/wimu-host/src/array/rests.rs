@@ -35,6 +35,7 @@ pub struct EvenTurn {
 }
 
 /// Rests, and what is no rest.
+#[derive(Default)]
 pub(super) struct Judged {
     pub rests: Vec<(usize, usize)>,
     pub turns: Vec<EvenTurn>,
@@ -122,8 +123,7 @@ fn judge<const M: usize>(
         _ => {
             return Ok(Judged {
                 rests: stretches.to_vec(),
-                turns: Vec::new(),
-                unseen_rad_s: None,
+                ..Judged::default()
             });
         }
     };
@@ -147,11 +147,7 @@ fn judge<const M: usize>(
     };
     let of_rest = |mean: &Mean<M>| REST_BIAS_MPS2.powi(2) + mean.variance / mean.samples;
     let unknown = |force: [f64; 3]| BIAS_MPS2.powi(2) + (SCALE * norm(force)).powi(2);
-    let mut judged = Judged {
-        rests: Vec::new(),
-        turns: Vec::new(),
-        unseen_rad_s: None,
-    };
+    let mut judged = Judged::default();
     for (span, one) in spans.iter().zip(&means) {
         let force = one.force(used);
         let by_itself = turn(one.output, unknown(force) + of_rest(one));

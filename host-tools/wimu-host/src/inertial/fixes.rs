@@ -311,7 +311,7 @@ impl Aided {
 }
 
 /// The use of fixes along a path.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Aiding {
     /// Fixes before this time were compared with the path, s.
     from_s: f64,
@@ -334,15 +334,7 @@ impl Aiding {
     pub fn from(time_s: f64) -> Self {
         Self {
             from_s: time_s,
-            log_likelihood: 0.0,
-            fixes: Aided::default(),
-            ranges: Aided::default(),
-            rejected_s: None,
-            in_succession: 0,
-            jumps: Vec::new(),
-            anchors: None,
-            suspects: Suspects::default(),
-            lag: Lag::default(),
+            ..Self::default()
         }
     }
 

@@ -21,6 +21,7 @@ const MIN_STOPS: usize = 2;
 const STEEP: f64 = 4.0;
 
 /// A table as a signal.
+#[derive(Default)]
 pub(super) struct Signal {
     /// s.
     times: Vec<f64>,
@@ -80,12 +81,7 @@ impl Signal {
     pub fn read(path: &Path) -> Result<Signal> {
         let recording = formats::load(path, &ReadOptions::default())?;
         let samples = recording.samples(Selection::default())?;
-        let mut signal = Signal {
-            times: Vec::new(),
-            values: Vec::new(),
-            saturated: Vec::new(),
-            unit_sd: None,
-        };
+        let mut signal = Signal::default();
         for (index, value) in samples.values().enumerate() {
             let time = samples
                 .time_s(index)

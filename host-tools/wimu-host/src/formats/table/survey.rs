@@ -40,7 +40,7 @@ pub struct Times {
 }
 
 /// Samples of a track, thinned out evenly.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Samples {
     pub rows: Vec<[f64; 3]>,
     stride: u64,
@@ -92,11 +92,9 @@ pub fn survey(
     let inertial = layout.groups.iter().filter(|group| group.is_inertial());
     let inertial = inertial.count();
     let empty = Samples {
-        rows: Vec::new(),
         stride: 1,
-        seen: 0,
         limit: (MAX_SAMPLES / inertial.max(1)).max(1024),
-        empty: 0,
+        ..Samples::default()
     };
     let mut survey = Survey {
         count: Count::default(),

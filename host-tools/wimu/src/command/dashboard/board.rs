@@ -59,6 +59,7 @@ impl Feed {
 }
 
 /// What a board's thread knows.
+#[derive(Default)]
 pub struct Board {
     pub index: usize,
     pub hub: Arc<Hub>,
@@ -92,23 +93,7 @@ impl Board {
             hub,
             folder,
             name: name.to_owned(),
-            hello: None,
-            message: String::new(),
-            held: None,
-            guided: None,
-            noise: None,
-            navigator: None,
-            path: Path3::default(),
-            writer: None,
-            shown: 0,
-            readings: Readings::new(),
-            latest: None,
-            latest_ns: 0,
-            samples: Samples::default(),
-            traffic: Vec::new(),
-            links: Vec::new(),
-            joined: 0,
-            ticks: 0,
+            ..Self::default()
         }
     }
 

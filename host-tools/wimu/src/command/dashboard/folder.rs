@@ -20,6 +20,7 @@ const KNOWN: [&str; 11] = [
 ];
 
 /// A folder, and files besides.
+#[derive(Default)]
 pub struct Folder {
     path: PathBuf,
     given: Vec<PathBuf>,

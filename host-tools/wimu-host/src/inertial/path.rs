@@ -198,6 +198,12 @@ impl InertialPath {
         Err(HostError::new(ErrorCode::DataRefused, message, remedy).at(name))
     }
 
+    /// Time from the first point to the last, s.
+    pub fn duration_s(&self) -> f64 {
+        let ends = self.points.first().zip(self.points.last());
+        ends.map_or(0.0, |(first, last)| last.time_s - first.time_s)
+    }
+
     /// Length of the path over its valid points, m.
     pub fn distance_m(&self) -> f64 {
         self.points

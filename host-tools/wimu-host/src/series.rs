@@ -5,6 +5,12 @@ use crate::stats::median;
 /// Four samples that are farther apart than this many periods have a gap between them.
 const GAP_PERIODS: f64 = 5.0;
 
+/// Keeps every second item, the first one too.
+pub(crate) fn thin_out<T>(items: &mut Vec<T>) {
+    let mut kept = [true, false].into_iter().cycle();
+    items.retain(|_| kept.next() == Some(true));
+}
+
 /// Median time between samples, s.
 pub(crate) fn period_s(times_s: &[f64]) -> f64 {
     let steps = times_s.windows(2).map(|w| w[1] - w[0]);

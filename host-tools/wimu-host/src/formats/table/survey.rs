@@ -10,6 +10,7 @@ use super::rows::{self, Count, Fault, Next, Values, each_row, values};
 use super::text::{Field, field};
 use crate::error::{ErrorCode, Result};
 use crate::formats::Source;
+use crate::series::thin_out;
 
 /// Rows after which the survey ends.
 const MAX_ROWS: u64 = 1 << 20;
@@ -58,8 +59,7 @@ impl Samples {
         }
         self.rows.push(row);
         if self.rows.len() >= self.limit {
-            let mut kept = [true, false].into_iter().cycle();
-            self.rows.retain(|_| kept.next() == Some(true));
+            thin_out(&mut self.rows);
             self.stride *= 2;
         }
     }

@@ -64,7 +64,7 @@ pub struct AlignOptions {
 }
 
 /// The report of `wimu align`.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct AlignmentReport {
     /// [`HELD_SCHEMA`].
     pub schema: &'static str,
@@ -115,7 +115,6 @@ pub fn alignment(
         .and_then(|known| align(&known).map_err(|refusal| refusal.to_string()));
     let mut report = AlignmentReport {
         schema: HELD_SCHEMA,
-        outcome: Outcome::default(),
         source: data.name.to_owned(),
         rests: rests.len(),
         found: rests
@@ -130,11 +129,7 @@ pub fn alignment(
                 }
             })
             .collect(),
-        alignment_wxyz: None,
-        sd_deg: None,
-        residual_deg: None,
-        parameters: None,
-        parameter_id: None,
+        ..AlignmentReport::default()
     };
     report.outcome.findings = data.findings();
     (report.outcome.findings).extend(data.temperature_finding(set));

@@ -17,6 +17,7 @@ use wimu_link::{Deframer, Kind, LinkRole, MAX_FRAME, Reply};
 use wimu_model::DeviceTimeUs;
 
 use crate::decode::{Arrival, Event};
+use crate::series::thin_out;
 
 mod envelope;
 mod pace;
@@ -319,11 +320,7 @@ impl ClockEstimator {
             }
         }
         if self.lines.len() > MAX_LINES {
-            let mut even = false;
-            self.lines.retain(|_| {
-                even = !even;
-                even
-            });
+            thin_out(&mut self.lines);
         }
     }
 

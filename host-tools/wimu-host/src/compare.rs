@@ -145,20 +145,15 @@ impl Axis {
         let rounding_scale_sd = rounding_sd / axis.motion_mps2.max(f64::MIN_POSITIVE);
         // The bias is the line's value at 0, extrapolated from the motion.
         let rounding_bias_sd = rounding_sd.hypot(rounding_scale_sd * axis.at_mps2);
+        let sd = |variance: f64| variance.max(0.0).sqrt();
         Self {
             offset_mps2: axis.offset_mps2,
             offset_sd_mps2: axis.offset_sd_mps2.hypot(rounding_sd),
             line: axis.line.map(|line| AxisLine {
                 bias_mps2: line.bias_mps2,
-                bias_sd_mps2: line.covariance[0][0]
-                    .max(0.0)
-                    .sqrt()
-                    .hypot(rounding_bias_sd),
+                bias_sd_mps2: sd(line.covariance[0][0]).hypot(rounding_bias_sd),
                 scale: line.scale,
-                scale_sd: line.covariance[1 + index][1 + index]
-                    .max(0.0)
-                    .sqrt()
-                    .hypot(rounding_scale_sd),
+                scale_sd: sd(line.covariance[1 + index][1 + index]).hypot(rounding_scale_sd),
             }),
             rms_before_mps2: 0.0,
             rms_after_mps2: axis.rms_mps2,
@@ -290,6 +285,15 @@ fn incomparable(reason: Option<&str>) -> Option<Finding> {
 
 fn refused(name: &str, message: impl Into<String>, remedy: &str) -> HostError {
     ErrorCode::DataRefused.error(message, remedy).at(name)
+}
+
+/// Orders the values of a link and of the other one: cable first, wireless link second.
+fn in_order<T>(link: usize, own: T, other: T) -> [T; 2] {
+    if link == 0 {
+        [own, other]
+    } else {
+        [other, own]
+    }
 }
 
 fn index_of(role: LinkRole) -> usize {

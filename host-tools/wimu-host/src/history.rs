@@ -290,14 +290,6 @@ impl Boot {
             _ => {}
         }
     }
-
-    fn use_settings(&mut self, settings: Settings) {
-        push_change(&mut self.settings, settings);
-    }
-
-    fn use_parameters(&mut self, parameters: ActiveParameters) {
-        push_change(&mut self.parameters, parameters);
-    }
 }
 
 fn insert_late(known: &mut Vec<TimedSample>, samples: &Samples) {
@@ -390,6 +382,12 @@ impl LinkHistory {
         longest?.model()
     }
 
+    /// The start of the device with the most samples.
+    pub fn longest(&self) -> Option<&Boot> {
+        let samples = |boot: &&Boot| boot.raw.len().max(boot.corrected.len());
+        self.boots.iter().max_by_key(samples)
+    }
+
     /// The latest start of the device.
     pub fn latest(&mut self) -> &mut Boot {
         if self.boots.is_empty() {
@@ -463,15 +461,17 @@ impl LinkHistory {
             }),
             Event::Environment(environment) => boot.environment.push(*environment),
             Event::Navigation(navigation) => boot.navigation.push(*navigation),
-            Event::Parameters(parameters) => boot.use_parameters(*parameters),
-            Event::Settings(settings) => boot.use_settings(*settings),
+            Event::Parameters(parameters) => push_change(&mut boot.parameters, *parameters),
+            Event::Settings(settings) => push_change(&mut boot.settings, *settings),
             Event::Status(status) => boot.status = Some(*status),
             Event::Device { time, event } => {
                 // Persistent faults are reported again to each new listener.
                 push_new(&mut boot.events, &mut boot.known_events, (*time, *event));
             }
             Event::Reply { reply, .. } => match reply.answer {
-                Answer::Accepted(Payload::Settings(settings)) => boot.use_settings(settings),
+                Answer::Accepted(Payload::Settings(settings)) => {
+                    push_change(&mut boot.settings, settings);
+                }
                 Answer::Accepted(Payload::Status(status)) => boot.status = Some(status),
                 _ => {}
             },

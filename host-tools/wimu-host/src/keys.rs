@@ -158,11 +158,7 @@ impl KeyFolder {
     /// When a file cannot be renamed; no key is lost then.
     pub fn confirm(&self, device_id: u64) -> Result<()> {
         let (file, path) = (self.file(device_id), self.pending(device_id));
-        let replaced = match fs::rename(&file, self.replaced(device_id)) {
-            Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
-            _ => Ok(()),
-        };
-        replaced
+        unless_absent(fs::rename(&file, self.replaced(device_id)))
             .and_then(|()| fs::rename(&path, &file))
             .and_then(|()| self.sync())
             .map_err(|error| HostError::file(&path.display().to_string(), "rename", &error))
@@ -210,13 +206,8 @@ impl KeyFolder {
     pub fn forget(&self, device_id: u64) -> Result<()> {
         let files = [Self::file, Self::pending, Self::replaced];
         for path in files.map(|file| file(self, device_id)) {
-            match fs::remove_file(&path) {
-                Err(error) if error.kind() != ErrorKind::NotFound => {
-                    let path = path.display().to_string();
-                    return Err(HostError::file(&path, "remove", &error));
-                }
-                _ => {}
-            }
+            unless_absent(fs::remove_file(&path))
+                .map_err(|error| HostError::file(&path.display().to_string(), "remove", &error))?;
         }
         Ok(())
     }
@@ -242,12 +233,17 @@ pub fn random(bytes: &mut [u8]) -> Result<()> {
     })
 }
 
+/// Ignores the error that the file does not exist.
+fn unless_absent(outcome: io::Result<()>) -> io::Result<()> {
+    match outcome {
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
+        outcome => outcome,
+    }
+}
+
 /// Writes and syncs a file readable by the user only.
 fn write_new(path: &Path, text: &str) -> io::Result<()> {
-    match fs::remove_file(path) {
-        Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
-        _ => {}
-    }
+    unless_absent(fs::remove_file(path))?;
     let mut file = OpenOptions::new();
     file.write(true).create_new(true);
     #[cfg(unix)]

@@ -106,6 +106,7 @@ impl LiveLinks {
 }
 
 /// Message of a link.
+#[derive(Default)]
 pub struct Heard {
     /// Its data, byte for byte.
     pub entries: Vec<Recorded>,

@@ -10,10 +10,13 @@ pub use arrival::sampled_times;
 pub(crate) use clocks::{one_clock, other_clock};
 pub use table::TableOptions;
 
+use std::ops::Range;
+
 use nalgebra::{Matrix3, SMatrix};
 use wimu_model::{Alignment, ModelCovariance};
 
 use crate::finding::Finding;
+use crate::stats::{median, norm};
 
 /// A sample of one unit, corrected, body frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -43,9 +46,7 @@ pub fn gap_s(times_s: &[f64]) -> f64 {
 
 /// Median time between two samples, s; 0 of fewer than two.
 pub fn median_step_s(times_s: &[f64]) -> f64 {
-    let mut steps: Vec<f64> = times_s.windows(2).map(|w| w[1] - w[0]).collect();
-    steps.sort_by(f64::total_cmp);
-    steps.get(steps.len() / 2).copied().unwrap_or(0.0)
+    median(times_s.windows(2).map(|w| w[1] - w[0])).unwrap_or(0.0)
 }
 
 /// Where the unit truly was.
@@ -60,9 +61,13 @@ pub struct Truth {
 impl Truth {
     /// Direction of body x from east to north, rad.
     pub fn heading_rad(&self) -> f64 {
-        let [w, x, y, z] = self.quaternion;
-        (2.0 * (x * y + w * z)).atan2(1.0 - 2.0 * (y * y + z * z))
+        heading_rad(self.quaternion)
     }
+}
+
+/// Heading of the rotation from body to navigation axes: angle of body x from east towards north, rad.
+pub(crate) fn heading_rad([w, x, y, z]: [f64; 4]) -> f64 {
+    (2.0 * (x * y + w * z)).atan2(1.0 - 2.0 * (y * y + z * z))
 }
 
 /// The column that says whether the magnetic field is corrected.
@@ -181,25 +186,51 @@ impl MotionRecording {
     /// Mean |f| of the first second at rest, where it may be gravity, m/s².
     pub fn first_rest_mps2(&self) -> Option<f64> {
         let standard = wimu_model::STANDARD_GRAVITY_MPS2;
+        let end = self.times_s.first()? + 60.0;
+        let mut seconds = self.seconds().take_while(|second| {
+            self.times_s[second.samples.start] < end && second.samples.len() >= QUIET_SAMPLES
+        });
+        let is_rest =
+            |second: &Second| second.is_quiet() && (second.mean_mps2 / standard - 1.0).abs() < 0.1;
+        seconds.find(is_rest).map(|second| second.mean_mps2)
+    }
+
+    /// The samples, a second at a time.
+    pub(crate) fn seconds(&self) -> impl Iterator<Item = Second> {
         let mut from = 0;
-        while from < self.samples.len() && self.times_s[from] < self.times_s[0] + 60.0 {
-            let to = self
-                .times_s
-                .partition_point(|t| *t < self.times_s[from] + 1.0);
-            let window = &self.samples[from..to];
-            if window.len() < 10 {
-                break;
-            }
-            let norm = |s: &UnitSample| s.force_mps2.iter().map(|f| f * f).sum::<f64>().sqrt();
-            let mean = window.iter().map(norm).sum::<f64>() / window.len() as f64;
-            let spread =
-                window.iter().map(|s| (norm(s) - mean).powi(2)).sum::<f64>() / window.len() as f64;
-            if spread < 0.15 * 0.15 && (mean / standard - 1.0).abs() < 0.1 {
-                return Some(mean);
-            }
-            from = to;
-        }
-        None
+        std::iter::from_fn(move || {
+            let end = self.times_s.get(from)? + 1.0;
+            let to = self.times_s.partition_point(|t| *t < end).max(from + 1);
+            let sizes = self.samples[from..to].iter().map(|s| norm(s.force_mps2));
+            let count = (to - from) as f64;
+            let mean_mps2 = sizes.clone().sum::<f64>() / count;
+            let variance = sizes.map(|f| (f - mean_mps2).powi(2)).sum::<f64>() / count;
+            Some(Second {
+                samples: std::mem::replace(&mut from, to)..to,
+                mean_mps2,
+                variance,
+            })
+        })
+    }
+}
+
+/// Fewest samples of a quiet second, and the largest standard deviation of |f| in it, m/s².
+const QUIET_SAMPLES: usize = 10;
+const QUIET_MPS2: f64 = 0.15;
+
+/// A second of samples.
+pub(crate) struct Second {
+    pub samples: Range<usize>,
+    /// Mean of |f|, m/s².
+    pub mean_mps2: f64,
+    /// Variance of |f|, m²/s⁴.
+    variance: f64,
+}
+
+impl Second {
+    /// Whether the unit may be at rest.
+    pub fn is_quiet(&self) -> bool {
+        self.samples.len() >= QUIET_SAMPLES && self.variance < QUIET_MPS2 * QUIET_MPS2
     }
 }
 

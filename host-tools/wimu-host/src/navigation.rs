@@ -14,6 +14,7 @@ use crate::motion::{MotionRecording, UnitSample};
 use crate::multi_range::{FullScales, Merge};
 use crate::recording::{Quantity, Recording};
 use crate::replay::{Correction, Replay, Step, find};
+use crate::stats::norm;
 use crate::stream::Part;
 use crate::{ErrorCode, HostError, Result};
 
@@ -285,9 +286,5 @@ pub fn path_length_m(points: &[Point]) -> f64 {
 
 /// Distance between two positions, m.
 pub fn distance_m(from: [f64; 3], to: [f64; 3]) -> f64 {
-    from.iter()
-        .zip(to)
-        .map(|(a, b)| (b - a) * (b - a))
-        .sum::<f64>()
-        .sqrt()
+    norm([0, 1, 2].map(|axis| to[axis] - from[axis]))
 }

@@ -1,13 +1,20 @@
 //! Samples of a sensor between its own times.
 
+use crate::stats::median;
+
 /// Four samples that are farther apart than this many periods have a gap between them.
 const GAP_PERIODS: f64 = 5.0;
 
+/// Keeps every second item, the first one too.
+pub(crate) fn thin_out<T>(items: &mut Vec<T>) {
+    let mut kept = [true, false].into_iter().cycle();
+    items.retain(|_| kept.next() == Some(true));
+}
+
 /// Median time between samples, s.
 pub(crate) fn period_s(times_s: &[f64]) -> f64 {
-    let mut steps: Vec<f64> = times_s.windows(2).map(|w| w[1] - w[0]).collect();
-    steps.sort_by(f64::total_cmp);
-    steps.get(steps.len() / 2).copied().unwrap_or(1.0).max(1e-6)
+    let steps = times_s.windows(2).map(|w| w[1] - w[0]);
+    median(steps).unwrap_or(1.0).max(1e-6)
 }
 
 /// One sensor's samples at its own times.

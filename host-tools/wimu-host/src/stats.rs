@@ -2,12 +2,18 @@
 
 /// Median, of an even number of values the upper one of both in the middle; `None` without values.
 pub(crate) fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
+    quantile(values, 2)
+}
+
+/// The value with one in `parts` of the values below it; `None` without values.
+pub(crate) fn quantile(values: impl IntoIterator<Item = f64>, parts: usize) -> Option<f64> {
     let mut values = Vec::from_iter(values);
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+    let place = values.len() / parts;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(place, f64::total_cmp).1)
 }
 
 /// Length of a vector.
-pub(crate) fn norm(vector: [f64; 3]) -> f64 {
-    vector.iter().map(|axis| axis * axis).sum::<f64>().sqrt()
+pub(crate) fn norm(vector: impl AsRef<[f64]>) -> f64 {
+    let squares = vector.as_ref().iter().map(|axis| axis * axis);
+    squares.sum::<f64>().sqrt()
 }

@@ -9,7 +9,7 @@
 
 use std::collections::VecDeque;
 
-use crate::chip::Chip;
+use crate::chip::{Chip, FifoMode};
 use crate::sampling::SampleClock;
 use crate::source::{Conversion, Source};
 use crate::spi;
@@ -76,13 +76,6 @@ pub(crate) struct Adxl345 {
     overrun: bool,
 }
 
-#[derive(Clone, Copy, PartialEq)]
-enum Mode {
-    Bypass,
-    Fifo,
-    Stream,
-}
-
 impl Adxl345 {
     pub(crate) fn new(address: u8) -> Self {
         let mut chip = Self {
@@ -107,22 +100,15 @@ impl Adxl345 {
     }
 
     fn register(&self, register: u8) -> u8 {
-        self.registers
-            .get(usize::from(register))
-            .copied()
-            .unwrap_or(0)
+        self.registers[usize::from(register)]
     }
 
     fn is_set(&self, register: u8, mask: u8) -> bool {
         self.register(register) & mask != 0
     }
 
-    fn mode(&self) -> Mode {
-        match self.register(FIFO_CTL) >> 6 {
-            0b00 => Mode::Bypass,
-            0b01 => Mode::Fifo,
-            _ => Mode::Stream,
-        }
+    fn mode(&self) -> FifoMode {
+        FifoMode::of(self.register(FIFO_CTL))
     }
 
     fn watermark(&self) -> usize {
@@ -159,7 +145,7 @@ impl Adxl345 {
             bits,
         };
         let full = self.fifo.len() >= self.watermark().max(1);
-        let unread = if self.mode() == Mode::Bypass {
+        let unread = if self.mode() == FifoMode::Bypass {
             self.fresh
         } else {
             full
@@ -192,13 +178,13 @@ impl Adxl345 {
     fn store(&mut self, sample: [i16; 3]) {
         self.latest = sample;
         match self.mode() {
-            Mode::Bypass => {
+            FifoMode::Bypass => {
                 self.overrun |= self.fresh;
                 self.fresh = true;
             }
-            Mode::Fifo if self.fifo.len() >= FIFO_SAMPLES => self.overrun = true,
-            Mode::Fifo => self.fifo.push_back(sample),
-            Mode::Stream => {
+            FifoMode::Fifo if self.fifo.len() >= FIFO_SAMPLES => self.overrun = true,
+            FifoMode::Fifo => self.fifo.push_back(sample),
+            FifoMode::Stream => {
                 if self.fifo.len() >= FIFO_SAMPLES {
                     self.fifo.pop_front();
                     self.overrun = true;
@@ -238,7 +224,7 @@ impl Adxl345 {
 
     fn interrupts(&self) -> u8 {
         let on = |condition: bool, bit: u8| if condition { bit } else { 0 };
-        let bypass = self.mode() == Mode::Bypass;
+        let bypass = self.mode() == FifoMode::Bypass;
         let waits = if bypass {
             self.fresh
         } else {
@@ -254,13 +240,9 @@ impl Chip for Adxl345 {
     fn settle(&mut self, now: u64, source: &mut dyn Source) {
         self.now = now;
         self.leaving = self.leaving.filter(|(_, until)| now < *until);
-        let Some(mut sampling) = self.sampling else {
-            return;
-        };
-        while let Some(time_s) = sampling.take_due(now) {
+        while let Some(time_s) = self.sampling.as_mut().and_then(|s| s.take_due(now)) {
             self.sample(time_s, source);
         }
-        self.sampling = Some(sampling);
     }
 
     fn reset(&mut self) {
@@ -299,7 +281,7 @@ impl Chip for Adxl345 {
         }
         let rate_before = self.rate_hz();
         self.registers[usize::from(register)] = byte;
-        if register == FIFO_CTL && self.mode() == Mode::Bypass {
+        if register == FIFO_CTL && self.mode() == FifoMode::Bypass {
             self.fifo.clear();
             self.overrun = false;
         }

@@ -425,12 +425,12 @@ fn node(
 }
 
 fn firmware_version() -> [u16; 3] {
-    let part = |text: &str| text.parse().unwrap_or(0);
-    [
-        part(env!("CARGO_PKG_VERSION_MAJOR")),
-        part(env!("CARGO_PKG_VERSION_MINOR")),
-        part(env!("CARGO_PKG_VERSION_PATCH")),
-    ]
+    let parts = [
+        env!("CARGO_PKG_VERSION_MAJOR"),
+        env!("CARGO_PKG_VERSION_MINOR"),
+        env!("CARGO_PKG_VERSION_PATCH"),
+    ];
+    parts.map(|part| part.parse().unwrap_or(0))
 }
 
 struct Woken(AtomicBool);

@@ -18,6 +18,25 @@ pub enum GyroscopeFault {
     Saturates,
 }
 
+/// Mode of a FIFO.
+#[derive(Clone, Copy, PartialEq)]
+pub(crate) enum FifoMode {
+    Bypass,
+    Fifo,
+    Stream,
+}
+
+impl FifoMode {
+    /// Mode in the two highest bits of a control register; trigger mode is not modelled.
+    pub(crate) fn of(control: u8) -> Self {
+        match control >> 6 {
+            0b00 => Self::Bypass,
+            0b01 => Self::Fifo,
+            _ => Self::Stream,
+        }
+    }
+}
+
 /// The registers of a chip and their behaviour.
 pub(crate) trait Chip: fmt::Debug {
     /// Takes the samples that are due by `now` (µs).

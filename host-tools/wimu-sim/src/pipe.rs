@@ -1,7 +1,7 @@
 //! A serial link between the simulated device and its host, with bounded buffers and, optionally,
 //! a baud rate and faults.
 
-use std::cell::RefCell;
+use std::cell::{RefCell, RefMut};
 use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::future::poll_fn;
@@ -65,36 +65,26 @@ pub fn faulty_link(
     assert!(config.transmit_buffer > 0 && config.receive_buffer > 0);
     assert!(config.baud != Some(0));
     let byte_ns = config.baud.map(|baud| BITS_PER_BYTE_NS / u64::from(baud));
-    let line = |sender, receiver, channel| {
-        Rc::new(RefCell::new(Line {
+    let direction = |sender, receiver, channel| Direction {
+        clock: clock.clone(),
+        line: Rc::new(RefCell::new(Line {
             bauds: config.baud.map(|baud| [baud; 2]),
             byte_ns,
             sender_holds: sender,
             receiver_holds: receiver,
             channel,
             ..Line::default()
-        }))
+        })),
     };
     let (outwards, inwards) = match channels {
         Some(Channels { to_host, to_device }) => (Some(to_host), Some(to_device)),
         None => (None, None),
     };
-    let to_host = line(Some(config.transmit_buffer), None, outwards);
-    let to_device = line(None, Some(config.receive_buffer), inwards);
-    let reader = DeviceReader {
-        clock: clock.clone(),
-        line: to_device.clone(),
-    };
-    let writer = DeviceWriter {
-        clock: clock.clone(),
-        line: to_host.clone(),
-    };
-    let host = HostEnd {
-        clock: clock.clone(),
-        to_host,
-        to_device,
-    };
-    (reader, writer, host)
+    let to_host = direction(Some(config.transmit_buffer), None, outwards);
+    let to_device = direction(None, Some(config.receive_buffer), inwards);
+    let reader = DeviceReader(to_device.clone());
+    let writer = DeviceWriter(to_host.clone());
+    (reader, writer, HostEnd { to_host, to_device })
 }
 
 /// The faults of a link, one channel for each direction. Clones are the same channels.
@@ -207,16 +197,14 @@ impl Line {
         })
     }
 
-    fn set_sender_baud(&mut self, baud: u32, now: u64) {
-        self.settle(now);
+    fn set_sender_baud(&mut self, baud: u32) {
         if let Some([sender, _]) = &mut self.bauds {
             *sender = baud;
             self.byte_ns = Some(BITS_PER_BYTE_NS / u64::from(baud));
         }
     }
 
-    fn set_receiver_baud(&mut self, baud: u32, now: u64) {
-        self.settle(now);
+    fn set_receiver_baud(&mut self, baud: u32) {
         if let Some([_, receiver]) = &mut self.bauds {
             *receiver = baud;
         }
@@ -280,27 +268,40 @@ impl Line {
     }
 }
 
-/// Waits until `ready` returns a value, checked at each event at the line's other end.
-async fn when<T>(line: &RefCell<Line>, mut ready: impl FnMut(&mut Line) -> Option<T>) -> T {
-    poll_fn(|context| {
-        let mut line = line.borrow_mut();
-        match ready(&mut line) {
-            Some(value) => Poll::Ready(value),
-            None => {
-                line.waiting = Some(context.waker().clone());
-                Poll::Pending
+/// A line and the clock that paces it. Clones are the same line.
+#[derive(Clone, Debug)]
+struct Direction {
+    clock: VirtualClock,
+    line: Rc<RefCell<Line>>,
+}
+
+impl Direction {
+    /// The line, with all transfers up to the present time.
+    fn settled(&self) -> RefMut<'_, Line> {
+        let mut line = self.line.borrow_mut();
+        line.settle(self.clock.now());
+        line
+    }
+
+    /// Waits until `ready` returns a value, checked at each event at the line's other end.
+    async fn when<T>(&self, mut ready: impl FnMut(&mut Line) -> Option<T>) -> T {
+        poll_fn(|context| {
+            let mut line = self.settled();
+            match ready(&mut line) {
+                Some(value) => Poll::Ready(value),
+                None => {
+                    line.waiting = Some(context.waker().clone());
+                    Poll::Pending
+                }
             }
-        }
-    })
-    .await
+        })
+        .await
+    }
 }
 
 /// The device's receiver. Reading is cancel-safe: a cancelled read takes no byte.
 #[derive(Debug)]
-pub struct DeviceReader {
-    clock: VirtualClock,
-    line: Rc<RefCell<Line>>,
-}
+pub struct DeviceReader(Direction);
 
 impl ErrorType for DeviceReader {
     type Error = Infallible;
@@ -313,15 +314,14 @@ impl Read for DeviceReader {
         }
         loop {
             // Either bytes, or the time of arrival of the next one.
-            let step = when(&self.line, |line| {
-                line.settle(self.clock.now());
+            let step = self.0.when(|line| {
                 let count = buffer.len().min(line.arrived.len());
                 if count > 0 {
                     for (to, from) in buffer.iter_mut().zip(line.arrived.drain(..count)) {
                         *to = from;
                     }
                     // Without a baud rate, this makes room for further bytes of the host.
-                    line.settle(self.clock.now());
+                    line.settle(self.0.clock.now());
                     Some(Ok(count))
                 } else {
                     line.next_step_at().map(Err)
@@ -329,7 +329,7 @@ impl Read for DeviceReader {
             });
             match step.await {
                 Ok(count) => return Ok(count),
-                Err(arrival) => self.clock.until(arrival).await,
+                Err(arrival) => self.0.clock.until(arrival).await,
             }
         }
     }
@@ -337,10 +337,7 @@ impl Read for DeviceReader {
 
 /// The device's transmitter. A cancelled write has written nothing.
 #[derive(Debug)]
-pub struct DeviceWriter {
-    clock: VirtualClock,
-    line: Rc<RefCell<Line>>,
-}
+pub struct DeviceWriter(Direction);
 
 impl ErrorType for DeviceWriter {
     type Error = Infallible;
@@ -354,12 +351,11 @@ impl Write for DeviceWriter {
             return Ok(0);
         }
         loop {
-            let step = when(&self.line, |line| {
-                line.settle(self.clock.now());
+            let step = self.0.when(|line| {
                 let room = line.room();
                 if room > 0 || line.receiver_gone {
                     let count = bytes.len().min(room.max(1));
-                    line.send(&bytes[..count], self.clock.now());
+                    line.send(&bytes[..count], self.0.clock.now());
                     Some(Ok(count))
                 } else {
                     let half = line.sending.len().div_ceil(2);
@@ -368,7 +364,7 @@ impl Write for DeviceWriter {
             });
             match step.await {
                 Ok(count) => return Ok(count),
-                Err(room) => self.clock.until(room).await,
+                Err(room) => self.0.clock.until(room).await,
             }
         }
     }
@@ -376,15 +372,14 @@ impl Write for DeviceWriter {
     /// With a baud rate, waits until every byte has crossed the line; without one, returns at once.
     async fn flush(&mut self) -> Result<(), Infallible> {
         let over = {
-            let mut line = self.line.borrow_mut();
-            line.settle(self.clock.now());
+            let line = self.0.settled();
             match line.sending.len() {
                 0 => None,
                 count => line.over_line_at(count),
             }
         };
         if let Some(over) = over {
-            self.clock.until(over).await;
+            self.0.clock.until(over).await;
         }
         Ok(())
     }
@@ -393,9 +388,8 @@ impl Write for DeviceWriter {
 /// The baud rate of a link at the device's end. With different rates at both ends, data are invalid.
 #[derive(Debug)]
 pub struct DeviceRate {
-    clock: VirtualClock,
-    to_host: Rc<RefCell<Line>>,
-    to_device: Rc<RefCell<Line>>,
+    to_host: Direction,
+    to_device: Direction,
 }
 
 impl LineRate for DeviceRate {
@@ -405,38 +399,34 @@ impl LineRate for DeviceRate {
     }
 
     fn set(&mut self, baud: u32) {
-        let now = self.clock.now();
-        self.to_host.borrow_mut().set_sender_baud(baud, now);
-        self.to_device.borrow_mut().set_receiver_baud(baud, now);
+        self.to_host.settled().set_sender_baud(baud);
+        self.to_device.settled().set_receiver_baud(baud);
     }
 }
 
 /// The host's end, which never blocks. After it is dropped, data of the device are discarded.
 #[derive(Debug)]
 pub struct HostEnd {
-    clock: VirtualClock,
-    to_host: Rc<RefCell<Line>>,
-    to_device: Rc<RefCell<Line>>,
+    to_host: Direction,
+    to_device: Direction,
 }
 
 impl HostEnd {
     /// Baud rate at this end: the host's, or that of its radio adapter; `None` for a link
     /// without one.
     pub fn baud(&self) -> Option<u32> {
-        self.to_device.borrow().bauds.map(|[sender, _]| sender)
+        self.to_device.line.borrow().bauds.map(|[sender, _]| sender)
     }
 
     /// Changes it; without effect on a link without one.
     pub fn set_baud(&mut self, baud: u32) {
-        let now = self.clock.now();
-        self.to_device.borrow_mut().set_sender_baud(baud, now);
-        self.to_host.borrow_mut().set_receiver_baud(baud, now);
+        self.to_device.settled().set_sender_baud(baud);
+        self.to_host.settled().set_receiver_baud(baud);
     }
 
     /// Control of the baud rate at the device's end.
     pub fn device_rate(&self) -> DeviceRate {
         DeviceRate {
-            clock: self.clock.clone(),
             to_host: self.to_host.clone(),
             to_device: self.to_device.clone(),
         }
@@ -444,8 +434,7 @@ impl HostEnd {
 
     /// Takes the bytes that have arrived by now.
     pub fn pull(&mut self) -> Vec<u8> {
-        let mut line = self.to_host.borrow_mut();
-        line.settle(self.clock.now());
+        let mut line = self.to_host.settled();
         let bytes = line.arrived.drain(..).collect();
         line.wake();
         bytes
@@ -453,49 +442,43 @@ impl HostEnd {
 
     /// Number of bytes that [`pull`](Self::pull) would return now.
     pub fn available(&self) -> usize {
-        let mut line = self.to_host.borrow_mut();
-        line.settle(self.clock.now());
-        line.arrived.len()
+        self.to_host.settled().arrived.len()
     }
 
     /// Time at which [`pull`](Self::pull) returns the next byte under way, µs on the clock.
     pub fn next_arrival_us(&self) -> Option<u64> {
-        let mut line = self.to_host.borrow_mut();
-        line.settle(self.clock.now());
-        if line.arrived.is_empty() {
-            line.next_step_at()
-        } else {
-            Some(self.clock.now())
+        let line = self.to_host.settled();
+        match line.arrived.is_empty() {
+            true => line.next_step_at(),
+            false => Some(self.to_host.clock.now()),
         }
     }
 
     /// Number of lost connections so far; `None` while there is none.
     pub fn connection(&self) -> Option<u64> {
-        match &self.to_host.borrow().channel {
-            Some(channel) => channel.borrow().connection(self.clock.now() * 1000),
+        let now = self.to_host.clock.now();
+        match &self.to_host.line.borrow().channel {
+            Some(channel) => channel.borrow().connection(now * 1000),
             None => Some(0),
         }
     }
 
     /// Sends all of `bytes` to the device.
     pub fn push(&mut self, bytes: &[u8]) {
-        let mut line = self.to_device.borrow_mut();
-        line.settle(self.clock.now());
-        line.send(bytes, self.clock.now());
+        let mut line = self.to_device.settled();
+        line.send(bytes, self.to_device.clock.now());
         line.wake();
     }
 
     /// Bytes to the device that were lost because its receive buffer was full.
     pub fn lost(&self) -> u64 {
-        let mut line = self.to_device.borrow_mut();
-        line.settle(self.clock.now());
-        line.lost
+        self.to_device.settled().lost
     }
 }
 
 impl Drop for HostEnd {
     fn drop(&mut self) {
-        let mut line = self.to_host.borrow_mut();
+        let mut line = self.to_host.line.borrow_mut();
         line.receiver_gone = true;
         line.arrived.clear();
         line.wake();

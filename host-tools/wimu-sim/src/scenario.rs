@@ -162,17 +162,9 @@ impl FirstLight {
             Calibration::SixPositions => Poses::six_positions(HOLD_S),
             Calibration::TwelvePoses => Poses::twelve_by_hand(self.seed, PLACEMENT_DEG, HOLD_S),
         }))?;
-        let rotations = match has_gyroscope {
-            true => Some(host.rotate()?),
-            false => None,
-        };
+        let rotations = has_gyroscope.then(|| host.rotate()).transpose()?;
         let recording = host.recording()?;
-        let samples = recording
-            .links
-            .iter()
-            .flat_map(|link| &link.boots)
-            .map(|boot| boot.raw.len())
-            .sum();
+        let samples = boots(&recording).map(|boot| boot.raw.len()).sum();
         let (report, mut set) = self.calibrate(&recording)?;
         if let Some(rotations) = rotations {
             set.gyroscope = Some(gyroscope::calibrate(rotations, &recording)?);
@@ -208,12 +200,7 @@ impl FirstLight {
         let uncalibrated_path = uncalibrated.path(&recording)?;
         let calibrated_path = calibrated.path(&recording)?;
         let zupt_path = with_zupt.path(&recording)?;
-        let replays = recording
-            .links
-            .iter()
-            .flat_map(|link| &link.boots)
-            .map(|boot| replay::verify(boot, 0))
-            .collect();
+        let replays = boots(&recording).map(|boot| replay::verify(boot, 0));
         // Without ZUPT position is only good while it is fresh; with it, at the rest afterwards.
         let paths = [
             (&uncalibrated_path, uncalibrated, MOVED_S),
@@ -252,7 +239,7 @@ impl FirstLight {
             uncalibrated_path,
             calibrated_path,
             zupt_path,
-            replays,
+            replays: replays.collect(),
             duration_s: board.borrow().now_us() as f64 * 1e-6,
             recording: host.file()?,
         })
@@ -280,6 +267,11 @@ impl FirstLight {
             )),
         }
     }
+}
+
+/// All starts of the board, on both links.
+fn boots(recording: &Recording) -> impl Iterator<Item = &Boot> {
+    recording.links.iter().flat_map(|link| &link.boots)
 }
 
 impl Outcome {

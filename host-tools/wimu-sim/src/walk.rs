@@ -5,6 +5,7 @@ use std::f64::consts::TAU;
 use wimu_host::inertial::{Fix, Fixes};
 use wimu_host::localization::{AnchorPosition, RangeRecording, RangeSample};
 use wimu_host::motion::{MotionRecording, Truth, UnitSample};
+pub use wimu_host::navigation::distance_m;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use crate::attitude::Attitude;
@@ -103,21 +104,13 @@ impl RangeWalk {
             recording: RangeRecording {
                 name: "simulated ranges".to_owned(),
                 anchors: anchors_m.iter().enumerate().map(named).collect(),
-                planar: false,
                 ranges,
-                increments: Vec::new(),
-                motion: None,
-                findings: Vec::new(),
+                ..RangeRecording::default()
             },
             biases_m,
             blocked: hidden,
         }
     }
-}
-
-/// Distance of two positions, m.
-pub fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
-    (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt()
 }
 
 /// Length of a stride, m; duration of its swing and of its stance, s: walking at 1.2 m/s.

@@ -119,14 +119,20 @@ const PYTHON: [&str; 2] = ["host-tools/wimu-python", "host-tools/wimu-host/src"]
 pub struct Campaign {
     pub name: &'static str,
     pub about: &'static str,
-    runs: &'static [Run],
+    runs: &'static [Runs],
 }
 
-/// One command of a campaign.
-struct Run {
-    /// Arguments of cargo. `{data}` is the folder of recordings, `{results}` that of results.
-    command: &'static str,
+/// Commands of a campaign in sequence.
+struct Runs {
     /// Folders and files whose content the figures depend on.
+    sources: &'static [&'static str],
+    /// Arguments of cargo. `{data}` is the folder of recordings, `{results}` that of results.
+    commands: &'static [&'static str],
+}
+
+/// One command of a campaign, with its sources.
+struct Run {
+    command: &'static str,
     sources: &'static [&'static str],
 }
 
@@ -134,61 +140,51 @@ pub const CAMPAIGNS: [Campaign; 14] = [
     Campaign {
         name: "arithmetic",
         about: "corrector and integrator against f64 and exact integers",
-        runs: &[
-            Run {
-                command: "test --release -p wimu-model --test all -- --include-ignored",
-                sources: &ARITHMETIC,
-            },
-            Run {
-                command: "test --release -p wimu-integrator --test all -- --include-ignored",
-                sources: &ARITHMETIC,
-            },
-            Run {
-                command: "run --release -p wimu-integrator --example accuracy",
-                sources: &ARITHMETIC,
-            },
-        ],
+        runs: &[Runs {
+            sources: &ARITHMETIC,
+            commands: &[
+                "test --release -p wimu-model --test all -- --include-ignored",
+                "test --release -p wimu-integrator --test all -- --include-ignored",
+                "run --release -p wimu-integrator --example accuracy",
+            ],
+        }],
     },
     Campaign {
         name: "device",
         about: "flash and RAM of the images, instructions of a sample",
-        runs: &[
-            Run {
-                command: "run -p xtask -- size",
-                sources: &DEVICE,
-            },
-            Run {
-                command: "run -p xtask -- budget",
-                sources: &DEVICE,
-            },
-        ],
+        runs: &[Runs {
+            sources: &DEVICE,
+            commands: &["run -p xtask -- size", "run -p xtask -- budget"],
+        }],
     },
     Campaign {
         name: "calibration",
         about: "intervals, refusals and outliers over simulated sensors; public recordings",
         runs: &[
-            Run {
-                command: "test --release -p wimu-calib --test all -- --include-ignored",
+            Runs {
                 sources: &CALIBRATION,
+                commands: &["test --release -p wimu-calib --test all -- --include-ignored"],
             },
-            Run {
-                command: "test --release -p wimu-host --lib -- calibration::advice",
+            Runs {
                 sources: &[
                     "crates/wimu-calib/src",
                     "host-tools/wimu-host/src/calibration",
                 ],
+                commands: &["test --release -p wimu-host --lib -- calibration::advice"],
             },
-            Run {
-                command: "test --release -p wimu-host --test all -- --include-ignored calibration_faults::",
+            Runs {
                 sources: &[
                     "crates/wimu-calib/src",
                     "host-tools/wimu-host/src/calibration",
                     "host-tools/wimu-host/tests/calibration_faults.rs",
                 ],
+                commands: &[
+                    "test --release -p wimu-host --test all -- --include-ignored calibration_faults::",
+                ],
             },
-            Run {
-                command: "run --release -p wimu-calib --example speed",
+            Runs {
                 sources: &CALIBRATION,
+                commands: &["run --release -p wimu-calib --example speed"],
             },
         ],
     },
@@ -196,45 +192,34 @@ pub const CAMPAIGNS: [Campaign; 14] = [
         name: "navigation",
         about: "errors and consistency on recordings and journeys, beside plain baselines",
         runs: &[
-            Run {
-                command: "test --release -p wimu-host --test all -- --include-ignored array_coverage:: array_input:: array_survey:: arrays:: violent::",
+            Runs {
                 sources: &HOST_NAVIGATION,
+                commands: &[
+                    "test --release -p wimu-host --test all -- --include-ignored array_coverage:: array_input:: array_survey:: arrays:: violent::",
+                ],
             },
-            Run {
-                command: "run --release -p wimu-nav --example consistency 500",
+            Runs {
                 sources: &NAVIGATION,
+                commands: &["run --release -p wimu-nav --example consistency 500"],
             },
-            Run {
-                command: "run --release -p wimu-host --example array_journeys 40",
+            Runs {
                 sources: &HOST_NAVIGATION,
+                commands: &[
+                    "run --release -p wimu-host --example array_journeys 40",
+                    "run --release -p wimu-host --example bench_nav {data}",
+                    "run --release -p wimu-host --example score_navigation -- {data} --json {results}/navigation-reference.json",
+                    "run --release -p wimu-host --example score_localization -- {data}",
+                    "run --release -p wimu-host --example score_align -- {data}",
+                    "test --release -p wimu-host --test all -- --include-ignored hand_eye:: relative::",
+                ],
             },
-            Run {
-                command: "run --release -p wimu-host --example bench_nav {data}",
-                sources: &HOST_NAVIGATION,
-            },
-            Run {
-                command: "run --release -p wimu-host --example score_navigation -- {data} --json {results}/navigation-reference.json",
-                sources: &HOST_NAVIGATION,
-            },
-            Run {
-                command: "run --release -p wimu-host --example score_localization -- {data}",
-                sources: &HOST_NAVIGATION,
-            },
-            Run {
-                command: "run --release -p wimu-host --example score_align -- {data}",
-                sources: &HOST_NAVIGATION,
-            },
-            Run {
-                command: "test --release -p wimu-host --test all -- --include-ignored hand_eye:: relative::",
-                sources: &HOST_NAVIGATION,
-            },
-            Run {
-                command: "run --release -p wimu-sim --example multi_range -- 20",
+            Runs {
                 sources: &MULTI_RANGE,
+                commands: &["run --release -p wimu-sim --example multi_range -- 20"],
             },
-            Run {
-                command: "test --release -p wimu-nav --test all -- --include-ignored",
+            Runs {
                 sources: &NAVIGATION,
+                commands: &["test --release -p wimu-nav --test all -- --include-ignored"],
             },
         ],
     },
@@ -242,103 +227,84 @@ pub const CAMPAIGNS: [Campaign; 14] = [
         name: "link",
         about: "bytes of a sample, decoding, forged requests, bad lines, pushes, floods",
         runs: &[
-            Run {
-                command: "test --release -p wimu-link --test all -- --include-ignored",
+            Runs {
                 sources: &["crates/wimu-link/src", "crates/wimu-link/tests"],
+                commands: &[
+                    "test --release -p wimu-link --test all -- --include-ignored",
+                    "run --release -p wimu-link --example wire_budget -- {data}",
+                ],
             },
-            Run {
-                command: "run --release -p wimu-link --example wire_budget -- {data}",
-                sources: &["crates/wimu-link/src", "crates/wimu-link/tests"],
-            },
-            Run {
-                command: "run --release -p wimu-sim --example link_budget",
+            Runs {
                 sources: &LINK,
+                commands: &[
+                    "run --release -p wimu-sim --example link_budget",
+                    "test --release -p wimu-tests --test all -- --include-ignored pushes:: noisy_link:: board::flood --skip pico::",
+                    "run --release -p wimu-tests --example noisy_link",
+                ],
             },
-            Run {
-                command: "test --release -p wimu-tests --test all -- --include-ignored pushes:: noisy_link:: board::flood --skip pico::",
-                sources: &LINK,
-            },
-            Run {
-                command: "run --release -p wimu-tests --example noisy_link",
-                sources: &LINK,
-            },
-            Run {
-                command: "run --release -p wimu-tests --example decode_rate",
+            Runs {
                 sources: &["crates/wimu-link/src", "host-tools/wimu-host/src/decode"],
+                commands: &["run --release -p wimu-tests --example decode_rate"],
             },
         ],
     },
     Campaign {
         name: "loop",
         about: "calibration, push, restart, slides and heading on simulated boards",
-        runs: &[Run {
-            command: "test --release -p wimu-tests --test all -- --include-ignored first_light:: board::heading real_input:: --skip pico:: --skip qemu::",
+        runs: &[Runs {
             sources: &LOOP,
+            commands: &[
+                "test --release -p wimu-tests --test all -- --include-ignored first_light:: board::heading real_input:: --skip pico:: --skip qemu::",
+            ],
         }],
     },
     Campaign {
         name: "storage",
         about: "power cuts at every byte, unstable cells, damaged pages",
-        runs: &[
-            Run {
-                command: "test --release -p wimu-tests --test all -- --include-ignored store:: --skip pico::",
-                sources: &STORAGE,
-            },
-            Run {
-                command: "run --release -p wimu-tests --example fuzz 20000 7 store",
-                sources: &STORAGE,
-            },
-        ],
+        runs: &[Runs {
+            sources: &STORAGE,
+            commands: &[
+                "test --release -p wimu-tests --test all -- --include-ignored store:: --skip pico::",
+                "run --release -p wimu-tests --example fuzz 20000 7 store",
+            ],
+        }],
     },
     Campaign {
         name: "fuzz",
         about: "random, damaged and reordered bytes for every decoder",
         // Ten million in five runs, so that a campaign that was interrupted goes on with the next one.
-        runs: &[
-            Run {
-                command: "run --release -p wimu-tests --example fuzz 2000000 7",
-                sources: &FUZZ,
-            },
-            Run {
-                command: "run --release -p wimu-tests --example fuzz 2000000 8",
-                sources: &FUZZ,
-            },
-            Run {
-                command: "run --release -p wimu-tests --example fuzz 2000000 9",
-                sources: &FUZZ,
-            },
-            Run {
-                command: "run --release -p wimu-tests --example fuzz 2000000 10",
-                sources: &FUZZ,
-            },
-            Run {
-                command: "run --release -p wimu-tests --example fuzz 2000000 11",
-                sources: &FUZZ,
-            },
-        ],
+        runs: &[Runs {
+            sources: &FUZZ,
+            commands: &[
+                "run --release -p wimu-tests --example fuzz 2000000 7",
+                "run --release -p wimu-tests --example fuzz 2000000 8",
+                "run --release -p wimu-tests --example fuzz 2000000 9",
+                "run --release -p wimu-tests --example fuzz 2000000 10",
+                "run --release -p wimu-tests --example fuzz 2000000 11",
+            ],
+        }],
     },
     Campaign {
         name: "clocks",
         about: "clock models of links with jitter, comparison of links, recordings of a day",
-        runs: &[
-            Run {
-                command: "test --release -p wimu-host --lib -- --include-ignored clock:: compare::",
-                sources: &CLOCKS,
-            },
-            Run {
-                command: "test --release -p wimu-sim --test all -- --include-ignored clocks:: compare:: long_files::",
-                sources: &CLOCKS,
-            },
-        ],
+        runs: &[Runs {
+            sources: &CLOCKS,
+            commands: &[
+                "test --release -p wimu-host --lib -- --include-ignored clock:: compare::",
+                "test --release -p wimu-sim --test all -- --include-ignored clocks:: compare:: long_files::",
+            ],
+        }],
     },
     Campaign {
         name: "dashboard",
         about: "the dashboard in Chromium: latency, load, memory, a recording of 1 GB; its pictures",
-        runs: &[Run {
-            command: "test --release -p wimu --test all -- --include-ignored --test-threads=1 --nocapture dashboard::",
+        runs: &[Runs {
             sources: &[
                 "host-tools/wimu/src/command/dashboard",
                 "host-tools/wimu/tests/dashboard",
+            ],
+            commands: &[
+                "test --release -p wimu --test all -- --include-ignored --test-threads=1 --nocapture dashboard::",
             ],
         }],
     },
@@ -346,34 +312,38 @@ pub const CAMPAIGNS: [Campaign; 14] = [
         name: "fleet",
         about: "a thousand replayed boards through Mosquitto: faults of every part, every loss counted",
         // `WIMU_FLEET_BOARDS` and `WIMU_FLEET_SECONDS` make it smaller.
-        runs: &[Run {
-            command: "test --release -p wimu --test all -- --ignored fleet_campaign:: --nocapture",
+        runs: &[Runs {
             sources: &FLEET,
+            commands: &[
+                "test --release -p wimu --test all -- --ignored fleet_campaign:: --nocapture",
+            ],
         }],
     },
     Campaign {
         name: "python",
         about: "the wheel of the Python module beside the command, on wrong and damaged input",
-        runs: &[Run {
-            command: "run -p xtask -- python",
+        runs: &[Runs {
             sources: &PYTHON,
+            commands: &["run -p xtask -- python"],
         }],
     },
     Campaign {
         name: "miri",
         about: "the fast tests of the crates under Miri: undefined behaviour",
-        runs: &[Run {
-            command: "run -p xtask -- miri",
+        runs: &[Runs {
             sources: &DEVICE,
+            commands: &["run -p xtask -- miri"],
         }],
     },
     Campaign {
         name: "systems",
         about: "`wimu` compiles for Windows, macOS and Linux without a C library",
         // A target that is missing is named with the rustup command that adds it.
-        runs: &[Run {
-            command: "check -p wimu --target x86_64-pc-windows-gnu --target x86_64-apple-darwin --target aarch64-apple-darwin --target x86_64-unknown-linux-musl --target aarch64-unknown-linux-musl",
+        runs: &[Runs {
             sources: &COMMAND,
+            commands: &[
+                "check -p wimu --target x86_64-pc-windows-gnu --target x86_64-apple-darwin --target aarch64-apple-darwin --target x86_64-unknown-linux-musl --target aarch64-unknown-linux-musl",
+            ],
         }],
     },
 ];
@@ -409,14 +379,14 @@ pub fn run(name: &str, seed: u64) -> Result<(), String> {
     if done["seed"] != seed {
         done = json!({});
     }
-    for run in campaign.runs {
+    for run in campaign.runs() {
         let is_done = |result| run.is_fresh(result) && result["passed"] == true;
         if run.result(&done).is_some_and(is_done) {
             println!("{}: already done", run.command);
             continue;
         }
         let result = run.execute(seed)?;
-        let of_run = |of: &Run| match of.command == run.command {
+        let of_run = |of: Run| match of.command == run.command {
             true => Some(result.clone()),
             false => of.result(&done).cloned(),
         };
@@ -425,7 +395,7 @@ pub fn run(name: &str, seed: u64) -> Result<(), String> {
             "name": name,
             "about": campaign.about,
             "seed": seed,
-            "runs": campaign.runs.iter().filter_map(of_run).collect::<Vec<_>>(),
+            "runs": campaign.runs().filter_map(of_run).collect::<Vec<_>>(),
         });
         fs::write(&file, format!("{done:#}\n")).map_err(|e| format!("{}: {e}", file.display()))?;
     }
@@ -442,13 +412,20 @@ pub fn run(name: &str, seed: u64) -> Result<(), String> {
 }
 
 impl Campaign {
+    fn runs(&self) -> impl Iterator<Item = Run> {
+        let of_group = |Runs { sources, commands }: &'static Runs| {
+            commands.iter().map(move |command| Run { command, sources })
+        };
+        self.runs.iter().flat_map(of_group)
+    }
+
     /// Each command that has a result in `done`: the result, and whether its sources are unchanged.
     pub fn results<'a>(&self, done: &'a Value) -> Vec<(&'a Value, bool)> {
-        let result = |run: &Run| {
+        let result = |run: Run| {
             let result = run.result(done)?;
             Some((result, run.is_fresh(result)))
         };
-        self.runs.iter().filter_map(result).collect()
+        self.runs().filter_map(result).collect()
     }
 }
 

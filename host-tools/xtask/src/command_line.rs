@@ -11,7 +11,7 @@ pub fn is_ci() -> bool {
 }
 
 /// A program, its arguments, where it runs, and what its environment has beyond ours.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct CommandLine {
     environment: Vec<(String, String)>,
     words: Vec<String>,
@@ -21,12 +21,7 @@ pub struct CommandLine {
 impl CommandLine {
     /// The words of `line`, separated by spaces; the first is the program.
     pub fn new(line: &str) -> Self {
-        Self {
-            environment: Vec::new(),
-            words: Vec::new(),
-            folder: None,
-        }
-        .words(line)
+        Self::default().words(line)
     }
 
     /// Appends the words of `line`.

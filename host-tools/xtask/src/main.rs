@@ -63,38 +63,24 @@ fn main() -> ExitCode {
 }
 
 fn run(task: Task) -> Result<(), String> {
+    let enter = Workspace::enter;
     match task {
         Task::Help => {
             println!("{}", help());
             Ok(())
         }
         Task::Setup => setup::run(),
-        Task::Check(only) => test::run(&Workspace::enter()?, &test::CHECK, &only),
-        Task::Test(only) => test::run(&Workspace::enter()?, &test::TEST, &only),
-        Task::Campaign(name, seed) => {
-            Workspace::enter()?;
-            campaign::run(&name, seed)
-        }
-        Task::Validation => {
-            Workspace::enter()?;
-            validation::write()
-        }
-        Task::Budget(data) => budget::run(&Workspace::enter()?, data.as_deref()),
-        Task::Firmware => firmware::run(&Workspace::enter()?),
-        Task::Flash(board, options) => firmware::flash(&Workspace::enter()?, &board, &options),
-        Task::Size => size::run(&Workspace::enter()?),
-        Task::Python => {
-            Workspace::enter()?;
-            python::run()
-        }
-        Task::Miri => {
-            Workspace::enter()?;
-            miri::run()
-        }
-        Task::Qemu(options) => {
-            Workspace::enter()?;
-            firmware::qemu(&options)
-        }
+        Task::Check(only) => test::run(&enter()?, &test::CHECK, &only),
+        Task::Test(only) => test::run(&enter()?, &test::TEST, &only),
+        Task::Campaign(name, seed) => enter().and_then(|_| campaign::run(&name, seed)),
+        Task::Validation => enter().and_then(|_| validation::write()),
+        Task::Budget(data) => budget::run(&enter()?, data.as_deref()),
+        Task::Firmware => firmware::run(&enter()?),
+        Task::Flash(board, options) => firmware::flash(&enter()?, &board, &options),
+        Task::Size => size::run(&enter()?),
+        Task::Python => enter().and_then(|_| python::run()),
+        Task::Miri => enter().and_then(|_| miri::run()),
+        Task::Qemu(options) => enter().and_then(|_| firmware::qemu(&options)),
     }
 }
 

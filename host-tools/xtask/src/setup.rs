@@ -109,7 +109,8 @@ pub fn provide(need: Need, machine: &mut impl Machine) -> Result<Source, String>
     for source in [Source::Toolchain, Source::Debian] {
         let commands = install(need, source);
         if !commands.is_empty() && !machine.has(need, source) && machine.can_add_to(source) {
-            advice.push(commands.iter().map(ToString::to_string).collect::<Vec<_>>());
+            let lines: Vec<String> = commands.iter().map(ToString::to_string).collect();
+            advice.push(lines.join(" && "));
             if machine.may_install() {
                 // One that fails, for want of a network or a package, is followed by the next.
                 if let Err(problem) = commands.iter().try_for_each(|c| machine.run(c)) {
@@ -123,27 +124,17 @@ pub fn provide(need: Need, machine: &mut impl Machine) -> Result<Source, String>
         }
     }
     let name = need.name();
-    Err(
-        match advice
-            .iter()
-            .map(|commands| commands.join(" && "))
-            .collect::<Vec<_>>()
-        {
-            none if none.is_empty() => {
-                format!("{name}: missing; {}", need.otherwise())
-            }
-            ways if machine.may_install() => {
-                format!(
-                    "{name}: missing, and could not be installed by {}",
-                    ways.join("; nor by ")
-                )
-            }
-            ways => format!(
-                "{name}: missing; run\n    {}\n(with CI=true, or as root, `cargo xtask setup` runs it)",
-                ways.join("\nor\n    ")
-            ),
-        },
-    )
+    Err(match (advice.is_empty(), machine.may_install()) {
+        (true, _) => format!("{name}: missing; {}", need.otherwise()),
+        (false, true) => format!(
+            "{name}: missing, and could not be installed by {}",
+            advice.join("; nor by ")
+        ),
+        (false, false) => format!(
+            "{name}: missing; run\n    {}\n(with CI=true, or as root, `cargo xtask setup` runs it)",
+            advice.join("\nor\n    ")
+        ),
+    })
 }
 
 /// `cargo VERB`, build or check, for [`TARGETS`] from `source`.

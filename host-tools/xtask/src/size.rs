@@ -80,9 +80,6 @@ pub fn run(workspace: &Workspace) -> Result<(), String> {
             );
         }
     }
-    found
-        .iter()
-        .try_for_each(|(name, size)| within(name, size))?;
     small_enough(&found)
 }
 
@@ -139,15 +136,14 @@ fn attributable(found: &[(String, Size)], program: &str) -> Result<u32, String> 
 /// # Errors
 /// As [`run`].
 pub fn check(workspace: &Workspace) -> Result<(), String> {
-    let found = built(workspace)?;
-    found
-        .iter()
-        .try_for_each(|(name, size)| within(name, size))?;
-    small_enough(&found)
+    small_enough(&built(workspace)?)
 }
 
-/// Whether each calibration is as small as it is to be.
+/// Checks that each image is within its size limits.
 fn small_enough(found: &[(String, Size)]) -> Result<(), String> {
+    for (name, size) in found {
+        within(name, size)?;
+    }
     for (program, about, most) in CALIBRATIONS {
         let flash = attributable(found, program)?;
         if flash > most {

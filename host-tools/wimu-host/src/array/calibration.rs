@@ -12,6 +12,7 @@ use super::outputs::{
 };
 use super::rests::{EvenTurn, REST_BIAS_MPS2, judged};
 use super::{ArrayGeometry, ArrayRecording};
+use crate::stats::norm;
 use crate::{ErrorCode, HostError, Result};
 
 /// Noise that is assumed where there is no rest to see it, m/s².
@@ -383,8 +384,9 @@ impl ArrayCalibration {
     pub fn mean_rest_mps2(&self, recording: &ArrayRecording) -> f64 {
         let length = |rest: &(usize, usize)| {
             let used = (0..recording.sensors()).filter(|sensor| self.uses(*sensor));
-            let force = mean(used.filter_map(|k| Some(pose(recording, k, *rest)?.mean_mps2)));
-            force.iter().map(|f| f * f).sum::<f64>().sqrt()
+            norm(mean(
+                used.filter_map(|k| Some(pose(recording, k, *rest)?.mean_mps2)),
+            ))
         };
         self.rests.iter().map(length).sum::<f64>() / self.rests.len() as f64
     }

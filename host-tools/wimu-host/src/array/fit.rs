@@ -359,35 +359,29 @@ pub fn refine(
     }
     let needed = found.log_determinant - given.log_determinant;
     let gain = (given.cost - found.cost) / (inflation * needed);
+    let accepted = gain > 1.0;
     let mut refined = geometry.clone();
-    for (sensor, new) in refined
-        .sensors
-        .iter_mut()
-        .enumerate()
-        .filter(|_| gain > 1.0)
-    {
+    let sensors = refined.sensors.iter_mut().enumerate();
+    for (sensor, new) in sensors.filter(|_| accepted) {
         for (place, moved) in new.places_m.iter_mut().zip(&found.moved_m[sensor]) {
             *place = std::array::from_fn(|i| place[i] + moved[i].0);
         }
         new.delay_us += 1e6 * found.delays_s[sensor].0;
     }
-    let split = |which: fn(&(f64, f64)) -> f64| -> Vec<[[f64; 3]; 3]> {
-        found
-            .moved_m
-            .iter()
-            .map(|axes| axes.map(|axis| axis.map(|c| which(&c))))
-            .collect()
+    let split = |which: fn((f64, f64)) -> f64| -> Vec<[[f64; 3]; 3]> {
+        let moved = found.moved_m.iter();
+        moved.map(|axes| axes.map(|axis| axis.map(which))).collect()
     };
     Ok(Refinement {
         geometry: refined,
-        moved_m: split(|(value, _)| *value),
-        place_sd_m: split(|(_, sd)| *sd),
+        moved_m: split(|(value, _)| value),
+        place_sd_m: split(|(_, sd)| sd),
         delay_s: found.delays_s.iter().map(|(value, _)| *value).collect(),
         delay_sd_s: found.delays_s.iter().map(|(_, sd)| *sd).collect(),
         known_place_m,
         residual_mps2,
         samples,
         gain,
-        accepted: gain > 1.0,
+        accepted,
     })
 }

@@ -7,6 +7,7 @@ use wimu_model::{ErrorModel, SpecificForceMps2};
 
 use super::single::SingleAxis;
 use crate::calibration::read_model;
+use crate::navigation::distance_m;
 use crate::{ErrorCode, HostError, OutputFile, Result};
 
 /// One triad of an array.
@@ -153,24 +154,24 @@ impl ArrayGeometry {
 
     /// The largest distance between two places, m.
     pub fn span_m(&self) -> f64 {
-        let single = self.axes.iter().map(|axis| axis.place_m);
-        let places: Vec<[f64; 3]> = (self.sensors.iter().flat_map(|s| s.places_m))
-            .chain(single)
-            .collect();
-        let distance = |a: &[f64; 3], b: &[f64; 3]| {
-            let square = (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>();
-            square.sqrt()
+        let places = self.places_m();
+        let from = |a: &[f64; 3]| {
+            let distances = places.iter().map(|b| distance_m(*a, *b));
+            distances.fold(0.0, f64::max)
         };
-        let from = |a: &[f64; 3]| places.iter().map(|b| distance(a, b)).fold(0.0, f64::max);
         places.iter().map(from).fold(0.0, f64::max)
+    }
+
+    /// Positions of all axes, m.
+    fn places_m(&self) -> Vec<[f64; 3]> {
+        let single = self.axes.iter().map(|axis| axis.place_m);
+        let triads = self.sensors.iter().flat_map(|sensor| sensor.places_m);
+        triads.chain(single).collect()
     }
 
     /// The point that paths are those of: the mean of the places, m, body axes.
     pub fn centre_m(&self) -> [f64; 3] {
-        let single = self.axes.iter().map(|axis| axis.place_m);
-        let places: Vec<[f64; 3]> = (self.sensors.iter().flat_map(|s| s.places_m))
-            .chain(single)
-            .collect();
+        let places = self.places_m();
         let count = places.len().max(1) as f64;
         std::array::from_fn(|i| places.iter().map(|p| p[i]).sum::<f64>() / count)
     }

@@ -2,6 +2,7 @@
 
 use super::ArrayRecording;
 use crate::plural::counted;
+use crate::stats::{median, quantile};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 /// Shortest constant output of a stopped sensor while most others change in each sample, samples.
@@ -184,7 +185,7 @@ impl ArrayRecording {
             .map(|sensor| {
                 let of_axis = |k: usize, axis: usize| -> Option<f64> {
                     let around = window(k).map(|j| self.outputs[j][sensor][axis]);
-                    let middle = median(around.filter(|v| v.is_finite()).collect());
+                    let middle = median(around.filter(|v| v.is_finite()));
                     Some((self.outputs[k][sensor][axis] - middle?).abs())
                 };
                 let of_sample = |k: usize| {
@@ -198,16 +199,14 @@ impl ArrayRecording {
         let usual = |all: &Vec<f64>| {
             let step = all.iter().filter(|v| **v > 0.0).copied();
             let step = step.fold(f64::INFINITY, f64::min);
-            median(all.clone()).unwrap_or(0.0).max(step)
+            median(all.iter().copied()).unwrap_or(0.0).max(step)
         };
         let usual: Vec<f64> = strange.iter().map(usual).collect();
         let step = |of: &Self, k: usize, sensor: usize, axis: usize| {
             let value = |j: usize| of.outputs[j][sensor][axis];
             let steps = window(k).skip(1).map(|j| (value(j) - value(j - 1)).abs());
-            let mut steps: Vec<f64> = steps.filter(|v| v.is_finite()).collect();
-            steps.sort_by(f64::total_cmp);
             // A spike makes two of six.
-            steps.get(steps.len() / 3).copied().unwrap_or(0.0)
+            quantile(steps.filter(|v| v.is_finite()), 3).unwrap_or(0.0)
         };
         let mut found = Vec::new();
         for k in 0..count {
@@ -220,7 +219,7 @@ impl ArrayRecording {
                 let steps = (0..3).map(|axis| step(self, k, sensor, axis));
                 let steps = steps.fold(0.0, f64::max);
                 let others = (0..sensors).filter(|other| *other != sensor).map(most);
-                let moved = median(others.collect()).unwrap_or(f64::INFINITY);
+                let moved = median(others).unwrap_or(f64::INFINITY);
                 if strange[sensor][k] > SPIKE_TIMES * (usual[sensor] + moved + steps) {
                     found.push((k, sensor));
                 }
@@ -340,12 +339,6 @@ impl ArrayRecording {
     }
 }
 
-/// `None` of none.
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
-}
-
 impl ArrayRecording {
     /// A limit that one sensor has and the others have not: it stays at its largest value, to the bit, while the
     /// others go beyond and about.
@@ -367,19 +360,15 @@ impl ArrayRecording {
                 // What the others give meanwhile, where most of them are beyond.
                 let (mut beyond, mut hits) = (0, Vec::new());
                 for row in &self.outputs {
-                    let mut others: Vec<f64> = (0..sensors)
-                        .filter(|s| *s != sensor)
-                        .map(|s| sign * row[s][axis])
-                        .filter(|v| v.is_finite())
-                        .collect();
-                    others.sort_by(f64::total_cmp);
-                    let Some(middle) = others.get(others.len() / 2) else {
+                    let others = (0..sensors).filter(|s| *s != sensor);
+                    let others = others.map(|s| sign * row[s][axis]);
+                    let Some(middle) = median(others.filter(|v| v.is_finite())) else {
                         continue;
                     };
-                    if own(row).is_finite() && *middle > largest + BEYOND_MPS2 {
+                    if own(row).is_finite() && middle > largest + BEYOND_MPS2 {
                         beyond += 1;
                         if at(row) {
-                            hits.push(*middle);
+                            hits.push(middle);
                         }
                     }
                 }

@@ -158,19 +158,23 @@ pub(super) fn axes<const M: usize>(
     geometry: &ArrayGeometry,
     calibration: &ArrayCalibration,
 ) -> Result<Geometry<M>> {
-    let axes: Vec<Axis> = geometry
-        .sensors
-        .iter()
-        .zip(&calibration.noise_mps2)
-        .flat_map(|(sensor, noise)| {
-            (0..3).map(|axis| Axis {
-                position_m: sensor.places_m[axis],
-                direction: std::array::from_fn(|i| if i == axis { 1.0 } else { 0.0 }),
-                noise_mps2: *noise,
-            })
+    axes_of(geometry, &calibration.noise_mps2)
+}
+
+/// The same for a given noise of each sensor, m/s².
+pub(super) fn axes_of<const M: usize>(
+    geometry: &ArrayGeometry,
+    noise_mps2: &[f64],
+) -> Result<Geometry<M>> {
+    let sensors = geometry.sensors.iter().zip(noise_mps2);
+    let axes = sensors.flat_map(|(sensor, noise)| {
+        (0..3).map(|axis| Axis {
+            position_m: sensor.places_m[axis],
+            direction: std::array::from_fn(|i| if i == axis { 1.0 } else { 0.0 }),
+            noise_mps2: *noise,
         })
-        .collect();
-    Geometry::from_grouped_axes(&axes, 3).map_err(refused)
+    });
+    Geometry::from_grouped_axes(&axes.collect::<Vec<_>>(), 3).map_err(refused)
 }
 
 /// One sample of all axes, corrected; a sensor that is not used is not a number, one at its limit far

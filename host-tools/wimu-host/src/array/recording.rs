@@ -1,7 +1,7 @@
 //! A recording of several accelerometers: of one table, or of several boards brought to one time.
 
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use wimu_link::LinkRole;
 use wimu_model::{STANDARD_GRAVITY_MPS2, SpecificForceQ16};
@@ -14,6 +14,7 @@ use crate::motion::{FULL_SCALE_MPS2, Truth};
 use crate::plural::counted;
 use crate::recording::{Origin, Quantity, Track, Unit};
 use crate::series::{Series, period_s};
+use crate::stats::norm;
 use crate::units::RawUnits;
 use crate::{ErrorCode, HostError, Result};
 
@@ -330,13 +331,18 @@ impl ArrayRecording {
 
     /// Three columns of the file sample by sample, where all are numbers; none without the columns.
     pub fn vectors(&self, names: [String; 3]) -> Vec<Option<[f64; 3]>> {
-        let column = |name: &String| self.other.iter().find(|(n, _)| n == name);
-        let [Some(x), Some(y), Some(z)] = names.each_ref().map(column) else {
-            return Vec::new();
-        };
-        let count = x.1.len().min(y.1.len()).min(z.1.len());
-        (0..count)
-            .map(|k| Some([x.1[k], y.1[k], z.1[k]]).filter(|v| v.iter().all(|c| c.is_finite())))
+        let finite = |v: &[f64; 3]| v.iter().all(|c| c.is_finite());
+        let rows = self.columns(names).into_iter();
+        rows.map(|row| Some(row).filter(finite)).collect()
+    }
+
+    /// Values of the columns at each sample; empty if a column is missing.
+    fn columns<const N: usize>(&self, names: [String; N]) -> Vec<[f64; N]> {
+        let columns = names.map(|name| self.other.iter().find(|(n, _)| *n == name));
+        let rows = columns.map(|column| column.map_or(0, |(_, values)| values.len()));
+        let value = |k: usize| columns.map(|column| column.map_or(f64::NAN, |(_, v)| v[k]));
+        (0..rows.into_iter().min().unwrap_or(0))
+            .map(value)
             .collect()
     }
 
@@ -344,29 +350,17 @@ impl ArrayRecording {
     pub fn truth(&self) -> Vec<Option<Truth>> {
         let positions = self.vectors(["E", "N", "U"].map(|a| format!("Truth Position {a} (m)")));
         let quaternion = self.true_quaternion();
-        positions
-            .iter()
-            .enumerate()
-            .map(|(k, position)| {
-                position.map(|position_m| Truth {
-                    position_m,
-                    quaternion: quaternion.get(k).copied().unwrap_or([f64::NAN; 4]),
-                })
+        let truth = |(k, position): (usize, Option<[f64; 3]>)| {
+            Some(Truth {
+                position_m: position?,
+                quaternion: quaternion.get(k).copied().unwrap_or([f64::NAN; 4]),
             })
-            .collect()
+        };
+        positions.into_iter().enumerate().map(truth).collect()
     }
 
     fn true_quaternion(&self) -> Vec<[f64; 4]> {
-        let columns = ["W", "X", "Y", "Z"].map(|a| {
-            let name = format!("Truth Quaternion {a}");
-            self.other.iter().find(|(n, _)| *n == name)
-        });
-        let [Some(w), Some(x), Some(y), Some(z)] = columns else {
-            return Vec::new();
-        };
-        (0..w.1.len())
-            .map(|k| [w.1[k], x.1[k], y.1[k], z.1[k]])
-            .collect()
+        self.columns(["W", "X", "Y", "Z"].map(|a| format!("Truth Quaternion {a}")))
     }
 
     /// The true angular rate, rad/s, body axes: from columns `Truth Angular Rate X (rad/s)`, …, or else from
@@ -390,7 +384,7 @@ impl ArrayRecording {
                     aw * by + ax * bz - ay * bw - az * bx,
                     aw * bz - ax * by + ay * bx - az * bw,
                 ];
-                let sine = v.iter().map(|c| c * c).sum::<f64>().sqrt();
+                let sine = norm(v);
                 let by = if sine > 0.0 {
                     2.0 * sine.atan2(w.abs()) / sine * w.signum()
                 } else {
@@ -670,14 +664,6 @@ impl Board {
             }
         }
         Ok(board)
-    }
-
-    /// Reads several.
-    ///
-    /// # Errors
-    /// Those of [`Board::read`].
-    pub fn read_all(paths: &[PathBuf], options: &BoardOptions) -> Result<Vec<Self>> {
-        paths.iter().map(|path| Self::read(path, options)).collect()
     }
 
     fn series(&self, origin_ns: i64) -> Series {

@@ -1,10 +1,11 @@
 //! Which steady stretches of an array's mean output are rests: an array that turns evenly about the
 //! vertical has a steady mean too, equation (100).
 
-use wimu_nav::array::{ArraySolver, Axis, Geometry};
+use wimu_nav::array::ArraySolver;
 
-use super::motion::{refused, with_room};
+use super::motion::{axes_of, with_room};
 use super::{ArrayGeometry, ArrayRecording};
+use crate::stats::{median, norm};
 use crate::{ErrorCode, HostError, Result};
 
 /// Length of a block, s.
@@ -34,6 +35,7 @@ pub struct EvenTurn {
 }
 
 /// Rests, and what is no rest.
+#[derive(Default)]
 pub(super) struct Judged {
     pub rests: Vec<(usize, usize)>,
     pub turns: Vec<EvenTurn>,
@@ -104,10 +106,6 @@ impl<const M: usize> Mean<M> {
     }
 }
 
-fn norm(v: [f64; 3]) -> f64 {
-    v.iter().map(|c| c * c).sum::<f64>().sqrt()
-}
-
 fn minus<const N: usize>(a: [f64; N], b: [f64; N]) -> [f64; N] {
     std::array::from_fn(|i| a[i] - b[i])
 }
@@ -118,26 +116,14 @@ fn judge<const M: usize>(
     stretches: &[(usize, usize)],
     used: &[bool],
 ) -> Result<Judged> {
-    let axes: Vec<Axis> = geometry
-        .sensors
-        .iter()
-        .flat_map(|sensor| {
-            (0..3).map(|axis| Axis {
-                position_m: sensor.places_m[axis],
-                direction: std::array::from_fn(|i| if i == axis { 1.0 } else { 0.0 }),
-                noise_mps2: 1.0,
-            })
-        })
-        .collect();
-    let axes = Geometry::<M>::from_grouped_axes(&axes, 3).map_err(refused)?;
+    let axes = axes_of::<M>(geometry, &vec![1.0; geometry.sensors.len()])?;
     let solver = match ArraySolver::<f64, M>::of(&axes, |sensor| used[sensor]) {
         Ok(solver) if solver.rank() > 0 => solver,
         // What is missing is said where the motion is looked for.
         _ => {
             return Ok(Judged {
                 rests: stretches.to_vec(),
-                turns: Vec::new(),
-                unseen_rad_s: None,
+                ..Judged::default()
             });
         }
     };
@@ -161,11 +147,7 @@ fn judge<const M: usize>(
     };
     let of_rest = |mean: &Mean<M>| REST_BIAS_MPS2.powi(2) + mean.variance / mean.samples;
     let unknown = |force: [f64; 3]| BIAS_MPS2.powi(2) + (SCALE * norm(force)).powi(2);
-    let mut judged = Judged {
-        rests: Vec::new(),
-        turns: Vec::new(),
-        unseen_rad_s: None,
-    };
+    let mut judged = Judged::default();
     for (span, one) in spans.iter().zip(&means) {
         let force = one.force(used);
         let by_itself = turn(one.output, unknown(force) + of_rest(one));
@@ -186,7 +168,7 @@ fn judge<const M: usize>(
         let force = first.force(used);
         let size = norm(force).max(1e-9);
         let (z, _) = solver.expected_z(force.map(|f| f / size));
-        let shown = z.iter().map(|z| z * z).sum::<f64>().sqrt().max(1e-12);
+        let shown = norm(z).max(1e-12);
         let variance = if means.len() > 1 {
             2.0 * of_rest(first)
         } else {
@@ -208,9 +190,7 @@ fn steady<const M: usize>(
     let blocks: Vec<Mean<M>> = (0..count / length)
         .map(|b| Mean::of(recording, (first + b * length, length), used))
         .collect();
-    let mut variances: Vec<f64> = blocks.iter().map(|b| b.variance).collect();
-    variances.sort_by(f64::total_cmp);
-    let Some(noise) = variances.get(variances.len() / 2) else {
+    let Some(noise) = median(blocks.iter().map(|b| b.variance)) else {
         return vec![(first, count)];
     };
     let variance = BLOCK_BIAS_MPS2.powi(2) + noise / length as f64;

@@ -8,6 +8,7 @@ use super::calibration::{BIAS_MPS2, LEAST_SCALE};
 use super::motion::{AT_LIMIT_MPS2, followed, refused, with_room};
 use super::{ArrayGeometry, ArrayRecording, RefineOptions};
 use crate::inertial::Zupt;
+use crate::stats::norm;
 use crate::{ErrorCode, HostError, Result};
 
 /// Noise and biases are those of the quietest stretch of so long, s.
@@ -84,7 +85,7 @@ fn navigate<const M: usize>(
     let solver = ArraySolver::<f64, M>::new(&axes).map_err(refused)?;
     let linear = solver.reduce(&quiet.mean_mps2);
     let (turn, force) = linear.theta.split_at(3);
-    let gravity = force.iter().map(|f| f * f).sum::<f64>().sqrt();
+    let gravity = norm(force);
     if (gravity / STANDARD_GRAVITY_MPS2 - 1.0).abs() > GRAVITY_SHARE {
         return Err(HostError::new(
             ErrorCode::DataRefused,

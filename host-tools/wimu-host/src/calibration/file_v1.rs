@@ -80,32 +80,28 @@ pub(super) fn model(name: &str, text: &str) -> Result<StoredModel> {
         // A board's, or a file of an earlier version.
         None => file.parameters.is_some() || file.sensitivity_lsb_per_g.is_some(),
     };
-    let is_plain = file.parameters.is_none() && file.status.as_deref() == Some("ok");
-    if let (true, Some(terms)) = (is_plain, file.model) {
-        let model = ErrorModel::new(terms);
-        return Ok(StoredModel {
-            model: model.map_err(|error| {
-                ErrorCode::BadCalibration
-                    .error(error.to_string(), REMEDY)
-                    .at(name)
-            })?,
-            sensitivity_lsb_per_g: file.sensitivity_lsb_per_g,
-            of_counts,
-            covariance,
-            of_sessions: false,
-            alignment: Alignment::IDENTITY,
-            magnetometer: None,
-            gyroscope: None,
-        });
-    }
-    set(name, file).map(|set| StoredModel {
-        model: set.model,
-        sensitivity_lsb_per_g: Some(set.sensitivity.lsb_per_g()),
+    let stored = |model, sensitivity_lsb_per_g| StoredModel {
+        model,
+        sensitivity_lsb_per_g,
         of_counts,
         covariance,
         of_sessions: false,
+        alignment: Alignment::IDENTITY,
+        magnetometer: None,
+        gyroscope: None,
+    };
+    let is_plain = file.parameters.is_none() && file.status.as_deref() == Some("ok");
+    if let (true, Some(terms)) = (is_plain, file.model) {
+        let model = ErrorModel::new(terms).map_err(|error| {
+            ErrorCode::BadCalibration
+                .error(error.to_string(), REMEDY)
+                .at(name)
+        })?;
+        return Ok(stored(model, file.sensitivity_lsb_per_g));
+    }
+    set(name, file).map(|set| StoredModel {
         alignment: set.alignment,
         magnetometer: set.magnetometer,
-        gyroscope: None,
+        ..stored(set.model, Some(set.sensitivity.lsb_per_g()))
     })
 }

@@ -15,6 +15,14 @@ pub(super) fn numbers(estimate: &Estimate, range: Option<Range>) -> Fit {
     let sd = estimate.sd();
     let bias = estimate.model.terms().bias_mps2;
     let matrix = estimate.model.terms().matrix;
+    let of_sides = match estimate.method {
+        Method::SixPosition {
+            placement_sd_rad,
+            revisit_sd_mps2,
+            ..
+        } => Some((placement_sd_rad, revisit_sd_mps2)),
+        _ => None,
+    };
     Fit {
         fitted: estimate.fitted.iter().map(|p| p.to_string()).collect(),
         not_observed: estimate
@@ -39,18 +47,8 @@ pub(super) fn numbers(estimate: &Estimate, range: Option<Range>) -> Fit {
             sd_m_s2: estimate.term_sd.drift_mps2,
             span_s: drift.span_s,
         }),
-        placement_sd_deg: match estimate.method {
-            Method::SixPosition {
-                placement_sd_rad, ..
-            } => Some(placement_sd_rad.to_degrees()),
-            _ => None,
-        },
-        revisit_sd_mm_s2: match estimate.method {
-            Method::SixPosition {
-                revisit_sd_mps2, ..
-            } => Some(revisit_sd_mps2 * 1e3),
-            _ => None,
-        },
+        placement_sd_deg: of_sides.map(|(placement, _)| placement.to_degrees()),
+        revisit_sd_mm_s2: of_sides.map(|(_, revisit)| revisit * 1e3),
         model: *estimate.model.terms(),
         sd: ErrorTerms {
             bias_mps2: sd.bias_mps2,

@@ -11,12 +11,13 @@ use crate::plural::counted;
 use crate::recording::RateSource;
 
 /// Where a number comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Source {
     /// Given by the user.
     Given,
     /// The default.
+    #[default]
     Default,
     /// Reported by the board.
     Board,

@@ -70,7 +70,7 @@ pub struct DepartureReport {
 }
 
 /// Result of a calibration from several sessions: the JSON of `wimu calibrate A B … --json`.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct SeveralReport {
     /// [`SeveralReport::SCHEMA`].
     pub schema: &'static str,
@@ -147,17 +147,11 @@ pub fn calibrate_several(
     (each.gravity_mps2, each.place) = (Some(gravity.mps2()), None);
     let mut report = SeveralReport {
         schema: SeveralReport::SCHEMA,
-        outcome: Outcome::default(),
         method: options.method.name(),
         gravity_m_s2: gravity.mps2(),
         gravity_sd_m_s2: gravity.sd_mps2(),
         gravity_source,
-        sensitivity_lsb_per_g: None,
-        sessions: Vec::new(),
-        fit: None,
-        parameters: None,
-        parameter_id: None,
-        file: None,
+        ..SeveralReport::default()
     };
     let mut singles: Vec<CalibrationReport> = Vec::new();
     for samples in data {

@@ -3,6 +3,8 @@
 use nalgebra::{DMatrix, DVector};
 use wimu_calib::{Estimate, Parameter, Pose};
 
+use crate::stats::norm;
+
 /// Smallest ratio of the largest to the smallest number of samples: below it the noise is not observable.
 const MIN_RATIO: u32 = 4;
 /// Fewest degrees of freedom.
@@ -50,7 +52,7 @@ struct Row {
 
 /// Derivatives of |f|: the direction for the bias, products of the direction for A.
 fn by_parameter(estimate: &Estimate, pose: &Pose) -> Vec<f64> {
-    let length = pose.mean_mps2.iter().map(|y| y * y).sum::<f64>().sqrt();
+    let length = norm(pose.mean_mps2);
     let up = pose.mean_mps2.map(|y| y / length.max(f64::MIN_POSITIVE));
     let fitted = |parameter: &Parameter| estimate.fitted.contains(*parameter);
     let derivative = |parameter: Parameter| match parameter.index() {

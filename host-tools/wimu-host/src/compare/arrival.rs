@@ -15,7 +15,7 @@ pub struct ByArrival {
 
 /// The values of one link resampled by the time of arrival, against the values at
 /// the true times: equation (64).
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct ArrivalUser {
     /// Subtracted from the times of arrival, ns.
     latency_ns: f64,
@@ -34,10 +34,7 @@ impl ArrivalUser {
     pub fn new(latency_ns: f64) -> Self {
         Self {
             latency_ns,
-            points: VecDeque::new(),
-            waiting: VecDeque::new(),
-            squares: 0.0,
-            count: 0,
+            ..Self::default()
         }
     }
 

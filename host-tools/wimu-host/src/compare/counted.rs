@@ -8,7 +8,7 @@ use wimu_link::message::{Answer, Payload, Status};
 use super::link::LinkMeter;
 use super::overview::Overview;
 use super::pairing::Pairing;
-use super::{Axis, EXCERPT_NS, UNDER_WAY_NS, index_of};
+use super::{Axis, EXCERPT_NS, UNDER_WAY_NS, in_order, index_of};
 use crate::Result;
 use crate::decode::Event;
 use crate::mcap_file::{Recorded, RecordingReader};
@@ -135,11 +135,7 @@ impl Counted {
                 let Some((twin, twin_rate)) = twin else {
                     continue;
                 };
-                let (cable, wireless) = if link == 0 {
-                    (sample.value, twin)
-                } else {
-                    (twin, sample.value)
-                };
+                let [cable, wireless] = in_order(link, sample.value, twin);
                 counted.pairs += 1;
                 let rates_differ = sample.rate != twin_rate;
                 counted.with_rates += u64::from(sample.rate.is_some() && twin_rate.is_some());

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::ops::RangeInclusive;
 
 use super::holes::Holes;
+use super::in_order;
 use crate::clock::ClockModel;
 use crate::decode::{TimedSample, sequence_order};
 use crate::walk::Start;
@@ -251,11 +252,7 @@ impl<'a> Pairing<'a> {
         };
         let links = self.starts.entry(start);
         let [cable, wireless] = links.or_insert_with(|| [0, 1].map(begun));
-        if link == 0 {
-            [cable, wireless]
-        } else {
-            [wireless, cable]
-        }
+        in_order(link, cable, wireless)
     }
 
     /// Ends the recording; samples of the other link taken at or after `under_way_ns` may

@@ -5,10 +5,10 @@ use std::io::Read;
 
 use super::arrival::{ArrivalUser, ByArrival};
 use super::counted::{Counted, Differences};
-use super::index_of;
 use super::model::LinkModel;
 use super::overview::Overview;
 use super::pairing::Pairing;
+use super::{in_order, index_of};
 use crate::Result;
 use crate::decode::{Event, TimedSample};
 use crate::mcap_file::{Recorded, RecordingReader};
@@ -83,11 +83,7 @@ impl Residual {
             for sample in samples.iter() {
                 let twin = pairing.pair(link, start, &sample, samples.every, is_late, clock);
                 if let Some((twin, _)) = twin {
-                    let (cable, wireless) = if link == 0 {
-                        (sample.value, twin)
-                    } else {
-                        (twin, sample.value)
-                    };
+                    let [cable, wireless] = in_order(link, sample.value, twin);
                     let Some(unit) = unit(&sample) else {
                         continue;
                     };

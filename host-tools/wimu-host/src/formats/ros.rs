@@ -59,6 +59,7 @@ struct Waiting {
     numbers: Vec<f64>,
 }
 
+#[derive(Default)]
 struct Topic {
     name: String,
     /// Without `/msg`.
@@ -110,13 +111,7 @@ impl<'a> Messages<'a> {
             message,
             encoding,
             kind: kind.filter(|_| !left_out),
-            messages: 0,
-            undecoded: 0,
-            sensor: None,
-            tracks: [None; 3],
-            waiting: Vec::new(),
-            by_log: None,
-            offset_ns: None,
+            ..Topic::default()
         });
         self.topics.len() - 1
     }

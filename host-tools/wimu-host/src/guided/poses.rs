@@ -70,6 +70,11 @@ impl Plan {
         })
     }
 
+    /// Maximum number of poses of a session: each of six sides can be captured repeatedly.
+    fn wanted(&self) -> usize {
+        if self.six { CAPACITY } else { self.count }
+    }
+
     /// Name of a side.
     pub fn name(&self, side: Face) -> &'static str {
         let all = Face::ALL.iter().zip(self.names);
@@ -232,12 +237,8 @@ impl LivePoses {
 
     /// Begins a session with the samples of the interrupted one.
     fn begin(&mut self) {
-        let count = if self.plan.six {
-            CAPACITY
-        } else {
-            self.plan.count
-        };
-        self.session = Some(Session::new(self.rate_hz, self.plan.model, count));
+        let wanted = self.plan.wanted();
+        self.session = Some(Session::new(self.rate_hz, self.plan.model, wanted));
         (self.pushed, self.kept) = (0, 0);
         self.starts.clear();
         let earlier = self.earlier.take();
@@ -296,14 +297,10 @@ impl LivePoses {
     /// Captures this many more poses.
     pub fn extend(&mut self, more: usize) {
         self.plan.count = (self.plan.count + more).min(CAPACITY);
-        let count = if self.plan.six {
-            CAPACITY
-        } else {
-            self.plan.count
-        };
+        let wanted = self.plan.wanted();
         self.session
             .iter_mut()
-            .for_each(|session| session.want(count));
+            .for_each(|session| session.want(wanted));
     }
 
     /// Skips the suggested orientation.

@@ -15,6 +15,7 @@ use crate::finding;
 use crate::keys::KeyFolder;
 use crate::live::Heard;
 use crate::recording::Selection;
+use crate::stats::norm;
 use crate::transport::Transport;
 
 /// Poses that are added at a time. Chosen: a third of the usual number.
@@ -383,6 +384,6 @@ impl Guided {
 
 /// The unit vector along `v`; `None` without a direction.
 pub fn unit(v: [f64; 3]) -> Option<[f64; 3]> {
-    let norm = v.iter().map(|axis| axis * axis).sum::<f64>().sqrt();
-    (norm > 1e-9 && norm.is_finite()).then(|| v.map(|axis| axis / norm))
+    let length = norm(v);
+    (length > 1e-9 && length.is_finite()).then(|| v.map(|axis| axis / length))
 }

@@ -57,7 +57,7 @@ impl Default for HandEyeOptions {
 }
 
 /// The pose of a camera in the body, or why there is none.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 #[non_exhaustive]
 pub struct HandEye {
     /// Schema of this object.
@@ -98,19 +98,8 @@ pub struct HandEye {
 pub fn hand_eye(camera: &PoseStream, body: &PoseStream, options: &HandEyeOptions) -> HandEye {
     let mut report = HandEye {
         schema: "wimu.hand-eye/1",
-        outcome: Outcome::default(),
         sources: [camera.name.clone(), body.name.clone()],
-        quaternion: None,
-        rotation_sd_rad: None,
-        translation_m: None,
-        translation_sd_m: None,
-        offset_s: None,
-        scale: None,
-        covariance: None,
-        birge_ratio: None,
-        noise: None,
-        poses: [0; 2],
-        residuals: Vec::new(),
+        ..HandEye::default()
     };
     let findings = camera.findings.iter().chain(&body.findings).cloned();
     report.outcome.findings.extend(findings);

@@ -78,15 +78,10 @@ pub(super) fn page(report: &HandEye, text: &str) -> Result<Report> {
             &format!("{} ms", signed_with_sd(1e3 * offset, 1e3 * sd)),
         );
     }
-    let chart = |title: &str, unit: &str, of: &dyn Fn(&super::Residual) -> f64| Chart {
-        title: title.to_owned(),
-        x: "time, s".to_owned(),
-        y: unit.to_owned(),
-        series: vec![Series::dots(
-            "pose",
-            report.residuals.iter().map(|r| (r.time_s, of(r))).collect(),
-        )],
-        ..Chart::default()
+    let chart = |title: &str, unit: &str, of: &dyn Fn(&super::Residual) -> f64| {
+        let points = report.residuals.iter().map(|r| (r.time_s, of(r)));
+        let dots = Series::dots("pose", points.collect());
+        Chart::new(title, "time, s", unit, vec![dots])
     };
     if !report.residuals.is_empty() {
         page.chart(&chart("Residual of the rotation", "°", &|r| {

@@ -2,14 +2,15 @@
 
 use wimu_nav::array::ArrayState;
 
-use super::truth::{compare, heading_rad, moving};
+use super::truth::{compare, moving};
 use super::{Choice, InertialPath, Method, PathPoint};
 use crate::array::{
     Agreement, ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions,
     navigated_axes, repaired,
 };
 use crate::finding::{Finding, FindingCode};
-use crate::motion::{LIKELY, nees};
+use crate::motion::{LIKELY, heading_rad, nees};
+use crate::stats::norm;
 use crate::{ErrorCode, HostError, Result};
 
 /// A centre nearer to the origin than this, m, is at it.
@@ -110,7 +111,7 @@ pub fn navigate_array(
 /// Which point the path is that of, where that is not the origin of the places.
 fn point_of(geometry: &ArrayGeometry) -> Option<String> {
     let centre = geometry.centre_m();
-    let off = centre.iter().map(|c| c * c).sum::<f64>().sqrt();
+    let off = norm(centre);
     (off > CENTRED_M).then(|| {
         let [x, y, z] = centre.map(|c| c * 1e3);
         format!(

@@ -17,6 +17,7 @@ use crate::finding::{Finding, FindingCode};
 use crate::localization::{AnchorStates, RangeSample, Ranging};
 use crate::motion::other_clock;
 use crate::plural::counted;
+use crate::stats::norm;
 
 /// A measurement at one time, east-north-up.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -172,14 +173,8 @@ impl Fixes {
 
     /// The remedy of a path that is not known to `limit_m`, where the fixes are the cause.
     pub(super) fn remedy(&self, limit_m: f64) -> Option<String> {
-        let sd = |fix: &Fix| {
-            fix.position_sd_m
-                .iter()
-                .map(|sd| sd * sd)
-                .sum::<f64>()
-                .sqrt()
-        };
-        let least_m = self.fixes.iter().map(sd).reduce(f64::min)?;
+        let sds = self.fixes.iter().map(|fix| norm(fix.position_sd_m));
+        let least_m = sds.reduce(f64::min)?;
         let text = || {
             let sd = significant(least_m, 2);
             format!(
@@ -316,7 +311,7 @@ impl Aided {
 }
 
 /// The use of fixes along a path.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Aiding {
     /// Fixes before this time were compared with the path, s.
     from_s: f64,
@@ -339,15 +334,7 @@ impl Aiding {
     pub fn from(time_s: f64) -> Self {
         Self {
             from_s: time_s,
-            log_likelihood: 0.0,
-            fixes: Aided::default(),
-            ranges: Aided::default(),
-            rejected_s: None,
-            in_succession: 0,
-            jumps: Vec::new(),
-            anchors: None,
-            suspects: Suspects::default(),
-            lag: Lag::default(),
+            ..Self::default()
         }
     }
 

@@ -2,10 +2,9 @@
 
 use std::ops::Range;
 
-use crate::motion::MotionRecording;
+use crate::motion::{MotionRecording, Second};
+use crate::stats::median;
 
-/// A second in which |f| departs by less than this is quiet, m/s² rms.
-const QUIET_MPS2: f64 = 0.15;
 /// Second differences of an axis whose noise is more than a step are, in the median, more than so many steps: 1.65 σ of
 /// white noise.
 const NOISY_STEPS: f64 = 2.0;
@@ -34,10 +33,11 @@ pub(super) fn runs(recording: &MotionRecording) -> Vec<Range<usize>> {
     if !alike.iter().any(is_long) {
         return Vec::new();
     }
-    let Some(quiet) = first_quiet_second(recording) else {
+    let Some(quiet) = recording.seconds().find(Second::is_quiet) else {
         return Vec::new();
     };
-    let there = alike.iter().filter(|run| quiet.contains(&run.start));
+    let there = alike.iter();
+    let there = there.filter(|run| quiet.samples.contains(&run.start));
     let there: Vec<Range<usize>> = there.cloned().collect();
     if there.iter().any(is_long) || !(0..3).any(|axis| is_noisy(recording, &alike, &there, axis)) {
         return Vec::new();
@@ -61,35 +61,6 @@ fn is_noisy(
     let second = |three: &[Range<usize>]| {
         (value(&three[0]) - 2.0 * value(&three[1]) + value(&three[2])).abs()
     };
-    let mut second: Vec<f64> = quiet.windows(3).map(second).collect();
-    second.sort_by(f64::total_cmp);
-    let middle = second.get(second.len() / 2);
-    middle.is_some_and(|middle| *middle > NOISY_STEPS * step)
-}
-
-fn first_quiet_second(recording: &MotionRecording) -> Option<Range<usize>> {
-    let size = |k: usize| {
-        recording.samples[k]
-            .force_mps2
-            .iter()
-            .map(|f| f * f)
-            .sum::<f64>()
-            .sqrt()
-    };
-    let mut from = 0;
-    while from < recording.samples.len() {
-        let end = recording.times_s[from] + 1.0;
-        let to = recording
-            .times_s
-            .partition_point(|t| *t < end)
-            .max(from + 1);
-        let count = (to - from) as f64;
-        let mean = (from..to).map(size).sum::<f64>() / count;
-        let square = (from..to).map(|k| (size(k) - mean).powi(2)).sum::<f64>() / count;
-        if to - from >= 10 && square < QUIET_MPS2 * QUIET_MPS2 {
-            return Some(from..to);
-        }
-        from = to;
-    }
-    None
+    let middle = median(quiet.windows(3).map(second));
+    middle.is_some_and(|middle| middle > NOISY_STEPS * step)
 }

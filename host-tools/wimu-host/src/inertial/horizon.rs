@@ -4,7 +4,7 @@ use super::{InertialPath, PathPoint};
 use crate::motion::gap_s;
 
 /// How long a position can be used.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Horizon {
     /// Seconds that the unit moved from the origin on: rests do not count, as far as they are
     /// taken for zero velocity, nor do gaps and jumps of time.

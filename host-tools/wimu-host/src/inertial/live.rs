@@ -227,10 +227,7 @@ impl Live {
         }
         let recording = &self.recording;
         let senses = Senses::of(recording)?;
-        let method = match recording.samples.iter().any(|s| s.rate_rad_s.is_some()) {
-            true => Method::Strapdown,
-            false => Method::Tilt,
-        };
+        let method = Method::of(&recording.samples);
         self.findings = senses.findings.clone();
         if recording.samples.iter().all(|s| s.field_ut.is_none()) {
             let text = format!(
@@ -240,7 +237,8 @@ impl Live {
             self.findings.push(FindingCode::Navigation.note(text));
         }
         let noise_mps2 = noise_mps2(&recording.times_s, &recording.samples);
-        let unit = unit(recording, &senses, &senses.clipped, noise_mps2);
+        let samples = &recording.samples;
+        let unit = Unit::of(recording, samples, &senses, &senses.clipped, noise_mps2);
         let (choice, ranges) = (&self.choice, self.choice.fixes.ranging.is_some());
         let path: Box<dyn Follow + Send> = match (method, ranges) {
             (Method::Strapdown, true) => unit.begin::<Gyroscope<f64>, 64>(choice, method)?,
@@ -260,8 +258,9 @@ impl Live {
     }
 
     fn inputs<'s>(&self, samples: &'s [Sample<f64>], begun: &Begun) -> Vec<Input<'s>> {
-        let clipped = clipped(&self.recording.samples);
-        let unit = unit(&self.recording, &begun.senses, &clipped, begun.noise_mps2);
+        let all = &self.recording.samples;
+        let (senses, clipped) = (&begun.senses, clipped(all));
+        let unit = Unit::of(&self.recording, all, senses, &clipped, begun.noise_mps2);
         unit.inputs(samples, &self.choice, begun.method)
     }
 
@@ -285,25 +284,5 @@ impl Live {
         let fixes = &mut self.choice.fixes.fixes;
         let used = fixes.partition_point(|fix| fix.time_s < until_s - KEPT_S);
         fixes.drain(..used);
-    }
-}
-
-fn unit<'a>(
-    recording: &'a MotionRecording,
-    senses: &Senses,
-    clipped: &'a [usize],
-    noise_mps2: f64,
-) -> Unit<'a> {
-    Unit {
-        name: &recording.name,
-        times_s: &recording.times_s,
-        samples: &recording.samples,
-        clipped,
-        gravity_mps2: recording.gravity_mps2(),
-        bias_mps2: senses.bias_mps2,
-        covariance: recording.calibration_covariance(),
-        uncalibrated: senses.uncalibrated,
-        time_sd_s: 0.0,
-        noise_mps2,
     }
 }

@@ -78,6 +78,16 @@ pub enum Method {
     RangesInertial,
 }
 
+impl Method {
+    /// Method for the samples of one unit.
+    fn of(samples: &[UnitSample]) -> Self {
+        match samples.iter().any(|sample| sample.rate_rad_s.is_some()) {
+            true => Self::Strapdown,
+            false => Self::Tilt,
+        }
+    }
+}
+
 /// What a detected rest means. An accelerometer does not distinguish a rest from constant velocity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Zupt {
@@ -200,7 +210,7 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
     if let Some(from) = from {
         samples[from..].iter_mut().for_each(|s| s.rate_rad_s = None);
     }
-    let mut findings = senses.findings;
+    let mut findings = senses.findings.clone();
     let mut time_sd_s = 0.0;
     if let Some(times_s) = sampled_times(&recording.times_s) {
         retime(&mut samples, &times_s);
@@ -211,23 +221,12 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
     }
     let mut once = OnceEachField::default();
     let samples: Vec<UnitSample> = samples.iter().map(|sample| once.of(sample)).collect();
-    let method = match samples.iter().any(|s| s.rate_rad_s.is_some()) {
-        true => Method::Strapdown,
-        false => Method::Tilt,
-    };
+    let noise_mps2 = noise_mps2(&recording.times_s, &samples);
     let unit = Unit {
-        name: &recording.name,
-        times_s: &recording.times_s,
-        samples: &samples,
-        clipped: &senses.clipped,
-        gravity_mps2: recording.gravity_mps2(),
-        bias_mps2: senses.bias_mps2,
-        covariance: recording.calibration_covariance(),
-        uncalibrated: senses.uncalibrated,
         time_sd_s,
-        noise_mps2: noise_mps2(&recording.times_s, &samples),
+        ..Unit::of(recording, &samples, &senses, &senses.clipped, noise_mps2)
     };
-    let mut path = unit.path(choice, method)?;
+    let mut path = unit.path(choice, Method::of(&samples))?;
     let placed = choice.start.is_some() || choice.fixes.origin().is_some();
     if samples.iter().all(|s| s.field_ut.is_none()) && !placed {
         let why = recording.without_field();

@@ -1,6 +1,6 @@
 //! What a path is, and how it is written.
 
-use std::io::Write as _;
+use std::io::BufWriter;
 use std::path::Path as FilePath;
 
 use nalgebra::UnitQuaternion;
@@ -10,10 +10,13 @@ use wimu_nav::state::{ATTITUDE, POSITION, VELOCITY};
 use super::fixes::Aided;
 use super::truth::consistency;
 use super::{Method, Move};
+use crate::csv::CsvWriter;
 use crate::digits::significant;
 use crate::finding::{Finding, FindingCode};
 use crate::mcap_file::RosFile;
+use crate::navigation::distance_m;
 use crate::ros::path::{PathTopics, Pose};
+use crate::stats::{median, norm};
 use crate::{ErrorCode, HostError, OutputFile, Result};
 
 /// Where the unit was at a sample.
@@ -99,7 +102,7 @@ impl PathPoint {
 
     /// That of the position in space, m.
     pub fn sd_m(&self) -> f64 {
-        self.sigma_m().iter().map(|s| s * s).sum::<f64>().sqrt()
+        norm(self.sigma_m())
     }
 }
 
@@ -195,17 +198,18 @@ impl InertialPath {
         Err(HostError::new(ErrorCode::DataRefused, message, remedy).at(name))
     }
 
+    /// Time from the first point to the last, s.
+    pub fn duration_s(&self) -> f64 {
+        let ends = self.points.first().zip(self.points.last());
+        ends.map_or(0.0, |(first, last)| last.time_s - first.time_s)
+    }
+
     /// Length of the path over its valid points, m.
     pub fn distance_m(&self) -> f64 {
         self.points
             .windows(2)
             .filter(|w| w[0].valid && w[1].valid)
-            .map(|w| {
-                (0..3)
-                    .map(|i| (w[1].position_m[i] - w[0].position_m[i]).powi(2))
-                    .sum::<f64>()
-                    .sqrt()
-            })
+            .map(|w| distance_m(w[0].position_m, w[1].position_m))
             // An empty sum is −0.
             .sum::<f64>()
             + 0.0
@@ -215,17 +219,10 @@ impl InertialPath {
     pub fn angular_rate(&self) -> Option<(f64, f64)> {
         let moving = || self.points.iter().filter(|p| p.valid && !p.resting);
         let rates = moving().flat_map(|p| p.rate_rad_s).map(|w| w * w);
-        let mut sigmas: Vec<f64> = (moving())
-            .filter_map(PathPoint::rate_sigma_rad_s)
-            .map(|s| s.iter().map(|s| s * s).sum::<f64>().sqrt())
-            .filter(|s| s.is_finite())
-            .collect();
-        sigmas.sort_by(f64::total_cmp);
-        let median = *sigmas.get(sigmas.len() / 2)?;
-        Some((
-            (rates.sum::<f64>() / moving().count() as f64).sqrt(),
-            median,
-        ))
+        let sigmas = moving().filter_map(PathPoint::rate_sigma_rad_s).map(norm);
+        let sigma = median(sigmas.filter(|s| s.is_finite()))?;
+        let rms = (rates.sum::<f64>() / moving().count() as f64).sqrt();
+        Some((rms, sigma))
     }
 
     /// Share of the points that are valid.
@@ -284,10 +281,7 @@ impl InertialPath {
     /// # Errors
     /// `file_unreadable`, `file_failed`.
     pub fn write_csv(&self, file: &FilePath) -> Result<()> {
-        let name = file.display().to_string();
-        let failed = |error: std::io::Error| HostError::file(&name, "write", &error);
         let (output, sink) = OutputFile::create(file)?;
-        let mut sink = std::io::BufWriter::new(sink);
         let mut header = vec!["Time (s)".to_owned()];
         header.extend(["E", "N", "U"].map(|a| format!("Position {a} (m)")));
         header.extend(["E", "N", "U"].map(|a| format!("Velocity {a} (m/s)")));
@@ -298,10 +292,10 @@ impl InertialPath {
             header.extend(["X", "Y", "Z"].map(|a| format!("Angular Rate Sigma {a} (rad/s)")));
         }
         header.push("Valid".to_owned());
-        writeln!(sink, "{}", header.join(",")).map_err(failed)?;
+        let mut out = CsvWriter::new(BufWriter::new(sink), output.name(), &header)?;
         for point in &self.points {
             let time_s = (point.time_s * 1e9).round() / 1e9;
-            write!(sink, "{time_s}").map_err(failed)?;
+            out.field(time_s);
             let (sigma, rate_sigma) = (point.sigma_m(), point.rate_sigma_rad_s());
             let values = point
                 .position_m
@@ -312,12 +306,11 @@ impl InertialPath {
                 .chain(&sigma)
                 .chain(rate_sigma.iter().flatten());
             for value in values {
-                write!(sink, ",{value:.6}").map_err(failed)?;
+                out.field(format!("{value:.6}"));
             }
-            writeln!(sink, ",{}", u8::from(point.valid)).map_err(failed)?;
+            out.field(u8::from(point.valid)).end_row()?;
         }
-        sink.flush().map_err(failed)?;
-        drop(sink);
+        out.finish()?;
         output.finish()
     }
 }

@@ -4,8 +4,9 @@ use std::ops::Range;
 
 use crate::digits::significant;
 use crate::finding::{Finding, FindingCode};
-use crate::motion::{MotionRecording, UnitSample, median_step_s};
+use crate::motion::{MotionRecording, Second, UnitSample, median_step_s};
 use crate::plural::counted;
+use crate::stats::{median, norm};
 use crate::{ErrorCode, HostError, Result};
 
 /// What a rest shows is gravity within this share.
@@ -14,8 +15,6 @@ const NEAR: f64 = 0.1;
 const CALIBRATED: f64 = 0.02;
 /// |f| of a whole recording is, in the median, gravity within this factor.
 const FAR: f64 = 3.0;
-/// A second in which |f| departs by less than this is quiet, m/s² rms.
-const QUIET_MPS2: f64 = 0.15;
 /// An axis that gives one value for so long, s, and in so many samples, ...
 const STUCK_S: f64 = 1.0;
 const STUCK_SAMPLES: usize = 50;
@@ -191,13 +190,12 @@ fn face_down(recording: &MotionRecording) -> Option<String> {
         let all = second.iter().filter_map(vector);
         all.fold([0.0; 3], |sum, v| std::array::from_fn(|i| sum[i] + v[i]))
     };
-    let size = |v: [f64; 3]| v.iter().map(|c| c * c).sum::<f64>().sqrt();
     let (force, field) = (sum(&|s| Some(s.force_mps2)), sum(&|s| s.field_ut));
-    if force[2] > FACE_DOWN * size(force) {
+    if force[2] > FACE_DOWN * norm(force) {
         return None;
     }
     let along = force.iter().zip(field).map(|(f, b)| f * b).sum::<f64>();
-    let along = along / (size(force) * size(field));
+    let along = along / (norm(force) * norm(field));
     let shown = if along > DIPS {
         "; the magnetic field points up then, as it does south of the equator only"
     } else if along < -DIPS {
@@ -236,30 +234,11 @@ pub(super) fn clipped(samples: &[UnitSample]) -> Vec<usize> {
 /// |f| in the first quiet second in which it may be gravity, m/s²; `None` without such a second.
 fn gravity(recording: &MotionRecording) -> Result<Option<f64>> {
     let standard = wimu_model::STANDARD_GRAVITY_MPS2;
-    let mut sizes: Vec<f64> = recording
-        .samples
-        .iter()
-        .map(|s| s.force_mps2.iter().map(|f| f * f).sum::<f64>().sqrt())
-        .collect();
-    let (mut quiet, mut from) = (Vec::new(), 0);
-    while from < sizes.len() {
-        let end = recording.times_s[from] + 1.0;
-        let to = recording
-            .times_s
-            .partition_point(|t| *t < end)
-            .max(from + 1);
-        let second = &sizes[from..to];
-        let mean = second.iter().sum::<f64>() / second.len() as f64;
-        let square = second.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / second.len() as f64;
-        if second.len() >= 10 && square < QUIET_MPS2 * QUIET_MPS2 {
-            quiet.push(mean);
-        }
-        from = to;
-    }
-    sizes.sort_by(f64::total_cmp);
-    let Some(median) = sizes.get(sizes.len() / 2).copied() else {
+    let Some(median) = median(recording.samples.iter().map(|s| norm(s.force_mps2))) else {
         return Ok(None);
     };
+    let quiet = recording.seconds().filter(Second::is_quiet);
+    let quiet: Vec<f64> = quiet.map(|second| second.mean_mps2).collect();
     let refused = |seen: f64| {
         let remedy = if (seen - 1.0).abs() < NEAR {
             "1 at rest is g: name the columns `Accelerometer X (g)`, …"
@@ -414,9 +393,7 @@ fn would_show(
             let [a, b, c] = [value(k - 2)?, value(k - 1)?, value(k)?].map(|v| v[other]);
             Some((a - 2.0 * b + c).abs())
         };
-        let mut all: Vec<f64> = (run.start + 2..run.end).filter_map(second).collect();
-        all.sort_by(f64::total_cmp);
-        all.get(all.len() / 2)
-            .is_some_and(|middle| *middle > NOISY_STEPS * step)
+        let middle = median((run.start + 2..run.end).filter_map(second));
+        middle.is_some_and(|middle| middle > NOISY_STEPS * step)
     })
 }

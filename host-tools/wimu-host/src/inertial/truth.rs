@@ -1,19 +1,14 @@
 //! A path against the true one.
 
 use super::{InertialPath, PathPoint};
-use crate::motion::{Truth, nees};
+use crate::motion::{Truth, heading_rad, nees};
+use crate::stats::median;
 
 /// Median NEES of three components and the share below 7.81 (95 % of a right covariance); `None` of none.
 pub fn consistency(nees: &[f64]) -> Option<(f64, f64)> {
-    let mut all = nees.to_vec();
-    all.sort_by(f64::total_cmp);
-    let below = all.iter().filter(|n| **n < 7.81).count();
-    Some((*all.get(all.len() / 2)?, below as f64 / all.len() as f64))
-}
-
-/// Direction of body x from east to north, rad.
-pub(super) fn heading_rad([w, x, y, z]: [f64; 4]) -> f64 {
-    (2.0 * (x * y + w * z)).atan2(1.0 - 2.0 * (y * y + z * z))
+    let below = nees.iter().filter(|n| **n < 7.81).count();
+    let median = median(nees.iter().copied())?;
+    Some((median, below as f64 / nees.len() as f64))
 }
 
 /// The truth is right to this, m.

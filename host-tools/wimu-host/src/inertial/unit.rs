@@ -13,11 +13,13 @@ use wimu_nav::stationarity::{Detector, Stationarity};
 
 use super::fixes::{Fix, Fixes};
 use super::moves::{moves, smoothed_moves};
+use super::sense::Senses;
 use super::smooth::Tape;
 use super::track::{FIRST_REST_S, Input, Track, counted_findings};
 use super::{Choice, InertialPath, Method};
 use crate::finding::FindingCode;
-use crate::motion::{UnitSample, median_step_s};
+use crate::motion::{MotionRecording, UnitSample, median_step_s};
+use crate::stats::quantile;
 use crate::{ErrorCode, Result};
 
 /// A reading of the magnetometer that is repeated within this time is a held one, s.
@@ -76,7 +78,29 @@ pub(super) struct Unit<'a> {
     pub noise_mps2: f64,
 }
 
-impl Unit<'_> {
+impl<'a> Unit<'a> {
+    /// Samples of a recording whose times are exact.
+    pub fn of(
+        recording: &'a MotionRecording,
+        samples: &'a [UnitSample],
+        senses: &Senses,
+        clipped: &'a [usize],
+        noise_mps2: f64,
+    ) -> Self {
+        Self {
+            name: &recording.name,
+            times_s: &recording.times_s,
+            samples,
+            clipped,
+            gravity_mps2: recording.gravity_mps2(),
+            bias_mps2: senses.bias_mps2,
+            covariance: recording.calibration_covariance(),
+            uncalibrated: senses.uncalibrated,
+            time_sd_s: 0.0,
+            noise_mps2,
+        }
+    }
+
     /// The path with a gyroscope, or without.
     ///
     /// # Errors
@@ -422,11 +446,8 @@ pub(super) fn noise_mps2(times_s: &[f64], samples: &[UnitSample]) -> f64 {
         let mean = force().sum::<Vector3<f64>>() / length as f64;
         force().map(|f| (f - mean).norm_squared()).sum::<f64>() / (3.0 * length as f64)
     };
-    let mut variances: Vec<f64> = samples.chunks_exact(length).map(variance).collect();
-    variances.sort_by(f64::total_cmp);
-    variances
-        .get(variances.len() / 20)
-        .map_or(0.0, |v| v.sqrt())
+    let variances = samples.chunks_exact(length).map(variance);
+    quantile(variances, 20).map_or(0.0, f64::sqrt)
 }
 
 pub(super) fn sample(sample: &UnitSample) -> Sample<f64> {

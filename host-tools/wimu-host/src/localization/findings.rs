@@ -11,6 +11,7 @@ use crate::digits::significant;
 use crate::finding::{Finding, FindingCode};
 use crate::motion::one_clock;
 use crate::plural::counted;
+use crate::stats::median;
 use crate::{ErrorCode, HostError, Result};
 
 /// Fewer ranges do not make a path.
@@ -76,9 +77,8 @@ pub(super) fn remedy(recording: &RangeRecording, anchors_m: &[Vector3<f64>]) -> 
             .map(|a| (a - centre).dot(&axes.column(axis)).abs());
         2.0 * along.fold(0.0, f64::max)
     };
-    let mut ranges_m: Vec<f64> = recording.ranges.iter().map(|r| r.range_m).collect();
-    ranges_m.sort_by(f64::total_cmp);
-    let median_m = ranges_m[ranges_m.len() / 2];
+    let ranges_m = recording.ranges.iter().map(|r| r.range_m);
+    let median_m = median(ranges_m).unwrap_or_default();
     if median_m > FAR * extent(0) {
         let [median, extent] = [median_m, extent(0)].map(|length| significant(length, 3));
         format!("check the units: the ranges are {median} m, the anchors within {extent} m")
@@ -175,9 +175,7 @@ fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Findin
             .collect();
         let mut spans: Vec<(f64, f64, f64)> = Vec::new();
         for block in pairs.chunk_by(|a, b| (a.0 / BLOCK_S).floor() == (b.0 / BLOCK_S).floor()) {
-            let mut values: Vec<f64> = block.iter().map(|(_, r)| *r).collect();
-            values.sort_by(f64::total_cmp);
-            let median = values[values.len() / 2];
+            let median = median(block.iter().map(|(_, r)| *r)).unwrap_or_default();
             if block.len() < LEAST_BLOCK || median.abs() < limit_m {
                 continue;
             }
@@ -239,25 +237,21 @@ pub(super) fn last_shift(shift_s: f64) -> HostError {
 
 /// Refuses ranges of which none is within the time of the other sensor.
 pub(super) fn same_time(recording: &RangeRecording) -> Result<()> {
-    let of = |times: Option<(f64, f64)>| times.map(|(first, last)| [first, last]);
-    let ranges = &recording.ranges;
-    let ranges = of(ranges
-        .first()
-        .zip(ranges.last())
-        .map(|(a, b)| (a.time_s, b.time_s)));
-    let wheels = &recording.increments;
-    let wheels = of(wheels
-        .first()
-        .zip(wheels.last())
-        .map(|(a, b)| (a.time_s, b.time_s)));
-    let motion = recording.motion.as_ref().map(|motion| &motion.times_s);
-    let motion = of(motion.and_then(|t| Some((*t.first()?, *t.last()?))));
+    let ranges = ends(&recording.ranges, |range| range.time_s);
+    let wheels = ends(&recording.increments, |increment| increment.time_s);
+    let motion = recording.motion.as_ref();
+    let motion = motion.and_then(|motion| ends(&motion.times_s, |time_s| *time_s));
     for (what, other) in [("odometry", wheels), ("inertial samples", motion)] {
         if let (Some(ranges), Some(other)) = (ranges, other) {
             one_clock([("ranges", ranges), (what, other)]).map_err(|e| e.at(&recording.name))?;
         }
     }
     Ok(())
+}
+
+/// Times of the first and the last element, s.
+fn ends<T>(all: &[T], time_s: impl Fn(&T) -> f64) -> Option<[f64; 2]> {
+    Some([time_s(all.first()?), time_s(all.last()?)])
 }
 
 /// Calibration parameters that the data do not show.

@@ -61,7 +61,7 @@ pub struct Increment {
 }
 
 /// Ranges and what was recorded beside them.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct RangeRecording {
     /// What errors call it.
     pub name: String,

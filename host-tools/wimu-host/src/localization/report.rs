@@ -47,14 +47,11 @@ impl Localization {
             .map(|(index, anchor)| Series::dots(&format!("anchor {}", anchor.id), of(index)))
             .collect();
         series.retain(|series| !series.points.is_empty());
+        let title = "Innovation of each range: measured less predicted";
         Chart {
-            title: "Innovation of each range: measured less predicted".to_owned(),
-            x: "time, s".to_owned(),
-            y: "m".to_owned(),
-            series,
             note: "Predicted by the forward filter with the estimated bias and scale of the anchor. Ranges without line of sight are too long."
                 .to_owned(),
-            ..Chart::default()
+            ..Chart::new(title, "time, s", "m", series)
         }
     }
 }

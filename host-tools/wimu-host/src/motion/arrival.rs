@@ -1,6 +1,7 @@
 //! Times of sampling from times of arrival.
 
 use crate::motion::median_step_s;
+use crate::stats::median;
 
 /// Steps that differ from the median by more than this fraction are uneven, ...
 const UNEVEN: f64 = 0.3;
@@ -30,9 +31,7 @@ pub fn sampled_times(times_s: &[f64]) -> Option<Vec<f64>> {
         return None;
     }
     let slope = |w: &[f64]| (w[PERIOD_SAMPLES] - w[0]) / PERIOD_SAMPLES as f64;
-    let mut slopes: Vec<f64> = times_s.windows(PERIOD_SAMPLES + 1).map(slope).collect();
-    slopes.sort_by(f64::total_cmp);
-    let about_s = slopes[slopes.len() / 2];
+    let about_s = median(times_s.windows(PERIOD_SAMPLES + 1).map(slope))?;
     let parts = parts(times_s, about_s);
     Some(
         parts
@@ -48,11 +47,10 @@ fn of_part(times_s: &[f64], about_s: f64) -> Vec<f64> {
     // Over a quarter of the samples the period is exact, and a backlog at the start is in fewer than half of the slopes.
     let apart = (times_s.len() / 4).max(1);
     let slope = |w: &[f64]| (w[apart] - w[0]) / apart as f64;
-    let mut slopes: Vec<f64> = found.windows(apart + 1).map(slope).collect();
-    slopes.sort_by(f64::total_cmp);
-    slopes
-        .get(slopes.len() / 2)
-        .map_or(found, |period_s| with_period(times_s, *period_s))
+    match median(found.windows(apart + 1).map(slope)) {
+        Some(period_s) => with_period(times_s, period_s),
+        None => found,
+    }
 }
 
 /// Times with this period and the least delay nearby.

@@ -4,7 +4,7 @@ use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use wimu_nav::sensor::{Reading, Transfer, TransferModel};
 
 use crate::series::Series;
-use crate::stats::norm;
+use crate::stats::{norm, quantile};
 
 /// Before: bias, m/s² (± 150 mg, ADXL345 datasheet), and elements of the matrix (1 σ).
 pub(super) const BIAS_MPS2: f64 = 1.5;
@@ -288,9 +288,7 @@ pub(super) fn noise(values: &[[f64; 3]], step_mps2: f64) -> [f64; 3] {
 }
 
 fn quartile(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.filter(|value| value.is_finite()).collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 4).copied().unwrap_or(0.0)
+    quantile(values.filter(|value| value.is_finite()), 4).unwrap_or(0.0)
 }
 
 /// Trace of the covariance.

@@ -30,6 +30,7 @@ pub(super) struct Step {
 
 /// A unit: integrals of its samples over time. A mean over any step follows from them, whatever the rates, and repeated rows
 /// count for the time that they last.
+#[derive(Default)]
 pub(super) struct Unit {
     times_s: Vec<f64>,
     /// Of force and rate up to each time.
@@ -45,12 +46,9 @@ impl Unit {
     /// `None` without a gyroscope.
     pub(super) fn of(recording: &MotionRecording) -> Option<Self> {
         let mut unit = Self {
-            times_s: Vec::new(),
-            integrals: Vec::new(),
-            last: None,
-            fields: Vec::new(),
             gap_s: gap_s(&recording.times_s),
             step_s: median_step_s(&recording.times_s),
+            ..Self::default()
         };
         for (&time_s, sample) in recording.times_s.iter().zip(&recording.samples) {
             unit.push(time_s, sample);

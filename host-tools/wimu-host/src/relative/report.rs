@@ -128,17 +128,14 @@ impl RelativePath {
             .into_iter()
             .zip(high)
             .map(|((t, low), (_, high))| (t, low, high));
+        let series = vec![Series::line("angle", broken(of(&|p| p.angle_rad)))];
         Chart {
-            title: "Angle of the hinge".to_owned(),
-            x: "time, s".to_owned(),
-            y: "deg".to_owned(),
-            series: vec![Series::line("angle", broken(of(&|p| p.angle_rad)))],
             bands: vec![Band {
                 series: 0,
                 points: band.collect(),
             }],
             note: "Band: 2 σ. Zero: axes of units that are mounted alike are parallel.".to_owned(),
-            ..Chart::default()
+            ..Chart::new("Angle of the hinge", "time, s", "deg", series)
         }
     }
 
@@ -157,12 +154,6 @@ impl RelativePath {
                 of(&|p| p.attitude_sd_rad[k]),
             ));
         }
-        Chart {
-            title: "Standard deviation".to_owned(),
-            x: "time, s".to_owned(),
-            y: "deg".to_owned(),
-            series,
-            ..Chart::default()
-        }
+        Chart::new("Standard deviation", "time, s", "deg", series)
     }
 }

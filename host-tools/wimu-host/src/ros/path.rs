@@ -7,6 +7,7 @@ use wimu_model::{Alignment, Matrix3};
 use super::message::Message;
 use crate::Result;
 use crate::mcap_file::RosFile;
+use crate::series::thin_out;
 
 /// Most poses of a `nav_msgs/Path`, and least time between them, ns.
 const MAX_POSES: usize = 1000;
@@ -138,11 +139,7 @@ impl PathTopics {
         }
         if self.poses.len() > MAX_POSES {
             self.step_ns *= 2;
-            let mut kept = false;
-            self.poses.retain(|_| {
-                kept = !kept;
-                kept
-            });
+            thin_out(&mut self.poses);
         }
         Ok(())
     }

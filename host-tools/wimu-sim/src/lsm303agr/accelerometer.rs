@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use super::output::Output;
+use crate::chip::FifoMode;
 use crate::sampling::SampleClock;
 use crate::source::{Conversion, Source, quantise};
 
@@ -57,13 +58,6 @@ pub(super) struct Accelerometer {
     thermometer: Output<1>,
 }
 
-#[derive(Clone, Copy, PartialEq)]
-enum Mode {
-    Bypass,
-    Fifo,
-    Stream,
-}
-
 impl Default for Accelerometer {
     fn default() -> Self {
         let mut accelerometer = Self {
@@ -99,14 +93,10 @@ impl Accelerometer {
         self.output.fresh() || !self.fifo.is_empty()
     }
 
-    fn mode(&self) -> Mode {
-        if !self.is_set(CTRL5, CTRL5_FIFO) {
-            return Mode::Bypass;
-        }
-        match self.registers[usize::from(FIFO_CTRL)] >> 6 {
-            0b00 => Mode::Bypass,
-            0b01 => Mode::Fifo,
-            _ => Mode::Stream,
+    fn mode(&self) -> FifoMode {
+        match self.is_set(CTRL5, CTRL5_FIFO) {
+            true => FifoMode::of(self.registers[usize::from(FIFO_CTRL)]),
+            false => FifoMode::Bypass,
         }
     }
 
@@ -119,14 +109,14 @@ impl Accelerometer {
     /// Whether the source has to wait for the reader.
     fn waits(&self) -> bool {
         match self.mode() {
-            Mode::Bypass => self.output.fresh(),
+            FifoMode::Bypass => self.output.fresh(),
             _ => self.above_threshold(),
         }
     }
 
     /// The register after `register`: while the FIFO is on, its samples follow each other.
     pub(super) fn after(&self, register: u8) -> u8 {
-        if register == OUT_Z_H && self.mode() != Mode::Bypass {
+        if register == OUT_Z_H && self.mode() != FifoMode::Bypass {
             OUT_X_L
         } else {
             (register + 1) & 0x7F
@@ -134,13 +124,9 @@ impl Accelerometer {
     }
 
     pub(super) fn settle(&mut self, now: u64, source: &mut dyn Source) {
-        let Some(mut sampling) = self.sampling else {
-            return;
-        };
-        while let Some(time_s) = sampling.take_due(now) {
+        while let Some(time_s) = self.sampling.as_mut().and_then(|s| s.take_due(now)) {
             self.sample(time_s, source);
         }
-        self.sampling = Some(sampling);
     }
 
     fn sample(&mut self, time_s: f64, source: &mut dyn Source) {
@@ -156,7 +142,7 @@ impl Accelerometer {
             && let Some(counts) = source.acceleration(&conversion)
         {
             let on = [0, 1, 2].map(|axis| self.is_set(CTRL1, 1 << axis));
-            if self.mode() == Mode::Bypass {
+            if self.mode() == FifoMode::Bypass {
                 self.output.store(counts.0, on, block_update);
             } else {
                 self.queue(counts.0);
@@ -174,7 +160,7 @@ impl Accelerometer {
     /// A new sample replaces the oldest one even while that is read; the datasheet does not specify it.
     fn queue(&mut self, sample: [i16; 3]) {
         let full = self.fifo.len() >= FIFO_SAMPLES;
-        if full && self.mode() == Mode::Fifo {
+        if full && self.mode() == FifoMode::Fifo {
             return;
         }
         if full {
@@ -210,18 +196,16 @@ impl Accelerometer {
             OUT_TEMP_L | OUT_TEMP_H => self.thermometer.read(register - OUT_TEMP_L, false),
             WHO_AM_I => self.who_am_i,
             STATUS => self.output.status(),
-            OUT_X_L..=OUT_Z_H if self.mode() != Mode::Bypass => self.unqueue(register - OUT_X_L),
+            OUT_X_L..=OUT_Z_H if self.mode() != FifoMode::Bypass => {
+                self.unqueue(register - OUT_X_L)
+            }
             OUT_X_L..=OUT_Z_H => {
                 // Byte order is the programmer's choice at high resolution only.
                 let big_endian = self.is_set(CTRL4, CTRL4_BIG_ENDIAN) && self.bits() == 12;
                 self.output.read(register - OUT_X_L, big_endian)
             }
             FIFO_SRC => self.fifo_source(),
-            _ => self
-                .registers
-                .get(usize::from(register))
-                .copied()
-                .unwrap_or(0),
+            _ => self.registers.get(usize::from(register)).map_or(0, |r| *r),
         }
     }
 
@@ -242,7 +226,7 @@ impl Accelerometer {
         }
         // Rebooting the trimming values is done before the next byte.
         self.registers[usize::from(CTRL5)] &= !CTRL5_BOOT;
-        if self.mode() == Mode::Bypass {
+        if self.mode() == FifoMode::Bypass {
             self.fifo.clear();
         }
         let rate = self.rate_hz();

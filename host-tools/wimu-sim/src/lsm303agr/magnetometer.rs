@@ -105,11 +105,7 @@ impl Magnetometer {
                 let big_endian = self.is_set(CFG_C, CFG_C_BIG_ENDIAN);
                 self.output.read(register - OUT_X_L, big_endian)
             }
-            _ => self
-                .registers
-                .get(usize::from(register))
-                .copied()
-                .unwrap_or(0),
+            _ => self.registers.get(usize::from(register)).map_or(0, |r| *r),
         }
     }
 

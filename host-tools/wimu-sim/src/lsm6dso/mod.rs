@@ -266,13 +266,9 @@ impl Lsm6dso {
 impl Chip for Lsm6dso {
     fn settle(&mut self, now: u64, source: &mut dyn Source) {
         self.now = now;
-        let Some(mut sampling) = self.sampling else {
-            return;
-        };
-        while let Some(time_s) = sampling.take_due(now) {
+        while let Some(time_s) = self.sampling.as_mut().and_then(|s| s.take_due(now)) {
             self.tick(time_s, source);
         }
-        self.sampling = Some(sampling);
     }
 
     fn reset(&mut self) {

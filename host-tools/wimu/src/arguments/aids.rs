@@ -8,6 +8,7 @@ use wimu_host::inertial::Profile;
 use super::values::{from_to, numbers};
 
 #[derive(Args)]
+#[command(next_help_heading = "Aiding")]
 pub struct Aids {
     /// What is assumed of the motion
     #[arg(long, value_enum, default_value_t, help_heading = "Model")]
@@ -17,8 +18,7 @@ pub struct Aids {
         long,
         value_name = "FIXES.csv|LINK",
         group = "aids",
-        conflicts_with = "anchors",
-        help_heading = "Aiding"
+        conflicts_with = "anchors"
     )]
     pub fixes: Option<PathBuf>,
     /// Time from a fix or range to its time stamp, s
@@ -28,8 +28,7 @@ pub struct Aids {
         default_value_t = 0.0,
         value_parser = from_to(-2.0, 2.0),
         allow_hyphen_values = true,
-        requires = "aids",
-        help_heading = "Aiding"
+        requires = "aids"
     )]
     pub fix_delay: f64,
     /// Position of the antenna from the inertial sensor or the odometer, m, body axes
@@ -37,20 +36,18 @@ pub struct Aids {
         long,
         value_name = "X,Y,Z",
         value_parser = numbers::<3>,
-        allow_hyphen_values = true,
-        help_heading = "Aiding"
+        allow_hyphen_values = true
     )]
     pub lever_arm: Option<[f64; 3]>,
     /// Positions of anchors: columns `Anchor`, `Position E (m)`, `Position N (m)`, in space `Position U (m)`
-    #[arg(long, value_name = "ANCHORS.csv", help_heading = "Aiding")]
+    #[arg(long, value_name = "ANCHORS.csv")]
     pub anchors: Option<PathBuf>,
     /// Ranges beside inertial samples: columns `Time (s)`, `Anchor`, `Range (m)`; a LINK too if INPUT is one
     #[arg(
         long,
         value_name = "RANGES.csv|LINK",
         group = "aids",
-        requires = "anchors",
-        help_heading = "Aiding"
+        requires = "anchors"
     )]
     pub ranges: Option<PathBuf>,
     /// Prior σ of noise, m, bias, m, scale error of ranges [default: 0.03,0.1,0; with --odometry 0.5,0.5,0.1]
@@ -58,8 +55,7 @@ pub struct Aids {
         long,
         value_name = "NOISE,BIAS,SCALE",
         value_parser = numbers::<3>,
-        requires = "anchors",
-        help_heading = "Aiding"
+        requires = "anchors"
     )]
     pub range_errors: Option<[f64; 3]>,
 }

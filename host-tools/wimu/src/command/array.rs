@@ -49,9 +49,9 @@ pub fn read(
         link: link.map(Into::into),
         raw,
     };
-    let mut paths = vec![input.to_path_buf()];
-    paths.extend(boards.iter().cloned());
-    ArrayRecording::from_boards(&Board::read_all(&paths, &options)?)
+    let paths = std::iter::once(input).chain(boards.iter().map(PathBuf::as_path));
+    let boards = paths.map(|path| Board::read(path, &options));
+    ArrayRecording::from_boards(&boards.collect::<Result<Vec<_>>>()?)
 }
 
 /// Positions and delays estimated from a recording.

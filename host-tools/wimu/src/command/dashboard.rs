@@ -14,7 +14,7 @@ use std::collections::BTreeSet;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::Path;
 use std::sync::mpsc::{self, Sender};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -28,7 +28,7 @@ use self::access::Token;
 use self::actions::{Action, File, Job};
 use self::board::Board;
 use self::folder::Folder;
-use self::hub::{Asker, Hub, Page, failure};
+use self::hub::{Asker, Hub, Page, lock};
 use self::replay::Player;
 use self::server::{Answers, Server};
 use crate::arguments::Dashboard;
@@ -175,6 +175,13 @@ struct Seat {
     thread: Option<thread::JoinHandle<()>>,
 }
 
+impl Seat {
+    fn is_running(&self) -> bool {
+        let thread = self.thread.as_ref();
+        thread.is_some_and(|thread| !thread.is_finished())
+    }
+}
+
 /// All boards, and what pages may ask.
 struct Desk {
     hub: Arc<Hub>,
@@ -188,18 +195,10 @@ struct Desk {
 }
 
 impl Desk {
-    fn boards(&self) -> std::sync::MutexGuard<'_, Vec<Seat>> {
-        self.boards.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn waiting(&self) -> std::sync::MutexGuard<'_, BTreeSet<String>> {
-        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Connects in a thread, again and again until the link answers or is given up.
     fn connect(self: &Arc<Self>, link: LinkUrl) {
         let (desk, name) = (self.clone(), link.to_string());
-        if !self.waiting().insert(name.clone()) {
+        if !lock(&self.waiting).insert(name.clone()) {
             return;
         }
         let topic = format!("link/{name}");
@@ -213,18 +212,18 @@ impl Desk {
             loop {
                 let outcome = connected();
                 // A link that was given up meanwhile is closed again.
-                if !desk.waiting().contains(&name) {
+                if !lock(&desk.waiting).contains(&name) {
                     break;
                 }
                 match outcome {
                     Ok((url, client)) => {
-                        desk.waiting().remove(&name);
+                        lock(&desk.waiting).remove(&name);
                         desk.seat(url, client.map_transport(Tap::on));
                         break;
                     }
                     Err(error) => {
                         let error: HostError = error;
-                        let value = json!({"link": name, "error": failure(&error)});
+                        let value = json!({"link": name, "error": error.to_string()});
                         desk.hub.publish(&topic, &value);
                         thread::sleep(TRY_EVERY);
                     }
@@ -237,13 +236,9 @@ impl Desk {
     /// Gives a connected link its board: a new one, or that of its other link.
     fn seat(&self, url: LinkUrl, client: LiveClient) {
         let (id, role) = (client.hello().device_id, client.hello().role);
-        let mut boards = self.boards();
+        let mut boards = lock(&self.boards);
         let other = boards.iter_mut().find(|seat| {
-            let is_running = seat
-                .thread
-                .as_ref()
-                .is_some_and(|thread| !thread.is_finished());
-            is_running && seat.device_id == Some(id) && !seat.roles.contains(&role)
+            seat.is_running() && seat.device_id == Some(id) && !seat.roles.contains(&role)
         });
         if let Some(seat) = other {
             seat.roles.push(role);
@@ -284,7 +279,7 @@ impl Desk {
     /// Replays a recording of wimu.
     fn play(&self, name: &str, path: &Path) -> Result<()> {
         let player = Player::open(path)?;
-        let mut boards = self.boards();
+        let mut boards = lock(&self.boards);
         self.sit(&mut boards, name, None, Vec::new(), |board, jobs| {
             board.replay(player, &jobs);
         });
@@ -292,9 +287,9 @@ impl Desk {
     }
 
     fn has_room(&self) -> Result<()> {
-        let is_running = |seat: &&Seat| seat.thread.as_ref().is_some_and(|one| !one.is_finished());
-        let count = self.boards().iter().filter(is_running).count() + self.waiting().len();
-        match count < MOST_BOARDS {
+        let boards = lock(&self.boards);
+        let running = boards.iter().filter(|seat| seat.is_running()).count();
+        match running + lock(&self.waiting).len() < MOST_BOARDS {
             true => Ok(()),
             false => Err(usage("there are too many boards", "close one of them")),
         }
@@ -312,7 +307,7 @@ impl Desk {
                 self.connect(url);
             }
             General::Forget(Link { link }) => {
-                self.waiting().remove(&link);
+                lock(&self.waiting).remove(&link);
             }
             General::Ports => {
                 let ports = transport::ports()?;
@@ -332,7 +327,7 @@ impl Desk {
     /// Ends all boards; a recording is closed.
     fn close(&self) {
         let page = Arc::new(Page::default());
-        let mut boards = self.boards();
+        let mut boards = lock(&self.boards);
         for seat in boards.iter() {
             let asker = Asker {
                 page: page.clone(),
@@ -358,7 +353,7 @@ impl Desk {
             return self.general(what).map(Some);
         };
         let action: Action = serde_json::from_value(message.what).map_err(unknown)?;
-        let boards = self.boards();
+        let boards = lock(&self.boards);
         let sent = boards
             .get(board)
             .map(|seat| seat.jobs.send(Job::Do(action, asker.clone())));

@@ -52,6 +52,25 @@ struct Link {
     statistics: LinkStatistics,
 }
 
+impl Link {
+    /// What is shown below the line of the link.
+    fn details(&self) -> Vec<String> {
+        let mut details = Vec::new();
+        // One sensor of three axes is described by the line of its link.
+        let is_usual = |sensor: &Sensor| sensor.index == 0 && sensor.angular_rates == 0;
+        if !self.sensors.iter().all(is_usual) {
+            details.extend(self.sensors.iter().map(Sensor::text));
+        }
+        details.extend(self.device.as_ref().map(Device::text));
+        details.extend(self.sampling.as_ref().map(Sampling::text));
+        details.extend(self.authentication.as_ref().and_then(|a| a.text()));
+        details.extend(self.events.iter().cloned());
+        let more = self.more_events;
+        details.extend((more > 0).then(|| format!("and {more} more events")));
+        details
+    }
+}
+
 /// A sensor of a board.
 #[derive(Serialize)]
 struct Sensor {
@@ -370,27 +389,8 @@ fn recording(path: &Path, output: Output) -> Result<()> {
                 starts => format!("; {starts} starts of the board"),
             }
         ));
-        // One sensor of three axes is described by the line of its link.
-        let is_usual = |sensor: &Sensor| sensor.index == 0 && sensor.angular_rates == 0;
-        if !link.sensors.iter().all(is_usual) {
-            for sensor in &link.sensors {
-                output.print(format!("         {}", sensor.text()));
-            }
-        }
-        if let Some(device) = &link.device {
-            output.print(format!("         {}", device.text()));
-        }
-        if let Some(sampling) = &link.sampling {
-            output.print(format!("         {}", sampling.text()));
-        }
-        if let Some(authentication) = link.authentication.as_ref().and_then(|a| a.text()) {
-            output.print(format!("         {authentication}"));
-        }
-        for event in &link.events {
-            output.print(format!("         {event}"));
-        }
-        if link.more_events > 0 {
-            output.print(format!("         and {} more events", link.more_events));
+        for detail in link.details() {
+            output.print(format!("         {detail}"));
         }
     }
     output.answer("wimu.info/1", &contents);

@@ -245,8 +245,21 @@ fn recorded(path: &std::path::Path, rate: Option<f64>, output: Output) -> Result
     Ok(())
 }
 
+/// Sets the message of a screen to the device event or restart that an event reports.
+pub fn notice(event: &Event, message: &mut String) {
+    const RESTARTED: &str = "the device has restarted";
+    match event {
+        Event::Device { time, event } => *message = format!("{:.2} s  {event}", time.to_seconds()),
+        Event::Restart { .. } => RESTARTED.clone_into(message),
+        Event::Hello(hello) if message == RESTARTED => {
+            *message = format!("{RESTARTED}: {}", cause(hello));
+        }
+        _ => {}
+    }
+}
+
 /// Cause of the last start.
-pub fn cause(hello: &Hello) -> String {
+fn cause(hello: &Hello) -> String {
     let mut cause = hello.reset_reason.to_string();
     if let Some(fault) = hello.fault {
         cause += &format!(", {fault}");

@@ -200,11 +200,7 @@ fn path(
     name: &str,
     output: Output,
 ) -> Result<Option<inertial::Found>> {
-    let Some(boot) = link
-        .boots
-        .iter()
-        .max_by_key(|boot| boot.raw.len().max(boot.corrected.len()))
-    else {
+    let Some(boot) = link.longest() else {
         return Ok(None);
     };
     let required = arguments.output.is_some() || arguments.report.is_some();

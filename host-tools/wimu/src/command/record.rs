@@ -88,10 +88,8 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
             output.print(format!("{:8} {}", link.role, clock_text(clock)));
         }
     }
-    let decoded = match arguments.decoded {
-        true => Some(ros::decode(&arguments.output, &arguments.output, None)?),
-        false => None,
-    };
+    let decode = || ros::decode(&arguments.output, &arguments.output, None);
+    let decoded = arguments.decoded.then(decode).transpose()?;
     if let Some(decoded) = &decoded {
         let count: u64 = decoded.messages.values().sum();
         output.print(format!(

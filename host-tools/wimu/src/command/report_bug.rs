@@ -28,7 +28,7 @@ struct BugReport {
     links: Vec<Link>,
 }
 
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 struct Link {
     link: String,
     /// What the board answers; null with the error if it does not.
@@ -109,9 +109,7 @@ impl Link {
             link: name,
             device,
             error,
-            lost: None,
-            bytes: 0,
-            received: Vec::new(),
+            ..Self::default()
         };
         found.lost = found.listen(link, length).err();
         found

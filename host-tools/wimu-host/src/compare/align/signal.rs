@@ -6,6 +6,8 @@ use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use crate::formats::{self, ReadOptions};
 use crate::recording::{OutputUnit, Selection};
+use crate::series::period_s;
+use crate::stats::norm;
 use crate::{ErrorCode, Result};
 
 /// Shortest motion, s.
@@ -19,6 +21,7 @@ const MIN_STOPS: usize = 2;
 const STEEP: f64 = 4.0;
 
 /// A table as a signal.
+#[derive(Default)]
 pub(super) struct Signal {
     /// s.
     times: Vec<f64>,
@@ -73,21 +76,12 @@ fn saturated(values: &[[f64; 3]]) -> Vec<bool> {
     saturated
 }
 
-pub(super) fn norm(v: &[f64; 3]) -> f64 {
-    v.iter().map(|c| c * c).sum::<f64>().sqrt()
-}
-
 impl Signal {
     /// Reads a table. In LSB, the median magnitude is taken as 1 g.
     pub fn read(path: &Path) -> Result<Signal> {
         let recording = formats::load(path, &ReadOptions::default())?;
         let samples = recording.samples(Selection::default())?;
-        let mut signal = Signal {
-            times: Vec::new(),
-            values: Vec::new(),
-            saturated: Vec::new(),
-            unit_sd: None,
-        };
+        let mut signal = Signal::default();
         for (index, value) in samples.values().enumerate() {
             let time = samples
                 .time_s(index)
@@ -125,13 +119,7 @@ impl Signal {
 
     /// The median rate, Hz.
     pub fn rate_hz(&self) -> f64 {
-        let mut steps: Vec<_> = self
-            .times
-            .windows(2)
-            .map(|pair| pair[1] - pair[0])
-            .collect();
-        steps.sort_by(f64::total_cmp);
-        1.0 / steps[steps.len() / 2].max(1e-6)
+        1.0 / period_s(&self.times)
     }
 
     /// Times of the rows, s.
@@ -193,11 +181,11 @@ impl Signal {
     pub fn grid(&self, step: f64) -> Grid {
         let start = self.times[0];
         let length = self.times[self.times.len() - 1] - start;
-        let mut last = norm(&self.values[0]);
+        let mut last = norm(self.values[0]);
         let mut values: Vec<f64> = (0..=(length / step) as usize)
             .map(|k| {
                 if let Some(value) = self.at(start + k as f64 * step) {
-                    last = norm(&value);
+                    last = norm(value);
                 }
                 last
             })

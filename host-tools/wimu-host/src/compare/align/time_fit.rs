@@ -3,7 +3,8 @@
 use nalgebra::Matrix4;
 
 use super::MAX_RATE;
-use super::signal::{Signal, norm};
+use super::signal::Signal;
+use crate::stats::norm;
 
 /// Residuals are correlated within this time and taken as independent beyond, s.
 const CLUSTER_S: f64 = 1.0;
@@ -49,10 +50,10 @@ impl TimeFit {
             if near.into_iter().any(is_saturated) || b.is_saturated_at(theirs) {
                 return None;
             }
-            let [before, now, after] = near.map(|at| a.at(at).map(|v| norm(&v)));
+            let [before, now, after] = near.map(|at| a.at(at).map(norm));
             let now = now?;
             let theirs = [theirs - step, theirs, theirs + step];
-            let [y_before, y, y_after] = theirs.map(|at| b.at(at).map(|v| norm(&v)));
+            let [y_before, y, y_after] = theirs.map(|at| b.at(at).map(norm));
             let with = |change: f64| {
                 let change = change / (2.0 * step);
                 let growing = if has_rate {

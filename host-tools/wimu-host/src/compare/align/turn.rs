@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion};
 use serde::Serialize;
 use wimu_calib::{Line, Transfer};
 
-use super::signal::norm;
+use crate::stats::norm;
 
 type Matrix = [[f64; 3]; 3];
 
@@ -33,13 +33,13 @@ impl Turn {
             *row = line.row;
         }
         let vector = rotation_vector(&rows)?;
-        let angle = norm(&vector);
+        let angle = norm(vector);
         for (index, axis) in found.axes.iter().enumerate() {
             let mut gradient = [0.0; 3];
             for (column, gradient) in gradient.iter_mut().enumerate() {
                 let mut moved = rows;
                 moved[index][column] += SMALL;
-                *gradient = (norm(&rotation_vector(&moved)?) - angle) / SMALL;
+                *gradient = (norm(rotation_vector(&moved)?) - angle) / SMALL;
             }
             variance += axis.line.map_or(0.0, |line| of_row(&line, gradient));
         }
@@ -54,7 +54,7 @@ impl Turn {
 /// Sensitivity of the other's axis along itself, whichever direction it has, and its standard deviation:
 /// the norm of its sensitivities to the reference's axes.
 pub(super) fn scale_along_itself(line: &Line) -> [f64; 2] {
-    let scale = norm(&line.row);
+    let scale = norm(line.row);
     let variance = of_row(line, line.row.map(|seen| seen / scale));
     // Noise across it increases the norm.
     let longer = (1..4).map(|k| line.covariance[k][k]).sum::<f64>() / (2.0 * scale);
@@ -71,7 +71,7 @@ fn of_row(line: &Line, gradient: [f64; 3]) -> f64 {
 
 /// Vector of the rotation nearest to the rows, each normalised; `None` where they are not a rotation.
 fn rotation_vector(rows: &Matrix) -> Option<[f64; 3]> {
-    let unit = Matrix3::from_fn(|i, j| rows[i][j] / norm(&rows[i]));
+    let unit = Matrix3::from_fn(|i, j| rows[i][j] / norm(rows[i]));
     let volume = unit.determinant();
     if volume.is_nan() || volume < 0.1 {
         return None;

@@ -10,6 +10,7 @@ use super::rows::{self, Count, Fault, Next, Values, each_row, values};
 use super::text::{Field, field};
 use crate::error::{ErrorCode, Result};
 use crate::formats::Source;
+use crate::series::thin_out;
 
 /// Rows after which the survey ends.
 const MAX_ROWS: u64 = 1 << 20;
@@ -40,7 +41,7 @@ pub struct Times {
 }
 
 /// Samples of a track, thinned out evenly.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Samples {
     pub rows: Vec<[f64; 3]>,
     stride: u64,
@@ -58,8 +59,7 @@ impl Samples {
         }
         self.rows.push(row);
         if self.rows.len() >= self.limit {
-            let mut kept = [true, false].into_iter().cycle();
-            self.rows.retain(|_| kept.next() == Some(true));
+            thin_out(&mut self.rows);
             self.stride *= 2;
         }
     }
@@ -92,11 +92,9 @@ pub fn survey(
     let inertial = layout.groups.iter().filter(|group| group.is_inertial());
     let inertial = inertial.count();
     let empty = Samples {
-        rows: Vec::new(),
         stride: 1,
-        seen: 0,
         limit: (MAX_SAMPLES / inertial.max(1)).max(1024),
-        empty: 0,
+        ..Samples::default()
     };
     let mut survey = Survey {
         count: Count::default(),

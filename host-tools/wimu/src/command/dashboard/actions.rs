@@ -119,11 +119,7 @@ impl Board {
             }
             Action::Push if matches!(feed, Feed::Live(_)) => Some(Next::Push(None, asker)),
             Action::PushFile(File { file }) if matches!(feed, Feed::Live(_)) => {
-                match self
-                    .folder
-                    .file(&file)
-                    .and_then(|path| read_parameters(&path))
-                {
+                match self.parameters(&file) {
                     Ok(set) => Some(Next::Push(Some(Box::new(set)), asker)),
                     Err(error) => {
                         asker.answer(Err::<(), _>(error));
@@ -132,10 +128,7 @@ impl Board {
                 }
             }
             Action::Difference(File { file }) => {
-                let set = self
-                    .folder
-                    .file(&file)
-                    .and_then(|path| read_parameters(&path));
+                let set = self.parameters(&file);
                 let held = self.held.as_ref().and_then(Option::as_ref);
                 asker.answer(set.map(|set| Difference::of(held, &set)));
                 None
@@ -145,6 +138,11 @@ impl Board {
                 None
             }
         }
+    }
+
+    /// The parameters in a file of the folder.
+    fn parameters(&self, file: &str) -> Result<ParameterSet> {
+        read_parameters(&self.folder.file(file)?)
     }
 
     fn do_here(&mut self, action: Action, feed: &mut Feed) -> Result<()> {

@@ -20,11 +20,11 @@ use wimu_model::{ParameterId, ParameterSet};
 
 use super::actions::{Job, Next};
 use super::folder::Folder;
-use super::hub::{Hub, failure};
+use super::hub::Hub;
 use super::path::Path3;
 use super::replay::{Player, ReplayView};
 use super::samples::Samples;
-use crate::command::monitor::{Line, cause};
+use crate::command::monitor::{Line, notice};
 use crate::command::navigate::Beside;
 
 /// Interval between frames, 30 Hz.
@@ -59,6 +59,7 @@ impl Feed {
 }
 
 /// What a board's thread knows.
+#[derive(Default)]
 pub struct Board {
     pub index: usize,
     pub hub: Arc<Hub>,
@@ -92,23 +93,7 @@ impl Board {
             hub,
             folder,
             name: name.to_owned(),
-            hello: None,
-            message: String::new(),
-            held: None,
-            guided: None,
-            noise: None,
-            navigator: None,
-            path: Path3::default(),
-            writer: None,
-            shown: 0,
-            readings: Readings::new(),
-            latest: None,
-            latest_ns: 0,
-            samples: Samples::default(),
-            traffic: Vec::new(),
-            links: Vec::new(),
-            joined: 0,
-            ticks: 0,
+            ..Self::default()
         }
     }
 
@@ -198,7 +183,7 @@ impl Board {
                 .iter()
                 .try_for_each(|entry| writer.record(entry));
             if let Err(error) = written {
-                self.message = format!("not recorded: {}", failure(&error));
+                self.message = format!("not recorded: {error}");
                 self.writer = None;
             }
         }
@@ -219,11 +204,11 @@ impl Board {
         for arrival in &heard.arrivals {
             if let Some(Err(error)) = self.navigator.as_mut().map(|n| n.take(arrival)) {
                 self.navigator = None;
-                self.message = format!("not navigated: {}", failure(&error));
+                self.message = format!("not navigated: {error}");
             }
             if let Some(Err(error)) = self.noise.as_mut().map(|meter| meter.take(&arrival.event)) {
                 self.noise = None;
-                self.message = format!("noise is not measured: {}", failure(&error));
+                self.message = format!("noise is not measured: {error}");
             }
             self.event(&arrival.event, arrival.host_ns);
         }
@@ -237,20 +222,10 @@ impl Board {
     }
 
     fn event(&mut self, event: &Event, host_ns: u64) {
+        notice(event, &mut self.message);
         match event {
-            Event::Device { time, event } => {
-                self.message = format!("{:.2} s  {event}", time.to_seconds());
-            }
-            Event::Restart { .. } => {
-                self.message = "the device has restarted".to_owned();
-                self.begin_again();
-            }
-            Event::Hello(hello) => {
-                if self.message == "the device has restarted" {
-                    self.message = format!("the device has restarted: {}", cause(hello));
-                }
-                self.hello = Some(*hello);
-            }
+            Event::Restart { .. } => self.begin_again(),
+            Event::Hello(hello) => self.hello = Some(*hello),
             Event::Parameters(parameters) => {
                 let set = parameters.active.as_ref().map(ParameterSet::try_from);
                 self.held = Some(set.and_then(std::result::Result::ok));

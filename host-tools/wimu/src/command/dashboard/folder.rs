@@ -9,7 +9,7 @@ use wimu_host::chart::Chart;
 use wimu_host::formats::{Overview, ReadOptions, Source};
 use wimu_host::{ErrorCode, HostError, Result};
 
-use super::hub::{Hub, failure};
+use super::hub::Hub;
 
 /// Interval between pictures of a file that is read.
 const PICTURE: Duration = Duration::from_millis(500);
@@ -20,6 +20,7 @@ const KNOWN: [&str; 11] = [
 ];
 
 /// A folder, and files besides.
+#[derive(Default)]
 pub struct Folder {
     path: PathBuf,
     given: Vec<PathBuf>,
@@ -152,7 +153,7 @@ pub fn show(hub: &Hub, topic: &str, name: &str, path: &Path) {
         Source::open(path).and_then(|source| overview.read(&source, &ReadOptions::default()));
     let (format, error) = match read {
         Ok(format) => (format, None),
-        Err(error) => ("", Some(failure(&error))),
+        Err(error) => ("", Some(error.to_string())),
     };
     hub.publish(topic, &view(&overview, format, true, error));
 }

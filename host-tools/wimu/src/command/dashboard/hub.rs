@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 use serde_json::json;
-use wimu_host::{HostError, Result};
+use wimu_host::Result;
 
 /// Frames that wait for a page: two seconds of one board.
 const MOST_FRAMES: usize = 64;
@@ -50,7 +50,8 @@ struct Queue {
     dropped: [u64; 2],
 }
 
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+/// Locks a mutex, even if another thread has panicked while it held the lock.
+pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -194,20 +195,11 @@ impl Asker {
     pub fn answer(&self, outcome: Result<impl Serialize>) {
         let text = match outcome {
             Ok(value) => json!({"answer": self.id, "value": value}),
-            Err(error) => json!({"answer": self.id, "error": failure(&error)}),
+            Err(error) => json!({"answer": self.id, "error": error.to_string()}),
         };
         let text: Text = text.to_string().into();
         self.page.change(|queue| queue.answer(text));
     }
-}
-
-/// What went wrong and what to do, as one text.
-pub fn failure(error: &HostError) -> String {
-    let at = error
-        .location()
-        .map(|at| format!("{at}: "))
-        .unwrap_or_default();
-    format!("{at}{}; {}", error.message(), error.remedy())
 }
 
 #[cfg(test)]

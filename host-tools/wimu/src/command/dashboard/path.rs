@@ -47,11 +47,8 @@ impl Path3 {
             *last = position_m;
         }
         if self.points.len() > MOST_POINTS {
-            let mut k = 0;
-            self.points.retain(|_| {
-                k += 1;
-                k % 2 == 1
-            });
+            let mut kept = [true, false].into_iter().cycle();
+            self.points.retain(|_| kept.next() == Some(true));
             self.every = self.every.max(1) * 2;
         }
     }

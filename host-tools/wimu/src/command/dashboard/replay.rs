@@ -31,7 +31,7 @@ pub struct Player {
 }
 
 /// State of a player.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct ReplayView {
     /// Time since the start of the recording, s.
     pub position_s: f64,
@@ -53,10 +53,8 @@ impl Player {
             until_s: 0.0,
             clock: Instant::now(),
             view: ReplayView {
-                position_s: 0.0,
                 speed: 1.0,
-                paused: false,
-                over: false,
+                ..ReplayView::default()
             },
         })
     }
@@ -131,11 +129,9 @@ impl Player {
             arrivals.push(arrival)
         });
         let heard = Heard {
-            entries: Vec::new(),
             arrivals,
             statistics: decoder.statistics(),
-            clock: None,
-            lost: None,
+            ..Heard::default()
         };
         (index, heard)
     }

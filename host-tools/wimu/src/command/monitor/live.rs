@@ -14,7 +14,7 @@ use wimu_host::monitor::{LinkHealth, Reading, Readings, Traffic};
 use wimu_host::{LinkUrl, Result, recorder, transport};
 use wimu_model::ParameterSet;
 
-use super::{Line, cause};
+use super::{Line, notice};
 use crate::arguments::{Arguments, Command, Monitor};
 use crate::command::navigate::Beside;
 use crate::command::{calibrate, connect, deadline, interrupted, is_over};
@@ -205,17 +205,9 @@ impl Live {
     }
 
     fn event(&mut self, event: &Event) {
+        notice(event, &mut self.view.message);
         match event {
-            Event::Device { time, event } => {
-                self.view.message = format!("{:.2} s  {event}", time.to_seconds());
-            }
-            Event::Restart { .. } => {
-                self.view.message = "the device has restarted".to_owned();
-                self.view.origin_m = [0.0; 3];
-            }
-            Event::Hello(hello) if self.view.message == "the device has restarted" => {
-                self.view.message = format!("the device has restarted: {}", cause(hello));
-            }
+            Event::Restart { .. } => self.view.origin_m = [0.0; 3],
             Event::Parameters(parameters) => {
                 let set = parameters.active.as_ref().map(ParameterSet::try_from);
                 let set = set.and_then(std::result::Result::ok);

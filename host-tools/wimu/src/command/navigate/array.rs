@@ -64,26 +64,20 @@ pub fn path(
     let mut refined = None;
     if let Some(file) = &arguments.refine {
         let found = refine(&recording, &geometry, &calibration, &options)?;
-        refined = Some(Refined::of(&found, output));
-        if !found.accepted {
-            return Ok((
-                navigate_array(&recording, &geometry, &calibration, choice)?,
-                refined,
-            ));
+        let shown = refined.insert(Refined::of(&found, output));
+        if found.accepted {
+            let (place_sd_m, delay_sd_s) = (found.known_place_m(), found.known_delay_s());
+            geometry = found.geometry;
+            geometry.place_sd_mm = Some(place_sd_m * 1e3);
+            geometry.delay_sd_us = Some(delay_sd_s * 1e6);
+            geometry.write(file)?;
+            output.print(format!("wrote {}", file.display()));
+            shown.file = Some(file.display().to_string());
+            recording = read.arranged(&geometry)?;
+            calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE)?;
+            calibration.place_sd_m = place_sd_m;
+            calibration.delay_sd_s = delay_sd_s;
         }
-        let (place_sd_m, delay_sd_s) = (found.known_place_m(), found.known_delay_s());
-        geometry = found.geometry.clone();
-        geometry.place_sd_mm = Some(place_sd_m * 1e3);
-        geometry.delay_sd_us = Some(delay_sd_s * 1e6);
-        geometry.write(file)?;
-        output.print(format!("wrote {}", file.display()));
-        if let Some(refined) = &mut refined {
-            refined.file = Some(file.display().to_string());
-        }
-        recording = read.arranged(&geometry)?;
-        calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE)?;
-        calibration.place_sd_m = place_sd_m;
-        calibration.delay_sd_s = delay_sd_s;
     }
     let path = navigate_array(&recording, &geometry, &calibration, choice)?;
     Ok((path, refined))

@@ -8,7 +8,7 @@ use wimu_host::digits::east_north_up;
 use wimu_host::finding::Finding;
 use wimu_host::formats;
 use wimu_host::inertial::{
-    Aided, Choice, Fixes, InertialPath, Method, Move, Profile, Zupt, consistency, navigate,
+    self, Aided, Choice, Fixes, InertialPath, Method, Move, Profile, Zupt, consistency, navigate,
 };
 use wimu_host::motion::{MotionRecording, TableOptions};
 use wimu_host::multi_range::{FullScales, Merge};
@@ -83,10 +83,8 @@ struct Horizon {
 #[derive(Serialize)]
 struct End {
     limit_m: f64,
-    moving_s: f64,
-    at_s: f64,
-    since_rest_s: Option<f64>,
-    lost: bool,
+    #[serde(flatten)]
+    horizon: inertial::Horizon,
 }
 
 /// A move between two rests.
@@ -289,7 +287,7 @@ fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
                 sigma_rad_s,
                 smoothed: path.smoothed_rate,
             }),
-        duration_s: duration(path),
+        duration_s: path.duration_s(),
         origin_s: path.points.get(path.origin).map(|p| p.time_s),
         distance_m: path.distance_m(),
         final_position_m: last.map(|p| p.position_m).unwrap_or_default(),
@@ -304,14 +302,8 @@ fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
             ends: limits(choice)
                 .into_iter()
                 .filter_map(|limit_m| {
-                    let end = path.horizon(limit_m)?;
-                    Some(End {
-                        limit_m,
-                        moving_s: end.moving_s,
-                        at_s: end.at_s,
-                        since_rest_s: end.since_rest_s,
-                        lost: end.lost,
-                    })
+                    let horizon = path.horizon(limit_m)?;
+                    Some(End { limit_m, horizon })
                 })
                 .collect(),
         },
@@ -365,13 +357,6 @@ fn limits(choice: &Choice) -> Vec<f64> {
         limits.push(choice.limit_m);
     }
     limits
-}
-
-fn duration(path: &InertialPath) -> f64 {
-    match (path.points.first(), path.points.last()) {
-        (Some(first), Some(last)) => last.time_s - first.time_s,
-        _ => 0.0,
-    }
 }
 
 /// Moves that are listed in the text.
@@ -447,7 +432,7 @@ fn text(path: &InertialPath, choice: &Choice, has_fixes: bool) -> String {
     text += &format!(
         "path: {:.3} m in {:.1} s, {}{}; {:.0} % of the samples are valid (σ below {} m)\n",
         path.distance_m(),
-        duration(path),
+        path.duration_s(),
         match path.method {
             Method::Strapdown => "with a gyroscope",
             Method::Tilt => "without a gyroscope",

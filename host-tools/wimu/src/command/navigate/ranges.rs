@@ -94,7 +94,7 @@ fn object(source: String, found: Localization) -> Found {
         source,
         method: path.method,
         smoothed: path.smoothed,
-        duration_s: duration_s(&found),
+        duration_s: path.duration_s(),
         distance_m: path.distance_m(),
         final_position_m: last.map(|p| p.position_m).unwrap_or_default(),
         final_sigma_m: last.map(|p| p.sigma_m()).unwrap_or_default(),
@@ -106,12 +106,6 @@ fn object(source: String, found: Localization) -> Found {
         findings: found.path.findings,
         anchors: found.anchors,
     }
-}
-
-fn duration_s(found: &Localization) -> f64 {
-    let points = &found.path.points;
-    let ends = points.first().zip(points.last());
-    ends.map_or(0.0, |(first, last)| last.time_s - first.time_s)
 }
 
 fn median_sigma_m(found: &Localization) -> f64 {
@@ -139,7 +133,7 @@ fn text(found: &Localization) -> String {
     text += &format!(
         "\npath: {:.2} m in {:.1} s, from {kind}{}; {:.0} % of the points are valid (σ below {} m)\n",
         path.distance_m(),
-        duration_s(found),
+        path.duration_s(),
         if path.smoothed { ", smoothed" } else { "" },
         100.0 * path.valid_share(),
         path.limit_m

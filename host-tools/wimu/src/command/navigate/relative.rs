@@ -113,11 +113,7 @@ fn unit(
         Input::Recording(_) => {
             let recording = Recording::load(file)?;
             let link = recording.link(arguments.reading.link.map(Into::into))?;
-            let longest = link
-                .boots
-                .iter()
-                .max_by_key(|boot| boot.raw.len().max(boot.corrected.len()));
-            let longest = longest.ok_or_else(|| {
+            let longest = link.longest().ok_or_else(|| {
                 ErrorCode::NoRows
                     .error("the recording has no samples", "record again")
                     .at(&recording.name)

@@ -42,6 +42,8 @@ const MAX_PAUSE: Duration = Duration::from_secs(2);
 const MAX_PAUSES: Duration = Duration::from_secs(6);
 /// Largest number of events that wait to be handed out: 16 MB, and more than arrive while a request is repeated.
 const MAX_ARRIVALS: usize = 16_384;
+/// Room for events that is kept: those of a read without a backlog.
+const FEW_ARRIVALS: usize = 16;
 /// Bytes without an event after which [`Client::next_event`] returns, and bytes without identification after which
 /// connecting fails (80 s at 115,200 baud).
 const MAX_WITHOUT_EVENT: u64 = 1 << 16;
@@ -435,6 +437,8 @@ impl<T: Transport> Client<T> {
             if let Some(arrival) = self.arrivals.pop_front() {
                 return Ok(Some(arrival));
             }
+            // The memory of a burst is given back: many clients may run beside each other.
+            self.arrivals.shrink_to(FEW_ARRIVALS);
             let left = until.saturating_sub(self.transport.now());
             let nothing = self.decoder.statistics().bytes >= most;
             if (left.is_zero() && !timeout.is_zero()) || nothing {

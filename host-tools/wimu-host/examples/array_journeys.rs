@@ -1,5 +1,5 @@
 //! Whether the truth lies within what an array says of rate and position, over seeds of simulated journeys with
-//! sensors that nobody calibrated: `cargo run --release -p wimu-host --example array_journeys [SEEDS]`.
+//! uncalibrated sensors: `cargo run --release -p wimu-host --example array_journeys [SEEDS]`.
 
 #[path = "../tests/array_journeys/mod.rs"]
 mod array_journeys;

@@ -1,4 +1,4 @@
-//! What an array says of rate and position holds the truth, whatever its sensors are that nobody calibrated.
+//! What an array says of rate and position holds the truth, whatever its uncalibrated sensors are.
 
 use crate::array_journeys;
 

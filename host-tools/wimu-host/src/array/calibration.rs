@@ -99,9 +99,9 @@ pub struct ArrayCalibration {
 }
 
 impl ArrayCalibration {
-    /// How well a place is known where nobody says it, m.
+    /// How well a place is known where it is not given, m.
     pub const PLACE_SD_M: f64 = 5e-4;
-    /// How well the sensors' times among each other are known where nobody says it, s.
+    /// How well the sensors' times among each other are known where it is not given, s.
     pub const DELAY_SD_S: f64 = 3e-4;
 
     /// From the accelerometers alone, in body axes. A rest is an interval in which the mean of all sensors is steady and

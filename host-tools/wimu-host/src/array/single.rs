@@ -50,7 +50,7 @@ impl SingleAxis {
 }
 
 /// What the filter knows after each sample of single axes ([`ArrayRecording::axes_from_csv`]), and what it met on the way.
-/// Nobody calibrated them: what they show at the quietest second that no rest has says how wrong they are.
+/// They are not calibrated: what they show at the quietest second that no rest has says how wrong they are.
 ///
 /// # Errors
 /// `usage` for more than 48 axes; `data_refused` where they do not show ω̇ and s, or no gravity.
@@ -118,7 +118,7 @@ fn navigate<const M: usize>(
         output::<M>(recording, index)
     });
     remarks.push(format!(
-        "{} single axes that nobody calibrated: as they show where they are quietest, biases of ± {bias_mps2:.3} m/s² and \
+        "{} uncalibrated single axes: as they show where they are quietest, biases of ± {bias_mps2:.3} m/s² and \
          sensitivities and directions wrong by ± {:.2} % are allowed for",
         geometry.axes.len(),
         100.0 * scale

@@ -403,7 +403,7 @@ enum Law {
     Exponential(f64),
 }
 
-/// The error of the best slope there is, ppm, over so many sessions: `each` transfers a second in
+/// The error of the best slope there is, ppm, over sessions: `each` transfers a second in
 /// each direction, which keep their order, over a link whose law is known. It is the mean over all
 /// slopes and places of the line, weighted by what they make the arrivals likely: no estimate that moves along with
 /// the arrivals has a smaller mean square error: equation (61a).

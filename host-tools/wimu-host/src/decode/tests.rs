@@ -841,7 +841,7 @@ fn what_is_held_in_doubt_is_bounded_whatever_comes() {
     assert!(decoder.start.order.held().len() <= 2048 && decoder.start.unplaced() <= MAX_UNPLACED);
 }
 
-/// A frame of a device, or of nobody's, with any numbers.
+/// A frame of a device, or of none, with any numbers.
 fn absurd() -> impl Strategy<Value = Vec<u8>> {
     let extreme = prop_oneof![
         Just(0),

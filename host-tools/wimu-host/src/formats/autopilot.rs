@@ -135,7 +135,7 @@ impl Rows {
         names
     }
 
-    /// `sensor_accel (3 instances, 6 rows)`: at most so many rows in one instance.
+    /// `sensor_accel (3 instances, 6 rows)`: most rows of one instance.
     fn described(&self, topics: &[&str]) -> String {
         let described = topics.iter().map(|topic| {
             let instances = self.0.get(*topic);

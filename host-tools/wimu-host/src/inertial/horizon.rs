@@ -40,7 +40,7 @@ impl InertialPath {
             .iter()
             .position(|p| p.filtered_sd_m.is_nan() || p.filtered_sd_m > limit_m || lost(p))?;
         let at_s = known[end].time_s;
-        // Nobody knows whether it moved in a gap, or time jumped.
+        // It is unknown whether it moved in a gap, or time jumped.
         let times_s: Vec<f64> = self.points.iter().map(|p| p.time_s).collect();
         let gap_s = gap_s(&times_s);
         let goes_on = |w: &&[PathPoint]| w[1].time_s - w[0].time_s <= gap_s;

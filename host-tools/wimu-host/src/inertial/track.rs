@@ -165,7 +165,7 @@ impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
     }
 }
 
-/// A warning for each count above zero: so many of something, and what happened to them.
+/// A warning for each count above zero: the number of something, and what happened to it.
 pub(super) fn counted_findings(
     code: FindingCode,
     one: &str,

@@ -21,7 +21,7 @@ const GAP_S: f64 = 3.0;
 /// Blocks in which the residuals of an anchor are compared with the path, s, and ranges of a block at least.
 const BLOCK_S: f64 = 5.0;
 const LEAST_BLOCK: usize = 5;
-/// Median residual of a block that is reported: so many standard deviations of a range, and m.
+/// Median residual of a block that is reported: in standard deviations of a range, and m.
 const RESIDUAL_SIGMA: f64 = 6.0;
 const LEAST_RESIDUAL_M: f64 = 0.4;
 /// Refuses what cannot be solved, and reports gaps.

@@ -109,7 +109,10 @@ impl Authentication {
         for (count, what) in [
             (self.forged, "forged"),
             (self.replayed, "replayed"),
-            (self.incomplete, "not verifiable (frames lost)"),
+            (
+                self.incomplete,
+                "not verifiable (frames lost, or before the start)",
+            ),
             (self.unknown_key, "with another key"),
         ] {
             if count > 0 {

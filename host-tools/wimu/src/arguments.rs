@@ -454,7 +454,8 @@ pub struct Record {
     /// Add decoded ROS 2 topics at the end of the recording
     #[arg(long)]
     pub decoded: bool,
-    /// Stop when all links have been lost for this time, s; until then each is opened again
+    /// Stop when all links have been lost for this time, s; until then each is opened again. A link through a broker counts
+    /// as lost after 10 s without it
     #[arg(long, value_name = "SECONDS", default_value = "30", value_parser = seconds)]
     pub reconnect: Duration,
     /// Stop after this time, s

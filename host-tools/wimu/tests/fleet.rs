@@ -222,6 +222,27 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
         let figures = ["boards", "done", "written"].map(|figure| done[figure].clone());
         assert_eq!(figures, [1, 1, written].map(|count| json!(count)));
     }
+    let second = calibrations.join("0000000051570001.json");
+    fs::copy(calibrations.join("b.json"), &second).unwrap();
+    run(&push).fails(2, "usage");
+    fs::remove_file(second).unwrap();
+
+    // The tags that arrive while the client connects are not of another key.
+    let monitored = run(&["monitor", &link, "--for", "4"]);
+    assert!(monitored.stderr.contains("authentic: "), "{monitored:?}");
+    assert!(!monitored.stderr.contains("another key"), "{monitored:?}");
+
+    // A file that is removed is reported, and a new one begun.
+    fs::remove_dir_all(folder.path().join("recordings")).unwrap();
+    wait_until("a new recording", || {
+        folder.path().join("recordings/b").exists()
+            && files(&folder.path().join("recordings"), "b").len() == 1
+    });
+    let file = folder.path().join("fleet.toml");
+    wimu(&["gateway", "--config", file.to_str().unwrap()]).fails(1, "link_busy");
+    drop(board);
+    wait_until("the board is away", || gateway.metric("wimu_board_alive") == 0.0);
+    run(&push).fails(1, "link_absent");
     gateway.stop();
 }
 

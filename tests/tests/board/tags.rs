@@ -118,6 +118,14 @@ fn what_a_board_with_a_key_sends_is_verified_on_both_links_and_without_a_key_has
     let key = Authenticity::UnknownKey(KEY.id());
     assert!(unknown.len() >= 2 && count(&unknown, key) == unknown.len());
 
+    // Before it is known which keys there are, no tag is judged.
+    let mut decoder = Decoder::new();
+    for frame in &cable {
+        decoder.push(0, frame, |arrival| {
+            assert!(!matches!(arrival.event, Event::Tagged(_)), "{arrival:?}");
+        });
+    }
+
     let mut without = Rig::usual();
     without.run(5.0);
     for role in ROLES {

@@ -39,7 +39,8 @@ pub enum Authenticity {
 /// Verifies the tags of one link. Keeps the frames of an interval, if there are keys.
 #[derive(Debug, Default)]
 pub(super) struct Verifier {
-    keys: Vec<DeviceKey>,
+    /// `None` until it is known which there are: tags are not judged then.
+    keys: Option<Vec<DeviceKey>>,
     /// The device and its link, by its latest greeting.
     device: Option<(u64, LinkRole)>,
     frames: Vec<Arrived>,
@@ -72,7 +73,7 @@ struct Latest {
 impl Verifier {
     /// Uses these keys from now on.
     pub fn set_keys(&mut self, keys: Vec<DeviceKey>) {
-        self.keys = keys;
+        self.keys = Some(keys);
         self.interrupt();
     }
 
@@ -90,7 +91,7 @@ impl Verifier {
 
     /// Keeps a frame until the next tag.
     pub fn take(&mut self, host_ns: u64, frame: &Frame) {
-        if self.keys.is_empty() {
+        if self.keys.as_ref().is_none_or(Vec::is_empty) {
             return;
         }
         let mut line = [0; MAX_FRAME];
@@ -106,8 +107,9 @@ impl Verifier {
         });
     }
 
-    /// Judges the frames before a tag; `None` for the latest tag, repeated.
+    /// Judges the frames before a tag; `None` for the latest tag, repeated, and before keys are set.
     pub fn judge(&mut self, host_ns: u64, tag: &Tag) -> Option<Interval> {
+        let keys = self.keys.as_ref()?;
         let interval = |began_ns, authenticity| {
             Some(Interval {
                 number: tag.number,
@@ -134,7 +136,7 @@ impl Verifier {
         let ended_ns = latest.as_ref().map(|latest| latest.ended_ns);
         let began_ns = ended_ns.or(frames.first().map(|first| first.host_ns));
         let began_ns = began_ns.unwrap_or(host_ns);
-        let Some(key) = self.keys.iter().find(|key| key.id() == tag.key) else {
+        let Some(key) = keys.iter().find(|key| key.id() == tag.key) else {
             return interval(began_ns, Authenticity::UnknownKey(tag.key));
         };
         let Some((device, role)) = self.device else {

@@ -143,6 +143,7 @@ impl Bridge {
             Some(client) => {
                 client.resume(tap)?;
                 self.state.reconnections += 1;
+                self.shared.note(format!("{}: connected again", self.name));
             }
             None => {
                 *client = Some(Client::connect(

@@ -146,10 +146,10 @@ impl Gateway {
     /// Starts a gateway.
     ///
     /// # Errors
-    /// Those of [`Mqtt::start`]; `link_busy` when the metrics' address is in use. A broker or board that is absent is
+    /// Those of [`Mqtt::start`]; `file_failed` when the recordings cannot be written, `link_busy` when the metrics' address
+    /// is in use. A broker or board that is absent is
     /// none: it is tried again.
     pub fn start(config: GatewayConfig) -> Result<Self> {
-        let listener = config.metrics.map(metrics::listen).transpose()?;
         let anchor = ClockAnchor::now(now());
         let (note, notes) = mpsc::sync_channel(NOTES);
         let shared = Arc::new(Shared {
@@ -167,6 +167,12 @@ impl Gateway {
         let mut boards = Vec::new();
         let mut bridges = Vec::new();
         for (name, link) in &config.boards {
+            if let Some(folder) = &config.recordings {
+                let folder = folder.join(name.as_str());
+                let failed =
+                    |error| HostError::file(&folder.display().to_string(), "create", &error);
+                std::fs::create_dir_all(&folder).map_err(failed)?;
+            }
             let (down, commands) = mpsc::sync_channel(COMMANDS);
             let shown = Arc::new(Shown::new(BoardState::new(
                 config.gateway.as_str(),
@@ -183,7 +189,7 @@ impl Gateway {
             ));
         }
         let will = shared.state(false);
-        let mut ear = Ear {
+        let mut subscriber = Subscriber {
             shared: shared.clone(),
             boards: heard,
             lost: false,
@@ -198,7 +204,8 @@ impl Gateway {
             spool: Some((config.spool.clone(), config.spool_bytes)),
             ..MqttConfig::new(&config.broker, subscriptions)
         };
-        let mqtt = Mqtt::start(connection, move |message| ear.hear(message))?;
+        let mqtt = Mqtt::start(connection, move |message| subscriber.hear(message))?;
+        let listener = config.metrics.map(metrics::listen).transpose()?;
         let _ = shared.mqtt.set(mqtt);
         shared.announce(true);
         let boards = Arc::new(boards);
@@ -259,14 +266,14 @@ impl Gateway {
     }
 }
 
-/// What is heard of the broker: commands for the boards, and other gateways with the same name or boards.
-struct Ear {
+/// Receiver of the broker's messages: commands for the boards, and other gateways with the same name or boards.
+struct Subscriber {
     shared: Arc<Shared>,
     boards: HashMap<Name, (SyncSender<Vec<u8>>, Arc<Shown>)>,
     lost: bool,
 }
 
-impl Ear {
+impl Subscriber {
     fn hear(&mut self, heard: Heard) {
         let shared = &self.shared;
         match heard {
@@ -277,7 +284,7 @@ impl Ear {
             Heard::Lost(reason) => {
                 if !std::mem::replace(&mut self.lost, true) {
                     shared.note(format!(
-                        "{}: {reason}; data are stored until it is back",
+                        "{}: {reason}; data are stored until it is connected",
                         shared.config.broker
                     ));
                 }

@@ -117,14 +117,11 @@ impl Mqtt {
     /// Connects, and again when the connection is lost. `hear` is called in the connection's thread and may not block.
     ///
     /// # Errors
-    /// `feature_missing` for TLS in a build without; `file_failed` for the folder of messages that wait.
+    /// `feature_missing` for TLS in a build without; `link_busy` and `file_failed` for the folder of messages that wait.
     pub fn start(config: MqttConfig, hear: impl FnMut(Heard) + Send + 'static) -> Result<Self> {
         let (client, mut events) = AsyncClient::new(options(&config)?, HANDED);
         events.network_options.set_tcp_nodelay(true);
-        let open = |(folder, bytes): &(PathBuf, u64)| {
-            let failed = |error| HostError::file(&folder.display().to_string(), "open", &error);
-            Spool::open(folder, *bytes).map_err(failed)
-        };
+        let open = |(folder, bytes): &(PathBuf, u64)| Spool::open(folder, *bytes);
         let outbound = Arc::new(Mutex::new(Outbound {
             client,
             spool: config.spool.as_ref().map(open).transpose()?,
@@ -180,8 +177,8 @@ impl Mqtt {
                 let reason = reason.unwrap_or_else(|| "no answer".to_owned());
                 return Err(ErrorCode::LinkRefused
                     .error(
-                        format!("the broker does not answer: {reason}"),
-                        "start it, or check address, user and password",
+                        format!("cannot connect to the broker: {reason}"),
+                        "start it, or check address, user and password (WIMU_MQTT_PASSWORD)",
                     )
                     .at(self.broker.to_string()));
             }
@@ -304,14 +301,15 @@ async fn run(
             Ok(Event::Incoming(Incoming::PubAck(_))) => lock(out).acknowledge(),
             Ok(_) => {}
             Err(error) => {
-                let since = lock(out).lose(events, &error);
+                let reason = reason(&error);
+                let since = lock(out).lose(events, &reason);
                 if is_too_long(&error) {
                     suspended = Some(Instant::now());
                     lock(out).figures.too_long += 1;
                 } else if since.is_some_and(|since| since.elapsed() < SHORT) {
                     events.mqtt_options.set_client_id(client_id());
                 }
-                hear(Heard::Lost(&error.to_string()));
+                hear(Heard::Lost(&reason));
                 tokio::time::sleep(RETRY).await;
             }
         }
@@ -331,9 +329,23 @@ async fn disconnect(out: &Mutex<Outbound>, events: &mut EventLoop) {
         let _ = tokio::time::timeout(Duration::from_millis(500), disconnect).await;
     }
     let mut out = lock(out);
-    out.lose(events, &ConnectionError::RequestsDone);
+    out.lose(events, "stopped");
     if let Some(spool) = &mut out.spool {
         let _ = spool.save();
+    }
+}
+
+/// Why a connection was lost or refused.
+fn reason(error: &ConnectionError) -> String {
+    use rumqttc::ConnectReturnCode::{BadUserNamePassword, NotAuthorized};
+    match error {
+        error if is_too_long(error) => {
+            "a message is too long; nothing is received for 60 s".to_owned()
+        }
+        ConnectionError::ConnectionRefused(BadUserNamePassword | NotAuthorized) => {
+            "it refuses user or password (WIMU_MQTT_PASSWORD)".to_owned()
+        }
+        other => other.to_string(),
     }
 }
 
@@ -418,7 +430,7 @@ impl Outbound {
     }
 
     /// Takes back what the client has not delivered: it is next again. Returns since when it was connected.
-    fn lose(&mut self, events: &mut EventLoop, reason: &ConnectionError) -> Option<Instant> {
+    fn lose(&mut self, events: &mut EventLoop, reason: &str) -> Option<Instant> {
         events.clean();
         let collided = events.state.collision.take().map(Request::Publish);
         for request in events.pending.drain(..).chain(collided).rev() {
@@ -432,7 +444,7 @@ impl Outbound {
             }
         }
         self.under_way = 0;
-        self.reason = Some(reason.to_string());
+        self.reason = Some(reason.to_owned());
         self.connected.take()
     }
 

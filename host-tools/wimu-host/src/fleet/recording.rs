@@ -17,6 +17,8 @@ const AGAIN: Duration = Duration::from_secs(5);
 pub struct Recording {
     folder: PathBuf,
     writer: Option<(RecordingWriter<fs::File>, Duration)>,
+    /// Its file.
+    path: PathBuf,
     /// Bytes written since the last flush: lost when the disk is full.
     unflushed: u64,
     retry_at: Duration,
@@ -27,6 +29,7 @@ impl Recording {
         Self {
             folder,
             writer: None,
+            path: PathBuf::new(),
             unflushed: 0,
             retry_at: Duration::ZERO,
         }
@@ -69,21 +72,28 @@ impl Recording {
         writer.record(entry)?;
         if writer.flushed_ns() != flushed {
             self.unflushed = 0;
+            if !self.path.exists() {
+                let file = self.path.display().to_string();
+                let remedy = "a new file is begun; move files when the next one has been begun";
+                return Err(ErrorCode::FileFailed
+                    .error("the file is gone", remedy)
+                    .at(file));
+            }
         }
         self.writer = Some((writer, opened));
         Ok(opened)
     }
 
     /// A file that is named by UTC in ms: sorted by time.
-    fn create(&self, shared: &Shared, at: Duration) -> Result<RecordingWriter<fs::File>> {
+    fn create(&mut self, shared: &Shared, at: Duration) -> Result<RecordingWriter<fs::File>> {
         let failed = |error| HostError::file(&self.folder.display().to_string(), "create", &error);
         fs::create_dir_all(&self.folder).map_err(failed)?;
         let begin_ms = shared.utc_ns(nanoseconds(at)) / 1_000_000;
-        let path = self.folder.join(format!("{begin_ms:013}.mcap"));
-        RecordingWriter::create(&path, shared.anchor).inspect_err(|error| {
+        self.path = self.folder.join(format!("{begin_ms:013}.mcap"));
+        RecordingWriter::create(&self.path, shared.anchor).inspect_err(|error| {
             // What a full disk leaves is no recording; but one of before a clock's jump back may have this name.
             if error.code() != ErrorCode::FileExists {
-                let _ = fs::remove_file(&path);
+                let _ = fs::remove_file(&self.path);
             }
         })
     }

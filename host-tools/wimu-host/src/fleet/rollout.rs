@@ -45,18 +45,24 @@ impl Plan {
     /// Finds the file of each board in `folder`: `BOARD.json`, or `DEVICE_ID.json`.
     ///
     /// # Errors
-    /// `file_unreadable` without the folder; those of [`read_parameters`], before anything is pushed.
+    /// `file_unreadable` without the folder; `usage` for two files of a board; those of [`read_parameters`], before anything is pushed.
     pub fn new(status: &FleetStatus, folder: &Path) -> Result<Self> {
         let mut plan = Self::default();
         let mut unused = calibrations(folder)?;
         for (board, state) in &status.boards {
             let names = [Some(board.as_str()), state.device_id.as_deref()];
-            let names = names.map(|name| name.map(|name| format!("{name}.json")));
-            let file = names.iter().flatten().find(|name| unused.remove(*name));
-            let Some(file) = file.map(|name| folder.join(name)) else {
+            let names = names.into_iter().flatten();
+            let files = names.map(|name| format!("{name}.json"));
+            let mut files = files.filter(|name| unused.remove(name));
+            let Some(file) = files.next().map(|name| folder.join(name)) else {
                 plan.without_file.push(board.clone());
                 continue;
             };
+            if let Some(other) = files.next() {
+                let message = format!("`{other}` is of the board `{board}`, too");
+                let error = ErrorCode::Usage.error(message, "remove one of both files");
+                return Err(error.at(file.display().to_string()));
+            }
             let Some(name) = board.parse().ok().filter(|_| state.alive) else {
                 plan.away.push(board.clone());
                 continue;

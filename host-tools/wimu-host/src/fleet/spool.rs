@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use crate::{ErrorCode, HostError, Result};
+
 /// Bytes held in memory before files are used: what a killed gateway may lose beside what is under way.
 const MEMORY: u64 = 1 << 20;
 /// A file is closed at this size, and dropped as a whole.
@@ -71,12 +73,17 @@ impl Spool {
     /// A spool of at most `limit` bytes in files of `folder`, with what an earlier one has left there.
     ///
     /// # Errors
-    /// Those of the folder; also when another program uses it.
-    pub fn open(folder: &Path, limit: u64) -> io::Result<Self> {
-        fs::create_dir_all(folder)?;
-        let lock = File::create(folder.join("lock"))?;
-        lock.try_lock()
-            .map_err(|_| io::Error::other("another gateway uses this folder"))?;
+    /// `link_busy` when another gateway uses the folder; those of the folder.
+    pub fn open(folder: &Path, limit: u64) -> Result<Self> {
+        let name = folder.display().to_string();
+        let failed = |error| HostError::file(&name, "open", &error);
+        fs::create_dir_all(folder).map_err(failed)?;
+        let lock = File::create(folder.join("lock")).map_err(failed)?;
+        if lock.try_lock().is_err() {
+            let remedy = "stop it, or give this one a `gateway` name of its own";
+            let error = ErrorCode::LinkBusy.error("another gateway uses this spool", remedy);
+            return Err(error.at(name));
+        }
         let mut spool = Self {
             memory: VecDeque::new(),
             memory_bytes: 0,
@@ -87,11 +94,11 @@ impl Spool {
             writer: None,
             dropped: 0,
         };
-        for entry in fs::read_dir(folder)? {
-            let name = entry?.file_name();
-            let number = name.to_str().and_then(|name| name.strip_suffix(".spool"));
+        for entry in fs::read_dir(folder).map_err(failed)? {
+            let file = entry.map_err(failed)?.file_name();
+            let number = file.to_str().and_then(|name| name.strip_suffix(".spool"));
             if let Some(number) = number.and_then(|hex| u64::from_str_radix(hex, 16).ok()) {
-                let (messages, bytes) = spool.read(number)?;
+                let (messages, bytes) = spool.read(number).map_err(failed)?;
                 spool.segments.push_back(Segment {
                     number,
                     messages: messages.len() as u64,

@@ -136,21 +136,27 @@ fn push(fleet: &Address, folder: &Path, until: u8, output: Output) -> Result<()>
             output.print(format!("left out, {what}: {}", names.join(", ")));
         }
     }
+    if plan.targets.is_empty() && !plan.away.is_empty() {
+        let message = "all boards that have a file are away";
+        let remedy = "`wimu fleet status` says why";
+        return Err(ErrorCode::LinkAbsent.error(message, remedy));
+    }
     if plan.targets.is_empty() {
         return Err(ErrorCode::DataRefused.error(
             format!(
-                "no board of fleet `{}` that is alive has a file in the folder",
+                "no board of fleet `{}` has a file in the folder",
                 fleet.fleet
             ),
             "name the files BOARD.json or DEVICE_ID.json; `wimu fleet status` lists the boards",
         ));
     }
-    let boards = plan.targets.len();
+    let targets = plan.targets.len();
+    let boards = targets + plan.away.len();
     let (mut done, mut written) = (0, 0);
     for (stage, count) in (1..=until).zip(plan.stages()) {
         output.print(format!(
             "stage {stage}: {count} of {}",
-            counted(boards, "board")
+            counted(targets, "board")
         ));
         for target in &plan.targets[done..count] {
             let pushed = rollout::push(fleet, target)?;
@@ -165,8 +171,7 @@ fn push(fleet: &Address, folder: &Path, until: u8, output: Output) -> Result<()>
         done = count;
     }
     output.print(format!(
-        "{done} of {} hold their calibration, {written} of them by this push",
-        counted(boards, "board")
+        "boards with their calibration: {done} of {boards}; {written} written by this push"
     ));
     output.answer(
         "wimu.fleet-push/1",

@@ -241,7 +241,9 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
     let file = folder.path().join("fleet.toml");
     wimu(&["gateway", "--config", file.to_str().unwrap()]).fails(1, "link_busy");
     drop(board);
-    wait_until("the board is away", || gateway.metric("wimu_board_alive") == 0.0);
+    wait_until("the board is away", || {
+        gateway.metric("wimu_board_alive") == 0.0
+    });
     run(&push).fails(1, "link_absent");
     gateway.stop();
 }

@@ -1,19 +1,19 @@
 //! One board of a gateway: its link, its recording, its batches and its state.
 
 use std::sync::mpsc::Receiver;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use wimu_link::LinkRole;
 use wimu_link::message::Event as DeviceEvent;
 use wimu_model::{ParameterId, ParameterSet};
 
-use super::Batch;
 use super::commands::{self, Asks};
 use super::gateway::Shared;
 use super::recording::Recording;
 use super::state::{self, BoardState};
 use super::topics::{Content, Name, topic};
+use super::{Batch, lock};
 use crate::client::{Client, ConnectOptions};
 use crate::clock::ClockEstimator;
 use crate::decode::{Arrival, Event};
@@ -44,18 +44,7 @@ const ENOUGH: usize = 16 << 10;
 const MOST: usize = 64 << 10;
 
 /// What the gateway's threads know of a board.
-#[derive(Debug)]
-pub struct Shown(Mutex<BoardState>);
-
-impl Shown {
-    pub fn new(state: BoardState) -> Self {
-        Self(Mutex::new(state))
-    }
-
-    pub fn lock(&self) -> MutexGuard<'_, BoardState> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
+pub type Shown = Mutex<BoardState>;
 
 /// The board, in a thread of its own.
 pub struct Bridge {
@@ -85,7 +74,7 @@ impl Bridge {
         down: Receiver<Vec<u8>>,
     ) -> Self {
         let folder = shared.config.recordings.as_ref();
-        let state = shown.lock().clone();
+        let state = lock(&shown).clone();
         Self {
             batch: Outgoing::new(topic(&shared.config.fleet, &name, Content::Up)),
             recording: folder.map(|folder| Recording::new(folder.join(name.as_str()))),
@@ -318,7 +307,7 @@ impl Bridge {
             mqtt.retain(topic, state::message(&self.state));
             self.reported = Some((self.state.clone(), at));
         }
-        self.shown.lock().clone_from(&self.state);
+        lock(&self.shown).clone_from(&self.state);
     }
 }
 

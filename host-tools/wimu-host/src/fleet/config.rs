@@ -71,27 +71,17 @@ pub struct GatewayConfig {
 struct Text {
     fleet: Parsed<Name>,
     broker: Parsed<Broker>,
-    #[serde(default = "gateway")]
-    gateway: Parsed<Name>,
+    gateway: Option<Parsed<Name>>,
     recordings: Option<PathBuf>,
     #[serde(default)]
     rotate_minutes: Within<60, 1, 10_080>,
-    #[serde(default = "spool")]
-    spool: PathBuf,
+    spool: Option<PathBuf>,
     #[serde(default)]
     spool_mb: Within<256, 2, 1_048_576>,
     #[serde(default)]
     batch_ms: Within<1000, 10, 60_000>,
     metrics: Option<Parsed<SocketAddr>>,
     boards: BTreeMap<Parsed<Name>, Spanned<Parsed<LinkUrl>>>,
-}
-
-fn gateway() -> Parsed<Name> {
-    Parsed(Name::gateway())
-}
-
-fn spool() -> PathBuf {
-    "spool".into()
 }
 
 /// What a text says, or why it does not.
@@ -182,10 +172,12 @@ impl GatewayConfig {
             ));
         }
         let beside = |folder: PathBuf| path.parent().unwrap_or(Path::new("")).join(folder);
+        let gateway = found.gateway.map_or_else(Name::gateway, |name| name.0);
+        let spool = found.spool.unwrap_or_else(|| "spool".into());
         Ok(Self {
             fleet: found.fleet.0,
-            spool: beside(found.spool).join(found.gateway.0.as_str()),
-            gateway: found.gateway.0,
+            spool: beside(spool).join(gateway.as_str()),
+            gateway,
             broker: found.broker.0,
             recordings: found.recordings.map(beside),
             rotate: Duration::from_secs(60 * found.rotate_minutes.0),

@@ -3,11 +3,12 @@
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{self, Receiver, SyncSender};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::thread::{self, JoinHandle};
 
 use super::bridge::{Bridge, Shown};
 use super::config::GatewayConfig;
+use super::lock;
 use super::metrics;
 use super::mqtt::{Figures, Heard, Mqtt, MqttConfig};
 use super::state::{self, BoardState, GatewayState};
@@ -76,11 +77,7 @@ impl Shared {
 
     /// A line for people; dropped without a reader.
     pub fn note(&self, text: String) {
-        let _ = self
-            .notes
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .try_send(text);
+        let _ = lock(&self.notes).try_send(text);
     }
 }
 
@@ -131,7 +128,7 @@ impl GatewaySummary {
             ..Self::default()
         };
         for (_, shown) in boards {
-            let state = shown.lock();
+            let state = lock(shown);
             sum.alive += usize::from(state.alive);
             sum.samples += state.samples;
             sum.missing += state.missing;
@@ -317,7 +314,7 @@ impl Subscriber {
         let Some((_, shown)) = self.boards.get(board) else {
             return;
         };
-        let (shared, ours) = (&self.shared, shown.lock().clone());
+        let (shared, ours) = (&self.shared, lock(shown).clone());
         if state.session == ours.session {
             return;
         }

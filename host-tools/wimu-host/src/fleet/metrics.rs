@@ -10,6 +10,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::gateway::{Boards, GatewaySummary, Shared};
+use super::lock;
 use crate::{ErrorCode, Result};
 
 /// Longest request, and longest wait for it.
@@ -76,7 +77,7 @@ fn text(shared: &Shared, boards: &Boards) -> String {
     let mut lines = Vec::new();
     for (name, shown) in boards {
         let label = format!("{{board=\"{name}\"}}");
-        add(&mut lines, "wimu_board", &label, &*shown.lock());
+        add(&mut lines, "wimu_board", &label, &*lock(shown));
     }
     add(
         &mut lines,

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -14,6 +14,7 @@ use rumqttc::{
 use serde::Serialize;
 use tokio::sync::Notify;
 
+use super::lock;
 use super::spool::{Message, Spool};
 use super::topics::Broker;
 use crate::{ErrorCode, HostError, Result};
@@ -208,11 +209,7 @@ impl Mqtt {
 
     /// Delivers for at most 2 s what waits, stores the rest, and disconnects.
     pub fn stop(&self) {
-        let thread = self
-            .thread
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .take();
+        let thread = lock(&self.thread).take();
         // The last owner may be the thread itself.
         if let Some(thread) = thread.filter(|other| other.thread().id() != thread::current().id()) {
             let until = Instant::now() + PARTING;
@@ -301,10 +298,11 @@ async fn run(
             Ok(Event::Incoming(Incoming::PubAck(_))) => lock(out).acknowledge(),
             Ok(_) => {}
             Err(error) => {
-                let reason = reason(&error);
+                let mut reason = error.to_string();
                 let since = lock(out).lose(events, &reason);
                 if is_too_long(&error) {
                     suspended = Some(Instant::now());
+                    reason += "; nothing is received for 60 s";
                     lock(out).figures.too_long += 1;
                 } else if since.is_some_and(|since| since.elapsed() < SHORT) {
                     events.mqtt_options.set_client_id(client_id());
@@ -335,20 +333,6 @@ async fn disconnect(out: &Mutex<Outbound>, events: &mut EventLoop) {
     }
 }
 
-/// Why a connection was lost or refused.
-fn reason(error: &ConnectionError) -> String {
-    use rumqttc::ConnectReturnCode::{BadUserNamePassword, NotAuthorized};
-    match error {
-        error if is_too_long(error) => {
-            "a message is too long; nothing is received for 60 s".to_owned()
-        }
-        ConnectionError::ConnectionRefused(BadUserNamePassword | NotAuthorized) => {
-            "it refuses user or password (WIMU_MQTT_PASSWORD)".to_owned()
-        }
-        other => other.to_string(),
-    }
-}
-
 fn is_too_long(error: &ConnectionError) -> bool {
     matches!(
         error,
@@ -370,10 +354,6 @@ struct Outbound {
     figures: Figures,
     /// Why it is not connected.
     reason: Option<String>,
-}
-
-fn lock(outbound: &Mutex<Outbound>) -> MutexGuard<'_, Outbound> {
-    outbound.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Outbound {

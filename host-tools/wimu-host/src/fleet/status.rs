@@ -1,11 +1,12 @@
 //! The boards of a fleet as the broker knows them.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use serde::Serialize;
 
+use super::lock;
 use super::mqtt::{Heard, Mqtt, MqttConfig};
 use super::state::{BoardState, GatewayState};
 use super::topics::{Content, Fleet, Name, all_boards, all_gateways, board_of};
@@ -70,14 +71,13 @@ pub fn read(fleet: &Fleet, time: Duration) -> Result<FleetStatus> {
     let filters = vec![all_boards(&name, Content::State), all_gateways(&name)];
     let mqtt = Mqtt::start(MqttConfig::new(&fleet.broker, filters), move |heard| {
         if let Heard::Message { topic, payload, .. } = heard {
-            let mut status = shared.lock().unwrap_or_else(PoisonError::into_inner);
-            status.take(&name, topic, payload);
+            lock(&shared).take(&name, topic, payload);
         }
     })?;
     mqtt.wait_connected()?;
     std::thread::sleep(time);
     mqtt.stop();
-    let mut status = found.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    let mut status = lock(&found).clone();
     for mut state in std::mem::take(&mut status.boards) {
         if let Some(why) = status.why_away(&state.1) {
             state.1.alive = false;

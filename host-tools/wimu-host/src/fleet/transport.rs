@@ -1,10 +1,11 @@
 //! `mqtt://HOST/FLEET/BOARD` as a LINK.
 
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use super::commands::{self, CommandFault};
+use super::lock;
 use super::mqtt::{Heard, Mqtt, MqttConfig};
 use super::session::Follower;
 use super::status::FleetStatus;
@@ -63,7 +64,7 @@ pub fn open(
         let Heard::Message { topic, payload, .. } = heard else {
             return;
         };
-        let mut known = shared.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut known = lock(&shared);
         if topic != up {
             return known.status.take(&of_fleet, topic, payload);
         }
@@ -99,7 +100,7 @@ pub fn open(
 impl MqttLink {
     /// Why the board is away: it is not while its batches arrive, whatever its state says.
     fn away(&self) -> Option<String> {
-        let known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = lock(&self.known);
         if known.heard.is_some_and(|heard| now() < heard + LOST_AFTER) {
             None
         } else if !self.mqtt.is_connected() {

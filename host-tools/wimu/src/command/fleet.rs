@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use serde::Serialize;
+use serde_json::json;
 use wimu_host::fleet::rollout::{self, Plan};
 use wimu_host::fleet::state::BoardState;
 use wimu_host::fleet::status::{self, FleetStatus};
@@ -17,16 +17,6 @@ use crate::output::Output;
 
 /// Time to listen for the states before a push.
 const LISTEN: std::time::Duration = std::time::Duration::from_secs(2);
-
-#[derive(Serialize)]
-struct Pushed {
-    boards: usize,
-    done: usize,
-    written: usize,
-    without_file: Vec<String>,
-    away: Vec<String>,
-    without_board: Vec<String>,
-}
 
 pub fn run(action: &Fleet, output: Output) -> Result<()> {
     match action {
@@ -46,26 +36,17 @@ pub fn run(action: &Fleet, output: Output) -> Result<()> {
 
 fn show(status: &FleetStatus, output: Output) {
     let alive = status.alive().count();
-    let (mut samples, mut missing) = (0, 0);
-    for state in status.boards.values() {
-        samples += state.samples;
-        missing += state.missing;
-    }
+    let sum = |of: fn(&BoardState) -> u64| status.boards.values().map(of).sum::<u64>();
+    let missing = sum(|state| state.missing);
     output.print(format!(
         "{alive} of {} alive; {missing} of {} samples missing",
         counted(status.boards.len(), "board"),
-        samples + missing
+        sum(|state| state.samples) + missing
     ));
     let now = SystemTime::now()
         .duration_since(UNIX_EPOCH)
         .map_or(0.0, |since| since.as_secs_f64());
-    let width = status
-        .boards
-        .keys()
-        .map(String::len)
-        .max()
-        .unwrap_or_default()
-        .max(5);
+    let width = status.boards.keys().map(String::len).fold(5, usize::max);
     if !status.boards.is_empty() {
         output.print(format!(
             "{:width$}  {:>9}  {:>11}  {:12}  {:>10}  {:>8}",
@@ -175,14 +156,14 @@ fn push(fleet: &Address, folder: &Path, until: u8, output: Output) -> Result<()>
     ));
     output.answer(
         "wimu.fleet-push/1",
-        &Pushed {
-            boards,
-            done,
-            written,
-            without_file: plan.without_file,
-            away: plan.away,
-            without_board: plan.without_board,
-        },
+        &json!({
+            "boards": boards,
+            "done": done,
+            "written": written,
+            "without_file": plan.without_file,
+            "away": plan.away,
+            "without_board": plan.without_board,
+        }),
     );
     Ok(())
 }

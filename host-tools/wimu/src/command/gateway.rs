@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use serde::Serialize;
+use serde_json::json;
 use wimu_host::Result;
 use wimu_host::fleet::config::GatewayConfig;
 use wimu_host::fleet::gateway::{Gateway, GatewaySummary};
@@ -14,12 +14,6 @@ use crate::output::Output;
 
 /// Interval of the lines of figures.
 const EVERY: Duration = Duration::from_secs(10);
-
-#[derive(Serialize)]
-struct Started {
-    boards: usize,
-    metrics: Option<String>,
-}
 
 pub fn run(arguments: &Arguments, output: Output) -> Result<()> {
     let config = GatewayConfig::read(&arguments.config)?;
@@ -39,8 +33,10 @@ pub fn run(arguments: &Arguments, output: Output) -> Result<()> {
     if let Some(address) = metrics {
         output.print(format!("metrics at http://{address}/metrics"));
     }
-    let metrics = metrics.map(|address| address.to_string());
-    output.answer("wimu.gateway/1", &Started { boards, metrics });
+    output.answer(
+        "wimu.gateway/1",
+        &json!({"boards": boards, "metrics": metrics}),
+    );
     let mut shown = Instant::now();
     while !is_over(end, &stop) {
         std::thread::sleep(Duration::from_millis(50));

@@ -111,7 +111,7 @@ impl Authentication {
             (self.replayed, "replayed"),
             (
                 self.incomplete,
-                "not verifiable (frames lost, or before the start)",
+                "not verifiable (begun before this link, or frames lost)",
             ),
             (self.unknown_key, "with another key"),
         ] {

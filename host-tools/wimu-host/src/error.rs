@@ -48,6 +48,7 @@ impl HostError {
                 ErrorCode::FileExists,
                 "name another file, or remove this one",
             ),
+            ErrorKind::InvalidData => (ErrorCode::FileUnreadable, "name a text file"),
             ErrorKind::IsADirectory => (ErrorCode::FileUnreadable, "name a file, not a folder"),
             ErrorKind::NotADirectory => (ErrorCode::FileUnreadable, "name a folder, not a file"),
             ErrorKind::StorageFull => (ErrorCode::FileFailed, "free some space"),

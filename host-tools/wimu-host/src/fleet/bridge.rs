@@ -63,6 +63,8 @@ pub struct Bridge {
     asked: Option<Duration>,
     /// When the clock is estimated next.
     clock_at: Duration,
+    /// When the board is asked for its identification next.
+    who_at: Duration,
 }
 
 impl Bridge {
@@ -84,6 +86,7 @@ impl Bridge {
             counted: Duration::ZERO,
             asked: None,
             clock_at: Duration::ZERO,
+            who_at: Duration::ZERO,
             name,
             link,
             shared,
@@ -160,7 +163,7 @@ impl Bridge {
     /// Serves the link until it is lost.
     fn serve(&mut self, client: &mut LiveClient) -> Result<()> {
         let began = now();
-        let (mut time_at, mut who_at) = (began, began + ASK_WHO);
+        let mut time_at = began;
         while !self.shared.stopped() {
             self.forward(client)?;
             let at = now();
@@ -171,8 +174,8 @@ impl Bridge {
                     self.clock.asked(*host_ns, &bytes.clone());
                 }
             }
-            if at >= who_at {
-                who_at = at + ASK_WHO;
+            if at >= self.who_at {
+                self.who_at = at + ASK_WHO;
                 client.ask_who()?;
             }
             let is_asked = self.asked.is_some_and(|asked| at < asked + ASKED_FOR);
@@ -256,6 +259,9 @@ impl Bridge {
         if let Some(recording) = &mut self.recording {
             for entry in entries {
                 self.state.unrecorded_bytes += recording.write(entry, &self.shared);
+            }
+            if std::mem::take(&mut recording.began) {
+                self.who_at = Duration::ZERO;
             }
         }
     }

@@ -142,7 +142,10 @@ impl GatewayConfig {
         let failed = |at: usize, message: &str| {
             let line = text.get(..at).unwrap_or_default().matches('\n').count() + 1;
             ErrorCode::BadConfig
-                .error(message, "see `wimu gateway --help` for an example")
+                .error(
+                    message,
+                    "see `wimu gateway --help` for an example: [boards] is last",
+                )
                 .at(format!("{}, line {line}", path.display()))
         };
         let found: Text = toml::from_str(text).map_err(|error| {
@@ -152,12 +155,16 @@ impl GatewayConfig {
         let mut boards: BTreeMap<Name, LinkUrl> = BTreeMap::new();
         for (board, link) in found.boards {
             let (at, url) = (link.span().start, link.into_inner().0);
+            let same = |other: &Name| other.as_str().eq_ignore_ascii_case(board.0.as_str());
             let trouble = match &url {
                 LinkUrl::Auto | LinkUrl::Serial { baud: None, .. } => {
                     "a gateway needs the port and its baud rate"
                 }
                 LinkUrl::Mqtt { .. } => "a gateway needs a link to the board itself",
                 _ if boards.values().any(|other| *other == url) => "another board has this LINK",
+                _ if boards.keys().any(same) => {
+                    "another board's name differs in upper and lower case only"
+                }
                 _ => {
                     boards.insert(board.0, url);
                     continue;
@@ -230,6 +237,11 @@ mod tests {
                 &format!("{HEAD}{boards}b = \"tcp://127.0.0.1:7100\"\n"),
                 5,
                 "another board",
+            ),
+            (
+                &format!("{HEAD}{boards}A = \"tcp://127.0.0.1:7101\"\n"),
+                4,
+                "case",
             ),
             (&format!("{HEAD}{boards}b = \"auto\"\n"), 5, "port"),
             (

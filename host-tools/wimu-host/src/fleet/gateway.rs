@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex, OnceLock};
 use std::thread::{self, JoinHandle};
 
 use super::bridge::{Bridge, Shown};
+use super::commands::MAX_COMMAND;
 use super::config::GatewayConfig;
 use super::lock;
 use super::metrics;
@@ -144,8 +145,7 @@ impl Gateway {
     ///
     /// # Errors
     /// Those of [`Mqtt::start`]; `file_failed` when the recordings cannot be written, `link_busy` when the metrics' address
-    /// is in use. A broker or board that is absent is
-    /// none: it is tried again.
+    /// is in use. A broker or board that is absent is none: it is tried again.
     pub fn start(config: GatewayConfig) -> Result<Self> {
         let anchor = ClockAnchor::now(now());
         let (note, notes) = mpsc::sync_channel(NOTES);
@@ -293,18 +293,23 @@ impl Subscriber {
             } => {
                 let fleet = &shared.config.fleet;
                 if let Some(board) = board_of(topic, fleet, Content::Down) {
-                    // A retained command is old.
+                    // A retained command is old, one that is too long is refused.
+                    let command = &payload[..payload.len().min(MAX_COMMAND + 1)];
                     if let Some((down, _)) = self.boards.get(&board).filter(|_| !retained)
-                        && down.try_send(payload.to_vec()).is_err()
+                        && down.try_send(command.to_vec()).is_err()
                     {
                         shared.crowded.fetch_add(1, Ordering::Relaxed);
                     }
                 } else if let Some(board) = board_of(topic, fleet, Content::State) {
-                    if let Some(state) = BoardState::read(payload).filter(|_| !retained) {
-                        self.board(topic, &board, &state);
+                    if !retained {
+                        self.board(
+                            topic,
+                            &board,
+                            &BoardState::read(payload).unwrap_or_default(),
+                        );
                     }
-                } else if let Some(state) = GatewayState::read(payload) {
-                    self.gateway(&state, retained);
+                } else {
+                    self.gateway(&GatewayState::read(payload).unwrap_or_default(), retained);
                 }
             }
         }
@@ -325,7 +330,7 @@ impl Subscriber {
                 state.gateway
             ));
         } else if ours.alive {
-            // Another gateway does not reach the board; this one does.
+            // Another gateway does not reach the board, or someone has removed its state.
             shared
                 .mqtt()
                 .retain(topic.to_owned(), state::message(&ours));
@@ -336,7 +341,7 @@ impl Subscriber {
         let shared = &self.shared;
         let is_ours = state.session == format!("{:016x}", shared.session);
         if !state.alive && (is_ours || !retained) && !shared.stopped() {
-            // The will of an earlier connection, or the end of another gateway of this name.
+            // The will of an earlier connection, the end of another gateway of this name, or no state.
             shared.announce(true);
         } else if state.alive && !is_ours && !retained {
             shared.note(format!(

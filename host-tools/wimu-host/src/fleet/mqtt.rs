@@ -6,10 +6,9 @@ use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use rumqttc::mqttbytes::Error as Malformed;
 use rumqttc::{
-    AsyncClient, ConnectionError, Event, EventLoop, Incoming, LastWill, MqttOptions, Outgoing, QoS,
-    Request, StateError, SubscribeFilter,
+    AsyncClient, Event, EventLoop, Incoming, LastWill, MqttOptions, Outgoing, QoS, Request,
+    SubscribeFilter,
 };
 use serde::Serialize;
 use tokio::sync::Notify;
@@ -29,10 +28,8 @@ const RETRY: Duration = Duration::from_millis(500);
 const SETTLE: Duration = Duration::from_millis(1500);
 /// A connection that ends within this time may have been taken over by a client of the same id.
 const SHORT: Duration = Duration::from_secs(5);
-/// Most bytes of a received message. A longer one ends the connection: see [`SUSPENDED`].
-const MAX_INCOMING: usize = 4 << 20;
-/// Time without subscriptions after a message that was too long, so that a retained one does not end every connection.
-const SUSPENDED: Duration = Duration::from_secs(60);
+/// Most bytes of a received message: the most that MQTT allows, so none ends the connection. A broker may be set to less.
+const MAX_INCOMING: usize = (256 << 20) + 4;
 const KEEP_ALIVE: Duration = Duration::from_secs(10);
 /// Longest wait for the first connection.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -102,8 +99,6 @@ pub struct Figures {
     pub spool_bytes: u64,
     /// Messages dropped because too many waited.
     pub dropped: u64,
-    /// Messages received that were too long.
-    pub too_long: u64,
 }
 
 /// A connection to a broker.
@@ -275,21 +270,12 @@ async fn run(
     subscriptions: &[String],
     mut hear: impl FnMut(Heard),
 ) {
-    let mut subscribed = false;
-    let mut suspended: Option<Instant> = None;
     loop {
-        let event = events.poll().await;
-        if let Ok(Event::Incoming(Incoming::ConnAck(_))) = event {
-            lock(out).connect();
-            subscribed = false;
-        }
-        suspended.take_if(|since| since.elapsed() >= SUSPENDED);
-        if event.is_ok() && !subscribed && suspended.is_none() {
-            lock(out).subscribe(subscriptions);
-            subscribed = true;
-        }
-        match event {
-            Ok(Event::Incoming(Incoming::ConnAck(_))) => hear(Heard::Connected),
+        match events.poll().await {
+            Ok(Event::Incoming(Incoming::ConnAck(_))) => {
+                lock(out).connect(subscriptions);
+                hear(Heard::Connected);
+            }
             Ok(Event::Incoming(Incoming::Publish(publish))) => hear(Heard::Message {
                 topic: &publish.topic,
                 payload: &publish.payload,
@@ -298,13 +284,9 @@ async fn run(
             Ok(Event::Incoming(Incoming::PubAck(_))) => lock(out).acknowledge(),
             Ok(_) => {}
             Err(error) => {
-                let mut reason = error.to_string();
+                let reason = error.to_string();
                 let since = lock(out).lose(events, &reason);
-                if is_too_long(&error) {
-                    suspended = Some(Instant::now());
-                    reason += "; nothing is received for 60 s";
-                    lock(out).figures.too_long += 1;
-                } else if since.is_some_and(|since| since.elapsed() < SHORT) {
+                if since.is_some_and(|since| since.elapsed() < SHORT) {
                     events.mqtt_options.set_client_id(client_id());
                 }
                 hear(Heard::Lost(&reason));
@@ -333,15 +315,6 @@ async fn disconnect(out: &Mutex<Outbound>, events: &mut EventLoop) {
     }
 }
 
-fn is_too_long(error: &ConnectionError) -> bool {
-    matches!(
-        error,
-        ConnectionError::MqttState(StateError::Deserialization(
-            Malformed::PayloadSizeLimitExceeded(_)
-        ))
-    )
-}
-
 /// What is published.
 struct Outbound {
     client: AsyncClient,
@@ -357,14 +330,6 @@ struct Outbound {
 }
 
 impl Outbound {
-    fn subscribe(&self, filters: &[String]) {
-        let filters = filters.iter().cloned();
-        let filters = filters.map(|path| SubscribeFilter::new(path, QoS::AtLeastOnce));
-        if filters.len() > 0 {
-            let _ = self.client.try_subscribe_many(filters);
-        }
-    }
-
     /// Hands a message to the client; returns whether it took it.
     fn hand(&mut self, message: &Message, retain: bool) -> bool {
         let Message { topic, payload } = message;
@@ -401,9 +366,14 @@ impl Outbound {
         }
     }
 
-    fn connect(&mut self) {
+    fn connect(&mut self, filters: &[String]) {
         self.connected = Some(Instant::now());
         self.figures.broker_connections += 1;
+        let filters = filters.iter().cloned();
+        let filters = filters.map(|path| SubscribeFilter::new(path, QoS::AtLeastOnce));
+        if filters.len() > 0 {
+            let _ = self.client.try_subscribe_many(filters);
+        }
         for (topic, payload) in self.retained.clone() {
             self.hand(&Message { topic, payload }, true);
         }

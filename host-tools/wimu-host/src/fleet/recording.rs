@@ -19,6 +19,8 @@ pub struct Recording {
     writer: Option<(RecordingWriter<fs::File>, Duration)>,
     /// Its file.
     path: PathBuf,
+    /// Whether it has begun a file that has no identification yet.
+    pub began: bool,
     /// Bytes written since the last flush: lost when the disk is full.
     unflushed: u64,
     retry_at: Duration,
@@ -30,6 +32,7 @@ impl Recording {
             folder,
             writer: None,
             path: PathBuf::new(),
+            began: false,
             unflushed: 0,
             retry_at: Duration::ZERO,
         }
@@ -90,6 +93,7 @@ impl Recording {
         fs::create_dir_all(&self.folder).map_err(failed)?;
         let begin_ms = shared.utc_ns(nanoseconds(at)) / 1_000_000;
         self.path = self.folder.join(format!("{begin_ms:013}.mcap"));
+        self.began = true;
         RecordingWriter::create(&self.path, shared.anchor).inspect_err(|error| {
             // What a full disk leaves is no recording; but one of before a clock's jump back may have this name.
             if error.code() != ErrorCode::FileExists {

@@ -1,6 +1,6 @@
 //! The boards of a fleet as the broker knows them.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -20,8 +20,8 @@ pub struct FleetStatus {
     pub boards: BTreeMap<String, BoardState>,
     /// The gateways by name.
     pub gateways: BTreeMap<String, GatewayState>,
-    /// Retained messages that are no state: someone else publishes there.
-    pub unreadable: u64,
+    /// Topics whose retained messages are no state: someone else publishes there.
+    pub unreadable: BTreeSet<String>,
 }
 
 impl FleetStatus {
@@ -33,16 +33,18 @@ impl FleetStatus {
 
     /// Takes a message of the broker.
     pub(super) fn take(&mut self, fleet: &Name, topic: &str, payload: &[u8]) {
-        if let Some(board) = board_of(topic, fleet, Content::State) {
+        if payload.is_empty() {
+            // It was removed.
+        } else if let Some(board) = board_of(topic, fleet, Content::State) {
             match BoardState::read(payload) {
                 Some(state) => drop(self.boards.insert(board.to_string(), state)),
-                None => self.unreadable += 1,
+                None => drop(self.unreadable.insert(topic.to_owned())),
             }
         } else if let Some(state) = GatewayState::read(payload) {
             let name = topic.rsplit('/').next().unwrap_or_default();
             self.gateways.insert(name.to_owned(), state);
         } else {
-            self.unreadable += 1;
+            self.unreadable.insert(topic.to_owned());
         }
     }
 

@@ -38,8 +38,12 @@ fn show(status: &FleetStatus, output: Output) {
     let alive = status.alive().count();
     let sum = |of: fn(&BoardState) -> u64| status.boards.values().map(of).sum::<u64>();
     let missing = sum(|state| state.missing);
+    let unrecorded = match sum(|state| state.unrecorded_bytes) {
+        0 => String::new(),
+        bytes => format!("; {bytes} bytes not recorded"),
+    };
     output.print(format!(
-        "{alive} of {} alive; {missing} of {} samples missing",
+        "{alive} of {} alive; {missing} of {} samples missing{unrecorded}",
         counted(status.boards.len(), "board"),
         sum(|state| state.samples) + missing
     ));
@@ -59,10 +63,9 @@ fn show(status: &FleetStatus, output: Output) {
     if status.boards.is_empty() {
         output.print("no gateway has published a board of this fleet: check its name");
     }
-    if status.unreadable > 0 {
+    for topic in &status.unreadable {
         output.print(format!(
-            "{} retained messages are no state: another program publishes there",
-            status.unreadable
+            "{topic:?}: what is retained is no state; another program publishes there"
         ));
     }
 }

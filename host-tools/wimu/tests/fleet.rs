@@ -235,6 +235,7 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
     // A file that is removed is reported, and a new one begun, which identifies the board.
     let recordings = folder.path().join("recordings");
     fs::remove_dir_all(&recordings).unwrap();
+    let removed = Instant::now();
     wait_until("a new recording with the board", || {
         recordings.join("b").exists()
             && files(&recordings, "b").first().is_some_and(|file| {
@@ -242,6 +243,11 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
                 info.code == 0 && info.succeeds()["links"][0]["device"].is_object()
             })
     });
+    let took = removed.elapsed();
+    assert!(
+        took < Duration::from_secs(25),
+        "only when asked each minute: {took:?}"
+    );
     let file = folder.path().join("fleet.toml");
     wimu(&["gateway", "--config", file.to_str().unwrap()]).fails(1, "link_busy");
     drop(board);

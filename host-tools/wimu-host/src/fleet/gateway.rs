@@ -145,7 +145,7 @@ impl Gateway {
     ///
     /// # Errors
     /// Those of [`Mqtt::start`]; `file_failed` when the recordings cannot be written, `link_busy` when the metrics' address
-    /// is in use. A broker or board that is absent is none: it is tried again.
+    /// is in use. An absent broker or board is tried again.
     pub fn start(config: GatewayConfig) -> Result<Self> {
         let anchor = ClockAnchor::now(now());
         let (note, notes) = mpsc::sync_channel(NOTES);

@@ -93,13 +93,14 @@ impl Recording {
         fs::create_dir_all(&self.folder).map_err(failed)?;
         let begin_ms = shared.utc_ns(nanoseconds(at)) / 1_000_000;
         self.path = self.folder.join(format!("{begin_ms:013}.mcap"));
-        self.began = true;
-        RecordingWriter::create(&self.path, shared.anchor).inspect_err(|error| {
+        let writer = RecordingWriter::create(&self.path, shared.anchor).inspect_err(|error| {
             // What a full disk leaves is no recording; but one of before a clock's jump back may have this name.
             if error.code() != ErrorCode::FileExists {
                 let _ = fs::remove_file(&self.path);
             }
-        })
+        })?;
+        self.began = true;
+        Ok(writer)
     }
 
     pub fn close(&mut self) {

@@ -144,7 +144,7 @@ impl GatewayConfig {
             ErrorCode::BadConfig
                 .error(
                     message,
-                    "see `wimu gateway --help` for an example: [boards] is last",
+                    "see `wimu gateway --help` for an example; write [boards] last",
                 )
                 .at(format!("{}, line {line}", path.display()))
         };

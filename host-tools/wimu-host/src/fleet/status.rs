@@ -20,7 +20,7 @@ pub struct FleetStatus {
     pub boards: BTreeMap<String, BoardState>,
     /// The gateways by name.
     pub gateways: BTreeMap<String, GatewayState>,
-    /// Topics whose retained messages are no state: someone else publishes there.
+    /// Topics whose retained messages are not states: another program publishes there.
     pub unreadable: BTreeSet<String>,
 }
 

@@ -65,7 +65,7 @@ fn show(status: &FleetStatus, output: Output) {
     }
     for topic in &status.unreadable {
         output.print(format!(
-            "{topic:?}: what is retained is no state; another program publishes there"
+            "{topic:?}: the retained message is not a state; another program publishes there"
         ));
     }
 }

@@ -19,10 +19,6 @@ MEMORY {
 
 fn main() {
     let target = std::env::var("TARGET").expect("cargo sets TARGET");
-    let memory = if target.starts_with("thumbv6m") {
-        MICROBIT
-    } else {
-        MPS2_AN386
-    };
+    let memory = if target.starts_with("thumbv6m") { MICROBIT } else { MPS2_AN386 };
     link::link(memory, &["-Tlink.x", "--nmagic"]);
 }

@@ -91,11 +91,7 @@ fn decode_wimu(bytes: &[u8]) -> (u32, i64) {
                 for sample in samples.iter() {
                     count += 1;
                     latest = sample.time.0;
-                    sum += sample
-                        .value
-                        .iter()
-                        .map(|&axis| i64::from(axis))
-                        .sum::<i64>();
+                    sum += sample.value.iter().map(|&axis| i64::from(axis)).sum::<i64>();
                 }
             }
         });
@@ -132,10 +128,7 @@ impl Read for Pieces<'_> {
 fn wimu_bytes(samples: &[[i16; 3]]) -> Result<Vec<u8>, Box<dyn Error>> {
     let mut bytes = Vec::new();
     let mut frame = [0; MAX_FRAME];
-    for (chunk, first) in samples
-        .chunks(BATCH as usize)
-        .zip((0_u32..).step_by(BATCH as usize))
-    {
+    for (chunk, first) in samples.chunks(BATCH as usize).zip((0_u32..).step_by(BATCH as usize)) {
         let time_us = 1_000_000 + u64::from(first) * PERIOD_US;
         if first.is_multiple_of(50 * BATCH) {
             let epoch = <Telemetry>::Epoch(Epoch {
@@ -166,16 +159,9 @@ fn wimu_bytes(samples: &[[i16; 3]]) -> Result<Vec<u8>, Box<dyn Error>> {
 fn mavlink_bytes(samples: &[[i16; 3]], all_axes: bool) -> Vec<u8> {
     let mut bytes = Vec::new();
     for (index, [xacc, yacc, zacc]) in samples.iter().copied().enumerate() {
-        let header = MavHeader {
-            sequence: index as u8,
-            ..MavHeader::default()
-        };
+        let header = MavHeader { sequence: index as u8, ..MavHeader::default() };
         let other = |value: i16| {
-            if all_axes {
-                value + index as i16 % 7
-            } else {
-                0
-            }
+            if all_axes { value + index as i16 % 7 } else { 0 }
         };
         let message = MavMessage::RAW_IMU(RAW_IMU_DATA {
             time_usec: 1_000_000 + index as u64 * PERIOD_US,

@@ -27,10 +27,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (mut done, mut tell) = (0, 0);
     while done < executions {
         if done >= tell {
-            eprintln!(
-                "{done} of {executions}, {:.0} s",
-                start.elapsed().as_secs_f64()
-            );
+            eprintln!("{done} of {executions}, {:.0} s", start.elapsed().as_secs_f64());
             tell += 1_000_000;
         }
         done += body(&mut seeded);
@@ -40,11 +37,6 @@ fn main() -> Result<(), Box<dyn Error>> {
         None => "faults in random, damaged and reordered frames, all decoders",
         Some(_) => "faults of the store on damaged images of flash",
     };
-    figure(
-        &format!("{claim}, seed {seed}"),
-        format!("0 of {done}"),
-        "none",
-        true,
-    );
+    figure(&format!("{claim}, seed {seed}"), format!("0 of {done}"), "none", true);
     Ok(())
 }

@@ -46,12 +46,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         outcome.longest_resynchronisation, outcome.restarts
     );
     let wrong = format!("{} of {}", outcome.wrong, outcome.accepted);
-    figure(
-        "wrong samples accepted from a bad link",
-        wrong,
-        "none",
-        outcome.wrong == 0,
-    );
+    figure("wrong samples accepted from a bad link", wrong, "none", outcome.wrong == 0);
     figure(
         "lost samples of a bad link that are counted as lost",
         format!("{} of {}", outcome.counted_lost(), outcome.lost),

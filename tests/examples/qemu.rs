@@ -45,9 +45,7 @@ Usage: qemu IMAGE [OPTION VALUE]…
         }
         let options = parse(&words)?;
         if options.cable == options.wireless {
-            return Err(usage(
-                "the cable and the wireless link need an address each",
-            ));
+            return Err(usage("the cable and the wireless link need an address each"));
         }
         for address in [options.cable, options.wireless] {
             is_free(address)?;
@@ -63,12 +61,7 @@ Usage: qemu IMAGE [OPTION VALUE]…
         let set = stop.clone();
         ctrlc::set_handler(move || set.store(true, Ordering::Relaxed))
             .map_err(|error| usage(format!("Ctrl-C cannot be caught: {error}")))?;
-        let Options {
-            machine,
-            cable,
-            wireless,
-            ..
-        } = &options;
+        let Options { machine, cable, wireless, .. } = &options;
         let mut board = FreeRunning::start(machine, source, *cable, *wireless)?;
         println!(
             "cable    tcp://{cable}\nwireless tcp://{wireless}\n\
@@ -113,9 +106,7 @@ Usage: qemu IMAGE [OPTION VALUE]…
             }
         }
         if parsed.cable.port() == 0 || parsed.wireless.port() == 0 {
-            return Err(usage(
-                "a link's address needs a port, such as 127.0.0.1:7100",
-            ));
+            return Err(usage("a link's address needs a port, such as 127.0.0.1:7100"));
         }
         Ok(parsed)
     }

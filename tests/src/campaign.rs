@@ -51,10 +51,7 @@ impl Outcome {
     /// Samples that the decoder says did not arrive, or too late.
     pub fn counted_lost(&self) -> u64 {
         let streams = [self.counted.raw, self.counted.corrected];
-        streams
-            .map(|stream| stream.missing + stream.late)
-            .iter()
-            .sum()
+        streams.map(|stream| stream.missing + stream.late).iter().sum()
     }
 }
 
@@ -65,11 +62,7 @@ fn counts(sequence: u32) -> [i16; 3] {
     let slow = phase.abs() * 4;
     let shock = if bits.is_multiple_of(1009) { 12_000 } else { 0 };
     let noise = |shift: u32| ((bits >> shift) & 127) as i32 - 64;
-    [
-        (slow + noise(0)) as i16,
-        (noise(8) - slow / 2 + shock) as i16,
-        (16_384 + noise(16)) as i16,
-    ]
+    [(slow + noise(0)) as i16, (noise(8) - slow / 2 + shock) as i16, (16_384 + noise(16)) as i16]
 }
 
 /// The corrected sample that belongs to it.
@@ -105,9 +98,7 @@ pub fn run(frames: u64, faults: &LinkFaults, seed: u64) -> Outcome {
         let corrected: Vec<_> = numbers.map(|s| SpecificForceQ16(force(s))).collect();
         let time = DeviceTimeUs(time_us(sent));
         outcome.frames += encode(&mut line, |frame| batch::encode(sent, time, &raw, frame));
-        outcome.frames += encode(&mut line, |frame| {
-            batch::encode(sent, time, &corrected, frame)
-        });
+        outcome.frames += encode(&mut line, |frame| batch::encode(sent, time, &corrected, frame));
         sent += BATCH;
         // When the last of them was taken, or when the line is free.
         line_ns = line_ns.max(time_us(sent) * 1000);
@@ -128,11 +119,7 @@ pub fn run(frames: u64, faults: &LinkFaults, seed: u64) -> Outcome {
             }
         }
         // At the end, all that is under way.
-        let until_ns = if outcome.frames < frames {
-            line_ns
-        } else {
-            u64::MAX
-        };
+        let until_ns = if outcome.frames < frames { line_ns } else { u64::MAX };
         let arrived = channel.pull(until_ns, usize::MAX);
         for fate in whole.arrived(&arrived) {
             outcome.samples_whole += u64::from(BATCH);
@@ -221,12 +208,7 @@ fn encode(line: &mut Vec<u8>, encode: impl FnOnce(&mut [u8]) -> Result<usize, En
 }
 
 fn epoch(sequence: u32) -> Telemetry {
-    epoch_at(
-        sequence,
-        time_us(sequence),
-        PERIOD_US,
-        BATCH * BATCHES_PER_EPOCH,
-    )
+    epoch_at(sequence, time_us(sequence), PERIOD_US, BATCH * BATCHES_PER_EPOCH)
 }
 
 /// The epoch at a sample, of which there is one every so many.

@@ -54,11 +54,7 @@ pub fn sensor(names: &str, world: World, seed: u64) -> Physics {
     let motion = motion::named(names, seed).expect("a known motion");
     assert!(motion.duration() > 0.0);
     scene.play(0.0, motion);
-    Physics::new(
-        SensorTruth::random(seed, Gauge::LowerTriangular),
-        scene,
-        seed,
-    )
+    Physics::new(SensorTruth::random(seed, Gauge::LowerTriangular), scene, seed)
 }
 
 /// A board and a host that listens on both its links, in virtual time.
@@ -72,27 +68,19 @@ pub struct Rig {
 impl Rig {
     /// A board of `config` with a sensor that takes its samples from `source`; no time has passed.
     pub fn new(config: BoardConfig, source: impl Source + 'static) -> Self {
-        Self {
-            board: Board::start(config, source),
-            links: ROLES.map(Listener::new),
-            requests: 0,
-        }
+        Self { board: Board::start(config, source), links: ROLES.map(Listener::new), requests: 0 }
     }
 
     /// A usual board whose sensor is at rest for 10 s, then slides, then rests.
     pub fn usual() -> Self {
-        Self::new(
-            BoardConfig::default(),
-            sensor("rest,slide", World::default(), 3),
-        )
+        Self::new(BoardConfig::default(), sensor("rest,slide", World::default(), 3))
     }
 
     /// Lets time pass while the host listens.
     pub fn run(&mut self, seconds: f64) {
         let end = self.board.now_us() + (seconds * 1e6) as u64;
         while self.board.now_us() < end {
-            self.board
-                .run_until((self.board.now_us() + TICK_US).min(end));
+            self.board.run_until((self.board.now_us() + TICK_US).min(end));
             let host_ns = self.board.now_us() * 1000;
             for link in &mut self.links {
                 if link.listens {
@@ -131,12 +119,8 @@ impl Rig {
     /// The frame of a new request.
     pub fn frame_of(&mut self, command: Command) -> Vec<u8> {
         self.requests += 1;
-        let request = Request {
-            session: 0x7e57,
-            id: self.requests,
-            signature: Default::default(),
-            command,
-        };
+        let request =
+            Request { session: 0x7e57, id: self.requests, signature: Default::default(), command };
         encoded(|frame| request.encode(frame))
     }
 
@@ -199,18 +183,13 @@ impl Rig {
     /// All that was heard, written as a recording and read back.
     pub fn recording(&self) -> Recording {
         let name = "the recording";
-        let anchor = ClockAnchor {
-            monotonic_ns: 0,
-            utc_ns: 1_700_000_000_000_000_000,
-        };
+        let anchor = ClockAnchor { monotonic_ns: 0, utc_ns: 1_700_000_000_000_000_000 };
         let mut writer =
             RecordingWriter::new(Cursor::new(Vec::new()), name, anchor).expect("memory");
         let mut heard: Vec<&Received> = self.links.iter().flat_map(|link| &link.heard).collect();
         heard.sort_by_key(|received| received.host_ns);
         for received in heard {
-            writer
-                .append(received.role, received.host_ns, &received.bytes)
-                .expect("memory");
+            writer.append(received.role, received.host_ns, &received.bytes).expect("memory");
         }
         let file = writer.finish().expect("memory").into_inner();
         let reader = RecordingReader::new(Cursor::new(file), name).expect("own file");
@@ -263,11 +242,7 @@ impl Listener {
             record.take(&arrival);
         });
         record.statistics = self.decoder.statistics();
-        self.heard.push(Received {
-            role: self.role,
-            host_ns,
-            bytes: bytes.to_vec(),
-        });
+        self.heard.push(Received { role: self.role, host_ns, bytes: bytes.to_vec() });
     }
 
     /// What it has brought, sorted.
@@ -287,10 +262,7 @@ impl Listener {
 
     /// The bytes, as they came.
     pub fn bytes(&self) -> Vec<u8> {
-        self.heard
-            .iter()
-            .flat_map(|received| received.bytes.iter().copied())
-            .collect()
+        self.heard.iter().flat_map(|received| received.bytes.iter().copied()).collect()
     }
 
     /// Every reply in answer order.
@@ -332,10 +304,7 @@ pub fn assert_replays(boot: &Boot) {
     for epoch in 0..boot.epochs.len() {
         let report = replay::verify(boot, epoch);
         let mark = &boot.epochs[epoch].epoch;
-        assert_eq!(
-            report.first_difference, None,
-            "from epoch {epoch}, {mark:?}: {report:?}"
-        );
+        assert_eq!(report.first_difference, None, "from epoch {epoch}, {mark:?}: {report:?}");
         assert_eq!(report.epochs_unusable, 0, "from epoch {epoch}: {report:?}");
     }
     let report = replay::verify(boot, 0);
@@ -386,11 +355,7 @@ pub fn reply_frames(bytes: &[u8]) -> Vec<Vec<u8>> {
             |&byte| matches!(deframer.push(byte), Some(Ok(frame)) if frame.kind == Kind::Reply),
         )
     };
-    bytes
-        .split_inclusive(|&byte| byte == 0)
-        .filter(is_reply)
-        .map(<[u8]>::to_vec)
-        .collect()
+    bytes.split_inclusive(|&byte| byte == 0).filter(is_reply).map(<[u8]>::to_vec).collect()
 }
 
 /// A frame of any kind and version, intact by its CRC, made without the crate under test.
@@ -526,11 +491,7 @@ fn fuzz_order(seeded: &mut Random) {
     let mut frames: Vec<(u32, u64, Vec<u8>)> = Vec::new();
     let mut began_us = 1_000_000;
     for start in 1..=1 + seeded.below(3) as u32 {
-        let hello = Hello {
-            boot_count: start,
-            uptime_us: 1000,
-            ..Hello::new(LinkRole::Wireless)
-        };
+        let hello = Hello { boot_count: start, uptime_us: 1000, ..Hello::new(LinkRole::Wireless) };
         let hello = framed(&|frame| hello.encode(frame));
         frames.push((start, began_us, hello));
         let batches = 1 + seeded.below(90) as u32;
@@ -584,13 +545,7 @@ fn fuzz_order(seeded: &mut Random) {
             let (Event::Samples(samples) | Event::Late(samples)) = arrival.event else {
                 return;
             };
-            for TimedSample {
-                sequence,
-                time,
-                value: [start, number, _],
-                ..
-            } in samples.iter()
-            {
+            for TimedSample { sequence, time, value: [start, number, _], .. } in samples.iter() {
                 assert_eq!((number as u32, time.0), (sequence, time_us(sequence)));
                 let is_first = heard.insert((start, number));
                 assert!(is_first, "sample {number} of start {start} twice");
@@ -625,12 +580,8 @@ pub fn fuzz_store(seeded: &mut Random) -> u64 {
 }
 
 const STORE: FlashLayout<Storage> = FlashLayout::new(0..0x2000);
-const STORED: [Key; 4] = [
-    Key::Parameters { range_g: 2 },
-    Key::Settings,
-    Key::BootCount,
-    Key::DeviceKey,
-];
+const STORED: [Key; 4] =
+    [Key::Parameters { range_g: 2 }, Key::Settings, Key::BootCount, Key::DeviceKey];
 
 /// All that was ever saved under each key, the oldest first.
 type Saved = [Vec<Vec<u8>>; STORED.len()];

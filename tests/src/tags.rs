@@ -51,20 +51,13 @@ pub fn fuzz_tags(seeded: &mut Random) {
             _ if index == 0 => encoded(|line| greeting.encode(line)),
             0 | 1 => {
                 let time_us = index * 1000;
-                let epoch = Epoch {
-                    time_us,
-                    ..Epoch::default()
-                };
+                let epoch = Epoch { time_us, ..Epoch::default() };
                 encoded(|line| Telemetry::<()>::Epoch(epoch).encode(line))
             }
             // Now and then two frames of an interval are equal.
             kind => {
                 let environment = Environment {
-                    time_us: if kind == 2 {
-                        1_000_000 + u64::from(number)
-                    } else {
-                        index
-                    },
+                    time_us: if kind == 2 { 1_000_000 + u64::from(number) } else { index },
                     ..Environment::default()
                 };
                 encoded(|line| Telemetry::<()>::Environment(environment).encode(line))
@@ -127,10 +120,9 @@ fn assert_judged_rightly(line: &[u8], key: DeviceKey, fates: &BTreeMap<u32, Fate
         let is_ambiguous = fate.is_ambiguous();
         match authenticity {
             // The repetition of a frame is as good as an equal one that was lost.
-            Authenticity::Verified => assert!(
-                fate.forged == 0 && (fate.lost == 0 || is_ambiguous),
-                "{context}"
-            ),
+            Authenticity::Verified => {
+                assert!(fate.forged == 0 && (fate.lost == 0 || is_ambiguous), "{context}")
+            }
             Authenticity::Forged => assert!(fate.forged > 0, "{context}"),
             // A repetition may be among the latest frames of an interval whose beginning is unknown.
             Authenticity::Incomplete => {

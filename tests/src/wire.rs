@@ -54,9 +54,7 @@ pub fn deframe(data: &[u8]) {
     let mut found = None;
     for &byte in &line[..length] {
         assert!(found.is_none());
-        found = deframer
-            .push(byte)
-            .map(|frame| frame.map(|frame| frame.kind));
+        found = deframer.push(byte).map(|frame| frame.map(|frame| frame.kind));
     }
     assert_eq!(found, Some(Ok(Kind::Hello)));
 }
@@ -110,11 +108,7 @@ pub fn bodies(data: &[u8]) {
         Kind::Reply,
         Kind::Inertial,
     ] {
-        body(&Frame {
-            version: frame::WIRE_VERSION,
-            kind,
-            body: data,
-        });
+        body(&Frame { version: frame::WIRE_VERSION, kind, body: data });
     }
 }
 
@@ -137,13 +131,7 @@ fn body(frame: &Frame<'_>) {
         // Compared as bytes, because NaN differs from itself.
         Kind::Telemetry => {
             if let Ok(telemetry) = Telemetry::decode(frame.body)
-                && !matches!(
-                    telemetry,
-                    Telemetry::Event {
-                        event: Event::Other { .. },
-                        ..
-                    }
-                )
+                && !matches!(telemetry, Telemetry::Event { event: Event::Other { .. }, .. })
             {
                 let length = telemetry.encode(&mut line).expect("room");
                 with_body(&line[..length], |body| {
@@ -249,10 +237,7 @@ fn packed_again<F: Sample, R>(
         sensor: batch.sensor(),
         every: NonZeroU8::new(batch.every()).expect("at least 1"),
     };
-    let (sequence, time) = (
-        batch.sequence_low().into(),
-        DeviceTimeUs(batch.time_low().into()),
-    );
+    let (sequence, time) = (batch.sequence_low().into(), DeviceTimeUs(batch.time_low().into()));
     let mut line = [0; MAX_FRAME];
     let length = match pairs.is_empty() {
         true => batch::encode_with(layout, sequence, time, &forces, &mut line),
@@ -283,10 +268,7 @@ pub fn batch_samples(data: &[u8]) {
     let count = 1 + source.below(batch::MAX_BATCH);
     let start: [u32; 6] = std::array::from_fn(|_| source.word());
     let narrow = source.below(33) as u32;
-    let layout = Layout {
-        sensor: source.byte() % 8,
-        every: NonZeroU8::MIN,
-    };
+    let layout = Layout { sensor: source.byte() % 8, every: NonZeroU8::MIN };
     let sequence = source.word();
     let time = DeviceTimeUs(source.word().into());
     let mut near = || {
@@ -304,16 +286,11 @@ pub fn batch_samples(data: &[u8]) {
     lossless(layout, sequence, time, &corrected);
     let wide: Vec<_> = samples.iter().map(|s| WideCounts(s[0])).collect();
     lossless(layout, sequence, time, &wide);
-    let six: Vec<_> = samples
-        .iter()
-        .map(|s| (counts(s[0]), counts(s[1])))
-        .collect();
+    let six: Vec<_> = samples.iter().map(|s| (counts(s[0]), counts(s[1]))).collect();
     lossless(layout, sequence, time, &six);
     let six = samples.iter().map(|s| s.map(WideCounts).into());
     lossless::<(_, _)>(layout, sequence, time, &six.collect::<Vec<_>>());
-    let six = samples
-        .iter()
-        .map(|s| (SpecificForceQ16(s[0]), AngularRateQ20(s[1])));
+    let six = samples.iter().map(|s| (SpecificForceQ16(s[0]), AngularRateQ20(s[1])));
     lossless(layout, sequence, time, &six.collect::<Vec<_>>());
 }
 
@@ -327,32 +304,21 @@ fn lossless<S: Sample>(layout: Layout, sequence: u32, time: DeviceTimeUs, sample
             let found = found[axis / 3].iter().map(|axes| axes[axis % 3]);
             assert!(found.eq(samples.iter().map(|sample| sample.axis(axis))));
         }
-        assert_eq!(
-            batch::extend_sequence(batch.sequence_low(), sequence),
-            sequence
-        );
+        assert_eq!(batch::extend_sequence(batch.sequence_low(), sequence), sequence);
         assert_eq!(batch::extend_time(batch.time_low(), time), time);
     });
 }
 
 const UNKNOWN: Answer = Answer::Unknown;
 
-const NO_KEY: Lock = Lock {
-    key: KeyState::None,
-    device_id: 1,
-    boot_count: Some(1),
-    entropy: [0; 16],
-};
+const NO_KEY: Lock =
+    Lock { key: KeyState::None, device_id: 1, boot_count: Some(1), entropy: [0; 16] };
 
 /// Unsigned requests of three sessions, repeated and reordered, mixed with other bytes: each write is
 /// executed at most once, repeats get the same reply, and no write is accepted over the wireless link.
 pub fn requests(data: &[u8]) {
     let mut source = Source(data);
-    let role = if source.byte() % 2 == 0 {
-        LinkRole::Cable
-    } else {
-        LinkRole::Wireless
-    };
+    let role = if source.byte() % 2 == 0 { LinkRole::Cable } else { LinkRole::Wireless };
     let mut responder = Responder::new(role);
     // By session and id.
     let mut executed = [[false; 8]; 3];
@@ -371,10 +337,7 @@ pub fn requests(data: &[u8]) {
         if source.byte() % 16 == 0 {
             let garbage = source.slice();
             if Request::decode(garbage).is_err() {
-                assert!(!matches!(
-                    responder.accept(garbage, &NO_KEY),
-                    Decision::Execute(_)
-                ));
+                assert!(!matches!(responder.accept(garbage, &NO_KEY), Decision::Execute(_)));
             }
             // Random bytes may hold a valid head of one of the sessions.
             return;
@@ -427,10 +390,7 @@ pub fn signed_requests(data: &[u8]) {
     const SENT: usize = 6;
     let mut source = Source(data);
     let key = DeviceKey::new([source.byte(); 32]);
-    let lock = Lock {
-        key: KeyState::Set(key),
-        ..NO_KEY
-    };
+    let lock = Lock { key: KeyState::Set(key), ..NO_KEY };
     let mut responder = Responder::new(LinkRole::Wireless);
     let mut sessions: [Option<Session>; 2] = [None; 2];
     let mut ids = [u32::MAX - 1; 2];
@@ -500,12 +460,7 @@ pub fn signed_requests(data: &[u8]) {
             if let Decision::Execute(command) = responder.accept(&body_of[..length], &lock) {
                 if command.is_write() {
                     assert!(whole, "an unsigned write was executed");
-                    assert_eq!(
-                        command,
-                        Command::CommitParameters {
-                            hash: chosen as u32
-                        }
-                    );
+                    assert_eq!(command, Command::CommitParameters { hash: chosen as u32 });
                     assert!(!executed[chosen], "a request had two effects");
                     executed[chosen] = true;
                 }

@@ -6,22 +6,15 @@ use wimu_sim::scenario::{Calibration, FirstLight, Outcome};
 use wimu_testkit::{Lane, figure};
 
 fn run(seed: u64, calibration: Calibration) -> Outcome {
-    FirstLight {
-        seed,
-        sensor: SensorPart::Lsm303agr,
-        calibration,
-    }
-    .run()
-    .unwrap_or_else(|error| panic!("seed {seed}, {calibration:?}: {error}"))
+    FirstLight { seed, sensor: SensorPart::Lsm303agr, calibration }
+        .run()
+        .unwrap_or_else(|error| panic!("seed {seed}, {calibration:?}: {error}"))
 }
 
 fn holds_for_one_board(outcome: &Outcome) {
     let [before, after] = outcome.tilts_rms_mps2();
     assert!(before >= 0.4, "uncalibrated {before} m/s² rms");
-    assert!(
-        after < 0.005 && before / after >= 50.0,
-        "{before} → {after} m/s² rms"
-    );
+    assert!(after < 0.005 && before / after >= 50.0, "{before} → {after} m/s² rms");
     assert_eq!(outcome.tilts.len(), 10);
     assert_ne!(outcome.pushed.0, 0);
     assert_eq!(outcome.pushed, outcome.after_restart);
@@ -62,10 +55,7 @@ fn holds_over_many_boards(calibration: Calibration, name: &str) {
         [uncalibrated, calibrated, zupt].map(|m| m * 1e3);
     let tilts: Vec<[f64; 2]> = outcomes.iter().map(Outcome::tilts_rms_mps2).collect();
     let [least, most] = [
-        tilts
-            .iter()
-            .map(|tilt| tilt[0])
-            .fold(f64::INFINITY, f64::min),
+        tilts.iter().map(|tilt| tilt[0]).fold(f64::INFINITY, f64::min),
         tilts.iter().map(|tilt| tilt[1]).fold(0.0, f64::max),
     ]
     .map(|mps2| mps2 * 1e3);
@@ -92,10 +82,7 @@ fn holds_over_many_boards(calibration: Calibration, name: &str) {
     let longest_ms = pushes().fold(0.0, f64::max);
     figure(
         &format!("{name}: signed push over 115,200 baud, session included, ms"),
-        format!(
-            "{:.0} to {longest_ms:.0}",
-            pushes().fold(f64::INFINITY, f64::min)
-        ),
+        format!("{:.0} to {longest_ms:.0}", pushes().fold(f64::INFINITY, f64::min)),
         "below 200",
         longest_ms < 200.0,
     );
@@ -125,9 +112,7 @@ fn six_axes_follow_a_path_of_1_m_with_a_rotation_by_90_degrees() {
                 sensor: SensorPart::Lsm6dso,
                 calibration: Calibration::TwelvePoses,
             };
-            first_light
-                .run()
-                .unwrap_or_else(|error| panic!("seed {seed}: {error}"))
+            first_light.run().unwrap_or_else(|error| panic!("seed {seed}: {error}"))
         })
         .collect();
     outcomes.iter().for_each(holds_for_one_board);
@@ -150,10 +135,7 @@ fn six_axes_follow_a_path_of_1_m_with_a_rotation_by_90_degrees() {
     );
     figure(
         "six axes: attitude after it, uncalibrated, calibrated, with ZUPT, median, °",
-        format!(
-            "{:.2} / {:.2} / {:.2}",
-            attitude[0], attitude[1], attitude[2]
-        ),
+        format!("{:.2} / {:.2} / {:.2}", attitude[0], attitude[1], attitude[2]),
         "calibrated below 0.3",
         attitude[1] < 0.3 && attitude[2] < 0.3,
     );

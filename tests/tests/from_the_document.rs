@@ -72,9 +72,7 @@ const STRUCTS: [&str; 20] = [
 ];
 
 fn definition(name: &str) -> Option<&'static str> {
-    DOCUMENT
-        .lines()
-        .find_map(|line| line.strip_prefix(name)?.strip_prefix(':'))
+    DOCUMENT.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(':'))
 }
 
 /// Section 1.
@@ -210,10 +208,7 @@ impl Reader<'_> {
             // Three fields follow the revision, unless it is 1, then the state: the examples show them after it.
             "revision" => {
                 self.read("u8");
-                let mut added = Reader {
-                    rest: self.rest,
-                    found: Vec::new(),
-                };
+                let mut added = Reader { rest: self.rest, found: Vec::new() };
                 let is_first = self.found.last().is_some_and(|revision| revision == "1");
                 if !is_first {
                     for of in ["u8", "Gyroscope?", "signature"] {
@@ -241,9 +236,8 @@ impl Reader<'_> {
         };
         let number = self.varint() as usize;
         let variant = variants.split('|').nth(number);
-        let mut parts = variant
-            .unwrap_or_else(|| panic!("{name} has no variant {number}"))
-            .split_whitespace();
+        let mut parts =
+            variant.unwrap_or_else(|| panic!("{name} has no variant {number}")).split_whitespace();
         self.note(parts.next().expect("a name"));
         parts.for_each(|of| self.read(of));
     }
@@ -299,20 +293,15 @@ fn examples(name: &str) -> Vec<(String, Vec<u8>)> {
 
 #[test]
 fn every_telemetry_request_and_reply_reads_as_the_document_says() {
-    for (file, kind, name) in [
-        ("telemetry", 4, "Telemetry"),
-        ("request", 5, "Request"),
-        ("reply", 6, "Reply"),
-    ] {
+    for (file, kind, name) in
+        [("telemetry", 4, "Telemetry"), ("request", 5, "Request"), ("reply", 6, "Reply")]
+    {
         let examples = examples(file);
         assert!(examples.len() > 10, "{file}");
         for (text, frame) in examples {
             let (first, body) = plain(&frame);
             assert_eq!(first & 15, kind, "{text}");
-            let mut reader = Reader {
-                rest: &body,
-                found: Vec::new(),
-            };
+            let mut reader = Reader { rest: &body, found: Vec::new() };
             reader.read(name);
             assert!(reader.rest.is_empty(), "{text}");
             assert_eq!(said(&reader.found.join(" ")), said(&text), "{text}");
@@ -329,10 +318,7 @@ fn the_set_of_the_pieces_reads_as_the_document_says() {
         let Some(piece) = body.strip_prefix(&[8]) else {
             continue;
         };
-        let mut reader = Reader {
-            rest: piece,
-            found: Vec::new(),
-        };
+        let mut reader = Reader { rest: piece, found: Vec::new() };
         let [id, offset, length] = [(); 3].map(|()| reader.varint());
         assert_eq!(reader.varint() as usize, reader.rest.len(), "{text}");
         if id == 0 {
@@ -343,27 +329,13 @@ fn the_set_of_the_pieces_reads_as_the_document_says() {
         set.extend_from_slice(reader.rest);
         ids.push((id, length as usize));
     }
-    assert!(
-        ids.len() > 3
-            && ids
-                .iter()
-                .all(|id| *id == (crc_32c(&set).into(), set.len()))
-    );
-    let mut reader = Reader {
-        rest: &set,
-        found: Vec::new(),
-    };
+    assert!(ids.len() > 3 && ids.iter().all(|id| *id == (crc_32c(&set).into(), set.len())));
+    let mut reader = Reader { rest: &set, found: Vec::new() };
     reader.read("Parameters");
     assert!(reader.rest.is_empty());
     // No sensor, index 1, a gyroscope of ±500 °/s.
-    let end = [
-        "None", "1", "Some", "500", "0.000305", "0.01", "-0.02", "0.03",
-    ];
-    assert!(
-        reader.found.windows(end.len()).any(|some| some == end),
-        "{:?}",
-        reader.found
-    );
+    let end = ["None", "1", "Some", "500", "0.000305", "0.01", "-0.02", "0.03"];
+    assert!(reader.found.windows(end.len()).any(|some| some == end), "{:?}", reader.found);
 }
 
 #[test]
@@ -382,9 +354,7 @@ fn a_greeting_and_its_question_read_as_the_document_says() {
         };
         let one_of = |names: &[&str], at: usize| names[usize::from(body[at])].to_owned();
         let decimal = |at, length| number(at, length).to_string();
-        let resets = [
-            "Unknown", "PowerOn", "Pin", "Watchdog", "Software", "BrownOut", "Fault",
-        ];
+        let resets = ["Unknown", "PowerOn", "Pin", "Watchdog", "Software", "BrownOut", "Fault"];
         let mut found = vec![
             "Hello".to_owned(),
             decimal(5, 1),
@@ -454,11 +424,7 @@ fn python_reads(file: &str) {
         return;
     };
     let said = String::from_utf8_lossy(&ran.stdout).into_owned();
-    assert!(
-        ran.status.success(),
-        "{}",
-        String::from_utf8_lossy(&ran.stderr)
-    );
+    assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
     assert_eq!(said.lines().count(), examples(file).len(), "{said}");
     assert!(said.lines().all(|line| line.starts_with("ok ")), "{said}");
 }

@@ -34,11 +34,7 @@ fn anything(seeded: &mut Random, rig: &mut Rig) -> Vec<u8> {
     match seeded.below(6) {
         0 => seeded.bytes(length),
         1 => vec![seeded.bits() as u8; length],
-        2 => frame_of(
-            seeded.below(3) as u8,
-            seeded.bits() as u8,
-            &seeded.bytes(length),
-        ),
+        2 => frame_of(seeded.below(3) as u8, seeded.bits() as u8, &seeded.bytes(length)),
         3 => {
             let command = [
                 Command::GetStatus,

@@ -47,10 +47,8 @@ fn spliced_and_repeated_pieces_make_no_wrong_sample_either() {
 
 #[test]
 fn a_board_with_a_bad_wireless_link_is_perfect_on_the_cable() {
-    let config = BoardConfig {
-        wireless_faults: faults("noisy,stall=3s@10s"),
-        ..BoardConfig::default()
-    };
+    let config =
+        BoardConfig { wireless_faults: faults("noisy,stall=3s@10s"), ..BoardConfig::default() };
     let mut rig = Rig::new(config, sensor("rest,hand,slide", World::default(), 8));
     let channels = rig.board.faults(LinkRole::Wireless).expect("faults");
     let to_host = channels.to_host.clone();
@@ -83,10 +81,7 @@ fn a_board_with_a_bad_wireless_link_is_perfect_on_the_cable() {
         .filter(|frame| intact(frame.fate) && frame.delivered_ns.is_some_and(|at| at <= now_ns));
     assert_eq!(statistics.frames, delivered.count() as u64);
     // The stall: nothing arrives for 3 s, and then what was sent meanwhile.
-    let stalled = frames
-        .iter()
-        .filter_map(|frame| Some(frame.delivered_ns? - frame.sent_ns))
-        .max();
+    let stalled = frames.iter().filter_map(|frame| Some(frame.delivered_ns? - frame.sent_ns)).max();
     assert!((2_900_000_000..3_100_000_000).contains(&stalled.expect("frames")));
 }
 

@@ -34,10 +34,7 @@ struct Counts {
 }
 
 fn options(session: u32) -> ConnectOptions {
-    ConnectOptions {
-        session: Some(session),
-        patience: Duration::from_secs(60),
-    }
+    ConnectOptions { session: Some(session), patience: Duration::from_secs(60) }
 }
 
 /// A link whose host's clock leaps by an hour, as after a computer's sleep, each time it has been
@@ -82,18 +79,10 @@ fn push_over(faults: &str, leap_every: Option<u32>, seed: u64, pushes: u32) -> C
         environment: false,
         ..Settings::default().cable
     };
-    let settings = Settings {
-        cable: quiet,
-        rate_hz: 50,
-        ..Settings::default()
-    };
+    let settings = Settings { cable: quiet, rate_hz: 50, ..Settings::default() };
     cable.set_settings(settings).expect("set");
     let wireless = SimLink::new(&board, LinkRole::Wireless);
-    let wireless = Leaping {
-        link: wireless,
-        leap_every: None,
-        asked: Cell::new(0),
-    };
+    let wireless = Leaping { link: wireless, leap_every: None, asked: Cell::new(0) };
     let mut wireless = Client::connect(wireless, "wireless", options(2)).expect("a board");
     wireless.transport().leap_every = leap_every;
     wireless.use_key(Some(KEY));
@@ -116,11 +105,7 @@ fn push_over(faults: &str, leap_every: Option<u32>, seed: u64, pushes: u32) -> C
         let took_s = (board.borrow().now_us() - began) as f64 * 1e-6;
         counts.longest_s = counts.longest_s.max(took_s);
         // What the wireless link brought besides is of no matter.
-        while wireless
-            .next_event(Duration::ZERO)
-            .expect("a link")
-            .is_some()
-        {}
+        while wireless.next_event(Duration::ZERO).expect("a link").is_some() {}
         // The truth, by the cable, when what is still under way has arrived.
         let wait_us = if outcome.is_err() { 4_000_000 } else { 100_000 };
         let later = board.borrow().now_us() + wait_us;
@@ -134,11 +119,7 @@ fn push_over(faults: &str, leap_every: Option<u32>, seed: u64, pushes: u32) -> C
             );
             times_applied += u32::from(is_new);
         }
-        assert_eq!(
-            times_applied,
-            u32::from(found == id),
-            "push {push}: {outcome:?}"
-        );
+        assert_eq!(times_applied, u32::from(found == id), "push {push}: {outcome:?}");
         counts.pushes += 1;
         match outcome {
             Ok(said) => {
@@ -193,12 +174,8 @@ fn a_push_over_a_bad_link_is_applied_once_or_reported_failed() {
 
 #[test]
 fn a_push_over_a_hopeless_link_is_reported_failed_and_nobody_is_mistaken() {
-    let counts = push_over(
-        "loss=12%,burst=30,bits=4e-4,duplicate=1e-4",
-        None,
-        2,
-        trials(600) as u32,
-    );
+    let counts =
+        push_over("loss=12%,burst=30,bits=4e-4,duplicate=1e-4", None, 2, trials(600) as u32);
     println!("{counts:?}");
     assert!(counts.failed + counts.unknown > 0, "{counts:?}");
 }

@@ -18,10 +18,7 @@ use wimu_tests::{ROLES, Rig, assert_replays, data};
 
 /// Replays counts on a board until the last has arrived.
 fn replayed(counts: &[Counts]) -> history::Recording {
-    let config = BoardConfig {
-        replay: true,
-        ..BoardConfig::default()
-    };
+    let config = BoardConfig { replay: true, ..BoardConfig::default() };
     let source = Replay::new(counts.iter().copied()).waiting_for_reader();
     let mut rig = Rig::new(config, source);
     while !rig.board.sensor().finished() {
@@ -60,14 +57,9 @@ fn essence(report: &CalibrationReport) -> Value {
 
 fn options() -> [(&'static str, CalibrateOptions); 6] {
     use wimu_calib::Model;
-    let multi = |model| CalibrateOptions {
-        model,
-        ..CalibrateOptions::default()
-    };
-    let six_positions = CalibrateOptions {
-        method: MethodChoice::SixPosition,
-        ..CalibrateOptions::default()
-    };
+    let multi = |model| CalibrateOptions { model, ..CalibrateOptions::default() };
+    let six_positions =
+        CalibrateOptions { method: MethodChoice::SixPosition, ..CalibrateOptions::default() };
     let six_and_more_known = CalibrateOptions {
         sensitivity_lsb_per_g: Some(2048.0),
         gravity_mps2: Some(9.81),
@@ -118,10 +110,7 @@ fn alike(file: &str) -> Option<Vec<&'static str>> {
         for (name, options) in options() {
             let [ours, theirs] = [&from_recording, &from_file].map(|data| {
                 let report = calibrate(data, &options).unwrap();
-                println!(
-                    "{file}, {name}: {}",
-                    report.outcome.reason.as_deref().unwrap_or("ok")
-                );
+                println!("{file}, {name}: {}", report.outcome.reason.as_deref().unwrap_or("ok"));
                 (report.outcome.exit_code(), essence(&report))
             });
             assert_eq!(ours, theirs, "{role}, {name}");
@@ -151,25 +140,17 @@ fn ten_poses_of_a_real_sensor_calibrate_or_are_refused_alike() {
 /// Means over the eight sensors of the array: in-sample and leave-one-out rms, mm/s².
 fn array(run: u32) -> Option<[f64; 2]> {
     let path = data("calibration/mpu9150_array_pose_means.csv")?;
-    let options = CalibrateOptions {
-        gravity_mps2: Some(9.818),
-        ..CalibrateOptions::default()
-    };
+    let options = CalibrateOptions { gravity_mps2: Some(9.818), ..CalibrateOptions::default() };
     let mut sums = [0.0; 2];
     for imu in 0..8 {
         let filter: Filter = format!("Run={run},IMU={imu}").parse().unwrap();
         let mut load = ReadOptions::default();
         (load.filter, load.poses) = (Some(filter), true);
         let data = formats::load(&path, &load).unwrap();
-        let selection = Selection {
-            accelerometer: None,
-            poses: true,
-        };
+        let selection = Selection { accelerometer: None, poses: true };
         let data = data.samples(selection).unwrap();
         let report = calibrate(&data, &options).unwrap();
-        let fit = report
-            .fit
-            .unwrap_or_else(|| panic!("{:?}", report.outcome.reason));
+        let fit = report.fit.unwrap_or_else(|| panic!("{:?}", report.outcome.reason));
         assert!((1.5..4.0).contains(&fit.condition), "{}", fit.condition);
         let sensitivity = report.sensitivity_lsb_per_g.unwrap();
         assert!((sensitivity / 2048.0 - 1.0).abs() < 0.03, "{sensitivity}");
@@ -182,12 +163,9 @@ fn array(run: u32) -> Option<[f64; 2]> {
 #[test]
 fn an_array_of_real_sensors_is_calibrated_as_well_as_by_the_reference() {
     // Floor figures of a float64 reference for these recordings.
-    for (run, reference) in [
-        (1, [2.08, 3.79]),
-        (2, [1.29, 2.27]),
-        (7, [2.05, 3.73]),
-        (8, [1.28, 2.33]),
-    ] {
+    for (run, reference) in
+        [(1, [2.08, 3.79]), (2, [1.29, 2.27]), (7, [2.05, 3.73]), (8, [1.28, 2.33])]
+    {
         let Some(found) = array(run) else { return };
         println!("run {run}: {found:.3?} mm/s², reference {reference:?}");
         for (found, reference) in found.into_iter().zip(reference) {
@@ -205,11 +183,7 @@ fn only_raw_counts_are_replayed() {
         return;
     };
     let in_si = formats::load(&path, &ReadOptions::default()).unwrap();
-    let error = in_si
-        .samples(Selection::default())
-        .unwrap()
-        .counts()
-        .unwrap_err();
+    let error = in_si.samples(Selection::default()).unwrap().counts().unwrap_err();
     assert_eq!(error.exit_code(), 2);
     assert!(error.remedy().contains("LSB"), "{error}");
 }
@@ -219,10 +193,7 @@ fn a_recording_of_real_counts_is_perfect_on_both_links_at_once() {
     let Some(path) = data("array/mimu4444_run1.csv") else {
         return;
     };
-    let selection = Selection {
-        accelerometer: Some(0),
-        poses: false,
-    };
+    let selection = Selection { accelerometer: Some(0), poses: false };
     let data = formats::load(&path, &ReadOptions::default()).unwrap();
     let counts = data.samples(selection).unwrap().counts().unwrap();
     let tail = &counts[counts.len() - 7500..];

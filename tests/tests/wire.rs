@@ -16,9 +16,7 @@ fn frames() -> Vec<Vec<u8>> {
         let length = encode(&mut line).unwrap();
         frames.push(line[..length].to_vec());
     };
-    let samples: Vec<_> = (0..20)
-        .map(|k| Counts([k, -k * k, 16384 + 3 * k]))
-        .collect();
+    let samples: Vec<_> = (0..20).map(|k| Counts([k, -k * k, 16384 + 3 * k])).collect();
     keep(&|line| Hello::new(LinkRole::Wireless).encode(line));
     keep(&|line| WhoAreYou::default().encode(line));
     keep(&|line| batch::encode(1, DeviceTimeUs(2), &samples, line));
@@ -53,9 +51,7 @@ fn damaged_messages_find_no_fault() {
         let mut deframer = Deframer::new();
         let frame = &frames[seeded.below(frames.len())];
         let Some(Ok(frame)) = frame.iter().find_map(|&byte| {
-            deframer
-                .push(byte)
-                .map(|frame| frame.map(|frame| frame.body.to_vec()))
+            deframer.push(byte).map(|frame| frame.map(|frame| frame.body.to_vec()))
         }) else {
             panic!("an own frame was refused");
         };

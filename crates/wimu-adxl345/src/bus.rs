@@ -2,10 +2,7 @@ use wimu_registers::SpiRead;
 
 /// A sample is read in one burst. The delay is the minimum time between reading a sample and the next access to
 /// the FIFO (datasheet, "Retrieving data from FIFO").
-pub(crate) const SPI: SpiRead = SpiRead {
-    multiple: 0x40,
-    delay_ns: 5_000,
-};
+pub(crate) const SPI: SpiRead = SpiRead { multiple: 0x40, delay_ns: 5_000 };
 
 /// The chip's address, by the level of its pin SDO/ALT ADDRESS.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]

@@ -26,9 +26,7 @@ impl<B> Adxl345<B> {
 
     /// A chip on `bus`; nothing is sent yet.
     pub fn new(bus: B) -> Self {
-        Self {
-            registers: Registers::new(bus, SPI),
-        }
+        Self { registers: Registers::new(bus, SPI) }
     }
 
     /// Returns the bus.
@@ -108,9 +106,7 @@ impl<B: Bus> Adxl345<B> {
     /// # Errors
     /// [`Error::NotAnswering`], [`Error::Bus`].
     pub async fn set_rate(&mut self, rate: Rate, low_power: bool) -> Result<(), Error<B::Error>> {
-        self.registers
-            .write(BW_RATE, rate.register(low_power))
-            .await
+        self.registers.write(BW_RATE, rate.register(low_power)).await
     }
 
     /// Empties the FIFO and sets its mode.
@@ -118,9 +114,7 @@ impl<B: Bus> Adxl345<B> {
     /// # Errors
     /// [`Error::NotAnswering`], [`Error::Bus`].
     pub async fn set_fifo(&mut self, fifo: Fifo) -> Result<(), Error<B::Error>> {
-        self.registers
-            .write(FIFO_CTL, Fifo::Bypass.register())
-            .await?;
+        self.registers.write(FIFO_CTL, Fifo::Bypass.register()).await?;
         if fifo == Fifo::Bypass {
             return Ok(());
         }
@@ -154,9 +148,7 @@ impl<B: Bus> Adxl345<B> {
     /// [`Error::NotAnswering`], [`Error::Bus`].
     pub async fn fifo_level(&mut self) -> Result<FifoLevel, Error<B::Error>> {
         let status = self.registers.read_one(FIFO_STATUS).await?;
-        Ok(FifoLevel {
-            samples: status & FIFO_STATUS_ENTRIES,
-        })
+        Ok(FifoLevel { samples: status & FIFO_STATUS_ENTRIES })
     }
 
     /// Reads the oldest sample available, or the latest one again: x, y, z in LSB of

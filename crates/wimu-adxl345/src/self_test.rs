@@ -4,11 +4,8 @@ use crate::registers::*;
 use crate::{Adxl345, Bus, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution};
 
 /// ±16 *g* at full resolution: 256 LSB/*g*, the sensitivity that [`LIMITS`] are for.
-const FORMAT: DataFormat = DataFormat {
-    range: Range::G16,
-    resolution: Resolution::Full,
-    justify: Justify::Right,
-};
+const FORMAT: DataFormat =
+    DataFormat { range: Range::G16, resolution: Resolution::Full, justify: Justify::Right };
 /// Output data rate: the lowest one for which the datasheet's limits are valid.
 const RATE: Rate = Rate::Hz100;
 /// A sample period with a tolerance of 10 %, µs.
@@ -23,12 +20,8 @@ const AVERAGED: i32 = 10;
 const LIMITS: [(i32, i32); 3] = [(50, 540), (50, 540), (75, 875)];
 /// Scale of the limits by supply voltage: mV, then percent for x and y, and for z (ADXL345 datasheet,
 /// revision E, table 14).
-const SCALES: [(i32, i32, i32); 4] = [
-    (2000, 64, 80),
-    (2500, 100, 100),
-    (3300, 177, 147),
-    (3600, 211, 169),
-];
+const SCALES: [(i32, i32, i32); 4] =
+    [(2000, 64, 80), (2500, 100, 100), (3300, 177, 147), (3600, 211, 169)];
 
 /// Shift of each axis by the electrostatic force of the self-test.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -47,11 +40,7 @@ impl SelfTest {
             (least * scale..=most * scale).contains(&(shift * 100))
         };
         let [of_x, of_y, of_z] = LIMITS;
-        [
-            within(x, of_x, scales.0),
-            within(-y, of_y, scales.0),
-            within(z, of_z, scales.1),
-        ]
+        [within(x, of_x, scales.0), within(-y, of_y, scales.0), within(z, of_z, scales.1)]
     }
 }
 
@@ -84,16 +73,13 @@ impl<B: Bus> Adxl345<B> {
         delay: &mut impl DelayNs,
     ) -> Result<SelfTest, Error<B::Error>> {
         self.standby().await?;
-        self.set_interrupts(Interrupts::NONE, Interrupts::NONE)
-            .await?;
+        self.set_interrupts(Interrupts::NONE, Interrupts::NONE).await?;
         self.set_fifo(Fifo::Bypass).await?;
         self.set_rate(RATE, false).await?;
         self.set_data_format(FORMAT).await?;
         self.measure().await?;
         let without = self.mean(delay).await?;
-        self.registers
-            .write(DATA_FORMAT, FORMAT.register() | DATA_FORMAT_SELF_TEST)
-            .await?;
+        self.registers.write(DATA_FORMAT, FORMAT.register() | DATA_FORMAT_SELF_TEST).await?;
         let with = self.mean(delay).await?;
         self.set_data_format(FORMAT).await?;
         self.standby().await?;

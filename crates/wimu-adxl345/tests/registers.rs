@@ -34,29 +34,17 @@ fn on_bus<R>(
 
 #[test]
 fn the_identity_is_register_0() {
-    let id = on_bus(&[read(0x00, &[0xE5])], async |sensor| {
-        sensor.device_id().await
-    });
+    let id = on_bus(&[read(0x00, &[0xE5])], async |sensor| sensor.device_id().await);
     assert_eq!(id, Ok(0xE5));
-    let checked = on_bus(&[read(0x00, &[0xE5])], async |sensor| {
-        sensor.check_identity().await
-    });
+    let checked = on_bus(&[read(0x00, &[0xE5])], async |sensor| sensor.check_identity().await);
     assert_eq!(checked, Ok(()));
 }
 
 #[test]
 fn another_chip_at_the_address_is_named() {
-    let checked = on_bus(&[read(0x00, &[0x33])], async |sensor| {
-        sensor.check_identity().await
-    });
+    let checked = on_bus(&[read(0x00, &[0x33])], async |sensor| sensor.check_identity().await);
     let error = checked.expect_err("0x33 is no ADXL345");
-    assert_eq!(
-        error,
-        Error::WrongIdentity {
-            expected: 0xE5,
-            found: 0x33
-        }
-    );
+    assert_eq!(error, Error::WrongIdentity { expected: 0xE5, found: 0x33 });
     assert!(error.to_string().contains("0x33"), "{error}");
 }
 
@@ -142,28 +130,17 @@ fn every_format_has_its_code_bits_and_sensitivity() {
         (Range::G16, TenBits, Left, 0x07, 10, 2048),
     ];
     for (range, resolution, justify, code, bits, lsb_per_g) in table {
-        let format = DataFormat {
-            range,
-            resolution,
-            justify,
-        };
-        let outcome = on_bus(&[write(0x31, code)], async |sensor| {
-            sensor.set_data_format(format).await
-        });
+        let format = DataFormat { range, resolution, justify };
+        let outcome =
+            on_bus(&[write(0x31, code)], async |sensor| sensor.set_data_format(format).await);
         assert_eq!(outcome, Ok(()), "{format:?}");
-        assert_eq!(
-            (format.bits(), format.lsb_per_g()),
-            (bits, lsb_per_g),
-            "{format:?}"
-        );
+        assert_eq!((format.bits(), format.lsb_per_g()), (bits, lsb_per_g), "{format:?}");
     }
 }
 
 #[test]
 fn every_rate_has_its_code_and_period() {
-    let hz = [
-        6.25, 12.5, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0,
-    ];
+    let hz = [6.25, 12.5, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0];
     for ((rate, hz), code) in Rate::ALL.into_iter().zip(hz).zip(0x06..) {
         let expected = [write(0x2C, code), write(0x2C, code | 0x10)];
         let outcome = on_bus(&expected, async |sensor| {
@@ -172,11 +149,7 @@ fn every_rate_has_its_code_and_period() {
         });
         assert_eq!(outcome, Ok(()), "{rate:?}");
         assert_eq!(f64::from(rate.period_ns()), 1e9 / hz);
-        assert_eq!(
-            rate.has_low_power(),
-            (12.5..=400.0).contains(&hz),
-            "{rate:?}"
-        );
+        assert_eq!(rate.has_low_power(), (12.5..=400.0).contains(&hz), "{rate:?}");
     }
 }
 
@@ -206,17 +179,13 @@ fn setting_the_fifo_empties_it_first() {
         let outcome = on_bus(&expected, async |sensor| sensor.set_fifo(fifo).await);
         assert_eq!(outcome, Ok(()), "{fifo:?}");
     }
-    let outcome = on_bus(&[write(0x38, 0x00)], async |sensor| {
-        sensor.set_fifo(Fifo::Bypass).await
-    });
+    let outcome = on_bus(&[write(0x38, 0x00)], async |sensor| sensor.set_fifo(Fifo::Bypass).await);
     assert_eq!(outcome, Ok(()));
 }
 
 #[test]
 fn the_level_leaves_the_trigger_bit_out() {
-    let level = on_bus(&[read(0x39, &[0x80 | 33])], async |sensor| {
-        sensor.fifo_level().await
-    });
+    let level = on_bus(&[read(0x39, &[0x80 | 33])], async |sensor| sensor.fifo_level().await);
     assert_eq!(level.map(|level| level.samples), Ok(33));
 }
 
@@ -235,9 +204,7 @@ fn interrupts_are_mapped_before_they_are_enabled() {
 #[test]
 fn offsets_are_twos_complement() {
     let expected = [write(0x1E, 0x01), write(0x1F, 0xFF), write(0x20, 0x80)];
-    let outcome = on_bus(&expected, async |sensor| {
-        sensor.set_offset([1, -1, -128]).await
-    });
+    let outcome = on_bus(&expected, async |sensor| sensor.set_offset([1, -1, -128]).await);
     assert_eq!(outcome, Ok(()));
 }
 
@@ -295,10 +262,7 @@ fn on_spi_a_read_has_its_bits_and_the_fifo_its_delay() {
 #[test]
 fn the_self_test_is_the_shift_of_the_means() {
     let bytes = |[x, y, z]: [i16; 3]| -> Vec<u8> {
-        [x, y, z]
-            .iter()
-            .flat_map(|axis| axis.to_le_bytes())
-            .collect()
+        [x, y, z].iter().flat_map(|axis| axis.to_le_bytes()).collect()
     };
     let mut expected = vec![
         write(0x2D, 0x00),
@@ -316,9 +280,7 @@ fn the_self_test_is_the_shift_of_the_means() {
     expected.push(write(0x31, 0x8B));
     expected.extend((0..10).map(|_| read(0x32, &bytes([310, -290, 700]))));
     expected.extend([write(0x31, 0x0B), write(0x2D, 0x00)]);
-    let outcome = on_bus(&expected, async |sensor| {
-        sensor.self_test(&mut NoopDelay::new()).await
-    });
+    let outcome = on_bus(&expected, async |sensor| sensor.self_test(&mut NoopDelay::new()).await);
     let test = outcome.expect("the bus works");
     assert_eq!(test.shift, [300, -290, 444]);
     assert_eq!(test.passed(2500), [true; 3]);

@@ -52,28 +52,17 @@ fn main() {
         .collect();
 
     let gravity = Gravity::new(G, 0.0).expect("gravity");
-    let robust = MultiPosition {
-        reject: true,
-        ..MultiPosition::default()
-    };
+    let robust = MultiPosition { reject: true, ..MultiPosition::default() };
     let mut ours_minimal = || {
         let fit = minimal_fit::<f64>(black_box(&poses), gravity);
         fit.expect("an answer").rms_mps2
     };
-    let mut ours = || {
-        multi_position(black_box(&poses), gravity, Model::Full9)
-            .expect("an answer")
-            .rms_mps2
-    };
-    let mut ours_robust = || {
-        multi_position_with(black_box(&poses), gravity, robust)
-            .expect("an answer")
-            .rms_mps2
-    };
+    let mut ours =
+        || multi_position(black_box(&poses), gravity, Model::Full9).expect("an answer").rms_mps2;
+    let mut ours_robust =
+        || multi_position_with(black_box(&poses), gravity, robust).expect("an answer").rms_mps2;
     let mut ours_f32 = || {
-        multi_position_f32(black_box(&poses), gravity, Model::Full9)
-            .expect("an answer")
-            .rms_mps2
+        multi_position_f32(black_box(&poses), gravity, Model::Full9).expect("an answer").rms_mps2
     };
     let mut other = || {
         estimate_accel_intrinsics(
@@ -109,11 +98,7 @@ fn main() {
     for (k, (name, _, most)) in work.iter().enumerate() {
         println!("{name}: {:.1} µs, rms {:.6} mm/s²", median[k], rms[k] * 1e3);
         let ratio = median[k] / median[4];
-        let target = if most.is_finite() {
-            format!("at most {most}")
-        } else {
-            "–".into()
-        };
+        let target = if most.is_finite() { format!("at most {most}") } else { "–".into() };
         let claim = format!("{name}: time over imu-calib's fit");
         figure(&claim, format!("{ratio:.2}"), &target, ratio <= *most);
     }

@@ -103,10 +103,7 @@ impl fmt::Display for AlignmentRefusal {
                  the body on another side, or move it straight ahead",
                 angle_rad.to_degrees()
             ),
-            Self::Disagree {
-                direction,
-                residual_rad,
-            } => write!(
+            Self::Disagree { direction, residual_rad } => write!(
                 out,
                 "direction {direction} (from 0) has a residual of {:.1}°: check which side of \
                  the body was where, and calibrate the sensor first",
@@ -153,15 +150,9 @@ impl core::error::Error for AlignmentRefusal {}
 /// [`AlignmentRefusal`].
 pub fn align(directions: &[KnownDirection]) -> Result<AlignmentEstimate, AlignmentRefusal> {
     if directions.len() < 2 {
-        return Err(AlignmentRefusal::TooFewDirections {
-            have: directions.len(),
-        });
+        return Err(AlignmentRefusal::TooFewDirections { have: directions.len() });
     }
-    let unit = |v: [f64; 3]| {
-        Vector3::from(v)
-            .try_normalize(1e-9)
-            .filter(|u| u.norm() > 0.5)
-    };
+    let unit = |v: [f64; 3]| Vector3::from(v).try_normalize(1e-9).filter(|u| u.norm() > 0.5);
     let mut attitude = Matrix3::<f64>::zeros();
     let mut information = Matrix3::<f64>::zeros();
     let mut scatter = [Matrix3::<f64>::zeros(); 2];
@@ -169,11 +160,9 @@ pub fn align(directions: &[KnownDirection]) -> Result<AlignmentEstimate, Alignme
     for (direction, known) in directions.iter().enumerate() {
         let sd = known.sd_rad;
         let weight = 1.0 / (sd * sd);
-        let (Some(v), Some(u), true) = (
-            unit(known.sensor),
-            unit(known.body),
-            weight.is_finite() && weight > 0.0,
-        ) else {
+        let (Some(v), Some(u), true) =
+            (unit(known.sensor), unit(known.body), weight.is_finite() && weight > 0.0)
+        else {
             return Err(AlignmentRefusal::NoDirection { direction });
         };
         attitude += u * v.transpose() * weight;
@@ -197,11 +186,7 @@ pub fn align(directions: &[KnownDirection]) -> Result<AlignmentEstimate, Alignme
     // Davenport's matrix, shifted so that no eigenvalue is negative.
     let b = attitude / weights;
     let symmetric = b + b.transpose();
-    let z = [
-        b[(2, 1)] - b[(1, 2)],
-        b[(0, 2)] - b[(2, 0)],
-        b[(1, 0)] - b[(0, 1)],
-    ];
+    let z = [b[(2, 1)] - b[(1, 2)], b[(0, 2)] - b[(2, 0)], b[(1, 0)] - b[(0, 1)]];
     let davenport = SMatrix::<f64, 4, 4>::from_fn(|r, c| match (r, c) {
         (0, 0) => 2.0 + b.trace(),
         (0, k) | (k, 0) => z[k - 1],
@@ -230,16 +215,9 @@ pub fn align(directions: &[KnownDirection]) -> Result<AlignmentEstimate, Alignme
     }
     let (direction, residual_rad, deviations) = worst;
     if deviations > MOST_DISAGREEMENT {
-        return Err(AlignmentRefusal::Disagree {
-            direction,
-            residual_rad,
-        });
+        return Err(AlignmentRefusal::Disagree { direction, residual_rad });
     }
-    Ok(AlignmentEstimate {
-        alignment,
-        covariance,
-        residual_rad,
-    })
+    Ok(AlignmentEstimate { alignment, covariance, residual_rad })
 }
 
 /// The angle between two vectors, rad.
@@ -259,10 +237,7 @@ where
     DefaultAllocator: Allocator<DimDiff<Const<N>, Const<1>>>,
 {
     let eigen = matrix.symmetric_eigen();
-    eigen
-        .eigenvectors
-        .column(eigen.eigenvalues.imax())
-        .into_owned()
+    eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned()
 }
 
 /// Direction of a straight movement from rest to rest, in sensor axes, and its standard deviation,
@@ -309,11 +284,7 @@ pub fn straight_move(
     let moved = distance_m >= LEAST_DISPLACEMENT_M && rms >= LEAST_ACCELERATION_MPS2;
     if !moved {
         return Err(AlignmentRefusal::NotMoved {
-            distance_m: if distance_m.is_finite() {
-                distance_m
-            } else {
-                0.0
-            },
+            distance_m: if distance_m.is_finite() { distance_m } else { 0.0 },
         });
     }
     let ahead = distance / distance_m;
@@ -326,8 +297,5 @@ pub fn straight_move(
     // vibration do not change it.
     let apart = from_line(&main_axis(scatter), &ahead);
     let shaken = crookedness / libm::sqrt((count / 8.0).max(1.0));
-    Ok((
-        [0, 1, 2].map(|axis| ahead[axis]),
-        libm::sqrt(apart * apart + shaken * shaken),
-    ))
+    Ok(([0, 1, 2].map(|axis| ahead[axis]), libm::sqrt(apart * apart + shaken * shaken)))
 }

@@ -14,11 +14,7 @@ pub(crate) struct Blocks<T, const N: usize> {
 
 impl<T: Clone + Default, const N: usize> Blocks<T, N> {
     pub fn new() -> Self {
-        Self {
-            blocks: heapless::Vec::new(),
-            length: 1,
-            filled: 1,
-        }
+        Self { blocks: heapless::Vec::new(), length: 1, filled: 1 }
     }
 
     /// The block that the next sample belongs to. `merge` adds two neighbouring blocks.

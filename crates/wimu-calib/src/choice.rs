@@ -68,11 +68,7 @@ pub fn best_model(
             break;
         }
         for model in Model::ALL {
-            let what = MultiPosition {
-                model,
-                terms,
-                reject,
-            };
+            let what = MultiPosition { model, terms, reject };
             let mut violation = None;
             let fitted = match with_terms(poses, &visits, gravity, what, Some(&mut violation)) {
                 Ok(fitted) => fitted,
@@ -80,11 +76,7 @@ pub fn best_model(
                     if let Some((error, variance)) = violation {
                         let score = information(poses.len(), variance, what.parameters());
                         if violated.is_none_or(|(_, least)| score < least) {
-                            let model = BeyondBounds {
-                                model,
-                                terms,
-                                error,
-                            };
+                            let model = BeyondBounds { model, terms, error };
                             violated = Some((model, score));
                         }
                     }
@@ -245,14 +237,10 @@ impl Average {
             let [weight, first, square] = [0, 1, 2].map(|k| self.fitting[(k, i)]);
             if weight > 1e-9 * self.weight {
                 let about = square - 2.0 * theta[i] * first + theta[i] * theta[i] * weight;
-                let most = best
-                    .covariance
-                    .get(parameter, parameter)
-                    .max(about / weight);
+                let most = best.covariance.get(parameter, parameter).max(about / weight);
                 best.covariance.set(parameter, parameter, most);
             } else {
-                best.covariance
-                    .take_for_granted([parameter].into_iter().collect());
+                best.covariance.take_for_granted([parameter].into_iter().collect());
             }
         }
         for slot in Slot::ALL.into_iter().skip(Parameter::COUNT) {
@@ -275,10 +263,7 @@ impl Average {
 
 /// Degrees of freedom of the residuals and of the confidence intervals.
 fn freedoms(fitted: &Fitted) -> [f64; 2] {
-    [
-        fitted.dof,
-        fitted.estimate.interval_dof.unwrap_or(fitted.dof),
-    ]
+    [fitted.dof, fitted.estimate.interval_dof.unwrap_or(fitted.dof)]
 }
 
 /// The model's parameters with the drift among them.

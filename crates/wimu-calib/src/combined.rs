@@ -121,10 +121,7 @@ impl fmt::Display for CombineRefusal {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::TooFew { have } => {
-                write!(
-                    out,
-                    "{have} of at least 2 sessions: record one more session"
-                )
+                write!(out, "{have} of at least 2 sessions: record one more session")
             }
             Self::Different { session } => write!(
                 out,
@@ -135,10 +132,9 @@ impl fmt::Display for CombineRefusal {
                 "session {session} has temperature or quadratic terms: fit the sessions without \
                  them"
             ),
-            Self::Gravity { session } => write!(
-                out,
-                "session {session} was not fitted with the exact gravity of session 0"
-            ),
+            Self::Gravity { session } => {
+                write!(out, "session {session} was not fitted with the exact gravity of session 0")
+            }
             Self::NotFinite { session } => {
                 write!(out, "session {session} has values that are not finite")
             }
@@ -198,9 +194,7 @@ fn check(estimates: &[Estimate]) -> Result<(), CombineRefusal> {
     let first = match estimates {
         [first, _, ..] => first,
         _ => {
-            return Err(CombineRefusal::TooFew {
-                have: estimates.len(),
-            });
+            return Err(CombineRefusal::TooFew { have: estimates.len() });
         }
     };
     for (session, estimate) in estimates.iter().enumerate() {
@@ -265,9 +259,7 @@ fn departure(estimates: &[Estimate]) -> Option<Departure> {
             };
             let share = |d: &Departure| d.sigmas / d.limit;
             if between.dof >= 1.0
-                && worst
-                    .as_ref()
-                    .is_none_or(|before| share(&departs) > share(before))
+                && worst.as_ref().is_none_or(|before| share(&departs) > share(before))
             {
                 worst = Some(departs);
             }

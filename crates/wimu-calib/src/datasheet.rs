@@ -17,17 +17,11 @@ pub struct Limit {
 }
 
 const fn typical(most: f64) -> Option<Limit> {
-    Some(Limit {
-        most,
-        guaranteed: false,
-    })
+    Some(Limit { most, guaranteed: false })
 }
 
 const fn guaranteed(most: f64) -> Option<Limit> {
-    Some(Limit {
-        most,
-        guaranteed: true,
-    })
+    Some(Limit { most, guaranteed: true })
 }
 
 /// Datasheet limits on the errors of an accelerometer at 25 °C; `None` if not specified.
@@ -142,13 +136,9 @@ impl Datasheet {
     /// The datasheet of the sensor `name`; hyphens and case are ignored.
     pub fn of(name: &str) -> Option<&'static Self> {
         fn plain(name: &str) -> impl Iterator<Item = char> + '_ {
-            name.chars()
-                .filter(char::is_ascii_alphanumeric)
-                .map(|c| c.to_ascii_uppercase())
+            name.chars().filter(char::is_ascii_alphanumeric).map(|c| c.to_ascii_uppercase())
         }
-        Self::KNOWN
-            .iter()
-            .find(|known| plain(known.sensor).eq(plain(name)))
+        Self::KNOWN.iter().find(|known| plain(known.sensor).eq(plain(name)))
     }
 
     /// The nominal sensitivity within 20 % of `lsb_per_g`.
@@ -189,13 +179,8 @@ impl Datasheet {
         let quantile = student::two_sided(0.05, estimate.interval_dof.unwrap_or(f64::INFINITY));
         let mut findings = heapless::Vec::<Finding, 18>::new();
         let mut add = |quantity, subject, value, half_width_95, limit: Option<Limit>| {
-            let finding = limit.map(|limit| Finding {
-                quantity,
-                subject,
-                value,
-                half_width_95,
-                limit,
-            });
+            let finding =
+                limit.map(|limit| Finding { quantity, subject, value, half_width_95, limit });
             findings.extend(finding);
         };
         // A limit, if the parameter was fitted.
@@ -233,10 +218,7 @@ impl Datasheet {
                 subject,
                 (model.matrix[a][b] + model.matrix[b][a]) * 100.0,
                 quantile * libm::sqrt(variance.max(0.0)) * 100.0,
-                fitted(ab, self.cross_axis).map(|limit| Limit {
-                    most: 2.0 * limit.most,
-                    ..limit
-                }),
+                fitted(ab, self.cross_axis).map(|limit| Limit { most: 2.0 * limit.most, ..limit }),
             );
         }
         let (temperature, sd) = (&model.temperature, &estimate.term_sd);
@@ -259,11 +241,7 @@ impl Datasheet {
                 Term::Quadratic,
                 Quantity::Nonlinearity,
                 [self.nonlinearity; 3],
-                (
-                    model.nonlinearity,
-                    sd.nonlinearity,
-                    0.5 * full_scale * 100.0,
-                ),
+                (model.nonlinearity, sd.nonlinearity, 0.5 * full_scale * 100.0),
             ),
         ];
         for (term, quantity, limits, (values, sd, unit)) in terms {

@@ -65,10 +65,7 @@ pub struct Guide {
 impl Guide {
     /// A guide without poses.
     pub fn new(model: Model) -> Self {
-        Self {
-            fitted: model.fitted(),
-            inverse: SMatrix::identity() / PRIOR,
-        }
+        Self { fitted: model.fitted(), inverse: SMatrix::identity() / PRIOR }
     }
 
     /// A guide after `poses`.
@@ -92,8 +89,7 @@ impl Guide {
         let row = self.row(up);
         let along = self.inverse * row;
         let variance = row.dot(&along);
-        self.inverse
-            .ger(-sign / (1.0 + sign * variance), &along, &along, 1.0);
+        self.inverse.ger(-sign / (1.0 + sign * variance), &along, &along, 1.0);
     }
 
     /// The next orientation, of those that `reachable` admits.
@@ -230,11 +226,7 @@ impl Guide {
         let mut row = SVector::zeros();
         for parameter in self.fitted.iter() {
             let i = parameter.index();
-            row[i] = if i < 3 {
-                -up[i]
-            } else {
-                -up[i / 3 - 1] * up[i % 3]
-            };
+            row[i] = if i < 3 { -up[i] } else { -up[i / 3 - 1] * up[i % 3] };
         }
         row
     }

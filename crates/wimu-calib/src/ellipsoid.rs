@@ -36,9 +36,8 @@ pub(crate) fn start<R: Real>(poses: &[Pose], gravity: Gravity, model: Model) -> 
         return None;
     }
     let gravity_mps2 = gravity.mps2();
-    let points = poses
-        .iter()
-        .map(|pose| Vector3::from(pose.mean_mps2.map(|y| real(y / gravity_mps2))));
+    let points =
+        poses.iter().map(|pose| Vector3::from(pose.mean_mps2.map(|y| real(y / gravity_mps2))));
     let (centre, q) = ellipsoid::<R>(points)?;
     // y = c + A u with |u| = 1 gives A Aᵀ = Q⁻¹; its Cholesky factor is the triangular A.
     let a = Cholesky::new(q.try_inverse()?)?.unpack();

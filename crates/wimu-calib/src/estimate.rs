@@ -123,9 +123,7 @@ impl Estimate {
         let chosen: Parameters = match self.method {
             Method::MultiPosition(_) => {
                 use Parameter::{MisalignmentYx, MisalignmentZx, MisalignmentZy};
-                [MisalignmentYx, MisalignmentZx, MisalignmentZy]
-                    .into_iter()
-                    .collect()
+                [MisalignmentYx, MisalignmentZx, MisalignmentZy].into_iter().collect()
             }
             Method::SixPosition { .. } | Method::FourAngle | Method::ThreeAngle => {
                 Parameters::default()
@@ -140,11 +138,7 @@ impl Estimate {
         let sd = Parameter::ALL.map(|parameter| self.covariance.sd(parameter));
         Deviations {
             bias_mps2: [sd[0], sd[1], sd[2]],
-            matrix: [
-                [sd[3], sd[4], sd[5]],
-                [sd[6], sd[7], sd[8]],
-                [sd[9], sd[10], sd[11]],
-            ],
+            matrix: [[sd[3], sd[4], sd[5]], [sd[6], sd[7], sd[8]], [sd[9], sd[10], sd[11]]],
         }
     }
 
@@ -166,11 +160,7 @@ impl Estimate {
         let theta = terms::theta_of(&self.model);
         let of_gravity = self.covariance.of_gravity(&theta, self.gravity, parameter);
         let share = (variance - of_gravity) / variance;
-        if share > 0.0 {
-            dof / (share * share)
-        } else {
-            f64::INFINITY
-        }
+        if share > 0.0 { dof / (share * share) } else { f64::INFINITY }
     }
 
     /// Residual |f| − g of `pose`, m/s², at its time and temperature as far as the model depends on

@@ -111,8 +111,7 @@ impl PoseFinder {
 
     /// The current hold as a pose; `None` in motion.
     pub fn held(&self) -> Option<Pose> {
-        self.rest()
-            .map(|hold| hold.inner.pose(self.rate_hz, &self.noise))
+        self.rest().map(|hold| hold.inner.pose(self.rate_hz, &self.noise))
     }
 
     fn rest(&self) -> Option<&Hold> {
@@ -156,11 +155,8 @@ impl PoseFinder {
     pub fn finish(&mut self) -> Option<Pose> {
         self.filled = 0;
         self.block = Block::default();
-        self.end_hold().or_else(|| {
-            self.candidate
-                .take()
-                .map(|found| found.pose(self.rate_hz, &self.noise))
-        })
+        self.end_hold()
+            .or_else(|| self.candidate.take().map(|found| found.pose(self.rate_hz, &self.noise)))
     }
 
     fn push_block(&mut self, block: Moments) -> Option<Pose> {
@@ -174,11 +170,7 @@ impl PoseFinder {
             self.hold = Some(match self.hold.take() {
                 Some(mut hold) => {
                     hold.inner.merge(&hold.edge);
-                    Hold {
-                        edge: block,
-                        rested: hold.rested || rests,
-                        ..hold
-                    }
+                    Hold { edge: block, rested: hold.rested || rests, ..hold }
                 }
                 None => self.begin_hold(rests),
             });
@@ -196,9 +188,7 @@ impl PoseFinder {
             return None;
         }
         self.away_blocks = 0;
-        self.candidate
-            .take()
-            .map(|found| found.pose(self.rate_hz, &self.noise))
+        self.candidate.take().map(|found| found.pose(self.rate_hz, &self.noise))
     }
 
     /// Stationarity detector: whether the window is at rest. Updates the noise estimate.
@@ -241,11 +231,7 @@ impl PoseFinder {
         for axis in 0..3 {
             let means = || self.window.iter().map(move |block| block.mean[axis]);
             let mean = means().sum::<f64>() / BLOCKS as f64;
-            let slope = times()
-                .zip(means())
-                .map(|(t, y)| t * (y - mean))
-                .sum::<f64>()
-                / along;
+            let slope = times().zip(means()).map(|(t, y)| t * (y - mean)).sum::<f64>() / along;
             line += slope * slope * along;
             about += times()
                 .zip(means())
@@ -270,11 +256,7 @@ impl PoseFinder {
         for block in &self.window[1..BLOCKS - 1] {
             inner.merge(block);
         }
-        Hold {
-            inner,
-            edge: self.window[BLOCKS - 1],
-            rested,
-        }
+        Hold { inner, edge: self.window[BLOCKS - 1], rested }
     }
 
     /// Ends the current hold. Returns the previous pose, if this hold does not continue it.

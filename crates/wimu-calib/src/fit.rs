@@ -122,24 +122,13 @@ pub(crate) fn fit<'a, R: Real>(
     if let Some(axis) = input::stuck_axis(poses) {
         return Err(Refusal::AxisStuck { axis });
     }
-    Ok(Found {
-        shared: parts.shared,
-        problem,
-        fit,
-        knowledge,
-        gravity,
-        what,
-    })
+    Ok(Found { shared: parts.shared, problem, fit, knowledge, gravity, what })
 }
 
 /// Observability at the bias and scale factors that fit best.
 fn near_solution<R: Real>(problem: &mut Magnitude, what: MultiPosition) -> Option<Knowledge<R>> {
     let perfect = PERFECT.map(real);
-    problem.free = MultiPosition {
-        model: Model::BiasScale6,
-        ..MultiPosition::default()
-    }
-    .slots();
+    problem.free = MultiPosition { model: Model::BiasScale6, ..MultiPosition::default() }.slots();
     let smaller = problem.solve(&perfect, Without::Nothing);
     problem.free = what.slots();
     problem.knowledge_at(&smaller.map_or(perfect, |fit| fit.theta))
@@ -224,9 +213,7 @@ pub(crate) fn weighted<R: Real>(
 
 impl<R: Real> Found<'_, R> {
     pub fn basis(&self, violation: Option<&mut Violation>) -> Result<Basis<R>, Refusal> {
-        let Self {
-            problem, fit, what, ..
-        } = self;
+        let Self { problem, fit, what, .. } = self;
         let poses = problem.poses;
         let theta = fit.theta.map(double);
         let free = &problem.free;
@@ -273,10 +260,8 @@ impl<R: Real> Found<'_, R> {
             _ => MOST_RMS_MPS2[0],
         };
         if kept.rms_mps2() > most_rms {
-            return Err(input::mixed_units(poses).unwrap_or(Refusal::PoorFit {
-                rms_mps2: kept.rms_mps2(),
-                pose: kept.worst_pose,
-            }));
+            return Err(input::mixed_units(poses)
+                .unwrap_or(Refusal::PoorFit { rms_mps2: kept.rms_mps2(), pose: kept.worst_pose }));
         }
         let known = |r, c| shared.variance * double(shared.spread.at(r, c));
         let mut covariance = Covariance::ZERO;
@@ -299,14 +284,8 @@ impl<R: Real> Found<'_, R> {
 
     /// The estimate, judged by leaving poses out and by what its model leaves out.
     pub fn fitted(&self, violation: Option<&mut Violation>) -> Result<Fitted, Refusal> {
-        let Basis {
-            minimal,
-            visited,
-            shared,
-        } = self.basis(violation)?;
-        let Self {
-            problem, fit, what, ..
-        } = self;
+        let Basis { minimal, visited, shared } = self.basis(violation)?;
+        let Self { problem, fit, what, .. } = self;
         let (poses, free) = (problem.poses, &problem.free);
         let theta = fit.theta.map(double);
         let fitted_poses = poses.len() - problem.rejected.count();
@@ -406,9 +385,5 @@ impl<R: Real> Found<'_, R> {
 fn at_perfect<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> Option<Fit<R>> {
     let theta = PERFECT.map(real::<R>);
     let information = problem.information(&theta, &problem.weighting)?;
-    Some(Fit {
-        inverse: information.inverse()?,
-        cost: fit.cost,
-        theta,
-    })
+    Some(Fit { inverse: information.inverse()?, cost: fit.cost, theta })
 }

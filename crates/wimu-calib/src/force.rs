@@ -21,11 +21,7 @@ pub(crate) struct Conditions {
 impl Conditions {
     /// Those of a fit without terms.
     pub fn none() -> Self {
-        Self {
-            end_s: 0.0,
-            per_span: 0.0,
-            reference_c: TemperatureTerms::default().reference_c,
-        }
+        Self { end_s: 0.0, per_span: 0.0, reference_c: TemperatureTerms::default().reference_c }
     }
 
     /// Time relative to the session: −1 at the first pose, 0 at the last.
@@ -34,8 +30,7 @@ impl Conditions {
     }
 
     pub fn warmer(&self, pose: &Pose) -> f64 {
-        pose.temperature_c
-            .map_or(0.0, |celsius| celsius - self.reference_c)
+        pose.temperature_c.map_or(0.0, |celsius| celsius - self.reference_c)
     }
 }
 
@@ -98,10 +93,7 @@ impl<'a, R: Real> Evaluated<'a, R> {
             theta,
             inverse: invert(&Self::matrix(theta, R::zero()))?,
             invert,
-            warms: terms
-                && Slot::SCALE_SLOPE
-                    .iter()
-                    .any(|slot| !theta[slot.index()].is_zero()),
+            warms: terms && Slot::SCALE_SLOPE.iter().any(|slot| !theta[slot.index()].is_zero()),
             terms,
         })
     }
@@ -144,24 +136,12 @@ impl<'a, R: Real> Evaluated<'a, R> {
                 force[i] -= theta[21 + i] * z[i] * z[i];
             }
         }
-        Applied {
-            inverse,
-            z,
-            force,
-            progress,
-            warmer,
-        }
+        Applied { inverse, z, force, progress, warmer }
     }
 
     /// Of a given specific force at the last pose and T₀.
     pub fn at(&self, force: Vector3<R>) -> Applied<R> {
-        Applied {
-            inverse: self.inverse,
-            z: force,
-            force,
-            progress: R::zero(),
-            warmer: R::zero(),
-        }
+        Applied { inverse: self.inverse, z: force, force, progress: R::zero(), warmer: R::zero() }
     }
 
     /// Common factors of the derivatives of |f|: w = A⁻ᵀ (1 − 2 diag(q ∘ z)) n, and n = f/|f|.
@@ -176,11 +156,7 @@ impl<'a, R: Real> Evaluated<'a, R> {
         }
         // The division by |f| comes last, to overlap with the square root.
         let norm = at.force.norm();
-        let per_norm = if norm > R::zero() {
-            R::one() / norm
-        } else {
-            R::one()
-        };
+        let per_norm = if norm > R::zero() { R::one() / norm } else { R::one() };
         (at.inverse.tr_mul(&m) * per_norm, at.force * per_norm)
     }
 
@@ -243,9 +219,7 @@ pub(crate) fn worst_sd<R: Real>(
     };
     let covariance = covariance.matrix().map(|row| row.map(real::<R>));
     let variance = |orientation: Orientation| {
-        let applied = at.at(Vector3::from(
-            orientation.up().map(|c| real(c * gravity_mps2)),
-        ));
+        let applied = at.at(Vector3::from(orientation.up().map(|c| real(c * gravity_mps2))));
         let row = at.derivatives(&applied);
         let mut sum = R::zero();
         for (covariances, d) in covariance.iter().zip(row) {
@@ -255,9 +229,7 @@ pub(crate) fn worst_sd<R: Real>(
         }
         sum
     };
-    let worst = Orientation::ALL
-        .into_iter()
-        .map(variance)
-        .fold(R::zero(), |most, one| most.max(one));
+    let worst =
+        Orientation::ALL.into_iter().map(variance).fold(R::zero(), |most, one| most.max(one));
     double(worst.sqrt())
 }

@@ -16,10 +16,7 @@ pub struct Gravity {
 
 impl Gravity {
     /// 9.80665 ± 0.015 m/s² (1 σ): an unknown location on Earth.
-    pub const UNKNOWN_PLACE: Self = Self {
-        mps2: STANDARD_GRAVITY_MPS2,
-        sd_mps2: 0.015,
-    };
+    pub const UNKNOWN_PLACE: Self = Self { mps2: STANDARD_GRAVITY_MPS2, sd_mps2: 0.015 };
 
     /// Gravity in m/s² and its standard deviation in m/s² (0 where it is taken as exact).
     ///
@@ -179,13 +176,9 @@ mod tests {
                 assert!(Gravity::at(latitude, height).is_ok());
             }
         }
-        for (latitude, height) in [
-            (90.1, 0.0),
-            (f64::NAN, 0.0),
-            (0.0, -501.0),
-            (0.0, 9001.0),
-            (0.0, f64::NAN),
-        ] {
+        for (latitude, height) in
+            [(90.1, 0.0), (f64::NAN, 0.0), (0.0, -501.0), (0.0, 9001.0), (0.0, f64::NAN)]
+        {
             assert!(Gravity::at(latitude, height).is_err());
         }
     }

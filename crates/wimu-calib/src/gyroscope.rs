@@ -94,11 +94,7 @@ impl AccelerometerCalibration {
     pub fn uncalibrated() -> Self {
         let mut covariance = Covariance::ZERO;
         covariance.take_for_granted(Parameters::ALL);
-        Self {
-            model: ErrorModel::default(),
-            covariance,
-            rms_mps2: 0.0,
-        }
+        Self { model: ErrorModel::default(), covariance, rms_mps2: 0.0 }
     }
 }
 
@@ -168,9 +164,7 @@ impl GyroscopeSession<'_> {
         let start = checks::plausible(&session)?;
         loop {
             let (theta, pass, noise) = fit(&session, start)?;
-            let Angles {
-                worst_rad, count, ..
-            } = pass.angles;
+            let Angles { worst_rad, count, .. } = pass.angles;
             let (least, times, share) = OUTLIER;
             let is_outlier = worst_rad > least.max(times * pass.angles.others_rad());
             let left = session.contradicted.count();
@@ -198,11 +192,7 @@ fn fit(
 ) -> Result<(Theta, Pass, Noise), GyroscopeRefusal> {
     let mut theta = perfect();
     (theta.fixed_rows_mut::<3>(0)).copy_from(&start.bias);
-    let mut noise = Noise {
-        sample: start.sample_variance,
-        bias: BIAS_WALK,
-        turn: TURN_ERROR[1],
-    };
+    let mut noise = Noise { sample: start.sample_variance, bias: BIAS_WALK, turn: TURN_ERROR[1] };
     let mut last = None;
     for round in 0..PASSES {
         let none = checks::inconsistent(&Angles::default());
@@ -273,11 +263,7 @@ fn result(
     let mut covariance = pass.covariance;
     // The vertical component of the Earth's rate is G = Ω/g on the diagonal.
     let earth = filter::EARTH / (STANDARD_GRAVITY_MPS2 * STANDARD_GRAVITY_MPS2);
-    for (a, b) in DIAGONAL
-        .map(|a| DIAGONAL.map(|b| (a, b)))
-        .into_iter()
-        .flatten()
-    {
+    for (a, b) in DIAGONAL.map(|a| DIAGONAL.map(|b| (a, b))).into_iter().flatten() {
         covariance[(G_SENSITIVITY + a, G_SENSITIVITY + b)] += earth;
     }
     Ok(GyroscopeEstimate {
@@ -292,9 +278,7 @@ fn result(
         bias_walk_rad_s_rts: libm::sqrt(noise.bias),
         turn_error: libm::sqrt(noise.turn),
         turns: pass.angles.count,
-        before_rad: session
-            .angles(nalgebra::Matrix3::identity(), false)
-            .rms_rad(),
+        before_rad: session.angles(nalgebra::Matrix3::identity(), false).rms_rad(),
         rms_rad: pass.angles.rms_rad(),
         left_out: session.left_out(theta),
     })
@@ -304,10 +288,7 @@ impl GyroscopeEstimate {
     /// Standard deviation of a parameter, in the order of [`covariance`](Self::covariance).
     pub fn sd(&self, parameter: usize) -> f64 {
         let row = self.covariance.get(parameter);
-        libm::sqrt(
-            row.and_then(|row| row.get(parameter))
-                .map_or(0.0, |v| v.max(0.0)),
-        )
+        libm::sqrt(row.and_then(|row| row.get(parameter)).map_or(0.0, |v| v.max(0.0)))
     }
 
     /// Half width of its 95 % confidence interval: equation (43).
@@ -349,10 +330,7 @@ impl GyroscopeEstimate {
             let column = |axis| (0..3).map(move |row| first + 3 * row + axis);
             let sd = |axis| column(axis).map(|i| self.sd(i)).fold(0.0, f64::max);
             let axes = (0..3).map(|axis| (axis, sd(axis)));
-            axes.fold(
-                (0, 0.0),
-                |most, new| if new.1 > most.1 { new } else { most },
-            )
+            axes.fold((0, 0.0), |most, new| if new.1 > most.1 { new } else { most })
         };
         let (turn, sd) = worst(MATRIX);
         let (rest, _) = worst(G_SENSITIVITY);

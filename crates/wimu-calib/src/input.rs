@@ -54,9 +54,7 @@ fn stands<'a>(poses: impl Iterator<Item = &'a Pose> + Clone, mean_mps2: f64) -> 
         let [low, high] = ends(axis);
         spread(axis) < STANDS && low.abs().min(high.abs()) > MOST_OF_IT * mean_mps2
     })?;
-    (0..3)
-        .any(|axis| axis != stuck && spread(axis) > TURNS)
-        .then_some(stuck)
+    (0..3).any(|axis| axis != stuck && spread(axis) > TURNS).then_some(stuck)
 }
 
 /// Number of different poses, counted up to `enough`; exactly equal poses are the same one.
@@ -117,9 +115,7 @@ fn nothing_between<'a>(poses: impl Iterator<Item = &'a Pose> + Clone) -> Option<
     };
     let count = poses.clone().count();
     (count > CORNERS
-        && poses
-            .clone()
-            .all(|pose| (0..3).all(|axis| silent(pose, axis)))
+        && poses.clone().all(|pose| (0..3).all(|axis| silent(pose, axis)))
         && (0..3).all(two))
     .then_some(0)
 }
@@ -184,9 +180,7 @@ pub(crate) fn mixed_units(poses: &[Pose]) -> Option<Refusal> {
 }
 
 fn magnitudes(poses: &[Pose]) -> impl Iterator<Item = f64> {
-    poses
-        .iter()
-        .map(|pose| libm::sqrt(pose.mean_mps2.iter().map(|y| y * y).sum()))
+    poses.iter().map(|pose| libm::sqrt(pose.mean_mps2.iter().map(|y| y * y).sum()))
 }
 
 /// The axis with an extreme reading that is the same in several different poses.

@@ -72,8 +72,7 @@ impl Magnitude<'_> {
             knowledge.amplification
         } else {
             Evaluated::new(&fit.theta, self.terms).map_or(f64::INFINITY, |at| {
-                self.with_inverse(&at, |_, _| f64::NAN, &shared.spread)
-                    .amplification
+                self.with_inverse(&at, |_, _| f64::NAN, &shared.spread).amplification
             })
         };
         amplification * libm::sqrt(shared.variance)

@@ -172,10 +172,7 @@ impl Magnitude<'_> {
     #[cfg_attr(not(target_os = "none"), inline(always))]
     pub fn is_rejected(&self, k: usize, pose: &Pose) -> bool {
         self.rejected.contains(k)
-            || self
-                .far
-                .as_ref()
-                .is_some_and(|far| (far.rejects)(far, self, pose))
+            || self.far.as_ref().is_some_and(|far| (far.rejects)(far, self, pose))
     }
 
     /// Whether `pose`, the k-th, is left out of a fit.
@@ -302,11 +299,7 @@ impl Magnitude<'_> {
                 Some(()) if double(next.cost) <= cost + rounding => {
                     theta = trial;
                     core::mem::swap(&mut normal, &mut next);
-                    damping = if damping > LEAST_DAMPING {
-                        damping * 0.1
-                    } else {
-                        0.0
-                    };
+                    damping = if damping > LEAST_DAMPING { damping * 0.1 } else { 0.0 };
                 }
                 _ if damping > MOST_DAMPING => return None,
                 _ => damping = more(damping),
@@ -322,20 +315,17 @@ impl Magnitude<'_> {
         at: &'b Evaluated<'b, R>,
     ) -> impl Iterator<Item = (Vector<R>, Theta<R>, f64)> + 'b {
         let kept = self.poses.iter().enumerate();
-        kept.filter(|(k, pose)| !self.is_rejected(*k, pose))
-            .map(|(_, pose)| {
-                let all = at.derivatives(&self.applied(at, pose));
-                (self.fitted(&all), all, self.weighting.of(pose))
-            })
+        kept.filter(|(k, pose)| !self.is_rejected(*k, pose)).map(|(_, pose)| {
+            let all = at.derivatives(&self.applied(at, pose));
+            (self.fitted(&all), all, self.weighting.of(pose))
+        })
     }
 
     /// |f| − g of `pose` under `theta`, m/s².
     #[cfg_attr(not(target_os = "none"), inline(always))]
     pub fn residual<R: Real>(&self, theta: &Theta<R>, pose: &Pose) -> Option<f64> {
         let at = Evaluated::new(theta, self.terms)?;
-        Some(double(
-            self.applied(&at, pose).force.norm() - real(self.gravity_mps2),
-        ))
+        Some(double(self.applied(&at, pose).force.norm() - real(self.gravity_mps2)))
     }
 
     /// Calls `take` with the index and the residual, m/s², of every pose under `theta`.

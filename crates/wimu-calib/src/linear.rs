@@ -53,16 +53,11 @@ pub(crate) fn eigenvalue_range<R: Real>(mut m: Symmetric<R>) -> (R, R) {
         }
         off_diagonal[k] = alpha;
     }
-    let before = |i: usize| {
-        i.checked_sub(1)
-            .map_or(R::zero(), |i| off_diagonal[i].abs())
-    };
+    let before = |i: usize| i.checked_sub(1).map_or(R::zero(), |i| off_diagonal[i].abs());
     let bound = m
         .diagonal()
         .enumerate()
-        .fold(R::zero(), |most, (i, value)| {
-            most.max(value + before(i) + off_diagonal[i].abs())
-        });
+        .fold(R::zero(), |most, (i, value)| most.max(value + before(i) + off_diagonal[i].abs()));
     if bound <= R::zero() {
         return (R::zero(), R::zero());
     }
@@ -98,9 +93,7 @@ fn towards_spectrum<R: Real>(elements: &[(R, R)], from: R) -> R {
             square = below;
         }
         let (g, h) = (p1 / p, p2 / p);
-        let root = ((n - R::one()) * (n * (g * g - h) - g * g))
-            .max(R::zero())
-            .sqrt();
+        let root = ((n - R::one()) * (n * (g * g - h) - g * g)).max(R::zero()).sqrt();
         let step = n / if g < R::zero() { g - root } else { g + root };
         if !step.is_finite() {
             break;
@@ -140,10 +133,7 @@ mod tests {
             let factor = Scaled::new(&m, 0.0).expect("positive definite");
             let inverse = factor.inverse();
             let one = SMatrix::<f64, 9, 9>::from_fn(|r, c| inverse.at(r, c)) * full;
-            assert!(
-                (one - SMatrix::identity()).norm() < 1e-15 * high / low,
-                "{one}"
-            );
+            assert!((one - SMatrix::identity()).norm() < 1e-15 * high / low, "{one}");
             let right = core::array::from_fn(|i| if i < 9 { m.at(i, 3) } else { 0.0 });
             let (solution, _) = factor.solve(&right);
             let off = |(i, x): (usize, &f64)| (x - if i == 3 { 1.0 } else { 0.0 }).abs();

@@ -138,10 +138,7 @@ pub fn magnetometer(
         let again = few.then(|| without_suspects(poses, disturbed));
         again
             .and_then(Result::ok)
-            .ok_or(MagneticRefusal::FieldNotConstant {
-                share,
-                disturbed: disturbed.into(),
-            })
+            .ok_or(MagneticRefusal::FieldNotConstant { share, disturbed: disturbed.into() })
     })?;
     handedness(&found.model, dip_rad)?;
     Ok(found)
@@ -216,16 +213,10 @@ fn plausible(poses: &[MagneticPose]) -> Result<(), MagneticRefusal> {
     let limits = [0, 1, 2].map(|axis| input::extremes(poses.iter().map(|p| p.output_nt[axis])));
     let span = limits.map(|[low, high]| high - low);
     let widest = span.into_iter().fold(0.0, f64::max);
-    let largest = limits
-        .into_iter()
-        .flatten()
-        .map(f64::abs)
-        .fold(0.0, f64::max);
+    let largest = limits.into_iter().flatten().map(f64::abs).fold(0.0, f64::max);
     let (fewest, most) = (EARTHS_NT.start(), EARTHS_NT.end());
     if largest < 0.1 * fewest || widest > 10.0 * most {
-        return Err(MagneticRefusal::NotEarths {
-            field_nt: largest.min(widest),
-        });
+        return Err(MagneticRefusal::NotEarths { field_nt: largest.min(widest) });
     }
     if let Some(axis) = (0..3).find(|axis| span[*axis] < LEAST_SHARE * widest) {
         return Err(MagneticRefusal::Dead { axis });

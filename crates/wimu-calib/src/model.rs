@@ -32,10 +32,7 @@ impl Model {
         match self {
             Self::Bias3 => BIAS,
             Self::BiasScale6 => SCALE,
-            Self::Full9 => SCALE
-                .with(MisalignmentXy)
-                .with(MisalignmentXz)
-                .with(MisalignmentYz),
+            Self::Full9 => SCALE.with(MisalignmentXy).with(MisalignmentXz).with(MisalignmentYz),
         }
     }
 

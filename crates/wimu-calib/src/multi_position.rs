@@ -45,18 +45,10 @@ pub fn multi_position_f32(
 fn basic<R: Real>(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Estimate, Refusal> {
     let visits = Visits::of(poses);
     let of = |model| {
-        let what = MultiPosition {
-            model,
-            ..MultiPosition::default()
-        };
+        let what = MultiPosition { model, ..MultiPosition::default() };
         check(poses, gravity, what)?;
-        let found = fit(
-            poses,
-            &visits,
-            gravity,
-            what,
-            Parts::<R>::all(weighted, Conditions::none()),
-        )?;
+        let found =
+            fit(poses, &visits, gravity, what, Parts::<R>::all(weighted, Conditions::none()))?;
         found.fitted(None)
     };
     advised(model, of)
@@ -195,12 +187,7 @@ pub(crate) fn with_terms(
 
 fn check(poses: &[Pose], gravity: Gravity, what: MultiPosition) -> Result<(), Refusal> {
     let need = what.parameters() + 1;
-    let too_few = |have| Refusal::TooFewPoses {
-        have,
-        need,
-        model: what.model,
-        instead: None,
-    };
+    let too_few = |have| Refusal::TooFewPoses { have, need, model: what.model, instead: None };
     if poses.len() < need {
         return Err(too_few(poses.len()));
     }

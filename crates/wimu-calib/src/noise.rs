@@ -157,10 +157,7 @@ struct Squares {
 }
 
 impl Squares {
-    const ZERO: Self = Self {
-        sum: [0.0; 3],
-        count: 0,
-    };
+    const ZERO: Self = Self { sum: [0.0; 3], count: 0 };
 
     fn take(&mut self, difference: [f64; 3]) {
         for (sum, d) in self.sum.iter_mut().zip(difference) {
@@ -230,11 +227,7 @@ impl AllanVariance {
     /// A computation for samples at `rate_hz`; a rate that is not positive and finite counts as 1
     /// Hz.
     pub fn new(rate_hz: f64) -> Self {
-        let rate_hz = if rate_hz.is_finite() && rate_hz > 0.0 {
-            rate_hz
-        } else {
-            1.0
-        };
+        let rate_hz = if rate_hz.is_finite() && rate_hz > 0.0 { rate_hz } else { 1.0 };
         Self {
             rate_hz,
             origin: None,
@@ -319,11 +312,8 @@ impl AllanVariance {
             let _ = level.push_back(self.sum);
             let shorter: &[usize] = if octave == 0 { &[1, 2, 4] } else { &[] };
             let first = if octave == 0 { 0 } else { octave + 3 };
-            for (m, squares) in shorter
-                .iter()
-                .copied()
-                .chain([LENGTH])
-                .zip(self.squares.iter_mut().skip(first))
+            for (m, squares) in
+                shorter.iter().copied().chain([LENGTH]).zip(self.squares.iter_mut().skip(first))
             {
                 if let Some(difference) = second_difference(level, m) {
                     squares.take(difference);
@@ -361,10 +351,7 @@ impl AllanVariance {
     /// sensor was not at rest, or an axis is dead.
     pub fn result(&self) -> Result<[AxisNoise; 3], NoiseRefusal> {
         if self.longest_run < FEWEST {
-            return Err(NoiseRefusal::TooShort {
-                have: self.longest_run,
-                need: FEWEST,
-            });
+            return Err(NoiseRefusal::TooShort { have: self.longest_run, need: FEWEST });
         }
         let mean = |axis: usize| {
             let origin = self.origin.map_or(0.0, |origin| origin[axis]);
@@ -413,10 +400,8 @@ impl AllanVariance {
         let [flicker, walk] = [flicker, walk].map(|noise| noise.filter(|_| !is_one_event));
         let step_mps2 = self.step[axis];
         Ok(AxisNoise {
-            velocity_random_walk: white.unwrap_or(Measured {
-                value: 0.0,
-                sd: floor_mps2 * libm::sqrt(floor_tau_s),
-            }),
+            velocity_random_walk: white
+                .unwrap_or(Measured { value: 0.0, sd: floor_mps2 * libm::sqrt(floor_tau_s) }),
             bias_instability_mps2: flicker,
             acceleration_random_walk: walk,
             is_one_event,

@@ -29,14 +29,8 @@ pub enum Face {
 
 impl Face {
     /// All sides: X up, X down, Y up, …
-    pub const ALL: [Self; 6] = [
-        Self::XUp,
-        Self::XDown,
-        Self::YUp,
-        Self::YDown,
-        Self::ZUp,
-        Self::ZDown,
-    ];
+    pub const ALL: [Self; 6] =
+        [Self::XUp, Self::XDown, Self::YUp, Self::YDown, Self::ZUp, Self::ZDown];
 
     /// Default names of the sides.
     pub const NAMES: [&'static str; 6] = ["X up", "X down", "Y up", "Y down", "Z up", "Z down"];
@@ -63,11 +57,7 @@ impl Face {
 
     /// 1 when the axis points up, −1 when it points down.
     pub fn sign(self) -> f64 {
-        if (self as usize).is_multiple_of(2) {
-            1.0
-        } else {
-            -1.0
-        }
+        if (self as usize).is_multiple_of(2) { 1.0 } else { -1.0 }
     }
 }
 
@@ -139,10 +129,7 @@ impl Orientation {
     /// Instruction with the names of the sides of a board, in the order of [`Face::ALL`], such as
     /// "left edge up".
     pub fn instruction_with<'a>(self, sides: &'a [&'a str; 6]) -> Instruction<'a> {
-        Instruction {
-            orientation: self,
-            sides,
-        }
+        Instruction { orientation: self, sides }
     }
 
     /// The up direction, a unit vector in sensor axes.
@@ -166,10 +153,8 @@ impl fmt::Display for Orientation {
         let axes = self.axes();
         let mut named = 0;
         for (name, sign) in ["X", "Y", "Z"].into_iter().zip(self.0) {
-            let Some(way) = [Some("down"), None, Some("up")]
-                .get((sign + 1) as usize)
-                .copied()
-                .flatten()
+            let Some(way) =
+                [Some("down"), None, Some("up")].get((sign + 1) as usize).copied().flatten()
             else {
                 continue;
             };

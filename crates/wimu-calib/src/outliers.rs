@@ -79,11 +79,7 @@ pub(crate) fn reject<R: Real>(
     };
     let mut linearised = false;
     while let Some((place, pose, deviate)) = nearest(problem, &inner, unfitted_mps2) {
-        let dof = problem
-            .visited()
-            .apart
-            .saturating_sub(problem.free.len())
-            .max(1);
+        let dof = problem.visited().apart.saturating_sub(problem.free.len()).max(1);
         let limit = student::two_sided(SIGNIFICANCE / count as f64, dof as f64);
         if linearised && deviate > CLOSE * limit {
             let Some(exact) = problem.solve(&inner.theta, Without::Nothing) else {
@@ -148,10 +144,7 @@ pub(crate) fn contradicted<R: Real>(
     model: Model,
 ) -> Option<Contradicted> {
     let count = problem.poses.len();
-    let dof = problem
-        .visited()
-        .apart
-        .checked_sub(problem.free.len() + 1)?;
+    let dof = problem.visited().apart.checked_sub(problem.free.len() + 1)?;
     if count > MANY || dof == 0 {
         return None;
     }
@@ -224,9 +217,7 @@ fn doubt<R: Real>(
     limit: f64,
 ) -> Option<(f64, f64)> {
     let inside = problem.poses.len() - problem.rejected.count();
-    let dof = inside
-        .checked_sub(problem.free.len() + 1)
-        .filter(|dof| *dof > 0)?;
+    let dof = inside.checked_sub(problem.free.len() + 1).filter(|dof| *dof > 0)?;
     let own = 1.0 / problem.weighting.of(problem.poses.get(pose)?);
     let predicted = |without: &Fit<R>| {
         let (residual, growth) = problem.predicted(without, pose)?;
@@ -288,10 +279,7 @@ fn leave_far_off<R: Real>(
         let named = farthest(problem, &theta, found.min(Rejected::MOST));
         let same = problem.rejected.count() == found && problem.far.is_some();
         problem.far = Some(far);
-        problem.rejected = Rejected {
-            unnamed: found - named.count,
-            ..named
-        };
+        problem.rejected = Rejected { unnamed: found - named.count, ..named };
         match problem.solve(&fit.theta, Without::Nothing) {
             Some(without) => fit = without,
             None => return Err(worst.1),

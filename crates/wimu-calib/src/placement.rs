@@ -14,9 +14,7 @@ pub struct Placement {
 
 impl Placement {
     /// 1° (1 σ) about each horizontal axis: by hand, on a table, in a box with square corners.
-    pub const BY_HAND: Self = Self {
-        sd_rad: core::f64::consts::PI / 180.0,
-    };
+    pub const BY_HAND: Self = Self { sd_rad: core::f64::consts::PI / 180.0 };
 
     /// Standard deviation of the tilt about each horizontal axis, rad, 0..=0.0873 (5°).
     ///

@@ -25,11 +25,7 @@ pub struct Pose {
 impl Pose {
     /// A pose of which only the mean output, m/s², sensor axes, is known.
     pub fn from_mean(mean_mps2: [f64; 3]) -> Self {
-        Self {
-            mean_mps2,
-            samples: 1,
-            ..Self::default()
-        }
+        Self { mean_mps2, samples: 1, ..Self::default() }
     }
 
     /// Variance of the mean of an axis from noise and quantisation, (m/s²)²; 0 if unknown. Equation

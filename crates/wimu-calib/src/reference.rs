@@ -231,10 +231,7 @@ impl ReferenceTransfer {
     /// Declares that both streams come from one sensor over two links: their axes are identical.
     #[must_use]
     pub fn of_one_sensor(self) -> Self {
-        Self {
-            parallel: true,
-            ..self
-        }
+        Self { parallel: true, ..self }
     }
 
     /// Adds a sample of both streams, m/s², taken at the same time.
@@ -353,9 +350,7 @@ impl ReferenceTransfer {
         });
         let (scatter, dof) = fitting.scatter(&row, all, blocks).ok_or(refusal)?;
         let mut covariance = scatter;
-        fitting
-            .add_unseen(&mut covariance, all, how, self.parallel)
-            .ok_or(refusal)?;
+        fitting.add_unseen(&mut covariance, all, how, self.parallel).ok_or(refusal)?;
         let sees = [1, 2, 3].map(|i: usize| row[i]);
         for other in (0..3).filter(|&other| other != axis && fitting.with[other]) {
             let variance = scatter[(1 + other, 1 + other)];

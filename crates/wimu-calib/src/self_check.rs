@@ -23,11 +23,7 @@ impl Default for Ageing {
     /// Turn-on bias 15 mm/s² (MPU-9150: 10 to 20), 5 mm/s² per K (½ mg, from datasheets), 3 mm/s²
     /// between poses.
     fn default() -> Self {
-        Self {
-            turn_on_mps2: 0.015,
-            per_kelvin_mps2: 0.005,
-            pose_mps2: 0.003,
-        }
+        Self { turn_on_mps2: 0.015, per_kelvin_mps2: 0.005, pose_mps2: 0.003 }
     }
 }
 
@@ -70,10 +66,7 @@ struct Warming {
 
 impl Warming {
     fn from(celsius: f64) -> Self {
-        Self {
-            began_c: celsius,
-            last_c: celsius,
-        }
+        Self { began_c: celsius, last_c: celsius }
     }
 
     /// Moves to `now`, or starts again when the direction changes. Returns the previous
@@ -194,9 +187,7 @@ impl<R: Scalar> SelfCheck<R> {
     pub fn of(set: &ParameterSet, gravity: Gravity, ageing: Ageing) -> Option<Self> {
         let quality = set.quality.as_ref()?.terms();
         let mut check = Self::start(&set.model, &quality.covariance.matrix(), gravity, ageing);
-        check.warming = quality
-            .temperature
-            .map(|t| Warming::from(f64::from(t.mean_c)));
+        check.warming = quality.temperature.map(|t| Warming::from(f64::from(t.mean_c)));
         if let Some(seen) = quality.temperature
             && set.model.terms().temperature.bias_mps2_per_k != [0.0; 3]
         {
@@ -270,11 +261,7 @@ impl<R: Scalar> SelfCheck<R> {
         } else {
             self.contradictions = self.contradictions.saturating_add(1);
         }
-        Some(Check {
-            residual_mps2,
-            expected_sd_mps2: expected,
-            holds,
-        })
+        Some(Check { residual_mps2, expected_sd_mps2: expected, holds })
     }
 
     /// Number of poses.

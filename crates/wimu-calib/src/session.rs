@@ -120,13 +120,9 @@ impl<const POSES: usize> Session<POSES> {
             return Phase::WaitingForMotion;
         }
         if hold.samples < self.capture_samples {
-            return Phase::Collecting {
-                samples: hold.samples,
-            };
+            return Phase::Collecting { samples: hold.samples };
         }
-        Phase::Captured {
-            pose: self.take(hold),
-        }
+        Phase::Captured { pose: self.take(hold) }
     }
 
     /// Captures the current hold before it is long enough; returns its index. `None` if the sensor
@@ -185,10 +181,7 @@ impl<const POSES: usize> Session<POSES> {
     /// The recommended orientation, planned together with the remaining ones; `None` when there are
     /// enough poses, or none that can be reached adds information. Costs 0.5 million operations.
     pub fn next(&self) -> Option<Orientation> {
-        let remaining = self
-            .wanted
-            .checked_sub(self.poses.len())
-            .filter(|n| *n > 0)?;
+        let remaining = self.wanted.checked_sub(self.poses.len()).filter(|n| *n > 0)?;
         let reachable = |o: Orientation| self.unreachable >> o.index() & 1 == 0;
         self.guide.next_of(remaining, reachable)
     }
@@ -211,10 +204,6 @@ impl<const POSES: usize> Session<POSES> {
     }
 
     fn waiting(&self, phase: Phase) -> Phase {
-        if self.poses.len() >= self.wanted {
-            Phase::Done
-        } else {
-            phase
-        }
+        if self.poses.len() >= self.wanted { Phase::Done } else { phase }
     }
 }

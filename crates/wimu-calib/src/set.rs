@@ -23,9 +23,7 @@ macro_rules! set {
 
             /// The members, in the order of their declaration.
             pub fn iter(self) -> impl Iterator<Item = $item> {
-                $item::ALL
-                    .into_iter()
-                    .filter(move |&item| self.contains(item))
+                $item::ALL.into_iter().filter(move |&item| self.contains(item))
             }
         }
 

@@ -49,22 +49,14 @@ impl Magnitude<'_> {
         let kept = self.poses.len() - self.rejected.count();
         let orientations = counts.iter().filter(|&&count| count > 0).count();
         let apart = apart(kept, orientations);
-        Visited {
-            counts,
-            orientations,
-            apart,
-            again: apart < kept,
-        }
+        Visited { counts, orientations, apart, again: apart < kept }
     }
 
     /// Whether the orientation of pose `k` is repeated and is left out as a whole.
     pub fn comes_again(&self, visited: &Visited, k: usize) -> bool {
         visited.again
             && self.poses.len() <= MOST
-            && self
-                .poses
-                .get(k)
-                .is_some_and(|pose| visited.of(self.visits.group(k, pose)) > 1)
+            && self.poses.get(k).is_some_and(|pose| visited.of(self.visits.group(k, pose)) > 1)
     }
 
     /// With residuals that are equal within an orientation and independent between orientations, each

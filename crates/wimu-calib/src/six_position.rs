@@ -74,9 +74,7 @@ pub fn six_position_labelled(
 
 /// Refuses recorded sides that contradict the readings.
 fn check_labels(poses: &[(Face, Pose)]) -> Result<(), Refusal> {
-    let Some(&(face, first)) = poses
-        .iter()
-        .find(|(face, pose)| Face::of(pose) != Some(*face))
+    let Some(&(face, first)) = poses.iter().find(|(face, pose)| Face::of(pose) != Some(*face))
     else {
         return Ok(());
     };
@@ -106,11 +104,7 @@ fn check_labels(poses: &[(Face, Pose)]) -> Result<(), Refusal> {
         return Err(Refusal::Inverted);
     }
     let determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g);
-    Err(if determinant < 0.0 {
-        Refusal::Mirrored
-    } else {
-        disagreement
-    })
+    Err(if determinant < 0.0 { Refusal::Mirrored } else { disagreement })
 }
 
 /// Weighted sums of the poses of one side.
@@ -147,11 +141,7 @@ impl Side {
 
     /// Adds the reading of the vertical axis in one more pose.
     fn visit(&mut self, upright: f64) {
-        let before = if self.visits == 0.0 {
-            0.0
-        } else {
-            upright - self.upright / self.visits
-        };
+        let before = if self.visits == 0.0 { 0.0 } else { upright - self.upright / self.visits };
         let visits = self.visits + 1.0;
         self.upright_squares += before * before * self.visits / visits;
         self.visits = visits;
@@ -199,9 +189,7 @@ fn estimate<'a>(
     gravity: Gravity,
     placement: Placement,
 ) -> Result<Estimate, Refusal> {
-    let used = poses
-        .clone()
-        .filter_map(|(face, pose)| Some((face? as usize, pose)));
+    let used = poses.clone().filter_map(|(face, pose)| Some((face? as usize, pose)));
     let g = gravity.mps2();
     let mut sides = Sides::default();
     let mut counts = [0_usize; 6];
@@ -216,24 +204,16 @@ fn estimate<'a>(
         }
     }
     let (bias, a) = solve(&sides, g);
-    let model = ErrorModel::new(ErrorTerms {
-        bias_mps2: bias,
-        matrix: a,
-        ..ErrorTerms::default()
-    })
-    .map_err(Refusal::OutOfBounds)?;
+    let model = ErrorModel::new(ErrorTerms { bias_mps2: bias, matrix: a, ..ErrorTerms::default() })
+        .map_err(Refusal::OutOfBounds)?;
     let theta = terms::theta_of(&model);
     let shown = pairs_show(&sides, &bias, &a, g);
     let placement_rad = libm::sqrt(shown.iter().sum::<f64>() / PLACEMENT_DOF as f64);
     if placement_rad > MOST_PLACEMENT_RAD {
         return Err(Refusal::NotSquared { placement_rad });
     }
-    let Squareness {
-        placement_sd_rad,
-        tilts,
-        contradicted,
-        misplaced,
-    } = Squareness::of(&sides, &bias, shown, placement, g);
+    let Squareness { placement_sd_rad, tilts, contradicted, misplaced } =
+        Squareness::of(&sides, &bias, shown, placement, g);
     let revisits = Revisits::of(&sides, &a, g, placement_sd_rad, placement_rad * g);
     let covariance_with = |extra: f64| covariance(&sides, &a, g, tilts, extra);
     let mut covariance = covariance_with(revisits.variance);
@@ -241,21 +221,12 @@ fn estimate<'a>(
     let dof_of = |parameter: Parameter| {
         let all = covariance.get(parameter, parameter);
         let share = (all - known.get(parameter, parameter)) / all;
-        if share > 0.0 {
-            revisits.dof / (share * share)
-        } else {
-            f64::INFINITY
-        }
+        if share > 0.0 { revisits.dof / (share * share) } else { f64::INFINITY }
     };
     let diagonal = Parameter::BIAS.into_iter().chain(Parameter::SCALE);
-    let interval_dof = diagonal.map(dof_of).fold(
-        if contradicted {
-            PLACEMENT_DOF as f64
-        } else {
-            f64::INFINITY
-        },
-        f64::min,
-    );
+    let interval_dof = diagonal
+        .map(dof_of)
+        .fold(if contradicted { PLACEMENT_DOF as f64 } else { f64::INFINITY }, f64::min);
     let worst_sd_mps2 = force::worst_sd(&theta, &covariance, g);
     covariance.add_gravity(&theta, gravity);
 
@@ -337,20 +308,13 @@ impl Squareness {
     fn of(sides: &Sides, bias: &[f64; 3], shown: [f64; 3], placement: Placement, g: f64) -> Self {
         let declared = placement.sd_rad() * placement.sd_rad();
         let all: f64 = shown.iter().sum();
-        let worst = (1..3).fold(
-            0,
-            |worst, k| if shown[k] > shown[worst] { k } else { worst },
-        );
+        let worst = (1..3).fold(0, |worst, k| if shown[k] > shown[worst] { k } else { worst });
         let others = all - shown[worst];
         // The declared value is used unless the poses contradict it significantly.
         let dof = PLACEMENT_DOF - 2;
         let others_bad = others > student::chi_squared_half_percent(dof) * declared;
         let all_bad = all > student::chi_squared_half_percent(PLACEMENT_DOF) * declared;
-        let usual = if others_bad {
-            OF_FOUR * others / dof as f64
-        } else {
-            declared
-        };
+        let usual = if others_bad { OF_FOUR * others / dof as f64 } else { declared };
         let stands_out = |axis: usize| shown[axis] > PAIR_STANDS_OUT * usual;
         let misplaced = (shown[worst] > PAIR_MISPLACED * usual)
             .then(|| Misplaced::of(sides, bias, worst, shown[worst], g));
@@ -362,11 +326,7 @@ impl Squareness {
         let tilts = [0, 1, 2].map(|axis| {
             let share = pair_share(sides, axis);
             let one_side = (shown[axis] + variance) / (2.0 * libm::sqrt(share));
-            let tilt = if stands_out(axis) {
-                one_side.max(variance)
-            } else {
-                variance
-            };
+            let tilt = if stands_out(axis) { one_side.max(variance) } else { variance };
             libm::sqrt(tilt)
         });
         Self {
@@ -462,11 +422,8 @@ fn covariance(
             let across = (0..3).filter(|&other| other != axis);
             let first = across.fold(0.0, |sum, other| sum + a[r][other] * a[c][other]);
             let second = tilt * a[r][axis] * a[c][axis];
-            let noise = if r == c {
-                side.noise_variance()[r] + revisit * side.share()
-            } else {
-                0.0
-            };
+            let noise =
+                if r == c { side.noise_variance()[r] + revisit * side.share() } else { 0.0 };
             tilt * (first + second) * g * g * side.share() + noise
         };
         let (up, down) = (&sides[2 * axis], &sides[2 * axis + 1]);

@@ -34,10 +34,7 @@ pub(crate) fn add<R: Real>(a: &mut [R], factor: R, b: &[R]) {
 impl<R: Real> Symmetric<R> {
     /// The zero matrix of size `n`, at most [`MOST`].
     pub fn zero(n: usize) -> Self {
-        Self {
-            n: n.min(MOST),
-            lower: [R::zero(); start(MOST)],
-        }
+        Self { n: n.min(MOST), lower: [R::zero(); start(MOST)] }
     }
 
     pub fn clear(&mut self) {
@@ -194,10 +191,7 @@ impl<R: Real> Scaled<R> {
     /// Of a matrix whose pivots, relative to the diagonal, all exceed `least`.
     pub fn with_pivots(matrix: &Symmetric<R>, damping: R, least: R) -> Option<Self> {
         let n = matrix.n;
-        let mut scaled = Self {
-            scale: [R::zero(); MOST],
-            factor: matrix.clone(),
-        };
+        let mut scaled = Self { scale: [R::zero(); MOST], factor: matrix.clone() };
         let Self { scale, factor } = &mut scaled;
         for (scale, element) in scale.iter_mut().zip(matrix.diagonal()) {
             *scale = R::one() / element.sqrt();

@@ -142,12 +142,8 @@ pub enum Term {
 
 impl Term {
     /// All of them.
-    pub const ALL: [Self; 4] = [
-        Self::Drift,
-        Self::BiasTemperature,
-        Self::ScaleTemperature,
-        Self::Quadratic,
-    ];
+    pub const ALL: [Self; 4] =
+        [Self::Drift, Self::BiasTemperature, Self::ScaleTemperature, Self::Quadratic];
 }
 
 impl fmt::Display for Term {

@@ -114,11 +114,7 @@ impl Axis {
     /// Weighted mean of two rotations. Their difference adds to `misfit`.
     fn merge(self, other: Self) -> Self {
         let apart = |a: f64, b: f64, variance: f64| {
-            if variance > 0.0 {
-                (a - b) * (a - b) / variance
-            } else {
-                0.0
-            }
+            if variance > 0.0 { (a - b) * (a - b) / variance } else { 0.0 }
         };
         // The in-plane norm differs between planes by half the squared cross-axis components.
         let across = CROSS_AXIS * CROSS_AXIS;
@@ -198,10 +194,7 @@ fn turns<const N: usize>(
     input::check(poses.iter(), gravity)?;
     let (whole, rest) = poses.as_chunks::<N>();
     if whole.is_empty() || !rest.is_empty() {
-        return Err(Refusal::NotATurn {
-            pose: N * whole.len(),
-            steps: N,
-        });
+        return Err(Refusal::NotATurn { pose: N * whole.len(), steps: N });
     }
     let g = gravity.mps2();
     let mut axes: [Option<Axis>; 3] = [None; 3];
@@ -211,19 +204,11 @@ fn turns<const N: usize>(
         let [a, b, still] = plane::<N>(turn, g).ok_or(Refusal::NotATurn { pose, steps: N })?;
         let off_rad = step_error::<N>(turn, [a, b], g);
         if off_rad > MOST_STEP_ERROR {
-            return Err(Refusal::StepsUnequal {
-                pose,
-                steps: N,
-                off_rad,
-            });
+            return Err(Refusal::StepsUnequal { pose, steps: N, off_rad });
         }
         let lean = Harmonic::along(turn, still).size() / g;
         if lean > MOST_LEAN {
-            return Err(Refusal::TurnTilted {
-                pose,
-                steps: N,
-                off_rad: lean,
-            });
+            return Err(Refusal::TurnTilted { pose, steps: N, off_rad: lean });
         }
         // Unequal steps distort the two axes beyond a typical sensor; with three steps nothing else
         // shows them.
@@ -271,21 +256,14 @@ fn turns<const N: usize>(
         };
         let off_rad = off.abs();
         if off_rad > most {
-            return Err(Refusal::TurnTilted {
-                pose: N * number,
-                steps: N,
-                off_rad,
-            });
+            return Err(Refusal::TurnTilted { pose: N * number, steps: N, off_rad });
         }
         let doubtful = match axes[still] {
             Some(_) => BEYOND_CHANCE * placement.sd_rad(),
             None => DOUBTFUL * either,
         };
         if off_rad > doubtful {
-            let in_plane = axes
-                .iter_mut()
-                .enumerate()
-                .filter(|(axis, _)| *axis != still);
+            let in_plane = axes.iter_mut().enumerate().filter(|(axis, _)| *axis != still);
             let across = off * (CROSS_AXIS * g);
             for found in in_plane.filter_map(|(_, found)| found.as_mut()) {
                 found.scale_variance += 0.25 * off * off * off * off;
@@ -298,11 +276,7 @@ fn turns<const N: usize>(
     let misfits = axes.iter().flatten().map(|axis| axis.misfit);
     let misfit: f64 = misfits.sum();
     let contradicted = checks > 0 && misfit > student::chi_squared_half_percent(checks);
-    let inflation = if contradicted {
-        misfit / checks as f64
-    } else {
-        1.0
-    };
+    let inflation = if contradicted { misfit / checks as f64 } else { 1.0 };
     let mut error_terms = ErrorTerms::default();
     let mut theta = PERFECT;
     let mut covariance = Covariance::ZERO;
@@ -414,11 +388,7 @@ fn one_axis<const N: usize>(turn: &[Pose; N], axis: usize, g: f64, placement_sd_
         both += c * variance;
     }
     let odd = odd(&readings);
-    let misfit = if N == 4 && sum > 0.0 {
-        odd * odd / sum
-    } else {
-        0.0
-    };
+    let misfit = if N == 4 && sum > 0.0 { odd * odd / sum } else { 0.0 };
     // Second order: step errors and tilts reduce the amplitude, cross-axis errors increase it.
     let four = 2.0 * 2.0 / (n * n);
     let shift = four * across / (2.0 * amplitude * amplitude) - tilt;

@@ -87,16 +87,9 @@ impl Unfitted {
         }
         // Variance factor: the prior, or less if all residuals came from these parameters and are
         // smaller.
-        let share = if seen && trace > fit.cost {
-            fit.cost / trace
-        } else {
-            1.0
-        };
-        let share_dof = if share < 1.0 && square > 0.0 {
-            trace * trace / square
-        } else {
-            f64::INFINITY
-        };
+        let share = if seen && trace > fit.cost { fit.cost / trace } else { 1.0 };
+        let share_dof =
+            if share < 1.0 && square > 0.0 { trace * trace / square } else { f64::INFINITY };
         let added = |i: usize| {
             let squares = (0..MOST).map(|j| gain[j][i] * gain[j][i] * usual[j]);
             share * squares.sum::<f64>()
@@ -109,11 +102,7 @@ impl Unfitted {
             true => 0.0,
             false => 1.0,
         };
-        let least_known = if seen {
-            LEAST_KNOWN
-        } else {
-            LEAST_KNOWN_BEFORE
-        };
+        let least_known = if seen { LEAST_KNOWN } else { LEAST_KNOWN_BEFORE };
         let counted = weight * share;
 
         let mut found = Self {

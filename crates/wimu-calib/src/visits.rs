@@ -20,10 +20,7 @@ pub(crate) struct Visits {
 
 impl Visits {
     pub fn of(poses: &[Pose]) -> Self {
-        let mut visits = Self {
-            first: heapless::Vec::new(),
-            group: heapless::Vec::new(),
-        };
+        let mut visits = Self { first: heapless::Vec::new(), group: heapless::Vec::new() };
         for pose in poses {
             let up = direction(pose);
             let group = visits.alike(up).unwrap_or_else(|| {
@@ -64,10 +61,7 @@ impl Visits {
     fn alike(&self, up: [f32; 3]) -> Option<usize> {
         let near = |first: &[f32; 3]| cosine(up, *first) > ALIKE;
         // Without a branch for each orientation: most poses have a new one.
-        let any = self
-            .first
-            .iter()
-            .fold(false, |any, first| any | near(first));
+        let any = self.first.iter().fold(false, |any, first| any | near(first));
         any.then(|| self.first.iter().position(near)).flatten()
     }
 
@@ -95,9 +89,5 @@ fn direction(pose: &Pose) -> [f32; 3] {
 }
 
 pub(crate) fn apart(poses: usize, orientations: usize) -> usize {
-    if FIFTH * (poses - orientations.min(poses)) < poses {
-        poses
-    } else {
-        orientations
-    }
+    if FIFTH * (poses - orientations.min(poses)) < poses { poses } else { orientations }
 }

@@ -96,10 +96,7 @@ pub(crate) struct Weighting {
 }
 
 impl Weighting {
-    pub const EQUAL: Self = Self {
-        common: 1.0,
-        mean_noise: 0.0,
-    };
+    pub const EQUAL: Self = Self { common: 1.0, mean_noise: 0.0 };
 
     pub fn new(common: f64, mean_noise: f64) -> Self {
         Self { common, mean_noise }

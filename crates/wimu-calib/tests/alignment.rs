@@ -104,46 +104,25 @@ fn the_covariance_holds_the_truth_95_percent_of_the_time() {
 
 #[test]
 fn what_leaves_the_rotation_open_is_refused() {
-    let known = |sensor, body| KnownDirection {
-        sensor,
-        body,
-        sd_rad: 0.01,
-    };
+    let known = |sensor, body| KnownDirection { sensor, body, sd_rad: 0.01 };
     let level = known([0.0, 0.0, 9.8], [0.0, 0.0, 1.0]);
-    assert_eq!(
-        align(&[level]),
-        Err(AlignmentRefusal::TooFewDirections { have: 1 })
-    );
-    for other in [
-        level,
-        known([0.0, 0.0, -9.8], [0.0, 0.0, -1.0]),
-        known([0.5, 0.0, 9.8], [0.05, 0.0, 1.0]),
-    ] {
+    assert_eq!(align(&[level]), Err(AlignmentRefusal::TooFewDirections { have: 1 }));
+    for other in
+        [level, known([0.0, 0.0, -9.8], [0.0, 0.0, -1.0]), known([0.5, 0.0, 9.8], [0.05, 0.0, 1.0])]
+    {
         let refused = align(&[level, other]);
-        assert!(
-            matches!(refused, Err(AlignmentRefusal::Collinear { .. })),
-            "{refused:?}"
-        );
+        assert!(matches!(refused, Err(AlignmentRefusal::Collinear { .. })), "{refused:?}");
     }
     // 90° in the body, 60° to the sensor.
     let off = known([8.5, 0.0, 4.9], [1.0, 0.0, 0.0]);
     let refused = align(&[level, off]);
-    assert!(
-        matches!(refused, Err(AlignmentRefusal::Disagree { .. })),
-        "{refused:?}"
-    );
+    assert!(matches!(refused, Err(AlignmentRefusal::Disagree { .. })), "{refused:?}");
     for none in [
         known([0.0; 3], [1.0, 0.0, 0.0]),
         known([1.0, 0.0, 0.0], [f64::NAN; 3]),
-        KnownDirection {
-            sd_rad: 0.0,
-            ..known([9.8, 0.0, 0.0], [1.0, 0.0, 0.0])
-        },
+        KnownDirection { sd_rad: 0.0, ..known([9.8, 0.0, 0.0], [1.0, 0.0, 0.0]) },
     ] {
-        assert_eq!(
-            align(&[level, none]),
-            Err(AlignmentRefusal::NoDirection { direction: 1 })
-        );
+        assert_eq!(align(&[level, none]), Err(AlignmentRefusal::NoDirection { direction: 1 }));
     }
 }
 
@@ -175,35 +154,22 @@ fn a_straight_push_tells_ahead_and_a_crooked_one_is_refused() {
         let samples = push(&mut random, ahead, up, 0.0);
         let (found, sd) = straight_move(rest, rest, samples.into_iter(), 100.0).expect("a move");
         let off = norm(cross(found, ahead));
-        assert!(
-            (0..3).map(|i| found[i] * ahead[i]).sum::<f64>() > 0.9,
-            "the right way round"
-        );
+        assert!((0..3).map(|i| found[i] * ahead[i]).sum::<f64>() > 0.9, "the right way round");
         worst = worst.max(off);
         // Two axes across.
         held.count(off <= 2.45 * sd);
         let crooked = push(&mut random, ahead, up, 1.0);
         let refused = straight_move(rest, rest, crooked.into_iter(), 100.0);
-        assert!(
-            matches!(refused, Err(AlignmentRefusal::NotStraight { .. })),
-            "{refused:?}"
-        );
+        assert!(matches!(refused, Err(AlignmentRefusal::NotStraight { .. })), "{refused:?}");
     }
-    println!(
-        "ahead: worst {:.2}°, within 95 %: {held}",
-        worst.to_degrees()
-    );
+    println!("ahead: worst {:.2}°, within 95 %: {held}", worst.to_degrees());
     // Conservative: σ takes shaking as correlated over eight samples, and here it is white noise.
     let claim = "95 % intervals of the direction of a straight move hold (conservative)";
     coverage_figure(claim, &[held], 0.93..=1.0);
     assert!(worst < 0.02, "{worst}");
     held.assert_can_be(0.93..=1.0, "ahead");
-    let still = straight_move(
-        [0.0, 0.0, 9.8],
-        [0.0, 0.0, 9.8],
-        [[0.0, 0.0, 9.8]; 300].into_iter(),
-        100.0,
-    );
+    let still =
+        straight_move([0.0, 0.0, 9.8], [0.0, 0.0, 9.8], [[0.0, 0.0, 9.8]; 300].into_iter(), 100.0);
     assert!(matches!(still, Err(AlignmentRefusal::NotMoved { .. })));
     let empty = straight_move([0.0, 0.0, 9.8], [0.0, 0.0, 9.8], std::iter::empty(), 100.0);
     assert!(matches!(empty, Err(AlignmentRefusal::NotMoved { .. })));

@@ -22,11 +22,7 @@ const MOVING_S: f64 = 12.0;
 type V = [f64; 3];
 
 fn cross(a: V, b: V) -> V {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 fn dot(a: V, b: V) -> f64 {
@@ -80,16 +76,10 @@ impl Truth {
 
     fn drawn(axes: usize, prior: &ArrayPrior, random: &mut Random) -> Self {
         Self {
-            bias: (0..axes)
-                .map(|_| prior.bias_mps2 * random.normal())
-                .collect(),
+            bias: (0..axes).map(|_| prior.bias_mps2 * random.normal()).collect(),
             matrix: (0..axes).map(|_| random.normals(prior.matrix)).collect(),
-            offset: (0..axes)
-                .map(|_| random.normals(prior.position_m))
-                .collect(),
-            delay: (0..axes / 3)
-                .map(|_| prior.delay_s * random.normal())
-                .collect(),
+            offset: (0..axes).map(|_| random.normals(prior.position_m)).collect(),
+            delay: (0..axes / 3).map(|_| prior.delay_s * random.normal()).collect(),
             size: (prior.size * random.normal()).exp(),
             repeatability: prior.repeatability_mps2,
         }
@@ -129,15 +119,9 @@ impl<const M: usize> Recording<M> {
             }));
         }
         // The ends of a rest, which delays put into the next, are left out.
-        let rests = (0..RESTS)
-            .map(|r| (r * per_rest + 5, per_rest - 10))
-            .collect();
+        let rests = (0..RESTS).map(|r| (r * per_rest + 5, per_rest - 10)).collect();
         let times = (0..count).map(|k| k as f64 / RATE_HZ).collect();
-        Self {
-            times,
-            outputs,
-            rests,
-        }
+        Self { times, outputs, rests }
     }
 
     fn data(&self) -> ArrayData<'_, M> {
@@ -169,10 +153,7 @@ fn fitted<'w, const M: usize>(
 }
 
 fn prior() -> ArrayPrior {
-    ArrayPrior {
-        gravity_sd_mps2: 0.0,
-        ..ArrayPrior::default()
-    }
+    ArrayPrior { gravity_sd_mps2: 0.0, ..ArrayPrior::default() }
 }
 
 #[test]
@@ -189,10 +170,7 @@ fn positions_a_millimetre_off_are_found_within_their_deviation() {
     for axis in 0..24 {
         for (i, (value, sd)) in found.offset_m(axis).into_iter().enumerate() {
             let error = value - truth.offset[axis][i];
-            assert!(
-                error.abs() < 4.0 * sd && sd < 5e-4,
-                "{axis} {i}: {error:e} ± {sd:e}"
-            );
+            assert!(error.abs() < 4.0 * sd && sd < 5e-4, "{axis} {i}: {error:e} ± {sd:e}");
         }
     }
     println!("{:?}", found.agreement);
@@ -203,21 +181,13 @@ fn positions_a_millimetre_off_are_found_within_their_deviation() {
         "below 0.15",
         sd < 1.5e-4,
     );
-    assert!(
-        sd < 1.5e-4 && (0.7..1.1).contains(&found.agreement.chi_square),
-        "{sd}"
-    );
+    assert!(sd < 1.5e-4 && (0.7..1.1).contains(&found.agreement.chi_square), "{sd}");
 }
 
 #[test]
 fn posterior_deviations_are_consistent_from_both_sides() {
     let geometry = Geometry::four_triads(0.03, NOISE).unwrap();
-    let prior = ArrayPrior {
-        bias_mps2: 0.2,
-        matrix: 0.01,
-        size: 0.1,
-        ..prior()
-    };
+    let prior = ArrayPrior { bias_mps2: 0.2, matrix: 0.01, size: 0.1, ..prior() };
     let mut kinds = [Coverage::default(); 5];
     let mut squares = [0.0; 5];
     for seed in 1..=Lane::current().choose([6, 25, 100]) {
@@ -270,18 +240,12 @@ fn a_delay_of_2_ms_of_one_sensor_is_found() {
     truth.delay[2] = 2e-3;
     let recording = Recording::of(&geometry, &truth, &mut Random::new(3));
     let mut room = room();
-    let wide = ArrayPrior {
-        delay_s: 0.1,
-        ..prior()
-    };
+    let wide = ArrayPrior { delay_s: 0.1, ..prior() };
     let found = fitted(&geometry, &recording, &wide, &mut room);
     let others = [0, 1, 3].map(|s| found.delay_s(s).0).iter().sum::<f64>() / 3.0;
     let (delay, sd) = found.delay_s(2);
     println!("{:?}", [0, 1, 2, 3].map(|s| found.delay_s(s)));
-    assert!(
-        (delay - others - 2e-3).abs() < 1e-4,
-        "{delay} {others} ± {sd}"
-    );
+    assert!((delay - others - 2e-3).abs() < 1e-4, "{delay} {others} ± {sd}");
 }
 
 #[test]
@@ -315,10 +279,7 @@ fn rests_alone_give_bias_and_matrix() {
     let found = fitted(&geometry, &recording, &prior(), &mut room);
     for axis in 0..24 {
         let (bias, sd) = found.bias_mps2(axis);
-        assert!(
-            (bias - truth.bias[axis]).abs() < 4.5 * sd && sd < 0.03,
-            "{axis}: {bias} ± {sd}"
-        );
+        assert!((bias - truth.bias[axis]).abs() < 4.5 * sd && sd < 0.03, "{axis}: {bias} ± {sd}");
     }
     assert_eq!(found.agreement.samples, 0);
     let sd = found.matrix_sd(&|_| true);
@@ -359,27 +320,11 @@ fn what_cannot_be_fitted_is_refused_with_its_reason() {
     let (data, len) = (recording.data(), workspace_len(12, 3));
     let short = refused(&data, &prior(), &|_| true, len - 1);
     assert_eq!(short, ArrayRefusal::Workspace { need: len });
-    let none = ArrayPrior {
-        matrix: f64::NAN,
-        ..prior()
-    };
-    assert_eq!(
-        refused(&data, &none, &|_| true, len),
-        ArrayRefusal::BadInput
-    );
-    assert_eq!(
-        refused(&data, &prior(), &|s| s == 0, len),
-        ArrayRefusal::Geometry
-    );
-    let empty = ArrayData {
-        outputs_mps2: &[],
-        times_s: &[],
-        ..data
-    };
-    assert_eq!(
-        refused(&empty, &prior(), &|_| true, len),
-        ArrayRefusal::NoData
-    );
+    let none = ArrayPrior { matrix: f64::NAN, ..prior() };
+    assert_eq!(refused(&data, &none, &|_| true, len), ArrayRefusal::BadInput);
+    assert_eq!(refused(&data, &prior(), &|s| s == 0, len), ArrayRefusal::Geometry);
+    let empty = ArrayData { outputs_mps2: &[], times_s: &[], ..data };
+    assert_eq!(refused(&empty, &prior(), &|_| true, len), ArrayRefusal::NoData);
 }
 
 #[test]
@@ -394,19 +339,13 @@ fn a_real_array_agrees_with_its_drawing_and_shows_its_proof_masses() {
             return;
         };
         let number = |text: &String| text.trim().parse::<f64>().ok();
-        let rows: Vec<Vec<f64>> = rows
-            .iter()
-            .map(|row| row.iter().map_while(number).collect())
-            .collect();
+        let rows: Vec<Vec<f64>> =
+            rows.iter().map(|row| row.iter().map_while(number).collect()).collect();
         let rows: Vec<Vec<f64>> = rows.into_iter().filter(|row| row.len() >= 49).collect();
         let times: Vec<f64> = rows.iter().map(|row| row[0]).collect();
         // Counts near the limit of 16 bits are clipped.
         let value = |v: f64| {
-            if v.abs() < 32_700.0 {
-                v * G / 2048.0
-            } else {
-                f64::NAN
-            }
+            if v.abs() < 32_700.0 { v * G / 2048.0 } else { f64::NAN }
         };
         let sample = |row: &Vec<f64>| std::array::from_fn(|a| value(row[1 + 6 * (a / 3) + a % 3]));
         let outputs: Vec<[f64; 24]> = rows.iter().map(sample).collect();
@@ -416,10 +355,8 @@ fn a_real_array_agrees_with_its_drawing_and_shows_its_proof_masses() {
         });
         let mut poses = [Pose::default(); 64];
         let found = find_poses(mean, 62.5, &mut poses).min(64);
-        let rests: Vec<(usize, usize)> = poses[..found]
-            .iter()
-            .map(|p| (p.first_sample as usize, p.samples as usize))
-            .collect();
+        let rests: Vec<(usize, usize)> =
+            poses[..found].iter().map(|p| (p.first_sample as usize, p.samples as usize)).collect();
         let (p, h) = (9.45e-3, 1.0e-3);
         let geometry = Geometry::eight_triads_board(p, h, 0.045).unwrap();
         let data = ArrayData {
@@ -431,20 +368,10 @@ fn a_real_array_agrees_with_its_drawing_and_shows_its_proof_masses() {
         };
         let mut room = room();
         let start = std::time::Instant::now();
-        let found = fit_array(
-            &geometry,
-            |_| true,
-            &data,
-            &ArrayPrior::default(),
-            &mut room,
-        )
-        .unwrap();
+        let found =
+            fit_array(&geometry, |_| true, &data, &ArrayPrior::default(), &mut room).unwrap();
         let z = |sensors: [usize; 4], i: usize| {
-            sensors
-                .map(|s| found.offset_m(3 * s + 2)[i].0)
-                .iter()
-                .sum::<f64>()
-                / 4e-3
+            sensors.map(|s| found.offset_m(3 * s + 2)[i].0).iter().sum::<f64>() / 4e-3
         };
         println!(
             "run {run}: {} rests, {:.1} s, z axes of upper chips at {:+.2} {:+.2} mm, lower {:+.2} {:+.2}; matrix ± {:.4}; {:?}",
@@ -457,10 +384,7 @@ fn a_real_array_agrees_with_its_drawing_and_shows_its_proof_masses() {
             found.matrix_sd(&|_| true),
             found.agreement
         );
-        println!(
-            "delays {:?}",
-            [0, 1, 2, 3, 4, 5, 6, 7].map(|s| found.delay_s(s))
-        );
+        println!("delays {:?}", [0, 1, 2, 3, 4, 5, 6, 7].map(|s| found.delay_s(s)));
         assert!(found.agreement.unexplained < 0.15);
     }
 }

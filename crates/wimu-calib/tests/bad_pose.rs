@@ -11,11 +11,7 @@ use wimu_model::{ErrorModel, ErrorTerms};
 use wimu_testkit::{Coverage, coverage_figure, trials};
 
 fn nine(poses: &[Pose]) -> Result<Estimate, Refusal> {
-    let what = MultiPosition {
-        model: Model::Full9,
-        reject: true,
-        ..MultiPosition::default()
-    };
+    let what = MultiPosition { model: Model::Full9, reject: true, ..MultiPosition::default() };
     multi_position_with(poses, exact(), what)
 }
 
@@ -64,8 +60,7 @@ struct Count {
 impl Count {
     fn add(&mut self, answer: Result<Estimate, Refusal>, bad: Option<usize>, truth: &ErrorModel) {
         self.refused.count(answer.is_err());
-        self.contradicted
-            .count(matches!(answer, Err(Refusal::PoseContradicted { .. })));
+        self.contradicted.count(matches!(answer, Err(Refusal::PoseContradicted { .. })));
         let of = |what: &dyn Fn(&Estimate) -> bool| answer.as_ref().is_ok_and(what);
         let is_named = |estimate: &Estimate| bad.is_some_and(|bad| estimate.rejected.contains(bad));
         let off = |estimate: &Estimate| {
@@ -76,8 +71,7 @@ impl Count {
             (0..3).map(off).fold(0.0, f64::max)
         };
         self.named.count(of(&is_named));
-        self.wrongly
-            .count(of(&|e| e.rejected.count() > usize::from(is_named(e))));
+        self.wrongly.count(of(&|e| e.rejected.count() > usize::from(is_named(e))));
         self.silent.count(of(&|e| !is_named(e)));
         self.outside.count(of(&|e| !is_named(e) && off(e) > 1.0));
         self.far.count(of(&|e| !is_named(e) && off(e) > 2.0));
@@ -145,21 +139,9 @@ fn one_bad_pose_of_few_is_named_or_the_answer_refused_and_good_ones_hardly_ever(
         contradicted.push(good.contradicted);
         wrongly.push(good.wrongly);
     }
-    coverage_figure(
-        "one bad pose of 12 to 20 is passed over",
-        &silent,
-        0.0..=0.05,
-    );
-    coverage_figure(
-        "the same, and a bias is outside its interval",
-        &outside,
-        0.0..=0.1,
-    );
-    coverage_figure(
-        "good recordings are refused for a bad pose",
-        &contradicted,
-        0.0..=0.01,
-    );
+    coverage_figure("one bad pose of 12 to 20 is passed over", &silent, 0.0..=0.05);
+    coverage_figure("the same, and a bias is outside its interval", &outside, 0.0..=0.1);
+    coverage_figure("good recordings are refused for a bad pose", &contradicted, 0.0..=0.01);
     coverage_figure("a good pose of 12 to 20 is left out", &wrongly, 0.0..=0.02);
 }
 
@@ -175,12 +157,6 @@ fn a_bad_pose_that_cannot_be_spared_is_named_with_what_to_do() {
     assert_eq!(pose, 5);
     assert!((off_mps2.abs() - 0.3).abs() < 0.1, "{off_mps2}");
     let said = refused.to_string();
-    assert!(
-        said.contains("pose 5 (from 0)") && said.contains("add two"),
-        "{said}"
-    );
-    assert!(matches!(
-        auto(&poses),
-        Err(Refusal::PoseContradicted { pose: 5, .. })
-    ));
+    assert!(said.contains("pose 5 (from 0)") && said.contains("add two"), "{said}");
+    assert!(matches!(auto(&poses), Err(Refusal::PoseContradicted { pose: 5, .. })));
 }

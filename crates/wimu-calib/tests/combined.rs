@@ -31,12 +31,7 @@ impl Sensor {
         let mut random = Random::new(seed);
         let at_25 = random.model(true);
         let sd = if slopes { [0.003, 1e-4] } else { [0.0; 2] };
-        Self {
-            at_25,
-            slopes: sd.map(|sd| random.normals(sd)),
-            between,
-            random,
-        }
+        Self { at_25, slopes: sd.map(|sd| random.normals(sd)), between, random }
     }
 
     /// Its model in a new session at a temperature.
@@ -245,10 +240,7 @@ fn sessions_that_do_not_go_together_are_refused() {
     let sessions = sensor.sessions(3, 30.0);
     let combined = combine(&sessions, exact()).expect("an answer");
     let range = combined.temperature.expect("temperatures");
-    assert_eq!(
-        [range.lowest_c, range.mean_c, range.highest_c],
-        [10.0, 25.0, 40.0]
-    );
+    assert_eq!([range.lowest_c, range.mean_c, range.highest_c], [10.0, 25.0, 40.0]);
     let have = |have| Err(CombineRefusal::TooFew { have });
     assert_eq!(combine(&[], exact()), have(0));
     assert_eq!(combine(&sessions[..1], exact()), have(1));
@@ -263,22 +255,14 @@ fn sessions_that_do_not_go_together_are_refused() {
         .map(|up| pose(&sensor.at_25, G, up))
         .collect();
     let six = six_position(&sides, exact(), Placement::BY_HAND).expect("an answer");
-    assert_eq!(
-        with(six.clone()),
-        Err(CombineRefusal::Different { session: 1 })
-    );
+    assert_eq!(with(six.clone()), Err(CombineRefusal::Different { session: 1 }));
     let both = combine(&[six.clone(), six], exact()).expect("twelve parameters");
     assert_eq!((both.dof, both.between_sd), ([3.0, 3.0, 6.0], [0.0; 3]));
-    let what = MultiPosition {
-        terms: Terms::NONE.with(Term::Quadratic),
-        ..MultiPosition::default()
-    };
+    let what =
+        MultiPosition { terms: Terms::NONE.with(Term::Quadratic), ..MultiPosition::default() };
     let quadratic = multi_position_with(&poses, exact(), what).expect("an answer");
     assert_eq!(with(quadratic), Err(CombineRefusal::Terms { session: 1 }));
-    for gravity in [
-        Gravity::UNKNOWN_PLACE,
-        Gravity::new(9.81, 0.0).expect("gravity"),
-    ] {
+    for gravity in [Gravity::UNKNOWN_PLACE, Gravity::new(9.81, 0.0).expect("gravity")] {
         let other = multi_position(&poses, gravity, Model::Full9).expect("an answer");
         assert_eq!(with(other), Err(CombineRefusal::Gravity { session: 1 }));
     }
@@ -297,9 +281,6 @@ fn three_parameters_keep_what_is_not_observed() {
     assert!(found.between_sd[0] > 0.005 && found.between_sd[1..] == [0.0; 2]);
     for i in 3..12 {
         let parameter = Parameter::ALL[i];
-        assert_eq!(
-            found.covariance.sd(parameter),
-            sessions[0].covariance.sd(parameter)
-        );
+        assert_eq!(found.covariance.sd(parameter), sessions[0].covariance.sd(parameter));
     }
 }

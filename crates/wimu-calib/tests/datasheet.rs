@@ -22,11 +22,7 @@ fn of(findings: &[Finding], quantity: Quantity) -> Vec<Finding> {
 fn every_sensor_is_found_by_its_name_however_it_is_written() {
     for known in Datasheet::KNOWN {
         let sensor = known.sensor;
-        for name in [
-            sensor.to_owned(),
-            sensor.to_lowercase(),
-            sensor.replace('-', "_"),
-        ] {
+        for name in [sensor.to_owned(), sensor.to_lowercase(), sensor.replace('-', "_")] {
             assert_eq!(Datasheet::of(&name).map(|d| d.sensor), Some(sensor));
         }
         assert!(!known.document.is_empty());
@@ -53,16 +49,10 @@ fn each_parameter_stands_beside_its_limit_in_the_datasheets_unit() {
     }
     let estimate = multi_position(&poses, exact(), Model::Full9).expect("an answer");
     let datasheet = Datasheet::of("mpu6050").expect("known");
-    let findings: Vec<_> = datasheet
-        .findings(&estimate, Some(1.0), Some(2.0))
-        .collect();
+    let findings: Vec<_> = datasheet.findings(&estimate, Some(1.0), Some(2.0)).collect();
     assert_eq!(findings.len(), 9, "{findings:?}");
-    let verdicts = |quantity| {
-        of(&findings, quantity)
-            .iter()
-            .map(Finding::verdict)
-            .collect::<Vec<_>>()
-    };
+    let verdicts =
+        |quantity| of(&findings, quantity).iter().map(Finding::verdict).collect::<Vec<_>>();
     use Verdict::{Beyond, Within};
     assert_eq!(verdicts(Quantity::ZeroGOffset), [Beyond, Within, Within]);
     assert_eq!(verdicts(Quantity::Sensitivity), [Within, Beyond, Within]);
@@ -71,20 +61,14 @@ fn each_parameter_stands_beside_its_limit_in_the_datasheets_unit() {
     assert!((offset.value - 60.0).abs() < 1.0 && offset.limit.most == 50.0);
     assert!((of(&findings, Quantity::Sensitivity)[1].value - 4.0).abs() < 0.1);
     // An interval that reaches over the limit decides nothing.
-    let unclear = Finding {
-        half_width_95: 15.0,
-        ..offset
-    };
+    let unclear = Finding { half_width_95: 15.0, ..offset };
     assert_eq!(unclear.verdict(), Verdict::Unclear);
     // Of counts of unknown worth the scale factors say nothing; of a smaller model no misalignment.
     let count = |model, scale| {
         let estimate = multi_position(&poses[..12], exact(), model).expect("an answer");
         datasheet.findings(&estimate, scale, None).count()
     };
-    assert_eq!(
-        [count(Model::Full9, None), count(Model::Bias3, Some(1.0))],
-        [6, 3]
-    );
+    assert_eq!([count(Model::Full9, None), count(Model::Bias3, Some(1.0))], [6, 3]);
 }
 
 #[test]
@@ -101,25 +85,15 @@ fn a_rotation_of_the_sensor_on_its_board_is_no_cross_axis_sensitivity() {
     let datasheet = Datasheet::of("ADXL345").expect("known");
     let findings: Vec<_> = datasheet.findings(&estimate, Some(1.0), None).collect();
     for cross in of(&findings, Quantity::CrossAxis) {
-        assert!(
-            cross.value.abs() < 1e-9 && cross.verdict() == Verdict::Within,
-            "{cross:?}"
-        );
+        assert!(cross.value.abs() < 1e-9 && cross.verdict() == Verdict::Within, "{cross:?}");
     }
     // A turn about X says nothing of X.
-    let turn: Vec<Pose> = [
-        [0.0, 1.0, 0.0],
-        [0.0, 0.0, 1.0],
-        [0.0, -1.0, 0.0],
-        [0.0, 0.0, -1.0],
-    ]
-    .map(|up| pose(&ErrorModel::default(), G, up))
-    .to_vec();
+    let turn: Vec<Pose> = [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]
+        .map(|up| pose(&ErrorModel::default(), G, up))
+        .to_vec();
     let estimate = four_angle(&turn, exact(), Placement::BY_HAND).expect("an answer");
-    let subjects: Vec<_> = datasheet
-        .findings(&estimate, Some(1.0), None)
-        .map(|f| f.subject)
-        .collect();
+    let subjects: Vec<_> =
+        datasheet.findings(&estimate, Some(1.0), None).map(|f| f.subject).collect();
     assert_eq!(subjects, ["Y", "Z", "Y", "Z"]);
 }
 
@@ -139,10 +113,7 @@ fn temperature_and_nonlinearity_are_compared_where_they_were_fitted() {
             Pose {
                 temperature_c: Some(celsius.to_celsius()),
                 ..Pose::from_mean(
-                    truth
-                        .distort(force, Some(celsius))
-                        .0
-                        .map(|y| y + 1e-4 * random.normal()),
+                    truth.distort(force, Some(celsius)).0.map(|y| y + 1e-4 * random.normal()),
                 )
             }
         })
@@ -156,9 +127,7 @@ fn temperature_and_nonlinearity_are_compared_where_they_were_fitted() {
     };
     let estimate = multi_position_with(&poses, exact(), what).expect("an answer");
     let datasheet = Datasheet::of("MPU-9250").expect("known");
-    let findings: Vec<_> = datasheet
-        .findings(&estimate, Some(1.0), Some(2.0))
-        .collect();
+    let findings: Vec<_> = datasheet.findings(&estimate, Some(1.0), Some(2.0)).collect();
     let beyond: Vec<_> = findings
         .iter()
         .filter(|f| f.verdict() == Verdict::Beyond)
@@ -175,8 +144,5 @@ fn temperature_and_nonlinearity_are_compared_where_they_were_fitted() {
     let nonlinearity = of(&findings, Quantity::Nonlinearity)[2];
     assert!((nonlinearity.value - 1.0).abs() < 0.1, "{nonlinearity:?}");
     // Without the range nothing is said of full scale.
-    assert_eq!(
-        datasheet.findings(&estimate, None, None).count(),
-        3 + 3 + 3 + 3
-    );
+    assert_eq!(datasheet.findings(&estimate, None, None).count(), 3 + 3 + 3 + 3);
 }

@@ -16,10 +16,7 @@ struct Stream {
 
 /// `count` holds of `hold_s` at `rate`, noise `sd` (m/s² rms), output rounded to `step`.
 fn stream(random: &mut Random, rate: f64, sd: f64, step: f64, count: usize, hold_s: f64) -> Stream {
-    let mut out = Stream {
-        samples: Vec::new(),
-        holds: Vec::new(),
-    };
+    let mut out = Stream { samples: Vec::new(), holds: Vec::new() };
     let mut up = random.direction();
     for hold in 0..=count {
         // A turn of 1.5 s to the next orientation, with shaking.
@@ -38,16 +35,14 @@ fn stream(random: &mut Random, rate: f64, sd: f64, step: f64, count: usize, hold
             let swell = (std::f64::consts::PI * t).sin();
             let at = unit([0, 1, 2].map(|i| up[i] * (1.0 - ease) + next[i] * ease + 1e-3));
             let wave = (f1 * t * 9.0).sin() + (f2 * t * 7.0).cos();
-            out.samples
-                .push([0, 1, 2].map(|i| at[i] * G + shake[i] * swell * wave));
+            out.samples.push([0, 1, 2].map(|i| at[i] * G + shake[i] * swell * wave));
         }
         up = next;
         if hold < count {
             let first = out.samples.len();
             let length = (hold_s * rate) as usize;
             out.samples.extend((0..length).map(|_| up.map(|c| c * G)));
-            out.holds
-                .push((first, first + length - 1, up.map(|c| c * G)));
+            out.holds.push((first, first + length - 1, up.map(|c| c * G)));
         }
     }
     for sample in &mut out.samples {
@@ -88,11 +83,7 @@ fn every_hold_is_found_at_any_noise_and_rate_and_nothing_else() {
         let step = [0.0, G / 1024.0, G / 16384.0][seed / 12 % 3];
         let stream = stream(&mut random, rate, sd, step, 12, hold_s);
         let found = poses(&stream.samples, rate);
-        assert_eq!(
-            found.len(),
-            12,
-            "noise {sd}, {rate} Hz, holds of {hold_s:.2} s, step {step}"
-        );
+        assert_eq!(found.len(), 12, "noise {sd}, {rate} Hz, holds of {hold_s:.2} s, step {step}");
         for (pose, (first, last, truth)) in found.iter().zip(&stream.holds) {
             let begin = pose.first_sample as usize;
             let end = begin + pose.samples as usize - 1;
@@ -107,11 +98,7 @@ fn every_hold_is_found_at_any_noise_and_rate_and_nothing_else() {
             let rounding = if step > sd { step / 8.0 } else { 0.0 };
             let sure = sd / f64::from(pose.samples).sqrt() + rounding;
             worst = worst.max(error / sure);
-            assert!(
-                pose.sd_mps2.iter().all(|s| *s < 1.5 * sd + step),
-                "{:?}",
-                pose.sd_mps2
-            );
+            assert!(pose.sd_mps2.iter().all(|s| *s < 1.5 * sd + step), "{:?}", pose.sd_mps2);
         }
     }
     println!("largest error of a pose: {worst:.1} standard deviations of its mean");
@@ -123,12 +110,8 @@ fn any_noise_at_any_rate_is_learnt_live_and_from_a_recording() {
     let rates = [10.0, 25.0, 100.0, 500.0, 2000.0];
     let noises = [0.001, 0.01, 0.03, 0.1, 0.2, 0.3];
     let (mut holds, mut missed, mut false_poses, mut worst) = (0, 0, 0, 0.0_f64);
-    for (seed, (rate, sd)) in rates
-        .into_iter()
-        .flat_map(|rate| noises.map(|sd| (rate, sd)))
-        .cycle()
-        .take(60)
-        .enumerate()
+    for (seed, (rate, sd)) in
+        rates.into_iter().flat_map(|rate| noises.map(|sd| (rate, sd))).cycle().take(60).enumerate()
     {
         let mut random = Random::new(1000 + seed as u64);
         let stream = stream(&mut random, rate, sd, 0.0, 10, 3.5);
@@ -222,11 +205,7 @@ fn a_sensor_that_is_turned_slowly_and_never_rests_has_no_pose() {
                 // About Z, which is level, while Z leans to and fro as slowly.
                 let angle = degrees_per_s.to_radians() * k as f64 / 100.0;
                 let lean = 0.5 * (0.37 * angle).sin();
-                let force = [
-                    angle.cos() * lean.cos(),
-                    angle.sin() * lean.cos(),
-                    lean.sin(),
-                ];
+                let force = [angle.cos() * lean.cos(), angle.sin() * lean.cos(), lean.sin()];
                 force.map(|f| G * f + noise * random.normal())
             })
             .collect();
@@ -296,10 +275,7 @@ fn a_hold_is_reported_while_it_lasts_and_comes_out_when_the_sensor_is_turned() {
         }
     }
     let (held_at, out_at) = (held_at.expect("held"), out_at.expect("a pose"));
-    assert!(
-        (first + 60..first + 110).contains(&held_at),
-        "{first} {held_at}"
-    );
+    assert!((first + 60..first + 110).contains(&held_at), "{first} {held_at}");
     assert!((last..last + 80).contains(&out_at), "{last} {out_at}");
 }
 

@@ -25,9 +25,7 @@ fn twelve_guided_poses_predict_unseen_orientations_better_than_twenty_random_one
             guide.take(up);
             plan.push(up);
         }
-        let unseen: Vec<Pose> = (0..100)
-            .map(|_| pose(&truth, G, random.direction()))
-            .collect();
+        let unseen: Vec<Pose> = (0..100).map(|_| pose(&truth, G, random.direction())).collect();
         let mut score = |ups: &[[f64; 3]]| {
             let mut poses: Vec<Pose> = ups.iter().map(|up| pose(&truth, G, *up)).collect();
             for pose in &mut poses {
@@ -53,10 +51,7 @@ fn twelve_guided_poses_predict_unseen_orientations_better_than_twenty_random_one
     };
     let guided = rms(&mut pairs.iter().map(|pair| pair.0));
     let random = rms(&mut pairs.iter().map(|pair| pair.1));
-    let better = pairs
-        .iter()
-        .filter(|(guided, random)| guided < random)
-        .count();
+    let better = pairs.iter().filter(|(guided, random)| guided < random).count();
     println!(
         "unseen orientations, mm/s² rms: 12 guided {guided:.3}, 20 random {random:.3}; guided is \
          better with {better} of {} sensors; left out of both: {refused} whose random poses are \

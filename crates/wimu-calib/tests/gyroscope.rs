@@ -46,11 +46,7 @@ fn gyroscope(random: &mut Random) -> GyroscopeTerms {
     let mut matrix = [[0.0; 3]; 3];
     for (r, row) in matrix.iter_mut().enumerate() {
         for (c, entry) in row.iter_mut().enumerate() {
-            *entry = if r == c {
-                1.0 + 0.02 * random.normal()
-            } else {
-                0.02 * random.normal()
-            };
+            *entry = if r == c { 1.0 + 0.02 * random.normal() } else { 0.02 * random.normal() };
         }
     }
     GyroscopeTerms {
@@ -76,13 +72,8 @@ impl Simulated {
     fn new(random: &mut Random, turns: &[Rotation], noise: f64) -> Self {
         let mut rate = gyroscope(random);
         let force = random.model(true);
-        let mut simulated = Self {
-            poses: Vec::new(),
-            samples: Vec::new(),
-            force,
-            rate,
-            bias: [0.0; 3],
-        };
+        let mut simulated =
+            Self { poses: Vec::new(), samples: Vec::new(), force, rate, bias: [0.0; 3] };
         let mut up = random.direction();
         // The Earth's axis in sensor axes.
         let mut pole = random.direction();
@@ -149,10 +140,7 @@ impl Simulated {
 
     /// The accelerometer, calibrated with the same rests.
     fn accelerometer(&self) -> Option<AccelerometerCalibration> {
-        let what = MultiPosition {
-            model: Model::Full9,
-            ..MultiPosition::default()
-        };
+        let what = MultiPosition { model: Model::Full9, ..MultiPosition::default() };
         let estimate = multi_position_with(&self.poses, exact(), what).ok()?;
         Some(AccelerometerCalibration::from(&estimate))
     }
@@ -193,18 +181,12 @@ fn inverse(mut m: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
     let n = m.len();
     for p in 0..n {
         let pivot = 1.0 / m[p][p];
-        let row: Vec<f64> = (0..n)
-            .map(|c| if c == p { pivot } else { m[p][c] * pivot })
-            .collect();
+        let row: Vec<f64> = (0..n).map(|c| if c == p { pivot } else { m[p][c] * pivot }).collect();
         for (r, other) in m.iter_mut().enumerate() {
             let factor = other[p];
             for c in 0..n {
                 let old = if c == p { 0.0 } else { other[c] };
-                other[c] = if r == p {
-                    row[c]
-                } else {
-                    old - factor * row[c]
-                };
+                other[c] = if r == p { row[c] } else { old - factor * row[c] };
             }
         }
     }
@@ -217,11 +199,7 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
 
 /// Two directions across `up`.
 fn tangents(up: [f64; 3]) -> [[f64; 3]; 2] {
-    let side = if up[0].abs() < 0.7 {
-        [1.0, 0.0, 0.0]
-    } else {
-        [0.0, 1.0, 0.0]
-    };
+    let side = if up[0].abs() < 0.7 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
     let first = unit(cross(up, side));
     [first, cross(up, first)]
 }
@@ -265,11 +243,7 @@ fn bound(simulated: &Simulated, accelerometer: &AccelerometerCalibration) -> [f6
     let covariance = accelerometer.covariance.matrix();
     let fitted: Vec<usize> = (0..12).filter(|i| covariance[*i][*i] > 0.0).collect();
     let correct = |output| simulated.force.correct(SpecificForceMps2(output), None).0;
-    let ups: Vec<[f64; 3]> = simulated
-        .poses
-        .iter()
-        .map(|p| unit(correct(p.mean_mps2)))
-        .collect();
+    let ups: Vec<[f64; 3]> = simulated.poses.iter().map(|p| unit(correct(p.mean_mps2))).collect();
     for (k, up) in ups.iter().enumerate() {
         for r in 0..3 {
             let mut row = vec![(at(k) + r, 1.0)];
@@ -296,10 +270,7 @@ fn bound(simulated: &Simulated, accelerometer: &AccelerometerCalibration) -> [f6
             add(&[(at(k) + r, -1.0), (at(k + 1) + r, 1.0)], walk);
         }
         const SMALL: f64 = 1e-6;
-        let terms = GyroscopeTerms {
-            bias_rad_s: simulated.bias,
-            ..simulated.rate
-        };
+        let terms = GyroscopeTerms { bias_rad_s: simulated.bias, ..simulated.rate };
         let carried = |terms: &GyroscopeTerms, up| carried(turn, &simulated.force, terms, up);
         let nominal = carried(&terms, *up);
         let moved = |i: usize| {
@@ -367,12 +338,7 @@ fn errors_are_near_the_cramer_rao_bound() {
     }
     // The Earth's rate, of which the bound knows nothing, is most of the error of G's diagonal.
     let ratios = squares.map(|[error, bound]| (error / bound).sqrt());
-    let kinds = [
-        &ratios[..3],
-        &ratios[3..12],
-        &ratios[13..16],
-        &ratios[17..20],
-    ];
+    let kinds = [&ratios[..3], &ratios[3..12], &ratios[13..16], &ratios[17..20]];
     println!("{ratios:.3?}");
     let worst = kinds.concat().into_iter().fold(0.0, f64::max);
     let mean = |r: &[f64]| (r.iter().map(|r| r * r).sum::<f64>() / r.len() as f64).sqrt();
@@ -412,22 +378,10 @@ fn intervals_of_every_parameter_hold_the_truth() {
     }
     for i in 0..21 {
         let [rms, sd] = squares[i].map(|s| (s / f64::from(used)).sqrt());
-        println!(
-            "{i} {} rms {rms:.2e} sd {sd:.2e} ratio {:.3}",
-            held[i],
-            rms / sd
-        );
+        println!("{i} {} rms {rms:.2e} sd {sd:.2e} ratio {:.3}", held[i], rms / sd);
     }
-    println!(
-        "walk {:.2e} own {:.2e} used {used}",
-        walk / f64::from(used),
-        own / f64::from(used)
-    );
-    coverage_figure(
-        "coverage of the gyroscope's 21 parameters",
-        &held,
-        0.93..=0.97,
-    );
+    println!("walk {:.2e} own {:.2e} used {used}", walk / f64::from(used), own / f64::from(used));
+    coverage_figure("coverage of the gyroscope's 21 parameters", &held, 0.93..=0.97);
     for (i, held) in held.iter().enumerate() {
         held.assert_can_be(0.93..=0.97, &format!("parameter {i}"));
     }
@@ -463,10 +417,7 @@ fn wrong_units_and_axes_are_named() {
     let axes = [(2, true), (0, false), (1, false)];
     assert_eq!(turned, GyroscopeRefusal::Axes { axes });
     let dead = refused(|s| s.rate_rad_s[1] = 0.01);
-    assert!(
-        matches!(dead, GyroscopeRefusal::Inconsistent { .. }),
-        "{dead}"
-    );
+    assert!(matches!(dead, GyroscopeRefusal::Inconsistent { .. }), "{dead}");
 }
 
 #[test]
@@ -474,29 +425,20 @@ fn turns_that_are_saturated_interrupted_or_contradicted_are_left_out() {
     let (clean, _) = session(3);
     let accelerometer = clean.accelerometer().unwrap();
     let spoilt = |change: &dyn Fn(&mut [SixAxisSample])| {
-        let mut simulated = Simulated {
-            samples: clean.samples.clone(),
-            poses: clean.poses.clone(),
-            ..clean
-        };
+        let mut simulated =
+            Simulated { samples: clean.samples.clone(), poses: clean.poses.clone(), ..clean };
         let start = simulated.poses[5].first_sample as usize + REST;
         let end = simulated.poses[6].first_sample as usize;
         change(&mut simulated.samples[start..end]);
         let estimate = simulated.estimate(&accelerometer).expect("an estimate");
-        assert!(
-            (estimate.turns, estimate.rms_rad < 0.01) == (RESTS - 2, true),
-            "{estimate:?}"
-        );
+        assert!((estimate.turns, estimate.rms_rad < 0.01) == (RESTS - 2, true), "{estimate:?}");
         assert!((0..21).all(|i| estimate.observed(i)));
         estimate.left_out().collect::<Vec<_>>()
     };
     let saturated = spoilt(&|turn| {
-        turn.iter_mut()
-            .for_each(|s| s.rate_rad_s[0] = s.rate_rad_s[0].clamp(-4.4, 4.4) + 0.0);
+        turn.iter_mut().for_each(|s| s.rate_rad_s[0] = s.rate_rad_s[0].clamp(-4.4, 4.4) + 0.0);
         let middle = turn.len() / 2;
-        turn[middle..middle + 5]
-            .iter_mut()
-            .for_each(|s| s.rate_rad_s[0] = 4.36);
+        turn[middle..middle + 5].iter_mut().for_each(|s| s.rate_rad_s[0] = 4.36);
     });
     assert_eq!(saturated, [(5, TurnFault::Saturated { axis: 0 })]);
     let gap = spoilt(&|turn| turn[20].step_s = 0.6);
@@ -510,9 +452,8 @@ fn rotations_about_one_axis_leave_the_others_at_the_prior_and_advise_them() {
     let mut random = Random::new(11);
     let turns: Vec<Rotation> = (1..RESTS).map(|_| ([1.0, 0.0, 0.0], 1.8, 200)).collect();
     let simulated = Simulated::new(&mut random, &turns, 1.0);
-    let estimate = simulated
-        .estimate(&AccelerometerCalibration::uncalibrated())
-        .expect("an estimate");
+    let estimate =
+        simulated.estimate(&AccelerometerCalibration::uncalibrated()).expect("an estimate");
     assert!(estimate.observed(3) && !estimate.observed(7) && !estimate.observed(11));
     assert!((estimate.model.terms().matrix[1][1] - 1.0).abs() < 0.01);
     match estimate.advice() {
@@ -521,9 +462,7 @@ fn rotations_about_one_axis_leave_the_others_at_the_prior_and_advise_them() {
     }
     // One rest gives the bias, as far as g-sensitivity allows.
     let alone = Simulated::new(&mut random, &[], 1.0);
-    let estimate = alone
-        .estimate(&AccelerometerCalibration::uncalibrated())
-        .expect("an estimate");
+    let estimate = alone.estimate(&AccelerometerCalibration::uncalibrated()).expect("an estimate");
     assert!((0..21).all(|i| estimate.observed(i) == (i < 3)));
     let error = norm([0, 1, 2].map(|i| estimate.model.terms().bias_rad_s[i] - alone.bias[i]));
     assert!(error < 4.0 * estimate.sd(0), "{error}");
@@ -538,18 +477,12 @@ fn a_rest_that_moves_and_data_without_rests_are_refused() {
         sample.rate_rad_s[2] += 0.3;
     }
     let refused = simulated.estimate(&accelerometer).expect_err("it rotates");
-    assert!(
-        matches!(refused, GyroscopeRefusal::NotAtRest { rest: 4, .. }),
-        "{refused}"
-    );
+    assert!(matches!(refused, GyroscopeRefusal::NotAtRest { rest: 4, .. }), "{refused}");
     simulated.samples[start].rate_rad_s[0] = f64::NAN;
     let refused = simulated.estimate(&accelerometer);
     assert_eq!(refused, Err(GyroscopeRefusal::NotFinite { rest: 4 }));
     simulated.poses.clear();
-    assert_eq!(
-        simulated.estimate(&accelerometer),
-        Err(GyroscopeRefusal::NoRest)
-    );
+    assert_eq!(simulated.estimate(&accelerometer), Err(GyroscopeRefusal::NoRest));
 }
 
 #[test]

@@ -29,11 +29,7 @@ fn samples(rows: &[Vec<String>], [force, rate]: [usize; 2], units: [f64; 2]) -> 
 
 fn rests(samples: &[SixAxisSample], rate_hz: f64) -> Vec<Pose> {
     let mut poses = vec![Pose::default(); 200];
-    let found = find_poses(
-        samples.iter().map(|s| (s.output_mps2, None)),
-        rate_hz,
-        &mut poses,
-    );
+    let found = find_poses(samples.iter().map(|s| (s.output_mps2, None)), rate_hz, &mut poses);
     poses.truncate(found);
     poses
 }
@@ -58,11 +54,7 @@ fn step(
     });
     let vector = [0, 1, 2].map(|i| 0.5 * (a[i] + b[i]) * pair[1].step_s);
     let (sin, cos) = (0.5 * norm(vector)).sin_cos();
-    let axis = if norm(vector) > 0.0 {
-        unit(vector)
-    } else {
-        [0.0; 3]
-    };
+    let axis = if norm(vector) > 0.0 { unit(vector) } else { [0.0; 3] };
     [cos, sin * axis[0], sin * axis[1], sin * axis[2]]
 }
 
@@ -73,17 +65,11 @@ fn prediction(
     samples: &[SixAxisSample],
     [from, to]: [&Pose; 2],
 ) -> f64 {
-    let force = |output| {
-        accelerometer
-            .model
-            .correct(SpecificForceMps2(output), None)
-            .0
-    };
+    let force = |output| accelerometer.model.correct(SpecificForceMps2(output), None).0;
     let start = (from.first_sample + u64::from(from.samples)) as usize - 1;
     let turn = &samples[start..=to.first_sample as usize];
-    let q = turn.windows(2).fold([1.0, 0.0, 0.0, 0.0], |q, pair| {
-        product(q, step(model, pair, force))
-    });
+    let q =
+        turn.windows(2).fold([1.0, 0.0, 0.0, 0.0], |q, pair| product(q, step(model, pair, force)));
     let up = unit(force(from.mean_mps2));
     let inverse = [q[0], -q[1], -q[2], -q[3]];
     let [_, x, y, z] = product(product(inverse, [0.0, up[0], up[1], up[2]]), q);
@@ -97,12 +83,7 @@ fn estimate(
     accelerometer: &AccelerometerCalibration,
     full_scale: Option<f64>,
 ) -> GyroscopeEstimate {
-    let session = GyroscopeSession {
-        poses,
-        samples,
-        accelerometer,
-        full_scale_rad_s: full_scale,
-    };
+    let session = GyroscopeSession { poses, samples, accelerometer, full_scale_rad_s: full_scale };
     session.estimate().expect("an estimate")
 }
 
@@ -122,11 +103,7 @@ fn gyroscopes_of_eight_mpu9150_predict_gravity_better_than_before() {
         let units = [9.80665 / 2048.0, DEGREE / 16.4];
         let samples = samples(&rows, [column, column + 3], units);
         let poses = rests(&samples, 62.5);
-        let what = MultiPosition {
-            model: Model::Full9,
-            reject: true,
-            ..MultiPosition::default()
-        };
+        let what = MultiPosition { model: Model::Full9, reject: true, ..MultiPosition::default() };
         let fitted =
             multi_position_with(&poses, Gravity::new(9.818, 0.001).unwrap(), what).expect("poses");
         let accelerometer = AccelerometerCalibration::from(&fitted);
@@ -156,10 +133,7 @@ fn gyroscopes_of_eight_mpu9150_predict_gravity_better_than_before() {
                 |model: &GyroscopeModel| prediction(model, &accelerometer, &samples, pair);
             before.push(predicted(&GyroscopeModel::default()));
             let bias_rad_s = all.model.terms().bias_rad_s;
-            let alone = GyroscopeTerms {
-                bias_rad_s,
-                ..GyroscopeTerms::default()
-            };
+            let alone = GyroscopeTerms { bias_rad_s, ..GyroscopeTerms::default() };
             bias.push(predicted(&GyroscopeModel::new(alone).unwrap()));
             after.push(predicted(&all.model));
             left_out.push(predicted(&found.model));
@@ -234,9 +208,7 @@ fn a_magnetometer_that_was_only_translated_is_not_calibrated() {
         [e / e.hypot(n), n / e.hypot(n)]
     });
     let [e, n] = (level.clone()).fold([0.0; 2], |sum, v| [sum[0] + v[0], sum[1] + v[1]]);
-    let off: Vec<f64> = level
-        .map(|v| (e * v[1] - n * v[0]).atan2(e * v[0] + n * v[1]))
-        .collect();
+    let off: Vec<f64> = level.map(|v| (e * v[1] - n * v[0]).atan2(e * v[0] + n * v[1])).collect();
     let poses: Vec<MagneticPose> = (all.iter().step_by(all.len() / 100))
         .map(|(q, output_nt)| {
             let [_, x, y, z] = product(product(inverse(*q), [0.0, 0.0, 0.0, 1.0]), *q);
@@ -247,16 +219,9 @@ fn a_magnetometer_that_was_only_translated_is_not_calibrated() {
     let refused = magnetometer(&poses, None);
     figure(
         "BROAD slow A: heading of the uncalibrated magnetometer about its mean, ° rms; calibration",
-        format!(
-            "{:.2}, {}",
-            rms(&off),
-            if refused.is_ok() { "made" } else { "refused" }
-        ),
+        format!("{:.2}, {}", rms(&off), if refused.is_ok() { "made" } else { "refused" }),
         "refused: no pose is upside down",
         refused.is_err(),
     );
-    assert!(
-        matches!(refused, Err(MagneticRefusal::NotObservable { .. })),
-        "{refused:?}"
-    );
+    assert!(matches!(refused, Err(MagneticRefusal::NotObservable { .. })), "{refused:?}");
 }

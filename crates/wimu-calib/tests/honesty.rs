@@ -113,11 +113,7 @@ fn sensor(seed: u64, mut shape: impl FnMut(&mut Random, &mut ErrorTerms)) -> Sen
     let mut random = Random::new(seed);
     let mut terms: ErrorTerms = random.model(true).into();
     shape(&mut random, &mut terms);
-    Sensor {
-        model: ErrorModel::new(terms).expect("within bounds"),
-        drift: [0.0; 3],
-        random,
-    }
+    Sensor { model: ErrorModel::new(terms).expect("within bounds"), drift: [0.0; 3], random }
 }
 
 fn count(coverage: &mut Coverage, estimate: &Estimate, truth: &ErrorModel) {
@@ -147,11 +143,7 @@ fn intervals_of_multi_position_cover_the_truth_for_every_model() {
                         }
                     }
                 });
-                let what = MultiPosition {
-                    model,
-                    reject,
-                    ..MultiPosition::default()
-                };
+                let what = MultiPosition { model, reject, ..MultiPosition::default() };
                 let poses = sensor.session();
                 let estimate = multi_position_with(&poses, exact(), what).expect("an answer");
                 count(&mut coverage, &estimate, &sensor.model);
@@ -160,10 +152,7 @@ fn intervals_of_multi_position_cover_the_truth_for_every_model() {
             kinds.push((format!("multi-position, {model}{bad}"), coverage));
         }
     }
-    assert_consistent(
-        "95 % intervals, 3, 6 and 9 parameters, hold the truth",
-        &kinds,
-    );
+    assert_consistent("95 % intervals, 3, 6 and 9 parameters, hold the truth", &kinds);
 }
 
 #[test]
@@ -187,10 +176,7 @@ fn intervals_include_a_gravity_that_is_not_known() {
                     pose
                 })
                 .collect();
-            let what = MultiPosition {
-                reject: true,
-                ..MultiPosition::default()
-            };
+            let what = MultiPosition { reject: true, ..MultiPosition::default() };
             let estimate = multi_position_with(&poses, gravity, what).expect("an answer");
             kinds.count(&estimate, &sensor.model);
         }
@@ -222,18 +208,11 @@ fn intervals_of_the_terms_cover_the_truth() {
                 }
             });
             sensor.drift = drift;
-            let what = MultiPosition {
-                terms: Terms::NONE.with(term),
-                ..MultiPosition::default()
-            };
+            let what = MultiPosition { terms: Terms::NONE.with(term), ..MultiPosition::default() };
             let poses = sensor.session();
             let estimate = multi_position_with(&poses, exact(), what).expect("an answer");
             // The model is about the mean temperature of the poses.
-            let truth = about(
-                &sensor.model,
-                estimate.model.terms().temperature.reference_c,
-                term,
-            );
+            let truth = about(&sensor.model, estimate.model.terms().temperature.reference_c, term);
             count(&mut basic, &estimate, &truth);
             let (found, truth, sd) = own_values(&estimate, &truth, term, sensor.drift);
             for axis in 0..3 {
@@ -244,10 +223,7 @@ fn intervals_of_the_terms_cover_the_truth() {
         kinds.push((format!("nine parameters beside {term}"), basic));
         kinds.push((format!("{term}"), own));
     }
-    assert_consistent(
-        "95 % intervals with drift, temperature, quadratic terms",
-        &kinds,
-    );
+    assert_consistent("95 % intervals with drift, temperature, quadratic terms", &kinds);
 }
 
 /// The same model about another reference temperature.
@@ -274,21 +250,15 @@ fn own_values(
 ) -> ([f64; 3], [f64; 3], [f64; 3]) {
     let (found, truth, sd) = (estimate.model.terms(), truth.terms(), estimate.term_sd);
     match term {
-        Term::Drift => (
-            estimate.drift.expect("it was fitted").change_mps2,
-            drift,
-            sd.drift_mps2,
-        ),
+        Term::Drift => (estimate.drift.expect("it was fitted").change_mps2, drift, sd.drift_mps2),
         Term::BiasTemperature => (
             found.temperature.bias_mps2_per_k,
             truth.temperature.bias_mps2_per_k,
             sd.bias_mps2_per_k,
         ),
-        Term::ScaleTemperature => (
-            found.temperature.scale_per_k,
-            truth.temperature.scale_per_k,
-            sd.scale_per_k,
-        ),
+        Term::ScaleTemperature => {
+            (found.temperature.scale_per_k, truth.temperature.scale_per_k, sd.scale_per_k)
+        }
         Term::Quadratic => (found.nonlinearity, truth.nonlinearity, sd.nonlinearity),
     }
 }
@@ -338,11 +308,7 @@ fn intervals_of_six_positions_include_what_differs_from_visit_to_visit() {
             let mut sensor = sensor(seed, |_, _| {});
             let mut poses = Vec::new();
             for face in (0..visits).flat_map(|_| Face::ALL) {
-                let up = misplaced(
-                    &mut sensor.random,
-                    Orientation::from(face).up(),
-                    0.1 * DEGREE,
-                );
+                let up = misplaced(&mut sensor.random, Orientation::from(face).up(), 0.1 * DEGREE);
                 let mut pose = pose(&sensor.model, G, up);
                 for axis in &mut pose.mean_mps2 {
                     *axis += differs * sensor.random.normal() + noise * sensor.random.normal();
@@ -355,16 +321,8 @@ fn intervals_of_six_positions_include_what_differs_from_visit_to_visit() {
             let (found, truth) = (parameters(&estimate.model), parameters(&sensor.model));
             for axis in 0..3 {
                 let (b, s) = (axis, 3 + 4 * axis);
-                add(
-                    &mut bias,
-                    found[b] - truth[b],
-                    estimate.half_width_95(Parameter::ALL[b]),
-                );
-                add(
-                    &mut scale,
-                    found[s] - truth[s],
-                    estimate.half_width_95(Parameter::ALL[s]),
-                );
+                add(&mut bias, found[b] - truth[b], estimate.half_width_95(Parameter::ALL[b]));
+                add(&mut scale, found[s] - truth[s], estimate.half_width_95(Parameter::ALL[s]));
             }
             let Method::SixPosition { unexplained, .. } = estimate.method else {
                 panic!("{:?}", estimate.method);
@@ -393,16 +351,8 @@ fn intervals_of_six_positions_include_what_differs_from_visit_to_visit() {
         &again,
         0.93..=0.97,
     );
-    coverage_figure(
-        "95 % intervals of six positions visited once",
-        &once,
-        0.93..=1.0,
-    );
-    coverage_figure(
-        "visits that differ by 2 or 5 mm/s² are reported",
-        &detected,
-        0.9..=1.0,
-    );
+    coverage_figure("95 % intervals of six positions visited once", &once, 0.93..=1.0);
+    coverage_figure("visits that differ by 2 or 5 mm/s² are reported", &detected, 0.9..=1.0);
 }
 
 /// Poses of one turn about `axis` in `steps`, begun at `begin` rad.
@@ -428,11 +378,7 @@ fn intervals_of_four_and_three_angles_cover_the_truth() {
             let (mut bias, mut scale) = (Coverage::default(), Coverage::default());
             for seed in 0..sensors() {
                 let mut sensor = sensor(seed, |_, _| {});
-                let begin = if anywhere {
-                    sensor.random.within(std::f64::consts::PI)
-                } else {
-                    0.0
-                };
+                let begin = if anywhere { sensor.random.within(std::f64::consts::PI) } else { 0.0 };
                 let axis = (seed % 3) as usize;
                 let poses = turn(&mut sensor, axis, steps, begin);
                 let method = if steps == 4 { four_angle } else { three_angle };
@@ -441,11 +387,8 @@ fn intervals_of_four_and_three_angles_cover_the_truth() {
                 for in_plane in (0..3).filter(|&other| other != axis) {
                     let found = estimate.model.terms();
                     let row = terms.matrix[in_plane];
-                    let norm = (0..3)
-                        .filter(|&c| c != axis)
-                        .map(|c| row[c] * row[c])
-                        .sum::<f64>()
-                        .sqrt();
+                    let norm =
+                        (0..3).filter(|&c| c != axis).map(|c| row[c] * row[c]).sum::<f64>().sqrt();
                     add(
                         &mut bias,
                         found.bias_mps2[in_plane] - terms.bias_mps2[in_plane],
@@ -463,10 +406,7 @@ fn intervals_of_four_and_three_angles_cover_the_truth() {
             kinds.push((format!("{name} from {from}, scale factor"), scale));
         }
     }
-    assert_consistent(
-        "95 % intervals of four and three angles hold the truth",
-        &kinds,
-    );
+    assert_consistent("95 % intervals of four and three angles hold the truth", &kinds);
 }
 
 /// What a method says of one number, and the half width of its 95 % interval.
@@ -525,29 +465,19 @@ fn against_a_reference(sensor: &mut Sensor) -> Saying {
     let mut transfer = ReferenceTransfer::of_unknown_noise();
     let random = &mut sensor.random;
     let tones: [[f64; 2]; 9] = std::array::from_fn(|_| {
-        [
-            1.0 + 3.0 * random.uniform(),
-            random.within(std::f64::consts::PI),
-        ]
+        [1.0 + 3.0 * random.uniform(), random.within(std::f64::consts::PI)]
     });
     for k in 0..640 {
         let tone = |k: usize, [rate, phase]: [f64; 2]| 2.0 * (rate * k as f64 / 20.0 + phase).sin();
         let force = [0, 1, 2].map(|axis: usize| {
-            let sum: f64 = tones[3 * axis..3 * axis + 3]
-                .iter()
-                .map(|t| tone(k, *t))
-                .sum();
+            let sum: f64 = tones[3 * axis..3 * axis + 3].iter().map(|t| tone(k, *t)).sum();
             sum + [1.0, -3.0, 9.0][axis]
         });
         let output = sensor.model.distort(SpecificForceMps2(force), None).0;
         let mut noisy = |y: f64| y + NOISE * sensor.random.normal();
         transfer.push(force.map(&mut noisy), output.map(&mut noisy));
     }
-    let lines = transfer
-        .result()
-        .expect("an answer")
-        .axes
-        .map(|axis| axis.line.expect("it moved"));
+    let lines = transfer.result().expect("an answer").axes.map(|axis| axis.line.expect("it moved"));
     let widths = lines.map(|line| line.half_widths_95());
     Saying {
         said: std::array::from_fn(|i| match i {
@@ -560,13 +490,7 @@ fn against_a_reference(sensor: &mut Sensor) -> Saying {
 
 #[test]
 fn the_methods_agree_within_their_uncertainties() {
-    let names = [
-        "multi-position",
-        "six-position",
-        "four-angle",
-        "three-angle",
-        "reference",
-    ];
+    let names = ["multi-position", "six-position", "four-angle", "three-angle", "reference"];
     let mut agreement: [[Coverage; 5]; 5] = Default::default();
     let mut all = Coverage::default();
     for seed in 0..sensors() {
@@ -579,9 +503,7 @@ fn the_methods_agree_within_their_uncertainties() {
             .collect();
         let six = six_position(&poses, exact(), Placement::BY_HAND).expect("six");
         let mut turns = |steps| -> Vec<Pose> {
-            (0..3)
-                .flat_map(|axis| turn(&mut sensor, axis, steps, 0.0))
-                .collect()
+            (0..3).flat_map(|axis| turn(&mut sensor, axis, steps, 0.0)).collect()
         };
         let four = four_angle(&turns(4), exact(), Placement::BY_HAND).expect("four");
         let three = three_angle(&turns(3), exact(), Placement::BY_HAND).expect("three");
@@ -619,13 +541,7 @@ fn the_methods_agree_within_their_uncertainties() {
             pairs.push((format!("{} and {}", names[k], names[l]), agreement[k][l]));
         }
     }
-    assert_consistent(
-        "two methods agree within their 95 % intervals, each pair",
-        &pairs,
-    );
+    assert_consistent("two methods agree within their 95 % intervals, each pair", &pairs);
     let all = [("two methods".into(), all)];
-    assert_consistent(
-        "two methods agree within their 95 % intervals, all pairs",
-        &all,
-    );
+    assert_consistent("two methods agree within their 95 % intervals, all pairs", &all);
 }

@@ -13,17 +13,11 @@ use wimu_model::{CentiCelsius, ErrorModel, ErrorTerms, SpecificForceMps2};
 use wimu_testkit::{Coverage, coverage_figure, trials};
 
 fn with(terms: Terms) -> MultiPosition {
-    MultiPosition {
-        terms,
-        ..MultiPosition::default()
-    }
+    MultiPosition { terms, ..MultiPosition::default() }
 }
 
 fn rejecting() -> MultiPosition {
-    MultiPosition {
-        reject: true,
-        ..MultiPosition::default()
-    }
+    MultiPosition { reject: true, ..MultiPosition::default() }
 }
 
 proptest! {
@@ -146,10 +140,8 @@ proptest! {
 #[test]
 fn the_papers_six_position_equations_are_the_special_case_of_squared_poses() {
     let truth = Random::new(21).model(false);
-    let poses: Vec<Pose> = Face::ALL
-        .into_iter()
-        .map(|face| pose(&truth, G, Orientation::from(face).up()))
-        .collect();
+    let poses: Vec<Pose> =
+        Face::ALL.into_iter().map(|face| pose(&truth, G, Orientation::from(face).up())).collect();
     let placement = Placement::new(0.0).expect("placement");
     let ours = six_position(&poses, exact(), placement).expect("an answer");
     // The paper's 𝓕 = ã − a; positions in pairs, axis i up and down. Its third line for position
@@ -207,11 +199,7 @@ fn a_term_is_kept_where_it_is_there_and_left_out_where_it_is_not() {
         }
     }
     coverage_figure("`auto` keeps a drift that is there", &[kept], 0.95..=1.0);
-    coverage_figure(
-        "`auto` keeps a drift that is not there",
-        &[wrongly],
-        0.0..=0.15,
-    );
+    coverage_figure("`auto` keeps a drift that is not there", &[wrongly], 0.0..=0.15);
     coverage_figure(
         "`auto` has a leave-one-out error of nine parameters or less",
         &[better],
@@ -234,10 +222,8 @@ fn bad_poses_are_named_and_left_out_and_good_ones_are_not() {
     for seed in 0..trials(1000) as u64 {
         let mut random = Random::new(seed);
         let truth = random.model(true);
-        let mut poses: Vec<Pose> = ups(&mut random, 18)
-            .into_iter()
-            .map(|up| pose(&truth, G, up))
-            .collect();
+        let mut poses: Vec<Pose> =
+            ups(&mut random, 18).into_iter().map(|up| pose(&truth, G, up)).collect();
         for pose in &mut poses {
             jitter(&mut random, pose, 0.003);
         }
@@ -253,11 +239,7 @@ fn bad_poses_are_named_and_left_out_and_good_ones_are_not() {
             continue;
         };
         for k in 0..poses.len() {
-            let counted = if bad.contains(&k) {
-                &mut found
-            } else {
-                &mut wrongly
-            };
+            let counted = if bad.contains(&k) { &mut found } else { &mut wrongly };
             counted.count(estimate.rejected.contains(k));
         }
         if !bad.is_empty() {
@@ -266,22 +248,11 @@ fn bad_poses_are_named_and_left_out_and_good_ones_are_not() {
             let unseen = pose(&truth, G, random.direction());
             good.count(worst && estimate.residual_mps2(&unseen).abs() < 0.02);
         }
-        assert_eq!(
-            estimate.poses,
-            poses.len() - estimate.rejected.as_slice().len()
-        );
+        assert_eq!(estimate.poses, poses.len() - estimate.rejected.as_slice().len());
     }
-    coverage_figure(
-        "bad poses, 0 to 3 of 30, are left out",
-        &[found],
-        0.995..=1.0,
-    );
+    coverage_figure("bad poses, 0 to 3 of 30, are left out", &[found], 0.995..=1.0);
     coverage_figure("good poses of 30 are left out", &[wrongly], 0.0..=0.001);
-    coverage_figure(
-        "sessions with 0 to 3 bad of 30 poses are answered",
-        &[answered],
-        0.99..=1.0,
-    );
+    coverage_figure("sessions with 0 to 3 bad of 30 poses are answered", &[answered], 0.99..=1.0);
     answered.assert_can_be(0.99..=1.0, "answered");
     let claim = "bad poses left out: unseen orientation within 20 mm/s², worst pose named";
     coverage_figure(claim, &[good], 0.99..=1.0);
@@ -297,10 +268,8 @@ fn no_bad_poses_however_many_or_alike_cost_more_than_the_data_can_spare() {
         let mut random = Random::new(seed);
         let truth = random.model(true);
         let count = 12 + (seed as usize * 7) % 30;
-        let mut poses: Vec<Pose> = ups(&mut random, count - 12)
-            .into_iter()
-            .map(|up| pose(&truth, G, up))
-            .collect();
+        let mut poses: Vec<Pose> =
+            ups(&mut random, count - 12).into_iter().map(|up| pose(&truth, G, up)).collect();
         for pose in &mut poses {
             jitter(&mut random, pose, 0.003);
         }
@@ -319,10 +288,7 @@ fn no_bad_poses_however_many_or_alike_cost_more_than_the_data_can_spare() {
             };
         }
         for model in Model::ALL {
-            let what = MultiPosition {
-                model,
-                ..rejecting()
-            };
+            let what = MultiPosition { model, ..rejecting() };
             let answer = multi_position_with(&poses, exact(), what);
             if model == Model::Full9 {
                 answered.count(answer.is_ok());
@@ -331,9 +297,7 @@ fn no_bad_poses_however_many_or_alike_cost_more_than_the_data_can_spare() {
                 continue;
             };
             let rejected = estimate.rejected.as_slice();
-            let spare = (count / 5)
-                .min(count.saturating_sub(model.parameters() + 3))
-                .min(16);
+            let spare = (count / 5).min(count.saturating_sub(model.parameters() + 3)).min(16);
             assert!(rejected.len() <= spare, "{seed}: {rejected:?} of {count}");
             assert_eq!(estimate.poses + rejected.len(), count);
             assert!(estimate.worst_sd_mps2.is_finite() && estimate.condition.is_finite());
@@ -345,11 +309,7 @@ fn no_bad_poses_however_many_or_alike_cost_more_than_the_data_can_spare() {
                 // Truth within five standard deviations of unseen orientations, or within figures that
                 // say so.
                 let error = (0..20)
-                    .map(|_| {
-                        estimate
-                            .residual_mps2(&pose(&truth, G, random.direction()))
-                            .abs()
-                    })
+                    .map(|_| estimate.residual_mps2(&pose(&truth, G, random.direction())).abs())
                     .fold(0.0, f64::max);
                 let said = (5.0 * estimate.worst_sd_mps2).max(estimate.rms_mps2);
                 consistent.count(error <= said);
@@ -375,10 +335,8 @@ fn no_pose_is_left_out_that_the_data_cannot_spare() {
     for seed in 0..trials(500) as u64 {
         let mut random = Random::new(seed);
         let truth = random.model(true);
-        let mut poses: Vec<Pose> = ups(&mut random, 0)
-            .into_iter()
-            .map(|up| pose(&truth, G, up))
-            .collect();
+        let mut poses: Vec<Pose> =
+            ups(&mut random, 0).into_iter().map(|up| pose(&truth, G, up)).collect();
         for pose in &mut poses {
             jitter(&mut random, pose, 0.003);
         }
@@ -412,24 +370,16 @@ fn noisy_and_short_poses_count_less() {
                 pose
             })
             .collect();
-        let equal: Vec<Pose> = poses
-            .iter()
-            .map(|pose| Pose::from_mean(pose.mean_mps2))
-            .collect();
+        let equal: Vec<Pose> = poses.iter().map(|pose| Pose::from_mean(pose.mean_mps2)).collect();
         let error = |poses: &[Pose]| {
             let estimate = multi_position(poses, exact(), Model::Full9).expect("an answer");
             let found = parameters(&estimate.model);
-            (0..3)
-                .map(|i| (found[i] - parameters(&truth)[i]).powi(2))
-                .sum::<f64>()
+            (0..3).map(|i| (found[i] - parameters(&truth)[i]).powi(2)).sum::<f64>()
         };
         weighted += error(&poses);
         plain += error(&equal);
     }
-    println!(
-        "bias error, weighted / not: {:.2}",
-        (weighted / plain).sqrt()
-    );
+    println!("bias error, weighted / not: {:.2}", (weighted / plain).sqrt());
     assert!(weighted < 0.2 * plain);
 }
 
@@ -446,11 +396,8 @@ fn one_pose_in_which_an_axis_falls_silent_at_its_end_is_saturated() {
             ..pose
         }
     };
-    let mut poses: Vec<Pose> = twelve()
-        .into_iter()
-        .chain([[0.0, 1.0, 0.0]])
-        .map(|up| seen(&mut random, up))
-        .collect();
+    let mut poses: Vec<Pose> =
+        twelve().into_iter().chain([[0.0, 1.0, 0.0]]).map(|up| seen(&mut random, up)).collect();
     let gravity = Gravity::new(G, 0.0).expect("gravity");
     let fit = |poses: &[Pose]| best_model(poses, gravity, Terms::NONE, true);
     assert!(fit(&poses).is_ok());
@@ -468,10 +415,8 @@ fn one_pose_in_which_an_axis_falls_silent_at_its_end_is_saturated() {
 fn a_stuck_or_saturated_axis_is_refused_with_every_model() {
     let mut random = Random::new(31);
     let truth = random.model(true);
-    let mut poses: Vec<Pose> = ups(&mut random, 10)
-        .into_iter()
-        .map(|up| pose(&truth, G, up))
-        .collect();
+    let mut poses: Vec<Pose> =
+        ups(&mut random, 10).into_iter().map(|up| pose(&truth, G, up)).collect();
     for pose in &mut poses {
         jitter(&mut random, pose, 0.003);
     }
@@ -485,15 +430,8 @@ fn a_stuck_or_saturated_axis_is_refused_with_every_model() {
     let (stuck, clipped) = (with(&|_| 9.0), with(&|y| y.clamp(-8.0, 8.0)));
     for model in Model::ALL {
         for reject in [false, true] {
-            let what = MultiPosition {
-                model,
-                reject,
-                ..MultiPosition::default()
-            };
-            assert!(
-                multi_position_with(&stuck, exact(), what).is_err(),
-                "{model}"
-            );
+            let what = MultiPosition { model, reject, ..MultiPosition::default() };
+            assert!(multi_position_with(&stuck, exact(), what).is_err(), "{model}");
             let refusal = multi_position_with(&clipped, exact(), what).expect_err("a refusal");
             println!("{model}: {refusal}");
         }
@@ -508,10 +446,7 @@ fn a_stuck_or_saturated_axis_is_refused_with_every_model() {
 fn terms_that_nothing_shows_are_refused() {
     let mut random = Random::new(9);
     let truth = random.model(true);
-    let poses: Vec<Pose> = ups(&mut random, 10)
-        .into_iter()
-        .map(|up| pose(&truth, G, up))
-        .collect();
+    let poses: Vec<Pose> = ups(&mut random, 10).into_iter().map(|up| pose(&truth, G, up)).collect();
     for term in [Term::Drift, Term::BiasTemperature, Term::ScaleTemperature] {
         let refused = multi_position_with(&poses, exact(), with(Terms::NONE.with(term)));
         assert_eq!(refused, Err(Refusal::TermNotObservable { term }));

@@ -78,15 +78,9 @@ fn what_tells_no_magnetometer_is_refused() {
     assert_eq!(few, Err(MagneticRefusal::TooFewPoses { have: 8, need: 12 }));
     let mut bad = poses.clone();
     bad[3].output_nt[1] = f64::NAN;
-    assert_eq!(
-        magnetometer(&bad, None),
-        Err(MagneticRefusal::NotFinite { pose: 3 })
-    );
+    assert_eq!(magnetometer(&bad, None), Err(MagneticRefusal::NotFinite { pose: 3 }));
     let same = vec![poses[0]; 40];
-    assert!(matches!(
-        magnetometer(&same, None),
-        Err(MagneticRefusal::NotObservable { .. })
-    ));
+    assert!(matches!(magnetometer(&same, None), Err(MagneticRefusal::NotObservable { .. })));
     let mirrored: Vec<_> = poses
         .iter()
         .map(|p| MagneticPose {
@@ -104,17 +98,10 @@ fn what_tells_no_magnetometer_is_refused() {
     assert!((f64::from(dip) + DIP).abs() < 0.01, "{dip}");
     assert!(magnetometer(&poses, Some(-DIP)).is_err());
     assert!(magnetometer(&poses, Some(0.5 * DIP)).is_ok());
-    let others: Vec<_> = (0..40)
-        .map(|k| MagneticPose {
-            up: poses[(k + 1) % 40].up,
-            ..poses[k]
-        })
-        .collect();
+    let others: Vec<_> =
+        (0..40).map(|k| MagneticPose { up: poses[(k + 1) % 40].up, ..poses[k] }).collect();
     let refused = magnetometer(&others, None);
-    assert!(
-        matches!(refused, Err(MagneticRefusal::DipNotConstant { .. })),
-        "{refused:?}"
-    );
+    assert!(matches!(refused, Err(MagneticRefusal::DipNotConstant { .. })), "{refused:?}");
     let mut disturbed = poses.clone();
     for (k, pose) in disturbed.iter_mut().enumerate() {
         pose.output_nt[k % 3] += 30_000.0 * (k as f64).sin();
@@ -134,10 +121,7 @@ fn parallel(count: u32, change: impl Fn([f64; 3]) -> [f64; 3]) -> Vec<MagneticPo
                     + [9_000.0, -4_000.0, 12_000.0][i]
                     + 100.0 * random.normal()
             });
-            MagneticPose {
-                output_nt: change(output),
-                up,
-            }
+            MagneticPose { output_nt: change(output), up }
         })
         .collect()
 }
@@ -215,17 +199,9 @@ fn many_disturbed_poses_are_left_out_or_named_as_such() {
         }
         named.count(is_named);
     }
-    coverage_figure(
-        "6 disturbed of 40 poses are left out",
-        &[left_out],
-        0.9..=1.0,
-    );
+    coverage_figure("6 disturbed of 40 poses are left out", &[left_out], 0.9..=1.0);
     coverage_figure("10 disturbed of 40 poses are named", &[named], 0.67..=1.0);
-    coverage_figure(
-        "hard iron beyond 5 σ where poses are disturbed",
-        &[wrong],
-        0.0..=0.03,
-    );
+    coverage_figure("hard iron beyond 5 σ where poses are disturbed", &[wrong], 0.0..=0.03);
     left_out.assert_can_be(0.9..=1.0, "left out");
     named.assert_can_be(0.67..=1.0, "named");
     wrong.assert_can_be(0.0..=0.03, "wrong");
@@ -253,11 +229,7 @@ fn poses_beside_iron_are_named_as_far_as_they_show() {
     }
     coverage_figure("two of 30 poses beside iron are named", &[all], 0.8..=1.0);
     coverage_figure("hard iron beyond 5 σ beside iron", &[silent], 0.0..=0.03);
-    coverage_figure(
-        "a pose without iron is left out beside two with",
-        &[others],
-        0.0..=0.01,
-    );
+    coverage_figure("a pose without iron is left out beside two with", &[others], 0.0..=0.01);
     others.assert_can_be(0.0..=0.01, "poses without iron");
     all.assert_can_be(0.8..=1.0, "both named");
     silent.assert_can_be(0.0..=0.03, "off by more than 5 standard deviations");
@@ -276,26 +248,14 @@ fn other_units_dead_and_clipped_axes_and_a_turn_about_one_axis_are_named() {
     // µT taken for T, G for µT, mG for µT, T for µT, and a motor's field.
     for factor in [1e6, 0.01, 10.0, 1e-6, 100.0] {
         let refused = changed(&|_, m| *m = m.map(|axis| factor * axis));
-        assert!(
-            matches!(refused, MagneticRefusal::NotEarths { .. }),
-            "{factor}: {refused:?}"
-        );
+        assert!(matches!(refused, MagneticRefusal::NotEarths { .. }), "{factor}: {refused:?}");
     }
-    assert_eq!(
-        changed(&|_, m| m[1] = 7_000.0),
-        MagneticRefusal::Dead { axis: 1 }
-    );
-    let highest = poses
-        .iter()
-        .map(|p| p.output_nt[2])
-        .fold(f64::MIN, f64::max);
+    assert_eq!(changed(&|_, m| m[1] = 7_000.0), MagneticRefusal::Dead { axis: 1 });
+    let highest = poses.iter().map(|p| p.output_nt[2]).fold(f64::MIN, f64::max);
     let limit = highest - 15_000.0;
     assert_eq!(
         changed(&|_, m| m[2] = m[2].min(limit)),
-        MagneticRefusal::Clipped {
-            axis: 2,
-            at_nt: limit
-        }
+        MagneticRefusal::Clipped { axis: 2, at_nt: limit }
     );
     // All poses level, turned about the vertical: a circle.
     let level: Vec<MagneticPose> = (0..40)
@@ -303,18 +263,11 @@ fn other_units_dead_and_clipped_axes_and_a_turn_about_one_axis_are_named() {
             let (sin, cos) = (f64::from(k) * 0.3).sin_cos();
             let jitter = f64::from(k % 5) * 40.0;
             MagneticPose {
-                output_nt: [
-                    20_000.0 * sin + jitter,
-                    20_000.0 * cos,
-                    -44_000.0 + 20.0 * jitter,
-                ],
+                output_nt: [20_000.0 * sin + jitter, 20_000.0 * cos, -44_000.0 + 20.0 * jitter],
                 up: [0.0, 0.0, 9.81],
             }
         })
         .collect();
     let refused = magnetometer(&level, None);
-    assert!(
-        matches!(refused, Err(MagneticRefusal::NotObservable { .. })),
-        "{refused:?}"
-    );
+    assert!(matches!(refused, Err(MagneticRefusal::NotObservable { .. })), "{refused:?}");
 }

@@ -18,11 +18,7 @@ fn poses(seed: u64, more: usize, sd: f64, known: bool) -> Vec<Pose> {
             *y += random.normal() * sd;
         }
         pose.samples = 100;
-        pose.sd_mps2 = [if known {
-            0.02 * (1 + k % 3) as f64
-        } else {
-            0.0
-        }; 3];
+        pose.sd_mps2 = [if known { 0.02 * (1 + k % 3) as f64 } else { 0.0 }; 3];
         pose
     });
     drawn.collect()
@@ -61,10 +57,7 @@ fn the_minimal_fit_is_the_full_one() {
     }
     assert!(fits > 30, "{fits}");
     // The covariance is that before the last step, which is smaller than 1e-6 m/s² of 9.8.
-    assert!(
-        off < 1e-9 && off_covariance < 1e-6,
-        "{off} {off_covariance}"
-    );
+    assert!(off < 1e-9 && off_covariance < 1e-6, "{off} {off_covariance}");
     assert!(off_f32 < 1e-5, "{off_f32}");
 }
 
@@ -73,15 +66,7 @@ fn poses_of_repeated_orientations_are_not_counted_as_independent() {
     let once = poses(7, 0, 0.003, false);
     let twice: Vec<Pose> = once
         .iter()
-        .flat_map(|pose| {
-            [
-                *pose,
-                Pose {
-                    mean_mps2: pose.mean_mps2.map(|y| y + 1e-6),
-                    ..*pose
-                },
-            ]
-        })
+        .flat_map(|pose| [*pose, Pose { mean_mps2: pose.mean_mps2.map(|y| y + 1e-6), ..*pose }])
         .collect();
     let [once, twice] =
         [once, twice].map(|poses| minimal_fit::<f64>(&poses, exact()).expect("a fit"));
@@ -95,10 +80,7 @@ fn the_minimal_fit_refuses_what_the_full_one_refuses() {
     let good = poses(3, 8, 0.003, false);
     let with = |change: &dyn Fn(usize, &mut Pose)| {
         let mut poses = good.clone();
-        poses
-            .iter_mut()
-            .enumerate()
-            .for_each(|(k, pose)| change(k, pose));
+        poses.iter_mut().enumerate().for_each(|(k, pose)| change(k, pose));
         poses
     };
     let scaled =

@@ -21,13 +21,7 @@ struct Kind {
     warms: bool,
 }
 
-const KIND: Kind = Kind {
-    poses: 12,
-    noise: 0.005,
-    misalignment: 0.01,
-    drift: 0.0,
-    warms: false,
-};
+const KIND: Kind = Kind { poses: 12, noise: 0.005, misalignment: 0.01, drift: 0.0, warms: false };
 
 #[derive(Clone, Copy, Default)]
 struct Found {
@@ -110,10 +104,7 @@ fn run(kind: Kind, sensors: usize) -> Found {
 #[test]
 fn intervals_of_the_chosen_model_hold_the_truth_though_the_data_chose_it() {
     let still = KIND;
-    let drifting = Kind {
-        drift: 0.02,
-        ..KIND
-    };
+    let drifting = Kind { drift: 0.02, ..KIND };
     // As many with as without drift; the bias is that at the end.
     let (mut each, mut both) = (Vec::new(), Vec::new());
     for poses in [12, 15, 20, 30] {
@@ -136,11 +127,7 @@ fn intervals_of_the_chosen_model_hold_the_truth_though_the_data_chose_it() {
         &both,
         0.93..=0.97,
     );
-    coverage_figure(
-        "`auto`: the same, those that drift and the others apart",
-        &each,
-        0.93..=0.97,
-    );
+    coverage_figure("`auto`: the same, those that drift and the others apart", &each, 0.93..=0.97);
     for held in both {
         held.assert_can_be(0.93..=0.975, "both");
     }
@@ -154,28 +141,9 @@ fn intervals_of_the_chosen_model_hold_the_truth_though_the_data_chose_it() {
 fn intervals_of_the_chosen_model_hold_the_truth_with_few_poses_and_other_sensors() {
     let (mut held, mut far) = (Vec::new(), Vec::new());
     for (name, kind) in [
-        (
-            "noise beyond misalignment",
-            Kind {
-                misalignment: 0.003,
-                noise: 0.02,
-                ..KIND
-            },
-        ),
-        (
-            "no misalignment",
-            Kind {
-                misalignment: 0.0,
-                ..KIND
-            },
-        ),
-        (
-            "a thermometer",
-            Kind {
-                warms: true,
-                ..KIND
-            },
-        ),
+        ("noise beyond misalignment", Kind { misalignment: 0.003, noise: 0.02, ..KIND }),
+        ("no misalignment", Kind { misalignment: 0.0, ..KIND }),
+        ("a thermometer", Kind { warms: true, ..KIND }),
     ] {
         for poses in [8, 10, 24] {
             let found = run(Kind { poses, ..kind }, trials(400));
@@ -203,10 +171,7 @@ fn what_the_chosen_model_leaves_out_is_as_uncertain_as_larger_models_or_datashee
     let sensors = trials(200);
     for seed in 0..sensors as u64 {
         let mut random = Random::new(seed);
-        let mut terms = ErrorTerms {
-            bias_mps2: [0.1, -0.2, 0.3],
-            ..ErrorTerms::default()
-        };
+        let mut terms = ErrorTerms { bias_mps2: [0.1, -0.2, 0.3], ..ErrorTerms::default() };
         terms.matrix[1][1] = 1.01;
         let truth = ErrorModel::new(terms).expect("within bounds");
         let count = if seed % 2 == 0 { 5 } else { 20 };

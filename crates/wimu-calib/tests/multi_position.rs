@@ -194,10 +194,7 @@ fn the_covariance_is_the_spread_of_many_estimates() {
     for (k, parameter) in FITTED.into_iter().enumerate() {
         let ratio = (spread_squares[k] / predicted_squares[k]).sqrt();
         println!("{parameter}: spread / predicted = {ratio:.3}");
-        assert!(
-            rms_ratio_can_be(ratio, draws, 1.0..=1.0),
-            "{parameter} {ratio}"
-        );
+        assert!(rms_ratio_can_be(ratio, draws, 1.0..=1.0), "{parameter} {ratio}");
         ratios.push(ratio);
     }
     ratios.sort_by(f64::total_cmp);
@@ -218,9 +215,7 @@ fn the_worst_orientation_is_predicted_as_badly_as_said() {
     let mut random = Random::new(8);
     let truth = random.model(true);
     let clean = spread(&mut random, &truth, 0);
-    let checks: Vec<Pose> = (0..200)
-        .map(|_| pose(&truth, G, random.direction()))
-        .collect();
+    let checks: Vec<Pose> = (0..200).map(|_| pose(&truth, G, random.direction())).collect();
     let mut squares = vec![0.0; checks.len()];
     let mut said = 0.0;
     let draws = trials(1000);
@@ -273,10 +268,7 @@ fn twelve_poses_placed_by_hand_are_answered() {
         let estimate = multi_position(&poses, exact(), Model::Full9)
             .unwrap_or_else(|refusal| panic!("seed {seed}: {refusal}"));
         let unseen = (0..10).map(|_| pose(&truth, G, random.direction()));
-        let rms = unseen
-            .map(|p| estimate.residual_mps2(&p).powi(2) / 10.0)
-            .sum::<f64>()
-            .sqrt();
+        let rms = unseen.map(|p| estimate.residual_mps2(&p).powi(2) / 10.0).sum::<f64>().sqrt();
         assert!(rms < 0.01, "seed {seed}: {rms}");
     }
 }
@@ -286,16 +278,9 @@ fn too_few_poses_are_refused() {
     let mut random = Random::new(10);
     let truth = random.model(true);
     let poses = spread(&mut random, &truth, 0);
-    for (model, need) in [
-        (Model::Bias3, 4),
-        (Model::BiasScale6, 7),
-        (Model::Full9, 10),
-    ] {
+    for (model, need) in [(Model::Bias3, 4), (Model::BiasScale6, 7), (Model::Full9, 10)] {
         let refused = multi_position(&poses[..need - 1], exact(), model);
-        let Err(Refusal::TooFewPoses {
-            have, need: said, ..
-        }) = refused
-        else {
+        let Err(Refusal::TooFewPoses { have, need: said, .. }) = refused else {
             panic!("{refused:?}");
         };
         assert_eq!((have, said), (need - 1, need));
@@ -383,9 +368,8 @@ fn poses_that_do_not_determine_the_model_are_refused_with_its_parameters() {
             other => assert!(matches!(other, Refusal::NotObservable { .. }), "{other:?}"),
         }
     }
-    let Err(Refusal::NotObservable {
-        parameters, add, ..
-    }) = multi_position(&plane, exact(), Model::Full9)
+    let Err(Refusal::NotObservable { parameters, add, .. }) =
+        multi_position(&plane, exact(), Model::Full9)
     else {
         panic!("answered");
     };
@@ -397,40 +381,23 @@ fn poses_that_do_not_determine_the_model_are_refused_with_its_parameters() {
     else {
         panic!("answered");
     };
-    assert!(
-        parameters
-            .iter()
-            .all(|p| p.to_string().starts_with("misalignment")),
-        "{parameters}"
-    );
+    assert!(parameters.iter().all(|p| p.to_string().starts_with("misalignment")), "{parameters}");
     // Six parameters of six orientations leave nothing to judge them by, however often each was held.
     assert!(matches!(
         multi_position(&faces, exact(), Model::BiasScale6),
-        Err(Refusal::TooFewPoses {
-            have: 6,
-            need: 7,
-            ..
-        })
+        Err(Refusal::TooFewPoses { have: 6, need: 7, .. })
     ));
     multi_position(&faces, exact(), Model::Bias3).expect("the smallest model is determined");
     // The same of a sensor whose axes are not square, and with noise: no fit converges.
     let mut random = Random::new(18);
     let truth = random.model(true);
-    let mut faces: Vec<Pose> = faces
-        .iter()
-        .map(|face| pose(&truth, G, face.mean_mps2.map(|y| y / G)))
-        .collect();
+    let mut faces: Vec<Pose> =
+        faces.iter().map(|face| pose(&truth, G, face.mean_mps2.map(|y| y / G))).collect();
     add_noise(&mut random, &mut faces, 0.002);
     for reject in [false, true] {
-        let what = MultiPosition {
-            reject,
-            ..MultiPosition::default()
-        };
+        let what = MultiPosition { reject, ..MultiPosition::default() };
         let refusal = multi_position_with(&faces, exact(), what).expect_err("a refusal");
-        assert!(
-            matches!(refusal, Refusal::NotObservable { .. }),
-            "{refusal:?}"
-        );
+        assert!(matches!(refusal, Refusal::NotObservable { .. }), "{refusal:?}");
     }
 }
 
@@ -439,29 +406,15 @@ fn a_pose_that_decides_alone_is_named() {
     let mut random = Random::new(11);
     let truth = random.model(true);
     // Six sides and four edges: ten poses for nine parameters.
-    let mut ups = vec![
-        [1.0, 0.0, 0.0],
-        [-1.0, 0.0, 0.0],
-        [0.0, 1.0, 0.0],
-        [0.0, -1.0, 0.0],
-    ];
+    let mut ups = vec![[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]];
     ups.extend([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]);
     ups.extend(
-        [
-            [0.7, 0.7, 0.0],
-            [0.7, 0.0, 0.7],
-            [-0.7, 0.7, 0.0],
-            [0.0, 0.7, 0.7],
-        ]
-        .map(common::unit),
+        [[0.7, 0.7, 0.0], [0.7, 0.0, 0.7], [-0.7, 0.7, 0.0], [0.0, 0.7, 0.7]].map(common::unit),
     );
     let mut poses: Vec<Pose> = ups.into_iter().map(|up| pose(&truth, G, up)).collect();
     add_noise(&mut random, &mut poses, 0.003);
     let refused = multi_position(&poses, exact(), Model::Full9);
-    assert!(
-        matches!(refused, Err(Refusal::PoorPrediction { .. })),
-        "{refused:?}"
-    );
+    assert!(matches!(refused, Err(Refusal::PoorPrediction { .. })), "{refused:?}");
 }
 
 #[test]
@@ -477,10 +430,8 @@ fn wrong_units_are_recognised() {
         (0.01, UnitHint::NotGravity),
         (0.0, UnitHint::NotGravity),
     ] {
-        let scaled: Vec<Pose> = poses
-            .iter()
-            .map(|p| Pose::from_mean(p.mean_mps2.map(|y| y * factor)))
-            .collect();
+        let scaled: Vec<Pose> =
+            poses.iter().map(|p| Pose::from_mean(p.mean_mps2.map(|y| y * factor))).collect();
         match multi_position(&scaled, exact(), Model::Full9) {
             Err(Refusal::UnexpectedMagnitude { hint, .. }) => assert_eq!(hint, expected),
             other => panic!("{other:?}"),
@@ -544,10 +495,7 @@ fn poses_in_another_unit_are_named_and_one_far_off_is_left_out() {
     let mut one = good;
     add_noise(&mut random, &mut one, 0.003);
     in_g(&mut one[7..8]);
-    let what = MultiPosition {
-        reject: true,
-        ..MultiPosition::default()
-    };
+    let what = MultiPosition { reject: true, ..MultiPosition::default() };
     let estimate = multi_position_with(&one, exact(), what).expect("an answer");
     assert_eq!(estimate.rejected.as_slice(), [7]);
     assert!((estimate.model.terms().bias_mps2[0] - truth.terms().bias_mps2[0]).abs() < 0.01);
@@ -602,10 +550,7 @@ fn bad_poses_among_very_many_are_left_out_or_the_recording_is_refused() {
                     bad += 1;
                 }
             }
-            let what = MultiPosition {
-                reject: true,
-                ..MultiPosition::default()
-            };
+            let what = MultiPosition { reject: true, ..MultiPosition::default() };
             let estimate = multi_position_with(&poses, exact(), what).expect("an answer");
             assert_eq!(estimate.rejected.count(), bad, "{count} {share}");
             assert_eq!(estimate.poses, poses.len() - bad);
@@ -614,10 +559,7 @@ fn bad_poses_among_very_many_are_left_out_or_the_recording_is_refused() {
             for parameter in estimate.fitted.iter() {
                 let i = parameter.index();
                 let off = (found[i] - truth[i]).abs();
-                assert!(
-                    off <= 2.2 * estimate.half_width_95(parameter),
-                    "{count} {parameter}"
-                );
+                assert!(off <= 2.2 * estimate.half_width_95(parameter), "{count} {parameter}");
             }
         }
     }
@@ -632,13 +574,7 @@ fn bad_poses_among_very_many_are_left_out_or_the_recording_is_refused() {
     for pose in poses.iter_mut().skip(1).step_by(5) {
         pose.mean_mps2[1] += 0.2;
     }
-    let what = MultiPosition {
-        reject: true,
-        ..MultiPosition::default()
-    };
+    let what = MultiPosition { reject: true, ..MultiPosition::default() };
     let refused = multi_position_with(&poses, exact(), what);
-    assert!(
-        matches!(refused, Err(Refusal::PoorFit { .. })),
-        "{refused:?}"
-    );
+    assert!(matches!(refused, Err(Refusal::PoorFit { .. })), "{refused:?}");
 }

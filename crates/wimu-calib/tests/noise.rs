@@ -19,14 +19,8 @@ fn run(rate_hz: f64, samples: &[[f64; 3]]) -> AllanVariance {
 fn direct(x: &[f64], m: usize, stride: usize) -> f64 {
     let mean = |from: usize| x[from..from + m].iter().sum::<f64>() / m as f64;
     // The streaming sum begins before the first sample: clusters start at multiples of the stride.
-    let starts: Vec<usize> = (0..)
-        .step_by(stride)
-        .take_while(|k| k + 2 * m <= x.len())
-        .collect();
-    let squares: f64 = starts
-        .iter()
-        .map(|&k| (mean(k + m) - mean(k)).powi(2))
-        .sum();
+    let starts: Vec<usize> = (0..).step_by(stride).take_while(|k| k + 2 * m <= x.len()).collect();
+    let squares: f64 = starts.iter().map(|&k| (mean(k + m) - mean(k)).powi(2)).sum();
     (squares / (2.0 * starts.len() as f64)).sqrt()
 }
 
@@ -145,9 +139,8 @@ impl Relaxation {
 fn noise(random: &mut Random, n: usize, truth: Truth) -> Vec<f64> {
     let variance = truth.flicker.powi(2) * std::f64::consts::LN_2 / std::f64::consts::PI;
     let octaves = if truth.flicker > 0.0 { -3..18 } else { 0..0 };
-    let mut relaxations: Vec<_> = octaves
-        .map(|octave| Relaxation::new(2_f64.powi(octave), random))
-        .collect();
+    let mut relaxations: Vec<_> =
+        octaves.map(|octave| Relaxation::new(2_f64.powi(octave), random)).collect();
     // The mean of a fast one is white noise of variance 2 τ: here are those of 1/16 and less.
     let white = (truth.white.powi(2) + variance / 4.0).sqrt();
     let mut position = 0.0;
@@ -206,19 +199,9 @@ fn coverage(axes: usize, n: usize, truth: Truth) -> [Term; 3] {
     terms
 }
 
-const WHITE: Truth = Truth {
-    white: 0.02,
-    flicker: 0.0,
-    walk: 0.0,
-};
-const FLICKER: Truth = Truth {
-    flicker: 0.003,
-    ..WHITE
-};
-const WALK: Truth = Truth {
-    walk: 1e-4,
-    ..WHITE
-};
+const WHITE: Truth = Truth { white: 0.02, flicker: 0.0, walk: 0.0 };
+const FLICKER: Truth = Truth { flicker: 0.003, ..WHITE };
+const WALK: Truth = Truth { walk: 1e-4, ..WHITE };
 
 /// Whether intervals of terms that are there hold the truth as often as they say, and a term that is
 /// not there is hardly ever claimed.
@@ -248,12 +231,7 @@ fn assert_consistent(length: &str, axes: usize, kinds: &[(usize, Truth)]) {
 
 #[test]
 fn intervals_hold_the_truth_95_percent_of_the_time() {
-    let kinds = [
-        (1_000, WHITE),
-        (8_000, WHITE),
-        (12_000, FLICKER),
-        (12_000, WALK),
-    ];
+    let kinds = [(1_000, WHITE), (8_000, WHITE), (12_000, FLICKER), (12_000, WALK)];
     assert_consistent("10 to 120 s", 1002, &kinds);
 }
 
@@ -291,11 +269,7 @@ fn a_steady_drift_is_told_as_one_and_as_no_noise() {
             ramps.push(held);
         }
     }
-    coverage_figure(
-        "95 % intervals of a drift's rate hold the truth",
-        &ramps,
-        0.93..=0.97,
-    );
+    coverage_figure("95 % intervals of a drift's rate hold the truth", &ramps, 0.93..=0.97);
     coverage_figure("95 % intervals of N beside a drift", &whites, 0.93..=0.97);
     coverage_figure("a drift is taken for K or B", &claims, 0.0..=0.01);
     for held in ramps.into_iter().chain(whites) {
@@ -341,11 +315,7 @@ fn a_sensor_that_warms_up_or_jumps_is_told_as_no_noise() {
         all_said.push(said);
     }
     coverage_figure("a warm-up or jump is taken for K or B", &claims, 0.0..=0.01);
-    coverage_figure(
-        "a warm-up or jump is reported as such",
-        &all_said,
-        0.9..=1.0,
-    );
+    coverage_figure("a warm-up or jump is reported as such", &all_said, 0.9..=1.0);
     for (claimed, said) in claims.into_iter().zip(all_said) {
         claimed.assert_can_be(0.0..=0.01, "claimed");
         said.assert_can_be(0.9..=1.0, "said");
@@ -427,10 +397,7 @@ fn a_filtered_output_has_the_noise_density_that_it_has_below_its_bandwidth() {
         ratios.sort_by(f64::total_cmp);
         let middle = ratios[ratios.len() / 2];
         let name = format!("{stages} stages of {cut_off} of the rate");
-        println!(
-            "{name}: N {middle:.3} of the true one, held {}, reported {reported}",
-            white.held
-        );
+        println!("{name}: N {middle:.3} of the true one, held {}, reported {reported}", white.held);
         assert!((0.95..1.05).contains(&middle), "{name}: {middle}");
         reported.assert_can_be(0.9..=1.0, &name);
         all_held.push(white.held);
@@ -474,11 +441,7 @@ fn counts_coarser_than_the_noise_are_told_from_finer_ones() {
             .map(|_| {
                 [0.013, -0.021, 9.81].map(|f| {
                     let y = f + 0.02 * random.normal();
-                    if step > 0.0 {
-                        (y / step).round() * step
-                    } else {
-                        y
-                    }
+                    if step > 0.0 { (y / step).round() * step } else { y }
                 })
             })
             .collect();
@@ -498,20 +461,14 @@ fn counts_coarser_than_the_noise_are_told_from_finer_ones() {
 fn an_output_that_ends_within_its_noise_is_clipped() {
     let mut random = Random::new(9);
     // Limits in standard deviations from where it rests.
-    for (step, limits) in [
-        (0.0, &[0.0, 1.0, 2.0, 9.0][..]),
-        (0.002, &[0.0, 1.0, 2.0, 9.0]),
-        (0.01, &[0.0, 1.0, 9.0]),
-    ] {
+    for (step, limits) in
+        [(0.0, &[0.0, 1.0, 2.0, 9.0][..]), (0.002, &[0.0, 1.0, 2.0, 9.0]), (0.01, &[0.0, 1.0, 9.0])]
+    {
         for &limit in limits {
             let samples: Vec<_> = (0..5000)
                 .map(|_| {
                     let noise = 0.02 * random.normal();
-                    let y = if step > 0.0 {
-                        (noise / step).round() * step
-                    } else {
-                        noise
-                    };
+                    let y = if step > 0.0 { (noise / step).round() * step } else { noise };
                     [y.min(0.02 * limit), -y.min(0.02 * limit), 9.81 + y]
                 })
                 .collect();
@@ -528,9 +485,7 @@ fn an_output_that_ends_within_its_noise_is_clipped() {
 fn what_is_no_rest_is_refused_with_the_time() {
     let mut random = Random::new(3);
     let mut rest = |n: usize| -> Vec<[f64; 3]> {
-        (0..n)
-            .map(|_| [0.0, 0.0, 9.81].map(|f| f + 0.02 * random.normal()))
-            .collect()
+        (0..n).map(|_| [0.0, 0.0, 9.81].map(|f| f + 0.02 * random.normal())).collect()
     };
     let mut tilted = rest(6000);
     for sample in &mut tilted[4000..] {
@@ -550,21 +505,12 @@ fn what_is_no_rest_is_refused_with_the_time() {
         }
     }
     let short = run(RATE, &rest(100)).result();
-    assert_eq!(
-        short,
-        Err(NoiseRefusal::TooShort {
-            have: 100,
-            need: 500
-        })
-    );
+    assert_eq!(short, Err(NoiseRefusal::TooShort { have: 100, need: 500 }));
     let mut dead = rest(6000);
     for sample in &mut dead {
         sample[2] = 9.81;
     }
-    assert_eq!(
-        run(RATE, &dead).result(),
-        Err(NoiseRefusal::Dead { axis: 2 })
-    );
+    assert_eq!(run(RATE, &dead).result(), Err(NoiseRefusal::Dead { axis: 2 }));
     // Samples that are none are gaps: no cluster spans one.
     let mut gaps = rest(6000);
     for k in (0..6000).step_by(1000) {
@@ -574,8 +520,5 @@ fn what_is_no_rest_is_refused_with_the_time() {
     assert_eq!(allan.samples(), 5994);
     assert!(allan.result().is_ok());
     assert!(allan.points().all(|point| point.tau_s < 3.4));
-    assert!(matches!(
-        run(0.0, &[]).result(),
-        Err(NoiseRefusal::TooShort { have: 0, .. })
-    ));
+    assert!(matches!(run(0.0, &[]).result(), Err(NoiseRefusal::TooShort { have: 0, .. })));
 }

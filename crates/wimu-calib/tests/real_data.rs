@@ -36,10 +36,7 @@ fn residuals(of: &str, rms_loo: [f64; 2], bars: [Option<f64>; 2]) {
     let claim = format!("{of}: |f| − g, left out, mm/s² rms");
     let [rms, loo] = rms_loo.map(|value| format!("{value:.3}"));
     let words = bars.map(|bar| bar.map_or("–".into(), |bar| format!("{bar}")));
-    let met = rms_loo
-        .iter()
-        .zip(bars)
-        .all(|(value, bar)| bar.is_none_or(|bar| *value <= bar));
+    let met = rms_loo.iter().zip(bars).all(|(value, bar)| bar.is_none_or(|bar| *value <= bar));
     let target = match bars {
         [None, None] => "–".into(),
         _ => format!("at most {} / {}", words[0], words[1]),
@@ -53,12 +50,9 @@ fn eight_mpu9150_in_four_runs_reach_the_reference() {
         return;
     };
     println!("MPU-9150, mean of 8 sensors, nine parameters: rms, leave-one-out (mm/s²), condition");
-    for (run, rms_bar, loo_bar) in [
-        ("1", 2.10, 3.82),
-        ("2", 1.31, 2.29),
-        ("7", 2.07, 3.76),
-        ("8", 1.30, 2.36),
-    ] {
+    for (run, rms_bar, loo_bar) in
+        [("1", 2.10, 3.82), ("2", 1.31, 2.29), ("7", 2.07, 3.76), ("8", 1.30, 2.36)]
+    {
         let (mut rms, mut loo, mut condition) = (0.0, 0.0, 0.0_f64);
         for imu in 0..8 {
             let poses: Vec<Pose> = rows
@@ -85,29 +79,20 @@ fn innalabs_reaches_the_reference() {
     let Some(rows) = recording("calibration/innalabs_49_pose_means.csv") else {
         return;
     };
-    let poses: Vec<Pose> = rows
-        .iter()
-        .map(|row| Pose::from_mean(vector(row, 0, STANDARD_GRAVITY_MPS2)))
-        .collect();
+    let poses: Vec<Pose> =
+        rows.iter().map(|row| Pose::from_mean(vector(row, 0, STANDARD_GRAVITY_MPS2))).collect();
     for (model, bar) in [(Model::Full9, 8.2), (Model::BiasScale6, 110.0)] {
         let estimate = multi_position(&poses, Gravity::UNKNOWN_PLACE, model).expect("an answer");
         let of = format!("Innalabs, 49 poses, {model}").replace("-parameter model", "");
         let found = [rms_mm(&estimate), loo_mm(&estimate)];
         residuals(&of, found, [Some(bar), None]);
-        let what = MultiPosition {
-            model,
-            reject: true,
-            ..MultiPosition::default()
-        };
+        let what = MultiPosition { model, reject: true, ..MultiPosition::default() };
         let robust = multi_position_with(&poses, Gravity::UNKNOWN_PLACE, what).expect("an answer");
         // What a better model would fit is no bad pose.
         assert_eq!(robust.rejected.as_slice(), [0; 0]);
         assert!(rms_mm(&estimate) <= bar);
     }
-    let in_g: Vec<Pose> = rows
-        .iter()
-        .map(|row| Pose::from_mean(vector(row, 0, 1.0)))
-        .collect();
+    let in_g: Vec<Pose> = rows.iter().map(|row| Pose::from_mean(vector(row, 0, 1.0))).collect();
     let refused = multi_position(&in_g, Gravity::UNKNOWN_PLACE, Model::Full9);
     assert!(refused.is_err_and(|refusal| refusal.to_string().contains("looks like g")));
 }
@@ -123,12 +108,7 @@ fn ten_poses_of_an_mpu6050_give_no_nine_parameters() {
     assert_eq!(poses.len(), 10);
     let refusal =
         multi_position(&poses, Gravity::UNKNOWN_PLACE, Model::Full9).expect_err("refused");
-    let Refusal::NotObservable {
-        parameters,
-        condition,
-        ..
-    } = refusal
-    else {
+    let Refusal::NotObservable { parameters, condition, .. } = refusal else {
         panic!("{refusal:?}");
     };
     let refused = (300.0..1000.0).contains(&condition);
@@ -155,32 +135,19 @@ fn twenty_poses_are_found_before_and_none_within_violent_motion() {
     };
     let (mut rms, mut loo) = (0.0, 0.0);
     for imu in 0..8 {
-        let samples: Vec<[f64; 3]> = rows
-            .iter()
-            .map(|row| vector(row, 1 + 6 * imu, SCALE_2048))
-            .collect();
+        let samples: Vec<[f64; 3]> =
+            rows.iter().map(|row| vector(row, 1 + 6 * imu, SCALE_2048)).collect();
         let poses = poses(&samples, 62.5);
         // Twenty, and the rest after the motion, 20 s before the end.
-        assert!(
-            poses.len() == 20 || poses.len() == 21,
-            "IMU {imu}: {}",
-            poses.len()
-        );
-        assert!(
-            poses
-                .iter()
-                .all(|p| p.first_sample < 31_100 || p.first_sample > 37_000)
-        );
+        assert!(poses.len() == 20 || poses.len() == 21, "IMU {imu}: {}", poses.len());
+        assert!(poses.iter().all(|p| p.first_sample < 31_100 || p.first_sample > 37_000));
         // Those that another program found, within its rounding of where a pose ends.
         let known = reference
             .iter()
             .filter(|row| row[0] == "1" && row[1] == imu.to_string())
             .map(|row| norm(vector(row, 5, SCALE_2048)));
         for (k, (known, found)) in known.zip(&poses).enumerate() {
-            assert!(
-                (known - norm(found.mean_mps2)).abs() < 0.004,
-                "IMU {imu}, pose {k}"
-            );
+            assert!((known - norm(found.mean_mps2)).abs() < 0.004, "IMU {imu}, pose {k}");
         }
         let twenty = &poses[..20];
         let estimate = multi_position(twenty, array_gravity(), Model::Full9).expect("an answer");
@@ -212,14 +179,8 @@ fn six_positions_by_hand_are_found_and_fitted() {
         let samples: Vec<[f64; 3]> = rows.iter().map(|row| vector(row, 1, 1.0)).collect();
         let found = poses(&samples, 102.4);
         // The sections that its author marked: x, y, z, each up and down.
-        let sections = [
-            (540, 1271),
-            (1620, 2361),
-            (2814, 3298),
-            (3740, 4152),
-            (4522, 4975),
-            (5376, 5983),
-        ];
+        let sections =
+            [(540, 1271), (1620, 2361), (2814, 3298), (3740, 4152), (4522, 4975), (5376, 5983)];
         for (begin, end) in sections {
             let length = (end - begin) as f64;
             let mean =
@@ -234,11 +195,7 @@ fn six_positions_by_hand_are_found_and_fitted() {
         let estimate = six_position(&found, gravity, Placement::BY_HAND).expect("an answer");
         figure(
             "six positions by hand, poses found: |f| − g, mm/s² rms",
-            format!(
-                "{:.3}, largest {:.1}",
-                rms_mm(&estimate),
-                estimate.max_mps2 * 1e3
-            ),
+            format!("{:.3}, largest {:.1}", rms_mm(&estimate), estimate.max_mps2 * 1e3),
             "largest below 10",
             estimate.max_mps2 < 0.01,
         );
@@ -264,12 +221,9 @@ fn a_linear_drift_and_the_model_with_the_least_left_out_error_reach_the_referenc
         return;
     };
     println!("MPU-9150, mean of 8 sensors: drift forced, auto: rms, leave-one-out (mm/s²)");
-    for (run, drift_bar, auto_bar) in [
-        ("1", 1.17, 1.22),
-        ("2", 0.79, 0.84),
-        ("7", 0.75, 0.75),
-        ("8", 0.76, 0.79),
-    ] {
+    for (run, drift_bar, auto_bar) in
+        [("1", 1.17, 1.22), ("2", 0.79, 0.84), ("7", 0.75, 0.75), ("8", 0.76, 0.79)]
+    {
         let mut sums = [0.0; 4];
         let mut kept = 0;
         for imu in 0..8 {
@@ -296,11 +250,7 @@ fn a_linear_drift_and_the_model_with_the_least_left_out_error_reach_the_referenc
         }
         println!("  run {run}: {sums:.3?}, drift kept by {kept} of 8");
         let of = |model| format!("8 MPU-9150, run {run}, {model}");
-        residuals(
-            &of("9 and drift"),
-            [sums[0], sums[1]],
-            [Some(drift_bar), None],
-        );
+        residuals(&of("9 and drift"), [sums[0], sums[1]], [Some(drift_bar), None]);
         residuals(&of("`auto`"), [sums[2], sums[3]], [Some(auto_bar), None]);
         assert!(sums[0] <= drift_bar && sums[2] <= auto_bar, "{sums:?}");
     }
@@ -363,10 +313,7 @@ fn auto_predicts_poses_held_out_without_needless_intervals() {
             &format!("0.7 to 1.4; at most {most}"),
             (0.7..1.4).contains(&deviate) && width <= most,
         );
-        assert!(
-            (0.7..1.4).contains(&deviate) && width <= most,
-            "{deviate}, {width}"
-        );
+        assert!((0.7..1.4).contains(&deviate) && width <= most, "{deviate}, {width}");
     }
 }
 
@@ -375,10 +322,7 @@ fn a_quadratic_term_is_of_no_use_to_real_sensors_at_1_g() {
     let Some(rows) = recording("calibration/mpu9150_array_pose_means.csv") else {
         return;
     };
-    let with = |terms| MultiPosition {
-        terms,
-        ..MultiPosition::default()
-    };
+    let with = |terms| MultiPosition { terms, ..MultiPosition::default() };
     let quadratic = Terms::NONE.with(Term::Quadratic);
     let (mut better, mut sensors, mut ratio) = (0, 0, 0.0);
     let mut largest = 0.0_f64;
@@ -390,10 +334,7 @@ fn a_quadratic_term_is_of_no_use_to_real_sensors_at_1_g() {
                 .map(|row| Pose::from_mean(vector(row, 5, SCALE_2048)))
                 .collect();
             let fit = |terms| multi_position_with(&poses, array_gravity(), with(terms));
-            let (plain, bent) = (
-                fit(Terms::NONE).expect("nine"),
-                fit(quadratic).expect("twelve"),
-            );
+            let (plain, bent) = (fit(Terms::NONE).expect("nine"), fit(quadratic).expect("twelve"));
             sensors += 1;
             better += usize::from(loo_mm(&bent) < loo_mm(&plain));
             ratio += loo_mm(&bent) / loo_mm(&plain);

@@ -25,11 +25,7 @@ struct Noise {
 
 impl Noise {
     fn new(memory: f64) -> Self {
-        let keep = if memory > 0.0 {
-            (-1.0 / memory).exp()
-        } else {
-            0.0
-        };
+        let keep = if memory > 0.0 { (-1.0 / memory).exp() } else { 0.0 };
         Self { keep, last: 0.0 }
     }
 
@@ -53,13 +49,8 @@ struct Trial {
     rests: bool,
 }
 
-const PARALLEL: Trial = Trial {
-    sd: [0.03, 0.03],
-    memory: 0.0,
-    ratio_known: false,
-    across: [0.0; 2],
-    rests: false,
-};
+const PARALLEL: Trial =
+    Trial { sd: [0.03, 0.03], memory: 0.0, ratio_known: false, across: [0.0; 2], rests: false };
 
 /// Samples of a sensor, at 20 Hz.
 const SAMPLES: usize = 640;
@@ -134,11 +125,7 @@ fn intervals_hold_the_truth_of_a_thousand_sensors_be_the_axes_parallel_or_not() 
     let (mut held, mut detected, mut falsely) = (Vec::new(), Vec::new(), Vec::new());
     for rests in [false, true] {
         for across in [[0.0, 0.0], [0.0, 5e-4], [0.02, 0.02], [0.05, 0.05]] {
-            let trial = Trial {
-                across,
-                rests,
-                ..PARALLEL
-            };
+            let trial = Trial { across, rests, ..PARALLEL };
             let [bias, scale, seen] = coverage(trial);
             let kind = format!("sees {across:?} of others, rests {rests}");
             println!("{kind}: bias {bias}, scale factor {scale}, said of {seen}");
@@ -154,50 +141,25 @@ fn intervals_hold_the_truth_of_a_thousand_sensors_be_the_axes_parallel_or_not() 
             }
         }
     }
-    coverage_figure(
-        "95 % intervals against a reference, axes parallel or not",
-        &held,
-        0.93..=0.97,
-    );
-    coverage_figure(
-        "axes that are not parallel are reported",
-        &detected,
-        0.96..=1.0,
-    );
-    coverage_figure(
-        "parallel axes are reported as not parallel",
-        &falsely,
-        0.0..=0.02,
-    );
+    coverage_figure("95 % intervals against a reference, axes parallel or not", &held, 0.93..=0.97);
+    coverage_figure("axes that are not parallel are reported", &detected, 0.96..=1.0);
+    coverage_figure("parallel axes are reported as not parallel", &falsely, 0.0..=0.02);
 }
 
 #[test]
 fn intervals_hold_the_truth_whatever_the_noise() {
     let mut held = Vec::new();
-    for (memory, sd) in [
-        (0.0, [0.05, 0.05]),
-        (0.0, [0.02, 0.2]),
-        (0.0, [0.2, 0.02]),
-        (2.0, [0.05, 0.1]),
-    ] {
+    for (memory, sd) in
+        [(0.0, [0.05, 0.05]), (0.0, [0.02, 0.2]), (0.0, [0.2, 0.02]), (2.0, [0.05, 0.1])]
+    {
         for (ratio_known, rests) in [(true, memory > 0.0), (false, sd[1] < 0.1)] {
-            let trial = Trial {
-                sd,
-                memory,
-                ratio_known,
-                across: [0.0, 0.02],
-                rests,
-            };
+            let trial = Trial { sd, memory, ratio_known, across: [0.0, 0.02], rests };
             let [bias, scale, _] = coverage(trial);
             let kind =
                 format!("noise {sd:?}, memory {memory}, ratio known {ratio_known}, rests {rests}");
             println!("{kind}: bias {bias}, scale factor {scale}");
             // Where nothing parts the noises, from bound to bound.
-            let most = if ratio_known || memory == 0.0 {
-                0.97
-            } else {
-                1.0
-            };
+            let most = if ratio_known || memory == 0.0 { 0.97 } else { 1.0 };
             bias.assert_can_be(0.93..=most, &kind);
             scale.assert_can_be(0.93..=most, &kind);
             held.extend([bias, scale]);
@@ -321,26 +283,17 @@ fn a_stream_that_stops_while_the_other_goes_on_is_refused() {
         for most in [8.0, 9.0, 9.5] {
             for seed in 0..10 {
                 let output = transfer_of(seed, 0.02, |x, y| {
-                    [
-                        x.map(counts(step)),
-                        y.map(counts(step)).map(clip(counts(step)(most))),
-                    ]
+                    [x.map(counts(step)), y.map(counts(step)).map(clip(counts(step)(most)))]
                 });
                 let reference = transfer_of(seed, 0.02, |x, y| {
-                    [
-                        x.map(counts(step)).map(clip(counts(step)(most))),
-                        y.map(counts(step)),
-                    ]
+                    [x.map(counts(step)).map(clip(counts(step)(most))), y.map(counts(step))]
                 });
                 for (found, is_reference) in [(output, false), (reference, true)] {
                     let named = matches!(found, Err(TransferRefusal::Saturated { reference, .. })
                         if reference == is_reference);
                     // Coarse counts may have both sides at it.
                     let refused = matches!(found, Err(TransferRefusal::Saturated { .. }));
-                    assert!(
-                        named || (step > 0.1 && refused),
-                        "{step} {most} {seed} {found:?}"
-                    );
+                    assert!(named || (step > 0.1 && refused), "{step} {most} {seed} {found:?}");
                 }
             }
         }
@@ -376,9 +329,7 @@ fn noise_of_the_reference_does_not_shrink_the_scale_factor_as_least_squares_lets
         (x, y, xx, xy) = (x + a, y + b, xx + a * a, xy + a * b);
     }
     let ordinary = (xy - x * y / 2e4) / (xx - x * x / 2e4);
-    let line = transfer.result().expect("an answer").axes[0]
-        .line
-        .expect("it moved");
+    let line = transfer.result().expect("an answer").axes[0].line.expect("it moved");
     assert!(ordinary < 0.98, "{ordinary}");
     assert!((line.scale - 1.04).abs() < 0.01, "{line:?}");
 }
@@ -463,10 +414,7 @@ fn at_one_static_pose_the_offset_alone_is_known() {
             held.count(error <= 2.064 * axis.offset_sd_mps2);
         }
         let model = found.model().expect("a model");
-        assert_eq!(
-            model.terms().matrix,
-            wimu_model::ErrorTerms::default().matrix
-        );
+        assert_eq!(model.terms().matrix, wimu_model::ErrorTerms::default().matrix);
     }
     coverage_figure(
         "95 % intervals of the offset at one pose hold the truth",
@@ -479,10 +427,7 @@ fn at_one_static_pose_the_offset_alone_is_known() {
 #[test]
 fn bad_input_is_refused_or_left_out() {
     let mut transfer = ReferenceTransfer::new(NoiseRatio::EQUAL);
-    assert_eq!(
-        transfer.result(),
-        Err(TransferRefusal::TooFewSamples { have: 0 })
-    );
+    assert_eq!(transfer.result(), Err(TransferRefusal::TooFewSamples { have: 0 }));
     transfer.push([f64::NAN; 3], [0.0; 3]);
     transfer.push([0.0; 3], [f64::INFINITY; 3]);
     for k in 0..1000 {
@@ -499,11 +444,7 @@ fn bad_input_is_refused_or_left_out() {
         let [x, y, z] = motion(k);
         other.push([x, y, z], motion(k + 137));
         mirrored.push([x, y, z], [x, -y, z]);
-        let force = if k < 90 {
-            motion(50 * k).map(|f| 3.0 * f)
-        } else {
-            [0.0, 0.0, 9.8]
-        };
+        let force = if k < 90 { motion(50 * k).map(|f| 3.0 * f) } else { [0.0, 0.0, 9.8] };
         short.push(force, force);
     }
     for (transfer, axes) in [(&other, 0..1), (&mirrored, 1..2)] {
@@ -512,10 +453,7 @@ fn bad_input_is_refused_or_left_out() {
             other => panic!("{other:?}"),
         }
     }
-    assert_eq!(
-        short.result(),
-        Err(TransferRefusal::OneMotionOnly { axis: 0 })
-    );
+    assert_eq!(short.result(), Err(TransferRefusal::OneMotionOnly { axis: 0 }));
     assert_eq!(NoiseRatio::new(0.0, 1.0), None);
     assert_eq!(NoiseRatio::new(1.0, f64::NAN), None);
 }

@@ -130,14 +130,6 @@ fn intervals_hold_where_counts_are_coarser_than_the_noise() {
         all[1].push(six);
     }
     let [multi, six] = all;
-    coverage_figure(
-        "95 % intervals in coarse counts, multi-position",
-        &multi,
-        0.93..=0.97,
-    );
-    coverage_figure(
-        "95 % intervals in coarse counts, six-position",
-        &six,
-        0.93..=0.97,
-    );
+    coverage_figure("95 % intervals in coarse counts, multi-position", &multi, 0.93..=0.97);
+    coverage_figure("95 % intervals in coarse counts, six-position", &six, 0.93..=0.97);
 }

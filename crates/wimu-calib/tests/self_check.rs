@@ -51,10 +51,7 @@ fn intervals_of_an_updated_calibration_cover_the_truth_of_the_next_run() {
         let known = {
             let squares: f64 = first.iter().map(|p| stored.residual_mps2(p).powi(2)).sum();
             let factor = ageing.pose_mps2.powi(2) * f64::from(stored.dof as u32) / squares;
-            stored
-                .covariance
-                .matrix()
-                .map(|row| row.map(|value| value * factor))
+            stored.covariance.matrix().map(|row| row.map(|value| value * factor))
         };
         let mut check = SelfCheck::new(&stored.model, &known, gravity, ageing);
         for _ in 0..12 {
@@ -75,11 +72,7 @@ fn intervals_of_an_updated_calibration_cover_the_truth_of_the_next_run() {
         &covered,
         0.93..=0.97,
     );
-    coverage_figure(
-        "good rests that the self-check contradicts",
-        &[contradicted],
-        0.0..=0.002,
-    );
+    coverage_figure("good rests that the self-check contradicts", &[contradicted], 0.0..=0.002);
     for (parameter, covered) in fitted.iter().zip(covered) {
         covered.assert_can_be(0.93..=0.97, &parameter.to_string());
     }
@@ -156,23 +149,14 @@ fn a_calibration_that_no_longer_holds_is_found_out_and_left_alone() {
     let truth = random.model(true);
     let poses: Vec<Pose> = twelve().into_iter().map(|up| pose(&truth, G, up)).collect();
     let stored = multi_position_with(&poses, gravity, MultiPosition::default()).expect("answer");
-    let mut check = SelfCheck::new(
-        &stored.model,
-        stored.covariance.matrix(),
-        gravity,
-        Ageing::default(),
-    );
+    let mut check =
+        SelfCheck::new(&stored.model, stored.covariance.matrix(), gravity, Ageing::default());
     let mut terms: ErrorTerms = stored.model.into();
     terms.bias_mps2[2] += 0.2;
     let broken = ErrorModel::new(terms).expect("within bounds");
     let before = check.model();
-    let outcome = check
-        .push(&pose(&broken, G, [0.0, 0.0, 1.0]))
-        .expect("a pose");
-    assert!(
-        !outcome.holds && (outcome.residual_mps2 - 0.2).abs() < 0.02,
-        "{outcome:?}"
-    );
+    let outcome = check.push(&pose(&broken, G, [0.0, 0.0, 1.0])).expect("a pose");
+    assert!(!outcome.holds && (outcome.residual_mps2 - 0.2).abs() < 0.02, "{outcome:?}");
     assert_eq!((check.poses(), check.contradictions()), (1, 1));
     assert_eq!(check.model(), before);
     // The same sensor as it was holds.
@@ -191,10 +175,7 @@ fn warmth_makes_room_for_a_bias_that_moved() {
     for (celsius, holds) in [(25.0, false), (50.0, true)] {
         let mut check = SelfCheck::new(&perfect, &known, gravity, Ageing::default());
         assert!(check.push(&rest(25.0, 0.0)).expect("a pose").holds);
-        assert_eq!(
-            check.push(&rest(celsius, 0.1)).expect("a pose").holds,
-            holds
-        );
+        assert_eq!(check.push(&rest(celsius, 0.1)).expect("a pose").holds, holds);
     }
 }
 
@@ -213,10 +194,7 @@ fn a_bias_whose_temperature_term_is_known_ages_by_what_that_term_may_be_off_only
         for axis in &mut mean {
             *axis += 0.002 * random.normal() + extra;
         }
-        Pose {
-            temperature_c: Some(celsius),
-            ..Pose::from_mean(mean)
-        }
+        Pose { temperature_c: Some(celsius), ..Pose::from_mean(mean) }
     };
     let ups: Vec<[f64; 3]> = twelve().into_iter().cycle().take(36).collect();
     let poses: Vec<Pose> = ups
@@ -234,51 +212,32 @@ fn a_bias_whose_temperature_term_is_known_ages_by_what_that_term_may_be_off_only
         quality: estimate.quality(None, &poses),
         ..ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0).expect("sound"))
     };
-    let no_turn_on = Ageing {
-        turn_on_mps2: 0.0,
-        ..Ageing::default()
-    };
+    let no_turn_on = Ageing { turn_on_mps2: 0.0, ..Ageing::default() };
     // Over what was seen the rests are as well known as at the mean, and a jump is found out.
     let check = || SelfCheck::<f64>::of(&set, gravity, no_turn_on).expect("a quality");
     for celsius in [16.0, 33.0, 49.0] {
-        let said = check()
-            .push(&hold([0.0, 0.6, 0.8], celsius, 0.0))
-            .expect("a pose");
-        assert!(
-            said.holds && said.expected_sd_mps2 < 0.006,
-            "{celsius}: {said:?}"
-        );
-        let jumped = check()
-            .push(&hold([0.0, 0.6, 0.8], celsius, 0.04))
-            .expect("a pose");
+        let said = check().push(&hold([0.0, 0.6, 0.8], celsius, 0.0)).expect("a pose");
+        assert!(said.holds && said.expected_sd_mps2 < 0.006, "{celsius}: {said:?}");
+        let jumped = check().push(&hold([0.0, 0.6, 0.8], celsius, 0.04)).expect("a pose");
         assert!(!jumped.holds, "{celsius}: {jumped:?}");
     }
     // 20 K beyond it the temperature effect is unknown, whatever the number of steps.
-    let far = check()
-        .push(&hold([0.0, 0.6, 0.8], 70.0, 0.04))
-        .expect("a pose");
+    let far = check().push(&hold([0.0, 0.6, 0.8], 70.0, 0.04)).expect("a pose");
     assert!(far.holds && far.expected_sd_mps2 > 0.05, "{far:?}");
     let flat = ErrorModel::default();
     let known = [[0.0; 12]; 12];
     let mut at_once = SelfCheck::new(&flat, &known, gravity, no_turn_on);
     let mut by_steps = at_once.clone();
-    let upright = |celsius: f64| Pose {
-        temperature_c: Some(celsius),
-        ..Pose::from_mean([0.0, 0.0, G])
-    };
+    let upright =
+        |celsius: f64| Pose { temperature_c: Some(celsius), ..Pose::from_mean([0.0, 0.0, G]) };
     at_once.push(&upright(20.0)).expect("a pose");
     at_once.push(&upright(40.0)).expect("a pose");
     for step in 0..=20 {
-        by_steps
-            .push(&upright(20.0 + f64::from(step)))
-            .expect("a pose");
+        by_steps.push(&upright(20.0 + f64::from(step))).expect("a pose");
     }
     // An axis that no rest tells of is as uncertain either way.
     let [one, other] = [&at_once, &by_steps].map(|c| c.covariance().sd(Parameter::BiasX));
-    assert!(
-        (one - 0.1).abs() < 1e-9 && (other - one).abs() < 1e-9,
-        "{one} {other}"
-    );
+    assert!((one - 0.1).abs() < 1e-9 && (other - one).abs() < 1e-9, "{one} {other}");
 }
 
 proptest! {
@@ -316,12 +275,7 @@ fn a_self_check_in_f32_comes_to_the_same_verdicts() {
             .map(|_| {
                 let up = random.direction();
                 let force = SpecificForceMps2(up.map(|c| c * G));
-                Pose::from_mean(
-                    truth
-                        .distort(force, None)
-                        .0
-                        .map(|y| y + 0.002 * random.normal()),
-                )
+                Pose::from_mean(truth.distort(force, None).0.map(|y| y + 0.002 * random.normal()))
             })
             .collect();
         let gravity = Gravity::UNKNOWN_PLACE;
@@ -345,10 +299,7 @@ fn a_self_check_in_f32_comes_to_the_same_verdicts() {
             let mean: [f64; 3] =
                 std::array::from_fn(|i| output[i] + shift[i] + 0.003 * random.normal());
             let pose = Pose::from_mean(mean);
-            let (a, b) = (
-                long.push(&pose).expect("a rest"),
-                short.push(&pose).expect("a rest"),
-            );
+            let (a, b) = (long.push(&pose).expect("a rest"), short.push(&pose).expect("a rest"));
             rests += 1;
             contradicted += u32::from(!a.holds);
             other += u32::from(a.holds != b.holds);
@@ -363,10 +314,7 @@ fn a_self_check_in_f32_comes_to_the_same_verdicts() {
         let (a, b) = (long.covariance(), short.covariance());
         for parameter in Parameter::ALL {
             let (a, b) = (a.sd(parameter), b.sd(parameter));
-            assert!(
-                b.is_finite() && (a - b).abs() <= 0.02 * a + 1e-7,
-                "{parameter}: {a} {b}"
-            );
+            assert!(b.is_finite() && (a - b).abs() <= 0.02 * a + 1e-7, "{parameter}: {a} {b}");
         }
     }
     println!(

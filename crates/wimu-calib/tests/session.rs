@@ -44,33 +44,21 @@ impl Hand<'_> {
 
 #[test]
 fn following_the_advice_gives_a_calibration_at_any_rate_and_noise() {
-    for (seed, (rate, noise)) in [
-        (10.0, 0.1),
-        (25.0, 0.1),
-        (100.0, 0.08),
-        (100.0, 0.002),
-        (1000.0, 0.3),
-    ]
-    .into_iter()
-    .enumerate()
+    for (seed, (rate, noise)) in
+        [(10.0, 0.1), (25.0, 0.1), (100.0, 0.08), (100.0, 0.002), (1000.0, 0.3)]
+            .into_iter()
+            .enumerate()
     {
         let mut random = Random::new(seed as u64);
         let truth = random.model(true);
         let mut session = Session::<16>::new(rate, Model::Full9, 12);
-        let mut hand = Hand {
-            random,
-            truth: &truth,
-            noise,
-            up: [0.0, 0.0, 1.0],
-        };
+        let mut hand = Hand { random, truth: &truth, noise, up: [0.0, 0.0, 1.0] };
         let mut captured = 0;
         while let Some(next) = session.next() {
             let turning = (0.7 * rate) as usize;
             let phases = hand.turn(&mut session, next.up(), turning, (3.5 * rate) as usize);
-            let taken: Vec<&Phase> = phases
-                .iter()
-                .filter(|phase| matches!(phase, Phase::Captured { .. }))
-                .collect();
+            let taken: Vec<&Phase> =
+                phases.iter().filter(|phase| matches!(phase, Phase::Captured { .. })).collect();
             assert_eq!(taken, [&Phase::Captured { pose: captured }], "{rate} Hz");
             // In this order: motion, stillness, taken, waiting for motion or done.
             let place = |wanted: fn(&Phase) -> bool| phases.iter().rposition(wanted);
@@ -79,11 +67,7 @@ fn following_the_advice_gives_a_calibration_at_any_rate_and_noise() {
             assert!(moving < collecting, "{moving:?} {collecting:?}");
             captured += 1;
             let last = phases.last().copied();
-            let expected = if captured == 12 {
-                Phase::Done
-            } else {
-                Phase::WaitingForMotion
-            };
+            let expected = if captured == 12 { Phase::Done } else { Phase::WaitingForMotion };
             assert_eq!(last, Some(expected));
         }
         assert_eq!(captured, 12);
@@ -106,12 +90,7 @@ fn what_cannot_be_reached_is_skipped_and_a_pose_is_not_taken_twice() {
     session.skip();
     let second = session.next().expect("other advice");
     assert_ne!(first, second);
-    let mut hand = Hand {
-        random: Random::new(5),
-        truth: &truth,
-        noise: 0.01,
-        up: [0.0, 0.0, 1.0],
-    };
+    let mut hand = Hand { random: Random::new(5), truth: &truth, noise: 0.01, up: [0.0, 0.0, 1.0] };
     hand.turn(&mut session, second.up(), 50, 300);
     assert_eq!(session.poses().len(), 1);
     let held = session.poses()[0].samples;
@@ -138,12 +117,7 @@ fn a_removed_pose_is_advised_again_and_its_hold_is_left_out() {
     let truth = ErrorModel::default();
     let mut session = Session::<16>::new(100.0, Model::Full9, 12);
     assert_eq!(session.undo(), None);
-    let mut hand = Hand {
-        random: Random::new(7),
-        truth: &truth,
-        noise: 0.01,
-        up: [0.0, 0.0, 1.0],
-    };
+    let mut hand = Hand { random: Random::new(7), truth: &truth, noise: 0.01, up: [0.0, 0.0, 1.0] };
     for _ in 0..3 {
         let next = session.next().expect("advice");
         hand.turn(&mut session, next.up(), 50, 300);
@@ -195,18 +169,12 @@ fn a_person_may_take_a_pose_before_it_is_long_enough_by_itself_but_none_twice() 
     assert_eq!(session.capture(), None, "it is taken");
     // It goes on to become better, and is not taken again by itself.
     let taken = session.poses()[0].samples;
-    assert_eq!(
-        hold(&mut session, [0.0, 0.0, 1.0], 0),
-        Phase::WaitingForRest
-    );
+    assert_eq!(hold(&mut session, [0.0, 0.0, 1.0], 0), Phase::WaitingForRest);
     assert_eq!(session.capture(), None, "it moves");
     let phase = hold(&mut session, [0.0, 0.0, 1.0], 300);
     assert_eq!(phase, Phase::WaitingForMotion);
     assert_eq!(session.capture(), None, "the same again");
-    assert_eq!(
-        (session.poses().len(), session.poses()[0].samples),
-        (1, taken)
-    );
+    assert_eq!((session.poses().len(), session.poses()[0].samples), (1, taken));
     hold(&mut session, [1.0, 0.0, 0.0], 100);
     assert_eq!(session.capture(), Some(1));
 }

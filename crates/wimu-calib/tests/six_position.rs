@@ -18,10 +18,7 @@ fn squared() -> Placement {
 }
 
 fn six(truth: &ErrorModel) -> Vec<(Face, Pose)> {
-    Face::ALL
-        .into_iter()
-        .map(|face| (face, pose(truth, G, Orientation::from(face).up())))
-        .collect()
+    Face::ALL.into_iter().map(|face| (face, pose(truth, G, Orientation::from(face).up()))).collect()
 }
 
 fn unlabelled(poses: &[(Face, Pose)]) -> Vec<Pose> {
@@ -119,10 +116,7 @@ fn the_covariance_is_the_error_that_placement_and_noise_make() {
             })
             .collect();
         let estimate = six_position(&poses, exact(), placement).expect("an answer");
-        let Method::SixPosition {
-            placement_sd_rad, ..
-        } = estimate.method
-        else {
+        let Method::SixPosition { placement_sd_rad, .. } = estimate.method else {
             panic!("six-position");
         };
         seen += placement_sd_rad / draws as f64;
@@ -140,10 +134,7 @@ fn the_covariance_is_the_error_that_placement_and_noise_make() {
         let ratio = (errors[k] / said[k]).sqrt();
         println!("{parameter}: error / sd = {ratio:.3}");
         // Smaller than one: the few pairs that stand out by chance are given far more.
-        assert!(
-            rms_ratio_can_be(ratio, draws, 0.85..=1.02),
-            "{parameter} {ratio}"
-        );
+        assert!(rms_ratio_can_be(ratio, draws, 0.85..=1.02), "{parameter} {ratio}");
         ratios.push(ratio);
     }
     ratios.sort_by(f64::total_cmp);
@@ -182,9 +173,7 @@ fn the_left_out_error_is_that_of_refitting_without_each_pose() {
     let reported = estimate.loo_rms_mps2.expect("every side came twice");
     assert!((reported - refitted).abs() < 1e-9 * refitted);
     assert_eq!(
-        six_position(&poses[..11], exact(), squared())
-            .expect("an answer")
-            .loo_rms_mps2,
+        six_position(&poses[..11], exact(), squared()).expect("an answer").loo_rms_mps2,
         None
     );
 }
@@ -201,10 +190,7 @@ fn a_worse_placement_than_declared_is_seen() {
         })
         .collect();
     let estimate = six_position(&poses, exact(), squared()).expect("an answer");
-    let Method::SixPosition {
-        placement_sd_rad, ..
-    } = estimate.method
-    else {
+    let Method::SixPosition { placement_sd_rad, .. } = estimate.method else {
         panic!("six-position");
     };
     assert!((1.5..5.0).contains(&(placement_sd_rad / DEGREE)));
@@ -241,10 +227,8 @@ fn labels_that_do_not_go_with_the_sensor_are_told_apart() {
     let truth = Random::new(7).model(false);
     let good = six(&truth);
     let relabelled = |change: fn([f64; 3]) -> [f64; 3]| -> Result<_, Refusal> {
-        let poses: Vec<(Face, Pose)> = good
-            .iter()
-            .map(|&(face, p)| (face, Pose::from_mean(change(p.mean_mps2))))
-            .collect();
+        let poses: Vec<(Face, Pose)> =
+            good.iter().map(|&(face, p)| (face, Pose::from_mean(change(p.mean_mps2)))).collect();
         six_position_labelled(&poses, exact(), squared())
     };
     assert!(relabelled(|y| y).is_ok());
@@ -252,10 +236,7 @@ fn labels_that_do_not_go_with_the_sensor_are_told_apart() {
     assert_eq!(relabelled(|[x, y, z]| [x, y, -z]), Err(Refusal::Mirrored));
     assert_eq!(relabelled(|[x, y, z]| [y, x, z]), Err(Refusal::Mirrored));
     let turned = relabelled(|[x, y, z]| [y, z, x]);
-    assert!(
-        matches!(turned, Err(Refusal::AxesSwapped { .. })),
-        "{turned:?}"
-    );
+    assert!(matches!(turned, Err(Refusal::AxesSwapped { .. })), "{turned:?}");
 
     let mut swapped = good.clone();
     swapped[0].0 = Face::YDown;
@@ -282,10 +263,7 @@ fn sides_that_are_not_square_are_refused() {
         })
         .collect();
     let refused = six_position(&poses, exact(), squared());
-    assert!(
-        matches!(refused, Err(Refusal::NotSquared { .. })),
-        "{refused:?}"
-    );
+    assert!(matches!(refused, Err(Refusal::NotSquared { .. })), "{refused:?}");
 }
 
 #[test]
@@ -367,16 +345,8 @@ fn one_misplaced_side_is_named_and_the_intervals_include_it() {
         }
         outside.push(out);
     }
-    coverage_figure(
-        "a well placed pair of sides is reported",
-        &falsely,
-        0.0..=0.02,
-    );
-    coverage_figure(
-        "a side placed 9 or 12° off is reported",
-        &detected,
-        0.95..=1.0,
-    );
+    coverage_figure("a well placed pair of sides is reported", &falsely, 0.0..=0.02);
+    coverage_figure("a side placed 9 or 12° off is reported", &detected, 0.95..=1.0);
     coverage_figure(
         "one side 0 to 12° off: any of six intervals misses the truth",
         &outside,

@@ -114,10 +114,7 @@ fn what_a_smaller_model_leaves_out_is_in_what_it_says_of_the_rest() {
             for model in [Some(Model::Bias3), Some(Model::BiasScale6), None] {
                 let found = run(held, sensor, |poses, gravity| match model {
                     Some(model) => {
-                        let what = MultiPosition {
-                            model,
-                            ..MultiPosition::default()
-                        };
+                        let what = MultiPosition { model, ..MultiPosition::default() };
                         multi_position_with(poses, gravity, what)
                     }
                     None => best_model(poses, gravity, Terms::NONE, true),
@@ -147,11 +144,7 @@ fn what_a_smaller_model_leaves_out_is_in_what_it_says_of_the_rest() {
             }
         }
     }
-    coverage_figure(
-        "smaller models, `auto`: 95 % intervals of bias",
-        &bias,
-        0.93..=1.0,
-    );
+    coverage_figure("smaller models, `auto`: 95 % intervals of bias", &bias, 0.93..=1.0);
     coverage_figure("the same of scale factors", &scale, 0.93..=1.0);
     coverage_figure("poses in a plane are answered", &in_a_plane, 0.0..=0.05);
 }
@@ -161,19 +154,12 @@ fn a_pose_that_alone_shows_what_a_small_model_leaves_out_is_not_taken_for_a_bad_
     let gravity = Gravity::new(G, 0.0).expect("gravity");
     type Fit = fn(&[Pose], Gravity) -> Result<Estimate, Refusal>;
     let three: Fit = |poses, gravity| {
-        let what = MultiPosition {
-            model: Model::Bias3,
-            reject: true,
-            ..MultiPosition::default()
-        };
+        let what = MultiPosition { model: Model::Bias3, reject: true, ..MultiPosition::default() };
         multi_position_with(poses, gravity, what)
     };
     let six: Fit = |poses, gravity| {
-        let what = MultiPosition {
-            model: Model::BiasScale6,
-            reject: true,
-            ..MultiPosition::default()
-        };
+        let what =
+            MultiPosition { model: Model::BiasScale6, reject: true, ..MultiPosition::default() };
         multi_position_with(poses, gravity, what)
     };
     let auto: Fit = |poses, gravity| best_model(poses, gravity, Terms::NONE, true);
@@ -247,9 +233,5 @@ fn a_pose_that_alone_shows_what_a_small_model_leaves_out_is_not_taken_for_a_bad_
         &all_held,
         0.93..=1.0,
     );
-    coverage_figure(
-        "the same: a bias beyond twice its interval",
-        &all_far,
-        0.0..=0.01,
-    );
+    coverage_figure("the same: a bias beyond twice its interval", &all_far, 0.0..=0.01);
 }

@@ -78,47 +78,20 @@ fn tilts_of_a_turn_do_to_bias_and_scale_factor_what_the_equations_say() {
 fn what_is_no_turn_is_refused() {
     let perfect = ErrorModel::default();
     let at = |up: [f64; 3]| pose(&perfect, G, unit(up));
-    let turn = [
-        [1.0, 0.0, 0.0],
-        [0.0, 1.0, 0.0],
-        [-1.0, 0.0, 0.0],
-        [0.0, -1.0, 0.0],
-    ]
-    .map(at);
+    let turn = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]].map(at);
     let refused = |poses: &[Pose]| four_angle(poses, exact(), Placement::BY_HAND).expect_err("no");
     let out_of_order = [turn[0], turn[2], turn[1], turn[3]];
-    let upright_axis = [
-        [1.0, 0.0, 1.0],
-        [0.0, 1.0, 1.0],
-        [-1.0, 0.0, 1.0],
-        [0.0, -1.0, 1.0],
-    ];
-    for poses in [
-        &turn[..3],
-        &[turn, turn].concat()[..6],
-        &[turn[0]; 4],
-        &out_of_order,
-        &[],
-    ] {
+    let upright_axis = [[1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [-1.0, 0.0, 1.0], [0.0, -1.0, 1.0]];
+    for poses in [&turn[..3], &[turn, turn].concat()[..6], &[turn[0]; 4], &out_of_order, &[]] {
         let refusal = refused(poses);
-        assert!(
-            matches!(refusal, Refusal::NotATurn { steps: 4, .. }),
-            "{refusal}"
-        );
+        assert!(matches!(refusal, Refusal::NotATurn { steps: 4, .. }), "{refusal}");
     }
     // About an axis that leans 45° gravity turns through 0.7 g only.
     let tilted = refused(&upright_axis.map(at));
-    assert!(
-        matches!(tilted, Refusal::TurnTilted { pose: 0, .. }),
-        "{tilted}"
-    );
+    assert!(matches!(tilted, Refusal::TurnTilted { pose: 0, .. }), "{tilted}");
     assert!(four_angle(&turn, exact(), Placement::BY_HAND).is_ok());
     let steps_off = [turn[0], turn[1], turn[2], at([0.1, -1.0, 0.0])];
-    let said = four_angle(
-        &steps_off,
-        exact(),
-        Placement::new(0.002).expect("placement"),
-    );
+    let said = four_angle(&steps_off, exact(), Placement::new(0.002).expect("placement"));
     // What the readings contradict is not believed.
     assert!(said.is_ok_and(|e| e.interval_dof.is_some() && e.sd().bias_mps2[0] > 0.05));
 }
@@ -133,11 +106,7 @@ fn turned(steps: usize, step: f64, lean: f64, tilt: f64, begin: f64) -> Vec<Pose
             let angle = begin + (step * k as f64).to_radians();
             let (lean, tilt) = (lean.to_radians(), tilt.to_radians());
             // In axes of the rotation, then of the sensor, which leans about its Y axis.
-            let [x, y, z] = [
-                angle.cos() * tilt.cos(),
-                angle.sin() * tilt.cos(),
-                tilt.sin(),
-            ];
+            let [x, y, z] = [angle.cos() * tilt.cos(), angle.sin() * tilt.cos(), tilt.sin()];
             let (sin, cos) = lean.sin_cos();
             pose(&truth, G, [cos * x - sin * z, y, sin * x + cos * z])
         })
@@ -147,17 +116,12 @@ fn turned(steps: usize, step: f64, lean: f64, tilt: f64, begin: f64) -> Vec<Pose
 #[test]
 fn turns_that_are_none_are_refused_with_the_reason_and_the_remedy() {
     for begin in [0.0, 0.4, 1.1, 2.0, 3.9] {
-        for (steps, method) in [
-            (4, four_angle as fn(&[Pose], Gravity, Placement) -> _),
-            (3, three_angle),
-        ] {
+        for (steps, method) in
+            [(4, four_angle as fn(&[Pose], Gravity, Placement) -> _), (3, three_angle)]
+        {
             let whole = 360.0 / steps as f64;
             let ask = |step, lean, tilt| {
-                method(
-                    &turned(steps, step, lean, tilt, begin),
-                    exact(),
-                    Placement::BY_HAND,
-                )
+                method(&turned(steps, step, lean, tilt, begin), exact(), Placement::BY_HAND)
             };
             for (step, lean, tilt) in [(whole, 0.0, 0.0), (whole, 2.0, 2.0), (whole, -1.0, 1.0)] {
                 let answer: Result<wimu_calib::Estimate, Refusal> = ask(step, lean, tilt);
@@ -166,21 +130,13 @@ fn turns_that_are_none_are_refused_with_the_reason_and_the_remedy() {
             for wrong in [whole - 10.0, whole + 10.0, whole - 30.0] {
                 let refusal = ask(wrong, 0.0, 0.0).expect_err("unequal steps");
                 assert!(
-                    matches!(
-                        refusal,
-                        Refusal::StepsUnequal { .. } | Refusal::NotATurn { .. }
-                    ),
+                    matches!(refusal, Refusal::StepsUnequal { .. } | Refusal::NotATurn { .. }),
                     "{wrong}: {refusal}"
                 );
                 assert!(refusal.to_string().contains("turn"), "{refusal}");
             }
-            for (lean, tilt) in [
-                (17.0, 0.0),
-                (0.0, 17.0),
-                (0.0, -20.0),
-                (12.0, 12.0),
-                (40.0, 0.0),
-            ] {
+            for (lean, tilt) in [(17.0, 0.0), (0.0, 17.0), (0.0, -20.0), (12.0, 12.0), (40.0, 0.0)]
+            {
                 let refusal = ask(whole, lean, tilt).expect_err("no level axis");
                 assert!(
                     matches!(
@@ -202,20 +158,14 @@ fn what_a_turn_does_not_show_is_said_and_not_taken_for_known() {
         .expect("an answer");
     let unseen = estimate.not_observed();
     for parameter in Parameter::ALL {
-        assert_ne!(
-            unseen.contains(parameter),
-            estimate.fitted.contains(parameter)
-        );
+        assert_ne!(unseen.contains(parameter), estimate.fitted.contains(parameter));
         assert!(estimate.covariance.sd(parameter) > 0.0, "{parameter}");
     }
     assert!(unseen.contains(Parameter::BiasZ) && unseen.contains(Parameter::ScaleZ));
     assert!(estimate.sd().bias_mps2[2] >= 0.3 && estimate.sd().matrix[2][2] >= 0.02);
     let mut random = Random::new(7);
     let truth = random.model(true);
-    let poses: Vec<Pose> = ups(&mut random, 8)
-        .into_iter()
-        .map(|up| pose(&truth, G, up))
-        .collect();
+    let poses: Vec<Pose> = ups(&mut random, 8).into_iter().map(|up| pose(&truth, G, up)).collect();
     let nine = multi_position(&poses, exact(), Model::Full9).expect("an answer");
     assert!(nine.not_observed().is_empty());
 }
@@ -363,11 +313,7 @@ fn a_wrong_step_in_one_of_three_turns_is_in_the_intervals() {
         &[held],
         0.93..=1.0,
     );
-    coverage_figure(
-        "three good turns are said to contradict",
-        &[wrongly],
-        0.0..=0.04,
-    );
+    coverage_figure("three good turns are said to contradict", &[wrongly], 0.0..=0.04);
     // Errors of a step are in both axes of its turn: a little more often than one in two hundred.
     wrongly.assert_can_be(0.0..=0.04, "without a wrong step");
     held.assert_can_be(0.93..=1.0, "biases");

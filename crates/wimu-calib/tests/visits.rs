@@ -26,10 +26,8 @@ fn session(
         .take(orientations)
         .map(|orientation| misplaced(random, orientation.up(), 6.0 * DEGREE))
         .collect();
-    let common: Vec<[f64; 3]> = ups
-        .iter()
-        .map(|_| [0; 3].map(|_| stays * random.normal()))
-        .collect();
+    let common: Vec<[f64; 3]> =
+        ups.iter().map(|_| [0; 3].map(|_| stays * random.normal())).collect();
     let mut poses = Vec::new();
     for _ in 0..visits {
         for (up, common) in ups.iter().zip(&common) {
@@ -91,19 +89,12 @@ fn intervals_hold_where_an_error_comes_back_with_its_orientation_and_where_it_is
     assert_intervals_hold(
         "95 % intervals, an error that returns with its orientation",
         &[
-            ("nine parameters", |poses| {
-                multi_position(poses, exact(), Model::Full9)
-            }),
+            ("nine parameters", |poses| multi_position(poses, exact(), Model::Full9)),
             ("bad poses left out", |poses| {
-                let what = MultiPosition {
-                    reject: true,
-                    ..MultiPosition::default()
-                };
+                let what = MultiPosition { reject: true, ..MultiPosition::default() };
                 multi_position_with(poses, exact(), what)
             }),
-            ("auto", |poses| {
-                best_model(poses, exact(), Terms::NONE, true)
-            }),
+            ("auto", |poses| best_model(poses, exact(), Terms::NONE, true)),
         ],
     );
 }
@@ -112,9 +103,7 @@ fn intervals_hold_where_an_error_comes_back_with_its_orientation_and_where_it_is
 fn intervals_in_f32_hold_where_an_error_comes_back_with_its_orientation() {
     assert_intervals_hold(
         "95 % intervals in f32, an error that returns with its orientation",
-        &[("nine parameters", |poses| {
-            multi_position_f32(poses, exact(), Model::Full9)
-        })],
+        &[("nine parameters", |poses| multi_position_f32(poses, exact(), Model::Full9))],
     );
 }
 
@@ -122,15 +111,11 @@ type Matrix = Vec<Vec<f64>>;
 
 fn product(a: &Matrix, b: &Matrix) -> Matrix {
     let of = |row: &Vec<f64>, c: usize| row.iter().zip(b).map(|(x, b)| x * b[c]).sum();
-    a.iter()
-        .map(|row| (0..b[0].len()).map(|c| of(row, c)).collect())
-        .collect()
+    a.iter().map(|row| (0..b[0].len()).map(|c| of(row, c)).collect()).collect()
 }
 
 fn transposed(a: &Matrix) -> Matrix {
-    (0..a[0].len())
-        .map(|c| a.iter().map(|row| row[c]).collect())
-        .collect()
+    (0..a[0].len()).map(|c| a.iter().map(|row| row[c]).collect()).collect()
 }
 
 fn trace(a: &Matrix) -> f64 {
@@ -199,24 +184,13 @@ fn the_covariance_is_that_of_the_two_variances_that_dense_matrices_give() {
                 }
             }
             let model = ErrorModel::new(terms).expect("within bounds");
-            model
-                .correct(SpecificForceMps2(pose.mean_mps2), None)
-                .norm()
-                - G
+            model.correct(SpecificForceMps2(pose.mean_mps2), None).norm() - G
         };
-        let r: Matrix = poses
-            .iter()
-            .map(|pose| vec![residual(None, pose)])
-            .collect();
+        let r: Matrix = poses.iter().map(|pose| vec![residual(None, pose)]).collect();
         let derivative = |pose: &Pose, i: usize| {
             (residual(Some((i, 1e-5)), pose) - residual(Some((i, -1e-5)), pose)) / 2e-5
         };
-        let row = |pose: &Pose| {
-            parameters
-                .iter()
-                .map(|q| derivative(pose, q.index()))
-                .collect()
-        };
+        let row = |pose: &Pose| parameters.iter().map(|q| derivative(pose, q.index())).collect();
         let j: Matrix = poses.iter().map(row).collect();
 
         // The group of each pose: the first that points within 10° of it.
@@ -232,12 +206,9 @@ fn the_covariance_is_that_of_the_two_variances_that_dense_matrices_give() {
         let groups: Vec<usize> = poses.iter().map(group).collect();
         assert_eq!(estimate.orientations, first.len());
 
-        let unit: Matrix = (0..n)
-            .map(|a| (0..n).map(|b| f64::from(a == b)).collect())
-            .collect();
-        let same: Matrix = (0..n)
-            .map(|a| (0..n).map(|b| f64::from(groups[a] == groups[b])).collect())
-            .collect();
+        let unit: Matrix = (0..n).map(|a| (0..n).map(|b| f64::from(a == b)).collect()).collect();
+        let same: Matrix =
+            (0..n).map(|a| (0..n).map(|b| f64::from(groups[a] == groups[b])).collect()).collect();
         let b = inverse(&product(&transposed(&j), &j));
         let by_y = product(&b, &transposed(&j));
         let m = sum(1.0, &unit, -1.0, &product(&j, &by_y));
@@ -247,11 +218,7 @@ fn the_covariance_is_that_of_the_two_variances_that_dense_matrices_give() {
         let (a, k) = (trace(&zm), trace(&product(&zm, &zm)));
         let dof = (n - p) as f64;
         let beta = (dof * t - a * s) / (dof * k - a * a);
-        let beta = if beta.is_nan() {
-            0.0
-        } else {
-            beta.clamp(0.0, t / k)
-        };
+        let beta = if beta.is_nan() { 0.0 } else { beta.clamp(0.0, t / k) };
         let alpha = ((s - beta * a) / dof).max(0.0);
         let v = sum(alpha, &unit, beta, &same);
         let covariance = product(&product(&by_y, &v), &transposed(&by_y));

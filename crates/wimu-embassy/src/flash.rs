@@ -111,12 +111,7 @@ mod tests {
 
     #[test]
     fn a_range_that_does_not_fit_is_refused_and_nothing_is_erased() {
-        for (from, to) in [
-            (0x2000, 0x8000),
-            (0x4000, 0x5000),
-            (0x8000, 0x1_4000),
-            (8, 0),
-        ] {
+        for (from, to) in [(0x2000, 0x8000), (0x4000, 0x5000), (0x8000, 0x1_4000), (8, 0)] {
             let mut flash = BlockingFlash(Sectors(Vec::new()));
             assert!(block_on(flash.erase(from, to)).is_err(), "{from:#x}");
             assert_eq!(flash.0.0, []);

@@ -55,11 +55,7 @@ impl Held {
     fn is_long(&mut self, is_pressed: bool) -> bool {
         self.released |= !is_pressed;
         let is_held = self.released && is_pressed;
-        self.steps = if is_held {
-            self.steps.saturating_add(1)
-        } else {
-            0
-        };
+        self.steps = if is_held { self.steps.saturating_add(1) } else { 0 };
         self.steps == KEY_LOST_STEPS
     }
 }
@@ -72,10 +68,7 @@ mod tests {
     fn erased(pressed: impl IntoIterator<Item = bool>) -> std::vec::Vec<usize> {
         let mut held = Held::default();
         let steps = pressed.into_iter().enumerate();
-        steps
-            .filter(|(_, is_pressed)| held.is_long(*is_pressed))
-            .map(|(step, _)| step)
-            .collect()
+        steps.filter(|(_, is_pressed)| held.is_long(*is_pressed)).map(|(step, _)| step).collect()
     }
 
     #[test]
@@ -92,12 +85,7 @@ mod tests {
     #[test]
     fn each_state_has_its_own_pattern() {
         let pattern = |sensor_lost, is_safe_mode, calibrated| {
-            let health = Health {
-                samples: 1,
-                sensor_lost,
-                calibrated,
-                shed: 0,
-            };
+            let health = Health { samples: 1, sensor_lost, calibrated, shed: 0 };
             pattern(&health, is_safe_mode)
         };
         let mut patterns = [

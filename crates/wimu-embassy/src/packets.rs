@@ -81,9 +81,7 @@ impl State {
             rest
         } else {
             let taken = bytes.iter().copied();
-            taken
-                .take_while(|byte| self.outgoing.push_back(*byte).is_ok())
-                .count()
+            taken.take_while(|byte| self.outgoing.push_back(*byte).is_ok()).count()
         };
         if let Some(last) = bytes.get(..taken).and_then(<[u8]>::last) {
             self.within_frame = *last != 0;
@@ -195,9 +193,7 @@ impl PacketLink {
                     return rest.len();
                 }
                 let taken = rest.iter().copied();
-                taken
-                    .take_while(|byte| state.incoming.push_back(*byte).is_ok())
-                    .count()
+                taken.take_while(|byte| state.incoming.push_back(*byte).is_ok()).count()
             });
             self.came.signal(());
             rest = rest.get(taken..).unwrap_or_default();

@@ -44,11 +44,7 @@ pub struct Start {
 impl Default for Start {
     /// A start for an unknown reason after a normal end.
     fn default() -> Self {
-        Self {
-            reason: ResetReason::Unknown,
-            fault: None,
-            failures: 0,
-        }
+        Self { reason: ResetReason::Unknown, fault: None, failures: 0 }
     }
 }
 
@@ -104,11 +100,7 @@ impl StartRecord {
             _ => 0,
         };
         self.write(failures, None);
-        Start {
-            reason,
-            fault,
-            failures,
-        }
+        Start { reason, fault, failures }
     }
 
     /// Ends the series of failed starts: the device has worked for a minute.
@@ -134,10 +126,7 @@ impl StartRecord {
         }
         let (length, bytes) = bytes.split_last()?;
         let name = bytes.get(..usize::from(*length))?;
-        Some(Fault {
-            line,
-            file: Name::from_bytes(name),
-        })
+        Some(Fault { line, file: Name::from_bytes(name) })
     }
 
     fn write(&self, failures: u32, fault: Option<&Fault>) {
@@ -194,10 +183,7 @@ mod tests {
         record.begin(ResetReason::PowerOn);
         record.record(&fault());
         let start = record.begin(ResetReason::Software);
-        assert_eq!(
-            (start.reason, start.fault),
-            (ResetReason::Fault, Some(fault()))
-        );
+        assert_eq!((start.reason, start.fault), (ResetReason::Fault, Some(fault())));
         let start = record.begin(ResetReason::Pin);
         assert_eq!((start.reason, start.fault), (ResetReason::Pin, None));
         // Names of every length that fits, and none.

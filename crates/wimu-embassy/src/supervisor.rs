@@ -30,10 +30,7 @@ impl Supervisor {
     /// A supervisor from `now` on. `limits_us` are the longest times without progress, µs, such as [`LIMITS_US`]; for
     /// the writer of a link that its host can stop, such as USB, `u64::MAX`.
     pub const fn new(limits_us: [u64; 4], now: DeviceTimeUs) -> Self {
-        Self {
-            limits_us,
-            seen: [(0, now); 4],
-        }
+        Self { limits_us, seen: [(0, now); 4] }
     }
 
     /// Whether every task has made progress within its limit.

@@ -125,12 +125,7 @@ fn hand_motion() {
         "below 0.1",
         six < 0.1,
     );
-    figure(
-        "for comparison: without gyroscope, m rms",
-        format!("{three:.1}"),
-        "–",
-        true,
-    );
+    figure("for comparison: without gyroscope, m rms", format!("{three:.1}"), "–", true);
 }
 
 fn hour_at_1_khz() {
@@ -194,12 +189,7 @@ fn minute_at_100_hz() {
         "below 5",
         ours < 5.0,
     );
-    figure(
-        "for comparison: Euler's rule in f64, mm",
-        format!("{euler:.0}"),
-        "–",
-        true,
-    );
+    figure("for comparison: Euler's rule in f64, mm", format!("{euler:.0}"), "–", true);
     figure(
         "for comparison: 16 fraction bits, truncating shifts, mm",
         format!("{shift:.0}"),

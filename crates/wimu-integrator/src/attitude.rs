@@ -45,9 +45,7 @@ impl Attitude {
             })?;
         let east = unit(forward)?;
         let north = cross(up, east);
-        Some(Self {
-            axes: [east, north, up].map(|axis| axis.map(to_direction)),
-        })
+        Some(Self { axes: [east, north, up].map(|axis| axis.map(to_direction)) })
     }
 
     /// Cosine of the angle between specific force at rest and this attitude's up.
@@ -115,9 +113,7 @@ impl Attitude {
 
     fn rotate(&self, body: [i64; 3]) -> [i64; 3] {
         self.axes.map(|axis| {
-            let sum: i128 = (0..3)
-                .map(|i| product(body[i].into(), axis[i].into()))
-                .sum();
+            let sum: i128 = (0..3).map(|i| product(body[i].into(), axis[i].into())).sum();
             round_shift(sum, DIRECTION_BITS)
         })
     }
@@ -138,11 +134,7 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
 }
 
 fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 #[cfg(test)]
@@ -160,10 +152,7 @@ mod tests {
         let nose_up = Attitude::from_rest([642_688, 0, 0], Attitude::LEVEL.east()).unwrap();
         assert_eq!(nose_up.axes[2], [1 << 30, 0, 0]);
         assert_eq!(nose_up.rotate([5, 0, 0]), [0, 0, 5]);
-        assert_eq!(
-            nose_up.quaternion().map(|q| q * q),
-            [0.25; 4].map(|_: f64| 0.5 * 0.5)
-        );
+        assert_eq!(nose_up.quaternion().map(|q| q * q), [0.25; 4].map(|_: f64| 0.5 * 0.5));
     }
 
     #[test]

@@ -172,10 +172,7 @@ impl Compass {
             hard_iron_nt: terms.hard_iron_nt,
             field_nt: terms.field_nt,
             up_nt: -terms.field_nt * sine(dip),
-            mounting: turned(
-                single(set.alignment.matrix()),
-                single(mounting.covariance.matrix()),
-            ),
+            mounting: turned(single(set.alignment.matrix()), single(mounting.covariance.matrix())),
             alignment: set
                 .alignment_covariance
                 .map_or([[0.0; 3]; 3], |covariance| single(covariance.matrix())),
@@ -223,16 +220,8 @@ impl Compass {
 /// Sine of an angle within ±π/2, to 10⁻⁷: a tenth of the code of a general one.
 fn sine(rad: f32) -> f32 {
     let square = rad * rad;
-    let series = [
-        -2.505_210_8e-8,
-        2.755_731_9e-6,
-        -1.984_127e-4,
-        8.333_333e-3,
-        -0.166_666_67,
-    ];
-    let sum = series
-        .into_iter()
-        .fold(0.0, |sum, term| sum * square + term);
+    let series = [-2.505_210_8e-8, 2.755_731_9e-6, -1.984_127e-4, 8.333_333e-3, -0.166_666_67];
+    let sum = series.into_iter().fold(0.0, |sum, term| sum * square + term);
     rad + rad * square * sum
 }
 
@@ -266,11 +255,7 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
 }
 
 fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 fn square(x: f32) -> f32 {

@@ -64,14 +64,8 @@ impl RotationState {
         let length: u128 = self.quaternion.into_iter().map(square).sum();
         let sums = [self.window, self.sum, self.latest];
         if length.abs_diff(1 << 60) > 1 << 52
-            || self
-                .bias
-                .iter()
-                .any(|b| b.unsigned_abs() > LARGEST_BIAS as u32)
-            || sums
-                .as_flattened()
-                .iter()
-                .any(|s| s.unsigned_abs() > 1 << 48)
+            || self.bias.iter().any(|b| b.unsigned_abs() > LARGEST_BIAS as u32)
+            || sums.as_flattened().iter().any(|s| s.unsigned_abs() > 1 << 48)
         {
             return Err(StateError::Rotation);
         }
@@ -92,11 +86,7 @@ pub(crate) struct RateTest {
 
 impl RateTest {
     /// Without a gyroscope.
-    pub(crate) const PASSED: Self = Self {
-        quiet: true,
-        agrees: true,
-        as_held: true,
-    };
+    pub(crate) const PASSED: Self = Self { quiet: true, agrees: true, as_held: true };
 }
 
 /// [`RotationState`] in the form in which it is advanced.
@@ -128,15 +118,7 @@ impl Inertial {
     }
 
     fn resumed(state: RotationState, period: PeriodNs) -> Self {
-        let RotationState {
-            quaternion,
-            previous,
-            remainder,
-            bias,
-            window,
-            sum,
-            latest,
-        } = state;
+        let RotationState { quaternion, previous, remainder, bias, window, sum, latest } = state;
         Self {
             rotation: Rotation::resumed(quaternion, previous, remainder, period),
             bias,
@@ -161,10 +143,7 @@ impl Inertial {
 
     /// The same rotation at another sample period, at the start of a window.
     pub(crate) fn with_period(&self, period: PeriodNs) -> Self {
-        let state = RotationState {
-            window: [0; 3],
-            ..self.state()
-        };
+        let state = RotationState { window: [0; 3], ..self.state() };
         Self::resumed(state, period)
     }
 
@@ -288,10 +267,7 @@ impl Integrator {
         let mean = self.state.rest_mean;
         self.inertial().map_or(mean, |inertial| {
             let short = mean.map(|mean| (mean >> 8) as i32);
-            inertial
-                .rotation
-                .rotate_back(short)
-                .map(|f| i64::from(f) << 8)
+            inertial.rotation.rotate_back(short).map(|f| i64::from(f) << 8)
         })
     }
 

@@ -136,19 +136,12 @@ impl Integrator {
         let config = state.config.checked().map_err(StateError::Config)?;
         let rotation = state.rotation.map(RotationState::checked).transpose()?;
         let mut integrator = Self {
-            state: State {
-                rotation: None,
-                ..state
-            },
+            state: State { rotation: None, ..state },
             inertial: rotation.map(|rotation| Inertial::from_state(rotation, config.period)),
             ..Self::new(config)
         };
         if state.phase != Phase::Searching {
-            if state
-                .rest_mean
-                .iter()
-                .any(|mean| mean.unsigned_abs() > 1 << 37)
-            {
+            if state.rest_mean.iter().any(|mean| mean.unsigned_abs() > 1 << 37) {
                 return Err(StateError::Attitude);
             }
             integrator.align().ok_or(StateError::Attitude)?;
@@ -159,10 +152,7 @@ impl Integrator {
             || window.sum.iter().any(|sum| sum.unsigned_abs() > 1 << 25)
             || window.squares > 1 << 42
             || state.segment.steps < window.start.steps
-            || [run.sum, run.latest]
-                .as_flattened()
-                .iter()
-                .any(|sum| sum.unsigned_abs() > 1 << 48)
+            || [run.sum, run.latest].as_flattened().iter().any(|sum| sum.unsigned_abs() > 1 << 48)
         {
             return Err(StateError::Stationarity);
         }
@@ -171,10 +161,7 @@ impl Integrator {
 
     /// Everything that determines the future outputs.
     pub fn state(&self) -> State {
-        State {
-            rotation: self.inertial().map(Inertial::state),
-            ..self.state
-        }
+        State { rotation: self.inertial().map(Inertial::state), ..self.state }
     }
 
     /// Adds the next corrected sample, body axes; `saturated` if any axis was at full scale. For a
@@ -225,20 +212,14 @@ impl Integrator {
         if period == self.state.config.period {
             return Ok(());
         }
-        let config = Config {
-            period,
-            ..self.state.config
-        }
-        .checked()?;
+        let config = Config { period, ..self.state.config }.checked()?;
         let now = self.navigation();
         self.state.base_position_nm = now.position.0;
         self.state.base_velocity_nmps = now.velocity.0;
         self.state.base_since_rest_ns = self.since_rest_ns(&self.state.segment);
         self.state.config = config;
-        self.state.segment = Segment {
-            previous: self.state.segment.previous,
-            ..Segment::default()
-        };
+        self.state.segment =
+            Segment { previous: self.state.segment.previous, ..Segment::default() };
         self.inertial = (self.inertial()).map(|inertial| inertial.with_period(period));
         self.window_steps = window_steps(period);
         self.state.window = Window::starting_at(&self.state.segment);
@@ -309,12 +290,8 @@ impl Integrator {
         let remainder: [i32; 3] = core::array::from_fn(|axis| {
             (self.gravity[axis] - (i64::from(self.whole_gravity[axis]) << 16)) as i32
         });
-        let velocity = self
-            .attitude
-            .velocity(segment.velocity_nmps(remainder, period));
-        let position = self
-            .attitude
-            .position(segment.position_nm(remainder, period));
+        let velocity = self.attitude.velocity(segment.velocity_nmps(remainder, period));
+        let position = self.attitude.position(segment.position_nm(remainder, period));
         let elapsed_ns = i128::from(u64::from(segment.steps) * u64::from(period.0));
         let since_rest_ms = self.since_rest_ns(segment) / 1_000_000;
         Navigation {
@@ -404,10 +381,8 @@ impl Integrator {
         }
         if self.state.phase == Phase::Searching {
             // Nothing is integrated yet; the sums would overflow in a long search.
-            self.state.segment = Segment {
-                previous: self.state.segment.previous,
-                ..Segment::default()
-            };
+            self.state.segment =
+                Segment { previous: self.state.segment.previous, ..Segment::default() };
         }
         self.state.window = Window::starting_at(&self.state.segment);
         transition
@@ -473,9 +448,7 @@ impl Integrator {
                 f64::from(self.state.config.gravity_um_s2) * (4_294_967_296.0 / 1_000_000.0);
             unit(mean.map(|m| m as f64))?.map(|direction| (direction * magnitude) as i64)
         };
-        self.whole_gravity = self
-            .gravity
-            .map(|gravity| ((gravity + (1 << 15)) >> 16) as i32);
+        self.whole_gravity = self.gravity.map(|gravity| ((gravity + (1 << 15)) >> 16) as i32);
         Some(())
     }
 

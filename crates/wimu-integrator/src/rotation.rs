@@ -156,16 +156,11 @@ impl Rotation {
     /// The terms that are small beside the angle are computed from upper halves, in 32 bits.
     #[inline]
     fn half_angle(&mut self, previous: [i32; 3], next: [i32; 3]) -> ([i32; 3], i32) {
-        let Factor {
-            quarter, coning, ..
-        } = self.factor;
+        let Factor { quarter, coning, .. } = self.factor;
         let upper = |rates: [i32; 3]| rates.map(|rate| (rate + (1 << 14)) >> 15);
         let (p, n) = (upper(previous), upper(next));
-        let cross = [
-            p[1] * n[2] - p[2] * n[1],
-            p[2] * n[0] - p[0] * n[2],
-            p[0] * n[1] - p[1] * n[0],
-        ];
+        let cross =
+            [p[1] * n[2] - p[2] * n[1], p[2] * n[0] - p[0] * n[2], p[0] * n[1] - p[1] * n[0]];
         let mut angle: [i64; 3] = core::array::from_fn(|i| {
             let trapezoid = product(previous[i].wrapping_add(next[i]), quarter);
             (trapezoid.wrapping_add(product(cross[i], coning)))
@@ -195,9 +190,7 @@ impl Rotation {
     #[inline]
     fn turn(&mut self, ([a, b, c], versine): ([i32; 3], i32)) {
         let q = self.short();
-        let length = q
-            .iter()
-            .fold(0_i64, |sum, &q| sum.wrapping_add(product(q, q)));
+        let length = q.iter().fold(0_i64, |sum, &q| sum.wrapping_add(product(q, q)));
         let s = (((1_i64 << 60).wrapping_sub(length) >> 32) as i32).wrapping_sub(versine);
         let change = fixed::quaternion_product(q, [s, a, b, c]);
         for (q, change) in self.quaternion.iter_mut().zip(change) {
@@ -213,8 +206,7 @@ fn turned(v: [i32; 3], [w, x, y, z]: [i32; 4]) -> [i32; 3] {
     let t = cross(u, v).map(|t| rounded(t, 29));
     let along = cross(u, t).map(|a| rounded(a, 30));
     core::array::from_fn(|i| {
-        v[i].wrapping_add(rounded(product(w, t[i]), 30))
-            .wrapping_add(along[i])
+        v[i].wrapping_add(rounded(product(w, t[i]), 30)).wrapping_add(along[i])
     })
 }
 
@@ -261,20 +253,12 @@ mod tests {
     }
 
     fn cross64(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-        [
-            a[1] * b[2] - a[2] * b[1],
-            a[2] * b[0] - a[0] * b[2],
-            a[0] * b[1] - a[1] * b[0],
-        ]
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     }
 
     fn turned_by(phi: [f64; 3]) -> [f64; 4] {
         let angle = phi.iter().map(|x| x * x).sum::<f64>().sqrt();
-        let k = if angle > 1e-9 {
-            (angle / 2.0).sin() / angle
-        } else {
-            0.5
-        };
+        let k = if angle > 1e-9 { (angle / 2.0).sin() / angle } else { 0.5 };
         [(angle / 2.0).cos(), phi[0] * k, phi[1] * k, phi[2] * k]
     }
 
@@ -294,9 +278,7 @@ mod tests {
     fn angle_between(a: [f64; 4], b: [f64; 4]) -> f64 {
         let c = [a[0], -a[1], -a[2], -a[3]];
         let d = times(c, b);
-        2.0 * (d[1] * d[1] + d[2] * d[2] + d[3] * d[3])
-            .sqrt()
-            .atan2(d[0].abs())
+        2.0 * (d[1] * d[1] + d[2] * d[2] + d[3] * d[3]).sqrt().atan2(d[0].abs())
     }
 
     fn hand(t: f64) -> [f64; 3] {
@@ -311,10 +293,7 @@ mod tests {
     #[test]
     fn ten_minutes_of_hand_motion_at_1_khz_stay_within_a_thousandth_of_a_degree_of_f64() {
         let mut fixed = Rotation::new([1.0, 0.0, 0.0, 0.0], PeriodNs(1_000_000));
-        let mut exact = Oracle {
-            q: [1.0, 0.0, 0.0, 0.0],
-            previous: None,
-        };
+        let mut exact = Oracle { q: [1.0, 0.0, 0.0, 0.0], previous: None };
         for k in 0..=600_000 {
             let rate = AngularRateQ20::from_rad_s(hand(f64::from(k) * 1e-3));
             assert!(fixed.step(rate));
@@ -330,10 +309,7 @@ mod tests {
         for rate in [1, 7, 333, 10_485, 1_048_576, 36_500_000] {
             for axis in 0..3 {
                 let mut fixed = Rotation::new([0.5, 0.5, -0.5, 0.5], PeriodNs(1_000_003));
-                let mut exact = Oracle {
-                    q: [0.5, 0.5, -0.5, 0.5],
-                    previous: None,
-                };
+                let mut exact = Oracle { q: [0.5, 0.5, -0.5, 0.5], previous: None };
                 let mut sample = AngularRateQ20([0; 3]);
                 sample.0[axis] = rate;
                 for _ in 0..=100_000 {
@@ -352,13 +328,8 @@ mod tests {
     fn the_coning_term_holds_a_cone_that_the_trapezoid_alone_loses() {
         // Classical coning: the z axis drifts by ω a²/2 where the term is missing.
         let (amplitude, omega, dt) = (0.02_f64, 60.0_f64, 0.005_f64);
-        let truth = |t: f64| {
-            turned_by([
-                amplitude * (omega * t).cos(),
-                amplitude * (omega * t).sin(),
-                0.0,
-            ])
-        };
+        let truth =
+            |t: f64| turned_by([amplitude * (omega * t).cos(), amplitude * (omega * t).sin(), 0.0]);
         let rate = |t: f64| {
             let (h, s) = (1e-6, t);
             let (a, b) = (truth(s - h), truth(s + h));
@@ -366,10 +337,7 @@ mod tests {
             [d[1] / h, d[2] / h, d[3] / h]
         };
         let mut rotation = Rotation::new(truth(0.0), PeriodNs(5_000_000));
-        let mut plain = Oracle {
-            q: truth(0.0),
-            previous: None,
-        };
+        let mut plain = Oracle { q: truth(0.0), previous: None };
         let steps = 2000;
         for k in 0..=steps {
             let sample = AngularRateQ20::from_rad_s(rate(f64::from(k) * dt));
@@ -377,17 +345,13 @@ mod tests {
             // Without the term.
             let now = sample.to_rad_s();
             if let Some(before) = plain.previous.replace(now) {
-                plain.q = times(
-                    plain.q,
-                    turned_by([0, 1, 2].map(|i| (before[i] + now[i]) * dt / 2.0)),
-                );
+                plain.q =
+                    times(plain.q, turned_by([0, 1, 2].map(|i| (before[i] + now[i]) * dt / 2.0)));
             }
         }
         let end = truth(f64::from(steps) * dt);
-        let (with, without) = (
-            angle_between(rotation.quaternion(), end),
-            angle_between(plain.q, end),
-        );
+        let (with, without) =
+            (angle_between(rotation.quaternion(), end), angle_between(plain.q, end));
         // What is left is the chord: samples of a rate that is not linear in between.
         std::println!("coning, 10 s: {with:.2e} rad with the term, {without:.2e} rad without");
         assert!(with < 0.6 * without, "{with} {without}");

@@ -45,9 +45,8 @@ impl Segment {
             let after = before.wrapping_add(i64::from(previous[axis].wrapping_add(a[axis])));
             previous[axis] = a[axis];
             self.velocity_sum[axis] = after;
-            self.position_sum[axis] = self.position_sum[axis]
-                .wrapping_add(before)
-                .wrapping_add(after);
+            self.position_sum[axis] =
+                self.position_sum[axis].wrapping_add(before).wrapping_add(after);
             // One axis at a time: interleaved, as the compiler would do, they exceed the registers
             // and take a seventh more instructions on Cortex-M0+.
             compiler_fence(Ordering::SeqCst);

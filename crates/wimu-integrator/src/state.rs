@@ -28,12 +28,7 @@ impl Config {
     /// # Errors
     /// [`ConfigError::Period`] outside 100 µs..=1 s.
     pub fn new(period: PeriodNs) -> Result<Self, ConfigError> {
-        Self {
-            period,
-            zupt: true,
-            gravity_um_s2: 9_806_650,
-        }
-        .checked()
+        Self { period, zupt: true, gravity_um_s2: 9_806_650 }.checked()
     }
 
     /// Checks the ranges.
@@ -104,11 +99,7 @@ impl Flags {
 
     /// The flags at the start of the next leg.
     pub(crate) const fn for_next_leg(self) -> Self {
-        if self.is_valid() {
-            self
-        } else {
-            Self::POSITION_LOST
-        }
+        if self.is_valid() { self } else { Self::POSITION_LOST }
     }
 }
 
@@ -167,15 +158,12 @@ pub enum ConfigError {
 impl fmt::Display for ConfigError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Period(period) => write!(
-                out,
-                "sample period {} ns is outside 100000 to 1000000000 ns",
-                period.0
-            ),
-            Self::Gravity(gravity) => write!(
-                out,
-                "local gravity {gravity} µm/s² is outside 9700000 to 9900000 µm/s²"
-            ),
+            Self::Period(period) => {
+                write!(out, "sample period {} ns is outside 100000 to 1000000000 ns", period.0)
+            }
+            Self::Gravity(gravity) => {
+                write!(out, "local gravity {gravity} µm/s² is outside 9700000 to 9900000 µm/s²")
+            }
         }
     }
 }

@@ -58,10 +58,7 @@ pub struct Window {
 impl Window {
     /// A window that starts at the end of `segment`.
     pub(crate) fn starting_at(segment: &Segment) -> Self {
-        Self {
-            start: *segment,
-            ..Self::default()
-        }
+        Self { start: *segment, ..Self::default() }
     }
 
     /// Adds a sample; returns the number of samples.
@@ -82,11 +79,7 @@ impl Window {
 
     /// n² times the summed variance of the axes, 2⁻²⁰ m²/s⁴: n Σx² − (Σx)².
     fn scatter(&self) -> u64 {
-        let of_mean: u64 = self
-            .sum
-            .iter()
-            .map(|&sum| u64::from(sum.unsigned_abs()).pow(2))
-            .sum();
+        let of_mean: u64 = self.sum.iter().map(|&sum| u64::from(sum.unsigned_abs()).pow(2)).sum();
         (self.squares * u64::from(self.samples)).saturating_sub(of_mean)
     }
 
@@ -128,12 +121,7 @@ pub struct Run {
 impl Run {
     /// A run of one window that ends at the end of `segment`.
     pub(crate) fn starting_with(total: [i64; 3], segment: &Segment) -> Self {
-        Self {
-            windows: 1,
-            sum: [0; 3],
-            latest: total,
-            start: *segment,
-        }
+        Self { windows: 1, sum: [0; 3], latest: total, start: *segment }
     }
 
     /// Whether a window with this sum has the mean of the run.
@@ -162,8 +150,7 @@ impl Run {
     /// Mean specific force over all windows but the latest, 2⁻³² m/s².
     pub(crate) fn mean(&self, window_steps: u16) -> [i64; 3] {
         let steps = 2 * i64::from(self.windows.saturating_sub(1).max(1)) * i64::from(window_steps);
-        self.sum
-            .map(|sum| (sum << 16).checked_div(steps).unwrap_or(0))
+        self.sum.map(|sum| (sum << 16).checked_div(steps).unwrap_or(0))
     }
 }
 

@@ -11,10 +11,7 @@ const G: i32 = 642_689;
 const HZ_100: PeriodNs = PeriodNs(10_000_000);
 
 fn integrator(zupt: bool) -> Integrator {
-    Integrator::new(Config {
-        zupt,
-        ..Config::new(HZ_100).unwrap()
-    })
+    Integrator::new(Config { zupt, ..Config::new(HZ_100).unwrap() })
 }
 
 fn q16(mps2: f64) -> i32 {
@@ -82,10 +79,7 @@ fn a_slide_between_two_rests_is_measured_to_a_millimetre() {
         let mut ins = integrator(zupt);
         feed(&mut ins, rest(200).chain(a_slide()).chain(rest(100)));
         let navigation = ins.navigation();
-        assert!(
-            (navigation.position.to_m()[0] - 1.0).abs() < 1e-3,
-            "{navigation:?}"
-        );
+        assert!((navigation.position.to_m()[0] - 1.0).abs() < 1e-3, "{navigation:?}");
         assert!(navigation.flags.is_valid());
         assert_eq!(navigation.phase == Phase::Resting, zupt);
     }
@@ -95,10 +89,7 @@ fn a_slide_between_two_rests_is_measured_to_a_millimetre() {
 fn with_zupt_a_constant_bias_since_the_rest_is_taken_out_of_the_leg() {
     let biased = |force: [i32; 3]| [force[0] + q16(0.02), force[1], force[2]];
     let mut ins = integrator(true);
-    feed(
-        &mut ins,
-        rest(200).chain(a_slide().map(biased)).chain(rest(100)),
-    );
+    feed(&mut ins, rest(200).chain(a_slide().map(biased)).chain(rest(100)));
     let error = ins.navigation().position.to_m()[0] - 1.0;
     // Uncorrected, 0.02 m/s² for 3 s are 90 mm, and 10 mm more for every further 0.17 s.
     assert!(error.abs() < 0.02, "{error}");
@@ -122,17 +113,10 @@ fn a_tilted_unit_reports_in_the_level_frame() {
     let (sin, cos) = (0.5_f64, 0.75_f64.sqrt());
     let tilt = |t: f64| {
         let a = slide(t, 1.0, 3.0);
-        [
-            q16(a * cos + 9.80665 * sin),
-            0,
-            q16(-a * sin + 9.80665 * cos),
-        ]
+        [q16(a * cos + 9.80665 * sin), 0, q16(-a * sin + 9.80665 * cos)]
     };
     let mut ins = integrator(true);
-    feed(
-        &mut ins,
-        (0..700).map(|k| tilt((f64::from(k) * 0.01 - 2.0).clamp(0.0, 3.0))),
-    );
+    feed(&mut ins, (0..700).map(|k| tilt((f64::from(k) * 0.01 - 2.0).clamp(0.0, 3.0))));
     let [east, north, up] = ins.navigation().position.to_m();
     assert!((east - 1.0).abs() < 1e-3 && north.abs() < 1e-6 && up.abs() < 1e-3);
 }
@@ -180,10 +164,7 @@ fn a_rest_is_announced_once_and_so_is_motion() {
             change => seen.push(change),
         }
     }
-    assert_eq!(
-        seen,
-        [Transition::Rest, Transition::Motion, Transition::Rest]
-    );
+    assert_eq!(seen, [Transition::Rest, Transition::Motion, Transition::Rest]);
 }
 
 #[test]
@@ -238,10 +219,7 @@ fn forces() -> impl Strategy<Value = Vec<([i32; 3], u8)>> {
 fn headed(degrees: f64) -> MagneticHeading {
     let (sin, cos) = degrees.to_radians().sin_cos();
     let direction = |x: f64| (x * f64::from(1 << 30)).round() as i32;
-    MagneticHeading {
-        east: [direction(sin), direction(-cos), 0],
-        sd_mrad: 20,
-    }
+    MagneticHeading { east: [direction(sin), direction(-cos), 0], sd_mrad: 20 }
 }
 
 #[test]
@@ -286,10 +264,7 @@ fn one_reading_of_another_field_is_left_out_and_two_begin_anew() {
         four.push(here);
     }
     assert_eq!(field, four);
-    assert_eq!(
-        [there, there].map(|output| field.push(output)),
-        [false, true]
-    );
+    assert_eq!([there, there].map(|output| field.push(output)), [false, true]);
     let mut anew = FieldMean::default();
     anew.push(there);
     assert_eq!(field, anew);

@@ -14,10 +14,7 @@ pub const REST_S: f64 = 3.0;
 /// Sample rate and period.
 pub const HZ: f64 = 200.0;
 pub const PERIOD: PeriodNs = PeriodNs(5_000_000);
-const NONE: Saturation = Saturation {
-    accelerometer: false,
-    gyroscope: false,
-};
+const NONE: Saturation = Saturation { accelerometer: false, gyroscope: false };
 
 /// Errors of the sensors.
 #[derive(Clone, Copy, Debug, Default)]
@@ -119,11 +116,7 @@ impl Hand {
             });
             let rate =
                 [0, 1, 2].map(|i| rate[i] + errors.rate_bias[i] + errors.rate_noise * noise());
-            (
-                SpecificForceQ16(force),
-                AngularRateQ20::from_rad_s(rate),
-                NONE,
-            )
+            (SpecificForceQ16(force), AngularRateQ20::from_rad_s(rate), NONE)
         };
         (0..=count).map(&mut sample).collect()
     }
@@ -171,14 +164,7 @@ pub struct Rule {
 impl Rule {
     /// At rest at the origin in a body-to-navigation `attitude`.
     pub fn new(attitude: [f64; 4], gravity: f64, dt: f64) -> Self {
-        Self {
-            attitude,
-            position: [0.0; 3],
-            velocity: [0.0; 3],
-            previous: None,
-            gravity,
-            dt,
-        }
+        Self { attitude, position: [0.0; 3], velocity: [0.0; 3], previous: None, gravity, dt }
     }
 
     /// The same after the sample (`force`, `rate`) of an integrator.
@@ -213,11 +199,7 @@ impl Rule {
             ];
             let phi = [0, 1, 2].map(|i| (before[i] + rate[i]) * dt / 2.0 + c[i] * dt * dt / 12.0);
             let angle = phi.iter().map(|x| x * x).sum::<f64>().sqrt();
-            let k = if angle > 1e-9 {
-                (angle / 2.0).sin() / angle
-            } else {
-                0.5
-            };
+            let k = if angle > 1e-9 { (angle / 2.0).sin() / angle } else { 0.5 };
             let by = [(angle / 2.0).cos(), phi[0] * k, phi[1] * k, phi[2] * k];
             let q = times(self.attitude, by);
             let norm = q.iter().map(|q| q * q).sum::<f64>().sqrt();

@@ -12,10 +12,7 @@ use crate::hand::{Errors, G, HZ, Hand, PERIOD, REST_S, Rule, angle_between, dist
 const LEVEL: SpecificForceQ16 = SpecificForceQ16([0, 0, 642_689]);
 
 fn integrator(zupt: bool) -> Integrator {
-    Integrator::new(Config {
-        zupt,
-        ..Config::new(PERIOD).unwrap()
-    })
+    Integrator::new(Config { zupt, ..Config::new(PERIOD).unwrap() })
 }
 
 fn deg_s(rate: [f64; 3]) -> AngularRateQ20 {
@@ -52,19 +49,13 @@ fn a_hand_motion_with_rotation_ends_where_the_hand_does() {
     let hand = Hand { motion_s: 10.0 };
     let error = |with_gyroscope, errors: &Errors, seed| {
         let unit = walked(hand, errors, with_gyroscope, seed);
-        distance(
-            unit.navigation().position.to_m(),
-            hand.position(hand.total_s()),
-        )
+        distance(unit.navigation().position.to_m(), hand.position(hand.total_s()))
     };
     let exact = error(true, &Errors::default(), 1);
     // The trapezoid between samples 5 ms apart.
     assert!(exact < 0.02, "{exact}");
     let rms = |with| {
-        ((1..=8)
-            .map(|seed| error(with, &Errors::lsm6dso(), seed).powi(2))
-            .sum::<f64>()
-            / 8.0)
+        ((1..=8).map(|seed| error(with, &Errors::lsm6dso(), seed).powi(2)).sum::<f64>() / 8.0)
             .sqrt()
     };
     let (six, three) = (rms(true), rms(false));
@@ -76,18 +67,10 @@ fn a_leg_with_rotation_is_valid_and_its_attitude_that_of_the_hand() {
     let hand = Hand { motion_s: 10.0 };
     let now = walked(hand, &Errors::lsm6dso(), true, 1).navigation();
     assert_eq!((now.phase, now.flags), (Phase::Resting, Flags::default()));
-    let found = now
-        .attitude
-        .unwrap()
-        .map(|q| f64::from(q) / f64::from(1 << 30));
+    let found = now.attitude.unwrap().map(|q| f64::from(q) / f64::from(1 << 30));
     let error = angle_between(found, hand.attitude(hand.total_s())).to_degrees();
     assert!(error < 0.5, "{error}");
-    assert!(
-        walked(hand, &Errors::lsm6dso(), false, 1)
-            .navigation()
-            .attitude
-            .is_none()
-    );
+    assert!(walked(hand, &Errors::lsm6dso(), false, 1).navigation().attitude.is_none());
 }
 
 #[test]
@@ -109,10 +92,7 @@ fn position_and_attitude_follow_the_same_rule_in_f64() {
             let rate = AngularRateQ20([0, 1, 2].map(|i| rate.0[i] - bias[i]));
             rule.step(force.to_mps2().0, rate.to_rad_s());
             worst_m = worst_m.max(distance(now.position.to_m(), rule.position));
-            let found = now
-                .attitude
-                .unwrap()
-                .map(|q| f64::from(q) / f64::from(1 << 30));
+            let found = now.attitude.unwrap().map(|q| f64::from(q) / f64::from(1 << 30));
             worst_deg = worst_deg.max(angle_between(found, rule.attitude).to_degrees());
         }
     }
@@ -122,10 +102,7 @@ fn position_and_attitude_follow_the_same_rule_in_f64() {
         "below 2",
         worst_m < 2e-3,
     );
-    assert!(
-        worst_m > 0.0 && worst_m < 2e-3 && worst_deg < 1e-4,
-        "{worst_m} {worst_deg}"
-    );
+    assert!(worst_m > 0.0 && worst_m < 2e-3 && worst_deg < 1e-4, "{worst_m} {worst_deg}");
 }
 
 #[test]
@@ -149,21 +126,14 @@ fn a_slow_rotation_about_the_vertical_is_no_rest_but_for_16_s_of_it() {
     spin(&mut unit, 0.0, 2.0);
     spin(&mut unit, 3.0, 10.0);
     assert_eq!(unit.navigation().phase, Phase::Moving);
-    assert!(
-        (heading_deg(&unit) - (90.0 - 30.0)).abs() < 0.1,
-        "{}",
-        heading_deg(&unit)
-    );
+    assert!((heading_deg(&unit) - (90.0 - 30.0)).abs() < 0.1, "{}", heading_deg(&unit));
     spin(&mut unit, 0.0, 2.0);
     assert_eq!(unit.navigation().phase, Phase::Resting);
     assert!((heading_deg(&unit) - 60.0).abs() < 0.1);
     // A bias that changed, or was measured in rotation, is replaced.
     spin(&mut unit, 3.0, 20.0);
     assert_eq!(unit.navigation().phase, Phase::Resting);
-    assert_eq!(
-        unit.state().rotation.unwrap().bias,
-        deg_s([0.0, 0.0, 3.0]).0
-    );
+    assert_eq!(unit.state().rotation.unwrap().bias, deg_s([0.0, 0.0, 3.0]).0);
 }
 
 #[test]
@@ -178,11 +148,7 @@ fn a_gap_holds_the_attitude_and_flags_the_leg() {
     assert_eq!(before.attitude, after.attitude);
     assert!(after.flags.contains(Flags::GAP));
     spin(&mut unit, 90.0, 1.0);
-    assert!(
-        (heading_deg(&unit) + 90.0).abs() < 1.0,
-        "{}",
-        heading_deg(&unit)
-    );
+    assert!((heading_deg(&unit) + 90.0).abs() < 1.0, "{}", heading_deg(&unit));
 }
 
 #[test]
@@ -209,12 +175,7 @@ fn a_heading_is_taken_in_the_axes_of_the_body_after_its_rotation() {
     spin(&mut unit, 90.0, 1.0);
     spin(&mut unit, 0.0, 2.0);
     assert!(heading_deg(&unit).abs() < 1.0);
-    assert!(
-        distance(
-            unit.rest_force().map(|f| f as f64 / 4_294_967_296.0),
-            [0.0, 0.0, G]
-        ) < 1e-3
-    );
+    assert!(distance(unit.rest_force().map(|f| f as f64 / 4_294_967_296.0), [0.0, 0.0, G]) < 1e-3);
     // Body x points 40° clockwise from north.
     let (sin, cos) = 40_f64.to_radians().sin_cos();
     let east = [sin, -cos, 0.0].map(|x| (x * f64::from(1 << 30)) as i32);
@@ -232,11 +193,7 @@ fn the_first_rest_in_any_attitude_gives_tilt() {
         let nose_up = SpecificForceQ16([642_689, 0, 0]);
         unit.step_inertial(nose_up, AngularRateQ20::default(), Saturation::default());
     }
-    let q = unit
-        .navigation()
-        .attitude
-        .unwrap()
-        .map(|q| f64::from(q) / f64::from(1 << 30));
+    let q = unit.navigation().attitude.unwrap().map(|q| f64::from(q) / f64::from(1 << 30));
     let up = crate::hand::rotated(q, [1.0, 0.0, 0.0]);
     assert!(distance(up, [0.0, 0.0, 1.0]) < 1e-6, "{up:?}");
     assert!((times(q, crate::hand::conjugate(q))[0] - 1.0).abs() < 1e-8);

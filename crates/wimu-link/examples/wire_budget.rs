@@ -42,26 +42,15 @@ const REST: f64 = 7.5;
 const HAND: f64 = 10.0;
 /// Units of columns, and LSB of an LSM6DSO in one unit.
 const UNITS: [[(&str, f64); 3]; 2] = [
-    [
-        ("LSB", 1.0),
-        ("m/s²", 1.0 / (0.061e-3 * 9.80665)),
-        ("g", 1.0 / 0.061e-3),
-    ],
-    [
-        ("LSB", 1.0),
-        ("rad/s", 360.0 / TAU / 17.5e-3),
-        ("deg/s", 1.0 / 17.5e-3),
-    ],
+    [("LSB", 1.0), ("m/s²", 1.0 / (0.061e-3 * 9.80665)), ("g", 1.0 / 0.061e-3)],
+    [("LSB", 1.0), ("rad/s", 360.0 / TAU / 17.5e-3), ("deg/s", 1.0 / 17.5e-3)],
 ];
 /// 115200 baud, 8N1: ten bits to a byte.
 const LINE_BYTES_PER_S: f64 = 11_520.0;
 
 fn main() -> Result<(), Box<dyn Error>> {
     println!("batches of {BATCH}, raw samples of three axes, every byte of the frame counted");
-    println!(
-        "{:<44} {:>8} {:>9} {:>14}",
-        "signal", "samples", "B/sample", "Hz at 115200"
-    );
+    println!("{:<44} {:>8} {:>9} {:>14}", "signal", "samples", "B/sample", "Hz at 115200");
     let mut files: Vec<String> = std::env::args().skip(1).collect();
     let folder = files.pop_if(|file| Path::new(file).is_dir());
     if files.is_empty() {
@@ -119,20 +108,13 @@ fn report<S: Sample>(name: &str, samples: &[S]) -> Result<f64, Box<dyn Error>> {
         }
     }
     let cost = bytes as f64 / samples.len() as f64;
-    println!(
-        "{name:<44} {:>8} {cost:>9.3} {:>14.0}",
-        samples.len(),
-        LINE_BYTES_PER_S / cost
-    );
+    println!("{name:<44} {:>8} {cost:>9.3} {:>14.0}", samples.len(), LINE_BYTES_PER_S / cost);
     Ok(cost)
 }
 
 /// Records bytes a sample, and whether they are few enough.
 fn record(axes: &str, name: &str, cost: f64, most: Option<f64>) {
-    let name = name
-        .strip_suffix(".csv")
-        .unwrap_or(name)
-        .replace(".csv:-7500", ", end");
+    let name = name.strip_suffix(".csv").unwrap_or(name).replace(".csv:-7500", ", end");
     let target = most.map_or("–".to_owned(), |most| format!("at most {most}"));
     let claim = format!("bytes a sample{axes}, frames of {BATCH}: {name}");
     let met = most.is_none_or(|most| cost <= most);
@@ -207,20 +189,15 @@ fn read<const AXES: usize>(argument: &str) -> Result<Vec<[i16; AXES]>, Box<dyn E
     let header: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
     let mut columns = [(0, 1.0); AXES];
     for (index, column) in columns.iter_mut().enumerate() {
-        let (sensor, axis) = (
-            ["Accelerometer", "Gyroscope"][index / 3],
-            ["X", "Y", "Z"][index % 3],
-        );
+        let (sensor, axis) =
+            (["Accelerometer", "Gyroscope"][index / 3], ["X", "Y", "Z"][index % 3]);
         *column = UNITS[index / 3]
             .iter()
             .find_map(|(unit, lsb)| {
-                let names = [
-                    format!("{sensor} {axis} ({unit})"),
-                    format!("{sensor} 0 {axis} ({unit})"),
-                ];
-                let place = header
-                    .iter()
-                    .position(|name| names.iter().any(|wanted| wanted == name))?;
+                let names =
+                    [format!("{sensor} {axis} ({unit})"), format!("{sensor} 0 {axis} ({unit})")];
+                let place =
+                    header.iter().position(|name| names.iter().any(|wanted| wanted == name))?;
                 Some((place, *lsb))
             })
             .ok_or_else(|| format!("{path}: no column `{sensor} {axis} (LSB)`"))?;

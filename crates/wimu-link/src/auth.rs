@@ -216,13 +216,7 @@ impl Lock {
             .chain_update(number.to_le_bytes())
             .chain_update(self.entropy);
         let nonce = truncated(nonce);
-        Some(Session {
-            key,
-            role,
-            device_id: self.device_id,
-            number,
-            nonce,
-        })
+        Some(Session { key, role, device_id: self.device_id, number, nonce })
     }
 }
 
@@ -346,11 +340,7 @@ pub(crate) enum Standing {
 
 impl Sessions {
     pub(crate) const fn new() -> Self {
-        Self {
-            opened: 0,
-            ended: 0,
-            proved: Vec::new(),
-        }
+        Self { opened: 0, ended: 0, proved: Vec::new() }
     }
 
     /// The number of a new session; `None` when the numbers are used up until the next start.
@@ -384,10 +374,7 @@ pub(crate) fn put_first<T: Copy>(list: &mut VecView<T>, known: Option<usize>, fi
         let _ = list.push(first);
     }
     let mut next = first;
-    for item in list
-        .iter_mut()
-        .take(known.map_or(usize::MAX, |known| known + 1))
-    {
+    for item in list.iter_mut().take(known.map_or(usize::MAX, |known| known + 1)) {
         next = core::mem::replace(item, next);
     }
 }

@@ -20,14 +20,7 @@ pub(crate) struct Place {
 impl<'a> BitWriter<'a> {
     /// Writes to `bytes`, of which up to three at the end stay unused.
     pub(crate) fn new(bytes: &'a mut [u8]) -> Self {
-        Self {
-            words: bytes.as_chunks_mut().0,
-            place: Place {
-                words: 0,
-                held: 0,
-                count: 0,
-            },
-        }
+        Self { words: bytes.as_chunks_mut().0, place: Place { words: 0, held: 0, count: 0 } }
     }
 
     /// Appends `count` (0..=32) bits: `value`, which has no more.
@@ -130,17 +123,9 @@ impl<'a> BitReader<'a> {
     pub(crate) fn new(bytes: &'a [u8]) -> Self {
         let last = match bytes.last_chunk::<8>() {
             Some(last) => u64::from_be_bytes(*last),
-            None => bytes
-                .iter()
-                .fold(0, |last, &byte| last << 8 | u64::from(byte)),
+            None => bytes.iter().fold(0, |last, &byte| last << 8 | u64::from(byte)),
         };
-        Self {
-            bytes,
-            last,
-            taken: 0,
-            held: 0,
-            available: 0,
-        }
+        Self { bytes, last, taken: 0, held: 0, available: 0 }
     }
 
     /// Takes in bytes until at least 57 bits are held.

@@ -140,18 +140,12 @@ pub(crate) fn build_within(
     frame: &mut [u8],
     write: &mut dyn FnMut(&mut BodyWriter) -> Result<(), EncodeError>,
 ) -> Result<usize, EncodeError> {
-    let mut writer = BodyWriter {
-        cobs: CobsEncoder::new(frame),
-        digest: Digest::new(),
-        left: longest,
-    };
+    let mut writer =
+        BodyWriter { cobs: CobsEncoder::new(frame), digest: Digest::new(), left: longest };
     writer.code(&[(WIRE_VERSION << 4) | kind as u8])?;
     write(&mut writer)?;
-    let BodyWriter {
-        mut cobs, digest, ..
-    } = writer;
-    cobs.push(&digest.finalize().to_le_bytes())
-        .map_err(|_| EncodeError::NoRoom)?;
+    let BodyWriter { mut cobs, digest, .. } = writer;
+    cobs.push(&digest.finalize().to_le_bytes()).map_err(|_| EncodeError::NoRoom)?;
     let coded = cobs.finalize();
     *frame.get_mut(coded).ok_or(EncodeError::NoRoom)? = 0;
     Ok(coded + 1)
@@ -234,11 +228,7 @@ impl Deframer {
 
 impl<const PLAIN: usize> Deframer<PLAIN> {
     const fn empty() -> Self {
-        Self {
-            cobs: DecoderState::Idle,
-            length: 0,
-            plain: [0; PLAIN],
-        }
+        Self { cobs: DecoderState::Idle, length: 0, plain: [0; PLAIN] }
     }
 
     /// Takes the next byte; returns a frame or an error when the byte ends one.
@@ -346,11 +336,9 @@ impl<const PLAIN: usize> Deframer<PLAIN> {
                 None
             }
             Ok(DecodeResult::DataComplete) => Some(Ok(self.length)),
-            Err(_) => Some(Err(if self.length > PLAIN {
-                FrameError::TooLong
-            } else {
-                FrameError::Cobs
-            })),
+            Err(_) => {
+                Some(Err(if self.length > PLAIN { FrameError::TooLong } else { FrameError::Cobs }))
+            }
         }
     }
 }
@@ -395,9 +383,7 @@ fn find_zero(bytes: &[u8]) -> Option<usize> {
 
 /// The first byte and the body of an undamaged frame.
 fn undamaged(plain: &[u8]) -> Result<(u8, &[u8]), FrameError> {
-    let (covered, crc) = plain
-        .split_last_chunk::<CRC_BYTES>()
-        .ok_or(FrameError::TooShort)?;
+    let (covered, crc) = plain.split_last_chunk::<CRC_BYTES>().ok_or(FrameError::TooShort)?;
     let (&first, body) = covered.split_first().ok_or(FrameError::TooShort)?;
     if crc_32c(covered) == u32::from_le_bytes(*crc) {
         Ok((first, body))
@@ -410,19 +396,9 @@ fn check(plain: &[u8]) -> Result<Frame<'_>, FrameError> {
     let (first, body) = undamaged(plain)?;
     let (version, number) = (first >> 4, first & 15);
     match Kind::from_number(number) {
-        Some(kind) if kind.is_readable_in(version) => Ok(Frame {
-            version,
-            kind,
-            body,
-        }),
-        _ if version != WIRE_VERSION => Err(FrameError::UnknownVersion {
-            version,
-            kind: number,
-        }),
-        _ => Err(FrameError::UnknownKind {
-            version,
-            kind: number,
-        }),
+        Some(kind) if kind.is_readable_in(version) => Ok(Frame { version, kind, body }),
+        _ if version != WIRE_VERSION => Err(FrameError::UnknownVersion { version, kind: number }),
+        _ => Err(FrameError::UnknownKind { version, kind: number }),
     }
 }
 
@@ -457,10 +433,7 @@ pub enum FrameError {
 impl FrameError {
     /// Whether the frame was damaged in transit, rather than of an unknown version or kind.
     pub fn is_damage(self) -> bool {
-        matches!(
-            self,
-            Self::Cobs | Self::TooShort | Self::TooLong | Self::Crc
-        )
+        matches!(self, Self::Cobs | Self::TooShort | Self::TooLong | Self::Crc)
     }
 }
 
@@ -477,11 +450,7 @@ impl fmt::Display for FrameError {
             Self::UnknownVersion { version, kind } => write!(
                 out,
                 "the other end uses wire version {version} (frame kind {kind}), this end version {WIRE_VERSION}; update {}",
-                if *version < WIRE_VERSION {
-                    "the other end"
-                } else {
-                    "this end"
-                }
+                if *version < WIRE_VERSION { "the other end" } else { "this end" }
             ),
             Self::UnknownKind { version, kind } => write!(
                 out,
@@ -524,10 +493,9 @@ impl fmt::Display for EncodeError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::BodyTooLong => write!(out, "a frame's body is longer than {MAX_BODY} bytes"),
-            Self::NoRoom => write!(
-                out,
-                "the frame does not fit the given buffer; {MAX_FRAME} bytes always do"
-            ),
+            Self::NoRoom => {
+                write!(out, "the frame does not fit the given buffer; {MAX_FRAME} bytes always do")
+            }
             Self::BatchLength { most } => write!(out, "a batch holds 1 to {most} samples"),
             Self::Sensor { most } => write!(out, "a sensor's index is at most {most}"),
         }

@@ -156,12 +156,7 @@ impl Requester {
             },
             None => {
                 self.id = self.id.wrapping_add(1);
-                Request {
-                    session: self.session,
-                    id: self.id,
-                    signature: Signature::NONE,
-                    command,
-                }
+                Request { session: self.session, id: self.id, signature: Signature::NONE, command }
             }
         };
         fill(&mut self.frame, |frame| request.encode(frame));
@@ -189,12 +184,8 @@ impl Requester {
     pub fn poll(&mut self, now: Duration) -> Next<'_> {
         match &mut self.waiting {
             None => Next::Idle,
-            Some(waiting) if now < waiting.until => Next::Wait {
-                until: waiting.until,
-            },
-            Some(Waiting {
-                attempts_left: 0, ..
-            }) => {
+            Some(waiting) if now < waiting.until => Next::Wait { until: waiting.until },
+            Some(Waiting { attempts_left: 0, .. }) => {
                 self.waiting = None;
                 Next::TimedOut
             }

@@ -147,12 +147,7 @@ enum Executing {
 
 impl Known {
     fn answer<P: Copy>(&self, answer: &Answer<P>) -> Reply<P> {
-        Reply {
-            session: self.session,
-            id: self.id,
-            signature: Signature::NONE,
-            answer: *answer,
-        }
+        Reply { session: self.session, id: self.id, signature: Signature::NONE, answer: *answer }
     }
 
     fn signed_answer<P: Copy + Serialize>(
@@ -161,10 +156,7 @@ impl Known {
         request: Signature,
         answer: &Answer<P>,
     ) -> Reply<P> {
-        Reply {
-            signature: session.sign_answer(self.id, request, answer),
-            ..self.answer(answer)
-        }
+        Reply { signature: session.sign_answer(self.id, request, answer), ..self.answer(answer) }
     }
 }
 
@@ -200,11 +192,7 @@ impl Responder {
         let Ok((head, command)) = Head::split(body) else {
             return Decision::Ignore;
         };
-        let request = Known {
-            session: head.session,
-            id: head.id,
-            content: crc_32c(body),
-        };
+        let request = Known { session: head.session, id: head.id, content: crc_32c(body) };
         if head.signature == Signature::NONE {
             // The variant's number is the whole command.
             let class = match command {
@@ -296,9 +284,7 @@ impl Responder {
             }
             Err(answer) if is_old => self.refuse(class, request.answer(&answer)),
             Err(answer) => {
-                fill(&mut self.reply, |frame| {
-                    request.answer(&answer).encode(frame)
-                });
+                fill(&mut self.reply, |frame| request.answer(&answer).encode(frame));
                 self.spend(class, self.reply.len());
                 Decision::Send(&self.reply)
             }
@@ -371,9 +357,7 @@ impl Responder {
                 Decision::Execute(command)
             }
             Err(answer) => {
-                fill(&mut self.signed_reply, |frame| {
-                    signed(&answer).encode(frame)
-                });
+                fill(&mut self.signed_reply, |frame| signed(&answer).encode(frame));
                 Decision::Send(&self.signed_reply)
             }
         }
@@ -391,10 +375,9 @@ impl Responder {
     fn open_session(&mut self, lock: &Lock) -> ShortAnswer {
         let number = self.sessions.open().filter(|_| cfg!(feature = "auth"));
         match number.and_then(|number| lock.session(self.role, number)) {
-            Some(session) => Answer::Accepted(Payload::Session {
-                number: session.number,
-                nonce: session.nonce,
-            }),
+            Some(session) => {
+                Answer::Accepted(Payload::Session { number: session.number, nonce: session.nonce })
+            }
             None => Answer::Refused(Refusal::Locked),
         }
     }

@@ -163,14 +163,7 @@ impl Interval {
 impl Tagger {
     /// For a link on which nothing has been sent since the start.
     pub const fn new(role: LinkRole) -> Self {
-        Self {
-            role,
-            number: 0,
-            interval: None,
-            frame: None,
-            is_within: false,
-            is_epoch: false,
-        }
+        Self { role, number: 0, interval: None, frame: None, is_within: false, is_epoch: false }
     }
 
     /// Takes the next bytes that are sent, at most to the closing zero of their frame; `ends` if they include it. Returns
@@ -207,20 +200,8 @@ impl Tagger {
     /// Ends the interval. One without a tag has a number too, so that the next one does not seem to follow the latest tag.
     fn end(&mut self) -> Option<Tag> {
         self.number = self.number.wrapping_add(1);
-        let Interval {
-            key,
-            id,
-            boot_count,
-            frames,
-            sum,
-        } = self.interval.take()?;
+        let Interval { key, id, boot_count, frames, sum } = self.interval.take()?;
         let code = key.of_interval(self.number, frames).wrapping_add(sum);
-        Some(Tag {
-            key: id,
-            boot_count,
-            number: self.number,
-            frames,
-            code: code.to_le_bytes(),
-        })
+        Some(Tag { key: id, boot_count, number: self.number, frames, code: code.to_le_bytes() })
     }
 }

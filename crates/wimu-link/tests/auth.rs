@@ -45,11 +45,7 @@ const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
 
 impl Device {
     fn new(lock: Lock) -> Self {
-        Self {
-            lock,
-            links: ROLES.map(Responder::new),
-            writes: Vec::new(),
-        }
+        Self { lock, links: ROLES.map(Responder::new), writes: Vec::new() }
     }
 
     /// It starts anew: what is in RAM is gone.
@@ -66,8 +62,7 @@ impl Device {
             Decision::Send(frame) => frame,
             Decision::Execute(command) => {
                 if command.is_write() {
-                    self.writes
-                        .push(command.map(|piece| Piece::new(piece).expect("checked")));
+                    self.writes.push(command.map(|piece| Piece::new(piece).expect("checked")));
                 }
                 let answer: Answer = Answer::Accepted(Payload::None);
                 link.reply(&answer, &mut room)
@@ -87,12 +82,7 @@ struct Owner {
 
 impl Owner {
     fn new(role: LinkRole, key: DeviceKey, session: u32) -> Self {
-        Self {
-            role,
-            key,
-            requester: Requester::new(session),
-            ids: session,
-        }
+        Self { role, key, requester: Requester::new(session), ids: session }
     }
 
     fn open(&mut self, device: &mut Device) {
@@ -124,11 +114,7 @@ impl Owner {
         for _ in 0..3 {
             let request = self.request(command);
             let reply = device.hear(self.role, &request).expect("an answer");
-            match self
-                .requester
-                .on_reply(&replied(&reply))
-                .expect("its answer")
-            {
+            match self.requester.on_reply(&replied(&reply)).expect("its answer") {
                 Answer::Refused(Refusal::SessionEnded | Refusal::WrongSignature) => {
                     self.open(device);
                 }
@@ -140,19 +126,11 @@ impl Owner {
 }
 
 fn locked_by(key: DeviceKey) -> Lock {
-    Lock {
-        key: KeyState::Set(key),
-        device_id: 0x1234,
-        boot_count: Some(7),
-        entropy: [3; 16],
-    }
+    Lock { key: KeyState::Set(key), device_id: 0x1234, boot_count: Some(7), entropy: [3; 16] }
 }
 
 fn rate(rate_hz: u16) -> Command {
-    Command::SetSettings(Settings {
-        rate_hz,
-        ..Settings::default()
-    })
+    Command::SetSettings(Settings { rate_hz, ..Settings::default() })
 }
 
 /// A random key.
@@ -170,10 +148,7 @@ fn attack(seed: u64, rounds: usize) -> BTreeMap<&'static str, u64> {
     let (key, others_key) = (random_key(&mut source), random_key(&mut source));
     let mut device = Device::new(locked_by(key));
     // Same key, another device; and one that has another key.
-    let twin = Lock {
-        device_id: 0x9999,
-        ..locked_by(key)
-    };
+    let twin = Lock { device_id: 0x9999, ..locked_by(key) };
     let mut owners = ROLES.map(|role| Owner::new(role, key, source.bits() as u32));
     let mut second = Owner::new(LinkRole::Wireless, key, source.bits() as u32);
     let mut tried: BTreeMap<&'static str, u64> = BTreeMap::new();
@@ -202,11 +177,7 @@ fn attack(seed: u64, rounds: usize) -> BTreeMap<&'static str, u64> {
                 }
                 (3, Some((of, body))) => {
                     let other = ROLES[usize::from(of == LinkRole::Cable)];
-                    assert!(
-                        device
-                            .hear(other, &body)
-                            .is_none_or(|reply| refused(&reply))
-                    );
+                    assert!(device.hear(other, &body).is_none_or(|reply| refused(&reply)));
                     ("cross-link", body)
                 }
                 (4, _) => {
@@ -285,11 +256,7 @@ fn attack(seed: u64, rounds: usize) -> BTreeMap<&'static str, u64> {
             device.hear(role, &body);
             *tried.entry(kind).or_default() += 1;
         }
-        assert_eq!(
-            device.writes.len(),
-            before,
-            "a write passed in round {round}"
-        );
+        assert_eq!(device.writes.len(), before, "a write passed in round {round}");
 
         if round % 20 == 19 {
             // Held back until the session has ended.
@@ -451,9 +418,7 @@ fn opening_sessions_without_the_key_ends_nobodys() {
     for from in [1_000_000, 2_000_000] {
         open(&mut device, from);
         let request = owner.request(rate(200));
-        let reply = device
-            .hear(LinkRole::Wireless, &request)
-            .expect("an answer");
+        let reply = device.hear(LinkRole::Wireless, &request).expect("an answer");
         let answer = owner.requester.on_reply(&replied(&reply));
         assert_eq!(answer, Some(Answer::Accepted(Payload::None)));
     }
@@ -517,9 +482,7 @@ fn a_session_is_another_one_in_every_respect() {
                 signature: Signature::NONE,
                 command: Command::OpenSession,
             };
-            last = device
-                .hear(role, &encoded(&request))
-                .map(|reply| reply.answer);
+            last = device.hear(role, &encoded(&request)).map(|reply| reply.answer);
         }
         match last {
             Some(Answer::Accepted(Payload::Session { nonce, .. })) => nonce,
@@ -530,22 +493,8 @@ fn a_session_is_another_one_in_every_respect() {
         nonces(lock, LinkRole::Wireless, 1),
         nonces(lock, LinkRole::Wireless, 2),
         nonces(lock, LinkRole::Cable, 1),
-        nonces(
-            Lock {
-                boot_count: Some(8),
-                ..lock
-            },
-            LinkRole::Wireless,
-            1,
-        ),
-        nonces(
-            Lock {
-                entropy: [4; 16],
-                ..lock
-            },
-            LinkRole::Wireless,
-            1,
-        ),
+        nonces(Lock { boot_count: Some(8), ..lock }, LinkRole::Wireless, 1),
+        nonces(Lock { entropy: [4; 16], ..lock }, LinkRole::Wireless, 1),
         nonces(locked_by(DeviceKey::new([6; 32])), LinkRole::Wireless, 1),
     ];
     for (place, nonce) in all.iter().enumerate() {
@@ -566,33 +515,17 @@ fn an_answer_that_the_device_did_not_sign_is_none() {
     let right = device.hear(LinkRole::Wireless, &second).expect("an answer");
     for wrong in [
         old,
-        Reply {
-            id: right.id,
-            ..old
-        },
-        Reply {
-            signature: Signature::NONE,
-            ..right
-        },
-        Reply {
-            answer: Answer::Unknown,
-            ..right
-        },
-        Reply {
-            signature: Signature::new(&[0; 8]).expect("whole"),
-            ..right
-        },
+        Reply { id: right.id, ..old },
+        Reply { signature: Signature::NONE, ..right },
+        Reply { answer: Answer::Unknown, ..right },
+        Reply { signature: Signature::new(&[0; 8]).expect("whole"), ..right },
         Reply {
             signature: Signature::NONE,
             answer: Answer::Refused(Refusal::StoreFailed),
             ..right
         },
     ] {
-        assert_eq!(
-            owner.requester.on_reply(&replied(&wrong)),
-            None,
-            "{wrong:?}"
-        );
+        assert_eq!(owner.requester.on_reply(&replied(&wrong)), None, "{wrong:?}");
     }
     assert!(owner.requester.on_reply(&replied(&right)).is_some());
 }
@@ -625,24 +558,15 @@ fn keys_are_changed_over_the_cable_only_and_by_who_has_the_one_before() {
 #[test]
 fn the_key_is_never_shown() {
     let key = DeviceKey::new([0xAB; 32]);
-    let shown = format!(
-        "{key:?} {:?} {:?}",
-        <Command>::SetKey(key),
-        KeyState::Set(key)
-    );
-    assert!(
-        !shown.contains("171") && !shown.to_lowercase().contains("ab, "),
-        "{shown}"
-    );
+    let shown = format!("{key:?} {:?} {:?}", <Command>::SetKey(key), KeyState::Set(key));
+    assert!(!shown.contains("171") && !shown.to_lowercase().contains("ab, "), "{shown}");
     assert_eq!(key.id().to_string().len(), 8);
 }
 
 #[test]
 fn a_key_of_another_length_is_no_command() {
-    let mut device = Device::new(Lock {
-        key: KeyState::None,
-        ..locked_by(DeviceKey::new([0; 32]))
-    });
+    let mut device =
+        Device::new(Lock { key: KeyState::None, ..locked_by(DeviceKey::new([0; 32])) });
     let whole = encoded(&Request {
         session: 1,
         id: 1,
@@ -662,11 +586,7 @@ fn a_key_of_another_length_is_no_command() {
 #[test]
 fn a_device_that_cannot_read_its_boot_count_takes_a_new_key_over_the_cable_and_no_other_write() {
     let (key, new) = (DeviceKey::new([5; 32]), DeviceKey::new([6; 32]));
-    let lock = Lock {
-        boot_count: None,
-        entropy: [0; 16],
-        ..locked_by(key)
-    };
+    let lock = Lock { boot_count: None, entropy: [0; 16], ..locked_by(key) };
     for (role, command) in [
         (LinkRole::Wireless, Command::OpenSession),
         (LinkRole::Wireless, rate(100)),
@@ -675,12 +595,7 @@ fn a_device_that_cannot_read_its_boot_count_takes_a_new_key_over_the_cable_and_n
         (LinkRole::Cable, Command::SetKey(new)),
     ] {
         assert_eq!(lock.access(role), WriteAccess::Locked);
-        let request = Request {
-            session: 1,
-            id: 1,
-            signature: Signature::NONE,
-            command,
-        };
+        let request = Request { session: 1, id: 1, signature: Signature::NONE, command };
         let mut device = Device::new(lock);
         let reply = device.hear(role, &encoded(&request)).expect("an answer");
         let over_the_air = role != LinkRole::Cable && command != rate(100);
@@ -725,12 +640,8 @@ fn signatures_are_those_of_an_independent_implementation() {
     assert_eq!(key.id().to_string(), "2661c013");
     let mut device = Device::new(locked_by(key));
     let role = LinkRole::Wireless;
-    let open = Request {
-        session: 9,
-        id: 1,
-        signature: Signature::NONE,
-        command: Command::OpenSession,
-    };
+    let open =
+        Request { session: 9, id: 1, signature: Signature::NONE, command: Command::OpenSession };
     let reply = device.hear(role, &encoded(&open)).expect("an answer");
     let nonce = [
         0x6a, 0xd5, 0xa7, 0xeb, 0x3e, 0x45, 0x6f, 0x43, 0xa7, 0x29, 0x8c, 0xda, 0x0e, 0xae, 0x66,

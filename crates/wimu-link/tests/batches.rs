@@ -30,26 +30,14 @@ fn assert_lossless_in<S: Sample>(layout: Layout, samples: &[S]) -> Batch {
     assert_eq!(kind == Kind::Batch, is_plain);
     let batch = Batch::decode(kind, &body).unwrap();
     assert_eq!((batch.stream(), batch.is_wide()), (S::STREAM, S::WIDE));
-    assert_eq!(
-        (batch.sensor(), batch.every()),
-        (layout.sensor, layout.every.get())
-    );
+    assert_eq!((batch.sensor(), batch.every()), (layout.sensor, layout.every.get()));
     assert_eq!(batch.len(), samples.len());
-    assert_eq!(
-        (batch.sequence_low(), batch.time_low()),
-        (0x1234, 0x78_9abc)
-    );
+    assert_eq!((batch.sequence_low(), batch.time_low()), (0x1234, 0x78_9abc));
     let axes = |sample: &S| [0, 1, 2].map(|axis| sample.axis(axis));
     assert!(batch.samples().iter().copied().eq(samples.iter().map(axes)));
     if S::AXES == 6 {
         let axes = |sample: &S| [3, 4, 5].map(|axis| sample.axis(axis));
-        assert!(
-            batch
-                .angular_rates()
-                .iter()
-                .copied()
-                .eq(samples.iter().map(axes))
-        );
+        assert!(batch.angular_rates().iter().copied().eq(samples.iter().map(axes)));
     } else {
         assert_eq!(batch.angular_rates().len(), 0);
     }
@@ -96,20 +84,14 @@ fn assert_lossless_as_all_types(layout: Layout, samples: &[[i32; 3]]) {
     assert_lossless_in(layout, &six.collect::<Vec<_>>());
     let six = samples.iter().map(|&s| (wide(s), wide(rate(s))));
     assert_lossless_in(layout, &six.collect::<Vec<_>>());
-    let six = samples
-        .iter()
-        .map(|&s| (SpecificForceQ16(s), AngularRateQ20(rate(s))));
+    let six = samples.iter().map(|&s| (SpecificForceQ16(s), AngularRateQ20(rate(s))));
     assert_lossless_in(layout, &six.collect::<Vec<_>>());
 }
 
 /// Samples around a course with a slope, and noise of all sizes.
 fn around_a_course() -> impl Strategy<Value = Vec<[i32; 3]>> {
     let axis = || (any::<i32>(), -5000..5000_i32, 0..=32_u32);
-    (
-        [axis(), axis(), axis()],
-        0..16_u32,
-        prop::collection::vec(any::<[i32; 3]>(), 1..=MAX_BATCH),
-    )
+    ([axis(), axis(), axis()], 0..16_u32, prop::collection::vec(any::<[i32; 3]>(), 1..=MAX_BATCH))
         .prop_map(|(axes, shift, noise)| {
             (0_i32..)
                 .zip(noise)
@@ -183,18 +165,10 @@ proptest! {
 
 #[test]
 fn extremes_come_back() {
-    for [a, b] in [
-        [i32::MIN, i32::MAX],
-        [i32::MIN, 0],
-        [-1, 0],
-        [0, 0],
-        [i32::MIN; 2],
-        [1, -1],
-    ] {
+    for [a, b] in [[i32::MIN, i32::MAX], [i32::MIN, 0], [-1, 0], [0, 0], [i32::MIN; 2], [1, -1]] {
         for count in 1..=MAX_BATCH {
-            let samples: Vec<_> = (0..count)
-                .map(|k| if k % 3 == 0 { [a, b, a] } else { [b, a, a] })
-                .collect();
+            let samples: Vec<_> =
+                (0..count).map(|k| if k % 3 == 0 { [a, b, a] } else { [b, a, a] }).collect();
             assert_lossless_as_all_types(Layout::default(), &samples);
             let high: Vec<_> = samples.iter().map(|s| s.map(|v| v >> 16)).collect();
             assert_lossless_as_all_types(Layout::default(), &high);
@@ -219,29 +193,22 @@ fn a_batch_of_none_or_too_many_is_refused() {
         batch::encode(0, DeviceTimeUs(0), &six[..17], &mut line),
         Err(EncodeError::BatchLength { most: 16 })
     );
-    let layout = Layout {
-        sensor: 8,
-        ..Layout::default()
-    };
+    let layout = Layout { sensor: 8, ..Layout::default() };
     let refused = batch::encode_with(layout, 0, DeviceTimeUs(0), &samples[..1], &mut line);
     assert_eq!(refused, Err(EncodeError::Sensor { most: 7 }));
 }
 
 #[test]
 fn low_bits_that_are_all_zero_cost_nothing() {
-    let noisy: Vec<_> = (0..16_i16)
-        .map(|k| Counts([k * 7 % 5, 3 - k % 3, 1024 + k * 3 % 7]))
-        .collect();
+    let noisy: Vec<_> =
+        (0..16_i16).map(|k| Counts([k * 7 % 5, 3 - k % 3, 1024 + k * 3 % 7])).collect();
     let justified: Vec<_> = noisy.iter().map(|c| Counts(c.0.map(|v| v << 4))).collect();
     assert!(pack(&justified).len() <= pack(&noisy).len() + 1);
 }
 
 #[test]
 fn time_before_the_start_is_not_guessed() {
-    assert_eq!(
-        batch::extend_time(0xff_ffff, DeviceTimeUs(3)),
-        DeviceTimeUs(0xff_ffff)
-    );
+    assert_eq!(batch::extend_time(0xff_ffff, DeviceTimeUs(3)), DeviceTimeUs(0xff_ffff));
 }
 
 #[test]
@@ -249,10 +216,7 @@ fn impossible_values_are_refused() {
     // Decimated by 0 and by 1.
     for every in [0, 1] {
         let body = [&[0x80, 0, 0, 0, 0, 0, every], &[0; 5][..]].concat();
-        assert_eq!(
-            Batch::decode(Kind::Batch, &body).unwrap_err(),
-            BatchError::Decimation
-        );
+        assert_eq!(Batch::decode(Kind::Batch, &body).unwrap_err(), BatchError::Decimation);
     }
     assert_eq!(
         Batch::decode(Kind::Batch, &[0x80, 0, 0, 0, 0, 0]).unwrap_err(),
@@ -261,15 +225,9 @@ fn impossible_values_are_refused() {
     // Two raw samples; X: mean, k = 15, first value 0, two ones: a residual of 2·2¹⁵ or more.
     let bits = [0b0111_1100, 0b0001_1000, 0, 0, 0];
     let body = [&[1, 0, 0, 0, 0, 0], &bits[..]].concat();
-    assert_eq!(
-        Batch::decode(Kind::Batch, &body).unwrap_err(),
-        BatchError::Value
-    );
+    assert_eq!(Batch::decode(Kind::Batch, &body).unwrap_err(), BatchError::Value);
     // And no batch at all.
-    assert_eq!(
-        Batch::decode(Kind::Batch, &[]).unwrap_err(),
-        BatchError::TooShort
-    );
+    assert_eq!(Batch::decode(Kind::Batch, &[]).unwrap_err(), BatchError::TooShort);
 }
 
 #[test]
@@ -277,10 +235,7 @@ fn a_coding_that_no_sender_makes_is_an_error() {
     // Three raw samples. X: coding 10, which stands for nothing. Y and Z of fixed width.
     let bits = [0b1000_0000, 0b0001_1010, 0, 0, 0];
     let body = [&[2, 0, 0, 0, 0, 0], &bits[..]].concat();
-    assert_eq!(
-        Batch::decode(Kind::Batch, &body).unwrap_err(),
-        BatchError::Value
-    );
+    assert_eq!(Batch::decode(Kind::Batch, &body).unwrap_err(), BatchError::Value);
 }
 
 #[test]
@@ -301,10 +256,7 @@ fn an_extension_that_no_sender_makes_is_an_error() {
     // 17 samples of six axes, and no samples at all.
     assert_eq!(decode(body[0], 16), BatchError::Length);
     assert_eq!(Batch::decode(kind, &[]).unwrap_err(), BatchError::TooShort);
-    assert_eq!(
-        Batch::decode(kind, &body[..1]).unwrap_err(),
-        BatchError::TooShort
-    );
+    assert_eq!(Batch::decode(kind, &body[..1]).unwrap_err(), BatchError::TooShort);
     for other in [Kind::Hello, Kind::Telemetry, Kind::Reply] {
         assert_eq!(Batch::decode(other, &body).unwrap_err(), BatchError::Kind);
     }
@@ -316,9 +268,7 @@ fn numbers_beyond_20_bits_are_errors() {
         let mut body = vec![1 << 4, first, 0, 0, 0, 0, 0];
         body.extend(bits.to_be_bytes());
         body.extend([0; 40]);
-        Batch::decode(Kind::Inertial, &body)
-            .map(|_| ())
-            .unwrap_err()
+        Batch::decode(Kind::Inertial, &body).map(|_| ()).unwrap_err()
     };
     // A shift of 20; X of fixed width 21; k = 20; a first value of 20 bits without its sign.
     assert_eq!(decode(1 << 6, 20 << 27), BatchError::Value);

@@ -132,10 +132,7 @@ fn the_longest_body_fits_and_a_longer_one_is_refused() {
         let body = [fill; MAX_BODY + 1];
         assert!(framed(Kind::Reply, &body[..MAX_BODY]).len() <= MAX_FRAME);
         let mut line = [0; 2 * MAX_FRAME];
-        assert_eq!(
-            frame::encode(Kind::Reply, &body, &mut line),
-            Err(EncodeError::BodyTooLong)
-        );
+        assert_eq!(frame::encode(Kind::Reply, &body, &mut line), Err(EncodeError::BodyTooLong));
     }
 }
 
@@ -147,35 +144,17 @@ fn a_lost_zero_is_one_damaged_frame() {
     let line = [&line[..], &line, &[0], &whole].concat();
     let received = receive(&line);
     assert_eq!(received[0], Err(FrameError::TooLong));
-    assert_eq!(
-        received[1..],
-        [Ok((WIRE_VERSION, Kind::Batch, b"whole".to_vec()))]
-    );
+    assert_eq!(received[1..], [Ok((WIRE_VERSION, Kind::Batch, b"whole".to_vec()))]);
 }
 
 #[test]
 fn strangers_are_named() {
-    let unknown = FrameError::UnknownKind {
-        version: WIRE_VERSION,
-        kind: 9,
-    };
-    assert_eq!(
-        receive(&framed_as(WIRE_VERSION << 4 | 9, b"?")),
-        [Err(unknown)]
-    );
-    let newer = FrameError::UnknownVersion {
-        version: WIRE_VERSION + 1,
-        kind: 3,
-    };
-    assert_eq!(
-        receive(&framed_as((WIRE_VERSION + 1) << 4 | 3, b"?")),
-        [Err(newer)]
-    );
+    let unknown = FrameError::UnknownKind { version: WIRE_VERSION, kind: 9 };
+    assert_eq!(receive(&framed_as(WIRE_VERSION << 4 | 9, b"?")), [Err(unknown)]);
+    let newer = FrameError::UnknownVersion { version: WIRE_VERSION + 1, kind: 3 };
+    assert_eq!(receive(&framed_as((WIRE_VERSION + 1) << 4 | 3, b"?")), [Err(newer)]);
     assert!(!unknown.is_damage() && !newer.is_damage());
-    assert_eq!(
-        receive(&framed_as(0xf1, b"later")),
-        [Ok((15, Kind::Hello, b"later".to_vec()))]
-    );
+    assert_eq!(receive(&framed_as(0xf1, b"later")), [Ok((15, Kind::Hello, b"later".to_vec()))]);
 }
 
 #[test]
@@ -184,10 +163,7 @@ fn of_version_1_what_devices_sent_is_read_and_nothing_else() {
         let received = receive(&framed_as(1 << 4 | kind, b"old"));
         match kind {
             3 | 4 | 6 => assert!(matches!(&received[..], [Ok((1, _, _))])),
-            _ => assert_eq!(
-                received,
-                [Err(FrameError::UnknownVersion { version: 1, kind })]
-            ),
+            _ => assert_eq!(received, [Err(FrameError::UnknownVersion { version: 1, kind })]),
         }
     }
 }

@@ -29,31 +29,20 @@ fn heard<T>(line: &[u8], each: impl Fn(Result<Frame<'_>, FrameError>) -> T) -> T
 fn body_of(encode: impl FnOnce(&mut [u8]) -> Result<usize, frame::EncodeError>) -> Vec<u8> {
     let mut line = [0; MAX_FRAME];
     let length = encode(&mut line).expect("room");
-    heard(&line[..length], |frame| {
-        frame.expect("own frame").body.to_vec()
-    })
+    heard(&line[..length], |frame| frame.expect("own frame").body.to_vec())
 }
 
 #[test]
 fn fields_that_a_later_device_adds_at_the_end_are_left() {
     // With all fields of today.
-    let status = Status {
-        uptime_us: 5,
-        stack: Some(StackStatus::default()),
-        ..Status::default()
-    };
+    let status = Status { uptime_us: 5, stack: Some(StackStatus::default()), ..Status::default() };
     let answer = Answer::Accepted(Payload::Status(status));
     let status = Telemetry::Status(status);
     let mut body = body_of(|line| status.encode(line));
     body.extend([1, 2, 3]);
     assert_eq!(Telemetry::decode(&body), Ok(status));
 
-    let reply: Reply = Reply {
-        session: 1,
-        id: 2,
-        signature: Signature::NONE,
-        answer,
-    };
+    let reply: Reply = Reply { session: 1, id: 2, signature: Signature::NONE, answer };
     let mut body = body_of(|line| reply.encode(line));
     body.extend([1, 2, 3]);
     assert_eq!(Reply::decode(&body), Ok(reply));
@@ -62,10 +51,7 @@ fn fields_that_a_later_device_adds_at_the_end_are_left() {
 #[test]
 fn a_status_that_ends_before_the_stack_has_none() {
     let old = Status::default();
-    let stack = Some(StackStatus {
-        size: 4096,
-        used: 1000,
-    });
+    let stack = Some(StackStatus { size: 4096, used: 1000 });
     let [old, new]: [Telemetry; 2] = [old, Status { stack, ..old }].map(Telemetry::Status);
     let [until, body] = [old, new].map(|message| body_of(|line| message.encode(line)));
     assert_eq!(body.len(), until.len() + 5);
@@ -76,21 +62,13 @@ fn a_status_that_ends_before_the_stack_has_none() {
 
 #[test]
 fn a_request_with_more_than_the_device_knows_is_not_obeyed() {
-    let request = Request {
-        session: 1,
-        id: 2,
-        signature: Signature::NONE,
-        command: Command::FactoryReset,
-    };
+    let request =
+        Request { session: 1, id: 2, signature: Signature::NONE, command: Command::FactoryReset };
     let mut body = body_of(|line| request.encode(line));
     body.push(1);
     assert!(Request::decode(&body).is_err());
     let mut responder = Responder::new(LinkRole::Cable);
-    let lock = Lock {
-        key: KeyState::None,
-        boot_count: Some(1),
-        ..Lock::default()
-    };
+    let lock = Lock { key: KeyState::None, boot_count: Some(1), ..Lock::default() };
     let Decision::Send(frame) = responder.accept(&body, &lock) else {
         panic!("it was obeyed");
     };
@@ -100,18 +78,12 @@ fn a_request_with_more_than_the_device_knows_is_not_obeyed() {
 
 #[test]
 fn an_event_and_a_refusal_that_are_new_are_told_as_such() {
-    let event: Telemetry = Telemetry::Event {
-        time_us: 300,
-        event: Event::SensorFound,
-    };
+    let event: Telemetry = Telemetry::Event { time_us: 300, event: Event::SensorFound };
     let mut body = body_of(|line| event.encode(line));
     let number = body.len() - 1;
     body[number] = 99;
     body.extend([1, 2]);
-    let event = Telemetry::Event {
-        time_us: 300,
-        event: Event::Other { number: 99 },
-    };
+    let event = Telemetry::Event { time_us: 300, event: Event::Other { number: 99 } };
     assert_eq!(Telemetry::decode(&body), Ok(event));
     assert!(Event::Other { number: 99 }.to_string().contains("update"));
 
@@ -137,13 +109,8 @@ fn an_event_and_a_refusal_that_are_new_are_told_as_such() {
 
 #[test]
 fn the_signature_of_an_answer_holds_for_what_is_not_known_of_it_too() {
-    let session = Session {
-        key: KEY,
-        role: LinkRole::Wireless,
-        device_id: 9,
-        number: 3,
-        nonce: [4; 16],
-    };
+    let session =
+        Session { key: KEY, role: LinkRole::Wireless, device_id: 9, number: 3, nonce: [4; 16] };
     let mut requester = Requester::new(1);
     requester.sign(session, 100);
     let ask = |requester: &mut Requester| {
@@ -160,10 +127,7 @@ fn the_signature_of_an_answer_holds_for_what_is_not_known_of_it_too() {
     let mut longer = body_of(|line| status.encode(line)).split_off(3);
     longer.extend([7, 7]);
     for (answer, known) in [
-        (
-            vec![1, 77, 1, 2],
-            Answer::Refused(Refusal::Other { number: 77 }),
-        ),
+        (vec![1, 77, 1, 2], Answer::Refused(Refusal::Other { number: 77 })),
         (longer, Answer::Accepted(Payload::Status(Status::default()))),
     ] {
         let request = ask(&mut requester);
@@ -198,15 +162,9 @@ fn an_epoch_of_other_arithmetic_still_places_samples() {
         full_scale: 32767,
         parameters: 5,
         temperature_centi_c: Some(6),
-        state: WireState {
-            revision: 200,
-            ..WireState::default()
-        },
+        state: WireState { revision: 200, ..WireState::default() },
         sensor: 7,
-        gyroscope: Some(EpochGyroscope {
-            rad_s_per_lsb: 0.5,
-            full_scale: 8,
-        }),
+        gyroscope: Some(EpochGyroscope { rad_s_per_lsb: 0.5, full_scale: 8 }),
         tag: Signature::new(&[9; 8]).expect("short enough"),
     };
     let telemetry = Telemetry::Epoch(epoch);
@@ -256,9 +214,6 @@ fn version_0_is_refused_by_name_and_its_greeting_is_read() {
         }
     }
     assert!(refused > 40, "{refused}");
-    let later = FrameError::UnknownVersion {
-        version: WIRE_VERSION + 1,
-        kind: 4,
-    };
+    let later = FrameError::UnknownVersion { version: WIRE_VERSION + 1, kind: 4 };
     assert!(later.to_string().ends_with("update this end"));
 }

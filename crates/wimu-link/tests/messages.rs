@@ -66,10 +66,7 @@ fn calibrated() -> ParameterSet {
                     std::array::from_fn(|b| if a == b { 2e-6 } else { 1e-6 })
                 }))
                 .unwrap(),
-                other_sd: TermDeviations {
-                    scale_per_k: [1e-5; 3],
-                    ..TermDeviations::default()
-                },
+                other_sd: TermDeviations { scale_per_k: [1e-5; 3], ..TermDeviations::default() },
             })
             .unwrap(),
         ),
@@ -114,12 +111,8 @@ fn gyroscope() -> GyroscopeParameters {
 fn longest_epoch() -> Epoch {
     let far = [i64::MIN; 3];
     let wide = [i32::MIN; 3];
-    let segment = WireSegment {
-        steps: u32::MAX,
-        velocity_sum: far,
-        position_sum: far,
-        previous: Some(wide),
-    };
+    let segment =
+        WireSegment { steps: u32::MAX, velocity_sum: far, position_sum: far, previous: Some(wide) };
     Epoch {
         reason: EpochReason::Parameters,
         number: 255,
@@ -151,12 +144,7 @@ fn longest_epoch() -> Epoch {
                 sum: wide,
                 squares: u64::MAX,
             },
-            run: Some(WireRun {
-                windows: u16::MAX,
-                sum: far,
-                latest: far,
-                start: segment,
-            }),
+            run: Some(WireRun { windows: u16::MAX, sum: far, latest: far, start: segment }),
             heading_sd_mrad: Some(u16::MAX),
             rotation: Some(WireRotation {
                 quaternion: [i64::MIN; 4],
@@ -169,10 +157,7 @@ fn longest_epoch() -> Epoch {
             }),
         },
         sensor: batch::MAX_SENSOR,
-        gyroscope: Some(EpochGyroscope {
-            rad_s_per_lsb: f64::MAX,
-            full_scale: i32::MIN,
-        }),
+        gyroscope: Some(EpochGyroscope { rad_s_per_lsb: f64::MAX, full_scale: i32::MIN }),
         tag: Signature::new(&[0xff; Signature::MAX]).unwrap(),
     }
 }
@@ -208,10 +193,7 @@ fn an_integrator_goes_on_from_its_state_on_the_wire() {
     for k in 0..1500 {
         device.step(force(k), false);
         if k % 97 == 0 {
-            let epoch = Epoch {
-                state: device.state().into(),
-                ..longest_epoch()
-            };
+            let epoch = Epoch { state: device.state().into(), ..longest_epoch() };
             let body = body_of(|line| <Telemetry>::Epoch(epoch).encode(line));
             let Ok(Telemetry::Epoch(epoch)) = Telemetry::decode(&body) else {
                 panic!("no epoch");
@@ -256,12 +238,7 @@ fn the_longest_parameter_set_fits_a_record_and_its_pieces_fit_signed_requests() 
         let body = body_of(|line| request.encode(line));
         assert_eq!(Request::decode(&body), Ok(request));
         assert!(body.len() <= 284, "{}", body.len());
-        let Command::StageParameters {
-            offset,
-            total,
-            piece,
-        } = command
-        else {
+        let Command::StageParameters { offset, total, piece } = command else {
             panic!("{command:?}");
         };
         assert_eq!(usize::from(offset), pieces.len());
@@ -277,10 +254,7 @@ fn the_longest_parameter_set_fits_a_record_and_its_pieces_fit_signed_requests() 
     let mut record = [0; MAX_RECORD];
     let length = Record::encode_parameters(encoded, &mut record).unwrap();
     let opened = frame::open(&mut record[..length]).unwrap();
-    assert_eq!(
-        Record::decode(&record[..opened]),
-        Ok(Record::Parameters(encoded))
-    );
+    assert_eq!(Record::decode(&record[..opened]), Ok(Record::Parameters(encoded)));
 }
 
 #[test]
@@ -291,19 +265,9 @@ fn a_set_may_end_before_its_later_fields() {
         bytes[..length].to_vec()
     };
     let whole = WireParameters::from(&calibrated());
-    let of_version_1 = WireParameters {
-        sensor_index: 0,
-        gyroscope: None,
-        ..whole
-    };
-    let unknown_sensor = WireParameters {
-        sensor: None,
-        ..whole
-    };
-    let oldest = WireParameters {
-        sensor: None,
-        ..of_version_1
-    };
+    let of_version_1 = WireParameters { sensor_index: 0, gyroscope: None, ..whole };
+    let unknown_sensor = WireParameters { sensor: None, ..whole };
+    let oldest = WireParameters { sensor: None, ..of_version_1 };
     for set in [whole, of_version_1, unknown_sensor, oldest] {
         assert_eq!(WireParameters::decode(&encoded(&set)), Ok(set));
     }
@@ -339,10 +303,7 @@ fn invalid_parameters_name_the_fault() {
     };
     assert_eq!(
         fault(&|p| p.matrix[1][2] = f64::INFINITY),
-        ParameterFault::NotFinite {
-            term: WireTerm::Misalignment,
-            axis: 1
-        }
+        ParameterFault::NotFinite { term: WireTerm::Misalignment, axis: 1 }
     );
     assert_eq!(
         fault(&|p| p.bias_mps2[2] = -6.0).to_string(),
@@ -352,35 +313,21 @@ fn invalid_parameters_name_the_fault() {
         fault(&|p| p.matrix = [[0.5, 0.3, 0.3], [0.3, 0.5, 0.3], [0.3, 0.3, 0.5]]),
         ParameterFault::Singular(_)
     ));
-    assert_eq!(
-        fault(&|p| p.sensitivity_lsb_per_g = 0.0),
-        ParameterFault::Sensitivity(0.0)
-    );
-    assert!(matches!(
-        fault(&|p| p.alignment_wxyz = [f64::NAN; 4]),
-        ParameterFault::Alignment(_)
-    ));
+    assert_eq!(fault(&|p| p.sensitivity_lsb_per_g = 0.0), ParameterFault::Sensitivity(0.0));
+    assert!(matches!(fault(&|p| p.alignment_wxyz = [f64::NAN; 4]), ParameterFault::Alignment(_)));
     fn quality(wire: &mut WireParameters) -> &mut WireQuality {
         wire.quality.as_mut().unwrap()
     }
     fn gyroscope_of(wire: &mut WireParameters) -> &mut WireGyroscope {
         wire.gyroscope.as_mut().unwrap()
     }
-    let beyond = |term, axis, value, low, high| ParameterFault::Gyroscope {
-        term,
-        axis,
-        value,
-        low,
-        high,
-    };
+    let beyond =
+        |term, axis, value, low, high| ParameterFault::Gyroscope { term, axis, value, low, high };
     fn magnetometer(wire: &mut WireParameters) -> &mut WireMagnetometer {
         wire.magnetometer.as_mut().unwrap()
     }
     for (found, expected) in [
-        (
-            fault(&|p| p.alignment_factor = Some([f32::NAN; 6])),
-            ParameterFault::Covariance,
-        ),
+        (fault(&|p| p.alignment_factor = Some([f32::NAN; 6])), ParameterFault::Covariance),
         (
             fault(&|p| quality(p).covariance_factor[5][12] = f32::INFINITY),
             ParameterFault::Covariance,
@@ -444,13 +391,7 @@ fn invalid_parameters_name_the_fault() {
             ParameterFault::Magnetometer(WireMagnetometerFault::Dip),
         ),
         (
-            fault(&|p| {
-                magnetometer(p)
-                    .to_accelerometer
-                    .as_mut()
-                    .unwrap()
-                    .rotation_wxyz = [0.0; 4]
-            }),
+            fault(&|p| magnetometer(p).to_accelerometer.as_mut().unwrap().rotation_wxyz = [0.0; 4]),
             ParameterFault::Alignment(0.0),
         ),
     ] {
@@ -465,20 +406,14 @@ fn invalid_parameters_name_the_fault() {
 
 #[test]
 fn unknown_missing_and_left_over_bytes_are_told_apart() {
-    let event = Telemetry::Event {
-        time_us: 5,
-        event: Event::SensorLost(BusFault::NoAnswer),
-    };
+    let event = Telemetry::Event { time_us: 5, event: Event::SensorLost(BusFault::NoAnswer) };
     let body = body_of(|line| event.encode(line));
     assert_eq!(body, [6, 5, 0, 0]);
     assert_eq!(Telemetry::decode(&body), Ok(event));
     assert_eq!(Telemetry::decode(&body[..3]), Err(MessageError::TooShort));
     assert_eq!(Telemetry::decode(&[99]), Err(MessageError::Malformed));
     assert_eq!(Telemetry::decode(&[0, 1, 99]), Err(MessageError::TooShort));
-    assert_eq!(
-        Request::decode(&[1, 1, 0, 6, 7]),
-        Err(MessageError::TooLong { extra: 1 })
-    );
+    assert_eq!(Request::decode(&[1, 1, 0, 6, 7]), Err(MessageError::TooLong { extra: 1 }));
     // A signature of nine bytes.
     let mut request = vec![1, 1, 9];
     request.extend([0; 10]);
@@ -498,33 +433,21 @@ fn refusals_say_what_to_do() {
         (Refusal::Locked, "cable"),
         (Refusal::NothingStaged, "push"),
         (Refusal::UnsupportedSettings { nearest }, "±2 g at 100 Hz"),
-        (
-            Refusal::WrongRange {
-                parameters_g: 4,
-                device_g: 2,
-            },
-            "±4 g",
-        ),
+        (Refusal::WrongRange { parameters_g: 4, device_g: 2 }, "±4 g"),
     ] {
         assert!(refusal.to_string().contains(word), "{refusal}");
     }
 }
 
 fn segment() -> impl Strategy<Value = WireSegment> {
-    (
-        any::<u32>(),
-        any::<[i64; 3]>(),
-        any::<[i64; 3]>(),
-        any::<Option<[i32; 3]>>(),
+    (any::<u32>(), any::<[i64; 3]>(), any::<[i64; 3]>(), any::<Option<[i32; 3]>>()).prop_map(
+        |(steps, velocity_sum, position_sum, previous)| WireSegment {
+            steps,
+            velocity_sum,
+            position_sum,
+            previous,
+        },
     )
-        .prop_map(
-            |(steps, velocity_sum, position_sum, previous)| WireSegment {
-                steps,
-                velocity_sum,
-                position_sum,
-                previous,
-            },
-        )
 }
 
 proptest! {
@@ -647,18 +570,10 @@ fn the_arithmetic_of_six_axes_is_that_of_its_revision() {
         let rate = gyroscope.correct(rates, force);
         integrator.step_inertial(force, rate, wimu_integrator::Saturation::default());
         let wide = wimu_model::WideCounts(rates.0.map(|c| i32::from(c) << 4));
-        let wide = [
-            corrector.correct_wide(wide).0,
-            gyroscope.correct_wide(wide, force).0,
-        ];
+        let wide = [corrector.correct_wide(wide).0, gyroscope.correct_wide(wide, force).0];
         let out = integrator.navigation();
         let attitude = out.attitude.unwrap_or_default();
-        for axis in [force.0, rate.0]
-            .iter()
-            .chain(&wide)
-            .flatten()
-            .chain(&attitude)
-        {
+        for axis in [force.0, rate.0].iter().chain(&wide).flatten().chain(&attitude) {
             digest.update(&axis.to_le_bytes());
         }
         for value in out.position.0.into_iter().chain(out.velocity.0) {

@@ -30,12 +30,7 @@ fn body(line: &[u8], kind: Kind) -> Vec<u8> {
 
 fn request(session: u32, id: u32, command: Command) -> Vec<u8> {
     let mut line = [0; MAX_FRAME];
-    let request = Request {
-        session,
-        id,
-        signature: Signature::NONE,
-        command,
-    };
+    let request = Request { session, id, signature: Signature::NONE, command };
     let length = request.encode(&mut line).unwrap();
     body(&line[..length], Kind::Request)
 }
@@ -65,11 +60,7 @@ fn writes() -> [Command; 4] {
 
 /// A device without a key.
 fn open() -> Lock {
-    Lock {
-        key: KeyState::None,
-        boot_count: Some(1),
-        ..Lock::default()
-    }
+    Lock { key: KeyState::None, boot_count: Some(1), ..Lock::default() }
 }
 
 /// A device that remembers what it carried out.
@@ -81,11 +72,7 @@ struct Device {
 
 impl Device {
     fn new(role: LinkRole) -> Self {
-        Self {
-            responder: Responder::new(role),
-            settings: Settings::default(),
-            effects: Vec::new(),
-        }
+        Self { responder: Responder::new(role), settings: Settings::default(), effects: Vec::new() }
     }
 
     fn hear(&mut self, body: &[u8]) -> Vec<u8> {
@@ -135,15 +122,10 @@ fn a_long_answer_to_a_read_is_made_anew_when_it_was_lost() {
 #[test]
 fn every_answer_to_a_write_is_kept_at_its_longest() {
     let longest: [Answer; 7] = [
-        Answer::Accepted(Payload::Session {
-            number: u32::MAX,
-            nonce: [0xff; 16],
-        }),
+        Answer::Accepted(Payload::Session { number: u32::MAX, nonce: [0xff; 16] }),
         Answer::Accepted(Payload::Settings(FARTHEST)),
         Answer::Accepted(Payload::Staged { hash: u32::MAX }),
-        Answer::Accepted(Payload::KeyStatus {
-            key: Some(KeyId([0xff; 4])),
-        }),
+        Answer::Accepted(Payload::KeyStatus { key: Some(KeyId([0xff; 4])) }),
         Answer::Refused(Refusal::UnsupportedSettings { nearest: FARTHEST }),
         Answer::Refused(Refusal::InvalidParameters(ParameterFault::OutOfBounds {
             term: WireTerm::Nonlinearity,
@@ -158,10 +140,7 @@ fn every_answer_to_a_write_is_kept_at_its_longest() {
         }),
     ];
     let key = DeviceKey::new([1; 32]);
-    let lock = Lock {
-        key: KeyState::Set(key),
-        ..open()
-    };
+    let lock = Lock { key: KeyState::Set(key), ..open() };
     for answer in longest {
         let mut responder = Responder::new(LinkRole::Cable);
         let mut requester = Requester::new(u32::MAX);
@@ -172,13 +151,7 @@ fn every_answer_to_a_write_is_kept_at_its_longest() {
         let Answer::Accepted(Payload::Session { number, nonce }) = self::answer(frame) else {
             panic!("no session");
         };
-        let session = Session {
-            key,
-            role: LinkRole::Cable,
-            device_id: 0,
-            number,
-            nonce,
-        };
+        let session = Session { key, role: LinkRole::Cable, device_id: 0, number, nonce };
         requester.sign(session, u32::MAX);
         let write = requester.start(Command::FactoryReset, NOW).to_vec();
         let write = body(&write, Kind::Request);
@@ -218,10 +191,7 @@ fn a_repeat_while_it_is_carried_out_is_ignored() {
     let mut responder = Responder::new(LinkRole::Cable);
     let reset = request(1, 1, Command::FactoryReset);
     let other = request(2, 1, Command::GetStatus);
-    assert!(matches!(
-        responder.accept(&reset, &open()),
-        Decision::Execute(Command::FactoryReset)
-    ));
+    assert!(matches!(responder.accept(&reset, &open()), Decision::Execute(Command::FactoryReset)));
     for body in [&reset, &other] {
         assert_eq!(responder.accept(body, &open()), Decision::Ignore);
     }
@@ -230,10 +200,7 @@ fn a_repeat_while_it_is_carried_out_is_ignored() {
     assert_eq!(answer(&reply), failed);
     assert_eq!(responder.accept(&reset, &open()), Decision::Send(&reply));
     // What was ignored was not taken as heard.
-    assert!(matches!(
-        responder.accept(&other, &open()),
-        Decision::Execute(Command::GetStatus)
-    ));
+    assert!(matches!(responder.accept(&other, &open()), Decision::Execute(Command::GetStatus)));
 }
 
 #[test]
@@ -251,10 +218,7 @@ fn a_read_that_comes_late_is_answered_and_a_write_is_stale() {
             let late = device.hear(&request(1, id, Command::FactoryReset));
             assert_eq!(answer(&late), Answer::Refused(Refusal::Stale));
         }
-        assert_eq!(
-            answer(&device.hear(&write)),
-            Answer::Refused(Refusal::Stale)
-        );
+        assert_eq!(answer(&device.hear(&write)), Answer::Refused(Refusal::Stale));
     }
     let writes = device.effects.iter().filter(|command| command.is_write());
     assert_eq!(writes.count(), 1);
@@ -269,10 +233,7 @@ fn a_read_that_comes_late_is_answered_and_a_write_is_stale() {
 /// A device with a key, and a host that signs.
 fn with_session(responder: &mut Responder) -> (Lock, Requester) {
     let key = DeviceKey::new([1; 32]);
-    let lock = Lock {
-        key: KeyState::Set(key),
-        ..open()
-    };
+    let lock = Lock { key: KeyState::Set(key), ..open() };
     let mut requester = Requester::new(77);
     let open = requester.start(Command::OpenSession, NOW).to_vec();
     let Decision::Send(frame) = responder.accept(&body(&open, Kind::Request), &lock) else {
@@ -281,13 +242,7 @@ fn with_session(responder: &mut Responder) -> (Lock, Requester) {
     let Answer::Accepted(Payload::Session { number, nonce }) = answer(frame) else {
         panic!("no session");
     };
-    let session = Session {
-        key,
-        role: LinkRole::Wireless,
-        device_id: 0,
-        number,
-        nonce,
-    };
+    let session = Session { key, role: LinkRole::Wireless, device_id: 0, number, nonce };
     requester.sign(session, 1);
     (lock, requester)
 }
@@ -323,11 +278,9 @@ fn answers_that_take_no_key_are_limited_where_there_is_one() {
         let expected = 21 * rate..=21 * rate + MAX_FRAME;
         assert!(expected.contains(&bytes), "{command:?}: {bytes}");
         // The others are answered; so is the same, later.
-        for (other, ms) in [
-            (Command::OpenSession, 20_000),
-            (Command::GetKeyStatus, 20_000),
-            (command, 23_000),
-        ] {
+        for (other, ms) in
+            [(Command::OpenSession, 20_000), (Command::GetKeyStatus, 20_000), (command, 23_000)]
+        {
             let fresh = request(1, 1, other);
             let decision = responder.accept_at(&fresh, &lock, ms * 1000);
             let ignored = decision == Decision::Ignore;
@@ -362,24 +315,15 @@ fn answers_that_take_no_key_are_limited_where_there_is_one() {
 
 #[test]
 fn an_answer_to_anybody_serves_who_asks_the_same_in_vain() {
-    let session = Answer::Accepted(Payload::Session {
-        number: 5,
-        nonce: [3; 16],
-    });
+    let session = Answer::Accepted(Payload::Session { number: 5, nonce: [3; 16] });
     let key = Answer::Accepted(Payload::KeyStatus { key: None });
     let late = NOW + Duration::from_millis(500);
-    for (command, fits, other) in [
-        (Command::OpenSession, session, key),
-        (Command::GetKeyStatus, key, session),
-    ] {
+    for (command, fits, other) in
+        [(Command::OpenSession, session, key), (Command::GetKeyStatus, key, session)]
+    {
         let to = |session, id, signature, answer: Answer| {
             let mut line = [0; MAX_FRAME];
-            let reply = Reply {
-                session,
-                id,
-                signature,
-                answer,
-            };
+            let reply = Reply { session, id, signature, answer };
             let length = reply.encode(&mut line).unwrap();
             body(&line[..length], Kind::Reply)
         };
@@ -403,55 +347,27 @@ fn an_answer_to_anybody_serves_who_asks_the_same_in_vain() {
     requester.start(Command::GetKeyStatus, NOW);
     assert!(matches!(requester.poll(late), Next::Send(_)));
     let mut line = [0; MAX_FRAME];
-    let reply = Reply {
-        session: 1,
-        id: 1,
-        signature: Signature::NONE,
-        answer: key,
-    };
+    let reply = Reply { session: 1, id: 1, signature: Signature::NONE, answer: key };
     let length = reply.encode(&mut line).unwrap();
-    assert_eq!(
-        requester.on_reply(&body(&line[..length], Kind::Reply)),
-        None
-    );
+    assert_eq!(requester.on_reply(&body(&line[..length], Kind::Reply)), None);
 }
 
 #[test]
 fn an_unsigned_write_passes_only_on_the_cable_of_a_device_without_a_key() {
-    let has = |key, boot_count| Lock {
-        key,
-        boot_count,
-        ..Lock::default()
-    };
+    let has = |key, boot_count| Lock { key, boot_count, ..Lock::default() };
     let key = KeyState::Set(DeviceKey::new([1; 32]));
     let (cable, radio, other) = (LinkRole::Cable, LinkRole::Wireless, LinkRole::Other(9));
     for (role, lock, expected) in [
         (cable, has(KeyState::None, Some(1)), None),
         (cable, has(KeyState::None, None), None),
         (cable, has(key, Some(1)), Some(Refusal::SignatureNeeded)),
-        (
-            cable,
-            has(KeyState::Unreadable, Some(1)),
-            Some(Refusal::Locked),
-        ),
-        (
-            radio,
-            has(KeyState::None, Some(1)),
-            Some(Refusal::KeyNeeded),
-        ),
+        (cable, has(KeyState::Unreadable, Some(1)), Some(Refusal::Locked)),
+        (radio, has(KeyState::None, Some(1)), Some(Refusal::KeyNeeded)),
         (radio, has(KeyState::None, None), Some(Refusal::Locked)),
         (radio, has(key, Some(1)), Some(Refusal::SignatureNeeded)),
         (radio, has(key, None), Some(Refusal::Locked)),
-        (
-            radio,
-            has(KeyState::Unreadable, Some(1)),
-            Some(Refusal::Locked),
-        ),
-        (
-            other,
-            has(KeyState::None, Some(1)),
-            Some(Refusal::KeyNeeded),
-        ),
+        (radio, has(KeyState::Unreadable, Some(1)), Some(Refusal::Locked)),
+        (other, has(KeyState::None, Some(1)), Some(Refusal::KeyNeeded)),
     ] {
         for command in writes() {
             let mut responder = Responder::new(role);
@@ -525,9 +441,8 @@ fn an_old_request_and_a_reused_id_are_stale() {
 #[test]
 fn sessions_do_not_repeat_each_others_requests() {
     let mut device = Device::new(LinkRole::Cable);
-    let requests: Vec<_> = (0..4)
-        .map(|session| request(session, 7, Command::FactoryReset))
-        .collect();
+    let requests: Vec<_> =
+        (0..4).map(|session| request(session, 7, Command::FactoryReset)).collect();
     for request in &requests {
         device.hear(request);
     }
@@ -551,22 +466,12 @@ fn a_host_asks_again_and_gives_up_in_time() {
     let mut requester = Requester::with_timing(9, interval, 3);
     assert_eq!(requester.poll(NOW), Next::Idle);
     let first = requester.start(Command::GetStatus, NOW).to_vec();
-    assert_eq!(
-        requester.poll(NOW),
-        Next::Wait {
-            until: NOW + interval
-        }
-    );
+    assert_eq!(requester.poll(NOW), Next::Wait { until: NOW + interval });
     assert_eq!(requester.poll(NOW + interval), Next::Send(&first));
     // A host that slept asks once, not for every time it missed.
     let awake = NOW + 20 * interval;
     assert_eq!(requester.poll(awake), Next::Send(&first));
-    assert_eq!(
-        requester.poll(awake),
-        Next::Wait {
-            until: awake + interval
-        }
-    );
+    assert_eq!(requester.poll(awake), Next::Wait { until: awake + interval });
     assert_eq!(requester.poll(awake + interval), Next::TimedOut);
     assert_eq!(requester.poll(awake + interval), Next::Idle);
 }
@@ -576,12 +481,7 @@ fn only_the_reply_to_the_waiting_request_is_taken() {
     let mut requester = Requester::new(9);
     let answer = Answer::Accepted(Payload::None);
     let reply = |session, id| {
-        let reply = Reply {
-            session,
-            id,
-            signature: Signature::NONE,
-            answer,
-        };
+        let reply = Reply { session, id, signature: Signature::NONE, answer };
         let mut line = [0; MAX_FRAME];
         let length = reply.encode(&mut line).unwrap();
         body(&line[..length], Kind::Reply)

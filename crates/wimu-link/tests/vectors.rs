@@ -37,11 +37,7 @@ pub struct Vectors {
 
 impl Vectors {
     pub fn new(name: &'static str, kind: Kind) -> Self {
-        Self {
-            name,
-            kind,
-            frames: Vec::new(),
-        }
+        Self { name, kind, frames: Vec::new() }
     }
 
     pub fn add(
@@ -155,9 +151,7 @@ fn is_read(frozen_version: u8, digits: &str) {
         Kind::Hello => Hello::decode(&body).unwrap().encode(&mut line),
         Kind::WhoAreYou => WhoAreYou::decode(&body).unwrap().encode(&mut line),
         Kind::Telemetry => match Telemetry::decode(&body).unwrap() {
-            Telemetry::Parameters(ActiveParameters {
-                active: Some(set), ..
-            }) => {
+            Telemetry::Parameters(ActiveParameters { active: Some(set), .. }) => {
                 // A device stores it, and does not send it.
                 let (bytes, length) = encoded(&set);
                 assert!(body.ends_with(&bytes[..length]), "{digits}");
@@ -336,9 +330,7 @@ fn hello_is_as_it_was() {
 #[test]
 fn who_are_you_is_as_it_was() {
     let mut vectors = Vectors::new("who_are_you", Kind::WhoAreYou);
-    vectors.add("WhoAreYou { wire_version: 2 }", |line| {
-        WhoAreYou::default().encode(line)
-    });
+    vectors.add("WhoAreYou { wire_version: 2 }", |line| WhoAreYou::default().encode(line));
     for body in vectors.check() {
         assert_eq!(WhoAreYou::decode(&body), Ok(WhoAreYou::default()));
     }
@@ -347,17 +339,9 @@ fn who_are_you_is_as_it_was() {
 #[test]
 fn batches_are_as_they_were() {
     let rest: Vec<_> = (0..16_i16)
-        .map(|k| {
-            Counts([
-                16 * (k * 7 % 5),
-                16 * (k * 5 % 3 - 60),
-                16384 + 16 * (k * 11 % 4),
-            ])
-        })
+        .map(|k| Counts([16 * (k * 7 % 5), 16 * (k * 5 % 3 - 60), 16384 + 16 * (k * 11 % 4)]))
         .collect();
-    let slope: Vec<_> = (0..8_i16)
-        .map(|k| Counts([300 * k, -41 * k * k, 9 - k % 2]))
-        .collect();
+    let slope: Vec<_> = (0..8_i16).map(|k| Counts([300 * k, -41 * k * k, 9 - k % 2])).collect();
     let mut shock = rest.clone();
     shock[9] = Counts([32767, -32768, 1]);
     let wild = [[-32768, 32767, 1], [32767, -32768, -1]].map(Counts);
@@ -387,27 +371,17 @@ fn batches_are_as_they_were() {
     let mut corrected = Vec::new();
     for samples in [&forces[..], &extremes] {
         let axes: Vec<_> = samples.iter().map(|sample| sample.0).collect();
-        vectors.add(
-            format!("corrected, sequence 1, time 2 µs: {axes:?}"),
-            |line| batch::encode(1, DeviceTimeUs(2), samples, line),
-        );
+        vectors.add(format!("corrected, sequence 1, time 2 µs: {axes:?}"), |line| {
+            batch::encode(1, DeviceTimeUs(2), samples, line)
+        });
         corrected.push(samples);
     }
     let fourth = [Counts([16, -32, 16384]), Counts([32, -16, 16400])];
     let axes: Vec<_> = fourth.iter().map(|sample| sample.0).collect();
-    vectors.add(
-        format!("raw, every fourth, sequence 8, time 80000 µs: {axes:?}"),
-        |line| {
-            let every = NonZeroU8::new(4).unwrap();
-            batch::encode_with(
-                Layout { sensor: 0, every },
-                8,
-                DeviceTimeUs(80_000),
-                &fourth,
-                line,
-            )
-        },
-    );
+    vectors.add(format!("raw, every fourth, sequence 8, time 80000 µs: {axes:?}"), |line| {
+        let every = NonZeroU8::new(4).unwrap();
+        batch::encode_with(Layout { sensor: 0, every }, 8, DeviceTimeUs(80_000), &fourth, line)
+    });
     let mut bodies = vectors.check();
     let decimated = Batch::decode(Kind::Batch, &bodies.pop().unwrap()).unwrap();
     assert_eq!((decimated.every(), decimated.sequence_low()), (4, 8));
@@ -415,10 +389,7 @@ fn batches_are_as_they_were() {
     let (raw_bodies, corrected_bodies) = bodies.split_at(raw.len());
     for (body, samples) in raw_bodies.iter().zip(raw) {
         let batch = Batch::decode(Kind::Batch, body).unwrap();
-        assert_eq!(
-            (batch.sequence_low(), batch.time_low()),
-            (0x5678, 0xde_f012)
-        );
+        assert_eq!((batch.sequence_low(), batch.time_low()), (0x5678, 0xde_f012));
         assert!(batch.counts().eq(samples.iter().copied()));
         assert_eq!(batch.every(), 1);
     }
@@ -537,12 +508,7 @@ fn status() -> Status {
             requests_repeated: 4,
         }),
         wireless: None,
-        sensor: SensorStatus {
-            samples: 360_000,
-            missed: 4,
-            overruns: 5,
-            bus_errors: 6,
-        },
+        sensor: SensorStatus { samples: 360_000, missed: 4, overruns: 5, bus_errors: 6 },
         measured_period_ns: Some(10_012_345),
         jitter_ns: Some(1_250),
         stack: None,
@@ -550,13 +516,7 @@ fn status() -> Status {
 }
 
 fn status_with_stack() -> Status {
-    Status {
-        stack: Some(StackStatus {
-            size: 100_000,
-            used: 2_345,
-        }),
-        ..status()
-    }
+    Status { stack: Some(StackStatus { size: 100_000, used: 2_345 }), ..status() }
 }
 
 fn epoch(reason: EpochReason) -> Epoch {
@@ -591,10 +551,7 @@ fn epoch(reason: EpochReason) -> Epoch {
             base_since_rest_ns: 7_000_000_000,
             segment,
             window: WireWindow {
-                start: WireSegment {
-                    previous: None,
-                    ..segment
-                },
+                start: WireSegment { previous: None, ..segment },
                 samples: 300,
                 reference: [1, 2, -3],
                 sum: [4, -5, 6],
@@ -635,10 +592,7 @@ fn tags_are_those_of_an_independent_implementation() {
     let tag = tag();
     assert_eq!((tag.boot_count, tag.number, tag.frames), (300, 1, 2));
     let code = [0xfc, 0x87, 0xf3, 0x2a, 0xd2, 0xc4, 0x4b, 0x05];
-    assert_eq!(
-        (tag.key.to_string(), tag.code),
-        ("2661c013".to_owned(), code)
-    );
+    assert_eq!((tag.key.to_string(), tag.code), ("2661c013".to_owned(), code));
 }
 
 #[test]
@@ -677,69 +631,49 @@ fn telemetry_is_as_it_was() {
                 ..parameters()
             }),
         }),
-        Telemetry::Parameters(ActiveParameters {
-            active: None,
-            id: 0,
-        }),
+        Telemetry::Parameters(ActiveParameters { active: None, id: 0 }),
         Telemetry::Settings(settings()),
         Telemetry::Status(status()),
         Telemetry::Status(status_with_stack()),
     ]);
-    messages.extend(
-        [WirePhase::Searching, WirePhase::Resting, WirePhase::Moving].map(|phase| {
-            Telemetry::Navigation(Navigation {
-                sequence: 360_001,
-                position_nm: [1_000_000_000, -1, 0],
-                velocity_nmps: [-300_000_000, 64, -64],
-                since_rest_ms: 1500,
-                phase,
-                flags: 20,
-                heading_sd_mrad: (phase == WirePhase::Moving).then_some(300),
-            })
-        }),
-    );
+    messages.extend([WirePhase::Searching, WirePhase::Resting, WirePhase::Moving].map(|phase| {
+        Telemetry::Navigation(Navigation {
+            sequence: 360_001,
+            position_nm: [1_000_000_000, -1, 0],
+            velocity_nmps: [-300_000_000, 64, -64],
+            since_rest_ms: 1500,
+            phase,
+            flags: 20,
+            heading_sd_mrad: (phase == WirePhase::Moving).then_some(300),
+        })
+    }));
     messages.extend(
         [
             Event::SensorLost(BusFault::NoAnswer),
             Event::SensorLost(BusFault::Transfer),
             Event::SensorLost(BusFault::Timeout),
             Event::SensorFound,
-            Event::WrongSensor {
-                expected: 0x33,
-                found: 0x44,
-            },
+            Event::WrongSensor { expected: 0x33, found: 0x44 },
             Event::StoreUnreadable,
             Event::ModelRejected(ParameterFault::Overflow),
             Event::SettingsAdjusted,
             Event::Pause { longest_ms: 400 },
             Event::Marked { count: 300 },
-            Event::CalibrationContradicted {
-                residual_um_s2: -56_000,
-                expected_um_s2: 9_000,
-            },
+            Event::CalibrationContradicted { residual_um_s2: -56_000, expected_um_s2: 9_000 },
             Event::GyroscopeLost(BusFault::Timeout),
         ]
-        .map(|event| Telemetry::Event {
-            time_us: 1_000_000,
-            event,
-        }),
+        .map(|event| Telemetry::Event { time_us: 1_000_000, event }),
     );
     messages.extend([
         Telemetry::Epoch(Epoch {
             sensor: 3,
-            gyroscope: Some(EpochGyroscope {
-                rad_s_per_lsb: 0.001_25,
-                full_scale: 524_287,
-            }),
+            gyroscope: Some(EpochGyroscope { rad_s_per_lsb: 0.001_25, full_scale: 524_287 }),
             tag: Signature::new(&[1, 2, 3, 4, 5, 6, 7, 8]).unwrap(),
             full_scale: 524_287,
             ..epoch(EpochReason::Periodic)
         }),
         Telemetry::Epoch(Epoch {
-            gyroscope: Some(EpochGyroscope {
-                rad_s_per_lsb: 0.001_25,
-                full_scale: 32_767,
-            }),
+            gyroscope: Some(EpochGyroscope { rad_s_per_lsb: 0.001_25, full_scale: 32_767 }),
             state: WireState {
                 rotation: Some(WireRotation {
                     quaternion: [1 << 59, -1, 0, -(1 << 58)],
@@ -783,10 +717,7 @@ fn requests_are_as_they_were() {
         Command::GetSettings,
         Command::SetSettings(settings()),
         Command::GetStatus,
-        Command::SetLineRate {
-            link: LinkRole::Cable.number(),
-            baud: 230_400,
-        },
+        Command::SetLineRate { link: LinkRole::Cable.number(), baud: 230_400 },
         Command::OpenSession,
         Command::GetKeyStatus,
         Command::SetKey(DeviceKey::new(core::array::from_fn(|at| at as u8))),
@@ -822,17 +753,10 @@ fn replies_are_as_they_were() {
         Payload::Settings(settings()),
         Payload::Status(status()),
         Payload::Status(status_with_stack()),
-        Payload::Session {
-            number: 300,
-            nonce: core::array::from_fn(|at| at as u8),
-        },
+        Payload::Session { number: 300, nonce: core::array::from_fn(|at| at as u8) },
         Payload::KeyStatus { key: None },
-        Payload::KeyStatus {
-            key: Some(KeyId([0xde, 0xad, 0xbe, 0xef])),
-        },
-        Payload::Time {
-            uptime_us: 90_000_000_000,
-        },
+        Payload::KeyStatus { key: Some(KeyId([0xde, 0xad, 0xbe, 0xef])) },
+        Payload::Time { uptime_us: 90_000_000_000 },
     ]
     .map(Answer::Accepted)
     .into();
@@ -840,24 +764,14 @@ fn replies_are_as_they_were() {
         [
             Refusal::KeyNeeded,
             Refusal::Locked,
-            Refusal::WrongRange {
-                parameters_g: 4,
-                device_g: 2,
-            },
+            Refusal::WrongRange { parameters_g: 4, device_g: 2 },
             Refusal::NothingStaged,
-            Refusal::HashMismatch {
-                staged: 0xdead_beef,
-            },
-            Refusal::UnsupportedSettings {
-                nearest: settings(),
-            },
+            Refusal::HashMismatch { staged: 0xdead_beef },
+            Refusal::UnsupportedSettings { nearest: settings() },
             Refusal::StoreFailed,
             Refusal::SensorFailed,
             Refusal::Stale,
-            Refusal::WrongSensitivity {
-                parameters_lsb_per_g: 2048.0,
-                device_lsb_per_g: 16384.0,
-            },
+            Refusal::WrongSensitivity { parameters_lsb_per_g: 2048.0, device_lsb_per_g: 16384.0 },
             Refusal::FixedLineRate,
             Refusal::AdapterLineRate,
             Refusal::UnsupportedLineRate { nearest: 38_400 },
@@ -906,14 +820,8 @@ fn replies_are_as_they_were() {
             ParameterFault::Magnetometer(WireMagnetometerFault::Field),
             ParameterFault::Magnetometer(WireMagnetometerFault::Quality),
             ParameterFault::Magnetometer(WireMagnetometerFault::Dip),
-            ParameterFault::OtherSensor {
-                parameters: 2,
-                device: 1,
-            },
-            ParameterFault::OtherSensorIndex {
-                parameters: 2,
-                device: 0,
-            },
+            ParameterFault::OtherSensor { parameters: 2, device: 1 },
+            ParameterFault::OtherSensorIndex { parameters: 2, device: 0 },
             ParameterFault::GyroscopeSingular(-1.0),
             ParameterFault::Unknown { bytes: 300 },
         ])
@@ -944,12 +852,7 @@ fn replies_are_as_they_were() {
     let mut vectors = Vectors::new("reply", Kind::Reply);
     let replies: Vec<_> = answers
         .into_iter()
-        .map(|answer| Reply {
-            session: 0x1234_5678,
-            id: 200,
-            signature: Signature::NONE,
-            answer,
-        })
+        .map(|answer| Reply { session: 0x1234_5678, id: 200, signature: Signature::NONE, answer })
         .collect();
     for reply in &replies {
         vectors.add(format!("{reply:?}"), |line| reply.encode(line));

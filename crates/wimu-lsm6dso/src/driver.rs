@@ -74,9 +74,7 @@ impl<B: Bus> Lsm6dso<B> {
         self.continuous = false;
         // Access to the registers of embedded functions would hide all others.
         self.registers.write(FUNC_CFG_ACCESS, 0).await?;
-        self.registers
-            .write(CTRL3_C, CTRL3_SW_RESET | CTRL3_IF_INC)
-            .await?;
+        self.registers.write(CTRL3_C, CTRL3_SW_RESET | CTRL3_IF_INC).await?;
         for _ in 0..RESET_POLLS {
             delay.delay_us(RESET_POLL_US).await;
             if self.registers.read_one(CTRL3_C).await? & CTRL3_SW_RESET == 0 {
@@ -127,9 +125,7 @@ impl<B: Bus> Lsm6dso<B> {
     /// Settings of the interface after a reset: block data update, no MIPI I3C, I²C only if used.
     pub(crate) async fn start_interface(&mut self) -> Result<(), Error<B::Error>> {
         self.registers.write(CTRL9_XL, CTRL9_I3C_DISABLE).await?;
-        self.registers
-            .write(CTRL3_C, CTRL3_BDU | CTRL3_IF_INC)
-            .await?;
+        self.registers.write(CTRL3_C, CTRL3_BDU | CTRL3_IF_INC).await?;
         if B::I2C {
             return Ok(());
         }
@@ -167,10 +163,7 @@ impl<B: Bus> Lsm6dso<B> {
         let mut bytes = [0; WORD * BURST];
         let words = (2 * samples.len()).min(BURST).min(before.words.into());
         let bytes = bytes.get_mut(..WORD * words).unwrap_or_default();
-        let mut after = FifoStatus {
-            overrun: false,
-            ..before
-        };
+        let mut after = FifoStatus { overrun: false, ..before };
         if !bytes.is_empty() {
             self.registers.read(FIFO_DATA_OUT_TAG, bytes).await?;
             after = self.fifo_status().await?;

@@ -131,11 +131,9 @@ impl Pairing {
             return Err(FifoFault::Parity { tag });
         }
         match tag >> 3 {
-            sensor @ (GYROSCOPE | ACCELEROMETER) => self.join(Half {
-                sensor,
-                counter: tag >> 1 & 0b11,
-                axes: axes(data),
-            }),
+            sensor @ (GYROSCOPE | ACCELEROMETER) => {
+                self.join(Half { sensor, counter: tag >> 1 & 0b11, axes: axes(data) })
+            }
             TEMPERATURE => {
                 *temperature = Some(axes(data)[0]);
                 Ok(None)
@@ -157,10 +155,7 @@ impl Pairing {
                     ACCELEROMETER => (new.axes, first.axes),
                     _ => (first.axes, new.axes),
                 };
-                Ok(Some(Sample {
-                    acceleration,
-                    angular_rate,
-                }))
+                Ok(Some(Sample { acceleration, angular_rate }))
             }
             Some(first) => {
                 self.half = Some(new);

@@ -35,10 +35,8 @@ impl SelfTest {
     /// to 700 °/s (DS12140 §4.1, Table 2), in either direction.
     pub fn passed(&self) -> [[bool; 3]; 2] {
         [
-            self.acceleration
-                .map(|lsb| ACCELERATION_LIMITS.contains(&lsb.unsigned_abs())),
-            self.angular_rate
-                .map(|lsb| ANGULAR_RATE_LIMITS.contains(&lsb.unsigned_abs())),
+            self.acceleration.map(|lsb| ACCELERATION_LIMITS.contains(&lsb.unsigned_abs())),
+            self.angular_rate.map(|lsb| ANGULAR_RATE_LIMITS.contains(&lsb.unsigned_abs())),
         ]
     }
 }
@@ -56,22 +54,15 @@ impl<B: Bus> Lsm6dso<B> {
         self.reset(delay).await?;
         self.start_interface().await?;
         let rate = RATE.code() << 4;
-        self.registers
-            .write(CTRL1_XL, rate | ACCELERATION.bits())
-            .await?;
-        self.registers
-            .write(CTRL2_G, rate | ANGULAR_RATE.bits())
-            .await?;
+        self.registers.write(CTRL1_XL, rate | ACCELERATION.bits()).await?;
+        self.registers.write(CTRL2_G, rate | ANGULAR_RATE.bits()).await?;
         let without = self.mean(delay).await?;
         let both = CTRL5_ST_XL_POSITIVE | CTRL5_ST_G_POSITIVE;
         self.registers.write(CTRL5_C, both).await?;
         let with = self.mean(delay).await?;
         self.reset(delay).await?;
         let [x, y, z, angular_rate @ ..] = [0, 1, 2, 3, 4, 5].map(|i: usize| with[i] - without[i]);
-        Ok(SelfTest {
-            acceleration: [x, y, z],
-            angular_rate,
-        })
+        Ok(SelfTest { acceleration: [x, y, z], angular_rate })
     }
 
     /// Mean counts, accelerometer and gyroscope.

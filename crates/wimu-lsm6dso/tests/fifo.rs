@@ -27,11 +27,7 @@ fn status(words: usize, overrun: bool) -> Transaction {
 
 /// A burst in which the FIFO holds exactly `words`.
 fn burst(words: &[[u8; 7]]) -> [Transaction; 3] {
-    [
-        status(words.len(), false),
-        read(0x78, words.as_flattened()),
-        status(0, false),
-    ]
+    [status(words.len(), false), read(0x78, words.as_flattened()), status(0, false)]
 }
 
 type Sensor = Lsm6dso<I2cBus<Mock>>;
@@ -50,31 +46,18 @@ async fn read_batches(sensor: &mut Sensor, batches: usize) -> Vec<(Batch, Vec<Sa
 /// The batches that come of bursts of these words.
 fn batches(bursts: &[&[[u8; 7]]]) -> Vec<(Batch, Vec<Sample>)> {
     let expected: Vec<_> = bursts.iter().flat_map(|words| burst(words)).collect();
-    on_bus(&expected, async |sensor| {
-        read_batches(sensor, bursts.len()).await
-    })
+    on_bus(&expected, async |sensor| read_batches(sensor, bursts.len()).await)
 }
 
 fn sample(slot: i16) -> Sample {
-    Sample {
-        acceleration: [slot; 3],
-        angular_rate: [slot; 3],
-    }
+    Sample { acceleration: [slot; 3], angular_rate: [slot; 3] }
 }
 
 #[test]
 fn pairs_are_joined_in_either_order_and_across_bursts() {
     let read = batches(&[
-        &[
-            word(GYROSCOPE, 0),
-            word(ACCELEROMETER, 0),
-            word(GYROSCOPE, 1),
-        ],
-        &[
-            word(ACCELEROMETER, 1),
-            word(ACCELEROMETER, 2),
-            word(GYROSCOPE, 2),
-        ],
+        &[word(GYROSCOPE, 0), word(ACCELEROMETER, 0), word(GYROSCOPE, 1)],
+        &[word(ACCELEROMETER, 1), word(ACCELEROMETER, 2), word(GYROSCOPE, 2)],
     ]);
     assert_eq!(read[0].1, [sample(0)]);
     // A driver that did not start the chip does not know what came before.
@@ -87,13 +70,8 @@ fn temperatures_and_timestamps_may_come_between_the_words_of_a_pair() {
     let stamp = word(TIMESTAMP, 3);
     let mut celsius = word(TEMPERATURE, 3);
     celsius[1..3].copy_from_slice(&(-512_i16).to_le_bytes());
-    let (batch, samples) = &batches(&[&[
-        stamp,
-        word(GYROSCOPE, 0),
-        celsius,
-        stamp,
-        word(ACCELEROMETER, 0),
-    ]])[0];
+    let (batch, samples) =
+        &batches(&[&[stamp, word(GYROSCOPE, 0), celsius, stamp, word(ACCELEROMETER, 0)]])[0];
     assert_eq!(*samples, [sample(0)]);
     assert_eq!(batch.temperature, Some(-512));
     assert_eq!(batch.fault, None);
@@ -101,12 +79,8 @@ fn temperatures_and_timestamps_may_come_between_the_words_of_a_pair() {
 
 #[test]
 fn faults_are_named_and_the_samples_after_them_are_delivered() {
-    let good = [
-        word(GYROSCOPE, 7),
-        word(ACCELEROMETER, 7),
-        word(GYROSCOPE, 8),
-        word(ACCELEROMETER, 8),
-    ];
+    let good =
+        [word(GYROSCOPE, 7), word(ACCELEROMETER, 7), word(GYROSCOPE, 8), word(ACCELEROMETER, 8)];
     let mut parity = word(GYROSCOPE, 6);
     parity[0] ^= 1;
     for (bad, fault) in [
@@ -118,10 +92,8 @@ fn faults_are_named_and_the_samples_after_them_are_delivered() {
         // A word of sample 11, four samples away from sample 7.
         (word(GYROSCOPE, 11), FifoFault::AccelerometerMissing),
     ] {
-        let words: Vec<_> = [word(GYROSCOPE, 5), word(ACCELEROMETER, 5), bad]
-            .into_iter()
-            .chain(good)
-            .collect();
+        let words: Vec<_> =
+            [word(GYROSCOPE, 5), word(ACCELEROMETER, 5), bad].into_iter().chain(good).collect();
         let (batch, samples) = &batches(&[&words])[0];
         assert_eq!(batch.fault, Some(fault), "{fault}");
         assert!(batch.gap);
@@ -156,11 +128,7 @@ fn a_half_pair_does_not_survive_an_overrun() {
 
 #[test]
 fn nothing_is_delivered_from_a_burst_with_an_overrun() {
-    let words = [
-        word(GYROSCOPE, 0),
-        word(ACCELEROMETER, 4),
-        word(GYROSCOPE, 5),
-    ];
+    let words = [word(GYROSCOPE, 0), word(ACCELEROMETER, 4), word(GYROSCOPE, 5)];
     let expected = [
         status(3, false),
         read(0x78, words.as_flattened()),
@@ -186,12 +154,7 @@ fn a_failed_transfer_ends_the_pairing_and_reports_a_gap() {
         status(3, false),
         read(
             0x78,
-            [
-                word(ACCELEROMETER, 4),
-                word(GYROSCOPE, 5),
-                word(ACCELEROMETER, 5),
-            ]
-            .as_flattened(),
+            [word(ACCELEROMETER, 4), word(GYROSCOPE, 5), word(ACCELEROMETER, 5)].as_flattened(),
         ),
         status(0, false),
     ];
@@ -209,18 +172,14 @@ fn a_failed_transfer_ends_the_pairing_and_reports_a_gap() {
 
 #[test]
 fn a_burst_has_at_most_32_words_and_what_the_buffer_holds() {
-    let words: Vec<_> = (0..16)
-        .flat_map(|slot| [word(GYROSCOPE, slot), word(ACCELEROMETER, slot)])
-        .collect();
+    let words: Vec<_> =
+        (0..16).flat_map(|slot| [word(GYROSCOPE, slot), word(ACCELEROMETER, slot)]).collect();
     let expected = [
         status(512, false),
         read(0x78, words.as_flattened()),
         status(480, false),
         status(480, false),
-        read(
-            0x78,
-            [word(GYROSCOPE, 16), word(ACCELEROMETER, 16)].as_flattened(),
-        ),
+        read(0x78, [word(GYROSCOPE, 16), word(ACCELEROMETER, 16)].as_flattened()),
         status(478, false),
         status(478, false),
     ];
@@ -231,10 +190,7 @@ fn a_burst_has_at_most_32_words_and_what_the_buffer_holds() {
         let mut one = [Sample::default()];
         assert_eq!(sensor.read(&mut one).await.map(|batch| batch.count), Ok(1));
         assert_eq!(one, [sample(16)]);
-        assert_eq!(
-            sensor.read(&mut []).await.map(|batch| batch.words_left),
-            Ok(478)
-        );
+        assert_eq!(sensor.read(&mut []).await.map(|batch| batch.words_left), Ok(478));
     });
 }
 

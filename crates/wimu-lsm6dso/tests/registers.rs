@@ -25,10 +25,7 @@ pub(crate) fn on_bus<R>(
     expected: &[Transaction],
     use_it: impl AsyncFnOnce(&mut Lsm6dso<I2cBus<Mock>>) -> R,
 ) -> R {
-    let mut sensor = Lsm6dso::new(I2cBus {
-        i2c: Mock::new(expected),
-        address: Address::Low,
-    });
+    let mut sensor = Lsm6dso::new(I2cBus { i2c: Mock::new(expected), address: Address::Low });
     let result = block_on(use_it(&mut sensor));
     sensor.release().i2c.done();
     result
@@ -45,25 +42,15 @@ const SETUP: Setup = Setup {
 
 #[test]
 fn the_identity_is_register_0x0f() {
-    let checked = on_bus(&[read(0x0F, &[0x6C])], async |sensor| {
-        sensor.check_identity().await
-    });
+    let checked = on_bus(&[read(0x0F, &[0x6C])], async |sensor| sensor.check_identity().await);
     assert_eq!(checked, Ok(()));
 }
 
 #[test]
 fn another_chip_is_named() {
-    let checked = on_bus(&[read(0x0F, &[0x6B])], async |sensor| {
-        sensor.check_identity().await
-    });
+    let checked = on_bus(&[read(0x0F, &[0x6B])], async |sensor| sensor.check_identity().await);
     let error = checked.expect_err("0x6b is no LSM6DSO");
-    assert_eq!(
-        error,
-        Error::WrongIdentity {
-            expected: 0x6C,
-            found: 0x6B
-        }
-    );
+    assert_eq!(error, Error::WrongIdentity { expected: 0x6C, found: 0x6B });
     assert!(error.to_string().contains("0x6b"), "{error}");
 }
 
@@ -104,11 +91,7 @@ fn spi_reads_set_bit_7_and_writes_do_not() {
         ]
     };
     let write = |register: u8, value: u8| {
-        [
-            T::transaction_start(),
-            T::write_vec(vec![register, value]),
-            T::transaction_end(),
-        ]
+        [T::transaction_start(), T::write_vec(vec![register, value]), T::transaction_end()]
     };
     let mut expected = Vec::new();
     expected.extend(read(0x0F, &[0x6C]));
@@ -170,9 +153,8 @@ fn a_start_resets_the_chip_and_writes_every_setting() {
         watermark: 0,
         temperature: false,
     };
-    let started = on_bus(&expected, async |sensor| {
-        sensor.start(&setup, &mut NoopDelay::new()).await
-    });
+    let started =
+        on_bus(&expected, async |sensor| sensor.start(&setup, &mut NoopDelay::new()).await);
     assert_eq!(started, Ok(()));
 }
 
@@ -180,9 +162,7 @@ fn a_start_resets_the_chip_and_writes_every_setting() {
 fn a_reset_that_does_not_end_is_an_error() {
     let mut expected = vec![write(0x01, 0x00), write(0x12, 0x05)];
     expected.extend((0..100).map(|_| read(0x12, &[0x05])));
-    let outcome = on_bus(&expected, async |sensor| {
-        sensor.reset(&mut NoopDelay::new()).await
-    });
+    let outcome = on_bus(&expected, async |sensor| sensor.reset(&mut NoopDelay::new()).await);
     assert_eq!(outcome, Err(Error::ResetTimeout));
 }
 
@@ -213,9 +193,7 @@ fn the_fifo_level_has_ten_bits_and_two_overrun_flags() {
         // 511 words became 512 between the two bytes.
         ([0xFF, 0x02], 512, false),
     ] {
-        let batch = on_bus(&[read(0x3A, &bytes)], async |sensor| {
-            sensor.read(&mut []).await
-        });
+        let batch = on_bus(&[read(0x3A, &bytes)], async |sensor| sensor.read(&mut []).await);
         let batch = batch.expect("the bus works");
         assert_eq!((batch.words_left, batch.overrun), (words_left, overrun));
     }
@@ -229,10 +207,7 @@ fn the_fifo_level_has_ten_bits_and_two_overrun_flags() {
 fn output_registers_are_gyroscope_first_low_byte_first() {
     let bytes = [1, 0, 2, 0, 0xFF, 0x7F, 4, 0, 5, 0, 0x00, 0x80];
     let newest = on_bus(&[read(0x22, &bytes)], async |sensor| sensor.newest().await);
-    let sample = Sample {
-        acceleration: [4, 5, i16::MIN],
-        angular_rate: [1, 2, i16::MAX],
-    };
+    let sample = Sample { acceleration: [4, 5, i16::MIN], angular_rate: [1, 2, i16::MAX] };
     assert_eq!(newest, Ok(sample));
     assert_eq!(sample.saturated(), [true, true]);
     assert_eq!(Sample::default().saturated(), [false, false]);
@@ -240,9 +215,7 @@ fn output_registers_are_gyroscope_first_low_byte_first() {
 
 #[test]
 fn the_temperature_is_signed() {
-    let lsb = on_bus(&[read(0x20, &[0x00, 0xFF])], async |sensor| {
-        sensor.temperature().await
-    });
+    let lsb = on_bus(&[read(0x20, &[0x00, 0xFF])], async |sensor| sensor.temperature().await);
     assert_eq!(lsb, Ok(-256));
 }
 
@@ -265,9 +238,7 @@ fn the_self_test_is_the_change_of_the_means() {
     expected.push(write(0x14, 0x05));
     expected.extend([0; 5].map(|_| read(0x22, &bytes(5_010, 4_100))));
     expected.extend(reset);
-    let test = on_bus(&expected, async |sensor| {
-        sensor.self_test(&mut NoopDelay::new()).await
-    });
+    let test = on_bus(&expected, async |sensor| sensor.self_test(&mut NoopDelay::new()).await);
     let test = test.expect("the bus works");
     assert_eq!(test.acceleration, [4_000, -4_000, 0]);
     assert_eq!(test.angular_rate, [5_000, -5_000, 5_000]);
@@ -277,12 +248,9 @@ fn the_self_test_is_the_change_of_the_means() {
 #[test]
 fn self_test_limits_are_those_of_the_datasheet() {
     let passed = |acceleration, angular_rate| {
-        SelfTest {
-            acceleration: [acceleration; 3],
-            angular_rate: [angular_rate; 3],
-        }
-        .passed()
-        .map(|axes| axes[0])
+        SelfTest { acceleration: [acceleration; 3], angular_rate: [angular_rate; 3] }
+            .passed()
+            .map(|axes| axes[0])
     };
     // 50 and 1700 mg, 150 and 700 °/s.
     assert_eq!(passed(409, 2_142), [false, false]);

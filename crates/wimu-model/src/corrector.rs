@@ -120,16 +120,8 @@ impl Corrector {
 
     /// Its integers.
     pub fn to_parts(&self) -> CorrectorParts {
-        let Fixed {
-            shift,
-            coefficients,
-            offset,
-        } = self.kernel.fixed();
-        CorrectorParts {
-            shift: shift as u8,
-            coefficients,
-            offset,
-        }
+        let Fixed { shift, coefficients, offset } = self.kernel.fixed();
+        CorrectorParts { shift: shift as u8, coefficients, offset }
     }
 
     /// Specific force in body axes for counts in sensor axes.
@@ -177,9 +169,8 @@ pub(crate) fn kernel(coefficients: Matrix3, offset: [f64; 3]) -> Option<Kernel> 
         let unit = (1_u32 << shift) as f64;
         largest * unit <= 32766.0 && reach * unit <= 2_147_483_648.0 - 131_072.0
     };
-    let shift = (MIN_SHIFT..=MAX_SHIFT)
-        .rev()
-        .find(|&shift| fits(shift) && reach <= LARGEST_OUTPUT)?;
+    let shift =
+        (MIN_SHIFT..=MAX_SHIFT).rev().find(|&shift| fits(shift) && reach <= LARGEST_OUTPUT)?;
     let unit = (1_u32 << shift) as f64;
     Some(Kernel::new(&Fixed {
         shift,

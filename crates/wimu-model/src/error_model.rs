@@ -135,10 +135,8 @@ impl ErrorModel {
     ) -> SpecificForceMps2 {
         let (bias, a) = self.at(temperature);
         let y = output.0;
-        let mut f = matrix::apply(
-            &matrix::inverse(&a),
-            [y[0] - bias[0], y[1] - bias[1], y[2] - bias[2]],
-        );
+        let mut f =
+            matrix::apply(&matrix::inverse(&a), [y[0] - bias[0], y[1] - bias[1], y[2] - bias[2]]);
         for (axis, q) in self.0.nonlinearity.iter().enumerate() {
             f[axis] -= q * f[axis] * f[axis];
         }
@@ -175,23 +173,14 @@ impl From<ErrorModel> for ErrorTerms {
 }
 
 fn check(term: Term, values: &[f64], low: f64, high: f64) -> Result<(), ModelError> {
-    values
-        .iter()
-        .enumerate()
-        .try_for_each(|(axis, &value)| check_one(term, axis, value, low, high))
+    values.iter().enumerate().try_for_each(|(axis, &value)| check_one(term, axis, value, low, high))
 }
 
 fn check_one(term: Term, axis: usize, value: f64, low: f64, high: f64) -> Result<(), ModelError> {
     if !value.is_finite() {
         Err(ModelError::NotFinite { term, axis })
     } else if value < low || value > high {
-        Err(ModelError::OutOfBounds {
-            term,
-            axis,
-            value,
-            low,
-            high,
-        })
+        Err(ModelError::OutOfBounds { term, axis, value, low, high })
     } else {
         Ok(())
     }
@@ -273,19 +262,10 @@ impl fmt::Display for ModelError {
                 let (name, _) = term.name_and_unit();
                 write!(out, "{name} {} is not a finite number", axis_name(axis))
             }
-            Self::OutOfBounds {
-                term,
-                axis,
-                value,
-                low,
-                high,
-            } => {
+            Self::OutOfBounds { term, axis, value, low, high } => {
                 let (name, unit) = term.name_and_unit();
                 let axis = axis_name(axis);
-                write!(
-                    out,
-                    "{name} {axis} = {value}{unit} is outside {low} to {high}{unit}"
-                )
+                write!(out, "{name} {axis} = {value}{unit} is outside {low} to {high}{unit}")
             }
             Self::Singular { determinant } => write!(
                 out,

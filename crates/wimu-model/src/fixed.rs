@@ -14,10 +14,7 @@ pub fn product(a: i32, b: i32) -> i64 {
 
 /// Four products of halves.
 #[inline(always)]
-#[cfg_attr(
-    not(all(target_arch = "arm", not(target_has_atomic = "32"))),
-    allow(dead_code)
-)]
+#[cfg_attr(not(all(target_arch = "arm", not(target_has_atomic = "32"))), allow(dead_code))]
 fn short(a: i32, b: i32) -> i64 {
     let (a_high, a_low) = (a >> 16, a & 0xffff);
     let (b_high, b_low) = (b >> 16, b & 0xffff);
@@ -25,9 +22,7 @@ fn short(a: i32, b: i32) -> i64 {
     // Each sum fits: |high · low| ≤ 2¹⁵ (2¹⁶ − 1), and what is added is below 2¹⁶.
     let first = a_high.wrapping_mul(b_low).wrapping_add((low >> 16) as i32);
     let second = a_low.wrapping_mul(b_high).wrapping_add(first & 0xffff);
-    let high = (a_high.wrapping_mul(b_high))
-        .wrapping_add(first >> 16)
-        .wrapping_add(second >> 16);
+    let high = (a_high.wrapping_mul(b_high)).wrapping_add(first >> 16).wrapping_add(second >> 16);
     let low = ((second as u32) << 16) | (low & 0xffff);
     (i64::from(high) << 32) | i64::from(low)
 }
@@ -42,23 +37,16 @@ pub fn scaled_dot(a: [i32; 3], b: [i32; 3]) -> i32 {
 }
 
 #[inline(always)]
-#[cfg_attr(
-    all(target_arch = "arm", not(target_has_atomic = "32")),
-    allow(dead_code)
-)]
+#[cfg_attr(all(target_arch = "arm", not(target_has_atomic = "32")), allow(dead_code))]
 fn dot_long(a: [i32; 3], b: [i32; 3]) -> i32 {
-    let sum = (0..3).fold(1_i64 << 27, |sum, i| {
-        sum.wrapping_add(i64::from(a[i]) * i64::from(b[i]))
-    });
+    let sum =
+        (0..3).fold(1_i64 << 27, |sum, i| sum.wrapping_add(i64::from(a[i]) * i64::from(b[i])));
     (sum >> 28) as i32
 }
 
 /// Halves of 15 bits: the sums of their products fit 32 bits.
 #[inline(always)]
-#[cfg_attr(
-    not(all(target_arch = "arm", not(target_has_atomic = "32"))),
-    allow(dead_code)
-)]
+#[cfg_attr(not(all(target_arch = "arm", not(target_has_atomic = "32"))), allow(dead_code))]
 fn dot_short(a: [i32; 3], b: [i32; 3]) -> i32 {
     let (mut high, mut middle, mut low) = (0_i32, 0_i32, 1 << 27);
     for i in 0..3 {
@@ -86,17 +74,12 @@ pub fn quaternion_product(a: [i32; 4], b: [i32; 4]) -> [i64; 4] {
 
 /// Sixteen products.
 #[inline(always)]
-#[cfg_attr(
-    all(target_arch = "arm", not(target_has_atomic = "32")),
-    allow(dead_code)
-)]
+#[cfg_attr(all(target_arch = "arm", not(target_has_atomic = "32")), allow(dead_code))]
 fn quaternion_long(a: [i32; 4], b: [i32; 4]) -> [i64; 4] {
     // Factors are negated, not products: the multiplication accumulates.
     let [p, q, r] = [b[1], b[2], b[3]].map(i32::wrapping_neg);
     let sum = |b: [i32; 4]| {
-        (a.iter().zip(b)).fold(0_i64, |sum, (&a, b)| {
-            sum.wrapping_add(i64::from(a) * i64::from(b))
-        })
+        (a.iter().zip(b)).fold(0_i64, |sum, (&a, b)| sum.wrapping_add(i64::from(a) * i64::from(b)))
     };
     [
         sum([b[0], p, q, r]),
@@ -108,10 +91,7 @@ fn quaternion_long(a: [i32; 4], b: [i32; 4]) -> [i64; 4] {
 
 /// Eight products [Howell and Lafon 1975].
 #[inline(always)]
-#[cfg_attr(
-    not(all(target_arch = "arm", not(target_has_atomic = "32"))),
-    allow(dead_code)
-)]
+#[cfg_attr(not(all(target_arch = "arm", not(target_has_atomic = "32"))), allow(dead_code))]
 fn quaternion_short(a: [i32; 4], b: [i32; 4]) -> [i64; 4] {
     let plus = |v: &[i32; 4], i: usize, j: usize| v[i].wrapping_add(v[j]);
     let minus = |v: &[i32; 4], i: usize, j: usize| v[i].wrapping_sub(v[j]);

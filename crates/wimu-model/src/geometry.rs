@@ -29,11 +29,7 @@ pub struct Triad {
 impl Triad {
     /// A triad whose axes are the body's.
     pub fn aligned(position_m: [f64; 3], noise_mps2: f64) -> Self {
-        Self {
-            position_m,
-            axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-            noise_mps2,
-        }
+        Self { position_m, axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], noise_mps2 }
     }
 }
 
@@ -63,10 +59,7 @@ impl<const M: usize> Geometry<M> {
     /// As [`Geometry::from_axes`]; [`GeometryError::BadGroup`] where the number of axes is not a multiple of `group`.
     pub fn from_grouped_axes(axes: &[Axis], group: usize) -> Result<Self, GeometryError> {
         if group == 0 || !axes.len().is_multiple_of(group) {
-            return Err(GeometryError::BadGroup {
-                have: axes.len(),
-                group,
-            });
+            return Err(GeometryError::BadGroup { have: axes.len(), group });
         }
         Self::new(axes.iter().copied(), axes.len(), group)
     }
@@ -94,11 +87,7 @@ impl<const M: usize> Geometry<M> {
         if len > M {
             return Err(GeometryError::TooMany { have: len, most: M });
         }
-        let unused = Axis {
-            position_m: [0.0; 3],
-            direction: [0.0; 3],
-            noise_mps2: 0.0,
-        };
+        let unused = Axis { position_m: [0.0; 3], direction: [0.0; 3], noise_mps2: 0.0 };
         let mut axes = [unused; M];
         for (index, (slot, mut axis)) in axes.iter_mut().zip(source).enumerate() {
             let norm = libm::sqrt(axis.direction.iter().map(|d| d * d).sum());
@@ -358,33 +347,20 @@ mod tests {
     #[test]
     fn values_that_make_no_geometry_are_refused() {
         let nan = Triad::aligned([f64::NAN, 0.0, 0.0], 0.01);
-        assert_eq!(
-            Geometry::<3>::from_triads(&[nan]),
-            Err(GeometryError::BadAxis { axis: 0 })
-        );
+        assert_eq!(Geometry::<3>::from_triads(&[nan]), Err(GeometryError::BadAxis { axis: 0 }));
         let silent = Triad::aligned([0.0; 3], 0.0);
-        assert_eq!(
-            Geometry::<3>::from_triads(&[silent]),
-            Err(GeometryError::BadNoise { axis: 0 })
-        );
+        assert_eq!(Geometry::<3>::from_triads(&[silent]), Err(GeometryError::BadNoise { axis: 0 }));
         let many = [Triad::aligned([0.0; 3], 0.1); 2];
         assert_eq!(
             Geometry::<3>::from_triads(&many),
             Err(GeometryError::TooMany { have: 6, most: 3 })
         );
-        let five = [Axis {
-            position_m: [0.0; 3],
-            direction: [0.0, 0.0, 2.0],
-            noise_mps2: 0.1,
-        }; 5];
+        let five = [Axis { position_m: [0.0; 3], direction: [0.0, 0.0, 2.0], noise_mps2: 0.1 }; 5];
         assert_eq!(
             Geometry::<6>::from_grouped_axes(&five, 3),
             Err(GeometryError::BadGroup { have: 5, group: 3 })
         );
         let single = Geometry::<6>::from_axes(&five).expect("five axes");
-        assert_eq!(
-            (single.axes().len(), single.axes()[4].direction[2]),
-            (5, 1.0)
-        );
+        assert_eq!((single.axes().len(), single.axes()[4].direction[2]), (5, 1.0));
     }
 }

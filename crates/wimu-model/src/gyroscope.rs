@@ -25,11 +25,7 @@ pub struct GyroscopeTemperatureTerms {
 impl Default for GyroscopeTemperatureTerms {
     /// No temperature effect, about 25 °C.
     fn default() -> Self {
-        Self {
-            reference_c: 25.0,
-            bias_rad_s_per_k: [0.0; 3],
-            scale_per_k: [0.0; 3],
-        }
+        Self { reference_c: 25.0, bias_rad_s_per_k: [0.0; 3], scale_per_k: [0.0; 3] }
     }
 }
 
@@ -70,10 +66,7 @@ impl Default for GyroscopeTerms {
 /// Always finite, within bounds and invertible: it cannot be built otherwise.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-#[cfg_attr(
-    feature = "serde",
-    serde(try_from = "GyroscopeTerms", into = "GyroscopeTerms")
-)]
+#[cfg_attr(feature = "serde", serde(try_from = "GyroscopeTerms", into = "GyroscopeTerms"))]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GyroscopeModel(GyroscopeTerms);
 
@@ -97,13 +90,7 @@ impl GyroscopeModel {
                     false => (Misalignment, -0.3, 0.3),
                 };
                 check(term, axis, terms.matrix[axis][column], low, high)?;
-                check(
-                    GSensitivity,
-                    axis,
-                    terms.g_sensitivity[axis][column],
-                    -0.02,
-                    0.02,
-                )?;
+                check(GSensitivity, axis, terms.g_sensitivity[axis][column], -0.02, 0.02)?;
             }
         }
         let determinant = matrix::determinant(&terms.matrix);
@@ -217,17 +204,10 @@ impl GyroscopeCorrector {
         let g_body = matrix::multiply(&matrix::multiply(&inverse, g), &transposed);
         let unit = (1_u32 << G_BITS) as f64 * lsb / SpecificForceQ16::LSB_PER_MPS2;
         let g_sensitivity = g_body.map(|row| row.map(|k| round(-k * unit)));
-        if g_sensitivity
-            .as_flattened()
-            .iter()
-            .any(|k| k.unsigned_abs() > LARGEST_G)
-        {
+        if g_sensitivity.as_flattened().iter().any(|k| k.unsigned_abs() > LARGEST_G) {
             return Err(CompileError::Overflow);
         }
-        Ok(Self {
-            kernel,
-            g_sensitivity: (*g != [[0.0; 3]; 3]).then_some(g_sensitivity),
-        })
+        Ok(Self { kernel, g_sensitivity: (*g != [[0.0; 3]; 3]).then_some(g_sensitivity) })
     }
 
     /// Angular rate in body axes for counts in sensor axes, and the corrected specific force of the same
@@ -273,13 +253,7 @@ pub(crate) fn check(
 ) -> Result<(), GyroscopeError> {
     match (low..=high).contains(&value) {
         true => Ok(()),
-        false => Err(GyroscopeError::OutOfBounds {
-            term,
-            axis,
-            value,
-            low,
-            high,
-        }),
+        false => Err(GyroscopeError::OutOfBounds { term, axis, value, low, high }),
     }
 }
 
@@ -336,13 +310,7 @@ pub enum GyroscopeError {
 impl fmt::Display for GyroscopeError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
-            Self::OutOfBounds {
-                term,
-                axis,
-                value,
-                low,
-                high,
-            } => {
+            Self::OutOfBounds { term, axis, value, low, high } => {
                 let (name, unit) = match term {
                     GyroscopeTerm::Bias => ("bias", " rad/s"),
                     GyroscopeTerm::Scale => ("scale factor", ""),
@@ -485,11 +453,7 @@ mod tests {
             terms.bias_rad_s[1] = value;
             assert!(matches!(
                 GyroscopeModel::new(terms),
-                Err(GyroscopeError::OutOfBounds {
-                    term: GyroscopeTerm::Bias,
-                    axis: 1,
-                    ..
-                })
+                Err(GyroscopeError::OutOfBounds { term: GyroscopeTerm::Bias, axis: 1, .. })
             ));
         }
         let mut terms = GyroscopeTerms::default();

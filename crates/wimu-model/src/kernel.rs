@@ -139,15 +139,8 @@ struct Row {
 
 impl Short {
     pub(crate) const fn new(fixed: &Fixed) -> Self {
-        const ROW: Row = Row {
-            low: [0; 3],
-            high: [0; 3],
-            offset: 0,
-        };
-        let mut kernel = Self {
-            rows: [ROW; 3],
-            shift: fixed.shift,
-        };
+        const ROW: Row = Row { low: [0; 3], high: [0; 3], offset: 0 };
+        let mut kernel = Self { rows: [ROW; 3], shift: fixed.shift };
         let mut axis = 0;
         while axis < 3 {
             let row = &mut kernel.rows[axis];
@@ -179,11 +172,7 @@ impl Short {
             let low = product(&row.low) >> LOW_BITS;
             (low + row.offset + product(&row.high)) >> self.shift
         };
-        [
-            output(&self.rows[0]),
-            output(&self.rows[1]),
-            output(&self.rows[2]),
-        ]
+        [output(&self.rows[0]), output(&self.rows[1]), output(&self.rows[2])]
     }
 
     pub(crate) fn apply_wide(&self, counts: WideCounts) -> [i32; 3] {

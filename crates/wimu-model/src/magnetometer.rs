@@ -52,10 +52,7 @@ pub struct MagnetometerTerms {
 /// Always finite, within bounds and invertible.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-#[cfg_attr(
-    feature = "serde",
-    serde(try_from = "MagnetometerTerms", into = "MagnetometerTerms")
-)]
+#[cfg_attr(feature = "serde", serde(try_from = "MagnetometerTerms", into = "MagnetometerTerms"))]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct MagnetometerModel(MagnetometerTerms);
 

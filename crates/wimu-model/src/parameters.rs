@@ -50,21 +50,9 @@ impl Alignment {
     pub fn matrix(self) -> Matrix3 {
         let [w, x, y, z] = self.0;
         [
-            [
-                1.0 - 2.0 * (y * y + z * z),
-                2.0 * (x * y - w * z),
-                2.0 * (x * z + w * y),
-            ],
-            [
-                2.0 * (x * y + w * z),
-                1.0 - 2.0 * (x * x + z * z),
-                2.0 * (y * z - w * x),
-            ],
-            [
-                2.0 * (x * z - w * y),
-                2.0 * (y * z + w * x),
-                1.0 - 2.0 * (x * x + y * y),
-            ],
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
         ]
     }
 }
@@ -82,11 +70,7 @@ impl TryFrom<[f64; 4]> for Alignment {
         // A unit quaternion is not normalised again, so that a stored one is reproduced exactly.
         let [w, x, y, z] = wxyz;
         let square = w * w + x * x + y * y + z * z;
-        if (square - 1.0).abs() <= 1e-12 {
-            Ok(Self(wxyz))
-        } else {
-            Self::from_quaternion(wxyz)
-        }
+        if (square - 1.0).abs() <= 1e-12 { Ok(Self(wxyz)) } else { Self::from_quaternion(wxyz) }
     }
 }
 
@@ -106,11 +90,7 @@ pub struct AlignmentError {
 
 impl fmt::Display for AlignmentError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            out,
-            "the quaternion of the alignment has length {} instead of 1",
-            self.norm
-        )
+        write!(out, "the quaternion of the alignment has length {} instead of 1", self.norm)
     }
 }
 
@@ -174,12 +154,7 @@ impl GyroscopeParameters {
         for (place, sd) in sd.iter().flatten().enumerate() {
             gyroscope::check(GyroscopeTerm::Deviation, place % 3, (*sd).into(), 0.0, 1.0)?;
         }
-        Ok(Self {
-            range_dps,
-            rad_s_per_lsb,
-            model,
-            sd,
-        })
+        Ok(Self { range_dps, rad_s_per_lsb, model, sd })
     }
 }
 

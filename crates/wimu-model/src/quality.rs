@@ -99,10 +99,7 @@ pub struct QualityTerms {
 /// Always finite and within the bounds given on [`QualityTerms`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-#[cfg_attr(
-    feature = "serde",
-    serde(try_from = "QualityTerms", into = "QualityTerms")
-)]
+#[cfg_attr(feature = "serde", serde(try_from = "QualityTerms", into = "QualityTerms"))]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CalibrationQuality(QualityTerms);
 
@@ -120,9 +117,7 @@ impl CalibrationQuality {
             }
         }
         if !within(terms.rms_mps2, 0.0, 100.0)
-            || terms
-                .loo_rms_mps2
-                .is_some_and(|loo| !within(loo, 0.0, 100.0))
+            || terms.loo_rms_mps2.is_some_and(|loo| !within(loo, 0.0, 100.0))
         {
             return Err(QualityError::Residual);
         }
@@ -130,14 +125,9 @@ impl CalibrationQuality {
             return Err(QualityError::Condition);
         }
         let sd = &terms.other_sd;
-        let mut others = [
-            sd.bias_mps2_per_k,
-            sd.bias_mps2_per_k2,
-            sd.scale_per_k,
-            sd.nonlinearity,
-        ]
-        .into_iter()
-        .flatten();
+        let mut others = [sd.bias_mps2_per_k, sd.bias_mps2_per_k2, sd.scale_per_k, sd.nonlinearity]
+            .into_iter()
+            .flatten();
         if !others.all(|sd| within(sd, 0.0, 1.0)) {
             return Err(QualityError::Deviation);
         }

@@ -41,9 +41,7 @@ impl WideCounts {
     /// Whether any axis is at or beyond ± `full_scale`, LSB.
     #[inline]
     pub fn saturated(self, full_scale: i32) -> bool {
-        self.0
-            .iter()
-            .any(|&c| c >= full_scale || c <= full_scale.saturating_neg())
+        self.0.iter().any(|&c| c >= full_scale || c <= full_scale.saturating_neg())
     }
 
     /// The nearest counts of 20 bits.
@@ -255,11 +253,7 @@ pub struct SensitivityError(pub f64);
 
 impl fmt::Display for SensitivityError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            out,
-            "sensitivity {} LSB/g is outside 160 to 1048576 LSB/g",
-            self.0
-        )
+        write!(out, "sensitivity {} LSB/g is outside 160 to 1048576 LSB/g", self.0)
     }
 }
 

@@ -82,19 +82,7 @@ mod tests {
             assert_eq!(sqrt(x).to_bits(), libm::sqrt(x).to_bits(), "{x:e}");
         }
         assert!(sqrt(-1.0).is_nan() && sqrt(f64::NAN).is_nan());
-        for x in [
-            0,
-            1,
-            2,
-            3,
-            4,
-            8,
-            9,
-            u64::MAX,
-            u64::MAX - 1,
-            1 << 62,
-            (1 << 62) - 1,
-        ] {
+        for x in [0, 1, 2, 3, 4, 8, 9, u64::MAX, u64::MAX - 1, 1 << 62, (1 << 62) - 1] {
             assert_eq!(isqrt(x), x.isqrt(), "{x}");
         }
     }

@@ -61,9 +61,7 @@ fn worst_lsb(parameters: &ParameterSet, at: CentiCelsius, counts: [i16; 3]) -> f
     let corrector = Corrector::compile(parameters, Some(at)).unwrap();
     let integer = corrector.correct(Counts(counts)).0;
     let exact = parameters.correct(Counts(counts), Some(at)).0;
-    (0..3)
-        .map(|axis| (f64::from(integer[axis]) - exact[axis] * 65536.0).abs())
-        .fold(0.0, f64::max)
+    (0..3).map(|axis| (f64::from(integer[axis]) - exact[axis] * 65536.0).abs()).fold(0.0, f64::max)
 }
 
 fn cases() -> ProptestConfig {
@@ -72,11 +70,7 @@ fn cases() -> ProptestConfig {
 
 #[test]
 fn is_within_1_lsb_of_f64_on_every_input() {
-    let inputs = (
-        parameters(),
-        -4000_i16..8500,
-        prop::array::uniform3(any::<i16>()),
-    );
+    let inputs = (parameters(), -4000_i16..8500, prop::array::uniform3(any::<i16>()));
     let largest = Cell::new(0.0_f64);
     let run = TestRunner::new(cases()).run(&inputs, |(parameters, at, counts)| {
         let ends = counts.map(|c| if c < 0 { i16::MIN } else { i16::MAX });
@@ -117,18 +111,12 @@ fn wide_counts_are_within_1_lsb_of_f64_and_clamped_beyond_20_bits() {
                 false => WideCounts::MAX + beyond,
             })
         };
-        for counts in [
-            counts,
-            edge(0),
-            [WideCounts::MIN; 3],
-            [WideCounts::MAX; 3],
-            counts.map(|c| c >> 4),
-        ] {
+        for counts in
+            [counts, edge(0), [WideCounts::MIN; 3], [WideCounts::MAX; 3], counts.map(|c| c >> 4)]
+        {
             let scale = parameters.sensitivity.mps2_per_lsb();
             let output = SpecificForceMps2(counts.map(|c| f64::from(c) * scale));
-            let exact = parameters
-                .alignment
-                .rotate(parameters.model.correct(output, at).0);
+            let exact = parameters.alignment.rotate(parameters.model.correct(output, at).0);
             for axis in 0..3 {
                 let off = (f64::from(wide(counts).0[axis]) - exact[axis] * 65536.0).abs();
                 prop_assert!(off <= 1.0, "{off} LSB at {counts:?}");
@@ -155,11 +143,7 @@ fn wide_counts_of_a_coarse_sensor_saturate_at_the_output_range() {
 
 #[test]
 fn correcting_undoes_the_model() {
-    let inputs = (
-        terms(),
-        prop::array::uniform3(-20.0..20.0_f64),
-        -2000_i16..6000,
-    );
+    let inputs = (terms(), prop::array::uniform3(-20.0..20.0_f64), -2000_i16..6000);
     let largest = Cell::new(0.0_f64);
     let run = TestRunner::new(cases()).run(&inputs, |(terms, force, at)| {
         let model = ErrorModel::new(terms).unwrap();
@@ -218,18 +202,9 @@ fn terms_with(change: impl FnOnce(&mut ErrorTerms)) -> Result<ErrorModel, String
 #[test]
 fn a_model_out_of_bounds_is_refused_by_name() {
     let refused = |change: fn(&mut ErrorTerms)| terms_with(change).unwrap_err();
-    assert_eq!(
-        refused(|t| t.bias_mps2[1] = f64::NAN),
-        "bias Y is not a finite number"
-    );
-    assert_eq!(
-        refused(|t| t.bias_mps2[2] = 9.8),
-        "bias Z = 9.8 m/s² is outside -5 to 5 m/s²"
-    );
-    assert_eq!(
-        refused(|t| t.matrix[0][0] = -1.0),
-        "scale factor X = -1 is outside 0.5 to 1.5"
-    );
+    assert_eq!(refused(|t| t.bias_mps2[1] = f64::NAN), "bias Y is not a finite number");
+    assert_eq!(refused(|t| t.bias_mps2[2] = 9.8), "bias Z = 9.8 m/s² is outside -5 to 5 m/s²");
+    assert_eq!(refused(|t| t.matrix[0][0] = -1.0), "scale factor X = -1 is outside 0.5 to 1.5");
     assert_eq!(
         refused(|t| t.matrix[0][2] = f64::INFINITY),
         "misalignment X is not a finite number"

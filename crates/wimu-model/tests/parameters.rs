@@ -12,11 +12,7 @@ fn quality() -> QualityTerms {
     QualityTerms {
         method: CalibrationMethod::MultiPosition,
         utc_s: Some(1_795_222_920),
-        temperature: Some(CalibratedTemperature {
-            mean_c: 24.5,
-            lowest_c: 20.0,
-            highest_c: 30.0,
-        }),
+        temperature: Some(CalibratedTemperature { mean_c: 24.5, lowest_c: 20.0, highest_c: 30.0 }),
         poses: 13,
         dof: 4,
         rms_mps2: 0.0012,
@@ -135,10 +131,7 @@ fn what_is_no_covariance_is_refused() {
         diagonal(1e9),
         [[1.0, 0.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
     ] {
-        assert_eq!(
-            RotationCovariance::from_matrix(&wrong),
-            Err(CovarianceError)
-        );
+        assert_eq!(RotationCovariance::from_matrix(&wrong), Err(CovarianceError));
     }
     assert!(RotationCovariance::from_factor([[f32::NAN; 6]]).is_err());
 }
@@ -153,15 +146,9 @@ fn what_a_calibration_says_of_itself_is_within_bounds() {
     let cold = |q: &mut QualityTerms| q.temperature.as_mut().unwrap().lowest_c = -300.0;
     assert_eq!(wrong(&cold), QualityError::Temperature);
     assert_eq!(wrong(&|q| q.rms_mps2 = f32::NAN), QualityError::Residual);
-    assert_eq!(
-        wrong(&|q| q.loo_rms_mps2 = Some(-0.1)),
-        QualityError::Residual
-    );
+    assert_eq!(wrong(&|q| q.loo_rms_mps2 = Some(-0.1)), QualityError::Residual);
     assert_eq!(wrong(&|q| q.condition = Some(0.0)), QualityError::Condition);
-    assert_eq!(
-        wrong(&|q| q.other_sd.nonlinearity[2] = 2.0),
-        QualityError::Deviation
-    );
+    assert_eq!(wrong(&|q| q.other_sd.nonlinearity[2] = 2.0), QualityError::Deviation);
 }
 
 #[test]
@@ -188,24 +175,12 @@ fn a_magnetometer_model_can_always_be_inverted() {
         change(&mut terms);
         MagnetometerModel::new(terms).unwrap_err()
     };
-    assert_eq!(
-        wrong(&|m| m.hard_iron_nt[1] = f32::INFINITY),
-        MagnetometerError::HardIron
-    );
-    assert_eq!(
-        wrong(&|m| m.soft_iron[0] = -1.0),
-        MagnetometerError::SoftIron
-    );
+    assert_eq!(wrong(&|m| m.hard_iron_nt[1] = f32::INFINITY), MagnetometerError::HardIron);
+    assert_eq!(wrong(&|m| m.soft_iron[0] = -1.0), MagnetometerError::SoftIron);
     // Symmetric with a positive diagonal, but not positive definite.
-    assert_eq!(
-        wrong(&|m| m.soft_iron[5] = 1.5),
-        MagnetometerError::SoftIron
-    );
+    assert_eq!(wrong(&|m| m.soft_iron[5] = 1.5), MagnetometerError::SoftIron);
     assert_eq!(wrong(&|m| m.field_nt = 10.0), MagnetometerError::Field);
-    assert_eq!(
-        wrong(&|m| m.hard_iron_sd_nt[0] = -1.0),
-        MagnetometerError::Quality
-    );
+    assert_eq!(wrong(&|m| m.hard_iron_sd_nt[0] = -1.0), MagnetometerError::Quality);
     let far = |m: &mut MagnetometerTerms| m.to_accelerometer.as_mut().unwrap().dip_rad = 1.6;
     assert_eq!(wrong(&far), MagnetometerError::Dip);
 }

@@ -23,11 +23,7 @@ const FIX_M: f64 = 0.3;
 fn angle(t: f64) -> [f64; 3] {
     let (t, omega) = ((t - REST_S).max(0.0), TAU / STOP_S);
     let (sin, cos) = (omega * t).sin_cos();
-    [
-        RATE * (t - sin / omega),
-        RATE * (1.0 - cos),
-        RATE * omega * sin,
-    ]
+    [RATE * (t - sin / omega), RATE * (1.0 - cos), RATE * omega * sin]
 }
 
 fn position_m(t: f64) -> Vector3<f64> {

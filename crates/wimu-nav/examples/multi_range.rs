@@ -20,12 +20,7 @@ fn main() {
         let t = f64::from(k) / 400.0;
         // Ten seconds of motion by hand, then a pulse of 100 m/s² in 0.1 s.
         let pulse = 100.0 * (std::f64::consts::PI * (t - 10.1) / 0.1).sin();
-        let x = 8.0 * (5.0 * t).sin()
-            + if (10.1..10.2).contains(&t) {
-                pulse
-            } else {
-                0.0
-            };
+        let x = 8.0 * (5.0 * t).sin() + if (10.1..10.2).contains(&t) { pulse } else { 0.0 };
         let force = Vector3::new(x, 6.0 * (7.0 * t).sin(), 9.8 + 4.0 * (4.0 * t).sin());
         let fine = force + Vector3::from(random.normals(NOISE[0]));
         let coarse = bias + matrix * force + Vector3::from(random.normals(NOISE[1]));
@@ -47,9 +42,6 @@ fn main() {
         let is_saturated = usize::from(fine.x.abs() >= RAIL);
         errors[is_saturated] = errors[is_saturated].max((value - x).abs() / variance.sqrt());
     }
-    println!(
-        "largest error: {:.1} σ within ±2 g, {:.1} σ beyond",
-        errors[0], errors[1]
-    );
+    println!("largest error: {:.1} σ within ±2 g, {:.1} σ beyond", errors[0], errors[1]);
     assert!(errors.iter().all(|error| (1.0..6.0).contains(error)));
 }

@@ -35,31 +35,17 @@ fn main() -> Result<(), LayoutFull> {
     }
     let mut filter = Filter::new(&layout, Rotation3::identity());
     filter.state.set(POSITION, path(0.0));
-    let mixture = NonLineOfSight {
-        probability: 0.1,
-        mean_m: 1.0,
-    };
+    let mixture = NonLineOfSight { probability: 0.1, mean_m: 1.0 };
     let mut random = wimu_testkit::Random::new(1);
     let mut squares = 0.0;
     for k in 1..=600 {
         let truth = path(f64::from(k) * STEP_S);
-        let motion = ConstantVelocity {
-            density: Vector3::repeat(0.1),
-            step_s: STEP_S,
-        };
-        let slow = CorrelatedErrors {
-            anchors: &anchors,
-            errors: &errors,
-            step_s: STEP_S,
-        };
+        let motion = ConstantVelocity { density: Vector3::repeat(0.1), step_s: STEP_S };
+        let slow = CorrelatedErrors { anchors: &anchors, errors: &errors, step_s: STEP_S };
         filter.predict(&(motion, slow));
         for (anchor, bias) in anchors.iter().zip(BIASES) {
             // One range in ten has no line of sight.
-            let excess = if random.uniform() < 0.1 {
-                1.5 * random.uniform()
-            } else {
-                0.0
-            };
+            let excess = if random.uniform() < 0.1 { 1.5 * random.uniform() } else { 0.0 };
             let distance = (truth - anchor.position_m).norm();
             let range = Range {
                 anchor,
@@ -75,10 +61,7 @@ fn main() -> Result<(), LayoutFull> {
             squares += (filter.state.get(POSITION) - truth).norm_squared() / 300.0;
         }
     }
-    println!(
-        "RMS error of the position in the last 30 s: {:.3} m",
-        squares.sqrt()
-    );
+    println!("RMS error of the position in the last 30 s: {:.3} m", squares.sqrt());
     for (anchor, truth) in anchors.iter().zip(BIASES) {
         let Some(block) = anchor.bias else { continue };
         let (bias, sigma) = (filter.state.get(block).x, filter.covariance(block).x.sqrt());

@@ -38,11 +38,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let t = k as f64 * STEP_S;
         let ([before, now, after], h) = ([t - 1e-3, t, t + 1e-3].map(motion), 2e-3);
         let rate = (after[1] - before[1]) / h;
-        let force = Vector3::new(
-            (after[0] - before[0]) / h,
-            now[0] * rate,
-            wimu_nav::GRAVITY_MPS2,
-        );
+        let force = Vector3::new((after[0] - before[0]) / h, now[0] * rate, wimu_nav::GRAVITY_MPS2);
         samples.push(Sample {
             step_s: STEP_S,
             force_mps2: mount.inverse() * force + biases[0] + vector(0.1),

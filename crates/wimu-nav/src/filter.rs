@@ -61,10 +61,7 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
     pub fn new(layout: &Layout<R, N>, attitude: Rotation3<R>) -> Self {
         let variance = layout.deviation.map(|deviation| deviation * deviation);
         Self {
-            state: State {
-                attitude,
-                vector: SVector::zeros(),
-            },
+            state: State { attitude, vector: SVector::zeros() },
             covariance: SMatrix::from_diagonal(&variance),
             considered: layout.considered,
             steps: 0,
@@ -90,9 +87,7 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
         rows: Block<V>,
         columns: Block<W>,
     ) -> SMatrix<R, V, W> {
-        let view = self
-            .covariance
-            .fixed_view::<V, W>(rows.start(), columns.start());
+        let view = self.covariance.fixed_view::<V, W>(rows.start(), columns.start());
         view.into_owned()
     }
 
@@ -105,12 +100,8 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
     ) {
         let start = block.start();
         self.covariance.fixed_rows_mut::<W>(start).fill(R::zero());
-        self.covariance
-            .fixed_columns_mut::<W>(start)
-            .fill(R::zero());
-        self.covariance
-            .fixed_view_mut::<W, W>(start, start)
-            .copy_from(covariance);
+        self.covariance.fixed_columns_mut::<W>(start).fill(R::zero());
+        self.covariance.fixed_view_mut::<W, W>(start, start).copy_from(covariance);
     }
 
     /// Replaces the covariance between two different blocks.
@@ -120,9 +111,7 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
         columns: Block<W>,
         covariance: &SMatrix<R, V, W>,
     ) {
-        self.covariance
-            .fixed_view_mut::<V, W>(rows.start(), columns.start())
-            .copy_from(covariance);
+        self.covariance.fixed_view_mut::<V, W>(rows.start(), columns.start()).copy_from(covariance);
         self.covariance
             .fixed_view_mut::<W, V>(columns.start(), rows.start())
             .copy_from(&covariance.transpose());
@@ -240,12 +229,8 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
         let cross = self.cross(h);
         let Some(factor) = (h * cross + prediction.covariance).cholesky() else {
             let statistic = R::zero() / R::zero();
-            let innovation = Innovation {
-                statistic,
-                dof: M,
-                log_likelihood: statistic,
-                accepted: false,
-            };
+            let innovation =
+                Innovation { statistic, dof: M, log_likelihood: statistic, accepted: false };
             return (innovation, None);
         };
         let weighted = factor.solve(&prediction.innovation);
@@ -259,12 +244,7 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
             accepted: statistic <= real(chi_square_quantile(M)),
         };
         let mut gain = cross * factor.inverse();
-        for (row, _) in self
-            .considered
-            .iter()
-            .enumerate()
-            .filter(|(_, considered)| **considered)
-        {
+        for (row, _) in self.considered.iter().enumerate().filter(|(_, considered)| **considered) {
             gain.row_mut(row).fill(R::zero());
         }
         (innovation, Some((cross, gain)))
@@ -277,9 +257,7 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
         let covariance = (self.covariance(block) + other.covariance(block)) * real::<R>(0.5);
         covariance
             .cholesky()
-            .map_or(R::one() / R::zero(), |factor| {
-                difference.dot(&factor.solve(&difference))
-            })
+            .map_or(R::one() / R::zero(), |factor| difference.dot(&factor.solve(&difference)))
     }
 
     /// Mean and covariance of this and another filter, the other with probability `fraction`.
@@ -289,9 +267,7 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
         joined.state.correct(difference * fraction);
         let rest = R::one() - fraction;
         joined.covariance = self.covariance * rest + other.covariance * fraction;
-        joined
-            .covariance
-            .ger(fraction * rest, &difference, &difference, R::one());
+        joined.covariance.ger(fraction * rest, &difference, &difference, R::one());
         joined
     }
 
@@ -311,9 +287,7 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
         let rows = rotation.matrix() * self.covariance.fixed_rows::<3>(start);
         self.covariance.fixed_rows_mut::<3>(start).copy_from(&rows);
         let columns = self.covariance.fixed_columns::<3>(start) * rotation.matrix().transpose();
-        self.covariance
-            .fixed_columns_mut::<3>(start)
-            .copy_from(&columns);
+        self.covariance.fixed_columns_mut::<3>(start).copy_from(&columns);
     }
 
     /// Scales the covariance of some states, with all correlations kept.

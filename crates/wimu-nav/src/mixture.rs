@@ -64,9 +64,7 @@ impl<R: RealField + Copy, const N: usize, const K: usize> Mixture<R, N, K> {
 
     /// Probability of the most probable component.
     pub fn certainty(&self) -> R {
-        self.components
-            .first()
-            .map_or(R::one(), |best| best.log_weight.exp())
+        self.components.first().map_or(R::one(), |best| best.log_weight.exp())
     }
 
     /// Update with a measurement whose model is ambiguous. `propose` calls its second argument with each model that may hold
@@ -96,9 +94,7 @@ impl<R: RealField + Copy, const N: usize, const K: usize> Mixture<R, N, K> {
         }
         if let ([component], [only]) = (&mut *self.components, &*candidates) {
             let within = |i: &Innovation<R>| i.statistic <= limit;
-            let innovation = component
-                .filter
-                .update_if(&only.measurement, within, &mut ());
+            let innovation = component.filter.update_if(&only.measurement, within, &mut ());
             return Some(innovation).filter(|i| i.statistic.is_finite());
         }
         self.weigh(&mut candidates, freedom);

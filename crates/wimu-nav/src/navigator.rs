@@ -294,13 +294,7 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             magnetometer,
             vehicle,
             reference_ut: start.field_ut,
-            since: Since {
-                field: zero,
-                rest: zero,
-                bound: zero,
-                accepted: zero,
-                known: zero,
-            },
+            since: Since { field: zero, rest: zero, bound: zero, accepted: zero, known: zero },
             resting: false,
             fields: [0; 2],
             recoveries: 0,
@@ -388,9 +382,7 @@ where
         measurement: &impl Measurement<R, N, K>,
         gate: Gate,
     ) -> Innovation<R> {
-        let innovation = self
-            .filter
-            .update_recorded(measurement, gate, &mut self.recorder);
+        let innovation = self.filter.update_recorded(measurement, gate, &mut self.recorder);
         self.finish(R::zero());
         innovation
     }
@@ -445,11 +437,7 @@ where
             return Err(SampleFault::NoTime);
         }
         let vectors = [Some(sample.force_mps2), sample.rate_rad_s, sample.field_ut];
-        if !vectors
-            .iter()
-            .flatten()
-            .all(|v| v.iter().all(|x| x.is_finite()))
-        {
+        if !vectors.iter().flatten().all(|v| v.iter().all(|x| x.is_finite())) {
             self.interrupt(step_s);
             return Err(SampleFault::NotFinite);
         }
@@ -469,14 +457,8 @@ where
             && self.since.field >= self.model.field_interval_s()
         {
             let sensor = &self.magnetometer;
-            let reading = MagneticField {
-                sensor,
-                field_ut,
-                reference_ut,
-            };
-            let found = self
-                .filter
-                .update_recorded(&reading, Gate::ChiSquare, &mut self.recorder);
+            let reading = MagneticField { sensor, field_ut, reference_ut };
+            let found = self.filter.update_recorded(&reading, Gate::ChiSquare, &mut self.recorder);
             let count = &mut self.fields[usize::from(!found.accepted)];
             *count = count.saturating_add(1);
             self.since.field = R::zero();
@@ -573,8 +555,7 @@ where
         };
         if let Some(speed) = speed.filter(|_| !at_rest) {
             let bound = Velocity::zero(real(speed), None);
-            self.filter
-                .update_recorded(&bound, Gate::ChiSquare, &mut self.recorder);
+            self.filter.update_recorded(&bound, Gate::ChiSquare, &mut self.recorder);
         }
         if let Some(deviation_m) = self.settings.within_m {
             let within = Position {
@@ -582,8 +563,7 @@ where
                 deviation_m: Vector3::repeat(deviation_m),
                 lever_arm_m: Vector3::zeros(),
             };
-            self.filter
-                .update_recorded(&within, Gate::Open, &mut self.recorder);
+            self.filter.update_recorded(&within, Gate::Open, &mut self.recorder);
         }
     }
 
@@ -593,21 +573,13 @@ where
         let zero = Velocity::zero(real(REST_SPEED), self.model.hidden_velocity());
         let accelerates = self.model.accelerates(&self.filter);
         self.resting = !accelerates
-            && self
-                .filter
-                .update_recorded(&zero, Gate::ChiSquare, &mut self.recorder)
-                .accepted;
+            && self.filter.update_recorded(&zero, Gate::ChiSquare, &mut self.recorder).accepted;
         let failed = self.since.accepted;
         let drifted = self.since.known - failed >= real(DRIFT_S);
-        let certain = if drifted {
-            CERTAIN_REST_S
-        } else {
-            CONSTANT_VELOCITY_S
-        };
+        let certain = if drifted { CERTAIN_REST_S } else { CONSTANT_VELOCITY_S };
         if self.resting {
             if let Some(rate) = self.model.zero_rate() {
-                self.filter
-                    .update_recorded(&rate, Gate::ChiSquare, &mut self.recorder);
+                self.filter.update_recorded(&rate, Gate::ChiSquare, &mut self.recorder);
             }
             self.since.accepted = R::zero();
             self.since.known = R::zero();
@@ -629,11 +601,7 @@ where
         }
         let attitude = self.filter.state.attitude;
         let finite = attitude.matrix().iter().all(|x| x.is_finite());
-        let attitude = if finite {
-            attitude
-        } else {
-            Rotation3::identity()
-        };
+        let attitude = if finite { attitude } else { Rotation3::identity() };
         let start = Start {
             attitude,
             field_ut: self.reference_ut,
@@ -654,8 +622,7 @@ where
         self.filter.set_covariance(POSITION, &lost);
         let heading = core::f64::consts::PI;
         let unknown = Matrix1::new(real(heading * heading));
-        self.filter
-            .set_covariance(ATTITUDE.part::<1, 2>(), &unknown);
+        self.filter.set_covariance(ATTITUDE.part::<1, 2>(), &unknown);
         self.recorder.restarted(&self.filter);
     }
 
@@ -685,8 +652,7 @@ where
     pub fn set_position(&mut self, position: Vector3<R>) {
         self.filter.state.set(POSITION, position);
         let variance = real(START_POSITION * START_POSITION);
-        self.filter
-            .set_covariance(POSITION, &Matrix3::from_diagonal_element(variance));
+        self.filter.set_covariance(POSITION, &Matrix3::from_diagonal_element(variance));
         self.recorder.restarted(&self.filter);
     }
 
@@ -701,8 +667,7 @@ where
     pub fn set_origin(&mut self) {
         self.set_position(Vector3::zeros());
         let variance = real(START_HEADING * START_HEADING);
-        self.filter
-            .set_covariance(ATTITUDE.part::<1, 2>(), &Matrix1::new(variance));
+        self.filter.set_covariance(ATTITUDE.part::<1, 2>(), &Matrix1::new(variance));
         self.recorder.restarted(&self.filter);
     }
 
@@ -725,12 +690,9 @@ where
         self.filter.state.set(POSITION, position);
         self.filter.state.set(VELOCITY, velocity);
         let [position, velocity, heading] = deviations.map(|deviation| deviation * deviation);
-        self.filter
-            .set_covariance(POSITION, &Matrix3::from_diagonal_element(position));
-        self.filter
-            .set_covariance(VELOCITY, &Matrix3::from_diagonal_element(velocity));
-        self.filter
-            .set_covariance(ATTITUDE.part::<1, 2>(), &Matrix1::new(heading));
+        self.filter.set_covariance(POSITION, &Matrix3::from_diagonal_element(position));
+        self.filter.set_covariance(VELOCITY, &Matrix3::from_diagonal_element(velocity));
+        self.filter.set_covariance(ATTITUDE.part::<1, 2>(), &Matrix1::new(heading));
         self.recorder.restarted(&self.filter);
     }
 

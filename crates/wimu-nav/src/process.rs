@@ -78,9 +78,8 @@ impl<R: RealField + Copy, const N: usize> Transition<R, N> {
         column: Block<W>,
         matrix: SMatrix<R, V, W>,
     ) {
-        for (first, top) in (0..W)
-            .step_by(3)
-            .flat_map(|first| (0..V).step_by(3).map(move |top| (first, top)))
+        for (first, top) in
+            (0..W).step_by(3).flat_map(|first| (0..V).step_by(3).map(move |top| (first, top)))
         {
             let (rows, columns) = ((V - top).min(3), (W - first).min(3));
             let mut part = Matrix3::zeros();
@@ -127,13 +126,7 @@ impl<R: RealField + Copy, const N: usize> Transition<R, N> {
 
     /// Adds the covariance of the noise of two blocks: a block of Q, and for different blocks its transpose.
     pub fn add_covariance(&mut self, row: Block<3>, column: Block<3>, matrix: Matrix3<R>) {
-        let part = Part {
-            row: row.start(),
-            rows: 3,
-            column: column.start(),
-            columns: 3,
-            matrix,
-        };
+        let part = Part { row: row.start(), rows: 3, column: column.start(), columns: 3, matrix };
         self.overflow |= self.covariances.push(part).is_err();
     }
 

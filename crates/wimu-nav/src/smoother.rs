@@ -39,10 +39,7 @@ impl<'a, R: RealField + Copy, const N: usize> Smoothed<'a, R, N> {
         if let Some(first) = epochs.first_mut() {
             first.update_noise = error.kept;
         }
-        Self {
-            epochs,
-            contradictions,
-        }
+        Self { epochs, contradictions }
     }
 
     /// Epochs whose correction of attitude or velocity contradicts its covariance (χ² test, probability of false alarm
@@ -103,10 +100,7 @@ struct Error<R, const N: usize> {
 
 impl<R: RealField + Copy, const N: usize> Error<R, N> {
     fn filtered() -> Self {
-        Self {
-            kept: SMatrix::identity(),
-            independent: SMatrix::zeros(),
-        }
+        Self { kept: SMatrix::identity(), independent: SMatrix::zeros() }
     }
 
     /// Smooths an epoch with the next one, whose smoothed error this is. `None`, and no change, if it contradicts.
@@ -165,11 +159,7 @@ impl<R: RealField + Copy, const N: usize> Correlation<R, N> {
     fn of(covariance: &SMatrix<R, N, N>) -> Option<Self> {
         // A state without variance, such as a considered one, has no correlation and no gain.
         let scale = covariance.diagonal().map(|variance| {
-            if variance > R::zero() {
-                R::one() / variance.sqrt()
-            } else {
-                R::zero()
-            }
+            if variance > R::zero() { R::one() / variance.sqrt() } else { R::zero() }
         });
         let correlation = SMatrix::<R, N, N>::from_fn(|r, c| {
             if r == c {

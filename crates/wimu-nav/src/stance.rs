@@ -37,9 +37,7 @@ pub fn stances<R: RealField + Copy>(statistic: &[R], rate_hz: f64, velocity_mps:
     let [step, slow_step] = [STEP_S, SLOW_STEP_S].map(|time_s| (time_s * rate_hz) as usize);
     let least = |range: Range<usize>| {
         let within = statistic.get(range).unwrap_or(&[]);
-        within
-            .iter()
-            .fold(real(f64::MAX), |least: R, t| least.min(*t))
+        within.iter().fold(real(f64::MAX), |least: R, t| least.min(*t))
     };
     let end = statistic.len().min(velocity_mps.len());
     let around =

@@ -54,10 +54,7 @@ pub struct LayoutFull {
 impl fmt::Display for LayoutFull {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { needed, states } = self;
-        write!(
-            f,
-            "the blocks need {needed} states, and the filter has {states}"
-        )
+        write!(f, "the blocks need {needed} states, and the filter has {states}")
     }
 }
 
@@ -75,17 +72,8 @@ pub struct Layout<R, const N: usize> {
 impl<R: RealField + Copy, const N: usize> Layout<R, N> {
     /// Attitude, velocity and position with their initial standard deviations, rad, m/s, m.
     pub fn new(attitude: [R; 3], velocity: R, position: R) -> Self {
-        const {
-            assert!(
-                N >= CORE,
-                "attitude, velocity and position need nine states"
-            )
-        };
-        let mut layout = Self {
-            deviation: SVector::zeros(),
-            considered: [false; N],
-            used: CORE,
-        };
+        const { assert!(N >= CORE, "attitude, velocity and position need nine states") };
+        let mut layout = Self { deviation: SVector::zeros(), considered: [false; N], used: CORE };
         for axis in 0..3 {
             layout.deviation[ATTITUDE.0 + axis] = attitude[axis];
             layout.deviation[VELOCITY.0 + axis] = velocity;
@@ -149,18 +137,12 @@ impl<R: RealField + Copy, const N: usize> State<R, N> {
     pub(crate) fn difference(&self, other: &Self) -> SVector<R, N> {
         let mut difference = other.vector - self.vector;
         let rotation = (other.attitude * self.attitude.transpose()).scaled_axis();
-        difference
-            .fixed_rows_mut::<3>(ATTITUDE.0)
-            .copy_from(&rotation);
+        difference.fixed_rows_mut::<3>(ATTITUDE.0).copy_from(&rotation);
         difference
     }
 
     pub(crate) fn is_finite(&self) -> bool {
-        self.attitude
-            .matrix()
-            .iter()
-            .chain(&self.vector)
-            .all(|x| x.is_finite())
+        self.attitude.matrix().iter().chain(&self.vector).all(|x| x.is_finite())
     }
 }
 
@@ -177,9 +159,7 @@ impl<R: RealField + Copy, const M: usize, const N: usize> Jacobian<R, M, N> {
     /// The same, with the derivative with respect to a block.
     #[must_use]
     pub fn with<const W: usize>(mut self, block: Block<W>, derivative: SMatrix<R, M, W>) -> Self {
-        self.0
-            .fixed_columns_mut::<W>(block.0)
-            .copy_from(&derivative);
+        self.0.fixed_columns_mut::<W>(block.0).copy_from(&derivative);
         self
     }
 

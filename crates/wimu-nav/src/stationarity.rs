@@ -191,8 +191,7 @@ impl<R: RealField + Copy> Stationarity<R> {
 
     /// Whether the last full window looks like a rest.
     pub fn is_at_rest(&self) -> bool {
-        self.statistic
-            .is_some_and(|statistic| statistic < self.settings.threshold)
+        self.statistic.is_some_and(|statistic| statistic < self.settings.threshold)
     }
 
     /// Replaces the oldest part by the current one.

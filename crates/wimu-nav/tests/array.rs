@@ -67,12 +67,7 @@ fn in_f32_the_octahedron_loses_nothing() {
     let mut random = Random::new(2);
     for _ in 0..trials(10_000) {
         let rate = random.normals(10.0);
-        let clean = outputs(
-            &octahedron(),
-            rate,
-            random.normals(50.0),
-            random.normals(20.0),
-        );
+        let clean = outputs(&octahedron(), rate, random.normals(50.0), random.normals(20.0));
         let noisy = clean.map(|y| y + 0.01 * random.normal());
         let fine = fine.solve(&noisy).nearest(rate).copied().unwrap();
         let coarse = coarse
@@ -107,19 +102,11 @@ fn a_planar_array_has_four_roots() {
     let solver = ArraySolver::<f64, 12>::new(&planar()).unwrap();
     assert_eq!(solver.roots(), Roots::Four);
     let [x, y, z] = [3.0, -5.0, 2.0];
-    let solution = solver.solve(&outputs(
-        &planar(),
-        [x, y, z],
-        [1.0, 2.0, 3.0],
-        [0.0, 0.0, 9.8],
-    ));
+    let solution = solver.solve(&outputs(&planar(), [x, y, z], [1.0, 2.0, 3.0], [0.0, 0.0, 9.8]));
     assert_eq!(solution.hypotheses().count(), 4);
     for expected in [[x, y, z], [x, y, -z], [-x, -y, z], [-x, -y, -z]] {
         let found = solution.nearest(expected).unwrap();
-        assert!(
-            norm(minus(found.rate_rad_s, expected)) < 1e-6,
-            "{expected:?}"
-        );
+        assert!(norm(minus(found.rate_rad_s, expected)) < 1e-6, "{expected:?}");
     }
 }
 
@@ -134,11 +121,7 @@ fn at_rest_there_is_no_information_about_the_rate() {
     // The standard deviation falls as 1/|ω|.
     let sd = |speed: f64| {
         let clean = outputs(&octahedron(), [speed; 3], [0.0; 3], [0.0, 0.0, 9.8]);
-        let covariance = solver
-            .solve(&clean)
-            .nearest([speed; 3])
-            .unwrap()
-            .covariance();
+        let covariance = solver.solve(&clean).nearest([speed; 3]).unwrap().covariance();
         covariance.unwrap()[0][0].sqrt()
     };
     assert!((sd(1.0) / sd(10.0) - 10.0).abs() < 1e-6);
@@ -158,11 +141,7 @@ fn chens_cube_gives_angular_acceleration_and_force_but_no_rate() {
         assert!((theta[3 + i] - force[i]).abs() < 1e-9);
     }
     // Their closed form: neither force nor centripetal acceleration is in it.
-    let closed = [
-        y[0] - y[1] - y[4] + y[5],
-        -y[0] + y[2] + y[3] + y[5],
-        y[1] - y[2] + y[3] - y[4],
-    ];
+    let closed = [y[0] - y[1] - y[4] + y[5], -y[0] + y[2] + y[3] + y[5], y[1] - y[2] + y[3] - y[4]];
     let other = solver.theta(&solver.reduce(&y), [0.0; 3]);
     for i in 0..3 {
         let chen = closed[i] / (2f64.sqrt() * 0.1);
@@ -173,15 +152,9 @@ fn chens_cube_gives_angular_acceleration_and_force_but_no_rate() {
 #[test]
 fn other_presets_have_two_roots() {
     let four = Geometry::<12>::four_triads(0.05, 0.01).unwrap();
-    assert_eq!(
-        ArraySolver::<f32, 12>::new(&four).unwrap().roots(),
-        Roots::Two
-    );
+    assert_eq!(ArraySolver::<f32, 12>::new(&four).unwrap().roots(), Roots::Two);
     let board = Geometry::<24>::eight_triads_board(0.02, 0.002, 0.01).unwrap();
-    assert_eq!(
-        ArraySolver::<f32, 24>::new(&board).unwrap().roots(),
-        Roots::Two
-    );
+    assert_eq!(ArraySolver::<f32, 24>::new(&board).unwrap().roots(), Roots::Two);
 }
 
 #[test]
@@ -194,11 +167,7 @@ fn geometries_that_cannot_work_are_refused_with_what_is_missing() {
     assert_eq!(one, GeometryError::TooFew { have: 3, need: 6 });
     assert_eq!(triads(&[[0.3, 0.1, 0.2]; 4]), GeometryError::Coincident);
     let line = triads(&[[0.0; 3], [0.01, 0.01, 0.0], [0.03, 0.03, 0.0]]);
-    let GeometryError::NoTurn {
-        about,
-        collinear: true,
-    } = line
-    else {
+    let GeometryError::NoTurn { about, collinear: true } = line else {
         panic!("{line:?}");
     };
     assert!((about[0].abs() - 0.5f64.sqrt()).abs() < 1e-6 && about[2].abs() < 1e-6);
@@ -218,11 +187,7 @@ fn geometries_that_cannot_work_are_refused_with_what_is_missing() {
     assert!(
         matches!(
             flat,
-            GeometryError::NoForce { .. }
-                | GeometryError::NoTurn {
-                    collinear: false,
-                    ..
-                }
+            GeometryError::NoForce { .. } | GeometryError::NoTurn { collinear: false, .. }
         ),
         "{flat:?}"
     );
@@ -247,10 +212,7 @@ fn dead_and_saturated_triads_are_dropped_and_said() {
     y[4] = 150.0;
     y[9] = f64::NAN;
     let update = array.update(&y).unwrap();
-    assert_eq!(
-        (update.dropped.saturated, update.dropped.dead),
-        (1 << 1, 1 << 3)
-    );
+    assert_eq!((update.dropped.saturated, update.dropped.dead), (1 << 1, 1 << 3));
     assert!(good(&update.solution));
 
     // One that hangs is dead after a while, and alive again when it moves.
@@ -267,10 +229,7 @@ fn dead_and_saturated_triads_are_dropped_and_said() {
     assert_eq!(array.update(&sample(&mut random)).unwrap().dropped.all(), 0);
 
     let nothing = [f64::NAN; 18];
-    assert_eq!(
-        array.update(&nothing).unwrap_err(),
-        GeometryError::TooFew { have: 0, need: 6 }
-    );
+    assert_eq!(array.update(&nothing).unwrap_err(), GeometryError::TooFew { have: 0, need: 6 });
     assert!(good(&array.update(&sample(&mut random)).unwrap().solution));
 }
 

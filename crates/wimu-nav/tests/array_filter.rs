@@ -23,11 +23,7 @@ fn board() -> Geometry<24> {
 fn config(zupt: bool) -> ArrayConfig {
     ArrayConfig {
         gravity_mps2: G,
-        rests: if zupt {
-            Rests::ZeroVelocity
-        } else {
-            Rests::Ignored
-        },
+        rests: if zupt { Rests::ZeroVelocity } else { Rests::Ignored },
         bias_mps2: BIAS,
         force_noise_mps2: 0.0,
         ..ArrayConfig::default()
@@ -158,10 +154,7 @@ fn run(seed: u64) -> [f64; 5] {
     let error = minus(place.into(), state.position_m);
     [
         nees(error, state.position_covariance),
-        nees(
-            minus(velocity.into(), state.velocity_mps),
-            state.velocity_covariance,
-        ),
+        nees(minus(velocity.into(), state.velocity_mps), state.velocity_covariance),
         nees(away.into(), state.attitude_covariance),
         nees(minus(rate, state.rate_rad_s), state.rate_covariance),
         norm(error),
@@ -185,10 +178,7 @@ fn errors_lie_within_the_covariance_of_every_part() {
     let runs = trials(1000) as u64;
     let all: Vec<[f64; 5]> = (1..=runs).map(run).collect();
     let (mut kinds, mut medians) = (Vec::new(), Vec::new());
-    for (part, name) in ["position", "velocity", "attitude", "angular rate"]
-        .iter()
-        .enumerate()
-    {
+    for (part, name) in ["position", "velocity", "attitude", "angular rate"].iter().enumerate() {
         let mut sorted: Vec<f64> = all.iter().map(|a| a[part]).collect();
         sorted.sort_by(f64::total_cmp);
         let below: Coverage = sorted.iter().map(|v| *v < 7.81).collect();
@@ -211,10 +201,7 @@ fn errors_lie_within_the_covariance_of_every_part() {
     );
     let mut errors: Vec<f64> = all.iter().map(|a| a[4]).collect();
     errors.sort_by(f64::total_cmp);
-    println!(
-        "median error after 1.5 s: {:.3} m",
-        errors[errors.len() / 2]
-    );
+    println!("median error after 1.5 s: {:.3} m", errors[errors.len() / 2]);
 }
 
 /// Pushes `count` samples of a body that does not move.
@@ -227,10 +214,7 @@ fn hold<R: Real>(filter: &mut ArrayFilter<R, 24>, random: &mut Random, count: us
 }
 
 fn rate_sd(state: &ArrayState<f64>) -> f64 {
-    (0..3)
-        .map(|i| state.rate_covariance[i][i])
-        .sum::<f64>()
-        .sqrt()
+    (0..3).map(|i| state.rate_covariance[i][i]).sum::<f64>().sqrt()
 }
 
 #[test]
@@ -239,10 +223,7 @@ fn without_rests_the_rate_is_hardly_known_and_a_rotation_shows_it() {
     let mut filter = ArrayFilter::<f64, 24>::new(board(), config(false)).unwrap();
     hold(&mut filter, &mut random, 100);
     let early = rate_sd(&filter.state());
-    assert!(
-        early < 0.1,
-        "the rest at the start is part of the alignment: {early}"
-    );
+    assert!(early < 0.1, "the rest at the start is part of the alignment: {early}");
     // A movement ends it. What a sample shows of ω is its square alone.
     let away = outputs(&board(), [0.0; 3], [0.0; 3], [1.0, 0.0, G]);
     filter.push(DT, &away).unwrap();
@@ -254,12 +235,7 @@ fn without_rests_the_rate_is_hardly_known_and_a_rotation_shows_it() {
     for k in 0..60 {
         let x = (f64::from(k) / 50.0).min(1.0);
         let turn = if x < 1.0 { 20.0 } else { 0.0 };
-        let y = outputs(
-            &board(),
-            [10.0 * x, 0.0, 0.0],
-            [turn, 0.0, 0.0],
-            [0.0, 0.0, G],
-        );
+        let y = outputs(&board(), [10.0 * x, 0.0, 0.0], [turn, 0.0, 0.0], [0.0, 0.0, G]);
         let y = y.map(|v| v + NOISE * random.normal());
         filter.push(DT, &y).unwrap();
     }
@@ -316,9 +292,7 @@ fn of_the_four_roots_of_a_planar_array_time_leaves_two() {
     let mut most = 0;
     for _ in 0..120 {
         let y = outputs(&flat, rate, [0.0; 3], [1.0, 2.0, G]);
-        filter
-            .push(DT, &y.map(|v| v + NOISE * random.normal()))
-            .unwrap();
+        filter.push(DT, &y.map(|v| v + NOISE * random.normal())).unwrap();
         most = most.max(filter.hypotheses().count());
     }
     // The mirror images would have another angular acceleration than their rates show.
@@ -326,10 +300,7 @@ fn of_the_four_roots_of_a_planar_array_time_leaves_two() {
     assert!(filter.state().certainty < 0.9);
     for (_, found) in filter.hypotheses() {
         let sign = dot(found, rate).signum();
-        assert!(
-            norm(minus(found.map(|w| w * sign), rate)) < 1.0,
-            "{found:?}"
-        );
+        assert!(norm(minus(found.map(|w| w * sign), rate)) < 1.0, "{found:?}");
     }
 }
 
@@ -372,12 +343,7 @@ fn bad_input_is_said_and_survived() {
     let mut turned = filter.clone();
     for k in 0..50 {
         let x = f64::from(k + 1) / 50.0;
-        let mut y = outputs(
-            &board(),
-            [10.0 * x, 0.0, 0.0],
-            [20.0, 0.0, 0.0],
-            [0.0, 0.0, G],
-        );
+        let mut y = outputs(&board(), [10.0 * x, 0.0, 0.0], [20.0, 0.0, 0.0], [0.0, 0.0, G]);
         y = y.map(|v| v + NOISE * random.normal());
         y[9] = f64::NAN;
         turned.push(DT, &y).unwrap();
@@ -386,10 +352,7 @@ fn bad_input_is_said_and_survived() {
     assert!((rate[0] - 10.0).abs() < 1.0, "{rate:?}");
     // All of them: carried on, not valid.
     let fault = filter.push(DT, &[f64::NAN; 24]).unwrap_err();
-    assert_eq!(
-        fault,
-        ArrayFault::Blind(GeometryError::TooFew { have: 0, need: 6 })
-    );
+    assert_eq!(fault, ArrayFault::Blind(GeometryError::TooFew { have: 0, need: 6 }));
     assert!(fault.to_string().contains("are needed"));
     assert!(!filter.state().valid);
     hold(&mut filter, &mut random, 100);
@@ -400,10 +363,7 @@ fn bad_input_is_said_and_survived() {
     hold(&mut filter, &mut random, 100);
     let state = filter.state();
     assert!(state.valid && state.position_m.iter().all(|p| p.is_finite()));
-    assert!(
-        state.position_sd_m() > 1.0,
-        "a rest does not bring back where it is"
-    );
+    assert!(state.position_sd_m() > 1.0, "a rest does not bring back where it is");
 }
 
 #[test]
@@ -421,28 +381,18 @@ fn no_sample_makes_it_panic_or_forget_its_numbers() {
                 (random.normal() * size) as f32
             }
         });
-        let step = if random.uniform() < 0.05 {
-            random.normal()
-        } else {
-            DT
-        };
+        let step = if random.uniform() < 0.05 { random.normal() } else { DT };
         let _ = filter.push(step, &y);
         let state = filter.state();
         let numbers = state.rate_rad_s.iter().chain(&state.position_m);
-        assert!(
-            numbers.chain(&state.quaternion).all(|v| v.is_finite()),
-            "sample {k}: {state:?}"
-        );
+        assert!(numbers.chain(&state.quaternion).all(|v| v.is_finite()), "sample {k}: {state:?}");
     }
 }
 
 #[test]
 fn constant_velocity_after_an_acceleration_is_not_taken_as_a_rest() {
     let mut random = Random::new(21);
-    let settings = ArrayConfig {
-        rests: Rests::ConstantVelocity,
-        ..config(true)
-    };
+    let settings = ArrayConfig { rests: Rests::ConstantVelocity, ..config(true) };
     let mut filter = ArrayFilter::<f64, 24>::new(board(), settings).unwrap();
     hold(&mut filter, &mut random, 150);
     let start = filter.state().position_m;
@@ -453,30 +403,18 @@ fn constant_velocity_after_an_acceleration_is_not_taken_as_a_rest() {
         let clean = outputs(&board(), [0.0; 3], [0.0; 3], [force, 0.0, G]);
         let speed = 2.0 * (f64::from(k) / 50.0).min(1.0);
         path += speed * DT;
-        filter
-            .push(DT, &clean.map(|v| v + NOISE * random.normal()))
-            .unwrap();
+        filter.push(DT, &clean.map(|v| v + NOISE * random.normal())).unwrap();
     }
     let state = filter.state();
     let error = norm(minus(minus(state.position_m, start), [path, 0.0, 0.0]));
     assert!(!state.resting);
-    assert!(
-        error < 3.0 * state.position_sd_m(),
-        "{error} m of {}",
-        state.position_sd_m()
-    );
+    assert!(error < 3.0 * state.position_sd_m(), "{error} m of {}", state.position_sd_m());
 }
 
 #[test]
 fn when_a_sample_was_taken_and_how_it_fits_is_in_the_covariance() {
-    let late = ArrayConfig {
-        time_sd_s: 2e-3,
-        ..config(true)
-    };
-    let exact = ArrayConfig {
-        time_sd_s: 0.0,
-        ..config(true)
-    };
+    let late = ArrayConfig { time_sd_s: 2e-3, ..config(true) };
+    let exact = ArrayConfig { time_sd_s: 0.0, ..config(true) };
     let [mut late, mut exact] =
         [late, exact].map(|c| ArrayFilter::<f64, 24>::new(board(), c).unwrap());
     let mut random = Random::new(22);

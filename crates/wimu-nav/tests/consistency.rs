@@ -21,14 +21,8 @@ fn in_each_kind_of_motion_the_truth_lies_within_the_covariance() {
             }
             // The median of χ² with three degrees of freedom is 2.37.
             let most = if slow { 6.0 } else { 3.3 };
-            assert!(
-                found.median.iter().all(|n| (0.2..most).contains(n)),
-                "{found}"
-            );
-            assert!(
-                kind != Kind::Foot || found.median.iter().all(|n| *n > 1.0),
-                "{found}"
-            );
+            assert!(found.median.iter().all(|n| (0.2..most).contains(n)), "{found}");
+            assert!(kind != Kind::Foot || found.median.iter().all(|n| *n > 1.0), "{found}");
         }
     }
 }

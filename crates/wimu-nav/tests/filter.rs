@@ -175,17 +175,11 @@ fn the_quantile_is_that_of_chi_square() {
 fn a_layout_gives_no_more_states_than_there_are() {
     let mut layout = Layout::<f64, 13>::new([0.1; 3], 1.0, 1.0);
     let first = layout.claim(Role::Estimated, [2.0; 3]).unwrap();
-    let full = LayoutFull {
-        needed: 15,
-        states: 13,
-    };
+    let full = LayoutFull { needed: 15, states: 13 };
     assert_eq!(layout.claim(Role::Considered, [1.0; 3]), Err(full));
     let second = layout.claim(Role::Considered, [3.0]).unwrap();
     assert_eq!((first.start(), second.start()), (9, 12));
-    assert_eq!(
-        full.to_string(),
-        "the blocks need 15 states, and the filter has 13"
-    );
+    assert_eq!(full.to_string(), "the blocks need 15 states, and the filter has 13");
     let filter = Filter::new(&layout, Rotation3::identity());
     assert_eq!(filter.covariance(second)[(0, 0)], 9.0);
 }
@@ -193,10 +187,7 @@ fn a_layout_gives_no_more_states_than_there_are() {
 #[test]
 fn a_recovery_widens_what_moves_and_keeps_the_correlations() {
     let mut random = Random::new(13);
-    let (mut layout, errors) = (
-        Layout::<f64, 15>::new([0.02; 3], 0.1, 0.1),
-        ImuErrors::default(),
-    );
+    let (mut layout, errors) = (Layout::<f64, 15>::new([0.02; 3], 0.1, 0.1), ImuErrors::default());
     let blocks = StrapdownBlocks::claim(&mut layout, &errors).unwrap();
     let all = states(&[blocks.gyroscope_bias, blocks.accelerometer_bias]);
     let mut filter = Filter::new(&layout, Rotation3::identity());
@@ -231,10 +222,7 @@ fn a_recovery_widens_what_moves_and_keeps_the_correlations() {
     let s = h * p * h.transpose() + Matrix3::identity() * 1e-4;
     let expected = p - p * h.transpose() * s.try_inverse().unwrap() * h * p;
     assert!((covariance(&filter, &all) - expected).norm() < 1e-9 * p.norm());
-    assert!(
-        filter.state.get(VELOCITY).norm() < 0.1,
-        "the rest is accepted"
-    );
+    assert!(filter.state.get(VELOCITY).norm() < 0.1, "the rest is accepted");
     assert!(filter.covariance(blocks.accelerometer_bias).norm() <= bias.norm());
     consistent.update(&zero, Gate::Open);
     assert!(filter.covariance(ATTITUDE).norm() > 10.0 * consistent.covariance(ATTITUDE).norm());
@@ -251,9 +239,7 @@ fn strapdown_nees<const N: usize>(seed: u64, consider: bool) -> [f64; 2] {
     let mut layout = Layout::<f64, N>::new([tilt; 3], 1e-3, 1e-4);
     let mut blocks = StrapdownBlocks::claim(&mut layout, &errors).unwrap();
     if consider {
-        blocks = blocks
-            .consider(&mut layout, &errors, Role::Considered)
-            .unwrap();
+        blocks = blocks.consider(&mut layout, &errors, Role::Considered).unwrap();
     }
     let travel = Travel::tumbling(&mut random);
     let drawn = Errors::drawn(&errors, &mut random);
@@ -274,22 +260,15 @@ fn strapdown_nees<const N: usize>(seed: u64, consider: bool) -> [f64; 2] {
         let error = filter.state.get(block) - truth;
         error.dot(&(filter.covariance(block).try_inverse().unwrap() * error))
     };
-    [
-        nees(VELOCITY, travel.velocity(3.0)),
-        nees(POSITION, travel.position(3.0)),
-    ]
+    [nees(VELOCITY, travel.velocity(3.0)), nees(POSITION, travel.position(3.0))]
 }
 
 #[test]
 fn considered_states_make_the_filter_consistent_and_without_them_it_is_overconfident() {
     let draws = trials(2000) as u64;
     for state in [0, 1] {
-        let with: Vec<f64> = (0..draws)
-            .map(|k| strapdown_nees::<34>(k, true)[state])
-            .collect();
-        let without: Vec<f64> = (0..draws)
-            .map(|k| strapdown_nees::<15>(k, false)[state])
-            .collect();
+        let with: Vec<f64> = (0..draws).map(|k| strapdown_nees::<34>(k, true)[state]).collect();
+        let without: Vec<f64> = (0..draws).map(|k| strapdown_nees::<15>(k, false)[state]).collect();
         let below = |all: &[f64]| all.iter().map(|n| *n < 7.815).collect::<Coverage>();
         let (with_below, without_below) = (below(&with), below(&without));
         println!("within 95 %: considered {with_below}, not considered {without_below}");
@@ -367,10 +346,7 @@ fn the_second_order_mean_is_that_of_random_draws() {
         let error = ((squares / f64::from(draws)).sum() / f64::from(draws)).sqrt();
         let off = (mean - second).norm();
         // Terms of fourth order are 3 % at these tilts.
-        assert!(
-            off < 4.0 * error + 0.03 * second.norm(),
-            "{mean} and {second}, ± {error}"
-        );
+        assert!(off < 4.0 * error + 0.03 * second.norm(), "{mean} and {second}, ± {error}");
         assert!(second.norm() > 0.1, "{second}");
     }
 }
@@ -381,16 +357,10 @@ fn nine_states_of_a_sensor_matrix_are_those_of_its_rows() {
     let mut errors = ImuErrors::default();
     errors.accelerometer_matrix = [0.01, 0.002];
     let blocks = StrapdownBlocks::claim(&mut layout, &errors).unwrap();
-    let considered = blocks
-        .consider(&mut layout, &errors, Role::Considered)
-        .unwrap()
-        .considered
-        .unwrap();
+    let considered =
+        blocks.consider(&mut layout, &errors, Role::Considered).unwrap().considered.unwrap();
     let filter = Filter::new(&layout, Rotation3::identity());
-    for (k, state) in nine(considered.accelerometer_matrix)
-        .into_iter()
-        .enumerate()
-    {
+    for (k, state) in nine(considered.accelerometer_matrix).into_iter().enumerate() {
         let expected = if k / 3 == k % 3 { 0.01 } else { 0.002 };
         assert!((filter.covariance(state)[(0, 0)].sqrt() - expected).abs() < 1e-12);
     }

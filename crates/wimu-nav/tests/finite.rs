@@ -33,22 +33,15 @@ fn magnitude(low: f64, high: f64) -> impl Strategy<Value = f64> {
 fn stretch() -> impl Strategy<Value = Stretch> {
     let step = prop_oneof![8 => Just(0.01), 2 => (-6.0..1.0).prop_map(|e: f64| 10_f64.powf(e))];
     let optional = |high| prop::option::of(magnitude(-3.0, high));
-    (
-        1..150_usize,
-        step,
-        magnitude(-2.0, 6.0),
-        optional(6.0),
-        optional(6.0),
+    (1..150_usize, step, magnitude(-2.0, 6.0), optional(6.0), optional(6.0)).prop_map(
+        |(samples, step_s, push_mps2, rate_rad_s, field_ut)| Stretch {
+            samples,
+            step_s,
+            push_mps2,
+            rate_rad_s,
+            field_ut,
+        },
     )
-        .prop_map(
-            |(samples, step_s, push_mps2, rate_rad_s, field_ut)| Stretch {
-                samples,
-                step_s,
-                push_mps2,
-                rate_rad_s,
-                field_ut,
-            },
-        )
 }
 
 fn stretches() -> impl Strategy<Value = (u64, Vec<Stretch>)> {
@@ -114,18 +107,12 @@ fn of_unit<R: RealField + Copy, M: Model<R, N>, const N: usize>(
         prop_assert!(navigator.filter().is_sound());
         let state = navigator.solution();
         let vectors = [state.position_m, state.velocity_mps];
-        let covariances = [
-            state.position_covariance,
-            state.velocity_covariance,
-            state.attitude_covariance,
-        ];
+        let covariances =
+            [state.position_covariance, state.velocity_covariance, state.attitude_covariance];
         let numbers = vectors.iter().flatten().chain(&state.quaternion);
         let mut numbers = numbers.chain(covariances.iter().flatten().flatten());
         prop_assert!(numbers.all(|v| v.is_finite()), "{state:?}");
-        let norm: R = state
-            .quaternion
-            .iter()
-            .fold(R::zero(), |sum, q| sum + *q * *q);
+        let norm: R = state.quaternion.iter().fold(R::zero(), |sum, q| sum + *q * *q);
         prop_assert!((norm - R::one()).abs() < real(1e-3), "{state:?}");
         for p in &covariances {
             prop_assert!((0..3).all(|i| p[i][i] >= R::zero()), "{state:?}");
@@ -152,11 +139,7 @@ fn of_units<R: RealField + Copy>(
 
 fn of_array<R: Real>(rests: Rests, samples: &[Sample<f64>]) -> Result<(), TestCaseError> {
     let board = Geometry::<24>::eight_triads_board(0.02, 0.005, 0.01).unwrap();
-    let config = ArrayConfig {
-        rests,
-        range_mps2: 1e6,
-        ..ArrayConfig::default()
-    };
+    let config = ArrayConfig { rests, range_mps2: 1e6, ..ArrayConfig::default() };
     let mut filter = ArrayFilter::<R, 24>::new(board, config).unwrap();
     for sample in samples {
         let turn = sample.rate_rad_s.unwrap_or_default();
@@ -179,11 +162,7 @@ fn of_array<R: Real>(rests: Rests, samples: &[Sample<f64>]) -> Result<(), TestCa
 
 /// Cases of each property.
 fn cases() -> u32 {
-    if Lane::current() == Lane::Campaign {
-        1000
-    } else {
-        trials(64) as u32
-    }
+    if Lane::current() == Lane::Campaign { 1000 } else { trials(64) as u32 }
 }
 
 proptest! {

@@ -35,9 +35,7 @@ fn anywhere(random: &mut Random, layout: &Layout<f64, N>, states: &[Block<1>]) -
     let attitude = Rotation3::new(Vector3::from(random.normals(1.0)));
     let mut filter = Filter::new(layout, attitude);
     for state in states.iter().filter(|s| s.start() >= 3) {
-        filter
-            .state
-            .set(*state, Matrix1::new(random.normal() * 0.3));
+        filter.state.set(*state, Matrix1::new(random.normal() * 0.3));
     }
     filter
 }
@@ -151,9 +149,7 @@ fn the_strapdown_transition_is_the_derivative_to_first_order_in_the_step() {
     for step_s in [0.002, 0.01] {
         let (mut layout, errors) = (layout(), ImuErrors::default());
         let blocks = StrapdownBlocks::claim(&mut layout, &errors).unwrap();
-        let blocks = blocks
-            .consider(&mut layout, &errors, Role::Considered)
-            .unwrap();
+        let blocks = blocks.consider(&mut layout, &errors, Role::Considered).unwrap();
         let considered = blocks.considered.unwrap();
         let estimated = states(&[blocks.gyroscope_bias, blocks.accelerometer_bias]);
         let mut all = estimated.clone();
@@ -173,19 +169,10 @@ fn the_strapdown_transition_is_the_derivative_to_first_order_in_the_step() {
         // What is left out is of second order in the step, for the position of third order.
         let square = step_s * step_s;
         assert_rows(&analytic, &numeric, 0..N, &all, 20.0 * square);
-        assert_rows(
-            &analytic,
-            &numeric,
-            6..9,
-            &estimated,
-            20.0 * square * step_s,
-        );
+        assert_rows(&analytic, &numeric, 6..9, &estimated, 20.0 * square * step_s);
         // And is not zero by accident.
         let size = |block: &[Block<1>]| {
-            block
-                .iter()
-                .map(|b| analytic.column(b.start()).norm())
-                .sum::<f64>()
+            block.iter().map(|b| analytic.column(b.start()).norm()).sum::<f64>()
         };
         assert!(size(&nine(considered.accelerometer_matrix)) > 20.0 * step_s);
         assert!(size(&[considered.delay]) > 5.0 * step_s);
@@ -225,37 +212,16 @@ fn gauss_markov_and_gaps_have_their_derivative() {
     let all = states(&[block]);
     let start = anywhere(&mut random, &layout, &all);
     let offset = AccelerationOffset { block, step_s: 0.7 };
-    let markov = GaussMarkov {
-        block,
-        deviation: 3.0,
-        time_s: 10.0,
-        step_s: 0.7,
-    };
-    let walk = RandomWalk {
-        block: POSITION,
-        density: 0.2,
-        step_s: 0.7,
-    };
+    let markov = GaussMarkov { block, deviation: 3.0, time_s: 10.0, step_s: 0.7 };
+    let walk = RandomWalk { block: POSITION, density: 0.2, step_s: 0.7 };
     let gap = Unmeasured { step_s: 0.7 };
     let check =
         |analytic: Matrix, numeric: Matrix| assert_rows(&analytic, &numeric, 0..N, &all, 1e-8);
-    check(
-        transition(&start, &all, &markov),
-        numerical_of(&start, &all, &markov),
-    );
-    check(
-        transition(&start, &all, &gap),
-        numerical_of(&start, &all, &gap),
-    );
-    check(
-        transition(&start, &all, &offset),
-        numerical_of(&start, &all, &offset),
-    );
+    check(transition(&start, &all, &markov), numerical_of(&start, &all, &markov));
+    check(transition(&start, &all, &gap), numerical_of(&start, &all, &gap));
+    check(transition(&start, &all, &offset), numerical_of(&start, &all, &offset));
     let both = (gap, (markov, walk));
-    check(
-        transition(&start, &all, &both),
-        numerical_of(&start, &all, &both),
-    );
+    check(transition(&start, &all, &both), numerical_of(&start, &all, &both));
 }
 
 /// Asserts that a measurement has the derivative −∂(innovation)/∂x where the covariance is zero.
@@ -278,12 +244,7 @@ fn assert_jacobian<const M: usize>(
         error[state.start()] = SMALL;
         let numeric = (innovation(&-error) - innovation(&error)) / (2.0 * SMALL);
         let off = (numeric - jacobian.get(*state)).norm();
-        assert!(
-            off < 1e-6,
-            "state {}: {numeric} and {:?}",
-            state.start(),
-            jacobian.get(*state)
-        );
+        assert!(off < 1e-6, "state {}: {numeric} and {:?}", state.start(), jacobian.get(*state));
     }
 }
 
@@ -323,28 +284,13 @@ fn the_jacobian_of_each_sensor_is_its_derivative() {
         assert_jacobian(
             &start,
             &all,
-            &Position {
-                position_m,
-                deviation_m: Vector3::repeat(0.1),
-                lever_arm_m: vector(0.5),
-            },
+            &Position { position_m, deviation_m: Vector3::repeat(0.1), lever_arm_m: vector(0.5) },
         );
-        assert_jacobian(
-            &start,
-            &all,
-            &Heading {
-                heading_rad: 0.3,
-                deviation_rad: 0.1,
-            },
-        );
+        assert_jacobian(&start, &all, &Heading { heading_rad: 0.3, deviation_rad: 0.1 });
         let (block, deviation) = (acceleration, 0.1);
         assert_jacobian(&start, &all, &VerticalRate { block, deviation });
         for offset in [None, Some(offset)] {
-            let velocity = Velocity {
-                velocity_mps: vector(1.0),
-                deviation_mps: 0.1,
-                offset,
-            };
+            let velocity = Velocity { velocity_mps: vector(1.0), deviation_mps: 0.1, offset };
             assert_jacobian(&start, &all, &velocity);
         }
     }
@@ -404,26 +350,14 @@ fn a_vehicle_has_its_derivatives_while_it_moves_along_its_forward_axis() {
         assert_jacobian(&start, &all, &antenna);
         let velocity = start.state.get(forward) * 20.0 - rate_rad_s.cross(&start.state.get(axle));
         start.state.set(VELOCITY, start.state.attitude * velocity);
-        let constraint = NonHolonomic {
-            mounting: &mounting,
-            rate_rad_s,
-            deviation_mps: [0.1, 0.2],
-        };
+        let constraint =
+            NonHolonomic { mounting: &mounting, rate_rad_s, deviation_mps: [0.1, 0.2] };
         assert_jacobian(&start, &all, &constraint);
-        let odometer = Odometer {
-            mounting: &mounting,
-            scale,
-            speed_mps: 4.0,
-            deviation_mps: 0.1,
-            rate_rad_s,
-        };
+        let odometer =
+            Odometer { mounting: &mounting, scale, speed_mps: 4.0, deviation_mps: 0.1, rate_rad_s };
         assert_jacobian(&start, &all, &odometer);
         let direction = Vector3::from(random.normals(1.0));
-        let axis = ForwardAxis {
-            block: forward,
-            direction,
-            deviation_rad: 0.1,
-        };
+        let axis = ForwardAxis { block: forward, direction, deviation_rad: 0.1 };
         assert_jacobian(&start, &all, &axis);
     }
 }
@@ -439,20 +373,10 @@ fn constant_velocity_and_odometry_have_their_derivative() {
     let mut all = states(&[]);
     all.extend([blocks.scale, blocks.drift, anchors[0].correlated.unwrap()]);
     let mut start = anywhere(&mut random, &layout, &all);
-    let free = ConstantVelocity {
-        density: Vector3::new(0.1, 0.2, 0.3),
-        step_s: 0.7,
-    };
-    let correlated = CorrelatedErrors {
-        anchors: &anchors,
-        errors: &ranges,
-        step_s: 0.7,
-    };
+    let free = ConstantVelocity { density: Vector3::new(0.1, 0.2, 0.3), step_s: 0.7 };
+    let correlated = CorrelatedErrors { anchors: &anchors, errors: &ranges, step_s: 0.7 };
     let free = (free, correlated);
-    let (analytic, numeric) = (
-        transition(&start, &all, &free),
-        numerical_of(&start, &all, &free),
-    );
+    let (analytic, numeric) = (transition(&start, &all, &free), numerical_of(&start, &all, &free));
     assert_rows(&analytic, &numeric, 0..N, &all, 1e-8);
 
     // In the plane.
@@ -495,10 +419,7 @@ fn without_measurements_the_driven_states_keep_their_variance() {
     assert!((deviation(magnetometer.disturbance) / 3.0 - 1.0).abs() < 1e-6);
     // The oscillator is integrated to first order: 20 ms are a sixth of its period over 2π.
     let acceleration = deviation(blocks.acceleration) / 3.0;
-    println!(
-        "acceleration {acceleration:.3}, velocity {:.3}",
-        deviation(VELOCITY)
-    );
+    println!("acceleration {acceleration:.3}, velocity {:.3}", deviation(VELOCITY));
     assert!((0.95..1.2).contains(&acceleration), "{acceleration}");
     // Its velocity has the deviation σ/ω₀.
     let velocity = deviation(VELOCITY) * 8.0 / 3.0;
@@ -530,18 +451,12 @@ fn the_noise_of_a_strapdown_step_is_that_of_its_sensors_and_times() {
     let variance = |block: Block<3>| filter.covariance(block)[(0, 0)];
     for (found, expected) in [
         (variance(ATTITUDE), 2.5e-4_f64.powi(2) * 0.01),
-        (
-            variance(VELOCITY),
-            0.005_f64.powi(2) * 0.01 + (5.0 * 0.001_f64).powi(2),
-        ),
+        (variance(VELOCITY), 0.005_f64.powi(2) * 0.01 + (5.0 * 0.001_f64).powi(2)),
         (variance(POSITION), 0.0),
         (variance(blocks.gyroscope_bias), 2e-4_f64.powi(2) * 0.01),
         (variance(blocks.accelerometer_bias), 3e-4_f64.powi(2) * 0.01),
     ] {
-        assert!(
-            (found - expected).abs() <= 1e-9 * expected,
-            "{found} and {expected}"
-        );
+        assert!((found - expected).abs() <= 1e-9 * expected, "{found} and {expected}");
     }
 }
 
@@ -583,17 +498,9 @@ fn transitions_of_an_array_are_those_of_its_steps() {
             step_s: 1e-3,
         };
         let f = transition(&filter, &all, &rotation);
-        assert_rows(
-            &f,
-            &numerical_of(&filter, &all, &rotation),
-            0..30,
-            &all,
-            2e-6,
-        );
-        let linear = Linear {
-            theta: std::array::from_fn(|_| 3.0 * random.normal()),
-            ..Linear::default()
-        };
+        assert_rows(&f, &numerical_of(&filter, &all, &rotation), 0..30, &all, 2e-6);
+        let linear =
+            Linear { theta: std::array::from_fn(|_| 3.0 * random.normal()), ..Linear::default() };
         let force = ArrayForce {
             blocks: &blocks,
             solver: &solver,
@@ -627,10 +534,7 @@ fn the_jacobian_of_a_reduced_sample_is_its_derivative() {
                 blocks: &blocks,
                 solver: &solver,
                 linear: &linear,
-                noise: ArrayNoise {
-                    factor: 1.0,
-                    fast: 1.0,
-                },
+                noise: ArrayNoise { factor: 1.0, fast: 1.0 },
                 at_rad_s: state.get(blocks.rate()),
             };
             sample.predict(&filter)
@@ -659,10 +563,7 @@ fn the_jacobian_of_a_reduced_sample_is_its_derivative() {
                 assert!(off < 1e-4, "{k} {axis}: {off:e}");
             }
         }
-        let zero = Zero {
-            block: blocks.rotation,
-            deviation: [0.1; 6],
-        };
+        let zero = Zero { block: blocks.rotation, deviation: [0.1; 6] };
         let prediction = zero.predict(&filter);
         assert_eq!(prediction.innovation, -filter.state.get(blocks.rotation));
     }
@@ -677,13 +578,9 @@ fn relative_motion_and_its_joint_have_their_derivative() {
         let blocks = RelativeBlocks::claim(&mut layout, &errors).unwrap();
         let mut claim = || layout.claim(Role::Estimated, [1.0; 3]).unwrap();
         let (lever_arms, difference) = ([claim(), claim()], claim());
-        let estimated = [
-            blocks.gyroscope_bias,
-            blocks.accelerometer_bias,
-            lever_arms,
-            [difference; 2],
-        ]
-        .concat();
+        let estimated =
+            [blocks.gyroscope_bias, blocks.accelerometer_bias, lever_arms, [difference; 2]]
+                .concat();
         let all = states(&estimated);
         let start = anywhere(&mut random, &layout, &all);
         let mut vector = |size: f64| Vector3::from(random.normals(size));
@@ -708,41 +605,23 @@ fn relative_motion_and_its_joint_have_their_derivative() {
             let rate = process.rate_rad_s[unit] - start.state.get(bias);
             for axis in 0..3 {
                 let by = |block: Block<3>| {
-                    f.column(block.start() + axis)
-                        .fixed_rows::<9>(0)
-                        .into_owned()
+                    f.column(block.start() + axis).fixed_rows::<9>(0).into_owned()
                 };
                 let off = by(scale) - by(bias) * rate[axis];
                 assert!(off.norm() < 1e-12, "{off}");
             }
         }
         let deviation_m = 0.01;
-        assert_jacobian(
-            &start,
-            &all,
-            &CommonPoint {
-                lever_arms,
-                deviation_m,
-            },
-        );
+        assert_jacobian(&start, &all, &CommonPoint { lever_arms, deviation_m });
         let field_ut = [vector(40.0), vector(40.0)];
-        let field = CommonField {
-            field_ut,
-            difference,
-            noise_ut: 1.0,
-        };
+        let field = CommonField { field_ut, difference, noise_ut: 1.0 };
         assert_jacobian(&start, &all, &field);
         // The axis of the first unit also chooses the components: only the second's is free here.
         let mut start = start;
         let axis = vector(1.0).normalize();
         start.state.set(lever_arms[0], axis);
-        start
-            .state
-            .set(lever_arms[1], start.state.attitude.inverse() * axis);
-        let hinge = CommonAxis {
-            axes: lever_arms,
-            deviation_rad: 0.01,
-        };
+        start.state.set(lever_arms[1], start.state.attitude.inverse() * axis);
+        let hinge = CommonAxis { axes: lever_arms, deviation_rad: 0.01 };
         assert_jacobian(&start, &all, &hinge);
     }
 }

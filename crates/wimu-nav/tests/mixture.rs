@@ -36,11 +36,7 @@ fn start(mean: f64) -> (Mixture<f64, 10, 2>, Block<1>) {
 fn observe(mixture: &mut Mixture<f64, 10, 2>, block: Block<1>, value: f64) {
     mixture.update(10.0, f64::INFINITY, |_, put| {
         for sign in [1.0, -1.0] {
-            put(Square {
-                block,
-                value,
-                at: sign * value.sqrt(),
-            });
+            put(Square { block, value, at: sign * value.sqrt() });
         }
     });
 }
@@ -49,16 +45,10 @@ fn observe(mixture: &mut Mixture<f64, 10, 2>, block: Block<1>, value: f64) {
 fn the_sign_of_a_square_stays_open_and_the_moments_are_those_of_both() {
     let (mut mixture, block) = start(0.0);
     observe(&mut mixture, block, 4.0);
-    let found: Vec<f64> = mixture
-        .components()
-        .iter()
-        .map(|c| c.filter.state.get(block).x)
-        .collect();
+    let found: Vec<f64> =
+        mixture.components().iter().map(|c| c.filter.state.get(block).x).collect();
     assert_eq!(found.len(), 2);
-    assert!(
-        found.iter().all(|x| (x.abs() - 2.0).abs() < 0.01),
-        "{found:?}"
-    );
+    assert!(found.iter().all(|x| (x.abs() - 2.0).abs() < 0.01), "{found:?}");
     assert!((mixture.certainty() - 0.5).abs() < 1e-6);
     // 0 ± 2, and the deviation of each.
     let both = mixture.moments();
@@ -76,11 +66,7 @@ fn the_prior_decides_between_roots_and_components_that_agree_are_merged() {
     assert!(mixture.components()[0].filter.state.get(block).x > 1.9);
     assert!(mixture.certainty() > 0.6);
     // Probabilities add to one.
-    let sum: f64 = mixture
-        .components()
-        .iter()
-        .map(|c| c.log_weight.exp())
-        .sum();
+    let sum: f64 = mixture.components().iter().map(|c| c.log_weight.exp()).sum();
     assert!((sum - 1.0).abs() < 1e-9);
     mixture.merge(block, 1.0);
     assert_eq!(mixture.components().len(), 2, "4 apart");
@@ -94,13 +80,8 @@ fn a_measurement_that_fits_no_hypothesis_changes_nothing() {
     let (mut mixture, block) = start(0.1);
     observe(&mut mixture, block, 4.0);
     let before = mixture.components()[0].filter.state.get(block);
-    let innovation = mixture.update(10.0, 50.0, |_, put| {
-        put(Square {
-            block,
-            value: 1e4,
-            at: 100.0,
-        })
-    });
+    let innovation =
+        mixture.update(10.0, 50.0, |_, put| put(Square { block, value: 1e4, at: 100.0 }));
     assert!(!innovation.unwrap().accepted);
     assert_eq!(mixture.components()[0].filter.state.get(block), before);
     assert!(mixture.update::<1, Square>(10.0, 50.0, |_, _| ()).is_none());

@@ -23,16 +23,8 @@ fn noise_of_both_is_less_than_that_of_the_finer() {
 fn the_rail_saturates_and_the_sample_before_it_does_not() {
     assert_eq!(Reading::new(19.6, 0.01, 19.6), Reading::AtLeast(19.6));
     assert_eq!(Reading::new(-25.0, 0.01, 19.6), Reading::AtMost(-19.6));
-    assert_eq!(
-        Reading::new(19.59, 0.01, 19.6),
-        Reading::Measured(19.59, 0.01)
-    );
-    for (value, variance) in [
-        (f64::NAN, 0.01),
-        (1.0, 0.0),
-        (1.0, f64::NAN),
-        (f64::INFINITY, 1.0),
-    ] {
+    assert_eq!(Reading::new(19.59, 0.01, 19.6), Reading::Measured(19.59, 0.01));
+    for (value, variance) in [(f64::NAN, 0.01), (1.0, 0.0), (1.0, f64::NAN), (f64::INFINITY, 1.0)] {
         assert_eq!(Reading::new(value, variance, 19.6), Reading::Missing);
     }
 }
@@ -42,12 +34,7 @@ fn truncated(value: f64, variance: f64, bound: f64) -> (f64, f64) {
     let deviation = variance.sqrt();
     let steps = (0..400_000).map(|k| bound + deviation * 2e-5 * (f64::from(k) + 0.5));
     let weight = |x: f64| (-0.5 * (x - value).powi(2) / variance).exp();
-    let sum = |power: i32| {
-        steps
-            .clone()
-            .map(|x| weight(x) * (x - bound).powi(power))
-            .sum::<f64>()
-    };
+    let sum = |power: i32| steps.clone().map(|x| weight(x) * (x - bound).powi(power)).sum::<f64>();
     let [mass, first, second] = [0, 1, 2].map(sum);
     let mean = first / mass;
     (bound + mean, second / mass - mean * mean)
@@ -66,14 +53,8 @@ fn a_saturated_reading_has_the_moments_of_a_truncated_distribution() {
         let expected = truncated(value, 0.04, 19.6);
         let most = (value + 1.6 - 19.6).max(0.0);
         if value < 25.0 {
-            assert!(
-                (mean - expected.0).abs() < 2e-3,
-                "{value}: {mean} {expected:?} {most}"
-            );
-            assert!(
-                (variance / expected.1 - 1.0).abs() < 0.02,
-                "{value}: {variance} {expected:?}"
-            );
+            assert!((mean - expected.0).abs() < 2e-3, "{value}: {mean} {expected:?} {most}");
+            assert!((variance / expected.1 - 1.0).abs() < 0.02, "{value}: {variance} {expected:?}");
         } else {
             assert!((mean - value).abs() < 1e-9 && (variance - 0.04).abs() < 1e-9);
         }

@@ -40,11 +40,7 @@ fn at_rest_the_position_stays_and_its_deviation_is_small() {
     for gyroscope in [true, false] {
         for seed in 0..5 {
             let (_, errors) = drawn(seed);
-            let how = Navigated {
-                until_s: 30.0,
-                gyroscope,
-                ..Navigated::default()
-            };
+            let how = Navigated { until_s: 30.0, gyroscope, ..Navigated::default() };
             let points = navigate(&Travel::rest(), &errors, how, seed);
             let end = last(&points);
             println!("gyroscope {gyroscope}: {}", end.row());
@@ -92,18 +88,11 @@ fn a_slow_move_that_looks_like_a_rest_is_not_taken_for_one() {
     let travel = Travel::rest().leg(4.0, 1.5, [0.15, 0.0, 0.0], [0.0; 3]);
     for seed in 0..5 {
         let (_, errors) = drawn(seed);
-        let how = Navigated {
-            until_s: 8.0,
-            ..Navigated::default()
-        };
+        let how = Navigated { until_s: 8.0, ..Navigated::default() };
         let points = navigate(&travel, &errors, how, seed);
         let end = last(&points);
         println!("{}", end.row());
-        assert!(
-            end.nees() < 21.0 && end.position_error.norm() < 0.1,
-            "{}",
-            end.row()
-        );
+        assert!(end.nees() < 21.0 && end.position_error.norm() < 0.1, "{}", end.row());
     }
 }
 
@@ -119,18 +108,10 @@ fn a_better_calibration_gives_a_smaller_deviation_of_the_position() {
         settings.errors.accelerometer_bias = 0.02;
         settings.errors.accelerometer_matrix = [0.005 * scale, 0.003 * scale];
         let errors = Errors::drawn(&settings.errors, &mut random);
-        let how = Navigated {
-            settings,
-            until_s: 8.0,
-            detector: false,
-            ..Navigated::default()
-        };
+        let how = Navigated { settings, until_s: 8.0, detector: false, ..Navigated::default() };
         let points = navigate(&travel, &errors, how, 1);
         let sd = at(&points, 5.9).position_sd();
-        println!(
-            "matrix {scale}: moving {sd:.4} m, end {}",
-            last(&points).row()
-        );
+        println!("matrix {scale}: moving {sd:.4} m, end {}", last(&points).row());
         assert!(sd < before);
         assert!(last(&points).nees() < 16.3);
         before = sd;
@@ -145,11 +126,7 @@ fn less_known_of_rests_is_a_larger_deviation() {
     let travel = Travel::stop_and_go(&mut random, 3, 0.7, 0.7);
     for gyroscope in [true, false] {
         let run = |rests, profile| {
-            let mut how = Navigated {
-                until_s: 15.0,
-                gyroscope,
-                ..Navigated::default()
-            };
+            let mut how = Navigated { until_s: 15.0, gyroscope, ..Navigated::default() };
             how.settings.rests = rests;
             how.settings.profile = profile;
             let points = navigate(&travel, &errors, how, 34);
@@ -175,10 +152,7 @@ fn a_bound_keeps_the_position_within_it() {
     let (mut random, errors) = drawn(35);
     let travel = Travel::oscillation(&mut random, [3.0, 60.0], 0.1, 0.3);
     let run = |within_m| {
-        let mut how = Navigated {
-            until_s: 50.0,
-            ..Navigated::default()
-        };
+        let mut how = Navigated { until_s: 50.0, ..Navigated::default() };
         how.settings.within_m = within_m;
         navigate(&travel, &errors, how, 35)
     };
@@ -197,12 +171,7 @@ fn a_stance_of_a_foot_is_certain() {
     // Strides of 1.2 m in 0.6 s with stances of 0.6 s.
     let travel = (0..15).fold(Travel::rest(), |travel, k| {
         let pitch = if k % 2 == 0 { 0.8 } else { -0.8 };
-        travel.leg(
-            2.0 + 1.2 * f64::from(k),
-            0.6,
-            [1.2, 0.0, 0.0],
-            [0.0, pitch, 0.0],
-        )
+        travel.leg(2.0 + 1.2 * f64::from(k), 0.6, [1.2, 0.0, 0.0], [0.0, pitch, 0.0])
     });
     for seed in 0..5 {
         let (_, errors) = drawn(seed);
@@ -230,10 +199,7 @@ fn a_stance_of_a_foot_is_certain() {
 fn a_foot_s_stance_is_never_gated_and_a_hand_s_rest_is_until_it_is_certain() {
     let start = Start::align(&[still(0.0); 10], true).unwrap();
     // A shock that the sensor reports wrongly: 5 m/s.
-    let shock = Sample {
-        force_mps2: Vector3::new(100.0, 0.0, 9.8),
-        ..still(0.005)
-    };
+    let shock = Sample { force_mps2: Vector3::new(100.0, 0.0, 9.8), ..still(0.005) };
     let speed = |profile, rest_s: f64| {
         let settings = Settings::of(profile);
         let mut navigator = WithGyroscope::<f64>::new(settings, &start).unwrap();
@@ -260,10 +226,7 @@ fn a_foot_s_stance_is_never_gated_and_a_hand_s_rest_is_until_it_is_certain() {
     // The first recovery takes the velocity for the effect of a tilt. Further updates of the same rest correct that.
     for rest_s in [2.5, 20.0] {
         let certain = speed(Profile::Hand, rest_s);
-        assert!(
-            certain.0 < 0.1 && (1..=3).contains(&certain.1),
-            "{certain:?}"
-        );
+        assert!(certain.0 < 0.1 && (1..=3).contains(&certain.1), "{certain:?}");
     }
 }
 
@@ -286,13 +249,8 @@ fn each_profile_bounds_the_speed_as_it_says() {
         }
         deviation(&free.solution().velocity_covariance)
     };
-    let [hand, slide, vehicle, free] = [
-        Profile::Hand,
-        Profile::Slide,
-        Profile::Vehicle,
-        Profile::Free,
-    ]
-    .map(sd);
+    let [hand, slide, vehicle, free] =
+        [Profile::Hand, Profile::Slide, Profile::Vehicle, Profile::Free].map(sd);
     println!("{hand} {slide} {vehicle} {free}");
     assert!(hand < 3.5 && slide < 3.5);
     assert!(vehicle < 52.0 && vehicle > 2.0 * hand);
@@ -323,12 +281,7 @@ fn a_gap_widens_the_deviation_and_the_next_rest_finds_the_velocity() {
         let (mut random, errors) = drawn(seed);
         let travel = Travel::stop_and_go(&mut random, 2, 0.4, 0.4);
         for gap_s in [[4.5, 4.8], [4.4, 5.4]] {
-            let how = Navigated {
-                until_s: 14.0,
-                gyroscope,
-                gap_s,
-                ..Navigated::default()
-            };
+            let how = Navigated { until_s: 14.0, gyroscope, gap_s, ..Navigated::default() };
             let points = navigate(&travel, &errors, how, seed);
             let lasts = gap_s[1] - gap_s[0];
             let (before, after) = (at(&points, gap_s[0] - 0.02), at(&points, gap_s[1]));
@@ -349,10 +302,7 @@ fn a_long_step_is_a_gap() {
     let start = Start::align(&[still(0.0); 10], true).unwrap();
     let mut stepped = WithGyroscope::<f64>::new(Settings::default(), &start).unwrap();
     let mut interrupted = stepped.clone();
-    let long = Sample {
-        step_s: 0.5,
-        ..still(0.0)
-    };
+    let long = Sample { step_s: 0.5, ..still(0.0) };
     stepped.push(&long, true).unwrap();
     interrupted.interrupt(0.5);
     assert_eq!(stepped.solution(), interrupted.solution());
@@ -392,28 +342,16 @@ fn an_ignored_rest_is_any_motion_of_a_hand() {
 #[test]
 fn an_alignment_leaves_out_numbers_that_are_not_finite() {
     let field_ut = Some(Vector3::new(0.0, 20.0, -44.0));
-    let good = Sample {
-        field_ut,
-        ..still(0.01)
-    };
+    let good = Sample { field_ut, ..still(0.01) };
     let bad = Vector3::new(f64::NAN, 0.0, 0.0);
-    let no_force = Sample {
-        force_mps2: bad,
-        ..good
-    };
-    let no_field = Sample {
-        field_ut: Some(bad),
-        ..good
-    };
+    let no_force = Sample { force_mps2: bad, ..good };
+    let no_field = Sample { field_ut: Some(bad), ..good };
     let expected = Start::align(&[good], true).unwrap();
     let found = Start::align(&[no_force, good, no_field], true).unwrap();
     assert_eq!(found.attitude, expected.attitude);
     assert_eq!(found.field_ut, expected.field_ut);
     assert!((found.force_mps2 - wimu_nav::GRAVITY_MPS2).abs() < 1e-12);
-    let huge = Sample {
-        force_mps2: bad.map(|_| f64::MAX),
-        ..good
-    };
+    let huge = Sample { force_mps2: bad.map(|_| f64::MAX), ..good };
     for none in [&[][..], &[no_force], &[huge, huge]] {
         assert!(Start::<f64>::align(none, true).is_none());
     }
@@ -435,27 +373,9 @@ fn a_sample_that_is_not_finite_is_a_fault_and_no_state_is_spoilt() {
     let mut without = WithoutGyroscope::<f64>::new(Settings::default(), &start).unwrap();
     let bad = Vector3::new(0.0, f64::NAN, 0.0);
     let faults = [
-        (
-            Sample {
-                force_mps2: bad,
-                ..still(0.01)
-            },
-            SampleFault::NotFinite,
-        ),
-        (
-            Sample {
-                rate_rad_s: Some(bad),
-                ..still(0.01)
-            },
-            SampleFault::NotFinite,
-        ),
-        (
-            Sample {
-                field_ut: Some(bad),
-                ..still(0.01)
-            },
-            SampleFault::NotFinite,
-        ),
+        (Sample { force_mps2: bad, ..still(0.01) }, SampleFault::NotFinite),
+        (Sample { rate_rad_s: Some(bad), ..still(0.01) }, SampleFault::NotFinite),
+        (Sample { field_ut: Some(bad), ..still(0.01) }, SampleFault::NotFinite),
         (still(-0.01), SampleFault::NoTime),
         (still(f64::NAN), SampleFault::NoTime),
     ];
@@ -470,25 +390,15 @@ fn a_sample_that_is_not_finite_is_a_fault_and_no_state_is_spoilt() {
         assert!(with.filter().is_sound() && without.filter().is_sound());
         let grows = deviation(&with.solution().velocity_covariance)
             > deviation(&before.velocity_covariance);
-        assert_eq!(
-            grows,
-            fault == SampleFault::NotFinite,
-            "a missing sample is time"
-        );
+        assert_eq!(grows, fault == SampleFault::NotFinite, "a missing sample is time");
         assert_eq!(with.solution().position_m, before.position_m);
     }
     assert_eq!((with.divergences(), without.divergences()), (0, 0));
     assert!(SampleFault::NoTime.to_string().contains("time"));
     assert!(SampleFault::NotFinite.to_string().contains("finite"));
     assert!(
-        Start::<f64>::align(
-            &[Sample {
-                force_mps2: Vector3::zeros(),
-                ..still(0.0)
-            }],
-            true
-        )
-        .is_none()
+        Start::<f64>::align(&[Sample { force_mps2: Vector3::zeros(), ..still(0.0) }], true)
+            .is_none()
     );
 }
 
@@ -513,21 +423,12 @@ fn an_attitude_that_was_kicked_recovers_at_the_next_rest() {
         };
         let points = navigate(&travel, &errors, how, seed);
         let end = last(&points);
-        println!(
-            "{} | {} {}",
-            at(&points, 7.9).row(),
-            end.row(),
-            end.recoveries
-        );
+        println!("{} | {} {}", at(&points, 7.9).row(), end.row(), end.recoveries);
         let tilt = at(&points, 4.3).tilt_error.to_degrees();
         assert!((1.5..2.7).contains(&tilt), "{tilt}");
         assert_eq!((end.recoveries, end.divergences), (1, 0));
         assert!(end.tilt_error.to_degrees() < 0.5, "{}", end.row());
-        assert!(
-            end.velocity_error.norm() < 0.05 && end.position_sd() > 0.2,
-            "{}",
-            end.row()
-        );
+        assert!(end.velocity_error.norm() < 0.05 && end.position_sd() > 0.2, "{}", end.row());
         assert!(end.nees() < 30.0, "{}", end.nees());
     }
 }
@@ -536,20 +437,14 @@ fn an_attitude_that_was_kicked_recovers_at_the_next_rest() {
 fn an_impossible_speed_is_a_divergence_and_the_navigator_begins_again() {
     let start = Start::align(&[still(0.01); 10], true).unwrap();
     let mut navigator = WithGyroscope::<f64>::new(Settings::default(), &start).unwrap();
-    let fast = Sample {
-        force_mps2: Vector3::new(2000.0, 0.0, 9.8),
-        ..still(0.01)
-    };
+    let fast = Sample { force_mps2: Vector3::new(2000.0, 0.0, 9.8), ..still(0.01) };
     let mut pushes = 0;
     while navigator.divergences() == 0 {
         navigator.push(&fast, false).unwrap();
         pushes += 1;
         assert!(pushes < 100);
     }
-    assert!(
-        (10..=20).contains(&pushes),
-        "{pushes}: 300 m/s at 2000 m/s²"
-    );
+    assert!((10..=20).contains(&pushes), "{pushes}: 300 m/s at 2000 m/s²");
     let lost = navigator.solution();
     assert!(deviation(&lost.position_covariance) > 1e3);
     assert_eq!(lost.velocity_mps, [0.0; 3]);
@@ -558,10 +453,7 @@ fn an_impossible_speed_is_a_divergence_and_the_navigator_begins_again() {
     }
     let found = navigator.solution();
     assert!(deviation(&found.velocity_covariance) < 0.02);
-    assert!(
-        deviation(&found.position_covariance) > 1e3,
-        "it is still lost"
-    );
+    assert!(deviation(&found.position_covariance) > 1e3, "it is still lost");
     assert_eq!(navigator.divergences(), 1);
 }
 
@@ -572,11 +464,7 @@ fn a_start_in_motion_is_aligned_by_the_first_rest() {
         let (mut random, errors) = drawn(seed);
         // Up to a third of gravity; at rest from 6 s on.
         let travel = Travel::oscillation(&mut random, [-2.0, 6.0], 0.04, 0.2);
-        let how = Navigated {
-            until_s: 9.0,
-            starts_at_rest: false,
-            ..Navigated::default()
-        };
+        let how = Navigated { until_s: 9.0, starts_at_rest: false, ..Navigated::default() };
         let points = navigate(&travel, &errors, how, seed);
         let (begin, end) = (&points[0], last(&points));
         println!("{} | {}", begin.row(), end.row());
@@ -584,11 +472,7 @@ fn a_start_in_motion_is_aligned_by_the_first_rest() {
         assert!((0.4..0.6).contains(&tilt), "{tilt}");
         assert!(deviation(&begin.solution.velocity_covariance) > 2.0);
         inside.count(end.tilt_error.to_degrees() < 2.5 && end.velocity_error.norm() < 0.05);
-        assert!(
-            end.position_error.norm() < 5.0 * end.position_sd(),
-            "{}",
-            end.row()
-        );
+        assert!(end.position_error.norm() < 5.0 * end.position_sd(), "{}", end.row());
     }
     inside.assert_can_be(0.95..=1.0, "aligned");
 }
@@ -598,16 +482,9 @@ fn without_a_gyroscope_a_hand_s_motion_stays_bounded() {
     for seed in 0..5 {
         let (mut random, errors) = drawn(seed);
         let travel = Travel::oscillation(&mut random, [4.0, 64.0], 0.1, 0.2);
-        let how = Navigated {
-            until_s: 68.0,
-            gyroscope: false,
-            ..Navigated::default()
-        };
+        let how = Navigated { until_s: 68.0, gyroscope: false, ..Navigated::default() };
         let points = navigate(&travel, &errors, how, seed);
-        let most = points
-            .iter()
-            .map(|p| p.position_error.norm())
-            .fold(0.0, f64::max);
+        let most = points.iter().map(|p| p.position_error.norm()).fold(0.0, f64::max);
         let end = last(&points);
         println!("most {most:.3} m, {}", end.row());
         assert!(most < 2.5, "{most}");
@@ -638,9 +515,7 @@ fn a_pose_from_outside_rotates_all_that_is_known() {
                 navigator.set_pose(zero, zero, 0.3, [0.01, 0.02, 0.03]);
                 assert!((navigator.heading() - 0.3).abs() < 1e-9);
             }
-            navigator
-                .push(sample, travel.at_rest(k as f64 * 0.01))
-                .unwrap();
+            navigator.push(sample, travel.at_rest(k as f64 * 0.01)).unwrap();
         }
         navigator
     };
@@ -650,14 +525,8 @@ fn a_pose_from_outside_rotates_all_that_is_known() {
     let tilt = a.filter().covariance(ATTITUDE) - b.filter().covariance(ATTITUDE);
     let position = a.filter().covariance(POSITION) - b.filter().covariance(POSITION);
     assert!(off.norm() < 1e-6, "{off}");
-    assert!(
-        tilt.norm() < 1e-4 * a.filter().covariance(ATTITUDE).norm(),
-        "{tilt}"
-    );
-    assert!(
-        position.norm() < 1e-4 * a.filter().covariance(POSITION).norm(),
-        "{position}"
-    );
+    assert!(tilt.norm() < 1e-4 * a.filter().covariance(ATTITUDE).norm(), "{tilt}");
+    assert!(position.norm() < 1e-4 * a.filter().covariance(POSITION).norm(), "{position}");
 }
 
 #[test]
@@ -676,10 +545,7 @@ fn a_position_from_outside_finds_a_lost_unit() {
     assert!((Vector3::from(found.position_m) - fix.position_m).norm() < 0.01);
     let sd = deviation(&found.position_covariance);
     assert!((0.16..0.18).contains(&sd), "{sd}");
-    let elsewhere = Position {
-        position_m: Vector3::zeros(),
-        ..fix
-    };
+    let elsewhere = Position { position_m: Vector3::zeros(), ..fix };
     assert!(!navigator.update(&elsewhere, Gate::ChiSquare).accepted);
 }
 
@@ -710,10 +576,7 @@ fn a_heading_from_outside_rotates_the_unit_the_short_way() {
     let mut navigator = WithGyroscope::<f64>::new(Settings::default(), &start).unwrap();
     let zero = Vector3::zeros();
     navigator.set_pose(zero, zero, 3.0, [1.0, 1.0, 0.5]);
-    let heading = Heading {
-        heading_rad: -3.0,
-        deviation_rad: 0.01,
-    };
+    let heading = Heading { heading_rad: -3.0, deviation_rad: 0.01 };
     assert!(navigator.update(&heading, Gate::ChiSquare).accepted);
     // From 3 rad through π: 0.28 rad.
     let off = (navigator.heading() + 3.0).rem_euclid(std::f64::consts::TAU);
@@ -727,18 +590,10 @@ fn covariances_are_symmetric_and_no_variance_is_negative() {
     let (mut random, errors) = drawn(38);
     let travel = Travel::stop_and_go(&mut random, 3, 1.0, 1.0);
     for gyroscope in [true, false] {
-        let how = Navigated {
-            until_s: 15.0,
-            gyroscope,
-            ..Navigated::default()
-        };
+        let how = Navigated { until_s: 15.0, gyroscope, ..Navigated::default() };
         for point in navigate(&travel, &errors, how, 38) {
             let s = &point.solution;
-            for p in [
-                s.position_covariance,
-                s.velocity_covariance,
-                s.attitude_covariance,
-            ] {
+            for p in [s.position_covariance, s.velocity_covariance, s.attitude_covariance] {
                 for i in 0..3 {
                     assert!(p[i][i] >= 0.0);
                     for j in 0..i {
@@ -778,10 +633,7 @@ where
         let (a, b) = (wide.solution(), single.solution());
         for i in 0..3 {
             most[0] = most[0].max((a.position_m[i] - f64::from(b.position_m[i])).abs());
-            let variances = [
-                a.position_covariance[i][i],
-                f64::from(b.position_covariance[i][i]),
-            ];
+            let variances = [a.position_covariance[i][i], f64::from(b.position_covariance[i][i])];
             let [x, y] = variances.map(f64::sqrt);
             most[1] = most[1].max((x - y).abs() / x);
             assert!(variances[1] >= 0.0);
@@ -802,21 +654,13 @@ fn single_precision_agrees_over_a_minute() {
     let (mut random, errors) = drawn(39);
     let travel = Travel::stop_and_go(&mut random, 15, 0.8, 0.8);
     let samples = travel.samples(100.0, 60.0, &errors, &mut random);
-    let rests: Vec<bool> = (0..samples.len())
-        .map(|k| travel.at_rest(k as f64 * 0.01))
-        .collect();
+    let rests: Vec<bool> = (0..samples.len()).map(|k| travel.at_rest(k as f64 * 0.01)).collect();
     let with = compare::<40, Gyroscope<f64>, Gyroscope<f32>>(&samples, &rests);
     println!("with a gyroscope {with:?}");
-    assert!(
-        with[0] < 0.02 && with[1] < 0.05 && with[2] < 0.01,
-        "{with:?}"
-    );
+    assert!(with[0] < 0.02 && with[1] < 0.05 && with[2] < 0.01, "{with:?}");
     let without = compare::<24, NoGyroscope<f64>, NoGyroscope<f32>>(&samples, &rests);
     println!("without {without:?}");
-    assert!(
-        without[0] < 0.05 && without[1] < 0.05 && without[2] < 0.02,
-        "{without:?}"
-    );
+    assert!(without[0] < 0.05 && without[1] < 0.05 && without[2] < 0.02, "{without:?}");
 }
 
 #[test]
@@ -827,9 +671,7 @@ fn a_sensor_s_own_states_are_estimated_and_begin_again_with_the_filter() {
     let mut errors = RangeErrors::default();
     (errors.bias_m, errors.correlated_m) = (0.5, 0.05);
     let at = Vector3::new(5.0, 0.0, 0.0);
-    let anchor = navigator
-        .claim(|layout| Anchor::claim(layout, at, &errors))
-        .unwrap();
+    let anchor = navigator.claim(|layout| Anchor::claim(layout, at, &errors)).unwrap();
     let full = navigator.claim(|layout| layout.claim(Role::Estimated, [1.0; 9]));
     assert!(full.is_err());
     let bias = anchor.bias.unwrap();
@@ -839,11 +681,7 @@ fn a_sensor_s_own_states_are_estimated_and_begin_again_with_the_filter() {
     assert!((sd(&navigator) - 0.5).abs() < 1e-12);
     for _ in 0..500 {
         navigator.push(&still(0.01), true).unwrap();
-        navigator.predict(&CorrelatedErrors {
-            anchors: &[anchor],
-            errors: &errors,
-            step_s: 0.01,
-        });
+        navigator.predict(&CorrelatedErrors { anchors: &[anchor], errors: &errors, step_s: 0.01 });
         let range = Range {
             anchor: &anchor,
             range_m: 5.3,
@@ -859,10 +697,7 @@ fn a_sensor_s_own_states_are_estimated_and_begin_again_with_the_filter() {
         "{found} ± {}",
         sd(&navigator)
     );
-    let blow = Sample {
-        force_mps2: Vector3::new(1e6, 0.0, 0.0),
-        ..still(0.01)
-    };
+    let blow = Sample { force_mps2: Vector3::new(1e6, 0.0, 0.0), ..still(0.01) };
     navigator.push(&blow, false).unwrap();
     assert_eq!(navigator.divergences(), 1);
     assert!((sd(&navigator) - 0.5).abs() < 1e-12);

@@ -18,28 +18,17 @@ const CORNERS: [[f64; 3]; 6] = [
     [4.0, -3.0, 1.0],
     [4.0, 9.0, 3.0],
 ];
-const MIXTURE: NonLineOfSight = NonLineOfSight {
-    probability: 0.1,
-    mean_m: 1.0,
-};
+const MIXTURE: NonLineOfSight = NonLineOfSight { probability: 0.1, mean_m: 1.0 };
 
 /// Normalised errors of position, biases and scale errors after 60 s of a loop, and their σ over the prior's.
 fn run(seed: u64, blocked: f64) -> (f64, Vec<f64>, f64) {
     let mut random = Random::new(seed);
-    let mixture = NonLineOfSight {
-        probability: blocked,
-        mean_m: 1.0,
-    };
+    let mixture = NonLineOfSight { probability: blocked, mean_m: 1.0 };
     let mut errors = RangeErrors::default();
     (errors.bias_m, errors.scale, errors.correlated_m) = (0.07, 0.01, 0.0);
     let mut layout = Layout::<f64, N>::new([0.0; 3], 1.0, 0.01);
     let anchors = CORNERS.map(|p| Anchor::claim(&mut layout, p.into(), &errors).unwrap());
-    let truth = CORNERS.map(|_| {
-        [
-            random.normal() * errors.bias_m,
-            random.normal() * errors.scale,
-        ]
-    });
+    let truth = CORNERS.map(|_| [random.normal() * errors.bias_m, random.normal() * errors.scale]);
     let mut filter = Filter::new(&layout, Rotation3::identity());
     let path = |t: f64| {
         Vector3::new(
@@ -48,30 +37,14 @@ fn run(seed: u64, blocked: f64) -> (f64, Vec<f64>, f64) {
             1.2 + 0.8 * (0.35 * t).sin(),
         )
     };
-    filter
-        .state
-        .set(POSITION, path(0.0) + Vector3::from(random.normals(0.01)));
+    filter.state.set(POSITION, path(0.0) + Vector3::from(random.normals(0.01)));
     let step_s = 0.1;
     for k in 1..=600 {
-        let correlated = CorrelatedErrors {
-            anchors: &anchors,
-            errors: &errors,
-            step_s,
-        };
-        filter.predict(&(
-            ConstantVelocity {
-                density: Vector3::repeat(0.3),
-                step_s,
-            },
-            correlated,
-        ));
+        let correlated = CorrelatedErrors { anchors: &anchors, errors: &errors, step_s };
+        filter.predict(&(ConstantVelocity { density: Vector3::repeat(0.3), step_s }, correlated));
         for (j, anchor) in anchors.iter().enumerate() {
             let distance = (path(f64::from(k) * step_s) - anchor.position_m).norm();
-            let excess = if random.uniform() < blocked {
-                -random.uniform().ln()
-            } else {
-                0.0
-            };
+            let excess = if random.uniform() < blocked { -random.uniform().ln() } else { 0.0 };
             let range = Range {
                 anchor,
                 range_m: distance * (1.0 + truth[j][1])
@@ -91,11 +64,7 @@ fn run(seed: u64, blocked: f64) -> (f64, Vec<f64>, f64) {
     let mut normalised = Vec::new();
     let mut known = 0.0_f64;
     for (anchor, truth) in anchors.iter().zip(truth) {
-        for (k, block) in [anchor.bias, anchor.scale]
-            .into_iter()
-            .flatten()
-            .enumerate()
-        {
+        for (k, block) in [anchor.bias, anchor.scale].into_iter().flatten().enumerate() {
             let sigma = filter.covariance(block).x.sqrt();
             normalised.push((filter.state.get(block).x - truth[k]) / sigma);
             known = known.max(sigma / [errors.bias_m, errors.scale][k]);
@@ -108,14 +77,8 @@ fn run(seed: u64, blocked: f64) -> (f64, Vec<f64>, f64) {
 fn pooled(blocked: f64) -> (f64, f64) {
     let runs: Vec<_> = (0..40).map(|seed| run(seed, blocked)).collect();
     let below = runs.iter().filter(|r| r.0 < 7.81).count() as f64 / runs.len() as f64;
-    let squares: Vec<f64> = runs
-        .iter()
-        .flat_map(|r| r.1.iter().map(|z| z * z))
-        .collect();
-    assert!(
-        runs.iter().all(|r| r.2 < 0.7),
-        "every parameter is observed"
-    );
+    let squares: Vec<f64> = runs.iter().flat_map(|r| r.1.iter().map(|z| z * z)).collect();
+    assert!(runs.iter().all(|r| r.2 < 0.7), "every parameter is observed");
     (below, squares.iter().sum::<f64>() / squares.len() as f64)
 }
 
@@ -139,10 +102,7 @@ fn a_tenth_of_the_ranges_without_line_of_sight_leaves_sigma_consistent() {
 #[test]
 fn the_density_of_the_mixture_integrates_to_one() {
     for (deviation, probability) in [(0.05, 0.1), (0.5, 0.5), (0.1, 0.0)] {
-        let mixture = NonLineOfSight {
-            probability,
-            mean_m: 1.0,
-        };
+        let mixture = NonLineOfSight { probability, mean_m: 1.0 };
         let step = 1e-3;
         let density = |k: i32| {
             let found = mixture.weigh(f64::from(k) * step, deviation * deviation);

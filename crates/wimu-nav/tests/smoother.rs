@@ -96,11 +96,7 @@ impl Journey {
                 .map(|block| truth.fixed_rows::<3>(block.start()).into_owned())
                 .sum();
             let value = shown + Vector3::from(random.normals(deviation));
-            let shown = Shown {
-                value,
-                blocks,
-                deviation,
-            };
+            let shown = Shown { value, blocks, deviation };
             filter.update_recorded(&shown, Gate::Open, &mut log);
             log.updated(&filter, STEP_S);
             let covariance = common::states::covariance(&filter, &all);
@@ -142,11 +138,7 @@ fn least_squares(journey: &Journey) -> (Vec<f64>, Vec<Vec<f64>>) {
             if position.contains(&state) {
                 row.push((before + state - 3, -STEP_S));
             }
-            let variance = if velocity.contains(&state) {
-                0.2 * STEP_S
-            } else {
-                1e-10
-            };
+            let variance = if velocity.contains(&state) { 0.2 * STEP_S } else { 1e-10 };
             add(&row, 0.0, variance);
         }
         for axis in 0..3 {
@@ -195,10 +187,7 @@ fn without_considered_states_it_is_least_squares_over_the_whole_journey() {
             let at = STATES * (k + 1) + block.start();
             let exact = exact(at, at);
             let found = smoothed.covariance(k + 1, block);
-            assert!(
-                (found - exact).norm() < 2e-3 * exact.norm(),
-                "{k}: {found} {exact}"
-            );
+            assert!((found - exact).norm() < 2e-3 * exact.norm(), "{k}: {found} {exact}");
             let error = state.fixed_rows::<3>(block.start())
                 - Vector3::from_column_slice(&expected[at..at + 3]);
             assert!(error.norm() < 0.01 * exact.norm().sqrt(), "{k}: {error}");
@@ -209,10 +198,7 @@ fn without_considered_states_it_is_least_squares_over_the_whole_journey() {
     let of = |i: usize, j: usize| exact(at(i), at(j));
     let exact = of(4, 4) + of(15, 15) - of(4, 15) - of(15, 4);
     let found = smoothed.covariance_of_change(4, 15, POSITION).unwrap();
-    assert!(
-        (found - exact).norm() < 2e-3 * exact.norm(),
-        "{found} {exact}"
-    );
+    assert!((found - exact).norm() < 2e-3 * exact.norm(), "{found} {exact}");
     assert!(found.norm() < 0.7 * of(15, 15).norm() + of(4, 4).norm());
 }
 
@@ -227,29 +213,19 @@ fn a_considered_state_stays_and_the_covariance_is_right_and_never_larger_than_th
         let smoothed = Smoothed::of(&mut journey.epochs);
         let error = |k: usize| -> Vector3<f64> {
             let state = journey.filtered[k].0 + smoothed.corrections(k + 1)[1];
-            (state - journey.truth[k])
-                .fixed_rows::<3>(POSITION.start())
-                .into_owned()
+            (state - journey.truth[k]).fixed_rows::<3>(POSITION.start()).into_owned()
         };
         let nees = |e: Vector3<f64>, p: Matrix3<f64>| e.dot(&(p.try_inverse().unwrap() * e));
         for k in [0, 6, 12] {
             inside.count(nees(error(k), smoothed.covariance(k + 1, POSITION)) < 7.815);
             let p = journey.filtered[k].1.fixed_view::<3, 3>(6, 6).into_owned();
-            let e = (journey.filtered[k].0 - journey.truth[k])
-                .fixed_rows::<3>(6)
-                .into_owned();
+            let e = (journey.filtered[k].0 - journey.truth[k]).fixed_rows::<3>(6).into_owned();
             filtered.count(nees(e, p) < 7.815);
             let found = smoothed.covariance(k + 1, POSITION);
-            assert!(
-                found.trace() <= p.trace() * (1.0 + 1e-9),
-                "{k}: {found} {p}"
-            );
+            assert!(found.trace() <= p.trace() * (1.0 + 1e-9), "{k}: {found} {p}");
             smaller += found.trace();
             sum += p.trace();
-            assert_eq!(
-                smoothed.covariance(k + 1, journey.bias),
-                Matrix3::identity() * 0.09
-            );
+            assert_eq!(smoothed.covariance(k + 1, journey.bias), Matrix3::identity() * 0.09);
             let correction = smoothed.corrections(k + 1)[1];
             assert_eq!(correction.fixed_rows::<3>(journey.bias.start()).norm(), 0.0);
         }
@@ -284,11 +260,7 @@ fn journey<M: Model<f64, N>, const N: usize>(
     let x = travel.attitude(0.0) * Vector3::x();
     navigator.set_heading(x.y.atan2(x.x));
     let mut navigator = navigator.recorded(Log::new(Vec::new(), 0.1));
-    let mut found = Found {
-        filtered: Vec::new(),
-        smoothed: Vec::new(),
-        contradictions: 0,
-    };
+    let mut found = Found { filtered: Vec::new(), smoothed: Vec::new(), contradictions: 0 };
     let mut epochs_at = Vec::new();
     for (k, sample) in samples.iter_mut().enumerate() {
         let t = k as f64 * 0.01;
@@ -299,9 +271,7 @@ fn journey<M: Model<f64, N>, const N: usize>(
         let due = times_s.iter().any(|time| (t - time).abs() < 1e-6);
         if due {
             let error = navigator.filter().state.get(POSITION) - travel.position(t);
-            found
-                .filtered
-                .push((error, navigator.filter().covariance(POSITION)));
+            found.filtered.push((error, navigator.filter().covariance(POSITION)));
             epochs_at.push(navigator.recorder().epochs().len() - 1);
         }
     }
@@ -311,9 +281,7 @@ fn journey<M: Model<f64, N>, const N: usize>(
         // The correction is that of an epoch of up to 0.1 s before.
         let correction = smoothed.corrections(epoch)[1];
         let correction = correction.fixed_rows::<3>(POSITION.start()).into_owned();
-        found
-            .smoothed
-            .push((error + correction, smoothed.covariance(epoch, POSITION)));
+        found.smoothed.push((error + correction, smoothed.covariance(epoch, POSITION)));
     }
     found.contradictions = smoothed.contradictions();
     found
@@ -373,10 +341,7 @@ fn an_error_that_the_model_excludes_does_not_reach_the_time_before_it() {
     let travel = Travel::stop_and_go(&mut Random::new(3), 2, 0.7, 0.7);
     let found = journey::<Gyroscope<f64>, 40>(&travel, [4.8, 6.5, 11.9], [7.6, 8.6], 3);
     for (filter, smoother) in found.filtered.iter().zip(&found.smoothed).take(2) {
-        assert!(
-            smoother.0.norm() < 2.0 * filter.0.norm() + 0.02,
-            "{filter:?} {smoother:?}"
-        );
+        assert!(smoother.0.norm() < 2.0 * filter.0.norm() + 0.02, "{filter:?} {smoother:?}");
         assert!(nees(smoother) < 16.3, "{}", nees(smoother));
     }
 }
@@ -384,10 +349,8 @@ fn an_error_that_the_model_excludes_does_not_reach_the_time_before_it() {
 #[test]
 fn garbage_stays_finite_and_is_counted() {
     let mut random = Random::new(8);
-    let mut filter = Filter::new(
-        &Layout::<f64, STATES>::new([0.1; 3], 0.5, 1.0),
-        Rotation3::identity(),
-    );
+    let mut filter =
+        Filter::new(&Layout::<f64, STATES>::new([0.1; 3], 0.5, 1.0), Rotation3::identity());
     let mut log = Log::new(Vec::new(), 0.05);
     log.restarted(&filter);
     for k in 0..60 {
@@ -398,11 +361,7 @@ fn garbage_stays_finite_and_is_counted() {
             _ => 0.1,
         };
         let value = Vector3::from(random.normals(1.0)) * size;
-        let shown = Shown {
-            value,
-            blocks: [Some(VELOCITY), None],
-            deviation: 0.1,
-        };
+        let shown = Shown { value, blocks: [Some(VELOCITY), None], deviation: 0.1 };
         filter.update_recorded(&shown, Gate::Open, &mut log);
         log.updated(&filter, STEP_S);
     }
@@ -412,15 +371,9 @@ fn garbage_stays_finite_and_is_counted() {
     assert!(smoothed.contradictions() > 0);
     for epoch in 0..count {
         let [before, after] = smoothed.corrections(epoch);
-        assert!(
-            before.iter().chain(&after).all(|x| x.is_finite()),
-            "{epoch}"
-        );
+        assert!(before.iter().chain(&after).all(|x| x.is_finite()), "{epoch}");
         let p = smoothed.covariance(epoch, POSITION);
-        assert!(
-            p.iter().all(|x| x.is_finite()) && p.diagonal().min() >= 0.0,
-            "{epoch}"
-        );
+        assert!(p.iter().all(|x| x.is_finite()) && p.diagonal().min() >= 0.0, "{epoch}");
     }
     // Without epochs, and with one, there is nothing to do.
     assert_eq!(Smoothed::of(&mut epochs[..0]).contradictions(), 0);
@@ -448,17 +401,14 @@ fn single_precision_agrees_with_double() {
         let navigator = Navigator::<R, Gyroscope<R>, 40>::new(settings, &start).unwrap();
         let mut navigator = navigator.recorded(Log::new(Vec::new(), real(0.1)));
         for (k, sample) in samples.iter().enumerate() {
-            navigator
-                .push(sample, travel.at_rest(k as f64 * 0.01))
-                .unwrap();
+            navigator.push(sample, travel.at_rest(k as f64 * 0.01)).unwrap();
         }
         let mut epochs = navigator.into_recorder().into_epochs();
         let count = epochs.len();
         let smoothed = Smoothed::of(&mut epochs);
         let corrected = |k: usize| smoothed.corrections(k)[1].fixed_rows::<6>(3).into_owned();
         let all = (0..count).flat_map(|k| corrected(k).iter().copied().collect::<Vec<R>>());
-        all.map(|x| nalgebra::try_convert::<R, f64>(x).unwrap())
-            .collect()
+        all.map(|x| nalgebra::try_convert::<R, f64>(x).unwrap()).collect()
     }
     let (single, double) = (run::<f32>(), run::<f64>());
     assert_eq!(single.len(), double.len());

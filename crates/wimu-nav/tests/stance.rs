@@ -68,12 +68,7 @@ fn an_unknown_statistic_is_no_stance() {
 fn a_stance_is_found_between_strides() {
     // A stride of 1.2 m in 0.6 s, 0.6 s of stance.
     let travel = (0..5).fold(Travel::rest(), |travel, k| {
-        travel.leg(
-            1.0 + 1.2 * f64::from(k),
-            0.6,
-            [1.2, 0.0, 0.0],
-            [0.0, 0.8, 0.0],
-        )
+        travel.leg(1.0 + 1.2 * f64::from(k), 0.6, [1.2, 0.0, 0.0], [0.0, 0.8, 0.0])
     });
     let mut detector = Stationarity::new(Detector::foot());
     let mut random = Random::new(24);

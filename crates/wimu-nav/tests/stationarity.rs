@@ -10,10 +10,7 @@ use wimu_nav::stationarity::{Detector, Stationarity};
 
 fn force(travel: &Travel, t: f64, random: &mut Random) -> (Vector3<f64>, Vector3<f64>) {
     let [force, rate] = travel.sensed(t);
-    (
-        force + Vector3::from(random.normals(0.01)),
-        rate + Vector3::from(random.normals(0.001)),
-    )
+    (force + Vector3::from(random.normals(0.01)), rate + Vector3::from(random.normals(0.001)))
 }
 
 /// Decision at each sample of a motion.
@@ -53,10 +50,7 @@ fn at_rest_the_statistic_has_its_expectation() {
         let sensors = if gyroscope { 2.0 } else { 1.0 };
         let expected = sensors * (3.0 * (1.0 - 1.0 / samples) + 1.0);
         let mean = sum / f64::from(windows);
-        assert!(
-            (mean / expected - 1.0).abs() < 0.06,
-            "{rate_hz} Hz: {mean}, expected {expected}"
-        );
+        assert!((mean / expected - 1.0).abs() < 0.06, "{rate_hz} Hz: {mean}, expected {expected}");
         let threshold = if gyroscope {
             settings.threshold
         } else {
@@ -78,11 +72,7 @@ fn motion_is_found_and_rest_is_too() {
     let brisk = Travel::rest().leg(3.0, 1.5, [1.0, 0.0, 0.0], [0.0; 3]);
     let swing = Travel::oscillation(&mut random, [3.0, 6.0], 0.2, 0.2);
     let turn = Travel::rest().leg(3.0, 1.5, [0.0; 3], [0.0, 0.0, 0.4]);
-    for (travel, moving_s) in [
-        (brisk, [3.25, 4.5]),
-        (swing, [3.7, 5.5]),
-        (turn, [3.4, 4.2]),
-    ] {
+    for (travel, moving_s) in [(brisk, [3.25, 4.5]), (swing, [3.7, 5.5]), (turn, [3.4, 4.2])] {
         let found = decisions(&travel, 100.0, 8.0, 1);
         assert_eq!(rests(&found, 0.3, 2.9), 1.0, "before");
         let moving = rests(&found, moving_s[0], moving_s[1]);
@@ -117,10 +107,7 @@ fn a_bias_beyond_the_mean_s_deviation_hides_every_rest() {
         let mut detector = Stationarity::new(Detector::default());
         let force = still + Vector3::z() * offset_mps2;
         let rate = Vector3::x() * bias_rad_s;
-        (0..100)
-            .filter(|_| detector.push(&force, Some(&rate), 0.01))
-            .count()
-            > 0
+        (0..100).filter(|_| detector.push(&force, Some(&rate), 0.01)).count() > 0
     };
     // √12 deviations.
     assert!(found(0.38, 0.0) && !found(0.40, 0.0));
@@ -129,11 +116,7 @@ fn a_bias_beyond_the_mean_s_deviation_hides_every_rest() {
 
 #[test]
 fn without_a_gyroscope_a_known_noise_makes_the_detector_sharper() {
-    let found = |noise| {
-        Detector::<f64>::default()
-            .without_gyroscope(noise)
-            .force_mps2
-    };
+    let found = |noise| Detector::<f64>::default().without_gyroscope(noise).force_mps2;
     assert!((found(0.02) - 0.03).abs() < 1e-12);
     assert_eq!((found(0.1), found(0.0)), (0.06, 0.06));
 }
@@ -164,12 +147,15 @@ fn a_gap_or_a_number_that_is_not_finite_ends_the_rest() {
 
 #[test]
 fn every_rate_gives_the_same_decision() {
-    let travel = Travel::rest()
-        .leg(3.0, 1.5, [0.3, 0.0, 0.1], [0.2, 0.0, 0.0])
-        .leg(7.0, 2.0, [0.0, -1.0, 0.0], [0.0, 0.0, 1.5]);
-    for rate_hz in [
-        20.0, 25.0, 30.0, 52.0, 100.0, 104.0, 200.0, 400.0, 416.0, 1000.0, 1666.0, 2000.0,
-    ] {
+    let travel = Travel::rest().leg(3.0, 1.5, [0.3, 0.0, 0.1], [0.2, 0.0, 0.0]).leg(
+        7.0,
+        2.0,
+        [0.0, -1.0, 0.0],
+        [0.0, 0.0, 1.5],
+    );
+    for rate_hz in
+        [20.0, 25.0, 30.0, 52.0, 100.0, 104.0, 200.0, 400.0, 416.0, 1000.0, 1666.0, 2000.0]
+    {
         for (t, rest) in decisions(&travel, rate_hz, 12.0, 3) {
             // The window, and a part of it that is not yet full.
             let away = |from: f64, to: f64| t > from + 0.2 && t < to - 0.2;
@@ -197,10 +183,7 @@ fn single_precision_gives_the_same_statistic() {
             wide.push(&force, Some(&rate), 1.0 / rate_hz);
             narrow.push(&force.cast(), Some(&rate.cast()), (1.0 / rate_hz) as f32);
             if let (Some(wide), Some(narrow)) = (wide.statistic(), narrow.statistic()) {
-                assert!(
-                    (wide - f64::from(narrow)).abs() < 0.1,
-                    "{wide} and {narrow}"
-                );
+                assert!((wide - f64::from(narrow)).abs() < 0.1, "{wide} and {narrow}");
             }
         }
         assert!(wide.statistic().is_some() && narrow.statistic().is_some());

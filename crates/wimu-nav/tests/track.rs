@@ -8,10 +8,7 @@ use wimu_nav::array::{ArraySolver, Geometry, Observation, Step, track};
 /// A body that is shaken about all axes: its rate at a time, and the derivative.
 fn motion(t: f64) -> ([f64; 3], [f64; 3]) {
     let tones = [[12.0, 9.0, 0.3], [9.0, 7.0, 1.1], [10.0, 11.0, 2.0]];
-    (
-        tones.map(|[a, w, p]| a * (w * t + p).sin()),
-        tones.map(|[a, w, p]| a * w * (w * t + p).cos()),
-    )
+    (tones.map(|[a, w, p]| a * (w * t + p).sin()), tones.map(|[a, w, p]| a * w * (w * t + p).cos()))
 }
 
 #[test]
@@ -36,10 +33,7 @@ fn the_sign_is_found_and_the_rate_lies_within_its_covariance() {
         });
     }
     let mean = observations.iter().map(|o| o.excess).sum::<f64>() / 1200.0;
-    assert!(
-        (mean - 1.0).abs() < 0.02,
-        "the excess of plain noise is 1: {mean}"
-    );
+    assert!((mean - 1.0).abs() < 0.02, "the excess of plain noise is 1: {mean}");
     let mut steps = vec![Step::default(); observations.len()];
     let found = track(&solver, noise * noise, &observations, &mut steps).unwrap();
     let (mut wrong, mut squares, mut inside) = (0, 0.0, 0);

@@ -17,13 +17,7 @@ fn followed(drive: &[Moment], vehicle: bool, seed: u64) -> InVehicle<f64> {
     let mut navigator = begin(drive, vehicle);
     let mut random = Random::new(seed);
     for k in 0..drive.len() {
-        push(
-            &mut navigator,
-            drive,
-            k,
-            (k as f64) * 0.01 < OUTAGE_S,
-            &mut random,
-        );
+        push(&mut navigator, drive, k, (k as f64) * 0.01 < OUTAGE_S, &mut random);
     }
     navigator
 }
@@ -61,10 +55,7 @@ fn clock_antenna_and_forward_axis_are_found_within_their_deviations() {
     let (filter, vehicle) = (navigator.filter(), navigator.vehicle().unwrap());
     let clock = filter.state.get(vehicle.clock()).x;
     let sd = filter.covariance(vehicle.clock()).x.sqrt();
-    assert!(
-        (clock - CLOCK_S).abs() < 3.0 * sd && sd < 0.02,
-        "{clock} ± {sd}"
-    );
+    assert!((clock - CLOCK_S).abs() < 3.0 * sd && sd < 0.02, "{clock} ± {sd}");
     let offset = filter.state.get(vehicle.antenna_offset()) - Vector3::from(ANTENNA_M);
     let covariance = filter.covariance(vehicle.antenna_offset());
     for axis in 0..3 {
@@ -86,11 +77,7 @@ fn a_unit_that_is_turned_in_its_mount_is_noticed_once_and_found_anew() {
     let navigator = followed(&drive, true, 10);
     let vehicle = navigator.vehicle().unwrap();
     assert_eq!(vehicle.turns(), 1);
-    let forward = navigator
-        .filter()
-        .state
-        .get(vehicle.forward().unwrap())
-        .normalize();
+    let forward = navigator.filter().state.get(vehicle.forward().unwrap()).normalize();
     let truth = drive.last().unwrap().attitude.inverse() * {
         let before = &drive[drive.len() - 2];
         (drive.last().unwrap().position_m - before.position_m).normalize()
@@ -114,11 +101,7 @@ fn wheels_that_slip_are_not_used_and_their_scale_is_found() {
                 push(&mut navigator, &drive, k, t < OUTAGE_S, &mut random);
                 if k.is_multiple_of(10) {
                     // The wheels are 3 % smaller than stated; they spin for 2 s within the outage.
-                    let spin = if slips && (110.0..112.0).contains(&t) {
-                        1.5
-                    } else {
-                        1.0
-                    };
+                    let spin = if slips && (110.0..112.0).contains(&t) { 1.5 } else { 1.0 };
                     slipped += i32::from(spin > 1.0);
                     navigator.odometer(drive[k].speed_mps / 1.03 * spin + random.normal() * 0.05);
                 }
@@ -127,10 +110,7 @@ fn wheels_that_slip_are_not_used_and_their_scale_is_found() {
             let scale = navigator.filter().state.get(vehicle.scale()).x;
             assert!((scale - 0.03).abs() < 0.01, "{scale}");
             let failed = vehicle.slips().0 as i32;
-            assert!(
-                (slipped..slipped + 20).contains(&failed),
-                "{failed} of {slipped}"
-            );
+            assert!((slipped..slipped + 20).contains(&failed), "{failed} of {slipped}");
             (navigator.filter().state.get(POSITION) - truth).norm()
         })
         .collect();

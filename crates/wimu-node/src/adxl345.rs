@@ -15,12 +15,7 @@ use crate::timer::Timer;
 
 /// Rates are whole numbers of Hz, up to the fastest on a bus of 400 kHz.
 const SUPPORTED: Supported<Range, Rate> = Supported {
-    ranges: &[
-        (2, Range::G2),
-        (4, Range::G4),
-        (8, Range::G8),
-        (16, Range::G16),
-    ],
+    ranges: &[(2, Range::G2), (4, Range::G4), (8, Range::G8), (16, Range::G16)],
     rates: &[
         (25, Rate::Hz25),
         (50, Rate::Hz50),
@@ -70,9 +65,7 @@ impl<B: Bus, D: DataReady, T: Timer> Adxl345<B, D, T> {
             format: format(range, plan.settings.resolution),
             rate,
             low_power: plan.settings.resolution == Resolution::LowPower,
-            fifo: Fifo::Stream {
-                watermark: self.fifo.watermark() as u8,
-            },
+            fifo: Fifo::Stream { watermark: self.fifo.watermark() as u8 },
             interrupts: Interrupts::WATERMARK,
             on_int2: Interrupts::NONE,
         };

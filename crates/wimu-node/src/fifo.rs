@@ -53,12 +53,7 @@ pub struct FifoState {
 impl FifoState {
     /// `level` samples at the time `at`, after the data-ready edge at `edge_time`; no samples were lost.
     pub fn new(edge_time: DeviceTimeUs, at: DeviceTimeUs, level: u16) -> Self {
-        Self {
-            edge_time,
-            at,
-            level,
-            overrun: false,
-        }
+        Self { edge_time, at, level, overrun: false }
     }
 
     /// Whether earlier samples were lost.
@@ -119,9 +114,7 @@ impl SensorFifo {
         let newest = self.newest(state).0;
         let last_time = DeviceTimeUs(newest.saturating_sub(self.micros(unread)));
         self.last = Some(last_time);
-        Batch::new(count, last_time)
-            .with_overrun(state.overrun)
-            .queued()
+        Batch::new(count, last_time).with_overrun(state.overrun).queued()
     }
 
     /// Time of the newest sample in the FIFO.

@@ -169,12 +169,7 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
     /// Takes a piece of parameters.
     #[cfg(feature = "correction")]
     async fn stage(&self, command: &Command<&[u8]>) -> Result<(), Refusal> {
-        let &Command::StageParameters {
-            offset,
-            total,
-            piece,
-        } = command
-        else {
+        let &Command::StageParameters { offset, total, piece } = command else {
             return Ok(());
         };
         let mut staging = self.shared.staging.lock().await;
@@ -200,8 +195,7 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
             Decision::Ignore => None,
         };
         let repeated = responder.repeated();
-        self.shared
-            .with_heard(self.role, |heard| heard.repeated = repeated);
+        self.shared.with_heard(self.role, |heard| heard.repeated = repeated);
         command
     }
 

@@ -61,12 +61,7 @@ const NT_PER_LSB: i32 = 150;
 /// Ranges with code and sensitivity of 16-bit counts, LSB/g, and rates with code and nominal period, ns. A 12-bit
 /// digit is 1, 2, 4 and 12 times 1/1024 g, so that ± 16 g is actually ± 24 g.
 const SUPPORTED: Supported<(u8, f64), (u8, u32)> = Supported {
-    ranges: &[
-        (2, (0, 16384.0)),
-        (4, (1, 8192.0)),
-        (8, (2, 4096.0)),
-        (16, (3, 16384.0 / 12.0)),
-    ],
+    ranges: &[(2, (0, 16384.0)), (4, (1, 8192.0)), (8, (2, 4096.0)), (16, (3, 16384.0 / 12.0))],
     rates: &[
         (1, (1, 1_000_000_000)),
         (10, (2, 100_000_000)),
@@ -163,11 +158,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
             let [source] = source;
             let at = self.timer.now();
             let overrun = source & FIFO_SRC_FULL != 0;
-            let level = if overrun {
-                DEPTH
-            } else {
-                u16::from(source & FIFO_SRC_LEVEL)
-            };
+            let level = if overrun { DEPTH } else { u16::from(source & FIFO_SRC_LEVEL) };
             let missing = self.fifo.watermark().saturating_sub(level);
             if missing == 0 || at >= deadline {
                 let edge_time = edge.flatten().unwrap_or(woken);
@@ -220,10 +211,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> InertialSensor for Lsm303agr<I2C, D, T> {
         self.read(ACCELEROMETER, WHO_AM_I, &mut found).await?;
         let [found] = found;
         if found != IDENTITY {
-            return Err(SensorFault::WrongIdentity {
-                expected: IDENTITY,
-                found,
-            });
+            return Err(SensorFault::WrongIdentity { expected: IDENTITY, found });
         }
         let registers = [
             CTRL2 | INCREMENT,
@@ -268,8 +256,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> InertialSensor for Lsm303agr<I2C, D, T> {
             if count == 0 {
                 return Err(SensorFault::NoData);
             }
-            self.drain(counts.get_mut(..count).unwrap_or_default())
-                .await?;
+            self.drain(counts.get_mut(..count).unwrap_or_default()).await?;
             if self.fifo.kept_up(&state, self.timer.now()) {
                 let unread = state.level - count as u16;
                 return Ok(self.fifo.read(state.with_overrun(lost), count, unread));
@@ -293,13 +280,9 @@ impl<I2C: I2c, D: DataReady, T: Timer> InertialSensor for Lsm303agr<I2C, D, T> {
             None
         };
         let mut temperature = [0; 2];
-        self.read(ACCELEROMETER, OUT_TEMP_L, &mut temperature)
-            .await?;
+        self.read(ACCELEROMETER, OUT_TEMP_L, &mut temperature).await?;
         // 1/256 °C per LSB, relative to 25 °C.
         let centi = 2500 + i32::from(i16::from_le_bytes(temperature)) * 100 / 256;
-        Ok(Surroundings {
-            magnetic_field,
-            temperature: Some(CentiCelsius(centi as i16)),
-        })
+        Ok(Surroundings { magnetic_field, temperature: Some(CentiCelsius(centi as i16)) })
     }
 }

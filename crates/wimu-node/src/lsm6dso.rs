@@ -110,10 +110,7 @@ impl<B: Bus, D: DataReady, T: Timer> InertialSensor for Lsm6dso<B, D, T> {
             watermark: self.fifo.watermark() as u8,
             temperature: false,
         };
-        self.device
-            .check_identity()
-            .await
-            .map_err(SensorFault::of_driver)?;
+        self.device.check_identity().await.map_err(SensorFault::of_driver)?;
         let started = self.device.start(&setup, &mut Delay(&self.timer)).await;
         started.map_err(SensorFault::of_driver)
     }
@@ -126,11 +123,7 @@ impl<B: Bus, D: DataReady, T: Timer> InertialSensor for Lsm6dso<B, D, T> {
             let mut pairs = [Sample::default(); MAX_WATERMARK as usize];
             let room = samples.len().min(pairs.len());
             let pairs = pairs.get_mut(..room).unwrap_or_default();
-            let read = self
-                .device
-                .read(pairs)
-                .await
-                .map_err(SensorFault::of_driver)?;
+            let read = self.device.read(pairs).await.map_err(SensorFault::of_driver)?;
             let at = self.timer.now();
             lost |= read.gap;
             if read.count > 0 {
@@ -154,16 +147,9 @@ impl<B: Bus, D: DataReady, T: Timer> InertialSensor for Lsm6dso<B, D, T> {
     }
 
     async fn surroundings(&mut self) -> Result<Surroundings, SensorFault> {
-        let raw = self
-            .device
-            .temperature()
-            .await
-            .map_err(SensorFault::of_driver)?;
+        let raw = self.device.temperature().await.map_err(SensorFault::of_driver)?;
         // 1/256 °C per LSB, relative to 25 °C.
         let centi = 2500 + i32::from(raw) * 100 / 256;
-        Ok(Surroundings {
-            magnetic_field: None,
-            temperature: Some(CentiCelsius(centi as i16)),
-        })
+        Ok(Surroundings { magnetic_field: None, temperature: Some(CentiCelsius(centi as i16)) })
     }
 }

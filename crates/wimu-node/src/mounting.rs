@@ -67,11 +67,7 @@ impl Mounting {
     pub fn to_board(self, sensor: [i16; 3]) -> [i16; 3] {
         self.0.map(|axis| {
             let along = sensor.get(axis.number()).copied().unwrap_or_default();
-            if axis.is_against() {
-                along.saturating_neg()
-            } else {
-                along
-            }
+            if axis.is_against() { along.saturating_neg() } else { along }
         })
     }
 }

@@ -80,11 +80,7 @@ where
                 timer: self.timer.clone(),
                 shared: common,
             },
-            cable_writer: LinkWriter {
-                role: LinkRole::Cable,
-                line: self.cable.1,
-                shared: common,
-            },
+            cable_writer: LinkWriter { role: LinkRole::Cable, line: self.cable.1, shared: common },
             wireless_reader: LinkReader {
                 role: LinkRole::Wireless,
                 line: self.wireless.0,
@@ -147,11 +143,8 @@ where
     /// Runs all tasks on one executor: for boards without priorities, and for simulation.
     pub async fn run(mut self) -> ! {
         use embassy_futures::join::{join3, join4};
-        let samples_and_control = join3(
-            self.sampler.run(),
-            self.control.run(),
-            self.cable_reader.run(),
-        );
+        let samples_and_control =
+            join3(self.sampler.run(), self.control.run(), self.cable_reader.run());
         let rest = join4(
             samples_and_control,
             self.cable_writer.run(),

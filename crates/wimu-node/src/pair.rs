@@ -52,11 +52,7 @@ impl Seen {
         if self.last.0 > 0 {
             self.period_us = since / count;
         }
-        self.least = if self.least == 0 {
-            count
-        } else {
-            self.least.min(count)
-        };
+        self.least = if self.least == 0 { count } else { self.least.min(count) };
         self.last = batch.last_time;
     }
 }
@@ -84,11 +80,7 @@ where
 
     fn plan_second(&self, settings: &Settings) -> Option<Plan> {
         let planner = self.second.planner();
-        let wanted = Settings {
-            range_g: self.range_g,
-            resolution: Resolution::High,
-            ..*settings
-        };
+        let wanted = Settings { range_g: self.range_g, resolution: Resolution::High, ..*settings };
         let plan = planner.plan(&wanted);
         plan.or_else(|nearest| planner.plan(&nearest)).ok()
     }

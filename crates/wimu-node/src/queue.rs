@@ -5,11 +5,7 @@ const TELEMETRY_BYTES: usize = 1024;
 /// Room for kept frames, bytes: the longest reply, epoch and Hello together, or everything
 /// sent to a new listener except the parameters, which are queued when there is room. Without parameters no
 /// reply is longer than a status, without navigation an epoch has no state.
-const KEPT_BYTES: usize = if cfg!(feature = "correction") {
-    1450
-} else {
-    750
-} + SIGNED_BYTES;
+const KEPT_BYTES: usize = if cfg!(feature = "correction") { 1450 } else { 750 } + SIGNED_BYTES;
 /// Room that unsigned replies leave free, bytes: the longest signed reply to a write, and its length.
 const SIGNED_BYTES: usize = 80 + 2;
 /// Bytes of a frame that are taken at once.
@@ -127,12 +123,7 @@ struct Ring<B: ?Sized> {
 
 impl<B> Ring<B> {
     const fn new(bytes: B) -> Self {
-        Self {
-            start: 0,
-            used: 0,
-            begun: 0,
-            bytes,
-        }
+        Self { start: 0, used: 0, begun: 0, bytes }
     }
 }
 

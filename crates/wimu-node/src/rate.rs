@@ -64,13 +64,7 @@ impl<'a, L: LineRate, T: Timer, M: RawMutex> RateKeeper<'a, L, T, M> {
         if cfg!(feature = "line-rates") {
             shared.has_rate(role, L::nearest);
         }
-        Self {
-            role,
-            line,
-            timer,
-            shared,
-            rate: opened,
-        }
+        Self { role, line, timer, shared, rate: opened }
     }
 
     /// Runs for ever.

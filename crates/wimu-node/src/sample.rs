@@ -167,12 +167,7 @@ where
         let nominal = plan.gyroscope.map_or(0.0, |nominal| nominal.rad_s_per_lsb);
         let Some(calibrated) = &set.gyroscope else {
             let ideal = GyroscopeModel::default();
-            return Ok(GyroscopeCorrector::compile(
-                &ideal,
-                nominal,
-                set.alignment,
-                temperature,
-            )?);
+            return Ok(GyroscopeCorrector::compile(&ideal, nominal, set.alignment, temperature)?);
         };
         let scale = calibrated.rad_s_per_lsb;
         let [low, high] = [SENSITIVITY_RATIO.start(), SENSITIVITY_RATIO.end()].map(|r| r * nominal);

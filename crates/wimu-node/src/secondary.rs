@@ -94,15 +94,7 @@ impl Secondary {
             let first = self.next_sequence;
             match plan.gyroscope {
                 Some(_) => send(lane, first, read, spacing_ns, samples, |s| s, shared),
-                None => send(
-                    lane,
-                    first,
-                    read,
-                    spacing_ns,
-                    samples,
-                    S::accelerometer,
-                    shared,
-                ),
+                None => send(lane, first, read, spacing_ns, samples, S::accelerometer, shared),
             }
         }
         self.next_sequence = self.next_sequence.wrapping_add(samples.len() as u32);

@@ -101,10 +101,7 @@ fn output(set: &ParameterSet, latched: Option<CentiCelsius>, mean: [i64; 3]) -> 
     let [w, x, y, z] = set.alignment.quaternion();
     let to_sensor = Alignment::from_quaternion([w, -x, -y, -z]).ok()?;
     let force = to_sensor.rotate(mean.map(|lsb| lsb as f64 * MPS2_PER_LSB));
-    let model = ErrorModel::new(ErrorTerms {
-        nonlinearity: [0.0; 3],
-        ..*set.model.terms()
-    });
+    let model = ErrorModel::new(ErrorTerms { nonlinearity: [0.0; 3], ..*set.model.terms() });
     let output = model.ok()?.distort(SpecificForceMps2(force), latched);
     Some(output.0)
 }

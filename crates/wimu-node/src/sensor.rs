@@ -49,22 +49,14 @@ impl SensorPlan {
     /// An accelerometer with a sample every `period`, in counts of `sensitivity`, saturated at ±`full_scale`
     /// LSB.
     pub fn new(period: PeriodNs, sensitivity: Sensitivity, full_scale: i32) -> Self {
-        Self {
-            period,
-            sensitivity,
-            full_scale,
-            gyroscope: None,
-        }
+        Self { period, sensitivity, full_scale, gyroscope: None }
     }
 
     /// Adds a gyroscope, sampled together with the accelerometer, in counts of `rad_s_per_lsb`, saturated at
     /// ±`full_scale` LSB.
     #[must_use]
     pub fn with_gyroscope(self, rad_s_per_lsb: f64, full_scale: i32) -> Self {
-        let gyroscope = Some(GyroscopePlan {
-            rad_s_per_lsb,
-            full_scale,
-        });
+        let gyroscope = Some(GyroscopePlan { rad_s_per_lsb, full_scale });
         Self { gyroscope, ..self }
     }
 }
@@ -101,13 +93,7 @@ pub struct Batch {
 impl Batch {
     /// `count` samples of sensor 0, the newest at `last_time`, without an overrun and not queued.
     pub fn new(count: usize, last_time: DeviceTimeUs) -> Self {
-        Self {
-            count,
-            last_time,
-            sensor: 0,
-            overrun: false,
-            queued: false,
-        }
+        Self { count, last_time, sensor: 0, overrun: false, queued: false }
     }
 
     /// The samples are those of the sensor with this index.
@@ -218,11 +204,7 @@ impl<A: Copy, R: Copy> Supported<A, R> {
         let &(rate_hz, rate) = rates.min_by_key(|(hz, _)| hz.abs_diff(wanted.rate_hz))?;
         let ranges = self.ranges.iter();
         let &(range_g, range) = ranges.min_by_key(|(g, _)| g.abs_diff(wanted.range_g))?;
-        let settings = Settings {
-            range_g,
-            rate_hz,
-            ..*wanted
-        };
+        let settings = Settings { range_g, rate_hz, ..*wanted };
         Some((settings, range, rate))
     }
 

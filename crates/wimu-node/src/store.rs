@@ -46,9 +46,7 @@ impl Key {
             4 => Some(Self::DeviceKey),
             5 => Some(Self::CableRate),
             6 => Some(Self::WirelessRate),
-            129.. => Some(Self::Parameters {
-                range_g: number - 128,
-            }),
+            129.. => Some(Self::Parameters { range_g: number - 128 }),
             _ => None,
         }
     }

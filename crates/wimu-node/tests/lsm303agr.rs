@@ -36,9 +36,7 @@ fn burst(first: i16, count: i16) -> Transaction {
 }
 
 fn counts(first: i16, count: i16) -> Vec<Counts> {
-    (first..first + count)
-        .map(|k| Counts([k, -k, 0x40]))
-        .collect()
+    (first..first + count).map(|k| Counts([k, -k, 0x40])).collect()
 }
 
 /// A clock that moves when somebody waits, and where the test says.
@@ -92,12 +90,7 @@ fn on_bus<R>(expected: &[Transaction], use_it: impl AsyncFnOnce(&mut Bench) -> R
 type OnBus = Lsm303agr<Mock, Line, Clock>;
 
 fn plan(rate_hz: u16, range_g: u8, resolution: Resolution) -> Plan {
-    let settings = Settings {
-        rate_hz,
-        range_g,
-        resolution,
-        ..Settings::default()
-    };
+    let settings = Settings { rate_hz, range_g, resolution, ..Settings::default() };
     OnBus::plan(&settings).expect("the chip can do it")
 }
 
@@ -121,10 +114,7 @@ fn at_400_hz(then: &[Transaction]) -> Vec<Transaction> {
 }
 
 async fn start(bench: &mut Bench) {
-    let outcome = bench
-        .sensor
-        .configure(&plan(400, 2, Resolution::High))
-        .await;
+    let outcome = bench.sensor.configure(&plan(400, 2, Resolution::High)).await;
     assert_eq!(outcome, Ok(()));
 }
 
@@ -163,23 +153,14 @@ fn another_chip_at_the_address_is_named_and_left_alone() {
         let plan = plan(100, 2, Resolution::High);
         bench.sensor.configure(&plan).await
     });
-    let wrong = SensorFault::WrongIdentity {
-        expected: 0x33,
-        found: 0xE5,
-    };
+    let wrong = SensorFault::WrongIdentity { expected: 0x33, found: 0xE5 };
     assert_eq!(outcome, Err(wrong));
 }
 
 #[test]
 fn one_burst_reads_all_that_wait_and_the_line_gives_the_time_of_the_newest() {
     // More have come since the line rose than it waits for.
-    let then = [
-        source(0x90),
-        burst(0, 16),
-        source(0x92),
-        burst(16, 16),
-        burst(32, 2),
-    ];
+    let then = [source(0x90), burst(0, 16), source(0x92), burst(16, 16), burst(32, 2)];
     on_bus(&at_400_hz(&then), async |bench| {
         start(bench).await;
         let (batch, read) = next(bench, 41_000, 41_300).await;
@@ -194,13 +175,7 @@ fn one_burst_reads_all_that_wait_and_the_line_gives_the_time_of_the_newest() {
 
 #[test]
 fn of_a_full_fifo_the_oldest_sample_is_left_out_since_it_may_be_torn() {
-    let then = [
-        source(0xDF),
-        burst(-1, 1),
-        source(0x9F),
-        burst(0, 16),
-        burst(16, 15),
-    ];
+    let then = [source(0xDF), burst(-1, 1), source(0x9F), burst(0, 16), burst(16, 15)];
     on_bus(&at_400_hz(&then), async |bench| {
         start(bench).await;
         bench.rises.borrow_mut().extend([41_000, 41_000]);
@@ -227,13 +202,7 @@ fn thirty_one_that_wait_are_all_of_them() {
 
 #[test]
 fn a_line_that_another_chip_holds_is_not_believed() {
-    let then = [
-        source(0x90),
-        burst(0, 16),
-        source(0x0A),
-        source(0x90),
-        burst(16, 16),
-    ];
+    let then = [source(0x90), burst(0, 16), source(0x0A), source(0x90), burst(16, 16)];
     on_bus(&at_400_hz(&then), async |bench| {
         start(bench).await;
         next(bench, 41_000, 41_300).await;

@@ -189,18 +189,12 @@ impl Received {
         let batches = || self.batches.iter().filter(chosen);
         (
             batches().flat_map(WireBatch::samples).copied().collect(),
-            batches()
-                .flat_map(WireBatch::angular_rates)
-                .copied()
-                .collect(),
+            batches().flat_map(WireBatch::angular_rates).copied().collect(),
         )
     }
 
     fn epochs_of(&self, sensor: u8) -> Vec<&Epoch> {
-        self.epochs
-            .iter()
-            .filter(|epoch| epoch.sensor == sensor)
-            .collect()
+        self.epochs.iter().filter(|epoch| epoch.sensor == sensor).collect()
     }
 }
 
@@ -227,12 +221,7 @@ fn run_asked<S: RawSample>(
 ) -> Received {
     let mut request = vec![0; MAX_FRAME];
     let length = command.map_or(0, |command| {
-        let request_of = Request {
-            session: 1,
-            id: 1,
-            signature: Default::default(),
-            command,
-        };
+        let request_of = Request { session: 1, id: 1, signature: Default::default(), command };
         request_of.encode(&mut request).expect("it fits")
     });
     request.truncate(length);
@@ -243,10 +232,7 @@ fn run_asked<S: RawSample>(
             clock: clock.clone(),
             steps: steps.into_iter().collect(),
             plan: plans[0],
-            secondary: plans[1..]
-                .iter()
-                .map(|plan| Secondary::new(*plan))
-                .collect(),
+            secondary: plans[1..].iter().map(|plan| Secondary::new(*plan)).collect(),
             times: [0; 2],
             done: Rc::clone(&done),
         },
@@ -290,9 +276,7 @@ fn run_asked<S: RawSample>(
                 received.flags = received.flags.with(Flags(navigation.flags));
             }
             Ok(Telemetry::Attitude(attitude)) => {
-                let quaternion = attitude
-                    .quaternion
-                    .map(|q| f64::from(q) / f64::from(1 << 30));
+                let quaternion = attitude.quaternion.map(|q| f64::from(q) / f64::from(1 << 30));
                 received.quaternion = Some(quaternion);
             }
             _ => {}
@@ -369,39 +353,23 @@ fn a_saturated_gyroscope_is_flagged_apart_from_a_saturated_accelerometer() {
 #[test]
 fn a_gyroscope_that_stops_is_reported_once_and_then_its_return() {
     let stopped = || Err(SensorFault::GyroscopeStopped);
-    let steps = reads(6, level([0; 3]))
-        .chain([stopped(), stopped()])
-        .chain(reads(6, level([0; 3])));
+    let steps =
+        reads(6, level([0; 3])).chain([stopped(), stopped()]).chain(reads(6, level([0; 3])));
     let received = run(&[six_axes()], steps);
     let lost = Event::GyroscopeLost(BusFault::Timeout);
     assert_eq!(received.events, [lost, Event::SensorFound]);
-    let gap = received
-        .epochs
-        .iter()
-        .find(|epoch| epoch.reason == EpochReason::Gap);
+    let gap = received.epochs.iter().find(|epoch| epoch.reason == EpochReason::Gap);
     let sequence = gap.expect("samples are missing").sequence;
-    assert!(
-        (126..156).contains(&sequence),
-        "{sequence}: 0.4 s are missing"
-    );
+    assert!((126..156).contains(&sequence), "{sequence}: 0.4 s are missing");
 }
 
 #[cfg(feature = "full")]
 #[test]
 fn another_chip_is_named() {
-    let wrong = SensorFault::WrongIdentity {
-        expected: 0x6C,
-        found: 0x6A,
-    };
+    let wrong = SensorFault::WrongIdentity { expected: 0x6C, found: 0x6A };
     let steps = [Err(wrong)].into_iter().chain(reads(6, level([0; 3])));
-    let named = Event::WrongSensor {
-        expected: 0x6C,
-        found: 0x6A,
-    };
-    assert_eq!(
-        run(&[six_axes()], steps).events,
-        [named, Event::SensorFound]
-    );
+    let named = Event::WrongSensor { expected: 0x6C, found: 0x6A };
+    assert_eq!(run(&[six_axes()], steps).events, [named, Event::SensorFound]);
 }
 
 #[cfg(feature = "full")]
@@ -412,10 +380,8 @@ fn counts_beyond_20_bits_are_clamped_and_saturated() {
     let plan = SensorPlan::new(PeriodNs(10_000_000), sensitivity, most)
         .with_gyroscope(RAD_S_PER_LSB / 16.0, most);
     let wide = |force, rate| (WideCounts(force), WideCounts(rate));
-    let steps = reads(20, wide([0, 0, 256_000], [0; 3])).chain(reads(
-        6,
-        wide([i32::MAX, i32::MIN, 0], [i32::MIN, 0, i32::MAX]),
-    ));
+    let steps = reads(20, wide([0, 0, 256_000], [0; 3]))
+        .chain(reads(6, wide([i32::MAX, i32::MIN, 0], [i32::MIN, 0, i32::MAX])));
     let received = run(&[plan], steps);
     assert!(received.batches[0].is_wide());
     let (counts, rates) = received.samples(0, Stream::Raw);
@@ -459,34 +425,22 @@ fn a_second_sensor_is_sent_raw_with_its_own_numbers_and_epochs() {
     assert_eq!(corrected, [[0; 3]; 0], "it is corrected on the host");
     assert_eq!(received.samples(0, Stream::Raw).0.len(), 1200);
     let epochs = received.epochs_of(1);
-    assert!(
-        (13..=16).contains(&epochs.len()),
-        "one a second: {}",
-        epochs.len()
-    );
+    assert!((13..=16).contains(&epochs.len()), "one a second: {}", epochs.len());
     for (index, epoch) in epochs.iter().enumerate() {
         assert_eq!(usize::from(epoch.number), index + 1);
         assert_eq!(epoch.gyroscope, None);
         assert_eq!((epoch.range_g, epoch.full_scale), (200, 0x7FFF));
         assert_eq!(epoch.parameters, 0);
     }
-    assert_eq!(
-        (epochs[0].reason, epochs[0].sequence),
-        (EpochReason::Start, 0)
-    );
+    assert_eq!((epochs[0].reason, epochs[0].sequence), (EpochReason::Start, 0));
     for sensor in [0, 1] {
         let epochs = received.epochs_of(sensor);
-        let gaps = epochs
-            .iter()
-            .filter(|epoch| epoch.reason == EpochReason::Gap);
+        let gaps = epochs.iter().filter(|epoch| epoch.reason == EpochReason::Gap);
         let gaps: Vec<_> = gaps.map(|epoch| epoch.sequence).collect();
         let [sequence] = gaps[..] else {
             panic!("sensor {sensor}: gaps before {gaps:?}");
         };
-        assert!(
-            (970..1000).contains(&sequence),
-            "sensor {sensor}: {sequence}"
-        );
+        assert!((970..1000).contains(&sequence), "sensor {sensor}: {sequence}");
     }
 }
 
@@ -494,12 +448,7 @@ fn a_second_sensor_is_sent_raw_with_its_own_numbers_and_epochs() {
 #[test]
 fn three_axes_stay_in_batches_of_version_1() {
     let received = run(&[three_axes()], reads(6, LEVEL));
-    assert!(
-        received
-            .batches
-            .iter()
-            .all(|batch| batch.angular_rates().is_empty())
-    );
+    assert!(received.batches.iter().all(|batch| batch.angular_rates().is_empty()));
     assert_eq!(received.samples(0, Stream::Raw).0.len(), 96);
     assert_eq!(received.quaternion, None);
     assert_eq!(received.epochs[0].gyroscope, None);
@@ -509,10 +458,7 @@ fn three_axes_stay_in_batches_of_version_1() {
 #[test]
 fn a_calibrated_gyroscope_is_corrected_and_a_set_for_another_scale_is_refused() {
     let calibrated = |rad_s_per_lsb| {
-        let terms = GyroscopeTerms {
-            bias_rad_s: [0.0, 0.0, 0.25],
-            ..GyroscopeTerms::default()
-        };
+        let terms = GyroscopeTerms { bias_rad_s: [0.0, 0.0, 0.25], ..GyroscopeTerms::default() };
         let model = GyroscopeModel::new(terms).expect("within bounds");
         let gyroscope = GyroscopeParameters::new(2000, rad_s_per_lsb, model, None);
         let set = ParameterSet::uncalibrated(2, three_axes().sensitivity);
@@ -523,23 +469,13 @@ fn a_calibrated_gyroscope_is_corrected_and_a_set_for_another_scale_is_refused() 
         let steps = reads(6, level([0, 0, 500]));
         let received = run_with(parameters, &[six_axes()], steps);
         let (_, rates) = received.samples(0, Stream::Corrected);
-        (
-            rates[0],
-            received.epochs[0].parameters != 0,
-            received.events,
-        )
+        (rates[0], received.epochs[0].parameters != 0, received.events)
     };
     let rad_s = |rate: f64| [0, 0, (rate * f64::from(1 << 20)).round() as i32];
     assert_eq!(corrected(None), (rad_s(0.5), false, vec![]));
-    assert_eq!(
-        corrected(calibrated(RAD_S_PER_LSB)),
-        (rad_s(0.25), true, vec![])
-    );
+    assert_eq!(corrected(calibrated(RAD_S_PER_LSB)), (rad_s(0.25), true, vec![]));
     // A set of wire version 1 has no gyroscope, whose nominal sensitivity applies then.
-    let v1 = calibrated(RAD_S_PER_LSB).map(|set| ParameterSet {
-        gyroscope: None,
-        ..set
-    });
+    let v1 = calibrated(RAD_S_PER_LSB).map(|set| ParameterSet { gyroscope: None, ..set });
     assert_eq!(corrected(v1), (rad_s(0.5), true, vec![]));
     let (rate, _, events) = corrected(calibrated(RAD_S_PER_LSB / 2.0));
     assert_eq!(rate, rad_s(0.5), "nominal");
@@ -559,32 +495,15 @@ fn asked(command: Command) -> (Answer, Capabilities, Received) {
     let steps = (0..6).map(|_| Ok((0, vec![Counts([0, 0, 16384]); 16])));
     let received = run_asked(Some(command), None, &[plan], steps);
     let hello = received.hello.expect("a Hello");
-    let [answer] = received.answers[..] else {
-        panic!("{:?}", received.answers)
-    };
+    let [answer] = received.answers[..] else { panic!("{:?}", received.answers) };
     (answer, hello.capabilities, received)
 }
 
 const FUNCTIONS: [(Command, Capabilities); 4] = [
-    (
-        Command::GetParameters { offset: 0 },
-        Capabilities::CORRECTION,
-    ),
-    (
-        Command::CommitParameters { hash: 1 },
-        Capabilities::CORRECTION,
-    ),
-    (
-        Command::SetKey(DeviceKey::new([1; 32])),
-        Capabilities::AUTHENTICATION,
-    ),
-    (
-        Command::SetLineRate {
-            link: 1,
-            baud: 9600,
-        },
-        Capabilities::LINE_RATES,
-    ),
+    (Command::GetParameters { offset: 0 }, Capabilities::CORRECTION),
+    (Command::CommitParameters { hash: 1 }, Capabilities::CORRECTION),
+    (Command::SetKey(DeviceKey::new([1; 32])), Capabilities::AUTHENTICATION),
+    (Command::SetLineRate { link: 1, baud: 9600 }, Capabilities::LINE_RATES),
 ];
 
 #[cfg(not(any(feature = "correction", feature = "store", feature = "line-rates")))]
@@ -592,26 +511,15 @@ const FUNCTIONS: [(Command, Capabilities); 4] = [
 fn a_node_without_features_streams_and_refuses_what_it_lacks() {
     for (command, function) in FUNCTIONS {
         let (answer, capabilities, received) = asked(command);
-        assert_eq!(
-            answer,
-            Answer::Refused(Refusal::NotSupported),
-            "{command:?}"
-        );
+        assert_eq!(answer, Answer::Refused(Refusal::NotSupported), "{command:?}");
         assert!(!capabilities.offers(function), "{command:?}");
         assert_eq!(received.samples(0, Stream::Raw).0, [[0, 0, 16384]; 96]);
         assert!(received.samples(0, Stream::Corrected).0.is_empty());
     }
-    let raw = |streams: Streams| Streams {
-        corrected: false,
-        navigation: false,
-        ..streams
-    };
+    let raw = |streams: Streams| Streams { corrected: false, navigation: false, ..streams };
     let default = Settings::default();
-    let nearest = Settings {
-        cable: raw(default.cable),
-        wireless: raw(default.wireless),
-        ..default
-    };
+    let nearest =
+        Settings { cable: raw(default.cable), wireless: raw(default.wireless), ..default };
     let refused = Answer::Refused(Refusal::UnsupportedSettings { nearest });
     assert_eq!(asked(Command::SetSettings(default)).0, refused);
     let accepted = Answer::Accepted(Payload::Settings(nearest));
@@ -623,11 +531,7 @@ fn a_node_without_features_streams_and_refuses_what_it_lacks() {
 fn a_full_node_refuses_no_function() {
     for (command, function) in FUNCTIONS {
         let (answer, capabilities, _) = asked(command);
-        assert_ne!(
-            answer,
-            Answer::Refused(Refusal::NotSupported),
-            "{command:?}"
-        );
+        assert_ne!(answer, Answer::Refused(Refusal::NotSupported), "{command:?}");
         assert!(capabilities.contains(Capabilities::LISTED) && capabilities.offers(function));
     }
 }

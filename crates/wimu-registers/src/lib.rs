@@ -110,11 +110,8 @@ impl<S: SpiDevice> Bus for SpiBus<S> {
     ) -> Result<(), S::Error> {
         let multiple = if values.len() > 1 { spi.multiple } else { 0 };
         let command = [register | SPI_READ | multiple];
-        let mut operations = [
-            Operation::DelayNs(spi.delay_ns),
-            Operation::Write(&command),
-            Operation::Read(values),
-        ];
+        let mut operations =
+            [Operation::DelayNs(spi.delay_ns), Operation::Write(&command), Operation::Read(values)];
         let first = usize::from(spi.delay_ns == 0);
         let operations = operations.get_mut(first..).unwrap_or_default();
         self.0.transaction(operations).await
@@ -191,11 +188,7 @@ impl<B: Bus> Registers<B> {
 }
 
 fn error<B: Bus>(error: B::Error) -> Error<B::Error> {
-    if B::not_answering(&error) {
-        Error::NotAnswering
-    } else {
-        Error::Bus(error)
-    }
+    if B::not_answering(&error) { Error::NotAnswering } else { Error::Bus(error) }
 }
 
 /// Why a sensor could not be used. `E` is the error of the bus.

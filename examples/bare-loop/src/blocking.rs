@@ -67,9 +67,7 @@ mod tests {
     /// 2 s of rest, 1 s forward at 1 m/s², 1 s back, 1 s of rest; the sensor is asked once too early before each sample,
     /// and has lost one before those of `overrun`.
     fn bus(overrun: &[usize]) -> Mock {
-        let mut expected: Vec<_> = SETUP
-            .map(|w| Transaction::write(ADDRESS, w.to_vec()))
-            .into();
+        let mut expected: Vec<_> = SETUP.map(|w| Transaction::write(ADDRESS, w.to_vec())).into();
         let mut ask = |register, answer: Vec<u8>| {
             expected.push(Transaction::write_read(ADDRESS, [register].into(), answer));
         };

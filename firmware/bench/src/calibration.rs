@@ -33,10 +33,9 @@ pub fn measure(counter: &mut Counter) -> Result<(), &'static str> {
     let parameters = crate::parameters().ok_or("the parameters are refused")?;
     let poses = black_box(poses(&parameters.model));
     let gravity = Gravity::new(G, 0.0).map_err(|_| "no gravity")?;
-    for (name, method) in [
-        ("fit", multi_position as Method),
-        ("fit-f32", multi_position_f32 as Method),
-    ] {
+    for (name, method) in
+        [("fit", multi_position as Method), ("fit-f32", multi_position_f32 as Method)]
+    {
         let mut result = None;
         let cost = counter.count_long(|| {
             result = black_box(method(&poses, gravity, Model::Full9)).ok();

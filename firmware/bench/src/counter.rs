@@ -16,10 +16,7 @@ pub struct Counter {
     per_thousand: u32,
     /// Ticks of an empty measurement.
     empty: u32,
-    #[cfg_attr(
-        not(target_abi = "eabihf"),
-        expect(dead_code, reason = "for long counts")
-    )]
+    #[cfg_attr(not(target_abi = "eabihf"), expect(dead_code, reason = "for long counts"))]
     systick: SYST,
 }
 
@@ -29,10 +26,7 @@ static ROUNDS: AtomicU32 = AtomicU32::new(0);
 #[exception]
 fn SysTick() {
     // The only writer; a Cortex-M0 has no atomic addition.
-    ROUNDS.store(
-        ROUNDS.load(Ordering::Relaxed).wrapping_add(1),
-        Ordering::Relaxed,
-    );
+    ROUNDS.store(ROUNDS.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
 }
 
 impl Counter {

@@ -71,11 +71,7 @@ pub fn measure(counter: &Counter) -> Result<(), &'static str> {
     let accelerometer = Corrector::compile(&parameters, None).map_err(|_| "no corrector")?;
     let model = GyroscopeModel::new(GyroscopeTerms {
         bias_rad_s: [0.01, -0.02, 0.03],
-        matrix: [
-            [1.02, 0.01, -0.02],
-            [0.015, 0.98, 0.01],
-            [-0.01, 0.02, 1.01],
-        ],
+        matrix: [[1.02, 0.01, -0.02], [0.015, 0.98, 0.01], [-0.01, 0.02, 1.01]],
         g_sensitivity: [[0.001, 0.0, 0.0], [0.0, 0.002, 0.0], [0.0, 0.0, -0.001]],
         ..GyroscopeTerms::default()
     })
@@ -103,9 +99,7 @@ pub fn measure(counter: &Counter) -> Result<(), &'static str> {
         }
         crate::report(name, sum, SAMPLES as u32, most);
     };
-    each("six-correction", &mut |unit, sample| {
-        counter.count(|| unit.corrected(sample))
-    });
+    each("six-correction", &mut |unit, sample| counter.count(|| unit.corrected(sample)));
     each("six-attitude", &mut |unit, (_, rate)| {
         let rate = AngularRateQ20(rate.0.map(|axis| i32::from(axis) << 8));
         counter.count(|| unit.attitude(rate))
@@ -113,9 +107,7 @@ pub fn measure(counter: &Counter) -> Result<(), &'static str> {
     each("six-correction+attitude", &mut |unit, sample| {
         counter.count(|| unit.corrected_attitude(sample))
     });
-    each("six-complete", &mut |unit, sample| {
-        counter.count(|| unit.navigate(sample))
-    });
+    each("six-complete", &mut |unit, sample| counter.count(|| unit.navigate(sample)));
     black_box(&unit);
     Ok(())
 }

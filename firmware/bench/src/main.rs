@@ -115,8 +115,7 @@ impl Path {
     #[inline(never)]
     fn take(&mut self, counts: Counts) {
         let saturated = counts.saturated(FULL_SCALE);
-        self.integrator
-            .step(self.corrector.correct(counts), saturated);
+        self.integrator.step(self.corrector.correct(counts), saturated);
         self.samples[self.count % BATCH] = counts;
         self.count += 1;
         if self.count.is_multiple_of(BATCH) {
@@ -181,11 +180,7 @@ fn samples(counter: &mut Counter) -> Result<(), &'static str> {
         counter.count(|| integrate(&mut segment, force, &gravity))
     });
     black_box(&segment);
-    let mut fused = Fused {
-        corrector,
-        segment: Segment::default(),
-        gravity,
-    };
+    let mut fused = Fused { corrector, segment: Segment::default(), gravity };
     each("correction+integration", &mut |counts| {
         counter.count(|| correct_and_integrate(&mut fused, counts))
     });
@@ -227,16 +222,8 @@ fn samples(counter: &mut Counter) -> Result<(), &'static str> {
     });
     black_box(&segment);
 
-    pack(
-        counter,
-        ["packing-rest", "framing-rest", "batch-rest"],
-        &rest,
-    );
-    pack(
-        counter,
-        ["packing-motion", "framing-motion", "batch-motion"],
-        &motion,
-    );
+    pack(counter, ["packing-rest", "framing-rest", "batch-rest"], &rest);
+    pack(counter, ["packing-motion", "framing-motion", "batch-motion"], &motion);
 
     for (name, samples) in [("path-rest", &rest), ("path-motion", &motion)] {
         let mut path = Path {
@@ -303,11 +290,7 @@ fn report(name: &str, sum: u32, of: u32, most: u32) {
 fn parameters() -> Option<ParameterSet> {
     let model = ErrorModel::new(ErrorTerms {
         bias_mps2: [0.31, -0.42, 0.55],
-        matrix: [
-            [1.02, 0.01, -0.02],
-            [0.015, 0.98, 0.01],
-            [-0.01, 0.02, 1.01],
-        ],
+        matrix: [[1.02, 0.01, -0.02], [0.015, 0.98, 0.01], [-0.01, 0.02, 1.01]],
         ..ErrorTerms::default()
     })
     .ok()?;

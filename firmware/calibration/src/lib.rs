@@ -44,10 +44,7 @@ pub fn run(calibrate: fn(&[Pose]) -> bool) -> ! {
     // SAFETY: as above.
     let untouched =
         |address: &u32| unsafe { core::ptr::read_volatile(*address as *const u32) == PAINT };
-    let untouched = (top - WATCHED..top)
-        .step_by(4)
-        .take_while(untouched)
-        .count() as u32;
+    let untouched = (top - WATCHED..top).step_by(4).take_while(untouched).count() as u32;
     let mut stack = WATCHED + MARGIN - 4 * untouched;
     let mut digits = *b"       \n";
     for digit in digits[..7].iter_mut().rev() {
@@ -55,11 +52,7 @@ pub fn run(calibrate: fn(&[Pose]) -> bool) -> ! {
         stack /= 10;
     }
     let printed = hio::hstdout().and_then(|mut out| out.write_all(&digits));
-    debug::exit(if sound && printed.is_ok() {
-        debug::EXIT_SUCCESS
-    } else {
-        debug::EXIT_FAILURE
-    });
+    debug::exit(if sound && printed.is_ok() { debug::EXIT_SUCCESS } else { debug::EXIT_FAILURE });
     loop {
         cortex_m::asm::wfi();
     }

@@ -45,10 +45,7 @@ impl NorFlash for StoreFlash {
         if from > to || to as usize > FLASH_SIZE {
             return Err(Error::OutOfBounds);
         }
-        if [from, to]
-            .iter()
-            .any(|at| !(*at as usize).is_multiple_of(PAGE_SIZE))
-        {
+        if [from, to].iter().any(|at| !(*at as usize).is_multiple_of(PAGE_SIZE)) {
             return Err(Error::Unaligned);
         }
         for page in (from..to).step_by(PAGE_SIZE) {
@@ -68,8 +65,7 @@ impl NorFlash for StoreFlash {
 /// Erases a page for [`STEP_MS`]. The processor stalls for this time and 1 ms to begin.
 fn erase_partly(page: u32) {
     let nvmc = pac::NVMC;
-    nvmc.erasepagepartialcfg()
-        .write(|w| w.set_duration(STEP_MS));
+    nvmc.erasepagepartialcfg().write(|w| w.set_duration(STEP_MS));
     nvmc.config().write(|w| w.set_wen(Wen::Een));
     nvmc.erasepagepartial().write_value(page);
     while !nvmc.ready().read().ready() {}

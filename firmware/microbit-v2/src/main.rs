@@ -185,14 +185,8 @@ fn start(spawner: Spawner) {
     let line = Line::new(channel, pin, Pull::Up, Level::Low, ppi, fell);
     let mut bus = twim::Config::default();
     bus.frequency = twim::Frequency::K400;
-    let i2c = Twim::new(
-        chip.TWISPI0,
-        Interrupts,
-        chip.P0_16,
-        chip.P0_08,
-        bus,
-        BUS_BUFFER.init([0; 16]),
-    );
+    let i2c =
+        Twim::new(chip.TWISPI0, Interrupts, chip.P0_16, chip.P0_08, bus, BUS_BUFFER.init([0; 16]));
     let uart = uarte::Config::default;
     let [a, b, _wireless @ ..] = BUFFERS.init([[0; 128]; _]);
     let cable = BufferedUarte::new(
@@ -288,9 +282,7 @@ fn start(spawner: Spawner) {
     feeding.timeout_ticks = WATCHDOG_TICKS;
     feeding.action_during_debug_halt = wdt::HaltConfig::Pause;
     // It is not running yet: a reset stops it.
-    let Ok((_, [watchdog])) = Watchdog::try_new(chip.WDT, feeding) else {
-        panic!()
-    };
+    let Ok((_, [watchdog])) = Watchdog::try_new(chip.WDT, feeding) else { panic!() };
 
     let sampling = SAMPLING.start(interrupt::EGU1_SWI1);
     tasks::spawn(node, sampling, spawner);

@@ -32,9 +32,7 @@ const RATES: [(u32, Baudrate); 17] = [
 ];
 
 fn nearest(baud: u32) -> (u32, Baudrate) {
-    let nearest = RATES
-        .into_iter()
-        .min_by_key(|(rate, _)| rate.abs_diff(baud));
+    let nearest = RATES.into_iter().min_by_key(|(rate, _)| rate.abs_diff(baud));
     nearest.unwrap_or((115_200, Baudrate::Baud115200))
 }
 

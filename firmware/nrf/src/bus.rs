@@ -13,12 +13,8 @@ struct Abort;
 
 impl Drop for Abort {
     fn drop(&mut self) {
-        pac::TWIM0
-            .enable()
-            .write(|w| w.set_enable(pac::twim::vals::Enable::Disabled));
-        pac::TWIM0
-            .enable()
-            .write(|w| w.set_enable(pac::twim::vals::Enable::Enabled));
+        pac::TWIM0.enable().write(|w| w.set_enable(pac::twim::vals::Enable::Disabled));
+        pac::TWIM0.enable().write(|w| w.set_enable(pac::twim::vals::Enable::Enabled));
     }
 }
 

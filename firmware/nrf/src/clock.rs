@@ -30,11 +30,7 @@ pub fn start_clock(timer: Peri<'static, impl Instance>) -> Cc<'static> {
     counter.set_frequency(Frequency::F1MHz);
     counter.clear();
     counter.start();
-    let clock = Clock {
-        registers: counter.regs(),
-        last: 0,
-        wraps: 0,
-    };
+    let clock = Clock { registers: counter.regs(), last: 0, wraps: 0 };
     let line = counter.cc(DATA_READY);
     counter.persist();
     critical_section::with(|cs| CLOCK.borrow(cs).set(Some(clock)));

@@ -37,12 +37,7 @@ impl Line {
         let input = InputChannel::new(channel, pin, pull, polarity);
         let mut capture = Ppi::new_one_to_one(ppi.into(), input.event_in(), edge.task_capture());
         capture.enable();
-        Self {
-            input,
-            active,
-            edge,
-            _capture: capture,
-        }
+        Self { input, active, edge, _capture: capture }
     }
 }
 

@@ -188,9 +188,7 @@ fn start(spawner: Spawner) {
     feeding.timeout_ticks = WATCHDOG_TICKS;
     feeding.action_during_debug_halt = wdt::HaltConfig::Pause;
     // It is not running yet: a reset stops it.
-    let Ok((_, [watchdog])) = Watchdog::try_new(chip.WDT, feeding) else {
-        panic!()
-    };
+    let Ok((_, [watchdog])) = Watchdog::try_new(chip.WDT, feeding) else { panic!() };
     let led = Output::new(chip.P0_13, Level::High, OutputDrive::Standard);
     let button = Input::new(chip.P0_11, Pull::Up);
 

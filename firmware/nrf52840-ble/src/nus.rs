@@ -33,11 +33,7 @@ struct Server {
 #[gatt_service(uuid = "6e400001-b5a3-f393-e0a9-e50e24dcca9e")]
 struct UartService {
     /// Host to board. Its value is passed on, not stored.
-    #[characteristic(
-        uuid = "6e400002-b5a3-f393-e0a9-e50e24dcca9e",
-        write,
-        write_without_response
-    )]
+    #[characteristic(uuid = "6e400002-b5a3-f393-e0a9-e50e24dcca9e", write, write_without_response)]
     rx: (),
     /// Board to host.
     #[characteristic(uuid = "6e400003-b5a3-f393-e0a9-e50e24dcca9e", notify)]
@@ -77,11 +73,7 @@ pub async fn run(controller: Controller, device_id: u64, link: &'static PacketLi
                 // A host that knows no long packets gets short ones.
                 let raw = connection.raw();
                 let _ = raw.update_data_length(&stack, length, time_us).await;
-                select(
-                    receive(&server, &connection, link),
-                    send(&server, &connection, link),
-                )
-                .await;
+                select(receive(&server, &connection, link), send(&server, &connection, link)).await;
                 link.disconnect();
             } else {
                 Timer::after_millis(AGAIN_MS).await;
@@ -107,9 +99,7 @@ async fn advertise<'a>(
         adv_data: &advertised[..length],
         scan_data: &response[..name_length],
     };
-    let advertiser = peripheral
-        .advertise(&Default::default(), advertisement)
-        .await?;
+    let advertiser = peripheral.advertise(&Default::default(), advertisement).await?;
     Ok(advertiser.accept().await?.with_attribute_server(server)?)
 }
 

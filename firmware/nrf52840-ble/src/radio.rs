@@ -91,12 +91,7 @@ pub fn controller(
             .support_le_2m_phy()
             .peripheral_count(1)?
             .buffer_cfg(length, length, PACKETS, PACKETS)?
-            .build(
-                peripherals,
-                RANDOM.init(random),
-                layer,
-                MEM.init(Mem::new()),
-            )
+            .build(peripherals, RANDOM.init(random), layer, MEM.init(Mem::new()))
     };
     // It fails only if MEMORY is too small.
     build().unwrap()

@@ -14,10 +14,7 @@ use wimu_node::{DataReady, Timer};
 use crate::clock::BoardTimer;
 
 /// The pin's interrupt calls a waker, which captures the time before it wakes the task.
-static ROSE: Mutex<Rose> = Mutex::new(Rose {
-    at: Cell::new(None),
-    task: RefCell::new(None),
-});
+static ROSE: Mutex<Rose> = Mutex::new(Rose { at: Cell::new(None), task: RefCell::new(None) });
 
 struct Rose {
     at: Cell<Option<DeviceTimeUs>>,

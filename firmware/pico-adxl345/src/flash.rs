@@ -86,10 +86,7 @@ impl NorFlash for StoreFlash {
             let skipped = at % PAGE_SIZE;
             let room = page.iter_mut().skip(skipped);
             let count = room.zip(rest).map(|(place, byte)| *place = *byte).count();
-            change(Change::Write {
-                at: at - skipped,
-                page: &page,
-            });
+            change(Change::Write { at: at - skipped, page: &page });
             at += count;
             rest = rest.get(count..).unwrap_or_default();
         }

@@ -122,9 +122,7 @@ fn start(spawner: Spawner) {
             device_id,
             env!("CARGO_PKG_VERSION"),
             &begun,
-            Capabilities::ACCELEROMETER
-                .with(Capabilities::DATA_READY)
-                .with(Capabilities::STORE),
+            Capabilities::ACCELEROMETER.with(Capabilities::DATA_READY).with(Capabilities::STORE),
             Part::new(board::PICO_ADXL345, "Pico"),
             Part::new(sensor::ADXL345, "ADXL345"),
         ),
@@ -132,20 +130,8 @@ fn start(spawner: Spawner) {
         timer: BoardTimer,
         store: FlashStore::new(StoreFlash::new(flash), flash::LAYOUT, PAUSE_MS),
         entropy: entropy(),
-        cable: (
-            cable_rx,
-            Sender {
-                uart: cable_tx,
-                interrupt: interrupt::UART1_IRQ,
-            },
-        ),
-        wireless: (
-            wireless_rx,
-            Sender {
-                uart: wireless_tx,
-                interrupt: interrupt::UART0_IRQ,
-            },
-        ),
+        cable: (cable_rx, Sender { uart: cable_tx, interrupt: interrupt::UART1_IRQ }),
+        wireless: (wireless_rx, Sender { uart: wireless_tx, interrupt: interrupt::UART0_IRQ }),
     };
     let shared = &SHARED;
     let rates = [pac::UART1, pac::UART0].map(Rate);

@@ -42,12 +42,8 @@ impl LineRate for Rate {
         self.0.uartcr().modify(|control| control.set_uarten(false));
         // Wait for the end of a byte being received.
         cortex_m::asm::delay(2 * byte_clocks);
-        self.0
-            .uartibrd()
-            .write(|w| w.set_baud_divint((divisor >> 6) as u16));
-        self.0
-            .uartfbrd()
-            .write(|w| w.set_baud_divfrac((divisor & 63) as u8));
+        self.0.uartibrd().write(|w| w.set_baud_divint((divisor >> 6) as u16));
+        self.0.uartfbrd().write(|w| w.set_baud_divfrac((divisor & 63) as u8));
         // The chip takes over the divisor when this register is written.
         self.0.uartlcr_h().modify(|_| {});
         self.0.uartcr().modify(|control| control.set_uarten(true));

@@ -42,12 +42,7 @@ pub struct Bridge {
 impl Bridge {
     /// The bridge on a UART.
     pub fn new((reader, writer): (Reader, Writer)) -> Self {
-        Self {
-            reader,
-            writer,
-            pending_bytes: 0,
-            out_of_sync: false,
-        }
+        Self { reader, writer, pending_bytes: 0, out_of_sync: false }
     }
 
     /// Sends `request` and waits for as many bytes as `answer` has. If the future is dropped, the
@@ -103,10 +98,7 @@ impl Bridge {
         let mut timeout = TIMEOUT_US;
         loop {
             let deadline = DeviceTimeUs(BoardTimer.now().0 + timeout);
-            match BoardTimer
-                .before(deadline, self.reader.read(&mut stale))
-                .await
-            {
+            match BoardTimer.before(deadline, self.reader.read(&mut stale)).await {
                 Some(Ok(_)) => timeout = IDLE_US,
                 None if timeout == IDLE_US => break,
                 None => return Err(BridgeError::Silent),

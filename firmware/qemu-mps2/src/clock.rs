@@ -30,11 +30,8 @@ const SLOTS: usize = 12;
 
 static LOCKSTEP: AtomicBool = AtomicBool::new(false);
 
-static CLOCK: Mutex<RefCell<Clock>> = Mutex::new(RefCell::new(Clock {
-    wraps: 0,
-    lockstep_us: 0,
-    slots: [const { None }; SLOTS],
-}));
+static CLOCK: Mutex<RefCell<Clock>> =
+    Mutex::new(RefCell::new(Clock { wraps: 0, lockstep_us: 0, slots: [const { None }; SLOTS] }));
 
 struct Clock {
     /// Wraps of the counter.
@@ -161,10 +158,7 @@ impl Timer for BoardTimer {
     }
 
     async fn until(&self, moment: DeviceTimeUs) {
-        let until = Until {
-            deadline: moment.0,
-            slot: None,
-        };
+        let until = Until { deadline: moment.0, slot: None };
         until.await;
     }
 }

@@ -16,11 +16,8 @@ use crate::clock::{BoardTimer, is_lockstep};
 /// Interval between questions to the bridge when time is free-running, µs.
 const ASK_US: u64 = 500;
 
-static LINE: CsMutex<RefCell<Line>> = CsMutex::new(RefCell::new(Line {
-    watched: false,
-    high: false,
-    waker: None,
-}));
+static LINE: CsMutex<RefCell<Line>> =
+    CsMutex::new(RefCell::new(Line { watched: false, high: false, waker: None }));
 
 /// The line in lockstep.
 struct Line {

@@ -33,10 +33,8 @@ struct Encoder(UnsafeCell<(RestoreState, defmt::Encoder)>);
 // SAFETY: it is touched only between `acquire` and `release`, with interrupts off, on one core.
 unsafe impl Sync for Encoder {}
 
-static ENCODER: Encoder = Encoder(UnsafeCell::new((
-    RestoreState::invalid(),
-    defmt::Encoder::new(),
-)));
+static ENCODER: Encoder =
+    Encoder(UnsafeCell::new((RestoreState::invalid(), defmt::Encoder::new())));
 
 // SAFETY: one frame at a time: interrupts stay off from `acquire` to `release`, and no code in
 // between logs.

@@ -38,15 +38,8 @@ mod tasks {
 #[embassy_executor::task]
 async fn supervise(shared: &'static Shared) -> ! {
     let record = &watchdog::kept().start;
-    wimu_embassy::supervise(
-        LIMITS_US,
-        shared,
-        record,
-        BoardTimer,
-        stack::status,
-        watchdog::feed,
-    )
-    .await
+    wimu_embassy::supervise(LIMITS_US, shared, record, BoardTimer, stack::status, watchdog::feed)
+        .await
 }
 
 /// Whether a task has been woken.
@@ -154,9 +147,7 @@ fn hello(start: &Start) -> Hello {
         0x5145_0386,
         env!("CARGO_PKG_VERSION"),
         start,
-        QUANTITIES
-            .with(Capabilities::ACCELEROMETER)
-            .with(Capabilities::STORE),
+        QUANTITIES.with(Capabilities::ACCELEROMETER).with(Capabilities::STORE),
         Part::new(board::QEMU_MPS2, "QEMU mps2-an386"),
         PART,
     )

@@ -13,10 +13,7 @@ pub fn command_line(buffer: &mut [u8]) -> &str {
     // SAFETY: the block names memory that is ours for the time of the call.
     let failed = unsafe { call(GET_CMDLINE, block.as_mut_ptr()) } != 0;
     let length = if failed { 0 } else { block[1] };
-    buffer
-        .get(..length)
-        .and_then(|line| core::str::from_utf8(line).ok())
-        .unwrap_or_default()
+    buffer.get(..length).and_then(|line| core::str::from_utf8(line).ok()).unwrap_or_default()
 }
 
 /// Ends the machine; its host exits with `code`.

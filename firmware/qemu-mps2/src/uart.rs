@@ -71,10 +71,7 @@ impl Uart {
             state: Mutex::new(RefCell::new(State {
                 received: Deque::new(),
                 sending: Deque::new(),
-                traffic: Traffic {
-                    received: 0,
-                    sent: 0,
-                },
+                traffic: Traffic { received: 0, sent: 0 },
                 reader: None,
                 writer: None,
             })),
@@ -93,8 +90,7 @@ impl Uart {
     /// Switches it on; its interrupts must be unmasked for it to work.
     pub fn start(&'static self) -> (Reader, Writer) {
         self.register(BAUD_DIVIDER).write(DIVIDER);
-        self.register(CTRL)
-            .write(CTRL_TX | CTRL_RX | CTRL_TX_INTERRUPT | CTRL_RX_INTERRUPT);
+        self.register(CTRL).write(CTRL_TX | CTRL_RX | CTRL_TX_INTERRUPT | CTRL_RX_INTERRUPT);
         (Reader(self), Writer(self))
     }
 

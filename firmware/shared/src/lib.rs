@@ -51,9 +51,8 @@ macro_rules! fault_handlers {
             #[cfg(feature = "defmt")]
             defmt::error!("{}", defmt::Display2Format(info));
             let place = info.location();
-            let fault = place.map_or(Fault::default(), |place| {
-                Fault::panic(place.file(), place.line())
-            });
+            let fault =
+                place.map_or(Fault::default(), |place| Fault::panic(place.file(), place.line()));
             $crate::START.record(&fault);
             $restart()
         }

@@ -58,8 +58,5 @@ pub fn status() -> Option<StackStatus> {
         unsafe { (address as *const u32).read_volatile() == STACK_PAINT_VALUE }
     });
     let unused = 4 * painted.count() as u32;
-    Some(StackStatus {
-        size,
-        used: size - unused,
-    })
+    Some(StackStatus { size, used: size - unused })
 }

@@ -132,15 +132,8 @@ fn start(spawner: Spawner) {
 
     let mut bus = i2c::Config::default();
     bus.frequency = Hertz(400_000);
-    let i2c = I2c::new(
-        chip.I2C1,
-        chip.PB6,
-        chip.PB7,
-        chip.DMA1_CH6,
-        chip.DMA1_CH0,
-        Interrupts,
-        bus,
-    );
+    let i2c =
+        I2c::new(chip.I2C1, chip.PB6, chip.PB7, chip.DMA1_CH6, chip.DMA1_CH0, Interrupts, bus);
     let i2c = TimeoutBus::new(i2c, BoardTimer);
     let address = Address::Low;
     let line = ExtiInput::new(chip.PB0, chip.EXTI0, Pull::Down, Interrupts);
@@ -201,10 +194,7 @@ fn start(spawner: Spawner) {
 /// 96 MHz from the crystal.
 fn clocks() -> Config {
     let mut config = Config::default();
-    config.rcc.hse = Some(rcc::Hse {
-        freq: CRYSTAL,
-        mode: rcc::HseMode::Oscillator,
-    });
+    config.rcc.hse = Some(rcc::Hse { freq: CRYSTAL, mode: rcc::HseMode::Oscillator });
     config.rcc.pll_src = rcc::PllSource::HSE;
     config.rcc.pll = Some(rcc::Pll {
         prediv: rcc::PllPreDiv::DIV25,

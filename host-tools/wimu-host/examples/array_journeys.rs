@@ -23,21 +23,10 @@ fn main() {
          7.81, error and deviation"
     );
     let base = Case::default();
-    let wrong = Case {
-        bias: 0.1,
-        scale: 0.015,
-        place: 1e-3,
-        ..base
-    };
+    let wrong = Case { bias: 0.1, scale: 0.015, place: 1e-3, ..base };
     // Nothing stated of the rests.
-    let open = Case {
-        zupt: Zupt::Assumed,
-        ..base
-    };
-    let open_wrong = Case {
-        zupt: Zupt::Assumed,
-        ..wrong
-    };
+    let open = Case { zupt: Zupt::Assumed, ..base };
+    let open_wrong = Case { zupt: Zupt::Assumed, ..wrong };
     let groups: [(&str, Vec<Case>); 8] = [
         (
             "errors",
@@ -45,51 +34,19 @@ fn main() {
                 base,
                 Case { bias: 0.05, ..base },
                 Case { bias: 0.2, ..base },
-                Case {
-                    scale: 0.01,
-                    ..base
-                },
-                Case {
-                    scale: 0.02,
-                    ..base
-                },
-                Case {
-                    place: 0.5e-3,
-                    ..base
-                },
-                Case {
-                    place: 1e-3,
-                    ..base
-                },
+                Case { scale: 0.01, ..base },
+                Case { scale: 0.02, ..base },
+                Case { place: 0.5e-3, ..base },
+                Case { place: 1e-3, ..base },
                 Case { skew: 3e-4, ..base },
                 Case { skew: 1e-3, ..base },
-                Case {
-                    places: Places::Four(0.03),
-                    skew: 3e-4,
-                    ..base
-                },
+                Case { places: Places::Four(0.03), skew: 3e-4, ..base },
                 wrong,
-                Case {
-                    kind: Kind::Moves(0.3, 0.3),
-                    ..wrong
-                },
-                Case {
-                    kind: Kind::Moves(0.3, 1.0),
-                    ..wrong
-                },
-                Case {
-                    places: Places::Board,
-                    ..wrong
-                },
-                Case {
-                    places: Places::Board,
-                    kind: Kind::Moves(0.3, 0.3),
-                    ..wrong
-                },
-                Case {
-                    places: Places::Four(0.03),
-                    ..wrong
-                },
+                Case { kind: Kind::Moves(0.3, 0.3), ..wrong },
+                Case { kind: Kind::Moves(0.3, 1.0), ..wrong },
+                Case { places: Places::Board, ..wrong },
+                Case { places: Places::Board, kind: Kind::Moves(0.3, 0.3), ..wrong },
+                Case { places: Places::Four(0.03), ..wrong },
             ],
         ),
         (
@@ -97,13 +54,8 @@ fn main() {
             [0.3, 1.0, 3.0]
                 .into_iter()
                 .flat_map(|radians| {
-                    [Places::Octahedron(0.03), Places::Board, Places::Four(0.03)].map(|places| {
-                        Case {
-                            kind: Kind::Move(0.3, radians),
-                            places,
-                            ..wrong
-                        }
-                    })
+                    [Places::Octahedron(0.03), Places::Board, Places::Four(0.03)]
+                        .map(|places| Case { kind: Kind::Move(0.3, radians), places, ..wrong })
                 })
                 .collect(),
         ),
@@ -112,21 +64,10 @@ fn main() {
             [0.3, 1.0, 3.0]
                 .into_iter()
                 .flat_map(|radians| {
-                    let cube = Case {
-                        kind: Kind::Moves(0.3, radians),
-                        places: Places::Cube(0.1),
-                        ..base
-                    };
-                    let wrong = Case {
-                        bias: 0.1,
-                        scale: 0.015,
-                        place: 1e-3,
-                        ..cube
-                    };
-                    let off = Case {
-                        zupt: Zupt::Off,
-                        ..cube
-                    };
+                    let cube =
+                        Case { kind: Kind::Moves(0.3, radians), places: Places::Cube(0.1), ..base };
+                    let wrong = Case { bias: 0.1, scale: 0.015, place: 1e-3, ..cube };
+                    let off = Case { zupt: Zupt::Off, ..cube };
                     [cube, wrong, off]
                 })
                 .collect(),
@@ -134,23 +75,10 @@ fn main() {
         (
             "quiet",
             vec![
-                Case {
-                    kind: Kind::Moves(0.3, 0.3),
-                    ..base
-                },
-                Case {
-                    kind: Kind::Moves(0.3, 1.0),
-                    ..base
-                },
-                Case {
-                    places: Places::Board,
-                    kind: Kind::Moves(0.3, 0.3),
-                    ..base
-                },
-                Case {
-                    places: Places::Octahedron(0.01),
-                    ..base
-                },
+                Case { kind: Kind::Moves(0.3, 0.3), ..base },
+                Case { kind: Kind::Moves(0.3, 1.0), ..base },
+                Case { places: Places::Board, kind: Kind::Moves(0.3, 0.3), ..base },
+                Case { places: Places::Octahedron(0.01), ..base },
             ],
         ),
         (
@@ -160,11 +88,7 @@ fn main() {
                 .flat_map(|rate_hz| {
                     [
                         Case { rate_hz, ..base },
-                        Case {
-                            rate_hz,
-                            kind: Kind::Moves(0.3, 1.0),
-                            ..base
-                        },
+                        Case { rate_hz, kind: Kind::Moves(0.3, 1.0), ..base },
                         Case { rate_hz, ..wrong },
                     ]
                 })
@@ -175,31 +99,13 @@ fn main() {
             [50.0, 200.0]
                 .into_iter()
                 .flat_map(|rate_hz| {
-                    let off = Case {
-                        rate_hz,
-                        zupt: Zupt::Off,
-                        ..base
-                    };
+                    let off = Case { rate_hz, zupt: Zupt::Off, ..base };
                     [
                         off,
-                        Case {
-                            kind: Kind::Still(10.0),
-                            ..off
-                        },
-                        Case {
-                            kind: Kind::Still(10.0),
-                            places: Places::Octahedron(0.01),
-                            ..off
-                        },
-                        Case {
-                            kind: Kind::Moves(0.3, 1.0),
-                            ..off
-                        },
-                        Case {
-                            zupt: Zupt::Off,
-                            rate_hz,
-                            ..wrong
-                        },
+                        Case { kind: Kind::Still(10.0), ..off },
+                        Case { kind: Kind::Still(10.0), places: Places::Octahedron(0.01), ..off },
+                        Case { kind: Kind::Moves(0.3, 1.0), ..off },
+                        Case { zupt: Zupt::Off, rate_hz, ..wrong },
                     ]
                 })
                 .collect(),
@@ -207,53 +113,21 @@ fn main() {
         (
             "even",
             vec![
-                Case {
-                    kind: Kind::Cart(0.1, 10.0),
-                    ..open
-                },
-                Case {
-                    kind: Kind::Cart(0.3, 10.0),
-                    ..open
-                },
-                Case {
-                    kind: Kind::Cart(1.0, 8.0),
-                    ..open
-                },
-                Case {
-                    kind: Kind::Cart(2.0, 8.0),
-                    ..open
-                },
-                Case {
-                    kind: Kind::Cart(0.3, 10.0),
-                    ..open_wrong
-                },
-                Case {
-                    kind: Kind::Slow(4.0, 0.3, 0.3),
-                    ..open
-                },
-                Case {
-                    kind: Kind::Slow(4.0, 0.3, 1.0),
-                    ..open
-                },
+                Case { kind: Kind::Cart(0.1, 10.0), ..open },
+                Case { kind: Kind::Cart(0.3, 10.0), ..open },
+                Case { kind: Kind::Cart(1.0, 8.0), ..open },
+                Case { kind: Kind::Cart(2.0, 8.0), ..open },
+                Case { kind: Kind::Cart(0.3, 10.0), ..open_wrong },
+                Case { kind: Kind::Slow(4.0, 0.3, 0.3), ..open },
+                Case { kind: Kind::Slow(4.0, 0.3, 1.0), ..open },
             ],
         ),
         (
             "turntable",
-            [
-                (0.3, 1.0),
-                (0.5, 0.5),
-                (1.0, 0.3),
-                (1.0, 1.0),
-                (2.0, 0.3),
-                (3.0, 0.3),
-                (6.0, 0.1),
-            ]
-            .into_iter()
-            .map(|(spin, away)| Case {
-                kind: Kind::Turntable(spin, away),
-                ..open
-            })
-            .collect(),
+            [(0.3, 1.0), (0.5, 0.5), (1.0, 0.3), (1.0, 1.0), (2.0, 0.3), (3.0, 0.3), (6.0, 0.1)]
+                .into_iter()
+                .map(|(spin, away)| Case { kind: Kind::Turntable(spin, away), ..open })
+                .collect(),
         ),
     ];
     let mut refused = 0;
@@ -280,10 +154,7 @@ fn main() {
             let most = all.iter().copied().fold(0.0, f64::max);
             format!("{least:.0}–{most:.0} %")
         };
-        let met = below
-            .iter()
-            .flatten()
-            .all(|below| CONSISTENT.contains(below));
+        let met = below.iter().flatten().all(|below| CONSISTENT.contains(below));
         let claim = format!("arrays, {}: NEES < 7.81, position / rate", about(name));
         let measured = below.each_ref().map(range).join(" / ");
         figure(&claim, measured, "90–98 %", met);

@@ -145,9 +145,8 @@ impl Capture {
                 at += 1;
                 continue;
             };
-            let sum = packet[..SUMMED]
-                .iter()
-                .fold(0_u16, |sum, byte| sum.wrapping_add((*byte).into()));
+            let sum =
+                packet[..SUMMED].iter().fold(0_u16, |sum, byte| sum.wrapping_add((*byte).into()));
             if sum != u16::from_be_bytes([packet[SUMMED], packet[SUMMED + 1]]) {
                 summary.damaged += 1;
                 summary.other_bytes += 1;
@@ -388,16 +387,11 @@ mod tests {
         let tracks = |quantity| table.of(quantity).map(|track| track.vectors());
         let forces = tracks(wimu_host::recording::Quantity::SpecificForce);
         let rates = tracks(wimu_host::recording::Quantity::AngularRate);
-        for (which, tracks) in [forces.collect::<Vec<_>>(), rates.collect()]
-            .into_iter()
-            .enumerate()
+        for (which, tracks) in [forces.collect::<Vec<_>>(), rates.collect()].into_iter().enumerate()
         {
             assert_eq!(tracks.len(), capture.packets[0].units.len());
             for (unit, track) in tracks.into_iter().enumerate() {
-                let sent = capture
-                    .packets
-                    .iter()
-                    .map(|packet| packet.units[unit][which]);
+                let sent = capture.packets.iter().map(|packet| packet.units[unit][which]);
                 let sent = sent.map(|counts| counts.map(f64::from));
                 assert!(track.map(|(_, counts)| counts).eq(sent));
             }
@@ -414,11 +408,9 @@ mod tests {
     #[test]
     fn a_capture_that_is_cut_off_gives_its_whole_packets() {
         let bytes = whole();
-        for (length, packets) in [
-            (bytes.len(), 625),
-            (bytes.len() - 1, 624),
-            (4 + 3 * PACKET + 50, 3),
-        ] {
+        for (length, packets) in
+            [(bytes.len(), 625), (bytes.len() - 1, 624), (4 + 3 * PACKET + 50, 3)]
+        {
             let found = Capture::parse(&bytes[..length], "cut").unwrap().summary;
             assert_eq!((found.packets, found.lost), (packets, 0));
         }
@@ -435,9 +427,8 @@ mod tests {
         let mut draw = |below: usize| random.below(below);
         for _ in 0..200 {
             let mut damaged = bytes.clone();
-            let hits: Vec<usize> = (0..1 + draw(5))
-                .map(|_| 4 + PACKET + draw(623 * PACKET))
-                .collect();
+            let hits: Vec<usize> =
+                (0..1 + draw(5)).map(|_| 4 + PACKET + draw(623 * PACKET)).collect();
             for hit in &hits {
                 damaged[*hit] ^= 1 << draw(8);
             }

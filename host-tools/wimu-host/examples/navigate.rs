@@ -27,10 +27,7 @@ fn main() -> wimu_host::Result<()> {
         None => println!("1 σ stays below 1 m"),
     }
     if let Some((median, below)) = path.consistency() {
-        println!(
-            "NEES: median {median:.2}, below 7.81 in {:.0} %",
-            100.0 * below
-        );
+        println!("NEES: median {median:.2}, below 7.81 in {:.0} %", 100.0 * below);
     }
     for finding in &path.findings {
         println!("note: {finding}");

@@ -39,10 +39,7 @@ fn main() -> Result<(), String> {
         let [from, to] = camera_stream.span_s();
         let middle = 0.5 * (from + to);
         let half = |first: bool| {
-            let poses = camera_stream
-                .poses()
-                .iter()
-                .filter(|p| (p.time_s < middle) == first);
+            let poses = camera_stream.poses().iter().filter(|p| (p.time_s < middle) == first);
             PoseStream::new(camera, poses.copied().collect()).map_err(|e| e.to_string())
         };
         let halves = [true, false].map(|first| solved(&half(first)?, &body_stream));
@@ -112,10 +109,7 @@ fn solved(camera: &PoseStream, body: &PoseStream) -> Result<HandEye, String> {
 
 fn worst_sd(found: &HandEye) -> (f64, f64) {
     let worst = |sd: Option<[f64; 3]>| sd.unwrap_or_default().into_iter().fold(0.0, f64::max);
-    (
-        worst(found.rotation_sd_rad).to_degrees(),
-        1e3 * worst(found.translation_sd_m),
-    )
+    (worst(found.rotation_sd_rad).to_degrees(), 1e3 * worst(found.translation_sd_m))
 }
 
 /// Angle, deg, distance, mm, and squared differences over their covariance: rotation, pose.
@@ -133,12 +127,7 @@ fn difference(a: &HandEye, b: &HandEye) -> (f64, f64, f64, f64) {
     let square = |v: SVector<f64, 6>| both.cholesky().map_or(f64::NAN, |c| v.dot(&c.solve(&v)));
     let of_rotation = both.fixed_view::<3, 3>(0, 0).into_owned().cholesky();
     let of_rotation = of_rotation.map_or(f64::NAN, |c| angle.dot(&c.solve(&angle)));
-    (
-        angle.norm().to_degrees(),
-        1e3 * moved.norm(),
-        of_rotation,
-        square(pose),
-    )
+    (angle.norm().to_degrees(), 1e3 * moved.norm(), of_rotation, square(pose))
 }
 
 fn verdict(rotation: f64, pose: f64) -> &'static str {

@@ -181,9 +181,7 @@ fn directions(
                 }
             ));
         }
-        None => (0..needed + usize::from(moved))
-            .filter(|rest| !(moved && *rest == 1))
-            .collect(),
+        None => (0..needed + usize::from(moved)).filter(|rest| !(moved && *rest == 1)).collect(),
     };
     let mut known = Vec::new();
     for (up, chosen) in options.up.iter().zip(&chosen) {
@@ -256,10 +254,7 @@ fn forward(
     let mut stands = Vec::new();
     let mut at = 0;
     for run in still.chunk_by(|a, b| a == b) {
-        let (from, to) = (
-            at + GENTLE_BLOCKS,
-            at + run.len().saturating_sub(GENTLE_BLOCKS),
-        );
+        let (from, to) = (at + GENTLE_BLOCKS, at + run.len().saturating_sub(GENTLE_BLOCKS));
         at += run.len();
         if run.first() == Some(&true) && run.len() >= GENTLE_BLOCKS + STAND_BLOCKS {
             stands.push((from * block, to * block, run.len()));
@@ -338,11 +333,8 @@ mod tests {
             bias_mps2_per_k: [0.01, -0.02, 0.01],
             ..TemperatureTerms::default()
         };
-        let terms = ErrorTerms {
-            bias_mps2: [0.1, 0.2, -0.1],
-            temperature,
-            ..ErrorTerms::default()
-        };
+        let terms =
+            ErrorTerms { bias_mps2: [0.1, 0.2, -0.1], temperature, ..ErrorTerms::default() };
         ParameterSet {
             model: ErrorModel::new(terms).unwrap(),
             ..ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0).unwrap())
@@ -389,20 +381,13 @@ mod tests {
             [x, y, z].map(|half| (2.0 * half).to_degrees().abs())
         };
         let report = aligned(&cold(true), &warm(), &options);
-        assert!(
-            off_deg(&report).iter().all(|off| *off < 0.02),
-            "{:?}",
-            off_deg(&report)
-        );
+        assert!(off_deg(&report).iter().all(|off| *off < 0.02), "{:?}", off_deg(&report));
         assert_eq!(report.outcome, Outcome::default());
 
         // Without a thermometer it cannot be, and that is said.
         let report = aligned(&cold(false), &warm(), &options);
         let findings = &report.outcome.findings;
-        assert!(
-            findings.iter().any(|f| f.evidence.contains("28.0 °C")),
-            "{findings:?}"
-        );
+        assert!(findings.iter().any(|f| f.evidence.contains("28.0 °C")), "{findings:?}");
         assert!(
             report.alignment_wxyz.is_none() || off_deg(&report).iter().any(|off| *off > 0.5),
             "{report}"

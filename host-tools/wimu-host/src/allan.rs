@@ -32,11 +32,7 @@ pub struct Figure {
 
 impl From<Measured> for Figure {
     fn from(measured: Measured) -> Self {
-        Self {
-            value: measured.value,
-            sd: measured.sd,
-            interval_95: measured.interval_95(),
-        }
+        Self { value: measured.value, sd: measured.sd, interval_95: measured.interval_95() }
     }
 }
 
@@ -233,10 +229,7 @@ impl NoiseMeter {
     /// Progress as a line of text.
     pub fn progress(&self) -> String {
         let samples = self.allan.samples();
-        let so_far = format!(
-            "{:.0} s, {samples} samples",
-            samples as f64 / self.rate_hz()
-        );
+        let so_far = format!("{:.0} s, {samples} samples", samples as f64 / self.rate_hz());
         match self.allan.result() {
             Err(refusal) => format!("{so_far}: {refusal}"),
             Ok(axes) => {
@@ -264,12 +257,7 @@ impl NoiseMeter {
                 .at(&self.name));
         }
         let source = RateSource::Device;
-        Ok(NoiseReport::new(
-            &self.name,
-            self.rate_hz(),
-            source,
-            &self.allan,
-        ))
+        Ok(NoiseReport::new(&self.name, self.rate_hz(), source, &self.allan))
     }
 }
 
@@ -327,11 +315,7 @@ impl NoiseReport {
 
     fn new(source: &str, rate_hz: f64, rate_source: RateSource, allan: &AllanVariance) -> Self {
         let found = allan.result();
-        let axes = found
-            .as_ref()
-            .ok()
-            .copied()
-            .map(|axes| axes.map(AxisReport::from));
+        let axes = found.as_ref().ok().copied().map(|axes| axes.map(AxisReport::from));
         let mut outcome = Outcome::default();
         (outcome.findings).extend(findings(rate_source, axes.as_ref()));
         if let Err(refusal) = &found {
@@ -380,12 +364,9 @@ impl fmt::Display for NoiseReport {
                 axis.velocity_random_walk_m_s_rts.value * 1e3
             )?;
             match axis.bias_instability_m_s2 {
-                Some(b) => write!(
-                    out,
-                    "bias instability {:.1} ± {:.1} µg",
-                    b.value * ug,
-                    b.sd * ug
-                )?,
+                Some(b) => {
+                    write!(out, "bias instability {:.1} ± {:.1} µg", b.value * ug, b.sd * ug)?
+                }
                 None => write!(
                     out,
                     "bias instability not observed; σ falls to {:.1} µg at {:.0} s",
@@ -402,18 +383,10 @@ impl fmt::Display for NoiseReport {
                 )?;
             }
             if let Some(r) = axis.ramp_m_s3 {
-                write!(
-                    out,
-                    ", drift {:.1} ± {:.1} µg/min",
-                    r.value * ug * 60.0,
-                    r.sd * ug * 60.0
-                )?;
+                write!(out, ", drift {:.1} ± {:.1} µg/min", r.value * ug * 60.0, r.sd * ug * 60.0)?;
             }
         }
-        for (name, axis) in ["X", "Y", "Z"]
-            .into_iter()
-            .zip(self.gyroscope.iter().flatten())
-        {
+        for (name, axis) in ["X", "Y", "Z"].into_iter().zip(self.gyroscope.iter().flatten()) {
             write!(out, "\ngyroscope {name}: {axis}")?;
         }
         Ok(())

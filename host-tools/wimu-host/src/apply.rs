@@ -90,10 +90,7 @@ impl<'a> Correction<'a> {
         if force.info.corrected {
             findings.push(
                 FindingCode::TrackChosen
-                    .warning(format!(
-                        "`{}` was corrected by the device before",
-                        force.info.name
-                    ))
+                    .warning(format!("`{}` was corrected by the device before", force.info.name))
                     .remedy("use its uncorrected output, or the calibration of this output"),
             );
         }
@@ -165,9 +162,7 @@ impl<'a> Correction<'a> {
         times.filter_map(move |(row, time_ns)| {
             let rate = rate.as_mut().and_then(|track| track.at(row, *time_ns));
             let field = field.as_mut().and_then(|track| track.latest(row, *time_ns));
-            let now = temperature
-                .as_mut()
-                .and_then(|track| track.latest(row, *time_ns));
+            let now = temperature.as_mut().and_then(|track| track.latest(row, *time_ns));
             celsius = now.map(|row| row[0]).or(celsius);
             let output = self.force.row(row).filter(|_| self.force.mask()[row])?;
             let field: Option<[f64; 3]> = field.and_then(|row| row.try_into().ok());
@@ -249,10 +244,7 @@ impl<'a> Correction<'a> {
     fn write_mcap(&self, path: &Path) -> Result<usize> {
         let (output, sink) = OutputFile::create(path)?;
         let mut out = RosFile::new(sink, output.name())?;
-        let gyroscope = self
-            .calibration
-            .gyroscope
-            .and_then(|gyroscope| gyroscope.sd);
+        let gyroscope = self.calibration.gyroscope.and_then(|gyroscope| gyroscope.sd);
         let gyroscope = gyroscope.map(|sd| sd.map(f64::from));
         let rotation = self.calibration.alignment.matrix();
         let variance = self.calibration.bias_sd_mps2().powi(2);
@@ -278,11 +270,7 @@ impl<'a> Correction<'a> {
                 publish("/imu/mag", "sensor_msgs/MagneticField", &fields)?;
             }
             if let Some(celsius) = row.temperature_c {
-                publish(
-                    "/imu/temperature",
-                    "sensor_msgs/Temperature",
-                    &[celsius, 0.0],
-                )?;
+                publish("/imu/temperature", "sensor_msgs/Temperature", &[celsius, 0.0])?;
             }
             count += 1;
         }
@@ -296,8 +284,7 @@ impl<'a> Correction<'a> {
 fn chosen(recording: &Recording, quantity: Quantity) -> Option<&Track> {
     let raw = |track: &&Track| track.info.origin == Origin::Sensor && !track.info.corrected;
     let raw = recording.of(quantity).filter(raw);
-    raw.min_by_key(|track| track.info.sensor)
-        .or_else(|| recording.first(quantity))
+    raw.min_by_key(|track| track.info.sensor).or_else(|| recording.first(quantity))
 }
 
 fn no_force(recording: &Recording) -> HostError {
@@ -359,9 +346,7 @@ impl<'a> Corrector<'a> {
                 );
             }
         };
-        let stated = given
-            .flatten()
-            .or(si_per_lsb.map(|scale| STANDARD_GRAVITY_MPS2 / scale));
+        let stated = given.flatten().or(si_per_lsb.map(|scale| STANDARD_GRAVITY_MPS2 / scale));
         let own = stored.and_then(|stored| stored.sensitivity_lsb_per_g);
         match (own, stated) {
             (Some(own), Some(stated)) if (stated / own - 1.0).abs() > OTHER_RANGE => wrong(
@@ -395,11 +380,7 @@ impl<'a> Corrector<'a> {
     }
 
     fn scaled(stored: Option<&'a StoredModel>, mps2_per_unit: f64) -> Self {
-        Self {
-            stored,
-            mps2_per_unit,
-            temperature: None,
-        }
+        Self { stored, mps2_per_unit, temperature: None }
     }
 
     /// Specific force, m/s², sensor axes, from an output in the file's unit and the latest temperature, °C.
@@ -438,8 +419,7 @@ impl<'a> Corrector<'a> {
 
     /// From the sensor's axes to the body's.
     pub(crate) fn to_body(&self, vector: [f64; 3]) -> [f64; 3] {
-        self.stored
-            .map_or(vector, |stored| stored.alignment.rotate(vector))
+        self.stored.map_or(vector, |stored| stored.alignment.rotate(vector))
     }
 }
 

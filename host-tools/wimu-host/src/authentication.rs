@@ -101,18 +101,13 @@ impl Authentication {
     /// One line; `None` without tags.
     pub fn text(&self) -> Option<String> {
         if let (0, Some(key)) = (self.judged(), self.key) {
-            return Some(format!(
-                "authentication not checked: this computer lacks the key {key}"
-            ));
+            return Some(format!("authentication not checked: this computer lacks the key {key}"));
         }
         let mut text = format!("authentic: {:.1} of {:.1} s", self.verified_s, self.total_s);
         for (count, what) in [
             (self.forged, "forged"),
             (self.replayed, "replayed"),
-            (
-                self.incomplete,
-                "not verifiable (begun before this link, or frames lost)",
-            ),
+            (self.incomplete, "not verifiable (begun before this link, or frames lost)"),
             (self.unknown_key, "with another key"),
         ] {
             if count > 0 {

@@ -87,12 +87,8 @@ pub enum MethodChoice {
 
 impl MethodChoice {
     /// All methods.
-    pub const ALL: [Self; 4] = [
-        Self::MultiPosition,
-        Self::SixPosition,
-        Self::FourAngle,
-        Self::ThreeAngle,
-    ];
+    pub const ALL: [Self; 4] =
+        [Self::MultiPosition, Self::SixPosition, Self::FourAngle, Self::ThreeAngle];
 
     /// Its name on the command line.
     pub fn name(self) -> &'static str {
@@ -125,16 +121,13 @@ impl Default for ModelChoice {
 /// # Errors
 /// `usage` for an unknown name, or one that does not go with the method.
 pub fn parse_model(text: &str, method: MethodChoice) -> Result<(ModelChoice, Terms)> {
-    let (base, names) = text
-        .split_once('+')
-        .map_or((text, None), |(base, names)| (base, Some(names)));
+    let (base, names) =
+        text.split_once('+').map_or((text, None), |(base, names)| (base, Some(names)));
     let mut terms = Terms::NONE;
     for name in names.into_iter().flat_map(|names| names.split('+')) {
         terms = match name {
             "drift" => terms.with(Term::Drift),
-            "temperature" => terms
-                .with(Term::BiasTemperature)
-                .with(Term::ScaleTemperature),
+            "temperature" => terms.with(Term::BiasTemperature).with(Term::ScaleTemperature),
             "quadratic" => terms.with(Term::Quadratic),
             other => {
                 return Err(ErrorCode::Usage.error(
@@ -284,11 +277,7 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
         (MethodChoice::FourAngle, _) => four_angle(poses, gravity, placement),
         (MethodChoice::ThreeAngle, _) => three_angle(poses, gravity, placement),
         (MethodChoice::MultiPosition, ModelChoice::Fixed(model)) => {
-            let what = MultiPosition {
-                model,
-                terms: options.terms,
-                reject: true,
-            };
+            let what = MultiPosition { model, terms: options.terms, reject: true };
             multi_position_with(poses, gravity, what)
         }
         (MethodChoice::MultiPosition, ModelChoice::Auto) => {
@@ -320,11 +309,7 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
     let mut noise_seen_mps2 = None;
     if data.poses && options.method == MethodChoice::MultiPosition {
         let bare = fitted.clone();
-        let what = MultiPosition {
-            model: wanted(options),
-            terms: options.terms,
-            reject: false,
-        };
+        let what = MultiPosition { model: wanted(options), terms: options.terms, reject: false };
         // First from all poses: without weights, the noisier ones would be rejected. Then again, because the noise is
         // estimated from residuals of a fit that depends on it.
         let mut of_all = multi_position_with(&bare, gravity, what).ok();
@@ -347,9 +332,7 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
         Err(refusal) => (None, Some(refusal)),
     };
     let mut gyroscope_findings = Vec::new();
-    let gyroscope = estimate
-        .as_ref()
-        .filter(|_| options.method == MethodChoice::MultiPosition);
+    let gyroscope = estimate.as_ref().filter(|_| options.method == MethodChoice::MultiPosition);
     let gyroscope = gyroscope.and_then(|estimate| {
         let scale = lsb_per_g.filter(|_| data.unit != OutputUnit::Mps2);
         let scale = scale.map_or(1.0, |lsb_per_g| STANDARD_GRAVITY_MPS2 / lsb_per_g);
@@ -357,30 +340,21 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
     });
     let gyroscope_parameters = gyroscope.as_ref().and_then(|found| found.parameters);
     let parameters =
-        estimate
-            .as_ref()
-            .zip(sensitivity.zip(range))
-            .map(|(estimate, (sensitivity, range))| ParameterSet {
+        estimate.as_ref().zip(sensitivity.zip(range)).map(|(estimate, (sensitivity, range))| {
+            ParameterSet {
                 model: estimate.model,
                 quality: estimate.quality(options.utc_s, &fitted),
                 sensor: data.sensor,
                 gyroscope: gyroscope_parameters,
                 ..ParameterSet::uncalibrated(range.g, sensitivity)
-            });
+            }
+        });
     let board = sensitivity.zip(range);
     let mut outcome = Outcome::default();
     let refit = |poses: &[Pose]| fit(poses).ok();
     let time_s = |pose: &Pose| data.since_start_s(pose.first_sample as usize);
     let changed = (estimate.as_ref()).and_then(|e| change::finding(&fitted, e, refit, time_s));
-    let found = findings(
-        data,
-        options,
-        &fitted,
-        estimate.as_ref(),
-        changed,
-        board,
-        lsb_per_g,
-    );
+    let found = findings(data, options, &fitted, estimate.as_ref(), changed, board, lsb_per_g);
     outcome.findings.extend(found.into_iter().chain(repeated));
     outcome.findings.extend(gyroscope_findings);
     outcome.findings.extend(noise_seen_mps2.map(|sd| {
@@ -390,28 +364,24 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
             sd * 1e3
         ))
     }));
-    let datasheet = options
-        .datasheet
-        .or(data.datasheet())
-        .zip(estimate.as_ref())
-        .map(|(datasheet, estimate)| {
+    let datasheet = options.datasheet.or(data.datasheet()).zip(estimate.as_ref()).map(
+        |(datasheet, estimate)| {
             let (used, range) = match data.unit {
                 OutputUnit::Counts { .. } => (lsb_per_g, range.map(|range| range.g)),
                 OutputUnit::Mps2 => (None, None),
             };
             DatasheetReport::new(datasheet, estimate, used, range)
-        });
+        },
+    );
     (outcome.findings).extend(datasheet.iter().flat_map(DatasheetReport::findings));
     let of_gravity = (estimate.as_ref()).and_then(|e| gravity::finding_of(e, gravity_source));
     outcome.findings.extend(of_gravity);
     let rejected = estimate.as_ref().map_or(0, |e| e.rejected.count());
     let rejected_poses: Vec<usize> = match options.method {
-        MethodChoice::SixPosition => (0..fitted.len())
-            .filter(|index| Face::of(&fitted[*index]).is_none())
-            .collect(),
-        _ => (estimate.iter())
-            .flat_map(|e| e.rejected.as_slice().to_vec())
-            .collect(),
+        MethodChoice::SixPosition => {
+            (0..fitted.len()).filter(|index| Face::of(&fitted[*index]).is_none()).collect()
+        }
+        _ => (estimate.iter()).flat_map(|e| e.rejected.as_slice().to_vec()).collect(),
     };
     if estimate.is_some() && !rejected_poses.is_empty() {
         let count = counted(rejected.max(rejected_poses.len()), "pose");

@@ -58,27 +58,17 @@ pub struct Series {
 impl Series {
     /// A line.
     pub fn line(name: &str, points: Vec<(f64, f64)>) -> Self {
-        Self {
-            name: name.to_owned(),
-            points,
-            ..Self::default()
-        }
+        Self { name: name.to_owned(), points, ..Self::default() }
     }
 
     /// Points.
     pub fn dots(name: &str, points: Vec<(f64, f64)>) -> Self {
-        Self {
-            style: Style::Dots,
-            ..Self::line(name, points)
-        }
+        Self { style: Style::Dots, ..Self::line(name, points) }
     }
 
     /// A guide.
     pub fn guide(name: &str, points: Vec<(f64, f64)>) -> Self {
-        Self {
-            style: Style::Guide,
-            ..Self::line(name, points)
-        }
+        Self { style: Style::Guide, ..Self::line(name, points) }
     }
 
     /// The same in space: a line, or what `style` says.
@@ -125,13 +115,7 @@ pub struct Chart {
 impl Chart {
     /// A chart in a plane: its title, its axes with their units, and its series.
     pub fn new(title: impl Into<String>, x: &str, y: &str, series: Vec<Series>) -> Self {
-        Self {
-            title: title.into(),
-            x: x.to_owned(),
-            y: y.to_owned(),
-            series,
-            ..Self::default()
-        }
+        Self { title: title.into(), x: x.to_owned(), y: y.to_owned(), series, ..Self::default() }
     }
 }
 
@@ -152,11 +136,7 @@ pub fn broken(points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
     };
     let mut broken = Vec::with_capacity(points.len());
     for point in points {
-        if let Some((x, _)) = broken
-            .last()
-            .copied()
-            .filter(|(x, _)| point.0 - x > 2.0 * usual)
-        {
+        if let Some((x, _)) = broken.last().copied().filter(|(x, _)| point.0 - x > 2.0 * usual) {
             broken.push((x, f64::NAN));
         }
         broken.push(point);

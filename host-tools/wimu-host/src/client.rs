@@ -26,9 +26,7 @@ use crate::transport::{self, Transport};
 /// Interval between identification requests.
 const ASK_EVERY: Duration = Duration::from_millis(400);
 /// Baud rates at which a board is searched, in order.
-const USUAL_BAUDS: [u32; 8] = [
-    115_200, 9600, 38_400, 57_600, 230_400, 460_800, 921_600, 19_200,
-];
+const USUAL_BAUDS: [u32; 8] = [115_200, 9600, 38_400, 57_600, 230_400, 460_800, 921_600, 19_200];
 /// Longest time until the board answers at a new baud rate.
 const RATE_PATIENCE: Duration = Duration::from_secs(3);
 /// Longest time until it answers at the old rate again.
@@ -63,20 +61,14 @@ pub struct ConnectOptions {
 impl Default for ConnectOptions {
     /// 3 s, a random session.
     fn default() -> Self {
-        Self {
-            patience: Duration::from_secs(3),
-            session: None,
-        }
+        Self { patience: Duration::from_secs(3), session: None }
     }
 }
 
 impl ConnectOptions {
     /// 1 s, for a port that may not be a board.
     pub fn probe() -> Self {
-        Self {
-            patience: Duration::from_secs(1),
-            ..Self::default()
-        }
+        Self { patience: Duration::from_secs(1), ..Self::default() }
     }
 }
 
@@ -206,10 +198,7 @@ impl<T: Transport> Client<T> {
     /// at the old one again.
     pub fn set_line_rate(&mut self, baud: u32) -> Result<()> {
         let Some(before) = self.transport.baud() else {
-            return self
-                .transport
-                .set_baud(baud)
-                .map_err(|error| error.at(&self.name));
+            return self.transport.set_baud(baud).map_err(|error| error.at(&self.name));
         };
         if self.hello.role != LinkRole::Cable {
             return Err(adapter_decides(&self.name, baud));
@@ -304,9 +293,7 @@ impl<T: Transport> Client<T> {
     pub fn ask_who(&mut self) -> Result<()> {
         let mut question = [0; MAX_FRAME + 1];
         // The leading zero ends an incomplete frame of an earlier host.
-        let length = WhoAreYou::default()
-            .encode(&mut question[1..])
-            .map_or(0, |length| length + 1);
+        let length = WhoAreYou::default().encode(&mut question[1..]).map_or(0, |length| length + 1);
         self.transport.write_all(&question[..length])
     }
 
@@ -378,24 +365,16 @@ impl<T: Transport> Client<T> {
             )
         } else if statistics.frames == 0 {
             (
-                format!(
-                    "{} bytes arrived, but no frame of a wimu board",
-                    statistics.bytes
-                ),
+                format!("{} bytes arrived, but no frame of a wimu board", statistics.bytes),
                 "check the baud rate at both ends, and that this is the board's port",
             )
         } else {
             (
-                format!(
-                    "the board sends data ({} frames) but does not answer",
-                    statistics.frames
-                ),
+                format!("the board sends data ({} frames) but does not answer", statistics.frames),
                 "check the line from this computer to the board (TX of this side)",
             )
         };
-        ErrorCode::NotAWimuBoard
-            .error(message, remedy)
-            .at(&self.name)
+        ErrorCode::NotAWimuBoard.error(message, remedy).at(&self.name)
     }
 
     /// Verifies the board's tags with these keys; the results are among the events.
@@ -415,10 +394,7 @@ impl<T: Transport> Client<T> {
 
     /// Statistics of the link.
     pub fn statistics(&self) -> LinkStatistics {
-        LinkStatistics {
-            events_dropped: self.dropped,
-            ..self.decoder.statistics()
-        }
+        LinkStatistics { events_dropped: self.dropped, ..self.decoder.statistics() }
     }
 
     /// The transport, for its clock.
@@ -499,10 +475,7 @@ impl<T: Transport> Client<T> {
                         *pauses_left = MAX_PAUSES;
                     }
                 }
-                Event::Device {
-                    event: DeviceEvent::Pause { longest_ms },
-                    ..
-                } => {
+                Event::Device { event: DeviceEvent::Pause { longest_ms }, .. } => {
                     let pause = Duration::from_millis((*longest_ms).into()).min(MAX_PAUSE);
                     let from = now.max(*deaf_until);
                     let longer = (now + pause).saturating_sub(from).min(*pauses_left);

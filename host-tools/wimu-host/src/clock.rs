@@ -147,9 +147,7 @@ impl ClockEstimator {
         // Margin by which it was undelayed, given the device time of sending.
         let mut alone_at = |time: DeviceTimeUs| {
             let time_ns = time.0.saturating_mul(1000);
-            let before = self.latest[link]
-                .said_ns
-                .replace(time_ns.saturating_add(takes));
+            let before = self.latest[link].said_ns.replace(time_ns.saturating_add(takes));
             match before {
                 Some(before) if time_ns < before.saturating_add(BEHIND_NS) => f64::NEG_INFINITY,
                 _ => heard_alone,
@@ -172,11 +170,8 @@ impl ClockEstimator {
                     return None;
                 };
                 let alone = alone_at(DeviceTimeUs(uptime_us));
-                let Asked {
-                    at_ns: asked_ns,
-                    length,
-                    is_behind,
-                } = self.asked.remove(&(reply.session, reply.id))?;
+                let Asked { at_ns: asked_ns, length, is_behind } =
+                    self.asked.remove(&(reply.session, reply.id))?;
                 let answer_length = wire_length(reply);
                 let longer = length.max(answer_length);
                 // Time of that many bytes on the line; more where the answer arrived in parts.
@@ -190,10 +185,7 @@ impl ClockEstimator {
                 };
                 // Sent later than it was answered, by the clock so far: the device has restarted.
                 let difference = self.difference(DeviceTimeUs(uptime_us), asked_ns);
-                if self
-                    .newest
-                    .is_some_and(|newest| difference > newest + RESTART_NS)
-                {
+                if self.newest.is_some_and(|newest| difference > newest + RESTART_NS) {
                     return Some(trip);
                 }
                 // With unequal lengths the directions take unequally long.
@@ -202,9 +194,8 @@ impl ClockEstimator {
                 }
                 // The shorter one is extended to the length of the other.
                 let asked_ns = asked_ns.saturating_sub(bytes_take(longer - length));
-                let answered_ns = arrival
-                    .host_ns
-                    .saturating_add(bytes_take(longer - answer_length));
+                let answered_ns =
+                    arrival.host_ns.saturating_add(bytes_take(longer - answer_length));
                 let length = longer;
                 let (known, changes) = &mut self.question[link];
                 if *known != length {
@@ -294,10 +285,7 @@ impl ClockEstimator {
             free_from: v - alone_ns,
             index: 0,
         };
-        let full = self
-            .open
-            .first()
-            .is_some_and(|first| transfer.x - first.x >= BLOCK_S);
+        let full = self.open.first().is_some_and(|first| transfer.x - first.x >= BLOCK_S);
         if full || self.open.len() >= BLOCK_TRANSFERS {
             self.close();
         }
@@ -306,8 +294,7 @@ impl ClockEstimator {
     }
 
     fn close(&mut self) {
-        self.closed
-            .extend(Folded::new(&self.open).map(Folded::reduced));
+        self.closed.extend(Folded::new(&self.open).map(Folded::reduced));
         self.open.clear();
         while self.closed.len() > self.next_line + REACH {
             let blocks: Vec<_> = self.closed.iter().collect();
@@ -340,12 +327,7 @@ impl ClockEstimator {
         if lines.is_empty() {
             return None;
         }
-        Some(ClockModel {
-            origin,
-            lines,
-            transfers: self.transfers,
-            exchanges: self.exchanges,
-        })
+        Some(ClockModel { origin, lines, transfers: self.transfers, exchanges: self.exchanges })
     }
 }
 
@@ -362,11 +344,7 @@ fn line(blocks: &[&Folded], index: usize) -> Option<Line> {
     let free = envelope::fit(near, x, None)?;
     // No oscillator has this rate: the device time is simulated, or the span is too short.
     let known = span >= MIN_SPAN_S && free.rate.abs() < 0.99 * envelope::MAX_RATE;
-    let fit = if known {
-        free
-    } else {
-        envelope::fit(near, x, Some(0.0))?
-    };
+    let fit = if known { free } else { envelope::fit(near, x, Some(0.0))? };
     let upper = fit.upper?;
     Some(Line {
         x,
@@ -450,9 +428,7 @@ impl ClockModel {
         let (origin_us, origin_ns) = self.origin;
         let passed_us = time.0.wrapping_sub(origin_us) as i64;
         let difference = self.blend(time, Line::at).round() as i64;
-        origin_ns
-            .wrapping_add_signed(passed_us.wrapping_mul(1000))
-            .wrapping_add_signed(difference)
+        origin_ns.wrapping_add_signed(passed_us.wrapping_mul(1000)).wrapping_add_signed(difference)
     }
 
     /// Delay from `time` to `host_ns`, ns; negative only by the model's error.
@@ -478,10 +454,7 @@ impl ClockModel {
             [first, .., last] => {
                 let span = last.x - first.x;
                 let sd = first.y_sd.hypot(last.y_sd) / span;
-                (
-                    (last.y - first.y) / span * 1e-3,
-                    sd.min(first.rate_sd) * 1e-3,
-                )
+                ((last.y - first.y) / span * 1e-3, sd.min(first.rate_sd) * 1e-3)
             }
             [only] => (only.rate * 1e-3, only.rate_sd * 1e-3),
             [] => (0.0, UNKNOWN_RATE_PPM),

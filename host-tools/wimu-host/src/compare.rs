@@ -195,11 +195,7 @@ pub fn compare<R: Read>(
             "record both at the same time: `wimu record LINK --cable LINK`",
         ));
     }
-    let device_id = overview
-        .recording
-        .devices
-        .first()
-        .map(|id| format!("{id:016x}"));
+    let device_id = overview.recording.devices.first().map(|id| format!("{id:016x}"));
     let found = counted.transfer.result();
     let named = device_id.clone().unwrap_or_default();
     let lines = |found: &Transfer| [0, 1, 2].map(|axis| Axis::new(found, axis, counted.lsb_mps2));
@@ -235,11 +231,7 @@ pub fn compare<R: Read>(
         _ => None,
     };
     let values_reason = found.err().map(|refusal| refusal.to_string());
-    let left_out = without_unit(
-        counted.without_unit as usize,
-        "sample",
-        "left out of the values",
-    );
+    let left_out = without_unit(counted.without_unit as usize, "sample", "left out of the values");
     let findings = (overview.recording.wholeness.finding().into_iter())
         .chain(incomparable(values_reason.as_deref()))
         .chain(left_out)
@@ -262,10 +254,7 @@ pub fn compare<R: Read>(
         saturated: counted.saturated,
         without_unit: counted.without_unit,
         links,
-        clock: overview
-            .longest()
-            .and_then(|start| overview.clock(start))
-            .map(ClockModel::summary),
+        clock: overview.longest().and_then(|start| overview.clock(start)).map(ClockModel::summary),
         values,
         values_reason,
         findings,
@@ -289,11 +278,7 @@ fn refused(name: &str, message: impl Into<String>, remedy: &str) -> HostError {
 
 /// Orders the values of a link and of the other one: cable first, wireless link second.
 fn in_order<T>(link: usize, own: T, other: T) -> [T; 2] {
-    if link == 0 {
-        [own, other]
-    } else {
-        [other, own]
-    }
+    if link == 0 { [own, other] } else { [other, own] }
 }
 
 fn index_of(role: LinkRole) -> usize {

@@ -47,18 +47,11 @@ struct Received {
 
 impl Received {
     fn at(self, time: DeviceTimeUs) -> Moment {
-        Moment {
-            host_ns: self.host_ns,
-            time_us: time.0.min(i64::MAX as u64),
-        }
+        Moment { host_ns: self.host_ns, time_us: time.0.min(i64::MAX as u64) }
     }
 
     fn with(self, event: Event) -> Arrival {
-        Arrival {
-            host_ns: self.host_ns,
-            began_ns: self.began_ns,
-            event,
-        }
+        Arrival { host_ns: self.host_ns, began_ns: self.began_ns, event }
     }
 }
 
@@ -121,10 +114,7 @@ impl Decoder {
         self.statistics.bytes += bytes.len() as u64;
         let mut rest = bytes;
         while let Some(result) = self.deframer.next(&mut rest) {
-            let received = Received {
-                host_ns,
-                began_ns: self.began_ns.take().unwrap_or(host_ns),
-            };
+            let received = Received { host_ns, began_ns: self.began_ns.take().unwrap_or(host_ns) };
             let event = match result {
                 // The most frequent kind: not moved as a message.
                 Ok(frame) if frame.kind.is_batch() => {
@@ -193,9 +183,7 @@ impl Decoder {
                 Message::Epoch(epoch) => self.take_epoch(received, epoch, &mut each),
                 Message::Piece(_) => {}
                 Message::Event(event) if self.start.order.holds() && event.is_of_a_start() => {
-                    self.start
-                        .order
-                        .hold((received, Held::Event(Box::new(event))));
+                    self.start.order.hold((received, Held::Event(Box::new(event))));
                 }
                 Message::Event(event) => self.take_event(received, event, &mut each),
             }

@@ -66,10 +66,7 @@ mod tests {
         assert_eq!(significant(1849.771, 3), "1850");
         assert_eq!(significant(0.012_34, 3), "0.0123");
         assert_eq!(signed(30.525, 3), "+30.5");
-        assert_eq!(
-            [significant(-0.0, 3), signed(-1e-9, 3)],
-            ["0", "+0.0000000"]
-        );
+        assert_eq!([significant(-0.0, 3), signed(-1e-9, 3)], ["0", "+0.0000000"]);
         assert_eq!(signed_with_sd(-0.04, 1.2), "+0.0 ± 1.2");
         assert_eq!(with_sd(1.002_345, 0.001_234), "1.0023 ± 0.0012");
         assert_eq!(signed_with_sd(0.5, 0.0), "+0.50000 ± 0");

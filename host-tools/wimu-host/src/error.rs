@@ -22,12 +22,7 @@ impl HostError {
 
     /// A failure of kind `code`: `message` says what is wrong, `remedy` what to do about it.
     pub fn new(code: ErrorCode, message: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self {
-            code,
-            message: message.into(),
-            location: None,
-            remedy: remedy.into(),
-        }
+        Self { code, message: message.into(), location: None, remedy: remedy.into() }
     }
 
     /// The same failure with where it happened: file, line, column, byte or link.
@@ -44,18 +39,14 @@ impl HostError {
         let (code, remedy) = match error.kind() {
             ErrorKind::NotFound => (ErrorCode::FileUnreadable, "check the path"),
             ErrorKind::PermissionDenied => (ErrorCode::FileUnreadable, "check its permissions"),
-            ErrorKind::AlreadyExists => (
-                ErrorCode::FileExists,
-                "name another file, or remove this one",
-            ),
+            ErrorKind::AlreadyExists => {
+                (ErrorCode::FileExists, "name another file, or remove this one")
+            }
             ErrorKind::InvalidData => (ErrorCode::FileUnreadable, "name a text file"),
             ErrorKind::IsADirectory => (ErrorCode::FileUnreadable, "name a file, not a folder"),
             ErrorKind::NotADirectory => (ErrorCode::FileUnreadable, "name a folder, not a file"),
             ErrorKind::StorageFull => (ErrorCode::FileFailed, "free some space"),
-            _ => (
-                ErrorCode::FileFailed,
-                "check the disk and that the file is still there",
-            ),
+            _ => (ErrorCode::FileFailed, "check the disk and that the file is still there"),
         };
         Self::new(code, format!("cannot {doing} the file: {error}"), remedy).at(path)
     }
@@ -230,12 +221,9 @@ mod tests {
 
     #[test]
     fn a_failure_serialises_with_every_field() {
-        let error = HostError::new(
-            ErrorCode::LinkBusy,
-            "the port is in use",
-            "close the other program",
-        )
-        .at("/dev/ttyACM0");
+        let error =
+            HostError::new(ErrorCode::LinkBusy, "the port is in use", "close the other program")
+                .at("/dev/ttyACM0");
         let json = serde_json::to_value(&error).unwrap();
         assert_eq!(
             json,
@@ -245,10 +233,7 @@ mod tests {
                 "remedy": "close the other program",
             })
         );
-        assert_eq!(
-            error.to_string(),
-            "/dev/ttyACM0: the port is in use; close the other program"
-        );
+        assert_eq!(error.to_string(), "/dev/ttyACM0: the port is in use; close the other program");
         assert_eq!(error.exit_code(), 1);
     }
 }

@@ -102,10 +102,7 @@ pub fn to_csv(
     if let Some(model) = source.link_model {
         if source.sensor > 0 {
             return Err(ErrorCode::Usage.error(
-                format!(
-                    "a link's error model does not apply to sensor {}",
-                    source.sensor
-                ),
+                format!("a link's error model does not apply to sensor {}", source.sensor),
                 "leave out --link-model, or --sensor",
             ));
         }
@@ -132,9 +129,7 @@ pub fn to_csv(
         ranges_differ: false,
         without_unit: 0,
     };
-    stream::read(&mut RecordingReader::open(recording)?, role, |part| {
-        table.part(part)
-    })?;
+    stream::read(&mut RecordingReader::open(recording)?, role, |part| table.part(part))?;
     table.writer.finish()?;
     output.finish()?;
     Ok(Exported {
@@ -199,9 +194,7 @@ impl Table<'_> {
             _ => None,
         };
         let field_nt = corrected.or_else(|| Some(sent.magnetic_field_nt?.map(f64::from)));
-        let temperature_c = sent
-            .temperature_centi_c
-            .map(|centi| f64::from(centi) / 100.0);
+        let temperature_c = sent.temperature_centi_c.map(|centi| f64::from(centi) / 100.0);
         Surroundings {
             temperature_c,
             field_ut: field_nt.map(|nt| nt.map(|axis| axis / 1000.0)),
@@ -306,32 +299,19 @@ fn columns(
         add(&["Velocity E (m/s)", "Velocity N (m/s)", "Velocity U (m/s)"]);
         add(&["Since Rest (s)", "Valid", "Heading SD (deg)", "Sequence"]);
         if has_attitude {
-            add(&[
-                "Quaternion W",
-                "Quaternion X",
-                "Quaternion Y",
-                "Quaternion Z",
-            ]);
+            add(&["Quaternion W", "Quaternion X", "Quaternion Y", "Quaternion Z"]);
         }
         return columns;
     }
     let is_raw = stream == ExportStream::Raw;
-    let (force, rate) = if is_raw {
-        ("LSB", "LSB")
-    } else {
-        ("m/s²", "rad/s")
-    };
+    let (force, rate) = if is_raw { ("LSB", "LSB") } else { ("m/s²", "rad/s") };
     let accelerometer = match sensor {
         0 => "Accelerometer".to_owned(),
         _ => format!("Accelerometer {sensor}"),
     };
     columns.extend(csv::axes(&accelerometer, force));
     columns.extend(csv::axes("Magnetometer", "µT"));
-    let last = if is_raw {
-        csv::SENSITIVITY
-    } else {
-        FIELD_CALIBRATED
-    };
+    let last = if is_raw { csv::SENSITIVITY } else { FIELD_CALIBRATED };
     columns.extend([csv::TEMPERATURE, "Sequence", last].map(str::to_owned));
     if has_gyroscope {
         columns.extend(csv::axes("Gyroscope", rate));

@@ -204,9 +204,7 @@ impl fmt::Display for Finding {
     /// One line; the alternative form (`{:#}`) is evidence and remedy in a line each.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let sensor = self.sensor.map(|sensor| format!("sensor {sensor}"));
-        let span = self
-            .span_s
-            .map(|[from, to]| format!("{from:.2} to {to:.2} s"));
+        let span = self.span_s.map(|[from, to]| format!("{from:.2} to {to:.2} s"));
         let place: Vec<String> = [sensor, span].into_iter().flatten().collect();
         if !place.is_empty() {
             write!(out, "{}: ", place.join(", "))?;
@@ -254,11 +252,7 @@ pub struct Outcome {
 
 impl Default for Outcome {
     fn default() -> Self {
-        Self {
-            status: "ok",
-            reason: None,
-            findings: Vec::new(),
-        }
+        Self { status: "ok", reason: None, findings: Vec::new() }
     }
 }
 

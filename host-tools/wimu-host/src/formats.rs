@@ -143,15 +143,10 @@ fn named(name: &str) -> Result<&'static Format> {
 
 /// Members of a folder or archive that are recordings, other than tables.
 fn recordings(source: &Source) -> Vec<&Source> {
-    let formats = || {
-        FORMATS
-            .iter()
-            .filter(|format| format.name != TABLE && format.name != UNSUPPORTED)
-    };
+    let formats =
+        || FORMATS.iter().filter(|format| format.name != TABLE && format.name != UNSUPPORTED);
     let members = source.members().iter();
-    members
-        .filter(|member| formats().any(|format| (format.detect)(member)))
-        .collect()
+    members.filter(|member| formats().any(|format| (format.detect)(member))).collect()
 }
 
 fn unknown(source: &Source, several: &[&Source]) -> HostError {
@@ -167,11 +162,9 @@ fn unknown(source: &Source, several: &[&Source]) -> HostError {
             "this is an Excel workbook, which wimu does not read".to_owned(),
             "save its sheet as CSV (UTF-8)",
         ),
-        [] if source.start().is_empty() && source.members().is_empty() => (
-            ErrorCode::CsvEmpty,
-            "the file is empty".to_owned(),
-            "record or export it again",
-        ),
+        [] if source.start().is_empty() && source.members().is_empty() => {
+            (ErrorCode::CsvEmpty, "the file is empty".to_owned(), "record or export it again")
+        }
         [] => (
             ErrorCode::UnknownFormat,
             "the format is not known".to_owned(),

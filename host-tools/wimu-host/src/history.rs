@@ -51,10 +51,9 @@ impl Track {
         match event {
             Event::Samples(samples) => self.raw.extend(samples.iter()),
             Event::Late(samples) => insert_late(&mut self.raw, samples),
-            Event::Epoch { epoch, after_loss } => self.epochs.push(EpochMark {
-                epoch: *epoch,
-                after_loss: *after_loss,
-            }),
+            Event::Epoch { epoch, after_loss } => {
+                self.epochs.push(EpochMark { epoch: *epoch, after_loss: *after_loss })
+            }
             _ => {}
         }
     }
@@ -158,13 +157,11 @@ impl Boot {
 
     /// Device time of a sample, if it arrived raw or corrected.
     pub fn time_of(&self, sequence: u32) -> Option<DeviceTimeUs> {
-        [&self.raw, &self.corrected]
-            .into_iter()
-            .find_map(|samples| {
-                let found =
-                    samples.binary_search_by(|sample| sequence_order(sample.sequence, sequence));
-                found.ok().map(|index| samples[index].time)
-            })
+        [&self.raw, &self.corrected].into_iter().find_map(|samples| {
+            let found =
+                samples.binary_search_by(|sample| sequence_order(sample.sequence, sequence));
+            found.ok().map(|index| samples[index].time)
+        })
     }
 
     /// The parameters of an epoch: those sent with its id, or for id 0 those of an
@@ -190,10 +187,7 @@ impl Boot {
             .find(|active| active.id == epoch.parameters)
             .and_then(|active| active.active)
             .ok_or_else(|| {
-                bad(format!(
-                    "the recording lacks the parameters {:08x}",
-                    epoch.parameters
-                ))
+                bad(format!("the recording lacks the parameters {:08x}", epoch.parameters))
             })?;
         let set = ParameterSet::try_from(&wire).map_err(|fault| bad(fault.to_string()))?;
         if wimu_link::message::parameter_id(&set).0 != epoch.parameters {
@@ -212,9 +206,7 @@ impl Boot {
     /// they are unknown or have no magnetometer.
     pub fn corrected_field_nt(&self, environment: &Environment) -> Option<[f64; 3]> {
         let output = MagneticFieldNt(environment.magnetic_field_nt?);
-        let after = self
-            .epochs
-            .partition_point(|mark| mark.epoch.time_us <= environment.time_us);
+        let after = self.epochs.partition_point(|mark| mark.epoch.time_us <= environment.time_us);
         let mark = self.epochs.get(after.saturating_sub(1))?;
         let set = self.parameters_of(&mark.epoch).ok()?;
         set.correct_field(output)
@@ -224,9 +216,7 @@ impl Boot {
     pub fn nominal_sensitivity(&self) -> Option<Sensitivity> {
         let known = self.hello.is_none_or(|hello| hello.sensitivity_known);
         let epoch = &self.epochs.first()?.epoch;
-        Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g)
-            .ok()
-            .filter(|_| known)
+        Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g).ok().filter(|_| known)
     }
 
     /// The accelerometer, if the device has identified it.
@@ -455,10 +445,9 @@ impl LinkHistory {
                     boot.further.entry(sensor).or_default().take(event);
                 }
             }
-            Event::Epoch { epoch, after_loss } => boot.epochs.push(EpochMark {
-                epoch: *epoch,
-                after_loss: *after_loss,
-            }),
+            Event::Epoch { epoch, after_loss } => {
+                boot.epochs.push(EpochMark { epoch: *epoch, after_loss: *after_loss })
+            }
             Event::Environment(environment) => boot.environment.push(*environment),
             Event::Navigation(navigation) => boot.navigation.push(*navigation),
             Event::Parameters(parameters) => push_change(&mut boot.parameters, *parameters),

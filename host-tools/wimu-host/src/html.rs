@@ -29,10 +29,7 @@ pub struct Report {
 impl Report {
     /// An empty page.
     pub fn new(title: impl Into<String>) -> Self {
-        Self {
-            title: title.into(),
-            ..Self::default()
-        }
+        Self { title: title.into(), ..Self::default() }
     }
 
     /// The result as a sentence.
@@ -72,14 +69,12 @@ impl Report {
     /// A table with a header row; a long one is folded.
     pub fn table(&mut self, name: &str, head: &[&str], rows: &[Vec<String>]) -> &mut Self {
         let cells = |tag: &str, cells: &mut dyn Iterator<Item = &str>| {
-            let cells: String = cells
-                .map(|cell| format!("<{tag}>{}</{tag}>", escape(cell)))
-                .collect();
+            let cells: String =
+                cells.map(|cell| format!("<{tag}>{}</{tag}>", escape(cell))).collect();
             format!("<tr>{cells}</tr>\n")
         };
-        let rows_text: String = (rows.iter())
-            .map(|row| cells("td", &mut row.iter().map(String::as_str)))
-            .collect();
+        let rows_text: String =
+            (rows.iter()).map(|row| cells("td", &mut row.iter().map(String::as_str))).collect();
         let _ = writeln!(
             self.body,
             "<details{}><summary>{}</summary><div class=\"table\"><table>\n{}{rows_text}</table></div></details>",
@@ -147,10 +142,7 @@ impl Report {
 }
 
 fn escape(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 #[cfg(test)]

@@ -29,22 +29,16 @@ impl KeyFolder {
         let base = if cfg!(windows) {
             variable("APPDATA").map(PathBuf::from)
         } else {
-            let fallback = if cfg!(target_os = "macos") {
-                "Library/Application Support"
-            } else {
-                ".config"
-            };
-            variable("XDG_CONFIG_HOME")
-                .map(PathBuf::from)
-                .or_else(|| home(fallback))
+            let fallback =
+                if cfg!(target_os = "macos") { "Library/Application Support" } else { ".config" };
+            variable("XDG_CONFIG_HOME").map(PathBuf::from).or_else(|| home(fallback))
         };
-        base.map(|base| Self(base.join("wimu").join("keys")))
-            .ok_or_else(|| {
-                ErrorCode::Usage.error(
-                    "this user has no folder for configuration, where keys are kept",
-                    "set HOME or XDG_CONFIG_HOME",
-                )
-            })
+        base.map(|base| Self(base.join("wimu").join("keys"))).ok_or_else(|| {
+            ErrorCode::Usage.error(
+                "this user has no folder for configuration, where keys are kept",
+                "set HOME or XDG_CONFIG_HOME",
+            )
+        })
     }
 
     /// The folder at `path`.
@@ -285,9 +279,8 @@ fn read(path: &Path) -> Result<Found> {
     }
     let digits = bytes.trim_ascii();
     let pairs = digits.as_chunks::<2>().0.iter();
-    let key: Vec<u8> = pairs
-        .filter_map(|&[high, low]| Some(digit(high)? << 4 | digit(low)?))
-        .collect();
+    let key: Vec<u8> =
+        pairs.filter_map(|&[high, low]| Some(digit(high)? << 4 | digit(low)?)).collect();
     Ok(match key.try_into() {
         Ok(key) if digits.len() == 2 * DeviceKey::LENGTH => Found::Key(DeviceKey::new(key)),
         _ => Found::Damaged(
@@ -384,8 +377,7 @@ mod tests {
     fn a_file_that_holds_no_key_says_what_is_wrong_and_never_what_it_holds() {
         let folder = tempfile::tempdir().expect("a folder");
         let keys = KeyFolder::at(folder.path());
-        keys.prepare(7, &DeviceKey::new([0xC5; 32]))
-            .expect("written");
+        keys.prepare(7, &DeviceKey::new([0xC5; 32])).expect("written");
         keys.confirm(7).expect("renamed");
         let whole = fs::read_to_string(keys.file(7)).expect("there");
         for text in [
@@ -400,10 +392,7 @@ mod tests {
             fs::write(keys.file(7), text).expect("written");
             let error = keys.candidates(7).expect_err("no key");
             assert_eq!(error.code(), ErrorCode::FileUnreadable);
-            assert!(
-                error.to_string().contains("64 hexadecimal digits"),
-                "{error}"
-            );
+            assert!(error.to_string().contains("64 hexadecimal digits"), "{error}");
             assert!(!error.to_string().contains("c5c5"), "{error}");
         }
         fs::write(keys.file(7), &whole).expect("written");

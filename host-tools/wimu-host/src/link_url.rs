@@ -77,9 +77,7 @@ impl FromStr for LinkUrl {
         }
         if text.starts_with("mqtt://") || text.starts_with("mqtts://") {
             return parse_mqtt(text).map_err(|why| {
-                ErrorCode::BadLink
-                    .error(why, "write mqtt://HOST/FLEET/BOARD")
-                    .at(text)
+                ErrorCode::BadLink.error(why, "write mqtt://HOST/FLEET/BOARD").at(text)
             });
         }
         if let Some(name) = text.strip_prefix("ble://") {
@@ -89,10 +87,7 @@ impl FromStr for LinkUrl {
             return Err(bad(format!("`{scheme}` is not a kind of link")));
         }
         if text.starts_with("/dev/") || is_com_port(text) {
-            return Ok(Self::Serial {
-                path: text.to_owned(),
-                baud: Some(DEFAULT_BAUD),
-            });
+            return Ok(Self::Serial { path: text.to_owned(), baud: Some(DEFAULT_BAUD) });
         }
         Err(bad("this is not a LINK".to_owned()))
     }
@@ -119,10 +114,7 @@ fn parse_serial(rest: &str) -> Result<LinkUrl, String> {
             _ => return Err(format!("`{pair}` is not an option of a serial link")),
         }
     }
-    Ok(LinkUrl::Serial {
-        path: path.to_owned(),
-        baud,
-    })
+    Ok(LinkUrl::Serial { path: path.to_owned(), baud })
 }
 
 #[cfg(feature = "ble")]
@@ -143,9 +135,7 @@ fn parse_ble(_: &str, text: &str) -> Result<LinkUrl> {
 
 fn parse_tcp(rest: &str) -> Result<LinkUrl, String> {
     let rest = rest.strip_suffix('/').unwrap_or(rest);
-    let (host, port) = rest
-        .rsplit_once(':')
-        .ok_or_else(|| "the TCP port is missing".to_owned())?;
+    let (host, port) = rest.rsplit_once(':').ok_or_else(|| "the TCP port is missing".to_owned())?;
     let host = match host.strip_prefix('[').and_then(|h| h.strip_suffix(']')) {
         Some(address) => address,
         None if host.contains(':') => {
@@ -161,32 +151,20 @@ fn parse_tcp(rest: &str) -> Result<LinkUrl, String> {
         .ok()
         .filter(|port| *port > 0)
         .ok_or_else(|| format!("`{port}` is not a TCP port"))?;
-    Ok(LinkUrl::Tcp {
-        host: host.to_owned(),
-        port,
-    })
+    Ok(LinkUrl::Tcp { host: host.to_owned(), port })
 }
 
 fn parse_mqtt(text: &str) -> Result<LinkUrl, String> {
     let (broker, path) = Broker::split(text)?;
     let path = path.strip_suffix('/').unwrap_or(path);
-    let (fleet, board) = path
-        .split_once('/')
-        .ok_or("the fleet or the board is missing")?;
-    let name = |what: &str, text: &str| {
-        text.parse::<Name>()
-            .map_err(|why| format!("the {what}: {why}"))
-    };
-    Ok(LinkUrl::Mqtt {
-        broker,
-        fleet: name("fleet", fleet)?,
-        board: name("board", board)?,
-    })
+    let (fleet, board) = path.split_once('/').ok_or("the fleet or the board is missing")?;
+    let name =
+        |what: &str, text: &str| text.parse::<Name>().map_err(|why| format!("the {what}: {why}"));
+    Ok(LinkUrl::Mqtt { broker, fleet: name("fleet", fleet)?, board: name("board", board)? })
 }
 
 fn is_com_port(text: &str) -> bool {
-    text.get(..3)
-        .is_some_and(|prefix| prefix.eq_ignore_ascii_case("COM"))
+    text.get(..3).is_some_and(|prefix| prefix.eq_ignore_ascii_case("COM"))
         && text.len() > 3
         && text[3..].bytes().all(|b| b.is_ascii_digit())
 }
@@ -194,19 +172,12 @@ fn is_com_port(text: &str) -> bool {
 impl fmt::Display for LinkUrl {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Serial {
-                path,
-                baud: Some(baud),
-            } => write!(out, "serial://{path}?baud={baud}"),
+            Self::Serial { path, baud: Some(baud) } => write!(out, "serial://{path}?baud={baud}"),
             Self::Serial { path, baud: None } => write!(out, "serial://{path}?baud=auto"),
             Self::Tcp { host, port } if host.contains(':') => write!(out, "tcp://[{host}]:{port}"),
             Self::Tcp { host, port } => write!(out, "tcp://{host}:{port}"),
             Self::Ble { name } => write!(out, "ble://{name}"),
-            Self::Mqtt {
-                broker,
-                fleet,
-                board,
-            } => write!(out, "{broker}/{fleet}/{board}"),
+            Self::Mqtt { broker, fleet, board } => write!(out, "{broker}/{fleet}/{board}"),
             Self::Auto => out.write_str("auto"),
         }
     }
@@ -252,37 +223,25 @@ mod tests {
     use super::*;
 
     fn serial(path: &str, baud: u32) -> LinkUrl {
-        LinkUrl::Serial {
-            path: path.to_owned(),
-            baud: Some(baud),
-        }
+        LinkUrl::Serial { path: path.to_owned(), baud: Some(baud) }
     }
 
     #[test]
     fn the_rate_may_be_found() {
-        let auto = LinkUrl::Serial {
-            path: "/dev/ttyACM0".to_owned(),
-            baud: None,
-        };
+        let auto = LinkUrl::Serial { path: "/dev/ttyACM0".to_owned(), baud: None };
         let text = "serial:///dev/ttyACM0?baud=auto";
         assert_eq!(text.parse::<LinkUrl>().unwrap(), auto);
         assert_eq!(auto.to_string(), text);
     }
 
     fn tcp(host: &str, port: u16) -> LinkUrl {
-        LinkUrl::Tcp {
-            host: host.to_owned(),
-            port,
-        }
+        LinkUrl::Tcp { host: host.to_owned(), port }
     }
 
     #[test]
     fn every_documented_form_parses_and_prints_back() {
         for (text, link) in [
-            (
-                "serial:///dev/ttyACM0?baud=9600",
-                serial("/dev/ttyACM0", 9600),
-            ),
+            ("serial:///dev/ttyACM0?baud=9600", serial("/dev/ttyACM0", 9600)),
             ("serial:///dev/ttyACM0", serial("/dev/ttyACM0", 115_200)),
             ("serial://COM5", serial("COM5", 115_200)),
             ("serial:///COM5?baud=115200", serial("COM5", 115_200)),
@@ -312,17 +271,9 @@ mod tests {
     fn what_is_no_link_says_what_is_wrong() {
         for (text, code, part) in [
             ("serial://", ErrorCode::BadLink, "port is missing"),
-            (
-                "serial:///dev/ttyS0?baud=fast",
-                ErrorCode::BadLink,
-                "`fast`",
-            ),
+            ("serial:///dev/ttyS0?baud=fast", ErrorCode::BadLink, "`fast`"),
             ("serial:///dev/ttyS0?baud=0", ErrorCode::BadLink, "`0`"),
-            (
-                "serial:///dev/ttyS0?parity=even",
-                ErrorCode::BadLink,
-                "parity=even",
-            ),
+            ("serial:///dev/ttyS0?parity=even", ErrorCode::BadLink, "parity=even"),
             ("tcp://127.0.0.1", ErrorCode::BadLink, "port is missing"),
             ("tcp://::1:7100", ErrorCode::BadLink, "brackets"),
             ("tcp://:7100", ErrorCode::BadLink, "host is missing"),

@@ -71,11 +71,7 @@ impl LiveLinks {
             })
         };
         let threads = links.into_iter().enumerate().map(listen).collect();
-        Self {
-            receiver,
-            shared,
-            threads,
-        }
+        Self { receiver, shared, threads }
     }
 
     /// The next message of a link, by its index.
@@ -210,10 +206,7 @@ impl Listener<'_> {
         }
         let look_up = now + GLANCE;
         let enough = self.client.statistics().bytes + ENOUGH;
-        while let Some(arrival) = self
-            .client
-            .next_event(self.schedule.due_in(now).min(GLANCE))?
-        {
+        while let Some(arrival) = self.client.next_event(self.schedule.due_in(now).min(GLANCE))? {
             match &arrival.event {
                 Event::Restart { .. } => self.clock = ClockEstimator::new(),
                 Event::Status(status) => {
@@ -278,9 +271,7 @@ impl Listener<'_> {
                 error = still;
             }
             let (role, heard) = (self.role, self.heard());
-            let brought = heard
-                .iter()
-                .any(|entry| matches!(entry, Recorded::Received(_)));
+            let brought = heard.iter().any(|entry| matches!(entry, Recorded::Received(_)));
             let mut entries = Vec::new();
             // The data of another board are not recorded.
             if let Some(host_ns) = opened_ns.filter(|_| back || (brought && !another)) {
@@ -334,16 +325,10 @@ impl Tapped {
     /// As an entry of a recording.
     pub fn of(self, role: LinkRole) -> Recorded {
         match self {
-            Self::Received { host_ns, bytes } => Recorded::Received(Received {
-                role,
-                host_ns,
-                bytes,
-            }),
-            Self::Sent { host_ns, bytes } => Recorded::Sent {
-                role,
-                host_ns,
-                bytes,
-            },
+            Self::Received { host_ns, bytes } => {
+                Recorded::Received(Received { role, host_ns, bytes })
+            }
+            Self::Sent { host_ns, bytes } => Recorded::Sent { role, host_ns, bytes },
         }
     }
 }
@@ -357,10 +342,7 @@ pub struct Tap<T> {
 impl<T: Transport> Tap<T> {
     /// A tap on `inner`.
     pub fn on(inner: T) -> Self {
-        Self {
-            inner,
-            heard: Vec::new(),
-        }
+        Self { inner, heard: Vec::new() }
     }
 
     /// The data since the last call.
@@ -390,10 +372,7 @@ impl<T: Transport> Transport for Tap<T> {
         let host_ns = nanoseconds(self.inner.now());
         self.inner.write_all(bytes)?;
         if !carries_key(bytes) {
-            self.heard.push(Tapped::Sent {
-                host_ns,
-                bytes: bytes.to_vec(),
-            });
+            self.heard.push(Tapped::Sent { host_ns, bytes: bytes.to_vec() });
         }
         Ok(())
     }
@@ -420,10 +399,7 @@ fn carries_key(bytes: &[u8]) -> bool {
     bytes.iter().any(|&byte| match deframer.push(byte) {
         Some(Ok(frame)) if frame.kind == Kind::Request => {
             let request = Request::decode(frame.body);
-            matches!(
-                request.map(|request| request.command),
-                Ok(Command::SetKey(_))
-            )
+            matches!(request.map(|request| request.command), Ok(Command::SetKey(_)))
         }
         _ => false,
     })

@@ -120,14 +120,9 @@ pub struct ClockAnchor {
 impl ClockAnchor {
     /// Anchors the monotonic clock that shows `monotonic` to UTC, now.
     pub fn now(monotonic: Duration) -> Self {
-        let utc = SystemTime::now()
-            .duration_since(UNIX_EPOCH)
-            .unwrap_or_default();
+        let utc = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let ns = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
-        Self {
-            monotonic_ns: ns(monotonic),
-            utc_ns: ns(utc),
-        }
+        Self { monotonic_ns: ns(monotonic), utc_ns: ns(utc) }
     }
 
     /// A monotonic time in UTC, ns since 1970.

@@ -128,10 +128,8 @@ impl Readings {
             Event::Environment(environment) => {
                 let corrected = self.link.latest().corrected_field_nt(environment);
                 let put_out = environment.magnetic_field_nt.map(|nt| nt.map(f64::from));
-                self.field = corrected.or(put_out).map(|nt| Field {
-                    nt,
-                    calibrated: corrected.is_some(),
-                });
+                self.field =
+                    corrected.or(put_out).map(|nt| Field { nt, calibrated: corrected.is_some() });
             }
             Event::Epoch { epoch, .. } => {
                 self.heading = Heading::of(epoch);

@@ -135,10 +135,7 @@ impl MotionRecording {
 
     /// Another column of the file.
     pub fn column(&self, name: &str) -> Option<&[f64]> {
-        self.other
-            .iter()
-            .find(|(n, _)| n == name)
-            .map(|(_, values)| values.as_slice())
+        self.other.iter().find(|(n, _)| n == name).map(|(_, values)| values.as_slice())
     }
 
     /// Standard deviation of the accelerometer's bias, m/s²: of an unknown sensor, or what turn-on changes and what its
@@ -147,10 +144,7 @@ impl MotionRecording {
         let Some(known) = self.covariance else {
             return UNKNOWN_BIAS_MPS2;
         };
-        self.turn_on_mps2()
-            .hypot(crate::calibration::worst_sd(|place| {
-                known[place][place].sqrt()
-            }))
+        self.turn_on_mps2().hypot(crate::calibration::worst_sd(|place| known[place][place].sqrt()))
     }
 
     /// Standard deviation of the turn-on bias that the covariance does not include, m/s².
@@ -178,9 +172,7 @@ impl MotionRecording {
     pub fn gravity_mps2(&self) -> f64 {
         let standard = wimu_model::STANDARD_GRAVITY_MPS2;
         let by_bias = LIKELY * self.bias_mps2();
-        self.first_rest_mps2()
-            .filter(|seen| (seen - standard).abs() > by_bias)
-            .unwrap_or(standard)
+        self.first_rest_mps2().filter(|seen| (seen - standard).abs() > by_bias).unwrap_or(standard)
     }
 
     /// Mean |f| of the first second at rest, where it may be gravity, m/s².
@@ -205,11 +197,7 @@ impl MotionRecording {
             let count = (to - from) as f64;
             let mean_mps2 = sizes.clone().sum::<f64>() / count;
             let variance = sizes.map(|f| (f - mean_mps2).powi(2)).sum::<f64>() / count;
-            Some(Second {
-                samples: std::mem::replace(&mut from, to)..to,
-                mean_mps2,
-                variance,
-            })
+            Some(Second { samples: std::mem::replace(&mut from, to)..to, mean_mps2, variance })
         })
     }
 }
@@ -261,9 +249,7 @@ pub(crate) fn in_body_axes(known: &ModelCovariance, alignment: &Alignment) -> [[
     let rotation = Matrix3::from_row_slice(alignment.matrix().as_flattened());
     let mut change = SMatrix::<f64, 12, 12>::zeros();
     change.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
-    change
-        .fixed_view_mut::<9, 9>(3, 3)
-        .copy_from(&rotation.kronecker(&rotation));
+    change.fixed_view_mut::<9, 9>(3, 3).copy_from(&rotation.kronecker(&rotation));
     let sensor = SMatrix::from_fn(|a, b| known.get(a, b));
     (change * sensor * change.transpose()).into()
 }

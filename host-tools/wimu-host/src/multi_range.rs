@@ -174,11 +174,7 @@ impl Merge {
         let mut findings = Vec::new();
         let mut noise = finest.noise;
         for coarse in coarser {
-            let fine = Fine {
-                times_s: &finest.series.times_s,
-                readings: &readings,
-                noise,
-            };
+            let fine = Fine { times_s: &finest.series.times_s, readings: &readings, noise };
             let fit = fine.fit(&coarse.series, coarse.noise).ok_or_else(|| {
                 ErrorCode::DataRefused.error(
                     format!(
@@ -199,27 +195,17 @@ impl Merge {
         }
         findings.insert(0, summary(&merged));
         findings.extend(saturated(&readings, sensors));
-        let track = tracks
-            .iter()
-            .find(|track| track.info.sensor == finest.sensor);
+        let track = tracks.iter().find(|track| track.info.sensor == finest.sensor);
         let widest = sensors[sensors.len() - 1].full_scale;
         let (recording, deviations_mps2) = finest.replaced(recording, track, &readings, widest);
-        Ok(Self {
-            recording,
-            deviations_mps2,
-            sensors: merged,
-            findings,
-        })
+        Ok(Self { recording, deviations_mps2, sensors: merged, findings })
     }
 }
 
 /// The accelerometers that may be merged, by index.
 fn forces(recording: &Recording) -> Vec<&Track> {
     let is_output = |track: &&Track| track.info.origin == Origin::Sensor && !track.info.timeless;
-    let mut tracks: Vec<&Track> = recording
-        .of(Quantity::SpecificForce)
-        .filter(is_output)
-        .collect();
+    let mut tracks: Vec<&Track> = recording.of(Quantity::SpecificForce).filter(is_output).collect();
     tracks.sort_by_key(|track| track.info.sensor);
     tracks
 }
@@ -325,10 +311,7 @@ impl Sensor {
 }
 
 fn name(sensor: u8, full_scale_mps2: f64) -> String {
-    format!(
-        "{sensor} (±{:.0} g)",
-        full_scale_mps2 / STANDARD_GRAVITY_MPS2
-    )
+    format!("{sensor} (±{:.0} g)", full_scale_mps2 / STANDARD_GRAVITY_MPS2)
 }
 
 /// Merges the coarse accelerometer with the finer side: readings, and samples in which it stands in.
@@ -368,12 +351,7 @@ fn slope(series: &Series, time_s: f64) -> Option<Vector3<f64>> {
 
 fn relative(fit: &Fit) -> Relative {
     let sd = fit.model.covariance.diagonal().map(f64::sqrt);
-    let Clock {
-        delay_s,
-        delay_sd_s,
-        drift,
-        ..
-    } = fit.clock;
+    let Clock { delay_s, delay_sd_s, drift, .. } = fit.clock;
     Relative {
         bias_mps2: fit.model.bias_mps2.into(),
         matrix: fit.model.matrix.transpose().into(),

@@ -94,17 +94,9 @@ pub fn recomputed(boot: &Boot, parameters: &ParameterSet, zupt: bool) -> Result<
     };
     let correction = correction(boot, &first.epoch, parameters)?;
     // The latest epoch has the best estimate of the true period.
-    let period = boot
-        .epochs
-        .last()
-        .map_or(first, |last| last)
-        .epoch
-        .period_ns;
-    let config = Config {
-        period: PeriodNs(period),
-        zupt,
-        gravity_um_s2: first.epoch.state.gravity_um_s2,
-    };
+    let period = boot.epochs.last().map_or(first, |last| last).epoch.period_ns;
+    let config =
+        Config { period: PeriodNs(period), zupt, gravity_um_s2: first.epoch.state.gravity_um_s2 };
     let config = config.checked().map_err(refused)?;
     let mut integrator = Integrator::new(config);
     let mut next = None;
@@ -118,11 +110,7 @@ pub fn recomputed(boot: &Boot, parameters: &ParameterSet, zupt: bool) -> Result<
             }
             next = Some(raw.sequence.wrapping_add(1));
             correction.integrate(raw, &mut integrator);
-            Point {
-                sequence: raw.sequence,
-                time: raw.time,
-                navigation: integrator.navigation(),
-            }
+            Point { sequence: raw.sequence, time: raw.time, navigation: integrator.navigation() }
         })
         .collect())
 }
@@ -172,10 +160,7 @@ pub fn motion(
     };
     if forces.len() < 2 {
         return Err(ErrorCode::NoRows
-            .error(
-                "fewer than two samples can be corrected",
-                "record for longer than a second",
-            )
+            .error("fewer than two samples can be corrected", "record for longer than a second")
             .at(name));
     }
     let mut fields = boot
@@ -209,10 +194,7 @@ pub fn motion(
     let mut recording = MotionRecording::new(name, times_s, samples);
     let range_g = boot.epochs.iter().map(|mark| mark.epoch.range_g).max();
     recording.full_scale_mps2 = range_g.map(|g| f64::from(g) * BEYOND_RANGE);
-    let has_field = boot
-        .environment
-        .iter()
-        .any(|e| e.magnetic_field_nt.is_some());
+    let has_field = boot.environment.iter().any(|e| e.magnetic_field_nt.is_some());
     recording.field_uncalibrated =
         has_field && recording.samples.iter().all(|s| s.field_ut.is_none());
     if !boot.further.is_empty() && !boot.raw.is_empty() {

@@ -149,9 +149,7 @@ mod tests {
     fn names(folder: &Path) -> Vec<String> {
         let entries = fs::read_dir(folder).unwrap();
         let name = |entry: io::Result<fs::DirEntry>| entry.unwrap().file_name();
-        entries
-            .map(|entry| name(entry).into_string().unwrap())
-            .collect()
+        entries.map(|entry| name(entry).into_string().unwrap()).collect()
     }
 
     #[test]
@@ -188,10 +186,7 @@ mod tests {
         // A link to a file that is yet to be made.
         symlink("later.json", folder.path().join("hanging.json")).unwrap();
         OutputFile::write(&folder.path().join("hanging.json"), "made").unwrap();
-        assert_eq!(
-            fs::read_to_string(folder.path().join("later.json")).unwrap(),
-            "made"
-        );
+        assert_eq!(fs::read_to_string(folder.path().join("later.json")).unwrap(), "made");
     }
 
     #[cfg(unix)]

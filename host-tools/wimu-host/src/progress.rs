@@ -34,12 +34,7 @@ impl Watched {
     /// Those of [`File::open`].
     pub fn open(path: &Path) -> io::Result<Self> {
         let file = File::open(path)?;
-        Ok(Self {
-            length: file.metadata()?.len(),
-            file,
-            position: 0,
-            reported: 0,
-        })
+        Ok(Self { length: file.metadata()?.len(), file, position: 0, reported: 0 })
     }
 }
 

@@ -74,10 +74,7 @@ impl Recorder {
                 ));
             }
         }
-        Ok(Self {
-            links: clients,
-            patience: Duration::from_secs(30),
-        })
+        Ok(Self { links: clients, patience: Duration::from_secs(30) })
     }
 
     /// Sets the time after which a recording ends when every link is lost; default 30 s.
@@ -104,10 +101,7 @@ impl Recorder {
         stop: &AtomicBool,
         mut report: impl FnMut(&Progress),
     ) -> Result<Progress> {
-        let now = self
-            .links
-            .first_mut()
-            .map_or(Duration::ZERO, |(_, link)| link.transport().now());
+        let now = self.links.first_mut().map_or(Duration::ZERO, |(_, link)| link.transport().now());
         let mut writer = RecordingWriter::create(path, ClockAnchor::now(now))?;
         let mut progress = Progress {
             links: self
@@ -122,10 +116,7 @@ impl Recorder {
                 .collect(),
             ended: None,
         };
-        let through_broker = self
-            .links
-            .iter()
-            .any(|(url, _)| matches!(url, LinkUrl::Mqtt { .. }));
+        let through_broker = self.links.iter().any(|(url, _)| matches!(url, LinkUrl::Mqtt { .. }));
         let pace = match through_broker {
             true => Pace::sparse,
             false => Pace::on_line,

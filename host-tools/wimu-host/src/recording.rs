@@ -265,14 +265,12 @@ impl Track {
     pub fn valid(&self) -> impl Iterator<Item = (i64, &[f64])> + Clone {
         let rows = self.values.chunks_exact(self.info.quantity.width());
         let rows = self.times_ns.iter().zip(rows).zip(&self.valid);
-        rows.filter(|(_, valid)| **valid)
-            .map(|((time, row), _)| (*time, row))
+        rows.filter(|(_, valid)| **valid).map(|((time, row), _)| (*time, row))
     }
 
     /// [`valid`](Self::valid) rows of three values.
     pub fn vectors(&self) -> impl Iterator<Item = (i64, [f64; 3])> + Clone {
-        self.valid()
-            .filter_map(|(time, row)| Some((time, row.try_into().ok()?)))
+        self.valid().filter_map(|(time, row)| Some((time, row.try_into().ok()?)))
     }
 
     /// Median time between rows, s; `None` with fewer than two.
@@ -298,10 +296,7 @@ pub struct Recording {
 impl Recording {
     /// One without tracks.
     pub fn new(name: impl Into<String>) -> Self {
-        Self {
-            name: name.into(),
-            ..Self::default()
-        }
+        Self { name: name.into(), ..Self::default() }
     }
 
     /// Its tracks, in the order in which the file brings them.
@@ -316,9 +311,7 @@ impl Recording {
 
     /// Tracks of a quantity.
     pub fn of(&self, quantity: Quantity) -> impl Iterator<Item = &Track> {
-        self.tracks
-            .iter()
-            .filter(move |track| track.info.quantity == quantity)
+        self.tracks.iter().filter(move |track| track.info.quantity == quantity)
     }
 
     /// The track of a quantity with the lowest sensor index, which is not an estimate or truth.
@@ -392,12 +385,8 @@ impl Sink for Recording {
         let width = track.info.quantity.width();
         let fits = values.len() == width;
         track.times_ns.push(time_ns);
-        track
-            .values
-            .extend((0..width).map(|k| values.get(k).copied().unwrap_or(f64::NAN)));
-        track
-            .valid
-            .push(fits && values.iter().all(|value| value.is_finite()));
+        track.values.extend((0..width).map(|k| values.get(k).copied().unwrap_or(f64::NAN)));
+        track.valid.push(fits && values.iter().all(|value| value.is_finite()));
     }
 
     fn gap(&mut self, track: TrackId) {

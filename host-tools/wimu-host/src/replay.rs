@@ -18,10 +18,7 @@ const EPOCH_WITHIN_NS: u64 = 1_000_000_000;
 
 /// A step of a replay.
 #[derive(Debug)]
-#[allow(
-    clippy::large_enum_variant,
-    reason = "steps are handed on one at a time"
-)]
+#[allow(clippy::large_enum_variant, reason = "steps are handed on one at a time")]
 pub enum Step {
     /// A sample, replayed.
     Sample(Replayed),
@@ -105,12 +102,9 @@ impl Running {
     /// Continues with the parameters, temperature, period and range of an epoch.
     fn adopt(&mut self, boot: &Boot, mark: &EpochMark) -> Result<()> {
         self.correction = Correction::of(boot, mark)?;
-        self.integrator
-            .set_period(PeriodNs(mark.epoch.period_ns))
-            .map_err(unusable)?;
+        self.integrator.set_period(PeriodNs(mark.epoch.period_ns)).map_err(unusable)?;
         if mark.epoch.reason == EpochReason::Heading {
-            self.integrator
-                .adopt_heading(&State::from(mark.epoch.state));
+            self.integrator.adopt_heading(&State::from(mark.epoch.state));
         }
         self.since_epoch = 0;
         self.most = most_samples(mark);
@@ -205,12 +199,7 @@ fn unusable(error: impl std::error::Error) -> HostError {
 impl<'a> Replay<'a> {
     /// Begins at the epoch of this index in [`Boot::epochs`].
     pub fn new(boot: &'a Boot, epoch: usize) -> Self {
-        Self {
-            boot,
-            epoch,
-            raw: 0,
-            running: None,
-        }
+        Self { boot, epoch, raw: 0, running: None }
     }
 
     /// Takes the next epoch.

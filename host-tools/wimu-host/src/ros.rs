@@ -68,29 +68,14 @@ impl Decoded {
     fn lacks(&self) -> Vec<Finding> {
         let (left_out, late) = (FindingCode::SamplesLeftOut, FindingCode::TimesUnordered);
         let lacks = [
-            (
-                left_out,
-                self.without_time,
-                "messages left out: their time is unknown",
-            ),
-            (
-                late,
-                self.late,
-                "samples are out of order: they arrived late",
-            ),
-            (
-                left_out,
-                self.unplaced,
-                "batches left out: they have no time reference",
-            ),
+            (left_out, self.without_time, "messages left out: their time is unknown"),
+            (late, self.late, "samples are out of order: they arrived late"),
+            (left_out, self.unplaced, "batches left out: they have no time reference"),
         ];
         let lacks = lacks.into_iter().filter(|(_, count, _)| *count > 0);
         let lacks = lacks.map(|(code, count, what)| code.warning(format!("{count} {what}")));
         let without = without_unit(self.without_unit as usize, "raw sample", "left out");
-        lacks
-            .chain(without)
-            .chain(self.wholeness.finding())
-            .collect()
+        lacks.chain(without).chain(self.wholeness.finding()).collect()
     }
 }
 
@@ -153,20 +138,14 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
         links: BTreeMap::new(),
         paths: BTreeMap::new(),
         // The cable is the first link.
-        positioned: survey
-            .links
-            .iter()
-            .find(has_positions)
-            .map(|link| link.role),
+        positioned: survey.links.iter().find(has_positions).map(|link| link.role),
         link_model,
         decoded: Decoded::default(),
     };
     let mut walker = Walker::new();
     while let Some(entry) = reader.next_entry()? {
         decoder.out.record(&entry)?;
-        walker.push(entry, &mut |role, start, step| {
-            decoder.take(role, start, &step)
-        })?;
+        walker.push(entry, &mut |role, start, step| decoder.take(role, start, &step))?;
     }
     let links = walker.finish(&mut |role, start, step| decoder.take(role, start, &step))?;
     let unplaced = links.iter().map(|(_, link)| link.batches_unplaced);
@@ -224,11 +203,8 @@ pub(crate) fn rate_covariance(rate: [f64; 3], sd: &[f64; 12], rotation: &Matrix3
         let terms = (matrix.iter().zip(rate)).map(|(sd, rate)| (sd * rate).powi(2));
         sd[axis].powi(2) + terms.sum::<f64>()
     });
-    let element = |i: usize, j: usize| {
-        (0..3)
-            .map(|k| rotation[i][k] * variance[k] * rotation[j][k])
-            .sum()
-    };
+    let element =
+        |i: usize, j: usize| (0..3).map(|k| rotation[i][k] * variance[k] * rotation[j][k]).sum();
     [0, 1, 2].map(|i| [0, 1, 2].map(|j| element(i, j)))
 }
 
@@ -292,12 +268,8 @@ impl Writer<'_> {
         let Step::Arrival(arrival) = step else {
             return Ok(());
         };
-        let source = Source {
-            role,
-            start,
-            known: self.starts.get(&start),
-            arrived_ns: arrival.host_ns,
-        };
+        let source =
+            Source { role, start, known: self.starts.get(&start), arrived_ns: arrival.host_ns };
         let mut link =
             (self.links.remove(&role.number())).unwrap_or_else(|| LinkHistory::new(role));
         link.take_event(&arrival.event);
@@ -359,10 +331,9 @@ impl Writer<'_> {
     fn environment(&mut self, source: Source, boot: &Boot, sent: &Environment) -> Result<()> {
         let time = DeviceTimeUs(sent.time_us);
         let field = sent.magnetic_field_nt.map(|nt| nt.map(f64::from));
-        for (kind, nt) in [
-            (Kind::Magnetic, field),
-            (Kind::MagneticCorrected, boot.corrected_field_nt(sent)),
-        ] {
+        for (kind, nt) in
+            [(Kind::Magnetic, field), (Kind::MagneticCorrected, boot.corrected_field_nt(sent))]
+        {
             let Some(nt) = nt else { continue };
             let mut fields = [0.0; 12];
             fields[..3].copy_from_slice(&nt.map(|axis| axis * 1e-9));

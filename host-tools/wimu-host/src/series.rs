@@ -71,14 +71,8 @@ impl Series {
         let sum = |weights: [f64; 4], axis: usize| -> f64 {
             weights.iter().zip(values).map(|(w, v)| w * v[axis]).sum()
         };
-        let (all, left, right) = (
-            weights(&[0, 1, 2, 3]),
-            weights(&[0, 1, 2]),
-            weights(&[1, 2, 3]),
-        );
-        let doubt = (0..3)
-            .map(|a| (sum(left, a) - sum(right, a)).abs())
-            .fold(0.0, f64::max);
+        let (all, left, right) = (weights(&[0, 1, 2, 3]), weights(&[0, 1, 2]), weights(&[1, 2, 3]));
+        let doubt = (0..3).map(|a| (sum(left, a) - sum(right, a)).abs()).fold(0.0, f64::max);
         (
             std::array::from_fn(|axis| sum(all, axis)),
             doubt / 2.0,

@@ -29,10 +29,7 @@ impl StandardInput {
             true => ".mcap",
             false => ".csv",
         };
-        let file = Builder::new()
-            .prefix("wimu-stdin-")
-            .suffix(suffix)
-            .tempfile();
+        let file = Builder::new().prefix("wimu-stdin-").suffix(suffix).tempfile();
         let mut file = file.map_err(failed)?;
         file.write_all(&start).map_err(failed)?;
         copy(&mut source, &mut file).map_err(failed)?;

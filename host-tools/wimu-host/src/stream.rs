@@ -91,14 +91,7 @@ impl Part<'_> {
 impl<'a> From<&'a Boot> for Part<'a> {
     /// All of a start.
     fn from(boot: &'a Boot) -> Self {
-        Self {
-            index: 0,
-            boot,
-            is_last: true,
-            end: None,
-            before: HashMap::new(),
-            from_us: None,
-        }
+        Self { index: 0, boot, is_last: true, end: None, before: HashMap::new(), from_us: None }
     }
 }
 
@@ -136,12 +129,7 @@ struct Window {
 
 impl Window {
     fn new(role: LinkRole) -> Self {
-        Self {
-            link: LinkHistory::new(role),
-            index: 0,
-            before: HashMap::new(),
-            from_us: None,
-        }
+        Self { link: LinkHistory::new(role), index: 0, before: HashMap::new(), from_us: None }
     }
 
     fn take(&mut self, event: &Event, each: &mut impl FnMut(&Part) -> Result<()>) -> Result<()> {
@@ -192,9 +180,7 @@ impl Window {
         let Some(end) = end else { return Ok(()) };
         let navigation = part.navigation().len();
         let further = boot.further.keys().map(|sensor| (*sensor, Stream::Raw));
-        let tracks = [(0, Stream::Raw), (0, Stream::Corrected)]
-            .into_iter()
-            .chain(further);
+        let tracks = [(0, Stream::Raw), (0, Stream::Corrected)].into_iter().chain(further);
         let latest = tracks.filter_map(|(sensor, stream)| {
             let last = part.samples(sensor, stream).last()?;
             Some(((sensor, stream), last.sequence))

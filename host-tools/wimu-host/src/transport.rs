@@ -62,10 +62,8 @@ pub trait Transport {
     /// # Errors
     /// `usage` for a link without a baud rate; `link_lost` when the port refuses it.
     fn set_baud(&mut self, baud: u32) -> Result<()> {
-        Err(ErrorCode::Usage.error(
-            format!("this link has no baud rate to set to {baud}"),
-            "name a serial port",
-        ))
+        Err(ErrorCode::Usage
+            .error(format!("this link has no baud rate to set to {baud}"), "name a serial port"))
     }
 }
 
@@ -111,16 +109,9 @@ pub fn open(link: &LinkUrl) -> Result<Box<dyn Transport + Send>> {
         LinkUrl::Ble { name } => Ok(Box::new(ble::open(name)?)),
         #[cfg(not(feature = "ble"))]
         LinkUrl::Ble { .. } => Err(without_ble(&link.to_string())),
-        LinkUrl::Mqtt {
-            broker,
-            fleet,
-            board,
-        } => Ok(Box::new(fleet::open(
-            &link.to_string(),
-            broker,
-            fleet,
-            board,
-        )?)),
+        LinkUrl::Mqtt { broker, fleet, board } => {
+            Ok(Box::new(fleet::open(&link.to_string(), broker, fleet, board)?))
+        }
         LinkUrl::Auto => match candidates()?.as_slice() {
             [only] => open(only),
             several => {
@@ -145,10 +136,7 @@ pub fn candidates() -> Result<Vec<LinkUrl>> {
     let found: Vec<_> = ports()?
         .into_iter()
         .filter(|port| port.board.is_some())
-        .map(|port| LinkUrl::Serial {
-            path: port.path,
-            baud: Some(DEFAULT_BAUD),
-        })
+        .map(|port| LinkUrl::Serial { path: port.path, baud: Some(DEFAULT_BAUD) })
         .collect();
     if found.is_empty() {
         Err(ErrorCode::LinkAbsent.error("no serial port has the USB id of a known board",
@@ -251,10 +239,7 @@ pub fn ports() -> Result<Vec<Port>> {
         .into_iter()
         .map(|port| match port.port_type {
             SerialPortType::UsbPort(usb) => {
-                let id = UsbId {
-                    vendor: usb.vid,
-                    product: usb.pid,
-                };
+                let id = UsbId { vendor: usb.vid, product: usb.pid };
                 Port {
                     path: port.port_name,
                     usb: Some(id),
@@ -287,28 +272,19 @@ impl SerialLink {
             .timeout(PATIENCE)
             .open()
             .map_err(|error| serial_error(path, baud, &error))?;
-        Ok(Self {
-            path: path.to_owned(),
-            port,
-        })
+        Ok(Self { path: path.to_owned(), port })
     }
 }
 
 impl Transport for SerialLink {
     fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize> {
-        self.port
-            .set_timeout(timeout)
-            .map_err(|error| lost(&self.path, &error.into()))?;
+        self.port.set_timeout(timeout).map_err(|error| lost(&self.path, &error.into()))?;
         read_some(&mut self.port, buffer, &self.path)
     }
 
     fn write_all(&mut self, bytes: &[u8]) -> Result<()> {
-        self.port
-            .set_timeout(PATIENCE)
-            .map_err(|error| lost(&self.path, &error.into()))?;
-        self.port
-            .write_all(bytes)
-            .map_err(|error| lost(&self.path, &error))
+        self.port.set_timeout(PATIENCE).map_err(|error| lost(&self.path, &error.into()))?;
+        self.port.write_all(bytes).map_err(|error| lost(&self.path, &error))
     }
 
     fn baud(&self) -> Option<u32> {
@@ -328,11 +304,7 @@ fn serial_error(path: &str, baud: u32, error: &serialport::Error) -> HostError {
     let exists = if cfg!(unix) {
         std::path::Path::new(path).exists()
     } else {
-        ports().is_ok_and(|ports| {
-            ports
-                .iter()
-                .any(|port| port.path.eq_ignore_ascii_case(path))
-        })
+        ports().is_ok_and(|ports| ports.iter().any(|port| port.path.eq_ignore_ascii_case(path)))
     };
     let failure = match error.kind() {
         _ if !exists => ErrorCode::LinkAbsent.error("there is no such serial port",
@@ -367,10 +339,7 @@ impl TcpLink {
         let name = link.to_string();
         let addresses = (host, port).to_socket_addrs().map_err(|error| {
             ErrorCode::LinkAbsent
-                .error(
-                    format!("unknown host `{host}`: {error}"),
-                    "check the name and the network",
-                )
+                .error(format!("unknown host `{host}`: {error}"), "check the name and the network")
                 .at(&name)
         })?;
         let mut last = io::Error::from(ErrorKind::AddrNotAvailable);
@@ -382,11 +351,7 @@ impl TcpLink {
                         .set_nodelay(true)
                         .and_then(|()| stream.set_write_timeout(Some(PATIENCE)));
                     ready.map_err(|error| lost(&name, &error))?;
-                    return Ok(Self {
-                        name,
-                        stream,
-                        timeout: None,
-                    });
+                    return Ok(Self { name, stream, timeout: None });
                 }
                 Err(error) => last = error,
             }
@@ -410,18 +375,14 @@ impl Transport for TcpLink {
         // Whole ms, so that equal waits need no system call to set it; zero would mean without limit.
         let timeout = Some(Duration::from_millis(timeout.as_millis() as u64 + 1));
         if self.timeout != timeout {
-            self.stream
-                .set_read_timeout(timeout)
-                .map_err(|error| lost(&self.name, &error))?;
+            self.stream.set_read_timeout(timeout).map_err(|error| lost(&self.name, &error))?;
             self.timeout = timeout;
         }
         read_some(&mut self.stream, buffer, &self.name)
     }
 
     fn write_all(&mut self, bytes: &[u8]) -> Result<()> {
-        self.stream
-            .write_all(bytes)
-            .map_err(|error| lost(&self.name, &error))
+        self.stream.write_all(bytes).map_err(|error| lost(&self.name, &error))
     }
 }
 
@@ -443,18 +404,12 @@ fn lost(name: &str, error: &io::Error) -> HostError {
     let message = match error.kind() {
         ErrorKind::UnexpectedEof => "the other end closed the link".to_owned(),
         ErrorKind::TimedOut | ErrorKind::WouldBlock => {
-            format!(
-                "the other end has accepted no data for {} s",
-                PATIENCE.as_secs()
-            )
+            format!("the other end has accepted no data for {} s", PATIENCE.as_secs())
         }
         _ => format!("the link failed: {error}"),
     };
     ErrorCode::LinkLost
-        .error(
-            message,
-            "check the cable, the adapter's power and its range, then connect again",
-        )
+        .error(message, "check the cable, the adapter's power and its range, then connect again")
         .at(name)
 }
 

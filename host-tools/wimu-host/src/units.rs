@@ -196,11 +196,7 @@ impl RawUnits {
             return;
         };
         let mark = Mark::of(epoch);
-        let mut run = Run {
-            unit,
-            first: mark,
-            last: mark,
-        };
+        let mut run = Run { unit, first: mark, last: mark };
         let mut at = self
             .runs
             .partition_point(|run| sequence_order(run.first.sequence, mark.sequence).is_le());
@@ -237,9 +233,8 @@ impl RawUnits {
 
     /// The unit of the raw sample of this number; `None` if unknown.
     pub fn of(&self, sequence: u32) -> Option<RawUnit> {
-        let at = self
-            .runs
-            .partition_point(|run| sequence_order(run.first.sequence, sequence).is_le());
+        let at =
+            self.runs.partition_point(|run| sequence_order(run.first.sequence, sequence).is_le());
         let after = self.runs.get(at);
         let Some(run) = at.checked_sub(1).and_then(|index| self.runs.get(index)) else {
             // Sent before reception began: no epoch need be missing.

@@ -12,10 +12,7 @@ use crate::mcap_file::{Recorded, RecordingReader};
 
 /// A step through a recording.
 #[derive(Debug)]
-#[allow(
-    clippy::large_enum_variant,
-    reason = "steps are handed on one at a time"
-)]
+#[allow(clippy::large_enum_variant, reason = "steps are handed on one at a time")]
 pub enum Step {
     /// A link received something.
     Arrival(Arrival),
@@ -58,10 +55,7 @@ impl Walker {
 
     /// The same with keys, with which tags are verified.
     pub fn with_keys(keys: Vec<DeviceKey>) -> Self {
-        Self {
-            keys,
-            ..Self::default()
-        }
+        Self { keys, ..Self::default() }
     }
 
     /// Takes the next entry; `each` gets the completed steps.
@@ -77,22 +71,12 @@ impl Walker {
         let link = self.links.entry(role.number()).or_insert_with(|| {
             let mut decoder = Decoder::new();
             decoder.use_keys(self.keys.clone());
-            Link {
-                role,
-                decoder,
-                place: Place::default(),
-                held: Vec::new(),
-            }
+            Link { role, decoder, place: Place::default(), held: Vec::new() }
         });
         match entry {
             Recorded::Received(received) => {
                 let mut outcome = Ok(());
-                let Link {
-                    decoder,
-                    place,
-                    held,
-                    ..
-                } = link;
+                let Link { decoder, place, held, .. } = link;
                 decoder.push(received.host_ns, &received.bytes, |arrival| {
                     place.see(&arrival, &mut self.starts);
                     held.push(Step::Arrival(arrival));
@@ -257,27 +241,19 @@ impl Place {
                 began_ns: self.now.is_none().then(|| began_ns(hello.uptime_us)),
                 boot_count: Some(hello.boot_count),
             },
-            Event::Epoch { epoch, .. } => Known {
-                began_ns: Some(began_ns(epoch.time_us)),
-                boot_count: self.boot_count,
-            },
+            Event::Epoch { epoch, .. } => {
+                Known { began_ns: Some(began_ns(epoch.time_us)), boot_count: self.boot_count }
+            }
             _ => return,
         };
         let before = self.before;
-        let start = *self
-            .now
-            .get_or_insert_with(|| starts.find(before, reported));
+        let start = *self.now.get_or_insert_with(|| starts.find(before, reported));
         starts.note(start, reported);
     }
 
     /// The start; a new one if none was identified.
     fn settle(&mut self, starts: &mut Starts) -> Start {
         let boot_count = self.boot_count;
-        *self.now.get_or_insert_with(|| {
-            starts.add(Known {
-                began_ns: None,
-                boot_count,
-            })
-        })
+        *self.now.get_or_insert_with(|| starts.add(Known { began_ns: None, boot_count }))
     }
 }

@@ -19,31 +19,15 @@ fn chosen<const N: usize, T>(cases: [T; N]) -> impl Iterator<Item = T> {
 
 /// An ordinary sensor off the reel at places measured with a ruler.
 fn uncalibrated() -> Case {
-    Case {
-        rate_hz: 100.0,
-        bias: 0.1,
-        scale: 0.015,
-        place: 1e-3,
-        ..Case::default()
-    }
+    Case { rate_hz: 100.0, bias: 0.1, scale: 0.015, place: 1e-3, ..Case::default() }
 }
 
 #[test]
 fn an_array_that_nobody_calibrated_is_within_its_covariance() {
     let cases = [
         uncalibrated(),
-        Case {
-            scale: 0.0,
-            place: 0.0,
-            bias: 0.2,
-            ..uncalibrated()
-        },
-        Case {
-            places: Places::Board,
-            scale: 0.005,
-            kind: Kind::Moves(0.3, 1.0),
-            ..uncalibrated()
-        },
+        Case { scale: 0.0, place: 0.0, bias: 0.2, ..uncalibrated() },
+        Case { places: Places::Board, scale: 0.005, kind: Kind::Moves(0.3, 1.0), ..uncalibrated() },
     ];
     for case in chosen(cases) {
         let coverage = case.over(seeds());
@@ -62,12 +46,7 @@ fn what_the_rests_tell_of_sensors_that_nobody_calibrated_is_taken_off_them() {
         (Places::Octahedron(0.03), Kind::Move(0.3, 1.0), 0.8),
     ];
     for (places, kind, rad_s) in chosen(cases) {
-        let case = Case {
-            places,
-            kind,
-            rate_hz: 200.0,
-            ..uncalibrated()
-        };
+        let case = Case { places, kind, rate_hz: 200.0, ..uncalibrated() };
         let coverage = case.over(seeds());
         println!("{coverage}");
         assert!(coverage.can_be_at_least(90.0, 90.0), "{coverage}");
@@ -77,15 +56,9 @@ fn what_the_rests_tell_of_sensors_that_nobody_calibrated_is_taken_off_them() {
 
 #[test]
 fn the_deviation_of_a_calibrated_array_is_of_the_order_of_its_error() {
-    let calibrated = Case {
-        rate_hz: 100.0,
-        ..Case::default()
-    };
+    let calibrated = Case { rate_hz: 100.0, ..Case::default() };
     // Four triads leave nothing over that would show it.
-    let four = Case {
-        places: Places::Four(0.03),
-        ..calibrated
-    };
+    let four = Case { places: Places::Four(0.03), ..calibrated };
     for case in chosen([calibrated, four]) {
         let coverage = case.over(seeds());
         println!("{coverage}");
@@ -96,15 +69,8 @@ fn the_deviation_of_a_calibrated_array_is_of_the_order_of_its_error() {
 
 #[test]
 fn a_cube_whose_rate_is_only_integrated_says_how_far_it_strays() {
-    let cube = Case {
-        places: Places::Cube(0.1),
-        rate_hz: 100.0,
-        ..Case::default()
-    };
-    let off = Case {
-        zupt: Zupt::Off,
-        ..cube
-    };
+    let cube = Case { places: Places::Cube(0.1), rate_hz: 100.0, ..Case::default() };
+    let off = Case { zupt: Zupt::Off, ..cube };
     let [rested, strayed] = [cube, off].map(|case| case.over(seeds()));
     println!("{rested}\n{strayed}");
     for coverage in [&rested, &strayed] {
@@ -115,12 +81,8 @@ fn a_cube_whose_rate_is_only_integrated_says_how_far_it_strays() {
 
 #[test]
 fn even_motion_is_doubted_unless_a_rest_is_stated() {
-    let case = Case {
-        kind: Kind::Cart(0.3, 6.0),
-        zupt: Zupt::Assumed,
-        rate_hz: 100.0,
-        ..Case::default()
-    };
+    let case =
+        Case { kind: Kind::Cart(0.3, 6.0), zupt: Zupt::Assumed, rate_hz: 100.0, ..Case::default() };
     let count = Lane::current().choose([2, 2, 100]);
     let zupt = Zupt::Stated;
     let [doubted, stated] = [case, Case { zupt, ..case }].map(|case| case.over(count));
@@ -132,11 +94,7 @@ fn even_motion_is_doubted_unless_a_rest_is_stated() {
 #[test]
 fn half_and_a_quarter_of_the_sample_rate_are_as_consistent() {
     for rate_hz in chosen([50.0, 25.0]) {
-        let coverage = Case {
-            rate_hz,
-            ..Case::default()
-        }
-        .over(seeds());
+        let coverage = Case { rate_hz, ..Case::default() }.over(seeds());
         println!("{coverage}");
         // Of moving samples alone 88 % at 25 Hz: σ is a little too small there.
         assert!(coverage.can_be_at_least(85.0, 90.0), "{coverage}");

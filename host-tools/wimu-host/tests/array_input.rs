@@ -36,11 +36,7 @@ struct Part {
 }
 
 fn part(seconds: f64, rate: [f64; 3]) -> Part {
-    Part {
-        seconds,
-        rate,
-        shift: [0.0; 3],
-    }
+    Part { seconds, rate, shift: [0.0; 3] }
 }
 
 fn about_z(seconds: f64, rate: f64) -> Part {
@@ -63,19 +59,14 @@ fn smooth(x: f64) -> [f64; 3] {
 }
 
 fn simulated(geometry: &ArrayGeometry, parts: &[Part], random: &mut Random) -> Simulated {
-    let biases: Vec<[f64; 3]> = geometry
-        .sensors
-        .iter()
-        .map(|_| [0; 3].map(|_| 0.02 * random.normal()))
-        .collect();
-    let names = ["Position E (m)", "Position N (m)", "Position U (m)"]
-        .into_iter()
-        .chain([
-            "Quaternion W",
-            "Quaternion X",
-            "Quaternion Y",
-            "Quaternion Z",
-        ]);
+    let biases: Vec<[f64; 3]> =
+        geometry.sensors.iter().map(|_| [0; 3].map(|_| 0.02 * random.normal())).collect();
+    let names = ["Position E (m)", "Position N (m)", "Position U (m)"].into_iter().chain([
+        "Quaternion W",
+        "Quaternion X",
+        "Quaternion Y",
+        "Quaternion Z",
+    ]);
     let mut other: Vec<(String, Vec<f64>)> =
         names.map(|n| (format!("Truth {n}"), Vec::new())).collect();
     let mut recording = ArrayRecording::default();
@@ -129,11 +120,7 @@ fn simulated(geometry: &ArrayGeometry, parts: &[Part], random: &mut Random) -> S
             let [next, ..] = smooth((k as f64 + 0.5) / count as f64);
             let by = rate_at(next).map(|w| w * dt);
             let angle = by.iter().map(|v| v * v).sum::<f64>().sqrt();
-            let half = if angle > 0.0 {
-                (angle / 2.0).sin() / angle
-            } else {
-                0.5
-            };
+            let half = if angle > 0.0 { (angle / 2.0).sin() / angle } else { 0.5 };
             let (dw, [dx, dy, dz]) = ((angle / 2.0).cos(), by.map(|v| v * half));
             q = [
                 w * dw - a * dx - b * dy - c * dz,
@@ -159,14 +146,8 @@ fn path(
 ) -> Result<(InertialPath, ArrayCalibration), HostError> {
     let arranged = recording.clone().judged().arranged(geometry)?;
     let calibration = ArrayCalibration::of(&arranged, geometry, Gravity::UNKNOWN_PLACE)?;
-    let choice = Choice {
-        zupt: if zupt { Zupt::Stated } else { Zupt::Off },
-        ..Choice::default()
-    };
-    Ok((
-        navigate_array(&arranged, geometry, &calibration, &choice)?,
-        calibration,
-    ))
+    let choice = Choice { zupt: if zupt { Zupt::Stated } else { Zupt::Off }, ..Choice::default() };
+    Ok((navigate_array(&arranged, geometry, &calibration, &choice)?, calibration))
 }
 
 fn says(path: &InertialPath, what: &str) -> bool {
@@ -185,10 +166,7 @@ fn end_error(path: &InertialPath, recording: &ArrayRecording) -> f64 {
     let last = path.points[path.points.len() - 1].position_m;
     let truth = recording.truth();
     let truth = truth[truth.len() - 1].unwrap().position_m;
-    (0..3)
-        .map(|i| (last[i] - truth[i]).powi(2))
-        .sum::<f64>()
-        .sqrt()
+    (0..3).map(|i| (last[i] - truth[i]).powi(2)).sum::<f64>().sqrt()
 }
 
 #[test]
@@ -239,11 +217,7 @@ fn an_even_turn_about_the_vertical_is_no_rest() {
             figure(&claim, format!("{rms:.3}"), &target, rms < most);
         }
         assert!(rms < most, "{name}: {rms} {:?}", path.findings);
-        assert!(
-            says(&path, "even turn") && says(&path, "is assumed"),
-            "{:?}",
-            path.findings
-        );
+        assert!(says(&path, "even turn") && says(&path, "is assumed"), "{:?}", path.findings);
     }
     // Nothing but an even turn, faster than biases explain: there is no rest.
     let geometry = octahedron(0.03);
@@ -266,11 +240,7 @@ fn carried() -> Vec<Part> {
         ([-0.3, -0.1, 0.2], [-8.0, 3.0, -4.0]),
     ];
     for (shift, rate) in moves {
-        let moving = Part {
-            seconds: 0.6,
-            rate,
-            shift,
-        };
+        let moving = Part { seconds: 0.6, rate, shift };
         parts.extend([moving, part(0.6, [0.0; 3]), part(2.0, [0.0; 3])]);
     }
     parts
@@ -282,10 +252,7 @@ fn a_sensor_that_fails_on_the_way_leaves_the_others_as_they_were() {
     let all = simulated(&geometry, &carried(), &mut Random::new(7));
     let (sound, _) = path(&all.recording, &geometry, true).unwrap();
     let without = end_error(&sound, &all.recording);
-    println!(
-        "sound: end off by {without:.3} m, {:?}",
-        sound.consistency()
-    );
+    println!("sound: end off by {without:.3} m, {:?}", sound.consistency());
     type Fail = fn(&mut [f64; 3]);
     let fails: [(&str, Fail); 4] = [
         ("one axis stuck", |v| v[0] = 9.0),
@@ -338,11 +305,7 @@ fn a_limit_that_nobody_declared_is_found_in_the_recording() {
     println!("{beyond} samples beyond the limit, {marked} marked");
     assert!(beyond > 50 && marked * 10 >= beyond * 9 && marked <= beyond);
     let (found, _) = path(&recording, &geometry, true).unwrap();
-    assert!(
-        says(&found, "taken for their limit"),
-        "{:?}",
-        found.findings
-    );
+    assert!(says(&found, "taken for their limit"), "{:?}", found.findings);
     let wrong = found
         .points
         .iter()
@@ -361,10 +324,7 @@ fn a_limit_that_nobody_declared_is_found_in_the_recording() {
         *value /= G;
     }
     let error = path(&in_g, &geometry, true).map(|_| ()).unwrap_err();
-    assert!(
-        error.to_string().contains("which is not gravity"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("which is not gravity"), "{error}");
     // Nothing clips: nothing is marked, in coarse steps neither.
     let (recording, _) = clipped(1e3);
     assert!(recording.saturated.iter().all(|s| *s == 0));
@@ -373,19 +333,8 @@ fn a_limit_that_nobody_declared_is_found_in_the_recording() {
         *value = (*value / 0.15).round() * 0.15;
     }
     let coarse = coarse.judged();
-    assert!(
-        coarse.saturated.iter().all(|s| *s == 0),
-        "{:?}",
-        coarse.remarks
-    );
-    assert!(
-        coarse
-            .outputs
-            .iter()
-            .flatten()
-            .flatten()
-            .all(|v| v.is_finite())
-    );
+    assert!(coarse.saturated.iter().all(|s| *s == 0), "{:?}", coarse.remarks);
+    assert!(coarse.outputs.iter().flatten().flatten().all(|v| v.is_finite()));
 }
 
 #[test]
@@ -421,18 +370,12 @@ fn a_geometry_of_another_array_is_refused() {
             }),
         ),
         ("places mirrored", octahedron(-0.03)),
-        (
-            "a sensor turned by 180°",
-            change(&|all| all[0].axes = turned),
-        ),
+        ("a sensor turned by 180°", change(&|all| all[0].axes = turned)),
     ] {
         let error = path(&all.recording, &wrong, true).map(|_| ()).unwrap_err();
         println!("{name}: {error}");
         assert_eq!(error.code(), ErrorCode::DataRefused, "{name}");
-        assert!(
-            error.to_string().contains("contradict each other"),
-            "{name}: {error}"
-        );
+        assert!(error.to_string().contains("contradict each other"), "{name}: {error}");
     }
 }
 
@@ -451,18 +394,11 @@ fn a_start_in_motion_is_said_and_its_velocity_unknown() {
     let (path, _) = path(&all.recording, &geometry, true).unwrap();
     let (median, share) = path.consistency().unwrap();
     println!("begun in motion: NEES median {median:.2}, {share:.2} below 7.81");
-    assert!(
-        says(&path, "where the position begins"),
-        "{:?}",
-        path.findings
-    );
+    assert!(says(&path, "where the position begins"), "{:?}", path.findings);
     let first = path.points.iter().position(|p| p.valid).unwrap();
     // The move ends 0.9 s after; half a second shows the rest.
     let seconds = first as f64 / RATE_HZ;
-    assert!(
-        (1.0..2.5).contains(&seconds),
-        "first valid after {seconds} s"
-    );
+    assert!((1.0..2.5).contains(&seconds), "first valid after {seconds} s");
     assert!(path.points[first - 10].sd_m() > 1.0);
     assert!(median < 7.81, "{median}");
 }
@@ -480,10 +416,7 @@ fn the_truth_of_an_array_gives_its_nees() {
     let moves = position < path.points.len() / 2 && rates < path.points.len() / 2;
     assert!(position > 300 && rates > 300 && moves, "{position} {rates}");
     assert!(share > 0.8 && rate.1 > 0.8);
-    assert!(
-        path.velocity_nees.is_empty(),
-        "there is no truth of the velocity"
-    );
+    assert!(path.velocity_nees.is_empty(), "there is no truth of the velocity");
 }
 
 #[test]
@@ -493,11 +426,7 @@ fn the_smoothed_rate_of_an_array_is_closer_to_the_truth_and_within_its_deviation
     let arranged = all.recording.clone().judged().arranged(&geometry).unwrap();
     let calibration = ArrayCalibration::of(&arranged, &geometry, Gravity::UNKNOWN_PLACE).unwrap();
     let [filtered, smoothed] = [false, true].map(|smooth| {
-        let choice = Choice {
-            zupt: Zupt::Stated,
-            smooth,
-            ..Choice::default()
-        };
+        let choice = Choice { zupt: Zupt::Stated, smooth, ..Choice::default() };
         let path = navigate_array(&arranged, &geometry, &calibration, &choice).unwrap();
         assert_eq!(path.smoothed_rate, smooth);
         path
@@ -544,8 +473,5 @@ fn rows_that_repeat_among_noisy_ones_are_a_gap_and_a_rest_without_noise_is_none(
     let held = held.judged();
     assert_eq!(held.times_s.len(), 1101);
     let said = held.remarks.join("; ");
-    assert!(
-        said.contains("99 samples") && said.contains("from 2.50 s on"),
-        "{said}"
-    );
+    assert!(said.contains("99 samples") && said.contains("from 2.50 s on"), "{said}");
 }

@@ -16,31 +16,20 @@ fn seeds() -> u64 {
 
 /// Moves with turns of 3 rad an axis, 100 Hz.
 fn case() -> Case {
-    Case {
-        rate_hz: 100.0,
-        ..Case::default()
-    }
+    Case { rate_hz: 100.0, ..Case::default() }
 }
 
 fn navigated(recording: ArrayRecording, geometry: &ArrayGeometry) -> InertialPath {
     let arranged = recording.judged().arranged(geometry).unwrap();
     let calibration = ArrayCalibration::of(&arranged, geometry, Gravity::UNKNOWN_PLACE).unwrap();
-    let choice = Choice {
-        zupt: Zupt::Stated,
-        ..Choice::default()
-    };
+    let choice = Choice { zupt: Zupt::Stated, ..Choice::default() };
     navigate_array(&arranged, geometry, &calibration, &choice).unwrap()
 }
 
 /// Shares of position's and rate's NEES below 7.81, and what is said.
 fn honest(path: &InertialPath) -> (f64, f64, String) {
     let share = |nees: &[f64]| consistency(nees).map_or(0.0, |(_, share)| share);
-    let said = path
-        .findings
-        .iter()
-        .map(ToString::to_string)
-        .collect::<Vec<_>>()
-        .join("; ");
+    let said = path.findings.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
     (share(&path.nees), share(&path.rate_nees), said)
 }
 
@@ -55,26 +44,20 @@ fn late(recording: &mut ArrayRecording, periods: usize) {
 #[test]
 fn a_delayed_sensor_is_put_to_its_time() {
     let mut worst_ms = 0.0_f64;
-    for (places, periods) in [
-        (Places::Octahedron(0.03), 2),
-        (Places::Board, 1),
-        (Places::Four(0.03), 2),
-    ] {
+    for (places, periods) in
+        [(Places::Octahedron(0.03), 2), (Places::Board, 1), (Places::Four(0.03), 2)]
+    {
         for seed in 1..=seeds() {
             let (mut recording, geometry) = Case { places, ..case() }.recording(seed);
             late(&mut recording, periods);
             let (position, rate, said) = honest(&navigated(recording, &geometry));
             let ms = periods as f64 * 10.0;
             println!("{places:?} {ms} ms, seed {seed}: {position:.2} {rate:.2} {said}");
-            let (_, found) = said
-                .split_once("sensor 2 (from 0): its samples are taken ")
-                .expect(&said);
+            let (_, found) =
+                said.split_once("sensor 2 (from 0): its samples are taken ").expect(&said);
             let value: f64 = found.split(' ').next().unwrap().parse().unwrap();
             worst_ms = worst_ms.max((value - ms).abs());
-            assert!(
-                (value - ms).abs() < 1.0 && found.contains("earlier than"),
-                "{said}"
-            );
+            assert!((value - ms).abs() < 1.0 && found.contains("earlier than"), "{said}");
             assert!(position > 0.85 && rate > 0.85, "{position} {rate}");
         }
     }
@@ -118,10 +101,7 @@ fn places_of_a_wrong_size_are_found_and_put_right() {
 
 #[test]
 fn a_limit_that_one_sensor_has_and_the_others_have_not_is_found() {
-    let moves = Case {
-        kind: Kind::Moves(0.6, 0.3),
-        ..case()
-    };
+    let moves = Case { kind: Kind::Moves(0.6, 0.3), ..case() };
     for seed in 1..=seeds() {
         let (mut recording, geometry) = moves.recording(seed);
         // It keeps all but its 60 largest values.
@@ -141,28 +121,13 @@ fn a_limit_that_one_sensor_has_and_the_others_have_not_is_found() {
 
 #[test]
 fn arrays_that_are_as_given_are_left_as_they_are() {
-    let wrong = Case {
-        bias: 0.1,
-        scale: 0.015,
-        place: 1e-3,
-        ..case()
-    };
+    let wrong = Case { bias: 0.1, scale: 0.015, place: 1e-3, ..case() };
     for case in [
         case(),
         wrong,
-        Case {
-            kind: Kind::Moves(0.3, 1.0),
-            bias: 0.1,
-            ..case()
-        },
-        Case {
-            places: Places::Board,
-            ..case()
-        },
-        Case {
-            kind: Kind::Cart(1.0, 5.0),
-            ..case()
-        },
+        Case { kind: Kind::Moves(0.3, 1.0), bias: 0.1, ..case() },
+        Case { places: Places::Board, ..case() },
+        Case { kind: Kind::Cart(1.0, 5.0), ..case() },
     ] {
         for seed in 1..=seeds() {
             let (recording, geometry) = case.recording(seed);

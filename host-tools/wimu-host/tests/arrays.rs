@@ -133,15 +133,8 @@ fn wrong_places_and_delays_are_found_within_their_deviations() {
     truth.sensors[2].places_m = truth.sensors[2].places_m.map(|[x, y, z]| [x + 1e-3, y, z]);
     let recording = table(&truth, 200.0, 0.03, &mut random);
     let calibration = ArrayCalibration::of(&recording, &drawn, Gravity::UNKNOWN_PLACE).unwrap();
-    assert!(
-        calibration.uncalibrated.is_none(),
-        "{:?}",
-        calibration.uncalibrated
-    );
-    let options = RefineOptions {
-        place_sd_m: 0.8e-3,
-        ..RefineOptions::default()
-    };
+    assert!(calibration.uncalibrated.is_none(), "{:?}", calibration.uncalibrated);
+    let options = RefineOptions { place_sd_m: 0.8e-3, ..RefineOptions::default() };
     let found = refine(&recording, &drawn, &calibration, &options).unwrap();
     println!(
         "{} samples, gain {:.2}, residual {:.3} to {:.3} m/s²",
@@ -225,12 +218,7 @@ fn wrong_places_and_delays_are_found_within_their_deviations() {
 fn boards_with_clocks_and_axes_of_their_own_make_one_array() {
     let mut random = Random::new(11);
     // Four boards on a body of 20 cm, each turned its own way.
-    let places = [
-        [0.1, 0.1, 0.1],
-        [0.1, -0.1, -0.1],
-        [-0.1, 0.1, -0.1],
-        [-0.1, -0.1, 0.1],
-    ];
+    let places = [[0.1, 0.1, 0.1], [0.1, -0.1, -0.1], [-0.1, 0.1, -0.1], [-0.1, -0.1, 0.1]];
     let turned = [
         [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
         [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
@@ -273,39 +261,20 @@ fn boards_with_clocks_and_axes_of_their_own_make_one_array() {
         })
         .collect();
     let together = ArrayRecording::from_boards(&boards).unwrap();
-    assert!(
-        together
-            .remarks
-            .iter()
-            .any(|r| r.contains("clock known to 300 µs"))
-    );
-    assert!(
-        together
-            .remarks
-            .iter()
-            .any(|r| r.contains("values missing"))
-    );
+    assert!(together.remarks.iter().any(|r| r.contains("clock known to 300 µs")));
+    assert!(together.remarks.iter().any(|r| r.contains("values missing")));
     let origin = together.times_s[0] - 0.037 * 3.0 - clock_error_us[3] * 1e-6;
-    assert!(
-        origin.abs() < 0.02,
-        "the grid begins when all are there: {origin}"
-    );
+    assert!(origin.abs() < 0.02, "the grid begins when all are there: {origin}");
     let arranged = together.clone().arranged(&geometry).unwrap();
     let calibration = ArrayCalibration::of(&arranged, &geometry, Gravity::UNKNOWN_PLACE).unwrap();
-    let options = RefineOptions {
-        place_sd_m: 1e-3,
-        delay_sd_s: 1e-3,
-    };
+    let options = RefineOptions { place_sd_m: 1e-3, delay_sd_s: 1e-3 };
     let found = refine(&arranged, &geometry, &calibration, &options).unwrap();
     println!("gain {:.2}, residual {:?}", found.gain, found.residual_mps2);
     let mean = clock_error_us.iter().sum::<f64>() / 4.0;
     for (k, error_us) in clock_error_us.iter().enumerate() {
         // A clock that is ahead stamps later: its samples are older than they say.
         let off = found.delay_s[k] * 1e6 + (error_us - mean);
-        println!(
-            "board {k}: delay off by {off:.2} ± {:.2} µs",
-            found.delay_sd_s[k] * 1e6
-        );
+        println!("board {k}: delay off by {off:.2} ± {:.2} µs", found.delay_sd_s[k] * 1e6);
         assert!(off.abs() < 4.0 * found.delay_sd_s[k] * 1e6 + 2.0);
     }
     let rates = |geometry: &ArrayGeometry| {
@@ -329,9 +298,7 @@ fn boards_with_clocks_and_axes_of_their_own_make_one_array() {
     assert!(after < 0.3 && after < before, "{before} {after}");
     // While board 1 was silent there were three, which lie in a plane and still give ω̇ and s.
     assert!(
-        remarks
-            .iter()
-            .any(|r| r.contains("did not give") && r.contains("of sensor 1")),
+        remarks.iter().any(|r| r.contains("did not give") && r.contains("of sensor 1")),
         "{remarks:?}"
     );
 
@@ -340,10 +307,7 @@ fn boards_with_clocks_and_axes_of_their_own_make_one_array() {
     let error = ArrayRecording::from_boards(&[boards[0].clone(), late]).unwrap_err();
     assert!(error.to_string().contains("no time in common"), "{error}");
     let error = ArrayRecording::from_boards(&boards[..1]).unwrap_err();
-    assert!(
-        error.to_string().contains("2 to 32 boards, not 1"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("2 to 32 boards, not 1"), "{error}");
 }
 
 #[test]
@@ -365,9 +329,7 @@ fn dead_and_saturated_sensors_are_left_out_and_said() {
         .and_then(|body| body.navigated(G, Zupt::Stated))
         .unwrap();
     assert!(
-        remarks
-            .iter()
-            .any(|r| r.starts_with("100 samples without the sensors that were at")),
+        remarks.iter().any(|r| r.starts_with("100 samples without the sensors that were at")),
         "{remarks:?}"
     );
     let rates: Vec<[f64; 3]> = states.iter().map(|s| s.rate_rad_s).collect();
@@ -384,10 +346,7 @@ fn dead_and_saturated_sensors_are_left_out_and_said() {
     let error = ArrayBody::of(&recording, &geometry, &calibration)
         .and_then(|body| body.navigated(G, Zupt::Stated))
         .unwrap_err();
-    assert!(
-        error.to_string().contains("3 usable axes, 6 are needed"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("3 usable axes, 6 are needed"), "{error}");
 }
 
 /// Places and delays are right, but said to be hardly known: what is fitted is noise.
@@ -397,10 +356,7 @@ fn a_refinement_that_predicts_nothing_better_is_rejected() {
     let drawn = ArrayGeometry::at(&board_places());
     let recording = table(&drawn, 100.0, 0.2, &mut random);
     let calibration = ArrayCalibration::of(&recording, &drawn, Gravity::UNKNOWN_PLACE).unwrap();
-    let options = RefineOptions {
-        place_sd_m: 5e-3,
-        delay_sd_s: 3e-3,
-    };
+    let options = RefineOptions { place_sd_m: 5e-3, delay_sd_s: 3e-3 };
     let found = refine(&recording, &drawn, &calibration, &options).unwrap();
     let rates = |geometry: &ArrayGeometry| {
         let (states, _) = ArrayBody::of(&recording, geometry, &calibration)
@@ -411,12 +367,7 @@ fn a_refinement_that_predicts_nothing_better_is_rejected() {
     };
     let mut moved = drawn.clone();
     for (sensor, by) in moved.sensors.iter_mut().zip(&found.moved_m) {
-        for (place, by) in sensor
-            .places_m
-            .iter_mut()
-            .flatten()
-            .zip(by.iter().flatten())
-        {
+        for (place, by) in sensor.places_m.iter_mut().flatten().zip(by.iter().flatten()) {
             *place += by;
         }
     }

@@ -194,10 +194,7 @@ fn run(session: &Session, options: &CalibrateOptions) -> CalibrationReport {
         recording.row(counts, time, &[*samples]);
         recording.row(celsius, time, &[*temperature]);
     }
-    let selection = Selection {
-        accelerometer: None,
-        poses: true,
-    };
+    let selection = Selection { accelerometer: None, poses: true };
     let data = recording.samples(selection).expect("poses");
     calibrate(&data, options).expect("options")
 }
@@ -287,8 +284,5 @@ fn a_sound_session_has_no_warning() {
         "at most 1 %",
         fraction <= 0.01,
     );
-    assert!(
-        fraction <= 0.01_f64.max(1.5 / sessions as f64),
-        "{fraction}"
-    );
+    assert!(fraction <= 0.01_f64.max(1.5 / sessions as f64), "{fraction}");
 }

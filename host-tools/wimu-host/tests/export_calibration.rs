@@ -16,11 +16,7 @@ use crate::common::Random;
 fn set() -> ParameterSet {
     let gyroscope = GyroscopeModel::new(GyroscopeTerms {
         bias_rad_s: [0.01, -0.02, 0.03],
-        matrix: [
-            [1.01, 0.02, 0.0],
-            [-0.03, 0.99, 0.01],
-            [0.004, -0.005, 1.02],
-        ],
+        matrix: [[1.01, 0.02, 0.0], [-0.03, 0.99, 0.01], [0.004, -0.005, 1.02]],
         g_sensitivity: [[1e-3, 0.0, -2e-4], [3e-4, -2e-3, 0.0], [0.0, 1e-4, 5e-4]],
         temperature: GyroscopeTemperatureTerms {
             reference_c: 22.0,
@@ -31,11 +27,7 @@ fn set() -> ParameterSet {
     ParameterSet {
         model: ErrorModel::new(ErrorTerms {
             bias_mps2: [0.125, -0.3, 0.51],
-            matrix: [
-                [1.01, 0.002, -0.003],
-                [0.011, 0.985, 0.004],
-                [-0.02, 0.005, 1.02],
-            ],
+            matrix: [[1.01, 0.002, -0.003], [0.011, 0.985, 0.004], [-0.02, 0.005, 1.02]],
             temperature: TemperatureTerms {
                 reference_c: 24.5,
                 bias_mps2_per_k: [0.001, -0.002, 0.003],
@@ -88,22 +80,14 @@ fn cases(set: &ParameterSet, of_counts: bool) -> Vec<Case> {
         let sensed = rate.map(|axis| axis * gyroscope.rad_s_per_lsb);
         let turned = gyroscope.model.correct(sensed, force, Some(temperature));
         let ([x, y, z], [u, v, w]) = (set.alignment.rotate(force), set.alignment.rotate(turned));
-        Case {
-            output,
-            rate,
-            temperature,
-            expected: [x, y, z, u, v, w],
-        }
+        Case { output, rate, temperature, expected: [x, y, z, u, v, w] }
     };
     (0..20).map(one).collect()
 }
 
 /// Runs a program; `None` where it is missing.
 fn run(program: &str, arguments: &[&str], folder: &Path) -> Option<String> {
-    let ran = Command::new(program)
-        .args(arguments)
-        .current_dir(folder)
-        .output();
+    let ran = Command::new(program).args(arguments).current_dir(folder).output();
     let Ok(ran) = ran else {
         println!("skipped: there is no `{program}`");
         return None;
@@ -137,10 +121,7 @@ fn computes_the_same(
         };
         assert_eq!(text.lines().count(), cases.len(), "{text}");
         for (case, line) in cases.iter().zip(text.lines()) {
-            let found: Vec<f64> = line
-                .split_whitespace()
-                .map(|n| n.parse().unwrap())
-                .collect();
+            let found: Vec<f64> = line.split_whitespace().map(|n| n.parse().unwrap()).collect();
             assert_eq!(found.len(), 6);
             for (part, found) in case.expected.chunks(3).zip(found.chunks(3)) {
                 let norm = part.iter().map(|v| v * v).sum::<f64>().sqrt();
@@ -168,11 +149,8 @@ fn c_computes_the_same() {
             "    return 0;\n}\n",
         ),
         |case| {
-            let (at, output, rate) = (
-                case.temperature.to_celsius(),
-                list(case.output),
-                list(case.rate),
-            );
+            let (at, output, rate) =
+                (case.temperature.to_celsius(), list(case.output), list(case.rate));
             format!(
                 "    {{ const double a[3] = {{{output}}}, g[3] = {{{rate}}}; wimu_correct(a, {at:?}, f); \
                  wimu_correct_rate(g, f, {at:?}, w); \
@@ -200,11 +178,8 @@ fn rust_computes_the_same() {
             "}\n",
         ),
         |case| {
-            let (at, output, rate) = (
-                case.temperature.to_celsius(),
-                list(case.output),
-                list(case.rate),
-            );
+            let (at, output, rate) =
+                (case.temperature.to_celsius(), list(case.output), list(case.rate));
             format!(
                 "    let f = correct([{output}], Some({at:?}));\n    let w = correct_rate([{rate}], f, Some({at:?}));\n    \
                  println!(\"{{}} {{}} {{}} {{}} {{}} {{}}\", f[0], f[1], f[2], w[0], w[1], w[2]);\n"
@@ -225,17 +200,10 @@ fn numpy_computes_the_same() {
     computes_the_same(
         ExportTarget::Numpy,
         "wimu_calibration.py",
-        (
-            "main.py",
-            "from wimu_calibration import correct, correct_rate\n",
-            "",
-        ),
+        ("main.py", "from wimu_calibration import correct, correct_rate\n", ""),
         |case| {
-            let (at, output, rate) = (
-                case.temperature.to_celsius(),
-                list(case.output),
-                list(case.rate),
-            );
+            let (at, output, rate) =
+                (case.temperature.to_celsius(), list(case.output), list(case.rate));
             // As a row of an array, and alone.
             format!(
                 "f = correct([[{output}]], {at:?})[0]\nw = correct_rate([{rate}], f, {at:?})\nprint(*f.tolist(), *w.tolist())\n"
@@ -252,11 +220,8 @@ fn matlab_computes_the_same() {
         "wimu_correct.m",
         ("main.m", "", ""),
         |case| {
-            let (at, output, rate) = (
-                case.temperature.to_celsius(),
-                list(case.output),
-                list(case.rate),
-            );
+            let (at, output, rate) =
+                (case.temperature.to_celsius(), list(case.output), list(case.rate));
             format!(
                 "[f, w] = wimu_correct([{output}], {at:?}, [{rate}]);\nprintf('%.17g ', f, w);\nprintf('\\n');\n"
             )
@@ -268,12 +233,7 @@ fn matlab_computes_the_same() {
 /// The number after `name` and one separator.
 fn value(text: &str, name: &str) -> f64 {
     let found = text.split_once(name).unwrap().1;
-    found[1..]
-        .split([',', '\t', '\n', ']'])
-        .next()
-        .unwrap()
-        .parse()
-        .unwrap()
+    found[1..].split([',', '\t', '\n', ']']).next().unwrap().parse().unwrap()
 }
 
 #[test]
@@ -282,31 +242,16 @@ fn autopilots_have_offset_and_scale_and_say_what_is_left_out() {
     for of_counts in [true, false] {
         let export = export(&set(), of_counts, folder.path());
         for (target, offset, scale, rate) in [
-            (
-                ExportTarget::Px4,
-                "CAL_ACC0_YOFF",
-                "CAL_ACC0_YSCALE",
-                "CAL_GYRO0_YOFF",
-            ),
-            (
-                ExportTarget::Ardupilot,
-                "INS_ACCOFFS_Y",
-                "INS_ACCSCAL_Y",
-                "INS_GYROFFS_Y",
-            ),
+            (ExportTarget::Px4, "CAL_ACC0_YOFF", "CAL_ACC0_YSCALE", "CAL_GYRO0_YOFF"),
+            (ExportTarget::Ardupilot, "INS_ACCOFFS_Y", "INS_ACCSCAL_Y", "INS_GYROFFS_Y"),
         ] {
             let text = export.text(target, None);
             assert_eq!(value(&text, offset), -0.3);
             assert_eq!(value(&text, rate), -0.02);
             // The second diagonal element of the inverse of A.
             assert!((value(&text, scale) - 1.015_27).abs() < 1e-4, "{text}");
-            for word in [
-                "at 24.50 °C",
-                "nonlinearity",
-                "alignment",
-                "cross-axis",
-                "only the bias",
-            ] {
+            for word in ["at 24.50 °C", "nonlinearity", "alignment", "cross-axis", "only the bias"]
+            {
                 assert!(text.contains(word), "{word} in {text}");
             }
         }
@@ -317,11 +262,9 @@ fn autopilots_have_offset_and_scale_and_say_what_is_left_out() {
         assert!(plain.findings(target).is_empty());
     }
     let mut biased = ParameterSet::uncalibrated(4, set().sensitivity);
-    biased.model = ErrorModel::new(ErrorTerms {
-        bias_mps2: [4.0, 0.0, 0.0],
-        ..ErrorTerms::default()
-    })
-    .unwrap();
+    biased.model =
+        ErrorModel::new(ErrorTerms { bias_mps2: [4.0, 0.0, 0.0], ..ErrorTerms::default() })
+            .unwrap();
     let biased = export(&biased, true, folder.path()).findings(ExportTarget::Ardupilot);
     assert!(biased[0].evidence.contains("ArduPilot takes"), "{biased:?}");
 }
@@ -338,10 +281,7 @@ fn the_matrix_of_imu_calib_ends_in_body_axes() {
     .unwrap();
     let text = export(&set, false, folder.path()).text(ExportTarget::Ros, None);
     let numbers = |key: &str| -> Vec<f64> {
-        let line = text
-            .lines()
-            .find_map(|line| line.strip_prefix(key))
-            .unwrap();
+        let line = text.lines().find_map(|line| line.strip_prefix(key)).unwrap();
         let inside = line.trim_matches(['[', ']']);
         inside.split(", ").map(|n| n.parse().unwrap()).collect()
     };
@@ -382,20 +322,14 @@ fn kalibr_has_its_keys_and_never_an_invented_noise() {
         assert!(text.lines().any(|found| found == line), "{line} in {text}");
     }
     assert!(!text.contains("Not observed"));
-    let unseen = KalibrNoise {
-        random_walk_seen: false,
-        ..noise
-    };
+    let unseen = KalibrNoise { random_walk_seen: false, ..noise };
     let unseen = kalibr(Some(unseen));
     assert!(unseen.contains("# Not observed in the recording: upper bound"));
     assert!(unseen.contains("\naccelerometer_random_walk: 0.0001\n"));
     for word in ["at 24.50 °C", "nonlinearity", "alignment"] {
         assert!(text.contains(word), "{word} in {text}");
     }
-    let coarse = KalibrNoise {
-        coarse: true,
-        ..noise
-    };
+    let coarse = KalibrNoise { coarse: true, ..noise };
     assert!(kalibr(Some(coarse)).contains("# Counts are coarser"));
     let text = kalibr(None);
     let has_noise = |line: &str| line.starts_with("accelerometer_noise");
@@ -405,10 +339,7 @@ fn kalibr_has_its_keys_and_never_an_invented_noise() {
 #[test]
 fn rust_has_the_integers_of_the_corrector_of_counts_only() {
     let folder = tempfile::tempdir().unwrap();
-    let set = ParameterSet {
-        gyroscope: None,
-        ..set()
-    };
+    let set = ParameterSet { gyroscope: None, ..set() };
     let parts = Corrector::compile(&set, None).unwrap().to_parts();
     let text = |of_counts| {
         let export = export(&set, of_counts, folder.path());

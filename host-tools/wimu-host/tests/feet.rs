@@ -6,10 +6,7 @@ use wimu_host::inertial::{Choice, Profile, navigate};
 use wimu_host::motion::MotionRecording;
 
 fn on_foot() -> Choice {
-    Choice {
-        profile: Profile::Foot,
-        ..Choice::default()
-    }
+    Choice { profile: Profile::Foot, ..Choice::default() }
 }
 
 fn trial(name: &str) -> Option<MotionRecording> {
@@ -54,8 +51,5 @@ fn a_foot_without_a_gyroscope_is_refused() {
         sample.rate_rad_s = None;
     }
     let refused = navigate(&recording, &on_foot()).unwrap_err();
-    assert!(
-        refused.to_string().contains("needs a gyroscope"),
-        "{refused}"
-    );
+    assert!(refused.to_string().contains("needs a gyroscope"), "{refused}");
 }

@@ -19,21 +19,12 @@ fn truth(t: f64) -> (f64, [[f64; 2]; 3]) {
     let (w, s) = (0.7, 1.0 - (-t).exp() * (1.0 + t));
     let p = |t: f64| {
         let s = 1.0 - (-t).exp() * (1.0 + t);
-        [
-            4.0 * (w * t).sin() * s,
-            2.0 * (1.0 - (2.0 * w * t).cos()) * s,
-        ]
+        [4.0 * (w * t).sin() * s, 2.0 * (1.0 - (2.0 * w * t).cos()) * s]
     };
     let h = 1e-3;
     let [a, b, c] = [p((t - h).max(0.0)), p(t), p(t + h)];
     let v = [0, 1].map(|k| (c[k] - a[k]) / (t + h - (t - h).max(0.0)));
-    let f = [0, 1].map(|k| {
-        if t > h {
-            (c[k] - 2.0 * b[k] + a[k]) / (h * h)
-        } else {
-            0.0
-        }
-    });
+    let f = [0, 1].map(|k| if t > h { (c[k] - 2.0 * b[k] + a[k]) / (h * h) } else { 0.0 });
     (HEADING + 0.8 * (0.5 * t).sin() * s, [b, v, f])
 }
 
@@ -59,11 +50,8 @@ fn recorded(arm_m: f64, late_s: f64) -> (MotionRecording, Vec<Fix>) {
         if k % 100 == 50 && k < 3750 {
             let (heading, [p, ..]) = truth(t);
             let noise = random.normals(0.05);
-            let at = [
-                100.0 + p[0] + arm_m * heading.cos(),
-                -50.0 + p[1] + arm_m * heading.sin(),
-                7.0,
-            ];
+            let at =
+                [100.0 + p[0] + arm_m * heading.cos(), -50.0 + p[1] + arm_m * heading.sin(), 7.0];
             fixes.push(fix(t + late_s, [0, 1, 2].map(|i| at[i] + noise[i])));
         }
     }
@@ -71,20 +59,12 @@ fn recorded(arm_m: f64, late_s: f64) -> (MotionRecording, Vec<Fix>) {
 }
 
 fn fix(time_s: f64, position_m: [f64; 3]) -> Fix {
-    Fix {
-        position_m,
-        position_sd_m: [0.05; 3],
-        ..Fix::at(time_s)
-    }
+    Fix { position_m, position_sd_m: [0.05; 3], ..Fix::at(time_s) }
 }
 
 fn aided(fixes: Vec<Fix>, arm_m: f64) -> Choice {
     Choice {
-        fixes: Fixes {
-            fixes,
-            lever_arm_m: [arm_m, 0.0, 0.0],
-            ..Fixes::default()
-        },
+        fixes: Fixes { fixes, lever_arm_m: [arm_m, 0.0, 0.0], ..Fixes::default() },
         ..Choice::default()
     }
 }
@@ -108,10 +88,7 @@ fn says(path: &InertialPath, text: &str) -> bool {
 fn the_path_is_in_the_frame_of_the_fixes() {
     let (recording, fixes) = recorded(0.0, 0.0);
     for smooth in [true, false] {
-        let choice = Choice {
-            smooth,
-            ..aided(fixes.clone(), 0.0)
-        };
+        let choice = Choice { smooth, ..aided(fixes.clone(), 0.0) };
         let path = navigate(&recording, &choice).unwrap();
         let off = error_m(&path);
         println!("{off}");
@@ -145,11 +122,7 @@ fn a_fix_that_contradicts_the_path_is_reported_and_not_used() {
     let (recording, mut fixes) = recorded(0.0, 0.0);
     fixes[20].position_m[0] += 30.0;
     let path = navigate(&recording, &aided(fixes, 0.0)).unwrap();
-    assert!(
-        says(&path, "1 of 37 fixes contradict"),
-        "{:?}",
-        path.findings
-    );
+    assert!(says(&path, "1 of 37 fixes contradict"), "{:?}", path.findings);
     assert!(!says(&path, "jumps"), "{:?}", path.findings);
     assert!(error_m(&path) < 0.5, "{}", error_m(&path));
 }
@@ -174,10 +147,7 @@ fn fixes_that_go_on_contradicting_are_followed_with_a_finding() {
 #[test]
 fn lever_arm_and_delay_are_taken_into_account() {
     let (recording, fixes) = recorded(1.5, 0.4);
-    let shifted = fixes.iter().map(|fix| Fix {
-        time_s: fix.time_s - 0.4,
-        ..*fix
-    });
+    let shifted = fixes.iter().map(|fix| Fix { time_s: fix.time_s - 0.4, ..*fix });
     let known = navigate(&recording, &aided(shifted.collect(), 1.5)).unwrap();
     assert!(error_m(&known) < 0.4, "{}", error_m(&known));
     let unknown = navigate(&recording, &aided(fixes, 0.0)).unwrap();
@@ -188,10 +158,7 @@ fn lever_arm_and_delay_are_taken_into_account() {
 fn a_path_that_closes_ends_at_its_start() {
     let (recording, _) = recorded(0.0, 0.0);
     let open = navigate(&recording, &Choice::default()).unwrap();
-    let choice = Choice {
-        loop_m: Some(0.1),
-        ..Choice::default()
-    };
+    let choice = Choice { loop_m: Some(0.1), ..Choice::default() };
     let closed = navigate(&recording, &choice).unwrap();
     let far = |path: &InertialPath| {
         let end = path.points[path.points.len() - 1].position_m;
@@ -218,10 +185,7 @@ fn a_table_of_fixes_may_leave_out_columns_and_values() {
     assert!((heading.heading_rad.unwrap()[0] - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
     std::fs::write(&file, "Time (s),Speed (m/s)\n1,2\n").unwrap();
     let refused = Fixes::read(&file, 0.0).unwrap_err();
-    assert!(
-        refused.to_string().contains("`Position E (m)` is missing"),
-        "{refused}"
-    );
+    assert!(refused.to_string().contains("`Position E (m)` is missing"), "{refused}");
 }
 
 #[test]
@@ -238,16 +202,9 @@ fn what_of_a_table_of_fixes_is_not_used_is_reported() {
     let header = format!("Time (s),Position E (m),Position N (m),{sigma}");
     assert_eq!(noticed(&format!("{header}\n1,2,3,0.1,0.1\n")), "");
     let text = noticed(&format!("{header}\n1,2,3,0,-1\n2,2,3,0.1,0.1\n"));
-    assert!(
-        text.contains("2 standard deviations of the fixes are not positive"),
-        "{text}"
-    );
+    assert!(text.contains("2 standard deviations of the fixes are not positive"), "{text}");
     let text = noticed("Time (s),East,Position N (m)\n1,2,3\n");
-    for part in [
-        "not used: East",
-        "have only one",
-        "no standard deviation: 3 m",
-    ] {
+    for part in ["not used: East", "have only one", "no standard deviation: 3 m"] {
         assert!(text.contains(part), "{part}: {text}");
     }
 }
@@ -255,15 +212,9 @@ fn what_of_a_table_of_fixes_is_not_used_is_reported() {
 #[test]
 fn a_path_that_its_fixes_cannot_hold_to_the_limit_is_refused_with_their_sigma() {
     let (recording, mut fixes) = recorded(0.0, 0.0);
-    fixes
-        .iter_mut()
-        .for_each(|fix| fix.position_sd_m = [30.0; 3]);
+    fixes.iter_mut().for_each(|fix| fix.position_sd_m = [30.0; 3]);
     let refused = navigate(&recording, &aided(fixes, 0.0)).unwrap_err();
-    assert!(
-        refused.remedy().contains("the fixes are ± 52 m"),
-        "{refused} {}",
-        refused.remedy()
-    );
+    assert!(refused.remedy().contains("the fixes are ± 52 m"), "{refused} {}", refused.remedy());
 }
 
 /// The recording as a stream: each fix arrives `late_s` after its time. The answer at each tenth sample.
@@ -286,16 +237,10 @@ fn streamed(live: &mut Live, late_s: f64, arm_m: f64) -> Vec<PathPoint> {
 #[test]
 fn a_stream_has_the_path_of_its_recording_though_fixes_are_late() {
     let (recording, fixes) = recorded(0.5, 0.0);
-    let choice = Choice {
-        smooth: false,
-        ..aided(fixes, 0.5)
-    };
+    let choice = Choice { smooth: false, ..aided(fixes, 0.5) };
     let path = navigate(&recording, &choice).unwrap();
     let begun = Choice {
-        fixes: Fixes {
-            lever_arm_m: [0.5, 0.0, 0.0],
-            ..Fixes::default()
-        },
+        fixes: Fixes { lever_arm_m: [0.5, 0.0, 0.0], ..Fixes::default() },
         ..Choice::default()
     };
     let off = |late_s: f64, delay_s: f64| {
@@ -315,13 +260,7 @@ fn a_stream_has_the_path_of_its_recording_though_fixes_are_late() {
     let (far, findings) = off(0.0, 0.0);
     println!("{far}");
     assert!(far < 0.15, "{far}");
-    assert_eq!(
-        findings
-            .iter()
-            .filter(|f| f.evidence.contains("frame of the fixes"))
-            .count(),
-        1
-    );
+    assert_eq!(findings.iter().filter(|f| f.evidence.contains("frame of the fixes")).count(), 1);
     // Each answer is up to 2.5 s from the last fix.
     let (far, _) = off(1.5, 1.6);
     println!("{far}");
@@ -339,10 +278,7 @@ fn late_fixes_without_their_delay_name_it() {
     for late_s in [2.0, 1.0] {
         let (recording, fixes) = recorded(0.0, late_s);
         let choice = |fixes| Choice {
-            start: Some(StartPose {
-                position_m: [100.0, -50.0, 7.0],
-                heading_rad: Some(HEADING),
-            }),
+            start: Some(StartPose { position_m: [100.0, -50.0, 7.0], heading_rad: Some(HEADING) }),
             ..aided(fixes, 0.0)
         };
         let path = navigate(&recording, &choice(fixes)).unwrap();
@@ -362,12 +298,7 @@ fn late_fixes_without_their_delay_name_it() {
     }
     let path = navigate(&recording, &aided(fixes, 0.0)).unwrap();
     assert!(says(&path, "3 of 37 fixes"), "{:?}", path.findings);
-    assert!(
-        !path
-            .findings
-            .iter()
-            .any(|f| f.remedy.contains("a delay of"))
-    );
+    assert!(!path.findings.iter().any(|f| f.remedy.contains("a delay of")));
 }
 
 #[test]

@@ -32,9 +32,8 @@ fn checks(folder: &Path) -> Vec<Check> {
 
 /// Number of rows and mean magnitude of a track.
 fn figures(track: &Track) -> (u64, f64) {
-    let norms = track
-        .valid()
-        .map(|(_, row)| row.iter().map(|axis| axis * axis).sum::<f64>().sqrt());
+    let norms =
+        track.valid().map(|(_, row)| row.iter().map(|axis| axis * axis).sum::<f64>().sqrt());
     let (count, sum) = norms.fold((0_u64, 0.0), |(count, sum), norm| (count + 1, sum + norm));
     (count, sum / count.max(1) as f64)
 }
@@ -73,19 +72,12 @@ fn row(folder: &Path, check: &Check) -> (String, bool) {
                 let outcome = format!("{name}: {count} rows, {mean:.4} {unit}");
                 (recording.format.to_owned(), outcome, agrees)
             }
-            None => (
-                recording.format.to_owned(),
-                "no such track".to_owned(),
-                false,
-            ),
+            None => (recording.format.to_owned(), "no such track".to_owned(), false),
         },
         Err(error) => ("refused".to_owned(), error.message().to_owned(), false),
     };
     let same = if agrees { "same" } else { "–" };
-    let line = format!(
-        "| {format} | {file} | {channel} | {outcome} | {same} ({}) |",
-        check.reader
-    );
+    let line = format!("| {format} | {file} | {channel} | {outcome} | {same} ({}) |", check.reader);
     (line, agrees)
 }
 
@@ -112,11 +104,7 @@ fn the_document_of_formats_holds_what_is_read_and_what_other_readers_found() {
     if std::env::var_os("WIMU_WRITE_DOCS").is_some() {
         std::fs::write(&path, &made).unwrap();
     }
-    assert_eq!(
-        std::fs::read_to_string(&path).unwrap(),
-        made,
-        "WIMU_WRITE_DOCS=1 writes it"
-    );
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), made, "WIMU_WRITE_DOCS=1 writes it");
 }
 
 const HEADER: &str = "| format | file | track | rows and mean magnitude | independent reader |\n|---|---|---|---|---|\n";

@@ -50,9 +50,7 @@ impl Rig {
     fn body(&self, time_s: f64) -> StreamPose {
         let value = |axis: usize| -> f64 {
             let waves = self.waves[axis].iter();
-            waves
-                .map(|[size, frequency, phase]| size * (frequency * time_s + phase).sin())
-                .sum()
+            waves.map(|[size, frequency, phase]| size * (frequency * time_s + phase).sin()).sum()
         };
         StreamPose {
             time_s,
@@ -100,9 +98,7 @@ impl Rig {
     fn gyroscope(&self, seconds: f64, random: &mut Random) -> MotionRecording {
         let step_s = 0.005;
         let bias = Vector3::from(random.normals(0.005));
-        let times: Vec<f64> = (0..(seconds / step_s) as usize)
-            .map(|k| step_s * k as f64)
-            .collect();
+        let times: Vec<f64> = (0..(seconds / step_s) as usize).map(|k| step_s * k as f64).collect();
         let sample = |time_s: &f64| {
             let [before, now] = [time_s - step_s, *time_s].map(|t| self.body(t).rotation);
             let rate = (before.inverse() * now).scaled_axis() / step_s;
@@ -127,13 +123,7 @@ impl Rig {
         let rotation = self.rotation_error(found);
         let translation = Vector3::from(found.translation_m.unwrap()) - self.translation_m;
         let offset = found.offset_s.unwrap()[0] - OFFSET_S;
-        SVector::from_iterator(
-            rotation
-                .iter()
-                .chain(translation.iter())
-                .copied()
-                .chain([offset]),
-        )
+        SVector::from_iterator(rotation.iter().chain(translation.iter()).copied().chain([offset]))
     }
 }
 
@@ -194,10 +184,7 @@ fn a_gyroscope_shows_the_rotation_and_the_clock_but_not_the_translation() {
         (0..3).for_each(|k| held.count(error[k].abs() < 1.96 * sd[k]));
         let [offset, offset_sd] = found.offset_s.unwrap();
         held.count((offset - OFFSET_S).abs() < 1.96 * offset_sd);
-        assert!(
-            sd.iter().all(|sd| *sd < 0.01) && offset_sd < 0.01,
-            "{sd:?} {offset_sd}"
-        );
+        assert!(sd.iter().all(|sd| *sd < 0.01) && offset_sd < 0.01, "{sd:?} {offset_sd}");
     }
     coverage_figure("camera to gyroscope: 95 % intervals", &[held], 0.93..=0.97);
     held.assert_can_be(0.93..=0.97, "rotation and clock");
@@ -229,10 +216,7 @@ fn rotation_about_one_axis_is_refused_and_no_rotation_too() {
         let camera = stream(rig.camera(60.0, &mut random, 0.0));
         let found = hand_eye(&camera, &rig.bodies(60.0), &HandEyeOptions::default());
         let reason = found.outcome.reason.unwrap();
-        assert!(
-            reason.contains("axis") || reason.contains("axes"),
-            "{axes}: {reason}"
-        );
+        assert!(reason.contains("axis") || reason.contains("axes"), "{axes}: {reason}");
         assert!(found.quaternion.is_none());
     }
 }
@@ -243,18 +227,12 @@ fn a_clock_offset_beyond_the_limit_is_refused_and_one_within_it_is_found() {
     let rig = Rig::new(&mut random, 3);
     let camera = stream(rig.camera(60.0, &mut random, 0.0));
     let limited = |limit| {
-        let options = HandEyeOptions {
-            offset_limit_s: Some(limit),
-            ..HandEyeOptions::default()
-        };
+        let options = HandEyeOptions { offset_limit_s: Some(limit), ..HandEyeOptions::default() };
         hand_eye(&camera, &rig.bodies(60.0), &options).offset_s
     };
     assert_eq!(limited(0.2), None);
     let [offset, sd] = limited(1.0).unwrap();
-    assert!(
-        (offset - OFFSET_S).abs() < 4.0 * sd && sd < 0.005,
-        "{offset} ± {sd}"
-    );
+    assert!((offset - OFFSET_S).abs() < 4.0 * sd && sd < 0.005, "{offset} ± {sd}");
 }
 
 #[test]
@@ -262,10 +240,7 @@ fn streams_of_two_bodies_are_reported() {
     let mut random = Random::new(11);
     let [one, other] = [(); 2].map(|()| Rig::new(&mut random, 3));
     let camera = stream(one.camera(60.0, &mut random, 0.0));
-    let options = HandEyeOptions {
-        offset_limit_s: Some(1.0),
-        ..HandEyeOptions::default()
-    };
+    let options = HandEyeOptions { offset_limit_s: Some(1.0), ..HandEyeOptions::default() };
     let found = hand_eye(&camera, &other.bodies(60.0), &options);
     let text = wimu_host::finding::text(&found.outcome.findings, 9);
     assert!(text.contains("hardly agree"), "{text}");
@@ -284,8 +259,5 @@ fn a_table_and_a_tum_trajectory_are_the_same_poses() {
     std::fs::write(&tum, "# a comment\n0 1 2 3 0 0 0 1\n0.1 1 2 4 1 0 0 0\n").unwrap();
     let [a, b] = [csv, tum].map(|path| PoseStream::read(&path).unwrap());
     assert_eq!(a.poses(), b.poses());
-    assert_eq!(
-        (a.poses().len(), a.findings.len(), b.findings.len()),
-        (2, 1, 0)
-    );
+    assert_eq!((a.poses().len(), a.findings.len(), b.findings.len()), (2, 1, 0));
 }

@@ -62,9 +62,7 @@ fn slide_after(rest_s: f64, gap_s: f64) -> MotionRecording {
 }
 
 fn said(path: &InertialPath, what: &str) -> bool {
-    path.findings
-        .iter()
-        .any(|found| found.to_string().contains(what))
+    path.findings.iter().any(|found| found.to_string().contains(what))
 }
 
 #[test]
@@ -79,11 +77,7 @@ fn position_is_measured_from_the_end_of_the_first_rest_however_long_it_was() {
             assert!(!path.points[from].valid);
             continue;
         }
-        assert!(
-            path.origin > from - 100 && path.origin < from + 60,
-            "{}",
-            path.origin
-        );
+        assert!(path.origin > from - 100 && path.origin < from + 60, "{}", path.origin);
         let moving = &path.points[from + 20..from + 150];
         assert!(moving.iter().all(|p| p.valid && p.sd_m() < 0.3), "{rest_s}");
         let end = path.points[from + 280].position_m[0] - path.points[path.origin].position_m[0];
@@ -105,11 +99,7 @@ fn turned(scale: f64) -> MotionRecording {
         recording.times_s.push(t);
         recording.samples.push(UnitSample {
             step_s: if k == 0 { 0.0 } else { 0.01 },
-            force_mps2: [
-                noise,
-                9.80665 * angle.sin() - noise,
-                9.80665 * angle.cos() + noise,
-            ],
+            force_mps2: [noise, 9.80665 * angle.sin() - noise, 9.80665 * angle.cos() + noise],
             field_ut: None,
             rate_rad_s: Some([scale * rate + 0.1 * noise, 0.1 * noise, -0.1 * noise]),
         });
@@ -188,17 +178,8 @@ fn a_rotation_about_the_vertical_keeps_its_gyroscope() {
         ("reversed", level(0.0, quarter / 1.1, 1.5, -1.0, 0.0)),
     ] {
         let path = navigate(&recording, &Choice::default()).unwrap();
-        assert_eq!(
-            path.method,
-            Method::Strapdown,
-            "{name}: {:?}",
-            path.findings
-        );
-        assert!(
-            !said(&path, "gravity's rotation"),
-            "{name}: {:?}",
-            path.findings
-        );
+        assert_eq!(path.method, Method::Strapdown, "{name}: {:?}", path.findings);
+        assert!(!said(&path, "gravity's rotation"), "{name}: {:?}", path.findings);
     }
 }
 
@@ -215,11 +196,7 @@ fn an_accelerometer_that_gives_gravity_and_times_in_another_unit_are_said() {
         "{:?}",
         path.findings
     );
-    for (factor, unit) in [
-        (1e3, "Time (ms)"),
-        (1e6, "Time (us)"),
-        (1e-3, "unit of its times"),
-    ] {
+    for (factor, unit) in [(1e3, "Time (ms)"), (1e6, "Time (us)"), (1e-3, "unit of its times")] {
         let mut other = slide();
         for time in &mut other.times_s {
             *time *= factor;
@@ -261,10 +238,7 @@ fn a_straight_move_without_a_gyroscope_is_as_long_as_it_was() {
         panic!("{:?}", path.moves);
     };
     assert!(one.valid && one.length_sd_m < 0.05, "{one:?}");
-    assert!(
-        (one.length_m - 0.5).abs() < 2.0 * one.length_sd_m,
-        "{one:?}"
-    );
+    assert!((one.length_m - 0.5).abs() < 2.0 * one.length_sd_m, "{one:?}");
     // The same with a tilt of 3 degrees at its end: it was rotated.
     let mut tilted = slide();
     for sample in &mut tilted.samples[300..] {
@@ -312,10 +286,7 @@ fn a_start_pose_given_rests_and_a_bounded_place_are_used() {
         change(&mut choice);
         navigate(&recording, &choice).unwrap()
     };
-    let start = StartPose {
-        position_m: [3.0, -2.0, 1.0],
-        heading_rad: Some(1.0),
-    };
+    let start = StartPose { position_m: [3.0, -2.0, 1.0], heading_rad: Some(1.0) };
     let placed = with(&|choice| choice.start = Some(start));
     let first = placed.points[100];
     for (value, expected) in first.position_m.iter().zip([3.0, -2.0, 1.0]) {
@@ -364,17 +335,10 @@ fn past_the_limit_the_position_is_marked_unusable() {
     let rest = recording.samples[0];
     for k in 0..3000 {
         recording.times_s.push(4.5 + f64::from(k) * 0.01);
-        recording.samples.push(UnitSample {
-            step_s: 0.01,
-            ..rest
-        });
+        recording.samples.push(UnitSample { step_s: 0.01, ..rest });
         recording.truth.push(None);
     }
-    let choice = Choice {
-        zupt: Zupt::Off,
-        limit_m: 0.3,
-        ..Choice::default()
-    };
+    let choice = Choice { zupt: Zupt::Off, limit_m: 0.3, ..Choice::default() };
     let path = navigate(&recording, &choice).unwrap();
     let horizon = path.horizon_s(0.3).expect("without ZUPT it gets lost");
     assert!(path.horizon_s(0.1).unwrap() < horizon && path.horizon_s(1e6).is_none());
@@ -417,10 +381,7 @@ fn still_array(sensors: usize) -> ArrayRecording {
 
 #[test]
 fn places_are_read_in_both_forms_and_must_fit_the_recording() {
-    let rows = file(
-        "rows.csv",
-        "X (m),Y (m),Z (m)\n0.01,0,0\n0,0.01,0\n0,0,0.01\n0,0,0\n",
-    );
+    let rows = file("rows.csv", "X (m),Y (m),Z (m)\n0.01,0,0\n0,0.01,0\n0,0,0.01\n0,0,0\n");
     let table =
         "axes, IMU 1, IMU 2, IMU 3, IMU 4\nx, 0.01, 0, 0, 0\ny, 0, 0.01, 0, 0\nz, 0, 0, 0.01, 0\n";
     let columns = file("columns.csv", table);
@@ -436,10 +397,7 @@ fn places_are_read_in_both_forms_and_must_fit_the_recording() {
 
     let recording = still_array(4);
     let calibration = ArrayCalibration::of(&recording, &places, Gravity::UNKNOWN_PLACE).unwrap();
-    assert!(
-        calibration.uncalibrated.is_some(),
-        "one pose is not enough to calibrate"
-    );
+    assert!(calibration.uncalibrated.is_some(), "one pose is not enough to calibrate");
     let refused = |wrong: &ArrayGeometry| {
         let error = ArrayBody::of(&recording, wrong, &calibration)
             .and_then(|body| body.angular_rate())

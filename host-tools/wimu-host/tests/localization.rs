@@ -23,11 +23,7 @@ const HALL: [[f64; 3]; 6] = [
 
 /// Position at a time, m: a loop through the hall.
 fn path(t: f64) -> [f64; 3] {
-    [
-        4.5 + 3.2 * (0.25 * t).sin(),
-        3.5 + 2.4 * (0.17 * t).cos(),
-        1.2 + 0.7 * (0.31 * t).sin(),
-    ]
+    [4.5 + 3.2 * (0.25 * t).sin(), 3.5 + 2.4 * (0.17 * t).cos(), 1.2 + 0.7 * (0.31 * t).sin()]
 }
 
 fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
@@ -43,10 +39,7 @@ struct Hall {
 fn hall(seed: u64, anchors: &[[f64; 3]]) -> Hall {
     let mut random = Random::new(seed);
     let common = 0.07 * random.normal();
-    let biases_m: Vec<f64> = anchors
-        .iter()
-        .map(|_| common + 0.07 * random.normal())
-        .collect();
+    let biases_m: Vec<f64> = anchors.iter().map(|_| common + 0.07 * random.normal()).collect();
     let mut errors: Vec<f64> = anchors.iter().map(|_| 0.06 * random.normal()).collect();
     let decay = (-0.1_f64).exp();
     let mut ranges = Vec::new();
@@ -57,11 +50,7 @@ fn hall(seed: u64, anchors: &[[f64; 3]]) -> Hall {
                 decay * errors[anchor] + 0.06 * (1.0 - decay * decay).sqrt() * random.normal();
             let error = biases_m[anchor] + errors[anchor] + 0.03 * random.normal();
             let range_m = distance(path(time_s), *place) + error;
-            ranges.push(RangeSample {
-                time_s,
-                anchor,
-                range_m,
-            });
+            ranges.push(RangeSample { time_s, anchor, range_m });
         }
     }
     let named = |(k, position_m): (usize, &[f64; 3])| AnchorPosition {
@@ -77,10 +66,7 @@ fn hall(seed: u64, anchors: &[[f64; 3]]) -> Hall {
         motion: None,
         findings: Vec::new(),
     };
-    Hall {
-        recording,
-        biases_m,
-    }
+    Hall { recording, biases_m }
 }
 
 fn found(recording: &RangeRecording) -> Localization {
@@ -90,9 +76,8 @@ fn found(recording: &RangeRecording) -> Localization {
 /// RMS distance from the true path after 2 s, m.
 fn rmse(found: &Localization) -> f64 {
     let points = found.path.points.iter().filter(|p| p.time_s > 2.0);
-    let squares: Vec<f64> = points
-        .map(|p| distance(p.position_m, path(p.time_s)).powi(2))
-        .collect();
+    let squares: Vec<f64> =
+        points.map(|p| distance(p.position_m, path(p.time_s)).powi(2)).collect();
     (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
 }
 
@@ -117,9 +102,7 @@ fn position_and_biases_are_found_within_their_sigma() {
         for point in found.path.points.iter().skip(30).step_by(30) {
             let error = nalgebra::Vector3::from(point.position_m)
                 - nalgebra::Vector3::from(path(point.time_s));
-            let inverse = nalgebra::Matrix3::from(point.covariance_m2)
-                .try_inverse()
-                .unwrap();
+            let inverse = nalgebra::Matrix3::from(point.covariance_m2).try_inverse().unwrap();
             below += usize::from(error.dot(&(inverse * error)) < 7.81);
             points += 1;
         }
@@ -139,16 +122,9 @@ fn a_bias_that_the_data_do_not_show_stays_at_its_prior_and_is_reported() {
     let found = found(&hall.recording);
     let hidden = finding(&found, FindingCode::NotObserved, "bias of anchor").unwrap();
     assert!(hidden.evidence.contains("0 ± 0.1"), "{hidden}");
-    for anchor in found
-        .anchors
-        .iter()
-        .filter(|a| hidden.evidence.contains(&a.id))
-    {
+    for anchor in found.anchors.iter().filter(|a| hidden.evidence.contains(&a.id)) {
         let bias = anchor.bias_m.unwrap();
-        assert!(
-            (0.07..0.101).contains(&bias.sigma) && bias.value.abs() < 0.15,
-            "{bias:?}"
-        );
+        assert!((0.07..0.101).contains(&bias.sigma) && bias.value.abs() < 0.15, "{bias:?}");
     }
     let other = found_all();
     assert!(
@@ -185,31 +161,20 @@ fn a_path_that_is_not_determined_is_refused_with_its_cause() {
     // Around a line all positions are equal.
     let line = [0.0, 3.0, 6.0, 9.0].map(|e| [e, 0.0, 1.0]);
     let text = refused(&hall(2, &line).recording);
-    assert!(
-        text.contains("on a line") && text.contains("at best"),
-        "{text}"
-    );
+    assert!(text.contains("on a line") && text.contains("at best"), "{text}");
     let mut millimetres = hall(2, &HALL).recording;
     for range in &mut millimetres.ranges {
         range.range_m *= 1e3;
     }
     let text = refused(&millimetres);
-    assert!(
-        text.contains("check the units") && !text.contains("line"),
-        "{text}"
-    );
+    assert!(text.contains("check the units") && !text.contains("line"), "{text}");
 }
 
 #[test]
 fn a_moved_anchor_is_named_with_its_time() {
     for moved_m in [1.0, -1.0] {
         let mut hall = hall(3, &HALL);
-        for range in hall
-            .recording
-            .ranges
-            .iter_mut()
-            .filter(|r| r.anchor == 2 && r.time_s > 30.0)
-        {
+        for range in hall.recording.ranges.iter_mut().filter(|r| r.anchor == 2 && r.time_s > 30.0) {
             range.range_m += moved_m;
         }
         let found = found(&hall.recording);
@@ -237,11 +202,7 @@ fn ranges_without_line_of_sight_have_little_weight() {
         }
         let found = found(&hall.recording);
         assert!(rmse(&found) < 2.0 * clean, "{} and {clean}", rmse(&found));
-        assert!(
-            (0.35..0.65).contains(&found.noise.blocked),
-            "{:?}",
-            found.noise
-        );
+        assert!((0.35..0.65).contains(&found.noise.blocked), "{:?}", found.noise);
     }
 }
 
@@ -270,10 +231,7 @@ fn survey_finds_anchors_that_are_known_roughly() {
     for anchor in &mut hall.recording.anchors {
         anchor.position_m = anchor.position_m.map(|p| p + 0.2 * random.normal());
     }
-    let choice = LocalizationChoice {
-        survey_m: Some(0.2),
-        ..LocalizationChoice::default()
-    };
+    let choice = LocalizationChoice { survey_m: Some(0.2), ..LocalizationChoice::default() };
     let found = localize(&hall.recording, &choice).unwrap();
     // Distances between anchors do not depend on the frame.
     let (mut before, mut after) = (0.0, 0.0);
@@ -289,10 +247,7 @@ fn survey_finds_anchors_that_are_known_roughly() {
             after += (estimated - truth).powi(2);
         }
     }
-    println!(
-        "distances between anchors: {:.3} of the given error",
-        (after / before).sqrt()
-    );
+    println!("distances between anchors: {:.3} of the given error", (after / before).sqrt());
     assert!(after < 0.36 * before, "{after} and {before}");
     let sd = found.anchors[0].position_sd_m.unwrap();
     assert!(sd.iter().all(|s| (0.01..0.2).contains(s)), "{sd:?}");
@@ -340,11 +295,7 @@ fn vehicle(late_s: f64) -> RangeRecording {
             let anchor = k % 3;
             let at = [truth[5 * k][0], truth[5 * k][1], 0.0];
             let range_m = distance(at, anchors[anchor]) * 1.05 + 0.3 * random.normal();
-            RangeSample {
-                time_s: 0.5 * k as f64 + late_s,
-                anchor,
-                range_m,
-            }
+            RangeSample { time_s: 0.5 * k as f64 + late_s, anchor, range_m }
         })
         .collect();
     hall.recording
@@ -354,18 +305,12 @@ fn vehicle(late_s: f64) -> RangeRecording {
 fn odometry_finds_start_heading_and_the_scale_of_the_ranges() {
     let found = found(&vehicle(0.0));
     let scale = found.anchors[0].scale.unwrap();
-    assert!(
-        (scale.value - 0.05).abs() < 3.0 * scale.sigma && scale.sigma < 0.02,
-        "{scale:?}"
-    );
+    assert!((scale.value - 0.05).abs() < 3.0 * scale.sigma && scale.sigma < 0.02, "{scale:?}");
     assert!(scale.is_observed());
     // A minute after the unknown start.
     let point = found.path.points.iter().find(|p| p.time_s > 60.0).unwrap();
     let truth = vehicle_path()[(point.time_s * 10.0).round() as usize];
-    assert!(
-        distance(point.position_m, [truth[0], truth[1], 0.0]) < 0.5,
-        "{point:?}"
-    );
+    assert!(distance(point.position_m, [truth[0], truth[1], 0.0]) < 0.5, "{point:?}");
     assert!(finding(&found, FindingCode::Clock, "").is_none());
 }
 
@@ -403,18 +348,11 @@ fn a_clock_that_is_off_by_more_than_the_search_is_refused_or_reported() {
     assert!(text.contains("off by -12 s or more"), "{text}");
     assert!(text.contains("give both the times of one clock"), "{text}");
     let found = found(&vehicle(20.0));
-    let unfit = finding(
-        &found,
-        FindingCode::Clock,
-        "at any clock offset within ± 12 s",
-    );
+    let unfit = finding(&found, FindingCode::Clock, "at any clock offset within ± 12 s");
     assert!(unfit.is_some(), "{:?}", found.path.findings);
     assert!(finding(&found, FindingCode::Clock, "corrected").is_none());
     let text = refused(&vehicle(400.0));
-    assert!(
-        text.contains("none of the ranges is within the time of the odometry"),
-        "{text}"
-    );
+    assert!(text.contains("none of the ranges is within the time of the odometry"), "{text}");
     let text = refused(&vehicle(1.7e9));
     assert!(text.contains("the ranges have Unix times"), "{text}");
 }
@@ -444,10 +382,7 @@ fn a_gyroscope_does_not_make_the_path_worse() {
             rate_rad_s: Some([0.002, -0.003, 0.2 + 0.004].map(|w| w + 0.003 * random.normal())),
         });
     }
-    let recording = RangeRecording {
-        motion: Some(motion),
-        ..hall.recording
-    };
+    let recording = RangeRecording { motion: Some(motion), ..hall.recording };
     let found = found(&recording);
     assert!(rmse(&found) < 1.05 * alone, "{} and {alone}", rmse(&found));
     let [w, _, _, z] = found.path.points[3000].quaternion;
@@ -460,10 +395,7 @@ fn a_gyroscope_does_not_make_the_path_worse() {
 /// Two files in a folder of their own.
 fn files(ranges: &str, anchors: &str) -> (tempfile::TempDir, [PathBuf; 2]) {
     let folder = tempfile::tempdir().unwrap();
-    let paths = [
-        folder.path().join("ranges.csv"),
-        folder.path().join("anchors.csv"),
-    ];
+    let paths = [folder.path().join("ranges.csv"), folder.path().join("anchors.csv")];
     std::fs::write(&paths[0], ranges).unwrap();
     std::fs::write(&paths[1], anchors).unwrap();
     (folder, paths)
@@ -479,15 +411,8 @@ fn unknown_anchors_and_negative_ranges_are_left_out_and_counted() {
     assert_eq!(recording.ranges.len(), 2);
     assert!(recording.planar);
     let text: Vec<String> = recording.findings.iter().map(ToString::to_string).collect();
-    assert!(
-        text.iter()
-            .any(|t| t.contains("1 range left out: anchor x is not in")),
-        "{text:?}"
-    );
-    assert!(
-        text.iter().any(|t| t.contains("zero or negative")),
-        "{text:?}"
-    );
+    assert!(text.iter().any(|t| t.contains("1 range left out: anchor x is not in")), "{text:?}");
+    assert!(text.iter().any(|t| t.contains("zero or negative")), "{text:?}");
     assert!(
         text.iter().any(|t| t.contains("sorted"))
             || recording.ranges.is_sorted_by(|a, b| a.time_s <= b.time_s)
@@ -502,11 +427,8 @@ fn columns_of_ranges_and_other_units_are_read() {
     let ranges = "Time (ms),Range a (mm),Range b (mm)\n0,2000,3000\n100,2100,\n";
     let (_folder, [ranges, anchors]) = files(ranges, ANCHORS);
     let recording = RangeRecording::read(&ranges, &anchors).unwrap();
-    let read: Vec<(f64, usize, f64)> = recording
-        .ranges
-        .iter()
-        .map(|r| (r.time_s, r.anchor, r.range_m))
-        .collect();
+    let read: Vec<(f64, usize, f64)> =
+        recording.ranges.iter().map(|r| (r.time_s, r.anchor, r.range_m)).collect();
     assert_eq!(read, [(0.0, 0, 2.0), (0.0, 1, 3.0), (0.1, 0, 2.1)]);
 }
 
@@ -515,26 +437,10 @@ fn files_that_are_no_ranges_are_refused_with_what_is_missing() {
     for (ranges, anchors, message) in [
         ("Time (s),Anchor\n0,a\n", ANCHORS, "Range (m)"),
         ("Time,Anchor,Range (m)\n0,a,1\n", ANCHORS, "Time (s)"),
-        (
-            "Time (s),Anchor,Range (m)\n0,a,one\n",
-            ANCHORS,
-            "not a number",
-        ),
-        (
-            "Time (s),Anchor,Range (m)\n0,q,1\n",
-            ANCHORS,
-            "no range to a known anchor",
-        ),
-        (
-            "Time (s),Anchor,Range (m)\n0,a,1\n",
-            "Anchor,Position E (m)\na,0\n",
-            "Position N (m)",
-        ),
-        (
-            "Time (s),Anchor,Range (m)\n0,a,1\n",
-            "Anchor,X (m),Y (m)\na,0,0\na,1,1\n",
-            "twice",
-        ),
+        ("Time (s),Anchor,Range (m)\n0,a,one\n", ANCHORS, "not a number"),
+        ("Time (s),Anchor,Range (m)\n0,q,1\n", ANCHORS, "no range to a known anchor"),
+        ("Time (s),Anchor,Range (m)\n0,a,1\n", "Anchor,Position E (m)\na,0\n", "Position N (m)"),
+        ("Time (s),Anchor,Range (m)\n0,a,1\n", "Anchor,X (m),Y (m)\na,0,0\na,1,1\n", "twice"),
     ] {
         let (_folder, [ranges, anchors]) = files(ranges, anchors);
         let error = RangeRecording::read(&ranges, &anchors).unwrap_err();
@@ -545,9 +451,8 @@ fn files_that_are_no_ranges_are_refused_with_what_is_missing() {
 
 #[test]
 fn too_many_anchors_are_refused() {
-    let many: Vec<[f64; 3]> = (0..30)
-        .map(|k| [f64::from(k), f64::from(k * k % 7), f64::from(k % 3)])
-        .collect();
+    let many: Vec<[f64; 3]> =
+        (0..30).map(|k| [f64::from(k), f64::from(k * k % 7), f64::from(k % 3)]).collect();
     let error = localize(&hall(9, &many).recording, &LocalizationChoice::default()).unwrap_err();
     assert!(error.to_string().contains("too many anchors"), "{error}");
 }

@@ -84,15 +84,9 @@ fn the_angle_of_a_hinge_has_its_stated_standard_deviation() {
 
 #[test]
 fn a_given_axis_is_used_as_it_is_and_a_wrong_one_is_seen_in_the_error() {
-    let aligned = Rig {
-        mounts: [nalgebra::Rotation3::identity(); 2],
-        ..Rig::knee(3)
-    };
+    let aligned = Rig { mounts: [nalgebra::Rotation3::identity(); 2], ..Rig::knee(3) };
     let with = |hinge| {
-        let choice = RelativeChoice {
-            hinge: Some(hinge),
-            ..RelativeChoice::default()
-        };
+        let choice = RelativeChoice { hinge: Some(hinge), ..RelativeChoice::default() };
         let found = run(&aligned, &choice).unwrap();
         assert!(found.hinge.given && found.hinge.axes[0] == hinge);
         rms_deg(&errors(&aligned, &found))
@@ -100,10 +94,7 @@ fn a_given_axis_is_used_as_it_is_and_a_wrong_one_is_seen_in_the_error() {
     assert!(with([0.0, 0.0, 1.0]) < 1.5);
     assert!(with([1.0, 0.0, 0.0]) > 3.0);
     // The angle of units that are mounted alike is absolute.
-    let choice = RelativeChoice {
-        hinge: Some([0.0, 0.0, 2.0]),
-        ..RelativeChoice::default()
-    };
+    let choice = RelativeChoice { hinge: Some([0.0, 0.0, 2.0]), ..RelativeChoice::default() };
     let found = run(&aligned, &choice).unwrap();
     let last = found.points.last().unwrap();
     let truth = aligned.truth(last.time_s).scaled_axis().z;
@@ -113,42 +104,19 @@ fn a_given_axis_is_used_as_it_is_and_a_wrong_one_is_seen_in_the_error() {
 #[test]
 fn clocks_that_differ_are_aligned() {
     // Shaken together: the correlation of the angular rates finds seconds.
-    let shaken = Rig {
-        shake_rad: 0.6,
-        ..Rig::knee(5)
-    };
+    let shaken = Rig { shake_rad: 0.6, ..Rig::knee(5) };
     let knee = Rig::knee(5);
-    let cases = [
-        (0.05, &knee),
-        (-0.04, &knee),
-        (3.7, &shaken),
-        (100.0, &shaken),
-    ];
+    let cases = [(0.05, &knee), (-0.04, &knee), (3.7, &shaken), (100.0, &shaken)];
     for (behind_s, rig) in cases {
-        let rig = Rig {
-            behind_s,
-            rates_hz: [100.0, 50.0],
-            ..rig.clone()
-        };
+        let rig = Rig { behind_s, rates_hz: [100.0, 50.0], ..rig.clone() };
         let found = found(&rig);
         let off_s = found.clock.offset_s - behind_s;
         assert!(off_s.abs() < 0.01, "{behind_s}: {:?}", found.clock);
-        assert!(
-            off_s.abs() < 4.0 * found.clock.sd_s,
-            "{behind_s}: {:?}",
-            found.clock
-        );
-        assert!(
-            has(&found, FindingCode::Clock, "behind"),
-            "{:?}",
-            found.findings
-        );
+        assert!(off_s.abs() < 4.0 * found.clock.sd_s, "{behind_s}: {:?}", found.clock);
+        assert!(has(&found, FindingCode::Clock, "behind"), "{:?}", found.findings);
         assert!(rms_deg(&errors(&rig, &found)) < 2.0);
     }
-    let apart = found(&Rig {
-        behind_s: 3.7,
-        ..Rig::knee(5)
-    });
+    let apart = found(&Rig { behind_s: 3.7, ..Rig::knee(5) });
     println!("NIS of the joint with a wrong clock: {}", apart.joint_nis);
     assert!(!apart.is_accurate() && has(&apart, FindingCode::Residuals, "common joint"));
     let found = found(&Rig::knee(5));
@@ -161,11 +129,7 @@ fn clocks_that_differ_are_aligned() {
 fn different_rates_and_repeated_rows_give_the_same_angle() {
     let plain = rms_deg(&errors(&Rig::knee(7), &found(&Rig::knee(7))));
     for (rates_hz, rows) in [([100.0, 41.0], 1), ([50.0, 50.0], 3)] {
-        let rig = Rig {
-            rates_hz,
-            rows,
-            ..Rig::knee(7)
-        };
+        let rig = Rig { rates_hz, rows, ..Rig::knee(7) };
         let rms = rms_deg(&errors(&rig, &found(&rig)));
         assert!(rms < plain + 1.0, "{rates_hz:?} {rows}: {rms} and {plain}");
     }
@@ -183,11 +147,7 @@ fn a_gap_is_not_valid_and_the_angle_is_found_again() {
     assert!(lost.clone().count() > 90 && lost.clone().all(|p| (8.9..11.1).contains(&p.time_s)));
     assert!(has(&found, FindingCode::Rate, "gap"));
     let late: Vec<_> = errors(&rig, &found).split_off(8);
-    assert!(
-        late.iter()
-            .all(|(e, sigma)| e.abs() < 4.0 * sigma.max(0.005)),
-        "{late:?}"
-    );
+    assert!(late.iter().all(|(e, sigma)| e.abs() < 4.0 * sigma.max(0.005)), "{late:?}");
 }
 
 #[test]
@@ -197,33 +157,15 @@ fn what_the_data_do_not_show_is_refused_or_reported() {
         assert_eq!(error.code(), ErrorCode::DataRefused);
         assert!(error.to_string().contains(text), "{error}");
     };
-    let stiff = Rig {
-        swing_rad: [0.0; 3],
-        ..Rig::knee(9)
-    };
+    let stiff = Rig { swing_rad: [0.0; 3], ..Rig::knee(9) };
     refused(run(&stiff, &RelativeChoice::default()), "hardly moves");
     let [a, mut b] = stiff.record();
-    refused(
-        relative([&a, &a.clone()], &RelativeChoice::default()),
-        "same samples",
-    );
-    b.samples
-        .iter_mut()
-        .for_each(|sample| sample.rate_rad_s = None);
-    refused(
-        relative([&a, &b], &RelativeChoice::default()),
-        "no angular rates",
-    );
-    let resting = Rig {
-        base: [0.0; 2],
-        behind_s: 1000.0,
-        ..stiff
-    };
+    refused(relative([&a, &a.clone()], &RelativeChoice::default()), "same samples");
+    b.samples.iter_mut().for_each(|sample| sample.rate_rad_s = None);
+    refused(relative([&a, &b], &RelativeChoice::default()), "no angular rates");
+    let resting = Rig { base: [0.0; 2], behind_s: 1000.0, ..stiff };
     refused(run(&resting, &RelativeChoice::default()), "in common");
-    let ball = Rig {
-        swing_rad: [0.6, 0.6, 0.7],
-        ..Rig::knee(9)
-    };
+    let ball = Rig { swing_rad: [0.6, 0.6, 0.7], ..Rig::knee(9) };
     let ball = found(&ball);
     assert!(has(&ball, FindingCode::NotObserved, "more than one axis") && !ball.is_accurate());
 }
@@ -239,16 +181,7 @@ fn magnetometers_give_the_heading_that_a_resting_joint_does_not_show() {
     };
     // The vertical axis of the body: a heading is not observed.
     let hinge = Some([0.0, 1.0, 0.0]);
-    let with = |magnetometers| {
-        run(
-            &resting,
-            &RelativeChoice {
-                hinge,
-                magnetometers,
-            },
-        )
-        .unwrap()
-    };
+    let with = |magnetometers| run(&resting, &RelativeChoice { hinge, magnetometers }).unwrap();
     let heading_off = |found: &RelativePath| {
         let [w, x, y, z] = found.points.last().unwrap().quaternion;
         let attitude =
@@ -291,22 +224,15 @@ fn live(rig: &Rig, choice: RelativeChoice) -> (Vec<RelativePoint>, LiveRelative)
 #[test]
 fn a_stream_has_the_angle_of_the_recording() {
     for seed in 0..6 {
-        let rig = Rig {
-            seconds: 40.0,
-            behind_s: 1000.0,
-            rates_hz: [100.0, 50.0],
-            ..Rig::knee(seed)
-        };
+        let rig =
+            Rig { seconds: 40.0, behind_s: 1000.0, rates_hz: [100.0, 50.0], ..Rig::knee(seed) };
         let began = std::time::Instant::now();
         let (points, live) = live(&rig, RelativeChoice::default());
         assert!(live.is_accurate(), "{:?}", live.lacks());
         let path = live.path(points).expect("a search had a result");
         let first_s = path.points[0].time_s;
         let of_stream = rms_deg(&errors(&rig, &path));
-        let known = Rig {
-            behind_s: 0.0,
-            ..rig
-        };
+        let known = Rig { behind_s: 0.0, ..rig };
         let of_recording = rms_deg(&errors(&known, &found(&known)));
         println!(
             "stream {of_stream:.2}°, recording {of_recording:.2}°, clock {:.4} ± {:.4} s, from {first_s:.1} s on, {:.0?}",

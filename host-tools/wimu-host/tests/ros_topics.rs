@@ -45,11 +45,7 @@ fn a_path_is_read_with_odometry_and_transforms() {
     for k in 0..2500 {
         let force_mps2 = [0.0, 0.0, if k % 2 == 0 { 9.80 } else { 9.81 }];
         recording.times_s.push(f64::from(k) * 0.01);
-        recording.samples.push(UnitSample {
-            step_s: 0.01,
-            force_mps2,
-            ..UnitSample::default()
-        });
+        recording.samples.push(UnitSample { step_s: 0.01, force_mps2, ..UnitSample::default() });
         recording.truth.push(None);
     }
     let choice = Choice::default();
@@ -74,21 +70,12 @@ fn a_path_is_read_with_odometry_and_transforms() {
         let off = found.iter().zip(expected).map(|(a, b)| (a - b).abs());
         assert!(off.fold(0.0, f64::max) < 1e-12, "{found:?} {expected:?}");
     };
-    near(
-        &first[..9],
-        &[1.0, 0.0, 1.0, 2.0, 3.0, 0.0, 0.0, half, half],
-    );
-    near(
-        &first[9..18],
-        &[0.04, 0.01, 0.0, 0.0, 0.0, 0.0, 0.01, 0.09, 0.0],
-    );
+    near(&first[..9], &[1.0, 0.0, 1.0, 2.0, 3.0, 0.0, 0.0, half, half]);
+    near(&first[9..18], &[0.04, 0.01, 0.0, 0.0, 0.0, 0.0, 0.01, 0.09, 0.0]);
     // Velocity in body axes: north, west, up.
     near(&first[45..48], &[2.0, -1.0, 0.5]);
     let variance = |k: usize| first[51 + 7 * k];
-    near(
-        &[variance(0), variance(1), variance(2)],
-        &[0.04, 0.01, 0.09],
-    );
+    near(&[variance(0), variance(1), variance(2)], &[0.04, 0.01, 0.09]);
     assert_eq!(odometry[0][2], "map");
     assert_eq!(odometry[0][3], "base_link");
     // One pose a second, in one message.
@@ -106,9 +93,7 @@ fn corrected_samples_are_read_with_covariances() {
     let folder = tempfile::tempdir().unwrap();
     let [file, cal] = ["imu.mcap", "CAL.json"].map(|name| folder.path().join(name));
     let set = ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(1000.0).unwrap());
-    CalibrationFile::new(&set, &[], "poses.csv")
-        .write(&cal)
-        .unwrap();
+    CalibrationFile::new(&set, &[], "poses.csv").write(&cal).unwrap();
     let mut recording = Recording::new("a");
     let counts = Unit::Counts { si_per_lsb: None };
     let force = recording.track(TrackInfo::new("acc", Quantity::SpecificForce, counts));
@@ -126,10 +111,7 @@ fn corrected_samples_are_read_with_covariances() {
     let correction = Correction::new(&calibration, &recording).unwrap();
     assert_eq!(correction.write(&file).unwrap(), 50);
     let Some(topics) = read(&file) else { return };
-    assert_eq!(
-        (topics["/imu/data"].len(), topics["/imu/mag"].len()),
-        (50, 5)
-    );
+    assert_eq!((topics["/imu/data"].len(), topics["/imu/mag"].len()), (50, 5));
     let imu = numbers(&topics["/imu/data"][49]);
     assert_eq!(imu[..2], [1_795_222_920.0, 490_000_000.0]);
     // No orientation.

@@ -54,11 +54,7 @@ fn check(found: Result<InertialPath, HostError>) -> Result<(), TestCaseError> {
 fn choices() -> impl Iterator<Item = Choice> {
     let zupts = [Zupt::Assumed, Zupt::Stated, Zupt::Off].into_iter();
     zupts.flat_map(|zupt| {
-        PROFILES.into_iter().map(move |profile| Choice {
-            profile,
-            zupt,
-            ..Choice::default()
-        })
+        PROFILES.into_iter().map(move |profile| Choice { profile, zupt, ..Choice::default() })
     })
 }
 
@@ -71,19 +67,13 @@ fn table(shake: f64, wild: &[(usize, usize, f64)], columns: &[&str], seed: u64) 
         let moves = (400..800).contains(&k);
         write!(text, "{:.2}", k as f64 * 0.01).unwrap();
         for (column, name) in columns.iter().enumerate() {
-            let gravity = if name.starts_with("Acc") && name.contains('Z') {
-                G
-            } else {
-                0.0
-            };
+            let gravity = if name.starts_with("Acc") && name.contains('Z') { G } else { 0.0 };
             let (noise, shake) = match name.starts_with("Gyr") {
                 true => (0.002, 0.01 * shake),
                 false => (0.02, shake),
             };
             let size = if moves { shake } else { noise };
-            let own = wild
-                .iter()
-                .find(|(row, at, _)| *row == k && at % columns.len() == column);
+            let own = wild.iter().find(|(row, at, _)| *row == k && at % columns.len() == column);
             let value = own.map_or(gravity + size * random.normal(), |(_, _, value)| *value);
             write!(text, ",{value:e}").unwrap();
         }
@@ -186,11 +176,8 @@ fn a_value_beyond_the_full_scale_is_left_out_as_if_it_were_missing_and_said() {
     };
     let apart = |a: &InertialPath, b: &InertialPath| {
         let pairs = a.points.iter().zip(&b.points);
-        let apart = pairs.map(|(a, b)| {
-            (0..3)
-                .map(|i| (a.position_m[i] - b.position_m[i]).abs())
-                .sum()
-        });
+        let apart =
+            pairs.map(|(a, b)| (0..3).map(|i| (a.position_m[i] - b.position_m[i]).abs()).sum());
         apart.fold(0.0, f64::max)
     };
     for choice in choices() {
@@ -205,10 +192,7 @@ fn a_value_beyond_the_full_scale_is_left_out_as_if_it_were_missing_and_said() {
             for (found, clean) in both.filter(|(a, b)| a.valid && b.valid) {
                 let off = (0..3).map(|i| (found.position_m[i] - clean.position_m[i]).powi(2));
                 let off = off.sum::<f64>().sqrt();
-                assert!(
-                    off < 3.0 * found.sd_m().max(0.01),
-                    "{choice:?}: {value}: {found:?}"
-                );
+                assert!(off < 3.0 * found.sd_m().max(0.01), "{choice:?}: {value}: {found:?}");
             }
         }
         assert!(!says(&with(&[(600, 0, 1999.0)], &choice), "full scale"));
@@ -223,16 +207,8 @@ fn a_value_beyond_the_full_scale_is_left_out_as_if_it_were_missing_and_said() {
     // Whose accelerometer gives nothing else is refused.
     let all: Vec<_> = (0..700).map(|k| (k, 1, 3000.0)).collect();
     let csv = file("all.csv", &table(0.3, &all, columns, 7));
-    let refused = navigate(
-        &MotionRecording::from_csv(&csv).unwrap(),
-        &Choice::default(),
-    );
-    assert!(
-        refused
-            .unwrap_err()
-            .message()
-            .contains("full scale, 2000 m/s², in 700 samples")
-    );
+    let refused = navigate(&MotionRecording::from_csv(&csv).unwrap(), &Choice::default());
+    assert!(refused.unwrap_err().message().contains("full scale, 2000 m/s², in 700 samples"));
 }
 
 #[test]
@@ -247,12 +223,8 @@ fn an_output_of_an_array_beyond_any_full_scale_is_left_out_and_said() {
         let said = "2000 m/s², in 1 output, first at 6.00 s";
         let says = recording.remarks.iter().any(|remark| remark.contains(said));
         assert_eq!(says, left_out, "{:?}", recording.remarks);
-        let finite = recording
-            .outputs
-            .iter()
-            .flatten()
-            .flatten()
-            .all(|v| v.is_nan() || v.abs() < 2000.0);
+        let finite =
+            recording.outputs.iter().flatten().flatten().all(|v| v.is_nan() || v.abs() < 2000.0);
         assert!(finite);
     }
 }

@@ -35,9 +35,7 @@ impl<'a, 'py, D: Dimension + 'py> FromPyObject<'a, 'py> for Numbers<'py, D> {
     /// Texts and lists of unequal lengths are wrong types, too.
     fn extract(given: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
         let numbers = given.extract();
-        numbers
-            .map(Self)
-            .map_err(|error: PyErr| PyTypeError::new_err(error.to_string()))
+        numbers.map(Self).map_err(|error: PyErr| PyTypeError::new_err(error.to_string()))
     }
 }
 

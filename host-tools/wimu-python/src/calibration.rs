@@ -123,10 +123,7 @@ pub fn calibrate(
     let named = MethodChoice::ALL.into_iter().find(|m| m.name() == method);
     let method = named.ok_or_else(|| {
         let names = MethodChoice::ALL.map(MethodChoice::name).join(", ");
-        usage(
-            format!("method={method:?} is not known"),
-            format!("the methods are {names}"),
-        )
+        usage(format!("method={method:?} is not known"), format!("the methods are {names}"))
     })?;
     let side = |name: String| {
         let index = SIDES.iter().position(|side| *side == name);
@@ -151,27 +148,16 @@ pub fn calibrate(
         datasheet: sensor_model.map(calibration::datasheet).transpose()?,
         utc_s: now.ok().map(|since| since.as_secs()),
     };
-    let selection = Selection {
-        accelerometer,
-        poses: source.options().poses,
-    };
+    let selection = Selection { accelerometer, poses: source.options().poses };
     let report =
         py.detach(|| calibration::calibrate(&source.data()?.samples(selection)?, &options))?;
     let (Some(fit), Some(file)) = (report.fit.clone(), report.file.clone()) else {
-        let poses: Vec<&str> = report
-            .next_poses
-            .iter()
-            .map(|pose| pose.text.as_str())
-            .collect();
+        let poses: Vec<&str> = report.next_poses.iter().map(|pose| pose.text.as_str()).collect();
         let remedy = match poses.is_empty() {
             true => "check the recording".to_owned(),
             false => format!("add rests with these directions up: {}", poses.join("; ")),
         };
-        return Err(refused(
-            &report.source,
-            report.outcome.reason.as_deref(),
-            remedy,
-        ));
+        return Err(refused(&report.source, report.outcome.reason.as_deref(), remedy));
     };
     Ok(Calibration { report, fit, file })
 }

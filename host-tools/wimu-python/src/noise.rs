@@ -17,10 +17,7 @@ pub struct Noise {
 
 impl Noise {
     fn term(&self, py: Python<'_>, term: impl Fn(&AxisReport) -> Option<f64>) -> Array1 {
-        column(
-            py,
-            self.axes.iter().map(|axis| term(axis).unwrap_or(f64::NAN)),
-        )
+        column(py, self.axes.iter().map(|axis| term(axis).unwrap_or(f64::NAN)))
     }
 }
 
@@ -35,20 +32,14 @@ impl Noise {
     /// Allan deviation, m/s², shape (k, 3).
     #[getter]
     fn deviation(&self, py: Python<'_>) -> Result<Array2> {
-        table(
-            py,
-            self.report.points.iter().map(|point| point.deviation_m_s2),
-        )
+        table(py, self.report.points.iter().map(|point| point.deviation_m_s2))
     }
 
     /// Standard deviation of `deviation`, m/s².
     #[getter]
     fn deviation_sd(&self, py: Python<'_>) -> Result<Array2> {
         let points = self.report.points.iter();
-        table(
-            py,
-            points.map(|point| point.deviation_m_s2.map(|axis| axis * point.relative_sd)),
-        )
+        table(py, points.map(|point| point.deviation_m_s2.map(|axis| axis * point.relative_sd)))
     }
 
     /// One-sided noise density, m/s²/√Hz.
@@ -72,17 +63,13 @@ impl Noise {
     /// Bias instability, m/s².
     #[getter]
     fn bias_instability(&self, py: Python<'_>) -> Array1 {
-        self.term(py, |axis| {
-            axis.bias_instability_m_s2.map(|Figure { value, .. }| value)
-        })
+        self.term(py, |axis| axis.bias_instability_m_s2.map(|Figure { value, .. }| value))
     }
 
     /// Standard deviation of `bias_instability`.
     #[getter]
     fn bias_instability_sd(&self, py: Python<'_>) -> Array1 {
-        self.term(py, |axis| {
-            axis.bias_instability_m_s2.map(|Figure { sd, .. }| sd)
-        })
+        self.term(py, |axis| axis.bias_instability_m_s2.map(|Figure { sd, .. }| sd))
     }
 
     /// Sample rate, Hz.
@@ -123,11 +110,7 @@ pub fn allan(
         Some(axes) => Ok(Noise { report, axes }),
         None => {
             let remedy = "record longer, with the sensor at rest".to_owned();
-            Err(refused(
-                &report.source,
-                report.outcome.reason.as_deref(),
-                remedy,
-            ))
+            Err(refused(&report.source, report.outcome.reason.as_deref(), remedy))
         }
     }
 }

@@ -207,23 +207,13 @@ pub fn navigate(
         "cautious" => Zupt::Assumed,
         "off" => Zupt::Off,
         _ => {
-            return Err(usage(
-                format!("zupt={zupt:?} is not known"),
-                "give on, cautious or off",
-            ));
+            return Err(usage(format!("zupt={zupt:?} is not known"), "give on, cautious or off"));
         }
     };
-    let positive = [
-        ("limit", Some(limit)),
-        ("within", within),
-        ("sensitivity", sensitivity),
-    ];
+    let positive = [("limit", Some(limit)), ("within", within), ("sensitivity", sensitivity)];
     for (name, value) in positive {
         if value.is_some_and(|value| !value.is_finite() || value <= 0.0) {
-            return Err(usage(
-                format!("{name} is not above 0"),
-                "give a number above 0",
-            ));
+            return Err(usage(format!("{name} is not above 0"), "give a number above 0"));
         }
     }
     let path = py.detach(|| {
@@ -235,10 +225,8 @@ pub fn navigate(
             limit_m: limit,
             within_m: within,
             rests_s: rests.map(|rests| rests.into_iter().map(|(from, to)| from..=to).collect()),
-            start: start.map(|(e, n, u, heading_rad)| StartPose {
-                position_m: [e, n, u],
-                heading_rad,
-            }),
+            start: start
+                .map(|(e, n, u, heading_rad)| StartPose { position_m: [e, n, u], heading_rad }),
             ..Choice::default()
         };
         inertial::navigate(&motion, &choice)

@@ -32,12 +32,7 @@ pub struct Recording {
 
 impl Recording {
     fn new(data: Data, options: ReadOptions, path: Option<PathBuf>) -> Self {
-        Self {
-            data,
-            options,
-            path,
-            tracks: PyOnceLock::new(),
-        }
+        Self { data, options, path, tracks: PyOnceLock::new() }
     }
 }
 
@@ -111,9 +106,7 @@ impl Track {
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
         let rows = self.__len__(py)?;
         let (name, quantity, unit) = (&self.name, self.quantity, self.unit);
-        Ok(format!(
-            "<wimu.Track {name}: {quantity}, {unit}, {rows} rows>"
-        ))
+        Ok(format!("<wimu.Track {name}: {quantity}, {unit}, {rows} rows>"))
     }
 }
 
@@ -154,35 +147,20 @@ impl Recording {
         let mut add = |name: &str, quantity: Quantity, unit, values: Vec<f64>, columns: usize| {
             if (values.len(), columns) != (times_ns.len() * quantity.width(), quantity.width()) {
                 let rows = values.len() / columns.max(1);
-                let message = format!(
-                    "{name} has {rows} rows of {columns} for {} times",
-                    times_ns.len()
-                );
+                let message =
+                    format!("{name} has {rows} rows of {columns} for {} times", times_ns.len());
                 let remedy = format!("one row of {} for each time", quantity.width());
                 return Err(usage(message, remedy));
             }
             let track = data.track(TrackInfo::new(name, quantity, unit));
             let rows = values.chunks_exact(columns.max(1));
-            times_ns
-                .iter()
-                .zip(rows)
-                .for_each(|(time_ns, row)| data.row(track, *time_ns, row));
+            times_ns.iter().zip(rows).for_each(|(time_ns, row)| data.row(track, *time_ns, row));
             Ok(())
         };
-        let flat = |rows: &Rows<'_>| {
-            (
-                rows.as_array().iter().copied().collect(),
-                rows.as_array().ncols(),
-            )
-        };
+        let flat =
+            |rows: &Rows<'_>| (rows.as_array().iter().copied().collect(), rows.as_array().ncols());
         let (values, columns) = flat(&specific_force);
-        add(
-            "specific_force",
-            Quantity::SpecificForce,
-            unit,
-            values,
-            columns,
-        )?;
+        add("specific_force", Quantity::SpecificForce, unit, values, columns)?;
         for (name, quantity, rows) in [
             ("angular_rate", Quantity::AngularRate, &angular_rate),
             ("magnetic_field", Quantity::MagneticField, &magnetic_field),
@@ -257,10 +235,7 @@ pub fn read(
         let mut roles = [LinkRole::Cable, LinkRole::Wireless].into_iter();
         let role = roles.find(|role| role.to_string() == name);
         role.ok_or_else(|| {
-            usage(
-                format!("link={name:?} is not known"),
-                "the links are cable and wireless",
-            )
+            usage(format!("link={name:?} is not known"), "the links are cable and wireless")
         })
     };
     let mut options = ReadOptions::default();

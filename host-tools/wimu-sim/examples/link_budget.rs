@@ -24,10 +24,7 @@ fn main() -> wimu_host::Result<()> {
         "a simulated LSM303AGR (12 bits, noise of the real part), raw samples in batches of 16,"
     );
     println!("all bytes on the wire over {SECONDS} s: batches, epochs, status");
-    println!(
-        "{:8} {:>6} {:>10} {:>18}",
-        "motion", "Hz", "B/sample", "Hz at 115200 baud"
-    );
+    println!("{:8} {:>6} {:>10} {:>18}", "motion", "Hz", "B/sample", "Hz at 115200 baud");
     for motion in ["rest", "hand"] {
         let mut all = Vec::new();
         let mut tags = Vec::new();
@@ -35,10 +32,7 @@ fn main() -> wimu_host::Result<()> {
             let bytes = bytes_per_sample(motion, rate_hz, None)?;
             let tagged = bytes_per_sample(motion, rate_hz, Some(KEY))?;
             tags.push(format!("{:.3}", tagged - bytes));
-            println!(
-                "{motion:8} {rate_hz:6} {bytes:10.3} {:18.0}",
-                11_520.0 / bytes
-            );
+            println!("{motion:8} {rate_hz:6} {bytes:10.3} {:18.0}", 11_520.0 / bytes);
             all.push(format!("{bytes:.2}"));
         }
         let claim = format!("whole link, {motion}, 100, 400, 1344 Hz: bytes a sample");

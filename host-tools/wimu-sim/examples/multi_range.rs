@@ -57,46 +57,16 @@ fn print(name: &str, scores: &[Score]) {
     let line = |claim: &str, part: fn(&Score) -> f64, target: &str, bar: f64| {
         let (median, worst) = of(part);
         let claim = format!("{name}: {claim}, median / worst of {}", scores.len());
-        figure(
-            &claim,
-            format!("{median:.3} / {worst:.3}"),
-            target,
-            worst <= bar,
-        );
+        figure(&claim, format!("{median:.3} / {worst:.3}"), target, worst <= bar);
     };
-    line(
-        "noise over that of ±2 g, at rest",
-        |s| s.noise[0],
-        "at most 1.05",
-        NOISE,
-    );
-    line(
-        "the same wherever ±2 g is not saturated",
-        |s| s.noise[1],
-        "at most 1.05",
-        NOISE,
-    );
+    line("noise over that of ±2 g, at rest", |s| s.noise[0], "at most 1.05", NOISE);
+    line("the same wherever ±2 g is not saturated", |s| s.noise[1], "at most 1.05", NOISE);
     let (fine, _) = of(|s| 100.0 * s.peak[1]);
     let (wide, _) = of(|s| 100.0 * s.peak[2]);
     let target = format!("at most 2 (±2 g alone {fine:.0}, the widest alone {wide:.1})");
-    line(
-        "error of the peak of an impact, %",
-        |s| 100.0 * s.peak[0],
-        &target,
-        100.0 * PEAK,
-    );
-    line(
-        "step at the change-over, σ",
-        |s| s.step.abs(),
-        "at most 1",
-        STEP,
-    );
-    line(
-        "RMS error over σ where ±2 g is saturated",
-        |s| s.consistency,
-        "–",
-        f64::INFINITY,
-    );
+    line("error of the peak of an impact, %", |s| 100.0 * s.peak[0], &target, 100.0 * PEAK);
+    line("step at the change-over, σ", |s| s.step.abs(), "at most 1", STEP);
+    line("RMS error over σ where ±2 g is saturated", |s| s.consistency, "–", f64::INFINITY);
 }
 
 /// Times, s, and values, m/s², of an accelerometer.
@@ -111,8 +81,7 @@ fn samples(recording: &Recording, sensor: u8) -> Vec<(f64, [f64; 3])> {
         let rows = track.times_ns().iter().enumerate();
         rows.filter_map(|(k, ns)| Some((*ns as f64 * 1e-9, track.row(k)?.try_into().ok()?)))
     });
-    rows.map(|(time_s, row): (f64, [f64; 3])| (time_s, row.map(|axis| axis * scale)))
-        .collect()
+    rows.map(|(time_s, row): (f64, [f64; 3])| (time_s, row.map(|axis| axis * scale))).collect()
 }
 
 fn merged(simulated: &MultiRange) -> Result<(Recording, Merge)> {
@@ -174,12 +143,7 @@ fn score(simulated: &MultiRange) -> Result<Score> {
         }
     }
     let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len() as f64;
-    Ok(Score {
-        noise,
-        peak: peaks,
-        step: mean(&steps),
-        consistency: mean(&squares).sqrt(),
-    })
+    Ok(Score { noise, peak: peaks, step: mean(&steps), consistency: mean(&squares).sqrt() })
 }
 
 /// The impact along x: both accelerometers and the merged one.
@@ -190,9 +154,7 @@ fn picture() -> Result<Chart> {
     let shown = begin_s - 0.03..end_s + 0.03;
     let points = |of: Vec<(f64, [f64; 3])>| {
         let within = of.into_iter().filter(|(time_s, _)| shown.contains(time_s));
-        within
-            .map(|(time_s, value)| (1e3 * (time_s - begin_s), value[0]))
-            .collect()
+        within.map(|(time_s, value)| (1e3 * (time_s - begin_s), value[0])).collect()
     };
     let times = (0..900).map(|k| shown.start + (shown.end - shown.start) * f64::from(k) / 900.0);
     let truth = simulated.truth();
@@ -222,14 +184,8 @@ mod tests {
                 let score = score(&MultiRange::new(seed, widest)).unwrap();
                 let claim = format!("seed {seed}, widest {widest}: {score:?}");
                 // Less noise than the finest alone, but no less than both can have.
-                assert!(
-                    score.noise.iter().all(|n| (0.7..=NOISE).contains(n)),
-                    "{claim}"
-                );
-                assert!(
-                    score.peak[0] <= PEAK && score.peak[1] > 10.0 * PEAK,
-                    "{claim}"
-                );
+                assert!(score.noise.iter().all(|n| (0.7..=NOISE).contains(n)), "{claim}");
+                assert!(score.peak[0] <= PEAK && score.peak[1] > 10.0 * PEAK, "{claim}");
                 assert!(score.peak[2] > score.peak[0], "{claim}");
                 assert!(score.step.abs() <= STEP, "{claim}");
                 // Kinks of the pulse are errors of interpolation.

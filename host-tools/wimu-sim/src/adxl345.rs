@@ -145,11 +145,7 @@ impl Adxl345 {
             bits,
         };
         let full = self.fifo.len() >= self.watermark().max(1);
-        let unread = if self.mode() == FifoMode::Bypass {
-            self.fresh
-        } else {
-            full
-        };
+        let unread = if self.mode() == FifoMode::Bypass { self.fresh } else { full };
         if source.waits_for_reader() && unread {
             return;
         }
@@ -225,11 +221,7 @@ impl Adxl345 {
     fn interrupts(&self) -> u8 {
         let on = |condition: bool, bit: u8| if condition { bit } else { 0 };
         let bypass = self.mode() == FifoMode::Bypass;
-        let waits = if bypass {
-            self.fresh
-        } else {
-            !self.fifo.is_empty()
-        };
+        let waits = if bypass { self.fresh } else { !self.fifo.is_empty() };
         on(waits, DATA_READY)
             | on(self.fifo.len() >= self.watermark(), WATERMARK)
             | on(self.overrun, OVERRUN)
@@ -272,10 +264,8 @@ impl Chip for Adxl345 {
         }
         let register = self.pointer;
         self.pointer = (register + self.step) & 0x3F;
-        let read_only = matches!(
-            register,
-            DEVID | ACT_TAP_STATUS | INT_SOURCE | DATAX0..=DATAZ1 | FIFO_STATUS
-        );
+        let read_only =
+            matches!(register, DEVID | ACT_TAP_STATUS | INT_SOURCE | DATAX0..=DATAZ1 | FIFO_STATUS);
         if read_only {
             return;
         }
@@ -287,11 +277,7 @@ impl Chip for Adxl345 {
         }
         let rate = self.rate_hz();
         if rate != rate_before {
-            let begins = if rate_before.is_none() {
-                now + WAKE_UP_US
-            } else {
-                now
-            };
+            let begins = if rate_before.is_none() { now + WAKE_UP_US } else { now };
             self.sampling = rate.map(|rate| SampleClock::new(rate, begins, period_error_ppm));
         }
     }

@@ -15,11 +15,7 @@ impl Attitude {
     pub fn from_rotation_vector(radians: [f64; 3]) -> Self {
         let angle = norm(radians);
         // sin(angle / 2) / angle, continuous at 0.
-        let scale = if angle < 1e-9 {
-            0.5
-        } else {
-            libm::sin(angle / 2.0) / angle
-        };
+        let scale = if angle < 1e-9 { 0.5 } else { libm::sin(angle / 2.0) / angle };
         let [x, y, z] = radians.map(|r| r * scale);
         Self([libm::cos(angle / 2.0), x, y, z])
     }
@@ -130,11 +126,7 @@ pub(crate) fn norm([x, y, z]: [f64; 3]) -> f64 {
 }
 
 fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 #[cfg(test)]

@@ -67,10 +67,7 @@ pub struct BoardConfig {
 impl Default for BoardConfig {
     /// Two links of 115,200 baud, fresh memory.
     fn default() -> Self {
-        let uart = LinkConfig {
-            baud: Some(115_200),
-            ..LinkConfig::default()
-        };
+        let uart = LinkConfig { baud: Some(115_200), ..LinkConfig::default() };
         Self {
             cable: uart,
             wireless: uart,
@@ -118,9 +115,7 @@ impl Board {
         source: impl Source + 'static,
         (part, second): (SensorPart, impl Source + 'static),
     ) -> Self {
-        Self::of_sensors(config, source, |clock| {
-            Some((part, part.power_on(clock, second)))
-        })
+        Self::of_sensors(config, source, |clock| Some((part, part.power_on(clock, second))))
     }
 
     fn of_sensors(
@@ -166,18 +161,8 @@ impl Board {
             channels.clear();
         }
         let bauds = [self.cable.baud(), self.wireless.baud()];
-        (
-            (self.node, self.buttons),
-            self.bus_faults,
-            self.cable,
-            self.wireless,
-        ) = boot(
-            &self.clock,
-            &self.config,
-            &self.sensor,
-            self.second.as_ref(),
-            &self.channels,
-        );
+        ((self.node, self.buttons), self.bus_faults, self.cable, self.wireless) =
+            boot(&self.clock, &self.config, &self.sensor, self.second.as_ref(), &self.channels);
         // The other ends keep their baud rates.
         for (link, baud) in [&mut self.cable, &mut self.wireless].into_iter().zip(bauds) {
             if let Some(baud) = baud {
@@ -310,10 +295,7 @@ fn boot(
     let i2c = SimI2c::new(clock, targets);
     let faults = i2c.faults();
     let link = |config: LinkConfig, faults: &LinkFaults, channels: &Option<Channels>| {
-        let config = LinkConfig {
-            baud: faults.baud.or(config.baud),
-            ..config
-        };
+        let config = LinkConfig { baud: faults.baud.or(config.baud), ..config };
         faulty_link(clock, config, channels.clone())
     };
     let [cable_channels, wireless_channels] = channels;
@@ -326,36 +308,21 @@ fn boot(
     let hello = Hello {
         device_id: config.device_id,
         firmware: firmware_version(),
-        capabilities: quantities
-            .with(Capabilities::DATA_READY)
-            .with(Capabilities::STORE),
+        capabilities: quantities.with(Capabilities::DATA_READY).with(Capabilities::STORE),
         sensitivity_known: !config.replay,
         board: Part::new(board::SIMULATED, "simulated"),
-        sensor: if config.replay {
-            Part::new(sensor::REPLAY, "replay")
-        } else {
-            part
-        },
+        sensor: if config.replay { Part::new(sensor::REPLAY, "replay") } else { part },
         ..Hello::new(LinkRole::Cable)
     };
     let storage = config.storage.clone();
-    let links = [
-        (cable_reader, cable_writer),
-        (wireless_reader, wireless_writer),
-    ];
+    let links = [(cable_reader, cable_writer), (wireless_reader, wireless_writer)];
     let rates = [&cable, &wireless].map(|link| Some((link.device_rate(), link.baud()?)));
     let bus = || TimeoutBus::new(i2c.clone(), timer.clone());
-    let line = |device: &Sensor| Stamped {
-        pin: device.data_ready(),
-        timer: timer.clone(),
-    };
+    let line = |device: &Sensor| Stamped { pin: device.data_ready(), timer: timer.clone() };
     let lsm303agr = |device: &Sensor| wimu_node::Lsm303agr::new(bus(), line(device), timer.clone());
     let adxl345 = |device: &Sensor| {
         let address = wimu_adxl345::Address::Low;
-        let bus = wimu_adxl345::I2cBus {
-            i2c: bus(),
-            address,
-        };
+        let bus = wimu_adxl345::I2cBus { i2c: bus(), address };
         wimu_node::Adxl345::new(bus, line(device), timer.clone())
     };
     let time = timer.clone();
@@ -372,10 +339,7 @@ fn boot(
         (SensorPart::Adxl345, _) => node(hello, adxl345(device), time, storage, links, rates),
         (SensorPart::Lsm6dso, _) => {
             let address = wimu_lsm6dso::Address::Low;
-            let bus = wimu_lsm6dso::I2cBus {
-                i2c: bus(),
-                address,
-            };
+            let bus = wimu_lsm6dso::I2cBus { i2c: bus(), address };
             let sensor = wimu_node::Lsm6dso::new(bus, line(device), timer.clone());
             node(hello, sensor, time, storage, links, rates)
         }
@@ -414,10 +378,7 @@ fn node(
             }
             None => std::future::pending().await,
         };
-        let keepers = join(
-            keep(LinkRole::Cable, cable),
-            keep(LinkRole::Wireless, wireless),
-        );
+        let keepers = join(keep(LinkRole::Cable, cable), keep(LinkRole::Wireless, wireless));
         // The keepers are polled first, so that they are ready for a request.
         join(keepers, board.split(&shared).run()).await;
     });
@@ -653,10 +614,8 @@ impl<R: VirtualBoard> Transport for SimLink<'_, R> {
 
     fn set_baud(&mut self, baud: u32) -> Result<()> {
         if self.baud().is_none() {
-            return Err(ErrorCode::Usage.error(
-                "the simulated link has no baud rate",
-                "give a board whose link has one",
-            ));
+            return Err(ErrorCode::Usage
+                .error("the simulated link has no baud rate", "give a board whose link has one"));
         }
         self.board.borrow_mut().set_baud(self.role, baud);
         self.arrived.clear();

@@ -51,11 +51,7 @@ impl VirtualClock {
 
     /// Waits until the clock shows `deadline` µs or more. Dropping it early is harmless.
     pub fn until(&self, deadline: u64) -> Until {
-        Until {
-            clock: self.clone(),
-            deadline,
-            age: None,
-        }
+        Until { clock: self.clone(), deadline, age: None }
     }
 
     /// Deadline of the next timer, µs; `None` without timers.
@@ -222,23 +218,10 @@ mod tests {
                 }
             }
         };
-        clock
-            .run(join3(
-                task('a', [30, 50]),
-                task('b', [10, 50]),
-                task('c', [20, 30]),
-            ))
-            .unwrap();
+        clock.run(join3(task('a', [30, 50]), task('b', [10, 50]), task('c', [20, 30]))).unwrap();
         assert_eq!(
             *log.borrow(),
-            [
-                (10, 'b'),
-                (20, 'c'),
-                (30, 'a'),
-                (30, 'c'),
-                (50, 'a'),
-                (50, 'b')
-            ]
+            [(10, 'b'), (20, 'c'), (30, 'a'), (30, 'c'), (50, 'a'), (50, 'b')]
         );
     }
 
@@ -267,9 +250,7 @@ mod tests {
     #[test]
     fn a_dropped_timer_leaves_no_deadline() {
         let clock = VirtualClock::new();
-        clock
-            .run(select(clock.until(1_000_000), clock.until(10)))
-            .unwrap();
+        clock.run(select(clock.until(1_000_000), clock.until(10))).unwrap();
         assert_eq!(clock.now(), 10);
         assert_eq!(clock.next_deadline(), None);
     }

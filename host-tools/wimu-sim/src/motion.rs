@@ -51,19 +51,10 @@ pub trait Motion: fmt::Debug {
 /// The names accepted by [`named`], with descriptions.
 pub const NAMES: [(&str, &str); 8] = [
     ("rest", "level, for 10 s"),
-    (
-        "six-positions",
-        "x, y, z up and down in turn, squared, 4 s each",
-    ),
-    (
-        "twelve-poses",
-        "twelve spread poses, placed by hand, 4 s each",
-    ),
+    ("six-positions", "x, y, z up and down in turn, squared, 4 s each"),
+    ("twelve-poses", "twelve spread poses, placed by hand, 4 s each"),
     ("tilts", "ten other poses, 4 s each"),
-    (
-        "slide",
-        "1.000 m along body x in 3 s, 3 s of rest at both ends",
-    ),
+    ("slide", "1.000 m along body x in 3 s, 3 s of rest at both ends"),
     (
         "carry",
         "1.000 m in 3 s, rotated by 90° about a tilted axis meanwhile, 3 s of rest at both ends",
@@ -116,10 +107,7 @@ pub struct Rest {
 impl Rest {
     /// Level, for `seconds`.
     pub fn level(seconds: f64) -> Self {
-        Self {
-            attitude: Attitude::LEVEL,
-            seconds,
-        }
+        Self { attitude: Attitude::LEVEL, seconds }
     }
 }
 
@@ -205,11 +193,7 @@ impl Sequence {
                 start_s += TURN_SECONDS;
             }
         }
-        self.parts.push(Part {
-            start_s,
-            origin_m,
-            motion,
-        });
+        self.parts.push(Part { start_s, origin_m, motion });
         start_s
     }
 }
@@ -260,11 +244,7 @@ impl Poses {
             let seconds = hold_s;
             let start_s = sequence.push_at(0.0, Rc::new(Rest { attitude, seconds }));
             let end_s = start_s + hold_s;
-            holds.push(Hold {
-                start_s,
-                end_s,
-                attitude,
-            });
+            holds.push(Hold { start_s, end_s, attitude });
         }
         Self { sequence, holds }
     }
@@ -354,10 +334,7 @@ pub struct Slide {
 impl Slide {
     /// The default slide, while the body rotates by 90° about an axis 53° from the vertical.
     pub fn carry() -> Self {
-        Self {
-            rotation_rad: [0.64, -0.48, 0.6].map(|axis| axis * PI / 2.0),
-            ..Self::default()
-        }
+        Self { rotation_rad: [0.64, -0.48, 0.6].map(|axis| axis * PI / 2.0), ..Self::default() }
     }
 }
 
@@ -436,11 +413,7 @@ impl Impact {
         let run_up = (t - Self::REST_S).min(Self::RUN_UP_S) / Self::RUN_UP_S;
         let [x, v, a] = rise(run_up);
         let (speed, pulse) = (self.speed_mps, self.pulse_s);
-        let mut moved = [
-            speed * Self::RUN_UP_S * x,
-            speed * v,
-            speed / Self::RUN_UP_S * a,
-        ];
+        let mut moved = [speed * Self::RUN_UP_S * x, speed * v, speed / Self::RUN_UP_S * a];
         let since = t - self.begin_s();
         if since <= 0.0 {
             return moved;
@@ -466,12 +439,7 @@ impl Impact {
 impl Default for Impact {
     /// At 2.5 m/s along body x, with some y, stopped within 0.1 s at up to 50 m/s².
     fn default() -> Self {
-        Self {
-            speed_mps: 2.5,
-            peak_mps2: 50.0,
-            pulse_s: 0.1,
-            direction: [0.8, -0.6, 0.0],
-        }
+        Self { speed_mps: 2.5, peak_mps2: 50.0, pulse_s: 0.1, direction: [0.8, -0.6, 0.0] }
     }
 }
 
@@ -511,13 +479,8 @@ impl Hand {
             translation: [(); 3].map(|()| Tones::random(&mut random, 0.5, 2.5, 0.05)),
             rotation: [(); 3].map(|()| Tones::random(&mut random, 0.3, 1.2, 0.3)),
         };
-        let times: Vec<f64> = (0..(seconds * 200.0) as usize)
-            .map(|i| i as f64 / 200.0)
-            .collect();
-        let accelerations: Vec<_> = times
-            .iter()
-            .map(|&t| hand.pose(t).acceleration_mps2)
-            .collect();
+        let times: Vec<f64> = (0..(seconds * 200.0) as usize).map(|i| i as f64 / 200.0).collect();
+        let accelerations: Vec<_> = times.iter().map(|&t| hand.pose(t).acceleration_mps2).collect();
         let peak = |gain: f64| {
             accelerations.iter().fold(0.0_f64, |peak, a| {
                 let up = gain * a[2] + STANDARD_GRAVITY_MPS2;

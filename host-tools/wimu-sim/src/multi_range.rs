@@ -76,17 +76,8 @@ impl MultiRange {
             sensors.push(unit(&truth, 200.0, 13, density));
         }
         let peak_mps2 = if widest { 1000.0 } else { 100.0 };
-        let impact = Impact {
-            peak_mps2,
-            pulse_s: 0.03,
-            ..Impact::default()
-        };
-        Self {
-            seed,
-            sensors,
-            waved: true,
-            impact,
-        }
+        let impact = Impact { peak_mps2, pulse_s: 0.03, ..Impact::default() };
+        Self { seed, sensors, waved: true, impact }
     }
 
     fn scene(&self) -> Scene {
@@ -107,9 +98,7 @@ impl MultiRange {
         for (index, sensor) in (0_u8..).zip(&self.sensors) {
             // 16-bit registers, left-justified.
             let si_per_lsb = sensor.full_scale_g * STANDARD_GRAVITY_MPS2 / 32768.0;
-            let unit = Unit::Counts {
-                si_per_lsb: Some(si_per_lsb),
-            };
+            let unit = Unit::Counts { si_per_lsb: Some(si_per_lsb) };
             let name = format!("accelerometer {index}");
             let mut info = TrackInfo::new(name, Quantity::SpecificForce, unit).of_sensor(index);
             info.full_scale = Some(sensor.full_scale_g * STANDARD_GRAVITY_MPS2);

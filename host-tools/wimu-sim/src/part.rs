@@ -51,17 +51,11 @@ impl SensorPart {
     pub fn identity(self) -> (Part, Capabilities) {
         use Capabilities as C;
         let (number, name, quantities) = match self {
-            Self::Lsm303agr => (
-                sensor::LSM303AGR,
-                "LSM303AGR",
-                C::MAGNETOMETER.with(C::TEMPERATURE),
-            ),
+            Self::Lsm303agr => {
+                (sensor::LSM303AGR, "LSM303AGR", C::MAGNETOMETER.with(C::TEMPERATURE))
+            }
             Self::Adxl345 => (sensor::ADXL345, "ADXL345", Capabilities(0)),
-            Self::Lsm6dso => (
-                sensor::LSM6DSO,
-                "LSM6DSO",
-                C::GYROSCOPE.with(C::TEMPERATURE),
-            ),
+            Self::Lsm6dso => (sensor::LSM6DSO, "LSM6DSO", C::GYROSCOPE.with(C::TEMPERATURE)),
         };
         (Part::new(number, name), quantities.with(C::ACCELEROMETER))
     }

@@ -32,11 +32,7 @@ pub struct LinkConfig {
 impl Default for LinkConfig {
     /// No line rate, 1024 bytes each way.
     fn default() -> Self {
-        Self {
-            baud: None,
-            transmit_buffer: 1024,
-            receive_buffer: 1024,
-        }
+        Self { baud: None, transmit_buffer: 1024, receive_buffer: 1024 }
     }
 }
 
@@ -211,8 +207,7 @@ impl Line {
     }
 
     fn is_full(&self) -> bool {
-        self.receiver_holds
-            .is_some_and(|holds| self.arrived.len() >= holds)
+        self.receiver_holds.is_some_and(|holds| self.arrived.len() >= holds)
     }
 
     fn arrive(&mut self, byte: u8) {
@@ -426,10 +421,7 @@ impl HostEnd {
 
     /// Control of the baud rate at the device's end.
     pub fn device_rate(&self) -> DeviceRate {
-        DeviceRate {
-            to_host: self.to_host.clone(),
-            to_device: self.to_device.clone(),
-        }
+        DeviceRate { to_host: self.to_host.clone(), to_device: self.to_device.clone() }
     }
 
     /// Takes the bytes that have arrived by now.

@@ -13,10 +13,7 @@ pub(crate) struct Random {
 impl Random {
     /// The generator number `stream` of `seed`; each is independent of the others.
     pub(crate) fn new(seed: u64, stream: u64) -> Self {
-        Self {
-            key: mix(mix(seed).wrapping_add(stream)),
-            drawn: 0,
-        }
+        Self { key: mix(mix(seed).wrapping_add(stream)), drawn: 0 }
     }
 
     /// The next number, uniform in `low..=high`.
@@ -28,11 +25,7 @@ impl Random {
 
     /// +1 or −1.
     pub(crate) fn sign(&mut self) -> f64 {
-        if self.uniform(0.0, 1.0) < 0.5 {
-            -1.0
-        } else {
-            1.0
-        }
+        if self.uniform(0.0, 1.0) < 0.5 { -1.0 } else { 1.0 }
     }
 
     /// The next number of the standard normal distribution.

@@ -11,11 +11,7 @@ pub(crate) struct SampleClock {
 impl SampleClock {
     /// Ticks at nominally `rate_hz` from `now` (µs) on, with a period longer by `error_ppm`.
     pub(crate) fn new(rate_hz: f64, now: u64, error_ppm: f64) -> Self {
-        Self {
-            start_ns: now * 1000,
-            period_ns: 1e9 / rate_hz * (1.0 + error_ppm * 1e-6),
-            taken: 0,
-        }
+        Self { start_ns: now * 1000, period_ns: 1e9 / rate_hz * (1.0 + error_ppm * 1e-6), taken: 0 }
     }
 
     fn next_ns(&self) -> u64 {

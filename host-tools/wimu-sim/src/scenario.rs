@@ -124,10 +124,7 @@ impl FirstLight {
     /// # Errors
     /// Those of the host.
     pub fn run(&self) -> Result<Outcome> {
-        let config = BoardConfig {
-            sensor: self.sensor,
-            ..BoardConfig::default()
-        };
+        let config = BoardConfig { sensor: self.sensor, ..BoardConfig::default() };
         self.run_on(|source| Ok(Board::start(config, source)))
     }
 
@@ -229,11 +226,7 @@ impl FirstLight {
             after_restart,
             boot_counts,
             tilts: held.tilts(&recording, tilts.holds(), &set)?,
-            slide: SlideErrors {
-                uncalibrated_m,
-                calibrated_m,
-                zupt_m,
-            },
+            slide: SlideErrors { uncalibrated_m, calibrated_m, zupt_m },
             attitude_deg,
             parameters: set,
             uncalibrated_path,
@@ -261,10 +254,8 @@ impl FirstLight {
         let report = calibrate(&data.samples(Selection::default())?, &options)?;
         match report.parameters {
             Some(set) => Ok((report, set)),
-            None => Err(ErrorCode::DataRefused.error(
-                report.outcome.reason.unwrap_or_default(),
-                "choose another seed",
-            )),
+            None => Err(ErrorCode::DataRefused
+                .error(report.outcome.reason.unwrap_or_default(), "choose another seed")),
         }
     }
 }
@@ -350,10 +341,7 @@ impl Played {
             .map(|hold| {
                 let nominal = set.sensitivity.mps2_per_lsb();
                 let fixed = 1.0 / SpecificForceQ16::LSB_PER_MPS2;
-                [
-                    mean(&boot.raw, hold, nominal),
-                    mean(&boot.corrected, hold, fixed),
-                ]
+                [mean(&boot.raw, hold, nominal), mean(&boot.corrected, hold, fixed)]
             })
             .collect())
     }

@@ -83,20 +83,11 @@ impl Temperature {
     pub fn at(&self, time_s: f64) -> f64 {
         match *self {
             Self::Constant(celsius) => celsius,
-            Self::Ramp {
-                from_c,
-                to_c,
-                start_s,
-                end_s,
-            } => {
+            Self::Ramp { from_c, to_c, start_s, end_s } => {
                 let fraction = (time_s - start_s) / (end_s - start_s);
                 from_c + (to_c - from_c) * fraction.clamp(0.0, 1.0)
             }
-            Self::Step {
-                before_c,
-                after_c,
-                at_s,
-            } => {
+            Self::Step { before_c, after_c, at_s } => {
                 if time_s < at_s {
                     before_c
                 } else {
@@ -118,10 +109,7 @@ pub struct Scene {
 impl Scene {
     /// The body rests level at the origin until a motion is played.
     pub fn new(world: World) -> Self {
-        Self {
-            world,
-            played: Rc::default(),
-        }
+        Self { world, played: Rc::default() }
     }
 
     /// Plays `motion` from `start_s` on, s on the simulation's clock, or from the end of the last one

@@ -90,9 +90,7 @@ impl Sensor {
 
     /// The interrupt line as a pin of the microcontroller.
     pub fn data_ready(&self) -> DataReadyPin {
-        DataReadyPin {
-            sensor: self.clone(),
-        }
+        DataReadyPin { sensor: self.clone() }
     }
 
     /// Removes the sensor from the board, or puts it back: absent, it answers at no address and its line is
@@ -193,11 +191,7 @@ impl State {
     }
 
     fn next_change(&self) -> Option<u64> {
-        if self.present && !self.source.exhausted() {
-            self.chip.next_change()
-        } else {
-            None
-        }
+        if self.present && !self.source.exhausted() { self.chip.next_change() } else { None }
     }
 }
 
@@ -252,9 +246,7 @@ impl DataReadyPin {
         reached: impl Fn(PinState) -> bool,
     ) -> Poll<()> {
         loop {
-            let (pin, next_change) = self
-                .sensor
-                .look(|state, _| (state.pin, state.next_change()));
+            let (pin, next_change) = self.sensor.look(|state, _| (state.pin, state.next_change()));
             if reached(pin) {
                 return Poll::Ready(());
             }
@@ -307,8 +299,7 @@ impl Wait for DataReadyPin {
 
     async fn wait_for_any_edge(&mut self) -> Result<(), Infallible> {
         let seen = self.state();
-        self.until(|pin| (pin.rises, pin.falls) != (seen.rises, seen.falls))
-            .await;
+        self.until(|pin| (pin.rises, pin.falls) != (seen.rises, seen.falls)).await;
         Ok(())
     }
 }

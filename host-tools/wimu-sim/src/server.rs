@@ -152,10 +152,7 @@ impl Server {
                 until = until.min(arrives.max(client.written + TOGETHER));
             }
         }
-        if let Ok(heard) = self
-            .heard
-            .recv_timeout(until.saturating_duration_since(now))
-        {
+        if let Ok(heard) = self.heard.recv_timeout(until.saturating_duration_since(now)) {
             self.take(heard);
         }
     }
@@ -304,11 +301,7 @@ impl Port {
             self.clients += 1;
             let (role, client, hear) = (self.role, self.clients, hear.clone());
             thread::spawn(move || listen(ear, role, client, &hear));
-            self.client = Some(Connected {
-                stream,
-                written: self.looked,
-                is_slow: false,
-            });
+            self.client = Some(Connected { stream, written: self.looked, is_slow: false });
         }
     }
 
@@ -374,11 +367,7 @@ fn listen(mut stream: TcpStream, role: LinkRole, client: u64, hear: &Sender<Hear
             Err(error) if error.kind() == ErrorKind::Interrupted => continue,
             outcome => outcome.unwrap_or(0),
         };
-        let heard = Heard {
-            role,
-            client,
-            bytes: bytes[..count].to_vec(),
-        };
+        let heard = Heard { role, client, bytes: bytes[..count].to_vec() };
         if hear.send(heard).is_err() || count == 0 {
             return;
         }

@@ -156,10 +156,7 @@ pub struct Replay {
 impl Replay {
     /// Replays `samples` as a sensor would: samples that are not read before the next one are lost.
     pub fn new(samples: impl IntoIterator<Item = Counts>) -> Self {
-        Self {
-            samples: samples.into_iter().collect(),
-            waits: false,
-        }
+        Self { samples: samples.into_iter().collect(), waits: false }
     }
 
     /// Holds each sample until it was read: a slow reader, or the set-up of the sensor,

@@ -170,9 +170,8 @@ impl Chip {
     /// Writes bytes to the file. On a full disk the content is kept in memory only.
     fn keep(&mut self, range: Range<usize>) {
         if let (Some(file), Some(bytes)) = (&mut self.file, self.bytes.get(range.clone())) {
-            let _ = file
-                .seek(SeekFrom::Start(range.start as u64))
-                .and_then(|_| file.write_all(bytes));
+            let _ =
+                file.seek(SeekFrom::Start(range.start as u64)).and_then(|_| file.write_all(bytes));
         }
     }
 }

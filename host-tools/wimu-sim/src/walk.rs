@@ -68,13 +68,11 @@ impl RangeWalk {
     ) -> Self {
         let mut random = Random::new(seed, 20);
         let common_m = COMMON_M * random.gaussian();
-        let biases_m: Vec<f64> = (anchors_m.iter())
-            .map(|_| common_m + OWN_M * random.gaussian())
-            .collect();
+        let biases_m: Vec<f64> =
+            (anchors_m.iter()).map(|_| common_m + OWN_M * random.gaussian()).collect();
         let decay = libm::exp(-1.0 / RANGES_HZ);
-        let mut correlated_m: Vec<f64> = (anchors_m.iter())
-            .map(|_| CORRELATED_M * random.gaussian())
-            .collect();
+        let mut correlated_m: Vec<f64> =
+            (anchors_m.iter()).map(|_| CORRELATED_M * random.gaussian()).collect();
         let (mut ranges, mut hidden) = (Vec::new(), Vec::new());
         for k in 0..(duration_s * RANGES_HZ) as usize {
             let time_s = k as f64 / RANGES_HZ;
@@ -88,11 +86,7 @@ impl RangeWalk {
                     + NOISE_M * random.gaussian()
                     + excess_m;
                 let range_m = distance_m(position_m(time_s), *anchor_m) + error_m;
-                ranges.push(RangeSample {
-                    time_s,
-                    anchor,
-                    range_m,
-                });
+                ranges.push(RangeSample { time_s, anchor, range_m });
                 hidden.push(is_blocked);
             }
         }
@@ -171,22 +165,15 @@ impl Motion for Strides {
         let yaw = heading + s * (next - heading);
         let yaw_rate = rate * (next - heading) / SWING_S;
         let ahead = |factor: f64| [(b[0] - a[0]) * factor, (b[1] - a[1]) * factor];
-        let [along, speed, change] = [
-            ahead(s),
-            ahead(rate / SWING_S),
-            ahead(acceleration / SWING_S.powi(2)),
-        ];
+        let [along, speed, change] =
+            [ahead(s), ahead(rate / SWING_S), ahead(acceleration / SWING_S.powi(2))];
         Pose {
             position_m: [a[0] + along[0], a[1] + along[1], LIFT_M * h],
             velocity_mps: [speed[0], speed[1], LIFT_M * h1 / SWING_S],
             acceleration_mps2: [change[0], change[1], LIFT_M * h2 / SWING_S.powi(2)],
             attitude: Attitude::from_rotation_vector([0.0, 0.0, yaw])
                 .turned(Attitude::from_rotation_vector([0.0, pitch, 0.0])),
-            angular_rate_radps: [
-                -yaw_rate * libm::sin(pitch),
-                pitch_rate,
-                yaw_rate * pitch.cos(),
-            ],
+            angular_rate_radps: [-yaw_rate * libm::sin(pitch), pitch_rate, yaw_rate * pitch.cos()],
         }
     }
 
@@ -268,8 +255,5 @@ pub fn fixes(motion: &dyn Motion, interval_s: f64, deviation_m: f64, seed: u64) 
         }
     };
     let count = (motion.duration() / interval_s) as usize;
-    Fixes {
-        fixes: (0..count).map(fix).collect(),
-        ..Fixes::default()
-    }
+    Fixes { fixes: (0..count).map(fix).collect(), ..Fixes::default() }
 }

@@ -43,11 +43,8 @@ fn numbered(count: i16) -> Replay {
     Replay::new((0..count).map(|k| Counts([k << 6, -(k << 6), 0])))
 }
 
-const LEFT: DataFormat = DataFormat {
-    range: Range::G2,
-    resolution: Resolution::Full,
-    justify: Justify::Left,
-};
+const LEFT: DataFormat =
+    DataFormat { range: Range::G2, resolution: Resolution::Full, justify: Justify::Left };
 
 async fn start<B: Bus>(
     driver: &mut Adxl345<B>,
@@ -58,9 +55,7 @@ async fn start<B: Bus>(
     driver.set_data_format(LEFT).await?;
     driver.set_rate(rate, false).await?;
     driver.set_fifo(fifo).await?;
-    driver
-        .set_interrupts(Interrupts::WATERMARK, Interrupts::NONE)
-        .await?;
+    driver.set_interrupts(Interrupts::WATERMARK, Interrupts::NONE).await?;
     driver.measure().await
 }
 
@@ -73,11 +68,7 @@ fn every_format_reads_one_g_upward() {
     for range in [Range::G2, Range::G4, Range::G8, Range::G16] {
         for resolution in [Resolution::TenBits, Resolution::Full] {
             for justify in [Justify::Right, Justify::Left] {
-                let format = DataFormat {
-                    range,
-                    resolution,
-                    justify,
-                };
+                let format = DataFormat { range, resolution, justify };
                 on_bench(at_rest(), async |clock, _, driver| {
                     driver.set_data_format(format).await?;
                     driver.measure().await?;
@@ -103,11 +94,7 @@ fn the_fifo_gives_every_sample_once_and_int1_follows_the_watermark() {
         let mut expected = 0;
         for _ in 0..20 {
             line.wait_for_high().await.unwrap();
-            assert_eq!(
-                line.rose_us(),
-                clock.now(),
-                "the line rises with the sample"
-            );
+            assert_eq!(line.rose_us(), clock.now(), "the line rises with the sample");
             let waiting = driver.fifo_level().await?.samples;
             assert!((8..=9).contains(&waiting), "{waiting}");
             for _ in 0..waiting {
@@ -194,13 +181,7 @@ fn another_chip_and_no_chip_are_told_apart() {
     on_bench(at_rest(), async |_, sensor, driver| {
         sensor.set_who_am_i(0x33);
         let wrong = driver.check_identity().await;
-        assert_eq!(
-            wrong,
-            Err(Error::WrongIdentity {
-                expected: 0xE5,
-                found: 0x33
-            })
-        );
+        assert_eq!(wrong, Err(Error::WrongIdentity { expected: 0xE5, found: 0x33 }));
         sensor.set_present(false);
         let gone = driver.check_identity().await;
         assert_eq!(gone, Err(Error::NotAnswering));
@@ -215,10 +196,7 @@ fn each_address_answers_alone() {
         let sensor = Sensor::adxl345_at(&clock, address as u8, at_rest());
         for (asked, answer) in [(address, Ok(())), (other, Err(Error::NotAnswering))] {
             let i2c = SimI2c::new(&clock, [Rc::new(sensor.clone()) as Rc<_>]);
-            let mut driver = Adxl345::new(I2cBus {
-                i2c,
-                address: asked,
-            });
+            let mut driver = Adxl345::new(I2cBus { i2c, address: asked });
             let checked = clock.run(driver.check_identity());
             assert_eq!(checked.expect("nothing stalls"), answer, "{asked:?}");
         }
@@ -230,11 +208,7 @@ fn each_address_answers_alone() {
 fn on_spi_the_fifo_gives_every_sample_once() {
     let clock = VirtualClock::new();
     let sensor = Sensor::adxl345(&clock, numbered(500));
-    let mut driver = Adxl345::new(SpiBus(SimSpi::new(
-        &clock,
-        Rc::new(sensor.clone()),
-        5_000_000,
-    )));
+    let mut driver = Adxl345::new(SpiBus(SimSpi::new(&clock, Rc::new(sensor.clone()), 5_000_000)));
     let outcome = clock.run(async {
         start(&mut driver, Rate::Hz3200, Fifo::Stream { watermark: 16 }).await?;
         let mut expected = 0;

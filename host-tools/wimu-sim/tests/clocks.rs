@@ -21,10 +21,7 @@ fn after_a_minute_on_a_bad_link_the_clock_is_known() {
     let (mut offset_ms, mut rate_ppm) = (0.0_f64, 0.0_f64);
     let mut alone = Figures::default();
     for seed in 1..=sessions {
-        let session = Session {
-            seed,
-            ..Session::default()
-        };
+        let session = Session { seed, ..Session::default() };
         let file = session.record();
         let [both, wireless] = clocks(&file);
         for (which, model) in [&both, &wireless].into_iter().enumerate() {
@@ -132,11 +129,7 @@ impl Figures {
 fn exponential_jitter_on_the_wireless_link_alone() {
     let mut figures = Figures::default();
     for seed in 1..=80 {
-        let session = Session {
-            seed,
-            wireless: EXPONENTIAL,
-            ..Session::default()
-        };
+        let session = Session { seed, wireless: EXPONENTIAL, ..Session::default() };
         let [_, model] = clocks(&session.record());
         figures.add(&session, &model);
     }
@@ -155,22 +148,14 @@ fn slow_lines() {
         let mut figures = Figures::default();
         let mut often = 0.0_f64;
         for seed in 1..=20 {
-            let session = Session {
-                seed,
-                wireless,
-                ..Session::default()
-            };
+            let session = Session { seed, wireless, ..Session::default() };
             let file = session.record();
             let [_, model] = clocks(&file);
             figures.add(&session, &model);
             // The part of the line that questions take, in the worst second.
             let mut asked = [0; 61];
             for entry in entries(&file) {
-                if let Recorded::Sent {
-                    role,
-                    host_ns,
-                    bytes,
-                } = entry
+                if let Recorded::Sent { role, host_ns, bytes } = entry
                     && role == LinkRole::Wireless
                 {
                     asked[(host_ns / 1_000_000_000).min(60) as usize] += bytes.len();

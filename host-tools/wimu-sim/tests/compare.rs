@@ -32,18 +32,12 @@ fn every_sample_that_a_bad_link_lost_is_counted_and_none_is_wrong() {
         wireless.delivered + missed == cable.delivered,
     );
     assert_eq!(found.identical, found.pairs);
-    assert_eq!(
-        (cable.lost, cable.missing_on_both, cable.damaged),
-        (0, 0, 0)
-    );
+    assert_eq!((cable.lost, cable.missing_on_both, cable.damaged), (0, 0, 0));
     assert!(wireless.lost > 300 && wireless.damaged > 50);
     assert_eq!(wireless.missing_on_both, 0);
     all_accounted_for(&found);
     assert_eq!(wireless.delivered, found.pairs);
-    assert!(
-        (15.0..120.0).contains(&wireless.latency.median_ms),
-        "{wireless:?}"
-    );
+    assert!((15.0..120.0).contains(&wireless.latency.median_ms), "{wireless:?}");
     assert!(wireless.latency.max_ms > 2500.0 && cable.latency.max_ms < 30.0);
     let user = wireless.by_arrival.unwrap();
     assert!(user.rms_mps2 > 0.05, "{user:?}");
@@ -53,16 +47,10 @@ fn every_sample_that_a_bad_link_lost_is_counted_and_none_is_wrong() {
 fn bias_and_scale_of_the_other_unit_are_found_and_removed_to_one_lsb() {
     // Errors of bias, m/s², and scale factor; what is left, LSB.
     let (mut most, mut left) = ([0.0_f64; 2], 0);
-    for (seed, faults) in [
-        (1, "bias=12/-8/5mg,scale=0.4/-0.3/0.2%"),
-        (2, "bias=-60/80/-31mg,scale=-3/2.5/4%"),
-    ] {
-        let session = Session {
-            seed,
-            wireless: faults,
-            seconds: 40.0,
-            ..Session::default()
-        };
+    for (seed, faults) in
+        [(1, "bias=12/-8/5mg,scale=0.4/-0.3/0.2%"), (2, "bias=-60/80/-31mg,scale=-3/2.5/4%")]
+    {
+        let session = Session { seed, wireless: faults, seconds: 40.0, ..Session::default() };
         let truth = faults.parse::<LinkFaults>().unwrap().values.unwrap();
         let found = compared(&session.record()).unwrap();
         let values = found.values.unwrap();
@@ -79,14 +67,8 @@ fn bias_and_scale_of_the_other_unit_are_found_and_removed_to_one_lsb() {
                 found.max_before_lsb,
                 found.max_after_lsb
             );
-            assert!(
-                bias.abs() <= 3.0 * line.bias_sd_mps2,
-                "{axis}: {bias} {line:?}"
-            );
-            assert!(
-                scale.abs() <= 3.0 * line.scale_sd,
-                "{axis}: {scale} {line:?}"
-            );
+            assert!(bias.abs() <= 3.0 * line.bias_sd_mps2, "{axis}: {bias} {line:?}");
+            assert!(scale.abs() <= 3.0 * line.scale_sd, "{axis}: {scale} {line:?}");
             assert!(found.max_before_lsb > Some(10));
             assert!(found.max_after_lsb <= Some(1), "{found:?}");
         }
@@ -97,29 +79,17 @@ fn bias_and_scale_of_the_other_unit_are_found_and_removed_to_one_lsb() {
         "–",
         true,
     );
-    figure(
-        "difference left between links, LSB",
-        left.to_string().as_str(),
-        "at most 1",
-        left <= 1,
-    );
+    figure("difference left between links, LSB", left.to_string().as_str(), "at most 1", left <= 1);
 }
 
 #[test]
 fn a_missing_link_is_named_and_so_are_other_boards_and_no_overlap() {
-    let session = Session {
-        wireless: "none",
-        seconds: 8.0,
-        ..Session::default()
-    };
+    let session = Session { wireless: "none", seconds: 8.0, ..Session::default() };
     let both = session.record();
     let all = entries(&both);
     let refusal = |entries: &[Recorded]| {
         let error = compared(&file(entries)).unwrap_err();
-        assert_eq!(
-            (error.code(), error.exit_code()),
-            (ErrorCode::DataRefused, 3)
-        );
+        assert_eq!((error.code(), error.exit_code()), (ErrorCode::DataRefused, 3));
         error.message().to_owned()
     };
     for (kept, missing) in [(LinkRole::Cable, "wireless"), (LinkRole::Wireless, "cable")] {
@@ -138,15 +108,10 @@ fn a_missing_link_is_named_and_so_are_other_boards_and_no_overlap() {
         .filter(|entry| !(early(entry) && entry.role() == LinkRole::Wireless))
         .collect();
     assert!(refusal(&apart).contains("no sample in common"));
-    let other = Session {
-        device_id: 0xabcd,
-        ..session
-    };
+    let other = Session { device_id: 0xabcd, ..session };
     let cable = all.iter().filter(|e| e.role() == LinkRole::Cable).cloned();
     let stranger = entries(&other.record());
-    let wireless = stranger
-        .into_iter()
-        .filter(|e| e.role() == LinkRole::Wireless);
+    let wireless = stranger.into_iter().filter(|e| e.role() == LinkRole::Wireless);
     let mut mixed: Vec<_> = cable.chain(wireless).collect();
     mixed.sort_by_key(Recorded::host_ns);
     assert!(refusal(&mixed).contains("000000000000abcd"));
@@ -164,21 +129,14 @@ fn a_restart_in_the_middle_and_entries_out_of_order_are_taken_as_they_are() {
     let found = compared(&recording).unwrap();
     assert_eq!((found.starts, found.identical), (2, found.pairs));
     assert_eq!(found.links[0].lost, 0, "{:?}", found.links[0]);
-    assert!(
-        found.pairs > 1900 && found.links[1].lost > 5,
-        "{:?}",
-        found.links
-    );
+    assert!(found.pairs > 1900 && found.links[1].lost > 5, "{:?}", found.links);
     // The links' entries changed places by up to half a second; each link keeps its own order.
     let mut mixed = entries(&recording);
     mixed.sort_by_key(|entry| {
         entry.host_ns() + u64::from(entry.role() == LinkRole::Cable) * 500_000_000
     });
     let again = compared(&file(&mixed)).unwrap();
-    assert_eq!(
-        (again.pairs, again.identical),
-        (found.pairs, found.identical)
-    );
+    assert_eq!((again.pairs, again.identical), (found.pairs, found.identical));
     let lost = |found: &Comparison| found.links.clone().map(|link| link.lost);
     assert_eq!(lost(&again), lost(&found));
     // One link's entries out of order: never a wrong pair, and no panic.
@@ -193,18 +151,11 @@ fn a_restart_in_the_middle_and_entries_out_of_order_are_taken_as_they_are() {
 
 #[test]
 fn a_link_that_carries_every_fourth_sample_has_lost_none() {
-    let session = Session {
-        seconds: 12.0,
-        wireless: "latency=5ms",
-        every: 4,
-        ..Session::default()
-    };
+    let session =
+        Session { seconds: 12.0, wireless: "latency=5ms", every: 4, ..Session::default() };
     let found = compared(&session.record()).unwrap();
     let [cable, wireless] = &found.links;
-    assert!(
-        cable.delivered > 1100 && wireless.delivered < 330,
-        "{found:?}"
-    );
+    assert!(cable.delivered > 1100 && wireless.delivered < 330, "{found:?}");
     // A few before the setting changed, all of them.
     assert!(found.pairs + 40 > cable.delivered / 4, "{}", found.pairs);
     assert_eq!(found.identical, found.pairs);
@@ -264,12 +215,7 @@ fn a_late_wireless_link_connected_first_charges_the_cable_nothing() {
         ("baud=115200,latency=400ms,jitter=200ms", &WIRELESS_FIRST),
         ("latency=700ms", &ROLES),
     ] {
-        let session = Session {
-            wireless,
-            links,
-            seconds: 12.0,
-            ..Session::default()
-        };
+        let session = Session { wireless, links, seconds: 12.0, ..Session::default() };
         let recording = session.record();
         // As recorded, and by a host's clock that began while the first samples were under way.
         let mut later = entries(&recording);
@@ -362,11 +308,8 @@ fn starts_with_the_same_boot_count_are_told_apart() {
 
 #[test]
 fn what_the_device_says_of_one_link_on_the_other_counts() {
-    let session = Session {
-        wireless: "baud=9600,latency=20ms",
-        seconds: 25.0,
-        ..Session::default()
-    };
+    let session =
+        Session { wireless: "baud=9600,latency=20ms", seconds: 25.0, ..Session::default() };
     let recording = entries(&session.record());
     let found = compared(&file(&recording)).unwrap();
     let [cable, wireless] = &found.links;
@@ -387,19 +330,12 @@ fn what_the_device_says_of_one_link_on_the_other_counts() {
 
 #[test]
 fn late_samples_are_delivered_and_readings_come_once() {
-    let session = Session {
-        seconds: 20.0,
-        wireless: "latency=5ms",
-        ..Session::default()
-    };
+    let session = Session { seconds: 20.0, wireless: "latency=5ms", ..Session::default() };
     let mut recording = framed(&session.record());
     let at_most = |reach: &[Recorded]| {
         let mut decoder = Decoder::new();
         let mut readings = 0;
-        for entry in reach
-            .iter()
-            .filter(|entry| entry.role() == LinkRole::Wireless)
-        {
+        for entry in reach.iter().filter(|entry| entry.role() == LinkRole::Wireless) {
             if let Recorded::Received(heard) = entry {
                 decoder.push(heard.host_ns, &heard.bytes, |arrival| {
                     readings += u32::from(matches!(arrival.event, Event::Environment(_)));
@@ -436,10 +372,7 @@ fn late_samples_are_delivered_and_readings_come_once() {
     assert!(wireless.bursts.is_empty(), "{wireless:?}");
     assert_eq!(found.worst_loss(), [0.0, 0.0]);
     all_accounted_for(&found);
-    assert_eq!(
-        (found.identical, found.pairs),
-        (found.pairs, wireless.delivered)
-    );
+    assert_eq!((found.identical, found.pairs), (found.pairs, wireless.delivered));
 
     let again: Vec<_> = recording
         .iter()

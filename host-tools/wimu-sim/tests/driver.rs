@@ -47,12 +47,7 @@ fn bench(source: impl Source + 'static) -> Bench {
     let clock = VirtualClock::new();
     let sensor = Sensor::lsm303agr(&clock, source);
     let bus = bus(&clock, &sensor);
-    Bench {
-        faults: bus.faults(),
-        driver: Driver::new_with_i2c(bus),
-        clock,
-        sensor,
-    }
+    Bench { faults: bus.faults(), driver: Driver::new_with_i2c(bus), clock, sensor }
 }
 
 fn ideal(world: World) -> Physics {
@@ -75,14 +70,8 @@ macro_rules! run {
 
 async fn start(driver: &mut Driver, mode: AccelMode, rate: AccelOutputDataRate) {
     driver.init().await.unwrap();
-    driver
-        .set_accel_mode_and_odr(&mut NoDelay, mode, rate)
-        .await
-        .unwrap();
-    driver
-        .acc_enable_interrupt(Interrupt::DataReady1)
-        .await
-        .unwrap();
+    driver.set_accel_mode_and_odr(&mut NoDelay, mode, rate).await.unwrap();
+    driver.acc_enable_interrupt(Interrupt::DataReady1).await.unwrap();
 }
 
 async fn read_counts(driver: &mut Driver) -> [i16; 3] {
@@ -105,11 +94,8 @@ fn both_sensors_identify_themselves() {
 
 #[test]
 fn every_mode_and_range_reads_one_g_upward() {
-    let modes = [
-        (AccelMode::LowPower, 16.0),
-        (AccelMode::Normal, 4.0),
-        (AccelMode::HighResolution, 1.0),
-    ];
+    let modes =
+        [(AccelMode::LowPower, 16.0), (AccelMode::Normal, 4.0), (AccelMode::HighResolution, 1.0)];
     let ranges = [
         (AccelScale::G2, 1.0),
         (AccelScale::G4, 2.0),
@@ -132,11 +118,7 @@ fn every_mode_and_range_reads_one_g_upward() {
                 AccelMode::Normal => 10,
                 _ => 12,
             };
-            assert_eq!(
-                f64::from(unscaled),
-                f64::round(1.0 / digit_g),
-                "{mode:?} {range:?}"
-            );
+            assert_eq!(f64::from(unscaled), f64::round(1.0 / digit_g), "{mode:?} {range:?}");
             assert_eq!(counts, unscaled << (16 - bits));
             // The driver takes a digit for a whole number of mg, at ±16 g for 8 mg instead of 12.
             if range != AccelScale::G16 {
@@ -162,16 +144,9 @@ fn every_rate_gives_its_samples_a_second() {
         (Khz5_376LowPower, 5376.0),
     ];
     for (rate, hz) in rates {
-        let truth = SensorTruth {
-            period_error_ppm: 2500.0,
-            ..SensorTruth::ideal()
-        };
+        let truth = SensorTruth { period_error_ppm: 2500.0, ..SensorTruth::ideal() };
         let mut bench = bench(Physics::new(truth, Scene::new(World::default()), 1));
-        let mode = if hz > 1344.0 {
-            AccelMode::LowPower
-        } else {
-            AccelMode::Normal
-        };
+        let mode = if hz > 1344.0 { AccelMode::LowPower } else { AccelMode::Normal };
         let taken = run!(bench, async {
             start(&mut bench.driver, mode, rate).await;
             let (before, now) = (bench.sensor.samples_taken(), bench.clock.now());
@@ -179,10 +154,7 @@ fn every_rate_gives_its_samples_a_second() {
             bench.sensor.samples_taken() - before
         });
         let expected = 40.0 * hz / 1.0025;
-        assert!(
-            (taken as f64 - expected).abs() <= 1.0,
-            "{taken} of {expected}"
-        );
+        assert!((taken as f64 - expected).abs() <= 1.0, "{taken} of {expected}");
     }
 }
 
@@ -193,12 +165,7 @@ fn power_down_gives_no_new_data() {
         bench.driver.init().await.unwrap();
         bench.clock.until(2_000_000).await;
         assert!(!bench.driver.accel_status().await.unwrap().xyz_new_data());
-        start(
-            &mut bench.driver,
-            AccelMode::Normal,
-            AccelOutputDataRate::Hz100,
-        )
-        .await;
+        start(&mut bench.driver, AccelMode::Normal, AccelOutputDataRate::Hz100).await;
         bench.clock.until(3_000_000).await;
         assert!(bench.driver.accel_status().await.unwrap().xyz_new_data());
         bench
@@ -214,18 +181,10 @@ fn power_down_gives_no_new_data() {
 
 #[test]
 fn data_ready_rises_at_each_sample_and_falls_when_it_is_read() {
-    let truth = SensorTruth {
-        period_error_ppm: -1000.0,
-        ..SensorTruth::ideal()
-    };
+    let truth = SensorTruth { period_error_ppm: -1000.0, ..SensorTruth::ideal() };
     let mut bench = bench(Physics::new(truth, Scene::new(World::default()), 1));
     let rises = run!(bench, async {
-        start(
-            &mut bench.driver,
-            AccelMode::HighResolution,
-            AccelOutputDataRate::Hz100,
-        )
-        .await;
+        start(&mut bench.driver, AccelMode::HighResolution, AccelOutputDataRate::Hz100).await;
         let mut pin = bench.sensor.data_ready();
         let mut rises = Vec::new();
         for _ in 0..1001 {
@@ -238,23 +197,14 @@ fn data_ready_rises_at_each_sample_and_falls_when_it_is_read() {
         rises
     });
     assert_eq!(rises[1000] - rises[0], 9_990_000);
-    assert!(
-        rises
-            .windows(2)
-            .all(|pair| (9_989..=9_991).contains(&(pair[1] - pair[0])))
-    );
+    assert!(rises.windows(2).all(|pair| (9_989..=9_991).contains(&(pair[1] - pair[0]))));
 }
 
 #[test]
 fn an_edge_is_seen_by_who_waits_for_edges_while_another_reads() {
     let mut bench = bench(ideal(World::default()));
     let edges = run!(bench, async {
-        start(
-            &mut bench.driver,
-            AccelMode::Normal,
-            AccelOutputDataRate::Hz400,
-        )
-        .await;
+        start(&mut bench.driver, AccelMode::Normal, AccelOutputDataRate::Hz400).await;
         let (mut rising, mut level) = (bench.sensor.data_ready(), bench.sensor.data_ready());
         let watcher = async {
             let mut edges = Vec::new();
@@ -280,12 +230,7 @@ fn a_sample_not_read_in_time_is_an_overrun_and_lost() {
     let samples = (1..=5).map(|n| Counts([n * 16; 3]));
     let mut bench = bench(Replay::new(samples));
     run!(bench, async {
-        start(
-            &mut bench.driver,
-            AccelMode::HighResolution,
-            AccelOutputDataRate::Hz10,
-        )
-        .await;
+        start(&mut bench.driver, AccelMode::HighResolution, AccelOutputDataRate::Hz10).await;
         let begin = bench.clock.now();
         bench.clock.until(begin + 150_000).await;
         let status = bench.driver.accel_status().await.unwrap();
@@ -308,20 +253,14 @@ fn block_data_update_keeps_the_bytes_of_one_sample_together() {
         let mut bus = bus(&bench.clock, &bench.sensor);
         let (torn, after) = bench.run(async {
             let address = ACCELEROMETER_ADDRESS;
-            bus.write(address, &[0x23, block_update | 0x08])
-                .await
-                .unwrap();
+            bus.write(address, &[0x23, block_update | 0x08]).await.unwrap();
             bus.write(address, &[0x20, 0x57]).await.unwrap();
             let begin = bench.clock.now();
             bench.clock.until(begin + 15_000).await;
             let mut byte = [[0]; 2];
-            bus.write_read(address, &[0x28], &mut byte[0])
-                .await
-                .unwrap();
+            bus.write_read(address, &[0x28], &mut byte[0]).await.unwrap();
             bench.clock.until(begin + 25_000).await;
-            bus.write_read(address, &[0x29], &mut byte[1])
-                .await
-                .unwrap();
+            bus.write_read(address, &[0x29], &mut byte[1]).await.unwrap();
             let mut after = [0; 2];
             bus.write_read(address, &[0xA8], &mut after).await.unwrap();
             let torn = i16::from_le_bytes([byte[0][0], byte[1][0]]);
@@ -336,9 +275,7 @@ fn a_sub_address_without_bit_7_stays_where_it_is() {
     let bench = bench(ideal(World::default()));
     let mut bus = bus(&bench.clock, &bench.sensor);
     let mut twice = [0; 2];
-    bench
-        .run(bus.write_read(ACCELEROMETER_ADDRESS, &[0x0F], &mut twice))
-        .unwrap();
+    bench.run(bus.write_read(ACCELEROMETER_ADDRESS, &[0x0F], &mut twice)).unwrap();
     assert_eq!(twice, [0x33; 2]);
 }
 
@@ -346,29 +283,16 @@ fn a_sub_address_without_bit_7_stays_where_it_is() {
 fn a_burst_of_six_bytes_takes_its_time_at_400_khz() {
     let bench = bench(ideal(World::default()));
     let mut bus = bus(&bench.clock, &bench.sensor);
-    bench
-        .run(bus.write_read(ACCELEROMETER_ADDRESS, &[0xA8], &mut [0; 6]))
-        .unwrap();
+    bench.run(bus.write_read(ACCELEROMETER_ADDRESS, &[0xA8], &mut [0; 6])).unwrap();
     // Three conditions, two addresses, seven bytes.
-    assert_eq!(
-        bench.clock.now(),
-        (3 * 2_500 + 9 * 22_500_u64).div_ceil(1000)
-    );
+    assert_eq!(bench.clock.now(), (3 * 2_500 + 9 * 22_500_u64).div_ceil(1000));
 }
 
 #[test]
 fn temperature_reads_true_to_a_quarter_degree_and_to_one_at_low_power() {
-    for (mode, step) in [
-        (AccelMode::HighResolution, 0.25),
-        (AccelMode::LowPower, 1.0),
-    ] {
+    for (mode, step) in [(AccelMode::HighResolution, 0.25), (AccelMode::LowPower, 1.0)] {
         let world = World {
-            temperature: Temperature::Ramp {
-                from_c: 25.0,
-                to_c: -5.3,
-                start_s: 0.0,
-                end_s: 1.0,
-            },
+            temperature: Temperature::Ramp { from_c: 25.0, to_c: -5.3, start_s: 0.0, end_s: 1.0 },
             ..World::default()
         };
         let mut bench = bench(ideal(world));
@@ -463,18 +387,11 @@ fn a_replay_passes_its_counts_bit_for_bit_and_then_falls_silent() {
     let samples: Vec<Counts> = (0..500)
         .map(|i: i32| Counts([(i * 131) as i16, (i * -77 + 5) as i16, i16::MIN + i as i16]))
         .collect();
-    for source in [
-        Replay::new(samples.clone()),
-        Replay::new(samples.clone()).waiting_for_reader(),
-    ] {
+    for source in [Replay::new(samples.clone()), Replay::new(samples.clone()).waiting_for_reader()]
+    {
         let mut bench = bench(source);
         let read = run!(bench, async {
-            start(
-                &mut bench.driver,
-                AccelMode::LowPower,
-                AccelOutputDataRate::Hz400,
-            )
-            .await;
+            start(&mut bench.driver, AccelMode::LowPower, AccelOutputDataRate::Hz400).await;
             let mut pin = bench.sensor.data_ready();
             let mut read = Vec::new();
             while !bench.sensor.finished() {
@@ -485,10 +402,7 @@ fn a_replay_passes_its_counts_bit_for_bit_and_then_falls_silent() {
         });
         assert_eq!(read, samples);
         let mut pin = bench.sensor.data_ready();
-        assert!(
-            bench.clock.run(pin.wait_for_high()).is_err(),
-            "nothing is left to wait for"
-        );
+        assert!(bench.clock.run(pin.wait_for_high()).is_err(), "nothing is left to wait for");
     }
 }
 
@@ -497,12 +411,7 @@ fn a_replay_that_waits_for_its_reader_loses_nothing_to_a_late_one() {
     let samples: Vec<Counts> = (0..50).map(|i| Counts([i, -i, 3 * i])).collect();
     let mut bench = bench(Replay::new(samples.clone()).waiting_for_reader());
     let read = run!(bench, async {
-        start(
-            &mut bench.driver,
-            AccelMode::Normal,
-            AccelOutputDataRate::Hz400,
-        )
-        .await;
+        start(&mut bench.driver, AccelMode::Normal, AccelOutputDataRate::Hz400).await;
         let mut read = Vec::new();
         while !bench.sensor.finished() {
             bench.clock.until(bench.clock.now() + 13_000).await;
@@ -522,12 +431,7 @@ fn the_same_seed_gives_the_same_samples_and_another_does_not() {
         let truth = SensorTruth::random(seed, Gauge::Full);
         let mut bench = bench(Physics::new(truth, scene, seed));
         run!(bench, async {
-            start(
-                &mut bench.driver,
-                AccelMode::HighResolution,
-                AccelOutputDataRate::Hz200,
-            )
-            .await;
+            start(&mut bench.driver, AccelMode::HighResolution, AccelOutputDataRate::Hz200).await;
             let mut pin = bench.sensor.data_ready();
             let mut read = Vec::new();
             for _ in 0..1000 {
@@ -545,17 +449,10 @@ fn the_same_seed_gives_the_same_samples_and_another_does_not() {
 fn an_absent_sensor_acknowledges_nothing_and_comes_back_without_its_settings() {
     let mut bench = bench(ideal(World::default()));
     run!(bench, async {
-        start(
-            &mut bench.driver,
-            AccelMode::Normal,
-            AccelOutputDataRate::Hz100,
-        )
-        .await;
+        start(&mut bench.driver, AccelMode::Normal, AccelOutputDataRate::Hz100).await;
         bench.sensor.set_present(false);
         let error = bench.driver.accelerometer_id().await.unwrap_err();
-        let Error::Comm(error) = error else {
-            panic!("{error:?}")
-        };
+        let Error::Comm(error) = error else { panic!("{error:?}") };
         let address = NoAcknowledgeSource::Address;
         assert_eq!(error.kind(), ErrorKind::NoAcknowledge(address));
         assert_eq!(error.to_string(), "no device acknowledges address 0x19");
@@ -563,12 +460,7 @@ fn an_absent_sensor_acknowledges_nothing_and_comes_back_without_its_settings() {
         let taken = bench.sensor.samples_taken();
         bench.clock.until(bench.clock.now() + 1_000_000).await;
         assert_eq!(bench.sensor.samples_taken(), taken);
-        start(
-            &mut bench.driver,
-            AccelMode::Normal,
-            AccelOutputDataRate::Hz100,
-        )
-        .await;
+        start(&mut bench.driver, AccelMode::Normal, AccelOutputDataRate::Hz100).await;
         bench.sensor.data_ready().wait_for_high().await.unwrap();
     });
 }
@@ -584,12 +476,7 @@ fn a_waiting_pin_learns_that_the_sensor_was_started_later() {
             },
             async {
                 bench.clock.until(500_000).await;
-                start(
-                    &mut bench.driver,
-                    AccelMode::Normal,
-                    AccelOutputDataRate::Hz100,
-                )
-                .await;
+                start(&mut bench.driver, AccelMode::Normal, AccelOutputDataRate::Hz100).await;
             },
         )
         .await

@@ -69,10 +69,7 @@ fn board(config: BoardConfig) -> Board {
 }
 
 fn wireless(spec: &str) -> BoardConfig {
-    BoardConfig {
-        wireless_faults: faults(spec),
-        ..BoardConfig::default()
-    }
+    BoardConfig { wireless_faults: faults(spec), ..BoardConfig::default() }
 }
 
 /// What a channel makes of bytes that come 1 ms apart in pieces.
@@ -98,37 +95,20 @@ fn faults_are_read_from_text() {
         baud: Some(9600),
         latency: ms(20),
         jitter: Some(Jitter::Exponential(ms(50))),
-        loss: Some(Loss {
-            fraction: 0.02,
-            mean_run: 12.5,
-        }),
+        loss: Some(Loss { fraction: 0.02, mean_run: 12.5 }),
         bit_error_rate: 1e-4,
         splice_rate: 1e-5,
         duplicate_rate: 1e-5,
         stalls: vec![
-            Outage {
-                start: ms(30_000),
-                length: ms(3000),
-                every: None,
-            },
-            Outage {
-                start: ms(1000),
-                length: ms(100),
-                every: Some(ms(2000)),
-            },
+            Outage { start: ms(30_000), length: ms(3000), every: None },
+            Outage { start: ms(1000), length: ms(100), every: Some(ms(2000)) },
         ],
-        disconnects: vec![Outage {
-            start: ms(60_000),
-            length: ms(5000),
-            every: None,
-        }],
+        disconnects: vec![Outage { start: ms(60_000), length: ms(5000), every: None }],
         buffer: Some(4096),
         values: None,
     };
     assert_eq!(read, expected);
-    let values = faults("bias=10/-5/3mg,scale=0.5%,noise=2mg")
-        .values
-        .expect("values");
+    let values = faults("bias=10/-5/3mg,scale=0.5%,noise=2mg").values.expect("values");
     let mg = STANDARD_GRAVITY_MPS2 * 1e-3;
     for axis in 0..3 {
         let expected = [10.0, -5.0, 3.0][axis] * mg;
@@ -151,10 +131,7 @@ fn text_that_says_no_faults_is_refused_with_what_is_expected() {
     for (spec, message) in [
         ("lossy", "`lossy` is neither a fault nor a preset"),
         ("los=2%", "`los` is neither a fault nor a preset"),
-        (
-            "loss=",
-            "`loss=`: expected 0 to 90 % of the bytes, such as 2%",
-        ),
+        ("loss=", "`loss=`: expected 0 to 90 % of the bytes, such as 2%"),
         ("loss=101%", "`loss=101%`"),
         ("loss=-1%", "`loss=-1%`"),
         ("loss=NaN", "`loss=NaN`"),
@@ -337,10 +314,7 @@ fn a_disconnected_link_says_so_and_a_new_connection_works() {
     let board = RefCell::new(board(wireless("disconnect=2s@5s")));
     let connect = || {
         let link = SimLink::new(&board, LinkRole::Wireless);
-        let options = ConnectOptions {
-            session: Some(1),
-            ..ConnectOptions::default()
-        };
+        let options = ConnectOptions { session: Some(1), ..ConnectOptions::default() };
         Client::connect(link, "the wireless link", options)
     };
     let mut client = connect().expect("a board");
@@ -353,10 +327,7 @@ fn a_disconnected_link_says_so_and_a_new_connection_works() {
     assert_eq!(board.borrow().now_us() / 1_000_000, 5);
     assert!(connect().is_err(), "there is no connection yet");
     board.borrow_mut().run_until(7_100_000);
-    assert_eq!(
-        client.next_event(Duration::ZERO).expect_err("dead").code(),
-        ErrorCode::LinkLost
-    );
+    assert_eq!(client.next_event(Duration::ZERO).expect_err("dead").code(), ErrorCode::LinkLost);
     let mut client = connect().expect("a board");
     assert!(client.status().is_ok());
     // What was said meanwhile is gone and counted.
@@ -370,10 +341,7 @@ fn a_disconnected_link_says_so_and_a_new_connection_works() {
 fn values_differ_by_what_was_said_and_everything_else_is_the_cables() {
     let spec = faults("bias=12/-8/5mg,scale=0.4/-0.3/0.2%");
     let values = spec.values.expect("values");
-    let mut board = board(BoardConfig {
-        wireless_faults: spec,
-        ..BoardConfig::default()
-    });
+    let mut board = board(BoardConfig { wireless_faults: spec, ..BoardConfig::default() });
     board.run_until(25_000_000);
     let mut heard = ROLES.map(|role| {
         let mut decoder = Decoder::new();
@@ -393,10 +361,9 @@ fn values_differ_by_what_was_said_and_everything_else_is_the_cables() {
     let (raw, corrected, _) = std::mem::take(&mut heard[1]);
     assert!(raw.len() > 2000 && corrected.len() > 2000);
     let mps2_per_lsb = STANDARD_GRAVITY_MPS2 / lsb_per_g;
-    for (cable, wireless, mps2_per_lsb) in [
-        (cable_raw, raw, mps2_per_lsb),
-        (cable_corrected, corrected, 1.0 / 65536.0),
-    ] {
+    for (cable, wireless, mps2_per_lsb) in
+        [(cable_raw, raw, mps2_per_lsb), (cable_corrected, corrected, 1.0 / 65536.0)]
+    {
         for (cable, wireless) in cable.iter().zip(&wireless) {
             assert_eq!(cable.sequence, wireless.sequence);
             assert_eq!(cable.time, wireless.time);
@@ -414,15 +381,10 @@ fn values_differ_by_what_was_said_and_everything_else_is_the_cables() {
 fn values_change_in_the_unit_of_their_range_and_leave_the_decimation() {
     let spec = faults("bias=12/-8/5mg,scale=0.4/-0.3/0.2%");
     let values = spec.values.expect("values");
-    let board = RefCell::new(board(BoardConfig {
-        wireless_faults: spec,
-        ..BoardConfig::default()
-    }));
+    let board =
+        RefCell::new(board(BoardConfig { wireless_faults: spec, ..BoardConfig::default() }));
     let link = SimLink::new(&board, LinkRole::Cable);
-    let options = ConnectOptions {
-        session: Some(1),
-        ..ConnectOptions::default()
-    };
+    let options = ConnectOptions { session: Some(1), ..ConnectOptions::default() };
     let mut client = Client::connect(link, "the cable", options).expect("a board");
     for (seconds, range_g, every) in [(4, 2, 1), (4, 8, 4), (4, 2, 3)] {
         let mut settings = client.settings().expect("settings");
@@ -460,30 +422,21 @@ fn values_change_in_the_unit_of_their_range_and_leave_the_decimation() {
             for axis in 0..3 {
                 let lsb = f64::from(cable[axis]) * (1.0 + values.scale[axis])
                     + values.bias_mps2[axis] / unit.mps2_per_lsb();
-                assert!(
-                    (f64::from(sample.value[axis]) - lsb).abs() <= 0.501,
-                    "{sample:?}"
-                );
+                assert!((f64::from(sample.value[axis]) - lsb).abs() <= 0.501, "{sample:?}");
             }
             let wide = unit.sensitivity.lsb_per_g() < 10_000.0;
             *compared.entry((samples.every, wide)).or_default() += 1;
         }
     });
     for kind in [(1, false), (4, true), (3, false)] {
-        assert!(
-            compared.get(&kind).is_some_and(|count| *count > 60),
-            "{compared:?}"
-        );
+        assert!(compared.get(&kind).is_some_and(|count| *count > 60), "{compared:?}");
     }
 }
 
 #[test]
 fn a_clock_that_runs_fast_is_as_fast_as_said() {
     for clock_error_ppb in [-200_000, 37_000] {
-        let mut board = board(BoardConfig {
-            clock_error_ppb,
-            ..BoardConfig::default()
-        });
+        let mut board = board(BoardConfig { clock_error_ppb, ..BoardConfig::default() });
         board.run_until(60_000_000);
         let mut decoder = Decoder::new();
         let mut latest = None;
@@ -499,10 +452,8 @@ fn a_clock_that_runs_fast_is_as_fast_as_said() {
 
         // Two boards, one sensor: sample for sample the clocks' ratio.
         let samples = |ppb| {
-            let mut board = self::board(BoardConfig {
-                clock_error_ppb: ppb,
-                ..BoardConfig::default()
-            });
+            let mut board =
+                self::board(BoardConfig { clock_error_ppb: ppb, ..BoardConfig::default() });
             board.run_until(60_000_000);
             let mut times = Vec::new();
             let mut decoder = Decoder::new();
@@ -514,10 +465,8 @@ fn a_clock_that_runs_fast_is_as_fast_as_said() {
             times
         };
         let (right, wrong) = (samples(0), samples(clock_error_ppb));
-        let ((first_right, last_right), (first_wrong, last_wrong)) = (
-            (right[0], right[right.len() - 2]),
-            (wrong[0], wrong[right.len() - 2]),
-        );
+        let ((first_right, last_right), (first_wrong, last_wrong)) =
+            ((right[0], right[right.len() - 2]), (wrong[0], wrong[right.len() - 2]));
         assert_eq!(last_right.0, last_wrong.0);
         let ratio = (last_wrong.1 - first_wrong.1) / (last_right.1 - first_right.1);
         let ppb = (ratio - 1.0) * 1e9;
@@ -529,10 +478,7 @@ fn a_clock_that_runs_fast_is_as_fast_as_said() {
 fn requests_and_answers_get_through_a_noisy_link() {
     let board = RefCell::new(board(wireless("noisy")));
     let link = SimLink::new(&board, LinkRole::Wireless);
-    let options = ConnectOptions {
-        session: Some(1),
-        ..ConnectOptions::default()
-    };
+    let options = ConnectOptions { session: Some(1), ..ConnectOptions::default() };
     let mut client = Client::connect(link, "the wireless link", options).expect("a board");
     let mut answered = 0;
     for _ in 0..30 {
@@ -545,10 +491,7 @@ fn requests_and_answers_get_through_a_noisy_link() {
 #[test]
 fn batches_with_changed_values_are_still_batches() {
     let spec = faults("bias=1000mg,scale=50%,noise=1000mg");
-    let mut board = board(BoardConfig {
-        wireless_faults: spec,
-        ..BoardConfig::default()
-    });
+    let mut board = board(BoardConfig { wireless_faults: spec, ..BoardConfig::default() });
     board.run_until(15_000_000);
     let bytes = board.link(LinkRole::Wireless).pull();
     let mut deframer = Deframer::new();

@@ -17,24 +17,15 @@ fn walked(seed: u64, blocked: f64) -> (Strides, MotionRecording, RangeWalk) {
     let strides = Strides::along(&corners);
     let motion = sensed(&strides, 100.0, seed);
     let until_s = strides.duration();
-    let ranges = RangeWalk::along(seed, &HALL_M, until_s, blocked, |t| {
-        strides.pose(t).position_m
-    });
+    let ranges = RangeWalk::along(seed, &HALL_M, until_s, blocked, |t| strides.pose(t).position_m);
     (strides, motion, ranges)
 }
 
 fn live(anchors: &RangeRecording, profile: Profile) -> Live {
     let prior = RangePrior::ULTRA_WIDEBAND;
     let ranging = Ranging::new("hall", anchors.anchors.clone(), anchors.planar, &prior);
-    let fixes = Fixes {
-        ranging: Some(ranging),
-        ..Fixes::default()
-    };
-    let choice = Choice {
-        profile,
-        fixes,
-        ..Choice::default()
-    };
+    let fixes = Fixes { ranging: Some(ranging), ..Fixes::default() };
+    let choice = Choice { profile, fixes, ..Choice::default() };
     Live::new(choice, MotionRecording::default(), 0.5)
 }
 
@@ -74,20 +65,9 @@ fn error_m(strides: &Strides, points: &[PathPoint], from_s: f64) -> (f64, f64) {
 
 /// RMS error of the filter of the recording after 8 s, m.
 fn recorded_m(strides: &Strides, motion: &MotionRecording, ranges: &RangeRecording) -> f64 {
-    let recording = RangeRecording {
-        motion: Some(motion.clone()),
-        ..ranges.clone()
-    };
-    let choice = LocalizationChoice {
-        smooth: false,
-        ..LocalizationChoice::default()
-    };
-    error_m(
-        strides,
-        &localize(&recording, &choice).unwrap().path.points,
-        8.0,
-    )
-    .0
+    let recording = RangeRecording { motion: Some(motion.clone()), ..ranges.clone() };
+    let choice = LocalizationChoice { smooth: false, ..LocalizationChoice::default() };
+    error_m(strides, &localize(&recording, &choice).unwrap().path.points, 8.0).0
 }
 
 #[test]
@@ -100,10 +80,7 @@ fn a_stream_with_ranges_is_as_good_as_the_filter_of_its_recording() {
         let points = streamed(&mut live, &motion, &ranges.recording.ranges, |_| 0.0);
         let (found, valid) = error_m(&strides, &points, 8.0);
         println!("{profile:?}: {found:.3} m, recording {filtered:.3} m");
-        assert!(
-            (0.03..1.1 * filtered).contains(&found),
-            "{found} {filtered}"
-        );
+        assert!((0.03..1.1 * filtered).contains(&found), "{found} {filtered}");
         assert_eq!(valid, 1.0);
         for point in points.iter().filter(|p| p.time_s > 8.0).step_by(10) {
             let truth = Vector3::from(strides.pose(point.time_s).position_m);
@@ -113,10 +90,7 @@ fn a_stream_with_ranges_is_as_good_as_the_filter_of_its_recording() {
             count += 1;
         }
         let found = live.findings();
-        assert!(
-            !found.iter().any(|f| f.severity > Severity::Note),
-            "{found:?}"
-        );
+        assert!(!found.iter().any(|f| f.severity > Severity::Note), "{found:?}");
     }
     let fraction = f64::from(below as u32) / f64::from(count);
     println!("NEES below its 95 % point at {fraction:.3} of {count} positions");
@@ -129,12 +103,7 @@ fn late_and_blocked_ranges_are_counted_and_not_believed() {
     let all = &ranges.recording.ranges;
     let is_late = |k: usize| k % 10 == 3 && all[k].time_s > 5.0;
     let mut live = live(&ranges.recording, Profile::Hand);
-    let points = streamed(
-        &mut live,
-        &motion,
-        all,
-        |k| if is_late(k) { 1.5 } else { 0.0 },
-    );
+    let points = streamed(&mut live, &motion, all, |k| if is_late(k) { 1.5 } else { 0.0 });
     let [_, aided] = live.aided();
     println!("{aided:?}");
     let until_s = motion.times_s[motion.times_s.len() - 1];
@@ -165,11 +134,7 @@ fn an_anchor_that_was_moved_is_named() {
     let named = |f: &&Finding| f.code == FindingCode::Residuals;
     let named: Vec<_> = said.iter().filter(named).collect();
     assert_eq!(named.len(), 1, "{said:?}");
-    assert!(
-        named[0].evidence.contains("anchor A3 from 1"),
-        "{}",
-        named[0]
-    );
+    assert!(named[0].evidence.contains("anchor A3 from 1"), "{}", named[0]);
     let (found, _) = error_m(&strides, &points, 8.0);
     assert!(found < 0.3, "{found}");
 }

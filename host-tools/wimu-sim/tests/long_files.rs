@@ -18,18 +18,12 @@ const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
 /// every tenth of the wireless ones lost.
 fn write_long_file(path: &Path, minutes: u32) {
     let _ = std::fs::remove_file(path);
-    let anchor = ClockAnchor {
-        monotonic_ns: 0,
-        utc_ns: 1_795_222_920_000_000_000,
-    };
+    let anchor = ClockAnchor { monotonic_ns: 0, utc_ns: 1_795_222_920_000_000_000 };
     let mut writer = RecordingWriter::create(path, anchor).unwrap();
     let mut frame = [0; MAX_FRAME];
     let mut write = |role, at_ns: u64, frame: &[u8]| writer.append(role, at_ns, frame).unwrap();
     for role in ROLES {
-        let hello = Hello {
-            boot_count: 1,
-            ..Hello::new(role)
-        };
+        let hello = Hello { boot_count: 1, ..Hello::new(role) };
         let length = hello.encode(&mut frame).unwrap();
         write(role, 0, &frame[..length]);
     }
@@ -37,11 +31,7 @@ fn write_long_file(path: &Path, minutes: u32) {
         let (first, time_us) = (batch * 16, u64::from(batch) * 160_000);
         let samples: [Counts; 16] = std::array::from_fn(|k| {
             let phase = f64::from(first + k as u32) * 0.07;
-            Counts([
-                (9000.0 * phase.sin()) as i16,
-                (7000.0 * phase.cos()) as i16,
-                900,
-            ])
+            Counts([(9000.0 * phase.sin()) as i16, (7000.0 * phase.cos()) as i16, 900])
         });
         for role in ROLES {
             let noise = Random::new(batch.into()).bits();
@@ -106,13 +96,9 @@ fn do_step(step: &str, path: &Path, minutes: u32) -> u64 {
         "info" => Recording::survey(path).unwrap().links[1].samples(Stream::Raw) as u64,
         _ => {
             let table = path.with_extension("csv");
-            let wireless = ExportSource {
-                role: Some(LinkRole::Wireless),
-                ..ExportSource::default()
-            };
-            let rows = to_csv(path, &wireless, ExportStream::Raw, &table)
-                .unwrap()
-                .rows;
+            let wireless =
+                ExportSource { role: Some(LinkRole::Wireless), ..ExportSource::default() };
+            let rows = to_csv(path, &wireless, ExportStream::Raw, &table).unwrap().rows;
             std::fs::remove_file(table).unwrap();
             rows as u64
         }
@@ -133,11 +119,7 @@ fn peaks_mb(test: &str, minutes: u32) -> [f64; STEPS.len()] {
             .unwrap();
         let text = String::from_utf8_lossy(&ran.stdout);
         let line = text.lines().find_map(|line| line.split_once("PEAK "));
-        let (peak, samples) = line
-            .unwrap_or_else(|| panic!("{text}"))
-            .1
-            .split_once(' ')
-            .unwrap();
+        let (peak, samples) = line.unwrap_or_else(|| panic!("{text}")).1.split_once(' ').unwrap();
         println!(
             "{step}, {minutes} min: {samples} samples of the wireless link, {peak} MB at most"
         );
@@ -155,11 +137,9 @@ fn peaks_mb(test: &str, minutes: u32) -> [f64; STEPS.len()] {
 #[test]
 fn memory_does_not_grow_with_the_recording() {
     let minutes = Lane::current().choose([[1, 4], [10, 40], [60, 1440]]);
-    if let (Ok(step), Ok(path), Ok(minutes)) = (
-        std::env::var(STEP),
-        std::env::var(FILE),
-        std::env::var(MINUTES),
-    ) {
+    if let (Ok(step), Ok(path), Ok(minutes)) =
+        (std::env::var(STEP), std::env::var(FILE), std::env::var(MINUTES))
+    {
         let samples = do_step(&step, path.as_ref(), minutes.parse().unwrap());
         println!("PEAK {:.1} {samples}", peak_mb());
         return;
@@ -174,10 +154,7 @@ fn memory_does_not_grow_with_the_recording() {
         };
         let most = short + 4.0 + index;
         figure(
-            &format!(
-                "`{step}` of {} and {} min at 100 Hz: memory",
-                minutes[0], minutes[1]
-            ),
+            &format!("`{step}` of {} and {} min at 100 Hz: memory", minutes[0], minutes[1]),
             format!("{short:.1} / {long:.1} MB"),
             "4 MB more at most, and the index",
             long < most,

@@ -77,11 +77,7 @@ fn on_bench(fifo: u8, use_it: impl AsyncFnOnce(&mut Bench)) {
     let counts = (0..500).map(|k| Counts([k << 4, -(k << 4), k << 4]));
     let sensor = Sensor::lsm303agr(&clock, Replay::new(counts));
     let bus = SimI2c::new(&clock, [Rc::new(sensor.clone()) as Rc<_>]);
-    let mut bench = Bench {
-        clock: clock.clone(),
-        sensor,
-        bus,
-    };
+    let mut bench = Bench { clock: clock.clone(), sensor, bus };
     let run = async {
         bench.write(0x23, 0x88).await;
         bench.write(CTRL3, 0x04).await;

@@ -20,12 +20,8 @@ use wimu_sim::source::{Physics, Source};
 use wimu_sim::spi::SimSpi;
 use wimu_sim::truth::{Gauge, SensorTruth};
 
-const RANGES_G: [AccelerationRange; 4] = [
-    AccelerationRange::G2,
-    AccelerationRange::G4,
-    AccelerationRange::G8,
-    AccelerationRange::G16,
-];
+const RANGES_G: [AccelerationRange; 4] =
+    [AccelerationRange::G2, AccelerationRange::G4, AccelerationRange::G8, AccelerationRange::G16];
 const RANGES_DPS: [(AngularRateRange, f64); 5] = [
     (AngularRateRange::Dps125, 125.0),
     (AngularRateRange::Dps250, 250.0),
@@ -169,10 +165,7 @@ async fn drain<B: Bus>(
 
 fn near(counts: i16, lsb: f64, expected: f64) {
     let found = f64::from(counts) * lsb;
-    assert!(
-        (found - expected).abs() <= 0.51 * lsb,
-        "{found}, expected {expected}"
-    );
+    assert!((found - expected).abs() <= 0.51 * lsb, "{found}, expected {expected}");
 }
 
 #[test]
@@ -182,11 +175,7 @@ fn every_range_reads_gravity_and_a_constant_rate() {
             // Half of the range about the vertical.
             let bench = ideal(spinning([0.0, 0.0, -dps / 2.0]));
             bench.on_i2c(async |driver| {
-                let setup = Setup {
-                    acceleration: range,
-                    angular_rate: angular_range,
-                    ..SETUP
-                };
+                let setup = Setup { acceleration: range, angular_rate: angular_range, ..SETUP };
                 driver.start(&setup, &mut bench.clock.clone()).await?;
                 bench.wait_us(50_000).await;
                 let (_, samples) = drain(driver).await?;
@@ -211,10 +200,7 @@ fn every_range_reads_gravity_and_a_constant_rate() {
 fn both_sensors_saturate_at_full_scale() {
     let bench = ideal(spinning([0.0, 0.0, 300.0]));
     bench.on_i2c(async |driver| {
-        let setup = Setup {
-            angular_rate: AngularRateRange::Dps250,
-            ..SETUP
-        };
+        let setup = Setup { angular_rate: AngularRateRange::Dps250, ..SETUP };
         driver.start(&setup, &mut bench.clock.clone()).await?;
         bench.wait_us(50_000).await;
         for sample in drain(driver).await?.1 {
@@ -229,11 +215,7 @@ fn both_sensors_saturate_at_full_scale() {
 fn every_rate_on_both_buses_gives_every_sample_once() {
     async fn follow<B: Bus<Error: Debug>>(bench: &Bench, driver: &mut Lsm6dso<B>, rate: Rate) {
         let watermark = 64;
-        let setup = Setup {
-            rate,
-            watermark,
-            ..SETUP
-        };
+        let setup = Setup { rate, watermark, ..SETUP };
         driver.check_identity().await.expect("it is one");
         let started = driver.start(&setup, &mut bench.clock.clone()).await;
         started.expect("the bus works");
@@ -242,10 +224,7 @@ fn every_rate_on_both_buses_gives_every_sample_once() {
         for round in 0..4 {
             line.wait_for_high().await.expect("never fails");
             let (batches, samples) = drain(driver).await.expect("the bus works");
-            assert!(
-                batches.iter().all(|batch| batch.fault.is_none()),
-                "{rate:?}"
-            );
+            assert!(batches.iter().all(|batch| batch.fault.is_none()), "{rate:?}");
             assert!(!batches.iter().any(|batch| batch.gap), "{rate:?}");
             assert!(samples.len() >= 64, "{rate:?}, round {round}");
             for sample in samples {
@@ -286,10 +265,7 @@ fn the_line_rises_with_the_sample_that_reaches_the_watermark() {
             line.wait_for_low().await.expect("never fails");
         }
         // 8 periods of 4.8 ms.
-        assert!(
-            rises.windows(2).all(|pair| pair[1] - pair[0] == 38_400),
-            "{rises:?}"
-        );
+        assert!(rises.windows(2).all(|pair| pair[1] - pair[0] == 38_400), "{rises:?}");
         Ok(())
     });
 }
@@ -301,17 +277,11 @@ fn no_sample_of_the_turn_on_time_is_delivered() {
         bench.on_spi(async |driver| {
             let setup = Setup { rate, ..SETUP };
             let clock = &bench.clock;
-            driver
-                .start(&setup, &mut clock.clone())
-                .await
-                .expect("the bus works");
+            driver.start(&setup, &mut clock.clone()).await.expect("the bus works");
             bench.wait_us(20 * u64::from(rate.period_ns()) / 1000).await;
             let (_, samples) = drain(driver).await.expect("the bus works");
             assert!(samples.len() >= 19, "{rate:?}");
-            assert!(
-                samples.iter().all(|sample| sample.angular_rate == [0; 3]),
-                "{rate:?}"
-            );
+            assert!(samples.iter().all(|sample| sample.angular_rate == [0; 3]), "{rate:?}");
         });
     }
 }
@@ -330,10 +300,7 @@ fn an_overrun_is_reported_once_and_the_newest_256_samples_stay() {
         let (batches, samples) = drain(driver).await?;
         assert!(batches[0].overrun && batches[0].gap);
         let oldest = number(&samples[0]);
-        assert!(
-            (newest - 256..newest - 250).contains(&oldest),
-            "{oldest}, {newest}"
-        );
+        assert!((newest - 256..newest - 250).contains(&oldest), "{oldest}, {newest}");
         let later = batches.iter().skip(1).filter(|batch| batch.gap).count();
         assert_eq!(later, 0);
         for pair in samples.windows(2) {
@@ -408,23 +375,11 @@ fn a_stuck_and_a_saturated_gyroscope_are_visible_in_the_counts() {
             Ok::<_, Error<I2cError>>(samples.into_iter().skip(2).collect::<Vec<_>>())
         };
         let moving = rates(GyroscopeFault::None).await?;
-        assert!(
-            moving
-                .windows(2)
-                .all(|pair| pair[0].angular_rate != pair[1].angular_rate)
-        );
+        assert!(moving.windows(2).all(|pair| pair[0].angular_rate != pair[1].angular_rate));
         let stuck = rates(GyroscopeFault::Stuck).await?;
-        assert!(
-            stuck
-                .windows(2)
-                .all(|pair| pair[0].angular_rate == pair[1].angular_rate)
-        );
+        assert!(stuck.windows(2).all(|pair| pair[0].angular_rate == pair[1].angular_rate));
         let saturated = rates(GyroscopeFault::Saturates).await?;
-        assert!(
-            saturated
-                .iter()
-                .all(|sample| sample.saturated() == [false, true])
-        );
+        assert!(saturated.iter().all(|sample| sample.saturated() == [false, true]));
         Ok(())
     });
 }
@@ -438,13 +393,7 @@ fn another_chip_no_chip_and_a_broken_bus_are_told_apart() {
     let outcome = bench.clock.run(async {
         bench.sensor.set_who_am_i(0x6B);
         let wrong = driver.check_identity().await;
-        assert_eq!(
-            wrong,
-            Err(Error::WrongIdentity {
-                expected: 0x6C,
-                found: 0x6B
-            })
-        );
+        assert_eq!(wrong, Err(Error::WrongIdentity { expected: 0x6C, found: 0x6B }));
         bench.sensor.set_who_am_i(0x6C);
         bench.sensor.set_present(false);
         assert_eq!(driver.check_identity().await, Err(Error::NotAnswering));
@@ -504,16 +453,10 @@ fn a_start_works_from_any_state() {
 
 #[test]
 fn temperatures_come_through_the_fifo() {
-    let world = World {
-        temperature: Temperature::Constant(-10.5),
-        ..World::default()
-    };
+    let world = World { temperature: Temperature::Constant(-10.5), ..World::default() };
     let bench = ideal(Scene::new(world));
     bench.on_i2c(async |driver| {
-        let setup = Setup {
-            temperature: true,
-            ..SETUP
-        };
+        let setup = Setup { temperature: true, ..SETUP };
         driver.start(&setup, &mut bench.clock.clone()).await?;
         let mut temperatures = Vec::new();
         while bench.clock.now() < 4_000_000 {
@@ -593,10 +536,7 @@ fn hidden_errors_and_noise_appear_in_the_counts() {
     let bench = Bench::new(0x6A, Physics::new(truth, scene, 7));
     let (truth, terms) = (truth.gyroscope, truth.gyroscope.model.terms());
     bench.on_spi(async |driver| {
-        let setup = Setup {
-            angular_rate: AngularRateRange::Dps125,
-            ..SETUP
-        };
+        let setup = Setup { angular_rate: AngularRateRange::Dps125, ..SETUP };
         let started = driver.start(&setup, &mut bench.clock.clone()).await;
         started.expect("SPI works");
         let mut rates = Vec::new();
@@ -607,10 +547,7 @@ fn hidden_errors_and_noise_appear_in_the_counts() {
         }
         let n = rates.len() as f64;
         for axis in 0..3 {
-            let dps: Vec<f64> = rates
-                .iter()
-                .map(|rate| f64::from(rate[axis]) * 4.375e-3)
-                .collect();
+            let dps: Vec<f64> = rates.iter().map(|rate| f64::from(rate[axis]) * 4.375e-3).collect();
             let mean = dps.iter().sum::<f64>() / n;
             let g_sensitivity = terms.g_sensitivity[axis][2] * STANDARD_GRAVITY_MPS2;
             let expected = (terms.bias_rad_s[axis] + g_sensitivity).to_degrees();
@@ -618,10 +555,7 @@ fn hidden_errors_and_noise_appear_in_the_counts() {
             let sd = (dps.iter().map(|rate| (rate - mean).powi(2)).sum::<f64>() / n).sqrt();
             let density = truth.noise_radps_per_rthz.to_degrees();
             let expected = density * (1e9 / 4_800_000.0 / 2.0_f64).sqrt();
-            assert!(
-                (sd / expected - 1.0).abs() < 0.05,
-                "{sd}, expected {expected}"
-            );
+            assert!((sd / expected - 1.0).abs() < 0.05, "{sd}, expected {expected}");
         }
     });
 }

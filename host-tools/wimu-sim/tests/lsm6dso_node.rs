@@ -98,11 +98,7 @@ impl Bench {
 
 fn plan(driver: &impl InertialSensor, range_g: u8, rate_hz: u16) -> Plan {
     use wimu_node::sensor::Planner;
-    let settings = Settings {
-        range_g,
-        rate_hz,
-        ..Settings::default()
-    };
+    let settings = Settings { range_g, rate_hz, ..Settings::default() };
     driver.planner().plan(&settings).expect("supported")
 }
 
@@ -138,10 +134,7 @@ fn every_range_and_rate_reads_one_g_and_the_angular_rate() {
             let (force, rate) = read[batch.count - 1];
             let up = plan.sensor.sensitivity.to_mps2(force).0[2];
             let half_a_count = 0.5 * plan.sensor.sensitivity.mps2_per_lsb();
-            assert!(
-                (up - STANDARD_GRAVITY_MPS2).abs() <= half_a_count + 0.02,
-                "{up} m/s²"
-            );
+            assert!((up - STANDARD_GRAVITY_MPS2).abs() <= half_a_count + 0.02, "{up} m/s²");
             let scale = plan.sensor.gyroscope.expect("it has one").rad_s_per_lsb;
             for (axis, dps) in bias_dps.into_iter().enumerate() {
                 let found = (f64::from(rate.0[axis]) * scale).to_degrees();
@@ -177,10 +170,7 @@ fn every_pair_comes_once_with_its_time_on_either_bus() {
                 let elapsed_us = 1200.0 * f64::from(newest - number);
                 let found_us = (batch.last_time.0 - time) as f64;
                 // The time of the edge is exact; without it, within a period.
-                assert!(
-                    (found_us - elapsed_us).abs() <= 1300.0,
-                    "{found_us} µs for {elapsed_us}"
-                );
+                assert!((found_us - elapsed_us).abs() <= 1300.0, "{found_us} µs for {elapsed_us}");
             }
             last = Some((newest, batch.last_time.0));
         }
@@ -229,11 +219,7 @@ fn a_gyroscope_that_stops_and_one_that_saturates_are_told_apart() {
                     ended = next(&mut driver).await;
                 }
             }
-            assert_eq!(
-                ended.map(|_| ()),
-                Err(SensorFault::GyroscopeStopped),
-                "{rate_hz} Hz"
-            );
+            assert_eq!(ended.map(|_| ()), Err(SensorFault::GyroscopeStopped), "{rate_hz} Hz");
             // It stays so after a restart of the chip, until the gyroscope works again.
             driver.configure(&plan).await.expect("the chip answers");
             let still = next(&mut driver).await.map(|_| ());
@@ -250,10 +236,7 @@ fn another_chip_and_no_chip_are_told_apart() {
     let bench = Bench::new(Numbered);
     let (mut on_i2c, mut on_spi) = (bench.on_i2c(), bench.on_spi());
     let plan = plan(&on_i2c, 2, 104);
-    let wrong = SensorFault::WrongIdentity {
-        expected: 0x6C,
-        found: 0x6A,
-    };
+    let wrong = SensorFault::WrongIdentity { expected: 0x6C, found: 0x6A };
     bench.run(async {
         bench.sensor.set_who_am_i(0x6A);
         assert_eq!(on_i2c.configure(&plan).await, Err(wrong));
@@ -295,22 +278,10 @@ fn other_settings_get_the_nearest() {
         ..Settings::default()
     };
     for (wanted, nearest) in [
-        (
-            settings(3, 100, Resolution::High),
-            settings(2, 104, Resolution::High),
-        ),
-        (
-            settings(200, 6000, Resolution::High),
-            settings(16, 1666, Resolution::High),
-        ),
-        (
-            settings(2, 833, Resolution::LowPower),
-            settings(2, 208, Resolution::LowPower),
-        ),
-        (
-            settings(2, 1, Resolution::Normal),
-            settings(2, 13, Resolution::Normal),
-        ),
+        (settings(3, 100, Resolution::High), settings(2, 104, Resolution::High)),
+        (settings(200, 6000, Resolution::High), settings(16, 1666, Resolution::High)),
+        (settings(2, 833, Resolution::LowPower), settings(2, 208, Resolution::LowPower)),
+        (settings(2, 1, Resolution::Normal), settings(2, 13, Resolution::Normal)),
     ] {
         assert_eq!(Driver::plan(&wanted), Err(nearest));
         assert!(Driver::plan(&nearest).is_ok());

@@ -35,11 +35,8 @@ fn velocity_and_acceleration_are_the_derivatives_of_position() {
             for axis in 0..3 {
                 let integral = |x: f64, y: f64, z: f64| (x + 4.0 * y + z) * h / 6.0;
                 let moved = b.position_m[axis] - a.position_m[axis];
-                let velocity = integral(
-                    a.velocity_mps[axis],
-                    m.velocity_mps[axis],
-                    b.velocity_mps[axis],
-                );
+                let velocity =
+                    integral(a.velocity_mps[axis], m.velocity_mps[axis], b.velocity_mps[axis]);
                 assert!((moved - velocity).abs() < 1e-9, "{name} at {i}");
                 let gained = b.velocity_mps[axis] - a.velocity_mps[axis];
                 let acceleration = integral(
@@ -77,10 +74,7 @@ fn nothing_jumps() {
         for i in -99..steps + 100 {
             let now = motion.pose(i as f64 * h);
             // Faster than 2000 deg/s, or a jerk beyond 2000 m/s³, would be a jump.
-            assert!(
-                before.attitude.angle_to(now.attitude) < 35.0 * h,
-                "{name} at {i}"
-            );
+            assert!(before.attitude.angle_to(now.attitude) < 35.0 * h, "{name} at {i}");
             for axis in 0..3 {
                 let change = now.acceleration_mps2[axis] - before.acceleration_mps2[axis];
                 assert!(change.abs() < 2000.0 * h, "{name} at {i}");
@@ -142,11 +136,9 @@ fn a_slide_goes_where_its_body_points() {
 
 #[test]
 fn at_rest_specific_force_is_gravity_upward_in_every_pose() {
-    for poses in [
-        Poses::six_positions(2.0),
-        Poses::twelve_by_hand(9, 2.0, 2.0),
-        Poses::tilts(9, 2.0),
-    ] {
+    for poses in
+        [Poses::six_positions(2.0), Poses::twelve_by_hand(9, 2.0, 2.0), Poses::tilts(9, 2.0)]
+    {
         let scene = Scene::new(World::default());
         let begin = scene.play(0.0, Rc::new(poses.clone()));
         for hold in poses.holds() {
@@ -179,12 +171,7 @@ fn six_positions_are_squared_and_twelve_are_spread_and_misplaced_by_2_degrees() 
 
     let exact = up(Poses::twelve_by_hand(0, 0.0, 1.0));
     let angle = |a: &[f64; 3], b: &[f64; 3]| {
-        (0..3)
-            .map(|i| a[i] * b[i])
-            .sum::<f64>()
-            .clamp(-1.0, 1.0)
-            .acos()
-            .to_degrees()
+        (0..3).map(|i| a[i] * b[i]).sum::<f64>().clamp(-1.0, 1.0).acos().to_degrees()
     };
     for (i, a) in exact.iter().enumerate() {
         for b in &exact[..i] {
@@ -220,10 +207,7 @@ fn what_is_played_next_continues_from_where_the_body_is() {
     let scene = Scene::new(World::default());
     assert_eq!(scene.play(2.0, Rc::new(Slide::default())), 2.0);
     assert_eq!(scene.end_s(), 11.0);
-    let upside_down = Rest {
-        attitude: Attitude::with_up([0.0, 0.0, -1.0]),
-        seconds: 5.0,
-    };
+    let upside_down = Rest { attitude: Attitude::with_up([0.0, 0.0, -1.0]), seconds: 5.0 };
     // Asked for too early, and after a turn.
     assert_eq!(scene.play(5.0, Rc::new(upside_down)), 12.0);
     assert!((scene.state(14.0).position_m[0] - 1.0).abs() < 1e-12);

@@ -58,10 +58,8 @@ fn a_usual_pair_has_no_warning_and_one_line_says_what_was_merged() {
     let notes = evidence(&merge, FindingCode::Navigation);
     assert_eq!(notes.len(), 1, "{notes:?}");
     assert!(notes[0].starts_with("accelerometers 0 (±2 g), 1 (±16 g) merged"));
-    let warnings = merge
-        .findings
-        .iter()
-        .filter(|f| f.severity > wimu_host::finding::Severity::Note);
+    let warnings =
+        merge.findings.iter().filter(|f| f.severity > wimu_host::finding::Severity::Note);
     assert_eq!(warnings.count(), 0, "{:?}", merge.findings);
 }
 
@@ -72,11 +70,7 @@ fn a_unit_turned_in_its_mount_is_found_and_corrected() {
         simulated.sensors[1].mount = Attitude::from_rotation_vector([0.0, 0.0, angle]);
         let merge = merge(&simulated.record());
         let found = evidence(&merge, FindingCode::Axes);
-        assert_eq!(
-            found.len(),
-            usize::from(!says.is_empty()),
-            "{angle}: {found:?}"
-        );
+        assert_eq!(found.len(), usize::from(!says.is_empty()), "{angle}: {found:?}");
         assert!(found.iter().all(|text| text.contains(says)), "{found:?}");
         assert!(peak_error(&simulated, &merge).abs() < 0.02);
     }
@@ -86,11 +80,7 @@ fn a_unit_turned_in_its_mount_is_found_and_corrected() {
 fn a_turned_unit_that_only_rested_is_refused() {
     let mut simulated = MultiRange::new(3, false);
     simulated.waved = false;
-    simulated.impact = Impact {
-        speed_mps: 0.0,
-        peak_mps2: 0.0,
-        ..simulated.impact
-    };
+    simulated.impact = Impact { speed_mps: 0.0, peak_mps2: 0.0, ..simulated.impact };
     // Mounted alike, it is merged, and its scale factors are known from the datasheet only.
     let alike = merge(&simulated.record());
     assert_eq!(evidence(&alike, FindingCode::NotObserved).len(), 1);
@@ -106,23 +96,13 @@ fn another_clock_and_a_delay_are_found_and_corrected() {
         simulated.sensors[1].delay_s = delay_s;
         let merge = merge(&simulated.record());
         let relative = merge.sensors[1].relative.as_ref().expect("the coarse one");
-        assert!(
-            (relative.drift_ppm - clock_ppm).abs() < 60.0,
-            "{relative:?}"
-        );
+        assert!((relative.drift_ppm - clock_ppm).abs() < 60.0, "{relative:?}");
         // In the middle of the recording.
         let middle_s = 0.5 * (simulated.pulse_s()[1] + 4.0);
         let late_s = delay_s + clock_ppm * 1e-6 * middle_s;
-        assert!(
-            (relative.delay_s - late_s).abs() < 4e-4,
-            "{relative:?} {late_s}"
-        );
+        assert!((relative.delay_s - late_s).abs() < 4e-4, "{relative:?} {late_s}");
         let says = evidence(&merge, FindingCode::Clock).join(" ");
-        assert_eq!(
-            says.contains("400 ppm") || says.contains("ppm"),
-            clock_ppm != 0.0,
-            "{says}"
-        );
+        assert_eq!(says.contains("400 ppm") || says.contains("ppm"), clock_ppm != 0.0, "{says}");
         assert!(peak_error(&simulated, &merge).abs() < 0.02);
     }
 }
@@ -134,10 +114,7 @@ fn a_slower_unit_is_merged_with_a_warning() {
     let merge = merge(&simulated.record());
     let found = evidence(&merge, FindingCode::Rate);
     assert_eq!(found.len(), 1);
-    assert!(
-        found[0].contains("100 Hz") && found[0].contains("40 ms"),
-        "{found:?}"
-    );
+    assert!(found[0].contains("100 Hz") && found[0].contains("40 ms"), "{found:?}");
 }
 
 #[test]
@@ -148,18 +125,10 @@ fn two_bodies_are_refused() {
         simulated.record()
     };
     let mut apart = of(6, 0);
-    apart
-        .add_accelerometer(&of(7, 1))
-        .expect("one accelerometer");
-    assert!(
-        refusal(&apart).contains("do not measure one motion"),
-        "{}",
-        refusal(&apart)
-    );
+    apart.add_accelerometer(&of(7, 1)).expect("one accelerometer");
+    assert!(refusal(&apart).contains("do not measure one motion"), "{}", refusal(&apart));
     let mut together = of(6, 0);
-    together
-        .add_accelerometer(&of(6, 1))
-        .expect("one accelerometer");
+    together.add_accelerometer(&of(6, 1)).expect("one accelerometer");
     merge(&together);
 }
 
@@ -171,10 +140,7 @@ fn what_exceeds_the_widest_is_no_number_and_is_said() {
     assert_eq!(evidence(&merge, FindingCode::Saturated).len(), 1);
     let track = merge.recording.tracks().first().expect("a track");
     let lost = track.mask().iter().filter(|valid| !**valid).count();
-    let unknown = merge
-        .deviations_mps2
-        .iter()
-        .filter(|sd| sd[0].is_nan() || sd[1].is_nan());
+    let unknown = merge.deviations_mps2.iter().filter(|sd| sd[0].is_nan() || sd[1].is_nan());
     assert!((5..20).contains(&lost), "{lost}");
     assert_eq!(unknown.count(), lost);
 }
@@ -190,18 +156,8 @@ fn equal_ranges_are_not_merged_unless_asked_and_wrong_numbers_are_refused() {
     };
     assert!(of(&[]).expect("no error").is_none());
     assert!(of(&[2.0, 2.0]).expect("asked").is_some());
-    for wrong in [
-        &[2.0][..],
-        &[2.0, 16.0, 200.0],
-        &[2.0, -16.0],
-        &[2.0, f64::NAN],
-        &[1.0; 4],
-    ] {
-        assert_eq!(
-            of(wrong).expect_err("wrong").code(),
-            ErrorCode::Usage,
-            "{wrong:?}"
-        );
+    for wrong in [&[2.0][..], &[2.0, 16.0, 200.0], &[2.0, -16.0], &[2.0, f64::NAN], &[1.0; 4]] {
+        assert_eq!(of(wrong).expect_err("wrong").code(), ErrorCode::Usage, "{wrong:?}");
     }
 }
 
@@ -214,10 +170,7 @@ fn with_pair(
     let scene = Scene::new(World::default());
     let truth = SensorTruth::random(seed, Gauge::LowerTriangular);
     let other = SensorTruth::random_adxl345(seed + 1, Gauge::Full);
-    let config = BoardConfig {
-        cable: LinkConfig::default(),
-        ..BoardConfig::default()
-    };
+    let config = BoardConfig { cable: LinkConfig::default(), ..BoardConfig::default() };
     let coarse = Physics::new(other, scene.clone(), seed + 1);
     let board = Board::start_pair(
         config,
@@ -237,10 +190,7 @@ fn with_pair(
 }
 
 fn cable(session: &Session) -> &Boot {
-    &session
-        .link(Some(LinkRole::Cable))
-        .expect("the cable")
-        .boots[0]
+    &session.link(Some(LinkRole::Cable)).expect("the cable").boots[0]
 }
 
 #[test]
@@ -248,10 +198,7 @@ fn a_pair_streams_both_accelerometers_without_a_gap() {
     for rate_hz in [100, 400] {
         let (session, ..) = with_pair(1, "rest,slide", |host, _, end_s| {
             let settings = host.cable.settings().expect("an answer");
-            let settings = Settings {
-                rate_hz,
-                ..settings
-            };
+            let settings = Settings { rate_hz, ..settings };
             host.cable.set_settings(settings).expect("a change");
             host.run_until(end_s).expect("a board");
         });
@@ -260,16 +207,8 @@ fn a_pair_streams_both_accelerometers_without_a_gap() {
         let usual_us = 1_000_000 / u64::from(rate_hz);
         for samples in [&boot.raw, &second.raw] {
             let samples = &samples[samples.len() / 4..];
-            assert!(
-                samples.len() > 10 * usize::from(rate_hz),
-                "{}",
-                samples.len()
-            );
-            assert!(
-                samples
-                    .windows(2)
-                    .all(|w| w[1].sequence == w[0].sequence + 1)
-            );
+            assert!(samples.len() > 10 * usize::from(rate_hz), "{}", samples.len());
+            assert!(samples.windows(2).all(|w| w[1].sequence == w[0].sequence + 1));
             let steps = samples.windows(2).map(|w| w[1].time.0 - w[0].time.0);
             let allowed = 8 * usual_us / 10..12 * usual_us / 10;
             let odd = steps.clone().filter(|us| !allowed.contains(us)).count();
@@ -297,10 +236,7 @@ fn the_first_goes_on_without_the_second_which_comes_back() {
         host.run_until(20.0).expect("a board");
     });
     let boot = cable(&session);
-    let lost = boot
-        .events
-        .iter()
-        .filter(|(_, event)| matches!(event, Event::SensorLost(_)));
+    let lost = boot.events.iter().filter(|(_, event)| matches!(event, Event::SensorLost(_)));
     assert_eq!(lost.count(), 1, "{:?}", boot.events);
     let span = |samples: &[wimu_host::decode::TimedSample], from_s: f64, to_s: f64| {
         let within =
@@ -320,35 +256,20 @@ fn navigation_through_an_impact_needs_the_coarse_one() {
     });
     let boot = cable(&session);
     let sensitivity = Sensitivity::from_lsb_per_g(16384.0).expect("in range");
-    let set = ParameterSet {
-        model: truth.model,
-        ..ParameterSet::uncalibrated(2, sensitivity)
-    };
+    let set = ParameterSet { model: truth.model, ..ParameterSet::uncalibrated(2, sensitivity) };
     let mut alone = boot.clone();
     alone.further.clear();
     let run = Impact::default();
-    let expected_m = run
-        .pose(run.duration())
-        .position_m
-        .iter()
-        .map(|p| p * p)
-        .sum::<f64>()
-        .sqrt();
+    let expected_m = run.pose(run.duration()).position_m.iter().map(|p| p * p).sum::<f64>().sqrt();
     assert!(scene.end_s() > 60.0);
     let error_m = |boot: &Boot| {
         let motion = navigation::motion("a board", boot, Some(&set)).expect("samples");
         let path = navigate(&motion, &Choice::default()).expect("a path");
-        let last = path
-            .moves
-            .iter()
-            .max_by(|a, b| a.from_s.total_cmp(&b.from_s));
+        let last = path.moves.iter().max_by(|a, b| a.from_s.total_cmp(&b.from_s));
         let last = last.expect("the run");
         (last.length_m - expected_m).abs()
     };
     let [merged_m, alone_m] = [error_m(boot), error_m(&alone)];
     println!("run of {expected_m:.2} m: {merged_m:.3} m off, ±2 g alone {alone_m:.3} m");
-    assert!(
-        merged_m < 0.15 && merged_m < 0.3 * alone_m,
-        "{merged_m} {alone_m}"
-    );
+    assert!(merged_m < 0.15 && merged_m < 0.3 * alone_m, "{merged_m} {alone_m}");
 }

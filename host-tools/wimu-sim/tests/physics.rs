@@ -17,13 +17,8 @@ fn uncalibrated_rms_mps2(truth: &SensorTruth, up: &[[f64; 3]]) -> f64 {
 }
 
 fn sample(physics: &mut Physics, index: u64, rate_hz: f64, bits: u32) -> [i16; 3] {
-    let conversion = Conversion {
-        index,
-        time_s: index as f64 / rate_hz,
-        rate_hz,
-        lsb_per_g: 16384.0,
-        bits,
-    };
+    let conversion =
+        Conversion { index, time_s: index as f64 / rate_hz, rate_hz, lsb_per_g: 16384.0, bits };
     let Counts(counts) = physics.acceleration(&conversion).unwrap();
     counts
 }
@@ -31,18 +26,12 @@ fn sample(physics: &mut Physics, index: u64, rate_hz: f64, bits: u32) -> [i16; 3
 #[test]
 fn noise_is_its_density_times_the_root_of_half_the_rate() {
     for rate_hz in [10.0, 100.0, 1344.0] {
-        let truth = SensorTruth {
-            noise_mps2_per_rthz: 0.05,
-            ..SensorTruth::ideal()
-        };
+        let truth = SensorTruth { noise_mps2_per_rthz: 0.05, ..SensorTruth::ideal() };
         let mut physics = Physics::new(truth, Scene::new(World::default()), 11);
         let n = 20_000;
         let (mut sum, mut squares) = ([0.0; 3], [0.0; 3]);
         for index in 0..n {
-            for (axis, count) in sample(&mut physics, index, rate_hz, 16)
-                .into_iter()
-                .enumerate()
-            {
+            for (axis, count) in sample(&mut physics, index, rate_hz, 16).into_iter().enumerate() {
                 let mps2 = f64::from(count) / 16384.0 * STANDARD_GRAVITY_MPS2;
                 sum[axis] += mps2;
                 squares[axis] += mps2 * mps2;
@@ -60,10 +49,7 @@ fn noise_is_its_density_times_the_root_of_half_the_rate() {
 #[test]
 fn the_noise_of_the_random_sensor_is_that_of_the_lsm303agr() {
     // 220 µg/√Hz at 100 Hz and the rounding of 12 bits, in quadrature.
-    let truth = SensorTruth {
-        model: Default::default(),
-        ..SensorTruth::random(1, Gauge::Full)
-    };
+    let truth = SensorTruth { model: Default::default(), ..SensorTruth::random(1, Gauge::Full) };
     let mut physics = Physics::new(truth, Scene::new(World::default()), 5);
     let n = 20_000;
     let squares: f64 = (0..n)
@@ -133,19 +119,12 @@ proptest! {
 #[test]
 fn samples_follow_the_error_model_at_the_true_temperature() {
     let world = World {
-        temperature: Temperature::Step {
-            before_c: 25.0,
-            after_c: 45.0,
-            at_s: 10.0,
-        },
+        temperature: Temperature::Step { before_c: 25.0, after_c: 45.0, at_s: 10.0 },
         ..World::default()
     };
     let scene = Scene::new(world);
     scene.play(0.0, std::rc::Rc::new(Poses::tilts(8, 1.0)));
-    let truth = SensorTruth {
-        noise_mps2_per_rthz: 0.0,
-        ..SensorTruth::random(8, Gauge::Full)
-    };
+    let truth = SensorTruth { noise_mps2_per_rthz: 0.0, ..SensorTruth::random(8, Gauge::Full) };
     let mut physics = Physics::new(truth, scene.clone(), 8);
     for index in 0..200 {
         let state = scene.state(index as f64 / 10.0);
@@ -153,10 +132,7 @@ fn samples_follow_the_error_model_at_the_true_temperature() {
         let celsius = if index < 100 { 2500 } else { 4500 };
         let temperature = Some(wimu_model::CentiCelsius(celsius));
         let expected = truth.model.distort(force, temperature).0;
-        for (count, expected) in sample(&mut physics, index, 10.0, 16)
-            .into_iter()
-            .zip(expected)
-        {
+        for (count, expected) in sample(&mut physics, index, 10.0, 16).into_iter().zip(expected) {
             let lsb = expected / STANDARD_GRAVITY_MPS2 * 16384.0;
             assert!((f64::from(count) - lsb).abs() <= 0.5 + 1e-6);
         }
@@ -175,15 +151,8 @@ fn the_tilts_are_none_of_the_fitted_poses() {
         let fitted = up(&Poses::six_positions(1.0));
         let near = up(&tilts)
             .iter()
-            .filter(|t| {
-                fitted
-                    .iter()
-                    .any(|f| (0..3).map(|i| f[i] * t[i]).sum::<f64>() > 0.999)
-            })
+            .filter(|t| fitted.iter().any(|f| (0..3).map(|i| f[i] * t[i]).sum::<f64>() > 0.999))
             .count();
-        assert!(
-            near <= 2,
-            "seed {seed}: {near} tilts within 2.6° of a squared position"
-        );
+        assert!(near <= 2, "seed {seed}: {near} tilts within 2.6° of a squared position");
     }
 }

@@ -8,10 +8,7 @@ use wimu_sim::clock::{Stalled, VirtualClock};
 use wimu_sim::pipe::{LinkConfig, link};
 
 fn uart(baud: u32) -> LinkConfig {
-    LinkConfig {
-        baud: Some(baud),
-        ..LinkConfig::default()
-    }
+    LinkConfig { baud: Some(baud), ..LinkConfig::default() }
 }
 
 #[test]
@@ -54,10 +51,7 @@ fn a_uart_whose_host_does_not_read_loses_nothing_and_never_stalls() {
 fn a_stream_whose_host_does_not_read_stalls_the_writer_until_it_does() {
     let clock = VirtualClock::new();
     let (_reader, mut writer, mut host) = link(&clock, LinkConfig::default());
-    assert_eq!(
-        clock.run(writer.write_all(&[7; 1025])),
-        Err(Stalled { at_us: 0 })
-    );
+    assert_eq!(clock.run(writer.write_all(&[7; 1025])), Err(Stalled { at_us: 0 }));
     assert_eq!(host.pull().len(), 1024);
 
     let device = async {
@@ -77,10 +71,7 @@ fn a_stream_whose_host_does_not_read_stalls_the_writer_until_it_does() {
 #[test]
 fn a_receive_buffer_that_overflows_on_a_uart_loses_and_counts() {
     let clock = VirtualClock::new();
-    let config = LinkConfig {
-        receive_buffer: 16,
-        ..uart(115_200)
-    };
+    let config = LinkConfig { receive_buffer: 16, ..uart(115_200) };
     let (mut reader, _writer, mut host) = link(&clock, config);
     host.push(&[9; 20]);
     clock.advance_to(10_000);
@@ -92,10 +83,7 @@ fn a_receive_buffer_that_overflows_on_a_uart_loses_and_counts() {
 #[test]
 fn a_stream_to_a_device_that_does_not_read_waits_and_loses_nothing() {
     let clock = VirtualClock::new();
-    let config = LinkConfig {
-        receive_buffer: 16,
-        ..LinkConfig::default()
-    };
+    let config = LinkConfig { receive_buffer: 16, ..LinkConfig::default() };
     let (mut reader, _writer, mut host) = link(&clock, config);
     host.push(&[9; 20]);
     let mut buffer = [0; 20];

@@ -126,11 +126,7 @@ mod tests {
             (9150, 10_000, false),
             (9850, 10_000, false),
         ] {
-            assert_eq!(
-                counted(inside, total).can_be(0.93..=0.97),
-                held,
-                "{inside} of {total}"
-            );
+            assert_eq!(counted(inside, total).can_be(0.93..=0.97), held, "{inside} of {total}");
         }
         assert!(!Coverage::default().can_be(0.0..=1.0));
         assert!(counted(0, 20).can_be(0.0..=0.0) && !counted(1, 20).can_be(0.0..=0.0));

@@ -172,12 +172,7 @@ pub struct ReportBug {
     #[arg(long, value_name = "LINK")]
     pub cable: Option<String>,
     /// File to write
-    #[arg(
-        short,
-        long,
-        value_name = "FILE.json",
-        default_value = "wimu-bug-report.json"
-    )]
+    #[arg(short, long, value_name = "FILE.json", default_value = "wimu-bug-report.json")]
     pub output: PathBuf,
     /// Time to listen, s
     #[arg(long = "for", value_name = "SECONDS", default_value = "30", value_parser = seconds)]
@@ -254,11 +249,7 @@ pub struct Demo {
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// Write the report with pictures to this file
-    #[arg(
-        long,
-        value_name = "FILE.html",
-        default_value = "wimu-demo-report.html"
-    )]
+    #[arg(long, value_name = "FILE.html", default_value = "wimu-demo-report.html")]
     pub report: PathBuf,
     /// Write the pictures to this folder, as SVG and PNG
     #[arg(long, value_name = "FOLDER")]

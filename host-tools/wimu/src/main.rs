@@ -31,10 +31,9 @@ fn main() -> ExitCode {
     }
     let done = arguments::check(&matches)
         .and_then(|()| match arguments.json && to_stdout {
-            true => Err(usage(
-                "--json and `-o -` both need standard output",
-                "name a file with -o",
-            )),
+            true => {
+                Err(usage("--json and `-o -` both need standard output", "name a file with -o"))
+            }
             false => arguments.take_standard_input(),
         })
         .and_then(|_input| run(arguments.command, output));
@@ -80,10 +79,7 @@ fn run(command: Command, output: Output) -> Result<u8> {
 
 /// Prints help, version or a usage error of clap; with `--json` an error is an object.
 fn wrong_usage(error: &clap::Error) -> ExitCode {
-    let asked_for_help = matches!(
-        error.kind(),
-        ErrorKind::DisplayHelp | ErrorKind::DisplayVersion
-    );
+    let asked_for_help = matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion);
     if !asked_for_help && std::env::args().any(|argument| argument == "--json") {
         let text = error.to_string();
         let lines = text.lines().map(str::trim);
@@ -93,9 +89,8 @@ fn wrong_usage(error: &clap::Error) -> ExitCode {
             .collect();
         let message = message.join(" ").trim_start_matches("error: ").to_owned();
         let command = Arguments::command();
-        let named = std::env::args()
-            .skip(1)
-            .find(|argument| command.find_subcommand(argument).is_some());
+        let named =
+            std::env::args().skip(1).find(|argument| command.find_subcommand(argument).is_some());
         let help = match named {
             Some(name) => format!("see `wimu {name} --help`"),
             None => "see `wimu --help`".to_owned(),

@@ -81,11 +81,7 @@ pub struct Output {
 impl Output {
     /// Output with or without `--json` and `--verbose`.
     pub fn new(json: bool, verbose: bool) -> Self {
-        Self {
-            json,
-            verbose,
-            content: false,
-        }
+        Self { json, verbose, content: false }
     }
 
     /// The same; with `content` standard output is for the content of a file, and human text goes to stderr.
@@ -141,14 +137,8 @@ impl Output {
 
     /// Prints the most severe findings, with `--verbose` all.
     pub fn findings(self, findings: &[Finding]) {
-        let most = if self.verbose {
-            usize::MAX
-        } else {
-            MOST_FINDINGS
-        };
-        text(findings, most)
-            .lines()
-            .for_each(|line| self.print(line));
+        let most = if self.verbose { usize::MAX } else { MOST_FINDINGS };
+        text(findings, most).lines().for_each(|line| self.print(line));
     }
 
     /// Width of the terminal on stdout, characters, without the last column: some terminals wrap after it.
@@ -176,11 +166,7 @@ impl Output {
 
     /// Prints the object of a command that succeeded.
     pub fn answer(self, schema: &'static str, found: &impl Serialize) {
-        self.object(&Answer {
-            schema,
-            status: "ok",
-            found,
-        });
+        self.object(&Answer { schema, status: "ok", found });
     }
 
     /// Prints one object on a line. Returns false when the pipe is closed.
@@ -219,11 +205,7 @@ mod tests {
         let narrow = wrapped(text, Some(20));
         assert_eq!(narrow, "  one two three four\n    five\nshort");
         let micro = "µµµµ ".repeat(10);
-        assert!(
-            wrapped(&micro, Some(20))
-                .lines()
-                .all(|line| line.chars().count() <= 20)
-        );
+        assert!(wrapped(&micro, Some(20)).lines().all(|line| line.chars().count() <= 20));
         // A word longer than the line stays whole.
         assert_eq!(wrapped(&"x".repeat(30), Some(20)), "x".repeat(30));
     }

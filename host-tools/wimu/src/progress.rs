@@ -73,11 +73,7 @@ fn step(read: Option<(u64, u64)>) {
 
 impl Work {
     fn new(is_reading: bool) -> Self {
-        Self {
-            is_reading,
-            began: Instant::now(),
-            shown: None,
-        }
+        Self { is_reading, began: Instant::now(), shown: None }
     }
 
     /// Ends it; the next begins.
@@ -99,9 +95,7 @@ impl Work {
             };
             let style = ProgressStyle::with_template(template);
             let style = style.unwrap_or(ProgressStyle::default_bar());
-            ProgressBar::no_length()
-                .with_style(style.tick_chars("-\\|/ "))
-                .with_elapsed(DELAY)
+            ProgressBar::no_length().with_style(style.tick_chars("-\\|/ ")).with_elapsed(DELAY)
         });
         match read {
             Some((position, length)) => {

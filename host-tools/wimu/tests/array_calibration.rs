@@ -11,12 +11,8 @@ use kit::{Transcript, findings, folder, wimu};
 use serde_json::Value;
 
 const G: f64 = 9.80665;
-const POSITIONS_MM: [[f64; 3]; 4] = [
-    [50.0, 50.0, 50.0],
-    [50.0, -50.0, -50.0],
-    [-50.0, 50.0, -50.0],
-    [-50.0, -50.0, 50.0],
-];
+const POSITIONS_MM: [[f64; 3]; 4] =
+    [[50.0, 50.0, 50.0], [50.0, -50.0, -50.0], [-50.0, 50.0, -50.0], [-50.0, -50.0, 50.0]];
 
 /// Bias of a sensor, m/s², and its A, its turn against the others included.
 fn errors(sensor: usize) -> ([f64; 3], [[f64; 3]; 3]) {
@@ -133,10 +129,7 @@ fn an_array_is_calibrated_at_once_and_its_models_serve_another_recording() {
     let mut texts = Transcript::default();
     texts.text("calibrate --geometry", &ran);
     assert_eq!(found["schema"], "wimu.array-calibration/1");
-    assert!(
-        found["disagreement_m_s2"].as_f64().unwrap() < 0.005,
-        "{found}"
-    );
+    assert!(found["disagreement_m_s2"].as_f64().unwrap() < 0.005, "{found}");
     // It never turned fast: positions and delays stay as given.
     assert!(found["refined"].is_null(), "{found}");
     for sensor in 0..4 {
@@ -164,11 +157,7 @@ fn sensors_calibrated_one_by_one_are_handed_over_in_their_order() {
     let later = written(folder.path(), "later.csv", &table(9.0, turn, "LSB"));
     let files: Vec<String> = (0..4)
         .map(|k| {
-            let file = folder
-                .path()
-                .join(format!("CAL{k}.json"))
-                .display()
-                .to_string();
+            let file = folder.path().join(format!("CAL{k}.json")).display().to_string();
             let number = k.to_string();
             wimu(&["calibrate", &rests, "--accelerometer", &number, "-o", &file]).succeeds();
             file
@@ -200,13 +189,7 @@ fn what_does_not_make_an_arrays_calibration_is_refused() {
     let later = written(folder.path(), "later.csv", &table(9.0, turn, "m/s²"));
     let array = folder.path().join("ARRAY.json").display().to_string();
     let calibrate = |more: &[&str]| {
-        wimu(
-            &[
-                &["calibrate", &later, "--geometry", &positions, "-o", &array],
-                more,
-            ]
-            .concat(),
-        )
+        wimu(&[&["calibrate", &later, "--geometry", &positions, "-o", &array], more].concat())
     };
     let mut texts = Transcript::default();
     texts.fails("one side up", &calibrate(&[]), 3, "data_refused");
@@ -243,22 +226,8 @@ fn what_does_not_make_an_arrays_calibration_is_refused() {
     let file = written(folder.path(), "none.json", &none.to_string());
     wimu(&["navigate", &later, "--geometry", &file]).fails(2, "bad_calibration");
     let other = written(folder.path(), "other.json", "{}");
-    let not_one = [
-        "navigate",
-        &later,
-        "--geometry",
-        &positions,
-        "--calibration",
-        &other,
-    ];
-    let more = [
-        "--calibration",
-        &other,
-        "--calibration",
-        &other,
-        "--calibration",
-        &other,
-    ];
+    let not_one = ["navigate", &later, "--geometry", &positions, "--calibration", &other];
+    let more = ["--calibration", &other, "--calibration", &other, "--calibration", &other];
     wimu(&[&not_one[..], &more].concat()).fails(2, "bad_calibration");
 }
 
@@ -293,10 +262,7 @@ fn a_geometry_that_cannot_be_navigated_with_is_not_written() {
     for (case, positions) in [
         ("two swapped", [d, b, c, a]),
         ("all at one position", [a, a, a, a]),
-        (
-            "all on one line",
-            [-3.0, -1.0, 1.0, 3.0].map(|x| [10.0 * x, 0.0, 0.0]),
-        ),
+        ("all on one line", [-3.0, -1.0, 1.0, 3.0].map(|x| [10.0 * x, 0.0, 0.0])),
     ] {
         texts.fails(case, &calibrate(&positions), 3, "data_refused");
         assert!(!Path::new(&array).exists());

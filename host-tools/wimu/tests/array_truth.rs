@@ -83,10 +83,7 @@ fn an_array_at_a_constant_rate_is_compared_with_its_truth_at_the_files_times() {
     let mut texts = Transcript::default();
     let report = texts.findings("constant rate, sensor 5 dead from 5 s on", &ran);
     texts.check("navigate_array_constant_rate");
-    assert!(
-        report["nees"]["samples"].as_u64().unwrap() > 400,
-        "{report}"
-    );
+    assert!(report["nees"]["samples"].as_u64().unwrap() > 400, "{report}");
     let rate = &report["rate_nees"];
     assert!(rate["samples"].as_u64().unwrap() > 400, "{report}");
     assert!(rate["share_below_7_81"].as_f64().unwrap() > 0.7, "{report}");

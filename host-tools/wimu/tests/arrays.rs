@@ -8,12 +8,8 @@ use std::path::Path;
 
 use kit::{Background, Ran, Simulator, Transcript, findings, folder, record_until, wimu};
 
-const POSITIONS: [[f64; 3]; 4] = [
-    [0.05, 0.05, 0.05],
-    [0.05, -0.05, -0.05],
-    [-0.05, 0.05, -0.05],
-    [-0.05, -0.05, 0.05],
-];
+const POSITIONS: [[f64; 3]; 4] =
+    [[0.05, 0.05, 0.05], [0.05, -0.05, -0.05], [-0.05, 0.05, -0.05], [-0.05, -0.05, 0.05]];
 
 /// A table of positions.
 fn geometry(folder: &Path, positions: &[[f64; 3]]) -> String {
@@ -82,10 +78,7 @@ fn an_array_at_rest_is_navigated_with_its_horizon() {
         (sigma(0).hypot(sigma(1)), object["rests"] == 0)
     };
     let ((stated, _), (free, no_rests)) = (with("on"), with("off"));
-    assert!(
-        free > 3.0 * stated && free > 0.005 && no_rests,
-        "{free} {stated}"
-    );
+    assert!(free > 3.0 * stated && free > 0.005 && no_rests, "{free} {stated}");
 }
 
 #[test]
@@ -111,10 +104,7 @@ fn geometries_that_cannot_work_are_refused_with_what_is_missing() {
     for (text, code) in [
         ("X (m),Y (m),Z (m)\n0.01,zero,0\n", "csv_bad_number"),
         ("X (m),Y (m)\n0.01,0\n", "csv_missing_column"),
-        (
-            "{\"schema\":\"wimu.array/9\",\"sensors\":[]}",
-            "bad_calibration",
-        ),
+        ("{\"schema\":\"wimu.array/9\",\"sensors\":[]}", "bad_calibration"),
         ("{\"schema\":", "bad_calibration"),
         (
             "{\"schema\":\"wimu.array/1\",\"sensors\":[{\"places_m\":[[0,0,0],[0,0,0],[0,0,0]],\
@@ -164,13 +154,7 @@ fn dead_saturated_and_missing_sensors_are_reported() {
     let counts = fs::read_to_string(&board).unwrap();
     fs::write(&board, counts.replace("(m/s²)", "(LSB)")).unwrap();
     let of_counts = ["--sensitivity", "9.80665"];
-    let ran = wimu(
-        &[
-            &["navigate", &board, "--geometry", &positions],
-            &of_counts[..],
-        ]
-        .concat(),
-    );
+    let ran = wimu(&[&["navigate", &board, "--geometry", &positions], &of_counts[..]].concat());
     texts.findings("the same in counts", &ran);
     let board = recording(folder.path(), |_, fields| {
         for field in &mut fields[4..] {
@@ -226,9 +210,8 @@ fn gaps_times_that_jump_and_values_that_are_no_number_are_reported() {
 #[test]
 fn wireless_boards_on_one_body_are_brought_together_by_their_clocks() {
     let folder = folder();
-    let boards: Vec<Simulator> = ["50", "-80"]
-        .map(|ppm| Simulator::start(&["--motion", "rest", "--clock-ppm", ppm]))
-        .into();
+    let boards: Vec<Simulator> =
+        ["50", "-80"].map(|ppm| Simulator::start(&["--motion", "rest", "--clock-ppm", ppm])).into();
     let files: Vec<String> = ["a.mcap", "b.mcap"]
         .map(|name| folder.path().join(name).to_str().unwrap().to_owned())
         .into();
@@ -238,9 +221,7 @@ fn wireless_boards_on_one_body_are_brought_together_by_their_clocks() {
         .map(|(board, file)| Background::start(&["record", &board.wireless, "-o", file]))
         .collect();
     for (recorder, file) in recorders.into_iter().zip(&files) {
-        record_until(recorder, file, |link| {
-            link["raw_samples"].as_u64() > Some(450)
-        });
+        record_until(recorder, file, |link| link["raw_samples"].as_u64() > Some(450));
     }
     let positions = geometry(folder.path(), &POSITIONS);
     let (a, b) = (files[0].as_str(), files[1].as_str());

@@ -44,9 +44,7 @@ fn changed(count: usize, change: impl Fn(usize, [f64; 3]) -> [f64; 3]) -> Vec<[f
 }
 
 fn table(unit: &str, rows: &[[f64; 3]]) -> String {
-    let mut text = ["X", "Y", "Z"]
-        .map(|axis| format!("Accelerometer {axis} ({unit})"))
-        .join(",");
+    let mut text = ["X", "Y", "Z"].map(|axis| format!("Accelerometer {axis} ({unit})")).join(",");
     for [x, y, z] in rows {
         write!(text, "\n{x},{y},{z}").unwrap();
     }
@@ -130,13 +128,8 @@ fn identical_poses_and_poses_in_a_plane_determine_nothing() {
 fn counts_stuck_at_full_scale_and_dead_axes_are_refused_or_left_out() {
     // ±1 g of a sensor of 16 bits: many poses are clipped on some axis.
     let most = 32767.0;
-    let clipped = changed(30, |_, y| {
-        y.map(|c| (c * 4000.0).round().clamp(-most, most))
-    });
-    let ran = calibrate(
-        &table("LSB", &clipped),
-        &["--poses", "--sensitivity", "39227"],
-    );
+    let clipped = changed(30, |_, y| y.map(|c| (c * 4000.0).round().clamp(-most, most)));
+    let ran = calibrate(&table("LSB", &clipped), &["--poses", "--sensitivity", "39227"]);
     match ran.code {
         0 => near_truth(&ran.object(), 0.02),
         code => assert_eq!(code, 3, "{ran:?}"),
@@ -181,20 +174,11 @@ fn swapped_and_mirrored_axes_are_found_with_known_sides_and_remarked_as_possible
         .flat_map(|up| [up, up.map(|c: f64| -c)])
         .map(output)
         .collect();
-    let given = [
-        "--poses",
-        "--method",
-        "six-position",
-        "--sides",
-        "x,-x,y,-y,z,-z",
-    ];
+    let given = ["--poses", "--method", "six-position", "--sides", "x,-x,y,-y,z,-z"];
     let good = texts.findings("right", &calibrate(&table("m/s²", &faces), &given));
     near_truth(&good, 0.01);
     for (change, case) in [
-        (
-            (|[x, y, z]| [-x, y, z]) as fn([f64; 3]) -> [f64; 3],
-            "X negated",
-        ),
+        ((|[x, y, z]| [-x, y, z]) as fn([f64; 3]) -> [f64; 3], "X negated"),
         (|[x, y, z]| [y, x, z], "X and Y swapped"),
         (|[x, y, z]| [y, z, x], "rotated"),
         (|[x, y, z]| [-x, -y, -z], "all negated"),
@@ -272,8 +256,7 @@ fn recordings_in_motion_and_broken_files_are_reported() {
     let moving = {
         let mut random = Random::new(5);
         let all = poses(30).into_iter();
-        all.map(|y| y.map(|c| c + 1.5 * random.normal()))
-            .collect::<Vec<_>>()
+        all.map(|y| y.map(|c| c + 1.5 * random.normal())).collect::<Vec<_>>()
     };
     for model in ["6", "9", "auto"] {
         let ran = calibrate(&table("m/s²", &moving), &["--poses", "--model", model]);
@@ -281,19 +264,11 @@ fn recordings_in_motion_and_broken_files_are_reported() {
     }
     calibrate("", &[]).fails(2, "csv_empty");
     calibrate(&table("m/s²", &[]), &[]).fails(2, "no_rows");
-    calibrate(
-        &good.replacen("Accelerometer Z (m/s²)", "Something", 1),
-        &[],
-    )
-    .fails(2, "csv_missing_column");
+    calibrate(&good.replacen("Accelerometer Z (m/s²)", "Something", 1), &[])
+        .fails(2, "csv_missing_column");
     let rows: Vec<&str> = good.lines().collect();
     let nan = format!("{}\n{}\n1,NaN,2,3\n2,NaN,2,3\n", rows[0], rows[1]);
-    texts.fails(
-        "mostly no numbers",
-        &calibrate(&nan, &[]),
-        3,
-        "data_refused",
-    );
+    texts.fails("mostly no numbers", &calibrate(&nan, &[]), 3, "data_refused");
     // Times in another unit than the header's give no sampling rate.
     let scaled: String = good
         .lines()
@@ -310,20 +285,13 @@ fn recordings_in_motion_and_broken_files_are_reported() {
 #[test]
 fn many_poses_are_answered_in_bounded_time_and_bad_ones_left_out() {
     let long = |k: usize, y: [f64; 3]| {
-        if k % 100 == 19 {
-            y.map(|c| 1.02 * c)
-        } else {
-            y
-        }
+        if k % 100 == 19 { y.map(|c| 1.02 * c) } else { y }
     };
     let text = table("m/s²", &changed(20_000, long));
     for model in ["9", "auto"] {
         let ran = calibrate(&text, &["--poses", "--model", model]);
         let object = ran.succeeds();
-        assert_eq!(
-            (&object["poses"], &object["rejected"]),
-            (&20_000.into(), &200.into())
-        );
+        assert_eq!((&object["poses"], &object["rejected"]), (&20_000.into(), &200.into()));
         // Not a line for each.
         assert!(ran.stderr.lines().count() < 60, "{}", ran.stderr);
         near_truth(&object, 0.002);
@@ -337,11 +305,7 @@ fn many_poses_are_answered_in_bounded_time_and_bad_ones_left_out() {
 fn a_million_poses_are_answered() {
     for (every, bad) in [(1, 0), (1000, 1000), (20, 50_000)] {
         let long = |k: usize, y: [f64; 3]| {
-            if bad > 0 && k % every == 19 {
-                y.map(|c| 1.02 * c)
-            } else {
-                y
-            }
+            if bad > 0 && k % every == 19 { y.map(|c| 1.02 * c) } else { y }
         };
         let text = table("m/s²", &changed(1_000_000, long));
         for model in ["9", "auto"] {
@@ -383,11 +347,8 @@ fn each_parameter_stands_beside_its_datasheets_limit() {
     let mut texts = Transcript::default();
     texts.text("calibrate --sensor-model mpu-6050", &ran);
     texts.check("calibrate_beside_a_datasheet");
-    calibrate(
-        &table("m/s²", &poses(20)),
-        &["--poses", "--sensor-model", "abacus"],
-    )
-    .fails(2, "usage");
+    calibrate(&table("m/s²", &poses(20)), &["--poses", "--sensor-model", "abacus"])
+        .fails(2, "usage");
     let none = calibrate(&table("m/s²", &poses(20)), &["--poses"]).succeeds();
     assert!(none["datasheet"].is_null());
 }

@@ -38,16 +38,10 @@ impl Serving {
                 panic!("cannot listen");
             };
             let address = server.address(LinkRole::Cable).expect("it listens");
-            sender
-                .send(format!("tcp://{address}"))
-                .expect("somebody waits");
+            sender.send(format!("tcp://{address}")).expect("somebody waits");
             server.run(|_| stopped.load(Ordering::Relaxed));
         });
-        Self {
-            link: receiver.recv().expect("it listens"),
-            stop,
-            thread: Some(thread),
-        }
+        Self { link: receiver.recv().expect("it listens"), stop, thread: Some(thread) }
     }
 }
 
@@ -77,23 +71,15 @@ fn a_fault_of_the_sensor_is_reported_with_a_remedy_to_everyone_who_connects() {
     };
     for (what, board) in [
         ("absent", broken(|board| board.sensor().set_present(false))),
-        (
-            "another chip",
-            broken(|board| board.sensor().set_who_am_i(0x44)),
-        ),
-        (
-            "a bus held low",
-            broken(|board| board.bus_faults().set_stuck(true)),
-        ),
+        ("another chip", broken(|board| board.sensor().set_who_am_i(0x44))),
+        ("a bus held low", broken(|board| board.bus_faults().set_stuck(true))),
         ("no data", Serving::start(silent)),
     ] {
         let troubles = || {
             let mut info = wimu(&["info", &board.link]).succeeds();
             info["troubles"].take()
         };
-        wait_until(what, || {
-            troubles().as_array().is_some_and(|list| !list.is_empty())
-        });
+        wait_until(what, || troubles().as_array().is_some_and(|list| !list.is_empty()));
         let info = troubles();
         let troubles = info.as_array().expect("a list");
         assert_eq!(troubles.len(), 1, "{what}: {info}");

@@ -39,9 +39,8 @@ fn a_press_takes_a_side_that_is_held_and_six_of_them_are_a_calibration() {
     let (holds, _folder) = in_folder("holds.csv");
     fs::write(&holds, six_short_holds()).expect("writable");
     // 1.1 s into each hold.
-    let presses: Vec<_> = (0..6)
-        .map(|side| format!("{:.1}", 1.6 + 1.8 * f64::from(side)))
-        .collect();
+    let presses: Vec<_> =
+        (0..6).map(|side| format!("{:.1}", 1.6 + 1.8 * f64::from(side))).collect();
     let board = Simulator::start(&["--replay", &holds, "--press", &presses.join(",")]);
     let ran = wimu(&["calibrate", &board.cable, "--method", "six-position"]);
     let report = ran.succeeds();

@@ -31,11 +31,7 @@ fn csv(unit: &str, rows: impl Iterator<Item = (f64, [f64; 3], Option<f64>)>) -> 
 /// What a usual sensor reads with `up` upward.
 fn output(up: [f64; 3]) -> [f64; 3] {
     let [x, y, z] = up.map(|u| u * G);
-    [
-        0.2 + 1.012 * x,
-        -0.15 + 0.01 * x + 0.991 * y,
-        0.3 - 0.004 * x + 0.008 * y + 1.006 * z,
-    ]
+    [0.2 + 1.012 * x, -0.15 + 0.01 * x + 0.991 * y, 0.3 - 0.004 * x + 0.008 * y + 1.006 * z]
 }
 
 /// Means of poses, each through `change`.
@@ -66,11 +62,7 @@ fn one_bad_pose_of_twelve_is_named_and_of_twenty_left_out() {
         let flags = ["--poses", "--model", model];
         let ran = run(&means(&spread(12), bad), &flags);
         let report = texts.refuses(format_args!("pose 5 of 12, {model}"), &ran);
-        assert_eq!(
-            report["next_poses"].as_array().unwrap().len(),
-            2,
-            "{report}"
-        );
+        assert_eq!(report["next_poses"].as_array().unwrap().len(), 2, "{report}");
         let report = run(&means(&spread(20), bad), &flags).succeeds();
         assert_eq!(report["rejected_poses"], serde_json::json!([5]));
         run(&means(&spread(12), |_, mean| mean), &flags).succeeds();
@@ -92,9 +84,7 @@ fn a_bias_that_depends_on_temperature_is_fitted_or_the_refusal_names_the_model()
     let report = run(&text, &["--poses", "--model", "auto"]).succeeds();
     let terms = report["terms"].as_array().unwrap();
     assert!(terms.contains(&"bias_temperature".into()), "{report}");
-    let slope = report["model"]["temperature"]["bias_mps2_per_k"][0]
-        .as_f64()
-        .unwrap();
+    let slope = report["model"]["temperature"]["bias_mps2_per_k"][0].as_f64().unwrap();
     assert!((slope - 0.02).abs() < 0.001, "{slope}");
     let mut texts = Transcript::default();
     let ran = run(&text, &["--poses", "--model", "9"]);
@@ -134,10 +124,7 @@ fn an_axle_off_level_is_remarked_and_beyond_a_possible_bias_refused() {
             (report["model"]["matrix"][0][0].as_f64().unwrap(), half)
         };
         let ((truth, _), (found, half)) = (scale(&level), scale(&tilted));
-        assert!(
-            (found - truth).abs() <= half,
-            "{found} ± {half} for {truth}"
-        );
+        assert!((found - truth).abs() <= half, "{found} ± {half} for {truth}");
         let ran = run(&turn(steps, 14.0), &flags);
         texts.refuses(format_args!("{method}, 14° from level"), &ran);
     }
@@ -215,15 +202,10 @@ fn an_axis_at_full_scale_and_one_limit_of_several_are_named() {
     }
     let stuck = csv("LSB", rows.into_iter());
     let mut texts = Transcript::default();
-    for flags in [
-        &["--sensitivity", "16384"][..],
-        &["--sensitivity", "16384", "--model", "auto"],
-        &[],
-    ] {
-        texts.refuses(
-            format_args!("X stuck {}", flags.join(" ")),
-            &run(&stuck, flags),
-        );
+    for flags in
+        [&["--sensitivity", "16384"][..], &["--sensitivity", "16384", "--model", "auto"], &[]]
+    {
+        texts.refuses(format_args!("X stuck {}", flags.join(" ")), &run(&stuck, flags));
     }
 
     let mut sides = Vec::new();
@@ -243,10 +225,7 @@ fn an_axis_at_full_scale_and_one_limit_of_several_are_named() {
 
 #[test]
 fn two_poses_in_g_are_left_out_and_remarked() {
-    let text = means(
-        &spread(24),
-        |k, mean| if k < 2 { mean.map(|y| y / G) } else { mean },
-    );
+    let text = means(&spread(24), |k, mean| if k < 2 { mean.map(|y| y / G) } else { mean });
     let mut texts = Transcript::default();
     let report = texts.findings("2 of 24", &run(&text, &["--poses"]));
     texts.check("calibrate_two_poses_in_g");

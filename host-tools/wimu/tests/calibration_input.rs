@@ -109,17 +109,13 @@ fn the_kind_of_data_in_the_file_is_recognised() {
     // Means over poses, with and without times of the poses.
     let plain = means(&spread(30)).replace("Time (s)", "Number");
     let timed = means(&spread(30));
-    let apart = timed
-        .lines()
-        .enumerate()
-        .map(|(k, line)| match line.split_once(',') {
-            Some((_, rest)) if k > 0 => format!("{},{rest}\n", 20 * k),
-            _ => format!("{line}\n"),
-        });
-    for (case, text) in [
-        ("means with times", apart.collect()),
-        ("means without times", plain.clone()),
-    ] {
+    let apart = timed.lines().enumerate().map(|(k, line)| match line.split_once(',') {
+        Some((_, rest)) if k > 0 => format!("{},{rest}\n", 20 * k),
+        _ => format!("{line}\n"),
+    });
+    for (case, text) in
+        [("means with times", apart.collect()), ("means without times", plain.clone())]
+    {
         fs::write(&csv, text).unwrap();
         run(&["--poses"]).succeeds();
         texts.refuses(case, &run(&[]));
@@ -163,11 +159,7 @@ fn the_advice_to_give_a_sensitivity_can_be_followed_with_every_method() {
     }
     for k in 0..2000 {
         let t = f64::from(k) * 0.01;
-        let f = [
-            4.0 * (2.0 * t).sin(),
-            4.0 * (3.1 * t).cos(),
-            9.8 + 4.0 * (4.7 * t).sin(),
-        ];
+        let f = [4.0 * (2.0 * t).sin(), 4.0 * (3.1 * t).cos(), 9.8 + 4.0 * (4.7 * t).sin()];
         let [x, y, z] = f;
         let [u, v, w] = f.map(|f| 1.02 * f + 0.2 + 0.004 * (f64::from(k) * 7.7).sin());
         write!(text, "\n{t:.2},{x},{y},{z},{u},{v},{w}").unwrap();
@@ -234,22 +226,12 @@ fn poses_that_an_axis_ends_in_are_refused_however_few_and_in_part() {
     let csv = folder.path().join("held.csv").display().to_string();
     let run = |limit: f64, more: &[&str]| {
         fs::write(&csv, held(limit)).unwrap();
-        let all = [
-            "calibrate",
-            &csv,
-            "--gravity",
-            "9.80665",
-            "--sensitivity",
-            "4096",
-        ];
+        let all = ["calibrate", &csv, "--gravity", "9.80665", "--sensitivity", "4096"];
         wimu(&[&all[..], more].concat())
     };
     // Motion alone reaches this limit.
     let free = run(12.0, &[]).succeeds();
-    assert!(
-        (free["model"]["bias_m_s2"][2].as_f64().unwrap() - 0.2).abs() < 0.003,
-        "{free}"
-    );
+    assert!((free["model"]["bias_m_s2"][2].as_f64().unwrap() - 0.2).abs() < 0.003, "{free}");
     // Y down reads 9.907, Z up 10.007: at these limits two thirds of the one's samples end there, then
     // half and a sixth of the other's.
     let mut texts = Transcript::default();
@@ -273,14 +255,7 @@ fn rows(count: u32, times: u32) -> String {
             let across = (1.0 - z * z).sqrt();
             let rough = |i: u32| 0.003 * (f64::from(k) * (7.3 + f64::from(i))).sin();
             let [x, y, z] = [across * cos, across * sin, z].map(|f| 9.80665 * f);
-            write!(
-                text,
-                "\n{},{},{}",
-                x + 0.1 + rough(0),
-                y + rough(1),
-                z + rough(2)
-            )
-            .unwrap();
+            write!(text, "\n{},{},{}", x + 0.1 + rough(0), y + rough(1), z + rough(2)).unwrap();
         }
     }
     text
@@ -292,15 +267,7 @@ fn repeated_rows_add_no_information() {
     let csv = folder.path().join("rows.csv").display().to_string();
     let run = |text: String, model: &str| {
         fs::write(&csv, text).unwrap();
-        wimu(&[
-            "calibrate",
-            &csv,
-            "--poses",
-            "--gravity",
-            "9.80665",
-            "--model",
-            model,
-        ])
+        wimu(&["calibrate", &csv, "--poses", "--gravity", "9.80665", "--model", model])
     };
     let once = run(rows(14, 1), "9").succeeds();
     let mut texts = Transcript::default();
@@ -317,15 +284,7 @@ fn rows_without_times_show_no_drift() {
     let csv = folder.path().join("rows.csv").display().to_string();
     fs::write(&csv, rows(30, 1)).unwrap();
     let run = |model: &str| {
-        wimu(&[
-            "calibrate",
-            &csv,
-            "--poses",
-            "--gravity",
-            "9.80665",
-            "--model",
-            model,
-        ])
+        wimu(&["calibrate", &csv, "--poses", "--gravity", "9.80665", "--model", model])
     };
     let forced = run("9+drift");
     assert_eq!(forced.code, 3, "{forced:?}");

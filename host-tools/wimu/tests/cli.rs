@@ -33,14 +33,8 @@ fn wrong_usage_ends_with_2_and_one_object() {
         (&["simulate", "--faults", "loss=200%"], "usage"),
         (&["simulate", "--faults", "cable:lossy"], "usage"),
         (&["simulate", "--clock-ppm", "1e9"], "usage"),
-        (
-            &["simulate", "--sensor-fault", "gyroscope-bends=1s@1s"],
-            "usage",
-        ),
-        (
-            &["simulate", "--sensor", "lsm6dso", "--replay", "a.csv"],
-            "usage",
-        ),
+        (&["simulate", "--sensor-fault", "gyroscope-bends=1s@1s"], "usage"),
+        (&["simulate", "--sensor", "lsm6dso", "--replay", "a.csv"], "usage"),
         (&["calibrate", "a.csv", "--model", "12"], "usage"),
         (&["monitor", "tcp://127.0.0.1"], "bad_link"),
         (&["monitor", "carrier-pigeon://coop"], "bad_link"),
@@ -257,13 +251,8 @@ fn data_that_support_no_answer_end_with_3_and_one_report() {
     let csv = folder.path().join("poses.csv");
     fs::write(&csv, format!("{XYZ}\n0,0,1\n0,1,0\n1,0,0\n")).unwrap();
     let answer = folder.path().join("CAL.json");
-    let ran = wimu(&[
-        "calibrate",
-        csv.to_str().unwrap(),
-        "--poses",
-        "-o",
-        answer.to_str().unwrap(),
-    ]);
+    let ran =
+        wimu(&["calibrate", csv.to_str().unwrap(), "--poses", "-o", answer.to_str().unwrap()]);
     assert_eq!(ran.code, 3, "{ran:?}");
     let report = ran.object();
     assert_eq!(report["schema"], "wimu.calibration/1");
@@ -287,12 +276,7 @@ fn a_file_that_is_no_recording_or_calibration_is_reported() {
     for (command, name, bytes, code) in [
         ("info", "empty.mcap", &b""[..], "bad_recording"),
         ("info", "letter.mcap", b"this is a letter", "csv_no_header"),
-        (
-            "navigate",
-            "start.mcap",
-            b"\x89MCAP0\r\n\x01",
-            "bad_recording",
-        ),
+        ("navigate", "start.mcap", b"\x89MCAP0\r\n\x01", "bad_recording"),
     ] {
         let ran = wimu(&[command, &file(name, bytes)]);
         texts.fails(format_args!("{command} {name}"), &ran, 2, code);
@@ -313,15 +297,8 @@ fn a_bug_report_has_the_answers_and_bytes_of_both_links_and_no_key() {
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let user = folder.path().join("user");
     let board = Simulator::start(&["--motion", "rest"]);
-    Background::start_as(&user, &["key", "set", &board.cable])
-        .finish()
-        .succeeds();
-    let key = fs::read_dir(user.join("wimu/keys"))
-        .unwrap()
-        .next()
-        .unwrap()
-        .unwrap()
-        .path();
+    Background::start_as(&user, &["key", "set", &board.cable]).finish().succeeds();
+    let key = fs::read_dir(user.join("wimu/keys")).unwrap().next().unwrap().unwrap().path();
     let key = fs::read_to_string(key).unwrap()[..64].to_owned();
     let file = path("report.json");
     let links = [board.wireless.as_str(), "--cable", &board.cable];
@@ -337,17 +314,12 @@ fn a_bug_report_has_the_answers_and_bytes_of_both_links_and_no_key() {
         assert_eq!(link["device"]["sensor"], "LSM303AGR", "{found}");
         let bytes = link["bytes"].as_u64().unwrap() as usize;
         let received = link["received"].as_array().unwrap().iter();
-        let digits: usize = received
-            .map(|entry| entry["hex"].as_str().unwrap().len())
-            .sum();
+        let digits: usize = received.map(|entry| entry["hex"].as_str().unwrap().len()).sum();
         assert!(bytes > 200 && digits == 2 * bytes, "{bytes} {digits}");
     }
     drop(board);
     let found = report(&["tcp://127.0.0.1:1"]);
-    assert_eq!(
-        found["links"][0]["error"]["code"], "link_refused",
-        "{found}"
-    );
+    assert_eq!(found["links"][0]["error"]["code"], "link_refused", "{found}");
 }
 
 #[test]
@@ -360,9 +332,6 @@ fn every_command_has_a_manual_page_and_completions() {
     assert!(page.contains("anchors"), "{page}");
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
         let ran = wimu(&["completions", shell]);
-        assert!(
-            ran.code == 0 && ran.stdout.contains("report-bug"),
-            "{ran:?}"
-        );
+        assert!(ran.code == 0 && ran.stdout.contains("report-bug"), "{ran:?}");
     }
 }

@@ -61,12 +61,7 @@ fn calibrated(text: &str, more: &[&str]) -> Ran {
 
 #[test]
 fn coarse_counts_that_stop_nowhere_are_calibrated() {
-    let biases = [
-        [0.0; 3],
-        [0.1, -0.12, 0.05],
-        [0.02, 0.03, -0.04],
-        [-0.2, 0.3, 0.25],
-    ];
+    let biases = [[0.0; 3], [0.1, -0.12, 0.05], [0.02, 0.03, -0.04], [-0.2, 0.3, 0.25]];
     for per_g in [16.0, 64.0, 256.0, 1024.0] {
         for bias in biases {
             let text = six_sides(per_g, bias, f64::round);

@@ -55,11 +55,7 @@ impl Part {
     fn on(&self, role: LinkRole) -> Frames {
         let mut frame = [0; MAX_FRAME];
         let mut frames = Vec::new();
-        let hello = Hello {
-            boot_count: self.boot,
-            device_id: self.device_id,
-            ..Hello::new(role)
-        };
+        let hello = Hello { boot_count: self.boot, device_id: self.device_id, ..Hello::new(role) };
         let delay_ns = if role == CABLE { 200_000 } else { 20_000_000 };
         let host_ns = |time_us: u64| (self.began_s * 1e9) as u64 + time_us * 1000 + delay_ns;
         let period_us = 1_000_000 / u64::from(self.rate_hz);
@@ -118,10 +114,7 @@ impl Part {
 fn file(folder: &Path, mut frames: Frames) -> String {
     let path = folder.join("made.mcap");
     let _ = fs::remove_file(&path);
-    let anchor = ClockAnchor {
-        monotonic_ns: 0,
-        utc_ns: 1_795_222_920_000_000_000,
-    };
+    let anchor = ClockAnchor { monotonic_ns: 0, utc_ns: 1_795_222_920_000_000_000 };
     let mut writer = RecordingWriter::create(&path, anchor).unwrap();
     frames.sort_by_key(|(_, host_ns, _)| *host_ns);
     for (role, host_ns, bytes) in frames {
@@ -143,27 +136,15 @@ fn compared(frames: Frames) -> serde_json::Value {
 #[test]
 fn recordings_without_two_links_of_one_board_at_once_are_refused() {
     let first = Part::default();
-    let stranger = Part {
-        device_id: 0xabcd,
-        ..first
-    };
-    let later = Part {
-        batches: (200, 260),
-        ..first
-    };
+    let stranger = Part { device_id: 0xabcd, ..first };
+    let later = Part { batches: (200, 260), ..first };
     let mut texts = Transcript::default();
     for (case, frames) in [
         ("cable alone", first.on(CABLE)),
         ("wireless alone", first.on(WIRELESS)),
         ("neither", Vec::new()),
-        (
-            "two boards",
-            [first.on(CABLE), stranger.on(WIRELESS)].concat(),
-        ),
-        (
-            "one after the other",
-            [first.on(CABLE), later.on(WIRELESS)].concat(),
-        ),
+        ("two boards", [first.on(CABLE), stranger.on(WIRELESS)].concat()),
+        ("one after the other", [first.on(CABLE), later.on(WIRELESS)].concat()),
     ] {
         let folder = folder();
         let ran = wimu(&["compare", &file(folder.path(), frames)]);
@@ -174,16 +155,9 @@ fn recordings_without_two_links_of_one_board_at_once_are_refused() {
 
 #[test]
 fn a_restart_in_the_middle_is_two_starts_and_pairs_no_sample_with_one_of_the_other() {
-    let again = Part {
-        boot: 2,
-        began_s: 30.0,
-        ..Part::default()
-    };
+    let again = Part { boot: 2, began_s: 30.0, ..Part::default() };
     let found = compared([Part::default().on_both(), again.on_both()].concat());
-    assert_eq!(
-        (&found["starts"], &found["pairs"]),
-        (&2.into(), &3200.into())
-    );
+    assert_eq!((&found["starts"], &found["pairs"]), (&2.into(), &3200.into()));
     for link in found["links"].as_array().unwrap() {
         assert_eq!(link["lost"], 0, "{link}");
     }
@@ -191,65 +165,40 @@ fn a_restart_in_the_middle_is_two_starts_and_pairs_no_sample_with_one_of_the_oth
 
 #[test]
 fn samples_out_of_order_make_no_wrong_pair() {
-    let swapped = Part {
-        swaps: true,
-        ..Part::default()
-    };
+    let swapped = Part { swaps: true, ..Part::default() };
     let found = compared([Part::default().on(CABLE), swapped.on(WIRELESS)].concat());
     // What comes late is paired all the same.
     let wireless = &found["links"][1];
     let late = wireless["late"].as_u64().unwrap();
     assert!((1..700).contains(&late), "{wireless}");
-    assert_eq!(
-        (&wireless["lost"], &wireless["duplicated"]),
-        (&0.into(), &0.into())
-    );
+    assert_eq!((&wireless["lost"], &wireless["duplicated"]), (&0.into(), &0.into()));
     assert_eq!(wireless["bursts"], serde_json::json!([]), "{wireless}");
     assert_eq!(found["pairs"], 1600, "{found}");
 }
 
 #[test]
 fn samples_out_of_order_are_all_in_the_decoded_topics() {
-    let swapped = Part {
-        swaps: true,
-        ..Part::default()
-    };
+    let swapped = Part { swaps: true, ..Part::default() };
     let folder = folder();
     let recorded = file(folder.path(), swapped.on(WIRELESS));
     let decoded = folder.path().join("decoded.mcap");
     let decoded = decoded.to_str().unwrap();
     let found = wimu(&["export", &recorded, "--format", "mcap", "-o", decoded]).succeeds();
-    assert!(
-        (1..700).contains(&found["late"].as_u64().unwrap()),
-        "{found}"
-    );
+    assert!((1..700).contains(&found["late"].as_u64().unwrap()), "{found}");
     assert_eq!(found["messages"]["/wireless/imu/data_raw"], 1600, "{found}");
 }
 
 #[test]
 fn a_board_that_cannot_count_its_starts_has_two_all_the_same() {
-    let first = Part {
-        boot: 0,
-        ..Part::default()
-    };
-    let again = Part {
-        batches: (0, 60),
-        began_s: 30.0,
-        ..first
-    };
+    let first = Part { boot: 0, ..Part::default() };
+    let again = Part { batches: (0, 60), began_s: 30.0, ..first };
     let folder = folder();
     let session = file(folder.path(), [first.on_both(), again.on_both()].concat());
     let found = wimu(&["compare", &session]).succeeds();
-    assert_eq!(
-        (&found["starts"], &found["pairs"]),
-        (&2.into(), &2560.into())
-    );
+    assert_eq!((&found["starts"], &found["pairs"]), (&2.into(), &2560.into()));
     for link in found["links"].as_array().unwrap() {
         assert_eq!(link["lost"], 0, "{link}");
-        assert!(
-            link["latency"]["max_ms"].as_f64().unwrap() < 100.0,
-            "{link}"
-        );
+        assert!(link["latency"]["max_ms"].as_f64().unwrap() < 100.0, "{link}");
     }
     let mut texts = Transcript::default();
     let ran = wimu(&["info", &session]);
@@ -263,11 +212,8 @@ fn a_board_that_cannot_count_its_starts_has_two_all_the_same() {
     let table = folder.path().join("a.csv").display().to_string();
     wimu(&["export", &session, "-o", &table]).succeeds();
     let text = fs::read_to_string(&table).unwrap();
-    let times: Vec<f64> = text
-        .lines()
-        .skip(1)
-        .map(|line| line.split(',').next().unwrap().parse().unwrap())
-        .collect();
+    let times: Vec<f64> =
+        text.lines().skip(1).map(|line| line.split(',').next().unwrap().parse().unwrap()).collect();
     assert!(times.is_sorted() && times.len() == 2560);
     let pause = times[1600] - times[1599];
     assert!((pause - 14.01).abs() < 0.05, "{pause}");
@@ -276,11 +222,7 @@ fn a_board_that_cannot_count_its_starts_has_two_all_the_same() {
 #[test]
 fn batches_at_the_very_end_whose_start_is_unknown_are_counted_and_reported() {
     // A second of a new start that nothing announces: not enough to know that it is one.
-    let again = Part {
-        batches: (0, 6),
-        began_s: 30.0,
-        ..Part::default()
-    };
+    let again = Part { batches: (0, 6), began_s: 30.0, ..Part::default() };
     let folder = folder();
     let frames = [Part::default().on_both(), again.on_both()].concat();
     let session = file(folder.path(), frames);
@@ -299,27 +241,15 @@ fn batches_at_the_very_end_whose_start_is_unknown_are_counted_and_reported() {
 #[test]
 fn range_and_rate_may_change_on_the_way() {
     let first = Part::default();
-    let wider = Part {
-        batches: (100, 160),
-        range_g: 8,
-        ..first
-    };
+    let wider = Part { batches: (100, 160), range_g: 8, ..first };
     // 100 batches at 100 Hz took 16 s; the next 60 at 400 Hz begin where they ended.
-    let faster = Part {
-        batches: (160, 320),
-        rate_hz: 400,
-        began_s: 25.6 - 6.4,
-        range_g: 8,
-        ..first
-    };
+    let faster =
+        Part { batches: (160, 320), rate_hz: 400, began_s: 25.6 - 6.4, range_g: 8, ..first };
     let parts = [first, wider, faster].map(|part| part.on_both());
     let found = compared(parts.concat());
     assert!(found["pairs"].as_u64().unwrap() >= 2560, "{found}");
     let values = &found["values"]["axes"][0];
-    assert!(
-        values["rms_before_mps2"].as_f64().unwrap() < 1e-9,
-        "{found}"
-    );
+    assert!(values["rms_before_mps2"].as_f64().unwrap() < 1e-9, "{found}");
 }
 
 /// A table of a motion: every axis a wave, `scale` of it, at `rate_hz` from `start_s` on.
@@ -366,14 +296,8 @@ fn two_tables_of_different_ranges_and_rates_are_compared() {
         assert!((scale - 1.02).abs() < 0.005, "{found}");
     }
     let of = |name: &str| found[name].as_f64().unwrap();
-    assert!(
-        (of("offset_s") - 1.3).abs() < 3.0 * of("offset_sd_s") + 1e-3,
-        "{found}"
-    );
-    assert!(
-        of("rate_ppm").abs() < 3.0 * of("rate_sd_ppm") + 5.0,
-        "{found}"
-    );
+    assert!((of("offset_s") - 1.3).abs() < 3.0 * of("offset_sd_s") + 1e-3, "{found}");
+    assert!(of("rate_ppm").abs() < 3.0 * of("rate_sd_ppm") + 5.0, "{found}");
 }
 
 #[test]
@@ -382,9 +306,8 @@ fn the_noisier_of_two_tables_does_not_bias_the_scale_factor() {
     let mut state = 1_u64;
     // Uniform, 0.6 m/s² (1 σ), on the motion's 4.
     let mut noise = |_: usize| {
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
+        state =
+            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         ((state >> 40) as f64 / f64::from(1 << 24) - 0.5) * 0.6 * 12_f64.sqrt()
     };
     let pure = table(&folder.path().join("pure.csv"), "m/s²", 5.0, 100.0, 0.0);
@@ -436,10 +359,7 @@ fn pictures_are_drawn_as_svg_and_png_and_as_a_page() {
 #[test]
 fn a_link_model_takes_off_what_the_comparison_found() {
     let folder = folder();
-    let other = Part {
-        bias_lsb: 40,
-        ..Part::default()
-    };
+    let other = Part { bias_lsb: 40, ..Part::default() };
     let frames = [Part::default().on(CABLE), other.on(WIRELESS)].concat();
     let session = file(folder.path(), frames);
     let model = folder.path().join("link.json").display().to_string();
@@ -448,9 +368,7 @@ fn a_link_model_takes_off_what_the_comparison_found() {
     let exported = |link: &str, more: &[&str]| -> Vec<i32> {
         let table = folder.path().join(format!("{link}{}.csv", more.len()));
         let table = table.to_str().unwrap();
-        let export = [
-            "export", &session, "-o", table, "--format", "csv", "--link", link,
-        ];
+        let export = ["export", &session, "-o", table, "--format", "csv", "--link", link];
         wimu(&[&export, more].concat()).succeeds();
         let text = fs::read_to_string(table).unwrap();
         let rows = text.lines().skip(1);

@@ -38,16 +38,9 @@ impl Served {
         let mut process = Background::start_as(folder, &[&fixed[..], inputs].concat());
         let started: Value = serde_json::from_str(&process.line()).expect("JSON");
         let url = started["url"].as_str().expect("a URL").to_owned();
-        let (host, token) = url
-            .strip_prefix("http://")
-            .and_then(|u| u.split_once("/#"))
-            .expect("a URL");
-        Self {
-            host: host.to_owned(),
-            token: token.to_owned(),
-            process,
-            url,
-        }
+        let (host, token) =
+            url.strip_prefix("http://").and_then(|u| u.split_once("/#")).expect("a URL");
+        Self { host: host.to_owned(), token: token.to_owned(), process, url }
     }
 
     /// What a request is answered with.
@@ -63,17 +56,12 @@ impl Served {
     fn socket(&self, origin: Option<&str>) -> Option<WebSocket<TcpStream>> {
         let stream = TcpStream::connect(&self.host).expect("it listens");
         stream.set_read_timeout(Some(TIME_LIMIT)).expect("a socket");
-        let mut request = format!("ws://{}/socket", self.host)
-            .into_client_request()
-            .expect("a URL");
+        let mut request =
+            format!("ws://{}/socket", self.host).into_client_request().expect("a URL");
         if let Some(origin) = origin {
-            request
-                .headers_mut()
-                .insert("Origin", origin.parse().expect("ASCII"));
+            request.headers_mut().insert("Origin", origin.parse().expect("ASCII"));
         }
-        tungstenite::client(request, stream)
-            .ok()
-            .map(|(socket, _)| socket)
+        tungstenite::client(request, stream).ok().map(|(socket, _)| socket)
     }
 
     fn page(&self) -> Page {
@@ -81,9 +69,7 @@ impl Served {
     }
 
     fn page_with(&self, token: &str) -> Page {
-        let socket = self
-            .socket(Some(&format!("http://{}", self.host)))
-            .expect("a page");
+        let socket = self.socket(Some(&format!("http://{}", self.host))).expect("a page");
         let mut page = Page {
             socket,
             token: token.to_owned(),
@@ -115,11 +101,7 @@ impl Page {
         self.next += 1;
         message["id"] = id.into();
         message["token"] = self.token.clone().into();
-        if self
-            .socket
-            .send(Message::text(message.to_string()))
-            .is_err()
-        {
+        if self.socket.send(Message::text(message.to_string())).is_err() {
             self.closed = true;
         }
         id
@@ -140,8 +122,7 @@ impl Page {
                 } else if let Some(id) = message["answer"].as_u64() {
                     self.answers.insert(id, message);
                 } else if let Some(topic) = message["topic"].as_str() {
-                    self.topics
-                        .insert(topic.to_owned(), message["value"].clone());
+                    self.topics.insert(topic.to_owned(), message["value"].clone());
                 } else if let Some(gone) = message["gone"].as_str() {
                     self.topics.retain(|topic, _| !topic.starts_with(gone));
                 }
@@ -159,19 +140,13 @@ impl Page {
                 return found;
             }
             assert!(!self.closed, "{named}: the server has closed the page");
-            assert!(
-                Instant::now() < until,
-                "{named}: not in time: {:?}",
-                self.topics
-            );
+            assert!(Instant::now() < until, "{named}: not in time: {:?}", self.topics);
             self.take();
         }
     }
 
     fn topic(&mut self, name: &str, holds: impl Fn(&Value) -> bool) -> Value {
-        self.until(name, |page| {
-            page.topics.get(name).filter(|value| holds(value)).cloned()
-        })
+        self.until(name, |page| page.topics.get(name).filter(|value| holds(value)).cloned())
     }
 }
 
@@ -183,9 +158,7 @@ fn a_page_leads_from_a_board_to_a_pushed_calibration() {
     let mut page = served.page();
     // Two links of one board are one board.
     page.topic("board/0/state", |state| {
-        state["links"]
-            .as_array()
-            .is_some_and(|links| links.len() == 2)
+        state["links"].as_array().is_some_and(|links| links.len() == 2)
     });
     assert!(!page.topics.contains_key("board/1/state"));
     page.until("samples", |page| (page.frames.len() > 20).then_some(()));
@@ -195,21 +168,13 @@ fn a_page_leads_from_a_board_to_a_pushed_calibration() {
     assert!((5.0..15.0).contains(&norm), "{frame}");
 
     page.topic("board/0/parameters", |value| value["calibrated"] == false);
-    assert_eq!(
-        page.ask(json!({"do": "calibrate", "board": 0}))["value"],
-        Value::Null
-    );
+    assert_eq!(page.ask(json!({"do": "calibrate", "board": 0}))["value"], Value::Null);
     page.topic("board/0/guided", |view| {
-        view["poses"]
-            .as_array()
-            .is_some_and(|poses| poses.len() >= 2)
+        view["poses"].as_array().is_some_and(|poses| poses.len() >= 2)
     });
     page.topic("board/0/guided", |view| view["usable"] == true);
     let pushed = page.ask(json!({"do": "push", "board": 0}));
-    assert!(
-        pushed["value"].as_str().unwrap().starts_with("pushed "),
-        "{pushed}"
-    );
+    assert!(pushed["value"].as_str().unwrap().starts_with("pushed "), "{pushed}");
     page.topic("board/0/parameters", |value| value["calibrated"] == true);
     page.topic("board/0/state", |state| state["line"]["corrected"] == true);
     // A file, its difference to itself, and a push of it.
@@ -221,18 +186,9 @@ fn a_page_leads_from_a_board_to_a_pushed_calibration() {
         Some(name.to_owned())
     });
     let same = page.ask(json!({"do": "difference", "board": 0, "file": name}));
-    assert!(
-        same["value"]["result"]
-            .as_str()
-            .unwrap()
-            .contains("already holds"),
-        "{same}"
-    );
+    assert!(same["value"]["result"].as_str().unwrap().contains("already holds"), "{same}");
     let pushed = page.ask(json!({"do": "push_file", "board": 0, "file": name}));
-    assert!(
-        pushed["value"].as_str().unwrap().starts_with("pushed "),
-        "{pushed}"
-    );
+    assert!(pushed["value"].as_str().unwrap().starts_with("pushed "), "{pushed}");
     page.ask(json!({"do": "end_calibration", "board": 0}));
 
     // A recording, its picture, and its replay.
@@ -243,32 +199,18 @@ fn a_page_leads_from_a_board_to_a_pushed_calibration() {
     assert!(folder.path().join("wimu-1.mcap").exists());
     page.ask(json!({"do": "open", "file": "wimu-1.mcap"}));
     let shown = page.topic("file/wimu-1.mcap", |file| file["done"] == true);
-    assert!(
-        shown["error"].is_null() && !shown["charts"].as_array().unwrap().is_empty(),
-        "{shown}"
-    );
-    assert_eq!(
-        page.ask(json!({"do": "play", "file": "wimu-1.mcap"}))["error"],
-        Value::Null
-    );
+    assert!(shown["error"].is_null() && !shown["charts"].as_array().unwrap().is_empty(), "{shown}");
+    assert_eq!(page.ask(json!({"do": "play", "file": "wimu-1.mcap"}))["error"], Value::Null);
     page.topic("board/1/state", |state| {
         let replay = &state["replay"];
         replay["over"] == true || replay["position_s"].as_f64() > Some(0.0)
     });
     let refused = page.ask(json!({"do": "calibrate", "board": 1}));
-    assert!(
-        refused["error"]
-            .as_str()
-            .unwrap()
-            .contains("this is a recording"),
-        "{refused}"
-    );
+    assert!(refused["error"].as_str().unwrap().contains("this is a recording"), "{refused}");
 
     // A board that is closed is gone.
     page.ask(json!({"do": "close", "board": 1}));
-    page.until("it is gone", |page| {
-        (!page.topics.contains_key("board/1/state")).then_some(())
-    });
+    page.until("it is gone", |page| (!page.topics.contains_key("board/1/state")).then_some(()));
     // The key of a device, its file and the token are in no message.
     let all = format!("{:?}", page.topics);
     assert!(!all.contains(&served.token) && !all.contains("keys/"));
@@ -285,26 +227,17 @@ fn foreign_pages_and_forged_tokens_are_refused() {
     let served = Served::start(folder.path(), &[&board.cable]);
     let host = &served.host;
     let page = served.get(&format!("GET / HTTP/1.1\r\nHost: {host}"));
-    assert!(
-        page.starts_with("HTTP/1.1 200") && page.contains("default-src 'none'"),
-        "{page}"
-    );
+    assert!(page.starts_with("HTTP/1.1 200") && page.contains("default-src 'none'"), "{page}");
     assert!(!page.contains(&served.token));
     for (head, status) in [
         ("GET / HTTP/1.1\r\nHost: evil.example".to_owned(), "403"),
-        (
-            format!("GET /../../etc/passwd HTTP/1.1\r\nHost: {host}"),
-            "404",
-        ),
+        (format!("GET /../../etc/passwd HTTP/1.1\r\nHost: {host}"), "404"),
         (format!("GET /socket HTTP/1.1\r\nHost: {host}"), "403"),
         (format!("POST / HTTP/1.1\r\nHost: {host}"), "405"),
         ("\u{0}\u{1}nonsense".to_owned(), "400"),
     ] {
         let answer = served.get(&head);
-        assert!(
-            answer.starts_with(&format!("HTTP/1.1 {status}")),
-            "{head}: {answer}"
-        );
+        assert!(answer.starts_with(&format!("HTTP/1.1 {status}")), "{head}: {answer}");
     }
     for origin in [None, Some("http://evil.example"), Some("null")] {
         assert!(served.socket(origin).is_none(), "{origin:?}");
@@ -319,10 +252,7 @@ fn foreign_pages_and_forged_tokens_are_refused() {
         json!({"do": "open", "file": "x.csv"}),
     ] {
         let refused = reader.ask(message);
-        assert!(
-            refused["error"].as_str().unwrap().contains("may only read"),
-            "{refused}"
-        );
+        assert!(refused["error"].as_str().unwrap().contains("may only read"), "{refused}");
     }
     let mut forged = served.page_with(&"0".repeat(32));
     while !forged.closed {
@@ -352,19 +282,13 @@ fn bad_requests_and_files_get_a_reason() {
     ] {
         let refused = page.ask(message.clone());
         let reason = refused["error"].as_str();
-        assert!(
-            reason.is_some_and(|reason| reason.contains("; ")),
-            "{message}: {refused}"
-        );
+        assert!(reason.is_some_and(|reason| reason.contains("; ")), "{message}: {refused}");
     }
     page.socket.send(Message::text("no JSON")).unwrap();
     page.socket.send(Message::text("[".repeat(60_000))).unwrap();
     page.ask(json!({"do": "open", "file": "empty.csv"}));
     let shown = page.topic("file/empty.csv", |file| file["done"] == true);
-    assert!(
-        shown["error"].as_str().unwrap().contains("empty"),
-        "{shown}"
-    );
+    assert!(shown["error"].as_str().unwrap().contains("empty"), "{shown}");
     // A link that does not answer is named, and tried again.
     page.ask(json!({"do": "connect", "link": "tcp://127.0.0.1:1"}));
     page.topic("link/tcp://127.0.0.1:1", |link| link["error"].is_string());
@@ -402,10 +326,7 @@ fn flood(mut device: TcpStream, mut host: TcpStream) {
         let due = (began.elapsed().as_secs_f64() * 10e6) as usize;
         frame.resize(frame.len() + due.saturating_sub(sent), 0);
         sent = due;
-        if host
-            .write_all(&std::mem::replace(&mut frame, rest))
-            .is_err()
-        {
+        if host.write_all(&std::mem::replace(&mut frame, rest)).is_err() {
             return;
         }
     }
@@ -417,9 +338,7 @@ fn a_flooded_link_still_shows_its_samples() {
     let folder = folder();
     let served = Served::start(folder.path(), &[&flooded(&board.cable)]);
     let mut page = served.page();
-    page.topic("board/0/state", |state| {
-        state["links"][0]["kilobytes_s"].as_f64() > Some(2000.0)
-    });
+    page.topic("board/0/state", |state| state["links"][0]["kilobytes_s"].as_f64() > Some(2000.0));
     page.frames.clear();
     page.until("samples", |page| (page.frames.len() > 30).then_some(()));
 }

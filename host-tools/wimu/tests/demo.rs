@@ -11,13 +11,7 @@ use kit::{Transcript, folder, snapshot, wimu};
 fn six_axes_give_attitude_and_position_bit_for_bit() {
     let folder = folder();
     let report = folder.path().join("demo.html");
-    let ran = wimu(&[
-        "demo",
-        "--sensor",
-        "lsm6dso",
-        "--report",
-        report.to_str().unwrap(),
-    ]);
+    let ran = wimu(&["demo", "--sensor", "lsm6dso", "--report", report.to_str().unwrap()]);
     let object = ran.succeeds();
     assert_eq!(object["replay_exact"], true);
     let number = |value: &serde_json::Value| value.as_f64().unwrap();
@@ -53,10 +47,7 @@ fn readme_shows_what_the_demo_prints_and_draws() {
     let (_, story) = lines.split_last().unwrap();
     assert!(story.len() > 10, "{ran:?}");
     for line in story {
-        assert!(
-            readme.contains(line),
-            "README lacks this line of `wimu demo`: {line}"
-        );
+        assert!(readme.contains(line), "README lacks this line of `wimu demo`: {line}");
     }
     let mut texts = Transcript::default();
     texts.text("demo", &ran);
@@ -65,10 +56,7 @@ fn readme_shows_what_the_demo_prints_and_draws() {
     let found = wimu(&["navigate", recording.to_str().unwrap()]);
     let report = found.succeeds();
     let moves = report["path"]["moves"].as_array().unwrap();
-    let known: Vec<_> = moves
-        .iter()
-        .filter(|one| !one["length_m"].is_null())
-        .collect();
+    let known: Vec<_> = moves.iter().filter(|one| !one["length_m"].is_null()).collect();
     for one in &known {
         let [length, sd] = ["length_m", "length_sd_m"].map(|key| one[key].as_f64().unwrap());
         assert!((length - 1.0).abs() < 2.0 * sd && sd < 0.05, "{one}");
@@ -93,16 +81,8 @@ fn calibrated_ranges_give_a_smaller_error_and_a_sigma_that_holds_it() {
     let folder = folder.path();
     let at = |name: &str| folder.join(name).display().to_string();
     let (report, files) = (at("demo.html"), at(""));
-    let ran = wimu(&[
-        "demo",
-        "--localize",
-        "--report",
-        &report,
-        "--pictures",
-        &files,
-        "--files",
-        &files,
-    ]);
+    let ran =
+        wimu(&["demo", "--localize", "--report", &report, "--pictures", &files, "--files", &files]);
     let found = ran.succeeds();
     let number = |pointer: &str| found.pointer(pointer).unwrap().as_f64().unwrap();
     let within = |pointer: &str, range: std::ops::Range<f64>| {
@@ -148,9 +128,6 @@ fn calibrated_ranges_give_a_smaller_error_and_a_sigma_that_holds_it() {
     let story: Vec<&str> = ran.stderr.lines().collect();
     let guide = fs::read_to_string(repository.join("docs/localization/ranges.md")).unwrap();
     for line in &story[..story.len() - 1] {
-        assert!(
-            guide.contains(line),
-            "docs/localization/ranges.md lacks: {line}"
-        );
+        assert!(guide.contains(line), "docs/localization/ranges.md lacks: {line}");
     }
 }

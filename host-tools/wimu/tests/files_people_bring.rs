@@ -41,14 +41,7 @@ fn turned(ups: &[[f64; 3]], drift: [f64; 3], pause_s: f64) -> String {
 fn a_pause_of_the_logger_is_part_of_the_time_that_a_drift_takes() {
     let (csv, _folder) = in_folder("turned.csv");
     let drift = [0.04, -0.03, 0.03];
-    let of = [
-        "calibrate",
-        &csv,
-        "--gravity",
-        "9.80665",
-        "--model",
-        "9+drift",
-    ];
+    let of = ["calibrate", &csv, "--gravity", "9.80665", "--model", "9+drift"];
     let mut texts = Transcript::default();
     // In no order, so that the drift is not taken for the sensor's.
     let even = spread(24);
@@ -90,12 +83,7 @@ fn the_noise_is_not_taken_across_a_pause() {
                 _ => (100.0, step),
             };
             let [x, y, z] = [0.1, 0.2, G].map(|f| f + off + 0.02 * rough());
-            write!(
-                text,
-                "\n{:.2},{x:.6},{y:.6},{z:.6}",
-                t + f64::from(k) * 0.01
-            )
-            .unwrap();
+            write!(text, "\n{:.2},{x:.6},{y:.6},{z:.6}", t + f64::from(k) * 0.01).unwrap();
         }
         fs::write(&csv, text).unwrap();
         wimu(&["allan", &csv])
@@ -136,15 +124,7 @@ fn a_range_that_is_not_given_is_remarked_as_assumed() {
     fs::write(&csv, counts(256.0)).unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (cal, header) = (path("CAL.json"), path("cal.h"));
-    let of = [
-        "calibrate",
-        &csv,
-        "--poses",
-        "--sensitivity",
-        "256",
-        "-o",
-        &cal,
-    ];
+    let of = ["calibrate", &csv, "--poses", "--sensitivity", "256", "-o", &cal];
     let guessed = texts.findings("no range", &wimu(&of));
     assert_eq!(guessed["range_source"], "sixteen_bits");
     assert!(guessed["units"]["bias_percent_of_full_scale"].is_null());
@@ -154,10 +134,7 @@ fn a_range_that_is_not_given_is_remarked_as_assumed() {
     let ran = wimu(&[&of[..], &["--range", "2"]].concat());
     let given = texts.findings("--range 2", &ran);
     assert_eq!(given["parameters"]["range_g"], 2);
-    assert_eq!(
-        (&given["range_g"], &given["range_source"]),
-        (&2.into(), &"given".into())
-    );
+    assert_eq!((&given["range_g"], &given["range_source"]), (&2.into(), &"given".into()));
     assert!(given["units"]["bias_percent_of_full_scale"].is_array());
     assert_eq!(wimu(&export).succeeds()["findings"], serde_json::json!([]));
     for wrong in ["0", "128", "-2", "two"] {
@@ -192,11 +169,7 @@ fn poses_count_by_their_samples_where_these_make_a_difference() {
     let of = ["calibrate", &csv, "--poses", "--gravity", "9.80665"];
     let bias = |report: &Value| {
         let axis = |k: usize| report["model"]["bias_m_s2"][k].as_f64().unwrap();
-        [0, 1, 2]
-            .map(|k| axis(k).powi(2))
-            .iter()
-            .sum::<f64>()
-            .sqrt()
+        [0, 1, 2].map(|k| axis(k).powi(2)).iter().sum::<f64>().sqrt()
     };
     let table = |rough: &mut dyn FnMut() -> f64, column: bool| {
         let mut text = String::from(NAMES);
@@ -303,9 +276,7 @@ fn the_count_at_zero_is_stored_with_the_calibration() {
     fs::write(&rest, format!("Time (s),{names}\n0,{row}\n0.01,{row}\n")).unwrap();
     wimu(&["apply", &cal, &rest, "-o", &out]).succeeds();
     let corrected = fs::read_to_string(&out).unwrap();
-    let z: f64 = (corrected.lines().nth(1).unwrap().split(',').nth(3).unwrap())
-        .parse()
-        .unwrap();
+    let z: f64 = (corrected.lines().nth(1).unwrap().split(',').nth(3).unwrap()).parse().unwrap();
     assert!((z - G).abs() < 0.01, "{corrected}");
 }
 
@@ -317,11 +288,7 @@ fn an_option_that_a_format_ignores_is_refused() {
     assert!(failure["message"].as_str().unwrap().contains("--topic"));
     let bag = folder.path().join("bag.bag").display().to_string();
     fs::write(&bag, "#ROSBAG V2.0\n").unwrap();
-    for option in [
-        ["--columns", "x=1"],
-        ["--units", "g"],
-        ["--zero-count", "1"],
-    ] {
+    for option in [["--columns", "x=1"], ["--units", "g"], ["--zero-count", "1"]] {
         let of = [&["info", &bag][..], &option].concat();
         let failure = wimu(&of).fails(2, "usage");
         assert!(failure["message"].as_str().unwrap().contains(option[0]));

@@ -42,11 +42,8 @@ fn an_image_that_cannot_be_written_is_refused_before_a_board_is_searched_for() {
         let ran = wimu(&["flash", "microbit-v2", "--image", image]);
         texts.fails(code, &ran, 2, code);
     }
-    for (board, other) in [
-        ("microbit-v2", &pico),
-        ("microbit-v2", &qemu),
-        ("pico-adxl345", &qemu),
-    ] {
+    for (board, other) in [("microbit-v2", &pico), ("microbit-v2", &qemu), ("pico-adxl345", &qemu)]
+    {
         let ran = wimu(&["flash", board, "--image", other]);
         let failure = texts.fails(board, &ran, 2, "wrong_image");
         assert_eq!(failure["where"], other.as_str());

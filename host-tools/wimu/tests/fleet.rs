@@ -58,26 +58,15 @@ fn a_recording_through_the_broker_is_bit_exact() {
         gateway.metric("wimu_board_samples") > 20.0 * 600.0
             && fs::metadata(&remote).is_ok_and(|file| file.len() > 3000)
     });
-    let status = wimu(&[
-        "fleet",
-        "status",
-        &format!("mqtt://127.0.0.1:{}/hall", broker.port),
-    ])
-    .succeeds();
+    let status =
+        wimu(&["fleet", "status", &format!("mqtt://127.0.0.1:{}/hall", broker.port)]).succeeds();
     let states = status["boards"].as_object().unwrap();
-    assert!(
-        states.len() == 20 && states.values().all(|state| state["alive"] == true),
-        "{status}"
-    );
+    assert!(states.len() == 20 && states.values().all(|state| state["alive"] == true), "{status}");
     assert_eq!(states[&name(3)]["device_id"], "0000f1ee70000003");
     record.signal("-INT").succeeds();
     let sums = gateway.stop();
     assert_eq!(
-        (
-            &sums["missing"],
-            &sums["dropped"],
-            &sums["unrecorded_bytes"]
-        ),
+        (&sums["missing"], &sums["dropped"], &sums["unrecorded_bytes"]),
         (&0.into(), &0.into(), &0.into()),
         "{sums}"
     );
@@ -89,10 +78,8 @@ fn a_recording_through_the_broker_is_bit_exact() {
             "{index}: {found:?}"
         );
     }
-    let (own, through) = (
-        bytes(&files(&recordings, &name(3))),
-        bytes(std::slice::from_ref(&remote)),
-    );
+    let (own, through) =
+        (bytes(&files(&recordings, &name(3))), bytes(std::slice::from_ref(&remote)));
     assert!(
         contains(&own, &through),
         "{} bytes of the gateway, {} through the broker",
@@ -101,18 +88,10 @@ fn a_recording_through_the_broker_is_bit_exact() {
     );
     let found = tape.verify(&[remote]);
     assert!(found.received > 100 && found.missing == 0, "{found:?}");
-    let status = wimu(&[
-        "fleet",
-        "status",
-        &format!("mqtt://127.0.0.1:{}/hall", broker.port),
-    ])
-    .succeeds();
+    let status =
+        wimu(&["fleet", "status", &format!("mqtt://127.0.0.1:{}/hall", broker.port)]).succeeds();
     assert!(
-        status["boards"]
-            .as_object()
-            .unwrap()
-            .values()
-            .all(|state| state["alive"] == false),
+        status["boards"].as_object().unwrap().values().all(|state| state["alive"] == false),
         "{status}"
     );
 }
@@ -141,36 +120,25 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
     let ear = overheard.clone();
     let down = "wimu/hall/b/down".to_owned();
     let filters = vec![down.clone()];
-    let malicious = Mqtt::start(
-        MqttConfig::new(&broker.url().parse().unwrap(), filters),
-        move |heard| {
+    let malicious =
+        Mqtt::start(MqttConfig::new(&broker.url().parse().unwrap(), filters), move |heard| {
             if let Heard::Message { payload, .. } = heard {
                 ear.lock().unwrap().push(payload.to_vec());
             }
-        },
-    );
+        });
     let malicious = malicious.unwrap();
     wait_until("the malicious client", || malicious.is_connected());
 
     let link = format!("mqtt://127.0.0.1:{}/hall/b", broker.port);
     let rate = || run(&["settings", "get", &link]).succeeds()["rate_hz"].clone();
-    assert_eq!(
-        run(&["settings", "set", &link, "--rate", "50"]).succeeds()["rate_hz"],
-        50
-    );
+    assert_eq!(run(&["settings", "set", &link, "--rate", "50"]).succeeds()["rate_hz"], 50);
     let written = overheard.lock().unwrap().clone();
-    assert_eq!(
-        run(&["settings", "set", &link, "--rate", "200"]).succeeds()["rate_hz"],
-        200
-    );
+    assert_eq!(run(&["settings", "set", &link, "--rate", "200"]).succeeds()["rate_hz"], 200);
     for message in written {
         malicious.publish(down.clone(), message);
     }
     let reset = Command::FactoryReset;
-    malicious.publish(
-        down.clone(),
-        Requester::new(1).start(reset, Duration::ZERO).to_vec(),
-    );
+    malicious.publish(down.clone(), Requester::new(1).start(reset, Duration::ZERO).to_vec());
     let mut forged = Requester::new(1);
     let key = DeviceKey::new([1; 32]);
     forged.sign(
@@ -186,9 +154,7 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
     malicious.publish(down.clone(), forged.start(reset, Duration::ZERO).to_vec());
     malicious.publish(
         down,
-        forged
-            .start(Command::SetSettings(Settings::default()), Duration::ZERO)
-            .to_vec(),
+        forged.start(Command::SetSettings(Settings::default()), Duration::ZERO).to_vec(),
     );
     wait_until("the unsigned command is refused", || {
         gateway.metric("wimu_board_commands_refused") >= 1.0
@@ -197,10 +163,7 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
 
     // Nobody changes a board or a key through a broker without a key.
     for (arguments, code) in [
-        (
-            &["settings", "set", &link, "--rate", "50"][..],
-            "not_through_broker",
-        ),
+        (&["settings", "set", &link, "--rate", "50"][..], "not_through_broker"),
         (&["key", "set", &link], "key_needed"),
     ] {
         wimu(arguments).fails(4, code);
@@ -211,9 +174,7 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
     let set = ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16_384.0).unwrap());
     let calibrations = folder.path().join("calibrations");
     fs::create_dir(&calibrations).unwrap();
-    CalibrationFile::new(&set, &[], "")
-        .write(&calibrations.join("b.json"))
-        .unwrap();
+    CalibrationFile::new(&set, &[], "").write(&calibrations.join("b.json")).unwrap();
     let fleet = format!("mqtt://127.0.0.1:{}/hall", broker.port);
     let push = ["fleet", "push", &fleet, calibrations.to_str().unwrap()];
     wimu(&push).fails(4, "key_needed");
@@ -244,16 +205,11 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
             })
     });
     let took = removed.elapsed();
-    assert!(
-        took < Duration::from_secs(25),
-        "only when asked each minute: {took:?}"
-    );
+    assert!(took < Duration::from_secs(25), "only when asked each minute: {took:?}");
     let file = folder.path().join("fleet.toml");
     wimu(&["gateway", "--config", file.to_str().unwrap()]).fails(1, "link_busy");
     drop(board);
-    wait_until("the board is away", || {
-        gateway.metric("wimu_board_alive") == 0.0
-    });
+    wait_until("the board is away", || gateway.metric("wimu_board_alive") == 0.0);
     run(&push).fails(1, "link_absent");
     gateway.stop();
 }
@@ -273,13 +229,9 @@ fn a_killed_broker_and_a_killed_gateway_leave_only_counted_gaps() {
     let remote = folder.path().join("remote.mcap");
     let record = Background::start(&["record", &link, "-o", remote.to_str().unwrap()]);
     let samples = |gateway: &Gateway| gateway.metric("wimu_board_samples");
-    wait_until("a recording", || {
-        fs::metadata(&remote).is_ok_and(|file| file.len() > 3000)
-    });
+    wait_until("a recording", || fs::metadata(&remote).is_ok_and(|file| file.len() > 3000));
     broker.kill();
-    wait_until("batches wait", || {
-        gateway.metric("wimu_gateway_waiting") > 6.0
-    });
+    wait_until("batches wait", || gateway.metric("wimu_gateway_waiting") > 6.0);
     broker.restart();
     wait_until("the broker is back", || {
         gateway.metric("wimu_gateway_broker") == 1.0 && gateway.metric("wimu_gateway_waiting") < 6.0
@@ -347,10 +299,7 @@ fn garbage_large_messages_and_other_gateways_do_no_harm() {
     fs::create_dir(&other).unwrap();
     let second = Gateway::start(
         &other,
-        &boards.config(
-            &broker.url(),
-            "gateway = \"other\"\nmetrics = \"127.0.0.1:0\"",
-        ),
+        &boards.config(&broker.url(), "gateway = \"other\"\nmetrics = \"127.0.0.1:0\""),
     );
     assert_eq!(second.metric("wimu_board_alive"), 0.0);
     // It has reported the boards as away, which the gateway that serves them corrects at once.
@@ -398,19 +347,13 @@ fn garbage_large_messages_and_other_gateways_do_no_harm() {
             })
     });
     // A retained message of any length ends no connection.
-    for topic in [
-        "wimu/hall/board-0001/down",
-        "wimu/hall/board-0000/up",
-        "wimu/hall/zz/state",
-    ] {
+    for topic in ["wimu/hall/board-0001/down", "wimu/hall/board-0000/up", "wimu/hall/zz/state"] {
         Foreign::connect(broker.port, "foreign").publish(topic, &vec![0; 5 << 20]);
     }
     assert!(client(&link).is_ok() && states()["board-0001"]["alive"] == true);
     assert_eq!(gateway.metric("wimu_gateway_broker_connections"), 1.0);
     let samples = gateway.metric("wimu_board_samples");
-    wait_until("the boards go on", || {
-        gateway.metric("wimu_board_samples") > samples + 400.0
-    });
+    wait_until("the boards go on", || gateway.metric("wimu_board_samples") > samples + 400.0);
     second.stop();
     assert!(reader.next_event(Duration::from_secs(1)).is_ok());
     drop(reader);
@@ -503,10 +446,7 @@ fn a_host_clock_that_jumps_loses_no_sample() {
     let found = files(&folder.path().join("recordings"), &name(0));
     let begins_ms = |path: &Path| path.file_stem()?.to_str()?.parse::<u64>().ok();
     let times: Vec<u64> = found.iter().filter_map(|path| begins_ms(path)).collect();
-    assert!(
-        times.len() == 2 && times[1] - times[0] > 3_000_000,
-        "{times:?}"
-    );
+    assert!(times.len() == 2 && times[1] - times[0] > 3_000_000, "{times:?}");
     for file in found {
         let found = tape.verify(&[file]);
         assert!(found.received > 200 && found.missing == 0, "{found:?}");
@@ -521,10 +461,7 @@ fn a_wrong_configuration_or_address_is_named() {
     let file = folder.path().join("fleet.toml");
     fs::write(&file, "fleet = \"hall\"\nbroker = \"mqtt://127.0.0.1:1\"\n[boards]\n\"a/#\" = \"tcp://127.0.0.1:1\"\n").unwrap();
     let failure = wimu(&["gateway", "--config", file.to_str().unwrap()]).fails(2, "bad_config");
-    assert!(
-        failure["where"].as_str().unwrap().ends_with("line 4"),
-        "{failure}"
-    );
+    assert!(failure["where"].as_str().unwrap().ends_with("line 4"), "{failure}");
     wimu(&["gateway", "--config", "/nonexistent.toml"]).fails(2, "file_unreadable");
     wimu(&["monitor", "mqtt://127.0.0.1:1/hall"]).fails(2, "bad_link");
     wimu(&["fleet", "status", "mqtt://127.0.0.1:1/+"]).fails(2, "bad_link");

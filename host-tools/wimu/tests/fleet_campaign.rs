@@ -65,12 +65,7 @@ impl Followed {
             assert_eq!(session, batch.session);
         }
         self.latest = Some((batch.session, batch.number));
-        let Self {
-            decoder,
-            wrong,
-            bounds,
-            ..
-        } = self;
+        let Self { decoder, wrong, bounds, .. } = self;
         for (at, bytes) in batch.pieces {
             decoder.push(at, &bytes, |arrival| {
                 if let Event::Samples(batch) | Event::Late(batch) = &arrival.event {
@@ -89,9 +84,7 @@ impl Followed {
     /// Whether every sample was right and every gap was counted.
     fn is_exact(&self) -> bool {
         let raw = self.decoder.statistics().raw;
-        let span = self
-            .bounds
-            .map_or(0, |(first, last)| u64::from(last - first) + 1);
+        let span = self.bounds.map_or(0, |(first, last)| u64::from(last - first) + 1);
         self.wrong == 0 && span > 0 && span == raw.received + raw.missing
     }
 }
@@ -99,10 +92,7 @@ impl Followed {
 fn follow(broker: &Mosquitto, tape: &Arc<Tape>) -> (Mqtt, Arc<Mutex<Reader>>) {
     let reader = Arc::new(Mutex::new(Reader::default()));
     let (shared, tape) = (reader.clone(), tape.clone());
-    let filters = vec![
-        "wimu/hall/+/up".to_owned(),
-        "$SYS/broker/bytes/received".to_owned(),
-    ];
+    let filters = vec!["wimu/hall/+/up".to_owned(), "$SYS/broker/bytes/received".to_owned()];
     let mqtt = Mqtt::start(
         MqttConfig::new(&broker.url().parse().expect("a broker"), filters),
         move |heard| {
@@ -110,15 +100,10 @@ fn follow(broker: &Mosquitto, tape: &Arc<Tape>) -> (Mqtt, Arc<Mutex<Reader>>) {
                 return;
             };
             let mut reader = shared.lock().expect("no panic");
-            match topic
-                .strip_prefix("wimu/hall/")
-                .and_then(|rest| rest.strip_suffix("/up"))
-            {
-                Some(board) => reader
-                    .boards
-                    .entry(board.to_owned())
-                    .or_default()
-                    .take(&tape, payload),
+            match topic.strip_prefix("wimu/hall/").and_then(|rest| rest.strip_suffix("/up")) {
+                Some(board) => {
+                    reader.boards.entry(board.to_owned()).or_default().take(&tape, payload)
+                }
                 None => {
                     reader.broker_bytes = String::from_utf8_lossy(payload).parse().unwrap_or(0.0)
                 }
@@ -163,11 +148,7 @@ fn load(gateway: &Gateway, broker: &Mosquitto, reader: &Mutex<Reader>, time: Dur
 /// Limits the size of the gateway's files, as a full disk does; `unlimited` ends it.
 fn limit_files(pid: u32, limit: &str) {
     let set = Command::new("prlimit")
-        .args([
-            "--pid",
-            &pid.to_string(),
-            &format!("--fsize={limit}:unlimited"),
-        ])
+        .args(["--pid", &pid.to_string(), &format!("--fsize={limit}:unlimited")])
         .status();
     assert!(set.is_ok_and(|status| status.success()), "prlimit");
 }
@@ -196,12 +177,7 @@ fn plain(broker: &Mosquitto, reader: &Mutex<Reader>, boards: &Boards) -> [f64; 3
     let bytes = || reader.lock().expect("no panic").broker_bytes;
     let sums = || {
         let (own, brokers) = (threads_usage(PLAIN), usage(broker.pid()).1);
-        [
-            own,
-            brokers,
-            bytes(),
-            samples.load(Ordering::Relaxed) as f64,
-        ]
+        [own, brokers, bytes(), samples.load(Ordering::Relaxed) as f64]
     };
     let before = sums();
     thread::sleep(Duration::from_secs(20));
@@ -239,10 +215,7 @@ fn a_thousand_boards_through_a_real_broker() {
     let Some(mut broker) = Mosquitto::start() else {
         return;
     };
-    let (count, seconds) = (
-        number("WIMU_FLEET_BOARDS", 1000),
-        number("WIMU_FLEET_SECONDS", 600),
-    );
+    let (count, seconds) = (number("WIMU_FLEET_BOARDS", 1000), number("WIMU_FLEET_SECONDS", 600));
     let part = |percent: usize| Duration::from_secs_f64(seconds as f64 * percent as f64 / 100.0);
     let tape = Tape::record(seconds as f64 * 1.5 + 120.0);
     let folder = folder();
@@ -254,12 +227,7 @@ fn a_thousand_boards_through_a_real_broker() {
         let gateway = Gateway::start(&home, &boards.config(&broker.url(), CONFIG));
         wait_until("ten boards", || gateway.metric("wimu_board_alive") == 10.0);
         thread::sleep(Duration::from_secs(5));
-        let few = load(
-            &gateway,
-            &broker,
-            &reader,
-            part(5).max(Duration::from_secs(10)),
-        );
+        let few = load(&gateway, &broker, &reader, part(5).max(Duration::from_secs(10)));
         gateway.stop();
         few
     };
@@ -307,9 +275,8 @@ fn a_thousand_boards_through_a_real_broker() {
     thread::sleep(Duration::from_secs(2));
 
     let recordings = folder.path().join("recordings");
-    let found: Vec<Found> = (0..count)
-        .map(|index| tape.verify(&files(&recordings, &name(index))))
-        .collect();
+    let found: Vec<Found> =
+        (0..count).map(|index| tape.verify(&files(&recordings, &name(index)))).collect();
     let sum = |of: fn(&Found) -> u64| found.iter().map(of).sum::<u64>();
     let (received, missing) = (sum(|found| found.received), sum(|found| found.missing));
     // `verify` asserts that every sample is right and every gap counted.
@@ -326,11 +293,7 @@ fn a_thousand_boards_through_a_real_broker() {
         true,
     );
     let reader = reader.lock().expect("no panic");
-    let exact = reader
-        .boards
-        .values()
-        .filter(|board| board.is_exact())
-        .count();
+    let exact = reader.boards.values().filter(|board| board.is_exact()).count();
     figure(
         "streams through the broker exact, gaps counted to the sample",
         format!("{exact} of {count}"),
@@ -392,18 +355,8 @@ fn costs(few: &Load, many: &Load, memory_end: f64, count: usize, tape: &Tape) {
         "100 per board",
         (0.9..1.02).contains(&(rate / expected)),
     );
-    figure(
-        "gateway, cores",
-        format!("{:.2}", many.gateway),
-        "below 1",
-        many.gateway < 1.0,
-    );
-    figure(
-        "broker, cores",
-        format!("{:.2}", many.broker),
-        "reported",
-        true,
-    );
+    figure("gateway, cores", format!("{:.2}", many.gateway), "below 1", many.gateway < 1.0);
+    figure("broker, cores", format!("{:.2}", many.broker), "reported", true);
     let kilobytes = many.memory / count as f64 / 1024.0;
     let grown = (memory_end - many.memory) / 1024.0 / count as f64;
     figure(
@@ -443,11 +396,7 @@ fn against_plain(broker: &Mosquitto, many: &Load, tape: &Arc<Tape>) {
     for (what, plain, ours) in [
         ("processor of the gateway", own, many.gateway / rate),
         ("processor of the broker", brokers, many.broker / rate),
-        (
-            "bytes at the broker",
-            bytes,
-            many.broker_bytes / many.samples,
-        ),
+        ("bytes at the broker", bytes, many.broker_bytes / many.samples),
     ] {
         figure(
             &format!("one JSON message a sample: {what}, ratio to ours"),

@@ -73,9 +73,8 @@ fn axes_that_are_always_at_one_end_or_the_other_are_refused() {
     let folder = folder();
     let csv = folder.path().join("rails.csv").display().to_string();
     let (low, high) = (-32768, 32767);
-    let corners: Vec<[i32; 3]> = (0..8)
-        .map(|k| [0, 1, 2].map(|axis| if k >> axis & 1 == 1 { high } else { low }))
-        .collect();
+    let corners: Vec<[i32; 3]> =
+        (0..8).map(|k| [0, 1, 2].map(|axis| if k >> axis & 1 == 1 { high } else { low })).collect();
     let mut text =
         String::from("Time (s),Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)");
     for k in 0..8 * 300_usize {

@@ -13,9 +13,7 @@ fn a_board_with_a_gyroscope_is_calibrated_and_then_navigates_better() {
     let carried = |name: &str| {
         let file = path(name);
         let recorder = Background::start(&["record", &board.cable, "-o", &file]);
-        record_until(recorder, &file, |link| {
-            link["raw_samples"].as_u64() > Some(14_000)
-        });
+        record_until(recorder, &file, |link| link["raw_samples"].as_u64() > Some(14_000));
         let report = wimu(&["navigate", &file]).succeeds();
         report["path"]["valid_share"].as_f64().unwrap()
     };

@@ -32,13 +32,7 @@ type Step = fn(n: u64, out: &mut Vec<u8>);
 
 const INPUTS: [(&str, Step); 10] = [
     ("a pause without end", |n, out| {
-        event(
-            out,
-            0,
-            Event::Pause {
-                longest_ms: u16::MAX,
-            },
-        );
+        event(out, 0, Event::Pause { longest_ms: u16::MAX });
         telemetry(n, out);
     }),
     ("pauses one after the other", |n, out| {
@@ -53,16 +47,10 @@ const INPUTS: [(&str, Step); 10] = [
         telemetry(n, out);
         put_message(
             out,
-            &Telemetry::Environment(Environment {
-                time_us: any(n),
-                ..Environment::default()
-            }),
+            &Telemetry::Environment(Environment { time_us: any(n), ..Environment::default() }),
         );
         let state = wimu_integrator::Navigation::default();
-        put_message(
-            out,
-            &Telemetry::Navigation(Navigation::new(any(n) as u32, &state)),
-        );
+        put_message(out, &Telemetry::Navigation(Navigation::new(any(n) as u32, &state)));
         epoch(out, any(n) as u32, any(n + 1), any(n + 2) as u32);
     }),
     ("greetings of ever new devices", |n, out| hello(out, any(n))),
@@ -106,10 +94,7 @@ fn event(out: &mut Vec<u8>, time_us: u64, event: Event) {
 }
 
 fn hello(out: &mut Vec<u8>, device_id: u64) {
-    let hello = Hello {
-        device_id,
-        ..Hello::new(LinkRole::Cable)
-    };
+    let hello = Hello { device_id, ..Hello::new(LinkRole::Cable) };
     put(out, |frame| hello.encode(frame));
 }
 
@@ -133,9 +118,7 @@ fn epoch(out: &mut Vec<u8>, sequence: u32, time_us: u64, period_ns: u32) {
 }
 
 fn samples(out: &mut Vec<u8>, first: u32) {
-    let counts: Vec<_> = (0..16)
-        .map(|k| Counts([k, (first >> 4) as i16, 16384]))
-        .collect();
+    let counts: Vec<_> = (0..16).map(|k| Counts([k, (first >> 4) as i16, 16384])).collect();
     let time = DeviceTimeUs(u64::from(first) * PERIOD_US);
     put(out, |frame| batch::encode(first, time, &counts, frame));
 }
@@ -144,12 +127,7 @@ fn samples(out: &mut Vec<u8>, first: u32) {
 fn telemetry(n: u64, out: &mut Vec<u8>) {
     let first = 16 * n as u32;
     if n.is_multiple_of(6) {
-        epoch(
-            out,
-            first,
-            u64::from(first) * PERIOD_US,
-            1000 * PERIOD_US as u32,
-        );
+        epoch(out, first, u64::from(first) * PERIOD_US, 1000 * PERIOD_US as u32);
     }
     samples(out, first);
 }
@@ -224,10 +202,7 @@ fn peak_kib(name: &str, arguments: &[&str]) -> u64 {
         if peak > 10 * MOST_KIB || Instant::now() > until {
             child.kill().expect("a child");
             child.wait().expect("a child");
-            panic!(
-                "{name}: {} has taken {peak} KiB and does not end",
-                arguments[0]
-            );
+            panic!("{name}: {} has taken {peak} KiB and does not end", arguments[0]);
         }
         thread::sleep(Duration::from_millis(2));
     }
@@ -265,14 +240,9 @@ fn all_stay_small(command: &str, rate: Option<usize>) {
             .collect(),
         Some(_) => thread::scope(|scope| {
             let all = INPUTS.map(|(name, step)| {
-                (
-                    name,
-                    scope.spawn(move || survives(command, name, step, bytes, rate)),
-                )
+                (name, scope.spawn(move || survives(command, name, step, bytes, rate)))
             });
-            all.into_iter()
-                .map(|(name, peak)| (name, peak.join().expect("no panic")))
-                .collect()
+            all.into_iter().map(|(name, peak)| (name, peak.join().expect("no panic"))).collect()
         }),
     };
     for (name, peak) in &peaks {
@@ -308,17 +278,8 @@ fn both_stay_small_for_a_minute_at_line_rate() {
 fn a_pause_without_end_does_not_hold_up_a_question() {
     let start = Instant::now();
     // Nobody answers; the telemetry goes on for as long as somebody listens.
-    let peak = survives(
-        "info",
-        INPUTS[0].0,
-        INPUTS[0].1,
-        90 * LINE_BYTES,
-        Some(LINE_BYTES),
-    );
+    let peak = survives("info", INPUTS[0].0, INPUTS[0].1, 90 * LINE_BYTES, Some(LINE_BYTES));
     let took = start.elapsed();
     println!("info     {:6.1} MB, {took:?}", peak as f64 * 1.024e-3);
-    assert!(
-        peak < MOST_KIB && took < Duration::from_secs(60),
-        "{peak} KiB, {took:?}"
-    );
+    assert!(peak < MOST_KIB && took < Duration::from_secs(60), "{peak} KiB, {took:?}");
 }

@@ -30,24 +30,15 @@ fn a_key_lets_only_its_owner_write_over_the_wireless_link() {
     let ran = run_as(&owner, &["key", "status", &board.cable]);
     texts.text("key status, none", &ran);
     let status = ran.succeeds();
-    assert_eq!(
-        (&status["set"], &status["ours"]),
-        (&false.into(), &false.into())
-    );
+    assert_eq!((&status["set"], &status["ours"]), (&false.into(), &false.into()));
 
     let ran = run_as(&owner, &["key", "set", &board.cable]);
     texts.text("key set", &ran);
     let status = ran.succeeds();
-    assert_eq!(
-        (&status["set"], &status["ours"]),
-        (&true.into(), &true.into())
-    );
+    assert_eq!((&status["set"], &status["ours"]), (&true.into(), &true.into()));
     let keys = owner.join("wimu/keys");
     let file = keys.join(format!("{}.key", status["device_id"].as_str().unwrap()));
-    assert_eq!(
-        fs::metadata(&file).unwrap().permissions().mode() & 0o777,
-        0o600
-    );
+    assert_eq!(fs::metadata(&file).unwrap().permissions().mode() & 0o777, 0o600);
     assert_eq!(fs::read_dir(&keys).unwrap().count(), 1);
     let key = fs::read_to_string(&file).unwrap();
     for text in [&ran.stdout, &ran.stderr] {
@@ -62,20 +53,12 @@ fn a_key_lets_only_its_owner_write_over_the_wireless_link() {
     }
     for action in ["set", "rotate", "forget"] {
         let ran = run_as(&other, &["key", action, &board.cable]);
-        texts.fails(
-            format_args!("key {action}, another's key"),
-            &ran,
-            4,
-            "key_needed",
-        );
+        texts.fails(format_args!("key {action}, another's key"), &ran, 4, "key_needed");
     }
     let ran = run_as(&other, &["key", "status", &board.wireless]);
     texts.text("key status, another's key", &ran);
     let status = ran.succeeds();
-    assert_eq!(
-        (&status["set"], &status["ours"]),
-        (&true.into(), &false.into())
-    );
+    assert_eq!((&status["set"], &status["ours"]), (&true.into(), &false.into()));
 
     // What the board sends is authentic, to its owner.
     let session = folder.path().join("session.mcap");
@@ -93,10 +76,7 @@ fn a_key_lets_only_its_owner_write_over_the_wireless_link() {
     // It outlives a restart, and is exchanged for another.
     drop(board);
     let board = Simulator::start(&arguments);
-    assert_eq!(
-        set(&owner, &board.wireless, "100").succeeds()["rate_hz"],
-        100
-    );
+    assert_eq!(set(&owner, &board.wireless, "100").succeeds()["rate_hz"], 100);
     let ran = run_as(&owner, &["key", "rotate", &board.cable]);
     ran.succeeds();
     texts.text("key rotate", &ran);
@@ -137,14 +117,10 @@ fn a_device_that_cannot_read_its_own_key_reports_it_until_the_key_is_erased() {
     let board = Simulator::start(&arguments);
     key("set", &board).succeeds();
     drop(board);
-    let file = fs::read_dir(user.join("wimu/keys"))
-        .unwrap()
-        .next()
-        .unwrap();
+    let file = fs::read_dir(user.join("wimu/keys")).unwrap().next().unwrap();
     let digits = fs::read_to_string(file.unwrap().path()).unwrap();
-    let key_bytes: Vec<u8> = (0..32)
-        .map(|at| u8::from_str_radix(&digits[2 * at..2 * at + 2], 16).unwrap())
-        .collect();
+    let key_bytes: Vec<u8> =
+        (0..32).map(|at| u8::from_str_radix(&digits[2 * at..2 * at + 2], 16).unwrap()).collect();
     let mut image = fs::read(&store).unwrap();
     // A zero is stored otherwise: some four bytes of the key have none.
     let mut pieces = key_bytes.windows(4).filter(|piece| !piece.contains(&0));

@@ -32,10 +32,7 @@ fn allan_listens_to_a_board_for_a_time_or_until_ctrl_c() {
     for axis in timed["axes"].as_array().unwrap() {
         let density = &axis["noise_density_m_s2_rthz"];
         let [value, sd] = ["value", "sd"].map(|key| density[key].as_f64().unwrap());
-        assert!(
-            (value - 220e-6 * 9.80665).abs() < 0.15 * value + 4.0 * sd,
-            "{timed}"
-        );
+        assert!((value - 220e-6 * 9.80665).abs() < 0.15 * value + 4.0 * sd, "{timed}");
         let interval = density["interval_95"].as_array().unwrap();
         assert!(interval[0].as_f64().unwrap() < value && value < interval[1].as_f64().unwrap());
     }
@@ -68,48 +65,29 @@ fn align_listens_until_the_alignment_is_found_and_pushes_it() {
     // It waits for somebody to listen.
     let board = Simulator::start(&[&motion[..], &["--exit-when-done"]].concat());
     // The sensor's x is the body's z, its y the body's −x: x up, x down, y up, …
-    let of = [
-        "align",
-        &board.cable,
-        "--up",
-        "z,-z,-x",
-        "--push",
-        "-o",
-        &aligned,
-    ];
+    let of = ["align", &board.cable, "--up", "z,-z,-x", "--push", "-o", &aligned];
     let report = wimu(&[&of[..], &["--calibration", &accelerometer]].concat()).succeeds();
     assert!(report["sd_deg"][0].as_f64().unwrap() < 2.0, "{report}");
     let [before, after] =
         [&accelerometer, &aligned].map(|p| read_parameters(Path::new(p)).unwrap());
     assert_eq!(before.model, after.model);
-    for (sensor, body) in [
-        ([1.0, 0.0, 0.0], [0.0, 0.0, 1.0]),
-        ([0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]),
-    ] {
+    for (sensor, body) in [([1.0, 0.0, 0.0], [0.0, 0.0, 1.0]), ([0.0, 1.0, 0.0], [-1.0, 0.0, 0.0])]
+    {
         let found = after.alignment.rotate(sensor);
-        let off = (0..3)
-            .map(|k| (found[k] - body[k]).abs())
-            .fold(0.0, f64::max);
+        let off = (0..3).map(|k| (found[k] - body[k]).abs()).fold(0.0, f64::max);
         assert!(off < 0.1, "{found:?}");
     }
     // What it sends is in the body's axes now.
     let lines = wimu(&["monitor", &board.cable, "--for", "1"]);
     let objects = lines.objects();
-    let last = objects
-        .iter()
-        .rev()
-        .find(|line| line["schema"] == "wimu.reading/1")
-        .unwrap();
+    let last = objects.iter().rev().find(|line| line["schema"] == "wimu.reading/1").unwrap();
     assert_eq!(last["parameter_id"], report["parameter_id"]);
     assert!(last["corrected"].as_bool().unwrap());
     let force = [0, 1, 2].map(|k| last["specific_force_m_s2"][k].as_f64().unwrap());
     let counts = [0, 1, 2].map(|k| last["raw_lsb"][k].as_f64().unwrap());
     let own = [counts[0], counts[1], counts[2]].map(|lsb| lsb / 16384.0 * 9.80665);
     // z of the body is x of the sensor and x of the body −y, up to its errors.
-    assert!(
-        (force[2] - own[0]).abs() < 1.5 && (force[0] + own[1]).abs() < 1.5,
-        "{last}"
-    );
+    assert!((force[2] - own[0]).abs() < 1.5 && (force[0] + own[1]).abs() < 1.5, "{last}");
 }
 
 #[test]
@@ -143,12 +121,7 @@ fn an_ambiguous_alignment_is_refused() {
     for k in 0..2000 {
         let t = f64::from(k) * 0.01;
         let wave = |f: f64| 5.0 * (f * t).sin();
-        text += &format!(
-            "\n{t:.2},{:.3},{:.3},{:.3}",
-            wave(9.0),
-            wave(13.0),
-            9.8 + wave(11.0)
-        );
+        text += &format!("\n{t:.2},{:.3},{:.3},{:.3}", wave(9.0), wave(13.0), 9.8 + wave(11.0));
     }
     fs::write(&shaken, text).unwrap();
     let ran = wimu(&[&["align", &shaken, "--up", "z,x"][..], &calibration].concat());
@@ -159,11 +132,8 @@ fn an_ambiguous_alignment_is_refused() {
 /// Objects of `wimu navigate LINK`: poses, and the path.
 fn navigated(arguments: &[&str]) -> (Vec<Value>, Value) {
     let ran = wimu(arguments);
-    let mut lines: Vec<Value> = ran
-        .stdout
-        .lines()
-        .map(|line| serde_json::from_str(line).unwrap())
-        .collect();
+    let mut lines: Vec<Value> =
+        ran.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     let path = lines.pop().unwrap_or_else(|| panic!("{ran:?}"));
     assert_eq!(path["schema"], "wimu.path/1", "{ran:?}");
     let warnings = ran.stderr.lines().filter(|line| line.contains("warning"));
@@ -185,12 +155,7 @@ const ANCHORS: &str =
 
 /// Ranges of it, one anchor after the other.
 fn range_m(anchor: usize) -> f64 {
-    let [e, n, u] = [
-        [0.0, 0.0, 0.0],
-        [8.0, 0.0, 2.0],
-        [8.0, 6.0, 0.0],
-        [0.0, 6.0, 2.5],
-    ][anchor];
+    let [e, n, u] = [[0.0, 0.0, 0.0], [8.0, 0.0, 2.0], [8.0, 6.0, 0.0], [0.0, 6.0, 2.5]][anchor];
     (AT_M[0] - e).hypot(AT_M[1] - n).hypot(AT_M[2] - u)
 }
 
@@ -214,15 +179,7 @@ fn ranges_over_a_link_or_from_a_file_move_a_board_to_the_frame_of_the_anchors() 
             thread::sleep(Duration::from_millis(25));
         }
     });
-    let of = [
-        "navigate",
-        &board.cable,
-        "--anchors",
-        &anchors,
-        "--for",
-        "7",
-        "--ranges",
-    ];
+    let of = ["navigate", &board.cable, "--anchors", &anchors, "--for", "7", "--ranges"];
     let (poses, found) = navigated(&[&of[..], &[&link]].concat());
     let last = poses.last().unwrap();
     assert!(near(last, AT_M) < 0.2 && last["valid"] == true, "{last}");
@@ -232,19 +189,11 @@ fn ranges_over_a_link_or_from_a_file_move_a_board_to_the_frame_of_the_anchors() 
     assert!(found["ranges"]["late"].as_u64().unwrap() < 40, "{found}");
     assert_eq!(found["fixes"], Value::Null);
     let text = found["findings"].to_string();
-    assert!(
-        text.contains("2 lines of the ranges cannot be read"),
-        "{text}"
-    );
+    assert!(text.contains("2 lines of the ranges cannot be read"), "{text}");
 
     // By the device's clock.
     let row = |k: usize| {
-        format!(
-            "{:.3},{},{:.3}\n",
-            k as f64 * 0.025,
-            ["A", "B", "C", "D"][k % 4],
-            range_m(k % 4)
-        )
+        format!("{:.3},{},{:.3}\n", k as f64 * 0.025, ["A", "B", "C", "D"][k % 4], range_m(k % 4))
     };
     let rows: String = (0..4000).map(row).collect();
     fs::write(&file, format!("Time (s),Anchor,Range (m)\n{rows}")).unwrap();
@@ -270,31 +219,17 @@ fn a_board_is_navigated_live_and_fixes_over_a_link_move_it_to_their_frame() {
     });
     let folder = folder();
     let file = folder.path().join("path.csv");
-    let arguments = [
-        "navigate",
-        &board.cable,
-        "--for",
-        "8",
-        "--fixes",
-        &fixes,
-        "-o",
-    ];
+    let arguments = ["navigate", &board.cable, "--for", "8", "--fixes", &fixes, "-o"];
     let (poses, path) = navigated(&[&arguments[..], &[file.to_str().unwrap()]].concat());
     assert_eq!(poses[0]["schema"], "wimu.pose/1");
     let last = poses.last().unwrap();
     assert!(near(last, [10.0, -5.0, 1.0]) < 0.2, "{last}");
     assert!(path["fixes"]["used"].as_u64().unwrap() > 20, "{path}");
     let rows = fs::read_to_string(file).unwrap().lines().count();
-    assert_eq!(
-        rows,
-        poses.len() + 1,
-        "a header, and a row for each position"
-    );
+    assert_eq!(rows, poses.len() + 1, "a header, and a row for each position");
     let said = |text: &str| {
         let findings = path["findings"].as_array().unwrap();
-        findings
-            .iter()
-            .any(|f| f["evidence"].as_str().unwrap().contains(text))
+        findings.iter().any(|f| f["evidence"].as_str().unwrap().contains(text))
     };
     assert!(said("moved to the frame of the fixes"), "{path}");
     assert!(said("1 line of the fixes cannot be read"), "{path}");

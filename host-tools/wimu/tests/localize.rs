@@ -8,21 +8,12 @@ use std::path::Path;
 
 use kit::{folder, wimu};
 
-const ANCHORS: [[f64; 3]; 5] = [
-    [0.0, 0.0, 0.2],
-    [8.0, 0.0, 2.5],
-    [8.0, 6.0, 0.3],
-    [0.0, 6.0, 2.6],
-    [4.0, 3.0, 3.0],
-];
+const ANCHORS: [[f64; 3]; 5] =
+    [[0.0, 0.0, 0.2], [8.0, 0.0, 2.5], [8.0, 6.0, 0.3], [0.0, 6.0, 2.6], [4.0, 3.0, 3.0]];
 
 /// Position, m.
 fn path(t: f64) -> [f64; 3] {
-    [
-        4.0 + 2.0 * (0.3 * t).sin(),
-        3.0 + 2.0 * (0.3 * t).cos(),
-        1.0,
-    ]
+    [4.0 + 2.0 * (0.3 * t).sin(), 3.0 + 2.0 * (0.3 * t).cos(), 1.0]
 }
 
 /// Ranges of 20 s without noise, with a bias of 5 cm, and their anchors.
@@ -37,11 +28,7 @@ pub fn write(folder: &Path) {
     for k in 0..200 {
         let t = f64::from(k) * 0.1;
         for (id, anchor) in ANCHORS.iter().enumerate() {
-            let square: f64 = path(t)
-                .iter()
-                .zip(anchor)
-                .map(|(a, b)| (a - b) * (a - b))
-                .sum();
+            let square: f64 = path(t).iter().zip(anchor).map(|(a, b)| (a - b) * (a - b)).sum();
             writeln!(ranges, "{t},{id},{}", square.sqrt() + 0.05).unwrap();
         }
     }
@@ -55,15 +42,7 @@ fn ranges_give_a_path_with_sigma_and_calibration() {
     write(folder.path());
     let at = |name: &str| folder.path().join(name).display().to_string();
     let (ranges, anchors, out) = (at("ranges.csv"), at("anchors.csv"), at("path.csv"));
-    let run = wimu(&[
-        "--json",
-        "navigate",
-        &ranges,
-        "--anchors",
-        &anchors,
-        "-o",
-        &out,
-    ]);
+    let run = wimu(&["--json", "navigate", &ranges, "--anchors", &anchors, "-o", &out]);
     let found = run.succeeds();
     assert_eq!(found["schema"], "wimu.localization/1");
     assert_eq!(found["method"], "ranges");

@@ -129,15 +129,7 @@ fn too_few_orientations_or_no_magnetometer_are_refused() {
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (recording, accelerometer, never) = (path("six.mcap"), path("A.json"), path("NO.json"));
     record_motion("six-positions", SEED, &recording);
-    wimu(&[
-        "calibrate",
-        &recording,
-        "--method",
-        "six-position",
-        "-o",
-        &accelerometer,
-    ])
-    .succeeds();
+    wimu(&["calibrate", &recording, "--method", "six-position", "-o", &accelerometer]).succeeds();
     let with = ["--sensor", "magnetometer", "--with", &accelerometer];
     let few = wimu(&[&["calibrate", &recording, "-o", &never][..], &with].concat());
     let mut texts = Transcript::default();
@@ -147,15 +139,9 @@ fn too_few_orientations_or_no_magnetometer_are_refused() {
     // Means of poses in a file: the same orientation over and over, then without a magnetometer.
     let (csv, _folder) = in_folder("means.csv");
     let axes = |name: &str, unit: &str| {
-        ["X", "Y", "Z"]
-            .map(|axis| format!("{name} {axis} ({unit})"))
-            .join(",")
+        ["X", "Y", "Z"].map(|axis| format!("{name} {axis} ({unit})")).join(",")
     };
-    let mut text = format!(
-        "{},{}\n",
-        axes("Accelerometer", "m/s²"),
-        axes("Magnetometer", "µT")
-    );
+    let mut text = format!("{},{}\n", axes("Accelerometer", "m/s²"), axes("Magnetometer", "µT"));
     for _ in 0..20 {
         text += "0,0,9.81,20,0,-44\n";
     }

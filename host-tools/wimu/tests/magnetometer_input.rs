@@ -35,15 +35,9 @@ fn poses() -> Vec<([f64; 3], [f64; 3])> {
 
 fn table(poses: &[([f64; 3], [f64; 3])], unit: &str) -> String {
     let axes = |name: &str, unit: &str| {
-        ["X", "Y", "Z"]
-            .map(|axis| format!("{name} {axis} ({unit})"))
-            .join(",")
+        ["X", "Y", "Z"].map(|axis| format!("{name} {axis} ({unit})")).join(",")
     };
-    let mut text = format!(
-        "{},{}",
-        axes("Accelerometer", "m/s²"),
-        axes("Magnetometer", unit)
-    );
+    let mut text = format!("{},{}", axes("Accelerometer", "m/s²"), axes("Magnetometer", unit));
     for (force, field) in poses {
         let [a, b, c] = force;
         let [x, y, z] = field;
@@ -80,9 +74,7 @@ fn every_bad_input_is_named_and_none_becomes_a_calibration() {
     };
     let hard_iron = |report: &Value| -> Vec<f64> {
         let axes = report["magnetometer"]["hard_iron_nt"].as_array().unwrap();
-        axes.iter()
-            .map(|axis| axis.as_f64().unwrap() / 1e3)
-            .collect()
+        axes.iter().map(|axis| axis.as_f64().unwrap() / 1e3).collect()
     };
     let near = |found: &[f64]| {
         let off = found.iter().zip([12.0, -7.0, 20.0]);
@@ -124,18 +116,10 @@ fn every_bad_input_is_named_and_none_becomes_a_calibration() {
             "µT",
         ),
         ("axis Y constant", &|_, field| field[1] = 3.0, "µT"),
-        (
-            "axis Z clipped at 25 µT",
-            &|_, field| field[2] = field[2].min(25.0),
-            "µT",
-        ),
+        ("axis Z clipped at 25 µT", &|_, field| field[2] = field[2].min(25.0), "µT"),
         ("µT called T", &|_, _| {}, "T"),
         ("µT called G", &|_, _| {}, "G"),
-        (
-            "T called µT",
-            &|_, field| *field = field.map(|axis| axis * 1e-6),
-            "µT",
-        ),
+        ("T called µT", &|_, field| *field = field.map(|axis| axis * 1e-6), "µT"),
         (
             "all in a plane, tilted against the axes",
             &|_, field| field[2] = 0.5 * field[0] - 0.3 * field[1] + 1.0,
@@ -157,14 +141,7 @@ fn every_bad_input_is_named_and_none_becomes_a_calibration() {
     let negated = changed(&|_, field| field[1] = -field[1]);
     texts.refuses("axis Y negated", &run(&negated, "µT", &page));
     let dipping = |dip: &str| {
-        let with = [
-            "--sensor",
-            "magnetometer",
-            "--with",
-            &accelerometer,
-            "--dip",
-            dip,
-        ];
+        let with = ["--sensor", "magnetometer", "--with", &accelerometer, "--dip", dip];
         wimu(&[&of[..], &[both.as_str()], &with].concat())
     };
     let south = dipping("-60").succeeds();
@@ -176,10 +153,7 @@ fn every_bad_input_is_named_and_none_becomes_a_calibration() {
     // Too few, and which to add.
     let report = texts.refuses("eight poses", &run(&poses()[..8], "µT", &page));
     let next = &report["next_poses"][0];
-    assert!(
-        !next["instruction"].as_str().unwrap().is_empty(),
-        "{report}"
-    );
+    assert!(!next["instruction"].as_str().unwrap().is_empty(), "{report}");
     assert!(report["poses_worth_adding"].as_u64().unwrap() > 0);
     texts.check("calibrate_magnetometer_input");
 }

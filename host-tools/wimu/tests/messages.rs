@@ -131,11 +131,7 @@ fn poses_of_a_continuous_recording_are_refused() {
 #[test]
 fn navigate_needs_a_file_or_a_link_and_its_options() {
     let mut texts = Transcript::default();
-    for option in [
-        ["--rests", "0-3"],
-        ["--smooth", "off"],
-        ["--calibration", "CAL.json"],
-    ] {
+    for option in [["--rests", "0-3"], ["--smooth", "off"], ["--calibration", "CAL.json"]] {
         let ran = wimu(&[&["navigate", "tcp://127.0.0.1:7100"], &option[..]].concat());
         texts.fails(option[0], &ran, 2, "usage");
     }
@@ -154,11 +150,9 @@ fn a_magnetometer_that_is_not_calibrated_is_not_called_absent() {
     let mut noise = noise();
     let field = "Magnetometer X (µT),Magnetometer Y (µT),Magnetometer Z (µT)";
     let mut texts = Transcript::default();
-    for (calibrated, case) in [
-        ("0", "not calibrated"),
-        ("1", "calibrated"),
-        ("", "no magnetometer"),
-    ] {
+    for (calibrated, case) in
+        [("0", "not calibrated"), ("1", "calibrated"), ("", "no magnetometer")]
+    {
         let mut text = format!("Time (s),{XYZ},{field},Field Calibrated\n");
         for k in 0..600 {
             let mut n = || 0.01 * noise();
@@ -167,12 +161,7 @@ fn a_magnetometer_that_is_not_calibrated_is_not_called_absent() {
                 "" => ",,".to_owned(),
                 _ => format!("{},{},{}", 20.0 + n(), n(), -40.0 + n()),
             };
-            writeln!(
-                text,
-                "{:.2},{x},{y},{z},{field},{calibrated}",
-                f64::from(k) * 0.01
-            )
-            .unwrap();
+            writeln!(text, "{:.2},{x},{y},{z},{field},{calibrated}", f64::from(k) * 0.01).unwrap();
         }
         fs::write(&path, text).unwrap();
         let ran = wimu(&["navigate", path.to_str().unwrap()]);

@@ -52,36 +52,17 @@ fn a_stream_against_a_reference_has_bias_and_scale_where_it_moves() {
     let scale = swapped["model"]["matrix"][0][0].as_f64().unwrap();
     assert!((scale - 1.0 / 1.02).abs() < 1e-9);
 
-    wimu(
-        &[
-            &reference[..],
-            &["--reference", "1", "--accelerometer", "1"],
-        ]
-        .concat(),
-    )
-    .fails(2, "usage");
+    wimu(&[&reference[..], &["--reference", "1", "--accelerometer", "1"]].concat())
+        .fails(2, "usage");
     wimu(&[&reference[..], &["--model", "9"]].concat()).fails(2, "usage");
-    wimu(&[
-        "calibrate",
-        &csv,
-        "--accelerometer",
-        "0",
-        "--reference",
-        "1",
-    ])
-    .fails(2, "usage");
+    wimu(&["calibrate", &csv, "--accelerometer", "0", "--reference", "1"]).fails(2, "usage");
     let (one, _folder) = in_folder("one.csv");
-    fs::write(
-        &one,
-        "Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)\n0,0,1\n",
-    )
-    .unwrap();
+    fs::write(&one, "Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)\n0,0,1\n")
+        .unwrap();
     wimu(&["calibrate", &one, "--method", "reference"]).fails(2, "usage");
 
     // Different motions are refused.
-    let text = fs::read_to_string(&csv)
-        .unwrap()
-        .replace("Accelerometer 1 X", "Accelerometer 1 W");
+    let text = fs::read_to_string(&csv).unwrap().replace("Accelerometer 1 X", "Accelerometer 1 W");
     let text = text
         .replace("Accelerometer 1 Y", "Accelerometer 1 X")
         .replace("Accelerometer 1 W", "Accelerometer 1 Y");
@@ -98,18 +79,13 @@ fn the_noise_ratio_comes_from_the_data_or_is_given_or_widens_the_answer() {
         let mut text = two_accelerometers().lines().next().unwrap().to_owned();
         let mut state = 7_u64;
         let mut noise = move || {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1);
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
             (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
         };
         for k in 0..4000 {
             let t = f64::from(k) * 0.01;
-            let mut force = [
-                3.0 * (2.0 * t).sin(),
-                3.0 * (3.1 * t).cos(),
-                9.81 + 2.0 * (4.7 * t).sin(),
-            ];
+            let mut force =
+                [3.0 * (2.0 * t).sin(), 3.0 * (3.1 * t).cos(), 9.81 + 2.0 * (4.7 * t).sin()];
             if fast {
                 force = force.map(|_| 5.0 * noise());
             }
@@ -137,22 +113,11 @@ fn the_noise_ratio_comes_from_the_data_or_is_given_or_widens_the_answer() {
             assert_eq!(report["axes"][axis]["noise_from"], from, "{report}");
             let scale = report["model"]["matrix"][axis][axis].as_f64().unwrap();
             let sd = report["sd"]["matrix"][axis][axis].as_f64().unwrap();
-            assert!(
-                (scale - 1.02).abs() < 3.0 * sd && sd < most_sd,
-                "{from}: {scale} {sd}"
-            );
+            assert!((scale - 1.02).abs() < 3.0 * sd && sd < most_sd, "{from}: {scale} {sd}");
         }
     }
     assert!(ask(&["--noise-ratio", "0"]).code == 2);
-    wimu(&[
-        "calibrate",
-        &csv,
-        "--noise-ratio",
-        "2",
-        "--accelerometer",
-        "0",
-    ])
-    .fails(2, "usage");
+    wimu(&["calibrate", &csv, "--noise-ratio", "2", "--accelerometer", "0"]).fails(2, "usage");
 }
 
 #[test]
@@ -166,11 +131,7 @@ fn rotations_of_other_steps_are_refused_and_unobserved_parameters_reported() {
             let (sin, cos) = (f64::from(k) * step).to_radians().sin_cos();
             let (across, along) = lean.to_radians().sin_cos();
             let g = 9.80665;
-            let [x, y, z] = [
-                g * cos * along + 0.2,
-                g * sin - 0.1,
-                g * cos * across + 0.05,
-            ];
+            let [x, y, z] = [g * cos * along + 0.2, g * sin - 0.1, g * cos * across + 0.05];
             write!(text, "\n{x},{y},{z}").unwrap();
         }
         fs::write(&csv, text).unwrap();
@@ -187,10 +148,7 @@ fn rotations_of_other_steps_are_refused_and_unobserved_parameters_reported() {
     assert!(unseen.contains(&"bias Z".into()) && unseen.contains(&"scale factor Z".into()));
     assert!(!unseen.contains(&"bias X".into()));
     assert!(report["half_width_95"][2].is_null() && report["half_width_95"][0].is_f64());
-    assert!(
-        report["sd"]["bias_m_s2"][2].as_f64().unwrap() > 0.3,
-        "{report}"
-    );
+    assert!(report["sd"]["bias_m_s2"][2].as_f64().unwrap() > 0.3, "{report}");
     texts.text("four-angle", &ran);
     let set = wimu_host::calibration::read_parameters(cal.as_ref()).unwrap();
     let lines = wimu_host::calibration::describe(&set);
@@ -204,9 +162,8 @@ fn at_rest(seconds: u32, peak: f64) -> String {
         String::from("Time (s),Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)\n");
     let mut state = 1_u64;
     let mut noise = || {
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
+        state =
+            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         ((state >> 11) as f64 / (1_u64 << 53) as f64 * 2.0 - 1.0) * peak
     };
     for k in 0..seconds * 100 {
@@ -232,10 +189,7 @@ fn the_noise_of_a_sensor_at_rest_is_reported_and_motion_is_refused() {
         let density = &report["axes"][axis]["noise_density_m_s2_rthz"];
         let (value, sd) = (&density["value"], &density["sd"]);
         let off = (value.as_f64().unwrap() - expected).abs();
-        assert!(
-            off < 4.0 * sd.as_f64().unwrap() && off < 0.05 * expected,
-            "{density}"
-        );
+        assert!(off < 4.0 * sd.as_f64().unwrap() && off < 0.05 * expected, "{density}");
     }
     assert!(fs::read_to_string(&page).unwrap().contains("<svg"));
 
@@ -291,17 +245,8 @@ fn perfect(folder: &std::path::Path) -> String {
     }
     fs::write(&csv, text).unwrap();
     let cal = folder.join("CAL.json").display().to_string();
-    wimu(&[
-        "calibrate",
-        &csv,
-        "--method",
-        "reference",
-        "--sensitivity",
-        "9806.65",
-        "-o",
-        &cal,
-    ])
-    .succeeds();
+    wimu(&["calibrate", &csv, "--method", "reference", "--sensitivity", "9806.65", "-o", &cal])
+        .succeeds();
     cal
 }
 
@@ -339,9 +284,8 @@ fn two_rests_or_a_push_align_the_sensor_with_its_body() {
     };
     // The sensor's y is the body's x: a turn of −90° about z.
     let half = std::f64::consts::FRAC_1_SQRT_2;
-    for (found, expected) in of(&["--up", "z,x", "-o", &aligned])
-        .iter()
-        .zip([half, 0.0, 0.0, -half])
+    for (found, expected) in
+        of(&["--up", "z,x", "-o", &aligned]).iter().zip([half, 0.0, 0.0, -half])
     {
         assert!((found - expected).abs() < 0.01, "{found} {expected}");
     }
@@ -369,9 +313,8 @@ fn two_rests_or_a_push_align_the_sensor_with_its_body() {
     assert_eq!(unclear.refuses()["rests"], 3);
     texts.text("three rests", &unclear);
     texts.check("align");
-    for (found, expected) in of(&["--up", "z,x", "--rests", "0,2"])
-        .iter()
-        .zip([half, 0.0, 0.0, -half])
+    for (found, expected) in
+        of(&["--up", "z,x", "--rests", "0,2"]).iter().zip([half, 0.0, 0.0, -half])
     {
         assert!((found - expected).abs() < 0.01, "{found} {expected}");
     }
@@ -394,11 +337,9 @@ fn two_rests_or_a_push_align_the_sensor_with_its_body() {
     }
 
     // The calibration for others.
-    for (format, word) in [
-        ("rust", "pub fn correct"),
-        ("c", "wimu_correct"),
-        ("kalibr", "accelerometers:"),
-    ] {
+    for (format, word) in
+        [("rust", "pub fn correct"), ("c", "wimu_correct"), ("kalibr", "accelerometers:")]
+    {
         let file = path(format);
         wimu(&["export", &aligned, "--format", format, "-o", &file]).succeeds();
         assert!(fs::read_to_string(&file).unwrap().contains(word));

@@ -39,10 +39,8 @@ fn middleman(board: &str, attack: Attack) -> String {
             let (Ok(host), Ok(board)) = (host, TcpStream::connect(&board)) else {
                 return;
             };
-            let (mut from, mut to) = (
-                board.try_clone().expect("a stream"),
-                host.try_clone().expect("a stream"),
-            );
+            let (mut from, mut to) =
+                (board.try_clone().expect("a stream"), host.try_clone().expect("a stream"));
             let down = thread::spawn(move || {
                 let _ = std::io::copy(&mut from, &mut to);
                 let _ = to.shutdown(std::net::Shutdown::Both);
@@ -160,15 +158,7 @@ fn no_answer_of_an_attacker_counts_as_a_write_done() {
     }
     fs::write(&poses, text).expect("written");
     let poses = poses.to_str().expect("text");
-    let flags = [
-        "--poses",
-        "--method",
-        "six-position",
-        "--sensitivity",
-        "16384",
-        "-o",
-        held,
-    ];
+    let flags = ["--poses", "--method", "six-position", "--sensitivity", "16384", "-o", held];
     run_as(&user, &[&["calibrate", poses][..], &flags].concat()).succeeds();
 
     for attack in [Attack::NoKey, Attack::Refused, Attack::Cut] {
@@ -255,11 +245,7 @@ fn a_key_erased_at_the_board_is_reported_at_the_next_write() {
 fn a_simulator_that_was_started_without_its_store_is_the_first_cause_named() {
     let folder = folder();
     let user = folder.path().join("user");
-    run_as(
-        &user,
-        &["key", "set", &Simulator::start(&["--motion", "rest"]).cable],
-    )
-    .succeeds();
+    run_as(&user, &["key", "set", &Simulator::start(&["--motion", "rest"]).cable]).succeeds();
     let again = Simulator::start(&["--motion", "rest"]);
     let ran = run_as(&user, &["settings", "set", &again.cable, "--rate", "200"]);
     // The causes in their order: `--store`, an erased key, a peer in between.

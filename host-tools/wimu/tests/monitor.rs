@@ -40,19 +40,12 @@ fn a_pipe_gets_a_line_a_second_or_as_many_as_are_asked_for() {
     let every = times(&piped(&["monitor", &file, "--rate", "1000"]));
     let span = every.last().expect("readings") - every[0];
     assert!(span > 4.0, "{span}");
-    for (flags, rate) in [
-        (&[][..], 1.0),
-        (&["--rate", "1"], 1.0),
-        (&["--rate", "10"], 10.0),
-    ] {
+    for (flags, rate) in [(&[][..], 1.0), (&["--rate", "1"], 1.0), (&["--rate", "10"], 10.0)] {
         let shown = times(&piped(&[&["monitor", &file][..], flags].concat()));
         assert_eq!(shown[0], every[0], "{rate}");
         let lines = (shown.len() - 1) as f64;
         // Times are printed to 10 ms; a line comes with the first sample that is due.
-        assert!(
-            (lines - span * rate).abs() <= 1.0 + 0.02 * span * rate,
-            "{lines} in {span} s"
-        );
+        assert!((lines - span * rate).abs() <= 1.0 + 0.02 * span * rate, "{lines} in {span} s");
         let apart = shown.windows(2).map(|pair| pair[1] - pair[0]);
         assert!(apart.fold(f64::MAX, f64::min) > 1.0 / rate - 0.02);
     }
@@ -60,11 +53,7 @@ fn a_pipe_gets_a_line_a_second_or_as_many_as_are_asked_for() {
     let all = readings(&["monitor", &file]);
     assert_eq!(all.len(), every.len());
     let some = readings(&["monitor", &file, "--rate", "2"]);
-    assert!(
-        (some.len() as f64 - 2.0 * span).abs() <= 2.0,
-        "{} in {span} s",
-        some.len()
-    );
+    assert!((some.len() as f64 - 2.0 * span).abs() <= 2.0, "{} in {span} s", some.len());
     for wrong in ["0", "-1", "nan", "inf"] {
         wimu(&["monitor", &file, &format!("--rate={wrong}")]).fails(2, "usage");
     }
@@ -75,10 +64,7 @@ fn a_board_that_was_asked_a_moment_ago_shows_every_sample_once() {
     let board = Simulator::start(&["--faults", "bluetooth"]);
     wimu(&["info", &board.cable]).succeeds();
     let readings = readings(&["monitor", &board.cable, "--for", "1"]);
-    let numbers: Vec<_> = readings
-        .iter()
-        .map(|reading| reading["sequence"].as_u64())
-        .collect();
+    let numbers: Vec<_> = readings.iter().map(|reading| reading["sequence"].as_u64()).collect();
     assert!(numbers.len() > 16);
     assert!(numbers.is_sorted_by(|a, b| a < b), "{numbers:?}");
 }
@@ -98,8 +84,6 @@ fn a_closed_pipe_ends_the_command() {
         let mut stdout = BufReader::new(child.stdout.take().expect("a pipe"));
         stdout.read_line(&mut String::new()).expect("a line");
         drop(stdout);
-        wait_until("the command ends", || {
-            child.try_wait().expect("a child").is_some()
-        });
+        wait_until("the command ends", || child.try_wait().expect("a child").is_some());
     }
 }

@@ -12,53 +12,28 @@ fn a_simulated_pair_is_recorded_listed_exported_and_navigated() {
     let folder = folder();
     let path = |name: &str| folder.path().join(name).display().to_string();
     let session = path("impact.mcap");
-    let arguments = [
-        "--sensor",
-        "lsm303agr,adxl345",
-        "--motion",
-        "twelve-poses,impact,rest",
-    ];
+    let arguments = ["--sensor", "lsm303agr,adxl345", "--motion", "twelve-poses,impact,rest"];
     let arguments = [&arguments[..], &["--exit-when-done", "--speed", "20"]].concat();
     Simulator::start(&arguments).record_to_the_end(&session);
 
     let info = wimu(&["info", &session]).succeeds();
     let sensors = info["links"][0]["sensors"].as_array().unwrap().clone();
     assert_eq!(sensors.len(), 2);
-    let ranges: Vec<f64> = sensors
-        .iter()
-        .map(|s| s["range_m_s2"].as_f64().unwrap())
-        .collect();
-    assert!(
-        (ranges[0] - 19.6).abs() < 0.1 && (ranges[1] - 156.9).abs() < 0.5,
-        "{ranges:?}"
-    );
+    let ranges: Vec<f64> = sensors.iter().map(|s| s["range_m_s2"].as_f64().unwrap()).collect();
+    assert!((ranges[0] - 19.6).abs() < 0.1 && (ranges[1] - 156.9).abs() < 0.5, "{ranges:?}");
 
-    let raw = wimu(&[
-        "export",
-        &session,
-        "--sensor",
-        "1",
-        "-o",
-        &path("coarse.csv"),
-    ])
-    .succeeds();
+    let raw = wimu(&["export", &session, "--sensor", "1", "-o", &path("coarse.csv")]).succeeds();
     assert!(raw["rows"].as_u64().unwrap() > 6000);
     let merged = wimu(&["export", &session, "--merge", "-o", &path("merged.csv")]).succeeds();
     let relative = &merged["sensors"][1]["relative"];
     assert!(relative["matrix_sd"].as_f64().unwrap() < 0.01, "{merged}");
-    assert!(
-        merged["sensors"][1]["stands_in"].as_u64().unwrap() > 3,
-        "{merged}"
-    );
+    assert!(merged["sensors"][1]["stands_in"].as_u64().unwrap() > 3, "{merged}");
     let calibrated = wimu(&["calibrate", &path("merged.csv"), "-o", &path("CAL.json")]);
     calibrated.succeeds();
 
     let navigated = wimu(&["navigate", &session, "--calibration", &path("CAL.json")]).succeeds();
     let findings = navigated["path"]["findings"].to_string();
-    assert!(
-        findings.contains("accelerometers 0 (±2 g), 1 (±16 g) merged"),
-        "{findings}"
-    );
+    assert!(findings.contains("accelerometers 0 (±2 g), 1 (±16 g) merged"), "{findings}");
     let moves = navigated["path"]["moves"].as_array().unwrap().clone();
     let length_m = moves.iter().filter_map(|m| m["length_m"].as_f64());
     assert!(length_m.fold(0.0, f64::max) > 1.5, "{moves:?}");
@@ -77,11 +52,7 @@ fn table(coarse: impl Fn([f64; 3]) -> [f64; 3]) -> String {
         let t = 0.01 * f64::from(k);
         // Half of it at rest, then motion; beyond ± 2 g along x at 25 s.
         let sway = if t < 15.0 { 0.0 } else { 1.0 };
-        let hit = if (25.0..25.1).contains(&t) {
-            60.0 * ((t - 25.0) * 31.4).sin()
-        } else {
-            0.0
-        };
+        let hit = if (25.0..25.1).contains(&t) { 60.0 * ((t - 25.0) * 31.4).sin() } else { 0.0 };
         let force = [
             sway * 4.0 * (5.0 * (t - 15.0)).sin() + hit,
             sway * 4.0 * (7.0 * (t - 15.0)).sin(),
@@ -89,12 +60,7 @@ fn table(coarse: impl Fn([f64; 3]) -> [f64; 3]) -> String {
         ];
         let fine = force.map(|f| (f + 0.02 * normal()).clamp(-19.6, 19.6));
         let [x, y, z] = coarse(force).map(|f| f + 0.06 * normal());
-        write!(
-            text,
-            "\n{t:.2},{},{},{},{x},{y},{z}",
-            fine[0], fine[1], fine[2]
-        )
-        .unwrap();
+        write!(text, "\n{t:.2},{},{},{},{x},{y},{z}", fine[0], fine[1], fine[2]).unwrap();
     }
     text
 }
@@ -111,26 +77,15 @@ fn tables_need_the_full_scales_and_bad_input_is_explained() {
     assert_eq!(without.code, 2);
     assert!(without.stderr.contains("--full-scales"), "{without:?}");
     let found = wimu(&["navigate", &good, "--full-scales", "2,16"]).succeeds();
-    assert!(
-        found["findings"]
-            .to_string()
-            .contains("merged; where finer ones are saturated: 1 in")
-    );
+    assert!(found["findings"].to_string().contains("merged; where finer ones are saturated: 1 in"));
     let found = wimu(&["navigate", &turned, "--full-scales", "2,16"]).succeeds();
-    assert!(
-        found["findings"].to_string().contains("turned by 90°"),
-        "{found}"
-    );
+    assert!(found["findings"].to_string().contains("turned by 90°"), "{found}");
 
     for wrong in ["2", "2,16,200", "2,-16", "2,x"] {
         let refused = wimu(&["navigate", &good, "--full-scales", wrong]);
         assert_ne!(refused.code, 0, "{wrong}: {refused:?}");
     }
-    for sensors in [
-        "lsm6dso,adxl345",
-        "adxl345,adxl345",
-        "lsm303agr,adxl345,adxl345",
-    ] {
+    for sensors in ["lsm6dso,adxl345", "adxl345,adxl345", "lsm303agr,adxl345,adxl345"] {
         let refused = wimu(&["simulate", "--sensor", sensors]);
         assert_ne!(refused.code, 0, "{sensors}: {refused:?}");
     }

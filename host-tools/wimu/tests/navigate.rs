@@ -23,13 +23,8 @@ struct Made {
     shaken: bool,
 }
 
-const PLAIN: Made = Made {
-    field: true,
-    gyroscope: false,
-    truth: true,
-    magnet_s: f64::INFINITY,
-    shaken: false,
-};
+const PLAIN: Made =
+    Made { field: true, gyroscope: false, truth: true, magnet_s: f64::INFINITY, shaken: false };
 
 impl Made {
     fn header(self) -> String {
@@ -60,25 +55,14 @@ impl Made {
         let push = 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) * 0.5 / 2.25;
         let way = 0.5 * tau.powi(3) * (10.0 - 15.0 * tau + 6.0 * tau * tau);
         let noise = f64::from((k * 7919) % 13) * 0.004 - 0.024;
-        let shake = if self.shaken {
-            4.0 * (9.0 * t).sin()
-        } else {
-            0.0
-        };
+        let shake = if self.shaken { 4.0 * (9.0 * t).sin() } else { 0.0 };
         let mut text = format!("{t:.2},{},{},{}", push + noise + shake, -noise, G + noise);
         if self.gyroscope {
             write!(text, ",{},0,{}", noise, -noise).unwrap();
         }
         if self.field {
             let other = if t < self.magnet_s { 0.0 } else { 150.0 };
-            write!(
-                text,
-                ",{},{},{}",
-                noise + other,
-                20.0 + noise,
-                -44.0 - other
-            )
-            .unwrap();
+            write!(text, ",{},{},{}", noise + other, 20.0 + noise, -44.0 - other).unwrap();
         }
         if self.truth {
             write!(text, ",{way},0,0,1,0,0,0").unwrap();
@@ -123,10 +107,7 @@ fn with_and_without_a_gyroscope_the_promised_columns_keys_and_report_are_written
         );
         assert!((number(&report, "/duration_s") - 7.99).abs() < 1e-9);
         // Over the samples that are known to the limit.
-        assert!(
-            (0.1..1.5).contains(&number(&report, "/distance_m")),
-            "{report}"
-        );
+        assert!((0.1..1.5).contains(&number(&report, "/distance_m")), "{report}");
         for axis in 0..3 {
             number(&report, &format!("/final_position_m/{axis}"));
             assert!(number(&report, &format!("/final_sigma_m/{axis}")) >= 0.0);
@@ -136,10 +117,7 @@ fn with_and_without_a_gyroscope_the_promised_columns_keys_and_report_are_written
         assert_eq!(number(&report, "/horizon/limit_m"), 0.5);
         for key in ["to_0_1_m_s", "to_1_m_s", "to_limit_s"] {
             let value = &report["horizon"][key];
-            assert!(
-                value.is_null() || value.as_f64().is_some_and(|s| s > 0.0),
-                "{report}"
-            );
+            assert!(value.is_null() || value.as_f64().is_some_and(|s| s > 0.0), "{report}");
         }
         assert!(number(&report, "/nees/samples") > 100.0);
         assert!(number(&report, "/nees/share_below_7_81") > 0.85, "{report}");
@@ -172,10 +150,7 @@ fn with_and_without_a_gyroscope_the_promised_columns_keys_and_report_are_written
         let sd = number(&report, "/moves/0/length_sd_m");
         assert!((length - 0.5).abs() < 2.0 * sd && sd < 0.05, "{report}");
         let page = fs::read_to_string(&page).unwrap();
-        assert!(
-            page.matches("<svg").count() >= 3,
-            "{method}: position, its σ and the plan"
-        );
+        assert!(page.matches("<svg").count() >= 3, "{method}: position, its σ and the plan");
     }
     texts.check("navigate");
 }
@@ -183,17 +158,12 @@ fn with_and_without_a_gyroscope_the_promised_columns_keys_and_report_are_written
 #[test]
 fn zero_velocity_updates_follow_their_option_and_so_does_the_covariance() {
     let folder = folder();
-    let made = Made {
-        gyroscope: true,
-        ..PLAIN
-    };
+    let made = Made { gyroscope: true, ..PLAIN };
     let csv = made.write(folder.path(), "in.csv");
     let found = |zupt: &[&str], name: &str| {
         let report = wimu(&[&["navigate", &csv], zupt].concat()).succeeds();
         assert_eq!(report["zupt"], name);
-        let sigma = (0..3)
-            .map(|i| number(&report, &format!("/final_sigma_m/{i}")))
-            .sum::<f64>();
+        let sigma = (0..3).map(|i| number(&report, &format!("/final_sigma_m/{i}"))).sum::<f64>();
         (sigma, report["final_position_m"].clone())
     };
     let (cautious, _) = found(&["--zupt", "cautious"], "cautious");
@@ -212,20 +182,11 @@ fn a_missing_magnetometer_a_magnet_and_a_start_in_motion_are_reported() {
         let ran = wimu(&["navigate", &csv]);
         texts.findings(case, &ran);
     };
-    let without = Made {
-        field: false,
-        ..PLAIN
-    };
+    let without = Made { field: false, ..PLAIN };
     remark(without, "no magnetometer");
-    let magnet = Made {
-        magnet_s: 5.5,
-        ..PLAIN
-    };
+    let magnet = Made { magnet_s: 5.5, ..PLAIN };
     remark(magnet, "magnet");
-    let shaken = Made {
-        shaken: true,
-        ..PLAIN
-    };
+    let shaken = Made { shaken: true, ..PLAIN };
     let csv = shaken.write(folder.path(), "shaken.csv");
     let ran = wimu(&["navigate", &csv]);
     if ran.code == 0 {
@@ -257,27 +218,18 @@ fn gaps_repeated_times_and_damaged_rows_are_reported() {
     let back = write("back.csv", &[&lines[..320], &lines[100..]].concat());
     texts.findings("back", &wimu(&["navigate", &back]));
     let broken = lines[300].replacen(",", ",NaN,", 1);
-    let nan = write(
-        "nan.csv",
-        &[&lines[..300], &[&broken[..]], &lines[301..]].concat(),
-    );
+    let nan = write("nan.csv", &[&lines[..300], &[&broken[..]], &lines[301..]].concat());
     texts.findings("field", &wimu(&["navigate", &nan]));
     let mut cells: Vec<&str> = lines[300].split(',').collect();
     cells[2] = "N.N";
-    let nan = write(
-        "nan2.csv",
-        &[&lines[..300], &[&cells.join(",")[..]], &lines[301..]].concat(),
-    );
+    let nan = write("nan2.csv", &[&lines[..300], &[&cells.join(",")[..]], &lines[301..]].concat());
     texts.findings("number", &wimu(&["navigate", &nan]));
     let short = write("short.csv", &lines[..2]);
     texts.fails("one row", &wimu(&["navigate", &short]), 2, "no_rows");
     let counts = lines[0].replace("(m/s²)", "(LSB)");
     let raw = write("raw.csv", &[&[&counts[..]], &lines[1..]].concat());
     texts.fails("counts", &wimu(&["navigate", &raw]), 2, "unknown_format");
-    let unit = Made {
-        gyroscope: true,
-        ..PLAIN
-    };
+    let unit = Made { gyroscope: true, ..PLAIN };
     let text = unit.text().replacen("(deg/s)", "(LSB)", 3);
     let unit = write("unit.csv", &[text.trim_end()]);
     let ran = wimu(&["navigate", &unit]);
@@ -352,10 +304,7 @@ fn the_librarys_example_finds_the_same_numbers() {
         // JSON's decimals are read back to the last bit but one.
         let same = |key: &str, value: f64| {
             let found = number(&report, key);
-            assert!(
-                (found - value).abs() <= 1e-12 * value.abs(),
-                "{key}: {found} {value}"
-            );
+            assert!((found - value).abs() <= 1e-12 * value.abs(), "{key}: {found} {value}");
         };
         same("/distance_m", path.distance_m());
         for axis in 0..3 {

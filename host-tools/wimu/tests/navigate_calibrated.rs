@@ -15,11 +15,7 @@ const LSB_PER_G: f64 = 4096.0;
 /// What the sensor makes of a force, m/s²: biases of 0.3 m/s², scale factors and axes 2 % off.
 fn output(force: [f64; 3]) -> [f64; 3] {
     let [x, y, z] = force;
-    [
-        0.31 + 1.02 * x,
-        -0.28 + 0.015 * x + 0.985 * y,
-        0.25 - 0.01 * x + 0.012 * y + 1.01 * z,
-    ]
+    [0.31 + 1.02 * x, -0.28 + 0.015 * x + 0.985 * y, 0.25 - 0.01 * x + 0.012 * y + 1.01 * z]
 }
 
 /// Rests of 2 s in 14 orientations, a shake between them, 100 Hz.
@@ -27,11 +23,7 @@ fn rests() -> Vec<[f64; 3]> {
     let mut forces = Vec::new();
     for up in spread(14) {
         for k in 0..240 {
-            let shake = if k < 40 {
-                4.0 * f64::from(k).sin()
-            } else {
-                0.0
-            };
+            let shake = if k < 40 { 4.0 * f64::from(k).sin() } else { 0.0 };
             forces.push(up.map(|u| G * u + shake));
         }
     }

@@ -14,9 +14,7 @@ const G: f64 = 9.80665;
 
 /// Noise without a pattern, -0.5 to 0.5.
 fn noise(k: u32) -> f64 {
-    let mut x = u64::from(k)
-        .wrapping_add(1)
-        .wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    let mut x = u64::from(k).wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     ((x ^ (x >> 31)) >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
@@ -274,12 +272,7 @@ fn a_recording_and_the_table_exported_from_it_give_the_same_path() {
     let tilt = |input: &str| wimu(&["navigate", input]).succeeds();
     let (of_session, of_table) = (tilt(&session), tilt(&table));
     let of_session = &of_session["path"];
-    for key in [
-        "/duration_s",
-        "/distance_m",
-        "/valid_share",
-        "/final_position_m/0",
-    ] {
+    for key in ["/duration_s", "/distance_m", "/valid_share", "/final_position_m/0"] {
         let (a, b) = (number(of_session, key), number(&of_table, key));
         assert!((a - b).abs() < 1e-3 + 1e-3 * a.abs(), "{key}: {a} {b}");
     }
@@ -373,10 +366,7 @@ fn samples_that_are_no_numbers_count_as_missing_and_many_of_them_are_refused() {
         let ran = run(&|k| k % 97 == 50, rate);
         let report = texts.findings(format_args!("one of 97, {method}"), &ran);
         assert!(number(&report, "/valid_share") > 0.5, "{report}");
-        assert!(
-            number(&report, "/nees/share_below_7_81") > 0.9,
-            "{method} {report}"
-        );
+        assert!(number(&report, "/nees/share_below_7_81") > 0.9, "{method} {report}");
         // From then on none: it is not valid there.
         let cut = run(&|k| k > 600, rate).succeeds();
         assert_eq!(cut["final_valid"], false, "{cut}");
@@ -414,12 +404,7 @@ fn outliers_are_left_out_and_a_recording_of_outliers_is_refused() {
             assert!(number(&report, "/nees/share_below_7_81") > 0.9, "{report}");
         }
         let ran = run(&|k| k % 3 != 0, 3000.0, rate);
-        texts.fails(
-            format_args!("two of three, {method}"),
-            &ran,
-            3,
-            "data_refused",
-        );
+        texts.fails(format_args!("two of three, {method}"), &ran, 3, "data_refused");
     }
     texts.check("navigate_outliers");
 }
@@ -487,14 +472,8 @@ fn a_gyroscope_that_warms_up_over_a_long_first_rest_is_navigated() {
         let ran = wimu(&["navigate", &csv]);
         let case = format!("{warms} °/s, rest of {rest_s} s");
         let report = texts.findings(case, &ran);
-        assert!(
-            number(&report, "/nees/share_below_7_81") > 0.9,
-            "{rest_s} {warms} {report}"
-        );
-        assert!(
-            number(&report, "/valid_share") > 0.9,
-            "{rest_s} {warms} {report}"
-        );
+        assert!(number(&report, "/nees/share_below_7_81") > 0.9, "{rest_s} {warms} {report}");
+        assert!(number(&report, "/valid_share") > 0.9, "{rest_s} {warms} {report}");
     }
     texts.check("navigate_gyroscope_warms_up");
 }

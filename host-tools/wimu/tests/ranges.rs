@@ -22,11 +22,7 @@ const SAMPLES: u32 = 90 * BATCH;
 
 /// The range, ± g: 2, from sample 480 to 960 16, then 2 again.
 fn range_g(sequence: u32) -> u8 {
-    if (480..960).contains(&sequence) {
-        16
-    } else {
-        2
-    }
+    if (480..960).contains(&sequence) { 16 } else { 2 }
 }
 
 fn epoch(number: u8, sequence: u32, reason: EpochReason) -> Vec<u8> {
@@ -57,11 +53,7 @@ fn time_us(sequence: u32) -> u64 {
 /// these samples are lost. With host times, ns.
 fn link(role: LinkRole, late_ms: u64, lost: &[u32]) -> Vec<(LinkRole, u64, Vec<u8>)> {
     let mut frame = [0; MAX_FRAME];
-    let hello = Hello {
-        boot_count: 1,
-        sensitivity_known: true,
-        ..Hello::new(role)
-    };
+    let hello = Hello { boot_count: 1, sensitivity_known: true, ..Hello::new(role) };
     let length = hello.encode(&mut frame).unwrap();
     let at_ns = |sequence| time_us(sequence) * 1000;
     let mut brought = vec![(role, at_ns(0), frame[..length].to_vec())];
@@ -91,10 +83,7 @@ fn link(role: LinkRole, late_ms: u64, lost: &[u32]) -> Vec<(LinkRole, u64, Vec<u
 /// A recording of it, in `folder`.
 fn file(folder: &Path, links: &[Vec<(LinkRole, u64, Vec<u8>)>]) -> String {
     let path = folder.join("made.mcap");
-    let anchor = ClockAnchor {
-        monotonic_ns: 0,
-        utc_ns: 1_795_222_920_000_000_000,
-    };
+    let anchor = ClockAnchor { monotonic_ns: 0, utc_ns: 1_795_222_920_000_000_000 };
     let mut writer = RecordingWriter::create(&path, anchor).unwrap();
     let mut brought = links.concat();
     brought.sort_by_key(|(_, host_ns, _)| *host_ns);
@@ -130,10 +119,7 @@ fn decoded(session: &str, folder: &Path) -> (BTreeMap<String, Vec<f64>>, serde_j
 
 fn are_one_g(magnitudes: &[f64]) {
     for magnitude in magnitudes {
-        assert!(
-            (magnitude - STANDARD_GRAVITY_MPS2).abs() < 1e-9,
-            "{magnitude}"
-        );
+        assert!((magnitude - STANDARD_GRAVITY_MPS2).abs() < 1e-9, "{magnitude}");
     }
 }
 
@@ -200,11 +186,7 @@ fn a_calibration_by_the_cable_and_a_board_of_an_array_go_by_each_samples_range()
     let at = found["axes"][0]["at_m_s2"].as_f64().unwrap();
     assert!((at - STANDARD_GRAVITY_MPS2).abs() < 1e-9, "{found}");
 
-    let options = BoardOptions {
-        sensitivity_lsb_per_g: 1.0,
-        link: Some(ROLES[0]),
-        raw: false,
-    };
+    let options = BoardOptions { sensitivity_lsb_per_g: 1.0, link: Some(ROLES[0]), raw: false };
     let board = Board::read(Path::new(&session), &options).unwrap();
     let magnitudes: Vec<f64> = board.values.iter().map(|value| value[0]).collect();
     assert_eq!(magnitudes.len(), SAMPLES as usize);
@@ -224,13 +206,7 @@ fn a_calibration_by_the_cable_and_a_board_of_an_array_go_by_each_samples_range()
     assert!((at - STANDARD_GRAVITY_MPS2).abs() < 1e-9, "{found}");
     let board = Board::read(Path::new(&session), &options).unwrap();
     assert_eq!(board.without_unit, 159);
-    are_one_g(
-        &board
-            .values
-            .iter()
-            .map(|value| value[0])
-            .collect::<Vec<_>>(),
-    );
+    are_one_g(&board.values.iter().map(|value| value[0]).collect::<Vec<_>>());
 }
 
 #[test]
@@ -251,10 +227,7 @@ fn a_table_of_counts_gives_the_unit_of_each_row_and_is_read_for_one_range() {
     let ran = wimu(&["export", &session, "-o", &table]);
     texts.text("export", &ran);
     let report = ran.succeeds();
-    assert_eq!(
-        (&report["rows"], &report["without_unit"]),
-        (&SAMPLES.into(), &159.into())
-    );
+    assert_eq!((&report["rows"], &report["without_unit"]), (&SAMPLES.into(), &159.into()));
     let text = fs::read_to_string(&table).unwrap();
     let mut lines = text.lines();
     assert!(lines.next().unwrap().ends_with(",Sensitivity (LSB/g)"));
@@ -282,16 +255,8 @@ fn a_damaged_or_cut_file_is_reported() {
     let cut = whole[..whole.len() / 2].to_vec();
     for (case, bytes, chunks) in [("damaged", damaged, 1), ("cut", cut, 0)] {
         fs::write(&session, bytes).unwrap();
-        let table = folder
-            .path()
-            .join(format!("{chunks}.csv"))
-            .display()
-            .to_string();
-        let copy = folder
-            .path()
-            .join(format!("{chunks}.mcap"))
-            .display()
-            .to_string();
+        let table = folder.path().join(format!("{chunks}.csv")).display().to_string();
+        let copy = folder.path().join(format!("{chunks}.mcap")).display().to_string();
         for arguments in [
             vec!["compare", &session],
             vec!["export", &session, "-o", &table],

@@ -32,10 +32,7 @@ fn figures_of_the_wireless_link_alone_in_real_time() {
         let clock = &recorded["links"][0]["clock"];
         let error = clock["rate_ppm"].as_f64().unwrap() - rate;
         let sd = clock["rate_sd_ppm"].as_f64().unwrap();
-        println!(
-            "seed {seed}: rate wrong by {error:+.2} ± {:.2} ppm",
-            2.0 * sd
-        );
+        println!("seed {seed}: rate wrong by {error:+.2} ± {:.2} ppm", 2.0 * sd);
         squares += error * error;
         within += u32::from(error.abs() <= 2.0);
         held += u32::from(error.abs() <= 1.96 * sd);

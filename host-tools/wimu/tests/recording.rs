@@ -38,12 +38,7 @@ fn ctrl_c_closes_a_recording_and_a_kill_loses_a_second_at_most() {
         let info = wimu(&["info", cut.to_str().unwrap()]).succeeds();
         assert_eq!(info["truncated"], true);
         let table = folder.path().join(format!("{tenths}.csv"));
-        let exported = wimu(&[
-            "export",
-            cut.to_str().unwrap(),
-            "-o",
-            table.to_str().unwrap(),
-        ]);
+        let exported = wimu(&["export", cut.to_str().unwrap(), "-o", table.to_str().unwrap()]);
         assert!([0, 2].contains(&exported.code), "{exported:?}");
         if exported.code == 2 {
             exported.fails(2, "no_rows");
@@ -152,14 +147,8 @@ fn a_link_that_is_lost_comes_back_without_the_other_or_the_file_being_lost() {
             let lost = u64::from(link["role"] == "wireless");
             assert_eq!(statistics["interruptions"], lost, "{statistics}");
             let count = |value: &Value| value.as_u64().unwrap();
-            assert!(
-                missing.contains(&count(&statistics["raw"]["missing"])),
-                "{statistics}"
-            );
-            assert!(
-                count(&statistics["frames_damaged"]) <= damaged,
-                "{statistics}"
-            );
+            assert!(missing.contains(&count(&statistics["raw"]["missing"])), "{statistics}");
+            assert!(count(&statistics["frames_damaged"]) <= damaged, "{statistics}");
             // Most of the samples arrived after the interruption.
             assert!(count(&statistics["raw"]["received"]) > 400, "{statistics}");
         }
@@ -218,36 +207,17 @@ fn rosbags_reads_the_decoded_topics_of_both_links() {
     let file = path.to_str().unwrap();
     let board = Simulator::start(&["--motion", "rest"]);
     let (wireless, cable) = (board.wireless.as_str(), board.cable.as_str());
-    let arguments = [
-        "record",
-        wireless,
-        "--cable",
-        cable,
-        "-o",
-        file,
-        "--decoded",
-    ];
+    let arguments = ["record", wireless, "--cable", cable, "-o", file, "--decoded"];
     let report = record_until(Background::start(&arguments), file, |link| {
         link["raw_samples"].as_u64() > Some(500)
     });
     let decoded = &report["decoded"];
-    assert_eq!(
-        (&decoded["without_unit"], &decoded["late"]),
-        (&0.into(), &0.into()),
-        "{report}"
-    );
+    assert_eq!((&decoded["without_unit"], &decoded["late"]), (&0.into(), &0.into()), "{report}");
     // It is still a recording, and decodes again to the same.
     let info = wimu(&["info", file]).succeeds();
     let raw = info["links"][0]["raw_samples"].as_u64().unwrap();
     let again = folder.path().join("again.mcap");
-    let arguments = [
-        "export",
-        file,
-        "--format",
-        "mcap",
-        "-o",
-        again.to_str().unwrap(),
-    ];
+    let arguments = ["export", file, "--format", "mcap", "-o", again.to_str().unwrap()];
     let exported = wimu(&arguments).succeeds();
     assert_eq!(exported["messages"]["/cable/imu/data_raw"], raw);
     assert_eq!(decoded["messages"]["/cable/imu/data_raw"], raw);
@@ -259,25 +229,17 @@ fn rosbags_reads_the_decoded_topics_of_both_links() {
     let Some(python) = python_with_rosbags() else {
         return;
     };
-    let read = std::process::Command::new(python)
-        .args(["-c", READ_WITH_ROSBAGS, file])
-        .output()
-        .unwrap();
+    let read =
+        std::process::Command::new(python).args(["-c", READ_WITH_ROSBAGS, file]).output().unwrap();
     let text = String::from_utf8_lossy(&read.stdout).into_owned();
-    assert!(
-        read.status.success(),
-        "{}",
-        String::from_utf8_lossy(&read.stderr)
-    );
+    assert!(read.status.success(), "{}", String::from_utf8_lossy(&read.stderr));
     for topic in ["data_raw", "data", "mag", "temperature"] {
         for role in ["cable", "wireless"] {
             let topic = format!("/{role}/imu/{topic} ");
             let line = text.lines().find(|line| line.starts_with(&topic));
             let line = line.unwrap_or_else(|| panic!("{topic}: {text}"));
-            let numbers: Vec<f64> = line[topic.len()..]
-                .split(' ')
-                .map(|number| number.parse().unwrap())
-                .collect();
+            let numbers: Vec<f64> =
+                line[topic.len()..].split(' ').map(|number| number.parse().unwrap()).collect();
             let [count, seconds, norm] = numbers[..] else {
                 panic!("{line}");
             };
@@ -287,8 +249,5 @@ fn rosbags_reads_the_decoded_topics_of_both_links() {
             }
         }
     }
-    assert!(
-        text.contains(&format!("/cable/imu/data_raw {raw} ")),
-        "{text}"
-    );
+    assert!(text.contains(&format!("/cable/imu/data_raw {raw} ")), "{text}");
 }

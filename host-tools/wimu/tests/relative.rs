@@ -39,10 +39,7 @@ fn write(folder: &Path) -> [String; 2] {
             let mut force = [0, 1].map(|k| (before[k] + after[k] - 2.0 * now[k]) / (h * h));
             force[1] += 9.80665;
             let (sin, cos) = angles(t)[unit].sin_cos();
-            let [x, y] = [
-                cos * force[0] + sin * force[1],
-                cos * force[1] - sin * force[0],
-            ];
+            let [x, y] = [cos * force[0] + sin * force[1], cos * force[1] - sin * force[0]];
             let rate = (angles(t + h)[unit] - angles(t - h)[unit]) / (2.0 * h);
             write!(text, "\n{t},{x},{y},0.01,0.001,0,{rate}").unwrap();
         }
@@ -58,40 +55,21 @@ fn the_angle_is_printed_and_written_with_its_sigma() {
     let [a, b] = write(folder.path());
     let [csv, page] =
         ["angle.csv", "angle.html"].map(|name| folder.path().join(name).display().to_string());
-    let ran = wimu(&[
-        "navigate",
-        &a,
-        &b,
-        "--relative",
-        "-o",
-        &csv,
-        "--report",
-        &page,
-    ]);
+    let ran = wimu(&["navigate", &a, &b, "--relative", "-o", &csv, "--report", &page]);
     assert!(ran.stderr.starts_with("angle: "), "{}", ran.stderr);
     let found = wimu(&["navigate", &a, &b, "--relative"]).succeeds();
     assert_eq!(found["schema"], "wimu.relative/1");
     assert_eq!(found["accurate"], true, "{found}");
     assert_eq!(found["hinge"]["given"], false);
-    assert!(
-        found["hinge"]["axes"][0][2].as_f64().unwrap() > 0.98,
-        "{found}"
-    );
+    assert!(found["hinge"]["axes"][0][2].as_f64().unwrap() > 0.98, "{found}");
     let sigma = found["median_sigma_deg"].as_f64().unwrap();
     let end = angles(14.98);
     let off = found["final_angle_deg"].as_f64().unwrap() - (end[1] - end[0]).to_degrees();
     assert!(off.abs() < 4.0 * sigma.max(0.3), "{off} ± {sigma}");
     let rows = fs::read_to_string(csv).unwrap();
-    assert!(
-        rows.starts_with("Time (s),Angle (deg),Angle Sigma (deg),Quaternion W,"),
-        "{rows:.99}"
-    );
+    assert!(rows.starts_with("Time (s),Angle (deg),Angle Sigma (deg),Quaternion W,"), "{rows:.99}");
     assert!(rows.lines().count() > 700);
-    assert!(
-        fs::read_to_string(page)
-            .unwrap()
-            .contains("Angle of the hinge")
-    );
+    assert!(fs::read_to_string(page).unwrap().contains("Angle of the hinge"));
     let given = wimu(&["navigate", &a, &b, "--relative", "--hinge", "0,0,1"]).succeeds();
     assert_eq!(given["hinge"]["given"], true);
 }
@@ -126,16 +104,8 @@ fn live_units_without_a_joint_are_not_accurate_and_one_board_is_refused() {
     let (path, angles) = objects.split_last().expect("a result");
     assert_eq!(angles[0]["schema"], "wimu.angle/1", "{ran:?}");
     assert!(angles.iter().all(|angle| angle["accurate"] == false));
-    assert_eq!(
-        (&path["schema"], &path["accurate"]),
-        (&"wimu.relative/1".into(), &false.into())
-    );
-    assert!(
-        kit::findings(path)
-            .join("\n")
-            .contains("do not fit a common joint"),
-        "{path}"
-    );
+    assert_eq!((&path["schema"], &path["accurate"]), (&"wimu.relative/1".into(), &false.into()));
+    assert!(kit::findings(path).join("\n").contains("do not fit a common joint"), "{path}");
     let soon = wimu(&["navigate", a, b, "--relative", "--for", "2"]);
     soon.fails(2, "no_rows");
     let one_board = ["navigate", a, &boards[0].wireless, "--relative"];

@@ -20,9 +20,7 @@ const MOST_BYTES: usize = 5_000_000;
 /// The name by which this machine starts Chromium.
 pub fn chromium() -> Option<&'static str> {
     let answers = |name: &&str| Command::new(name).arg("--version").output().is_ok();
-    let found = ["chromium", "chromium-browser", "google-chrome"]
-        .into_iter()
-        .find(answers);
+    let found = ["chromium", "chromium-browser", "google-chrome"].into_iter().find(answers);
     if found.is_none() {
         println!("skipped: there is no Chromium; `apt-get install chromium`");
     }
@@ -50,16 +48,11 @@ fn opened(browser: &str, folder: &Path, page: &str, dark: bool) -> Vec<Value> {
     if dark {
         command.arg("--blink-settings=preferredColorScheme=0");
     }
-    command.arg(format!(
-        "--user-data-dir={}",
-        folder.join("profile").display()
-    ));
+    command.arg(format!("--user-data-dir={}", folder.join("profile").display()));
     let url = format!("file://{}", folder.join("around.html").display());
     let ran = command.arg(url).output().unwrap();
     let dom = String::from_utf8_lossy(&ran.stdout);
-    let title = dom
-        .split_once("<title>")
-        .and_then(|(_, rest)| rest.split_once("</title>"));
+    let title = dom.split_once("<title>").and_then(|(_, rest)| rest.split_once("</title>"));
     let (title, _) = title.unwrap_or_else(|| panic!("{page}: {ran:?}"));
     let mut seen: Vec<Value> = serde_json::from_str(title).unwrap();
     seen.sort_by_key(|one| WIDTHS.iter().position(|w| one["innerWidth"] == *w));
@@ -75,10 +68,7 @@ fn works(page: &str, chart: &Value) {
     }
     let number = |key: &str| chart[key].as_f64().unwrap_or_else(|| panic!("{key}: {at}"));
     // A frame around nothing has fewer.
-    assert!(
-        number("ink") > 2.0 * (number("width") + number("height")) + 500.0,
-        "{at}"
-    );
+    assert!(number("ink") > 2.0 * (number("width") + number("height")) + 500.0, "{at}");
     let tip = chart["tip"].as_str().unwrap();
     assert!(tip.chars().any(|c| c.is_ascii_digit()), "{at}");
     for zoom in ["wheel", "pinch"] {
@@ -132,10 +122,7 @@ fn every_report_works_in_a_browser() {
         for one in &seen {
             assert_eq!(one["faults"], Value::Array(Vec::new()), "{page}");
             assert_eq!(one["folded"], true, "{page}");
-            assert!(
-                one["overflow"].as_f64().unwrap() <= 0.0,
-                "{page}: wider than its window"
-            );
+            assert!(one["overflow"].as_f64().unwrap() <= 0.0, "{page}: wider than its window");
             assert_eq!(one["images"], 0, "{page}");
             let order: Vec<f64> = (one["order"].as_array().unwrap().iter())
                 .map(|top| top.as_f64().unwrap())
@@ -150,13 +137,7 @@ fn every_report_works_in_a_browser() {
     report("demo.html", &["demo"]);
     let demo = at("demo.mcap");
     let links = report("compare.html", &["compare", &demo]);
-    for title in [
-        "Latency",
-        "did not arrive",
-        "Figure 5",
-        "Figure 6",
-        "Figure 7",
-    ] {
+    for title in ["Latency", "did not arrive", "Figure 5", "Figure 6", "Figure 7"] {
         titled(&links, title);
     }
     let path = report("navigate.html", &["navigate", &demo]);
@@ -165,55 +146,29 @@ fn every_report_works_in_a_browser() {
     assert!((x / y - 1.0).abs() < 1e-6, "equal scales: {plan}");
     assert!(titled(&path, "space")["space"].as_bool().unwrap());
     let tip = titled(&path, "Velocity")["tip"].as_str().unwrap();
-    assert!(
-        tip.contains(" m/s") && tip.contains("time ") && tip.contains(" s"),
-        "{tip}"
-    );
+    assert!(tip.contains(" m/s") && tip.contains("time ") && tip.contains(" s"), "{tip}");
 
     let noise = at("<img src=x onerror=fail()>.csv");
     let allan = report("allan.html", &["allan", &noise, "--datasheet", "100"]);
     let ticks = &titled(&allan, "Allan")["ticks"];
-    assert_eq!(
-        ticks[0].as_array().unwrap()[..3],
-        ["0.01", "0.1", "1"],
-        "{ticks}"
-    );
+    assert_eq!(ticks[0].as_array().unwrap()[..3], ["0.01", "0.1", "1"], "{ticks}");
     let poses = at("poses.csv");
     let poses = ["calibrate", &poses, "--poses", "--sensitivity", "1024"];
     let sphere = report("calibrate.html", &poses);
     assert_eq!(titled(&sphere, "sphere")["space"], true);
     let [first, later, cal] = ["poses.csv", "later.csv", "CAL.json"].map(at);
-    let several = [
-        &["calibrate", &first, &later][..],
-        &poses[2..],
-        &["-o", &cal],
-    ]
-    .concat();
+    let several = [&["calibrate", &first, &later][..], &poses[2..], &["-o", &cal]].concat();
     let several = report("several.html", &several);
     titled(&several, "Bias of each session");
-    let update = [
-        "calibrate",
-        &later,
-        "--poses",
-        "--method",
-        "update",
-        "--with",
-        &cal,
-    ];
+    let update = ["calibrate", &later, "--poses", "--method", "update", "--with", &cal];
     titled(&report("update.html", &update), "each rest");
-    let reference = report(
-        "reference.html",
-        &["calibrate", &demo, "--method", "reference"],
-    );
+    let reference = report("reference.html", &["calibrate", &demo, "--method", "reference"]);
     titled(&reference, "Z: output less reference");
     let (ranges, anchors) = (at("ranges.csv"), at("anchors.csv"));
     let ranges = report("ranges.html", &["navigate", &ranges, "--anchors", &anchors]);
     titled(&ranges, "Innovation");
 
     let dark = opened(browser, folder, "allan.html", true);
-    assert_ne!(
-        dark[0]["dark"], allan["dark"],
-        "the colours follow the system"
-    );
+    assert_ne!(dark[0]["dark"], allan["dark"], "the colours follow the system");
     works("dark", &dark[1]["charts"][0]);
 }

@@ -76,9 +76,7 @@ fn turn(steps: usize) -> Vec<[f64; 3]> {
             to(s, c)
         })
     };
-    about(|s, c| [c, s, 0.0])
-        .chain(about(|s, c| [0.0, c, s]))
-        .collect()
+    about(|s, c| [c, s, 0.0]).chain(about(|s, c| [0.0, c, s])).collect()
 }
 
 /// Two streams that move on all axes, the second off.
@@ -91,11 +89,7 @@ fn streams() -> String {
     }
     for k in 0..2000 {
         let t = f64::from(k) * 0.01;
-        let force = [
-            3.0 * (2.0 * t).sin(),
-            3.0 * (3.1 * t).cos(),
-            8.0 + 3.0 * (2.3 * t).sin(),
-        ];
+        let force = [3.0 * (2.0 * t).sin(), 3.0 * (3.1 * t).cos(), 8.0 + 3.0 * (2.3 * t).sin()];
         let [x, y, z] = force.map(|f| (f * LSB).round());
         let [u, v, w] = force.map(|f| ((1.02 * f + 0.3) * LSB).round());
         write!(text, "\n{t},{x},{y},{z},{u},{v},{w}").unwrap();
@@ -109,10 +103,7 @@ fn every_methods_calibration_is_pushed_and_exported_as_it_is() {
     let folder = folder();
     let path = |name: &str| folder.path().join(name).display().to_string();
     let sides = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-    let sides: Vec<_> = sides
-        .into_iter()
-        .flat_map(|up| [up, up.map(|c: f64| -c)])
-        .collect();
+    let sides: Vec<_> = sides.into_iter().flat_map(|up| [up, up.map(|c: f64| -c)]).collect();
     fs::write(path("many.csv"), table(&many())).unwrap();
     fs::write(path("sides.csv"), table(&sides)).unwrap();
     fs::write(path("four.csv"), table(&turn(4))).unwrap();
@@ -126,10 +117,7 @@ fn every_methods_calibration_is_pushed_and_exported_as_it_is() {
         ("many.csv", &["--poses", "--model", "auto"]),
         ("many.csv", &["--poses", "--model", "9+drift"]),
         ("many.csv", &["--poses", "--model", "9+temperature"]),
-        (
-            "many.csv",
-            &["--poses", "--model", "9+drift+temperature+quadratic"],
-        ),
+        ("many.csv", &["--poses", "--model", "9+drift+temperature+quadratic"]),
         ("sides.csv", &["--poses", "--method", "six-position"]),
         ("four.csv", &["--poses", "--method", "four-angle"]),
         ("three.csv", &["--poses", "--method", "three-angle"]),
@@ -154,10 +142,7 @@ fn every_methods_calibration_is_pushed_and_exported_as_it_is() {
             let terms = set.model.terms();
             let all = terms.matrix.iter().flatten().chain(&terms.bias_mps2);
             for number in all.filter(|n| **n != 0.0) {
-                assert!(
-                    text.contains(&format!("{number:?}")),
-                    "{format} {flags:?}: {number}"
-                );
+                assert!(text.contains(&format!("{number:?}")), "{format} {flags:?}: {number}");
             }
         }
         headers.push((path(&format!("c{k}")), set, flags));
@@ -173,13 +158,7 @@ fn a_stored_calibration_is_checked_by_later_rests_and_brought_up_to_date() {
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (cal, rests) = (path("CAL.json"), path("rests.csv"));
     fs::write(path("many.csv"), table(&many())).unwrap();
-    let calibrated = [
-        "calibrate",
-        &path("many.csv"),
-        "--poses",
-        "--model",
-        "9+temperature",
-    ];
+    let calibrated = ["calibrate", &path("many.csv"), "--poses", "--model", "9+temperature"];
     wimu(&[&calibrated[..], &["--sensitivity", "16384", "-o", &cal]].concat()).succeeds();
     // The next run: the bias is 10 mm/s² off on X, as from one start to the next.
     let off = |by: f64, rests: &str| {
@@ -194,15 +173,7 @@ fn a_stored_calibration_is_checked_by_later_rests_and_brought_up_to_date() {
         });
         fs::write(rests, shifted.collect::<String>()).unwrap();
     };
-    let update = [
-        "calibrate",
-        &rests,
-        "--poses",
-        "--method",
-        "update",
-        "--with",
-        &cal,
-    ];
+    let update = ["calibrate", &rests, "--poses", "--method", "update", "--with", &cal];
     off(0.010, &rests);
     let newer = path("NEW.json");
     let ran = wimu(&[&update[..], &["-o", &newer]].concat());
@@ -214,10 +185,7 @@ fn a_stored_calibration_is_checked_by_later_rests_and_brought_up_to_date() {
     let change = report["bias_change_m_s2"][0].as_f64().unwrap();
     let sd = report["sd"][0].as_f64().unwrap();
     // Ageing lets the bias move with every change of temperature.
-    assert!(
-        (change - 0.010).abs() < 2.0 * sd && sd < 0.03,
-        "{change} {sd}"
-    );
+    assert!((change - 0.010).abs() < 2.0 * sd && sd < 0.03, "{change} {sd}");
     // The newer file is a calibration like any other.
     let set = read_parameters(Path::new(&newer)).unwrap();
     let quality = set.quality.unwrap();
@@ -244,12 +212,7 @@ fn a_stored_calibration_is_checked_by_later_rests_and_brought_up_to_date() {
 }
 
 fn computes_the_same(header: &str, set: &ParameterSet, flags: &[&str]) {
-    let samples = [
-        [0, 0, 16384],
-        [-16384, 100, -100],
-        [32767, -32768, 12345],
-        [-1, 2, -3],
-    ];
+    let samples = [[0, 0, 16384], [-16384, 100, -100], [32767, -32768, 12345], [-1, 2, -3]];
     let mut program =
         format!("#include <stdio.h>\n#include \"{header}\"\nint main(void) {{\n    double f[3];\n");
     for [x, y, z] in samples {
@@ -264,19 +227,13 @@ fn computes_the_same(header: &str, set: &ParameterSet, flags: &[&str]) {
     let (source, binary) = (format!("{header}.main.c"), format!("{header}.main"));
     fs::write(&source, program).unwrap();
     let built = Command::new("cc")
-        .args([
-            "-std=c99", "-Wall", "-Wextra", "-Werror", "-o", &binary, &source,
-        ])
+        .args(["-std=c99", "-Wall", "-Wextra", "-Werror", "-o", &binary, &source])
         .output();
     let Ok(built) = built else {
         println!("skipped: there is no C compiler `cc`");
         return;
     };
-    assert!(
-        built.status.success(),
-        "{}",
-        String::from_utf8_lossy(&built.stderr)
-    );
+    assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
     let ran = Command::new(&binary).output().unwrap();
     let text = String::from_utf8(ran.stdout).unwrap();
     for (counts, line) in samples.into_iter().zip(text.lines()) {

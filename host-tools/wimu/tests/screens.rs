@@ -45,15 +45,10 @@ impl Terminal {
     ) -> Self {
         let controller =
             openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a pseudo-terminal");
-        grantpt(&controller)
-            .and_then(|()| unlockpt(&controller))
-            .expect("a pseudo-terminal");
+        grantpt(&controller).and_then(|()| unlockpt(&controller)).expect("a pseudo-terminal");
         let name = ptsname(&controller, Vec::new()).expect("its name");
-        let user = File::options()
-            .read(true)
-            .write(true)
-            .open(name.to_str().expect("ASCII"))
-            .expect("it");
+        let user =
+            File::options().read(true).write(true).open(name.to_str().expect("ASCII")).expect("it");
         tcsetwinsize(&controller, size(columns, rows)).expect("a size");
         let end = || user.try_clone().expect("a handle");
         let child = Command::new("setsid")
@@ -72,10 +67,7 @@ impl Terminal {
             .expect("setsid of util-linux");
         let controller = File::from(controller);
         let parser = vt100::Parser::new(cells(rows), cells(columns), 0);
-        let written = Arc::new(Mutex::new(Written {
-            parser,
-            bytes: Vec::new(),
-        }));
+        let written = Arc::new(Mutex::new(Written { parser, bytes: Vec::new() }));
         let (mut reader, shared) = (controller.try_clone().expect("a handle"), written.clone());
         thread::spawn(move || {
             let mut buffer = [0; 4096];
@@ -85,20 +77,11 @@ impl Terminal {
                 written.bytes.extend(&buffer[..count]);
             }
         });
-        Self {
-            child,
-            controller,
-            written,
-        }
+        Self { child, controller, written }
     }
 
     fn text(&self) -> String {
-        self.written
-            .lock()
-            .expect("no panic")
-            .parser
-            .screen()
-            .contents()
+        self.written.lock().expect("no panic").parser.screen().contents()
     }
 
     fn bytes(&self) -> Vec<u8> {
@@ -124,17 +107,12 @@ impl Terminal {
     }
 
     fn press(&mut self, keys: &str) {
-        self.controller
-            .write_all(keys.as_bytes())
-            .expect("a terminal");
+        self.controller.write_all(keys.as_bytes()).expect("a terminal");
     }
 
     fn resize(&self, columns: u16, rows: u16) {
         let mut written = self.written.lock().expect("no panic");
-        written
-            .parser
-            .screen_mut()
-            .set_size(cells(rows), cells(columns));
+        written.parser.screen_mut().set_size(cells(rows), cells(columns));
         tcsetwinsize(&self.controller, size(columns, rows)).expect("a size");
     }
 
@@ -167,21 +145,13 @@ fn cells(count: u16) -> NonZero<u16> {
 }
 
 fn size(columns: u16, rows: u16) -> Winsize {
-    Winsize {
-        ws_col: columns,
-        ws_row: rows,
-        ws_xpixel: 0,
-        ws_ypixel: 0,
-    }
+    Winsize { ws_col: columns, ws_row: rows, ws_xpixel: 0, ws_ypixel: 0 }
 }
 
 /// The number in `pose N of 12`.
 fn poses(screen: &str) -> usize {
     let (_, rest) = screen.split_once("pose ").expect(screen);
-    rest.split_whitespace()
-        .next()
-        .and_then(|n| n.parse().ok())
-        .expect(screen)
+    rest.split_whitespace().next().and_then(|n| n.parse().ok()).expect(screen)
 }
 
 #[test]
@@ -190,15 +160,8 @@ fn keys_alone_lead_from_readings_to_a_pushed_calibration() {
     let folder = folder();
     let mut screen = Terminal::start(&["monitor", &board.cable], folder.path(), USUAL, &UTF8);
     let shown = screen.shows("none: uncalibrated, press c");
-    for part in [
-        "specific force, m/s²",
-        "|f|",
-        "state",
-        "links",
-        "rate Hz",
-        "latency",
-        "q  quit",
-    ] {
+    for part in ["specific force, m/s²", "|f|", "state", "links", "rate Hz", "latency", "q  quit"]
+    {
         assert!(shown.contains(part), "{part}:\n{shown}");
     }
     screen.press("c");
@@ -227,10 +190,7 @@ fn keys_alone_lead_from_readings_to_a_pushed_calibration() {
     assert!(screen.ends().success());
     let shown = screen.shows("pushed: the board corrects its samples now");
     drop(shown);
-    assert_eq!(
-        wimu(&["params", "get", &board.cable]).succeeds()["calibrated"],
-        true
-    );
+    assert_eq!(wimu(&["params", "get", &board.cable]).succeeds()["calibrated"], true);
 }
 
 #[test]
@@ -242,9 +202,7 @@ fn a_lost_link_keeps_the_poses_and_resume_continues_them() {
     // More than are captured until the board is gone, on a busy computer too.
     let arguments = ["calibrate", &board.cable, "-o", "CAL.json", "--count", "60"];
     let mut screen = Terminal::start(&arguments, folder.path(), USUAL, &UTF8);
-    screen.until("pose 8", |shown| {
-        shown.contains("of 60") && poses(shown) >= 8
-    });
+    screen.until("pose 8", |shown| shown.contains("of 60") && poses(shown) >= 8);
     drop(board);
     let kept = poses(&screen.shows("LINK LOST"));
     assert!(kept >= 8, "{kept}");
@@ -254,16 +212,8 @@ fn a_lost_link_keeps_the_poses_and_resume_continues_them() {
     // Another phase of the noise: the same samples again would be no further poses.
     let other = ["--motion", "slide,twelve-poses", "--speed", "8", "--store"];
     let board = Simulator::start(&[&other[..], &[store.to_str().expect("text")]].concat());
-    let arguments = [
-        "calibrate",
-        &board.cable,
-        "-o",
-        "CAL.json",
-        "--resume",
-        "--count",
-        "20",
-        "--push",
-    ];
+    let arguments =
+        ["calibrate", &board.cable, "-o", "CAL.json", "--resume", "--count", "20", "--push"];
     let mut screen = Terminal::start(&arguments, folder.path(), USUAL, &UTF8);
     screen.shows("continuing the poses in CAL.poses.csv");
     let resumed = poses(&screen.shows("of 20"));
@@ -307,9 +257,7 @@ fn a_small_terminal_gets_text_and_a_screen_survives_any_size() {
     let folder = folder();
     let tiny = (20, 5);
     let mut lines = Terminal::start(&["monitor", &board.cable], folder.path(), tiny, &UTF8);
-    lines.until("two lines of readings", |shown| {
-        shown.matches(" s ").count() >= 2
-    });
+    lines.until("two lines of readings", |shown| shown.matches(" s ").count() >= 2);
     lines.press("\x03");
     assert!(lines.ends().success());
     let mut screen = Terminal::start(&["monitor", &board.cable], folder.path(), USUAL, &UTF8);
@@ -332,29 +280,18 @@ fn without_utf8_and_colour_the_screen_is_plain_ascii() {
     let board = Simulator::start(&["--motion", "rest"]);
     let folder = folder();
     let plain = [("LC_ALL", "C"), ("NO_COLOR", "1")];
-    for (command, variables) in [
-        ("monitor", &UTF8[..]),
-        ("monitor", &plain),
-        ("calibrate", &plain),
-    ] {
+    for (command, variables) in [("monitor", &UTF8[..]), ("monitor", &plain), ("calibrate", &plain)]
+    {
         let is_plain = variables.len() == plain.len();
         let mut screen = Terminal::start(&[command, &board.cable], folder.path(), USUAL, variables);
-        screen.shows(if command == "monitor" {
-            "at rest"
-        } else {
-            "pose 1 captured"
-        });
+        screen.shows(if command == "monitor" { "at rest" } else { "pose 1 captured" });
         let written = screen.written.lock().expect("no panic");
         let cells = (0..USUAL.1).flat_map(|row| (0..USUAL.0).map(move |column| (row, column)));
         let coloured = cells
             .filter_map(|(row, column)| written.parser.screen().cell(row, column))
             .filter(|cell| cell.fgcolor() != vt100::Color::Default)
             .count();
-        assert_eq!(
-            coloured == 0,
-            is_plain,
-            "{command}: {coloured} cells in colour"
-        );
+        assert_eq!(coloured == 0, is_plain, "{command}: {coloured} cells in colour");
         assert_eq!(written.bytes.is_ascii(), is_plain, "{command}");
         drop(written);
         screen.press("q");
@@ -368,15 +305,11 @@ fn a_terminal_that_is_closed_ends_the_command() {
     let folder = folder();
     let mut screen = Terminal::start(&["monitor", &board.cable], folder.path(), USUAL, &UTF8);
     screen.shows("at rest");
-    let Terminal {
-        child, controller, ..
-    } = &mut screen;
+    let Terminal { child, controller, .. } = &mut screen;
     let null = File::open("/dev/null").expect("it");
     drop(std::mem::replace(controller, null));
     // The reader holds the last handle: a hang-up comes as a signal.
-    let hung_up = Command::new("kill")
-        .args(["-HUP", &child.id().to_string()])
-        .status();
+    let hung_up = Command::new("kill").args(["-HUP", &child.id().to_string()]).status();
     assert!(hung_up.is_ok_and(|status| status.success()));
     let until = Instant::now() + Duration::from_secs(10);
     while child.try_wait().expect("a child").is_none() {
@@ -402,14 +335,8 @@ fn monitor_shows_the_position_that_ranges_aid() {
     fs::write(folder.path().join("ranges.csv"), ranges).unwrap();
     let mut arguments = vec!["monitor", &board.cable, "--anchors", "anchors.csv"];
     arguments.extend(["--ranges", "ranges.csv"]);
-    wimu(
-        &[
-            &arguments[..2],
-            &["--ranges", "ranges.csv", "--anchors", "anchors.csv"],
-        ]
-        .concat(),
-    )
-    .fails(2, "usage");
+    wimu(&[&arguments[..2], &["--ranges", "ranges.csv", "--anchors", "anchors.csv"]].concat())
+        .fails(2, "usage");
     arguments.push("--navigate");
     wimu(&arguments).fails(2, "usage");
     let mut screen = Terminal::start(&arguments, folder.path(), USUAL, &UTF8);

@@ -62,11 +62,7 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
     let rows = exported["rows"].as_u64().unwrap();
     let text = fs::read_to_string(&table).unwrap();
     assert_eq!(text.lines().count() as u64, rows + 1);
-    assert!(
-        text.starts_with("Time ("),
-        "{}",
-        text.lines().next().unwrap()
-    );
+    assert!(text.starts_with("Time ("), "{}", text.lines().next().unwrap());
     for stream in ["corrected", "navigation"] {
         let out = path(&format!("{stream}.csv"));
         wimu(&["export", &session, "-o", &out, "--stream", stream]).succeeds();
@@ -117,19 +113,13 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
     let quality = &held["parameters"]["quality"];
     assert_eq!(quality["method"], "multi-position");
     assert_eq!(quality["poses"], report["poses"]);
-    has(
-        quality,
-        &["utc_s", "temperature", "dof", "loo_rms_mps2", "covariance"],
-    );
+    has(quality, &["utc_s", "temperature", "dof", "loo_rms_mps2", "covariance"]);
     let held = wimu(&["params", "push", &board.cable, &again]).succeeds();
     assert_eq!(held["parameter_id"], report["parameter_id"]);
 
     let navigated = wimu(&["navigate", &session]).succeeds();
     let replay = &navigated["starts"][0]["replay"];
-    assert!(
-        replay["corrected_compared"].as_u64().unwrap() >= 5000,
-        "{replay}"
-    );
+    assert!(replay["corrected_compared"].as_u64().unwrap() >= 5000, "{replay}");
     for differ in ["corrected_differ", "navigation_differ", "states_differ"] {
         assert_eq!(replay[differ], 0, "{replay}");
     }
@@ -139,20 +129,8 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
     let ran = wimu(&["settings", "set", &board.cable, "--rate", "333"]);
     texts.fails("settings set --rate 333", &ran, 4, "device_refused");
     wimu(&["settings", "set", &board.wireless, "--rate", "200"]).fails(4, "key_needed");
-    let set = wimu(&[
-        "settings",
-        "set",
-        &board.cable,
-        "--rate",
-        "200",
-        "--zupt",
-        "off",
-    ])
-    .succeeds();
-    assert_eq!(
-        (&set["rate_hz"], &set["zupt"]),
-        (&200.into(), &false.into())
-    );
+    let set = wimu(&["settings", "set", &board.cable, "--rate", "200", "--zupt", "off"]).succeeds();
+    assert_eq!((&set["rate_hz"], &set["zupt"]), (&200.into(), &false.into()));
 
     let monitored = wimu(&["monitor", &board.cable, "--for", "1"]);
     assert_eq!(monitored.code, 0, "{monitored:?}");

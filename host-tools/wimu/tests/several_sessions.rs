@@ -18,11 +18,7 @@ fn session(folder: &Path, name: &str, celsius: f64, bias: f64, poses: u32) -> St
     let mut noise = noise();
     for up in spread(poses) {
         let [x, y, z] = up.map(|u| 9.80665 * u);
-        let seen = [
-            bias + 1.02 * x,
-            0.015 * x + 0.985 * y - 0.28,
-            0.25 + 1.01 * z,
-        ];
+        let seen = [bias + 1.02 * x, 0.015 * x + 0.985 * y - 0.28, 0.25 + 1.01 * z];
         let [x, y, z] = seen.map(|a| a + 0.001 * noise());
         write!(text, "\n{x},{y},{z},{celsius}").unwrap();
     }
@@ -59,16 +55,7 @@ fn sessions_are_combined_and_navigation_uses_their_change() {
     let mut texts = Transcript::default();
     let run = |more: &[&str]| wimu(&[&["calibrate", "--poses", &cold], more].concat());
 
-    let ran = run(&[
-        &room,
-        &warm,
-        "--latitude",
-        "45",
-        "--height",
-        "120",
-        "-o",
-        &cal,
-    ]);
+    let ran = run(&[&room, &warm, "--latitude", "45", "--height", "120", "-o", &cal]);
     texts.text("three sessions", &ran);
     let report = ran.succeeds();
     assert_eq!(report["schema"], "wimu.calibration-sessions/1");
@@ -92,19 +79,10 @@ fn sessions_are_combined_and_navigation_uses_their_change() {
         ("magnetometer", &[&room, "--sensor", "magnetometer"]),
         ("a link", &["tcp://127.0.0.1:7100"]),
         ("height alone", &["--height", "100"]),
-        (
-            "latitude and gravity",
-            &["--latitude", "45", "--gravity", "9.81"],
-        ),
+        ("latitude and gravity", &["--latitude", "45", "--gravity", "9.81"]),
         ("latitude beyond the pole", &["--latitude", "91"]),
-        (
-            "height above all mountains",
-            &["--latitude", "45", "--height", "9001"],
-        ),
-        (
-            "update by latitude",
-            &["--method", "update", "--with", &cal, "--latitude", "45"],
-        ),
+        ("height above all mountains", &["--latitude", "45", "--height", "9001"]),
+        ("update by latitude", &["--method", "update", "--with", &cal, "--latitude", "45"]),
     ] {
         texts.fails(case, &run(more), 2, "usage");
     }

@@ -35,11 +35,7 @@ fn turn(t: f64) -> [f64; 3] {
 
 /// What a point feels along a direction: gravity, ω̇ and centripetal acceleration.
 fn felt([x, y, _]: [f64; 3], d: [f64; 3], [_, rate, turning]: [f64; 3]) -> f64 {
-    let f = [
-        -turning * y - rate * rate * x,
-        turning * x - rate * rate * y,
-        G,
-    ];
+    let f = [-turning * y - rate * rate * x, turning * x - rate * rate * y, G];
     let size = d.iter().map(|c| c * c).sum::<f64>().sqrt();
     d.iter().zip(f).map(|(d, f)| d * f).sum::<f64>() / size
 }
@@ -64,26 +60,18 @@ fn table(columns: &[String], axes: &[([f64; 3], [f64; 3])]) -> String {
 }
 
 fn cube() -> Vec<([f64; 3], [f64; 3])> {
-    CUBE.map(|(position, direction)| (position.map(|c| 0.05 * c), direction))
-        .to_vec()
+    CUBE.map(|(position, direction)| (position.map(|c| 0.05 * c), direction)).to_vec()
 }
 
 fn numbered() -> Vec<String> {
-    (0..6)
-        .map(|k| format!("Accelerometer {k} (m/s²)"))
-        .collect()
+    (0..6).map(|k| format!("Accelerometer {k} (m/s²)")).collect()
 }
 
 /// The heading at the end of a path, rad from that at the start.
 fn heading(path: &std::path::Path) -> f64 {
     let text = fs::read_to_string(path).unwrap();
-    let last: Vec<f64> = text
-        .lines()
-        .last()
-        .unwrap()
-        .split(',')
-        .map(|v| v.parse().unwrap())
-        .collect();
+    let last: Vec<f64> =
+        text.lines().last().unwrap().split(',').map(|v| v.parse().unwrap()).collect();
     let [w, x, y, z] = [7, 8, 9, 10].map(|column| last[column]);
     (2.0 * (x * y + w * z)).atan2(1.0 - 2.0 * (y * y + z * z))
 }
@@ -114,12 +102,7 @@ fn a_cube_of_six_single_axes_is_navigated_by_its_name_and_by_its_axes() {
     let turned = heading(&out);
     println!("turned by {turned:.3} rad of {:.3}", turn(10.0)[0]);
     assert!(apart(turned, turn(10.0)[0]) < 0.05, "{turned}");
-    assert!(
-        found["nees"]["share"]
-            .as_f64()
-            .is_none_or(|share| share > 0.9),
-        "{found}"
-    );
+    assert!(found["nees"]["share"].as_f64().is_none_or(|share| share > 0.9), "{found}");
     // The same as JSON, with columns of other names, in g and in another order.
     let axes: Vec<Value> = cube()
         .iter()
@@ -146,13 +129,7 @@ fn a_cube_of_six_single_axes_is_navigated_by_its_name_and_by_its_axes() {
     assert!(apart(heading(&out), turn(10.0)[0]) < 0.05);
     let ran = wimu(&["navigate", &at("faces.csv"), "--geometry", "cube:100mm"]);
     texts.fails("other columns", &ran, 2, "csv_missing_column");
-    for wrong in [
-        "cube:100",
-        "cube:-1mm",
-        "board:9.5mm",
-        "four:",
-        "hexagon:3mm",
-    ] {
+    for wrong in ["cube:100", "cube:-1mm", "board:9.5mm", "four:", "hexagon:3mm"] {
         let ran = wimu(&["navigate", &at("cube.csv"), "--geometry", wrong]);
         texts.fails(wrong, &ran, 2, "usage");
     }
@@ -166,10 +143,8 @@ fn triads_of_a_preset_are_those_at_the_same_places() {
     let p = 0.05;
     let positions = [[p, p, p], [p, -p, -p], [-p, p, -p], [-p, -p, p]];
     let units = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-    let axes: Vec<([f64; 3], [f64; 3])> = positions
-        .iter()
-        .flat_map(|position| units.map(|unit| (*position, unit)))
-        .collect();
+    let axes: Vec<([f64; 3], [f64; 3])> =
+        positions.iter().flat_map(|position| units.map(|unit| (*position, unit))).collect();
     let columns: Vec<String> = (0..12)
         .map(|k| format!("Accelerometer {} {} (m/s²)", k / 3, ["X", "Y", "Z"][k % 3]))
         .collect();

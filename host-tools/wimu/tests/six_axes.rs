@@ -71,11 +71,8 @@ fn parameters() -> ParameterSet {
     let sd = [[1e-3, 2e-3, 3e-3].as_slice(), &[0.0; 9]].concat();
     let sd = sd.try_into().ok();
     ParameterSet {
-        model: ErrorModel::new(ErrorTerms {
-            bias_mps2: [0.3, -0.2, 0.1],
-            ..ErrorTerms::default()
-        })
-        .unwrap(),
+        model: ErrorModel::new(ErrorTerms { bias_mps2: [0.3, -0.2, 0.1], ..ErrorTerms::default() })
+            .unwrap(),
         // A quarter turn about z.
         alignment: Alignment::from_quaternion([0.5_f64.sqrt(), 0.0, 0.0, 0.5_f64.sqrt()]).unwrap(),
         gyroscope: GyroscopeParameters::new(250, RAD_S_PER_LSB, model.unwrap(), sd).ok(),
@@ -115,11 +112,7 @@ impl Device {
     ) {
         let mut frame = [0; MAX_FRAME];
         let length = encode(&mut frame).unwrap();
-        self.frames.push(Frame {
-            what,
-            time_us: time.0,
-            bytes: frame[..length].to_vec(),
-        });
+        self.frames.push(Frame { what, time_us: time.0, bytes: frame[..length].to_vec() });
     }
 
     fn say(&mut self, what: What, step: u32, message: Telemetry) {
@@ -168,10 +161,7 @@ impl Device {
         });
         self.say(What::Epoch(EpochReason::Periodic), step, epoch);
         let samples: Vec<_> = (first..first + count).map(second_counts).collect();
-        let layout = Layout {
-            sensor: 1,
-            every: NonZeroU8::MIN,
-        };
+        let layout = Layout { sensor: 1, every: NonZeroU8::MIN };
         self.send(What::Second, time(step), |frame| {
             batch::encode_with(layout, first, time(step), &samples, frame)
         });
@@ -192,10 +182,7 @@ impl Device {
             self.say(What::Other, step, navigation);
             if let Some(quaternion) = state.attitude {
                 let sequence = step;
-                let attitude = Telemetry::Attitude(Attitude {
-                    sequence,
-                    quaternion,
-                });
+                let attitude = Telemetry::Attitude(Attitude { sequence, quaternion });
                 self.say(What::Other, step, attitude);
             }
         }
@@ -222,11 +209,7 @@ fn counts(step: u32, random: &mut Random) -> Pair {
     };
     (
         Counts([push + noise(), noise(), 16384 + noise()]),
-        Counts([
-            65 + noise(),
-            -131 + noise(),
-            rate.saturating_add(33 + noise()),
-        ]),
+        Counts([65 + noise(), -131 + noise(), rate.saturating_add(33 + noise())]),
     )
 }
 
@@ -296,13 +279,9 @@ fn run(stops: bool) -> (Vec<Frame>, Vec<Pair>) {
             let at = time(first);
             if is_stopped {
                 let forces: Vec<Counts> = raw.iter().map(|(force, _)| *force).collect();
-                device.send(What::Raw(first), at, |frame| {
-                    batch::encode(first, at, &forces, frame)
-                });
+                device.send(What::Raw(first), at, |frame| batch::encode(first, at, &forces, frame));
             } else {
-                device.send(What::Raw(first), at, |frame| {
-                    batch::encode(first, at, &raw, frame)
-                });
+                device.send(What::Raw(first), at, |frame| batch::encode(first, at, &raw, frame));
                 device.send(What::Corrected(first), at, |frame| {
                     batch::encode(first, at, &corrected, frame)
                 });
@@ -314,11 +293,7 @@ fn run(stops: bool) -> (Vec<Frame>, Vec<Pair>) {
 
 fn hello(role: LinkRole) -> Vec<u8> {
     let mut frame = [0; MAX_FRAME];
-    let hello = Hello {
-        boot_count: 1,
-        sensitivity_known: true,
-        ..Hello::new(role)
-    };
+    let hello = Hello { boot_count: 1, sensitivity_known: true, ..Hello::new(role) };
     let length = hello.encode(&mut frame).unwrap();
     frame[..length].to_vec()
 }
@@ -347,10 +322,7 @@ fn frames_without(lost: impl Fn(What) -> bool) -> (Boot, ReplayReport) {
 /// A recording of both links; the wireless one loses every tenth raw batch.
 fn file(folder: &Path, stops: bool) -> String {
     let path = folder.join("six.mcap");
-    let anchor = ClockAnchor {
-        monotonic_ns: 0,
-        utc_ns: 1_795_222_920_000_000_000,
-    };
+    let anchor = ClockAnchor { monotonic_ns: 0, utc_ns: 1_795_222_920_000_000_000 };
     let mut writer = RecordingWriter::create(&path, anchor).unwrap();
     for role in [LinkRole::Cable, LinkRole::Wireless] {
         writer.append(role, 1_000_000_000, &hello(role)).unwrap();
@@ -359,9 +331,7 @@ fn file(folder: &Path, stops: bool) -> String {
         let at_ns = frame.time_us * 1000 + 200_000_000;
         writer.append(LinkRole::Cable, at_ns, &frame.bytes).unwrap();
         if !matches!(frame.what, What::Raw(first) if first % 160 == 32) {
-            writer
-                .append(LinkRole::Wireless, at_ns + 5_000_000, &frame.bytes)
-                .unwrap();
+            writer.append(LinkRole::Wireless, at_ns + 5_000_000, &frame.bytes).unwrap();
         }
     }
     writer.finish().unwrap();
@@ -391,10 +361,7 @@ fn samples_of_six_axes_are_decoded_and_replayed_bit_for_bit_from_any_epoch() {
         assert_eq!((report.breaks, report.epochs_unusable), (0, 0));
         let samples = u64::from(STEPS - boot.epochs[epoch].epoch.sequence);
         assert_eq!((report.samples, report.rates_compared), (samples, samples));
-        assert_eq!(
-            report.states_compared,
-            (boot.epochs.len() - epoch - 1) as u64
-        );
+        assert_eq!(report.states_compared, (boot.epochs.len() - epoch - 1) as u64);
         let due = |a: &&Attitude| a.sequence >= boot.epochs[epoch].epoch.sequence;
         let attitudes = boot.attitude.iter().filter(due).count() as u64;
         assert!(attitudes > 0 || epoch + 1 == boot.epochs.len());
@@ -474,9 +441,7 @@ fn a_second_sensor_has_its_own_numbers_times_and_units() {
 
 fn table_of(path: &str) -> (Vec<String>, Vec<Vec<String>>) {
     let text = fs::read_to_string(path).unwrap();
-    let mut lines = text
-        .lines()
-        .map(|line| line.split(',').map(str::to_owned).collect());
+    let mut lines = text.lines().map(|line| line.split(',').map(str::to_owned).collect());
     (lines.next().unwrap(), lines.collect())
 }
 
@@ -491,9 +456,7 @@ fn numbers<const N: usize>(
 ) -> Vec<[f64; N]> {
     let columns = names.map(|name| column(header, name));
     let number = |row: &Vec<String>, at: usize| row[at].parse().unwrap_or(f64::NAN);
-    rows.iter()
-        .map(|row| columns.map(|at| number(row, at)))
-        .collect()
+    rows.iter().map(|row| columns.map(|at| number(row, at))).collect()
 }
 
 #[test]
@@ -510,43 +473,23 @@ fn exported_tables_have_rates_and_attitudes_and_serve_as_input() {
         (table_of(&path), path)
     };
     let (raw, raw_path) = table("raw", &[]);
-    let rates = numbers(
-        &raw,
-        [
-            "Gyroscope X (LSB)",
-            "Gyroscope Y (LSB)",
-            "Gyroscope Z (LSB)",
-        ],
-    );
+    let rates = numbers(&raw, ["Gyroscope X (LSB)", "Gyroscope Y (LSB)", "Gyroscope Z (LSB)"]);
     let expected: Vec<_> = sent.iter().map(|(_, rate)| rate.0.map(f64::from)).collect();
     assert_eq!(rates, expected);
     let scale = numbers(&raw, ["Gyroscope Scale (rad/s/LSB)"]);
     assert!(scale.iter().all(|[scale]| *scale == RAD_S_PER_LSB));
 
     let (corrected, corrected_path) = table("corrected", &[]);
-    let rates = numbers(
-        &corrected,
-        [
-            "Gyroscope X (rad/s)",
-            "Gyroscope Y (rad/s)",
-            "Gyroscope Z (rad/s)",
-        ],
-    );
+    let rates =
+        numbers(&corrected, ["Gyroscope X (rad/s)", "Gyroscope Y (rad/s)", "Gyroscope Z (rad/s)"]);
     let (boot, _) = heard(&run(false).0);
     for (found, sample) in rates.iter().zip(&boot.corrected) {
         assert_eq!(*found, AngularRateQ20(sample.rate.unwrap()).to_rad_s());
     }
 
     let (navigation, _) = table("navigation", &[]);
-    let quaternions = numbers(
-        &navigation,
-        [
-            "Quaternion W",
-            "Quaternion X",
-            "Quaternion Y",
-            "Quaternion Z",
-        ],
-    );
+    let quaternions =
+        numbers(&navigation, ["Quaternion W", "Quaternion X", "Quaternion Y", "Quaternion Z"]);
     let units = quaternions.iter().filter(|q| !q[0].is_nan());
     assert_eq!(units.clone().count(), boot.attitude.len());
     for q in units {
@@ -557,23 +500,15 @@ fn exported_tables_have_rates_and_attitudes_and_serve_as_input() {
     let (second, _) = table("raw", &["--sensor", "1"]);
     let values = numbers(
         &second,
-        [
-            "Accelerometer 1 X (LSB)",
-            "Accelerometer 1 Y (LSB)",
-            "Accelerometer 1 Z (LSB)",
-        ],
+        ["Accelerometer 1 X (LSB)", "Accelerometer 1 Y (LSB)", "Accelerometer 1 Z (LSB)"],
     );
-    let expected: Vec<_> = (0..STEPS / SECOND_EVERY)
-        .map(|number| second_counts(number).0.map(f64::from))
-        .collect();
+    let expected: Vec<_> =
+        (0..STEPS / SECOND_EVERY).map(|number| second_counts(number).0.map(f64::from)).collect();
     assert_eq!(values, expected);
     let out = folder.path().join("none.csv").display().to_string();
     let none = wimu(&["export", &session, "--sensor", "3", "-o", &out]);
     let none = none.fails(2, "no_rows");
-    assert!(
-        none["remedy"].as_str().unwrap().contains("[0, 1]"),
-        "{none}"
-    );
+    assert!(none["remedy"].as_str().unwrap().contains("[0, 1]"), "{none}");
 
     let set = parameters();
     let options = TableOptions {
@@ -683,10 +618,7 @@ fn ros_messages_have_angular_velocity_with_covariance_and_orientation() {
     let raw = imu(&out, "/cable/imu/data_raw");
     assert_eq!(raw.len(), boot.raw.len());
     for (fields, sample) in raw.iter().zip(&boot.raw) {
-        let expected = sample
-            .rate
-            .unwrap()
-            .map(|lsb| f64::from(lsb) * RAD_S_PER_LSB);
+        let expected = sample.rate.unwrap().map(|lsb| f64::from(lsb) * RAD_S_PER_LSB);
         assert_eq!((&fields[13..16], fields[16]), (&expected[..], 0.0));
     }
     let second = imu(&out, "/cable/imu_1/data_raw");
@@ -704,14 +636,9 @@ fn ros_messages_have_angular_velocity_with_covariance_and_orientation() {
     let read = read.args(["-c", READ_WITH_ROSBAGS, &out]).output().unwrap();
     let text = String::from_utf8_lossy(&read.stdout).into_owned();
     assert!(read.status.success(), "{read:?}");
-    let line = text
-        .lines()
-        .find(|line| line.starts_with("/cable/imu/data "));
+    let line = text.lines().find(|line| line.starts_with("/cable/imu/data "));
     let expected = format!("/cable/imu/data {} {} ", data.len(), boot.attitude.len());
-    assert!(
-        line.is_some_and(|line| line.starts_with(&expected)),
-        "{text}"
-    );
+    assert!(line.is_some_and(|line| line.starts_with(&expected)), "{text}");
 }
 
 #[test]

@@ -41,15 +41,8 @@ fn rest() -> String {
     );
     for k in 0..500 {
         let noise = 0.005 * f64::from(k * 37 % 100 - 50) / 50.0;
-        writeln!(
-            text,
-            "{},{},{},{}",
-            f64::from(k) / 100.0,
-            0.2 + noise,
-            noise,
-            9.80665 - noise
-        )
-        .unwrap();
+        writeln!(text, "{},{},{},{}", f64::from(k) / 100.0, 0.2 + noise, noise, 9.80665 - noise)
+            .unwrap();
     }
     text
 }
@@ -61,10 +54,7 @@ fn a_calibration_goes_through_pipes() {
     let (csv, cal) = (path("poses.csv"), path("CAL.json"));
     fs::write(&csv, poses()).unwrap();
     wimu(&["calibrate", &csv, "--poses", "-o", &cal]).succeeds();
-    let piped_cal = piped(
-        &["calibrate", "-", "--poses", "-o", "-"],
-        poses().as_bytes(),
-    );
+    let piped_cal = piped(&["calibrate", "-", "--poses", "-o", "-"], poses().as_bytes());
     assert!(piped_cal.status.success(), "{piped_cal:?}");
     // The report goes to stderr; the files differ in the name of their source.
     assert!(String::from_utf8_lossy(&piped_cal.stderr).contains("poses"));
@@ -72,22 +62,10 @@ fn a_calibration_goes_through_pipes() {
     let expected: serde_json::Value = serde_json::from_slice(&fs::read(&cal).unwrap()).unwrap();
     let model = |file: &serde_json::Value| file["sensors"][0]["accelerometer"]["model"].clone();
     assert_eq!(model(&file), model(&expected));
-    for format in [
-        "c",
-        "rust",
-        "numpy",
-        "matlab",
-        "kalibr",
-        "ros",
-        "px4",
-        "ardupilot",
-    ] {
+    for format in ["c", "rust", "numpy", "matlab", "kalibr", "ros", "px4", "ardupilot"] {
         let named = path(format);
         wimu(&["export", &cal, "--format", format, "-o", &named]).succeeds();
-        let text = piped(
-            &["export", "-", "--format", format, "-o", "-"],
-            &piped_cal.stdout,
-        );
+        let text = piped(&["export", "-", "--format", format, "-o", "-"], &piped_cal.stdout);
         assert!(text.status.success(), "{text:?}");
         assert_eq!(text.stdout, fs::read(&named).unwrap(), "{format}");
     }
@@ -115,10 +93,9 @@ fn a_path_goes_through_pipes_and_into_ros_topics() {
 
 #[test]
 fn one_stream_serves_one_purpose() {
-    for arguments in [
-        &["apply", "-", "-", "-o", "out.csv"][..],
-        &["navigate", "rest.csv", "-o", "-", "--json"],
-    ] {
+    for arguments in
+        [&["apply", "-", "-", "-o", "out.csv"][..], &["navigate", "rest.csv", "-o", "-", "--json"]]
+    {
         let ran = piped(arguments, b"");
         assert_eq!(ran.status.code(), Some(2), "{ran:?}");
     }
@@ -138,10 +115,7 @@ fn a_table_is_corrected_and_refused_where_units_do_not_fit() {
     let through = piped(&["apply", &cal, "-", "-o", "-"], rest().as_bytes());
     assert_eq!(through.stdout, fs::read(&out).unwrap());
     let text = fs::read_to_string(&out).unwrap();
-    let x = text
-        .lines()
-        .skip(1)
-        .map(|line| line.split(',').nth(1).unwrap());
+    let x = text.lines().skip(1).map(|line| line.split(',').nth(1).unwrap());
     let x: Vec<f64> = x.map(|x| x.parse().unwrap()).collect();
     let mean = x.iter().sum::<f64>() / x.len() as f64;
     assert!(mean.abs() < 0.01, "{mean}");

@@ -57,10 +57,8 @@ fn a_file_that_was_edited_by_hand_is_not_pushed() {
         let good = fs::read_to_string(file).expect("text");
         // A digit of the bias; the range; the id itself; a set without its id.
         let bias = good.find("\"bias_m").expect("a bias");
-        let digit = bias
-            + good[bias..]
-                .find(|c: char| c.is_ascii_digit() && c != '2')
-                .expect("one");
+        let digit =
+            bias + good[bias..].find(|c: char| c.is_ascii_digit() && c != '2').expect("one");
         let mut nudged = good.clone().into_bytes();
         nudged[digit] = b'0' + (nudged[digit] - b'0' + 1) % 10;
         let nudged = String::from_utf8(nudged).expect("text");
@@ -170,10 +168,7 @@ fn a_key_is_in_no_output_and_in_no_recording_and_its_file_is_for_its_owner_alone
     for action in ["set", "status", "rotate", "status"] {
         let ran = run(&["key", action, &board.cable]);
         let status = ran.succeeds();
-        let name = format!(
-            "wimu/keys/{}.key",
-            status["device_id"].as_str().expect("text")
-        );
+        let name = format!("wimu/keys/{}.key", status["device_id"].as_str().expect("text"));
         let path = user.join(name);
         keys.push(fs::read_to_string(&path).expect("a key").trim().to_owned());
         outputs.extend([ran.stdout.into_bytes(), ran.stderr.into_bytes()]);
@@ -218,9 +213,7 @@ fn two_hosts_that_push_at_once_get_consistent_answers() {
     let folder = folder();
     let user = folder.path().join("user");
     let board = Simulator::start(&["--motion", "rest"]);
-    Background::start_as(&user, &["key", "set", &board.cable])
-        .finish()
-        .succeeds();
+    Background::start_as(&user, &["key", "set", &board.cable]).finish().succeeds();
     let sets = [100, 200].map(|bias| calibration(folder.path(), bias));
     for _ in 0..4 {
         let links = [&board.cable, &board.wireless];

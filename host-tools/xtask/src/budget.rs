@@ -24,16 +24,11 @@ pub fn run(workspace: &Workspace, data: Option<&str>) -> Result<(), String> {
     };
     for package in workspace.below("crates") {
         let measures = |name: &str| name.contains("budget") || name.contains("accuracy");
-        for example in package
-            .targets
-            .iter()
-            .filter(|t| t.kind == "example" && measures(&t.name))
-        {
+        for example in package.targets.iter().filter(|t| t.kind == "example" && measures(&t.name)) {
             heading(&format!("{}: {}", package.name, example.name));
             let run = cargo("run --release --quiet")
                 .words(&format!("-p {} --example {}", package.name, example.name));
-            data.map_or(run.clone(), |folder| run.word("--").word(folder))
-                .run()?;
+            data.map_or(run.clone(), |folder| run.word("--").word(folder)).run()?;
         }
     }
     profile::run()?;

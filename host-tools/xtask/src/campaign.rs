@@ -20,16 +20,10 @@ const ARITHMETIC: [&str; 4] = [
     "crates/wimu-model/tests",
     "crates/wimu-integrator/tests",
 ];
-const CALIBRATION: [&str; 3] = [
-    "crates/wimu-model/src",
-    "crates/wimu-calib/src",
-    "crates/wimu-calib/tests",
-];
-const NAVIGATION: [&str; 3] = [
-    "crates/wimu-nav/src",
-    "crates/wimu-nav/tests",
-    "crates/wimu-nav/examples",
-];
+const CALIBRATION: [&str; 3] =
+    ["crates/wimu-model/src", "crates/wimu-calib/src", "crates/wimu-calib/tests"];
+const NAVIGATION: [&str; 3] =
+    ["crates/wimu-nav/src", "crates/wimu-nav/tests", "crates/wimu-nav/examples"];
 const HOST_NAVIGATION: [&str; 11] = [
     "crates/wimu-nav/src",
     "host-tools/wimu-host/src/array",
@@ -67,16 +61,9 @@ const LOOP: [&str; 7] = [
     "host-tools/wimu-sim/src",
     "tests/tests/first_light.rs",
 ];
-const STORAGE: [&str; 3] = [
-    "crates/wimu-node/src",
-    "host-tools/wimu-sim/src/storage.rs",
-    "tests/tests/store",
-];
-const FUZZ: [&str; 3] = [
-    "crates/wimu-link/src",
-    "host-tools/wimu-host/src/decode",
-    "tests/src",
-];
+const STORAGE: [&str; 3] =
+    ["crates/wimu-node/src", "host-tools/wimu-sim/src/storage.rs", "tests/tests/store"];
+const FUZZ: [&str; 3] = ["crates/wimu-link/src", "host-tools/wimu-host/src/decode", "tests/src"];
 const CLOCKS: [&str; 6] = [
     "host-tools/wimu-sim/src",
     "host-tools/wimu-host/src/clock",
@@ -166,10 +153,7 @@ pub const CAMPAIGNS: [Campaign; 14] = [
                 commands: &["test --release -p wimu-calib --test all -- --include-ignored"],
             },
             Runs {
-                sources: &[
-                    "crates/wimu-calib/src",
-                    "host-tools/wimu-host/src/calibration",
-                ],
+                sources: &["crates/wimu-calib/src", "host-tools/wimu-host/src/calibration"],
                 commands: &["test --release -p wimu-host --lib -- calibration::advice"],
             },
             Runs {
@@ -299,10 +283,7 @@ pub const CAMPAIGNS: [Campaign; 14] = [
         name: "dashboard",
         about: "the dashboard in Chromium: latency, load, memory, a recording of 1 GB; its pictures",
         runs: &[Runs {
-            sources: &[
-                "host-tools/wimu/src/command/dashboard",
-                "host-tools/wimu/tests/dashboard",
-            ],
+            sources: &["host-tools/wimu/src/command/dashboard", "host-tools/wimu/tests/dashboard"],
             commands: &[
                 "test --release -p wimu --test all -- --include-ignored --test-threads=1 --nocapture dashboard::",
             ],
@@ -322,18 +303,12 @@ pub const CAMPAIGNS: [Campaign; 14] = [
     Campaign {
         name: "python",
         about: "the wheel of the Python module beside the command, on wrong and damaged input",
-        runs: &[Runs {
-            sources: &PYTHON,
-            commands: &["run -p xtask -- python"],
-        }],
+        runs: &[Runs { sources: &PYTHON, commands: &["run -p xtask -- python"] }],
     },
     Campaign {
         name: "miri",
         about: "the fast tests of the crates under Miri: undefined behaviour",
-        runs: &[Runs {
-            sources: &DEVICE,
-            commands: &["run -p xtask -- miri"],
-        }],
+        runs: &[Runs { sources: &DEVICE, commands: &["run -p xtask -- miri"] }],
     },
     Campaign {
         name: "systems",
@@ -402,9 +377,7 @@ pub fn run(name: &str, seed: u64) -> Result<(), String> {
     println!("{}", file.display());
     let failed = campaign.results(&done).into_iter();
     let failed = failed.filter(|(result, _)| result["passed"] == false);
-    let failed: Vec<_> = failed
-        .map(|(result, _)| result["command"].to_string())
-        .collect();
+    let failed: Vec<_> = failed.map(|(result, _)| result["command"].to_string()).collect();
     match failed.is_empty() {
         true => Ok(()),
         false => Err(format!("failed: {}", failed.join(", "))),
@@ -470,9 +443,9 @@ impl Run {
         let status = CommandLine::new("git status --porcelain --").words(&self.sources.join(" "));
         let changed = status.output().ok_or("this is no git checkout")?;
         match changed.lines().next() {
-            Some(first) => Err(format!(
-                "results are kept with the commit they are of: commit first ({first})"
-            )),
+            Some(first) => {
+                Err(format!("results are kept with the commit they are of: commit first ({first})"))
+            }
             None => Ok(()),
         }
     }
@@ -532,10 +505,7 @@ mod tests {
 
     #[test]
     fn a_damaged_line_of_results_is_named() {
-        assert_eq!(
-            read_lines("{\"claim\":\"a\"}\n").map(|all| all.len()),
-            Ok(1)
-        );
+        assert_eq!(read_lines("{\"claim\":\"a\"}\n").map(|all| all.len()), Ok(1));
         assert!(read_lines("{\"claim\"\n").is_err_and(|why| why.contains("claim")));
     }
 }

@@ -26,8 +26,7 @@ impl CommandLine {
 
     /// Appends the words of `line`.
     pub fn words(mut self, line: &str) -> Self {
-        self.words
-            .extend(line.split_whitespace().map(str::to_owned));
+        self.words.extend(line.split_whitespace().map(str::to_owned));
         self
     }
 
@@ -83,10 +82,7 @@ impl CommandLine {
         let mut command = Command::new(program);
         command
             .args(arguments)
-            .env(
-                "CARGO_TERM_COLOR",
-                if colour() { "always" } else { "never" },
-            )
+            .env("CARGO_TERM_COLOR", if colour() { "always" } else { "never" })
             .envs(self.environment.iter().map(|(name, value)| (name, value)));
         if let Some(folder) = &self.folder {
             command.current_dir(folder);
@@ -163,9 +159,6 @@ mod tests {
         let missing = CommandLine::new("no-such-program-at-all --flag");
         assert_eq!(missing.output(), None);
         let problem = missing.run().expect_err("it does not exist");
-        assert!(
-            problem.contains("no-such-program-at-all --flag"),
-            "{problem}"
-        );
+        assert!(problem.contains("no-such-program-at-all --flag"), "{problem}");
     }
 }

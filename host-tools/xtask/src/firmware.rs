@@ -102,11 +102,7 @@ pub fn flash(workspace: &Workspace, name: &str, options: &[String]) -> Result<()
         image::write(&folder, &image, format)?;
     }
     let write = setup::cargo("run --release --quiet -p wimu --features flash -- flash").word(name);
-    go_on_as(
-        options
-            .iter()
-            .fold(write, |write, option| write.word(option)),
-    )
+    go_on_as(options.iter().fold(write, |write, option| write.word(option)))
 }
 
 /// The Pico's image on an emulated RP2040; skipped, saying so, where the emulator cannot be had.
@@ -186,11 +182,7 @@ pub fn qemu_image() -> Result<PathBuf, String> {
     setup::provide(Need::Qemu, &mut ThisMachine)?;
     let source = setup::provide(Need::Targets, &mut ThisMachine)?;
     let image = built(source, Path::new(QEMU_BOARD), None)?.image(QEMU_PROGRAM, QEMU_TARGET);
-    if image.is_file() {
-        Ok(image)
-    } else {
-        Err(format!("{} was not built", image.display()))
-    }
+    if image.is_file() { Ok(image) } else { Err(format!("{} was not built", image.display())) }
 }
 
 /// Starts the board in QEMU with a moving sensor, until Ctrl-C; `options` are those of wimu-tests'
@@ -207,9 +199,7 @@ pub fn qemu(options: &[String]) -> Result<(), String> {
     let start = setup::cargo("run --release --quiet -p wimu-tests --example qemu --");
     let start = options
         .iter()
-        .fold(start.word(&image.display().to_string()), |start, option| {
-            start.word(option)
-        });
+        .fold(start.word(&image.display().to_string()), |start, option| start.word(option));
     go_on_as(start)
 }
 
@@ -242,9 +232,7 @@ pub fn check(workspace: &Workspace) -> Result<(), String> {
     let boards = buildable(workspace);
     for folder in &boards {
         if has_log_feature(folder) {
-            build(source, folder, None)
-                .words("--features defmt")
-                .run()?;
+            build(source, folder, None).words("--features defmt").run()?;
         }
     }
     // Last: these are the images that are left.

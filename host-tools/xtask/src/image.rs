@@ -60,9 +60,7 @@ pub fn write(folder: &Path, elf: &Path, format: Format) -> Result<PathBuf, Strin
         Format::Uf2 => uf2(&segments),
     };
     let name = folder.file_name().unwrap_or_default();
-    let path = Path::new(FOLDER)
-        .join(name)
-        .with_extension(format.extension());
+    let path = Path::new(FOLDER).join(name).with_extension(format.extension());
     std::fs::create_dir_all(FOLDER).map_err(|problem| failed(Path::new(FOLDER), &problem))?;
     std::fs::write(&path, content).map_err(|problem| failed(&path, &problem))?;
     Ok(path)
@@ -132,10 +130,7 @@ fn hex(segments: &[Segment<'_>]) -> Result<String, String> {
             // A line does not cross 64 KiB.
             let room = 0x1_0000 - (address as usize & 0xffff);
             let (line, after) = rest.split_at(rest.len().min(HEX_LINE).min(room));
-            records.push(Record::Data {
-                offset: address as u16,
-                value: line.to_vec(),
-            });
+            records.push(Record::Data { offset: address as u16, value: line.to_vec() });
             address += line.len() as u32;
             rest = after;
         }
@@ -149,9 +144,7 @@ fn uf2(segments: &[Segment<'_>]) -> Vec<u8> {
     let mut pages: BTreeMap<u32, [u8; UF2_PAGE as usize]> = BTreeMap::new();
     for (start, data) in segments {
         for (address, byte) in (*start..).zip(*data) {
-            let page = pages
-                .entry(address / UF2_PAGE * UF2_PAGE)
-                .or_insert([0; UF2_PAGE as usize]);
+            let page = pages.entry(address / UF2_PAGE * UF2_PAGE).or_insert([0; UF2_PAGE as usize]);
             page[(address % UF2_PAGE) as usize] = *byte;
         }
     }
@@ -197,10 +190,8 @@ mod tests {
     fn a_hex_file_is_as_the_format_says() {
         assert_eq!(
             hex(&[(0x1_fffe, &[0x21, 0x46, 0x01, 0x36])]),
-            Ok(
-                ":020000040001F9\n:02FFFE0021469A\n:020000040002F8\n:020000000136C7\n:00000001FF\n"
-                    .into()
-            )
+            Ok(":020000040001F9\n:02FFFE0021469A\n:020000040002F8\n:020000000136C7\n:00000001FF\n"
+                .into())
         );
     }
 

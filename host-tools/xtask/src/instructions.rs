@@ -26,16 +26,8 @@ struct Processor {
 
 /// QEMU has no Cortex-M0+; Cortex-M0 runs the same instructions.
 const PROCESSORS: [Processor; 2] = [
-    Processor {
-        name: "Cortex-M4F",
-        target: "thumbv7em-none-eabihf",
-        machine: "mps2-an386",
-    },
-    Processor {
-        name: "Cortex-M0+",
-        target: "thumbv6m-none-eabi",
-        machine: "microbit",
-    },
+    Processor { name: "Cortex-M4F", target: "thumbv7em-none-eabihf", machine: "mps2-an386" },
+    Processor { name: "Cortex-M0+", target: "thumbv6m-none-eabi", machine: "microbit" },
 ];
 
 /// A line of the table.
@@ -48,65 +40,34 @@ struct Row {
 }
 
 const fn row(key: &'static str, about: &'static str) -> Row {
-    Row {
-        key,
-        about,
-        bars: None,
-    }
+    Row { key, about, bars: None }
 }
 
 const fn barred(key: &'static str, about: &'static str, bars: [f64; 2]) -> Row {
-    Row {
-        key,
-        about,
-        bars: Some(bars),
-    }
+    Row { key, about, bars: Some(bars) }
 }
 
 const ROWS: [Row; 20] = [
     row("correction", "correction"),
     row("integration", "integration"),
-    barred(
-        "correction+integration",
-        "correction and integration, inlined together",
-        [92.0, 170.0],
-    ),
+    barred("correction+integration", "correction and integration, inlined together", [92.0, 170.0]),
     row("saturation", "check for saturation"),
-    row(
-        "integrator-step",
-        "integrator in whole: with stillness and gaps",
-    ),
+    row("integrator-step", "integrator in whole: with stillness and gaps"),
     row("gap", "a gap, when there is one"),
     row("six-correction", "six axes: correction with g-sensitivity"),
     row("six-attitude", "six axes: attitude"),
-    barred(
-        "six-correction+attitude",
-        "six axes: correction and attitude",
-        [400.0, 1500.0],
-    ),
+    barred("six-correction+attitude", "six axes: correction and attitude", [400.0, 1500.0]),
     row("six-complete", "six axes: complete, with position"),
-    barred(
-        "packing-rest",
-        "packing 16 samples at rest, 12 bits",
-        [150.0, 400.0],
-    ),
+    barred("packing-rest", "packing 16 samples at rest, 12 bits", [150.0, 400.0]),
     row("framing-rest", "their frame: CRC and COBS"),
-    barred(
-        "packing-motion",
-        "packing 16 samples in motion, 16 bits",
-        [150.0, 400.0],
-    ),
+    barred("packing-motion", "packing 16 samples in motion, 16 bits", [150.0, 400.0]),
     row("framing-motion", "their frame: CRC and COBS"),
     row("batch-rest", "packing and frame, at rest"),
     row("batch-motion", "packing and frame, in motion"),
     row("path-rest", "counts to frames of raw samples, at rest"),
     row("path-motion", "counts to frames of raw samples, in motion"),
     row("array-four", "four triads to ω, ω̇ and s in f32, all roots"),
-    barred(
-        "array-eight",
-        "eight triads, the same",
-        [15_000.0, f64::INFINITY],
-    ),
+    barred("array-eight", "eight triads, the same", [15_000.0, f64::INFINITY]),
 ];
 
 /// x-io Fusion, 6 axes, per sample, as published: an attitude filter in f32.
@@ -138,9 +99,7 @@ pub fn run() -> Result<(), String> {
             .words(&format!("-M {} -kernel", processor.machine))
             .word(&image.display().to_string());
         println!("$ {run}");
-        let text = run
-            .output()
-            .ok_or_else(|| format!("`{run}` failed: run it to see why"))?;
+        let text = run.output().ok_or_else(|| format!("`{run}` failed: run it to see why"))?;
         costs.push(parsed(&text)?);
     }
     record(&costs);
@@ -157,12 +116,7 @@ fn record(costs: &[Costs]) {
             if let (Some(cost), true) = (costs.get(row.key), bar.is_finite()) {
                 let claim = format!("instructions, {}, {}", processor.name, row.about);
                 let measured = format!("{:.0} on average", cost.mean);
-                figure(
-                    &claim,
-                    measured,
-                    &format!("at most {bar:.0}"),
-                    cost.mean <= bar,
-                );
+                figure(&claim, measured, &format!("at most {bar:.0}"), cost.mean <= bar);
             }
         }
     }
@@ -224,9 +178,7 @@ fn parsed(text: &str) -> Result<Costs, String> {
 
 fn table(costs: &[Costs]) -> String {
     let cell = |cost: Option<&Cost>| {
-        cost.map_or(String::new(), |cost| {
-            format!("{:.0} ({:.0})", cost.mean, cost.most)
-        })
+        cost.map_or(String::new(), |cost| format!("{:.0} ({:.0})", cost.mean, cost.most))
     };
     let mut text = format!("{:<46}", "");
     for processor in &PROCESSORS {
@@ -264,12 +216,9 @@ fn exceeded(costs: &[Costs], slack: f64) -> Vec<String> {
                 // No bar at all: not for this processor.
                 (None, Some(bars)) if !bars[index].is_finite() => {}
                 (None, _) => problems.push(format!("{what}: was not measured")),
-                (Some(cost), Some(bars)) if cost.mean > slack * bars[index] => {
-                    problems.push(format!(
-                        "{what}: {:.1} instructions, the bar is {:.0}",
-                        cost.mean, bars[index]
-                    ))
-                }
+                (Some(cost), Some(bars)) if cost.mean > slack * bars[index] => problems.push(
+                    format!("{what}: {:.1} instructions, the bar is {:.0}", cost.mean, bars[index]),
+                ),
                 _ => {}
             }
         }
@@ -285,10 +234,7 @@ mod tests {
     fn everywhere(cost: f64) -> Costs {
         ROWS.iter()
             .map(|row| {
-                let cost = Cost {
-                    mean: cost,
-                    most: cost,
-                };
+                let cost = Cost { mean: cost, most: cost };
                 (row.key.to_owned(), cost)
             })
             .collect()
@@ -297,26 +243,16 @@ mod tests {
     #[test]
     fn what_the_image_prints_is_understood() {
         let costs = parsed("correction 39.0 40\ngap 5.5 6\n").unwrap();
-        let cost = Cost {
-            mean: 5.5,
-            most: 6.0,
-        };
+        let cost = Cost { mean: 5.5, most: 6.0 };
         assert_eq!(costs["gap"], cost);
         assert_eq!(costs.len(), 2);
         assert!(parsed("").is_err());
-        assert!(
-            parsed("error: out of order")
-                .unwrap_err()
-                .contains("out of order")
-        );
+        assert!(parsed("error: out of order").unwrap_err().contains("out of order"));
     }
 
     #[test]
     fn a_cost_past_its_bar_is_named_and_one_at_it_is_not() {
-        assert_eq!(
-            judged(&[everywhere(92.0), everywhere(170.0)], COMPILER),
-            Ok(())
-        );
+        assert_eq!(judged(&[everywhere(92.0), everywhere(170.0)], COMPILER), Ok(()));
         assert_eq!(
             judged(&[everywhere(92.1), everywhere(170.0)], COMPILER),
             Err(
@@ -328,16 +264,10 @@ mod tests {
 
     #[test]
     fn code_of_another_compiler_may_cost_a_tenth_more_and_no_more() {
-        assert_eq!(
-            judged(&[everywhere(101.0), everywhere(170.0)], "1.99.0"),
-            Ok(())
-        );
+        assert_eq!(judged(&[everywhere(101.0), everywhere(170.0)], "1.99.0"), Ok(()));
         let problem = judged(&[everywhere(101.3), everywhere(170.0)], "1.99.0").unwrap_err();
         let how = format!("cargo +{COMPILER} xtask budget");
-        assert!(
-            problem.contains("101.3") && problem.contains(&how),
-            "{problem}"
-        );
+        assert!(problem.contains("101.3") && problem.contains(&how), "{problem}");
     }
 
     #[test]
@@ -345,10 +275,7 @@ mod tests {
         let mut costs = everywhere(1.0);
         costs.remove("gap");
         let problems = exceeded(&[costs, everywhere(1.0)], 1.0);
-        assert_eq!(
-            problems,
-            ["a gap, when there is one on Cortex-M4F: was not measured"]
-        );
+        assert_eq!(problems, ["a gap, when there is one on Cortex-M4F: was not measured"]);
     }
 
     #[test]

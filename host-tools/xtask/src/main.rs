@@ -88,9 +88,7 @@ fn parse(words: &[String]) -> Result<Task, String> {
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     // What follows `qemu` is for the emulated board to understand.
     if let ["qemu", options @ ..] = &words[..] {
-        return Ok(Task::Qemu(
-            options.iter().map(ToString::to_string).collect(),
-        ));
+        return Ok(Task::Qemu(options.iter().map(ToString::to_string).collect()));
     }
     if words.iter().any(|w| ["help", "-h", "--help"].contains(w)) {
         return Ok(Task::Help);
@@ -114,10 +112,9 @@ fn parse(words: &[String]) -> Result<Task, String> {
         ["budget", folder] if !folder.starts_with('-') => Ok(Task::Budget(Some(folder.into()))),
         ["firmware"] => Ok(Task::Firmware),
         ["flash"] => Err("flash needs the name of a board: microbit-v2 or pico-adxl345".into()),
-        ["flash", board, ref options @ ..] if !board.starts_with('-') => Ok(Task::Flash(
-            board.into(),
-            options.iter().map(ToString::to_string).collect(),
-        )),
+        ["flash", board, ref options @ ..] if !board.starts_with('-') => {
+            Ok(Task::Flash(board.into(), options.iter().map(ToString::to_string).collect()))
+        }
         ["size"] => Ok(Task::Size),
         ["python"] => Ok(Task::Python),
         ["miri"] => Ok(Task::Miri),
@@ -136,9 +133,7 @@ fn steps_named(lane: &test::Lane, names: &str) -> Result<Vec<String>, String> {
         .split(',')
         .map(|name| {
             let known = lane.steps.iter().any(|step| step.name == name);
-            known
-                .then(|| name.to_owned())
-                .ok_or_else(|| format!("there is no step `{name}`"))
+            known.then(|| name.to_owned()).ok_or_else(|| format!("there is no step `{name}`"))
         })
         .collect()
 }
@@ -208,35 +203,20 @@ mod tests {
         assert_eq!(parsed("setup"), Ok(Task::Setup));
         assert_eq!(parsed("test"), Ok(Task::Test(vec![])));
         assert_eq!(parsed("check"), Ok(Task::Check(vec![])));
-        assert_eq!(
-            parsed("campaign storage"),
-            Ok(Task::Campaign("storage".into(), 0))
-        );
-        assert_eq!(
-            parsed("campaign storage --seed 3"),
-            Ok(Task::Campaign("storage".into(), 3))
-        );
+        assert_eq!(parsed("campaign storage"), Ok(Task::Campaign("storage".into(), 0)));
+        assert_eq!(parsed("campaign storage --seed 3"), Ok(Task::Campaign("storage".into(), 3)));
         assert_eq!(parsed("validation"), Ok(Task::Validation));
         assert_eq!(parsed("budget"), Ok(Task::Budget(None)));
         assert_eq!(parsed("budget data"), Ok(Task::Budget(Some("data".into()))));
         assert_eq!(parsed("firmware"), Ok(Task::Firmware));
         assert_eq!(parsed("size"), Ok(Task::Size));
         assert_eq!(parsed("python"), Ok(Task::Python));
-        assert_eq!(
-            parsed("flash microbit-v2"),
-            Ok(Task::Flash("microbit-v2".into(), vec![]))
-        );
+        assert_eq!(parsed("flash microbit-v2"), Ok(Task::Flash("microbit-v2".into(), vec![])));
         assert_eq!(
             parsed("flash pico-adxl345 --erase-all"),
-            Ok(Task::Flash(
-                "pico-adxl345".into(),
-                vec!["--erase-all".into()]
-            ))
+            Ok(Task::Flash("pico-adxl345".into(), vec!["--erase-all".into()]))
         );
-        assert_eq!(
-            parsed("qemu --seed 2"),
-            Ok(Task::Qemu(vec!["--seed".into(), "2".into()]))
-        );
+        assert_eq!(parsed("qemu --seed 2"), Ok(Task::Qemu(vec!["--seed".into(), "2".into()])));
         assert_eq!(
             parsed("test --only format,clippy"),
             Ok(Task::Test(vec!["format".into(), "clippy".into()]))
@@ -275,11 +255,7 @@ mod tests {
     fn help_names_every_step() {
         let help = help();
         for step in test::TEST.steps.iter().chain(test::CHECK.steps) {
-            assert!(
-                help.contains(&format!("\n    {} ", step.name)),
-                "{}",
-                step.name
-            );
+            assert!(help.contains(&format!("\n    {} ", step.name)), "{}", step.name);
         }
     }
 }

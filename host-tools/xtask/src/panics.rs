@@ -59,10 +59,7 @@ pub fn run() -> Result<(), String> {
     }
     match found {
         none if none.is_empty() => Ok(()),
-        some => Err(format!(
-            "panics are reachable in\n    {}",
-            some.join("\n    ")
-        )),
+        some => Err(format!("panics are reachable in\n    {}", some.join("\n    "))),
     }
 }
 
@@ -136,11 +133,7 @@ mod tests {
         ] {
             assert!(is_panic(panic), "{panic}");
         }
-        for other in [
-            "memcpy",
-            "core::fmt::write",
-            "wimu_link::panic::expect_failed",
-        ] {
+        for other in ["memcpy", "core::fmt::write", "wimu_link::panic::expect_failed"] {
             assert!(!is_panic(other), "{other}");
         }
     }

@@ -32,31 +32,18 @@ struct Profile {
 }
 
 const fn kib(aim: u32, most: u32) -> Limit {
-    Limit {
-        aim: aim << 10,
-        most,
-    }
+    Limit { aim: aim << 10, most }
 }
 
 const PROFILES: [Profile; 3] = [
-    Profile {
-        name: "stream",
-        features: "",
-        flash: kib(48, 54_700),
-        ram: kib(8, 8_192),
-    },
+    Profile { name: "stream", features: "", flash: kib(48, 54_700), ram: kib(8, 8_192) },
     Profile {
         name: "navigate",
         features: "navigate",
         flash: kib(64, 95_900),
         ram: kib(12, 15_700),
     },
-    Profile {
-        name: "full",
-        features: "full",
-        flash: kib(80, 116_000),
-        ram: kib(16, 21_900),
-    },
+    Profile { name: "full", features: "full", flash: kib(80, 116_000), ram: kib(16, 21_900) },
 ];
 
 /// The bare loop, and the image that it is compared with.
@@ -76,10 +63,7 @@ pub fn run() -> Result<(), String> {
         let target = format!("at most {}", kib(limit.aim));
         figure(&what, kib(bytes), &target, bytes <= limit.aim);
         if bytes > limit.most {
-            too_large.push(format!(
-                "{what}: {bytes} bytes, at most {} are allowed",
-                limit.most
-            ));
+            too_large.push(format!("{what}: {bytes} bytes, at most {} are allowed", limit.most));
         }
     };
     for profile in &PROFILES {
@@ -88,16 +72,8 @@ pub fn run() -> Result<(), String> {
         let output = firmware::built_with(source, folder, None, &options)?;
         let size = Size::read(&output.image(PROGRAM, TARGET))?;
         let name = profile.name;
-        measure(
-            format!("flash of the profile {name}"),
-            size.flash,
-            &profile.flash,
-        );
-        measure(
-            format!("RAM of the profile {name}, without the stack"),
-            size.ram,
-            &profile.ram,
-        );
+        measure(format!("flash of the profile {name}"), size.flash, &profile.flash);
+        measure(format!("RAM of the profile {name}, without the stack"), size.ram, &profile.ram);
     }
     let output = firmware::built(source, Path::new(LOOP), None)?;
     let flash = |program| Size::read(&output.image(program, TARGET)).map(|size| size.flash);

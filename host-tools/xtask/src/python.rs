@@ -18,19 +18,11 @@ pub fn environment(packages: &str) -> Result<PathBuf, String> {
     let folder = target().join("python");
     let python = folder.join("bin/python");
     if !python.exists() {
-        CommandLine::new("python3 -m venv")
-            .word(&text(&folder))
-            .run()?;
+        CommandLine::new("python3 -m venv").word(&text(&folder)).run()?;
     }
-    let has = |name: &str| {
-        interpreter(&python)
-            .word("-c")
-            .word(&format!("import {name}"))
-    };
+    let has = |name: &str| interpreter(&python).word("-c").word(&format!("import {name}"));
     if packages.split(' ').any(|name| has(name).output().is_none()) {
-        let install = interpreter(&python)
-            .words("-m pip install --quiet")
-            .words(packages);
+        let install = interpreter(&python).words("-m pip install --quiet").words(packages);
         install.run().map_err(|problem| {
             format!("Python packages are missing and could not be installed from PyPI: {problem}")
         })?;
@@ -55,10 +47,7 @@ pub fn smoke() -> Result<(), String> {
     });
     copied.map_err(|problem| format!("the Python module cannot be copied: {problem}"))?;
     let module = std::path::absolute(module).map_err(|problem| problem.to_string())?;
-    tests(&python, &built)
-        .word("smoke")
-        .with("PYTHONPATH", &text(&module))
-        .run()
+    tests(&python, &built).word("smoke").with("PYTHONPATH", &text(&module)).run()
 }
 
 /// Builds the wheel, installs it in the virtual environment, and runs all tests on it.
@@ -76,9 +65,7 @@ pub fn run() -> Result<(), String> {
         .word("--out")
         .word(&text(&wheels))
         .run()?;
-    let wheel = fs::read_dir(&wheels)
-        .ok()
-        .and_then(|mut files| files.next()?.ok());
+    let wheel = fs::read_dir(&wheels).ok().and_then(|mut files| files.next()?.ok());
     let wheel = wheel.ok_or("maturin built no wheel")?;
     interpreter(&python)
         .words("-m pip install --quiet --no-deps --force-reinstall")

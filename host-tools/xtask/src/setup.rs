@@ -57,13 +57,7 @@ pub fn run() -> Result<(), String> {
     }
     python::environment("numpy")?;
     // Without one of these a step is left out, no more.
-    for need in [
-        Need::Oldest,
-        Need::Browser,
-        Need::Broker,
-        Need::Libclang,
-        Need::Dbus,
-    ] {
+    for need in [Need::Oldest, Need::Browser, Need::Broker, Need::Libclang, Need::Dbus] {
         if let Err(why) = provide(need, &mut ThisMachine) {
             println!("{why}");
         }
@@ -126,10 +120,9 @@ pub fn provide(need: Need, machine: &mut impl Machine) -> Result<Source, String>
     let name = need.name();
     Err(match (advice.is_empty(), machine.may_install()) {
         (true, _) => format!("{name}: missing; {}", need.otherwise()),
-        (false, true) => format!(
-            "{name}: missing, and could not be installed by {}",
-            advice.join("; nor by ")
-        ),
+        (false, true) => {
+            format!("{name}: missing, and could not be installed by {}", advice.join("; nor by "))
+        }
         (false, false) => format!(
             "{name}: missing; run\n    {}\n(with CI=true, or as root, `cargo xtask setup` runs it)",
             advice.join("\nor\n    ")
@@ -177,11 +170,7 @@ pub fn cargo(subcommand: &str) -> CommandLine {
 }
 
 fn locked(cargo: CommandLine) -> CommandLine {
-    if is_ci() {
-        cargo.word("--locked")
-    } else {
-        cargo
-    }
+    if is_ci() { cargo.word("--locked") } else { cargo }
 }
 
 /// The folder of libclang: that in `LIBCLANG_PATH`, or the newest that is installed. Debian's finds its own headers only
@@ -203,12 +192,8 @@ pub fn libclang() -> Option<PathBuf> {
         "/Library/Developer/CommandLineTools/usr/lib",
     ];
     let others = others.into_iter().map(|folder| (0, folder.into()));
-    let found = debian
-        .chain(others)
-        .filter(|(_, folder)| holds_libclang(folder));
-    found
-        .max_by_key(|(version, _)| *version)
-        .map(|(_, folder)| folder)
+    let found = debian.chain(others).filter(|(_, folder)| holds_libclang(folder));
+    found.max_by_key(|(version, _)| *version).map(|(_, folder)| folder)
 }
 
 fn holds_libclang(folder: &Path) -> bool {
@@ -334,13 +319,13 @@ impl Machine for ThisMachine {
             (Need::Targets, Source::Debian) => {
                 succeeds("/usr/bin/cargo --version")
                     && succeeds("ld.lld --version")
-                    && CommandLine::new("/usr/bin/rustc --print sysroot")
-                        .output()
-                        .is_some_and(|root| {
+                    && CommandLine::new("/usr/bin/rustc --print sysroot").output().is_some_and(
+                        |root| {
                             let source =
                                 Path::new(root.trim()).join("lib/rustlib/src/rust/library");
                             source.join("core/Cargo.toml").exists()
-                        })
+                        },
+                    )
             }
             (Need::Targets, Source::Toolchain) => TARGETS.iter().all(|target| {
                 CommandLine::new("rustc --print target-libdir --target")
@@ -370,9 +355,7 @@ impl Machine for ThisMachine {
 }
 
 fn is_root() -> bool {
-    CommandLine::new("id -u")
-        .output()
-        .is_some_and(|user| user.trim() == "0")
+    CommandLine::new("id -u").output().is_some_and(|user| user.trim() == "0")
 }
 
 fn holds_core(folder: &Path) -> bool {
@@ -411,11 +394,8 @@ mod tests {
 
         fn run(&mut self, command: &CommandLine) -> Result<(), String> {
             let line = command.to_string();
-            let source = if line.starts_with("rustup") {
-                Source::Toolchain
-            } else {
-                Source::Debian
-            };
+            let source =
+                if line.starts_with("rustup") { Source::Toolchain } else { Source::Debian };
             self.ran.push(line);
             if self.broken.contains(&source) {
                 return Err("no network".into());
@@ -457,16 +437,10 @@ mod tests {
 
     #[test]
     fn rustup_is_asked_before_debian() {
-        let mut machine = Imagined {
-            installers: BOTH.into(),
-            may_install: true,
-            ..Imagined::default()
-        };
+        let mut machine =
+            Imagined { installers: BOTH.into(), may_install: true, ..Imagined::default() };
         assert_eq!(provide(Need::Targets, &mut machine), Ok(Source::Toolchain));
-        assert_eq!(
-            machine.ran,
-            ["rustup target add thumbv7em-none-eabihf thumbv6m-none-eabi"]
-        );
+        assert_eq!(machine.ran, ["rustup target add thumbv7em-none-eabihf thumbv6m-none-eabi"]);
     }
 
     #[test]
@@ -484,35 +458,23 @@ mod tests {
 
     #[test]
     fn debian_helps_where_there_is_no_rustup() {
-        let mut machine = Imagined {
-            installers: vec![Source::Debian],
-            may_install: true,
-            ..Imagined::default()
-        };
+        let mut machine =
+            Imagined { installers: vec![Source::Debian], may_install: true, ..Imagined::default() };
         assert_eq!(provide(Need::Targets, &mut machine), Ok(Source::Debian));
     }
 
     #[test]
     fn without_permission_nothing_is_installed_and_the_command_is_given() {
-        let mut machine = Imagined {
-            installers: BOTH.into(),
-            ..Imagined::default()
-        };
+        let mut machine = Imagined { installers: BOTH.into(), ..Imagined::default() };
         let problem = provide(Need::Components, &mut machine).expect_err("nothing is there");
-        assert!(
-            problem.contains("\n    rustup component add rustfmt clippy\n"),
-            "{problem}"
-        );
+        assert!(problem.contains("\n    rustup component add rustfmt clippy\n"), "{problem}");
         assert!(machine.ran.is_empty());
     }
 
     #[test]
     fn without_permission_debians_packages_are_used_if_they_are_there() {
-        let mut machine = Imagined {
-            has: vec![Source::Debian],
-            installers: BOTH.into(),
-            ..Imagined::default()
-        };
+        let mut machine =
+            Imagined { has: vec![Source::Debian], installers: BOTH.into(), ..Imagined::default() };
         assert_eq!(provide(Need::Targets, &mut machine), Ok(Source::Debian));
         assert!(machine.ran.is_empty());
     }
@@ -534,11 +496,8 @@ mod tests {
 
     #[test]
     fn rustup_is_not_asked_for_an_emulator() {
-        let mut machine = Imagined {
-            installers: BOTH.into(),
-            may_install: true,
-            ..Imagined::default()
-        };
+        let mut machine =
+            Imagined { installers: BOTH.into(), may_install: true, ..Imagined::default() };
         assert_eq!(provide(Need::Qemu, &mut machine), Ok(Source::Debian));
         let line = machine.ran.last().expect("an installer ran");
         assert!(line.ends_with("qemu-system-arm"), "{line}");
@@ -548,19 +507,13 @@ mod tests {
 
     #[test]
     fn only_rustup_has_an_older_compiler() {
-        let mut machine = Imagined {
-            installers: BOTH.into(),
-            may_install: true,
-            ..Imagined::default()
-        };
+        let mut machine =
+            Imagined { installers: BOTH.into(), may_install: true, ..Imagined::default() };
         assert_eq!(provide(Need::Oldest, &mut machine), Ok(Source::Toolchain));
         assert!(machine.ran[0].ends_with(OLDEST), "{:?}", machine.ran);
 
-        let mut machine = Imagined {
-            installers: vec![Source::Debian],
-            may_install: true,
-            ..Imagined::default()
-        };
+        let mut machine =
+            Imagined { installers: vec![Source::Debian], may_install: true, ..Imagined::default() };
         let problem = provide(Need::Oldest, &mut machine).expect_err("no rustup");
         assert!(problem.contains("https://rustup.rs"), "{problem}");
         assert!(machine.ran.is_empty());

@@ -18,14 +18,8 @@ use crate::workspace::Workspace;
 const WORTH_A_LINE: u32 = 1024;
 /// What signs and checks writes: whatever has one of these in its name. What the compiler has put into
 /// its callers is not among it.
-const AUTHENTICATION: [&str; 6] = [
-    "wimu_link::auth::",
-    "sha2::",
-    "hmac::",
-    "digest::",
-    "block_buffer::",
-    "crypto_common::",
-];
+const AUTHENTICATION: [&str; 6] =
+    ["wimu_link::auth::", "sha2::", "hmac::", "digest::", "block_buffer::", "crypto_common::"];
 /// The most flash, bytes, that authentication may take in an image.
 const MOST_AUTHENTICATION: u32 = 12 << 10;
 /// The most bytes of flash, and of RAM without the stack, that an image may take: a little more than it
@@ -65,19 +59,13 @@ pub fn run(workspace: &Workspace) -> Result<(), String> {
         if name == WITH_RADIO || !MOST.iter().any(|(board, ..)| board == name) {
             continue;
         }
-        for (what, bytes, aim) in [
-            ("flash", size.flash, AIM_FLASH),
-            ("RAM without the stack", size.ram, AIM_RAM),
-        ] {
+        for (what, bytes, aim) in
+            [("flash", size.flash, AIM_FLASH), ("RAM without the stack", size.ram, AIM_RAM)]
+        {
             let kib = |bytes| f64::from(bytes) / 1024.0;
             let target = format!("at most {:.0} KiB", kib(aim));
             let claim = format!("{what} of the image {name}");
-            figure(
-                &claim,
-                format!("{:.1} KiB", kib(bytes)),
-                &target,
-                bytes <= aim,
-            );
+            figure(&claim, format!("{:.1} KiB", kib(bytes)), &target, bytes <= aim);
         }
     }
     small_enough(&found)
@@ -91,18 +79,12 @@ fn is_calibration(program: &str) -> bool {
 /// installed.
 fn calibrations(workspace: &Workspace, found: &[(String, Size)]) -> Result<(), String> {
     heading("wimu-calib on Cortex-M4F");
-    let folder = workspace
-        .firmware
-        .iter()
-        .find(|f| f.ends_with("calibration"));
+    let folder = workspace.firmware.iter().find(|f| f.ends_with("calibration"));
     let output = Output::of(folder.ok_or("firmware/calibration is missing")?)?;
     for (program, about, most) in CALIBRATIONS {
         let flash = attributable(found, program)?;
-        let target = if most < u32::MAX {
-            format!("at most {} KiB", most >> 10)
-        } else {
-            "–".into()
-        };
+        let target =
+            if most < u32::MAX { format!("at most {} KiB", most >> 10) } else { "–".into() };
         let measured = format!("{:.1} KiB", f64::from(flash) / 1024.0);
         let claim = format!("flash of {about}, Cortex-M4F");
         figure(&claim, measured, &target, flash <= most);
@@ -110,10 +92,7 @@ fn calibrations(workspace: &Workspace, found: &[(String, Size)]) -> Result<(), S
         let run = CommandLine::new("qemu-system-arm -M mps2-an386 -display none -monitor none")
             .words("-serial none -semihosting-config enable=on,target=native -kernel")
             .word(&image.display().to_string());
-        match run
-            .output()
-            .and_then(|text| text.trim().parse::<u32>().ok())
-        {
+        match run.output().and_then(|text| text.trim().parse::<u32>().ok()) {
             Some(stack) => println!("stack of {about}: {:.1} KiB", f64::from(stack) / 1024.0),
             None => println!("stack of {about}: not measured, `{run}` failed"),
         }
@@ -125,8 +104,7 @@ fn calibrations(workspace: &Workspace, found: &[(String, Size)]) -> Result<(), S
 fn attributable(found: &[(String, Size)], program: &str) -> Result<u32, String> {
     let flash = |program: &str| {
         let size = found.iter().find(|(name, _)| name == program);
-        size.map(|(_, size)| size.flash)
-            .ok_or_else(|| format!("{program} was not built"))
+        size.map(|(_, size)| size.flash).ok_or_else(|| format!("{program} was not built"))
     };
     Ok(flash(program)?.saturating_sub(flash(EMPTY)?))
 }
@@ -181,11 +159,7 @@ fn within(program: &str, size: &Size) -> Result<(), String> {
     for (what, bytes, most) in [
         ("flash", size.flash, flash),
         ("RAM without the stack", size.ram, ram),
-        (
-            "flash for authentication",
-            size.authentication,
-            MOST_AUTHENTICATION,
-        ),
+        ("flash for authentication", size.authentication, MOST_AUTHENTICATION),
     ] {
         if bytes > most {
             return Err(format!(
@@ -287,12 +261,7 @@ fn crate_of(symbol: &str) -> String {
     let end = path.find(|c: char| !c.is_ascii_alphanumeric() && c != '_');
     let (first, rest) = path.split_at(end.unwrap_or(path.len()));
     // What is done for a type of the language is done by the standard library.
-    if rest.starts_with("::") {
-        first
-    } else {
-        "core"
-    }
-    .into()
+    if rest.starts_with("::") { first } else { "core" }.into()
 }
 
 /// Whether a mangled name is of what signs and checks writes.
@@ -303,10 +272,8 @@ fn authenticates(symbol: &str) -> bool {
 }
 
 fn table(size: &Size) -> String {
-    let mut text = format!(
-        "in all       flash {:>7}  RAM {:>6} and the stack, bytes\n",
-        size.flash, size.ram
-    );
+    let mut text =
+        format!("in all       flash {:>7}  RAM {:>6} and the stack, bytes\n", size.flash, size.ram);
     let mut line = |name: &str, share: Share| {
         let Share { flash, ram } = share;
         text += &format!("             flash {flash:>7}  RAM {ram:>6}  {name}\n");
@@ -323,15 +290,9 @@ fn table(size: &Size) -> String {
         }
     }
     line("in all others", others);
-    let authentication = Share {
-        flash: size.authentication,
-        ram: 0,
-    };
+    let authentication = Share { flash: size.authentication, ram: 0 };
     let named: u32 = size.crates.values().map(|share| share.flash).sum();
-    let unnamed = Share {
-        flash: size.flash.saturating_sub(named),
-        ram: 0,
-    };
+    let unnamed = Share { flash: size.flash.saturating_sub(named), ram: 0 };
     line("without a name: texts, tables, initial values", unnamed);
     let most = format!("of all this authentication, {MOST_AUTHENTICATION} at most");
     line(&most, authentication);
@@ -345,10 +306,7 @@ mod tests {
     #[test]
     fn a_crate_is_found_in_a_mangled_name() {
         for (symbol, of) in [
-            (
-                "_ZN9wimu_link5batch11encode_axis17h7acac7af30088277E",
-                "wimu_link",
-            ),
+            ("_ZN9wimu_link5batch11encode_axis17h7acac7af30088277E", "wimu_link"),
             (
                 "_ZN60_$LT$wimu_link..batch..Batch$u20$as$u20$core..fmt..Debug$GT$3fmt17h7acac7af30088277E",
                 "wimu_link",
@@ -367,10 +325,7 @@ mod tests {
         for (symbol, is) in [
             ("_ZN9wimu_link4auth8Sessions4note17h7acac7af30088277E", true),
             ("_ZN4sha26sha25615compress_blocks17h7acac7af30088277E", true),
-            (
-                "_ZN9wimu_link5batch11encode_axis17h7acac7af30088277E",
-                false,
-            ),
+            ("_ZN9wimu_link5batch11encode_axis17h7acac7af30088277E", false),
         ] {
             assert_eq!(authenticates(symbol), is, "{symbol}");
         }
@@ -379,11 +334,7 @@ mod tests {
     #[test]
     fn an_image_that_has_grown_is_refused() {
         let (program, flash, ram) = MOST[0];
-        let size = |flash, ram| Size {
-            flash,
-            ram,
-            ..Size::default()
-        };
+        let size = |flash, ram| Size { flash, ram, ..Size::default() };
         assert_eq!(within(program, &size(flash, ram)), Ok(()));
         for grown in [size(flash + 1, ram), size(flash, ram + 1)] {
             let refusal = within(program, &grown).expect_err("too large");
@@ -398,13 +349,8 @@ mod tests {
             let images =
                 CALIBRATIONS.map(|(name, _, most)| (name, 100 + most.min(1 << 20) + extra));
             let images = images.into_iter().chain([(EMPTY, 100)]);
-            let size = |flash| Size {
-                flash,
-                ..Size::default()
-            };
-            images
-                .map(|(name, flash)| (name.to_owned(), size(flash)))
-                .collect()
+            let size = |flash| Size { flash, ..Size::default() };
+            images.map(|(name, flash)| (name.to_owned(), size(flash))).collect()
         };
         assert_eq!(small_enough(&found(0)), Ok(()));
         let refusal = small_enough(&found(1)).expect_err("too large");

@@ -29,11 +29,7 @@ pub struct Lane {
 pub const CHECK: Lane = Lane {
     name: "check",
     steps: &[
-        Step {
-            name: "format",
-            about: "the source is formatted",
-            run: |_| formatted(),
-        },
+        Step { name: "format", about: "the source is formatted", run: |_| formatted() },
         Step {
             name: "clippy",
             about: "no warning: every target of every package of the workspace",
@@ -181,9 +177,7 @@ pub const TEST: Lane = Lane {
 
 fn formatted() -> Result<(), String> {
     let check = CommandLine::new("cargo fmt --all --check");
-    check
-        .run()
-        .map_err(|problem| format!("{problem}; `cargo fmt --all` formats it"))
+    check.run().map_err(|problem| format!("{problem}; `cargo fmt --all` formats it"))
 }
 
 /// Runs the steps of `lane` named in `only`, or all, and prints how long each took.
@@ -248,9 +242,7 @@ fn clippy(workspace: &Workspace) -> Vec<CommandLine> {
 }
 
 fn oldest() -> CommandLine {
-    CommandLine::new("rustup run")
-        .word(OLDEST)
-        .words("cargo check --workspace --locked")
+    CommandLine::new("rustup run").word(OLDEST).words("cargo check --workspace --locked")
 }
 
 /// The links over Bluetooth Low Energy, and `wimu` with them.
@@ -261,11 +253,8 @@ fn bluetooth() -> Vec<CommandLine> {
 }
 
 fn doc(workspace: &Workspace) -> CommandLine {
-    selecting(
-        cargo("doc --no-deps --all-features"),
-        workspace.below("crates"),
-    )
-    .with("RUSTDOCFLAGS", "-D warnings")
+    selecting(cargo("doc --no-deps --all-features"), workspace.below("crates"))
+        .with("RUSTDOCFLAGS", "-D warnings")
 }
 
 /// As on a machine where no C library is found.
@@ -276,14 +265,7 @@ fn without_c_libraries(command: &str) -> CommandLine {
 /// wimu-node with every choice of its features; those that a feature brings with it are not chosen beside it.
 fn choices_of_features() -> Vec<CommandLine> {
     const ALTERNATIVES: [&[&str]; 4] = [
-        &[
-            "",
-            "correction",
-            "navigation",
-            "heading",
-            "self-check",
-            "heading,self-check",
-        ],
+        &["", "correction", "navigation", "heading", "self-check", "heading,self-check"],
         &["", "store", "auth"],
         &["", "line-rates"],
         &["", "wireless"],
@@ -291,23 +273,14 @@ fn choices_of_features() -> Vec<CommandLine> {
     let mut choices = vec![String::new()];
     for alternatives in ALTERNATIVES {
         let with = |choice: &String| {
-            alternatives
-                .iter()
-                .map(move |one| format!("{choice},{one}"))
-                .collect()
+            alternatives.iter().map(move |one| format!("{choice},{one}")).collect()
         };
-        choices = choices
-            .iter()
-            .flat_map(|choice| -> Vec<String> { with(choice) })
-            .collect();
+        choices = choices.iter().flat_map(|choice| -> Vec<String> { with(choice) }).collect();
     }
     let one = |choice: String| {
         let choice: Vec<_> = choice.split(',').filter(|name| !name.is_empty()).collect();
-        cargo(&format!(
-            "clippy --quiet -p wimu-node --features={}",
-            choice.join(",")
-        ))
-        .words("-- -D warnings")
+        cargo(&format!("clippy --quiet -p wimu-node --features={}", choice.join(",")))
+            .words("-- -D warnings")
     };
     choices.into_iter().map(one).collect()
 }
@@ -319,28 +292,18 @@ fn embedded(workspace: &Workspace, source: Source, targets: &[&str]) -> Vec<Comm
         let bare_metal = |target: &&Target| target.kind == "bin" && target.no_std;
         let programs: Vec<_> = package.targets.iter().filter(bare_metal).collect();
         // Code for libraries is made with the programs and boards that use them.
-        let verb = if programs.is_empty() {
-            "check"
-        } else {
-            "build"
-        };
+        let verb = if programs.is_empty() { "check" } else { "build" };
         let mut plain = targets
             .iter()
-            .fold(embedded_cargo(source, verb), |cargo, target| {
-                cargo.word("--target").word(target)
-            })
+            .fold(embedded_cargo(source, verb), |cargo, target| cargo.word("--target").word(target))
             .words(&format!("-p {} --lib", package.name));
         for program in programs {
             plain = plain.word("--bin").word(&program.name);
         }
         commands.push(plain.clone());
         // A microcontroller has all but the standard library.
-        let features: Vec<&str> = package
-            .features
-            .iter()
-            .map(String::as_str)
-            .filter(|f| *f != "std")
-            .collect();
+        let features: Vec<&str> =
+            package.features.iter().map(String::as_str).filter(|f| *f != "std").collect();
         if !features.is_empty() {
             commands.push(plain.word("--features").word(&features.join(",")));
         }

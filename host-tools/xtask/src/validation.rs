@@ -96,10 +96,7 @@ mod tests {
     #[test]
     fn a_missed_target_and_a_stale_row_are_marked_in_the_same_table() {
         let fresh = section(&result("|f|"), true).expect("narrow");
-        for row in [
-            "| holds | 95 % | 93 to 97 % | yes |\n",
-            "| \\|f\\| | 9 m | 1 m | **no** |\n",
-        ] {
+        for row in ["| holds | 95 % | 93 to 97 % | yes |\n", "| \\|f\\| | 9 m | 1 m | **no** |\n"] {
             assert!(fresh.contains(row), "{fresh}");
         }
         let stale = section(&result("|f|"), false).expect("narrow");

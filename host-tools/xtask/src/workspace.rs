@@ -36,9 +36,8 @@ impl Workspace {
     /// Reads the workspace around the working directory, and moves to its root.
     pub fn enter() -> Result<Self, String> {
         let listing = CommandLine::new("cargo metadata --no-deps --format-version 1");
-        let text = listing
-            .output()
-            .ok_or("`cargo metadata` failed: run `cargo check` to see why")?;
+        let text =
+            listing.output().ok_or("`cargo metadata` failed: run `cargo check` to see why")?;
         let metadata: Value = serde_json::from_str(&text)
             .map_err(|problem| format!("`{listing}` put out something else: {problem}"))?;
         let root = Path::new(string(&metadata["workspace_root"])?);
@@ -48,19 +47,13 @@ impl Workspace {
         let packages: Result<_, String> = packages.iter().map(|p| Package::read(p, root)).collect();
         Ok(Self {
             packages: packages?,
-            firmware: [
-                firmware(Path::new("firmware"))?,
-                firmware(Path::new("examples"))?,
-            ]
-            .concat(),
+            firmware: [firmware(Path::new("firmware"))?, firmware(Path::new("examples"))?].concat(),
         })
     }
 
     /// The packages below `folder`.
     pub fn below(&self, folder: &str) -> impl Iterator<Item = &Package> {
-        self.packages
-            .iter()
-            .filter(move |p| p.folder.starts_with(folder))
+        self.packages.iter().filter(move |p| p.folder.starts_with(folder))
     }
 }
 
@@ -68,21 +61,13 @@ impl Package {
     fn read(package: &Value, root: &Path) -> Result<Self, String> {
         let manifest = Path::new(string(&package["manifest_path"])?);
         let folder = manifest.parent().unwrap_or(manifest);
-        let features = package["features"]
-            .as_object()
-            .ok_or("no features listed")?;
-        let targets: Result<_, String> = list(&package["targets"])?
-            .iter()
-            .map(Target::read)
-            .collect();
+        let features = package["features"].as_object().ok_or("no features listed")?;
+        let targets: Result<_, String> =
+            list(&package["targets"])?.iter().map(Target::read).collect();
         Ok(Self {
             name: string(&package["name"])?.to_owned(),
             folder: folder.strip_prefix(root).unwrap_or(folder).to_owned(),
-            features: features
-                .keys()
-                .filter(|f| *f != "default")
-                .cloned()
-                .collect(),
+            features: features.keys().filter(|f| *f != "default").cloned().collect(),
             targets: targets?,
         })
     }
@@ -95,8 +80,7 @@ impl Target {
             name: string(&target["name"])?.to_owned(),
             kind: string(&target["kind"][0])?.to_owned(),
             no_std: source.is_ok_and(|text| {
-                text.lines()
-                    .any(|line| line.starts_with("#![") && line.contains("no_std"))
+                text.lines().any(|line| line.starts_with("#![") && line.contains("no_std"))
             }),
         })
     }
@@ -117,13 +101,9 @@ fn firmware(parent: &Path) -> Result<Vec<PathBuf>, String> {
 }
 
 fn string(value: &Value) -> Result<&str, String> {
-    value
-        .as_str()
-        .ok_or_else(|| format!("`cargo metadata`: {value} is no text"))
+    value.as_str().ok_or_else(|| format!("`cargo metadata`: {value} is no text"))
 }
 
 fn list(value: &Value) -> Result<&Vec<Value>, String> {
-    value
-        .as_array()
-        .ok_or_else(|| format!("`cargo metadata`: {value} is no list"))
+    value.as_array().ok_or_else(|| format!("`cargo metadata`: {value} is no list"))
 }

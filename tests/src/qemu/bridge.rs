@@ -82,11 +82,7 @@ enum Message {
     ReadRegisters(Vec<u8>),
     WriteRegisters,
     ReadPort,
-    Wait {
-        flags: u8,
-        wait_us: u32,
-        traffic: Traffic,
-    },
+    Wait { flags: u8, wait_us: u32, traffic: Traffic },
     Stop,
 }
 
@@ -218,11 +214,7 @@ impl Bridge {
             Message::ReadPort => answers.push(self.port()),
             // Baud rate, pin modes and bus speed are what they are.
             Message::WriteRegisters | Message::Stop => {}
-            Message::Wait {
-                flags,
-                wait_us,
-                traffic,
-            } => {
+            Message::Wait { flags, wait_us, traffic } => {
                 self.wait = Some(Wait {
                     deadline_us: (wait_us != NO_DEADLINE)
                         .then(|| self.told_us.saturating_add(wait_us.into())),
@@ -327,10 +319,7 @@ fn parse(bytes: &[u8]) -> Parsed {
             let message = Message::Wait {
                 flags: fields[0],
                 wait_us: u32::from_le_bytes([fields[1], fields[2], fields[3], fields[4]]),
-                traffic: Traffic {
-                    received: [count(5), count(7)],
-                    sent: [count(9), count(11)],
-                },
+                traffic: Traffic { received: [count(5), count(7)], sent: [count(9), count(11)] },
             };
             after_stop(message, rest)
         }
@@ -354,10 +343,7 @@ fn transaction(bytes: &[u8]) -> Parsed {
                     let Some((data, after)) = after.split_at_checked(length) else {
                         return Parsed::Part;
                     };
-                    parts.push(Part::Write {
-                        address,
-                        bytes: data.to_vec(),
-                    });
+                    parts.push(Part::Write { address, bytes: data.to_vec() });
                     rest = after;
                 }
             }
@@ -404,10 +390,7 @@ mod tests {
     #[test]
     fn registers_are_read_with_a_repeated_start() {
         let mut bridge = bridge(0);
-        assert_eq!(
-            bridge.receive(b"S\x32\x01\x0FS\x33\x01PR\x0AP"),
-            [0x33, STATUS_OK]
-        );
+        assert_eq!(bridge.receive(b"S\x32\x01\x0FS\x33\x01PR\x0AP"), [0x33, STATUS_OK]);
     }
 
     #[test]

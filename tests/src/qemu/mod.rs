@@ -108,10 +108,7 @@ impl Machine {
                 ),
             ]);
         }
-        command
-            .args(["-machine", &machine])
-            .arg("-kernel")
-            .arg(&self.image);
+        command.args(["-machine", &machine]).arg("-kernel").arg(&self.image);
         let mut semihosting = format!("enable=on,target=native,arg=wimu,arg={mode}");
         if let Some(words) = self.power_loss_after {
             semihosting.push_str(&format!(",arg=power-loss={words}"));
@@ -123,23 +120,13 @@ impl Machine {
             semihosting.push_str(&format!(",arg={failure}"));
         }
         command.args(["-semihosting-config", &semihosting]);
-        for (name, device) in [
-            ("wireless", wireless),
-            ("cable", cable),
-            ("bus", sensor_bus),
-        ] {
+        for (name, device) in [("wireless", wireless), ("cable", cable), ("bus", sensor_bus)] {
             command.args(["-chardev", &format!("socket,id={name},{device}")]);
             command.args(["-serial", &format!("chardev:{name}")]);
         }
-        let log = self
-            .log
-            .as_deref()
-            .map(|path| format!("file:{}", escaped(path)));
+        let log = self.log.as_deref().map(|path| format!("file:{}", escaped(path)));
         command.args(["-serial", log.as_deref().unwrap_or("null")]);
-        command
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped());
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
         match command.spawn() {
             Ok(child) => Ok(Process(child)),
             Err(error) if error.kind() == ErrorKind::NotFound => Err(HostError::new(
@@ -173,11 +160,7 @@ impl Process {
             let _ = stderr.read_to_string(&mut message);
         }
         let message = message.trim();
-        let message = if message.is_empty() {
-            "no message"
-        } else {
-            message
-        };
+        let message = if message.is_empty() { "no message" } else { message };
         Some(HostError::new(
             ErrorCode::LinkLost,
             format!("{QEMU} has ended ({status}): {message}"),
@@ -249,10 +232,7 @@ impl Listener {
             if start.elapsed() > START_PATIENCE {
                 return Err(HostError::new(
                     ErrorCode::LinkAbsent,
-                    format!(
-                        "{QEMU} does not connect within {} s",
-                        START_PATIENCE.as_secs()
-                    ),
+                    format!("{QEMU} does not connect within {} s", START_PATIENCE.as_secs()),
                     "reduce the load of this computer",
                 ));
             }
@@ -484,12 +464,7 @@ impl Lines {
 impl Link {
     fn new(stream: UnixStream) -> Result<Self> {
         stream.set_nonblocking(true).map_err(|error| lost(&error))?;
-        Ok(Self {
-            stream,
-            sent: 0,
-            received: 0,
-            arrived: VecDeque::new(),
-        })
+        Ok(Self { stream, sent: 0, received: 0, arrived: VecDeque::new() })
     }
 
     fn fetch(&mut self) -> Result<()> {
@@ -579,11 +554,7 @@ impl FreeRunning {
     ) -> Result<Self> {
         let folder = Folder::new()?;
         let listener = folder.listen("bus")?;
-        let devices = [
-            cable.into().device(),
-            wireless.into().device(),
-            listener.device(),
-        ];
+        let devices = [cable.into().device(), wireless.into().device(), listener.device()];
         let mut process = machine.start("free-running", devices.each_ref().map(String::as_str))?;
         Ok(Self {
             bridge: machine.bridge(source),
@@ -606,9 +577,7 @@ impl FreeRunning {
     pub fn run(&mut self, mut stop: impl FnMut() -> bool) -> Result<()> {
         while !stop() {
             let heard = hear(&mut self.sensor_bus, GLANCE);
-            self.bridge
-                .clock()
-                .advance_to(self.started.elapsed().as_micros() as u64);
+            self.bridge.clock().advance_to(self.started.elapsed().as_micros() as u64);
             let outcome = match heard {
                 Ok(Some(bytes)) => self.sensor_bus.write_all(&self.bridge.receive(&bytes)),
                 Ok(None) => Err(ErrorKind::UnexpectedEof.into()),

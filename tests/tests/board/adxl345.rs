@@ -16,10 +16,7 @@ use wimu_sim::truth::{Gauge, SensorTruth};
 use wimu_tests::{ROLES, Rig, assert_replays, gaps, who_are_you};
 
 fn config() -> BoardConfig {
-    BoardConfig {
-        sensor: SensorPart::Adxl345,
-        ..BoardConfig::default()
-    }
+    BoardConfig { sensor: SensorPart::Adxl345, ..BoardConfig::default() }
 }
 
 /// A sensor whose period is longer than nominal by `ppm`.
@@ -73,11 +70,7 @@ fn what_it_does_not_have_is_not_invented() {
         assert!(!hello.capabilities.contains(Capabilities::TEMPERATURE));
         assert_eq!(hello.sensor.name.as_str(), "ADXL345");
         assert!(boot.environment.is_empty(), "{:?}", boot.environment);
-        assert!(
-            boot.epochs
-                .iter()
-                .all(|mark| mark.epoch.temperature_centi_c.is_none())
-        );
+        assert!(boot.epochs.iter().all(|mark| mark.epoch.temperature_centi_c.is_none()));
     }
 }
 
@@ -86,51 +79,29 @@ fn every_rate_is_sampled_without_loss_with_both_links_shedding_and_a_set_being_w
     for rate_hz in [25, 50, 100, 200, 400, 800] {
         for ppm in [-50_000.0, 50_000.0] {
             // Too slow for what is asked of them.
-            let slow = LinkConfig {
-                baud: Some(9_600),
-                ..LinkConfig::default()
-            };
-            let config = BoardConfig {
-                cable: slow,
-                wireless: slow,
-                ..config()
-            };
+            let slow = LinkConfig { baud: Some(9_600), ..LinkConfig::default() };
+            let config = BoardConfig { cable: slow, wireless: slow, ..config() };
             let mut rig = Rig::new(config, off_by(ppm, "rest,slide,rest"));
             rig.run(0.5);
-            rig.set(Settings {
-                rate_hz,
-                ..Settings::default()
-            });
-            let before = (
-                rig.board.sensor().samples_taken(),
-                rig.status().sensor.samples,
-            );
+            rig.set(Settings { rate_hz, ..Settings::default() });
+            let before = (rig.board.sensor().samples_taken(), rig.status().sensor.samples);
             rig.run(2.0);
             let sensitivity = Sensitivity::from_lsb_per_g(16_384.0).expect("in range");
             push(&mut rig, &ParameterSet::uncalibrated(2, sensitivity));
             rig.run(6.0);
             let status = rig.status();
             let sensor = status.sensor;
-            assert_eq!(
-                (sensor.missed, sensor.overruns, sensor.bus_errors),
-                (0, 0, 0)
-            );
+            assert_eq!((sensor.missed, sensor.overruns, sensor.bus_errors), (0, 0, 0));
             let taken = rig.board.sensor().samples_taken() - before.0;
             let read = u64::from(sensor.samples - before.1);
             // The slow link brings the status late; what the FIFO held is a part of it.
             let late = 64 + u64::from(rate_hz) / 2;
-            assert!(
-                taken.abs_diff(read) <= late,
-                "{rate_hz} Hz: {read} of {taken}"
-            );
+            assert!(taken.abs_diff(read) <= late, "{rate_hz} Hz: {read} of {taken}");
             let truth_ns = 1e9 / f64::from(rate_hz) * (1.0 + ppm * 1e-6);
             let measured = f64::from(status.measured_period_ns.expect("6 s are enough"));
             assert!((measured / truth_ns - 1.0).abs() < 100e-6, "{measured} ns");
             let shed = [status.cable, status.wireless].map(|link| link.map(|l| l.telemetry_shed));
-            assert!(
-                rate_hz < 400 || shed.iter().all(|shed| *shed > Some(0)),
-                "{shed:?}"
-            );
+            assert!(rate_hz < 400 || shed.iter().all(|shed| *shed > Some(0)), "{shed:?}");
             for role in ROLES {
                 assert_replays(rig.boot(role));
             }
@@ -143,10 +114,7 @@ fn sample_times_are_those_of_the_data_ready_line() {
     for rate_hz in [100, 400] {
         let mut rig = Rig::new(config(), off_by(21_000.0, "rest,slide,rest"));
         rig.run(0.5);
-        rig.set(Settings {
-            rate_hz,
-            ..Settings::default()
-        });
+        rig.set(Settings { rate_hz, ..Settings::default() });
         rig.run(8.0);
         let period_us = 1e6 / f64::from(rate_hz) * 1.021;
         let raw = &rig.boot(LinkRole::Cable).raw;
@@ -172,23 +140,11 @@ fn what_the_sensor_cannot_do_is_refused_with_the_nearest_that_it_can() {
         let mut rig = rig();
         rig.run(0.5);
         let (range_g, rate_hz, resolution) = wanted;
-        let asked = Settings {
-            range_g,
-            rate_hz,
-            resolution,
-            ..usual
-        };
+        let asked = Settings { range_g, rate_hz, resolution, ..usual };
         let answer = rig.ask(LinkRole::Cable, Command::SetSettings(asked));
         let (range_g, rate_hz) = nearest;
-        let nearest = Settings {
-            range_g,
-            rate_hz,
-            ..asked
-        };
-        assert_eq!(
-            answer,
-            Answer::Refused(Refusal::UnsupportedSettings { nearest })
-        );
+        let nearest = Settings { range_g, rate_hz, ..asked };
+        assert_eq!(answer, Answer::Refused(Refusal::UnsupportedSettings { nearest }));
         assert_eq!(rig.settings(), usual);
         rig.set(nearest);
         assert_eq!(rig.settings(), nearest);
@@ -200,15 +156,11 @@ fn it_is_calibrated_and_keeps_what_was_pushed() {
     let mut rig = Rig::new(config(), off_by(35_000.0, "twelve-poses"));
     rig.run(100.0);
     let recording = rig.recording();
-    let link = recording
-        .link(Some(LinkRole::Cable))
-        .expect("it was recorded");
+    let link = recording.link(Some(LinkRole::Cable)).expect("it was recorded");
     let data = Recording::of_link(link, "the simulated board").expect("samples");
     let samples = data.samples(Selection::default()).expect("samples");
     let report = calibrate(&samples, &CalibrateOptions::default()).expect("readable");
-    let set = report
-        .parameters
-        .unwrap_or_else(|| panic!("{:?}", report.outcome.reason));
+    let set = report.parameters.unwrap_or_else(|| panic!("{:?}", report.outcome.reason));
     let hash = push(&mut rig, &set);
     rig.restart();
     rig.run(3.0);
@@ -234,11 +186,7 @@ fn survives(what: &str, fault: BusFault, break_it: impl Fn(&Board), mend: fn(&Bo
             panic!("{what}: one gap in the numbers, not {holes:?}");
         };
         assert!((90..=150).contains(&missing), "{what}: {missing} of 104 Hz");
-        assert!(
-            boot.epochs
-                .iter()
-                .any(|mark| mark.epoch.reason == EpochReason::Gap)
-        );
+        assert!(boot.epochs.iter().any(|mark| mark.epoch.reason == EpochReason::Gap));
         assert_replays(boot);
     }
 }
@@ -272,10 +220,7 @@ fn another_chip_at_the_address_is_named_and_never_sampled() {
     let mut rig = rig();
     rig.board.sensor().set_who_am_i(0x33);
     rig.run(2.0);
-    let told = Event::WrongSensor {
-        expected: 0xE5,
-        found: 0x33,
-    };
+    let told = Event::WrongSensor { expected: 0xE5, found: 0x33 };
     for role in ROLES {
         assert_eq!(rig.link(role).events(), [told]);
         assert!(rig.boot(role).raw.is_empty());

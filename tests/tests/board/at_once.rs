@@ -24,18 +24,12 @@ struct Host {
 
 impl Host {
     fn new(role: LinkRole, session: u32) -> Self {
-        Self {
-            role,
-            requester: Requester::new(session),
-            deframer: Deframer::new(),
-        }
+        Self { role, requester: Requester::new(session), deframer: Deframer::new() }
     }
 
     fn ask(&mut self, board: &mut Board, command: Command) {
         let now = Duration::from_micros(board.now_us());
-        board
-            .link(self.role)
-            .push(self.requester.start(command, now));
+        board.link(self.role).push(self.requester.start(command, now));
     }
 
     fn look(&mut self, board: &mut Board) -> Option<Answer> {
@@ -68,13 +62,7 @@ impl Host {
     fn sign(&mut self, board: &mut Board, device_id: u64) {
         match self.answer(board, Command::OpenSession) {
             Answer::Accepted(Payload::Session { number, nonce }) => {
-                let session = Session {
-                    key: KEY,
-                    role: self.role,
-                    device_id,
-                    number,
-                    nonce,
-                };
+                let session = Session { key: KEY, role: self.role, device_id, number, nonce };
                 self.requester.sign(session, 1);
             }
             other => panic!("{other:?}"),
@@ -102,10 +90,7 @@ fn of_two_pushes_at_once_one_gets_through_and_both_are_told_the_truth() {
     let config = BoardConfig::default();
     let device_id = config.device_id;
     let mut board = Board::start(config, sensor("rest", World::default(), 3));
-    let mut hosts = [
-        Host::new(LinkRole::Cable, 1),
-        Host::new(LinkRole::Wireless, 2),
-    ];
+    let mut hosts = [Host::new(LinkRole::Cable, 1), Host::new(LinkRole::Wireless, 2)];
     let answer = hosts[0].answer(&mut board, Command::SetKey(KEY));
     assert!(matches!(answer, Answer::Accepted(_)), "{answer:?}");
     for host in &mut hosts {
@@ -117,10 +102,7 @@ fn of_two_pushes_at_once_one_gets_through_and_both_are_told_the_truth() {
     for offset in -120_i64..=120 {
         let sets: [ParameterSet; 2] = ROLES.map(|_| {
             bias += 1e-4;
-            let terms = ErrorTerms {
-                bias_mps2: [bias, 0.0, 0.0],
-                ..ErrorTerms::default()
-            };
+            let terms = ErrorTerms { bias_mps2: [bias, 0.0, 0.0], ..ErrorTerms::default() };
             ParameterSet {
                 model: ErrorModel::new(terms).expect("a model"),
                 ..ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0).expect("its"))
@@ -166,10 +148,7 @@ fn of_two_pushes_at_once_one_gets_through_and_both_are_told_the_truth() {
             Answer::Accepted(Payload::Parameters(ParametersPiece { id, .. })) => {
                 // When both got through, the later one of them.
                 let both = pushes.iter().all(|push| matches!(push, Push::Ended(true)));
-                assert!(
-                    id == ids[last] || both && ids.contains(&id),
-                    "offset {offset}"
-                );
+                assert!(id == ids[last] || both && ids.contains(&id), "offset {offset}");
             }
             other => panic!("{other:?}"),
         }
@@ -179,8 +158,5 @@ fn of_two_pushes_at_once_one_gets_through_and_both_are_told_the_truth() {
         committed[0], committed[1]
     );
     assert!(committed.iter().all(|&count| count > 60), "{committed:?}");
-    assert!(
-        committed[0] + committed[1] < 2 * 241,
-        "none were truly at once"
-    );
+    assert!(committed[0] + committed[1] < 2 * 241, "none were truly at once");
 }

@@ -26,12 +26,7 @@ fn a_change_of_range_rate_and_resolution_while_running_begins_an_epoch_and_repla
         (2, 100, Resolution::High),
     ];
     for (range_g, rate_hz, resolution) in changes {
-        rig.set(Settings {
-            range_g,
-            rate_hz,
-            resolution,
-            ..Settings::default()
-        });
+        rig.set(Settings { range_g, rate_hz, resolution, ..Settings::default() });
         rig.run(3.0);
         for role in ROLES {
             let epochs = &rig.boot(role).epochs;
@@ -41,9 +36,7 @@ fn a_change_of_range_rate_and_resolution_while_running_begins_an_epoch_and_repla
             assert!((f64::from(last.period_ns) / nominal - 1.0).abs() < 0.004);
         }
     }
-    let changed = reasons(&rig)
-        .into_iter()
-        .filter(|reason| *reason == EpochReason::Settings);
+    let changed = reasons(&rig).into_iter().filter(|reason| *reason == EpochReason::Settings);
     assert_eq!(changed.count(), changes.len());
     for role in ROLES {
         assert_replays(rig.boot(role));
@@ -54,11 +47,7 @@ fn a_change_of_range_rate_and_resolution_while_running_begins_an_epoch_and_repla
 #[test]
 fn a_step_of_temperature_begins_an_epoch_with_it_and_replays() {
     let world = World {
-        temperature: Temperature::Step {
-            before_c: 20.0,
-            after_c: 31.0,
-            at_s: 5.0,
-        },
+        temperature: Temperature::Step { before_c: 20.0, after_c: 31.0, at_s: 5.0 },
         ..World::default()
     };
     // A temperature dependence that shows: the parameters' own, pushed to the device.
@@ -67,10 +56,7 @@ fn a_step_of_temperature_begins_an_epoch_with_it_and_replays() {
     let offset_c = source.truth.thermometer_error_k;
     let mut rig = Rig::new(BoardConfig::default(), source);
     rig.run(1.0);
-    super::requests::push(
-        &mut rig,
-        &super::requests::parameters(2, 16384.0, *model.terms()),
-    );
+    super::requests::push(&mut rig, &super::requests::parameters(2, 16384.0, *model.terms()));
     rig.run(9.0);
     for role in ROLES {
         let boot = rig.boot(role);

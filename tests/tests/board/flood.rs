@@ -65,19 +65,13 @@ const IDS: [Ids; 4] = [Ids::NewSessions, Ids::Counted, Ids::Repeated, Ids::Owner
 fn commands() -> Vec<Command> {
     let all = vec![
         Command::GetParameters { offset: 0 },
-        WireParameters::from(&set_of(0.4))
-            .stage()
-            .next()
-            .expect("a piece"),
+        WireParameters::from(&set_of(0.4)).stage().next().expect("a piece"),
         Command::CommitParameters { hash: 1 },
         Command::FactoryReset,
         Command::GetSettings,
         Command::SetSettings(Settings::default()),
         Command::GetStatus,
-        Command::SetLineRate {
-            link: 1,
-            baud: 9600,
-        },
+        Command::SetLineRate { link: 1, baud: 9600 },
         Command::OpenSession,
         Command::GetKeyStatus,
         Command::SetKey(DeviceKey::new([0x22; 32])),
@@ -107,9 +101,8 @@ fn commands() -> Vec<Command> {
 }
 
 fn attacks() -> Vec<Attack> {
-    let unsigned = commands()
-        .into_iter()
-        .flat_map(|command| IDS.map(|ids| Attack::Unsigned(command, ids)));
+    let unsigned =
+        commands().into_iter().flat_map(|command| IDS.map(|ids| Attack::Unsigned(command, ids)));
     let others = [
         Attack::Unknown,
         Attack::Forged(Command::GetParameters { offset: 0 }),
@@ -152,12 +145,7 @@ impl Stranger {
         let random = self.seeded.bits() as u32;
         let request = |session, id, signature, command| {
             encoded(|frame| {
-                let request = Request {
-                    session,
-                    id,
-                    signature,
-                    command,
-                };
+                let request = Request { session, id, signature, command };
                 request.encode(frame)
             })
         };
@@ -245,18 +233,12 @@ impl Transport for Flooded<'_> {
 }
 
 fn options(session: u32) -> ConnectOptions {
-    ConnectOptions {
-        session: Some(session),
-        ..ConnectOptions::default()
-    }
+    ConnectOptions { session: Some(session), ..ConnectOptions::default() }
 }
 
 /// A set with all that a calibration of an accelerometer says of itself: its reply has 640 bytes.
 fn set_of(bias: f64) -> ParameterSet {
-    let terms = ErrorTerms {
-        bias_mps2: [bias, 0.0, 0.0],
-        ..ErrorTerms::default()
-    };
+    let terms = ErrorTerms { bias_mps2: [bias, 0.0, 0.0], ..ErrorTerms::default() };
     let quality = QualityTerms {
         method: CalibrationMethod::MultiPosition,
         utc_s: Some(1_700_000_000),
@@ -287,10 +269,7 @@ fn start(rate_hz: u16) -> RefCell<Board> {
     let mut cable = Client::connect(cable, "cable", options(1)).expect("a board");
     cable.set_key(KEY).expect("set");
     cable.push_parameters(&set_of(0.1)).expect("pushed");
-    let settings = Settings {
-        rate_hz,
-        ..Settings::default()
-    };
+    let settings = Settings { rate_hz, ..Settings::default() };
     cable.set_settings(settings).expect("set");
     drop(cable);
     board
@@ -339,15 +318,8 @@ fn under(attack: Attack, rate_hz: u16, pushes: u32) -> Outcome {
     let usual = samples(&mut quiet);
     drop(quiet);
     let stranger = RefCell::new(Stranger::new(attack, &board));
-    let flooded = || Flooded {
-        link: SimLink::new(&board, WIRELESS),
-        stranger: &stranger,
-    };
-    let mut outcome = Outcome {
-        samples: 0.0,
-        pushed: 0,
-        longest: Duration::ZERO,
-    };
+    let flooded = || Flooded { link: SimLink::new(&board, WIRELESS), stranger: &stranger };
+    let mut outcome = Outcome { samples: 0.0, pushed: 0, longest: Duration::ZERO };
     let mut held = None;
     for push in 0..pushes {
         let set = set_of(0.2 + f64::from(push) * 1e-3);

@@ -16,10 +16,7 @@ use wimu_tests::{ROLES, Rig, assert_replays, sensor};
 /// What a session in many orientations finds of the sensor of `seed`.
 fn calibrated(seed: u64) -> ParameterSet {
     let motion = "twelve-poses,six-positions,tilts";
-    let mut rig = Rig::new(
-        BoardConfig::default(),
-        sensor(motion, World::default(), seed),
-    );
+    let mut rig = Rig::new(BoardConfig::default(), sensor(motion, World::default(), seed));
     rig.run(motion::named(motion, seed).unwrap().duration());
     assert!(rig.boot(LinkRole::Cable).epochs.iter().all(|mark| {
         mark.epoch.state.heading_sd_mrad.is_none() && mark.epoch.reason != EpochReason::Heading
@@ -52,10 +49,7 @@ fn heading_is_uncalibrated_until_a_magnetometer_is_pushed_and_then_within_its_de
             iron.push(off / f64::from(found.hard_iron_sd_nt[axis]));
         }
         let motion = "rest,tilts";
-        let mut rig = Rig::new(
-            BoardConfig::default(),
-            sensor(motion, World::default(), seed),
-        );
+        let mut rig = Rig::new(BoardConfig::default(), sensor(motion, World::default(), seed));
         rig.run(4.0);
         let before = rig.boot(LinkRole::Wireless).epochs.len();
         super::requests::push(&mut rig, &(&set).into());
@@ -94,25 +88,13 @@ fn heading_is_uncalibrated_until_a_magnetometer_is_pushed_and_then_within_its_de
         all.iter().map(|off| off.abs() <= bound).collect()
     };
     let largest = |all: &[f64]| all.iter().fold(0.0, |most: f64, off| most.max(off.abs()));
-    println!(
-        "largest: iron {:.1} σ, heading {:.1} σ",
-        largest(&iron),
-        largest(&deviations)
-    );
+    println!("largest: iron {:.1} σ, heading {:.1} σ", largest(&iron), largest(&deviations));
     let held = within(&iron, 1.96);
-    coverage_figure(
-        "hard iron found on a board: 95 % intervals",
-        &[held],
-        0.93..=0.97,
-    );
+    coverage_figure("hard iron found on a board: 95 % intervals", &[held], 0.93..=0.97);
     held.assert_can_be(0.9..=1.0, "hard iron");
     // The stated deviation includes disturbances, which this field does not have.
     let held = within(&deviations, 1.96);
-    coverage_figure(
-        "headings of a board at rest: 95 % intervals",
-        &[held],
-        0.93..=1.0,
-    );
+    coverage_figure("headings of a board at rest: 95 % intervals", &[held], 0.93..=1.0);
     held.assert_can_be(0.93..=1.0, "headings");
     within(&deviations, 1.0).assert_can_be(0.6..=1.0, "headings within 1 σ");
     assert!(largest(&iron) < 5.0 && largest(&deviations) < 5.0);

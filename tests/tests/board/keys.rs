@@ -31,10 +31,7 @@ fn start() -> RefCell<Board> {
 }
 
 fn connect(board: &RefCell<Board>, role: LinkRole, session: u32) -> Link<'_> {
-    let options = ConnectOptions {
-        session: Some(session),
-        ..ConnectOptions::default()
-    };
+    let options = ConnectOptions { session: Some(session), ..ConnectOptions::default() };
     Client::connect(SimLink::new(board, role), "the board", options).expect("a board")
 }
 
@@ -54,10 +51,7 @@ fn start_with_key() -> RefCell<Board> {
 
 fn set_of(bias: f64) -> ParameterSet {
     let sensitivity = Sensitivity::from_lsb_per_g(16384.0).expect("the sensor's");
-    let terms = ErrorTerms {
-        bias_mps2: [bias, -bias, bias / 2.0],
-        ..ErrorTerms::default()
-    };
+    let terms = ErrorTerms { bias_mps2: [bias, -bias, bias / 2.0], ..ErrorTerms::default() };
     ParameterSet {
         model: ErrorModel::new(terms).expect("a model"),
         ..ParameterSet::uncalibrated(2, sensitivity)
@@ -65,10 +59,7 @@ fn set_of(bias: f64) -> ParameterSet {
 }
 
 fn set_rate(client: &mut Link<'_>, rate_hz: u16) -> Result<Settings> {
-    client.set_settings(Settings {
-        rate_hz,
-        ..Settings::default()
-    })
+    client.set_settings(Settings { rate_hz, ..Settings::default() })
 }
 
 fn code<T>(outcome: Result<T>) -> Option<ErrorCode> {
@@ -81,10 +72,7 @@ fn a_key_opens_the_wireless_link_to_its_owner_and_closes_the_cable_to_others() {
     let mut cable = connect(&board, CABLE, 1);
     let mut wireless = connect(&board, WIRELESS, 2);
     assert_eq!(cable.hello().access, WriteAccess::Open);
-    assert_eq!(
-        code(set_rate(&mut wireless, 200)),
-        Some(ErrorCode::KeyNeeded)
-    );
+    assert_eq!(code(set_rate(&mut wireless, 200)), Some(ErrorCode::KeyNeeded));
     // A key does not travel over a radio: not even the host lets it.
     assert_eq!(code(wireless.set_key(KEY)), Some(ErrorCode::KeyNeeded));
     cable.set_key(KEY).expect("set");
@@ -93,25 +81,18 @@ fn a_key_opens_the_wireless_link_to_its_owner_and_closes_the_cable_to_others() {
     for (role, session) in [(WIRELESS, 3), (CABLE, 4)] {
         let mut owner = owner(&board, role, session);
         assert_eq!(set_rate(&mut owner, 200).map(|set| set.rate_hz), Ok(200));
-        owner
-            .push_parameters(&set_of(f64::from(session) / 10.0))
-            .expect("pushed");
+        owner.push_parameters(&set_of(f64::from(session) / 10.0)).expect("pushed");
         // That his key is not the board's, anybody can have said.
-        for (key, session, refused) in [
-            (None, 5, ErrorCode::KeyNeeded),
-            (Some(OTHER), 6, ErrorCode::NoAnswer),
-        ] {
+        for (key, session, refused) in
+            [(None, 5, ErrorCode::KeyNeeded), (Some(OTHER), 6, ErrorCode::NoAnswer)]
+        {
             let mut stranger = connect(&board, role, session);
             stranger.use_key(key);
             assert_eq!(code(set_rate(&mut stranger, 50)), Some(refused));
             assert_eq!(code(stranger.factory_reset()), Some(refused));
             let ours = stranger.use_key_among(&[OTHER]);
             assert_eq!(code(ours), Some(ErrorCode::KeyNeeded));
-            assert_eq!(
-                stranger.settings().map(|set| set.rate_hz),
-                Ok(200),
-                "reading is free"
-            );
+            assert_eq!(stranger.settings().map(|set| set.rate_hz), Ok(200), "reading is free");
         }
     }
     // Exchanged for another one, and forgotten.
@@ -137,20 +118,14 @@ fn a_key_outlives_a_restart_and_a_factory_reset_and_sessions_do_not() {
     wireless.factory_reset().expect("reset");
     assert_eq!(wireless.key_status(), Ok(Some(KEY.id())));
     let mut stranger = connect(&board, CABLE, 3);
-    assert_eq!(
-        code(set_rate(&mut stranger, 50)),
-        Some(ErrorCode::KeyNeeded)
-    );
+    assert_eq!(code(set_rate(&mut stranger, 50)), Some(ErrorCode::KeyNeeded));
 }
 
 #[test]
 fn two_hosts_at_once_both_get_through_and_agree() {
     let board = start_with_key();
-    let mut hosts = [
-        owner(&board, WIRELESS, 2),
-        owner(&board, WIRELESS, 3),
-        owner(&board, CABLE, 4),
-    ];
+    let mut hosts =
+        [owner(&board, WIRELESS, 2), owner(&board, WIRELESS, 3), owner(&board, CABLE, 4)];
     let mut last = None;
     for round in 0..30_u8 {
         let host = &mut hosts[usize::from(round * 7 % 3)];
@@ -199,10 +174,7 @@ fn a_board_unplugged_during_a_commit_holds_the_old_set_or_the_new() {
         board.borrow_mut().restart();
         let found = wireless.parameters().expect("answered").id;
         let new = wimu_link::message::parameter_id(&set).0;
-        assert!(
-            found == new || !answered && found == held,
-            "{cut}: {found:08x}"
-        );
+        assert!(found == new || !answered && found == held, "{cut}: {found:08x}");
         outcomes[usize::from(found == new)] += 1;
         held = found;
     }
@@ -228,15 +200,9 @@ fn an_unreadable_boot_count_locks_both_links_until_the_key_is_exchanged() {
     assert_eq!(code(cable.forget_key()), Some(ErrorCode::DeviceRefused));
     // The same key again would make old sessions new ones.
     cable.set_key(KEY).expect("set");
-    assert_eq!(
-        code(set_rate(&mut cable, 200)),
-        Some(ErrorCode::DeviceRefused)
-    );
+    assert_eq!(code(set_rate(&mut cable, 200)), Some(ErrorCode::DeviceRefused));
     let mut wireless = owner(&board, WIRELESS, 4);
-    assert_eq!(
-        code(set_rate(&mut wireless, 200)),
-        Some(ErrorCode::DeviceRefused)
-    );
+    assert_eq!(code(set_rate(&mut wireless, 200)), Some(ErrorCode::DeviceRefused));
     cable.set_key(OTHER).expect("rotated");
     for restart in [false, true] {
         if restart {
@@ -263,10 +229,7 @@ fn an_unreadable_key_locks_both_links_until_the_owner_makes_the_gesture() {
         assert_eq!(host.hello().access, WriteAccess::Locked);
         let refused = connect(&board, role, session + 10).use_key_among(&[KEY]);
         assert_eq!(code(refused), Some(ErrorCode::DeviceRefused));
-        assert_eq!(
-            code(set_rate(&mut host, 50)),
-            Some(ErrorCode::DeviceRefused)
-        );
+        assert_eq!(code(set_rate(&mut host, 50)), Some(ErrorCode::DeviceRefused));
         assert_eq!(host.parameters().map(|held| held.id), Ok(held.0));
     }
     board.borrow().forget_key();
@@ -292,10 +255,7 @@ fn the_gesture_erases_key_and_settings_and_never_the_calibration() {
         assert_eq!(cable.settings(), Ok(Settings::default()));
         assert_eq!(cable.parameters().map(|held| held.id), Ok(held.0));
         let mut wireless = owner(&board, WIRELESS, 4);
-        assert_eq!(
-            code(set_rate(&mut wireless, 50)),
-            Some(ErrorCode::KeyNeeded)
-        );
+        assert_eq!(code(set_rate(&mut wireless, 50)), Some(ErrorCode::KeyNeeded));
     }
 }
 
@@ -315,10 +275,7 @@ fn a_write_to_flash_is_announced_on_both_links_before_it_begins() {
         while let Some(arrival) = client.next_event(Duration::from_millis(5)).expect("a link") {
             announced |= matches!(
                 arrival.event,
-                Heard::Device {
-                    event: Event::Pause { longest_ms: 90 },
-                    ..
-                }
+                Heard::Device { event: Event::Pause { longest_ms: 90 }, .. }
             );
             if announced {
                 break;
@@ -358,10 +315,7 @@ fn what_older_firmware_stored_is_read() {
 fn stored_by(version: u8) {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("vectors/store");
     let file = folder.join(format!("v{version}.hex"));
-    let settings = Settings {
-        rate_hz: 200,
-        ..Settings::default()
-    };
+    let settings = Settings { rate_hz: 200, ..Settings::default() };
     let set = ParameterSet {
         sensor: (version > 0).then_some(SensorId(hello::sensor::LSM303AGR)),
         ..set_of(0.1)
@@ -372,10 +326,7 @@ fn stored_by(version: u8) {
         cable.push_parameters(&set).expect("pushed");
         cable.set_settings(settings).expect("set");
         let image = board.borrow().storage().image();
-        let used = image
-            .iter()
-            .rposition(|&byte| byte != 0xFF)
-            .map_or(0, |last| last + 1);
+        let used = image.iter().rposition(|&byte| byte != 0xFF).map_or(0, |last| last + 1);
         let lines = image[..used].chunks(32).map(|line| {
             let digits = line.iter().map(|byte| format!("{byte:02x}"));
             digits.collect::<String>() + "\n"

@@ -10,11 +10,7 @@ use wimu_sim::pipe::LinkConfig;
 use wimu_sim::scene::World;
 use wimu_tests::{ROLES, Random, Rig, assert_replays, damage, frame_of, gaps, sensor, who_are_you};
 
-const ROOMY: LinkConfig = LinkConfig {
-    baud: None,
-    transmit_buffer: 1024,
-    receive_buffer: 1024,
-};
+const ROOMY: LinkConfig = LinkConfig { baud: None, transmit_buffer: 1024, receive_buffer: 1024 };
 
 fn other(role: LinkRole) -> LinkRole {
     match role {
@@ -24,11 +20,7 @@ fn other(role: LinkRole) -> LinkRole {
 }
 
 fn rig(cable: LinkConfig, wireless: LinkConfig) -> Rig {
-    let config = BoardConfig {
-        cable,
-        wireless,
-        ..BoardConfig::default()
-    };
+    let config = BoardConfig { cable, wireless, ..BoardConfig::default() };
     Rig::new(config, sensor("rest,hand,slide", World::default(), 21))
 }
 
@@ -104,10 +96,7 @@ fn damaged_spliced_and_truncated_requests_are_counted_and_none_is_obeyed() {
         let mut seeded = Random::new(2);
         let mut sent = 0;
         let (mut rig, status) = flood(role, |rig| {
-            let wanted = Settings {
-                range_g: 16,
-                ..Settings::default()
-            };
+            let wanted = Settings { range_g: 16, ..Settings::default() };
             let mut frame = rig.frame_of(Command::SetSettings(wanted));
             let whole = frame.clone();
             while frame == whole || passes(&frame) {
@@ -127,9 +116,7 @@ fn passes(bytes: &[u8]) -> bool {
     let mut deframer = Deframer::new();
     let mut ended = bytes.to_vec();
     ended.push(0);
-    ended
-        .iter()
-        .any(|&byte| matches!(deframer.push(byte), Some(Ok(_))))
+    ended.iter().any(|&byte| matches!(deframer.push(byte), Some(Ok(_))))
 }
 
 #[test]
@@ -145,18 +132,12 @@ fn unknown_kinds_and_versions_are_counted_and_not_fatal() {
                 _ => frame_of(WIRE_VERSION, 8 + seeded.below(8) as u8, &body),
             }
         });
-        assert!(passes(&frame_of(
-            WIRE_VERSION,
-            5,
-            b"of this kind and version"
-        )));
+        assert!(passes(&frame_of(WIRE_VERSION, 5, b"of this kind and version")));
         let unknown = [frame_of(3, 5, b""), frame_of(WIRE_VERSION, 9, b"")].map(|frame| {
             let mut deframer = Deframer::new();
-            frame.into_iter().find_map(|byte| {
-                deframer
-                    .push(byte)
-                    .map(|found| found.map(|frame| frame.kind))
-            })
+            frame
+                .into_iter()
+                .find_map(|byte| deframer.push(byte).map(|found| found.map(|frame| frame.kind)))
         });
         assert!(matches!(
             unknown,
@@ -197,9 +178,7 @@ fn a_host_that_asks_the_same_without_end_does_not_disturb_the_other_link() {
     for role in ROLES {
         let mut question = None;
         flood(role, |rig| {
-            question
-                .get_or_insert_with(|| rig.frame_of(Command::GetSettings))
-                .clone()
+            question.get_or_insert_with(|| rig.frame_of(Command::GetSettings)).clone()
         });
         flood(role, |rig| rig.frame_of(Command::GetStatus));
     }
@@ -223,11 +202,7 @@ fn assert_part_of(some: &[TimedSample], all: &[TimedSample]) {
 #[test]
 fn a_link_of_9600_baud_sheds_the_oldest_telemetry_counts_it_and_keeps_every_epoch() {
     for slow in ROLES {
-        let line = LinkConfig {
-            baud: Some(9600),
-            transmit_buffer: 64,
-            ..LinkConfig::default()
-        };
+        let line = LinkConfig { baud: Some(9600), transmit_buffer: 64, ..LinkConfig::default() };
         let configs = ROLES.map(|role| if role == slow { line } else { ROOMY });
         let mut rig = rig(configs[0], configs[1]);
         rig.run(20.0);
@@ -261,11 +236,7 @@ fn a_link_of_9600_baud_sheds_the_oldest_telemetry_counts_it_and_keeps_every_epoc
         // The oldest goes first: what arrives is not older than the queue is long.
         let now_us = rig.board.now_us();
         let newest_us = slow_boot.raw[slow_boot.raw.len() - 1].time.0;
-        assert!(
-            now_us - newest_us < 4_000_000,
-            "{} µs old",
-            now_us - newest_us
-        );
+        assert!(now_us - newest_us < 4_000_000, "{} µs old", now_us - newest_us);
     }
 }
 
@@ -390,22 +361,8 @@ fn a_decimation_or_batch_length_that_cannot_be_is_refused_with_the_nearest() {
     let mut rig = rig(ROOMY, ROOMY);
     rig.run(1.0);
     let usual = rig.settings();
-    let wanted = Settings {
-        wireless: Streams {
-            every: 0,
-            batch: 99,
-            ..usual.wireless
-        },
-        ..usual
-    };
-    let nearest = Settings {
-        wireless: Streams {
-            every: 1,
-            batch: 32,
-            ..usual.wireless
-        },
-        ..usual
-    };
+    let wanted = Settings { wireless: Streams { every: 0, batch: 99, ..usual.wireless }, ..usual };
+    let nearest = Settings { wireless: Streams { every: 1, batch: 32, ..usual.wireless }, ..usual };
     assert_eq!(
         rig.ask(LinkRole::Cable, Command::SetSettings(wanted)),
         Answer::Refused(Refusal::UnsupportedSettings { nearest })

@@ -89,10 +89,7 @@ fn every_rate_is_sampled_without_loss() {
     for rate_hz in [13, 26, 52, 104, 208, 416, 833] {
         let mut rig = rig("rest,hand");
         rig.run(0.5);
-        rig.set(Settings {
-            rate_hz,
-            ..Settings::default()
-        });
+        rig.set(Settings { rate_hz, ..Settings::default() });
         rig.run(12.0);
         let sensor = rig.status().sensor;
         let faults = (sensor.missed, sensor.overruns, sensor.bus_errors);
@@ -108,9 +105,7 @@ fn every_rate_is_sampled_without_loss() {
 fn a_gyroscope_that_stops_is_reported_leaves_a_gap_and_recovers() {
     let mut rig = rig("rest,hand,rest,hand");
     rig.run(12.0);
-    rig.board
-        .sensor()
-        .set_gyroscope_fault(GyroscopeFault::Stops);
+    rig.board.sensor().set_gyroscope_fault(GyroscopeFault::Stops);
     rig.run(2.0);
     let broken_us = rig.board.now_us();
     for role in ROLES {
@@ -147,9 +142,7 @@ fn a_saturated_gyroscope_is_flagged_until_the_next_rest() {
         sent.expect("positions").flags & GYROSCOPE_SATURATED
     };
     assert_eq!(flags(&rig), 0);
-    rig.board
-        .sensor()
-        .set_gyroscope_fault(GyroscopeFault::Saturates);
+    rig.board.sensor().set_gyroscope_fault(GyroscopeFault::Saturates);
     rig.run(0.3);
     rig.board.sensor().set_gyroscope_fault(GyroscopeFault::None);
     rig.run(0.5);
@@ -167,10 +160,7 @@ fn another_chip_at_the_address_is_named_and_never_sampled() {
     let mut rig = rig("rest");
     rig.board.sensor().set_who_am_i(0x6B);
     rig.run(2.0);
-    let told = Event::WrongSensor {
-        expected: 0x6C,
-        found: 0x6B,
-    };
+    let told = Event::WrongSensor { expected: 0x6C, found: 0x6B };
     for role in ROLES {
         assert_eq!(rig.link(role).events(), [told]);
         assert!(rig.boot(role).raw.is_empty());

@@ -73,12 +73,8 @@ impl<'a> Middleman<'a> {
     }
 
     fn say(&mut self, request: &Request, answer: Answer) {
-        let reply = Reply {
-            session: request.session,
-            id: request.id,
-            signature: Signature::NONE,
-            answer,
-        };
+        let reply =
+            Reply { session: request.session, id: request.id, signature: Signature::NONE, answer };
         // Ends whatever frame of the board's is under way.
         self.forged.push_back(0);
         self.forged.extend(encoded(|frame| reply.encode(frame)));
@@ -87,9 +83,9 @@ impl<'a> Middleman<'a> {
     /// What the host wants to hear.
     fn pleasing(&mut self, command: &Command) -> Option<Payload> {
         Some(match *command {
-            Command::StageParameters { piece, .. } => Payload::Staged {
-                hash: EncodedParameters(piece.as_bytes()).id().0,
-            },
+            Command::StageParameters { piece, .. } => {
+                Payload::Staged { hash: EncodedParameters(piece.as_bytes()).id().0 }
+            }
             Command::GetParameters { offset } => {
                 let set = EncodedParameters(self.set.as_bytes());
                 let id = match set.0 {
@@ -181,17 +177,11 @@ impl Transport for Middleman<'_> {
 }
 
 fn options(session: u32) -> ConnectOptions {
-    ConnectOptions {
-        session: Some(session),
-        ..ConnectOptions::default()
-    }
+    ConnectOptions { session: Some(session), ..ConnectOptions::default() }
 }
 
 fn set_of(bias: f64) -> ParameterSet {
-    let terms = ErrorTerms {
-        bias_mps2: [bias, 0.0, 0.0],
-        ..ErrorTerms::default()
-    };
+    let terms = ErrorTerms { bias_mps2: [bias, 0.0, 0.0], ..ErrorTerms::default() };
     ParameterSet {
         model: ErrorModel::new(terms).expect("a model"),
         ..ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0).expect("its own"))
@@ -199,10 +189,7 @@ fn set_of(bias: f64) -> ParameterSet {
 }
 
 fn faster() -> Settings {
-    Settings {
-        rate_hz: 200,
-        ..Settings::default()
-    }
+    Settings { rate_hz: 200, ..Settings::default() }
 }
 
 /// A board with a key, a calibration and settings as from the factory.
@@ -239,16 +226,8 @@ fn writes() -> [(&'static str, Write, (u32, Settings)); 3] {
             |client| client.push_parameters(&set_of(0.2)).map(drop),
             (pushed, Settings::default()),
         ),
-        (
-            "settings",
-            |client| client.set_settings(faster()).map(drop),
-            (held, faster()),
-        ),
-        (
-            "reset",
-            |client| client.factory_reset(),
-            (0, Settings::default()),
-        ),
+        ("settings", |client| client.set_settings(faster()).map(drop), (held, faster())),
+        ("reset", |client| client.factory_reset(), (0, Settings::default())),
     ]
 }
 
@@ -259,9 +238,7 @@ fn write_through(key: Key, signed: Signed, role: LinkRole, which: usize) -> (Res
     let (_, write, after) = writes()[which];
     let middleman = Middleman::on(SimLink::new(&board, role), key, signed);
     let mut client = Client::connect(middleman, "the link", options(2)).expect("a board");
-    let told = client
-        .use_key_among(&[KEY])
-        .and_then(|_| write(&mut client));
+    let told = client.use_key_among(&[KEY]).and_then(|_| write(&mut client));
     let found = truth(&board, 9);
     assert!(found == before || found == after);
     (told, found == after)
@@ -269,19 +246,11 @@ fn write_through(key: Key, signed: Signed, role: LinkRole, which: usize) -> (Res
 
 #[test]
 fn nobody_without_the_key_makes_a_host_believe_that_a_write_was_done() {
-    let refusals = [
-        Refusal::KeyNeeded,
-        Refusal::WrongSignature,
-        Refusal::SessionEnded,
-        Refusal::Locked,
-    ];
+    let refusals =
+        [Refusal::KeyNeeded, Refusal::WrongSignature, Refusal::SessionEnded, Refusal::Locked];
     let mut ways = vec![
         (Key::Forged(None), Signed::Passes, ErrorCode::KeyNeeded),
-        (
-            Key::Forged(Some(KeyId([1, 2, 3, 4]))),
-            Signed::Passes,
-            ErrorCode::KeyNeeded,
-        ),
+        (Key::Forged(Some(KeyId([1, 2, 3, 4]))), Signed::Passes, ErrorCode::KeyNeeded),
         // He closes the link: it may have been done.
         (Key::Told, Signed::Cut, ErrorCode::LinkLost),
     ];
@@ -295,11 +264,7 @@ fn nobody_without_the_key_makes_a_host_believe_that_a_write_was_done() {
                 assert_eq!(error.code(), expected, "{case}");
                 // Where the write itself has been sent, it may have been done.
                 let sent = expected != ErrorCode::KeyNeeded;
-                assert_eq!(
-                    error.message().contains("may have been executed"),
-                    sent,
-                    "{case}"
-                );
+                assert_eq!(error.message().contains("may have been executed"), sent, "{case}");
                 assert_eq!(done, signed == Signed::Cut, "{case}");
             }
         }
@@ -314,10 +279,7 @@ fn a_write_that_was_done_and_refused_by_a_stranger_is_never_said_to_have_failed(
             let (told, done) = write_through(Key::Told, signed, LinkRole::Wireless, which);
             assert!(done, "{name}");
             let code = told.as_ref().err().map(HostError::code);
-            assert!(
-                [None, Some(ErrorCode::NoAnswer)].contains(&code),
-                "{told:?}"
-            );
+            assert!([None, Some(ErrorCode::NoAnswer)].contains(&code), "{told:?}");
         }
     }
 }

@@ -34,11 +34,7 @@ fn wrong(received: u16) -> Answer {
 }
 
 fn piece(offset: u16, total: u16, content: &[u8]) -> Command {
-    Command::StageParameters {
-        offset,
-        total,
-        piece: Piece::new(content).unwrap(),
-    }
+    Command::StageParameters { offset, total, piece: Piece::new(content).unwrap() }
 }
 
 fn bytes(set: &WireParameters) -> Vec<u8> {
@@ -72,11 +68,7 @@ fn a_piece_that_does_not_continue_the_others_is_refused_and_changes_nothing() {
         (256, total, &[]),
     ] {
         let received = if total == 400 { 0 } else { 256 };
-        assert_eq!(
-            ask(piece(offset, total, content)),
-            wrong(received),
-            "{offset}"
-        );
+        assert_eq!(ask(piece(offset, total, content)), wrong(received), "{offset}");
     }
     assert_eq!(ask(piece(0, 100, &whole[..101])), wrong(0));
     // Nothing of this is staged.
@@ -162,14 +154,8 @@ fn a_set_that_the_firmware_does_not_know_or_of_another_sensor_is_refused_with_th
     assert_eq!(answer, refused(ParameterFault::Unknown { bytes: 20 }));
     let truncated = rig.ask(CABLE, piece(0, 100, &newer[..100]));
     assert_eq!(truncated, refused(ParameterFault::Unknown { bytes: 0 }));
-    let others = WireParameters {
-        sensor_index: 2,
-        ..long(0.5)
-    };
-    let fault = ParameterFault::OtherSensorIndex {
-        parameters: 2,
-        device: 0,
-    };
+    let others = WireParameters { sensor_index: 2, ..long(0.5) };
+    let fault = ParameterFault::OtherSensorIndex { parameters: 2, device: 0 };
     assert_eq!(rig.stage(CABLE, &others), refused(fault));
     assert_eq!(active(&mut rig), (None, 0));
 }

@@ -19,10 +19,7 @@ fn board() -> RefCell<Board> {
 }
 
 fn connect(board: &RefCell<Board>, role: LinkRole) -> wimu_host::Result<Client<SimLink<'_>>> {
-    let options = ConnectOptions {
-        session: Some(3),
-        ..ConnectOptions::default()
-    };
+    let options = ConnectOptions { session: Some(3), ..ConnectOptions::default() };
     Client::connect(SimLink::new(board, role), "the link", options)
 }
 
@@ -180,11 +177,7 @@ fn rates_that_cannot_be_are_refused() {
     }
     // A link without a rate says so, and so does the host's end of it.
     let roomy = LinkConfig::default();
-    let config = BoardConfig {
-        cable: roomy,
-        wireless: roomy,
-        ..BoardConfig::default()
-    };
+    let config = BoardConfig { cable: roomy, wireless: roomy, ..BoardConfig::default() };
     let mut rig = Rig::new(config, sensor("rest", World::default(), 4));
     rig.run(1.0);
     let answer = ask(&mut rig, cable, 9600);

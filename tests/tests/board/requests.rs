@@ -73,48 +73,25 @@ fn parameters_that_are_none_are_refused_with_what_is_wrong_and_change_nothing() 
     rig.run(2.0);
     let good = usual_parameters(0.5);
     let not_finite = |term, axis| ParameterFault::NotFinite { term, axis };
-    let nan_bias = WireParameters {
-        bias_mps2: [0.0, f64::NAN, 0.0],
-        ..good
-    };
+    let nan_bias = WireParameters { bias_mps2: [0.0, f64::NAN, 0.0], ..good };
     let infinite_scale = WireParameters {
         matrix: [[f64::INFINITY, 0.0, 0.0], good.matrix[1], good.matrix[2]],
         ..good
     };
-    let nan_slope = WireParameters {
-        bias_mps2_per_k: [0.0, 0.0, f64::NAN],
-        ..good
-    };
-    let large_bias = WireParameters {
-        bias_mps2: [0.0, 0.0, -5.5],
-        ..good
-    };
-    let mirrored = WireParameters {
-        matrix: [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]],
-        ..good
-    };
-    let singular = WireParameters {
-        matrix: [[0.5, 0.3, 0.3], [0.3, 0.5, -0.3], [0.3, -0.3, 0.5]],
-        ..good
-    };
-    let no_rotation = WireParameters {
-        alignment_wxyz: [0.0; 4],
-        ..good
-    };
-    let insensitive = WireParameters {
-        sensitivity_lsb_per_g: 0.0,
-        ..good
-    };
+    let nan_slope = WireParameters { bias_mps2_per_k: [0.0, 0.0, f64::NAN], ..good };
+    let large_bias = WireParameters { bias_mps2: [0.0, 0.0, -5.5], ..good };
+    let mirrored =
+        WireParameters { matrix: [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]], ..good };
+    let singular =
+        WireParameters { matrix: [[0.5, 0.3, 0.3], [0.3, 0.5, -0.3], [0.3, -0.3, 0.5]], ..good };
+    let no_rotation = WireParameters { alignment_wxyz: [0.0; 4], ..good };
+    let insensitive = WireParameters { sensitivity_lsb_per_g: 0.0, ..good };
     let overflowing = WireParameters {
         sensitivity_lsb_per_g: 160.0,
         matrix: [[0.5, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 0.5]],
         ..good
     };
-    let singular_when_warm = WireParameters {
-        reference_c: 150.0,
-        scale_per_k: [0.01; 3],
-        ..good
-    };
+    let singular_when_warm = WireParameters { reference_c: 150.0, scale_per_k: [0.01; 3], ..good };
     for (set, fault) in [
         (nan_bias, not_finite(WireTerm::Bias, 1)),
         (infinite_scale, not_finite(WireTerm::Scale, 0)),
@@ -157,30 +134,17 @@ fn parameters_that_are_none_are_refused_with_what_is_wrong_and_change_nothing() 
         "{answer:?}"
     );
     let answer = rig.stage(CABLE, &WireParameters { range_g: 4, ..good });
-    let wrong_range = Refusal::WrongRange {
-        parameters_g: 4,
-        device_g: 2,
-    };
+    let wrong_range = Refusal::WrongRange { parameters_g: 4, device_g: 2 };
     assert_eq!(answer, Answer::Refused(wrong_range));
-    let eightfold = WireParameters {
-        sensitivity_lsb_per_g: 2048.0,
-        ..good
-    };
+    let eightfold = WireParameters { sensitivity_lsb_per_g: 2048.0, ..good };
     let answer = rig.stage(CABLE, &eightfold);
-    let wrong_sensitivity = Refusal::WrongSensitivity {
-        parameters_lsb_per_g: 2048.0,
-        device_lsb_per_g: 16384.0,
-    };
+    let wrong_sensitivity =
+        Refusal::WrongSensitivity { parameters_lsb_per_g: 2048.0, device_lsb_per_g: 16384.0 };
     assert_eq!(answer, Answer::Refused(wrong_sensitivity));
-    let others = WireParameters {
-        sensor: Some(sensor::ADXL345),
-        ..good
-    };
+    let others = WireParameters { sensor: Some(sensor::ADXL345), ..good };
     let answer = rig.stage(CABLE, &others);
-    let fault = ParameterFault::OtherSensor {
-        parameters: sensor::ADXL345,
-        device: sensor::LSM303AGR,
-    };
+    let fault =
+        ParameterFault::OtherSensor { parameters: sensor::ADXL345, device: sensor::LSM303AGR };
     assert_eq!(answer, Answer::Refused(Refusal::InvalidParameters(fault)));
     // Nothing of this was staged.
     let answer = rig.ask(CABLE, Command::CommitParameters { hash: 1 });
@@ -221,11 +185,7 @@ fn the_wireless_link_reads_but_does_not_write_without_a_key() {
         let answer = rig.ask(LinkRole::Wireless, write);
         assert_eq!(answer, Answer::Refused(Refusal::KeyNeeded), "{write:?}");
     }
-    for read in [
-        Command::GetParameters { offset: 0 },
-        Command::GetSettings,
-        Command::GetStatus,
-    ] {
+    for read in [Command::GetParameters { offset: 0 }, Command::GetSettings, Command::GetStatus] {
         let answer = rig.ask(LinkRole::Wireless, read);
         assert!(matches!(answer, Answer::Accepted(_)), "{answer:?}");
     }
@@ -248,10 +208,7 @@ fn a_request_that_is_repeated_has_one_effect_and_the_same_answer() {
     let mut rig = Rig::usual();
     rig.run(1.0);
     let hash = stage(&mut rig, &usual_parameters(0.4));
-    let faster = Settings {
-        rate_hz: 200,
-        ..Settings::default()
-    };
+    let faster = Settings { rate_hz: 200, ..Settings::default() };
     for (command, reason) in [
         (Command::CommitParameters { hash }, EpochReason::Parameters),
         (Command::SetSettings(faster), EpochReason::Settings),
@@ -266,10 +223,7 @@ fn a_request_that_is_repeated_has_one_effect_and_the_same_answer() {
         let before = effects(&rig);
         let answers = insist(&mut rig, command);
         assert!(answers.len() >= 2, "{command:?}");
-        assert!(
-            answers.iter().all(|answer| *answer == answers[0]),
-            "{command:?}: {answers:02x?}"
-        );
+        assert!(answers.iter().all(|answer| *answer == answers[0]), "{command:?}: {answers:02x?}");
         let expected = usize::from(reason != EpochReason::Start);
         assert_eq!(effects(&rig) - before, expected, "{command:?}");
     }
@@ -281,10 +235,7 @@ fn a_request_that_is_repeated_has_one_effect_and_the_same_answer() {
 fn an_answer_that_was_lost_is_given_again_and_the_set_is_not_applied_twice() {
     let mut rig = Rig::usual();
     rig.run(1.0);
-    let slower = Settings {
-        rate_hz: 50,
-        ..Settings::default()
-    };
+    let slower = Settings { rate_hz: 50, ..Settings::default() };
     let frame = rig.frame_of(Command::SetSettings(slower));
     rig.send(CABLE, &frame);
     // What the cable brings in this second reaches nobody.
@@ -297,10 +248,7 @@ fn an_answer_that_was_lost_is_given_again_and_the_set_is_not_applied_twice() {
     rig.run(1.0);
     let replies = &rig.link(CABLE).replies()[answers..];
     assert_eq!(replies.len(), 1);
-    assert_eq!(
-        replies[0].answer,
-        Answer::Accepted(Payload::Settings(slower))
-    );
+    assert_eq!(replies[0].answer, Answer::Accepted(Payload::Settings(slower)));
     let again = reply_frames(&rig.link(CABLE).bytes());
     assert_eq!(reply_frames(&lost), again[again.len() - 1..]);
     assert_eq!(times_set(&rig), 1);
@@ -309,9 +257,7 @@ fn an_answer_that_was_lost_is_given_again_and_the_set_is_not_applied_twice() {
 /// How often the settings were changed. The wireless link hears of every change.
 fn times_set(rig: &Rig) -> usize {
     let epochs = &rig.boot(LinkRole::Wireless).epochs;
-    let set = epochs
-        .iter()
-        .filter(|mark| mark.epoch.reason == EpochReason::Settings);
+    let set = epochs.iter().filter(|mark| mark.epoch.reason == EpochReason::Settings);
     set.count()
 }
 
@@ -324,10 +270,7 @@ fn a_late_repeat_does_not_undo_what_another_host_has_set_since() {
             session,
             id: 1,
             signature: Default::default(),
-            command: Command::SetSettings(Settings {
-                rate_hz,
-                ..Settings::default()
-            }),
+            command: Command::SetSettings(Settings { rate_hz, ..Settings::default() }),
         };
         encoded(|frame| request.encode(frame))
     };
@@ -336,10 +279,7 @@ fn a_late_repeat_does_not_undo_what_another_host_has_set_since() {
         rig.run(1.0);
     }
     let last = rig.link(CABLE).replies().last().expect("an answer");
-    assert_eq!(
-        (last.session, last.answer),
-        (1, Answer::Refused(Refusal::Stale))
-    );
+    assert_eq!((last.session, last.answer), (1, Answer::Refused(Refusal::Stale)));
     assert_eq!(times_set(&rig), 2);
     assert_eq!(rig.settings().rate_hz, 400);
 }
@@ -353,10 +293,7 @@ fn an_unknown_command_is_answered_as_unknown() {
     rig.run(0.5);
     let replies = rig.link(CABLE).replies();
     let last = replies.last().expect("an answer");
-    assert_eq!(
-        (last.session, last.id, last.answer),
-        (9, 1, Answer::Unknown)
-    );
+    assert_eq!((last.session, last.id, last.answer), (9, 1, Answer::Unknown));
 }
 
 #[test]
@@ -385,14 +322,8 @@ fn settings_that_the_sensor_cannot_do_are_refused_with_the_nearest() {
         (with(|s| s.rate_hz = 333), with(|s| s.rate_hz = 400)),
         (with(|s| s.rate_hz = 65535), with(|s| s.rate_hz = 1344)),
         (with(|s| s.cable.batch = 0), with(|s| s.cable.batch = 1)),
-        (
-            with(|s| s.wireless.batch = 200),
-            with(|s| s.wireless.batch = 32),
-        ),
-        (
-            with(|s| s.gravity_um_s2 = 0),
-            with(|s| s.gravity_um_s2 = 9_700_000),
-        ),
+        (with(|s| s.wireless.batch = 200), with(|s| s.wireless.batch = 32)),
+        (with(|s| s.gravity_um_s2 = 0), with(|s| s.gravity_um_s2 = 9_700_000)),
         (
             with(|s| {
                 s.rate_hz = 1344;
@@ -413,12 +344,8 @@ fn settings_that_the_sensor_cannot_do_are_refused_with_the_nearest() {
 fn settings_and_parameters_survive_a_restart() {
     let mut rig = Rig::usual();
     rig.run(1.0);
-    let settings = Settings {
-        rate_hz: 200,
-        zupt: false,
-        gravity_um_s2: 9_812_345,
-        ..Settings::default()
-    };
+    let settings =
+        Settings { rate_hz: 200, zupt: false, gravity_um_s2: 9_812_345, ..Settings::default() };
     rig.set(settings);
     let set = usual_parameters(0.25);
     push(&mut rig, &set);
@@ -454,10 +381,7 @@ fn parameters_of_another_range_rest_until_the_range_is_theirs_again() {
     let set = usual_parameters(0.25);
     push(&mut rig, &set);
     let id = active(&mut rig).1;
-    rig.set(Settings {
-        range_g: 8,
-        ..Settings::default()
-    });
+    rig.set(Settings { range_g: 8, ..Settings::default() });
     rig.run(2.0);
     assert_eq!(newest_epoch_id(&rig), 0);
     rig.set(Settings::default());
@@ -477,10 +401,7 @@ fn a_worn_out_memory_refuses_writes_and_everything_stays_as_it_was() {
     rig.board.storage().set_worn_out(true);
     let hash = stage(&mut rig, &usual_parameters(0.75));
     for write in [
-        Command::SetSettings(Settings {
-            rate_hz: 400,
-            ..before
-        }),
+        Command::SetSettings(Settings { rate_hz: 400, ..before }),
         Command::CommitParameters { hash },
         Command::FactoryReset,
     ] {
@@ -518,10 +439,7 @@ fn a_board_with_a_worn_out_memory_starts_and_says_so() {
 
 #[test]
 fn a_damaged_record_is_told_and_the_board_runs_without_it() {
-    let settings = Settings {
-        rate_hz: 200,
-        ..Settings::default()
-    };
+    let settings = Settings { rate_hz: 200, ..Settings::default() };
     let parameters = Key::Parameters { range_g: 2 };
     for key in [parameters, Key::Settings, Key::BootCount] {
         let mut rig = Rig::usual();
@@ -532,11 +450,7 @@ fn a_damaged_record_is_told_and_the_board_runs_without_it() {
         rig.board.storage().corrupt(key);
         rig.restart();
         rig.run(3.0);
-        assert_eq!(
-            rig.link(CABLE).events(),
-            [Event::StoreUnreadable],
-            "{key:?}"
-        );
+        assert_eq!(rig.link(CABLE).events(), [Event::StoreUnreadable], "{key:?}");
         let expected = match key {
             Key::Settings => Settings::default(),
             _ => settings,
@@ -568,10 +482,7 @@ fn a_factory_reset_without_a_sensor_does_all_or_nothing() {
     rig.run(1.0);
     let set = usual_parameters(0.25);
     push(&mut rig, &set);
-    rig.set(Settings {
-        rate_hz: 200,
-        ..Settings::default()
-    });
+    rig.set(Settings { rate_hz: 200, ..Settings::default() });
     let (before, held) = (rig.settings(), active(&mut rig));
     rig.board.sensor().set_present(false);
     rig.run(0.5);
@@ -580,10 +491,7 @@ fn a_factory_reset_without_a_sensor_does_all_or_nothing() {
     rig.run(2.0);
     match answer {
         Answer::Accepted(_) => {
-            assert_eq!(
-                (rig.settings(), active(&mut rig)),
-                (Settings::default(), (None, 0))
-            );
+            assert_eq!((rig.settings(), active(&mut rig)), (Settings::default(), (None, 0)));
             assert_eq!(newest_epoch_id(&rig), 0);
         }
         Answer::Refused(Refusal::SensorFailed) => {

@@ -44,10 +44,7 @@ fn survives(what: &str, expected: BusFault, break_it: fn(&Board), mend: fn(&Boar
         let told = [Event::SensorLost(expected), Event::SensorFound];
         assert_eq!(events, told, "{what}");
         let boot = rig.boot(role);
-        assert!(
-            boot.raw.len() > taken_before + 350,
-            "{what}: sampling resumes"
-        );
+        assert!(boot.raw.len() > taken_before + 350, "{what}: sampling resumes");
         let holes = gaps(&boot.raw);
         let [(_, missing)] = holes[..] else {
             panic!("{what}: one gap in the numbers, not {holes:?}");
@@ -60,15 +57,9 @@ fn survives(what: &str, expected: BusFault, break_it: fn(&Board), mend: fn(&Boar
         };
         let passed = (last.time.0 - first.time.0) as f64 * 1e-4;
         let counted = f64::from(last.sequence - first.sequence);
-        assert!(
-            (passed - counted).abs() < 4.0,
-            "{what}: {passed} periods, {counted} numbers"
-        );
-        let after: Vec<_> = boot
-            .epochs
-            .iter()
-            .filter(|mark| mark.epoch.time_us > broken_us)
-            .collect();
+        assert!((passed - counted).abs() < 4.0, "{what}: {passed} periods, {counted} numbers");
+        let after: Vec<_> =
+            boot.epochs.iter().filter(|mark| mark.epoch.time_us > broken_us).collect();
         assert_eq!(after[0].epoch.reason, EpochReason::Gap, "{what}");
         assert_replays(boot);
         assert!(
@@ -122,10 +113,7 @@ fn one_failed_transfer_never_makes_what_follows_another_than_is_replayed() {
     for rate_hz in [1, 10, 100, 400] {
         let mut rig = Rig::usual();
         rig.run(0.5);
-        rig.set(Settings {
-            rate_hz,
-            ..Settings::default()
-        });
+        rig.set(Settings { rate_hz, ..Settings::default() });
         for _ in 0..4 {
             rig.run(4.0);
             let before = rig.status().sensor.bus_errors;
@@ -167,10 +155,7 @@ fn a_host_that_comes_later_is_told_what_is_wrong() {
     }
     rig.run(0.5);
     let told = rig.link(LinkRole::Cable).events();
-    assert_eq!(
-        told,
-        [Event::SensorLost(BusFault::NoAnswer), Event::SensorFound]
-    );
+    assert_eq!(told, [Event::SensorLost(BusFault::NoAnswer), Event::SensorFound]);
 }
 
 #[test]
@@ -186,10 +171,7 @@ fn a_sensor_that_fails_again_at_every_transfer_of_its_start_comes_back_in_the_en
     }
     rig.board.bus_faults().clear();
     rig.run(3.0);
-    assert_eq!(
-        rig.link(LinkRole::Cable).events().last(),
-        Some(&Event::SensorFound)
-    );
+    assert_eq!(rig.link(LinkRole::Cable).events().last(), Some(&Event::SensorFound));
     let raw = &rig.boot(LinkRole::Cable).raw;
     assert_eq!(gaps(&raw[raw.len() - 200..]), []);
     assert_replays(rig.boot(LinkRole::Cable));
@@ -201,10 +183,7 @@ fn a_board_without_its_sensor_says_so_and_starts_when_it_comes() {
     rig.board.sensor().set_present(false);
     rig.run(2.0);
     for role in ROLES {
-        assert_eq!(
-            rig.link(role).events(),
-            [Event::SensorLost(BusFault::NoAnswer)]
-        );
+        assert_eq!(rig.link(role).events(), [Event::SensorLost(BusFault::NoAnswer)]);
         rig.send(role, &who_are_you());
     }
     still_answers(&mut rig);
@@ -233,10 +212,7 @@ fn settings_are_refused_while_the_sensor_is_away_and_taken_when_it_is_back() {
     rig.board.sensor().set_present(false);
     rig.run(0.5);
     let before = rig.settings();
-    let faster = Settings {
-        rate_hz: 200,
-        ..before
-    };
+    let faster = Settings { rate_hz: 200, ..before };
     let answer = rig.ask(LinkRole::Cable, Command::SetSettings(faster));
     assert_eq!(answer, Answer::Refused(Refusal::SensorFailed));
     assert_eq!(rig.settings(), before);
@@ -257,20 +233,14 @@ fn another_chip_is_named_and_never_sampled() {
     rig.board.sensor().set_who_am_i(0x44);
     rig.run(2.0);
     still_answers(&mut rig);
-    let told = Event::WrongSensor {
-        expected: 0x33,
-        found: 0x44,
-    };
+    let told = Event::WrongSensor { expected: 0x33, found: 0x44 };
     for role in ROLES {
         assert_eq!(rig.link(role).events(), [told]);
         assert!(rig.boot(role).raw.is_empty());
     }
     rig.board.sensor().set_who_am_i(0x33);
     rig.run(2.0);
-    assert_eq!(
-        rig.link(LinkRole::Cable).events(),
-        [told, Event::SensorFound]
-    );
+    assert_eq!(rig.link(LinkRole::Cable).events(), [told, Event::SensorFound]);
     assert!(rig.boot(LinkRole::Cable).raw.len() > 150);
 }
 
@@ -283,13 +253,8 @@ fn a_sensor_that_is_exchanged_for_another_chip_while_running_is_named() {
     rig.board.sensor().set_who_am_i(0x44);
     rig.board.sensor().set_present(true);
     rig.run(2.0);
-    let told = [
-        Event::SensorLost(BusFault::NoAnswer),
-        Event::WrongSensor {
-            expected: 0x33,
-            found: 0x44,
-        },
-    ];
+    let told =
+        [Event::SensorLost(BusFault::NoAnswer), Event::WrongSensor { expected: 0x33, found: 0x44 }];
     assert_eq!(rig.link(LinkRole::Cable).events(), told);
 }
 
@@ -300,10 +265,7 @@ fn a_sensor_that_answers_but_gives_no_data_is_lost_once_and_not_found() {
     let samples = (0..300).map(|k| Counts([k, -k, 16384]));
     let mut rig = Rig::new(BoardConfig::default(), Replay::new(samples));
     rig.run(8.0);
-    assert_eq!(
-        rig.link(LinkRole::Cable).events(),
-        [Event::SensorLost(BusFault::Timeout)]
-    );
+    assert_eq!(rig.link(LinkRole::Cable).events(), [Event::SensorLost(BusFault::Timeout)]);
     still_answers(&mut rig);
 }
 
@@ -343,10 +305,7 @@ fn every_sample_has_its_number_at_every_rate_of_the_sensor() {
     for rate_hz in [1, 10, 25, 50, 100, 200, 400, 1344] {
         let mut rig = Rig::new(BoardConfig::default(), off_by(-2500.0, "rest,slide,rest"));
         rig.run(0.5);
-        rig.set(Settings {
-            rate_hz,
-            ..Settings::default()
-        });
+        rig.set(Settings { rate_hz, ..Settings::default() });
         rig.run(0.01);
         let before = rig.board.sensor().samples_taken();
         let status_before = rig.status().sensor.samples;
@@ -357,10 +316,7 @@ fn every_sample_has_its_number_at_every_rate_of_the_sensor() {
             rig.board.sensor().samples_taken() - before,
             u64::from(status.samples - status_before),
         );
-        assert!(
-            taken.abs_diff(read) <= 30,
-            "{rate_hz} Hz: {read} of {taken}"
-        );
+        assert!(taken.abs_diff(read) <= 30, "{rate_hz} Hz: {read} of {taken}");
         assert!(read as f64 > 5.0 * f64::from(rate_hz), "{rate_hz} Hz");
         for role in ROLES {
             assert_replays(rig.boot(role));
@@ -372,10 +328,7 @@ fn every_sample_has_its_number_at_every_rate_of_the_sensor() {
 fn missed_at(rate_hz: u16, after_s: f64, happens: impl Fn(&mut Rig)) -> u32 {
     let mut rig = Rig::new(BoardConfig::default(), off_by(2500.0, "rest,slide,rest"));
     rig.run(0.5);
-    rig.set(Settings {
-        rate_hz,
-        ..Settings::default()
-    });
+    rig.set(Settings { rate_hz, ..Settings::default() });
     let taken_before = rig.board.sensor().samples_taken();
     rig.run(after_s);
     let before = rig.status().sensor;

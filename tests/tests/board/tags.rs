@@ -108,10 +108,7 @@ fn what_a_board_with_a_key_sends_is_verified_on_both_links_and_without_a_key_has
     let wireless = wireless.split_inclusive(|&byte| byte == 0);
     let intervals = judged(&wireless.map(<[u8]>::to_vec).collect::<Vec<_>>());
     assert!(intervals.len() >= 11, "{intervals:?}");
-    assert_eq!(
-        count(&intervals[1..], Authenticity::Verified),
-        intervals.len() - 1
-    );
+    assert_eq!(count(&intervals[1..], Authenticity::Verified), intervals.len() - 1);
     // Another link's tags are made with another key; without a greeting nothing can be verified.
     assert_eq!(count(&judged(&cable), Authenticity::Verified), 0);
     let unknown = judged_with(&[OTHER], &frames(&mut rig, CABLE, 3.0));
@@ -151,10 +148,7 @@ fn a_forged_sample_is_detected_by_the_next_epoch() {
                 |(_, interval): &&(usize, Interval)| interval.authenticity == Authenticity::Forged;
             let at = intervals.iter().find(forged).map(|(at, _)| *at);
             // All others are verified.
-            assert_eq!(
-                count(&intervals[1..], Authenticity::Verified),
-                intervals.len() - 2
-            );
+            assert_eq!(count(&intervals[1..], Authenticity::Verified), intervals.len() - 2);
             at
         };
         let next = tags.iter().copied().find(|&tag| tag > at);
@@ -168,12 +162,7 @@ fn a_forged_sample_is_detected_by_the_next_epoch() {
         }
         tried += 1;
     }
-    figure(
-        "forged samples that the next tag does not show",
-        format!("0 of {tried}"),
-        "none",
-        true,
-    );
+    figure("forged samples that the next tag does not show", format!("0 of {tried}"), "none", true);
     assert!(tried > 20, "{tried}");
 }
 
@@ -186,26 +175,16 @@ fn a_lost_or_repeated_frame_is_not_called_forged() {
         frames.remove(at);
         let intervals = judged(&frames);
         assert_eq!(count(&intervals, Authenticity::Forged), 0, "{at}");
-        assert!(
-            count(&intervals, Authenticity::Verified) >= tags - 3,
-            "{at}"
-        );
+        assert!(count(&intervals, Authenticity::Verified) >= tags - 3, "{at}");
         let mut frames = sent.clone();
         frames.insert(at, sent[at].clone());
-        assert!(
-            count(&judged(&frames), Authenticity::Verified) >= tags - 1,
-            "{at}"
-        );
+        assert!(count(&judged(&frames), Authenticity::Verified) >= tags - 1, "{at}");
     }
     // Delayed past the tag of its interval: that one cannot be verified, the next one can.
     let late =
         (1..sent.len()).rfind(|&at| opened(&sent[at], |kind, _| kind.is_batch()) == Some(true));
-    let tag = (0..late.expect("a batch"))
-        .rfind(|&at| is_tag(&sent[at]))
-        .expect("a tag");
-    let batch = (0..tag)
-        .rfind(|&at| forged(&sent[at]).is_some())
-        .expect("a batch");
+    let tag = (0..late.expect("a batch")).rfind(|&at| is_tag(&sent[at])).expect("a tag");
+    let batch = (0..tag).rfind(|&at| forged(&sent[at]).is_some()).expect("a batch");
     let mut frames = sent.clone();
     let delayed = frames.remove(batch);
     frames.insert(tag + 1, delayed);
@@ -228,11 +207,7 @@ fn a_replayed_interval_of_an_earlier_start_is_refused() {
     for rest in [&new[at..], &[]] {
         let mixed = [&new[..at], interval, rest].concat();
         let intervals = judged(&mixed);
-        assert_eq!(
-            count(&intervals, Authenticity::Replayed),
-            1,
-            "{intervals:?}"
-        );
+        assert_eq!(count(&intervals, Authenticity::Replayed), 1, "{intervals:?}");
         // What was replayed is not part of the interval that it came in.
         let forged = usize::from(!rest.is_empty());
         assert_eq!(count(&intervals, Authenticity::Forged), forged);
@@ -241,11 +216,7 @@ fn a_replayed_interval_of_an_earlier_start_is_refused() {
     let again = &new[whole[0].0 + 1..=whole[1].0];
     let at = whole[2].0 + 1;
     let intervals = judged(&[&new[..at], again, &new[at..]].concat());
-    assert_eq!(
-        count(&intervals, Authenticity::Replayed),
-        1,
-        "{intervals:?}"
-    );
+    assert_eq!(count(&intervals, Authenticity::Replayed), 1, "{intervals:?}");
     assert_eq!(count(&intervals, Authenticity::Forged), 1, "{intervals:?}");
 }
 
@@ -253,10 +224,7 @@ fn a_replayed_interval_of_an_earlier_start_is_refused() {
 fn surveyed(frames: &[Vec<u8>], keys: Vec<DeviceKey>) -> Authentication {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("session.mcap");
-    let anchor = ClockAnchor {
-        monotonic_ns: 0,
-        utc_ns: 1_700_000_000_000_000_000,
-    };
+    let anchor = ClockAnchor { monotonic_ns: 0, utc_ns: 1_700_000_000_000_000_000 };
     let mut writer = RecordingWriter::create(&path, anchor).expect("a file");
     for (index, frame) in frames.iter().enumerate() {
         let host_ns = index as u64 * 10_000_000;
@@ -281,10 +249,7 @@ fn a_recording_is_verified_afterwards_and_its_forged_second_is_named() {
     assert_eq!((changed.forged, changed.findings.len()), (1, 1));
     assert_eq!(changed.verified, genuine.verified - 1);
     let [from_s, to_s] = changed.findings[0].span_s.expect("a time");
-    assert!(
-        from_s > 1.0 && to_s < 9.0 && to_s - from_s < 1.2,
-        "{changed:?}"
-    );
+    assert!(from_s > 1.0 && to_s < 9.0 && to_s - from_s < 1.2, "{changed:?}");
     let text = surveyed(&sent, Vec::new()).text().expect("tags");
     assert!(text.contains("lacks the key"), "{text}");
 }

@@ -51,10 +51,7 @@ fn as_version_1(bytes: &[u8]) -> Vec<u8> {
         if let (Kind::Telemetry, Ok(Telemetry::Epoch(mut epoch))) =
             (frame.kind, Telemetry::decode(frame.body))
         {
-            epoch.state = WireState {
-                revision: 1,
-                ..epoch.state
-            };
+            epoch.state = WireState { revision: 1, ..epoch.state };
             let again = encoded(|line| <Telemetry>::Epoch(epoch).encode(line));
             frames(&again, |frame| body = frame.body.to_vec());
         }

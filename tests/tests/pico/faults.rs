@@ -38,10 +38,7 @@ fn a_fault_is_told_with_its_place_in_the_hello_after_the_reset() {
         starts(&run),
         [
             (ResetReason::PowerOn, None),
-            (
-                ResetReason::Fault,
-                Some(Fault::processor("hard fault", 0x1018_0000))
-            ),
+            (ResetReason::Fault, Some(Fault::processor("hard fault", 0x1018_0000))),
             // Once.
             (ResetReason::Pin, None),
         ]
@@ -56,10 +53,7 @@ fn a_panic_is_told_with_its_file_and_line_in_the_hello_after_the_reset() {
     // What a second mutable borrow of a `RefCell` there would do.
     let place = image.place_in("adxl345.rs");
     let panics = image.function("4core4cell22panic_already_borrowed");
-    let run = run(
-        4.0,
-        &[call(1_500, panics, place.address), happens(3_000, "reset")],
-    );
+    let run = run(4.0, &[call(1_500, panics, place.address), happens(3_000, "reset")]);
     assert!(place.fault.to_string().contains("adxl345.rs:"));
     assert_eq!(
         starts(&run),
@@ -76,10 +70,7 @@ fn a_panic_is_told_with_its_file_and_line_in_the_hello_after_the_reset() {
 #[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
 fn a_processor_that_hangs_is_started_anew_by_its_watchdog_which_the_hello_tells() {
     let run = run(5.0, &[happens(1_500, "hang")]);
-    assert_eq!(
-        starts(&run),
-        [(ResetReason::PowerOn, None), (ResetReason::Watchdog, None),]
-    );
+    assert_eq!(starts(&run), [(ResetReason::PowerOn, None), (ResetReason::Watchdog, None),]);
     // Two seconds at most without it.
     assert_samples_again(&run, 100);
 }
@@ -122,20 +113,9 @@ fn an_image_that_differs_from_its_crc_starts_in_safe_mode() {
 #[test]
 #[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
 fn starts_are_counted_in_the_flash_and_power_is_told_from_the_reset_button() {
-    let run = run(
-        4.0,
-        &[
-            happens(1_000, "reset"),
-            happens(2_000, "power"),
-            happens(3_000, "reset"),
-        ],
-    );
-    let expected = [
-        ResetReason::PowerOn,
-        ResetReason::Pin,
-        ResetReason::PowerOn,
-        ResetReason::Pin,
-    ];
+    let run =
+        run(4.0, &[happens(1_000, "reset"), happens(2_000, "power"), happens(3_000, "reset")]);
+    let expected = [ResetReason::PowerOn, ResetReason::Pin, ResetReason::PowerOn, ResetReason::Pin];
     let reasons: Vec<_> = starts(&run).iter().map(|start| start.0).collect();
     assert_eq!(reasons, expected);
     let boots = run.boots(LinkRole::Cable).iter();

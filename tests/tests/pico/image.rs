@@ -27,9 +27,7 @@ impl Image {
     }
 
     fn half(&self, at: usize) -> usize {
-        usize::from(u16::from_le_bytes(
-            *self.0[at..].first_chunk().expect("it goes on"),
-        ))
+        usize::from(u16::from_le_bytes(*self.0[at..].first_chunk().expect("it goes on")))
     }
 
     /// The offset of section `index`'s header.
@@ -40,22 +38,15 @@ impl Image {
     /// The address of the one function in whose mangled name `part` is.
     pub fn function(&self, part: &str) -> u32 {
         let sections = (0..self.half(0x30)).map(|index| self.section(index));
-        let table = sections
-            .clone()
-            .find(|section| self.word(section + 4) == SYMBOLS)
-            .expect("symbols");
-        let [start, size, names] = [
-            table + 16,
-            table + 20,
-            self.section(self.word(table + 24) as usize) + 16,
-        ]
-        .map(|at| self.word(at) as usize);
+        let table =
+            sections.clone().find(|section| self.word(section + 4) == SYMBOLS).expect("symbols");
+        let [start, size, names] =
+            [table + 16, table + 20, self.section(self.word(table + 24) as usize) + 16]
+                .map(|at| self.word(at) as usize);
         let mut found = (start..start + size).step_by(16).filter(|&at| {
             let name = &self.0[names + self.word(at) as usize..];
             let end = name.iter().position(|&byte| byte == 0).expect("an end");
-            name[..end]
-                .windows(part.len())
-                .any(|w| w == part.as_bytes())
+            name[..end].windows(part.len()).any(|w| w == part.as_bytes())
         });
         let symbol = found.next().unwrap_or_else(|| panic!("no {part}"));
         assert!(found.next().is_none(), "several {part}");
@@ -87,10 +78,7 @@ impl Image {
                 let is_text = (3..256).contains(&length) && line < 10_000 && column < 200;
                 let text = is_text.then(|| self.memory(text, length))??;
                 let text = std::str::from_utf8(text).ok()?;
-                text.ends_with(file).then(|| Place {
-                    address,
-                    fault: Fault::panic(text, line),
-                })
+                text.ends_with(file).then(|| Place { address, fault: Fault::panic(text, line) })
             })
             .unwrap_or_else(|| panic!("it cannot panic in {file}"))
     }

@@ -31,10 +31,7 @@ impl Run {
     /// When the sensor took its samples, µs since the start.
     pub fn taken_us(&self) -> Vec<f64> {
         let taken = self.report["taken_at_ns"].as_array().expect("times");
-        taken
-            .iter()
-            .map(|time| time.as_f64().expect("a number") / 1000.0)
-            .collect()
+        taken.iter().map(|time| time.as_f64().expect("a number") / 1000.0).collect()
     }
 }
 
@@ -93,11 +90,6 @@ pub fn call(at_ms: u32, address: u32, argument: u32) -> Value {
 
 /// A request without a signature.
 pub fn request(id: u32, command: Command) -> Vec<u8> {
-    let request = Request {
-        session: 0x7e57,
-        id,
-        signature: Default::default(),
-        command,
-    };
+    let request = Request { session: 0x7e57, id, signature: Default::default(), command };
     encoded(|frame| request.encode(frame))
 }

@@ -19,10 +19,7 @@ fn set(lsb_per_g: f64) -> ParameterSet {
 /// The two frames that push a set, under ids from `id` on.
 fn push(set: &ParameterSet, id: u32) -> [Vec<u8>; 2] {
     let hash = parameter_id(set).0;
-    [
-        request(id, staging(&set.into())),
-        request(id + 1, Command::CommitParameters { hash }),
-    ]
+    [request(id, staging(&set.into())), request(id + 1, Command::CommitParameters { hash })]
 }
 
 #[test]
@@ -36,11 +33,7 @@ fn a_set_that_was_pushed_is_in_use_after_the_power_was_off() {
             send(1_000, CABLE, &stage),
             send(1_300, CABLE, &commit),
             happens(2_500, "power"),
-            send(
-                3_300,
-                CABLE,
-                &request(1, Command::GetParameters { offset: 0 }),
-            ),
+            send(3_300, CABLE, &request(1, Command::GetParameters { offset: 0 })),
         ],
     );
     let stack = run.report["stack_bytes"].as_u64().expect("a number");
@@ -49,11 +42,8 @@ fn a_set_that_was_pushed_is_in_use_after_the_power_was_off() {
     figure(claim, stack, &target, stack <= MOST_STACK);
     assert!(stack <= MOST_STACK, "{stack}");
     for role in ROLES {
-        let ids: Vec<_> = run
-            .boots(role)
-            .iter()
-            .map(|boot| boot.hello.expect("a hello").parameter_id)
-            .collect();
+        let ids: Vec<_> =
+            run.boots(role).iter().map(|boot| boot.hello.expect("a hello").parameter_id).collect();
         assert_eq!(ids, [ParameterId::UNCALIBRATED, parameter_id(&set)]);
         let last = run.boots(role).last().expect("a start");
         let epoch = last.epochs.last().expect("an epoch").epoch;
@@ -84,19 +74,13 @@ fn power_that_fails_in_the_middle_of_any_write_leaves_the_old_set_or_the_new_one
         let boot = run.boots(LinkRole::Cable).last().expect("a start");
         let hello = boot.hello.expect("a hello");
         assert_eq!(hello.boot_count, 2, "cut {count}");
-        let unreadable = boot
-            .events
-            .iter()
-            .any(|(_, event)| *event == Event::StoreUnreadable);
+        let unreadable = boot.events.iter().any(|(_, event)| *event == Event::StoreUnreadable);
         assert!(!unreadable, "cut {count}: {:?}", boot.events);
         outcomes.push(hello.parameter_id);
     }
     assert!(outcomes.len() >= 3, "{outcomes:?}");
     let (old, new) = (parameter_id(&old), parameter_id(&new));
-    assert!(
-        outcomes.iter().all(|id| [old, new].contains(id)),
-        "{outcomes:?}"
-    );
+    assert!(outcomes.iter().all(|id| [old, new].contains(id)), "{outcomes:?}");
     figure(
         "Pico: power cut within a write of a set: neither old nor new",
         format!("0 of {}", outcomes.len()),
@@ -109,10 +93,7 @@ fn power_that_fails_in_the_middle_of_any_write_leaves_the_old_set_or_the_new_one
 /// A run at `rate_hz` in which both links are too slow for what is asked of them and `pushes` sets
 /// are pushed, two a second, on a flash that erases in the time `flash` says.
 fn pushed_at(rate_hz: u16, pushes: u32, flash: &str) -> Run {
-    let settings = Settings {
-        rate_hz,
-        ..Settings::default()
-    };
+    let settings = Settings { rate_hz, ..Settings::default() };
     let slow = |id, role: LinkRole| {
         let link = role.number();
         request(id, Command::SetLineRate { link, baud: 9600 })
@@ -158,12 +139,7 @@ fn status(run: &Run) -> Status {
 fn no_sample_is_lost_at_the_highest_rate_with_both_links_shedding_and_a_set_being_written() {
     let run = pushed_at(800, 1, "");
     let status = status(&run);
-    let SensorStatus {
-        samples,
-        missed,
-        overruns,
-        bus_errors,
-    } = status.sensor;
+    let SensorStatus { samples, missed, overruns, bus_errors } = status.sensor;
     figure(
         "Pico, 800 Hz, both links busy, a set written: samples missed",
         format!("{} of {samples}", missed + overruns),
@@ -190,9 +166,6 @@ fn what_the_fifo_cannot_hold_while_the_flash_is_erased_is_counted_to_the_sample(
             u64::from(sensor.missed).abs_diff(overwritten) <= 2,
         );
         assert!(rate_hz > 100 || overwritten == 0, "{overwritten}");
-        assert!(
-            u64::from(sensor.missed).abs_diff(overwritten) <= 2,
-            "{sensor:?}, {overwritten}"
-        );
+        assert!(u64::from(sensor.missed).abs_diff(overwritten) <= 2, "{sensor:?}, {overwritten}");
     }
 }

@@ -12,10 +12,7 @@ use super::run::{CABLE, WIRELESS, happens, request, run, send};
 #[test]
 #[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
 fn it_streams_on_both_uarts_with_the_times_at_which_the_sensor_had_its_samples() {
-    let faster = Settings {
-        rate_hz: 400,
-        ..Settings::default()
-    };
+    let faster = Settings { rate_hz: 400, ..Settings::default() };
     let run = run(
         9.0,
         &[
@@ -60,16 +57,10 @@ fn it_streams_on_both_uarts_with_the_times_at_which_the_sensor_had_its_samples()
             "± 5 of a constant",
             most - least <= 10.0,
         );
-        assert!(
-            most - least <= 10.0 && least >= -5.0,
-            "{least} to {most} µs"
-        );
+        assert!(most - least <= 10.0 && least >= -5.0, "{least} to {most} µs");
     }
     let answers: Vec<_> = run.link(LinkRole::Cable).replies().to_vec();
-    assert!(
-        matches!(answers[0].answer, Answer::Accepted(_)),
-        "{answers:?}"
-    );
+    assert!(matches!(answers[0].answer, Answer::Accepted(_)), "{answers:?}");
 }
 
 #[test]
@@ -92,10 +83,7 @@ fn a_sensor_that_goes_or_is_exchanged_is_told_and_comes_back() {
             Event::SensorLost(BusFault::NoAnswer),
             Event::SensorFound,
             Event::SensorLost(BusFault::NoAnswer),
-            Event::WrongSensor {
-                expected: 0xE5,
-                found: 0x33,
-            },
+            Event::WrongSensor { expected: 0xE5, found: 0x33 },
         ];
         assert_eq!(told, expected, "{role}");
         assert_replays(&run.boots(role)[0]);
@@ -139,11 +127,7 @@ fn interrupts_are_never_off_for_long_not_for_keys_either() {
     let run = run(
         3.0,
         &[
-            send(
-                1_000,
-                CABLE,
-                &request(1, Command::SetKey(DeviceKey::new([7; 32]))),
-            ),
+            send(1_000, CABLE, &request(1, Command::SetKey(DeviceKey::new([7; 32])))),
             send(1_500, WIRELESS, &open(2)),
             send(1_700, CABLE, &open(3)),
             send(1_900, WIRELESS, &request(4, Command::FactoryReset)),

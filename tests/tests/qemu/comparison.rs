@@ -20,9 +20,8 @@ fn a_comparison_of_both_uarts_counts_what_was_lost_and_finds_clock_bias_and_scal
     let (source, scene) = sensor("hand", World::default(), 8);
     let board = QemuBoard::start(machine(folder.path()), source);
     let board = board.unwrap_or_else(|error| panic!("{error}"));
-    let faults: LinkFaults = "noisy,stall=3s@10s,bias=12/-8/5mg,scale=0.4/-0.3/0.2%"
-        .parse()
-        .expect("faults");
+    let faults: LinkFaults =
+        "noisy,stall=3s@10s,bias=12/-8/5mg,scale=0.4/-0.3/0.2%".parse().expect("faults");
     let board = RefCell::new(BehindFaults::new(board, &faults, 3));
     let mut host = Host::connect(&board, scene).expect("a board");
     // As `wimu record` asks for the board's time.
@@ -37,10 +36,7 @@ fn a_comparison_of_both_uarts_counts_what_was_lost_and_finds_clock_bias_and_scal
     let found = compare(|| RecordingReader::new(&file[..], "qemu"), "qemu").expect("both links");
 
     let [cable, wireless] = &found.links;
-    assert_eq!(
-        (cable.lost, cable.missing_on_both, cable.damaged),
-        (0, 0, 0)
-    );
+    assert_eq!((cable.lost, cable.missing_on_both, cable.damaged), (0, 0, 0));
     assert_eq!((found.starts, wireless.missing_on_both), (1, 0));
     assert!(wireless.lost > 200 && wireless.damaged > 50, "{wireless:?}");
     // Every sample of the wireless link is a pair, and what is no pair was lost, by its own numbers.
@@ -53,11 +49,7 @@ fn a_comparison_of_both_uarts_counts_what_was_lost_and_finds_clock_bias_and_scal
     assert_eq!(found.pairs, some.1);
     // The link's own numbers begin with its first batch, the comparison with its first frame.
     let before_first_batch = u64::from(some.2 - all.2) - wireless.before;
-    assert_eq!(
-        wireless.lost,
-        some.0.missing + before_first_batch,
-        "{wireless:?}"
-    );
+    assert_eq!(wireless.lost, some.0.missing + before_first_batch, "{wireless:?}");
     assert_eq!(all.0.missing, 0);
 
     // Emulated time is host time, looked at once a millisecond.

@@ -75,10 +75,7 @@ fn three_starts_that_panic_lead_to_safe_mode_until_the_next_reset() {
     let board = RefCell::new(board.unwrap_or_else(|error| panic!("{error}")));
     let id = {
         let mut host = Host::connect(&board, scene).expect("a board");
-        host.cable
-            .push_parameters(&parameters(5))
-            .expect("pushed")
-            .0
+        host.cable.push_parameters(&parameters(5)).expect("pushed").0
     };
     let mut board = board.into_inner();
     board.machine().failure = Some("panic=1500".into());
@@ -87,10 +84,7 @@ fn three_starts_that_panic_lead_to_safe_mode_until_the_next_reset() {
         let (boot, ended) = heard(&mut board, 3.0);
         let hello = boot.hello.expect("a Hello");
         assert_eq!(hello.parameter_id, ParameterId(id));
-        assert_eq!(
-            (hello.safe_mode, hello.fault.is_some()),
-            (false, failures > 0)
-        );
+        assert_eq!((hello.safe_mode, hello.fault.is_some()), (false, failures > 0));
         assert!(ended.is_some_and(|ended| ended.contains("101")));
     }
     board.machine().failure = None;
@@ -99,13 +93,7 @@ fn three_starts_that_panic_lead_to_safe_mode_until_the_next_reset() {
     assert_eq!(ended, None);
     let hello = boot.hello.expect("a Hello");
     assert!(hello.safe_mode);
-    assert!(
-        hello
-            .fault
-            .expect("a fault")
-            .to_string()
-            .contains("watchdog.rs:")
-    );
+    assert!(hello.fault.expect("a fault").to_string().contains("watchdog.rs:"));
     assert_eq!(hello.parameter_id, ParameterId::UNCALIBRATED);
     assert!(boot.raw.len() > 1900, "{}", boot.raw.len());
     assert!(boot.corrected.is_empty() && boot.navigation.is_empty());

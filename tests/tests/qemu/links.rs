@@ -62,10 +62,7 @@ fn connect(line: Line) -> Listener {
 }
 
 fn greeted(line: Line) -> Result<Client<Line>> {
-    let options = ConnectOptions {
-        patience: PATIENCE,
-        ..ConnectOptions::default()
-    };
+    let options = ConnectOptions { patience: PATIENCE, ..ConnectOptions::default() };
     Client::connect(line, "a link", options)
 }
 
@@ -79,11 +76,7 @@ struct Listener {
 impl Listener {
     fn on(client: Client<Line>) -> Self {
         let role = client.hello().role;
-        Self {
-            client,
-            heard: LinkHistory::new(role),
-            greetings: 0,
-        }
+        Self { client, heard: LinkHistory::new(role), greetings: 0 }
     }
 
     /// Listens until `wanted` has seen what it waits for; as long as that takes, within reason.

@@ -37,10 +37,8 @@ fn machine(folder: &Path) -> Machine {
 
 fn machine_with(sensor: SensorPart, folder: &Path) -> Machine {
     let built = "../firmware/qemu-mps2/target/thumbv7em-none-eabihf/release/wimu-qemu-mps2";
-    let image = std::env::var_os("WIMU_QEMU_FIRMWARE").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join(built),
-        PathBuf::from,
-    );
+    let image = std::env::var_os("WIMU_QEMU_FIRMWARE")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join(built), PathBuf::from);
     Machine {
         memory: Some(memory(folder)),
         log: Some(folder.join("log")),
@@ -96,23 +94,16 @@ fn parameters_of(part: SensorPart, seed: u64) -> ParameterSet {
 
 fn first_light(sensor: SensorPart, seed: u64, calibration: Calibration) -> Outcome {
     let folder = folder();
-    FirstLight {
-        seed,
-        sensor,
-        calibration,
-    }
-    .run_on(|source| QemuBoard::start(machine_with(sensor, folder.path()), source))
-    .unwrap_or_else(|error| panic!("{error}"))
+    FirstLight { seed, sensor, calibration }
+        .run_on(|source| QemuBoard::start(machine_with(sensor, folder.path()), source))
+        .unwrap_or_else(|error| panic!("{error}"))
 }
 
 #[test]
 #[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
 fn first_light_on_a_cortex_m() {
     let mut worst = [0.0_f64; 3];
-    for (seed, calibration) in [
-        (1, Calibration::TwelvePoses),
-        (2, Calibration::SixPositions),
-    ] {
+    for (seed, calibration) in [(1, Calibration::TwelvePoses), (2, Calibration::SixPositions)] {
         let outcome = first_light(SensorPart::Lsm303agr, seed, calibration);
         assert_eq!(outcome.hello.board.name.as_str(), "QEMU mps2-an386");
         let [before, after] = outcome.tilts_rms_mps2();
@@ -175,11 +166,7 @@ fn first_light_with_six_axes_on_a_cortex_m() {
         "below 150 mm, 0.3°",
         calibrated_mm < 150.0 && zupt_mm < 150.0 && calibrated_deg < 0.3 && zupt_deg < 0.3,
     );
-    assert!(
-        calibrated_mm < 150.0 && zupt_mm < 150.0,
-        "{:?}",
-        outcome.slide
-    );
+    assert!(calibrated_mm < 150.0 && zupt_mm < 150.0, "{:?}", outcome.slide);
     assert!(calibrated_deg < 0.3 && zupt_deg < 0.3);
 }
 
@@ -213,11 +200,7 @@ fn six_axes_replay_bit_for_bit_over_gaps_temperature_parameters_and_settings() {
 fn long_replay(part: SensorPart, scale: f64) {
     let folder = folder();
     let world = World {
-        temperature: Temperature::Step {
-            before_c: 20.0,
-            after_c: 31.0,
-            at_s: 150.0 * scale,
-        },
+        temperature: Temperature::Step { before_c: 20.0, after_c: 31.0, at_s: 150.0 * scale },
         ..World::default()
     };
     let (source, scene) = moved(part, "twelve-poses,hand,slide,tilts,hand,slide", world, 4);
@@ -234,9 +217,7 @@ fn long_replay(part: SensorPart, scale: f64) {
         host.run_until(end_s).expect("the board goes on");
     };
     at(&mut host, 60.0);
-    host.cable
-        .push_parameters(&parameters_of(part, 4))
-        .expect("pushed");
+    host.cable.push_parameters(&parameters_of(part, 4)).expect("pushed");
     let wait = |host: &mut Host<'_, QemuBoard>, seconds: f64| {
         let end_s = host.now_s() + seconds;
         host.run_until(end_s).expect("the board goes on");
@@ -255,10 +236,7 @@ fn long_replay(part: SensorPart, scale: f64) {
     for fault in [GyroscopeFault::Saturates, GyroscopeFault::Stops] {
         board.borrow().sensor().set_gyroscope_fault(fault);
         wait(&mut host, 1.0);
-        board
-            .borrow()
-            .sensor()
-            .set_gyroscope_fault(GyroscopeFault::None);
+        board.borrow().sensor().set_gyroscope_fault(GyroscopeFault::None);
         wait(&mut host, 3.0);
     }
     at(&mut host, 300.0);
@@ -269,11 +247,7 @@ fn long_replay(part: SensorPart, scale: f64) {
     };
     let times_and_ranges = [(400.0, 2), (500.0, 4), (620.0, 2)];
     for ((end_s, range_g), rate_hz) in times_and_ranges.into_iter().zip(rates_hz) {
-        let changed = host.cable.set_settings(Settings {
-            rate_hz,
-            range_g,
-            ..settings
-        });
+        let changed = host.cable.set_settings(Settings { rate_hz, range_g, ..settings });
         assert_eq!(changed.expect("changed").rate_hz, rate_hz);
         at(&mut host, end_s);
     }
@@ -289,17 +263,10 @@ fn long_replay(part: SensorPart, scale: f64) {
             &format!(
                 "replay of {:.0} s of a Cortex-M4F{}, {}: values that differ",
                 620.0 * scale,
-                if part == SensorPart::Lsm6dso {
-                    " with six axes"
-                } else {
-                    ""
-                },
+                if part == SensorPart::Lsm6dso { " with six axes" } else { "" },
                 link.role
             ),
-            format!(
-                "0 of {}",
-                replay.corrected_compared + replay.navigation_compared
-            ),
+            format!("0 of {}", replay.corrected_compared + replay.navigation_compared),
             "none",
             replay.is_exact(),
         );
@@ -328,23 +295,13 @@ fn long_replay(part: SensorPart, scale: f64) {
 fn firmware_that_is_missing_or_does_not_start_is_named() {
     let folder = folder();
     let source = || sensor("rest", World::default(), 1).0;
-    let missing = Machine {
-        image: folder.path().join("nothing"),
-        ..machine(folder.path())
-    };
+    let missing = Machine { image: folder.path().join("nothing"), ..machine(folder.path()) };
     let error = QemuBoard::start(missing, source()).err().expect("no image");
-    assert!(
-        error.to_string().contains("cargo xtask firmware"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("cargo xtask firmware"), "{error}");
 
-    let unusable = Machine {
-        memory: Some(folder.path().join("no/such/folder")),
-        ..machine(folder.path())
-    };
-    let error = QemuBoard::start(unusable, source())
-        .err()
-        .expect("no memory");
+    let unusable =
+        Machine { memory: Some(folder.path().join("no/such/folder")), ..machine(folder.path()) };
+    let error = QemuBoard::start(unusable, source()).err().expect("no memory");
     assert!(error.to_string().contains("no/such/folder"), "{error}");
 }
 
@@ -364,11 +321,7 @@ fn a_bad_wireless_link_makes_no_wrong_sample_and_leaves_the_cable_perfect() {
         .map(|role| recording.link(Some(role)).expect("both links"));
     let statistics = cable.statistics;
     assert_eq!(statistics.frames_damaged, 0, "{statistics:?}");
-    assert_eq!(
-        (statistics.raw.missing, statistics.raw.duplicated),
-        (0, 0),
-        "{statistics:?}"
-    );
+    assert_eq!((statistics.raw.missing, statistics.raw.duplicated), (0, 0), "{statistics:?}");
     let (all, some) = (&cable.boots[0].raw, &wireless.boots[0].raw);
     assert_eq!((cable.boots.len(), wireless.boots.len()), (1, 1));
     assert!(all.len() > 5500 && some.len() > 3500, "{}", some.len());
@@ -384,8 +337,5 @@ fn a_bad_wireless_link_makes_no_wrong_sample_and_leaves_the_cable_perfect() {
     assert_eq!(counted.duplicated, 0);
     let board = board.borrow();
     let truth = board.channels().to_host.borrow().counts();
-    assert!(
-        truth.bytes_lost > 1000 && truth.frames_damaged > 100,
-        "{truth:?}"
-    );
+    assert!(truth.bytes_lost > 1000 && truth.frames_damaged > 100, "{truth:?}");
 }

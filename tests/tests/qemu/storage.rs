@@ -22,10 +22,7 @@ use super::{folder, machine, memory, parameters, sensor};
 fn started(folder: &Path) -> (RefCell<QemuBoard>, Scene) {
     let (source, scene) = sensor("rest", World::default(), 5);
     let board = QemuBoard::start(machine(folder), source);
-    (
-        RefCell::new(board.unwrap_or_else(|error| panic!("{error}"))),
-        scene,
-    )
+    (RefCell::new(board.unwrap_or_else(|error| panic!("{error}"))), scene)
 }
 
 #[test]
@@ -69,9 +66,7 @@ fn power_lost_at_any_word_of_a_push_leaves_the_old_parameters_or_the_new() {
     for words in (0..).step_by(3) {
         board.borrow_mut().machine().power_loss_after = Some(words);
         let new = usize::from(holds == ids[0]);
-        let pushed = host
-            .restart()
-            .and_then(|()| host.cable.push_parameters(&sets[new]));
+        let pushed = host.restart().and_then(|()| host.cable.push_parameters(&sets[new]));
         board.borrow_mut().machine().power_loss_after = None;
         host.restart().expect("it starts again");
         let found = host.cable.parameters().expect("answered").id;
@@ -211,18 +206,13 @@ fn power_lost_while_a_page_is_erased_leaves_the_old_parameters_or_the_new() {
         bytes.resize(16 << 20, 0);
         fs::write(&trial, bytes).expect("written");
         board.borrow_mut().machine().power_loss_after = Some(words);
-        let pushed = host
-            .restart()
-            .and_then(|()| host.cable.push_parameters(&sets[new]));
+        let pushed = host.restart().and_then(|()| host.cable.push_parameters(&sets[new]));
         board.borrow_mut().machine().power_loss_after = None;
         host.restart().expect("it starts again");
         let found = host.cable.parameters().expect("answered").id;
         if pushed.is_ok() {
             assert_eq!(found, ids[new]);
-            assert!(
-                words > 1024,
-                "all is done after {words} words, no page erased"
-            );
+            assert!(words > 1024, "all is done after {words} words, no page erased");
             break;
         }
         assert!(ids.contains(&found), "{found:08x} after {words} words");

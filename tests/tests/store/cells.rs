@@ -44,13 +44,8 @@ enum Doubt {
     AllBits,
 }
 
-const DOUBTS: [Doubt; 5] = [
-    Doubt::Even,
-    Doubt::HardlyChanged,
-    Doubt::NearlyChanged,
-    Doubt::Whole,
-    Doubt::AllBits,
-];
+const DOUBTS: [Doubt; 5] =
+    [Doubt::Even, Doubt::HardlyChanged, Doubt::NearlyChanged, Doubt::Whole, Doubt::AllBits];
 
 /// What is programmed at once, bytes.
 pub const UNITS: [(usize, &str); 2] = [(4, "words of 4 bytes"), (256, "pages of 256 bytes")];
@@ -215,10 +210,7 @@ pub fn assert_writable(flash: &Cells, model: &Model, source: &mut Random, contex
         assert_eq!(change.make(&mut flash.start()), Some(Ok(())), "{context}");
         model = change.apply(&model);
         for _ in 0..2 {
-            assert!(
-                flash.held() == Some(Ok(model.clone())),
-                "{context}: {change:?}"
-            );
+            assert!(flash.held() == Some(Ok(model.clone())), "{context}: {change:?}");
         }
     }
 }

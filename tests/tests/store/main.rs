@@ -144,11 +144,7 @@ fn lose_power(pages: usize, seed: u64, changes: u64, stride: u64) -> Counts {
         let change = Change::random(&mut source);
         let next = change.apply(&model);
         let changed_before = storage.bytes_changed();
-        assert_eq!(
-            change.make(&mut start(&storage, pages)),
-            Some(Ok(())),
-            "{change:?}"
-        );
+        assert_eq!(change.make(&mut start(&storage, pages)), Some(Ok(())), "{change:?}");
         assert_eq!(held(&storage, pages), Ok(next.clone()), "{change:?}");
         let bytes = storage.bytes_changed() - changed_before;
         let first = source.below(stride as usize) as u64;
@@ -174,29 +170,15 @@ fn lose_power(pages: usize, seed: u64, changes: u64, stride: u64) -> Counts {
             }
             // Life goes on: the same change again, and it stands.
             assert_eq!(change.make(&mut start(&torn, pages)), Some(Ok(())));
-            assert!(
-                held(&torn, pages) == Ok(next.clone()),
-                "{change:?} cut after {cut}, again"
-            );
+            assert!(held(&torn, pages) == Ok(next.clone()), "{change:?} cut after {cut}, again");
         }
         model = next;
         counts.changes += 1;
     }
-    counts.erases = storage
-        .erases()
-        .iter()
-        .map(|&erases| u64::from(erases))
-        .sum();
-    let worn = storage
-        .erases()
-        .into_iter()
-        .filter(|_| pages == 4 || counts.erases == 0);
+    counts.erases = storage.erases().iter().map(|&erases| u64::from(erases)).sum();
+    let worn = storage.erases().into_iter().filter(|_| pages == 4 || counts.erases == 0);
     let spread = worn.clone().max().zip(worn.min());
-    assert!(
-        spread.is_none_or(|(most, least)| most - least <= 1),
-        "{:?}",
-        storage.erases()
-    );
+    assert!(spread.is_none_or(|(most, least)| most - least <= 1), "{:?}", storage.erases());
     counts
 }
 
@@ -265,11 +247,7 @@ fn a_full_store_refuses_what_does_not_fit_and_keeps_what_it_holds() {
             }
         }
     }
-    assert!(
-        refused > 10 && model.len() >= 2,
-        "{refused} {}",
-        model.len()
-    );
+    assert!(refused > 10 && model.len() >= 2, "{refused} {}", model.len());
     // Refusing wears nothing.
     let erases = storage.erases();
     let large = source.bytes(MAX_RECORD);
@@ -331,10 +309,7 @@ fn a_full_store_wears_its_pages_evenly_and_slowly() {
         let erases = storage.erases();
         let each = [0, 1, 2, 3].map(|page| erases[page] - before[page]);
         let (least, most) = (each.iter().min().copied(), each.iter().max().copied());
-        assert!(
-            most <= least.map(|least| least + 1) && most > Some(0),
-            "{each:?}"
-        );
+        assert!(most <= least.map(|least| least + 1) && most > Some(0), "{each:?}");
         most.map_or(0.0, f64::from)
     };
     let before = storage.erases();
@@ -423,10 +398,7 @@ fn what_stands_behind_a_hole_in_a_page_never_returns() {
         let storage = Storage::in_memory();
         let mut store = start(&storage, 2);
         for generation in 1..4 {
-            assert_eq!(
-                done(store.save(Key::Settings, &settings(generation))),
-                Some(Ok(()))
-            );
+            assert_eq!(done(store.save(Key::Settings, &settings(generation))), Some(Ok(())));
         }
         let mut image = storage.image();
         image[0x1000 + hole..][..40].fill(0xFF);
@@ -439,11 +411,7 @@ fn what_stands_behind_a_hole_in_a_page_never_returns() {
             let _ = done(store.save(Key::BootCount, &[round; 300]));
             let found = load(&mut start(&storage, 2), Key::Settings);
             if saved {
-                assert_eq!(
-                    found,
-                    Ok(Some(settings(9))),
-                    "hole at {hole:#x}, round {round}"
-                );
+                assert_eq!(found, Ok(Some(settings(9))), "hole at {hole:#x}, round {round}");
             }
         }
     }
@@ -464,11 +432,7 @@ fn any_single_byte_damaged_loses_at_most_one_record_and_never_returns_another() 
         model = change.apply(&model);
     }
     let image = storage.image();
-    let used = image
-        .iter()
-        .rposition(|&byte| byte != 0xFF)
-        .unwrap_or(0)
-        .min(8192);
+    let used = image.iter().rposition(|&byte| byte != 0xFF).unwrap_or(0).min(8192);
     let mut reported = 0;
     for at in 0..used {
         let mut image = image.clone();
@@ -479,11 +443,7 @@ fn any_single_byte_damaged_loses_at_most_one_record_and_never_returns_another() 
             match load(&mut store, key) {
                 Err(StoreFault) => lost += 1,
                 Ok(found) => {
-                    assert_eq!(
-                        found.as_ref(),
-                        model.get(&number(key)),
-                        "{key:?}, byte {at}"
-                    );
+                    assert_eq!(found.as_ref(), model.get(&number(key)), "{key:?}, byte {at}");
                 }
             }
         }

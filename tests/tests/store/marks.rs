@@ -15,9 +15,8 @@ fn left_by_earlier_firmware(pages: usize, changes: usize) -> (Vec<u8>, Model) {
     }
     image.truncate(pages * PAGE);
     let mut source = Random::new(77);
-    let model = (0..changes).fold(Model::new(), |model, _| {
-        Change::random(&mut source).apply(&model)
-    });
+    let model =
+        (0..changes).fold(Model::new(), |model, _| Change::random(&mut source).apply(&model));
     (image, model)
 }
 
@@ -77,12 +76,7 @@ fn page_marks_of_any_kind_lose_nothing_and_leave_flash_that_can_be_written() {
             tried += 1;
         }
         for at in marks(pages) {
-            for mark in [
-                [0xFF; 4],
-                [0; 4],
-                [0xF0, 0xFF, 0xFF, 0xFF],
-                [0xFF, 0xFF, 0xFF, 0x3C],
-            ] {
+            for mark in [[0xFF; 4], [0; 4], [0xF0, 0xFF, 0xFF, 0xFF], [0xFF, 0xFF, 0xFF, 0x3C]] {
                 let mut image = image.clone();
                 image[at..at + 4].copy_from_slice(&mark);
                 let flash = Cells::new(4, &image, source.bits());

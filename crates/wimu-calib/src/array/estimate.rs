@@ -34,8 +34,7 @@ impl<const M: usize> Agreement<M> {
     /// The sensor with the largest residual (from 0).
     pub fn worst(&self) -> usize {
         let all = self.fractions.iter().enumerate();
-        all.max_by(|a, b| a.1.total_cmp(b.1))
-            .map_or(0, |(sensor, _)| sensor)
+        all.max_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(sensor, _)| sensor)
     }
 }
 
@@ -69,10 +68,7 @@ impl<const M: usize> ArrayEstimate<'_, M> {
     }
 
     fn with_sd(&self, index: usize) -> (f64, f64) {
-        (
-            self.value(index),
-            libm::sqrt(self.covariance(index, index).max(0.0)),
-        )
+        (self.value(index), libm::sqrt(self.covariance(index, index).max(0.0)))
     }
 
     /// Bias of an axis and its standard deviation, m/s².
@@ -99,10 +95,7 @@ impl<const M: usize> ArrayEstimate<'_, M> {
     pub fn size(&self) -> (f64, f64) {
         let (log, sd) = self.with_sd(self.layout.size());
         // ω goes with the root of the size: an error of the integral of ω̇, common to all windows, counts twice.
-        (
-            libm::exp(log),
-            libm::exp(log) * libm::hypot(sd, 2.0 * INTEGRATION),
-        )
+        (libm::exp(log), libm::exp(log) * libm::hypot(sd, 2.0 * INTEGRATION))
     }
 
     /// Largest departure of an unknown of a sensor from its prior, in prior standard deviations.
@@ -164,12 +157,7 @@ pub fn fit_array<'w, const M: usize>(
     workspace: &'w mut [f64],
 ) -> Result<ArrayEstimate<'w, M>, ArrayRefusal> {
     let positive = |v: f64| v > 0.0 && v.is_finite();
-    let sds = [
-        prior.bias_mps2,
-        prior.matrix,
-        prior.position_m,
-        prior.delay_s,
-    ];
+    let sds = [prior.bias_mps2, prior.matrix, prior.position_m, prior.delay_s];
     let sound = sds.into_iter().all(positive) && positive(data.period_s);
     let more = [prior.size, prior.repeatability_mps2];
     if !(sound && more.iter().all(|v| *v >= 0.0 && v.is_finite())) {
@@ -178,13 +166,8 @@ pub fn fit_array<'w, const M: usize>(
     if data.outputs_mps2.is_empty() || data.times_s.len() != data.outputs_mps2.len() {
         return Err(ArrayRefusal::NoData);
     }
-    let Solved {
-        values,
-        covariance,
-        cost,
-        inflation,
-        log_determinant,
-    } = solve_all(geometry, &usable, data, prior, workspace)?;
+    let Solved { values, covariance, cost, inflation, log_determinant } =
+        solve_all(geometry, &usable, data, prior, workspace)?;
     let agreement = agreement(geometry, &usable, data, values);
     Ok(ArrayEstimate {
         layout: Layout::of(geometry),
@@ -211,12 +194,8 @@ fn agreement<const M: usize>(
         true => value(layout.delay(s)),
         false => 0.0,
     });
-    let current = Current {
-        layout,
-        delays: &delays,
-        size: libm::exp(value(layout.size())),
-        start: &start,
-    };
+    let current =
+        Current { layout, delays: &delays, size: libm::exp(value(layout.size())), start: &start };
     let mut found = Agreement {
         samples: 0,
         degrees: 0,
@@ -277,16 +256,10 @@ fn apart<const M: usize>(
     let group = layout.group.max(1);
     let (mut sum, mut degrees) = (0.0, 0.0);
     for number in 0..group {
-        let axes = || {
-            (number..layout.axes)
-                .step_by(group)
-                .filter(|a| body.axes[*a].weight > 0.0)
-        };
+        let axes = || (number..layout.axes).step_by(group).filter(|a| body.axes[*a].weight > 0.0);
         let count = axes().count() as f64;
         let mean = axes().map(|a| output[a]).sum::<f64>() / count;
-        let squares: f64 = axes()
-            .map(|a| (output[a] - mean) * (output[a] - mean))
-            .sum();
+        let squares: f64 = axes().map(|a| (output[a] - mean) * (output[a] - mean)).sum();
         if count > 1.0 && group > 1 {
             sum += squares;
             degrees += count - 1.0;

@@ -28,10 +28,7 @@ pub(super) struct Layout {
 
 impl Layout {
     pub fn of<const M: usize>(geometry: &Geometry<M>) -> Self {
-        Self {
-            axes: geometry.axes().len(),
-            group: geometry.group(),
-        }
+        Self { axes: geometry.axes().len(), group: geometry.group() }
     }
 
     pub fn sensors(self) -> usize {
@@ -162,11 +159,7 @@ impl Sums<'_> {
 
     /// Ties the mean of the delays of the sensors in use, which no output shows, to zero.
     fn tie_delays(&mut self, layout: Layout, used: &dyn Fn(usize) -> bool, values: &[f64]) {
-        let sensors = || {
-            (0..layout.sensors())
-                .filter(|s| used(*s))
-                .map(|s| layout.delay(s))
-        };
+        let sensors = || (0..layout.sensors()).filter(|s| used(*s)).map(|s| layout.delay(s));
         let weight = 1.0 / (TIED_S * TIED_S);
         let mean: f64 = sensors().map(|i| self.scale[i] * values[i]).sum();
         for i in sensors() {
@@ -241,11 +234,7 @@ fn inflation(factor: &[f64], sums: &mut Sums<'_>) -> Option<f64> {
         }
     }
     let expected = n as f64 - prior;
-    Some(if expected > 0.0 {
-        ((found - prior) / expected).max(1.0)
-    } else {
-        1.0
-    })
+    Some(if expected > 0.0 { ((found - prior) / expected).max(1.0) } else { 1.0 })
 }
 
 /// Levenberg-Marquardt on the unknowns in units of their prior deviations.
@@ -276,15 +265,7 @@ pub(super) fn solve_all<'w, const M: usize>(
     values.fill(0.0);
     let mut moves = false;
     super::moving::for_each(data, |_| moves = true);
-    let mut sums = Sums {
-        n,
-        normal,
-        right,
-        spread,
-        pull,
-        scale,
-        cost: 0.0,
-    };
+    let mut sums = Sums { n, normal, right, spread, pull, scale, cost: 0.0 };
     let mut evaluate = |values: &[f64], sums: &mut Sums<'_>| {
         sums.clear();
         let unscaled = |i: usize| values[i] * sums.scale[i];
@@ -296,12 +277,7 @@ pub(super) fn solve_all<'w, const M: usize>(
         let gravity = prior.gravity_mps2 + unscaled(layout.gravity());
         let size = libm::exp(unscaled(layout.size()));
         super::rests::add(&axes, layout, data, prior, gravity, sums);
-        let current = super::moving::Current {
-            layout,
-            delays: &delays,
-            size,
-            start: &start,
-        };
+        let current = super::moving::Current { layout, delays: &delays, size, start: &start };
         match Body::new(axes) {
             Some(body) => super::moving::add(&body, &current, data, prior, sums, scratch),
             None if moves => return Err(ArrayRefusal::Geometry),
@@ -314,10 +290,7 @@ pub(super) fn solve_all<'w, const M: usize>(
             sums.cost += values[i] * values[i];
         }
         sums.tie_delays(layout, usable, values);
-        sums.cost
-            .is_finite()
-            .then_some(())
-            .ok_or(ArrayRefusal::NotFinite)
+        sums.cost.is_finite().then_some(()).ok_or(ArrayRefusal::NotFinite)
     };
     evaluate(values, &mut sums)?;
     let mut damping = 0.0;
@@ -327,9 +300,7 @@ pub(super) fn solve_all<'w, const M: usize>(
             factor[i * n + i] *= 1.0 + damping;
         }
         step.copy_from_slice(sums.right);
-        factorise(factor, n)
-            .and_then(|()| solve(factor, step))
-            .ok_or(ArrayRefusal::NotFinite)?;
+        factorise(factor, n).and_then(|()| solve(factor, step)).ok_or(ArrayRefusal::NotFinite)?;
         let before = sums.cost;
         for (value, step) in values.iter_mut().zip(step.iter()) {
             *value += step;
@@ -337,11 +308,7 @@ pub(super) fn solve_all<'w, const M: usize>(
         let largest = step.iter().fold(0.0, |most: f64, s| most.max(s.abs()));
         let better = evaluate(values, &mut sums).is_ok() && sums.cost <= before * (1.0 + 1e-9);
         if better {
-            damping = if damping > FIRST_DAMPING {
-                damping * 0.1
-            } else {
-                0.0
-            };
+            damping = if damping > FIRST_DAMPING { damping * 0.1 } else { 0.0 };
         } else {
             for (value, step) in values.iter_mut().zip(step.iter()) {
                 *value -= step;
@@ -357,28 +324,15 @@ pub(super) fn solve_all<'w, const M: usize>(
     factorise(factor, n).ok_or(ArrayRefusal::NotFinite)?;
     let log_determinant = 2.0 * (0..n).map(|i| libm::log(factor[i * n + i])).sum::<f64>();
     let inflation = inflation(factor, &mut sums).ok_or(ArrayRefusal::NotFinite)?;
-    let Sums {
-        normal,
-        scale,
-        cost,
-        ..
-    } = sums;
+    let Sums { normal, scale, cost, .. } = sums;
     // The information of the samples is smaller by that, not that of the prior.
     for (k, (tempered, value)) in factor.iter_mut().zip(normal.iter()).enumerate() {
         let prior = if k / n == k % n { 1.0 } else { 0.0 };
         *tempered = (value - prior) / inflation + prior;
     }
-    factorise(factor, n)
-        .and_then(|()| invert(factor, normal, n))
-        .ok_or(ArrayRefusal::NotFinite)?;
+    factorise(factor, n).and_then(|()| invert(factor, normal, n)).ok_or(ArrayRefusal::NotFinite)?;
     for (value, scale) in values.iter_mut().zip(scale.iter()) {
         *value *= scale;
     }
-    Ok(Solved {
-        values,
-        covariance: normal,
-        cost,
-        inflation,
-        log_determinant,
-    })
+    Ok(Solved { values, covariance: normal, cost, inflation, log_determinant })
 }

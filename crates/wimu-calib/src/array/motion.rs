@@ -73,14 +73,7 @@ pub(super) struct Reduced<const M: usize> {
 }
 
 fn monomials(w: &Vector3<f64>) -> Vector6<f64> {
-    Vector6::new(
-        w.x * w.x,
-        w.y * w.y,
-        w.z * w.z,
-        w.y * w.z,
-        w.x * w.z,
-        w.x * w.y,
-    )
+    Vector6::new(w.x * w.x, w.y * w.y, w.z * w.z, w.y * w.z, w.x * w.z, w.x * w.y)
 }
 
 fn slopes(w: &Vector3<f64>) -> SMatrix<f64, 6, 3> {
@@ -116,9 +109,7 @@ impl<const M: usize> Body<M> {
         for axis in &mut axes {
             axis.r -= centre;
         }
-        let squares = axes
-            .iter()
-            .map(|a| a.r.norm_squared() * a.weight * a.weight);
+        let squares = axes.iter().map(|a| a.r.norm_squared() * a.weight * a.weight);
         let arm_m = libm::sqrt(squares.sum::<f64>() / total);
         if used < 6 || !(arm_m > 1e-9 && arm_m.is_finite()) {
             return None;
@@ -129,10 +120,7 @@ impl<const M: usize> Body<M> {
             let (r, m) = (axis.r / arm_m, axis.m * axis.weight);
             let turn = r.cross(&m);
             let along = m.dot(&r);
-            h.set_row(
-                row,
-                &Vector6::new(turn.x, turn.y, turn.z, m.x, m.y, m.z).transpose(),
-            );
+            h.set_row(row, &Vector6::new(turn.x, turn.y, turn.z, m.x, m.y, m.z).transpose());
             let monomials = Vector6::new(
                 m.x * r.x - along,
                 m.y * r.y - along,
@@ -184,11 +172,7 @@ impl<const M: usize> Body<M> {
         let square = Matrix3::new(q[0], q[5], q[4], q[5], q[1], q[3], q[4], q[3], q[2]);
         let eigen = square.symmetric_eigen();
         let mut best = (f64::INFINITY, Vector3::zeros());
-        for (value, vector) in eigen
-            .eigenvalues
-            .iter()
-            .zip(eigen.eigenvectors.column_iter())
-        {
+        for (value, vector) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
             if *value <= 0.0 {
                 continue;
             }
@@ -248,11 +232,7 @@ impl<const M: usize> Body<M> {
         let z = self.basis.tr_mul(output);
         let mut explained = SMatrix::<f64, M, 12>::zeros();
         explained.fixed_columns_mut::<6>(0).copy_from(&self.linear);
-        let w = if self.rank == 6 {
-            self.rate(&z)
-        } else {
-            Vector3::zeros()
-        };
+        let w = if self.rank == 6 { self.rate(&z) } else { Vector3::zeros() };
         let slope = self.to_z * slopes(&w);
         let information = slope.tr_mul(&slope);
         let free = self.used.saturating_sub(6 + self.rank);
@@ -268,9 +248,7 @@ impl<const M: usize> Body<M> {
         };
         let motion = match &rate_basis {
             Some(basis) => {
-                explained
-                    .fixed_columns_mut::<3>(6)
-                    .copy_from(&(self.basis * basis));
+                explained.fixed_columns_mut::<3>(6).copy_from(&(self.basis * basis));
                 3
             }
             None => {
@@ -321,11 +299,7 @@ pub(super) fn nominal<const M: usize>(
         *slot = AxisNow {
             m: axis.direction.into(),
             r: axis.position_m.into(),
-            weight: if usable(index / geometry.group()) {
-                1.0 / axis.noise_mps2
-            } else {
-                0.0
-            },
+            weight: if usable(index / geometry.group()) { 1.0 / axis.noise_mps2 } else { 0.0 },
             ..AxisNow::default()
         };
     }

@@ -62,10 +62,7 @@ fn lagrange(u: f64) -> [[f64; 5]; 2] {
             first + u * (second + u * (third / 2.0 + u * fourth / 6.0)),
         ]
     };
-    [
-        core::array::from_fn(|i| at(i)[0]),
-        core::array::from_fn(|i| at(i)[1]),
-    ]
+    [core::array::from_fn(|i| at(i)[0]), core::array::from_fn(|i| at(i)[1])]
 }
 
 fn dot(a: &[f64; 5], b: &[f64; 5]) -> f64 {
@@ -192,15 +189,7 @@ pub(super) fn point<const M: usize>(
         ];
         by_size[a] = position.dot(&current.start[a].r) * current.size;
     }
-    Some(Point {
-        index: k,
-        reduced,
-        rows,
-        by_size,
-        output,
-        gain: found.gain,
-        slope: found.slope,
-    })
+    Some(Point { index: k, reduced, rows, by_size, output, gain: found.gain, slope: found.slope })
 }
 
 /// A window over which ω must change by the integral of ω̇.
@@ -216,11 +205,7 @@ struct Window<const M: usize> {
 /// above 1.
 fn robust(square: f64, degrees: f64) -> (f64, f64) {
     let s = square / degrees;
-    if s > 1.0 {
-        (degrees * (1.0 + libm::log(s)), 1.0 / s)
-    } else {
-        (square, 1.0)
-    }
+    if s > 1.0 { (degrees * (1.0 + libm::log(s)), 1.0 / s) } else { (square, 1.0) }
 }
 
 /// Adds all samples in motion and the windows between them; `scratch` has room for four rows.
@@ -298,10 +283,7 @@ fn windows_apart<const M: usize>(data: &ArrayData<'_, M>) -> u64 {
 pub(super) fn for_each<const M: usize>(data: &ArrayData<'_, M>, mut each: impl FnMut(usize)) {
     let mut rests = data.rests.iter().peekable();
     for k in 0..data.outputs_mps2.len().min(data.times_s.len()) {
-        while rests
-            .next_if(|(first, count)| first.saturating_add(*count) <= k)
-            .is_some()
-        {}
+        while rests.next_if(|(first, count)| first.saturating_add(*count) <= k).is_some() {}
         if rests.peek().is_none_or(|(first, _)| k < *first) {
             each(k);
         }
@@ -413,9 +395,7 @@ impl<const M: usize> Window<M> {
         // Each ω has an unknown sign: that with which it follows ω̇.
         let signs = [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)];
         let change = |(a, b): (f64, f64)| last.omega * b - first.omega * a - integral;
-        let best = signs
-            .into_iter()
-            .min_by(|a, b| change(*a).norm().total_cmp(&change(*b).norm()));
+        let best = signs.into_iter().min_by(|a, b| change(*a).norm().total_cmp(&change(*b).norm()));
         let Some((a, b)) = best else { return };
         let residual = change((a, b));
         let rough = INTEGRATION * integral.norm();

@@ -25,11 +25,7 @@ fn direction<const M: usize>(
         let curved = across + up * up.transpose() * (information.trace() * gravity);
         up = (up + curved.cholesky()?.solve(&(tangent * gradient))).try_normalize(1e-9)?;
     }
-    let helper = if up.x.abs() < 0.6 {
-        Vector3::x()
-    } else {
-        Vector3::y()
-    };
+    let helper = if up.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
     let first = up.cross(&helper).normalize();
     let second = up.cross(&first);
     let in_outputs = |v: Vector3<f64>| SVector::<f64, M>::from_fn(|a, _| rows[a].dot(&v));
@@ -45,9 +41,7 @@ pub(super) fn mean_of<const M: usize>(
     span: (usize, usize),
     axis: usize,
 ) -> Option<(f64, f64)> {
-    let rows = data
-        .outputs_mps2
-        .get(span.0..span.0.saturating_add(span.1))?;
+    let rows = data.outputs_mps2.get(span.0..span.0.saturating_add(span.1))?;
     let (mut sum, mut count) = (0.0, 0.0);
     for value in rows.iter().map(|row| row[axis]).filter(|v| v.is_finite()) {
         sum += value;
@@ -94,13 +88,7 @@ pub(super) fn add<const M: usize>(
             let one = f64::from(u8::from(a == b));
             one - tangents[0][a] * tangents[0][b] - tangents[1][a] * tangents[1][b]
         };
-        sums.add(
-            &jacobian,
-            |_| layout.gravity(),
-            layout.axes,
-            &residual,
-            between,
-        );
+        sums.add(&jacobian, |_| layout.gravity(), layout.axes, &residual, between);
         sums.end_block();
     }
 }

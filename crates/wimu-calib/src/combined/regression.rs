@@ -84,8 +84,7 @@ impl<'a> Sessions<'a> {
     fn iter(&self) -> impl Iterator<Item = &'a Estimate> {
         let skipped = self.skipped;
         let all = self.all.iter().enumerate();
-        all.filter(move |(k, _)| Some(*k) != skipped)
-            .map(|pair| pair.1)
+        all.filter(move |(k, _)| Some(*k) != skipped).map(|pair| pair.1)
     }
 
     /// Temperature of a session from the reference, K; 0 if no coefficients are estimated.
@@ -217,12 +216,7 @@ impl<'a> Sessions<'a> {
             shrinkage[parameter.index()] = self.line(parameter, variance).shrinkage;
         }
         let (_, dof) = self.ratio(group, variance, None);
-        Between {
-            group,
-            variance,
-            dof,
-            shrinkage,
-        }
+        Between { group, variance, dof, shrinkage }
     }
 
     /// Mean of the variance between sessions over its confidence distribution, equation (154): with
@@ -253,11 +247,7 @@ impl<'a> Sessions<'a> {
         };
         let fitted = first.fitted;
         for parameter in Parameters::ALL.without(fitted).iter() {
-            sum.set(
-                parameter,
-                parameter,
-                first.covariance.get(parameter, parameter),
-            );
+            sum.set(parameter, parameter, first.covariance.get(parameter, parameter));
         }
         for session in self.iter() {
             let dt = self.kelvin(session);
@@ -270,11 +260,7 @@ impl<'a> Sessions<'a> {
             for a in fitted.iter() {
                 for b in fitted.iter() {
                     let own = session.covariance.get(a, b);
-                    let between = if a == b {
-                        lines[a.index()].between
-                    } else {
-                        0.0
-                    };
+                    let between = if a == b { lines[a.index()].between } else { 0.0 };
                     sum.add(a, b, gain(a) * gain(b) * (own + between));
                 }
             }

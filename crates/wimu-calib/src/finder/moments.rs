@@ -71,11 +71,7 @@ impl Noise {
     pub(super) fn most_departure(&self, block_samples: u32, explains: bool) -> f64 {
         let seen = SCATTER_RATIO * self.scatter.max(self.rounding());
         let of_a_mean = self.new.min(MOST_NOISE) / f64::from(block_samples);
-        let noisy = if explains {
-            DEPARTURE_PER_NOISE * of_a_mean
-        } else {
-            0.0
-        };
+        let noisy = if explains { DEPARTURE_PER_NOISE * of_a_mean } else { 0.0 };
         seen.min(QUIET_DEPARTURE.max(noisy))
     }
 }
@@ -118,10 +114,7 @@ impl Moments {
     }
 
     pub(super) fn departure(&self, from: &[f64; 3]) -> f64 {
-        (0..3)
-            .map(|axis| self.mean[axis] - from[axis])
-            .map(|apart| apart * apart)
-            .sum()
+        (0..3).map(|axis| self.mean[axis] - from[axis]).map(|apart| apart * apart).sum()
     }
 
     /// Quantisation error of the mean: equation (59).

@@ -14,14 +14,7 @@ const CLEARLY: f64 = 0.6;
 /// Output over angular rate with wrong units or a wrong full-scale range.
 const FACTORS: [f64; 8] = [57.2958, 0.017_453_3, 2.0, 0.5, 4.0, 0.25, 8.0, 0.125];
 /// Orders of the axes.
-const ORDERS: [[usize; 3]; 6] = [
-    [0, 1, 2],
-    [1, 0, 2],
-    [0, 2, 1],
-    [2, 1, 0],
-    [1, 2, 0],
-    [2, 0, 1],
-];
+const ORDERS: [[usize; 3]; 6] = [[0, 1, 2], [1, 0, 2], [0, 2, 1], [2, 1, 0], [1, 2, 0], [2, 0, 1]];
 /// Largest difference of a mean rate from that over the rests, rad/s: 6 °/s, three times a g-sensitivity
 /// of 1 °/s per *g*; and of the specific force from the mean, relative.
 const AT_REST_RAD_S: f64 = 0.1;
@@ -59,26 +52,16 @@ pub(super) fn plausible(session: &Session<'_>) -> Result<Start, GyroscopeRefusal
         let rate_rad_s = (rest.rate - bias).norm();
         let share = (rest.force.norm() / force - 1.0).abs();
         if rate_rad_s > AT_REST_RAD_S || share > AT_REST_SHARE {
-            return Err(GyroscopeRefusal::NotAtRest {
-                rest: k,
-                rate_rad_s,
-            });
+            return Err(GyroscopeRefusal::NotAtRest { rest: k, rate_rad_s });
         }
     }
-    Ok(Start {
-        bias,
-        sample_variance: mean(&|rest| rest.rate_variance),
-    })
+    Ok(Start { bias, sample_variance: mean(&|rest| rest.rate_variance) })
 }
 
 /// The unit or the order of the axes that predicts the directions, if only one does.
 fn explanation(session: &Session<'_>) -> Option<GyroscopeRefusal> {
-    let units = FACTORS.map(|factor| {
-        (
-            Matrix3::identity() / factor,
-            GyroscopeRefusal::Unit { factor },
-        )
-    });
+    let units =
+        FACTORS.map(|factor| (Matrix3::identity() / factor, GyroscopeRefusal::Unit { factor }));
     let axes = (1..48).map(|k| {
         let order = ORDERS[k / 8 % 6];
         let axes = [0, 1, 2].map(|axis| (order[axis], k >> axis & 1 == 1));
@@ -104,8 +87,5 @@ fn explanation(session: &Session<'_>) -> Option<GyroscopeRefusal> {
 
 /// The refusal of directions that are not predicted.
 pub(super) fn inconsistent(angles: &Angles) -> GyroscopeRefusal {
-    GyroscopeRefusal::Inconsistent {
-        rms_rad: angles.rms_rad(),
-        worst_turn: angles.worst_turn,
-    }
+    GyroscopeRefusal::Inconsistent { rms_rad: angles.rms_rad(), worst_turn: angles.worst_turn }
 }

@@ -141,14 +141,12 @@ impl Filter {
     fn new(at: &Theta, accelerometer: &AccelerometerCalibration) -> Self {
         let mut x = SVector::<f64, N>::zeros();
         let mut p = SMatrix::<f64, N, N>::zeros();
-        x.fixed_rows_mut::<PARAMETERS>(0)
-            .copy_from(&(perfect() - at));
+        x.fixed_rows_mut::<PARAMETERS>(0).copy_from(&(perfect() - at));
         for (i, sd) in PRIOR_SD.iter().enumerate() {
             p[(i, i)] = sd * sd;
         }
         let known = SMatrix::<f64, 12, 12>::from(*accelerometer.covariance.matrix());
-        p.fixed_view_mut::<12, 12>(ACCELEROMETER, ACCELEROMETER)
-            .copy_from(&known);
+        p.fixed_view_mut::<12, 12>(ACCELEROMETER, ACCELEROMETER).copy_from(&known);
         Self { x, p }
     }
 
@@ -199,9 +197,7 @@ impl Filter {
         let x = f * self.x + predicted - to;
         self.x.fixed_rows_mut::<3>(UP).copy_from(&x);
         self.p.fixed_rows_mut::<3>(UP).copy_from(&rows);
-        self.p
-            .fixed_columns_mut::<3>(UP)
-            .copy_from(&rows.transpose());
+        self.p.fixed_columns_mut::<3>(UP).copy_from(&rows.transpose());
         self.p.fixed_view_mut::<3, 3>(UP, UP).copy_from(&new);
         predicted.angle(&to)
     }
@@ -209,10 +205,7 @@ impl Filter {
     /// Updates with the measured direction of gravity: equation (147).
     fn direction(&mut self, rest: &Rest, accelerometer: &AccelerometerCalibration) -> [f64; 2] {
         let inverse = accelerometer.inverse();
-        let first = rest
-            .up
-            .cross(&Vector3::ith(rest.up.iamin(), 1.0))
-            .normalize();
+        let first = rest.up.cross(&Vector3::ith(rest.up.iamin(), 1.0)).normalize();
         let size = rest.force.norm();
         [first, rest.up.cross(&first)].map(|across| {
             let sensor = inverse.tr_mul(&across) / size;
@@ -221,8 +214,7 @@ impl Filter {
             h.fixed_rows_mut::<3>(ACCELEROMETER).copy_from(&sensor);
             for row in 0..3 {
                 let of_matrix = rest.force * sensor[row];
-                h.fixed_rows_mut::<3>(ACCELEROMETER + 3 + 3 * row)
-                    .copy_from(&of_matrix);
+                h.fixed_rows_mut::<3>(ACCELEROMETER + 3 + 3 * row).copy_from(&of_matrix);
             }
             self.update(&h, 0.0, rest.force_variance / (size * size))
         })

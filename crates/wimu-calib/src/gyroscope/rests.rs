@@ -52,17 +52,13 @@ impl Rates<'_> {
     pub fn of(&self, sample: &SixAxisSample) -> [Vector3<f64>; 2] {
         let force = self.accelerometer.force(sample.output_mps2, None);
         let output = Vector3::from(sample.rate_rad_s);
-        [
-            self.inverse * (output - self.bias - self.g_sensitivity * force),
-            force,
-        ]
+        [self.inverse * (output - self.bias - self.g_sensitivity * force), force]
     }
 
     /// A saturated axis of a sample.
     pub fn saturated(&self, sample: &SixAxisSample) -> Option<usize> {
         let axes = sample.rate_rad_s.iter().zip(self.limits_rad_s);
-        axes.into_iter()
-            .position(|(rate, limit)| rate.abs() >= limit)
+        axes.into_iter().position(|(rate, limit)| rate.abs() >= limit)
     }
 }
 
@@ -72,11 +68,7 @@ impl<'a> Session<'a> {
             Some(range) => [SATURATED * range; 3],
             None => [0, 1, 2].map(|axis| limit(given.samples, axis)),
         };
-        Self {
-            given,
-            limits_rad_s,
-            contradicted: Rejected::default(),
-        }
+        Self { given, limits_rad_s, contradicted: Rejected::default() }
     }
 
     /// `None` if its samples are not there, or not finite.

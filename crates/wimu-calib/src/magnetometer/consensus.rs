@@ -48,10 +48,7 @@ pub(super) fn disturbed(poses: &[MagneticPose]) -> Option<(f64, Rejected, usize)
     // Refits to the inliers while their number increases.
     let refined = |mut score: f64, mut theta: Iron| {
         for _ in 0..REFITS {
-            let mut points = poses
-                .iter()
-                .filter(|p| off(&theta, p).abs() < AGREES)
-                .map(point);
+            let mut points = poses.iter().filter(|p| off(&theta, p).abs() < AGREES).map(point);
             let Some(better) = ellipsoid(&mut points) else {
                 break;
             };
@@ -102,11 +99,7 @@ pub(super) fn disturbed(poses: &[MagneticPose]) -> Option<(f64, Rejected, usize)
     let left = poses.len() - count;
     if count >= FEWEST && 2 * count > poses.len() && left > 0 {
         let mut found = Rejected::default();
-        for (k, _) in poses
-            .iter()
-            .enumerate()
-            .filter(|(_, p)| off(&theta, p).abs() >= AGREES)
-        {
+        for (k, _) in poses.iter().enumerate().filter(|(_, p)| off(&theta, p).abs() >= AGREES) {
             found = found.with(k);
         }
         let squares = poses.iter().map(|p| off(&theta, p) * off(&theta, p));

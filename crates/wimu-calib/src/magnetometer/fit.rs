@@ -47,11 +47,7 @@ pub(super) struct Scaled {
 impl Scaled {
     pub(super) fn of<'a>(poses: impl Iterator<Item = &'a MagneticPose> + Clone) -> Option<Self> {
         let first = poses.clone().next()?;
-        let mut scaled = Self {
-            origin: first.output_nt,
-            centre: Vector3::zeros(),
-            unit_nt: 1.0,
-        };
+        let mut scaled = Self { origin: first.output_nt, centre: Vector3::zeros(), unit_nt: 1.0 };
         let (mut sum, mut count) = (Vector3::zeros(), 0.0);
         for pose in poses.clone() {
             sum += scaled.point(pose);
@@ -125,9 +121,7 @@ pub(super) fn model(
     };
     let have = poses().count();
     let n = have as f64;
-    let none = MagneticRefusal::NotObservable {
-        condition: f64::INFINITY,
-    };
+    let none = MagneticRefusal::NotObservable { condition: f64::INFINITY };
     let scaled = Scaled::of(poses().map(|(_, pose)| pose)).ok_or(none)?;
     let points = || poses().map(|(place, pose)| (place, scaled.point(pose)));
     let mut theta = start(points().map(|(_, point)| point)).ok_or(none)?;
@@ -265,9 +259,7 @@ fn rotation<I: Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)>>(
 ) -> Result<(MagnetometerRotation, Option<usize>), MagneticRefusal> {
     let have = seen().count();
     let n = have as f64;
-    let none = MagneticRefusal::NotObservable {
-        condition: f64::INFINITY,
-    };
+    let none = MagneticRefusal::NotObservable { condition: f64::INFINITY };
     let mut best: Option<(f64, Rotation3<f64>, f64, SMatrix<f64, 4, 4>)> = None;
     // Starting values: the 24 rotations that map axes to axes.
     for turn in 0..24 {

@@ -125,12 +125,9 @@ impl fmt::Display for MirroredAxes {
         match *self {
             Self::One(axis) => write!(out, "the magnetometer's axis {} is negated", name(axis)),
             Self::All => out.write_str("all axes of the magnetometer are negated"),
-            Self::Exchanged(a, b) => write!(
-                out,
-                "the magnetometer's axes {} and {} are exchanged",
-                name(a),
-                name(b)
-            ),
+            Self::Exchanged(a, b) => {
+                write!(out, "the magnetometer's axes {} and {} are exchanged", name(a), name(b))
+            }
             Self::Unknown => {
                 out.write_str("an axis of the magnetometer is negated, or two are exchanged")
             }
@@ -219,10 +216,9 @@ impl fmt::Display for MagneticRefusal {
                  the location (negative south of the magnetic equator)",
                 dip_rad.to_degrees()
             ),
-            Self::OutOfBounds(error) => write!(
-                out,
-                "the result is not plausible for a magnetometer: {error}"
-            ),
+            Self::OutOfBounds(error) => {
+                write!(out, "the result is not plausible for a magnetometer: {error}")
+            }
         }
     }
 }

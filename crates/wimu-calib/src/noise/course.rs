@@ -10,9 +10,8 @@ const FEWEST: usize = 8;
 /// event explains: exceeded by 1 % of random walks (0.64 for J = 15, 0.54 for 22, 0.46 for 31).
 const CHANCE: f64 = 2.7;
 /// Decay factors of an event from one difference to the next: 0 is a jump, 1 a linear drift.
-const DECAYS: [f64; 14] = [
-    0.0, 0.3, 0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95, 1.0,
-];
+const DECAYS: [f64; 14] =
+    [0.0, 0.3, 0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95, 1.0];
 
 /// Block means over the whole recording.
 #[derive(Clone, Debug)]
@@ -58,11 +57,7 @@ impl Course {
                     square += size * size;
                     size *= decay;
                 }
-                let own = if beside_ramp {
-                    square - sum * sum / n
-                } else {
-                    square
-                };
+                let own = if beside_ramp { square - sum * sum / n } else { square };
                 // A linear drift was removed already.
                 if own > 1e-6 * square {
                     share = share.max(product * product / own);

@@ -18,18 +18,8 @@ const SEEN_BESIDE_RAMP: f64 = 1.0;
 /// Number of noise terms: Q, N, B, K.
 const NOISES: usize = 4;
 /// Pairs of them.
-const PAIRS: [(usize, usize); 10] = [
-    (0, 0),
-    (0, 1),
-    (0, 2),
-    (0, 3),
-    (1, 1),
-    (1, 2),
-    (1, 3),
-    (2, 2),
-    (2, 3),
-    (3, 3),
-];
+const PAIRS: [(usize, usize); 10] =
+    [(0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3)];
 /// Number of terms: the noise terms and the ramp R.
 const TERMS: usize = 5;
 const QUANTISATION: usize = 0;
@@ -71,13 +61,7 @@ pub(super) fn fewest_edf(n: f64, m: f64) -> f64 {
 /// Allan variance at τ per Q², N², B², K² and R²: equation (53).
 fn shares(tau_s: f64) -> [f64; TERMS] {
     let square = tau_s * tau_s;
-    [
-        3.0 / square,
-        1.0 / tau_s,
-        FLICKER,
-        tau_s / 3.0,
-        square / 2.0,
-    ]
+    [3.0 / square, 1.0 / tau_s, FLICKER, tau_s / 3.0, square / 2.0]
 }
 
 fn total(terms: &[f64; TERMS], tau_s: f64) -> f64 {
@@ -89,11 +73,7 @@ fn total(terms: &[f64; TERMS], tau_s: f64) -> f64 {
 fn covariances(t: i64) -> [f64; NOISES] {
     let far = t.unsigned_abs() as f64;
     let quantised = if t == 0 { 1.0 } else { 0.0 };
-    let flicker = if t == 0 {
-        0.0
-    } else {
-        far * far * libm::log(far)
-    };
+    let flicker = if t == 0 { 0.0 } else { far * far * libm::log(far) };
     [quantised, -0.5 * far, flicker, far * far * far]
 }
 
@@ -171,9 +151,7 @@ impl Spans {
     fn covariance(&self, short: usize, long: usize, terms: &[f64; NOISES]) -> f64 {
         let sums = self.sums.get(short).and_then(|s| s.get(long - short));
         let products = sums.into_iter().flatten().zip(PAIRS);
-        products.fold(0.0, |sum, (product, (a, b))| {
-            sum + terms[a] * terms[b] * product
-        })
+        products.fold(0.0, |sum, (product, (a, b))| sum + terms[a] * terms[b] * product)
     }
 }
 
@@ -288,10 +266,8 @@ impl Curve {
         let rises = share(0) < (1.0 - 0.5 * FILTERED) * share(1);
         let is_less =
             share(0) < 1.0 - FILTERED && (0..first).all(|k| share(k) < 1.0 + 2.0 * FILTERED);
-        (rises && is_less).then_some(Fitted {
-            white_from_s: Some(self.tau_s(from)),
-            ..found.fitted
-        })
+        (rises && is_less)
+            .then_some(Fitted { white_from_s: Some(self.tau_s(from)), ..found.fitted })
     }
 
     /// Selects, among all sets of non-negative terms with N, the one with the best penalised
@@ -339,27 +315,16 @@ impl Curve {
                 let likely = libm::exp(-0.5 * worse(fit));
                 let off = fit.terms[k] - best.terms[k];
                 weight += likely;
-                let own = if fit.has(k) {
-                    misfit * fit.covariance[(k, k)]
-                } else {
-                    0.0
-                };
+                let own = if fit.has(k) { misfit * fit.covariance[(k, k)] } else { 0.0 };
                 variance += likely * (own + off * off);
             }
             seen.then(|| {
                 let value = libm::sqrt(best.terms[k]);
-                Measured {
-                    value,
-                    sd: libm::sqrt(variance / weight) / (2.0 * value),
-                }
+                Measured { value, sd: libm::sqrt(variance / weight) / (2.0 * value) }
             })
         });
         Some(Likeliest {
-            fitted: Fitted {
-                terms,
-                misfit: left,
-                white_from_s: None,
-            },
+            fitted: Fitted { terms, misfit: left, white_from_s: None },
             is_by_chance: best.chi_square <= student::chi_squared_half_percent(freedom),
         })
     }

@@ -41,12 +41,7 @@ struct End {
 impl Ends {
     pub(super) fn new() -> Self {
         let none = f64::NEG_INFINITY;
-        let end = End {
-            at: none,
-            samples: 0,
-            next: none,
-            next_samples: 0,
-        };
+        let end = End { at: none, samples: 0, next: none, next_samples: 0 };
         Self([[end; 2]; 3])
     }
 

@@ -21,12 +21,7 @@ struct End {
 
 impl End {
     fn none() -> Self {
-        Self {
-            at: 0.0,
-            n: 0.0,
-            other: 0.0,
-            squares: 0.0,
-        }
+        Self { at: 0.0, n: 0.0, other: 0.0, squares: 0.0 }
     }
 
     fn take(&mut self, at: f64, other: f64) {
@@ -57,11 +52,7 @@ pub(super) struct Stopped {
 
 impl Ends {
     pub fn none() -> Self {
-        Self {
-            ends: [[End::none(); 2]; 2],
-            last: [0.0; 2],
-            step: [None; 2],
-        }
+        Self { ends: [[End::none(); 2]; 2], last: [0.0; 2], step: [None; 2] }
     }
 
     /// Takes the next pair, about the origin.
@@ -69,11 +60,7 @@ impl Ends {
         let [x, y] = pair;
         for (side, (own, other)) in [(x, y), (y, x)].into_iter().enumerate() {
             for (high, end) in self.ends[side].iter_mut().enumerate() {
-                let beyond = if high == 1 {
-                    own > end.at
-                } else {
-                    own < end.at
-                };
+                let beyond = if high == 1 { own > end.at } else { own < end.at };
                 if beyond {
                     *end = End::none();
                 }
@@ -93,9 +80,7 @@ impl Ends {
     /// the other stream exceeds the regression line through the remaining samples. Noise, which is
     /// selected by the extreme value, has the opposite effect.
     pub fn stopped(&self, all: &AxisSums, delta: f64) -> Option<Stopped> {
-        [1, 0]
-            .into_iter()
-            .find_map(|side| self.stopped_on(side, all, delta))
+        [1, 0].into_iter().find_map(|side| self.stopped_on(side, all, delta))
     }
 
     fn stopped_on(&self, side: usize, all: &AxisSums, delta: f64) -> Option<Stopped> {

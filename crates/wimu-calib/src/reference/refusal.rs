@@ -59,11 +59,7 @@ impl fmt::Display for TransferRefusal {
                 out,
                 "{have} samples are on both streams, 8 are needed: record both at the same time"
             ),
-            Self::UnexpectedMagnitude {
-                reference,
-                rms_mps2,
-                hint,
-            } => {
+            Self::UnexpectedMagnitude { reference, rms_mps2, hint } => {
                 let which = if reference { "reference" } else { "output" };
                 write!(out, "the {which} is {rms_mps2:.4} rms, {hint}")
             }
@@ -85,12 +81,7 @@ impl fmt::Display for TransferRefusal {
                  move it more than once, or hold it in several orientations",
                 axis_name(axis)
             ),
-            Self::Saturated {
-                reference,
-                axis,
-                at_mps2,
-                samples,
-            } => write!(
+            Self::Saturated { reference, axis, at_mps2, samples } => write!(
                 out,
                 "axis {} of the {} stops at {at_mps2:.3} m/s² in {samples} samples while the other goes \
                  on: it is saturated; choose a larger range, or move it less",

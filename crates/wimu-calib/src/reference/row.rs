@@ -46,11 +46,7 @@ impl Fitting {
     /// Selects the axes whose motion, without the part that is correlated with the axes already
     /// selected, is at least `least` rms. With `parallel`, only the own axis.
     pub fn new(axis: usize, origins: Pair, spread: &Central, least: f64, parallel: bool) -> Self {
-        let mut fitting = Self {
-            axis,
-            origins,
-            with: from_fn(|other| other == axis),
-        };
+        let mut fitting = Self { axis, origins, with: from_fn(|other| other == axis) };
         for _ in 0..if parallel { 0 } else { 2 } {
             let alone = (0..3).filter(|&other| !fitting.with[other]).map(|other| {
                 let along = fitting.along(spread, other).unwrap_or_default();
@@ -129,12 +125,7 @@ impl Fitting {
     fn row(&self, spread: &Central, sees: Vector3<f64>) -> Row {
         let [x, y] = self.origins.map(|origin| origin[self.axis]);
         let apart = (y - x) + (spread.y[self.axis] - spread.x[self.axis]);
-        Vector4::new(
-            apart - sees.dot(&self.means(spread)),
-            sees[0],
-            sees[1],
-            sees[2],
-        )
+        Vector4::new(apart - sees.dot(&self.means(spread)), sees[0], sees[1], sees[2])
     }
 
     /// Means of the reference.
@@ -210,19 +201,14 @@ impl Fitting {
             // A block is part of the whole, which reduces the difference accordingly.
             let own = SymmetricEigen::new(share);
             let of = own.eigenvectors.transpose() * off;
-            let less = own
-                .eigenvalues
-                .map(|fraction| libm::sqrt((1.0 - fraction).clamp(0.0, 1.0)));
+            let less = own.eigenvalues.map(|fraction| libm::sqrt((1.0 - fraction).clamp(0.0, 1.0)));
             let off = root
                 .transpose()
                 .solve_upper_triangular(&(own.eigenvectors * of.component_mul(&less)))?;
             covariance += off * off.transpose();
         }
         // Effective number of blocks, minus one for the mean.
-        Some((
-            covariance,
-            squares.map(|square| (1.0 / square - 1.0).max(1.0)),
-        ))
+        Some((covariance, squares.map(|square| (1.0 / square - 1.0).max(1.0))))
     }
 
     /// Information on a row for unit variance of a sample: sums of products of 1 and the fitted

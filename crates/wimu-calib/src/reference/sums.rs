@@ -156,11 +156,7 @@ impl AxisSums {
     /// there are, their sum and that of their squares.
     pub fn without(&self, side: usize, at: f64, [n, other, squares]: [f64; 3]) -> Self {
         let own = [n * at, n * at * at];
-        let (x, y) = if side == 0 {
-            (own, [other, squares])
-        } else {
-            ([other, squares], own)
-        };
+        let (x, y) = if side == 0 { (own, [other, squares]) } else { ([other, squares], own) };
         Self {
             n: self.n - n,
             x: self.x - x[0],

@@ -19,10 +19,7 @@ pub fn exact() -> Gravity {
 
 /// Failures print their seed; nothing is written beside the tests.
 pub fn config() -> ProptestConfig {
-    ProptestConfig {
-        failure_persistence: None,
-        ..ProptestConfig::default()
-    }
+    ProptestConfig { failure_persistence: None, ..ProptestConfig::default() }
 }
 
 /// Draws error models.
@@ -89,11 +86,7 @@ pub fn ups(random: &mut Random, more: usize) -> Vec<[f64; 3]> {
 /// `up` as a person places it: off by `sd_rad` about each of two axes.
 pub fn misplaced(random: &mut Random, up: [f64; 3], sd_rad: f64) -> [f64; 3] {
     // Two directions at right angles to `up`.
-    let other = if up[0].abs() < 0.7 {
-        [1.0, 0.0, 0.0]
-    } else {
-        [0.0, 1.0, 0.0]
-    };
+    let other = if up[0].abs() < 0.7 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
     let a = unit(cross(up, other));
     let b = cross(up, a);
     let (s, t) = (random.normal() * sd_rad, random.normal() * sd_rad);
@@ -101,11 +94,7 @@ pub fn misplaced(random: &mut Random, up: [f64; 3], sd_rad: f64) -> [f64; 3] {
 }
 
 pub fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 pub fn norm(v: [f64; 3]) -> f64 {
@@ -130,18 +119,13 @@ pub fn parameters(model: &ErrorModel) -> [f64; 12] {
 
 /// The rows of a recording beside the repository, or `None`, saying so, where it is absent.
 pub fn recording(name: &str) -> Option<Vec<Vec<String>>> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-        .join("../../../shared/data")
-        .join(name);
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data").join(name);
     let Ok(text) = std::fs::read_to_string(&path) else {
         println!("SKIPPED: {} is absent", path.display());
         return None;
     };
     let rows = text.lines().skip(1);
-    Some(
-        rows.map(|row| row.split(',').map(str::to_owned).collect())
-            .collect(),
-    )
+    Some(rows.map(|row| row.split(',').map(str::to_owned).collect()).collect())
 }
 
 /// Three columns of a row as numbers times `scale`.
@@ -159,13 +143,8 @@ pub fn magnetometer(
     count: usize,
     noise_nt: f64,
 ) -> ([f64; 6], [f64; 3], Alignment, Vec<MagneticPose>) {
-    let mut s = [0, 1, 2, 3, 4, 5].map(|k| {
-        if k < 3 {
-            1.0 + random.within(0.15)
-        } else {
-            random.within(0.08)
-        }
-    });
+    let mut s = [0, 1, 2, 3, 4, 5]
+        .map(|k| if k < 3 { 1.0 + random.within(0.15) } else { random.within(0.08) });
     let m = |s: &[f64; 6]| [[s[0], s[3], s[4]], [s[3], s[1], s[5]], [s[4], s[5], s[2]]];
     let a = m(&s);
     let determinant = a[0][0] * (a[1][1] * a[2][2] - a[1][2] * a[2][1])

@@ -103,14 +103,7 @@ async fn until_hello(link: &PacketLink, most: usize) -> (Hello, usize) {
 fn each_host_that_connects_gets_a_hello_of_the_wireless_link_and_no_damaged_frame() {
     let (wireless, cable) = (PacketLink::new(), PacketLink::new());
     let part = Part::default();
-    let identity = hello(
-        7,
-        "1.2.3",
-        &Start::default(),
-        Capabilities::STORE,
-        part,
-        part,
-    );
+    let identity = hello(7, "1.2.3", &Start::default(), Capabilities::STORE, part, part);
     let board = Board {
         hello: identity,
         sensor: NoSensor,
@@ -122,11 +115,7 @@ fn each_host_that_connects_gets_a_hello_of_the_wireless_link_and_no_damaged_fram
     };
     let shared = Shared::<Mutex, Counts>::new();
     let mut node = board.split(&shared);
-    let device = join3(
-        node.control.run(),
-        node.wireless_reader.run(),
-        node.wireless_writer.run(),
-    );
+    let device = join3(node.control.run(), node.wireless_reader.run(), node.wireless_writer.run());
     let hosts = async {
         let mut found = Vec::new();
         for most in [20, 244, 20] {

@@ -43,9 +43,7 @@ impl Batch {
             },
             _ => return Err(BatchError::Kind),
         };
-        let (header, bits) = body
-            .split_first_chunk::<HEADER>()
-            .ok_or(BatchError::TooShort)?;
+        let (header, bits) = body.split_first_chunk::<HEADER>().ok_or(BatchError::TooShort)?;
         let [first, sequence_0, sequence_1, time_0, time_1, time_2] = *header;
         let (every, bits) = if first & DECIMATED_BIT == 0 {
             (1, bits)
@@ -56,11 +54,7 @@ impl Batch {
             }
         };
         let batch = Self {
-            stream: if first & CORRECTED_BIT == 0 {
-                Stream::Raw
-            } else {
-                Stream::Corrected
-            },
+            stream: if first & CORRECTED_BIT == 0 { Stream::Raw } else { Stream::Corrected },
             sensor: extension & MAX_SENSOR,
             has_gyroscope: extension & SIX_AXES_BIT != 0,
             is_wide: extension & WIDE_BIT != 0,
@@ -88,10 +82,8 @@ impl Batch {
         has_shifts: bool,
         bits: &[u8],
     ) -> Result<Self, BatchError> {
-        let (forces, rates) = self
-            .samples
-            .split_at_mut_checked(self.length)
-            .ok_or(BatchError::Length)?;
+        let (forces, rates) =
+            self.samples.split_at_mut_checked(self.length).ok_or(BatchError::Length)?;
         let rates = match self.has_gyroscope {
             true => rates.get_mut(..self.length).ok_or(BatchError::Length)?,
             false => &mut [],
@@ -168,24 +160,16 @@ impl Batch {
 
     /// The accelerometer's samples of a raw batch of 16 bits; none of another.
     pub fn counts(&self) -> impl Iterator<Item = Counts> + '_ {
-        self.of(Stream::Raw, false)
-            .iter()
-            .map(|axes| Counts(axes.map(|value| value as i16)))
+        self.of(Stream::Raw, false).iter().map(|axes| Counts(axes.map(|value| value as i16)))
     }
 
     /// The accelerometer's samples of a corrected batch; none of a raw one.
     pub fn specific_forces(&self) -> impl Iterator<Item = SpecificForceQ16> + '_ {
-        self.of(Stream::Corrected, false)
-            .iter()
-            .map(|&axes| SpecificForceQ16(axes))
+        self.of(Stream::Corrected, false).iter().map(|&axes| SpecificForceQ16(axes))
     }
 
     fn of(&self, stream: Stream, is_wide: bool) -> &[[i32; 3]] {
-        if (self.stream, self.is_wide) == (stream, is_wide) {
-            self.samples()
-        } else {
-            &[]
-        }
+        if (self.stream, self.is_wide) == (stream, is_wide) { self.samples() } else { &[] }
     }
 }
 

@@ -86,10 +86,7 @@ pub struct Layout {
 impl Default for Layout {
     /// Every sample of sensor 0.
     fn default() -> Self {
-        Self {
-            sensor: 0,
-            every: NonZeroU8::MIN,
-        }
+        Self { sensor: 0, every: NonZeroU8::MIN }
     }
 }
 
@@ -128,13 +125,7 @@ pub fn encode<S: Sample>(
     samples: &[S],
     frame: &mut [u8],
 ) -> Result<usize, EncodeError> {
-    encode_with(
-        Layout::default(),
-        first_sequence,
-        first_time,
-        samples,
-        frame,
-    )
+    encode_with(Layout::default(), first_sequence, first_time, samples, frame)
 }
 
 /// Packs samples as [`encode`] does, in the given layout.
@@ -159,14 +150,7 @@ pub fn encode_with<S: Sample>(
         return pack(layout, first_sequence, first_time, samples, body, frame);
     }
     let mut body = [0; MAX_BATCH_BODY];
-    pack(
-        layout,
-        first_sequence,
-        first_time,
-        samples,
-        &mut body,
-        frame,
-    )
+    pack(layout, first_sequence, first_time, samples, &mut body, frame)
 }
 
 fn pack<S: Sample>(
@@ -178,9 +162,8 @@ fn pack<S: Sample>(
     frame: &mut [u8],
 ) -> Result<usize, EncodeError> {
     let extension = extension::<S>(layout.sensor)?;
-    let (before, rest) = body
-        .split_at_mut_checked(extension.is_some().into())
-        .ok_or(EncodeError::NoRoom)?;
+    let (before, rest) =
+        body.split_at_mut_checked(extension.is_some().into()).ok_or(EncodeError::NoRoom)?;
     let length = packing::encode_body(layout.every, first_sequence, first_time, samples, rest)?;
     let kind = match (before, extension) {
         ([before], Some(extension)) => {

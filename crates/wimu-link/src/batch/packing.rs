@@ -29,9 +29,7 @@ pub(super) fn encode_body<S: Sample>(
         false => 0,
     });
 
-    let (header, bits) = body
-        .split_first_chunk_mut::<HEADER>()
-        .ok_or(EncodeError::NoRoom)?;
+    let (header, bits) = body.split_first_chunk_mut::<HEADER>().ok_or(EncodeError::NoRoom)?;
     let [sequence_0, sequence_1, ..] = first_sequence.to_le_bytes();
     let [time_0, time_1, time_2, ..] = first_time.0.to_le_bytes();
     let stream_bit = match S::STREAM {
@@ -43,9 +41,7 @@ pub(super) fn encode_body<S: Sample>(
     let decimated_bit = if decimated { DECIMATED_BIT } else { 0 };
     let first = (samples.len() - 1) as u8 | stream_bit | shift_bit | decimated_bit;
     *header = [first, sequence_0, sequence_1, time_0, time_1, time_2];
-    let (more, bits) = bits
-        .split_at_mut_checked(decimated.into())
-        .ok_or(EncodeError::NoRoom)?;
+    let (more, bits) = bits.split_at_mut_checked(decimated.into()).ok_or(EncodeError::NoRoom)?;
     if let [more] = more {
         *more = every.get();
     }
@@ -65,11 +61,7 @@ pub(super) fn encode_body<S: Sample>(
     for (sensor, &shift) in sensors.enumerate() {
         packer.coding = None;
         for axis in 3 * sensor..3 * sensor + 3 {
-            packer.pack(Axis {
-                samples,
-                axis,
-                shift,
-            });
+            packer.pack(Axis { samples, axis, shift });
         }
     }
     let packed = packer.writer.finish().ok_or(EncodeError::NoRoom)?;
@@ -147,11 +139,7 @@ impl<S: Sample> Axis<'_, S> {
                 S::WIDTH.add(second_differences, magnitude(step.wrapping_sub(slope)));
             (previous, slope) = (value, step);
         }
-        if second_differences < first_differences {
-            Coding::Linear
-        } else {
-            Coding::Mean
-        }
+        if second_differences < first_differences { Coding::Linear } else { Coding::Mean }
     }
 
     /// The residuals of the mean for the samples after the first, folded but not yet wrapped to W bits;
@@ -207,19 +195,13 @@ impl Packer<'_> {
             return;
         };
         let first = all.value(first);
-        let rest = Axis {
-            samples: rest,
-            ..all
-        };
+        let rest = Axis { samples: rest, ..all };
         let coding = *(self.coding).get_or_insert_with(|| rest.likely_coding(first));
         let sum = match coding {
             Coding::Linear => rest.linear_residuals(first, &mut self.residuals),
             _ => rest.mean_residuals(first, &mut self.residuals),
         };
-        let residuals = self
-            .residuals
-            .get_mut(..rest.samples.len())
-            .unwrap_or_default();
+        let residuals = self.residuals.get_mut(..rest.samples.len()).unwrap_or_default();
         if width.can_be_exceeded_in(sum) {
             for folded in &mut *residuals {
                 *folded = fold(width.wrap(unfold(*folded)));

@@ -71,10 +71,7 @@ pub(super) struct Linear {
 impl Predictor for Linear {
     #[inline]
     fn of(first: i32) -> Self {
-        Self {
-            previous: first,
-            slope: 0,
-        }
+        Self { previous: first, slope: 0 }
     }
 
     #[inline]

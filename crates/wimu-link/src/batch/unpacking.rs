@@ -53,9 +53,7 @@ fn decode_axis<S: Sealed>(
                 // Branch-free, because the branch would be unpredictable.
                 let differs = code >> 2;
                 reader.take(1 + 2 * differs);
-                latest
-                    .wrapping_add(differs & !code)
-                    .wrapping_sub(differs & code)
+                latest.wrapping_add(differs & !code).wrapping_sub(differs & code)
             }
             _ => reader.take(2 + field) & ((1 << field) - 1),
         },

@@ -212,18 +212,11 @@ impl Name {
         while let Some((&byte, tail)) = rest.split_first()
             && length < NAME_LENGTH
         {
-            bytes[length] = if byte == b' ' || byte.is_ascii_graphic() {
-                byte
-            } else {
-                b'?'
-            };
+            bytes[length] = if byte == b' ' || byte.is_ascii_graphic() { byte } else { b'?' };
             length += 1;
             rest = tail;
         }
-        Self {
-            length: length as u8,
-            bytes,
-        }
+        Self { length: length as u8, bytes }
     }
 
     /// The name.
@@ -273,18 +266,12 @@ impl Fault {
         let file = file.as_ref();
         let surplus = file.len().saturating_sub(NAME_LENGTH);
         let end = file.get(surplus..).unwrap_or_default();
-        Self {
-            line,
-            file: Name::from_bytes(end),
-        }
+        Self { line, file: Name::from_bytes(end) }
     }
 
     /// A fault of the processor at the instruction at `address`.
     pub const fn processor(kind: &str, address: u32) -> Self {
-        Self {
-            line: address,
-            file: Name::new(kind),
-        }
+        Self { line: address, file: Name::new(kind) }
     }
 }
 
@@ -311,9 +298,6 @@ pub struct Part {
 impl Part {
     /// A part with a number and a name.
     pub const fn new(number: u16, name: &str) -> Self {
-        Self {
-            number,
-            name: Name::new(name),
-        }
+        Self { number, name: Name::new(name) }
     }
 }

@@ -196,10 +196,7 @@ impl Hello {
             *number = u16::from_le_bytes(fields.take()?);
         }
         let [reset_reason, flags] = fields.take()?;
-        let numbers = [
-            u16::from_le_bytes(fields.take()?),
-            u16::from_le_bytes(fields.take()?),
-        ];
+        let numbers = [u16::from_le_bytes(fields.take()?), u16::from_le_bytes(fields.take()?)];
         let mut parts = [Part::default(); 2];
         for (part, number) in parts.iter_mut().zip(numbers) {
             let [length] = fields.take()?;
@@ -284,9 +281,7 @@ impl WhoAreYou {
 impl Default for WhoAreYou {
     /// A host with this crate's wire version.
     fn default() -> Self {
-        Self {
-            wire_version: WIRE_VERSION,
-        }
+        Self { wire_version: WIRE_VERSION }
     }
 }
 
@@ -305,10 +300,7 @@ struct Fields<'a>(&'a [u8]);
 
 impl Fields<'_> {
     fn take<const N: usize>(&mut self) -> Result<[u8; N], HelloError> {
-        let (field, rest) = self
-            .0
-            .split_first_chunk::<N>()
-            .ok_or(HelloError::TooShort)?;
+        let (field, rest) = self.0.split_first_chunk::<N>().ok_or(HelloError::TooShort)?;
         self.0 = rest;
         Ok(*field)
     }

@@ -80,10 +80,7 @@ fn unknown_numbers_are_kept() {
 
 #[test]
 fn a_strange_name_is_made_readable() {
-    assert_eq!(
-        Name::new("µ-board with a long name").as_str(),
-        "??-board with a"
-    );
+    assert_eq!(Name::new("µ-board with a long name").as_str(), "??-board with a");
     let (mut body, length) = body(&example());
     body[48] = 255;
     let hello = Hello::decode(&body[..length]).unwrap();
@@ -94,11 +91,7 @@ fn a_strange_name_is_made_readable() {
 fn a_cut_or_foreign_greeting_is_refused() {
     let (mut body, length) = body(&example());
     for cut in 0..length {
-        let expected = if cut < 4 {
-            HelloError::NotWimu
-        } else {
-            HelloError::TooShort
-        };
+        let expected = if cut < 4 { HelloError::NotWimu } else { HelloError::TooShort };
         assert_eq!(Hello::decode(&body[..cut]), Err(expected));
     }
     body[4] = 79;
@@ -109,29 +102,16 @@ fn a_cut_or_foreign_greeting_is_refused() {
 
 #[test]
 fn who_are_you_is_read_in_every_version() {
-    assert_eq!(
-        WhoAreYou::decode(b"WIMU\x08\x03ab and more"),
-        Ok(WhoAreYou { wire_version: 3 })
-    );
-    assert_eq!(
-        WhoAreYou::decode(b"WIMU\x05\x03"),
-        Err(HelloError::TooShort)
-    );
+    assert_eq!(WhoAreYou::decode(b"WIMU\x08\x03ab and more"), Ok(WhoAreYou { wire_version: 3 }));
+    assert_eq!(WhoAreYou::decode(b"WIMU\x05\x03"), Err(HelloError::TooShort));
 }
 
 #[test]
 fn where_the_firmware_stopped_is_an_extension() {
     let fault = Fault::panic("crates/wimu-node/src/sampler.rs", 321);
-    let stopped = Hello {
-        reset_reason: ResetReason::Fault,
-        fault: Some(fault),
-        ..example()
-    };
+    let stopped = Hello { reset_reason: ResetReason::Fault, fault: Some(fault), ..example() };
     let (body, length) = body(&stopped);
-    assert_eq!(
-        &body[80..length],
-        b"\x01\x13\x41\x01\x00\x00/src/sampler.rs"
-    );
+    assert_eq!(&body[80..length], b"\x01\x13\x41\x01\x00\x00/src/sampler.rs");
     assert_eq!(Hello::decode(&body[..length]), Ok(stopped));
     assert_eq!(fault.to_string(), "panic at …/src/sampler.rs:321");
     let processor = Fault::processor("hard fault", 0x1000_0231);

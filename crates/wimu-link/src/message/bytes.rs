@@ -90,10 +90,7 @@ short_bytes!(
 impl Signature {
     /// A signature of 8 bytes.
     pub(crate) const fn whole(bytes: [u8; Self::MAX]) -> Self {
-        Self {
-            length: Self::MAX as u8,
-            bytes,
-        }
+        Self { length: Self::MAX as u8, bytes }
     }
 }
 

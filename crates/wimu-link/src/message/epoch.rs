@@ -118,10 +118,7 @@ pub struct EpochGyroscope {
 }
 
 /// The fields up to the state's revision. Those that are new in revision 2, [`Added`], follow, then the state.
-type Beginning = (
-    (EpochReason, u8, u32, u64, u32, u8, f64, i32),
-    (u32, Option<i16>, u8),
-);
+type Beginning = ((EpochReason, u8, u32, u64, u32, u8, f64, i32), (u32, Option<i16>, u8));
 type Added = (u8, Option<EpochGyroscope>, Signature);
 
 /// The first revision with [`Added`].
@@ -140,11 +137,7 @@ impl Serialize for Epoch {
                 self.sensitivity_lsb_per_g,
                 self.full_scale,
             ),
-            (
-                self.parameters,
-                self.temperature_centi_c,
-                self.state.revision,
-            ),
+            (self.parameters, self.temperature_centi_c, self.state.revision),
         );
         let mut fields = serializer.serialize_tuple(MOST_ELEMENTS)?;
         fields.serialize_element(&beginning)?;

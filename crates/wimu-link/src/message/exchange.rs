@@ -24,10 +24,7 @@ impl Wire for Reader<'_> {
     }
 
     fn exchange(&mut self, bytes: &mut [u8]) -> Result<(), MessageError> {
-        let (read, rest) = self
-            .0
-            .split_at_checked(bytes.len())
-            .ok_or(MessageError::TooShort)?;
+        let (read, rest) = self.0.split_at_checked(bytes.len()).ok_or(MessageError::TooShort)?;
         bytes.copy_from_slice(read);
         self.0 = rest;
         Ok(())

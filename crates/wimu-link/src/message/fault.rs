@@ -159,19 +159,9 @@ pub enum ParameterFault {
 impl From<GyroscopeError> for ParameterFault {
     fn from(error: GyroscopeError) -> Self {
         match error {
-            GyroscopeError::OutOfBounds {
-                term,
-                axis,
-                value,
-                low,
-                high,
-            } => Self::Gyroscope {
-                term: term.into(),
-                axis: axis as u8,
-                value,
-                low,
-                high,
-            },
+            GyroscopeError::OutOfBounds { term, axis, value, low, high } => {
+                Self::Gyroscope { term: term.into(), axis: axis as u8, value, low, high }
+            }
             GyroscopeError::Singular { determinant } => Self::GyroscopeSingular(determinant),
         }
     }
@@ -208,23 +198,12 @@ impl From<CovarianceError> for ParameterFault {
 impl From<ModelError> for ParameterFault {
     fn from(error: ModelError) -> Self {
         match error {
-            ModelError::NotFinite { term, axis } => Self::NotFinite {
-                term: term.into(),
-                axis: axis as u8,
-            },
-            ModelError::OutOfBounds {
-                term,
-                axis,
-                value,
-                low,
-                high,
-            } => Self::OutOfBounds {
-                term: term.into(),
-                axis: axis as u8,
-                value,
-                low,
-                high,
-            },
+            ModelError::NotFinite { term, axis } => {
+                Self::NotFinite { term: term.into(), axis: axis as u8 }
+            }
+            ModelError::OutOfBounds { term, axis, value, low, high } => {
+                Self::OutOfBounds { term: term.into(), axis: axis as u8, value, low, high }
+            }
             ModelError::Singular { determinant } => Self::Singular(determinant),
         }
     }

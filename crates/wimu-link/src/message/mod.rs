@@ -125,11 +125,7 @@ impl Flavor for Sink<'_> {
     type Output = ();
 
     fn try_extend(&mut self, data: &[u8]) -> postcard::Result<()> {
-        if (self.0)(data) {
-            Ok(())
-        } else {
-            Err(postcard::Error::SerializeBufferFull)
-        }
+        if (self.0)(data) { Ok(()) } else { Err(postcard::Error::SerializeBufferFull) }
     }
 
     fn try_push(&mut self, data: u8) -> postcard::Result<()> {

@@ -125,9 +125,7 @@ impl WireGyroscope {
         ] {
             doubles(wire, values)?;
         }
-        option(wire, &mut gyroscope.sd, [0.0; 12], |wire, sd| {
-            floats(wire, sd)
-        })
+        option(wire, &mut gyroscope.sd, [0.0; 12], |wire, sd| floats(wire, sd))
     }
 }
 
@@ -173,12 +171,7 @@ impl WireParameters {
             return Ok(());
         }
         self.sensor = self.sensor.filter(|number| *number != 0);
-        option(
-            wire,
-            &mut self.gyroscope,
-            WireGyroscope::BLANK,
-            WireGyroscope::exchange,
-        )
+        option(wire, &mut self.gyroscope, WireGyroscope::BLANK, WireGyroscope::exchange)
     }
 
     /// The fields of wire version 0.
@@ -197,24 +190,9 @@ impl WireParameters {
         ] {
             doubles(wire, values)?;
         }
-        option(
-            wire,
-            &mut self.alignment_factor,
-            [0.0; 6],
-            |wire, factor| floats(wire, factor),
-        )?;
-        option(
-            wire,
-            &mut self.quality,
-            WireQuality::BLANK,
-            WireQuality::exchange,
-        )?;
-        option(
-            wire,
-            &mut self.magnetometer,
-            WireMagnetometer::BLANK,
-            WireMagnetometer::exchange,
-        )
+        option(wire, &mut self.alignment_factor, [0.0; 6], |wire, factor| floats(wire, factor))?;
+        option(wire, &mut self.quality, WireQuality::BLANK, WireQuality::exchange)?;
+        option(wire, &mut self.magnetometer, WireMagnetometer::BLANK, WireMagnetometer::exchange)
     }
 
     /// The set with those of its optional parts that a device uses, validated; the others are `None`. The alignment's
@@ -362,10 +340,7 @@ impl<'de> Deserialize<'de> for WireParameters {
 
             fn visit_seq<A: SeqAccess<'de>>(self, elements: A) -> Result<WireParameters, A::Error> {
                 let mut parameters = WireParameters::BLANK;
-                let mut wire = Elements {
-                    elements,
-                    failure: None,
-                };
+                let mut wire = Elements { elements, failure: None };
                 match (parameters.exchange(&mut wire), wire.failure) {
                     (Ok(()), _) => Ok(parameters),
                     (Err(_), Some(failure)) => Err(failure),
@@ -417,9 +392,7 @@ impl<'a> EncodedParameters<'a> {
         let mut parameters = WireParameters::BLANK;
         parameters.exchange_v0(&mut reader)?;
         let length = bytes.len().saturating_sub(reader.0.len());
-        let (parameters, rest) = bytes
-            .split_at_checked(length)
-            .ok_or(MessageError::TooShort)?;
+        let (parameters, rest) = bytes.split_at_checked(length).ok_or(MessageError::TooShort)?;
         Ok((Self(parameters), rest))
     }
 
@@ -531,12 +504,7 @@ impl TryFrom<&WireGyroscope> for GyroscopeParameters {
                 scale_per_k: wire.scale_per_k,
             },
         })?;
-        Ok(Self::new(
-            wire.range_dps,
-            wire.rad_s_per_lsb,
-            model,
-            wire.sd,
-        )?)
+        Ok(Self::new(wire.range_dps, wire.rad_s_per_lsb, model, wire.sd)?)
     }
 }
 

@@ -126,9 +126,7 @@ impl WireQuality {
     pub(super) fn exchange(wire: &mut dyn Wire, quality: &mut Self) -> Result<(), MessageError> {
         WireMethod::exchange(wire, &mut quality.method)?;
         option(wire, &mut quality.utc_s, 0, number)?;
-        option(wire, &mut quality.temperature_c, [0.0; 3], |wire, t| {
-            floats(wire, t)
-        })?;
+        option(wire, &mut quality.temperature_c, [0.0; 3], |wire, t| floats(wire, t))?;
         number_32(wire, &mut quality.poses)?;
         number_32(wire, &mut quality.dof)?;
         float(wire, &mut quality.rms_mps2)?;
@@ -164,11 +162,7 @@ impl WireMagnetometer {
             floats(wire, values)?;
         }
         number_32(wire, &mut model.poses)?;
-        for value in [
-            &mut model.rms_nt,
-            &mut model.loo_rms_nt,
-            &mut model.condition,
-        ] {
+        for value in [&mut model.rms_nt, &mut model.loo_rms_nt, &mut model.condition] {
             float(wire, value)?;
         }
         let blank = WireMagnetometerRotation {
@@ -177,17 +171,12 @@ impl WireMagnetometer {
             dip_rad: 0.0,
             dip_rms_rad: 0.0,
         };
-        option(
-            wire,
-            &mut model.to_accelerometer,
-            blank,
-            |wire, rotation| {
-                doubles(wire, &mut rotation.rotation_wxyz)?;
-                floats(wire, &mut rotation.factor)?;
-                float(wire, &mut rotation.dip_rad)?;
-                float(wire, &mut rotation.dip_rms_rad)
-            },
-        )
+        option(wire, &mut model.to_accelerometer, blank, |wire, rotation| {
+            doubles(wire, &mut rotation.rotation_wxyz)?;
+            floats(wire, &mut rotation.factor)?;
+            float(wire, &mut rotation.dip_rad)?;
+            float(wire, &mut rotation.dip_rms_rad)
+        })
     }
 }
 
@@ -216,12 +205,7 @@ impl From<&CalibrationQuality> for WireQuality {
             loo_rms_mps2: terms.loo_rms_mps2,
             condition: terms.condition,
             covariance_factor: terms.covariance.factor(),
-            other_sd: [
-                sd.bias_mps2_per_k,
-                sd.bias_mps2_per_k2,
-                sd.scale_per_k,
-                sd.nonlinearity,
-            ],
+            other_sd: [sd.bias_mps2_per_k, sd.bias_mps2_per_k2, sd.scale_per_k, sd.nonlinearity],
         }
     }
 }

@@ -122,15 +122,9 @@ impl<P> Command<P> {
     /// The same with another form of the piece.
     pub fn map<Q>(self, change: impl FnOnce(P) -> Q) -> Command<Q> {
         match self {
-            Self::StageParameters {
-                offset,
-                total,
-                piece,
-            } => Command::StageParameters {
-                offset,
-                total,
-                piece: change(piece),
-            },
+            Self::StageParameters { offset, total, piece } => {
+                Command::StageParameters { offset, total, piece: change(piece) }
+            }
             Self::GetParameters { offset } => Command::GetParameters { offset },
             Self::CommitParameters { hash } => Command::CommitParameters { hash },
             Self::FactoryReset => Command::FactoryReset,

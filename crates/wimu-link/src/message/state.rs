@@ -74,13 +74,7 @@ impl WireState {
     /// Writes all fields except the revision.
     pub(super) fn write<T: SerializeTuple>(&self, fields: &mut T) -> Result<(), T::Error> {
         let state: Fields = (
-            (
-                self.period_ns,
-                self.zupt,
-                self.gravity_um_s2,
-                self.phase,
-                self.flags,
-            ),
+            (self.period_ns, self.zupt, self.gravity_um_s2, self.phase, self.flags),
             (
                 self.rest_mean,
                 self.east,
@@ -281,18 +275,8 @@ macro_rules! mirror {
     };
 }
 
-mirror!(
-    WireSegment,
-    Segment,
-    [steps, velocity_sum, position_sum, previous],
-    []
-);
-mirror!(
-    WireWindow,
-    Window,
-    [samples, reference, sum, squares],
-    [start]
-);
+mirror!(WireSegment, Segment, [steps, velocity_sum, position_sum, previous], []);
+mirror!(WireWindow, Window, [samples, reference, sum, squares], [start]);
 mirror!(WireRun, Run, [windows, sum, latest], [start]);
 mirror!(
     WireRotation,

@@ -68,10 +68,7 @@ impl<'a> Record<'a> {
         set: EncodedParameters,
         frame: &mut [u8],
     ) -> Result<usize, EncodeError> {
-        let message = Telemetry::Parameters(ActiveParameters {
-            active: Some(set),
-            id: set.id().0,
-        });
+        let message = Telemetry::Parameters(ActiveParameters { active: Some(set), id: set.id().0 });
         super::encode_within(MAX_RECORD_BODY, Kind::Telemetry, &message, frame)
     }
 
@@ -116,10 +113,9 @@ impl Telemetry {
         const EVENT: u32 = 6;
         super::decode_beginning(body).or_else(|error| {
             match (error, super::decode_beginning::<(u32, u64, u32)>(body)) {
-                (MessageError::Malformed, Ok((EVENT, time_us, number))) => Ok(Self::Event {
-                    time_us,
-                    event: Event::Other { number },
-                }),
+                (MessageError::Malformed, Ok((EVENT, time_us, number))) => {
+                    Ok(Self::Event { time_us, event: Event::Other { number } })
+                }
                 _ => Err(error),
             }
         })
@@ -187,8 +183,7 @@ pub struct Attitude {
 impl Attitude {
     /// The unit quaternion W, X, Y, Z.
     pub fn to_quaternion(&self) -> [f64; 4] {
-        self.quaternion
-            .map(|part| f64::from(part) / (1 << 30) as f64)
+        self.quaternion.map(|part| f64::from(part) / (1 << 30) as f64)
     }
 }
 
@@ -224,14 +219,8 @@ pub struct Status {
 }
 
 /// The fields of a status before the stack.
-type StatusFields = (
-    u64,
-    Option<LinkStatus>,
-    Option<LinkStatus>,
-    SensorStatus,
-    Option<u32>,
-    Option<u32>,
-);
+type StatusFields =
+    (u64, Option<LinkStatus>, Option<LinkStatus>, SensorStatus, Option<u32>, Option<u32>);
 
 impl Serialize for Status {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {

@@ -49,11 +49,7 @@ struct Alignment {
 }
 
 impl Alignment {
-    const EMPTY: Self = Self {
-        force: Vector3::new(0.0, 0.0, 0.0),
-        time_s: 0.0,
-        count: 0.0,
-    };
+    const EMPTY: Self = Self { force: Vector3::new(0.0, 0.0, 0.0), time_s: 0.0, count: 0.0 };
 }
 
 /// The filter of one array: angular rate and acceleration, attitude, velocity, position and biases, with a hypothesis for
@@ -125,9 +121,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             Rests::ConstantVelocity => HIDDEN_VELOCITY,
             _ => 0.0,
         };
-        let hidden = layout
-            .claim(Role::Considered, [real(hidden); 3])
-            .map_err(full)?;
+        let hidden = layout.claim(Role::Considered, [real(hidden); 3]).map_err(full)?;
         Ok(Self {
             rest_test: RestTest::new(&config, solver),
             config,
@@ -192,11 +186,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         }
         self.take(if gap { 0.0 } else { step_s }, output_mps2, &linear);
         self.restart_if_diverged();
-        if gap {
-            Err(ArrayFault::Gap)
-        } else {
-            Ok(dropped)
-        }
+        if gap { Err(ArrayFault::Gap) } else { Ok(dropped) }
     }
 
     fn take(&mut self, step: f64, output: &[R; M], linear: &Linear<R>) {
@@ -204,13 +194,11 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let solver = self.array.solver();
         let noise = self.level.excess.max(1.0);
         let at_rest = self.rest_test.push(solver, linear, step, [bias, noise]);
-        let rate = self.best().map_or(Vector3::zeros(), |filter| {
-            filter.state.get(self.blocks.rate()).map(R::to_f64)
-        });
+        let rate = self
+            .best()
+            .map_or(Vector3::zeros(), |filter| filter.state.get(self.blocks.rate()).map(R::to_f64));
         let away = self.rest_test.away;
-        let noise = self
-            .level
-            .push(&self.config, solver, step, output, linear, [rate, away]);
+        let noise = self.level.push(&self.config, solver, step, output, linear, [rate, away]);
         if self.mixture.is_none() || (self.moving_start && at_rest) {
             self.align(step, linear, at_rest);
             return;
@@ -245,11 +233,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let slow = self.rest_test.slow;
         let angle = self.direction.angle(&slow);
         self.direction = slow;
-        let angle = if self.resting || !angle.is_finite() {
-            0.0
-        } else {
-            angle
-        };
+        let angle = if self.resting || !angle.is_finite() { 0.0 } else { angle };
         let scale = (c.scale * c.gravity_mps2) * (c.scale * c.gravity_mps2);
         let part = scale / solver.variance_mps2().to_f64() / own;
         let decay = 1.0 - part * (1.0 - libm::exp(-angle));
@@ -269,13 +253,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let force = force(&self.config, &self.blocks, solver, step, linear, noise);
         for filter in self.mixture.iter_mut().flat_map(Mixture::filters_mut) {
             let attitude_covariance = filter.covariance(ATTITUDE);
-            filter.predict(&(
-                ArrayForce {
-                    attitude_covariance,
-                    ..force
-                },
-                rotation,
-            ));
+            filter.predict(&(ArrayForce { attitude_covariance, ..force }, rotation));
         }
     }
 
@@ -285,10 +263,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let force = force(&self.config, &self.blocks, solver, step, linear, noise);
         for filter in self.mixture.iter_mut().flat_map(Mixture::filters_mut) {
             let attitude_covariance = filter.covariance(ATTITUDE);
-            filter.predict(&ArrayForce {
-                attitude_covariance,
-                ..force
-            });
+            filter.predict(&ArrayForce { attitude_covariance, ..force });
         }
     }
 
@@ -298,10 +273,8 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         if self.update_with_roots(linear, noise, LOST) <= LOST {
             return;
         }
-        let [rate, acceleration] = [
-            real::<R>(LOST_RATE * LOST_RATE),
-            real(self.level.activity + 1.0),
-        ];
+        let [rate, acceleration] =
+            [real::<R>(LOST_RATE * LOST_RATE), real(self.level.activity + 1.0)];
         let wider = [rate, rate, rate, acceleration, acceleration, acceleration];
         for filter in self.mixture.iter_mut().flat_map(Mixture::filters_mut) {
             filter.add_variance(self.blocks.rotation, wider);
@@ -319,10 +292,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             blocks: &self.blocks,
             solver,
             linear,
-            noise: ArrayNoise {
-                factor: real(noise.factor),
-                fast: real(noise.fast),
-            },
+            noise: ArrayNoise { factor: real(noise.factor), fast: real(noise.fast) },
             at_rad_s: Vector3::zeros(),
         };
         let mut roots = None;
@@ -337,10 +307,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
                     root.filter(|r| all.iter().all(|a| prior.distance(a, r) > real(0.01)))
                 {
                     let _ = all.push(root);
-                    put(ReducedArray {
-                        at_rad_s: root,
-                        ..sample
-                    });
+                    put(ReducedArray { at_rad_s: root, ..sample });
                 }
                 root
             };
@@ -372,12 +339,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
     /// The angular rates that are possible, rad/s, each with its probability, the most probable first.
     pub fn hypotheses(&self) -> impl Iterator<Item = (R, [R; 3])> {
         let components = self.mixture.iter().flat_map(|m| m.components());
-        components.map(|c| {
-            (
-                c.log_weight.exp(),
-                c.filter.state.get(self.blocks.rate()).into(),
-            )
-        })
+        components.map(|c| (c.log_weight.exp(), c.filter.state.get(self.blocks.rate()).into()))
     }
 
     /// What is known now: equation (102).

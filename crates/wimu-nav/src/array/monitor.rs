@@ -54,10 +54,7 @@ impl<R: Real, const M: usize> Array<R, M> {
     pub fn new(geometry: Geometry<M>, range_mps2: R) -> Result<Self, GeometryError> {
         let sensors = geometry.axes().len() / geometry.group();
         if sensors > 32 {
-            return Err(GeometryError::TooMany {
-                have: sensors,
-                most: 32,
-            });
+            return Err(GeometryError::TooMany { have: sensors, most: 32 });
         }
         Ok(Self {
             solver: ArraySolver::new(&geometry)?,
@@ -81,11 +78,7 @@ impl<R: Real, const M: usize> Array<R, M> {
     /// What is missing, where the sensors left do not suffice.
     pub fn update(&mut self, output_mps2: &[R; M]) -> Result<Update<R>, GeometryError> {
         let (linear, dropped) = self.reduce(output_mps2)?;
-        Ok(Update {
-            linear,
-            solution: self.solver.roots_of(&linear),
-            dropped,
-        })
+        Ok(Update { linear, solution: self.solver.roots_of(&linear), dropped })
     }
 
     /// The same without the angular rates that fit: a filter looks for them only where it does not know better.

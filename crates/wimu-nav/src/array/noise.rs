@@ -51,12 +51,7 @@ pub(super) struct Noise {
 
 impl<const M: usize> Level<M> {
     pub fn new() -> Self {
-        Self {
-            excess: 1.0,
-            activity: 0.0,
-            last: None,
-            jerk: 0.0,
-        }
+        Self { excess: 1.0, activity: 0.0, last: None, jerk: 0.0 }
     }
 
     /// Noise of a sample. `rate` is the angular rate, rad/s; `away` the specific force less its low-passed value, m/s².

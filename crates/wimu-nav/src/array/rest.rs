@@ -76,11 +76,7 @@ impl RestTest {
         let rank = solver.rank().min(6);
         let zero = |values: &Zeros, variance: f64| {
             let squares = (0..3 + rank).map(|k| {
-                let unit = if k < 3 {
-                    solver.covariance()[k][k]
-                } else {
-                    1.0
-                };
+                let unit = if k < 3 { solver.covariance()[k][k] } else { 1.0 };
                 values[k] * values[k] / (unit * variance)
             });
             squares.sum::<f64>() < chi_square_quantile(3 + rank)
@@ -103,11 +99,7 @@ impl RestTest {
     }
 
     fn follow(&mut self, force: &Vector3<f64>, step: f64) {
-        let begins = if self.slow == Vector3::zeros() {
-            1.0
-        } else {
-            0.0
-        };
+        let begins = if self.slow == Vector3::zeros() { 1.0 } else { 0.0 };
         self.away = force - self.slow;
         self.slow += self.away * (step / self.window_s).clamp(begins, 1.0);
         if !self.slow.iter().all(|v| v.is_finite()) {

@@ -91,9 +91,7 @@ impl<R: Real> Solution<R> {
             dot(d, d)
         };
         self.hypotheses().min_by(|a, b| {
-            distance(a)
-                .partial_cmp(&distance(b))
-                .unwrap_or(core::cmp::Ordering::Equal)
+            distance(a).partial_cmp(&distance(b)).unwrap_or(core::cmp::Ordering::Equal)
         })
     }
 }
@@ -147,19 +145,10 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
         usable: impl Fn(usize) -> bool,
     ) -> Result<Self, GeometryError> {
         let group = geometry.group();
-        let axes = || {
-            geometry
-                .axes()
-                .iter()
-                .enumerate()
-                .filter(|(index, _)| usable(index / group))
-        };
+        let axes = || geometry.axes().iter().enumerate().filter(|(index, _)| usable(index / group));
         let have = axes().count();
         if have < UNKNOWNS {
-            return Err(GeometryError::TooFew {
-                have,
-                need: UNKNOWNS,
-            });
+            return Err(GeometryError::TooFew { have, need: UNKNOWNS });
         }
         let weight = |noise: f64| 1.0 / (noise * noise);
         let total: f64 = axes().map(|(_, axis)| weight(axis.noise_mps2)).sum();
@@ -176,9 +165,8 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
                 })
                 .sum(),
         );
-        let farthest = axes()
-            .map(|(_, axis)| Vector3::from(axis.position_m).norm())
-            .fold(0.0, f64::max);
+        let farthest =
+            axes().map(|(_, axis)| Vector3::from(axis.position_m).norm()).fold(0.0, f64::max);
         if !(arm > farthest * 1e-9 && arm > 1e-9) {
             return Err(GeometryError::Coincident);
         }
@@ -430,12 +418,7 @@ fn checked_inverse(
         .eigenvalues
         .iter()
         .zip(0..)
-        .fold(
-            (f64::INFINITY, 0),
-            |best, (v, i)| {
-                if *v < best.0 { (*v, i) } else { best }
-            },
-        );
+        .fold((f64::INFINITY, 0), |best, (v, i)| if *v < best.0 { (*v, i) } else { best });
     if least > largest * LINEAR_RANK * LINEAR_RANK {
         return information
             .cholesky()
@@ -446,19 +429,14 @@ fn checked_inverse(
     let turn = Vector3::new(v[0], v[1], v[2]);
     let force = Vector3::new(v[3], v[4], v[5]);
     if turn.norm() < force.norm() {
-        return Err(GeometryError::NoForce {
-            along: force.normalize().into(),
-        });
+        return Err(GeometryError::NoForce { along: force.normalize().into() });
     }
     let about = turn.normalize();
     // On one line along `about`, a turn about it has no arm: its square shows nowhere.
     let [x, y, z]: [f64; 3] = about.into();
     let square = Vector6::new(x * x, y * y, z * z, y * z, x * z, x * y);
     let collinear = square.dot(&(quadratic * square)) < 1e-6 * quadratic.trace();
-    Err(GeometryError::NoTurn {
-        about: about.into(),
-        collinear,
-    })
+    Err(GeometryError::NoTurn { about: about.into(), collinear })
 }
 
 fn inner<R: Real, const N: usize>(a: &[R; N], b: &[R; N]) -> R {

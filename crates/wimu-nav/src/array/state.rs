@@ -144,11 +144,8 @@ impl<R: Real> ArrayState<R> {
 
     pub(super) fn is_finite(&self) -> bool {
         let vectors = [self.rate_rad_s, self.velocity_mps, self.position_m];
-        let covariances = [
-            self.rate_covariance,
-            self.velocity_covariance,
-            self.position_covariance,
-        ];
+        let covariances =
+            [self.rate_covariance, self.velocity_covariance, self.position_covariance];
         let numbers = vectors.iter().flatten().chain(&self.quaternion);
         let mut numbers = numbers.chain(covariances.iter().flatten().flatten());
         numbers.all(|v| v.is_finite())

@@ -134,11 +134,7 @@ pub fn track<const M: usize>(
         fast_rate: 0.02 / solver.arm_m(),
     };
     choose_roots(solver, &spread, observations, steps);
-    let mut filter = Filter {
-        solver,
-        observations,
-        spread,
-    };
+    let mut filter = Filter { solver, observations, spread };
     filter.forward(steps)?;
     backward(observations, steps);
     // Each parameter up and down by 2 as long as the likelihood grows.
@@ -183,9 +179,8 @@ pub fn track<const M: usize>(
 fn weigh(variance: f64, observations: &[Observation], steps: &mut [Step]) {
     let mean = |centre: usize, width: usize| {
         let from = centre.saturating_sub(width / 2);
-        let near = observations
-            .get(from..(centre + width / 2 + 1).min(observations.len()))
-            .unwrap_or(&[]);
+        let near =
+            observations.get(from..(centre + width / 2 + 1).min(observations.len())).unwrap_or(&[]);
         let mut sum = 0.0;
         let mut count = 0.0;
         for observation in near.iter().filter(|o| o.linear.is_some()) {
@@ -344,11 +339,8 @@ impl<const M: usize> Filter<'_, M> {
                 let away: Vector3<f64> = mean.fixed_rows::<3>(0) + mean.fixed_rows::<3>(6) - at;
                 let mut innovation = SVector::<f64, MEASURED>::zeros();
                 for row in 0..MEASURED {
-                    let measured = if row < 6 {
-                        linear.z[row]
-                    } else {
-                        linear.theta[row - 6] - mean[row - 3]
-                    };
+                    let measured =
+                        if row < 6 { linear.z[row] } else { linear.theta[row - 6] - mean[row - 3] };
                     innovation[row] = measured
                         - expected[row]
                         - (h[(row, 0)] * away.x + h[(row, 1)] * away.y + h[(row, 2)] * away.z);
@@ -358,9 +350,8 @@ impl<const M: usize> Filter<'_, M> {
                 let gain = factor.solve(&(h * cov)).transpose();
                 let weighted = factor.solve(&innovation);
                 let square = innovation.dot(&weighted);
-                let log_determinant: f64 = (0..MEASURED)
-                    .map(|i| 2.0 * libm::log(factor.l_dirty()[(i, i)]))
-                    .sum();
+                let log_determinant: f64 =
+                    (0..MEASURED).map(|i| 2.0 * libm::log(factor.l_dirty()[(i, i)])).sum();
                 // A sample far out says little about the spread.
                 log_likelihood -= 0.5 * (log_determinant + square.min(100.0 * degrees as f64));
                 nis += square;
@@ -383,22 +374,15 @@ impl<const M: usize> Filter<'_, M> {
     fn measurement(
         &self,
         step: &Step,
-    ) -> (
-        SMatrix<f64, MEASURED, STATES>,
-        SVector<f64, MEASURED>,
-        SMatrix<f64, MEASURED, MEASURED>,
-    ) {
+    ) -> (SMatrix<f64, MEASURED, STATES>, SVector<f64, MEASURED>, SMatrix<f64, MEASURED, MEASURED>)
+    {
         let mut h = SMatrix::zeros();
         let mut expected = SVector::zeros();
         let mut noise = SMatrix::zeros();
         let (z, z_slope) = self.solver.expected_z(step.at);
         let (turn, turn_slope) = self.solver.expected_theta(step.at);
         for row in 0..MEASURED {
-            let slope = if row < 6 {
-                z_slope[row]
-            } else {
-                turn_slope[row - 6]
-            };
+            let slope = if row < 6 { z_slope[row] } else { turn_slope[row - 6] };
             expected[row] = if row < 6 { z[row] } else { turn[row - 6] };
             for i in 0..3 {
                 h[(row, i)] = slope[i];

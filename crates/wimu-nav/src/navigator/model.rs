@@ -203,11 +203,7 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
     fn zero_rate(&mut self) -> Option<ZeroAngularRate<R>> {
         let rest = core::mem::replace(&mut self.rest, RestSums::none());
         let (rate_rad_s, deviation_rad_s) = rest.mean_rate()?;
-        Some(ZeroAngularRate {
-            rate_rad_s,
-            bias: self.blocks.gyroscope_bias,
-            deviation_rad_s,
-        })
+        Some(ZeroAngularRate { rate_rad_s, bias: self.blocks.gyroscope_bias, deviation_rad_s })
     }
 
     fn accelerates(&self, filter: &Filter<R, N>) -> bool {
@@ -350,10 +346,7 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
             ..CarriedBlocks::claim(layout, real(0.05), real(0.3))?
         };
         let bias = layout.claim(Role::Estimated, [settings.errors.accelerometer_bias; 3])?;
-        let level = Level {
-            short: R::zero(),
-            long: R::zero(),
-        };
+        let level = Level { short: R::zero(), long: R::zero() };
         Ok(Self {
             blocks,
             bias,
@@ -403,11 +396,7 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
             at_rest,
             step_s: group.time_s,
         };
-        let walk = RandomWalk {
-            block: self.bias,
-            density: self.bias_walk,
-            step_s: group.time_s,
-        };
+        let walk = RandomWalk { block: self.bias, density: self.bias_walk, step_s: group.time_s };
         let process = ((carried, walk), magnetometer.step(group.time_s));
         filter.predict_recorded(&process, recorder);
         let reading = SpecificForce {

@@ -73,11 +73,7 @@ pub struct Carried<'a, R> {
 impl<R: RealField + Copy, const N: usize> Process<R, N> for Carried<'_, R> {
     fn propagate(&self, state: &mut State<R, N>, transition: &mut Transition<R, N>) {
         let (dt, one) = (self.step_s, real::<R>(1.0));
-        let CarriedBlocks {
-            angular_rate,
-            acceleration,
-            constant_velocity,
-        } = *self.blocks;
+        let CarriedBlocks { angular_rate, acceleration, constant_velocity } = *self.blocks;
         let damping = real::<R>(2.0 * DAMPING * FREQUENCY) * dt;
         let spring = real::<R>(FREQUENCY * FREQUENCY) * dt;
         let decay = (-dt / real(RATE_TIME_S)).exp();
@@ -85,27 +81,13 @@ impl<R: RealField + Copy, const N: usize> Process<R, N> for Carried<'_, R> {
         transition.add(ATTITUDE, angular_rate, state.attitude.matrix() * dt);
         transition.add(VELOCITY, acceleration, Matrix3::identity() * dt);
         transition.add(POSITION, VELOCITY, Matrix3::identity() * dt);
-        transition.add(
-            POSITION,
-            acceleration,
-            Matrix3::identity() * (dt * dt * real(0.5)),
-        );
-        transition.add(
-            angular_rate,
-            angular_rate,
-            Matrix3::identity() * (decay - one),
-        );
+        transition.add(POSITION, acceleration, Matrix3::identity() * (dt * dt * real(0.5)));
+        transition.add(angular_rate, angular_rate, Matrix3::identity() * (decay - one));
         transition.add(acceleration, VELOCITY, Matrix3::identity() * -spring);
         transition.add(acceleration, acceleration, Matrix3::identity() * -damping);
         let square = |deviation: R| deviation * deviation;
-        transition.add_noise(
-            angular_rate,
-            square(self.rate_rad_s) * (one - square(decay)),
-        );
-        transition.add_noise(
-            acceleration,
-            square(self.acceleration_mps2) * damping * real(2.0),
-        );
+        transition.add_noise(angular_rate, square(self.rate_rad_s) * (one - square(decay)));
+        transition.add_noise(acceleration, square(self.acceleration_mps2) * damping * real(2.0));
         if let Some(constant) = constant_velocity {
             transition.add(POSITION, constant, Matrix3::identity() * dt);
         }
@@ -113,11 +95,7 @@ impl<R: RealField + Copy, const N: usize> Process<R, N> for Carried<'_, R> {
             transition.add_noise(POSITION, real::<R>(WANDER * WANDER) * dt);
         }
 
-        let (v, a, rate) = (
-            state.get(VELOCITY),
-            state.get(acceleration),
-            state.get(angular_rate),
-        );
+        let (v, a, rate) = (state.get(VELOCITY), state.get(acceleration), state.get(angular_rate));
         let position = state.get(POSITION) + (v + a * (dt * real(0.5))) * dt;
         state.attitude *= Rotation3::new(rate * dt);
         state.set(POSITION, position);

@@ -28,10 +28,7 @@ impl<R: RealField + Copy, const N: usize, const W: usize> Process<R, N> for Gaus
         let one = real::<R>(1.0);
         let change = SMatrix::<R, W, W>::identity() * (decay - one);
         transition.add(self.block, self.block, change);
-        transition.add_noise(
-            self.block,
-            self.deviation * self.deviation * (one - decay * decay),
-        );
+        transition.add_noise(self.block, self.deviation * self.deviation * (one - decay * decay));
     }
 }
 

@@ -123,9 +123,7 @@ impl<R: RealField + Copy> Odometry<'_, R> {
         let (errors, dt) = (self.errors, self.step_s);
         let square = |x: R| x * x;
         let fraction = dt / self.interval_s;
-        let [along, across] = errors
-            .slip
-            .map(|slip| square(slip * self.distance_m) * fraction);
+        let [along, across] = errors.slip.map(|slip| square(slip * self.distance_m) * fraction);
         let along = along + square(errors.distance_noise) * dt;
         let angle = square(errors.rotation * self.rotation_rad) * fraction
             + square(errors.heading_noise) * dt;

@@ -31,10 +31,7 @@ impl RelativeBlocks {
         errors: &ImuErrors<R>,
     ) -> Result<Self, LayoutFull> {
         let mut two = |role, deviation: R| {
-            Ok([
-                layout.claim(role, [deviation; 3])?,
-                layout.claim(role, [deviation; 3])?,
-            ])
+            Ok([layout.claim(role, [deviation; 3])?, layout.claim(role, [deviation; 3])?])
         };
         Ok(Self {
             gyroscope_bias: two(Role::Estimated, errors.gyroscope_bias)?,
@@ -91,11 +88,7 @@ impl<R: RealField + Copy, const N: usize> Process<R, N> for Relative<'_, R> {
         let by_rate = [one * dt, to_first * -dt];
         for k in 0..2 {
             transition.add(ATTITUDE, self.blocks.gyroscope_bias[k], by_rate[k]);
-            transition.add(
-                ATTITUDE,
-                self.blocks.gyroscope_scale[k],
-                by_rate[k] * scale[k],
-            );
+            transition.add(ATTITUDE, self.blocks.gyroscope_scale[k], by_rate[k] * scale[k]);
         }
         for (block, vector) in [(VELOCITY, velocity), (POSITION, position)] {
             let carried = vector.cross_matrix() * -dt;
@@ -109,10 +102,7 @@ impl<R: RealField + Copy, const N: usize> Process<R, N> for Relative<'_, R> {
         let white = two * square(self.errors.accelerometer_noise);
         transition.add_noise(VELOCITY, white + jitter * jitter);
         for k in 0..2 {
-            let walks = [
-                self.errors.gyroscope_bias_walk,
-                self.errors.accelerometer_bias_walk,
-            ];
+            let walks = [self.errors.gyroscope_bias_walk, self.errors.accelerometer_bias_walk];
             transition.add_noise(self.blocks.gyroscope_bias[k], square(walks[0]));
             transition.add_noise(self.blocks.accelerometer_bias[k], square(walks[1]));
         }

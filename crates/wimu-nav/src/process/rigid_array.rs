@@ -102,11 +102,7 @@ impl<R: Real, const M: usize> RigidArray<'_, R, M> {
         };
         transition.add_covariance(ATTITUDE, ATTITUDE, term(one * (dt * dt), 1.0 / 3.0, 0.05));
         transition.add_covariance(ATTITUDE, rate, term(c * dt, 0.5, 0.125));
-        transition.add_covariance(
-            ATTITUDE,
-            acceleration,
-            c * (jerk * dt * dt * real(1.0 / 6.0)),
-        );
+        transition.add_covariance(ATTITUDE, acceleration, c * (jerk * dt * dt * real(1.0 / 6.0)));
         transition.add_covariance(rate, rate, term(one, 1.0, 1.0 / 3.0));
         transition.add_covariance(rate, acceleration, one * (jerk * dt * real(0.5)));
         transition.add_noise(acceleration, jerk);
@@ -199,11 +195,7 @@ impl<R: Real, const M: usize, const N: usize> Process<R, N> for ArrayForce<'_, R
         // The noise of a sample acts in two halves: half the variance of a full step in each.
         let covariance = self.solver.covariance();
         let noise = Matrix3::from_fn(|i, j| {
-            let other = if i == j {
-                self.force_variance
-            } else {
-                R::zero()
-            };
+            let other = if i == j { self.force_variance } else { R::zero() };
             real::<R>(covariance[3 + i][3 + j]) * self.noise_factor + other
         });
         let noise = c * noise * c.transpose() * (dt * dt * real(2.0));

@@ -170,11 +170,7 @@ impl<R: RealField + Copy, const N: usize> Process<R, N> for Strapdown<'_, R> {
         transition.add(VELOCITY, self.blocks.accelerometer_bias, middle * -dt);
         transition.add(POSITION, VELOCITY, Matrix3::identity() * dt);
         transition.add(POSITION, ATTITUDE, tilt * (dt * half));
-        transition.add(
-            POSITION,
-            self.blocks.accelerometer_bias,
-            middle * (-dt * dt * half),
-        );
+        transition.add(POSITION, self.blocks.accelerometer_bias, middle * (-dt * dt * half));
         if let Some(considered) = &self.blocks.considered {
             let by_force = by_elements(&middle, &force) * -dt;
             let by_rate = by_elements(&middle, &rate) * -dt;
@@ -185,14 +181,8 @@ impl<R: RealField + Copy, const N: usize> Process<R, N> for Strapdown<'_, R> {
         let square = |deviation: R| deviation * deviation * dt;
         let jitter = acceleration.norm() * self.errors.time_s;
         transition.add_noise(ATTITUDE, square(self.errors.gyroscope_noise));
-        transition.add_noise(
-            VELOCITY,
-            square(self.errors.accelerometer_noise) + jitter * jitter,
-        );
-        transition.add_noise(
-            self.blocks.gyroscope_bias,
-            square(self.errors.gyroscope_bias_walk),
-        );
+        transition.add_noise(VELOCITY, square(self.errors.accelerometer_noise) + jitter * jitter);
+        transition.add_noise(self.blocks.gyroscope_bias, square(self.errors.gyroscope_bias_walk));
         let walk = square(self.errors.accelerometer_bias_walk);
         transition.add_noise(self.blocks.accelerometer_bias, walk);
     }

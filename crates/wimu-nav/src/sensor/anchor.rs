@@ -65,31 +65,20 @@ impl<R: RealField + Copy> Anchor<R> {
     ) -> Result<Self, LayoutFull> {
         let mut one = |deviation: R| {
             let some = deviation > R::zero();
-            some.then(|| layout.claim(Role::Estimated, [deviation]))
-                .transpose()
+            some.then(|| layout.claim(Role::Estimated, [deviation])).transpose()
         };
         let bias = one(errors.bias_m)?;
         let scale = one(errors.scale)?;
         let correlated = one(errors.correlated_m)?;
         let surveyed = errors.position_m > R::zero();
-        let offset = surveyed
-            .then(|| layout.claim(Role::Estimated, [errors.position_m; 3]))
-            .transpose()?;
-        Ok(Self {
-            position_m,
-            offset,
-            bias,
-            scale,
-            correlated,
-        })
+        let offset =
+            surveyed.then(|| layout.claim(Role::Estimated, [errors.position_m; 3])).transpose()?;
+        Ok(Self { position_m, offset, bias, scale, correlated })
     }
 
     /// Position, m: as given, and as estimated.
     pub fn position<const N: usize>(&self, state: &State<R, N>) -> Vector3<R> {
-        self.position_m
-            + self
-                .offset
-                .map_or_else(Vector3::zeros, |block| state.get(block))
+        self.position_m + self.offset.map_or_else(Vector3::zeros, |block| state.get(block))
     }
 }
 

@@ -32,11 +32,7 @@ impl Transfer {
         let information = Matrix4::from_diagonal(&Vector4::new(b, a, a, a));
         let mut right = Matrix4x3::zeros();
         right.fixed_view_mut::<3, 3>(1, 0).fill_diagonal(a);
-        Self {
-            information,
-            right,
-            attenuation: 0.0,
-        }
+        Self { information, right, attenuation: 0.0 }
     }
 
     /// Adds both outputs at one time, m/s², with the variance of their difference on an axis, and that of the finer one's

@@ -27,9 +27,7 @@ impl<R: RealField + Copy, const N: usize> Measurement<R, N, 3> for Position<R> {
         let rows = Matrix3::from_diagonal(&measured.map(|m| if m { one } else { R::zero() }));
         let off =
             (self.position_m - shown).zip_map(&measured, |off, m| if m { off } else { R::zero() });
-        let variance = self
-            .deviation_m
-            .map(|sd| if sd.is_finite() { sd * sd } else { one });
+        let variance = self.deviation_m.map(|sd| if sd.is_finite() { sd * sd } else { one });
         Prediction {
             innovation: off,
             jacobian: Jacobian::zeros()

@@ -34,9 +34,7 @@ impl<R: RealField + Copy, const N: usize> Measurement<R, N, 1> for Range<'_, R> 
         let delay = self.delay.map_or_else(R::zero, |block| state.get(block).x);
         let difference = state.get(POSITION) + velocity * delay + arm - anchor.position(state);
         let distance = difference.norm();
-        let direction = difference
-            .try_normalize(real(1e-6))
-            .unwrap_or_else(Vector3::zeros);
+        let direction = difference.try_normalize(real(1e-6)).unwrap_or_else(Vector3::zeros);
         let one = Matrix1::from_element(R::one());
         let [bias, scale, correlated] = [anchor.bias, anchor.scale, anchor.correlated]
             .map(|block| block.map_or_else(R::zero, |block| state.get(block).x));
@@ -80,10 +78,7 @@ impl<R: Real> Range<'_, R> {
         // Equation (164): the correction of the state is the weight times that with line of sight.
         let excess = variance.x * (R::one() / real::<R>(found.weight) - R::one());
         let deviation_m = (self.deviation_m * self.deviation_m + excess).sqrt();
-        let weighted = Self {
-            deviation_m,
-            ..*self
-        };
+        let weighted = Self { deviation_m, ..*self };
         (weighted, found)
     }
 }

@@ -85,12 +85,7 @@ impl<R: Real, const M: usize, const N: usize> Measurement<R, N, MEASURED>
     for ReducedArray<'_, R, M>
 {
     fn predict(&self, filter: &Filter<R, N>) -> Prediction<R, N, MEASURED> {
-        let RigidArrayBlocks {
-            rotation,
-            bias,
-            z_bias,
-            lever,
-        } = *self.blocks;
+        let RigidArrayBlocks { rotation, bias, z_bias, lever } = *self.blocks;
         let (value, slope) = self.centripetal(&self.at_rad_s);
         let rate = filter.state.get(self.blocks.rate());
         let turn = filter.state.get(self.blocks.acceleration());
@@ -103,9 +98,7 @@ impl<R: Real, const M: usize, const N: usize> Measurement<R, N, MEASURED>
         let mut by_z_bias = SMatrix::<R, MEASURED, 6>::zeros();
         let mut by_bias = SMatrix::<R, MEASURED, 3>::zeros();
         by_rotation.fixed_view_mut::<9, 3>(0, 0).copy_from(&slope);
-        by_rotation
-            .fixed_view_mut::<3, 3>(0, 3)
-            .fill_with_identity();
+        by_rotation.fixed_view_mut::<3, 3>(0, 3).fill_with_identity();
         by_z_bias.fixed_view_mut::<6, 6>(3, 0).fill_with_identity();
         by_bias.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
         let by_lever = slope * self.at_rad_s.norm();

@@ -21,11 +21,7 @@ pub struct Velocity<R> {
 impl<R: RealField + Copy> Velocity<R> {
     /// Zero with a standard deviation of a component, m/s.
     pub fn zero(deviation_mps: R, offset: Option<Block<3>>) -> Self {
-        Self {
-            velocity_mps: Vector3::zeros(),
-            deviation_mps,
-            offset,
-        }
+        Self { velocity_mps: Vector3::zeros(), deviation_mps, offset }
     }
 }
 

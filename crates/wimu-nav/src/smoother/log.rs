@@ -153,22 +153,12 @@ fn difference<R: RealField + Copy, const N: usize>(
     from: &State<R, N>,
 ) -> SVector<R, N> {
     let m = state.attitude * from.attitude.inverse();
-    let axis = Vector3::new(
-        m[(2, 1)] - m[(1, 2)],
-        m[(0, 2)] - m[(2, 0)],
-        m[(1, 0)] - m[(0, 1)],
-    );
+    let axis = Vector3::new(m[(2, 1)] - m[(1, 2)], m[(0, 2)] - m[(2, 0)], m[(1, 0)] - m[(0, 1)]);
     // 2 sin and 2 cos of the angle. `Rotation3::scaled_axis` has half the digits for small angles.
     let (sine, cosine) = (axis.norm(), m.matrix().trace() - R::one());
-    let factor = if sine > real(1e-6) {
-        sine.atan2(cosine) / sine
-    } else {
-        real(0.5)
-    };
+    let factor = if sine > real(1e-6) { sine.atan2(cosine) / sine } else { real(0.5) };
     let mut error = state.vector - from.vector;
     let rotation = axis * factor;
-    error
-        .fixed_rows_mut::<3>(ATTITUDE.start())
-        .copy_from(&rotation);
+    error.fixed_rows_mut::<3>(ATTITUDE.start()).copy_from(&rotation);
     error
 }

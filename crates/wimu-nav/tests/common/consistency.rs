@@ -41,12 +41,7 @@ impl Kind {
             Self::Hand => Travel::oscillation(random, [4.0, 20.0], 0.06, 0.3),
             Self::Foot => (0..6).fold(Travel::rest(), |travel, k| {
                 let pitch = if k % 2 == 0 { 0.8 } else { -0.8 };
-                travel.leg(
-                    2.8 + 1.2 * f64::from(k),
-                    0.6,
-                    [1.2, 0.0, 0.0],
-                    [0.0, pitch, 0.0],
-                )
+                travel.leg(2.8 + 1.2 * f64::from(k), 0.6, [1.2, 0.0, 0.0], [0.0, pitch, 0.0])
             }),
         }
     }
@@ -70,11 +65,7 @@ pub struct Consistency {
 
 impl Consistency {
     pub fn over(kind: Kind, gyroscope: bool, draws: u64) -> Self {
-        let profile = if kind == Kind::Foot {
-            Profile::Foot
-        } else {
-            Profile::Hand
-        };
+        let profile = if kind == Kind::Foot { Profile::Foot } else { Profile::Hand };
         let settings = Settings::of(profile);
         let points: Vec<[Found; 3]> = (0..draws)
             .map(|seed| {
@@ -91,10 +82,7 @@ impl Consistency {
                 let points = navigate(&travel, &errors, how, seed);
                 kind.times_s().map(|t| {
                     let point = points.iter().rfind(|p| p.time_s <= t + 1e-6).unwrap();
-                    Found {
-                        nees: point.nees(),
-                        error_m: point.position_error.norm(),
-                    }
+                    Found { nees: point.nees(), error_m: point.position_error.norm() }
                 })
             })
             .collect();
@@ -104,10 +92,7 @@ impl Consistency {
             all[all.len() / 2]
         };
         Self {
-            name: format!(
-                "{kind:?}, {} gyroscope",
-                if gyroscope { "with" } else { "without" }
-            ),
+            name: format!("{kind:?}, {} gyroscope", if gyroscope { "with" } else { "without" }),
             below: std::array::from_fn(|k| points.iter().map(|p| p[k].nees < 7.815).collect()),
             median: std::array::from_fn(|k| median(&|p| p[k].nees)),
             error: std::array::from_fn(|k| median(&|p| p[k].error_m)),
@@ -117,12 +102,7 @@ impl Consistency {
 
 impl std::fmt::Display for Consistency {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self {
-            name,
-            below,
-            median: n,
-            error: e,
-        } = self;
+        let Self { name, below, median: n, error: e } = self;
         let b = below.map(|b| 100.0 * b.fraction());
         write!(
             f,

@@ -28,10 +28,7 @@ fn motion(t: f64) -> [[f64; 3]; 2] {
     let of = |t: f64| {
         let begun = 1.0 - (-0.3 * t).exp() * (1.0 + 0.3 * t);
         let speed = begun * (9.0 + 3.0 * (0.21 * t).sin());
-        [
-            speed,
-            0.6 + begun * (1.4 * (0.11 * t).sin() + 0.5 * (0.31 * t).sin()),
-        ]
+        [speed, 0.6 + begun * (1.4 * (0.11 * t).sin() + 0.5 * (0.31 * t).sin())]
     };
     let h = 1e-3;
     let [before, now, after] = [of((t - h).max(0.0)), of(t), of(t + h)];
@@ -72,11 +69,7 @@ pub fn drive(lasts_s: f64, seed: u64, turned_s: f64) -> Vec<Moment> {
             let turned = if t < turned_s { 0.0 } else { 0.4 };
             let mount = Rotation3::from_axis_angle(&Vector3::z_axis(), turned) * mounting();
             // The rotation in the mount takes one sample.
-            let jerk = if t >= turned_s && t < turned_s + STEP_S {
-                0.4 / STEP_S
-            } else {
-                0.0
-            };
+            let jerk = if t >= turned_s && t < turned_s + STEP_S { 0.4 / STEP_S } else { 0.0 };
             let noise = [0.1, 0.005].map(|sd| Vector3::from(random.normals(sd)));
             Moment {
                 sample: Sample {

@@ -24,19 +24,13 @@ pub fn outputs<const M: usize>(
         let inner = cross(rate, r);
         let a = cross(angular_acceleration, r);
         let b = cross(rate, inner);
-        *value = (0..3)
-            .map(|i| axis.direction[i] * (force[i] + a[i] + b[i]))
-            .sum();
+        *value = (0..3).map(|i| axis.direction[i] * (force[i] + a[i] + b[i])).sum();
     }
     out
 }
 
 pub fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 pub fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {

@@ -78,8 +78,7 @@ impl Point {
     pub fn nees(&self) -> f64 {
         let p = matrix(&self.solution.position_covariance);
         let e = self.position_error;
-        p.try_inverse()
-            .map_or(f64::INFINITY, |inverse| e.dot(&(inverse * e)))
+        p.try_inverse().map_or(f64::INFINITY, |inverse| e.dot(&(inverse * e)))
     }
 }
 
@@ -161,11 +160,7 @@ fn run<M: Model<f64, N>, const N: usize>(
         if missing_s > 0.0 {
             navigator.interrupt(std::mem::take(&mut missing_s));
         }
-        let rest = if how.detector {
-            rests[k]
-        } else {
-            travel.at_rest(t)
-        };
+        let rest = if how.detector { rests[k] } else { travel.at_rest(t) };
         let foot = how.gyroscope && how.settings.profile == Profile::Foot;
         // A foot stands before its first step.
         walked |= !rest;

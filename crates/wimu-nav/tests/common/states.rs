@@ -6,32 +6,20 @@ use wimu_nav::state::{ATTITUDE, Block, POSITION, State, VELOCITY};
 
 /// The states of a block of three.
 pub fn three(block: Block<3>) -> Vec<Block<1>> {
-    vec![
-        block.part::<1, 0>(),
-        block.part::<1, 1>(),
-        block.part::<1, 2>(),
-    ]
+    vec![block.part::<1, 0>(), block.part::<1, 1>(), block.part::<1, 2>()]
 }
 
 /// The states of a block of nine.
 pub fn nine(block: Block<9>) -> Vec<Block<1>> {
-    [
-        block.part::<3, 0>(),
-        block.part::<3, 3>(),
-        block.part::<3, 6>(),
-    ]
-    .into_iter()
-    .flat_map(three)
-    .collect()
+    [block.part::<3, 0>(), block.part::<3, 3>(), block.part::<3, 6>()]
+        .into_iter()
+        .flat_map(three)
+        .collect()
 }
 
 /// Attitude, velocity, position, then the given blocks of three.
 pub fn states(blocks: &[Block<3>]) -> Vec<Block<1>> {
-    [ATTITUDE, VELOCITY, POSITION]
-        .iter()
-        .chain(blocks)
-        .flat_map(|block| three(*block))
-        .collect()
+    [ATTITUDE, VELOCITY, POSITION].iter().chain(blocks).flat_map(|block| three(*block)).collect()
 }
 
 /// Covariance of all states that are given; zero for the others.
@@ -69,11 +57,8 @@ pub fn shifted<const N: usize>(state: &State<f64, N>, error: &SVector<f64, N>) -
 pub fn difference<const N: usize>(a: &State<f64, N>, b: &State<f64, N>) -> SVector<f64, N> {
     let mut out = a.vector - b.vector;
     let m = a.attitude * b.attitude.transpose();
-    let angle = Vector3::new(
-        m[(2, 1)] - m[(1, 2)],
-        m[(0, 2)] - m[(2, 0)],
-        m[(1, 0)] - m[(0, 1)],
-    ) * 0.5;
+    let angle =
+        Vector3::new(m[(2, 1)] - m[(1, 2)], m[(0, 2)] - m[(2, 0)], m[(1, 0)] - m[(0, 1)]) * 0.5;
     out.fixed_rows_mut::<3>(0).copy_from(&angle);
     out
 }

@@ -56,12 +56,7 @@ impl Travel {
 
     /// One more move.
     pub fn leg(mut self, start_s: f64, lasts_s: f64, way_m: [f64; 3], rotation: [f64; 3]) -> Self {
-        self.legs.push(Leg {
-            start_s,
-            lasts_s,
-            way_m: way_m.into(),
-            rotation: rotation.into(),
-        });
+        self.legs.push(Leg { start_s, lasts_s, way_m: way_m.into(), rotation: rotation.into() });
         self
     }
 
@@ -76,10 +71,7 @@ impl Travel {
 
     /// An oscillation of a hand between two times: tones of 0.5 to 1.5 Hz.
     pub fn oscillation(random: &mut Random, between_s: [f64; 2], way_m: f64, angle: f64) -> Self {
-        let mut travel = Self {
-            tones_s: between_s,
-            ..Self::rest()
-        };
+        let mut travel = Self { tones_s: between_s, ..Self::rest() };
         for _ in 0..4 {
             travel.tones.push(Tone {
                 way_m: Vector3::from(random.normals(way_m * 0.5)),
@@ -94,9 +86,12 @@ impl Travel {
     /// Large rotations and accelerations from the first second.
     pub fn tumbling(random: &mut Random) -> Self {
         let mut way = || random.direction();
-        Self::rest()
-            .leg(0.2, 1.4, way().map(|c| c * 1.5), way().map(|c| c * 2.0))
-            .leg(1.6, 1.3, way().map(|c| c * 1.5), way().map(|c| c * 2.0))
+        Self::rest().leg(0.2, 1.4, way().map(|c| c * 1.5), way().map(|c| c * 2.0)).leg(
+            1.6,
+            1.3,
+            way().map(|c| c * 1.5),
+            way().map(|c| c * 2.0),
+        )
     }
 
     fn swell(&self, t: f64) -> f64 {
@@ -106,16 +101,10 @@ impl Travel {
 
     /// Position, m.
     pub fn position(&self, t: f64) -> Vector3<f64> {
-        let moved: Vector3<f64> = self
-            .legs
-            .iter()
-            .map(|leg| leg.way_m * smooth((t - leg.start_s) / leg.lasts_s))
-            .sum();
-        let swung: Vector3<f64> = self
-            .tones
-            .iter()
-            .map(|tone| tone.way_m * (tone.rad_s * t + tone.phase).sin())
-            .sum();
+        let moved: Vector3<f64> =
+            self.legs.iter().map(|leg| leg.way_m * smooth((t - leg.start_s) / leg.lasts_s)).sum();
+        let swung: Vector3<f64> =
+            self.tones.iter().map(|tone| tone.way_m * (tone.rad_s * t + tone.phase).sin()).sum();
         moved + swung * self.swell(t) + self.drift_mps * t
     }
 
@@ -126,17 +115,12 @@ impl Travel {
 
     /// Body to navigation frame.
     pub fn attitude(&self, t: f64) -> Rotation3<f64> {
-        let swung: Vector3<f64> = self
-            .tones
-            .iter()
-            .map(|tone| tone.rotation * (tone.rad_s * t + tone.phase).sin())
-            .sum();
-        self.legs
-            .iter()
-            .fold(Rotation3::new(swung * self.swell(t)), |attitude, leg| {
-                let part = smooth((t - leg.start_s) / leg.lasts_s);
-                attitude * Rotation3::new(leg.rotation * part)
-            })
+        let swung: Vector3<f64> =
+            self.tones.iter().map(|tone| tone.rotation * (tone.rad_s * t + tone.phase).sin()).sum();
+        self.legs.iter().fold(Rotation3::new(swung * self.swell(t)), |attitude, leg| {
+            let part = smooth((t - leg.start_s) / leg.lasts_s);
+            attitude * Rotation3::new(leg.rotation * part)
+        })
     }
 
     /// Specific force, m/s², and angular rate, rad/s, body frame.
@@ -159,10 +143,7 @@ impl Travel {
     pub fn at_rest(&self, t: f64) -> bool {
         let moving = |start: f64, end: f64| t > start - 0.01 && t < end + 0.01;
         let [begin, end] = self.tones_s;
-        !self
-            .legs
-            .iter()
-            .any(|leg| moving(leg.start_s, leg.start_s + leg.lasts_s))
+        !self.legs.iter().any(|leg| moving(leg.start_s, leg.start_s + leg.lasts_s))
             && (self.tones.is_empty() || !moving(begin, end))
     }
 
@@ -237,10 +218,8 @@ impl Errors {
         let mut matrix = |[scale, misalignment]: [f64; 2]| {
             Matrix3::from_fn(|r, c| random.normal() * if r == c { scale } else { misalignment })
         };
-        let (force_matrix, rate_matrix) = (
-            matrix(errors.accelerometer_matrix),
-            matrix(errors.gyroscope_matrix),
-        );
+        let (force_matrix, rate_matrix) =
+            (matrix(errors.accelerometer_matrix), matrix(errors.gyroscope_matrix));
         Self {
             force_bias: Vector3::from(random.normals(errors.accelerometer_bias)),
             rate_bias: Vector3::from(random.normals(errors.gyroscope_bias)),

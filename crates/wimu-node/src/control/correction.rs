@@ -152,8 +152,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         read.map_err(Refusal::InvalidParameters)?;
         let set = A::Sample::decode(&wire);
         let set = (set.as_ref()).map_err(|fault| Refusal::InvalidParameters(*fault))?;
-        self.check_sensor(&wire)
-            .map_err(Refusal::InvalidParameters)?;
+        self.check_sensor(&wire).map_err(Refusal::InvalidParameters)?;
         wire.take_rotations(set);
         if set.range_g != plan.settings.range_g {
             return Err(Refusal::WrongRange {
@@ -195,9 +194,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                 device: CORRECTED,
             });
         }
-        let device = self
-            .shared
-            .with_published(|published| published.hello.sensor.number);
+        let device = self.shared.with_published(|published| published.hello.sensor.number);
         match wire.sensor {
             Some(parameters) if parameters != device && sensor::is_one_model(device) => {
                 Err(ParameterFault::OtherSensor { parameters, device })
@@ -219,10 +216,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         let wire = active.get().and_then(|set| set.decode().ok());
         let set = wire.and_then(|wire| A::Sample::decode(&wire).ok());
         let set = set.map(|set| (parameters, set));
-        match self
-            .self_check
-            .rest(set.as_ref(), gravity_um_s2, self.latched, mean)
-        {
+        match self.self_check.rest(set.as_ref(), gravity_um_s2, self.latched, mean) {
             crate::self_check::Finding::Contradicted(event) => {
                 self.set_fault(PersistentFault::Calibration, event);
                 self.shared.report(self.timer.now(), event);

@@ -26,11 +26,7 @@ const DRAIN_US: u64 = 100_000;
 const STATUS_US: u64 = 5_000_000;
 
 /// Room for a record, bytes.
-pub(crate) const RECORD: usize = if cfg!(feature = "store") {
-    MAX_RECORD
-} else {
-    0
-};
+pub(crate) const RECORD: usize = if cfg!(feature = "store") { MAX_RECORD } else { 0 };
 
 /// A payload without parameters.
 type ShortPayload = Payload<&'static [u8]>;
@@ -192,9 +188,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                 self.use_key(KeyState::None);
                 Ok(self.key_status())
             }
-            Command::GetTime => Ok(Payload::Time {
-                uptime_us: self.timer.now().0,
-            }),
+            Command::GetTime => Ok(Payload::Time { uptime_us: self.timer.now().0 }),
             Command::GetStatus => Ok(Payload::Status(self.shared.status(self.timer.now()))),
             #[cfg(feature = "correction")]
             Command::StageParameters { piece: taken, .. } => {
@@ -226,8 +220,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                 put(plan, &new);
                 self.shared.staging.lock().await.id = None;
                 self.shared.activate(None);
-                self.shared
-                    .publish(|published| published.settings = new.settings);
+                self.shared.publish(|published| published.settings = new.settings);
                 self.clear_fault(PersistentFault::Settings);
                 self.clear_fault(PersistentFault::Parameters);
                 self.announce(&Message::Settings(new.settings));
@@ -242,10 +235,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
     /// Removes the key and the settings after the owner's gesture at the board.
     async fn forget_lost_key(&mut self, plan: &mut Plan) {
         self.announce_pause().await;
-        let removed = self
-            .store
-            .remove(|key| matches!(key, Key::DeviceKey | Key::Settings))
-            .await;
+        let removed = self.store.remove(|key| matches!(key, Key::DeviceKey | Key::Settings)).await;
         if removed.is_err() {
             self.shared.report(self.timer.now(), Event::StoreUnreadable);
             return;
@@ -256,8 +246,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
             let _ = self.configure(&new, Some(&parameters)).await;
             put(plan, &new);
             self.shared.activate(self.set_at(&parameters));
-            self.shared
-                .publish(|published| published.settings = new.settings);
+            self.shared.publish(|published| published.settings = new.settings);
             self.clear_fault(PersistentFault::Settings);
         }
         self.use_key(KeyState::None);
@@ -337,8 +326,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         let range_g = self.compiled(plan, set)?.1;
         let length = Record::encode_parameters(set, &mut self.record).unwrap_or(0);
         self.announce_pause().await;
-        self.save_record(Key::Parameters { range_g }, length)
-            .await?;
+        self.save_record(Key::Parameters { range_g }, length).await?;
         shared.activate(Some(set));
         *id = None;
         self.parameters_changed = true;
@@ -364,8 +352,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
             return Err(refusal);
         }
         put(plan, &new);
-        self.shared
-            .publish(|published| published.settings = new.settings);
+        self.shared.publish(|published| published.settings = new.settings);
         self.clear_fault(PersistentFault::Settings);
         self.announce(&Message::Settings(new.settings));
         if other_range {

@@ -23,13 +23,11 @@ pub(super) fn for_settings(planner: &impl Planner, wanted: &Settings) -> Result<
         wireless: streams(wanted.wireless),
         ..*wanted
     };
-    planner.plan(&possible).and_then(|plan| {
-        if possible == *wanted {
-            Ok(plan)
-        } else {
-            Err(possible)
-        }
-    })
+    planner.plan(&possible).and_then(
+        |plan| {
+            if possible == *wanted { Ok(plan) } else { Err(possible) }
+        },
+    )
 }
 
 /// The plan for `wanted`, or a refusal that names the nearest settings.
@@ -39,7 +37,5 @@ pub(super) fn or_refusal(planner: &impl Planner, wanted: &Settings) -> Result<Pl
 
 /// The plan for the settings nearest to `wanted`.
 pub(super) fn nearest(planner: &impl Planner, wanted: &Settings) -> Option<Plan> {
-    for_settings(planner, wanted)
-        .or_else(|nearest| for_settings(planner, &nearest))
-        .ok()
+    for_settings(planner, wanted).or_else(|nearest| for_settings(planner, &nearest)).ok()
 }

@@ -116,17 +116,13 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                 return None;
             }
         };
-        let fault = match place
-            .clone()
-            .map(|place| Record::decode(self.content(&place)))
-        {
+        let fault = match place.clone().map(|place| Record::decode(self.content(&place))) {
             None => None,
             Some(Ok(Record::Parameters(stored))) => self.fault_of(stored, range_g),
             Some(_) => Some(Event::StoreUnreadable),
         };
         let now = self.timer.now();
-        self.shared
-            .set_fault(PersistentFault::Parameters, now, fault);
+        self.shared.set_fault(PersistentFault::Parameters, now, fault);
         if fault.is_some() { None } else { place }
     }
 

@@ -37,32 +37,17 @@ pub(super) struct Entry {
 impl Entry {
     /// A record that has never been saved.
     pub(super) const fn unknown(key: u8) -> Self {
-        Self {
-            key,
-            exists: false,
-            generation: 0,
-            at: 0,
-            length: 0,
-            rank: Rank::None,
-        }
+        Self { key, exists: false, generation: 0, at: 0, length: 0, rank: Rank::None }
     }
 
     /// The next generation, which saves the record or removes it.
     pub(super) fn followed_by(self, exists: bool) -> Self {
-        Self {
-            exists,
-            generation: self.generation.saturating_add(1),
-            ..Self::unknown(self.key)
-        }
+        Self { exists, generation: self.generation.saturating_add(1), ..Self::unknown(self.key) }
     }
 
     /// The same generation without an item.
     pub(super) fn without_item(self) -> Self {
-        Self {
-            exists: self.exists,
-            generation: self.generation,
-            ..Self::unknown(self.key)
-        }
+        Self { exists: self.exists, generation: self.generation, ..Self::unknown(self.key) }
     }
 
     pub(super) fn from_bytes(&[key, exists, a, b, c, d]: &[u8; ENTRY_BYTES]) -> Self {
@@ -80,9 +65,7 @@ impl Entry {
 }
 
 impl Directory {
-    pub(super) const EMPTY: Self = Self {
-        entries: Vec::new(),
-    };
+    pub(super) const EMPTY: Self = Self { entries: Vec::new() };
 
     pub(super) fn entry(&self, key: u8) -> Entry {
         let mut entries = self.entries.iter();

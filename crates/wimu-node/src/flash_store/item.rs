@@ -160,9 +160,8 @@ impl<F: NorFlash> FlashStore<F> {
 
 /// CRC-16F/4.2 (Koopman), reflected, of an item's length; never that of erased flash.
 fn length_check(length: [u8; 2]) -> [u8; 2] {
-    let check = length.iter().fold(0xFFFF, |check, &byte| {
-        crc_steps(check ^ u32::from(byte), 0x1A2E, 8)
-    });
+    let check =
+        length.iter().fold(0xFFFF, |check, &byte| crc_steps(check ^ u32::from(byte), 0x1A2E, 8));
     match !check as u16 {
         0xFFFF => 0xFFFE_u16.to_le_bytes(),
         check => check.to_le_bytes(),

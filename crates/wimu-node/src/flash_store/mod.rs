@@ -62,10 +62,7 @@ impl<F: NorFlash> FlashLayout<F> {
             F::ERASE_SIZE >= 3 * (HEAD + MAX_RECORD + WORD),
             "the pages of this flash are too small"
         );
-        Self {
-            range,
-            flash: PhantomData,
-        }
+        Self { range, flash: PhantomData }
     }
 }
 
@@ -148,11 +145,7 @@ pub struct FlashStore<F: NorFlash> {
 
 impl<F: NorFlash> FlashStore<F> {
     /// Granularity of reads and writes, bytes.
-    const UNIT: usize = if F::WRITE_SIZE > F::READ_SIZE {
-        F::WRITE_SIZE
-    } else {
-        F::READ_SIZE
-    };
+    const UNIT: usize = if F::WRITE_SIZE > F::READ_SIZE { F::WRITE_SIZE } else { F::READ_SIZE };
     const PAGE: u32 = F::ERASE_SIZE as u32;
     const HEADER: usize = HEADER.next_multiple_of(Self::UNIT);
     /// Bytes that a page keeps free when records are copied into it: for two directories with their seal, and

@@ -60,11 +60,7 @@ impl PageState {
         // A page's only seal may be a partly written item. It is accepted only if the latest survey also read it.
         let is_unconfirmed = self.seals == 1 && self.seal_serial > newest_seal;
         if self.seal == 0 {
-            let rank = if newest_seal == 0 {
-                Rank::Directory
-            } else {
-                Rank::Listed
-            };
+            let rank = if newest_seal == 0 { Rank::Directory } else { Rank::Listed };
             self.is_foreign.then_some(rank)
         } else if is_unconfirmed || !self.is_finished() && self.serial < newest_seal {
             None

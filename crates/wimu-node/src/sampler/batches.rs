@@ -136,11 +136,7 @@ pub(crate) struct Batcher<S> {
 
 impl<S> Default for Batcher<S> {
     fn default() -> Self {
-        Self {
-            samples: Vec::new(),
-            first_sequence: 0,
-            first_time: DeviceTimeUs(0),
-        }
+        Self { samples: Vec::new(), first_sequence: 0, first_time: DeviceTimeUs(0) }
     }
 }
 

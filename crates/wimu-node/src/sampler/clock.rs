@@ -112,12 +112,7 @@ impl SampleClock {
 
     /// The measured sample period, once it has been measured for long enough and is plausible.
     pub(super) fn measured(&self) -> Option<PeriodNs> {
-        let elapsed_ns = self
-            .reads
-            .last?
-            .0
-            .checked_sub(self.first?.0)?
-            .checked_mul(1000)?;
+        let elapsed_ns = self.reads.last?.0.checked_sub(self.first?.0)?.checked_mul(1000)?;
         if elapsed_ns < MEASURE_NS {
             return None;
         }

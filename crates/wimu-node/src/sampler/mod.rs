@@ -182,8 +182,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
     /// Processes samples, oldest first.
     fn process(&mut self, running: &mut Running<A::Sample>, read: Batch, samples: &[A::Sample]) {
         if self.reported.take().is_some() {
-            self.shared
-                .set_fault(PersistentFault::Sensor, self.timer.now(), None);
+            self.shared.set_fault(PersistentFault::Sensor, self.timer.now(), None);
             self.shared.report(self.timer.now(), Event::SensorFound);
         }
         let (reads, period) = (&running.clock.reads, running.clock.period);
@@ -276,9 +275,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             }
             if let Some(integrator) = running.integrator.first() {
                 let mean = integrator.rest_force();
-                self.shared
-                    .rest
-                    .signal((mean, running.correction.parameters));
+                self.shared.rest.signal((mean, running.correction.parameters));
             }
         }
         let since_epoch = time.0.saturating_sub(running.last_epoch.0);
@@ -327,18 +324,12 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         };
         let navigation = integrator.navigation();
         let message = Message::Navigation(Navigation::new(sequence, &navigation));
-        self.shared
-            .stream(ALL, &message, |streams| streams.navigation);
-        if let Some(quaternion) = navigation
-            .attitude
-            .filter(|_| <A::Sample as batch::Sample>::AXES == 6)
+        self.shared.stream(ALL, &message, |streams| streams.navigation);
+        if let Some(quaternion) =
+            navigation.attitude.filter(|_| <A::Sample as batch::Sample>::AXES == 6)
         {
-            let message = Message::Attitude(Attitude {
-                sequence,
-                quaternion,
-            });
-            self.shared
-                .stream(ALL, &message, |streams| streams.navigation);
+            let message = Message::Attitude(Attitude { sequence, quaternion });
+            self.shared.stream(ALL, &message, |streams| streams.navigation);
         }
     }
 
@@ -363,8 +354,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
                     magnetic_field_nt: surroundings.magnetic_field.map(|field| field.0),
                     temperature_centi_c: surroundings.temperature.map(|t| t.0),
                 });
-                self.shared
-                    .stream(ALL, &message, |streams| streams.environment);
+                self.shared.stream(ALL, &message, |streams| streams.environment);
             }
             Err(fault) => self.fail(running, fault),
         }
@@ -415,8 +405,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             }
         };
         let now = self.timer.now();
-        self.shared
-            .set_fault(PersistentFault::Sensor, now, Some(event));
+        self.shared.set_fault(PersistentFault::Sensor, now, Some(event));
         self.shared.report(now, event);
     }
 
@@ -435,11 +424,7 @@ pub(crate) fn epoch_gyroscope(plan: &SensorPlan) -> Option<EpochGyroscope> {
 }
 
 fn integrator(settings: &Settings, period: PeriodNs) -> [Integrator; INTEGRATORS] {
-    let config = Config {
-        period,
-        zupt: settings.zupt,
-        gravity_um_s2: settings.gravity_um_s2,
-    };
+    let config = Config { period, zupt: settings.zupt, gravity_um_s2: settings.gravity_um_s2 };
     [(); INTEGRATORS].map(|()| Integrator::new(config))
 }
 
@@ -475,10 +460,7 @@ impl<S: RawSample> Running<S> {
             EpochReason::Gap => 4,
             EpochReason::Start | EpochReason::Settings | EpochReason::Parameters => 5,
         };
-        if self
-            .epoch_reason
-            .is_none_or(|known| severity(known) <= severity(reason))
-        {
+        if self.epoch_reason.is_none_or(|known| severity(known) <= severity(reason)) {
             self.epoch_reason = Some(reason);
         }
     }

@@ -64,10 +64,7 @@ pub struct Shared<M: RawMutex, S: RawSample = Counts> {
 impl<M: RawMutex, S: RawSample> Shared<M, S> {
     /// Memory for one node. Its initial value is all zeros, so that a `static` takes no flash.
     pub const fn new() -> Self {
-        Self {
-            common: Common::new(),
-            orders: Orders::new(),
-        }
+        Self { common: Common::new(), orders: Orders::new() }
     }
 
     /// Makes the device forget its key and its settings, but not its calibration. A board calls it after a
@@ -104,8 +101,7 @@ impl<M: RawMutex, S: RawSample> Shared<M, S> {
 
     /// Reports the use of the stack in the next status.
     pub fn report_stack(&self, stack: StackStatus) {
-        self.common
-            .publish(|published| published.stack = Some(stack));
+        self.common.publish(|published| published.stack = Some(stack));
     }
 }
 
@@ -164,11 +160,7 @@ impl<M: RawMutex> LinkShared<M> {
             waiting: Signal::new(),
             responder: AsyncMutex::new(Slot::Empty),
             heard: Mutex::new(Cell::new(Heard::NOTHING)),
-            rate: RateSignals {
-                order: Signal::new(),
-                heard: Signal::new(),
-                noise: Signal::new(),
-            },
+            rate: RateSignals { order: Signal::new(), heard: Signal::new(), noise: Signal::new() },
             nearest_rate: Mutex::new(Cell::new(None)),
         }
     }
@@ -210,12 +202,8 @@ pub(crate) struct Heard {
 }
 
 impl Heard {
-    const NOTHING: Self = Self {
-        damaged: 0,
-        repeated: 0,
-        epoch_wanted: false,
-        parameters_from: None,
-    };
+    const NOTHING: Self =
+        Self { damaged: 0, repeated: 0, epoch_wanted: false, parameters_from: None };
 }
 
 /// Persistent faults of a device.
@@ -324,9 +312,7 @@ impl<M: RawMutex> Common<M> {
     }
 
     pub(crate) fn has_rate(&self, role: LinkRole, nearest: NearestRate) {
-        self.link(role)
-            .nearest_rate
-            .lock(|known| known.set(Some(nearest)));
+        self.link(role).nearest_rate.lock(|known| known.set(Some(nearest)));
     }
 
     /// The supported rate of a link's line nearest to `baud`, bit/s; `None` if the rate cannot be set.
@@ -366,8 +352,7 @@ impl<M: RawMutex> Common<M> {
     }
 
     pub(crate) fn with_published<R>(&self, f: impl FnOnce(&mut Published) -> R) -> R {
-        self.published
-            .lock(|published| f(published.borrow_mut().or_new(Published::new)))
+        self.published.lock(|published| f(published.borrow_mut().or_new(Published::new)))
     }
 
     /// Copies the set in use.

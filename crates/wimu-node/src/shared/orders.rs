@@ -46,8 +46,7 @@ impl<M: RawMutex, S: RawSample> Orders<M, S> {
     }
 
     pub(crate) fn give(&self, new: Order<S>) {
-        self.order
-            .lock(|order| *order.borrow_mut() = Slot::Full(new));
+        self.order.lock(|order| *order.borrow_mut() = Slot::Full(new));
         self.given.signal(());
     }
 

@@ -9,11 +9,7 @@ use wimu_model::ParameterId;
 use crate::slot::Slot;
 
 /// Longest set, bytes.
-const MAX: usize = if cfg!(feature = "correction") {
-    WireParameters::MAX
-} else {
-    0
-};
+const MAX: usize = if cfg!(feature = "correction") { WireParameters::MAX } else { 0 };
 
 /// A parameter set in its wire form, or none.
 pub(crate) struct Set(Vec<u8, MAX>);
@@ -70,12 +66,7 @@ pub(crate) struct Staged {
 }
 
 impl Staged {
-    pub(super) const NONE: Self = Self {
-        set: Set::NONE,
-        from: Slot::Empty,
-        total: 0,
-        id: None,
-    };
+    pub(super) const NONE: Self = Self { set: Set::NONE, from: Slot::Empty, total: 0, id: None };
 
     /// Takes the piece at `offset` of a set of `total` bytes. The piece at 0 begins a set; others continue
     /// it, or repeat what has been received.
@@ -88,16 +79,10 @@ impl Staged {
     ) -> Result<(), Refusal> {
         if usize::from(total) > MAX {
             let bytes = total - MAX as u16;
-            return Err(Refusal::InvalidParameters(ParameterFault::Unknown {
-                bytes,
-            }));
+            return Err(Refusal::InvalidParameters(ParameterFault::Unknown { bytes }));
         }
         if offset == 0 {
-            *self = Self {
-                from: Slot::Full(role),
-                total,
-                ..Self::NONE
-            };
+            *self = Self { from: Slot::Full(role), total, ..Self::NONE };
         }
         let received = match self.is_from(role) && self.total == total {
             true => self.set.0.len(),

@@ -40,10 +40,8 @@ impl<M: RawMutex> Common<M> {
     /// Queues an encoded frame that is dropped when the link is too slow, on the links that want it.
     pub(crate) fn stream_frame(&self, roles: Roles, frame: &[u8], wanted: fn(&Streams) -> bool) {
         let settings = self.settings();
-        for ((role, on), streams) in ROLES
-            .into_iter()
-            .zip(roles)
-            .zip([settings.cable, settings.wireless])
+        for ((role, on), streams) in
+            ROLES.into_iter().zip(roles).zip([settings.cable, settings.wireless])
         {
             if on && wanted(&streams) {
                 self.with_outbox(role, |outbox| outbox.push_telemetry(frame));
@@ -145,16 +143,12 @@ impl<M: RawMutex> Common<M> {
 
     /// Whether every kept frame has been sent on a link.
     pub(crate) fn is_drained(&self, role: LinkRole) -> bool {
-        self.link(role)
-            .outbox
-            .lock(|outbox| outbox.borrow().is_drained())
+        self.link(role).outbox.lock(|outbox| outbox.borrow().is_drained())
     }
 
     /// Notes that the frame whose last piece was taken has been transmitted.
     pub(crate) fn frame_sent(&self, role: LinkRole) {
-        self.link(role)
-            .outbox
-            .lock(|outbox| outbox.borrow_mut().sending = false);
+        self.link(role).outbox.lock(|outbox| outbox.borrow_mut().sending = false);
     }
 
     /// Counts a frame that was sent beside the queue.
@@ -182,10 +176,7 @@ impl<M: RawMutex> Common<M> {
             let (taken, stalled) = link.outbox.lock(|outbox| {
                 let mut outbox = outbox.borrow_mut();
                 let taken = outbox.pop(piece);
-                (
-                    taken,
-                    taken.0 == 0 && core::mem::take(&mut outbox.overflowed),
-                )
+                (taken, taken.0 == 0 && core::mem::take(&mut outbox.overflowed))
             });
             if taken.0 > 0 {
                 return taken;

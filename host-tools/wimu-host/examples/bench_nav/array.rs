@@ -45,20 +45,11 @@ pub fn bench(data: &Path) {
     );
     println!(
         "{}: χ² falls by {:.1} times what it has to",
-        if found.accepted {
-            "accepted"
-        } else {
-            "rejected"
-        },
+        if found.accepted { "accepted" } else { "rejected" },
         found.gain
     );
     let mean = |sensors: [usize; 4], axis: usize, c: usize| {
-        sensors
-            .iter()
-            .map(|s| found.moved_m[*s][axis][c])
-            .sum::<f64>()
-            / 4.0
-            * 1e3
+        sensors.iter().map(|s| found.moved_m[*s][axis][c]).sum::<f64>() / 4.0 * 1e3
     };
     for (name, sensors) in [("upper", [0, 2, 4, 6]), ("lower", [1, 3, 5, 7])] {
         println!(
@@ -89,10 +80,7 @@ pub fn bench(data: &Path) {
     let start = Instant::now();
     let filter = |geometry: &ArrayGeometry| {
         let gravity = wimu_model::STANDARD_GRAVITY_MPS2;
-        let arranged = recording
-            .clone()
-            .arranged(geometry)
-            .expect("as many places");
+        let arranged = recording.clone().arranged(geometry).expect("as many places");
         let (states, _) = ArrayBody::of(&arranged, geometry, &calibration)
             .and_then(|body| body.navigated(gravity, Zupt::Stated))
             .expect("a motion");
@@ -128,14 +116,8 @@ pub fn bench(data: &Path) {
         moving.len() - scored.len(),
         scored.len()
     );
-    println!(
-        "{:<44}{:>10}{:>10}{:>12}",
-        "", "RMSE", "median", "wrong sign"
-    );
-    println!(
-        "{:<44}{:>10}{:>10}{:>12}",
-        "bar, deg/s", "< 150", "< 53", "< 2 %"
-    );
+    println!("{:<44}{:>10}{:>10}{:>12}", "", "RMSE", "median", "wrong sign");
+    println!("{:<44}{:>10}{:>10}{:>12}", "bar, deg/s", "< 150", "< 53", "< 2 %");
     let period = recording.period_s();
     let score = |name: &str, rate: &[[f64; 3]], truth: &[[f64; 3]]| {
         let (mut squares, mut sizes, mut wrong) = (0.0, Vec::new(), 0);
@@ -172,19 +154,11 @@ pub fn bench(data: &Path) {
     barred("as drawn", found);
     let found = score("filter (up to now), places as found", &found_rate, &truth);
     barred("as found", found);
-    let found = score(
-        "smoother (all samples), places as drawn",
-        &motion.rate_rad_s,
-        &truth,
-    );
+    let found = score("smoother (all samples), places as drawn", &motion.rate_rad_s, &truth);
     barred("smoother", found);
     for later_ms in [0.5, 1.0, 1.5, 2.0] {
         let moved = interpolated(&truth, later_ms * 1e-3 / period);
-        score(
-            &format!("filter, gyroscopes taken {later_ms} ms earlier"),
-            &found_rate,
-            &moved,
-        );
+        score(&format!("filter, gyroscopes taken {later_ms} ms earlier"), &found_rate, &moved);
     }
     let consistency = |name: &str, states: &[ArrayState<f64>], truth: &[[f64; 3]]| {
         let mut nees: Vec<f64> = scored

@@ -31,19 +31,11 @@ fn main() -> Result<()> {
     let found = relative([&units[0], &units[1]], &RelativeChoice::default())?;
     print!("{}", found.text());
     let axis: Vector3<f64> = rig.axes()[0];
-    let off = Vector3::from(found.hinge.axes[0])
-        .dot(&axis)
-        .abs()
-        .min(1.0)
-        .acos();
+    let off = Vector3::from(found.hinge.axes[0]).dot(&axis).abs().min(1.0).acos();
     // The constant part depends on the zero of the angle. In the first seconds heading and tilt are still being found.
     let truth: Vec<f64> = found.points.iter().map(|p| angle(&rig, p.time_s)).collect();
     let sign = Vector3::from(found.hinge.axes[0]).dot(&axis).signum();
-    let pairs = found
-        .points
-        .iter()
-        .zip(&truth)
-        .filter(|(p, _)| p.time_s >= 5.0);
+    let pairs = found.points.iter().zip(&truth).filter(|(p, _)| p.time_s >= 5.0);
     let errors: Vec<f64> = pairs.map(|(p, t)| p.angle_rad - sign * t).collect();
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
     let squares: f64 = errors.iter().map(|e| (e - mean).powi(2)).sum();
@@ -53,14 +45,10 @@ fn main() -> Result<()> {
         (squares / errors.len() as f64).sqrt().to_degrees()
     );
     if let Some(pictures) = arguments.iter().position(|a| a == "--pictures") {
-        let pictures = arguments
-            .get(pictures + 1)
-            .map_or("pictures", String::as_str);
+        let pictures = arguments.get(pictures + 1).map_or("pictures", String::as_str);
         let mut chart = found.angle();
         let points = found.points.iter().zip(&truth);
-        let points = points
-            .map(|(p, t)| (p.time_s, (sign * t + mean).to_degrees()))
-            .collect();
+        let points = points.map(|(p, t)| (p.time_s, (sign * t + mean).to_degrees())).collect();
         chart.series.push(Series::line("truth", points));
         write_all(Path::new(pictures), &[("protractor", chart)])?;
     }
@@ -80,9 +68,7 @@ fn write(unit: &MotionRecording, folder: &Path) -> Result<()> {
     columns.extend(wimu_host::csv::axes("Gyroscope", "rad/s"));
     let mut out = CsvWriter::new(sink, output.name(), &columns)?;
     for (time_s, sample) in unit.times_s.iter().zip(&unit.samples) {
-        out.number(Some(*time_s))
-            .vector(Some(sample.force_mps2))
-            .vector(sample.rate_rad_s);
+        out.number(Some(*time_s)).vector(Some(sample.force_mps2)).vector(sample.rate_rad_s);
         out.end_row()?;
     }
     out.finish()?;

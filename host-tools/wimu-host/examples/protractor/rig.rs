@@ -76,10 +76,7 @@ impl Rig {
         // A leg: the body's y axis is up.
         let first =
             Rotation3::new(Vector3::x() * std::f64::consts::FRAC_PI_2) * Rotation3::new(base);
-        [
-            first * self.mounts[0],
-            first * Rotation3::new(turn) * self.mounts[1],
-        ]
+        [first * self.mounts[0], first * Rotation3::new(turn) * self.mounts[1]]
     }
 
     fn positions(&self, t: f64) -> [Vector3<f64>; 2] {
@@ -134,10 +131,7 @@ impl Rig {
             for row in 0..self.rows {
                 let time_s = t + row as f64 / (rate_hz * self.rows as f64) - late_s;
                 let last_s = times_s.last().copied().unwrap_or(time_s);
-                samples.push(UnitSample {
-                    step_s: time_s - last_s,
-                    ..sample
-                });
+                samples.push(UnitSample { step_s: time_s - last_s, ..sample });
                 times_s.push(time_s);
             }
         }

@@ -31,21 +31,9 @@ struct Bar {
     rmse_m: [f64; 2],
 }
 const BARS: [Bar; 3] = [
-    Bar {
-        name: "walk1",
-        reference: "0.162 / 0.127, NEES 0.78 / 0.32",
-        rmse_m: [0.16, 0.125],
-    },
-    Bar {
-        name: "drone1",
-        reference: "0.089 / 0.075, NEES 0.83 / 0.36",
-        rmse_m: [0.089, 0.075],
-    },
-    Bar {
-        name: "plaza1",
-        reference: "0.358 / 0.288, NEES 0.76 / 0.59",
-        rmse_m: [0.34, 0.27],
-    },
+    Bar { name: "walk1", reference: "0.162 / 0.127, NEES 0.78 / 0.32", rmse_m: [0.16, 0.125] },
+    Bar { name: "drone1", reference: "0.089 / 0.075, NEES 0.83 / 0.36", rmse_m: [0.089, 0.075] },
+    Bar { name: "plaza1", reference: "0.358 / 0.288, NEES 0.76 / 0.59", rmse_m: [0.34, 0.27] },
 ];
 
 fn main() -> Result<(), String> {
@@ -71,10 +59,7 @@ fn main() -> Result<(), String> {
         let alignment = Alignment::of(&name, &truth, &recording);
         let mut alone = None;
         if wants(&name) {
-            println!(
-                "\n{name}: {}",
-                score::least_squares(&recording, &truth, &alignment)
-            );
+            println!("\n{name}: {}", score::least_squares(&recording, &truth, &alignment));
             let plain = |noise_m| LocalizationChoice {
                 prior: Some(RangePrior {
                     noise_m,
@@ -96,13 +81,8 @@ fn main() -> Result<(), String> {
                 &truth,
                 &alignment,
             )?;
-            let scores = both(
-                "wimu",
-                &recording,
-                &LocalizationChoice::default(),
-                &truth,
-                &alignment,
-            )?;
+            let scores =
+                both("wimu", &recording, &LocalizationChoice::default(), &truth, &alignment)?;
             record(&name, &scores);
             alone = Some([scores[0].rmse_m, scores[1].rmse_m]);
             for (pool, score) in pool.iter_mut().zip(&scores) {
@@ -114,18 +94,10 @@ fn main() -> Result<(), String> {
         let aided = format!("{name} with gyroscope");
         if wants(&aided) && imu.exists() {
             let motion = MotionRecording::from_csv(&imu).map_err(|e| e.to_string())?;
-            let recording = RangeRecording {
-                motion: Some(motion),
-                ..recording.clone()
-            };
+            let recording = RangeRecording { motion: Some(motion), ..recording.clone() };
             println!("\n{aided}");
-            let scores = both(
-                "wimu",
-                &recording,
-                &LocalizationChoice::default(),
-                &truth,
-                &alignment,
-            )?;
+            let scores =
+                both("wimu", &recording, &LocalizationChoice::default(), &truth, &alignment)?;
             for (k, kind) in ["filter", "smoother"].into_iter().enumerate() {
                 if let Some(alone) = alone {
                     let ratio = scores[k].rmse_m / alone[k];
@@ -184,11 +156,7 @@ fn names(folder: &Path, ending: &str) -> Vec<String> {
 /// Recordings of ultra-wideband ranges in the folder, with their anchors.
 fn recordings(data: &Path) -> Vec<(String, &'static str)> {
     let anchors = |name: &str| {
-        if name.starts_with("drone") {
-            "drone_anchors.csv"
-        } else {
-            "anchors.csv"
-        }
+        if name.starts_with("drone") { "drone_anchors.csv" } else { "anchors.csv" }
     };
     names(&data.join("uwb"), "_ranges.csv")
         .into_iter()
@@ -205,10 +173,7 @@ fn both(
     alignment: &Alignment,
 ) -> Result<[Score; 2], String> {
     let run = |smooth| {
-        let choice = LocalizationChoice {
-            smooth,
-            ..choice.clone()
-        };
+        let choice = LocalizationChoice { smooth, ..choice.clone() };
         localize(recording, &choice).map_err(|e| e.to_string())
     };
     let (filter, smoother) = (run(false)?, run(true)?);
@@ -220,16 +185,12 @@ fn both(
 fn print(what: &str, [filter, smoother]: &[Score; 2], found: &Localization) {
     println!("  {what}\n    filter   {filter}\n    smoother {smoother}");
     let biases = found.anchors.iter().filter_map(|a| a.bias_m);
-    let biases: Vec<String> = biases
-        .map(|b| format!("{:+.3} ± {:.3}", b.value, b.sigma))
-        .collect();
+    let biases: Vec<String> = biases.map(|b| format!("{:+.3} ± {:.3}", b.value, b.sigma)).collect();
     if !biases.is_empty() {
         println!("    bias of the anchors, m: {}", biases.join(", "));
     }
     let scales = found.anchors.iter().filter_map(|a| a.scale);
-    let scales: Vec<String> = scales
-        .map(|b| format!("{:+.4} ± {:.4}", b.value, b.sigma))
-        .collect();
+    let scales: Vec<String> = scales.map(|b| format!("{:+.4} ± {:.4}", b.value, b.sigma)).collect();
     if !scales.is_empty() {
         println!("    scale error of the anchors: {}", scales.join(", "));
     }
@@ -246,10 +207,7 @@ fn record(name: &str, scores: &[Score; 2]) {
     let Some(bar) = BARS.iter().find(|bar| bar.name == name) else {
         return;
     };
-    println!(
-        "    reference {}; bar {:?} m, NEES 0.90 to 0.98",
-        bar.reference, bar.rmse_m
-    );
+    println!("    reference {}; bar {:?} m, NEES 0.90 to 0.98", bar.reference, bar.rmse_m);
     for ((score, bar_m), kind) in scores.iter().zip(bar.rmse_m).zip(["filter", "smoother"]) {
         // To the digits of the bar.
         let rounded = (score.rmse_m * 1e3).round() / 1e3;
@@ -275,10 +233,7 @@ fn record(name: &str, scores: &[Score; 2]) {
 fn blocked(recording: &RangeRecording, truth: &Truth, alignment: &Alignment) -> Result<(), String> {
     let rmse = |recording: &RangeRecording| {
         let run = |smooth| {
-            let choice = LocalizationChoice {
-                smooth,
-                ..LocalizationChoice::default()
-            };
+            let choice = LocalizationChoice { smooth, ..LocalizationChoice::default() };
             let found = localize(recording, &choice).map_err(|e| e.to_string())?;
             Ok::<_, String>(alignment.score(&found.path.points, truth).rmse_m)
         };
@@ -319,34 +274,19 @@ fn blocked(recording: &RangeRecording, truth: &Truth, alignment: &Alignment) -> 
 /// The vehicle: start from the truth, as the reference, and without.
 fn plaza(folder: &Path) -> Result<(), String> {
     let truth = Truth::read(&folder.join("plaza1_truth.csv"))?;
-    let recording = RangeRecording::read(
-        &folder.join("plaza1_ranges.csv"),
-        &folder.join("plaza1_anchors.csv"),
-    );
+    let recording =
+        RangeRecording::read(&folder.join("plaza1_ranges.csv"), &folder.join("plaza1_anchors.csv"));
     let recording = recording.and_then(|r| r.with_odometry(&folder.join("plaza1_odometry.csv")));
     let recording = recording.map_err(|e| e.to_string())?;
-    let times_s: Vec<f64> = recording
-        .increments
-        .iter()
-        .map(|i| i.time_s)
-        .skip(20)
-        .step_by(5)
-        .collect();
-    let start = StartPose {
-        position_m: truth.position_m(0).into(),
-        heading_rad: truth.heading_rad(0),
-    };
+    let times_s: Vec<f64> =
+        recording.increments.iter().map(|i| i.time_s).skip(20).step_by(5).collect();
+    let start =
+        StartPose { position_m: truth.position_m(0).into(), heading_rad: truth.heading_rad(0) };
     for (what, start) in [("start of the truth", Some(start)), ("unknown start", None)] {
         println!("\nplaza1, odometry and ranges, {what}");
-        let choice = LocalizationChoice {
-            start,
-            ..LocalizationChoice::default()
-        };
+        let choice = LocalizationChoice { start, ..LocalizationChoice::default() };
         let run = |smooth| {
-            let choice = LocalizationChoice {
-                smooth,
-                ..choice.clone()
-            };
+            let choice = LocalizationChoice { smooth, ..choice.clone() };
             localize(&recording, &choice).map_err(|e| e.to_string())
         };
         let (filter, smoother) = (run(false)?, run(true)?);

@@ -24,12 +24,7 @@ type Angles = Vec<(f64, f64)>;
 pub fn score(folder: &Path, only: &str) -> Result<usize, String> {
     let files = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let first = files.filter_map(|file| {
-        Some(
-            file.file_name()
-                .to_str()?
-                .strip_suffix("_segment1.csv")?
-                .to_owned(),
-        )
+        Some(file.file_name().to_str()?.strip_suffix("_segment1.csv")?.to_owned())
     });
     let mut names: Vec<String> = first.filter(|name| name.contains(only)).collect();
     names.sort();
@@ -50,10 +45,7 @@ fn pair(folder: &Path, name: &str) -> Result<(), String> {
     println!("\n{name}: hinge angle, RMS without the constant offset, whole -> core, deg; {VQF}");
     let of = |filter: &dyn Fn(&MotionRecording) -> Angles| {
         let (a, b) = (filter(&a), filter(&b));
-        a.iter()
-            .zip(&b)
-            .map(|(a, b)| (a.0, b.1 - a.1))
-            .collect::<Angles>()
+        a.iter().zip(&b).map(|(a, b)| (a.0, b.1 - a.1)).collect::<Angles>()
     };
     let print = |what: &str, angles: &Angles| {
         let rms = rms_deg(angles, &truth);
@@ -61,35 +53,20 @@ fn pair(folder: &Path, name: &str) -> Result<(), String> {
         rms
     };
     print("accelerometers alone", &of(&|unit| inclination(unit, 0.0)));
-    let complementary = print(
-        "complementary filter, 2 s",
-        &of(&|unit| inclination(unit, COMPLEMENTARY_S)),
-    );
+    let complementary =
+        print("complementary filter, 2 s", &of(&|unit| inclination(unit, COMPLEMENTARY_S)));
     for (what, hinge, magnetometers) in [
         ("wimu, hinge found", None, false),
         ("wimu, hinge given", Some([0.0, 0.0, 1.0]), false),
         ("wimu, hinge found, magnetometers", None, true),
     ] {
-        let choice = RelativeChoice {
-            hinge,
-            magnetometers,
-        };
+        let choice = RelativeChoice { hinge, magnetometers };
         let found = relative([&a, &b], &choice).map_err(text)?;
-        let rms = print(
-            what,
-            &found
-                .points
-                .iter()
-                .map(|p| (p.time_s, p.angle_rad))
-                .collect(),
-        );
+        let rms = print(what, &found.points.iter().map(|p| (p.time_s, p.angle_rad)).collect());
         coverage(&found, &truth);
         if hinge.is_none() && !magnetometers {
             print!("{}", found.text());
-            found
-                .findings
-                .iter()
-                .for_each(|finding| println!("  {finding}"));
+            found.findings.iter().for_each(|finding| println!("  {finding}"));
             for (k, part) in ["whole file", "core"].into_iter().enumerate() {
                 figure(
                     &format!("{name}: hinge angle, RMS of the {part}, deg"),
@@ -158,9 +135,7 @@ fn inclination(unit: &MotionRecording, time_s: f64) -> Angles {
 /// Errors at the times of the truth: time, error, without the mean, rad.
 fn errors(angles: &Angles, truth: &Angles, [from_s, to_s]: [f64; 2]) -> Vec<(f64, f64)> {
     let at = |time_s: f64| {
-        let next = angles
-            .partition_point(|(t, _)| *t < time_s)
-            .clamp(1, angles.len() - 1);
+        let next = angles.partition_point(|(t, _)| *t < time_s).clamp(1, angles.len() - 1);
         let ((t0, a0), (t1, a1)) = (angles[next - 1], angles[next]);
         a0 + (a1 - a0) * ((time_s - t0) / (t1 - t0)).clamp(0.0, 1.0)
     };
@@ -185,17 +160,10 @@ fn rms_deg(angles: &Angles, truth: &Angles) -> [f64; 2] {
 
 /// Fraction of the core within 2 σ.
 fn coverage(found: &RelativePath, truth: &Angles) {
-    let angles = found
-        .points
-        .iter()
-        .map(|p| (p.time_s, p.angle_rad))
-        .collect();
+    let angles = found.points.iter().map(|p| (p.time_s, p.angle_rad)).collect();
     let errors = errors(&angles, truth, spans(truth)[1]);
     let within = errors.iter().filter(|(t, error)| {
-        let next = found
-            .points
-            .partition_point(|p| p.time_s < *t)
-            .min(found.points.len() - 1);
+        let next = found.points.partition_point(|p| p.time_s < *t).min(found.points.len() - 1);
         error.abs() <= 2.0 * found.points[next].sigma_rad
     });
     println!(

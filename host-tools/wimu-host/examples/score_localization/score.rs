@@ -31,26 +31,14 @@ impl Truth {
         let column = |name: &str| header.iter().position(|h| *h == name);
         let needed =
             |name: &str| column(name).ok_or(format!("{}: no column {name}", path.display()));
-        let (time, east, north) = (
-            needed("Time (s)")?,
-            needed("Truth Position E (m)")?,
-            needed("Truth Position N (m)")?,
-        );
-        let (up, heading) = (
-            column("Truth Position U (m)"),
-            column("Truth Heading (rad)"),
-        );
-        let mut truth = Self {
-            times_s: Vec::new(),
-            positions_m: Vec::new(),
-            headings_rad: Vec::new(),
-        };
+        let (time, east, north) =
+            (needed("Time (s)")?, needed("Truth Position E (m)")?, needed("Truth Position N (m)")?);
+        let (up, heading) = (column("Truth Position U (m)"), column("Truth Heading (rad)"));
+        let mut truth =
+            Self { times_s: Vec::new(), positions_m: Vec::new(), headings_rad: Vec::new() };
         for row in lines {
-            let value = |k: usize| {
-                row[k]
-                    .parse::<f64>()
-                    .map_err(|e| format!("{}: {e}", path.display()))
-            };
+            let value =
+                |k: usize| row[k].parse::<f64>().map_err(|e| format!("{}: {e}", path.display()));
             truth.times_s.push(value(time)?);
             truth.positions_m.push(Vector3::new(
                 value(east)?,
@@ -75,10 +63,7 @@ impl Truth {
     }
 
     fn at(&self, time_s: f64) -> Vector3<f64> {
-        let k = self
-            .times_s
-            .partition_point(|t| *t <= time_s)
-            .clamp(1, self.times_s.len() - 1);
+        let k = self.times_s.partition_point(|t| *t <= time_s).clamp(1, self.times_s.len() - 1);
         let [from, to] = [self.times_s[k - 1], self.times_s[k]];
         let part = ((time_s - from) / (to - from)).clamp(0.0, 1.0);
         self.positions_m[k - 1] + (self.positions_m[k] - self.positions_m[k - 1]) * part
@@ -162,11 +147,8 @@ impl Score {
 /// Shortest lag, s, at which the autocorrelation of the error is below [`INDEPENDENT`].
 fn independent_s(times_s: &[f64], errors: &[Vector3<f64>]) -> f64 {
     let mean = errors.iter().sum::<Vector3<f64>>() / errors.len().max(1) as f64;
-    let variance: f64 = errors
-        .iter()
-        .map(|e| (e - mean).norm_squared())
-        .sum::<f64>()
-        / errors.len().max(1) as f64;
+    let variance: f64 =
+        errors.iter().map(|e| (e - mean).norm_squared()).sum::<f64>() / errors.len().max(1) as f64;
     let step_s = (times_s[times_s.len() - 1] - times_s[0]) / times_s.len() as f64;
     let correlation = |lag: usize| {
         let pairs = errors.iter().zip(&errors[lag..]);
@@ -196,10 +178,7 @@ impl Alignment {
                 span_s: [recording.ranges[0].time_s + 2.0, f64::INFINITY],
                 offsets_s: steps(100),
             },
-            _ => Self {
-                span_s: [from + 4.0, to - 1.0],
-                offsets_s: steps(15),
-            },
+            _ => Self { span_s: [from + 4.0, to - 1.0], offsets_s: steps(15) },
         }
     }
 
@@ -293,21 +272,15 @@ fn solve(
 
 /// Robust least squares at each time with four ranges or more, from the position before.
 pub fn least_squares(recording: &RangeRecording, truth: &Truth, alignment: &Alignment) -> String {
-    let anchors: Vec<Vector3<f64>> = recording
-        .anchors
-        .iter()
-        .map(|a| a.position_m.into())
-        .collect();
+    let anchors: Vec<Vector3<f64>> =
+        recording.anchors.iter().map(|a| a.position_m.into()).collect();
     let centre = anchors.iter().sum::<Vector3<f64>>() / anchors.len() as f64;
     let starts = [0.5, -0.5, 1.5, -1.5].map(|up| centre + Vector3::z() * up);
     let mut position = starts[0];
     let mut points = Vec::new();
     let epochs = recording.ranges.chunk_by(|a, b| a.time_s == b.time_s);
     for epoch in epochs.filter(|e| e.len() >= 4) {
-        let found = starts
-            .iter()
-            .chain([&position])
-            .map(|start| solve(&anchors, epoch, *start));
+        let found = starts.iter().chain([&position]).map(|start| solve(&anchors, epoch, *start));
         let best = found.min_by(|a, b| a.0.total_cmp(&b.0));
         position = best.expect("a start").1;
         points.push(PathPoint {
@@ -325,8 +298,5 @@ pub fn least_squares(recording: &RangeRecording, truth: &Truth, alignment: &Alig
             valid: true,
         });
     }
-    format!(
-        "least squares RMSE {:.3} m",
-        alignment.score(&points, truth).rmse_m
-    )
+    format!("least squares RMSE {:.3} m", alignment.score(&points, truth).rmse_m)
 }

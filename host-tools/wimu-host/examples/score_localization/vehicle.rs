@@ -59,10 +59,7 @@ pub fn score(folder: &Path, name: &str) -> Result<(), String> {
                 profile: Profile::Vehicle,
                 smooth: false,
                 limit_m: 1e3,
-                fixes: Fixes {
-                    fixes: given,
-                    ..Fixes::default()
-                },
+                fixes: Fixes { fixes: given, ..Fixes::default() },
                 ..Choice::default()
             };
             let path = navigate(&recording, &choice).map_err(read)?;
@@ -70,9 +67,7 @@ pub fn score(folder: &Path, name: &str) -> Result<(), String> {
                 let (error_m, nees) = error(&path.points, fix);
                 let fits = nees < CHI_SQUARE;
                 (below, count) = (below + u32::from(fits), count + 1);
-                let is_last = withheld
-                    .get(k + 1)
-                    .is_none_or(|next| outage(next) != outage(fix));
+                let is_last = withheld.get(k + 1).is_none_or(|next| outage(next) != outage(fix));
                 if is_last {
                     println!(
                         "    {} s from {:5.1} s: {error_m:6.2} m, NEES {nees:.2}",
@@ -84,9 +79,7 @@ pub fn score(folder: &Path, name: &str) -> Result<(), String> {
                 }
             }
             if phase_s == PHASES_S[0] {
-                path.findings
-                    .iter()
-                    .for_each(|finding| println!("    {finding}"));
+                path.findings.iter().for_each(|finding| println!("    {finding}"));
             }
         }
         ends.sort_by(f64::total_cmp);
@@ -102,10 +95,7 @@ pub fn score(folder: &Path, name: &str) -> Result<(), String> {
         let fraction = f64::from(below) / f64::from(count.max(1));
         figure(
             &format!("{what}, fraction of NEES below the 95 % point, all withheld fixes"),
-            format!(
-                "{fraction:.2} of {count}; {ends_below} of {} at the ends",
-                ends.len()
-            ),
+            format!("{fraction:.2} of {count}; {ends_below} of {} at the ends", ends.len()),
             "0.85–0.98 (prototype 0.88 / 0.83 over the whole drive)",
             (NEES[0]..=NEES[1]).contains(&fraction),
         );
@@ -121,31 +111,23 @@ fn outage_begins(
     lasts_s: f64,
 ) -> Vec<f64> {
     let from_s = recording.times_s[0];
-    let ends = [
-        recording.times_s.last().copied(),
-        fixes.fixes.last().map(|fix| fix.time_s),
-    ];
+    let ends = [recording.times_s.last().copied(), fixes.fixes.last().map(|fix| fix.time_s)];
     let until_s = ends.into_iter().flatten().fold(f64::INFINITY, f64::min);
     let begins = (0..).map(|k| from_s + phase_s + EVERY_S * f64::from(k));
-    begins
-        .take_while(|begin| begin + lasts_s <= until_s)
-        .collect()
+    begins.take_while(|begin| begin + lasts_s <= until_s).collect()
 }
 
 /// Distance of the path from a fix, m, and its NEES.
 fn error(points: &[PathPoint], fix: &Fix) -> (f64, f64) {
-    let at = points
-        .partition_point(|p| p.time_s < fix.time_s)
-        .clamp(1, points.len() - 1);
+    let at = points.partition_point(|p| p.time_s < fix.time_s).clamp(1, points.len() - 1);
     let (before, after) = (&points[at - 1], &points[at]);
     let part = (fix.time_s - before.time_s) / (after.time_s - before.time_s);
     let [from, to] = [before, after].map(|point| Vector3::from(point.position_m));
     let error = from + (to - from) * part - Vector3::from(fix.position_m);
     let own = Vector3::from(fix.position_sd_m).map(|sd| sd * sd + ANTENNA_M * ANTENNA_M);
     let covariance = Matrix3::from(after.covariance_m2) + Matrix3::from_diagonal(&own);
-    let nees = covariance
-        .try_inverse()
-        .map_or(f64::INFINITY, |inverse| error.dot(&(inverse * error)));
+    let nees =
+        covariance.try_inverse().map_or(f64::INFINITY, |inverse| error.dot(&(inverse * error)));
     (error.norm(), nees)
 }
 

@@ -64,19 +64,14 @@ pub fn score(data: &Path, name: &str) -> Result<ArrayScores> {
     let (truth, clipped) = mean_rate(&file)?;
     let truth: Vec<Vector3<f64>> = truth.into_iter().map(Vector3::from).collect();
     let count = truth.len();
-    let moving: Vec<usize> = (0..count)
-        .filter(|k| truth[*k].norm() > MOVING_RAD_S)
-        .collect();
+    let moving: Vec<usize> = (0..count).filter(|k| truth[*k].norm() > MOVING_RAD_S).collect();
     let near = |k: usize| {
         (k.saturating_sub(1)..(k + 2).min(count)).any(|j| clipped[j] || recording.saturated[j] != 0)
     };
     let scored: Vec<usize> = moving.iter().copied().filter(|k| !near(*k)).collect();
 
     let mut methods = Vec::new();
-    for (name, zupt) in [
-        ("wimu_array", Zupt::Assumed),
-        ("wimu_array_zupt_on", Zupt::Stated),
-    ] {
+    for (name, zupt) in [("wimu_array", Zupt::Assumed), ("wimu_array_zupt_on", Zupt::Stated)] {
         let (states, _) = ArrayBody::of(&recording, &geometry, &calibration)
             .and_then(|body| body.navigated(STANDARD_GRAVITY_MPS2, zupt))?;
         methods.push(scored_rates(name, &scored, &truth, |k| {
@@ -91,15 +86,9 @@ pub fn score(data: &Path, name: &str) -> Result<ArrayScores> {
     methods.push(scored_rates("wimu_array_smoother", &scored, &truth, |k| {
         let covariance = smoothed.rate_covariance[k];
         let variance = Vector3::from_fn(|i, _| covariance[i][i]);
-        (
-            smoothed.rate_rad_s[k].into(),
-            Some(Matrix3::from_diagonal(&variance)),
-            None,
-        )
+        (smoothed.rate_rad_s[k].into(), Some(Matrix3::from_diagonal(&variance)), None)
     }));
-    methods.push(scored_rates("zero_rate", &scored, &truth, |_| {
-        (Vector3::zeros(), None, None)
-    }));
+    methods.push(scored_rates("zero_rate", &scored, &truth, |_| (Vector3::zeros(), None, None)));
     Ok(ArrayScores {
         name: name.to_owned(),
         moving: moving.len(),
@@ -114,10 +103,7 @@ fn scored_rates(
     truth: &[Vector3<f64>],
     rated: impl Fn(usize) -> Rated,
 ) -> RateScore {
-    let mut score = RateScore {
-        name,
-        ..RateScore::default()
-    };
+    let mut score = RateScore { name, ..RateScore::default() };
     let (mut wrong, mut valid) = (0, None);
     for k in scored {
         let (rate, covariance, is_valid) = rated(*k);

@@ -60,35 +60,20 @@ impl Filter {
         let in_motion = variance.max().sqrt() > MOTION_FORCE
             || rate[..count].iter().any(|w| w.amax() > MOTION_RATE);
         let up = mean.normalize();
-        let level = if up.y.abs() < 0.9 {
-            Vector3::y()
-        } else {
-            Vector3::z()
-        };
+        let level = if up.y.abs() < 0.9 { Vector3::y() } else { Vector3::z() };
         let forward = level.cross(&up).normalize();
         let left = up.cross(&forward);
         let rows = [forward, left, up].map(|row| row.transpose());
 
-        let tilt = if in_motion {
-            MOTION_TILT
-        } else {
-            settings.tilt
-        };
-        let velocity = if in_motion {
-            MOTION_VELOCITY
-        } else {
-            settings.velocity
-        };
+        let tilt = if in_motion { MOTION_TILT } else { settings.tilt };
+        let velocity = if in_motion { MOTION_VELOCITY } else { settings.velocity };
         let mut deviation = SVector::<f64, STATES>::zeros();
         let mut set = |block, values| deviation.fixed_rows_mut::<3>(block).copy_from(&values);
         set(POSITION, Vector3::repeat(START_POSITION));
         set(VELOCITY, Vector3::repeat(velocity));
         set(ATTITUDE, Vector3::new(tilt, tilt, START_HEADING));
         set(GYROSCOPE_BIAS, Vector3::repeat(settings.gyroscope_bias));
-        set(
-            ACCELEROMETER_BIAS,
-            Vector3::repeat(settings.accelerometer_bias),
-        );
+        set(ACCELEROMETER_BIAS, Vector3::repeat(settings.accelerometer_bias));
         Self {
             settings,
             position: Vector3::zeros(),
@@ -162,20 +147,13 @@ impl Filter {
         self.attitude = turn * self.attitude;
         let mut change = Covariance::identity();
         for block in [POSITION, VELOCITY, ATTITUDE] {
-            change
-                .fixed_view_mut::<3, 3>(block, block)
-                .copy_from(turn.matrix());
+            change.fixed_view_mut::<3, 3>(block, block).copy_from(turn.matrix());
         }
         self.covariance = change * self.covariance * change.transpose();
         self.position = position;
         self.velocity = velocity;
         let known = (0..3)
-            .flat_map(|i| {
-                [
-                    (POSITION + i, GIVEN_POSITION),
-                    (VELOCITY + i, GIVEN_VELOCITY),
-                ]
-            })
+            .flat_map(|i| [(POSITION + i, GIVEN_POSITION), (VELOCITY + i, GIVEN_VELOCITY)])
             .chain([(ATTITUDE + 2, GIVEN_HEADING)]);
         for (state, deviation) in known {
             self.covariance.row_mut(state).fill(0.0);

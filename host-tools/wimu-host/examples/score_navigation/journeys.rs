@@ -116,12 +116,7 @@ fn smooth(x: f64) -> f64 {
 impl Motion {
     fn new(kind: Kind, random: &mut Random) -> Self {
         let heading = TAU * random.uniform();
-        let mut motion = Self {
-            heading,
-            moves: Vec::new(),
-            tones: Vec::new(),
-            end_s: REST_S,
-        };
+        let mut motion = Self { heading, moves: Vec::new(), tones: Vec::new(), end_s: REST_S };
         match kind {
             Kind::StopAndGo => {
                 for _ in 0..8 {
@@ -161,23 +156,15 @@ impl Motion {
         lasts_s: f64,
         rest_s: f64,
     ) {
-        self.moves.push(Move {
-            start_s: self.end_s,
-            duration_s: lasts_s,
-            displacement,
-            rotation,
-        });
+        self.moves.push(Move { start_s: self.end_s, duration_s: lasts_s, displacement, rotation });
         self.end_s += lasts_s + rest_s;
     }
 
     /// Tones set in and end within a second.
     fn tone(&self, t: f64, part: impl Fn(&Tone) -> Vector3<f64>) -> Vector3<f64> {
         let envelope = smooth(t - REST_S) * smooth(self.end_s - REST_S - t);
-        let sum: Vector3<f64> = self
-            .tones
-            .iter()
-            .map(|tone| part(tone) * (tone.omega * t + tone.phase).sin())
-            .sum();
+        let sum: Vector3<f64> =
+            self.tones.iter().map(|tone| part(tone) * (tone.omega * t + tone.phase).sin()).sum();
         envelope * sum
     }
 
@@ -221,10 +208,7 @@ pub fn kind(number: u64) -> Kind {
 
 /// Journey `number` of a seed, at 100 Hz.
 pub fn journey(kind: Kind, seed: u64, number: u64, errors: &SensorErrors) -> Recording {
-    let mut random = Random::new(
-        seed.wrapping_mul(0x1_0000_0001)
-            .wrapping_add(number * 7919 + 17),
-    );
+    let mut random = Random::new(seed.wrapping_mul(0x1_0000_0001).wrapping_add(number * 7919 + 17));
     let motion = Motion::new(kind, &mut random);
     let matrix = |random: &mut Random, [scale, misalignment]: [f64; 2]| {
         Matrix3::from_fn(|r, c| random.normal() * if r == c { scale } else { misalignment })
@@ -259,10 +243,7 @@ pub fn journey(kind: Kind, seed: u64, number: u64, errors: &SensorErrors) -> Rec
             rate_rad_s: Some((rate + rate_matrix * rate + rate_bias + rate_noise).into()),
         });
         let q = nalgebra::UnitQuaternion::from_rotation_matrix(&attitude);
-        truth.push(Some(Truth {
-            position_m: position.into(),
-            quaternion: [q.w, q.i, q.j, q.k],
-        }));
+        truth.push(Some(Truth { position_m: position.into(), quaternion: [q.w, q.i, q.j, q.k] }));
     }
     let name = format!("journey {number} ({kind:?})");
     let mut recording = MotionRecording::new(name, times, samples);

@@ -21,10 +21,7 @@ impl LowPass {
         let samples = &recording.samples;
         let mut force = samples[0].force_mps2;
         let mut field = samples[0].field_ut.unwrap_or_default();
-        let mut found = Self {
-            acceleration: Vec::new(),
-            headings: Vec::new(),
-        };
+        let mut found = Self { acceleration: Vec::new(), headings: Vec::new() };
         for sample in samples {
             let weight = sample.step_s / (TIME_CONSTANT_S + sample.step_s);
             for i in 0..3 {
@@ -37,9 +34,7 @@ impl LowPass {
             let east = unit(cross(field, up));
             let north = cross(up, east);
             let dot = |a: [f64; 3]| (0..3).map(|i| a[i] * sample.force_mps2[i]).sum::<f64>();
-            found
-                .acceleration
-                .push([dot(east), dot(north), dot(up) - gravity]);
+            found.acceleration.push([dot(east), dot(north), dot(up) - gravity]);
             found.headings.push(north[0].atan2(east[0]));
         }
         found
@@ -58,10 +53,7 @@ impl LowPass {
         let rotated = |a: [f64; 3]| [cos * a[0] - sin * a[1], sin * a[0] + cos * a[1], a[2]];
         let (mut p, mut v) = start;
         for k in from..to {
-            let (a, b) = (
-                rotated(self.acceleration[k]),
-                rotated(self.acceleration[k + 1]),
-            );
+            let (a, b) = (rotated(self.acceleration[k]), rotated(self.acceleration[k + 1]));
             let dt = times_s[k + 1] - times_s[k];
             for i in 0..3 {
                 let next = v[i] + 0.5 * (a[i] + b[i]) * dt;
@@ -79,9 +71,5 @@ fn unit(v: [f64; 3]) -> [f64; 3] {
 }
 
 fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }

@@ -50,14 +50,8 @@ impl Options {
                 options.data = argument.into();
                 continue;
             }
-            let value = arguments
-                .next()
-                .ok_or(format!("{argument} needs a value"))?;
-            let number = || {
-                value
-                    .parse::<u64>()
-                    .map_err(|e| format!("{argument} {value}: {e}"))
-            };
+            let value = arguments.next().ok_or(format!("{argument} needs a value"))?;
+            let number = || value.parse::<u64>().map_err(|e| format!("{argument} {value}: {e}"));
             match argument.as_str() {
                 "--json" => options.json = Some(value.into()),
                 "--only" => options.only = Some(value),
@@ -87,10 +81,7 @@ fn main() -> Result<(), String> {
     }
     report.count();
     record::record(&report);
-    println!(
-        "\nvalues that are not finite, in all: {}",
-        report.non_finite
-    );
+    println!("\nvalues that are not finite, in all: {}", report.non_finite);
     if report.recordings.is_empty() && report.arrays.is_empty() && report.journeys.is_none() {
         return Err(format!("nothing to score in {}", options.data.display()));
     }
@@ -109,11 +100,7 @@ fn score_recordings(options: &Options, report: &mut Report) {
     let (mut hand, mut foot) = (Vec::new(), Vec::new());
     for recording in &recordings {
         let scored = methods::score(recording);
-        let pool = if recording.name.starts_with("pyshoe_") {
-            &mut foot
-        } else {
-            &mut hand
-        };
+        let pool = if recording.name.starts_with("pyshoe_") { &mut foot } else { &mut hand };
         add(pool, &scored);
         let found = RecordingReport::of(&recording.name, &scored);
         output::print(&found);
@@ -144,10 +131,8 @@ fn score_arrays(data: &Path, options: &Options, report: &mut Report) {
 
 fn score_journeys(options: &Options) -> JourneysReport {
     let mut all = Vec::new();
-    let mut by_kind: Vec<(Kind, Vec<Scored>)> = journeys::KINDS
-        .iter()
-        .map(|kind| (*kind, Vec::new()))
-        .collect();
+    let mut by_kind: Vec<(Kind, Vec<Scored>)> =
+        journeys::KINDS.iter().map(|kind| (*kind, Vec::new())).collect();
     for number in 0..options.journeys {
         let kind = journeys::kind(number);
         let recording = journeys::journey(kind, options.seed, number, &SensorErrors::TABLE);
@@ -160,19 +145,12 @@ fn score_journeys(options: &Options) -> JourneysReport {
     let count = options.journeys;
     let all = RecordingReport::of(&format!("{count} simulated journeys"), &all);
     output::print(&all);
-    let kinds = by_kind
-        .iter()
-        .filter(|(_, pool)| !pool.is_empty())
-        .map(|(kind, pool)| {
-            let found = RecordingReport::of(&format!("simulated {kind:?}"), pool);
-            output::print(&found);
-            found
-        });
-    JourneysReport {
-        count,
-        all,
-        kinds: kinds.collect(),
-    }
+    let kinds = by_kind.iter().filter(|(_, pool)| !pool.is_empty()).map(|(kind, pool)| {
+        let found = RecordingReport::of(&format!("simulated {kind:?}"), pool);
+        output::print(&found);
+        found
+    });
+    JourneysReport { count, all, kinds: kinds.collect() }
 }
 
 /// Adds the scores of a recording to those of others, method by method.

@@ -140,10 +140,7 @@ fn track(path: &InertialPath) -> Track {
             valid: point.valid,
         }
     });
-    Track {
-        origin: path.origin,
-        estimates: estimates.collect(),
-    }
+    Track { origin: path.origin, estimates: estimates.collect() }
 }
 
 /// Standard deviations of position, m, velocity, m/s, and heading, rad, at the start of a window: those of the truth.
@@ -202,11 +199,7 @@ fn window_ends<M: Model<f64, N> + Clone, const N: usize>(
 
 /// True position, velocity and heading.
 fn start(recording: &Recording, k: usize) -> Option<(Vector3<f64>, Vector3<f64>, f64)> {
-    Some((
-        recording.position(k)?,
-        recording.velocity(k)?,
-        recording.heading(k)?,
-    ))
+    Some((recording.position(k)?, recording.velocity(k)?, recording.heading(k)?))
 }
 
 fn sample(sample: &UnitSample) -> Sample<f64> {
@@ -251,9 +244,7 @@ fn zupt_filter(recording: &Recording, windows: &[Window]) -> Scored {
 pub fn vectors(recording: &Recording) -> (Vec<Vector3<f64>>, Vec<Vector3<f64>>) {
     let samples = recording.motion.samples.iter();
     let rate = |rate: Option<[f64; 3]>| Vector3::from(rate.unwrap_or_default());
-    samples
-        .map(|s| (Vector3::from(s.force_mps2), rate(s.rate_rad_s)))
-        .unzip()
+    samples.map(|s| (Vector3::from(s.force_mps2), rate(s.rate_rad_s))).unzip()
 }
 
 /// Estimates at every sample, NIS of every zero-velocity update, and estimates at the ends of the windows.
@@ -267,11 +258,7 @@ pub fn run_zupt_filter(
     let settings = recording.settings;
     let step = |filter: &mut Filter, k: usize| {
         let mean = |v: &[Vector3<f64>]| {
-            if settings.mean_of_two {
-                0.5 * (v[k - 1] + v[k])
-            } else {
-                v[k]
-            }
+            if settings.mean_of_two { 0.5 * (v[k - 1] + v[k]) } else { v[k] }
         };
         // Time stamps that repeat have no step.
         if samples[k].step_s > 0.0 {
@@ -352,9 +339,7 @@ fn low_pass(recording: &Recording, windows: &[Window]) -> Scored {
     for k in 0..motion.samples.len() {
         state = low_pass.integrate(times, k.saturating_sub(1), k, 0.0, state);
         let heading = low_pass.headings[k];
-        track
-            .estimates
-            .push(without_covariance(state.0.into(), state.1.into(), heading));
+        track.estimates.push(without_covariance(state.0.into(), state.1.into(), heading));
     }
     Scored {
         name: LOW_PASS,
@@ -370,10 +355,7 @@ fn stays(recording: &Recording, windows: &[Window]) -> Scored {
     let at_start = |w: &Window| Some([rest(recording.position(w.start)?); 3]);
     let ends: Vec<[Estimate; 3]> = windows.iter().filter_map(at_start).collect();
     let estimates = vec![rest(Vector3::zeros()); recording.moving.len()];
-    let track = Track {
-        origin: 0,
-        estimates,
-    };
+    let track = Track { origin: 0, estimates };
     Scored {
         name: STAYS,
         whole: Whole::of(recording, &track, &track),

@@ -19,23 +19,14 @@ fn figure(value: f64) -> String {
     } else {
         // The exponent after rounding to three digits.
         let rounded = format!("{size:.2e}");
-        let exponent: i32 = rounded
-            .rsplit('e')
-            .next()
-            .unwrap_or("0")
-            .parse()
-            .unwrap_or(0);
+        let exponent: i32 = rounded.rsplit('e').next().unwrap_or("0").parse().unwrap_or(0);
         format!("{value:.*}", usize::try_from(2 - exponent).unwrap_or(0))
     };
     format!(" {text:>8}")
 }
 
 fn percent(fraction: f64) -> String {
-    if fraction.is_finite() {
-        format!("{:7.1}", 100.0 * fraction)
-    } else {
-        format!("{:>7}", "-")
-    }
+    if fraction.is_finite() { format!("{:7.1}", 100.0 * fraction) } else { format!("{:>7}", "-") }
 }
 
 fn figures(values: &[f64]) -> String {
@@ -44,12 +35,7 @@ fn figures(values: &[f64]) -> String {
 
 /// Prints one block: windows, whole run, ratios.
 pub fn print(report: &RecordingReport) {
-    let RecordingReport {
-        name,
-        moving_samples,
-        windows,
-        methods,
-    } = report;
+    let RecordingReport { name, moving_samples, windows, methods } = report;
     println!("\n## {name}: {moving_samples} moving samples, {windows} windows");
     for method in methods {
         if let Some(refused) = &method.refused {
@@ -74,33 +60,21 @@ pub fn print(report: &RecordingReport) {
 }
 
 fn print_windows(methods: &[MethodReport]) {
-    let with_windows: Vec<_> = methods
-        .iter()
-        .filter_map(|m| Some((m.name, m.windows.as_ref()?)))
-        .collect();
+    let with_windows: Vec<_> =
+        methods.iter().filter_map(|m| Some((m.name, m.windows.as_ref()?))).collect();
     if with_windows.is_empty() {
         return;
     }
-    println!(
-        "{:<26}{:>27}{:>27}",
-        "windows, 1 / 2 / 5 s", "median error, m", "RMS error, m"
-    );
+    println!("{:<26}{:>27}{:>27}", "windows, 1 / 2 / 5 s", "median error, m", "RMS error, m");
     for (name, windows) in &with_windows {
-        println!(
-            "{name:<26}{}{}",
-            figures(&windows.median_m),
-            figures(&windows.rms_m)
-        );
+        println!("{name:<26}{}{}", figures(&windows.median_m), figures(&windows.rms_m));
     }
     println!(
         "{:<35}{:>21}{:>27}{:>27}",
         "", "NEES < 95 % point, %", "NEES median (2.37)", "log score"
     );
     for (name, windows) in &with_windows {
-        for (what, score) in [
-            ("position", &windows.position),
-            ("velocity", &windows.velocity),
-        ] {
+        for (what, score) in [("position", &windows.position), ("velocity", &windows.velocity)] {
             let Some(score) = score else {
                 continue;
             };
@@ -112,10 +86,7 @@ fn print_windows(methods: &[MethodReport]) {
 }
 
 fn print_whole(methods: &[MethodReport]) {
-    let scored: Vec<_> = methods
-        .iter()
-        .filter_map(|m| Some((m.name, m.whole.as_ref()?)))
-        .collect();
+    let scored: Vec<_> = methods.iter().filter_map(|m| Some((m.name, m.whole.as_ref()?))).collect();
     if scored.is_empty() {
         return;
     }
@@ -133,21 +104,12 @@ fn print_whole(methods: &[MethodReport]) {
         );
     }
     let head = format!("{:>9}{:>7}{:>9}{:>9}", "log", "< 95 %", "median", "worst σ");
-    println!(
-        "{:<26}{:^34}{:^34}",
-        "", "position: log score, NEES", "velocity: log score, NEES"
-    );
+    println!("{:<26}{:^34}{:^34}", "", "position: log score, NEES", "velocity: log score, NEES");
     println!("{:<26}{head}{head}", "");
-    for (name, whole) in scored
-        .iter()
-        .filter(|(_, w)| w.velocity.is_some() || w.position.is_some())
+    for (name, whole) in scored.iter().filter(|(_, w)| w.velocity.is_some() || w.position.is_some())
     {
         let (position, velocity) = (whole.position.as_ref(), whole.velocity.as_ref());
-        println!(
-            "{name:<26}{}{}",
-            consistency(position),
-            consistency(velocity)
-        );
+        println!("{name:<26}{}{}", consistency(position), consistency(velocity));
         if let Some(nis) = &whole.nis {
             println!(
                 "{:<26} NIS of {} zero-velocity updates:{} % < 95 % point, median{}",
@@ -173,10 +135,7 @@ fn print_ratios(methods: &[MethodReport]) {
         return;
     }
     let head = ["error ratio to", "windows, 1 / 2 / 5 s", "RMS", "last rest"];
-    println!(
-        "{:<42}{:>27}{:>9}{:>12}",
-        head[0], head[1], head[2], head[3]
-    );
+    println!("{:<42}{:>27}{:>9}{:>12}", head[0], head[1], head[2], head[3]);
     for method in methods {
         for (baseline, ratio) in &method.ratio_to {
             let windows = figures(&ratio.windows.unwrap_or([f64::NAN; 3]));
@@ -289,10 +248,7 @@ impl Formatter for Lines {
 /// None that serialising to memory can have.
 pub fn json(report: &Report) -> serde_json::Result<Vec<u8>> {
     let mut text = Vec::new();
-    let lines = Lines {
-        pretty: PrettyFormatter::with_indent(b" "),
-        depth: 0,
-    };
+    let lines = Lines { pretty: PrettyFormatter::with_indent(b" "), depth: 0 };
     report.serialize(&mut Serializer::with_formatter(&mut text, lines))?;
     text.push(b'\n');
     Ok(text)

@@ -80,11 +80,7 @@ fn record_consistency(name: &str, method: &MethodReport) {
     );
     figure(
         &format!("{name}: valid, its largest error"),
-        format!(
-            "{:.0} %, {:.1} σ",
-            100.0 * whole.valid,
-            position.worst_sigma
-        ),
+        format!("{:.0} %, {:.1} σ", 100.0 * whole.valid, position.worst_sigma),
         "at most 5 σ",
         position.worst_sigma <= 5.0,
     );

@@ -30,29 +30,13 @@ pub struct TruthModel {
 }
 
 /// Optical tracker of BROAD: foot.py and reference/estimator state 1 mm and 0.02 m/s.
-const OPTICAL: TruthModel = TruthModel {
-    position: 0.001,
-    velocity: 0.02,
-    half_s: 0.0,
-};
+const OPTICAL: TruthModel = TruthModel { position: 0.001, velocity: 0.02, half_s: 0.0 };
 /// The pyshoe files are rounded to 0.1 mm at 5 ms.
-const VICON: TruthModel = TruthModel {
-    position: 0.001,
-    velocity: 0.02,
-    half_s: 0.02,
-};
+const VICON: TruthModel = TruthModel { position: 0.001, velocity: 0.02, half_s: 0.02 };
 /// 15 Hz interpolated; a lag that is wrong by 20 ms is 10 mm at 0.5 m/s.
-const ROBOT: TruthModel = TruthModel {
-    position: 0.01,
-    velocity: 0.05,
-    half_s: 1.0 / 15.0,
-};
+const ROBOT: TruthModel = TruthModel { position: 0.01, velocity: 0.05, half_s: 1.0 / 15.0 };
 /// Simulated: 1 mm as of a tracker, and the error of the central difference, which is up to 3 mm/s in a step.
-pub const SIMULATED: TruthModel = TruthModel {
-    position: 0.001,
-    velocity: 0.002,
-    half_s: 0.0,
-};
+pub const SIMULATED: TruthModel = TruthModel { position: 0.001, velocity: 0.002, half_s: 0.0 };
 
 /// A recording of one unit with its truth.
 pub struct Recording {
@@ -75,19 +59,14 @@ pub struct Window {
 impl Recording {
     /// A recording whose moving samples follow from its column `Moving`, else from the speed of its truth.
     pub fn new(motion: MotionRecording, settings: Settings, truth: TruthModel) -> Self {
-        let mut recording = Self {
-            name: motion.name.clone(),
-            motion,
-            settings,
-            truth,
-            moving: Vec::new(),
-        };
+        let mut recording =
+            Self { name: motion.name.clone(), motion, settings, truth, moving: Vec::new() };
         let label = recording.motion.column("Moving").map(<[f64]>::to_vec);
         let moves = |k: usize| match &label {
             Some(label) => label[k] > 0.5,
-            None => recording
-                .mean_velocity(k, MOVING_HALF_S)
-                .is_some_and(|v| v.norm() > MOVING_MPS),
+            None => {
+                recording.mean_velocity(k, MOVING_HALF_S).is_some_and(|v| v.norm() > MOVING_MPS)
+            }
         };
         recording.moving = (0..recording.motion.samples.len()).map(moves).collect();
         recording
@@ -99,19 +78,12 @@ impl Recording {
 
     /// True position, m.
     pub fn position(&self, k: usize) -> Option<Vector3<f64>> {
-        self.motion
-            .truth
-            .get(k)?
-            .map(|t| Vector3::from(t.position_m))
+        self.motion.truth.get(k)?.map(|t| Vector3::from(t.position_m))
     }
 
     /// True direction of body x from east to north, rad.
     pub fn heading(&self, k: usize) -> Option<f64> {
-        self.motion
-            .truth
-            .get(k)?
-            .map(|t| t.heading_rad())
-            .filter(|h| h.is_finite())
+        self.motion.truth.get(k)?.map(|t| t.heading_rad()).filter(|h| h.is_finite())
     }
 
     pub fn has_heading(&self) -> bool {
@@ -130,12 +102,8 @@ impl Recording {
     /// Mean true velocity over `half_s` before and after, m/s; at least from the sample before to that after.
     fn mean_velocity(&self, k: usize, half_s: f64) -> Option<Vector3<f64>> {
         let times = self.times_s();
-        let before = times
-            .partition_point(|t| *t < times[k] - half_s)
-            .min(k.checked_sub(1)?);
-        let after = times
-            .partition_point(|t| *t < times[k] + half_s)
-            .clamp(k + 1, times.len());
+        let before = times.partition_point(|t| *t < times[k] - half_s).min(k.checked_sub(1)?);
+        let after = times.partition_point(|t| *t < times[k] + half_s).clamp(k + 1, times.len());
         let moved = self.position(after)? - self.position(before)?;
         Some(moved / (times[after] - times[before]))
     }
@@ -150,9 +118,7 @@ impl Recording {
         while second + 5.1 < times[times.len() - 1] {
             let start = index(second);
             let ends = HORIZONS_S.map(|h| index(times[start] + h));
-            let moves = self.moving[start..index(second + MOVING_FOR_S)]
-                .iter()
-                .all(|m| *m);
+            let moves = self.moving[start..index(second + MOVING_FOR_S)].iter().all(|m| *m);
             let known = self.velocity(start).is_some() && self.heading(start).is_some();
             if moves && known && ends.iter().all(|k| self.position(*k).is_some()) {
                 found.push(Window { start, ends });
@@ -169,9 +135,7 @@ impl Recording {
         let mut end = self.moving.len();
         while end > first {
             let begin = self.moving[..end].iter().rposition(|m| *m)? + 1;
-            let known: Vec<usize> = (begin..end)
-                .filter(|k| self.position(*k).is_some())
-                .collect();
+            let known: Vec<usize> = (begin..end).filter(|k| self.position(*k).is_some()).collect();
             if let (Some(a), Some(b)) = (known.first(), known.last())
                 && times[*b] - times[*a] >= REST_S
             {
@@ -201,11 +165,7 @@ pub fn load(data: &Path, wanted: impl Fn(&str) -> bool) -> (Vec<Recording>, Vec<
             ));
         }
         for file in files {
-            let name = file
-                .file_stem()
-                .unwrap_or_default()
-                .to_string_lossy()
-                .into_owned();
+            let name = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
             if !wanted(&name) {
                 continue;
             }
@@ -262,18 +222,10 @@ fn robot_truth(motion: &MotionRecording, sampled_s: &[f64]) -> Vec<Option<Truth>
     let at = |t: &f64| {
         let late = t + ROBOT_TRUTH_LAG_S;
         let after = times.partition_point(|x| *x < late);
-        let (a, b) = (
-            (*motion.truth.get(after.checked_sub(1)?)?)?,
-            (*motion.truth.get(after)?)?,
-        );
+        let (a, b) = ((*motion.truth.get(after.checked_sub(1)?)?)?, (*motion.truth.get(after)?)?);
         let share = (late - times[after - 1]) / (times[after] - times[after - 1]);
         let between = |a: f64, b: f64| a + share * (b - a);
-        let dot: f64 = a
-            .quaternion
-            .iter()
-            .zip(b.quaternion)
-            .map(|(a, b)| a * b)
-            .sum();
+        let dot: f64 = a.quaternion.iter().zip(b.quaternion).map(|(a, b)| a * b).sum();
         let mixed: [f64; 4] =
             std::array::from_fn(|i| between(a.quaternion[i], dot.signum() * b.quaternion[i]));
         let norm = mixed.iter().map(|q| q * q).sum::<f64>().sqrt();

@@ -190,19 +190,12 @@ impl Report {
 
 impl RecordingReport {
     pub fn of(name: &str, methods: &[Scored]) -> Self {
-        let windows = methods
-            .iter()
-            .filter_map(|m| m.windows.as_ref())
-            .map(|w| w.count)
-            .max();
+        let windows = methods.iter().filter_map(|m| m.windows.as_ref()).map(|w| w.count).max();
         Self {
             name: name.to_owned(),
             moving_samples: methods.iter().map(|m| m.whole.moving).max().unwrap_or(0),
             windows: windows.unwrap_or(0),
-            methods: methods
-                .iter()
-                .map(|method| MethodReport::of(method, methods))
-                .collect(),
+            methods: methods.iter().map(|method| MethodReport::of(method, methods)).collect(),
         }
     }
 }
@@ -211,9 +204,7 @@ impl MethodReport {
     fn of(method: &Scored, all: &[Scored]) -> Self {
         let windows = method.windows.as_ref().filter(|w| w.count > 0);
         let scored = method.whole.moving > 0;
-        let baselines = all
-            .iter()
-            .filter(|m| [ZUPT_FILTER, LOW_PASS, STAYS].contains(&m.name));
+        let baselines = all.iter().filter(|m| [ZUPT_FILTER, LOW_PASS, STAYS].contains(&m.name));
         let ratio_to = baselines
             .filter(|_| method.name.starts_with("wimu") && !method.whole.errors.is_empty())
             .map(|baseline| (baseline.name, Ratio::of(method, baseline)));

@@ -45,9 +45,7 @@ impl Consistency {
     /// Adds an error with its covariance, including that of the truth. False if a value is not finite or the covariance
     /// not positive.
     pub fn push(&mut self, error: &Vector3<f64>, covariance: &Matrix3<f64>) -> bool {
-        let factor = covariance
-            .cholesky()
-            .filter(|_| error.iter().all(|e| e.is_finite()));
+        let factor = covariance.cholesky().filter(|_| error.iter().all(|e| e.is_finite()));
         let Some(factor) = factor else {
             return false;
         };
@@ -58,8 +56,7 @@ impl Consistency {
         }
         self.nees.push(nees);
         let constant = 3.0 * std::f64::consts::TAU.ln();
-        self.log_density
-            .push(-0.5 * (nees + log_determinant + constant));
+        self.log_density.push(-0.5 * (nees + log_determinant + constant));
         for i in 0..3 {
             self.worst = self.worst.max(error[i].abs() / covariance[(i, i)].sqrt());
         }
@@ -102,10 +99,7 @@ impl Whole {
     pub fn refused(recording: &Recording) -> Self {
         let scored = |k: &usize| recording.moving[*k] && recording.position(*k).is_some();
         let moving = (0..recording.moving.len()).filter(scored).count();
-        Self {
-            moving,
-            ..Self::default()
-        }
+        Self { moving, ..Self::default() }
     }
 
     /// Scores the position of one track and the velocity of another, which may be the same.
@@ -154,9 +148,7 @@ impl Whole {
             }
         }
         let at = |k: usize| Some([error(k)?.norm(), space(&position.estimates[k])]);
-        let end = (0..recording.moving.len())
-            .rev()
-            .find(|k| recording.position(*k).is_some());
+        let end = (0..recording.moving.len()).rev().find(|k| recording.position(*k).is_some());
         whole.last.extend(end.and_then(at));
         whole.last_rest.extend(recording.last_rest().and_then(at));
         whole
@@ -209,17 +201,11 @@ impl Frame {
 fn fitted_angle(recording: &Recording, track: &Track) -> Option<f64> {
     let count = track.estimates.len();
     let origin = (track.origin..count).find(|k| recording.position(*k).is_some())?;
-    let (from, start) = (
-        track.estimates[origin].position,
-        recording.position(origin)?,
-    );
+    let (from, start) = (track.estimates[origin].position, recording.position(origin)?);
     let any_valid = track.estimates.iter().any(|e| e.valid);
     let (mut sine, mut cosine) = (0.0, 0.0);
     for (k, estimate) in track.estimates.iter().enumerate() {
-        let Some(truth) = recording
-            .position(k)
-            .filter(|_| estimate.valid || !any_valid)
-        else {
+        let Some(truth) = recording.position(k).filter(|_| estimate.valid || !any_valid) else {
             continue;
         };
         let (found, real) = (estimate.position - from, truth - start);
@@ -245,10 +231,7 @@ pub struct Windows {
 impl Windows {
     /// `ends`: estimates at the horizons of each window, in the frame of the truth.
     pub fn of(recording: &Recording, windows: &[Window], ends: &[[Estimate; 3]]) -> Self {
-        let mut found = Self {
-            count: windows.len(),
-            ..Self::default()
-        };
+        let mut found = Self { count: windows.len(), ..Self::default() };
         for (window, ends) in windows.iter().zip(ends) {
             for (h, estimate) in ends.iter().enumerate() {
                 let at = window.ends[h];

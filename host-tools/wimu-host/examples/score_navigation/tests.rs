@@ -23,20 +23,13 @@ type Error = SVector<f64, STATES>;
 /// An aligned filter in the middle of a motion.
 fn moving_filter(settings: Settings) -> (Filter, Vector3<f64>, Vector3<f64>) {
     let still = vec![Vector3::new(1.0, -2.0, 9.5); settings.start_samples];
-    let mut filter = Filter::align(
-        &still,
-        &vec![Vector3::zeros(); settings.start_samples],
-        settings,
-    );
+    let mut filter =
+        Filter::align(&still, &vec![Vector3::zeros(); settings.start_samples], settings);
     filter.position = Vector3::new(1.0, 2.0, 3.0);
     filter.velocity = Vector3::new(0.5, -0.7, 0.2);
     filter.gyroscope_bias = Vector3::new(0.01, -0.02, 0.03);
     filter.accelerometer_bias = Vector3::new(0.1, 0.2, -0.1);
-    (
-        filter,
-        Vector3::new(3.0, -4.0, 8.0),
-        Vector3::new(1.0, 2.0, -1.5),
-    )
+    (filter, Vector3::new(3.0, -4.0, 8.0), Vector3::new(1.0, 2.0, -1.5))
 }
 
 /// The state with an error added, in the filter's convention.
@@ -57,15 +50,9 @@ fn difference(one: &Filter, other: &Filter) -> Error {
     let mut put = |block, value: Vector3<f64>| error.fixed_rows_mut::<3>(block).copy_from(&value);
     put(POSITION, one.position - other.position);
     put(VELOCITY, one.velocity - other.velocity);
-    put(
-        ATTITUDE,
-        small_angle(&(one.attitude * other.attitude.inverse())),
-    );
+    put(ATTITUDE, small_angle(&(one.attitude * other.attitude.inverse())));
     put(GYROSCOPE_BIAS, one.gyroscope_bias - other.gyroscope_bias);
-    put(
-        ACCELEROMETER_BIAS,
-        one.accelerometer_bias - other.accelerometer_bias,
-    );
+    put(ACCELEROMETER_BIAS, one.accelerometer_bias - other.accelerometer_bias);
     error
 }
 
@@ -122,20 +109,14 @@ fn the_covariance_stays_symmetric_and_positive() {
         if k % 100 < 30 {
             let before = filter.covariance.diagonal().sum();
             assert!(filter.update_zero_velocity().is_finite());
-            assert!(
-                filter.covariance.diagonal().sum() < before,
-                "an update adds no variance"
-            );
+            assert!(filter.covariance.diagonal().sum() < before, "an update adds no variance");
             // A prediction rounds; an update makes it symmetric again.
             assert!(is_symmetric_and_positive(&filter.covariance), "update {k}");
         }
     }
     let mut broken = filter.covariance;
     broken[(0, 0)] = -broken[(0, 0)];
-    assert!(
-        !is_symmetric_and_positive(&broken),
-        "the test notices one that is not"
-    );
+    assert!(!is_symmetric_and_positive(&broken), "the test notices one that is not");
 }
 
 /// NEES of position and velocity at the moving samples of stop-and-go journeys, and NIS, where the sensor errors are
@@ -161,10 +142,7 @@ fn stop_and_go(larger: f64) -> Whole {
         let rests = |k| recording.velocity(k).is_some_and(|v| v.norm() == 0.0);
         let at_rest: Vec<bool> = (0..recording.moving.len()).map(rests).collect();
         let (track, nis, _) = run_zupt_filter(&recording, &[], &at_rest);
-        whole.merge(&Whole {
-            nis,
-            ..Whole::of(&recording, &track, &track)
-        });
+        whole.merge(&Whole { nis, ..Whole::of(&recording, &track, &track) });
     }
     whole
 }
@@ -178,17 +156,10 @@ fn the_filter_is_consistent_on_stop_and_go_journeys() {
     assert!((0.7..1.4).contains(&position), "position {position:.2}");
     assert!((0.7..1.4).contains(&velocity), "velocity {velocity:.2}");
     let below = fraction_below(&found.nis, CHI_SQUARE_95);
-    assert!(
-        below > 0.95,
-        "NIS: the rests are true, and noise of 1 cm/s is assumed: {below:.3}"
-    );
+    assert!(below > 0.95, "NIS: the rests are true, and noise of 1 cm/s is assumed: {below:.3}");
     // Errors that are twice as large as assumed show.
     let found = stop_and_go(2.0);
-    assert!(
-        ratio(&found.position) > 1.4,
-        "{:.2}",
-        ratio(&found.position)
-    );
+    assert!(ratio(&found.position) > 1.4, "{:.2}", ratio(&found.position));
 }
 
 /// End errors of `FIXED` as reference/localization/foot.py prints them: 3-D and horizontal, m.
@@ -219,10 +190,7 @@ fn walks_end_where_those_of_the_python_reference_end() {
     }
     for walk in &walks {
         let trial = walk.name.trim_start_matches("pyshoe_");
-        let (_, expected) = FOOT_PY
-            .iter()
-            .find(|(name, _)| *name == trial)
-            .expect("a known walk");
+        let (_, expected) = FOOT_PY.iter().find(|(name, _)| *name == trial).expect("a known walk");
         let (force, rate) = vectors(walk);
         let at_rest = walk.settings.detector.detect(&force, &rate);
         let (track, _, _) = run_zupt_filter(walk, &[], &at_rest);
@@ -233,10 +201,7 @@ fn walks_end_where_those_of_the_python_reference_end() {
         println!("{trial} {:.3} {:.3}", error.norm(), error.xy().norm());
         for (found, expected) in [error.norm(), error.xy().norm()].into_iter().zip(expected) {
             // Printed to 1 mm there.
-            assert!(
-                (found - expected).abs() < 0.0006,
-                "{trial}: {found:.4} m, not {expected} m"
-            );
+            assert!((found - expected).abs() < 0.0006, "{trial}: {found:.4} m, not {expected} m");
         }
     }
 }
@@ -244,9 +209,7 @@ fn walks_end_where_those_of_the_python_reference_end() {
 #[test]
 fn the_detector_computes_the_published_statistic() {
     let mut random = Random::new(3);
-    let force: Vec<_> = (0..5)
-        .map(|_| random.vector(8.0) + Vector3::new(1.0, 2.0, 9.3))
-        .collect();
+    let force: Vec<_> = (0..5).map(|_| random.vector(8.0) + Vector3::new(1.0, 2.0, 9.3)).collect();
     let rate: Vec<_> = (0..5).map(|_| random.vector(0.1)).collect();
     let detector = Detector::FOOT;
     let mean = force.iter().sum::<Vector3<f64>>() / 5.0;
@@ -258,22 +221,11 @@ fn the_detector_computes_the_published_statistic() {
         + sum(&rate, Vector3::zeros()) / detector.rate_noise.powi(2))
         / 5.0;
     let found = detector.statistic(&force, &rate);
-    assert!(
-        (found / published - 1.0).abs() < 1e-12,
-        "{found} is not {published}"
-    );
-    assert_eq!(
-        detector.detect(&force, &rate),
-        [false; 5],
-        "this is no rest"
-    );
+    assert!((found / published - 1.0).abs() < 1e-12, "{found} is not {published}");
+    assert_eq!(detector.detect(&force, &rate), [false; 5], "this is no rest");
     let still = vec![Vector3::z() * wimu_model::STANDARD_GRAVITY_MPS2; 5];
     let at_rest = detector.detect(&still, &[Vector3::zeros(); 5]);
-    assert_eq!(
-        at_rest,
-        [false, false, true, false, false],
-        "only where the window fits"
-    );
+    assert_eq!(at_rest, [false, false, true, false, false], "only where the window fits");
 }
 
 #[test]
@@ -282,16 +234,9 @@ fn scores_tell_a_covariance_that_is_too_small_from_one_that_is_too_large() {
         let mut random = Random::new(11);
         let mut score = Consistency::default();
         for _ in 0..20_000 {
-            assert!(score.push(
-                &random.vector(2.0),
-                &(Matrix3::identity() * assumed * assumed)
-            ));
+            assert!(score.push(&random.vector(2.0), &(Matrix3::identity() * assumed * assumed)));
         }
-        (
-            score.below_95(),
-            median(&score.nees),
-            mean(&score.log_density),
-        )
+        (score.below_95(), median(&score.nees), mean(&score.log_density))
     };
     let (below, middle, right) = scored(2.0);
     assert!((below - 0.95).abs() < 0.005, "{below}");
@@ -301,15 +246,9 @@ fn scores_tell_a_covariance_that_is_too_small_from_one_that_is_too_large() {
     assert!((right + entropy).abs() < 0.03, "{right}");
     let (small_below, small_middle, small) = scored(1.0);
     let (large_below, large_middle, large) = scored(4.0);
-    assert!(
-        small_below < 0.7 && large_below > 0.999,
-        "{small_below} {large_below}"
-    );
+    assert!(small_below < 0.7 && large_below > 0.999, "{small_below} {large_below}");
     assert!(small_middle > 1.4 * CHI_SQUARE_MEDIAN && large_middle < 0.7 * CHI_SQUARE_MEDIAN);
-    assert!(
-        small < right - 0.5 && large < right - 0.5,
-        "both cost: {small} {right} {large}"
-    );
+    assert!(small < right - 0.5 && large < right - 0.5, "both cost: {small} {right} {large}");
 }
 
 #[test]
@@ -318,10 +257,7 @@ fn what_is_not_finite_is_not_scored() {
     let nothing = Vector3::new(0.0, f64::NAN, 0.0);
     assert!(!score.push(&nothing, &Matrix3::identity()));
     assert!(!score.push(&Vector3::zeros(), &(Matrix3::identity() * f64::NAN)));
-    assert!(
-        !score.push(&Vector3::zeros(), &Matrix3::zeros()),
-        "a covariance of zero"
-    );
+    assert!(!score.push(&Vector3::zeros(), &Matrix3::zeros()), "a covariance of zero");
     assert!(score.nees.is_empty());
     assert!(score.push(&Vector3::zeros(), &Matrix3::identity()));
     assert_eq!(score.nees, [0.0]);

@@ -56,37 +56,16 @@ pub fn score(recording: &Recording, track: &Track) -> Option<Walk> {
 pub fn print(pool: &[Scored]) {
     for method in pool.iter().filter(|method| !method.walks.is_empty()) {
         println!("\n{}: walks, end aligned over the trial", method.name);
-        println!(
-            "{:<30}{:>9}{:>15}{:>13}",
-            "", "3-D, m", "horizontal, m", "NEES < 95 %"
-        );
-        for Walk {
-            name,
-            end_m: [end, horizontal],
-            consistent,
-        } in &method.walks
-        {
+        println!("{:<30}{:>9}{:>15}{:>13}", "", "3-D, m", "horizontal, m", "NEES < 95 %");
+        for Walk { name, end_m: [end, horizontal], consistent } in &method.walks {
             println!("{name:<30}{end:>9.3}{horizontal:>15.3}{consistent:>13.2}");
         }
-        let ends = [0, 1].map(|k| {
-            method
-                .walks
-                .iter()
-                .map(|w| w.end_m[k])
-                .collect::<Vec<f64>>()
-        });
+        let ends = [0, 1].map(|k| method.walks.iter().map(|w| w.end_m[k]).collect::<Vec<f64>>());
         let of = |ends: &[f64]| [median(ends), quantile(ends, 0.9)];
-        let consistent = mean(
-            &method
-                .walks
-                .iter()
-                .map(|w| w.consistent)
-                .collect::<Vec<_>>(),
-        );
-        for (what, found, bars) in [
-            ("3-D", of(&ends[0]), [0.22, 0.42]),
-            ("horizontal", of(&ends[1]), [0.08, 0.2]),
-        ] {
+        let consistent = mean(&method.walks.iter().map(|w| w.consistent).collect::<Vec<_>>());
+        for (what, found, bars) in
+            [("3-D", of(&ends[0]), [0.22, 0.42]), ("horizontal", of(&ends[1]), [0.08, 0.2])]
+        {
             figure(
                 &format!(
                     "{} walks, {}: {what} error at the end, median / p90, m",
@@ -99,11 +78,7 @@ pub fn print(pool: &[Scored]) {
             );
         }
         figure(
-            &format!(
-                "{} walks, {}: NEES below the 95 % point",
-                method.walks.len(),
-                method.name
-            ),
+            &format!("{} walks, {}: NEES below the 95 % point", method.walks.len(), method.name),
             format!("{consistent:.2}"),
             "0.80 to 0.98",
             (0.8..=0.98).contains(&consistent),

@@ -72,12 +72,7 @@ struct NoiseOfTracks {
 
 impl NoiseOfTracks {
     fn new(name: &str, sensitivity: Option<Sensitivity>) -> Self {
-        Self {
-            recording: Recording::new(name),
-            meters: Vec::new(),
-            start_ns: None,
-            sensitivity,
-        }
+        Self { recording: Recording::new(name), meters: Vec::new(), start_ns: None, sensitivity }
     }
 
     /// The noise of the chosen accelerometer.
@@ -100,10 +95,7 @@ impl NoiseOfTracks {
             let raw = info.origin == Origin::Sensor && !info.corrected && is_known(info.unit);
             info.quantity == Quantity::AngularRate && info.sensor == sensor && raw
         };
-        let rate = recording
-            .tracks()
-            .iter()
-            .position(|track| is_beside(&track.info));
+        let rate = recording.tracks().iter().position(|track| is_beside(&track.info));
         let rate = rate.zip(rate.and_then(|index| self.meters.get_mut(index)));
         let mut of_gyroscope = Vec::new();
         let mut gyroscope_points = Vec::new();
@@ -116,9 +108,7 @@ impl NoiseOfTracks {
         let mut report = NoiseReport::new(&recording.name, rate_hz, source, &meter.allan);
         // The rate is in the report.
         let read = recording.findings.iter();
-        let read = read
-            .filter(|finding| finding.code != FindingCode::Rate)
-            .cloned();
+        let read = read.filter(|finding| finding.code != FindingCode::Rate).cloned();
         let before: Vec<Finding> = read.chain(gaps_finding(meter.gaps)).collect();
         report.outcome.findings.splice(0..0, before);
         report.outcome.findings.extend(of_gyroscope);
@@ -136,10 +126,7 @@ impl Sink for NoiseOfTracks {
     fn row(&mut self, track: TrackId, time_ns: i64, values: &[f64]) {
         self.start_ns = Some(self.start_ns.map_or(time_ns, |start| start.min(time_ns)));
         let info = &self.recording.tracks()[track.0].info;
-        if matches!(
-            info.quantity,
-            Quantity::SpecificForce | Quantity::AngularRate
-        ) {
+        if matches!(info.quantity, Quantity::SpecificForce | Quantity::AngularRate) {
             self.meters[track.0].take(info, time_ns, values);
         }
     }
@@ -252,13 +239,7 @@ impl TrackMeter {
 
 /// Whether the unit of a rate is known.
 fn is_known(unit: Unit) -> bool {
-    matches!(
-        unit,
-        Unit::Si
-            | Unit::Counts {
-                si_per_lsb: Some(_)
-            }
-    )
+    matches!(unit, Unit::Si | Unit::Counts { si_per_lsb: Some(_) })
 }
 
 /// SI units of one unit of a track.

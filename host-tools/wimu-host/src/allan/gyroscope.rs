@@ -33,10 +33,7 @@ impl From<AxisNoise> for GyroscopeAxis {
     fn from(noise: AxisNoise) -> Self {
         let degrees = |measured: Measured, factor: f64| {
             let factor = factor.to_degrees();
-            Figure::from(Measured {
-                value: measured.value * factor,
-                sd: measured.sd * factor,
-            })
+            Figure::from(Measured { value: measured.value * factor, sd: measured.sd * factor })
         };
         Self {
             noise_density_deg_s_rthz: degrees(noise.noise_density(), 1.0),
@@ -53,10 +50,7 @@ impl From<AxisNoise> for GyroscopeAxis {
 
 impl fmt::Display for GyroscopeAxis {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (density, walk) = (
-            self.noise_density_deg_s_rthz,
-            self.angle_random_walk_deg_rth,
-        );
+        let (density, walk) = (self.noise_density_deg_s_rthz, self.angle_random_walk_deg_rth);
         write!(
             out,
             "noise density (one-sided) {:.5} ± {:.5} °/s/√Hz, angle random walk {:.3} ± {:.3} °/√h, bias instability ",

@@ -23,8 +23,7 @@ impl NoiseReport {
     pub fn page(&self, datasheet_ug_rthz: Option<f64>) -> Result<Report> {
         let mut page = Report::new(format!("Noise of {}", self.source));
         self.key_figures(&mut page, datasheet_ug_rthz);
-        page.printed(&self.to_string())
-            .findings(&self.outcome.findings);
+        page.printed(&self.to_string()).findings(&self.outcome.findings);
         let mut chart = self.chart();
         if self.axes.is_some() {
             let ends = self.ends_s();
@@ -111,10 +110,7 @@ fn curve(sensor: &str, unit: &str, points: &[PointReport]) -> Chart {
             let [low, high] = Figure::from(Measured { value, sd }).interval_95;
             (point.tau_s, low, high)
         });
-        Band {
-            series: axis,
-            points: points.collect(),
-        }
+        Band { series: axis, points: points.collect() }
     };
     let line = |axis: usize| {
         let points = points.iter().map(|p| (p.tau_s, p.deviation_m_s2[axis]));
@@ -150,18 +146,8 @@ fn slopes(axes: &[AxisReport; 3], ends_s: [f64; 2]) -> Vec<Series> {
     let from_floor: Term<'_> = &|axis, tau_s| Some(axis.floor_m_s2 * (tau_s / ends_s[1]).sqrt());
     let terms: [(&str, Term<'_>, &str, Term<'_>); 3] = [
         ("slope −½: white noise", white, "", white),
-        (
-            "slope 0: bias instability",
-            bias,
-            "slope 0: smallest deviation",
-            floor,
-        ),
-        (
-            "slope +½: random walk",
-            walk,
-            "slope +½, for comparison",
-            from_floor,
-        ),
+        ("slope 0: bias instability", bias, "slope 0: smallest deviation", floor),
+        ("slope +½: random walk", walk, "slope +½, for comparison", from_floor),
     ];
     let mean = |term: Term<'_>, tau_s: f64| {
         let found: Vec<f64> = axes.iter().filter_map(|axis| term(axis, tau_s)).collect();
@@ -170,11 +156,7 @@ fn slopes(axes: &[AxisReport; 3], ends_s: [f64; 2]) -> Vec<Series> {
     };
     let line = |(name, term, instead, otherwise): (&str, Term<'_>, &str, Term<'_>)| {
         let is_found = mean(term, 1.0).is_some();
-        let (name, term) = if is_found {
-            (name, term)
-        } else {
-            (instead, otherwise)
-        };
+        let (name, term) = if is_found { (name, term) } else { (instead, otherwise) };
         let points = ends_s.map(|tau_s| (tau_s, mean(term, tau_s).unwrap_or(f64::NAN)));
         Series::guide(name, points.into())
     };

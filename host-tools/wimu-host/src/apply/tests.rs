@@ -50,10 +50,7 @@ fn recording(force: Unit, rate: Unit) -> Recording {
 }
 
 fn near(found: [f64; 3], expected: [f64; 3]) -> bool {
-    found
-        .iter()
-        .zip(expected)
-        .all(|(a, b)| (a - b).abs() < 1e-9)
+    found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9)
 }
 
 #[test]
@@ -80,15 +77,10 @@ fn samples_in_si_are_corrected_and_rotated_with_the_gyroscope_beside_them() {
 fn counts_take_the_sensitivity_of_the_calibration_else_of_the_file() {
     let counts = |si_per_lsb| Unit::Counts { si_per_lsb };
     let own = STANDARD_GRAVITY_MPS2 / LSB_PER_G;
-    for (of_counts, said, scale) in [
-        (true, None, own),
-        (true, Some(1.1 * own), own),
-        (false, Some(0.5), 0.5),
-    ] {
-        let (stored, recording) = (
-            calibration(of_counts),
-            recording(counts(said), counts(None)),
-        );
+    for (of_counts, said, scale) in
+        [(true, None, own), (true, Some(1.1 * own), own), (false, Some(0.5), 0.5)]
+    {
+        let (stored, recording) = (calibration(of_counts), recording(counts(said), counts(None)));
         let correction = Correction::new(&stored, &recording).unwrap();
         let row = correction.rows().next().unwrap();
         let output = [0.5, 1.0, 10.0].map(|axis| axis * scale);
@@ -107,12 +99,9 @@ fn units_that_do_not_fit_are_refused() {
         Correction::new(&stored, &recording).unwrap_err().code()
     };
     let counts = |si_per_lsb| Unit::Counts { si_per_lsb };
-    for (of_counts, unit) in [
-        (true, Unit::Si),
-        (true, Unit::Unknown),
-        (false, counts(None)),
-        (true, counts(Some(0.02))),
-    ] {
+    for (of_counts, unit) in
+        [(true, Unit::Si), (true, Unit::Unknown), (false, counts(None)), (true, counts(Some(0.02)))]
+    {
         assert_eq!(code(of_counts, unit), ErrorCode::UnknownFormat, "{unit:?}");
     }
     let stored = calibration(false);
@@ -127,13 +116,7 @@ fn units_that_do_not_fit_are_refused() {
     // An angular rate of unknown unit is left out.
     let recording = recording(Unit::Si, Unit::Unknown);
     let correction = Correction::new(&stored, &recording).unwrap();
-    assert_eq!(
-        correction
-            .rows()
-            .filter(|row| row.rate_rad_s.is_some())
-            .count(),
-        0
-    );
+    assert_eq!(correction.rows().filter(|row| row.rate_rad_s.is_some()).count(), 0);
     let codes: Vec<_> = correction.findings.iter().map(|f| f.code).collect();
     assert_eq!(codes, [FindingCode::Uncalibrated]);
 }
@@ -147,11 +130,7 @@ fn a_table_is_read_again_with_field_and_rate() {
     let field = TrackInfo::new("mag", Quantity::MagneticField, Unit::Si);
     let field = recording.track(field);
     for k in 0..100 {
-        recording.row(
-            field,
-            5_000_000_000 + k * 10_000_000,
-            &[20e-6, 10e-6, -40e-6],
-        );
+        recording.row(field, 5_000_000_000 + k * 10_000_000, &[20e-6, 10e-6, -40e-6]);
     }
     let correction = Correction::new(&stored, &recording).unwrap();
     assert_eq!(correction.write(&path).unwrap(), 90);

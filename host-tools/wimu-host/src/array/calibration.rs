@@ -176,11 +176,7 @@ impl ArrayCalibration {
                 let square = |p: &Pose| p.sd_mps2.iter().map(|s| s * s).sum::<f64>() / 3.0;
                 let count = seen(sensor).count().max(1) as f64;
                 let noise = (seen(sensor).map(square).sum::<f64>() / count).sqrt();
-                if noise > 0.0 {
-                    noise
-                } else {
-                    ASSUMED_NOISE_MPS2
-                }
+                if noise > 0.0 { noise } else { ASSUMED_NOISE_MPS2 }
             })
             .collect();
         let stored = !geometry.sensors.is_empty()
@@ -215,12 +211,7 @@ impl ArrayCalibration {
             offsets: Vec::new(),
         };
         let outputs: Vec<Vec<Option<[f64; 3]>>> = (per_sensor.iter())
-            .map(|poses| {
-                poses
-                    .iter()
-                    .map(|p| p.as_ref().map(|p| p.mean_mps2))
-                    .collect()
-            })
+            .map(|poses| poses.iter().map(|p| p.as_ref().map(|p| p.mean_mps2)).collect())
             .collect();
         calibration.assume(&outputs);
         calibration.fit(recording, geometry, &outputs)?;
@@ -230,9 +221,7 @@ impl ArrayCalibration {
 
     /// Sensors that are used.
     fn used(&self) -> Vec<usize> {
-        (0..self.sensors.len())
-            .filter(|sensor| self.uses(*sensor))
-            .collect()
+        (0..self.sensors.len()).filter(|sensor| self.uses(*sensor)).collect()
     }
 
     /// Prior deviations by the method of moments, equation (104), from the mean outputs at the rests.
@@ -261,10 +250,8 @@ impl ArrayCalibration {
     ) -> Result<()> {
         let mut prior = self.prior();
         let fitted = |of: &mut Self, prior: &ArrayPrior| -> Result<Fitted> {
-            let found = with_room!(
-                geometry.sensors.len(),
-                at_rests(recording, geometry, of, prior)
-            )?;
+            let found =
+                with_room!(geometry.sensors.len(), at_rests(recording, geometry, of, prior))?;
             for (model, found) in of.sensors.iter_mut().zip(&found.models) {
                 *model = found.unwrap_or_default();
             }
@@ -331,16 +318,9 @@ impl ArrayCalibration {
 
     fn fit_of(&self, sensor: usize, outputs: &[Option<[f64; 3]>], found: &Fitted) -> SensorFit {
         let lengths: Vec<f64> = (outputs.iter().flatten())
-            .map(|output| {
-                self.sensors[sensor]
-                    .correct(SpecificForceMps2(*output), None)
-                    .norm()
-            })
+            .map(|output| self.sensors[sensor].correct(SpecificForceMps2(*output), None).norm())
             .collect();
-        let squares = lengths
-            .iter()
-            .map(|l| (l - self.prior.gravity_mps2).powi(2))
-            .sum::<f64>();
+        let squares = lengths.iter().map(|l| (l - self.prior.gravity_mps2).powi(2)).sum::<f64>();
         let (bias_sd_mps2, matrix_sd) = found.model_sd[sensor];
         SensorFit {
             rests: lengths.len(),
@@ -373,20 +353,14 @@ impl ArrayCalibration {
 
     /// Prior of a fit of the whole recording.
     pub(super) fn prior(&self) -> ArrayPrior {
-        ArrayPrior {
-            position_m: self.place_sd_m,
-            delay_s: self.delay_sd_s,
-            ..self.prior
-        }
+        ArrayPrior { position_m: self.place_sd_m, delay_s: self.delay_sd_s, ..self.prior }
     }
 
     /// Mean length of the mean output at the rests, m/s².
     pub fn mean_rest_mps2(&self, recording: &ArrayRecording) -> f64 {
         let length = |rest: &(usize, usize)| {
             let used = (0..recording.sensors()).filter(|sensor| self.uses(*sensor));
-            norm(mean(
-                used.filter_map(|k| Some(pose(recording, k, *rest)?.mean_mps2)),
-            ))
+            norm(mean(used.filter_map(|k| Some(pose(recording, k, *rest)?.mean_mps2))))
         };
         self.rests.iter().map(length).sum::<f64>() / self.rests.len() as f64
     }
@@ -400,10 +374,7 @@ impl ArrayCalibration {
             return Ok(());
         }
         let differ = "at rest they differ by more than biases and scale factors of sensors do: by";
-        Err(contradiction(
-            name,
-            &format!("{differ} {:.2} m/s²", self.bias_mps2),
-        ))
+        Err(contradiction(name, &format!("{differ} {:.2} m/s²", self.bias_mps2)))
     }
 
     /// What was assumed, found wrong and left out.

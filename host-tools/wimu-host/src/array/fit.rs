@@ -27,10 +27,7 @@ pub struct RefineOptions {
 
 impl Default for RefineOptions {
     fn default() -> Self {
-        Self {
-            place_sd_m: ArrayCalibration::PLACE_SD_M,
-            delay_sd_s: ArrayCalibration::DELAY_SD_S,
-        }
+        Self { place_sd_m: ArrayCalibration::PLACE_SD_M, delay_sd_s: ArrayCalibration::DELAY_SD_S }
     }
 }
 
@@ -124,10 +121,7 @@ impl Fitted {
         prior: &ArrayPrior,
     ) -> Result<Self> {
         check(recording, geometry)?;
-        with_room!(
-            geometry.sensors.len(),
-            in_motion(recording, geometry, calibration, prior)
-        )
+        with_room!(geometry.sensors.len(), in_motion(recording, geometry, calibration, prior))
     }
 
     fn new<const M: usize>(
@@ -222,9 +216,7 @@ fn in_motion<const M: usize>(
 ) -> Result<Fitted> {
     let used = |sensor: usize| calibration.uses(sensor);
     let axes = axes::<M>(geometry, calibration)?;
-    let rank = ArraySolver::<f64, M>::of(&axes, used)
-        .map_err(refused)?
-        .rank();
+    let rank = ArraySolver::<f64, M>::of(&axes, used).map_err(refused)?.rank();
     let count = recording.times_s.len();
     let rests: usize = calibration.rests.iter().map(|(_, count)| count).sum();
     let outputs: Vec<[f64; M]> = (0..count).map(|index| row(recording, index)).collect();
@@ -319,20 +311,12 @@ pub fn refine(
         delay_s: options.delay_sd_s,
         ..calibration.prior()
     };
-    let exact = ArrayPrior {
-        position_m: 1e-8,
-        ..prior
-    };
-    let given = ArrayPrior {
-        delay_s: 1e-9,
-        ..exact
-    };
+    let exact = ArrayPrior { position_m: 1e-8, ..prior };
+    let given = ArrayPrior { delay_s: 1e-9, ..exact };
     let fitted = |prior| Fitted::of(recording, geometry, calibration, prior);
     let (given, timed, mut found) = (fitted(&given)?, fitted(&exact)?, fitted(&prior)?);
     if found.rank < 6 {
-        return Err(refused(
-            "an array in a plane does not show where its sensors are",
-        ));
+        return Err(refused("an array in a plane does not show where its sensors are"));
     }
     let (before, after) = match (&given.agreement, &found.agreement) {
         (Some(before), Some(after)) if after.samples >= LEAST_SAMPLES => (before, after),

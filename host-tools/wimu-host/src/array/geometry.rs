@@ -103,10 +103,7 @@ impl ArrayGeometry {
 
     /// Of single axes.
     pub fn of_axes(axes: Vec<SingleAxis>) -> Self {
-        Self {
-            axes,
-            ..Self::new(Vec::new())
-        }
+        Self { axes, ..Self::new(Vec::new()) }
     }
 
     /// The same with the error models that `wimu calibrate` stored for each sensor, in their order. What
@@ -221,16 +218,10 @@ impl ArrayGeometry {
             )));
         }
         if geometry.sensors.is_empty() == geometry.axes.is_empty() {
-            return Err(bad(
-                "it has neither `sensors` nor `axes`, or both".to_owned()
-            ));
+            return Err(bad("it has neither `sensors` nor `axes`, or both".to_owned()));
         }
         for (index, axis) in geometry.axes.iter().enumerate() {
-            let finite = axis
-                .place_m
-                .iter()
-                .chain(&axis.direction)
-                .all(|v| v.is_finite());
+            let finite = axis.place_m.iter().chain(&axis.direction).all(|v| v.is_finite());
             if !finite || axis.direction.iter().all(|v| *v == 0.0) {
                 return Err(bad(format!(
                     "axis {index} (from 0) has a place or direction that is no number, or no direction"
@@ -238,14 +229,8 @@ impl ArrayGeometry {
             }
         }
         let known = [geometry.place_sd_mm, geometry.delay_sd_us];
-        if known
-            .into_iter()
-            .flatten()
-            .any(|sd| !(sd > 0.0 && sd.is_finite()))
-        {
-            return Err(bad(
-                "its place_sd_mm or delay_sd_us is not a positive number".to_owned(),
-            ));
+        if known.into_iter().flatten().any(|sd| !(sd > 0.0 && sd.is_finite())) {
+            return Err(bad("its place_sd_mm or delay_sd_us is not a positive number".to_owned()));
         }
         for (index, sensor) in geometry.sensors.iter().enumerate() {
             let dot = |a: [f64; 3], b: [f64; 3]| (0..3).map(|i| a[i] * b[i]).sum::<f64>();
@@ -296,17 +281,14 @@ fn places(text: &str, name: &str) -> Result<Vec<[f64; 3]>> {
         .collect();
     let number = |row: &(usize, Vec<&str>), column: usize| {
         let text = row.1.get(column).copied().unwrap_or("");
-        text.parse::<f64>()
-            .ok()
-            .filter(|v| v.is_finite())
-            .ok_or_else(|| {
-                HostError::new(
-                    ErrorCode::CsvBadNumber,
-                    format!("`{text}` is not a finite number"),
-                    "give places in m",
-                )
-                .at(format!("{name} line {}", row.0))
-            })
+        text.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
+            HostError::new(
+                ErrorCode::CsvBadNumber,
+                format!("`{text}` is not a finite number"),
+                "give places in m",
+            )
+            .at(format!("{name} line {}", row.0))
+        })
     };
     let missing = || {
         HostError::new(
@@ -318,8 +300,7 @@ fn places(text: &str, name: &str) -> Result<Vec<[f64; 3]>> {
     };
     let head = rows.first().ok_or_else(missing)?;
     let row_of = |axis: &str| {
-        rows.iter()
-            .find(|(_, row)| row.first().is_some_and(|f| f.eq_ignore_ascii_case(axis)))
+        rows.iter().find(|(_, row)| row.first().is_some_and(|f| f.eq_ignore_ascii_case(axis)))
     };
     if let (Some(x), Some(y), Some(z)) = (row_of("x"), row_of("y"), row_of("z")) {
         return (1..head.1.len())
@@ -329,9 +310,7 @@ fn places(text: &str, name: &str) -> Result<Vec<[f64; 3]>> {
     let columns = |unit: &str| {
         let find = |axis: &str| {
             let name = format!("{axis} ({unit})");
-            head.1
-                .iter()
-                .position(|field| field.eq_ignore_ascii_case(&name))
+            head.1.iter().position(|field| field.eq_ignore_ascii_case(&name))
         };
         Some([find("X")?, find("Y")?, find("Z")?])
     };

@@ -81,8 +81,7 @@ impl ArrayRecording {
             });
         }
         if !said.is_empty() {
-            self.remarks
-                .push(format!("no number, left out there: {}", said.join("; ")));
+            self.remarks.push(format!("no number, left out there: {}", said.join("; ")));
         }
     }
 
@@ -111,9 +110,8 @@ impl ArrayRecording {
         // Outputs with steps coarser than their noise repeat at rest, where few of them move from row to row.
         let moves = |k: usize| {
             let finite = (self.steps(k)).filter(|(a, b)| a.is_finite() && b.is_finite());
-            let (moved, all) = finite.fold((0, 0), |(moved, all), (a, b)| {
-                (moved + usize::from(a != b), all + 1)
-            });
+            let (moved, all) =
+                finite.fold((0, 0), |(moved, all), (a, b)| (moved + usize::from(a != b), all + 1));
             2 * moved > all
         };
         runs.retain(|(first, length)| {

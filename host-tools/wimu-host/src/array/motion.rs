@@ -102,10 +102,7 @@ impl<'a> ArrayBody<'a> {
         gravity_mps2: f64,
         zupt: Zupt,
     ) -> Result<(Vec<ArrayState<f64>>, Vec<String>)> {
-        with_room!(
-            self.geometry.sensors.len(),
-            filtered(self, gravity_mps2, zupt)
-        )
+        with_room!(self.geometry.sensors.len(), filtered(self, gravity_mps2, zupt))
     }
 }
 
@@ -130,10 +127,7 @@ pub(super) fn check(recording: &ArrayRecording, geometry: &ArrayGeometry) -> Res
         format!(
             "give one line with the place of each sensor, in their order: {}",
             if geometry.sensors.len() < recording.sensors() {
-                format!(
-                    "the places from sensor {} (from 0) on are missing",
-                    geometry.sensors.len()
-                )
+                format!("the places from sensor {} (from 0) on are missing", geometry.sensors.len())
             } else {
                 format!(
                     "columns from `Accelerometer {} X` on are missing, or leave lines out",
@@ -232,10 +226,7 @@ fn smoothed<const M: usize>(body: &ArrayBody<'_>) -> Result<ArrayMotion> {
             Observation {
                 step_s,
                 linear: sound.then_some(linear),
-                excess: solver
-                    .excess(&output, &linear)
-                    .filter(|_| sound)
-                    .unwrap_or(1.0),
+                excess: solver.excess(&output, &linear).filter(|_| sound).unwrap_or(1.0),
             }
         })
         .collect();
@@ -284,18 +275,14 @@ fn filtered<const M: usize>(
 ) -> Result<(Vec<ArrayState<f64>>, Vec<String>)> {
     let (recording, geometry, calibration) = (body.recording, body.geometry, body.calibration);
     let axes = axes::<M>(geometry, calibration)?;
-    let used = (0..recording.sensors())
-        .filter(|sensor| calibration.uses(*sensor))
-        .count();
+    let used = (0..recording.sensors()).filter(|sensor| calibration.uses(*sensor)).count();
     let config = ArrayConfig {
         gravity_mps2,
         rests: zupt.rests(),
         range_mps2: AT_LIMIT_MPS2,
         // What the sensors differ by at the rests is taken off them: their mean bias is left.
         bias_mps2: BIAS_MPS2,
-        common_bias_mps2: (calibration.bias_mps2.powi(2) - BIAS_MPS2.powi(2))
-            .max(0.0)
-            .sqrt()
+        common_bias_mps2: (calibration.bias_mps2.powi(2) - BIAS_MPS2.powi(2)).max(0.0).sqrt()
             / (used.max(1) as f64).sqrt(),
         scale: calibration.scale,
         common_scale: calibration.common_scale,
@@ -306,20 +293,14 @@ fn filtered<const M: usize>(
     let filter = ArrayFilter::<f64, M>::new(axes, config).map_err(refused)?;
     let mut offset = calibration.offset_of(0);
     let uses = |sensor: usize| calibration.uses(sensor);
-    Ok(followed(
-        recording,
-        filter,
-        zupt,
-        &uses,
-        |filter, index, state| {
-            // An even turn about the vertical may look like a rest: a window with a measured rate other than zero is not a rest.
-            if calibration.offset_of(index) != offset && may_rest(state) {
-                offset = calibration.offset_of(index);
-                filter.residual_biases_taken_off();
-            }
-            sample_since::<M>(recording, calibration, index, offset)
-        },
-    ))
+    Ok(followed(recording, filter, zupt, &uses, |filter, index, state| {
+        // An even turn about the vertical may look like a rest: a window with a measured rate other than zero is not a rest.
+        if calibration.offset_of(index) != offset && may_rest(state) {
+            offset = calibration.offset_of(index);
+            filter.residual_biases_taken_off();
+        }
+        sample_since::<M>(recording, calibration, index, offset)
+    }))
 }
 
 /// What a filter knows after each sample of a recording, and what it met on the way; `output` is told the state before.
@@ -392,21 +373,9 @@ pub(super) fn followed<const M: usize>(
         "gap",
         "longer than 0.25 s: how far it went in one is not known: position is uncertain from there on, and not valid before the next rest",
     );
-    remark(
-        backwards,
-        "sample",
-        "whose time stood still or went back: left out",
-    );
-    remark(
-        saturated,
-        "sample",
-        "without the sensors that were at their limit",
-    );
-    remark(
-        blind,
-        "sample",
-        "with too few sensors: the angular rate is carried over",
-    );
+    remark(backwards, "sample", "whose time stood still or went back: left out");
+    remark(saturated, "sample", "without the sensors that were at their limit");
+    remark(blind, "sample", "with too few sensors: the angular rate is carried over");
     remark(
         recoveries as usize,
         "rest",
@@ -415,9 +384,8 @@ pub(super) fn followed<const M: usize>(
     );
     let absent = without.iter().enumerate();
     let absent = absent.filter(|(sensor, count)| **count > 0 && uses(*sensor));
-    let absent: Vec<String> = absent
-        .map(|(sensor, count)| format!("{count} of sensor {sensor}"))
-        .collect();
+    let absent: Vec<String> =
+        absent.map(|(sensor, count)| format!("{count} of sensor {sensor}")).collect();
     if !absent.is_empty() {
         remarks.push(format!(
             "samples that a sensor (from 0) did not give, or that were left out: {}",

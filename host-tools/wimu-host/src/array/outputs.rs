@@ -19,21 +19,14 @@ pub(super) fn departures(
     let of_rest = |rest: usize| {
         let mean = mean(used.iter().filter_map(|k| forces[*k][rest]));
         let from_mean = |f: [f64; 3]| std::array::from_fn(|axis| f[axis] - mean[axis]);
-        forces
-            .iter()
-            .map(|forces| forces[rest].map(from_mean))
-            .collect()
+        forces.iter().map(|forces| forces[rest].map(from_mean)).collect()
     };
     (0..rests).map(of_rest).collect()
 }
 
 /// Departures of the sensors that are used, m/s² rms per axis.
 pub(super) fn disagreement(offsets: &[Vec<Option<[f64; 3]>>], used: &[usize]) -> f64 {
-    let of_used = || {
-        offsets
-            .iter()
-            .flat_map(|all| used.iter().filter_map(|k| all[*k]))
-    };
+    let of_used = || offsets.iter().flat_map(|all| used.iter().filter_map(|k| all[*k]));
     let squares = of_used().flatten().map(|o| o * o).sum::<f64>();
     (squares / f64::max(3.0 * of_used().count() as f64, 1.0)).sqrt()
 }
@@ -82,9 +75,8 @@ pub(super) fn is_dead(recording: &ArrayRecording, sensor: usize) -> bool {
 
 /// Where the mean of the sensors that are not `dead` is steady: first sample and number of samples.
 pub(super) fn steady_stretches(recording: &ArrayRecording, dead: &[usize]) -> Vec<(usize, usize)> {
-    let alive: Vec<usize> = (0..recording.sensors())
-        .filter(|sensor| !dead.contains(sensor))
-        .collect();
+    let alive: Vec<usize> =
+        (0..recording.sensors()).filter(|sensor| !dead.contains(sensor)).collect();
     let mean = (0..recording.outputs.len()).map(|k| {
         let seen = alive.iter().filter(|s| recording.has(k, **s));
         (mean(seen.map(|s| recording.outputs[k][*s])), None)

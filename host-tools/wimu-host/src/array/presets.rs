@@ -53,12 +53,8 @@ pub fn preset(text: &str) -> Option<Result<ArrayGeometry>> {
 }
 
 fn triads<const M: usize>(geometry: &Geometry<M>) -> ArrayGeometry {
-    let places: Vec<[f64; 3]> = geometry
-        .axes()
-        .iter()
-        .step_by(3)
-        .map(|axis| axis.position_m)
-        .collect();
+    let places: Vec<[f64; 3]> =
+        geometry.axes().iter().step_by(3).map(|axis| axis.position_m).collect();
     ArrayGeometry::at(&places)
 }
 

@@ -141,18 +141,13 @@ impl ArrayRecording {
         if !(2..=MOST_SENSORS).contains(&boards.len()) {
             return Err(HostError::new(
                 ErrorCode::Usage,
-                format!(
-                    "an array is made of 2 to {MOST_SENSORS} boards, not {}",
-                    boards.len()
-                ),
+                format!("an array is made of 2 to {MOST_SENSORS} boards, not {}", boards.len()),
                 "give the recording of each board, in the order of the geometry",
             ));
         }
         let origin = boards.iter().map(|b| b.origin_ns).min().unwrap_or_default();
         let series: Vec<Series> = boards.iter().map(|b| b.series(origin)).collect();
-        let slowest = series
-            .iter()
-            .max_by(|a, b| a.period_s.total_cmp(&b.period_s));
+        let slowest = series.iter().max_by(|a, b| a.period_s.total_cmp(&b.period_s));
         let from = series.iter().filter_map(|s| s.times_s.first().copied());
         let to = series.iter().filter_map(|s| s.times_s.last().copied());
         let (from, to) = (from.fold(0.0, f64::max), to.fold(f64::INFINITY, f64::min));
@@ -181,9 +176,7 @@ impl ArrayRecording {
                     .to_owned(),
             };
             let rate = 1.0 / series.period_s;
-            recording
-                .remarks
-                .push(format!("{}: {rate:.2} Hz, {clock}", board.name));
+            recording.remarks.push(format!("{}: {rate:.2} Hz, {clock}", board.name));
             if board.without_unit > 0 {
                 recording.remarks.push(format!(
                     "{}: {} samples left out: the range may have changed, and the epoch that tells is lost",
@@ -265,9 +258,7 @@ impl ArrayRecording {
         let count = self.times_s.len();
         let moves = |delay: &&f64| **delay != 0.0;
         let (least, most) = (delays_s.iter().filter(moves))
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), d| {
-                (low.min(*d), high.max(*d))
-            });
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), d| (low.min(*d), high.max(*d)));
         if count < 4 || least > most {
             return self;
         }
@@ -287,11 +278,7 @@ impl ArrayRecording {
             .map(|(sensor, delay)| Series {
                 times_s: self.times_s.iter().map(|t| t + delay).collect(),
                 values: self.outputs.iter().map(|row| row[sensor]).collect(),
-                saturated: self
-                    .saturated
-                    .iter()
-                    .map(|s| s >> sensor & 1 == 1)
-                    .collect(),
+                saturated: self.saturated.iter().map(|s| s >> sensor & 1 == 1).collect(),
                 period_s,
             })
             .collect();
@@ -301,12 +288,7 @@ impl ArrayRecording {
             values.truncate(at.end);
             values.drain(..at.start.min(values.len()));
         }
-        Self {
-            times_s: moved.times_s,
-            outputs: moved.outputs,
-            saturated: moved.saturated,
-            ..self
-        }
+        Self { times_s: moved.times_s, outputs: moved.outputs, saturated: moved.saturated, ..self }
     }
 
     /// How many accelerometers there are.
@@ -316,10 +298,7 @@ impl ArrayRecording {
 
     /// Whether a sensor's output at a sample is a number and not at the sensor's limit.
     pub fn has(&self, index: usize, sensor: usize) -> bool {
-        let limited = self
-            .saturated
-            .get(index)
-            .is_some_and(|s| s >> (sensor % 32) & 1 == 1);
+        let limited = self.saturated.get(index).is_some_and(|s| s >> (sensor % 32) & 1 == 1);
         let output = self.outputs.get(index).and_then(|row| row.get(sensor));
         !limited && output.is_some_and(|v| v.iter().all(|axis| axis.is_finite()))
     }
@@ -341,9 +320,7 @@ impl ArrayRecording {
         let columns = names.map(|name| self.other.iter().find(|(n, _)| *n == name));
         let rows = columns.map(|column| column.map_or(0, |(_, values)| values.len()));
         let value = |k: usize| columns.map(|column| column.map_or(f64::NAN, |(_, v)| v[k]));
-        (0..rows.into_iter().min().unwrap_or(0))
-            .map(value)
-            .collect()
+        (0..rows.into_iter().min().unwrap_or(0)).map(value).collect()
     }
 
     /// Where the body truly was, from columns `Truth Position E (m)`, … and `Truth Quaternion W`, ….
@@ -385,11 +362,8 @@ impl ArrayRecording {
                     aw * bz - ax * by + ay * bx - az * bw,
                 ];
                 let sine = norm(v);
-                let by = if sine > 0.0 {
-                    2.0 * sine.atan2(w.abs()) / sine * w.signum()
-                } else {
-                    0.0
-                };
+                let by =
+                    if sine > 0.0 { 2.0 * sine.atan2(w.abs()) / sine * w.signum() } else { 0.0 };
                 Some(v.map(|c| c * by / step)).filter(|r| r.iter().all(|c| c.is_finite()))
             })
             .collect()
@@ -461,9 +435,7 @@ impl Table {
                 true => STANDARD_GRAVITY_MPS2 / sensitivity_lsb_per_g,
                 false => 1.0,
             };
-            recording
-                .sensitivities
-                .push(counts.then_some(sensitivity_lsb_per_g));
+            recording.sensitivities.push(counts.then_some(sensitivity_lsb_per_g));
             let mut values = force.beside(time);
             for (row, time_ns) in times.iter().enumerate() {
                 let value = values.at(row, *time_ns).unwrap_or([f64::NAN; 3]);
@@ -475,10 +447,7 @@ impl Table {
         for track in file.tracks() {
             recording.add_columns(track, time);
         }
-        Ok(Self {
-            recording,
-            first_ns,
-        })
+        Ok(Self { recording, first_ns })
     }
 }
 
@@ -487,15 +456,15 @@ impl ArrayRecording {
     fn add_columns(&mut self, track: &Track, time: &Track) {
         let names: Vec<String> = match (track.info.quantity, track.info.origin) {
             (Quantity::Scalar, _) => vec![track.info.name.clone()],
-            (Quantity::Position, Origin::Truth) => ["E", "N", "U"]
-                .map(|a| format!("Truth Position {a} (m)"))
-                .to_vec(),
-            (Quantity::Attitude, Origin::Truth) => ["W", "X", "Y", "Z"]
-                .map(|a| format!("Truth Quaternion {a}"))
-                .to_vec(),
-            (Quantity::AngularRate, Origin::Truth) => ["X", "Y", "Z"]
-                .map(|a| format!("Truth Angular Rate {a} (rad/s)"))
-                .to_vec(),
+            (Quantity::Position, Origin::Truth) => {
+                ["E", "N", "U"].map(|a| format!("Truth Position {a} (m)")).to_vec()
+            }
+            (Quantity::Attitude, Origin::Truth) => {
+                ["W", "X", "Y", "Z"].map(|a| format!("Truth Quaternion {a}")).to_vec()
+            }
+            (Quantity::AngularRate, Origin::Truth) => {
+                ["X", "Y", "Z"].map(|a| format!("Truth Angular Rate {a} (rad/s)")).to_vec()
+            }
             _ => return,
         };
         let mut values = track.beside(time);
@@ -550,10 +519,7 @@ impl Board {
     /// Those of [`Recording::load`] and [`formats::load`]; `no_rows`; `data_refused` where nothing tells
     /// the board's clock.
     pub fn read(path: &Path, options: &BoardOptions) -> Result<Self> {
-        if path
-            .extension()
-            .is_some_and(|e| e.eq_ignore_ascii_case("csv"))
-        {
+        if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv")) {
             let table = Table::read(path, options.sensitivity_lsb_per_g, 1)?;
             let mut recording = table.recording;
             recording.leave_out_beyond();
@@ -591,17 +557,9 @@ impl Board {
             )
             .at(&recording.name)
         };
-        let boot = link
-            .boots
-            .iter()
-            .max_by_key(|boot| samples(boot))
-            .ok_or_else(no_rows)?;
+        let boot = link.boots.iter().max_by_key(|boot| samples(boot)).ok_or_else(no_rows)?;
         let corrected = !boot.corrected.is_empty() && !options.raw;
-        let chosen = if corrected {
-            &boot.corrected
-        } else {
-            &boot.raw
-        };
+        let chosen = if corrected { &boot.corrected } else { &boot.raw };
         let (Some(first), Some(last)) = (chosen.first(), chosen.last()) else {
             return Err(no_rows());
         };
@@ -633,8 +591,7 @@ impl Board {
             clock_sd_s: Some(boot.clock_sd_ns(last.time).unwrap_or_default() * 1e-9),
             without_unit: 0,
             sensitivity_lsb_per_g: (!corrected).then(|| {
-                boot.nominal_sensitivity()
-                    .map_or(options.sensitivity_lsb_per_g, |s| s.lsb_per_g())
+                boot.nominal_sensitivity().map_or(options.sensitivity_lsb_per_g, |s| s.lsb_per_g())
             }),
         };
         for sample in chosen {

@@ -55,10 +55,7 @@ pub(super) fn judged(
     stretches: &[(usize, usize)],
     used: &[bool],
 ) -> Result<Judged> {
-    with_room!(
-        geometry.sensors.len(),
-        judge(recording, geometry, stretches, used)
-    )
+    with_room!(geometry.sensors.len(), judge(recording, geometry, stretches, used))
 }
 
 /// Mean of all axes over a stretch; an axis without a value has 0.
@@ -89,11 +86,7 @@ impl<const M: usize> Mean<M> {
                 axes += 1.0;
             }
         }
-        Self {
-            output,
-            variance: squares / f64::max(axes, 1.0),
-            samples: count as f64,
-        }
+        Self { output, variance: squares / f64::max(axes, 1.0), samples: count as f64 }
     }
 
     /// Mean of the sensors.
@@ -121,20 +114,12 @@ fn judge<const M: usize>(
         Ok(solver) if solver.rank() > 0 => solver,
         // What is missing is said where the motion is looked for.
         _ => {
-            return Ok(Judged {
-                rests: stretches.to_vec(),
-                ..Judged::default()
-            });
+            return Ok(Judged { rests: stretches.to_vec(), ..Judged::default() });
         }
     };
-    let spans: Vec<(usize, usize)> = stretches
-        .iter()
-        .flat_map(|stretch| steady(recording, &solver, *stretch, used))
-        .collect();
-    let means: Vec<Mean<M>> = spans
-        .iter()
-        .map(|span| Mean::of(recording, *span, used))
-        .collect();
+    let spans: Vec<(usize, usize)> =
+        stretches.iter().flat_map(|stretch| steady(recording, &solver, *stretch, used)).collect();
+    let means: Vec<Mean<M>> = spans.iter().map(|span| Mean::of(recording, *span, used)).collect();
     // What one rest's departures show beyond what the biases explain.
     let turn = |departure: [f64; M], variance: f64| -> Option<f64> {
         let linear = solver.reduce(&departure);
@@ -157,10 +142,7 @@ fn judge<const M: usize>(
             turn(minus(one.output, other.output), variance)
         });
         match by_itself.into_iter().chain(against).reduce(f64::max) {
-            Some(rate_rad_s) => judged.turns.push(EvenTurn {
-                span: *span,
-                rate_rad_s,
-            }),
+            Some(rate_rad_s) => judged.turns.push(EvenTurn { span: *span, rate_rad_s }),
             None => judged.rests.push(*span),
         }
     }
@@ -169,11 +151,7 @@ fn judge<const M: usize>(
         let size = norm(force).max(1e-9);
         let (z, _) = solver.expected_z(force.map(|f| f / size));
         let shown = norm(z).max(1e-12);
-        let variance = if means.len() > 1 {
-            2.0 * of_rest(first)
-        } else {
-            unknown(force)
-        };
+        let variance = if means.len() > 1 { 2.0 * of_rest(first) } else { unknown(force) };
         judged.unseen_rad_s = Some(((TURNS * variance).sqrt() / shown).sqrt());
     }
     Ok(judged)

@@ -33,11 +33,7 @@ pub struct SingleAxis {
 
 impl From<&Axis> for SingleAxis {
     fn from(axis: &Axis) -> Self {
-        Self {
-            place_m: axis.position_m,
-            direction: axis.direction,
-            column: None,
-        }
+        Self { place_m: axis.position_m, direction: axis.direction, column: None }
     }
 }
 
@@ -60,10 +56,7 @@ pub fn navigated_axes(
     known: &RefineOptions,
     zupt: Zupt,
 ) -> Result<(Vec<ArrayState<f64>>, Vec<String>)> {
-    with_room!(
-        geometry.axes.len().div_ceil(3),
-        navigate(recording, geometry, known, zupt)
-    )
+    with_room!(geometry.axes.len().div_ceil(3), navigate(recording, geometry, known, zupt))
 }
 
 fn navigate<const M: usize>(
@@ -114,9 +107,8 @@ fn navigate<const M: usize>(
         ..ArrayConfig::default()
     };
     let filter = ArrayFilter::<f64, M>::new(axes, config).map_err(refused)?;
-    let (states, mut remarks) = followed(recording, filter, zupt, &|_| true, |_, index, _| {
-        output::<M>(recording, index)
-    });
+    let (states, mut remarks) =
+        followed(recording, filter, zupt, &|_| true, |_, index, _| output::<M>(recording, index));
     remarks.push(format!(
         "{} uncalibrated single axes: as they show where they are quietest, biases of ± {bias_mps2:.3} m/s² and \
          sensitivities and directions wrong by ± {:.2} % are allowed for",
@@ -140,9 +132,8 @@ fn navigate<const M: usize>(
 /// Refuses axes whose output never moves while that of others does: no axis can stand in for one of so few.
 fn check_moving(recording: &ArrayRecording, geometry: &ArrayGeometry) -> Result<()> {
     let never_moves = |axis: &usize| {
-        let mut values = (recording.outputs.iter())
-            .map(|row| row[*axis][0])
-            .filter(|v| v.is_finite());
+        let mut values =
+            (recording.outputs.iter()).map(|row| row[*axis][0]).filter(|v| v.is_finite());
         let first = values.next();
         values.all(|v| Some(v) == first)
     };
@@ -156,10 +147,7 @@ fn check_moving(recording: &ArrayRecording, geometry: &ArrayGeometry) -> Result<
         .collect();
     Err(HostError::new(
         ErrorCode::DataRefused,
-        format!(
-            "the output of {} never moves: axis {first} (from 0) is dead",
-            names.join(", ")
-        ),
+        format!("the output of {} never moves: axis {first} (from 0) is dead", names.join(", ")),
         "check that sensor, its wires and its column; single axes do without none of them",
     )
     .at(&recording.name))
@@ -169,11 +157,7 @@ fn output<const M: usize>(recording: &ArrayRecording, index: usize) -> [f64; M] 
     let mut output = [0.0; M];
     let limited = recording.saturated[index];
     for (k, (slot, [value, ..])) in output.iter_mut().zip(&recording.outputs[index]).enumerate() {
-        *slot = if limited >> k & 1 == 1 {
-            AT_LIMIT_MPS2
-        } else {
-            *value
-        };
+        *slot = if limited >> k & 1 == 1 { AT_LIMIT_MPS2 } else { *value };
     }
     output
 }
@@ -189,16 +173,10 @@ impl<const M: usize> Quiet<M> {
         let axes = recording.sensors().min(M);
         let rows = recording.outputs.len();
         let length = ((QUIET_S / recording.period_s()).ceil() as usize).clamp(2, rows.max(2));
-        let mut quietest = Self {
-            mean_mps2: [0.0; M],
-            noise_mps2: [LEAST_NOISE_MPS2; M],
-        };
+        let mut quietest = Self { mean_mps2: [0.0; M], noise_mps2: [LEAST_NOISE_MPS2; M] };
         let mut least = f64::INFINITY;
         for window in recording.outputs.chunks_exact(length) {
-            let mut one = Self {
-                mean_mps2: [0.0; M],
-                noise_mps2: [LEAST_NOISE_MPS2; M],
-            };
+            let mut one = Self { mean_mps2: [0.0; M], noise_mps2: [LEAST_NOISE_MPS2; M] };
             let mut sum = 0.0;
             for axis in 0..axes {
                 let values = || window.iter().map(|row| row[axis][0]);

@@ -78,12 +78,8 @@ pub fn calibrate_array(
         Err(why) if why.code() == ErrorCode::DataRefused => {}
         Err(why) => return Err(why.clone()),
     }
-    calibration.place_sd_m = geometry
-        .place_sd_mm
-        .map_or(options.place_sd_m, |mm| mm * 1e-3);
-    calibration.delay_sd_s = geometry
-        .delay_sd_us
-        .map_or(options.delay_sd_s, |us| us * 1e-6);
+    calibration.place_sd_m = geometry.place_sd_mm.map_or(options.place_sd_m, |mm| mm * 1e-3);
+    calibration.delay_sd_s = geometry.delay_sd_us.map_or(options.delay_sd_s, |us| us * 1e-6);
     // Whoever navigates with these places would be refused.
     if let Some(agreement) = ArrayBody::of(&arranged, &geometry, &calibration)?.agreement() {
         agreement.check(&recording.name)?;
@@ -96,12 +92,7 @@ pub fn calibrate_array(
         sensor.model = Some(in_own_axes(sensor, &calibration.sensors[k])?);
         sensor.sensitivity_lsb_per_g = recording.sensitivities.get(k).copied().flatten();
     }
-    Ok(CalibratedArray {
-        geometry,
-        calibration,
-        refinement,
-        remarks,
-    })
+    Ok(CalibratedArray { geometry, calibration, refinement, remarks })
 }
 
 /// The model of a sensor in its own axes from that in body axes: with R from sensor to body axes, b ← Rᵀ b,
@@ -111,9 +102,7 @@ fn in_own_axes(sensor: &ArraySensor, model: &ErrorModel) -> Result<ErrorModel> {
     let output = |own: [f64; 3]| -> [f64; 3] {
         let body = sensor.in_body_axes(own);
         let out = model.distort(SpecificForceMps2(body), None).0;
-        sensor
-            .axes
-            .map(|axis| (0..3).map(|i| axis[i] * out[i]).sum())
+        sensor.axes.map(|axis| (0..3).map(|i| axis[i] * out[i]).sum())
     };
     let bias_mps2 = output([0.0; 3]);
     let columns: [[f64; 3]; 3] = std::array::from_fn(|j| {

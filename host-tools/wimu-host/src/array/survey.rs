@@ -35,19 +35,13 @@ pub(crate) fn repaired(
     geometry: &ArrayGeometry,
     calibration: &ArrayCalibration,
 ) -> Result<Option<Repaired>> {
-    let prior = ArrayPrior {
-        delay_s: ANY_DELAY_S,
-        size: ANY_SIZE,
-        ..calibration.prior()
-    };
+    let prior = ArrayPrior { delay_s: ANY_DELAY_S, size: ANY_SIZE, ..calibration.prior() };
     let found = Fitted::of(recording, geometry, calibration, &prior)?;
     if found.agreement.is_none() {
         return Ok(None);
     }
     let mut remarks = Vec::new();
-    let mut delays: Vec<f64> = used(calibration, recording)
-        .map(|s| found.delays_s[s].0)
-        .collect();
+    let mut delays: Vec<f64> = used(calibration, recording).map(|s| found.delays_s[s].0).collect();
     delays.sort_by(f64::total_cmp);
     // The common time of the sensors is that of most of them.
     let median = 0.5 * (delays[(delays.len() - 1) / 2] + delays[delays.len() / 2]);
@@ -92,12 +86,7 @@ pub(crate) fn repaired(
         changed.calibration = again;
     }
     if resized {
-        for place in changed
-            .geometry
-            .sensors
-            .iter_mut()
-            .flat_map(|s| &mut s.places_m)
-        {
+        for place in changed.geometry.sensors.iter_mut().flat_map(|s| &mut s.places_m) {
             *place = place.map(|c| c / size);
         }
         changed.calibration.size_sd_m = arm_m(&changed.geometry) * sd / size;

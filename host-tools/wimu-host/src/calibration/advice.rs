@@ -48,10 +48,7 @@ pub(super) fn advice(poses: &[Pose], options: &CalibrateOptions, least: usize) -
         guide.take(next.up());
         Some(next.into())
     };
-    ((planned - count + 1)..=planned)
-        .rev()
-        .map_while(next)
-        .collect()
+    ((planned - count + 1)..=planned).rev().map_while(next).collect()
 }
 
 #[cfg(test)]

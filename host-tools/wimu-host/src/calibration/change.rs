@@ -108,10 +108,9 @@ fn described(change: &Change, drift_fitted: bool) -> Finding {
             return FindingCode::Drift.warning(text).remedy(remedy);
         }
         Kind::Bias(axis) => format!("the bias of {} changed by {mm:+.0} mm/s²", name(axis)),
-        Kind::Gain(axis) => format!(
-            "the scale factor of {} changed by {percent:+.1} %",
-            name(axis)
-        ),
+        Kind::Gain(axis) => {
+            format!("the scale factor of {} changed by {percent:+.1} %", name(axis))
+        }
         Kind::Sign(axis) => format!("the sign of {} changed", name(axis)),
     };
     let finding = FindingCode::Step.warning(what + " between two poses");
@@ -137,9 +136,8 @@ struct Rows {
 impl Rows {
     /// `None` where the poses have no times or do not exceed the parameters.
     fn new(poses: &[Pose], estimate: &Estimate, all: bool) -> Option<Self> {
-        let mut order: Vec<usize> = (0..poses.len())
-            .filter(|k| all || !estimate.rejected.contains(*k))
-            .collect();
+        let mut order: Vec<usize> =
+            (0..poses.len()).filter(|k| all || !estimate.rejected.contains(*k)).collect();
         order.sort_by(|a, b| poses[*a].time_s.total_cmp(&poses[*b].time_s));
         // Poses of one orientation in succession share an error (42b): the first of them stands for all.
         order.dedup_by(|next, pose| same_orientation(&poses[*pose], &poses[*next]));
@@ -147,9 +145,7 @@ impl Rows {
         let (first_s, last_s) = (pose(0).time_s, poses[*order.last()?].time_s);
         let reference_c = estimate.temperature_c.unwrap_or(0.0);
         let count = order.len();
-        let residuals: Vec<f64> = (0..count)
-            .map(|row| estimate.residual_mps2(pose(row)))
-            .collect();
+        let residuals: Vec<f64> = (0..count).map(|row| estimate.residual_mps2(pose(row))).collect();
         let noise: Vec<f64> = (0..count).map(|row| noise(pose(row))).collect();
         let common = estimate.pose_sd_mps2.powi(2);
         let mean_noise = noise.iter().sum::<f64>() / count as f64;
@@ -220,9 +216,7 @@ impl Rows {
             found.push(self.tested(Kind::Drift, 0, 3, column, alone));
         }
         let last = count.checked_sub(MIN_SIDE)?;
-        let times: Vec<usize> = (MIN_SIDE..=last)
-            .step_by(count.div_ceil(MAX_TIMES))
-            .collect();
+        let times: Vec<usize> = (MIN_SIDE..=last).step_by(count.div_ceil(MAX_TIMES)).collect();
         let alone = FALSE_ALARM_STEP / (9 * times.len()) as f64;
         for after in times {
             let late = |row: usize| f64::from(u8::from(row >= after));
@@ -267,9 +261,7 @@ impl Rows {
         let right = own.tr_mul(&self.left);
         let sizes = normal.solve(&right);
         let gain = sizes.dot(&right);
-        let freedom = count
-            .checked_sub(self.basis.ncols() + columns)
-            .filter(|f| *f > 0)?;
+        let freedom = count.checked_sub(self.basis.ncols() + columns).filter(|f| *f > 0)?;
         let rest = (self.left.norm_squared() - gain).max(0.0);
         let located = usize::from(after > 0);
         // The many hypotheses of a step need the scatter that sensors have. It would hide the drift of those with less.
@@ -331,11 +323,7 @@ fn fisher_tail(ratio: f64, a: usize, b: usize) -> f64 {
 
 /// ln Γ(n/2).
 fn ln_gamma_of_half(n: usize) -> f64 {
-    let begin = if n % 2 == 1 {
-        0.5 * std::f64::consts::PI.ln()
-    } else {
-        0.0
-    };
+    let begin = if n % 2 == 1 { 0.5 * std::f64::consts::PI.ln() } else { 0.0 };
     let factors = (2 - n % 2..n).step_by(2);
     begin + factors.map(|m| (0.5 * m as f64).ln()).sum::<f64>()
 }
@@ -347,11 +335,9 @@ mod tests {
     #[test]
     fn the_tail_is_that_of_tables() {
         // Student's t: 3.169 with 10 degrees of freedom is exceeded with 1 %; F(3, 12): 5.953; F(3, 7): 8.451.
-        for (ratio, a, b) in [
-            (3.169 * 3.169 / 10.0, 1, 10),
-            (5.953 * 3.0 / 12.0, 3, 12),
-            (8.451 * 3.0 / 7.0, 3, 7),
-        ] {
+        for (ratio, a, b) in
+            [(3.169 * 3.169 / 10.0, 1, 10), (5.953 * 3.0 / 12.0, 3, 12), (8.451 * 3.0 / 7.0, 3, 7)]
+        {
             let tail = fisher_tail(ratio, a, b);
             assert!((tail - 0.01).abs() < 2e-5, "{tail}");
         }

@@ -15,10 +15,7 @@ pub struct Covariance {
 impl Covariance {
     pub(super) fn new<const N: usize>(order: [String; N], factor: &[f32]) -> Self {
         let row = |row: usize| factor.iter().skip(row * (row + 1) / 2).take(row + 1);
-        Self {
-            order: order.into(),
-            cholesky: (0..N).map(|n| row(n).copied().collect()).collect(),
-        }
+        Self { order: order.into(), cholesky: (0..N).map(|n| row(n).copied().collect()).collect() }
     }
 
     /// The elements of L, if it has this order.

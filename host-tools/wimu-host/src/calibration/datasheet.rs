@@ -73,9 +73,8 @@ impl DatasheetReport {
             Some(used) => datasheet.nominal(used).map(|nominal| used / nominal),
             None => Some(1.0),
         };
-        let findings: Vec<Finding> = datasheet
-            .findings(estimate, scale, range_g.map(f64::from))
-            .collect();
+        let findings: Vec<Finding> =
+            datasheet.findings(estimate, scale, range_g.map(f64::from)).collect();
         let beyond = || findings.iter().filter(|f| f.verdict() == Verdict::Beyond);
         Self {
             sensor: datasheet.sensor,
@@ -124,32 +123,19 @@ impl DatasheetReport {
                 };
                 let value = signed(limit.value, 3);
                 let half = significant(limit.half_width_95, 2);
-                format!(
-                    "{} {value} ± {half} {relation} ±{}{note}",
-                    limit.of, limit.limit
-                )
+                format!("{} {value} ± {half} {relation} ±{}{note}", limit.of, limit.limit)
             };
             let parts: Vec<String> = limits.iter().map(part).collect();
             let first = limits.first()?;
-            let typical = if first.guaranteed {
-                ""
-            } else {
-                ", typical limits"
-            };
-            let text = format!(
-                "{}, {}, 95 %{typical}: {}",
-                first.quantity,
-                first.unit,
-                parts.join(", ")
-            );
+            let typical = if first.guaranteed { "" } else { ", typical limits" };
+            let text =
+                format!("{}, {}, 95 %{typical}: {}", first.quantity, first.unit, parts.join(", "));
             match limits.iter().any(|limit| limit.verdict == "beyond") {
                 true => Some(code.warning(text)),
                 false => Some(code.note(text)),
             }
         };
         let by_quantity = self.limits.chunk_by(|a, b| a.quantity == b.quantity);
-        iter::once(summary)
-            .chain(by_quantity.filter_map(of_one))
-            .collect()
+        iter::once(summary).chain(by_quantity.filter_map(of_one)).collect()
     }
 }

@@ -46,33 +46,23 @@ impl Difference {
         }
         found.result = format!("{old} → {new}");
         let mut below_precision = Vec::new();
-        for ((name, old), (_, new)) in parameter_figures(before)
-            .into_iter()
-            .zip(parameter_figures(after))
+        for ((name, old), (_, new)) in
+            parameter_figures(before).into_iter().zip(parameter_figures(after))
         {
             let [before, after] = [&old, &new].map(|values| values_text(values));
             if before != after {
-                found.changed.push(Change {
-                    name,
-                    before,
-                    after,
-                });
+                found.changed.push(Change { name, before, after });
             } else if old != new {
                 below_precision.push(name);
             }
         }
         if !below_precision.is_empty() {
             let names = below_precision.join("; ");
-            found
-                .notes
-                .push(format!("differences below the printed precision: {names}"));
+            found.notes.push(format!("differences below the printed precision: {names}"));
         }
         let others = [
             ("alignment", before.alignment != after.alignment),
-            (
-                "magnetometer calibration",
-                before.magnetometer != after.magnetometer,
-            ),
+            ("magnetometer calibration", before.magnetometer != after.magnetometer),
             ("fit statistics", before.quality != after.quality),
             ("sensor", before.sensor != after.sensor),
             ("gyroscope calibration", before.gyroscope != after.gyroscope),

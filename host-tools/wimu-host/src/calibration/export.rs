@@ -92,36 +92,24 @@ impl CalibrationExport {
             }
             Err(error) => return Err(error),
         };
-        Ok(Self {
-            stored,
-            title: format!("{title}, exported by wimu."),
-            range,
-        })
+        Ok(Self { stored, title: format!("{title}, exported by wimu."), range })
     }
 
     /// The calibration as a text for `target`. Only Kalibr's has the noise.
     pub fn text(&self, target: ExportTarget, noise: Option<KalibrNoise>) -> String {
         match target {
-            ExportTarget::C => self.fill(
-                include_str!("export/wimu_calibration.h"),
-                " * ",
-                ["{", ", ", "}"],
-            ),
-            ExportTarget::Rust => self.fill(
-                include_str!("export/wimu_calibration.rs"),
-                "//! ",
-                ["[", ", ", "]"],
-            ),
-            ExportTarget::Numpy => self.fill(
-                include_str!("export/wimu_calibration.py"),
-                "",
-                ["[", ", ", "]"],
-            ),
-            ExportTarget::Matlab => self.fill(
-                include_str!("export/wimu_correct.m"),
-                "% ",
-                ["[", "; ", "]"],
-            ),
+            ExportTarget::C => {
+                self.fill(include_str!("export/wimu_calibration.h"), " * ", ["{", ", ", "}"])
+            }
+            ExportTarget::Rust => {
+                self.fill(include_str!("export/wimu_calibration.rs"), "//! ", ["[", ", ", "]"])
+            }
+            ExportTarget::Numpy => {
+                self.fill(include_str!("export/wimu_calibration.py"), "", ["[", ", ", "]"])
+            }
+            ExportTarget::Matlab => {
+                self.fill(include_str!("export/wimu_correct.m"), "% ", ["[", "; ", "]"])
+            }
             ExportTarget::Kalibr => self.kalibr(noise),
             ExportTarget::Ros => self.ros(),
             ExportTarget::Px4 | ExportTarget::Ardupilot => self.autopilot(target),
@@ -214,10 +202,9 @@ impl CalibrationExport {
     /// The equations of the calibration, as lines of text.
     fn convention(&self) -> String {
         let (unit, scale) = match self.stored.sensitivity_lsb_per_g {
-            Some(lsb_per_g) => (
-                "LSB",
-                format!("9.80665 / ({lsb_per_g} LSB/g), the nominal sensitivity"),
-            ),
+            Some(lsb_per_g) => {
+                ("LSB", format!("9.80665 / ({lsb_per_g} LSB/g), the nominal sensitivity"))
+            }
             None => ("m/s^2", "1; set it to 9.80665 for output in g".to_owned()),
         };
         let mut text = format!(
@@ -260,10 +247,8 @@ impl CalibrationExport {
         let terms = self.stored.model.terms();
         let t = &terms.temperature;
         let convention = self.convention();
-        let convention: Vec<String> = convention
-            .lines()
-            .map(|line| format!("{comment}{line}"))
-            .collect();
+        let convention: Vec<String> =
+            convention.lines().map(|line| format!("{comment}{line}")).collect();
         let signature = match self.stored.gyroscope {
             Some(_) => "[force, rate] = wimu_correct(output, temperature_c, rate_output)",
             None => "force = wimu_correct(output, temperature_c)",
@@ -326,11 +311,7 @@ impl CalibrationExport {
         let left_out = self.left_out(target);
         let lines = convention.lines().map(str::to_owned);
         let left_out = left_out.into_iter().map(|line| format!("{line}."));
-        for line in [self.title.clone()]
-            .into_iter()
-            .chain(lines)
-            .chain(left_out)
-        {
+        for line in [self.title.clone()].into_iter().chain(lines).chain(left_out) {
             let _ = writeln!(text, "# {line}");
         }
         text
@@ -444,22 +425,11 @@ impl CalibrationExport {
         let bias = |gyroscope: &GyroscopeParameters| gyroscope.model.terms().bias_rad_s;
         let rate = self.stored.gyroscope.as_ref().map(bias);
         let groups = match px4 {
-            true => [
-                ("CAL_ACC0_", "OFF"),
-                ("CAL_ACC0_", "SCALE"),
-                ("CAL_GYRO0_", "OFF"),
-            ],
-            false => [
-                ("INS_ACCOFFS_", ""),
-                ("INS_ACCSCAL_", ""),
-                ("INS_GYROFFS_", ""),
-            ],
+            true => [("CAL_ACC0_", "OFF"), ("CAL_ACC0_", "SCALE"), ("CAL_GYRO0_", "OFF")],
+            false => [("INS_ACCOFFS_", ""), ("INS_ACCSCAL_", ""), ("INS_GYROFFS_", "")],
         };
         for ((start, end), values) in groups.into_iter().zip([Some(offset), Some(scale), rate]) {
-            for (axis, value) in ["X", "Y", "Z"]
-                .into_iter()
-                .zip(values.into_iter().flatten())
-            {
+            for (axis, value) in ["X", "Y", "Z"].into_iter().zip(values.into_iter().flatten()) {
                 put(format!("{start}{axis}{end}"), value);
             }
         }
@@ -470,8 +440,6 @@ impl CalibrationExport {
 /// Inverse of the matrix of an error model, which has one.
 fn inverse(matrix: &Matrix3) -> Matrix3 {
     let matrix = nalgebra::Matrix3::from_fn(|i, j| matrix[i][j]);
-    let inverse = matrix
-        .try_inverse()
-        .unwrap_or_else(nalgebra::Matrix3::identity);
+    let inverse = matrix.try_inverse().unwrap_or_else(nalgebra::Matrix3::identity);
     [0, 1, 2].map(|i| [0, 1, 2].map(|j| inverse[(i, j)]))
 }

@@ -150,10 +150,7 @@ impl CalibrationFile {
             parameter_id: None,
         };
         sensor.seal();
-        Self {
-            schema: Self::SCHEMA.to_owned(),
-            sensors: vec![sensor],
-        }
+        Self { schema: Self::SCHEMA.to_owned(), sensors: vec![sensor] }
     }
 
     /// The file of `set`, which later data made of the calibration `before`: that of the file `path`, if there is one.
@@ -179,12 +176,8 @@ impl CalibrationFile {
     ) -> Option<Self> {
         // Any in bounds: replaced below.
         let sensitivity = Sensitivity::from_lsb_per_g(16384.0).ok()?;
-        let set = ParameterSet {
-            model,
-            quality,
-            sensor,
-            ..ParameterSet::uncalibrated(1, sensitivity)
-        };
+        let set =
+            ParameterSet { model, quality, sensor, ..ParameterSet::uncalibrated(1, sensitivity) };
         let mut file = Self::new(&set, &[], source);
         let entry = file.sensors.first_mut()?;
         let stored = &mut entry.accelerometer;
@@ -337,13 +330,7 @@ impl StoredSensor {
     /// The gyroscope, whose range and sensitivity have not been checked at reading.
     fn gyroscope(&self) -> std::result::Result<Option<GyroscopeParameters>, String> {
         let gyroscope = self.gyroscope.map(|gyroscope| {
-            let GyroscopeParameters {
-                range_dps,
-                rad_s_per_lsb,
-                model,
-                sd,
-                ..
-            } = gyroscope;
+            let GyroscopeParameters { range_dps, rad_s_per_lsb, model, sd, .. } = gyroscope;
             GyroscopeParameters::new(range_dps, rad_s_per_lsb, model, sd)
         });
         gyroscope.transpose().map_err(|error| error.to_string())
@@ -365,9 +352,7 @@ impl StoredSensor {
         let covariance = self.alignment_covariance.as_ref();
         Ok(ParameterSet {
             model: self.model()?,
-            quality: quality
-                .map(|quality| quality.read(&accelerometer.sessions))
-                .transpose()?,
+            quality: quality.map(|quality| quality.read(&accelerometer.sessions)).transpose()?,
             alignment: self.alignment_wxyz,
             alignment_covariance: covariance.map(Covariance::of_rotation).transpose()?,
             magnetometer: self.magnetometer,
@@ -424,9 +409,7 @@ fn invalid(path: &Path) -> impl Fn(String) -> HostError {
             true => SENSITIVITY_REMEDY,
             false => "undo the change, or calibrate again",
         };
-        ErrorCode::BadCalibration
-            .error(message, remedy)
-            .at(path.display().to_string())
+        ErrorCode::BadCalibration.error(message, remedy).at(path.display().to_string())
     }
 }
 
@@ -438,10 +421,7 @@ fn invalid(path: &Path) -> impl Fn(String) -> HostError {
 pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
     match read(path)? {
         Read::V1(text) => file_v1::parameters(&path.display().to_string(), &text),
-        Read::V2(file) => file
-            .sensor()
-            .and_then(StoredSensor::set)
-            .map_err(invalid(path)),
+        Read::V2(file) => file.sensor().and_then(StoredSensor::set).map_err(invalid(path)),
     }
 }
 
@@ -471,11 +451,8 @@ pub fn sessions(path: Option<&Path>, set: &ParameterSet) -> Vec<Session> {
         return sensor.accelerometer.sessions.clone();
     }
     let quality = set.quality.iter().map(CalibrationQuality::terms);
-    let session = |terms: &QualityTerms| Session {
-        utc_s: terms.utc_s,
-        file: None,
-        poses: terms.poses,
-    };
+    let session =
+        |terms: &QualityTerms| Session { utc_s: terms.utc_s, file: None, poses: terms.poses };
     quality.map(session).collect()
 }
 
@@ -504,8 +481,7 @@ impl StoredModel {
     /// Standard deviation of the specific force at 1 *g* on the worst axis, m/s², of bias, scale factor and misalignment
     /// together; 0 where it is not known.
     pub fn bias_sd_mps2(&self) -> f64 {
-        self.covariance
-            .map_or(0.0, |known| worst_sd(|place| known.sd(place)))
+        self.covariance.map_or(0.0, |known| worst_sd(|place| known.sd(place)))
     }
 
     /// m/s² of one unit of the output that it corrects: of one LSB where a sensitivity is known, else 1.
@@ -554,9 +530,6 @@ pub(super) fn range_finding(path: &Path, set: &ParameterSet) -> Option<Finding> 
             file.sensor().ok()?.accelerometer.range_source == Some(Source::SixteenBits)
         }
     };
-    let likely = Range {
-        g: set.range_g,
-        source: Source::SixteenBits,
-    };
+    let likely = Range { g: set.range_g, source: Source::SixteenBits };
     assumed.then(|| likely.finding(set.sensitivity))?
 }

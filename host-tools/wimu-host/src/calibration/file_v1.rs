@@ -92,11 +92,8 @@ pub(super) fn model(name: &str, text: &str) -> Result<StoredModel> {
     };
     let is_plain = file.parameters.is_none() && file.status.as_deref() == Some("ok");
     if let (true, Some(terms)) = (is_plain, file.model) {
-        let model = ErrorModel::new(terms).map_err(|error| {
-            ErrorCode::BadCalibration
-                .error(error.to_string(), REMEDY)
-                .at(name)
-        })?;
+        let model = ErrorModel::new(terms)
+            .map_err(|error| ErrorCode::BadCalibration.error(error.to_string(), REMEDY).at(name))?;
         return Ok(stored(model, file.sensitivity_lsb_per_g));
     }
     set(name, file).map(|set| StoredModel {

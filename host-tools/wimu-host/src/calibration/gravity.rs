@@ -20,11 +20,9 @@ pub(super) fn gravity(options: &CalibrateOptions) -> Result<(Gravity, Source)> {
             ));
         }
         (Some(mps2), None) => (Gravity::new(mps2, 0.0), Source::Given, "--gravity"),
-        (None, Some([latitude, height])) => (
-            Gravity::at(latitude, height),
-            Source::Latitude,
-            "--latitude and --height",
-        ),
+        (None, Some([latitude, height])) => {
+            (Gravity::at(latitude, height), Source::Latitude, "--latitude and --height")
+        }
         (None, None) => return Ok((Gravity::UNKNOWN_PLACE, Source::Default)),
     };
     let gravity =

@@ -58,9 +58,7 @@ pub(super) fn calibrate(
     let full_scale = track.info.full_scale;
     let (si, lsb) = match track.info.unit {
         Unit::Si => (1.0, None),
-        Unit::Counts {
-            si_per_lsb: Some(si),
-        } => (si, Some(si)),
+        Unit::Counts { si_per_lsb: Some(si) } => (si, Some(si)),
         _ => {
             let finding = FindingCode::Uncalibrated
                 .note("the gyroscope is not calibrated: its unit is not known");
@@ -143,9 +141,7 @@ fn remarks(estimate: &GyroscopeEstimate) -> Vec<Finding> {
             TurnFault::Saturated { .. } => FindingCode::Saturated,
             _ => FindingCode::SamplesLeftOut,
         };
-        code.warning(format!(
-            "gyroscope: the turn after rest {rest} (from 0) is left out: {fault}"
-        ))
+        code.warning(format!("gyroscope: the turn after rest {rest} (from 0) is left out: {fault}"))
     });
     let matrix = estimate.model.terms().matrix;
     let far = (0..3).filter(|axis| (matrix[*axis][*axis] - 1.0).abs() > TOLERANCE);
@@ -162,9 +158,7 @@ fn remarks(estimate: &GyroscopeEstimate) -> Vec<Finding> {
 
 impl GyroscopeReport {
     fn is_observed(&self, parameter: usize) -> bool {
-        self.half_width_95
-            .get(parameter)
-            .is_some_and(Option::is_some)
+        self.half_width_95.get(parameter).is_some_and(Option::is_some)
     }
 }
 
@@ -186,19 +180,11 @@ impl fmt::Display for GyroscopeReport {
             .filter(|(k, r, c)| r != c && self.is_observed(MATRIX + k))
             .map(|(k, r, c)| {
                 let off = signed_with_sd(1e3 * self.model.matrix[r][c], 1e3 * sd(MATRIX + k));
-                format!(
-                    "m_{}{} {off}",
-                    AXES[c].to_lowercase(),
-                    AXES[r].to_lowercase()
-                )
+                format!("m_{}{} {off}", AXES[c].to_lowercase(), AXES[r].to_lowercase())
             })
             .collect();
         if !misaligned.is_empty() {
-            writeln!(
-                out,
-                "gyroscope misalignment, mrad: {}",
-                misaligned.join(", ")
-            )?;
+            writeln!(out, "gyroscope misalignment, mrad: {}", misaligned.join(", "))?;
         }
         let size = |(_, r, c): &(usize, usize, usize)| self.model.g_sensitivity[*r][*c].abs();
         let observed = cells().filter(|(k, ..)| self.is_observed(G_SENSITIVITY + k));

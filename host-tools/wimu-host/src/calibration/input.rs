@@ -23,8 +23,7 @@ impl Poses {
     pub fn remove_repeated(&mut self) -> usize {
         let all = self.poses.len();
         let mut seen = HashSet::with_capacity(all);
-        self.poses
-            .retain(|pose| seen.insert(pose.mean_mps2.map(f64::to_bits)));
+        self.poses.retain(|pose| seen.insert(pose.mean_mps2.map(f64::to_bits)));
         all - self.poses.len()
     }
 
@@ -35,13 +34,9 @@ impl Poses {
         let mut rest = self.poses.as_slice();
         while let Some((turn, after)) = rest.split_at_checked(steps) {
             kept.extend_from_slice(turn);
-            let comes_back = after
-                .first()
-                .is_some_and(|pose| same_orientation(&turn[0], pose));
+            let comes_back = after.first().is_some_and(|pose| same_orientation(&turn[0], pose));
             let is_over = !after.len().is_multiple_of(steps);
-            rest = after
-                .get(usize::from(is_over && comes_back)..)
-                .unwrap_or(&[]);
+            rest = after.get(usize::from(is_over && comes_back)..).unwrap_or(&[]);
         }
         if !rest.is_empty() {
             return 0;
@@ -96,11 +91,7 @@ pub(super) fn poses(data: &Samples<'_>, scale: f64, gravity_mps2: f64) -> Poses 
     } else {
         saturated = saturated.or_else(|| saturation::at_rest(forces.into_iter(), &poses));
     }
-    Poses {
-        poses,
-        scale,
-        saturated,
-    }
+    Poses { poses, scale, saturated }
 }
 
 /// A wrong unit of samples in which few poses were found: in it, noise looks like motion.
@@ -120,10 +111,7 @@ pub(super) fn wrong_unit(data: &Samples<'_>, found: &Poses, gravity: Gravity) ->
 /// The likely unit of an output of this magnitude at rest, m/s², if it cannot be gravity.
 fn not_gravity(mps2: f64, gravity: Gravity) -> Option<UnitHint> {
     let typical = Pose::from_mean([mps2, 0.0, 0.0]);
-    let bias = MultiPosition {
-        model: Model::Bias3,
-        ..MultiPosition::default()
-    };
+    let bias = MultiPosition { model: Model::Bias3, ..MultiPosition::default() };
     match multi_position_with(&[typical; 4], gravity, bias) {
         Err(Refusal::UnexpectedMagnitude { hint, .. }) => Some(hint),
         _ => None,
@@ -131,14 +119,11 @@ fn not_gravity(mps2: f64, gravity: Gravity) -> Option<UnitHint> {
 }
 
 pub(super) fn median_magnitude(data: &Samples<'_>) -> f64 {
-    median(data.values().map(magnitude))
-        .filter(|median| *median > 0.0)
-        .unwrap_or(1.0)
+    median(data.values().map(magnitude)).filter(|median| *median > 0.0).unwrap_or(1.0)
 }
 
 pub(super) fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| {
-        (sum + value * value, count + 1.0)
-    });
+    let (sum, count) =
+        values.fold((0.0, 0.0), |(sum, count), value| (sum + value * value, count + 1.0));
     (count > 0.0).then(|| (sum / count).sqrt())
 }

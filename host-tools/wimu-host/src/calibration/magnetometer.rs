@@ -123,10 +123,7 @@ pub fn calibrate_magnetometer(
             continue;
         };
         guide.take(rest.mean_mps2);
-        fitted.push(MagneticPose {
-            output_nt,
-            up: rest.mean_mps2,
-        });
+        fitted.push(MagneticPose { output_nt, up: rest.mean_mps2 });
         poses.push(FieldPose {
             first_sample: rest.first_sample,
             fields: fields.len(),
@@ -284,25 +281,18 @@ impl MagnetometerReport {
     /// `file_failed` when a picture cannot be drawn.
     pub fn page(&self) -> Result<Report> {
         let mut page = Report::new(format!("Magnetometer of {}", self.source));
-        let (text, ut) = (self.to_string(), |value: f64| {
-            format!("{} µT", significant(value, 3))
-        });
+        let (text, ut) = (self.to_string(), |value: f64| format!("{} µT", significant(value, 3)));
         page.result(text.lines().next().unwrap_or_default());
         if let Some(found) = &self.magnetometer {
             let hard_iron = magnitude(found.hard_iron_nt.map(|axis| f64::from(axis) / 1e3));
             page.key("hard iron", &ut(hard_iron))
                 .key("field", &ut(f64::from(found.field_nt) / 1e3))
-                .key(
-                    "|B| less the mean field, rms",
-                    &ut(f64::from(found.rms_nt) / 1e3),
-                );
+                .key("|B| less the mean field, rms", &ut(f64::from(found.rms_nt) / 1e3));
         }
         page.printed(&text).findings(&self.outcome.findings);
         let numbered = |value: &dyn Fn(&FieldPose) -> Option<f64>| -> Vec<(f64, f64)> {
             let values = self.poses.iter().enumerate();
-            values
-                .filter_map(|(k, pose)| Some((k as f64, value(pose)?)))
-                .collect()
+            values.filter_map(|(k, pose)| Some((k as f64, value(pose)?))).collect()
         };
         let before = numbered(&|pose| Some(magnitude(pose.output_ut)));
         let after = numbered(&|pose| pose.residual_ut);
@@ -327,21 +317,14 @@ impl MagnetometerReport {
                     k.to_string(),
                     format!("{x:+.2} {y:+.2} {z:+.2}"),
                     pose.fields.to_string(),
-                    pose.residual_ut
-                        .map_or(String::new(), |residual| format!("{residual:+.3}")),
+                    pose.residual_ut.map_or(String::new(), |residual| format!("{residual:+.3}")),
                     if left_out { "left out" } else { "" }.to_owned(),
                 ]
             })
             .collect();
         page.table(
             "Poses",
-            &[
-                "pose",
-                "output, µT",
-                "readings",
-                "|B| less the mean field, µT",
-                "",
-            ],
+            &["pose", "output, µT", "readings", "|B| less the mean field, µT", ""],
             &rows,
         );
         Ok(page)
@@ -352,28 +335,21 @@ impl MagnetometerReport {
         self.rejected_poses = found.rejected.as_slice().to_vec();
         let terms = *model.terms();
         for (pose, fitted) in self.poses.iter_mut().zip(fitted) {
-            let length = magnitude(model.correct(MagneticFieldNt(
-                fitted.output_nt.map(|nt| nt.round() as i32),
-            )));
+            let length = magnitude(
+                model.correct(MagneticFieldNt(fitted.output_nt.map(|nt| nt.round() as i32))),
+            );
             pose.residual_ut = Some((length - f64::from(terms.field_nt)) / 1e3);
         }
-        let with = ParameterSet {
-            magnetometer: Some(model),
-            ..*set
-        };
+        let with = ParameterSet { magnetometer: Some(model), ..*set };
         self.rotation_sd_deg = terms
             .to_accelerometer
             .map(|r| [0, 1, 2].map(|axis| r.covariance.sd(axis).to_degrees()));
         self.half_width_95 = Some(MagneticHalfWidths {
             hard_iron_ut: found.hard_iron_half_width_95_nt().map(|nt| nt / 1e3),
             soft_iron: found.soft_iron_half_width_95(),
-            rotation_deg: found
-                .rotation_half_width_95_rad()
-                .map(|axes| axes.map(f64::to_degrees)),
+            rotation_deg: found.rotation_half_width_95_rad().map(|axes| axes.map(f64::to_degrees)),
         });
-        self.dip_deg = terms
-            .to_accelerometer
-            .map(|r| f64::from(r.dip_rad).to_degrees());
+        self.dip_deg = terms.to_accelerometer.map(|r| f64::from(r.dip_rad).to_degrees());
         self.magnetometer = Some(terms);
         self.parameter_id = Some(parameter_id(&with).to_string());
         self.parameters = Some(with);
@@ -383,10 +359,7 @@ impl MagnetometerReport {
 impl fmt::Display for MagnetometerReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (source, rests, poses) = (&self.source, self.rests, self.poses.len());
-        write!(
-            out,
-            "{source}: {rests} rests, {poses} with a magnetic field"
-        )?;
+        write!(out, "{source}: {rests} rests, {poses} with a magnetic field")?;
         let Some(m) = &self.magnetometer else {
             write!(out, "\n{}", self.outcome)?;
             return self.write_next(out);

@@ -16,20 +16,14 @@ pub(super) fn numbers(estimate: &Estimate, range: Option<Range>) -> Fit {
     let bias = estimate.model.terms().bias_mps2;
     let matrix = estimate.model.terms().matrix;
     let of_sides = match estimate.method {
-        Method::SixPosition {
-            placement_sd_rad,
-            revisit_sd_mps2,
-            ..
-        } => Some((placement_sd_rad, revisit_sd_mps2)),
+        Method::SixPosition { placement_sd_rad, revisit_sd_mps2, .. } => {
+            Some((placement_sd_rad, revisit_sd_mps2))
+        }
         _ => None,
     };
     Fit {
         fitted: estimate.fitted.iter().map(|p| p.to_string()).collect(),
-        not_observed: estimate
-            .not_observed()
-            .iter()
-            .map(|p| p.to_string())
-            .collect(),
+        not_observed: estimate.not_observed().iter().map(|p| p.to_string()).collect(),
         dof: estimate.dof,
         rms_mm_s2: estimate.rms_mps2 * 1e3,
         fitted_rms_mm_s2: estimate.fitted_rms_mps2 * 1e3,
@@ -97,10 +91,7 @@ pub(super) fn static_poses(poses: &[Pose], estimate: Option<&Estimate>) -> Vec<S
 pub(super) fn no_terms() -> ErrorTerms {
     ErrorTerms {
         matrix: [[0.0; 3]; 3],
-        temperature: TemperatureTerms {
-            reference_c: 0.0,
-            ..TemperatureTerms::default()
-        },
+        temperature: TemperatureTerms { reference_c: 0.0, ..TemperatureTerms::default() },
         ..ErrorTerms::default()
     }
 }

@@ -21,8 +21,7 @@ impl CalibrationReport {
     pub fn page(&self) -> Result<Report> {
         let mut page = Report::new(format!("Calibration of {}", self.source));
         self.key_figures(&mut page);
-        page.printed(&self.to_string())
-            .findings(&self.outcome.findings);
+        page.printed(&self.to_string()).findings(&self.outcome.findings);
         if !self.static_poses.is_empty() {
             page.chart(&self.residuals())?.chart(&self.sphere())?;
         }
@@ -44,10 +43,7 @@ impl CalibrationReport {
         let mm_s2 = |value: f64| format!("{} mm/s²", significant(value, 3));
         let before = self.uncalibrated_rms_mm_s2;
         let before = before.map_or(String::new(), |rms| format!("{} → ", significant(rms, 3)));
-        page.key(
-            "|f| − g, rms, before and after",
-            &(before + &mm_s2(fit.rms_mm_s2)),
-        );
+        page.key("|f| − g, rms, before and after", &(before + &mm_s2(fit.rms_mm_s2)));
         let left_out = fit.loo_orientation_rms_mm_s2.or(fit.loo_rms_mm_s2);
         if let Some(rms) = left_out {
             page.key("at poses left out of the fit, rms", &mm_s2(rms));
@@ -73,25 +69,15 @@ impl CalibrationReport {
                         0.0 => String::new(),
                         noise => format!("{:.2}", noise * 1e3),
                     },
-                    pose.temperature_c
-                        .map_or(String::new(), |celsius| format!("{celsius:.1}")),
-                    pose.residual_mm_s2
-                        .map_or(String::new(), |residual| format!("{residual:+.3}")),
+                    pose.temperature_c.map_or(String::new(), |celsius| format!("{celsius:.1}")),
+                    pose.residual_mm_s2.map_or(String::new(), |residual| format!("{residual:+.3}")),
                     if left_out { "left out" } else { "" }.to_owned(),
                 ]
             })
             .collect();
         page.table(
             "Static poses",
-            &[
-                "pose",
-                "mean output, m/s²",
-                "samples",
-                "noise, mm/s²",
-                "°C",
-                "|f| − g, mm/s²",
-                "",
-            ],
+            &["pose", "mean output, m/s²", "samples", "noise, mm/s²", "°C", "|f| − g, mm/s²", ""],
             &rows,
         );
     }
@@ -111,8 +97,7 @@ impl CalibrationReport {
             dots("after correction", &|pose| pose.residual_mm_s2),
         ];
         Chart {
-            log: true,
-            ..Chart::new("Size of |f| − g in each pose", "pose", "mm/s²", series)
+            log: true, ..Chart::new("Size of |f| − g in each pose", "pose", "mm/s²", series)
         }
     }
 

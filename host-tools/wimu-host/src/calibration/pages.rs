@@ -45,15 +45,9 @@ impl SeveralReport {
         let name = "|f| − g over all poses, rms, before and after";
         page.key(name, &format!("{before} → {after} mm/s²"));
         let repeats = fit.between_sd;
-        page.key(
-            "bias between sessions, 1 σ",
-            &mm_s2(repeats.bias_m_s2 * 1e3),
-        );
+        page.key("bias between sessions, 1 σ", &mm_s2(repeats.bias_m_s2 * 1e3));
         let scale = significant(repeats.scale * 1e6, 3);
-        page.key(
-            "scale factor between sessions, 1 σ",
-            &format!("{scale} ppm"),
-        );
+        page.key("scale factor between sessions, 1 σ", &format!("{scale} ppm"));
         let warm = self.sessions.iter().all(|s| s.temperature_c.is_some());
         let dots = |name: &str, labels: &[String], of: &dyn Fn(&SessionReport) -> f64| {
             let point = |(k, session): (usize, &SessionReport)| {

@@ -58,10 +58,8 @@ impl Paired {
         let usage = |message: String, remedy: String| {
             Err(ErrorCode::Usage.error(message, remedy).at(&recording.name))
         };
-        let sensors: Vec<u8> = recording
-            .of(Quantity::SpecificForce)
-            .map(|track| track.info.sensor)
-            .collect();
+        let sensors: Vec<u8> =
+            recording.of(Quantity::SpecificForce).map(|track| track.info.sensor).collect();
         let [first, _, ..] = sensors[..] else {
             return usage(
                 "it has one accelerometer: a reference is missing".to_owned(),
@@ -89,12 +87,8 @@ impl Paired {
                 format!("choose two of {list} with --accelerometer and --reference"),
             );
         }
-        let samples = |sensor| {
-            recording.samples(Selection {
-                accelerometer: Some(sensor),
-                poses: false,
-            })
-        };
+        let samples =
+            |sensor| recording.samples(Selection { accelerometer: Some(sensor), poses: false });
         let (x, y) = (samples(reference)?, samples(output)?);
         let sensitivity = match (x.unit, sensitivity) {
             (_, Some(given)) => Some(given),
@@ -124,15 +118,9 @@ impl Paired {
             (OutputUnit::Counts { .. }, Some(known)) => known.mps2_per_lsb(),
             _ => 1.0,
         };
-        let scales = [
-            scale(reference_sensitivity.or(sensitivity)),
-            scale(sensitivity),
-        ];
+        let scales = [scale(reference_sensitivity.or(sensitivity)), scale(sensitivity)];
         let scaled = |(x, y): ([f64; 3], [f64; 3])| {
-            [
-                x.map(|axis| axis * scales[0]),
-                y.map(|axis| axis * scales[1]),
-            ]
+            [x.map(|axis| axis * scales[0]), y.map(|axis| axis * scales[1])]
         };
         Ok(Self {
             name: recording.name.clone(),
@@ -152,10 +140,7 @@ impl Paired {
     /// The same with a full-scale range, ± *g*, where one is given.
     #[must_use]
     pub fn at_range(self, range_g: Option<u8>) -> Self {
-        Self {
-            range_g: range_g.or(self.range_g),
-            ..self
-        }
+        Self { range_g: range_g.or(self.range_g), ..self }
     }
 
     /// The raw samples of a recording that came over both links, the cable's as reference.
@@ -219,10 +204,7 @@ impl Paired {
             rate_hz,
             one_sensor: true,
             sensitivity: Some(sensitivity),
-            unit: OutputUnit::Counts {
-                nominal: Some(sensitivity),
-                range_g: Some(range_g),
-            },
+            unit: OutputUnit::Counts { nominal: Some(sensitivity), range_g: Some(range_g) },
             range_g: None,
             sensor,
         })

@@ -126,10 +126,7 @@ pub fn compare_with_reference(
     };
     let (ratio, known_from) = match noise_ratio {
         Some(ratio) => (Some(given(ratio)?), NoiseSource::Given),
-        None => (
-            noise_ratio_at([0, 1].map(|which| data.rests(which))),
-            NoiseSource::Rests,
-        ),
+        None => (noise_ratio_at([0, 1].map(|which| data.rests(which))), NoiseSource::Rests),
     };
     let mut transfer =
         ratio.map_or_else(ReferenceTransfer::of_unknown_noise, ReferenceTransfer::new);
@@ -263,19 +260,15 @@ pub fn compare_with_reference(
         sensor: data.sensor,
         ..ParameterSet::uncalibrated(range.g, sensitivity)
     });
-    report.parameter_id = report
-        .parameters
-        .as_ref()
-        .map(|set| wimu_link::message::parameter_id(set).to_string());
+    report.parameter_id =
+        report.parameters.as_ref().map(|set| wimu_link::message::parameter_id(set).to_string());
     Ok(report)
 }
 
 /// Fewest degrees of freedom of any standard deviation.
 fn dof(found: &Transfer) -> usize {
     let lines = found.axes.iter().filter_map(|axis| axis.line);
-    let least = lines
-        .flat_map(|line| line.dof)
-        .fold(f64::INFINITY, f64::min);
+    let least = lines.flat_map(|line| line.dof).fold(f64::INFINITY, f64::min);
     found.dof.min(least as usize)
 }
 
@@ -392,10 +385,6 @@ impl fmt::Display for ReferenceReport {
         for (source, names) in &noises {
             writeln!(out, "{}: {source}", names.join(", "))?;
         }
-        write!(
-            out,
-            "± is 1 σ with {} of freedom",
-            counted(self.dof.unwrap_or(0), "degree")
-        )
+        write!(out, "± is 1 σ with {} of freedom", counted(self.dof.unwrap_or(0), "degree"))
     }
 }

@@ -238,20 +238,12 @@ pub fn not_observed(set: &ParameterSet) -> Vec<String> {
             _ => {
                 let (row, column) = ((place - 3) / 3, (place - 3) % 3);
                 let usual = if row == column { 0.03 } else { 0.02 };
-                (
-                    terms.matrix[row][column],
-                    perfect.matrix[row][column],
-                    usual,
-                )
+                (terms.matrix[row][column], perfect.matrix[row][column], usual)
             }
         };
         value == ideal && q.covariance.sd(place) > 0.999 * usual && !by_choice(*parameter)
     };
-    Parameter::ALL
-        .into_iter()
-        .filter(unseen)
-        .map(|parameter| parameter.to_string())
-        .collect()
+    Parameter::ALL.into_iter().filter(unseen).map(|parameter| parameter.to_string()).collect()
 }
 
 /// A parameter set beside its error model, as lines of text.
@@ -267,10 +259,7 @@ pub fn describe(set: &ParameterSet) -> Vec<String> {
             let sd = |place: usize| q.covariance.sd(place);
             let unseen = not_observed(set);
             if !unseen.is_empty() {
-                lines.push(format!(
-                    "not observed, taken as ideal: {}",
-                    unseen.join(", ")
-                ));
+                lines.push(format!("not observed, taken as ideal: {}", unseen.join(", ")));
             }
             lines.push(format!(
                 "± (1 σ) bias {:.5} {:.5} {:.5} m/s², scale factor {:.6} {:.6} {:.6}",
@@ -319,9 +308,9 @@ pub fn describe(set: &ParameterSet) -> Vec<String> {
     ));
     if let Some(gyroscope) = &set.gyroscope {
         let [x, y, z] = gyroscope.model.terms().bias_rad_s;
-        let sd = gyroscope.sd.map_or(String::new(), |sd| {
-            format!(" ± {:.5} {:.5} {:.5} (1 σ)", sd[0], sd[1], sd[2])
-        });
+        let sd = gyroscope
+            .sd
+            .map_or(String::new(), |sd| format!(" ± {:.5} {:.5} {:.5} (1 σ)", sd[0], sd[1], sd[2]));
         lines.push(format!(
             "gyroscope, ±{} °/s: bias {x:+.5} {y:+.5} {z:+.5}{sd} rad/s",
             gyroscope.range_dps
@@ -357,11 +346,7 @@ fn date(utc_s: u64) -> String {
     let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
     let from_march = (5 * day_of_year + 2) / 153;
     let day = day_of_year - (153 * from_march + 2) / 5 + 1;
-    let (month, next) = if from_march < 10 {
-        (from_march + 3, 0)
-    } else {
-        (from_march - 9, 1)
-    };
+    let (month, next) = if from_march < 10 { (from_march + 3, 0) } else { (from_march - 9, 1) };
     let year = 400 * (days / 146_097) + year_of_era + next;
     let (hour, minute) = (utc_s / 3600 % 24, utc_s / 60 % 60);
     format!("{year:04}-{month:02}-{day:02} {hour:02}:{minute:02} UTC")

@@ -9,10 +9,8 @@ pub(super) fn at_rest(samples: impl Iterator<Item = [f64; 3]>, poses: &[Pose]) -
     let mut values = [const { Vec::new() }; 3];
     let mut holds = poses.iter().peekable();
     for (index, sample) in (0..).zip(samples) {
-        while holds
-            .next_if(|pose| index >= pose.first_sample + u64::from(pose.samples))
-            .is_some()
-        {}
+        while holds.next_if(|pose| index >= pose.first_sample + u64::from(pose.samples)).is_some() {
+        }
         if holds.peek().is_some_and(|pose| index >= pose.first_sample) {
             for (values, value) in values.iter_mut().zip(sample) {
                 values.push(value);
@@ -23,9 +21,7 @@ pub(super) fn at_rest(samples: impl Iterator<Item = [f64; 3]>, poses: &[Pose]) -
         let values = &mut values[axis];
         values.sort_by(f64::total_cmp);
         let steps = values.windows(2).map(|pair| pair[1] - pair[0]);
-        let step = steps
-            .filter(|step| *step > 0.0)
-            .fold(f64::INFINITY, f64::min);
+        let step = steps.filter(|step| *step > 0.0).fold(f64::INFINITY, f64::min);
         let usual = median(poses.iter().map(|pose| pose.sd_mps2[axis])).unwrap_or(0.0);
         // Occurrences of the two outermost values at one end.
         let at_limit = |from_end: &mut dyn Iterator<Item = f64>| {
@@ -72,9 +68,7 @@ pub(super) fn full_scale(
     };
     let ends = || (0..3).flat_map(|axis| [(axis, low), (axis, high)]);
     let at = || ends().filter(|&(axis, limit)| reaches(axis, limit));
-    at().next()
-        .filter(|_| at().count() >= MIN_ENDS)
-        .map(|(axis, _)| axis)
+    at().next().filter(|_| at().count() >= MIN_ENDS).map(|(axis, _)| axis)
 }
 
 /// A limit within this fraction of gravity may be the reading of an ideal sensor.
@@ -83,10 +77,7 @@ const GRAVITY_ITSELF: f64 = 0.003;
 /// An axis whose extreme reading equals that of other ends exactly: an undeclared limit. Not decidable where other
 /// readings are equal too, because they have few digits.
 pub(super) fn equal_ends(poses: &[Pose], gravity_mps2: f64) -> Option<usize> {
-    let mut sizes: Vec<f64> = poses
-        .iter()
-        .flat_map(|pose| pose.mean_mps2.map(f64::abs))
-        .collect();
+    let mut sizes: Vec<f64> = poses.iter().flat_map(|pose| pose.mean_mps2.map(f64::abs)).collect();
     sizes.sort_by(f64::total_cmp);
     let limit = *sizes.last()?;
     let below = sizes.partition_point(|size| *size < limit);
@@ -97,7 +88,5 @@ pub(super) fn equal_ends(poses: &[Pose], gravity_mps2: f64) -> Option<usize> {
     let reaches = |&(axis, end): &(usize, f64)| poses.iter().any(|p| p.mean_mps2[axis] == end);
     let ends = (0..3).flat_map(|axis| [(axis, limit), (axis, -limit)]);
     let at: Vec<(usize, f64)> = ends.filter(reaches).collect();
-    at.first()
-        .filter(|_| at.len() >= MIN_ENDS)
-        .map(|(axis, _)| *axis)
+    at.first().filter(|_| at.len() >= MIN_ENDS).map(|(axis, _)| *axis)
 }

@@ -31,10 +31,7 @@ pub(super) fn refusal(found: &Poses, gravity: Gravity, mps2_per_unit: f64) -> Op
     }
     let mut apart: Vec<usize> = Vec::new();
     for (k, pose) in found.poses.iter().enumerate() {
-        if !apart
-            .iter()
-            .any(|other| same_orientation(&found.poses[*other], pose))
-        {
+        if !apart.iter().any(|other| same_orientation(&found.poses[*other], pose)) {
             apart.push(k);
         }
     }
@@ -60,15 +57,10 @@ pub(super) fn likely(
     };
     let fitted = used * ratio;
     let shown = (10.0 * used).round() / 10.0;
-    let known = Datasheet::KNOWN
-        .iter()
-        .flat_map(|sheet| sheet.sensitivities_lsb_per_g);
+    let known = Datasheet::KNOWN.iter().flat_map(|sheet| sheet.sensitivities_lsb_per_g);
     let usual: Vec<f64> = match sensor {
         Some(sheet) => sheet.sensitivities_lsb_per_g.to_vec(),
-        None => (0..11)
-            .map(|k| 256.0 * f64::from(1 << k))
-            .chain(known.copied())
-            .collect(),
+        None => (0..11).map(|k| 256.0 * f64::from(1 << k)).chain(known.copied()).collect(),
     };
     let away = |lsb_per_g: &f64| (fitted / lsb_per_g - 1.0).abs();
     let nearest = usual.into_iter().min_by(|a, b| away(a).total_cmp(&away(b)));

@@ -31,11 +31,7 @@ pub struct Repeatability {
 
 impl From<[f64; 3]> for Repeatability {
     fn from([bias_m_s2, scale, misalignment_rad]: [f64; 3]) -> Self {
-        Self {
-            bias_m_s2,
-            scale,
-            misalignment_rad,
-        }
+        Self { bias_m_s2, scale, misalignment_rad }
     }
 }
 
@@ -188,15 +184,9 @@ pub fn calibrate_several(
 
 fn check(data: &[Samples<'_>], options: &CalibrateOptions) -> Result<()> {
     let usage = |message: String, remedy: &str| Err(ErrorCode::Usage.error(message, remedy));
-    if !matches!(
-        options.method,
-        MethodChoice::MultiPosition | MethodChoice::SixPosition
-    ) {
+    if !matches!(options.method, MethodChoice::MultiPosition | MethodChoice::SixPosition) {
         let message = format!("--method {} takes one session", options.method.name());
-        return usage(
-            message,
-            "use multi-position or six-position, or give one file",
-        );
+        return usage(message, "use multi-position or six-position, or give one file");
     }
     let counts = |samples: &Samples<'_>| matches!(samples.unit, OutputUnit::Counts { .. });
     for (before, after) in data.iter().zip(data.iter().skip(1)) {
@@ -290,11 +280,8 @@ impl SeveralReport {
         self.fit = Some(fit);
         self.sensitivity_lsb_per_g = singles[0].sensitivity_lsb_per_g;
         let quality = quality(found, estimates, options, rms_mm_s2);
-        self.parameters = singles[0].parameters.map(|set| ParameterSet {
-            model: found.model,
-            quality,
-            ..set
-        });
+        self.parameters =
+            singles[0].parameters.map(|set| ParameterSet { model: found.model, quality, ..set });
         self.parameter_id = (self.parameters.as_ref()).map(|set| parameter_id(set).to_string());
         let sessions: Vec<Session> = singles
             .iter()

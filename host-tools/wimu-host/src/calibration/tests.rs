@@ -62,20 +62,14 @@ fn calibrate_rows(
     poses: bool,
     options: &CalibrateOptions,
 ) -> Result<CalibrationReport> {
-    let selection = Selection {
-        accelerometer: None,
-        poses,
-    };
+    let selection = Selection { accelerometer: None, poses };
     super::calibrate(&data.samples(selection)?, options)
 }
 
 #[test]
 fn the_error_model_comes_back() {
     let report = calibrate(&pose_means(Unit::Si, 1.0), &CalibrateOptions::default()).unwrap();
-    assert_eq!(
-        (report.outcome.status, report.outcome.exit_code()),
-        ("ok", 0)
-    );
+    assert_eq!((report.outcome.status, report.outcome.exit_code()), ("ok", 0));
     let fit = report.fit.as_ref().unwrap();
     assert!(fit.rms_mm_s2 < 1e-6);
     for axis in 0..3 {
@@ -91,10 +85,7 @@ fn the_error_model_comes_back() {
     // Without a sensitivity there is nothing for a board.
     assert_eq!(report.parameters, None);
     let text = report.to_string();
-    assert!(
-        text.contains("bias +0.5000") && text.contains("leave-one-out"),
-        "{text}"
-    );
+    assert!(text.contains("bias +0.5000") && text.contains("leave-one-out"), "{text}");
 }
 
 #[test]
@@ -119,9 +110,7 @@ fn counts_of_unknown_worth_are_scaled_so_that_the_mean_scale_factor_is_1() {
 
 #[test]
 fn a_sensitivity_is_the_given_one_or_the_boards_before_the_fits() {
-    let board = Unit::Counts {
-        si_per_lsb: Some(STANDARD_GRAVITY_MPS2 / 16384.0),
-    };
+    let board = Unit::Counts { si_per_lsb: Some(STANDARD_GRAVITY_MPS2 / 16384.0) };
     let mut data = pose_means(board, 16384.0 / STANDARD_GRAVITY_MPS2);
     data.tracks_mut()[0].info.full_scale = Some(2.0 * STANDARD_GRAVITY_MPS2);
     let report = calibrate(&data, &CalibrateOptions::default()).unwrap();
@@ -129,10 +118,8 @@ fn a_sensitivity_is_the_given_one_or_the_boards_before_the_fits() {
     assert_eq!(report.parameters.unwrap().range_g, 2);
     assert!((report.fit.unwrap().model.matrix[0][0] - 1.03).abs() < 1e-9);
 
-    let options = CalibrateOptions {
-        sensitivity_lsb_per_g: Some(16000.0),
-        ..CalibrateOptions::default()
-    };
+    let options =
+        CalibrateOptions { sensitivity_lsb_per_g: Some(16000.0), ..CalibrateOptions::default() };
     let report = calibrate(&data, &options).unwrap();
     assert_eq!(report.sensitivity_source, Some(Source::Given));
     assert_eq!(report.sensitivity_lsb_per_g, Some(16000.0));
@@ -161,18 +148,9 @@ fn the_range_follows_from_the_sensitivity_as_usual() {
 fn options_out_of_bounds_are_wrong_usage() {
     let data = pose_means(Unit::Si, 1.0);
     for options in [
-        CalibrateOptions {
-            gravity_mps2: Some(1.0),
-            ..CalibrateOptions::default()
-        },
-        CalibrateOptions {
-            sensitivity_lsb_per_g: Some(f64::NAN),
-            ..CalibrateOptions::default()
-        },
-        CalibrateOptions {
-            placement_sd_deg: Some(-1.0),
-            ..CalibrateOptions::default()
-        },
+        CalibrateOptions { gravity_mps2: Some(1.0), ..CalibrateOptions::default() },
+        CalibrateOptions { sensitivity_lsb_per_g: Some(f64::NAN), ..CalibrateOptions::default() },
+        CalibrateOptions { placement_sd_deg: Some(-1.0), ..CalibrateOptions::default() },
     ] {
         let error = calibrate(&data, &options).unwrap_err();
         assert_eq!((error.code(), error.exit_code()), (ErrorCode::Usage, 2));
@@ -185,35 +163,18 @@ fn a_refusal_says_why_and_which_poses_would_help() {
     let values: Vec<[f64; 3]> = all.tracks()[0].vectors().map(|(_, value)| value).collect();
     let data = recording_of(Unit::Si, values[..7].iter().copied());
     let report = calibrate(&data, &CalibrateOptions::default()).unwrap();
-    assert_eq!(
-        (report.outcome.status, report.outcome.exit_code()),
-        ("refused", 3)
-    );
-    assert!(
-        report
-            .outcome
-            .reason
-            .as_ref()
-            .unwrap()
-            .contains("7 static poses")
-    );
+    assert_eq!((report.outcome.status, report.outcome.exit_code()), ("refused", 3));
+    assert!(report.outcome.reason.as_ref().unwrap().contains("7 static poses"));
     assert!(report.next_poses.len() >= 3);
     let json = serde_json::to_value(&report).unwrap();
     assert_eq!(json["status"], "refused");
     assert!(json["next_poses"][0]["text"].is_string());
     assert!(report.to_string().contains("refused: 7 static poses"));
 
-    let options = CalibrateOptions {
-        method: MethodChoice::SixPosition,
-        ..CalibrateOptions::default()
-    };
-    let faces: Vec<_> = Face::ALL
-        .into_iter()
-        .map(|face| Orientation::from(face).up())
-        .collect();
-    let up = faces[..5]
-        .iter()
-        .map(|up| up.map(|axis| axis * STANDARD_GRAVITY_MPS2));
+    let options =
+        CalibrateOptions { method: MethodChoice::SixPosition, ..CalibrateOptions::default() };
+    let faces: Vec<_> = Face::ALL.into_iter().map(|face| Orientation::from(face).up()).collect();
+    let up = faces[..5].iter().map(|up| up.map(|axis| axis * STANDARD_GRAVITY_MPS2));
     let data = recording_of(Unit::Si, up);
     let report = calibrate(&data, &options).unwrap();
     assert_eq!(report.next_poses.len(), 1);
@@ -278,10 +239,7 @@ fn a_calibration_file_comes_back_bit_for_bit_and_others_are_refused() {
     std::fs::write(&path, &report_1).unwrap();
     assert!((same(&path) - sd).abs() < 1e-5 * sd, "{sd}");
     let refused = calibrate(
-        &recording_of(
-            UNKNOWN_COUNTS,
-            data.tracks()[0].vectors().map(|(_, v)| v).take(3),
-        ),
+        &recording_of(UNKNOWN_COUNTS, data.tracks()[0].vectors().map(|(_, v)| v).take(3)),
         &CalibrateOptions::default(),
     )
     .unwrap();
@@ -289,40 +247,16 @@ fn a_calibration_file_comes_back_bit_for_bit_and_others_are_refused() {
     for (text, part) in [
         ("{".to_owned(), "not a calibration"),
         ("{\"status\": \"ok\"}".to_owned(), "schema is missing"),
-        (
-            good.replace("calibration/2", "calibration/9"),
-            "calibration/9",
-        ),
-        (
-            good.replace("\"range_g\"", "\"range\""),
-            "no parameters for a board",
-        ),
-        (
-            good.replace("lsb_per_g\":", "lsb_per_g\": 1e9, \"x\":"),
-            "1000000000",
-        ),
+        (good.replace("calibration/2", "calibration/9"), "calibration/9"),
+        (good.replace("\"range_g\"", "\"range\""), "no parameters for a board"),
+        (good.replace("lsb_per_g\":", "lsb_per_g\": 1e9, \"x\":"), "1000000000"),
         (good.replace("\"bias X\"", "\"bias Y\""), "a covariance"),
-        (
-            good.replace("\"condition\":", "\"condition\": -1, \"x\":"),
-            "condition",
-        ),
-        (
-            good.replace("\"sensors\":", "\"sensors\": [], \"x\":"),
-            "no sensor",
-        ),
-        (
-            good.replace("\"accelerometer\":", "\"x\":"),
-            "accelerometer",
-        ),
+        (good.replace("\"condition\":", "\"condition\": -1, \"x\":"), "condition"),
+        (good.replace("\"sensors\":", "\"sensors\": [], \"x\":"), "no sensor"),
+        (good.replace("\"accelerometer\":", "\"x\":"), "accelerometer"),
         (report_1.replace("\"range_g\"", "\"range\""), "range_g"),
-        (
-            serde_json::to_string(&refused).unwrap(),
-            "was refused: 3 static poses",
-        ),
-        (
-            serde_json::to_string(&without).unwrap(),
-            "no parameters for a board",
-        ),
+        (serde_json::to_string(&refused).unwrap(), "was refused: 3 static poses"),
+        (serde_json::to_string(&without).unwrap(), "no parameters for a board"),
     ] {
         std::fs::write(&path, &text).unwrap();
         let error = read_parameters(&path).unwrap_err();
@@ -337,10 +271,7 @@ fn a_calibration_file_comes_back_bit_for_bit_and_others_are_refused() {
 
 /// A set with everything, of the second sensor of a board.
 fn six_axes(set: &ParameterSet) -> ParameterSet {
-    let gyroscope = GyroscopeTerms {
-        bias_rad_s: [0.01, -0.02, 0.03],
-        ..GyroscopeTerms::default()
-    };
+    let gyroscope = GyroscopeTerms { bias_rad_s: [0.01, -0.02, 0.03], ..GyroscopeTerms::default() };
     let gyroscope = GyroscopeModel::new(gyroscope).unwrap();
     let covariance = [[4e-6, 1e-6, 0.0], [1e-6, 9e-6, 0.0], [0.0, 0.0, 1e-4]];
     ParameterSet {
@@ -366,19 +297,12 @@ fn a_file_holds_several_sensors_and_the_sessions_of_each() {
     assert_eq!(read_parameters(&path).unwrap(), second);
     let before = sessions(Some(&path), &second);
     let poses = first.quality.unwrap().terms().poses;
-    let session = Session {
-        utc_s: None,
-        file: Some("second.csv".to_owned()),
-        poses,
-    };
+    let session = Session { utc_s: None, file: Some("second.csv".to_owned()), poses };
     assert_eq!(before, [session]);
     // Without new poses the sessions stay; with some there is another.
     let again = CalibrationFile::new(&second, &before, "third.csv");
     assert_eq!(again.sensors[0].accelerometer.sessions, before);
-    let more = [Session {
-        poses: 3,
-        ..before[0].clone()
-    }];
+    let more = [Session { poses: 3, ..before[0].clone() }];
     let updated = &CalibrationFile::new(&second, &more, "third.csv").sensors[0];
     assert_eq!(updated.accelerometer.sessions.len(), 2);
     assert_eq!(updated.accelerometer.sessions[1].poses, poses - 3);
@@ -391,11 +315,7 @@ fn a_file_holds_several_sensors_and_the_sessions_of_each() {
     let good = std::fs::read_to_string(&path).unwrap();
     for (value, bad, part) in [
         ("\"range_dps\": 500", "\"range_dps\": 0", "gyroscope range"),
-        (
-            "\"rad_s_per_lsb\": 0.0003",
-            "\"rad_s_per_lsb\": 3",
-            "gyroscope sensitivity",
-        ),
+        ("\"rad_s_per_lsb\": 0.0003", "\"rad_s_per_lsb\": 3", "gyroscope sensitivity"),
         ("\"range_dps\": 500", "\"range_dps\": 250", "was edited"),
     ] {
         assert!(good.contains(value), "{good}");
@@ -414,11 +334,7 @@ fn turned_counts() -> Vec<[i16; 3]> {
     let mut counts = Vec::new();
     for orientation in Orientation::ALL.into_iter().step_by(2) {
         for step in 0..200 {
-            let turning = if step < 40 {
-                400.0 * f64::from(step % 7)
-            } else {
-                0.0
-            };
+            let turning = if step < 40 { 400.0 * f64::from(step % 7) } else { 0.0 };
             let up = orientation.up();
             counts.push(up.map(|axis| (axis * 2050.0 + turning) as i16 + random.below(4) as i16));
         }
@@ -511,17 +427,12 @@ fn a_recording_and_a_csv_file_of_the_same_counts_give_the_same_calibration() {
     mark.epoch.range_g = 8;
     boot.epochs.push(mark);
     let error = Recording::of_link(&gap, "link").unwrap_err();
-    assert_eq!(
-        (error.code(), error.exit_code()),
-        (ErrorCode::DataRefused, 3)
-    );
+    assert_eq!((error.code(), error.exit_code()), (ErrorCode::DataRefused, 3));
 }
 
 /// A file of the folder of public recordings beside the checkout, if it is there.
 fn recording(name: &str) -> Option<PathBuf> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-        .join("../../../shared/data")
-        .join(name);
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data").join(name);
     if path.is_file() {
         Some(path)
     } else {
@@ -531,11 +442,8 @@ fn recording(name: &str) -> Option<PathBuf> {
 }
 
 fn load(path: &std::path::Path, filter: Option<&str>, poses: bool) -> Recording {
-    let options = ReadOptions {
-        filter: filter.map(|f| f.parse().unwrap()),
-        poses,
-        ..ReadOptions::default()
-    };
+    let options =
+        ReadOptions { filter: filter.map(|f| f.parse().unwrap()), poses, ..ReadOptions::default() };
     formats::load(path, &options).unwrap()
 }
 
@@ -544,17 +452,11 @@ fn eight_real_sensors_reach_the_floor_of_a_float64_reference() {
     let Some(path) = recording("calibration/mpu9150_array_pose_means.csv") else {
         return;
     };
-    let options = CalibrateOptions {
-        gravity_mps2: Some(9.818),
-        ..CalibrateOptions::default()
-    };
+    let options = CalibrateOptions { gravity_mps2: Some(9.818), ..CalibrateOptions::default() };
     // Mean over the sensors of rms and leave-one-out rms, mm/s².
-    for (run, rms_floor, loo_floor) in [
-        (1, 2.08, 3.79),
-        (2, 1.29, 2.27),
-        (7, 2.05, 3.73),
-        (8, 1.28, 2.33),
-    ] {
+    for (run, rms_floor, loo_floor) in
+        [(1, 2.08, 3.79), (2, 1.29, 2.27), (7, 2.05, 3.73), (8, 1.28, 2.33)]
+    {
         let (mut rms, mut loo) = (0.0, 0.0);
         for imu in 0..8 {
             let data = load(&path, Some(&format!("Run={run},IMU={imu}")), true);
@@ -575,14 +477,8 @@ fn the_drift_of_real_sensors_after_a_cold_start_is_found() {
     let Some(path) = recording("calibration/mpu9150_array_pose_means.csv") else {
         return;
     };
-    let options = CalibrateOptions {
-        gravity_mps2: Some(9.818),
-        ..CalibrateOptions::default()
-    };
-    let with_drift = CalibrateOptions {
-        terms: Terms::NONE.with(Term::Drift),
-        ..options.clone()
-    };
+    let options = CalibrateOptions { gravity_mps2: Some(9.818), ..CalibrateOptions::default() };
+    let with_drift = CalibrateOptions { terms: Terms::NONE.with(Term::Drift), ..options.clone() };
     let drifted = |run: usize, imu: usize, options: &CalibrateOptions| {
         let data = load(&path, Some(&format!("Run={run},IMU={imu}")), true);
         let report = calibrate_rows(&data, true, options).unwrap();
@@ -606,24 +502,14 @@ fn a_navigation_grade_sensor_needs_nine_parameters() {
     };
     let data = load(&path, None, true);
     let fit = |model| {
-        let options = CalibrateOptions {
-            model,
-            ..CalibrateOptions::default()
-        };
+        let options = CalibrateOptions { model, ..CalibrateOptions::default() };
         calibrate_rows(&data, true, &options).unwrap()
     };
     let nine = fit(ModelChoice::default());
-    assert!(
-        nine.to_string()
-            .contains("largest 26.1 at pose 28 (from 0)"),
-        "{nine}"
-    );
-    let [nine, six, auto] = [
-        nine,
-        fit(ModelChoice::Fixed(Model::BiasScale6)),
-        fit(ModelChoice::Auto),
-    ]
-    .map(|report| report.fit.unwrap());
+    assert!(nine.to_string().contains("largest 26.1 at pose 28 (from 0)"), "{nine}");
+    let [nine, six, auto] =
+        [nine, fit(ModelChoice::Fixed(Model::BiasScale6)), fit(ModelChoice::Auto)]
+            .map(|report| report.fit.unwrap());
     assert!((nine.rms_mm_s2 - 8.195).abs() < 0.01);
     assert!((six.rms_mm_s2 - 110.0).abs() < 2.0);
     assert!(auto.loo_rms_mm_s2 <= nine.loo_rms_mm_s2);
@@ -654,10 +540,7 @@ fn six_real_positions_in_counts_and_in_si_are_calibrated() {
         let report = calibrate_rows(&load(&path, None, false), false, &options).unwrap();
         let fit = report.fit.as_ref().unwrap_or_else(|| panic!("{report}"));
         println!("{report}");
-        assert!(
-            fit.rms_mm_s2 < report.uncalibrated_rms_mm_s2.unwrap() / 5.0,
-            "{report}"
-        );
+        assert!(fit.rms_mm_s2 < report.uncalibrated_rms_mm_s2.unwrap() / 5.0, "{report}");
     }
 }
 
@@ -667,9 +550,7 @@ fn data_that_the_device_corrected_are_reported() {
     let corrected = |data: &Recording| {
         let report = calibrate(data, &CalibrateOptions::default()).unwrap();
         let findings = report.outcome.findings.iter();
-        findings
-            .filter(|f| f.code == FindingCode::AlreadyCorrected)
-            .count()
+        findings.filter(|f| f.code == FindingCode::AlreadyCorrected).count()
     };
     assert_eq!(corrected(&data), 0);
     data.tracks_mut()[0].info.corrected = true;

@@ -96,16 +96,10 @@ impl CalibrationReport {
             0 => String::new(),
             _ => format!(" ({} over all poses)", significant(fit.rms_mm_s2, 3)),
         };
-        let sizes = self
-            .static_poses
-            .iter()
-            .map(|pose| pose.residual_mm_s2.map(f64::abs));
-        let worst = sizes
-            .enumerate()
-            .max_by(|a, b| a.1.partial_cmp(&b.1).unwrap_or(Ordering::Equal));
-        let at = worst.map_or(String::new(), |(pose, _)| {
-            format!(" at pose {pose} (from 0)")
-        });
+        let sizes = self.static_poses.iter().map(|pose| pose.residual_mm_s2.map(f64::abs));
+        let worst =
+            sizes.enumerate().max_by(|a, b| a.1.partial_cmp(&b.1).unwrap_or(Ordering::Equal));
+        let at = worst.map_or(String::new(), |(pose, _)| format!(" at pose {pose} (from 0)"));
         writeln!(
             out,
             "in sample {} mm/s² rms{all}, largest {}{at}; condition {:.1}, {} degrees of freedom, {:.0} % of the orientations \
@@ -156,10 +150,7 @@ fn axes(fit: &Fit, out: &mut fmt::Formatter<'_>) -> fmt::Result {
     for (axis, name) in ["X", "Y", "Z"].into_iter().enumerate() {
         let (bias, sd) = (fit.model.bias_mps2[axis], fit.sd.bias_mps2[axis]);
         match fit.not_observed.contains(&format!("bias {name}")) {
-            true => write!(
-                out,
-                "{name}: bias not observed, taken as 0 ± {sd:.1} m/s², "
-            )?,
+            true => write!(out, "{name}: bias not observed, taken as 0 ± {sd:.1} m/s², ")?,
             false => {
                 let mg = signed(bias * 1e3 / STANDARD_GRAVITY_MPS2, 3);
                 let bias = signed_with_sd(bias, sd);

@@ -102,10 +102,7 @@ pub fn update(
     let contradictions = check.contradictions();
     let mut report = UpdateReport {
         schema: CalibrationReport::SCHEMA,
-        outcome: Outcome {
-            findings: contradicting(&rests),
-            ..Outcome::default()
-        },
+        outcome: Outcome { findings: contradicting(&rests), ..Outcome::default() },
         source: data.name.to_owned(),
         method: "update",
         stored_id: parameter_id(stored).to_string(),
@@ -166,11 +163,7 @@ pub fn update(
             .unwrap_or(quality.terms().covariance),
         ..*quality.terms()
     };
-    let set = ParameterSet {
-        model,
-        quality: CalibrationQuality::new(terms).ok(),
-        ..*stored
-    };
+    let set = ParameterSet { model, quality: CalibrationQuality::new(terms).ok(), ..*stored };
     let before = stored.model.terms().bias_mps2;
     let now = model.terms().bias_mps2;
     report.bias_change_m_s2 = Some([0, 1, 2].map(|axis| now[axis] - before[axis]));
@@ -219,11 +212,7 @@ impl fmt::Display for UpdateReport {
             axis(0),
             axis(1),
             axis(2),
-            if significant {
-                "; it is significant (2 σ): use the updated file (-o)"
-            } else {
-                ""
-            }
+            if significant { "; it is significant (2 σ): use the updated file (-o)" } else { "" }
         )
     }
 }

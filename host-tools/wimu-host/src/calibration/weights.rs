@@ -35,10 +35,7 @@ pub fn with_noise(estimate: &Estimate, poses: &[Pose]) -> Option<Vec<Pose>> {
         })
         .collect();
     let variance = noise(&rows)?;
-    let with = |pose: &Pose| Pose {
-        sd_mps2: [variance.sqrt(); 3],
-        ..*pose
-    };
+    let with = |pose: &Pose| Pose { sd_mps2: [variance.sqrt(); 3], ..*pose };
     Some(poses.iter().map(with).collect())
 }
 
@@ -59,11 +56,7 @@ fn by_parameter(estimate: &Estimate, pose: &Pose) -> Vec<f64> {
         axis @ 0..3 => up[axis],
         place => up[(place - 3) / 3] * up[(place - 3) % 3],
     };
-    Parameter::ALL
-        .into_iter()
-        .filter(fitted)
-        .map(derivative)
-        .collect()
+    Parameter::ALL.into_iter().filter(fitted).map(derivative).collect()
 }
 
 /// The likeliest variance of a sample, for residuals of variance `common + variance / samples`;
@@ -88,10 +81,7 @@ fn noise(rows: &[Row]) -> Option<f64> {
             }
         }
         let (explained, log_determinant) = solve(normal, &right)?;
-        let free = rows
-            .len()
-            .checked_sub(parameters)
-            .filter(|free| *free > 0)? as f64;
+        let free = rows.len().checked_sub(parameters).filter(|free| *free > 0)? as f64;
         let variance = (squares - explained).max(0.0) / free;
         let log = free * variance.max(f64::MIN_POSITIVE).ln() + logs + log_determinant;
         Some((-0.5 * log, share * variance))
@@ -100,9 +90,7 @@ fn noise(rows: &[Row]) -> Option<f64> {
     // From 10⁻³ to 10⁶ of the common variance, and the noise alone.
     let shares = (-12..=24).map(|k| 10_f64.powf(0.25 * f64::from(k)));
     let shares = shares.map(|ratio| ratio / (1.0 + ratio)).chain([1.0]);
-    let (best, variance) = shares
-        .filter_map(likelihood)
-        .max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let (best, variance) = shares.filter_map(likelihood).max_by(|a, b| a.0.total_cmp(&b.0))?;
     (best - equal > MIN_GAIN && variance > 0.0).then_some(variance)
 }
 
@@ -111,18 +99,11 @@ fn solve(normal: DMatrix<f64>, right: &DVector<f64>) -> Option<(f64, f64)> {
     let size = normal.diagonal();
     let lower = normal.cholesky()?.unpack();
     let pivots = lower.diagonal();
-    if pivots
-        .iter()
-        .zip(&size)
-        .any(|(pivot, size)| pivot * pivot <= 1e-12 * size)
-    {
+    if pivots.iter().zip(&size).any(|(pivot, size)| pivot * pivot <= 1e-12 * size) {
         return None;
     }
     let explained = lower.solve_lower_triangular(right)?.norm_squared();
-    Some((
-        explained,
-        2.0 * pivots.iter().map(|pivot| pivot.ln()).sum::<f64>(),
-    ))
+    Some((explained, 2.0 * pivots.iter().map(|pivot| pivot.ln()).sum::<f64>()))
 }
 
 #[cfg(test)]

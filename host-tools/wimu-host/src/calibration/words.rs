@@ -51,11 +51,7 @@ pub(super) fn reason(
             );
         }
         if has < pose + steps {
-            let last = if has > pose + 1 {
-                format!(" to {}", has - 1)
-            } else {
-                String::new()
-            };
+            let last = if has > pose + 1 { format!(" to {}", has - 1) } else { String::new() };
             return format!(
                 "poses {pose}{last} (from 0) are {} instead of {steps} steps of {degrees}° about a level axis: give \
                  {steps} poses for each rotation, in order, and no others{}",
@@ -65,11 +61,7 @@ pub(super) fn reason(
         }
     }
     let mut reason = refusal.to_string();
-    if let Refusal::UnexpectedMagnitude {
-        mean_mps2,
-        hint: UnitHint::Sensitivity,
-    } = *refusal
-    {
+    if let Refusal::UnexpectedMagnitude { mean_mps2, hint: UnitHint::Sensitivity } = *refusal {
         let ratio = mean_mps2 / options.gravity_mps2.unwrap_or(STANDARD_GRAVITY_MPS2);
         let datasheet = options.datasheet.or(data.datasheet());
         return reason + "; " + &sensitivity::likely(ratio, used_lsb_per_g, datasheet);
@@ -86,10 +78,7 @@ pub(super) fn reason(
     if has == 1 && !data.poses {
         return reason + "; for the noise of a sensor at rest use `wimu allan`";
     }
-    if matches!(
-        refusal,
-        Refusal::PoorFit { .. } | Refusal::PoseContradicted { .. }
-    ) {
+    if matches!(refusal, Refusal::PoorFit { .. } | Refusal::PoseContradicted { .. }) {
         reason.extend(what_changed(poses, options));
     }
     let too_few = matches!(
@@ -162,10 +151,7 @@ fn slow_rotation(data: &Samples<'_>) -> Option<f64> {
         cosine.clamp(-1.0, 1.0).acos().to_degrees()
     };
     let angles: Vec<f64> = means.windows(2).map(between).collect();
-    let turning = angles
-        .iter()
-        .filter(|angle| SLOW_ROTATION.contains(angle))
-        .count();
+    let turning = angles.iter().filter(|angle| SLOW_ROTATION.contains(angle)).count();
     let enough = angles.len() >= 20 && 10 * turning >= 9 * angles.len();
     median(angles).filter(|_| enough)
 }
@@ -189,21 +175,14 @@ fn in_another_unit(poses: &[Pose], estimate: &Estimate) -> Option<Finding> {
         let pose = poses.get(**k);
         pose.is_some_and(|pose| (7.3..13.0).contains(&(g / magnitude(pose.mean_mps2))))
     };
-    let short: Vec<String> = estimate
-        .rejected
-        .as_slice()
-        .iter()
-        .filter(short)
-        .map(usize::to_string)
-        .collect();
+    let short: Vec<String> =
+        estimate.rejected.as_slice().iter().filter(short).map(usize::to_string).collect();
     (!short.is_empty()).then(|| {
         let text = format!(
             "poses that were left out appear to be in g, the others in m/s²: {} (from 0)",
             short.join(", ")
         );
-        FindingCode::PosesLeftOut
-            .warning(text)
-            .remedy("use one unit")
+        FindingCode::PosesLeftOut.warning(text).remedy("use one unit")
     })
 }
 
@@ -262,11 +241,7 @@ fn most_rms_mm_s2(poses: &[Pose], estimate: &Estimate) -> f64 {
 
 /// A model that fits better than the one that was selected, but is not plausible.
 fn beyond_bounds(beyond: BeyondBounds) -> Finding {
-    let BeyondBounds {
-        model,
-        terms,
-        error,
-    } = beyond;
+    let BeyondBounds { model, terms, error } = beyond;
     let with = match terms == Terms::NONE {
         true => String::new(),
         false => format!(" with {terms}"),
@@ -279,19 +254,14 @@ fn beyond_bounds(beyond: BeyondBounds) -> Finding {
 /// Why a calibration cannot be pushed or exported.
 pub(super) fn no_sensitivity() -> Finding {
     let remedy = "to push this calibration, calibrate again with --sensitivity, the nominal LSB/g of the board's range";
-    FindingCode::NotForBoards
-        .note("the data are in m/s² or g, a board needs counts")
-        .remedy(remedy)
+    FindingCode::NotForBoards.note("the data are in m/s² or g, a board needs counts").remedy(remedy)
 }
 
 /// Largest standard deviation of a pose's mean from white noise, m/s²; 0 if it is unknown.
 fn pose_noise_mps2(poses: &[Pose]) -> f64 {
     poses
         .iter()
-        .flat_map(|pose| {
-            pose.sd_mps2
-                .map(|sd| sd / f64::from(pose.samples.max(1)).sqrt())
-        })
+        .flat_map(|pose| pose.sd_mps2.map(|sd| sd / f64::from(pose.samples.max(1)).sqrt()))
         .fold(0.0, f64::max)
 }
 
@@ -324,9 +294,7 @@ pub(super) fn findings(
         return findings;
     };
     let missing = |parameters: &[Parameter]| {
-        parameters
-            .iter()
-            .all(|parameter| !estimate.fitted.contains(*parameter))
+        parameters.iter().all(|parameter| !estimate.fitted.contains(*parameter))
     };
     let scales = missing(&[Parameter::ScaleX, Parameter::ScaleY, Parameter::ScaleZ]);
     if scales {

@@ -30,11 +30,7 @@ impl Chart {
                 points: indices.into_iter().map(|k| band.points[k]).collect(),
             }
         });
-        Self {
-            series: series.collect(),
-            bands: bands.collect(),
-            ..self.clone()
-        }
+        Self { series: series.collect(), bands: bands.collect(), ..self.clone() }
     }
 
     /// The chart for the script. What is not finite is null.
@@ -142,9 +138,8 @@ fn extremes(coordinates: &[&[f64]], most: usize) -> Vec<usize> {
 /// Power of ten of which the range of these values has [`STEPS`] or more.
 fn power_of_steps(values: &[f64]) -> i32 {
     let finite = || values.iter().copied().filter(|value| value.is_finite());
-    let (low, high) = finite().fold((f64::MAX, f64::MIN), |(low, high), value| {
-        (low.min(value), high.max(value))
-    });
+    let (low, high) =
+        finite().fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
     let span = if high > low { high - low } else { high.abs() };
     let power = (span / STEPS).log10().floor();
     if power.is_finite() { power as i32 } else { 0 }
@@ -170,16 +165,12 @@ mod tests {
 
     #[test]
     fn decimation_keeps_every_extreme_and_every_break() {
-        let mut points: Vec<(f64, f64)> = (0..100_000)
-            .map(|k| (f64::from(k), f64::from(k % 7)))
-            .collect();
+        let mut points: Vec<(f64, f64)> =
+            (0..100_000).map(|k| (f64::from(k), f64::from(k % 7))).collect();
         points[12_345].1 = 99.0;
         points[54_321].1 = -99.0;
         points[77_777].1 = f64::NAN;
-        let chart = Chart {
-            series: vec![Series::line("a", points.clone())],
-            ..Chart::default()
-        };
+        let chart = Chart { series: vec![Series::line("a", points.clone())], ..Chart::default() };
         let small = chart.decimated();
         let kept = &small.series[0].points;
         let after = kept.len();
@@ -189,10 +180,8 @@ mod tests {
         }
         assert_eq!(kept.iter().filter(|p| p.1.is_nan()).count(), 1);
         assert!(kept.windows(2).all(|pair| pair[0].0 < pair[1].0));
-        let few = Chart {
-            series: vec![Series::line("a", points[..100].to_vec())],
-            ..Chart::default()
-        };
+        let few =
+            Chart { series: vec![Series::line("a", points[..100].to_vec())], ..Chart::default() };
         assert_eq!(few.decimated().series[0].points, points[..100]);
     }
 
@@ -206,11 +195,8 @@ mod tests {
             (epoch_s + 20.123_456_789, f64::NEG_INFINITY),
         ];
         for log in [false, true] {
-            let chart = Chart {
-                log,
-                series: vec![Series::line("a", points.clone())],
-                ..Chart::default()
-            };
+            let chart =
+                Chart { log, series: vec![Series::line("a", points.clone())], ..Chart::default() };
             let series = &chart.json()["series"][0];
             assert_eq!(series["x"][3], 1_600_000_020.123_46);
             // A value that diverged does not take the digits of the others.

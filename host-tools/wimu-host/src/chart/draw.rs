@@ -71,10 +71,7 @@ impl Chart {
                 output.finish()
             }
             _ => Err(ErrorCode::Usage
-                .error(
-                    "a chart is written as SVG or PNG",
-                    "give a name that ends in .svg or .png",
-                )
+                .error("a chart is written as SVG or PNG", "give a name that ends in .svg or .png")
                 .at(name)),
         }
     }
@@ -87,9 +84,7 @@ impl Chart {
         let span = |values: &mut dyn Iterator<Item = f64>| {
             let (low, high) = values
                 .filter(|value| value.is_finite())
-                .fold((f64::MAX, f64::MIN), |(low, high), value| {
-                    (low.min(value), high.max(value))
-                });
+                .fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
             if low < high {
                 (low, high)
             } else if low == high {
@@ -98,18 +93,10 @@ impl Chart {
                 (0.0, 1.0)
             }
         };
-        let (left, right) = self
-            .x_range
-            .unwrap_or_else(|| span(&mut all().map(|point| point.0)));
-        let side = if self.log_x {
-            0.0
-        } else {
-            0.03 * (right - left)
-        };
+        let (left, right) = self.x_range.unwrap_or_else(|| span(&mut all().map(|point| point.0)));
+        let side = if self.log_x { 0.0 } else { 0.03 * (right - left) };
         let widen = if self.log_x { 1.2 } else { 1.0 };
-        let (low, high) = self
-            .y_range
-            .unwrap_or_else(|| span(&mut all().map(|point| point.1)));
+        let (low, high) = self.y_range.unwrap_or_else(|| span(&mut all().map(|point| point.1)));
         let room = if self.log { 0.0 } else { 0.05 * (high - low) };
         let stretch = if self.log { 1.5 } else { 1.0 };
         let x = left / widen - side..right * widen + side;
@@ -291,11 +278,7 @@ impl Series {
 /// A tick label on a logarithmic axis.
 fn decade(value: f64) -> String {
     let short = format!("{value:.2e}").parse::<f64>().unwrap_or(value);
-    if (1e-3..1e4).contains(&short.abs()) {
-        short.to_string()
-    } else {
-        format!("{short:e}")
-    }
+    if (1e-3..1e4).contains(&short.abs()) { short.to_string() } else { format!("{short:e}") }
 }
 
 /// A tick label on an axis whose ticks are about `step` apart, without digits from rounding errors.
@@ -370,20 +353,10 @@ mod tests {
 
     #[test]
     fn a_line_ends_where_it_leaves_the_picture() {
-        let points = [
-            (0.0, 0.0),
-            (1.0, 2.0),
-            (2.0, 2.0),
-            (3.0, 0.0),
-            (4.0, f64::NAN),
-            (5.0, 0.5),
-        ];
+        let points = [(0.0, 0.0), (1.0, 2.0), (2.0, 2.0), (3.0, 0.0), (4.0, f64::NAN), (5.0, 0.5)];
         let pieces = within(&points, &(0.0..1.0));
-        let expected = [
-            vec![(0.0, 0.0), (0.5, 1.0)],
-            vec![(2.5, 1.0), (3.0, 0.0)],
-            vec![(5.0, 0.5)],
-        ];
+        let expected =
+            [vec![(0.0, 0.0), (0.5, 1.0)], vec![(2.5, 1.0), (3.0, 0.0)], vec![(5.0, 0.5)]];
         assert_eq!(pieces, expected);
     }
 
@@ -393,10 +366,7 @@ mod tests {
         let found = broken(line(&[0.0, 1.0, 2.0, 7.0, 8.0]));
         assert_eq!(found.len(), 6);
         assert!(found[3].0 == 2.0 && found[3].1.is_nan());
-        assert_eq!(
-            within(&found, &(0.0..2.0)),
-            [line(&[0.0, 1.0, 2.0]), line(&[7.0, 8.0])]
-        );
+        assert_eq!(within(&found, &(0.0..2.0)), [line(&[0.0, 1.0, 2.0]), line(&[7.0, 8.0])]);
         for whole in [&[][..], &[0.0], &[0.0, 5.0], &[0.0, 1.0, 3.0]] {
             assert_eq!(broken(line(whole)), line(whole));
         }
@@ -417,10 +387,7 @@ mod tests {
 
     #[test]
     fn equal_scales_show_all_points() {
-        let long = |points| Chart {
-            equal: true,
-            ..chart(points, false)
-        };
+        let long = |points| Chart { equal: true, ..chart(points, false) };
         for points in [vec![(0.0, 0.0), (9.0, 0.1)], vec![(0.0, 0.0), (0.1, 9.0)]] {
             let (x, y) = long(points.clone()).ranges();
             let ratio = (x.end - x.start) / (y.end - y.start);

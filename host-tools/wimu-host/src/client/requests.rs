@@ -122,13 +122,8 @@ impl<T: Transport> Client<T> {
             Payload::Session { number, nonce } => (number, nonce),
             _ => return Err(self.unexpected()),
         };
-        let session = Session {
-            key,
-            role: self.hello.role,
-            device_id: self.hello.device_id,
-            number,
-            nonce,
-        };
+        let session =
+            Session { key, role: self.hello.role, device_id: self.hello.device_id, number, nonce };
         let first = match self.seed {
             Some(seed) => seed,
             None => random_number()?,
@@ -192,10 +187,7 @@ impl<T: Transport> Client<T> {
             Answer::Accepted(payload) => Ok(payload),
             Answer::Refused(refusal) => Err(self.refused(refusal)),
             Answer::Unknown => Err(ErrorCode::DeviceRefused
-                .error(
-                    "the board does not know this command",
-                    "update its firmware",
-                )
+                .error("the board does not know this command", "update its firmware")
                 .at(&self.name)),
         }
     }
@@ -209,9 +201,8 @@ impl<T: Transport> Client<T> {
         };
         // A refusal's text is the cause, then the remedy.
         let text = refusal.to_string();
-        let (message, remedy) = text
-            .split_once("; ")
-            .unwrap_or((&text, "see the board's settings"));
+        let (message, remedy) =
+            text.split_once("; ").unwrap_or((&text, "see the board's settings"));
         let remedy = match refusal {
             Refusal::WrongRange {
                 parameters_g,
@@ -439,18 +430,13 @@ impl<T: Transport> Client<T> {
     pub fn push_verified(&mut self, set: &ParameterSet) -> Result<ParameterId> {
         let id = self.push_parameters(set)?;
         let found = self.parameters().map_err(|error| {
-            let message = format!(
-                "the device accepted {id}, but verifying it failed: {}",
-                error.message()
-            );
+            let message =
+                format!("the device accepted {id}, but verifying it failed: {}", error.message());
             HostError::new(error.code(), message, error.remedy()).at(&self.name)
         })?;
         if found.id != id.0 {
             return Err(ErrorCode::VerifyFailed.error(
-                format!(
-                    "the device holds parameters {:08x} instead of the pushed {id}",
-                    found.id
-                ),
+                format!("the device holds parameters {:08x} instead of the pushed {id}", found.id),
                 "push again; another computer may have pushed at the same time",
             ));
         }
@@ -490,10 +476,7 @@ fn possibly_done(error: &HostError) -> HostError {
             "no authenticated answer was received ({}): the request may have been executed, or may still be",
             error.message()
         ),
-        _ => format!(
-            "{}; the request may have been executed, or may still be",
-            error.message()
-        ),
+        _ => format!("{}; the request may have been executed, or may still be", error.message()),
     };
     let perhaps = HostError::new(
         code,

@@ -56,10 +56,7 @@ impl Line {
             now: Duration::from_secs(100),
             deframer: Deframer::new(),
             responder: Responder::new(role),
-            hello: Hello {
-                access: WriteAccess::Open,
-                ..Hello::new(role)
-            },
+            hello: Hello { access: WriteAccess::Open, ..Hello::new(role) },
             settings: Settings::default(),
             pieces: Vec::new(),
             staged: None,
@@ -72,12 +69,7 @@ impl Line {
             asked: Vec::new(),
             next_environment: Duration::ZERO,
             silent: false,
-            lock: Lock {
-                key: KeyState::None,
-                device_id: 0,
-                boot_count: Some(1),
-                entropy: [0; 16],
-            },
+            lock: Lock { key: KeyState::None, device_id: 0, boot_count: Some(1), entropy: [0; 16] },
             deaf_until: Duration::ZERO,
             pause: None,
             forged_pause_ms: None,
@@ -91,10 +83,7 @@ impl Line {
     }
 
     fn connect(&self) -> Result<Client<Self>> {
-        let options = ConnectOptions {
-            session: Some(7),
-            ..ConnectOptions::default()
-        };
+        let options = ConnectOptions { session: Some(7), ..ConnectOptions::default() };
         Client::connect(self.clone(), "test", options)
     }
 }
@@ -157,11 +146,7 @@ impl Board {
     fn execute(&mut self, command: Command) -> Answer {
         let id = |wire: &WireParameters| parameter_id(&ParameterSet::try_from(wire).unwrap()).0;
         Answer::Accepted(match command {
-            Command::StageParameters {
-                offset,
-                total,
-                piece,
-            } => {
+            Command::StageParameters { offset, total, piece } => {
                 self.pieces.truncate(offset.into());
                 self.pieces.extend(piece.as_bytes());
                 if self.pieces.len() < total.into() {
@@ -186,9 +171,7 @@ impl Board {
                         self.deaf_until = self.now + pause;
                         self.say(&Telemetry::Event {
                             time_us: 0,
-                            event: DeviceEvent::Pause {
-                                longest_ms: pause.as_millis() as u16,
-                            },
+                            event: DeviceEvent::Pause { longest_ms: pause.as_millis() as u16 },
                         });
                     }
                     self.active = Some(wire);
@@ -222,25 +205,15 @@ impl Transport for Line {
         let mut board = self.board();
         if board.outgoing.is_empty() {
             let due = board.next_environment.saturating_sub(board.now);
-            let quiet = if board.silent {
-                timeout
-            } else {
-                timeout.min(due)
-            };
+            let quiet = if board.silent { timeout } else { timeout.min(due) };
             board.now += quiet.max(Duration::from_millis(1));
         }
         if board.now >= board.next_environment && !board.silent {
             board.next_environment = board.now + Duration::from_millis(100);
             let time_us = board.now.as_micros() as u64;
-            board.say(&Telemetry::Environment(Environment {
-                time_us,
-                ..Environment::default()
-            }));
+            board.say(&Telemetry::Environment(Environment { time_us, ..Environment::default() }));
             if let Some(longest_ms) = board.forged_pause_ms {
-                board.say(&Telemetry::Event {
-                    time_us,
-                    event: DeviceEvent::Pause { longest_ms },
-                });
+                board.say(&Telemetry::Event { time_us, event: DeviceEvent::Pause { longest_ms } });
             }
         }
         assert!(board.now < Duration::from_secs(400), "blocked");
@@ -270,11 +243,8 @@ impl Transport for Line {
 
 fn calibration() -> ParameterSet {
     ParameterSet {
-        model: ErrorModel::new(ErrorTerms {
-            bias_mps2: [0.1, -0.2, 0.3],
-            ..ErrorTerms::default()
-        })
-        .unwrap(),
+        model: ErrorModel::new(ErrorTerms { bias_mps2: [0.1, -0.2, 0.3], ..ErrorTerms::default() })
+            .unwrap(),
         ..ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0).unwrap())
     }
 }
@@ -314,11 +284,7 @@ fn a_line_that_loses_frames_both_ways_changes_nothing() {
 fn a_board_that_staged_something_else_is_not_told_to_commit() {
     let line = Line::new(LinkRole::Cable);
     line.board().forgetful = true;
-    let error = line
-        .connect()
-        .unwrap()
-        .push_parameters(&calibration())
-        .unwrap_err();
+    let error = line.connect().unwrap().push_parameters(&calibration()).unwrap_err();
     assert_eq!(error.code(), ErrorCode::VerifyFailed);
     assert_eq!(line.board().commits, 0);
     assert_eq!(line.board().active, None);
@@ -344,15 +310,9 @@ fn refusals_come_with_the_boards_reason_and_exit_code_4() {
 
     let line = Line::new(LinkRole::Cable);
     let mut client = line.connect().unwrap();
-    let set = ParameterSet {
-        range_g: 8,
-        ..calibration()
-    };
+    let set = ParameterSet { range_g: 8, ..calibration() };
     let error = client.push_parameters(&set).unwrap_err();
-    assert_eq!(
-        (error.code(), error.exit_code()),
-        (ErrorCode::DeviceRefused, 4)
-    );
+    assert_eq!((error.code(), error.exit_code()), (ErrorCode::DeviceRefused, 4));
     assert!(error.message().contains("±8 g"), "{error}");
     for way in ["--range 2 ", "`wimu settings set LINK --range 8`"] {
         assert!(error.remedy().contains(way), "{error}");
@@ -411,14 +371,8 @@ fn nothing_received_while_waiting_is_lost() {
         }
     }
     assert!(times.is_sorted());
-    assert!(
-        times[0] <= 100_100_000,
-        "the first is from before the greeting"
-    );
-    assert!(
-        times.windows(2).all(|pair| pair[1] - pair[0] <= 160_000),
-        "{times:?}"
-    );
+    assert!(times[0] <= 100_100_000, "the first is from before the greeting");
+    assert!(times.windows(2).all(|pair| pair[1] - pair[0] <= 160_000), "{times:?}");
 }
 
 #[test]
@@ -430,9 +384,7 @@ fn what_is_no_board_is_told_from_silence() {
     assert!(error.message().contains("no answer"));
     assert!(line.board().now < Duration::from_secs(104));
 
-    line.board()
-        .outgoing
-        .extend(b"$GPGGA,123519,4807.038,N\r\n".repeat(50));
+    line.board().outgoing.extend(b"$GPGGA,123519,4807.038,N\r\n".repeat(50));
     let error = line.connect().err().unwrap();
     assert_eq!(error.code(), ErrorCode::NotAWimuBoard);
     assert!(error.message().contains("1300 bytes"), "{error}");
@@ -484,12 +436,7 @@ fn waiting_for_an_event_ends_in_time() {
     line.board().silent = true;
     line.board().outgoing.clear();
     let start = line.now();
-    assert!(
-        client
-            .next_event(Duration::from_millis(500))
-            .unwrap()
-            .is_none()
-    );
+    assert!(client.next_event(Duration::from_millis(500)).unwrap().is_none());
     assert!(line.now() - start <= Duration::from_millis(510));
 }
 
@@ -521,10 +468,8 @@ fn one_pause_is_believed_up_to_its_limit() {
     for (longest_ms, expected_ms) in [(400, 400), (2000, 2000), (2001, 2000), (u16::MAX, 2000)] {
         let line = Line::new(LinkRole::Cable);
         let mut client = line.connect().unwrap();
-        line.board().say(&Telemetry::Event {
-            time_us: 0,
-            event: DeviceEvent::Pause { longest_ms },
-        });
+        line.board()
+            .say(&Telemetry::Event { time_us: 0, event: DeviceEvent::Pause { longest_ms } });
         while client.deaf_until.is_zero() {
             client.next_event(Duration::from_millis(100)).unwrap();
         }
@@ -560,20 +505,14 @@ impl Transport for Flood {
 }
 
 fn flood(bytes: Vec<u8>) -> Client<Flood> {
-    let transport = Flood {
-        now: Duration::ZERO,
-        bytes,
-    };
+    let transport = Flood { now: Duration::ZERO, bytes };
     Client::new(transport, "test", Some(7))
 }
 
 #[test]
 fn what_waits_to_be_handed_out_is_bounded_and_what_is_dropped_counted() {
     let mut frame = [0; MAX_FRAME];
-    let status: Telemetry = Telemetry::Event {
-        time_us: 0,
-        event: DeviceEvent::SensorFound,
-    };
+    let status: Telemetry = Telemetry::Event { time_us: 0, event: DeviceEvent::SensorFound };
     let length = status.encode(&mut frame).unwrap();
     let mut client = flood(frame[..length].repeat(100));
     let mut asked = 0;

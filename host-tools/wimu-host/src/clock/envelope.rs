@@ -102,15 +102,7 @@ pub(super) fn fit(blocks: &[&Folded], x: f64, given: Option<f64>) -> Option<Fit>
         let touched = upper.unwrap_or(mean);
         (touched, variance + (touched - mean).powi(2), 0.0)
     };
-    let mut fit = Fit {
-        rate,
-        rate_variance,
-        middle,
-        middle_variance,
-        covariance,
-        lower,
-        upper,
-    };
+    let mut fit = Fit { rate, rate_variance, middle, middle_variance, covariance, lower, upper };
     if let (None, Some(excess)) = (given, contradiction(&edges, &tops)) {
         let (first, last) = (blocks.first()?.span.0, blocks.last()?.span.1);
         fit.admit(excess, &mut edges, last - first);
@@ -211,13 +203,7 @@ fn slopes(edges: &[Edge], tops: &[Edge], mut centre: f64) -> Option<Vec<Terms>> 
     for _ in 0..16 {
         let step = half / (SLOPES / 2) as f64;
         summed = (0..SLOPES)
-            .map(|k| {
-                Terms::new(
-                    edges,
-                    tops,
-                    centre + step * (k as f64 - (SLOPES / 2) as f64),
-                )
-            })
+            .map(|k| Terms::new(edges, tops, centre + step * (k as f64 - (SLOPES / 2) as f64)))
             .collect();
         let (mean, variance) = moments(&summed, |term| (term.rate, 0.0))?;
         let sd = variance.sqrt();
@@ -235,17 +221,10 @@ const SCALE: f64 = 100.0;
 
 /// Mean and variance, over all slopes, of a quantity with a mean and a variance at each.
 fn moments(terms: &[Terms], of: impl Fn(&Terms) -> (f64, f64)) -> Option<(f64, f64)> {
-    let most = terms
-        .iter()
-        .map(|term| term.log_likelihood)
-        .reduce(f64::max)?;
+    let most = terms.iter().map(|term| term.log_likelihood).reduce(f64::max)?;
     let weight = |term: &Terms| (term.log_likelihood - most).exp();
     let all: f64 = terms.iter().map(weight).sum();
-    let mean = terms
-        .iter()
-        .map(|term| weight(term) * of(term).0)
-        .sum::<f64>()
-        / all;
+    let mean = terms.iter().map(|term| weight(term) * of(term).0).sum::<f64>() / all;
     let variance = terms
         .iter()
         .map(|term| {
@@ -267,11 +246,7 @@ struct Terms {
 
 impl Terms {
     fn new(edges: &[Edge], tops: &[Edge], rate: f64) -> Self {
-        let mut terms = Self {
-            rate,
-            log_likelihood: 0.0,
-            floors: [None; KINDS],
-        };
+        let mut terms = Self { rate, log_likelihood: 0.0, floors: [None; KINDS] };
         for edge in edges {
             if edge.least.is_empty() {
                 continue;
@@ -309,32 +284,23 @@ impl Terms {
     fn centre(&self, link: usize) -> Option<(f64, f64)> {
         let (answer, answer_variance) = self.floor(link, Class::Answer)?;
         let questions = [Class::Question, Class::OtherQuestion];
-        let questions = questions
-            .into_iter()
-            .filter_map(|class| self.floor(link, class));
+        let questions = questions.into_iter().filter_map(|class| self.floor(link, class));
         let (question, variance) = questions.min_by(|a, b| a.1.total_cmp(&b.1))?;
-        Some((
-            0.5 * (answer - question),
-            0.25 * (answer_variance + variance),
-        ))
+        Some((0.5 * (answer - question), 0.25 * (answer_variance + variance)))
     }
 
     /// The same by the fastest transfer, with a delay of zero.
     fn fastest(&self, edges: &[Edge]) -> (f64, f64) {
         let to_host = edges.iter().filter(|edge| !edge.class.is_question());
         let floors = to_host.filter_map(|edge| self.floor(edge.link, edge.class));
-        floors
-            .min_by(|a, b| a.0.total_cmp(&b.0))
-            .unwrap_or((0.0, 0.0))
+        floors.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0.0))
     }
 }
 
 /// Strict bounds of the clocks' difference by the transfers selected by `of`.
 fn bounds_by(edges: &[Edge], rate: f64, of: impl Fn(&Edge) -> bool) -> (Option<f64>, Option<f64>) {
     let bound = |questions: bool| {
-        let chosen = edges
-            .iter()
-            .filter(|edge| of(edge) && edge.class.is_question() == questions);
+        let chosen = edges.iter().filter(|edge| of(edge) && edge.class.is_question() == questions);
         chosen.map(|edge| edge.floor(rate).0).reduce(f64::min)
     };
     (bound(true).map(|bound| -bound), bound(false))

@@ -112,18 +112,12 @@ impl Pace {
     pub fn on_line(baud: Option<u32>) -> Self {
         let least =
             baud.map(|baud| Duration::from_secs(1) * LINE_DIVISOR * QUESTION_BITS / baud.max(1));
-        Self {
-            often: least.unwrap_or_default().max(ASK_OFTEN),
-            ..Self::default()
-        }
+        Self { often: least.unwrap_or_default().max(ASK_OFTEN), ..Self::default() }
     }
 
     /// One request a second: shows the duration of transfers, at little cost.
     pub fn sparse(baud: Option<u32>) -> Self {
-        Self {
-            sparse: true,
-            ..Self::on_line(baud)
-        }
+        Self { sparse: true, ..Self::on_line(baud) }
     }
 
     /// Whether a request is due at `now`, on the link's clock.
@@ -158,9 +152,7 @@ impl Pace {
         self.first.get_or_insert(now);
         // A late wake-up does not lower the rate, nor make the next request queue.
         let often = self.often();
-        let late = self
-            .latest
-            .map_or(Duration::ZERO, |latest| now.saturating_sub(latest + often));
+        let late = self.latest.map_or(Duration::ZERO, |latest| now.saturating_sub(latest + often));
         let made_up = match late < often {
             true => late.min(often / 2),
             false => Duration::ZERO,

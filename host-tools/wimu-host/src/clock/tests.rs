@@ -129,11 +129,7 @@ impl Link {
         let mut pace = Pace::default();
         let stall = (self.truth(40.0), self.truth(43.0));
         let stalled = |at: f64| {
-            if (stall.0..stall.1).contains(&at) {
-                stall.1
-            } else {
-                at
-            }
+            if (stall.0..stall.1).contains(&at) { stall.1 } else { at }
         };
         let (mut time, mut line_free, mut heard) = (0.03, 0.0_f64, 0.0_f64);
         // Of each answer when it comes and how long it took: about, the line is free.
@@ -214,11 +210,7 @@ impl Link {
 
     /// A cable: a tenth of a millisecond, jitter as much.
     fn cable() -> Self {
-        Self {
-            jitter: Jitter::Exponential(1e5),
-            least: [1e5, 1e5],
-            ..Self::default()
-        }
+        Self { jitter: Jitter::Exponential(1e5), least: [1e5, 1e5], ..Self::default() }
     }
 
     fn middle(&self) -> DeviceTimeUs {
@@ -296,10 +288,7 @@ fn stated_intervals_hold_the_truth_as_often_as_they_say_whatever_the_jitter() {
         Lane::current().choose([(1, 20), (SHAPES.len(), 40), (SHAPES.len(), 1000)]);
     let mut held = [Vec::new(), Vec::new()];
     for jitter in &SHAPES[..shapes] {
-        let link = Link {
-            jitter: *jitter,
-            ..Link::default()
-        };
+        let link = Link { jitter: *jitter, ..Link::default() };
         let lasting = matches!(jitter, Jitter::Lasting(_));
         let found = errors(&link, sessions);
         for (which, errors) in found.iter().enumerate() {
@@ -312,10 +301,8 @@ fn stated_intervals_hold_the_truth_as_often_as_they_say_whatever_the_jitter() {
             two.assert_can_be(least..=1.0, &name);
             one.assert_can_be(0.5..=1.0, &name);
             if lasting {
-                let claim = format!(
-                    "95 % interval of the {}, delays that last",
-                    ["offset", "rate"][which]
-                );
+                let claim =
+                    format!("95 % interval of the {}, delays that last", ["offset", "rate"][which]);
                 coverage_figure(&claim, &[two], 0.93..=1.0);
             } else {
                 held[which].push(two);
@@ -327,16 +314,8 @@ fn stated_intervals_hold_the_truth_as_often_as_they_say_whatever_the_jitter() {
         }
     }
     let [offsets, rates] = held;
-    coverage_figure(
-        "95 % intervals of the offset, six laws of jitter",
-        &offsets,
-        0.93..=1.0,
-    );
-    coverage_figure(
-        "95 % intervals of the rate, six laws of jitter",
-        &rates,
-        0.93..=0.98,
-    );
+    coverage_figure("95 % intervals of the offset, six laws of jitter", &offsets, 0.93..=1.0);
+    coverage_figure("95 % intervals of the rate, six laws of jitter", &rates, 0.93..=0.98);
 }
 
 #[test]
@@ -350,12 +329,7 @@ fn a_latency_that_changes_slowly_is_in_the_intervals() {
         (Jitter::Uniform(1e6), 70.0),
     ];
     let links = links.into_iter().flat_map(|(jitter, duration_s)| {
-        creeps.map(|creep| Link {
-            jitter,
-            creep,
-            duration_s,
-            ..Link::default()
-        })
+        creeps.map(|creep| Link { jitter, creep, duration_s, ..Link::default() })
     });
     let (mut all, mut alike_ppm) = (Vec::new(), 0.0_f64);
     for link in links.take(kinds) {
@@ -473,10 +447,7 @@ fn best_possible(law: Law, each: f64, duration_s: f64, seeds: u64) -> Errors {
         }
         let all = envelope::log_sum(found.iter().map(|(_, log)| *log));
         let mean: f64 = found.iter().map(|(at, log)| (log - all).exp() * at).sum();
-        let square: f64 = found
-            .iter()
-            .map(|(at, log)| (log - all).exp() * at * at)
-            .sum();
+        let square: f64 = found.iter().map(|(at, log)| (log - all).exp() * at * at).sum();
         errors.add(mean * 1e-3, (square - mean * mean).max(0.0).sqrt() * 1e-3);
     }
     errors
@@ -549,17 +520,12 @@ fn of_an_answer_in_parts_the_end_counts_alone() {
         let arrival = Arrival {
             host_ns,
             began_ns: host_ns - takes,
-            event: Event::Reply {
-                reply,
-                body: Vec::new(),
-            },
+            event: Event::Reply { reply, body: Vec::new() },
         };
         clock.heard(LinkRole::Wireless, &arrival).unwrap();
     }
     let classes = clock.open.iter().map(|transfer| transfer.class);
-    let begun = classes
-        .filter(|class| *class == Class::AnswerBegins)
-        .count();
+    let begun = classes.filter(|class| *class == Class::AnswerBegins).count();
     assert_eq!((begun, clock.transfers()), (1, 5));
 }
 
@@ -591,10 +557,7 @@ fn a_slow_line_is_left_to_what_the_board_has_to_say() {
         }
     }
     let early = asked.iter().filter(|time| **time < 3.0).count();
-    println!(
-        "{early} questions in 3 s, {} in 30, line free at {to_host:.2} s",
-        asked.len()
-    );
+    println!("{early} questions in 3 s, {} in 30, line free at {to_host:.2} s", asked.len());
     // Then it is asked again, and carries all in time.
     assert!(early < 130 && asked.len() - early > 100);
     assert!(to_host < 30.3, "{to_host}");
@@ -602,11 +565,7 @@ fn a_slow_line_is_left_to_what_the_board_has_to_say() {
 
 #[test]
 fn questions_take_no_more_of_a_line_than_answers_show_that_it_has() {
-    for (baud, every) in [
-        (19_200.0, 21.9e-3),
-        (38_400.0, 10.9e-3),
-        (115_200.0, 5.9e-3),
-    ] {
+    for (baud, every) in [(19_200.0, 21.9e-3), (38_400.0, 10.9e-3), (115_200.0, 5.9e-3)] {
         let takes = QUESTION * 10.0 / baud;
         let mut pace = Pace::default();
         let (mut to_device, mut to_host) = (0.0_f64, 0.0_f64);
@@ -652,11 +611,7 @@ fn the_cable_tells_the_rate_that_the_wireless_link_has_not_told_yet() {
 
 #[test]
 fn directions_that_differ_shift_the_middle_and_stay_within_the_bounds() {
-    let link = Link {
-        jitter: Jitter::Exponential(5e6),
-        least: [35e6, 5e6],
-        ..Link::default()
-    };
+    let link = Link { jitter: Jitter::Exponential(5e6), least: [35e6, 5e6], ..Link::default() };
     let model = link.session(1).model().unwrap();
     // 30 ms more towards the host than towards the device look like 15 ms of clock.
     let error = link.error(&model);
@@ -685,11 +640,7 @@ fn without_questions_times_are_late_by_the_fastest_transfer_and_say_so() {
 #[test]
 fn a_wandering_clock_is_followed_for_days_in_bounded_memory() {
     let seconds = Lane::current().choose([1800_u32, 7200, 7200]);
-    let link = Link {
-        duration_s: f64::from(seconds),
-        wander_ppm_h: 2.0,
-        ..Link::cable()
-    };
+    let link = Link { duration_s: f64::from(seconds), wander_ppm_h: 2.0, ..Link::cable() };
     let clock = link.session(1);
     assert!(clock.closed.len() <= 2 * REACH + 1);
     assert!(clock.lines.len() <= seconds as usize / BLOCK_S as usize + 1);

@@ -111,11 +111,7 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
     let [coarse_a, coarse_b] = [fine_a.folded(fold), fine_b.folded(fold)];
     let least = (overlap / coarse_a.step).ceil() as usize;
     let scores = scores(&coarse_a.values, &coarse_b.values, least);
-    let (best, lag) = scores
-        .iter()
-        .copied()
-        .max_by(|x, y| x.0.total_cmp(&y.0))
-        .ok_or_else(none)?;
+    let (best, lag) = scores.iter().copied().max_by(|x, y| x.0.total_cmp(&y.0)).ok_or_else(none)?;
     // Within a second of the best, neighbours fit too.
     let near = (1.0 / coarse_a.step).ceil() as i64 + 1;
     let second = scores
@@ -163,9 +159,7 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
     let rough = drift(&fine_a, &fine_b, fine.lag, (start, end), fit.offset_s);
     fit.rate = rough.filter(|_| has_rate).unwrap_or(0.0);
     for _ in 0..4 {
-        fit = fit
-            .refined(&a, &b, (start, end), step, has_rate)
-            .unwrap_or(fit);
+        fit = fit.refined(&a, &b, (start, end), step, has_rate).unwrap_or(fit);
     }
     let between_s = BETWEEN_ROWS * step;
     fit.sd[0] = fit.sd[0].hypot(between_s);
@@ -232,10 +226,7 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
             };
             if let (Some(line), Some(seen)) = (&mut plain.line, &found.axes[axis].line) {
                 [line.scale, line.scale_sd] = scale_along_itself(seen);
-                if let Some(simple) = simpler
-                    .as_ref()
-                    .ok()
-                    .and_then(|found| found.axes[axis].line)
+                if let Some(simple) = simpler.as_ref().ok().and_then(|found| found.axes[axis].line)
                 {
                     let lost = line.scale - scale_along_itself(&simple)[0];
                     line.scale_sd = line.scale_sd.hypot(lost);
@@ -296,10 +287,7 @@ impl Axis {
         }
         if let Some(line) = &mut self.line {
             widen(&mut line.bias_sd_mps2, unit_sd[1] * line.bias_mps2);
-            widen(
-                &mut line.scale_sd,
-                unit_sd[0].hypot(unit_sd[1]) * line.scale,
-            );
+            widen(&mut line.scale_sd, unit_sd[0].hypot(unit_sd[1]) * line.scale);
         }
         self
     }

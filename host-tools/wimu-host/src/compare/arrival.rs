@@ -32,10 +32,7 @@ const MAX_HELD: usize = 1 << 16;
 
 impl ArrivalUser {
     pub fn new(latency_ns: f64) -> Self {
-        Self {
-            latency_ns,
-            ..Self::default()
-        }
+        Self { latency_ns, ..Self::default() }
     }
 
     /// Ends the sequence.

@@ -157,11 +157,7 @@ impl Gap {
     fn without(&self, index: u32) -> [Self; 2] {
         let there_ns = self.time_ns(index);
         [
-            Self {
-                count: index,
-                between_ns: (self.between_ns.0, there_ns),
-                ..*self
-            },
+            Self { count: index, between_ns: (self.between_ns.0, there_ns), ..*self },
             Self {
                 first: self.first.wrapping_add((index + 1) * self.step),
                 count: self.count - index - 1,
@@ -214,11 +210,7 @@ struct Shed {
 
 impl LinkMeter {
     pub fn new(slicing: Slicing) -> Self {
-        Self {
-            slicing,
-            slices: vec![Slice::default(); slicing.count],
-            ..Self::default()
-        }
+        Self { slicing, slices: vec![Slice::default(); slicing.count], ..Self::default() }
     }
 
     /// Ends the sequence: the device has restarted, or a part of the file is missing.
@@ -348,11 +340,7 @@ impl LinkMeter {
     pub fn report_status(&mut self, start: Start, status: Option<LinkStatus>) {
         let Some(status) = status else { return };
         let now = status.telemetry_shed;
-        let shed = self.shed.entry(start).or_insert(Shed {
-            least: now,
-            most: now,
-            times: 0,
-        });
+        let shed = self.shed.entry(start).or_insert(Shed { least: now, most: now, times: 0 });
         shed.least = shed.least.min(now);
         shed.most = shed.most.max(now);
         shed.times += 1;
@@ -383,11 +371,7 @@ impl LinkMeter {
     ) -> LinkReport {
         let open_s = self.open_ns as f64 * 1e-9;
         let per_s = |count: u64| {
-            if open_s > 0.0 {
-                count as f64 / open_s
-            } else {
-                0.0
-            }
+            if open_s > 0.0 { count as f64 / open_s } else { 0.0 }
         };
         LinkReport {
             link: role.to_string(),
@@ -407,11 +391,7 @@ impl LinkMeter {
             bursts: self
                 .bursts
                 .iter()
-                .map(|(power, runs)| Burst {
-                    from: 1 << power,
-                    to: (2 << power) - 1,
-                    runs: *runs,
-                })
+                .map(|(power, runs)| Burst { from: 1 << power, to: (2 << power) - 1, runs: *runs })
                 .collect(),
             latency: self.latency.summary(),
             age: self.age.summary(),
@@ -431,19 +411,10 @@ mod tests {
 
     #[test]
     fn a_gap_of_thousands_of_millions_is_counted_at_once_and_to_the_last_one() {
-        let slicing = Slicing {
-            start_ns: 0,
-            span_ns: 1_000_000_000,
-            count: 200,
-        };
+        let slicing = Slicing { start_ns: 0, span_ns: 1_000_000_000, count: 200 };
         for count in [1, 7, 199, 12_345, u32::MAX / 2 - 2] {
             let mut meter = LinkMeter::new(slicing);
-            let gap = Gap {
-                first: 5,
-                step: 1,
-                count,
-                between_ns: (-1000, 1_000_000_000),
-            };
+            let gap = Gap { first: 5, step: 1, count, between_ns: (-1000, 1_000_000_000) };
             meter.gaps.push_back(gap);
             meter.count_gaps(0);
             let counted = meter.slices.iter().map(|slice| slice.missing);

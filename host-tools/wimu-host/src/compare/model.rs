@@ -62,10 +62,7 @@ impl LinkModel {
             return Ok(());
         }
         Err(ErrorCode::DataRefused.error(
-            format!(
-                "the link model is of device {}, the data of {id}",
-                self.device_id
-            ),
+            format!("the link model is of device {}, the data of {id}", self.device_id),
             "compare the links of this device: `wimu compare FILE -o LINK.json`",
         ))
     }

@@ -139,11 +139,7 @@ impl Overview {
     }
 
     pub fn slicing(&self) -> Slicing {
-        Slicing {
-            start_ns: self.span.0 as i64,
-            span_ns: self.span_ns(),
-            count: SLICES,
-        }
+        Slicing { start_ns: self.span.0 as i64, span_ns: self.span_ns(), count: SLICES }
     }
 
     pub fn seconds(&self, host_ns: u64) -> f64 {

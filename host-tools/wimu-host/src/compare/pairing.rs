@@ -105,9 +105,7 @@ impl Waiting {
             return false;
         }
         let distance = known.wrapping_sub(number) as i32;
-        distance
-            .unsigned_abs()
-            .is_multiple_of(self.every.max(1).into())
+        distance.unsigned_abs().is_multiple_of(self.every.max(1).into())
     }
 
     /// Takes a `sample` of the other link that this one, which has delivered `known`, has not.
@@ -116,9 +114,8 @@ impl Waiting {
         if !self.carries(sample.number, known) {
             return false;
         }
-        let is_between = self
-            .first
-            .is_some_and(|first| sequence_order(sample.number, first).is_gt());
+        let is_between =
+            self.first.is_some_and(|first| sequence_order(sample.number, first).is_gt());
         if !is_between && sample.taken_ns <= self.from_ns {
             self.before_heard += 1;
         } else if !is_between {
@@ -229,11 +226,7 @@ impl<'a> Pairing<'a> {
         let [own, other] = self.links(link, start);
         let is_before = |known: &Taken| sequence_order(known.number, number).is_lt();
         let at = other.samples.partition_point(is_before);
-        if other
-            .samples
-            .get(at)
-            .is_some_and(|twin| twin.number == number)
-        {
+        if other.samples.get(at).is_some_and(|twin| twin.number == number) {
             return other.samples.remove(at).map(|twin| twin.values);
         }
         let at = own.samples.partition_point(is_before);
@@ -325,13 +318,9 @@ mod tests {
             }
         }
         let (between, at_ends) = pairing.finish(under_way_ns);
-        let lost = at_ends.each_ref().map(|found| {
-            found
-                .lost
-                .iter()
-                .map(|run| run.taken_ns.len())
-                .sum::<usize>() as u64
-        });
+        let lost = at_ends
+            .each_ref()
+            .map(|found| found.lost.iter().map(|run| run.taken_ns.len()).sum::<usize>() as u64);
         if brought[1] < brought[0] && between[0] + lost[0] == 0 {
             // Every sample of the other is in one figure.
             let others = at_ends[1].before + at_ends[1].under_way;
@@ -364,10 +353,7 @@ mod tests {
     #[test]
     fn a_late_sample_is_not_lost_whichever_link_is_ahead() {
         let holes = Holes::default();
-        let heard = [Heard {
-            from_ns: 0,
-            every: 1,
-        }; 2];
+        let heard = [Heard { from_ns: 0, every: 1 }; 2];
         let sample = |number: u32| Taken {
             number,
             values: ([number as i32; 3], None),

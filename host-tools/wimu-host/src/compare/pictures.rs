@@ -34,11 +34,9 @@ impl Comparison {
         );
         if let Some(values) = &self.values {
             let largest = |of: fn(&Axis) -> f64| values.axes.iter().map(of).fold(0.0, f64::max);
-            let [before, after] = [
-                largest(|axis| axis.rms_before_mps2),
-                largest(|axis| axis.rms_after_mps2),
-            ]
-            .map(|mps2| significant(mps2 * 1e3, 3));
+            let [before, after] =
+                [largest(|axis| axis.rms_before_mps2), largest(|axis| axis.rms_after_mps2)]
+                    .map(|mps2| significant(mps2 * 1e3, 3));
             let name = "difference of the links, rms, before and after the model";
             report.key(name, &format!("{before} → {after} mm/s²"));
         }
@@ -123,13 +121,9 @@ impl Comparison {
     /// The axis with the largest difference between the links.
     fn shown_axis(&self) -> usize {
         let difference = |axis: &usize| {
-            self.values
-                .as_ref()
-                .map_or(0.0, |values| values.axes[*axis].rms_before_mps2)
+            self.values.as_ref().map_or(0.0, |values| values.axes[*axis].rms_before_mps2)
         };
-        (0..3)
-            .max_by(|a, b| difference(a).total_cmp(&difference(b)))
-            .unwrap_or(0)
+        (0..3).max_by(|a, b| difference(a).total_cmp(&difference(b))).unwrap_or(0)
     }
 }
 
@@ -140,11 +134,7 @@ fn chart(title: impl Into<String>, y: &str, series: Vec<Series>) -> Chart {
 /// Wireless less cable, before and after correction.
 fn gap(history: &History, values: &Values) -> [(&'static str, Chart); 2] {
     [
-        (
-            "gap",
-            "Figure 5 of Yu & Chaczko: wireless less cable, as received",
-            false,
-        ),
+        ("gap", "Figure 5 of Yu & Chaczko: wireless less cable, as received", false),
         (
             "gap-corrected",
             "Figure 6 of Yu & Chaczko: wireless less cable, corrected by the link's model",
@@ -155,11 +145,7 @@ fn gap(history: &History, values: &Values) -> [(&'static str, Chart); 2] {
         let series = (0..3)
             .map(|axis| {
                 let points = history.excerpt.iter().map(|(time, [c, w])| {
-                    let w = if corrected {
-                        values.model.correct(*w)
-                    } else {
-                        *w
-                    };
+                    let w = if corrected { values.model.correct(*w) } else { *w };
                     (*time, (w[axis] - c[axis]) * 1e3)
                 });
                 Series::line(AXES[axis], chart::broken(points.collect()))
@@ -204,10 +190,7 @@ fn evolution(history: &History) -> Vec<(&'static str, Chart)> {
             });
             picture.series.push(Series::line(
                 name,
-                points
-                    .iter()
-                    .map(|(time, value, _)| (*time, *value))
-                    .collect(),
+                points.iter().map(|(time, value, _)| (*time, *value)).collect(),
             ));
         }
         picture
@@ -225,11 +208,8 @@ fn evolution(history: &History) -> Vec<(&'static str, Chart)> {
         "mm/s²",
         &bias,
     );
-    let scale = picture(
-        "Figure 7, continued: estimated error of its scale factor, ± 2 σ",
-        "%",
-        &scale,
-    );
+    let scale =
+        picture("Figure 7, continued: estimated error of its scale factor, ± 2 σ", "%", &scale);
     let mut charts = vec![("error", bias)];
     if !scale.series.is_empty() {
         charts.push(("error-scale", scale));
@@ -244,24 +224,19 @@ fn over_time(history: &History) -> [(&'static str, Chart); 2] {
     let mut series = Vec::new();
     for (slices, link) in history.slices.iter().zip(links).rev() {
         for (share, what) in [(1.0, "longest"), (0.5, "median")] {
-            let shown = slices
-                .iter()
-                .enumerate()
-                .filter(|(_, slice)| slice.latency.count() > 0)
-                .map(|(k, slice)| {
-                    let latency_ms = slice.latency.quantile_ns(share) * 1e-6;
-                    (time(k), latency_ms.max(LEAST_SHOWN_MS))
-                });
+            let shown =
+                slices.iter().enumerate().filter(|(_, slice)| slice.latency.count() > 0).map(
+                    |(k, slice)| {
+                        let latency_ms = slice.latency.quantile_ns(share) * 1e-6;
+                        (time(k), latency_ms.max(LEAST_SHOWN_MS))
+                    },
+                );
             series.push(Series::line(&format!("{link}, {what}"), shown.collect()));
         }
     }
     let latency = Chart {
         log: true,
-        ..chart(
-            "Latency from the newest sample of a batch to its arrival",
-            "ms",
-            series,
-        )
+        ..chart("Latency from the newest sample of a batch to its arrival", "ms", series)
     };
     let lost = |slices: &[Slice], link: &str| {
         let points = slices.iter().enumerate().filter_map(|(k, slice)| {

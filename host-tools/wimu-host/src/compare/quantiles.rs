@@ -32,11 +32,7 @@ pub struct Quantiles {
 
 impl Default for Durations {
     fn default() -> Self {
-        Self {
-            bins: vec![0; BINS],
-            count: 0,
-            max_ns: 0,
-        }
+        Self { bins: vec![0; BINS], count: 0, max_ns: 0 }
     }
 }
 
@@ -88,11 +84,9 @@ mod tests {
             durations.push(k * 10_000);
         }
         let found = durations.summary();
-        for (found, true_ms) in [
-            (found.median_ms, 50.0),
-            (found.p95_ms, 95.0),
-            (found.p99_ms, 99.0),
-        ] {
+        for (found, true_ms) in
+            [(found.median_ms, 50.0), (found.p95_ms, 95.0), (found.p99_ms, 99.0)]
+        {
             assert!((found / true_ms - 1.0).abs() < 0.011, "{found} {true_ms}");
         }
         assert_eq!(found.max_ms, 100.0);

@@ -32,10 +32,7 @@ impl Residual {
             let latency_ns: f64 = counted.meters[link].median_latency_ns();
             [ArrivalUser::new(0.0), ArrivalUser::new(latency_ns)]
         };
-        let mut residual = Self {
-            after: Differences::default(),
-            users: [users(0), users(1)],
-        };
+        let mut residual = Self { after: Differences::default(), users: [users(0), users(1)] };
         let mut pairing = Pairing::new(overview.heard, &overview.holes);
         let mut current = [None; 2];
         walk(&mut reader, |role, start, step| {

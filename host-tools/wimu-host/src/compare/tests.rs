@@ -8,16 +8,8 @@ use super::*;
 /// A motion that never repeats itself, m/s².
 fn force(time: f64) -> [f64; 3] {
     let swing = |a: f64, b: f64| 3.0 * (a * time).sin() * (b * time * time / 40.0).sin();
-    let quiet = if (2.0..5.0).contains(&(time % 11.0)) {
-        0.1
-    } else {
-        1.0
-    };
-    [
-        0.4 + quiet * swing(2.3, 1.1),
-        quiet * swing(3.1, 1.7),
-        9.7 + quiet * swing(1.3, 2.1),
-    ]
+    let quiet = if (2.0..5.0).contains(&(time % 11.0)) { 0.1 } else { 1.0 };
+    [0.4 + quiet * swing(2.3, 1.1), quiet * swing(3.1, 1.7), 9.7 + quiet * swing(1.3, 2.1)]
 }
 
 /// A table of its own for each test.
@@ -46,10 +38,7 @@ fn two_tables_of_different_rates_and_clocks_are_aligned_by_their_motion() {
         times(143.0, 5.0, 55.0).map(|t| {
             let [x, y, z] = force(t);
             let seen = [1.01 * x + 0.2, y - 0.1, 0.99 * z];
-            (
-                7.3 + t * (1.0 + 200e-6),
-                seen.map(|v| v / STANDARD_GRAVITY_MPS2),
-            )
+            (7.3 + t * (1.0 + 200e-6), seen.map(|v| v / STANDARD_GRAVITY_MPS2))
         }),
         "g",
     );
@@ -57,10 +46,7 @@ fn two_tables_of_different_rates_and_clocks_are_aligned_by_their_motion() {
     // At the middle, 30 s, the other shows 37.306 s.
     assert!((found.offset_s + 7.306).abs() < 0.004, "{found:?}");
     let rate_error = (found.rate_ppm.unwrap() + 200.0).abs();
-    assert!(
-        rate_error < 60.0 && rate_error < 3.0 * found.rate_sd_ppm.unwrap(),
-        "{found:?}"
-    );
+    assert!(rate_error < 60.0 && rate_error < 3.0 * found.rate_sd_ppm.unwrap(), "{found:?}");
     assert!(found.correlation > 0.98 && found.overlap_s > 49.0);
     let lines = found.axes.unwrap().map(|axis| axis.line.unwrap());
     assert!((lines[0].bias_mps2 - 0.2).abs() < 0.02 && (lines[0].scale - 1.01).abs() < 0.01);
@@ -119,22 +105,14 @@ fn a_narrower_range_leaves_out_what_it_clips_and_an_unknown_unit_is_in_the_inter
         assert!((line.scale - scale).abs() < 0.01, "{lines:?}");
     }
     // In LSB the scale is that of the magnitude in motion: told, and in the interval.
-    let counts = table(
-        "h",
-        all.iter()
-            .map(|(t, v)| (*t, v.map(|v| (v * 417.7).round()))),
-        "LSB",
-    );
+    let counts = table("h", all.iter().map(|(t, v)| (*t, v.map(|v| (v * 417.7).round()))), "LSB");
     let found = align(&a, &counts).unwrap();
     assert_eq!(found.saturated, 0);
     assert!(found.unit_sd[0].is_none() && found.unit_sd[1].is_some_and(|sd| sd >= 0.03));
     let lines = found.axes.unwrap().map(|axis| axis.line.unwrap());
     for (line, scale) in lines.iter().zip([1.01, 0.98, 1.02]) {
         let apart = (line.scale - scale).abs();
-        assert!(
-            apart < 2.0 * line.scale_sd && line.scale_sd >= 0.029,
-            "{line:?}"
-        );
+        assert!(apart < 2.0 * line.scale_sd && line.scale_sd >= 0.029, "{line:?}");
     }
     for path in [a, clipped, counts] {
         std::fs::remove_file(path).unwrap();
@@ -144,23 +122,10 @@ fn a_narrower_range_leaves_out_what_it_clips_and_an_unknown_unit_is_in_the_inter
 #[test]
 fn tables_that_do_not_fit_or_fit_twice_are_refused() {
     let a = table("c", times(100.0, 0.0, 30.0).map(|t| (t, force(t))), "m/s²");
-    let stranger = table(
-        "d",
-        times(100.0, 0.0, 30.0).map(|t| (t, force(500.0 + 1.37 * t))),
-        "m/s²",
-    );
-    let periodic = |t: f64| {
-        [
-            (5.0 * t).sin(),
-            (5.0 * t).cos(),
-            9.8 + 2.0 * (5.0 * t).sin(),
-        ]
-    };
-    let swing = table(
-        "e",
-        times(100.0, 0.0, 30.0).map(|t| (t, periodic(t))),
-        "m/s²",
-    );
+    let stranger =
+        table("d", times(100.0, 0.0, 30.0).map(|t| (t, force(500.0 + 1.37 * t))), "m/s²");
+    let periodic = |t: f64| [(5.0 * t).sin(), (5.0 * t).cos(), 9.8 + 2.0 * (5.0 * t).sin()];
+    let swing = table("e", times(100.0, 0.0, 30.0).map(|t| (t, periodic(t))), "m/s²");
     for (other, says) in [(&stranger, "do not match"), (&swing, "")] {
         let error = align(&a, other).unwrap_err();
         assert_eq!(error.code(), ErrorCode::DataRefused, "{error}");
@@ -193,17 +158,9 @@ fn offset_and_rate_of_two_tables_are_within_their_intervals() {
     for seed in 1..=Lane::current().choose([6, 20, 1000]) {
         let sd = [0.02, 0.05, 0.1][seed as usize % 3];
         let (delay, ppm) = (0.37 * seed as f64, [0.0, 150.0, -80.0][seed as usize % 3]);
-        let a = table(
-            "q",
-            noisy(2 * seed, sd, 100.0, |t| (t, force(t))).into_iter(),
-            "m/s²",
-        );
+        let a = table("q", noisy(2 * seed, sd, 100.0, |t| (t, force(t))).into_iter(), "m/s²");
         let theirs = |t: f64| (delay + 30.0 + (t - 30.0) * (1.0 - ppm * 1e-6), force(t));
-        let b = table(
-            "r",
-            noisy(2 * seed + 1, sd, 110.0, theirs).into_iter(),
-            "m/s²",
-        );
+        let b = table("r", noisy(2 * seed + 1, sd, 110.0, theirs).into_iter(), "m/s²");
         let found = align(&a, &b).unwrap();
         // At the middle of what overlaps, 30 s.
         let errors = [
@@ -256,15 +213,9 @@ fn devices_turned_against_each_other_show_the_turn_and_the_scale_of_their_own_ax
         let found = align(&a, &b).unwrap();
         let turn = found.turn.unwrap();
         let apart = (turn.angle_deg - degrees).abs();
-        assert!(
-            apart < 5.0 * turn.angle_sd_deg && turn.angle_sd_deg < 0.1,
-            "{turn:?}"
-        );
+        assert!(apart < 5.0 * turn.angle_sd_deg && turn.angle_sd_deg < 0.1, "{turn:?}");
         for (k, along) in axis.iter().enumerate() {
-            assert!(
-                (turn.vector_deg[k] - degrees * along).abs() < 0.2,
-                "{turn:?}"
-            );
+            assert!((turn.vector_deg[k] - degrees * along).abs() < 0.2, "{turn:?}");
             let line = found.axes.unwrap()[k].line.unwrap();
             for (error, sd) in [
                 (line.scale - scale[k], line.scale_sd),
@@ -297,12 +248,7 @@ fn tables_of_other_rates_keep_the_scale_of_a_quick_motion() {
         let theirs = noisy(2 * seed + 201, 0.03, rate, quick);
         let [a, b] =
             [("y", ours), ("z", theirs)].map(|(name, rows)| table(name, rows.into_iter(), "m/s²"));
-        for line in align(&a, &b)
-            .unwrap()
-            .axes
-            .unwrap()
-            .map(|axis| axis.line.unwrap())
-        {
+        for line in align(&a, &b).unwrap().axes.unwrap().map(|axis| axis.line.unwrap()) {
             inside.count((line.scale - 1.0).abs() <= 1.96 * line.scale_sd);
             assert!(line.scale_sd < 0.002, "{rate} Hz: {line:?}");
         }
@@ -355,11 +301,7 @@ fn shakes_that_are_alike_by_chance_are_refused_and_the_same_one_is_not() {
             std::fs::remove_file(path).unwrap();
         }
     }
-    coverage_figure(
-        "shakes that are alike by chance are refused",
-        &[refused],
-        0.99..=1.0,
-    );
+    coverage_figure("shakes that are alike by chance are refused", &[refused], 0.99..=1.0);
     refused.assert_can_be(0.99..=1.0, "refused");
     let claim = "the same varied shake in two tables is aligned";
     coverage_figure(claim, &[aligned], 0.9..=1.0);
@@ -389,10 +331,7 @@ fn a_link_model_is_read_back_and_undoes_what_it_says() {
         std::fs::write(&path, text).unwrap();
         assert_eq!(LinkModel::read(&path).unwrap_err().exit_code(), 2);
     }
-    let wild = LinkModel {
-        scale: [0.0, 1.0, 1.0],
-        ..model
-    };
+    let wild = LinkModel { scale: [0.0, 1.0, 1.0], ..model };
     wild.write(&path).unwrap();
     assert_eq!(LinkModel::read(&path).unwrap_err().exit_code(), 2);
     std::fs::remove_file(&path).unwrap();

@@ -10,13 +10,8 @@ pub(crate) type Units = &'static [(&'static str, f64)];
 /// A number without a unit.
 pub(crate) const NUMBER: Units = &[("", 1.0)];
 pub(crate) const LENGTH: Units = &[("m", 1.0), ("cm", 1e-2), ("mm", 1e-3)];
-pub(crate) const TIME: Units = &[
-    ("s", 1.0),
-    ("ms", 1e-3),
-    ("us", 1e-6),
-    ("µs", 1e-6),
-    ("ns", 1e-9),
-];
+pub(crate) const TIME: Units =
+    &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("µs", 1e-6), ("ns", 1e-9)];
 pub(crate) const SPEED: Units = &[("m/s", 1.0), ("km/h", 1.0 / 3.6)];
 pub(crate) const ANGLE: Units = &[("rad", 1.0), ("deg", std::f64::consts::PI / 180.0)];
 
@@ -53,16 +48,11 @@ impl Table {
             .from_reader(text.as_bytes());
         let bad = |error: csv::Error| {
             let remedy = "check that it is a CSV table with a header";
-            ErrorCode::CsvBadNumber
-                .error(error.to_string(), remedy)
-                .at(&name)
+            ErrorCode::CsvBadNumber.error(error.to_string(), remedy).at(&name)
         };
         let header = reader.headers().map_err(bad)?;
         let header = header.iter().map(str::to_owned).collect();
-        let rows = reader
-            .records()
-            .collect::<std::result::Result<_, _>>()
-            .map_err(bad)?;
+        let rows = reader.records().collect::<std::result::Result<_, _>>().map_err(bad)?;
         Ok(Self { name, header, rows })
     }
 
@@ -98,9 +88,7 @@ impl Table {
         let found = self.header.join(", ");
         let remedy = format!("name a column `{column}`; the file has: {found}");
         let message = format!("the column `{column}` is missing");
-        ErrorCode::CsvMissingColumn
-            .error(message, remedy)
-            .at(&self.name)
+        ErrorCode::CsvMissingColumn.error(message, remedy).at(&self.name)
     }
 
     /// A table without what is looked for.
@@ -118,13 +106,9 @@ impl Table {
             let line = self.rows[row].position().map_or(0, csv::Position::line);
             let message = format!("`{text}` is not a number");
             let place = format!("{} line {line}, {}", self.name, self.header[column.0]);
-            ErrorCode::CsvBadNumber
-                .error(message, "correct the field, or leave it empty")
-                .at(place)
+            ErrorCode::CsvBadNumber.error(message, "correct the field, or leave it empty").at(place)
         };
-        finite(text)
-            .map(|value| Some(value * column.1))
-            .ok_or_else(bad)
+        finite(text).map(|value| Some(value * column.1)).ok_or_else(bad)
     }
 
     pub fn text(&self, row: usize, column: usize) -> &str {
@@ -132,8 +116,6 @@ impl Table {
     }
 
     pub fn named(&self, name: &str) -> Option<usize> {
-        self.header
-            .iter()
-            .position(|column| column.eq_ignore_ascii_case(name))
+        self.header.iter().position(|column| column.eq_ignore_ascii_case(name))
     }
 }

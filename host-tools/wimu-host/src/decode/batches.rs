@@ -26,10 +26,7 @@ impl Decoder {
         let track = &mut self.start.tracks[usize::from(batch.sensor())];
         let Some(mut samples) = track.place(batch) else {
             if self.start.order.holds() {
-                return self
-                    .start
-                    .order
-                    .hold((received, Held::Batch(Box::new(*batch))));
+                return self.start.order.hold((received, Held::Batch(Box::new(*batch))));
             }
             track.unplaced.push_back((received, *batch));
             if track.unplaced.len() > MAX_UNPLACED {
@@ -60,10 +57,7 @@ impl Decoder {
             Verdict::InOrder => {}
             Verdict::Late => return self.take_late(received, batch, each),
             Verdict::Hold => {
-                return self
-                    .start
-                    .order
-                    .hold((received, Held::Batch(Box::new(*batch))));
+                return self.start.order.hold((received, Held::Batch(Box::new(*batch))));
             }
             Verdict::HeldWasLate => self.go_on(each),
             Verdict::NewStart => {

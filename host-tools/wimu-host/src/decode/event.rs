@@ -9,10 +9,7 @@ use super::tags::Interval;
 
 /// An event of a link.
 #[derive(Clone, Debug)]
-#[allow(
-    clippy::large_enum_variant,
-    reason = "events are handed on one at a time"
-)]
+#[allow(clippy::large_enum_variant, reason = "events are handed on one at a time")]
 pub enum Event {
     /// Identification of the device.
     Hello(Hello),

@@ -30,14 +30,8 @@ pub fn read(frame: &Frame<'_>) -> Result<Option<Message>, String> {
 /// Parameters came in one piece in version 1; its telemetry repeats them.
 fn earlier_reply(body: &[u8]) -> Option<Message> {
     match Reply::decode(body).ok()? {
-        Reply {
-            answer: Answer::Accepted(Payload::Parameters { .. }),
-            ..
-        } => None,
-        reply => Some(Message::Event(Event::Reply {
-            reply,
-            body: body.to_vec(),
-        })),
+        Reply { answer: Answer::Accepted(Payload::Parameters { .. }), .. } => None,
+        reply => Some(Message::Event(Event::Reply { reply, body: body.to_vec() })),
     }
 }
 
@@ -45,14 +39,11 @@ fn message(kind: Kind, body: &[u8]) -> Result<Message, String> {
     let text = |error: &dyn std::error::Error| error.to_string();
     Ok(Message::Event(match kind {
         Kind::Hello => {
-            return Hello::decode(body)
-                .map(Message::Hello)
-                .map_err(|e| text(&e));
+            return Hello::decode(body).map(Message::Hello).map_err(|e| text(&e));
         }
-        Kind::Reply => Event::Reply {
-            reply: Reply::decode(body).map_err(|e| text(&e))?,
-            body: body.to_vec(),
-        },
+        Kind::Reply => {
+            Event::Reply { reply: Reply::decode(body).map_err(|e| text(&e))?, body: body.to_vec() }
+        }
         Kind::Telemetry => match Telemetry::decode(body).map_err(|e| text(&e))? {
             Telemetry::Epoch(epoch) if epoch.sensor > MAX_SENSOR => {
                 return Err(format!("an epoch of sensor {}", epoch.sensor));
@@ -66,10 +57,9 @@ fn message(kind: Kind, body: &[u8]) -> Result<Message, String> {
             Telemetry::Parameters(parameters) => Event::Parameters(parameters),
             Telemetry::Settings(settings) => Event::Settings(settings),
             Telemetry::Status(status) => Event::Status(status),
-            Telemetry::Event { time_us, event } => Event::Device {
-                time: DeviceTimeUs(time_us),
-                event,
-            },
+            Telemetry::Event { time_us, event } => {
+                Event::Device { time: DeviceTimeUs(time_us), event }
+            }
         },
         // A host's own frame, looped back.
         Kind::WhoAreYou | Kind::Request => {

@@ -68,11 +68,7 @@ pub(super) struct Order<T> {
 
 impl<T> Default for Order<T> {
     fn default() -> Self {
-        Self {
-            front: None,
-            doubt: None,
-            held: Vec::new(),
-        }
+        Self { front: None, doubt: None, held: Vec::new() }
     }
 }
 
@@ -126,11 +122,7 @@ impl<T> Order<T> {
         }
         let held_ns = moment.host_ns.saturating_sub(doubt.host_ns);
         let fits_new = !is_nearer_to_old && !is_late_for_new;
-        let certain_ns = if place == Place::Back {
-            CERTAIN_NS
-        } else {
-            CERTAIN_BEYOND_NS
-        };
+        let certain_ns = if place == Place::Back { CERTAIN_NS } else { CERTAIN_BEYOND_NS };
         if (fits_new && held_ns >= certain_ns) || self.held.len() >= MAX_HELD {
             return Verdict::NewStart;
         }
@@ -142,9 +134,8 @@ impl<T> Order<T> {
             self.advance(moment);
             return Verdict::InOrder;
         }
-        let back_us = self.front.map_or(0, |front| {
-            front.foretold_us(moment.host_ns) - moment.time_us as i64
-        });
+        let back_us =
+            self.front.map_or(0, |front| front.foretold_us(moment.host_ns) - moment.time_us as i64);
         if back_us <= LATE_US {
             return Verdict::Late;
         }
@@ -153,10 +144,7 @@ impl<T> Order<T> {
     }
 
     fn advance(&mut self, moment: Moment) {
-        if self
-            .front
-            .is_none_or(|front| moment.time_us > front.time_us)
-        {
+        if self.front.is_none_or(|front| moment.time_us > front.time_us) {
             self.front = Some(moment);
         }
     }

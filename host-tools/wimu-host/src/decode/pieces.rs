@@ -77,9 +77,7 @@ mod tests {
         let length = set.encode(&mut bytes).unwrap();
         let set = EncodedParameters(&bytes[..length]);
         let offsets = (0..length).step_by(Piece::MAX);
-        offsets
-            .map(|offset| set.piece(set.id(), offset as u16))
-            .collect()
+        offsets.map(|offset| set.piece(set.id(), offset as u16)).collect()
     }
 
     fn heard(decoder: &mut Decoder, bytes: &[u8]) -> Vec<Option<WireParameters>> {
@@ -127,10 +125,7 @@ mod tests {
         let mut decoder = Decoder::new();
         let good = pieces(&set(0.1));
         let other_id = good.iter().map(|piece| ParametersPiece { id: 7, ..*piece });
-        let beyond = [ParametersPiece {
-            total: 100,
-            ..good[0]
-        }];
+        let beyond = [ParametersPiece { total: 100, ..good[0] }];
         for pieces in [other_id.collect::<Vec<_>>(), beyond.into()] {
             let mut complaints = 0;
             decoder.push(0, &sent(&pieces), |arrival| {
@@ -145,14 +140,8 @@ mod tests {
     #[test]
     fn sets_of_both_versions_are_read() {
         for (text, expected) in [
-            (
-                include_str!("../../../../tests/vectors/v1/telemetry.hex"),
-                3,
-            ),
-            (
-                include_str!("../../../../tests/vectors/v2/telemetry.hex"),
-                4,
-            ),
+            (include_str!("../../../../tests/vectors/v1/telemetry.hex"), 3),
+            (include_str!("../../../../tests/vectors/v2/telemetry.hex"), 4),
         ] {
             let frames = text.lines().filter(|line| !line.starts_with('#'));
             let bytes: Vec<u8> = frames

@@ -110,18 +110,9 @@ impl Verifier {
     /// Judges the frames before a tag; `None` for the latest tag, repeated, and before keys are set.
     pub fn judge(&mut self, host_ns: u64, tag: &Tag) -> Option<Interval> {
         let keys = self.keys.as_ref()?;
-        let interval = |began_ns, authenticity| {
-            Some(Interval {
-                number: tag.number,
-                began_ns,
-                authenticity,
-            })
-        };
-        if self
-            .latest
-            .as_ref()
-            .is_some_and(|latest| latest.tag == *tag)
-        {
+        let interval =
+            |began_ns, authenticity| Some(Interval { number: tag.number, began_ns, authenticity });
+        if self.latest.as_ref().is_some_and(|latest| latest.tag == *tag) {
             return None;
         }
         if let Some((key, boot_count, number)) = self.verified
@@ -184,13 +175,8 @@ struct Judged<'a> {
 
 impl<'a> Judged<'a> {
     fn new(tag: &Tag, key: &TagKey, frames: &'a [Arrived], before: Option<&Latest>) -> Self {
-        let coded = frames
-            .iter()
-            .map(|frame| (frame, key.of_frame(&frame.bytes)));
-        let mut judged = Self {
-            sum: tag.sum(key),
-            frames: coded.collect(),
-        };
+        let coded = frames.iter().map(|frame| (frame, key.of_frame(&frame.bytes)));
+        let mut judged = Self { sum: tag.sum(key), frames: coded.collect() };
         // A device may send equal frames: leave out as few as possible.
         let is_right = |judged: &Self| {
             judged.authenticity(tag.frames as usize, true) == Authenticity::Verified

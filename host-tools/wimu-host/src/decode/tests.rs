@@ -24,11 +24,7 @@ fn hello(boot_count: u32) -> Vec<u8> {
 }
 
 fn hello_at(boot_count: u32, uptime_us: u64) -> Vec<u8> {
-    let hello = Hello {
-        boot_count,
-        uptime_us,
-        ..Hello::new(LinkRole::Wireless)
-    };
+    let hello = Hello { boot_count, uptime_us, ..Hello::new(LinkRole::Wireless) };
     framed(|frame| hello.encode(frame))
 }
 
@@ -81,10 +77,7 @@ fn navigation(sequence: u32) -> Vec<u8> {
 }
 
 fn environment(time_us: u64) -> Vec<u8> {
-    let environment = <Telemetry>::Environment(Environment {
-        time_us,
-        ..Environment::default()
-    });
+    let environment = <Telemetry>::Environment(Environment { time_us, ..Environment::default() });
     framed(|frame| environment.encode(frame))
 }
 
@@ -145,10 +138,7 @@ fn further_epoch(ahead: u32, sequence: u32) -> Vec<u8> {
 fn further(ahead: u32, first: u32, count: u32) -> Vec<u8> {
     let pair = |s| (Counts([s as i16; 3]), Counts([-(s as i16); 3]));
     let samples: Vec<_> = (first..first + count).map(pair).collect();
-    let layout = batch::Layout {
-        sensor: 1,
-        every: std::num::NonZeroU8::MIN,
-    };
+    let layout = batch::Layout { sensor: 1, every: std::num::NonZeroU8::MIN };
     let at = DeviceTimeUs(time(first));
     framed(|frame| batch::encode_with(layout, first + ahead, at, &samples, frame))
 }
@@ -196,12 +186,7 @@ fn a_further_sensor_has_its_own_numbers_gaps_and_repeats() {
     assert_eq!(heard, once.repeat(2));
     assert_eq!(late, (8..16).collect::<Vec<_>>().repeat(2));
     let statistics = decoder.statistics();
-    let further = StreamStatistics {
-        received: 32,
-        missing: 0,
-        duplicated: 16,
-        late: 16,
-    };
+    let further = StreamStatistics { received: 32, missing: 0, duplicated: 16, late: 16 };
     assert_eq!(statistics.further, further);
     assert_eq!((statistics.raw.received, statistics.raw.missing), (64, 0));
     assert_eq!(statistics.frames_rejected, 0);
@@ -210,10 +195,7 @@ fn a_further_sensor_has_its_own_numbers_gaps_and_repeats() {
 #[test]
 fn an_epoch_of_an_impossible_sensor_is_unreadable() {
     let mut decoder = Decoder::new();
-    let epoch = <Telemetry>::Epoch(Epoch {
-        sensor: 8,
-        ..Epoch::default()
-    });
+    let epoch = <Telemetry>::Epoch(Epoch { sensor: 8, ..Epoch::default() });
     let events = decode(&mut decoder, &[framed(|frame| epoch.encode(frame))]);
     assert!(matches!(events[..], [Event::Unreadable(_)]), "{events:?}");
 }
@@ -272,12 +254,7 @@ fn losses_damage_and_repeats_are_counted() {
     assert_eq!(statistics.frames_damaged, 1);
     assert_eq!(
         statistics.raw,
-        StreamStatistics {
-            received: 40,
-            missing: 16,
-            duplicated: 24,
-            late: 0
-        }
+        StreamStatistics { received: 40, missing: 16, duplicated: 24, late: 0 }
     );
 }
 
@@ -298,10 +275,7 @@ fn an_epoch_that_did_not_arrive_is_known_by_its_number() {
             _ => None,
         })
         .collect();
-    assert_eq!(
-        after_loss,
-        [false, false, false, false, true, false, false, true]
-    );
+    assert_eq!(after_loss, [false, false, false, false, true, false, false, true]);
 }
 
 #[test]
@@ -552,9 +526,7 @@ fn samples_that_come_after_later_ones_are_late_not_lost_and_not_duplicated() {
     let mut swapped = 0;
     // Of each seven frames the first is an epoch.
     for at in (22..100).step_by(14) {
-        let [(_, one), (_, two)] = &mut frames[at..at + 2] else {
-            unreachable!()
-        };
+        let [(_, one), (_, two)] = &mut frames[at..at + 2] else { unreachable!() };
         std::mem::swap(one, two);
         swapped += 1;
     }
@@ -566,10 +538,7 @@ fn samples_that_come_after_later_ones_are_late_not_lost_and_not_duplicated() {
     assert_eq!(restarts(&events), []);
     assert_eq!(sequences(&events).len() as u64, 1_600 - 16 * swapped);
     let raw = decoder.statistics().raw;
-    assert_eq!(
-        (raw.missing, raw.duplicated, raw.late),
-        (0, 16, 16 * swapped)
-    );
+    assert_eq!((raw.missing, raw.duplicated, raw.late), (0, 16, 16 * swapped));
 }
 
 #[test]
@@ -579,17 +548,12 @@ fn strangers_are_told_from_damage() {
     frames.push(framed(|frame| {
         wimu_link::frame::encode(wimu_link::Kind::Telemetry, &[0xff; 9], frame)
     }));
-    frames.push(framed(|frame| {
-        wimu_link::WhoAreYou::default().encode(frame)
-    }));
+    frames.push(framed(|frame| wimu_link::WhoAreYou::default().encode(frame)));
     let events = decode(&mut decoder, &frames);
     assert!(matches!(events[1], Event::Unreadable(_)));
     assert!(matches!(events[2], Event::Unreadable(_)));
     let statistics = decoder.statistics();
-    assert_eq!(
-        (statistics.frames_unreadable, statistics.frames_damaged),
-        (2, 0)
-    );
+    assert_eq!((statistics.frames_unreadable, statistics.frames_damaged), (2, 0));
 }
 
 proptest! {
@@ -626,9 +590,8 @@ proptest! {
 
 /// Samples first, first + every, … of that device.
 fn decimated(first: u32, count: u32, every: u8) -> Vec<u8> {
-    let counts: Vec<_> = (0..count)
-        .map(|s| Counts(value(first + s * u32::from(every)).map(|v| v as i16)))
-        .collect();
+    let counts: Vec<_> =
+        (0..count).map(|s| Counts(value(first + s * u32::from(every)).map(|v| v as i16))).collect();
     let every = std::num::NonZeroU8::new(every).unwrap();
     framed(|frame| {
         batch::encode_with(
@@ -656,9 +619,8 @@ fn decimated_samples_keep_number_and_time_and_only_their_losses_count() {
         samples(55, 1),
     ];
     let events = decode(&mut decoder, &frames);
-    let expected: Vec<u32> = (0..10)
-        .chain([12, 16, 20, 24, 28, 40, 44, 48, 50, 51, 52, 55])
-        .collect();
+    let expected: Vec<u32> =
+        (0..10).chain([12, 16, 20, 24, 28, 40, 44, 48, 50, 51, 52, 55]).collect();
     assert_eq!(sequences(&events), expected);
     let raw = decoder.statistics().raw;
     assert_eq!((raw.missing, raw.duplicated), (2 + 2, 1));
@@ -674,9 +636,7 @@ fn positions_and_samples_go_on_where_their_numbers_wrap() {
     for step in (0..800).step_by(16) {
         let first = start.wrapping_add(step);
         let at = |step: u32| u64::from(step) * PERIOD_US;
-        let counts: Vec<_> = (step..step + 16)
-            .map(|s| Counts([s as i16, 0, 16384]))
-            .collect();
+        let counts: Vec<_> = (step..step + 16).map(|s| Counts([s as i16, 0, 16384])).collect();
         let mut frames = Vec::new();
         if step % 96 == 0 {
             frames.push(numbered_epoch((step / 96) as u8, first, at(step)));
@@ -687,9 +647,7 @@ fn positions_and_samples_go_on_where_their_numbers_wrap() {
         frames.push(navigation(first));
         expected.push(first);
         for frame in frames {
-            decoder.push(at(step) * 1000, &frame, |arrival| {
-                events.push(arrival.event)
-            });
+            decoder.push(at(step) * 1000, &frame, |arrival| events.push(arrival.event));
         }
     }
     assert_eq!(positions(&events), expected);
@@ -823,10 +781,8 @@ fn what_is_held_in_doubt_is_bounded_whatever_comes() {
     frames.push((time(1_600), epoch(0, time(0))));
     decode_timed(&mut decoder, &frames);
     assert!(decoder.is_in_doubt());
-    let event: Telemetry = Telemetry::Event {
-        time_us: 0,
-        event: wimu_link::message::Event::SensorFound,
-    };
+    let event: Telemetry =
+        Telemetry::Event { time_us: 0, event: wimu_link::message::Event::SensorFound };
     let event = framed(|frame| event.encode(frame));
     let (mut handed_on, sent) = (0, 10_000);
     for _ in 0..sent {
@@ -851,14 +807,8 @@ fn absurd() -> impl Strategy<Value = Vec<u8>> {
         0..100_000_000_u64,
         any::<u64>()
     ];
-    (
-        0..7,
-        extreme.clone(),
-        extreme,
-        any::<[u16; 3]>(),
-        any::<u8>(),
-    )
-        .prop_map(|(kind, one, two, values, small)| match kind {
+    (0..7, extreme.clone(), extreme, any::<[u16; 3]>(), any::<u8>()).prop_map(
+        |(kind, one, two, values, small)| match kind {
             0 => hello_at(one as u32, two),
             1 | 2 => {
                 let epoch = <Telemetry>::Epoch(Epoch {
@@ -895,7 +845,8 @@ fn absurd() -> impl Strategy<Value = Vec<u8>> {
                     )
                 })
             }
-        })
+        },
+    )
 }
 
 proptest! {

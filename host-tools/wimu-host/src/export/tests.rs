@@ -11,10 +11,7 @@ use crate::mcap_file::{ClockAnchor, RecordingWriter};
 fn every_position_has_its_time_where_numbers_wrap() {
     let folder = tempfile::tempdir().unwrap();
     let [file, table] = ["wrap.mcap", "wrap.csv"].map(|name| folder.path().join(name));
-    let anchor = ClockAnchor {
-        monotonic_ns: 0,
-        utc_ns: 1_795_222_920_000_000_000,
-    };
+    let anchor = ClockAnchor { monotonic_ns: 0, utc_ns: 1_795_222_920_000_000_000 };
     let mut writer = RecordingWriter::create(&file, anchor).unwrap();
     // More behind the wrap than a part has, at 100 Hz.
     let (start, steps) = (0_u32.wrapping_sub(1600), 1600 + 20_000);
@@ -24,9 +21,7 @@ fn every_position_has_its_time_where_numbers_wrap() {
         let time_us = u64::from(step) * 10_000;
         let mut append = |length: usize, frame: &[u8]| {
             let bytes = &frame[..length];
-            writer
-                .append(LinkRole::Cable, time_us * 1000, bytes)
-                .unwrap();
+            writer.append(LinkRole::Cable, time_us * 1000, bytes).unwrap();
         };
         if step.is_multiple_of(96) {
             let epoch = <Telemetry>::Epoch(Epoch {
@@ -58,24 +53,15 @@ fn every_position_has_its_time_where_numbers_wrap() {
         append(length, &frame);
     }
     writer.finish().unwrap();
-    let exported = to_csv(
-        &file,
-        &ExportSource::default(),
-        ExportStream::Navigation,
-        &table,
-    )
-    .unwrap();
+    let exported =
+        to_csv(&file, &ExportSource::default(), ExportStream::Navigation, &table).unwrap();
     assert_eq!(exported.rows, steps as usize / 16);
     let text = std::fs::read_to_string(&table).unwrap();
     let mut lines = text.lines();
     let header = lines.next().unwrap();
-    let column = header
-        .split(',')
-        .position(|name| name.starts_with("Time"))
-        .unwrap();
-    let times: Vec<f64> = lines
-        .filter_map(|line| line.split(',').nth(column)?.parse().ok())
-        .collect();
+    let column = header.split(',').position(|name| name.starts_with("Time")).unwrap();
+    let times: Vec<f64> =
+        lines.filter_map(|line| line.split(',').nth(column)?.parse().ok()).collect();
     assert_eq!(times.len(), exported.rows);
     assert!(times.is_sorted_by(|a, b| a < b));
     // The same positions as ROS 2 messages.

@@ -67,12 +67,7 @@ impl From<postcard::Error> for BatchError {
 impl Batch {
     /// An empty batch.
     pub fn new(session: u64, number: u32) -> Self {
-        Self {
-            session,
-            number,
-            end_ns: 0,
-            pieces: Vec::new(),
-        }
+        Self { session, number, end_ns: 0, pieces: Vec::new() }
     }
 
     /// Adds bytes received at a UTC in ns, which is rounded to whole µs after the first piece.
@@ -166,16 +161,10 @@ mod tests {
         let bytes = batch.encode(9);
         for end in 0..bytes.len() {
             let cut = Batch::decode(&bytes[..end]);
-            assert!(
-                cut.is_err() || cut.is_ok_and(|cut| cut.pieces.is_empty()),
-                "{end}"
-            );
+            assert!(cut.is_err() || cut.is_ok_and(|cut| cut.pieces.is_empty()), "{end}");
         }
         assert_eq!(Batch::decode(&[9; 40]), Err(BatchError::Version(9)));
-        assert_eq!(
-            Batch::decode(&vec![1; MAX_BATCH + 1]),
-            Err(BatchError::TooLong(MAX_BATCH + 1))
-        );
+        assert_eq!(Batch::decode(&vec![1; MAX_BATCH + 1]), Err(BatchError::TooLong(MAX_BATCH + 1)));
         let mut state = 1u32;
         for length in 0..2000 {
             let random = (0..length % 97).map(|_| {

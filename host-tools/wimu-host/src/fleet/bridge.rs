@@ -138,11 +138,8 @@ impl Bridge {
                 self.shared.note(format!("{}: connected again", self.name));
             }
             None => {
-                *client = Some(Client::connect(
-                    tap,
-                    &self.link.to_string(),
-                    ConnectOptions::default(),
-                )?)
+                *client =
+                    Some(Client::connect(tap, &self.link.to_string(), ConnectOptions::default())?)
             }
         }
         if let Some(client) = client {
@@ -189,10 +186,8 @@ impl Bridge {
                 }
             }
             self.keep(client);
-            let due = self
-                .batch
-                .since
-                .is_some_and(|since| now() >= since + self.shared.config.batch);
+            let due =
+                self.batch.since.is_some_and(|since| now() >= since + self.shared.config.batch);
             if due || is_asked || self.batch.bytes >= ENOUGH {
                 self.batch.flush(&self.shared, false);
             }
@@ -232,10 +227,9 @@ impl Bridge {
                 self.state.parameter_id = id;
                 self.state.calibrated_utc_s = set.and_then(|set| set.quality?.terms().utc_s);
             }
-            Event::Device {
-                event: DeviceEvent::CalibrationContradicted { .. },
-                ..
-            } => self.state.contradicted = true,
+            Event::Device { event: DeviceEvent::CalibrationContradicted { .. }, .. } => {
+                self.state.contradicted = true
+            }
             _ => {}
         }
         self.clock.heard(role, arrival);
@@ -329,13 +323,7 @@ struct Outgoing {
 
 impl Outgoing {
     fn new(topic: String) -> Self {
-        Self {
-            topic,
-            pending: Vec::new(),
-            bytes: 0,
-            number: 0,
-            since: None,
-        }
+        Self { topic, pending: Vec::new(), bytes: 0, number: 0, since: None }
     }
 
     fn push(&mut self, host_ns: u64, bytes: &[u8]) {
@@ -350,9 +338,8 @@ impl Outgoing {
         if !all && self.bytes < MOST {
             let ends = |bytes: &[u8]| bytes.iter().rposition(|byte| *byte == 0);
             let last = self.pending.iter().enumerate().rev();
-            let Some((index, end)) = last
-                .clone()
-                .find_map(|(index, (_, bytes))| Some((index, ends(bytes)? + 1)))
+            let Some((index, end)) =
+                last.clone().find_map(|(index, (_, bytes))| Some((index, ends(bytes)? + 1)))
             else {
                 return;
             };

@@ -57,11 +57,7 @@ pub fn check(message: &[u8]) -> Result<Asks, CommandFault> {
             }
             _ => return Err(CommandFault::NotRequests),
         };
-        asks = Some(if asks == Some(Asks::Answer) {
-            Asks::Answer
-        } else {
-            one
-        });
+        asks = Some(if asks == Some(Asks::Answer) { Asks::Answer } else { one });
     }
     asks.ok_or(CommandFault::NotRequests)
 }
@@ -74,9 +70,7 @@ mod tests {
     use super::*;
 
     fn request(command: Command) -> Vec<u8> {
-        Requester::new(1)
-            .start(command, std::time::Duration::ZERO)
-            .to_vec()
+        Requester::new(1).start(command, std::time::Duration::ZERO).to_vec()
     }
 
     #[test]
@@ -87,15 +81,9 @@ mod tests {
         assert_eq!(check(&request(Command::GetTime)), Ok(Asks::Time));
         let both = [request(Command::GetTime), request(Command::GetStatus)].concat();
         assert_eq!(check(&both), Ok(Asks::Answer));
-        assert_eq!(
-            check(&request(Command::FactoryReset)),
-            Err(CommandFault::Unsigned)
-        );
+        assert_eq!(check(&request(Command::FactoryReset)), Err(CommandFault::Unsigned));
         let key = DeviceKey::new([7; 32]);
-        assert_eq!(
-            check(&request(Command::SetKey(key))),
-            Err(CommandFault::Key)
-        );
+        assert_eq!(check(&request(Command::SetKey(key))), Err(CommandFault::Key));
         let hidden = [request(Command::GetTime), request(Command::FactoryReset)].concat();
         assert_eq!(check(&hidden), Err(CommandFault::Unsigned));
         let time = request(Command::GetTime);

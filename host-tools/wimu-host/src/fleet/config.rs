@@ -142,10 +142,7 @@ impl GatewayConfig {
         let failed = |at: usize, message: &str| {
             let line = text.get(..at).unwrap_or_default().matches('\n').count() + 1;
             ErrorCode::BadConfig
-                .error(
-                    message,
-                    "see `wimu gateway --help` for an example; write [boards] last",
-                )
+                .error(message, "see `wimu gateway --help` for an example; write [boards] last")
                 .at(format!("{}, line {line}", path.display()))
         };
         let found: Text = toml::from_str(text).map_err(|error| {
@@ -173,10 +170,7 @@ impl GatewayConfig {
             return Err(failed(at, trouble));
         }
         if boards.is_empty() {
-            return Err(failed(
-                0,
-                "there is no board: write [boards] and NAME = \"LINK\"",
-            ));
+            return Err(failed(0, "there is no board: write [boards] and NAME = \"LINK\""));
         }
         let beside = |folder: PathBuf| path.parent().unwrap_or(Path::new("")).join(folder);
         let gateway = found.gateway.map_or_else(Name::gateway, |name| name.0);
@@ -208,10 +202,9 @@ mod tests {
 
     #[test]
     fn a_minimal_file_has_defaults_and_folders_are_beside_it() {
-        let config = read(&format!(
-            "{HEAD}recordings = \"r\"\n[boards]\na = \"tcp://127.0.0.1:7100\"\n"
-        ))
-        .unwrap();
+        let config =
+            read(&format!("{HEAD}recordings = \"r\"\n[boards]\na = \"tcp://127.0.0.1:7100\"\n"))
+                .unwrap();
         assert_eq!(config.recordings.as_deref(), Some(Path::new("dir/r")));
         assert_eq!(
             (config.batch, config.rotate),
@@ -228,48 +221,20 @@ mod tests {
             (&format!("{HEAD}color = 1\n{boards}"), 3, "color"),
             (&format!("{HEAD}batch_ms = 5\n{boards}"), 3, "10 to 60000"),
             (&format!("{HEAD}metrics = \"here\"\n{boards}"), 3, "here"),
-            (
-                &format!("{HEAD}{boards}\"a/+\" = \"tcp://127.0.0.1:7101\"\n"),
-                5,
-                "a/+",
-            ),
-            (
-                &format!("{HEAD}{boards}b = \"tcp://127.0.0.1:7100\"\n"),
-                5,
-                "another board",
-            ),
-            (
-                &format!("{HEAD}{boards}A = \"tcp://127.0.0.1:7101\"\n"),
-                4,
-                "case",
-            ),
+            (&format!("{HEAD}{boards}\"a/+\" = \"tcp://127.0.0.1:7101\"\n"), 5, "a/+"),
+            (&format!("{HEAD}{boards}b = \"tcp://127.0.0.1:7100\"\n"), 5, "another board"),
+            (&format!("{HEAD}{boards}A = \"tcp://127.0.0.1:7101\"\n"), 4, "case"),
             (&format!("{HEAD}{boards}b = \"auto\"\n"), 5, "port"),
-            (
-                &format!("{HEAD}{boards}b = \"mqtt://h/f/b\"\n"),
-                5,
-                "itself",
-            ),
-            (
-                &format!("{HEAD}{boards}a = \"tcp://127.0.0.1:7102\"\n"),
-                5,
-                "duplicate",
-            ),
-            (
-                "fleet = \"#\"\nbroker = \"mqtt://h\"\n[boards]\na = \"COM1\"\n",
-                1,
-                "#",
-            ),
+            (&format!("{HEAD}{boards}b = \"mqtt://h/f/b\"\n"), 5, "itself"),
+            (&format!("{HEAD}{boards}a = \"tcp://127.0.0.1:7102\"\n"), 5, "duplicate"),
+            ("fleet = \"#\"\nbroker = \"mqtt://h\"\n[boards]\na = \"COM1\"\n", 1, "#"),
             (&format!("{HEAD}[boards]\n"), 1, "no board"),
             ("fleet = \n", 1, ""),
         ] {
             let error = read(text).unwrap_err();
             assert_eq!(error.code(), ErrorCode::BadConfig);
             assert!(error.message().contains(part), "{text}: {error}");
-            assert_eq!(
-                error.location(),
-                Some(&*format!("dir/fleet.toml, line {line}")),
-                "{error}"
-            );
+            assert_eq!(error.location(), Some(&*format!("dir/fleet.toml, line {line}")), "{error}");
         }
     }
 }

@@ -58,10 +58,7 @@ impl Shared {
     /// Topic and message of the gateway's state.
     fn state(&self, alive: bool) -> (String, Vec<u8>) {
         let config = &self.config;
-        let state = GatewayState {
-            alive,
-            ..GatewayState::new(self.session, config.boards.len())
-        };
+        let state = GatewayState { alive, ..GatewayState::new(self.session, config.boards.len()) };
         let topic = gateway_topic(&config.fleet, &config.gateway);
         (topic, state::message(&state))
     }
@@ -171,26 +168,14 @@ impl Gateway {
                 std::fs::create_dir_all(&folder).map_err(failed)?;
             }
             let (down, commands) = mpsc::sync_channel(COMMANDS);
-            let shown = Arc::new(Shown::new(BoardState::new(
-                config.gateway.as_str(),
-                shared.session,
-            )));
+            let shown =
+                Arc::new(Shown::new(BoardState::new(config.gateway.as_str(), shared.session)));
             heard.insert(name.clone(), (down, shown.clone()));
             boards.push((name.clone(), shown.clone()));
-            bridges.push(Bridge::new(
-                name.clone(),
-                link.clone(),
-                shared.clone(),
-                shown,
-                commands,
-            ));
+            bridges.push(Bridge::new(name.clone(), link.clone(), shared.clone(), shown, commands));
         }
         let will = shared.state(false);
-        let mut subscriber = Subscriber {
-            shared: shared.clone(),
-            boards: heard,
-            lost: false,
-        };
+        let mut subscriber = Subscriber { shared: shared.clone(), boards: heard, lost: false };
         let subscriptions = vec![
             all_boards(&config.fleet, Content::Down),
             all_boards(&config.fleet, Content::State),
@@ -211,26 +196,16 @@ impl Gateway {
         if let Some(listener) = listener {
             metrics = listener.local_addr().ok();
             let (shared, boards) = (shared.clone(), boards.clone());
-            threads.push(thread::spawn(move || {
-                metrics::serve(&listener, &shared, &boards)
-            }));
+            threads.push(thread::spawn(move || metrics::serve(&listener, &shared, &boards)));
         }
         for bridge in bridges {
-            let builder = thread::Builder::new()
-                .name(bridge.name.to_string())
-                .stack_size(STACK);
+            let builder = thread::Builder::new().name(bridge.name.to_string()).stack_size(STACK);
             let thread = builder.spawn(|| bridge.run());
             threads.push(
                 thread.map_err(|error| HostError::file("a board's thread", "start", &error))?,
             );
         }
-        Ok(Self {
-            shared,
-            boards,
-            threads,
-            notes,
-            metrics,
-        })
+        Ok(Self { shared, boards, threads, notes, metrics })
     }
 
     /// Lines for people since the last call: what was lost and came back.
@@ -286,11 +261,7 @@ impl Subscriber {
                     ));
                 }
             }
-            Heard::Message {
-                topic,
-                payload,
-                retained,
-            } => {
+            Heard::Message { topic, payload, retained } => {
                 let fleet = &shared.config.fleet;
                 if let Some(board) = board_of(topic, fleet, Content::Down) {
                     // A retained command is old, one that is too long is refused.
@@ -302,11 +273,7 @@ impl Subscriber {
                     }
                 } else if let Some(board) = board_of(topic, fleet, Content::State) {
                     if !retained {
-                        self.board(
-                            topic,
-                            &board,
-                            &BoardState::read(payload).unwrap_or_default(),
-                        );
+                        self.board(topic, &board, &BoardState::read(payload).unwrap_or_default());
                     }
                 } else {
                     self.gateway(&GatewayState::read(payload).unwrap_or_default(), retained);
@@ -331,9 +298,7 @@ impl Subscriber {
             ));
         } else if ours.alive {
             // Another gateway does not reach the board, or someone has removed its state.
-            shared
-                .mqtt()
-                .retain(topic.to_owned(), state::message(&ours));
+            shared.mqtt().retain(topic.to_owned(), state::message(&ours));
         }
     }
 

@@ -79,12 +79,7 @@ fn text(shared: &Shared, boards: &Boards) -> String {
         let label = format!("{{board=\"{name}\"}}");
         add(&mut lines, "wimu_board", &label, &*lock(shown));
     }
-    add(
-        &mut lines,
-        "wimu_gateway",
-        "",
-        &GatewaySummary::of(shared, boards),
-    );
+    add(&mut lines, "wimu_gateway", "", &GatewaySummary::of(shared, boards));
     lines.sort();
     lines.concat()
 }

@@ -72,12 +72,7 @@ pub struct MqttConfig {
 impl MqttConfig {
     /// Subscribes to these filters, and publishes nothing that may wait.
     pub fn new(broker: &Broker, subscriptions: Vec<String>) -> Self {
-        Self {
-            broker: broker.clone(),
-            will: None,
-            subscriptions,
-            spool: None,
-        }
+        Self { broker: broker.clone(), will: None, subscriptions, spool: None }
     }
 }
 
@@ -128,9 +123,7 @@ impl Mqtt {
             reason: None,
         }));
         let stop = Arc::new(Notify::new());
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build();
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         let runtime =
             runtime.map_err(|error| HostError::file("the MQTT connection", "start", &error))?;
         let (out, stopped) = (outbound.clone(), stop.clone());
@@ -143,12 +136,7 @@ impl Mqtt {
                 disconnect(&out, &mut events).await;
             });
         });
-        Ok(Self {
-            broker: config.broker,
-            outbound,
-            stop,
-            thread: Mutex::new(Some(thread)),
-        })
+        Ok(Self { broker: config.broker, outbound, stop, thread: Mutex::new(Some(thread)) })
     }
 
     /// Figures of the connection.
@@ -227,18 +215,10 @@ impl Drop for Mqtt {
 fn options(config: &MqttConfig) -> Result<MqttOptions> {
     let broker = &config.broker;
     let mut options = MqttOptions::new(client_id(), &broker.host, broker.port);
-    options
-        .set_keep_alive(KEEP_ALIVE)
-        .set_clean_session(true)
-        .set_inflight(WINDOW);
+    options.set_keep_alive(KEEP_ALIVE).set_clean_session(true).set_inflight(WINDOW);
     options.set_max_packet_size(MAX_INCOMING, MAX_INCOMING);
     if let Some((topic, payload)) = &config.will {
-        options.set_last_will(LastWill::new(
-            topic,
-            payload.clone(),
-            QoS::AtLeastOnce,
-            true,
-        ));
+        options.set_last_will(LastWill::new(topic, payload.clone(), QoS::AtLeastOnce, true));
     }
     if let Some(user) = &broker.user {
         let password = std::env::var("WIMU_MQTT_PASSWORD").unwrap_or_default();
@@ -342,9 +322,7 @@ impl Outbound {
 
     /// Hands stored messages to the client, as many as may be under way.
     fn fill(&mut self) {
-        let settled = self
-            .connected
-            .is_some_and(|since| since.elapsed() >= SETTLE);
+        let settled = self.connected.is_some_and(|since| since.elapsed() >= SETTLE);
         while settled
             && self.under_way < WINDOW.into()
             && let Some(message) = self.spool.as_mut().and_then(Spool::pop)
@@ -387,10 +365,7 @@ impl Outbound {
             if let Request::Publish(publish) = request
                 && !publish.retain
             {
-                self.take_back(Message {
-                    topic: publish.topic,
-                    payload: publish.payload.into(),
-                });
+                self.take_back(Message { topic: publish.topic, payload: publish.payload.into() });
             }
         }
         self.under_way = 0;

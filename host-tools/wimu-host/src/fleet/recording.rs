@@ -78,9 +78,7 @@ impl Recording {
             if !self.path.exists() {
                 let file = self.path.display().to_string();
                 let remedy = "a new file is begun; move files when the next one has been begun";
-                return Err(ErrorCode::FileFailed
-                    .error("the file is gone", remedy)
-                    .at(file));
+                return Err(ErrorCode::FileFailed.error("the file is gone", remedy).at(file));
             }
         }
         self.writer = Some((writer, opened));

@@ -68,11 +68,7 @@ impl Plan {
                 continue;
             };
             let set = read_parameters(&file)?;
-            plan.targets.push(Target {
-                board: name,
-                device_id: state.device_id.clone(),
-                set,
-            });
+            plan.targets.push(Target { board: name, device_id: state.device_id.clone(), set });
         }
         plan.without_board = unused.into_iter().collect();
         Ok(plan)
@@ -117,9 +113,7 @@ pub fn push(fleet: &Fleet, target: &Target) -> Result<bool> {
     };
     let found = format!("{device_id:016x}");
     if target.device_id.as_ref().is_some_and(|id| *id != found) {
-        return disagrees(format!(
-            "device {found} answers, the fleet's state names another one"
-        ));
+        return disagrees(format!("device {found} answers, the fleet's state names another one"));
     }
     let keys = KeyFolder::of_user()?.candidates(device_id)?;
     if !client.use_key_among(&keys)? {
@@ -138,9 +132,7 @@ pub fn push(fleet: &Fleet, target: &Target) -> Result<bool> {
     client.push_parameters(&target.set)?;
     match client.parameters()?.id {
         held if held == id.0 => Ok(true),
-        held => disagrees(format!(
-            "the board holds {held:08x} instead of the pushed {id}"
-        )),
+        held => disagrees(format!("the board holds {held:08x} instead of the pushed {id}")),
     }
 }
 
@@ -151,16 +143,8 @@ mod tests {
     #[test]
     fn the_stages_are_one_board_a_tenth_and_all() {
         let stages = |boards: usize| {
-            let target = || Target {
-                board: "a".parse().unwrap(),
-                device_id: None,
-                set: set(),
-            };
-            Plan {
-                targets: (0..boards).map(|_| target()).collect(),
-                ..Plan::default()
-            }
-            .stages()
+            let target = || Target { board: "a".parse().unwrap(), device_id: None, set: set() };
+            Plan { targets: (0..boards).map(|_| target()).collect(), ..Plan::default() }.stages()
         };
         assert_eq!(stages(0), [0, 0, 0]);
         assert_eq!(stages(5), [1, 1, 5]);

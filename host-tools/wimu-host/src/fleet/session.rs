@@ -79,13 +79,9 @@ mod tests {
     fn a_batch_is_followed_once() {
         let mut follower = Follower::default();
         let mut take = |at: u64, message: &[u8]| follower.take(Duration::from_secs(at), message);
-        for (at, number, taken) in [
-            (1, 0, true),
-            (2, 1, true),
-            (3, 1, false),
-            (4, 0, false),
-            (5, 4, true),
-        ] {
+        for (at, number, taken) in
+            [(1, 0, true), (2, 1, true), (3, 1, false), (4, 0, false), (5, 4, true)]
+        {
             let pieces = take(at, &message(9, number, at * 1000));
             let expected = taken.then(|| vec![number as u8]);
             assert_eq!(pieces.map(|pieces| numbers(&pieces)), expected);
@@ -111,10 +107,7 @@ mod tests {
         // Arrives 100 ms after its piece, then 20 ms later than the first, then 30 ms earlier.
         let mut at = |now_ms: u64, number, at_ms| {
             let message = message(1, number, at_ms);
-            follower
-                .take(Duration::from_millis(now_ms), &message)
-                .unwrap()[0]
-                .0
+            follower.take(Duration::from_millis(now_ms), &message).unwrap()[0].0
         };
         let first = at(5000, 0, 1000);
         assert_eq!(first, 4_900_000_000);

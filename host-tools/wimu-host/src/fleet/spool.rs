@@ -173,20 +173,13 @@ impl Spool {
     }
 
     fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
-        let is_full = self
-            .segments
-            .back()
-            .is_some_and(|last| last.bytes >= SEGMENT);
+        let is_full = self.segments.back().is_some_and(|last| last.bytes >= SEGMENT);
         if self.writer.is_none() || is_full {
             let number = self.segments.back().map_or(FIRST, |last| last.number + 1);
             let mut options = File::options();
             options.create_new(true).append(true);
             self.writer = Some(options.open(self.file(number))?);
-            self.segments.push_back(Segment {
-                number,
-                messages: 0,
-                bytes: 0,
-            });
+            self.segments.push_back(Segment { number, messages: 0, bytes: 0 });
         }
         if let (Some(writer), Some(last)) = (&mut self.writer, self.segments.back_mut()) {
             let written = writer.write_all(bytes);
@@ -237,10 +230,7 @@ mod tests {
     fn message(number: u32) -> Message {
         let mut payload = vec![0; 10_000];
         payload[..4].copy_from_slice(&number.to_le_bytes());
-        Message {
-            topic: "wimu/f/b/up".to_owned(),
-            payload,
-        }
+        Message { topic: "wimu/f/b/up".to_owned(), payload }
     }
 
     fn numbers(spool: &mut Spool) -> Vec<u32> {

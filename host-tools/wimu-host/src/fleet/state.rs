@@ -87,12 +87,7 @@ impl BoardState {
     pub fn identify(&mut self, hello: &Hello) {
         let mut frame = [0; MAX_FRAME];
         let length = hello.encode(&mut frame).unwrap_or_default();
-        self.hello = Some(
-            frame[..length]
-                .iter()
-                .map(|byte| format!("{byte:02x}"))
-                .collect(),
-        );
+        self.hello = Some(frame[..length].iter().map(|byte| format!("{byte:02x}")).collect());
         self.device_id = Some(format!("{:016x}", hello.device_id));
         self.role = Some(hello.role.to_string());
         self.sensor = Some(hello.sensor.name.to_string());
@@ -133,12 +128,7 @@ pub struct GatewayState {
 impl GatewayState {
     /// A gateway that runs.
     pub fn new(session: u64, boards: usize) -> Self {
-        Self {
-            schema: GATEWAY.to_owned(),
-            alive: true,
-            session: format!("{session:016x}"),
-            boards,
-        }
+        Self { schema: GATEWAY.to_owned(), alive: true, session: format!("{session:016x}"), boards }
     }
 
     /// Reads a retained message; `None` for anything else.
@@ -154,9 +144,7 @@ pub fn message(state: &impl Serialize) -> Vec<u8> {
 }
 
 fn read<T: serde::de::DeserializeOwned>(message: &[u8]) -> Option<T> {
-    (message.len() <= MAX_STATE)
-        .then(|| serde_json::from_slice(message).ok())
-        .flatten()
+    (message.len() <= MAX_STATE).then(|| serde_json::from_slice(message).ok()).flatten()
 }
 
 #[cfg(test)]

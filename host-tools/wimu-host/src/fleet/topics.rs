@@ -42,9 +42,7 @@ impl FromStr for Name {
         if text.is_empty() {
             Err("the name is empty".to_owned())
         } else if let Some(wrong) = text.chars().find(|c| !allowed(*c)) {
-            Err(format!(
-                "a name has letters, digits, `-`, `_` and `.`, not {wrong:?}"
-            ))
+            Err(format!("a name has letters, digits, `-`, `_` and `.`, not {wrong:?}"))
         } else if !begins || text.ends_with('.') {
             Err("a name begins with a letter or digit, and does not end with `.`".to_owned())
         } else if text.len() > MAX_NAME {
@@ -100,9 +98,7 @@ pub fn all_gateways(fleet: &Name) -> String {
 pub fn board_of(topic: &str, fleet: &Name, content: Content) -> Option<Name> {
     let rest = topic.strip_prefix("wimu/")?.strip_prefix(fleet.as_str())?;
     let (board, kind) = rest.strip_prefix('/')?.split_once('/')?;
-    (kind == content.name())
-        .then(|| board.parse().ok())
-        .flatten()
+    (kind == content.name()).then(|| board.parse().ok()).flatten()
 }
 
 /// Address of a broker: `mqtt://HOST`, `mqtt://USER@HOST:PORT`, or `mqtts://…` with TLS. The password of `USER` is in the
@@ -135,15 +131,10 @@ impl Broker {
             Some((user, address)) => (Some(user.to_owned()), address),
             None => (None, authority),
         };
-        if user
-            .as_ref()
-            .is_some_and(|user| user.is_empty() || user.contains(':'))
-        {
+        if user.as_ref().is_some_and(|user| user.is_empty() || user.contains(':')) {
             return Err("write USER@HOST; the password is in WIMU_MQTT_PASSWORD".to_owned());
         }
-        let bracketed = address
-            .strip_prefix('[')
-            .and_then(|rest| rest.split_once(']'));
+        let bracketed = address.strip_prefix('[').and_then(|rest| rest.split_once(']'));
         let (host, port) = match bracketed {
             Some((host, "")) => (host, None),
             Some((host, rest)) => (host, Some(rest.strip_prefix(':').unwrap_or(rest))),
@@ -162,12 +153,7 @@ impl Broker {
                 port.ok_or_else(|| format!("`{text}` is not a TCP port"))?
             }
         };
-        let broker = Self {
-            user,
-            host: host.to_owned(),
-            port,
-            tls,
-        };
+        let broker = Self { user, host: host.to_owned(), port, tls };
         Ok((broker, path))
     }
 }
@@ -214,10 +200,7 @@ impl FromStr for Fleet {
         };
         let (broker, fleet) = Broker::split(text).map_err(bad)?;
         let fleet = fleet.strip_suffix('/').unwrap_or(fleet).parse();
-        Ok(Self {
-            broker,
-            fleet: fleet.map_err(|why| bad(format!("the fleet: {why}")))?,
-        })
+        Ok(Self { broker, fleet: fleet.map_err(|why| bad(format!("the fleet: {why}")))? })
     }
 }
 
@@ -231,9 +214,8 @@ mod tests {
             assert_eq!(good.parse::<Name>().unwrap().as_str(), good);
         }
         let long = "a".repeat(MAX_NAME + 1);
-        for bad in [
-            "", "+", "#", "a/b", "a b", "_gateway", "$SYS", "..", "a.", "é", "a\0", &long,
-        ] {
+        for bad in ["", "+", "#", "a/b", "a b", "_gateway", "$SYS", "..", "a.", "é", "a\0", &long]
+        {
             assert!(bad.parse::<Name>().is_err(), "{bad:?}");
         }
     }
@@ -244,13 +226,9 @@ mod tests {
         let up = topic(&fleet, &board, Content::Up);
         assert_eq!(up, "wimu/hall/b1/up");
         assert_eq!(board_of(&up, &fleet, Content::Up), Some(board));
-        for foreign in [
-            "wimu/hall/b1/down",
-            "wimu/hall2/b1/up",
-            "wimu/hall/a/b/up",
-            "wimu/hall/+/up",
-            "",
-        ] {
+        for foreign in
+            ["wimu/hall/b1/down", "wimu/hall2/b1/up", "wimu/hall/a/b/up", "wimu/hall/+/up", ""]
+        {
             assert_eq!(board_of(foreign, &fleet, Content::Up), None, "{foreign}");
         }
     }

@@ -151,9 +151,7 @@ impl Transport for MqttLink {
                 ("this does not pass a broker", "connect to the board itself")
             }
         };
-        Err(ErrorCode::NotThroughBroker
-            .error(message, remedy)
-            .at(&self.name))
+        Err(ErrorCode::NotThroughBroker.error(message, remedy).at(&self.name))
     }
 
     fn received_at(&self) -> Duration {

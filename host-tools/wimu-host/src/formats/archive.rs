@@ -21,10 +21,8 @@ pub(super) fn unpacked(source: &Source) -> Result<Option<Source>> {
     match source.start() {
         [b'P', b'K', 3, 4, ..] => zip(source).map(Some),
         [0x1f, 0x8b, 8, ..] => {
-            let bytes = bounded(
-                &mut flate2::read::MultiGzDecoder::new(source.reader()?),
-                MAX_BYTES,
-            );
+            let bytes =
+                bounded(&mut flate2::read::MultiGzDecoder::new(source.reader()?), MAX_BYTES);
             let bytes = bytes.map_err(|error| error.at(source.name()))?;
             let name = source.name().trim_end_matches(".gz");
             Ok(Some(Source::of_bytes(name, bytes)))
@@ -41,9 +39,7 @@ fn zip(source: &Source) -> Result<Source> {
         let mut file = archive.by_index(index).map_err(|error| failed(&error))?;
         let name = file.name().map_err(|error| failed(&error))?.into_owned();
         // macOS adds a second file for each.
-        let is_hidden = Path::new(&name)
-            .components()
-            .any(|part| part.as_os_str() == "__MACOSX");
+        let is_hidden = Path::new(&name).components().any(|part| part.as_os_str() == "__MACOSX");
         if file.is_dir() || is_hidden {
             continue;
         }
@@ -58,10 +54,7 @@ fn zip(source: &Source) -> Result<Source> {
 
 fn bounded(reader: &mut dyn Read, most: u64) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    reader
-        .take(most + 1)
-        .read_to_end(&mut bytes)
-        .map_err(|error| damaged(&error))?;
+    reader.take(most + 1).read_to_end(&mut bytes).map_err(|error| damaged(&error))?;
     if bytes.len() as u64 > most {
         return Err(ErrorCode::BadRecording.error(
             format!("it unpacks to more than {} MB", MAX_BYTES >> 20),
@@ -72,10 +65,7 @@ fn bounded(reader: &mut dyn Read, most: u64) -> Result<Vec<u8>> {
 }
 
 fn damaged(error: &dyn std::fmt::Display) -> HostError {
-    ErrorCode::BadRecording.error(
-        format!("the archive is damaged: {error}"),
-        "export it again",
-    )
+    ErrorCode::BadRecording.error(format!("the archive is damaged: {error}"), "export it again")
 }
 
 #[cfg(test)]
@@ -93,25 +83,17 @@ mod tests {
     #[test]
     fn archives_are_folders_and_gzip_is_its_file() {
         let mut writer = zip::ZipWriter::new(Cursor::new(Vec::new()));
-        for (name, text) in [
-            ("b/Gyroscope.csv", "x"),
-            ("Accelerometer.csv", "y"),
-            ("__MACOSX/._b", "z"),
-        ] {
-            writer
-                .start_file(name, zip::write::SimpleFileOptions::default())
-                .unwrap();
+        for (name, text) in
+            [("b/Gyroscope.csv", "x"), ("Accelerometer.csv", "y"), ("__MACOSX/._b", "z")]
+        {
+            writer.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
             writer.write_all(text.as_bytes()).unwrap();
         }
         let bytes = writer.finish().unwrap().into_inner();
-        let source = unpacked(&Source::of_bytes("a.zip", bytes.clone()))
-            .unwrap()
-            .unwrap();
+        let source = unpacked(&Source::of_bytes("a.zip", bytes.clone())).unwrap().unwrap();
         let names: Vec<&str> = source.members().iter().map(Source::name).collect();
         assert_eq!(names, ["Accelerometer.csv", "b/Gyroscope.csv"]);
-        let source = unpacked(&Source::of_bytes("a.csv.gz", gzip(b"text")))
-            .unwrap()
-            .unwrap();
+        let source = unpacked(&Source::of_bytes("a.csv.gz", gzip(b"text"))).unwrap().unwrap();
         assert_eq!((source.name(), source.start()), ("a.csv", &b"text"[..]));
         for cut in [5, 40, bytes.len() - 3] {
             let error = unpacked(&Source::of_bytes("a.zip", bytes[..cut].to_vec())).unwrap_err();

@@ -86,9 +86,7 @@ pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) 
     });
     let choice = Choice::of(TOPICS, &rows, &options, source)?;
     let finding = damage.finding(0..length);
-    finding
-        .into_iter()
-        .for_each(|finding| sink.finding(finding));
+    finding.into_iter().for_each(|finding| sink.finding(finding));
     choice.report(&rows, sink);
 
     let mut plans: HashMap<(u8, u8), Vec<Plan>> = HashMap::new();
@@ -98,8 +96,7 @@ pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) 
         let plans = plans.or_insert_with(|| {
             let topics = TOPICS.iter().filter(|of| of.name == topic);
             let read = topics.filter(|topic| choice.takes(topic, instance));
-            read.filter_map(|topic| Plan::new(topic, instance, format, &units, sink))
-                .collect()
+            read.filter_map(|topic| Plan::new(topic, instance, format, &units, sink)).collect()
         });
         for plan in plans {
             plan.hand_on(message, sink);
@@ -125,10 +122,7 @@ fn topic_of<'a>(format: &'a Format, message: &[u8]) -> (&'a str, u8) {
     let field = format.field("I").or_else(|| format.field("C"));
     let field = field.and_then(|field| field.read(message));
     let known = TOPICS.iter().any(|of| of.name == topic);
-    let instance = field
-        .filter(|_| known)
-        .map(|value| value as u8)
-        .or(instance);
+    let instance = field.filter(|_| known).map(|value| value as u8).or(instance);
     (topic, instance.unwrap_or(0))
 }
 
@@ -167,13 +161,7 @@ impl Plan {
             (_, None) if topic.role != Role::Estimate => format!("{}[{instance}]", format.name),
             _ => format.name.clone(),
         };
-        Some(Self {
-            track: topic.track(&name, instance, sink),
-            topic,
-            time,
-            time_unit,
-            values,
-        })
+        Some(Self { track: topic.track(&name, instance, sink), topic, time, time_unit, values })
     }
 
     fn hand_on(&self, message: &[u8], sink: &mut dyn Sink) {

@@ -52,15 +52,7 @@ impl Topic {
         quantity: Quantity,
         fields: &'static [&'static str],
     ) -> Self {
-        Self {
-            name,
-            role,
-            quantity,
-            fields,
-            si: 1.0,
-            valid: &[],
-            relative_time: None,
-        }
+        Self { name, role, quantity, fields, si: 1.0, valid: &[], relative_time: None }
     }
 
     /// The same in another unit.
@@ -167,10 +159,7 @@ impl Choice {
         options: &ReadOptions,
         source: &Source,
     ) -> Result<Self> {
-        let inertial = [
-            Role::Raw(Family::Inertial),
-            Role::Processed(Family::Inertial),
-        ];
+        let inertial = [Role::Raw(Family::Inertial), Role::Processed(Family::Inertial)];
         if inertial.iter().all(|role| rows.most(topics, *role) == 0) {
             let wanted: Vec<&str> = topics
                 .iter()
@@ -258,9 +247,7 @@ fn asked(
         None => (text, None),
     };
     let instances = rows.0.get(name)?;
-    let topic = topics
-        .iter()
-        .find(|topic| topic.name == name && topic.role != Role::Estimate)?;
+    let topic = topics.iter().find(|topic| topic.name == name && topic.role != Role::Estimate)?;
     let there = instance.is_none_or(|instance| instances.contains_key(&instance));
     there.then_some((topic, instance))
 }

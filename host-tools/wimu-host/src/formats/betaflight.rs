@@ -63,10 +63,7 @@ pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) 
     let mut window = Window::new(source, logs[chosen].span[0])?;
     let header = Header::read(&mut window)?;
     let fields = fields(&header);
-    if fields
-        .iter()
-        .all(|(_, quantity)| *quantity == Quantity::MagneticField)
-    {
+    if fields.iter().all(|(_, quantity)| *quantity == Quantity::MagneticField) {
         let names = header.names('I').into_iter().map(str::to_owned);
         let names: Vec<String> = names.collect();
         return Err(no_inertial_data(source, "accSmooth and gyroADC", &names));
@@ -75,9 +72,7 @@ pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) 
     let decoder = decoder.ok_or_else(|| {
         let message = format!("no frame of log {} can be decoded", chosen + 1);
         let remedy = "copy the file from the device again, or decode it with blackbox_decode";
-        ErrorCode::BadRecording
-            .error(message, remedy)
-            .at(source.name())
+        ErrorCode::BadRecording.error(message, remedy).at(source.name())
     })?;
     report(&logs, chosen, sink);
     let tracks = fields.iter().map(|field| track(*field, &header, sink));
@@ -96,11 +91,7 @@ fn fields(header: &Header) -> Vec<(&'static str, Quantity)> {
     let names = header.names('I');
     let mut fields: Vec<(&str, Quantity)> = Vec::new();
     for (field, quantity) in FIELDS {
-        let has = |axis: &str| {
-            names
-                .iter()
-                .any(|name| **name == format!("{field}[{axis}]"))
-        };
+        let has = |axis: &str| names.iter().any(|name| **name == format!("{field}[{axis}]"));
         if ["0", "1", "2"].into_iter().all(has) && fields.iter().all(|(_, of)| *of != quantity) {
             fields.push((field, quantity));
         }
@@ -111,9 +102,8 @@ fn fields(header: &Header) -> Vec<(&'static str, Quantity)> {
 /// Decoder of the fields of a log.
 fn decoder(header: &Header) -> Option<Decoder> {
     let fields = fields(header);
-    let names = fields
-        .iter()
-        .flat_map(|(field, _)| (0..3).map(move |axis| format!("{field}[{axis}]")));
+    let names =
+        fields.iter().flat_map(|(field, _)| (0..3).map(move |axis| format!("{field}[{axis}]")));
     let names: Vec<String> = names.collect();
     Decoder::new(header, &names).filter(|_| header.is_known())
 }
@@ -133,10 +123,7 @@ fn survey(source: &Source) -> Result<Vec<Log>> {
             Some(decoder) => decoder.decode(&mut window, &mut |_, _| ())?,
             None => Summary::default(),
         };
-        logs.push(Log {
-            span: [start, window.position()],
-            summary,
-        });
+        logs.push(Log { span: [start, window.position()], summary });
     }
     Ok(logs)
 }
@@ -145,9 +132,7 @@ fn survey(source: &Source) -> Result<Vec<Log>> {
 fn find_marker(window: &mut Window) -> Result<bool> {
     loop {
         let ahead = window.peek(CHUNK)?;
-        let found = ahead
-            .windows(MARKER.len())
-            .position(|bytes| bytes == MARKER);
+        let found = ahead.windows(MARKER.len()).position(|bytes| bytes == MARKER);
         let (length, is_last) = (ahead.len(), ahead.len() < CHUNK);
         match found {
             Some(offset) => {
@@ -167,9 +152,7 @@ fn choose(logs: &[Log], options: &ReadOptions, source: &Source) -> Result<usize>
         let index = number.and_then(|number| number.checked_sub(1));
         return index.filter(|index| *index < logs.len()).ok_or_else(|| {
             let remedy = format!("choose `log 1` to `log {}`", logs.len());
-            ErrorCode::Usage
-                .error(format!("there is no log `{topic}`"), remedy)
-                .at(source.name())
+            ErrorCode::Usage.error(format!("there is no log `{topic}`"), remedy).at(source.name())
         });
     }
     let rows = |index: &usize| (logs[*index].summary.rows, std::cmp::Reverse(*index));
@@ -186,11 +169,7 @@ fn report(logs: &[Log], chosen: usize, sink: &mut dyn Sink) {
         let summary = &logs[index].summary;
         let [first, last] = summary.times_us.unwrap_or_default();
         let seconds = (last - first) as f64 * 1e-6;
-        format!(
-            "log {} ({}, {seconds:.1} s)",
-            index + 1,
-            counted(summary.rows, "row")
-        )
+        format!("log {} ({}, {seconds:.1} s)", index + 1, counted(summary.rows, "row"))
     };
     if logs.len() > 1 {
         let others = (0..logs.len()).filter(|index| *index != chosen);
@@ -222,11 +201,7 @@ fn track(
     header: &Header,
     sink: &mut dyn Sink,
 ) -> (TrackId, f64) {
-    let positive = |name| {
-        header
-            .number(name)
-            .filter(|value| *value > 0.0 && value.is_finite())
-    };
+    let positive = |name| header.number(name).filter(|value| *value > 0.0 && value.is_finite());
     let counts = |si_per_lsb| (Unit::Counts { si_per_lsb }, 1.0);
     let (unit, factor) = match (quantity, positive("gyro_scale")) {
         (Quantity::SpecificForce, _) => {

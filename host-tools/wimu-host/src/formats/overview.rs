@@ -56,12 +56,7 @@ impl Extremes {
     fn push(&mut self, time_ns: i64, values: &[f64]) {
         let value = |axis: usize| values.get(axis).copied().unwrap_or(f64::NAN);
         let values = [0, 1, 2].map(value);
-        let one = Interval {
-            from_ns: time_ns,
-            to_ns: time_ns,
-            low: values,
-            high: values,
-        };
+        let one = Interval { from_ns: time_ns, to_ns: time_ns, low: values, high: values };
         match self.intervals.last_mut() {
             Some(last) if self.filled < self.every => {
                 last.join(&one);
@@ -99,16 +94,9 @@ impl Extremes {
         let series = (0..width).map(|axis| {
             let points = self.intervals.iter().flat_map(|one| {
                 let at = |ns: i64| ns.saturating_sub(first_ns) as f64 * 1e-9;
-                [
-                    (at(one.from_ns), scale * one.low[axis]),
-                    (at(one.to_ns), scale * one.high[axis]),
-                ]
+                [(at(one.from_ns), scale * one.low[axis]), (at(one.to_ns), scale * one.high[axis])]
             });
-            let name = if width == 1 {
-                ""
-            } else {
-                ["X", "Y", "Z"][axis]
-            };
+            let name = if width == 1 { "" } else { ["X", "Y", "Z"][axis] };
             Series::line(name, points.collect())
         });
         let title = format!("{} {}", self.info.name, self.info.quantity.name());
@@ -150,11 +138,7 @@ impl<'a> Overview<'a> {
     pub fn charts(&self) -> Vec<Chart> {
         let first_ns = self.span_ns.map_or(0, |[from, _]| from);
         let is_other = |track: &&Extremes| track.info.quantity == Quantity::Scalar;
-        let filled = || {
-            self.tracks
-                .iter()
-                .filter(|track| !track.intervals.is_empty())
-        };
+        let filled = || self.tracks.iter().filter(|track| !track.intervals.is_empty());
         let sensors = filled().filter(|track| !is_other(track));
         let all = sensors.chain(filled().filter(is_other));
         let charts = all.take(MOST_TRACKS).map(|track| track.chart(first_ns));
@@ -164,12 +148,7 @@ impl<'a> Overview<'a> {
 
 impl Sink for Overview<'_> {
     fn track(&mut self, info: TrackInfo) -> TrackId {
-        self.tracks.push(Extremes {
-            info,
-            every: 1,
-            filled: 0,
-            intervals: Vec::new(),
-        });
+        self.tracks.push(Extremes { info, every: 1, filled: 0, intervals: Vec::new() });
         TrackId(self.tracks.len() - 1)
     }
 
@@ -214,11 +193,7 @@ mod tests {
         }
         let charts = overview.charts();
         let points = &charts[0].series[0].points;
-        assert!(
-            (INTERVALS / 2..=2 * INTERVALS + 2).contains(&points.len()),
-            "{}",
-            points.len()
-        );
+        assert!((INTERVALS / 2..=2 * INTERVALS + 2).contains(&points.len()), "{}", points.len());
         assert!(points.is_sorted_by(|a, b| a.0 <= b.0));
         let at = points.iter().find(|point| point.1 == 99.0).unwrap().0;
         assert!((at - 123.457).abs() < 2.0, "{at}");

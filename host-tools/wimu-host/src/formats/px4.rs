@@ -82,9 +82,7 @@ pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) 
     damage.refuse_most(source, length)?;
     let choice = Choice::of(TOPICS, &rows, options, source)?;
     let finding = damage.finding(0..length);
-    finding
-        .into_iter()
-        .for_each(|finding| sink.finding(finding));
+    finding.into_iter().for_each(|finding| sink.finding(finding));
     if dropouts > 0 {
         let times = counted(dropouts, "dropout");
         let evidence = format!("{times} of the logger, {lost_ms} ms in all");
@@ -122,8 +120,7 @@ impl Plan {
         let topics = TOPICS.iter().filter(|topic| topic.name == of.name);
         let read = topics.filter(|topic| choice.takes(topic, of.instance));
         let layout = of.layout.as_ref();
-        read.filter_map(|topic| Self::new(topic, of, layout?, sink))
-            .collect()
+        read.filter_map(|topic| Self::new(topic, of, layout?, sink)).collect()
     }
 
     /// `None` if the format lacks a field.
@@ -166,10 +163,8 @@ impl Plan {
         if let Some(relative) = relative.filter(|_| valid) {
             time_us += relative;
         }
-        valid &= self
-            .valid
-            .iter()
-            .all(|flag| flag.read(payload, 0).is_some_and(|flag| flag != 0.0));
+        valid &=
+            self.valid.iter().all(|flag| flag.read(payload, 0).is_some_and(|flag| flag != 0.0));
         let mut row = [f64::NAN; 4];
         for (value, (field, element)) in row.iter_mut().zip(&self.values) {
             let read = field.read(payload, *element).filter(|_| valid);

@@ -84,13 +84,7 @@ struct Topic {
 
 impl<'a> Messages<'a> {
     fn new(source: &'a Source, options: &'a ReadOptions, sink: &'a mut dyn Sink) -> Self {
-        Self {
-            bag: source.name(),
-            options,
-            sink,
-            topics: Vec::new(),
-            damage: Damage::default(),
-        }
+        Self { bag: source.name(), options, sink, topics: Vec::new(), damage: Damage::default() }
     }
 
     /// The number of a topic, the same in all files of a bag.
@@ -139,11 +133,7 @@ impl<'a> Messages<'a> {
             return;
         };
         topic.sensor.get_or_insert(next_sensor);
-        let message = Waiting {
-            stamp_ns,
-            log_ns,
-            numbers,
-        };
+        let message = Waiting { stamp_ns, log_ns, numbers };
         if topic.by_log.is_some() {
             topic.row(self.sink, &message);
             return;
@@ -175,9 +165,7 @@ impl<'a> Messages<'a> {
             true => "the file".to_owned(),
             false => file.to_owned(),
         };
-        self.damage
-            .cut
-            .push(format!("{file} is cut off or damaged from byte {at} on"));
+        self.damage.cut.push(format!("{file} is cut off or damaged from byte {at} on"));
     }
 
     /// The end of the bag: its findings, or the refusal of a bag without Imu messages.
@@ -241,10 +229,7 @@ impl<'a> Messages<'a> {
             .map(|topic| topic.name.as_str())
             .collect();
         if !logged.is_empty() {
-            let text = format!(
-                "header stamps are zero or do not increase: {}",
-                logged.join(", ")
-            );
+            let text = format!("header stamps are zero or do not increase: {}", logged.join(", "));
             let remedy = "the log times are used, which include the delays of transport";
             self.report(FindingCode::Clock.warning(text), remedy);
         }
@@ -272,9 +257,8 @@ impl<'a> Messages<'a> {
         let imu: Vec<String> = self.imu_topics().map(Topic::describe).collect();
         let mut topics: Vec<&Topic> = (self.topics.iter().filter(|t| t.messages > 0)).collect();
         topics.sort_by_key(|topic| std::cmp::Reverse(topic.messages));
-        let mut named: Vec<String> = (topics.iter().take(NAMED_TOPICS))
-            .map(|topic| topic.describe())
-            .collect();
+        let mut named: Vec<String> =
+            (topics.iter().take(NAMED_TOPICS)).map(|topic| topic.describe()).collect();
         if topics.len() > NAMED_TOPICS {
             named.push(format!("{} more", topics.len() - NAMED_TOPICS));
         }
@@ -285,15 +269,10 @@ impl<'a> Messages<'a> {
                 format!("{topic} has no messages of {IMU} that can be read{damage}"),
                 format!("choose one of {}", imu.join(", ")),
             ),
-            _ if topics.is_empty() => ErrorCode::BadRecording.error(
-                format!("no message can be read{damage}"),
-                "give a bag with messages",
-            ),
+            _ if topics.is_empty() => ErrorCode::BadRecording
+                .error(format!("no message can be read{damage}"), "give a bag with messages"),
             _ => ErrorCode::NoRows.error(
-                format!(
-                    "no inertial data in {IMU} can be read among {}{damage}",
-                    named.join(", ")
-                ),
+                format!("no inertial data in {IMU} can be read among {}{damage}", named.join(", ")),
                 format!("give a bag with accelerations or angular velocities in {IMU}"),
             ),
         };
@@ -328,20 +307,13 @@ impl Topic {
         let count = crate::plural::counted(self.messages, "message");
         match self.encoding {
             Some(_) => format!("{} ({}, {count})", self.name, self.message),
-            None => format!(
-                "{} ({}, not serialised by ROS, {count})",
-                self.name, self.message
-            ),
+            None => format!("{} ({}, not serialised by ROS, {count})", self.name, self.message),
         }
     }
 
     /// Whether a message had a specific force or an angular rate.
     fn is_inertial(&self) -> bool {
-        let tracks = self
-            .kind
-            .iter()
-            .flat_map(|kind| kind.parts)
-            .zip(&self.tracks);
+        let tracks = self.kind.iter().flat_map(|kind| kind.parts).zip(&self.tracks);
         let mut read = tracks.filter(|(_, track)| track.is_some());
         read.any(|(part, _)| part.quantity != Quantity::Attitude)
     }

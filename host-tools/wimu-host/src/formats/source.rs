@@ -70,11 +70,7 @@ impl Source {
         let mut start = Vec::new();
         let file = File::open(path).map_err(failed)?;
         file.take(START).read_to_end(&mut start).map_err(failed)?;
-        let source = Self {
-            content: Content::File(path.to_owned()),
-            name,
-            start,
-        };
+        let source = Self { content: Content::File(path.to_owned()), name, start };
         // An archive in a folder is not looked into.
         let content = if depth == 0 { unpacked(&source)? } else { None };
         Ok(content.unwrap_or(source))
@@ -92,11 +88,7 @@ impl Source {
 
     /// A folder or archive.
     pub fn of_members(name: impl Into<String>, members: Vec<Self>) -> Self {
-        Self {
-            name: name.into(),
-            start: Vec::new(),
-            content: Content::Members(members),
-        }
+        Self { name: name.into(), start: Vec::new(), content: Content::Members(members) }
     }
 
     /// The files of a folder or archive, sorted by name; empty for a file.

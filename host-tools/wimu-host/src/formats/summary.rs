@@ -213,9 +213,7 @@ impl TrackCounter {
     fn mps2_per_unit(&self, rows: &[(i64, [f64; 3])]) -> f64 {
         match self.info.unit {
             Unit::Si => return 1.0,
-            Unit::Counts {
-                si_per_lsb: Some(scale),
-            } => return scale,
+            Unit::Counts { si_per_lsb: Some(scale) } => return scale,
             _ => {}
         }
         let norms = rows.iter().map(|(_, vector)| norm(*vector));
@@ -298,10 +296,7 @@ impl std::fmt::Display for TrackSummary {
             let gaps = counted(self.gaps as usize, "gap");
             write!(out, ", {gaps} (longest {:.2} s)", self.longest_step_s)?;
         }
-        let counts = [
-            (self.not_finite, "not finite"),
-            (self.unordered, "out of order"),
-        ];
+        let counts = [(self.not_finite, "not finite"), (self.unordered, "out of order")];
         for (count, what) in counts.into_iter().filter(|(count, _)| *count > 0) {
             write!(out, ", {count} {what}")?;
         }

@@ -92,10 +92,7 @@ fn read_table(
     let quantity = quantity_of(source);
     let table = header::find(source, quantity)?;
     let at_header = |error: crate::HostError| {
-        let column = error
-            .location()
-            .map(|column| format!(", {column}"))
-            .unwrap_or_default();
+        let column = error.location().map(|column| format!(", {column}")).unwrap_or_default();
         error.at(format!("{} line {}{column}", source.name(), table.line))
     };
     let mut layout = layout::of(&table, quantity, options).map_err(at_header)?;
@@ -112,9 +109,7 @@ fn read_table(
     let filter = rows::filter(&table, pairs).map_err(at_header)?;
     let survey = survey::survey(source, &table, &layout, &filter)?;
     survey.count.check(source.name(), &table)?;
-    survey
-        .one_source(&table, !options.poses)
-        .map_err(at_header)?;
+    survey.one_source(&table, !options.poses).map_err(at_header)?;
     let mut findings = Vec::new();
     if let Some(program) = layout.program {
         let text = format!("the columns are those of {program}");
@@ -155,9 +150,7 @@ fn read_table(
     })?;
     findings.extend(writer.findings());
     findings.extend(count.findings(&table));
-    findings
-        .into_iter()
-        .for_each(|finding| sink.finding(finding));
+    findings.into_iter().for_each(|finding| sink.finding(finding));
     count.check(source.name(), &table)
 }
 

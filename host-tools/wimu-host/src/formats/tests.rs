@@ -22,10 +22,7 @@ pub(super) fn file(name: &str) -> Option<PathBuf> {
 /// Reads bytes.
 pub(super) fn read_bytes(bytes: &[u8], topic: Option<&str>) -> crate::Result<Recording> {
     let source = Source::of_bytes("file", bytes);
-    let options = ReadOptions {
-        topic: topic.map(str::to_owned),
-        ..ReadOptions::default()
-    };
+    let options = ReadOptions { topic: topic.map(str::to_owned), ..ReadOptions::default() };
     let mut recording = Recording::new(source.name());
     recording.format = read(&source, &options, &mut recording)?;
     Ok(recording)
@@ -35,17 +32,10 @@ pub(super) fn read_bytes(bytes: &[u8], topic: Option<&str>) -> crate::Result<Rec
 pub(super) fn assert_figures(recording: &Recording, name: &str, channel: &str, sensor: u8) {
     let checks = file("checks.csv").expect("the figures are next to the files");
     let checks = std::fs::read_to_string(checks).expect("a text file");
-    let row = checks
-        .lines()
-        .map(|line| line.split(',').collect::<Vec<_>>());
-    let row = row
-        .into_iter()
-        .find(|row| row[0] == name && row[1] == channel);
+    let row = checks.lines().map(|line| line.split(',').collect::<Vec<_>>());
+    let row = row.into_iter().find(|row| row[0] == name && row[1] == channel);
     let row = row.unwrap_or_else(|| panic!("no figures of {name}, {channel}"));
-    let expected: Vec<f64> = row[3..13]
-        .iter()
-        .map(|text| text.parse().unwrap())
-        .collect();
+    let expected: Vec<f64> = row[3..13].iter().map(|text| text.parse().unwrap()).collect();
     let track = recording
         .of(Quantity::SpecificForce)
         .find(|track| track.info.sensor == sensor)
@@ -60,10 +50,7 @@ pub(super) fn assert_figures(recording: &Recording, name: &str, channel: &str, s
 fn figures(track: &Track) -> Vec<f64> {
     let rows: Vec<(i64, [f64; 3])> = track.vectors().collect();
     let (first, last) = (rows[0], rows[rows.len() - 1]);
-    let norms: f64 = rows
-        .iter()
-        .map(|(_, [x, y, z])| (x * x + y * y + z * z).sqrt())
-        .sum();
+    let norms: f64 = rows.iter().map(|(_, [x, y, z])| (x * x + y * y + z * z).sqrt()).sum();
     let times = [first.0 as f64 * 1e-9, (last.0 - first.0) as f64 * 1e-9];
     let mut figures = vec![rows.len() as f64];
     figures.extend(times.iter().chain(&first.1).chain(&last.1));
@@ -81,9 +68,7 @@ pub(super) fn assert_robust(name: &str) {
     }
     let mut random = 1_u64;
     let mut next = |below: usize| {
-        random = random
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1);
+        random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
         (random >> 33) as usize % below
     };
     let mut read = 0;
@@ -98,27 +83,16 @@ pub(super) fn assert_robust(name: &str) {
         damaged.drain(start..(start + next(1000)).min(bytes.len()));
         drop(read_bytes(&damaged, None));
     }
-    assert!(
-        read >= 150,
-        "{name}: {read} of 200 files with a flipped bit are read"
-    );
+    assert!(read >= 150, "{name}: {read} of 200 files with a flipped bit are read");
 }
 
 /// A format that was named for other content refuses it.
 #[test]
 fn other_content_is_refused() {
-    for format in [
-        "PX4 ULog",
-        "ArduPilot DataFlash",
-        "Betaflight blackbox",
-        "unsupported",
-    ] {
+    for format in ["PX4 ULog", "ArduPilot DataFlash", "Betaflight blackbox", "unsupported"] {
         for bytes in [&b""[..], b"a,b,c\n1,2,3\n", &[0xA3; 3000]] {
             let source = Source::of_bytes("file", bytes);
-            let options = ReadOptions {
-                format: Some(format.to_owned()),
-                ..ReadOptions::default()
-            };
+            let options = ReadOptions { format: Some(format.to_owned()), ..ReadOptions::default() };
             let result = read(&source, &options, &mut Recording::new("file"));
             assert!(result.is_err(), "{format}");
         }

@@ -6,23 +6,11 @@ use crate::recording::Sink;
 
 /// First bytes, name, and what to do.
 const FORMATS: [(&[u8], &str, &str); 9] = [
-    (
-        b"\x28\xb5\x2f\xfd",
-        "compressed by zstd",
-        "unpack it: zstd -d FILE",
-    ),
-    (
-        b"\x04\x22\x4d\x18",
-        "compressed by lz4",
-        "unpack it: lz4 -d FILE",
-    ),
+    (b"\x28\xb5\x2f\xfd", "compressed by zstd", "unpack it: zstd -d FILE"),
+    (b"\x04\x22\x4d\x18", "compressed by lz4", "unpack it: lz4 -d FILE"),
     (b"BZh", "compressed by bzip2", "unpack it: bunzip2 FILE"),
     (b"\xfd7zXZ\0", "compressed by xz", "unpack it: unxz FILE"),
-    (
-        b"\x89HDF\r\n",
-        "an HDF5 file",
-        "write it as CSV, for example in Python with h5py or pandas",
-    ),
+    (b"\x89HDF\r\n", "an HDF5 file", "write it as CSV, for example in Python with h5py or pandas"),
     (
         b"PAR1",
         "Apache Parquet",
@@ -48,9 +36,7 @@ const FORMATS: [(&[u8], &str, &str); 9] = [
 
 /// The name and the remedy of a source's format.
 fn named(source: &Source) -> Option<(&'static str, &'static str)> {
-    let format = FORMATS
-        .iter()
-        .find(|(magic, ..)| source.start().starts_with(magic))?;
+    let format = FORMATS.iter().find(|(magic, ..)| source.start().starts_with(magic))?;
     Some((format.1, format.2))
 }
 
@@ -63,9 +49,7 @@ pub(super) fn detect(source: &Source) -> bool {
 pub(super) fn read(source: &Source, _: &ReadOptions, _: &mut dyn Sink) -> Result<()> {
     let (name, remedy) = named(source).unwrap_or(("no known format", "see docs/FORMATS.md"));
     let message = format!("this is {name}, which wimu does not read");
-    Err(ErrorCode::UnknownFormat
-        .error(message, remedy)
-        .at(source.name()))
+    Err(ErrorCode::UnknownFormat.error(message, remedy).at(source.name()))
 }
 
 #[cfg(test)]

@@ -32,10 +32,8 @@ pub(crate) fn detect(source: &Source) -> bool {
 
 pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Result<()> {
     let Some(path) = source.path() else {
-        let error = ErrorCode::UnknownFormat.error(
-            "a recording of wimu in an archive is not read",
-            "extract it first",
-        );
+        let error = ErrorCode::UnknownFormat
+            .error("a recording of wimu in an archive is not read", "extract it first");
         return Err(error.at(source.name()));
     };
     let name = path.display().to_string();
@@ -44,9 +42,7 @@ pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) 
         None => usual_link(path)?,
     };
     let mut rows = LinkRows::new(sink);
-    stream::read(&mut RecordingReader::open(path)?, role, |part| {
-        rows.part(part, &name)
-    })?;
+    stream::read(&mut RecordingReader::open(path)?, role, |part| rows.part(part, &name))?;
     if rows.is_empty() {
         // Gives the reason.
         role = Recording::survey(path)?.link(options.role)?.role;

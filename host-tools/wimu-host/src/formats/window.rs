@@ -42,9 +42,7 @@ impl Window {
             self.buffer.drain(..self.start);
             self.start = 0;
             let missing = (count - self.buffer.len()).max(CHUNK) as u64;
-            let read = (&mut self.reader)
-                .take(missing)
-                .read_to_end(&mut self.buffer);
+            let read = (&mut self.reader).take(missing).read_to_end(&mut self.buffer);
             read.map_err(|error| HostError::file(&self.name, "read", &error))?;
         }
         let ahead = &self.buffer[self.start..];
@@ -106,14 +104,9 @@ impl Damage {
         if self.bytes * 2 <= length {
             return Ok(());
         }
-        let message = format!(
-            "{} of {length} bytes belong to no readable record",
-            self.bytes
-        );
+        let message = format!("{} of {length} bytes belong to no readable record", self.bytes);
         let remedy = "copy the file from the device again";
-        Err(ErrorCode::BadRecording
-            .error(message, remedy)
-            .at(source.name()))
+        Err(ErrorCode::BadRecording.error(message, remedy).at(source.name()))
     }
 }
 
@@ -132,9 +125,6 @@ pub(super) fn no_inertial_data(source: &Source, wanted: &str, found: &[String]) 
         _ => (),
     }
     ErrorCode::NoRows
-        .error(
-            format!("it has no inertial data, but {names}"),
-            format!("record {wanted}"),
-        )
+        .error(format!("it has no inertial data, but {names}"), format!("record {wanted}"))
         .at(source.name())
 }

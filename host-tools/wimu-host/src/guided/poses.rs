@@ -88,10 +88,7 @@ impl Plan {
         let estimate = match self.six {
             true => six_position(poses, self.gravity, Placement::BY_HAND),
             false => {
-                let what = MultiPosition {
-                    model: self.model,
-                    ..MultiPosition::default()
-                };
+                let what = MultiPosition { model: self.model, ..MultiPosition::default() };
                 multi_position_with(poses, self.gravity, what)
             }
         };
@@ -120,14 +117,9 @@ impl Plan {
 /// Names of the sides that are up, in the order of [`Face::ALL`], as printed on boards whose layout is known.
 fn side_names(board: u16) -> &'static [&'static str; 6] {
     match board {
-        board::MICROBIT_V2 => &[
-            "logo up",
-            "logo down",
-            "button A up",
-            "button A down",
-            "display up",
-            "display down",
-        ],
+        board::MICROBIT_V2 => {
+            &["logo up", "logo down", "button A up", "button A down", "display up", "display down"]
+        }
         _ => &Face::NAMES,
     }
 }
@@ -218,10 +210,7 @@ impl LivePoses {
                     self.drop_latest(samples.values.len() as u64);
                 }
             }
-            Event::Device {
-                event: Happened::Marked { .. },
-                ..
-            } => {
+            Event::Device { event: Happened::Marked { .. }, .. } => {
                 let captured = self.session.as_mut().and_then(Session::capture);
                 match captured.and_then(|index| self.captured(index)) {
                     Some(pose) => tell(self, News::Captured(pose)),
@@ -242,9 +231,8 @@ impl LivePoses {
         (self.pushed, self.kept) = (0, 0);
         self.starts.clear();
         let earlier = self.earlier.take();
-        if let Some(samples) = earlier
-            .as_ref()
-            .and_then(|all| all.samples(Selection::default()).ok())
+        if let Some(samples) =
+            earlier.as_ref().and_then(|all| all.samples(Selection::default()).ok())
         {
             for counts in samples.values() {
                 self.push(counts);
@@ -257,10 +245,7 @@ impl LivePoses {
     /// Plans the next orientation, after a change of the poses: it takes milliseconds.
     fn suggest(&mut self) {
         self.next = match self.plan.six {
-            true => self
-                .sides_left()
-                .first()
-                .map(|side| Orientation::from(*side)),
+            true => self.sides_left().first().map(|side| Orientation::from(*side)),
             false => self.session.as_ref().and_then(Session::next),
         };
     }
@@ -298,9 +283,7 @@ impl LivePoses {
     pub fn extend(&mut self, more: usize) {
         self.plan.count = (self.plan.count + more).min(CAPACITY);
         let wanted = self.plan.wanted();
-        self.session
-            .iter_mut()
-            .for_each(|session| session.want(wanted));
+        self.session.iter_mut().for_each(|session| session.want(wanted));
     }
 
     /// Skips the suggested orientation.
@@ -385,9 +368,7 @@ impl LivePoses {
     /// The sides that were not captured yet, of six.
     pub fn sides_left(&self) -> Vec<Face> {
         let captured: Vec<_> = self.poses().iter().filter_map(Face::of).collect();
-        let left = Face::ALL
-            .into_iter()
-            .filter(|side| !captured.contains(side));
+        let left = Face::ALL.into_iter().filter(|side| !captured.contains(side));
         left.collect()
     }
 

@@ -126,10 +126,7 @@ impl Guided {
         let plan = Plan::new(&options, count, hello)?;
         let poses_file = poses_file(file);
         let mut view = GuidedView {
-            device: format!(
-                "{} with {}, {} link",
-                hello.board.name, hello.sensor.name, hello.role
-            ),
+            device: format!("{} with {}, {} link", hello.board.name, hello.sensor.name, hello.role),
             sides: *plan.names,
             wanted: plan.count,
             ..GuidedView::default()
@@ -313,11 +310,7 @@ impl Guided {
 
     /// Writes the result to the board, signed if this computer has its key.
     pub fn push<T: Transport>(&mut self, client: &mut Client<T>) {
-        let Some(set) = self
-            .report
-            .as_ref()
-            .and_then(|report| report.parameters.as_ref())
-        else {
+        let Some(set) = self.report.as_ref().and_then(|report| report.parameters.as_ref()) else {
             return;
         };
         let pushed = push(client, set);
@@ -345,9 +338,8 @@ impl Guided {
             _ => Hold::Captured,
         };
         let next = live.next();
-        self.view.instruction = next.map_or(String::new(), |next| {
-            next.instruction_with(live.plan.names).to_string()
-        });
+        self.view.instruction =
+            next.map_or(String::new(), |next| next.instruction_with(live.plan.names).to_string());
         self.view.next = next.map(Orientation::up);
     }
 

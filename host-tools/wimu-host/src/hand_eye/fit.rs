@@ -156,15 +156,10 @@ impl State {
             });
             let rotation = middle * UnitQuaternion::from_scaled_axis(mean);
             let count = pairs.len().max(1) as f64;
-            let apart = pairs
-                .iter()
-                .map(|(o, body)| body.position_m - rotation * o.pose.position_m);
+            let apart =
+                pairs.iter().map(|(o, body)| body.position_m - rotation * o.pose.position_m);
             let position = apart.sum::<Vector3<f64>>() / count;
-            Frames {
-                rotation,
-                position_m: position,
-                rotation_drift: Vector3::zeros(),
-            }
+            Frames { rotation, position_m: position, rotation_drift: Vector3::zeros() }
         };
         Self {
             rotation,
@@ -228,10 +223,7 @@ impl State {
         self.scale += step[7];
         for (frames, normal) in self.frames.iter_mut().zip(normals) {
             let right = -(normal.y + normal.xy.transpose() * step);
-            let own = normal
-                .yy
-                .cholesky()
-                .map_or_else(SVector::zeros, |c| c.solve(&right));
+            let own = normal.yy.cholesky().map_or_else(SVector::zeros, |c| c.solve(&right));
             let turn = UnitQuaternion::from_scaled_axis(own.fixed_rows::<3>(0).into_owned());
             frames.rotation = turn * frames.rotation;
             frames.position_m += own.fixed_rows::<3>(3);
@@ -277,14 +269,9 @@ impl Normal {
             let outer = residual * residual.transpose() * (curvature * weights[k] * weights[k]);
             let part = Matrix3::from_diagonal_element(weights[k]) - outer;
             weight.fixed_view_mut::<3, 3>(3 * k, 3 * k).copy_from(&part);
-            weighted
-                .fixed_rows_mut::<3>(3 * k)
-                .copy_from(&(residual * weights[k]));
+            weighted.fixed_rows_mut::<3>(3 * k).copy_from(&(residual * weights[k]));
         }
-        let (xw, yw) = (
-            row.shared.transpose() * weight,
-            row.own.transpose() * weight,
-        );
+        let (xw, yw) = (row.shared.transpose() * weight, row.own.transpose() * weight);
         self.xx += xw * row.shared;
         self.xy += xw * row.own;
         self.yy += yw * row.own;
@@ -346,10 +333,7 @@ impl Equations {
             std::array::from_fn(|k| initial_variance(&squares[k], least[k]))
         });
         let [r, p] = std::array::from_fn(|k| student(&squares[k], &mut variances[k], least[k]));
-        let weights = r
-            .iter()
-            .zip(&p)
-            .map(|(r, p)| [r / variances[0], p / variances[1]]);
+        let weights = r.iter().zip(&p).map(|(r, p)| [r / variances[0], p / variances[1]]);
         let weights: Vec<[f64; 2]> = weights.collect();
         let mut normals = vec![Normal::zero(); state.frames.len()];
         for (row, weights) in rows.iter().zip(&weights) {
@@ -375,14 +359,7 @@ impl Equations {
         let information = reduced.iter().map(|r| r.0).sum::<Shared>() + prior;
         let gradient = reduced.iter().map(|r| r.1).sum::<Gradient>() + prior * deviation;
         let solved = information.cholesky()?;
-        Some(Self {
-            step: -solved.solve(&gradient),
-            information,
-            rows,
-            weights,
-            normals,
-            reduced,
-        })
+        Some(Self { step: -solved.solve(&gradient), information, rows, weights, normals, reduced })
     }
 
     /// Normal equations of groups of neighbouring poses, each with its block.
@@ -399,10 +376,7 @@ impl Equations {
                 normal.push(row, *weights, CURVATURE);
             }
         }
-        groups
-            .into_iter()
-            .map(|(_, block, normal)| (block, normal))
-            .collect()
+        groups.into_iter().map(|(_, block, normal)| (block, normal)).collect()
     }
 
     /// Covariance from the changes of the answer when one part after the other is left out (block jackknife, Künsch 1989): to
@@ -434,14 +408,8 @@ pub(super) fn fit(
             break;
         }
     }
-    let equations = Equations::at(
-        &state,
-        body,
-        observations,
-        searched_s,
-        &mut variances,
-        CURVATURE,
-    )?;
+    let equations =
+        Equations::at(&state, body, observations, searched_s, &mut variances, CURVATURE)?;
     let variances = variances?;
     let groups = equations.jackknife(&equations.groups());
     let blocks: Vec<(usize, Normal)> = equations.normals.iter().cloned().enumerate().collect();
@@ -468,18 +436,14 @@ pub(super) fn fit(
 
 /// Scatter of the blocks over that of the groups of poses (Birge 1932), and its degrees of freedom.
 fn birge(groups: &Shared, blocks: &Shared, count: usize) -> (f64, f64) {
-    let scale = groups
-        .diagonal()
-        .map(|d| if d > 0.0 { d.sqrt().recip() } else { 0.0 });
+    let scale = groups.diagonal().map(|d| if d > 0.0 { d.sqrt().recip() } else { 0.0 });
     let scaled =
         |matrix: &Shared| Shared::from_diagonal(&scale) * matrix * Shared::from_diagonal(&scale);
     let eigen = scaled(groups).symmetric_eigen();
     let rotated = eigen.eigenvectors.transpose() * scaled(blocks) * eigen.eigenvectors;
     let largest = eigen.eigenvalues.max();
     let shown = (0..SHARED).filter(|k| eigen.eigenvalues[*k] > RANK * largest);
-    let ratios: Vec<f64> = shown
-        .map(|k| rotated[(k, k)] / eigen.eigenvalues[k])
-        .collect();
+    let ratios: Vec<f64> = shown.map(|k| rotated[(k, k)] / eigen.eigenvalues[k]).collect();
     let dof = (ratios.len() * (count - 1)) as f64;
     (ratios.iter().sum::<f64>() / ratios.len() as f64, dof)
 }

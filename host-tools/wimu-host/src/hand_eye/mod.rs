@@ -153,9 +153,7 @@ fn observations(
 ) -> std::result::Result<(Vec<Observation>, usize), String> {
     let mut poses: Vec<StreamPose> = Vec::new();
     for pose in camera.poses() {
-        let due = poses
-            .last()
-            .is_none_or(|last| pose.time_s - last.time_s > 0.99 * APART_S);
+        let due = poses.last().is_none_or(|last| pose.time_s - last.time_s > 0.99 * APART_S);
         if due && body.at(pose.time_s + offset_s).is_some() {
             poses.push(*pose);
         }
@@ -176,11 +174,7 @@ fn observations(
     let place = |pose: StreamPose| {
         let at = (pose.time_s - from) / length * blocks as f64;
         let block = (at as usize).min(blocks - 1);
-        Observation {
-            pose,
-            block,
-            phase: 2.0 * (at - block as f64) - 1.0,
-        }
+        Observation { pose, block, phase: 2.0 * (at - block as f64) - 1.0 }
     };
     Ok((poses.into_iter().map(place).collect(), blocks))
 }
@@ -189,11 +183,7 @@ impl HandEye {
     /// States what a fit found, as far as the limits allow.
     fn state(&mut self, fit: Fit, inertial: bool, options: &HandEyeOptions) {
         let sd: [f64; SHARED] = std::array::from_fn(|k| fit.covariance[(k, k)].sqrt());
-        let contradicting = fit
-            .residuals
-            .iter()
-            .filter(|r| r.weight < CONTRADICTS)
-            .count();
+        let contradicting = fit.residuals.iter().filter(|r| r.weight < CONTRADICTS).count();
         self.poses = [fit.residuals.len(), contradicting];
         self.noise = Some(fit.noise);
         self.birge_ratio = Some(fit.birge);
@@ -202,9 +192,7 @@ impl HandEye {
                 "{contradicting} of {} contradict the others (jumps of a tracker)",
                 counted(fit.residuals.len(), "pose")
             );
-            self.outcome
-                .findings
-                .push(FindingCode::Residuals.note(text));
+            self.outcome.findings.push(FindingCode::Residuals.note(text));
         }
         let worst = fit.worst_sd(0);
         if worst > options.rotation_limit_rad {

@@ -10,19 +10,12 @@ use crate::html::Report;
 
 impl fmt::Display for HandEye {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(
-            out,
-            "camera: {}, body: {}",
-            self.sources[0], self.sources[1]
-        )?;
+        writeln!(out, "camera: {}, body: {}", self.sources[0], self.sources[1])?;
         if let (Some(q), Some(sd)) = (self.quaternion, self.rotation_sd_rad) {
             let q = q.map(|c| format!("{c:.5}")).join(", ");
             let sd = sd.map(|sd| significant(sd.to_degrees(), 2)).join(", ");
             writeln!(out, "rotation, camera to body:  {q} (w, x, y, z)")?;
-            writeln!(
-                out,
-                "                           ± {sd} deg about the camera's axes"
-            )?;
+            writeln!(out, "                           ± {sd} deg about the camera's axes")?;
         }
         match (self.translation_m, self.translation_sd_m) {
             (Some(t), Some(sd)) => {
@@ -73,10 +66,7 @@ pub(super) fn page(report: &HandEye, text: &str) -> Result<Report> {
         );
     }
     if let Some([offset, sd]) = report.offset_s {
-        page.key(
-            "clock offset",
-            &format!("{} ms", signed_with_sd(1e3 * offset, 1e3 * sd)),
-        );
+        page.key("clock offset", &format!("{} ms", signed_with_sd(1e3 * offset, 1e3 * sd)));
     }
     let chart = |title: &str, unit: &str, of: &dyn Fn(&super::Residual) -> f64| {
         let points = report.residuals.iter().map(|r| (r.time_s, of(r)));
@@ -84,12 +74,8 @@ pub(super) fn page(report: &HandEye, text: &str) -> Result<Report> {
         Chart::new(title, "time, s", unit, vec![dots])
     };
     if !report.residuals.is_empty() {
-        page.chart(&chart("Residual of the rotation", "°", &|r| {
-            r.rotation_rad.to_degrees()
-        }))?;
-        page.chart(&chart("Residual of the position", "mm", &|r| {
-            1e3 * r.position_m
-        }))?;
+        page.chart(&chart("Residual of the rotation", "°", &|r| r.rotation_rad.to_degrees()))?;
+        page.chart(&chart("Residual of the position", "mm", &|r| 1e3 * r.position_m))?;
     }
     page.printed(text);
     page.findings(&report.outcome.findings);

@@ -34,10 +34,7 @@ pub(super) fn rotation(
     let mut rotation = Rotation3::identity();
     let mut weights = vec![1.0; pairs.len()];
     for _ in 0..STEPS {
-        let moments = pairs
-            .iter()
-            .zip(&weights)
-            .map(|((c, b), w)| b * c.transpose() * *w);
+        let moments = pairs.iter().zip(&weights).map(|((c, b), w)| b * c.transpose() * *w);
         let svd = moments.sum::<Matrix3<f64>>().svd(true, true);
         let (Some(u), Some(v)) = (svd.u, svd.v_t) else {
             break;
@@ -55,15 +52,9 @@ pub(super) fn rotation(
         let mut signs = Vector3::repeat(1.0);
         signs[smallest] = sign;
         rotation = Rotation3::from_matrix_unchecked(u * Matrix3::from_diagonal(&signs) * v);
-        let errors: Vec<f64> = pairs
-            .iter()
-            .map(|(c, b)| (b - rotation * c).norm())
-            .collect();
+        let errors: Vec<f64> = pairs.iter().map(|(c, b)| (b - rotation * c).norm()).collect();
         let scale = crate::stats::median(errors.iter().copied()).unwrap_or(0.0) + 1e-9;
-        weights = errors
-            .iter()
-            .map(|e| 1.0 / (1.0 + (e / scale).powi(2)))
-            .collect();
+        weights = errors.iter().map(|e| 1.0 / (1.0 + (e / scale).powi(2))).collect();
     }
     Ok(UnitQuaternion::from_rotation_matrix(&rotation))
 }

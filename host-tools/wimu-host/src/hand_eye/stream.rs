@@ -86,13 +86,7 @@ impl PoseStream {
             return Err(ErrorCode::DataRefused.error(message, remedy));
         }
         let gap_s = f64::max(0.15, 3.0 * step_s);
-        Ok(Self {
-            name,
-            inertial: false,
-            findings,
-            poses,
-            gap_s,
-        })
+        Ok(Self { name, inertial: false, findings, poses, gap_s })
     }
 
     /// Reads a table with `Time (s)`, `Position X (m)` (or `E`), …, `Quaternion W`, … (body to frame), or a trajectory in the
@@ -135,11 +129,7 @@ impl PoseStream {
                 left_out += 1;
                 continue;
             };
-            poses.push(StreamPose {
-                time_s,
-                position_m: Vector3::new(v[0], v[1], v[2]),
-                rotation,
-            });
+            poses.push(StreamPose { time_s, position_m: Vector3::new(v[0], v[1], v[2]), rotation });
         }
         let mut stream = Self::new(table.name, poses)?;
         if left_out > 0 {
@@ -164,11 +154,7 @@ impl PoseStream {
         let pose = |(time_s, step_s, rate): (f64, f64, [f64; 3])| {
             let angle = Vector3::from(rate) * step_s.max(0.0);
             rotation *= UnitQuaternion::from_scaled_axis(angle);
-            StreamPose {
-                time_s,
-                position_m: Vector3::zeros(),
-                rotation,
-            }
+            StreamPose { time_s, position_m: Vector3::zeros(), rotation }
         };
         let poses: Vec<StreamPose> = rates.map(pose).collect();
         if poses.is_empty() {
@@ -189,10 +175,7 @@ impl PoseStream {
 
     /// First and last time, s.
     pub fn span_s(&self) -> [f64; 2] {
-        [
-            self.poses[0].time_s,
-            self.poses[self.poses.len() - 1].time_s,
-        ]
+        [self.poses[0].time_s, self.poses[self.poses.len() - 1].time_s]
     }
 
     /// The pose at a time; `None` outside the stream and in its gaps. Constant velocity and angular rate between poses.

@@ -10,17 +10,11 @@ use super::recording::share_parameters;
 use super::*;
 use crate::mcap_file::{ClockAnchor, RecordingReader, RecordingWriter};
 
-const ANCHOR: ClockAnchor = ClockAnchor {
-    monotonic_ns: 0,
-    utc_ns: 1_795_222_920_000_000_000,
-};
+const ANCHOR: ClockAnchor = ClockAnchor { monotonic_ns: 0, utc_ns: 1_795_222_920_000_000_000 };
 
 fn hello(role: LinkRole, boot_count: u32) -> Vec<u8> {
     let mut frame = [0; MAX_FRAME];
-    let hello = Hello {
-        boot_count,
-        ..Hello::new(role)
-    };
+    let hello = Hello { boot_count, ..Hello::new(role) };
     let length = hello.encode(&mut frame).unwrap();
     frame[..length].to_vec()
 }
@@ -45,9 +39,8 @@ fn second_of(boot: u32, first: u32) -> Vec<u8> {
     let length = epoch.encode(&mut frame).unwrap();
     bytes.extend(&frame[..length]);
     for start in (first..first + 100).step_by(20) {
-        let samples: Vec<_> = (start..start + 20)
-            .map(|s| Counts([s as i16, 0, boot as i16]))
-            .collect();
+        let samples: Vec<_> =
+            (start..start + 20).map(|s| Counts([s as i16, 0, boot as i16])).collect();
         let time = DeviceTimeUs(u64::from(start) * 10_000);
         let length = batch::encode(start, time, &samples, &mut frame).unwrap();
         bytes.extend(&frame[..length]);
@@ -64,17 +57,9 @@ fn recording() -> Vec<u8> {
     let mut writer = RecordingWriter::new(Cursor::new(Vec::new()), "a.mcap", ANCHOR).unwrap();
     for s in 0..5_u32 {
         let host_ns = u64::from(s + 1) * 1_000_000_000 + 7_000_000;
-        writer
-            .append(LinkRole::Cable, host_ns, &hello(LinkRole::Cable, 1))
-            .unwrap();
-        writer
-            .append(LinkRole::Cable, host_ns, &second(s * 100))
-            .unwrap();
-        let (boot, first) = if s < 3 {
-            (1, s * 100)
-        } else {
-            (2, (s - 3) * 100)
-        };
+        writer.append(LinkRole::Cable, host_ns, &hello(LinkRole::Cable, 1)).unwrap();
+        writer.append(LinkRole::Cable, host_ns, &second(s * 100)).unwrap();
+        let (boot, first) = if s < 3 { (1, s * 100) } else { (2, (s - 3) * 100) };
         let mut bytes = hello(LinkRole::Wireless, boot);
         bytes.extend(second_of(boot, first));
         // Bytes arrive in pieces that know nothing of frames.
@@ -109,10 +94,7 @@ fn links_and_starts_are_kept_apart() {
     let boot = &wireless.boots[1];
     assert_eq!(boot.hello.unwrap().boot_count, 2);
     assert!(boot.raw.is_sorted_by(|a, b| a.sequence < b.sequence));
-    assert_eq!(
-        boot.parameters_of(&boot.epochs[0].epoch).unwrap().range_g,
-        4
-    );
+    assert_eq!(boot.parameters_of(&boot.epochs[0].epoch).unwrap().range_g, 4);
 }
 
 #[test]
@@ -129,24 +111,15 @@ fn links_and_starts_share_the_parameter_sets_that_their_epochs_name() {
         parameters: parameters.to_vec(),
         epochs: (ids.iter())
             .map(|&parameters| EpochMark {
-                epoch: Epoch {
-                    parameters,
-                    ..Epoch::default()
-                },
+                epoch: Epoch { parameters, ..Epoch::default() },
                 after_loss: false,
             })
             .collect(),
         ..Boot::default()
     };
     let [first, second] = sets;
-    let lost = ActiveParameters {
-        active: None,
-        ..second
-    };
-    let link = |role, boots| LinkHistory {
-        boots,
-        ..LinkHistory::new(role)
-    };
+    let lost = ActiveParameters { active: None, ..second };
+    let link = |role, boots| LinkHistory { boots, ..LinkHistory::new(role) };
     let mut links = [
         link(LinkRole::Cable, vec![boot(&[first], &[first.id])]),
         link(
@@ -166,9 +139,8 @@ fn links_and_starts_share_the_parameter_sets_that_their_epochs_name() {
     assert_eq!(wireless.boots[1].parameters, [first, second]);
     assert!(wireless.boots[2].parameters.is_empty());
     let named = |mark: &EpochMark| wireless.boots[1].parameters_of(&mark.epoch).unwrap();
-    let ranges: Vec<_> = (wireless.boots[1].epochs.iter())
-        .map(|mark| named(mark).range_g)
-        .collect();
+    let ranges: Vec<_> =
+        (wireless.boots[1].epochs.iter()).map(|mark| named(mark).range_g).collect();
     assert_eq!(ranges, [4, 8]);
     let unknown = &wireless.boots[2].epochs[0].epoch;
     let error = wireless.boots[2].parameters_of(unknown).unwrap_err();
@@ -217,40 +189,20 @@ fn a_recording_of_another_version_is_named_unless_some_of_it_can_be_read() {
 fn changes_and_events_without_end_keep_the_latest_only() {
     let mut link = LinkHistory::new(LinkRole::Cable);
     let mut take = |event| {
-        link.take(&Arrival {
-            host_ns: 0,
-            began_ns: 0,
-            event,
-        });
+        link.take(&Arrival { host_ns: 0, began_ns: 0, event });
     };
     let most = MAX_KEPT as u32;
     for n in 0..2 * most + 10 {
-        take(Event::Parameters(ActiveParameters {
-            active: None,
-            id: n,
-        }));
-        take(Event::Settings(Settings {
-            gravity_um_s2: n,
-            ..Settings::default()
-        }));
-        take(Event::Device {
-            time: DeviceTimeUs(n.into()),
-            event: DeviceEvent::SensorFound,
-        });
+        take(Event::Parameters(ActiveParameters { active: None, id: n }));
+        take(Event::Settings(Settings { gravity_um_s2: n, ..Settings::default() }));
+        take(Event::Device { time: DeviceTimeUs(n.into()), event: DeviceEvent::SensorFound });
     }
     let boot = &link.boots[0];
-    let lengths = [
-        boot.parameters.len(),
-        boot.settings.len(),
-        boot.events.len(),
-    ];
+    let lengths = [boot.parameters.len(), boot.settings.len(), boot.events.len()];
     assert_eq!(lengths, [MAX_KEPT, MAX_KEPT, MAX_KEPT + 10]);
     assert_eq!(boot.parameters[0].id, most + 10);
     assert_eq!(boot.events[0].0, DeviceTimeUs(most.into()));
-    assert_eq!(
-        boot.settings.last().map(|last| last.gravity_um_s2),
-        Some(2 * most + 9)
-    );
+    assert_eq!(boot.settings.last().map(|last| last.gravity_um_s2), Some(2 * most + 9));
 }
 
 #[test]

@@ -43,11 +43,7 @@ pub fn navigate_array(
         // Where biases may explain what it differs by, gravity is what it is.
         let mean = calibration.mean_rest_mps2(recording);
         let by_bias = LIKELY * calibration.bias_mps2 / (recording.sensors() as f64).sqrt();
-        if (mean - standard).abs() < by_bias {
-            standard
-        } else {
-            mean
-        }
+        if (mean - standard).abs() < by_bias { standard } else { mean }
     } else {
         standard
     };
@@ -96,13 +92,9 @@ pub fn navigate_array(
     said.extend(point_of(geometry));
     let span = geometry.span_m();
     if span > ArrayGeometry::LARGE_M {
-        said.push(format!(
-            "the array is {span:.1} m wide: are its places in m?"
-        ));
+        said.push(format!("the array is {span:.1} m wide: are its places in m?"));
     }
-    let said = said
-        .into_iter()
-        .map(|text| FindingCode::Geometry.note(text));
+    let said = said.into_iter().map(|text| FindingCode::Geometry.note(text));
     let mut path = path_of(recording, &states, choice, remarks.chain(said))?;
     path.smoothed_rate = choice.smooth;
     Ok(path)
@@ -175,10 +167,8 @@ fn path_of(
     let origin = (0..states.len()).find(valid).unwrap_or(0);
     let mut path = InertialPath::new(Method::Array, points, origin, choice.limit_m);
     path.findings = warnings(recording.remarks.clone()).chain(said).collect();
-    let ambiguous = states
-        .iter()
-        .filter(|s| !s.resting && s.certainty > 0.0 && s.certainty < 0.99)
-        .count();
+    let ambiguous =
+        states.iter().filter(|s| !s.resting && s.certainty > 0.0 && s.certainty < 0.99).count();
     if ambiguous > 0 {
         path.findings.push(FindingCode::Navigation.warning(format!(
             "{ambiguous} samples fit several angular rates; rate and position are the means of all, with \
@@ -208,14 +198,9 @@ fn path_of(
             let error = std::array::from_fn(|i| value[i] - true_value[i]);
             Some(nees(error, covariance)).filter(|v| v.is_finite())
         };
-        (0..truth.len())
-            .filter(valid)
-            .filter_map(of_sample)
-            .collect::<Vec<f64>>()
+        (0..truth.len()).filter(valid).filter_map(of_sample).collect::<Vec<f64>>()
     };
-    let rate_nees = vector_nees(&true_rate, &|k| {
-        (states[k].rate_rad_s, states[k].rate_covariance)
-    });
+    let rate_nees = vector_nees(&true_rate, &|k| (states[k].rate_rad_s, states[k].rate_covariance));
     // The path's heading begins at its own zero.
     let turn = truth.iter().zip(&path.points).find_map(|(truth, point)| {
         let by = heading_rad(truth.as_ref()?.quaternion) - heading_rad(point.quaternion);
@@ -227,9 +212,8 @@ fn path_of(
         .into_iter()
         .map(|v| v.map(|[e, n, u]| [cos * e + sin * n, cos * n - sin * e, u]))
         .collect();
-    let velocity_nees = vector_nees(&true_velocity, &|k| {
-        (states[k].velocity_mps, states[k].velocity_covariance)
-    });
+    let velocity_nees =
+        vector_nees(&true_velocity, &|k| (states[k].velocity_mps, states[k].velocity_covariance));
     path.rate_nees = rate_nees;
     path.velocity_nees = velocity_nees;
     Ok(path)

@@ -114,10 +114,7 @@ impl FixLink {
                 Ok(fixes) => found.extend(fixes.into_iter().map(|fix| {
                     self.clock.see(fix.time_s, arrived_s);
                     let offset_s = self.clock.offset_s().unwrap_or_default();
-                    Fix {
-                        time_s: fix.time_s - offset_s - self.delay_s,
-                        ..fix
-                    }
+                    Fix { time_s: fix.time_s - offset_s - self.delay_s, ..fix }
                 })),
                 Err(error) => {
                     self.unreadable += 1;

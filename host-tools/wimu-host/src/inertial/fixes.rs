@@ -93,10 +93,7 @@ impl Fixes {
         let used = measured.chain(deviations).chain([&time]);
         let others = table.others(used.copied().flatten());
         if !others.is_empty() {
-            let text = format!(
-                "columns of the fixes that are not used: {}",
-                others.join(", ")
-            );
+            let text = format!("columns of the fixes that are not used: {}", others.join(", "));
             let remedy = "known names: Position E (m), N, U, Height (m), Velocity E (m/s), N, U, Heading (deg), each with Sigma";
             findings.push(FindingCode::Navigation.note(text).remedy(remedy));
         }
@@ -164,11 +161,7 @@ impl Fixes {
             return Err(table.empty("there is no fix", remedy));
         }
         fixes.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
-        Ok(Self {
-            fixes,
-            findings,
-            ..Self::default()
-        })
+        Ok(Self { fixes, findings, ..Self::default() })
     }
 
     /// The remedy of a path that is not known to `limit_m`, where the fixes are the cause.
@@ -257,20 +250,13 @@ impl Fix {
     }
 
     fn range(&self) -> Option<RangeSample> {
-        self.range_m.map(|(anchor, range_m)| RangeSample {
-            time_s: self.time_s,
-            anchor,
-            range_m,
-        })
+        self.range_m.map(|(anchor, range_m)| RangeSample { time_s: self.time_s, anchor, range_m })
     }
 }
 
 impl From<RangeSample> for Fix {
     fn from(range: RangeSample) -> Self {
-        Self {
-            range_m: Some((range.anchor, range.range_m)),
-            ..Self::at(range.time_s)
-        }
+        Self { range_m: Some((range.anchor, range.range_m)), ..Self::at(range.time_s) }
     }
 }
 
@@ -296,11 +282,7 @@ pub struct Aided {
 
 impl Aided {
     fn count(&mut self, used: bool) {
-        let counter = if used {
-            &mut self.used
-        } else {
-            &mut self.rejected
-        };
+        let counter = if used { &mut self.used } else { &mut self.rejected };
         *counter += 1;
     }
 
@@ -332,10 +314,7 @@ pub(super) struct Aiding {
 impl Aiding {
     /// From a time on, s: earlier fixes are left out.
     pub fn from(time_s: f64) -> Self {
-        Self {
-            from_s: time_s,
-            ..Self::default()
-        }
+        Self { from_s: time_s, ..Self::default() }
     }
 
     /// Updates with the fixes up to a time, s.
@@ -346,10 +325,7 @@ impl Aiding {
         navigator: &mut Navigator<f64, M, N, L>,
     ) {
         let next = fixes.fixes.partition_point(|fix| fix.time_s < self.from_s);
-        for fix in fixes.fixes[next..]
-            .iter()
-            .take_while(|fix| fix.time_s <= time_s)
-        {
+        for fix in fixes.fixes[next..].iter().take_while(|fix| fix.time_s <= time_s) {
             if fix.range_m.is_some() {
                 self.take_range(fix, fixes, navigator);
             } else {
@@ -423,18 +399,12 @@ impl Aiding {
         // A receiver filters its velocity more than its position: 0.1 s later on the drive of a car (score_localization).
         let delayed = navigator.vehicle().is_some() && fix.has_position();
         if let (false, Some((velocity_mps, deviation_mps))) = (delayed, fix.velocity_mps) {
-            let velocity = Velocity {
-                velocity_mps: velocity_mps.into(),
-                deviation_mps,
-                offset: None,
-            };
+            let velocity =
+                Velocity { velocity_mps: velocity_mps.into(), deviation_mps, offset: None };
             accepted &= self.count(&navigator.update(&velocity, Gate::ChiSquare));
         }
         if let Some([heading_rad, deviation_rad]) = fix.heading_rad {
-            let heading = Heading {
-                heading_rad,
-                deviation_rad,
-            };
+            let heading = Heading { heading_rad, deviation_rad };
             accepted &= self.count(&navigator.update(&heading, Gate::ChiSquare));
         }
         accepted
@@ -448,12 +418,7 @@ impl Aiding {
     /// Says how many of `all` fixes were not compared.
     pub fn outside(&self, all: usize) -> Option<Finding> {
         let outside = all - self.fixes.compared();
-        let text = || {
-            format!(
-                "{} outside the time of the recording",
-                counted(outside, "fix")
-            )
-        };
+        let text = || format!("{} outside the time of the recording", counted(outside, "fix"));
         (outside > 0).then(|| FindingCode::Clock.note(text()))
     }
 }

@@ -54,9 +54,7 @@ fn is_noisy(
     axis: usize,
 ) -> bool {
     let value = |run: &Range<usize>| recording.samples[run.start].force_mps2[axis];
-    let changes = all
-        .windows(2)
-        .map(|two| (value(&two[1]) - value(&two[0])).abs());
+    let changes = all.windows(2).map(|two| (value(&two[1]) - value(&two[0])).abs());
     let step = changes.filter(|c| *c > 0.0).fold(f64::INFINITY, f64::min);
     let second = |three: &[Range<usize>]| {
         (value(&three[0]) - 2.0 * value(&three[1]) + value(&three[2])).abs()

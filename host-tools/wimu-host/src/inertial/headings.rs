@@ -92,10 +92,8 @@ impl<M: Model<f64, N> + Clone, const N: usize> Headings<M, N> {
         let track = &self.tracks[0];
         let turn = |k| f64::from(k) * std::f64::consts::TAU / f64::from(HEADINGS);
         let given = self.given.and_then(|pose| pose.heading_rad);
-        let headings: Vec<f64> = given.map_or_else(
-            || (0..HEADINGS).map(turn).collect(),
-            |heading| vec![heading],
-        );
+        let headings: Vec<f64> =
+            given.map_or_else(|| (0..HEADINGS).map(turn).collect(), |heading| vec![heading]);
         let pairs = positions
             .iter()
             .flat_map(|position| headings.iter().map(move |heading| (position, heading)));
@@ -123,8 +121,7 @@ impl<M: Model<f64, N> + Clone, const N: usize> Headings<M, N> {
 
     /// Drops headings that are ruled out, and those that have come to the solution of a more probable one.
     fn prune(&mut self) {
-        self.tracks
-            .sort_by(|a, b| b.aiding.log_likelihood.total_cmp(&a.aiding.log_likelihood));
+        self.tracks.sort_by(|a, b| b.aiding.log_likelihood.total_cmp(&a.aiding.log_likelihood));
         let mut kept: Vec<Track<M, N>> = Vec::new();
         for track in self.tracks.drain(..) {
             let same = |other: &Track<M, N>| {

@@ -23,9 +23,7 @@ impl Holes {
     pub fn of(recording: &MotionRecording) -> Result<Option<Self>> {
         let is_number = |sample: &UnitSample| sample.force_mps2.iter().all(|f| f.is_finite());
         let mut left_out: Vec<bool> = recording.samples.iter().map(|s| !is_number(s)).collect();
-        let none = left_out
-            .contains(&true)
-            .then(|| no_number(recording, &left_out));
+        let none = left_out.contains(&true).then(|| no_number(recording, &left_out));
         let most = recording.full_scale_mps2.unwrap_or(FULL_SCALE_MPS2);
         let force = |s: &UnitSample| is_number(s).then_some(s.force_mps2);
         let too_much = beyond(recording, "accelerometer", most, "m/s²", force);
@@ -46,12 +44,8 @@ impl Holes {
             let text = format!("{said}: left out, as if they were missing");
             findings.push(FindingCode::SamplesLeftOut.warning(text));
         }
-        let rate = beyond(recording, "gyroscope", FULL_SCALE_RAD_S, "rad/s", |s| {
-            s.rate_rad_s
-        });
-        let field = beyond(recording, "magnetometer", FULL_SCALE_UT, "µT", |s| {
-            s.field_ut
-        });
+        let rate = beyond(recording, "gyroscope", FULL_SCALE_RAD_S, "rad/s", |s| s.rate_rad_s);
+        let field = beyond(recording, "magnetometer", FULL_SCALE_UT, "µT", |s| s.field_ut);
         let others = rate.into_iter().chain(field);
         let text = |said| format!("{said}: left out there");
         findings.extend(others.map(|(_, said)| FindingCode::SamplesLeftOut.warning(text(said))));

@@ -99,10 +99,7 @@ impl Live {
             return Ok(());
         }
         let last_s = self.recording.times_s.last().copied().unwrap_or(time_s);
-        let sample = UnitSample {
-            step_s: time_s - last_s,
-            ..sample
-        };
+        let sample = UnitSample { step_s: time_s - last_s, ..sample };
         self.recording.times_s.push(time_s);
         self.recording.samples.push(self.once.of(&sample));
         let times_s = &self.recording.times_s;
@@ -136,10 +133,7 @@ impl Live {
 
     /// The path through answers of [`now`](Self::now).
     pub fn path(&self, points: Vec<PathPoint>) -> InertialPath {
-        let method = self
-            .begun
-            .as_ref()
-            .map_or(Method::Strapdown, |begun| begun.method);
+        let method = self.begun.as_ref().map_or(Method::Strapdown, |begun| begun.method);
         let moves = points.iter().position(|point| !point.resting);
         let origin = moves.unwrap_or(points.len()).saturating_sub(1);
         let mut path = InertialPath::new(method, points, origin, self.choice.limit_m);
@@ -163,9 +157,7 @@ impl Live {
         let begun = self.begun.as_ref()?;
         let samples: Vec<_> = self.recording.samples.iter().map(sample).collect();
         let inputs = self.inputs(&samples, begun);
-        let mut point = begun
-            .path
-            .ahead(inputs.get(self.taken..)?, &self.choice.fixes)?;
+        let mut point = begun.path.ahead(inputs.get(self.taken..)?, &self.choice.fixes)?;
         point.valid &= point.sd_m() <= self.choice.limit_m;
         Some(point)
     }
@@ -211,11 +203,7 @@ impl Live {
         }
         let fixes = ("fixes or ranges", [first.time_s, last.time_s]);
         let error = other_clock([fixes, ("device", [newest_s; 2])]);
-        Some(
-            FindingCode::Clock
-                .warning(error.message())
-                .remedy(error.remedy()),
-        )
+        Some(FindingCode::Clock.warning(error.message()).remedy(error.remedy()))
     }
 
     fn begin(&mut self) -> Result<()> {
@@ -248,12 +236,7 @@ impl Live {
             (Method::Strapdown, false) => unit.begin::<Gyroscope<f64>, 40>(choice, method)?,
             _ => unit.begin::<NoGyroscope<f64>, 24>(choice, method)?,
         };
-        self.begun = Some(Begun {
-            method,
-            senses,
-            noise_mps2,
-            path,
-        });
+        self.begun = Some(Begun { method, senses, noise_mps2, path });
         Ok(())
     }
 

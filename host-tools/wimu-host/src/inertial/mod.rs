@@ -180,8 +180,7 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
             path
         }
     };
-    path.findings
-        .splice(0..0, recording.findings.iter().cloned());
+    path.findings.splice(0..0, recording.findings.iter().cloned());
     let remedy = choice.fixes.remedy(choice.limit_m);
     let remedy = remedy.as_deref().unwrap_or(REMEDY);
     let mut path = path.checked(&recording.name, remedy)?;
@@ -222,10 +221,8 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
     let mut once = OnceEachField::default();
     let samples: Vec<UnitSample> = samples.iter().map(|sample| once.of(sample)).collect();
     let noise_mps2 = noise_mps2(&recording.times_s, &samples);
-    let unit = Unit {
-        time_sd_s,
-        ..Unit::of(recording, &samples, &senses, &senses.clipped, noise_mps2)
-    };
+    let unit =
+        Unit { time_sd_s, ..Unit::of(recording, &samples, &senses, &senses.clipped, noise_mps2) };
     let mut path = unit.path(choice, Method::of(&samples))?;
     let placed = choice.start.is_some() || choice.fixes.origin().is_some();
     if samples.iter().all(|s| s.field_ut.is_none()) && !placed {

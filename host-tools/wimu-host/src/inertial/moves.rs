@@ -123,31 +123,16 @@ fn one_move(
     method: Method,
 ) -> Option<(usize, Move)> {
     let gyroscope = method == Method::Strapdown;
-    let profile = if gyroscope {
-        choice.profile
-    } else {
-        Profile::Slide
-    };
+    let profile = if gyroscope { choice.profile } else { Profile::Slide };
     let first = rests[at].clone();
     let begin = unit.times_s[first.end - 1] - ALIGNMENT_S;
-    let begin = first
-        .start
-        .max(unit.times_s.partition_point(|t| *t < begin));
+    let begin = first.start.max(unit.times_s.partition_point(|t| *t < begin));
     let start = Start::align(&samples[begin..first.end], true)?;
-    let mut navigator = unit
-        .navigator::<Gyroscope<f64>, 40>(unit.settings(profile, choice), &start)
-        .ok()?;
+    let mut navigator =
+        unit.navigator::<Gyroscope<f64>, 40>(unit.settings(profile, choice), &start).ok()?;
     let push = |navigator: &mut Navigator<f64, Gyroscope<f64>, 40>, k: usize, rest: bool| {
-        let rate_rad_s = if gyroscope {
-            samples[k].rate_rad_s
-        } else {
-            Some(Vector3::zeros())
-        };
-        let sample = Sample {
-            rate_rad_s,
-            field_ut: None,
-            ..samples[k]
-        };
+        let rate_rad_s = if gyroscope { samples[k].rate_rad_s } else { Some(Vector3::zeros()) };
+        let sample = Sample { rate_rad_s, field_ut: None, ..samples[k] };
         if unit.clipped.binary_search(&k).is_ok() {
             navigator.interrupt(sample.step_s);
         } else {

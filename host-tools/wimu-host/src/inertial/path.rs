@@ -79,13 +79,7 @@ impl PathPoint {
     pub fn sigma_m(&self) -> [f64; 3] {
         let variance = |i: usize| self.covariance_m2[i][i];
         // `max` would make 0 of what is not a number.
-        std::array::from_fn(|i| {
-            if variance(i) < 0.0 {
-                0.0
-            } else {
-                variance(i).sqrt()
-            }
-        })
+        std::array::from_fn(|i| if variance(i) < 0.0 { 0.0 } else { variance(i).sqrt() })
     }
 
     fn is_finite(&self) -> bool {
@@ -184,9 +178,7 @@ impl InertialPath {
             return Ok(self);
         }
         let sigmas = self.points.iter().map(PathPoint::sd_m);
-        let best_m = sigmas
-            .filter(|sd| sd.is_finite())
-            .fold(f64::INFINITY, f64::min);
+        let best_m = sigmas.filter(|sd| sd.is_finite()).fold(f64::INFINITY, f64::min);
         let message = diverged.unwrap_or_else(|| match best_m > self.limit_m {
             true => format!(
                 "no position is known to {} m: σ is {} m at best",

@@ -35,20 +35,13 @@ pub(super) struct Disagreement {
 /// `data_refused` where another unit fits, or the rate is faster than anything.
 pub(super) fn checked(recording: &MotionRecording) -> Result<Option<Disagreement>> {
     let rates = recording.samples.iter().filter_map(|s| s.rate_rad_s);
-    let fastest = rates
-        .map(|rate| Vector3::from(rate).norm())
-        .fold(0.0, f64::max);
+    let fastest = rates.map(|rate| Vector3::from(rate).norm()).fold(0.0, f64::max);
     let refused = |message: String, unit: &str| {
         let remedy = format!("if it is in {unit}, name the columns `Gyroscope X ({unit})`, …");
-        Err(ErrorCode::DataRefused
-            .error(message, remedy)
-            .at(&recording.name))
+        Err(ErrorCode::DataRefused.error(message, remedy).at(&recording.name))
     };
     if fastest > FASTEST_RAD_S {
-        return refused(
-            format!("its angular rate goes up to {fastest:.0} rad/s"),
-            "deg/s",
-        );
+        return refused(format!("its angular rate goes up to {fastest:.0} rad/s"), "deg/s");
     }
     // Each unit is judged at the rests that it shows.
     for (factor, unit) in [(PI / 180.0, "deg/s"), (180.0 / PI, "rad/s")] {
@@ -147,11 +140,7 @@ fn mean(
     samples: &[UnitSample],
     value: impl Fn(&UnitSample) -> Option<[f64; 3]>,
 ) -> Option<Vector3<f64>> {
-    let values: Vec<Vector3<f64>> = samples
-        .iter()
-        .filter_map(value)
-        .map(Vector3::from)
-        .collect();
+    let values: Vec<Vector3<f64>> = samples.iter().filter_map(value).map(Vector3::from).collect();
     let count = values.len() as f64;
     (count > 0.0).then(|| values.iter().sum::<Vector3<f64>>() / count)
 }

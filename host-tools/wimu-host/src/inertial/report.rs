@@ -103,10 +103,7 @@ impl InertialPath {
                 let sd = if p.valid { sd } else { f64::NAN };
                 (p.time_s, value - sd, value + sd)
             });
-            chart.bands.push(Band {
-                series: chart.series.len(),
-                points: band.collect(),
-            });
+            chart.bands.push(Band { series: chart.series.len(), points: band.collect() });
             chart.series.push(Series::line(name, points.collect()));
         }
         chart
@@ -138,9 +135,7 @@ impl InertialPath {
         });
         let (low, high) = seen
             .filter(|v| v.is_finite())
-            .fold((f64::MAX, f64::MIN), |(low, high), v| {
-                (low.min(v), high.max(v))
-            });
+            .fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
         let room = (0.05 * (high - low)).max(0.005);
         (low <= high).then_some((low - room, high + room))
     }
@@ -176,10 +171,7 @@ impl InertialPath {
                     times_s.push(point.time_s);
                 }
             }
-            Series {
-                times_s,
-                ..Series::space(name, Style::Line, &points)
-            }
+            Series { times_s, ..Series::space(name, Style::Line, &points) }
         };
         let path = run("path", &|k| Some(self.points[k].position_m));
         let truth = run("truth", &|k| self.truth_at(k));
@@ -188,11 +180,7 @@ impl InertialPath {
         let marks = Series {
             times_s: ends.iter().map(|p| p.time_s).collect(),
             labels: ["start", "end"].map(String::from).into(),
-            ..Series::space(
-                "",
-                Style::Dots,
-                &ends.iter().map(|p| p.position_m).collect::<Vec<_>>(),
-            )
+            ..Series::space("", Style::Dots, &ends.iter().map(|p| p.position_m).collect::<Vec<_>>())
         };
         let mut lines = vec![path, truth, marks];
         lines.retain(|series| !series.points.is_empty());
@@ -291,9 +279,8 @@ mod tests {
 
     #[test]
     fn what_is_not_valid_is_marked_and_left_out_of_the_plan() {
-        let mut points: Vec<_> = (0..6)
-            .map(|k| point(f64::from(k), [[0.01, 0.0], [0.0, 0.01]]))
-            .collect();
+        let mut points: Vec<_> =
+            (0..6).map(|k| point(f64::from(k), [[0.01, 0.0], [0.0, 0.01]])).collect();
         points[2].valid = false;
         points[3].valid = false;
         points[3].position_m[0] = 1e9;
@@ -302,10 +289,7 @@ mod tests {
         let charts = path.charts(&[]);
         let plan = &charts[0].series[0];
         let x: Vec<f64> = plan.points.iter().map(|p| p.0).collect();
-        assert!(
-            x[2].is_nan() && x[3..] == [4.0, 5.0] && x.len() == 5,
-            "{x:?}"
-        );
+        assert!(x[2].is_nan() && x[3..] == [4.0, 5.0] && x.len() == 5, "{x:?}");
         assert_eq!(plan.times_s[3..], [4.0, 5.0]);
         let (low, high) = charts[2].y_range.unwrap();
         assert!(low > -1.0 && high < 6.0);

@@ -117,13 +117,7 @@ impl Senses {
             senses.force_ends = Some(from);
         }
         if let Some((from, axis)) = stuck(recording, rate, MOVES_RAD_S) {
-            senses.say(
-                recording,
-                "gyroscope",
-                from,
-                axis,
-                "it is left out from there on",
-            );
+            senses.say(recording, "gyroscope", from, axis, "it is left out from there on");
             senses.rate_ends = Some(from);
         }
         let shown: [Sense; 2] = [|s| Some(s.force_mps2), |s| s.field_ut];
@@ -276,9 +270,7 @@ fn silent(
         first += next;
         let here = sense(&samples[first]);
         let alike = samples[first..].iter();
-        let count = alike
-            .take_while(|s| sense(s).is_none() || sense(s) == here)
-            .count();
+        let count = alike.take_while(|s| sense(s).is_none() || sense(s) == here).count();
         let times_s = &recording.times_s[first..first + count];
         let run = &samples[first..first + count];
         if times_s[count - 1] - times_s[0] >= longer_s
@@ -301,9 +293,7 @@ fn is_turned(
     let dot = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let (mut first, mut from) = (None, 0);
     while from < samples.len() {
-        let to = times_s
-            .partition_point(|t| *t < times_s[from] + 1.0)
-            .max(from + 1);
+        let to = times_s.partition_point(|t| *t < times_s[from] + 1.0).max(from + 1);
         let (mut sum, mut count) = ([0.0; 3], 0.0);
         for vector in samples[from..to].iter().filter_map(&vector) {
             sum = [0, 1, 2].map(|axis| sum[axis] + vector[axis]);
@@ -336,11 +326,7 @@ fn stuck(
     let steps = [0, 1, 2].map(|axis| least_step(count, &value, axis));
     let finest = steps.into_iter().fold(f64::INFINITY, f64::min);
     for axis in 0..3 {
-        let step = if steps[axis].is_finite() {
-            steps[axis]
-        } else {
-            finest
-        };
+        let step = if steps[axis].is_finite() { steps[axis] } else { finest };
         let mut first = 0;
         while first < count {
             let mut end = first + 1;

@@ -84,11 +84,7 @@ impl<const N: usize> Tape<N> {
             let last = self.samples[..=end].partition_point(|s| s < to);
             let covariance = (first > 0 && last <= end)
                 .then(|| smoothed.covariance_of_change(first - 1, last, POSITION))??;
-            Some(Change {
-                from: *from,
-                to: *to,
-                covariance,
-            })
+            Some(Change { from: *from, to: *to, covariance })
         }));
         let epochs = (0..end).filter(|epoch| smoothed.is_linked(epoch + 1));
         for epoch in epochs {
@@ -117,12 +113,7 @@ fn correct<const N: usize>(
         let [now, next] = [epoch, epoch + 1].map(|k| smoothed.covariance(k, block));
         now + (next - now) * part
     };
-    let deviation = |block| {
-        variance(block)
-            .diagonal()
-            .map(|v: f64| v.max(0.0).sqrt())
-            .into()
-    };
+    let deviation = |block| variance(block).diagonal().map(|v: f64| v.max(0.0).sqrt()).into();
     point.position_m = (Vector3::from(point.position_m) + of(POSITION)).into();
     point.velocity_mps = (Vector3::from(point.velocity_mps) + of(VELOCITY)).into();
     let [w, x, y, z] = point.quaternion;
@@ -207,10 +198,7 @@ mod tests {
         let most = whole.iter().zip(&blocks).map(|(a, b)| distance(a, b));
         let most = most.fold(0.0, f64::max);
         let origin = [0.0; 3];
-        let size = whole
-            .iter()
-            .map(|p| distance(p, &origin))
-            .fold(0.0, f64::max);
+        let size = whole.iter().map(|p| distance(p, &origin)).fold(0.0, f64::max);
         assert!(most < 0.05 * size, "{most} {size}");
     }
 }

@@ -79,9 +79,7 @@ impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
 
     /// The next sample, and the fixes up to its time.
     pub fn step(&mut self, input: &Input, fixes: &Fixes) -> PathPoint {
-        let Input {
-            sample, resting, ..
-        } = *input;
+        let Input { sample, resting, .. } = *input;
         // A foot's shocks are short: the largest reading is nearer to them than none.
         if self.profile != Profile::Foot && input.clipped {
             self.navigator.interrupt(sample.step_s);
@@ -95,11 +93,7 @@ impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
         if let Some(deviation_mps) = input.stance_mps {
             self.navigator.stance(deviation_mps);
         }
-        self.rest_s = if resting {
-            self.rest_s + sample.step_s
-        } else {
-            0.0
-        };
+        self.rest_s = if resting { self.rest_s + sample.step_s } else { 0.0 };
         self.aiding.update(fixes, input.time_s, &mut self.navigator);
         let lies = self.rest_s >= FIRST_REST_S || input.stance_mps.is_some();
         if !self.has_origin() && lies {
@@ -156,11 +150,7 @@ impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
         let divergences = self.navigator.divergences() as usize;
         let diverged =
             "the filter diverged and began again. Check axes, signs and units of the sensors";
-        found.extend(counted_findings(
-            FindingCode::Navigation,
-            "time",
-            &[(divergences, diverged)],
-        ));
+        found.extend(counted_findings(FindingCode::Navigation, "time", &[(divergences, diverged)]));
         found
     }
 }
@@ -172,6 +162,5 @@ pub(super) fn counted_findings(
     counts: &[(usize, &str)],
 ) -> Vec<Finding> {
     let some = counts.iter().filter(|(count, _)| *count > 0);
-    some.map(|(count, what)| code.warning(format!("{} {what}", counted(*count, one))))
-        .collect()
+    some.map(|(count, what)| code.warning(format!("{} {what}", counted(*count, one)))).collect()
 }

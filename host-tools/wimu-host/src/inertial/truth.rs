@@ -78,11 +78,7 @@ pub(super) fn compare(path: &mut InertialPath, truth: &[Option<Truth>], moving: 
     };
     let in_path = |truth: &Truth| -> [f64; 3] {
         let way: [f64; 3] = std::array::from_fn(|i| truth.position_m[i] - start.position_m[i]);
-        let turned = [
-            cos * way[0] + sin * way[1],
-            cos * way[1] - sin * way[0],
-            way[2],
-        ];
+        let turned = [cos * way[0] + sin * way[1], cos * way[1] - sin * way[0], way[2]];
         std::array::from_fn(|i| first.position_m[i] + turned[i])
     };
     let of = |(point, truth): &(&PathPoint, Truth)| {
@@ -91,10 +87,7 @@ pub(super) fn compare(path: &mut InertialPath, truth: &[Option<Truth>], moving: 
         for (i, row) in p.iter_mut().enumerate() {
             row[i] += TRUTH_M * TRUTH_M;
         }
-        nees(
-            std::array::from_fn(|i| point.position_m[i] - expected[i]),
-            p,
-        )
+        nees(std::array::from_fn(|i| point.position_m[i] - expected[i]), p)
     };
     let moves = |(k, _): &(&usize, _)| moving.get(**k).is_some_and(|moves| *moves);
     let moved = usable.iter().zip(&both).filter(moves);

@@ -47,10 +47,7 @@ impl OnceEachField {
         if !held {
             (self.last, self.age_s) = (sample.field_ut, 0.0);
         }
-        UnitSample {
-            field_ut: sample.field_ut.filter(|_| !held),
-            ..*sample
-        }
+        UnitSample { field_ut: sample.field_ut.filter(|_| !held), ..*sample }
     }
 }
 
@@ -123,11 +120,7 @@ impl<'a> Unit<'a> {
     pub fn accepts(&self, choice: &Choice, method: Method) -> Result<()> {
         let needed = match choice.profile {
             Profile::Foot => Some("--profile foot"),
-            _ => choice
-                .fixes
-                .ranging
-                .as_ref()
-                .map(|_| "--ranges beside a board"),
+            _ => choice.fixes.ranging.as_ref().map(|_| "--ranges beside a board"),
         };
         if let (Some(what), true) = (needed, method != Method::Strapdown) {
             let message = format!("{what} needs a gyroscope");
@@ -153,10 +146,7 @@ impl<'a> Unit<'a> {
         let smooth = choice.smooth && method == Method::Strapdown;
         let spans = moves.iter().map(|one| one.span(self.times_s));
         let tape = Tape::new(smooth, spans.collect());
-        choice
-            .fixes
-            .within(self.times_s)
-            .map_err(|error| error.at(self.name))?;
+        choice.fixes.within(self.times_s).map_err(|error| error.at(self.name))?;
         let fixes = self.fixes(choice);
         let at_rest_first = self.first_rest(&rests).is_some();
         let start = self.start::<M, N>(&samples, &rests, choice)?;
@@ -244,11 +234,7 @@ impl<'a> Unit<'a> {
         let mut fixes = choice.fixes.clone();
         if let (Some(sd_m), Some(last)) = (choice.loop_m, self.times_s.last()) {
             let start = choice.start.map_or([0.0; 3], |pose| pose.position_m);
-            fixes.fixes.push(Fix {
-                position_m: start,
-                position_sd_m: [sd_m; 3],
-                ..Fix::at(*last)
-            });
+            fixes.fixes.push(Fix { position_m: start, position_sd_m: [sd_m; 3], ..Fix::at(*last) });
         }
         fixes
     }
@@ -271,10 +257,7 @@ impl<'a> Unit<'a> {
             track.aiding.log_likelihood
         };
         let of = |k| f64::from(k) * std::f64::consts::TAU / f64::from(HEADINGS);
-        let tried = (0..HEADINGS)
-            .rev()
-            .map(of)
-            .map(|heading| (heading, trial(&heading)));
+        let tried = (0..HEADINGS).rev().map(of).map(|heading| (heading, trial(&heading)));
         let best = tried.max_by(|a, b| a.1.total_cmp(&b.1));
         best.map_or(0.0, |(heading, _)| heading)
     }
@@ -290,9 +273,7 @@ impl<'a> Unit<'a> {
             settings = settings.without_gyroscope(self.noise_mps2);
         }
         let statistics = self.statistics(samples, settings);
-        let at_rest = statistics
-            .iter()
-            .map(|statistic| *statistic < settings.threshold);
+        let at_rest = statistics.iter().map(|statistic| *statistic < settings.threshold);
         at_rest.collect()
     }
 

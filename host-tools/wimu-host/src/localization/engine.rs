@@ -142,10 +142,8 @@ impl Recording<'_> {
                 self.predict(model, &states, [now, time_s], &mut filter, &mut tape);
                 now = time_s;
             }
-            while let Some(sample) = self
-                .ranges
-                .get(next)
-                .filter(|s| s.time_s + model.shift_s <= time_s)
+            while let Some(sample) =
+                self.ranges.get(next).filter(|s| s.time_s + model.shift_s <= time_s)
             {
                 let range = Range {
                     anchor: &states.anchors[sample.anchor],
@@ -163,9 +161,7 @@ impl Recording<'_> {
                 next += 1;
             }
             tape.updated(&filter, step_s);
-            let from = self
-                .ranges
-                .partition_point(|r| r.time_s + model.shift_s < time_s - LOST_S);
+            let from = self.ranges.partition_point(|r| r.time_s + model.shift_s < time_s - LOST_S);
             let recent = from.max(known)..next;
             let window = &self.ranges[recent.clone()];
             if model.gate.is_infinite() && is_lost(window, &judged[recent]) {
@@ -213,11 +209,7 @@ impl Recording<'_> {
 
     /// Times of the ranges and of the other sensor, each once.
     fn times(&self, model: &Model, until_s: f64) -> Vec<f64> {
-        let mut times: Vec<f64> = self
-            .ranges
-            .iter()
-            .map(|s| s.time_s + model.shift_s)
-            .collect();
+        let mut times: Vec<f64> = self.ranges.iter().map(|s| s.time_s + model.shift_s).collect();
         match self.motion {
             Motion::Free => {}
             Motion::Odometry(increments) => times.extend(increments.iter().map(|i| i.time_s)),
@@ -257,12 +249,7 @@ impl Recording<'_> {
         let anchors = anchors.collect::<std::result::Result<Vec<_>, _>>()?;
         let mut filter = Filter::new(&layout, start.attitude);
         self.place(model, start, &mut filter);
-        let states = States {
-            anchors,
-            odometry,
-            strapdown,
-            delay,
-        };
+        let states = States { anchors, odometry, strapdown, delay };
         correlate(&states.anchors, model.common, &mut filter);
         Ok((filter, states))
     }
@@ -291,11 +278,7 @@ impl Recording<'_> {
         tape: &mut Tape<N>,
     ) {
         let step_s = to - from;
-        let errors = CorrelatedErrors {
-            anchors: &states.anchors,
-            errors: &model.ranges,
-            step_s,
-        };
+        let errors = CorrelatedErrors { anchors: &states.anchors, errors: &model.ranges, step_s };
         match (self.motion, &states.odometry, &states.strapdown) {
             (Motion::Odometry(increments), Some(blocks), _) => {
                 let next = increments.partition_point(|i| i.time_s <= from);
@@ -324,10 +307,7 @@ impl Recording<'_> {
                     rate_rad_s,
                     step_s,
                 };
-                let offset = AccelerationOffset {
-                    block: *gravity,
-                    step_s,
-                };
+                let offset = AccelerationOffset { block: *gravity, step_s };
                 filter.predict_recorded(&((strapdown, offset), errors), tape);
             }
             _ => {
@@ -370,10 +350,7 @@ fn mean_sample(times_s: &[f64], samples: &[UnitSample], k: usize) -> Option<[Vec
         return None;
     }
     let mean = |a: [f64; 3], b: [f64; 3]| (Vector3::from(a) + Vector3::from(b)) * 0.5;
-    Some([
-        mean(a.force_mps2, b.force_mps2),
-        mean(a.rate_rad_s?, b.rate_rad_s?),
-    ])
+    Some([mean(a.force_mps2, b.force_mps2), mean(a.rate_rad_s?, b.rate_rad_s?)])
 }
 
 /// Adds the common part of the biases and scale errors to the covariance.

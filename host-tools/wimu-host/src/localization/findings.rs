@@ -47,9 +47,7 @@ pub(super) fn before(recording: &RangeRecording) -> Result<Vec<Finding>> {
         (message, "record for longer")
     };
     if seen.len() < least || count < LEAST_RANGES {
-        return Err(ErrorCode::DataRefused
-            .error(message, remedy)
-            .at(&recording.name));
+        return Err(ErrorCode::DataRefused.error(message, remedy).at(&recording.name));
     }
     let mut found: Vec<Finding> = gaps(recording).into_iter().collect();
     let anchors = recording.anchors.iter().enumerate();
@@ -72,9 +70,7 @@ pub(super) fn remedy(recording: &RangeRecording, anchors_m: &[Vector3<f64>]) -> 
     let centre = anchors_m.iter().sum::<Vector3<f64>>() / anchors_m.len() as f64;
     let axes = principal_axes(anchors_m, &centre);
     let extent = |axis: usize| {
-        let along = anchors_m
-            .iter()
-            .map(|a| (a - centre).dot(&axes.column(axis)).abs());
+        let along = anchors_m.iter().map(|a| (a - centre).dot(&axes.column(axis)).abs());
         2.0 * along.fold(0.0, f64::max)
     };
     let ranges_m = recording.ranges.iter().map(|r| r.range_m);
@@ -91,14 +87,9 @@ pub(super) fn remedy(recording: &RangeRecording, anchors_m: &[Vector3<f64>]) -> 
 
 /// Times without a range.
 fn gaps(recording: &RangeRecording) -> Option<Finding> {
-    let steps = recording
-        .ranges
-        .windows(2)
-        .map(|pair| [pair[0].time_s, pair[1].time_s]);
+    let steps = recording.ranges.windows(2).map(|pair| [pair[0].time_s, pair[1].time_s]);
     let gaps: Vec<[f64; 2]> = steps.filter(|[from, to]| to - from > GAP_S).collect();
-    let longest = gaps
-        .iter()
-        .max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])))?;
+    let longest = gaps.iter().max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])))?;
     let [from, to] = *longest;
     let text = format!(
         "{} without a range, the longest of {:.1} s: σ grows there",
@@ -118,11 +109,7 @@ pub(super) fn after(
     let mut found = Vec::new();
     if let Some(other) = &chosen.other {
         let at = |p: &Vector3<f64>| format!("E {:.2} N {:.2} U {:.2} m", p.x, p.y, p.z);
-        let geometry = if recording.planar {
-            "on a line"
-        } else {
-            "in a plane"
-        };
+        let geometry = if recording.planar { "on a line" } else { "in a plane" };
         let text = format!(
             "two starts are equally probable, {} (used) and {}: the anchors are {geometry}, and the path may be the mirror image",
             at(&chosen.start.position_m),
@@ -137,11 +124,7 @@ pub(super) fn after(
     }
     for time_s in &run.recoveries {
         let text = "several ranges contradicted the path: the position was found again from the ranges, and may jump";
-        found.push(
-            FindingCode::Navigation
-                .warning(text)
-                .between(time_s - 1.0, *time_s),
-        );
+        found.push(FindingCode::Navigation.warning(text).between(time_s - 1.0, *time_s));
     }
     if run.contradictions > 0 {
         let text = format!(
@@ -162,17 +145,13 @@ fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Findin
         let own = &run.anchors[index];
         let [bias, scale] = [own.bias_m, own.scale].map(|e| e.map_or(0.0, |[value, _]| value));
         let residual = |time_s: f64, range_m: f64| {
-            let at = run
-                .points
-                .partition_point(|p| p.time_s < time_s)
-                .min(run.points.len() - 1);
+            let at = run.points.partition_point(|p| p.time_s < time_s).min(run.points.len() - 1);
             let distance = (Vector3::from(run.points[at].position_m) - own.position_m).norm();
             range_m - bias - (1.0 + scale) * distance
         };
         let pairs = recording.ranges.iter().filter(|r| r.anchor == index);
-        let pairs: Vec<(f64, f64)> = pairs
-            .map(|r| (r.time_s, residual(r.time_s + model.shift_s, r.range_m)))
-            .collect();
+        let pairs: Vec<(f64, f64)> =
+            pairs.map(|r| (r.time_s, residual(r.time_s + model.shift_s, r.range_m))).collect();
         let mut spans: Vec<(f64, f64, f64)> = Vec::new();
         for block in pairs.chunk_by(|a, b| (a.0 / BLOCK_S).floor() == (b.0 / BLOCK_S).floor()) {
             let median = median(block.iter().map(|(_, r)| *r)).unwrap_or_default();
@@ -180,10 +159,7 @@ fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Findin
                 continue;
             }
             let (from, to) = (block[0].0, block[block.len() - 1].0);
-            match spans
-                .last_mut()
-                .filter(|last| from - last.1 < BLOCK_S && last.2 * median > 0.0)
-            {
+            match spans.last_mut().filter(|last| from - last.1 < BLOCK_S && last.2 * median > 0.0) {
                 Some(last) => last.1 = to,
                 None => spans.push((from, to, median)),
             }

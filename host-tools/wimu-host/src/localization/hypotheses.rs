@@ -38,10 +38,7 @@ pub(super) struct Chosen {
 /// Those of [`Recording::run`].
 pub(super) fn choose(recording: &Recording, model: &Model) -> Result<Option<Chosen>> {
     let starts = starts(recording, model);
-    let first_s = recording
-        .ranges
-        .first()
-        .map_or(0.0, |r| r.time_s + model.shift_s);
+    let first_s = recording.ranges.first().map_or(0.0, |r| r.time_s + model.shift_s);
     let trial_s = match recording.motion {
         Motion::Free => TRIAL_S,
         _ => HEADING_TRIAL_S,
@@ -54,9 +51,7 @@ pub(super) fn choose(recording: &Recording, model: &Model) -> Result<Option<Chos
     let Some(mut start) = order.first().map(|(_, start)| *start) else {
         return Ok(None);
     };
-    let equal = order
-        .get(1)
-        .filter(|(found, _)| order[0].0 - found < DECIDED);
+    let equal = order.get(1).filter(|(found, _)| order[0].0 - found < DECIDED);
     let mut other = equal
         .map(|(_, other)| *other)
         .filter(|other| (other.position_m - start.position_m).norm() > SAME_M);
@@ -92,10 +87,7 @@ fn starts(recording: &Recording, model: &Model) -> Vec<Start> {
         Some(pose) => vec![(pose.position_m.into(), GIVEN_M)],
         None => {
             let found = candidates(recording.anchors, recording.ranges, model);
-            found
-                .iter()
-                .map(|f| (f.position_m, f.deviation_m + START_M))
-                .collect()
+            found.iter().map(|f| (f.position_m, f.deviation_m + START_M)).collect()
         }
     };
     let tilt = match recording.motion {
@@ -116,9 +108,8 @@ fn starts(recording: &Recording, model: &Model) -> Vec<Start> {
     };
     let mut starts = Vec::new();
     for (position_m, position_sd_m) in positions {
-        for ((heading, heading_sd), inverted) in headings
-            .iter()
-            .flat_map(|h| poses.iter().map(move |p| (h, *p)))
+        for ((heading, heading_sd), inverted) in
+            headings.iter().flat_map(|h| poses.iter().map(move |p| (h, *p)))
         {
             let about_east =
                 Rotation3::from_axis_angle(&Vector3::x_axis(), if inverted { PI } else { 0.0 });

@@ -12,17 +12,13 @@ use crate::{ErrorCode, Result};
 /// Anchors, and whether they have no height.
 pub(super) fn anchors(path: &Path) -> Result<(Vec<AnchorPosition>, bool)> {
     let table = Table::read(path)?;
-    let id = table
-        .named("Anchor")
-        .ok_or_else(|| table.missing("Anchor"))?;
+    let id = table.named("Anchor").ok_or_else(|| table.missing("Anchor"))?;
     let east = table.needed(&["Position E", "X"], LENGTH)?;
     let north = table.needed(&["Position N", "Y"], LENGTH)?;
     let up = table.column(&["Position U", "Z"], LENGTH);
     let mut anchors: Vec<AnchorPosition> = Vec::new();
     let bad = |message: String, remedy: &str| {
-        Err(ErrorCode::CsvBadNumber
-            .error(message, remedy)
-            .at(&table.name))
+        Err(ErrorCode::CsvBadNumber.error(message, remedy).at(&table.name))
     };
     for row in 0..table.rows.len() {
         let id = table.text(row, id).to_owned();
@@ -36,10 +32,7 @@ pub(super) fn anchors(path: &Path) -> Result<(Vec<AnchorPosition>, bool)> {
             let message = format!("anchor {id} is given twice");
             return bad(message, "give each anchor once");
         }
-        anchors.push(AnchorPosition {
-            id,
-            position_m: [e, n, u],
-        });
+        anchors.push(AnchorPosition { id, position_m: [e, n, u] });
     }
     if anchors.is_empty() {
         return Err(table.empty("there are no anchors", "give one row each"));
@@ -86,11 +79,7 @@ pub(super) fn samples(
                 (.., None) => format!("anchor {name} is not in {known}"),
                 (_, Some(range_m), _) if range_m <= 0.0 => "zero or negative".to_owned(),
                 (Some(time_s), Some(range_m), Some(anchor)) => {
-                    samples.push(RangeSample {
-                        time_s,
-                        anchor,
-                        range_m,
-                    });
+                    samples.push(RangeSample { time_s, anchor, range_m });
                     continue;
                 }
             };
@@ -176,8 +165,7 @@ impl RangeRecording {
                 "{} of the odometry left out: incomplete, or not after the one before",
                 counted(left_out, "row")
             );
-            self.findings
-                .push(FindingCode::SamplesLeftOut.warning(text));
+            self.findings.push(FindingCode::SamplesLeftOut.warning(text));
         }
         let times_s: Vec<f64> = rows.iter().map(|row| row[0]).collect();
         let usual_s = crate::motion::median_step_s(&times_s);
@@ -185,13 +173,9 @@ impl RangeRecording {
             return Err(table.empty("there are fewer than two increments", "check the file"));
         }
         let before = std::iter::once(times_s[0] - usual_s).chain(times_s.iter().copied());
-        let increment =
-            |([time_s, distance_m, rotation_rad], before_s): ([f64; 3], f64)| Increment {
-                time_s,
-                interval_s: time_s - before_s,
-                distance_m,
-                rotation_rad,
-            };
+        let increment = |([time_s, distance_m, rotation_rad], before_s): ([f64; 3], f64)| {
+            Increment { time_s, interval_s: time_s - before_s, distance_m, rotation_rad }
+        };
         self.increments = rows.into_iter().zip(before).map(increment).collect();
         Ok(self)
     }

@@ -224,11 +224,8 @@ pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Resu
         };
         (motion, Rotation3::identity())
     });
-    let positions: Vec<Vector3<f64>> = recording
-        .anchors
-        .iter()
-        .map(|a| a.position_m.into())
-        .collect();
+    let positions: Vec<Vector3<f64>> =
+        recording.anchors.iter().map(|a| a.position_m.into()).collect();
     let problem = Recording {
         anchors: &positions,
         ranges: &recording.ranges,
@@ -256,9 +253,7 @@ pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Resu
     let mut found = presented(recording, &problem, choice, &model, run);
     noticed.extend(findings::unobserved(&found));
     found.path.findings = noticed;
-    found.path = found
-        .path
-        .checked(&recording.name, &findings::remedy(recording, &positions))?;
+    found.path = found.path.checked(&recording.name, &findings::remedy(recording, &positions))?;
     Ok(found)
 }
 
@@ -293,21 +288,14 @@ fn presented(
         Motion::Inertial(..) => Method::RangesInertial,
     };
     let parameter = |estimate: Option<[f64; 2]>, prior: f64| {
-        estimate.map(|[value, sigma]| Parameter {
-            value,
-            sigma,
-            prior,
-        })
+        estimate.map(|[value, sigma]| Parameter { value, sigma, prior })
     };
     let [bias, scale] = model.common;
     let anchor = |(index, anchor): (usize, &AnchorPosition)| {
         let own = &run.anchors[index];
         let pairs = recording.ranges.iter().zip(&run.judged);
         let judged: Vec<_> = pairs.filter(|(r, _)| r.anchor == index).collect();
-        let blocked = judged
-            .iter()
-            .filter(|(_, l)| l.weight < 0.5 && l.innovation_m > 0.0)
-            .count();
+        let blocked = judged.iter().filter(|(_, l)| l.weight < 0.5 && l.innovation_m > 0.0).count();
         AnchorFound {
             id: anchor.id.clone(),
             ranges: judged.len(),

@@ -42,23 +42,13 @@ impl RangePrior {
     };
     /// Radios of a vehicle outdoors whose kind is not known (Plaza data sets: 6 % too long, noise 0.5 m). The slip of its
     /// wheels is as slow as a correlated error.
-    pub const VEHICLE: Self = Self {
-        noise_m: 0.5,
-        correlated_m: 0.0,
-        bias_m: 0.5,
-        scale: 0.1,
-        ..Self::ULTRA_WIDEBAND
-    };
+    pub const VEHICLE: Self =
+        Self { noise_m: 0.5, correlated_m: 0.0, bias_m: 0.5, scale: 0.1, ..Self::ULTRA_WIDEBAND };
 
     /// The same with standard deviations of noise, m, bias, m, and scale error.
     #[must_use]
     pub fn with_errors(self, [noise_m, bias_m, scale]: [f64; 3]) -> Self {
-        Self {
-            noise_m,
-            bias_m,
-            scale,
-            ..self
-        }
+        Self { noise_m, bias_m, scale, ..self }
     }
 
     /// That of the kind of recording.
@@ -129,10 +119,7 @@ impl Model {
         Self {
             ranges,
             common: [prior.bias_m * OWN_BIAS, prior.scale],
-            line_of_sight: NonLineOfSight {
-                probability: prior.blocked,
-                mean_m: EXCESS_M,
-            },
+            line_of_sight: NonLineOfSight { probability: prior.blocked, mean_m: EXCESS_M },
             expected_m: ranges.noise_m.hypot(ranges.correlated_m),
             gate: prior.gate,
             adapts: prior.adapts,

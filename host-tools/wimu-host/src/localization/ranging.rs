@@ -41,21 +41,12 @@ impl Ranging {
         let (anchors, planar) = input::anchors(file)?;
         let usual = RangePrior::ULTRA_WIDEBAND;
         let prior = errors.map_or(usual, |errors| usual.with_errors(errors));
-        Ok(Self::new(
-            &file.display().to_string(),
-            anchors,
-            planar,
-            &prior,
-        ))
+        Ok(Self::new(&file.display().to_string(), anchors, planar, &prior))
     }
 
     /// Anchors of a name; without heights all is in their plane.
     pub fn new(name: &str, anchors: Vec<AnchorPosition>, planar: bool, prior: &RangePrior) -> Self {
-        Self {
-            anchors,
-            name: name.to_owned(),
-            model: Model::new(prior, planar),
-        }
+        Self { anchors, name: name.to_owned(), model: Model::new(prior, planar) }
     }
 
     /// Ranges of a table that arrived at a time, s, which is that of rows without one.
@@ -83,9 +74,7 @@ impl Ranging {
         }
         let anchors: Vec<Vector3<f64>> = self.anchors.iter().map(|a| a.position_m.into()).collect();
         let found = candidates(&anchors, ranges, &self.model);
-        let found = found
-            .iter()
-            .map(|f| (f.position_m, f.deviation_m + START_M));
+        let found = found.iter().map(|f| (f.position_m, f.deviation_m + START_M));
         found.collect()
     }
 }
@@ -111,15 +100,10 @@ impl AnchorStates {
         let states = navigator.claim(|layout| {
             let anchors = ranging.anchors.iter();
             let mut claim = |a: &AnchorPosition| Anchor::claim(layout, a.position_m.into(), errors);
-            anchors
-                .map(&mut claim)
-                .collect::<std::result::Result<Vec<_>, _>>()
+            anchors.map(&mut claim).collect::<std::result::Result<Vec<_>, _>>()
         })?;
         navigator.correlate(|filter| correlate(&states, ranging.model.common, filter));
-        Ok(Self {
-            states,
-            ..Self::default()
-        })
+        Ok(Self { states, ..Self::default() })
     }
 
     /// Updates with a range, whose weight is the probability of line of sight.

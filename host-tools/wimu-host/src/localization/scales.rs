@@ -64,10 +64,7 @@ pub(super) fn adapted(recording: &Recording, model: &Model, start: &Start) -> Re
     let pairs = used.iter().zip(&first.judged);
     let near: Vec<RangeSample> = pairs.filter(|(_, l)| !is_far(l)).map(|(r, _)| *r).collect();
     let few = (used.len() - near.len()) as f64 <= MOST_FAR * used.len() as f64;
-    let part = Recording {
-        ranges: if few { &near } else { used },
-        ..*recording
-    };
+    let part = Recording { ranges: if few { &near } else { used }, ..*recording };
     let likelihood = |model: &Model| Ok(part.run(model, start, false, until_s)?.log_likelihood);
     let (mut best, mut most) = (*model, likelihood(model)?);
     for factor in FACTORS {

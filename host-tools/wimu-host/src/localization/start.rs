@@ -56,13 +56,8 @@ pub(super) fn candidates(
         if model.planar {
             position.z = centre.z;
         }
-        let problem = Problem {
-            anchors,
-            used,
-            model,
-            centre,
-            systematic_m: systematic_m(mean_m, model),
-        };
+        let problem =
+            Problem { anchors, used, model, centre, systematic_m: systematic_m(mean_m, model) };
         let Some(new) = problem.solve(position) else {
             continue;
         };
@@ -121,10 +116,7 @@ impl Problem<'_> {
                         direction.z = 0.0;
                     }
                     let variance = round_m.max(self.systematic_m).powi(2);
-                    let found = self
-                        .model
-                        .line_of_sight
-                        .weigh(range.range_m - distance, variance);
+                    let found = self.model.line_of_sight.weigh(range.range_m - distance, variance);
                     let weight = found.weight / variance;
                     information += direction * direction.transpose() * weight;
                     gradient += direction * (found.innovation_m * weight);
@@ -136,11 +128,7 @@ impl Problem<'_> {
             }
         }
         let deviation_m = noise_m.hypot(self.systematic_m * self.dilution(&position_m)?);
-        Some(Found {
-            position_m,
-            deviation_m,
-            log_likelihood,
-        })
+        Some(Found { position_m, deviation_m, log_likelihood })
     }
 
     /// Largest standard deviation of a component.

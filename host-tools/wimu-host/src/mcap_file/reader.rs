@@ -205,10 +205,7 @@ impl<R: Read> RecordingReader<R> {
                 let number = |key| metadata.metadata.get(key)?.parse().ok();
                 self.anchor = number("anchor_monotonic_ns")
                     .zip(number("anchor_utc_ns"))
-                    .map(|(monotonic_ns, utc_ns)| ClockAnchor {
-                        monotonic_ns,
-                        utc_ns,
-                    });
+                    .map(|(monotonic_ns, utc_ns)| ClockAnchor { monotonic_ns, utc_ns });
                 Ok(())
             }
             Record::Chunk { header, data } => {
@@ -239,10 +236,7 @@ impl<R: Read> RecordingReader<R> {
                     _ => {
                         self.wholeness.damaged_chunks += 1;
                         let host_ns = self.latest_ns;
-                        let damaged = |role: &LinkRole| Recorded::Damaged {
-                            role: *role,
-                            host_ns,
-                        };
+                        let damaged = |role: &LinkRole| Recorded::Damaged { role: *role, host_ns };
                         self.pending = self.heard.iter().map(damaged).collect();
                     }
                 }
@@ -268,34 +262,24 @@ impl<R: Read> RecordingReader<R> {
                     return Ok(());
                 };
                 let bad = || {
-                    bad_recording("a message on its topic has another type").at(format!(
-                        "{}, message {} of {role:?}",
-                        self.name, header.sequence
-                    ))
+                    bad_recording("a message on its topic has another type")
+                        .at(format!("{}, message {} of {role:?}", self.name, header.sequence))
                 };
-                let host_ns = self.anchor.map_or(header.log_time, |anchor| {
-                    anchor.to_monotonic_ns(header.log_time)
-                });
+                let host_ns = self
+                    .anchor
+                    .map_or(header.log_time, |anchor| anchor.to_monotonic_ns(header.log_time));
                 let bytes = || Ok(decode(&data).ok_or_else(bad)?.to_vec());
                 let entry = match content {
-                    Content::Received => Recorded::Received(Received {
-                        role,
-                        host_ns,
-                        bytes: bytes()?,
-                    }),
-                    Content::Sent => Recorded::Sent {
-                        role,
-                        host_ns,
-                        bytes: bytes()?,
-                    },
+                    Content::Received => {
+                        Recorded::Received(Received { role, host_ns, bytes: bytes()? })
+                    }
+                    Content::Sent => Recorded::Sent { role, host_ns, bytes: bytes()? },
                     Content::State => {
                         let text = decode_text(&data).ok_or_else(bad)?;
                         match text.strip_prefix(LOST) {
-                            Some(reason) => Recorded::Lost {
-                                role,
-                                host_ns,
-                                reason: reason.to_owned(),
-                            },
+                            Some(reason) => {
+                                Recorded::Lost { role, host_ns, reason: reason.to_owned() }
+                            }
                             None if text == DAMAGED => Recorded::Damaged { role, host_ns },
                             None => Recorded::Connected { role, host_ns },
                         }

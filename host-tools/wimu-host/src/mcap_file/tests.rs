@@ -2,10 +2,7 @@ use std::io::Cursor;
 
 use super::*;
 
-const ANCHOR: ClockAnchor = ClockAnchor {
-    monotonic_ns: 5_000,
-    utc_ns: 1_795_222_920_123_456_789,
-};
+const ANCHOR: ClockAnchor = ClockAnchor { monotonic_ns: 5_000, utc_ns: 1_795_222_920_123_456_789 };
 
 fn entry(index: u64) -> Received {
     Received {
@@ -20,9 +17,7 @@ fn record(count: u64, close: bool) -> Vec<u8> {
     let mut writer = RecordingWriter::new(Cursor::new(Vec::new()), "a.mcap", ANCHOR).unwrap();
     for index in 0..count {
         let entry = entry(index);
-        writer
-            .append(entry.role, entry.host_ns, &entry.bytes)
-            .unwrap();
+        writer.append(entry.role, entry.host_ns, &entry.bytes).unwrap();
     }
     if close {
         writer.finish().unwrap().into_inner()
@@ -63,8 +58,7 @@ fn other_readers_find_every_message_by_the_index_and_without_it() {
         writer.append(LinkRole::Cable, host_ns, &[7; 30]).unwrap();
         let log_ns = ANCHOR.to_utc_ns(host_ns);
         let file = writer.ros();
-        file.publish("/a", "std_msgs/String", log_ns, 5, &text)
-            .unwrap();
+        file.publish("/a", "std_msgs/String", log_ns, 5, &text).unwrap();
         times.extend([log_ns; 2]);
         if index % 3 == 0 {
             writer.flush().unwrap();
@@ -166,9 +160,7 @@ fn a_recording_cut_at_any_byte_reads_what_was_flushed_before() {
     let mut writer = RecordingWriter::new(Cursor::new(Vec::new()), "a.mcap", ANCHOR).unwrap();
     for index in 0..40 {
         let entry = entry(index);
-        writer
-            .append(entry.role, entry.host_ns, &entry.bytes)
-            .unwrap();
+        writer.append(entry.role, entry.host_ns, &entry.bytes).unwrap();
         if writer.last_flush_ns == Some(entry.host_ns) && index > 0 {
             let copy = record(index + 1, false);
             assert!(bytes.starts_with(&copy));
@@ -183,10 +175,7 @@ fn a_recording_cut_at_any_byte_reads_what_was_flushed_before() {
             Ok((received, wholeness)) => {
                 started = true;
                 let certain = flushed.iter().rev().find(|(end, _)| *end <= cut);
-                assert!(
-                    received.len() >= certain.map_or(0, |(_, count)| *count),
-                    "at {cut}"
-                );
+                assert!(received.len() >= certain.map_or(0, |(_, count)| *count), "at {cut}");
                 assert_eq!(received, expected[..received.len()], "at {cut}");
                 assert!(wholeness.truncated, "at {cut}");
             }
@@ -209,10 +198,7 @@ fn a_flipped_bit_costs_a_chunk_at_most_and_never_passes() {
             // Times follow the anchor, which has no CRC of its own.
             let mut rest = expected.iter();
             for entry in received {
-                assert!(
-                    rest.any(|e| e.role == entry.role && e.bytes == entry.bytes),
-                    "at {at}"
-                );
+                assert!(rest.any(|e| e.role == entry.role && e.bytes == entry.bytes), "at {at}");
             }
         }
     }
@@ -222,22 +208,15 @@ fn a_flipped_bit_costs_a_chunk_at_most_and_never_passes() {
 fn what_is_no_recording_says_so() {
     for (bytes, code) in [
         (&b""[..], ErrorCode::BadRecording),
-        (
-            b"Time (s),Accelerometer X (g)\n1,2\n",
-            ErrorCode::BadRecording,
-        ),
+        (b"Time (s),Accelerometer X (g)\n1,2\n", ErrorCode::BadRecording),
         (mcap::MAGIC, ErrorCode::BadRecording),
     ] {
         let error = read(bytes).unwrap_err();
         assert_eq!(error.code(), code, "{error}");
         assert_eq!(error.location(), Some("a.mcap"));
     }
-    let mut foreign = mcap::WriteOptions::new()
-        .create(Cursor::new(Vec::new()))
-        .unwrap();
-    let channel = foreign
-        .add_channel(0, "/other", "json", &BTreeMap::new())
-        .unwrap();
+    let mut foreign = mcap::WriteOptions::new().create(Cursor::new(Vec::new())).unwrap();
+    let channel = foreign.add_channel(0, "/other", "json", &BTreeMap::new()).unwrap();
     let header = mcap::records::MessageHeader {
         channel_id: channel,
         sequence: 0,
@@ -269,17 +248,9 @@ fn a_file_that_exists_is_not_overwritten() {
 fn what_was_sent_and_where_a_link_was_lost_reads_back_too() {
     let (role, host_ns) = (LinkRole::Wireless, 9_000);
     let entries = [
-        Recorded::Sent {
-            role,
-            host_ns,
-            bytes: vec![0, 7, 0],
-        },
+        Recorded::Sent { role, host_ns, bytes: vec![0, 7, 0] },
         Recorded::Received(entry(5)),
-        Recorded::Lost {
-            role: LinkRole::Cable,
-            host_ns,
-            reason: "pulled out, µ".to_owned(),
-        },
+        Recorded::Lost { role: LinkRole::Cable, host_ns, reason: "pulled out, µ".to_owned() },
         Recorded::Connected { role, host_ns },
     ];
     let mut writer = RecordingWriter::new(Cursor::new(Vec::new()), "a.mcap", ANCHOR).unwrap();

@@ -148,10 +148,7 @@ impl<W: Write + Seek> RecordingWriter<W> {
         let mut file = RosFile::by(concat!("wimu ", env!("CARGO_PKG_VERSION")), sink, name)?;
         let mut metadata = BTreeMap::from([
             ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
-            (
-                "anchor_monotonic_ns".to_owned(),
-                anchor.monotonic_ns.to_string(),
-            ),
+            ("anchor_monotonic_ns".to_owned(), anchor.monotonic_ns.to_string()),
             ("anchor_utc_ns".to_owned(), anchor.utc_ns.to_string()),
         ]);
         let mut channels = [(0, 0); TOPICS.len()];
@@ -166,20 +163,11 @@ impl<W: Write + Seek> RecordingWriter<W> {
             // The channel records are in the first chunk only: the ids here make the rest readable if that is damaged.
             metadata.insert(channel_key(topic), channel.0.to_string());
         }
-        let metadata = Metadata {
-            name: METADATA.to_owned(),
-            metadata,
-        };
+        let metadata = Metadata { name: METADATA.to_owned(), metadata };
         let begun =
             (file.container.write_metadata(&metadata)).and_then(|()| file.container.flush());
         begun.map_err(|error| failed(name, error))?;
-        Ok(Self {
-            file,
-            anchor,
-            channels,
-            last_flush_ns: None,
-            message: Vec::new(),
-        })
+        Ok(Self { file, anchor, channels, last_flush_ns: None, message: Vec::new() })
     }
 
     /// Appends bytes that the link of `role` received at `host_ns`, ns on the anchored monotonic clock.
@@ -205,19 +193,11 @@ impl<W: Write + Seek> RecordingWriter<W> {
             Recorded::Received(received) => {
                 self.append(received.role, received.host_ns, &received.bytes)
             }
-            Recorded::Sent {
-                role,
-                host_ns,
-                bytes,
-            } => {
+            Recorded::Sent { role, host_ns, bytes } => {
                 encode(bytes, &mut message);
                 self.write(*role, Content::Sent, *host_ns, &message)
             }
-            Recorded::Lost {
-                role,
-                host_ns,
-                reason,
-            } => {
+            Recorded::Lost { role, host_ns, reason } => {
                 encode_text(&format!("{LOST}{reason}"), &mut message);
                 self.write(*role, Content::State, *host_ns, &message)
             }
@@ -244,12 +224,8 @@ impl<W: Write + Seek> RecordingWriter<W> {
         let (channel, sequence) = self.channels[index];
         self.channels[index].1 = sequence.wrapping_add(1);
         let log_time = self.anchor.to_utc_ns(host_ns);
-        let header = MessageHeader {
-            channel_id: channel,
-            sequence,
-            log_time,
-            publish_time: log_time,
-        };
+        let header =
+            MessageHeader { channel_id: channel, sequence, log_time, publish_time: log_time };
         self.file.write(&header, message)?;
         self.tick(host_ns)
     }

@@ -64,37 +64,20 @@ fn expected(numbers: std::ops::Range<u32>, corrected: bool) -> Vec<(u32, bool, b
 fn a_sample_is_read_once_where_its_raw_twin_comes_before_the_settings_are_known() {
     let (raw, corrected) = (Stream::Raw, Stream::Corrected);
     // A board that was asked who it is a moment ago does not tell its settings again.
-    let without = [
-        epoch(),
-        samples(raw, 0),
-        samples(corrected, 0),
-        samples(raw, 16),
-        samples(corrected, 16),
-    ];
+    let without =
+        [epoch(), samples(raw, 0), samples(corrected, 0), samples(raw, 16), samples(corrected, 16)];
     assert_eq!(read(&without), expected(0..32, true));
-    let with = [
-        epoch(),
-        samples(raw, 0),
-        settings(true),
-        samples(corrected, 0),
-    ];
+    let with = [epoch(), samples(raw, 0), settings(true), samples(corrected, 0)];
     assert_eq!(read(&with), expected(0..16, true));
 }
 
 #[test]
 fn raw_samples_are_read_once_nothing_corrected_comes() {
     let raw = |count: u32| (0..count).map(|batch| samples(Stream::Raw, 16 * batch));
-    let told: Vec<_> = [epoch(), settings(false)]
-        .into_iter()
-        .chain(raw(1))
-        .collect();
+    let told: Vec<_> = [epoch(), settings(false)].into_iter().chain(raw(1)).collect();
     assert_eq!(read(&told), expected(0..16, false));
     // Held until the settings tell.
-    let later: Vec<_> = [epoch()]
-        .into_iter()
-        .chain(raw(1))
-        .chain([settings(false)])
-        .collect();
+    let later: Vec<_> = [epoch()].into_iter().chain(raw(1)).chain([settings(false)]).collect();
     assert_eq!(read(&later), expected(0..16, false));
     // Nothing tells: two of the longest batches are waited for.
     let untold = |count| read(&[epoch()].into_iter().chain(raw(count)).collect::<Vec<_>>());

@@ -58,11 +58,7 @@ impl Traffic {
             self.note(arrival);
         }
         let raw = heard.statistics.raw;
-        let of_stream = if raw.received > 0 {
-            raw
-        } else {
-            heard.statistics.corrected
-        };
+        let of_stream = if raw.received > 0 { raw } else { heard.statistics.corrected };
         if let Some(last) = heard.arrivals.last() {
             self.count(last.host_ns, of_stream.received, heard.statistics.bytes);
         }
@@ -94,13 +90,8 @@ impl Traffic {
     fn count(&mut self, host_ns: u64, samples: u64, bytes: u64) {
         let before = std::mem::replace(&mut self.before, (samples, bytes));
         let since = |now: u64, before: u64| now.saturating_sub(before);
-        self.received
-            .push_back((host_ns, since(samples, before.0), since(bytes, before.1)));
-        while self
-            .received
-            .front()
-            .is_some_and(|(at, ..)| at + SPAN_NS < host_ns)
-        {
+        self.received.push_back((host_ns, since(samples, before.0), since(bytes, before.1)));
+        while self.received.front().is_some_and(|(at, ..)| at + SPAN_NS < host_ns) {
             self.received.pop_front();
         }
     }

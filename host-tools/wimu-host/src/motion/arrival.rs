@@ -33,12 +33,7 @@ pub fn sampled_times(times_s: &[f64]) -> Option<Vec<f64>> {
     let slope = |w: &[f64]| (w[PERIOD_SAMPLES] - w[0]) / PERIOD_SAMPLES as f64;
     let about_s = median(times_s.windows(PERIOD_SAMPLES + 1).map(slope))?;
     let parts = parts(times_s, about_s);
-    Some(
-        parts
-            .into_iter()
-            .flat_map(|part| of_part(&times_s[part], about_s))
-            .collect(),
-    )
+    Some(parts.into_iter().flat_map(|part| of_part(&times_s[part], about_s)).collect())
 }
 
 /// The times of samples without a loss among them.
@@ -137,9 +132,8 @@ mod tests {
     fn even_times_and_a_change_of_rate_are_kept() {
         let even: Vec<f64> = (0..900).map(|k| f64::from(k) * 0.01).collect();
         assert_eq!(sampled_times(&even), None);
-        let changed: Vec<f64> = (0..900)
-            .map(|k| f64::from(k) * 0.01 + f64::from((k - 800).max(0)) * 0.01)
-            .collect();
+        let changed: Vec<f64> =
+            (0..900).map(|k| f64::from(k) * 0.01 + f64::from((k - 800).max(0)) * 0.01).collect();
         assert_eq!(sampled_times(&changed), None);
     }
 }

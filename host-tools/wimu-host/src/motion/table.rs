@@ -75,22 +75,15 @@ impl MotionRecording {
                 )
                 .at(name));
         }
-        let [rate, field, temperature] = [
-            Quantity::AngularRate,
-            Quantity::MagneticField,
-            Quantity::Temperature,
-        ]
-        .map(beside);
+        let [rate, field, temperature] =
+            [Quantity::AngularRate, Quantity::MagneticField, Quantity::Temperature].map(beside);
         let truth = |quantity| {
             let mut tracks = recording.of(quantity);
             tracks.find(|track| track.info.origin == Origin::Truth)
         };
         let (position, attitude) = (truth(Quantity::Position), truth(Quantity::Attitude));
         let scalars: Vec<&Track> = recording.of(Quantity::Scalar).collect();
-        let calibrated = scalars
-            .iter()
-            .find(|t| t.info.name == FIELD_CALIBRATED)
-            .copied();
+        let calibrated = scalars.iter().find(|t| t.info.name == FIELD_CALIBRATED).copied();
         let mut motion = Self {
             name: name.to_owned(),
             findings: recording.relevant(&[FindingCode::RowsMasked]),
@@ -100,10 +93,7 @@ impl MotionRecording {
             }),
             of_sessions: stored.is_some_and(|stored| stored.of_sessions),
             full_scale_mps2: force.info.full_scale,
-            other: scalars
-                .iter()
-                .map(|track| (track.info.name.clone(), Vec::new()))
-                .collect(),
+            other: scalars.iter().map(|track| (track.info.name.clone(), Vec::new())).collect(),
             ..Self::default()
         };
         motion.findings.extend(stored.map(finding));
@@ -118,9 +108,7 @@ impl MotionRecording {
         for (row, time_ns) in force.times_ns().iter().copied().enumerate() {
             let time_s = time_ns as f64 * 1e-9;
             // A masked row of numbers is out of order, and has no place in the sequence.
-            let is_finite = force
-                .row(row)
-                .is_some_and(|v| v.iter().all(|c| c.is_finite()));
+            let is_finite = force.row(row).is_some_and(|v| v.iter().all(|c| c.is_finite()));
             if is_finite && !force.mask()[row] {
                 continue;
             }
@@ -128,21 +116,16 @@ impl MotionRecording {
             let celsius = temperatures.as_mut().and_then(|t| t.latest(row, time_ns));
             let f = correction.force(output, celsius.map(|row| row[0]));
             let rate_rad_s = rates.as_mut().and_then(|t| t.at(row, time_ns));
-            let rate_rad_s = rate_rad_s
-                .zip(rate)
-                .map(|(value, track)| match track.info.unit {
-                    Unit::Counts { si_per_lsb } => {
-                        let scale = own_rate.map(|gyroscope| gyroscope.rad_s_per_lsb);
-                        correction.rate(value, scale.or(si_per_lsb).unwrap_or(f64::NAN), f)
-                    }
-                    _ if track.info.corrected => value,
-                    _ => correction.rate(value, 1.0, f),
-                });
+            let rate_rad_s = rate_rad_s.zip(rate).map(|(value, track)| match track.info.unit {
+                Unit::Counts { si_per_lsb } => {
+                    let scale = own_rate.map(|gyroscope| gyroscope.rad_s_per_lsb);
+                    correction.rate(value, scale.or(si_per_lsb).unwrap_or(f64::NAN), f)
+                }
+                _ if track.info.corrected => value,
+                _ => correction.rate(value, 1.0, f),
+            });
             let tesla = vector(fields.as_mut().and_then(|t| t.latest(row, time_ns)));
-            let flag = flags
-                .as_mut()
-                .and_then(|t| t.latest(row, time_ns))
-                .map(|row| row[0] != 0.0);
+            let flag = flags.as_mut().and_then(|t| t.latest(row, time_ns)).map(|row| row[0] != 0.0);
             let field_ut = tesla.and_then(|tesla| correction.field(tesla, flag));
             motion.field_uncalibrated |= tesla.is_some() && field_ut.is_none();
             motion.samples.push(UnitSample {
@@ -175,10 +158,8 @@ impl MotionRecording {
 
 fn without_unit(recording: &Recording) -> HostError {
     let of_gravity = |finding: &&Finding| finding.code == FindingCode::GravityMissing;
-    let names: Vec<&str> = recording
-        .of(Quantity::SpecificForce)
-        .map(|track| track.info.name.as_str())
-        .collect();
+    let names: Vec<&str> =
+        recording.of(Quantity::SpecificForce).map(|track| track.info.name.as_str()).collect();
     let error = match (recording.findings.iter().find(of_gravity), names.len()) {
         (Some(missing), 0) => {
             ErrorCode::DataRefused.error(missing.evidence.clone(), missing.remedy.clone())
@@ -204,10 +185,7 @@ fn finding(stored: &StoredModel) -> Finding {
     let [x, y, z] = stored.model.terms().bias_mps2;
     let sd_mps2 = stored.bias_sd_mps2();
     let known = if sd_mps2 > 0.0 {
-        format!(
-            ", which with scale and axes it knows to ± {:.4} m/s²",
-            sd_mps2
-        )
+        format!(", which with scale and axes it knows to ± {:.4} m/s²", sd_mps2)
     } else {
         String::new()
     };

@@ -31,10 +31,7 @@ pub(super) fn contradicted(sensors: &[Sensor]) -> Result<()> {
     let is_same = |pair: &&[Sensor]| pair[0].series.values == pair[1].series.values;
     if let Some([a, b]) = sensors.windows(2).find(is_same) {
         return Err(ErrorCode::DataRefused.error(
-            format!(
-                "accelerometers {} and {} have the same samples",
-                a.sensor, b.sensor
-            ),
+            format!("accelerometers {} and {} have the same samples", a.sensor, b.sensor),
             "name the files of different accelerometers",
         ));
     }
@@ -57,9 +54,8 @@ pub(super) fn contradicted(sensors: &[Sensor]) -> Result<()> {
 
 /// What was merged.
 pub(super) fn summary(sensors: &[MergedSensor]) -> Finding {
-    let names: Vec<String> = (sensors.iter())
-        .map(|sensor| name(sensor.sensor, sensor.full_scale_mps2))
-        .collect();
+    let names: Vec<String> =
+        (sensors.iter()).map(|sensor| name(sensor.sensor, sensor.full_scale_mps2)).collect();
     let stands_in = sensors.iter().filter(|sensor| sensor.relative.is_some());
     let stands_in: Vec<String> = stands_in
         .map(|sensor| format!("{} in {} samples", sensor.sensor, sensor.stands_in))
@@ -136,10 +132,7 @@ pub(super) fn judged(finest: &Sensor, coarse: &Sensor, fit: &Fit) -> Result<Vec<
     }
     let clock = &fit.clock;
     if clock.drift.abs() > (SEEN * clock.drift_sd).max(FAST) {
-        let (ppm, side) = (
-            1e6 * clock.drift,
-            if clock.drift > 0.0 { "fast" } else { "slow" },
-        );
+        let (ppm, side) = (1e6 * clock.drift, if clock.drift > 0.0 { "fast" } else { "slow" });
         findings.push(FindingCode::Clock.warning(format!(
             "the clock of accelerometer {fit_name} is {:.0} ppm {side}: corrected",
             ppm.abs()

@@ -68,10 +68,7 @@ impl Clock {
     /// The samples at the times at which they were taken.
     pub fn corrected(&self, coarse: &Series) -> Series {
         let times = coarse.times_s.iter();
-        Series {
-            times_s: times.map(|time| time - self.lag_s(*time)).collect(),
-            ..coarse.clone()
-        }
+        Series { times_s: times.map(|time| time - self.lag_s(*time)).collect(), ..coarse.clone() }
     }
 
     /// Variance of the time of a sample, s².
@@ -86,11 +83,7 @@ impl Fine<'_> {
     fn clean(&self, k: usize) -> Option<Vector3<f64>> {
         let around = self.readings.get(k.checked_sub(1)?..k + 2)?;
         let is_measured = |reading: &Reading| matches!(reading, Reading::Measured(..));
-        around
-            .as_flattened()
-            .iter()
-            .all(is_measured)
-            .then_some(())?;
+        around.as_flattened().iter().all(is_measured).then_some(())?;
         Some(self.value(k))
     }
 
@@ -129,17 +122,11 @@ impl Fine<'_> {
             }
             let model = self.model(&pairs)?;
             let left = |pair: &Pair| pair.coarse - model.bias_mps2 - model.matrix * pair.fine;
-            let squares = pairs
-                .iter()
-                .map(|pair| left(pair).norm_squared() / pair.variance);
+            let squares = pairs.iter().map(|pair| left(pair).norm_squared() / pair.variance);
             let misfit = squares.sum::<f64>() / (3 * pairs.len()) as f64;
             let slope = |pair: &Pair| (model.matrix * self.jerk(pair.k), left(pair));
-            let change_s = self.step(
-                &mut clock,
-                start_s,
-                misfit,
-                pairs.iter().map(|p| (p, slope(p))),
-            )?;
+            let change_s =
+                self.step(&mut clock, start_s, misfit, pairs.iter().map(|p| (p, slope(p))))?;
             if change_s < EXACT_S || pass == PASSES {
                 let motion = variance(pairs.iter().map(|pair| pair.coarse));
                 let residual = variance(pairs.iter().map(left));
@@ -251,8 +238,7 @@ impl Fine<'_> {
         let lags = (-steps..=steps).map(|step| f64::from(step) * SEARCH_STEP_S);
         let best = lags.map(|lag| (correlation(lag), lag));
         let best = best.max_by(|a, b| a.0.total_cmp(&b.0));
-        best.filter(|(score, _)| *score > 0.5)
-            .map_or(0.0, |(_, lag)| lag)
+        best.filter(|(score, _)| *score > 0.5).map_or(0.0, |(_, lag)| lag)
     }
 }
 
@@ -295,10 +281,7 @@ fn quartile(values: impl Iterator<Item = f64>) -> f64 {
 fn variance(values: impl Iterator<Item = Vector3<f64>> + Clone) -> f64 {
     let count = values.clone().count().max(1) as f64;
     let mean = values.clone().sum::<Vector3<f64>>() / count;
-    values
-        .map(|value| (value - mean).norm_squared())
-        .sum::<f64>()
-        / count
+    values.map(|value| (value - mean).norm_squared()).sum::<f64>() / count
 }
 
 fn correlation(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {

@@ -26,9 +26,7 @@ impl Unusable {
             self.not_finite += 1;
             self.first_not_finite_ns.get_or_insert(time_ns);
         }
-        let latest_ns = self
-            .latest_ns
-            .filter(|latest| in_order && time_ns < *latest);
+        let latest_ns = self.latest_ns.filter(|latest| in_order && time_ns < *latest);
         if let Some(latest_ns) = latest_ns {
             self.early += usize::from(is_valid);
             self.first_early_ns.get_or_insert(latest_ns);
@@ -60,9 +58,7 @@ impl Unusable {
                 counted(self.not_finite, "row"),
                 since_s(first)
             );
-            let finding = FindingCode::RowsMasked
-                .warning(evidence)
-                .remedy("they are left out");
+            let finding = FindingCode::RowsMasked.warning(evidence).remedy("they are left out");
             findings.push(finding.of_sensor(info.sensor));
         }
         let is_reported = |finding: &Finding| finding.code == FindingCode::TimesUnordered;

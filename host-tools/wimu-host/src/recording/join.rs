@@ -20,10 +20,7 @@ impl Recording {
     /// # Errors
     /// `data_refused` when the nominal sensitivity differs.
     pub fn prepend(&mut self, earlier: &Self) -> Result<()> {
-        let ends = earlier
-            .tracks
-            .iter()
-            .filter_map(|t| t.times_ns.iter().max());
+        let ends = earlier.tracks.iter().filter_map(|t| t.times_ns.iter().max());
         let (Some(begin), Some(end)) = (self.start_ns(), ends.max()) else {
             return Ok(());
         };
@@ -34,10 +31,7 @@ impl Recording {
             let Some(before) = earlier.tracks.iter().find(same) else {
                 continue;
             };
-            if scale(before)
-                .zip(scale(track))
-                .is_some_and(|(a, b)| (a / b - 1.0).abs() > 1e-6)
-            {
+            if scale(before).zip(scale(track)).is_some_and(|(a, b)| (a / b - 1.0).abs() > 1e-6) {
                 let error = ErrorCode::DataRefused.error(
                     "the earlier poses were captured at another range",
                     "set the range back with `wimu settings set`, or start again without --resume",
@@ -46,13 +40,7 @@ impl Recording {
             }
             let rows = before.len();
             let gaps = track.gaps.iter().map(|gap| gap + rows);
-            track.gaps = before
-                .gaps
-                .iter()
-                .copied()
-                .chain([rows])
-                .chain(gaps)
-                .collect();
+            track.gaps = before.gaps.iter().copied().chain([rows]).chain(gaps).collect();
             track.times_ns.splice(0..0, before.times_ns.iter().copied());
             track.values.splice(0..0, before.values.iter().copied());
             track.valid.splice(0..0, before.valid.iter().copied());
@@ -74,9 +62,7 @@ impl Recording {
             return Err(error.at(&other.name));
         };
         let mut track = track.clone();
-        let last = self
-            .of(Quantity::SpecificForce)
-            .map(|track| track.info.sensor);
+        let last = self.of(Quantity::SpecificForce).map(|track| track.info.sensor);
         track.info.sensor = last.max().map_or(0, |last| last.saturating_add(1));
         self.tracks.push(track);
         Ok(())
@@ -151,14 +137,9 @@ mod tests {
     /// Rows of counts at 100 Hz from `first` on, at a scale, with angular rates and a temperature.
     fn recording(first: i32, rows: i32, si_per_lsb: f64) -> Recording {
         let mut recording = Recording::new("made");
-        let unit = |scale| Unit::Counts {
-            si_per_lsb: Some(scale),
-        };
-        let force = recording.track(TrackInfo::new(
-            "raw",
-            Quantity::SpecificForce,
-            unit(si_per_lsb),
-        ));
+        let unit = |scale| Unit::Counts { si_per_lsb: Some(scale) };
+        let force =
+            recording.track(TrackInfo::new("raw", Quantity::SpecificForce, unit(si_per_lsb)));
         let rate = recording.track(TrackInfo::new("raw", Quantity::AngularRate, unit(0.001)));
         let temperature = recording.track(TrackInfo::new("t", Quantity::Temperature, Unit::Si));
         recording.row(temperature, 0, &[21.5]);

@@ -128,9 +128,7 @@ impl<'a> LinkRows<'a> {
         name: &str,
     ) -> Result<()> {
         let boot = part.boot;
-        let tracks = self
-            .tracks
-            .get_or_insert_with(|| Tracks::of(boot, self.sink));
+        let tracks = self.tracks.get_or_insert_with(|| Tracks::of(boot, self.sink));
         one_range(boot, tracks, name)?;
         let begin_us = *self.begin.1.get_or_insert(first_us);
         let begin_ns = self.begin.0;
@@ -165,8 +163,7 @@ impl<'a> LinkRows<'a> {
             self.next_sequence = Some(sample.sequence.wrapping_add(1));
             let time = time_ns(sample.time.0);
             self.latest_ns = time;
-            self.sink
-                .row(tracks.force, time, &sample.value.map(f64::from));
+            self.sink.row(tracks.force, time, &sample.value.map(f64::from));
             if let (Some(track), Some(value)) = (tracks.rate, sample.rate) {
                 self.sink.row(track, time, &value.map(f64::from));
             }
@@ -215,14 +212,7 @@ impl Tracks {
         let rate = has_gyroscope.then(|| sink.track(rate));
         let [field, temperature] = [Quantity::MagneticField, Quantity::Temperature]
             .map(|quantity| sink.track(TrackInfo::new("environment", quantity, Unit::Si)));
-        Self {
-            range_g,
-            rate_hz,
-            force,
-            rate,
-            field,
-            temperature,
-        }
+        Self { range_g, rate_hz, force, rate, field, temperature }
     }
 }
 

@@ -153,9 +153,8 @@ impl Recording {
                 same && info.origin == Origin::Sensor && !info.corrected
             })
         };
-        let weights = self
-            .of(Quantity::Scalar)
-            .find(|track| selection.poses && track.info.name == "Samples");
+        let weights =
+            self.of(Quantity::Scalar).find(|track| selection.poses && track.info.name == "Samples");
         if let Some(track) = weights {
             let is_count = |value: &f64| value.trunc() == *value && (1.0..=4e9).contains(value);
             let whole = track.valid().filter(|(_, row)| is_count(&row[0])).count();
@@ -189,9 +188,8 @@ impl Recording {
     /// The accelerometer with this index, or the only one.
     pub(crate) fn accelerometer(&self, wanted: Option<u8>) -> Result<&Track> {
         let forces = self.of(Quantity::SpecificForce);
-        let mut all: Vec<&Track> = forces
-            .filter(|track| track.info.origin == Origin::Sensor)
-            .collect();
+        let mut all: Vec<&Track> =
+            forces.filter(|track| track.info.origin == Origin::Sensor).collect();
         // Corrected samples only where there are no others.
         if all.iter().any(|track| !track.info.corrected) {
             all.retain(|track| !track.info.corrected);
@@ -225,10 +223,7 @@ impl Recording {
             let names: Vec<&str> = all.iter().map(|t| t.info.name.as_str()).collect();
             return fail(
                 ErrorCode::Usage,
-                format!(
-                    "several accelerometers have the same number: {}",
-                    names.join(", ")
-                ),
+                format!("several accelerometers have the same number: {}", names.join(", ")),
                 "give one file of the folder or archive, or choose with --topic".to_owned(),
             );
         }
@@ -237,11 +232,9 @@ impl Recording {
         let gravity = |finding: &&Finding| finding.code == FindingCode::GravityMissing;
         match (all.as_slice(), wanted, of_sensor.first()) {
             ([], ..) => match self.findings.iter().find(gravity) {
-                Some(missing) => fail(
-                    ErrorCode::NoRows,
-                    missing.evidence.clone(),
-                    missing.remedy.clone(),
-                ),
+                Some(missing) => {
+                    fail(ErrorCode::NoRows, missing.evidence.clone(), missing.remedy.clone())
+                }
                 None => fail(
                     ErrorCode::NoRows,
                     "there is no accelerometer in it".to_owned(),
@@ -396,9 +389,7 @@ impl<'a> Samples<'a> {
         let rows = self.rows.iter().zip(self.values()).enumerate();
         rows.map(|(index, (row, value))| {
             let now_s = self.since_start_s(index);
-            let rate = rates
-                .at(*row, self.force.times_ns[*row])
-                .unwrap_or([f64::NAN; 3]);
+            let rate = rates.at(*row, self.force.times_ns[*row]).unwrap_or([f64::NAN; 3]);
             SixAxisSample {
                 step_s: now_s - std::mem::replace(&mut last_s, now_s),
                 rate_rad_s: rate.map(|axis| axis * rad_s),
@@ -455,15 +446,14 @@ impl<'a> Samples<'a> {
     /// Temperatures that are missing or outside the range of the calibration `set`.
     pub(crate) fn temperature_finding(&self, set: &ParameterSet) -> Option<Finding> {
         let terms = set.model.terms().temperature;
-        let moves = TemperatureTerms {
-            reference_c: TemperatureTerms::default().reference_c,
-            ..terms
-        } != TemperatureTerms::default();
+        let moves =
+            TemperatureTerms { reference_c: TemperatureTerms::default().reference_c, ..terms }
+                != TemperatureTerms::default();
         let known = self.temperature.into_iter().flat_map(Track::valid);
-        let (lowest, highest) = known.fold(
-            (f64::INFINITY, f64::NEG_INFINITY),
-            |(low, high), (_, row)| (low.min(row[0]), high.max(row[0])),
-        );
+        let (lowest, highest) = known
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (_, row)| {
+                (low.min(row[0]), high.max(row[0]))
+            });
         if lowest > highest {
             return moves.then(|| {
                 FindingCode::Temperature.warning(format!(
@@ -490,8 +480,7 @@ impl<'a> Samples<'a> {
         let with_gaps = || {
             self.iter().zip(forces).flat_map(|(output, force)| {
                 let gap = output.after_gap.then_some(([f64::NAN; 3], None));
-                gap.into_iter()
-                    .chain(iter::once((*force, output.temperature_c)))
+                gap.into_iter().chain(iter::once((*force, output.temperature_c)))
             })
         };
         let mut rests = vec![Pose::default(); USUAL_RESTS];
@@ -502,12 +491,7 @@ impl<'a> Samples<'a> {
         }
         rests.truncate(found);
         // Indices of the NaNs in the sequence given to the detector.
-        let gaps: Vec<usize> = self
-            .gaps
-            .iter()
-            .enumerate()
-            .map(|(k, gap)| gap + k)
-            .collect();
+        let gaps: Vec<usize> = self.gaps.iter().enumerate().map(|(k, gap)| gap + k).collect();
         for rest in &mut rests {
             let counted = rest.first_sample as usize;
             let first = counted - gaps.partition_point(|gap| *gap < counted);
@@ -540,8 +524,6 @@ impl<'a> Samples<'a> {
                 error.at(self.name)
             })
         };
-        self.values()
-            .map(|[x, y, z]| Ok(Counts([count(x)?, count(y)?, count(z)?])))
-            .collect()
+        self.values().map(|[x, y, z]| Ok(Counts([count(x)?, count(y)?, count(z)?]))).collect()
     }
 }

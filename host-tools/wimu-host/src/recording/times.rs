@@ -32,10 +32,7 @@ impl RowTimes<'_> {
 
     /// The median step, ns, if steps of about its length are most of the time, which is not so in bursts.
     fn usual_step_ns(&self) -> Option<f64> {
-        let steps = self
-            .0
-            .windows(2)
-            .map(|pair| pair[1].saturating_sub(pair[0]));
+        let steps = self.0.windows(2).map(|pair| pair[1].saturating_sub(pair[0]));
         let mut steps: Vec<i64> = steps.filter(|step| (0..=BREAK_NS).contains(step)).collect();
         steps.sort_unstable();
         let median = *steps.get(steps.len() / 2)?;
@@ -70,9 +67,7 @@ impl RowTimes<'_> {
                 let before = row.saturating_sub(REACH)..*row;
                 let after = *row..times.len().min(row + REACH);
                 let latest = before.map(|k| delay(k, row - 1)).fold(0.0, f64::max);
-                let earliest = after
-                    .map(|k| delay(k, row - 1))
-                    .fold(f64::INFINITY, f64::min);
+                let earliest = after.map(|k| delay(k, row - 1)).fold(f64::INFINITY, f64::min);
                 earliest - latest >= MIN_MISSING * period
             })
             .collect()
@@ -110,13 +105,7 @@ mod tests {
         let seconds = (0..4000).map(|k| k / 100 * 1000);
         assert!(of(seconds).1.is_empty(), "seconds");
         // A reader that was held up and then made up for it.
-        let held_up = (0..1000).map(|k| {
-            if (500..540).contains(&k) {
-                5400
-            } else {
-                10 * k
-            }
-        });
+        let held_up = (0..1000).map(|k| if (500..540).contains(&k) { 5400 } else { 10 * k });
         assert!(of(held_up).1.is_empty(), "held_up");
         let slower = (0..2000).map(|k| if k < 1000 { 5 * k } else { 10 * k - 5000 });
         assert!(of(slower).1.is_empty(), "slower");

@@ -42,11 +42,7 @@ pub struct Clock {
 pub(super) fn coarse(units: &[Unit; 2]) -> Result<(Clock, Vec<Finding>)> {
     let [[a0, a1], [b0, b1]] = [units[0].span_s(), units[1].span_s()];
     let overlap_s = a1.min(b1) - a0.max(b0);
-    let as_recorded = Clock {
-        offset_s: 0.0,
-        sd_s: COMMON_SD_S,
-        measured_s: None,
-    };
+    let as_recorded = Clock { offset_s: 0.0, sd_s: COMMON_SD_S, measured_s: None };
     let lag = lag(units, NEAR_S).filter(|lag| lag.best >= CORRELATION);
     let lag = lag.filter(|lag| lag.offset_s.abs() > NEAR_S);
     let common = overlap_s >= LEAST_OVERLAP_S;
@@ -55,11 +51,8 @@ pub(super) fn coarse(units: &[Unit; 2]) -> Result<(Clock, Vec<Finding>)> {
             if lag.best - lag.second >= LEAD
                 && (!common || lag.best - lag.as_recorded >= LEAD_AS_RECORDED) =>
         {
-            let clock = Clock {
-                offset_s: lag.offset_s,
-                sd_s: STEP_S,
-                measured_s: Some(lag.offset_s),
-            };
+            let clock =
+                Clock { offset_s: lag.offset_s, sd_s: STEP_S, measured_s: Some(lag.offset_s) };
             let evidence = format!(
                 "the clock of the second unit is {:+.2} s behind (correlation of the angular rates {:.2}, as recorded {:.2}): corrected",
                 lag.offset_s,
@@ -67,10 +60,7 @@ pub(super) fn coarse(units: &[Unit; 2]) -> Result<(Clock, Vec<Finding>)> {
                 lag.as_recorded.max(-1.0)
             );
             let remedy = "where the clocks are common, the joint moved too little to tell: move both bodies together once";
-            Ok((
-                clock,
-                vec![FindingCode::Clock.warning(evidence).remedy(remedy)],
-            ))
+            Ok((clock, vec![FindingCode::Clock.warning(evidence).remedy(remedy)]))
         }
         _ if common => Ok((as_recorded, Vec::new())),
         _ => Err(ErrorCode::DataRefused.error(
@@ -95,9 +85,7 @@ pub(super) fn refined(
             let mut all = steps(units, clock.offset_s + f64::from(k) * STEP_S);
             let end_s = all.first().map_or(0.0, |step| step.time_s + REFINED_S);
             all.retain(|step| step.time_s <= end_s);
-            let log_likelihood = engine::run(&all, start, model)
-                .map_err(internal)?
-                .log_likelihood;
+            let log_likelihood = engine::run(&all, start, model).map_err(internal)?.log_likelihood;
             // Runs of different lengths have different numbers of updates.
             count = all.len().max(1) as f64;
             found.push(log_likelihood / count);

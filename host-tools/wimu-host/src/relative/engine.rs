@@ -116,28 +116,19 @@ impl Engine {
         self.since_joint_s += step.step_s;
         if self.since_joint_s >= JOINT_S && step.measured {
             self.since_joint_s = 0.0;
-            let point = CommonPoint {
-                lever_arms: blocks.arms,
-                deviation_m: PLAY_M,
-            };
+            let point = CommonPoint { lever_arms: blocks.arms, deviation_m: PLAY_M };
             let found = filter.update(&point, Gate::Open);
             self.log_likelihood += found.log_likelihood;
             self.joint[0] += found.statistic;
             self.joint[1] += found.dof as f64;
             if self.model.hinge.is_some() {
-                let axis = CommonAxis {
-                    axes: blocks.axes,
-                    deviation_rad: PLAY_RAD,
-                };
+                let axis = CommonAxis { axes: blocks.axes, deviation_rad: PLAY_RAD };
                 self.log_likelihood += filter.update(&axis, Gate::Open).log_likelihood;
             }
         }
         if let Some(field_ut) = step.field_ut.filter(|_| self.model.fields) {
-            let field = CommonField {
-                field_ut,
-                difference: blocks.field,
-                noise_ut: FIELD_NOISE_UT,
-            };
+            let field =
+                CommonField { field_ut, difference: blocks.field, noise_ut: FIELD_NOISE_UT };
             self.log_likelihood += filter.update(&field, Gate::Open).log_likelihood;
         }
         let rate =
@@ -179,10 +170,8 @@ fn begun(
         layout.claim(Role::Estimated, [LEVER_ARM_M; 3])?,
         layout.claim(Role::Estimated, [LEVER_ARM_M; 3])?,
     ];
-    let axes = [
-        layout.claim(Role::Considered, [0.0; 3])?,
-        layout.claim(Role::Considered, [0.0; 3])?,
-    ];
+    let axes =
+        [layout.claim(Role::Considered, [0.0; 3])?, layout.claim(Role::Considered, [0.0; 3])?];
     let field = layout.claim(Role::Estimated, [FIELD_DIFFERENCE_UT; 3])?;
     let mut filter = Filter::new(&layout, start);
     if let Some(hinge) = &model.hinge {
@@ -194,15 +183,7 @@ fn begun(
             filter.set_covariance(block, &(across * variance));
         }
     }
-    Ok((
-        filter,
-        Blocks {
-            motion,
-            arms,
-            axes,
-            field,
-        },
-    ))
+    Ok((filter, Blocks { motion, arms, axes, field }))
 }
 
 fn predict(

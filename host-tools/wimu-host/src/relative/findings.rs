@@ -68,10 +68,8 @@ pub(super) fn after(found: &RelativePath) -> Vec<Finding> {
         findings.push(FindingCode::Residuals.warning(evidence).remedy(remedy));
     }
     if sigma_rad > ANGLE_RAD {
-        let evidence = format!(
-            "the angle is known to {:.1}° only (1 σ, median)",
-            sigma_rad.to_degrees()
-        );
+        let evidence =
+            format!("the angle is known to {:.1}° only (1 σ, median)", sigma_rad.to_degrees());
         let remedy = "rest for some seconds and swing the joint in several directions, or use --magnetometers";
         findings.push(FindingCode::NotObserved.warning(evidence).remedy(remedy));
     }
@@ -103,18 +101,13 @@ pub(super) fn ambiguous() -> Finding {
 /// No field in both.
 pub(super) fn without_field(recordings: [&MotionRecording; 2]) -> Finding {
     let reason = recordings.map(MotionRecording::without_field);
-    FindingCode::MagneticField.warning(format!(
-        "the magnetometers are not used: {}; {}",
-        reason[0], reason[1]
-    ))
+    FindingCode::MagneticField
+        .warning(format!("the magnetometers are not used: {}; {}", reason[0], reason[1]))
 }
 
 /// The joint did not move.
 pub(super) fn no_motion(poses: &[Pose]) -> HostError {
-    let largest = poses
-        .iter()
-        .map(|pose| relative(pose).norm())
-        .fold(0.0, f64::max);
+    let largest = poses.iter().map(|pose| relative(pose).norm()).fold(0.0, f64::max);
     ErrorCode::DataRefused.error(
         format!(
             "the joint hardly moves (largest relative rate {:.1} deg/s): its axis is not known",
@@ -126,8 +119,6 @@ pub(super) fn no_motion(poses: &[Pose]) -> HostError {
 
 /// The filter has no answer.
 pub(super) fn no_answer() -> HostError {
-    ErrorCode::DataRefused.error(
-        "no rotation explains the samples",
-        "check units and axes of both recordings",
-    )
+    ErrorCode::DataRefused
+        .error("no rotation explains the samples", "check units and axes of both recordings")
 }

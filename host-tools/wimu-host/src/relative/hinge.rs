@@ -38,12 +38,7 @@ impl Hinge {
     /// A given axis, the same in the axes of both units.
     pub(super) fn given(axis: [f64; 3]) -> Option<Self> {
         let axis = Vector3::from(axis).try_normalize(1e-9)?;
-        Some(Self {
-            axes: [axis.into(); 2],
-            sd_rad: [GIVEN_RAD; 2],
-            given: true,
-            across: 0.0,
-        })
+        Some(Self { axes: [axis.into(); 2], sd_rad: [GIVEN_RAD; 2], given: true, across: 0.0 })
     }
 
     /// The principal direction of the relative rate. `None` where the joint does not move.
@@ -56,24 +51,13 @@ impl Hinge {
         if moving_s < CORRELATED_S {
             return None;
         }
-        let theta_rad = median(
-            moving
-                .iter()
-                .map(|pose| (pose.covariance.trace() / 3.0).sqrt()),
-        )?;
+        let theta_rad = median(moving.iter().map(|pose| (pose.covariance.trace() / 3.0).sqrt()))?;
         let (first, across) = principal(moving.iter().map(|pose| relative(pose)))?;
-        let second = principal(
-            moving
-                .iter()
-                .map(|pose| pose.attitude.inverse() * relative(pose)),
-        )?
-        .0;
+        let second =
+            principal(moving.iter().map(|pose| pose.attitude.inverse() * relative(pose)))?.0;
         // The largest component of the first unit's axis is positive.
         let first = first * first[first.iamax()].signum();
-        let agrees: f64 = moving
-            .iter()
-            .map(|pose| (pose.attitude * second).dot(&first))
-            .sum();
+        let agrees: f64 = moving.iter().map(|pose| (pose.attitude * second).dot(&first)).sum();
         let second = second * agrees.signum();
         // An attitude error moves what the second unit (for its own axes, the first) turns relative to the joint.
         let (mut products, mut squares) = (0.0, 0.0);
@@ -134,10 +118,7 @@ fn principal(vectors: impl Iterator<Item = Vector3<f64>>) -> Option<(Vector3<f64
         let direction = eigen.eigenvectors.column(order[0]).into_owned();
         let across: Vec<f64> = vectors.iter().map(|v| v.cross(&direction).norm()).collect();
         let scale = CAUCHY * NORMAL_MEDIAN * median(across.iter().copied())?;
-        weights = across
-            .iter()
-            .map(|a| 1.0 / (1.0 + (a / scale.max(1e-9)).powi(2)))
-            .collect();
+        weights = across.iter().map(|a| 1.0 / (1.0 + (a / scale.max(1e-9)).powi(2))).collect();
         found = Some((direction, (next.max(0.0) / largest).sqrt()));
     }
     found

@@ -119,9 +119,7 @@ impl LiveRelative {
 
     /// Whether axis and angle are accurate enough.
     pub fn is_accurate(&self) -> bool {
-        self.running
-            .as_ref()
-            .is_some_and(|running| running.accurate)
+        self.running.as_ref().is_some_and(|running| running.accurate)
     }
 
     /// Why the last search had no result.
@@ -147,11 +145,7 @@ impl LiveRelative {
         let measured_s = clock.measured_s.map(|s| s + offset_s - clock.offset_s);
         Some(RelativePath {
             points,
-            clock: Clock {
-                offset_s,
-                measured_s,
-                ..clock
-            },
+            clock: Clock { offset_s, measured_s, ..clock },
             joint_nis: running.engine.joint_nis(),
             lever_arms_m: running.engine.lever_arms_m().map(Into::into),
             ..running.found.clone()
@@ -168,9 +162,7 @@ impl LiveRelative {
     fn begin(&mut self, behind_s: f64) -> Result<()> {
         for recording in &mut self.recordings {
             let newest_s = recording.times_s.last().copied().unwrap_or_default();
-            let old = recording
-                .times_s
-                .partition_point(|t| *t < newest_s - KEPT_S);
+            let old = recording.times_s.partition_point(|t| *t < newest_s - KEPT_S);
             recording.times_s.drain(..old);
             recording.samples.drain(..old);
         }

@@ -95,9 +95,7 @@ fn search(
     recordings: [&MotionRecording; 2],
     choice: &RelativeChoice,
 ) -> Result<(RelativePath, Rotation3<f64>, Model)> {
-    let names = recordings
-        .map(|recording| recording.name.as_str())
-        .join(" and ");
+    let names = recordings.map(|recording| recording.name.as_str()).join(" and ");
     let at = |error: HostError| error.at(&names);
     let given = choice.hinge.map(|axis| {
         let remedy = "give three numbers that are not all zero, such as --hinge 0,0,1";
@@ -217,19 +215,13 @@ struct Angle {
 
 impl Angle {
     fn new(hinge: Hinge, clock: &Clock) -> Self {
-        Self {
-            hinge,
-            clock_sd_s: clock.sd_s,
-            last: None,
-        }
+        Self { hinge, clock_sd_s: clock.sd_s, last: None }
     }
 
     fn point(&mut self, pose: &engine::Pose) -> RelativePoint {
         let axis = Vector3::from(self.hinge.axes[0]);
         let folded = self.hinge.angle(&pose.attitude);
-        let turns = self
-            .last
-            .map_or(0.0, |last| ((last - folded) / TAU).round());
+        let turns = self.last.map_or(0.0, |last| ((last - folded) / TAU).round());
         let angle_rad = folded + TAU * turns;
         self.last = Some(angle_rad);
         let by_clock = (pose.attitude * pose.rate_rad_s[1]).dot(&axis) * self.clock_sd_s;

@@ -90,8 +90,7 @@ impl Unit {
         self.times_s.drain(..old);
         self.integrals.drain(..old);
         let old = self.fields.partition_point(|(t, _)| *t < before_s);
-        self.fields
-            .drain(..old.min(self.fields.len().saturating_sub(1)));
+        self.fields.drain(..old.min(self.fields.len().saturating_sub(1)));
     }
 
     pub(super) fn span_s(&self) -> [f64; 2] {
@@ -122,10 +121,7 @@ impl Unit {
         let count = ((end_s - start_s) / step_s) as usize;
         let sums = (0..=count).map(|k| self.until(start_s + k as f64 * step_s).0[1]);
         let sums: Vec<Vector3<f64>> = sums.collect();
-        let values: Vec<f64> = sums
-            .windows(2)
-            .map(|w| (w[1] - w[0]).norm() / step_s)
-            .collect();
+        let values: Vec<f64> = sums.windows(2).map(|w| (w[1] - w[0]).norm() / step_s).collect();
         let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
         values.into_iter().map(|value| value - mean).collect()
     }
@@ -189,10 +185,7 @@ impl Steps {
             force_mps2: mean(0),
             rate_rad_s: mean(1),
             field_ut: fields.map(|(a, b)| [a, b]),
-            measured: [now, before]
-                .iter()
-                .flatten()
-                .all(|(_, measured)| *measured),
+            measured: [now, before].iter().flatten().all(|(_, measured)| *measured),
         })
     }
 }
@@ -229,8 +222,7 @@ pub(super) fn lag(units: &[Unit; 2], near_s: f64) -> Option<Lag> {
     let (best, lag) = scores.iter().copied().max_by(|x, y| x.0.total_cmp(&y.0))?;
     let best_of = |keep: &dyn Fn(f64) -> bool| {
         let kept = scores.iter().filter(|(_, lag)| keep(offset(*lag)));
-        kept.map(|(score, _)| *score)
-            .fold(f64::NEG_INFINITY, f64::max)
+        kept.map(|(score, _)| *score).fold(f64::NEG_INFINITY, f64::max)
     };
     let offset_s = offset(lag);
     Some(Lag {

@@ -24,10 +24,7 @@ impl RelativePath {
     /// Least and largest angle, rad.
     pub fn range_rad(&self) -> [f64; 2] {
         let angles = || self.valid().map(|point| point.angle_rad);
-        [
-            angles().fold(f64::INFINITY, f64::min),
-            angles().fold(f64::NEG_INFINITY, f64::max),
-        ]
+        [angles().fold(f64::INFINITY, f64::min), angles().fold(f64::NEG_INFINITY, f64::max)]
     }
 
     /// The result first, then what it rests on.
@@ -75,18 +72,15 @@ impl RelativePath {
     /// `file_unreadable`, `file_failed`.
     pub fn write(&self, file: &Path) -> Result<()> {
         let (output, sink) = OutputFile::create(file)?;
-        let mut columns = ["Time (s)", "Angle (deg)", "Angle Sigma (deg)"]
-            .map(str::to_owned)
-            .to_vec();
+        let mut columns =
+            ["Time (s)", "Angle (deg)", "Angle Sigma (deg)"].map(str::to_owned).to_vec();
         columns.extend(["W", "X", "Y", "Z"].map(|axis| format!("Quaternion {axis}")));
         columns.extend(["X", "Y", "Z"].map(|axis| format!("Attitude Sigma {axis} (deg)")));
         columns.push("Valid".to_owned());
         let mut out = CsvWriter::new(BufWriter::new(sink), output.name(), &columns)?;
         for point in &self.points {
             out.field(format!("{:.6}", point.time_s));
-            out.vector(Some(
-                [point.angle_rad, point.sigma_rad].map(f64::to_degrees),
-            ));
+            out.vector(Some([point.angle_rad, point.sigma_rad].map(f64::to_degrees)));
             out.vector(Some(point.quaternion));
             out.vector(Some(point.attitude_sd_rad.map(f64::to_degrees)));
             out.field(u8::from(point.valid)).end_row()?;
@@ -102,14 +96,8 @@ impl RelativePath {
     pub fn page(&self, source: &str, text: &str) -> Result<Report> {
         let mut page = Report::new(format!("Angle between {source}"));
         page.result(text.lines().next().unwrap_or_default());
-        page.key(
-            "hinge axis, 1 σ",
-            &format!("± {:.1}°", self.hinge.worst_sd_rad().to_degrees()),
-        );
-        page.key(
-            "angle, 1 σ, median",
-            &format!("± {:.1}°", self.median_sigma_rad().to_degrees()),
-        );
+        page.key("hinge axis, 1 σ", &format!("± {:.1}°", self.hinge.worst_sd_rad().to_degrees()));
+        page.key("angle, 1 σ, median", &format!("± {:.1}°", self.median_sigma_rad().to_degrees()));
         page.printed(text).findings(&self.findings);
         page.chart(&self.angle())?.chart(&self.sigma())?;
         Ok(page)
@@ -118,22 +106,14 @@ impl RelativePath {
     /// The angle with its 2 σ band.
     pub fn angle(&self) -> Chart {
         let of = |value: &dyn Fn(&RelativePoint) -> f64| {
-            self.valid()
-                .map(|point| (point.time_s, value(point).to_degrees()))
-                .collect()
+            self.valid().map(|point| (point.time_s, value(point).to_degrees())).collect()
         };
         let [low, high]: [Vec<(f64, f64)>; 2] =
             [-2.0, 2.0].map(|k| of(&|p| p.angle_rad + k * p.sigma_rad));
-        let band = low
-            .into_iter()
-            .zip(high)
-            .map(|((t, low), (_, high))| (t, low, high));
+        let band = low.into_iter().zip(high).map(|((t, low), (_, high))| (t, low, high));
         let series = vec![Series::line("angle", broken(of(&|p| p.angle_rad)))];
         Chart {
-            bands: vec![Band {
-                series: 0,
-                points: band.collect(),
-            }],
+            bands: vec![Band { series: 0, points: band.collect() }],
             note: "Band: 2 σ. Zero: axes of units that are mounted alike are parallel.".to_owned(),
             ..Chart::new("Angle of the hinge", "time, s", "deg", series)
         }
@@ -141,11 +121,7 @@ impl RelativePath {
 
     fn sigma(&self) -> Chart {
         let of = |value: &dyn Fn(&RelativePoint) -> f64| {
-            broken(
-                self.valid()
-                    .map(|point| (point.time_s, value(point).to_degrees()))
-                    .collect(),
-            )
+            broken(self.valid().map(|point| (point.time_s, value(point).to_degrees())).collect())
         };
         let mut series = vec![Series::line("angle", of(&|p| p.sigma_rad))];
         for (k, axis) in ["x", "y", "z"].into_iter().enumerate() {

@@ -182,38 +182,22 @@ fn boot(frames: &[Vec<u8>]) -> Boot {
 fn raw_samples_give_what_the_device_sent_bit_for_bit_from_any_epoch() {
     let boot = boot(&Device::new().run());
     assert!(boot.epochs.len() >= 12, "{}", boot.epochs.len());
-    assert!(
-        boot.navigation
-            .iter()
-            .any(|n| n.position_nm[0].abs() > 100_000_000)
-    );
+    assert!(boot.navigation.iter().any(|n| n.position_nm[0].abs() > 100_000_000));
     for epoch in 0..boot.epochs.len() {
         let report = verify(&boot, epoch);
         assert!(report.is_exact(), "{epoch}: {report:?}");
-        assert_eq!(
-            (report.breaks, report.epochs_unusable),
-            (0, 0),
-            "{report:?}"
-        );
+        assert_eq!((report.breaks, report.epochs_unusable), (0, 0), "{report:?}");
         let samples = u64::from(100_900 - boot.epochs[epoch].epoch.sequence);
-        assert_eq!(
-            (report.samples, report.corrected_compared),
-            (samples, samples)
-        );
+        assert_eq!((report.samples, report.corrected_compared), (samples, samples));
         assert_eq!(report.navigation_compared, samples / 10);
-        assert_eq!(
-            report.states_compared,
-            (boot.epochs.len() - epoch - 1) as u64
-        );
+        assert_eq!(report.states_compared, (boot.epochs.len() - epoch - 1) as u64);
     }
 }
 
 #[test]
 fn a_lost_batch_breaks_the_run_and_the_next_epoch_begins_another() {
     let mut frames = Device::new().run();
-    let batches: Vec<_> = (0..frames.len())
-        .filter(|i| frames[*i].len() > 30)
-        .collect();
+    let batches: Vec<_> = (0..frames.len()).filter(|i| frames[*i].len() > 30).collect();
     let whole = verify(&boot(&frames), 0);
     // A raw batch well after the beginning.
     let lost = batches
@@ -239,10 +223,7 @@ fn any_difference_is_found_and_located() {
     let mut other = intact.clone();
     other.corrected[500].value[1] += 1;
     let report = verify(&other, 0);
-    assert_eq!(
-        (report.corrected_differ, report.first_difference),
-        (1, Some(100_500))
-    );
+    assert_eq!((report.corrected_differ, report.first_difference), (1, Some(100_500)));
     assert!(!report.is_exact());
 
     let mut other = intact.clone();
@@ -253,10 +234,7 @@ fn any_difference_is_found_and_located() {
     other.raw[320].value[0] += 1;
     let report = verify(&other, 0);
     assert_eq!(report.corrected_differ, 1);
-    assert!(
-        report.states_differ > 0 && report.navigation_differ > 0,
-        "{report:?}"
-    );
+    assert!(report.states_differ > 0 && report.navigation_differ > 0, "{report:?}");
 
     let mut other = intact.clone();
     other.epochs[3].epoch.state.rest_mean[0] ^= 1;
@@ -268,10 +246,7 @@ fn any_difference_is_found_and_located() {
         mark.epoch.state.revision += 1;
     }
     let report = verify(&other, 0);
-    assert_eq!(
-        (report.samples, report.epochs_unusable),
-        (0, other.epochs.len() as u64)
-    );
+    assert_eq!((report.samples, report.epochs_unusable), (0, other.epochs.len() as u64));
     assert!(!report.is_exact());
 }
 
@@ -300,12 +275,7 @@ fn an_epoch_that_is_lost_makes_samples_uncertain_not_different() {
         epochs += usize::from(is_epoch);
     }
     let lossy = record.boots.remove(0);
-    assert!(
-        lossy
-            .epochs
-            .iter()
-            .all(|mark| mark.epoch.sequence != sequence)
-    );
+    assert!(lossy.epochs.iter().all(|mark| mark.epoch.sequence != sequence));
     let report = verify(&lossy, 0);
     assert!(report.is_exact(), "{report:?}");
     assert!(report.samples_uncertain > 0);
@@ -319,11 +289,7 @@ fn parameters_that_were_not_recorded_are_named() {
     assert_eq!(report.epochs_unusable as usize, boot.epochs.len());
     assert!(!report.is_exact());
     let error = boot.parameters_of(&boot.epochs[0].epoch).unwrap_err();
-    assert!(
-        error
-            .message()
-            .contains(&format!("{:08x}", boot.epochs[0].epoch.parameters))
-    );
+    assert!(error.message().contains(&format!("{:08x}", boot.epochs[0].epoch.parameters)));
 }
 
 #[test]
@@ -334,16 +300,9 @@ fn numbers_that_wrap_are_replayed_and_their_times_found() {
     for step in 0..900 {
         let time = boot.time_of(first.wrapping_add(step)).expect("it arrived");
         // To what a period that changes within a batch makes of it.
-        assert!(
-            time.0.abs_diff(u64::from(step) * 10_000) < 500,
-            "{step}: {time:?}"
-        );
+        assert!(time.0.abs_diff(u64::from(step) * 10_000) < 500, "{step}: {time:?}");
     }
-    let before = boot
-        .epochs
-        .iter()
-        .filter(|mark| mark.epoch.sequence >= first)
-        .count();
+    let before = boot.epochs.iter().filter(|mark| mark.epoch.sequence >= first).count();
     assert!(0 < before && before < boot.epochs.len());
     for epoch in 0..boot.epochs.len() {
         let report = verify(&boot, epoch);

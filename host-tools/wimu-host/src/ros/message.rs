@@ -7,36 +7,15 @@ const NEXT: &str =
 /// Types and their fields.
 const TYPES: [(&str, &str); 19] = [
     ("builtin_interfaces/Time", "int32 sec\nuint32 nanosec\n"),
-    (
-        "std_msgs/Header",
-        "builtin_interfaces/Time stamp\nstring frame_id\n",
-    ),
+    ("std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id\n"),
     ("geometry_msgs/Vector3", "float64 x\nfloat64 y\nfloat64 z\n"),
     ("geometry_msgs/Point", "float64 x\nfloat64 y\nfloat64 z\n"),
-    (
-        "geometry_msgs/Quaternion",
-        "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
-    ),
-    (
-        "geometry_msgs/Pose",
-        "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n",
-    ),
-    (
-        "geometry_msgs/PoseStamped",
-        "std_msgs/Header header\ngeometry_msgs/Pose pose\n",
-    ),
-    (
-        "geometry_msgs/PoseWithCovariance",
-        "geometry_msgs/Pose pose\nfloat64[36] covariance\n",
-    ),
-    (
-        "geometry_msgs/Twist",
-        "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n",
-    ),
-    (
-        "geometry_msgs/TwistWithCovariance",
-        "geometry_msgs/Twist twist\nfloat64[36] covariance\n",
-    ),
+    ("geometry_msgs/Quaternion", "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n"),
+    ("geometry_msgs/Pose", "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n"),
+    ("geometry_msgs/PoseStamped", "std_msgs/Header header\ngeometry_msgs/Pose pose\n"),
+    ("geometry_msgs/PoseWithCovariance", "geometry_msgs/Pose pose\nfloat64[36] covariance\n"),
+    ("geometry_msgs/Twist", "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n"),
+    ("geometry_msgs/TwistWithCovariance", "geometry_msgs/Twist twist\nfloat64[36] covariance\n"),
     (
         "geometry_msgs/Transform",
         "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n",
@@ -45,10 +24,7 @@ const TYPES: [(&str, &str); 19] = [
         "geometry_msgs/TransformStamped",
         "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n",
     ),
-    (
-        "tf2_msgs/TFMessage",
-        "geometry_msgs/TransformStamped[] transforms\n",
-    ),
+    ("tf2_msgs/TFMessage", "geometry_msgs/TransformStamped[] transforms\n"),
     (
         "sensor_msgs/Imu",
         "std_msgs/Header header\n\
@@ -61,19 +37,13 @@ const TYPES: [(&str, &str); 19] = [
         "std_msgs/Header header\ngeometry_msgs/Vector3 magnetic_field\n\
          float64[9] magnetic_field_covariance\n",
     ),
-    (
-        "sensor_msgs/Temperature",
-        "std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n",
-    ),
+    ("sensor_msgs/Temperature", "std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n"),
     (
         "nav_msgs/Odometry",
         "std_msgs/Header header\nstring child_frame_id\n\
          geometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist\n",
     ),
-    (
-        "nav_msgs/Path",
-        "std_msgs/Header header\ngeometry_msgs/PoseStamped[] poses\n",
-    ),
+    ("nav_msgs/Path", "std_msgs/Header header\ngeometry_msgs/PoseStamped[] poses\n"),
     ("std_msgs/String", "string data\n"),
 ];
 

@@ -39,9 +39,7 @@ pub fn open(name: &str) -> Result<NusLink<Bridge>> {
     let link = format!("ble://{name}");
     let wanted = name.to_owned();
     let bridge = Bridge::start(async move || connect(&wanted).await);
-    bridge
-        .map(|bridge| NusLink::new(&link, bridge))
-        .map_err(|error| error.at(&link))
+    bridge.map(|bridge| NusLink::new(&link, bridge)).map_err(|error| error.at(&link))
 }
 
 /// The units with the Nordic UART Service in range; takes 4 s.
@@ -74,9 +72,7 @@ struct Unit {
 impl Unit {
     fn is(&self, wanted: &str) -> bool {
         let names = self.name.iter().chain([&self.address]);
-        names
-            .into_iter()
-            .any(|name| name.eq_ignore_ascii_case(wanted))
+        names.into_iter().any(|name| name.eq_ignore_ascii_case(wanted))
     }
 }
 
@@ -109,10 +105,7 @@ async fn search(
         )
     };
     let services = vec![SERVICE];
-    adapter
-        .start_scan(ScanFilter { services })
-        .await
-        .map_err(failed)?;
+    adapter.start_scan(ScanFilter { services }).await.map_err(failed)?;
     let start = Instant::now();
     let mut found = Vec::new();
     while start.elapsed() < longest {
@@ -154,9 +147,7 @@ async fn connect(wanted: &str) -> Result<Nus> {
     let adapter = adapter().await?;
     let mut found = search(&adapter, SEARCH, |unit| unit.is(wanted)).await?;
     let Some(Unit { peripheral, .. }) = found.pop_if(|unit| unit.is(wanted)) else {
-        let names = found
-            .iter()
-            .map(|unit| unit.name.as_ref().unwrap_or(&unit.address));
+        let names = found.iter().map(|unit| unit.name.as_ref().unwrap_or(&unit.address));
         let names: Vec<_> = names.map(String::as_str).collect();
         let others = match names.as_slice() {
             [] => "no unit with the Nordic UART Service".to_owned(),
@@ -191,11 +182,7 @@ async fn service(peripheral: Peripheral) -> btleplug::Result<Nus> {
     let notifications = peripheral.notifications().await?;
     peripheral.subscribe(&tx).await?;
     let values = notifications.filter_map(async |value| (value.uuid == TX).then_some(value.value));
-    Ok(Nus {
-        rx,
-        values: Some(values.boxed()),
-        peripheral,
-    })
+    Ok(Nus { rx, values: Some(values.boxed()), peripheral })
 }
 
 /// An open service.
@@ -215,9 +202,7 @@ impl Connection for Nus {
     }
 
     fn values(&mut self) -> impl Stream<Item = Vec<u8>> + Unpin + use<> {
-        self.values
-            .take()
-            .unwrap_or_else(|| futures::stream::empty().boxed())
+        self.values.take().unwrap_or_else(|| futures::stream::empty().boxed())
     }
 
     async fn write(&self, piece: &[u8], confirmed: bool) -> std::result::Result<(), String> {

@@ -47,11 +47,7 @@ pub struct NusLink<P> {
 impl<P: Peripheral> NusLink<P> {
     /// The link that errors call `name`.
     pub fn new(name: impl Into<String>, peripheral: P) -> Self {
-        Self {
-            name: name.into(),
-            peripheral,
-            received: VecDeque::new(),
-        }
+        Self { name: name.into(), peripheral, received: VecDeque::new() }
     }
 
     fn lost(&self, why: &str) -> HostError {

@@ -61,10 +61,7 @@ fn a_serial_port_carries_bytes_and_has_one_owner() {
     use serialport::TTYPort;
 
     let (mut board, slave) = TTYPort::pair().unwrap();
-    let url = LinkUrl::Serial {
-        path: slave.name().unwrap(),
-        baud: Some(115_200),
-    };
+    let url = LinkUrl::Serial { path: slave.name().unwrap(), baud: Some(115_200) };
     drop(slave);
     let mut link = open(&url).unwrap();
     let error = open(&url).err().unwrap();
@@ -85,10 +82,7 @@ fn a_serial_port_carries_bytes_and_has_one_owner() {
     board.read_exact(&mut buffer[..1]).unwrap();
     assert_eq!(buffer[0], 7);
     drop(board);
-    assert_eq!(
-        link.read(&mut buffer, LONG).unwrap_err().code(),
-        ErrorCode::LinkLost
-    );
+    assert_eq!(link.read(&mut buffer, LONG).unwrap_err().code(), ErrorCode::LinkLost);
 }
 
 #[test]

@@ -48,11 +48,7 @@ fn range(units: &RawUnits, sequence: u32) -> Option<f64> {
 }
 
 fn truth(sequence: u32) -> f64 {
-    if (250..500).contains(&sequence) {
-        16.0
-    } else {
-        2.0
-    }
+    if (250..500).contains(&sequence) { 16.0 } else { 2.0 }
 }
 
 #[test]
@@ -182,22 +178,13 @@ fn the_units_hold_where_numbers_wrap() {
     use EpochReason::{Periodic, Settings};
     let start = 0_u32.wrapping_sub(200);
     let mut units = RawUnits::default();
-    let epochs = [
-        (0, 2, Periodic),
-        (90, 2, Periodic),
-        (180, 2, Periodic),
-        (250, 16, Settings),
-    ];
+    let epochs = [(0, 2, Periodic), (90, 2, Periodic), (180, 2, Periodic), (250, 16, Settings)];
     for (number, (step, range_g, reason)) in (0..).zip(epochs) {
         units.see(&epoch(number, start.wrapping_add(step), range_g, reason));
     }
     for step in 0..330 {
         let expected = if step < 250 { 2.0 } else { 16.0 };
-        assert_eq!(
-            range(&units, start.wrapping_add(step)),
-            Some(expected),
-            "{step}"
-        );
+        assert_eq!(range(&units, start.wrapping_add(step)), Some(expected), "{step}");
     }
     let before = start.wrapping_sub(50);
     assert_eq!(range(&units, before), Some(2.0));

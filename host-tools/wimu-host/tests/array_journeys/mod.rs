@@ -119,12 +119,7 @@ struct Start {
 
 impl Journey {
     fn of(parts: &[Part], attitude: Rotation, arm: V) -> Self {
-        let mut start = Start {
-            position: [0.0; 3],
-            velocity: [0.0; 3],
-            spin: 0.0,
-            attitude,
-        };
+        let mut start = Start { position: [0.0; 3], velocity: [0.0; 3], spin: 0.0, attitude };
         let (mut time, mut all) = (0.0, Vec::new());
         for part in parts {
             all.push((time, *part, start));
@@ -149,17 +144,11 @@ impl Journey {
         let (begin, part, start) = &self.parts[index.max(1) - 1];
         let mut motion = part.at(start, (time - begin).clamp(0.0, part.seconds));
         let arm = self.arm;
-        let fast = add(
-            cross(motion.turning, arm),
-            cross(motion.rate, cross(motion.rate, arm)),
-            1.0,
-        );
+        let fast =
+            add(cross(motion.turning, arm), cross(motion.rate, cross(motion.rate, arm)), 1.0);
         motion.position = add(motion.position, apply(&motion.attitude, arm), 1.0);
-        motion.velocity = add(
-            motion.velocity,
-            apply(&motion.attitude, cross(motion.rate, arm)),
-            1.0,
-        );
+        motion.velocity =
+            add(motion.velocity, apply(&motion.attitude, cross(motion.rate, arm)), 1.0);
         motion.acceleration = add(motion.acceleration, apply(&motion.attitude, fast), 1.0);
         motion
     }
@@ -170,11 +159,8 @@ impl Part {
         let s = self.seconds;
         let [sum, value, slope, curve] = smooth(time / s);
         let faster = add(self.velocity, start.velocity, -1.0);
-        let position = add(
-            add(add(start.position, start.velocity, time), faster, sum * s),
-            self.shift,
-            value,
-        );
+        let position =
+            add(add(add(start.position, start.velocity, time), faster, sum * s), self.shift, value);
         let velocity = add(add(start.velocity, faster, value), self.shift, slope / s);
         let acceleration = add(faster.map(|v| v * slope / s), self.shift, curve / (s * s));
         let up = back(&start.attitude, [0.0, 0.0, 1.0]);
@@ -186,11 +172,7 @@ impl Part {
             velocity,
             acceleration,
             attitude: product(&start.attitude, &rotation(by)),
-            rate: add(
-                self.turn.map(|v| v * slope / s),
-                up,
-                start.spin + more * value,
-            ),
+            rate: add(self.turn.map(|v| v * slope / s), up, start.spin + more * value),
             turning: add(self.turn.map(|v| v * curve / (s * s)), up, more * slope / s),
         }
     }
@@ -284,12 +266,8 @@ impl Case {
                 })
                 .collect(),
             Places::Four(arm) => {
-                let all = [
-                    [1.0, 1.0, 1.0],
-                    [1.0, -1.0, -1.0],
-                    [-1.0, 1.0, -1.0],
-                    [-1.0, -1.0, 1.0],
-                ];
+                let all =
+                    [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]];
                 all.iter().map(|p: &V| p.map(|v| v * arm)).collect()
             }
             Places::Cube(side) => return preset(&format!("cube:{side}m")).unwrap().unwrap(),
@@ -298,10 +276,7 @@ impl Case {
     }
 
     fn journey(&self, random: &mut Random) -> Journey {
-        let still = |seconds: f64| Part {
-            seconds,
-            ..Part::default()
-        };
+        let still = |seconds: f64| Part { seconds, ..Part::default() };
         let tilt = rotation(random.normals(0.5));
         let (mut parts, mut arm) = (vec![still(2.5)], [0.0; 3]);
         match self.kind {
@@ -326,11 +301,7 @@ impl Case {
             Kind::Cart(speed, seconds) => {
                 let direction = random.normals(1.0);
                 let velocity = direction.map(|v| v * speed / norm(direction));
-                let of = |seconds, velocity| Part {
-                    seconds,
-                    velocity,
-                    ..Part::default()
-                };
+                let of = |seconds, velocity| Part { seconds, velocity, ..Part::default() };
                 parts.extend([
                     of(1.0, velocity),
                     of(seconds, velocity),
@@ -339,11 +310,7 @@ impl Case {
                 ]);
             }
             Kind::Turntable(spin, away) => {
-                let of = |seconds, spin| Part {
-                    seconds,
-                    spin,
-                    ..Part::default()
-                };
+                let of = |seconds, spin| Part { seconds, spin, ..Part::default() };
                 parts.extend([of(1.0, spin), of(10.0, spin), of(1.0, 0.0), still(2.0)]);
                 arm = back(&tilt, [away, 0.0, 0.0]);
             }
@@ -394,39 +361,21 @@ impl Case {
             let time = k as f64 / self.rate_hz;
             let row = sensors.iter().map(|sensor| {
                 let motion = journey.at(time + sensor.skew);
-                let force = back(
-                    &motion.attitude,
-                    add(motion.acceleration, [0.0, 0.0, G], 1.0),
-                );
+                let force = back(&motion.attitude, add(motion.acceleration, [0.0, 0.0, G], 1.0));
                 let turned = cross(motion.rate, cross(motion.rate, sensor.place));
-                let force = add(
-                    add(force, cross(motion.turning, sensor.place), 1.0),
-                    turned,
-                    1.0,
-                );
+                let force = add(add(force, cross(motion.turning, sensor.place), 1.0), turned, 1.0);
                 let scaled = add(force, apply(&sensor.scale, force), 1.0);
-                let output = add(
-                    add(scaled, sensor.bias, 1.0),
-                    random.normals(self.noise),
-                    1.0,
-                );
+                let output = add(add(scaled, sensor.bias, 1.0), random.normals(self.noise), 1.0);
                 sensor.direction.map_or(output, |d| {
-                    [
-                        d.iter().zip(output).map(|(d, v)| d * v).sum(),
-                        f64::NAN,
-                        f64::NAN,
-                    ]
+                    [d.iter().zip(output).map(|(d, v)| d * v).sum(), f64::NAN, f64::NAN]
                 })
             });
             recording.outputs.push(row.collect());
             recording.saturated.push(0);
             recording.times_s.push(time);
             let motion = journey.at(time);
-            let truth = motion
-                .position
-                .into_iter()
-                .chain(quaternion(&motion.attitude))
-                .chain(motion.rate);
+            let truth =
+                motion.position.into_iter().chain(quaternion(&motion.attitude)).chain(motion.rate);
             for ((_, column), value) in other.iter_mut().zip(truth) {
                 column.push(value);
             }
@@ -446,10 +395,7 @@ impl Case {
             place_sd_m: self.place.max(ArrayCalibration::PLACE_SD_M),
             delay_sd_s: self.skew.max(ArrayCalibration::DELAY_SD_S),
         };
-        let choice = Choice {
-            zupt: self.zupt,
-            ..Choice::default()
-        };
+        let choice = Choice { zupt: self.zupt, ..Choice::default() };
         let (arranged, path, states) = if geometry.axes.is_empty() {
             let arranged = recording.judged().arranged(&geometry)?;
             let mut calibration =
@@ -494,12 +440,7 @@ impl Case {
 
     /// Over seeds 1 to `seeds`.
     pub fn over(&self, seeds: u64) -> Coverage {
-        let mut coverage = Coverage {
-            case: *self,
-            seeds,
-            refused: 0,
-            outcomes: Vec::new(),
-        };
+        let mut coverage = Coverage { case: *self, seeds, refused: 0, outcomes: Vec::new() };
         for seed in 1..=seeds {
             match self.run(seed) {
                 Ok(outcome) => coverage.outcomes.push(outcome),
@@ -530,11 +471,7 @@ fn share(all: impl Iterator<Item = f64>) -> f64 {
 impl Coverage {
     /// Share of the valid positions with a NEES below 7.81, %.
     pub fn position(&self) -> f64 {
-        share(
-            self.outcomes
-                .iter()
-                .flat_map(|o| o.position.iter().copied()),
-        )
+        share(self.outcomes.iter().flat_map(|o| o.position.iter().copied()))
     }
 
     /// The same of the rates while it turns.
@@ -551,11 +488,7 @@ impl Coverage {
             let count = parts().map(Vec::len).sum::<usize>().max(1) as f64;
             let departs =
                 |part: &Vec<f64>| part.len() as f64 * (share(part.iter().copied()) - below);
-            let se = parts()
-                .map(|part| departs(part).powi(2))
-                .sum::<f64>()
-                .sqrt()
-                / count;
+            let se = parts().map(|part| departs(part).powi(2)).sum::<f64>().sqrt() / count;
             below + 4.0 * se >= least
         };
         reaches(&|o| &o.position, position) && reaches(&|o| &o.rate, rate)
@@ -594,17 +527,7 @@ impl Coverage {
 
 impl fmt::Display for Coverage {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Case {
-            kind,
-            places,
-            rate_hz,
-            zupt,
-            bias,
-            scale,
-            place,
-            skew,
-            ..
-        } = self.case;
+        let Case { kind, places, rate_hz, zupt, bias, scale, place, skew, .. } = self.case;
         let (about, zupt) = (format!("{kind:?} {places:?}"), format!("{zupt:?}"));
         let most = self.outcomes.iter().map(|o| o.most_m).fold(0.0, f64::max);
         let [median, worst] = self.greatest();

@@ -225,11 +225,8 @@ impl Channel {
             self.end_frame(now_ns);
         }
         if let Some(draw) = self.duplicates.at(place) {
-            let longest = if (draw >> 32).is_multiple_of(16) {
-                LONGEST_LAP
-            } else {
-                LONGEST_DUPLICATE
-            };
+            let longest =
+                if (draw >> 32).is_multiple_of(16) { LONGEST_LAP } else { LONGEST_DUPLICATE };
             let length = (1 + draw % longest) as usize;
             let skipped = self.history.len().saturating_sub(length);
             let piece: Vec<u8> = self.history.iter().skip(skipped).copied().collect();
@@ -264,9 +261,7 @@ impl Channel {
             due_ns = end_ns;
         }
         let cut = |outage: &super::Outage| {
-            outage
-                .at_or_after(now_ns)
-                .is_some_and(|(begin, _)| begin <= due_ns)
+            outage.at_or_after(now_ns).is_some_and(|(begin, _)| begin <= due_ns)
         };
         if self.faults.disconnects.iter().any(cut) {
             self.counts.bytes_disconnected += 1;
@@ -286,9 +281,7 @@ impl Channel {
     }
 
     fn jitter_ns(&mut self, now_ns: u64) -> u64 {
-        let Packet {
-            bytes, latest_ns, ..
-        } = self.packet;
+        let Packet { bytes, latest_ns, .. } = self.packet;
         if bytes == 0 || bytes == PACKET || now_ns > latest_ns + PAUSE_NS {
             self.packet.number += 1;
             self.packet.bytes = 0;
@@ -351,12 +344,7 @@ struct Events {
 
 impl Events {
     fn new(rate: f64, random: Random) -> Self {
-        let mut events = Self {
-            random,
-            rate,
-            next: None,
-            drawn: 0,
-        };
+        let mut events = Self { random, rate, next: None, drawn: 0 };
         events.advance(0);
         events
     }
@@ -413,13 +401,7 @@ impl Runs {
             let bad_ends = 1.0 / loss.mean_run;
             [bad_ends * loss.fraction / (1.0 - loss.fraction), bad_ends]
         });
-        let mut runs = Self {
-            random,
-            ends,
-            bad: true,
-            until: 0,
-            drawn: 0,
-        };
+        let mut runs = Self { random, ends, bad: true, until: 0, drawn: 0 };
         runs.turn();
         runs
     }

@@ -79,10 +79,7 @@ pub struct LinkFaults {
 impl LinkFaults {
     /// Whether there are none except a baud rate.
     pub fn is_none(&self) -> bool {
-        let only_baud = Self {
-            baud: self.baud,
-            ..Self::default()
-        };
+        let only_baud = Self { baud: self.baud, ..Self::default() };
         *self == only_baud
     }
 }

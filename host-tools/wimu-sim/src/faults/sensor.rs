@@ -31,10 +31,7 @@ const KINDS: [(&str, Kind); 5] = [
     ("identity", Kind::Identity),
     ("gyroscope-stops", Kind::Gyroscope(GyroscopeFault::Stops)),
     ("gyroscope-stuck", Kind::Gyroscope(GyroscopeFault::Stuck)),
-    (
-        "gyroscope-saturates",
-        Kind::Gyroscope(GyroscopeFault::Saturates),
-    ),
+    ("gyroscope-saturates", Kind::Gyroscope(GyroscopeFault::Saturates)),
 ];
 
 /// Why a text is not a sensor's fault.

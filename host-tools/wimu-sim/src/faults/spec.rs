@@ -66,10 +66,7 @@ impl FromStr for LinkFaults {
             (None, Some(_)) => return Err(FaultSpecError::BurstWithoutLoss),
             _ => {}
         }
-        for (key, outages) in [
-            ("stall", &faults.stalls),
-            ("disconnect", &faults.disconnects),
-        ] {
+        for (key, outages) in [("stall", &faults.stalls), ("disconnect", &faults.disconnects)] {
             let part = |outage: &Outage| {
                 let every = outage.every?.as_secs_f64();
                 Some(outage.length.as_secs_f64() / every)
@@ -84,11 +81,7 @@ impl FromStr for LinkFaults {
 
 impl LinkFaults {
     fn extend(&mut self, text: &str, burst: &mut Option<f64>) -> Result<(), FaultSpecError> {
-        for part in text
-            .split(',')
-            .map(str::trim)
-            .filter(|part| !part.is_empty())
-        {
+        for part in text.split(',').map(str::trim).filter(|part| !part.is_empty()) {
             match part.split_once('=') {
                 Some((key, value)) => self.set(key.trim(), value.trim(), burst)?,
                 None => match PRESETS.iter().find(|(name, ..)| *name == part) {
@@ -130,10 +123,7 @@ impl LinkFaults {
             }
             "loss" => {
                 let fraction = rate(0.9, "0 to 90 % of the bytes, such as 2%")?;
-                self.loss = Some(Loss {
-                    fraction,
-                    mean_run: 20.0,
-                });
+                self.loss = Some(Loss { fraction, mean_run: 20.0 });
             }
             "burst" => {
                 let run: Option<f64> = value.parse().ok();
@@ -222,11 +212,7 @@ pub(super) fn outage(text: &str) -> Option<Outage> {
         Some((start, every)) => (start, Some(duration(every)?)),
         None => (when, None),
     };
-    let outage = Outage {
-        start: duration(start)?,
-        length: duration(length)?,
-        every,
-    };
+    let outage = Outage { start: duration(start)?, length: duration(length)?, every };
     let ends = outage.every.is_none_or(|every| every > outage.length);
     (ends && !outage.length.is_zero()).then_some(outage)
 }

@@ -120,11 +120,7 @@ impl ValueChanger {
     }
 
     fn changed(&mut self, mps2: [f64; 3]) -> [f64; 3] {
-        let ValueFaults {
-            bias_mps2,
-            scale,
-            noise_mps2,
-        } = self.faults;
+        let ValueFaults { bias_mps2, scale, noise_mps2 } = self.faults;
         std::array::from_fn(|axis| {
             let noise = noise_mps2 * self.random.gaussian();
             mps2[axis] * (1.0 + scale[axis]) + bias_mps2[axis] + noise

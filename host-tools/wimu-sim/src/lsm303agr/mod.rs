@@ -96,11 +96,9 @@ impl Chip for Lsm303agr {
         }
         let register = pointer.next(|register| (register + 1) & 0x7F);
         if address == MAGNETOMETER_ADDRESS {
-            self.magnetometer
-                .write(register, byte, now, period_error_ppm);
+            self.magnetometer.write(register, byte, now, period_error_ppm);
         } else {
-            self.accelerometer
-                .write(register, byte, now, period_error_ppm);
+            self.accelerometer.write(register, byte, now, period_error_ppm);
         }
     }
 

@@ -87,11 +87,7 @@ pub(crate) struct Lsm6dso {
 impl Lsm6dso {
     /// A chip at `address` after power-on.
     pub(crate) fn new(address: u8) -> Self {
-        let mut chip = Self {
-            address,
-            identity: 0x6C,
-            ..Self::default()
-        };
+        let mut chip = Self { address, identity: 0x6C, ..Self::default() };
         chip.reset();
         chip
     }
@@ -124,11 +120,7 @@ impl Lsm6dso {
 
     fn lsb_per_dps(&self) -> f64 {
         let range = self.register(CTRL2_G);
-        let doublings = if range & 0b10 == 0 {
-            1 + (range >> 2 & 0b11)
-        } else {
-            0
-        };
+        let doublings = if range & 0b10 == 0 { 1 + (range >> 2 & 0b11) } else { 0 };
         1e3 / (4.375 * f64::from(1 << doublings))
     }
 

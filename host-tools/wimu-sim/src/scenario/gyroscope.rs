@@ -62,10 +62,7 @@ pub(super) fn calibrate(rotations: Played, recording: &Recording) -> Result<Gyro
             rest.iter().map(|sample| rate(sample)[row]).sum::<f64>() / rest.len() as f64
         };
         let bias = [0, 1, 2].map(mean);
-        let moving = within(
-            begin_s + REST_S - MARGIN_S,
-            begin_s + REST_S + ROTATION_S + MARGIN_S,
-        );
+        let moving = within(begin_s + REST_S - MARGIN_S, begin_s + REST_S + ROTATION_S + MARGIN_S);
         for row in 0..3 {
             // The trapezoidal rule.
             let angle: f64 = moving
@@ -79,11 +76,8 @@ pub(super) fn calibrate(rotations: Played, recording: &Recording) -> Result<Gyro
             bias_rad_s[row] += bias[row] * rad_s_per_lsb / 3.0;
         }
     }
-    let model = GyroscopeModel::new(GyroscopeTerms {
-        bias_rad_s,
-        matrix,
-        ..GyroscopeTerms::default()
-    });
+    let model =
+        GyroscopeModel::new(GyroscopeTerms { bias_rad_s, matrix, ..GyroscopeTerms::default() });
     let bad = || lacks("usable rotations of the gyroscope");
     GyroscopeParameters::new(RANGE_DPS, rad_s_per_lsb, model.map_err(|_| bad())?, None)
         .map_err(|_| bad())

@@ -114,10 +114,7 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
     pub fn file(&mut self) -> Result<Vec<u8>> {
         self.keep();
         self.heard.sort_by_key(Recorded::host_ns);
-        let anchor = ClockAnchor {
-            monotonic_ns: 0,
-            utc_ns: 0,
-        };
+        let anchor = ClockAnchor { monotonic_ns: 0, utc_ns: 0 };
         let sink = Cursor::new(Vec::new());
         let mut writer = RecordingWriter::new(sink, "the recording", anchor)?;
         for entry in &self.heard {
@@ -146,10 +143,7 @@ fn client<'a, R: VirtualBoard>(
         session: Some(1),
         ..ConnectOptions::default()
     };
-    let end = End {
-        ends: Rc::clone(ends),
-        link: usize::from(role != LinkRole::Cable),
-    };
+    let end = End { ends: Rc::clone(ends), link: usize::from(role != LinkRole::Cable) };
     Client::connect(end, &format!("the simulated {role} link"), options)
 }
 
@@ -178,11 +172,7 @@ impl<'a, R: VirtualBoard> Ends<'a, R> {
             let left = deadline.saturating_sub(self.links[link].now());
             let waits = self.arrived[link].is_empty();
             for (index, end) in self.links.iter_mut().enumerate() {
-                let wait = if index == link && waits {
-                    left.min(TICK)
-                } else {
-                    Duration::ZERO
-                };
+                let wait = if index == link && waits { left.min(TICK) } else { Duration::ZERO };
                 let mut buffer = [0; 4096];
                 match end.read(&mut buffer, wait) {
                     Ok(count) => self.arrived[index].extend(&buffer[..count]),

@@ -60,10 +60,7 @@ impl Default for Session {
 type LinkClient<'a> = Client<Tap<SimLink<'a>>>;
 
 fn client(board: &RefCell<Board>, role: LinkRole) -> LinkClient<'_> {
-    let options = ConnectOptions {
-        session: Some(7),
-        patience: Duration::from_secs(20),
-    };
+    let options = ConnectOptions { session: Some(7), patience: Duration::from_secs(20) };
     Client::connect(Tap::on(SimLink::new(board, role)), "the link", options).unwrap()
 }
 
@@ -103,11 +100,7 @@ impl Session {
             if board.borrow().now_us() > 0 {
                 board.borrow_mut().restart();
             }
-            let mut clients: Vec<_> = self
-                .links
-                .iter()
-                .map(|role| client(&board, *role))
-                .collect();
+            let mut clients: Vec<_> = self.links.iter().map(|role| client(&board, *role)).collect();
             if self.every > 1 {
                 let mut settings = clients[0].settings().unwrap();
                 settings.wireless.every = self.every;
@@ -116,12 +109,7 @@ impl Session {
             let mut listeners = vec![(Pace::default(), ClockEstimator::new()); clients.len()];
             while board.borrow().now_us() < until_us {
                 clients[0].next_event(LOOK).unwrap().inspect(|arrival| {
-                    listen(
-                        &mut listeners[0],
-                        self.links[0],
-                        board.borrow().now_us(),
-                        arrival,
-                    );
+                    listen(&mut listeners[0], self.links[0], board.borrow().now_us(), arrival);
                 });
                 for ((client, role), listener) in
                     clients.iter_mut().zip(self.links).zip(&mut listeners)
@@ -156,10 +144,7 @@ impl Session {
 }
 
 pub fn file(entries: &[Recorded]) -> Vec<u8> {
-    let anchor = ClockAnchor {
-        monotonic_ns: 0,
-        utc_ns: 1_795_222_920_000_000_000,
-    };
+    let anchor = ClockAnchor { monotonic_ns: 0, utc_ns: 1_795_222_920_000_000_000 };
     let mut writer = RecordingWriter::new(Cursor::new(Vec::new()), "a.mcap", anchor).unwrap();
     for entry in entries {
         writer.record(entry).unwrap();
@@ -182,8 +167,5 @@ pub fn clocks(file: &[u8]) -> [ClockModel; 2] {
     let overview = history::Recording::survey_of(reader, "a.mcap", |_, _, _| {}).unwrap();
     let wireless = overview.link(Some(LinkRole::Wireless)).unwrap();
     let (_, start) = overview.starts.last_key_value().unwrap();
-    [
-        start.clock().cloned().unwrap(),
-        wireless.clock().unwrap().clone(),
-    ]
+    [start.clock().cloned().unwrap(), wireless.clock().unwrap().clone()]
 }

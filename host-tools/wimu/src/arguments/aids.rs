@@ -14,12 +14,7 @@ pub struct Aids {
     #[arg(long, value_enum, default_value_t, help_heading = "Model")]
     pub profile: MotionProfile,
     /// Position, velocity or heading by another system (columns: docs/localization/fixes.md); a LINK too if INPUT is one
-    #[arg(
-        long,
-        value_name = "FIXES.csv|LINK",
-        group = "aids",
-        conflicts_with = "anchors"
-    )]
+    #[arg(long, value_name = "FIXES.csv|LINK", group = "aids", conflicts_with = "anchors")]
     pub fixes: Option<PathBuf>,
     /// Time from a fix or range to its time stamp, s
     #[arg(
@@ -43,12 +38,7 @@ pub struct Aids {
     #[arg(long, value_name = "ANCHORS.csv")]
     pub anchors: Option<PathBuf>,
     /// Ranges beside inertial samples: columns `Time (s)`, `Anchor`, `Range (m)`; a LINK too if INPUT is one
-    #[arg(
-        long,
-        value_name = "RANGES.csv|LINK",
-        group = "aids",
-        requires = "anchors"
-    )]
+    #[arg(long, value_name = "RANGES.csv|LINK", group = "aids", requires = "anchors")]
     pub ranges: Option<PathBuf>,
     /// Prior σ of noise, m, bias, m, scale error of ranges [default: 0.03,0.1,0; with --odometry 0.5,0.5,0.1]
     #[arg(

@@ -144,12 +144,7 @@ pub struct Navigate {
     pub full_scales: Vec<f64>,
     /// Estimate the positions of all axes and the delays of all sensors. Use them and write them to this file if they
     /// predict other parts of the recording better than --geometry does
-    #[arg(
-        long,
-        value_name = "GEOMETRY.json",
-        requires = "geometry",
-        help_heading = "Arrays"
-    )]
+    #[arg(long, value_name = "GEOMETRY.json", requires = "geometry", help_heading = "Arrays")]
     pub refine: Option<PathBuf>,
     /// Standard deviation of the positions in the geometry, mm [default: that of the geometry file, or 0.5]
     #[arg(long, value_name = "MM", value_parser = positive, requires = "geometry", help_heading = "Arrays")]

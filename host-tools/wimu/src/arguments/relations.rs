@@ -102,15 +102,8 @@ const INPUTS: [(&str, &str); 22] = [
 ];
 
 /// Options of `monitor --navigate`.
-const AIDS: [&str; 7] = [
-    "profile",
-    "fixes",
-    "fix-delay",
-    "lever-arm",
-    "anchors",
-    "ranges",
-    "range-errors",
-];
+const AIDS: [&str; 7] =
+    ["profile", "fixes", "fix-delay", "lever-arm", "anchors", "ranges", "range-errors"];
 
 /// Options of `navigate` that ranges beside a board have, and those of a recording do not.
 const BESIDE_A_BOARD: [&str; 3] = ["zupt", "within", "profile"];
@@ -139,10 +132,7 @@ pub fn check(matches: &ArgMatches) -> Result<()> {
     }
     let aid = AIDS.iter().find(|option| given.contains(option));
     if let ("monitor", false, Some(option)) = (name, given.contains(&"navigate"), aid) {
-        return Err(usage(
-            format!("--{option} needs --navigate"),
-            "add it, or leave both out",
-        ));
+        return Err(usage(format!("--{option} needs --navigate"), "add it, or leave both out"));
     }
     if matches!(name, "align" | "allan" | "calibrate" | "info" | "navigate")
         && !given.contains(&"geometry")
@@ -196,19 +186,14 @@ fn by_value(table: &Table, matches: &ArgMatches, given: &[&str]) -> Result<()> {
     };
     for (option, marks) in table.rows {
         let marks = table.values.iter().zip(marks.split(' '));
-        let goes_with: Vec<String> = marks
-            .filter(|(_, mark)| *mark == "×")
-            .map(|(value, _)| name(value))
-            .collect();
+        let goes_with: Vec<String> =
+            marks.filter(|(_, mark)| *mark == "×").map(|(value, _)| name(value)).collect();
         if given.contains(option) && !goes_with.contains(&name(value)) {
             let remedy = match value {
                 MAGNETOMETER => "leave one of the two out".to_owned(),
                 _ => format!("leave it out, or use {}", goes_with.join(", ")),
             };
-            return Err(usage(
-                format!("--{option} does not go with {}", name(value)),
-                remedy,
-            ));
+            return Err(usage(format!("--{option} does not go with {}", name(value)), remedy));
         }
     }
     Ok(())
@@ -225,10 +210,9 @@ fn by_input(matches: &ArgMatches, given: &[&str]) -> Result<()> {
         Err(_) => return Ok(()),
     };
     let beside = |option: &&&str| given.contains(*option);
-    if let (true, Some(option)) = (
-        given.contains(&"anchors") && kind != "a LINK",
-        BESIDE_A_BOARD.iter().find(beside),
-    ) {
+    if let (true, Some(option)) =
+        (given.contains(&"anchors") && kind != "a LINK", BESIDE_A_BOARD.iter().find(beside))
+    {
         let message = format!("--{option} goes with --anchors only if INPUT is a LINK");
         return Err(usage(message, "leave one of the two out").at(input));
     }
@@ -242,7 +226,7 @@ fn by_input(matches: &ArgMatches, given: &[&str]) -> Result<()> {
                 _ => "leave it out",
             };
             return Err(
-                usage(format!("--{option} needs {needed}; this is {kind}"), remedy).at(input),
+                usage(format!("--{option} needs {needed}; this is {kind}"), remedy).at(input)
             );
         }
     }

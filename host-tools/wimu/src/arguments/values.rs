@@ -87,8 +87,5 @@ pub fn start_pose(text: &str) -> Result<StartPose, String> {
         Some([e, n, u, degrees]) => (*e, *n, *u, Some(degrees.to_radians())),
         _ => return Err("give E,N,U in metres, or E,N,U,HEADING with degrees".to_owned()),
     };
-    Ok(StartPose {
-        position_m: [e, n, u],
-        heading_rad: heading,
-    })
+    Ok(StartPose { position_m: [e, n, u], heading_rad: heading })
 }

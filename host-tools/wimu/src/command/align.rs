@@ -23,11 +23,7 @@ pub fn run(arguments: &Align, output: Output) -> Result<u8> {
         return camera::run(arguments, camera, output);
     }
     let options = AlignOptions {
-        up: arguments
-            .up
-            .iter()
-            .map(|axis| axis.parse())
-            .collect::<Result<_>>()?,
+        up: arguments.up.iter().map(|axis| axis.parse()).collect::<Result<_>>()?,
         rests: arguments.rests.clone(),
         forward: arguments.forward,
         placement_sd_rad: arguments.placement_sd.to_radians(),

@@ -15,12 +15,7 @@ pub fn run(arguments: &Allan, output: Output) -> Result<u8> {
     let report = match Input::parse(&arguments.input)? {
         Input::File(path) | Input::Recording(path) => {
             let options = arguments.reading.options(false);
-            allan::noise(
-                &path,
-                &options,
-                arguments.accelerometer,
-                arguments.sensitivity,
-            )?
+            allan::noise(&path, &options, arguments.accelerometer, arguments.sensitivity)?
         }
         Input::Link(_) => listen(arguments, output)?,
     };
@@ -41,11 +36,8 @@ const PROGRESS: Duration = Duration::from_secs(5);
 /// Measures the noise of a live board, in constant memory.
 fn listen(arguments: &Allan, output: Output) -> Result<NoiseReport> {
     let mut client = connect(&arguments.input)?;
-    let mut meter = NoiseMeter::new(
-        client.name(),
-        arguments.sensitivity,
-        client.hello().sensitivity_known,
-    );
+    let mut meter =
+        NoiseMeter::new(client.name(), arguments.sensitivity, client.hello().sensitivity_known);
     output.print(match arguments.seconds {
         Some(time) => format!("keep the board at rest for {} s", time.as_secs_f64()),
         None => "keep the board at rest; Ctrl-C stops".to_owned(),

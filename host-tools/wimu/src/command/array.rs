@@ -38,17 +38,11 @@ pub fn read(
     raw: bool,
 ) -> Result<ArrayRecording> {
     let sensitivity_lsb_per_g = sensitivity_lsb_per_g.unwrap_or(SENSITIVITY_LSB_PER_G);
-    let is_table = input
-        .extension()
-        .is_some_and(|e| e.eq_ignore_ascii_case("csv"));
+    let is_table = input.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv"));
     if boards.is_empty() && is_table {
         return ArrayRecording::from_csv(input, sensitivity_lsb_per_g);
     }
-    let options = BoardOptions {
-        sensitivity_lsb_per_g,
-        link: link.map(Into::into),
-        raw,
-    };
+    let options = BoardOptions { sensitivity_lsb_per_g, link: link.map(Into::into), raw };
     let paths = std::iter::once(input).chain(boards.iter().map(PathBuf::as_path));
     let boards = paths.map(|path| Board::read(path, &options));
     ArrayRecording::from_boards(&boards.collect::<Result<Vec<_>>>()?)
@@ -87,11 +81,7 @@ impl Refined {
         ));
         output.print(format!(
             "{}: χ² falls by {:.1} times the least reduction that is accepted",
-            if found.accepted {
-                "accepted"
-            } else {
-                "rejected (the given geometry is kept)"
-            },
+            if found.accepted { "accepted" } else { "rejected (the given geometry is kept)" },
             found.gain
         ));
         let mm = |all: &[[f64; 3]; 3]| all.map(|position| position.map(|v| v * 1e3));
@@ -105,9 +95,8 @@ impl Refined {
             .collect();
         for (k, sensor) in sensors.iter().enumerate().filter(|_| found.accepted) {
             let axes = ["X", "Y", "Z"].iter().zip(&sensor.moved_mm);
-            let moved: Vec<String> = axes
-                .map(|(name, [x, y, z])| format!("{name} {x:+.2} {y:+.2} {z:+.2}"))
-                .collect();
+            let moved: Vec<String> =
+                axes.map(|(name, [x, y, z])| format!("{name} {x:+.2} {y:+.2} {z:+.2}")).collect();
             let sds = sensor.moved_sd_mm.iter().flatten();
             output.print(format!(
                 "sensor {k}: axes moved by {} mm (± {:.2} at most), delay {:.0} ± {:.0} µs",

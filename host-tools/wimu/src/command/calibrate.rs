@@ -102,10 +102,7 @@ pub fn read_calibrated(
 
 /// How to read the input, and which of its samples.
 fn reading(arguments: &Calibrate) -> (ReadOptions, Selection) {
-    let selection = Selection {
-        accelerometer: arguments.accelerometer,
-        poses: arguments.poses,
-    };
+    let selection = Selection { accelerometer: arguments.accelerometer, poses: arguments.poses };
     (arguments.reading.options(arguments.poses), selection)
 }
 
@@ -141,26 +138,20 @@ fn several(arguments: &Calibrate, output: Output) -> Result<u8> {
     let (load, selection) = reading(arguments);
     let first = Path::new(&arguments.input);
     let files = std::iter::once(first).chain(arguments.more.iter().map(AsRef::as_ref));
-    let sessions: Vec<Recording> = files
-        .map(|file| formats::load(file, &load))
-        .collect::<Result<_>>()?;
-    let data: Vec<_> = sessions
-        .iter()
-        .map(|session| session.samples(selection))
-        .collect::<Result<_>>()?;
+    let sessions: Vec<Recording> =
+        files.map(|file| formats::load(file, &load)).collect::<Result<_>>()?;
+    let data: Vec<_> =
+        sessions.iter().map(|session| session.samples(selection)).collect::<Result<_>>()?;
     let report = calibration::calibrate_several(&data, &options)?;
     let (path, file) = (arguments.output.as_deref(), report.file.clone());
-    finish(&report, &report.outcome, path, file, output, || {
-        write_page(arguments, || report.page())
-    })
+    finish(&report, &report.outcome, path, file, output, || write_page(arguments, || report.page()))
 }
 
 /// Calibrates one stream with another of the same motion.
 fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
     let sensitivity = arguments.sensitivity.map(Sensitivity::from_lsb_per_g);
-    let sensitivity = sensitivity
-        .transpose()
-        .map_err(|error| usage(error.to_string(), "check --sensitivity"))?;
+    let sensitivity =
+        sensitivity.transpose().map_err(|error| usage(error.to_string(), "check --sensitivity"))?;
     let data = match Input::parse(&arguments.input)? {
         Input::File(path) => Paired::of_recording(
             &formats::load(&path, &reading(arguments).0)?,
@@ -207,19 +198,13 @@ fn update(arguments: &Calibrate, output: Output) -> Result<u8> {
         checked,
         |_, _| Err(not_live()),
     )?;
-    let report = calibration::update(
-        &data.samples(selection)?,
-        &stored,
-        arguments.gravity,
-        utc_s(),
-    )?;
+    let report =
+        calibration::update(&data.samples(selection)?, &stored, arguments.gravity, utc_s())?;
     let with = arguments.with.as_deref();
     let file = |set| CalibrationFile::after(with, &stored, set, &report.source);
     let file = report.parameters.as_ref().map(file);
     let path = arguments.output.as_deref();
-    finish(&report, &report.outcome, path, file, output, || {
-        write_page(arguments, || report.page())
-    })
+    finish(&report, &report.outcome, path, file, output, || write_page(arguments, || report.page()))
 }
 
 /// Now, s since 1970 UTC.
@@ -244,9 +229,7 @@ fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
         terms,
         sides: arguments.sides.clone(),
         gravity_mps2: arguments.gravity,
-        place: arguments
-            .latitude
-            .map(|latitude| [latitude, arguments.height]),
+        place: arguments.latitude.map(|latitude| [latitude, arguments.height]),
         sensitivity_lsb_per_g: arguments.sensitivity,
         range_g: arguments.range,
         placement_sd_deg: arguments.placement_sd,

@@ -26,11 +26,8 @@ pub fn run(arguments: &Compare, output: Output) -> Result<()> {
 }
 
 fn unsupported(input: &str) -> HostError {
-    usage(
-        "this input cannot be compared",
-        "give one recording of both links, or two CSV files",
-    )
-    .at(input)
+    usage("this input cannot be compared", "give one recording of both links, or two CSV files")
+        .at(input)
 }
 
 fn recording(path: &Path, arguments: &Compare, output: Output) -> Result<()> {
@@ -43,10 +40,7 @@ fn recording(path: &Path, arguments: &Compare, output: Output) -> Result<()> {
         let model = found.values.as_ref().map(|values| &values.model);
         let model = model.ok_or_else(|| {
             ErrorCode::DataRefused
-                .error(
-                    found.values_reason.clone().unwrap_or_default(),
-                    "record a longer motion",
-                )
+                .error(found.values_reason.clone().unwrap_or_default(), "record a longer motion")
                 .at(&name)
         })?;
         model.write(file)?;
@@ -61,11 +55,7 @@ fn recording(path: &Path, arguments: &Compare, output: Output) -> Result<()> {
     }
     if let Some(folder) = &arguments.pictures {
         let files = found.write_pictures(folder)?;
-        output.print(format!(
-            "wrote {} pictures to {}",
-            files.len(),
-            folder.display()
-        ));
+        output.print(format!("wrote {} pictures to {}", files.len(), folder.display()));
     }
     output.answer("wimu.compare/1", &found);
     Ok(())
@@ -79,11 +69,7 @@ fn text(found: &Comparison) -> String {
         found.duration_s,
         found.pairs,
         found.stream,
-        if found.identical == found.pairs {
-            "all".to_owned()
-        } else {
-            found.identical.to_string()
-        },
+        if found.identical == found.pairs { "all".to_owned() } else { found.identical.to_string() },
         match (found.with_rates, found.rates_differ) {
             (0, 0) => String::new(),
             (with, 0) => format!(", {with} with equal angular rates"),
@@ -117,8 +103,7 @@ fn link_text(link: &LinkReport) -> String {
         link.duplicated,
         link.late,
         link.damaged,
-        link.shed
-            .map_or("unknown".to_owned(), |shed| shed.to_string()),
+        link.shed.map_or("unknown".to_owned(), |shed| shed.to_string()),
         link.interruptions,
         left_out_text(link.unplaced, link.rejected)
     );

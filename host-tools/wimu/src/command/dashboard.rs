@@ -51,9 +51,8 @@ pub fn run(arguments: &Dashboard, output: Output) -> Result<()> {
         }
     }
     let folder = Folder::new(&arguments.folder, files.clone())?;
-    let address = arguments
-        .listen
-        .unwrap_or(SocketAddr::from((Ipv4Addr::LOCALHOST, arguments.port)));
+    let address =
+        arguments.listen.unwrap_or(SocketAddr::from((Ipv4Addr::LOCALHOST, arguments.port)));
     let server = Server::bind(address)?;
     let desk = Arc::new(Desk {
         hub: Arc::new(Hub::default()),
@@ -202,8 +201,7 @@ impl Desk {
             return;
         }
         let topic = format!("link/{name}");
-        self.hub
-            .publish(&topic, &json!({"link": name, "error": null}));
+        self.hub.publish(&topic, &json!({"link": name, "error": null}));
         thread::spawn(move || {
             let connected = || {
                 let client = client::connect(&link)?;
@@ -262,12 +260,7 @@ impl Desk {
         let (jobs, receiver) = mpsc::channel();
         let board = Board::new(boards.len(), name, self.hub.clone(), self.folder.clone());
         let thread = thread::spawn(move || run(board, receiver));
-        boards.push(Seat {
-            device_id,
-            roles,
-            jobs,
-            thread: Some(thread),
-        });
+        boards.push(Seat { device_id, roles, jobs, thread: Some(thread) });
     }
 
     /// Shows what a file holds, read in a thread of its own.
@@ -311,9 +304,7 @@ impl Desk {
             }
             General::Ports => {
                 let ports = transport::ports()?;
-                return Ok(json!(
-                    ports.iter().map(|port| &port.path).collect::<Vec<_>>()
-                ));
+                return Ok(json!(ports.iter().map(|port| &port.path).collect::<Vec<_>>()));
             }
             General::Open(File { file }) => self.open(&file, &self.folder.file(&file)?),
             General::Play(File { file }) => {
@@ -329,10 +320,7 @@ impl Desk {
         let page = Arc::new(Page::default());
         let mut boards = lock(&self.boards);
         for seat in boards.iter() {
-            let asker = Asker {
-                page: page.clone(),
-                id: 0,
-            };
+            let asker = Asker { page: page.clone(), id: 0 };
             let _ = seat.jobs.send(Job::Do(Action::Close, asker));
         }
         for thread in boards.iter_mut().filter_map(|seat| seat.thread.take()) {
@@ -354,9 +342,7 @@ impl Desk {
         };
         let action: Action = serde_json::from_value(message.what).map_err(unknown)?;
         let boards = lock(&self.boards);
-        let sent = boards
-            .get(board)
-            .map(|seat| seat.jobs.send(Job::Do(action, asker.clone())));
+        let sent = boards.get(board).map(|seat| seat.jobs.send(Job::Do(action, asker.clone())));
         match sent {
             Some(Ok(())) => Ok(None),
             _ => Err(usage("this board was closed", "connect it again")),
@@ -370,10 +356,7 @@ impl Answers for Arc<Desk> {
         let Ok(message) = parsed else {
             return page.is_admitted();
         };
-        let asker = Asker {
-            page: page.clone(),
-            id: message.id,
-        };
+        let asker = Asker { page: page.clone(), id: message.id };
         let writes = self.token.is(&message.token);
         // A wrong token is never taken for none.
         let may_read = self.open_reads && message.token.is_empty();

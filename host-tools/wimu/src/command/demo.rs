@@ -46,25 +46,23 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
     }
     let began = Instant::now();
     let sensor = arguments.sensor.into();
-    let outcome = FirstLight {
-        seed: arguments.seed,
-        sensor,
-        calibration: Calibration::TwelvePoses,
-    }
-    .run_on(|source| {
-        let config = BoardConfig {
-            wireless_faults: WIRELESS.parse().map_err(|error| {
-                ErrorCode::VerifyFailed.error(
-                    format!("the demo's link: {error}"),
-                    "report this as a fault of wimu",
-                )
-            })?,
-            fault_seed: arguments.seed,
-            sensor,
-            ..BoardConfig::default()
-        };
-        Ok(Board::start(config, source))
-    })?;
+    let outcome =
+        FirstLight { seed: arguments.seed, sensor, calibration: Calibration::TwelvePoses }.run_on(
+            |source| {
+                let config = BoardConfig {
+                    wireless_faults: WIRELESS.parse().map_err(|error| {
+                        ErrorCode::VerifyFailed.error(
+                            format!("the demo's link: {error}"),
+                            "report this as a fault of wimu",
+                        )
+                    })?,
+                    fault_seed: arguments.seed,
+                    sensor,
+                    ..BoardConfig::default()
+                };
+                Ok(Board::start(config, source))
+            },
+        )?;
     let links = compare(
         || RecordingReader::new(outcome.recording.as_slice(), "the recording"),
         "the recording",
@@ -232,24 +230,15 @@ struct SixAxes {
 impl SixAxes {
     fn of(outcome: &Outcome) -> Self {
         let Some(errors_deg) = outcome.attitude_deg else {
-            return Self {
-                path: "a 1 m slide",
-                again: "slide",
-                ..Self::default()
-            };
+            return Self { path: "a 1 m slide", again: "slide", ..Self::default() };
         };
         let hidden = outcome.truth.gyroscope.model.terms();
         let [bx, by, bz] = hidden.bias_rad_s.map(f64::to_degrees);
         let scale = [0, 1, 2].map(|axis| (hidden.matrix[axis][axis] - 1.0) * 100.0);
         let found = outcome.parameters.gyroscope.map(|found| found.model);
         let matrix = found.map_or(hidden.matrix, |model| model.terms().matrix);
-        let errors = matrix
-            .as_flattened()
-            .iter()
-            .zip(hidden.matrix.as_flattened());
-        let worst = errors.fold(0.0_f64, |worst, (found, truth)| {
-            worst.max((found - truth).abs())
-        });
+        let errors = matrix.as_flattened().iter().zip(hidden.matrix.as_flattened());
+        let worst = errors.fold(0.0_f64, |worst, (found, truth)| worst.max((found - truth).abs()));
         Self {
             hidden: Some(format!(
                 "  gyroscope: bias {bx:+.1} {by:+.1} {bz:+.1} °/s, scale {:+.1} {:+.1} {:+.1} %, misaligned axes, g-sensitivity, noise.",
@@ -285,9 +274,7 @@ fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
     };
     let path = |points: &[Point], name: &str| {
         let start = points.first().map_or(0.0, |point| point.time.to_seconds());
-        let from = points
-            .first()
-            .map_or([0.0; 3], |point| point.navigation.position.to_m());
+        let from = points.first().map_or([0.0; 3], |point| point.navigation.position.to_m());
         let distance = |point: &Point| {
             let to = point.navigation.position.to_m();
             (point.time.to_seconds() - start, distance_m(from, to))
@@ -314,9 +301,7 @@ fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
 
 fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Result<Report> {
     let mut report = Report::new("wimu demo");
-    let [before, after] = outcome
-        .tilts_rms_mps2()
-        .map(|rms| significant(rms * 1e3, 3));
+    let [before, after] = outcome.tilts_rms_mps2().map(|rms| significant(rms * 1e3, 3));
     let slide =
         [outcome.slide.uncalibrated_m, outcome.slide.calibrated_m].map(|m| significant(m, 3));
     report
@@ -341,10 +326,7 @@ fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Resu
                 vec![
                     ["X", "Y", "Z"][axis].to_owned(),
                     format!("{:+.4}", truth.bias_mps2[axis]),
-                    format!(
-                        "{:+.4} ± {:.4}",
-                        fit.model.bias_mps2[axis], fit.sd.bias_mps2[axis]
-                    ),
+                    format!("{:+.4} ± {:.4}", fit.model.bias_mps2[axis], fit.sd.bias_mps2[axis]),
                     format!("{:.5}", truth.matrix[axis][axis]),
                     format!(
                         "{:.5} ± {:.5}",
@@ -355,13 +337,7 @@ fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Resu
             .collect();
         report.table(
             "Error model: truth and estimate",
-            &[
-                "axis",
-                "true bias (m/s²)",
-                "estimate",
-                "true scale factor",
-                "estimate",
-            ],
+            &["axis", "true bias (m/s²)", "estimate", "true scale factor", "estimate"],
             &rows,
         );
     }

@@ -61,11 +61,7 @@ struct ExportedTopics {
 
 pub fn run(arguments: &Export, output: Output) -> Result<()> {
     not_over_input(&arguments.input, arguments.output.as_deref())?;
-    let model = arguments
-        .link_model
-        .as_deref()
-        .map(LinkModel::read)
-        .transpose()?;
+    let model = arguments.link_model.as_deref().map(LinkModel::read).transpose()?;
     if let Some(target) = target(arguments) {
         return calibration(arguments, target, output);
     }
@@ -185,10 +181,7 @@ fn calibration(arguments: &Export, target: ExportTarget, output: Output) -> Resu
         let text = format!("sensors {further:?} of the calibration are left out");
         findings.push(FindingCode::NotExpressible.warning(text));
     }
-    let file = arguments
-        .output
-        .as_ref()
-        .map(|path| path.display().to_string());
+    let file = arguments.output.as_ref().map(|path| path.display().to_string());
     match (&arguments.output, &file) {
         (Some(path), Some(file)) => {
             OutputFile::write(path, &text)?;
@@ -199,11 +192,7 @@ fn calibration(arguments: &Export, target: ExportTarget, output: Output) -> Resu
         _ if !output.is_json() => output.print(text.trim_end()),
         _ => {}
     }
-    let exported = ExportedCalibration {
-        text: file.is_none().then_some(text),
-        file,
-        findings,
-    };
+    let exported = ExportedCalibration { text: file.is_none().then_some(text), file, findings };
     output.answer("wimu.export_calibration/1", &exported);
     Ok(())
 }

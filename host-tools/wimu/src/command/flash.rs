@@ -97,11 +97,7 @@ fn read(board: Board, file: Option<PathBuf>) -> Result<Image> {
         .at(&location)
     })?;
     match image::objection(board, &segments) {
-        None => Ok(Image {
-            board,
-            file,
-            segments,
-        }),
+        None => Ok(Image { board, file, segments }),
         Some(why) => Err(ErrorCode::WrongImage
             .error(
                 format!("this image is not for a {}: {why}", board.name()),
@@ -125,17 +121,10 @@ fn list(_: Output) -> Result<()> {
 #[cfg(not(feature = "flash"))]
 fn write(image: &Image, arguments: &Flash, _: Output) -> Result<()> {
     // Used by the build with the feature only.
-    let Flash {
-        probe: _,
-        erase_all: _,
-        ..
-    } = arguments;
+    let Flash { probe: _, erase_all: _, .. } = arguments;
     debug_assert!(!image.segments.is_empty());
     let (_, drive) = image.board.file_and_drive();
-    let without = format!(
-        "; or copy {} onto the board's drive {drive}",
-        image.file.display()
-    );
+    let without = format!("; or copy {} onto the board's drive {drive}", image.file.display());
     Err(left_out(&format!("flash {}", image.board.name()), &without))
 }
 

@@ -26,11 +26,7 @@ pub fn run(action: &Fleet, output: Output) -> Result<()> {
             output.answer("wimu.fleet-status/1", &status);
             Ok(())
         }
-        Fleet::Push {
-            fleet,
-            folder,
-            until,
-        } => push(&fleet.parse()?, folder, *until, output),
+        Fleet::Push { fleet, folder, until } => push(&fleet.parse()?, folder, *until, output),
     }
 }
 
@@ -47,9 +43,7 @@ fn show(status: &FleetStatus, output: Output) {
         counted(status.boards.len(), "board"),
         sum(|state| state.samples) + missing
     ));
-    let now = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .map_or(0.0, |since| since.as_secs_f64());
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64());
     let width = status.boards.keys().map(String::len).fold(5, usize::max);
     if !status.boards.is_empty() {
         output.print(format!(
@@ -87,11 +81,7 @@ fn row(state: &BoardState, now: f64) -> String {
         None if !state.alive => "–",
         _ => "ok",
     };
-    let lost = state
-        .lost
-        .as_ref()
-        .map(|why| format!("  {why}"))
-        .unwrap_or_default();
+    let lost = state.lost.as_ref().map(|why| format!("  {why}")).unwrap_or_default();
     format!(
         "{seen:>9}  {calibrated:>11}  {check:12}  {:>10}  {:>8}{lost}",
         state.samples, state.missing
@@ -127,10 +117,7 @@ fn push(fleet: &Address, folder: &Path, until: u8, output: Output) -> Result<()>
     }
     if plan.targets.is_empty() {
         return Err(ErrorCode::DataRefused.error(
-            format!(
-                "no board of fleet `{}` has a file in the folder",
-                fleet.fleet
-            ),
+            format!("no board of fleet `{}` has a file in the folder", fleet.fleet),
             "name the files BOARD.json or DEVICE_ID.json; `wimu fleet status` lists the boards",
         ));
     }
@@ -138,10 +125,7 @@ fn push(fleet: &Address, folder: &Path, until: u8, output: Output) -> Result<()>
     let boards = targets + plan.away.len();
     let (mut done, mut written) = (0, 0);
     for (stage, count) in (1..=until).zip(plan.stages()) {
-        output.print(format!(
-            "stage {stage}: {count} of {}",
-            counted(targets, "board")
-        ));
+        output.print(format!("stage {stage}: {count} of {}", counted(targets, "board")));
         for target in &plan.targets[done..count] {
             let pushed = rollout::push(fleet, target)?;
             let did = match pushed {

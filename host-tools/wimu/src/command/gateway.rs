@@ -33,10 +33,7 @@ pub fn run(arguments: &Arguments, output: Output) -> Result<()> {
     if let Some(address) = metrics {
         output.print(format!("metrics at http://{address}/metrics"));
     }
-    output.answer(
-        "wimu.gateway/1",
-        &json!({"boards": boards, "metrics": metrics}),
-    );
+    output.answer("wimu.gateway/1", &json!({"boards": boards, "metrics": metrics}));
     let mut shown = Instant::now();
     while !is_over(end, &stop) {
         std::thread::sleep(Duration::from_millis(50));

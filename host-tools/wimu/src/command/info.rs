@@ -97,9 +97,7 @@ impl Sensor {
                 angular_rates: track.rates + before.map_or(0, |before| before.angular_rates),
                 rate_hz: (track.period_ns > 0).then(|| 1e9 / f64::from(track.period_ns)),
                 range_m_s2: unit.map(|unit| unit.range_mps2()),
-                gyroscope_range_dps: unit
-                    .and_then(|unit| unit.range_rad_s())
-                    .map(f64::to_degrees),
+                gyroscope_range_dps: unit.and_then(|unit| unit.range_rad_s()).map(f64::to_degrees),
             };
             sensors.insert(*index, sensor);
         }
@@ -142,12 +140,7 @@ pub struct Sampling {
 
 impl From<&Status> for Sampling {
     fn from(status: &Status) -> Self {
-        let SensorStatus {
-            samples,
-            missed,
-            overruns,
-            bus_errors,
-        } = status.sensor;
+        let SensorStatus { samples, missed, overruns, bus_errors } = status.sensor;
         Self {
             rate_hz: status.measured_period_ns.map(|ns| 1e9 / f64::from(ns)),
             jitter_us: status.jitter_ns.map(|ns| f64::from(ns) * 1e-3),
@@ -225,9 +218,7 @@ impl Device {
             self.firmware,
             self.boot_count,
             self.reset_reason,
-            self.fault
-                .as_ref()
-                .map_or(String::new(), |fault| format!(": {fault}")),
+            self.fault.as_ref().map_or(String::new(), |fault| format!(": {fault}")),
             if self.safe_mode { SAFE_MODE } else { "" },
             self.parameter_id,
             access_text(&self.write_access)

@@ -11,12 +11,7 @@ use crate::output::Output;
 /// Prints the completion script of a shell.
 pub fn completions(arguments: &Completions) -> Result<()> {
     let mut script = Vec::new();
-    clap_complete::generate(
-        arguments.shell,
-        &mut Arguments::command(),
-        "wimu",
-        &mut script,
-    );
+    clap_complete::generate(arguments.shell, &mut Arguments::command(), "wimu", &mut script);
     let written = io::stdout().write_all(&script);
     written.map_err(|error| HostError::file("standard output", "write", &error))
 }
@@ -27,9 +22,6 @@ pub fn man(arguments: &Man, output: Output) -> Result<()> {
     let failed = |error: io::Error| HostError::file(&folder.display().to_string(), "write", &error);
     std::fs::create_dir_all(folder).map_err(failed)?;
     clap_mangen::generate_to(Arguments::command(), folder).map_err(failed)?;
-    output.print(format!(
-        "wrote the pages to {}: man -l {0}/wimu.1",
-        folder.display()
-    ));
+    output.print(format!("wrote the pages to {}: man -l {0}/wimu.1", folder.display()));
     Ok(())
 }

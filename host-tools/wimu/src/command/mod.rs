@@ -56,11 +56,7 @@ fn connect_to_write(link: &str) -> Result<Connection> {
 
 /// Connects to the board at LINK, for writing if the result is to be pushed.
 fn connect_for(link: &str, push: bool) -> Result<Connection> {
-    if push {
-        connect_to_write(link)
-    } else {
-        connect(link)
-    }
+    if push { connect_to_write(link) } else { connect(link) }
 }
 
 /// Connects to the board at LINK for reading, with its key if this computer has it and the board proves to have the

@@ -70,13 +70,8 @@ impl From<&Reading> for Line {
             parameter_id: reading.parameters.map(|id| id.to_string()),
             magnetic_field_ut: reading.field.map(|field| field.nt.map(|nt| nt * 1e-3)),
             magnetic_field_calibrated: reading.field.map(|field| field.calibrated),
-            heading_deg: reading
-                .heading
-                .map(|heading| heading.rad.to_degrees().rem_euclid(360.0)),
-            heading_sd_deg: reading
-                .heading
-                .and_then(|heading| heading.sd_rad)
-                .map(f64::to_degrees),
+            heading_deg: reading.heading.map(|heading| heading.rad.to_degrees().rem_euclid(360.0)),
+            heading_sd_deg: reading.heading.and_then(|heading| heading.sd_rad).map(f64::to_degrees),
             temperature_c: environment
                 .and_then(|e| e.temperature_centi_c)
                 .map(|centi| f64::from(centi) / 100.0),
@@ -94,9 +89,7 @@ impl Line {
     /// Whether the device has a calibration.
     pub fn is_calibrated(&self) -> bool {
         let uncalibrated = ParameterId::UNCALIBRATED.to_string();
-        self.parameter_id
-            .as_ref()
-            .is_some_and(|id| *id != uncalibrated)
+        self.parameter_id.as_ref().is_some_and(|id| *id != uncalibrated)
     }
 
     /// The most important parts that fit into `width` characters.
@@ -299,8 +292,7 @@ impl Lines {
     fn show(&mut self, event: &Event, readings: &mut Readings) -> bool {
         match event {
             Event::Device { time, event } => {
-                self.output
-                    .print(format!("{:8.2} s  {event}", time.to_seconds()));
+                self.output.print(format!("{:8.2} s  {event}", time.to_seconds()));
             }
             Event::Status(status) => self.status = Some(*status),
             Event::Restart { .. } => {
@@ -308,8 +300,7 @@ impl Lines {
                 self.shown_s = None;
             }
             Event::Hello(hello) if core::mem::take(&mut self.restarted) => {
-                self.output
-                    .print(format!("the device has restarted: {}", cause(hello)));
+                self.output.print(format!("the device has restarted: {}", cause(hello)));
             }
             _ => {}
         }
@@ -376,16 +367,10 @@ mod tests {
         }
         let has = |width, parts: &[&str]| {
             let text = line.text(Some(width));
-            assert!(
-                parts.iter().all(|part| text.contains(part)),
-                "{width}: {text}"
-            );
+            assert!(parts.iter().all(|part| text.contains(part)), "{width}: {text}");
         };
         has(65, &["f -19.123", "(invalid)"]);
-        has(
-            119,
-            &["f -19.123", "moving (invalid)", "p -1234.567", "|f|"],
-        );
+        has(119, &["f -19.123", "moving (invalid)", "p -1234.567", "|f|"]);
         let usual = Line {
             time_s: 12.34,
             position_m: Some([-1.234, 12.345, -0.012]),
@@ -393,9 +378,6 @@ mod tests {
             ..line
         };
         let text = usual.text(Some(79));
-        assert!(
-            text.contains("moving") && text.contains("p -1.234"),
-            "{text}"
-        );
+        assert!(text.contains("moving") && text.contains("p -1.234"), "{text}");
     }
 }

@@ -72,14 +72,10 @@ struct Track {
 
 impl Track {
     fn of(points: &[Point]) -> Option<Self> {
-        let first = points
-            .iter()
-            .find(|point| point.navigation.phase != Phase::Searching)?;
+        let first = points.iter().find(|point| point.navigation.phase != Phase::Searching)?;
         let last = points.last()?;
         let moving = |point: &Point| point.navigation.phase == Phase::Moving;
-        let starts = points
-            .windows(2)
-            .filter(|pair| !moving(&pair[0]) && moving(&pair[1]));
+        let starts = points.windows(2).filter(|pair| !moving(&pair[0]) && moving(&pair[1]));
         Some(Self {
             duration_s: last.time.to_seconds() - first.time.to_seconds(),
             distance_m: navigation::path_length_m(points),
@@ -92,9 +88,7 @@ impl Track {
     }
 
     fn text(&self) -> String {
-        let [e, n, u] = self
-            .final_position_m
-            .map(|axis| signed(to_tenth_mm(axis), 3));
+        let [e, n, u] = self.final_position_m.map(|axis| signed(to_tenth_mm(axis), 3));
         format!(
             "{:.1} s, {}, path {} m, ends at E {e} N {n} U {u} m{}",
             self.duration_s,
@@ -125,11 +119,9 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         return live::run(arguments, &link.to_string(), output);
     }
     for file in [&arguments.report, &arguments.output] {
-        for read in [
-            Some(&arguments.input),
-            arguments.aids.fixes.as_ref(),
-            arguments.odometry.as_ref(),
-        ] {
+        for read in
+            [Some(&arguments.input), arguments.aids.fixes.as_ref(), arguments.odometry.as_ref()]
+        {
             read.map_or(Ok(()), |read| not_over_input(read, file.as_deref()))?;
         }
     }
@@ -145,10 +137,7 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     let in_vehicle = arguments.aids.profile == MotionProfile::Vehicle;
     if arguments.odometry.is_some() && arguments.aids.anchors.is_none() && !in_vehicle {
         let remedy = "add `--profile vehicle`, or ranges with --anchors";
-        return Err(usage(
-            "--odometry goes with a vehicle or with ranges",
-            remedy,
-        ));
+        return Err(usage("--odometry goes with a vehicle or with ranges", remedy));
     }
     if let Some(anchors) = &arguments.aids.anchors {
         return ranges::run(arguments, anchors, output);
@@ -162,15 +151,9 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     let calibration = arguments.calibration.first();
     let calibration = calibration.map(|file| read_parameters(file)).transpose()?;
     let calibration = calibration.as_ref();
-    let starts = link
-        .boots
-        .iter()
-        .map(|boot| start(boot, arguments, calibration));
+    let starts = link.boots.iter().map(|boot| start(boot, arguments, calibration));
     let starts = starts.collect::<Result<Vec<Start>>>()?;
-    if starts
-        .iter()
-        .all(|start| start.device.is_none() && start.recomputed.is_none())
-    {
+    if starts.iter().all(|start| start.device.is_none() && start.recomputed.is_none()) {
         return Err(ErrorCode::DataRefused
             .error(
                 "the recording has no rest, which initial attitude and position need",
@@ -182,12 +165,8 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     for start in &starts {
         start.print(output);
     }
-    let navigated = Navigated {
-        source: recording.name.clone(),
-        link: link.role.to_string(),
-        starts,
-        path,
-    };
+    let navigated =
+        Navigated { source: recording.name.clone(), link: link.role.to_string(), starts, path };
     output.answer("wimu.navigation/1", &navigated);
     Ok(())
 }
@@ -229,15 +208,9 @@ fn start(boot: &Boot, arguments: &Navigate, calibration: Option<&ParameterSet>) 
     let mark = &boot.epochs[boot.epochs.len() - 1];
     let recorded = || boot.parameters_of(&mark.epoch);
     let parameters = calibration.copied().map_or_else(recorded, Ok)?;
-    let zupt = arguments
-        .zupt
-        .map_or(mark.epoch.state.zupt, |zupt| zupt != ZeroVelocity::Off);
+    let zupt = arguments.zupt.map_or(mark.epoch.state.zupt, |zupt| zupt != ZeroVelocity::Off);
     let points = navigation::recomputed(boot, &parameters, zupt)?;
-    Ok(Start {
-        device,
-        recomputed: Track::of(&points),
-        replay: None,
-    })
+    Ok(Start { device, recomputed: Track::of(&points), replay: None })
 }
 
 fn replay_text(replay: &ReplayReport) -> String {
@@ -259,9 +232,7 @@ fn replay_text(replay: &ReplayReport) -> String {
             replay.navigation_compared,
             replay.attitudes_differ,
             replay.attitudes_compared,
-            replay
-                .first_difference
-                .map_or("?".to_owned(), |s| s.to_string())
+            replay.first_difference.map_or("?".to_owned(), |s| s.to_string())
         )
     }
 }

@@ -37,11 +37,7 @@ pub fn run(action: &Params, output: Output) -> Result<()> {
             let file = file.as_deref();
             show(&mut client, authenticated, file, Vec::new(), output)
         }
-        Params::Push {
-            link,
-            calibration,
-            dry_run,
-        } => {
+        Params::Push { link, calibration, dry_run } => {
             let set = read_parameters(calibration)?;
             let mut client = connect_to_write(link)?;
             if *dry_run {
@@ -90,13 +86,7 @@ pub fn push(client: &mut Connection, set: &ParameterSet, output: Output) -> Resu
 fn print_difference(before: Option<&ParameterSet>, after: &ParameterSet, output: Output) {
     let difference = Difference::of(before, after);
     output.print(&difference.result);
-    for Change {
-        name,
-        before,
-        after,
-        ..
-    } in &difference.changed
-    {
+    for Change { name, before, after, .. } in &difference.changed {
         output.print(format!("{name:24} {before} → {after}"));
     }
     difference.notes.iter().for_each(|note| output.print(note));
@@ -127,9 +117,8 @@ fn show(
         save(file, parameters.as_ref())?;
     }
     let in_use = applies(parameters.as_ref(), client.settings()?.range_g, output);
-    let id = parameters.map_or(ParameterId::UNCALIBRATED, |set| {
-        wimu_link::message::parameter_id(&set)
-    });
+    let id =
+        parameters.map_or(ParameterId::UNCALIBRATED, |set| wimu_link::message::parameter_id(&set));
     match &parameters {
         None => output.print("the device is uncalibrated"),
         Some(set) => {

@@ -33,11 +33,9 @@ pub fn run(arguments: &Ports, output: Output) -> Result<()> {
     if arguments.probe {
         match transport::nearby() {
             Ok(units) => ports.extend(units.into_iter().map(|port| Listed { port, probe: None })),
-            Err(error) => output.print(format!(
-                "Bluetooth: {}; {}",
-                error.message(),
-                error.remedy()
-            )),
+            Err(error) => {
+                output.print(format!("Bluetooth: {}; {}", error.message(), error.remedy()))
+            }
         }
     }
     if ports.is_empty() {
@@ -62,10 +60,7 @@ pub fn run(arguments: &Ports, output: Output) -> Result<()> {
 }
 
 fn probe(port: &Port) -> Result<String, String> {
-    let link = LinkUrl::Serial {
-        path: port.path.clone(),
-        baud: Some(DEFAULT_BAUD),
-    };
+    let link = LinkUrl::Serial { path: port.path.clone(), baud: Some(DEFAULT_BAUD) };
     transport::open(&link)
         .and_then(|line| Client::connect(line, &port.path, ConnectOptions::probe()))
         .map(|client| {

@@ -78,11 +78,7 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
         outcome
     })?;
     output.end_refresh();
-    output.print(format!(
-        "{}: {}",
-        arguments.output.display(),
-        summary(&progress)
-    ));
+    output.print(format!("{}: {}", arguments.output.display(), summary(&progress)));
     for link in &progress.links {
         if let Some(clock) = &link.clock {
             output.print(format!("{:8} {}", link.role, clock_text(clock)));
@@ -92,10 +88,7 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
     let decoded = arguments.decoded.then(decode).transpose()?;
     if let Some(decoded) = &decoded {
         let count: u64 = decoded.messages.values().sum();
-        output.print(format!(
-            "decoded: {count} messages on {} topics",
-            decoded.messages.len()
-        ));
+        output.print(format!("decoded: {count} messages on {} topics", decoded.messages.len()));
         output.findings(&decoded.findings);
     }
     if let Some(error) = &progress.ended {
@@ -133,11 +126,7 @@ fn summary(progress: &Progress) -> String {
                 statistics.raw.missing,
                 statistics.frames_damaged,
                 left_out_text(statistics.batches_unplaced, statistics.frames_rejected),
-                if link.lost.is_some() {
-                    ", LOST, reconnecting"
-                } else {
-                    ""
-                }
+                if link.lost.is_some() { ", LOST, reconnecting" } else { "" }
             )
         })
         .collect();

@@ -105,12 +105,7 @@ impl Link {
             Ok(device) => (Some(device), None),
             Err(error) => (None, Some(error)),
         };
-        let mut found = Self {
-            link: name,
-            device,
-            error,
-            ..Self::default()
-        };
+        let mut found = Self { link: name, device, error, ..Self::default() };
         found.lost = found.listen(link, length).err();
         found
     }

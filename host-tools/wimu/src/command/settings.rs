@@ -97,11 +97,7 @@ fn changed(now: Settings, change: &Change) -> Settings {
         let batch = batch.or(change.batch).unwrap_or(now.batch);
         let every = Option::unwrap_or(every, now.every);
         match wanted {
-            None => Streams {
-                batch,
-                every,
-                ..now
-            },
+            None => Streams { batch, every, ..now },
             Some(wanted) => {
                 let on = |stream| wanted.contains(&stream);
                 Streams {
@@ -125,15 +121,8 @@ fn changed(now: Settings, change: &Change) -> Settings {
             Some(arguments::Resolution::High) => Resolution::High,
         },
         zupt: change.zupt.map_or(now.zupt, |zupt| zupt == Switch::On),
-        gravity_um_s2: change
-            .gravity
-            .map_or(now.gravity_um_s2, |mps2| (mps2 * 1e6).round() as u32),
-        cable: streams(
-            now.cable,
-            &change.cable,
-            change.cable_batch,
-            change.cable_every,
-        ),
+        gravity_um_s2: change.gravity.map_or(now.gravity_um_s2, |mps2| (mps2 * 1e6).round() as u32),
+        cable: streams(now.cable, &change.cable, change.cable_batch, change.cable_every),
         wireless: streams(
             now.wireless,
             &change.wireless,

@@ -79,24 +79,14 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
     let (mut board, played) = match &arguments.replay {
         Some(path) => {
             let counts = counts_of(arguments, path)?;
-            output.print(format!(
-                "replaying {} samples of {}",
-                counts.len(),
-                path.display()
-            ));
-            (
-                Board::start(config, Replay::new(counts).waiting_for_reader()),
-                None,
-            )
+            output.print(format!("replaying {} samples of {}", counts.len(), path.display()));
+            (Board::start(config, Replay::new(counts).waiting_for_reader()), None)
         }
         None => {
             let scene = Scene::new(World::default());
             let motion = motion::named(&arguments.motion, arguments.seed).map_err(|unknown| {
                 let known: Vec<_> = motion::NAMES.iter().map(|(name, _)| *name).collect();
-                usage(
-                    unknown.to_string(),
-                    format!("choose from {}", known.join(", ")),
-                )
+                usage(unknown.to_string(), format!("choose from {}", known.join(", ")))
             })?;
             scene.play(0.0, motion.clone());
             let truth = part.random_truth(arguments.seed, Gauge::LowerTriangular);
@@ -136,10 +126,7 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
             .map(|address| format!("tcp://{address}"))
             .map_err(|error| HostError::file("the listening port", "read", &error))
     };
-    let listening = Listening {
-        cable: url(LinkRole::Cable)?,
-        wireless: url(LinkRole::Wireless)?,
-    };
+    let listening = Listening { cable: url(LinkRole::Cable)?, wireless: url(LinkRole::Wireless)? };
     output.print(format!(
         "cable    {}\nwireless {}\nCtrl-C stops it; in another terminal: wimu monitor {}",
         listening.cable, listening.wireless, listening.cable
@@ -277,10 +264,7 @@ fn faults_of(specs: &[String]) -> Result<[LinkFaults; 2]> {
 fn counts_of(arguments: &Simulate, path: &Path) -> Result<Vec<Counts>> {
     let mut load = ReadOptions::default();
     load.filter = arguments.filter.clone();
-    let selection = Selection {
-        accelerometer: arguments.accelerometer,
-        poses: false,
-    };
+    let selection = Selection { accelerometer: arguments.accelerometer, poses: false };
     formats::load(path, &load)?.samples(selection)?.counts()
 }
 

@@ -4,9 +4,7 @@ use ratatui::buffer::Buffer;
 
 /// Whether the locale of these environment variables has UTF-8. Without any it is the C locale, except on Windows.
 pub fn is_utf8(variable: impl Fn(&str) -> Option<String>) -> bool {
-    let given = ["LC_ALL", "LC_CTYPE", "LANG"]
-        .into_iter()
-        .filter_map(variable);
+    let given = ["LC_ALL", "LC_CTYPE", "LANG"].into_iter().filter_map(variable);
     let locale = given.into_iter().find(|value| !value.is_empty());
     let named = |locale: String| locale.to_lowercase().replace('-', "").contains("utf8");
     locale.map_or(cfg!(windows), named)
@@ -20,8 +18,7 @@ pub fn convert(buffer: &mut Buffer) {
             continue;
         }
         let is_blank = |at: Option<usize>| {
-            at.and_then(|at| buffer.content.get(at))
-                .is_some_and(|cell| cell.symbol() == " ")
+            at.and_then(|at| buffer.content.get(at)).is_some_and(|cell| cell.symbol() == " ")
         };
         let first = symbol.chars().next().unwrap_or(' ');
         // It has blanks on both sides.

@@ -77,33 +77,17 @@ pub fn board(frame: &mut Frame, area: Rect, up: [f64; 3], like: [f64; 3], sides:
         let at = |v: [f64; 3]| seen(raised(raised(v, like), vertical));
         let line = |from: [f64; 3], to: [f64; 3], color| {
             let ((x1, y1, _), (x2, y2, _)) = (at(from), at(to));
-            Line {
-                x1,
-                y1,
-                x2,
-                y2,
-                color,
-            }
+            Line { x1, y1, x2, y2, color }
         };
-        let corner = |signs: usize| {
-            [0, 1, 2].map(|k| {
-                if signs >> k & 1 == 1 {
-                    HALF[k]
-                } else {
-                    -HALF[k]
-                }
-            })
-        };
+        let corner =
+            |signs: usize| [0, 1, 2].map(|k| if signs >> k & 1 == 1 { HALF[k] } else { -HALF[k] });
         for from in 0..8_usize {
             for axis in (0..3).filter(|axis| from >> axis & 1 == 0) {
                 context.draw(&line(corner(from), corner(from | 1 << axis), Color::Reset));
             }
         }
         context.layer();
-        for (axis, color) in [Color::Red, Color::Green, Color::Blue]
-            .into_iter()
-            .enumerate()
-        {
+        for (axis, color) in [Color::Red, Color::Green, Color::Blue].into_iter().enumerate() {
             let mut tip = [0.0; 3];
             tip[axis] = AXIS;
             context.draw(&line([0.0; 3], tip, color));
@@ -115,11 +99,7 @@ pub fn board(frame: &mut Frame, area: Rect, up: [f64; 3], like: [f64; 3], sides:
                 name.to_owned()
             };
             // Left of the tip where it points to the left.
-            let shift = if x < 0.0 {
-                0.07 * (name.len() - 1) as f64
-            } else {
-                0.0
-            };
+            let shift = if x < 0.0 { 0.07 * (name.len() - 1) as f64 } else { 0.0 };
             context.print(x - shift, y, name);
         }
     });
@@ -135,22 +115,14 @@ pub fn sphere(
     next: Option<[f64; 3]>,
 ) {
     canvas(frame, area, 1.15, |context| {
-        context.draw(&Circle {
-            x: 0.0,
-            y: 0.0,
-            radius: 1.0,
-            color: Color::DarkGray,
-        });
+        context.draw(&Circle { x: 0.0, y: 0.0, radius: 1.0, color: Color::DarkGray });
         let round = |k: u32| f64::from(k) / 60.0 * std::f64::consts::TAU;
         let equator: Vec<(f64, f64)> = (0..60)
             .map(|k| seen([round(k).cos(), round(k).sin(), 0.0]))
             .filter(|(.., near)| *near > 0.0)
             .map(|(x, y, _)| (x, y))
             .collect();
-        context.draw(&Points {
-            coords: &equator,
-            color: Color::DarkGray,
-        });
+        context.draw(&Points { coords: &equator, color: Color::DarkGray });
         context.layer();
         let mut mark = |v: [f64; 3], front: &'static str, behind: &'static str| {
             let (x, y, near) = seen(v);

@@ -25,18 +25,9 @@ pub fn draw(view: &GuidedView, first_line: u16, frame: &mut Frame) {
         Some(why) => widgets::lost("the board", why, "Poses are kept"),
         None => Span::styled(view.message.clone(), STRONG),
     };
-    let push = if view.pushed {
-        "push again"
-    } else {
-        "push to the board"
-    };
-    let of_result = [
-        ("p", push),
-        ("w", "write a file"),
-        ("m", "more poses"),
-        ("↑↓", "scroll"),
-        ("q", "quit"),
-    ];
+    let push = if view.pushed { "push again" } else { "push to the board" };
+    let of_result =
+        [("p", push), ("w", "write a file"), ("m", "more poses"), ("↑↓", "scroll"), ("q", "quit")];
     let of_poses = [
         ("r", "resume the interrupted session"),
         ("u", "undo"),
@@ -98,10 +89,7 @@ fn three_pictures(view: &GuidedView, frame: &mut Frame, area: Rect) {
 /// The instruction, the tilt from the next orientation and the countdown.
 fn guidance(view: &GuidedView, frame: &mut Frame, area: Rect) {
     let [words, more, tilt, hold] = Layout::vertical([Constraint::Length(1); 4]).areas(area);
-    frame.render_widget(
-        Line::from(Span::styled(format!(" {}", view.instruction), STRONG)),
-        words,
-    );
+    frame.render_widget(Line::from(Span::styled(format!(" {}", view.instruction), STRONG)), words);
     let any = " Any other orientation serves as well: hold the board still until the bell.";
     frame.render_widget(Line::from(any), more);
     if let (Some(up), Some(next)) = (view.up, view.next) {
@@ -122,21 +110,13 @@ fn guidance(view: &GuidedView, frame: &mut Frame, area: Rect) {
             let left = (whole - so_far).max(0.0);
             (so_far / whole, format!("still: {left:.1} s more"), GOOD)
         }
-        Hold::Captured => (
-            1.0,
-            "captured: turn it to the next orientation".to_owned(),
-            GOOD,
-        ),
+        Hold::Captured => (1.0, "captured: turn it to the next orientation".to_owned(), GOOD),
     };
     widgets::bar(frame, inset(hold), fraction, &text, style);
 }
 
 fn inset(area: Rect) -> Rect {
-    Rect {
-        x: area.x + 1,
-        width: area.width.saturating_sub(2),
-        ..area
-    }
+    Rect { x: area.x + 1, width: area.width.saturating_sub(2), ..area }
 }
 
 /// Uncertainty of bias and scale factor, and its course from pose to pose.
@@ -148,14 +128,7 @@ fn uncertainties(view: &GuidedView, frame: &mut Frame, area: Rect) {
     };
     let inner = widgets::panel(frame, area, title);
     let Some(latest) = latest else { return };
-    let line = |y: u16| {
-        Rect {
-            y: inner.y + y,
-            height: 1,
-            ..inner
-        }
-        .intersection(inner)
-    };
+    let line = |y: u16| Rect { y: inner.y + y, height: 1, ..inner }.intersection(inner);
     let milli_g = |mps2: f64| mps2 * 1e3 / STANDARD_GRAVITY_MPS2;
     let percent = |of_1: f64| of_1 * 100.0;
     let bias = |of: &Uncertainty| of.bias_mps2.map(milli_g);
@@ -176,10 +149,7 @@ fn uncertainties(view: &GuidedView, frame: &mut Frame, area: Rect) {
         let first = wide.len().saturating_sub(curve.width.into());
         let shown = &wide[first..];
         let bounds = widgets::bounds(shown.iter().copied(), UNCERTAINTY_SPAN);
-        let curve = Rect {
-            width: shown.len() as u16,
-            ..curve
-        };
+        let curve = Rect { width: shown.len() as u16, ..curve };
         widgets::curve(frame, curve, shown, bounds);
     }
     if let Some(why) = &latest.no_fit {

@@ -98,11 +98,7 @@ pub fn draw(view: &MonitorView, frame: &mut Frame) {
         Some((name, why)) => widgets::lost(name, why, "Values are the last ones received"),
         None => Span::styled(view.message.clone(), STRONG),
     };
-    let record = if view.recording.is_some() {
-        "stop recording"
-    } else {
-        "record"
-    };
+    let record = if view.recording.is_some() { "stop recording" } else { "record" };
     let pause = if view.paused { "continue" } else { "pause" };
     let first = [("q", "quit"), ("r", record), ("z", "zero"), ("u", "units")];
     let keys = [&first[..], &[("p", pause), ("c", "calibrate")]].concat();
@@ -116,10 +112,7 @@ pub fn draw(view: &MonitorView, frame: &mut Frame) {
     let parts = [heights[0], heights[1], Constraint::Fill(1)];
     let [first, second, below] = Layout::vertical(parts).areas(body);
     let [force_unit, rate_unit] = match view.other_units {
-        true => [
-            ("g", STANDARD_GRAVITY_MPS2.recip()),
-            ("deg/s", 1f64.to_degrees()),
-        ],
+        true => [("g", STANDARD_GRAVITY_MPS2.recip()), ("deg/s", 1f64.to_degrees())],
         false => [("m/s²", 1.0), ("rad/s", 1.0)],
     };
     let state = match line.is_some_and(|line| line.corrected && line.is_calibrated()) {
@@ -130,34 +123,17 @@ pub fn draw(view: &MonitorView, frame: &mut Frame) {
         let [x, y, z] = line.specific_force_m_s2;
         [(x * x + y * y + z * z).sqrt(), x, y, z]
     });
-    let inner = widgets::panel(
-        frame,
-        first,
-        &format!("specific force, {} ({state})", force_unit.0),
-    );
+    let inner =
+        widgets::panel(frame, first, &format!("specific force, {} ({state})", force_unit.0));
     for (index, curve) in view.force_curves.iter().enumerate() {
         let (value, unit) = (force.map(|force| force[index]), (force_unit.1, FORCE_SPAN));
-        row(
-            frame,
-            slice(inner, index, rows),
-            NAMES[index],
-            value,
-            curve,
-            unit,
-        );
+        row(frame, slice(inner, index, rows), NAMES[index], value, curve, unit);
     }
     if let Some(rate) = rate {
         let inner = widgets::panel(frame, second, &format!("angular rate, {}", rate_unit.0));
         for (index, curve) in view.rate_curves.iter().enumerate() {
             let (value, unit) = (Some(rate[index]), (rate_unit.1, RATE_SPAN));
-            row(
-                frame,
-                slice(inner, index, rows),
-                NAMES[1 + index],
-                value,
-                curve,
-                unit,
-            );
+            row(frame, slice(inner, index, rows), NAMES[1 + index], value, curve, unit);
         }
     }
     let halves = [Constraint::Fill(3), Constraint::Fill(2)];
@@ -173,12 +149,7 @@ pub fn draw(view: &MonitorView, frame: &mut Frame) {
 /// The part of an area for curve `index`, each `rows` high.
 fn slice(area: Rect, index: usize, rows: u16) -> Rect {
     let y = area.y + index as u16 * rows;
-    Rect {
-        y,
-        height: rows,
-        ..area
-    }
-    .intersection(area)
+    Rect { y, height: rows, ..area }.intersection(area)
 }
 
 /// A label, the latest value, the curve and its limits, in a unit of `factor` SI units.
@@ -245,10 +216,7 @@ fn state_rows(view: &MonitorView, line: &Line) -> Vec<(&'static str, Span<'stati
     if let Some([x, y, z]) = line.magnetic_field_ut {
         let calibrated = line.magnetic_field_calibrated == Some(true);
         let note = if calibrated { "" } else { ", uncalibrated" };
-        rows.push((
-            "magnetic",
-            format!("{x:+.1} {y:+.1} {z:+.1} µT{note}").into(),
-        ));
+        rows.push(("magnetic", format!("{x:+.1} {y:+.1} {z:+.1} µT{note}").into()));
     }
     // In seven rows the heading and the temperature share one.
     let heading = line.heading_deg.map(|heading| match line.heading_sd_deg {
@@ -292,11 +260,7 @@ fn uncertainty(valid: Option<bool>, force_sd_mps2: Option<f64>, t: f64) -> Span<
 fn link_rows(view: &MonitorView) -> Vec<Row<'static>> {
     let row = |label: &str, text: &dyn Fn(&LinkHealth) -> String| {
         let mut spans = vec![Span::styled(format!("{label:9}"), LABEL)];
-        spans.extend(
-            view.links
-                .iter()
-                .map(|link| Span::raw(format!("{:>10}", text(link)))),
-        );
+        spans.extend(view.links.iter().map(|link| Span::raw(format!("{:>10}", text(link)))));
         Row::from(spans)
     };
     let latency = |link: &LinkHealth, which: usize| {

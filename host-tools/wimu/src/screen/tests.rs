@@ -20,9 +20,7 @@ const TINY: (u16, u16) = (20, 5);
 
 fn drawn((columns, rows): (u16, u16), ascii: bool, view: impl FnOnce(&mut Frame)) -> Buffer {
     let mut terminal = Terminal::new(TestBackend::new(columns, rows)).expect("memory");
-    terminal
-        .draw(|frame| paint(frame, ascii, view))
-        .expect("memory");
+    terminal.draw(|frame| paint(frame, ascii, view)).expect("memory");
     terminal.backend().buffer().clone()
 }
 
@@ -114,9 +112,7 @@ fn poses() -> GuidedView {
 #[test]
 fn every_reading_has_its_place_on_the_smallest_screen() {
     for size in [USUAL, LARGE] {
-        let shown = text(&drawn(size, false, |frame| {
-            monitor::draw(&readings(), frame)
-        }));
+        let shown = text(&drawn(size, false, |frame| monitor::draw(&readings(), frame)));
         for part in [
             "m/s² (corrected)",
             "rad/s",
@@ -150,9 +146,7 @@ fn every_reading_has_its_place_on_the_smallest_screen() {
 #[test]
 fn what_is_wrong_is_said_where_its_value_would_be() {
     let show = |view: &MonitorView| text(&drawn(USUAL, false, |frame| monitor::draw(view, frame)));
-    let mut view = with(&readings(), |line| {
-        line.parameter_id = Some("00000000".to_owned())
-    });
+    let mut view = with(&readings(), |line| line.parameter_id = Some("00000000".to_owned()));
     view.links[0].lost = Some("refused".to_owned());
     view.force_sd_mps2 = None;
     let shown = show(&view);
@@ -180,9 +174,7 @@ fn what_is_wrong_is_said_where_its_value_would_be() {
     ] {
         assert!(shown.contains(part), "{part}:\n{shown}");
     }
-    let view = with(&readings(), |line| {
-        line.phase = Some("searching".to_owned())
-    });
+    let view = with(&readings(), |line| line.phase = Some("searching".to_owned()));
     assert!(show(&view).contains("hold it still"));
     assert!(show(&MonitorView::default()).contains("quit"));
 }
@@ -190,9 +182,7 @@ fn what_is_wrong_is_said_where_its_value_would_be() {
 #[test]
 fn a_guided_calibration_says_what_to_do_on_the_smallest_screen() {
     for size in [USUAL, LARGE] {
-        let shown = text(&drawn(size, false, |frame| {
-            calibrate::draw(&poses(), 0, frame)
-        }));
+        let shown = text(&drawn(size, false, |frame| calibrate::draw(&poses(), 0, frame)));
         for part in [
             "pose 3 of 12",
             "next: hold it like this",
@@ -215,20 +205,13 @@ fn a_guided_calibration_says_what_to_do_on_the_smallest_screen() {
     let mut view = poses();
     view.lost = Some("no answer".to_owned());
     view.uncertainty.truncate(1);
-    let shown = text(&drawn(USUAL, false, |frame| {
-        calibrate::draw(&view, 1, frame)
-    }));
-    assert!(
-        shown.contains("LINK LOST: the board (no answer). Poses are kept."),
-        "{shown}"
-    );
+    let shown = text(&drawn(USUAL, false, |frame| calibrate::draw(&view, 1, frame)));
+    assert!(shown.contains("LINK LOST: the board (no answer). Poses are kept."), "{shown}");
     assert!(shown.contains("no fit yet: 2 static poses"), "{shown}");
     assert!(shown.contains("not a result yet"), "{shown}");
     view.result = Some("usable\nX: bias".to_owned());
     view.usable = true;
-    let shown = text(&drawn(USUAL, false, |frame| {
-        calibrate::draw(&view, 1, frame)
-    }));
+    let shown = text(&drawn(USUAL, false, |frame| calibrate::draw(&view, 1, frame)));
     assert!(
         shown.contains("p pushes it") && !shown.contains("usable") && shown.contains("X: bias"),
         "{shown}"
@@ -249,9 +232,7 @@ fn a_long_message_wraps_and_a_value_is_within_its_limits() {
 #[test]
 fn a_terminal_that_is_too_small_says_how_large_it_must_be() {
     for size in [TINY, (79, 24), (80, 23)] {
-        let shown = text(&drawn(size, false, |frame| {
-            monitor::draw(&readings(), frame)
-        }));
+        let shown = text(&drawn(size, false, |frame| monitor::draw(&readings(), frame)));
         assert!(shown.contains("too small"), "{shown}");
         assert!(shown.contains("80x24"), "{shown}");
     }
@@ -263,17 +244,13 @@ fn a_terminal_that_is_too_small_says_how_large_it_must_be() {
 #[test]
 fn a_plain_screen_is_ascii_and_keeps_every_word() {
     for size in [USUAL, LARGE] {
-        let shown = text(&drawn(size, true, |frame| {
-            monitor::draw(&readings(), frame)
-        }));
+        let shown = text(&drawn(size, true, |frame| monitor::draw(&readings(), frame)));
         assert!(shown.is_ascii(), "{shown}");
         assert!(!shown.contains('?'), "{shown}");
         for part in ["m/s2", "359 +/-12", "-120.5 +20.5 +43.0 uT", "+/-0.012 m"] {
             assert!(shown.contains(part), "{part}:\n{shown}");
         }
-        let shown = text(&drawn(size, true, |frame| {
-            calibrate::draw(&poses(), 0, frame)
-        }));
+        let shown = text(&drawn(size, true, |frame| calibrate::draw(&poses(), 0, frame)));
         assert!(shown.is_ascii() && !shown.contains('?'), "{shown}");
     }
 }
@@ -296,10 +273,7 @@ fn utf8_is_named_by_the_first_variable_that_is_set() {
 
 #[test]
 fn the_side_to_raise_reduces_the_tilt() {
-    let directions: Vec<[f64; 3]> = (wimu_calib::Orientation::ALL)
-        .iter()
-        .map(|o| o.up())
-        .collect();
+    let directions: Vec<[f64; 3]> = (wimu_calib::Orientation::ALL).iter().map(|o| o.up()).collect();
     for up in &directions {
         for wanted in directions.iter().filter(|wanted| *wanted != up) {
             let before = board::angle_deg(*up, *wanted);
@@ -311,10 +285,7 @@ fn the_side_to_raise_reduces_the_tilt() {
             moved[side / 2] += if side.is_multiple_of(2) { 0.1 } else { -0.1 };
             let moved = unit(moved).expect("a direction");
             let after = board::angle_deg(moved, *wanted);
-            assert!(
-                after < before,
-                "{up:?} to {wanted:?}: side {side}, {before} to {after}"
-            );
+            assert!(after < before, "{up:?} to {wanted:?}: side {side}, {before} to {after}");
         }
     }
     assert!((board::angle_deg([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]) - 90.0).abs() < 1e-9);

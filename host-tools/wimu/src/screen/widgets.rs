@@ -40,10 +40,7 @@ pub fn page(
     ])
     .areas(frame.area());
     let bar = Style::new().add_modifier(Modifier::REVERSED);
-    let parts = [
-        Constraint::Fill(1),
-        Constraint::Length(state.chars().count() as u16 + 2),
-    ];
+    let parts = [Constraint::Fill(1), Constraint::Length(state.chars().count() as u16 + 2)];
     let [left, right] = Layout::horizontal(parts).areas(first);
     frame.render_widget(Paragraph::new(format!(" {title}")).style(bar), left);
     frame.render_widget(Paragraph::new(format!(" {state} ")).style(bar), right);
@@ -75,10 +72,7 @@ pub fn panel(frame: &mut Frame, area: Rect, title: &str) -> Rect {
 /// Labels of this width, each with its text.
 pub fn table(frame: &mut Frame, area: Rect, width: usize, rows: &[(&str, Span<'static>)]) {
     let line = |(label, text): &(&str, Span<'static>)| {
-        Line::from(vec![
-            Span::styled(format!("{label:width$} "), LABEL),
-            text.clone(),
-        ])
+        Line::from(vec![Span::styled(format!("{label:width$} "), LABEL), text.clone()])
     };
     let lines: Vec<Line> = rows.iter().map(line).collect();
     frame.render_widget(Text::from(lines), area);
@@ -86,11 +80,7 @@ pub fn table(frame: &mut Frame, area: Rect, width: usize, rows: &[(&str, Span<'s
 
 /// A bar of `fraction`, 0 to 1, with a text in it.
 pub fn bar(frame: &mut Frame, area: Rect, fraction: f64, text: &str, style: Style) {
-    let gauge = Gauge::default().ratio(if fraction > 0.0 {
-        fraction.min(1.0)
-    } else {
-        0.0
-    });
+    let gauge = Gauge::default().ratio(if fraction > 0.0 { fraction.min(1.0) } else { 0.0 });
     frame.render_widget(gauge.label(text).gauge_style(style).use_unicode(true), area);
 }
 
@@ -100,11 +90,7 @@ pub fn curve(frame: &mut Frame, area: Rect, values: &[f64], [low, high]: [f64; 2
     let step = |value: &f64| ((value - low) / (high - low) * STEPS) as u64 + 1;
     let data: Vec<u64> = values.iter().map(step).collect();
     let width = data.len() as u16;
-    let area = Rect {
-        x: area.right().saturating_sub(width),
-        width,
-        ..area
-    };
+    let area = Rect { x: area.right().saturating_sub(width), width, ..area };
     let area = area.intersection(frame.area());
     frame.render_widget(Sparkline::default().data(data).max(STEPS as u64 + 1), area);
 }

@@ -18,9 +18,7 @@ fn used(process: u32) -> Option<(f64, f64)> {
     let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
     let ticks = fields[11].parse::<f64>().ok()? + fields[12].parse::<f64>().ok()?;
     let status = fs::read_to_string(format!("/proc/{process}/status")).ok()?;
-    let peak = status
-        .lines()
-        .find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
     let peak_kb: f64 = peak.split_whitespace().next()?.parse().ok()?;
     Some((ticks / 100.0, peak_kb / 1e3))
 }
@@ -45,19 +43,10 @@ fn two_boards_at_1_khz() {
     thread::sleep(Duration::from_secs(20));
     let seconds = began.elapsed().as_secs_f64();
     let latency = browser.value(&tab, "[...latencies].sort((a, b) => a - b)");
-    let all: Vec<f64> = latency
-        .as_array()
-        .unwrap()
-        .iter()
-        .filter_map(|ms| ms.as_f64())
-        .collect();
+    let all: Vec<f64> = latency.as_array().unwrap().iter().filter_map(|ms| ms.as_f64()).collect();
     let at = |part: f64| all[((all.len() - 1) as f64 * part) as usize];
-    let measured = format!(
-        "{:.0} ms (95 %), median {:.0}, largest {:.0}",
-        at(0.95),
-        at(0.5),
-        at(1.0)
-    );
+    let measured =
+        format!("{:.0} ms (95 %), median {:.0}, largest {:.0}", at(0.95), at(0.5), at(1.0));
     let claim = "dashboard: arrival of a sample to its picture, 2 × 1344 Hz";
     figure(claim, measured, "≤ 100 ms", at(0.95) <= 100.0);
     if let (Some(before), Some(after)) = (before, used(served.process.id())) {
@@ -67,20 +56,11 @@ fn two_boards_at_1_khz() {
         figure(claim, measured, "≤ 20 %", percent <= 20.0);
     }
     let size: usize = ["/", "/style.css", "/plot.js", "/dashboard.js"]
-        .map(|path| {
-            served
-                .get(&format!("GET {path} HTTP/1.1\r\nHost: {}", served.host))
-                .len()
-        })
+        .map(|path| served.get(&format!("GET {path} HTTP/1.1\r\nHost: {}", served.host)).len())
         .into_iter()
         .sum();
     let measured = format!("{:.0} kB", size as f64 / 1e3);
-    figure(
-        "dashboard: size of the page",
-        measured,
-        "≤ 2 MB",
-        size <= 2_000_000,
-    );
+    figure("dashboard: size of the page", measured, "≤ 2 MB", size <= 2_000_000);
 }
 
 /// Takes an hour of frames: 30 a second with 40 points of 7 channels.
@@ -120,22 +100,13 @@ fn a_recording_of_1_gb_is_shown_in_little_memory() {
     let mut row = String::new();
     let mut file = std::io::BufWriter::new(fs::File::create(&path).unwrap());
     use std::io::Write as _;
-    writeln!(
-        file,
-        "Time (s),Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²)"
-    )
-    .unwrap();
+    writeln!(file, "Time (s),Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²)")
+        .unwrap();
     for k in 0..25_000_000_u32 {
         row.clear();
         let noise = f64::from(k.wrapping_mul(2_654_435_761) >> 20) * 1e-5;
-        writeln!(
-            row,
-            "{:.3},{noise:.5},{:.5},9.{:06}",
-            f64::from(k) * 1e-3,
-            -noise,
-            k % 1_000_000
-        )
-        .unwrap();
+        writeln!(row, "{:.3},{noise:.5},{:.5},9.{:06}", f64::from(k) * 1e-3, -noise, k % 1_000_000)
+            .unwrap();
         file.write_all(row.as_bytes()).unwrap();
     }
     file.flush().unwrap();
@@ -153,10 +124,7 @@ fn a_recording_of_1_gb_is_shown_in_little_memory() {
     }
     let shown = page.topics["file/large.csv"].clone();
     assert!(shown["error"].is_null(), "{shown}");
-    let points = shown["charts"][0]["series"][0]["x"]
-        .as_array()
-        .unwrap()
-        .len();
+    let points = shown["charts"][0]["series"][0]["x"].as_array().unwrap().len();
     let peak = used(served.process.id()).map_or(0.0, |(_, peak)| peak);
     let (gigabytes, seconds) = (bytes as f64 * 1e-9, began.elapsed().as_secs_f64());
     let measured = format!("{gigabytes:.2} GB in {seconds:.0} s, server at most {peak:.0} MB");
@@ -172,19 +140,9 @@ fn pictures() {
     let Some(mut browser) = Browser::start(folder.path()) else {
         return;
     };
-    record_motion(
-        "twelve-poses,slide",
-        3,
-        folder.path().join("session.mcap").to_str().unwrap(),
-    );
-    let board = Simulator::start(&[
-        "--sensor",
-        "lsm6dso",
-        "--motion",
-        "twelve-poses,slide",
-        "--seed",
-        "4",
-    ]);
+    record_motion("twelve-poses,slide", 3, folder.path().join("session.mcap").to_str().unwrap());
+    let board =
+        Simulator::start(&["--sensor", "lsm6dso", "--motion", "twelve-poses,slide", "--seed", "4"]);
     let served = Served::start(folder.path(), &[&board.wireless, &board.cable]);
     let to = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/pictures");
     let tab = browser.open(&served.url, 1200, false);
@@ -195,19 +153,14 @@ fn pictures() {
     browser.until(&phone, &format!("{COUNT} > 100"));
     browser.value(&phone, "choose('calibrate')");
     browser.until(&phone, "!!document.querySelector('#view-calibrate .main')");
-    browser.value(
-        &phone,
-        "document.querySelector('#view-calibrate .main').click()",
-    );
+    browser.value(&phone, "document.querySelector('#view-calibrate .main').click()");
     browser.until(&phone, "[...boards.values()][0].guided?.poses.length >= 3");
     browser.picture(&phone, &to.join("dashboard-phone.webp"));
     browser.value(&tab, "choose('calibrate')");
     browser.until(&tab, "[...boards.values()][0].guided.poses.length >= 5 && [...boards.values()][0].guided.hold.holding");
     browser.picture(&tab, &to.join("dashboard-calibrate.webp"));
     for name in ["dashboard-live", "dashboard-phone", "dashboard-calibrate"] {
-        let bytes = fs::metadata(to.join(name).with_extension("webp"))
-            .unwrap()
-            .len();
+        let bytes = fs::metadata(to.join(name).with_extension("webp")).unwrap().len();
         println!("{name}.webp: {:.0} kB", bytes as f64 / 1e3);
         assert!(bytes < 150_000);
     }

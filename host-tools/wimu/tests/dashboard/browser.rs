@@ -30,24 +30,10 @@ impl Browser {
     /// `None`, with the reason printed, without a Chromium.
     pub fn start(folder: &Path) -> Option<Self> {
         let mut child = Command::new(chromium()?)
-            .args([
-                "--headless=new",
-                "--no-sandbox",
-                "--disable-gpu",
-                "--hide-scrollbars",
-            ])
-            .args([
-                "--remote-debugging-port=0",
-                "--disable-renderer-backgrounding",
-            ])
-            .args([
-                "--disable-backgrounding-occluded-windows",
-                "--enable-precise-memory-info",
-            ])
-            .arg(format!(
-                "--user-data-dir={}",
-                folder.join("profile").display()
-            ))
+            .args(["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"])
+            .args(["--remote-debugging-port=0", "--disable-renderer-backgrounding"])
+            .args(["--disable-backgrounding-occluded-windows", "--enable-precise-memory-info"])
+            .arg(format!("--user-data-dir={}", folder.join("profile").display()))
             .arg("about:blank")
             .stdin(Stdio::null())
             .stdout(Stdio::null())
@@ -56,30 +42,15 @@ impl Browser {
             .expect("it answered before");
         let mut lines = BufReader::new(child.stderr.take().expect("piped")).lines();
         let url = lines
-            .find_map(|line| {
-                Some(
-                    line.ok()?
-                        .strip_prefix("DevTools listening on ")?
-                        .to_owned(),
-                )
-            })
+            .find_map(|line| Some(line.ok()?.strip_prefix("DevTools listening on ")?.to_owned()))
             .expect("its address");
         // A full pipe would block it.
         std::thread::spawn(move || lines.count());
-        let host = url
-            .trim_start_matches("ws://")
-            .split('/')
-            .next()
-            .expect("a host");
+        let host = url.trim_start_matches("ws://").split('/').next().expect("a host");
         let stream = TcpStream::connect(host).expect("it listens");
         stream.set_read_timeout(Some(TIME_LIMIT)).expect("a socket");
         let (socket, _) = tungstenite::client(url.as_str(), stream).expect("a WebSocket");
-        Some(Self {
-            child,
-            socket,
-            next: 1,
-            faults: Vec::new(),
-        })
+        Some(Self { child, socket, next: 1, faults: Vec::new() })
     }
 
     fn call(&mut self, tab: Option<&Tab>, method: &str, params: Value) -> Value {
@@ -89,9 +60,7 @@ impl Browser {
         if let Some(Tab(session)) = tab {
             message["sessionId"] = session.as_str().into();
         }
-        self.socket
-            .send(Message::text(message.to_string()))
-            .expect("it reads");
+        self.socket.send(Message::text(message.to_string())).expect("it reads");
         loop {
             let Message::Text(text) = self.socket.read().expect("an answer") else {
                 continue;
@@ -123,10 +92,7 @@ impl Browser {
         );
         let attach = json!({"targetId": target["targetId"], "flatten": true});
         let attached = self.call(None, "Target.attachToTarget", attach);
-        let tab = Tab(attached["sessionId"]
-            .as_str()
-            .expect("a session")
-            .to_owned());
+        let tab = Tab(attached["sessionId"].as_str().expect("a session").to_owned());
         let phone = width < 600;
         let metrics = json!({"width": width, "height": if phone { 800 } else { 900 },
             "deviceScaleFactor": if phone { 2 } else { 1 }, "mobile": phone});
@@ -158,10 +124,7 @@ impl Browser {
         while self.value(tab, &safe) != true {
             if Instant::now() > end {
                 let page = self.value(tab, "document.body.innerText");
-                panic!(
-                    "{expression}: not in time; faults: {:?}; page: {page}",
-                    self.faults
-                );
+                panic!("{expression}: not in time; faults: {:?}; page: {page}", self.faults);
             }
             std::thread::sleep(Duration::from_millis(50));
         }
@@ -181,13 +144,8 @@ impl Browser {
         let params = json!({"format": "webp", "quality": 80});
         let found = self.call(Some(tab), "Page.captureScreenshot", params);
         let data = found["data"].as_str().expect("base 64");
-        std::fs::write(
-            file,
-            data_encoding::BASE64
-                .decode(data.as_bytes())
-                .expect("base 64"),
-        )
-        .expect("a file");
+        std::fs::write(file, data_encoding::BASE64.decode(data.as_bytes()).expect("base 64"))
+            .expect("a file");
     }
 
     /// Bytes of the page's heap, after its garbage is collected.
@@ -224,10 +182,7 @@ fn a_person_calibrates_a_board_by_the_page_alone() {
     browser.until(&tab, "document.body.innerText.includes('No board yet')");
     // The token is in neither the address nor the page.
     browser.until(&tab, "location.hash === ''");
-    browser.value(
-        &tab,
-        &format!("document.getElementById('link').value = {:?}", board.cable),
-    );
+    browser.value(&tab, &format!("document.getElementById('link').value = {:?}", board.cable));
     browser.click(&tab, "Connect");
     browser.until(&tab, &format!("{COUNT} > 100"));
     let picture = "document.querySelector('#view-live figure canvas').toDataURL()";
@@ -245,19 +200,10 @@ fn a_person_calibrates_a_board_by_the_page_alone() {
     let begin = "document.querySelector('#view-calibrate .main')";
     browser.until(&tab, begin);
     browser.value(&tab, &format!("{begin}.click()"));
-    browser.until(
-        &tab,
-        "document.body.innerText.includes('Calibrated. Push it to the board')",
-    );
+    browser.until(&tab, "document.body.innerText.includes('Calibrated. Push it to the board')");
     browser.click(&tab, "Push to the board");
-    browser.until(
-        &tab,
-        "document.body.innerText.includes('Calibrated and pushed')",
-    );
-    assert_eq!(
-        wimu(&["params", "get", &board.wireless]).succeeds()["calibrated"],
-        true
-    );
+    browser.until(&tab, "document.body.innerText.includes('Calibrated and pushed')");
+    assert_eq!(wimu(&["params", "get", &board.wireless]).succeeds()["calibrated"], true);
 
     // The board is killed and comes back.
     drop(board);
@@ -289,32 +235,14 @@ fn a_person_calibrates_a_board_by_the_page_alone() {
         let count = browser.value(page, COUNT);
         browser.until(page, &format!("{COUNT} > {count}"));
     }
-    for name in [
-        "live",
-        "space",
-        "noise",
-        "links",
-        "calibrate",
-        "parameters",
-        "files",
-    ] {
+    for name in ["live", "space", "noise", "links", "calibrate", "parameters", "files"] {
         browser.value(&other, &format!("choose({name:?})"));
-        browser.until(
-            &other,
-            &format!("!document.getElementById('view-{name}').hidden"),
-        );
+        browser.until(&other, &format!("!document.getElementById('view-{name}').hidden"));
         let wide = browser.value(&other, "document.documentElement.scrollWidth - innerWidth");
-        assert!(
-            wide.as_f64() <= Some(0.0),
-            "{name}: {wide} px too wide for a phone"
-        );
+        assert!(wide.as_f64() <= Some(0.0), "{name}: {wide} px too wide for a phone");
         let unnamed = "[...document.querySelectorAll('button, input, select, canvas')].filter((e) => e.checkVisibility() && \
             !(e.textContent.trim() || e.ariaLabel || e.title || e.labels?.length)).length";
-        assert_eq!(
-            browser.value(&other, unnamed),
-            0,
-            "{name}: every control has a name"
-        );
+        assert_eq!(browser.value(&other, unnamed), 0, "{name}: every control has a name");
     }
     assert_eq!(browser.faults, Vec::<String>::new());
 }

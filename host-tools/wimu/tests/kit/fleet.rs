@@ -22,15 +22,9 @@ pub use tape::{Found, Tape, files};
 /// Resident memory of a process, bytes, and the processor time it has used, s.
 pub fn usage(pid: u32) -> (f64, f64) {
     let status = fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
-    let resident = status
-        .lines()
-        .find_map(|line| line.strip_prefix("VmRSS:"))
-        .unwrap_or_default();
-    let kilobytes: f64 = resident
-        .split_whitespace()
-        .next()
-        .and_then(|text| text.parse().ok())
-        .unwrap_or_default();
+    let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap_or_default();
+    let kilobytes: f64 =
+        resident.split_whitespace().next().and_then(|text| text.parse().ok()).unwrap_or_default();
     (kilobytes * 1024.0, processor_time(&format!("/proc/{pid}")))
 }
 
@@ -40,9 +34,7 @@ pub fn threads_usage(name: &str) -> f64 {
     let named = threads.map(|thread| thread.path()).filter(|path| {
         fs::read_to_string(path.join("comm")).is_ok_and(|found| found.trim() == name)
     });
-    named
-        .map(|path| processor_time(&path.display().to_string()))
-        .sum()
+    named.map(|path| processor_time(&path.display().to_string())).sum()
 }
 
 fn processor_time(folder: &str) -> f64 {
@@ -86,10 +78,7 @@ impl Gateway {
         let Ok(started) = serde_json::from_str::<Value>(&line) else {
             panic!("{line} {:?}", process.finish());
         };
-        Self {
-            process,
-            metrics: started["metrics"].as_str().unwrap_or_default().to_owned(),
-        }
+        Self { process, metrics: started["metrics"].as_str().unwrap_or_default().to_owned() }
     }
 
     /// Sum of a metric over the boards.
@@ -103,13 +92,7 @@ impl Gateway {
             .lines()
             .filter(|line| !line.starts_with('#') && line.split(['{', ' ']).next() == Some(name));
         let values: Vec<f64> = values
-            .map(|line| {
-                line.rsplit(' ')
-                    .next()
-                    .expect("a value")
-                    .parse()
-                    .expect("a number")
-            })
+            .map(|line| line.rsplit(' ').next().expect("a value").parse().expect("a number"))
             .collect();
         assert!(!values.is_empty(), "{name} in {text}");
         values.iter().sum()

@@ -81,10 +81,7 @@ impl Ran {
             let text = object[key].as_str();
             assert!(text.is_some_and(|text| !text.is_empty()), "{key}: {self:?}");
         }
-        assert!(
-            object.as_object().unwrap().contains_key("where"),
-            "{self:?}"
-        );
+        assert!(object.as_object().unwrap().contains_key("where"), "{self:?}");
         // The text for people is not missing either.
         assert!(!self.stderr.is_empty() || code == "usage", "{self:?}");
         object
@@ -130,10 +127,7 @@ impl Transcript {
 
     /// Adds a list of texts.
     pub fn list(&mut self, case: impl Display, texts: impl IntoIterator<Item = impl Display>) {
-        let lines: String = texts
-            .into_iter()
-            .map(|text| format!("- {text}\n"))
-            .collect();
+        let lines: String = texts.into_iter().map(|text| format!("- {text}\n")).collect();
         let none = if lines.is_empty() { "none" } else { "listed" };
         self.case(case, none, &lines);
     }
@@ -201,10 +195,7 @@ const FILTERS: &[(&str, &str)] = &[
     (r"[-+](0\.0+)\b", "$1"),
     (r"\b[0-9a-f]{16}\b", "DEVICE"),
     (r"\b[0-9a-f]{8}\b", "ID"),
-    (
-        r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d+)?)?( UTC|Z)?",
-        "TIME",
-    ),
+    (r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d+)?)?( UTC|Z)?", "TIME"),
     (r"\(os error \d+\)", "(os error N)"),
 ];
 
@@ -362,24 +353,14 @@ pub struct Simulator {
 
 impl Simulator {
     pub fn start(arguments: &[&str]) -> Self {
-        let fixed = [
-            "simulate",
-            "--cable",
-            "127.0.0.1:0",
-            "--wireless",
-            "127.0.0.1:0",
-        ];
+        let fixed = ["simulate", "--cable", "127.0.0.1:0", "--wireless", "127.0.0.1:0"];
         let mut process = Background::start(&[&fixed[..], arguments].concat());
         let line = process.line();
         let Ok(listening) = serde_json::from_str::<Value>(&line) else {
             panic!("{line} {:?}", process.finish());
         };
         let link = |role: &str| listening[role].as_str().expect("a link").to_owned();
-        Self {
-            cable: link("cable"),
-            wireless: link("wireless"),
-            _process: process,
-        }
+        Self { cable: link("cable"), wireless: link("wireless"), _process: process }
     }
 
     /// Records `links` to `file` until it holds `samples` raw samples of each, however long this machine
@@ -431,10 +412,7 @@ fn record_board(
     let scene = Scene::new(World::default());
     let truth = sensor.random_truth(seed, Gauge::LowerTriangular);
     let source = Physics::new(truth, scene.clone(), seed);
-    let config = BoardConfig {
-        sensor,
-        ..BoardConfig::default()
-    };
+    let config = BoardConfig { sensor, ..BoardConfig::default() };
     let board = RefCell::new(Board::start(config, source));
     let mut host = Host::connect(&board, scene.clone()).expect("a board");
     if let Some(set) = pushed {

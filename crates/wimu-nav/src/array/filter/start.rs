@@ -43,11 +43,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         if align.time_s < ALIGN_S && !self.moving_start || align.count < 2.0 && !at_rest {
             return;
         }
-        let force = if at_rest {
-            self.rest_test.force()
-        } else {
-            align.force / align.count
-        };
+        let force = if at_rest { self.rest_test.force() } else { align.force / align.count };
         self.align = Alignment::EMPTY;
         if let Some(attitude) = level(&force, None) {
             self.begin(
@@ -164,10 +160,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             let Some(mixture) = &mut self.mixture else {
                 return;
             };
-            let zero = Zero {
-                block: self.blocks.acceleration(),
-                deviation: [acceleration; 3],
-            };
+            let zero = Zero { block: self.blocks.acceleration(), deviation: [acceleration; 3] };
             mixture.update_each(real(FREEDOM), Gate::Open, &zero);
             let block = self.blocks.rate();
             let freedom = real(FREEDOM);

@@ -20,9 +20,7 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
     /// All angular rates that fit a reduced sample. Empty where the geometry shows no angular rate,
     /// or the sample is not finite.
     pub fn roots_of(&self, linear: &Linear<R>) -> Solution<R> {
-        let mut solution = Solution {
-            hypotheses: [None; HYPOTHESES],
-        };
+        let mut solution = Solution { hypotheses: [None; HYPOTHESES] };
         let finite = linear.z.iter().chain(&linear.theta).all(|v| v.is_finite());
         if self.rank < 3 || !finite {
             return solution;
@@ -46,14 +44,12 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
             }
         }
         let best =
-            found
-                .iter()
-                .flatten()
-                .map(|h| h.chi_square)
-                .fold(None, |least: Option<R>, v| match least {
+            found.iter().flatten().map(|h| h.chi_square).fold(None, |least: Option<R>, v| {
+                match least {
                     Some(l) if l <= v => Some(l),
                     _ => Some(v),
-                });
+                }
+            });
         let Some(best) = best else { return solution };
         let mut count = 0;
         for candidate in found.into_iter().flatten() {

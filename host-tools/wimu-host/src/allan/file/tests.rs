@@ -6,9 +6,8 @@ fn blocks_are_measured_as_one_series() {
     let at = [BLOCK - 50, BLOCK + 100, 2 * BLOCK];
     let mut state = 1_u64;
     let mut uniform = || {
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
+        state =
+            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
     };
     let info = TrackInfo::new("a", Quantity::SpecificForce, crate::recording::Unit::Si);

@@ -48,9 +48,7 @@ fn twelve_poses_by_the_first_advice_each_time_predict_as_well_as_twenty_random_o
         let score = |poses: &[Pose]| {
             let gravity = Gravity::new(G, 0.0).unwrap();
             let estimate = multi_position(poses, gravity, Model::Full9).ok()?;
-            let squares = unseen
-                .iter()
-                .map(|pose| estimate.residual_mps2(pose).powi(2));
+            let squares = unseen.iter().map(|pose| estimate.residual_mps2(pose).powi(2));
             Some(1e6 * squares.sum::<f64>() / 100.0)
         };
         let twenty: Vec<Pose> = (0..20)

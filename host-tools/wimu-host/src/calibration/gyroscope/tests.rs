@@ -36,9 +36,7 @@ fn session(rate_unit: Unit, change: impl Fn([f64; 3]) -> [f64; 3]) -> Recording 
             }
             let f = up.map(|u| u * STANDARD_GRAVITY_MPS2);
             let y = force_model.distort(SpecificForceMps2(f), None).0;
-            let w = model
-                .distort(omega, f, None)
-                .map(|w| w + 0.001 * random.normal());
+            let w = model.distort(omega, f, None).map(|w| w + 0.001 * random.normal());
             recording.row(force, time_ns, &y.map(|y| y + 0.02 * random.normal()));
             recording.row(rate, time_ns, &change(w));
             time_ns += 10_000_000;
@@ -63,20 +61,14 @@ fn calibrated(recording: &Recording) -> CalibrationReport {
 fn the_gyroscope_of_a_session_is_in_the_report_and_the_file() {
     let report = calibrated(&session(Unit::Si, |w| w));
     let found = report.gyroscope.as_ref().expect("a gyroscope");
-    assert!(
-        found.turns >= 15 && found.rms_deg < 0.5 && found.before_deg > 1.0,
-        "{found:?}"
-    );
+    assert!(found.turns >= 15 && found.rms_deg < 0.5 && found.before_deg > 1.0, "{found:?}");
     for (axis, truth) in [0.02, -0.01, 0.005].into_iter().enumerate() {
         let error = (found.model.bias_rad_s[axis] - truth).abs();
         assert!(error < 5.0 * found.sd[axis], "{axis}: {error} {found:?}");
     }
     for (axis, truth) in [1.01, 0.99, 1.0].into_iter().enumerate() {
         let error = (found.model.matrix[axis][axis] - truth).abs();
-        assert!(
-            error < 5.0 * found.sd[3 + 4 * axis] && error < 0.005,
-            "{axis}: {error} {found:?}"
-        );
+        assert!(error < 5.0 * found.sd[3 + 4 * axis] && error < 0.005, "{axis}: {error} {found:?}");
     }
     let text = report.to_string();
     assert!(text.contains("gyroscope X: bias +1.1"), "{text}");
@@ -121,11 +113,7 @@ fn the_short_walk_of_x_io_closes_no_worse_after_calibration() {
     };
     let estimate = session.estimate().expect("an estimate");
     let observed = (0..21).filter(|i| estimate.observed(*i)).count();
-    println!(
-        "{} rests, {} turns, {observed} of 21 observed",
-        poses.len(),
-        estimate.turns
-    );
+    println!("{} rests, {} turns, {observed} of 21 observed", poses.len(), estimate.turns);
     let stored = StoredModel {
         of_sessions: false,
         model: ErrorModel::default(),
@@ -137,21 +125,12 @@ fn the_short_walk_of_x_io_closes_no_worse_after_calibration() {
         gyroscope: estimate.parameters(2000, 0.001).ok(),
     };
     let closing = |calibration: Option<StoredModel>| {
-        let options = TableOptions {
-            calibration,
-            ..TableOptions::default()
-        };
+        let options = TableOptions { calibration, ..TableOptions::default() };
         let motion = MotionRecording::of(&recording, &options).unwrap();
-        let choice = Choice {
-            profile: Profile::Foot,
-            ..Choice::default()
-        };
+        let choice = Choice { profile: Profile::Foot, ..Choice::default() };
         let points = navigate(&motion, &choice).unwrap().points;
         let ends = [points.first().unwrap(), points.last().unwrap()].map(|p| p.position_m);
-        (0..3)
-            .map(|i| (ends[1][i] - ends[0][i]).powi(2))
-            .sum::<f64>()
-            .sqrt()
+        (0..3).map(|i| (ends[1][i] - ends[0][i]).powi(2)).sum::<f64>().sqrt()
     };
     let (before, after) = (closing(None), closing(Some(stored)));
     figure(

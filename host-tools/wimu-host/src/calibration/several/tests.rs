@@ -67,10 +67,7 @@ fn options() -> CalibrateOptions {
 }
 
 fn run(recordings: &[Recording], options: &CalibrateOptions) -> Result<SeveralReport> {
-    let selection = Selection {
-        accelerometer: None,
-        poses: true,
-    };
+    let selection = Selection { accelerometer: None, poses: true };
     let data: Result<Vec<_>> = recordings.iter().map(|r| r.samples(selection)).collect();
     calibrate_several(&data?, options)
 }
@@ -89,23 +86,14 @@ fn temperature_coefficients_and_the_change_between_sessions_come_back() {
         assert!((fit.model.bias_mps2[axis] - expected).abs() < 3.0 * fit.sd.bias_mps2[axis]);
     }
     let range = fit.temperature.unwrap();
-    assert_eq!(
-        [range.lowest_c, range.mean_c, range.highest_c],
-        [10.0, 30.0, 50.0]
-    );
+    assert_eq!([range.lowest_c, range.mean_c, range.highest_c], [10.0, 30.0, 50.0]);
     // X alone changes, by 16 mm/s² rms: 9 over the three axes.
     let between = fit.between_sd.bias_m_s2;
     assert!((0.004..0.02).contains(&between), "{between}");
     assert!(fit.within_sd.bias_m_s2 < 0.001 && fit.rms_mm_s2.unwrap() < 30.0);
     let text = report.to_string();
-    assert!(
-        text.starts_with("5 sessions: bias repeats within ± "),
-        "{text}"
-    );
-    assert!(
-        text.contains("\nper K from 30.0 °C, valid from 10.0 to 50.0 °C: bias +"),
-        "{text}"
-    );
+    assert!(text.starts_with("5 sessions: bias repeats within ± "), "{text}");
+    assert!(text.contains("\nper K from 30.0 °C, valid from 10.0 to 50.0 °C: bias +"), "{text}");
     assert!(text.contains("\n2.csv: 20 poses, 30.0 °C, "), "{text}");
 }
 
@@ -127,10 +115,7 @@ fn the_file_holds_all_sessions_and_its_parameters_are_those_of_the_report() {
     // Later rests update one session: the turn-on bias is not included any more.
     let mut terms = *own.quality.unwrap().terms();
     (terms.method, terms.poses) = (CalibrationMethod::Updated, 61);
-    let updated = ParameterSet {
-        quality: CalibrationQuality::new(terms).ok(),
-        ..own
-    };
+    let updated = ParameterSet { quality: CalibrationQuality::new(terms).ok(), ..own };
     let file = CalibrationFile::after(Some(&path), &own, &updated, "later.csv");
     file.write(&path).unwrap();
     assert!(!read_model(&path).unwrap().of_sessions);
@@ -172,44 +157,29 @@ fn a_session_that_departs_and_a_refused_one_are_named() {
     let report = run(&sessions(&other), &options()).unwrap();
     assert!(departs(&report), "{:?}", report.outcome.findings);
 
-    let few = [
-        session("whole.csv", COUNTS, 20.0, 0.5, 20),
-        session("few.csv", COUNTS, 30.0, 0.5, 5),
-    ];
+    let few =
+        [session("whole.csv", COUNTS, 20.0, 0.5, 20), session("few.csv", COUNTS, 30.0, 0.5, 5)];
     let report = run(&few, &options()).unwrap();
     let reason = report.outcome.reason.clone().unwrap();
-    assert!(
-        reason.starts_with("few.csv: ") && report.file.is_none(),
-        "{reason}"
-    );
+    assert!(reason.starts_with("few.csv: ") && report.file.is_none(), "{reason}");
     assert_eq!(report.outcome.exit_code(), 3);
 
-    let twice = [
-        session("one.csv", COUNTS, 20.0, 0.5, 20),
-        session("copy.csv", COUNTS, 20.0, 0.5, 20),
-    ];
+    let twice =
+        [session("one.csv", COUNTS, 20.0, 0.5, 20), session("copy.csv", COUNTS, 20.0, 0.5, 20)];
     let reason = run(&twice, &options()).unwrap().outcome.reason.unwrap();
-    assert!(
-        reason.starts_with("one.csv and copy.csv hold the same data"),
-        "{reason}"
-    );
+    assert!(reason.starts_with("one.csv and copy.csv hold the same data"), "{reason}");
     let one = run(&twice[..1], &options()).unwrap().outcome.reason;
     assert!(one.is_some_and(|reason| reason.starts_with("1 of at least 2 sessions")));
 }
 
 #[test]
 fn sessions_of_other_units_and_methods_are_usage_errors() {
-    let mixed = [
-        session("counts.csv", COUNTS, 20.0, 0.5, 20),
-        session("si.csv", Unit::Si, 30.0, 0.5, 20),
-    ];
+    let mixed =
+        [session("counts.csv", COUNTS, 20.0, 0.5, 20), session("si.csv", Unit::Si, 30.0, 0.5, 20)];
     let error = run(&mixed, &options()).unwrap_err();
     assert_eq!(error.code(), ErrorCode::Usage);
     for method in [MethodChoice::FourAngle, MethodChoice::ThreeAngle] {
-        let turned = CalibrateOptions {
-            method,
-            ..options()
-        };
+        let turned = CalibrateOptions { method, ..options() };
         let error = run(&sessions(&[0.5, 0.5]), &turned).unwrap_err();
         assert_eq!(error.code(), ErrorCode::Usage);
     }
@@ -228,29 +198,17 @@ fn sessions_of_other_units_and_methods_are_usage_errors() {
 fn gravity_is_named_only_where_the_default_dominates() {
     let assumed = |report: &SeveralReport| {
         let findings = report.outcome.findings.iter();
-        findings
-            .filter(|f| f.code == FindingCode::GravityAssumed)
-            .count()
+        findings.filter(|f| f.code == FindingCode::GravityAssumed).count()
     };
     let recordings = sessions(&[0.5, 0.5, 0.5, 0.5]);
     let with = |gravity_mps2, place| {
-        let options = CalibrateOptions {
-            gravity_mps2,
-            place,
-            ..options()
-        };
+        let options = CalibrateOptions { gravity_mps2, place, ..options() };
         run(&recordings, &options)
     };
     let default = with(None, None).unwrap();
-    assert_eq!(
-        (assumed(&default), default.gravity_source),
-        (1, Source::Default)
-    );
+    assert_eq!((assumed(&default), default.gravity_source), (1, Source::Default));
     let by_place = with(None, Some([45.0, 0.0])).unwrap();
-    assert_eq!(
-        (assumed(&by_place), by_place.gravity_source),
-        (0, Source::Latitude)
-    );
+    assert_eq!((assumed(&by_place), by_place.gravity_source), (0, Source::Latitude));
     assert!((by_place.gravity_m_s2 - 9.80620).abs() < 1e-5);
     assert_eq!(by_place.gravity_sd_m_s2, 0.0005);
     let scale_sd = |report: &SeveralReport| report.fit.as_ref().unwrap().sd.matrix[0][0];

@@ -29,12 +29,7 @@ impl fmt::Display for SeveralReport {
             out,
             "scale factor {}, misalignment {}",
             changes(between.scale, within.scale, 1e6, "ppm"),
-            changes(
-                between.misalignment_rad,
-                within.misalignment_rad,
-                1e3,
-                "mrad"
-            ),
+            changes(between.misalignment_rad, within.misalignment_rad, 1e3, "mrad"),
         )?;
         writeln!(
             out,
@@ -51,10 +46,7 @@ impl fmt::Display for SeveralReport {
             sd => with_sd(self.gravity_m_s2, sd),
         };
         let method = self.method;
-        write!(
-            out,
-            "{method}, g = {gravity} m/s²; ± is 1 σ of a new session"
-        )
+        write!(out, "{method}, g = {gravity} m/s²; ± is 1 σ of a new session")
     }
 }
 
@@ -81,14 +73,9 @@ impl SeveralFit {
             writeln!(out, "misalignment, mrad: {}", misaligned.join(", "))?;
         }
         let (slopes, slopes_sd) = (&model.temperature, &sd.temperature);
-        if let Some(range) = self
-            .temperature
-            .filter(|_| slopes_sd.bias_mps2_per_k[0] > 0.0)
-        {
+        if let Some(range) = self.temperature.filter(|_| slopes_sd.bias_mps2_per_k[0] > 0.0) {
             let of = |value: [f64; 3], sd: [f64; 3], unit: f64| {
-                [0, 1, 2]
-                    .map(|k| signed_with_sd(value[k] * unit, sd[k] * unit))
-                    .join(", ")
+                [0, 1, 2].map(|k| signed_with_sd(value[k] * unit, sd[k] * unit)).join(", ")
             };
             writeln!(
                 out,

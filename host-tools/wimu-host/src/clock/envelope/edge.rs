@@ -50,10 +50,7 @@ pub struct Edge {
 pub fn edges(blocks: &[&Folded], x: f64) -> Vec<Edge> {
     let edge = |kind: usize| {
         let cells = || blocks.iter().map(|block| &block.cells[kind]);
-        let hull: Vec<_> = cells()
-            .flat_map(|cell| &cell.hull)
-            .map(|t| t.about(x))
-            .collect();
+        let hull: Vec<_> = cells().flat_map(|cell| &cell.hull).map(|t| t.about(x)).collect();
         let least = cells().flat_map(|cell| &cell.least).map(|t| t.about(x));
         let own = cells().map(|cell| cell.own).sum();
         Some(Edge {
@@ -71,10 +68,7 @@ pub fn tops(blocks: &[&Folded], x: f64) -> Vec<Edge> {
     let top = |kind: usize| {
         let cells = || blocks.iter().map(|block| &block.cells[kind]);
         let free: f64 = cells().map(|cell| cell.free).sum();
-        let most: Vec<_> = cells()
-            .flat_map(|cell| &cell.most)
-            .map(|t| t.about(x))
-            .collect();
+        let most: Vec<_> = cells().flat_map(|cell| &cell.most).map(|t| t.about(x)).collect();
         let first = *most.first()?;
         (free >= MIN_FREE).then(|| Edge {
             sign: -first.class.sign(),
@@ -197,11 +191,7 @@ impl Edge {
             };
             let all = log_sum(SHAPES.iter().map(of));
             // The first one includes all smaller depths.
-            let width = if index == 0 {
-                depth
-            } else {
-                depth * ratio.ln()
-            };
+            let width = if index == 0 { depth } else { depth * ratio.ln() };
             // Prior: a least delay far below all observations is less likely.
             let width = width / (1.0 + depth / near);
             *found = (all + width.ln(), depth);
@@ -209,10 +199,7 @@ impl Edge {
         }
         let all = log_sum(found.iter().map(|(log, _)| *log));
         let mean: f64 = found.iter().map(|(log, at)| (log - all).exp() * at).sum();
-        let variance = found
-            .iter()
-            .map(|(log, at)| (log - all).exp() * (at - mean).powi(2))
-            .sum();
+        let variance = found.iter().map(|(log, at)| (log - all).exp() * (at - mean).powi(2)).sum();
         (all, floor - mean, variance)
     }
 }
@@ -249,10 +236,7 @@ pub struct LogProduct {
 
 impl Default for LogProduct {
     fn default() -> Self {
-        Self {
-            log: 0.0,
-            product: 1.0,
-        }
+        Self { log: 0.0, product: 1.0 }
     }
 }
 

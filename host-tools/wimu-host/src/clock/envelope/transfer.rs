@@ -82,19 +82,12 @@ impl Transfer {
 
     /// With the sign of v inverted: the upper edge of the delays becomes a lower one.
     fn mirrored(&self) -> Self {
-        Self {
-            v: -self.v,
-            free_from: f64::NEG_INFINITY,
-            ..*self
-        }
+        Self { v: -self.v, free_from: f64::NEG_INFINITY, ..*self }
     }
 
     /// With its time relative to `x`.
     pub fn about(&self, x: f64) -> Self {
-        Self {
-            x: self.x - x,
-            ..*self
-        }
+        Self { x: self.x - x, ..*self }
     }
 }
 
@@ -135,10 +128,7 @@ impl Folded {
         for transfer in transfers {
             let kind = transfer.kind();
             let cell = &mut cells[kind];
-            let transfer = &Transfer {
-                index: cell.count as u32,
-                ..*transfer
-            };
+            let transfer = &Transfer { index: cell.count as u32, ..*transfer };
             cell.count += 1.0;
             cell.sum_x += transfer.x;
             cell.sum_v += transfer.v;
@@ -164,10 +154,7 @@ impl Folded {
     /// Number of transfers kept.
     #[cfg(test)]
     pub fn points(&self) -> usize {
-        self.cells
-            .iter()
-            .map(|cell| cell.hull.len() + cell.least.len())
-            .sum()
+        self.cells.iter().map(|cell| cell.hull.len() + cell.least.len()).sum()
     }
 }
 

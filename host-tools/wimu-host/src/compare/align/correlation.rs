@@ -52,18 +52,11 @@ pub(super) fn refine(a: &[f64], b: &[f64], around: i64, reach: i64) -> Option<Be
     let shift = match (score(lag - 1), score(lag + 1)) {
         (Some(before), Some(behind)) => {
             let bend = before - 2.0 * peak + behind;
-            if bend < 0.0 {
-                (0.5 * (before - behind) / bend).clamp(-0.5, 0.5)
-            } else {
-                0.0
-            }
+            if bend < 0.0 { (0.5 * (before - behind) / bend).clamp(-0.5, 0.5) } else { 0.0 }
         }
         _ => 0.0,
     };
-    Some(Best {
-        score: peak,
-        lag: lag as f64 + shift,
-    })
+    Some(Best { score: peak, lag: lag as f64 + shift })
 }
 
 /// By how many standard deviations the correlation of the overlap, with b shifted by `lag`, exceeds
@@ -117,10 +110,7 @@ pub(super) fn drift(
             let first = ((from - grid.start) / grid.step).round().max(0.0) as usize;
             let count = (third / grid.step) as usize;
             let last = (first + count).min(grid.values.len());
-            (
-                first,
-                grid.values.get(first..last).unwrap_or_default().to_vec(),
-            )
+            (first, grid.values.get(first..last).unwrap_or_default().to_vec())
         };
         let ((first_a, a_part), (first_b, b_part)) = (cut(a, from), cut(b, from - shift));
         let expected = lag - (first_a as f64 - first_b as f64);

@@ -46,18 +46,12 @@ fn saturated(values: &[[f64; 3]]) -> Vec<bool> {
     for axis in 0..3 {
         let of = |row: usize| values[row][axis];
         // The finest step between two rows: within it a value may persist because of its resolution.
-        let steps = values
-            .windows(2)
-            .map(|pair| (pair[1][axis] - pair[0][axis]).abs());
+        let steps = values.windows(2).map(|pair| (pair[1][axis] - pair[0][axis]).abs());
         let finest = steps.filter(|step| *step > 0.0).fold(f64::MAX, f64::min);
         for sign in [1.0, -1.0] {
-            let end = values
-                .iter()
-                .map(|value| sign * value[axis])
-                .fold(f64::MIN, f64::max);
-            let at_end: Vec<usize> = (0..values.len())
-                .filter(|row| sign * of(*row) == end)
-                .collect();
+            let end = values.iter().map(|value| sign * value[axis]).fold(f64::MIN, f64::max);
+            let at_end: Vec<usize> =
+                (0..values.len()).filter(|row| sign * of(*row) == end).collect();
             let runs = at_end.chunk_by(|row, next| row + 1 == *next);
             let stops = runs.filter(|run| {
                 let outside = [run[0].checked_sub(1), Some(run[run.len() - 1] + 1)];
@@ -83,9 +77,7 @@ impl Signal {
         let samples = recording.samples(Selection::default())?;
         let mut signal = Signal::default();
         for (index, value) in samples.values().enumerate() {
-            let time = samples
-                .time_s(index)
-                .unwrap_or(index as f64 / samples.rate_hz);
+            let time = samples.time_s(index).unwrap_or(index as f64 / samples.rate_hz);
             // Of equal times, the first counts.
             if signal.times.last().is_none_or(|last| time > *last) {
                 signal.times.push(time);
@@ -145,11 +137,9 @@ impl Signal {
     pub fn curved_at(&self, time: f64, rows: usize) -> Option<[f64; 3]> {
         let next = self.times.partition_point(|t| *t <= time);
         let near = next.saturating_sub(rows)..next + rows;
-        let (Some(times), Some(values), Some(saturated)) = (
-            self.times.get(near.clone()),
-            self.values.get(near.clone()),
-            self.saturated.get(near),
-        ) else {
+        let (Some(times), Some(values), Some(saturated)) =
+            (self.times.get(near.clone()), self.values.get(near.clone()), self.saturated.get(near))
+        else {
             return self.at(time);
         };
         let mean = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
@@ -161,9 +151,7 @@ impl Signal {
         let mut curved = [0.0; 3];
         for (i, value) in values.iter().enumerate() {
             let others = (0..times.len()).filter(|j| *j != i);
-            let weight: f64 = others
-                .map(|j| (time - times[j]) / (times[i] - times[j]))
-                .product();
+            let weight: f64 = others.map(|j| (time - times[j]) / (times[i] - times[j])).product();
             for axis in 0..3 {
                 curved[axis] += weight * value[axis];
             }
@@ -194,11 +182,7 @@ impl Signal {
         for value in &mut values {
             *value -= mean;
         }
-        Grid {
-            start,
-            step,
-            values,
-        }
+        Grid { start, step, values }
     }
 }
 
@@ -220,10 +204,6 @@ impl Grid {
             };
             self.values.chunks_exact(fold).map(spread).collect()
         };
-        Self {
-            start: self.start,
-            step: self.step * fold as f64,
-            values,
-        }
+        Self { start: self.start, step: self.step * fold as f64, values }
     }
 }

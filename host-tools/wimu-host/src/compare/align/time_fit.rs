@@ -56,11 +56,7 @@ impl TimeFit {
             let [y_before, y, y_after] = theirs.map(|at| b.at(at).map(norm));
             let with = |change: f64| {
                 let change = change / (2.0 * step);
-                let growing = if has_rate {
-                    change * (time - self.middle)
-                } else {
-                    0.0
-                };
+                let growing = if has_rate { change * (time - self.middle) } else { 0.0 };
                 [1.0, now, change, growing]
             };
             Some((with(after? - before?), with(y_after? - y_before?), y?))
@@ -127,10 +123,7 @@ fn inverse(matrix: [[f64; 4]; 4], size: usize) -> Option<[[f64; 4]; 4]> {
     // The pivots.
     let mut before = 1.0;
     for rows in 1..=size {
-        let minor = scaled
-            .view((0, 0), (rows, rows))
-            .clone_owned()
-            .determinant();
+        let minor = scaled.view((0, 0), (rows, rows)).clone_owned().determinant();
         // Not a number where the diagonal was negative.
         if minor.is_nan() || minor < 1e-9 * before {
             return None;

@@ -64,9 +64,7 @@ pub(super) fn scale_along_itself(line: &Line) -> [f64; 2] {
 /// Variance of a quantity with this gradient by the elements of the row.
 fn of_row(line: &Line, gradient: [f64; 3]) -> f64 {
     let terms = (0..9).map(|k| (k / 3, k % 3));
-    terms
-        .map(|(i, j)| gradient[i] * line.covariance[1 + i][1 + j] * gradient[j])
-        .sum()
+    terms.map(|(i, j)| gradient[i] * line.covariance[1 + i][1 + j] * gradient[j]).sum()
 }
 
 /// Vector of the rotation nearest to the rows, each normalised; `None` where they are not a rotation.
@@ -79,9 +77,5 @@ fn rotation_vector(rows: &Matrix) -> Option<[f64; 3]> {
     // The orthogonal factor of the polar decomposition.
     let svd = unit.svd(true, true);
     let rotation = Rotation3::from_matrix_unchecked(svd.u? * svd.v_t?);
-    Some(
-        UnitQuaternion::from_rotation_matrix(&rotation)
-            .scaled_axis()
-            .into(),
-    )
+    Some(UnitQuaternion::from_rotation_matrix(&rotation).scaled_axis().into())
 }

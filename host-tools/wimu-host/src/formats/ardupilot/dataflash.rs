@@ -96,11 +96,7 @@ impl Format {
         let mut known = true;
         for (index, &code) in codes.enumerate() {
             let label = labels.next().unwrap_or_default().trim().to_owned();
-            let field = Field {
-                offset,
-                code,
-                index,
-            };
+            let field = Field { offset, code, index };
             fields.push((label, field));
             known &= width(code).is_some();
             offset += width(code).unwrap_or(0);

@@ -183,25 +183,13 @@ mod tests {
             (&[7; 3], &[0x41, 0x2F], &[1, 2, -1]),
             (&[7; 3], &[0x81, 0x3F, 0x02], &[1, -1, 2]),
             (&[7; 3], &[0xC4, 0xFE, 0x00, 0x01, 0x03], &[-2, 256, 3]),
-            (
-                &[8; 4],
-                &[0b11_10_01_00, 0x12, 0x3F, 0xFF, 0xE0],
-                &[0, 1, 0x23, -2],
-            ),
+            (&[8; 4], &[0b11_10_01_00, 0x12, 0x3F, 0xFF, 0xE0], &[0, 1, 0x23, -2]),
             (&[9, 1], &[0x04], &[0, 4]),
             (&[10; 3], &[0b0100_0011, 0b1111_0010], &[1, -1, 2]),
-            (
-                &[10; 3],
-                &[0b1000_0000, 0b0111_1111, 0b1000_0011],
-                &[1, -1, 3],
-            ),
+            (&[10; 3], &[0b1000_0000, 0b0111_1111, 0b1000_0011], &[1, -1, 3]),
         ];
         for (encodings, bytes, values) in cases {
-            assert_eq!(
-                decode(encodings, bytes).as_deref(),
-                Some(values),
-                "{bytes:x?}"
-            );
+            assert_eq!(decode(encodings, bytes).as_deref(), Some(values), "{bytes:x?}");
             assert_eq!(decode(encodings, &bytes[..bytes.len() - 1]), None);
         }
         assert_eq!(decode(&[2], &[0]), None);

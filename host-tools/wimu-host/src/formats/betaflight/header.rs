@@ -39,9 +39,7 @@ impl Header {
             }
             let text = String::from_utf8_lossy(line);
             if let Some((name, value)) = text.get(2..).and_then(|text| text.split_once(':')) {
-                header
-                    .lines
-                    .insert(name.to_owned(), value.trim().to_owned());
+                header.lines.insert(name.to_owned(), value.trim().to_owned());
             }
             window.skip(end + 1);
         }
@@ -50,8 +48,7 @@ impl Header {
 
     /// Whether its frames can be decoded.
     pub(super) fn is_known(&self) -> bool {
-        self.text("Data version")
-            .is_none_or(|version| version == DATA_VERSION)
+        self.text("Data version").is_none_or(|version| version == DATA_VERSION)
     }
 
     /// A value.
@@ -73,9 +70,7 @@ impl Header {
 
     /// Names of the fields of a kind of frame.
     pub(super) fn names(&self, frame: char) -> Vec<&str> {
-        let names = self
-            .text(&format!("Field {frame} name"))
-            .unwrap_or_default();
+        let names = self.text(&format!("Field {frame} name")).unwrap_or_default();
         names.split(',').filter(|name| !name.is_empty()).collect()
     }
 

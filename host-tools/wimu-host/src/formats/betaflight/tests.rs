@@ -37,15 +37,9 @@ fn the_damaged_file_is_read_as_far_as_possible() {
     let Some(bytes) = bytes(DAMAGED) else { return };
     let recording = read_bytes(&bytes, None).unwrap();
     assert_figures(&recording, DAMAGED, "accelerometer", 0);
-    let found = recording
-        .findings
-        .iter()
-        .find(|found| found.code == FindingCode::Truncated);
+    let found = recording.findings.iter().find(|found| found.code == FindingCode::Truncated);
     let found = found.unwrap().to_string();
-    assert!(
-        found.contains("4 of 3830 bytes") && found.contains("in 2 places"),
-        "{found}"
-    );
+    assert!(found.contains("4 of 3830 bytes") && found.contains("in 2 places"), "{found}");
 }
 
 #[test]
@@ -59,25 +53,14 @@ fn damaged_files_are_read_or_refused() {
 fn frames_that_refer_to_a_lost_one_are_left_out() {
     let Some(bytes) = bytes(FILE) else { return };
     let whole = read_bytes(&bytes, None).unwrap();
-    let whole: Vec<_> = whole
-        .first(Quantity::SpecificForce)
-        .unwrap()
-        .vectors()
-        .collect();
+    let whole: Vec<_> = whole.first(Quantity::SpecificForce).unwrap().vectors().collect();
     let mut damaged = bytes.clone();
     damaged[6000..6040].fill(0xAA);
     let recording = read_bytes(&damaged, None).unwrap();
-    let rows: Vec<_> = recording
-        .first(Quantity::SpecificForce)
-        .unwrap()
-        .vectors()
-        .collect();
+    let rows: Vec<_> = recording.first(Quantity::SpecificForce).unwrap().vectors().collect();
     assert!((760..797).contains(&rows.len()), "{}", rows.len());
     assert!(rows.iter().all(|row| whole.contains(row)));
-    let lost = recording
-        .findings
-        .iter()
-        .filter(|found| found.code == FindingCode::Truncated);
+    let lost = recording.findings.iter().filter(|found| found.code == FindingCode::Truncated);
     assert_eq!(lost.count(), 2, "{:?}", recording.findings);
 }
 
@@ -115,9 +98,7 @@ fn erased_memory_behind_a_log_is_left_out() {
 fn a_log_without_inertial_fields_names_those_that_it_has() {
     let Some(bytes) = bytes(FILE) else { return };
     let text = String::from_utf8_lossy(&bytes[..2800]);
-    let text = text
-        .replace("accSmooth", "accOthers")
-        .replace("gyroADC", "gyroOth");
+    let text = text.replace("accSmooth", "accOthers").replace("gyroADC", "gyroOth");
     let error = read_bytes(&[text.as_bytes(), &bytes[2800..]].concat(), None).unwrap_err();
     assert_eq!(error.code(), ErrorCode::NoRows);
     assert!(error.message().contains("loopIteration, time"), "{error}");

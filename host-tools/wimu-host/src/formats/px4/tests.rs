@@ -6,11 +6,7 @@ use crate::recording::{Origin, Quantity, Recording};
 const FILE: &str = "px4_cubeorange.ulg";
 
 fn codes(recording: &Recording) -> Vec<FindingCode> {
-    recording
-        .findings
-        .iter()
-        .map(|finding| finding.code)
-        .collect()
+    recording.findings.iter().map(|finding| finding.code).collect()
 }
 
 #[test]
@@ -19,12 +15,8 @@ fn figures_agree_with_pyulog() {
     let bytes = std::fs::read(path).unwrap();
     let recording = read_bytes(&bytes, None).unwrap();
     assert_figures(&recording, FILE, "sensor_combined", 0);
-    let expected = [
-        FindingCode::Rate,
-        FindingCode::TrackChosen,
-        FindingCode::TrackChosen,
-        FindingCode::Clock,
-    ];
+    let expected =
+        [FindingCode::Rate, FindingCode::TrackChosen, FindingCode::TrackChosen, FindingCode::Clock];
     assert_eq!(codes(&recording), expected);
     let rates = recording.first(Quantity::AngularRate).unwrap();
     assert_eq!(rates.len(), 1298);
@@ -44,12 +36,7 @@ fn figures_agree_with_pyulog() {
     assert_eq!(one.of(Quantity::SpecificForce).count(), 1);
     let error = read_bytes(&bytes, Some("sensor_accel[7]")).unwrap_err();
     assert_eq!(error.code(), ErrorCode::Usage);
-    assert!(
-        error
-            .remedy()
-            .contains("sensor_accel (3 instances, 6 rows)"),
-        "{error}"
-    );
+    assert!(error.remedy().contains("sensor_accel (3 instances, 6 rows)"), "{error}");
 }
 
 /// At rest, the attitude rotates the specific force upwards.
@@ -96,9 +83,7 @@ fn nested_formats_and_damage_are_passed_over() {
         let mut content = 5_u16.to_le_bytes().to_vec();
         content.extend(time_us.to_le_bytes());
         content.extend([0; 24]);
-        [1.0_f32, 2.0, 3.0]
-            .iter()
-            .for_each(|value| content.extend(value.to_le_bytes()));
+        [1.0_f32, 2.0, 3.0].iter().for_each(|value| content.extend(value.to_le_bytes()));
         message(b'D', &content)
     };
     bytes.extend(data(1));
@@ -122,8 +107,5 @@ fn a_file_without_inertial_data_names_its_topics() {
     let bytes = [super::ulog::MAGIC.as_slice(), &[1; 9]].concat();
     let error = read_bytes(&bytes, None).unwrap_err();
     assert_eq!(error.code(), ErrorCode::NoRows);
-    assert_eq!(
-        read_bytes(&[], None).unwrap_err().code(),
-        ErrorCode::CsvEmpty
-    );
+    assert_eq!(read_bytes(&[], None).unwrap_err().code(), ErrorCode::CsvEmpty);
 }

@@ -102,12 +102,7 @@ impl Layout {
             };
             if let Some((kind, bytes)) = number {
                 let offset = layout.bytes;
-                let field = Field {
-                    offset,
-                    bytes,
-                    kind,
-                    count,
-                };
+                let field = Field { offset, bytes, kind, count };
                 layout.fields.insert(name.to_owned(), field);
             }
             layout.bytes = bytes.checked_mul(count)?.checked_add(layout.bytes)?;
@@ -223,11 +218,7 @@ impl State {
                 if let (Some(&instance), Some(id)) = (content.first(), bytes_at(content, 1)) {
                     let name = text(content.get(3..).unwrap_or_default());
                     let layout = Layout::parse(&self.formats, &name, 0);
-                    let subscription = Subscription {
-                        name,
-                        instance,
-                        layout,
-                    };
+                    let subscription = Subscription { name, instance, layout };
                     let id = u16::from_le_bytes(id);
                     self.subscriptions.insert(id, subscription);
                 }

@@ -240,8 +240,7 @@ impl Reader<'_> {
         let ns = i64::from(u32::from_le_bytes(number(&mut time)?));
         let topic = *self.topics.get(&id)?;
         self.counts.entry(id).or_default().1 += 1;
-        self.messages
-            .message(topic, seconds * 1_000_000_000 + ns, data);
+        self.messages.message(topic, seconds * 1_000_000_000 + ns, data);
         Some(())
     }
 }

@@ -36,9 +36,7 @@ pub(super) fn decompress<'a>(
 ) -> Result<Cow<'a, [u8]>, String> {
     if size > MAX_BYTES {
         let (mb, most) = (size >> 20, MAX_BYTES >> 20);
-        return Err(format!(
-            "its decompressed size of {mb} MB is above {most} MB"
-        ));
+        return Err(format!("its decompressed size of {mb} MB is above {most} MB"));
     }
     let reader: Result<Box<dyn Read + 'a>, _> = match compression {
         b"" | b"none" => {

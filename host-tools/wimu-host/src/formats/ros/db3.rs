@@ -61,10 +61,7 @@ mod with_sqlite {
                 }
             };
             if let Err(error) = walk(&path, &mut messages) {
-                messages
-                    .damage
-                    .cut
-                    .push(format!("{}: {error}", file.name()));
+                messages.damage.cut.push(format!("{}: {error}", file.name()));
             }
         }
         messages.finish()
@@ -81,10 +78,7 @@ mod with_sqlite {
     fn location(path: &Path) -> PathBuf {
         let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
         let text = path.to_string_lossy();
-        let text = text
-            .replace('%', "%25")
-            .replace('?', "%3f")
-            .replace('#', "%23");
+        let text = text.replace('%', "%25").replace('?', "%3f").replace('#', "%23");
         format!("file:{text}?immutable=1").into()
     }
 

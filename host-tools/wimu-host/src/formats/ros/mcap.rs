@@ -216,9 +216,7 @@ impl Reader<'_, '_> {
 
     fn channel(&mut self, mut record: &[u8]) -> Option<()> {
         let id = u16::from_le_bytes(number(&mut record)?);
-        let schema = self
-            .schemas
-            .get(&u16::from_le_bytes(number(&mut record)?))?;
+        let schema = self.schemas.get(&u16::from_le_bytes(number(&mut record)?))?;
         let topic = String::from_utf8_lossy(sized(&mut record)?);
         let encoding = match sized(&mut record)? {
             b"cdr" => Some(Encoding::Cdr),

@@ -39,11 +39,7 @@ pub(super) struct Part {
 }
 
 const fn part(quantity: Quantity, at: usize, covariance: Option<usize>) -> Part {
-    Part {
-        quantity,
-        at,
-        covariance,
-    }
+    Part { quantity, at, covariance }
 }
 
 /// The types that are read.
@@ -112,9 +108,8 @@ pub(super) fn decode(kind: &Kind, encoding: Encoding, data: &[u8]) -> Option<(i6
     for _ in 0..1 + usize::from(kind.child_frame) {
         fields.skip_text()?;
     }
-    let numbers: Option<Vec<f64>> = (0..kind.numbers)
-        .map(|_| fields.take().map(f64::from_le_bytes))
-        .collect();
+    let numbers: Option<Vec<f64>> =
+        (0..kind.numbers).map(|_| fields.take().map(f64::from_le_bytes)).collect();
     (fields.rest.len() <= MAX_PADDING).then_some((stamp_ns, numbers?))
 }
 
@@ -128,12 +123,7 @@ struct Fields<'a> {
 
 impl<'a> Fields<'a> {
     fn new(rest: &'a [u8], aligned: bool, big_endian: bool) -> Self {
-        Self {
-            rest,
-            length: rest.len(),
-            aligned,
-            big_endian,
-        }
+        Self { rest, length: rest.len(), aligned, big_endian }
     }
 
     /// The next field of `N` bytes, little endian.

@@ -43,14 +43,9 @@ fn check(name: &str) {
         return;
     };
     let checks = std::fs::read_to_string(checks).unwrap();
-    let line = checks
-        .lines()
-        .find(|line| line.starts_with(&format!("{name},")));
+    let line = checks.lines().find(|line| line.starts_with(&format!("{name},")));
     let fields: Vec<&str> = line.unwrap().split(',').collect();
-    let expected: Vec<f64> = fields[3..13]
-        .iter()
-        .map(|field| field.parse().unwrap())
-        .collect();
+    let expected: Vec<f64> = fields[3..13].iter().map(|field| field.parse().unwrap()).collect();
     let recording = load(&Source::open(&path).unwrap(), &ReadOptions::default()).unwrap();
     let force = recording.first(Quantity::SpecificForce).unwrap();
     let rows: Vec<(i64, [f64; 3])> = force.vectors().collect();
@@ -65,15 +60,9 @@ fn check(name: &str) {
     ];
     let figures = figures.iter().chain(&first.1).chain(&last.1).chain([&mean]);
     for (figure, expected) in figures.zip(expected) {
-        assert!(
-            is_near(*figure, expected),
-            "{name}: {figure} for {expected}"
-        );
+        assert!(is_near(*figure, expected), "{name}: {figure} for {expected}");
     }
-    assert_eq!(
-        (force.info.name.as_str(), force.info.unit),
-        (fields[1], Unit::Si)
-    );
+    assert_eq!((force.info.name.as_str(), force.info.unit), (fields[1], Unit::Si));
     assert!(recording.first(Quantity::AngularRate).is_some());
     assert!(recording.of(Quantity::Attitude).count() > 0);
     assert_eq!(recording.findings, []);
@@ -120,27 +109,18 @@ fn a_bag_in_sqlite_is_read() {
     for k in 0..50 {
         let stamp_ns = START_NS + 10_000_000 * k;
         let fields = crate::ros::imu([0.125 * k as f64, -0.5, 9.75], Some([0.25, 0.0, 0.5]), None);
-        let message = crate::ros::message::Message::new()
-            .header(stamp_ns as u64, "imu")
-            .numbers(&fields);
+        let message =
+            crate::ros::message::Message::new().header(stamp_ns as u64, "imu").numbers(&fields);
         let row = rusqlite::params![stamp_ns, message.bytes()];
-        bag.execute(
-            "INSERT INTO messages (topic_id, timestamp, data) VALUES (1, ?1, ?2)",
-            row,
-        )
-        .unwrap();
+        bag.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (1, ?1, ?2)", row)
+            .unwrap();
     }
     drop(bag);
     let recording = load(&Source::open(&path).unwrap(), &ReadOptions::default()).unwrap();
     assert_eq!(recording.format, "ROS 2 sqlite");
-    let rows: Vec<_> = track(&recording, "/imu/data", Quantity::SpecificForce)
-        .vectors()
-        .collect();
+    let rows: Vec<_> = track(&recording, "/imu/data", Quantity::SpecificForce).vectors().collect();
     assert_eq!(rows.len(), 50);
-    assert_eq!(
-        rows[49],
-        (START_NS + 490_000_000, [0.125 * 49.0, -0.5, 9.75])
-    );
+    assert_eq!(rows[49], (START_NS + 490_000_000, [0.125 * 49.0, -0.5, 9.75]));
     let rate = track(&recording, "/imu/data", Quantity::AngularRate);
     assert_eq!(rate.row(7), Some(&[0.25, 0.0, 0.5][..]));
     check("ros2_all_types_db3");
@@ -205,11 +185,8 @@ fn a_folder_of_compressed_mcap_files_is_one_recording() {
         source.reader().unwrap().read_to_end(&mut bytes).unwrap();
         Source::of_bytes(name, bytes)
     };
-    let split = vec![
-        file("imu_10.mcap", &split[0]),
-        split[1].clone(),
-        file("imu_9.mcap", &split[2]),
-    ];
+    let split =
+        vec![file("imu_10.mcap", &split[0]), split[1].clone(), file("imu_9.mcap", &split[2])];
     let folder = Source::of_members("imu", split);
     check_made(&load(&folder, &ReadOptions::default()).unwrap(), 80);
 }
@@ -217,27 +194,16 @@ fn a_folder_of_compressed_mcap_files_is_one_recording() {
 #[test]
 fn a_topic_is_selected() {
     let select = |topic: &str| {
-        let options = ReadOptions {
-            topic: Some(topic.to_owned()),
-            ..ReadOptions::default()
-        };
+        let options = ReadOptions { topic: Some(topic.to_owned()), ..ReadOptions::default() };
         load(&made("lz4.bag"), &options)
     };
     let recording = select("/front/imu").unwrap();
     assert_eq!(recording.of(Quantity::SpecificForce).count(), 1);
     let force = recording.first(Quantity::SpecificForce).unwrap();
-    assert_eq!(
-        (force.info.name.as_str(), force.info.sensor),
-        ("/front/imu", 0)
-    );
+    assert_eq!((force.info.name.as_str(), force.info.sensor), ("/front/imu", 0));
     let error = select("/imu/mag").unwrap_err();
     assert_eq!(error.code(), ErrorCode::Usage);
-    assert!(
-        error
-            .remedy()
-            .contains("/imu/data (sensor_msgs/Imu, 80 messages)"),
-        "{error}"
-    );
+    assert!(error.remedy().contains("/imu/data (sensor_msgs/Imu, 80 messages)"), "{error}");
 }
 
 /// An MCAP file of one chunk whose stored records are `stored`.
@@ -299,16 +265,8 @@ fn bag_with_stamps(topic: &str, stamps_s: &[u32]) -> Vec<u8> {
         message.extend(stamp.to_le_bytes());
         message.extend([0; 8]);
         message.extend([0; 37 * 8]);
-        let time = [
-            1000_u32.to_le_bytes(),
-            (k as u32 * 10_000_000).to_le_bytes(),
-        ]
-        .concat();
-        record(
-            &mut bag,
-            &[("op", &[2]), ("conn", &conn), ("time", &time)],
-            &message,
-        );
+        let time = [1000_u32.to_le_bytes(), (k as u32 * 10_000_000).to_le_bytes()].concat();
+        record(&mut bag, &[("op", &[2]), ("conn", &conn), ("time", &time)], &message);
     }
     bag
 }
@@ -335,10 +293,7 @@ fn unusable_header_stamps_are_replaced_by_log_times() {
         assert_eq!(found[0], FindingCode::Truncated);
         assert_eq!(found[1..].contains(&FindingCode::Clock), by_log);
     }
-    let both = [
-        bag_with_stamps("/a", &[5, 6]),
-        bag_with_stamps("/bb", &[900, 901]),
-    ];
+    let both = [bag_with_stamps("/a", &[5, 6]), bag_with_stamps("/bb", &[900, 901])];
     let bytes = [&b"#ROSBAG V2.0\n"[..], &both[0], &both[1]].concat();
     let recording = load(&Source::of_bytes("b.bag", bytes), &ReadOptions::default()).unwrap();
     let clock = recording.findings.last().unwrap();
@@ -355,10 +310,7 @@ fn fuzzed() -> Vec<Vec<u8>> {
     files.extend(public("ros2_all_types/test_bag_mcap.mcap"));
     #[cfg(feature = "sqlite")]
     files.extend(public("ros2_all_types_db3/test_bag_sqlite3.db3"));
-    files
-        .iter()
-        .map(|path| std::fs::read(path).unwrap())
-        .collect()
+    files.iter().map(|path| std::fs::read(path).unwrap()).collect()
 }
 
 #[test]
@@ -375,17 +327,11 @@ fn truncated_files_are_read_as_far_as_possible() {
         for k in 0..100 {
             let rows = rows_of(&file[..file.len() * k / 100]);
             if let (Some((rows, cut)), Some((all, _))) = (rows, whole) {
-                assert!(
-                    previous <= rows && rows <= all && (cut || rows == all),
-                    "{k}: {rows}"
-                );
+                assert!(previous <= rows && rows <= all && (cut || rows == all), "{k}: {rows}");
                 previous = rows;
             }
         }
-        assert!(
-            whole.is_none() || 2 * previous > whole.unwrap().0,
-            "{previous}"
-        );
+        assert!(whole.is_none() || 2 * previous > whole.unwrap().0, "{previous}");
     }
 }
 
@@ -410,16 +356,11 @@ fn flipped_bits_do_no_harm() {
     let mut random = 1_u64;
     for file in fuzzed() {
         for _ in 0..200 {
-            random = random
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1);
+            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
             let bit = (random >> 33) as usize % (8 * file.len());
             let mut damaged = file.clone();
             damaged[bit / 8] ^= 1 << (bit % 8);
-            let _ = load(
-                &Source::of_bytes("flipped", damaged),
-                &ReadOptions::default(),
-            );
+            let _ = load(&Source::of_bytes("flipped", damaged), &ReadOptions::default());
         }
     }
 }
@@ -443,9 +384,7 @@ fn rows_lost_by_a_flipped_bit_are_reported() {
     assert_eq!(load_flipped(8 * 200_188 + 4), Some((727, true)));
     let mut random = 1_u64;
     let random = std::iter::repeat_with(|| {
-        random = random
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1);
+        random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
         (random >> 33) as usize % (8 * file.len())
     });
     // Every bit of some records and of the end of the index.

@@ -18,11 +18,7 @@ pub enum Source {
     /// Columns of dates or times of day.
     Dates { date: Option<usize>, time: usize },
     /// A column that counts sample periods, modulo a number.
-    Counter {
-        column: usize,
-        period_ns: f64,
-        modulus: i64,
-    },
+    Counter { column: usize, period_ns: f64, modulus: i64 },
     /// No column.
     Rows { period_ns: f64 },
     /// A file of its own, one for each row.
@@ -42,13 +38,7 @@ pub struct Clock {
 
 impl Clock {
     pub fn new(source: Source, comma: bool) -> Self {
-        Self {
-            source,
-            comma,
-            rows: 0,
-            cycles: 0,
-            last: None,
-        }
+        Self { source, comma, rows: 0, cycles: 0, last: None }
     }
 
     /// Time of the next row, ns; `None` if it has none.
@@ -75,35 +65,22 @@ impl Clock {
             &Source::Rows { period_ns } => {
                 Some(((self.rows - 1) as f64 * period_ns).round() as i64)
             }
-            &Source::Counter {
-                column,
-                period_ns,
-                modulus,
-            } => {
+            &Source::Counter { column, period_ns, modulus } => {
                 let count = decimal(column, 0)?;
                 let total = self.unwrapped(count, modulus)?;
                 Some((total as f64 * period_ns).round() as i64)
             }
             &Source::Dates { date: column, time } => {
-                let day = column
-                    .and_then(|column| fields.get(column))
-                    .map(|text| &**text);
+                let day = column.and_then(|column| fields.get(column)).map(|text| &**text);
                 let (ns, has_date) = date(day, fields.get(time)?)?;
-                if has_date {
-                    Some(ns)
-                } else {
-                    self.unwrapped(ns, DAY_NS)
-                }
+                if has_date { Some(ns) } else { self.unwrapped(ns, DAY_NS) }
             }
         }
     }
 
     /// A count that starts again after `modulus`, continued.
     fn unwrapped(&mut self, count: i64, modulus: i64) -> Option<i64> {
-        if self
-            .last
-            .is_some_and(|last| count < last.saturating_sub(modulus / 2))
-        {
+        if self.last.is_some_and(|last| count < last.saturating_sub(modulus / 2)) {
             self.cycles += 1;
         }
         self.last = Some(count);
@@ -150,11 +127,7 @@ pub fn date(day: Option<&str>, text: &str) -> Option<(i64, bool)> {
 fn offset_ns(text: &str) -> Option<i64> {
     let (sign, digits) = text.split_at_checked(1)?;
     let digits: String = digits.chars().filter(|c| *c != ':').collect();
-    let value: i64 = digits
-        .parse::<u16>()
-        .ok()
-        .filter(|_| digits.len() == 4)?
-        .into();
+    let value: i64 = digits.parse::<u16>().ok().filter(|_| digits.len() == 4)?.into();
     let minutes = value / 100 * 60 + value % 100;
     Some(minutes * 60_000_000_000 * if sign == "-" { -1 } else { 1 })
 }
@@ -177,11 +150,7 @@ fn days(text: &str) -> Option<i64> {
         return None;
     }
     // Days of the civil calendar, with years that begin in March.
-    let (year, month) = if month > 2 {
-        (year, month - 3)
-    } else {
-        (year - 1, month + 9)
-    };
+    let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
     let era = year.div_euclid(400);
     let of_era = year.rem_euclid(400);
     let of_year = (153 * month + 2) / 5 + day - 1;
@@ -195,27 +164,11 @@ mod tests {
     #[test]
     fn dates_are_exact() {
         for (day, text, expected) in [
-            (
-                None,
-                "2011-09-26 13:02:25.964389445",
-                Some((1_317_042_145_964_389_445, true)),
-            ),
+            (None, "2011-09-26 13:02:25.964389445", Some((1_317_042_145_964_389_445, true))),
             (None, "1970-01-01T00:00:00Z", Some((0, true))),
-            (
-                Some("11/18/2019"),
-                "12:30:45.12",
-                Some((1_574_080_245_120_000_000, true)),
-            ),
-            (
-                None,
-                "2019-11-18 12:30:45.120 +0200",
-                Some((1_574_073_045_120_000_000, true)),
-            ),
-            (
-                None,
-                "2019-11-18T10:30:45.12-02:00",
-                Some((1_574_080_245_120_000_000, true)),
-            ),
+            (Some("11/18/2019"), "12:30:45.12", Some((1_574_080_245_120_000_000, true))),
+            (None, "2019-11-18 12:30:45.120 +0200", Some((1_574_073_045_120_000_000, true))),
+            (None, "2019-11-18T10:30:45.12-02:00", Some((1_574_080_245_120_000_000, true))),
             (None, "12:30:45+x", None),
             (None, "00:00:01:250", Some((1_250_000_000, false))),
             (None, "24:00:00", None),
@@ -228,34 +181,16 @@ mod tests {
 
     #[test]
     fn counters_and_days_go_on() {
-        let mut clock = Clock::new(
-            Source::Counter {
-                column: 0,
-                period_ns: 1e7,
-                modulus: 65536,
-            },
-            false,
-        );
+        let mut clock =
+            Clock::new(Source::Counter { column: 0, period_ns: 1e7, modulus: 65536 }, false);
         let times = ["65534", "65535", "0", "x", "1"].map(|text| clock.next_time(&[text.into()]));
         let first = 655_340_000_000;
         let step = 10_000_000;
         assert_eq!(
             times,
-            [
-                Some(first),
-                Some(first + step),
-                Some(first + 2 * step),
-                None,
-                Some(first + 3 * step)
-            ]
+            [Some(first), Some(first + step), Some(first + 2 * step), None, Some(first + 3 * step)]
         );
-        let mut clock = Clock::new(
-            Source::Dates {
-                date: None,
-                time: 0,
-            },
-            false,
-        );
+        let mut clock = Clock::new(Source::Dates { date: None, time: 0 }, false);
         let times =
             ["23:59:59.5", "00:00:00.5"].map(|text| clock.next_time(&[text.into()]).unwrap());
         assert_eq!(times[1] - times[0], 1_000_000_000);
@@ -263,10 +198,7 @@ mod tests {
 
     #[test]
     fn counters_of_32_bits_go_on() {
-        let source = Source::Numbers {
-            column: 0,
-            exponent: 3,
-        };
+        let source = Source::Numbers { column: 0, exponent: 3 };
         let mut clock = Clock::new(source, false);
         let times = ["4294957296", "4294967291", "9995", "19990", "5"];
         let times = times.map(|text| clock.next_time(&[text.into()]).unwrap() / 1000);

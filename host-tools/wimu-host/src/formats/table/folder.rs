@@ -23,9 +23,7 @@ pub fn detect(source: &Source) -> bool {
 
 fn is_table(member: &Source) -> bool {
     let ending = Path::new(member.name()).extension().unwrap_or_default();
-    let is_known = ENDINGS
-        .iter()
-        .any(|known| ending.eq_ignore_ascii_case(known));
+    let is_known = ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known));
     is_known && is_text(member.start())
 }
 
@@ -46,9 +44,8 @@ pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Resu
     let tables = source.members().iter().filter(|member| is_table(member));
     let tables: Vec<&Source> = tables.collect();
     let is_uncalibrated = |member: &Source| names::key(&file_name(member)).contains("uncalibrated");
-    let has_calibrated = tables
-        .iter()
-        .any(|member| !is_uncalibrated(member) && quantity_of(member).is_some());
+    let has_calibrated =
+        tables.iter().any(|member| !is_uncalibrated(member) && quantity_of(member).is_some());
     let mut sink = WithGravity::new(sink, false);
     let (mut read, mut refused) = (0, Vec::new());
     for member in &tables {

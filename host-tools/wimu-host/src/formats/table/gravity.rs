@@ -28,13 +28,7 @@ pub struct WithGravity<'a> {
 impl<'a> WithGravity<'a> {
     /// Hands on to `inner` one table, or several.
     pub fn new(inner: &'a mut dyn Sink, is_one_table: bool) -> Self {
-        Self {
-            inner,
-            kept: Vec::new(),
-            has_force: false,
-            is_one_table,
-            missing: Vec::new(),
-        }
+        Self { inner, kept: Vec::new(), has_force: false, is_one_table, missing: Vec::new() }
     }
 
     /// Hands the sum on, or the findings of missing gravity.
@@ -43,10 +37,7 @@ impl<'a> WithGravity<'a> {
         match (of(Quantity::LinearAcceleration), of(Quantity::Gravity)) {
             _ if self.has_force => {}
             (Some(linear), Some(gravity)) => add(linear, gravity, self.inner),
-            _ => self
-                .missing
-                .into_iter()
-                .for_each(|finding| self.inner.finding(finding)),
+            _ => self.missing.into_iter().for_each(|finding| self.inner.finding(finding)),
         }
     }
 }
@@ -55,10 +46,7 @@ impl Sink for WithGravity<'_> {
     fn track(&mut self, info: TrackInfo) -> TrackId {
         let track = self.inner.track(info.clone());
         self.has_force |= info.quantity == Quantity::SpecificForce;
-        let is_part = matches!(
-            info.quantity,
-            Quantity::LinearAcceleration | Quantity::Gravity
-        );
+        let is_part = matches!(info.quantity, Quantity::LinearAcceleration | Quantity::Gravity);
         if is_part && info.unit == Unit::Si {
             let rows = Vec::new();
             self.kept.push(Kept { info, track, rows });
@@ -69,11 +57,8 @@ impl Sink for WithGravity<'_> {
     fn row(&mut self, track: TrackId, time_ns: i64, values: &[f64]) {
         // Without its counterpart a track need not be kept.
         let is_needed = !self.has_force && (!self.is_one_table || self.kept.len() > 1);
-        if let Some(kept) = self
-            .kept
-            .iter_mut()
-            .find(|kept| kept.track == track)
-            .filter(|_| is_needed)
+        if let Some(kept) =
+            self.kept.iter_mut().find(|kept| kept.track == track).filter(|_| is_needed)
             && let Ok(values) = values.try_into()
         {
             kept.rows.push((time_ns, values));
@@ -125,9 +110,7 @@ fn at(rows: &[(i64, [f64; 3])], after: usize, time: i64) -> Option<[f64; 3]> {
         return Some(v1);
     }
     let (t0, v0) = *rows.get(after.checked_sub(1)?)?;
-    let step = t1
-        .checked_sub(t0)
-        .filter(|step| (1..=MAX_STEP_NS).contains(step))?;
+    let step = t1.checked_sub(t0).filter(|step| (1..=MAX_STEP_NS).contains(step))?;
     let fraction = time.checked_sub(t0)? as f64 / step as f64;
     Some([0, 1, 2].map(|k| v0[k] + fraction * (v1[k] - v0[k])))
 }

@@ -62,10 +62,8 @@ fn beginning(source: &Source) -> Result<Vec<String>> {
 pub fn find(source: &Source, quantity: Option<Quantity>) -> Result<Table> {
     let start = beginning(source)?;
     if start.iter().all(|line| line.trim().is_empty()) {
-        let error = ErrorCode::CsvEmpty.error(
-            "the file is empty",
-            "a table starts with a line of column names and units",
-        );
+        let error = ErrorCode::CsvEmpty
+            .error("the file is empty", "a table starts with a line of column names and units");
         return Err(error.at(source.name()));
     }
     // The first separator of equal ones is preferred.
@@ -97,9 +95,7 @@ fn table(
     separator: char,
     quantity: Option<Quantity>,
 ) -> Option<((usize, usize), Table)> {
-    let first = start
-        .iter()
-        .position(|line| numbers(line, separator) >= 2)?;
+    let first = start.iter().position(|line| numbers(line, separator) >= 2)?;
     let fields = split(&start[first], separator);
     let width = fields.len();
     let rows = &start[first..];
@@ -197,9 +193,7 @@ fn numbers(line: &str, separator: char) -> usize {
 
 /// Column names in a line, which may be a comment.
 fn names_of(line: &str, separator: char) -> Vec<String> {
-    let bare = line
-        .trim_start_matches("//")
-        .trim_start_matches(['#', '%', ' ']);
+    let bare = line.trim_start_matches("//").trim_start_matches(['#', '%', ' ']);
     let names = split(bare, separator).into_iter().map(String::from);
     let mut names: Vec<String> = names.collect();
     while names.pop_if(|name| name.is_empty()).is_some() {}

@@ -113,9 +113,7 @@ fn inferred(
 ) -> Result<(Unit, f64)> {
     let asks = |message: String| {
         let remedy = "name it: --units m/s2, g, mg or LSB; linear acceleration (gravity removed) cannot be used";
-        ErrorCode::CsvUnknownUnit
-            .error(message, remedy)
-            .at(format!("column `{}`", group.name))
+        ErrorCode::CsvUnknownUnit.error(message, remedy).at(format!("column `{}`", group.name))
     };
     let magnitude = median_norm(samples).ok_or_else(|| {
         asks("no unit is named, and there are no values to infer it from".to_owned())
@@ -124,9 +122,7 @@ fn inferred(
     let counts = is_integer && magnitude >= MIN_COUNTS;
     let mut add = |text: String| {
         let text = format!("no unit is named: {text}");
-        let finding = FindingCode::UnitInferred
-            .note(text)
-            .remedy("if not, give --units");
+        let finding = FindingCode::UnitInferred.note(text).remedy("if not, give --units");
         findings.push(finding.of_sensor(group.sensor));
     };
     // Integers near 9.81 or 1 may be values of a coarse sensor in m/s² or g, or counts.

@@ -24,10 +24,7 @@ pub struct Group {
 impl Group {
     /// Whether it is an acceleration.
     pub fn is_acceleration(&self) -> bool {
-        matches!(
-            self.quantity,
-            Quantity::SpecificForce | Quantity::LinearAcceleration
-        )
+        matches!(self.quantity, Quantity::SpecificForce | Quantity::LinearAcceleration)
     }
 
     /// Whether its rows count even where they are empty.
@@ -62,10 +59,7 @@ pub fn of(table: &Table, quantity: Option<Quantity>, options: &ReadOptions) -> R
     let names = &table.names;
     let mut meanings: Vec<Meaning> = match &options.columns {
         Some(columns) => chosen(names, columns)?,
-        None => names
-            .iter()
-            .map(|name| names::meaning(name, quantity))
-            .collect(),
+        None => names.iter().map(|name| names::meaning(name, quantity)).collect(),
     };
     if options.columns.is_none() {
         prefer_ours(&mut meanings);
@@ -83,12 +77,7 @@ pub fn of(table: &Table, quantity: Option<Quantity>, options: &ReadOptions) -> R
     let mut used = vec![false; names.len()];
     for (column, meaning) in meanings.iter().enumerate() {
         match meaning.kind {
-            Kind::Component {
-                quantity,
-                origin,
-                sensor,
-                ..
-            } if !used[column] => {
+            Kind::Component { quantity, origin, sensor, .. } if !used[column] => {
                 if let Some(group) = group(names, &meanings, (quantity, origin, sensor), preset)? {
                     group.columns.iter().for_each(|column| used[*column] = true);
                     layout.groups.push(group);
@@ -106,9 +95,7 @@ pub fn of(table: &Table, quantity: Option<Quantity>, options: &ReadOptions) -> R
         layout.unknown_units = unknown_units(names, &layout, quantity)?;
     }
     let clock = [layout.time.map(|(column, _)| column), layout.date];
-    layout.others = (0..names.len())
-        .filter(|k| !used[*k] && !clock.contains(&Some(*k)))
-        .collect();
+    layout.others = (0..names.len()).filter(|k| !used[*k] && !clock.contains(&Some(*k))).collect();
     Ok(layout)
 }
 
@@ -145,9 +132,7 @@ fn unknown_units(
 /// Where a quantity has columns with wimu's names, other names are not of it.
 fn prefer_ours(meanings: &mut [Meaning]) {
     let track = |meaning: &Meaning| match meaning.kind {
-        Kind::Component {
-            quantity, origin, ..
-        } => Some((quantity, origin)),
+        Kind::Component { quantity, origin, .. } => Some((quantity, origin)),
         _ => None,
     };
     let ours = meanings.iter().filter(|meaning| meaning.is_ours);
@@ -190,12 +175,10 @@ fn choose_time(
     layout: &mut Layout,
 ) {
     let key = |column: usize| names::key(names::split_unit(&names[column]).0);
-    let of_preset = preset
-        .and_then(|preset| preset.time)
-        .and_then(|(name, exponent)| {
-            let column = (0..names.len()).find(|column| key(*column) == name)?;
-            Some((column, exponent))
-        });
+    let of_preset = preset.and_then(|preset| preset.time).and_then(|(name, exponent)| {
+        let column = (0..names.len()).find(|column| key(*column) == name)?;
+        Some((column, exponent))
+    });
     let times = || (0..names.len()).filter(|column| meanings[*column].kind == Kind::Time);
     let named = times().find(|column| meanings[*column].exponent.is_some());
     let column = named.or_else(|| times().next());
@@ -214,9 +197,7 @@ fn less_certain_time(table: &Table, meanings: &[Meaning]) -> Option<(usize, Opti
     let increases = |k: &usize| table.increases.get(*k) == Some(&true);
     let mut units = of(names::is_time_unit);
     let unit = units.next().filter(|_| units.next().is_none());
-    let column = unit
-        .filter(increases)
-        .or_else(|| of(names::mentions_time).find(increases))?;
+    let column = unit.filter(increases).or_else(|| of(names::mentions_time).find(increases))?;
     Some((column, names::time_unit(&table.names[column])))
 }
 
@@ -230,19 +211,13 @@ fn group(
     let (quantity, origin, sensor) = of;
     let width = quantity.width();
     let find = |wanted: usize| {
-        let kind = Kind::Component {
-            quantity,
-            origin,
-            sensor,
-            component: wanted,
-        };
+        let kind = Kind::Component { quantity, origin, sensor, component: wanted };
         meanings.iter().position(|meaning| meaning.kind == kind)
     };
     let columns: Vec<usize> = (0..width).filter_map(find).collect();
     if columns.len() < width {
-        let ours = columns
-            .first()
-            .filter(|column| meanings[**column].is_ours && quantity.width() == 3);
+        let ours =
+            columns.first().filter(|column| meanings[**column].is_ours && quantity.width() == 3);
         return match (ours, (0..width).find(|k| find(*k).is_none())) {
             (Some(column), Some(missing)) => Err(ErrorCode::CsvMissingColumn
                 .error(
@@ -259,10 +234,7 @@ fn group(
         Quantity::Position | Quantity::Velocity | Quantity::Temperature => None,
         _ => implied.and_then(|(_, unit)| units::scale(quantity, unit)),
     };
-    let scales: Vec<_> = columns
-        .iter()
-        .map(|column| meanings[*column].scale.or(implied))
-        .collect();
+    let scales: Vec<_> = columns.iter().map(|column| meanings[*column].scale.or(implied)).collect();
     let kind = |scale: &Option<Scale>| scale.map(|scale| std::mem::discriminant(&scale));
     if let Some(k) = (1..width).find(|k| kind(&scales[*k]) != kind(&scales[0])) {
         return Err(ErrorCode::CsvMixedUnits
@@ -289,13 +261,8 @@ fn common_name(names: &[String], columns: &[usize], quantity: Quantity) -> Strin
         return bare(only).trim_start_matches(['#', '%']).to_owned();
     }
     let mut name = names[columns[0]].as_str();
-    while !columns
-        .iter()
-        .all(|column| names[*column].starts_with(name))
-    {
-        name = name
-            .split_at(name.char_indices().last().map_or(0, |(at, _)| at))
-            .0;
+    while !columns.iter().all(|column| names[*column].starts_with(name)) {
+        name = name.split_at(name.char_indices().last().map_or(0, |(at, _)| at)).0;
     }
     let name = name.trim_end_matches(|c: char| !c.is_alphanumeric());
     let name = name.trim_start_matches(['#', '%']);
@@ -331,13 +298,10 @@ fn chosen(names: &[String], columns: &str) -> Result<Vec<Meaning>> {
     };
     let mut meanings = vec![Meaning::of(Kind::Other); names.len()];
     for part in columns.split(',') {
-        let (role, column) = part
-            .split_once('=')
-            .ok_or_else(|| usage(format!("`{part}` is not ROLE=COLUMN")))?;
+        let (role, column) =
+            part.split_once('=').ok_or_else(|| usage(format!("`{part}` is not ROLE=COLUMN")))?;
         let kind = role_of(role.trim()).ok_or_else(|| {
-            usage(format!(
-                "`{role}` is none of t, x, y, z, gx, gy, gz, mx, my, mz, temp"
-            ))
+            usage(format!("`{role}` is none of t, x, y, z, gx, gy, gz, mx, my, mz, temp"))
         })?;
         let column = column.trim();
         let (name, unit) = match column.rsplit_once(':') {
@@ -376,14 +340,10 @@ fn chosen(names: &[String], columns: &str) -> Result<Vec<Meaning>> {
 
 pub fn find_column(names: &[String], name: &str) -> Option<usize> {
     let is_bare = |column: &String| names::split_unit(column).0.eq_ignore_ascii_case(name);
-    let by_name = names
-        .iter()
-        .position(|column| column.eq_ignore_ascii_case(name));
+    let by_name = names.iter().position(|column| column.eq_ignore_ascii_case(name));
     let by_bare = || names.iter().position(is_bare);
     let number = || name.parse::<usize>().ok()?.checked_sub(1);
-    by_name
-        .or_else(by_bare)
-        .or_else(|| number().filter(|column| *column < names.len()))
+    by_name.or_else(by_bare).or_else(|| number().filter(|column| *column < names.len()))
 }
 
 fn role_of(role: &str) -> Option<Kind> {

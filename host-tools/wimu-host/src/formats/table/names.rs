@@ -48,12 +48,7 @@ impl Kind {
 
 impl Meaning {
     pub fn of(kind: Kind) -> Self {
-        Self {
-            kind,
-            exponent: None,
-            scale: None,
-            is_ours: false,
-        }
+        Self { kind, exponent: None, scale: None, is_ours: false }
     }
 }
 
@@ -84,10 +79,7 @@ const STEMS: &[(Quantity, &str)] = &[
         Quantity::AngularRate,
         "gyroscope gyro gyr gy g w wrss omega angularvelocity angularrate rotationrate angvel rotation rate gyroraw gyrorotation",
     ),
-    (
-        Quantity::MagneticField,
-        "magnetometer magneticfield mag m b h",
-    ),
+    (Quantity::MagneticField, "magnetometer magneticfield mag m b h"),
     (Quantity::Position, "position"),
     (Quantity::Velocity, "velocity"),
     (Quantity::Attitude, "quaternion quat q orientation"),
@@ -169,9 +161,7 @@ pub fn meaning(name: &str, of_file: Option<Quantity>) -> Meaning {
 
 /// `acc_x_g`, `time_ms`, `ax/g`, `gyro_x_deg_s`: a unit behind a separator.
 fn with_suffix(name: &str, of_file: Option<Quantity>) -> Option<Meaning> {
-    let breaks = name
-        .char_indices()
-        .filter(|(_, c)| matches!(c, '_' | '/' | ' '));
+    let breaks = name.char_indices().filter(|(_, c)| matches!(c, '_' | '/' | ' '));
     for (at, separator) in breaks {
         let (bare, unit) = (&name[..at], &name[at + separator.len_utf8()..]);
         let unit = unit.replace('_', "/");
@@ -192,9 +182,7 @@ fn with_suffix(name: &str, of_file: Option<Quantity>) -> Option<Meaning> {
 pub fn split_unit(name: &str) -> (&str, Option<&str>) {
     let within = |open, close| name.strip_suffix(close)?.rsplit_once(open);
     // `Mat[1][1]` has an index.
-    let named = within('(', ')')
-        .or_else(|| within('[', ']'))
-        .or_else(|| within('{', '}'));
+    let named = within('(', ')').or_else(|| within('[', ']')).or_else(|| within('{', '}'));
     match named.filter(|(_, unit)| unit.parse::<u32>().is_err()) {
         Some((bare, unit)) => (bare.trim(), Some(unit.trim())),
         None => (name, None),
@@ -204,16 +192,9 @@ pub fn split_unit(name: &str) -> (&str, Option<&str>) {
 /// Meaning of a name without its unit.
 fn component(bare: &str, unit: Option<&str>, of_file: Option<Quantity>) -> Meaning {
     let key = key(bare);
-    let is_ours = |kind| Meaning {
-        is_ours: true,
-        ..Meaning::of(kind)
-    };
-    let single = |quantity| Kind::Component {
-        quantity,
-        origin: Origin::Sensor,
-        sensor: 0,
-        component: 0,
-    };
+    let is_ours = |kind| Meaning { is_ours: true, ..Meaning::of(kind) };
+    let single =
+        |quantity| Kind::Component { quantity, origin: Origin::Sensor, sensor: 0, component: 0 };
     match key.as_str() {
         "time" => return is_ours(Kind::Time),
         "temperature" => return is_ours(single(Quantity::Temperature)),
@@ -239,10 +220,7 @@ fn axes(bare: &str, key: &str, unit: Option<&str>, of_file: Option<Quantity>) ->
         Some(rest) => (rest, Origin::Truth),
         None => (key, Origin::Sensor),
     };
-    let rest = rest
-        .strip_prefix("field")
-        .filter(|_| bare.starts_with("field."))
-        .unwrap_or(rest);
+    let rest = rest.strip_prefix("field").filter(|_| bare.starts_with("field.")).unwrap_or(rest);
     let trimmed = rest.trim_end_matches(|c: char| c.is_ascii_digit());
     let after = &rest[trimmed.len()..];
     let last = trimmed.chars().last()?;
@@ -264,9 +242,7 @@ fn axes(bare: &str, key: &str, unit: Option<&str>, of_file: Option<Quantity>) ->
     let by_unit = || {
         use Quantity::{AngularRate, MagneticField, SpecificForce};
         let fits = |quantity: &Quantity| unit.is_some_and(|u| units::scale(*quantity, u).is_some());
-        [SpecificForce, AngularRate, MagneticField]
-            .into_iter()
-            .find(fits)
+        [SpecificForce, AngularRate, MagneticField].into_iter().find(fits)
     };
     let mut quantity = match stem {
         "" if bare.chars().count() == 1 => of_file.or_else(by_unit)?,
@@ -311,17 +287,8 @@ mod tests {
         let of = |name: &str| {
             let meaning = meaning(name, None);
             match meaning.kind {
-                Kind::Component {
-                    quantity,
-                    sensor,
-                    component,
-                    ..
-                } => {
-                    format!(
-                        "{} {sensor} {component} {:?}",
-                        quantity.name(),
-                        meaning.scale
-                    )
+                Kind::Component { quantity, sensor, component, .. } => {
+                    format!("{} {sensor} {component} {:?}", quantity.name(), meaning.scale)
                 }
                 Kind::Time => format!("time {:?}", meaning.exponent),
                 kind => format!("{kind:?}"),
@@ -334,10 +301,7 @@ mod tests {
             ("ax_mps2", "specific force 0 0 Some(Si(1.0))"),
             ("acc_x_m_s2", "specific force 0 0 Some(Si(1.0))"),
             ("AZ(g)", "specific force 0 2 Some(Si(9.80665))"),
-            (
-                "linear acceleration x (m/s²)",
-                "linear acceleration 0 0 Some(Si(1.0))",
-            ),
+            ("linear acceleration x (m/s²)", "linear acceleration 0 0 Some(Si(1.0))"),
             ("field.linear_acceleration.x", "specific force 0 0 None"),
             ("field.orientation.w", "attitude 0 0 None"),
             ("field.header.stamp", "time Some(0)"),
@@ -350,21 +314,12 @@ mod tests {
             ("Accelerometer 0 (m/s²)", "Other"),
             ("Angle X(°)", "Other"),
             ("Mat[1][1]", "Other"),
-            (
-                "imu1_gyro_z/dps",
-                "angular rate 1 2 Some(Si(0.017453292519943295))",
-            ),
+            ("imu1_gyro_z/dps", "angular rate 1 2 Some(Si(0.017453292519943295))"),
             ("X (m/s^2)", "specific force 0 0 Some(Si(1.0))"),
             ("y", "Other"),
-            (
-                "x-axis (deg/s)",
-                "angular rate 0 0 Some(Si(0.017453292519943295))",
-            ),
+            ("x-axis (deg/s)", "angular rate 0 0 Some(Si(0.017453292519943295))"),
             ("°x-axis (mg)", "specific force 0 0 Some(Si(0.00980665))"),
-            (
-                "accelerometerAccelerationX(G)",
-                "specific force 0 0 Some(Si(9.80665))",
-            ),
+            ("accelerometerAccelerationX(G)", "specific force 0 0 Some(Si(9.80665))"),
             ("acc_z (milli-g)", "specific force 0 2 Some(Si(0.00980665))"),
             ("ax_millig", "specific force 0 0 Some(Si(0.00980665))"),
             ("ay (ft/s²)", "specific force 0 1 Some(Si(0.3048))"),

@@ -35,20 +35,12 @@ const PHONE: Units = &[
 const XSENS: Units = &[
     (SpecificForce, "m/s2"), (LinearAcceleration, "m/s2"), (AngularRate, "rad/s"), (MagneticField, "au"),
 ];
-const ARTEMIS: Units = &[
-    (SpecificForce, "mg"),
-    (AngularRate, "deg/s"),
-    (MagneticField, "uT"),
-];
+const ARTEMIS: Units = &[(SpecificForce, "mg"), (AngularRate, "deg/s"), (MagneticField, "uT")];
 #[rustfmt::skip]
 const TOOLBOX: Units = &[
     (SpecificForce, "g"), (LinearAcceleration, "m/s2"), (AngularRate, "rad/s"), (MagneticField, "uT"),
 ];
-const WIT: Units = &[
-    (SpecificForce, "g"),
-    (AngularRate, "deg/s"),
-    (MagneticField, "au"),
-];
+const WIT: Units = &[(SpecificForce, "g"), (AngularRate, "deg/s"), (MagneticField, "au")];
 
 /// `ROS Imu` are tables of `ros2 topic echo --csv` and tables made from bags.
 #[rustfmt::skip]
@@ -67,10 +59,8 @@ const PRESETS: &[Preset] = presets![
 
 /// The preset of a header.
 pub fn of_header(header: &[String]) -> Option<&'static Preset> {
-    let keys: Vec<String> = header
-        .iter()
-        .map(|name| names::key(names::split_unit(name).0))
-        .collect();
+    let keys: Vec<String> =
+        header.iter().map(|name| names::key(names::split_unit(name).0)).collect();
     let has = |column: &&'static str| keys.iter().any(|key| key == column);
     PRESETS.iter().find(|preset| preset.columns.iter().all(has))
 }

@@ -87,9 +87,7 @@ impl Count {
                     ),
                 };
                 let text = format!("{rows}; first: {}{cause}", text_of(fault, table));
-                Err(ErrorCode::BadRecording
-                    .error(text, remedy)
-                    .at(format!("{name} line {line}")))
+                Err(ErrorCode::BadRecording.error(text, remedy).at(format!("{name} line {line}")))
             }
             _ => Ok(()),
         }
@@ -110,9 +108,7 @@ impl Count {
                 self.rows,
                 text_of(fault, table)
             );
-            let finding = FindingCode::RowsMasked
-                .warning(evidence)
-                .remedy("they are left out");
+            let finding = FindingCode::RowsMasked.warning(evidence).remedy("they are left out");
             findings.push(finding);
         }
         if self.is_cut {
@@ -198,11 +194,7 @@ pub fn values(group: &Group, fields: &[Cow<str>], comma: bool) -> Values {
             Field::Text => return Values::Text,
         }
     }
-    if empty {
-        Values::Empty
-    } else {
-        Values::Some(row)
-    }
+    if empty { Values::Empty } else { Values::Some(row) }
 }
 
 /// Indices of columns and the values that rows must have there.

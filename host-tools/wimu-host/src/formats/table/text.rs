@@ -53,11 +53,7 @@ impl<'a> Lines<'a> {
             self.reader.skip_until(b'\n').map_err(failed)?;
             self.is_ended = true;
         }
-        while self
-            .bytes
-            .pop_if(|byte| matches!(byte, b'\r' | b'\n'))
-            .is_some()
-        {}
+        while self.bytes.pop_if(|byte| matches!(byte, b'\r' | b'\n')).is_some() {}
         Ok(Some(match std::str::from_utf8(&self.bytes) {
             Ok(text) => Cow::Borrowed(text),
             Err(_) => Cow::Owned(self.bytes.iter().map(|byte| char::from(*byte)).collect()),

@@ -25,10 +25,7 @@ pub fn choose(
     if let Some((column, exponent)) = layout.time {
         let numbers = survey.columns[column].numbers;
         if survey.times.dates > numbers {
-            return Source::Dates {
-                date: layout.date,
-                time: column,
-            };
+            return Source::Dates { date: layout.date, time: column };
         }
         let exponent = exponent.unwrap_or_else(|| exponent_of(table, survey, column, findings));
         // A spreadsheet keeps 15 digits.
@@ -52,11 +49,7 @@ pub fn choose(
     };
     // Ticks of 0.1 ms, 32 bits.
     if let Some(column) = find("sampletimefine") {
-        return Source::Counter {
-            column,
-            period_ns: 1e5,
-            modulus: 1 << 32,
-        };
+        return Source::Counter { column, period_ns: 1e5, modulus: 1 << 32 };
     }
     if let Some(column) = find("packetcounter") {
         let (rate, how, severity) = match update_rate(&table.preamble) {
@@ -68,11 +61,7 @@ pub fn choose(
             severity,
             "export SampleTimeFine for measured times",
         );
-        return Source::Counter {
-            column,
-            period_ns: 1e9 / rate,
-            modulus: 1 << 16,
-        };
+        return Source::Counter { column, period_ns: 1e9 / rate, modulus: 1 << 16 };
     }
     let rate = match layout.program {
         Some("KITTI oxts") => OXTS_RATE_HZ,
@@ -83,17 +72,12 @@ pub fn choose(
         Severity::Warning,
         "name the column of times: --columns \"t=COLUMN:ms,…\"",
     );
-    Source::Rows {
-        period_ns: 1e9 / rate,
-    }
+    Source::Rows { period_ns: 1e9 / rate }
 }
 
 /// `// Update Rate: 100.0Hz`
 fn update_rate(preamble: &[String]) -> Option<f64> {
-    let line = preamble
-        .iter()
-        .find_map(|line| line.split_once("Update Rate:"))?
-        .1;
+    let line = preamble.iter().find_map(|line| line.split_once("Update Rate:"))?.1;
     let rate: f64 = line.trim().trim_end_matches("Hz").trim().parse().ok()?;
     (1e-3..1e6).contains(&rate).then_some(rate)
 }
@@ -111,10 +95,7 @@ fn exponent_of(table: &Table, survey: &Survey, column: usize, findings: &mut Vec
             && step * seconds(exponent) <= 1.0 / RATES_HZ.start
             && step * seconds(exponent) >= 1.0 / RATES_HZ.end
     };
-    let utc = units
-        .map(|(exponent, _)| exponent)
-        .into_iter()
-        .find(|e| is_utc(*e));
+    let utc = units.map(|(exponent, _)| exponent).into_iter().find(|e| is_utc(*e));
     let by_step = match step {
         // Whole numbers: at least 1 a sample, and ms up to 3 Hz.
         s if s < 1.0 || is_fractional && s <= 2.0 => 9,
@@ -129,9 +110,8 @@ fn exponent_of(table: &Table, survey: &Survey, column: usize, findings: &mut Vec
     let name = &table.names[column];
     let unknown = names::split_unit(name).1.filter(|unit| !unit.is_empty());
     let severity = unknown.map_or(Severity::Note, |_| Severity::Warning);
-    let why = unknown.map_or("name no unit".to_owned(), |unit| {
-        format!("have the unknown unit `{unit}`")
-    });
+    let why =
+        unknown.map_or("name no unit".to_owned(), |unit| format!("have the unknown unit `{unit}`"));
     let text = format!("times `{name}` {why}: mean step {step:.4}, taken as {unit} ({rate:.4} Hz)");
     let remedy =
         "if they are not, give --columns \"t=COLUMN:s,…\" with one of s, ms, us, ns, min, h";

@@ -38,10 +38,7 @@ const FIELDS: &Units = &[
     (Scale::Si(1.0), "t"), (Scale::Si(1e-3), "mt"), (Scale::Si(1e-6), "ut microtesla"), (Scale::Si(1e-9), "nt"),
     (Scale::Si(1e-4), "g gauss"), (Scale::Si(1e-7), "mg mgauss mga"),
 ];
-const COUNTS: &Units = &[
-    (Scale::Counts, "lsb counts count raw adc"),
-    (Scale::Unknown, "au arb"),
-];
+const COUNTS: &Units = &[(Scale::Counts, "lsb counts count raw adc"), (Scale::Unknown, "au arb")];
 const TEMPERATURES: &Units = &[(Scale::Si(1.0), "c degc celsius")];
 const LENGTHS: &Units = &[(Scale::Si(1.0), "m"), (Scale::Si(1e-3), "mm")];
 const SPEEDS: &Units = &[(Scale::Si(1.0), "m/s ms-1")];
@@ -115,10 +112,7 @@ pub(crate) fn acceleration_unit(column: &str, name: &str) -> Result<Option<Optio
         Some(Scale::Si(mps2)) => Ok(Some(Some(mps2))),
         Some(Scale::Counts) => Ok(Some(None)),
         _ => Err(ErrorCode::CsvUnknownUnit
-            .error(
-                "the unit is missing or unknown",
-                "write one of LSB, g, mg, m/s² in parentheses",
-            )
+            .error("the unit is missing or unknown", "write one of LSB, g, mg, m/s² in parentheses")
             .at(column)),
     }
 }

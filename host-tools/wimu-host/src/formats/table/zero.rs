@@ -76,20 +76,13 @@ pub fn find(group: &Group, evidence: Evidence, findings: &mut Vec<Finding>) -> Z
             "65536 is subtracted from those above 32767",
         ),
     };
-    findings.push(
-        FindingCode::ZeroCount
-            .note(text)
-            .remedy(remedy)
-            .of_sensor(group.sensor),
-    );
+    findings.push(FindingCode::ZeroCount.note(text).remedy(remedy).of_sensor(group.sensor));
     zero
 }
 
 /// Fraction of values for which `holds`.
 fn fraction(samples: &[[f64; 3]], holds: impl Fn(f64) -> bool) -> f64 {
-    let count = (samples.iter().flatten())
-        .filter(|value| holds(**value))
-        .count();
+    let count = (samples.iter().flatten()).filter(|value| holds(**value)).count();
     count as f64 / (3 * samples.len()).max(1) as f64
 }
 

@@ -98,13 +98,7 @@ impl Bridge {
         });
         let gone = ErrorCode::LinkLost.error("the Bluetooth stack failed", "connect again");
         let (longest, confirms) = outcome.recv().unwrap_or(Err(gone))?;
-        Ok(Self {
-            longest,
-            confirms,
-            orders,
-            values,
-            thread: Some(thread),
-        })
+        Ok(Self { longest, confirms, orders, values, thread: Some(thread) })
     }
 }
 
@@ -171,11 +165,7 @@ impl Peripheral for Bridge {
 
     fn write(&mut self, piece: &[u8], confirmed: bool) -> std::result::Result<(), String> {
         let (done, outcome) = channel();
-        let order = Order {
-            piece: piece.to_vec(),
-            confirmed,
-            done,
-        };
+        let order = Order { piece: piece.to_vec(), confirmed, done };
         // Of an ended thread, the answer's channel is closed.
         let _ = self.orders.send(order);
         match outcome.recv_timeout(PATIENCE) {

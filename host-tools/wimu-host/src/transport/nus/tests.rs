@@ -45,16 +45,8 @@ struct Board {
 fn connection(longest: usize, confirms: bool) -> (Board, NusLink<Fake>) {
     let (notify, notifications) = channel();
     let (sender, written) = channel();
-    let fake = Fake {
-        longest,
-        confirms,
-        notifications,
-        written: sender,
-    };
-    (
-        Board { notify, written },
-        NusLink::new("ble://wimu-1a2b", fake),
-    )
+    let fake = Fake { longest, confirms, notifications, written: sender };
+    (Board { notify, written }, NusLink::new("ble://wimu-1a2b", fake))
 }
 
 const SHORT: Duration = Duration::from_millis(10);
@@ -100,10 +92,7 @@ fn a_lost_connection_delivers_what_has_come_and_then_says_what_to_do() {
     drop(board);
     let mut buffer = [0; 8];
     assert_eq!(link.read(&mut buffer, LONG).unwrap(), 1);
-    for error in [
-        link.read(&mut buffer, LONG).unwrap_err(),
-        link.write_all(&[1]).unwrap_err(),
-    ] {
+    for error in [link.read(&mut buffer, LONG).unwrap_err(), link.write_all(&[1]).unwrap_err()] {
         assert_eq!(error.code(), ErrorCode::LinkLost);
         assert_eq!(error.location(), Some("ble://wimu-1a2b"));
         assert!(error.message().contains("out of range"), "{error}");
@@ -113,10 +102,7 @@ fn a_lost_connection_delivers_what_has_come_and_then_says_what_to_do() {
 
 #[test]
 fn a_board_that_is_connected_again_is_known_by_its_hello() {
-    let hello = Hello {
-        device_id: 0x1a2b,
-        ..Hello::new(LinkRole::Wireless)
-    };
+    let hello = Hello { device_id: 0x1a2b, ..Hello::new(LinkRole::Wireless) };
     let mut frame = [0; 256];
     let length = hello.encode(&mut frame).unwrap();
     for _ in 0..2 {

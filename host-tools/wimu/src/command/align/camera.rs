@@ -18,10 +18,8 @@ pub fn run(arguments: &Align, camera: &Path, output: Output) -> Result<u8> {
     for read in [camera, file] {
         not_over_input(read, arguments.report.as_deref())?;
     }
-    let options = HandEyeOptions {
-        offset_limit_s: arguments.offset_limit,
-        ..HandEyeOptions::default()
-    };
+    let options =
+        HandEyeOptions { offset_limit_s: arguments.offset_limit, ..HandEyeOptions::default() };
     let streams = [PoseStream::read(camera)?, body(arguments, file)?];
     if streams[0].poses() == streams[1].poses() {
         let remedy = "name the poses of the camera with --camera, those of the body first";

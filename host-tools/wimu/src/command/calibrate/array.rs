@@ -40,21 +40,13 @@ struct Sensor {
 /// Calibrates an array.
 pub fn run(arguments: &Calibrate, geometry: &Path, output: Output) -> Result<()> {
     let input = Path::new(&arguments.input);
-    for read in [input, geometry]
-        .into_iter()
-        .chain(arguments.more.iter().map(AsRef::as_ref))
-    {
+    for read in [input, geometry].into_iter().chain(arguments.more.iter().map(AsRef::as_ref)) {
         not_over_input(read, arguments.output.as_deref())?;
     }
     let geometry = ArrayGeometry::read(geometry)?;
     let options = array::prior(arguments.place_sd, arguments.delay_sd, &geometry);
-    let recording = array::read(
-        input,
-        &arguments.more,
-        arguments.sensitivity,
-        arguments.reading.link,
-        true,
-    )?;
+    let recording =
+        array::read(input, &arguments.more, arguments.sensitivity, arguments.reading.link, true)?;
     let gravity = match (arguments.gravity, arguments.latitude) {
         (Some(mps2), _) => Gravity::new(mps2, 0.0),
         (None, Some(latitude)) => Gravity::at(latitude, arguments.height),
@@ -117,9 +109,7 @@ fn present(
     ));
     let remarks = calibration.remarks().into_iter();
     let remarks = remarks.chain(found.remarks.iter().cloned());
-    let mut findings: Vec<Finding> = remarks
-        .map(|text| FindingCode::Geometry.note(text))
-        .collect();
+    let mut findings: Vec<Finding> = remarks.map(|text| FindingCode::Geometry.note(text)).collect();
     let refined = match &found.refinement {
         Ok(refinement) => Some(Refined::of(refinement, output)),
         Err(why) => {

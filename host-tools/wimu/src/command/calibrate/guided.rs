@@ -26,10 +26,7 @@ pub fn run(arguments: &Calibrate, options: &CalibrateOptions, output: Output) ->
     let client = connect_for(&arguments.input, arguments.push)?;
     let hello = *client.hello();
     let name = client.name().to_owned();
-    let file = arguments
-        .output
-        .as_deref()
-        .unwrap_or(Path::new(DEFAULT_FILE));
+    let file = arguments.output.as_deref().unwrap_or(Path::new(DEFAULT_FILE));
     let count = arguments.count.map(usize::from);
     let mut guided = Guided::new(options.clone(), count, &hello, &name, file)?;
     guided.writes = arguments.output.is_some();

@@ -73,11 +73,9 @@ pub fn collect(
             if let News::Captured(pose) = news {
                 captured = true;
                 output.print(match Face::of(&pose) {
-                    Some(side) => format!(
-                        "pose {} captured: {}",
-                        live.poses().len(),
-                        live.plan.name(side)
-                    ),
+                    Some(side) => {
+                        format!("pose {} captured: {}", live.poses().len(), live.plan.name(side))
+                    }
                     None => format!("pose {} captured", live.poses().len()),
                 });
             }
@@ -92,11 +90,7 @@ pub fn collect(
 
 fn advise(live: &LivePoses, output: Output) {
     if live.plan.six {
-        let left: Vec<_> = live
-            .sides_left()
-            .into_iter()
-            .map(|side| live.plan.name(side))
-            .collect();
+        let left: Vec<_> = live.sides_left().into_iter().map(|side| live.plan.name(side)).collect();
         if !left.is_empty() {
             output.print(format!("remaining: {}", left.join("; ")));
         }

@@ -38,11 +38,12 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
 
 /// The accelerometer's calibration. Without one, its bias tilts the measured gravity and changes the dip.
 fn calibrated(set: Option<ParameterSet>) -> Result<ParameterSet> {
-    set.filter(|set| *set != ParameterSet::uncalibrated(set.range_g, set.sensitivity))
-        .ok_or_else(|| {
+    set.filter(|set| *set != ParameterSet::uncalibrated(set.range_g, set.sensitivity)).ok_or_else(
+        || {
             ErrorCode::DataRefused.error(
                 "there is no calibration of the accelerometer beside the magnetometer",
                 "calibrate it with `wimu calibrate … -o CAL.json` and add --with CAL.json",
             )
-        })
+        },
+    )
 }

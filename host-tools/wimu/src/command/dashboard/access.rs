@@ -18,9 +18,7 @@ impl Token {
     pub fn generate() -> Result<Self> {
         let mut bytes = [0; TOKEN_BYTES];
         wimu_host::keys::random(&mut bytes)?;
-        Ok(Self(
-            bytes.iter().map(|byte| format!("{byte:02x}")).collect(),
-        ))
+        Ok(Self(bytes.iter().map(|byte| format!("{byte:02x}")).collect()))
     }
 
     /// As it is in the URL.
@@ -85,10 +83,7 @@ pub struct Head<'a> {
 impl<'a> Head<'a> {
     /// The value of a header that is there once at most.
     fn one(&self, name: &str) -> std::result::Result<Option<&'a str>, Refusal> {
-        let mut found = self
-            .headers
-            .iter()
-            .filter(|(n, _)| n.eq_ignore_ascii_case(name));
+        let mut found = self.headers.iter().filter(|(n, _)| n.eq_ignore_ascii_case(name));
         match (found.next(), found.next()) {
             (first, None) => Ok(first.map(|(_, value)| *value)),
             _ => Err(Refusal::Malformed),
@@ -99,9 +94,7 @@ impl<'a> Head<'a> {
     pub fn socket_key(&self) -> Option<&'a str> {
         let has = |name, wanted: &str| {
             let value = self.one(name).ok().flatten().unwrap_or_default();
-            value
-                .split(',')
-                .any(|part| part.trim().eq_ignore_ascii_case(wanted))
+            value.split(',').any(|part| part.trim().eq_ignore_ascii_case(wanted))
         };
         let is_upgrade = has("Upgrade", "websocket") && has("Connection", "upgrade");
         let key = self.one("Sec-WebSocket-Key").ok().flatten();
@@ -150,9 +143,7 @@ fn is_ours(host: &str, address: SocketAddr) -> bool {
     };
     let bare = name.trim_start_matches('[').trim_end_matches(']');
     let is_named = name.eq_ignore_ascii_case("localhost")
-        || bare
-            .parse()
-            .is_ok_and(|ip: IpAddr| ip.is_loopback() || !address.ip().is_loopback());
+        || bare.parse().is_ok_and(|ip: IpAddr| ip.is_loopback() || !address.ip().is_loopback());
     is_named && port == Some(address.port())
 }
 
@@ -164,14 +155,7 @@ mod tests {
 
     fn checked(path: &str, headers: &[(&str, &str)]) -> std::result::Result<Target, Refusal> {
         let address = SocketAddr::from(([127, 0, 0, 1], 7180));
-        check(
-            &Head {
-                method: "GET",
-                path,
-                headers,
-            },
-            address,
-        )
+        check(&Head { method: "GET", path, headers }, address)
     }
 
     /// A request for the socket with this host and origin.
@@ -189,17 +173,8 @@ mod tests {
 
     #[test]
     fn only_this_computer_by_its_address_is_a_host() {
-        for host in [
-            "127.0.0.1:7180",
-            "localhost:7180",
-            "LocalHost:7180",
-            "[::1]:7180",
-        ] {
-            assert_eq!(
-                checked("/", &[("Host", host)]),
-                Ok(Target::File(0)),
-                "{host}"
-            );
+        for host in ["127.0.0.1:7180", "localhost:7180", "LocalHost:7180", "[::1]:7180"] {
+            assert_eq!(checked("/", &[("Host", host)]), Ok(Target::File(0)), "{host}");
         }
         for host in [
             "evil.example:7180",
@@ -211,11 +186,7 @@ mod tests {
             "localhost:7180@evil.example",
             "",
         ] {
-            assert_eq!(
-                checked("/", &[("Host", host)]),
-                Err(Refusal::ForeignHost),
-                "{host}"
-            );
+            assert_eq!(checked("/", &[("Host", host)]), Err(Refusal::ForeignHost), "{host}");
         }
         assert_eq!(checked("/", &[]), Err(Refusal::Malformed));
         let twice = [("Host", "127.0.0.1:7180"), ("host", "evil.example")];
@@ -227,14 +198,7 @@ mod tests {
         let address = SocketAddr::from(([0, 0, 0, 0], 7180));
         let of = |host| {
             let headers = [("Host", host)];
-            check(
-                &Head {
-                    method: "GET",
-                    path: "/",
-                    headers: &headers,
-                },
-                address,
-            )
+            check(&Head { method: "GET", path: "/", headers: &headers }, address)
         };
         assert_eq!(of("192.168.1.5:7180"), Ok(Target::File(0)));
         assert_eq!(of("pi.local:7180"), Err(Refusal::ForeignHost));
@@ -243,10 +207,7 @@ mod tests {
     #[test]
     fn a_socket_is_for_the_page_of_this_server_only() {
         let host = "127.0.0.1:7180";
-        assert_eq!(
-            socket(host, Some("http://127.0.0.1:7180")),
-            Ok(Target::Socket)
-        );
+        assert_eq!(socket(host, Some("http://127.0.0.1:7180")), Ok(Target::Socket));
         for origin in [
             None,
             Some("null"),
@@ -256,11 +217,7 @@ mod tests {
             Some("http://localhost:7180"),
             Some("http://127.0.0.1:7180.evil.example"),
         ] {
-            assert_eq!(
-                socket(host, origin),
-                Err(Refusal::ForeignOrigin),
-                "{origin:?}"
-            );
+            assert_eq!(socket(host, origin), Err(Refusal::ForeignOrigin), "{origin:?}");
         }
         let foreign = [("Host", host), ("Origin", "http://evil.example")];
         assert_eq!(checked("/", &foreign), Err(Refusal::ForeignOrigin));
@@ -271,22 +228,11 @@ mod tests {
     #[test]
     fn there_are_no_other_paths() {
         let host = [("Host", "127.0.0.1:7180")];
-        for path in [
-            "/../etc/passwd",
-            "//",
-            "/%2e%2e/",
-            "/dashboard.js/..",
-            "/keys",
-            "",
-        ] {
+        for path in ["/../etc/passwd", "//", "/%2e%2e/", "/dashboard.js/..", "/keys", ""] {
             assert_eq!(checked(path, &host), Err(Refusal::NotFound), "{path}");
         }
         let address = SocketAddr::from(([127, 0, 0, 1], 7180));
-        let head = Head {
-            method: "POST",
-            path: "/",
-            headers: &host,
-        };
+        let head = Head { method: "POST", path: "/", headers: &host };
         assert_eq!(check(&head, address), Err(Refusal::Method));
     }
 

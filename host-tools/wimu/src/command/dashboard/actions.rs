@@ -216,10 +216,8 @@ impl Board {
             utc_s: crate::command::calibrate::utc_s(),
             ..CalibrateOptions::default()
         };
-        let file = self
-            .folder
-            .path()
-            .join(format!("calibration-{:08x}.json", hello.device_id as u32));
+        let file =
+            self.folder.path().join(format!("calibration-{:08x}.json", hello.device_id as u32));
         self.guided = Some(Guided::new(options, None, hello, &self.name, &file)?);
         self.message = String::new();
         Ok(())
@@ -231,12 +229,7 @@ impl Board {
             Ok(Input::Link(_)) => Ok(name.to_owned()),
             _ => Ok(self.folder.file(name)?.display().to_string()),
         };
-        let Aiding {
-            profile,
-            fixes,
-            ranges,
-            anchors,
-        } = aiding;
+        let Aiding { profile, fixes, ranges, anchors } = aiding;
         let mut words = Vec::from(["wimu", "monitor", &self.name, "--navigate"].map(String::from));
         for (option, name) in [("fixes", fixes), ("ranges", ranges), ("anchors", anchors)] {
             if !name.is_empty() {
@@ -248,11 +241,7 @@ impl Board {
         }
         let parsed = Arguments::try_parse_from(words).map_err(|error| {
             let text = error.to_string();
-            let first = text
-                .lines()
-                .next()
-                .unwrap_or_default()
-                .trim_start_matches("error: ");
+            let first = text.lines().next().unwrap_or_default().trim_start_matches("error: ");
             usage(first, "see `wimu monitor --help`, Aiding")
         })?;
         match parsed.command {

@@ -88,13 +88,7 @@ pub struct Board {
 
 impl Board {
     pub fn new(index: usize, name: &str, hub: Arc<Hub>, folder: Arc<Folder>) -> Self {
-        Self {
-            index,
-            hub,
-            folder,
-            name: name.to_owned(),
-            ..Self::default()
-        }
+        Self { index, hub, folder, name: name.to_owned(), ..Self::default() }
     }
 
     /// Shows the links of a board until a page closes it.
@@ -139,16 +133,12 @@ impl Board {
 
     fn name_links(&mut self, names: Vec<String>) {
         self.traffic.resize_with(names.len(), Traffic::default);
-        let link = |name| LinkHealth {
-            name,
-            ..LinkHealth::default()
-        };
+        let link = |name| LinkHealth { name, ..LinkHealth::default() };
         self.links = names.into_iter().map(link).collect();
     }
 
     pub fn publish(&self, topic: &str, value: &impl Serialize) {
-        self.hub
-            .publish(&format!("board/{}/{topic}", self.index), value);
+        self.hub.publish(&format!("board/{}/{topic}", self.index), value);
     }
 
     /// Takes data and does jobs until one needs the clients.
@@ -178,10 +168,7 @@ impl Board {
             self.name_links(player.roles().map(|role| role.to_string()).collect());
         }
         if let Some((_, writer)) = &mut self.writer {
-            let written = heard
-                .entries
-                .iter()
-                .try_for_each(|entry| writer.record(entry));
+            let written = heard.entries.iter().try_for_each(|entry| writer.record(entry));
             if let Err(error) = written {
                 self.message = format!("not recorded: {error}");
                 self.writer = None;
@@ -245,9 +232,8 @@ impl Board {
         let Some(held) = &self.held else { return };
         let rows = held.iter().flat_map(calibration::parameter_figures);
         let rows = rows.map(|(name, values)| [name.to_owned(), calibration::values_text(&values)]);
-        let id = held.map_or(ParameterId::UNCALIBRATED, |set| {
-            wimu_link::message::parameter_id(&set)
-        });
+        let id =
+            held.map_or(ParameterId::UNCALIBRATED, |set| wimu_link::message::parameter_id(&set));
         let value = json!({
             "calibrated": held.is_some(),
             "id": id.to_string(),
@@ -302,11 +288,7 @@ impl Board {
             }
             guided.refresh();
         }
-        if let Some(guided) = self
-            .guided
-            .as_ref()
-            .filter(|_| self.ticks.is_multiple_of(2))
-        {
+        if let Some(guided) = self.guided.as_ref().filter(|_| self.ticks.is_multiple_of(2)) {
             self.publish("guided", &guided.view);
         }
         if self.ticks.is_multiple_of(STATE) {
@@ -317,11 +299,7 @@ impl Board {
         {
             self.publish("path", &chart);
         }
-        if let Some(meter) = self
-            .noise
-            .as_ref()
-            .filter(|_| self.ticks.is_multiple_of(NOISE))
-        {
+        if let Some(meter) = self.noise.as_ref().filter(|_| self.ticks.is_multiple_of(NOISE)) {
             let chart = meter.report().map(|report| report.chart().json()).ok();
             self.publish("noise", &json!({"text": meter.progress(), "chart": chart}));
         }
@@ -335,10 +313,7 @@ impl Board {
             (None, Some(sent)) if self.navigator.is_none() => self.path.sent(&sent),
             _ => {}
         }
-        let is_recording = self
-            .writer
-            .as_ref()
-            .map(|(path, _)| path.display().to_string());
+        let is_recording = self.writer.as_ref().map(|(path, _)| path.display().to_string());
         let held = self.held.as_ref().and_then(Option::as_ref);
         let hello = self.hello.as_ref();
         let device = hello.map(|hello| format!("{} with {}", hello.board.name, hello.sensor.name));
@@ -380,10 +355,7 @@ impl Board {
             return self.stop_recording();
         }
         let Feed::Live(links) = feed else {
-            return Err(crate::output::usage(
-                "this is a recording already",
-                "record a board",
-            ));
+            return Err(crate::output::usage("this is a recording already", "record a board"));
         };
         let path = wimu_host::recorder::free_name(self.folder.path());
         let writer = RecordingWriter::create(&path, ClockAnchor::now(transport::now()))?;
@@ -406,8 +378,6 @@ impl Board {
 /// A time of the host's monotonic clock, ms since 1970.
 fn arrived_ms(host_ns: u64) -> f64 {
     let ago = transport::now().saturating_sub(Duration::from_nanos(host_ns));
-    let now = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .unwrap_or_default();
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     now.saturating_sub(ago).as_secs_f64() * 1e3
 }

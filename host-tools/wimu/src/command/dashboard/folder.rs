@@ -15,9 +15,8 @@ use super::hub::Hub;
 const PICTURE: Duration = Duration::from_millis(500);
 /// Most files that are listed.
 const MOST_LISTED: usize = 500;
-const KNOWN: [&str; 11] = [
-    "mcap", "csv", "txt", "json", "bag", "db3", "ulg", "bin", "bbl", "bfl", "zip",
-];
+const KNOWN: [&str; 11] =
+    ["mcap", "csv", "txt", "json", "bag", "db3", "ulg", "bin", "bbl", "bfl", "zip"];
 
 /// A folder, and files besides.
 #[derive(Default)]
@@ -60,11 +59,7 @@ impl Folder {
     /// # Errors
     /// `usage` for a path, or a link to the outside; `file_unreadable` for what does not exist.
     pub fn file(&self, name: &str) -> Result<PathBuf> {
-        if let Some(given) = self
-            .given
-            .iter()
-            .find(|given| given.display().to_string() == name)
-        {
+        if let Some(given) = self.given.iter().find(|given| given.display().to_string() == name) {
             return Ok(given.clone());
         }
         let refused = || {
@@ -80,9 +75,7 @@ impl Folder {
             _ => return Err(refused()),
         }
         let path = self.path.join(name);
-        let real = path
-            .canonicalize()
-            .map_err(|error| HostError::file(name, "open", &error))?;
+        let real = path.canonicalize().map_err(|error| HostError::file(name, "open", &error))?;
         if real.parent() != Some(&self.path) {
             return Err(refused());
         }
@@ -92,28 +85,18 @@ impl Folder {
     /// The files, by name.
     pub fn list(&self) -> Vec<Listed> {
         let is_known = |path: &Path| {
-            let extension = path
-                .extension()
-                .unwrap_or_default()
-                .to_string_lossy()
-                .to_lowercase();
+            let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
             KNOWN.contains(&extension.as_str())
         };
         let given = self.given.iter().flat_map(|path| path.canonicalize());
         let given: Vec<PathBuf> = given.collect();
-        let entries = std::fs::read_dir(&self.path)
-            .into_iter()
-            .flatten()
-            .flatten();
+        let entries = std::fs::read_dir(&self.path).into_iter().flatten().flatten();
         let mut listed: Vec<Listed> = entries
             .filter(|entry| is_known(&entry.path()) && !given.contains(&entry.path()))
             .filter_map(|entry| {
                 let about = entry.metadata().ok().filter(|about| about.is_file())?;
                 let name = entry.file_name().into_string().ok()?;
-                Some(Listed {
-                    name,
-                    bytes: about.len(),
-                })
+                Some(Listed { name, bytes: about.len() })
             })
             .take(MOST_LISTED)
             .collect();
@@ -176,12 +159,7 @@ mod tests {
         let given = outside.path().join("given.mcap");
         std::fs::write(&given, "x").unwrap();
         let folder = Folder::new(&inside, vec![given.clone()]).unwrap();
-        assert!(
-            folder
-                .file("mine.csv")
-                .unwrap()
-                .ends_with("folder/mine.csv")
-        );
+        assert!(folder.file("mine.csv").unwrap().ends_with("folder/mine.csv"));
         assert_eq!(folder.file(given.to_str().unwrap()).unwrap(), given);
         let absolute = outside.path().join("secret.csv").display().to_string();
         for name in [
@@ -209,9 +187,7 @@ mod tests {
         assert!(listed.contains(&"mine.csv".to_owned()) && !listed.contains(&"key.pem".to_owned()));
         let mine = inside.join("mine.csv");
         let folder = Folder::new(&inside, vec![mine.clone()]).unwrap();
-        let once = names(&folder)
-            .into_iter()
-            .filter(|name| name.ends_with("mine.csv"));
+        let once = names(&folder).into_iter().filter(|name| name.ends_with("mine.csv"));
         assert_eq!(Vec::from_iter(once), [mine.display().to_string()]);
     }
 
@@ -220,10 +196,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("a.csv");
         std::fs::write(&file, "x").unwrap();
-        for (path, given) in [
-            (file.as_path(), vec![]),
-            (folder.path(), vec![folder.path().join("absent.csv")]),
-        ] {
+        for (path, given) in
+            [(file.as_path(), vec![]), (folder.path(), vec![folder.path().join("absent.csv")])]
+        {
             let error = Folder::new(path, given).err().unwrap();
             assert_eq!(error.code(), ErrorCode::FileUnreadable);
         }

@@ -60,11 +60,7 @@ impl Hub {
     pub fn publish(&self, topic: &str, value: &impl Serialize) {
         let text = json!({"topic": topic, "value": value}).to_string();
         let mut state = lock(&self.state);
-        if state
-            .topics
-            .get(topic)
-            .is_some_and(|known| **known == *text)
-        {
+        if state.topics.get(topic).is_some_and(|known| **known == *text) {
             return;
         }
         state.topics.insert(topic.to_owned(), text.into());
@@ -123,9 +119,7 @@ impl Hub {
 
     /// Forgets a page.
     pub fn leave(&self, page: &Arc<Page>) {
-        lock(&self.state)
-            .pages
-            .retain(|one| !Arc::ptr_eq(one, page));
+        lock(&self.state).pages.retain(|one| !Arc::ptr_eq(one, page));
     }
 
     /// How many pages have joined so far.
@@ -151,11 +145,7 @@ impl Hub {
         drop(queue);
         if !names.is_empty() {
             let state = lock(&self.state);
-            out.extend(
-                names
-                    .iter()
-                    .filter_map(|name| state.topics.get(name).cloned()),
-            );
+            out.extend(names.iter().filter_map(|name| state.topics.get(name).cloned()));
         }
         out.extend(frames);
         out

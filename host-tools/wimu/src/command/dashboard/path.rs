@@ -113,11 +113,8 @@ mod tests {
     fn every_corner_of_the_ellipsoid_is_one_sigma_away() {
         // 0.5 of both correlated axes, and another one.
         let p = [[4.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 9.0]];
-        let inverse = [
-            [1.0 / 3.0, -1.0 / 3.0, 0.0],
-            [-1.0 / 3.0, 4.0 / 3.0, 0.0],
-            [0.0, 0.0, 1.0 / 9.0],
-        ];
+        let inverse =
+            [[1.0 / 3.0, -1.0 / 3.0, 0.0], [-1.0 / 3.0, 4.0 / 3.0, 0.0], [0.0, 0.0, 1.0 / 9.0]];
         let centre = [5.0, 6.0, 7.0];
         for corner in ellipsoid(centre, &p).into_iter().flatten() {
             let d: [f64; 3] = [0, 1, 2].map(|k| corner[k] - centre[k]);

@@ -52,10 +52,7 @@ impl Player {
             waiting: VecDeque::new(),
             until_s: 0.0,
             clock: Instant::now(),
-            view: ReplayView {
-                speed: 1.0,
-                ..ReplayView::default()
-            },
+            view: ReplayView { speed: 1.0, ..ReplayView::default() },
         })
     }
 
@@ -115,24 +112,15 @@ impl Player {
     }
 
     fn decoded(&mut self, received: &Received) -> (usize, Heard) {
-        let known = self
-            .links
-            .iter()
-            .position(|(role, _)| *role == received.role);
+        let known = self.links.iter().position(|(role, _)| *role == received.role);
         let index = known.unwrap_or_else(|| {
             self.links.push((received.role, Decoder::new()));
             self.links.len() - 1
         });
         let decoder = &mut self.links[index].1;
         let mut arrivals = Vec::new();
-        decoder.push(received.host_ns, &received.bytes, |arrival| {
-            arrivals.push(arrival)
-        });
-        let heard = Heard {
-            arrivals,
-            statistics: decoder.statistics(),
-            ..Heard::default()
-        };
+        decoder.push(received.host_ns, &received.bytes, |arrival| arrivals.push(arrival));
+        let heard = Heard { arrivals, statistics: decoder.statistics(), ..Heard::default() };
         (index, heard)
     }
 }

@@ -49,12 +49,7 @@ impl Samples {
         let values = [f[0], f[1], f[2], norm, w[0], w[1], w[2]];
         let time_s = (reading.time.to_seconds() * 1e5).round() * 1e-5;
         let back = |last: &Point| time_s < last.time_s;
-        if self
-            .pending
-            .last()
-            .or(self.history.back())
-            .is_some_and(back)
-        {
+        if self.pending.last().or(self.history.back()).is_some_and(back) {
             self.restart();
         }
         self.pending.push(Point {
@@ -134,9 +129,6 @@ mod tests {
         assert!(few.is_sorted_by(|a, b| a.time_s <= b.time_s));
         let highest = few.iter().map(|point| point.values[3]).fold(0.0, f32::max);
         assert_eq!(highest, 50.0);
-        assert_eq!(
-            thinned(&points[..MOST_POINTS], MOST_POINTS),
-            points[..MOST_POINTS]
-        );
+        assert_eq!(thinned(&points[..MOST_POINTS], MOST_POINTS), points[..MOST_POINTS]);
     }
 }

@@ -53,9 +53,7 @@ impl Server {
         let failed = |error: std::io::Error| {
             let message = format!("cannot listen: {error}");
             let remedy = "give another port with --port, or in --listen; 0 is a free one";
-            ErrorCode::LinkBusy
-                .error(message, remedy)
-                .at(address.to_string())
+            ErrorCode::LinkBusy.error(message, remedy).at(address.to_string())
         };
         let listener = TcpListener::bind(address).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
@@ -105,9 +103,7 @@ fn serve(
     let head = read_head(&mut stream)?;
     let mut headers = [httparse::EMPTY_HEADER; 64];
     let mut request = httparse::Request::new(&mut headers);
-    let parsed = request
-        .parse(&head)
-        .is_ok_and(|status| status.is_complete());
+    let parsed = request.parse(&head).is_ok_and(|status| status.is_complete());
     let texts: Option<Vec<(&str, &str)>> = (request.headers.iter())
         .map(|header| Some((header.name, std::str::from_utf8(header.value).ok()?)))
         .collect();
@@ -118,12 +114,7 @@ fn serve(
     });
     let target = head.as_ref().ok_or(Refusal::Malformed);
     match target.and_then(|head| Ok((check(head, address)?, head))) {
-        Err(refusal) => respond(
-            &mut stream,
-            refusal.status(),
-            "text/plain",
-            refusal.status(),
-        ),
+        Err(refusal) => respond(&mut stream, refusal.status(), "text/plain", refusal.status()),
         Ok((Target::File(file), _)) => {
             let javascript = "text/javascript; charset=utf-8";
             let css = format!("{}\n{STYLE}", html::STYLE);

@@ -151,10 +151,7 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
     let mut page = Report::new("wimu demo --localize");
     page.result("Simulated walks with range anchors, a unit on a shoe, and position fixes");
     let three = |value: f64| format!("{} m", significant(value, 3));
-    page.key(
-        "ranges before calibration, RMS",
-        &three(found.before.rmse_m),
-    );
+    page.key("ranges before calibration, RMS", &three(found.before.rmse_m));
     page.key("ranges after calibration, RMS", &three(found.after.rmse_m));
     page.printed(&story.join("\n"));
     for (_, chart) in &charts {
@@ -190,10 +187,7 @@ fn story(found: &Demonstrated) -> Vec<String> {
         )
     };
     let biases = &found.biases;
-    let truths: Vec<String> = biases
-        .iter()
-        .map(|b| format!("{:+.0}", 1e3 * b.true_m))
-        .collect();
+    let truths: Vec<String> = biases.iter().map(|b| format!("{:+.0}", 1e3 * b.true_m)).collect();
     let of = |value: fn(&Bias) -> f64| three(rms(biases.iter().map(value)));
     vec![
         format!(
@@ -210,10 +204,7 @@ fn story(found: &Demonstrated) -> Vec<String> {
             truths.join(" "),
             percent(found.blocked[0])
         ),
-        format!(
-            "1 measure    {} ranges along a walk of {WALK_S} s",
-            found.ranges
-        ),
+        format!("1 measure    {} ranges along a walk of {WALK_S} s", found.ranges),
         format!("2 locate     biases taken as zero: {}", located(before)),
         format!(
             "3 calibrate  {} biases from the same ranges: error {} m before, {} m after, σ {} m (RMS)",

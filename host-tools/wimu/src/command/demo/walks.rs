@@ -14,13 +14,8 @@ use wimu_sim::walk::{HALL_M, RangeWalk, Strides, carried_m, fixes, sensed};
 pub const WALK_S: f64 = 60.0;
 const BLOCKED: f64 = 0.05;
 /// Corners of the walk on foot, m, east and north: a closed path of 96 m.
-pub const CORNERS_M: [[f64; 2]; 5] = [
-    [0.0, 0.0],
-    [34.0, 0.0],
-    [34.0, 14.0],
-    [0.0, 14.0],
-    [0.0, 0.0],
-];
+pub const CORNERS_M: [[f64; 2]; 5] =
+    [[0.0, 0.0], [34.0, 0.0], [34.0, 14.0], [0.0, 14.0], [0.0, 0.0]];
 /// Rate of the inertial samples, Hz: the least that docs/localization/feet.md names.
 const RATE_HZ: f64 = 100.0;
 /// Interval of the fixes, s, and their standard deviation, m.
@@ -45,36 +40,19 @@ pub struct Walks {
 impl Walks {
     pub fn new(seed: u64) -> Result<Self> {
         let ranges = RangeWalk::new(seed, &HALL_M, WALK_S, BLOCKED);
-        let exact = RangePrior {
-            bias_m: 0.0,
-            ..RangePrior::ULTRA_WIDEBAND
-        };
+        let exact = RangePrior { bias_m: 0.0, ..RangePrior::ULTRA_WIDEBAND };
         let located = |prior| {
-            let choice = LocalizationChoice {
-                prior,
-                ..LocalizationChoice::default()
-            };
+            let choice = LocalizationChoice { prior, ..LocalizationChoice::default() };
             localize(&ranges.recording, &choice)
         };
         let (before, after) = (located(Some(exact))?, located(None)?);
         let strides = Strides::along(&CORNERS_M);
         let walk = sensed(&strides, RATE_HZ, seed);
-        let foot = Choice {
-            profile: Profile::Foot,
-            limit_m: f64::INFINITY,
-            ..Choice::default()
-        };
-        let alone = Choice {
-            profile: Profile::Free,
-            zupt: Zupt::Off,
-            smooth: false,
-            ..foot.clone()
-        };
+        let foot = Choice { profile: Profile::Foot, limit_m: f64::INFINITY, ..Choice::default() };
+        let alone =
+            Choice { profile: Profile::Free, zupt: Zupt::Off, smooth: false, ..foot.clone() };
         let fixes = fixes(&strides, FIX_S, FIX_M, seed);
-        let aided = Choice {
-            fixes: fixes.clone(),
-            ..foot.clone()
-        };
+        let aided = Choice { fixes: fixes.clone(), ..foot.clone() };
         Ok(Self {
             before,
             after,
@@ -174,11 +152,7 @@ impl Walks {
         walk.extend(axes("Gyroscope", "rad/s"));
         for (time_s, sample) in self.walk.times_s.iter().zip(&self.walk.samples) {
             let _ = write!(walk, "\n{time_s:.2}");
-            for value in sample
-                .force_mps2
-                .iter()
-                .chain(sample.rate_rad_s.iter().flatten())
-            {
+            for value in sample.force_mps2.iter().chain(sample.rate_rad_s.iter().flatten()) {
                 let _ = write!(walk, ",{value:.5}");
             }
         }
@@ -187,11 +161,7 @@ impl Walks {
             .to_owned();
         for fix in &self.fixes.fixes {
             let ([e, n, u], [de, dn, du]) = (fix.position_m, fix.position_sd_m);
-            let _ = writeln!(
-                fixes,
-                "{:.1},{e:.3},{n:.3},{u:.3},{de},{dn},{du}",
-                fix.time_s
-            );
+            let _ = writeln!(fixes, "{:.1},{e:.3},{n:.3},{u:.3},{de},{dn},{du}", fix.time_s);
         }
         for (name, text) in [
             ("anchors.csv", anchors),
@@ -206,8 +176,5 @@ impl Walks {
 }
 
 fn plan(title: &str, series: Vec<Series>) -> Chart {
-    Chart {
-        equal: true,
-        ..Chart::new(title, "east, m", "north, m", series)
-    }
+    Chart { equal: true, ..Chart::new(title, "east, m", "north, m", series) }
 }

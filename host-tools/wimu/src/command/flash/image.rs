@@ -71,10 +71,7 @@ fn elf(file: &[u8]) -> Option<Vec<Segment>> {
         let offset = word(file, at + 4)? as usize;
         let (address, size) = (word(file, at + 12)?, word(file, at + 16)? as usize);
         if word(file, at)? == LOADED && size > 0 {
-            segments.push((
-                address,
-                file.get(offset..offset.checked_add(size)?)?.to_vec(),
-            ));
+            segments.push((address, file.get(offset..offset.checked_add(size)?)?.to_vec()));
         }
     }
     Some(segments)
@@ -166,10 +163,7 @@ mod tests {
         code[0].1[..4].copy_from_slice(&0x2040_0000_u32.to_le_bytes());
         let why = objection(first, &code).expect("refused");
         assert!(why.contains("0x20400000"), "{why}");
-        assert!(
-            objection(first, &[(0x100, vec![0; 64])]).is_some(),
-            "no vectors"
-        );
+        assert!(objection(first, &[(0x100, vec![0; 64])]).is_some(), "no vectors");
     }
 
     #[test]

@@ -37,20 +37,12 @@ pub fn list(output: Output) -> Result<()> {
     struct Probes {
         probes: Vec<Probe>,
     }
-    let probes: Vec<Probe> = Lister::new()
-        .list_all_with_access()
-        .iter()
-        .map(Probe::from)
-        .collect();
+    let probes: Vec<Probe> = Lister::new().list_all_with_access().iter().map(Probe::from).collect();
     if probes.is_empty() {
         output.print("no debug probe is connected");
     }
     for probe in &probes {
-        let access = if probe.accessible {
-            ""
-        } else {
-            " (no permission)"
-        };
+        let access = if probe.accessible { "" } else { " (no permission)" };
         output.print(format!("{}  {}{access}", probe.selector, probe.name));
     }
     output.answer("wimu.probes/1", &Probes { probes });
@@ -146,10 +138,7 @@ fn choose(named: Option<&str>, image: &Image) -> Result<ProbeListItem> {
 fn forbidden(probe: &ProbeListItem) -> HostError {
     let vendor = probe.info.vendor_id;
     ErrorCode::ProbePermission
-        .error(
-            format!("no permission to open the probe {}", probe.info),
-            udev_rule(vendor),
-        )
+        .error(format!("no permission to open the probe {}", probe.info), udev_rule(vendor))
         .at(Probe::from(probe).selector)
 }
 
@@ -180,8 +169,7 @@ fn attach(probe: &ProbeListItem, chip: &str, erase_all: bool, output: Output) ->
             ),
         )
     })?;
-    open.attach(chip, permissions)
-        .map_err(|error| refused(chip, error))
+    open.attach(chip, permissions).map_err(|error| refused(chip, error))
 }
 
 /// Why attaching to a chip failed, and what to do.
@@ -209,13 +197,10 @@ fn progress<'a>(output: Output) -> FlashProgress<'a> {
         ProgressOperation::Verify => (3, "checking"),
     };
     FlashProgress::new(move |event| match event {
-        ProgressEvent::AddProgressBar {
-            operation,
-            total: Some(total),
-        } => totals[place(operation).0] += total,
-        ProgressEvent::Progress {
-            operation, size, ..
-        } => {
+        ProgressEvent::AddProgressBar { operation, total: Some(total) } => {
+            totals[place(operation).0] += total
+        }
+        ProgressEvent::Progress { operation, size, .. } => {
             let (index, word) = place(operation);
             done[index] += size;
             let percent = done[index] * 100 / totals[index].max(1);
@@ -255,9 +240,7 @@ mod tests {
             let chip = board.chip();
             let target = registry.get_target_by_name(chip.name).expect(chip.name);
             let mut loader = target.flash_loader();
-            loader
-                .add_data(chip.vectors.into(), &[0; 64])
-                .expect("flash at the vectors");
+            loader.add_data(chip.vectors.into(), &[0; 64]).expect("flash at the vectors");
             assert!(loader.add_data(chip.ram.end.into(), &[0; 64]).is_err());
         }
     }
@@ -268,10 +251,7 @@ mod tests {
         let locked = refused("nRF52833_xxAA", probe_rs::Error::Arm(missing()));
         assert_eq!(locked.code(), ErrorCode::ChipLocked);
         let text = locked.to_string();
-        assert!(
-            text.contains("erases all") && text.contains("--erase-all"),
-            "{text}"
-        );
+        assert!(text.contains("erases all") && text.contains("--erase-all"), "{text}");
         // What is not the lock does not end in advice to erase.
         let silent = refused("RP2040", probe_rs::Error::Timeout);
         assert_eq!(silent.code(), ErrorCode::FlashFailed);

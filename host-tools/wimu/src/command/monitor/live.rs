@@ -45,10 +45,7 @@ pub fn run(arguments: &Monitor, output: Output) -> Result<()> {
             live.navigator = Some(Beside::new(&arguments.aids, &arguments.input)?);
         }
         let live_links = LiveLinks::start(
-            links
-                .into_iter()
-                .map(|(url, client)| (url, client.map_transport(Tap::on)))
-                .collect(),
+            links.into_iter().map(|(url, client)| (url, client.map_transport(Tap::on))).collect(),
             Pace::sparse,
         );
         let screen = Screen::open()?;
@@ -63,10 +60,8 @@ pub fn run(arguments: &Monitor, output: Output) -> Result<()> {
             Next::Calibrate => {
                 let link = arguments.cable.as_ref().unwrap_or(&arguments.input);
                 let words = ["wimu", "calibrate", link];
-                if let Ok(Arguments {
-                    command: Command::Calibrate(calibrate),
-                    ..
-                }) = Arguments::try_parse_from(words)
+                if let Ok(Arguments { command: Command::Calibrate(calibrate), .. }) =
+                    Arguments::try_parse_from(words)
                 {
                     calibrate::run(&calibrate, output)?;
                 }
@@ -85,9 +80,7 @@ fn connected(arguments: &Monitor) -> Result<Vec<(LinkUrl, crate::command::Connec
         let client = connect(link)?;
         links.push((client.name().parse()?, client));
     }
-    let mut ids = links
-        .iter()
-        .map(|(_, client)| (client.hello().device_id, client.hello().role));
+    let mut ids = links.iter().map(|(_, client)| (client.hello().device_id, client.hello().role));
     if let (Some(first), Some(second)) = (ids.next(), ids.next())
         && (first.0 != second.0 || first.1 == second.1)
     {
@@ -122,10 +115,7 @@ impl Live {
         };
         let device = links.first().map(|(_, client)| {
             let hello = client.hello();
-            format!(
-                "{}, {}, {:016x}",
-                hello.board.name, hello.sensor.name, hello.device_id
-            )
+            format!("{}, {}, {:016x}", hello.board.name, hello.sensor.name, hello.device_id)
         });
         Self {
             readings: Readings::new(),
@@ -183,10 +173,7 @@ impl Live {
 
     fn take(&mut self, index: usize, heard: &Heard) -> Result<()> {
         if let Some((_, writer)) = &mut self.writer {
-            heard
-                .entries
-                .iter()
-                .try_for_each(|entry| writer.record(entry))?;
+            heard.entries.iter().try_for_each(|entry| writer.record(entry))?;
         }
         self.traffic[index].take(heard);
         if index == 0 {
@@ -196,10 +183,7 @@ impl Live {
                 self.navigator = None;
                 self.view.message = format!("not navigated: {}", error.message());
             }
-            heard
-                .arrivals
-                .iter()
-                .for_each(|arrival| self.event(&arrival.event));
+            heard.arrivals.iter().for_each(|arrival| self.event(&arrival.event));
         }
         Ok(())
     }
@@ -215,12 +199,7 @@ impl Live {
             }
             _ => {}
         }
-        let Self {
-            readings,
-            latest,
-            view,
-            ..
-        } = self;
+        let Self { readings, latest, view, .. } = self;
         readings.push(event, |reading| {
             *latest = Some(reading);
             if !view.paused {

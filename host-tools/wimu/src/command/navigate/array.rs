@@ -41,14 +41,9 @@ pub fn path(
         let recording = ArrayRecording::axes_from_csv(
             &arguments.input,
             &geometry,
-            arguments
-                .sensitivity
-                .unwrap_or(array::SENSITIVITY_LSB_PER_G),
+            arguments.sensitivity.unwrap_or(array::SENSITIVITY_LSB_PER_G),
         )?;
-        return Ok((
-            navigate_axes(&recording, &geometry, &options, choice)?,
-            None,
-        ));
+        return Ok((navigate_axes(&recording, &geometry, &options, choice)?, None));
     }
     let read = array::read(
         &arguments.input,

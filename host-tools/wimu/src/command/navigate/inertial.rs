@@ -126,11 +126,7 @@ impl Nees {
             samples: all.len(),
             median,
             share_below_7_81,
-            heading: if path.heading_fitted {
-                "fitted"
-            } else {
-                "truth"
-            },
+            heading: if path.heading_fitted { "fitted" } else { "truth" },
         })
     }
 }
@@ -230,10 +226,7 @@ pub fn aided_choice(aids: &Aids) -> Result<Choice> {
     };
     Ok(Choice {
         profile: aids.profile.into(),
-        fixes: Fixes {
-            lever_arm_m: aids.lever_arm.unwrap_or_default(),
-            ..fixes
-        },
+        fixes: Fixes { lever_arm_m: aids.lever_arm.unwrap_or_default(), ..fixes },
         ..Choice::default()
     })
 }
@@ -252,11 +245,7 @@ pub fn present(
     output.findings(new);
     if let Some(file) = &arguments.output {
         path.write(file)?;
-        output.print(format!(
-            "wrote {} to {}",
-            counted(path.points.len(), "row"),
-            file.display()
-        ));
+        output.print(format!("wrote {} to {}", counted(path.points.len(), "row"), file.display()));
     }
     if let Some(file) = &arguments.report {
         path.page(&source, &text)?.write(file)?;
@@ -280,13 +269,11 @@ fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
         },
         profile: (path.method != Method::Array).then(|| profile(choice.profile).0),
         smoothed: path.smoothed,
-        angular_rate: path
-            .angular_rate()
-            .map(|(rms_rad_s, sigma_rad_s)| AngularRate {
-                rms_rad_s,
-                sigma_rad_s,
-                smoothed: path.smoothed_rate,
-            }),
+        angular_rate: path.angular_rate().map(|(rms_rad_s, sigma_rad_s)| AngularRate {
+            rms_rad_s,
+            sigma_rad_s,
+            smoothed: path.smoothed_rate,
+        }),
         duration_s: path.duration_s(),
         origin_s: path.points.get(path.origin).map(|p| p.time_s),
         distance_m: path.distance_m(),
@@ -324,14 +311,8 @@ fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
 fn uses(aided: [Aided; 2]) -> Vec<String> {
     let kinds = ["fixes", "ranges"].iter().zip(aided);
     let line = |(kind, aided): (_, Aided)| {
-        let Aided {
-            used,
-            rejected,
-            late,
-        } = some(aided)?;
-        Some(format!(
-            "{kind}: {used} used, {rejected} rejected, {late} late"
-        ))
+        let Aided { used, rejected, late } = some(aided)?;
+        Some(format!("{kind}: {used} used, {rejected} rejected, {late} late"))
     };
     kinds.filter_map(line).collect()
 }
@@ -370,10 +351,7 @@ fn moves(path: &InertialPath) -> String {
     }
     known.sort_by(|a, b| b.length_m.total_cmp(&a.length_m));
     let one = |m: &&Move| {
-        format!(
-            "{:.3} ± {:.3} m ({:.2} to {:.2} s)",
-            m.length_m, m.length_sd_m, m.from_s, m.to_s
-        )
+        format!("{:.3} ± {:.3} m ({:.2} to {:.2} s)", m.length_m, m.length_sd_m, m.from_s, m.to_s)
     };
     let listed: Vec<String> = known.iter().take(LISTED).map(one).collect();
     let kind = match path.method {
@@ -395,10 +373,7 @@ fn origin(path: &InertialPath, choice: &Choice, has_fixes: bool) -> String {
         _ if choice.start.is_some() => "origin: that of --start\n".to_owned(),
         _ if of_fixes => "origin: that of the fixes\n".to_owned(),
         Some(point) if point.resting || path.method == Method::Array => {
-            format!(
-                "origin: t = {:.2} s (end of the first rest)\n",
-                point.time_s
-            )
+            format!("origin: t = {:.2} s (end of the first rest)\n", point.time_s)
         }
         _ => String::new(),
     }
@@ -418,15 +393,8 @@ fn text(path: &InertialPath, choice: &Choice, has_fixes: bool) -> String {
         Some(point) => {
             let (at, sd) = (east_north_up(point.position_m), point.sd_m());
             let ends = path.points.last().is_some_and(|last| last.valid);
-            let what = if ends {
-                "final position"
-            } else {
-                "last valid position"
-            };
-            format!(
-                "{what}: {at} m ± {sd:.3} m (1 σ), at {:.2} s\n",
-                point.time_s
-            )
+            let what = if ends { "final position" } else { "last valid position" };
+            format!("{what}: {at} m ± {sd:.3} m (1 σ), at {:.2} s\n", point.time_s)
         }
     };
     text += &format!(
@@ -446,16 +414,11 @@ fn text(path: &InertialPath, choice: &Choice, has_fixes: bool) -> String {
     let limits = limits(choice);
     let horizons = limits.iter().map(|limit| match path.horizon(*limit) {
         None => format!("below {limit} m throughout"),
-        Some(end) => format!(
-            "below {limit} m for {:.1} s of motion (until {:.2} s)",
-            end.moving_s, end.at_s
-        ),
+        Some(end) => {
+            format!("below {limit} m for {:.1} s of motion (until {:.2} s)", end.moving_s, end.at_s)
+        }
     });
-    let filtered = if path.smoothed {
-        "σ in real time (forward filter)"
-    } else {
-        "σ"
-    };
+    let filtered = if path.smoothed { "σ in real time (forward filter)" } else { "σ" };
     let horizons = horizons.collect::<Vec<_>>().join(", ");
     text += &format!("{filtered}: {horizons}\n");
     let rests = path.rests();
@@ -464,11 +427,8 @@ fn text(path: &InertialPath, choice: &Choice, has_fixes: bool) -> String {
         Zupt::Assumed => "constant velocity of 0 ± 0.1 m/s",
         Zupt::Off => "nothing",
     };
-    text += &format!(
-        "assumed: {zero} at {} ({:.1} s)",
-        counted(rests.rests, "rest"),
-        rests.lasted_s
-    );
+    text +=
+        &format!("assumed: {zero} at {} ({:.1} s)", counted(rests.rests, "rest"), rests.lasted_s);
     if path.method != Method::Array {
         let (name, bound) = profile(choice.profile);
         text += &format!("; --profile {name}: {bound}");
@@ -482,16 +442,10 @@ fn text(path: &InertialPath, choice: &Choice, has_fixes: bool) -> String {
         text += &format!("{line}\n");
     }
     text += &moves(path);
-    let fitted = if path.heading_fitted {
-        ", heading fitted"
-    } else {
-        ""
-    };
-    for (what, nees) in [
-        ("", &path.nees),
-        ("angular rate, ", &path.rate_nees),
-        ("velocity, ", &path.velocity_nees),
-    ] {
+    let fitted = if path.heading_fitted { ", heading fitted" } else { "" };
+    for (what, nees) in
+        [("", &path.nees), ("angular rate, ", &path.rate_nees), ("velocity, ", &path.velocity_nees)]
+    {
         if let Some((median, share)) = consistency(nees) {
             text += &format!(
                 "against the truth{fitted}, in motion: {what}NEES median {median:.2} (expected 2.37), below 7.81 in {:.0} % (expected \

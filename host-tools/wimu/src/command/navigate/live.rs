@@ -116,14 +116,7 @@ pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
     path.findings.extend(fixes.findings().iter().cloned());
     let mut new = path.findings.clone();
     new.retain(|finding| shown.is_new(finding));
-    output.object(&present(
-        arguments,
-        &path,
-        &new,
-        &choice,
-        link.to_owned(),
-        output,
-    )?);
+    output.object(&present(arguments, &path, &new, &choice, link.to_owned(), output)?);
     ended
 }
 
@@ -152,11 +145,7 @@ impl Aiding {
         };
         if let Input::Link(url) = Input::parse(&from.to_string_lossy())? {
             let ranging = choice.fixes.ranging.clone();
-            return Ok(Self::Link(Box::new(FixLink::open(
-                &url,
-                aids.fix_delay,
-                ranging,
-            )?)));
+            return Ok(Self::Link(Box::new(FixLink::open(&url, aids.fix_delay, ranging)?)));
         }
         let Some(anchors) = &aids.anchors else {
             return Ok(Self::Table(fixes, Vec::new()));
@@ -210,13 +199,8 @@ struct Session {
 
 impl Session {
     fn new(choice: &Choice, name: &str, late_s: f64) -> Self {
-        let choice = Choice {
-            fixes: Fixes {
-                fixes: Vec::new(),
-                ..choice.fixes.clone()
-            },
-            ..choice.clone()
-        };
+        let choice =
+            Choice { fixes: Fixes { fixes: Vec::new(), ..choice.fixes.clone() }, ..choice.clone() };
         let of = MotionRecording::new(name, Vec::new(), Vec::new());
         Self {
             live: Live::new(choice.clone(), of, late_s),
@@ -235,8 +219,7 @@ impl Session {
             *self = Self::new(&self.choice, &self.name, self.late_s);
         }
         let mut arrived = Vec::new();
-        self.readings
-            .push(&arrival.event, |reading| arrived.push(reading));
+        self.readings.push(&arrival.event, |reading| arrived.push(reading));
         for reading in arrived {
             let time_s = reading.time.to_seconds();
             self.clock.see(time_s, arrival.host_ns as f64 * 1e-9);

@@ -117,10 +117,7 @@ fn median_sigma_m(found: &Localization) -> f64 {
 /// The result first, then the calibration.
 fn text(found: &Localization) -> String {
     let path = &found.path;
-    let mut text = format!(
-        "position: ± {:.3} m (1 σ in space, median)",
-        median_sigma_m(found)
-    );
+    let mut text = format!("position: ± {:.3} m (1 σ in space, median)", median_sigma_m(found));
     if let Some(point) = path.points.iter().rfind(|p| p.valid) {
         let (at, sd) = (east_north_up(point.position_m), point.sd_m());
         text += &format!("; last: {at} m ± {sd:.3} m at {:.2} s", point.time_s);
@@ -161,10 +158,7 @@ fn text(found: &Localization) -> String {
         }
     }
     if let Some(scale) = found.odometer_scale {
-        text += &format!(
-            "scale error of the odometer: {} %\n",
-            shown(Some(scale), 100.0)
-        );
+        text += &format!("scale error of the odometer: {} %\n", shown(Some(scale), 100.0));
     }
     if let Some(delay) = found.delay_s {
         let other = match path.method {

@@ -49,10 +49,7 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     };
     let files = [&arguments.input, other];
     let links = files.map(|file| Input::parse(&file.to_string_lossy()));
-    let choice = RelativeChoice {
-        hinge: arguments.hinge,
-        magnetometers: arguments.magnetometers,
-    };
+    let choice = RelativeChoice { hinge: arguments.hinge, magnetometers: arguments.magnetometers };
     if let [Ok(Input::Link(a)), Ok(Input::Link(b))] = links {
         return live::run(arguments, [a, b], choice, output);
     }
@@ -85,11 +82,7 @@ fn present(
     output.findings(&found.findings);
     if let Some(file) = &arguments.output {
         found.write(file)?;
-        output.print(format!(
-            "wrote {} rows to {}",
-            found.points.len(),
-            file.display()
-        ));
+        output.print(format!("wrote {} rows to {}", found.points.len(), file.display()));
     }
     if let Some(file) = &arguments.report {
         found.page(&sources.join(" and "), &text)?.write(file)?;

@@ -107,9 +107,7 @@ pub fn writable<'a>(
         for read in inputs.clone() {
             not_over_input(read, Some(file))?;
         }
-        let folder = file
-            .parent()
-            .filter(|folder| !folder.as_os_str().is_empty());
+        let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty());
         if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
             let message = format!("there is no folder {}", folder.display());
             return Err(usage(message, "create it, or name another file"));

@@ -28,18 +28,14 @@ pub struct Boards {
 impl Boards {
     /// `count` boards; every fifth has `faults` on its line.
     pub fn start(tape: &Arc<Tape>, count: usize, faults: Option<&str>) -> Self {
-        let listeners: Vec<_> = (0..count)
-            .map(|_| TcpListener::bind("127.0.0.1:0").expect("a port"))
-            .collect();
+        let listeners: Vec<_> =
+            (0..count).map(|_| TcpListener::bind("127.0.0.1:0").expect("a port")).collect();
         let links = listeners
             .iter()
             .map(|listener| format!("tcp://{}", listener.local_addr().expect("bound")))
             .collect();
         let faults: Option<LinkFaults> = faults.map(|text| text.parse().expect("faults"));
-        let (stop, sent) = (
-            Arc::new(AtomicBool::new(false)),
-            Arc::new(AtomicU64::new(0)),
-        );
+        let (stop, sent) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
         let begun = Instant::now();
         let mut boards: Vec<_> = listeners
             .into_iter()
@@ -69,12 +65,7 @@ impl Boards {
             })
         });
         let threads = threads.collect();
-        Self {
-            links,
-            sent,
-            stop,
-            threads,
-        }
+        Self { links, sent, stop, threads }
     }
 
     /// The configuration of a gateway of these boards.
@@ -90,9 +81,7 @@ impl Boards {
 impl Drop for Boards {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
-        self.threads
-            .drain(..)
-            .for_each(|thread| drop(thread.join()));
+        self.threads.drain(..).for_each(|thread| drop(thread.join()));
     }
 }
 
@@ -177,11 +166,7 @@ impl Replayed {
             Ok(0) => self.client = None,
             Ok(count) => {
                 let uptime_us = self.tape.begin_us + time.as_micros() as u64;
-                let hello = Hello {
-                    device_id: self.id,
-                    uptime_us,
-                    ..self.tape.hello
-                };
+                let hello = Hello { device_id: self.id, uptime_us, ..self.tape.hello };
                 for &byte in &room[..count] {
                     if let Some(Ok(frame)) = self.deframer.push(byte) {
                         let mut out = [0; MAX_FRAME];
@@ -218,9 +203,7 @@ impl Replayed {
 
 /// Writes the answer of a board to a frame; returns its length.
 fn answer(frame: &Frame, hello: &Hello, out: &mut [u8; MAX_FRAME]) -> usize {
-    let time: Payload = Payload::Time {
-        uptime_us: hello.uptime_us,
-    };
+    let time: Payload = Payload::Time { uptime_us: hello.uptime_us };
     match (frame.kind, Request::decode(frame.body)) {
         (Kind::WhoAreYou, _) => hello.encode(out).expect("room"),
         (Kind::Request, Ok(request)) if matches!(request.command, Command::GetTime) => Reply {

@@ -31,11 +31,7 @@ impl Mosquitto {
             println!("skipped: Mosquitto is missing; `cargo xtask setup` installs it");
             return None;
         }
-        let mut broker = Self {
-            port: free_port(),
-            folder: folder(),
-            child: None,
-        };
+        let mut broker = Self { port: free_port(), folder: folder(), child: None };
         broker.restart();
         Some(broker)
     }
@@ -53,13 +49,7 @@ impl Mosquitto {
         let log = fs::read_to_string(self.log()).expect("a log");
         let ids = log.lines().filter_map(|line| {
             let (_, rest) = line.split_once("New client connected from ")?;
-            Some(
-                rest.split_once(" as ")?
-                    .1
-                    .split_whitespace()
-                    .next()?
-                    .to_owned(),
-            )
+            Some(rest.split_once(" as ")?.1.split_whitespace().next()?.to_owned())
         });
         ids.collect()
     }
@@ -106,9 +96,7 @@ impl Drop for Mosquitto {
 }
 
 fn installed() -> Option<&'static str> {
-    ["/usr/sbin/mosquitto", "/usr/bin/mosquitto"]
-        .into_iter()
-        .find(|path| Path::new(path).exists())
+    ["/usr/sbin/mosquitto", "/usr/bin/mosquitto"].into_iter().find(|path| Path::new(path).exists())
 }
 
 fn free_port() -> u16 {
@@ -137,10 +125,8 @@ impl SlowLine {
                     continue;
                 };
                 for (from, to) in [(&client, &server), (&server, &client)] {
-                    let (from, to) = (
-                        from.try_clone().expect("a stream"),
-                        to.try_clone().expect("a stream"),
-                    );
+                    let (from, to) =
+                        (from.try_clone().expect("a stream"), to.try_clone().expect("a stream"));
                     let _ = to.set_nodelay(true);
                     let cuts = shared.clone();
                     thread::spawn(move || delayed(from, to, delay, &cuts));
@@ -169,10 +155,7 @@ fn delayed(mut from: TcpStream, mut to: TcpStream, delay: Duration, cuts: &Atomi
             Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
             Err(_) => ended = true,
         }
-        while under_way
-            .front()
-            .is_some_and(|(due, _)| *due <= Instant::now())
-        {
+        while under_way.front().is_some_and(|(due, _)| *due <= Instant::now()) {
             let (_, bytes) = under_way.pop_front().expect("there is one");
             if to.write_all(&bytes).is_err() {
                 ended = true;
@@ -191,9 +174,7 @@ impl Foreign {
     pub fn connect(port: u16, id: &str) -> Self {
         let mut stream = TcpStream::connect(("127.0.0.1", port)).expect("the broker");
         let connect = [&field("MQTT")[..], &[4, 2, 0, 60], &field(id)].concat();
-        stream
-            .write_all(&packet(0x10, &connect))
-            .expect("connected");
+        stream.write_all(&packet(0x10, &connect)).expect("connected");
         stream.read_exact(&mut [0; 4]).expect("accepted");
         Self(stream)
     }

@@ -34,11 +34,7 @@ impl Tape {
     pub fn record(seconds: f64) -> Arc<Self> {
         let scene = Scene::new(World::default());
         let part = SensorPart::default();
-        let source = Physics::new(
-            part.random_truth(1, Gauge::LowerTriangular),
-            scene.clone(),
-            1,
-        );
+        let source = Physics::new(part.random_truth(1, Gauge::LowerTriangular), scene.clone(), 1);
         let config = BoardConfig {
             cable: LinkConfig::default(),
             wireless: LinkConfig::default(),
@@ -54,10 +50,7 @@ impl Tape {
                 environment: false,
                 ..settings.cable
             };
-            settings.wireless = Streams {
-                raw: false,
-                ..settings.cable
-            };
+            settings.wireless = Streams { raw: false, ..settings.cable };
             host.cable.set_settings(settings).expect("settings");
             *host.cable.hello()
         };
@@ -72,10 +65,7 @@ impl Tape {
             if let Some(end) = open.iter().rposition(|byte| *byte == 0) {
                 let rest = open.split_off(end + 1);
                 bytes += open.len() as u64;
-                frames.push((
-                    board.now_us() - begin_us,
-                    std::mem::replace(&mut open, rest),
-                ));
+                frames.push((board.now_us() - begin_us, std::mem::replace(&mut open, rest)));
             }
         }
         let mut samples = HashMap::new();
@@ -87,13 +77,7 @@ impl Tape {
                 }
             });
         }
-        Arc::new(Self {
-            frames,
-            hello,
-            begin_us,
-            samples,
-            bytes,
-        })
+        Arc::new(Self { frames, hello, begin_us, samples, bytes })
     }
 
     /// Bytes of frames a sample.
@@ -109,11 +93,7 @@ impl Tape {
     /// Decodes recordings in their order, and asserts that every sample is the tape's and every gap is counted to the sample.
     pub fn verify(&self, files: &[PathBuf]) -> Found {
         let mut decoder = Decoder::new();
-        let mut found = Found {
-            files: files.len(),
-            first: u32::MAX,
-            ..Found::default()
-        };
+        let mut found = Found { files: files.len(), first: u32::MAX, ..Found::default() };
         let mut seen = 0;
         for file in files {
             let mut reader = RecordingReader::open(file).expect("a recording");
@@ -166,9 +146,7 @@ pub fn files(recordings: &Path, board: &str) -> Vec<PathBuf> {
     let Ok(entries) = fs::read_dir(recordings.join(board)) else {
         return Vec::new();
     };
-    let mut files: Vec<_> = entries
-        .map(|entry| entry.expect("readable").path())
-        .collect();
+    let mut files: Vec<_> = entries.map(|entry| entry.expect("readable").path()).collect();
     files.sort();
     files
 }

@@ -42,10 +42,7 @@ fn damaged_files_never_panic() {
             flipped[bit / 8] ^= 1 << (bit % 8);
             // A header may lose its meaning.
             let outcome = read(file, flipped);
-            assert!(
-                outcome.is_ok() || bit < 8 * 1000,
-                "{file}, bit {bit}: {outcome:?}"
-            );
+            assert!(outcome.is_ok() || bit < 8 * 1000, "{file}, bit {bit}: {outcome:?}");
         }
     }
 }
@@ -56,32 +53,16 @@ fn bad_rows_are_counted_with_the_first_line() {
                 0,0,0,1\n1,0,0,nan\n2,0,0\n3,0,zero,1\n# a comment\nrestarted,0,0,1\n5,0,0,1\n4,0,0,1\n6,0,0,1\n7,0,0,1\n8,0,0";
     let recording = named("a.csv", text, &ReadOptions::default()).unwrap();
     let force = recording.first(Quantity::SpecificForce).unwrap();
-    assert_eq!(
-        (force.len(), force.valid().count()),
-        (9, 5),
-        "{:?}",
-        recording.findings
-    );
-    let evidence = |code| {
-        recording
-            .findings
-            .iter()
-            .find(|f| f.code == code)
-            .map(|f| f.evidence.clone())
-    };
+    assert_eq!((force.len(), force.valid().count()), (9, 5), "{:?}", recording.findings);
+    let evidence =
+        |code| recording.findings.iter().find(|f| f.code == code).map(|f| f.evidence.clone());
     let bad = evidence(FindingCode::RowsMasked).unwrap();
-    assert!(
-        bad.contains("4 of 10") && bad.contains("line 4: 3 fields"),
-        "{bad}"
-    );
+    assert!(bad.contains("4 of 10") && bad.contains("line 4: 3 fields"), "{bad}");
     assert!(has(&recording, FindingCode::Truncated));
     let wrong =
         "Time (s),Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)\n0,0,0\n1,0,0\n";
     let error = named("a.csv", wrong, &ReadOptions::default()).unwrap_err();
-    assert_eq!(
-        (error.code(), error.location()),
-        (ErrorCode::BadRecording, Some("a.csv line 2"))
-    );
+    assert_eq!((error.code(), error.location()), (ErrorCode::BadRecording, Some("a.csv line 2")));
 }
 
 #[test]
@@ -97,14 +78,8 @@ fn texts_that_are_no_tables_of_sensors_say_what_is_there() {
             "Time (s),Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)\n",
             ErrorCode::NoRows,
         ),
-        (
-            "Time (s),Range (m)\n1,2\n2,3\n",
-            ErrorCode::CsvMissingColumn,
-        ),
-        (
-            "Accelerometer X (g),Accelerometer Y (g)\n1,2\n",
-            ErrorCode::CsvMissingColumn,
-        ),
+        ("Time (s),Range (m)\n1,2\n2,3\n", ErrorCode::CsvMissingColumn),
+        ("Accelerometer X (g),Accelerometer Y (g)\n1,2\n", ErrorCode::CsvMissingColumn),
         (
             "Accelerometer X (g),Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)\n0,1,2,3\n",
             ErrorCode::CsvDuplicateColumn,
@@ -126,9 +101,8 @@ fn texts_that_are_no_tables_of_sensors_say_what_is_there() {
 #[test]
 fn long_texts_and_binary_junk_are_refused_at_once() {
     let prose = "It was a dark and stormy night; the rain fell in torrents, except at occasional intervals. ".repeat(120_000);
-    let junk: Vec<u8> = (0..10_000_000_u32)
-        .map(|k| (k.wrapping_mul(2_654_435_761) >> 13) as u8)
-        .collect();
+    let junk: Vec<u8> =
+        (0..10_000_000_u32).map(|k| (k.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
     let numbers = "1 2 3 4 5\n".repeat(100_000);
     let start = std::time::Instant::now();
     for bytes in [prose.into_bytes(), junk, numbers.into_bytes()] {

@@ -27,10 +27,7 @@ fn gravity_of_sensor_logger_is_added() {
         recording.first(Quantity::AngularRate).unwrap(),
     );
     // Means over poses average to nothing, and have gravity.
-    if let Some(means) = loaded(
-        "calibration/innalabs_49_pose_means.csv",
-        &ReadOptions::default(),
-    ) {
+    if let Some(means) = loaded("calibration/innalabs_49_pose_means.csv", &ReadOptions::default()) {
         assert_eq!(means.first(Quantity::SpecificForce).unwrap().len(), 49);
     }
     // In columns of one table, too.
@@ -54,24 +51,14 @@ fn archives_of_phones_are_read() {
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
-        writer
-            .start_file(name, zip::write::SimpleFileOptions::default())
-            .unwrap();
+        writer.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
         writer.write_all(&std::fs::read(path).unwrap()).unwrap();
     }
     let bytes = writer.finish().unwrap().into_inner();
     let archive = crate::formats::archive::unpacked(&Source::of_bytes("walk.zip", bytes));
     let mut recording = Recording::new("walk.zip");
-    crate::formats::read(
-        &archive.unwrap().unwrap(),
-        &ReadOptions::default(),
-        &mut recording,
-    )
-    .unwrap();
+    crate::formats::read(&archive.unwrap().unwrap(), &ReadOptions::default(), &mut recording)
+        .unwrap();
     assert!(has(&recording, FindingCode::GravityAdded));
-    check(
-        "sensor_logger/Gravity.csv",
-        "gravity",
-        recording.of(Quantity::Gravity).next().unwrap(),
-    );
+    check("sensor_logger/Gravity.csv", "gravity", recording.of(Quantity::Gravity).next().unwrap());
 }

@@ -12,17 +12,10 @@ fn first(name: &str, text: &str) -> (Recording, [i64; 2], [Option<[f64; 3]>; 3])
     let recording = named(name, text, &ReadOptions::default())
         .unwrap_or_else(|error| panic!("{name}: {error}"));
     let vector = |quantity| {
-        recording
-            .first(quantity)
-            .and_then(|track| track.vectors().next())
-            .map(|row| row.1)
+        recording.first(quantity).and_then(|track| track.vectors().next()).map(|row| row.1)
     };
-    let values = [
-        Quantity::SpecificForce,
-        Quantity::AngularRate,
-        Quantity::MagneticField,
-    ]
-    .map(vector);
+    let values =
+        [Quantity::SpecificForce, Quantity::AngularRate, Quantity::MagneticField].map(vector);
     let times = recording
         .first(Quantity::SpecificForce)
         .unwrap_or_else(|| panic!("{name}: {:?}", recording.findings))
@@ -34,22 +27,12 @@ fn first(name: &str, text: &str) -> (Recording, [i64; 2], [Option<[f64; 3]>; 3])
 fn assert_near(found: Option<[f64; 3]>, expected: [f64; 3], name: &str) {
     let found = found.unwrap_or_else(|| panic!("{name}: nothing"));
     for (a, b) in found.iter().zip(&expected) {
-        assert!(
-            (a - b).abs() < 1e-9 * b.abs().max(1.0),
-            "{name}: {found:?} {expected:?}"
-        );
+        assert!((a - b).abs() < 1e-9 * b.abs().max(1.0), "{name}: {found:?} {expected:?}");
     }
 }
 
 /// Name and text; times of the first rows, ns; first specific force, angular rate and magnetic field.
-type Case = (
-    &'static str,
-    &'static str,
-    [i64; 2],
-    [f64; 3],
-    Option<[f64; 3]>,
-    Option<[f64; 3]>,
-);
+type Case = (&'static str, &'static str, [i64; 2], [f64; 3], Option<[f64; 3]>, Option<[f64; 3]>);
 
 #[test]
 fn tables_with_published_headers_are_read() {
@@ -225,25 +208,16 @@ fn packets_of_kitti_are_read_from_a_file_or_a_folder() {
     crate::formats::read(&folder, &ReadOptions::default(), &mut recording).unwrap();
     let force = recording.first(Quantity::SpecificForce).unwrap();
     assert_eq!(force.info.unit, Unit::Si);
-    assert_eq!(
-        force.times_ns(),
-        [1_317_042_145_964_389_445, 1_317_042_146_074_389_445]
-    );
+    assert_eq!(force.times_ns(), [1_317_042_145_964_389_445, 1_317_042_146_074_389_445]);
 }
 
 #[test]
 fn encodings_and_units_of_spreadsheets_are_read() {
     let text = "Time (s);Accelerometer X (m/s²);Accelerometer Y (m/s²);Accelerometer Z (m/s²)\r\n0,5;0,5;0,25;9,75\r\n0,6;0,5;0,25;9,75\r\n";
-    let little: Vec<u8> = [0xfeff]
-        .into_iter()
-        .chain(text.encode_utf16())
-        .flat_map(u16::to_le_bytes)
-        .collect();
-    let big: Vec<u8> = [0xfeff]
-        .into_iter()
-        .chain(text.encode_utf16())
-        .flat_map(u16::to_be_bytes)
-        .collect();
+    let little: Vec<u8> =
+        [0xfeff].into_iter().chain(text.encode_utf16()).flat_map(u16::to_le_bytes).collect();
+    let big: Vec<u8> =
+        [0xfeff].into_iter().chain(text.encode_utf16()).flat_map(u16::to_be_bytes).collect();
     let latin: Vec<u8> = text.chars().map(|c| c as u8).collect();
     let marked = [&b"\xef\xbb\xbf"[..], text.as_bytes()].concat();
     for bytes in [little, big, latin, marked] {

@@ -62,12 +62,7 @@ fn connected() -> (Unit, NusLink<Bridge>) {
         is_connected: is_connected.clone(),
         disconnected: ended,
     };
-    let unit = Unit {
-        notify,
-        written,
-        is_connected,
-        disconnected,
-    };
+    let unit = Unit { notify, written, is_connected, disconnected };
     let bridge = Bridge::start(async move || Ok(fake)).unwrap();
     (unit, NusLink::new("ble://wimu-1a2b", bridge))
 }
@@ -107,12 +102,7 @@ fn a_dropped_link_ends_its_connection_so_that_the_unit_can_be_found_again() {
 fn a_connection_that_ends_is_an_error_of_reads_and_writes_however_the_system_shows_it() {
     for stream_ends in [true, false] {
         let (unit, mut link) = connected();
-        let Unit {
-            notify,
-            written,
-            is_connected,
-            ..
-        } = unit;
+        let Unit { notify, written, is_connected, .. } = unit;
         notify.unbounded_send(vec![9]).unwrap();
         let kept = match stream_ends {
             true => None,

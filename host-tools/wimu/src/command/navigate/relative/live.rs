@@ -53,20 +53,13 @@ impl Angle {
             (true, false) => "  not accurate yet: turn the joint through its range",
             _ => "",
         };
-        format!(
-            "{:8.2} s  {:+.1}° ± {:.1}°{note}",
-            self.time_s, self.angle_deg, self.sigma_deg
-        )
+        format!("{:8.2} s  {:+.1}° ± {:.1}°{note}", self.time_s, self.angle_deg, self.sigma_deg)
     }
 }
 
 /// What a unit sends.
 enum Message {
-    Sample {
-        time_s: f64,
-        arrived_s: f64,
-        sample: UnitSample,
-    },
+    Sample { time_s: f64, arrived_s: f64, sample: UnitSample },
     Restart,
     Ended(HostError),
 }
@@ -103,11 +96,9 @@ pub fn run(
         drop(send);
         for (body, message) in received {
             match message {
-                Message::Sample {
-                    time_s,
-                    arrived_s,
-                    sample,
-                } => live.push(body, time_s, arrived_s, sample),
+                Message::Sample { time_s, arrived_s, sample } => {
+                    live.push(body, time_s, arrived_s, sample)
+                }
                 Message::Restart => {
                     output.print(format!(
                         "{} has restarted: turn the joint again",
@@ -138,11 +129,10 @@ pub fn run(
         ended?;
         let message =
             "no angle within the time: the first needs eight seconds in which the joint turns";
-        return Err(live.lacks().cloned().unwrap_or_else(|| {
-            ErrorCode::NoRows
-                .error(message, WAIT)
-                .at(names.join(" and "))
-        }));
+        return Err(live
+            .lacks()
+            .cloned()
+            .unwrap_or_else(|| ErrorCode::NoRows.error(message, WAIT).at(names.join(" and "))));
     };
     present(arguments, names, path, output)?;
     ended
@@ -169,9 +159,7 @@ fn listen(
                 sample: sample(&reading),
             });
         });
-        Ok(messages
-            .into_iter()
-            .all(|message| send.send((body, message)).is_ok()))
+        Ok(messages.into_iter().all(|message| send.send((body, message)).is_ok()))
     };
     if let Err(error) = listen_until(&mut client, arguments.seconds, heard) {
         // Nobody receives it where the other unit has ended first.

@@ -36,7 +36,7 @@ fn replayed(counts: &[Counts]) -> history::Recording {
 fn essence(report: &CalibrationReport) -> Value {
     let mut json = serde_json::to_value(report).unwrap();
     let object = json.as_object_mut().unwrap();
-    for key in ["source", "rate_source", "findings", "parameter_id"] {
+    for key in ["source", "rate_source", "parameter_id"] {
         object.remove(key).unwrap();
     }
     for key in ["range_g", "range_source"] {

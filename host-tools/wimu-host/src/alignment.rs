@@ -7,7 +7,7 @@ use wimu_calib::{KnownDirection, Pose, align, straight_move};
 use wimu_link::message::parameter_id;
 use wimu_model::ParameterSet;
 
-use crate::calibration::{HELD_SCHEMA, describe};
+use crate::calibration::describe;
 use crate::error::{ErrorCode, HostError, Result};
 use crate::finding::Outcome;
 use crate::recording::Samples;
@@ -66,10 +66,8 @@ pub struct AlignOptions {
 /// The report of `wimu align`.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct AlignmentReport {
-    /// [`HELD_SCHEMA`].
-    pub schema: &'static str,
     /// Status and findings.
-    #[serde(flatten)]
+    #[serde(skip)]
     pub outcome: Outcome,
     /// The data.
     pub source: String,
@@ -114,7 +112,6 @@ pub fn alignment(
     let outcome = directions(data, &forces, &rests, options)
         .and_then(|known| align(&known).map_err(|refusal| refusal.to_string()));
     let mut report = AlignmentReport {
-        schema: HELD_SCHEMA,
         source: data.name.to_owned(),
         rests: rests.len(),
         found: rests

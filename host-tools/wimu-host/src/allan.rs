@@ -121,10 +121,8 @@ impl From<AllanPoint> for PointReport {
 /// The JSON of `wimu allan`.
 #[derive(Clone, Debug, Serialize)]
 pub struct NoiseReport {
-    /// [`NoiseReport::SCHEMA`].
-    pub schema: &'static str,
     /// Status and findings.
-    #[serde(flatten)]
+    #[serde(skip)]
     pub outcome: Outcome,
     /// The data.
     pub source: String,
@@ -310,9 +308,6 @@ fn findings(source: RateSource, axes: Option<&[AxisReport; 3]>) -> Vec<Finding> 
 }
 
 impl NoiseReport {
-    /// Name of the JSON object.
-    pub const SCHEMA: &'static str = "wimu.noise/1";
-
     fn new(source: &str, rate_hz: f64, rate_source: RateSource, allan: &AllanVariance) -> Self {
         let found = allan.result();
         let axes = found.as_ref().ok().copied().map(|axes| axes.map(AxisReport::from));
@@ -322,7 +317,6 @@ impl NoiseReport {
             outcome.refuse(refusal.to_string());
         }
         Self {
-            schema: Self::SCHEMA,
             outcome,
             source: source.to_owned(),
             samples: allan.samples(),

@@ -7,7 +7,6 @@ mod datasheet;
 mod difference;
 mod export;
 mod file;
-mod file_v1;
 mod gravity;
 mod gyroscope;
 mod input;
@@ -40,8 +39,8 @@ pub use magnetometer::{FieldPose, MagneticHalfWidths, MagnetometerReport, calibr
 pub use paired::Paired;
 pub use reference::{AxisReport, NoiseSource, ReferenceReport, compare_with_reference};
 pub use report::{
-    CalibrationReport, DriftReport, Fit, HELD_SCHEMA, NextPose, OtherUnits, Source, StaticPose,
-    describe, not_observed,
+    CalibrationReport, DriftReport, Fit, NextPose, OtherUnits, Source, StaticPose, describe,
+    not_observed,
 };
 pub use several::{
     DepartureReport, Repeatability, SessionReport, SeveralFit, SeveralReport, calibrate_several,
@@ -400,7 +399,6 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
         OutputUnit::Mps2 => AccelerationUnit::Mps2,
     };
     Ok(CalibrationReport {
-        schema: CalibrationReport::SCHEMA,
         outcome,
         source: data.name.to_owned(),
         method: options.method.name(),

@@ -86,6 +86,7 @@ pub struct Comparison {
     /// Why they are not.
     pub values_reason: Option<String>,
     /// What was noticed.
+    #[serde(skip)]
     pub findings: Vec<Finding>,
     /// Data of the charts.
     #[serde(skip)]

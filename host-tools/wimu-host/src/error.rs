@@ -1,12 +1,10 @@
 //! One error type for the host: what went wrong, where, what to do, and the exit code.
 
-use serde::Serialize;
-use serde::ser::SerializeStruct;
 use thiserror::Error;
 
 /// A failure as the command line reports it.
 ///
-/// Serialises to `{"schema", "status": "error", "code", "message", "where", "remedy"}`.
+/// Serialises to a problem: `{code, severity, place, text, remedy}`.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("{}{message}; {remedy}", self.location.as_ref().map(|l| format!("{l}: ")).unwrap_or_default())]
 pub struct HostError {
@@ -17,9 +15,6 @@ pub struct HostError {
 }
 
 impl HostError {
-    /// Name of the JSON object that a failure serialises to.
-    pub const SCHEMA: &'static str = "wimu.error/1";
-
     /// A failure of kind `code`: `message` says what is wrong, `remedy` what to do about it.
     pub fn new(code: ErrorCode, message: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self { code, message: message.into(), location: None, remedy: remedy.into() }
@@ -75,19 +70,6 @@ impl HostError {
     /// input, 3 the data do not support an answer, 4 the device refused.
     pub fn exit_code(&self) -> u8 {
         self.code.exit_code()
-    }
-}
-
-impl Serialize for HostError {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut object = serializer.serialize_struct("HostError", 6)?;
-        object.serialize_field("schema", Self::SCHEMA)?;
-        object.serialize_field("status", "error")?;
-        object.serialize_field("code", self.code.as_str())?;
-        object.serialize_field("message", &self.message)?;
-        object.serialize_field("where", &self.location)?;
-        object.serialize_field("remedy", &self.remedy)?;
-        object.end()
     }
 }
 
@@ -228,9 +210,8 @@ mod tests {
         assert_eq!(
             json,
             serde_json::json!({
-                "schema": "wimu.error/1", "status": "error", "code": "link_busy",
-                "message": "the port is in use", "where": "/dev/ttyACM0",
-                "remedy": "close the other program",
+                "code": "link_busy", "severity": "error", "place": {"at": "/dev/ttyACM0"},
+                "text": "the port is in use", "remedy": "close the other program",
             })
         );
         assert_eq!(error.to_string(), "/dev/ttyACM0: the port is in use; close the other program");

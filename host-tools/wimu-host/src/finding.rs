@@ -17,7 +17,7 @@
 use std::cmp::Reverse;
 use std::fmt;
 
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 use crate::HostError;
 use crate::plural::counted;
@@ -129,8 +129,8 @@ impl FindingCode {
     }
 }
 
-/// Something noticed in data.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+/// Something noticed in data. Serialises to a problem: `{code, severity, place, text, remedy}`.
+#[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Finding {
     /// Its kind.
@@ -138,16 +138,61 @@ pub struct Finding {
     /// Its importance.
     pub severity: Severity,
     /// Index of the sensor.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub sensor: Option<u8>,
     /// First and last time, s since the recording's first sample.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub span_s: Option<[f64; 2]>,
     /// What was found, with numbers.
     pub evidence: String,
     /// What to do, or what was done.
-    #[serde(skip_serializing_if = "String::is_empty")]
     pub remedy: String,
+}
+
+/// A problem as `--json` prints it.
+#[derive(Serialize)]
+struct Problem<'a, C> {
+    code: C,
+    severity: Severity,
+    place: Place<'a>,
+    text: &'a str,
+    remedy: &'a str,
+}
+
+/// Where a problem is, as far as known.
+#[derive(Serialize)]
+struct Place<'a> {
+    /// File with line, column or byte; or link.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    at: Option<&'a str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sensor: Option<u8>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    span_s: Option<[f64; 2]>,
+}
+
+impl Serialize for Finding {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        Problem {
+            code: self.code,
+            severity: self.severity,
+            place: Place { at: None, sensor: self.sensor, span_s: self.span_s },
+            text: &self.evidence,
+            remedy: &self.remedy,
+        }
+        .serialize(serializer)
+    }
+}
+
+impl Serialize for HostError {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        Problem {
+            code: self.code().as_str(),
+            severity: Severity::Error,
+            place: Place { at: self.location(), sensor: None, span_s: None },
+            text: self.message(),
+            remedy: self.remedy(),
+        }
+        .serialize(serializer)
+    }
 }
 
 impl Finding {
@@ -240,7 +285,7 @@ pub fn labelled(label: &str, finding: &Finding) -> String {
 }
 
 /// Head of a report: whether there is a result, and what was noticed.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
     /// `ok` or `refused`.
     pub status: &'static str,

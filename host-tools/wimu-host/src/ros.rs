@@ -61,6 +61,7 @@ pub struct Decoded {
     #[serde(flatten)]
     pub wholeness: Wholeness,
     /// What is left out, and out of order.
+    #[serde(skip)]
     pub findings: Vec<Finding>,
 }
 

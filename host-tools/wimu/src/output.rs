@@ -3,9 +3,11 @@
 use std::borrow::Cow;
 use std::io::{self, IsTerminal, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use ratatui::crossterm::terminal;
 use serde::Serialize;
+use serde_json::Value;
 use wimu_host::finding::{Finding, labelled, text};
 use wimu_host::{ErrorCode, HostError, Result};
 
@@ -17,26 +19,16 @@ const MOST_FINDINGS: usize = 5;
 /// Narrowest terminal for which text wraps between words, characters.
 const LEAST_WIDTH: usize = 20;
 
-/// Set when a write to stdout has failed.
-static FAILED: AtomicBool = AtomicBool::new(false);
+/// Version of the objects of `--json`.
+const SCHEMA: &str = "wimu/1";
 
-/// Records a failed write; returns whether the write succeeded.
-fn note(outcome: io::Result<()>) -> bool {
-    if let Err(error) = &outcome
-        && error.kind() != io::ErrorKind::BrokenPipe
-    {
-        FAILED.store(true, Ordering::Relaxed);
-    }
-    outcome.is_ok()
-}
-
-/// The object of a command that succeeded.
+/// One object of `--json`.
 #[derive(Serialize)]
-struct Answer<'a, T> {
+struct Envelope<'a, T> {
     schema: &'static str,
-    status: &'static str,
-    #[serde(flatten)]
-    found: &'a T,
+    command: &'a str,
+    data: Option<&'a T>,
+    problems: Vec<Value>,
 }
 
 /// A `usage` error: what is wrong, and what to do.
@@ -69,127 +61,216 @@ pub fn wrapped(text: &str, width: Option<usize>) -> Cow<'_, str> {
     out.join("\n").into()
 }
 
-/// With `--json`, objects go to stdout and human text to stderr; without, human text to stdout.
-#[derive(Clone, Copy)]
+/// What a command puts out: its result, its problems, and where both go.
+///
+/// Human text goes to stdout. With `--json` it goes to stderr, and stdout gets one object
+/// `{schema: "wimu/1", command, data, problems}`, of streaming commands one object a line. `data` is `null` after a
+/// failure. Each problem is `{code, severity, place, text, remedy}`: what the human text says, in the same order.
 pub struct Output {
     json: bool,
     verbose: bool,
     /// Whether standard output is for the content of a file.
     content: bool,
+    command: String,
+    /// Whether it writes to stdout and stderr of this process, which may be terminals.
+    is_process: bool,
+    writers: Mutex<Writers>,
+    /// Reported since the last object.
+    problems: Mutex<Vec<Value>>,
+    /// Whether a write to stdout has failed.
+    failed: AtomicBool,
+}
+
+struct Writers {
+    stdout: Box<dyn Write + Send>,
+    stderr: Box<dyn Write + Send>,
 }
 
 impl Output {
-    /// Output with or without `--json` and `--verbose`.
-    pub fn new(json: bool, verbose: bool) -> Self {
-        Self { json, verbose, content: false }
+    /// Writes to stdout and stderr of this process.
+    pub fn process() -> Self {
+        Self { is_process: true, ..Self::to(io::stdout(), io::stderr()) }
     }
 
-    /// The same; with `content` standard output is for the content of a file, and human text goes to stderr.
-    #[must_use]
-    pub fn beside_content(self, content: bool) -> Self {
-        Self { content, ..self }
+    /// Writes to `stdout` and `stderr`, neither of them a terminal.
+    pub fn to(stdout: impl Write + Send + 'static, stderr: impl Write + Send + 'static) -> Self {
+        Self {
+            json: false,
+            verbose: false,
+            content: false,
+            command: String::new(),
+            is_process: false,
+            writers: Mutex::new(Writers { stdout: Box::new(stdout), stderr: Box::new(stderr) }),
+            problems: Mutex::default(),
+            failed: AtomicBool::new(false),
+        }
+    }
+
+    /// Begins the output of a command. With `content` standard output is for the content of a file, and human text goes
+    /// to stderr.
+    pub(crate) fn begin(&mut self, command: &str, json: bool, verbose: bool, content: bool) {
+        (self.json, self.verbose, self.content) = (json, verbose, content);
+        command.clone_into(&mut self.command);
+        if !json && self.is_process {
+            progress::show();
+        }
     }
 
     /// Whether `--json` was given.
-    pub fn is_json(self) -> bool {
+    pub(crate) fn is_json(&self) -> bool {
         self.json
     }
 
     /// Prints human text.
-    pub fn print(self, text: impl AsRef<str>) {
+    pub(crate) fn print(&self, text: impl AsRef<str>) {
         self.line(text);
     }
 
     /// Prints human text. Returns false when the pipe is closed.
-    pub fn line(self, text: impl AsRef<str>) -> bool {
+    pub(crate) fn line(&self, text: impl AsRef<str>) -> bool {
         progress::clear();
         let text = wrapped(text.as_ref(), self.text_width());
-        if self.json || self.content {
-            let _ = writeln!(io::stderr(), "{text}");
+        if self.text_to_stderr() {
+            let _ = writeln!(self.writers().stderr, "{text}");
             return true;
         }
-        note(writeln!(io::stdout(), "{text}"))
+        self.write(format!("{text}\n").as_bytes())
+    }
+
+    /// Writes to stdout. Returns false when the pipe is closed.
+    pub(crate) fn write(&self, bytes: &[u8]) -> bool {
+        let mut writers = self.writers();
+        let outcome = writers.stdout.write_all(bytes).and_then(|()| writers.stdout.flush());
+        if let Err(error) = &outcome
+            && error.kind() != io::ErrorKind::BrokenPipe
+        {
+            self.failed.store(true, Ordering::Relaxed);
+        }
+        outcome.is_ok()
+    }
+
+    /// Prints help, version or wrong usage as clap words it.
+    pub(crate) fn help(&self, text: &clap::Error) {
+        if self.is_process {
+            let _ = text.print();
+            return;
+        }
+        let bytes = text.render().to_string();
+        if text.use_stderr() {
+            let _ = self.writers().stderr.write_all(bytes.as_bytes());
+        } else {
+            self.write(bytes.as_bytes());
+        }
+    }
+
+    fn writers(&self) -> MutexGuard<'_, Writers> {
+        self.writers.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn text_to_stderr(&self) -> bool {
+        self.json || self.content
     }
 
     /// Width at which human text wraps: that of the terminal that it goes to.
-    fn text_width(self) -> Option<usize> {
-        let is_terminal = match self.json || self.content {
-            true => io::stderr().is_terminal(),
-            false => io::stdout().is_terminal(),
+    fn text_width(&self) -> Option<usize> {
+        let is_terminal = if self.text_to_stderr() {
+            io::stderr().is_terminal()
+        } else {
+            io::stdout().is_terminal()
         };
-        let (width, _) = is_terminal.then(terminal::size)?.ok()?;
+        let (width, _) = (self.is_process && is_terminal).then(terminal::size)?.ok()?;
         Some(width.into()).filter(|width| *width >= LEAST_WIDTH)
     }
 
-    /// Checks that everything was written.
+    /// Checks that everything was written; prints the problems that were reported since the last object.
     ///
     /// # Errors
     /// `file_failed` when a write to stdout failed. A closed pipe is no failure.
-    pub fn finish() -> Result<()> {
-        if FAILED.load(Ordering::Relaxed) {
+    pub(crate) fn finish(&self) -> Result<()> {
+        if self.failed.load(Ordering::Relaxed) {
             return Err(ErrorCode::FileFailed.error(
                 "the output could not be written to stdout",
                 "check where stdout goes, and that the disk has space",
             ));
         }
+        let reported = self.problems.lock().unwrap_or_else(PoisonError::into_inner).len();
+        if reported > 0 {
+            self.envelope(None::<&()>);
+        }
         Ok(())
     }
 
-    /// Prints the most severe findings, with `--verbose` all.
-    pub fn findings(self, findings: &[Finding]) {
+    /// Reports findings: as text the most severe, with `--verbose` all; in the next object all.
+    pub(crate) fn findings(&self, findings: &[Finding]) {
         let most = if self.verbose { usize::MAX } else { MOST_FINDINGS };
         text(findings, most).lines().for_each(|line| self.print(line));
+        findings.iter().for_each(|finding| self.problem(finding));
+    }
+
+    /// Adds a problem to the next object.
+    fn problem(&self, problem: &impl Serialize) {
+        if let Ok(value) = serde_json::to_value(problem) {
+            self.problems.lock().unwrap_or_else(PoisonError::into_inner).push(value);
+        }
+    }
+
+    /// Whether human text goes to a terminal, so that a line can be replaced by the next.
+    pub(crate) fn is_terminal(&self) -> bool {
+        self.is_process && io::stdout().is_terminal() && io::stderr().is_terminal()
     }
 
     /// Width of the terminal on stdout, characters, without the last column: some terminals wrap after it.
-    pub fn width() -> Option<usize> {
-        let (width, _) = io::stdout().is_terminal().then(terminal::size)?.ok()?;
+    pub(crate) fn width(&self) -> Option<usize> {
+        let is_terminal = self.is_process && io::stdout().is_terminal();
+        let (width, _) = is_terminal.then(terminal::size)?.ok()?;
         Some(usize::from(width).saturating_sub(1))
     }
 
     /// Prints a line that the next one replaces, on a terminal, cut to its width.
-    pub fn refresh(self, text: &str) {
+    pub(crate) fn refresh(&self, text: &str) {
         progress::clear();
-        let mut stderr = io::stderr();
-        if stderr.is_terminal() {
-            let width = Self::width().unwrap_or(usize::MAX);
-            let text: String = text.chars().take(width).collect();
+        if self.is_process && io::stderr().is_terminal() {
+            let text: String = text.chars().take(self.width().unwrap_or(usize::MAX)).collect();
+            let stderr = &mut self.writers().stderr;
             let _ = write!(stderr, "\r\x1b[2K{text}");
             let _ = stderr.flush();
         }
     }
 
     /// Clears the refreshed line.
-    pub fn end_refresh(self) {
+    pub(crate) fn end_refresh(&self) {
         self.refresh("");
     }
 
-    /// Prints the object of a command that succeeded.
-    pub fn answer(self, schema: &'static str, found: &impl Serialize) {
-        self.object(&Answer { schema, status: "ok", found });
+    /// Prints an object with `data` and the problems that were reported since the last one. Returns false when the pipe
+    /// is closed.
+    pub(crate) fn object(&self, data: &impl Serialize) -> bool {
+        self.envelope(Some(data))
     }
 
-    /// Prints one object on a line. Returns false when the pipe is closed.
-    pub fn object(self, object: &impl Serialize) -> bool {
+    fn envelope(&self, data: Option<&impl Serialize>) -> bool {
         if !self.json {
             return true;
         }
-        let mut stdout = io::stdout().lock();
-        note(
-            serde_json::to_string(object)
-                .map_err(io::Error::from)
-                .and_then(|text| writeln!(stdout, "{text}"))
-                .and_then(|()| stdout.flush()),
-        )
+        let mut reported = self.problems.lock().unwrap_or_else(PoisonError::into_inner);
+        let problems = std::mem::take(&mut *reported);
+        let envelope = Envelope { schema: SCHEMA, command: &self.command, data, problems };
+        match serde_json::to_string(&envelope) {
+            Ok(text) => self.write(format!("{text}\n").as_bytes()),
+            Err(_) => {
+                self.failed.store(true, Ordering::Relaxed);
+                false
+            }
+        }
     }
 
     /// Prints an error, with `--json` as an object too.
-    pub fn failure(self, error: &HostError) {
+    pub(crate) fn failure(&self, error: &HostError) {
         progress::clear();
-        if self.json {
-            self.object(error);
-        }
-        let _ = write!(io::stderr(), "{}", labelled("wimu: ", &error.into()));
+        self.problem(error);
+        self.envelope(None::<&()>);
+        let text = labelled("wimu: ", &error.into());
+        let _ = write!(self.writers().stderr, "{text}");
     }
 }
 

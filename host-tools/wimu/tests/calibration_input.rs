@@ -31,7 +31,7 @@ fn allan_refuses_a_wrong_unit_and_remarks_counts_coarser_than_the_noise() {
         wimu(&["allan", &csv])
     };
     let fine = run(at_rest(|f| f, "m/s²")).succeeds();
-    assert_eq!(fine["findings"].as_array().unwrap().len(), 0, "{fine}");
+    assert_eq!(fine["problems"].as_array().unwrap().len(), 0, "{fine}");
     assert_eq!(fine["axes"][0]["is_coarse"], false);
 
     texts.refuses("g called m/s²", &run(at_rest(|f| f / 9.80665, "m/s²")));

@@ -37,7 +37,7 @@ impl Served {
         let fixed = ["dashboard", "--port", "0", "--folder", folder_text];
         let mut process = Background::start_as(folder, &[&fixed[..], inputs].concat());
         let started: Value = serde_json::from_str(&process.line()).expect("JSON");
-        let url = started["url"].as_str().expect("a URL").to_owned();
+        let url = started["data"]["url"].as_str().expect("a URL").to_owned();
         let (host, token) =
             url.strip_prefix("http://").and_then(|u| u.split_once("/#")).expect("a URL");
         Self { host: host.to_owned(), token: token.to_owned(), process, url }

@@ -136,7 +136,7 @@ fn a_range_that_is_not_given_is_remarked_as_assumed() {
     assert_eq!(given["parameters"]["range_g"], 2);
     assert_eq!((&given["range_g"], &given["range_source"]), (&2.into(), &"given".into()));
     assert!(given["units"]["bias_percent_of_full_scale"].is_array());
-    assert_eq!(wimu(&export).succeeds()["findings"], serde_json::json!([]));
+    assert_eq!(wimu(&export).succeeds()["problems"], serde_json::json!([]));
     for wrong in ["0", "128", "-2", "two"] {
         assert_eq!(wimu(&[&of[..], &["--range", wrong]].concat()).code, 2);
     }
@@ -285,12 +285,12 @@ fn an_option_that_a_format_ignores_is_refused() {
     let (csv, folder) = in_folder("theirs.csv");
     fs::write(&csv, turned(&spread(14), [0.0; 3], 0.0)).unwrap();
     let failure = wimu(&["info", &csv, "--topic", "IMU"]).fails(2, "usage");
-    assert!(failure["message"].as_str().unwrap().contains("--topic"));
+    assert!(failure["text"].as_str().unwrap().contains("--topic"));
     let bag = folder.path().join("bag.bag").display().to_string();
     fs::write(&bag, "#ROSBAG V2.0\n").unwrap();
     for option in [["--columns", "x=1"], ["--units", "g"], ["--zero-count", "1"]] {
         let of = [&["info", &bag][..], &option].concat();
         let failure = wimu(&of).fails(2, "usage");
-        assert!(failure["message"].as_str().unwrap().contains(option[0]));
+        assert!(failure["text"].as_str().unwrap().contains(option[0]));
     }
 }

@@ -46,7 +46,7 @@ fn an_image_that_cannot_be_written_is_refused_before_a_board_is_searched_for() {
     {
         let ran = wimu(&["flash", board, "--image", other]);
         let failure = texts.fails(board, &ran, 2, "wrong_image");
-        assert_eq!(failure["where"], other.as_str());
+        assert_eq!(failure["place"]["at"], other.as_str());
     }
     texts.check("flash_refusals");
 }

@@ -461,7 +461,7 @@ fn a_wrong_configuration_or_address_is_named() {
     let file = folder.path().join("fleet.toml");
     fs::write(&file, "fleet = \"hall\"\nbroker = \"mqtt://127.0.0.1:1\"\n[boards]\n\"a/#\" = \"tcp://127.0.0.1:1\"\n").unwrap();
     let failure = wimu(&["gateway", "--config", file.to_str().unwrap()]).fails(2, "bad_config");
-    assert!(failure["where"].as_str().unwrap().ends_with("line 4"), "{failure}");
+    assert!(failure["place"]["at"].as_str().unwrap().ends_with("line 4"), "{failure}");
     wimu(&["gateway", "--config", "/nonexistent.toml"]).fails(2, "file_unreadable");
     wimu(&["monitor", "mqtt://127.0.0.1:1/hall"]).fails(2, "bad_link");
     wimu(&["fleet", "status", "mqtt://127.0.0.1:1/+"]).fails(2, "bad_link");

@@ -92,7 +92,7 @@ fn a_key_lets_only_its_owner_write_over_the_wireless_link() {
     fs::write(&copy, &key[1..]).unwrap();
     let ran = set(&other, &board.wireless, "100");
     let failure = texts.fails("damaged key file", &ran, 2, "file_unreadable");
-    assert!(failure["where"].as_str().unwrap().ends_with(".key"));
+    assert!(failure["place"]["at"].as_str().unwrap().ends_with(".key"));
 
     let ran = run_as(&owner, &["key", "forget", &board.cable]);
     texts.text("key forget", &ran);

@@ -97,7 +97,7 @@ fn the_rate_behind_a_radio_adapter_is_refused_with_the_adapters_own_recipe() {
     for link in [port.as_str(), "/dev/rfcomm7"] {
         let ran = wimu(&["settings", "set", link, "--baud", "9600"]);
         let failure = texts.fails(link, &ran, 2, "usage");
-        assert_eq!(failure["where"], link);
+        assert_eq!(failure["place"]["at"], link);
     }
     snapshot("settings_baud_behind_an_adapter", texts.as_str(), PORTS);
 }

@@ -27,7 +27,6 @@ fn allan_listens_to_a_board_for_a_time_or_until_ctrl_c() {
     let seed = SEED.to_string();
     let board = Simulator::start(&["--motion", "rest", "--seed", &seed, "--speed", "20"]);
     let timed = wimu(&["allan", &board.cable, "--for", "3"]).succeeds();
-    assert_eq!(timed["schema"], "wimu.noise/1");
     // 220 µg/√Hz and what rounding to 12 bits adds.
     for axis in timed["axes"].as_array().unwrap() {
         let density = &axis["noise_density_m_s2_rthz"];
@@ -43,7 +42,6 @@ fn allan_listens_to_a_board_for_a_time_or_until_ctrl_c() {
     {
         let ran = listening.signal("-INT");
         assert!(ran.code == 0 || ran.code == 3, "{ran:?}");
-        assert_eq!(ran.object()["schema"], "wimu.noise/1");
     }
     let absent = wimu(&["allan", "tcp://127.0.0.1:1", "--for", "1"]);
     assert_eq!(absent.code, 1, "{absent:?}");
@@ -80,7 +78,7 @@ fn align_listens_until_the_alignment_is_found_and_pushes_it() {
     // What it sends is in the body's axes now.
     let lines = wimu(&["monitor", &board.cable, "--for", "1"]);
     let objects = lines.objects();
-    let last = objects.iter().rev().find(|line| line["schema"] == "wimu.reading/1").unwrap();
+    let last = objects.last().unwrap();
     assert_eq!(last["parameter_id"], report["parameter_id"]);
     assert!(last["corrected"].as_bool().unwrap());
     let force = [0, 1, 2].map(|k| last["specific_force_m_s2"][k].as_f64().unwrap());
@@ -132,10 +130,9 @@ fn an_ambiguous_alignment_is_refused() {
 /// Objects of `wimu navigate LINK`: poses, and the path.
 fn navigated(arguments: &[&str]) -> (Vec<Value>, Value) {
     let ran = wimu(arguments);
-    let mut lines: Vec<Value> =
-        ran.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    let path = lines.pop().unwrap_or_else(|| panic!("{ran:?}"));
-    assert_eq!(path["schema"], "wimu.path/1", "{ran:?}");
+    let mut lines = ran.objects();
+    let mut path = lines.pop().unwrap_or_else(|| panic!("{ran:?}"));
+    path["problems"] = ran.problems().into();
     let warnings = ran.stderr.lines().filter(|line| line.contains("warning"));
     let warnings: Vec<&str> = warnings.collect();
     let different: std::collections::HashSet<_> = warnings.iter().collect();
@@ -188,7 +185,7 @@ fn ranges_over_a_link_or_from_a_file_move_a_board_to_the_frame_of_the_anchors() 
     // Those that arrived before the first sample.
     assert!(found["ranges"]["late"].as_u64().unwrap() < 40, "{found}");
     assert_eq!(found["fixes"], Value::Null);
-    let text = found["findings"].to_string();
+    let text = found["problems"].to_string();
     assert!(text.contains("2 lines of the ranges cannot be read"), "{text}");
 
     // By the device's clock.
@@ -221,15 +218,14 @@ fn a_board_is_navigated_live_and_fixes_over_a_link_move_it_to_their_frame() {
     let file = folder.path().join("path.csv");
     let arguments = ["navigate", &board.cable, "--for", "8", "--fixes", &fixes, "-o"];
     let (poses, path) = navigated(&[&arguments[..], &[file.to_str().unwrap()]].concat());
-    assert_eq!(poses[0]["schema"], "wimu.pose/1");
     let last = poses.last().unwrap();
     assert!(near(last, [10.0, -5.0, 1.0]) < 0.2, "{last}");
     assert!(path["fixes"]["used"].as_u64().unwrap() > 20, "{path}");
     let rows = fs::read_to_string(file).unwrap().lines().count();
     assert_eq!(rows, poses.len() + 1, "a header, and a row for each position");
     let said = |text: &str| {
-        let findings = path["findings"].as_array().unwrap();
-        findings.iter().any(|f| f["evidence"].as_str().unwrap().contains(text))
+        let findings = path["problems"].as_array().unwrap();
+        findings.iter().any(|f| f["text"].as_str().unwrap().contains(text))
     };
     assert!(said("moved to the frame of the fixes"), "{path}");
     assert!(said("1 line of the fixes cannot be read"), "{path}");

@@ -145,7 +145,7 @@ fn every_bad_input_is_named_and_none_becomes_a_calibration() {
         wimu(&[&of[..], &[both.as_str()], &with].concat())
     };
     let south = dipping("-60").succeeds();
-    assert_eq!(south["findings"].as_array().unwrap().len(), 0, "{south}");
+    assert_eq!(south["problems"].as_array().unwrap().len(), 0, "{south}");
     texts.findings("axis Y negated, --dip -30", &dipping("-30"));
     texts.refuses("axis Y negated, --dip 60", &dipping("60"));
     dipping("100").fails(2, "usage");

@@ -32,7 +32,7 @@ fn a_simulated_pair_is_recorded_listed_exported_and_navigated() {
     calibrated.succeeds();
 
     let navigated = wimu(&["navigate", &session, "--calibration", &path("CAL.json")]).succeeds();
-    let findings = navigated["path"]["findings"].to_string();
+    let findings = navigated["problems"].to_string();
     assert!(findings.contains("accelerometers 0 (±2 g), 1 (±16 g) merged"), "{findings}");
     let moves = navigated["path"]["moves"].as_array().unwrap().clone();
     let length_m = moves.iter().filter_map(|m| m["length_m"].as_f64());
@@ -77,9 +77,9 @@ fn tables_need_the_full_scales_and_bad_input_is_explained() {
     assert_eq!(without.code, 2);
     assert!(without.stderr.contains("--full-scales"), "{without:?}");
     let found = wimu(&["navigate", &good, "--full-scales", "2,16"]).succeeds();
-    assert!(found["findings"].to_string().contains("merged; where finer ones are saturated: 1 in"));
+    assert!(found["problems"].to_string().contains("merged; where finer ones are saturated: 1 in"));
     let found = wimu(&["navigate", &turned, "--full-scales", "2,16"]).succeeds();
-    assert!(found["findings"].to_string().contains("turned by 90°"), "{found}");
+    assert!(found["problems"].to_string().contains("turned by 90°"), "{found}");
 
     for wrong in ["2", "2,16,200", "2,-16", "2,x"] {
         let refused = wimu(&["navigate", &good, "--full-scales", wrong]);

@@ -100,11 +100,7 @@ fn with_and_without_a_gyroscope_the_promised_columns_keys_and_report_are_written
         let files = ["-o", &out, "--report", &page];
         let ran = wimu(&[&arguments[..], &files].concat());
         let report = ran.succeeds();
-        assert_eq!(report["schema"], "wimu.path/1");
-        assert_eq!(
-            (report["status"].as_str(), report["method"].as_str()),
-            (Some("ok"), Some(method))
-        );
+        assert_eq!(report["method"], method);
         assert!((number(&report, "/duration_s") - 7.99).abs() < 1e-9);
         // Over the samples that are known to the limit.
         assert!((0.1..1.5).contains(&number(&report, "/distance_m")), "{report}");
@@ -122,7 +118,7 @@ fn with_and_without_a_gyroscope_the_promised_columns_keys_and_report_are_written
         assert!(number(&report, "/nees/samples") > 100.0);
         assert!(number(&report, "/nees/share_below_7_81") > 0.85, "{report}");
         number(&report, "/nees/median");
-        assert!(report["findings"].is_array());
+        assert!(report["problems"].is_array());
         texts.text(method, &ran);
 
         let text = fs::read_to_string(&out).unwrap();

@@ -270,15 +270,15 @@ fn a_recording_and_the_table_exported_from_it_give_the_same_path() {
     record_motion("slide", 4, &session);
     wimu(&["export", &session, "--stream", "corrected", "-o", &table]).succeeds();
     let tilt = |input: &str| wimu(&["navigate", input]).succeeds();
-    let (of_session, of_table) = (tilt(&session), tilt(&table));
-    let of_session = &of_session["path"];
+    let (session, of_table) = (tilt(&session), tilt(&table));
+    let of_session = &session["path"];
     for key in ["/duration_s", "/distance_m", "/valid_share", "/final_position_m/0"] {
         let (a, b) = (number(of_session, key), number(&of_table, key));
         assert!((a - b).abs() < 1e-3 + 1e-3 * a.abs(), "{key}: {a} {b}");
     }
     // The board's magnetometer is not calibrated: both leave it out.
     let mut texts = Transcript::default();
-    texts.list("recording", findings(of_session));
+    texts.list("recording", findings(&session));
     texts.list("table", findings(&of_table));
     texts.check("navigate_recording_and_table");
 }

@@ -87,7 +87,7 @@ fn params_get_of_an_uncalibrated_device_prints_one_object_with_or_without_a_file
     let get = ["params", "get", &board.cable];
     assert_eq!(wimu(&get).succeeds()["calibrated"], false);
     let ran = wimu(&[&get[..], &["-o", file.to_str().expect("text")]].concat());
-    assert_eq!(ran.objects().len(), 1);
+    assert_eq!(ran.stdout.lines().count(), 1);
     ran.fails(3, "data_refused");
     assert!(!file.exists());
 }

@@ -12,7 +12,6 @@ use wimu_model::{
 
 use super::Source;
 use super::covariance::{Covariance, model_order, rotation_order};
-use super::file_v1::{self, SCHEMAS_V1};
 use super::range::Range;
 use crate::OutputFile;
 use crate::csv::AccelerationUnit;
@@ -364,13 +363,7 @@ impl StoredSensor {
     }
 }
 
-/// A file of either schema.
-enum Read {
-    V1(String),
-    V2(CalibrationFile),
-}
-
-fn read(path: &Path) -> Result<Read> {
+fn read(path: &Path) -> Result<CalibrationFile> {
     #[derive(Deserialize)]
     struct Head {
         schema: Option<String>,
@@ -380,10 +373,7 @@ fn read(path: &Path) -> Result<Read> {
     let head: Head = parse(&name, &text)?;
     let schema = head.schema.as_deref();
     if schema == Some(CalibrationFile::SCHEMA) {
-        return Ok(Read::V2(parse(&name, &text)?));
-    }
-    if schema.is_some_and(|schema| SCHEMAS_V1.contains(&schema)) {
-        return Ok(Read::V1(text));
+        return parse(&name, &text);
     }
     let schema = schema.unwrap_or("missing");
     let remedy = match schema.starts_with("wimu.calibration/") {
@@ -419,15 +409,12 @@ fn invalid(path: &Path) -> impl Fn(String) -> HostError {
 /// `file_unreadable`; `bad_calibration` when it is not a calibration, was refused, has no sensitivity
 /// or contains numbers that are out of bounds.
 pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
-    match read(path)? {
-        Read::V1(text) => file_v1::parameters(&path.display().to_string(), &text),
-        Read::V2(file) => file.sensor().and_then(StoredSensor::set).map_err(invalid(path)),
-    }
+    read(path)?.sensor().and_then(StoredSensor::set).map_err(invalid(path))
 }
 
 /// Indices of the sensors in a calibration file that [`read_parameters`] leaves out; none of an unreadable file.
 pub fn further_sensors(path: &Path) -> Vec<u8> {
-    let Ok(Read::V2(file)) = read(path) else {
+    let Ok(file) = read(path) else {
         return Vec::new();
     };
     let taken = file.sensor().map_or(0, |sensor| sensor.index);
@@ -437,15 +424,12 @@ pub fn further_sensors(path: &Path) -> Vec<u8> {
 
 /// Output at zero that was subtracted from the counts of a calibration, LSB; `None` of an unreadable file.
 pub fn zero_count(path: &Path) -> Option<f64> {
-    match read(path) {
-        Ok(Read::V2(file)) => file.sensor().ok()?.accelerometer.zero_count,
-        _ => None,
-    }
+    read(path).ok()?.sensor().ok()?.accelerometer.zero_count
 }
 
 /// The sessions of the calibration `set`: those in the file `path` that it was read from, if there is one.
 pub fn sessions(path: Option<&Path>, set: &ParameterSet) -> Vec<Session> {
-    if let Some(Ok(Read::V2(file))) = path.map(read)
+    if let Some(Ok(file)) = path.map(read)
         && let Ok(sensor) = file.sensor()
     {
         return sensor.accelerometer.sessions.clone();
@@ -497,10 +481,7 @@ impl StoredModel {
 /// `file_unreadable`; `bad_calibration` when it is not a calibration, was refused, or contains numbers that are
 /// out of bounds.
 pub fn read_model(path: &Path) -> Result<StoredModel> {
-    match read(path)? {
-        Read::V1(text) => file_v1::model(&path.display().to_string(), &text),
-        Read::V2(file) => file.model(path),
-    }
+    read(path)?.model(path)
 }
 
 /// Standard deviation of the specific force corrected by a parameter set at 1 *g* on the worst axis, m/s²; `None` if
@@ -521,15 +502,8 @@ pub(crate) fn worst_sd(sd: impl Fn(usize) -> f64) -> f64 {
 
 /// An assumed range of a calibration file.
 pub(super) fn range_finding(path: &Path, set: &ParameterSet) -> Option<Finding> {
-    let assumed = match read(path).ok()? {
-        Read::V1(text) => {
-            let file: serde_json::Value = serde_json::from_str(&text).ok()?;
-            file["range_source"] == "sixteen_bits"
-        }
-        Read::V2(file) => {
-            file.sensor().ok()?.accelerometer.range_source == Some(Source::SixteenBits)
-        }
-    };
+    let source = read(path).ok()?.sensor().ok()?.accelerometer.range_source;
+    let assumed = source == Some(Source::SixteenBits);
     let likely = Range { g: set.range_g, source: Source::SixteenBits };
     assumed.then(|| likely.finding(set.sensitivity))?
 }

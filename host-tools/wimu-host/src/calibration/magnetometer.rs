@@ -9,7 +9,6 @@ use wimu_calib::{
 use wimu_link::message::parameter_id;
 use wimu_model::{MagneticFieldNt, MagnetometerModel, MagnetometerTerms, ParameterSet};
 
-use super::HELD_SCHEMA;
 use super::input::magnitude;
 use super::report::NextPose;
 use crate::chart::{Chart, Series};
@@ -22,10 +21,8 @@ use crate::recording::{OutputUnit, RateSource, Samples};
 /// The report of `wimu calibrate --sensor magnetometer`, and a file that `wimu params push` reads.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct MagnetometerReport {
-    /// [`HELD_SCHEMA`].
-    pub schema: &'static str,
     /// Status and findings.
-    #[serde(flatten)]
+    #[serde(skip)]
     pub outcome: Outcome,
     /// The data.
     pub source: String,
@@ -134,7 +131,6 @@ pub fn calibrate_magnetometer(
     let mut findings = data.findings();
     findings.extend(data.temperature_finding(set));
     let mut report = MagnetometerReport {
-        schema: HELD_SCHEMA,
         source: data.name.to_owned(),
         sensor: "magnetometer",
         rests: rests.len(),

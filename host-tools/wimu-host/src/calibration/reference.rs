@@ -15,7 +15,7 @@ use super::input::{magnitude, median};
 use super::paired::Paired;
 use super::range::Range;
 use super::words::no_sensitivity;
-use super::{CalibrationFile, CalibrationReport, Source};
+use super::{CalibrationFile, Source};
 use crate::csv::AccelerationUnit;
 use crate::digits::{signed_with_sd, with_sd};
 use crate::error::{ErrorCode, Result};
@@ -58,10 +58,8 @@ pub enum NoiseSource {
 /// The report of `wimu calibrate --method reference`.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct ReferenceReport {
-    /// [`CalibrationReport::SCHEMA`].
-    pub schema: &'static str,
     /// Status and findings.
-    #[serde(flatten)]
+    #[serde(skip)]
     pub outcome: Outcome,
     /// The data.
     pub source: String,
@@ -137,7 +135,6 @@ pub fn compare_with_reference(
         transfer.push(*reference, *output);
     }
     let mut report = ReferenceReport {
-        schema: CalibrationReport::SCHEMA,
         source: data.name.clone(),
         method: "reference",
         reference: data.reference.clone(),

@@ -145,10 +145,8 @@ pub struct StaticPose {
 /// The result of a calibration: the JSON of `wimu calibrate --json`, with the numbers of the fit.
 #[derive(Clone, Debug, Serialize)]
 pub struct CalibrationReport {
-    /// [`CalibrationReport::SCHEMA`].
-    pub schema: &'static str,
     /// Status and findings.
-    #[serde(flatten)]
+    #[serde(skip)]
     pub outcome: Outcome,
     /// The data.
     pub source: String,
@@ -208,14 +206,6 @@ pub struct CalibrationReport {
     #[serde(skip)]
     pub estimate: Option<Estimate>,
 }
-
-impl CalibrationReport {
-    /// Name of the JSON object.
-    pub const SCHEMA: &'static str = "wimu.calibration/1";
-}
-
-/// Name of the JSON objects that hold a parameter set: of `wimu params`, alignment and magnetometer.
-pub const HELD_SCHEMA: &str = "wimu.params/1";
 
 /// The parameters, by name, that were not observed when a set was made: they have the ideal value and the standard
 /// deviation typical of datasheets.

@@ -68,10 +68,8 @@ pub struct DepartureReport {
 /// Result of a calibration from several sessions: the JSON of `wimu calibrate A B … --json`.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct SeveralReport {
-    /// [`SeveralReport::SCHEMA`].
-    pub schema: &'static str,
     /// Status and findings.
-    #[serde(flatten)]
+    #[serde(skip)]
     pub outcome: Outcome,
     /// `multi-position` or `six-position`.
     pub method: &'static str,
@@ -124,11 +122,6 @@ pub struct SeveralFit {
     pub covariance: [[f64; Parameter::COUNT]; Parameter::COUNT],
 }
 
-impl SeveralReport {
-    /// Name of the JSON object.
-    pub const SCHEMA: &'static str = "wimu.calibration-sessions/1";
-}
-
 /// Calibrates each of several sessions of one sensor, and combines them: a refused session refuses all.
 ///
 /// # Errors
@@ -142,7 +135,6 @@ pub fn calibrate_several(
     let mut each = options.clone();
     (each.gravity_mps2, each.place) = (Some(gravity.mps2()), None);
     let mut report = SeveralReport {
-        schema: SeveralReport::SCHEMA,
         method: options.method.name(),
         gravity_m_s2: gravity.mps2(),
         gravity_sd_m_s2: gravity.sd_mps2(),

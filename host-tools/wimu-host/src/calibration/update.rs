@@ -7,7 +7,6 @@ use wimu_calib::{Ageing, Gravity, Parameter, Pose, SelfCheck};
 use wimu_link::message::parameter_id;
 use wimu_model::{CalibrationQuality, ErrorTerms, ModelCovariance, ParameterSet, QualityTerms};
 
-use super::CalibrationReport;
 use super::input::poses;
 use crate::digits::signed_with_sd;
 use crate::error::{ErrorCode, Result};
@@ -30,10 +29,8 @@ pub struct RestReport {
 /// The report of `wimu calibrate --method update`.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct UpdateReport {
-    /// [`CalibrationReport::SCHEMA`].
-    pub schema: &'static str,
     /// Status and findings.
-    #[serde(flatten)]
+    #[serde(skip)]
     pub outcome: Outcome,
     /// The data.
     pub source: String,
@@ -101,7 +98,6 @@ pub fn update(
     let rests: Vec<RestReport> = found.iter().filter_map(rest).collect();
     let contradictions = check.contradictions();
     let mut report = UpdateReport {
-        schema: CalibrationReport::SCHEMA,
         outcome: Outcome { findings: contradicting(&rests), ..Outcome::default() },
         source: data.name.to_owned(),
         method: "update",

@@ -81,6 +81,7 @@ pub struct Alignment {
     /// Why they are not.
     pub axes_reason: Option<String>,
     /// What was noticed.
+    #[serde(skip)]
     pub findings: Vec<Finding>,
 }
 

@@ -29,6 +29,7 @@ pub struct Summary {
     /// Its tracks.
     pub tracks: Vec<TrackSummary>,
     /// What was noticed.
+    #[serde(skip)]
     pub findings: Vec<Finding>,
 }
 

@@ -60,9 +60,8 @@ impl Default for HandEyeOptions {
 #[derive(Clone, Debug, Default, Serialize)]
 #[non_exhaustive]
 pub struct HandEye {
-    /// Schema of this object.
-    pub schema: &'static str,
     /// Whether there is a result, and what was noticed.
+    #[serde(skip)]
     pub outcome: Outcome,
     /// The camera's stream and the body's.
     pub sources: [String; 2],
@@ -96,11 +95,8 @@ pub struct HandEye {
 /// # Errors
 /// None: data that do not show it are a refusal in the [`Outcome`].
 pub fn hand_eye(camera: &PoseStream, body: &PoseStream, options: &HandEyeOptions) -> HandEye {
-    let mut report = HandEye {
-        schema: "wimu.hand-eye/1",
-        sources: [camera.name.clone(), body.name.clone()],
-        ..HandEye::default()
-    };
+    let mut report =
+        HandEye { sources: [camera.name.clone(), body.name.clone()], ..HandEye::default() };
     let findings = camera.findings.iter().chain(&body.findings).cloned();
     report.outcome.findings.extend(findings);
     match solve(camera, body, options, &mut report.outcome) {

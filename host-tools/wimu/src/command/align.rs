@@ -18,7 +18,7 @@ use crate::command::{Connection, listen_until, not_over_input, params};
 use crate::output::{Output, usage};
 
 /// Returns the exit code: 0, or 3 if the data do not support an answer.
-pub fn run(arguments: &Align, output: Output) -> Result<u8> {
+pub fn run(arguments: &Align, output: &Output) -> Result<u8> {
     if let Some(camera) = &arguments.camera {
         return camera::run(arguments, camera, output);
     }
@@ -80,7 +80,7 @@ fn listen(
     arguments: &Align,
     set: &ParameterSet,
     options: &AlignOptions,
-    output: Output,
+    output: &Output,
 ) -> Result<Recording> {
     let ask = |rests: usize| match arguments.up.get(rests) {
         Some(up) => output.print(format!("hold the body still with its {up} axis up")),

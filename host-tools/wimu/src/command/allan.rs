@@ -10,7 +10,7 @@ use crate::command::{connect, listen_until, not_over_input};
 use crate::output::Output;
 
 /// Returns the exit code: 0, or 3 if the data do not support an answer.
-pub fn run(arguments: &Allan, output: Output) -> Result<u8> {
+pub fn run(arguments: &Allan, output: &Output) -> Result<u8> {
     not_over_input(arguments.input.as_ref(), arguments.report.as_deref())?;
     let report = match Input::parse(&arguments.input)? {
         Input::File(path) | Input::Recording(path) => {
@@ -34,7 +34,7 @@ pub fn run(arguments: &Allan, output: Output) -> Result<u8> {
 const PROGRESS: Duration = Duration::from_secs(5);
 
 /// Measures the noise of a live board, in constant memory.
-fn listen(arguments: &Allan, output: Output) -> Result<NoiseReport> {
+fn listen(arguments: &Allan, output: &Output) -> Result<NoiseReport> {
     let mut client = connect(&arguments.input)?;
     let mut meter =
         NoiseMeter::new(client.name(), arguments.sensitivity, client.hello().sensitivity_known);

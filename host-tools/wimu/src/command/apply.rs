@@ -3,7 +3,6 @@
 use serde::Serialize;
 use wimu_host::apply::Correction;
 use wimu_host::calibration::{read_model, zero_count};
-use wimu_host::finding::Finding;
 use wimu_host::{Result, formats};
 
 use crate::arguments::Apply;
@@ -15,10 +14,9 @@ struct Applied {
     file: String,
     format: &'static str,
     rows: usize,
-    findings: Vec<Finding>,
 }
 
-pub fn run(arguments: &Apply, output: Output) -> Result<()> {
+pub fn run(arguments: &Apply, output: &Output) -> Result<()> {
     for input in [&arguments.input, &arguments.calibration] {
         not_over_input(input, Some(&arguments.output))?;
     }
@@ -28,15 +26,10 @@ pub fn run(arguments: &Apply, output: Output) -> Result<()> {
     let recording = formats::load(&arguments.input, &options)?;
     let correction = Correction::new(&calibration, &recording)?;
     let rows = correction.write(&arguments.output)?;
-    let findings = [&correction.findings[..], &recording.findings].concat();
-    let applied = Applied {
-        file: arguments.output.display().to_string(),
-        format: recording.format,
-        rows,
-        findings,
-    };
+    let applied =
+        Applied { file: arguments.output.display().to_string(), format: recording.format, rows };
     output.print(format!("{}: {rows} corrected samples", applied.file));
-    output.findings(&applied.findings);
-    output.answer("wimu.apply/1", &applied);
+    output.findings(&[&correction.findings[..], &recording.findings].concat());
+    output.object(&applied);
     Ok(())
 }

@@ -74,7 +74,7 @@ struct RefinedSensor {
 
 impl Refined {
     /// Prints the result; returns its object.
-    pub fn of(found: &Refinement, output: Output) -> Self {
+    pub fn of(found: &Refinement, output: &Output) -> Self {
         output.print(format!(
             "positions and delays from {} samples: residual {:.3} → {:.3} m/s² rms",
             found.samples, found.residual_mps2[0], found.residual_mps2[1]

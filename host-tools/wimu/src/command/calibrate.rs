@@ -25,7 +25,7 @@ use crate::output::{Output, usage};
 use crate::screen::Screen;
 
 /// Returns the exit code: 0, or 3 if the data do not support an answer.
-pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
+pub fn run(arguments: &Calibrate, output: &Output) -> Result<u8> {
     not_over_input(Path::new(&arguments.input), arguments.output.as_deref())?;
     for file in &arguments.more {
         not_over_input(file, arguments.output.as_deref())?;
@@ -47,7 +47,7 @@ pub fn finish<R: Display + Serialize>(
     outcome: &Outcome,
     path: Option<&Path>,
     file: Option<CalibrationFile>,
-    output: Output,
+    output: &Output,
     rest: impl FnOnce() -> Result<()>,
 ) -> Result<u8> {
     output.print(report.to_string());
@@ -107,7 +107,7 @@ fn reading(arguments: &Calibrate) -> (ReadOptions, Selection) {
 }
 
 /// Calibrates with poses, by the magnitude or the direction of gravity.
-fn with_gravity(arguments: &Calibrate, output: Output) -> Result<u8> {
+fn with_gravity(arguments: &Calibrate, output: &Output) -> Result<u8> {
     let options = options(arguments)?;
     let (load, selection) = reading(arguments);
     let mut client = None;
@@ -133,7 +133,7 @@ fn with_gravity(arguments: &Calibrate, output: Output) -> Result<u8> {
 }
 
 /// Calibrates with several sessions of one sensor.
-fn several(arguments: &Calibrate, output: Output) -> Result<u8> {
+fn several(arguments: &Calibrate, output: &Output) -> Result<u8> {
     let options = options(arguments)?;
     let (load, selection) = reading(arguments);
     let first = Path::new(&arguments.input);
@@ -148,7 +148,7 @@ fn several(arguments: &Calibrate, output: Output) -> Result<u8> {
 }
 
 /// Calibrates one stream with another of the same motion.
-fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
+fn against_reference(arguments: &Calibrate, output: &Output) -> Result<u8> {
     let sensitivity = arguments.sensitivity.map(Sensitivity::from_lsb_per_g);
     let sensitivity =
         sensitivity.transpose().map_err(|error| usage(error.to_string(), "check --sensitivity"))?;
@@ -176,7 +176,7 @@ fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
 }
 
 /// Checks and updates a stored calibration with later rests.
-fn update(arguments: &Calibrate, output: Output) -> Result<u8> {
+fn update(arguments: &Calibrate, output: &Output) -> Result<u8> {
     let not_live = || {
         usage(
             "--method update needs a recording or a CSV file",

@@ -11,7 +11,7 @@ use crate::arguments::Compare;
 use crate::command::record::{clock_text, left_out_text};
 use crate::output::{Output, usage};
 
-pub fn run(arguments: &Compare, output: Output) -> Result<()> {
+pub fn run(arguments: &Compare, output: &Output) -> Result<()> {
     let kind = |input: &String| Input::parse(input);
     match (kind(&arguments.input)?, arguments.other.as_ref()) {
         (Input::Recording(path), None) => recording(&path, arguments, output),
@@ -30,7 +30,7 @@ fn unsupported(input: &str) -> HostError {
         .at(input)
 }
 
-fn recording(path: &Path, arguments: &Compare, output: Output) -> Result<()> {
+fn recording(path: &Path, arguments: &Compare, output: &Output) -> Result<()> {
     let name = path.display().to_string();
     let found = compare(|| RecordingReader::open(path), &name)?;
     let text = text(&found);
@@ -57,7 +57,7 @@ fn recording(path: &Path, arguments: &Compare, output: Output) -> Result<()> {
         let files = found.write_pictures(folder)?;
         output.print(format!("wrote {} pictures to {}", files.len(), folder.display()));
     }
-    output.answer("wimu.compare/1", &found);
+    output.object(&found);
     Ok(())
 }
 
@@ -176,7 +176,7 @@ fn axes_text(axes: &[Axis; 3]) -> String {
     text
 }
 
-fn tables(reference: &Path, other: &Path, output: Output) -> Result<()> {
+fn tables(reference: &Path, other: &Path, output: &Output) -> Result<()> {
     let found: Alignment = align(reference, other)?;
     let mut text = format!(
         "{} against {}: {:.1} s in common at {:.1} Hz, correlation of the magnitudes {:.3}\n\
@@ -205,6 +205,6 @@ fn tables(reference: &Path, other: &Path, output: Output) -> Result<()> {
     text += &found.axes.as_ref().map(axes_text).unwrap_or_default();
     output.print(&text);
     output.findings(&found.findings);
-    output.answer("wimu.compare_tables/1", &found);
+    output.object(&found);
     Ok(())
 }

@@ -42,7 +42,7 @@ const LIST_EVERY: Duration = Duration::from_secs(2);
 /// Most boards and files of a dashboard.
 const MOST_BOARDS: usize = 32;
 
-pub fn run(arguments: &Dashboard, output: Output) -> Result<()> {
+pub fn run(arguments: &Dashboard, output: &Output) -> Result<()> {
     let (mut links, mut files) = (Vec::new(), Vec::new());
     for input in &arguments.inputs {
         match Input::parse(input)? {
@@ -90,7 +90,7 @@ pub fn run(arguments: &Dashboard, output: Output) -> Result<()> {
         }
     };
     output.print(format!("open {url}\n{readers} Ctrl-C ends it."));
-    output.answer("wimu.dashboard/1", &json!({ "url": url }));
+    output.object(&json!({ "url": url }));
     if arguments.open {
         show(&url)?;
     }

@@ -40,7 +40,7 @@ struct Demonstrated {
     recording: String,
 }
 
-pub fn run(arguments: &Demo, output: Output) -> Result<()> {
+pub fn run(arguments: &Demo, output: &Output) -> Result<()> {
     if arguments.localize {
         return localize::run(arguments, output);
     }
@@ -107,7 +107,7 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
         report: arguments.report.display().to_string(),
         recording: recording.display().to_string(),
     };
-    output.answer("wimu.demo/1", &demonstrated);
+    output.object(&demonstrated);
     let locked = outcome.refusals.iter().all(Option::is_some);
     if exact && locked && outcome.pushed == outcome.after_restart {
         Ok(())

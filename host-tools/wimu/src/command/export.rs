@@ -7,7 +7,7 @@ use wimu_host::calibration::{CalibrationExport, ExportTarget, KalibrNoise, furth
 use wimu_host::compare::LinkModel;
 use wimu_host::csv::SENSITIVITY;
 use wimu_host::export::{self, ExportSource, ExportStream};
-use wimu_host::finding::{Finding, FindingCode, without_unit};
+use wimu_host::finding::{FindingCode, without_unit};
 use wimu_host::formats::{self, ReadOptions};
 use wimu_host::mcap_file::Wholeness;
 use wimu_host::multi_range::{FullScales, Merge, MergedSensor};
@@ -30,7 +30,6 @@ struct Exported {
     sensors: Vec<u8>,
     #[serde(flatten)]
     wholeness: Wholeness,
-    findings: Vec<Finding>,
 }
 
 /// A calibration for other programs.
@@ -39,8 +38,6 @@ struct ExportedCalibration {
     /// The file written; null if the output is `text`.
     file: Option<String>,
     text: Option<String>,
-    /// What the format cannot express.
-    findings: Vec<Finding>,
 }
 
 /// Merged accelerometers.
@@ -49,7 +46,6 @@ struct Merged {
     file: String,
     rows: usize,
     sensors: Vec<MergedSensor>,
-    findings: Vec<Finding>,
 }
 
 #[derive(Serialize)]
@@ -59,7 +55,7 @@ struct ExportedTopics {
     decoded: Decoded,
 }
 
-pub fn run(arguments: &Export, output: Output) -> Result<()> {
+pub fn run(arguments: &Export, output: &Output) -> Result<()> {
     not_over_input(&arguments.input, arguments.output.as_deref())?;
     let model = arguments.link_model.as_deref().map(LinkModel::read).transpose()?;
     if let Some(target) = target(arguments) {
@@ -79,7 +75,7 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
             output.print(format!("{file}: {count} messages on {topic}"));
         }
         output.findings(&decoded.findings);
-        output.answer("wimu.export_topics/1", &ExportedTopics { file, decoded });
+        output.object(&ExportedTopics { file, decoded });
         return Ok(());
     }
     if arguments.merge {
@@ -113,8 +109,7 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
         (table.ranges_differ).then(|| FindingCode::UnitInferred.note(changes)),
         (table.sensors.len() > 1).then_some(sensors),
     ];
-    let findings: Vec<Finding> = findings.into_iter().flatten().collect();
-    output.findings(&findings);
+    output.findings(&Vec::from_iter(findings.into_iter().flatten()));
     let exported = Exported {
         file,
         link,
@@ -122,14 +117,13 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
         without_unit: table.without_unit,
         sensors: table.sensors,
         wholeness: table.wholeness,
-        findings,
     };
-    output.answer("wimu.export/1", &exported);
+    output.object(&exported);
     Ok(())
 }
 
 /// Writes merged accelerometers.
-fn merged(arguments: &Export, to: &Path, output: Output) -> Result<()> {
+fn merged(arguments: &Export, to: &Path, output: &Output) -> Result<()> {
     let mut load = ReadOptions::default();
     load.role = arguments.link.map(Into::into);
     let recording = formats::load(&arguments.input, &load)?;
@@ -144,11 +138,10 @@ fn merged(arguments: &Export, to: &Path, output: Output) -> Result<()> {
         file: to.display().to_string(),
         rows: merge.deviations_mps2.len(),
         sensors: merge.sensors,
-        findings: merge.findings,
     };
     output.print(format!("{}: {}", merged.file, counted(merged.rows, "row")));
-    output.findings(&merged.findings);
-    output.answer("wimu.export_merged/1", &merged);
+    output.findings(&merge.findings);
+    output.object(&merged);
     Ok(())
 }
 
@@ -171,7 +164,7 @@ fn target(arguments: &Export) -> Option<ExportTarget> {
 }
 
 /// Writes a calibration for other programs, or prints it.
-fn calibration(arguments: &Export, target: ExportTarget, output: Output) -> Result<()> {
+fn calibration(arguments: &Export, target: ExportTarget, output: &Output) -> Result<()> {
     let export = CalibrationExport::read(&arguments.input)?;
     let noise = arguments.noise.as_deref();
     let text = export.text(target, noise.map(KalibrNoise::read).transpose()?);
@@ -182,17 +175,16 @@ fn calibration(arguments: &Export, target: ExportTarget, output: Output) -> Resu
         findings.push(FindingCode::NotExpressible.warning(text));
     }
     let file = arguments.output.as_ref().map(|path| path.display().to_string());
-    match (&arguments.output, &file) {
-        (Some(path), Some(file)) => {
-            OutputFile::write(path, &text)?;
-            output.print(format!("{file}: {} lines", text.lines().count()));
-            output.findings(&findings);
-        }
-        // The text itself holds the findings.
-        _ if !output.is_json() => output.print(text.trim_end()),
-        _ => {}
+    if let Some(path) = &arguments.output {
+        OutputFile::write(path, &text)?;
+        output.print(format!("{}: {} lines", path.display(), text.lines().count()));
     }
-    let exported = ExportedCalibration { text: file.is_none().then_some(text), file, findings };
-    output.answer("wimu.export_calibration/1", &exported);
+    if file.is_none() && !output.is_json() {
+        // The text itself holds the findings.
+        output.print(text.trim_end());
+    } else {
+        output.findings(&findings);
+    }
+    output.object(&ExportedCalibration { text: file.is_none().then_some(text), file });
     Ok(())
 }

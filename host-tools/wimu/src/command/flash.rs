@@ -71,7 +71,7 @@ struct Image {
     segments: Vec<image::Segment>,
 }
 
-pub fn run(arguments: &Flash, output: Output) -> Result<()> {
+pub fn run(arguments: &Flash, output: &Output) -> Result<()> {
     match arguments.board {
         Some(board) if !arguments.list => {
             write(&read(board, arguments.image.clone())?, arguments, output)
@@ -114,12 +114,12 @@ fn read(board: Board, file: Option<PathBuf>) -> Result<Image> {
 use probe::{list, write};
 
 #[cfg(not(feature = "flash"))]
-fn list(_: Output) -> Result<()> {
+fn list(_: &Output) -> Result<()> {
     Err(left_out("flash --list", ""))
 }
 
 #[cfg(not(feature = "flash"))]
-fn write(image: &Image, arguments: &Flash, _: Output) -> Result<()> {
+fn write(image: &Image, arguments: &Flash, _: &Output) -> Result<()> {
     // Used by the build with the feature only.
     let Flash { probe: _, erase_all: _, .. } = arguments;
     debug_assert!(!image.segments.is_empty());

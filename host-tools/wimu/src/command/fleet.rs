@@ -18,19 +18,19 @@ use crate::output::Output;
 /// Time to listen for the states before a push.
 const LISTEN: std::time::Duration = std::time::Duration::from_secs(2);
 
-pub fn run(action: &Fleet, output: Output) -> Result<()> {
+pub fn run(action: &Fleet, output: &Output) -> Result<()> {
     match action {
         Fleet::Status { fleet, seconds } => {
             let status = status::read(&fleet.parse()?, *seconds)?;
             show(&status, output);
-            output.answer("wimu.fleet-status/1", &status);
+            output.object(&status);
             Ok(())
         }
         Fleet::Push { fleet, folder, until } => push(&fleet.parse()?, folder, *until, output),
     }
 }
 
-fn show(status: &FleetStatus, output: Output) {
+fn show(status: &FleetStatus, output: &Output) {
     let alive = status.alive().count();
     let sum = |of: fn(&BoardState) -> u64| status.boards.values().map(of).sum::<u64>();
     let missing = sum(|state| state.missing);
@@ -98,7 +98,7 @@ fn age(seconds: f64) -> String {
     }
 }
 
-fn push(fleet: &Address, folder: &Path, until: u8, output: Output) -> Result<()> {
+fn push(fleet: &Address, folder: &Path, until: u8, output: &Output) -> Result<()> {
     let status = status::read(fleet, LISTEN)?;
     let plan = Plan::new(&status, folder)?;
     for (what, names) in [
@@ -141,16 +141,13 @@ fn push(fleet: &Address, folder: &Path, until: u8, output: Output) -> Result<()>
     output.print(format!(
         "boards with their calibration: {done} of {boards}; {written} written by this push"
     ));
-    output.answer(
-        "wimu.fleet-push/1",
-        &json!({
-            "boards": boards,
-            "done": done,
-            "written": written,
-            "without_file": plan.without_file,
-            "away": plan.away,
-            "without_board": plan.without_board,
-        }),
-    );
+    output.object(&json!({
+        "boards": boards,
+        "done": done,
+        "written": written,
+        "without_file": plan.without_file,
+        "away": plan.away,
+        "without_board": plan.without_board,
+    }));
     Ok(())
 }

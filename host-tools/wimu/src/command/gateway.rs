@@ -15,7 +15,7 @@ use crate::output::Output;
 /// Interval of the lines of figures.
 const EVERY: Duration = Duration::from_secs(10);
 
-pub fn run(arguments: &Arguments, output: Output) -> Result<()> {
+pub fn run(arguments: &Arguments, output: &Output) -> Result<()> {
     let config = GatewayConfig::read(&arguments.config)?;
     let end = deadline(arguments.seconds);
     let stop = interrupted()?;
@@ -33,7 +33,7 @@ pub fn run(arguments: &Arguments, output: Output) -> Result<()> {
     if let Some(address) = metrics {
         output.print(format!("metrics at http://{address}/metrics"));
     }
-    output.answer("wimu.gateway/1", &json!({"boards": boards, "metrics": metrics}));
+    output.object(&json!({"boards": boards, "metrics": metrics}));
     let mut shown = Instant::now();
     while !is_over(end, &stop) {
         std::thread::sleep(Duration::from_millis(50));
@@ -45,7 +45,7 @@ pub fn run(arguments: &Arguments, output: Output) -> Result<()> {
     }
     let summary = gateway.stop();
     output.print(format!("stopped: {}", line(&summary)));
-    output.answer("wimu.gateway-end/1", &summary);
+    output.object(&summary);
     Ok(())
 }
 

@@ -7,7 +7,6 @@ use std::time::Duration;
 use serde::Serialize;
 use wimu_host::authentication::Authentication;
 use wimu_host::decode::{self, LinkStatistics};
-use wimu_host::finding::Finding;
 use wimu_host::formats::{Source, Summary};
 use wimu_host::history::{Counts, LinkHistory, Recording};
 use wimu_host::keys::KeyFolder;
@@ -28,7 +27,6 @@ struct Contents {
     duration_s: f64,
     #[serde(flatten)]
     wholeness: Wholeness,
-    findings: Vec<Finding>,
     links: Vec<Link>,
 }
 
@@ -267,13 +265,13 @@ impl Live {
     }
 }
 
-pub fn run(arguments: &Info, output: Output) -> Result<()> {
+pub fn run(arguments: &Info, output: &Output) -> Result<()> {
     match Input::parse(&arguments.input)? {
         Input::Recording(path) => recording(&path, output),
         Input::Link(_) => {
             let live = Live::of(&mut connect(&arguments.input)?)?;
             output.print(live.text());
-            output.answer("wimu.device/1", &live);
+            output.object(&live);
             Ok(())
         }
         Input::File(path) => {
@@ -285,7 +283,7 @@ pub fn run(arguments: &Info, output: Output) -> Result<()> {
     }
 }
 
-fn of_another_program(summary: &Summary, output: Output) {
+fn of_another_program(summary: &Summary, output: &Output) {
     let (source, seconds) = (&summary.source, summary.duration_s);
     output.print(format!("{source}: {}, {seconds:.1} s", summary.format));
     let others = summary.other_columns();
@@ -298,7 +296,7 @@ fn of_another_program(summary: &Summary, output: Output) {
         output.print(format!("  other columns: {}", others.join(", ")));
     }
     output.findings(&summary.findings);
-    output.answer("wimu.info/1", summary);
+    output.object(summary);
 }
 
 /// Largest number of events of a link that are listed.
@@ -319,15 +317,15 @@ fn events(link: &LinkHistory) -> (Vec<String>, usize) {
     (all, more)
 }
 
-fn recording(path: &Path, output: Output) -> Result<()> {
+fn recording(path: &Path, output: &Output) -> Result<()> {
     // Without usable keys tags are not verified, and that is reported where there are tags.
     let keys = KeyFolder::of_user().and_then(|folder| folder.all());
     let recording = Recording::survey_with_keys(path, keys.unwrap_or_default())?;
     let wholeness = recording.wholeness;
-    let forged = recording.links.iter();
-    let forged = forged.flat_map(|link| &link.authentication.findings);
-    let findings = wholeness.finding().into_iter().chain(forged.cloned());
-    let findings = Vec::from_iter(findings);
+    let mut findings = Vec::from_iter(wholeness.finding());
+    for link in &recording.links {
+        findings.extend_from_slice(&link.authentication.findings);
+    }
     let links: Vec<Link> = recording
         .links
         .into_iter()
@@ -358,11 +356,10 @@ fn recording(path: &Path, output: Output) -> Result<()> {
         source: path.display().to_string(),
         duration_s: recording.duration_ns as f64 * 1e-9,
         wholeness,
-        findings,
         links,
     };
     output.print(format!("{}: {:.1} s", contents.source, contents.duration_s));
-    output.findings(&contents.findings);
+    output.findings(&findings);
     for link in &contents.links {
         output.print(format!(
             "{:8} {} raw, {} corrected, {} epochs, {} positions; {} missing, {} damaged frames{}, {} bytes{}",
@@ -384,6 +381,6 @@ fn recording(path: &Path, output: Output) -> Result<()> {
             output.print(format!("         {detail}"));
         }
     }
-    output.answer("wimu.info/1", &contents);
+    output.object(&contents);
     Ok(())
 }

@@ -23,7 +23,7 @@ struct Status {
     authenticated: Option<bool>,
 }
 
-pub fn run(arguments: &Key, output: Output) -> Result<()> {
+pub fn run(arguments: &Key, output: &Output) -> Result<()> {
     let link = &arguments.link;
     let folder = KeyFolder::of_user()?;
     let mut client = connect(link)?;
@@ -131,7 +131,7 @@ pub fn access_text(access: &str) -> &str {
     }
 }
 
-fn show(client: &mut Connection, folder: &KeyFolder, output: Output) -> Result<()> {
+fn show(client: &mut Connection, folder: &KeyFolder, output: &Output) -> Result<()> {
     let hello = *client.hello();
     let held = client.key_status()?;
     let known = folder.candidates(hello.device_id)?;
@@ -163,6 +163,6 @@ fn show(client: &mut Connection, folder: &KeyFolder, output: Output) -> Result<(
         ours,
         authenticated,
     };
-    output.answer("wimu.key/1", &status);
+    output.object(&status);
     Ok(())
 }

@@ -1,6 +1,6 @@
 //! `wimu completions` and `wimu man`.
 
-use std::io::{self, Write as _};
+use std::io;
 
 use clap::CommandFactory;
 use wimu_host::{HostError, Result};
@@ -9,15 +9,15 @@ use crate::arguments::{Arguments, Completions, Man};
 use crate::output::Output;
 
 /// Prints the completion script of a shell.
-pub fn completions(arguments: &Completions) -> Result<()> {
+pub fn completions(arguments: &Completions, output: &Output) -> Result<()> {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut Arguments::command(), "wimu", &mut script);
-    let written = io::stdout().write_all(&script);
-    written.map_err(|error| HostError::file("standard output", "write", &error))
+    output.write(&script);
+    Ok(())
 }
 
 /// Writes a manual page for each command.
-pub fn man(arguments: &Man, output: Output) -> Result<()> {
+pub fn man(arguments: &Man, output: &Output) -> Result<()> {
     let folder = &arguments.folder;
     let failed = |error: io::Error| HostError::file(&folder.display().to_string(), "write", &error);
     std::fs::create_dir_all(folder).map_err(failed)?;

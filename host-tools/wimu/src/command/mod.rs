@@ -61,7 +61,7 @@ fn connect_for(link: &str, push: bool) -> Result<Connection> {
 
 /// Connects to the board at LINK for reading, with its key if this computer has it and the board proves to have the
 /// same. Returns whether the answers are authenticated; `None` if this computer has no key of the board.
-fn connect_to_read(link: &str, output: Output) -> Result<(Connection, Option<bool>)> {
+fn connect_to_read(link: &str, output: &Output) -> Result<(Connection, Option<bool>)> {
     let mut client = connect(link)?;
     let Ok(folder) = KeyFolder::of_user() else {
         return Ok((client, None));

@@ -25,7 +25,6 @@ mod live;
 /// One reading as JSON.
 #[derive(Clone, Debug, Serialize)]
 pub struct Line {
-    pub schema: &'static str,
     pub sequence: u32,
     pub time_s: f64,
     pub raw_lsb: Option<[i32; 3]>,
@@ -58,7 +57,6 @@ impl From<&Reading> for Line {
         let navigation = reading.navigation;
         let scaled = |nm: [i64; 3]| nm.map(|nm| nm as f64 / 1e9);
         Self {
-            schema: "wimu.reading/1",
             sequence: reading.sequence,
             // The nearest number, which has no more digits than the microseconds.
             time_s: reading.time.0 as f64 / 1e6,
@@ -157,7 +155,7 @@ pub fn euler_deg([w, x, y, z]: [f64; 4]) -> [f64; 3] {
     [roll, pitch, yaw].map(f64::to_degrees)
 }
 
-pub fn run(arguments: &Monitor, output: Output) -> Result<()> {
+pub fn run(arguments: &Monitor, output: &Output) -> Result<()> {
     match Input::parse(&arguments.input)? {
         Input::Link(_) if arguments.rate.is_none() && Screen::is_possible(output) => {
             live::run(arguments, output)
@@ -175,7 +173,7 @@ pub fn run(arguments: &Monitor, output: Output) -> Result<()> {
     }
 }
 
-fn lines(arguments: &Monitor, output: Output) -> Result<()> {
+fn lines(arguments: &Monitor, output: &Output) -> Result<()> {
     let mut client = connect(&arguments.input)?;
     let hello = *client.hello();
     let mut authentication = Authentication::default();
@@ -216,7 +214,7 @@ fn lines(arguments: &Monitor, output: Output) -> Result<()> {
     Ok(())
 }
 
-fn recorded(path: &std::path::Path, rate: Option<f64>, output: Output) -> Result<()> {
+fn recorded(path: &std::path::Path, rate: Option<f64>, output: &Output) -> Result<()> {
     let mut reader = RecordingReader::open(path)?;
     let mut decoder = Decoder::new();
     let mut readings = Readings::new();
@@ -264,8 +262,8 @@ fn cause(hello: &Hello) -> String {
 }
 
 /// Prints readings and device events.
-struct Lines {
-    output: Output,
+struct Lines<'a> {
+    output: &'a Output,
     /// Device time between two lines, s.
     every_s: f64,
     /// Device time of the latest line, s.
@@ -276,8 +274,8 @@ struct Lines {
     restarted: bool,
 }
 
-impl Lines {
-    fn new(rate: Option<f64>, output: Output) -> Self {
+impl<'a> Lines<'a> {
+    fn new(rate: Option<f64>, output: &'a Output) -> Self {
         let usual_hz = if output.is_json() { f64::INFINITY } else { 1.0 };
         Self {
             output,
@@ -315,7 +313,7 @@ impl Lines {
             self.shown_s = Some(line.time_s);
             going &= match self.output.is_json() {
                 true => self.output.object(&line),
-                false => self.output.line(line.text(Output::width())),
+                false => self.output.line(line.text(self.output.width())),
             };
         });
         going
@@ -329,7 +327,6 @@ mod tests {
     /// With all that a line can hold, at its longest.
     fn longest() -> Line {
         Line {
-            schema: "wimu.reading/1",
             sequence: 1,
             time_s: 12_345.67,
             raw_lsb: None,

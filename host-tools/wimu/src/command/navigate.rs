@@ -44,7 +44,7 @@ struct Start {
 }
 
 impl Start {
-    fn print(&self, output: Output) {
+    fn print(&self, output: &Output) {
         match &self.device {
             Some(track) => output.print(format!("computed on the board: {}", track.text())),
             None => output.print("computed on the board: no position sent, or no rest detected"),
@@ -111,7 +111,7 @@ fn to_tenth_mm(m: f64) -> f64 {
     (m * 1e4).round() / 1e4 + 0.0
 }
 
-pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
+pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
     let input = arguments.input.to_string_lossy();
     if !arguments.relative
         && let Ok(Input::Link(link)) = Input::parse(&input)
@@ -167,7 +167,7 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     }
     let navigated =
         Navigated { source: recording.name.clone(), link: link.role.to_string(), starts, path };
-    output.answer("wimu.navigation/1", &navigated);
+    output.object(&navigated);
     Ok(())
 }
 
@@ -177,7 +177,7 @@ fn path(
     arguments: &Navigate,
     calibration: Option<&ParameterSet>,
     name: &str,
-    output: Output,
+    output: &Output,
 ) -> Result<Option<inertial::Found>> {
     let Some(boot) = link.longest() else {
         return Ok(None);

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Serialize;
 use wimu_host::calibration::{
-    self, CalibrationFile, Change, Difference, HELD_SCHEMA, further_sensors, read_parameters,
+    self, CalibrationFile, Change, Difference, further_sensors, read_parameters,
 };
 use wimu_host::{ErrorCode, Result};
 use wimu_model::{ParameterId, ParameterSet};
@@ -16,8 +16,6 @@ use crate::output::Output;
 /// Parameters that a device holds.
 #[derive(Serialize)]
 struct Held {
-    schema: &'static str,
-    status: &'static str,
     calibrated: bool,
     parameter_id: String,
     parameters: Option<ParameterSet>,
@@ -30,7 +28,7 @@ struct Held {
     authenticated: Option<bool>,
 }
 
-pub fn run(action: &Params, output: Output) -> Result<()> {
+pub fn run(action: &Params, output: &Output) -> Result<()> {
     match action {
         Params::Get { link, output: file } => {
             let (mut client, authenticated) = connect_to_read(link, output)?;
@@ -67,7 +65,7 @@ pub fn run(action: &Params, output: Output) -> Result<()> {
 }
 
 /// Prints what changes, pushes a calibration, and verifies that the device holds it.
-pub fn push(client: &mut Connection, set: &ParameterSet, output: Output) -> Result<()> {
+pub fn push(client: &mut Connection, set: &ParameterSet, output: &Output) -> Result<()> {
     let before = client.held_parameters()?;
     print_difference(before.as_ref(), set, output);
     let unseen = calibration::not_observed(set);
@@ -83,7 +81,7 @@ pub fn push(client: &mut Connection, set: &ParameterSet, output: Output) -> Resu
 }
 
 /// Prints the terms that a push changes.
-fn print_difference(before: Option<&ParameterSet>, after: &ParameterSet, output: Output) {
+fn print_difference(before: Option<&ParameterSet>, after: &ParameterSet, output: &Output) {
     let difference = Difference::of(before, after);
     output.print(&difference.result);
     for Change { name, before, after, .. } in &difference.changed {
@@ -109,7 +107,7 @@ fn show(
     authenticated: Option<bool>,
     file: Option<&Path>,
     not_pushed: Vec<u8>,
-    output: Output,
+    output: &Output,
 ) -> Result<()> {
     let parameters = client.held_parameters()?;
     // Before anything is printed: an error is the only JSON object.
@@ -138,8 +136,6 @@ fn show(
         }
     }
     output.object(&Held {
-        schema: HELD_SCHEMA,
-        status: "ok",
         calibrated: parameters.is_some(),
         parameter_id: id.to_string(),
         parameters,
@@ -151,7 +147,7 @@ fn show(
 }
 
 /// Whether a device set to `range_g` uses these parameters; prints a note if not.
-pub fn applies(parameters: Option<&ParameterSet>, range_g: u8, output: Output) -> bool {
+pub fn applies(parameters: Option<&ParameterSet>, range_g: u8, output: &Output) -> bool {
     match parameters {
         Some(set) if set.range_g != range_g => {
             output.print(format!(

@@ -22,7 +22,7 @@ struct Listed {
     probe: Option<Result<String, String>>,
 }
 
-pub fn run(arguments: &Ports, output: Output) -> Result<()> {
+pub fn run(arguments: &Ports, output: &Output) -> Result<()> {
     let mut ports: Vec<Listed> = transport::ports()?
         .into_iter()
         .map(|port| Listed {
@@ -55,7 +55,7 @@ pub fn run(arguments: &Ports, output: Output) -> Result<()> {
         };
         output.print(format!("{}{usb}{board}{unit}{answer}", port.path));
     }
-    output.answer("wimu.ports/1", &Listing { ports });
+    output.object(&Listing { ports });
     Ok(())
 }
 

@@ -33,7 +33,7 @@ struct Link {
     clock: Option<ClockSummary>,
 }
 
-pub fn run(arguments: &Record, output: Output) -> Result<()> {
+pub fn run(arguments: &Record, output: &Output) -> Result<()> {
     let end = deadline(arguments.seconds);
     let stop = interrupted()?;
     let links = [Some(&arguments.link), arguments.cable.as_ref()]
@@ -108,7 +108,7 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
         decoded,
         ended: progress.ended,
     };
-    output.answer("wimu.record/1", &recorded);
+    output.object(&recorded);
     Ok(())
 }
 

@@ -53,7 +53,7 @@ struct Written {
     bytes: Vec<usize>,
 }
 
-pub fn run(arguments: &ReportBug, output: Output) -> Result<()> {
+pub fn run(arguments: &ReportBug, output: &Output) -> Result<()> {
     let links = [Some(&arguments.link), arguments.cable.as_ref()];
     let links = links.into_iter().flatten().map(|link| link.parse());
     let links = links.collect::<Result<Vec<LinkUrl>>>()?;
@@ -94,7 +94,7 @@ pub fn run(arguments: &ReportBug, output: Output) -> Result<()> {
         file: arguments.output.display().to_string(),
         bytes: report.links.iter().map(|link| link.bytes).collect(),
     };
-    output.answer("wimu.report_bug/1", &written);
+    output.object(&written);
     Ok(())
 }
 

@@ -26,7 +26,7 @@ struct Held {
     authenticated: Option<bool>,
 }
 
-pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
+pub fn run(action: &arguments::Settings, output: &Output) -> Result<()> {
     let (settings, authenticated) = match action {
         arguments::Settings::Get { link } => {
             let (mut client, authenticated) = connect_to_read(link, output)?;
@@ -88,7 +88,7 @@ pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
         held.batch[1],
         decimation(held.every[1]),
     ));
-    output.answer("wimu.settings/1", &held);
+    output.object(&held);
     Ok(())
 }
 

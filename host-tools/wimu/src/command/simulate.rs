@@ -55,7 +55,7 @@ struct LinkTruth {
     to_device: FaultCounts,
 }
 
-pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
+pub fn run(arguments: &Simulate, output: &Output) -> Result<()> {
     let [cable_faults, wireless_faults] = faults_of(&arguments.faults)?;
     let storage = match &arguments.store {
         Some(path) => Storage::in_file(path)
@@ -131,7 +131,7 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
         "cable    {}\nwireless {}\nCtrl-C stops it; in another terminal: wimu monitor {}",
         listening.cable, listening.wireless, listening.cable
     ));
-    output.answer("wimu.simulate/1", &listening);
+    output.object(&listening);
     let stop = interrupted()?;
     let mut done_at = None;
     let mut presses = arguments.press.clone();
@@ -200,7 +200,7 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
             ));
         }
     }
-    output.answer("wimu.simulate-truth/1", &truth);
+    output.object(&truth);
     Ok(())
 }
 

@@ -49,7 +49,7 @@ pub struct Screen {
 
 impl Screen {
     /// Whether a person sits at a terminal that can show a screen and is large enough for it.
-    pub fn is_possible(output: Output) -> bool {
+    pub fn is_possible(output: &Output) -> bool {
         let terminals = io::stdin().is_terminal() && io::stdout().is_terminal();
         terminals
             && !output.is_json()

@@ -47,7 +47,6 @@ fn readings() -> MonitorView {
         frames_damaged: 12_345,
     };
     let line = Line {
-        schema: "wimu.reading/1",
         sequence: 1,
         time_s: 12_345.6,
         raw_lsb: None,

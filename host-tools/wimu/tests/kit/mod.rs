@@ -38,53 +38,80 @@ pub struct Ran {
 }
 
 impl Ran {
-    /// Every line of stdout as an object.
-    pub fn objects(&self) -> Vec<Value> {
-        let object = |line| serde_json::from_str(line).unwrap_or_else(|e| panic!("{e}: {self:?}"));
-        self.stdout.lines().map(object).collect()
+    /// Every line of stdout: `{schema, command, data, problems}`.
+    fn envelopes(&self) -> Vec<Value> {
+        let envelope = |line| {
+            let value: Value =
+                serde_json::from_str(line).unwrap_or_else(|e| panic!("{e}: {self:?}"));
+            assert_eq!(value["schema"], "wimu/1", "{self:?}");
+            value
+        };
+        self.stdout.lines().map(envelope).collect()
     }
 
-    /// The one object on stdout.
+    /// The data of every object on stdout that has some.
+    pub fn objects(&self) -> Vec<Value> {
+        let data = self.envelopes().into_iter().map(|mut envelope| envelope["data"].take());
+        data.filter(|data| !data.is_null()).collect()
+    }
+
+    /// The problems of all objects on stdout.
+    pub fn problems(&self) -> Vec<Value> {
+        let all = self.envelopes().into_iter().map(|mut envelope| envelope["problems"].take());
+        all.flat_map(|problems| problems.as_array().cloned().unwrap_or_default()).collect()
+    }
+
+    /// The data of the one object on stdout, with its `problems`.
     pub fn object(&self) -> Value {
-        let mut objects = self.objects();
-        assert_eq!(objects.len(), 1, "one object, in {self:?}");
-        objects.remove(0)
+        let mut envelopes = self.envelopes();
+        assert_eq!(envelopes.len(), 1, "one object, in {self:?}");
+        let mut envelope = envelopes.remove(0);
+        let mut data = envelope["data"].take();
+        if data.is_object() {
+            data["problems"] = envelope["problems"].take();
+        }
+        data
     }
 
     /// Asserts success; returns the object.
     pub fn succeeds(&self) -> Value {
         assert_eq!(self.code, 0, "{self:?}");
-        let object = self.object();
-        assert_eq!(object["status"], "ok", "{self:?}");
-        object
+        self.object()
     }
 
-    /// Asserts a report that the data support no answer: exit code 3, status `refused`, a reason.
+    /// Asserts a report that the data support no answer: exit code 3, a problem `no_result` with its text.
     pub fn refuses(&self) -> Value {
         assert_eq!(self.code, 3, "{self:?}");
         let object = self.object();
-        assert_eq!(object["status"], "refused", "{self:?}");
-        let reason = object["reason"].as_str();
-        assert!(reason.is_some_and(|text| !text.is_empty()), "{self:?}");
+        assert!(!reason(&object).is_empty(), "{self:?}");
         assert!(!self.stderr.is_empty(), "{self:?}");
         object
     }
 
-    /// Asserts a failure with this exit code and error code; returns the object.
+    /// The error at the end of a command.
+    pub fn error(&self) -> Value {
+        let last = self.envelopes().pop().unwrap_or_else(|| panic!("no object: {self:?}"));
+        assert!(last["data"].is_null(), "{self:?}");
+        let problems = last["problems"].as_array().cloned().unwrap_or_default();
+        problems.last().cloned().unwrap_or_else(|| panic!("no error: {self:?}"))
+    }
+
+    /// Asserts a failure with this exit code and error code; returns the problem.
     pub fn fails(&self, exit: i32, code: &str) -> Value {
         assert_eq!(self.code, exit, "{self:?}");
-        let object = self.object();
-        assert_eq!(object["schema"], "wimu.error/1", "{self:?}");
-        assert_eq!(object["status"], "error", "{self:?}");
-        assert_eq!(object["code"], code, "{self:?}");
-        for key in ["message", "remedy"] {
-            let text = object[key].as_str();
+        let error = self.error();
+        assert_eq!(
+            (&error["code"], &error["severity"]),
+            (&code.into(), &"error".into()),
+            "{self:?}"
+        );
+        for key in ["text", "remedy"] {
+            let text = error[key].as_str();
             assert!(text.is_some_and(|text| !text.is_empty()), "{key}: {self:?}");
         }
-        assert!(object.as_object().unwrap().contains_key("where"), "{self:?}");
         // The text for people is not missing either.
         assert!(!self.stderr.is_empty() || code == "usage", "{self:?}");
-        object
+        error
     }
 }
 
@@ -113,8 +140,7 @@ impl Transcript {
     /// Adds the reason of a command that refuses the data; returns the report.
     pub fn refuses(&mut self, case: impl Display, ran: &Ran) -> Value {
         let report = ran.refuses();
-        let reason = report["reason"].as_str().expect("a reason");
-        self.case(case, "exit 3, refused", reason);
+        self.case(case, "exit 3, refused", &reason(&report));
         report
     }
 
@@ -153,13 +179,11 @@ impl Transcript {
 
 /// The findings of a report or, of a recording, of the path in it, as texts; without a refusal, which is its reason.
 pub fn findings(object: &Value) -> Vec<String> {
-    let at = |pointer| object.pointer(pointer).and_then(Value::as_array);
-    let all = at("/findings").or_else(|| at("/path/findings"));
-    let all = all.unwrap_or_else(|| panic!("no findings in {object}"));
+    let all = object["problems"].as_array().unwrap_or_else(|| panic!("no problems in {object}"));
     let text = |finding: &Value| {
         let part = |key: &str| finding[key].as_str().unwrap_or_default().to_owned();
         assert!(!part("code").is_empty(), "{object}");
-        let [severity, evidence, remedy] = ["severity", "evidence", "remedy"].map(part);
+        let [severity, evidence, remedy] = ["severity", "text", "remedy"].map(part);
         match remedy.as_str() {
             "" => format!("{severity}: {evidence}"),
             _ => format!("{severity}: {evidence}; {remedy}"),
@@ -169,9 +193,16 @@ pub fn findings(object: &Value) -> Vec<String> {
     remarks.map(text).collect()
 }
 
+/// The reason of a refusal; empty without one.
+pub fn reason(object: &Value) -> String {
+    let problems = object["problems"].as_array().into_iter().flatten();
+    let refusal = problems.filter(|problem| problem["code"] == "no_result").next_back();
+    refusal.and_then(|refusal| refusal["text"].as_str()).unwrap_or_default().to_owned()
+}
+
 /// The line number in a failure's location.
 pub fn line_number(failure: &Value) -> Option<usize> {
-    let (_, rest) = failure["where"].as_str()?.split_once("line ")?;
+    let (_, rest) = failure["place"]["at"].as_str()?.split_once("line ")?;
     let digits = rest.split(|c: char| !c.is_ascii_digit()).next()?;
     digits.parse().ok()
 }
@@ -359,7 +390,7 @@ impl Simulator {
         let Ok(listening) = serde_json::from_str::<Value>(&line) else {
             panic!("{line} {:?}", process.finish());
         };
-        let link = |role: &str| listening[role].as_str().expect("a link").to_owned();
+        let link = |role: &str| listening["data"][role].as_str().expect("a link").to_owned();
         Self { cable: link("cable"), wireless: link("wireless"), _process: process }
     }
 

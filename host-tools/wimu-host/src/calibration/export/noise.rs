@@ -4,7 +4,6 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use crate::allan::NoiseReport;
 use crate::error::{ErrorCode, HostError, Result};
 
 /// Noise of the accelerometer for Kalibr, from `wimu allan`.
@@ -40,10 +39,11 @@ impl KalibrNoise {
                 )
                 .at(&name)
         };
-        let report: Value = serde_json::from_str(&text).map_err(|_| bad())?;
-        if report["schema"] != NoiseReport::SCHEMA || report["status"] != "ok" {
+        let envelope: Value = serde_json::from_str(&text).map_err(|_| bad())?;
+        if envelope["command"] != "allan" {
             return Err(bad());
         }
+        let report = &envelope["data"];
         let worst = |key: &str| {
             let axes = report["axes"].as_array()?;
             let of = |axis: &Value| axis[key]["value"].as_f64();

@@ -13,7 +13,7 @@ use crate::command::not_over_input;
 use crate::output::{Output, usage};
 
 /// Returns the exit code: 0, or 3 if the motion does not show the rotation.
-pub fn run(arguments: &Align, camera: &Path, output: Output) -> Result<u8> {
+pub fn run(arguments: &Align, camera: &Path, output: &Output) -> Result<u8> {
     let file = Path::new(&arguments.input);
     for read in [camera, file] {
         not_over_input(read, arguments.report.as_deref())?;

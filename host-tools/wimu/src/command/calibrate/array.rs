@@ -25,7 +25,6 @@ struct Calibrated {
     sensors: Vec<Sensor>,
     /// Positions and delays; null where the recording does not observe them.
     refined: Option<Refined>,
-    findings: Vec<Finding>,
 }
 
 #[derive(Serialize)]
@@ -38,7 +37,7 @@ struct Sensor {
 }
 
 /// Calibrates an array.
-pub fn run(arguments: &Calibrate, geometry: &Path, output: Output) -> Result<()> {
+pub fn run(arguments: &Calibrate, geometry: &Path, output: &Output) -> Result<()> {
     let input = Path::new(&arguments.input);
     for read in [input, geometry].into_iter().chain(arguments.more.iter().map(AsRef::as_ref)) {
         not_over_input(read, arguments.output.as_deref())?;
@@ -63,7 +62,7 @@ pub fn run(arguments: &Calibrate, geometry: &Path, output: Output) -> Result<()>
             file.display()
         ));
     }
-    output.answer("wimu.array-calibration/1", &calibrated);
+    output.object(&calibrated);
     Ok(())
 }
 
@@ -72,7 +71,7 @@ fn present(
     found: &CalibratedArray,
     arguments: &Calibrate,
     gravity: Gravity,
-    output: Output,
+    output: &Output,
 ) -> Calibrated {
     let calibration = &found.calibration;
     output.print(format!(
@@ -126,6 +125,5 @@ fn present(
         disagreement_m_s2: calibration.disagreement_mps2,
         sensors,
         refined,
-        findings,
     }
 }

@@ -22,7 +22,7 @@ use crate::screen::{Key, Screen};
 const GLANCE: Duration = Duration::from_millis(20);
 
 /// Calibrates on a screen. Returns the exit code.
-pub fn run(arguments: &Calibrate, options: &CalibrateOptions, output: Output) -> Result<u8> {
+pub fn run(arguments: &Calibrate, options: &CalibrateOptions, output: &Output) -> Result<u8> {
     let client = connect_for(&arguments.input, arguments.push)?;
     let hello = *client.hello();
     let name = client.name().to_owned();
@@ -147,7 +147,7 @@ impl OnScreen {
 }
 
 /// Prints what remains of the session after the screen.
-fn end(guided: &Guided, arguments: &Calibrate, output: Output) -> Result<u8> {
+fn end(guided: &Guided, arguments: &Calibrate, output: &Output) -> Result<u8> {
     let remark = guided.end();
     let Some(report) = guided.report() else {
         output.print(remark.unwrap_or_default());

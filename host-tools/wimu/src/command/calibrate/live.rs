@@ -36,7 +36,7 @@ pub fn collect(
     client: &mut Connection,
     arguments: &Calibrate,
     options: &CalibrateOptions,
-    output: Output,
+    output: &Output,
 ) -> Result<Recording> {
     let mut live = LivePoses::new(
         Plan::new(options, arguments.count.map(usize::from), client.hello())?,
@@ -88,7 +88,7 @@ pub fn collect(
     live.recording(client.name())
 }
 
-fn advise(live: &LivePoses, output: Output) {
+fn advise(live: &LivePoses, output: &Output) {
     if live.plan.six {
         let left: Vec<_> = live.sides_left().into_iter().map(|side| live.plan.name(side)).collect();
         if !left.is_empty() {

@@ -11,7 +11,7 @@ use crate::command::params;
 use crate::output::Output;
 
 /// Returns the exit code: 0, or 3 if the data do not support an answer.
-pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
+pub fn run(arguments: &Calibrate, output: &Output) -> Result<u8> {
     let (load, selection) = reading(arguments);
     let (data, set, mut client) = read_calibrated(
         &arguments.input,

@@ -139,7 +139,7 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
     f64::sqrt(sum / count)
 }
 
-pub fn run(arguments: &Demo, output: Output) -> Result<()> {
+pub fn run(arguments: &Demo, output: &Output) -> Result<()> {
     let began = Instant::now();
     let walks = Walks::new(arguments.seed)?;
     let found = Demonstrated::of(&walks, arguments);
@@ -169,7 +169,7 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
         began.elapsed().as_secs_f64(),
         arguments.report.display()
     ));
-    output.answer("wimu.demo_localize/1", &found);
+    output.object(&found);
     Ok(())
 }
 

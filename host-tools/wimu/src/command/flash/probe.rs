@@ -32,7 +32,7 @@ impl From<&ProbeListItem> for Probe {
     }
 }
 
-pub fn list(output: Output) -> Result<()> {
+pub fn list(output: &Output) -> Result<()> {
     #[derive(Serialize)]
     struct Probes {
         probes: Vec<Probe>,
@@ -45,11 +45,11 @@ pub fn list(output: Output) -> Result<()> {
         let access = if probe.accessible { "" } else { " (no permission)" };
         output.print(format!("{}  {}{access}", probe.selector, probe.name));
     }
-    output.answer("wimu.probes/1", &Probes { probes });
+    output.object(&Probes { probes });
     Ok(())
 }
 
-pub fn write(image: &Image, arguments: &Flash, output: Output) -> Result<()> {
+pub fn write(image: &Image, arguments: &Flash, output: &Output) -> Result<()> {
     #[derive(Serialize)]
     struct Written {
         board: &'static str,
@@ -90,7 +90,7 @@ pub fn write(image: &Image, arguments: &Flash, output: Output) -> Result<()> {
         image: image.file.display().to_string(),
         bytes,
     };
-    output.answer("wimu.flash/1", &written);
+    output.object(&written);
     Ok(())
 }
 
@@ -153,7 +153,7 @@ fn udev_rule(vendor: u16) -> String {
 }
 
 /// Attaches to the chip. Unlocking a locked chip erases it and needs `--erase-all`.
-fn attach(probe: &ProbeListItem, chip: &str, erase_all: bool, output: Output) -> Result<Session> {
+fn attach(probe: &ProbeListItem, chip: &str, erase_all: bool, output: &Output) -> Result<Session> {
     let permissions = if erase_all {
         output.print("a locked chip is erased now, with its firmware, calibration and key");
         Permissions::new().allow_erase_all()
@@ -187,7 +187,7 @@ fn refused(chip: &str, error: probe_rs::Error) -> HostError {
     }
 }
 
-fn progress<'a>(output: Output) -> FlashProgress<'a> {
+fn progress<'a>(output: &Output) -> FlashProgress<'a> {
     let mut totals = [0_u64; 4];
     let mut done = [0_u64; 4];
     let place = |operation: ProgressOperation| match operation {

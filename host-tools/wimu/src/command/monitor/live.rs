@@ -35,7 +35,7 @@ enum Next {
     Calibrate,
 }
 
-pub fn run(arguments: &Monitor, output: Output) -> Result<()> {
+pub fn run(arguments: &Monitor, output: &Output) -> Result<()> {
     let stop = interrupted()?;
     let end = deadline(arguments.seconds);
     loop {

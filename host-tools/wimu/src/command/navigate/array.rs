@@ -17,7 +17,7 @@ pub fn path(
     arguments: &Navigate,
     geometry: &Path,
     choice: &Choice,
-    output: Output,
+    output: &Output,
 ) -> Result<(InertialPath, Option<Refined>)> {
     for written in [&arguments.refine, &arguments.output, &arguments.report] {
         for read in arguments.boards.iter().chain(&arguments.calibration) {

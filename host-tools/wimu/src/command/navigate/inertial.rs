@@ -23,8 +23,6 @@ use crate::output::Output;
 /// A path, as `--json` prints it.
 #[derive(Serialize)]
 pub struct Found {
-    schema: &'static str,
-    status: &'static str,
     source: String,
     method: Method,
     /// Value of the option `--zupt`.
@@ -57,7 +55,6 @@ pub struct Found {
     /// Moves between rests.
     moves: Vec<MoveFound>,
     refined: Option<Refined>,
-    findings: Vec<Finding>,
 }
 
 #[derive(Serialize)]
@@ -132,7 +129,7 @@ impl Nees {
 }
 
 /// Navigates a recording of one unit, or an array.
-pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
+pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
     let source = arguments.input.display().to_string();
     let found = match &arguments.geometry {
         Some(geometry) => {
@@ -189,7 +186,7 @@ pub fn one_unit(
     arguments: &Navigate,
     recording: &MotionRecording,
     source: String,
-    output: Output,
+    output: &Output,
 ) -> Result<Found> {
     let choice = choice(arguments)?;
     let path = navigate(recording, &choice)?;
@@ -238,7 +235,7 @@ pub fn present(
     new: &[Finding],
     choice: &Choice,
     source: String,
-    output: Output,
+    output: &Output,
 ) -> Result<Found> {
     let text = text(path, choice, arguments.aids.fixes.is_some());
     output.print(text.trim_end());
@@ -258,8 +255,6 @@ fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
     let last = path.points.last();
     let rests = path.rests();
     Found {
-        schema: "wimu.path/1",
-        status: "ok",
         source,
         method: path.method,
         zupt: match choice.zupt {
@@ -303,7 +298,6 @@ fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
         velocity_nees: Nees::of(&path.velocity_nees, path),
         moves: path.moves.iter().map(MoveFound::of).collect(),
         refined: None,
-        findings: path.findings.clone(),
     }
 }
 

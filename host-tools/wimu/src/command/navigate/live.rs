@@ -23,7 +23,6 @@ const MOST_LATE_S: f64 = 2.0;
 /// A position, as `--json` prints it.
 #[derive(Serialize)]
 struct Pose {
-    schema: &'static str,
     /// Device clock.
     time_s: f64,
     position_m: [f64; 3],
@@ -41,7 +40,6 @@ struct Pose {
 impl Pose {
     fn of(point: &PathPoint) -> Self {
         Self {
-            schema: "wimu.pose/1",
             time_s: point.time_s,
             position_m: point.position_m,
             sigma_m: point.sigma_m(),
@@ -76,7 +74,7 @@ impl Pose {
 }
 
 /// Navigates the samples of a board while they arrive.
-pub fn run(arguments: &Navigate, link: &str, output: Output) -> Result<()> {
+pub fn run(arguments: &Navigate, link: &str, output: &Output) -> Result<()> {
     corrected_there(arguments, link)?;
     let aids = &arguments.aids;
     let read = [&aids.fixes, &aids.ranges, &aids.anchors];

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 use wimu_host::Result;
 use wimu_host::digits::{east_north_up, significant};
-use wimu_host::finding::{Finding, FindingCode};
+use wimu_host::finding::FindingCode;
 use wimu_host::inertial::Method;
 use wimu_host::localization::{
     AnchorFound, Localization, LocalizationChoice, Noise, Parameter, RangePrior, RangeRecording,
@@ -35,11 +35,10 @@ struct Found {
     odometer_scale: Option<Parameter>,
     /// Ranges are measured so much later than their times say.
     delay_s: Option<Parameter>,
-    findings: Vec<Finding>,
 }
 
 /// Localizes, prints and writes.
-pub fn run(arguments: &Navigate, anchors: &Path, output: Output) -> Result<()> {
+pub fn run(arguments: &Navigate, anchors: &Path, output: &Output) -> Result<()> {
     let others = [&arguments.aids.ranges, &arguments.odometry];
     for written in [&arguments.output, &arguments.report] {
         let others = others.into_iter().flatten().map(|file| file.as_path());
@@ -83,7 +82,7 @@ pub fn run(arguments: &Navigate, anchors: &Path, output: Output) -> Result<()> {
         found.page(&source, &text)?.write(file)?;
         output.print(format!("wrote {}", file.display()));
     }
-    output.answer("wimu.localization/1", &object(source, found));
+    output.object(&object(source, found));
     Ok(())
 }
 
@@ -103,7 +102,6 @@ fn object(source: String, found: Localization) -> Found {
         noise: found.noise,
         odometer_scale: found.odometer_scale,
         delay_s: found.delay_s,
-        findings: found.path.findings,
         anchors: found.anchors,
     }
 }

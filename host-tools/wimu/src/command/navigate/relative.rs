@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use wimu_host::calibration::read_parameters;
-use wimu_host::finding::Finding;
 use wimu_host::history::Recording;
 use wimu_host::motion::MotionRecording;
 use wimu_host::relative::{Clock, Hinge, RelativeChoice, RelativePath, relative};
@@ -36,11 +35,10 @@ struct Found {
     lever_arms_m: [[f64; 3]; 2],
     joint_nis: f64,
     clock: Clock,
-    findings: Vec<Finding>,
 }
 
 /// Computes, prints and writes the angle.
-pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
+pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
     let [other] = arguments.boards.as_slice() else {
         return Err(usage(
             "--relative takes two recordings",
@@ -75,7 +73,7 @@ fn present(
     arguments: &Navigate,
     sources: [String; 2],
     found: RelativePath,
-    output: Output,
+    output: &Output,
 ) -> Result<()> {
     let text = found.text();
     output.print(text.trim_end());
@@ -88,7 +86,7 @@ fn present(
         found.page(&sources.join(" and "), &text)?.write(file)?;
         output.print(format!("wrote {}", file.display()));
     }
-    output.answer("wimu.relative/1", &object(sources, found));
+    output.object(&object(sources, found));
     Ok(())
 }
 
@@ -137,6 +135,5 @@ fn object(sources: [String; 2], found: RelativePath) -> Found {
         lever_arms_m: found.lever_arms_m,
         joint_nis: found.joint_nis,
         clock: found.clock,
-        findings: found.findings,
     }
 }

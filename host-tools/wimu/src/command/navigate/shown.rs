@@ -1,11 +1,10 @@
 //! What is printed and checked while boards send.
 
-use std::io::{self, IsTerminal};
 use std::path::PathBuf;
 
 use serde::Serialize;
 use wimu_host::Result;
-use wimu_host::finding::{Finding, text};
+use wimu_host::finding::Finding;
 
 use crate::arguments::Navigate;
 use crate::command::not_over_input;
@@ -17,8 +16,8 @@ const RATE_HZ: f64 = 10.0;
 pub const WAIT: &str = "wait longer; `wimu monitor LINK` shows whether samples arrive";
 
 /// What is printed while it goes on.
-pub struct Shown {
-    output: Output,
+pub struct Shown<'a> {
+    output: &'a Output,
     refreshes: bool,
     every_s: f64,
     last_s: Option<f64>,
@@ -29,12 +28,12 @@ pub struct Shown {
     pub going: bool,
 }
 
-impl Shown {
+impl<'a> Shown<'a> {
     /// Answers per second from `--rate`, [`RATE_HZ`] without it.
-    pub fn new(rate_hz: Option<f64>, output: Output) -> Self {
+    pub fn new(rate_hz: Option<f64>, output: &'a Output) -> Self {
         Self {
             output,
-            refreshes: io::stdout().is_terminal() && io::stderr().is_terminal(),
+            refreshes: output.is_terminal(),
             every_s: rate_hz.unwrap_or(RATE_HZ).recip(),
             last_s: None,
             printed_s: None,
@@ -72,8 +71,7 @@ impl Shown {
             if self.is_new(finding) {
                 self.said.push(kind(finding));
                 self.output.end_refresh();
-                let text = text(std::slice::from_ref(finding), 1);
-                self.output.print(text.trim_end());
+                self.output.findings(std::slice::from_ref(finding));
             }
         }
     }

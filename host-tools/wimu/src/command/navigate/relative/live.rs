@@ -20,7 +20,6 @@ use crate::output::{Output, usage};
 /// A rotation, as `--json` prints it.
 #[derive(Serialize)]
 struct Angle {
-    schema: &'static str,
     /// Clock of the first unit.
     time_s: f64,
     angle_deg: f64,
@@ -36,7 +35,6 @@ struct Angle {
 impl Angle {
     fn of(point: &RelativePoint, accurate: bool) -> Self {
         Self {
-            schema: "wimu.angle/1",
             time_s: point.time_s,
             angle_deg: point.angle_rad.to_degrees(),
             sigma_deg: point.sigma_rad.to_degrees(),
@@ -69,7 +67,7 @@ pub fn run(
     arguments: &Navigate,
     links: [LinkUrl; 2],
     choice: RelativeChoice,
-    output: Output,
+    output: &Output,
 ) -> Result<()> {
     let names = links.map(|link| link.to_string());
     corrected_there(arguments, &names[0])?;

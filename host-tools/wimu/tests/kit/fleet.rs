@@ -78,7 +78,10 @@ impl Gateway {
         let Ok(started) = serde_json::from_str::<Value>(&line) else {
             panic!("{line} {:?}", process.finish());
         };
-        Self { process, metrics: started["data"]["metrics"].as_str().unwrap_or_default().to_owned() }
+        Self {
+            process,
+            metrics: started["data"]["metrics"].as_str().unwrap_or_default().to_owned(),
+        }
     }
 
     /// Sum of a metric over the boards.

@@ -1,5 +1,6 @@
 //! How many samples a second a host decodes on one core, against the `mavlink` crate, which decodes
-//! the same samples from RAW_IMU messages: `cargo run --release -p wimu-tests --example decode_rate`.
+//! the same samples from RAW_IMU messages:
+//! `cargo run --release -p wimu-tests --features baselines --example decode_rate`.
 //!
 //! Both read from memory in pieces of 4096 bytes, check every CRC, and hand out every sample with its
 //! time; what comes out is summed up and compared. The best of many short rounds counts, in turn, so that

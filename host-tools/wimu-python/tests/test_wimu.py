@@ -5,12 +5,14 @@ WIMU_COMMAND is the command to compare with.
 """
 
 import ast
+import atexit
 import csv
 import inspect
 import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -48,7 +50,10 @@ def figure(claim, measured, target, met):
 
 
 def folder():
-    return Path(tempfile.mkdtemp(prefix="wimu-python-"))
+    """A folder that lasts as long as the tests."""
+    path = Path(tempfile.mkdtemp(prefix="wimu-python-"))
+    atexit.register(shutil.rmtree, path, ignore_errors=True)
+    return path
 
 
 def public(name):
@@ -442,6 +447,8 @@ def main(parts):
     for name in chosen:
         tests[name]()
         print(f"ok {name.removeprefix('test_').replace('_', ' ')}")
+    # `cargo xtask` reads it: a test that fails ends the run.
+    print(f"test result: ok. {len(chosen)} passed; 0 failed")
 
 
 if __name__ == "__main__":

@@ -42,10 +42,9 @@ fn contains(all: &[u8], part: &[u8]) -> bool {
 }
 
 #[test]
+#[ignore = "needs Mosquitto: cargo xtask test --only broker"]
 fn a_recording_through_the_broker_is_bit_exact() {
-    let Some(broker) = Mosquitto::start() else {
-        return;
-    };
+    let broker = Mosquitto::start();
     let tape = Tape::record(60.0);
     let boards = Boards::start(&tape, 20, None);
     let folder = folder();
@@ -97,10 +96,9 @@ fn a_recording_through_the_broker_is_bit_exact() {
 }
 
 #[test]
+#[ignore = "needs Mosquitto: cargo xtask release --only heavy"]
 fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
-    let Some(broker) = Mosquitto::start() else {
-        return;
-    };
+    let broker = Mosquitto::start();
     let folder = folder();
     let store = folder.path().join("board.store");
     let board = Simulator::start(&["--store", store.to_str().unwrap(), "--motion", "rest"]);
@@ -215,10 +213,9 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
 }
 
 #[test]
+#[ignore = "needs Mosquitto: cargo xtask release --only heavy"]
 fn a_killed_broker_and_a_killed_gateway_leave_only_counted_gaps() {
-    let Some(mut broker) = Mosquitto::start() else {
-        return;
-    };
+    let mut broker = Mosquitto::start();
     let tape = Tape::record(240.0);
     let boards = Boards::start(&tape, 3, None);
     let folder = folder();
@@ -257,10 +254,9 @@ fn a_killed_broker_and_a_killed_gateway_leave_only_counted_gaps() {
 }
 
 #[test]
+#[ignore = "needs Mosquitto: cargo xtask release --only heavy"]
 fn garbage_large_messages_and_other_gateways_do_no_harm() {
-    let Some(broker) = Mosquitto::start() else {
-        return;
-    };
+    let broker = Mosquitto::start();
     let tape = Tape::record(240.0);
     let boards = Boards::start(&tape, 2, None);
     let folder = folder();
@@ -365,10 +361,9 @@ fn garbage_large_messages_and_other_gateways_do_no_harm() {
 }
 
 #[test]
+#[ignore = "needs Mosquitto: cargo xtask release --only heavy"]
 fn a_client_that_takes_the_gateways_id_leaves_no_gap() {
-    let Some(broker) = Mosquitto::start() else {
-        return;
-    };
+    let broker = Mosquitto::start();
     let tape = Tape::record(120.0);
     let boards = Boards::start(&tape, 2, None);
     let folder = folder();
@@ -396,17 +391,11 @@ fn a_client_that_takes_the_gateways_id_leaves_no_gap() {
 }
 
 #[test]
+#[ignore = "needs Mosquitto: cargo xtask release --only heavy"]
 fn a_host_clock_that_jumps_loses_no_sample() {
     let library = Path::new("/usr/lib/x86_64-linux-gnu/faketime/libfaketime.so.1");
-    let Some(broker) = Mosquitto::start().filter(|_| {
-        let found = library.exists();
-        if !found {
-            println!("skipped: faketime is missing; `cargo xtask setup` installs it");
-        }
-        found
-    }) else {
-        return;
-    };
+    assert!(library.exists(), "faketime is missing: cargo xtask setup --release");
+    let broker = Mosquitto::start();
     let tape = Tape::record(240.0);
     let boards = Boards::start(&tape, 2, None);
     let folder = folder();

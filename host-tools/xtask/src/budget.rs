@@ -1,36 +1,153 @@
-//! The measured figures: every example of a library that measures a budget or an accuracy, and
-//! what the node and a sample cost on a microcontroller.
+//! Flash and RAM of the images against their limits.
 
 use std::path::Path;
 
-use crate::command_line::heading;
-use crate::instructions;
-use crate::profile;
-use crate::setup::cargo;
-use crate::workspace::Workspace;
+use wimu_testkit::figure;
+use xshell::{Shell, cmd};
+
+use crate::boards::{Board, CALIBRATION, MICROBIT, PICO, QEMU, RADIO, buildable};
+use crate::size::Size;
+use crate::{Result, instructions};
 
 /// Where recordings are looked for: beside the repository, of which they are no part.
 pub const DATA: &str = "../shared/data";
+/// The most flash, bytes, that authentication may take in an image.
+const AUTHENTICATION_LIMIT: u32 = 12 << 10;
 
-/// Runs each measurement, handing it the folder of recordings if there is one.
-///
-/// # Errors
-/// Says which command failed, or which figure is past its bar.
-pub fn run(workspace: &Workspace, data: Option<&str>) -> Result<(), String> {
-    let data = match data {
-        Some(folder) if Path::new(folder).is_dir() => Some(folder),
-        Some(folder) => return Err(format!("there is no folder {folder}")),
-        None => Some(DATA).filter(|folder| Path::new(folder).is_dir()),
-    };
-    for package in workspace.below("crates") {
-        let measures = |name: &str| name.contains("budget") || name.contains("accuracy");
-        for example in package.targets.iter().filter(|t| t.kind == "example" && measures(&t.name)) {
-            heading(&format!("{}: {}", package.name, example.name));
-            let run = cargo("run --release --quiet")
-                .words(&format!("-p {} --example {}", package.name, example.name));
-            data.map_or(run.clone(), |folder| run.word("--").word(folder)).run()?;
+/// An image, and the bytes it may take.
+struct Image {
+    what: &'static str,
+    board: Board,
+    program: &'static str,
+    /// Features instead of the default ones.
+    features: Option<&'static str>,
+    /// Targets, KiB of flash and of RAM without the stack; 0: none.
+    aims: [u32; 2],
+    /// Limits, bytes: a little more than it takes, for another compiler's sake. Who makes it smaller lowers them.
+    limits: [u32; 2],
+}
+
+const fn image(what: &'static str, board: Board, aims: [u32; 2], limits: [u32; 2]) -> Image {
+    Image { what, program: board.program, board, features: None, aims, limits }
+}
+
+/// A choice of the node's features on the micro:bit.
+const fn profile(
+    what: &'static str,
+    features: &'static str,
+    aims: [u32; 2],
+    limits: [u32; 2],
+) -> Image {
+    Image { features: Some(features), ..image(what, MICROBIT, aims, limits) }
+}
+
+/// A function on a Cortex-M4F; its flash is that beyond the program [`EMPTY`].
+const fn function(what: &'static str, program: &'static str, aim: u32, limit: u32) -> Image {
+    Image { program, ..image(what, CALIBRATION, [aim, 0], [limit, u32::MAX]) }
+}
+
+const EMPTY: &str = "calibration-empty";
+/// The image of the lane `test`, optimised for speed.
+const QEMU_IMAGE: Image = image("image for QEMU", QEMU, [0, 0], [210_000, 30_000]);
+const IMAGES: [Image; 11] = [
+    QEMU_IMAGE,
+    profile("profile stream", "", [48, 8], [54_700, 8_192]),
+    profile("profile navigate", "navigate", [64, 12], [95_900, 15_700]),
+    // The default: the image that is left.
+    image("profile full, micro:bit", MICROBIT, [80, 16], [115_712, 22_000]),
+    image("Pico", PICO, [80, 16], [113_664, 22_000]),
+    // Half of it is the controller and the host stack of Bluetooth: it has no target.
+    image("nRF52840 with BLE", RADIO, [0, 0], [230 << 10, 42_000]),
+    function("bare loop", "bare-loop", 3, 13_000),
+    function("minimal_fit::<f32>", "calibration-minimal-f32", 24, 24 << 10),
+    function("minimal_fit::<f64>", "calibration-minimal-f64", 0, u32::MAX),
+    function("multi_position", "calibration-multi-position", 0, u32::MAX),
+    function("best_model", "calibration-best-model", 0, u32::MAX),
+];
+
+/// Prints all measured figures: sizes, the stack of a calibration, bytes on the wire, accuracy, instructions.
+pub fn run(sh: &Shell) -> Result {
+    sizes(sh)?;
+    cmd!(sh, "cargo run --release --quiet -p wimu-integrator --example accuracy").run()?;
+    let data = Path::new(DATA).is_dir().then_some(DATA);
+    cmd!(sh, "cargo run --release --quiet -p wimu-link --example wire_budget -- {data...}")
+        .run()?;
+    instructions::run(sh)
+}
+
+/// Builds the images and prints their sizes, and the stack of a calibration.
+pub fn sizes(sh: &Shell) -> Result {
+    let boards = buildable(sh);
+    let mut problems = Vec::new();
+    for image in &IMAGES {
+        if boards.iter().all(|board| board.folder != image.board.folder) {
+            continue;
+        }
+        match image.features {
+            Some(features) => {
+                image.board.build(sh, &["--no-default-features", "--features", features])?
+            }
+            None => image.board.build(sh, &[])?,
+        }
+        problems.extend(image.measure()?);
+        if image.program.starts_with("calibration-") {
+            let stack = qemu(sh, "mps2-an386", &[], &image.board.image(image.program))?;
+            println!("stack, {}: {:.1} KiB", image.what, stack.trim().parse::<f64>()? / 1024.0);
         }
     }
-    profile::run()?;
-    instructions::run()
+    if problems.is_empty() { Ok(()) } else { Err(problems.join("; ").into()) }
+}
+
+/// Checks that the image for QEMU, already built, is within its limits.
+pub fn check_qemu() -> Result {
+    let problems = QEMU_IMAGE.measure()?;
+    if problems.is_empty() { Ok(()) } else { Err(problems.join("; ").into()) }
+}
+
+impl Image {
+    /// Prints the size of the image and says what is past its limit.
+    fn measure(&self) -> Result<Vec<String>> {
+        let mut size = Size::read(&self.board.image(self.program))?;
+        let mut problems = Vec::new();
+        if self.board.folder == CALIBRATION.folder {
+            size.flash = size.flash.saturating_sub(Size::read(&self.board.image(EMPTY))?.flash);
+        } else {
+            println!("authentication, {}: {} bytes of flash", self.what, size.authentication);
+            self.measure_part("RAM without the stack", size.ram, 1, &mut problems);
+        }
+        self.measure_part("flash", size.flash, 0, &mut problems);
+        if size.authentication > AUTHENTICATION_LIMIT {
+            problems.push(format!(
+                "{}: authentication takes over {AUTHENTICATION_LIMIT} bytes",
+                self.what
+            ));
+        }
+        Ok(problems)
+    }
+
+    fn measure_part(&self, part: &str, bytes: u32, index: usize, problems: &mut Vec<String>) {
+        let (aim, limit) = (self.aims[index], self.limits[index]);
+        let target = if aim > 0 { format!("at most {aim} KiB") } else { "–".into() };
+        let measured = format!("{:.1} KiB", f64::from(bytes) / 1024.0);
+        figure(
+            &format!("{part}, {}", self.what),
+            measured,
+            &target,
+            aim == 0 || bytes <= aim << 10,
+        );
+        if bytes > limit {
+            problems.push(format!("{}: {bytes} bytes of {part}, limit {limit}", self.what));
+        }
+    }
+}
+
+/// What an image prints by semihosting on a machine of QEMU.
+pub fn qemu(sh: &Shell, machine: &str, options: &[&str], image: &Path) -> Result<String> {
+    let quiet = ["-display", "none", "-monitor", "none", "-serial", "none"];
+    let semihosting = ["-semihosting-config", "enable=on,target=native"];
+    Ok(cmd!(
+        sh,
+        "qemu-system-arm -M {machine} {quiet...} {semihosting...} {options...} -kernel {image}"
+    )
+    .read()?)
 }

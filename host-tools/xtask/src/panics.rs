@@ -3,15 +3,14 @@
 //! which index matrices of `nalgebra`, and the borrows inside critical sections of generic and asynchronous functions.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-use std::time::SystemTime;
+use std::path::PathBuf;
 
 use object::read::elf::ElfFile32;
 use object::{Object as _, ObjectSection as _, ObjectSymbol as _, RelocationTarget};
+use xshell::Shell;
 
-use crate::command_line::heading;
-use crate::output::Output;
-use crate::setup::{self, Need, TARGETS, ThisMachine, embedded_cargo};
+use crate::Result;
+use crate::setup::{TARGETS, embedded_cargo};
 
 /// The libraries, with the features that add functions.
 const LIBRARIES: [(&str, &str); 7] = [
@@ -27,29 +26,21 @@ const LIBRARIES: [(&str, &str); 7] = [
 const CONSTANTS: [&str; 1] = ["wimu_node::mounting::Mounting::new"];
 
 /// Builds the libraries and looks for panics.
-///
-/// # Errors
-/// Names each function that can panic.
-pub fn run() -> Result<(), String> {
-    let source = setup::provide(Need::Targets, &mut ThisMachine)?;
+pub fn run(sh: &Shell) -> Result {
     let mut found = Vec::new();
     let mut known = 0;
     for target in TARGETS {
         for (library, features) in LIBRARIES {
-            heading(&format!("{library} for {target}"));
-            embedded_cargo(source, "rustc")
-                .words(&format!("-p {library} --lib --release --target {target}"))
-                .words(&format!("--features={features}"))
-                .words("-- --emit=obj -Copt-level=3 -Ccodegen-units=1 -Cpanic=abort")
-                .run()?;
-            let object = newest_object(&Output::of(Path::new("."))?, library, target)?;
-            let failed = |error: &dyn std::fmt::Display| format!("{}: {error}", object.display());
-            let bytes = std::fs::read(&object).map_err(|error| failed(&error))?;
-            let panics = panics(&bytes).map_err(|error| failed(&error))?;
-            for (function, panic) in panics {
-                match CONSTANTS.iter().any(|known| function.starts_with(known)) {
-                    true => known += 1,
-                    false => found.push(format!("{function}: {panic}")),
+            let package =
+                ["-p", library, "--lib", "--release", "--target", target, "--features", features];
+            let compiler = ["--emit=obj", "-Copt-level=3", "-Ccodegen-units=1", "-Cpanic=abort"];
+            embedded_cargo(sh, "rustc").args(package).arg("--").args(compiler).run()?;
+            let object = newest_object(library, target)?;
+            for (function, panic) in panics(&std::fs::read(object)?)? {
+                if CONSTANTS.iter().any(|known| function.starts_with(known)) {
+                    known += 1;
+                } else {
+                    found.push(format!("{function}: {panic}"));
                 }
             }
         }
@@ -57,31 +48,28 @@ pub fn run() -> Result<(), String> {
     if known == 0 {
         return Err("no panic was found where one is known to be".into());
     }
-    match found {
-        none if none.is_empty() => Ok(()),
-        some => Err(format!("panics are reachable in\n    {}", some.join("\n    "))),
+    if found.is_empty() {
+        return Ok(());
     }
+    Err(format!("panics are reachable in\n    {}", found.join("\n    ")).into())
 }
 
 /// The object file of a library that was written last.
-fn newest_object(output: &Output, library: &str, target: &str) -> Result<PathBuf, String> {
-    let folder = output.image("deps", target);
+fn newest_object(library: &str, target: &str) -> Result<PathBuf> {
+    let folder =
+        std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| "target".into(), PathBuf::from);
+    let folder = folder.join(target).join("release/deps");
     let start = format!("{}-", library.replace('-', "_"));
-    let age = |path: &PathBuf| {
-        let modified = path.metadata().and_then(|data| data.modified());
-        modified.unwrap_or(SystemTime::UNIX_EPOCH)
-    };
-    let files =
-        std::fs::read_dir(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
-    files
-        .flatten()
-        .map(|file| file.path())
-        .filter(|path| {
-            let name = path.file_name().unwrap_or_default().to_string_lossy();
-            name.starts_with(&start) && name.ends_with(".o")
-        })
-        .max_by_key(age)
-        .ok_or_else(|| format!("{library}: no object file in {}", folder.display()))
+    let mut newest = None;
+    for entry in std::fs::read_dir(folder)? {
+        let entry = entry?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if name.starts_with(&start) && name.ends_with(".o") {
+            newest = newest.max(Some((entry.metadata()?.modified()?, entry.path())));
+        }
+    }
+    let (_, path) = newest.ok_or_else(|| format!("{library}: no object file"))?;
+    Ok(path)
 }
 
 /// The functions of an object file that refer to a panic, and to which.

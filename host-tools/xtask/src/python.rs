@@ -1,95 +1,57 @@
 //! The Python module, `host-tools/wimu-python`.
 
 use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use crate::command_line::CommandLine;
-use crate::setup::{Need, ThisMachine, cargo, provide};
+use xshell::{Cmd, Shell, cmd};
+
+use crate::lanes::Run;
+use crate::{Result, setup};
 
 const CRATE: &str = "host-tools/wimu-python";
 
-/// Finds Python, and installs these packages from PyPI in a virtual environment below the target folder: its interpreter.
-///
-/// # Errors
-/// Says what is missing or which command failed.
-pub fn environment(packages: &str) -> Result<PathBuf, String> {
-    provide(Need::Optional, &mut ThisMachine)?;
-    let folder = target().join("python");
-    let python = folder.join("bin/python");
-    if !python.exists() {
-        CommandLine::new("python3 -m venv").word(&text(&folder)).run()?;
-    }
-    let has = |name: &str| interpreter(&python).word("-c").word(&format!("import {name}"));
-    if packages.split(' ').any(|name| has(name).output().is_none()) {
-        let install = interpreter(&python).words("-m pip install --quiet").words(packages);
-        install.run().map_err(|problem| {
-            format!("Python packages are missing and could not be installed from PyPI: {problem}")
-        })?;
-    }
-    println!("{}: {packages}", python.display());
-    Ok(python)
-}
-
-/// Builds the module with cargo alone and compares a calibration with that of the command.
-///
-/// # Errors
-/// Says what is missing or which command failed.
-pub fn smoke() -> Result<(), String> {
-    let python = environment("numpy")?;
-    // Together: with the same features of what both use.
-    cargo("build -p wimu-python -p wimu").run()?;
-    let built = target().join("debug");
+/// Compares a calibration of the module, as built with the tests, with that of the command.
+pub fn smoke(run: &Run<'_>) -> Result {
+    let sh = run.sh;
+    cmd!(sh, "cargo build --locked --workspace --lib --bins --tests").run()?;
     let module = target().join("python/module");
-    let copied = fs::create_dir_all(&module).and_then(|()| {
-        let library = built.join(format!("{DLL_PREFIX}wimu{DLL_SUFFIX}"));
-        fs::copy(library, module.join("wimu.abi3.so"))
-    });
-    copied.map_err(|problem| format!("the Python module cannot be copied: {problem}"))?;
-    let module = std::path::absolute(module).map_err(|problem| problem.to_string())?;
-    tests(&python, &built).word("smoke").with("PYTHONPATH", &text(&module)).run()
+    sh.create_dir(&module)?;
+    sh.copy_file(
+        target().join(format!("debug/{DLL_PREFIX}wimu{DLL_SUFFIX}")),
+        module.join("wimu.abi3.so"),
+    )?;
+    run.tests(tests(sh, "debug").arg("smoke").env("PYTHONPATH", module))
 }
 
 /// Builds the wheel, installs it in the virtual environment, and runs all tests on it.
-///
-/// # Errors
-/// Says what is missing or which command failed.
-pub fn run() -> Result<(), String> {
-    let python = environment("numpy maturin")?;
+pub fn wheel(sh: &Shell) -> Result {
+    setup::run(sh, true)?;
     let wheels = target().join("python/wheels");
     // The version is in the name of a wheel: one of an earlier version would be installed, too.
-    let _ = fs::remove_dir_all(&wheels);
-    interpreter(&python)
-        .words("-m maturin build --release --locked --quiet --manifest-path")
-        .word(&format!("{CRATE}/Cargo.toml"))
-        .word("--out")
-        .word(&text(&wheels))
-        .run()?;
-    let wheel = fs::read_dir(&wheels).ok().and_then(|mut files| files.next()?.ok());
-    let wheel = wheel.ok_or("maturin built no wheel")?;
-    interpreter(&python)
-        .words("-m pip install --quiet --no-deps --force-reinstall")
-        .word(&text(&wheel.path()))
-        .run()?;
-    cargo("build --release -p wimu").run()?;
-    tests(&python, &target().join("release")).run()
+    sh.remove_path(&wheels)?;
+    let manifest = format!("{CRATE}/Cargo.toml");
+    let python = python();
+    cmd!(sh, "{python} -m maturin build --release --locked --quiet --manifest-path {manifest} --out {wheels}").run()?;
+    let wheel = sh.read_dir(&wheels)?;
+    cmd!(sh, "{python} -m pip install --quiet --no-deps --force-reinstall {wheel...}").run()?;
+    cmd!(sh, "cargo build --release --locked -p wimu").run()?;
+    tests(sh, "release").run()?;
+    Ok(())
 }
 
-/// The tests, which compare with the command built in the folder `built`.
-fn tests(python: &Path, built: &Path) -> CommandLine {
-    let command = std::path::absolute(built.join("wimu")).unwrap_or_default();
-    let tests = interpreter(python).word(&format!("{CRATE}/tests/test_wimu.py"));
-    tests.with("WIMU_COMMAND", &text(&command))
+/// The tests, which compare with the command built in a profile.
+fn tests<'a>(sh: &'a Shell, profile: &str) -> Cmd<'a> {
+    let (python, command) = (python(), target().join(profile).join("wimu"));
+    cmd!(sh, "{python} {CRATE}/tests/test_wimu.py").env("WIMU_COMMAND", command)
 }
 
-fn interpreter(python: &Path) -> CommandLine {
-    CommandLine::new("").word(&text(python))
+/// The interpreter of the virtual environment, which `cargo xtask setup` makes.
+fn python() -> PathBuf {
+    std::env::current_dir().unwrap_or_default().join("target/python/bin/python")
 }
 
 fn target() -> PathBuf {
-    std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| "target".into(), PathBuf::from)
-}
-
-fn text(path: &Path) -> String {
-    path.display().to_string()
+    let folder =
+        std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| "target".into(), PathBuf::from);
+    std::path::absolute(&folder).unwrap_or(folder)
 }

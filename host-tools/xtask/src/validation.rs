@@ -1,78 +1,101 @@
-//! `docs/VALIDATION.md` from the results of the campaigns.
+//! `docs/VALIDATION.md` from the results of the campaigns: the headline claims, then each campaign with the targets
+//! that it misses. All figures are in `docs/validation`.
 
 use std::fmt::Write as _;
 use std::fs;
 
 use serde_json::Value;
+use xshell::Shell;
 
-use crate::campaign::{self, CAMPAIGNS, RESULTS};
+use crate::Result;
+use crate::campaign::{self, RESULTS};
 
 /// Widest line of the document, characters.
 const WIDTH: usize = 120;
 
-/// Writes the document: `head.md`, a section a campaign, `tail.md`.
-///
-/// # Errors
-/// Says which file cannot be read or written, or which row is too wide.
-pub fn write() -> Result<(), String> {
+/// Writes the document: `head.md`, the headline claims, a section a campaign, `tail.md`.
+pub fn write(sh: &Shell) -> Result {
     let part = |name: &str| {
         let file = format!("{RESULTS}/{name}");
         fs::read_to_string(&file).map_err(|error| format!("{file}: {error}"))
     };
-    let mut text = part("head.md")?;
-    for campaign in &CAMPAIGNS {
-        let _ = write!(text, "\n## Campaign {}\n\n", campaign.name);
-        match campaign::results(&campaign::file(campaign.name))? {
-            None => text.push_str("Not run yet.\n"),
-            Some(done) => {
-                let _ = writeln!(
-                    text,
-                    "{}. `cargo xtask campaign {}`, seed {}.",
-                    campaign.about, campaign.name, done["seed"]
-                );
-                for (result, fresh) in campaign.results(&done) {
-                    text.push_str(&section(result, fresh)?);
-                }
+    let mut headlines = String::new();
+    let mut sections = String::new();
+    for campaign in campaign::all()? {
+        let done = campaign::results(&campaign.name)?;
+        let _ = write!(sections, "\n## Campaign {}\n\n{}.\n", campaign.name, campaign.about);
+        let mut claims = campaign.headlines.clone();
+        for result in campaign.results(&done) {
+            let date = date(result, campaign.is_fresh(sh, result));
+            sections.push_str(&section(result, &date)?);
+            for figure in figures(result)
+                .iter()
+                .filter(|figure| claims.iter().any(|c| figure["claim"] == **c))
+            {
+                headlines.push_str(&row(figure, Some(&date))?);
             }
+            claims.retain(|claim| figures(result).iter().all(|figure| figure["claim"] != **claim));
+        }
+        for claim in claims {
+            let _ = writeln!(headlines, "| {claim} | – | – | not measured | – |");
         }
     }
+    let mut text = part("head.md")?;
+    text.push_str("\n| claim | figure | bar | met | measured |\n|---|---|---|---|---|\n");
+    text += &headlines;
+    text.push('\n');
+    text += &part("limits.md")?;
+    text += &sections;
     let _ = write!(text, "\n{}", part("tail.md")?);
-    let document = "docs/VALIDATION.md";
-    fs::write(document, text).map_err(|error| format!("{document}: {error}"))
+    Ok(fs::write("docs/VALIDATION.md", text)?)
 }
 
-/// The table of a command: one row a figure, missed targets included. Without figures, whether it passes.
-fn section(result: &Value, fresh: bool) -> Result<String, String> {
-    let figures = result["figures"].as_array().map_or(&[][..], Vec::as_slice);
-    let mut text = format!(
-        "\n    cargo {}\n\n{} minutes at commit {:.8}{}.\n",
-        result["command"].as_str().unwrap_or_default(),
-        result["minutes"],
-        result["commit"].as_str().unwrap_or_default(),
-        match (result["passed"] == false, figures.is_empty(), fresh) {
-            (true, ..) => ", **fails**",
-            (_, true, true) => ", passes",
-            (_, true, false) => ", passes *stale*",
-            _ => "",
-        },
-    );
-    if !figures.is_empty() {
-        text.push_str("\n| claim | figure | target | met |\n|---|---|---|---|\n");
+/// The day of a result, marked where its sources have changed since.
+fn date(result: &Value, fresh: bool) -> String {
+    let day = result["date"].as_str().unwrap_or("unknown");
+    if fresh { day.into() } else { format!("{day} *") }
+}
+
+fn figures(result: &Value) -> &[Value] {
+    result["figures"].as_array().map_or(&[], Vec::as_slice)
+}
+
+/// A row of a table: the claim, the figure, its bar, whether it is met, and the day.
+fn row(figure: &Value, date: Option<&str>) -> Result<String> {
+    let field = |key: &str| figure[key].as_str().unwrap_or_default().replace('|', "\\|");
+    let [claim, measured, target] = ["claim", "figure", "target"].map(field);
+    let met = if figure["met"] == false { "**missed**" } else { "passed" };
+    let line = match date {
+        Some(date) => format!("| {claim} | {measured} | {target} | {met} | {date} |\n"),
+        None => format!("| {claim} | {measured} | {target} |\n"),
+    };
+    if line.chars().count() > WIDTH + 1 {
+        return Err(format!("a row is wider than {WIDTH} characters: {line}").into());
     }
-    for figure in figures {
-        let field = |key: &str| figure[key].as_str().unwrap_or_default().replace('|', "\\|");
-        let met = match figure["met"] == false {
-            true => "**no**",
-            false => "yes",
-        };
-        let [claim, figure, target] = ["claim", "figure", "target"].map(field);
-        let line = format!("| {claim} | {figure} | {target} | {met}");
-        // Without the mark of a stale row, which another commit adds.
-        if line.chars().count() + " |".len() > WIDTH {
-            return Err(format!("a row is wider than {WIDTH} characters: {line}"));
-        }
-        text.push_str(&line);
-        text.push_str(if fresh { " |\n" } else { " *stale* |\n" });
+    Ok(line)
+}
+
+/// A command: when it was run, how many targets it meets, and a table of those that it misses.
+fn section(result: &Value, date: &str) -> Result<String> {
+    let figures = figures(result);
+    let missed: Vec<&Value> = figures.iter().filter(|figure| figure["met"] == false).collect();
+    let passes = if result["passed"] == false { "**fails**" } else { "passes" };
+    let mut text = format!("\n    cargo {}\n\n", result["command"].as_str().unwrap_or_default());
+    let _ = write!(text, "{date}, {} minutes, {passes}", result["minutes"]);
+    if figures.is_empty() {
+        return Ok(text + ".\n");
+    }
+    let _ = writeln!(
+        text,
+        "; {} of {} figures meet their bars.",
+        figures.len() - missed.len(),
+        figures.len()
+    );
+    if !missed.is_empty() {
+        text.push_str("\n| missed | figure | bar |\n|---|---|---|\n");
+    }
+    for figure in missed {
+        text.push_str(&row(figure, None)?);
     }
     Ok(text)
 }
@@ -83,38 +106,28 @@ mod tests {
 
     use super::*;
 
-    fn result(claim: &str) -> Value {
-        json!({
-            "command": "test", "commit": "0123456789abcdef", "minutes": 1.5,
+    #[test]
+    fn every_missed_target_is_shown_and_met_ones_are_counted() {
+        let result = json!({
+            "command": "test", "date": "2026-11-28", "minutes": 1.5,
             "figures": [
                 { "claim": "holds", "figure": "95 %", "target": "93 to 97 %", "met": true },
-                { "claim": claim, "figure": "9 m", "target": "1 m", "met": false },
+                { "claim": "|f|", "figure": "9 m", "target": "1 m", "met": false },
             ],
-        })
-    }
-
-    #[test]
-    fn a_missed_target_and_a_stale_row_are_marked_in_the_same_table() {
-        let fresh = section(&result("|f|"), true).expect("narrow");
-        for row in ["| holds | 95 % | 93 to 97 % | yes |\n", "| \\|f\\| | 9 m | 1 m | **no** |\n"] {
-            assert!(fresh.contains(row), "{fresh}");
-        }
-        let stale = section(&result("|f|"), false).expect("narrow");
-        assert!(stale.contains("| yes *stale* |"), "{stale}");
-    }
-
-    #[test]
-    fn a_command_without_figures_has_no_table() {
-        let result = json!({ "command": "check", "commit": "0123456789", "minutes": 1, "passed": true, "figures": [] });
-        let text = section(&result, true).expect("narrow");
-        assert!(text.ends_with("01234567, passes.\n"), "{text}");
+        });
+        let text = section(&result, &date(&result, false)).expect("narrow");
+        assert!(
+            text.contains("2026-11-28 *, 1.5 minutes, passes; 1 of 2 figures meet their bars."),
+            "{text}"
+        );
+        assert!(text.contains("| \\|f\\| | 9 m | 1 m |\n") && !text.contains("holds"), "{text}");
     }
 
     #[test]
     fn a_row_that_is_too_wide_is_named_and_not_cut() {
-        let widest = "x".repeat(WIDTH - "|  | 9 m | 1 m | **no** |".len());
-        assert!(section(&result(&widest), false).is_ok());
-        let wider = format!("{widest}x");
-        assert!(section(&result(&wider), false).is_err_and(|why| why.contains(&wider)));
+        let wide = "x".repeat(WIDTH);
+        let problem =
+            row(&json!({ "claim": wide, "figure": "1", "target": "2" }), None).unwrap_err();
+        assert!(problem.to_string().contains(&wide));
     }
 }

@@ -31,7 +31,7 @@ fn assert_samples_again(run: &Run, least: usize) {
 }
 
 #[test]
-#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+#[ignore = "cargo xtask release --only pico"]
 fn a_fault_is_told_with_its_place_in_the_hello_after_the_reset() {
     let run = run(4.0, &[happens(1_500, "fault"), happens(3_000, "reset")]);
     assert_eq!(
@@ -47,7 +47,7 @@ fn a_fault_is_told_with_its_place_in_the_hello_after_the_reset() {
 }
 
 #[test]
-#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+#[ignore = "cargo xtask release --only pico"]
 fn a_panic_is_told_with_its_file_and_line_in_the_hello_after_the_reset() {
     let image = Image::read();
     // What a second mutable borrow of a `RefCell` there would do.
@@ -67,7 +67,7 @@ fn a_panic_is_told_with_its_file_and_line_in_the_hello_after_the_reset() {
 }
 
 #[test]
-#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+#[ignore = "cargo xtask release --only pico"]
 fn a_processor_that_hangs_is_started_anew_by_its_watchdog_which_the_hello_tells() {
     let run = run(5.0, &[happens(1_500, "hang")]);
     assert_eq!(starts(&run), [(ResetReason::PowerOn, None), (ResetReason::Watchdog, None),]);
@@ -76,7 +76,7 @@ fn a_processor_that_hangs_is_started_anew_by_its_watchdog_which_the_hello_tells(
 }
 
 #[test]
-#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+#[ignore = "cargo xtask release --only pico"]
 fn three_starts_that_fail_lead_to_safe_mode_until_the_next_reset() {
     let faults = [500, 1_500, 2_500].map(|at_ms| happens(at_ms, "fault"));
     let [first, second, third] = faults;
@@ -95,7 +95,7 @@ fn three_starts_that_fail_lead_to_safe_mode_until_the_next_reset() {
 }
 
 #[test]
-#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+#[ignore = "cargo xtask release --only pico"]
 fn an_image_that_differs_from_its_crc_starts_in_safe_mode() {
     let run = run(5.0, &[happens(1_500, "damage"), happens(2_500, "reset")]);
     for role in ROLES {
@@ -111,7 +111,7 @@ fn an_image_that_differs_from_its_crc_starts_in_safe_mode() {
 }
 
 #[test]
-#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+#[ignore = "cargo xtask release --only pico"]
 fn starts_are_counted_in_the_flash_and_power_is_told_from_the_reset_button() {
     let run =
         run(4.0, &[happens(1_000, "reset"), happens(2_000, "power"), happens(3_000, "reset")]);

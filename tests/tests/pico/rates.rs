@@ -21,7 +21,7 @@ fn accepted(run: &Run) -> Vec<u32> {
 }
 
 #[test]
-#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+#[ignore = "cargo xtask release --only pico"]
 fn both_ends_of_the_cable_change_their_rate_and_the_board_keeps_it_over_a_power_cut() {
     let run = run(
         6.0,
@@ -52,7 +52,7 @@ fn both_ends_of_the_cable_change_their_rate_and_the_board_keeps_it_over_a_power_
 }
 
 #[test]
-#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+#[ignore = "cargo xtask release --only pico"]
 fn a_board_whose_host_does_not_follow_is_back_at_the_old_rate_after_five_seconds() {
     let run = run(
         9.0,
@@ -70,7 +70,7 @@ fn a_board_whose_host_does_not_follow_is_back_at_the_old_rate_after_five_seconds
 }
 
 #[test]
-#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+#[ignore = "cargo xtask release --only pico"]
 fn the_radio_adapters_rate_is_found_and_kept() {
     for baud in [9600, 38_400] {
         let mut script = vec![rate(0, WIRELESS, baud), happens(10_000, "power")];
@@ -94,7 +94,7 @@ fn the_radio_adapters_rate_is_found_and_kept() {
 }
 
 #[test]
-#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+#[ignore = "cargo xtask release --only pico"]
 fn a_host_at_another_rate_on_the_cable_is_counted_as_damage_and_nothing_else() {
     let mut script = vec![rate(800, CABLE, 57_600), rate(4_000, CABLE, 115_200)];
     script.extend((0..8).map(|k| send(1_000 + k * 300, CABLE, &who_are_you())));

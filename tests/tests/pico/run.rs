@@ -38,7 +38,7 @@ impl Run {
 /// Runs the image for `seconds` of its time while `script` happens.
 pub fn run(seconds: f64, script: &[Value]) -> Run {
     let image =
-        std::env::var("WIMU_PICO_FIRMWARE").expect("`cargo xtask test --only pico` says it");
+        std::env::var("WIMU_PICO_FIRMWARE").expect("`cargo xtask release --only pico` says it");
     let emulator = Path::new(env!("CARGO_MANIFEST_DIR")).join("pico/run.mjs");
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("script.json");

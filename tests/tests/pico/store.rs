@@ -23,7 +23,7 @@ fn push(set: &ParameterSet, id: u32) -> [Vec<u8>; 2] {
 }
 
 #[test]
-#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+#[ignore = "cargo xtask release --only pico"]
 fn a_set_that_was_pushed_is_in_use_after_the_power_was_off() {
     let set = set(16_500.0);
     let [stage, commit] = push(&set, 1);
@@ -52,7 +52,7 @@ fn a_set_that_was_pushed_is_in_use_after_the_power_was_off() {
 }
 
 #[test]
-#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+#[ignore = "cargo xtask release --only pico"]
 fn power_that_fails_in_the_middle_of_any_write_leaves_the_old_set_or_the_new_one() {
     let [old, new] = [16_500.0, 16_200.0].map(set);
     let mut outcomes = Vec::new();
@@ -135,7 +135,7 @@ fn status(run: &Run) -> Status {
 }
 
 #[test]
-#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+#[ignore = "cargo xtask release --only pico"]
 fn no_sample_is_lost_at_the_highest_rate_with_both_links_shedding_and_a_set_being_written() {
     let run = pushed_at(800, 1, "");
     let status = status(&run);
@@ -152,7 +152,7 @@ fn no_sample_is_lost_at_the_highest_rate_with_both_links_shedding_and_a_set_bein
 }
 
 #[test]
-#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+#[ignore = "cargo xtask release --only pico"]
 fn what_the_fifo_cannot_hold_while_the_flash_is_erased_is_counted_to_the_sample() {
     // Enough sets that the store erases a page: 45 ms, or the flash's worst, 400 ms.
     for (rate_hz, flash) in [(100, ""), (400, "slow_flash")] {

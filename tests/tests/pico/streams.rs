@@ -10,7 +10,7 @@ use wimu_tests::{ROLES, assert_replays, gaps, who_are_you};
 use super::run::{CABLE, WIRELESS, happens, request, run, send};
 
 #[test]
-#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+#[ignore = "cargo xtask release --only pico"]
 fn it_streams_on_both_uarts_with_the_times_at_which_the_sensor_had_its_samples() {
     let faster = Settings { rate_hz: 400, ..Settings::default() };
     let run = run(
@@ -64,7 +64,7 @@ fn it_streams_on_both_uarts_with_the_times_at_which_the_sensor_had_its_samples()
 }
 
 #[test]
-#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+#[ignore = "cargo xtask release --only pico"]
 fn a_sensor_that_goes_or_is_exchanged_is_told_and_comes_back() {
     let run = run(
         9.0,
@@ -91,7 +91,7 @@ fn a_sensor_that_goes_or_is_exchanged_is_told_and_comes_back() {
 }
 
 #[test]
-#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+#[ignore = "cargo xtask release --only pico"]
 fn a_bus_held_low_and_a_byte_refused_in_a_burst_are_told_and_the_rest_goes_on() {
     let run = run(
         7.0,
@@ -121,7 +121,7 @@ fn a_bus_held_low_and_a_byte_refused_in_a_burst_are_told_and_the_rest_goes_on() 
 }
 
 #[test]
-#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+#[ignore = "cargo xtask release --only pico"]
 fn interrupts_are_never_off_for_long_not_for_keys_either() {
     let open = |id| request(id, Command::OpenSession);
     let run = run(

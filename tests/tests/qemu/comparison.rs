@@ -14,7 +14,7 @@ use wimu_tests::qemu::QemuBoard;
 use super::{folder, machine, sensor};
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask release --only heavy"]
 fn a_comparison_of_both_uarts_counts_what_was_lost_and_finds_clock_bias_and_scale() {
     let folder = folder();
     let (source, scene) = sensor("hand", World::default(), 8);

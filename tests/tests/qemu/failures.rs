@@ -46,7 +46,7 @@ fn after(failure: &str, seconds: f64) -> (String, ResetReason, String) {
 }
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask release --only heavy"]
 fn an_overflow_of_the_stack_is_a_fault_that_the_next_hello_names() {
     let (ended, reason, fault) = after("overflow=1500", 3.0);
     assert!(ended.contains("102"), "{ended}");
@@ -55,7 +55,7 @@ fn an_overflow_of_the_stack_is_a_fault_that_the_next_hello_names() {
 }
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask release --only heavy"]
 fn a_sampler_without_progress_is_restarted_by_the_watchdog() {
     // 12 s without progress and 2 s of the watchdog.
     let (ended, reason, fault) = after("stuck=1500", 16.0);
@@ -67,7 +67,7 @@ fn a_sampler_without_progress_is_restarted_by_the_watchdog() {
 }
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask release --only heavy"]
 fn three_starts_that_panic_lead_to_safe_mode_until_the_next_reset() {
     let folder = folder();
     let (source, scene) = sensor("rest", World::default(), 5);

@@ -124,7 +124,7 @@ impl Listener {
 }
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask release --only heavy"]
 fn a_board_whose_sensor_bridge_is_silent_says_so_and_goes_on_when_it_speaks() {
     let folder = folder();
     let [cable, wireless] = free_ports();
@@ -147,7 +147,7 @@ fn a_board_whose_sensor_bridge_is_silent_says_so_and_goes_on_when_it_speaks() {
 }
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask release --only heavy"]
 fn a_bridge_that_falls_silent_for_seconds_is_understood_again() {
     let folder = folder();
     let [cable, wireless] = free_ports();
@@ -176,7 +176,7 @@ fn a_bridge_that_falls_silent_for_seconds_is_understood_again() {
 }
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask release --only heavy"]
 fn a_client_that_floods_or_leaves_stops_no_sampling() {
     let folder = folder();
     let [cable, wireless] = free_ports();
@@ -232,7 +232,7 @@ impl Transport for Narrow {
 }
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask release --only heavy"]
 fn a_client_that_stops_reading_costs_only_what_is_counted_and_hears_on_when_it_reads_again() {
     let folder = folder();
     let [cable, _] = free_ports();
@@ -350,7 +350,7 @@ impl Transport for OtherVersion {
 }
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask release --only heavy"]
 fn an_image_of_another_wire_version_is_named_with_what_to_do() {
     let folder = folder();
     let [cable, wireless] = free_ports();

@@ -1,7 +1,6 @@
 //! The firmware of `firmware/qemu-mps2` on an emulated Cortex-M4F.
 //!
-//! `cargo xtask test --only qemu` builds it and runs these; by hand
-//! `cargo xtask firmware && cargo test -p wimu-tests --test all qemu -- --ignored`.
+//! `cargo xtask test --only qemu` builds it and runs the main job, `cargo xtask release --only heavy` all of these.
 //!
 //! Most run in lockstep: what they hold does not depend on how fast this computer is.
 #![cfg(unix)]
@@ -100,7 +99,7 @@ fn first_light(sensor: SensorPart, seed: u64, calibration: Calibration) -> Outco
 }
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask test --only qemu"]
 fn first_light_on_a_cortex_m() {
     let mut worst = [0.0_f64; 3];
     for (seed, calibration) in [(1, Calibration::TwelvePoses), (2, Calibration::SixPositions)] {
@@ -146,7 +145,7 @@ fn first_light_on_a_cortex_m() {
 }
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask release --only heavy"]
 fn first_light_with_six_axes_on_a_cortex_m() {
     let outcome = first_light(SensorPart::Lsm6dso, 1, Calibration::TwelvePoses);
     assert_eq!(outcome.hello.sensor.name.as_str(), "LSM6DSO");
@@ -171,7 +170,7 @@ fn first_light_with_six_axes_on_a_cortex_m() {
 }
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask release --only heavy"]
 fn the_same_seed_gives_the_same_bytes_however_busy_the_computer_is() {
     let part = SensorPart::Lsm303agr;
     let run = || first_light(part, 3, Calibration::TwelvePoses).recording;
@@ -185,13 +184,13 @@ fn the_same_seed_gives_the_same_bytes_however_busy_the_computer_is() {
 }
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask release --only heavy"]
 fn ten_minutes_replay_bit_for_bit_over_gaps_temperature_parameters_and_settings() {
     long_replay(SensorPart::Lsm303agr, 1.0);
 }
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask release --only heavy"]
 fn six_axes_replay_bit_for_bit_over_gaps_temperature_parameters_and_settings() {
     long_replay(SensorPart::Lsm6dso, Lane::current().choose([0.2, 0.2, 1.0]));
 }
@@ -291,7 +290,7 @@ fn long_replay(part: SensorPart, scale: f64) {
 }
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask release --only heavy"]
 fn firmware_that_is_missing_or_does_not_start_is_named() {
     let folder = folder();
     let source = || sensor("rest", World::default(), 1).0;
@@ -306,7 +305,7 @@ fn firmware_that_is_missing_or_does_not_start_is_named() {
 }
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask release --only heavy"]
 fn a_bad_wireless_link_makes_no_wrong_sample_and_leaves_the_cable_perfect() {
     let folder = folder();
     let (source, scene) = sensor("rest,hand,slide", World::default(), 8);

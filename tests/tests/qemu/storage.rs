@@ -26,7 +26,7 @@ fn started(folder: &Path) -> (RefCell<QemuBoard>, Scene) {
 }
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask release --only heavy"]
 fn a_corrupted_memory_is_reported_and_taken_for_locked_until_it_is_erased() {
     let folder = folder();
     // 16 MiB, of which the first pages are used: noise, the same in every run.
@@ -54,7 +54,7 @@ fn a_corrupted_memory_is_reported_and_taken_for_locked_until_it_is_erased() {
 }
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask release --only heavy"]
 fn power_lost_at_any_word_of_a_push_leaves_the_old_parameters_or_the_new() {
     let folder = folder();
     let (board, scene) = started(folder.path());
@@ -146,7 +146,7 @@ fn killed_while_writing(kills: u32) -> ([u32; 2], u32) {
 }
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask release --only heavy"]
 fn a_machine_killed_while_it_writes_holds_the_old_parameters_or_the_new() {
     let kills = std::env::var("WIMU_KILLS").map_or(8, |kills| kills.parse().expect("a number"));
     let ([old, new], unfinished) = killed_while_writing(kills);
@@ -177,7 +177,7 @@ fn flash(path: &Path) -> Vec<u8> {
 }
 
 #[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+#[ignore = "needs QEMU: cargo xtask release --only heavy"]
 fn power_lost_while_a_page_is_erased_leaves_the_old_parameters_or_the_new() {
     let folder = folder();
     let (board, scene) = started(folder.path());

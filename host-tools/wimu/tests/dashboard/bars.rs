@@ -27,9 +27,7 @@ fn used(process: u32) -> Option<(f64, f64)> {
 #[ignore = "a campaign: minutes"]
 fn two_boards_at_1_khz() {
     let folder = folder();
-    let Some(mut browser) = Browser::start(folder.path()) else {
-        return;
-    };
+    let mut browser = Browser::start(folder.path());
     let [one, two] = ["1", "2"].map(|seed| Simulator::start(&["--seed", seed]));
     for board in [&one, &two] {
         wimu(&["settings", "set", &board.cable, "--rate", "1344"]).succeeds();
@@ -77,9 +75,7 @@ const HOUR: &str = "(async () => {
 #[test]
 fn the_page_does_not_grow_in_an_hour_of_frames() {
     let folder = folder();
-    let Some(mut browser) = Browser::start(folder.path()) else {
-        return;
-    };
+    let mut browser = Browser::start(folder.path());
     let served = Served::start(folder.path(), &[]);
     let tab = browser.open(&served.url, 1200, false);
     browser.until(&tab, "server.writes");
@@ -137,9 +133,7 @@ fn a_recording_of_1_gb_is_shown_in_little_memory() {
 #[ignore = "a campaign: it writes docs/pictures"]
 fn pictures() {
     let folder = folder();
-    let Some(mut browser) = Browser::start(folder.path()) else {
-        return;
-    };
+    let mut browser = Browser::start(folder.path());
     record_motion("twelve-poses,slide", 3, folder.path().join("session.mcap").to_str().unwrap());
     let board =
         Simulator::start(&["--sensor", "lsm6dso", "--motion", "twelve-poses,slide", "--seed", "4"]);

@@ -1,11 +1,11 @@
 //! A nine-parameter fit of 38 poses with its covariance, with the leave-one-out error, and with the
 //! search for bad poses, against the fit alone of `imu-calib` 0.3.1, all in turns in one run:
 //!
-//!     cargo run --release -p wimu-calib --example speed
+//!     cargo run --release -p wimu-tests --features baselines --example fit_speed
 //!
 //! Prints the median time of each, their ratio, and how well each recovers the truth.
 
-#[path = "../tests/common/mod.rs"]
+#[path = "../../crates/wimu-calib/tests/common/mod.rs"]
 mod common;
 
 use std::hint::black_box;

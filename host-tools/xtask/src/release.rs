@@ -1,0 +1,136 @@
+//! The lane `release`: what `test` leaves out, before a release.
+
+use xshell::{Shell, cmd};
+
+use crate::boards::{QEMU, build_pico, buildable};
+use crate::lanes::{Lane, Run, libraries};
+use crate::setup::{OLDEST, OLDEST_RUST, TARGETS, embedded_cargo, has};
+use crate::{Result, budget, instructions, panics, python, setup};
+
+/// Tests of the host that take minutes or need a program; campaigns are not among them.
+const HEAVY: [&str; 5] =
+    ["qemu::", "dashboard::browser::", "report_pages::", "fleet::", "hostile::"];
+
+pub const RELEASE: Lane = (
+    "release",
+    &[
+        ("setup", |run| setup::run(run.sh, true)),
+        ("oldest", oldest),
+        ("doc", doc),
+        ("features", features),
+        ("embedded", embedded),
+        ("panics", |run| panics::run(run.sh)),
+        ("boards", boards),
+        ("sizes", |run| budget::sizes(run.sh)),
+        ("instructions", |run| instructions::run(run.sh)),
+        ("heavy", |run| {
+            QEMU.build(run.sh, &[])?;
+            run.ignored_tests(&HEAVY)
+        }),
+        ("pico", pico),
+        ("optional", optional),
+        ("python", |run| python::wheel(run.sh)),
+        ("packages", packages),
+    ],
+);
+
+const DENY: [&str; 3] = ["--", "-D", "warnings"];
+
+fn oldest(run: &Run<'_>) -> Result {
+    if !has(run.sh, OLDEST_RUST) {
+        println!("skipped: Rust {OLDEST} is not installed");
+        return Ok(());
+    }
+    Ok(cmd!(run.sh, "rustup run {OLDEST} cargo check --workspace --locked").run()?)
+}
+
+fn doc(run: &Run<'_>) -> Result {
+    let packages = libraries(run.sh)?.into_iter().flat_map(|(name, _)| ["-p".to_owned(), name]);
+    let doc = cmd!(run.sh, "cargo doc --locked --no-deps --all-features").args(packages);
+    Ok(doc.env("RUSTDOCFLAGS", "-D warnings").run()?)
+}
+
+fn features(run: &Run<'_>) -> Result {
+    for (name, features) in libraries(run.sh)? {
+        let all = features.join(",");
+        let one_by_one = features.iter().map(String::as_str);
+        for choice in one_by_one.chain([all.as_str(), ""]) {
+            let clippy =
+                cmd!(run.sh, "cargo clippy --locked --quiet -p {name} --no-default-features");
+            clippy.args(["--features", choice]).args(DENY).run()?;
+        }
+    }
+    Ok(())
+}
+
+/// Each package by itself: built together, one could lean on features that another asks for.
+fn embedded(run: &Run<'_>) -> Result {
+    for (name, features) in libraries(run.sh)? {
+        for features in [String::new(), features.join(",")] {
+            let check = embedded_cargo(run.sh, "check").args([
+                "--lib",
+                "-p",
+                &name,
+                "--features",
+                &features,
+            ]);
+            check.args(TARGETS.iter().flat_map(|target| ["--target", target])).run()?;
+        }
+    }
+    let bare_loop =
+        embedded_cargo(run.sh, "build").args(["-p", "bare-loop", "--target", TARGETS[0]]);
+    Ok(bare_loop.run()?)
+}
+
+fn boards(run: &Run<'_>) -> Result {
+    for board in buildable(run.sh) {
+        // Without Debian's clippy, only where the toolchain has the targets.
+        if board.has_log {
+            board.build(run.sh, &["--features", "defmt"])?;
+        }
+        board.cargo(run.sh, "clippy").args(["--release"]).args(DENY).run()?;
+    }
+    Ok(())
+}
+
+fn pico(run: &Run<'_>) -> Result {
+    let [file, elf] = build_pico(run.sh)?;
+    let tests = cmd!(run.sh, "cargo test --locked --workspace --test all pico:: -- --ignored");
+    run.tests(tests.env("WIMU_PICO_FIRMWARE", file).env("WIMU_PICO_ELF", elf))
+}
+
+fn optional(run: &Run<'_>) -> Result {
+    let sh = run.sh;
+    cmd!(sh, "cargo check --locked -p wimu --features flash").env("PKG_CONFIG", "false").run()?;
+    run.tests(cmd!(sh, "cargo test --locked -p wimu-host --features sqlite --lib formats::ros::"))?;
+    cmd!(sh, "cargo check --locked -p wimu --features mqtt-tls").run()?;
+    cmd!(
+        sh,
+        "cargo clippy --locked -p wimu -p wimu-host --all-targets --features wimu/ble,wimu-host/ble"
+    )
+    .args(DENY)
+    .run()?;
+    run.tests(cmd!(
+        sh,
+        "cargo test --locked -p wimu-host --features ble --lib -- transport:: link_url::"
+    ))
+}
+
+fn packages(run: &Run<'_>) -> Result {
+    Ok(cmd!(run.sh, "cargo package --locked --workspace --no-verify --allow-dirty").run()?)
+}
+
+/// Runs the fast tests of the crates whose dependencies have `unsafe` code, for queues, frames and tasks, under Miri.
+pub fn miri(sh: &Shell) -> Result {
+    const PACKAGES: &str = "-p wimu-link -p wimu-node --features wimu-node/full --lib";
+    for tests in [PACKAGES, "-p wimu-link --test all vectors::"] {
+        let tests = tests.split(' ');
+        // The tests read files; their lane is the shortest.
+        cmd!(sh, "rustup run nightly cargo miri test {tests...}")
+            .env("MIRIFLAGS", "-Zmiri-disable-isolation")
+            .env("WIMU_LANE", "check")
+            .env("PROPTEST_CASES", "4")
+            .run()?;
+    }
+    Ok(())
+}

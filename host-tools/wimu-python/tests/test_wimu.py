@@ -140,6 +140,35 @@ def is_type_error(call, *arguments, **options):
 # What `cargo xtask test` runs.
 
 
+def public_attributes():
+    """Names and signatures of what the module offers, one a line."""
+    lines = []
+    for name, thing in sorted(vars(wimu).items()):
+        # In a wheel, the library is a module in the package.
+        if name.startswith("_") or inspect.ismodule(thing):
+            continue
+        if thing is wimu.WimuError:
+            error = fails("file_unreadable", wimu.read, "absent.csv")
+            lines += [f"class {name}({thing.__base__.__name__})"] + [f"  {member}" for member in sorted(vars(error))]
+        elif inspect.isclass(thing):
+            lines.append(f"class {name}{inspect.signature(thing) if name == 'Recording' else ''}")
+            for member, what in sorted(vars(thing).items()):
+                if member == "__len__" or not member.startswith("_"):
+                    lines.append(f"  {member}{inspect.signature(what) if callable(what) else ''}")
+        else:
+            lines.append(f"{name}{inspect.signature(thing)}")
+    return lines
+
+
+def test_smoke_the_public_attributes_are_those_of_always():
+    frozen = ROOT / "tests/vectors/compat/python.txt"
+    found = public_attributes()
+    if "WIMU_WRITE_COMPAT" in os.environ:
+        frozen.write_text("\n".join(found) + "\n", encoding="utf-8")
+    kept = frozen.read_text(encoding="utf-8").splitlines()
+    assert found == kept, f"see {frozen.parent}/README.md: {set(kept) ^ set(found)}"
+
+
 def test_smoke_a_calibration_equals_that_of_the_command_line():
     times, output = rests()
     made = write(folder() / "rests.csv", times, Accelerometer=("m/s²", output))

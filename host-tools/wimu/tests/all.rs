@@ -11,6 +11,8 @@ mod calibration_input;
 mod cli;
 mod coarse_and_fine;
 mod comparisons;
+#[cfg(target_os = "linux")]
+mod compat;
 mod dashboard;
 mod demo;
 mod files_people_bring;

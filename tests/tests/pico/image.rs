@@ -16,7 +16,8 @@ pub struct Place {
 impl Image {
     /// That of `cargo xtask release --only pico`.
     pub fn read() -> Self {
-        let path = std::env::var("WIMU_PICO_ELF").expect("`cargo xtask release --only pico` says it");
+        let path =
+            std::env::var("WIMU_PICO_ELF").expect("`cargo xtask release --only pico` says it");
         let elf = std::fs::read(path).expect("readable");
         assert_eq!(elf[..6], *b"\x7fELF\x01\x01");
         Self(elf)

@@ -3,6 +3,7 @@
 //! motion.
 
 mod calibration;
+mod delays;
 mod fit;
 mod geometry;
 mod health;
@@ -13,9 +14,9 @@ mod recording;
 mod rests;
 mod single;
 mod stored;
-mod survey;
 
 pub use calibration::{ArrayCalibration, SensorFit};
+pub(crate) use delays::corrected_delays;
 pub use fit::{Agreement, RefineOptions, Refinement, refine};
 pub use geometry::{ArrayGeometry, ArraySensor};
 pub use motion::{ArrayBody, ArrayMotion};
@@ -24,4 +25,3 @@ pub use recording::{ArrayRecording, Board, BoardOptions};
 pub use rests::EvenTurn;
 pub use single::{SingleAxis, navigated_axes};
 pub use stored::{CalibratedArray, calibrate_array};
-pub(crate) use survey::repaired;

@@ -347,7 +347,7 @@ fn a_geometry_of_another_array_is_refused() {
         .map(|body| body.agreement().copied())
         .unwrap()
         .unwrap();
-    println!("right geometry: {}", agreement.remark());
+    println!("right geometry: {agreement:?}");
     assert!(agreement.unexplained < 0.02 && says(&sound, "fits no motion of one rigid body"));
     // A wrong size fits a rigid body: the rests show it.
     let (larger, _) = path(&all.recording, &octahedron(0.3), true).unwrap();

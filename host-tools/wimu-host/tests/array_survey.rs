@@ -1,5 +1,5 @@
-//! Sensors that sample at other times than they say, and places of a wrong size, are found from the motion itself
-//! and put right; arrays that are as given are left alone.
+//! Sensors that sample at other times than they say are found from the motion itself and corrected; positions of a wrong
+//! size are reported; arrays that are as given are left alone.
 
 use crate::array_journeys;
 
@@ -70,8 +70,7 @@ fn a_delayed_sensor_is_put_to_its_time() {
 }
 
 #[test]
-fn places_of_a_wrong_size_are_found_and_put_right() {
-    let mut worst = 0.0_f64;
+fn positions_of_a_wrong_size_are_reported_and_kept() {
     for (places, factor) in [
         (Places::Octahedron(0.03), 1.3),
         (Places::Octahedron(0.03), 0.7),
@@ -82,21 +81,14 @@ fn places_of_a_wrong_size_are_found_and_put_right() {
             for place in geometry.sensors.iter_mut().flat_map(|s| &mut s.places_m) {
                 *place = place.map(|c| c * factor);
             }
-            let (position, rate, said) = honest(&navigated(recording, &geometry));
-            println!("{places:?} times {factor}, seed {seed}: {position:.2} {rate:.2} {said}");
+            let (_, _, said) = honest(&navigated(recording, &geometry));
+            println!("{places:?} times {factor}, seed {seed}: {said}");
             let (_, found) = said.split_once("the positions are ").expect(&said);
-            let value: f64 = found.split(' ').next().unwrap().parse().unwrap();
-            worst = worst.max((value / factor - 1.0).abs());
-            assert!((value / factor - 1.0).abs() < 0.06, "{said}");
-            assert!(position > 0.85 && rate > 0.85, "{position} {rate}");
+            let number = |k| found.split(' ').nth(k).unwrap().parse::<f64>().unwrap();
+            let (least, most) = (number(0), number(2));
+            assert!((least..=most).contains(&factor) && most - least < 0.3, "{said}");
         }
     }
-    figure(
-        "positions of an array 0.7 or 1.3 times their size: error of the size",
-        format!("{:.1} %", 100.0 * worst),
-        "below 6 %",
-        worst < 0.06,
-    );
 }
 
 #[test]

@@ -4,7 +4,8 @@ use wimu_model::geometry::Geometry;
 
 use super::fit::{Layout, PER_AXIS, Solved, axes_with, solve_all};
 use super::motion::{Body, nominal};
-use super::moving::{Current, INTEGRATION, for_each, point};
+use super::moving::{Current, for_each, point};
+use super::size::SizeTest;
 use super::{ArrayData, ArrayPrior, ArrayRefusal};
 
 /// Samples in motion count for the agreement where the sensors differ by this many times their noise, and by this, m/s².
@@ -28,6 +29,8 @@ pub struct Agreement<const M: usize> {
     pub residual_mps2: f64,
     /// Fraction of the residual variance of each sensor, in their order.
     pub fractions: [f64; M],
+    /// Bounds of the size of the geometry over that of the array; `None` with too few samples in motion.
+    pub size: Option<[f64; 2]>,
 }
 
 impl<const M: usize> Agreement<M> {
@@ -81,7 +84,7 @@ impl<const M: usize> ArrayEstimate<'_, M> {
         core::array::from_fn(|i| self.with_sd(PER_AXIS * axis + 1 + i))
     }
 
-    /// Offset of an axis from its position in the geometry times [`size`](Self::size), m, body axes, with standard deviations.
+    /// Offset of an axis from its position in the geometry, m, body axes, with standard deviations.
     pub fn offset_m(&self, axis: usize) -> [(f64, f64); 3] {
         core::array::from_fn(|i| self.with_sd(PER_AXIS * axis + 4 + i))
     }
@@ -89,13 +92,6 @@ impl<const M: usize> ArrayEstimate<'_, M> {
     /// Delay of a sensor and its standard deviation, s.
     pub fn delay_s(&self, sensor: usize) -> (f64, f64) {
         self.with_sd(self.layout.delay(sensor))
-    }
-
-    /// Size of the array over that of the geometry, and its standard deviation.
-    pub fn size(&self) -> (f64, f64) {
-        let (log, sd) = self.with_sd(self.layout.size());
-        // ω goes with the root of the size: an error of the integral of ω̇, common to all windows, counts twice.
-        (libm::exp(log), libm::exp(log) * libm::hypot(sd, 2.0 * INTEGRATION))
     }
 
     /// Largest departure of an unknown of a sensor from its prior, in prior standard deviations.
@@ -141,7 +137,7 @@ impl<const M: usize> ArrayEstimate<'_, M> {
     }
 }
 
-/// Fits an array to a recording: bias, matrix row and position of each axis, delay of each sensor, size of the whole.
+/// Fits an array to a recording: bias, matrix row and position of each axis, delay of each sensor.
 ///
 /// `usable` says which sensors (from 0) take part; unknowns of the others keep their prior. Directions and positions are
 /// those of `geometry`, body axes; its noise weighs the samples. Where no sample is in motion only bias and matrix are
@@ -159,8 +155,8 @@ pub fn fit_array<'w, const M: usize>(
     let positive = |v: f64| v > 0.0 && v.is_finite();
     let sds = [prior.bias_mps2, prior.matrix, prior.position_m, prior.delay_s];
     let sound = sds.into_iter().all(positive) && positive(data.period_s);
-    let more = [prior.size, prior.repeatability_mps2];
-    if !(sound && more.iter().all(|v| *v >= 0.0 && v.is_finite())) {
+    let repeatability = prior.repeatability_mps2;
+    if !(sound && repeatability >= 0.0 && repeatability.is_finite()) {
         return Err(ArrayRefusal::BadInput);
     }
     if data.outputs_mps2.is_empty() || data.times_s.len() != data.outputs_mps2.len() {
@@ -194,8 +190,7 @@ fn agreement<const M: usize>(
         true => value(layout.delay(s)),
         false => 0.0,
     });
-    let current =
-        Current { layout, delays: &delays, size: libm::exp(value(layout.size())), start: &start };
+    let current = Current { layout, delays: &delays };
     let mut found = Agreement {
         samples: 0,
         degrees: 0,
@@ -203,7 +198,9 @@ fn agreement<const M: usize>(
         unexplained: 0.0,
         residual_mps2: 0.0,
         fractions: [0.0; M],
+        size: None,
     };
+    let mut size = SizeTest::default();
     let Some(body) = Body::new(axes_with(&start, layout, &value)) else {
         return found;
     };
@@ -219,6 +216,7 @@ fn agreement<const M: usize>(
         let Some(point) = point(data, k, &current, &body) else {
             return;
         };
+        size.push(data.times_s[k], data.period_s, point.reduced.rate.as_ref());
         let apart = apart(&point.output, &body, layout);
         if apart < least {
             return;
@@ -234,6 +232,7 @@ fn agreement<const M: usize>(
             found.fractions[a / layout.group.max(1)] += value * value / apart;
         }
     });
+    found.size = size.bounds();
     if found.samples < LEAST_SAMPLES {
         found.samples = 0;
         return found;

@@ -39,24 +39,12 @@ impl Layout {
         PER_AXIS * self.axes + sensor
     }
 
-    pub fn size(self) -> usize {
+    pub fn gravity(self) -> usize {
         PER_AXIS * self.axes + self.sensors()
     }
 
-    pub fn gravity(self) -> usize {
-        self.size() + 1
-    }
-
     pub fn unknowns(self) -> usize {
-        self.size() + 2
-    }
-
-    /// The unknowns of an axis and its delay.
-    pub fn columns(self, axis: usize) -> [usize; PER_AXIS + 1] {
-        core::array::from_fn(|i| match i {
-            PER_AXIS => self.delay(axis / self.group.max(1)),
-            _ => PER_AXIS * axis + i,
-        })
+        self.gravity() + 1
     }
 
     /// Prior standard deviation of an unknown.
@@ -68,10 +56,8 @@ impl Layout {
                 4..=6 => prior.position_m,
                 _ => prior.repeatability_mps2,
             }
-        } else if unknown < self.size() {
+        } else if unknown < self.gravity() {
             prior.delay_s
-        } else if unknown == self.size() {
-            prior.size
         } else {
             prior.gravity_sd_mps2.max(1e-6)
         }
@@ -172,17 +158,6 @@ impl Sums<'_> {
         }
         self.cost += mean * mean * weight;
     }
-
-    /// Adds one row of all unknowns, in their own units.
-    pub fn add_dense(&mut self, row: &[f64], residual: f64, weight: f64) {
-        for i in 0..self.n {
-            let value = row[i] * self.scale[i] * weight;
-            self.pull[i] += value * residual;
-            for j in 0..=i {
-                self.normal[i * self.n + j] += value * row[j] * self.scale[j];
-            }
-        }
-    }
 }
 
 fn accumulate(sums: &mut [f64], row: &[f64], factor: f64) {
@@ -198,12 +173,11 @@ pub(super) fn axes_with<const M: usize>(
     value: &dyn Fn(usize) -> f64,
 ) -> [AxisNow; M] {
     let mut axes = *start;
-    let size = libm::exp(value(layout.size()));
     for (index, axis) in axes.iter_mut().enumerate().take(layout.axes) {
         let at = |i: usize| value(PER_AXIS * index + i);
         (axis.bias_mps2, axis.drift_mps2) = (at(0), at(7));
         axis.m += Vector3::new(at(1), at(2), at(3));
-        axis.r = axis.r * size + Vector3::new(at(4), at(5), at(6));
+        axis.r += Vector3::new(at(4), at(5), at(6));
     }
     axes
 }
@@ -255,7 +229,6 @@ pub(super) fn solve_all<'w, const M: usize>(
     let (normal, rest) = workspace.split_at_mut(n * n);
     let (spread, rest) = rest.split_at_mut(n * n);
     let (factor, rest) = rest.split_at_mut(n * n);
-    let (scratch, rest) = rest.split_at_mut(4 * n);
     let mut parts = rest.chunks_exact_mut(n);
     let mut part = || parts.next().ok_or(ArrayRefusal::Workspace { need });
     let (right, pull, scale, values, step) = (part()?, part()?, part()?, part()?, part()?);
@@ -266,7 +239,7 @@ pub(super) fn solve_all<'w, const M: usize>(
     let mut moves = false;
     super::moving::for_each(data, |_| moves = true);
     let mut sums = Sums { n, normal, right, spread, pull, scale, cost: 0.0 };
-    let mut evaluate = |values: &[f64], sums: &mut Sums<'_>| {
+    let evaluate = |values: &[f64], sums: &mut Sums<'_>| {
         sums.clear();
         let unscaled = |i: usize| values[i] * sums.scale[i];
         let axes = axes_with(&start, layout, &unscaled);
@@ -275,11 +248,10 @@ pub(super) fn solve_all<'w, const M: usize>(
             false => 0.0,
         });
         let gravity = prior.gravity_mps2 + unscaled(layout.gravity());
-        let size = libm::exp(unscaled(layout.size()));
         super::rests::add(&axes, layout, data, prior, gravity, sums);
-        let current = super::moving::Current { layout, delays: &delays, size, start: &start };
+        let current = super::moving::Current { layout, delays: &delays };
         match Body::new(axes) {
-            Some(body) => super::moving::add(&body, &current, data, prior, sums, scratch),
+            Some(body) => super::moving::add(&body, &current, data, sums),
             None if moves => return Err(ArrayRefusal::Geometry),
             None => {}
         }

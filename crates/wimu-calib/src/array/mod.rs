@@ -1,8 +1,7 @@
 //! Calibration of an accelerometer array: one batch maximum-a-posteriori fit, equation (99).
 //!
-//! [`fit_array`] estimates bias, matrix row and position of each axis, the delay of each sensor and the common size of
-//! the array from rests and from samples in motion, with their posterior covariance, and tests whether the recording
-//! agrees with the geometry.
+//! [`fit_array`] estimates bias, matrix row and position of each axis and the delay of each sensor from rests and from
+//! samples in motion, with their posterior covariance, and tests whether the recording agrees with the geometry.
 
 mod dense;
 mod estimate;
@@ -11,6 +10,7 @@ mod motion;
 mod moving;
 mod refusal;
 mod rests;
+mod size;
 
 pub use estimate::{Agreement, ArrayEstimate, fit_array};
 pub use refusal::ArrayRefusal;
@@ -43,8 +43,6 @@ pub struct ArrayPrior {
     pub position_m: f64,
     /// Delay of a sensor, s: it samples this much later than its times say. The mean delay is not observed.
     pub delay_s: f64,
-    /// Logarithm of the size of the whole array over that of the geometry; 0: the size is taken as exact.
-    pub size: f64,
     /// Change of a bias from rest to rest, m/s².
     pub repeatability_mps2: f64,
     /// Length of the specific force at rest, m/s²: local gravity, or that in the scale of uncalibrated sensors.
@@ -61,7 +59,6 @@ impl Default for ArrayPrior {
             matrix: 0.03,
             position_m: 5e-4,
             delay_s: 3e-4,
-            size: 0.0,
             repeatability_mps2: 0.015,
             gravity_mps2: Gravity::UNKNOWN_PLACE.mps2(),
             gravity_sd_mps2: Gravity::UNKNOWN_PLACE.sd_mps2(),
@@ -75,6 +72,6 @@ pub const fn workspace_len(axes: usize, group: usize) -> usize {
         0 => axes,
         _ => axes / group,
     };
-    let unknowns = fit::PER_AXIS * axes + sensors + 2;
-    3 * unknowns * unknowns + 9 * unknowns
+    let unknowns = fit::PER_AXIS * axes + sensors + 1;
+    3 * unknowns * unknowns + 5 * unknowns
 }

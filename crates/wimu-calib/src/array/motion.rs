@@ -50,9 +50,6 @@ pub(super) struct Body<const M: usize> {
 pub(super) struct Rate {
     pub omega: Vector3<f64>,
     pub omega_dot: Vector3<f64>,
-    /// Derivative of ω by z, in units of 1/√arm, and of the monomials.
-    to_rate: SMatrix<f64, 3, 6>,
-    to_monomials: Matrix6<f64>,
 }
 
 /// A sample without its motion.
@@ -213,19 +210,6 @@ impl<const M: usize> Body<M> {
         (w, rest.norm_squared())
     }
 
-    /// Derivatives of ω (rows 0 to 2) and ω̇ (3 to 5) by the whitened outputs.
-    pub fn derivative(&self, rate: &Rate) -> SMatrix<f64, 6, M> {
-        let unit = 1.0 / self.arm_m;
-        let by_z = self.coupling * rate.to_monomials;
-        let to_theta = self.triangle * (self.linear.transpose() - by_z * self.basis.transpose());
-        let mut derivative = SMatrix::<f64, 6, M>::zeros();
-        let omega = rate.to_rate * libm::sqrt(unit) * self.basis.transpose();
-        derivative.fixed_rows_mut::<3>(0).copy_from(&omega);
-        let turning = to_theta.fixed_rows::<3>(0) * unit;
-        derivative.fixed_rows_mut::<3>(3).copy_from(&turning);
-        derivative
-    }
-
     /// Takes the motion off whitened outputs without bias; `None` where they are not finite.
     pub fn reduce(&self, output: &SVector<f64, M>) -> Option<Reduced<M>> {
         let shares = self.linear.tr_mul(output);
@@ -259,15 +243,7 @@ impl<const M: usize> Body<M> {
         let theta = self.triangle * (shares - self.coupling * q);
         let unit = 1.0 / self.arm_m;
         let omega_dot = theta.fixed_rows::<3>(0) * unit;
-        let rate = inverse.filter(|_| rate_basis.is_some()).map(|inverse| {
-            let to_rate = inverse * slope.transpose();
-            Rate {
-                omega: w * libm::sqrt(unit),
-                omega_dot,
-                to_rate,
-                to_monomials: slopes(&w) * to_rate,
-            }
-        });
+        let rate = rate_basis.is_some().then(|| Rate { omega: w * libm::sqrt(unit), omega_dot });
         let unexplained = match self.rank {
             6 => outside + self.basis * (z - self.to_z * monomials(&w)),
             _ => outside,

@@ -75,8 +75,6 @@ pub struct ArrayCalibration {
     pub common_scale: f64,
     /// How well each coordinate of a place is known, m: [`PLACE_SD_M`](Self::PLACE_SD_M) unless set.
     pub place_sd_m: f64,
-    /// What the size of the whole adds to that where it was found from the motion, m.
-    pub size_sd_m: f64,
     /// How well the sensors' times among each other are known, s: [`DELAY_SD_S`](Self::DELAY_SD_S) unless set.
     pub delay_sd_s: f64,
     /// Why the error models are those of perfect sensors, where they are.
@@ -194,7 +192,6 @@ impl ArrayCalibration {
             scale: 0.0,
             common_scale: 0.0,
             place_sd_m: Self::PLACE_SD_M,
-            size_sd_m: 0.0,
             delay_sd_s: Self::DELAY_SD_S,
             uncalibrated: None,
             stored,

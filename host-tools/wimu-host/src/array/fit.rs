@@ -7,6 +7,7 @@ use wimu_nav::array::ArraySolver;
 
 use super::motion::{axes, check, refused, with_room};
 use super::{ArrayCalibration, ArrayGeometry, ArrayRecording};
+use crate::finding::{Finding, FindingCode};
 use crate::{ErrorCode, HostError, Result};
 
 /// Samples in motion that are used, about.
@@ -15,6 +16,8 @@ const MOST_SAMPLES: usize = 2000;
 const LEAST_SAMPLES: usize = 200;
 /// Fraction of the variance among the sensors that no motion explains, from which on the geometry is not this array's.
 const CONTRADICTION: f64 = 0.15;
+/// Error of the size of a geometry that is reported: it makes the angular rate wrong by half of it.
+const SIZE: f64 = 0.1;
 
 /// Uncertainty of the geometry.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,6 +47,8 @@ pub struct Agreement {
     pub worst: usize,
     /// A sensor whose estimated bias and matrix are beyond the bounds of an error model.
     pub beyond: Option<usize>,
+    /// Bounds of the size of the geometry over that of the array, from ω and ω̇; `None` with too few samples in motion.
+    pub size: Option<[f64; 2]>,
 }
 
 impl Agreement {
@@ -68,13 +73,23 @@ impl Agreement {
         Err(contradiction(name, &what))
     }
 
-    /// The agreement as text.
-    pub fn remark(&self) -> String {
-        format!(
+    /// The agreement, and the size of the array where it is not that of the geometry.
+    pub fn findings(&self) -> Vec<Finding> {
+        let mut findings = vec![FindingCode::Geometry.note(format!(
             "{:.1} % of the variance among the sensors in motion, {:.3} m/s² rms, fits no motion of one rigid body",
             100.0 * self.unexplained,
             self.unexplained_mps2
-        )
+        ))];
+        let other = self.size.filter(|[least, most]| *least > 1.0 + SIZE || *most < 1.0 - SIZE);
+        if let Some([least, most]) = other {
+            let text = format!(
+                "the positions are {least:.2} to {most:.2} times as far apart as the sensors: the changes of the angular rate \
+                 are not the integral of the angular acceleration"
+            );
+            let remedy = "check the unit of the positions and the distances between the sensors";
+            findings.push(FindingCode::Geometry.warning(text).remedy(remedy));
+        }
+        findings
     }
 }
 
@@ -103,7 +118,6 @@ pub(super) struct Fitted {
     /// Deviation of a coordinate of a position against those of the other sensors, m.
     pub position_sd_m: f64,
     pub delays_s: Vec<(f64, f64)>,
-    pub size: (f64, f64),
     pub cost: f64,
     pub inflation: f64,
     pub log_determinant: f64,
@@ -159,7 +173,6 @@ impl Fitted {
             moved_m: all().map(|s| axes(s).map(|a| found.offset_m(a))).collect(),
             position_sd_m: found.position_sd_m(used),
             delays_s: all().map(|s| found.delay_s(s)).collect(),
-            size: found.size(),
             cost: found.cost,
             inflation: found.inflation,
             log_determinant: found.log_determinant,
@@ -170,6 +183,7 @@ impl Fitted {
                 unexplained_mps2: agreement.residual_mps2,
                 worst: agreement.worst(),
                 beyond: all().find(|s| used(*s) && models[*s].is_none()),
+                size: agreement.size,
             }),
             models,
         }

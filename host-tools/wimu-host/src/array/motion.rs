@@ -286,7 +286,7 @@ fn filtered<const M: usize>(
             / (used.max(1) as f64).sqrt(),
         scale: calibration.scale,
         common_scale: calibration.common_scale,
-        place_sd_m: body.place_sd_m.hypot(calibration.size_sd_m),
+        place_sd_m: body.place_sd_m,
         delay_sd_s: calibration.delay_sd_s,
         ..ArrayConfig::default()
     };

@@ -3,9 +3,10 @@
 use wimu_calib::Gravity;
 use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
 
+use super::delays::corrected_delays;
 use super::fit::{RefineOptions, Refinement, refine};
-use super::survey::repaired;
 use super::{ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
+use crate::finding::{Finding, FindingCode};
 use crate::{ErrorCode, HostError, Result};
 
 /// What a recording of rests, and of turns, says of an array.
@@ -19,7 +20,7 @@ pub struct CalibratedArray {
     /// What turns say of places and delays, or why they say nothing.
     pub refinement: std::result::Result<Refinement, HostError>,
     /// What turns show to be otherwise than given, and how well all agrees.
-    pub remarks: Vec<String>,
+    pub findings: Vec<Finding>,
 }
 
 /// Calibrates an array from a recording in the sensors' own axes: rests in a dozen orientations tell the
@@ -52,18 +53,14 @@ pub fn calibrate_array(
         )
         .at(&recording.name));
     }
-    let mut remarks = Vec::new();
+    let mut findings = Vec::new();
     (calibration.place_sd_m, calibration.delay_sd_s) = (options.place_sd_m, options.delay_sd_s);
     let mut arranged = arranged;
-    let mut size_sd_m = 0.0;
-    if let Some(found) = repaired(&arranged, &geometry, &calibration)? {
-        geometry = found.geometry;
+    if let Some(found) = corrected_delays(&arranged, &geometry, &calibration)? {
         for (sensor, delay) in geometry.sensors.iter_mut().zip(found.delays_s) {
             sensor.delay_us += delay * 1e6;
         }
-        size_sd_m = found.calibration.size_sd_m;
-        geometry.place_sd_mm = Some(options.place_sd_m.hypot(size_sd_m) * 1e3);
-        remarks = found.remarks;
+        findings.extend(found.remarks.into_iter().map(|text| FindingCode::Geometry.note(text)));
         (arranged, calibration) = calibrated(&geometry)?;
     }
     let refinement = refine(&arranged, &geometry, &calibration, options);
@@ -71,7 +68,7 @@ pub fn calibrate_array(
         Ok(found) if !found.accepted => {}
         Ok(found) => {
             geometry = found.geometry.clone();
-            geometry.place_sd_mm = Some(found.known_place_m().hypot(size_sd_m) * 1e3);
+            geometry.place_sd_mm = Some(found.known_place_m() * 1e3);
             geometry.delay_sd_us = Some(found.known_delay_s() * 1e6);
             (arranged, calibration) = calibrated(&geometry)?;
         }
@@ -83,7 +80,7 @@ pub fn calibrate_array(
     // Whoever navigates with these places would be refused.
     if let Some(agreement) = ArrayBody::of(&arranged, &geometry, &calibration)?.agreement() {
         agreement.check(&recording.name)?;
-        remarks.push(agreement.remark());
+        findings.extend(agreement.findings());
     }
     for (k, sensor) in geometry.sensors.iter_mut().enumerate() {
         if calibration.fits[k].is_none() || !calibration.uses(k) {
@@ -92,7 +89,7 @@ pub fn calibrate_array(
         sensor.model = Some(in_own_axes(sensor, &calibration.sensors[k])?);
         sensor.sensitivity_lsb_per_g = recording.sensitivities.get(k).copied().flatten();
     }
-    Ok(CalibratedArray { geometry, calibration, refinement, remarks })
+    Ok(CalibratedArray { geometry, calibration, refinement, findings })
 }
 
 /// The model of a sensor in its own axes from that in body axes: with R from sensor to body axes, b ← Rᵀ b,

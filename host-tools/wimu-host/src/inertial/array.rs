@@ -6,7 +6,7 @@ use super::truth::{compare, moving};
 use super::{Choice, InertialPath, Method, PathPoint};
 use crate::array::{
     Agreement, ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions,
-    navigated_axes, repaired,
+    corrected_delays, navigated_axes,
 };
 use crate::finding::{Finding, FindingCode};
 use crate::motion::{LIKELY, heading_rad, nees};
@@ -18,8 +18,8 @@ const CENTRED_M: f64 = 1e-3;
 /// What the uncalibrated mean of an array's sensors may differ from gravity by, as a part of it.
 const GRAVITY_SHARE: f64 = 0.2;
 
-/// Navigates an array; `recording` is in body axes ([`ArrayRecording::arranged`]). Delays of sensors and the size of the
-/// array that the motion contradicts are corrected, with a remark.
+/// Navigates an array; `recording` is in body axes ([`ArrayRecording::arranged`]). Delays of sensors that the motion
+/// contradicts are corrected, with a note; a size of the array that it contradicts is a warning.
 ///
 /// With [`Choice::smooth`] the angular rate is that from the whole recording, equation (80), where its variance is smaller.
 /// The deviation of an uncalibrated array is that of the filter. Attitude, velocity and position are those of the filter.
@@ -33,10 +33,10 @@ pub fn navigate_array(
     calibration: &ArrayCalibration,
     choice: &Choice,
 ) -> Result<InertialPath> {
-    let repaired = repaired(recording, geometry, calibration)?;
-    let (recording, geometry, calibration) = match &repaired {
-        Some(m) => (&m.recording, &m.geometry, &m.calibration),
-        None => (recording, geometry, calibration),
+    let corrected = corrected_delays(recording, geometry, calibration)?;
+    let (recording, calibration) = match &corrected {
+        Some(corrected) => (&corrected.recording, &corrected.calibration),
+        None => (recording, calibration),
     };
     let standard = wimu_model::STANDARD_GRAVITY_MPS2;
     let gravity = if calibration.uncalibrated.is_some() || calibration.stored {
@@ -76,26 +76,25 @@ pub fn navigate_array(
         Some(agreement) => agreement.check(&recording.name)?,
         None => calibration.check(&recording.name)?,
     }
-    let (mut said, remarks) = (Vec::new(), warnings(remarks));
-    said.push(agreement.map_or_else(
+    let findings = agreement.map_or_else(
         || {
-            "whether the sensors are where the geometry says was not checked: the array hardly turned, or its \
-             sensors are too few to contradict each other"
-                .to_owned()
+            let text = "whether the sensors are where the geometry says was not checked: the array hardly turned, or its \
+                        sensors are too few to contradict each other";
+            vec![FindingCode::Geometry.note(text)]
         },
-        Agreement::remark,
-    ));
+        Agreement::findings,
+    );
+    let mut said = Vec::new();
     said.extend(calibration.remarks());
-    if let Some(repaired) = &repaired {
-        said.extend(repaired.remarks.iter().cloned());
-    }
+    said.extend(corrected.iter().flat_map(|corrected| corrected.remarks.iter().cloned()));
     said.extend(point_of(geometry));
     let span = geometry.span_m();
     if span > ArrayGeometry::LARGE_M {
         said.push(format!("the array is {span:.1} m wide: are its places in m?"));
     }
     let said = said.into_iter().map(|text| FindingCode::Geometry.note(text));
-    let mut path = path_of(recording, &states, choice, remarks.chain(said))?;
+    let mut path =
+        path_of(recording, &states, choice, warnings(remarks).chain(findings).chain(said))?;
     path.smoothed_rate = choice.smooth;
     Ok(path)
 }

@@ -106,9 +106,8 @@ fn present(
         "corrected sensors differ by {:.4} m/s² rms per axis at the rests",
         calibration.disagreement_mps2
     ));
-    let remarks = calibration.remarks().into_iter();
-    let remarks = remarks.chain(found.remarks.iter().cloned());
-    let mut findings: Vec<Finding> = remarks.map(|text| FindingCode::Geometry.note(text)).collect();
+    let remarks = calibration.remarks().into_iter().map(|text| FindingCode::Geometry.note(text));
+    let mut findings: Vec<Finding> = remarks.chain(found.findings.iter().cloned()).collect();
     let refined = match &found.refinement {
         Ok(refinement) => Some(Refined::of(refinement, output)),
         Err(why) => {

@@ -427,6 +427,11 @@ impl<T: Transport> Client<T> {
         }
     }
 
+    /// The events that have arrived and are not yet handed out.
+    pub fn take_events(&mut self) -> Vec<Arrival> {
+        self.arrivals.drain(..).collect()
+    }
+
     /// Waits while the device writes its flash and does not receive.
     fn wait_while_deaf(&mut self) -> Result<()> {
         loop {

@@ -92,10 +92,10 @@ impl LiveLinks {
         self.shared.stop.store(true, Ordering::Relaxed);
     }
 
-    /// Stops listening and returns the clients, in the order of the links.
-    pub fn finish(self) -> Vec<LiveClient> {
+    /// Stops listening, passes on what was received until then, and returns the clients, in the order of the links.
+    pub fn finish(self, mut each: impl FnMut(usize, &Heard)) -> Vec<LiveClient> {
         self.stop();
-        drop(self.receiver);
+        self.receiver.iter().for_each(|(index, heard)| each(index, &heard));
         let joined = self.threads.into_iter().map(JoinHandle::join);
         joined.filter_map(std::result::Result::ok).collect()
     }
@@ -160,7 +160,7 @@ impl Listener<'_> {
                     self.clock.model()
                 })
                 .flatten();
-            let told = entries.is_empty()
+            let told = (entries.is_empty() && arrivals.is_empty())
                 || tell(Heard {
                     entries,
                     arrivals,
@@ -177,7 +177,7 @@ impl Listener<'_> {
         }
         let _ = tell(Heard {
             entries: self.heard(),
-            arrivals: Vec::new(),
+            arrivals: self.client.take_events(),
             statistics: self.client.statistics(),
             clock: self.clock.model(),
             lost: None,

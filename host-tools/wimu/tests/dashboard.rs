@@ -221,6 +221,27 @@ fn a_page_leads_from_a_board_to_a_pushed_calibration() {
 }
 
 #[test]
+fn every_sample_of_a_link_without_loss_reaches_the_page() {
+    let board = Simulator::start(&["--motion", "rest"]);
+    let folder = folder();
+    let served = Served::start(folder.path(), &[&board.cable]);
+    let mut page = served.page();
+    page.until("samples", |page| (page.frames.len() > 200).then_some(()));
+    let mut times: Vec<f64> = Vec::new();
+    for time in page.frames.iter().flat_map(|frame| frame["t"].as_array().expect("times")) {
+        // A page that joins gets the latest ones again.
+        let time = time.as_f64().expect("a time");
+        if times.last().is_none_or(|last| *last < time) {
+            times.push(time);
+        }
+    }
+    let steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let least = steps.iter().copied().fold(f64::INFINITY, f64::min);
+    let gaps = steps.iter().filter(|step| **step > 1.5 * least).count();
+    assert!(times.len() > 200 && gaps == 0, "{gaps} gaps in {} samples", times.len());
+}
+
+#[test]
 fn foreign_pages_and_forged_tokens_are_refused() {
     let board = Simulator::start(&["--motion", "rest"]);
     let folder = folder();

@@ -42,15 +42,15 @@ impl Curve {
         self.count += 1;
     }
 
-    /// Ends the present mean.
-    pub fn step(&mut self) {
+    /// Ends the present mean, and leaves a gap of `missing` points.
+    pub fn step(&mut self, missing: usize) {
         if self.count > 0 {
             self.points.push_back(self.sum / f64::from(self.count));
             (self.sum, self.count) = (0.0, 0);
         }
-        if self.points.len() > POINTS {
-            self.points.pop_front();
-        }
+        self.points.extend(std::iter::repeat_n(f64::NAN, missing.min(POINTS)));
+        let old = self.points.len().saturating_sub(POINTS);
+        self.points.drain(..old);
     }
 
     /// The latest means, at most `count`.
@@ -81,6 +81,13 @@ pub struct MonitorView {
     pub rate_curves: [Curve; 3],
     pub links: Vec<LinkHealth>,
     pub message: String,
+}
+
+impl MonitorView {
+    /// All curves: |f|, X, Y, Z of the force, then of the rate.
+    pub fn curves(&mut self) -> impl Iterator<Item = &mut Curve> {
+        self.force_curves.iter_mut().chain(&mut self.rate_curves)
+    }
 }
 
 /// Draws the screen.

@@ -35,7 +35,7 @@ fn readings() -> MonitorView {
     let mut curve = Curve::default();
     for k in 0..300 {
         curve.add(f64::from(k).sin());
-        curve.step();
+        curve.step(0);
     }
     let link = |name: &str| LinkHealth {
         name: name.to_owned(),
@@ -77,6 +77,29 @@ fn readings() -> MonitorView {
         message: "12.34 s  mark 1".to_owned(),
         ..MonitorView::default()
     }
+}
+
+#[test]
+fn missing_samples_are_a_gap_of_a_curve() {
+    let mut view = readings();
+    for curve in view.curves() {
+        (0..600).for_each(|_| {
+            curve.add(1.0);
+            curve.step(0);
+        });
+        curve.add(1.0);
+        curve.step(4);
+        curve.add(1.0);
+        curve.step(0);
+    }
+    let mut terminal = Terminal::new(TestBackend::new(100, 40)).unwrap();
+    terminal.draw(|frame| draw_monitor(&view, frame)).unwrap();
+    let shown = text(terminal.backend().buffer());
+    let row = shown.lines().find(|line| line.contains("|f|")).unwrap();
+    let is_bar = |c: char| ('▁'..='█').contains(&c);
+    let bars: Vec<&str> = row.split(|c: char| !is_bar(c)).filter(|part| !part.is_empty()).collect();
+    assert_eq!(bars.len(), 2, "{row}");
+    assert_eq!(bars[1].chars().count(), 1, "{row}");
 }
 
 /// Changes the line of a view.

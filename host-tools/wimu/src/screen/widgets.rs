@@ -84,11 +84,13 @@ pub fn bar(frame: &mut Frame, area: Rect, fraction: f64, text: &str, style: Styl
     frame.render_widget(gauge.label(text).gauge_style(style).use_unicode(true), area);
 }
 
-/// Values as a curve within `bounds`, as far right as they reach.
+/// Values as a curve within `bounds`, as far right as they reach, with a gap where they are no numbers.
 pub fn curve(frame: &mut Frame, area: Rect, values: &[f64], [low, high]: [f64; 2]) {
     const STEPS: f64 = 1000.0;
-    let step = |value: &f64| ((value - low) / (high - low) * STEPS) as u64 + 1;
-    let data: Vec<u64> = values.iter().map(step).collect();
+    let step = |value: &f64| {
+        value.is_finite().then_some(((value - low) / (high - low) * STEPS) as u64 + 1)
+    };
+    let data: Vec<Option<u64>> = values.iter().map(step).collect();
     let width = data.len() as u16;
     let area = Rect { x: area.right().saturating_sub(width), width, ..area };
     let area = area.intersection(frame.area());

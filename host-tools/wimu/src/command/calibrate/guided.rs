@@ -9,7 +9,7 @@ use std::time::Duration;
 use wimu_host::calibration::CalibrateOptions;
 use wimu_host::clock::Pace;
 use wimu_host::guided::{DEFAULT_FILE, Guided};
-use wimu_host::live::{LiveClient, LiveLinks, Tap};
+use wimu_host::live::{Heard, LiveClient, LiveLinks, Tap};
 use wimu_host::{LinkUrl, Result};
 
 use crate::arguments::Calibrate;
@@ -65,7 +65,11 @@ impl OnScreen {
         while !self.done {
             let links = LiveLinks::start(vec![(self.url.clone(), client)], Pace::sparse);
             let push = self.listen(&mut screen, &links)?;
-            let Some(back) = links.finish().pop() else {
+            let guided = &mut self.guided;
+            let rest = |_, heard: &Heard| {
+                guided.take(heard);
+            };
+            let Some(back) = links.finish(rest).pop() else {
                 return Ok(());
             };
             client = back;

@@ -105,7 +105,7 @@ impl Board {
             let mut feed = Feed::Live(links);
             let next = self.watch(&mut feed, jobs);
             let Feed::Live(links) = feed else { break };
-            clients = links.finish();
+            clients = links.finish(|index, heard| self.take(index, heard));
             match next {
                 Next::Close => break,
                 Next::Join(url, client) => {
@@ -147,7 +147,12 @@ impl Board {
         loop {
             let wait = due.saturating_duration_since(Instant::now());
             match feed.next(wait) {
-                Ok((index, heard)) => self.take(feed, index, &heard),
+                Ok((index, heard)) => {
+                    if let (Feed::Replay(player), true) = (&*feed, index >= self.traffic.len()) {
+                        self.name_links(player.roles().map(|role| role.to_string()).collect());
+                    }
+                    self.take(index, &heard);
+                }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => std::thread::sleep(wait),
             }
@@ -163,10 +168,7 @@ impl Board {
         }
     }
 
-    fn take(&mut self, feed: &Feed, index: usize, heard: &Heard) {
-        if let (Feed::Replay(player), true) = (feed, index >= self.traffic.len()) {
-            self.name_links(player.roles().map(|role| role.to_string()).collect());
-        }
+    fn take(&mut self, index: usize, heard: &Heard) {
         if let Some((_, writer)) = &mut self.writer {
             let written = heard.entries.iter().try_for_each(|entry| writer.record(entry));
             if let Err(error) = written {
@@ -300,7 +302,7 @@ impl Board {
             self.publish("path", &chart);
         }
         if let Some(meter) = self.noise.as_ref().filter(|_| self.ticks.is_multiple_of(NOISE)) {
-            let chart = meter.report().map(|report| report.chart().json()).ok();
+            let chart = meter.report().ok().and_then(|report| Some(report.chart()?.json()));
             self.publish("noise", &json!({"text": meter.progress(), "chart": chart}));
         }
     }

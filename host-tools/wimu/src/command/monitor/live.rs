@@ -26,8 +26,10 @@ use crate::screen::{Key, Screen};
 const GLANCE: Duration = Duration::from_millis(20);
 /// Duration of a message. Chosen: two lines are read twice.
 const MESSAGE: Duration = Duration::from_secs(10);
-/// Interval between the points of a curve.
-const POINT: Duration = Duration::from_millis(100);
+/// Interval between the points of a curve, s of the device's clock, and between the positions that are shown.
+const POINT_S: f64 = 0.1;
+/// Samples are missing after more than so many of the latest intervals between them.
+const GAP: f64 = 1.5;
 
 /// What a person does after the screen.
 enum Next {
@@ -49,9 +51,13 @@ pub fn run(arguments: &Monitor, output: &Output) -> Result<()> {
             Pace::sparse,
         );
         let screen = Screen::open()?;
-        let next = live.show(screen, &live_links, || is_over(end, &stop));
-        live_links.finish();
-        let next = next.and_then(|next| live.stop_recording().map(|()| next))?;
+        let mut shown = live.show(screen, &live_links, || is_over(end, &stop));
+        live_links.finish(|index, heard| {
+            if let (Ok(_), Err(error)) = (&shown, live.take(index, heard)) {
+                shown = Err(error);
+            }
+        });
+        let next = shown.and_then(|next| live.stop_recording().map(|()| next))?;
         for line in &live.ended {
             output.print(line);
         }
@@ -99,7 +105,10 @@ struct Live {
     latest: Option<Reading>,
     /// The filter of `wimu navigate`.
     navigator: Option<Beside>,
-    point: Instant,
+    position: Instant,
+    /// Device time at which the present point of the curves begins, and the latest interval between samples, s.
+    point_s: f64,
+    interval_s: f64,
     /// The message that is shown, and since when.
     shown: (String, Instant),
     writer: Option<(PathBuf, RecordingWriter<std::fs::File>)>,
@@ -127,7 +136,9 @@ impl Live {
             },
             latest: None,
             navigator: None,
-            point: Instant::now(),
+            position: Instant::now(),
+            point_s: 0.0,
+            interval_s: f64::INFINITY,
             shown: (String::new(), Instant::now()),
             writer: None,
             ended: Vec::new(),
@@ -199,17 +210,24 @@ impl Live {
             }
             _ => {}
         }
-        let Self { readings, latest, view, .. } = self;
+        let Self { readings, latest, view, point_s, interval_s, .. } = self;
         readings.push(event, |reading| {
-            *latest = Some(reading);
+            let now_s = reading.time.to_seconds();
+            let before_s = latest.replace(reading).map_or(now_s, |before| before.time.to_seconds());
+            let step_s = now_s - before_s;
+            let missing = if step_s > GAP * *interval_s { step_s / POINT_S } else { 0.0 };
+            *interval_s = step_s;
             if !view.paused {
+                if missing > 0.0 || !(0.0..POINT_S).contains(&(now_s - *point_s)) {
+                    *point_s = now_s;
+                    view.curves().for_each(|curve| curve.step(missing as usize));
+                }
                 let f = reading.specific_force.0;
                 let norm = f.iter().map(|axis| axis * axis).sum::<f64>().sqrt();
                 let all = [norm, f[0], f[1], f[2]]
                     .into_iter()
                     .chain(reading.angular_rate.into_iter().flatten());
-                let curves = view.force_curves.iter_mut().chain(&mut view.rate_curves);
-                curves.zip(all).for_each(|(curve, value)| curve.add(value));
+                view.curves().zip(all).for_each(|(curve, value)| curve.add(value));
             }
         });
     }
@@ -217,10 +235,8 @@ impl Live {
     /// Brings the view up to date.
     fn refresh(&mut self) {
         let view = &mut self.view;
-        if self.point.elapsed() >= POINT {
-            self.point = Instant::now();
-            let curves = view.force_curves.iter_mut().chain(&mut view.rate_curves);
-            curves.for_each(|curve| curve.step());
+        if self.position.elapsed().as_secs_f64() >= POINT_S {
+            self.position = Instant::now();
             view.navigated = self.navigator.as_ref().and_then(Beside::now);
         }
         for (link, traffic) in view.links.iter_mut().zip(&self.traffic) {

@@ -135,10 +135,11 @@ class Ring {
     const first = Math.max(this.find(from) - 1, this.count - Ring.SIZE, 0), end = Math.min(this.find(to) + 1, this.count);
     const every = Math.max(1, Math.ceil((end - first) / (most / 2)));
     const x = [], y = channels.map(() => []);
+    const usual = (this.at(end - 1) - this.at(first)) / Math.max(end - 1 - first, 1);
     const plain = channels.map((channel) => this.v[channel]);
     for (let k = first; k < end; k += every) {
       const last = Math.min(k + every, end) - 1, t = this.at(k);
-      if (x.length && t - x[x.length - 1] > 0.5) { x.push(NaN); y.forEach((column) => column.push(NaN)); }
+      if (x.length && t - x[x.length - 1] > 3 * usual) { x.push(NaN); y.forEach((column) => column.push(NaN)); }
       if (every === 1) { x.push(t); y.forEach((column, c) => column.push(plain[c][k % Ring.SIZE])); continue; }
       x.push(t, this.at(last));
       y.forEach((column, c) => {

@@ -199,7 +199,8 @@ def calibrate(
     """
 
 class Noise:
-    """Noise of an accelerometer at rest. Arrays of shape (3,) hold X, Y, Z; NaN where a term is not observed."""
+    """Noise of an accelerometer at rest, or of a gyroscope: rad/s wherever m/s² is written here. Arrays of shape (3,) hold
+    X, Y, Z; NaN where a term is not observed."""
 
     @property
     def tau(self) -> _Floats:
@@ -224,6 +225,16 @@ class Noise:
         """Noise density / √2, m/s/√s, shape (3,)."""
 
     @property
+    def angle_random_walk(self) -> _Floats:
+        """Of a gyroscope: noise density / √2, rad/s/√Hz, shape (3,)."""
+
+    @property
+    def angle_random_walk_sd(self) -> _Floats: ...
+    @property
+    def gyroscope(self) -> Noise | None:
+        """The noise of the gyroscope beside the accelerometer, or of the gyroscope alone."""
+
+    @property
     def bias_instability(self) -> _Floats:
         """m/s², shape (3,)."""
 
@@ -237,7 +248,7 @@ class Noise:
         """The object that `wimu allan --json` prints."""
 
 def allan(source: _Source, *, sensitivity: float | None = None, accelerometer: int | None = None) -> Noise:
-    """Computes the Allan deviation of an accelerometer at rest.
+    """Computes the Allan deviation of an accelerometer at rest, of the gyroscope beside it, or of a gyroscope alone.
 
     sensitivity: of counts, LSB/g; by default that of the file, else such that gravity is 1 g.
 

@@ -11,7 +11,7 @@ use curve::{Curve, Spans, fewest_edf};
 use ends::Ends;
 pub use ends::is_clipped;
 pub use refusal::NoiseRefusal;
-use rest::Rest;
+use rest::{Limits, Rest};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use crate::input;
@@ -203,6 +203,8 @@ fn cluster(place: usize) -> u64 {
 #[derive(Clone, Debug)]
 pub struct AllanVariance {
     rate_hz: f64,
+    /// Whether the mean output must be gravity.
+    shows_gravity: bool,
     origin: Option<[f64; 3]>,
     /// Running sum of the samples minus the first.
     sum: [f64; 3],
@@ -224,12 +226,22 @@ pub struct AllanVariance {
 }
 
 impl AllanVariance {
-    /// A computation for samples at `rate_hz`; a rate that is not positive and finite counts as 1
+    /// A computation for samples of an accelerometer at `rate_hz`; a rate that is not positive and finite counts as 1
     /// Hz.
     pub fn new(rate_hz: f64) -> Self {
+        Self::within(rate_hz, Limits::FORCE, true)
+    }
+
+    /// The same for a gyroscope: rad/s wherever m/s² is written here.
+    pub fn of_gyroscope(rate_hz: f64) -> Self {
+        Self::within(rate_hz, Limits::RATE, false)
+    }
+
+    fn within(rate_hz: f64, limits: Limits, shows_gravity: bool) -> Self {
         let rate_hz = if rate_hz.is_finite() && rate_hz > 0.0 { rate_hz } else { 1.0 };
         Self {
             rate_hz,
+            shows_gravity,
             origin: None,
             sum: [0.0; 3],
             samples: 0,
@@ -237,7 +249,7 @@ impl AllanVariance {
             longest_run: 0,
             levels: [const { Level::new() }; LEVELS],
             squares: [Squares::ZERO; POINTS],
-            rest: Rest::new(rate_hz),
+            rest: Rest::new(rate_hz, limits),
             course: Course::new(),
             total: [0.0; 3],
             last: [0.0; 3],
@@ -364,7 +376,7 @@ impl AllanVariance {
         // A rotated sensor has a short mean in any unit; in too large a unit noise looks like
         // motion.
         let is_large = mean_mps2 > STANDARD_GRAVITY_MPS2;
-        if let Some(hint) = hint.filter(|_| is_large || moved.is_none()) {
+        if let Some(hint) = hint.filter(|_| self.shows_gravity && (is_large || moved.is_none())) {
             return Err(NoiseRefusal::UnexpectedMagnitude { mean_mps2, hint });
         }
         if let Some((at_s, axis)) = moved {

@@ -1,13 +1,13 @@
 //! Noise of a recording at rest from the Allan deviation.
 
 mod file;
-mod gyroscope;
 mod page;
+mod sensor;
 
 use std::fmt;
 
 pub use file::{noise, noise_of};
-pub use gyroscope::GyroscopeAxis;
+pub use sensor::{GyroscopeAxis, SensorNoise};
 
 use serde::Serialize;
 use wimu_calib::{AllanPoint, AllanVariance, AxisNoise, Measured};
@@ -16,7 +16,7 @@ use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
 use crate::decode::Event;
 use crate::error::{ErrorCode, Result};
-use crate::finding::{Finding, FindingCode, Outcome};
+use crate::finding::{FindingCode, Outcome};
 use crate::recording::RateSource;
 
 /// A number and its standard deviation, 1 σ.
@@ -132,15 +132,15 @@ pub struct NoiseReport {
     pub rate_hz: f64,
     /// Source of the rate.
     pub rate_source: RateSource,
-    /// X, Y, Z.
+    /// The accelerometer, X, Y, Z.
     pub axes: Option<[AxisReport; 3]>,
-    /// The gyroscope, X, Y, Z, where the file has one whose unit is known.
+    /// The gyroscope, X, Y, Z, where there is one whose unit is known.
     pub gyroscope: Option<[GyroscopeAxis; 3]>,
-    /// The curve.
+    /// The curve of the accelerometer.
     pub points: Vec<PointReport>,
-    /// That of the gyroscope, rad/s.
+    /// The accelerometer and the gyroscope in SI units, where they were measured.
     #[serde(skip)]
-    pub gyroscope_points: Vec<PointReport>,
+    pub sensors: [Option<SensorNoise>; 2],
 }
 
 /// The noise of a board at rest, while its samples arrive.
@@ -149,9 +149,10 @@ pub struct NoiseMeter {
     given: Option<Sensitivity>,
     /// Whether the board reports its sensitivity.
     known: bool,
-    /// Rate, m/s² per LSB and range, from the first epoch on.
-    running: Option<(f64, f64, u8)>,
-    allan: Box<AllanVariance>,
+    /// Rate, m/s² and rad/s per LSB and range, from the first epoch on.
+    running: Option<(f64, [f64; 2], u8)>,
+    force: Box<AllanVariance>,
+    rate: Box<AllanVariance>,
     next_sequence: Option<u32>,
 }
 
@@ -164,7 +165,8 @@ impl NoiseMeter {
             given,
             known,
             running: None,
-            allan: Box::new(AllanVariance::new(1.0)),
+            force: Box::new(AllanVariance::new(1.0)),
+            rate: Box::new(AllanVariance::of_gyroscope(1.0)),
             next_sequence: None,
         }
     }
@@ -199,20 +201,27 @@ impl NoiseMeter {
                     )
                 })?;
                 let rate_hz = 1e9 / f64::from(epoch.period_ns.max(1));
-                self.running = Some((rate_hz, scale.mps2_per_lsb(), epoch.range_g));
-                *self.allan = AllanVariance::new(rate_hz);
+                let rad_s_per_lsb =
+                    epoch.gyroscope.map_or(0.0, |gyroscope| gyroscope.rad_s_per_lsb);
+                self.running =
+                    Some((rate_hz, [scale.mps2_per_lsb(), rad_s_per_lsb], epoch.range_g));
+                *self.force = AllanVariance::new(rate_hz);
+                *self.rate = AllanVariance::of_gyroscope(rate_hz);
             }
             Event::Samples(samples) if samples.stream == Stream::Raw => {
-                let Some((_, scale, _)) = self.running else {
+                let Some((_, [mps2_per_lsb, rad_s_per_lsb], _)) = self.running else {
                     return Ok(());
                 };
                 for sample in samples.iter() {
                     if self.next_sequence != Some(sample.sequence) {
-                        self.allan.gap();
+                        self.force.gap();
+                        self.rate.gap();
                     }
                     self.next_sequence = Some(sample.sequence.wrapping_add(1));
-                    let output = sample.value.map(|axis| f64::from(axis) * scale);
-                    self.allan.push(output);
+                    self.force.push(sample.value.map(|axis| f64::from(axis) * mps2_per_lsb));
+                    if let Some(rate) = sample.rate {
+                        self.rate.push(rate.map(|axis| f64::from(axis) * rad_s_per_lsb));
+                    }
                 }
             }
             _ => {}
@@ -226,9 +235,9 @@ impl NoiseMeter {
 
     /// Progress as a line of text.
     pub fn progress(&self) -> String {
-        let samples = self.allan.samples();
+        let samples = self.force.samples();
         let so_far = format!("{:.0} s, {samples} samples", samples as f64 / self.rate_hz());
-        match self.allan.result() {
+        match self.force.result() {
             Err(refusal) => format!("{so_far}: {refusal}"),
             Ok(axes) => {
                 let densities = axes.map(|axis| {
@@ -246,7 +255,7 @@ impl NoiseMeter {
     /// # Errors
     /// `no_rows` when the link carried no raw samples.
     pub fn report(&self) -> Result<NoiseReport> {
-        if self.allan.samples() == 0 {
+        if self.force.samples() == 0 {
             return Err(ErrorCode::NoRows
                 .error(
                     "no raw samples came over the link",
@@ -255,82 +264,59 @@ impl NoiseMeter {
                 .at(&self.name));
         }
         let source = RateSource::Device;
-        Ok(NoiseReport::new(&self.name, self.rate_hz(), source, &self.allan))
+        let rate = (self.rate.samples() > 0).then_some(&*self.rate);
+        let allans = [Some(&*self.force), rate];
+        Ok(NoiseReport::new(&self.name, self.rate_hz(), source, allans))
     }
-}
-
-/// What a user should know beside the numbers.
-fn findings(source: RateSource, axes: Option<&[AxisReport; 3]>) -> Vec<Finding> {
-    let mut findings = Vec::new();
-    if source == RateSource::Assumed {
-        let text = "the noise densities scale with the square root of the assumed rate";
-        findings.push(FindingCode::Rate.note(text));
-    }
-    for (name, axis) in ["X", "Y", "Z"].into_iter().zip(axes.into_iter().flatten()) {
-        if axis.is_coarse {
-            let text = format!(
-                "{name}: one step of the output, {:.2} mm/s², is {:.1} times its noise: the figures are those of the \
-                 quantisation",
-                axis.step_m_s2 * 1e3,
-                axis.step_m_s2 / axis.sample_sd_m_s2
-            );
-            let finding = FindingCode::Quantisation.warning(text);
-            findings.push(finding.remedy("choose a smaller range or a higher resolution"));
-        } else if !axis.is_noise {
-            findings.push(FindingCode::NotNoise.warning(format!(
-                "{name}: not noise alone (χ² {:.0} times too large): hum or vibration; the numbers are rough, see the curve",
-                axis.misfit
-            )));
-        }
-        if let Some(tau_s) = axis.white_from_s {
-            findings.push(FindingCode::NotNoise.note(format!(
-                "{name}: the output is filtered, or samples repeat: it is white noise from averaging times of {tau_s:.3} s on, \
-                 and the figures are from there"
-            )));
-        }
-        if axis.clipped_samples > 0 {
-            let text = format!(
-                "{name}: {} samples are clipped at the end of the output: the noise is larger than these figures",
-                axis.clipped_samples
-            );
-            let finding = FindingCode::Saturated.warning(text);
-            findings
-                .push(finding.remedy("choose a larger range or rotate the axis away from its end"));
-        }
-        if axis.is_one_event {
-            let finding = FindingCode::NotNoise.warning(format!(
-                "{name}: a single event (warm-up or a jump) dominates long times: bias instability and random walk are left out"
-            ));
-            findings.push(finding.remedy("record again with a warm sensor that is not disturbed"));
-        }
-    }
-    findings
 }
 
 impl NoiseReport {
-    fn new(source: &str, rate_hz: f64, rate_source: RateSource, allan: &AllanVariance) -> Self {
-        let found = allan.result();
-        let axes = found.as_ref().ok().copied().map(|axes| axes.map(AxisReport::from));
+    /// Of an accelerometer and a gyroscope, at least one of them; the first one's rate.
+    fn new(
+        source: &str,
+        rate_hz: f64,
+        rate_source: RateSource,
+        allans: [Option<&AllanVariance>; 2],
+    ) -> Self {
         let mut outcome = Outcome::default();
-        (outcome.findings).extend(findings(rate_source, axes.as_ref()));
-        if let Err(refusal) = &found {
-            outcome.refuse(refusal.to_string());
+        if rate_source == RateSource::Assumed {
+            let text = "the noise densities scale with the square root of the assumed rate";
+            outcome.findings.push(FindingCode::Rate.note(text));
         }
+        let kinds = [&sensor::ACCELEROMETER, &sensor::GYROSCOPE];
+        let sensors =
+            [0, 1].map(|place: usize| match SensorNoise::of(allans[place]?, kinds[place]) {
+                Ok(sensor) => {
+                    outcome.findings.extend(sensor.findings());
+                    Some(sensor)
+                }
+                Err(refusal) if place == 1 && allans[0].is_some() => {
+                    let text = format!("the gyroscope's noise is not measured: {refusal}");
+                    outcome.findings.push(FindingCode::NotNoise.warning(text));
+                    None
+                }
+                Err(refusal) => {
+                    outcome.refuse(refusal.to_string());
+                    None
+                }
+            });
+        let [force, rate] = &sensors;
         Self {
             outcome,
             source: source.to_owned(),
-            samples: allan.samples(),
+            samples: allans.into_iter().flatten().next().map_or(0, AllanVariance::samples),
             rate_hz,
             rate_source,
-            points: if found.is_ok() {
-                allan.points().map(PointReport::from).collect()
-            } else {
-                Vec::new()
-            },
-            axes,
-            gyroscope: None,
-            gyroscope_points: Vec::new(),
+            axes: force.as_ref().map(|sensor| sensor.axes.map(AxisReport::from)),
+            gyroscope: rate.as_ref().map(|sensor| sensor.axes.map(GyroscopeAxis::from)),
+            points: force.as_ref().map(|sensor| sensor.points.clone()).unwrap_or_default(),
+            sensors,
         }
+    }
+
+    /// The sensors that were measured.
+    pub fn measured(&self) -> impl Iterator<Item = &SensorNoise> {
+        self.sensors.iter().flatten()
     }
 }
 
@@ -344,45 +330,9 @@ impl fmt::Display for NoiseReport {
             self.samples as f64 / self.rate_hz,
             self.rate_hz
         )?;
-        let Some(axes) = &self.axes else {
+        if self.measured().next().is_none() {
             return write!(out, "\n{}", self.outcome);
-        };
-        let ug = 1e6 / STANDARD_GRAVITY_MPS2;
-        for (name, axis) in ["X", "Y", "Z"].into_iter().zip(axes) {
-            let density = axis.noise_density_m_s2_rthz;
-            write!(
-                out,
-                "\n{name}: noise density (one-sided) {:.1} ± {:.1} µg/√Hz, velocity random walk N {:.3} mm/s/√s, ",
-                density.value * ug,
-                density.sd * ug,
-                axis.velocity_random_walk_m_s_rts.value * 1e3
-            )?;
-            match axis.bias_instability_m_s2 {
-                Some(b) => {
-                    write!(out, "bias instability {:.1} ± {:.1} µg", b.value * ug, b.sd * ug)?
-                }
-                None => write!(
-                    out,
-                    "bias instability not observed; σ falls to {:.1} µg at {:.0} s",
-                    axis.floor_m_s2 * ug,
-                    axis.floor_tau_s
-                )?,
-            }
-            if let Some(k) = axis.acceleration_random_walk_m_s2_rts {
-                write!(
-                    out,
-                    ", acceleration random walk {:.2} ± {:.2} µg/√s",
-                    k.value * ug,
-                    k.sd * ug
-                )?;
-            }
-            if let Some(r) = axis.ramp_m_s3 {
-                write!(out, ", drift {:.1} ± {:.1} µg/min", r.value * ug * 60.0, r.sd * ug * 60.0)?;
-            }
         }
-        for (name, axis) in ["X", "Y", "Z"].into_iter().zip(self.gyroscope.iter().flatten()) {
-            write!(out, "\ngyroscope {name}: {axis}")?;
-        }
-        Ok(())
+        self.measured().try_for_each(|sensor| write!(out, "{sensor}"))
     }
 }

@@ -28,7 +28,7 @@ mod words;
 
 pub use datasheet::{DatasheetReport, LimitReport, datasheet};
 pub use difference::{Change, Difference, parameter_figures, values_text};
-pub use export::{CalibrationExport, ExportTarget, KalibrNoise};
+pub use export::{CalibrationExport, ExportTarget, KalibrNoise, KalibrTerms};
 pub(crate) use file::worst_sd;
 pub use file::{
     CalibrationFile, Session, StoredModel, force_sd_mps2, further_sensors, read_model,

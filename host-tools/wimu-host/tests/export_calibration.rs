@@ -4,7 +4,9 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use wimu_host::calibration::{CalibrationExport, CalibrationFile, ExportTarget, KalibrNoise};
+use wimu_host::calibration::{
+    CalibrationExport, CalibrationFile, ExportTarget, KalibrNoise, KalibrTerms,
+};
 use wimu_model::{
     Alignment, CentiCelsius, Corrector, ErrorModel, ErrorTerms, GyroscopeModel,
     GyroscopeParameters, GyroscopeTemperatureTerms, GyroscopeTerms, ParameterSet,
@@ -299,13 +301,10 @@ fn kalibr_has_its_keys_and_never_an_invented_noise() {
     let folder = tempfile::tempdir().unwrap();
     let export = export(&set(), true, folder.path());
     let kalibr = |noise| export.text(ExportTarget::Kalibr, noise);
-    let noise = KalibrNoise {
-        density: 0.002,
-        random_walk: 1e-4,
-        random_walk_seen: true,
-        rate_hz: 100.0,
-        coarse: false,
-    };
+    let terms =
+        KalibrTerms { density: 0.002, random_walk: 1e-4, random_walk_seen: true, coarse: false };
+    let of = |terms| KalibrNoise { rate_hz: 100.0, sensors: [Some(terms), None] };
+    let noise = of(terms);
     let text = kalibr(Some(noise));
     for line in [
         "rostopic: /imu/data_raw",
@@ -322,14 +321,14 @@ fn kalibr_has_its_keys_and_never_an_invented_noise() {
         assert!(text.lines().any(|found| found == line), "{line} in {text}");
     }
     assert!(!text.contains("Not observed"));
-    let unseen = KalibrNoise { random_walk_seen: false, ..noise };
+    let unseen = of(KalibrTerms { random_walk_seen: false, ..terms });
     let unseen = kalibr(Some(unseen));
     assert!(unseen.contains("# Not observed in the recording: upper bound"));
     assert!(unseen.contains("\naccelerometer_random_walk: 0.0001\n"));
     for word in ["at 24.50 °C", "nonlinearity", "alignment"] {
         assert!(text.contains(word), "{word} in {text}");
     }
-    let coarse = KalibrNoise { coarse: true, ..noise };
+    let coarse = of(KalibrTerms { coarse: true, ..terms });
     assert!(kalibr(Some(coarse)).contains("# Counts are coarser"));
     let text = kalibr(None);
     let has_noise = |line: &str| line.starts_with("accelerometer_noise");

@@ -1,23 +1,27 @@
 //! `wimu.allan`.
 
+use std::sync::Arc;
+
 use pyo3::prelude::*;
-use wimu_host::allan::{AxisReport, Figure, NoiseReport, noise_of};
+use wimu_calib::{AxisNoise, Measured};
+use wimu_host::allan::{NoiseReport, SensorNoise, noise_of};
 use wimu_model::Sensitivity;
 
 use crate::arrays::{Array1, Array2, column, plain, table};
 use crate::failure::{Result, refused, usage};
 use crate::recording::Source;
 
-/// Noise of an accelerometer at rest. Arrays of shape (3,) hold X, Y, Z; NaN where a term is not observed.
+/// Noise of an accelerometer at rest, or of a gyroscope: rad/s wherever m/s² is written here. Arrays of shape (3,) hold X, Y,
+/// Z; NaN where a term is not observed.
 #[pyclass(frozen, module = "wimu")]
 pub struct Noise {
-    report: NoiseReport,
-    axes: [AxisReport; 3],
+    report: Arc<NoiseReport>,
+    sensor: SensorNoise,
 }
 
 impl Noise {
-    fn term(&self, py: Python<'_>, term: impl Fn(&AxisReport) -> Option<f64>) -> Array1 {
-        column(py, self.axes.iter().map(|axis| term(axis).unwrap_or(f64::NAN)))
+    fn term(&self, py: Python<'_>, term: impl Fn(&AxisNoise) -> Option<f64>) -> Array1 {
+        column(py, self.sensor.axes.iter().map(|axis| term(axis).unwrap_or(f64::NAN)))
     }
 }
 
@@ -26,50 +30,69 @@ impl Noise {
     /// Averaging times, s, shape (k,).
     #[getter]
     fn tau(&self, py: Python<'_>) -> Array1 {
-        column(py, self.report.points.iter().map(|point| point.tau_s))
+        column(py, self.sensor.points.iter().map(|point| point.tau_s))
     }
 
     /// Allan deviation, m/s², shape (k, 3).
     #[getter]
     fn deviation(&self, py: Python<'_>) -> Result<Array2> {
-        table(py, self.report.points.iter().map(|point| point.deviation_m_s2))
+        table(py, self.sensor.points.iter().map(|point| point.deviation_m_s2))
     }
 
     /// Standard deviation of `deviation`, m/s².
     #[getter]
     fn deviation_sd(&self, py: Python<'_>) -> Result<Array2> {
-        let points = self.report.points.iter();
+        let points = self.sensor.points.iter();
         table(py, points.map(|point| point.deviation_m_s2.map(|axis| axis * point.relative_sd)))
     }
 
     /// One-sided noise density, m/s²/√Hz.
     #[getter]
     fn noise_density(&self, py: Python<'_>) -> Array1 {
-        self.term(py, |axis| Some(axis.noise_density_m_s2_rthz.value))
+        self.term(py, |axis| Some(axis.noise_density().value))
     }
 
     /// Standard deviation of `noise_density`.
     #[getter]
     fn noise_density_sd(&self, py: Python<'_>) -> Array1 {
-        self.term(py, |axis| Some(axis.noise_density_m_s2_rthz.sd))
+        self.term(py, |axis| Some(axis.noise_density().sd))
     }
 
     /// Velocity random walk, m/s/√s.
     #[getter]
     fn velocity_random_walk(&self, py: Python<'_>) -> Array1 {
-        self.term(py, |axis| Some(axis.velocity_random_walk_m_s_rts.value))
+        self.term(py, |axis| Some(axis.velocity_random_walk.value))
+    }
+
+    /// Angle random walk of a gyroscope, rad/s/√Hz.
+    #[getter]
+    fn angle_random_walk(&self, py: Python<'_>) -> Array1 {
+        self.velocity_random_walk(py)
+    }
+
+    /// Standard deviation of `angle_random_walk`.
+    #[getter]
+    fn angle_random_walk_sd(&self, py: Python<'_>) -> Array1 {
+        self.term(py, |axis| Some(axis.velocity_random_walk.sd))
+    }
+
+    /// The noise of the gyroscope beside the accelerometer, or of the gyroscope alone; `None` without one.
+    #[getter]
+    fn gyroscope(&self) -> Option<Self> {
+        let sensor = self.report.sensors[1].clone()?;
+        Some(Self { report: self.report.clone(), sensor })
     }
 
     /// Bias instability, m/s².
     #[getter]
     fn bias_instability(&self, py: Python<'_>) -> Array1 {
-        self.term(py, |axis| axis.bias_instability_m_s2.map(|Figure { value, .. }| value))
+        self.term(py, |axis| axis.bias_instability_mps2.map(|Measured { value, .. }| value))
     }
 
     /// Standard deviation of `bias_instability`.
     #[getter]
     fn bias_instability_sd(&self, py: Python<'_>) -> Array1 {
-        self.term(py, |axis| axis.bias_instability_m_s2.map(|Figure { sd, .. }| sd))
+        self.term(py, |axis| axis.bias_instability_mps2.map(|Measured { sd, .. }| sd))
     }
 
     /// Sample rate, Hz.
@@ -86,7 +109,7 @@ impl Noise {
 
     /// The object that `wimu allan --json` prints.
     fn to_dict(&self, py: Python<'_>) -> Result<Py<PyAny>> {
-        plain(py, &self.report)
+        plain(py, &*self.report)
     }
 
     fn __str__(&self) -> String {
@@ -94,7 +117,7 @@ impl Noise {
     }
 }
 
-/// Computes the Allan deviation of an accelerometer at rest.
+/// Computes the Allan deviation of an accelerometer at rest, of the gyroscope beside it, or of a gyroscope alone.
 #[pyfunction]
 #[pyo3(signature = (source, *, sensitivity=None, accelerometer=None))]
 pub fn allan(
@@ -106,8 +129,8 @@ pub fn allan(
     let sensitivity = sensitivity.map(Sensitivity::from_lsb_per_g).transpose();
     let sensitivity = sensitivity.map_err(|error| usage(error.to_string(), "check sensitivity"))?;
     let report = py.detach(|| noise_of(&*source.data()?, accelerometer, sensitivity))?;
-    match report.axes {
-        Some(axes) => Ok(Noise { report, axes }),
+    match report.measured().next().cloned() {
+        Some(sensor) => Ok(Noise { report: Arc::new(report), sensor }),
         None => {
             let remedy = "record longer, with the sensor at rest".to_owned();
             Err(refused(&report.source, report.outcome.reason.as_deref(), remedy))

@@ -1,15 +1,29 @@
 //! Check that the sensor was at rest during a noise measurement.
 
-/// Largest difference between the means of two seconds at rest, m/s²: 20 mg, drift included.
-const MOST_WANDER_MPS2: f64 = 0.2;
 /// Largest variance of a second at rest, relative to the geometric mean.
 const MOST_BURST: f64 = 20.0;
-/// Largest noise, m/s² rms in a second.
-const MOST_NOISE_MPS2: f64 = 0.5;
+
+/// Limits of a quantity at rest.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Limits {
+    /// Largest difference between the means of two seconds, drift included.
+    wander: f64,
+    /// Largest noise, rms in a second.
+    noise: f64,
+}
+
+impl Limits {
+    /// Specific force, m/s²: 20 mg, 50 mg.
+    pub(super) const FORCE: Self = Self { wander: 0.2, noise: 0.5 };
+    /// Angular rate, rad/s: the change of the offset over 30 K (L3GD20 datasheet, 0.04 °/s/K), and three times the noise of
+    /// a noisy consumer gyroscope at its full bandwidth (L3G4200D datasheet, 0.03 °/s/√Hz at 800 Hz).
+    pub(super) const RATE: Self = Self { wander: 0.02, noise: 0.05 };
+}
 
 /// Statistics of blocks of one second.
 #[derive(Clone, Debug)]
 pub(super) struct Rest {
+    limits: Limits,
     rate_hz: f64,
     /// Block length, samples.
     length: u32,
@@ -28,8 +42,9 @@ pub(super) struct Rest {
 }
 
 impl Rest {
-    pub(super) fn new(rate_hz: f64) -> Self {
+    pub(super) fn new(rate_hz: f64, limits: Limits) -> Self {
         Self {
+            limits,
             rate_hz,
             length: (rate_hz as u32).max(16),
             filled: 0,
@@ -89,12 +104,12 @@ impl Rest {
             let (variance, when) = self.noisiest[axis];
             // The lower bound is for axes with mostly constant output.
             if variance > MOST_BURST * usual.max(1e-5)
-                || variance > MOST_NOISE_MPS2 * MOST_NOISE_MPS2
+                || variance > self.limits.noise * self.limits.noise
             {
                 return Some((when, axis));
             }
             let (largest, when) = self.largest[axis];
-            (largest - self.least[axis] > MOST_WANDER_MPS2)
+            (largest - self.least[axis] > self.limits.wander)
                 .then_some((when.max(self.least_at[axis]), axis))
         })
     }

@@ -1,21 +1,21 @@
-//! Noise of an accelerometer, and of the gyroscope beside it, in a file, while the file is read.
+//! Noise of an accelerometer, of the gyroscope beside it, or of a gyroscope alone in a file, while the file is read.
 
 use std::path::Path;
 
 use wimu_calib::AllanVariance;
 use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
-use super::{NoiseReport, PointReport, gyroscope};
+use super::NoiseReport;
 use crate::error::Result;
 use crate::finding::{Finding, FindingCode};
 use crate::formats::{self, ReadOptions, Source};
 use crate::recording::{
     ASSUMED_RATE_HZ, BREAK_NS, Origin, OutputUnit, Quantity, REACH, RateSource, Recording, Sink,
-    TrackId, TrackInfo, Unit, Unusable, gaps_finding, no_usable_row, rate_and_gaps, unit_of,
+    Track, TrackId, TrackInfo, Unit, Unusable, gaps_finding, no_usable_row, rate_and_gaps, unit_of,
 };
 use crate::stats::{median, norm};
 
-/// Reads a file and measures the noise of an accelerometer in it, in memory that does not grow with the file.
+/// Reads a file and measures the noise of an accelerometer and a gyroscope in it, in memory that does not grow with the file.
 /// `sensitivity` is for counts; without it and a sensitivity of the board, the median magnitude of the first
 /// 65,536 samples is taken as 1 g.
 ///
@@ -75,7 +75,7 @@ impl NoiseOfTracks {
         Self { recording: Recording::new(name), meters: Vec::new(), start_ns: None, sensitivity }
     }
 
-    /// The noise of the chosen accelerometer.
+    /// The noise of the chosen accelerometer and of its gyroscope, or of a gyroscope where there is no accelerometer.
     fn finish(mut self, accelerometer: Option<u8>) -> Result<NoiseReport> {
         let recording = &mut self.recording;
         for (meter, track) in self.meters.iter().zip(0..) {
@@ -83,36 +83,38 @@ impl NoiseOfTracks {
             let name = recording.name.clone();
             (meter.unusable).report(&info, self.start_ns, &name, &mut recording.findings)?;
         }
-        let chosen = recording.accelerometer(accelerometer)?;
-        let mut tracks = recording.tracks().iter();
-        let index = tracks.position(|track| std::ptr::eq(track, chosen));
-        let meter = index.and_then(|index| self.meters.get_mut(index));
-        let Some(Some((rate_hz, source))) = meter.map(|meter| meter.finish(&chosen.info)) else {
-            return Err(no_usable_row(&recording.name, &chosen.info));
+        let chosen = recording.accelerometer(accelerometer);
+        let sensor = chosen.as_ref().ok().map(|track| track.info.sensor);
+        let is_gyroscope = |info: &TrackInfo| {
+            let is_raw = info.origin == Origin::Sensor && !info.corrected && is_known(info.unit);
+            let is_beside = sensor.is_none_or(|sensor| info.sensor == sensor);
+            info.quantity == Quantity::AngularRate && is_beside && is_raw
         };
-        let sensor = chosen.info.sensor;
-        let is_beside = |info: &TrackInfo| {
-            let raw = info.origin == Origin::Sensor && !info.corrected && is_known(info.unit);
-            info.quantity == Quantity::AngularRate && info.sensor == sensor && raw
-        };
-        let rate = recording.tracks().iter().position(|track| is_beside(&track.info));
-        let rate = rate.zip(rate.and_then(|index| self.meters.get_mut(index)));
-        let mut of_gyroscope = Vec::new();
-        let mut gyroscope_points = Vec::new();
-        let gyroscope = rate.and_then(|(index, meter)| {
-            meter.finish(&recording.tracks()[index].info)?;
-            gyroscope_points.extend(meter.allan.points().map(PointReport::from));
-            gyroscope::measured(&meter.allan, &mut of_gyroscope)
-        });
-        let meter = &self.meters[index.unwrap_or_default()];
-        let mut report = NoiseReport::new(&recording.name, rate_hz, source, &meter.allan);
+        let index = |is: &dyn Fn(&Track) -> bool| recording.tracks().iter().position(is);
+        let force = chosen.as_ref().ok().and_then(|track| index(&|one| std::ptr::eq(one, *track)));
+        let rate = index(&|track| is_gyroscope(&track.info));
+        if let (Err(error), true) = (chosen, rate.is_none() || accelerometer.is_some()) {
+            return Err(error);
+        }
+        let mut rates = Vec::new();
+        for index in [force, rate].into_iter().flatten() {
+            let info = &recording.tracks()[index].info;
+            match self.meters[index].finish(info) {
+                Some(found) => rates.push(found),
+                None if rates.is_empty() => return Err(no_usable_row(&recording.name, info)),
+                None => {}
+            }
+        }
+        let (rate_hz, source) = rates[0];
+        let measured = |index: usize| Some(&*self.meters[index].allan).filter(|a| a.samples() > 0);
+        let allans = [force, rate].map(|index| index.and_then(measured));
+        let mut report = NoiseReport::new(&recording.name, rate_hz, source, allans);
         // The rate is in the report.
         let read = recording.findings.iter();
         let read = read.filter(|finding| finding.code != FindingCode::Rate).cloned();
-        let before: Vec<Finding> = read.chain(gaps_finding(meter.gaps)).collect();
+        let gaps = force.or(rate).and_then(|index| gaps_finding(self.meters[index].gaps));
+        let before: Vec<Finding> = read.chain(gaps).collect();
         report.outcome.findings.splice(0..0, before);
-        report.outcome.findings.extend(of_gyroscope);
-        (report.gyroscope, report.gyroscope_points) = (gyroscope, gyroscope_points);
         Ok(report)
     }
 }
@@ -199,7 +201,11 @@ impl TrackMeter {
         .unwrap_or((ASSUMED_RATE_HZ, Vec::new()));
         let stated_hz = info.rate_hz.filter(|_| !info.timeless);
         let scale = *self.scale.get_or_insert_with(|| {
-            *self.allan = AllanVariance::new(stated_hz.unwrap_or(rate_hz));
+            let of = match info.quantity {
+                Quantity::AngularRate => AllanVariance::of_gyroscope,
+                _ => AllanVariance::new,
+            };
+            *self.allan = of(stated_hz.unwrap_or(rate_hz));
             scale_of(info, self.sensitivity, &self.rows)
         });
         let mut gaps = gaps.into_iter().peekable();

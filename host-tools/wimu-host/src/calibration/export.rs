@@ -11,7 +11,7 @@ use wimu_model::{
     STANDARD_GRAVITY_MPS2, Sensitivity,
 };
 
-pub use noise::KalibrNoise;
+pub use noise::{KalibrNoise, KalibrTerms};
 
 use super::file::{NOT_FOR_A_BOARD, StoredModel, range_finding, read_model, read_parameters};
 use crate::error::Result;
@@ -320,37 +320,34 @@ impl CalibrationExport {
     /// Kalibr's IMU file, whose convention is ours: y = M f + b, M is A.
     fn kalibr(&self, noise: Option<KalibrNoise>) -> String {
         let terms = self.stored.model.terms();
-        let mut out = self.comments(
-            ExportTarget::Kalibr,
-            "Output = M * specific force + b, sensor axes, m/s^2. The gyroscope's noise is not calibrated by wimu:\n\
-             add gyroscope_noise_density and gyroscope_random_walk.",
-        );
+        let mut out = self
+            .comments(ExportTarget::Kalibr, "Output = M * specific force + b, sensor axes, m/s^2.");
         out += "rostopic: /imu/data_raw\n";
-        let _ = match noise {
-            Some(noise) => writeln!(
-                out,
-                "{}update_rate: {:?}\n# m/s^2/sqrt(Hz) in Kalibr's convention: the velocity random walk, m/s/sqrt(s)\n\
-                 accelerometer_noise_density: {:?}\n{}accelerometer_random_walk: {:?}",
-                if noise.coarse {
-                    "# Counts are coarser than the noise: this is the noise of the quantisation, not of the sensor.\n"
-                } else {
-                    ""
-                },
-                noise.rate_hz,
-                noise.density,
-                if noise.random_walk_seen {
-                    ""
-                } else {
-                    "# Not observed in the recording: upper bound, m/s^2/sqrt(s).\n"
-                },
-                noise.random_walk
-            ),
-            None => writeln!(
-                out,
-                "# Not measured: give the JSON of `wimu allan --json` with --noise.\n\
-                 # update_rate:\n# accelerometer_noise_density:\n# accelerometer_random_walk:"
-            ),
-        };
+        match noise {
+            Some(noise) => out += &format!("update_rate: {:?}\n", noise.rate_hz),
+            None => out += "# Give the JSON of `wimu allan --json` with --noise.\n# update_rate:\n",
+        }
+        let sensors = noise.map_or([None; 2], |noise| noise.sensors);
+        let names = [("accelerometer", "m/s^2", "velocity"), ("gyroscope", "rad/s", "angle")];
+        for ((sensor, unit, walk), terms) in names.into_iter().zip(sensors) {
+            let Some(terms) = terms else {
+                out += &format!(
+                    "# Not measured: add them.\n# {sensor}_noise_density:\n# {sensor}_random_walk:\n"
+                );
+                continue;
+            };
+            if terms.coarse {
+                out += "# Counts are coarser than the noise: this is the noise of the quantisation, not of the sensor.\n";
+            }
+            out += &format!(
+                "# {unit}/sqrt(Hz) in Kalibr's convention: the {walk} random walk\n{sensor}_noise_density: {:?}\n",
+                terms.density
+            );
+            if !terms.random_walk_seen {
+                out += &format!("# Not observed in the recording: upper bound, {unit}/sqrt(s).\n");
+            }
+            out += &format!("{sensor}_random_walk: {:?}\n", terms.random_walk);
+        }
         let rows = |m: Matrix3| m.map(|row| format!("  - {row:?}\n")).concat();
         let _ = write!(
             out,

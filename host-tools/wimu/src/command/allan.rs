@@ -21,7 +21,7 @@ pub fn run(arguments: &Allan, output: &Output) -> Result<u8> {
     };
     output.print(report.to_string());
     output.findings(&report.outcome.findings);
-    if report.axes.is_some()
+    if report.measured().next().is_some()
         && let Some(path) = &arguments.report
     {
         report.page(arguments.datasheet)?.write(path)?;

@@ -6,25 +6,56 @@ use serde_json::Value;
 
 use crate::error::{ErrorCode, HostError, Result};
 
-/// Noise of the accelerometer for Kalibr, from `wimu allan`.
+/// Noise for Kalibr, from `wimu allan`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KalibrNoise {
-    /// Velocity random walk N, m/s/√s.
+    /// Sample rate, Hz.
+    pub rate_hz: f64,
+    /// Of the accelerometer, and of the gyroscope, where they were measured.
+    pub sensors: [Option<KalibrTerms>; 2],
+}
+
+/// Noise of the noisiest axis of a sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KalibrTerms {
+    /// Velocity or angle random walk N, m/s/√s or rad/√s.
     pub density: f64,
-    /// Acceleration random walk K, m/s²/√s; above 0.
+    /// Acceleration or rate random walk K, m/s²/√s or rad/s/√s; above 0.
     pub random_walk: f64,
     /// Whether it was observed; else it is an upper bound.
     pub random_walk_seen: bool,
-    /// Sample rate, Hz.
-    pub rate_hz: f64,
     /// Whether the counts of an axis are coarser than its noise: then the density is that of the quantisation.
     pub coarse: bool,
 }
 
+impl KalibrTerms {
+    /// The noisiest of some axes with the names of N, K and the smallest deviation. For a random walk that was not observed,
+    /// the upper bound is taken, because Kalibr needs a number above 0: alone it would be σ(τ) = K √(τ/3) at the lowest σ.
+    fn of(axes: &Value, [density, walk, floor]: [&str; 3]) -> Option<Self> {
+        let axes = axes.as_array()?;
+        let walk = |axis: &Value| {
+            let seen = axis[walk]["value"].as_f64();
+            let (floor, tau) = (axis[floor].as_f64()?, axis["floor_tau_s"].as_f64()?);
+            let most = floor * (3.0 / tau).sqrt();
+            Some((seen.unwrap_or(most), seen.is_some()))
+        };
+        let (random_walk, random_walk_seen) = axes
+            .iter()
+            .filter_map(walk)
+            .filter(|(walk, _)| walk.is_finite() && *walk > 0.0)
+            .max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let densities = axes.iter().filter_map(|axis| axis[density]["value"].as_f64());
+        Some(Self {
+            density: densities.reduce(f64::max)?,
+            random_walk,
+            random_walk_seen,
+            coarse: axes.iter().any(|axis| axis["is_coarse"] == true),
+        })
+    }
+}
+
 impl KalibrNoise {
-    /// Reads the output of `wimu allan --json`; the noisiest axis counts. For an acceleration random walk that was
-    /// not observed, the upper bound is taken, because Kalibr needs a number above 0: alone it would be
-    /// σ(τ) = K √(τ/3) at the lowest σ.
+    /// Reads the output of `wimu allan --json`.
     ///
     /// # Errors
     /// `file_unreadable`; `bad_calibration` when it is not such a report, or was refused.
@@ -44,32 +75,14 @@ impl KalibrNoise {
             return Err(bad());
         }
         let report = &envelope["data"];
-        let worst = |key: &str| {
-            let axes = report["axes"].as_array()?;
-            let of = |axis: &Value| axis[key]["value"].as_f64();
-            axes.iter().filter_map(of).reduce(f64::max)
-        };
-        let walk = |axis: &Value| {
-            let seen = axis["acceleration_random_walk_m_s2_rts"]["value"].as_f64();
-            let (floor, tau) = (axis["floor_m_s2"].as_f64()?, axis["floor_tau_s"].as_f64()?);
-            let most = floor * (3.0 / tau).sqrt();
-            Some((seen.unwrap_or(most), seen.is_some()))
-        };
-        let axes = report["axes"].as_array().ok_or_else(bad)?;
-        let (random_walk, random_walk_seen) = axes
-            .iter()
-            .filter_map(walk)
-            .filter(|(walk, _)| walk.is_finite() && *walk > 0.0)
-            .max_by(|a, b| a.0.total_cmp(&b.0))
-            .ok_or_else(bad)?;
-        Ok(Self {
-            density: worst("velocity_random_walk_m_s_rts").ok_or_else(bad)?,
-            random_walk,
-            random_walk_seen,
-            rate_hz: report["rate_hz"].as_f64().ok_or_else(bad)?,
-            coarse: report["axes"]
-                .as_array()
-                .is_some_and(|axes| axes.iter().any(|axis| axis["is_coarse"] == true)),
-        })
+        let keys =
+            ["velocity_random_walk_m_s_rts", "acceleration_random_walk_m_s2_rts", "floor_m_s2"];
+        let force = KalibrTerms::of(&report["axes"], keys);
+        let keys = ["angle_random_walk_rad_s_rthz", "rate_random_walk_rad_s_rts", "floor_rad_s"];
+        let sensors = [force, KalibrTerms::of(&report["gyroscope"], keys)];
+        if sensors == [None; 2] {
+            return Err(bad());
+        }
+        Ok(Self { rate_hz: report["rate_hz"].as_f64().ok_or_else(bad)?, sensors })
     }
 }

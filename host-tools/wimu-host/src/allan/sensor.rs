@@ -1,0 +1,226 @@
+//! The noise of a sensor: an accelerometer or a gyroscope, in the units in which each is shown.
+
+use std::fmt;
+
+use serde::Serialize;
+use wimu_calib::{AllanVariance, AxisNoise, Measured, NoiseRefusal};
+use wimu_model::STANDARD_GRAVITY_MPS2;
+
+use super::{Figure, PointReport};
+use crate::finding::{Finding, FindingCode};
+
+/// Unit of a figure: its name, how many there are in an SI unit, and the decimals that are shown.
+#[derive(Debug)]
+pub(super) struct Unit {
+    pub name: &'static str,
+    pub per_si: f64,
+    decimals: usize,
+}
+
+impl Unit {
+    const fn new(name: &'static str, per_si: f64, decimals: usize) -> Self {
+        Self { name, per_si, decimals }
+    }
+
+    fn text(&self, Measured { value, sd }: Measured) -> String {
+        let (per_si, decimals) = (self.per_si, self.decimals);
+        format!("{:.decimals$} ± {:.decimals$} {}", value * per_si, sd * per_si, self.name)
+    }
+}
+
+/// A kind of sensor, and how its noise is shown.
+#[derive(Debug)]
+pub(super) struct Kind {
+    pub name: &'static str,
+    pub si: &'static str,
+    /// Before the name of an axis.
+    prefix: &'static str,
+    pub density: Unit,
+    /// N, and K, with their names.
+    pub white: (&'static str, Unit),
+    walk: (&'static str, Unit),
+    pub bias: Unit,
+    drift: Unit,
+    pub deviation: Unit,
+}
+
+/// µg of 1 m/s², and degrees of 1 rad.
+pub(super) const UG: f64 = 1e6 / STANDARD_GRAVITY_MPS2;
+const DEG: f64 = 180.0 / std::f64::consts::PI;
+
+pub(super) static ACCELEROMETER: Kind = Kind {
+    name: "accelerometer",
+    si: "m/s²",
+    prefix: "",
+    density: Unit::new("µg/√Hz", UG, 1),
+    white: ("velocity random walk", Unit::new("mm/s/√s", 1e3, 3)),
+    walk: ("acceleration random walk", Unit::new("µg/√s", UG, 2)),
+    bias: Unit::new("µg", UG, 1),
+    drift: Unit::new("µg/min", 60.0 * UG, 1),
+    deviation: Unit::new("mm/s²", 1e3, 4),
+};
+
+pub(super) static GYROSCOPE: Kind = Kind {
+    name: "gyroscope",
+    si: "rad/s",
+    prefix: "gyroscope ",
+    density: Unit::new("°/s/√Hz", DEG, 5),
+    white: ("angle random walk", Unit::new("°/√h", 60.0 * DEG, 3)),
+    walk: ("rate random walk", Unit::new("°/s/√s", DEG, 6)),
+    bias: Unit::new("°/h", 3600.0 * DEG, 2),
+    drift: Unit::new("°/h/min", 216_000.0 * DEG, 2),
+    deviation: Unit::new("°/s", DEG, 5),
+};
+
+/// The noise of a sensor, SI units.
+#[derive(Clone, Debug)]
+pub struct SensorNoise {
+    pub(super) kind: &'static Kind,
+    /// X, Y, Z.
+    pub axes: [AxisNoise; 3],
+    /// The curve.
+    pub points: Vec<PointReport>,
+}
+
+impl SensorNoise {
+    pub(super) fn of(allan: &AllanVariance, kind: &'static Kind) -> Result<Self, NoiseRefusal> {
+        let points = allan.points().map(PointReport::from).collect();
+        Ok(Self { kind, axes: allan.result()?, points })
+    }
+
+    /// The axes with their names.
+    fn named(&self) -> impl Iterator<Item = (String, &AxisNoise)> {
+        let names = ["X", "Y", "Z"].map(|axis| format!("{}{axis}", self.kind.prefix));
+        names.into_iter().zip(&self.axes)
+    }
+
+    /// What a user should know beside the numbers.
+    pub(super) fn findings(&self) -> Vec<Finding> {
+        let mut findings = Vec::new();
+        let deviation = &self.kind.deviation;
+        for (name, axis) in self.named() {
+            if axis.is_coarse() {
+                let text = format!(
+                    "{name}: one step of the output, {:.2} {}, is {:.1} times its noise: the figures are those of the \
+                     quantisation",
+                    axis.step_mps2 * deviation.per_si,
+                    deviation.name,
+                    axis.step_mps2 / axis.sample_sd_mps2
+                );
+                let finding = FindingCode::Quantisation.warning(text);
+                findings.push(finding.remedy("choose a smaller range or a higher resolution"));
+            } else if !axis.is_noise() {
+                findings.push(FindingCode::NotNoise.warning(format!(
+                    "{name}: not noise alone (χ² {:.0} times too large): hum or vibration; the numbers are rough, see the \
+                     curve",
+                    axis.misfit
+                )));
+            }
+            if let Some(tau_s) = axis.white_from_s {
+                findings.push(FindingCode::NotNoise.note(format!(
+                    "{name}: the output is filtered, or samples repeat: it is white noise from averaging times of \
+                     {tau_s:.3} s on, and the figures are from there"
+                )));
+            }
+            if axis.clipped_samples > 0 {
+                let text = format!(
+                    "{name}: {} samples are clipped at the end of the output: the noise is larger than these figures",
+                    axis.clipped_samples
+                );
+                let remedy = "choose a larger range or rotate the axis away from its end";
+                findings.push(FindingCode::Saturated.warning(text).remedy(remedy));
+            }
+            if axis.is_one_event {
+                let finding = FindingCode::NotNoise.warning(format!(
+                    "{name}: a single event (warm-up or a jump) dominates long times: bias instability and random walk are \
+                     left out"
+                ));
+                let remedy = "record again with a warm sensor that is not disturbed";
+                findings.push(finding.remedy(remedy));
+            }
+        }
+        findings
+    }
+}
+
+impl fmt::Display for SensorNoise {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Kind { density, white, walk, bias, drift, .. } = self.kind;
+        for (name, axis) in self.named() {
+            write!(
+                out,
+                "\n{name}: noise density (one-sided) {}, {} {}, bias instability ",
+                density.text(axis.noise_density()),
+                white.0,
+                white.1.text(axis.velocity_random_walk)
+            )?;
+            match axis.bias_instability_mps2 {
+                Some(measured) => out.write_str(&bias.text(measured))?,
+                None => write!(
+                    out,
+                    "not observed; σ falls to {:.*} {} at {:.0} s",
+                    bias.decimals,
+                    axis.floor_mps2 * bias.per_si,
+                    bias.name,
+                    axis.floor_tau_s
+                )?,
+            }
+            if let Some(measured) = axis.acceleration_random_walk {
+                write!(out, ", {} {}", walk.0, walk.1.text(measured))?;
+            }
+            if let Some(measured) = axis.ramp_mps3 {
+                write!(out, ", drift {}", drift.text(measured))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The noise of an axis of a gyroscope.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct GyroscopeAxis {
+    /// Noise density, one-sided as datasheets give it, °/s/√Hz.
+    pub noise_density_deg_s_rthz: Figure,
+    /// Angle random walk, °/√h.
+    pub angle_random_walk_deg_rth: Figure,
+    /// The same, rad/s/√Hz.
+    pub angle_random_walk_rad_s_rthz: Figure,
+    /// Bias instability, °/h; `None` where the recording is too short to observe it.
+    pub bias_instability_deg_h: Option<Figure>,
+    /// Rate random walk, °/s/√s, where it is observed.
+    pub rate_random_walk_deg_s_rts: Option<Figure>,
+    /// The same, rad/s/√s.
+    pub rate_random_walk_rad_s_rts: Option<Figure>,
+    /// Smallest Allan deviation, °/h.
+    pub floor_deg_h: f64,
+    /// The same, rad/s.
+    pub floor_rad_s: f64,
+    /// Averaging time of the smallest deviation, s.
+    pub floor_tau_s: f64,
+    /// False where hum or vibration is present.
+    pub is_noise: bool,
+    /// Whether the step of the output is larger than the noise.
+    pub is_coarse: bool,
+}
+
+impl From<AxisNoise> for GyroscopeAxis {
+    fn from(noise: AxisNoise) -> Self {
+        let degrees = |measured: Measured, factor: f64| {
+            let factor = factor * DEG;
+            Figure::from(Measured { value: measured.value * factor, sd: measured.sd * factor })
+        };
+        Self {
+            noise_density_deg_s_rthz: degrees(noise.noise_density(), 1.0),
+            angle_random_walk_deg_rth: degrees(noise.velocity_random_walk, 60.0),
+            angle_random_walk_rad_s_rthz: noise.velocity_random_walk.into(),
+            bias_instability_deg_h: noise.bias_instability_mps2.map(|b| degrees(b, 3600.0)),
+            rate_random_walk_deg_s_rts: noise.acceleration_random_walk.map(|k| degrees(k, 1.0)),
+            rate_random_walk_rad_s_rts: noise.acceleration_random_walk.map(Figure::from),
+            floor_deg_h: noise.floor_mps2 * DEG * 3600.0,
+            floor_rad_s: noise.floor_mps2,
+            floor_tau_s: noise.floor_tau_s,
+            is_noise: noise.is_noise(),
+            is_coarse: noise.is_coarse(),
+        }
+    }
+}

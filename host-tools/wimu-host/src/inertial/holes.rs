@@ -10,7 +10,7 @@ use crate::plural::counted;
 use crate::{ErrorCode, HostError, Result};
 
 /// Samples that are left out, from a recording's first to its last, and what to say of them.
-pub(super) struct Holes {
+pub(crate) struct Holes {
     left_out: Vec<bool>,
     pub findings: Vec<Finding>,
 }

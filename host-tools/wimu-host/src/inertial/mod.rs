@@ -43,6 +43,7 @@ use std::ops::RangeInclusive;
 pub use array::{navigate_array, navigate_axes};
 pub use fix_link::{FixLink, LeastDelay};
 pub use fixes::{Aided, Fix, Fixes};
+pub(crate) use holes::Holes;
 pub use horizon::{Horizon, RestTimes};
 pub use live::Live;
 pub use moves::Move;
@@ -56,7 +57,6 @@ use wimu_nav::navigator::Rests;
 use crate::Result;
 use crate::finding::FindingCode;
 use crate::motion::{MotionRecording, TIME_SD_S, UnitSample, sampled_times};
-use holes::Holes;
 use truth::{compare, moving};
 use unit::{OnceEachField, Unit, noise_mps2};
 

@@ -20,7 +20,7 @@ pub use ranging::Ranging;
 pub use report::Innovation;
 
 use crate::finding::{Finding, FindingCode};
-use crate::inertial::{InertialPath, Method, StartPose};
+use crate::inertial::{Holes, InertialPath, Method, StartPose};
 use crate::motion::{MotionRecording, UnitSample};
 use crate::{ErrorCode, HostError, Result};
 use engine::{Motion, Recording, Run};
@@ -179,13 +179,17 @@ pub struct Localization {
     pub delay_s: Option<Parameter>,
 }
 
-/// Samples of an inertial sensor from the first range on, and the attitude that levels them; `None` without a gyroscope, or
-/// without gravity to align with.
-fn inertial(motion: &MotionRecording, first_s: f64) -> Option<(Motion<'_>, Rotation3<f64>)> {
+/// Samples of an inertial sensor from the first range on, and the attitude that levels them; or why they are not used.
+fn inertial(
+    motion: &MotionRecording,
+    first_s: f64,
+) -> std::result::Result<(Motion<'_>, Rotation3<f64>), &'static str> {
     let from = motion.times_s.partition_point(|t| *t < first_s);
     let (times_s, samples) = (&motion.times_s[from..], &motion.samples[from..]);
-    let has_rate = samples.iter().any(|s| s.rate_rad_s.is_some());
-    let begin_s = *times_s.first().filter(|_| has_rate)?;
+    let begin_s = *times_s.first().ok_or("they end before the first range")?;
+    if samples.iter().all(|s| s.rate_rad_s.is_none()) {
+        return Err("without a gyroscope the direction of the acceleration is not known");
+    }
     let count = times_s.partition_point(|t| *t < begin_s + ALIGNMENT_S);
     let sample = |s: &UnitSample| Sample {
         step_s: s.step_s,
@@ -194,8 +198,8 @@ fn inertial(motion: &MotionRecording, first_s: f64) -> Option<(Motion<'_>, Rotat
         field_ut: None,
     };
     let first: Vec<Sample<f64>> = samples[..count].iter().map(sample).collect();
-    let level = Alignment::align(&first, false)?.attitude;
-    Some((Motion::Inertial(times_s, samples), level))
+    let aligned = Alignment::align(&first, false).ok_or("they do not show gravity at the start")?;
+    Ok((Motion::Inertial(times_s, samples), aligned.attitude))
 }
 
 /// Time of the initial alignment with gravity, s.
@@ -204,20 +208,32 @@ const ALIGNMENT_S: f64 = 0.5;
 /// Estimates the path of a recording.
 ///
 /// # Errors
-/// `data_refused`: too few ranges or anchors, too many anchors, no position to the limit.
+/// `data_refused`: too few ranges or anchors, too many anchors, most accelerations no numbers, no position to the limit.
 pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<Localization> {
+    if let Some(motion) = &recording.motion
+        && let Some(holes) = Holes::of(motion)?
+    {
+        let mut whole = recording.clone();
+        whole.motion = Some(holes.left_out_of(motion));
+        whole.findings.extend(holes.findings);
+        return localized(&whole, choice);
+    }
+    localized(recording, choice)
+}
+
+/// The path of a recording of which every inertial sample is a number.
+fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<Localization> {
     let mut noticed = recording.findings.clone();
     noticed.extend(findings::before(recording)?);
     findings::same_time(recording)?;
     let first_s = recording.ranges[0].time_s;
     let motion = recording.motion.as_ref();
-    let sensed = motion.and_then(|motion| inertial(motion, first_s));
-    if motion.is_some() && sensed.is_none() {
-        noticed.push(FindingCode::Navigation.warning(
-            "the inertial samples are not used: no gyroscope, no gravity, or other times than those of the ranges",
-        ));
+    let sensed = motion.map(|motion| inertial(motion, first_s));
+    if let Some(Err(why)) = &sensed {
+        let text = format!("the inertial samples are not used: {why}");
+        noticed.push(FindingCode::Navigation.warning(text));
     }
-    let (motion, level) = sensed.unwrap_or_else(|| {
+    let (motion, level) = sensed.and_then(std::result::Result::ok).unwrap_or_else(|| {
         let motion = match recording.increments.is_empty() {
             true => Motion::Free,
             false => Motion::Odometry(&recording.increments),

@@ -13,8 +13,9 @@ const MOST: usize = 12_000;
 const FACTORS: [f64; 2] = [2.0, std::f64::consts::SQRT_2];
 /// Least gain of the log-likelihood of a step.
 const GAIN: f64 = 1.0;
-/// Steps of a scale in one direction, at most.
+/// Steps of a scale in one direction, and rounds through all directions, at most.
 const STEPS: usize = 8;
+const ROUNDS: usize = 20;
 /// Least noise of a range, m: time stamps of ultra-wideband radios (DW1000 data sheet, 3 cm).
 const LEAST_NOISE_M: f64 = 0.03;
 /// Largest probability of a range without line of sight: with more, nothing distinguishes the others.
@@ -68,9 +69,8 @@ pub(super) fn adapted(recording: &Recording, model: &Model, start: &Start) -> Re
     let likelihood = |model: &Model| Ok(part.run(model, start, false, until_s)?.log_likelihood);
     let (mut best, mut most) = (*model, likelihood(model)?);
     for factor in FACTORS {
-        let mut moved = true;
-        while moved {
-            moved = false;
+        for _ in 0..ROUNDS {
+            let before = most;
             for (which, factor) in
                 (0..DIRECTIONS).flat_map(|which| [(which, factor), (which, 1.0 / factor)])
             {
@@ -79,11 +79,15 @@ pub(super) fn adapted(recording: &Recording, model: &Model, start: &Start) -> Re
                         break;
                     };
                     let found = likelihood(&next)?;
-                    if found < most + GAIN {
+                    let gains = found >= most + GAIN;
+                    if !gains {
                         break;
                     }
-                    (best, most, moved) = (next, found, true);
+                    (best, most) = (next, found);
                 }
+            }
+            if most == before {
+                break;
             }
         }
     }

@@ -3,22 +3,23 @@
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use wimu_host::calibration::{read_model, zero_count};
+use wimu_host::calibration::{read_model, read_parameters, zero_count};
 use wimu_host::digits::east_north_up;
 use wimu_host::finding::Finding;
 use wimu_host::formats;
+use wimu_host::history::Recording;
 use wimu_host::inertial::{
     self, Aided, Choice, Fixes, InertialPath, Method, Move, Profile, Zupt, consistency, navigate,
 };
 use wimu_host::motion::{MotionRecording, TableOptions};
 use wimu_host::multi_range::{FullScales, Merge};
 use wimu_host::plural::counted;
-use wimu_host::{Input, Result};
+use wimu_host::{ErrorCode, Input, Result, navigation};
 
 use super::array;
 use crate::arguments::{Aids, Navigate, Smoothing, ZeroVelocity};
 use crate::command::array::Refined;
-use crate::output::Output;
+use crate::output::{Output, usage};
 
 /// A path, as `--json` prints it.
 #[derive(Serialize)]
@@ -140,7 +141,7 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
             found
         }
         None => {
-            let motion = table(arguments, &arguments.input)?;
+            let motion = calibrated(arguments, &arguments.input, arguments.calibration.first())?;
             one_unit(arguments, &motion, source, output)?
         }
     };
@@ -148,13 +149,34 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
     Ok(())
 }
 
-/// Reads a recording of one unit and corrects it.
-pub fn table(arguments: &Navigate, file: &Path) -> Result<MotionRecording> {
-    calibrated(arguments, file, arguments.calibration.first())
+/// A recording of a unit, of any format; of a board the longest start.
+pub fn unit(
+    arguments: &Navigate,
+    file: &Path,
+    calibration: Option<&PathBuf>,
+) -> Result<MotionRecording> {
+    match Input::parse(&file.to_string_lossy())? {
+        Input::Link(_) => Err(usage(
+            "a LINK cannot be combined with a recording",
+            "record the board: wimu record LINK -o A.mcap",
+        )),
+        Input::Recording(_) => {
+            let recording = Recording::load(file)?;
+            let link = recording.link(arguments.reading.link.map(Into::into))?;
+            let longest = link.longest().ok_or_else(|| {
+                ErrorCode::NoRows
+                    .error("the recording has no samples", "record again")
+                    .at(&recording.name)
+            })?;
+            let calibration = calibration.map(|file| read_parameters(file)).transpose()?;
+            navigation::motion(&recording.name, longest, calibration.as_ref())
+        }
+        _ => calibrated(arguments, file, calibration),
+    }
 }
 
 /// Reads a recording of one unit and corrects it with a calibration.
-pub fn calibrated(
+fn calibrated(
     arguments: &Navigate,
     file: &Path,
     calibration: Option<&PathBuf>,

@@ -53,7 +53,8 @@ pub fn run(arguments: &Navigate, anchors: &Path, output: &Output) -> Result<()> 
         recording.findings.push(FindingCode::Navigation.note(text));
     }
     if arguments.aids.ranges.is_some() {
-        let motion = inertial::table(arguments, &arguments.input)?;
+        let calibration = arguments.calibration.first();
+        let motion = inertial::unit(arguments, &arguments.input, calibration)?;
         recording.findings.extend(motion.findings.iter().cloned());
         recording.motion = Some(motion);
     }

@@ -2,14 +2,9 @@
 
 mod live;
 
-use std::path::{Path, PathBuf};
-
 use serde::Serialize;
-use wimu_host::calibration::read_parameters;
-use wimu_host::history::Recording;
-use wimu_host::motion::MotionRecording;
 use wimu_host::relative::{Clock, Hinge, RelativeChoice, RelativePath, relative};
-use wimu_host::{ErrorCode, Input, Result, navigation};
+use wimu_host::{Input, Result};
 
 use super::inertial;
 use crate::arguments::Navigate;
@@ -61,8 +56,8 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
             "give --calibration A.json --calibration B.json, or none",
         ));
     }
-    let a = unit(arguments, files[0], calibrations.first())?;
-    let b = unit(arguments, files[1], calibrations.get(1))?;
+    let a = inertial::unit(arguments, files[0], calibrations.first())?;
+    let b = inertial::unit(arguments, files[1], calibrations.get(1))?;
     let found = relative([&a, &b], &choice)?;
     let sources = files.map(|file| file.display().to_string());
     present(arguments, sources, found, output)
@@ -88,32 +83,6 @@ fn present(
     }
     output.object(&object(sources, found));
     Ok(())
-}
-
-/// A recording of a unit, of any format; of a board the longest start.
-fn unit(
-    arguments: &Navigate,
-    file: &Path,
-    calibration: Option<&PathBuf>,
-) -> Result<MotionRecording> {
-    match Input::parse(&file.to_string_lossy())? {
-        Input::Link(_) => Err(usage(
-            "--relative takes two LINKs or two recordings, not one of each",
-            "record the board: wimu record LINK -o A.mcap",
-        )),
-        Input::Recording(_) => {
-            let recording = Recording::load(file)?;
-            let link = recording.link(arguments.reading.link.map(Into::into))?;
-            let longest = link.longest().ok_or_else(|| {
-                ErrorCode::NoRows
-                    .error("the recording has no samples", "record again")
-                    .at(&recording.name)
-            })?;
-            let calibration = calibration.map(|file| read_parameters(file)).transpose()?;
-            navigation::motion(&recording.name, longest, calibration.as_ref())
-        }
-        _ => inertial::calibrated(arguments, file, calibration),
-    }
 }
 
 fn object(sources: [String; 2], found: RelativePath) -> Found {

@@ -129,11 +129,10 @@ fn geometries_that_cannot_be_are_refused_with_what_to_check() {
 
 /// The warning that the positions have another size, if there is one.
 fn size_warning(report: &serde_json::Value) -> Option<String> {
-    let findings = report["findings"].as_array()?.iter();
-    let mut texts = findings
-        .filter(|finding| finding["code"] == "geometry" && finding["severity"] == "warning");
-    let text = texts.find_map(|finding| finding["evidence"].as_str());
-    text.filter(|text| text.contains("times as far apart")).map(str::to_owned)
+    let problems = report["problems"].as_array()?.iter();
+    let warnings = problems.filter(|problem| problem["severity"] == "warning");
+    let mut texts = warnings.filter_map(|problem| problem["text"].as_str());
+    texts.find(|text| text.contains("times as far apart")).map(str::to_owned)
 }
 
 #[test]

@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 
 use kit::{folder, record_calibrated_of, record_motion, record_motion_of, wimu};
-use wimu_sim::SensorPart;
+use wimu_sim::board::SensorPart;
 
 const ANCHORS: [[f64; 3]; 5] =
     [[0.0, 0.0, 0.2], [8.0, 0.0, 2.5], [8.0, 6.0, 0.3], [0.0, 6.0, 2.6], [4.0, 3.0, 3.0]];
@@ -97,11 +97,11 @@ fn write_inertial(folder: &Path, acceleration: &str, gyroscope: bool) -> String 
     file.display().to_string()
 }
 
-/// The warnings among the findings.
+/// The warnings among the problems.
 fn warnings(found: &serde_json::Value) -> Vec<&str> {
-    let findings = found["findings"].as_array().unwrap().iter();
-    let warnings = findings.filter(|finding| finding["severity"] == "warning");
-    warnings.map(|finding| finding["evidence"].as_str().unwrap()).collect()
+    let problems = found["problems"].as_array().unwrap().iter();
+    let warnings = problems.filter(|problem| problem["severity"] == "warning");
+    warnings.map(|problem| problem["text"].as_str().unwrap()).collect()
 }
 
 #[test]

@@ -257,9 +257,10 @@ fn the_noise_of_a_gyroscope_alone_and_beside_an_accelerometer_is_measured() {
     let cal = perfect(folder.path());
     for beside in [false, true] {
         fs::write(&csv, gyroscope_at_rest(beside)).unwrap();
-        let report = wimu(&["allan", &csv, "--report", &page]).succeeds();
+        let ran = wimu(&["allan", &csv, "--report", &page]);
+        let report = ran.succeeds();
         assert_eq!(report["axes"].is_array(), beside, "{report}");
-        assert_eq!((&report["samples"], &report["status"]), (&30_000.into(), &"ok".into()));
+        assert_eq!(report["samples"], 30_000);
         let walk = 0.0014 / 50_f64.sqrt();
         for axis in report["gyroscope"].as_array().unwrap() {
             for (key, expected) in [
@@ -277,7 +278,7 @@ fn the_noise_of_a_gyroscope_alone_and_beside_an_accelerometer_is_measured() {
             }
         }
         assert!(fs::read_to_string(&page).unwrap().contains("Allan deviation of the gyroscope"));
-        fs::write(&json, report.to_string()).unwrap();
+        fs::write(&json, &ran.stdout).unwrap();
         wimu(&["export", &cal, "--format", "kalibr", "-o", &yaml, "--noise", &json]).succeeds();
         let text = fs::read_to_string(&yaml).unwrap();
         let value = |key: &str| -> Option<f64> {

@@ -41,7 +41,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 }
 
 fn holds_over_many_boards(calibration: Calibration, name: &str) {
-    let boards = Lane::current().choose([2, 10, 100]);
+    let boards = Lane::current().choose([2, 4, 100]);
     let outcomes: Vec<Outcome> = (0..boards).map(|seed| run(seed, calibration)).collect();
     for outcome in &outcomes {
         holds_for_one_board(outcome);
@@ -88,7 +88,7 @@ fn holds_over_many_boards(calibration: Calibration, name: &str) {
     );
     assert!(ratio >= 20.0, "{ratio}");
     // The median of a few boards departs from that of a hundred.
-    let most_mm = Lane::current().choose([15.0, 8.0, 5.0]);
+    let most_mm = Lane::current().choose([15.0, 12.0, 5.0]);
     assert!(zupt_mm <= most_mm, "{zupt_mm} mm");
 }
 
@@ -104,7 +104,7 @@ fn twelve_poses_by_hand_make_boards_true() {
 
 #[test]
 fn six_axes_follow_a_path_of_1_m_with_a_rotation_by_90_degrees() {
-    let boards = Lane::current().choose([2, 10, 100]);
+    let boards = Lane::current().choose([2, 4, 100]);
     let outcomes: Vec<Outcome> = (1..=boards)
         .map(|seed| {
             let first_light = FirstLight {

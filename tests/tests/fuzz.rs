@@ -14,7 +14,7 @@ use wimu_tests::{
 fn no_bytes_break_the_wire() {
     // The example `fuzz` runs more.
     let mut seeded = Random::new(0xf022);
-    for _ in 0..Lane::current().choose([500, 5000, 5000]) {
+    for _ in 0..Lane::current().choose([500, 2000, 5000]) {
         fuzz_once(&mut seeded);
     }
 }
@@ -23,7 +23,7 @@ fn no_bytes_break_the_wire() {
 fn no_image_breaks_the_store() {
     let mut seeded = Random::new(0x570e);
     let mut images = 0;
-    while images < Lane::current().choose([200, 2000, 2000]) {
+    while images < Lane::current().choose([200, 800, 2000]) {
         images += fuzz_store(&mut seeded);
     }
 }

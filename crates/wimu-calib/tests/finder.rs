@@ -5,7 +5,7 @@ use crate::common;
 use common::{G, Random, norm, unit};
 use proptest::prelude::*;
 use wimu_calib::{Pose, PoseFinder, find_poses};
-use wimu_testkit::{figure, trials};
+use wimu_testkit::{draws, figure};
 
 /// A stream of holds with hand motion between them.
 struct Stream {
@@ -170,7 +170,7 @@ fn motion_alone_gives_no_pose() {
     let (mut turns, mut recorded, mut live, mut long) = (0, 0, 0, 0);
     for rate in [10.0, 25.0, 100.0, 400.0] {
         for noise in [0.001, 0.01, 0.1, 0.3] {
-            for seed in 0..trials(100) as u64 {
+            for seed in 0..draws(100, 7) as u64 {
                 let mut random = Random::new(seed);
                 let stream = stream(&mut random, rate, noise, 0.0, 6, 0.0);
                 let found = streamed(&mut PoseFinder::new(rate), &stream.samples);

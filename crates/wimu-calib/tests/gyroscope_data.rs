@@ -9,7 +9,7 @@ use wimu_calib::{
     multi_position_with,
 };
 use wimu_model::{GyroscopeModel, GyroscopeTerms, SpecificForceMps2};
-use wimu_testkit::figure;
+use wimu_testkit::{Lane, figure};
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
@@ -98,7 +98,7 @@ fn gyroscopes_of_eight_mpu9150_predict_gravity_better_than_before() {
     };
     let full_scale = Some(32_700.0 / 16.4 * DEGREE);
     let (mut before, mut bias, mut after, mut left_out) = (vec![], vec![], vec![], vec![]);
-    for chip in 0..8 {
+    for chip in 0..Lane::current().choose([1, 2, 8]) {
         let column = 1 + 6 * chip;
         let units = [9.80665 / 2048.0, DEGREE / 16.4];
         let samples = samples(&rows, [column, column + 3], units);

@@ -9,7 +9,7 @@ use wimu_calib::{
     ReferenceTransfer, Term, Terms, four_angle, multi_position_with, six_position, three_angle,
 };
 use wimu_model::{CentiCelsius, ErrorModel, ErrorTerms, SpecificForceMps2};
-use wimu_testkit::{Coverage, coverage_figure, trials};
+use wimu_testkit::{Coverage, coverage_figure, draws};
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 /// Of a sample, m/s², and how many make a pose.
@@ -58,7 +58,7 @@ impl Sensor {
 }
 
 fn sensors() -> u64 {
-    trials(1000) as u64
+    draws(1000, 3) as u64
 }
 
 /// Counts whether an interval holds the truth.

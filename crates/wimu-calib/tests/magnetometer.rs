@@ -4,7 +4,7 @@ use crate::common;
 
 use common::{DIP, FIELD, Random, magnetometer as sensor};
 use wimu_calib::{MagneticPose, MagneticRefusal, MirroredAxes, magnetometer};
-use wimu_testkit::{Coverage, coverage_figure, trials};
+use wimu_testkit::{Coverage, coverage_figure, draws, trials};
 
 #[test]
 fn intervals_hold_the_truth_95_percent_of_the_time() {
@@ -13,7 +13,7 @@ fn intervals_hold_the_truth_95_percent_of_the_time() {
     for (poses, least_answers) in [(40, 0.99), (18, 0.8), (12, 0.2)] {
         let [mut hard_held, mut soft_held, mut turned] = [Coverage::default(); 3];
         let [mut answered, mut lost] = [Coverage::default(); 2];
-        let seeds = trials(1000) as u64;
+        let seeds = draws(1000, 3) as u64;
         for seed in 0..seeds {
             let mut random = Random::new(seed);
             let (soft, hard, rotation, poses) = sensor(&mut random, poses, 150.0);

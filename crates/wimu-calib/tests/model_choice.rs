@@ -6,7 +6,7 @@ use crate::common;
 use common::{G, Random, parameters, pose};
 use wimu_calib::{Gravity, Pose, Terms, best_model};
 use wimu_model::{ErrorModel, ErrorTerms};
-use wimu_testkit::{Coverage, coverage_figure, trials};
+use wimu_testkit::{Coverage, coverage_figure, draws};
 
 /// Sensors of a kind, and how they are held.
 #[derive(Clone, Copy)]
@@ -111,7 +111,7 @@ fn intervals_of_the_chosen_model_hold_the_truth_though_the_data_chose_it() {
         let mut all = [Coverage::default(); 3];
         println!("{poses} poses, held by bias, scale factor, misalignment:");
         for (name, kind) in [("no drift", still), ("drift of 20 mm/s²", drifting)] {
-            let found = run(Kind { poses, ..kind }, trials(1000));
+            let found = run(Kind { poses, ..kind }, draws(1000, 3));
             println!("  {name}: {found}");
             for (all, held) in all.iter_mut().zip(found.held) {
                 *all += held;
@@ -146,7 +146,7 @@ fn intervals_of_the_chosen_model_hold_the_truth_with_few_poses_and_other_sensors
         ("a thermometer", Kind { warms: true, ..KIND }),
     ] {
         for poses in [8, 10, 24] {
-            let found = run(Kind { poses, ..kind }, trials(400));
+            let found = run(Kind { poses, ..kind }, draws(400, 3));
             println!("{name}, {poses} poses: {found}");
             held.extend([found.held[0], found.held[1]]);
             far.push(found.far);
@@ -168,7 +168,7 @@ fn intervals_of_the_chosen_model_hold_the_truth_with_few_poses_and_other_sensors
 fn what_the_chosen_model_leaves_out_is_as_uncertain_as_larger_models_or_datasheets_have_it() {
     let gravity = Gravity::new(G, 0.0).expect("gravity");
     let (mut few, mut chosen) = (0, 0);
-    let sensors = trials(200);
+    let sensors = draws(200, 5);
     for seed in 0..sensors as u64 {
         let mut random = Random::new(seed);
         let mut terms = ErrorTerms { bias_mps2: [0.1, -0.2, 0.3], ..ErrorTerms::default() };

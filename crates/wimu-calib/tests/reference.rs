@@ -5,7 +5,7 @@ use crate::common;
 use common::Random;
 use proptest::prelude::*;
 use wimu_calib::{NoiseFrom, NoiseRatio, ReferenceTransfer, TransferRefusal};
-use wimu_testkit::{Coverage, coverage_figure, trials};
+use wimu_testkit::{Coverage, Lane, coverage_figure, draws};
 
 /// A hand's motion about a tilted gravity, m/s².
 fn motion(k: usize) -> [f64; 3] {
@@ -57,7 +57,7 @@ const SAMPLES: usize = 640;
 
 /// Simulated sensors of three axes each: `axes` of them in a campaign.
 fn sensors(axes: usize) -> u64 {
-    trials(axes).div_ceil(3) as u64
+    draws(axes.div_ceil(3), 3) as u64
 }
 
 /// Ten orientations anywhere, 2.2 s in each, 1 s from each to the next.
@@ -281,7 +281,7 @@ fn a_stream_that_stops_while_the_other_goes_on_is_refused() {
     let counts = |step: f64| move |y: f64| (y / step).round() * step;
     for step in [1e-9, 0.005, 0.15] {
         for most in [8.0, 9.0, 9.5] {
-            for seed in 0..10 {
+            for seed in 0..Lane::current().choose([2, 3, 10]) {
                 let output = transfer_of(seed, 0.02, |x, y| {
                     [x.map(counts(step)), y.map(counts(step)).map(clip(counts(step)(most)))]
                 });
@@ -304,7 +304,7 @@ fn a_stream_that_stops_while_the_other_goes_on_is_refused() {
 fn counts_however_coarse_that_stop_nowhere_are_not_taken_for_saturated() {
     for step in [1e-9, 0.005, 0.04, 0.15, 0.6] {
         for noise in [0.002, 0.02, 0.1] {
-            for seed in 0..10 {
+            for seed in 0..Lane::current().choose([2, 3, 10]) {
                 let counts = |y: f64| (y / step).round() * step;
                 for factor in [1.0, 3.0] {
                     let fine = |x: f64| (x / step * factor).round() * step / factor;

@@ -8,7 +8,7 @@ use wimu_calib::{
     Face, Gravity, Model, Parameter, Placement, Pose, find_poses, multi_position, six_position,
 };
 use wimu_model::{ErrorModel, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
-use wimu_testkit::{Coverage, coverage_figure, figure, trials};
+use wimu_testkit::{Coverage, coverage_figure, draws, figure};
 
 const RATE_HZ: f64 = 100.0;
 /// 64 LSB/g.
@@ -40,7 +40,7 @@ fn a_pose_says_what_rounding_leaves_in_its_mean() {
     let mut ratios = Vec::new();
     for share_of_step in [0.002, 0.1, 0.2, 0.4, 1.0, 3.0] {
         let (mut squares, mut count) = (0.0, 0.0);
-        for _ in 0..trials(1440).div_ceil(24) {
+        for _ in 0..draws(60, 24) {
             let model = random.model(true);
             let ups: Vec<_> = (0..24).map(|_| random.direction()).collect();
             let poses = held(&mut random, &model, &ups, share_of_step * STEP_MPS2);
@@ -84,7 +84,7 @@ fn intervals_hold_where_counts_are_coarser_than_the_noise() {
         let noise = share_of_step * STEP_MPS2;
         let mut covered = [Coverage::default(); 2];
         let mut refused = Coverage::default();
-        for _ in 0..trials(600) {
+        for _ in 0..draws(600, 9) {
             let model = random.model(true);
             let ups: Vec<_> = (0..20).map(|_| random.direction()).collect();
             let poses = held(&mut random, &model, &ups, noise);

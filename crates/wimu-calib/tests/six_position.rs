@@ -9,7 +9,7 @@ use wimu_calib::{
     six_position_labelled,
 };
 use wimu_model::ErrorModel;
-use wimu_testkit::{Coverage, coverage_figure, figure, rms_ratio_can_be, trials};
+use wimu_testkit::{Coverage, coverage_figure, draws, figure, rms_ratio_can_be, trials};
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
@@ -94,7 +94,7 @@ fn poses_of_one_side_are_averaged_by_their_samples() {
 
 #[test]
 fn the_covariance_is_the_error_that_placement_and_noise_make() {
-    let draws = trials(4000);
+    let draws = draws(4000, 3);
     let mut random = Random::new(2);
     let truth = random.model(false);
     let placement = Placement::new(DEGREE).expect("placement");

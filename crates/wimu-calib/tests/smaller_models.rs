@@ -10,7 +10,7 @@ use wimu_calib::{
     multi_position_with,
 };
 use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
-use wimu_testkit::{Coverage, coverage_figure, trials};
+use wimu_testkit::{Coverage, coverage_figure, draws};
 
 /// Where poses are held: a name, how many, and any of them.
 type Held = (&'static str, usize, fn(&mut Random) -> [f64; 3]);
@@ -56,7 +56,7 @@ fn run(
 ) -> Found {
     let gravity = Gravity::new(G, 0.0).expect("gravity");
     let mut found = Found::default();
-    for seed in 0..trials(400) as u64 {
+    for seed in 0..draws(400, 3) as u64 {
         let mut random = Random::new(seed);
         let mut terms = ErrorTerms::default();
         for row in 0..3 {
@@ -177,7 +177,7 @@ fn a_pose_that_alone_shows_what_a_small_model_leaves_out_is_not_taken_for_a_bad_
     ] {
         let [mut answered, mut held, mut far] = [Coverage::default(); 3];
         let mut rejected = 0;
-        for seed in 0..trials(600) as u64 {
+        for seed in 0..draws(600, 3) as u64 {
             let mut random = Random::new(seed);
             let mut terms = ErrorTerms::default();
             for row in 0..3 {

@@ -8,7 +8,7 @@ use wimu_calib::{
     multi_position_f32, multi_position_with,
 };
 use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
-use wimu_testkit::{Coverage, coverage_figure, trials};
+use wimu_testkit::{Coverage, coverage_figure, draws, trials};
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
@@ -56,7 +56,7 @@ fn assert_intervals_hold(claim: &str, fits: &[(&str, Fit)]) {
         for errors in [[0.005, 0.001], [0.0, 0.005], [0.003, 0.003]] {
             for (name, fit) in fits {
                 let mut held = Coverage::default();
-                for seed in 0..trials(400) as u64 {
+                for seed in 0..draws(400, 9) as u64 {
                     let mut random = Random::new(seed);
                     let truth = sensor(&mut random);
                     let poses = session(&mut random, &truth, orientations, visits, errors);

@@ -5,7 +5,7 @@ use crate::common;
 use common::{Random, dot, minus, norm, outputs};
 use proptest::prelude::*;
 use wimu_nav::array::{Array, ArraySolver, Axis, Geometry, GeometryError, Roots, Triad};
-use wimu_testkit::{figure, rms_ratio_can_be, trials};
+use wimu_testkit::{draws, figure, rms_ratio_can_be, trials};
 
 const DEG: f64 = std::f64::consts::PI / 180.0;
 
@@ -40,7 +40,7 @@ fn the_octahedron_reaches_the_cramer_rao_bound() {
         assert!(norm(minus(exact.rate_rad_s, rate)) < 1e-9);
         let covariance = exact.covariance().unwrap();
         let bound = ((0..3).map(|i| covariance[i][i]).sum::<f64>() / 3.0).sqrt() / DEG;
-        let draws = trials(20_000);
+        let draws = draws(20_000, 3);
         let mut squares = 0.0;
         for _ in 0..draws {
             let noisy = clean.map(|y| y + 0.01 * random.normal());

@@ -10,7 +10,7 @@ use wimu_nav::filter::{Filter, Gate, chi_square_quantile};
 use wimu_nav::process::{ImuErrors, Strapdown, StrapdownBlocks};
 use wimu_nav::sensor::{Measurement, Position, Prediction, SpecificForce, Velocity, recover};
 use wimu_nav::state::{ATTITUDE, Block, Jacobian, Layout, LayoutFull, POSITION, Role, VELOCITY};
-use wimu_testkit::{Coverage, trials};
+use wimu_testkit::{Coverage, assert_median_can_be, draws};
 
 /// Two numbers that depend linearly on attitude, velocity, position and one more block.
 struct Linear<const N: usize> {
@@ -265,7 +265,7 @@ fn strapdown_nees<const N: usize>(seed: u64, consider: bool) -> [f64; 2] {
 
 #[test]
 fn considered_states_make_the_filter_consistent_and_without_them_it_is_overconfident() {
-    let draws = trials(2000) as u64;
+    let draws = draws(2000, 3) as u64;
     for state in [0, 1] {
         let with: Vec<f64> = (0..draws).map(|k| strapdown_nees::<34>(k, true)[state]).collect();
         let without: Vec<f64> = (0..draws).map(|k| strapdown_nees::<15>(k, false)[state]).collect();
@@ -275,10 +275,7 @@ fn considered_states_make_the_filter_consistent_and_without_them_it_is_overconfi
         with_below.assert_can_be(0.93..=0.97, "considered");
         without_below.assert_can_be(0.0..=0.6, "not considered");
         // The median of χ² with three degrees of freedom.
-        let mut sorted = with;
-        sorted.sort_by(f64::total_cmp);
-        let median = sorted[sorted.len() / 2] / 2.366;
-        assert!((0.75..1.33).contains(&median), "{median}");
+        assert_median_can_be(&with, 0.75 * 2.366..=1.33 * 2.366, "NEES");
     }
 }
 

@@ -1,5 +1,7 @@
 //! Ranges with bias and scale error, with and without line of sight.
 
+use std::ops::RangeInclusive;
+
 use crate::common;
 
 use common::Random;
@@ -8,6 +10,7 @@ use wimu_nav::filter::{Filter, Gate};
 use wimu_nav::process::ConstantVelocity;
 use wimu_nav::sensor::{Anchor, CorrelatedErrors, NonLineOfSight, Range, RangeErrors};
 use wimu_nav::state::{Layout, POSITION};
+use wimu_testkit::{Coverage, draws, rms_ratio_can_be};
 
 const N: usize = 33;
 const CORNERS: [[f64; 3]; 6] = [
@@ -73,30 +76,28 @@ fn run(seed: u64, blocked: f64) -> (f64, Vec<f64>, f64) {
     (nees, normalised, known)
 }
 
-/// Fraction of positions within the 95 % limit, and mean square of the normalised errors of the parameters.
-fn pooled(blocked: f64) -> (f64, f64) {
-    let runs: Vec<_> = (0..40).map(|seed| run(seed, blocked)).collect();
-    let below = runs.iter().filter(|r| r.0 < 7.81).count() as f64 / runs.len() as f64;
+/// Asserts the positions within their 95 % limit, and the mean square of the normalised errors of the parameters.
+fn assert_consistent(blocked: f64, mean_square: RangeInclusive<f64>) {
+    let runs: Vec<_> = (0..draws(40, 5) as u64).map(|seed| run(seed, blocked)).collect();
+    let below: Coverage = runs.iter().map(|r| r.0 < 7.81).collect();
     let squares: Vec<f64> = runs.iter().flat_map(|r| r.1.iter().map(|z| z * z)).collect();
     assert!(runs.iter().all(|r| r.2 < 0.7), "every parameter is observed");
-    (below, squares.iter().sum::<f64>() / squares.len() as f64)
+    let square = squares.iter().sum::<f64>() / squares.len() as f64;
+    println!("position within 95 %: {below}, mean square of parameters {square:.2}");
+    below.assert_can_be(0.85..=1.0, "position within 95 %");
+    let rms = mean_square.start().sqrt()..=mean_square.end().sqrt();
+    assert!(rms_ratio_can_be(square.sqrt(), squares.len(), rms), "{square}");
 }
 
 #[test]
 fn bias_and_scale_of_every_anchor_are_found_within_their_sigma() {
-    let (below, square) = pooled(0.0);
-    println!("position within 95 %: {below:.2}, mean square of parameters {square:.2}");
-    assert!((0.85..=1.0).contains(&below), "{below}");
     // Scale and common bias are weakly distinguished: the linearisation adds to their error.
-    assert!((0.7..1.8).contains(&square), "{square}");
+    assert_consistent(0.0, 0.7..=1.8);
 }
 
 #[test]
 fn a_tenth_of_the_ranges_without_line_of_sight_leaves_sigma_consistent() {
-    let (below, square) = pooled(0.1);
-    println!("position within 95 %: {below:.2}, mean square of parameters {square:.2}");
-    assert!((0.85..=1.0).contains(&below), "{below}");
-    assert!((0.6..1.8).contains(&square), "{square}");
+    assert_consistent(0.1, 0.6..=1.8);
 }
 
 #[test]

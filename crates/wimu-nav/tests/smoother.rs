@@ -13,7 +13,7 @@ use wimu_nav::process::{Process, Transition};
 use wimu_nav::sensor::{Measurement, Prediction};
 use wimu_nav::smoother::{Epoch, Log, Recorder, Smoothed};
 use wimu_nav::state::{Block, Jacobian, Layout, POSITION, Role, State, VELOCITY};
-use wimu_testkit::{Coverage, trials};
+use wimu_testkit::{Coverage, Lane, assert_median_can_be, draws};
 
 /// Velocity and position of a body that is pushed by white noise, and a bias of the velocity sensor.
 const STATES: usize = 12;
@@ -205,7 +205,7 @@ fn without_considered_states_it_is_least_squares_over_the_whole_journey() {
 #[test]
 fn a_considered_state_stays_and_the_covariance_is_right_and_never_larger_than_that_of_the_filter() {
     let mut random = Random::new(6);
-    let count = trials(2000);
+    let count = draws(2000, 9);
     let [mut inside, mut change, mut filtered] = [Coverage::default(); 3];
     let (mut smaller, mut sum) = (0.0, 0.0);
     for _ in 0..count {
@@ -297,7 +297,7 @@ fn with_a_gyroscope_a_smoothed_journey_is_better_and_consistent_from_both_sides(
     let mut all: Vec<f64> = Vec::new();
     let (mut filtered, mut smoothed) = (0.0, 0.0);
     let no_kick = [0.0, 0.0];
-    for seed in 0..trials(200) as u64 {
+    for seed in 0..draws(200, 9) as u64 {
         let travel = Travel::oscillation(&mut Random::new(seed), [4.0, 10.0], 0.06, 0.3);
         let found = journey::<Gyroscope<f64>, 40>(&travel, [5.0, 7.0, 9.0], no_kick, seed);
         for (k, point) in found.smoothed.iter().enumerate() {
@@ -312,16 +312,14 @@ fn with_a_gyroscope_a_smoothed_journey_is_better_and_consistent_from_both_sides(
     assert!(smoothed < 0.25 * filtered, "{smoothed} {filtered}");
     // The filter assumes rests of 1 cm/s, and those here are exact.
     below.assert_can_be(0.93..=1.0, "NEES below 7.815");
-    all.sort_by(f64::total_cmp);
-    let median = all[all.len() / 2];
-    assert!((0.6..3.3).contains(&median), "{median}");
+    assert_median_can_be(&all, 0.6..=3.3, "NEES");
 }
 
 #[test]
 fn without_a_gyroscope_a_smoothed_journey_is_no_worse_and_no_less_consistent() {
     let [mut before, mut after] = [Coverage::default(); 2];
     let (mut filtered, mut smoothed) = (0.0, 0.0);
-    for seed in 0..trials(200) as u64 {
+    for seed in 0..draws(200, 9) as u64 {
         let travel = Travel::oscillation(&mut Random::new(seed), [4.0, 10.0], 0.06, 0.3);
         let found = journey::<NoGyroscope<f64>, 24>(&travel, [5.0, 7.0, 9.0], [0.0; 2], seed);
         for (filter, smoother) in found.filtered.iter().zip(&found.smoothed) {
@@ -331,7 +329,9 @@ fn without_a_gyroscope_a_smoothed_journey_is_no_worse_and_no_less_consistent() {
             smoothed += smoother.0.norm_squared();
         }
     }
-    assert!(smoothed < filtered, "{smoothed} {filtered}");
+    // The difference of both is smaller than what few draws tell.
+    let most = Lane::current().choose([1.4, 1.2, 1.0]);
+    assert!(smoothed < most * filtered, "{smoothed} {filtered}");
     after.assert_can_be(before.fraction() - 0.03..=1.0, "NEES below 7.815");
 }
 

@@ -7,6 +7,7 @@ use common::drive::{ANTENNA_M, CLOCK_S, Moment, begin, drive, mounting, push};
 use nalgebra::Vector3;
 use wimu_nav::navigator::InVehicle;
 use wimu_nav::state::POSITION;
+use wimu_testkit::Lane;
 
 const LENGTH_S: f64 = 130.0;
 /// An outage of 30 s begins here, s.
@@ -25,7 +26,7 @@ fn followed(drive: &[Moment], vehicle: bool, seed: u64) -> InVehicle<f64> {
 #[test]
 fn the_forward_axis_bridges_an_outage_and_its_covariance_is_consistent() {
     let (mut with, mut without, mut nees) = (Vec::new(), Vec::new(), Vec::new());
-    for seed in 0..6 {
+    for seed in 0..Lane::current().choose([2, 3, 6]) {
         let drive = drive(LENGTH_S, seed, NEVER);
         let truth = drive.last().unwrap().position_m;
         for vehicle in [true, false] {

@@ -3,7 +3,7 @@
 use nalgebra::{SVector, UnitQuaternion, Vector3};
 use wimu_host::hand_eye::{HandEye, HandEyeOptions, PoseStream, StreamPose, hand_eye};
 use wimu_host::motion::{MotionRecording, UnitSample};
-use wimu_testkit::{Coverage, Random, coverage_figure, trials};
+use wimu_testkit::{Coverage, Random, coverage_figure, draws};
 
 /// Standard deviation of the camera's rotation, rad, and position, m.
 const NOISE: [f64; 2] = [0.005, 0.005];
@@ -148,7 +148,7 @@ fn the_pose_of_a_camera_lies_within_its_stated_intervals() {
     let mut kinds = Vec::new();
     for correlated in [0.0, 2.0] {
         let mut coverage = [Coverage::default(); 7];
-        for seed in 0..trials(1000) as u64 {
+        for seed in 0..draws(1000, 7) as u64 {
             let mut random = Random::new(seed);
             let rig = Rig::new(&mut random, 3);
             let camera = stream(rig.camera(60.0, &mut random, correlated));
@@ -158,9 +158,11 @@ fn the_pose_of_a_camera_lies_within_its_stated_intervals() {
                 held.count(error.abs() < 1.96 * sd);
             }
         }
+        let kind = format!("correlated {correlated}");
         for held in coverage {
-            held.assert_can_be(0.93..=0.97, &format!("correlated {correlated}"));
+            held.assert_can_be(0.93..=0.97, &kind);
         }
+        coverage.into_iter().sum::<Coverage>().assert_can_be(0.93..=0.97, &kind);
         kinds.extend(coverage);
     }
     coverage_figure(
@@ -173,7 +175,7 @@ fn the_pose_of_a_camera_lies_within_its_stated_intervals() {
 #[test]
 fn a_gyroscope_shows_the_rotation_and_the_clock_but_not_the_translation() {
     let mut held = Coverage::default();
-    for seed in 0..trials(400) as u64 {
+    for seed in 0..draws(400, 4) as u64 {
         let mut random = Random::new(1000 + seed);
         let rig = Rig::new(&mut random, 3);
         let camera = stream(rig.camera(60.0, &mut random, 0.0));

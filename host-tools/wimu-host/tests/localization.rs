@@ -8,7 +8,7 @@ use wimu_host::localization::{
     localize,
 };
 use wimu_host::motion::{MotionRecording, UnitSample};
-use wimu_testkit::Random;
+use wimu_testkit::{Coverage, Lane, Random, rms_ratio_can_be};
 
 const G: f64 = 9.80665;
 /// Anchors of a hall.
@@ -88,8 +88,8 @@ fn finding<'a>(found: &'a Localization, code: FindingCode, part: &str) -> Option
 
 #[test]
 fn position_and_biases_are_found_within_their_sigma() {
-    let (mut squares, mut count, mut below, mut points) = (0.0, 0, 0, 0);
-    for seed in 0..12 {
+    let (mut squares, mut count, mut below) = (0.0, 0, Coverage::default());
+    for seed in 0..Lane::current().choose([2, 4, 12]) {
         let hall = hall(seed, &HALL);
         let found = found(&hall.recording);
         assert!(rmse(&found) < 0.16, "{}", rmse(&found));
@@ -103,15 +103,14 @@ fn position_and_biases_are_found_within_their_sigma() {
             let error = nalgebra::Vector3::from(point.position_m)
                 - nalgebra::Vector3::from(path(point.time_s));
             let inverse = nalgebra::Matrix3::from(point.covariance_m2).try_inverse().unwrap();
-            below += usize::from(error.dot(&(inverse * error)) < 7.81);
-            points += 1;
+            below.count(error.dot(&(inverse * error)) < 7.81);
         }
         assert!(finding(&found, FindingCode::Navigation, "contradicted").is_none());
     }
-    let (mean, fraction) = (squares / f64::from(count), below as f64 / points as f64);
-    println!("mean square of the biases {mean:.2}, positions within 95 % {fraction:.3}");
-    assert!((0.5..1.6).contains(&mean), "{mean}");
-    assert!((0.88..0.99).contains(&fraction), "{fraction}");
+    let rms = f64::sqrt(squares / count as f64);
+    println!("rms of the biases over σ {rms:.2}, positions within 95 % {below}");
+    assert!(rms_ratio_can_be(rms, count, 0.7..=1.26), "{rms}");
+    below.assert_can_be(0.88..=0.99, "positions within 95 %");
 }
 
 #[test]
@@ -192,7 +191,7 @@ fn a_moved_anchor_is_named_with_its_time() {
 #[test]
 fn ranges_without_line_of_sight_have_little_weight() {
     let clean = rmse(&found(&hall(4, &HALL).recording));
-    for seed in 0..5 {
+    for seed in 0..Lane::current().choose([1, 2, 5]) {
         let mut hall = hall(4, &HALL);
         let mut random = Random::new(100 + seed);
         for range in &mut hall.recording.ranges {
@@ -226,6 +225,7 @@ fn a_position_that_jumps_is_reported_and_found_again() {
 #[test]
 fn survey_finds_anchors_that_are_known_roughly() {
     let mut hall = hall(6, &HALL);
+    hall.recording.ranges.retain(|range| range.time_s < 40.0);
     let mut random = Random::new(60);
     // Three anchors are exact: they define the frame.
     for anchor in &mut hall.recording.anchors {
@@ -328,7 +328,7 @@ fn a_clock_that_is_off_by_seconds_is_corrected_and_reported() {
         (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
     };
     let right = error(&found(&vehicle(0.0)));
-    for late_s in [2.0, -1.3, 6.5] {
+    for late_s in [-1.3, 6.5] {
         let found = found(&vehicle(late_s));
         let clock = finding(&found, FindingCode::Clock, "corrected").expect("reported");
         let named: f64 = clock.remedy.split(' ').nth(1).unwrap().parse().unwrap();
@@ -359,11 +359,12 @@ fn a_clock_that_is_off_by_more_than_the_search_is_refused_or_reported() {
 
 #[test]
 fn a_gyroscope_does_not_make_the_path_worse() {
-    let hall = hall(8, &HALL);
+    let mut hall = hall(8, &HALL);
+    hall.recording.ranges.retain(|range| range.time_s < 30.0);
     let alone = rmse(&found(&hall.recording));
     let mut random = Random::new(80);
     let (mut motion, step) = (MotionRecording::new("imu", Vec::new(), Vec::new()), 0.01);
-    for k in 0..6000 {
+    for k in 0..3000 {
         let t = f64::from(k) * step;
         // The body turns about the vertical; the body is at 1 rad at the start.
         let heading = 1.0 + 0.2 * t;
@@ -385,9 +386,9 @@ fn a_gyroscope_does_not_make_the_path_worse() {
     let recording = RangeRecording { motion: Some(motion), ..hall.recording };
     let found = found(&recording);
     assert!(rmse(&found) < 1.05 * alone, "{} and {alone}", rmse(&found));
-    let [w, _, _, z] = found.path.points[3000].quaternion;
+    let [w, _, _, z] = found.path.points[1500].quaternion;
     let heading = 2.0 * z.atan2(w);
-    let expected = 1.0 + 0.2 * found.path.points[3000].time_s;
+    let expected = 1.0 + 0.2 * found.path.points[1500].time_s;
     let off = (heading - expected).sin().atan2((heading - expected).cos());
     assert!(off.abs() < 0.2, "{off}");
 }

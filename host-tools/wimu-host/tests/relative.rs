@@ -11,7 +11,7 @@ use wimu_host::relative::{
     Body, LiveRelative, RelativeChoice, RelativePath, RelativePoint, relative,
 };
 use wimu_host::{ErrorCode, Result};
-use wimu_testkit::{Coverage, Random};
+use wimu_testkit::{Coverage, Lane, Random};
 
 fn run(rig: &Rig, choice: &RelativeChoice) -> Result<RelativePath> {
     let [a, b] = rig.record();
@@ -55,7 +55,7 @@ fn has(found: &RelativePath, code: FindingCode, text: &str) -> bool {
 fn the_angle_of_a_hinge_has_its_stated_standard_deviation() {
     let (mut angle, mut axes) = (Coverage::default(), Coverage::default());
     let (mut squares, mut count, mut worst_deg) = (0.0, 0.0, 0.0_f64);
-    for seed in 0..24 {
+    for seed in 0..Lane::current().choose([3, 6, 24]) {
         let rig = Rig::knee(seed);
         let found = found(&rig);
         assert!(found.is_accurate(), "{seed}: {:?}", found.findings);
@@ -223,10 +223,9 @@ fn live(rig: &Rig, choice: RelativeChoice) -> (Vec<RelativePoint>, LiveRelative)
 
 #[test]
 fn a_stream_has_the_angle_of_the_recording() {
-    for seed in 0..6 {
+    for seed in 0..Lane::current().choose([1, 2, 6]) {
         let rig =
             Rig { seconds: 40.0, behind_s: 1000.0, rates_hz: [100.0, 50.0], ..Rig::knee(seed) };
-        let began = std::time::Instant::now();
         let (points, live) = live(&rig, RelativeChoice::default());
         assert!(live.is_accurate(), "{:?}", live.lacks());
         let path = live.path(points).expect("a search had a result");
@@ -235,10 +234,8 @@ fn a_stream_has_the_angle_of_the_recording() {
         let known = Rig { behind_s: 0.0, ..rig };
         let of_recording = rms_deg(&errors(&known, &found(&known)));
         println!(
-            "stream {of_stream:.2}°, recording {of_recording:.2}°, clock {:.4} ± {:.4} s, from {first_s:.1} s on, {:.0?}",
-            path.clock.offset_s,
-            path.clock.sd_s,
-            began.elapsed()
+            "stream {of_stream:.2}°, recording {of_recording:.2}°, clock {:.4} ± {:.4} s, from {first_s:.1} s on",
+            path.clock.offset_s, path.clock.sd_s
         );
         assert!(first_s < 12.0);
         assert!((path.clock.offset_s - 1000.0).abs() < 0.01);

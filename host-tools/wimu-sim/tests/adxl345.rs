@@ -177,19 +177,6 @@ fn the_oscillator_sets_the_rate() {
 }
 
 #[test]
-fn another_chip_and_no_chip_are_told_apart() {
-    on_bench(at_rest(), async |_, sensor, driver| {
-        sensor.set_who_am_i(0x33);
-        let wrong = driver.check_identity().await;
-        assert_eq!(wrong, Err(Error::WrongIdentity { expected: 0xE5, found: 0x33 }));
-        sensor.set_present(false);
-        let gone = driver.check_identity().await;
-        assert_eq!(gone, Err(Error::NotAnswering));
-        Ok(())
-    });
-}
-
-#[test]
 fn each_address_answers_alone() {
     for (address, other) in [(Address::Low, Address::High), (Address::High, Address::Low)] {
         let clock = VirtualClock::new();

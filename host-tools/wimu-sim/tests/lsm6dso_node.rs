@@ -111,40 +111,6 @@ async fn next<B: Bus>(driver: &mut Lsm6dso<B, Line, Clock>) -> Result<Read, Sens
 }
 
 #[test]
-fn every_range_and_rate_reads_one_g_and_the_angular_rate() {
-    for range_g in [2, 4, 8, 16] {
-        for rate_hz in [13, 26, 52, 104, 208, 416, 833, 1666] {
-            let scene = Scene::new(World::default());
-            let bias_dps: [f64; 3] = [10.0, -20.0, 0.0];
-            let mut truth = SensorTruth::ideal();
-            let model = GyroscopeModel::new(GyroscopeTerms {
-                bias_rad_s: bias_dps.map(f64::to_radians),
-                ..GyroscopeTerms::default()
-            });
-            truth.gyroscope.model = model.expect("in range");
-            let bench = Bench::new(Physics::new(truth, scene, 1));
-            let mut driver = bench.on_i2c();
-            let plan = plan(&driver, range_g, rate_hz);
-            let (batch, read) = bench
-                .run(async {
-                    driver.configure(&plan).await?;
-                    next(&mut driver).await
-                })
-                .expect("it works");
-            let (force, rate) = read[batch.count - 1];
-            let up = plan.sensor.sensitivity.to_mps2(force).0[2];
-            let half_a_count = 0.5 * plan.sensor.sensitivity.mps2_per_lsb();
-            assert!((up - STANDARD_GRAVITY_MPS2).abs() <= half_a_count + 0.02, "{up} m/s²");
-            let scale = plan.sensor.gyroscope.expect("it has one").rad_s_per_lsb;
-            for (axis, dps) in bias_dps.into_iter().enumerate() {
-                let found = (f64::from(rate.0[axis]) * scale).to_degrees();
-                assert!((found - dps).abs() <= 0.035_1, "{found} °/s, not {dps}");
-            }
-        }
-    }
-}
-
-#[test]
 fn every_pair_comes_once_with_its_time_on_either_bus() {
     async fn read<B: Bus>(bench: &Bench, mut driver: Lsm6dso<B, Line, Clock>) {
         let plan = plan(&driver, 4, 833);
@@ -194,60 +160,6 @@ fn pairs_that_the_fifo_dropped_are_reported() {
         assert!(batch.overrun);
         let (batch, _) = next(&mut driver).await.expect("it works");
         assert!(!batch.overrun);
-    });
-}
-
-#[test]
-fn a_gyroscope_that_stops_and_one_that_saturates_are_told_apart() {
-    for rate_hz in [13, 104, 833] {
-        let bench = Bench::new(Numbered);
-        let mut driver = bench.on_i2c();
-        let plan = plan(&driver, 2, rate_hz);
-        bench.run(async {
-            driver.configure(&plan).await.expect("it works");
-            next(&mut driver).await.expect("it works");
-            bench.sensor.set_gyroscope_fault(GyroscopeFault::Saturates);
-            next(&mut driver).await.expect("it works");
-            let (_, read) = next(&mut driver).await.expect("it works");
-            assert_eq!(read[0].1, Counts([i16::MAX; 3]));
-            let full_scale = plan.sensor.gyroscope.expect("it has one").full_scale;
-            assert!(read[0].1.saturated(full_scale) && !read[0].0.saturated(full_scale));
-            bench.sensor.set_gyroscope_fault(GyroscopeFault::Stops);
-            let mut ended = next(&mut driver).await;
-            for _ in 0..3 {
-                if ended.is_ok() {
-                    ended = next(&mut driver).await;
-                }
-            }
-            assert_eq!(ended.map(|_| ()), Err(SensorFault::GyroscopeStopped), "{rate_hz} Hz");
-            // It stays so after a restart of the chip, until the gyroscope works again.
-            driver.configure(&plan).await.expect("the chip answers");
-            let still = next(&mut driver).await.map(|_| ());
-            assert_eq!(still, Err(SensorFault::GyroscopeStopped));
-            bench.sensor.set_gyroscope_fault(GyroscopeFault::None);
-            driver.configure(&plan).await.expect("the chip answers");
-            next(&mut driver).await.expect("it works");
-        });
-    }
-}
-
-#[test]
-fn another_chip_and_no_chip_are_told_apart() {
-    let bench = Bench::new(Numbered);
-    let (mut on_i2c, mut on_spi) = (bench.on_i2c(), bench.on_spi());
-    let plan = plan(&on_i2c, 2, 104);
-    let wrong = SensorFault::WrongIdentity { expected: 0x6C, found: 0x6A };
-    bench.run(async {
-        bench.sensor.set_who_am_i(0x6A);
-        assert_eq!(on_i2c.configure(&plan).await, Err(wrong));
-        assert_eq!(on_spi.configure(&plan).await, Err(wrong));
-        bench.sensor.set_who_am_i(0x6C);
-        assert_eq!(on_spi.configure(&plan).await, Ok(()));
-        bench.sensor.set_present(false);
-        let gone = SensorFault::NotAnswering;
-        assert_eq!(on_spi.configure(&plan).await, Err(gone));
-        assert_eq!(on_i2c.configure(&plan).await, Err(gone));
-        assert_eq!(next(&mut on_spi).await.map(|_| ()), Err(gone));
     });
 }
 

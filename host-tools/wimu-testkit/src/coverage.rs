@@ -1,12 +1,41 @@
 //! Counted fractions against their targets.
 
 use std::fmt;
+use std::iter::Sum;
 use std::ops::{AddAssign, RangeInclusive};
 
 use crate::figure;
 
-/// Deviations of a binomial count beyond which chance is not the explanation: 4 σ, two-sided 6·10⁻⁵.
-const DEVIATIONS: f64 = 4.0;
+/// Probability with which chance alone crosses a bound, at each of its ends.
+const CHANCE: f64 = 1e-6;
+/// Deviations of a normal number that chance crosses as often: Φ⁻¹(1 − 10⁻⁶).
+const DEVIATIONS: f64 = 4.7534;
+
+/// Quantile of the binomial distribution: the least count k of `draws` draws, each with probability `p`, for which P(X ≤ k)
+/// reaches `probability`.
+pub fn binomial_quantile(draws: usize, p: f64, probability: f64) -> usize {
+    if p <= 0.0 || p >= 1.0 {
+        return if p <= 0.0 { 0 } else { draws };
+    }
+    let (mut log_mass, mut sum) = (draws as f64 * (-p).ln_1p(), 0.0);
+    for k in 0..draws {
+        sum += log_mass.exp();
+        if sum >= probability {
+            return k;
+        }
+        log_mass += ((draws - k) as f64 / (k + 1) as f64 * p / (1.0 - p)).ln();
+    }
+    draws
+}
+
+/// The fewest draws of which a fault that lowers a fraction from `right` to `wrong` fails [`Coverage::can_be`] in 99 of 100
+/// runs.
+pub fn fewest_draws(right: f64, wrong: f64) -> usize {
+    let fails = |&draws: &usize| {
+        binomial_quantile(draws, wrong, 0.99) < binomial_quantile(draws, right, CHANCE)
+    };
+    (1..).find(fails).expect("a fault lowers the fraction")
+}
 
 /// How often something held.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -32,13 +61,12 @@ impl Coverage {
         self.inside as f64 / self.total as f64
     }
 
-    /// Whether the true fraction can lie in `range`: the count departs from the nearest edge by no more
-    /// than chance explains. With few trials the test is wide, with many it is the range itself.
+    /// Whether the true fraction can lie in `range`: chance crosses the bound with a probability of 10⁻⁶ at an edge, less within.
+    /// With few trials the test is wide, with many it is the range itself.
     pub fn can_be(self, range: RangeInclusive<f64>) -> bool {
-        let total = self.total as f64;
-        let nearest = self.fraction().clamp(*range.start(), *range.end());
-        let sd = (nearest * (1.0 - nearest) * total).sqrt();
-        self.total > 0 && (self.inside as f64 - nearest * total).abs() <= DEVIATIONS * sd + 0.5
+        let least = binomial_quantile(self.total, *range.start(), CHANCE);
+        let least_outside = binomial_quantile(self.total, 1.0 - range.end(), CHANCE);
+        self.total > 0 && self.inside >= least && self.total - self.inside >= least_outside
     }
 
     /// Asserts [`can_be`](Self::can_be).
@@ -81,17 +109,40 @@ fn percent(range: &RangeInclusive<f64>) -> String {
     }
 }
 
-/// Whether chance explains that the root mean square of `draws` normal numbers, over what it is expected
-/// to be, is outside `range`: its relative standard deviation is 1/√(2n).
+/// Whether the root mean square of `draws` normal numbers, over what it is expected to be, can lie in `range`: chance crosses
+/// the bound with a probability of 10⁻⁶ at each end. The quantiles of χ² are those of Wilson and Hilferty (1931).
 pub fn rms_ratio_can_be(ratio: f64, draws: usize, range: RangeInclusive<f64>) -> bool {
-    let chance = DEVIATIONS / (2.0 * draws as f64).sqrt();
-    (range.start() * (1.0 - chance)..=range.end() * (1.0 + chance)).contains(&ratio)
+    let variance = 2.0 / (9.0 * draws as f64);
+    let quantile =
+        |deviations: f64| (1.0 - variance + deviations * variance.sqrt()).max(0.0).powf(1.5);
+    (range.start() * quantile(-DEVIATIONS)..=range.end() * quantile(DEVIATIONS)).contains(&ratio)
+}
+
+/// Asserts that the median of a quantity can lie in `range`: at most half of `values` are below its start, at least half
+/// below its end, but for chance.
+///
+/// # Panics
+/// When chance does not explain the values.
+#[track_caller]
+pub fn assert_median_can_be(values: &[f64], range: RangeInclusive<f64>, what: &str) {
+    let below = |end: f64| values.iter().map(|value| *value < end).collect::<Coverage>();
+    below(*range.start()).assert_can_be(0.0..=0.5, &format!("{what}, below {}", range.start()));
+    below(*range.end()).assert_can_be(0.5..=1.0, &format!("{what}, below {}", range.end()));
 }
 
 impl AddAssign for Coverage {
     fn add_assign(&mut self, more: Self) {
         self.inside += more.inside;
         self.total += more.total;
+    }
+}
+
+impl Sum for Coverage {
+    fn sum<I: Iterator<Item = Self>>(all: I) -> Self {
+        all.fold(Self::default(), |mut sum, coverage| {
+            sum += coverage;
+            sum
+        })
     }
 }
 
@@ -118,10 +169,28 @@ mod tests {
     }
 
     #[test]
+    fn quantiles_are_those_of_the_distribution() {
+        // R: qbinom(q, n, p).
+        for (draws, p, probability, expected) in [
+            (20, 0.5, 0.5, 10),
+            (20, 0.95, 1e-6, 12),
+            (100, 0.01, 0.99, 4),
+            (1000, 0.93, 1e-6, 889),
+            (20_000, 0.93, 0.5, 18_600),
+            (7, 0.0, 0.5, 0),
+            (7, 1.0, 0.5, 7),
+        ] {
+            let found = binomial_quantile(draws, p, probability);
+            assert_eq!(found, expected, "{draws} {p} {probability}");
+        }
+    }
+
+    #[test]
     fn a_count_is_refused_from_both_sides_and_the_more_sharply_the_more_trials() {
         for (inside, total, held) in [
             (19, 20, true),
-            (13, 20, false),
+            (11, 20, true),
+            (10, 20, false),
             (9500, 10_000, true),
             (9150, 10_000, false),
             (9850, 10_000, false),
@@ -136,9 +205,9 @@ mod tests {
     #[test]
     fn a_root_mean_square_is_refused_from_both_sides_and_the_more_sharply_the_more_draws() {
         for (ratio, draws, held) in [
-            (1.4, 20, true),
-            (0.5, 20, true),
-            (1.7, 20, false),
+            (1.8, 20, true),
+            (0.4, 20, true),
+            (1.9, 20, false),
             (0.3, 20, false),
             (1.02, 5000, true),
             (1.05, 5000, false),

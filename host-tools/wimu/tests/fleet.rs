@@ -203,7 +203,7 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
             })
     });
     let took = removed.elapsed();
-    assert!(took < Duration::from_secs(25), "only when asked each minute: {took:?}");
+    assert!(took < Duration::from_secs(55), "only when asked each minute: {took:?}");
     let file = folder.path().join("fleet.toml");
     wimu(&["gateway", "--config", file.to_str().unwrap()]).fails(1, "link_busy");
     drop(board);
@@ -307,7 +307,7 @@ fn garbage_large_messages_and_other_gateways_do_no_harm() {
         let mut states = states.as_object().unwrap().values();
         states.all(|state| state["alive"] == true && state["gateway"] == "gateway")
     });
-    assert!(began.elapsed() < Duration::from_secs(15), "no later report");
+    assert!(began.elapsed() < Duration::from_secs(25), "no later report");
     // Another gateway of the same name ends: the living one is announced again.
     let announced = Arc::new(Mutex::new(None));
     let hear = {

@@ -264,7 +264,7 @@ fn record_stays_small_whatever_a_link_brings() {
 }
 
 #[test]
-#[ignore = "a minute in real time"]
+#[ignore = "a minute in real time: cargo test -p wimu --test all hostile -- --ignored"]
 fn both_stay_small_for_a_minute_at_line_rate() {
     thread::scope(|scope| {
         for command in ["monitor", "record"] {
@@ -274,7 +274,7 @@ fn both_stay_small_for_a_minute_at_line_rate() {
 }
 
 #[test]
-#[ignore = "half a minute in real time"]
+#[ignore = "half a minute in real time: cargo test -p wimu --test all hostile -- --ignored"]
 fn a_pause_without_end_does_not_hold_up_a_question() {
     let start = Instant::now();
     // Nobody answers; the telemetry goes on for as long as somebody listens.

@@ -6,7 +6,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{folder, record_calibrated_of, record_motion, record_motion_of, wimu};
+use kit::{folder, record_calibrated, record_motion, record_motion_of, wimu};
 use wimu_sim::board::SensorPart;
 
 const ANCHORS: [[f64; 3]; 5] =
@@ -153,7 +153,7 @@ fn a_boards_recording_beside_ranges_is_corrected_with_its_own_calibration() {
     let (poses, calibration, board) = (at("poses.mcap"), at("CAL.json"), at("board.mcap"));
     record_motion_of(SensorPart::Lsm6dso, "twelve-poses", 4, &poses);
     wimu(&["calibrate", &poses, "-o", &calibration]).succeeds();
-    record_calibrated_of(SensorPart::Lsm6dso, &calibration, "rest,rest", 4, &board);
+    record_calibrated(SensorPart::Lsm6dso, &calibration, "rest,rest", 4, &board);
     // Ranges of a board at rest, by its clock.
     let alone = at("alone.csv");
     wimu(&["navigate", &board, "-o", &alone]).succeeds();

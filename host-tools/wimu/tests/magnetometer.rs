@@ -8,6 +8,7 @@ use std::path::Path;
 
 use kit::{Transcript, folder, in_folder, record_calibrated, record_motion, wimu};
 use wimu_host::calibration::read_parameters;
+use wimu_sim::board::SensorPart;
 use wimu_sim::truth::{Gauge, SensorTruth};
 
 const SEED: u64 = 3;
@@ -87,7 +88,7 @@ fn a_session_in_many_orientations_gives_the_iron_that_is_there_and_a_field_witho
 
     // Pushed, exports have the field with and without its errors, and say which is which.
     let pushed = path("pushed.mcap");
-    record_calibrated(&both, "tilts", SEED, &pushed);
+    record_calibrated(SensorPart::Lsm303agr, &both, "tilts", SEED, &pushed);
     let spread = |stream: &str| {
         let table = path(&format!("{stream}.csv"));
         wimu(&["export", &pushed, "-o", &table, "--stream", stream]).succeeds();
@@ -118,7 +119,7 @@ fn a_session_in_many_orientations_gives_the_iron_that_is_there_and_a_field_witho
 
     // A board reports the calibration of its accelerometer; one pose is too few.
     let still = path("still.mcap");
-    record_calibrated(&both, "rest", SEED, &still);
+    record_calibrated(SensorPart::Lsm303agr, &both, "rest", SEED, &still);
     let alone = wimu(&["calibrate", &still, "--sensor", "magnetometer"]);
     alone.refuses();
 }

@@ -311,7 +311,7 @@ fn a_terminal_that_is_closed_ends_the_command() {
     // The reader holds the last handle: a hang-up comes as a signal.
     let hung_up = Command::new("kill").args(["-HUP", &child.id().to_string()]).status();
     assert!(hung_up.is_ok_and(|status| status.success()));
-    let until = Instant::now() + Duration::from_secs(10);
+    let until = Instant::now() + TIME_LIMIT;
     while child.try_wait().expect("a child").is_none() {
         assert!(Instant::now() < until, "it does not end");
         thread::sleep(Duration::from_millis(20));

@@ -169,67 +169,6 @@ fn it_is_calibrated_and_keeps_what_was_pushed() {
     assert_replays(boot);
 }
 
-/// Breaks a running board for a second in one way, mends it in another.
-fn survives(what: &str, fault: BusFault, break_it: impl Fn(&Board), mend: fn(&Board)) {
-    let mut rig = rig();
-    rig.run(4.0);
-    break_it(&rig.board);
-    rig.run(1.0);
-    mend(&rig.board);
-    rig.run(4.0);
-    for role in ROLES {
-        let told = [Event::SensorLost(fault), Event::SensorFound];
-        assert_eq!(rig.link(role).events(), told, "{what}");
-        let boot = rig.boot(role);
-        let holes = gaps(&boot.raw);
-        let [(_, missing)] = holes[..] else {
-            panic!("{what}: one gap in the numbers, not {holes:?}");
-        };
-        assert!((90..=150).contains(&missing), "{what}: {missing} of 104 Hz");
-        assert!(boot.epochs.iter().any(|mark| mark.epoch.reason == EpochReason::Gap));
-        assert_replays(boot);
-    }
-}
-
-#[test]
-fn a_sensor_that_goes_a_stuck_bus_and_refusals_in_any_burst_leave_a_gap() {
-    survives(
-        "unplugged",
-        BusFault::NoAnswer,
-        |board| board.sensor().set_present(false),
-        |board| board.sensor().set_present(true),
-    );
-    survives(
-        "held low",
-        BusFault::Transfer,
-        |board| board.bus_faults().set_stuck(true),
-        |board| board.bus_faults().clear(),
-    );
-    for transactions in 0..8 {
-        survives(
-            "refused",
-            BusFault::NoAnswer,
-            |board| board.bus_faults().refuse_after(transactions),
-            |board| board.bus_faults().clear(),
-        );
-    }
-}
-
-#[test]
-fn another_chip_at_the_address_is_named_and_never_sampled() {
-    let mut rig = rig();
-    rig.board.sensor().set_who_am_i(0x33);
-    rig.run(2.0);
-    let told = Event::WrongSensor { expected: 0xE5, found: 0x33 };
-    for role in ROLES {
-        assert_eq!(rig.link(role).events(), [told]);
-        assert!(rig.boot(role).raw.is_empty());
-    }
-    rig.board.sensor().set_who_am_i(0xE5);
-    rig.run(2.0);
-    assert!(rig.boot(LinkRole::Cable).raw.len() > 150);
-}
-
 #[test]
 fn a_sensor_that_lost_its_power_unnoticed_is_started_again() {
     let mut rig = rig();

@@ -390,11 +390,11 @@ fn all(rate_hz: u16, pushes: u32) {
 
 #[test]
 fn no_flood_of_requests_stops_telemetry_or_the_owner() {
-    all(100, Lane::current().choose([1, 3, 25]));
+    all(100, Lane::current().choose([1, 2, 25]));
 }
 
 #[test]
-#[ignore = "campaign link"]
+#[ignore = "minutes: cargo xtask campaign link"]
 fn at_400_hz_no_flood_of_requests_stops_telemetry_or_the_owner() {
     all(400, 25);
 }

@@ -59,6 +59,8 @@ pub struct Consistency {
     /// At the three times: NEES below 7.81, and median NEES.
     pub below: [Coverage; 3],
     pub median: [f64; 3],
+    /// NEES of all draws at all three times.
+    pub nees: Vec<f64>,
     /// Median error, m.
     pub error: [f64; 3],
 }
@@ -94,6 +96,7 @@ impl Consistency {
         Self {
             name: format!("{kind:?}, {} gyroscope", if gyroscope { "with" } else { "without" }),
             below: std::array::from_fn(|k| points.iter().map(|p| p[k].nees < 7.815).collect()),
+            nees: points.iter().flatten().map(|found| found.nees).collect(),
             median: std::array::from_fn(|k| median(&|p| p[k].nees)),
             error: std::array::from_fn(|k| median(&|p| p[k].error_m)),
         }
@@ -102,7 +105,7 @@ impl Consistency {
 
 impl std::fmt::Display for Consistency {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { name, below, median: n, error: e } = self;
+        let Self { name, below, median: n, error: e, .. } = self;
         let b = below.map(|b| 100.0 * b.fraction());
         write!(
             f,

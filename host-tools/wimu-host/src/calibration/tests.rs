@@ -214,9 +214,8 @@ fn the_json_has_every_field_of_the_interface() {
 
 #[test]
 fn a_calibration_file_comes_back_bit_for_bit_and_others_are_refused() {
-    let folder = std::env::temp_dir().join(format!("wimu-host-cal-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let path = folder.join("CAL.json");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("CAL.json");
     let data = pose_means(UNKNOWN_COUNTS, 208.937_123);
     let report = calibrate(&data, &CalibrateOptions::default()).unwrap();
     let same = |path: &Path| {
@@ -246,9 +245,8 @@ fn a_calibration_file_comes_back_bit_for_bit_and_others_are_refused() {
         assert!(error.message().contains(part), "{part}: {error}");
         assert_eq!(error.exit_code(), 2);
     }
-    let error = read_parameters(&folder.join("absent.json")).unwrap_err();
+    let error = read_parameters(&folder.path().join("absent.json")).unwrap_err();
     assert_eq!(error.code(), ErrorCode::FileUnreadable);
-    std::fs::remove_dir_all(&folder).unwrap();
 }
 
 /// A set with everything, of the second sensor of a board.
@@ -267,9 +265,8 @@ fn six_axes(set: &ParameterSet) -> ParameterSet {
 
 #[test]
 fn a_file_holds_several_sensors_and_the_sessions_of_each() {
-    let folder = std::env::temp_dir().join(format!("wimu-host-six-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let path = folder.join("CAL.json");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("CAL.json");
     let data = pose_means(UNKNOWN_COUNTS, 208.937_123);
     let report = calibrate(&data, &CalibrateOptions::default()).unwrap();
     let first = report.parameters.unwrap();
@@ -307,7 +304,6 @@ fn a_file_holds_several_sensors_and_the_sessions_of_each() {
         let error = read_parameters(&path).unwrap_err();
         assert!(error.message().contains(part), "{part}: {error}");
     }
-    std::fs::remove_dir_all(&folder).unwrap();
 }
 
 /// Counts of a sensor turned through 12 orientations and held in each, with some noise.
@@ -327,9 +323,8 @@ fn turned_counts() -> Vec<[i16; 3]> {
 #[test]
 fn a_recording_and_a_csv_file_of_the_same_counts_give_the_same_calibration() {
     let counts = turned_counts();
-    let folder = std::env::temp_dir().join(format!("wimu-host-same-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let path = folder.join("counts.csv");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("counts.csv");
     let mut text =
         "Time (ms),Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)\n".to_owned();
     for (k, [x, y, z]) in counts.iter().enumerate() {
@@ -337,7 +332,6 @@ fn a_recording_and_a_csv_file_of_the_same_counts_give_the_same_calibration() {
     }
     std::fs::write(&path, text).unwrap();
     let from_csv = formats::load(&path, &ReadOptions::default()).unwrap();
-    std::fs::remove_dir_all(&folder).unwrap();
 
     let mut record = LinkHistory::new(LinkRole::Wireless);
     let mut decoder = Decoder::new();

@@ -454,7 +454,7 @@ fn best_possible(law: Law, each: f64, duration_s: f64, seeds: u64) -> Errors {
 }
 
 #[test]
-#[ignore = "campaign clocks"]
+#[ignore = "minutes: cargo xtask campaign clocks"]
 fn best_possible_rates_with_known_laws() {
     for (law, each, name) in [
         (Law::Uniform(50e6), 20.0, "uniform"),

@@ -1,5 +1,4 @@
-use std::path::PathBuf;
-
+use tempfile::{NamedTempFile, TempPath};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 use wimu_testkit::{Coverage, Lane, Random, coverage_figure, figure};
 
@@ -12,9 +11,9 @@ fn force(time: f64) -> [f64; 3] {
     [0.4 + quiet * swing(2.3, 1.1), quiet * swing(3.1, 1.7), 9.7 + quiet * swing(1.3, 2.1)]
 }
 
-/// A table of its own for each test.
-fn table(name: &str, rows: impl Iterator<Item = (f64, [f64; 3])>, unit: &str) -> PathBuf {
-    let path = std::env::temp_dir().join(format!("wimu-align-{}-{name}.csv", std::process::id()));
+/// A table in a file that is removed when dropped.
+fn table(rows: impl Iterator<Item = (f64, [f64; 3])>, unit: &str) -> TempPath {
+    let path = NamedTempFile::with_suffix(".csv").unwrap().into_temp_path();
     let mut text = format!(
         "Time (s),Accelerometer X ({unit}),Accelerometer Y ({unit}),Accelerometer Z ({unit})\n"
     );
@@ -31,10 +30,9 @@ fn times(rate: f64, from: f64, to: f64) -> impl Iterator<Item = f64> {
 
 #[test]
 fn two_tables_of_different_rates_and_clocks_are_aligned_by_their_motion() {
-    let a = table("a", times(100.0, 0.0, 60.0).map(|t| (t, force(t))), "m/s²");
+    let a = table(times(100.0, 0.0, 60.0).map(|t| (t, force(t))), "m/s²");
     // Another rate and unit, 7.3 s of its own clock later, 200 ppm fast, with bias and scale.
     let b = table(
-        "b",
         times(143.0, 5.0, 55.0).map(|t| {
             let [x, y, z] = force(t);
             let seen = [1.01 * x + 0.2, y - 0.1, 0.99 * z];
@@ -51,9 +49,6 @@ fn two_tables_of_different_rates_and_clocks_are_aligned_by_their_motion() {
     let lines = found.axes.unwrap().map(|axis| axis.line.unwrap());
     assert!((lines[0].bias_mps2 - 0.2).abs() < 0.02 && (lines[0].scale - 1.01).abs() < 0.01);
     assert!((lines[1].bias_mps2 + 0.1).abs() < 0.02, "{lines:?}");
-    for path in [a, b] {
-        std::fs::remove_file(path).unwrap();
-    }
 }
 
 #[test]
@@ -64,8 +59,8 @@ fn a_slow_table_does_not_flatten_the_motion_whichever_of_the_two_it_is() {
         let [x, y] = [(18.2 * t).sin() + x, (14.9 * t).cos() + y];
         (t, [x, y, z + (11.3 * t).sin()])
     };
-    let fast = table("quick", times(200.0, 0.0, 60.0).map(quick), "m/s²");
-    let slow = table("slow", times(20.0, 5.0017, 55.0).map(quick), "m/s²");
+    let fast = table(times(200.0, 0.0, 60.0).map(quick), "m/s²");
+    let slow = table(times(20.0, 5.0017, 55.0).map(quick), "m/s²");
     let mut worst = 0.0_f64;
     for (reference, other) in [(&fast, &slow), (&slow, &fast)] {
         let found = align(reference, other).unwrap();
@@ -81,14 +76,11 @@ fn a_slow_table_does_not_flatten_the_motion_whichever_of_the_two_it_is() {
         "below 0.3 %",
         worst < 0.003,
     );
-    for path in [fast, slow] {
-        std::fs::remove_file(path).unwrap();
-    }
 }
 
 #[test]
 fn a_narrower_range_leaves_out_what_it_clips_and_an_unknown_unit_is_in_the_interval() {
-    let a = table("f", times(100.0, 0.0, 60.0).map(|t| (t, force(t))), "m/s²");
+    let a = table(times(100.0, 0.0, 60.0).map(|t| (t, force(t))), "m/s²");
     let seen = |t: f64| {
         let [x, y, z] = force(t);
         [1.01 * x + 0.2, 0.98 * y - 0.1, 1.02 * z]
@@ -97,7 +89,7 @@ fn a_narrower_range_leaves_out_what_it_clips_and_an_unknown_unit_is_in_the_inter
     let most = |axis: usize| all.iter().map(|(_, v)| v[axis].abs()).fold(0.0, f64::max);
     let ends = [0, 1, 2].map(|axis| 0.8 * most(axis));
     let clip = |v: [f64; 3]| [0, 1, 2].map(|k| v[k].clamp(-ends[k], ends[k]));
-    let clipped = table("g", all.iter().map(|(t, v)| (*t, clip(*v))), "m/s²");
+    let clipped = table(all.iter().map(|(t, v)| (*t, clip(*v))), "m/s²");
     let found = align(&a, &clipped).unwrap();
     assert!(found.saturated > 50, "{found:?}");
     let lines = found.axes.unwrap().map(|axis| axis.line.unwrap());
@@ -105,7 +97,7 @@ fn a_narrower_range_leaves_out_what_it_clips_and_an_unknown_unit_is_in_the_inter
         assert!((line.scale - scale).abs() < 0.01, "{lines:?}");
     }
     // In LSB the scale is that of the magnitude in motion: told, and in the interval.
-    let counts = table("h", all.iter().map(|(t, v)| (*t, v.map(|v| (v * 417.7).round()))), "LSB");
+    let counts = table(all.iter().map(|(t, v)| (*t, v.map(|v| (v * 417.7).round()))), "LSB");
     let found = align(&a, &counts).unwrap();
     assert_eq!(found.saturated, 0);
     assert!(found.unit_sd[0].is_none() && found.unit_sd[1].is_some_and(|sd| sd >= 0.03));
@@ -114,18 +106,14 @@ fn a_narrower_range_leaves_out_what_it_clips_and_an_unknown_unit_is_in_the_inter
         let apart = (line.scale - scale).abs();
         assert!(apart < 2.0 * line.scale_sd && line.scale_sd >= 0.029, "{line:?}");
     }
-    for path in [a, clipped, counts] {
-        std::fs::remove_file(path).unwrap();
-    }
 }
 
 #[test]
 fn tables_that_do_not_fit_or_fit_twice_are_refused() {
-    let a = table("c", times(100.0, 0.0, 30.0).map(|t| (t, force(t))), "m/s²");
-    let stranger =
-        table("d", times(100.0, 0.0, 30.0).map(|t| (t, force(500.0 + 1.37 * t))), "m/s²");
+    let a = table(times(100.0, 0.0, 30.0).map(|t| (t, force(t))), "m/s²");
+    let stranger = table(times(100.0, 0.0, 30.0).map(|t| (t, force(500.0 + 1.37 * t))), "m/s²");
     let periodic = |t: f64| [(5.0 * t).sin(), (5.0 * t).cos(), 9.8 + 2.0 * (5.0 * t).sin()];
-    let swing = table("e", times(100.0, 0.0, 30.0).map(|t| (t, periodic(t))), "m/s²");
+    let swing = table(times(100.0, 0.0, 30.0).map(|t| (t, periodic(t))), "m/s²");
     for (other, says) in [(&stranger, "do not match"), (&swing, "")] {
         let error = align(&a, other).unwrap_err();
         assert_eq!(error.code(), ErrorCode::DataRefused, "{error}");
@@ -133,9 +121,6 @@ fn tables_that_do_not_fit_or_fit_twice_are_refused() {
     }
     let error = align(&swing, &swing).unwrap_err();
     assert!(error.message().contains("ambiguous"), "{error}");
-    for path in [a, stranger, swing] {
-        std::fs::remove_file(path).unwrap();
-    }
 }
 
 fn noisy(
@@ -158,9 +143,9 @@ fn offset_and_rate_of_two_tables_are_within_their_intervals() {
     for seed in 1..=Lane::current().choose([6, 20, 1000]) {
         let sd = [0.02, 0.05, 0.1][seed as usize % 3];
         let (delay, ppm) = (0.37 * seed as f64, [0.0, 150.0, -80.0][seed as usize % 3]);
-        let a = table("q", noisy(2 * seed, sd, 100.0, |t| (t, force(t))).into_iter(), "m/s²");
+        let a = table(noisy(2 * seed, sd, 100.0, |t| (t, force(t))).into_iter(), "m/s²");
         let theirs = |t: f64| (delay + 30.0 + (t - 30.0) * (1.0 - ppm * 1e-6), force(t));
-        let b = table("r", noisy(2 * seed + 1, sd, 110.0, theirs).into_iter(), "m/s²");
+        let b = table(noisy(2 * seed + 1, sd, 110.0, theirs).into_iter(), "m/s²");
         let found = align(&a, &b).unwrap();
         // At the middle of what overlaps, 30 s.
         let errors = [
@@ -172,9 +157,6 @@ fn offset_and_rate_of_two_tables_are_within_their_intervals() {
             assert!(error.abs() <= 5.0 * sd, "{seed}: {error} ± {sd}");
         }
         assert!(found.offset_sd_s < 0.002, "{found:?}");
-        for path in [a, b] {
-            std::fs::remove_file(path).unwrap();
-        }
     }
     let claim = "two tables of one motion: 95 % intervals of offset and rate";
     coverage_figure(claim, &inside, 0.93..=0.97);
@@ -208,8 +190,7 @@ fn devices_turned_against_each_other_show_the_turn_and_the_scale_of_their_own_ax
         let rows = |k: u64| 2 * seed + 100 + k;
         let ours = noisy(rows(0), 0.03, 100.0, |t| (t, force(t)));
         let theirs = noisy(rows(1), 0.03, 100.0, theirs);
-        let [a, b] =
-            [("w", ours), ("x", theirs)].map(|(name, rows)| table(name, rows.into_iter(), "m/s²"));
+        let [a, b] = [ours, theirs].map(|rows| table(rows.into_iter(), "m/s²"));
         let found = align(&a, &b).unwrap();
         let turn = found.turn.unwrap();
         let apart = (turn.angle_deg - degrees).abs();
@@ -224,9 +205,6 @@ fn devices_turned_against_each_other_show_the_turn_and_the_scale_of_their_own_ax
                 inside.count(error.abs() <= 1.96 * sd);
                 assert!(error.abs() <= 5.0 * sd, "{degrees}°, {k}: {error} ± {sd}");
             }
-        }
-        for path in [a, b] {
-            std::fs::remove_file(path).unwrap();
         }
     }
     let claim = "devices turned by 0 to 10°: 95 % intervals of bias and scale";
@@ -246,14 +224,10 @@ fn tables_of_other_rates_keep_the_scale_of_a_quick_motion() {
     for (seed, rate) in (1..=pairs).zip([130.0, 104.0, 62.5].into_iter().cycle()) {
         let ours = noisy(2 * seed + 200, 0.03, 100.0, quick);
         let theirs = noisy(2 * seed + 201, 0.03, rate, quick);
-        let [a, b] =
-            [("y", ours), ("z", theirs)].map(|(name, rows)| table(name, rows.into_iter(), "m/s²"));
+        let [a, b] = [ours, theirs].map(|rows| table(rows.into_iter(), "m/s²"));
         for line in align(&a, &b).unwrap().axes.unwrap().map(|axis| axis.line.unwrap()) {
             inside.count((line.scale - 1.0).abs() <= 1.96 * line.scale_sd);
             assert!(line.scale_sd < 0.002, "{rate} Hz: {line:?}");
-        }
-        for path in [a, b] {
-            std::fs::remove_file(path).unwrap();
         }
     }
     // The interval includes what the curve between rows may lose.
@@ -286,8 +260,8 @@ fn shakes_that_are_alike_by_chance_are_refused_and_the_same_one_is_not() {
         let other = noisy(3 * seed + 1, 0.02, 100.0, shake(seed + 100, 30.0, 4.5, 0.0));
         let varied = shake(seed, 10.0, 2.5, 0.7);
         let [first, same] = [2, 3].map(|k| noisy(5 * seed + k, 0.02, 100.0, varied));
-        let [one, other, first, same] = [("s", one), ("t", other), ("u", first), ("v", same)]
-            .map(|(name, rows)| table(name, rows.into_iter(), "m/s²"));
+        let [one, other, first, same] =
+            [one, other, first, same].map(|rows| table(rows.into_iter(), "m/s²"));
         let error = align(&one, &other).err();
         refused.count(error.is_some_and(|error| error.code() == ErrorCode::DataRefused));
         // A shake along one axis alone is refused, too.
@@ -296,9 +270,6 @@ fn shakes_that_are_alike_by_chance_are_refused_and_the_same_one_is_not() {
         if let Ok(found) = found {
             let limit_s = 5.0 * found.offset_sd_s + 1e-4;
             assert!(found.offset_s.abs() < limit_s, "{found:?}");
-        }
-        for path in [one, other, first, same] {
-            std::fs::remove_file(path).unwrap();
         }
     }
     coverage_figure("shakes that are alike by chance are refused", &[refused], 0.99..=1.0);
@@ -320,7 +291,7 @@ fn a_link_model_is_read_back_and_undoes_what_it_says() {
         scale_sd: [Some(0.0), Some(0.0), None],
         pairs: 10,
     };
-    let path = std::env::temp_dir().join(format!("wimu-link-model-{}.json", std::process::id()));
+    let path = NamedTempFile::new().unwrap().into_temp_path();
     model.write(&path).unwrap();
     assert_eq!(LinkModel::read(&path).unwrap(), model);
     let seen = [1.01 * 2.0 + 0.1, 0.99 * 3.0 - 0.2, 4.0 + 0.3];
@@ -334,5 +305,4 @@ fn a_link_model_is_read_back_and_undoes_what_it_says() {
     let wild = LinkModel { scale: [0.0, 1.0, 1.0], ..model };
     wild.write(&path).unwrap();
     assert_eq!(LinkModel::read(&path).unwrap_err().exit_code(), 2);
-    std::fs::remove_file(&path).unwrap();
 }

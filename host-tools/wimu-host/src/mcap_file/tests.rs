@@ -231,7 +231,8 @@ fn what_is_no_recording_says_so() {
 
 #[test]
 fn a_file_that_exists_is_not_overwritten() {
-    let path = std::env::temp_dir().join(format!("wimu-host-{}.mcap", std::process::id()));
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.mcap");
     let anchor = ClockAnchor::now(Duration::from_secs(3));
     let mut writer = RecordingWriter::create(&path, anchor).unwrap();
     writer.append(LinkRole::Cable, 3_000_000_007, &[1]).unwrap();
@@ -241,7 +242,6 @@ fn a_file_that_exists_is_not_overwritten() {
     let received: Vec<_> = RecordingReader::open(&path).unwrap().collect();
     assert_eq!(received.len(), 1);
     assert_eq!(received[0].as_ref().unwrap().host_ns, 3_000_000_007);
-    std::fs::remove_file(&path).unwrap();
 }
 
 #[test]

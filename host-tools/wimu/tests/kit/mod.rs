@@ -428,12 +428,7 @@ pub fn record_motion_of(sensor: SensorPart, motion: &str, seed: u64, file: &str)
 }
 
 /// The same after a push of the calibration in `pushed`.
-pub fn record_calibrated(pushed: &str, motion: &str, seed: u64, file: &str) {
-    record_calibrated_of(SensorPart::Lsm303agr, pushed, motion, seed, file);
-}
-
-/// The same with this sensor on the board.
-pub fn record_calibrated_of(sensor: SensorPart, pushed: &str, motion: &str, seed: u64, file: &str) {
+pub fn record_calibrated(sensor: SensorPart, pushed: &str, motion: &str, seed: u64, file: &str) {
     let set = read_parameters(pushed.as_ref()).expect("a calibration");
     record_board(sensor, motion, seed, file, Some(&set));
 }

@@ -100,7 +100,8 @@ fn temperature_coefficients_and_the_change_between_sessions_come_back() {
 #[test]
 fn the_file_holds_all_sessions_and_its_parameters_are_those_of_the_report() {
     let report = run(&sessions(&[0.5, 0.52, 0.48]), &options()).unwrap();
-    let path = std::env::temp_dir().join(format!("wimu-several-{}.json", std::process::id()));
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("CAL.json");
     report.file.clone().unwrap().write(&path).unwrap();
     let set = read_parameters(&path).unwrap();
     let own = report.parameters.unwrap();
@@ -119,7 +120,6 @@ fn the_file_holds_all_sessions_and_its_parameters_are_those_of_the_report() {
     let file = CalibrationFile::after(Some(&path), &own, &updated, "later.csv");
     file.write(&path).unwrap();
     assert!(!read_model(&path).unwrap().of_sessions);
-    std::fs::remove_file(&path).unwrap();
 }
 
 #[test]

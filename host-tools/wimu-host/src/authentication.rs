@@ -10,9 +10,15 @@ use crate::plural::counted;
 /// Most intervals that are listed.
 const MAX_LISTED: usize = 100;
 
+/// Time in which a device that sends tags, one a second or more, has sent a whole interval: one had begun before the
+/// link, one may be incomplete, s.
+const WHOLE_S: f64 = 3.0;
+
 /// What the tags of a link show. Times in s.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Authentication {
+    /// Whether this computer has a key of the device: then its data can be authentic.
+    pub key_known: bool,
     /// Time from the first data to the latest.
     pub total_s: f64,
     /// Of it, the time in which every frame is authentic.
@@ -29,7 +35,7 @@ pub struct Authentication {
     pub unknown_key: u64,
     /// The first 100 forged intervals and replayed tags, in device time.
     #[serde(skip)]
-    pub findings: Vec<Finding>,
+    forgeries: Vec<Finding>,
     /// The latest such key.
     #[serde(skip)]
     key: Option<KeyId>,
@@ -78,15 +84,46 @@ impl Authentication {
                 "the authentication of earlier data arrived again"
             }
         };
-        if self.findings.len() == MAX_LISTED {
+        if self.forgeries.len() == MAX_LISTED {
             return None;
         }
         let finding = FindingCode::Forged
             .warning(what)
             .between((self.epoch_s - length_s).max(0.0), self.epoch_s)
             .remedy("do not use data of this time; find out who can send on this link");
-        self.findings.push(finding);
-        self.findings.last()
+        self.forgeries.push(finding);
+        self.forgeries.last()
+    }
+
+    /// Without tags yet, of a device of which this computer has a key or not.
+    pub fn new(key_known: bool) -> Self {
+        Self { key_known, ..Self::default() }
+    }
+
+    /// The warning that nothing is authentic of a device whose key this computer has: whoever removes the tags can change
+    /// the data.
+    pub fn finding(&self) -> Option<Finding> {
+        let is_early = self.has_tags() && self.total_s < WHOLE_S;
+        if !self.key_known || self.verified > 0 || is_early {
+            return None;
+        }
+        let text = format!(
+            "authentic: 0.0 of {:.1} s, although this computer has the device's key",
+            self.total_s
+        );
+        Some(FindingCode::NotAuthentic.warning(text).remedy(
+            "do not trust the data if the device has this key; find out who can change data on this link",
+        ))
+    }
+
+    /// What was forged or replayed, and the warning that nothing is authentic.
+    pub fn findings(&self) -> impl Iterator<Item = Finding> + '_ {
+        self.forgeries.iter().cloned().chain(self.finding())
+    }
+
+    /// Whether there was a tag, or could have been.
+    pub fn is_known(&self) -> bool {
+        self.key_known || self.has_tags()
     }
 
     /// Whether there was a tag.

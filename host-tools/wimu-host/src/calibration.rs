@@ -31,8 +31,8 @@ pub use difference::{Change, Difference, parameter_figures, values_text};
 pub use export::{CalibrationExport, ExportTarget, KalibrNoise, KalibrTerms};
 pub(crate) use file::worst_sd;
 pub use file::{
-    CalibrationFile, Session, StoredModel, force_sd_mps2, further_sensors, read_model,
-    read_parameters, sessions, zero_count,
+    CalibrationFile, Session, StoredModel, check_device, force_sd_mps2, further_sensors,
+    read_model, read_parameters, sessions, zero_count,
 };
 pub use gyroscope::GyroscopeReport;
 pub use magnetometer::{FieldPose, MagneticHalfWidths, MagnetometerReport, calibrate_magnetometer};
@@ -443,6 +443,7 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
                 data.name,
             )
             .map(|file| file.with_zero_count(data.info().zero_count))
+            .map(|file| file.of_device(data.info().device_id))
             .map(|file| file.with_gyroscope(gyroscope_parameters))
         }),
         fit: estimate.as_ref().map(|e| numbers(e, range)),

@@ -377,9 +377,13 @@ impl<T: Transport> Client<T> {
         ErrorCode::NotAWimuBoard.error(message, remedy).at(&self.name)
     }
 
-    /// Verifies the board's tags with these keys; the results are among the events.
-    pub fn verify_with(&mut self, keys: Vec<DeviceKey>) {
-        self.decoder.use_keys(keys);
+    /// Verifies the board's tags with the keys that this computer has of it; the results are among the events. Returns
+    /// whether it has one.
+    pub fn verify(&mut self) -> bool {
+        let known = keys::KeyFolder::own(self.hello.device_id);
+        let key_known = !known.is_empty();
+        self.decoder.use_keys(known);
+        key_known
     }
 
     /// The board's latest identification.

@@ -97,9 +97,11 @@ impl<W: Write> CsvWriter<W> {
         Ok(writer)
     }
 
-    /// Adds a field to the row.
+    /// Adds a field to the row; an empty one of a number that is not finite.
     pub fn field(&mut self, value: impl ToString) -> &mut Self {
-        self.fields.push(value.to_string());
+        let text = value.to_string();
+        let is_finite = !matches!(text.as_str(), "inf" | "-inf" | "NaN");
+        self.fields.push(if is_finite { text } else { String::new() });
         self
     }
 
@@ -139,5 +141,26 @@ impl<W: Write> CsvWriter<W> {
     pub fn finish(mut self) -> Result<()> {
         let flushed = self.writer.flush();
         flushed.map_err(|error| HostError::file(&self.name, "write", &error))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_number_that_is_not_finite_is_an_empty_field() {
+        let mut bytes = Vec::new();
+        let columns = ["a", "b", "c", "d", "e", "f"].map(str::to_owned);
+        let mut writer = CsvWriter::new(&mut bytes, "a.csv", &columns).unwrap();
+        writer.number(Some(f64::NAN)).vector(Some([f64::INFINITY, f64::NEG_INFINITY]));
+        writer
+            .field(format!("{:.6}", f64::INFINITY))
+            .field(f32::NAN)
+            .field("inf.")
+            .end_row()
+            .unwrap();
+        writer.finish().unwrap();
+        assert_eq!(String::from_utf8(bytes).unwrap(), "a,b,c,d,e,f\n,,,,,inf.\n");
     }
 }

@@ -2,6 +2,8 @@
 
 use thiserror::Error;
 
+use crate::untrusted::printable;
+
 /// A failure as the command line reports it.
 ///
 /// Serialises to a problem: `{code, severity, place, text, remedy}`.
@@ -15,15 +17,18 @@ pub struct HostError {
 }
 
 impl HostError {
-    /// A failure of kind `code`: `message` says what is wrong, `remedy` what to do about it.
+    /// A failure of kind `code`: `message` says what is wrong, `remedy` what to do about it. Each is one line; what a
+    /// terminal would act on is escaped.
     pub fn new(code: ErrorCode, message: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self { code, message: message.into(), location: None, remedy: remedy.into() }
+        let [message, remedy] =
+            [message.into(), remedy.into()].map(|text| printable(&text).into_owned());
+        Self { code, message, location: None, remedy }
     }
 
     /// The same failure with where it happened: file, line, column, byte or link.
     #[must_use]
     pub fn at(mut self, location: impl Into<String>) -> Self {
-        self.location = Some(location.into());
+        self.location = Some(printable(&location.into()).into_owned());
         self
     }
 
@@ -184,6 +189,8 @@ codes! {
     NoWimuTopics = "no_wimu_topics", 2;
     /// A calibration file that cannot be used.
     BadCalibration = "bad_calibration", 2;
+    /// A calibration of another device.
+    OtherDevice = "other_device", 2;
     /// The data do not support an answer.
     DataRefused = "data_refused", 3;
     /// The device refused a command.
@@ -192,6 +199,8 @@ codes! {
     NotThroughBroker = "not_through_broker", 4;
     /// The device takes this on the link only with its key.
     KeyNeeded = "key_needed", 4;
+    /// Another device answers under the name of a board.
+    DeviceChanged = "device_changed", 4;
 }
 
 /// A result whose error is [`HostError`] unless another is named.

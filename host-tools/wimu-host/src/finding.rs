@@ -21,6 +21,7 @@ use serde::{Serialize, Serializer};
 
 use crate::HostError;
 use crate::plural::counted;
+use crate::untrusted::printable;
 
 /// Importance of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
@@ -113,6 +114,8 @@ pub enum FindingCode {
     Geometry,
     /// Data that the device did not send.
     Forged,
+    /// Data without a proof that the device has sent them.
+    NotAuthentic,
     /// Assumptions and events of a navigation.
     Navigation,
 }
@@ -196,14 +199,14 @@ impl Serialize for HostError {
 }
 
 impl Finding {
-    /// A finding of all sensors and times, without a remedy.
+    /// A finding of all sensors and times, without a remedy. What a terminal would act on is escaped.
     pub fn new(code: FindingCode, severity: Severity, evidence: impl Into<String>) -> Self {
         Self {
             code,
             severity,
             sensor: None,
             span_s: None,
-            evidence: evidence.into(),
+            evidence: printable(&evidence.into()).into_owned(),
             remedy: String::new(),
         }
     }
@@ -225,7 +228,7 @@ impl Finding {
     /// The same, with what to do.
     #[must_use]
     pub fn remedy(mut self, remedy: impl Into<String>) -> Self {
-        self.remedy = remedy.into();
+        self.remedy = printable(&remedy.into()).into_owned();
         self
     }
 }
@@ -304,7 +307,7 @@ impl Default for Outcome {
 impl Outcome {
     /// Makes it a refusal.
     pub fn refuse(&mut self, reason: impl Into<String>) {
-        let reason = reason.into();
+        let reason = printable(&reason.into()).into_owned();
         let finding = Finding::new(FindingCode::NoResult, Severity::Error, &reason);
         self.findings.push(finding);
         (self.status, self.reason) = ("refused", Some(reason));

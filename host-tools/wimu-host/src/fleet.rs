@@ -20,12 +20,7 @@ pub mod status;
 pub mod topics;
 mod transport;
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
-
 pub use batch::Batch;
 pub use transport::open;
 
-/// Locks a mutex, also after another thread has panicked while it held the lock.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
+use crate::serve::lock;

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use wimu_link::auth::{DeviceKey, KeyId};
 
+use crate::OutputFile;
 use crate::error::{ErrorCode, HostError, Result};
 
 /// A folder of keys, one file per device: 64 hexadecimal digits, readable by the user only (mode 0600
@@ -86,6 +87,13 @@ impl KeyFolder {
         Ok(keys)
     }
 
+    /// The keys that this user has of a device; none where they cannot be used. Then tags are not verified, which is
+    /// reported where there are tags.
+    pub fn own(device_id: u64) -> Vec<DeviceKey> {
+        let known = Self::of_user().and_then(|folder| folder.candidates(device_id));
+        known.unwrap_or_default()
+    }
+
     /// All keys in the folder: to verify recordings. Files without a key are left out.
     ///
     /// # Errors
@@ -120,6 +128,33 @@ impl KeyFolder {
             self.confirm(device_id)?;
         }
         Ok(ours)
+    }
+
+    /// Checks that a board that is reached by its name is the device that it was the first time, as SSH's `known_hosts`
+    /// does. A new name is remembered if the device has `proved` to have its key.
+    ///
+    /// # Errors
+    /// `device_changed`; those of the file.
+    pub fn recognise(&self, board: &str, device_id: u64, proved: bool) -> Result<()> {
+        self.is_ours_alone()?;
+        let path = self.0.join("known_boards");
+        let name = path.display().to_string();
+        let known = match fs::read_to_string(&path) {
+            Err(error) if error.kind() == ErrorKind::NotFound => String::new(),
+            read => read.map_err(|error| HostError::file(&name, "read", &error))?,
+        };
+        let id = format!("{device_id:016x}");
+        let mut names = known.lines().filter_map(|line| line.rsplit_once(' '));
+        match names.find(|(known, _)| *known == board) {
+            Some((_, first)) if first != id => Err(ErrorCode::DeviceChanged
+                .error(
+                    format!("device {id} answers, this board was device {first}"),
+                    format!("if the board was exchanged on purpose, remove its line from {name}; else do not trust the broker"),
+                )
+                .at(board)),
+            None if proved => OutputFile::write(&path, format!("{known}{board} {id}\n")),
+            _ => Ok(()),
+        }
     }
 
     /// Stores a key that is about to be sent to a device.
@@ -169,18 +204,27 @@ impl KeyFolder {
         let _ = fs::remove_file(self.pending(device_id));
     }
 
-    /// Checks that others cannot exchange keys in the folder.
+    /// Checks that others cannot exchange keys in the folder, nor the folder. Those above may be writable by a group: on
+    /// many systems that is the user's own. With the sticky bit only the owner can rename what is in one.
     fn is_ours_alone(&self) -> Result<()> {
         #[cfg(unix)]
-        if let Ok(found) = fs::metadata(&self.0) {
+        for folder in [self.0.as_path(), &self.0.canonicalize().unwrap_or_default()]
+            .into_iter()
+            .flat_map(Path::ancestors)
+        {
+            let Ok(found) = fs::metadata(folder) else {
+                continue;
+            };
             let mode = std::os::unix::fs::PermissionsExt::mode(&found.permissions());
-            if mode & 0o022 != 0 {
+            let (others, remedy) = match folder == self.0 {
+                true => (0o022, "set its mode to 700 (chmod 700)"),
+                false => (0o002, "take the right to write from others (chmod o-w)"),
+            };
+            let is_sticky = mode & 0o1000 != 0 && folder != self.0;
+            if mode & others != 0 && !is_sticky {
                 return Err(ErrorCode::FileUnreadable
-                    .error(
-                        "others can change this folder of keys",
-                        "set its mode to 700 (chmod 700)",
-                    )
-                    .at(self.0.display().to_string()));
+                    .error("others can change this folder of keys", remedy)
+                    .at(folder.display().to_string()));
             }
         }
         Ok(())
@@ -371,6 +415,32 @@ mod tests {
         assert!(keys.prepare(7, &key).is_err());
         open(0o700).expect("changed");
         keys.prepare(7, &key).expect("written");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn nor_is_one_that_others_can_exchange() {
+        use std::os::unix::fs::{PermissionsExt, symlink};
+
+        let folder = tempfile::tempdir().expect("a folder");
+        let parent = folder.path().join("parent");
+        let keys = KeyFolder::at(&parent.join("wimu").join("keys"));
+        let key = DeviceKey::new([1; 32]);
+        keys.prepare(7, &key).expect("written");
+        let link = folder.path().join("link");
+        symlink(parent.join("wimu"), &link).expect("a link");
+        let open = |mode| {
+            fs::set_permissions(&parent, fs::Permissions::from_mode(mode)).expect("changed");
+        };
+        for keys in [keys, KeyFolder::at(&link.join("keys"))] {
+            for (mode, trusted) in [(0o777, false), (0o1777, true), (0o775, true), (0o702, false)] {
+                open(mode);
+                let read = keys.candidates(7);
+                assert_eq!(read.is_ok(), trusted, "{mode:o}: {read:?}");
+                assert_eq!(keys.prepare(7, &key).is_ok(), trusted, "{mode:o}");
+            }
+        }
+        open(0o700);
     }
 
     #[test]

@@ -42,11 +42,13 @@ pub mod relative;
 pub mod replay;
 pub mod ros;
 mod series;
+pub mod serve;
 mod standard_input;
 mod stats;
 pub mod stream;
 pub mod transport;
 pub mod units;
+pub mod untrusted;
 pub mod walk;
 
 pub use error::{ErrorCode, HostError, Result};

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use wimu_link::message::Status;
 use wimu_link::{Command, Deframer, Kind, LinkRole, Request};
 
+use crate::authentication::Authentication;
 use crate::client::Client;
 use crate::clock::{ClockEstimator, ClockModel, Pace};
 use crate::decode::{Arrival, Event, LinkStatistics};
@@ -55,6 +56,7 @@ impl LiveLinks {
             let (shared, sender) = (shared.clone(), sender.clone());
             thread::spawn(move || {
                 let baud = client.transport().baud();
+                let authentication = Authentication::new(client.verify());
                 let listener = Listener {
                     role: client.hello().role,
                     url,
@@ -63,6 +65,7 @@ impl LiveLinks {
                     baud,
                     client,
                     clock: ClockEstimator::new(),
+                    authentication,
                     in_doubt: false,
                     introductions: 0,
                     shared: &shared,
@@ -112,6 +115,8 @@ pub struct Heard {
     pub statistics: LinkStatistics,
     /// The device's clock by this link, every two seconds.
     pub clock: Option<ClockModel>,
+    /// What its tags show.
+    pub authentication: Authentication,
     /// Why it is lost at present.
     pub lost: Option<HostError>,
 }
@@ -122,6 +127,7 @@ struct Listener<'a> {
     url: LinkUrl,
     client: LiveClient,
     clock: ClockEstimator,
+    authentication: Authentication,
     pace: fn(Option<u32>) -> Pace,
     schedule: Pace,
     /// Baud rate at this end when it was connected.
@@ -165,6 +171,7 @@ impl Listener<'_> {
                     entries,
                     arrivals,
                     statistics: self.client.statistics(),
+                    authentication: self.authentication.clone(),
                     clock,
                     lost: lost.clone(),
                 });
@@ -179,6 +186,7 @@ impl Listener<'_> {
             entries: self.heard(),
             arrivals: self.client.take_events(),
             statistics: self.client.statistics(),
+            authentication: self.authentication,
             clock: self.clock.model(),
             lost: None,
         });
@@ -215,6 +223,7 @@ impl Listener<'_> {
                 }
                 _ => {}
             }
+            self.authentication.see(&arrival);
             let trip = self.clock.heard(self.role, &arrival);
             let now = self.client.transport().now();
             if let Some(trip) = trip {
@@ -292,6 +301,7 @@ impl Listener<'_> {
                 entries,
                 arrivals: Vec::new(),
                 statistics: self.client.statistics(),
+                authentication: self.authentication.clone(),
                 clock: None,
                 lost: (!back).then(|| error.clone()),
             });

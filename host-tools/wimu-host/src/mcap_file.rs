@@ -14,14 +14,14 @@ use std::io::{self, BufReader, Read, Seek, Write};
 use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use mcap::records::Record;
-use mcap::sans_io::{LinearReadEvent, LinearReader, linear_reader::LinearReaderOptions};
+use mcap::records::op;
 use wimu_link::LinkRole;
 
 use crate::error::{ErrorCode, HostError, Result};
 use crate::finding::{Finding, FindingCode};
 
 mod reader;
+pub(crate) mod records;
 mod writer;
 
 pub use reader::{RecordingReader, Wholeness};
@@ -93,20 +93,14 @@ const CHUNK_BYTES: u64 = 256 * 1024;
 
 /// What wrote an MCAP file, from its first bytes; `None` if they are not those of one.
 pub(crate) fn library(start: &[u8]) -> Option<&[u8]> {
-    let text = |bytes: &mut &[u8]| -> Option<usize> {
-        let (length, rest) = bytes.split_first_chunk::<4>()?;
-        *bytes = rest;
-        Some(u32::from_le_bytes(*length) as usize)
-    };
     let mut header = start.strip_prefix(mcap::MAGIC)?.get(9..)?;
-    let profile = text(&mut header)?;
-    header = header.get(profile..)?;
-    let library = text(&mut header)?;
-    header.get(..library)
+    // The profile.
+    records::sized(&mut header)?;
+    records::sized(&mut header)
 }
 
 /// Longest record, bytes: far above those of a recording, so that a greater length is damage.
-const MAX_RECORD_BYTES: usize = 64 * 1024 * 1024;
+const MAX_RECORD_BYTES: u64 = 64 * 1024 * 1024;
 
 /// One moment on the host's monotonic clock and in UTC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use wimu_link::{Hello, LinkRole};
 
+use crate::authentication::Authentication;
 use crate::client::{Client, ConnectOptions};
 use crate::clock::{ClockSummary, Pace};
 use crate::decode::LinkStatistics;
@@ -36,6 +37,8 @@ pub struct LinkProgress {
     pub statistics: LinkStatistics,
     /// The board's clock by this link, since the board's last start.
     pub clock: Option<ClockSummary>,
+    /// What its tags show.
+    pub authentication: Authentication,
     /// Why it is lost at present.
     pub lost: Option<HostError>,
 }
@@ -111,6 +114,7 @@ impl Recorder {
                     role: link.hello().role,
                     statistics: LinkStatistics::default(),
                     clock: None,
+                    authentication: Authentication::default(),
                     lost: None,
                 })
                 .collect(),
@@ -132,6 +136,7 @@ impl Recorder {
                     }
                     if let Some(link) = progress.links.get_mut(index) {
                         link.statistics = heard.statistics;
+                        link.authentication = heard.authentication;
                         link.clock = heard.clock.map(|model| model.summary()).or(link.clock);
                         link.lost = heard.lost;
                     }

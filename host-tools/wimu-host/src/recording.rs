@@ -26,6 +26,7 @@ use wimu_model::SensorId;
 
 use crate::finding::{Finding, FindingCode, Severity};
 use crate::stats::median;
+use crate::untrusted::printable;
 pub(crate) use checks::Unusable;
 pub(crate) use link::{FORMAT as OF_WIMU, LinkRows};
 pub(crate) use samples::{ASSUMED_RATE_HZ, gaps_finding, no_usable_row, unit_of};
@@ -158,6 +159,8 @@ pub struct TrackInfo {
     pub timeless: bool,
     /// The sensor, where a device identified it.
     pub device: Option<SensorId>,
+    /// Id of the device that the sensor is of, where it identified itself.
+    pub device_id: Option<u64>,
     /// Full scale of an axis, SI, where the file gives it.
     pub full_scale: Option<f64>,
     /// Output at zero that was subtracted from the counts of the file, LSB.
@@ -168,7 +171,7 @@ impl TrackInfo {
     /// A track of sensor 0, not corrected.
     pub fn new(name: impl Into<String>, quantity: Quantity, unit: Unit) -> Self {
         Self {
-            name: name.into(),
+            name: printable(&name.into()).into_owned(),
             quantity,
             unit,
             sensor: 0,
@@ -177,6 +180,7 @@ impl TrackInfo {
             rate_hz: None,
             timeless: false,
             device: None,
+            device_id: None,
             full_scale: None,
             zero_count: None,
         }

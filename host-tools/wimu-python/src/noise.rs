@@ -129,7 +129,8 @@ pub fn allan(
     let sensitivity = sensitivity.map(Sensitivity::from_lsb_per_g).transpose();
     let sensitivity = sensitivity.map_err(|error| usage(error.to_string(), "check sensitivity"))?;
     let report = py.detach(|| noise_of(&*source.data()?, accelerometer, sensitivity))?;
-    match report.measured().next().cloned() {
+    let first = report.measured().next().cloned();
+    match first {
         Some(sensor) => Ok(Noise { report: Arc::new(report), sensor }),
         None => {
             let remedy = "record longer, with the sensor at rest".to_owned();

@@ -3,17 +3,16 @@
 use std::fmt::Debug;
 use std::rc::Rc;
 
-use embedded_hal_async::digital::Wait;
 use embedded_hal_async::i2c::I2c;
 use wimu_lsm6dso::{
-    AccelerationRange, Address, AngularRateRange, Batch, Bus, Error, FifoFault, I2cBus, Lsm6dso,
-    Power, Rate, Sample, Setup, SpiBus,
+    AccelerationRange, Address, AngularRateRange, Batch, Bus, Error, I2cBus, Lsm6dso, Power, Rate,
+    Sample, Setup, SpiBus,
 };
 use wimu_model::{Counts, STANDARD_GRAVITY_MPS2};
 use wimu_sim::attitude::Attitude;
 use wimu_sim::clock::VirtualClock;
 use wimu_sim::i2c::{Faults, I2cError, SimI2c};
-use wimu_sim::motion::{Hand, Motion, Pose};
+use wimu_sim::motion::{Motion, Pose};
 use wimu_sim::scene::{Scene, Temperature, World};
 use wimu_sim::sensor::{GyroscopeFault, Sensor};
 use wimu_sim::source::{Physics, Source};

@@ -4,14 +4,14 @@ use std::rc::Rc;
 
 use embedded_hal_async::digital::Wait;
 use wimu_link::message::{Resolution, Settings};
-use wimu_model::{Counts, DeviceTimeUs, GyroscopeModel, GyroscopeTerms, STANDARD_GRAVITY_MPS2};
+use wimu_model::{Counts, DeviceTimeUs};
 use wimu_node::sensor::{Batch, Plan, SensorFault};
 use wimu_node::wimu_lsm6dso::{Address, Bus, I2cBus, SpiBus};
 use wimu_node::{DataReady, InertialSensor, Lsm6dso, Timer};
 use wimu_sim::clock::VirtualClock;
 use wimu_sim::i2c::SimI2c;
 use wimu_sim::scene::{Scene, World};
-use wimu_sim::sensor::{DataReadyPin, GyroscopeFault, Sensor};
+use wimu_sim::sensor::{DataReadyPin, Sensor};
 use wimu_sim::source::{Conversion, Physics, Source};
 use wimu_sim::spi::SimSpi;
 use wimu_sim::truth::SensorTruth;

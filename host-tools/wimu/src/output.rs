@@ -9,6 +9,7 @@ use ratatui::crossterm::terminal;
 use serde::Serialize;
 use serde_json::Value;
 use wimu_host::finding::{Finding, labelled, text};
+use wimu_host::untrusted::{self, is_active, printable};
 use wimu_host::{ErrorCode, HostError, Result};
 
 use crate::progress;
@@ -59,6 +60,11 @@ pub fn wrapped(text: &str, width: Option<usize>) -> Cow<'_, str> {
         out.push(row);
     }
     out.join("\n").into()
+}
+
+/// Text of several lines, without anything else that a terminal acts on.
+fn lines_of(text: &str) -> Cow<'_, str> {
+    untrusted::escaped(text, |c| c != '\n' && is_active(c), |c| c.escape_default().to_string())
 }
 
 /// What a command puts out: its result, its problems, and where both go.
@@ -129,7 +135,8 @@ impl Output {
     /// Prints human text. Returns false when the pipe is closed.
     pub(crate) fn line(&self, text: impl AsRef<str>) -> bool {
         progress::clear();
-        let text = wrapped(text.as_ref(), self.text_width());
+        let text = lines_of(text.as_ref());
+        let text = wrapped(&text, self.text_width());
         if self.text_to_stderr() {
             let _ = writeln!(self.writers().stderr, "{text}");
             return true;
@@ -151,15 +158,13 @@ impl Output {
 
     /// Prints help, version or wrong usage as clap words it.
     pub(crate) fn help(&self, text: &clap::Error) {
-        if self.is_process {
-            let _ = text.print();
-            return;
-        }
-        let bytes = text.render().to_string();
+        let plain = text.render().to_string();
         if text.use_stderr() {
-            let _ = self.writers().stderr.write_all(bytes.as_bytes());
+            let _ = self.writers().stderr.write_all(lines_of(&plain).as_bytes());
+        } else if self.is_process {
+            let _ = text.print();
         } else {
-            self.write(bytes.as_bytes());
+            self.write(plain.as_bytes());
         }
     }
 
@@ -230,6 +235,7 @@ impl Output {
     pub(crate) fn refresh(&self, text: &str) {
         progress::clear();
         if self.is_process && io::stderr().is_terminal() {
+            let text = printable(text);
             let text: String = text.chars().take(self.width().unwrap_or(usize::MAX)).collect();
             let stderr = &mut self.writers().stderr;
             let _ = write!(stderr, "\r\x1b[2K{text}");
@@ -255,13 +261,13 @@ impl Output {
         let mut reported = self.problems.lock().unwrap_or_else(PoisonError::into_inner);
         let problems = std::mem::take(&mut *reported);
         let envelope = Envelope { schema: SCHEMA, command: &self.command, data, problems };
-        match serde_json::to_string(&envelope) {
-            Ok(text) => self.write(format!("{text}\n").as_bytes()),
-            Err(_) => {
-                self.failed.store(true, Ordering::Relaxed);
-                false
-            }
-        }
+        let Ok(text) = serde_json::to_string(&envelope) else {
+            self.failed.store(true, Ordering::Relaxed);
+            return false;
+        };
+        // What JSON does not escape itself is within strings.
+        let escape = |c| format!("\\u{:04x}", u32::from(c));
+        self.write(format!("{}\n", untrusted::escaped(&text, is_active, escape)).as_bytes())
     }
 
     /// Prints an error, with `--json` as an object too.

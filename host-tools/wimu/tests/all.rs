@@ -15,6 +15,7 @@ mod comparisons;
 mod compat;
 mod dashboard;
 mod demo;
+mod escapes;
 mod files_people_bring;
 mod flash;
 #[cfg(target_os = "linux")]

@@ -5,11 +5,13 @@ mod browser;
 
 use crate::kit;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::fs;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -280,6 +282,84 @@ fn foreign_pages_and_forged_tokens_are_refused() {
         forged.take();
     }
     assert!(forged.topics.is_empty() && forged.frames.is_empty());
+}
+
+/// 64 connections that send a byte of a head at a time, 1,000 that send nothing, WebSockets without a token, and a page of
+/// another site that posts without end.
+#[test]
+fn strangers_do_not_lock_the_owner_out() {
+    let folder = folder();
+    let served = Served::start(folder.path(), &[]);
+    let host = served.host.clone();
+    let ended = Arc::new(AtomicBool::new(false));
+    let attack = |attack: fn(&str, &AtomicBool)| {
+        let (host, ended) = (host.clone(), ended.clone());
+        thread::spawn(move || attack(&host, &ended))
+    };
+    let slow = |host: &str, ended: &AtomicBool| {
+        let mut all: Vec<Option<TcpStream>> = (0..64).map(|_| None).collect();
+        while !ended.load(Ordering::Relaxed) {
+            for one in &mut all {
+                if one.as_mut().is_none_or(|stream| stream.write_all(b"G").is_err()) {
+                    *one = TcpStream::connect(host).ok();
+                }
+            }
+            thread::sleep(Duration::from_millis(50));
+        }
+    };
+    let idle = |host: &str, ended: &AtomicBool| {
+        let mut all = VecDeque::new();
+        while !ended.load(Ordering::Relaxed) {
+            all.extend(TcpStream::connect(host));
+            if all.len() >= 1000 {
+                all.pop_front();
+                thread::sleep(Duration::from_millis(10));
+            }
+        }
+    };
+    let hostile = |host: &str, ended: &AtomicBool| {
+        let mut all = VecDeque::new();
+        while !ended.load(Ordering::Relaxed) {
+            if let Ok(mut stream) = TcpStream::connect(host) {
+                // The body never comes.
+                let head = "POST / HTTP/1.1\r\nHost: 127.0.0.1:1\r\nOrigin: http://evil.example\r\nContent-Length: 9\r\n\r\n";
+                let _ = stream.write_all(head.as_bytes());
+                all.push_back(stream);
+            }
+            if all.len() > 64 {
+                all.pop_front();
+            }
+            thread::sleep(Duration::from_millis(5));
+        }
+    };
+    let attackers = [attack(slow), attack(idle), attack(hostile)];
+    let silent: Vec<_> = (0..64)
+        .map(|_| served.socket(Some(&format!("http://{host}"))).expect("a socket"))
+        .collect();
+    thread::sleep(Duration::from_secs(2));
+    let mut first = served.page();
+    first.topic("about", |_| true);
+    for attempt in 0..25 {
+        for path in ["/", "/style.css", "/plot.js", "/dashboard.js"] {
+            let answer = served.get(&format!("GET {path} HTTP/1.1\r\nHost: {host}"));
+            assert!(answer.starts_with("HTTP/1.1 200"), "{attempt}: {path}: {answer}");
+        }
+        let mut page = served.page();
+        page.topic("about", |_| true);
+        assert!(page.ask(json!({"do": "ports"}))["error"].is_null(), "{attempt}");
+    }
+    // The place of the first page was reserved meanwhile.
+    assert!(first.ask(json!({"do": "ports"}))["error"].is_null());
+    ended.store(true, Ordering::Relaxed);
+    for attacker in attackers {
+        attacker.join().expect("no panic");
+    }
+    drop(silent);
+    // A socket without a first message is closed.
+    let mut silent = served.socket(Some(&format!("http://{host}"))).expect("a socket");
+    let began = Instant::now();
+    while silent.read().is_ok() {}
+    assert!(began.elapsed() < Duration::from_secs(20), "{:?}", began.elapsed());
 }
 
 #[test]

@@ -212,6 +212,134 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
     gateway.stop();
 }
 
+/// A calibration of bias and no device, and the same that names one.
+fn calibration(file: &Path, device_id: Option<u64>) {
+    let set = ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16_384.0).unwrap());
+    CalibrationFile::new(&set, &[], "").of_device(device_id).write(file).unwrap();
+}
+
+#[test]
+#[ignore = "needs Mosquitto: cargo xtask release --only heavy"]
+fn a_broker_that_exchanges_two_boards_gets_no_calibration_pushed() {
+    let broker = Mosquitto::start();
+    let folder = folder();
+    let owner = folder.path().join("owner");
+    let run = |arguments: &[&str]| Background::start_as(&owner, arguments).finish();
+    let boards = ["1", "2"].map(|seed| Simulator::start(&["--motion", "rest", "--seed", seed]));
+    let links = boards.each_ref().map(|board| {
+        run(&["key", "set", &board.cable]).succeeds();
+        board.wireless.clone()
+    });
+    let gateway = |[a, b]: [&str; 2]| {
+        let config = format!(
+            "fleet = \"hall\"\nbroker = \"{}\"\n{METRICS}[boards]\na = \"{a}\"\nb = \"{b}\"\n",
+            broker.url()
+        );
+        let gateway = Gateway::start(folder.path(), &config);
+        wait_until("both boards", || gateway.metric("wimu_board_alive") == 2.0);
+        gateway
+    };
+    let fleet = format!("mqtt://127.0.0.1:{}/hall", broker.port);
+    let link = format!("{fleet}/a");
+    let calibrations = folder.path().join("calibrations");
+    fs::create_dir(&calibrations).unwrap();
+    let file = calibrations.join("a.json");
+    let push_fleet = ["fleet", "push", &fleet, calibrations.to_str().unwrap()];
+    let push_one = ["params", "push", &link, file.to_str().unwrap()];
+
+    let first = gateway([&links[0], &links[1]]);
+    // At the first use only the file can tell.
+    calibration(&file, Some(0x5157_0002));
+    for push in [&push_fleet, &push_one] {
+        let error = run(push).fails(2, "other_device");
+        let message = error["text"].as_str().unwrap();
+        assert!(message.contains("0000000051570001") && message.contains("0000000051570002"));
+        run(&[&push[..], &["--force"]].concat()).succeeds();
+    }
+    calibration(&file, Some(0x5157_0001));
+    run(&push_one).succeeds();
+    run(&push_fleet).succeeds();
+    first.stop();
+
+    let exchanged = gateway([&links[1], &links[0]]);
+    for device_id in [None, Some(0x5157_0001), Some(0x5157_0002)] {
+        calibration(&file, device_id);
+        for push in [&push_fleet, &push_one] {
+            for force in [&[][..], &["--force"]] {
+                let error = run(&[&push[..], force].concat()).fails(4, "device_changed");
+                let message = error["text"].as_str().unwrap();
+                assert!(
+                    message.contains("0000000051570001") && message.contains("0000000051570002")
+                );
+            }
+        }
+    }
+    let read = run(&["params", "get", &link]);
+    assert_eq!(read.succeeds()["authenticated"], false);
+    assert!(read.stderr.contains("this board was device 0000000051570001"), "{read:?}");
+    // An exchange on purpose: the line is removed.
+    let known = owner.join("wimu/keys/known_boards");
+    fs::remove_file(known).unwrap();
+    calibration(&file, Some(0x5157_0002));
+    run(&push_one).succeeds();
+    exchanged.stop();
+}
+
+#[test]
+#[ignore = "needs Mosquitto: cargo xtask release --only heavy"]
+fn forged_states_and_foreign_files_do_no_harm_and_slow_clients_do_not_block_the_metrics() {
+    let broker = Mosquitto::start();
+    let folder = folder();
+    let spool = folder.path().join("spool/gateway");
+    fs::create_dir_all(&spool).unwrap();
+    let target = folder.path().join("target");
+    for foreign in ["+5.spool", "ffffffffffffffff.spool", "5.spool"] {
+        fs::write(spool.join(foreign), "foreign").unwrap();
+    }
+    let board = Simulator::start(&["--motion", "rest"]);
+    let config = format!(
+        "fleet = \"hall\"\nbroker = \"{}\"\n{METRICS}[boards]\nb = \"{}\"\n",
+        broker.url(),
+        board.wireless
+    );
+    let gateway = Gateway::start(folder.path(), &config);
+    wait_until("the board", || gateway.metric("wimu_board_alive") == 1.0);
+    let slow: Vec<_> = (0..64).map(|_| gateway.slow_client()).collect();
+    let began = Instant::now();
+    for _ in 0..25 {
+        gateway.metric("wimu_board_alive");
+    }
+    assert!(began.elapsed() < Duration::from_secs(5), "{:?}", began.elapsed());
+    drop(slow);
+
+    let vandal = Mqtt::start(MqttConfig::new(&broker.url().parse().unwrap(), Vec::new()), |_| {});
+    let vandal = vandal.unwrap();
+    wait_until("the vandal", || vandal.is_connected());
+    for name in ["x", "y"] {
+        let state = json!({
+            "schema": "wimu.fleet-board/1",
+            "samples": u64::MAX, "missing": u64::MAX, "unrecorded_bytes": u64::MAX,
+            "gateway": "\u{1b}[2J\n\u{202e}\u{9b}", "lost": "\u{1b}[2J\n\u{202e}\u{9b}",
+        });
+        vandal.retain(format!("wimu/hall/{name}/state"), state.to_string().into_bytes());
+    }
+    wait_until("the forged states", || vandal.figures().waiting == 0);
+    let status = wimu(&["fleet", "status", &format!("mqtt://127.0.0.1:{}/hall", broker.port)]);
+    status.succeeds();
+    assert!(status.stderr.contains(&format!("{0} of {0} samples", u64::MAX)), "{status:?}");
+    assert!(!status.stderr.contains(['\u{1b}', '\u{9b}', '\u{202e}']), "{status:?}");
+    gateway.stop();
+    assert_eq!(fs::read(spool.join("+5.spool")).unwrap(), b"foreign");
+
+    // The lock is a link to another file.
+    fs::write(&target, "mine").unwrap();
+    fs::remove_file(spool.join("lock")).unwrap();
+    std::os::unix::fs::symlink(&target, spool.join("lock")).unwrap();
+    let toml = folder.path().join("fleet.toml");
+    wimu(&["gateway", "--config", toml.to_str().unwrap(), "--for", "1"]).fails(2, "file_exists");
+    assert_eq!(fs::read(&target).unwrap(), b"mine");
+}
+
 #[test]
 #[ignore = "needs Mosquitto: cargo xtask release --only heavy"]
 fn a_killed_broker_and_a_killed_gateway_leave_only_counted_gaps() {

@@ -5,6 +5,7 @@ use crate::kit;
 use std::fs;
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
+use std::path::Path;
 
 use kit::{Background, Simulator, folder, python_with_rosbags, record_until, wimu};
 use serde_json::Value;
@@ -249,4 +250,41 @@ fn rosbags_reads_the_decoded_topics_of_both_links() {
         }
     }
     assert!(text.contains(&format!("/cable/imu/data_raw {raw} ")), "{text}");
+}
+
+/// Lengths of 4 GB in records of an MCAP file, where 2 GB of memory are allowed.
+#[cfg(target_os = "linux")]
+#[test]
+fn lengths_in_a_recording_reserve_no_memory() {
+    let folder = folder();
+    let huge = [0xff; 4];
+    let record =
+        |code: u8, body: &[u8]| [&[code][..], &(body.len() as u64).to_le_bytes(), body].concat();
+    let header = record(1, &[0; 8]);
+    let chunk = |records: &[u8]| {
+        let (empty, length) = ([0; 4], (records.len() as u64).to_le_bytes());
+        record(6, &[&[0; 16][..], &length, &[0; 4], &empty, &length, records].concat())
+    };
+    let channel = record(4, &[&[1, 0, 1, 0][..], &huge].concat());
+    for (name, records) in [
+        ("header", record(1, &huge)),
+        ("library", record(1, &[&[0; 4][..], &huge].concat())),
+        ("schema", [&header[..], &record(3, &[&[1, 0][..], &huge].concat())].concat()),
+        ("channel", [&header[..], &channel].concat()),
+        ("channel in a chunk", [&header[..], &chunk(&channel)].concat()),
+        ("metadata", [&header[..], &record(12, &huge)].concat()),
+        ("values", [&header[..], &record(12, &[&[0; 4][..], &huge, &huge].concat())].concat()),
+        ("compression", [&header[..], &record(6, &[&[0; 28][..], &huge].concat())].concat()),
+        ("record", [&header[..], &[5][..], &u64::MAX.to_le_bytes()].concat()),
+    ] {
+        let file = folder.path().join(format!("{name}.mcap"));
+        fs::write(&file, [b"\x89MCAP0\r\n", &records[..]].concat()).unwrap();
+        for command in ["info", "monitor", "allan"] {
+            let limited = ["sh", "-c", "ulimit -v 2000000; exec \"$0\" \"$@\""];
+            let arguments = [command, file.to_str().unwrap()];
+            let ran =
+                Background::start_by(&limited, Path::new("/nonexistent"), &arguments).finish();
+            assert!((0..=4).contains(&ran.code), "{name}, {command}: {ran:?}");
+        }
+    }
 }

@@ -4,10 +4,10 @@
 use wimu_host::calibration::{CalibrateOptions, calibrate};
 use wimu_host::recording::{Recording, Selection};
 use wimu_link::hello::Capabilities;
-use wimu_link::message::{BusFault, EpochReason, Event, Payload, Refusal, Resolution, Settings};
+use wimu_link::message::{BusFault, Event, Payload, Refusal, Resolution, Settings};
 use wimu_link::{Answer, Command, LinkRole};
 use wimu_model::{ParameterSet, Sensitivity};
-use wimu_sim::board::{Board, BoardConfig, SensorPart};
+use wimu_sim::board::{BoardConfig, SensorPart};
 use wimu_sim::motion;
 use wimu_sim::pipe::LinkConfig;
 use wimu_sim::scene::{Scene, World};

@@ -19,7 +19,7 @@ use crate::error::{ErrorCode, HostError, Result};
 use crate::finding::Finding;
 
 /// How to make a file that can be read.
-pub(super) const REMEDY: &str = "make it with `wimu calibrate … -o CAL.json`";
+const REMEDY: &str = "make it with `wimu calibrate … -o CAL.json`";
 
 /// A calibration that has no sensitivity of a board.
 pub(super) const NOT_FOR_A_BOARD: &str = "it has no parameters for a board";
@@ -31,6 +31,9 @@ pub(super) const SENSITIVITY_REMEDY: &str =
 pub struct CalibrationFile {
     /// [`CalibrationFile::SCHEMA`].
     schema: String,
+    /// Id of the device that it was made on, 16 hexadecimal digits; absent where the data do not name it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    device: Option<String>,
     /// The sensors of a board.
     pub sensors: Vec<StoredSensor>,
 }
@@ -149,7 +152,7 @@ impl CalibrationFile {
             parameter_id: None,
         };
         sensor.seal();
-        Self { schema: Self::SCHEMA.to_owned(), sensors: vec![sensor] }
+        Self { schema: Self::SCHEMA.to_owned(), device: None, sensors: vec![sensor] }
     }
 
     /// The file of `set`, which later data made of the calibration `before`: that of the file `path`, if there is one.
@@ -159,8 +162,16 @@ impl CalibrationFile {
         set: &ParameterSet,
         source: &str,
     ) -> Self {
-        let file = Self::new(set, &sessions(path, before), source);
+        let mut file = Self::new(set, &sessions(path, before), source);
+        file.device = path.and_then(|path| read(path).ok()?.device);
         file.with_zero_count(path.and_then(zero_count))
+    }
+
+    /// The same of this device, if it does not name one.
+    #[must_use]
+    pub fn of_device(mut self, id: Option<u64>) -> Self {
+        self.device = self.device.or(id.map(|id| format!("{id:016x}")));
+        self
     }
 
     /// The file of an accelerometer that may have no parameters for a board.
@@ -384,7 +395,7 @@ fn read(path: &Path) -> Result<CalibrationFile> {
     Err(ErrorCode::BadCalibration.error(message, remedy).at(name))
 }
 
-pub(super) fn parse<'a, T: Deserialize<'a>>(name: &str, text: &'a str) -> Result<T> {
+fn parse<'a, T: Deserialize<'a>>(name: &str, text: &'a str) -> Result<T> {
     serde_json::from_str(text).map_err(|error| {
         let at = format!("{name} line {}, column {}", error.line(), error.column());
         let message = format!("this is not a calibration file: {error}");
@@ -406,8 +417,8 @@ fn invalid(path: &Path) -> impl Fn(String) -> HostError {
 /// Reads the parameters of a calibration file, for a board: those of the sensor with index 0, else of the first.
 ///
 /// # Errors
-/// `file_unreadable`; `bad_calibration` when it is not a calibration, was refused, has no sensitivity
-/// or contains numbers that are out of bounds.
+/// `file_unreadable`; `bad_calibration` when it is not a calibration, has no sensitivity or contains numbers that are out
+/// of bounds.
 pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
     read(path)?.sensor().and_then(StoredSensor::set).map_err(invalid(path))
 }
@@ -425,6 +436,23 @@ pub fn further_sensors(path: &Path) -> Vec<u8> {
 /// Output at zero that was subtracted from the counts of a calibration, LSB; `None` of an unreadable file.
 pub fn zero_count(path: &Path) -> Option<f64> {
     read(path).ok()?.sensor().ok()?.accelerometer.zero_count
+}
+
+/// Checks that a calibration file is of this device, or names none.
+///
+/// # Errors
+/// `other_device`.
+pub fn check_device(path: &Path, id: u64) -> Result<()> {
+    let id = format!("{id:016x}");
+    match read(path)?.device {
+        Some(device) if device != id => Err(ErrorCode::OtherDevice
+            .error(
+                format!("this is the calibration of device {device}, the board is device {id}"),
+                "push that of this device; `params push` and `fleet push` also take another one with --force",
+            )
+            .at(path.display().to_string())),
+        _ => Ok(()),
+    }
 }
 
 /// The sessions of the calibration `set`: those in the file `path` that it was read from, if there is one.
@@ -478,8 +506,7 @@ impl StoredModel {
 /// Reads the error model of a calibration file, of any sensor.
 ///
 /// # Errors
-/// `file_unreadable`; `bad_calibration` when it is not a calibration, was refused, or contains numbers that are
-/// out of bounds.
+/// `file_unreadable`; `bad_calibration` when it is not a calibration, or contains numbers that are out of bounds.
 pub fn read_model(path: &Path) -> Result<StoredModel> {
     read(path)?.model(path)
 }
@@ -503,7 +530,6 @@ pub(crate) fn worst_sd(sd: impl Fn(usize) -> f64) -> f64 {
 /// An assumed range of a calibration file.
 pub(super) fn range_finding(path: &Path, set: &ParameterSet) -> Option<Finding> {
     let source = read(path).ok()?.sensor().ok()?.accelerometer.range_source;
-    let assumed = source == Some(Source::SixteenBits);
     let likely = Range { g: set.range_g, source: Source::SixteenBits };
-    assumed.then(|| likely.finding(set.sensitivity))?
+    (source == Some(Source::SixteenBits)).then(|| likely.finding(set.sensitivity))?
 }

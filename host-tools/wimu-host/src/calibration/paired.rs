@@ -37,6 +37,8 @@ pub struct Paired {
     pub range_g: Option<u8>,
     /// The accelerometer, where a device identified it.
     pub sensor: Option<SensorId>,
+    /// Its device.
+    pub device_id: Option<u64>,
 }
 
 impl Paired {
@@ -134,6 +136,7 @@ impl Paired {
             unit: x.unit,
             range_g: None,
             sensor: None,
+            device_id: None,
         })
     }
 
@@ -207,6 +210,7 @@ impl Paired {
             unit: OutputUnit::Counts { nominal: Some(sensitivity), range_g: Some(range_g) },
             range_g: None,
             sensor,
+            device_id: wireless.hello().map(|hello| hello.device_id),
         })
     }
 

@@ -250,7 +250,8 @@ pub fn compare_with_reference(
         data.sensitivity.map(Sensitivity::lsb_per_g),
         range.filter(|_| board.is_some()),
         &data.name,
-    );
+    )
+    .map(|file| file.of_device(data.device_id));
     report.parameters = board.map(|(sensitivity, range)| ParameterSet {
         model,
         quality,

@@ -17,6 +17,7 @@ use super::{
 use crate::error::{ErrorCode, Result};
 use crate::finding::{FindingCode, Outcome, Severity};
 use crate::recording::{OutputUnit, Samples};
+use crate::untrusted::printable;
 
 /// Standard deviations of one kind of parameters.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -302,7 +303,8 @@ impl SeveralReport {
                     findings.extend((k == 0).then(|| finding.clone()));
                 } else {
                     let mut finding = finding.clone();
-                    finding.evidence = format!("{}: {}", single.source, finding.evidence);
+                    finding.evidence =
+                        format!("{}: {}", printable(&single.source), finding.evidence);
                     findings.push(finding);
                 }
             }

@@ -1,7 +1,9 @@
 //! Requests to a board: parameters, settings, keys.
 
 use super::*;
+use crate::LinkUrl;
 use crate::decode::Pieces;
+use crate::keys::KeyFolder;
 
 /// Largest number of sessions in which a request is repeated when they end.
 const SESSIONS: usize = 4;
@@ -34,6 +36,24 @@ impl<T: Transport> Client<T> {
         self.open_session()?;
         self.key_status()?;
         Ok(true)
+    }
+
+    /// The same with the keys that this computer has of the board. A board that is reached by its name in a fleet must be
+    /// the device that it was the first time.
+    ///
+    /// # Errors
+    /// Those of [`KeyFolder::candidates`], [`KeyFolder::recognise`] and [`Client::use_key_among`].
+    pub fn use_own_key(&mut self) -> Result<bool> {
+        let (folder, device) = (KeyFolder::of_user()?, self.hello.device_id);
+        let by_name = matches!(self.name.parse(), Ok(LinkUrl::Mqtt { .. }));
+        if by_name {
+            folder.recognise(&self.name, device, false)?;
+        }
+        let signs = self.use_key_among(&folder.candidates(device)?)?;
+        if by_name {
+            folder.recognise(&self.name, device, signs)?;
+        }
+        Ok(signs)
     }
 
     /// Whether requests are signed, and answers therefore verified.

@@ -92,7 +92,7 @@ pub struct Alignment {
 /// Those of [`formats::load`](crate::formats::load); `no_rows`, `csv_missing_column`; `data_refused` when no alignment, or more
 /// than one, fits.
 pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
-    let names = [reference, other].map(|path| path.display().to_string());
+    let names = [reference, other].map(crate::untrusted::name);
     let [a, b] = [Signal::read(reference)?, Signal::read(other)?];
     let both = format!("{} and {}", names[0], names[1]);
     let rate_hz = a.rate_hz().min(b.rate_hz()).min(MAX_RATE_HZ);

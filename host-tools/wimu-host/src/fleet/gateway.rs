@@ -15,6 +15,7 @@ use super::mqtt::{Figures, Heard, Mqtt, MqttConfig};
 use super::state::{self, BoardState, GatewayState};
 use super::topics::{Content, Name, all_boards, board_of, gateway_topic};
 use crate::mcap_file::ClockAnchor;
+use crate::serve::Server;
 use crate::transport::now;
 use crate::{HostError, Result};
 
@@ -85,7 +86,7 @@ pub struct Gateway {
     boards: Arc<Boards>,
     threads: Vec<JoinHandle<()>>,
     notes: Receiver<String>,
-    metrics: Option<std::net::SocketAddr>,
+    metrics: Option<Server>,
 }
 
 /// The boards of a gateway.
@@ -187,17 +188,12 @@ impl Gateway {
             ..MqttConfig::new(&config.broker, subscriptions)
         };
         let mqtt = Mqtt::start(connection, move |message| subscriber.hear(message))?;
-        let listener = config.metrics.map(metrics::listen).transpose()?;
         let _ = shared.mqtt.set(mqtt);
-        shared.announce(true);
         let boards = Arc::new(boards);
-        let mut metrics = None;
+        let metrics = |address| metrics::serve(address, shared.clone(), boards.clone());
+        let metrics = config.metrics.map(metrics).transpose()?;
+        shared.announce(true);
         let mut threads = Vec::new();
-        if let Some(listener) = listener {
-            metrics = listener.local_addr().ok();
-            let (shared, boards) = (shared.clone(), boards.clone());
-            threads.push(thread::spawn(move || metrics::serve(&listener, &shared, &boards)));
-        }
         for bridge in bridges {
             let builder = thread::Builder::new().name(bridge.name.to_string()).stack_size(STACK);
             let thread = builder.spawn(|| bridge.run());
@@ -215,7 +211,7 @@ impl Gateway {
 
     /// Address of the metrics.
     pub fn metrics(&self) -> Option<std::net::SocketAddr> {
-        self.metrics
+        self.metrics.as_ref().map(Server::address)
     }
 
     /// Sums and figures.

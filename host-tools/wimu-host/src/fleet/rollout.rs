@@ -2,16 +2,15 @@
 //! is the state: to resume is to begin again.
 
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use wimu_link::message::parameter_id;
 use wimu_model::ParameterSet;
 
 use super::status::FleetStatus;
 use super::topics::{Fleet, Name};
-use crate::calibration::read_parameters;
+use crate::calibration::{check_device, read_parameters};
 use crate::client;
-use crate::keys::KeyFolder;
 use crate::{ErrorCode, HostError, LinkUrl, Result};
 
 /// Fraction of the boards after the second stage.
@@ -26,6 +25,8 @@ pub struct Target {
     pub device_id: Option<String>,
     /// Its calibration.
     pub set: ParameterSet,
+    /// File of the calibration.
+    pub file: PathBuf,
 }
 
 /// What a push is about to do.
@@ -68,7 +69,8 @@ impl Plan {
                 continue;
             };
             let set = read_parameters(&file)?;
-            plan.targets.push(Target { board: name, device_id: state.device_id.clone(), set });
+            let device_id = state.device_id.clone();
+            plan.targets.push(Target { board: name, device_id, set, file });
         }
         plan.without_board = unused.into_iter().collect();
         Ok(plan)
@@ -94,11 +96,12 @@ fn calibrations(folder: &Path) -> Result<BTreeSet<String>> {
         .collect())
 }
 
-/// Pushes a calibration unless the board holds it, and compares what it then holds; returns whether it was written.
+/// Pushes a calibration unless the board holds it, and compares what it then holds; returns whether it was written. With
+/// `force` also that of another device.
 ///
 /// # Errors
-/// The disagreement: a board that is away, refuses, or confirms other parameters.
-pub fn push(fleet: &Fleet, target: &Target) -> Result<bool> {
+/// The disagreement: a board that is away, refuses, is another device, or confirms other parameters.
+pub fn push(fleet: &Fleet, target: &Target, force: bool) -> Result<bool> {
     let link = LinkUrl::Mqtt {
         broker: fleet.broker.clone(),
         fleet: fleet.fleet.clone(),
@@ -115,14 +118,16 @@ pub fn push(fleet: &Fleet, target: &Target) -> Result<bool> {
     if target.device_id.as_ref().is_some_and(|id| *id != found) {
         return disagrees(format!("device {found} answers, the fleet's state names another one"));
     }
-    let keys = KeyFolder::of_user()?.candidates(device_id)?;
-    if !client.use_key_among(&keys)? {
+    if !client.use_own_key()? {
         return Err(ErrorCode::KeyNeeded
             .error(
                 "this computer has no key of the board",
                 "copy its key here, or set one over a cable with `wimu key set`",
             )
             .at(&name));
+    }
+    if !force {
+        check_device(&target.file, device_id)?;
     }
     // With a key only signed answers count.
     let id = parameter_id(&target.set);
@@ -143,7 +148,13 @@ mod tests {
     #[test]
     fn the_stages_are_one_board_a_tenth_and_all() {
         let stages = |boards: usize| {
-            let target = || Target { board: "a".parse().unwrap(), device_id: None, set: set() };
+            let file = PathBuf::from("a.json");
+            let target = || Target {
+                board: "a".parse().unwrap(),
+                device_id: None,
+                set: set(),
+                file: file.clone(),
+            };
             Plan { targets: (0..boards).map(|_| target()).collect(), ..Plan::default() }.stages()
         };
         assert_eq!(stages(0), [0, 0, 0]);

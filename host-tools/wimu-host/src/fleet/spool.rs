@@ -15,6 +15,8 @@ const MEMORY: u64 = 1 << 20;
 const SEGMENT: u64 = 1 << 20;
 /// Number of the first file: smaller ones are for messages that precede it.
 const FIRST: u64 = 1 << 32;
+/// No file has this number or a greater one.
+const LAST: u64 = 1 << 48;
 
 /// A message to publish.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -78,7 +80,9 @@ impl Spool {
         let name = folder.display().to_string();
         let failed = |error| HostError::file(&name, "open", &error);
         fs::create_dir_all(folder).map_err(failed)?;
-        let lock = File::create(folder.join("lock")).map_err(failed)?;
+        let path = folder.join("lock");
+        let lock = open_lock(&path);
+        let lock = lock.map_err(|e| HostError::file(&path.display().to_string(), "open", &e))?;
         if lock.try_lock().is_err() {
             let remedy = "stop it, or give this one a `gateway` name of its own";
             let error = ErrorCode::LinkBusy.error("another gateway uses this spool", remedy);
@@ -95,16 +99,13 @@ impl Spool {
             dropped: 0,
         };
         for entry in fs::read_dir(folder).map_err(failed)? {
-            let file = entry.map_err(failed)?.file_name();
-            let number = file.to_str().and_then(|name| name.strip_suffix(".spool"));
-            if let Some(number) = number.and_then(|hex| u64::from_str_radix(hex, 16).ok()) {
-                let (messages, bytes) = spool.read(number).map_err(failed)?;
-                spool.segments.push_back(Segment {
-                    number,
-                    messages: messages.len() as u64,
-                    bytes,
-                });
-            }
+            let entry = entry.map_err(failed)?;
+            let Some(number) = number_of(&entry) else {
+                continue;
+            };
+            let (messages, bytes) = spool.read(number).map_err(failed)?;
+            let messages = messages.len() as u64;
+            spool.segments.push_back(Segment { number, messages, bytes });
         }
         let segments = spool.segments.make_contiguous();
         segments.sort_by_key(|segment| segment.number);
@@ -169,16 +170,16 @@ impl Spool {
         }
         let next = self.segments.front().map_or(FIRST, |next| next.number);
         let bytes: Vec<u8> = self.memory.iter().flat_map(Message::encode).collect();
-        fs::write(self.file(next - 1), bytes)
+        let (_, mut file) = self.create((0..next).rev())?;
+        file.write_all(&bytes)
     }
 
     fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
         let is_full = self.segments.back().is_some_and(|last| last.bytes >= SEGMENT);
         if self.writer.is_none() || is_full {
-            let number = self.segments.back().map_or(FIRST, |last| last.number + 1);
-            let mut options = File::options();
-            options.create_new(true).append(true);
-            self.writer = Some(options.open(self.file(number))?);
+            let next = self.segments.back().map_or(FIRST, |last| last.number + 1);
+            let (number, file) = self.create(next..)?;
+            self.writer = Some(file);
             self.segments.push_back(Segment { number, messages: 0, bytes: 0 });
         }
         if let (Some(writer), Some(last)) = (&mut self.writer, self.segments.back_mut()) {
@@ -218,9 +219,40 @@ impl Spool {
         let _ = fs::remove_file(self.file(number));
     }
 
+    /// Creates the file with the first number whose name is free.
+    fn create(&self, numbers: impl IntoIterator<Item = u64>) -> io::Result<(u64, File)> {
+        for number in numbers {
+            match File::options().create_new(true).append(true).open(self.file(number)) {
+                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+                created => return created.map(|file| (number, file)),
+            }
+        }
+        Err(io::ErrorKind::AlreadyExists.into())
+    }
+
     fn file(&self, number: u64) -> PathBuf {
         self.folder.join(format!("{number:016x}.spool"))
     }
+}
+
+/// Number of a file as [`Spool::file`] names them; `None` for anything else in the folder.
+fn number_of(entry: &fs::DirEntry) -> Option<u64> {
+    let name = entry.file_name().into_string().ok()?;
+    let number = u64::from_str_radix(name.strip_suffix(".spool")?, 16).ok()?;
+    let is_ours = name == format!("{number:016x}.spool") && entry.file_type().ok()?.is_file();
+    (is_ours && number < LAST).then_some(number)
+}
+
+/// Opens the lock, which is never written. A link to another file is refused.
+fn open_lock(path: &Path) -> io::Result<File> {
+    match File::options().write(true).create_new(true).open(path) {
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+        created => return created,
+    }
+    if !fs::symlink_metadata(path)?.is_file() {
+        return Err(io::ErrorKind::AlreadyExists.into());
+    }
+    File::options().write(true).open(path)
 }
 
 #[cfg(test)]
@@ -260,6 +292,47 @@ mod tests {
         );
         let busy = Spool::open(folder.path(), 64 << 20);
         assert!(busy.is_err(), "another program uses the folder");
+    }
+
+    #[test]
+    fn what_others_leave_in_the_folder_is_neither_read_nor_changed() {
+        let outside = tempfile::tempdir().unwrap();
+        let folder = outside.path().join("spool");
+        fs::create_dir(&folder).unwrap();
+        let foreign = ["+5.spool", "5.spool", "ffffffffffffffff.spool", "x.spool", ".spool"];
+        for name in foreign {
+            fs::write(folder.join(name), "mine").unwrap();
+        }
+        // Names that the spool would take next.
+        fs::create_dir(folder.join(format!("{FIRST:016x}.spool"))).unwrap();
+        fs::create_dir(folder.join(format!("{:016x}.spool", FIRST - 1))).unwrap();
+        let mut spool = Spool::open(&folder, 64 << 20).unwrap();
+        (0..500).for_each(|number| spool.push(message(number)));
+        spool.save().unwrap();
+        drop(spool);
+        let mut spool = Spool::open(&folder, 64 << 20).unwrap();
+        assert_eq!((numbers(&mut spool), spool.dropped), (Vec::from_iter(0..500), 0));
+        for name in foreign {
+            assert_eq!(fs::read(folder.join(name)).unwrap(), b"mine", "{name}");
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_lock_that_is_a_link_is_refused_and_its_target_kept() {
+        let outside = tempfile::tempdir().unwrap();
+        let target = outside.path().join("target");
+        fs::write(&target, "mine").unwrap();
+        let folder = outside.path().join("spool");
+        fs::create_dir(&folder).unwrap();
+        for target in [target.as_path(), &outside.path().join("absent")] {
+            std::os::unix::fs::symlink(target, folder.join("lock")).unwrap();
+            let error = Spool::open(&folder, 64 << 20).err().expect("a link");
+            assert!(error.to_string().contains("lock"), "{error}");
+            fs::remove_file(folder.join("lock")).unwrap();
+        }
+        assert_eq!(fs::read(target).unwrap(), b"mine");
+        assert!(!outside.path().join("absent").exists());
     }
 
     #[test]

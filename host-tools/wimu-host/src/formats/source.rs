@@ -8,6 +8,7 @@ use std::sync::Arc;
 use super::archive::unpacked;
 use crate::error::{HostError, Result};
 use crate::progress::Watched;
+use crate::untrusted::{self, printable};
 
 /// Number of first bytes by which a format is detected.
 const START: u64 = 4096;
@@ -48,7 +49,7 @@ impl Source {
 
     /// The same at a depth of folders.
     fn open_at(path: &Path, depth: usize) -> Result<Self> {
-        let name = path.display().to_string();
+        let name = untrusted::name(path);
         let failed = |error| HostError::file(&name, "read", &error);
         if path.is_dir() {
             let entries = std::fs::read_dir(path).map_err(failed)?;
@@ -80,7 +81,7 @@ impl Source {
     pub fn of_bytes(name: impl Into<String>, bytes: impl Into<Arc<[u8]>>) -> Self {
         let bytes = bytes.into();
         Self {
-            name: name.into(),
+            name: printable(&name.into()).into_owned(),
             start: bytes.iter().take(START as usize).copied().collect(),
             content: Content::Bytes(bytes),
         }

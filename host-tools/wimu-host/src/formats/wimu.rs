@@ -36,7 +36,7 @@ pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) 
             .error("a recording of wimu in an archive is not read", "extract it first");
         return Err(error.at(source.name()));
     };
-    let name = path.display().to_string();
+    let name = crate::untrusted::name(path);
     let mut role = match options.role {
         Some(role) => role,
         None => usual_link(path)?,

@@ -12,7 +12,6 @@ use crate::Result;
 use crate::calibration::{self, CalibrateOptions, CalibrationReport};
 use crate::client::Client;
 use crate::finding;
-use crate::keys::KeyFolder;
 use crate::live::Heard;
 use crate::recording::Selection;
 use crate::stats::norm;
@@ -31,10 +30,9 @@ pub fn poses_file(file: &Path) -> PathBuf {
 /// Writes a calibration to a board, signed if this computer has its key, and verifies that the board holds it.
 ///
 /// # Errors
-/// Those of [`KeyFolder::candidates`], [`Client::use_key_among`] and [`Client::push_verified`].
+/// Those of [`Client::use_own_key`] and [`Client::push_verified`].
 pub fn push<T: Transport>(client: &mut Client<T>, set: &ParameterSet) -> Result<ParameterId> {
-    let known = KeyFolder::of_user()?.candidates(client.hello().device_id)?;
-    client.use_key_among(&known)?;
+    client.use_own_key()?;
     client.push_verified(set)
 }
 

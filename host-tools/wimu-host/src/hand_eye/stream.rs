@@ -105,7 +105,7 @@ impl PoseStream {
                 format!("{TUM}\n{}\n", rows.join("\n"))
             })
         })?;
-        table.name = path.display().to_string();
+        table.name = crate::untrusted::name(path);
         let time = table.needed(&["Time"], TIME)?;
         let mut columns = Vec::new();
         for [first, second] in [["X", "E"], ["Y", "N"], ["Z", "U"]] {

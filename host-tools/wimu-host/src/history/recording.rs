@@ -89,7 +89,7 @@ impl Recording {
     /// # Errors
     /// Those of [`Recording::read`].
     pub fn load(path: &Path) -> Result<Self> {
-        Self::read(RecordingReader::open(path)?, &path.display().to_string())
+        Self::read(RecordingReader::open(path)?, &crate::untrusted::name(path))
     }
 
     /// The same from an open reader; `name` is its name in errors.
@@ -114,7 +114,7 @@ impl Recording {
     /// # Errors
     /// Those of [`Recording::read`].
     pub fn survey_with_keys(path: &Path, keys: Vec<DeviceKey>) -> Result<Self> {
-        let name = path.display().to_string();
+        let name = crate::untrusted::name(path);
         let (walker, reader) = (Walker::with_keys(keys), RecordingReader::open(path)?);
         Self::listen(walker, reader, &name, (SURVEYED, false), |_, _, _| {})
     }

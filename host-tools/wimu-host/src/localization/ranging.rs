@@ -41,7 +41,7 @@ impl Ranging {
         let (anchors, planar) = input::anchors(file)?;
         let usual = RangePrior::ULTRA_WIDEBAND;
         let prior = errors.map_or(usual, |errors| usual.with_errors(errors));
-        Ok(Self::new(&file.display().to_string(), anchors, planar, &prior))
+        Ok(Self::new(&crate::untrusted::name(file), anchors, planar, &prior))
     }
 
     /// Anchors of a name; without heights all is in their plane.

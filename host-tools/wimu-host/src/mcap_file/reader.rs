@@ -1,5 +1,6 @@
 //! Reader of recordings, complete or not.
 
+use super::records::{self, Channel, Chunk, Message};
 use super::*;
 use crate::progress::Watched;
 
@@ -35,7 +36,6 @@ impl Wholeness {
 pub struct RecordingReader<R> {
     name: String,
     source: R,
-    records: LinearReader,
     anchor: Option<ClockAnchor>,
     /// Channels of the topics above.
     channels: BTreeMap<u16, (LinkRole, Content)>,
@@ -45,8 +45,6 @@ pub struct RecordingReader<R> {
     heard: Vec<LinkRole>,
     latest_ns: u64,
     wholeness: Wholeness,
-    /// Whether the start is that of an MCAP file.
-    started: bool,
     done: bool,
 }
 
@@ -57,7 +55,7 @@ impl RecordingReader<BufReader<Watched>> {
     /// `file_unreadable`, `bad_recording` when it is no MCAP file or was cut off before anything
     /// was recorded.
     pub fn open(path: &Path) -> Result<Self> {
-        let name = path.display().to_string();
+        let name = crate::untrusted::name(path);
         let file = Watched::open(path).map_err(|error| HostError::file(&name, "open", &error))?;
         Self::new(BufReader::new(file), &name)
     }
@@ -69,25 +67,25 @@ impl<R: Read> RecordingReader<R> {
     /// # Errors
     /// `bad_recording`, `file_failed`.
     pub fn new(source: R, name: &str) -> Result<Self> {
-        let options = LinearReaderOptions::default()
-            .with_emit_chunks(true)
-            .with_record_length_limit(MAX_RECORD_BYTES);
         let mut reader = Self {
             name: name.to_owned(),
             source,
-            records: LinearReader::new_with_options(options),
             anchor: None,
             channels: BTreeMap::new(),
             pending: Vec::new(),
             heard: Vec::new(),
             latest_ns: 0,
             wholeness: Wholeness::default(),
-            started: false,
             done: false,
         };
-        // The header is the first record and identifies an MCAP file.
+        let mut start = Vec::new();
+        let read = records::fill(&mut reader.source, mcap::MAGIC.len() as u64, &mut start);
+        if read.map_err(|error| HostError::file(name, "read", &error))? && start != mcap::MAGIC {
+            return Err(bad_recording("it does not begin like an MCAP file").at(name));
+        }
+        // The header is the first record.
         reader.step()?;
-        if !reader.started {
+        if reader.wholeness.truncated {
             return Err(bad_recording("it was cut off before its first record").at(name));
         }
         Ok(reader)
@@ -148,151 +146,148 @@ impl<R: Read> RecordingReader<R> {
 
     /// Reads one record.
     fn step(&mut self) -> Result<()> {
-        loop {
-            let event = match self.records.next_event() {
-                None => {
-                    self.done = true;
-                    return Ok(());
-                }
-                Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
-                    // A damaged length may request more than exists.
-                    let buffer = self.records.insert(wanted.clamp(1, 1 << 16));
-                    let count = match self.source.read(buffer) {
-                        Ok(count) => count,
-                        Err(error) if error.kind() == std::io::ErrorKind::Interrupted => continue,
-                        Err(error) => {
-                            self.done = true;
-                            return Err(HostError::file(&self.name, "read", &error));
-                        }
-                    };
-                    self.records.notify_read(count);
-                    continue;
-                }
-                Some(Ok(LinearReadEvent::Record { data, opcode })) => {
-                    mcap::parse_record(opcode, data).map(Record::into_owned)
-                }
-                Some(Err(error)) => Err(error),
-            };
-            return match event {
-                Ok(record) => {
-                    self.started = true;
-                    self.take(record)
-                }
-                Err(mcap::McapError::BadMagic) if !self.started => {
-                    self.done = true;
-                    Err(bad_recording("it does not begin like an MCAP file").at(&self.name))
-                }
-                // The file ends within a record, or the record's length is damaged, so that the next one
-                // cannot be found.
-                Err(_) => {
-                    self.done = true;
-                    self.wholeness.truncated = true;
-                    Ok(())
-                }
-            };
+        let mut record = Vec::new();
+        let read = self.read(&mut record);
+        let Some(code) = read.map_err(|error| {
+            self.done = true;
+            HostError::file(&self.name, "read", &error)
+        })?
+        else {
+            self.cut();
+            return Ok(());
+        };
+        let taken = match code {
+            op::FOOTER => {
+                self.done = true;
+                self.wholeness.truncated = record != mcap::MAGIC;
+                return Ok(());
+            }
+            op::METADATA => self.metadata(&record),
+            op::CHUNK => self.chunk(&record)?,
+            _ => self.record(code, &record)?,
+        };
+        if taken.is_none() {
+            self.cut();
+        }
+        Ok(())
+    }
+
+    /// Code and bytes of the next record; of the last one, the bytes after it. `None` where the file is cut off.
+    fn read(&mut self, record: &mut Vec<u8>) -> io::Result<Option<u8>> {
+        let code = records::next(&mut self.source, MAX_RECORD_BYTES, record)?;
+        if code == Some(op::FOOTER) {
+            records::fill(&mut self.source, mcap::MAGIC.len() as u64, record)?;
+        }
+        Ok(code)
+    }
+
+    /// The file ends within a record, or a length in it is damaged, so that the next one cannot be found.
+    fn cut(&mut self) {
+        self.done = true;
+        self.wholeness.truncated = true;
+    }
+
+    fn metadata(&mut self, record: &[u8]) -> Option<()> {
+        let records::Metadata { name, values } = records::Metadata::parse(record)?;
+        if name != METADATA || self.anchor.is_some() {
+            return Some(());
+        }
+        for topic in TOPICS {
+            let id = values.get(channel_key(topic).as_str());
+            if let Some(id) = id.and_then(|id| id.parse().ok()) {
+                self.channels.entry(id).or_insert(topic);
+            }
+        }
+        let number = |key| values.get(key)?.parse().ok();
+        self.anchor = number("anchor_monotonic_ns")
+            .zip(number("anchor_utc_ns"))
+            .map(|(monotonic_ns, utc_ns)| ClockAnchor { monotonic_ns, utc_ns });
+        Some(())
+    }
+
+    /// A chunk is one second at most: it is used only if it is complete and undamaged. `None` if its own fields are not.
+    fn chunk(&mut self, record: &[u8]) -> Result<Option<()>> {
+        let Some(chunk) = Chunk::parse(record).filter(|chunk| !chunk.short) else {
+            return Ok(None);
+        };
+        if !chunk.compression.is_empty() {
+            self.done = true;
+            let compression = String::from_utf8_lossy(chunk.compression);
+            return Err(ErrorCode::BadRecording
+                .error(
+                    format!("it is compressed with {compression}, which wimu does not support"),
+                    "decompress it with `mcap decompress`",
+                )
+                .at(&self.name));
+        }
+        if !chunk.holds(chunk.stored) || records::each(chunk.stored, |_, _| {}) > 0 {
+            self.wholeness.damaged_chunks += 1;
+            let host_ns = self.latest_ns;
+            let damaged = |role: &LinkRole| Recorded::Damaged { role: *role, host_ns };
+            self.pending = self.heard.iter().map(damaged).collect();
+            return Ok(Some(()));
+        }
+        let mut outcome = Ok(());
+        records::each(chunk.stored, |code, record| {
+            if outcome.is_ok() {
+                outcome = self.record(code, record).map(drop);
+            }
+        });
+        self.pending.reverse();
+        outcome.map(Some)
+    }
+
+    /// A record inside or outside of a chunk; `None` if it is damaged.
+    fn record(&mut self, code: u8, record: &[u8]) -> Result<Option<()>> {
+        match code {
+            op::CHANNEL => Ok(self.channel(record)),
+            op::MESSAGE => {
+                let message = Message::parse(record);
+                message.map(|message| self.message(&message)).transpose()
+            }
+            _ => Ok(Some(())),
         }
     }
 
-    fn take(&mut self, record: Record<'static>) -> Result<()> {
-        match record {
-            Record::Metadata(metadata) if metadata.name == METADATA && self.anchor.is_none() => {
-                for topic in TOPICS {
-                    let id = metadata.metadata.get(&channel_key(topic));
-                    if let Some(id) = id.and_then(|id| id.parse().ok()) {
-                        self.channels.entry(id).or_insert(topic);
-                    }
-                }
-                let number = |key| metadata.metadata.get(key)?.parse().ok();
-                self.anchor = number("anchor_monotonic_ns")
-                    .zip(number("anchor_utc_ns"))
-                    .map(|(monotonic_ns, utc_ns)| ClockAnchor { monotonic_ns, utc_ns });
-                Ok(())
-            }
-            Record::Chunk { header, data } => {
-                if !header.compression.is_empty() {
-                    self.done = true;
-                    return Err(ErrorCode::BadRecording
-                        .error(
-                            format!(
-                                "it is compressed with {}, which wimu does not support",
-                                header.compression
-                            ),
-                            "decompress it with `mcap decompress`",
-                        )
-                        .at(&self.name));
-                }
-                // A chunk is one second at most: it is used only if it is complete and undamaged.
-                let records = mcap::read::LinearReader::sans_magic(&data);
-                let intact = header.uncompressed_crc == 0
-                    || crc32fast::hash(&data) == header.uncompressed_crc;
-                let parsed: Result<Vec<_>, _> = records.collect();
-                match parsed {
-                    Ok(records) if intact => {
-                        for record in records {
-                            self.take_message(record)?;
-                        }
-                        self.pending.reverse();
-                    }
-                    _ => {
-                        self.wholeness.damaged_chunks += 1;
-                        let host_ns = self.latest_ns;
-                        let damaged = |role: &LinkRole| Recorded::Damaged { role: *role, host_ns };
-                        self.pending = self.heard.iter().map(damaged).collect();
-                    }
-                }
-                Ok(())
-            }
-            record => self.take_message(record),
+    fn channel(&mut self, record: &[u8]) -> Option<()> {
+        let channel = Channel::parse(record)?;
+        let is_named = |(role, content): &(LinkRole, Content)| {
+            channel.topic == format!("/{role}/{}", content.name())
+        };
+        if let Some(topic) = TOPICS.into_iter().find(is_named) {
+            self.channels.insert(channel.id, topic);
         }
+        Some(())
     }
 
-    /// A record inside or outside of a chunk.
-    fn take_message(&mut self, record: Record<'_>) -> Result<()> {
-        match record {
-            Record::Channel(channel) => {
-                let is_named = |(role, content): &(LinkRole, Content)| {
-                    channel.topic == format!("/{role}/{}", content.name())
-                };
-                if let Some(topic) = TOPICS.into_iter().find(is_named) {
-                    self.channels.insert(channel.id, topic);
+    fn message(&mut self, message: &Message) -> Result<()> {
+        let Some(&(role, content)) = self.channels.get(&message.channel) else {
+            return Ok(());
+        };
+        let bad = || {
+            bad_recording("a message on its topic has another type")
+                .at(format!("{}, message {} of {role:?}", self.name, message.sequence))
+        };
+        let host_ns =
+            self.anchor.map_or(message.log_ns, |anchor| anchor.to_monotonic_ns(message.log_ns));
+        let bytes = || Ok(decode(message.data).ok_or_else(bad)?.to_vec());
+        let entry = match content {
+            Content::Received => Recorded::Received(Received { role, host_ns, bytes: bytes()? }),
+            Content::Sent => Recorded::Sent { role, host_ns, bytes: bytes()? },
+            Content::State => {
+                let text = decode_text(message.data).ok_or_else(bad)?;
+                match text.strip_prefix(LOST) {
+                    Some(reason) => Recorded::Lost { role, host_ns, reason: reason.to_owned() },
+                    None if text == DAMAGED => Recorded::Damaged { role, host_ns },
+                    None => Recorded::Connected { role, host_ns },
                 }
             }
-            Record::Message { header, data } => {
-                let Some(&(role, content)) = self.channels.get(&header.channel_id) else {
-                    return Ok(());
-                };
-                let bad = || {
-                    bad_recording("a message on its topic has another type")
-                        .at(format!("{}, message {} of {role:?}", self.name, header.sequence))
-                };
-                let host_ns = self
-                    .anchor
-                    .map_or(header.log_time, |anchor| anchor.to_monotonic_ns(header.log_time));
-                let bytes = || Ok(decode(&data).ok_or_else(bad)?.to_vec());
-                let entry = match content {
-                    Content::Received => {
-                        Recorded::Received(Received { role, host_ns, bytes: bytes()? })
-                    }
-                    Content::Sent => Recorded::Sent { role, host_ns, bytes: bytes()? },
-                    Content::State => {
-                        let text = decode_text(&data).ok_or_else(bad)?;
-                        match text.strip_prefix(LOST) {
-                            Some(reason) => {
-                                Recorded::Lost { role, host_ns, reason: reason.to_owned() }
-                            }
-                            None if text == DAMAGED => Recorded::Damaged { role, host_ns },
-                            None => Recorded::Connected { role, host_ns },
-                        }
-                    }
-                };
-                if !self.heard.contains(&role) {
-                    self.heard.push(role);
-                }
-                self.latest_ns = self.latest_ns.max(host_ns);
-                self.pending.push(entry);
-            }
-            _ => {}
+        };
+        if !self.heard.contains(&role) {
+            self.heard.push(role);
         }
+        self.latest_ns = self.latest_ns.max(host_ns);
+        self.pending.push(entry);
         Ok(())
     }
 }

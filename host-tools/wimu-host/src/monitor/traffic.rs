@@ -23,6 +23,8 @@ pub struct LinkHealth {
     pub name: String,
     /// Why it is lost at present.
     pub lost: Option<String>,
+    /// The warning that its data are not authentic.
+    pub unverified: Option<String>,
     /// Samples received per second.
     pub rate_hz: f64,
     /// Fraction of the samples that did not arrive.
@@ -45,6 +47,7 @@ pub struct Traffic {
     /// Host time, ns, and latency, ms.
     latencies: VecDeque<(u64, f64)>,
     lost: Option<String>,
+    unverified: Option<String>,
     frames_damaged: u64,
     /// Samples received and missing since the start.
     counted: (u64, u64),
@@ -63,6 +66,7 @@ impl Traffic {
             self.count(last.host_ns, of_stream.received, heard.statistics.bytes);
         }
         self.lost = heard.lost.as_ref().map(|error| error.message().to_owned());
+        self.unverified = heard.authentication.findings().last().map(|found| found.to_string());
         self.frames_damaged = heard.statistics.frames_damaged;
         self.counted = (of_stream.received, of_stream.missing);
     }
@@ -99,6 +103,7 @@ impl Traffic {
     /// Brings a link up to date.
     pub fn show(&self, link: &mut LinkHealth) {
         link.lost = self.lost.clone();
+        link.unverified = self.unverified.clone();
         link.frames_damaged = self.frames_damaged;
         let (received, missing) = self.counted;
         link.loss = missing as f64 / (received + missing).max(1) as f64;

@@ -204,6 +204,7 @@ impl Tracks {
         let mut info = TrackInfo::new("raw", Quantity::SpecificForce, counts(sensitivity));
         info.rate_hz = Some(rate_hz);
         info.device = first.sensor();
+        info.device_id = first.hello.map(|hello| hello.device_id);
         info.full_scale = range_g.map(|g| f64::from(g) * STANDARD_GRAVITY_MPS2);
         let force = sink.track(info);
         let nominal = epoch.and_then(|epoch| Some(epoch.gyroscope?.rad_s_per_lsb));
@@ -224,6 +225,7 @@ fn further_track(boot: &Boot, sensor: u8) -> TrackInfo {
     let unit = Unit::Counts { si_per_lsb };
     let name = format!("raw {sensor}");
     let mut info = TrackInfo::new(name, Quantity::SpecificForce, unit).of_sensor(sensor);
+    info.device_id = boot.hello.map(|hello| hello.device_id);
     info.rate_hz = epoch.map(|epoch| 1e9 / f64::from(epoch.period_ns.max(1)));
     info.full_scale = epoch.map(|epoch| f64::from(epoch.range_g) * STANDARD_GRAVITY_MPS2);
     info

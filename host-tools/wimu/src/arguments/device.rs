@@ -28,6 +28,9 @@ pub enum Params {
         /// Show what would change, and write nothing
         #[arg(long)]
         dry_run: bool,
+        /// Push also the calibration of another device
+        #[arg(long)]
+        force: bool,
     },
     /// Erase calibration and settings
     #[command(after_help = "Example: wimu params factory-reset tcp://127.0.0.1:7100")]

@@ -59,5 +59,8 @@ their calibration are left as they are.")]
         /// End after this stage: 1, 2 or 3
         #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=3))]
         until: u8,
+        /// Push also the calibration of another device
+        #[arg(long)]
+        force: bool,
     },
 }

@@ -58,9 +58,13 @@ pub fn run(arguments: &Align, output: &Output) -> Result<u8> {
         },
         |client, set| listen(client, arguments, set, &options, output),
     )?;
-    let report = alignment::alignment(&data.samples(Selection::default())?, &set, &options);
+    let samples = data.samples(Selection::default())?;
+    let report = alignment::alignment(&samples, &set, &options);
     let given = arguments.calibration.as_deref();
-    let file = |after| CalibrationFile::after(given, &set, after, &report.source);
+    let file = |after| {
+        let file = CalibrationFile::after(given, &set, after, &report.source);
+        file.of_device(samples.info().device_id)
+    };
     finish(
         &report,
         &report.outcome,

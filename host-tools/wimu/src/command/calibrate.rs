@@ -81,7 +81,8 @@ pub fn read_calibrated(
 ) -> Result<(Recording, ParameterSet, Option<Connection>)> {
     let mut load = load.clone();
     load.stored_zero_count = given.and_then(calibration::zero_count);
-    let given = given.map(calibration::read_parameters).transpose()?;
+    let file = given;
+    let given = file.map(calibration::read_parameters).transpose()?;
     match Input::parse(input)? {
         Input::File(path) => Ok((formats::load(&path, &load)?, checked(given)?, None)),
         Input::Recording(path) => {
@@ -93,6 +94,8 @@ pub fn read_calibrated(
         }
         Input::Link(_) => {
             let mut client = connect_for(input, push)?;
+            let device_id = client.hello().device_id;
+            file.map_or(Ok(()), |file| calibration::check_device(file, device_id))?;
             let set = given.map_or_else(|| client.held_parameters(), |set| Ok(Some(set)))?;
             let set = checked(set)?;
             Ok((listen(&mut client, &set)?, set, Some(client)))
@@ -198,10 +201,13 @@ fn update(arguments: &Calibrate, output: &Output) -> Result<u8> {
         checked,
         |_, _| Err(not_live()),
     )?;
-    let report =
-        calibration::update(&data.samples(selection)?, &stored, arguments.gravity, utc_s())?;
+    let samples = data.samples(selection)?;
+    let report = calibration::update(&samples, &stored, arguments.gravity, utc_s())?;
     let with = arguments.with.as_deref();
-    let file = |set| CalibrationFile::after(with, &stored, set, &report.source);
+    let file = |set| {
+        let file = CalibrationFile::after(with, &stored, set, &report.source);
+        file.of_device(samples.info().device_id)
+    };
     let file = report.parameters.as_ref().map(file);
     let path = arguments.output.as_deref();
     finish(&report, &report.outcome, path, file, output, || write_page(arguments, || report.page()))

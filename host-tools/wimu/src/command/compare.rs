@@ -31,7 +31,7 @@ fn unsupported(input: &str) -> HostError {
 }
 
 fn recording(path: &Path, arguments: &Compare, output: &Output) -> Result<()> {
-    let name = path.display().to_string();
+    let name = wimu_host::untrusted::name(path);
     let found = compare(|| RecordingReader::open(path), &name)?;
     let text = text(&found);
     output.print(&text);

@@ -21,16 +21,16 @@ use std::time::{Duration, Instant};
 use serde::Deserialize;
 use serde_json::json;
 use wimu_host::live::{LiveClient, Tap};
+use wimu_host::serve::lock;
 use wimu_host::transport;
 use wimu_host::{ErrorCode, HostError, Input, LinkUrl, Result, client};
 
-use self::access::Token;
+use self::access::{Access, Token};
 use self::actions::{Action, File, Job};
 use self::board::Board;
 use self::folder::Folder;
-use self::hub::{Asker, Hub, Page, lock};
+use self::hub::{Asker, Hub, Page};
 use self::replay::Player;
-use self::server::{Answers, Server};
 use crate::arguments::Dashboard;
 use crate::command::{deadline, interrupted, is_over};
 use crate::output::{Output, usage};
@@ -53,15 +53,17 @@ pub fn run(arguments: &Dashboard, output: &Output) -> Result<()> {
     let folder = Folder::new(&arguments.folder, files.clone())?;
     let address =
         arguments.listen.unwrap_or(SocketAddr::from((Ipv4Addr::LOCALHOST, arguments.port)));
-    let server = Server::bind(address)?;
     let desk = Arc::new(Desk {
         hub: Arc::new(Hub::default()),
         folder: Arc::new(folder),
         token: Token::generate()?,
-        open_reads: server.address().ip().is_loopback(),
+        open_reads: address.ip().is_loopback(),
         boards: Mutex::default(),
         waiting: Mutex::default(),
     });
+    let answers = desk.clone();
+    let answers = move |page: &Arc<Page>, text: &str| answers.take(page, text);
+    let server = server::start(address, desk.hub.clone(), Arc::new(answers))?;
     desk.hub.publish(
         "about",
         &json!({
@@ -81,9 +83,7 @@ pub fn run(arguments: &Dashboard, output: &Output) -> Result<()> {
         }
     }
     let url = url(server.address(), desk.token.text());
-    let is_local = server.address().ip().is_loopback();
-    server.run(desk.hub.clone(), Arc::new(desk.clone()));
-    let readers = match is_local {
+    let readers = match address.ip().is_loopback() {
         true => "The page is for this computer only; what follows # allows writes.",
         false => {
             "Other computers reach it at this computer's address; what follows # allows them to read and write, in plaintext."
@@ -348,38 +348,38 @@ impl Desk {
             _ => Err(usage("this board was closed", "connect it again")),
         }
     }
-}
 
-impl Answers for Arc<Desk> {
-    fn take(&self, page: &Arc<Page>, text: &str) -> bool {
+    /// Takes a message of a page; returns what the page may do.
+    fn take(self: &Arc<Self>, page: &Arc<Page>, text: &str) -> Access {
         let parsed: std::result::Result<Message, _> = serde_json::from_str(text);
         let Ok(message) = parsed else {
-            return page.is_admitted();
+            return if page.is_admitted() { Access::Read } else { Access::None };
         };
         let asker = Asker { page: page.clone(), id: message.id };
         let writes = self.token.is(&message.token);
         // A wrong token is never taken for none.
         let may_read = self.open_reads && message.token.is_empty();
         if !writes && !may_read {
-            return false;
+            return Access::None;
         }
+        let access = if writes { Access::Write } else { Access::Read };
         if message.what["do"] == "hello" {
             self.hub.join(page);
             asker.answer(Ok(json!({"writes": writes})));
-            return true;
+            return access;
         }
         if !writes {
             asker.answer(Err::<(), _>(usage(
                 "this page may only read: it was opened without the token",
                 "open the address that `wimu dashboard` has printed",
             )));
-            return true;
+            return access;
         }
         match self.done(message, &asker) {
             Ok(Some(value)) => asker.answer(Ok(value)),
             Ok(None) => {}
             Err(error) => asker.answer(Err::<(), _>(error)),
         }
-        true
+        access
     }
 }

@@ -26,13 +26,17 @@ pub fn run(action: &Fleet, output: &Output) -> Result<()> {
             output.object(&status);
             Ok(())
         }
-        Fleet::Push { fleet, folder, until } => push(&fleet.parse()?, folder, *until, output),
+        Fleet::Push { fleet, folder, until, force } => {
+            push(&fleet.parse()?, folder, *until, *force, output)
+        }
     }
 }
 
 fn show(status: &FleetStatus, output: &Output) {
     let alive = status.alive().count();
-    let sum = |of: fn(&BoardState) -> u64| status.boards.values().map(of).sum::<u64>();
+    // Whoever may publish at the broker can forge them.
+    let sum =
+        |of: fn(&BoardState) -> u64| status.boards.values().map(of).fold(0, u64::saturating_add);
     let missing = sum(|state| state.missing);
     let unrecorded = match sum(|state| state.unrecorded_bytes) {
         0 => String::new(),
@@ -41,7 +45,7 @@ fn show(status: &FleetStatus, output: &Output) {
     output.print(format!(
         "{alive} of {} alive; {missing} of {} samples missing{unrecorded}",
         counted(status.boards.len(), "board"),
-        sum(|state| state.samples) + missing
+        sum(|state| state.samples).saturating_add(missing)
     ));
     let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64());
     let width = status.boards.keys().map(String::len).fold(5, usize::max);
@@ -98,7 +102,7 @@ fn age(seconds: f64) -> String {
     }
 }
 
-fn push(fleet: &Address, folder: &Path, until: u8, output: &Output) -> Result<()> {
+fn push(fleet: &Address, folder: &Path, until: u8, force: bool, output: &Output) -> Result<()> {
     let status = status::read(fleet, LISTEN)?;
     let plan = Plan::new(&status, folder)?;
     for (what, names) in [
@@ -127,7 +131,7 @@ fn push(fleet: &Address, folder: &Path, until: u8, output: &Output) -> Result<()
     for (stage, count) in (1..=until).zip(plan.stages()) {
         output.print(format!("stage {stage}: {count} of {}", counted(targets, "board")));
         for target in &plan.targets[done..count] {
-            let pushed = rollout::push(fleet, target)?;
+            let pushed = rollout::push(fleet, target, force)?;
             let did = match pushed {
                 true => "pushed, confirmed",
                 false => "held already",

@@ -320,12 +320,14 @@ fn events(link: &LinkHistory) -> (Vec<String>, usize) {
 fn recording(path: &Path, output: &Output) -> Result<()> {
     // Without usable keys tags are not verified, and that is reported where there are tags.
     let keys = KeyFolder::of_user().and_then(|folder| folder.all());
-    let recording = Recording::survey_with_keys(path, keys.unwrap_or_default())?;
-    let wholeness = recording.wholeness;
-    let mut findings = Vec::from_iter(wholeness.finding());
-    for link in &recording.links {
-        findings.extend_from_slice(&link.authentication.findings);
+    let mut recording = Recording::survey_with_keys(path, keys.unwrap_or_default())?;
+    for link in &mut recording.links {
+        let device_id = link.hello().map(|hello| hello.device_id);
+        link.authentication.key_known = device_id.is_some_and(|id| !KeyFolder::own(id).is_empty());
     }
+    let wholeness = recording.wholeness;
+    let tags = recording.links.iter().flat_map(|link| link.authentication.findings());
+    let findings = Vec::from_iter(wholeness.finding().into_iter().chain(tags));
     let links: Vec<Link> = recording
         .links
         .into_iter()
@@ -348,12 +350,12 @@ fn recording(path: &Path, output: &Output) -> Result<()> {
                 more_events,
                 sampling: link.status().map(Sampling::from),
                 statistics: link.statistics,
-                authentication: Some(link.authentication).filter(Authentication::has_tags),
+                authentication: Some(link.authentication).filter(Authentication::is_known),
             }
         })
         .collect();
     let contents = Contents {
-        source: path.display().to_string(),
+        source: wimu_host::untrusted::name(path),
         duration_s: recording.duration_ns as f64 * 1e-9,
         wholeness,
         links,

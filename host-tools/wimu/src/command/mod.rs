@@ -49,8 +49,7 @@ fn connect(link: &str) -> Result<Connection> {
 /// Connects to the board at LINK for writing, with its key if this computer has it.
 fn connect_to_write(link: &str) -> Result<Connection> {
     let mut client = connect(link)?;
-    let known = KeyFolder::of_user()?.candidates(client.hello().device_id)?;
-    client.use_key_among(&known)?;
+    client.use_own_key()?;
     Ok(client)
 }
 
@@ -63,11 +62,10 @@ fn connect_for(link: &str, push: bool) -> Result<Connection> {
 /// same. Returns whether the answers are authenticated; `None` if this computer has no key of the board.
 fn connect_to_read(link: &str, output: &Output) -> Result<(Connection, Option<bool>)> {
     let mut client = connect(link)?;
-    let Ok(folder) = KeyFolder::of_user() else {
+    if KeyFolder::of_user().is_err() {
         return Ok((client, None));
-    };
-    let known = folder.candidates(client.hello().device_id);
-    match known.and_then(|known| client.use_key_among(&known)) {
+    }
+    match client.use_own_key() {
         Ok(signs) => Ok((client, signs.then_some(true))),
         Err(error) if error.code() == ErrorCode::LinkLost => Err(error),
         Err(error) => {

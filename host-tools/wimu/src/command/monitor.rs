@@ -3,6 +3,7 @@
 use std::cmp::Reverse;
 
 use serde::Serialize;
+use serde_json::json;
 use wimu_host::authentication::Authentication;
 use wimu_host::decode::{Decoder, Event};
 use wimu_host::keys::KeyFolder;
@@ -176,10 +177,7 @@ pub fn run(arguments: &Monitor, output: &Output) -> Result<()> {
 fn lines(arguments: &Monitor, output: &Output) -> Result<()> {
     let mut client = connect(&arguments.input)?;
     let hello = *client.hello();
-    let mut authentication = Authentication::default();
-    // Without usable keys tags are not verified, and that is reported where there are tags.
-    let keys = KeyFolder::of_user().and_then(|folder| folder.candidates(hello.device_id));
-    client.verify_with(keys.unwrap_or_default());
+    let mut authentication = Authentication::new(client.verify());
     output.print(format!(
         "{} with {}, device {:016x}, {} link, parameters {}, last start: {}",
         hello.board.name,
@@ -205,18 +203,19 @@ fn lines(arguments: &Monitor, output: &Output) -> Result<()> {
         left_out_text(0, statistics.frames_rejected),
         statistics.raw.missing.max(statistics.corrected.missing)
     ));
-    if let Some(text) = authentication.text() {
-        output.print(text);
-    }
     if let Some(status) = &lines.status {
         output.print(Sampling::from(status).text());
     }
+    lines.end(&authentication);
     Ok(())
 }
 
 fn recorded(path: &std::path::Path, rate: Option<f64>, output: &Output) -> Result<()> {
     let mut reader = RecordingReader::open(path)?;
     let mut decoder = Decoder::new();
+    // Without usable keys tags are not verified, and that is reported where there are tags.
+    decoder.use_keys(KeyFolder::of_user().and_then(|folder| folder.all()).unwrap_or_default());
+    let mut authentication = Authentication::default();
     let mut readings = Readings::new();
     let mut lines = Lines::new(rate, output);
     let mut role = None;
@@ -227,12 +226,19 @@ fn recorded(path: &std::path::Path, rate: Option<f64>, output: &Output) -> Resul
             continue;
         }
         decoder.push(received.host_ns, &received.bytes, |arrival| {
+            if let Event::Hello(hello) = &arrival.event {
+                authentication.key_known |= !KeyFolder::own(hello.device_id).is_empty();
+            }
+            if let Some(finding) = authentication.see(&arrival) {
+                output.findings(std::slice::from_ref(finding));
+            }
             going = going && lines.show(&arrival.event, &mut readings);
         });
         if !going {
             break;
         }
     }
+    lines.end(&authentication);
     Ok(())
 }
 
@@ -283,6 +289,17 @@ impl<'a> Lines<'a> {
             restarted: false,
             every_s: rate.unwrap_or(usual_hz).recip(),
             shown_s: None,
+        }
+    }
+
+    /// Prints what the device's tags have shown.
+    fn end(&self, authentication: &Authentication) {
+        if let Some(text) = authentication.text() {
+            self.output.print(text);
+        }
+        self.output.findings(&Vec::from_iter(authentication.finding()));
+        if authentication.is_known() {
+            self.output.object(&json!({ "authentication": authentication }));
         }
     }
 

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Serialize;
 use wimu_host::calibration::{
-    self, CalibrationFile, Change, Difference, further_sensors, read_parameters,
+    self, CalibrationFile, Change, Difference, check_device, further_sensors, read_parameters,
 };
 use wimu_host::{ErrorCode, Result};
 use wimu_model::{ParameterId, ParameterSet};
@@ -35,9 +35,12 @@ pub fn run(action: &Params, output: &Output) -> Result<()> {
             let file = file.as_deref();
             show(&mut client, authenticated, file, Vec::new(), output)
         }
-        Params::Push { link, calibration, dry_run } => {
+        Params::Push { link, calibration, dry_run, force } => {
             let set = read_parameters(calibration)?;
             let mut client = connect_to_write(link)?;
+            if !force {
+                check_device(calibration, client.hello().device_id)?;
+            }
             if *dry_run {
                 let before = client.held_parameters()?;
                 print_difference(before.as_ref(), &set, output);
@@ -91,14 +94,15 @@ fn print_difference(before: Option<&ParameterSet>, after: &ParameterSet, output:
 }
 
 /// Writes the parameters to a file for `params push`.
-fn save(path: &Path, parameters: Option<&ParameterSet>) -> Result<()> {
+fn save(path: &Path, parameters: Option<&ParameterSet>, device_id: u64) -> Result<()> {
     let Some(set) = parameters else {
         return Err(ErrorCode::DataRefused.error(
             "the device is uncalibrated, so there are no parameters to write",
             "calibrate with `wimu calibrate LINK --push`",
         ));
     };
-    CalibrationFile::new(set, &calibration::sessions(None, set), "").write(path)
+    let file = CalibrationFile::new(set, &calibration::sessions(None, set), "");
+    file.of_device(Some(device_id)).write(path)
 }
 
 /// Prints the parameters that a device holds, and writes them to `file`.
@@ -112,7 +116,7 @@ fn show(
     let parameters = client.held_parameters()?;
     // Before anything is printed: an error is the only JSON object.
     if let Some(file) = file {
-        save(file, parameters.as_ref())?;
+        save(file, parameters.as_ref(), client.hello().device_id)?;
     }
     let in_use = applies(parameters.as_ref(), client.settings()?.range_g, output);
     let id =

@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
+use wimu_host::authentication::Authentication;
 use wimu_host::clock::ClockSummary;
 use wimu_host::decode::LinkStatistics;
 use wimu_host::digits::{significant, with_sd};
@@ -31,6 +32,8 @@ struct Link {
     #[serde(flatten)]
     statistics: LinkStatistics,
     clock: Option<ClockSummary>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    authentication: Option<Authentication>,
 }
 
 pub fn run(arguments: &Record, output: &Output) -> Result<()> {
@@ -83,7 +86,13 @@ pub fn run(arguments: &Record, output: &Output) -> Result<()> {
         if let Some(clock) = &link.clock {
             output.print(format!("{:8} {}", link.role, clock_text(clock)));
         }
+        if let Some(text) = link.authentication.text() {
+            output.print(format!("{:8} {text}", link.role));
+        }
     }
+    let findings = progress.links.iter().flat_map(|link| link.authentication.findings());
+    let findings = Vec::from_iter(findings);
+    output.findings(&findings);
     let decode = || ros::decode(&arguments.output, &arguments.output, None);
     let decoded = arguments.decoded.then(decode).transpose()?;
     if let Some(decoded) = &decoded {
@@ -101,6 +110,7 @@ pub fn run(arguments: &Record, output: &Output) -> Result<()> {
         role: link.role.to_string(),
         statistics: link.statistics,
         clock: link.clock,
+        authentication: Some(link.authentication.clone()).filter(Authentication::is_known),
     });
     let recorded = Recorded {
         file: arguments.output.display().to_string(),

@@ -40,6 +40,7 @@ fn readings() -> MonitorView {
     let link = |name: &str| LinkHealth {
         name: name.to_owned(),
         lost: None,
+        unverified: None,
         rate_hz: 1000.0,
         loss: 0.0123,
         latency_ms: Some([12.3, 1234.5]),
@@ -92,9 +93,7 @@ fn missing_samples_are_a_gap_of_a_curve() {
         curve.add(1.0);
         curve.step(0);
     }
-    let mut terminal = Terminal::new(TestBackend::new(100, 40)).unwrap();
-    terminal.draw(|frame| draw_monitor(&view, frame)).unwrap();
-    let shown = text(terminal.backend().buffer());
+    let shown = text(&drawn((100, 40), false, |frame| monitor::draw(&view, frame)));
     let row = shown.lines().find(|line| line.contains("|f|")).unwrap();
     let is_bar = |c: char| ('▁'..='█').contains(&c);
     let bars: Vec<&str> = row.split(|c: char| !is_bar(c)).filter(|part| !part.is_empty()).collect();

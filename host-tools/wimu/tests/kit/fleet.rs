@@ -101,6 +101,13 @@ impl Gateway {
         values.iter().sum()
     }
 
+    /// A client of the metrics that never ends its request.
+    pub fn slow_client(&self) -> TcpStream {
+        let mut stream = TcpStream::connect(&self.metrics).expect("metrics");
+        write!(stream, "GET /metrics HTTP/1.1\r\nHost:").expect("a request");
+        stream
+    }
+
     /// Stops it as Ctrl-C does; returns its sums.
     pub fn stop(self) -> Value {
         let ran = self.process.signal("-INT");

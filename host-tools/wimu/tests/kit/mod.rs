@@ -195,8 +195,8 @@ pub fn findings(object: &Value) -> Vec<String> {
 
 /// The reason of a refusal; empty without one.
 pub fn reason(object: &Value) -> String {
-    let problems = object["problems"].as_array().into_iter().flatten();
-    let refusal = problems.filter(|problem| problem["code"] == "no_result").next_back();
+    let mut problems = object["problems"].as_array().into_iter().flatten();
+    let refusal = problems.rfind(|problem| problem["code"] == "no_result");
     refusal.and_then(|refusal| refusal["text"].as_str()).unwrap_or_default().to_owned()
 }
 

@@ -4,11 +4,12 @@
 use std::collections::BTreeMap;
 use std::io::{self, SeekFrom};
 
-use super::chunk::{self, fill, number, sized};
+use super::chunk;
 use super::message::Encoding;
 use super::{Messages, ReadOptions, Source};
 use crate::error::{ErrorCode, HostError, Result};
 use crate::formats::source::ReadSeek;
+use crate::mcap_file::records::{fill, number, sized};
 use crate::recording::Sink;
 
 const MAGIC: &[u8] = b"#ROSBAG V";

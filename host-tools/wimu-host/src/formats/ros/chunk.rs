@@ -1,31 +1,12 @@
-//! Chunks of records, compressed or not, and fields in them.
+//! Chunks of records, compressed or not.
 
 use std::borrow::Cow;
-use std::io::{self, Read};
+use std::io::Read;
+
+use crate::mcap_file::records::fill;
 
 /// Longest record or decompressed chunk, bytes. Recorders write chunks of at most some MB.
 pub(super) const MAX_BYTES: u64 = 256 * 1024 * 1024;
-
-/// The next `N` bytes.
-pub(super) fn number<const N: usize>(bytes: &mut &[u8]) -> Option<[u8; N]> {
-    let (number, rest) = bytes.split_first_chunk::<N>()?;
-    *bytes = rest;
-    Some(*number)
-}
-
-/// The next bytes after their length in four bytes.
-pub(super) fn sized<'a>(bytes: &mut &'a [u8]) -> Option<&'a [u8]> {
-    let length = u32::from_le_bytes(number(bytes)?);
-    let (block, rest) = bytes.split_at_checked(usize::try_from(length).ok()?)?;
-    *bytes = rest;
-    Some(block)
-}
-
-/// Reads at most `length` bytes into `buffer`; returns whether all were there. Memory is that of the bytes read.
-pub(super) fn fill(reader: impl Read, length: u64, buffer: &mut Vec<u8>) -> io::Result<bool> {
-    buffer.clear();
-    Ok(reader.take(length).read_to_end(buffer)? as u64 == length)
-}
 
 /// The `size` bytes of a chunk from its stored bytes; of a chunk that is `cut` off those before the end.
 pub(super) fn decompress<'a>(

@@ -6,10 +6,11 @@ use std::collections::BTreeMap;
 use ::mcap::MAGIC;
 use ::mcap::records::op;
 
-use super::chunk::{self, number, sized};
+use super::chunk;
 use super::message::Encoding;
 use super::{Messages, ReadOptions, Source};
 use crate::error::{HostError, Result};
+use crate::mcap_file::records::{Channel, Chunk, Message, each, fill, number, text};
 use crate::recording::Sink;
 
 /// Files of a bag that begin with `magic`, in the order of recording.
@@ -76,9 +77,9 @@ fn walk(file: &Source, mut see: impl FnMut(u8, &[u8], u64, bool)) -> Result<Opti
     let mut head = [0; 9];
     let mut record = Vec::new();
     let mut at = MAGIC.len() as u64;
-    chunk::fill(&mut reader, at, &mut record).map_err(failed)?;
+    fill(&mut reader, at, &mut record).map_err(failed)?;
     loop {
-        if !chunk::fill(&mut reader, head.len() as u64, &mut record).map_err(failed)? {
+        if !fill(&mut reader, head.len() as u64, &mut record).map_err(failed)? {
             return Ok(Some(at));
         }
         head.copy_from_slice(&record);
@@ -89,7 +90,7 @@ fn walk(file: &Source, mut see: impl FnMut(u8, &[u8], u64, bool)) -> Result<Opti
             op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK | op::STATISTICS
                 if length <= chunk::MAX_BYTES =>
             {
-                let whole = chunk::fill(&mut reader, length, &mut record).map_err(failed)?;
+                let whole = fill(&mut reader, length, &mut record).map_err(failed)?;
                 see(code, &record, at, !whole);
             }
             op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK => return Ok(Some(at)),
@@ -104,62 +105,14 @@ fn walk(file: &Source, mut see: impl FnMut(u8, &[u8], u64, bool)) -> Result<Opti
     }
 }
 
-/// Hands code and bytes of a chunk's records on. Returns the number of bytes after the last one that is whole.
-fn each(mut records: &[u8], mut see: impl FnMut(u8, &[u8])) -> usize {
-    loop {
-        let left = records.len();
-        let Some([code]) = number(&mut records) else {
-            return left;
-        };
-        let length = number(&mut records).map(u64::from_le_bytes);
-        let length = length.and_then(|length| usize::try_from(length).ok());
-        let Some((record, rest)) = length.and_then(|length| records.split_at_checked(length))
-        else {
-            return left;
-        };
-        see(code, record);
-        records = rest;
+/// A chunk's records, at the end of the file also those before the end.
+fn records<'a>(chunk: &Chunk<'a>, at_end: bool) -> Result<Cow<'a, [u8]>, String> {
+    let cut = at_end && chunk.short;
+    let records = chunk::decompress(chunk.compression, chunk.stored, chunk.size, cut)?;
+    if !cut && !chunk.holds(&records) {
+        return Err("its CRC does not match".to_owned());
     }
-}
-
-/// A chunk's own fields and its records as stored.
-struct Chunk<'a> {
-    size: u64,
-    crc: u32,
-    compression: &'a [u8],
-    stored: &'a [u8],
-    /// Whether stored records are missing.
-    short: bool,
-}
-
-impl<'a> Chunk<'a> {
-    fn parse(mut record: &'a [u8]) -> Option<Self> {
-        // First and last log time.
-        number::<16>(&mut record)?;
-        let size = u64::from_le_bytes(number(&mut record)?);
-        let crc = u32::from_le_bytes(number(&mut record)?);
-        let compression = sized(&mut record)?;
-        let length = u64::from_le_bytes(number(&mut record)?);
-        let stored = usize::try_from(length).ok().and_then(|n| record.get(..n));
-        Some(Self {
-            size,
-            crc,
-            compression,
-            stored: stored.unwrap_or(record),
-            short: stored.is_none(),
-        })
-    }
-
-    /// Its records, at the end of the file also those before the end; a CRC of 0 is none.
-    fn records(&self, at_end: bool) -> Result<Cow<'a, [u8]>, String> {
-        let cut = at_end && self.short;
-        let records = chunk::decompress(self.compression, self.stored, self.size, cut)?;
-        let wrong = !cut && self.crc != 0 && self.crc != crc32fast::hash(&records);
-        match wrong {
-            true => Err("its CRC does not match".to_owned()),
-            false => Ok(records),
-        }
-    }
+    Ok(records)
 }
 
 struct Reader<'a, 'b> {
@@ -177,7 +130,7 @@ struct Reader<'a, 'b> {
 impl Reader<'_, '_> {
     fn chunk(&mut self, record: &[u8], at: u64, cut: bool) {
         let records = match Chunk::parse(record) {
-            Some(chunk) => chunk.records(cut),
+            Some(chunk) => self::records(&chunk, cut),
             None if cut => return,
             None => Err("its header is damaged".to_owned()),
         };
@@ -209,32 +162,27 @@ impl Reader<'_, '_> {
 
     fn schema(&mut self, mut record: &[u8]) -> Option<()> {
         let id = u16::from_le_bytes(number(&mut record)?);
-        let name = String::from_utf8_lossy(sized(&mut record)?).into_owned();
-        self.schemas.insert(id, name);
+        self.schemas.insert(id, text(&mut record)?.into_owned());
         Some(())
     }
 
-    fn channel(&mut self, mut record: &[u8]) -> Option<()> {
-        let id = u16::from_le_bytes(number(&mut record)?);
-        let schema = self.schemas.get(&u16::from_le_bytes(number(&mut record)?))?;
-        let topic = String::from_utf8_lossy(sized(&mut record)?);
-        let encoding = match sized(&mut record)? {
+    fn channel(&mut self, record: &[u8]) -> Option<()> {
+        let channel = Channel::parse(record)?;
+        let schema = self.schemas.get(&channel.schema)?;
+        let encoding = match channel.encoding {
             b"cdr" => Some(Encoding::Cdr),
             b"ros1" => Some(Encoding::Ros1),
             _ => None,
         };
-        let index = self.messages.topic(&topic, schema, encoding);
-        self.channels.insert(id, index);
+        let index = self.messages.topic(&channel.topic, schema, encoding);
+        self.channels.insert(channel.id, index);
         Some(())
     }
 
-    fn message(&mut self, mut record: &[u8]) -> Option<()> {
-        let id = u16::from_le_bytes(number(&mut record)?);
-        let topic = *self.channels.get(&id)?;
-        number::<4>(&mut record)?;
-        let log_ns = u64::from_le_bytes(number(&mut record)?);
-        number::<8>(&mut record)?;
-        self.messages.message(topic, log_ns as i64, record);
+    fn message(&mut self, record: &[u8]) -> Option<()> {
+        let message = Message::parse(record)?;
+        let topic = *self.channels.get(&message.channel)?;
+        self.messages.message(topic, message.log_ns as i64, message.data);
         Some(())
     }
 }

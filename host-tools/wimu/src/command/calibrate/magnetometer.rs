@@ -24,7 +24,10 @@ pub fn run(arguments: &Calibrate, output: &Output) -> Result<u8> {
     let data = data.samples(selection)?;
     let report = calibrate_magnetometer(&data, &set, arguments.dip.map(f64::to_radians))?;
     let with = arguments.with.as_deref();
-    let file = |after| CalibrationFile::after(with, &set, after, &report.source);
+    let file = |after| {
+        let file = CalibrationFile::after(with, &set, after, &report.source);
+        file.of_device(data.info().device_id)
+    };
     let file = report.parameters.as_ref().map(file);
     let path = arguments.output.as_deref();
     finish(&report, &report.outcome, path, file, output, || {

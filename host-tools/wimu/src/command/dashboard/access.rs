@@ -3,6 +3,7 @@
 use std::net::{IpAddr, SocketAddr};
 
 use wimu_host::Result;
+use wimu_host::serve::{Method, Request, StatusCode, header};
 
 /// Characters of a token: 128 bits.
 const TOKEN_BYTES: usize = 16;
@@ -34,6 +35,15 @@ impl Token {
     }
 }
 
+/// What a page may do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Access {
+    None,
+    Read,
+    /// It has the token.
+    Write,
+}
+
 /// What a request asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
@@ -43,10 +53,10 @@ pub enum Target {
     Socket,
 }
 
-/// Why a request is refused: a status of HTTP.
+/// Why a request is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Refusal {
-    /// Not HTTP, or a required header is absent or repeated.
+    /// A required header is absent or repeated.
     Malformed,
     /// The host that the page was asked for is not this computer: DNS rebinding.
     ForeignHost,
@@ -58,13 +68,13 @@ pub enum Refusal {
 }
 
 impl Refusal {
-    /// Status line of HTTP.
-    pub fn status(self) -> &'static str {
+    /// Status of HTTP.
+    pub fn status(self) -> StatusCode {
         match self {
-            Self::Malformed => "400 Bad Request",
-            Self::ForeignHost | Self::ForeignOrigin => "403 Forbidden",
-            Self::NotFound => "404 Not Found",
-            Self::Method => "405 Method Not Allowed",
+            Self::Malformed => StatusCode::BAD_REQUEST,
+            Self::ForeignHost | Self::ForeignOrigin => StatusCode::FORBIDDEN,
+            Self::NotFound => StatusCode::NOT_FOUND,
+            Self::Method => StatusCode::METHOD_NOT_ALLOWED,
         }
     }
 }
@@ -72,34 +82,15 @@ impl Refusal {
 /// Paths of the files, in the order in which the server holds them.
 pub const FILES: [&str; 4] = ["/", "/style.css", "/plot.js", "/dashboard.js"];
 
-/// The head of a request.
-pub struct Head<'a> {
-    pub method: &'a str,
-    pub path: &'a str,
-    /// Names and values.
-    pub headers: &'a [(&'a str, &'a str)],
-}
-
-impl<'a> Head<'a> {
-    /// The value of a header that is there once at most.
-    fn one(&self, name: &str) -> std::result::Result<Option<&'a str>, Refusal> {
-        let mut found = self.headers.iter().filter(|(n, _)| n.eq_ignore_ascii_case(name));
-        match (found.next(), found.next()) {
-            (first, None) => Ok(first.map(|(_, value)| *value)),
-            _ => Err(Refusal::Malformed),
-        }
-    }
-
-    /// The key of a request for a WebSocket.
-    pub fn socket_key(&self) -> Option<&'a str> {
-        let has = |name, wanted: &str| {
-            let value = self.one(name).ok().flatten().unwrap_or_default();
-            value.split(',').any(|part| part.trim().eq_ignore_ascii_case(wanted))
-        };
-        let is_upgrade = has("Upgrade", "websocket") && has("Connection", "upgrade");
-        let key = self.one("Sec-WebSocket-Key").ok().flatten();
-        key.filter(|_| is_upgrade && has("Sec-WebSocket-Version", "13"))
-    }
+/// The value of a header that is there once at most.
+fn one<B>(
+    request: &Request<B>,
+    name: header::HeaderName,
+) -> std::result::Result<Option<&str>, Refusal> {
+    let mut values = request.headers().get_all(name).iter();
+    let (first, second) = (values.next(), values.next());
+    let text = first.map(|value| value.to_str()).transpose();
+    text.ok().filter(|_| second.is_none()).ok_or(Refusal::Malformed)
 }
 
 /// Whether a request that was sent to `address` is answered.
@@ -110,28 +101,24 @@ impl<'a> Head<'a> {
 ///
 /// # Errors
 /// The reason of the refusal.
-pub fn check(head: &Head, address: SocketAddr) -> std::result::Result<Target, Refusal> {
-    let host = head.one("Host")?.ok_or(Refusal::Malformed)?;
+pub fn check<B>(request: &Request<B>, address: SocketAddr) -> std::result::Result<Target, Refusal> {
+    let host = one(request, header::HOST)?.ok_or(Refusal::Malformed)?;
     if !is_ours(host, address) {
         return Err(Refusal::ForeignHost);
     }
-    let origin = head.one("Origin")?;
+    let origin = one(request, header::ORIGIN)?;
     let same = origin.map(|origin| origin.strip_prefix("http://") == Some(host));
-    let path = head.path.split('?').next().unwrap_or_default();
+    let path = request.uri().path();
     let target = match FILES.iter().position(|file| *file == path) {
         Some(file) => Target::File(file),
         None if path == "/socket" => Target::Socket,
         None => return Err(Refusal::NotFound),
     };
-    match (target, same) {
-        (_, Some(false)) | (Target::Socket, None) => return Err(Refusal::ForeignOrigin),
-        _ => {}
+    if same == Some(false) || (target == Target::Socket && same.is_none()) {
+        return Err(Refusal::ForeignOrigin);
     }
-    if head.method != "GET" {
+    if request.method() != Method::GET {
         return Err(Refusal::Method);
-    }
-    if target == Target::Socket && head.socket_key().is_none() {
-        return Err(Refusal::Malformed);
     }
     Ok(target)
 }
@@ -151,22 +138,26 @@ fn is_ours(host: &str, address: SocketAddr) -> bool {
 mod tests {
     use super::*;
 
-    const KEY: &str = "dGhlIHNhbXBsZSBub25jZQ==";
+    fn asked(
+        method: Method,
+        path: &str,
+        headers: &[(&str, &str)],
+        address: [u8; 4],
+    ) -> std::result::Result<Target, Refusal> {
+        let mut request = Request::builder().method(method).uri(path);
+        for (name, value) in headers {
+            request = request.header(*name, *value);
+        }
+        check(&request.body(()).unwrap(), SocketAddr::from((address, 7180)))
+    }
 
     fn checked(path: &str, headers: &[(&str, &str)]) -> std::result::Result<Target, Refusal> {
-        let address = SocketAddr::from(([127, 0, 0, 1], 7180));
-        check(&Head { method: "GET", path, headers }, address)
+        asked(Method::GET, path, headers, [127, 0, 0, 1])
     }
 
     /// A request for the socket with this host and origin.
     fn socket(host: &str, origin: Option<&str>) -> std::result::Result<Target, Refusal> {
-        let mut headers = vec![
-            ("Host", host),
-            ("Upgrade", "websocket"),
-            ("Connection", "keep-alive, Upgrade"),
-            ("Sec-WebSocket-Version", "13"),
-            ("Sec-WebSocket-Key", KEY),
-        ];
+        let mut headers = vec![("Host", host)];
         headers.extend(origin.map(|origin| ("Origin", origin)));
         checked("/socket", &headers)
     }
@@ -195,11 +186,7 @@ mod tests {
 
     #[test]
     fn with_listen_a_host_is_any_address_but_no_name() {
-        let address = SocketAddr::from(([0, 0, 0, 0], 7180));
-        let of = |host| {
-            let headers = [("Host", host)];
-            check(&Head { method: "GET", path: "/", headers: &headers }, address)
-        };
+        let of = |host| asked(Method::GET, "/", &[("Host", host)], [0, 0, 0, 0]);
         assert_eq!(of("192.168.1.5:7180"), Ok(Target::File(0)));
         assert_eq!(of("pi.local:7180"), Err(Refusal::ForeignHost));
     }
@@ -221,19 +208,15 @@ mod tests {
         }
         let foreign = [("Host", host), ("Origin", "http://evil.example")];
         assert_eq!(checked("/", &foreign), Err(Refusal::ForeignOrigin));
-        let plain = [("Host", host), ("Origin", "http://127.0.0.1:7180")];
-        assert_eq!(checked("/socket", &plain), Err(Refusal::Malformed));
     }
 
     #[test]
     fn there_are_no_other_paths() {
         let host = [("Host", "127.0.0.1:7180")];
-        for path in ["/../etc/passwd", "//", "/%2e%2e/", "/dashboard.js/..", "/keys", ""] {
+        for path in ["/../etc/passwd", "//", "/%2e%2e/", "/dashboard.js/..", "/keys"] {
             assert_eq!(checked(path, &host), Err(Refusal::NotFound), "{path}");
         }
-        let address = SocketAddr::from(([127, 0, 0, 1], 7180));
-        let head = Head { method: "POST", path: "/", headers: &host };
-        assert_eq!(check(&head, address), Err(Refusal::Method));
+        assert_eq!(asked(Method::POST, "/", &host, [127, 0, 0, 1]), Err(Refusal::Method));
     }
 
     #[test]

@@ -3,7 +3,9 @@
 use clap::Parser;
 use serde::Deserialize;
 use wimu_host::allan::NoiseMeter;
-use wimu_host::calibration::{CalibrateOptions, Difference, MethodChoice, read_parameters};
+use wimu_host::calibration::{
+    CalibrateOptions, Difference, MethodChoice, check_device, read_parameters,
+};
 use wimu_host::guided::Guided;
 use wimu_host::live::LiveClient;
 use wimu_host::{Input, LinkUrl, Result};
@@ -140,9 +142,11 @@ impl Board {
         }
     }
 
-    /// The parameters in a file of the folder.
+    /// The parameters in a file of the folder, unless they are of another device.
     fn parameters(&self, file: &str) -> Result<ParameterSet> {
-        read_parameters(&self.folder.file(file)?)
+        let path = self.folder.file(file)?;
+        self.hello.map_or(Ok(()), |hello| check_device(&path, hello.device_id))?;
+        read_parameters(&path)
     }
 
     fn do_here(&mut self, action: Action, feed: &mut Feed) -> Result<()> {

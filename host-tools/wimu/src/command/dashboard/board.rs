@@ -178,6 +178,11 @@ impl Board {
         }
         self.traffic[index].take(heard);
         self.traffic[index].show(&mut self.links[index]);
+        if let Some(warning) =
+            self.links[index].unverified.as_ref().filter(|_| self.message.is_empty())
+        {
+            self.message = warning.clone();
+        }
         // Another link is shown while the first is lost.
         let is_up = |link: &LinkHealth| link.lost.is_none();
         let shown = self.links.iter().position(is_up).unwrap_or(self.shown);

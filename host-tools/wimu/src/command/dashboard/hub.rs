@@ -2,12 +2,13 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::sync::{Arc, Mutex};
 
 use serde::Serialize;
 use serde_json::json;
+use tokio::sync::Notify;
 use wimu_host::Result;
+use wimu_host::serve::lock;
 
 /// Frames that wait for a page: two seconds of one board.
 const MOST_FRAMES: usize = 64;
@@ -35,7 +36,7 @@ struct State {
 #[derive(Default)]
 pub struct Page {
     queue: Mutex<Queue>,
-    more: Condvar,
+    more: Notify,
     /// Whether it may see anything yet.
     admitted: AtomicBool,
 }
@@ -48,11 +49,6 @@ struct Queue {
     answers: VecDeque<Text>,
     /// Frames that were dropped, and how many of them it was told of.
     dropped: [u64; 2],
-}
-
-/// Locks a mutex, even if another thread has panicked while it held the lock.
-pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Hub {
@@ -127,13 +123,19 @@ impl Hub {
         self.joined.load(Ordering::Relaxed)
     }
 
-    /// What waits for a page, after at most `wait`.
-    pub fn take(&self, page: &Page, wait: Duration) -> Vec<Text> {
-        let queue = lock(&page.queue);
-        let waited = page.more.wait_timeout_while(queue, wait, |queue| {
-            queue.topics.is_empty() && queue.frames.is_empty() && queue.answers.is_empty()
-        });
-        let (mut queue, _) = waited.unwrap_or_else(PoisonError::into_inner);
+    /// What waits for a page, once there is something.
+    pub async fn next(&self, page: &Page) -> Vec<Text> {
+        loop {
+            let texts = self.take(page);
+            if !texts.is_empty() {
+                return texts;
+            }
+            page.more.notified().await;
+        }
+    }
+
+    fn take(&self, page: &Page) -> Vec<Text> {
+        let mut queue = lock(&page.queue);
         let names = std::mem::take(&mut queue.topics);
         let mut out: Vec<Text> = queue.answers.drain(..).collect();
         if queue.dropped[0] != queue.dropped[1] {
@@ -197,7 +199,7 @@ mod tests {
     use super::*;
 
     fn taken(hub: &Hub, page: &Page) -> Vec<String> {
-        let texts = hub.take(page, Duration::ZERO);
+        let texts = hub.take(page);
         texts.iter().map(|text| text.to_string()).collect()
     }
 

@@ -58,6 +58,7 @@ pub fn run(arguments: &Monitor, output: &Output) -> Result<()> {
             }
         });
         let next = shown.and_then(|next| live.stop_recording().map(|()| next))?;
+        live.ended.extend(live.view.links.iter().filter_map(|link| link.unverified.clone()));
         for line in &live.ended {
             output.print(line);
         }
@@ -241,6 +242,11 @@ impl Live {
         }
         for (link, traffic) in view.links.iter_mut().zip(&self.traffic) {
             traffic.show(link);
+        }
+        if let (true, Some(warning)) =
+            (view.message.is_empty(), view.links.iter().find_map(|link| link.unverified.clone()))
+        {
+            view.message = warning;
         }
         view.line = self.latest.as_ref().map(Line::from);
     }

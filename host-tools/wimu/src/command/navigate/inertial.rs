@@ -131,7 +131,7 @@ impl Nees {
 
 /// Navigates a recording of one unit, or an array.
 pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
-    let source = arguments.input.display().to_string();
+    let source = wimu_host::untrusted::name(&arguments.input);
     let found = match &arguments.geometry {
         Some(geometry) => {
             let choice = choice(arguments)?;

@@ -71,7 +71,7 @@ pub fn run(arguments: &Navigate, anchors: &Path, output: &Output) -> Result<()> 
         lever_arm_m: arguments.aids.lever_arm.unwrap_or_default(),
     };
     let found = localize(&recording, &choice)?;
-    let source = arguments.input.display().to_string();
+    let source = wimu_host::untrusted::name(&arguments.input);
     let text = text(&found);
     output.print(text.trim_end());
     output.findings(&found.path.findings);

@@ -59,7 +59,7 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
     let a = inertial::unit(arguments, files[0], calibrations.first())?;
     let b = inertial::unit(arguments, files[1], calibrations.get(1))?;
     let found = relative([&a, &b], &choice)?;
-    let sources = files.map(|file| file.display().to_string());
+    let sources = files.map(|file| wimu_host::untrusted::name(file));
     present(arguments, sources, found, output)
 }
 

@@ -11,7 +11,7 @@ use crate::Result;
 use crate::campaign::{self, RESULTS};
 
 /// Widest line of the document, characters.
-const WIDTH: usize = 120;
+const WIDTH: usize = 140;
 
 /// Writes the document: `head.md`, the headline claims, a section a campaign, `tail.md`.
 pub fn write(sh: &Shell) -> Result {

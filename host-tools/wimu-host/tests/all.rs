@@ -13,6 +13,7 @@ mod fixes;
 mod formats_document;
 mod hand_eye;
 mod inertial;
+mod live;
 mod localization;
 mod relative;
 mod ros_topics;

@@ -30,6 +30,8 @@ mod keys;
 mod kit;
 mod line_rates;
 mod live;
+#[cfg(target_os = "linux")]
+mod live_case;
 mod localize;
 mod magnetometer;
 mod magnetometer_input;

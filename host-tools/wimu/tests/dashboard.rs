@@ -25,7 +25,7 @@ const TIME_LIMIT: Duration = Duration::from_secs(120);
 const FAST: [&str; 4] = ["--motion", "twelve-poses,slide", "--speed", "8"];
 
 /// A `wimu dashboard` on a free port.
-struct Served {
+pub struct Served {
     process: Background,
     /// `127.0.0.1:PORT`.
     host: String,
@@ -34,7 +34,7 @@ struct Served {
 }
 
 impl Served {
-    fn start(folder: &Path, inputs: &[&str]) -> Self {
+    pub fn start(folder: &Path, inputs: &[&str]) -> Self {
         let folder_text = folder.to_str().expect("UTF-8");
         let fixed = ["dashboard", "--port", "0", "--folder", folder_text];
         let mut process = Background::start_as(folder, &[&fixed[..], inputs].concat());
@@ -66,7 +66,7 @@ impl Served {
         tungstenite::client(request, stream).ok().map(|(socket, _)| socket)
     }
 
-    fn page(&self) -> Page {
+    pub fn page(&self) -> Page {
         self.page_with(&self.token)
     }
 
@@ -87,12 +87,12 @@ impl Served {
 }
 
 /// A page without a browser.
-struct Page {
+pub struct Page {
     socket: WebSocket<TcpStream>,
     token: String,
     next: u64,
     topics: BTreeMap<String, Value>,
-    frames: Vec<Value>,
+    pub frames: Vec<Value>,
     answers: BTreeMap<u64, Value>,
     closed: bool,
 }
@@ -135,7 +135,7 @@ impl Page {
     }
 
     /// Takes messages until what is named is found.
-    fn until<T>(&mut self, named: &str, mut found: impl FnMut(&mut Self) -> Option<T>) -> T {
+    pub fn until<T>(&mut self, named: &str, mut found: impl FnMut(&mut Self) -> Option<T>) -> T {
         let until = Instant::now() + TIME_LIMIT;
         loop {
             if let Some(found) = found(self) {

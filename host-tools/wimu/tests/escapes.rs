@@ -150,7 +150,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     fs::write(&path, bag()).expect("written");
     files.push(path);
     let path = folder.join(format!("{HOSTILE}wimu.mcap"));
-    record_motion("rest:3", 1, path.to_str().expect("text"));
+    record_motion("rest", 1, path.to_str().expect("text"));
     files.push(path);
     files.push(folder.join(format!("{HOSTILE}absent.csv")));
     files

@@ -18,8 +18,8 @@ use rustix::termios::{Winsize, tcsetwinsize};
 
 const TIME_LIMIT: Duration = Duration::from_secs(120);
 /// A terminal of the least size, and one with a UTF-8 locale.
-const USUAL: (u16, u16) = (80, 24);
-const UTF8: [(&str, &str); 1] = [("LC_ALL", "C.UTF-8")];
+pub const USUAL: (u16, u16) = (80, 24);
+pub const UTF8: [(&str, &str); 1] = [("LC_ALL", "C.UTF-8")];
 /// A hold every few hundred milliseconds.
 const FAST: [&str; 4] = ["--motion", "twelve-poses,slide", "--speed", "8"];
 
@@ -30,14 +30,14 @@ struct Written {
 }
 
 /// A `wimu` in a terminal of its own; it is killed when dropped.
-struct Terminal {
+pub struct Terminal {
     child: Child,
     controller: File,
     written: Arc<Mutex<Written>>,
 }
 
 impl Terminal {
-    fn start(
+    pub fn start(
         arguments: &[&str],
         folder: &Path,
         (columns, rows): (u16, u16),
@@ -84,7 +84,7 @@ impl Terminal {
         self.written.lock().expect("no panic").parser.screen().contents()
     }
 
-    fn bytes(&self) -> Vec<u8> {
+    pub fn bytes(&self) -> Vec<u8> {
         self.written.lock().expect("no panic").bytes.clone()
     }
 
@@ -117,7 +117,7 @@ impl Terminal {
     }
 
     /// Waits for the end of the command, which must leave the terminal as it was.
-    fn ends(&mut self) -> ExitStatus {
+    pub fn ends(&mut self) -> ExitStatus {
         let until = Instant::now() + TIME_LIMIT;
         loop {
             if let Some(status) = self.child.try_wait().expect("a child") {

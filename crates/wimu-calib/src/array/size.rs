@@ -7,7 +7,7 @@ use super::motion::Rate;
 /// Length of a window over which ω̇ is integrated, s.
 const WINDOW_S: f64 = 0.1;
 /// Fewer windows do not decide.
-const LEAST_WINDOWS: f64 = 30.0;
+const LEAST_WINDOWS: f64 = 10.0;
 /// Standard deviations by which the bounds are widened: 99.7 % of a normal distribution.
 const BOUND_SD: f64 = 3.0;
 

@@ -85,12 +85,12 @@ fn missing_samples_are_a_gap_of_a_curve() {
     let mut view = readings();
     for curve in view.curves() {
         (0..600).for_each(|_| {
-            curve.add(1.0);
+            curve.add(100.0);
             curve.step(0);
         });
-        curve.add(1.0);
+        curve.add(100.0);
         curve.step(4);
-        curve.add(1.0);
+        curve.add(100.0);
         curve.step(0);
     }
     let shown = text(&drawn((100, 40), false, |frame| monitor::draw(&view, frame)));

@@ -3,22 +3,29 @@
 //! `cargo test -p wimu --test golden -- PART` runs the cases whose name contains PART. `tests/golden/README.md` describes
 //! the files.
 
+mod board;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
-use std::sync::{Arc, Mutex, OnceLock, mpsc};
-use std::{fs, thread};
+use std::process::{Command, ExitCode};
+use std::sync::{Arc, Mutex, OnceLock};
+use std::{env, fs};
 
 use libtest_mimic::{Arguments, Failed, Trial};
 use serde::Deserialize;
-use serde_json::Value;
+use serde_json::{Value, json};
 use tempfile::TempDir;
 use wimu::{Output, run};
 
+use crate::board::Board;
+
 /// Recordings that other projects published, beside the repository.
 const DATA: &str = "../shared/data";
+
+/// Folder of the configuration, as of a user without keys.
+const CONFIG: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/golden-config");
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -45,9 +52,9 @@ struct Case {
     /// Expected values by their path in `data` (`axes.0.bias`), of streaming commands in the last object.
     #[serde(default)]
     values: BTreeMap<String, Expected>,
-    /// First lines of text files in `{tmp}`.
+    /// Expected values of tables and other texts in `{tmp}`, by paths in what [`table`] makes of them.
     #[serde(default)]
-    headers: BTreeMap<String, String>,
+    tables: BTreeMap<String, BTreeMap<String, Expected>>,
     /// What is wrong, of a case that must fail until it is repaired.
     known_failure: Option<String>,
 }
@@ -68,8 +75,11 @@ enum Expected {
 }
 
 fn main() -> ExitCode {
+    if env::var_os("XDG_CONFIG_HOME").is_none_or(|folder| folder != CONFIG) {
+        return run_as_another_user();
+    }
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    std::env::set_current_dir(&root).expect("the repository");
+    env::set_current_dir(&root).expect("the repository");
     let mut files: Vec<PathBuf> = fs::read_dir("tests/golden")
         .expect("tests/golden")
         .map(|entry| entry.expect("an entry").path())
@@ -86,6 +96,15 @@ fn main() -> ExitCode {
     });
     let trials = trials.collect();
     libtest_mimic::run(&Arguments::from_args(), trials).exit_code()
+}
+
+/// Runs this program again with [`CONFIG`]: threads of a process share its environment, which must not change.
+fn run_as_another_user() -> ExitCode {
+    let _ = fs::remove_dir_all(CONFIG);
+    let mut command = Command::new(env::current_exe().expect("this program"));
+    command.args(env::args_os().skip(1)).envs([("XDG_CONFIG_HOME", CONFIG), ("APPDATA", CONFIG)]);
+    let status = command.status().expect("this program");
+    if status.success() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
 fn check(case: Case) -> Result<(), Failed> {
@@ -124,12 +143,9 @@ impl Case {
         }
         let ran = Ran::of(last);
         let mut wrong = self.differences(&ran);
-        for (name, header) in &self.headers {
+        for (name, values) in &self.tables {
             let text = fs::read_to_string(folder.path().join(name)).unwrap_or_default();
-            let first = text.lines().next().unwrap_or_default();
-            if first != header {
-                let _ = writeln!(wrong, "{name} begins with `{first}`, not `{header}`");
-            }
+            wrong += &wrong_values(values, &table(&text), &format!("{name}: "));
         }
         if wrong.is_empty() { Ok(()) } else { Err(format!("`wimu {last}`\n{wrong}{}", ran.stderr)) }
     }
@@ -146,13 +162,7 @@ impl Case {
                 let _ = writeln!(wrong, "problems {codes:?}, not {expected:?}");
             }
         }
-        for (path, expected) in &self.values {
-            let found = at(&ran.data, path);
-            if !expected.holds(found, &ran.data) {
-                let _ = writeln!(wrong, "{path} is {found}, not {expected}");
-            }
-        }
-        wrong
+        wrong + &wrong_values(&self.values, &ran.data, "")
     }
 }
 
@@ -183,6 +193,35 @@ impl std::fmt::Display for Expected {
             Self::Exact(value) => write!(out, "{value}"),
         }
     }
+}
+
+/// The values that are not as expected, one line each.
+fn wrong_values(values: &BTreeMap<String, Expected>, data: &Value, place: &str) -> String {
+    let mut wrong = String::new();
+    for (path, expected) in values {
+        let found = at(data, path);
+        if !expected.holds(found, data) {
+            let _ = writeln!(wrong, "{place}{path} is {found}, not {expected}");
+        }
+    }
+    wrong
+}
+
+/// A CSV table: `header`, number of `rows`, fields of the `first` and `last` row, root mean square of each column, and
+/// mean magnitude (`norm`) of columns 1 to 3, which follow the time.
+fn table(text: &str) -> Value {
+    let header = text.lines().next().unwrap_or_default();
+    let rows: Vec<Vec<f64>> = (text.lines().skip(1))
+        .map(|line| line.split(',').map(|field| field.parse().unwrap_or(f64::NAN)).collect())
+        .collect();
+    let mean = |of: &dyn Fn(&Vec<f64>) -> f64| rows.iter().map(of).sum::<f64>() / rows.len() as f64;
+    let square =
+        |row: &Vec<f64>, column| row.get(column).map_or(f64::NAN, |value: &f64| value * value);
+    let columns = 0..header.split(',').count();
+    let rms: Vec<f64> = columns.map(|column| mean(&|row| square(row, column)).sqrt()).collect();
+    let norm = mean(&|row| (1..4).map(|column| square(row, column)).sum::<f64>().sqrt());
+    let (first, last) = (rows.first(), rows.last());
+    json!({"header": header, "rows": rows.len(), "first": first, "last": last, "rms": rms, "norm": norm})
 }
 
 /// The value at a path such as `axes.0.bias`; `null` where there is none.
@@ -259,38 +298,6 @@ impl Write for Memory {
     }
 }
 
-/// A simulated board that runs until this process ends.
-struct Board {
-    cable: String,
-    wireless: String,
-}
-
-impl Board {
-    fn start(options: &str) -> Self {
-        /// Passes each line on.
-        struct Lines(mpsc::Sender<String>);
-
-        impl Write for Lines {
-            fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-                let _ = self.0.send(String::from_utf8_lossy(bytes).into_owned());
-                Ok(bytes.len())
-            }
-
-            fn flush(&mut self) -> std::io::Result<()> {
-                Ok(())
-            }
-        }
-
-        let line = format!("simulate --cable 127.0.0.1:0 --wireless 127.0.0.1:0 {options}");
-        let (sender, receiver) = mpsc::channel();
-        thread::spawn(move || run(words(&line), &mut Output::to(Lines(sender), std::io::sink())));
-        let first = receiver.recv().expect("the links");
-        let envelope: Value = serde_json::from_str(&first).expect("an object");
-        let link = |name: &str| envelope["data"][name].as_str().expect("a LINK").to_owned();
-        Self { cable: link("cable"), wireless: link("wireless") }
-    }
-}
-
 /// A command line with its placeholders replaced.
 fn filled(line: &str, tmp: &Path, board: Option<&Board>) -> String {
     let mut line = line.replace("{tmp}", &tmp.display().to_string()).replace("{data}", DATA);
@@ -308,24 +315,17 @@ fn filled(line: &str, tmp: &Path, board: Option<&Board>) -> String {
 
 /// A folder with `accelerometer.mcap` and `gyroscope.mcap` of `wimu demo`, made once.
 fn demo() -> &'static str {
+    const LINES: [&str; 2] =
+        ["demo --report {}/accelerometer.html", "demo --sensor lsm6dso --report {}/gyroscope.html"];
     static FOLDER: OnceLock<String> = OnceLock::new();
-    FOLDER.get_or_init(|| {
-        made(
-            "golden-demo",
-            &[
-                "demo --report {}/accelerometer.html",
-                "demo --sensor lsm6dso --report {}/gyroscope.html",
-            ],
-        )
-    })
+    FOLDER.get_or_init(|| made("golden-demo", &LINES))
 }
 
 /// A folder with the walks of `wimu demo --localize`, made once: ranges, anchors, a unit on a shoe, fixes.
 fn walks() -> &'static str {
+    const LINES: [&str; 1] = ["demo --localize --files {} --report {}/localize.html"];
     static FOLDER: OnceLock<String> = OnceLock::new();
-    FOLDER.get_or_init(|| {
-        made("golden-walks", &["demo --localize --files {} --report {}/localize.html"])
-    })
+    FOLDER.get_or_init(|| made("golden-walks", &LINES))
 }
 
 /// A new folder in the target folder, with what these commands write to it.

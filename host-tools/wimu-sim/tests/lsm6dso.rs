@@ -1,6 +1,6 @@
-//! The `wimu-lsm6dso` driver on the simulated sensor, in virtual time.
+//! What the simulated LSM6DSO puts out, in virtual time. Its registers are tested in `wimu-lsm6dso`, a board with it in
+//! `wimu-tests`.
 
-use std::fmt::Debug;
 use std::rc::Rc;
 
 use embedded_hal_async::i2c::I2c;
@@ -11,7 +11,7 @@ use wimu_lsm6dso::{
 use wimu_model::{Counts, STANDARD_GRAVITY_MPS2};
 use wimu_sim::attitude::Attitude;
 use wimu_sim::clock::VirtualClock;
-use wimu_sim::i2c::{Faults, I2cError, SimI2c};
+use wimu_sim::i2c::{I2cError, SimI2c};
 use wimu_sim::motion::{Motion, Pose};
 use wimu_sim::scene::{Scene, Temperature, World};
 use wimu_sim::sensor::{GyroscopeFault, Sensor};
@@ -52,10 +52,8 @@ impl Bench {
         Self { clock, sensor }
     }
 
-    fn i2c(&self) -> (SimI2c, Faults) {
-        let bus = SimI2c::new(&self.clock, [Rc::new(self.sensor.clone()) as Rc<_>]);
-        let faults = bus.faults();
-        (bus, faults)
+    fn i2c(&self) -> SimI2c {
+        SimI2c::new(&self.clock, [Rc::new(self.sensor.clone()) as Rc<_>])
     }
 
     /// Runs `use_it` with a driver on I²C.
@@ -63,7 +61,7 @@ impl Bench {
         &self,
         use_it: impl AsyncFnOnce(&mut Lsm6dso<I2cBus<SimI2c>>) -> Result<(), Error<I2cError>>,
     ) {
-        let (i2c, _) = self.i2c();
+        let i2c = self.i2c();
         let address = Address::Low;
         let mut driver = Lsm6dso::new(I2cBus { i2c, address });
         let outcome = self.clock.run(use_it(&mut driver));
@@ -242,7 +240,7 @@ fn the_self_test_is_within_the_datasheets_limits() {
 #[test]
 fn output_registers_keep_the_bytes_of_a_value_together() {
     let bench = numbered();
-    let (mut i2c, _) = bench.i2c();
+    let mut i2c = bench.i2c();
     let value = async |i2c: &mut SimI2c, control: u8| {
         i2c.write(0x6A, &[0x12, control]).await?;
         let (mut low, mut high) = ([0], [0]);

@@ -153,29 +153,6 @@ fn recordings_without_two_links_of_one_board_at_once_are_refused() {
 }
 
 #[test]
-fn a_restart_in_the_middle_is_two_starts_and_pairs_no_sample_with_one_of_the_other() {
-    let again = Part { boot: 2, began_s: 30.0, ..Part::default() };
-    let found = compared([Part::default().on_both(), again.on_both()].concat());
-    assert_eq!((&found["starts"], &found["pairs"]), (&2.into(), &3200.into()));
-    for link in found["links"].as_array().unwrap() {
-        assert_eq!(link["lost"], 0, "{link}");
-    }
-}
-
-#[test]
-fn samples_out_of_order_make_no_wrong_pair() {
-    let swapped = Part { swaps: true, ..Part::default() };
-    let found = compared([Part::default().on(CABLE), swapped.on(WIRELESS)].concat());
-    // What comes late is paired all the same.
-    let wireless = &found["links"][1];
-    let late = wireless["late"].as_u64().unwrap();
-    assert!((1..700).contains(&late), "{wireless}");
-    assert_eq!((&wireless["lost"], &wireless["duplicated"]), (&0.into(), &0.into()));
-    assert_eq!(wireless["bursts"], serde_json::json!([]), "{wireless}");
-    assert_eq!(found["pairs"], 1600, "{found}");
-}
-
-#[test]
 fn samples_out_of_order_are_all_in_the_decoded_topics() {
     let swapped = Part { swaps: true, ..Part::default() };
     let folder = folder();

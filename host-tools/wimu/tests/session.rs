@@ -3,11 +3,9 @@
 use crate::kit;
 
 use std::fs;
-use std::path::Path;
 
 use kit::{Background, Links, Simulator, Transcript, folder, record_motion, wimu};
 use serde_json::Value;
-use wimu_testkit::Lane;
 
 /// Whether an object has these keys, none of them null.
 fn has(object: &Value, keys: &[&str]) {
@@ -196,57 +194,43 @@ fn six_positions() -> String {
 fn a_replayed_file_calibrates_as_the_file_itself() {
     let folder = folder();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-    let real = Path::new(concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../../../shared/data/calibration/six_position_sections.csv"
-    ));
-    let made = path("made.csv");
-    fs::write(&made, six_positions()).unwrap();
-    let mut files = vec![made];
-    if Lane::current() == Lane::Check {
-        println!("skipped: the larger lanes replay {}", real.display());
-    } else if real.exists() {
-        files.push(real.to_str().unwrap().to_owned());
-    } else {
-        println!("skipped: {} is absent", real.display());
-    }
-    for (number, file) in files.iter().enumerate() {
-        let session = path(&format!("{number}.mcap"));
-        let board = Simulator::start(&["--replay", file, "--speed", "50", "--exit-when-done"]);
-        let wireless = board.wireless.as_str();
-        let record = Background::start(&["record", wireless, "-o", &session, "--reconnect", "0.5"]);
-        // The board exits when the replay is done.
-        record.finish().succeeds();
-        let rows = fs::read_to_string(file).unwrap().lines().count() - 1;
-        let info = wimu(&["info", &session]).succeeds();
-        assert_eq!(info["links"][0]["raw_samples"], rows);
-        let strip = |mut report: Value| {
-            let object = report.as_object_mut().unwrap();
-            for key in [
-                "source",
-                "rate_source",
-                "parameters",
-                "parameter_id",
-                "units",
-                "problems",
-                // A file does not say it.
-                "range_g",
-                "range_source",
-            ] {
-                object.remove(key);
-            }
-            for pose in object["static_poses"].as_array_mut().unwrap() {
-                // By the device's clock, and by the file's.
-                let micros = pose["time_s"].as_f64().unwrap() * 1e6;
-                pose["time_s"] = (micros.round() as i64).into();
-            }
-            report.to_string()
-        };
-        let method = ["--method", "six-position"];
-        let [ours, theirs] = [&session, file].map(|input| {
-            let arguments = [&["calibrate", input][..], &method[..]].concat();
-            strip(wimu(&arguments).succeeds())
-        });
-        assert_eq!(ours, theirs);
-    }
+    let file = path("made.csv");
+    fs::write(&file, six_positions()).unwrap();
+    let session = path("made.mcap");
+    let board = Simulator::start(&["--replay", &file, "--speed", "50", "--exit-when-done"]);
+    let wireless = board.wireless.as_str();
+    let record = Background::start(&["record", wireless, "-o", &session, "--reconnect", "0.5"]);
+    // The board exits when the replay is done.
+    record.finish().succeeds();
+    let rows = fs::read_to_string(&file).unwrap().lines().count() - 1;
+    let info = wimu(&["info", &session]).succeeds();
+    assert_eq!(info["links"][0]["raw_samples"], rows);
+    let strip = |mut report: Value| {
+        let object = report.as_object_mut().unwrap();
+        for key in [
+            "source",
+            "rate_source",
+            "parameters",
+            "parameter_id",
+            "units",
+            "problems",
+            // A file does not say it.
+            "range_g",
+            "range_source",
+        ] {
+            object.remove(key);
+        }
+        for pose in object["static_poses"].as_array_mut().unwrap() {
+            // By the device's clock, and by the file's.
+            let micros = pose["time_s"].as_f64().unwrap() * 1e6;
+            pose["time_s"] = (micros.round() as i64).into();
+        }
+        report.to_string()
+    };
+    let method = ["--method", "six-position"];
+    let [ours, theirs] = [&session, &file].map(|input| {
+        let arguments = [&["calibrate", input][..], &method[..]].concat();
+        strip(wimu(&arguments).succeeds())
+    });
+    assert_eq!(ours, theirs);
 }

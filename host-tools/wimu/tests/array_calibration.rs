@@ -245,7 +245,7 @@ fn poses_and_turns(t: f64) -> ([f64; 3], f64, f64) {
 #[test]
 fn a_geometry_that_cannot_be_navigated_with_is_not_written() {
     let folder = folder();
-    let both = table(39.0, poses_and_turns, "m/s²");
+    let both = table(45.0, poses_and_turns, "m/s²");
     let both = written(folder.path(), "both.csv", &both);
     let array = folder.path().join("ARRAY.json").display().to_string();
     let calibrate = |positions: &[[f64; 3]]| {

@@ -455,7 +455,7 @@ fn a_constant_magnetometer_of_a_tilting_unit_is_left_out_and_reported() {
 fn a_gyroscope_that_warms_up_over_a_long_first_rest_is_navigated() {
     let folder = folder();
     let mut texts = Transcript::default();
-    for (rest_s, warms) in [(30_u32, 0.1_f64), (60, 1.0)] {
+    for (rest_s, warms) in [(60_u32, 0.1_f64), (120, 1.0)] {
         let mut samples = moves(0.4, 1.0);
         let still: Vec<Sample> = samples[..150].to_vec();
         let count = 100 * rest_s;

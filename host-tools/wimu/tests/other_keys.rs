@@ -135,9 +135,8 @@ fn a_simulator_that_was_started_without_its_store_is_the_first_cause_named() {
     // The causes in their order: `--store`, an erased key, a peer in between.
     let mut texts = Transcript::default();
     texts.fails("settings set", &ran, 4, "key_needed");
-    let ran = run_as(&user, &["params", "get", &again.cable]);
-    assert_eq!(ran.succeeds()["authenticated"], false);
-    texts.text("params get", &ran);
+    let read = run_as(&user, &["params", "get", &again.cable]).succeeds();
+    assert_eq!(read["authenticated"], false);
     texts.check("key_of_a_simulator_without_store");
     // The remedy works.
     run_as(&user, &["key", "set", &again.cable]).succeeds();

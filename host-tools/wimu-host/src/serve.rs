@@ -36,8 +36,8 @@ const HEAD: Duration = Duration::from_secs(5);
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Longest head, bytes: the least that hyper takes.
 const MOST_HEAD: usize = 8192;
-/// Connections of strangers; one more closes the oldest of them. An eighth of the usual limit of open files.
-const MOST_STRANGERS: usize = 128;
+/// Connections of strangers; one more closes the oldest of them. Half of the usual limit of open files.
+const MOST_STRANGERS: usize = 512;
 /// Pause after a failed accept: out of file descriptors, others may end.
 const RETRY: Duration = Duration::from_millis(10);
 

@@ -16,5 +16,6 @@ mod inertial;
 mod live;
 mod localization;
 mod relative;
+mod rig;
 mod ros_topics;
 mod violent;

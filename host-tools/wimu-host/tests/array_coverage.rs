@@ -6,7 +6,7 @@ use array_journeys::{Case, Kind, Places};
 use wimu_host::inertial::Zupt;
 use wimu_testkit::Lane;
 
-/// Journeys of each case; the example `array_journeys` has more kinds. A journey takes half a second.
+/// Journeys of each case. A journey takes half a second.
 fn seeds() -> u64 {
     Lane::current().choose([1, 2, 100])
 }

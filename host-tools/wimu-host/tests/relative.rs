@@ -1,15 +1,13 @@
 //! Rotation between two units of a simulated joint, against the truth.
 
-#[path = "../examples/protractor/rig.rs"]
-mod rig;
-
 use nalgebra::Vector3;
-use rig::Rig;
 use wimu_host::finding::FindingCode;
 use wimu_host::motion::MotionRecording;
 use wimu_host::relative::{
     Body, LiveRelative, RelativeChoice, RelativePath, RelativePoint, relative,
 };
+
+use crate::rig::Rig;
 use wimu_host::{ErrorCode, Result};
 use wimu_testkit::{Coverage, Lane, Random};
 

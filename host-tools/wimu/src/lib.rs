@@ -112,11 +112,11 @@ fn command_name(matches: &clap::ArgMatches) -> String {
 /// Prints help, version or a usage error of clap; with `--json` an error is an object.
 fn wrong_usage(error: &clap::Error, words: &[OsString], output: &mut Output) -> ExitCode {
     if matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) {
-        output.help(error);
+        output.help(error, words);
         return ExitCode::SUCCESS;
     }
     if !words.iter().any(|word| word == "--json") {
-        output.help(error);
+        output.help(error, words);
         return ExitCode::from(2);
     }
     let text = error.to_string();

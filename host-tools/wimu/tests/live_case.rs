@@ -79,7 +79,8 @@ fn monitored(link: &str, folder: &Path) -> Vec<u64> {
 
 /// Device times of the samples in the dashboard's stream, in runs between frames that may be thinned.
 fn streamed(link: &str, folder: &Path) -> Vec<Vec<i64>> {
-    let mut page = Served::start(folder, &[link]).page();
+    let served = Served::start(folder, &[link]);
+    let mut page = served.page();
     let mut runs = vec![Vec::new()];
     page.until("samples", |page| {
         for frame in std::mem::take(&mut page.frames) {

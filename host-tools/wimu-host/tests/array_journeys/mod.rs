@@ -1,6 +1,6 @@
 //! Simulated journeys of arrays whose sensors are not what the filter takes them for, and whether the truth
 //! lies within what it says.
-#![allow(dead_code)] // Shared by the test and the example: each uses its part.
+#![allow(dead_code)] // Cases that one of the tests uses.
 
 use std::fmt;
 

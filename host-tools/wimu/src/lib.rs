@@ -22,6 +22,7 @@ use std::process::ExitCode;
 use clap::error::ErrorKind;
 use clap::{CommandFactory, FromArgMatches};
 use wimu_host::Result;
+use wimu_host::untrusted::printable;
 
 use crate::arguments::{Arguments, Command};
 use crate::output::usage;
@@ -45,7 +46,13 @@ pub fn run(
     });
     let (mut arguments, matches) = match parsed {
         Ok(parsed) => parsed,
-        Err(error) => return wrong_usage(&error, &words, output),
+        Err(error) => {
+            // A line break in an argument is not one of the message.
+            let shown = words.iter().map(|word| printable(&word.to_string_lossy()).into_owned());
+            let again = Arguments::command()
+                .try_get_matches_from(std::iter::once("wimu".to_owned()).chain(shown));
+            return wrong_usage(&again.err().unwrap_or(error), &words, output);
+        }
     };
     let to_stdout = Arguments::writes_standard_output(&matches);
     output.begin(&command_name(&matches), arguments.json, arguments.verbose, to_stdout);
@@ -112,11 +119,11 @@ fn command_name(matches: &clap::ArgMatches) -> String {
 /// Prints help, version or a usage error of clap; with `--json` an error is an object.
 fn wrong_usage(error: &clap::Error, words: &[OsString], output: &mut Output) -> ExitCode {
     if matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) {
-        output.help(error, words);
+        output.help(error);
         return ExitCode::SUCCESS;
     }
     if !words.iter().any(|word| word == "--json") {
-        output.help(error, words);
+        output.help(error);
         return ExitCode::from(2);
     }
     let text = error.to_string();

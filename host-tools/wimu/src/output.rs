@@ -1,7 +1,6 @@
 //! Results as text or JSON, and errors.
 
 use std::borrow::Cow;
-use std::ffi::OsString;
 use std::io::{self, IsTerminal, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -158,14 +157,8 @@ impl Output {
     }
 
     /// Prints help, version or wrong usage as clap words it.
-    pub(crate) fn help(&self, text: &clap::Error, words: &[OsString]) {
-        let mut plain = text.render().to_string();
-        // A line break in an argument is not one of the message.
-        for word in words.iter().map(|word| word.to_string_lossy()) {
-            if word.contains(is_active) {
-                plain = plain.replace(&*word, &printable(&word));
-            }
-        }
+    pub(crate) fn help(&self, text: &clap::Error) {
+        let plain = text.render().to_string();
         if text.use_stderr() {
             let _ = self.writers().stderr.write_all(lines_of(&plain).as_bytes());
         } else if self.is_process {

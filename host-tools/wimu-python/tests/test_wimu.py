@@ -160,7 +160,7 @@ def public_attributes():
     return lines
 
 
-def test_smoke_the_public_attributes_are_those_of_always():
+def test_smoke_the_public_attributes_match_the_frozen_fixture():
     frozen = ROOT / "tests/vectors/compat/python.txt"
     found = public_attributes()
     if "WIMU_WRITE_COMPAT" in os.environ:

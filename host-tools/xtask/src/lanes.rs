@@ -41,7 +41,7 @@ pub const TEST: Lane = (
         ("python", python::smoke),
         ("browser", |run| run.ignored_tests(&["dashboard::browser::a_person_calibrates"])),
         ("broker", |run| {
-            run.ignored_tests(&["fleet::a_recording_through_the_broker", "compat::topics_and_keys"])
+            run.ignored_tests(&["fleet::a_recording_through_the_broker", "compat::a_fleet_has"])
         }),
     ],
 );

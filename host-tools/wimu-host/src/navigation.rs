@@ -126,7 +126,8 @@ fn refused(error: impl std::error::Error) -> HostError {
 }
 
 /// The samples of one start as input of [`crate::inertial::navigate`], with the magnetic field where the
-/// magnetometer is calibrated; corrected by the device, or with other parameters.
+/// magnetometer is calibrated; corrected with these parameters, else with those of the device: where it got
+/// others meanwhile, with the latest.
 ///
 /// # Errors
 /// `no_rows` with fewer than two samples; `data_refused` when the parameters cannot be compiled.
@@ -136,6 +137,8 @@ pub fn motion(
     parameters: Option<&ParameterSet>,
 ) -> Result<MotionRecording> {
     type Corrected = (DeviceTimeUs, (SpecificForceQ16, Option<AngularRateQ20>));
+    let latest = if parameters.is_none() { replaced(boot) } else { None };
+    let parameters = parameters.or(latest.as_ref());
     let forces: Vec<Corrected> = match (parameters, boot.epochs.first()) {
         (Some(parameters), Some(first)) => {
             let correction = correction(boot, &first.epoch, parameters)?;
@@ -201,6 +204,16 @@ pub fn motion(
         widen(&mut recording, boot, parameters)?;
     }
     Ok(recording)
+}
+
+/// The latest parameters of a device that had others before, if they are known and belong to the range of all samples.
+fn replaced(boot: &Boot) -> Option<ParameterSet> {
+    let (first, last) = (&boot.epochs.first()?.epoch, &boot.epochs.last()?.epoch);
+    if first.parameters == last.parameters || boot.raw.is_empty() {
+        return None;
+    }
+    let one_range = boot.epochs.iter().all(|mark| mark.epoch.range_g == last.range_g);
+    boot.parameters_of(last).ok().filter(|_| one_range)
 }
 
 /// Merges further accelerometers of other ranges with the first. Where that is not possible, the first stays as it is.

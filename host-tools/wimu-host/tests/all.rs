@@ -13,7 +13,6 @@ mod fixes;
 mod formats_document;
 mod hand_eye;
 mod inertial;
-mod live;
 mod localization;
 mod relative;
 mod rig;

@@ -473,5 +473,5 @@ fn rows_that_repeat_among_noisy_ones_are_a_gap_and_a_rest_without_noise_is_none(
     let held = held.judged();
     assert_eq!(held.times_s.len(), 1101);
     let said = held.remarks.join("; ");
-    assert!(said.contains("99 samples") && said.contains("from 2.50 s on"), "{said}");
+    assert!(said.contains("99 samples") && said.contains("from 5.01 s on"), "{said}");
 }

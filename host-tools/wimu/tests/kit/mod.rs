@@ -443,7 +443,8 @@ fn record_board(
     let scene = Scene::new(World::default());
     let truth = sensor.random_truth(seed, Gauge::LowerTriangular);
     let source = Physics::new(truth, scene.clone(), seed);
-    let config = BoardConfig { sensor, ..BoardConfig::default() };
+    let device_id = 0x5157_0000 + seed; // as that of `wimu simulate --seed`
+    let config = BoardConfig { sensor, device_id, ..BoardConfig::default() };
     let board = RefCell::new(Board::start(config, source));
     let mut host = Host::connect(&board, scene.clone()).expect("a board");
     if let Some(set) = pushed {

@@ -61,28 +61,28 @@ pub fn buildable(sh: &Shell) -> Vec<Board> {
 }
 
 impl Board {
-    /// cargo in the board's folder.
-    pub fn cargo<'a>(&self, sh: &'a Shell, verb: &str) -> Cmd<'a> {
+    /// Runs cargo in the board's folder.
+    pub fn cargo(&self, sh: &Shell, verb: &str, options: &[&str]) -> Result {
         let _folder = sh.push_dir(self.folder);
-        let cargo = embedded_cargo(sh, verb);
+        let cargo = embedded_cargo(sh, verb).args(options);
         // Debian's libclang finds its own headers only in its folder below /usr/lib.
         let mut libclang: Vec<PathBuf> = sh.read_dir("/usr/lib").unwrap_or_default();
         libclang.retain(|folder| {
             folder.join("lib/libclang.so").exists() || folder.join("lib/libclang.so.1").exists()
         });
-        match libclang.last() {
+        let cargo = match libclang.last() {
             Some(folder) if self.folder == RADIO.folder => {
                 cargo.env("LIBCLANG_PATH", folder.join("lib"))
             }
             _ => cargo,
-        }
+        };
+        Ok(cargo.run()?)
     }
 
     /// Builds it with further options of cargo.
     pub fn build(&self, sh: &Shell, options: &[&str]) -> Result {
         let flags = format!("build.rustflags=[{}]", without_this_machine(sh));
-        self.cargo(sh, "build").args(["--release", "--config", &flags]).args(options).run()?;
-        Ok(())
+        self.cargo(sh, "build", &[&["--release", "--config", &flags], options].concat())
     }
 
     /// Where one of its images is.

@@ -48,7 +48,7 @@ const fn function(what: &'static str, program: &'static str, aim: u32, limit: u3
 
 const EMPTY: &str = "calibration-empty";
 /// The image of the lane `test`, optimised for speed.
-const QEMU_IMAGE: Image = image("image for QEMU", QEMU, [0, 0], [210_000, 30_000]);
+const QEMU_IMAGE: Image = image("image for QEMU", QEMU, [0, 0], [252_000, 27_300]);
 const IMAGES: [Image; 11] = [
     QEMU_IMAGE,
     profile("profile stream", "", [48, 8], [54_700, 8_192]),

@@ -88,7 +88,7 @@ fn boards(run: &Run<'_>) -> Result {
         if board.has_log {
             board.build(run.sh, &["--features", "defmt"])?;
         }
-        board.cargo(run.sh, "clippy").args(["--release"]).args(DENY).run()?;
+        board.cargo(run.sh, "clippy", &[&["--release"], &DENY[..]].concat())?;
     }
     Ok(())
 }

@@ -33,10 +33,10 @@ MATRIX = np.array([[1.02, 0.0, 0.0], [0.01, 0.99, 0.0], [-0.02, 0.015, 1.01]])
 
 
 def run(*arguments, cwd=ROOT):
-    """The object that a command prints with --json."""
+    """The data that a command prints with --json."""
     ran = subprocess.run([*COMMAND, *map(str, arguments), "--json"], cwd=cwd, capture_output=True, text=True)
     assert ran.returncode == 0, ran.stderr + ran.stdout
-    return json.loads(ran.stdout.splitlines()[-1])
+    return json.loads(ran.stdout.splitlines()[-1])["data"]
 
 
 def figure(claim, measured, target, met):

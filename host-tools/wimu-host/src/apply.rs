@@ -422,6 +422,3 @@ impl<'a> Corrector<'a> {
         self.stored.map_or(vector, |stored| stored.alignment.rotate(vector))
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -482,6 +482,3 @@ fn wanted(options: &CalibrateOptions) -> Model {
         ModelChoice::Auto => Model::Full9,
     }
 }
-
-#[cfg(test)]
-mod tests;

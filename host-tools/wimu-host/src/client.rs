@@ -502,6 +502,3 @@ impl<T: Transport> Client<T> {
         Ok(())
     }
 }
-
-#[cfg(test)]
-mod tests;

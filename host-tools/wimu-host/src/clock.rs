@@ -502,6 +502,3 @@ impl ClockModel {
         }
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -285,6 +285,3 @@ fn in_order<T>(link: usize, own: T, other: T) -> [T; 2] {
 fn index_of(role: LinkRole) -> usize {
     usize::from(role != LinkRole::Cable)
 }
-
-#[cfg(test)]
-mod tests;

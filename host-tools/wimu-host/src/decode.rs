@@ -429,6 +429,3 @@ fn is_later<T: Copy>(latest: &mut Option<T>, now: T, order: fn(T, T) -> Ordering
     }
     is_later
 }
-
-#[cfg(test)]
-mod tests;

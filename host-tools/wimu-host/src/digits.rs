@@ -56,22 +56,3 @@ fn parts(value: f64, sd: f64) -> [String; 2] {
     let value = of_zero(format!("{value:+.decimals$}"), "+");
     [value, format!("{sd:.decimals$}")]
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn digits_follow_the_size_of_the_number() {
-        assert_eq!(significant(1849.771, 3), "1850");
-        assert_eq!(significant(0.012_34, 3), "0.0123");
-        assert_eq!(signed(30.525, 3), "+30.5");
-        assert_eq!([significant(-0.0, 3), signed(-1e-9, 3)], ["0", "+0.0000000"]);
-        assert_eq!(signed_with_sd(-0.04, 1.2), "+0.0 ± 1.2");
-        assert_eq!(with_sd(1.002_345, 0.001_234), "1.0023 ± 0.0012");
-        assert_eq!(signed_with_sd(0.5, 0.0), "+0.50000 ± 0");
-        assert_eq!(signed_with_sd(12.3, f64::INFINITY), "+12 ± inf");
-        let enu = east_north_up([1.0024, -0.0004, -0.0006]);
-        assert_eq!(enu, "E +1.002 N +0.000 U -0.001");
-    }
-}

@@ -205,25 +205,3 @@ codes! {
 
 /// A result whose error is [`HostError`] unless another is named.
 pub type Result<T, E = HostError> = std::result::Result<T, E>;
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_failure_serialises_with_every_field() {
-        let error =
-            HostError::new(ErrorCode::LinkBusy, "the port is in use", "close the other program")
-                .at("/dev/ttyACM0");
-        let json = serde_json::to_value(&error).unwrap();
-        assert_eq!(
-            json,
-            serde_json::json!({
-                "code": "link_busy", "severity": "error", "place": {"at": "/dev/ttyACM0"},
-                "text": "the port is in use", "remedy": "close the other program",
-            })
-        );
-        assert_eq!(error.to_string(), "/dev/ttyACM0: the port is in use; close the other program");
-        assert_eq!(error.exit_code(), 1);
-    }
-}

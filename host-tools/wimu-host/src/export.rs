@@ -320,6 +320,3 @@ fn columns(
     }
     columns
 }
-
-#[cfg(test)]
-mod tests;

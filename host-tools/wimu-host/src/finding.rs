@@ -325,25 +325,3 @@ impl fmt::Display for Outcome {
         (self.reason.iter()).try_for_each(|reason| write!(out, "refused: {reason}"))
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_most_severe_findings_come_first_and_the_rest_is_counted() {
-        let note = FindingCode::Clock.note("a");
-        let error = Finding::new(FindingCode::GravityMissing, Severity::Error, "b").remedy("c");
-        let findings = [note.clone(), error, note];
-        let expected = "  error: b\n         c\n  note: a\n  1 more with --verbose\n";
-        assert_eq!(text(&findings, 2), expected);
-    }
-
-    #[test]
-    fn a_failure_is_a_finding() {
-        let error = crate::ErrorCode::CsvEmpty.error("no line", "check it");
-        let finding = Finding::from(&error.at("a.csv"));
-        assert_eq!(finding.to_string(), "a.csv: no line; check it");
-        assert_eq!(text(&[finding], 5), "");
-    }
-}

@@ -185,6 +185,3 @@ pub fn load(path: &Path, options: &ReadOptions) -> Result<Recording> {
     recording.check(!options.poses)?;
     Ok(recording)
 }
-
-#[cfg(test)]
-mod tests;

@@ -469,6 +469,3 @@ impl LinkHistory {
         }
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -236,6 +236,3 @@ fn decode_text(message: &[u8]) -> Option<String> {
 }
 
 const PREFIX: [u8; 12] = [0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
-
-#[cfg(test)]
-mod tests;

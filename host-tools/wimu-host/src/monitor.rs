@@ -202,6 +202,3 @@ impl Readings {
         }
     }
 }
-
-#[cfg(test)]
-mod tests;

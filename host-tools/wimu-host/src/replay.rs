@@ -418,6 +418,3 @@ pub(crate) fn find<T>(items: &[T], sequence: u32, of: impl Fn(&T) -> u32) -> Opt
     let found = items.binary_search_by(|item| sequence_order(of(item), sequence));
     items.get(found.ok()?)
 }
-
-#[cfg(test)]
-mod tests;

@@ -17,10 +17,7 @@ impl StandardInput {
     /// # Errors
     /// `file_failed`, `file_unreadable`.
     pub fn read() -> Result<Self> {
-        Self::of(std::io::stdin().lock())
-    }
-
-    fn of(mut source: impl Read) -> Result<Self> {
+        let mut source = std::io::stdin().lock();
         let failed = |error| HostError::file("-", "read", &error);
         let mut start = Vec::new();
         let head = source.by_ref().take(mcap::MAGIC.len() as u64);
@@ -39,24 +36,5 @@ impl StandardInput {
     /// Where the file is.
     pub fn path(&self) -> &Path {
         &self.0
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn text_and_binary_are_kept_whole_and_removed_at_the_end() {
-        let text = b"Time (s),Accelerometer X (g)\n".to_vec();
-        let binary = [mcap::MAGIC, &[0, 255, 10][..]].concat();
-        for (content, extension) in [(text, "csv"), (binary, "mcap"), (Vec::new(), "csv")] {
-            let file = StandardInput::of(&content[..]).unwrap();
-            let path = file.path().to_owned();
-            assert_eq!(path.extension().unwrap(), extension);
-            assert_eq!(std::fs::read(&path).unwrap(), content);
-            drop(file);
-            assert!(!path.exists());
-        }
     }
 }

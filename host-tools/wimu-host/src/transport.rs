@@ -2,7 +2,7 @@
 //! broker, and with the feature `ble` Bluetooth Low Energy.
 
 #[cfg(feature = "ble")]
-mod ble;
+pub mod ble;
 pub mod nus;
 
 use std::fmt;
@@ -412,6 +412,3 @@ fn lost(name: &str, error: &io::Error) -> HostError {
         .error(message, "check the cable, the adapter's power and its range, then connect again")
         .at(name)
 }
-
-#[cfg(test)]
-mod tests;

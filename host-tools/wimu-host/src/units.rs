@@ -252,6 +252,3 @@ impl RawUnits {
         known.then_some(run.unit)
     }
 }
-
-#[cfg(test)]
-mod tests;

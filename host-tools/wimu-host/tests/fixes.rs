@@ -1,7 +1,9 @@
 //! Fixes of position, velocity and heading beside a unit on a known path.
 
 use wimu_host::finding::Finding;
-use wimu_host::inertial::{Choice, Fix, Fixes, InertialPath, Live, PathPoint, StartPose, navigate};
+use wimu_host::inertial::{
+    Choice, Fix, Fixes, InertialPath, LeastDelay, Live, PathPoint, StartPose, navigate,
+};
 use wimu_host::motion::{MotionRecording, UnitSample};
 use wimu_testkit::Random;
 
@@ -321,4 +323,18 @@ fn a_magnet_near_the_unit_is_reported() {
     let path = navigate(&recording, &aided(fixes, 0.0)).unwrap();
     assert!(says(&path, magnet), "{:?}", path.findings);
     assert!(error_m(&path) < 0.5, "{}", error_m(&path));
+}
+
+#[test]
+fn the_offset_of_a_clock_is_that_of_the_least_delayed_of_the_last_two_minutes() {
+    let mut clock = LeastDelay::default();
+    assert_eq!(clock.offset_s(), None);
+    // The other clock is 1000 s ahead, and gains 1 ms a second.
+    for k in 0..600 {
+        let arrived_s = f64::from(k);
+        let delay_s = f64::from((k * 7) % 10) * 0.02;
+        clock.see((arrived_s - delay_s) * 1.001 + 1000.0, arrived_s);
+    }
+    let offset_s = clock.offset_s().unwrap();
+    assert!((1000.48..1000.6).contains(&offset_s), "{offset_s}");
 }

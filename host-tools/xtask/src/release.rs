@@ -102,7 +102,7 @@ fn pico(run: &Run<'_>) -> Result {
 fn optional(run: &Run<'_>) -> Result {
     let sh = run.sh;
     cmd!(sh, "cargo check --locked -p wimu --features flash").env("PKG_CONFIG", "false").run()?;
-    run.tests(cmd!(sh, "cargo test --locked -p wimu-host --features sqlite --lib formats::ros::"))?;
+    run.tests(cmd!(sh, "cargo test --locked -p wimu-host --features sqlite --test all bags::"))?;
     cmd!(sh, "cargo check --locked -p wimu --features mqtt-tls").run()?;
     cmd!(
         sh,
@@ -112,7 +112,7 @@ fn optional(run: &Run<'_>) -> Result {
     .run()?;
     run.tests(cmd!(
         sh,
-        "cargo test --locked -p wimu-host --features ble --lib -- transport:: link_url::"
+        "cargo test --locked -p wimu-host --features ble --test all -- ble:: transport:: link_url::"
     ))
 }
 

@@ -267,6 +267,3 @@ fn scale_of(info: &TrackInfo, given: Option<Sensitivity>, rows: &[(i64, [f64; 3]
         None => STANDARD_GRAVITY_MPS2,
     }
 }
-
-#[cfg(test)]
-mod tests;

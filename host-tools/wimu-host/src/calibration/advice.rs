@@ -50,6 +50,3 @@ pub(super) fn advice(poses: &[Pose], options: &CalibrateOptions, least: usize) -
     };
     ((planned - count + 1)..=planned).rev().map_while(next).collect()
 }
-
-#[cfg(test)]
-mod tests;

@@ -327,19 +327,3 @@ fn ln_gamma_of_half(n: usize) -> f64 {
     let factors = (2 - n % 2..n).step_by(2);
     begin + factors.map(|m| (0.5 * m as f64).ln()).sum::<f64>()
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_tail_is_that_of_tables() {
-        // Student's t: 3.169 with 10 degrees of freedom is exceeded with 1 %; F(3, 12): 5.953; F(3, 7): 8.451.
-        for (ratio, a, b) in
-            [(3.169 * 3.169 / 10.0, 1, 10), (5.953 * 3.0 / 12.0, 3, 12), (8.451 * 3.0 / 7.0, 3, 7)]
-        {
-            let tail = fisher_tail(ratio, a, b);
-            assert!((tail - 0.01).abs() < 2e-5, "{tail}");
-        }
-    }
-}

@@ -207,6 +207,3 @@ impl fmt::Display for GyroscopeReport {
         }
     }
 }
-
-#[cfg(test)]
-mod tests;

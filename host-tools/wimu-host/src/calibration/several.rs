@@ -364,6 +364,3 @@ fn quality(
 }
 
 mod text;
-
-#[cfg(test)]
-mod tests;

@@ -7,8 +7,6 @@ use std::cmp::Ordering;
 
 pub(super) use edge::MAX_RATE;
 use edge::{Edge, edges, rate_width, tops};
-#[cfg(test)]
-pub(super) use edge::{LogProduct, log_sum};
 use transfer::{CLASSES, KINDS, keep_least_of};
 pub(super) use transfer::{Class, Folded, LINKS, Transfer};
 

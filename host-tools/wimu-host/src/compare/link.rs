@@ -404,27 +404,3 @@ impl LinkMeter {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_gap_of_thousands_of_millions_is_counted_at_once_and_to_the_last_one() {
-        let slicing = Slicing { start_ns: 0, span_ns: 1_000_000_000, count: 200 };
-        for count in [1, 7, 199, 12_345, u32::MAX / 2 - 2] {
-            let mut meter = LinkMeter::new(slicing);
-            let gap = Gap { first: 5, step: 1, count, between_ns: (-1000, 1_000_000_000) };
-            meter.gaps.push_back(gap);
-            meter.count_gaps(0);
-            let counted = meter.slices.iter().map(|slice| slice.missing);
-            assert_eq!(counted.sum::<u64>(), u64::from(count));
-            if count < 20_000 {
-                let mut each = vec![0; slicing.count];
-                (0..count).for_each(|index| each[slicing.at(gap.time_ns(index))] += 1);
-                let found = meter.slices.iter().map(|slice| slice.missing);
-                assert!(found.eq(each));
-            }
-        }
-    }
-}

@@ -140,31 +140,3 @@ pub fn push(fleet: &Fleet, target: &Target, force: bool) -> Result<bool> {
         held => disagrees(format!("the board holds {held:08x} instead of the pushed {id}")),
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_stages_are_one_board_a_tenth_and_all() {
-        let stages = |boards: usize| {
-            let file = PathBuf::from("a.json");
-            let target = || Target {
-                board: "a".parse().unwrap(),
-                device_id: None,
-                set: set(),
-                file: file.clone(),
-            };
-            Plan { targets: (0..boards).map(|_| target()).collect(), ..Plan::default() }.stages()
-        };
-        assert_eq!(stages(0), [0, 0, 0]);
-        assert_eq!(stages(5), [1, 1, 5]);
-        assert_eq!(stages(200), [1, 20, 200]);
-        assert_eq!(stages(1001), [1, 101, 1001]);
-    }
-
-    fn set() -> ParameterSet {
-        use wimu_model::Sensitivity;
-        ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16_384.0).unwrap())
-    }
-}

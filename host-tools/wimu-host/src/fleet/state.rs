@@ -146,30 +146,3 @@ pub fn message(state: &impl Serialize) -> Vec<u8> {
 fn read<T: serde::de::DeserializeOwned>(message: &[u8]) -> Option<T> {
     (message.len() <= MAX_STATE).then(|| serde_json::from_slice(message).ok()).flatten()
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_state_is_read_back_and_garbage_is_none() {
-        let mut state = BoardState::new("north", 7);
-        state.identify(&Hello::new(wimu_link::LinkRole::Cable));
-        assert_eq!(BoardState::read(&message(&state)), Some(state));
-        assert_eq!(
-            GatewayState::read(&message(&GatewayState::new(7, 2))).map(|g| g.boards),
-            Some(2)
-        );
-        for garbage in [
-            &b""[..],
-            b"{}",
-            b"[1]",
-            b"\xff\xfe",
-            b"{\"schema\":\"wimu.fleet-board/9\"}",
-            &[b'['; 1 << 20],
-        ] {
-            assert!(BoardState::read(garbage).is_none());
-            assert!(GatewayState::read(garbage).is_none());
-        }
-    }
-}

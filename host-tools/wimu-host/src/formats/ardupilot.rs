@@ -15,9 +15,6 @@
 
 mod dataflash;
 
-#[cfg(test)]
-mod tests;
-
 use std::collections::HashMap;
 
 use self::dataflash::{Field, Format, Units};

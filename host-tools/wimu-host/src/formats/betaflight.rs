@@ -14,9 +14,6 @@ mod encoding;
 mod frames;
 mod header;
 
-#[cfg(test)]
-mod tests;
-
 use self::frames::{Decoder, Summary};
 use self::header::{Header, MARKER};
 use super::window::{Window, no_inertial_data};

@@ -26,21 +26,3 @@ pub(super) fn of_angles([roll, pitch, yaw]: [f64; 3]) -> [f64; 4] {
         cr * cp * sy - sr * sp * cy,
     ]
 }
-
-#[cfg(test)]
-mod tests {
-    use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-
-    #[test]
-    fn attitude_and_vector_use_the_same_axes() {
-        let ned = super::of_angles([0.3, -0.7, 2.1]);
-        let unit =
-            |[w, x, y, z]: [f64; 4]| UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
-        let expected = UnitQuaternion::from_euler_angles(0.3, -0.7, 2.1);
-        assert!(unit(ned).angle_to(&expected) < 1e-12);
-        let body = Vector3::new(0.2, -1.5, 3.0);
-        let turned = unit(super::attitude(ned)) * body;
-        let vector = Vector3::from(super::vector((expected * body).into()));
-        assert!((turned - vector).norm() < 1e-12, "{turned} {vector}");
-    }
-}

@@ -178,26 +178,3 @@ impl Sink for Overview<'_> {
         true
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_long_track_keeps_its_extremes_in_few_points() {
-        let mut overview = Overview::default();
-        let track = overview.track(TrackInfo::new("a", Quantity::SpecificForce, Unit::Si));
-        for k in 0..1_000_000_i64 {
-            let spike = if k == 123_457 { 99.0 } else { (k as f64).sin() };
-            overview.row(track, k * 1_000_000, &[spike, 0.0, -1.0]);
-        }
-        let charts = overview.charts();
-        let points = &charts[0].series[0].points;
-        assert!((INTERVALS / 2..=2 * INTERVALS + 2).contains(&points.len()), "{}", points.len());
-        assert!(points.is_sorted_by(|a, b| a.0 <= b.0));
-        let at = points.iter().find(|point| point.1 == 99.0).unwrap().0;
-        assert!((at - 123.457).abs() < 2.0, "{at}");
-        assert!((overview.duration_s() - 999.999).abs() < 1e-6);
-        assert_eq!(overview.rows(), 1_000_000);
-    }
-}

@@ -15,9 +15,6 @@
 
 mod ulog;
 
-#[cfg(test)]
-mod tests;
-
 use std::collections::HashMap;
 
 use self::ulog::{Field, Layout, Message, Subscription};

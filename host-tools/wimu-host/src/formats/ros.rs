@@ -8,8 +8,6 @@ mod chunk;
 pub(super) mod db3;
 pub(super) mod mcap;
 mod message;
-#[cfg(test)]
-mod tests;
 
 use std::borrow::Cow;
 

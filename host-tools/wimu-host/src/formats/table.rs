@@ -386,6 +386,3 @@ impl Output<'_> {
         sink.row(track, time, &row[..self.group.columns.len()]);
     }
 }
-
-#[cfg(test)]
-mod tests;

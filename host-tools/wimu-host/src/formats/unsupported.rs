@@ -51,22 +51,3 @@ pub(super) fn read(source: &Source, _: &ReadOptions, _: &mut dyn Sink) -> Result
     let message = format!("this is {name}, which wimu does not read");
     Err(ErrorCode::UnknownFormat.error(message, remedy).at(source.name()))
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::recording::Recording;
-
-    #[test]
-    fn each_is_refused_with_the_export_that_works() {
-        for (magic, name, remedy) in FORMATS {
-            let source = Source::of_bytes("file", [magic, b" and more"].concat());
-            assert!(detect(&source));
-            let options = ReadOptions::default();
-            let error = super::super::read(&source, &options, &mut Recording::new("")).unwrap_err();
-            assert_eq!(error.code(), ErrorCode::UnknownFormat);
-            assert!(error.message().contains(name) && error.remedy() == remedy);
-        }
-        assert!(!detect(&Source::of_bytes("empty", [])));
-    }
-}

@@ -379,21 +379,3 @@ impl LivePoses {
         (has_sides && count >= self.plan.count) || count == CAPACITY
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_sides_of_a_microbit_have_the_names_of_its_parts() {
-        let instruction = |board, side: Face| {
-            let names = side_names(board);
-            Orientation::from(side).instruction_with(names).to_string()
-        };
-        let microbit = |side| instruction(board::MICROBIT_V2, side);
-        assert_eq!(microbit(Face::ZUp), "hold it with display up");
-        assert_eq!(microbit(Face::XDown), "hold it with logo down");
-        assert_eq!(microbit(Face::YUp), "hold it with button A up");
-        assert_eq!(instruction(0, Face::YUp), "hold it with Y up");
-    }
-}

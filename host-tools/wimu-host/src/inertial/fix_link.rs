@@ -176,22 +176,3 @@ impl Lines {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_offset_of_a_clock_is_that_of_the_least_delayed_of_the_last_two_minutes() {
-        let mut clock = LeastDelay::default();
-        assert_eq!(clock.offset_s(), None);
-        // The other clock is 1000 s ahead, and gains 1 ms a second.
-        for k in 0..600 {
-            let arrived_s = f64::from(k);
-            let delay_s = f64::from((k * 7) % 10) * 0.02;
-            clock.see((arrived_s - delay_s) * 1.001 + 1000.0, arrived_s);
-        }
-        let offset_s = clock.offset_s().unwrap();
-        assert!((1000.48..1000.6).contains(&offset_s), "{offset_s}");
-    }
-}

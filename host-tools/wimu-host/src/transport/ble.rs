@@ -15,7 +15,7 @@ use uuid::Uuid;
 use super::Port;
 use super::nus::NusLink;
 use crate::error::{ErrorCode, Result};
-use bridge::{Bridge, Connection};
+pub use bridge::{Bridge, Connection};
 
 const SERVICE: Uuid = Uuid::from_u128(0x6e400001_b5a3_f393_e0a9_e50e24dcca9e);
 /// Host to board.

@@ -83,6 +83,3 @@ impl<P: Peripheral> Transport for NusLink<P> {
         Ok(())
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -150,12 +150,6 @@ impl Folded {
         }
         Some(Self { span, cells })
     }
-
-    /// Number of transfers kept.
-    #[cfg(test)]
-    pub fn points(&self) -> usize {
-        self.cells.iter().map(|cell| cell.hull.len() + cell.least.len()).sum()
-    }
 }
 
 /// Keeps the `most` least delayed transfers above a line of this slope, in order.

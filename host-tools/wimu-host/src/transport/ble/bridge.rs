@@ -18,7 +18,8 @@ const GLANCE: Duration = Duration::from_secs(1);
 const PATIENCE: Duration = Duration::from_secs(3);
 
 /// What a Bluetooth stack provides.
-pub(super) trait Connection {
+#[allow(async_fn_in_trait, reason = "a connection stays in the thread that made it")]
+pub trait Connection {
     /// Longest value of one write, bytes.
     fn longest(&self) -> usize;
 
@@ -74,7 +75,7 @@ impl Bridge {
     ///
     /// # Errors
     /// Those of `connect`.
-    pub(super) fn start<C: Connection + 'static>(
+    pub fn start<C: Connection + 'static>(
         connect: impl AsyncFnOnce() -> Result<C> + Send + 'static,
     ) -> Result<Self> {
         let (orders, received) = unbounded_channel();
@@ -175,6 +176,3 @@ impl Peripheral for Bridge {
         }
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -1,0 +1,96 @@
+//! Texts that name a link.
+
+use wimu_host::{ErrorCode, Input, LinkUrl};
+
+fn serial(path: &str, baud: u32) -> LinkUrl {
+    LinkUrl::Serial { path: path.to_owned(), baud: Some(baud) }
+}
+
+fn tcp(host: &str, port: u16) -> LinkUrl {
+    LinkUrl::Tcp { host: host.to_owned(), port }
+}
+
+#[test]
+fn every_documented_form_parses_and_prints_back() {
+    for (text, link) in [
+        ("serial:///dev/ttyACM0?baud=9600", serial("/dev/ttyACM0", 9600)),
+        ("serial:///dev/ttyACM0", serial("/dev/ttyACM0", 115_200)),
+        ("serial://COM5", serial("COM5", 115_200)),
+        ("serial:///COM5?baud=115200", serial("COM5", 115_200)),
+        ("COM12", serial("COM12", 115_200)),
+        ("/dev/rfcomm0", serial("/dev/rfcomm0", 115_200)),
+        ("/dev/cu.usbmodem1", serial("/dev/cu.usbmodem1", 115_200)),
+        ("tcp://127.0.0.1:7100", tcp("127.0.0.1", 7100)),
+        ("tcp://localhost:1/", tcp("localhost", 1)),
+        ("tcp://[::1]:7100", tcp("::1", 7100)),
+        (
+            "mqtts://me@host/hall/b-1",
+            LinkUrl::Mqtt {
+                broker: "mqtts://me@host:8883".parse().unwrap(),
+                fleet: "hall".parse().unwrap(),
+                board: "b-1".parse().unwrap(),
+            },
+        ),
+        (
+            "serial:///dev/ttyACM0?baud=auto",
+            LinkUrl::Serial { path: "/dev/ttyACM0".to_owned(), baud: None },
+        ),
+        ("auto", LinkUrl::Auto),
+    ] {
+        let parsed: LinkUrl = text.parse().unwrap();
+        assert_eq!(parsed, link, "{text}");
+        assert_eq!(parsed.to_string().parse::<LinkUrl>().unwrap(), link);
+    }
+}
+
+#[test]
+fn what_is_no_link_says_what_is_wrong() {
+    for (text, code, part) in [
+        ("serial://", ErrorCode::BadLink, "port is missing"),
+        ("serial:///dev/ttyS0?baud=fast", ErrorCode::BadLink, "`fast`"),
+        ("serial:///dev/ttyS0?baud=0", ErrorCode::BadLink, "`0`"),
+        ("serial:///dev/ttyS0?parity=even", ErrorCode::BadLink, "parity=even"),
+        ("tcp://127.0.0.1", ErrorCode::BadLink, "port is missing"),
+        ("tcp://::1:7100", ErrorCode::BadLink, "brackets"),
+        ("tcp://:7100", ErrorCode::BadLink, "host is missing"),
+        ("tcp://host:99999", ErrorCode::BadLink, "99999"),
+        ("mqtt://host/hall", ErrorCode::BadLink, "missing"),
+        ("mqtt://host/hall/#", ErrorCode::BadLink, "'#'"),
+        ("mqtt://host/a/b/c", ErrorCode::BadLink, "'/'"),
+        ("mqtt:///hall/b", ErrorCode::BadLink, "host is missing"),
+        #[cfg(not(feature = "ble"))]
+        ("ble://wimu", ErrorCode::LinkKindMissing, "Low Energy"),
+        #[cfg(feature = "ble")]
+        ("ble:///", ErrorCode::BadLink, "name of the unit"),
+        ("http://host", ErrorCode::BadLink, "`http`"),
+        ("COMX", ErrorCode::BadLink, "not a LINK"),
+        ("", ErrorCode::BadLink, "not a LINK"),
+        ("²²", ErrorCode::BadLink, "not a LINK"),
+    ] {
+        let error = text.parse::<LinkUrl>().unwrap_err();
+        assert_eq!(error.code(), code, "{text}");
+        assert!(error.message().contains(part), "{text}: {error}");
+        assert_eq!(error.exit_code(), 2);
+    }
+}
+
+#[test]
+fn an_input_that_is_neither_file_nor_link_is_told_both() {
+    let error = Input::parse("no/such/file.csv").unwrap_err();
+    assert_eq!(error.code(), ErrorCode::FileUnreadable);
+    assert!(error.remedy().contains("LINK"));
+    assert_eq!(Input::parse("tcp://127.0.0.1:7100").unwrap(), Input::Link(tcp("127.0.0.1", 7100)));
+    #[cfg(not(feature = "ble"))]
+    {
+        let error = Input::parse("ble://x").unwrap_err();
+        assert_eq!(error.code(), ErrorCode::LinkKindMissing);
+        assert!(error.remedy().contains("--features ble"), "{error}");
+    }
+    #[cfg(feature = "ble")]
+    {
+        let name = "wimu-1a2b".to_owned();
+        let link = LinkUrl::Ble { name };
+        assert_eq!(link.to_string(), "ble://wimu-1a2b");
+        assert_eq!(Input::parse("ble://wimu-1a2b").unwrap(), Input::Link(link));
+    }
+}

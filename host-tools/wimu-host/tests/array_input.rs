@@ -5,7 +5,7 @@ use crate::common;
 
 use common::{Random, cross};
 use wimu_calib::Gravity;
-use wimu_host::array::{ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
+use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording};
 use wimu_host::inertial::{Choice, InertialPath, Zupt, navigate_array};
 use wimu_host::{ErrorCode, HostError};
 use wimu_testkit::figure;
@@ -338,48 +338,6 @@ fn a_limit_that_nobody_declared_is_found_in_the_recording() {
 }
 
 #[test]
-fn a_geometry_of_another_array_is_refused() {
-    let geometry = octahedron(0.03);
-    let all = simulated(&geometry, &carried(), &mut Random::new(9));
-    let (sound, calibration) = path(&all.recording, &geometry, true).unwrap();
-    let arranged = all.recording.clone().arranged(&geometry).unwrap();
-    let agreement = ArrayBody::of(&arranged, &geometry, &calibration)
-        .map(|body| body.agreement().copied())
-        .unwrap()
-        .unwrap();
-    println!("right geometry: {agreement:?}");
-    assert!(agreement.unexplained < 0.02 && says(&sound, "fits no motion of one rigid body"));
-    // A wrong size fits a rigid body: the rests show it.
-    let (larger, _) = path(&all.recording, &octahedron(0.3), true).unwrap();
-    assert!(
-        says(&larger, "check the positions of the sensors") && !says(&sound, "check the positions")
-    );
-    let turned = [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]];
-    let change = |change: &dyn Fn(&mut Vec<ArraySensor>)| {
-        let mut wrong = geometry.clone();
-        change(&mut wrong.sensors);
-        wrong
-    };
-    for (name, wrong) in [
-        ("two sensors swapped", change(&|all| all.swap(0, 1))),
-        (
-            "x and y swapped",
-            change(&|all| {
-                all.swap(0, 2);
-                all.swap(1, 3);
-            }),
-        ),
-        ("places mirrored", octahedron(-0.03)),
-        ("a sensor turned by 180°", change(&|all| all[0].axes = turned)),
-    ] {
-        let error = path(&all.recording, &wrong, true).map(|_| ()).unwrap_err();
-        println!("{name}: {error}");
-        assert_eq!(error.code(), ErrorCode::DataRefused, "{name}");
-        assert!(error.to_string().contains("contradict each other"), "{name}: {error}");
-    }
-}
-
-#[test]
 fn a_start_in_motion_is_said_and_its_velocity_unknown() {
     let geometry = octahedron(0.03);
     let mut all = simulated(&geometry, &carried(), &mut Random::new(10));
@@ -401,22 +359,6 @@ fn a_start_in_motion_is_said_and_its_velocity_unknown() {
     assert!((1.0..2.5).contains(&seconds), "first valid after {seconds} s");
     assert!(path.points[first - 10].sd_m() > 1.0);
     assert!(median < 7.81, "{median}");
-}
-
-#[test]
-fn the_truth_of_an_array_gives_its_nees() {
-    let geometry = octahedron(0.03);
-    let all = simulated(&geometry, &carried(), &mut Random::new(11));
-    let (path, _) = path(&all.recording, &geometry, true).unwrap();
-    let (median, share) = path.consistency().unwrap();
-    let rate = wimu_host::inertial::consistency(&path.rate_nees).unwrap();
-    println!("position {median:.2} {share:.2}, rate {rate:?}");
-    let (position, rates) = (path.nees.len(), path.rate_nees.len());
-    // What rests does not count.
-    let moves = position < path.points.len() / 2 && rates < path.points.len() / 2;
-    assert!(position > 300 && rates > 300 && moves, "{position} {rates}");
-    assert!(share > 0.8 && rate.1 > 0.8);
-    assert!(path.velocity_nees.is_empty(), "there is no truth of the velocity");
 }
 
 #[test]

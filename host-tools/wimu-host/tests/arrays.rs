@@ -310,45 +310,6 @@ fn boards_with_clocks_and_axes_of_their_own_make_one_array() {
     assert!(error.to_string().contains("2 to 32 boards, not 1"), "{error}");
 }
 
-#[test]
-fn dead_and_saturated_sensors_are_left_out_and_said() {
-    let mut random = Random::new(13);
-    let geometry = ArrayGeometry::at(&board_places());
-    let mut recording = table(&geometry, 100.0, 0.03, &mut random);
-    for row in &mut recording.outputs {
-        row[3] = [0.0, 0.0, 0.0];
-    }
-    for k in 2000..2100 {
-        recording.saturated[k] |= 1 << 5;
-        recording.outputs[k][5] = [156.9; 3];
-    }
-    let calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE).unwrap();
-    assert_eq!(calibration.left_out.len(), 1);
-    assert_eq!(calibration.left_out[0].0, 3);
-    let (states, remarks) = ArrayBody::of(&recording, &geometry, &calibration)
-        .and_then(|body| body.navigated(G, Zupt::Stated))
-        .unwrap();
-    assert!(
-        remarks.iter().any(|r| r.starts_with("100 samples without the sensors that were at")),
-        "{remarks:?}"
-    );
-    let rates: Vec<[f64; 3]> = states.iter().map(|s| s.rate_rad_s).collect();
-    let off = rms_error(&rates, &recording.times_s);
-    println!("angular rate off by {off:.3} rad/s rms without one, for a second without two");
-    assert!(off < 1.0);
-    // All but three dead: refused, with what is missing.
-    for row in &mut recording.outputs {
-        for sensor in 1..8 {
-            row[sensor] = [0.0; 3];
-        }
-    }
-    let calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE).unwrap();
-    let error = ArrayBody::of(&recording, &geometry, &calibration)
-        .and_then(|body| body.navigated(G, Zupt::Stated))
-        .unwrap_err();
-    assert!(error.to_string().contains("3 usable axes, 6 are needed"), "{error}");
-}
-
 /// Places and delays are right, but said to be hardly known: what is fitted is noise.
 #[test]
 fn a_refinement_that_predicts_nothing_better_is_rejected() {

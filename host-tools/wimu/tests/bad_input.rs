@@ -81,100 +81,6 @@ fn near_truth(object: &Value, most: f64) {
 }
 
 #[test]
-fn fewer_poses_than_parameters_are_refused_with_what_to_add() {
-    let mut texts = Transcript::default();
-    let six = table("m/s²", &poses(6));
-    let object = refused(&mut texts, "six poses", &six, &["--poses"]);
-    assert_eq!(object["poses"], 6);
-    assert!(object["next_poses"].as_array().unwrap().len() >= 4);
-    // Reasons advise only a model that these poses support.
-    for model in ["6", "3"] {
-        let ran = calibrate(&six, &["--poses", "--model", model]);
-        match ran.code {
-            0 => texts.findings(model, &ran),
-            _ => texts.refuses(model, &ran),
-        };
-    }
-    for method in ["six-position", "four-angle", "three-angle"] {
-        refused(&mut texts, method, &six, &["--poses", "--method", method]);
-    }
-    let auto = calibrate(&six, &["--poses", "--model", "auto"]);
-    texts.findings("auto", &auto);
-    texts.check("calibrate_too_few_poses");
-}
-
-#[test]
-fn identical_poses_and_poses_in_a_plane_determine_nothing() {
-    let mut texts = Transcript::default();
-    let one = poses(1)[0];
-    for model in ["3", "6", "9", "auto", "9+drift"] {
-        let flags = ["--poses", "--model", model];
-        let case = format!("one pose, {model}");
-        let object = refused(&mut texts, &case, &table("m/s²", &[one; 30]), &flags);
-        assert_eq!(object["poses"], 1, "{object}");
-    }
-    let plane: Vec<_> = (0..30)
-        .map(|k| {
-            let (s, c) = (f64::from(k) * 0.4).sin_cos();
-            output([c, s, 0.0])
-        })
-        .collect();
-    let object = refused(&mut texts, "plane", &table("m/s²", &plane), &["--poses"]);
-    assert!(object["next_poses"][0]["up"][2].as_f64().unwrap().abs() > 0.5);
-    texts.check("calibrate_identical_poses");
-}
-
-#[test]
-fn counts_stuck_at_full_scale_and_dead_axes_are_refused_or_left_out() {
-    // ±1 g of a sensor of 16 bits: many poses are clipped on some axis.
-    let most = 32767.0;
-    let clipped = changed(30, |_, y| y.map(|c| (c * 4000.0).round().clamp(-most, most)));
-    let ran = calibrate(&table("LSB", &clipped), &["--poses", "--sensitivity", "39227"]);
-    match ran.code {
-        0 => near_truth(&ran.object(), 0.02),
-        code => assert_eq!(code, 3, "{ran:?}"),
-    }
-    let mut texts = Transcript::default();
-    let full = table("LSB", &[[most; 3]; 30]);
-    refused(&mut texts, "all at full scale", &full, &["--poses"]);
-    for axis in 0..3 {
-        let dead = changed(30, |_, mut y| {
-            y[axis] = 0.0;
-            y
-        });
-        let case = format!("axis {} at 0", ["X", "Y", "Z"][axis]);
-        refused(&mut texts, &case, &table("m/s²", &dead), &["--poses"]);
-    }
-    texts.check("calibrate_dead_axes");
-}
-
-#[test]
-fn swapped_and_mirrored_axes_are_found_with_known_sides_and_remarked_as_possible_without() {
-    let mut texts = Transcript::default();
-    let swapped = changed(30, |_, [x, y, z]| [y, x, z]);
-    let ran = calibrate(&table("m/s²", &swapped), &["--poses"]);
-    texts.findings("swapped, sides not given", &ran);
-    let faces: Vec<_> = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-        .into_iter()
-        .flat_map(|up| [up, up.map(|c: f64| -c)])
-        .map(output)
-        .collect();
-    let given = ["--poses", "--method", "six-position", "--sides", "x,-x,y,-y,z,-z"];
-    let good = texts.findings("right", &calibrate(&table("m/s²", &faces), &given));
-    near_truth(&good, 0.01);
-    for (change, case) in [
-        ((|[x, y, z]| [-x, y, z]) as fn([f64; 3]) -> [f64; 3], "X negated"),
-        (|[x, y, z]| [y, x, z], "X and Y swapped"),
-        (|[x, y, z]| [y, z, x], "rotated"),
-        (|[x, y, z]| [-x, -y, -z], "all negated"),
-    ] {
-        let wrong: Vec<_> = faces.iter().copied().map(change).collect();
-        refused(&mut texts, case, &table("m/s²", &wrong), &given);
-    }
-    texts.check("calibrate_swapped_axes");
-}
-
-#[test]
 fn wrong_and_mixed_units_are_named() {
     let mut texts = Transcript::default();
     let mut refused = |case: &str, text: &str, flags: &[&str]| {
@@ -297,18 +203,6 @@ fn a_million_poses_are_answered() {
             near_truth(&object, 0.001);
         }
     }
-}
-
-#[test]
-fn a_sensitivity_that_no_board_stores_gives_a_calibration_without_parameters() {
-    // ADXL345 in 10 bits at ±8 g.
-    let counts = changed(20, |_, y| y.map(|c| c * 64.0 / G));
-    let mut texts = Transcript::default();
-    let ran = calibrate(&table("LSB", &counts), &["--poses"]);
-    let object = texts.findings("64 LSB/g", &ran);
-    assert!((object["sensitivity_lsb_per_g"].as_f64().unwrap() - 64.2).abs() < 0.2);
-    assert!(object["parameters"].is_null());
-    texts.check("calibrate_sensitivity_below_a_boards");
 }
 
 #[test]

@@ -6,52 +6,10 @@ use crate::kit;
 use std::fs;
 use std::io::Write;
 use std::net::TcpListener;
-use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
-use kit::{Background, Simulator, Transcript, folder, in_folder, line_number, verbatim, wimu};
-
-const XYZ: &str = "Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)";
-
-#[test]
-fn wrong_usage_ends_with_2_and_one_object() {
-    let mut texts = Transcript::default();
-    for arguments in [
-        &[][..],
-        &["bogus"],
-        &["monitor"],
-        &["calibrate", "a.csv", "--gravity", "much"],
-        &["settings", "set", "tcp://127.0.0.1:1"],
-        &["simulate", "--motion", "rest", "--replay", "a.csv"],
-    ] {
-        texts.fails(arguments.join(" "), &wimu(arguments), 2, "usage");
-    }
-    for (arguments, code) in [
-        (&["simulate", "--speed", "0"][..], "usage"),
-        (&["simulate", "--motion", "fly"], "usage"),
-        (&["simulate", "--faults", "loss=200%"], "usage"),
-        (&["simulate", "--faults", "cable:lossy"], "usage"),
-        (&["simulate", "--clock-ppm", "1e9"], "usage"),
-        (&["simulate", "--sensor-fault", "gyroscope-bends=1s@1s"], "usage"),
-        (&["simulate", "--sensor", "lsm6dso", "--replay", "a.csv"], "usage"),
-        (&["calibrate", "a.csv", "--model", "12"], "usage"),
-        (&["monitor", "tcp://127.0.0.1"], "bad_link"),
-        (&["monitor", "carrier-pigeon://coop"], "bad_link"),
-        (&["monitor", "ble://wimu"], "link_kind_missing"),
-        (&["info", "no-such-file.mcap"], "file_unreadable"),
-        (&["calibrate", "no-such-file.csv"], "file_unreadable"),
-    ] {
-        texts.fails(arguments.join(" "), &wimu(arguments), 2, code);
-    }
-    let (csv, _folder) = in_folder("means.csv");
-    fs::write(&csv, format!("{XYZ}\n0,0,1\n")).unwrap();
-    for flags in [&["--push"][..], &["--where", "nonsense"]] {
-        let ran = wimu(&[&["calibrate", &csv][..], flags].concat());
-        texts.fails(flags.join(" "), &ran, 2, "usage");
-    }
-    texts.check("wrong_usage");
-}
+use kit::{Background, Simulator, Transcript, folder, verbatim, wimu};
 
 /// The help of a command followed by that of its own commands.
 fn help(command: &[&str]) -> String {
@@ -85,30 +43,6 @@ fn help_and_version_end_with_0() {
     for name in all {
         verbatim(&format!("help_{name}"), &help(&[name]));
     }
-}
-
-#[test]
-fn a_link_that_cannot_be_opened_is_named() {
-    let mut texts = Transcript::default();
-    // A port that was free a moment ago.
-    let free = TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = free.local_addr().unwrap();
-    drop(free);
-    let link = format!("tcp://{address}");
-    for command in ["monitor", "info"] {
-        let failure = texts.fails(command, &wimu(&[command, &link]), 1, "link_refused");
-        assert_eq!(failure["place"]["at"], link);
-    }
-    wimu(&["params", "get", &link]).fails(1, "link_refused");
-    wimu(&["settings", "get", &link]).fails(1, "link_refused");
-    let port = "/dev/wimu-has-no-such-port";
-    let failure = texts.fails("no such port", &wimu(&["monitor", port]), 1, "link_absent");
-    assert_eq!(failure["place"]["at"], port);
-    let (file, _folder) = in_folder("out.mcap");
-    let ran = wimu(&["record", &link, "-o", &file]);
-    texts.fails("record", &ran, 1, "link_refused");
-    assert!(!Path::new(&file).exists(), "nothing was recorded");
-    texts.check("links_that_cannot_be_opened");
 }
 
 /// A TCP server that is no board: repeats `speech`, or stays silent.
@@ -154,20 +88,6 @@ fn a_peer_that_is_no_wimu_board_is_reported() {
 }
 
 #[test]
-fn a_board_of_another_wire_version_is_reported() {
-    // Telemetry of version 3, empty.
-    let link = stranger(Some(&[6, 0x34, 0xFF, 0x8D, 0x04, 0xA5, 0]));
-    let mut texts = Transcript::default();
-    let commands = [&["info", &link][..], &["params", "get", &link]];
-    for process in commands.map(Background::start) {
-        let ran = process.finish();
-        let failure = texts.fails("version 3", &ran, 1, "protocol_version");
-        assert_eq!(failure["place"]["at"], link);
-    }
-    texts.check("board_of_another_wire_version");
-}
-
-#[test]
 fn a_link_or_an_address_in_use_is_reported() {
     let mut texts = Transcript::default();
     let board = Simulator::start(&[]);
@@ -181,112 +101,6 @@ fn a_link_or_an_address_in_use_is_reported() {
     let failure = texts.fails("link", &ran, 1, "link_busy");
     assert_eq!(failure["place"]["at"], board.wireless);
     texts.check("links_in_use");
-}
-
-#[test]
-fn a_csv_that_cannot_be_read_is_reported_with_line_and_cause() {
-    let folder = folder();
-    let mut texts = Transcript::default();
-    for (text, code, line) in [
-        (String::new(), "csv_empty", None),
-        ("1,2,3\n4,5,6\n".into(), "csv_unknown_unit", Some(1)),
-        (
-            "Accelerometer X (g),Accelerometer Y (g)\n0,1\n".into(),
-            "csv_missing_column",
-            Some(1),
-        ),
-        (
-            "Time (s),Range (m)\n0,1\n".into(),
-            "csv_missing_column",
-            Some(1),
-        ),
-        (
-            format!("Time (s),{XYZ}\n0,0,0,1\n1,0,abc,1\n2,0,abc,1\n"),
-            "bad_recording",
-            Some(3),
-        ),
-        (
-            "Accelerometer X (g),Accelerometer Y (LSB),Accelerometer Z (g)\n0,0,1\n".into(),
-            "csv_mixed_units",
-            Some(1),
-        ),
-        (
-            "Accelerometer X (furlong),Accelerometer Y (furlong),Accelerometer Z (furlong)\n0,0,1\n"
-                .into(),
-            "csv_unknown_unit",
-            Some(1),
-        ),
-        (
-            format!("{XYZ}\n0,0,1\n0,1\n1,1\n"),
-            "bad_recording",
-            Some(3),
-        ),
-        (format!("{XYZ}\n"), "no_rows", None),
-    ] {
-        let path = folder.path().join("input.csv");
-        fs::write(&path, &text).unwrap();
-        let file = path.to_str().unwrap();
-        let failure = texts.fails(
-            format_args!("{text:?}"),
-            &wimu(&["calibrate", file]),
-            2,
-            code,
-        );
-        assert!(failure["place"]["at"].as_str().unwrap().starts_with(file));
-        assert_eq!(line_number(&failure), line, "{failure}");
-        if line.is_some() {
-            wimu(&["simulate", "--replay", file]).fails(2, code);
-        }
-    }
-    let path = folder.path().join("bytes.csv");
-    fs::write(&path, b"Accelerometer X (g)\xff\n").unwrap();
-    let ran = wimu(&["calibrate", path.to_str().unwrap()]);
-    texts.fails("not UTF-8", &ran, 2, "csv_no_header");
-    texts.check("csv_that_cannot_be_read");
-}
-
-#[test]
-fn data_that_support_no_answer_end_with_3_and_one_report() {
-    let folder = folder();
-    let csv = folder.path().join("poses.csv");
-    fs::write(&csv, format!("{XYZ}\n0,0,1\n0,1,0\n1,0,0\n")).unwrap();
-    let answer = folder.path().join("CAL.json");
-    let ran =
-        wimu(&["calibrate", csv.to_str().unwrap(), "--poses", "-o", answer.to_str().unwrap()]);
-    assert_eq!(ran.code, 3, "{ran:?}");
-    let report = ran.object();
-    assert!(!kit::reason(&report).is_empty());
-    assert_eq!(report["method"], "multi-position");
-    assert_eq!(report["poses"], 3);
-    assert!(!report["next_poses"].as_array().unwrap().is_empty());
-    assert!(!answer.exists(), "a refusal is no calibration");
-}
-
-#[test]
-fn a_file_that_is_no_recording_or_calibration_is_reported() {
-    let mut texts = Transcript::default();
-    let folder = folder();
-    let file = |name: &str, text: &[u8]| {
-        let path = folder.path().join(name);
-        fs::write(&path, text).unwrap();
-        path.to_str().unwrap().to_owned()
-    };
-    for (command, name, bytes, code) in [
-        ("info", "empty.mcap", &b""[..], "bad_recording"),
-        ("info", "letter.mcap", b"this is a letter", "csv_no_header"),
-        ("navigate", "start.mcap", b"\x89MCAP0\r\n\x01", "bad_recording"),
-    ] {
-        let ran = wimu(&[command, &file(name, bytes)]);
-        texts.fails(format_args!("{command} {name}"), &ran, 2, code);
-    }
-    let link = "tcp://127.0.0.1:1";
-    for text in ["{", "[]", "{}", "{\"schema\":\"wimu.error/1\"}"] {
-        let cal = file("CAL.json", text.as_bytes());
-        let ran = wimu(&["params", "push", link, &cal]);
-        let failure = texts.fails(text, &ran, 2, "bad_calibration");
-        assert!(failure["place"]["at"].as_str().unwrap().starts_with(&cal));
-    }
-    texts.check("files_that_are_no_recording_or_calibration");
 }
 
 #[test]

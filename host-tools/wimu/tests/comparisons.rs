@@ -133,26 +133,6 @@ fn compared(frames: Frames) -> serde_json::Value {
 }
 
 #[test]
-fn recordings_without_two_links_of_one_board_at_once_are_refused() {
-    let first = Part::default();
-    let stranger = Part { device_id: 0xabcd, ..first };
-    let later = Part { batches: (200, 260), ..first };
-    let mut texts = Transcript::default();
-    for (case, frames) in [
-        ("cable alone", first.on(CABLE)),
-        ("wireless alone", first.on(WIRELESS)),
-        ("neither", Vec::new()),
-        ("two boards", [first.on(CABLE), stranger.on(WIRELESS)].concat()),
-        ("one after the other", [first.on(CABLE), later.on(WIRELESS)].concat()),
-    ] {
-        let folder = folder();
-        let ran = wimu(&["compare", &file(folder.path(), frames)]);
-        texts.fails(case, &ran, 3, "data_refused");
-    }
-    texts.check("compare_refusals");
-}
-
-#[test]
 fn samples_out_of_order_are_all_in_the_decoded_topics() {
     let swapped = Part { swaps: true, ..Part::default() };
     let folder = folder();

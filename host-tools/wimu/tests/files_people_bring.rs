@@ -209,45 +209,6 @@ fn poses_count_by_their_samples_where_these_make_a_difference() {
 }
 
 #[test]
-fn files_of_other_programs_are_read_or_their_columns_named() {
-    let (csv, _folder) = in_folder("theirs.csv");
-    let ours = turned(&spread(14), [0.0; 3], 0.0);
-    let body = ours.split_once('\n').unwrap().1;
-    fs::write(&csv, &ours).unwrap();
-    let expected = wimu(&["calibrate", &csv]).succeeds();
-    assert_eq!(expected["poses"], 14);
-    let names = |name: &str, separator: &str| {
-        let axes = ["x", "y", "z"].map(|axis| name.replace('#', axis));
-        axes.join(separator)
-    };
-    let phone = format!(
-        "\"Time (s)\";{}\n{}",
-        names("\"Acceleration # (m/s^2)\"", ";"),
-        body.replace(',', ";").replace('.', ",")
-    );
-    let logger = format!(
-        "# a logger\nTimestamp (s)\t{}\n{}",
-        names("acc_# [m/s2]", "\t"),
-        body.replace(',', "\t")
-    );
-    for theirs in [phone, logger] {
-        fs::write(&csv, theirs).unwrap();
-        let report = wimu(&["calibrate", &csv]).succeeds();
-        assert_eq!(report["model"], expected["model"]);
-        assert_eq!(report["rate_hz"], expected["rate_hz"]);
-    }
-    let mut texts = Transcript::default();
-    // Units that are not named are inferred.
-    fs::write(&csv, format!("time,{}\n{body}", names("acc_#", ","))).unwrap();
-    let report = wimu(&["calibrate", &csv]).succeeds();
-    assert_eq!(report["model"], expected["model"]);
-    let linear = names("Linear Acceleration # (m/s^2)", ",");
-    fs::write(&csv, format!("Time (s),{linear}\n{body}")).unwrap();
-    texts.fails("linear", &wimu(&["calibrate", &csv]), 2, "no_rows");
-    texts.check("calibrate_other_column_names");
-}
-
-#[test]
 fn the_count_at_zero_is_stored_with_the_calibration() {
     let (csv, folder) = in_folder("counts.csv");
     let path = |name: &str| folder.path().join(name).display().to_string();
@@ -278,19 +239,4 @@ fn the_count_at_zero_is_stored_with_the_calibration() {
     let corrected = fs::read_to_string(&out).unwrap();
     let z: f64 = (corrected.lines().nth(1).unwrap().split(',').nth(3).unwrap()).parse().unwrap();
     assert!((z - G).abs() < 0.01, "{corrected}");
-}
-
-#[test]
-fn an_option_that_a_format_ignores_is_refused() {
-    let (csv, folder) = in_folder("theirs.csv");
-    fs::write(&csv, turned(&spread(14), [0.0; 3], 0.0)).unwrap();
-    let failure = wimu(&["info", &csv, "--topic", "IMU"]).fails(2, "usage");
-    assert!(failure["text"].as_str().unwrap().contains("--topic"));
-    let bag = folder.path().join("bag.bag").display().to_string();
-    fs::write(&bag, "#ROSBAG V2.0\n").unwrap();
-    for option in [["--columns", "x=1"], ["--units", "g"], ["--zero-count", "1"]] {
-        let of = [&["info", &bag][..], &option].concat();
-        let failure = wimu(&of).fails(2, "usage");
-        assert!(failure["text"].as_str().unwrap().contains(option[0]));
-    }
 }

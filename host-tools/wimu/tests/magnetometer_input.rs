@@ -5,9 +5,8 @@ use crate::kit;
 use std::fmt::Write;
 use std::fs;
 
-use kit::{Ran, Transcript, folder, record_motion_of, wimu};
+use kit::{Ran, Transcript, folder, wimu};
 use serde_json::Value;
-use wimu_sim::board::SensorPart;
 
 /// A sensor held in 30 orientations: accelerometer with a bias of 0.1 m/s² on X, field of 48.3 µT, 65.6°
 /// down, hard iron of 12, −7 and 20 µT.
@@ -156,21 +155,4 @@ fn every_bad_input_is_named_and_none_becomes_a_calibration() {
     assert!(!next["instruction"].as_str().unwrap().is_empty(), "{report}");
     assert!(report["poses_worth_adding"].as_u64().unwrap() > 0);
     texts.check("calibrate_magnetometer_input");
-}
-
-#[test]
-fn a_board_without_a_magnetometer_is_refused() {
-    let folder = folder();
-    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-    let (recording, accelerometer) = (path("s.mcap"), path("A.json"));
-    let csv = path("p.csv");
-    fs::write(&csv, table(&poses(), "µT")).unwrap();
-    let of = ["calibrate", &csv, "--poses", "--sensitivity", "256"];
-    wimu(&[&of[..], &["-o", &accelerometer]].concat()).succeeds();
-    record_motion_of(SensorPart::Adxl345, "rest", 1, &recording);
-    let of = ["calibrate", &recording, "--sensor", "magnetometer"];
-    let ran = wimu(&[&of[..], &["--with", &accelerometer]].concat());
-    let mut texts = Transcript::default();
-    texts.fails("ADXL345", &ran, 3, "data_refused");
-    texts.check("calibrate_no_magnetometer");
 }

@@ -60,49 +60,6 @@ fn files_of_other_programs_are_named_with_the_export_that_works() {
 }
 
 #[test]
-fn several_sensors_or_runs_in_a_file_ask_for_where() {
-    let folder = folder();
-    let path = folder.path().join("all.csv");
-    let file = path.to_str().unwrap();
-    let mut text = format!("Run,IMU,Time (s),{XYZ}\n");
-    let mut noise = noise();
-    for run in [1, 2] {
-        for k in 0..500 {
-            for imu in [0, 1] {
-                let z = 9.8 + 0.01 * noise();
-                writeln!(text, "{run},{imu},{:.2},0,0,{z}", f64::from(k) * 0.01).unwrap();
-            }
-        }
-    }
-    fs::write(&path, text).unwrap();
-    let mut texts = Transcript::default();
-    for command in ["calibrate", "allan", "navigate"] {
-        texts.fails(command, &wimu(&[command, file]), 2, "usage");
-    }
-    // Half of it is not enough, all of it is.
-    let ran = wimu(&["allan", file, "--where", "IMU=1"]);
-    texts.fails("--where IMU=1", &ran, 2, "usage");
-    let ran = wimu(&["allan", file, "--where", "IMU=1,Run=2"]);
-    assert!(ran.code != 2, "{ran:?}");
-
-    // Means over poses of several runs of one sensor are one calibration; those of two sensors are none.
-    let poses = |imus: &[u32]| {
-        let mut text = format!("Run,IMU,Pose,{XYZ}\n");
-        for (k, up) in spread(20).iter().enumerate() {
-            for imu in imus {
-                let [x, y, z] = up.map(|f| 9.8 * f + 0.1 * f64::from(*imu));
-                writeln!(text, "{},{imu},{k},{x},{y},{z}", k / 10).unwrap();
-            }
-        }
-        fs::write(&path, text).unwrap();
-        wimu(&["calibrate", file, "--poses"])
-    };
-    poses(&[3]).succeeds();
-    texts.fails("--poses of two sensors", &poses(&[3, 4]), 2, "usage");
-    texts.check("several_sensors_in_a_file");
-}
-
-#[test]
 fn poses_of_a_continuous_recording_are_refused() {
     let folder = folder();
     let path = folder.path().join("raw.csv");
@@ -126,21 +83,6 @@ fn poses_of_a_continuous_recording_are_refused() {
         let ran = table(rows, step_s);
         assert!(ran.code != 2, "{rows} {step_s}: {ran:?}");
     }
-}
-
-#[test]
-fn navigate_needs_a_file_or_a_link_and_its_options() {
-    let mut texts = Transcript::default();
-    for option in [["--rests", "0-3"], ["--smooth", "off"], ["--calibration", "CAL.json"]] {
-        let ran = wimu(&[&["navigate", "tcp://127.0.0.1:7100"], &option[..]].concat());
-        texts.fails(option[0], &ran, 2, "usage");
-    }
-    let (file, _folder) = kit::in_folder("walk.csv");
-    fs::write(&file, "Accelerometer X (g)\n").unwrap();
-    wimu(&["navigate", &file, "--rate", "5"]).fails(2, "usage");
-    let ran = wimu(&["navigate", "no/such/file.mcap"]);
-    texts.fails("no file", &ran, 2, "file_unreadable");
-    texts.check("navigate_needs_a_file");
 }
 
 #[test]

@@ -83,37 +83,6 @@ fn number(value: &Value, pointer: &str) -> f64 {
 }
 
 #[test]
-fn accelerations_that_are_not_gravity_at_rest_are_refused_with_the_unit_that_they_look_like() {
-    let folder = folder();
-    let mut texts = Transcript::default();
-    for (case, factor) in [("g", 1.0 / G), ("zeros", 0.0), ("mm/s²", 1000.0)] {
-        let mut samples = moves(0.4, 1.0);
-        for sample in &mut samples {
-            sample.force = sample.force.map(|f| f * factor);
-        }
-        for (method, rate) in SENSORS {
-            let csv = write(folder.path(), &format!("{FORCE}{rate}"), &samples);
-            let ran = wimu(&["navigate", &csv]);
-            texts.fails(format_args!("{case}, {method}"), &ran, 3, "data_refused");
-        }
-    }
-    texts.check("navigate_wrong_units");
-}
-
-#[test]
-fn times_in_another_unit_are_refused_with_the_name_of_the_column() {
-    let folder = folder();
-    let mut samples = moves(0.4, 1.0);
-    for sample in &mut samples {
-        sample.t *= 1000.0;
-    }
-    let csv = write(folder.path(), FORCE, &samples);
-    let mut texts = Transcript::default();
-    texts.fails("ms called s", &wimu(&["navigate", &csv]), 3, "data_refused");
-    texts.check("navigate_times_in_another_unit");
-}
-
-#[test]
 fn a_dead_axis_is_reported_and_invalidates_what_depends_on_it() {
     let mut texts = Transcript::default();
     let folder = folder();

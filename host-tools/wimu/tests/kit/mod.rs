@@ -200,13 +200,6 @@ pub fn reason(object: &Value) -> String {
     refusal.and_then(|refusal| refusal["text"].as_str()).unwrap_or_default().to_owned()
 }
 
-/// The line number in a failure's location.
-pub fn line_number(failure: &Value) -> Option<usize> {
-    let (_, rest) = failure["place"]["at"].as_str()?.split_once("line ")?;
-    let digits = rest.split(|c: char| !c.is_ascii_digit()).next()?;
-    digits.parse().ok()
-}
-
 /// Compares text with `snapshots/NAME.snap`. What differs between machines and runs is replaced, by
 /// [`FILTERS`] and then by `more`.
 pub fn snapshot(name: &str, text: &str, more: &[(&str, &str)]) {

@@ -96,7 +96,8 @@ impl Folder {
             .filter_map(|entry| {
                 let about = entry.metadata().ok().filter(|about| about.is_file())?;
                 let name = entry.file_name().into_string().ok()?;
-                Some(Listed { name, bytes: about.len() })
+                // A hidden one may be a draft of a file that is being written.
+                (!name.starts_with('.')).then_some(Listed { name, bytes: about.len() })
             })
             .take(MOST_LISTED)
             .collect();

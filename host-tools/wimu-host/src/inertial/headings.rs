@@ -99,7 +99,7 @@ impl<M: Model<f64, N> + Clone, const N: usize> Headings<M, N> {
             .flat_map(|position| headings.iter().map(move |heading| (position, heading)));
         let all = pairs.map(|(position, heading)| {
             let mut track = track.clone();
-            track.place(*position, *heading);
+            track.place(*position, None, *heading);
             track.aiding.anchors = self.anchors.clone();
             track
         });

@@ -66,9 +66,15 @@ impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
         }
     }
 
-    /// Moves to a position in the frame of fixes, m, with its standard deviation, at a heading, rad.
-    pub fn place(&mut self, position: (Vector3<f64>, f64), heading_rad: f64) {
-        fixes::place(&mut self.navigator, position, heading_rad);
+    /// Moves to a position in the frame of fixes, m, with its standard deviation, at a heading, rad; with a velocity, m/s,
+    /// where it is known.
+    pub fn place(
+        &mut self,
+        position: (Vector3<f64>, f64),
+        velocity: Option<(Vector3<f64>, f64)>,
+        heading_rad: f64,
+    ) {
+        fixes::place(&mut self.navigator, position, velocity, heading_rad);
         self.framed = true;
     }
 

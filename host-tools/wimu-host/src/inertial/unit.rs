@@ -151,14 +151,15 @@ impl<'a> Unit<'a> {
         let at_rest_first = self.first_rest(&rests).is_some();
         let start = self.start::<M, N>(&samples, &rests, choice)?;
         let shown = choice.fixes.origin().filter(|_| choice.start.is_none());
+        let moving = choice.fixes.velocity(self.times_s[0]).filter(|_| !at_rest_first);
         let placed = shown.map(|fix| {
-            let heading = self.heading(&start, &inputs, choice, fix);
+            let heading = self.heading(&start, &inputs, choice, (fix, moving));
             (fix.position(), heading)
         });
         let begin_s = self.times_s[0];
         let mut track = Track::new(start.recorded(tape), choice, begin_s, at_rest_first);
         if let Some((position, heading)) = placed {
-            track.place(position, heading);
+            track.place(position, moving, heading);
         }
         let has_origin = track.has_origin();
         let mut points = Vec::with_capacity(samples.len());
@@ -245,12 +246,12 @@ impl<'a> Unit<'a> {
         start: &Navigator<f64, M, N>,
         inputs: &[Input],
         choice: &Choice,
-        fix: &Fix,
+        (fix, velocity): (&Fix, Option<(Vector3<f64>, f64)>),
     ) -> f64 {
         let until_s = fix.time_s + HEADING_TRIAL_S;
         let trial = |heading: &f64| {
             let mut track = Track::new(start.clone(), choice, self.times_s[0], false);
-            track.place(fix.position(), *heading);
+            track.place(fix.position(), velocity, *heading);
             for input in inputs.iter().take_while(|input| input.time_s < until_s) {
                 track.step(input, &choice.fixes);
             }

@@ -174,6 +174,20 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
         self.update_if(measurement, accept, recorder)
     }
 
+    /// Update of some states only: the others are considered meanwhile.
+    pub(crate) fn update_only<const M: usize>(
+        &mut self,
+        estimated: impl Fn(usize) -> bool,
+        measurement: &impl Measurement<R, N, M>,
+        recorder: &mut impl Recorder<R, N>,
+    ) -> Innovation<R> {
+        let considered = self.considered;
+        self.considered = core::array::from_fn(|state| considered[state] || !estimated(state));
+        let innovation = self.update_recorded(measurement, Gate::ChiSquare, recorder);
+        self.considered = considered;
+        innovation
+    }
+
     /// Update where a condition on the innovation holds.
     pub(crate) fn update_if<const M: usize>(
         &mut self,

@@ -15,7 +15,7 @@ use crate::process::{ImuErrors, Process, Unmeasured};
 use crate::rotation::{about_up, level, real, yaw};
 use crate::sensor::{MagneticField, Magnetometer, Measurement, Position, Velocity, recover};
 use crate::smoother::Recorder;
-use crate::state::{ATTITUDE, Layout, LayoutFull, POSITION, Role, VELOCITY};
+use crate::state::{ATTITUDE, HEADING, Layout, LayoutFull, POSITION, Role, VELOCITY};
 
 /// What is assumed of the motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -458,7 +458,7 @@ where
         {
             let sensor = &self.magnetometer;
             let reading = MagneticField { sensor, field_ut, reference_ut };
-            let found = self.filter.update_recorded(&reading, Gate::ChiSquare, &mut self.recorder);
+            let found = self.model.update_field(&mut self.filter, &reading, &mut self.recorder);
             let count = &mut self.fields[usize::from(!found.accepted)];
             *count = count.saturating_add(1);
             self.since.field = R::zero();
@@ -622,7 +622,7 @@ where
         self.filter.set_covariance(POSITION, &lost);
         let heading = core::f64::consts::PI;
         let unknown = Matrix1::new(real(heading * heading));
-        self.filter.set_covariance(ATTITUDE.part::<1, 2>(), &unknown);
+        self.filter.set_covariance(HEADING, &unknown);
         self.recorder.restarted(&self.filter);
     }
 
@@ -667,7 +667,7 @@ where
     pub fn set_origin(&mut self) {
         self.set_position(Vector3::zeros());
         let variance = real(START_HEADING * START_HEADING);
-        self.filter.set_covariance(ATTITUDE.part::<1, 2>(), &Matrix1::new(variance));
+        self.filter.set_covariance(HEADING, &Matrix1::new(variance));
         self.recorder.restarted(&self.filter);
     }
 
@@ -692,7 +692,7 @@ where
         let [position, velocity, heading] = deviations.map(|deviation| deviation * deviation);
         self.filter.set_covariance(POSITION, &Matrix3::from_diagonal_element(position));
         self.filter.set_covariance(VELOCITY, &Matrix3::from_diagonal_element(velocity));
-        self.filter.set_covariance(ATTITUDE.part::<1, 2>(), &Matrix1::new(heading));
+        self.filter.set_covariance(HEADING, &Matrix1::new(heading));
         self.recorder.restarted(&self.filter);
     }
 

@@ -30,6 +30,7 @@ pub use gravity::Gravity;
 pub use heading::Heading;
 pub use joint::{CommonAxis, CommonPoint};
 pub use line_of_sight::{LineOfSight, NonLineOfSight};
+pub(crate) use magnetometer::FieldHeading;
 pub use magnetometer::{MagneticField, Magnetometer};
 pub use multi_range::{Transfer, TransferModel};
 pub use non_holonomic::{ForwardAxis, Mounting, NonHolonomic};

@@ -24,6 +24,11 @@ impl<const W: usize> Block<W> {
         self.0
     }
 
+    /// Whether a state is in it.
+    pub(crate) const fn contains(self, state: usize) -> bool {
+        self.0 <= state && state < self.0 + W
+    }
+
     /// The part of `V` states that begins after `skip` of them.
     ///
     /// # Panics
@@ -36,6 +41,8 @@ impl<const W: usize> Block<W> {
 
 /// Attitude error, rad, navigation frame.
 pub const ATTITUDE: Block<3> = Block(0);
+/// Its part about the vertical.
+pub(crate) const HEADING: Block<1> = ATTITUDE.part::<1, 2>();
 /// Velocity, m/s, navigation frame.
 pub const VELOCITY: Block<3> = Block(3);
 /// Position, m, navigation frame.

@@ -229,6 +229,21 @@ fn a_foot_s_stance_is_never_gated_and_a_hand_s_rest_is_until_it_is_certain() {
 }
 
 #[test]
+fn a_rest_of_one_sample_tells_no_angular_rate() {
+    let start = Start::align(&[still(0.0); 10], false).unwrap();
+    let turning = Sample { rate_rad_s: Some(Vector3::new(0.0, 0.0, 0.04)), ..still(0.01) };
+    let rate = |rest: usize| {
+        let mut navigator = WithGyroscope::<f64>::new(Settings::default(), &start).unwrap();
+        for k in 0..1000 {
+            navigator.push(&turning, k >= 1000 - rest).unwrap();
+        }
+        navigator.angular_rate().z
+    };
+    assert!(rate(1) > 0.039, "{}", rate(1));
+    assert!(rate(100) < 0.01, "{}", rate(100));
+}
+
+#[test]
 fn each_profile_bounds_the_speed_as_it_says() {
     let start = Start::align(&[still(0.0); 10], true).unwrap();
     let sd = |profile| {

@@ -1,12 +1,12 @@
 //! Magnetic field against a reference, with the local disturbance as a Gauss–Markov state. Equation (123).
 
-use nalgebra::{Matrix3, RealField, Vector3};
+use nalgebra::{Matrix1, Matrix3, RealField, RowVector3, Vector3};
 
 use super::{Measurement, Prediction, SecondOrder};
 use crate::filter::Filter;
 use crate::process::GaussMarkov;
 use crate::rotation::real;
-use crate::state::{ATTITUDE, Block, Jacobian, Layout, LayoutFull, Role};
+use crate::state::{ATTITUDE, Block, HEADING, Jacobian, Layout, LayoutFull, Role};
 
 /// A magnetometer: its noise and the field that it measures.
 #[derive(Clone, Copy, Debug)]
@@ -72,6 +72,41 @@ impl<R: RealField + Copy, const N: usize> Measurement<R, N, 3> for MagneticField
                 .with(disturbance, to_body),
             covariance: Matrix3::identity() * noise
                 + to_body * second.covariance * to_body.transpose(),
+        }
+    }
+}
+
+/// The horizontal direction of a reading, for the heading alone: iron indoors would tilt a unit whose gyroscope and rests
+/// know its tilt better. Uncertainty of the tilt is noise of it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FieldHeading<'a, R>(pub &'a MagneticField<'a, R>);
+
+impl<R: RealField + Copy, const N: usize> Measurement<R, N, 1> for FieldHeading<'_, R> {
+    /// Where the reference is vertical there is no heading, and the measurement has no effect.
+    fn predict(&self, filter: &Filter<R, N>) -> Prediction<R, N, 1> {
+        let MagneticField { sensor, field_ut, reference_ut } = self.0;
+        let expected = reference_ut + filter.state.get(sensor.disturbance);
+        let found = filter.state.attitude * field_ut;
+        let level = expected.x * expected.x + expected.y * expected.y;
+        if level < sensor.noise_ut * sensor.noise_ut {
+            return Prediction {
+                innovation: Matrix1::zeros(),
+                jacobian: Jacobian::zeros(),
+                covariance: Matrix1::identity(),
+            };
+        }
+        let across = expected.x * found.y - expected.y * found.x;
+        let along = expected.x * found.x + expected.y * found.y;
+        let tilt = expected.xy() * (expected.z / level);
+        let tilt_covariance = filter.covariance(ATTITUDE.part::<2, 0>());
+        let noise = sensor.noise_ut * sensor.noise_ut / level;
+        let derivative = RowVector3::new(-expected.y, expected.x, R::zero()) / level;
+        Prediction {
+            innovation: Matrix1::new(across.atan2(along)),
+            jacobian: Jacobian::zeros()
+                .with(HEADING, Matrix1::new(-R::one()))
+                .with(sensor.disturbance, derivative),
+            covariance: Matrix1::new(noise + tilt.dot(&(tilt_covariance * tilt))),
         }
     }
 }

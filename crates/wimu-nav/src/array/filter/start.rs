@@ -12,7 +12,7 @@ use crate::navigator::Rests;
 use crate::process::{RigidArray, RigidArrayBlocks, Unmeasured};
 use crate::rotation::{level, real};
 use crate::sensor::{Velocity, VerticalRate, Zero};
-use crate::state::{ATTITUDE, POSITION, VELOCITY};
+use crate::state::{ATTITUDE, HEADING, POSITION, VELOCITY};
 
 /// Time of the alignment, s.
 const ALIGN_S: f64 = 0.5;
@@ -197,7 +197,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             filter.state.set(POSITION, before.state.get(POSITION));
             filter.set_covariance(POSITION, &position);
             let heading = Matrix1::new(real::<R>(heading.min(HEADING_UNKNOWN)));
-            filter.set_covariance(ATTITUDE.part::<1, 2>(), &heading);
+            filter.set_covariance(HEADING, &heading);
         }
     }
 

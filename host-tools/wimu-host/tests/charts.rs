@@ -12,10 +12,7 @@ fn chart(points: Vec<(f64, f64)>, log: bool) -> Chart {
         x: "t (s)".to_owned(),
         y: "p (m)".to_owned(),
         log,
-        series: vec![match log {
-            true => Series::dots("one", points),
-            false => Series::line("one", points),
-        }],
+        series: vec![if log { Series::dots("one", points) } else { Series::line("one", points) }],
         bands: vec![Band {
             series: 0,
             points: vec![(0.0, f64::NAN, 1.0), (0.0, 0.5, 1.0), (1.0, 0.5, 1.5)],

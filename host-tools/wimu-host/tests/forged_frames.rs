@@ -56,11 +56,9 @@ fn one_forged_number_hides_no_position_and_no_field() {
         let rejected = decoder.statistics().frames_rejected;
         // 2³² − 1 is the number before 0: late.
         assert_eq!(decoder.statistics().readings_repeated, 1);
-        match before_the_first_epoch {
-            // What no epoch judges is believed until one comes.
-            true => assert_eq!((fields(&events), rejected), (51, 0)),
-            false => assert_eq!((fields(&events), rejected), (50, 2)),
-        }
+        // What no epoch judges is believed until one comes.
+        let expected = if before_the_first_epoch { (51, 0) } else { (50, 2) };
+        assert_eq!((fields(&events), rejected), expected);
     }
 }
 

@@ -304,7 +304,7 @@ const RATE_FACTOR: f64 = 2.0;
 /// Smallest deviations, m/s² and rad/s.
 const LEAST_ACCELERATION: f64 = 0.05;
 const LEAST_RATE: f64 = 0.02;
-/// The same where no field shows a rotation: that of a hand (BROAD, without its magnetometer).
+/// The same where no field shows a rotation. Assumed, not fitted; scored by `wimu-scores --only accelerometer`.
 const HIDDEN_RATE: f64 = 0.2;
 /// Noise of a sample of the accelerometer, m/s², that the model of the motion does not follow.
 const FORCE_NOISE: f64 = 0.05;

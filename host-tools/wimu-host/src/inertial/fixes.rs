@@ -452,12 +452,12 @@ impl Aiding {
 /// Standard deviations of a start whose position the first fix gives, m, that `--start` gives, m, and of each heading that
 /// is tried, rad.
 const START_M: f64 = 100.0;
-/// Least time between two fixes whose difference shows a velocity, s: at 0.5 m of noise, 1.4 m/s.
-const DIFFERENCE_S: f64 = 0.5;
-/// Acceleration of a vehicle between a fix and the start, m/s²: that of a car that brakes or turns in traffic.
-const VEHICLE_MPS2: f64 = 2.0;
 const GIVEN_M: f64 = 0.3;
 const HEADING_SD: f64 = 0.3;
+/// Least time between two fixes whose difference shows a velocity, s: at 0.5 m of noise, 1.4 m/s.
+const DIFFERENCE_S: f64 = 0.5;
+/// Acceleration between a fix and the start, m/s². Assumed: a car that brakes or turns in traffic.
+const VEHICLE_MPS2: f64 = 2.0;
 /// Ranges of this time show the position at the start, s.
 const FIRST_RANGES_S: f64 = 1.0;
 

@@ -8,6 +8,7 @@ pub mod stance;
 pub mod stationarity;
 
 // The error-state filter that it is made of.
+pub mod consistency;
 pub mod filter;
 pub mod mixture;
 pub mod process;

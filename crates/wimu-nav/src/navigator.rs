@@ -10,6 +10,7 @@ use core::fmt;
 
 use nalgebra::{Matrix1, Matrix3, RealField, Rotation3, SMatrix, UnitQuaternion, Vector3};
 
+use crate::consistency::Consistency;
 use crate::filter::{Filter, Gate, Innovation};
 use crate::process::{ImuErrors, Process, Unmeasured};
 use crate::rotation::{about_up, level, real, yaw};
@@ -225,6 +226,18 @@ const LOST_POSITION: f64 = 1e4;
 const CERTAIN_REST_S: f64 = 1.5;
 const DRIFT_S: f64 = 2.0;
 const CONSTANT_VELOCITY_S: f64 = 10.0;
+/// Acceleration of a rest, m/s², a component, over a quarter of a second: chosen on simulated journeys with steps and
+/// stops (score_navigation).
+const REST_ACCELERATION: f64 = 0.05;
+/// What a detector takes for a rest at most: a motion of constant velocity, m/s, or acceleration, m/s², a component.
+const SLOW_MOTION: f64 = 1.0;
+const SLOW_ACCELERATION: f64 = 0.7;
+/// Updates of a rest that are independent of those before: the first of them bind the velocity.
+const INDEPENDENT_UPDATES: u8 = 2;
+/// A break in a stance is shorter than this, s; a swing is longer.
+const SWING_S: f64 = 0.1;
+/// A stance that lasts longer is tested again, s: longer than one of a walk.
+const LONG_STANCE_S: f64 = 1.0;
 
 /// Times since the last updates, s.
 #[derive(Clone, Copy, Debug)]
@@ -232,6 +245,11 @@ struct Since<R> {
     field: R,
     rest: R,
     bound: R,
+    stance: R,
+    /// Stance that was tested.
+    test: R,
+    /// Sample that predicted the motion.
+    measured: R,
     /// Of a rest without interruption.
     accepted: R,
     /// Accepted rest.
@@ -251,6 +269,9 @@ pub struct Navigator<R, M, const N: usize, L = ()> {
     reference_ut: Option<Vector3<R>>,
     since: Since<R>,
     resting: bool,
+    /// Updates of a rest without interruption, and those that failed their test.
+    rest_updates: [u8; 2],
+    consistency: Consistency<R>,
     fields: [u32; 2],
     recoveries: u32,
     divergences: u32,
@@ -294,8 +315,19 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             magnetometer,
             vehicle,
             reference_ut: start.field_ut,
-            since: Since { field: zero, rest: zero, bound: zero, accepted: zero, known: zero },
+            since: Since {
+                field: zero,
+                rest: zero,
+                bound: zero,
+                stance: zero,
+                test: zero,
+                measured: zero,
+                accepted: zero,
+                known: zero,
+            },
             resting: false,
+            rest_updates: [0; 2],
+            consistency: Consistency::new(),
             fields: [0; 2],
             recoveries: 0,
             divergences: 0,
@@ -316,6 +348,8 @@ impl<R: RealField + Copy, M: Model<R, N>, const N: usize> Navigator<R, M, N> {
             reference_ut: self.reference_ut,
             since: self.since,
             resting: self.resting,
+            rest_updates: self.rest_updates,
+            consistency: self.consistency,
             fields: self.fields,
             recoveries: self.recoveries,
             divergences: self.divergences,
@@ -397,6 +431,12 @@ where
         self.recoveries
     }
 
+    /// Innovations of rests and stances since they were taken last: the first of each, and one a second of a
+    /// stance that lasts. The others rest on these.
+    pub fn take_consistency(&mut self) -> Consistency<R> {
+        core::mem::take(&mut self.consistency)
+    }
+
     /// Whether the last update at a rest was accepted, and the rest goes on.
     pub fn is_at_rest(&self) -> bool {
         self.resting
@@ -446,13 +486,14 @@ where
             return Ok(());
         }
         self.count(step_s);
-        let field = self.model.step(
-            &mut self.filter,
-            sample,
-            at_rest,
-            &self.magnetometer,
-            &mut self.recorder,
-        );
+        let field = if self.model.is_measured(sample) {
+            self.since.measured = R::zero();
+            let (filter, recorder) = (&mut self.filter, &mut self.recorder);
+            self.model.step(filter, sample, at_rest, &self.magnetometer, recorder)
+        } else {
+            self.predict_unmeasured(step_s);
+            sample.field_ut
+        };
         if let (Some(field_ut), Some(reference_ut)) = (field, self.reference_ut)
             && self.since.field >= self.model.field_interval_s()
         {
@@ -477,7 +518,13 @@ where
 
     /// Stance of a foot at the last sample, which is never tested: the velocity is 0 ± `deviation_mps` m/s, a component.
     pub fn stance(&mut self, deviation_mps: R) {
-        self.update(&Velocity::zero(deviation_mps, None), Gate::Open);
+        let innovation = self.update(&Velocity::zero(deviation_mps, None), Gate::Open);
+        let begins = self.since.stance >= real(SWING_S);
+        if begins || self.since.test >= real(LONG_STANCE_S) {
+            self.consistency.see(innovation.statistic, innovation.dof);
+            self.since.test = R::zero();
+        }
+        self.since.stance = R::zero();
     }
 
     /// The vehicle, with [`Settings::vehicle`].
@@ -511,10 +558,15 @@ where
     pub fn interrupt(&mut self, step_s: R) {
         self.count(step_s);
         self.since.accepted = R::zero();
-        let step_s = step_s + self.model.interrupt();
-        let gap = (Unmeasured { step_s }, self.magnetometer.step(step_s));
-        self.filter.predict_recorded(&gap, &mut self.recorder);
+        self.predict_unmeasured(step_s);
         self.finish(step_s);
+    }
+
+    fn predict_unmeasured(&mut self, step_s: R) {
+        let since_s = (self.since.measured - step_s).max(R::zero());
+        let step_s = step_s + self.model.interrupt();
+        let gap = (Unmeasured { step_s, since_s }, self.magnetometer.step(step_s));
+        self.filter.predict_recorded(&gap, &mut self.recorder);
     }
 
     fn count(&mut self, step_s: R) {
@@ -523,6 +575,9 @@ where
             &mut since.field,
             &mut since.rest,
             &mut since.bound,
+            &mut since.stance,
+            &mut since.test,
+            &mut since.measured,
             &mut since.accepted,
             &mut since.known,
         ] {
@@ -541,6 +596,7 @@ where
         } else {
             self.since.accepted = R::zero();
             self.resting = false;
+            self.rest_updates = [0; 2];
         }
         if self.since.bound < real(BOUND_INTERVAL_S) {
             return;
@@ -571,9 +627,14 @@ where
     /// until an update passes or the unit moves.
     fn update_rest(&mut self) {
         let zero = Velocity::zero(real(REST_SPEED), self.model.hidden_velocity());
-        let accelerates = self.model.accelerates(&self.filter);
-        self.resting = !accelerates
-            && self.filter.update_recorded(&zero, Gate::ChiSquare, &mut self.recorder).accepted;
+        let gravity = self.model.gravity(&self.filter, real(REST_ACCELERATION));
+        let accelerates = gravity.is_some_and(|innovation| !innovation.accepted);
+        let velocity = match accelerates {
+            true => self.filter.test(&zero),
+            false => self.filter.update_recorded(&zero, Gate::ChiSquare, &mut self.recorder),
+        };
+        self.resting = !accelerates && velocity.accepted;
+        self.check_rest(&velocity);
         let failed = self.since.accepted;
         let drifted = self.since.known - failed >= real(DRIFT_S);
         let certain = if drifted { CERTAIN_REST_S } else { CONSTANT_VELOCITY_S };
@@ -589,6 +650,31 @@ where
             self.recorder.restarted(&self.filter);
             self.recoveries += 1;
             self.resting = true;
+        }
+    }
+
+    /// Takes the first updates of a rest for the consistency of the path. A rest that failed its test may be a slow motion:
+    /// it contradicts the path as far as that does not explain it.
+    fn check_rest(&mut self, velocity: &Innovation<R>) {
+        let [updates, failures] = &mut self.rest_updates;
+        *updates = updates.saturating_add(1);
+        if self.resting {
+            if *updates <= INDEPENDENT_UPDATES {
+                self.consistency.see(velocity.statistic, velocity.dof);
+            }
+            return;
+        }
+        *failures = failures.saturating_add(1);
+        if *failures != INDEPENDENT_UPDATES {
+            return;
+        }
+        let slow = Velocity::zero(real(SLOW_MOTION), self.model.hidden_velocity());
+        let tests = [
+            Some(self.filter.test(&slow)),
+            self.model.gravity(&self.filter, real(SLOW_ACCELERATION)),
+        ];
+        for innovation in tests.into_iter().flatten() {
+            self.consistency.see(innovation.statistic, innovation.dof);
         }
     }
 

@@ -6,8 +6,9 @@ use common::Random;
 use common::states::{covariance, nine, states};
 use common::travel::{Errors, Travel};
 use nalgebra::{Matrix2, Matrix3, Rotation3, SMatrix, SVector, Vector2, Vector3};
+use wimu_nav::consistency::Consistency;
 use wimu_nav::filter::{Filter, Gate, chi_square_quantile};
-use wimu_nav::process::{ImuErrors, Strapdown, StrapdownBlocks};
+use wimu_nav::process::{ImuErrors, Strapdown, StrapdownBlocks, Unmeasured};
 use wimu_nav::sensor::{Measurement, Position, Prediction, SpecificForce, Velocity, recover};
 use wimu_nav::state::{ATTITUDE, Block, Jacobian, Layout, LayoutFull, POSITION, Role, VELOCITY};
 use wimu_testkit::{Coverage, assert_median_can_be, draws};
@@ -361,4 +362,46 @@ fn nine_states_of_a_sensor_matrix_are_those_of_its_rows() {
         let expected = if k / 3 == k % 3 { 0.01 } else { 0.002 };
         assert!((filter.covariance(state)[(0, 0)].sqrt() - expected).abs() < 1e-12);
     }
+}
+
+#[test]
+fn steps_without_samples_are_as_uncertain_as_one_of_their_length() {
+    let variances = |steps: u32| {
+        let layout = Layout::<f64, 9>::new([0.0; 3], 0.0, 0.0);
+        let mut filter = Filter::new(&layout, Rotation3::identity());
+        let step_s = 1.0 / f64::from(steps);
+        for k in 0..steps {
+            filter.predict(&Unmeasured { step_s, since_s: f64::from(k) * step_s });
+        }
+        [ATTITUDE, VELOCITY].map(|block| filter.covariance::<3>(block)[(0, 0)])
+    };
+    let (one, hundred) = (variances(1), variances(100));
+    assert_eq!(one, [4.0, 25.0]);
+    assert!(one.iter().zip(&hundred).all(|(a, b)| (a - b).abs() < 1e-9 * a));
+}
+
+/// Squares of 3 normal numbers, times a factor.
+fn innovation(random: &mut Random, factor: f64) -> f64 {
+    factor * (0..3).map(|_| random.normal().powi(2)).sum::<f64>()
+}
+
+#[test]
+fn the_variance_factor_is_one_by_chance_and_that_of_a_fault() {
+    let mut random = Random::new(1);
+    let mut false_alarms = 0;
+    for _ in 0..20_000 {
+        let mut found = Consistency::new();
+        for _ in 0..20 {
+            found.see(innovation(&mut random, 1.0), 3);
+        }
+        false_alarms += u32::from(found.variance_factor() > 1.0);
+        // One sensor's noise is 30 times as large, or one innovation is.
+        let mut noisy = found;
+        (0..20).for_each(|_| noisy.see(innovation(&mut random, 900.0), 3));
+        assert!((200.0..20_000.0).contains(&noisy.variance_factor()));
+        found.see(900.0, 3);
+        assert_eq!(found.variance_factor(), 300.0);
+    }
+    // Expected 2 · 10⁻⁴ · 20,000 = 4; more than 17 have a probability of 10⁻⁶.
+    assert!(false_alarms <= 17, "{false_alarms}");
 }

@@ -214,7 +214,7 @@ fn gauss_markov_and_gaps_have_their_derivative() {
     let offset = AccelerationOffset { block, step_s: 0.7 };
     let markov = GaussMarkov { block, deviation: 3.0, time_s: 10.0, step_s: 0.7 };
     let walk = RandomWalk { block: POSITION, density: 0.2, step_s: 0.7 };
-    let gap = Unmeasured { step_s: 0.7 };
+    let gap = Unmeasured { step_s: 0.7, since_s: 0.0 };
     let check =
         |analytic: Matrix, numeric: Matrix| assert_rows(&analytic, &numeric, 0..N, &all, 1e-8);
     check(transition(&start, &all, &markov), numerical_of(&start, &all, &markov));

@@ -57,10 +57,21 @@ impl<'a> Truth<'a> {
     }
 
     pub fn new(points: Vec<Point>, entry: &'a Entry) -> Self {
-        let mut truth = Self { points, entry, sd_m: entry.truth_sd_m.unwrap_or(0.001) };
+        let mut truth =
+            Self { points: points.clone(), entry, sd_m: entry.truth_sd_m.unwrap_or(0.001) };
         let fastest_mps = entry.fastest_mps.unwrap_or(f64::INFINITY);
         let speed = |p: &Point| truth.velocity(p.time_s, GLITCH_S).map_or(0.0, |v| v.norm());
-        truth.points = truth.points.iter().filter(|p| speed(p) <= fastest_mps).copied().collect();
+        let mut is_glitch: Vec<bool> = points.iter().map(|p| speed(p) > fastest_mps).collect();
+        // Beside a jump the truth repeats the last value that it saw.
+        let is_held = |k: usize| points[k].value == points[k - 1].value;
+        for k in 1..points.len() {
+            is_glitch[k] |= is_glitch[k - 1] && is_held(k);
+        }
+        for k in (1..points.len()).rev() {
+            is_glitch[k - 1] |= is_glitch[k] && is_held(k);
+        }
+        let kept = points.iter().zip(&is_glitch).filter(|(_, is_glitch)| !**is_glitch);
+        truth.points = kept.map(|(point, _)| *point).collect();
         truth
     }
 

@@ -4,9 +4,7 @@ use nalgebra::{RealField, Vector3};
 
 use super::{Sample, Settings, Start};
 use crate::filter::{Filter, Gate, Innovation};
-use crate::process::{
-    Carried, CarriedBlocks, ImuErrors, RandomWalk, Strapdown, StrapdownBlocks, Unmeasured,
-};
+use crate::process::{Carried, CarriedBlocks, ImuErrors, RandomWalk, Strapdown, StrapdownBlocks};
 use crate::rotation::real;
 use crate::sensor::{
     FieldHeading, Gravity, MagneticField, Magnetometer, SpecificForce, ZeroAngularRate,
@@ -30,7 +28,10 @@ pub trait Model<R, const N: usize>: Sized {
     /// The constant velocity that a rest has in place of zero.
     fn hidden_velocity(&self) -> Option<Block<3>>;
 
-    /// Predicts to a sample, and returns the reading of the magnetometer there, µT, body frame.
+    /// Whether a sample has what predicts the motion.
+    fn is_measured(&self, sample: &Sample<R>) -> bool;
+
+    /// Predicts to a sample that is measured, and returns the reading of the magnetometer there, µT, body frame.
     fn step(
         &mut self,
         filter: &mut Filter<R, N>,
@@ -57,9 +58,12 @@ pub trait Model<R, const N: usize>: Sized {
     /// Zero angular rate over the rest since the last one; `None` where it is not measured, or the rest is too short.
     fn zero_rate(&mut self) -> Option<ZeroAngularRate<R>>;
 
-    /// Test of the specific force of the rest against gravity: whether the unit accelerates, which a short window does not
-    /// show.
-    fn accelerates(&self, filter: &Filter<R, N>) -> bool;
+    /// Test of the specific force of the rest against gravity, with a deviation of the acceleration, m/s², a component;
+    /// `None` where the acceleration is a state. A short window does not show that the unit accelerates.
+    fn gravity(&self, filter: &Filter<R, N>, deviation_mps2: R) -> Option<Innovation<R>> {
+        let _ = (filter, deviation_mps2);
+        None
+    }
 
     /// Angular rate, rad/s, body frame.
     fn angular_rate(&self, state: &State<R, N>) -> Vector3<R>;
@@ -86,10 +90,6 @@ const LEAST_REST_RATE: f64 = 1e-3;
 /// and its deviation is found from the same samples. Of a drive with fixes, 188 of 240 were rejected without it, and 6 with
 /// it (`vehicle/gnss_imu_drive`, 22.5 to 82.5 s).
 const LEAST_REST_S: f64 = 0.2;
-
-/// Acceleration of a rest, m/s², a component, over a quarter of a second: chosen on simulated journeys with steps and
-/// stops (score_navigation).
-const REST_ACCELERATION: f64 = 0.05;
 
 /// Sums of a rest since the last update there.
 #[derive(Clone, Copy, Debug)]
@@ -171,6 +171,10 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
         self.hidden
     }
 
+    fn is_measured(&self, sample: &Sample<R>) -> bool {
+        sample.rate_rad_s.is_some()
+    }
+
     fn step(
         &mut self,
         filter: &mut Filter<R, N>,
@@ -184,9 +188,6 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
             self.rest = RestSums::none();
         }
         let Some(rate) = sample.rate_rad_s else {
-            self.last = None;
-            let gap = (Unmeasured { step_s }, magnetometer.step(step_s));
-            filter.predict_recorded(&gap, recorder);
             return sample.field_ut;
         };
         if at_rest {
@@ -242,14 +243,14 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for Gyroscope<R> {
         Some(ZeroAngularRate { rate_rad_s, bias: self.blocks.gyroscope_bias, deviation_rad_s })
     }
 
-    fn accelerates(&self, filter: &Filter<R, N>) -> bool {
+    fn gravity(&self, filter: &Filter<R, N>, deviation_mps2: R) -> Option<Innovation<R>> {
         let gravity = Gravity {
             force_mps2: self.rest.force / self.rest.count.max(R::one()),
             blocks: &self.blocks,
             gravity_mps2: self.gravity_mps2,
-            deviation_mps2: real(REST_ACCELERATION),
+            deviation_mps2,
         };
-        self.rest.count > R::zero() && !filter.test(&gravity).accepted
+        (self.rest.count > R::zero()).then(|| filter.test(&gravity))
     }
 
     fn angular_rate(&self, state: &State<R, N>) -> Vector3<R> {
@@ -405,6 +406,10 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
         None
     }
 
+    fn is_measured(&self, _: &Sample<R>) -> bool {
+        true
+    }
+
     fn step(
         &mut self,
         filter: &mut Filter<R, N>,
@@ -472,11 +477,6 @@ impl<R: RealField + Copy, const N: usize> Model<R, N> for NoGyroscope<R> {
 
     fn zero_rate(&mut self) -> Option<ZeroAngularRate<R>> {
         None
-    }
-
-    /// The acceleration is a state.
-    fn accelerates(&self, _: &Filter<R, N>) -> bool {
-        false
     }
 
     fn angular_rate(&self, state: &State<R, N>) -> Vector3<R> {

@@ -9,6 +9,7 @@ use wimu_nav::sensor::{Heading, Position, Velocity};
 use wimu_nav::smoother::Recorder;
 
 use super::StartPose;
+use super::segments::Segments;
 use super::suspects::{Lag, Suspects};
 use crate::Result;
 use crate::csv::columns::{ANGLE, Column, LENGTH, SPEED, TIME, Table};
@@ -349,14 +350,16 @@ impl Aiding {
         fixes: &Fixes,
         time_s: f64,
         navigator: &mut Navigator<f64, M, N, L>,
+        segments: &mut Segments,
     ) {
         let next = fixes.fixes.partition_point(|fix| fix.time_s < self.from_s);
         for fix in fixes.fixes[next..].iter().take_while(|fix| fix.time_s <= time_s) {
             if fix.range_m.is_some() {
                 self.take_range(fix, fixes, navigator);
+                segments.locate();
             } else {
                 let age_s = time_s - fix.time_s;
-                let accepted = self.is_accepted(fix, age_s, fixes.lever_arm_m, navigator);
+                let accepted = self.is_accepted(fix, age_s, fixes.lever_arm_m, navigator, segments);
                 self.fixes.count(accepted);
                 if !accepted {
                     self.rejected_s =
@@ -400,6 +403,7 @@ impl Aiding {
         age_s: f64,
         lever_arm_m: [f64; 3],
         navigator: &mut Navigator<f64, M, N, L>,
+        segments: &mut Segments,
     ) -> bool {
         let mut accepted = true;
         if fix.has_position() {
@@ -416,8 +420,12 @@ impl Aiding {
                 navigator.loosen_position(off.norm());
                 self.jumps.push(fix.time_s);
             }
-            accepted &= self.count(&navigator.fix(position, age_s, Gate::ChiSquare));
-            if !accepted {
+            let innovation = navigator.fix(position, age_s, Gate::ChiSquare);
+            segments.see_fix(&innovation);
+            accepted &= self.count(&innovation);
+            if accepted {
+                segments.locate();
+            } else {
                 self.lag.see(&off, &solution.velocity_mps.into());
             }
             self.in_succession = if accepted { 0 } else { self.in_succession + 1 };

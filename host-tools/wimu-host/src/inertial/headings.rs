@@ -173,7 +173,8 @@ impl<M: Model<f64, N> + Clone, const N: usize> Follow for Headings<M, N> {
             last = Some(track.step(input, fixes));
         }
         let mut point = last?;
-        point.valid = track.has_origin() && self.agree(self.best()?, inputs);
+        track.segments.scale(&mut point);
+        point.valid &= track.has_origin() && self.agree(self.best()?, inputs);
         if self.tracks.len() > 1 {
             point.attitude_sd_rad[2] = ANY_HEADING;
         }

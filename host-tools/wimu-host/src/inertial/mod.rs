@@ -25,13 +25,16 @@ mod frozen;
 mod headings;
 mod holes;
 mod horizon;
+mod lag;
 mod live;
 mod moves;
 mod path;
 mod rates;
 mod report;
+mod segments;
 mod sense;
 mod smooth;
+mod steps;
 mod suspects;
 mod track;
 mod truth;
@@ -55,6 +58,7 @@ pub use wimu_nav::navigator::Profile;
 use wimu_nav::navigator::Rests;
 
 use crate::Result;
+use crate::digits::signed;
 use crate::finding::FindingCode;
 use crate::motion::{MotionRecording, TIME_SD_S, UnitSample, sampled_times};
 use truth::{compare, moving};
@@ -223,7 +227,18 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
     let noise_mps2 = noise_mps2(&recording.times_s, &samples);
     let unit =
         Unit { time_sd_s, ..Unit::of(recording, &samples, &senses, &senses.clipped, noise_mps2) };
-    let mut path = unit.path(choice, Method::of(&samples))?;
+    let method = Method::of(&samples);
+    let delay_s = (method == Method::Strapdown).then(|| unit.rate_delay_s(choice)).flatten();
+    let moved = delay_s.map(|delay_s| unit.advanced(delay_s, samples.len()));
+    let unit = Unit { samples: moved.as_deref().unwrap_or(&samples), ..unit };
+    let mut path = unit.path(choice, method)?;
+    if let Some(delay_s) = delay_s {
+        let text = format!(
+            "the angular rate is {} ms late against the specific force: corrected",
+            signed(1e3 * delay_s, 0)
+        );
+        path.findings.push(FindingCode::Clock.warning(text));
+    }
     let placed = choice.start.is_some() || choice.fixes.origin().is_some();
     if samples.iter().all(|s| s.field_ut.is_none()) && !placed {
         let why = recording.without_field();

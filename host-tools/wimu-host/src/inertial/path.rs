@@ -12,7 +12,7 @@ use super::truth::consistency;
 use super::{Method, Move};
 use crate::csv::CsvWriter;
 use crate::digits::significant;
-use crate::finding::{Finding, FindingCode};
+use crate::finding::{Finding, FindingCode, Severity};
 use crate::mcap_file::RosFile;
 use crate::navigation::distance_m;
 use crate::ros::path::{PathTopics, Pose};
@@ -176,6 +176,11 @@ impl InertialPath {
         self.findings.extend(finding);
         if self.points.iter().any(|p| p.valid) {
             return Ok(self);
+        }
+        let lost = self.findings.iter().find(|finding| finding.severity == Severity::Error);
+        if let Some(lost) = lost {
+            let error = ErrorCode::DataRefused.error(&lost.evidence, &lost.remedy);
+            return Err(error.at(name));
         }
         let sigmas = self.points.iter().map(PathPoint::sd_m);
         let best_m = sigmas.filter(|sd| sd.is_finite()).fold(f64::INFINITY, f64::min);

@@ -5,6 +5,7 @@ use wimu_nav::navigator::{Model, Navigator, Profile, Sample, SampleFault};
 use wimu_nav::smoother::Recorder;
 
 use super::fixes::{self, Aiding, Fixes};
+use super::segments::Segments;
 use super::{Choice, PathPoint, vehicle};
 use crate::finding::{Finding, FindingCode};
 use crate::localization::Ranging;
@@ -32,6 +33,7 @@ pub(super) struct Input<'a> {
 pub(super) struct Track<M, const N: usize, L = ()> {
     pub navigator: Navigator<f64, M, N, L>,
     pub aiding: Aiding,
+    pub segments: Segments,
     profile: Profile,
     /// Whether its positions are in a frame that was given: that of fixes, or of a pose at the start.
     framed: bool,
@@ -55,6 +57,7 @@ impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
         Self {
             navigator,
             aiding: Aiding::from(time_s),
+            segments: Segments::from(time_s),
             profile: choice.profile,
             framed: choice.start.is_some(),
             origin: at_rest.then_some(0),
@@ -100,7 +103,9 @@ impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
             self.navigator.stance(deviation_mps);
         }
         self.rest_s = if resting { self.rest_s + sample.step_s } else { 0.0 };
-        self.aiding.update(fixes, input.time_s, &mut self.navigator);
+        self.aiding.update(fixes, input.time_s, &mut self.navigator, &mut self.segments);
+        let found = self.navigator.take_consistency();
+        self.segments.see(input.time_s, &found, resting);
         let lies = self.rest_s >= FIRST_REST_S || input.stance_mps.is_some();
         if !self.has_origin() && lies {
             self.navigator.set_origin();

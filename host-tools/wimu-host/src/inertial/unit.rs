@@ -15,12 +15,14 @@ use super::fixes::{Fix, Fixes};
 use super::moves::{moves, smoothed_moves};
 use super::sense::Senses;
 use super::smooth::Tape;
+use super::steps::steps;
 use super::track::{FIRST_REST_S, Input, Track, counted_findings};
 use super::{Choice, InertialPath, Method};
-use crate::finding::FindingCode;
+use crate::finding::{Finding, FindingCode};
 use crate::motion::{MotionRecording, UnitSample, median_step_s};
+use crate::plural::counted;
 use crate::stats::quantile;
-use crate::{ErrorCode, Result};
+use crate::{ErrorCode, HostError, Result};
 
 /// A reading of the magnetometer that is repeated within this time is a held one, s.
 const HELD_S: f64 = 0.25;
@@ -176,8 +178,9 @@ impl<'a> Unit<'a> {
         let mut tape = track.navigator.into_recorder();
         tape.finish(&mut points);
         smoothed_moves(&mut moves, &points, &tape.changes, self.times_s);
+        findings.extend(track.segments.finish(&mut points, &mut moves));
         for point in &mut points {
-            point.valid = point.sd_m() <= choice.limit_m;
+            point.valid &= point.sd_m() <= choice.limit_m;
         }
         if !has_origin {
             for point in &mut points[..from] {
@@ -203,7 +206,13 @@ impl<'a> Unit<'a> {
             "clipped sample",
             &[(self.clipped.len(), "not used: σ grows there")],
         ));
+        if choice.profile == Profile::Hand && method == Method::Strapdown {
+            findings.extend(self.foot(&samples));
+        }
         let mut path = InertialPath::new(method, points, from, choice.limit_m);
+        if !has_origin && path.points[from..].iter().all(|point| point.resting) {
+            return Err(self.moves_before(&path, from));
+        }
         path.moves = moves;
         path.smoothed = smooth;
         path.findings = findings;
@@ -219,7 +228,10 @@ impl<'a> Unit<'a> {
         method: Method,
     ) -> Vec<Input<'s>> {
         let rests = self.rests(samples, choice, method);
-        let stances = self.stances(samples, choice, method);
+        let stances = match choice.profile {
+            Profile::Foot if method == Method::Strapdown => self.stances(samples, choice),
+            _ => vec![None; samples.len()],
+        };
         let inputs = samples.iter().enumerate().map(|(k, sample)| Input {
             time_s: self.times_s[k],
             sample,
@@ -279,19 +291,43 @@ impl<'a> Unit<'a> {
     }
 
     /// The stances of a foot: the standard deviation of the velocity there, m/s.
-    fn stances(
-        &self,
-        samples: &[Sample<f64>],
-        choice: &Choice,
-        method: Method,
-    ) -> Vec<Option<f64>> {
-        let mut found = vec![None; samples.len()];
+    fn stances(&self, samples: &[Sample<f64>], choice: &Choice) -> Vec<Option<f64>> {
         let used = choice.rests_s.is_none() && choice.zupt.rests() != Rests::Ignored;
-        if choice.profile == Profile::Foot && method == Method::Strapdown && used {
-            let statistics = self.statistics(samples, Detector::foot());
-            stances(&statistics, 1.0 / median_step_s(self.times_s), &mut found);
+        match used {
+            true => self.found_stances(samples),
+            false => vec![None; samples.len()],
         }
+    }
+
+    fn found_stances(&self, samples: &[Sample<f64>]) -> Vec<Option<f64>> {
+        let mut found = vec![None; samples.len()];
+        let statistics = self.statistics(samples, Detector::foot());
+        stances(&statistics, 1.0 / median_step_s(self.times_s), &mut found);
         found
+    }
+
+    /// Whether the motion is that of a foot, which is taken for that of a hand.
+    fn foot(&self, samples: &[Sample<f64>]) -> Option<Finding> {
+        let stances = self.found_stances(samples);
+        let is_stance: Vec<bool> = stances.iter().map(Option::is_some).collect();
+        let steps = steps(self.times_s, samples, &runs(&is_stance))?;
+        let text = format!("it moves like a foot, in {}", counted(steps, "step"));
+        let remedy = "if it was on one: --profile foot, which knows the velocity in each stance";
+        Some(FindingCode::Navigation.warning(text).remedy(remedy))
+    }
+
+    /// No part of a motion is known relative to a rest that only ends it.
+    fn moves_before(&self, path: &InertialPath, from: usize) -> HostError {
+        let message = match path.points.get(from).filter(|point| point.resting) {
+            Some(point) => format!(
+                "the path is measured from the first rest, and that ends it, at {:.2} s",
+                point.time_s
+            ),
+            None => "the path is measured from the first rest, and there is none".to_owned(),
+        };
+        let remedy =
+            "hold the unit still for a second before the motion; on a foot: --profile foot";
+        HostError::new(ErrorCode::DataRefused, message, remedy).at(self.name)
     }
 
     /// Statistic of the window about each sample; the nearest full window at both ends.

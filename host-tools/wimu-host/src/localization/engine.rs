@@ -297,7 +297,8 @@ impl Recording<'_> {
             (Motion::Inertial(times_s, samples), _, Some((blocks, gravity))) => {
                 let next = times_s.partition_point(|t| *t <= from);
                 let Some([force_mps2, rate_rad_s]) = mean_sample(times_s, samples, next) else {
-                    return filter.predict_recorded(&(Unmeasured { step_s }, errors), tape);
+                    return filter
+                        .predict_recorded(&(Unmeasured { step_s, since_s: 0.0 }, errors), tape);
                 };
                 let strapdown = Strapdown {
                     blocks,

@@ -200,7 +200,7 @@ fn predict(
         step_s,
     };
     if !step.measured {
-        return filter.predict(&(Unmeasured { step_s }, field));
+        return filter.predict(&(Unmeasured { step_s, since_s: 0.0 }, field));
     }
     let motion = Relative {
         step_s,

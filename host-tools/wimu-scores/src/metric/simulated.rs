@@ -110,7 +110,10 @@ pub fn journeys(case: &Case, source: Source) -> Result<Score> {
     let (mut score, mut beyond) = (Score::default(), 0);
     for number in 0..case.journeys {
         // Each fault has walks of its own.
-        let seed = case.recording.bytes().fold(number, |seed, byte| 31 * seed + u64::from(byte));
+        let seed = case
+            .recording
+            .bytes()
+            .fold(number, |seed, byte| seed.wrapping_mul(31).wrapping_add(u64::from(byte)));
         let mut random = Random::new(seed);
         let (mut rows, truth) = walk(seed, &mut random);
         inject(case.recording, &mut rows, &mut random)?;

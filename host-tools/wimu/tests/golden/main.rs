@@ -325,7 +325,41 @@ fn demo() -> &'static str {
 fn walks() -> &'static str {
     const LINES: [&str; 1] = ["demo --localize --files {} --report {}/localize.html"];
     static FOLDER: OnceLock<String> = OnceLock::new();
-    FOLDER.get_or_init(|| made("golden-walks", &LINES))
+    FOLDER.get_or_init(|| {
+        let folder = made("golden-walks", &LINES);
+        write_faulty(Path::new(&folder));
+        folder
+    })
+}
+
+/// Rows of columns 0 to 6 of a walk with a fault of the gyroscope, columns 4 to 6.
+type Fault = fn(rows: &mut [Vec<f64>]);
+
+/// Writes copies of `walk.csv` with faults of the gyroscope.
+fn write_faulty(folder: &Path) {
+    const FAULTS: [(&str, Fault); 4] = [
+        ("dead", |rows| rows.iter_mut().for_each(|row| row[4..].fill(0.0))),
+        ("swapped", |rows| rows.iter_mut().for_each(|row| row.swap(4, 5))),
+        ("negated", |rows| rows.iter_mut().for_each(|row| row[6] = -row[6])),
+        ("late", |rows| {
+            for k in (5..rows.len()).rev() {
+                rows[k] = [&rows[k][..4], &rows[k - 5][4..]].concat();
+            }
+        }),
+    ];
+    let walk = fs::read_to_string(folder.join("walk.csv")).expect("the walk was written");
+    let (header, rows) = walk.split_once('\n').expect("a header");
+    let number = |field: &str| field.parse::<f64>().expect("a number");
+    let rows: Vec<Vec<f64>> =
+        rows.lines().map(|row| row.split(',').map(number).collect()).collect();
+    for (name, inject) in FAULTS {
+        let mut faulty = rows.clone();
+        inject(&mut faulty);
+        let line = |row: &Vec<f64>| row.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
+        let lines: Vec<String> = faulty.iter().map(line).collect();
+        let text = format!("{header}\n{}\n", lines.join("\n"));
+        fs::write(folder.join(format!("{name}.csv")), text).expect("the folder is writable");
+    }
 }
 
 /// A new folder in the target folder, with what these commands write to it.

@@ -224,7 +224,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let unknown = [rate, rate, rate, acceleration, acceleration, acceleration];
         let unknown = SMatrix::<R, 6, 6>::from_diagonal(&unknown.into());
         for filter in self.mixture.iter_mut().flat_map(Mixture::filters_mut) {
-            filter.predict(&Unmeasured { step_s });
+            filter.predict(&Unmeasured { step_s, since_s: R::zero() });
             if gap {
                 filter.set_covariance(self.blocks.rotation, &unknown);
             } else {

@@ -1,0 +1,195 @@
+//! Segments of a path, and whether the measurements in them confirm its covariance: equation (189).
+
+use wimu_nav::consistency::Consistency;
+use wimu_nav::filter::Innovation;
+
+use super::{Move, PathPoint};
+use crate::digits::significant;
+use crate::finding::{Finding, FindingCode, Severity};
+use crate::stats::quantile;
+
+/// Shortest segment, s: ten steps of a foot.
+const SEGMENT_S: f64 = 10.0;
+/// Variance factor beyond which a path is lost: σ is ten times too small, and the cause is no noise.
+const LOST: f64 = 100.0;
+
+/// Upper quartile of the standard normal distribution, and its quantile at 1 − 10⁻⁴.
+const UPPER_QUARTILE: f64 = 0.6745;
+const IMPROBABLE: f64 = 3.719;
+
+/// Variance factor of innovations up to a quarter of which are outliers: their upper quartile, if a sign test shows that
+/// it is above that of the distribution.
+fn robust_factor(ratios: &[f64]) -> f64 {
+    let above = ratios.iter().filter(|ratio| **ratio > 1.0).count() as f64;
+    let count = ratios.len() as f64;
+    if above - 0.25 * count <= IMPROBABLE * (0.25 * 0.75 * count).sqrt() {
+        return 1.0;
+    }
+    quartile(ratios)
+}
+
+/// Upper quartile.
+fn quartile(ratios: &[f64]) -> f64 {
+    -quantile(ratios.iter().map(|ratio| -ratio), 4).unwrap_or(-1.0)
+}
+
+/// Upper quartile of χ² (Wilson and Hilferty).
+fn quartile_chi_square(dof: usize) -> f64 {
+    let spread = 2.0 / (9.0 * dof as f64);
+    dof as f64 * (1.0 - spread + UPPER_QUARTILE * spread.sqrt()).powi(3)
+}
+
+/// Samples up to the rest or the stance that tests them.
+#[derive(Clone, Copy, Debug)]
+struct Segment {
+    /// Times of its first sample and of that after it, s.
+    from_s: f64,
+    to_s: f64,
+    /// Number of the sample after it.
+    end: usize,
+    /// Variance factor of its points: an error of the position stays until it is measured.
+    factor: f64,
+}
+
+/// The segments of a path, sample by sample.
+#[derive(Clone, Debug)]
+pub(super) struct Segments {
+    ended: Vec<Segment>,
+    open: Consistency<f64>,
+    /// Of all rests and stances.
+    all: Consistency<f64>,
+    /// Squared innovations of fixes over the upper quartile of their distribution.
+    fixes: Vec<f64>,
+    from_s: f64,
+    samples: usize,
+    /// Whether the position was measured since the segment began.
+    is_located: bool,
+}
+
+impl Segments {
+    /// Before the first sample, at `time_s`.
+    pub fn from(time_s: f64) -> Self {
+        Self {
+            ended: Vec::new(),
+            open: Consistency::new(),
+            all: Consistency::new(),
+            fixes: Vec::new(),
+            from_s: time_s,
+            samples: 0,
+            is_located: false,
+        }
+    }
+
+    /// An innovation of a fix, used or not.
+    pub fn see_fix(&mut self, innovation: &Innovation<f64>) {
+        if innovation.statistic.is_finite() {
+            self.fixes.push(innovation.statistic / quartile_chi_square(innovation.dof));
+        }
+    }
+
+    /// The position was measured at the next sample.
+    pub fn locate(&mut self) {
+        self.is_located = true;
+    }
+
+    /// The next sample with its innovations of rests and stances, and whether the unit rests there.
+    pub fn see(&mut self, time_s: f64, found: &Consistency<f64>, rests: bool) {
+        let is_tested = self.open.checks() + self.fixes.len() > 0 && found.checks() == 0 && !rests;
+        if is_tested && time_s - self.from_s >= SEGMENT_S {
+            self.end(time_s);
+        }
+        self.samples += 1;
+        self.open.merge(found);
+        self.all.merge(found);
+    }
+
+    fn end(&mut self, time_s: f64) {
+        let factor = self.factor();
+        self.ended.push(Segment { from_s: self.from_s, to_s: time_s, end: self.samples, factor });
+        self.open = Consistency::new();
+        self.fixes.clear();
+        self.from_s = time_s;
+        self.is_located = false;
+    }
+
+    /// Mean square of the normalised innovations of rests and stances, with their degrees of freedom.
+    pub fn mean_square(&self) -> Option<(f64, usize)> {
+        self.all.mean_square()
+    }
+
+    /// Variance factor of the newest point.
+    fn factor(&self) -> f64 {
+        let before = self.ended.last().filter(|_| !self.is_located);
+        let factor = self.open.variance_factor().max(robust_factor(&self.fixes));
+        factor.max(before.map_or(1.0, |segment| segment.factor))
+    }
+
+    /// Applies the factor of the newest point to it.
+    pub fn scale(&self, point: &mut PathPoint) {
+        scale(point, self.factor());
+    }
+
+    /// Ends the path: applies the factors to its points and moves. Returns what contradicted it.
+    pub fn finish(mut self, points: &mut [PathPoint], moves: &mut [Move]) -> Option<Finding> {
+        let last = points.last()?;
+        self.end(last.time_s);
+        self.lose_before();
+        let mut from = 0;
+        for segment in &self.ended {
+            for point in &mut points[from..segment.end] {
+                scale(point, segment.factor);
+            }
+            from = segment.end;
+        }
+        for one in moves {
+            let at = self.ended.partition_point(|segment| segment.to_s < one.to_s);
+            let factor = self.ended.get(at).map_or(1.0, |segment| segment.factor);
+            one.length_sd_m *= factor.sqrt();
+            one.valid &= factor <= LOST;
+        }
+        self.findings()
+    }
+
+    /// A sensor that a segment proves to be faulty is so in those before which contradict it less.
+    fn lose_before(&mut self) {
+        let mut is_lost = false;
+        for segment in self.ended.iter_mut().rev() {
+            is_lost = segment.factor > LOST || (is_lost && segment.factor > 1.0);
+            if is_lost {
+                segment.factor = segment.factor.max(LOST.next_up());
+            }
+        }
+    }
+
+    /// Where it is lost, else where its covariance is enlarged.
+    fn findings(&self) -> Option<Finding> {
+        let worst = self.ended.iter().map(|segment| segment.factor).fold(1.0, f64::max);
+        let is_lost = worst > LOST;
+        let least = if is_lost { LOST } else { 1.0 };
+        let mut named = self.ended.iter().filter(|segment| segment.factor > least);
+        let first = named.next()?;
+        let times = significant(worst.sqrt(), 2);
+        let finding = match is_lost {
+            true => {
+                let text =
+                    format!("rests or fixes contradict the path by {times} times its σ: not valid");
+                Finding::new(FindingCode::Residuals, Severity::Error, text)
+            }
+            false => FindingCode::Residuals.warning(format!(
+                "rests or fixes contradict the path: its σ is enlarged up to {times} times"
+            )),
+        };
+        let until_s = named.next_back().unwrap_or(first).to_s;
+        let remedy = "check axes, signs, units and times of the sensors";
+        Some(finding.between(first.from_s, until_s).remedy(remedy))
+    }
+}
+
+fn scale(point: &mut PathPoint, factor: f64) {
+    let root = factor.sqrt();
+    point.covariance_m2 = point.covariance_m2.map(|row| row.map(|c| c * factor));
+    point.velocity_sd_mps = point.velocity_sd_mps.map(|sd| sd * root);
+    point.attitude_sd_rad = point.attitude_sd_rad.map(|sd| sd * root);
+    point.filtered_sd_m *= root;
+    point.valid &= factor <= LOST;
+}

@@ -25,9 +25,10 @@ const MOST_BLOCKED: f64 = 0.6;
 /// left out of the search: no noise explains an anchor that has moved.
 const FAR_WEIGHT: f64 = 0.01;
 const MOST_FAR: f64 = 0.2;
-/// Directions of the search. The last one is that of a likelihood that changes little: the range's error is slow, or the
-/// unit moves.
-const DIRECTIONS: usize = 5;
+/// Directions of the search. The last but one is that of a likelihood that changes little: the range's error is slow, or the
+/// unit moves. The last is the bias that all anchors have in common, such as an antenna delay: a wide prior from the
+/// beginning would cost accuracy where there is none.
+const DIRECTIONS: usize = 6;
 
 /// The model a step further, where it has the scale and allows the value.
 fn scaled(model: &Model, motion: &Motion, direction: usize, factor: f64) -> Option<Model> {
@@ -37,6 +38,7 @@ fn scaled(model: &Model, motion: &Motion, direction: usize, factor: f64) -> Opti
         1 => model.ranges.correlated_m *= factor,
         2 => model.line_of_sight.probability *= factor,
         3 => model.acceleration *= factor,
+        5 => model.common[0] *= factor,
         _ => {
             model.ranges.correlated_m *= factor;
             model.acceleration /= factor;
@@ -45,6 +47,7 @@ fn scaled(model: &Model, motion: &Motion, direction: usize, factor: f64) -> Opti
     let is_free = matches!(motion, Motion::Free);
     let has = match direction {
         1 => model.ranges.correlated_m > 0.0,
+        5 => model.common[0] > 0.0,
         3 | 4 => is_free,
         _ => true,
     };

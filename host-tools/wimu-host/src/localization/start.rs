@@ -1,6 +1,7 @@
-//! Positions from the first ranges alone: robust least squares from several points.
+//! Positions from the first ranges alone: robust least squares from several points, with the bias that all ranges have in
+//! common.
 
-use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+use nalgebra::{Matrix3, Matrix4, SymmetricEigen, Vector3, Vector4};
 
 use super::RangeSample;
 use super::model::Model;
@@ -19,6 +20,9 @@ const ODDS: f64 = 30.0;
 /// Standard deviation of the distance from the mean anchor, m: it only regularises.
 const FAR_M: f64 = 1e3;
 
+/// Standard deviation of the common bias, m: antenna delays that are not calibrated (DW1000 application note APS014, 0.5 m and
+/// more).
+const BIAS_M: f64 = 1.0;
 /// Information of a direction that no range has: a dilution of ten.
 const LEAST_INFORMATION: f64 = 0.01;
 /// Candidates, at most.
@@ -92,21 +96,21 @@ struct Problem<'a> {
     systematic_m: f64,
 }
 
-/// Standard deviation of a range, m, from its bias and scale error.
+/// Standard deviation of a range, m, from the bias of its anchor and its scale error.
 fn systematic_m(range_m: f64, model: &Model) -> f64 {
-    let [bias, scale] = model.common;
-    let bias_m = model.ranges.bias_m.hypot(bias);
-    bias_m.hypot(model.ranges.scale.hypot(scale) * range_m)
+    model.ranges.bias_m.hypot(model.ranges.scale.hypot(model.common[1]) * range_m)
 }
 
 impl Problem<'_> {
     /// Gauss–Newton with the weights of the mixture.
     fn solve(&self, mut position_m: Vector3<f64>) -> Option<Found> {
-        let (mut log_likelihood, mut noise_m) = (0.0, 0.0);
+        let (mut log_likelihood, mut noise_m, mut bias_m) = (0.0, 0.0, 0.0);
+        let prior = Vector4::new(FAR_M, FAR_M, FAR_M, BIAS_M).map(|sd| sd.powi(-2));
         for round_m in ROUNDS_M {
             for _ in 0..ITERATIONS {
-                let mut information = Matrix3::identity() / (FAR_M * FAR_M);
-                let mut gradient = (self.centre - position_m) / (FAR_M * FAR_M);
+                let mut information = Matrix4::from_diagonal(&prior);
+                let from = self.centre - position_m;
+                let mut gradient = prior.component_mul(&from.push(-bias_m));
                 log_likelihood = 0.0;
                 for range in self.used {
                     let difference = position_m - self.anchors[range.anchor];
@@ -116,15 +120,19 @@ impl Problem<'_> {
                         direction.z = 0.0;
                     }
                     let variance = round_m.max(self.systematic_m).powi(2);
-                    let found = self.model.line_of_sight.weigh(range.range_m - distance, variance);
+                    let innovation_m = range.range_m - bias_m - distance;
+                    let found = self.model.line_of_sight.weigh(innovation_m, variance);
                     let weight = found.weight / variance;
+                    let direction = direction.push(1.0);
                     information += direction * direction.transpose() * weight;
                     gradient += direction * (found.innovation_m * weight);
                     log_likelihood += found.log_likelihood;
                 }
                 let factor = information.cholesky()?;
-                position_m += factor.solve(&gradient);
-                noise_m = self.largest(&factor.inverse());
+                let step = factor.solve(&gradient);
+                position_m += step.xyz();
+                bias_m += step.w;
+                noise_m = self.largest(&factor.inverse().fixed_view::<3, 3>(0, 0).into_owned());
             }
         }
         let deviation_m = noise_m.hypot(self.systematic_m * self.dilution(&position_m)?);

@@ -284,11 +284,40 @@ fn solved(
         ErrorCode::DataRefused.error("no position explains the first ranges", remedy)
     })?;
     if model.adapts {
-        model = scales::adapted(problem, &model, &chosen.start)?;
-        chosen = choose(problem, &model)?.unwrap_or(chosen);
+        let prior = model;
+        (model, chosen) = adapted(problem, prior, chosen)?;
+        if !fits(&model, 0.0) && prior.ranges.scale == 0.0 {
+            (model, chosen) = with_scale(problem, prior, (model, chosen))?;
+        }
     }
     let run = problem.run(&model, &chosen.start, choice.smooth, f64::INFINITY)?;
     Ok((run, model, chosen))
+}
+
+/// The scales of greatest likelihood, and the most probable start with them.
+fn adapted(problem: &Recording, prior: Model, chosen: Chosen) -> Result<(Model, Chosen)> {
+    let model = scales::adapted(problem, &prior, &chosen.start)?;
+    Ok((model, choose(problem, &model)?.unwrap_or(chosen)))
+}
+
+/// The same with a scale error, where it explains the ranges better by Schwarz's criterion; else what was found without.
+fn with_scale(
+    problem: &Recording,
+    prior: Model,
+    (model, chosen): (Model, Chosen),
+) -> Result<(Model, Chosen)> {
+    let scaled = prior.with_scale();
+    let Some(start) = choose(problem, &scaled)? else {
+        return Ok((model, chosen));
+    };
+    let (scaled, start) = adapted(problem, scaled, start)?;
+    let likelihood = |model: &Model, chosen: &Chosen| {
+        Ok(problem.run(model, &chosen.start, false, f64::INFINITY)?.log_likelihood)
+    };
+    let gain = likelihood(&scaled, &start)? - likelihood(&model, &chosen)?;
+    let parameters = problem.anchors.len() as f64 + 1.0;
+    let explains = gain > 0.5 * parameters * (problem.ranges.len() as f64).ln();
+    Ok(if explains { (scaled, start) } else { (model, chosen) })
 }
 
 fn presented(

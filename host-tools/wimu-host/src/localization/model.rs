@@ -108,6 +108,13 @@ impl Model {
         model
     }
 
+    /// The same with the scale error of [`RangePrior::VEHICLE`].
+    pub fn with_scale(mut self) -> Self {
+        self.common[1] = RangePrior::VEHICLE.scale;
+        self.ranges.scale = RangePrior::VEHICLE.scale * OWN_SCALE;
+        self
+    }
+
     pub fn new(prior: &RangePrior, planar: bool) -> Self {
         let mut ranges = RangeErrors::default();
         ranges.noise_m = prior.noise_m;

@@ -9,7 +9,7 @@ use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
-use kit::{Background, Simulator, Transcript, folder, record_motion, wimu};
+use kit::{Background, Simulator, folder, record_motion, wimu};
 use serde_json::Value;
 use wimu_host::calibration::read_parameters;
 
@@ -86,45 +86,6 @@ fn align_listens_until_the_alignment_is_found_and_pushes_it() {
     let own = [counts[0], counts[1], counts[2]].map(|lsb| lsb / 16384.0 * 9.80665);
     // z of the body is x of the sensor and x of the body −y, up to its errors.
     assert!((force[2] - own[0]).abs() < 1.5 && (force[0] + own[1]).abs() < 1.5, "{last}");
-}
-
-#[test]
-fn an_ambiguous_alignment_is_refused() {
-    let mut texts = Transcript::default();
-    let folder = folder();
-    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-    let accelerometer = path("A.json");
-    calibrated(&accelerometer);
-    let calibration = ["--calibration", &accelerometer];
-    let recording = path("A.json.mcap");
-    let mut refused = |case: &str, arguments: &[&str]| {
-        let ran = wimu(&[&["align", &recording][..], arguments, &calibration].concat());
-        texts.refuses(case, &ran);
-    };
-    refused("parallel", &["--up", "z,z", "--rests", "0,1"]);
-    let four = ["--up", "z,-z,x,-x", "--rests", "0,1,2,3"];
-    refused("contradictory", &four);
-    refused("more rests than directions", &["--up", "z,x"]);
-    let many = vec!["z"; 40].join(",");
-    refused("more directions than rests", &["--up", &many]);
-    refused("no acceleration forward", &["--forward"]);
-    let wrong = wimu(&["align", &recording, "--up", "z,q"]);
-    wrong.fails(2, "usage");
-    wimu(&["align", &recording, "--up", "z"]).fails(2, "usage");
-    wimu(&["align", &recording, "--up", "z,x", "--push"]).fails(2, "usage");
-    // No rest at all.
-    let shaken = path("shaken.csv");
-    let mut text =
-        "Time (s),Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²)".to_owned();
-    for k in 0..2000 {
-        let t = f64::from(k) * 0.01;
-        let wave = |f: f64| 5.0 * (f * t).sin();
-        text += &format!("\n{t:.2},{:.3},{:.3},{:.3}", wave(9.0), wave(13.0), 9.8 + wave(11.0));
-    }
-    fs::write(&shaken, text).unwrap();
-    let ran = wimu(&[&["align", &shaken, "--up", "z,x"][..], &calibration].concat());
-    texts.refuses("no rest", &ran);
-    texts.check("align_refusals");
 }
 
 /// Objects of `wimu navigate LINK`: poses, and the path.

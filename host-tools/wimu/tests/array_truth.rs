@@ -100,57 +100,12 @@ fn an_array_at_a_constant_rate_is_compared_with_its_truth_at_the_files_times() {
     assert!((middle[13] - 8.0).abs() < 0.3, "{middle:?}");
 }
 
-#[test]
-fn geometries_that_cannot_be_are_refused_with_what_to_check() {
-    let folder = folder();
-    let input = write(folder.path(), "array.csv", &table());
-    let run = |geometry: &str| wimu(&["navigate", &input, "--geometry", geometry]);
-    let in_mm = write(folder.path(), "mm.csv", &positions("m", 1.0));
-    let mut texts = Transcript::default();
-    texts.fails("mm called m", &run(&in_mm), 2, "bad_calibration");
-    let mut turned = POSITIONS;
-    turned.swap(0, 2);
-    let sensors: Vec<serde_json::Value> = turned
-        .iter()
-        .map(|position| {
-            let position = position.map(|c| c * 1e-3);
-            serde_json::json!({ "places_m": [position, position, position] })
-        })
-        .collect();
-    let object = serde_json::json!({ "schema": "wimu.array/1", "sensors": sensors });
-    let swapped = write(folder.path(), "swapped.json", &object.to_string());
-    texts.fails("swapped", &run(&swapped), 3, "data_refused");
-    let mut left = object;
-    left["sensors"][1]["axes"] = serde_json::json!([[1, 0, 0], [0, 1, 0], [0, 0, -1]]);
-    let left = write(folder.path(), "left.json", &left.to_string());
-    texts.fails("left-handed", &run(&left), 2, "bad_calibration");
-    texts.check("navigate_geometries_of_another_array");
-}
-
 /// The warning that the positions have another size, if there is one.
 fn size_warning(report: &serde_json::Value) -> Option<String> {
     let problems = report["problems"].as_array()?.iter();
     let warnings = problems.filter(|problem| problem["severity"] == "warning");
     let mut texts = warnings.filter_map(|problem| problem["text"].as_str());
     texts.find(|text| text.contains("times as far apart")).map(str::to_owned)
-}
-
-#[test]
-fn positions_of_another_size_are_reported_and_kept() {
-    let folder = folder();
-    let input = write(folder.path(), "array.csv", &table());
-    let out = folder.path().join("path.csv").display().to_string();
-    for (scale, reported) in [(1.0, false), (1.3, true), (0.7, true)] {
-        let geometry = write(folder.path(), "positions.csv", &positions("mm", scale));
-        let report = wimu(&["navigate", &input, "--geometry", &geometry, "-o", &out, "--verbose"])
-            .succeeds();
-        assert_eq!(size_warning(&report).is_some(), reported, "{scale}: {report}");
-        // The rate goes with the root of the size.
-        let path = fs::read_to_string(&out).unwrap();
-        let rate: f64 =
-            path.lines().nth(1101).unwrap().split(',').nth(13).unwrap().parse().unwrap();
-        assert!((rate * f64::sqrt(scale) / 8.0 - 1.0).abs() < 0.05, "{scale}: {rate}");
-    }
 }
 
 /// Columns of a CSV file by their names.

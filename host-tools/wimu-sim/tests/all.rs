@@ -9,7 +9,6 @@ mod live_ranges;
 mod long_files;
 mod lsm303agr_fifo;
 mod lsm6dso;
-mod lsm6dso_node;
 mod motion;
 mod multi_range;
 mod physics;

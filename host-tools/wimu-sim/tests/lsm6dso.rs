@@ -13,8 +13,8 @@ use wimu_sim::attitude::Attitude;
 use wimu_sim::clock::VirtualClock;
 use wimu_sim::i2c::{I2cError, SimI2c};
 use wimu_sim::motion::{Motion, Pose};
-use wimu_sim::scene::{Scene, Temperature, World};
-use wimu_sim::sensor::{GyroscopeFault, Sensor};
+use wimu_sim::scene::{Scene, World};
+use wimu_sim::sensor::Sensor;
 use wimu_sim::source::{Physics, Source};
 use wimu_sim::spi::SimSpi;
 use wimu_sim::truth::{Gauge, SensorTruth};
@@ -199,42 +199,6 @@ fn no_sample_of_the_turn_on_time_is_delivered() {
             assert!(samples.iter().all(|sample| sample.angular_rate == [0; 3]), "{rate:?}");
         });
     }
-}
-
-#[test]
-fn temperatures_come_through_the_fifo() {
-    let world = World { temperature: Temperature::Constant(-10.5), ..World::default() };
-    let bench = ideal(Scene::new(world));
-    bench.on_i2c(async |driver| {
-        let setup = Setup { temperature: true, ..SETUP };
-        driver.start(&setup, &mut bench.clock.clone()).await?;
-        let mut temperatures = Vec::new();
-        while bench.clock.now() < 4_000_000 {
-            bench.wait_us(19_200).await;
-            let (batches, _) = drain(driver).await?;
-            assert!(batches.iter().all(|batch| batch.fault.is_none()));
-            temperatures.extend(batches.iter().filter_map(|batch| batch.temperature));
-        }
-        // 1.6 Hz over 4 s.
-        assert!((5..=8).contains(&temperatures.len()), "{temperatures:?}");
-        let lsb = -9088; // 25 °C - 35.5 K
-        assert!(temperatures.iter().all(|found| *found == lsb));
-        assert_eq!(driver.temperature().await?, lsb);
-        Ok(())
-    });
-}
-
-#[test]
-fn the_self_test_is_within_the_datasheets_limits() {
-    let bench = ideal(Scene::new(World::default()));
-    bench.on_i2c(async |driver| {
-        let test = driver.self_test(&mut bench.clock.clone()).await?;
-        assert_eq!(test.passed(), [[true; 3]; 2], "{test:?}");
-        bench.sensor.set_gyroscope_fault(GyroscopeFault::Stuck);
-        let test = driver.self_test(&mut bench.clock.clone()).await?;
-        assert_eq!(test.passed(), [[true; 3], [false; 3]]);
-        Ok(())
-    });
 }
 
 #[test]

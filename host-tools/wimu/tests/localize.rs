@@ -38,27 +38,6 @@ pub fn write(folder: &Path) {
 }
 
 #[test]
-fn ranges_give_a_path_with_sigma_and_calibration() {
-    let folder = folder();
-    write(folder.path());
-    let at = |name: &str| folder.path().join(name).display().to_string();
-    let (ranges, anchors, out) = (at("ranges.csv"), at("anchors.csv"), at("path.csv"));
-    let run = wimu(&["--json", "navigate", &ranges, "--anchors", &anchors, "-o", &out]);
-    let found = run.succeeds();
-    assert_eq!(found["method"], "ranges");
-    let position = &found["final_position_m"];
-    let truth = path(19.9);
-    for axis in 0..3 {
-        let error = position[axis].as_f64().unwrap() - truth[axis];
-        assert!(error.abs() < 0.3, "{axis}: {error}");
-    }
-    assert_eq!(found["anchors"].as_array().unwrap().len(), 5);
-    assert!(found["anchors"][0]["bias_m"]["sigma"].as_f64().unwrap() > 0.0);
-    let written = fs::read_to_string(out).unwrap();
-    assert_eq!(written.lines().count(), 201);
-}
-
-#[test]
 fn odometry_without_anchors_or_a_vehicle_is_refused() {
     let run = wimu(&["navigate", "a.csv", "--odometry", "b.csv"]);
     assert_eq!(run.code, 2);

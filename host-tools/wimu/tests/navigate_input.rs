@@ -185,53 +185,6 @@ fn columns_that_are_nearly_right_are_refused_or_remarked() {
 }
 
 #[test]
-fn without_a_rest_at_the_start_the_origin_is_the_first_rest() {
-    let mut texts = Transcript::default();
-    let folder = folder();
-    let samples = moves(0.4, 1.0);
-    // From the middle of the first move.
-    for (method, rate) in SENSORS {
-        let header = format!("{FORCE}{rate}{TRUTH}");
-        let csv = write(folder.path(), &header, &samples[250..]);
-        let ran = wimu(&["navigate", &csv]);
-        let report = texts.findings(method, &ran);
-        let below = number(&report, "/nees/share_below_7_81");
-        assert!(method == "tilt" || below > 0.9, "{report}");
-    }
-    texts.check("navigate_start_in_motion");
-}
-
-#[test]
-fn constant_velocity_after_an_acceleration_is_tracked_with_a_gyroscope() {
-    let folder = folder();
-    // After 10 s of rest 1 m/s for 8 s.
-    let mut samples = moves(0.0, 1.0);
-    samples.extend_from_within(..);
-    samples.extend_from_within(..700);
-    let (mut x, mut v) = (0.0, 0.0);
-    for (k, sample) in samples.iter_mut().enumerate() {
-        sample.t = k as f64 * 0.01;
-        let ramp = |from: f64| {
-            let tau = (sample.t - from).clamp(0.0, 1.0);
-            2.0 * (std::f64::consts::PI * tau).sin().powi(2)
-        };
-        let acceleration = ramp(10.0) - ramp(19.0);
-        sample.force[0] += acceleration;
-        v += 0.01 * acceleration;
-        x += 0.01 * v;
-        sample.x = x;
-    }
-    let csv = write(folder.path(), &format!("{FORCE}{RATE}{TRUTH}"), &samples);
-    let ran = wimu(&["navigate", &csv]);
-    let mut texts = Transcript::default();
-    let report = texts.findings("1 m/s for 8 s", &ran);
-    texts.check("navigate_constant_velocity");
-    assert!(number(&report, "/nees/share_below_7_81") > 0.95, "{report}");
-    let end = number(&report, "/final_position_m/0");
-    assert!((end - 9.0).abs() < 1.0, "{report}");
-}
-
-#[test]
 fn a_recording_and_the_table_exported_from_it_give_the_same_path() {
     let folder = folder();
     let path = |name: &str| folder.path().join(name).display().to_string();

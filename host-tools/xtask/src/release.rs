@@ -45,9 +45,13 @@ fn oldest(run: &Run<'_>) -> Result {
 }
 
 fn doc(run: &Run<'_>) -> Result {
-    let packages = libraries(run.sh)?.into_iter().flat_map(|(name, _)| ["-p".to_owned(), name]);
-    let doc = cmd!(run.sh, "cargo doc --locked --no-deps --all-features").args(packages);
+    let doc = cmd!(run.sh, "cargo doc --locked --no-deps --all-features").args(selected(run)?);
     Ok(doc.env("RUSTDOCFLAGS", "-D warnings").run()?)
+}
+
+/// The libraries as options of cargo.
+fn selected(run: &Run<'_>) -> Result<Vec<String>> {
+    Ok(libraries(run.sh)?.into_iter().flat_map(|(name, _)| ["-p".to_owned(), name]).collect())
 }
 
 fn features(run: &Run<'_>) -> Result {
@@ -116,8 +120,11 @@ fn optional(run: &Run<'_>) -> Result {
     ))
 }
 
+/// What is published. Offline, as asking the registry for each dependency again takes minutes.
 fn packages(run: &Run<'_>) -> Result {
-    Ok(cmd!(run.sh, "cargo package --locked --workspace --no-verify --allow-dirty").run()?)
+    let package = cmd!(run.sh, "cargo package --locked --offline --no-verify --allow-dirty");
+    let host = ["-p", "wimu", "-p", "wimu-host", "-p", "wimu-sim"];
+    Ok(package.args(selected(run)?).args(host).run()?)
 }
 
 /// Runs the fast tests of the crates whose dependencies have `unsafe` code, for queues, frames and tasks, under Miri.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use xshell::{Cmd, Shell, cmd};
 
 use crate::image::{self, Format};
-use crate::setup::{LIBCLANG, TARGETS, embedded_cargo, has};
+use crate::setup::{TARGETS, embedded_cargo, has};
 use crate::{Result, heading};
 
 /// A package of firmware.
@@ -47,14 +47,10 @@ const PORT: Board = board("examples/port-template", "port-template", TARGETS[0])
 
 pub const ALL: [Board; 8] = [QEMU, MICROBIT, PICO, RADIO, STM32, CALIBRATION, BENCH, PORT];
 
-/// The boards that can be built on this machine; says why one is left out.
+/// The boards that can be built on this machine.
 pub fn buildable(sh: &Shell) -> Vec<Board> {
     let mut boards = Vec::from(ALL);
-    if !has(sh, LIBCLANG) {
-        println!(
-            "skipped: {}: libclang is missing; `cargo xtask setup --release` installs it",
-            RADIO.folder
-        );
+    if !has(sh, "libclang") {
         boards.retain(|board| board.folder != RADIO.folder);
     }
     boards
@@ -64,18 +60,15 @@ impl Board {
     /// Runs cargo in the board's folder.
     pub fn cargo(&self, sh: &Shell, verb: &str, options: &[&str]) -> Result {
         let _folder = sh.push_dir(self.folder);
-        let cargo = embedded_cargo(sh, verb).args(options);
+        let mut cargo = embedded_cargo(sh, verb).args(options);
         // Debian's libclang finds its own headers only in its folder below /usr/lib.
         let mut libclang: Vec<PathBuf> = sh.read_dir("/usr/lib").unwrap_or_default();
         libclang.retain(|folder| {
             folder.join("lib/libclang.so").exists() || folder.join("lib/libclang.so.1").exists()
         });
-        let cargo = match libclang.last() {
-            Some(folder) if self.folder == RADIO.folder => {
-                cargo.env("LIBCLANG_PATH", folder.join("lib"))
-            }
-            _ => cargo,
-        };
+        if let Some(folder) = libclang.last() {
+            cargo = cargo.env("LIBCLANG_PATH", folder.join("lib"));
+        }
         Ok(cargo.run()?)
     }
 
@@ -87,13 +80,9 @@ impl Board {
 
     /// Where one of its images is.
     pub fn image(&self, program: &str) -> PathBuf {
-        self.image_for(program, self.target)
-    }
-
-    pub fn image_for(&self, program: &str, target: &str) -> PathBuf {
         let folder = std::env::var_os("CARGO_TARGET_DIR").map(PathBuf::from);
         let folder = folder.unwrap_or_else(|| Path::new(self.folder).join("target"));
-        let image = folder.join(target).join("release").join(program);
+        let image = folder.join(self.target).join("release").join(program);
         std::path::absolute(&image).unwrap_or(image)
     }
 
@@ -128,14 +117,9 @@ pub fn write_all(sh: &Shell) -> Result {
 
 /// Builds the board called `name` and writes it through a debug probe with `wimu flash` and its `options`.
 pub fn flash(sh: &Shell, name: &str, options: &[String]) -> Result {
-    let named =
-        |board: &&Board| board.format.is_some() && board.folder.ends_with(&format!("/{name}"));
-    let Some(board) = ALL.iter().find(named) else {
-        return Err(format!(
-            "there is no board `{name}`: microbit-v2, nrf52840-ble or pico-adxl345"
-        )
-        .into());
-    };
+    let mut boards = ALL.into_iter().filter(|board| board.format.is_some());
+    let board = boards.find(|board| board.folder.ends_with(&format!("/{name}")));
+    let board = board.ok_or("the boards are microbit-v2, nrf52840-ble and pico-adxl345")?;
     board.build(sh, &[])?;
     board.write()?;
     // In the foreground, with the terminal's input.
@@ -173,23 +157,19 @@ pub fn build_pico(sh: &Shell) -> Result<[PathBuf; 2]> {
 mod tests {
     use super::*;
 
-    /// What a package's manifest says of how its code is optimised.
-    fn optimisation(board: &Board) -> String {
-        let manifest = Path::new(env!("CARGO_MANIFEST_DIR"))
-            .join("../..")
-            .join(board.folder)
-            .join("Cargo.toml");
-        let manifest = std::fs::read_to_string(manifest).expect("a manifest");
+    /// What the manifest of a board says of how its code is optimised.
+    fn optimisation(board: &Board) -> Vec<String> {
+        let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
+        let manifest = std::fs::read_to_string(format!("{root}/{}/Cargo.toml", board.folder));
+        let manifest = manifest.expect("a manifest");
         let profile = manifest.split("\n[").filter(|table| table.starts_with("profile.release"));
-        let lines = profile
-            .flat_map(str::lines)
-            .filter(|line| !line.starts_with(['#', 'd']) && !line.is_empty());
-        lines.collect::<Vec<_>>().join("\n")
+        let lines = profile.flat_map(str::lines).filter(|line| !line.starts_with(['#', 'd']));
+        lines.filter(|line| !line.is_empty()).map(str::to_owned).collect()
     }
 
     #[test]
     fn the_image_is_optimised_as_the_code_whose_instructions_are_counted() {
-        assert!(optimisation(&BENCH).lines().count() > 3);
+        assert!(optimisation(&BENCH).len() > 3);
         assert_eq!(optimisation(&QEMU), optimisation(&BENCH));
     }
 }

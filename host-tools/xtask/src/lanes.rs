@@ -136,10 +136,9 @@ impl Run<'_> {
     /// others.
     pub fn ignored_tests(&self, names: &[&str]) -> Result {
         let before = self.passed.get();
-        self.tests(cmd!(
-            self.sh,
-            "cargo test --locked --workspace --test all -- --ignored {names...}"
-        ))?;
+        let tests =
+            cmd!(self.sh, "cargo test --locked --workspace --test all -- --ignored {names...}");
+        self.tests(tests)?;
         if self.passed.get() > before {
             Ok(())
         } else {
@@ -162,23 +161,19 @@ fn format(run: &Run<'_>) -> Result {
     let folders = ALL.iter().map(|board| board.folder);
     for folder in [".", "firmware/nrf", "firmware/shared"].into_iter().chain(folders) {
         let _folder = sh.push_dir(folder);
-        let formatted = cmd!(sh, "cargo fmt --check").quiet().run();
-        formatted.map_err(|_| {
-            format!("{folder} is not formatted: `cargo fmt --all` there formats it")
-        })?;
+        let problem = format!("{folder} is not formatted: `cargo fmt --all` there formats it");
+        cmd!(sh, "cargo fmt --check").quiet().run().map_err(|_| problem)?;
     }
     Ok(())
 }
 
 fn clippy(run: &Run<'_>) -> Result {
-    cmd!(run.sh, "cargo clippy --locked --workspace --all-targets -- -D warnings").run()?;
-    Ok(())
+    Ok(cmd!(run.sh, "cargo clippy --locked --workspace --all-targets -- -D warnings").run()?)
 }
 
 /// Of the whole workspace in one invocation: whatever is run later has the same features, and is not built again.
 fn build(run: &Run<'_>) -> Result {
-    cmd!(run.sh, "cargo build --locked --workspace --lib --bins --tests").run()?;
-    Ok(())
+    Ok(cmd!(run.sh, "cargo build --locked --workspace --lib --bins --tests").run()?)
 }
 
 fn tests(run: &Run<'_>) -> Result {
@@ -209,16 +204,13 @@ fn embedded(run: &Run<'_>) -> Result {
         options.extend(["-p".to_owned(), name.clone()]);
         options.extend(features.iter().map(|feature| format!("--features={name}/{feature}")));
     }
-    let target = TARGETS[0];
-    embedded_cargo(sh, "check").args(["--lib", "--target", target]).args(options).run()?;
+    embedded_cargo(sh, "check").args(["--lib", "--target", TARGETS[0]]).args(options).run()?;
     QEMU.build(sh, &[])?;
     budget::check_qemu()
 }
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeSet;
-
     use super::*;
 
     #[test]
@@ -236,13 +228,5 @@ mod tests {
         assert!(left_nothing(folder.path()).is_ok());
         std::fs::write(folder.path().join("wimu-left"), "").unwrap();
         assert!(left_nothing(folder.path()).unwrap_err().to_string().contains("wimu-left"));
-    }
-
-    #[test]
-    fn no_two_steps_of_a_lane_share_a_name() {
-        for (_, steps) in [CHECK, TEST, crate::release::RELEASE] {
-            let names: BTreeSet<_> = steps.iter().map(|step| step.0).collect();
-            assert_eq!(names.len(), steps.len());
-        }
     }
 }

@@ -182,11 +182,4 @@ impl A {
         let code = source.lines().count() - tests;
         assert_eq!(counted(source).expect("Rust"), (code, tests, vec!["elsewhere".into()]));
     }
-
-    #[test]
-    fn modules_are_beside_the_root_of_a_crate_and_below_other_files() {
-        assert_eq!(folder_of_modules(Path::new("src/lib.rs")), Path::new("src"));
-        assert_eq!(folder_of_modules(Path::new("src/a.rs")), Path::new("src/a"));
-        assert_eq!(folder_of_modules(Path::new("src/a/mod.rs")), Path::new("src/a"));
-    }
 }

@@ -14,6 +14,7 @@ mod setup;
 mod size;
 mod validation;
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -118,4 +119,10 @@ fn run(task: Task) -> Result {
 /// Prints the heading of a piece of work.
 fn heading(text: &str) {
     println!("\n== {text}");
+}
+
+/// The folder that cargo builds into.
+fn cargo_target() -> PathBuf {
+    let folder = std::env::var_os("CARGO_TARGET_DIR").unwrap_or_else(|| "target".into());
+    std::path::absolute(&folder).unwrap_or_else(|_| folder.into())
 }

@@ -9,8 +9,8 @@ use object::read::elf::ElfFile32;
 use object::{Object as _, ObjectSection as _, ObjectSymbol as _, RelocationTarget};
 use xshell::Shell;
 
-use crate::Result;
 use crate::setup::{TARGETS, embedded_cargo};
+use crate::{Result, cargo_target};
 
 /// The libraries, with the features that add functions.
 const LIBRARIES: [(&str, &str); 7] = [
@@ -56,9 +56,7 @@ pub fn run(sh: &Shell) -> Result {
 
 /// The object file of a library that was written last.
 fn newest_object(library: &str, target: &str) -> Result<PathBuf> {
-    let folder =
-        std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| "target".into(), PathBuf::from);
-    let folder = folder.join(target).join("release/deps");
+    let folder = cargo_target().join(target).join("release/deps");
     let start = format!("{}-", library.replace('-', "_"));
     let mut newest = None;
     for entry in std::fs::read_dir(folder)? {
@@ -102,32 +100,4 @@ fn is_panic(function: &str) -> bool {
     let last = function.rsplit("::").next().unwrap_or_default();
     function.starts_with("core::")
         && (function.contains("::panic") || last.ends_with("_fail") || last.ends_with("_failed"))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_panics_of_core_are_known_by_their_names() {
-        for panic in [
-            "core::panicking::panic_bounds_check",
-            "core::panicking::panic_const::panic_const_div_by_zero",
-            "core::slice::index::slice_index_fail",
-            "core::option::expect_failed",
-            "core::result::unwrap_failed",
-            "core::cell::panic_already_borrowed",
-            "core::slice::copy_from_slice_impl::len_mismatch_fail",
-        ] {
-            assert!(is_panic(panic), "{panic}");
-        }
-        for other in ["memcpy", "core::fmt::write", "wimu_link::panic::expect_failed"] {
-            assert!(!is_panic(other), "{other}");
-        }
-    }
-
-    #[test]
-    fn what_is_no_object_file_is_an_error() {
-        assert!(panics(b"\x7fELF").is_err());
-    }
 }

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use xshell::{Cmd, Shell, cmd};
 
 use crate::lanes::Run;
-use crate::{Result, setup};
+use crate::{Result, cargo_target, setup};
 
 const CRATE: &str = "host-tools/wimu-python";
 
@@ -14,19 +14,17 @@ const CRATE: &str = "host-tools/wimu-python";
 pub fn smoke(run: &Run<'_>) -> Result {
     let sh = run.sh;
     cmd!(sh, "cargo build --locked --workspace --lib --bins --tests").run()?;
-    let module = target().join("python/module");
+    let module = cargo_target().join("python/module");
     sh.create_dir(&module)?;
-    sh.copy_file(
-        target().join(format!("debug/{DLL_PREFIX}wimu{DLL_SUFFIX}")),
-        module.join("wimu.abi3.so"),
-    )?;
+    let library = cargo_target().join(format!("debug/{DLL_PREFIX}wimu{DLL_SUFFIX}"));
+    sh.copy_file(library, module.join("wimu.abi3.so"))?;
     run.tests(tests(sh, "debug").arg("smoke").env("PYTHONPATH", module))
 }
 
 /// Builds the wheel, installs it in the virtual environment, and runs all tests on it.
 pub fn wheel(sh: &Shell) -> Result {
     setup::run(sh, true)?;
-    let wheels = target().join("python/wheels");
+    let wheels = cargo_target().join("python/wheels");
     // The version is in the name of a wheel: one of an earlier version would be installed, too.
     sh.remove_path(&wheels)?;
     let manifest = format!("{CRATE}/Cargo.toml");
@@ -35,23 +33,16 @@ pub fn wheel(sh: &Shell) -> Result {
     let wheel = sh.read_dir(&wheels)?;
     cmd!(sh, "{python} -m pip install --quiet --no-deps --force-reinstall {wheel...}").run()?;
     cmd!(sh, "cargo build --release --locked -p wimu").run()?;
-    tests(sh, "release").run()?;
-    Ok(())
+    Ok(tests(sh, "release").run()?)
 }
 
 /// The tests, which compare with the command built in a profile.
 fn tests<'a>(sh: &'a Shell, profile: &str) -> Cmd<'a> {
-    let (python, command) = (python(), target().join(profile).join("wimu"));
+    let (python, command) = (python(), cargo_target().join(profile).join("wimu"));
     cmd!(sh, "{python} {CRATE}/tests/test_wimu.py").env("WIMU_COMMAND", command)
 }
 
 /// The interpreter of the virtual environment, which `cargo xtask setup` makes.
 fn python() -> PathBuf {
     std::env::current_dir().unwrap_or_default().join("target/python/bin/python")
-}
-
-fn target() -> PathBuf {
-    let folder =
-        std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| "target".into(), PathBuf::from);
-    std::path::absolute(&folder).unwrap_or(folder)
 }

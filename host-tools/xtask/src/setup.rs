@@ -15,16 +15,10 @@ struct Need {
     name: &'static str,
     check: &'static str,
     install: &'static str,
-    /// Whether only the lane `release` needs it, which leaves out what cannot be done without it.
-    release: bool,
 }
 
 const fn need(name: &'static str, check: &'static str, install: &'static str) -> Need {
-    Need { name, check, install, release: false }
-}
-
-const fn release(name: &'static str, check: &'static str, install: &'static str) -> Need {
-    Need { name, check, install, release: true }
+    Need { name, check, install }
 }
 
 /// The active toolchain has `core` for both targets.
@@ -42,11 +36,8 @@ const OLDEST_CHECK: &str =
 const OLDEST_INSTALL: &str =
     concat!("rustup toolchain install --profile minimal ", env!("CARGO_PKG_RUST_VERSION"));
 
-pub const LIBCLANG: &str = "libclang";
-pub const OLDEST_RUST: &str = "the oldest Rust";
-
 #[rustfmt::skip]
-const NEEDS: [Need; 15] = [
+const NEEDS: [Need; 8] = [
     need("rustfmt", "cargo fmt --version", "rustup component add rustfmt"),
     need("clippy", "cargo clippy --version", "rustup component add clippy"),
     need("core for Cortex-M4F and Cortex-M0+", CORE, INSTALL_CORE),
@@ -55,13 +46,17 @@ const NEEDS: [Need; 15] = [
     need("Mosquitto", "test -x /usr/sbin/mosquitto", "apt mosquitto"),
     need("Python 3 with venv", "python3 -c 'import venv, ensurepip'", "apt python3 python3-venv"),
     need("NumPy", "target/python/bin/python -c 'import numpy'", "python3 -m venv target/python && pip numpy"),
-    release("maturin", "target/python/bin/python -m maturin --version", "pip maturin"),
-    release("faketime", "command -v faketime", "apt faketime"),
-    release(LIBCLANG, "ls /usr/lib/llvm-*/lib/libclang.so*", "apt libclang-dev"),
-    release("libdbus", "pkg-config --exists dbus-1", "apt libdbus-1-dev pkg-config"),
-    release("Node.js", "node --version && npm --version", "apt nodejs npm"),
-    release("rp2040js", "ls tests/pico/node_modules/rp2040js", "npm ci --no-audit --no-fund --prefix tests/pico"),
-    release(OLDEST_RUST, OLDEST_CHECK, OLDEST_INSTALL),
+];
+/// What only the lane `release` needs, which leaves out what cannot be done without it.
+#[rustfmt::skip]
+const RELEASE_NEEDS: [Need; 7] = [
+    need("maturin", "target/python/bin/python -m maturin --version", "pip maturin"),
+    need("faketime", "command -v faketime", "apt faketime"),
+    need("libclang", "ls /usr/lib/llvm-*/lib/libclang.so*", "apt libclang-dev"),
+    need("libdbus", "pkg-config --exists dbus-1", "apt libdbus-1-dev pkg-config"),
+    need("Node.js", "node --version && npm --version", "apt nodejs npm"),
+    need("rp2040js", "ls tests/pico/node_modules/rp2040js", "npm ci --no-audit --no-fund --prefix tests/pico"),
+    need("the oldest Rust", OLDEST_CHECK, OLDEST_INSTALL),
 ];
 
 /// Finds everything that the lane `test` needs, or with `release` that one too; as root or with CI=true it installs what
@@ -71,7 +66,8 @@ pub fn run(sh: &Shell, release: bool) -> Result {
     let may_install = is_root || std::env::var("CI").is_ok_and(|value| value == "true");
     let mut has_updated = false;
     let mut missing = Vec::new();
-    for need in NEEDS.iter().filter(|need| release || !need.release) {
+    let of_release = RELEASE_NEEDS.iter().filter(|_| release);
+    for need in NEEDS.iter().chain(of_release) {
         let line = need.install.replace("apt ", "apt-get install --yes --no-install-recommends ");
         let line = line.replace("pip ", "target/python/bin/python -m pip install --quiet ");
         let mut found = succeeds(sh, need.check);
@@ -83,23 +79,25 @@ pub fn run(sh: &Shell, release: bool) -> Result {
             cmd!(sh, "sh -c {line}").ignore_status().run()?;
             found = succeeds(sh, need.check);
         }
-        println!("{}: {}", need.name, if found { "found" } else { "missing" });
-        if !found {
-            missing.push((need, format!("{} is missing; run\n    {line}", need.name)));
+        if found {
+            println!("{}: found", need.name);
+            continue;
         }
+        println!("{} is missing; run\n    {line}", need.name);
+        missing.push(need.name);
     }
-    let (optional, required): (Vec<_>, Vec<_>) =
-        missing.into_iter().partition(|(need, _)| need.release);
-    optional.iter().for_each(|(_, advice)| println!("{advice}"));
-    if required.is_empty() {
-        return Ok(());
-    }
-    Err(required.into_iter().map(|(_, advice)| advice).collect::<Vec<_>>().join("\n").into())
+    missing.retain(|name| NEEDS.iter().any(|need| need.name == *name));
+    if missing.is_empty() { Ok(()) } else { Err(format!("missing: {}", missing.join(", ")).into()) }
 }
 
-/// Whether a need is met: steps of `release` ask by its name.
+/// Whether a need of `release` is met; otherwise says that what needs it is skipped.
 pub fn has(sh: &Shell, name: &str) -> bool {
-    NEEDS.iter().any(|need| need.name == name && succeeds(sh, need.check))
+    let need = RELEASE_NEEDS.iter().find(|need| need.name == name).expect("a need by its name");
+    let has = succeeds(sh, need.check);
+    if !has {
+        println!("skipped: {name} is missing");
+    }
+    has
 }
 
 fn succeeds(sh: &Shell, line: &str) -> bool {
@@ -118,17 +116,4 @@ pub fn embedded_cargo<'a>(sh: &'a Shell, verb: &str) -> Cmd<'a> {
         .env("RUSTC", "/usr/bin/rustc")
         .env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", "ld.lld")
         .env("CARGO_TARGET_THUMBV6M_NONE_EABI_LINKER", "ld.lld")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn no_two_needs_share_a_name_and_the_oldest_rust_is_that_of_the_workspace() {
-        for (index, need) in NEEDS.iter().enumerate() {
-            assert!(NEEDS[..index].iter().all(|other| other.name != need.name), "{}", need.name);
-        }
-        assert!(OLDEST_CHECK.contains(OLDEST) && OLDEST_INSTALL.ends_with(OLDEST));
-    }
 }

@@ -196,7 +196,12 @@ fn a_value_beyond_the_full_scale_is_left_out_as_if_it_were_missing_and_said() {
             let off = off.sum::<f64>().sqrt();
             assert!(off < 3.0 * found.sd_m().max(0.01), "{choice:?}: {value}: {found:?}");
         }
-        assert!(!says(&with(&[(300, 0, 1999.0)], &choice), "full scale"));
+        // Within the full scale it is a shock, which the rest after it contradicts.
+        let csv = file(&table(0.3, &[(300, 0, 1999.0)], columns, 7));
+        match navigate(&MotionRecording::from_csv(&csv).unwrap(), &choice) {
+            Ok(path) => assert!(!says(&path, "full scale")),
+            Err(error) => assert!(error.message().contains("rests or fixes contradict the path")),
+        }
         let missing = with(&[(300, 4, f64::NAN)], &choice);
         let turned = with(&[(300, 4, -360.0)], &choice);
         assert!(says(

@@ -63,6 +63,7 @@ struct Begun {
     method: Method,
     senses: Senses,
     noise_mps2: f64,
+    gravity_mps2: f64,
     path: Box<dyn Follow + Send>,
 }
 
@@ -236,7 +237,8 @@ impl Live {
             (Method::Strapdown, false) => unit.begin::<Gyroscope<f64>, 40>(choice, method)?,
             _ => unit.begin::<NoGyroscope<f64>, 24>(choice, method)?,
         };
-        self.begun = Some(Begun { method, senses, noise_mps2, path });
+        let gravity_mps2 = unit.gravity_mps2;
+        self.begun = Some(Begun { method, senses, noise_mps2, gravity_mps2, path });
         Ok(())
     }
 
@@ -244,6 +246,8 @@ impl Live {
         let all = &self.recording.samples;
         let (senses, clipped) = (&begun.senses, clipped(all));
         let unit = Unit::of(&self.recording, all, senses, &clipped, begun.noise_mps2);
+        // What is buffered now may have no rest.
+        let unit = Unit { gravity_mps2: begun.gravity_mps2, ..unit };
         unit.inputs(samples, &self.choice, begun.method)
     }
 

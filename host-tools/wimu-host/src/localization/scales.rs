@@ -18,6 +18,8 @@ const STEPS: usize = 8;
 const ROUNDS: usize = 20;
 /// Least noise of a range, m: time stamps of ultra-wideband radios (DW1000 data sheet, 3 cm).
 const LEAST_NOISE_M: f64 = 0.03;
+/// Largest standard deviation of the common bias, m: antenna delays are smaller; more is a clock, or other anchors.
+const MOST_BIAS_M: f64 = 2.0;
 /// Largest probability of a range without line of sight: with more, nothing distinguishes the others.
 const MOST_BLOCKED: f64 = 0.6;
 
@@ -51,8 +53,9 @@ fn scaled(model: &Model, motion: &Motion, direction: usize, factor: f64) -> Opti
         3 | 4 => is_free,
         _ => true,
     };
-    let allowed =
-        model.ranges.noise_m >= LEAST_NOISE_M && model.line_of_sight.probability <= MOST_BLOCKED;
+    let allowed = model.ranges.noise_m >= LEAST_NOISE_M
+        && model.common[0] <= MOST_BIAS_M
+        && model.line_of_sight.probability <= MOST_BLOCKED;
     (has && allowed).then_some(model)
 }
 

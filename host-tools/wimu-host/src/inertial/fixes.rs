@@ -417,7 +417,7 @@ impl Aiding {
             let known = position.deviation_m.map(f64::is_finite);
             let off = off.zip_map(&known, |off, known| if known { off } else { 0.0 });
             if self.in_succession >= CONTRADICTIONS {
-                navigator.loosen_position(off.norm());
+                navigator.loosen(off.norm());
                 self.jumps.push(fix.time_s);
             }
             let innovation = navigator.fix(position, age_s, Gate::ChiSquare);

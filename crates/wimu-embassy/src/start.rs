@@ -6,7 +6,7 @@ use wimu_link::hello::{Fault, Name, ResetReason};
 
 /// Seed of the check sum, "WIMU": erased memory is not a valid record.
 const SEED: u32 = 0x5749_4d55;
-/// Words of a fault's place: its line, and its name of up to 15 bytes with the length in the last byte.
+/// Words of a fault's place: its address, and its kind of up to 15 bytes with the length in the last byte.
 const PLACE: usize = 5;
 /// Length in a record without a fault.
 const NO_FAULT: u8 = 0xFF;
@@ -119,29 +119,29 @@ impl StartRecord {
     }
 
     fn fault(&self) -> Option<Fault> {
-        let [line, name @ ..] = self.place.each_ref().map(|w| w.load(Ordering::Relaxed));
+        let [address, kind @ ..] = self.place.each_ref().map(|w| w.load(Ordering::Relaxed));
         let mut bytes = [0; 16];
-        for (place, word) in bytes.chunks_exact_mut(4).zip(name) {
+        for (place, word) in bytes.chunks_exact_mut(4).zip(kind) {
             place.copy_from_slice(&word.to_le_bytes());
         }
         let (length, bytes) = bytes.split_last()?;
-        let name = bytes.get(..usize::from(*length))?;
-        Some(Fault { line, file: Name::from_bytes(name) })
+        let kind = bytes.get(..usize::from(*length))?;
+        Some(Fault { address, kind: Name::from_bytes(kind) })
     }
 
     fn write(&self, failures: u32, fault: Option<&Fault>) {
         let mut bytes = [0; 16];
-        let name = fault.map_or(&[][..], |fault| fault.file.as_bytes());
-        for (place, byte) in bytes.iter_mut().zip(name) {
+        let kind = fault.map_or(&[][..], |fault| fault.kind.as_bytes());
+        for (place, byte) in bytes.iter_mut().zip(kind) {
             *place = *byte;
         }
         if let Some(length) = bytes.last_mut() {
-            *length = fault.map_or(NO_FAULT, |_| name.len() as u8);
+            *length = fault.map_or(NO_FAULT, |_| kind.len() as u8);
         }
         self.failures.store(failures, Ordering::Relaxed);
-        let line = fault.map_or(0, |fault| fault.line);
-        let name = bytes.as_chunks().0.iter().map(|&b| u32::from_le_bytes(b));
-        for (word, value) in self.place.iter().zip([line].into_iter().chain(name)) {
+        let address = fault.map_or(0, |fault| fault.address);
+        let kind = bytes.as_chunks().0.iter().map(|&b| u32::from_le_bytes(b));
+        for (word, value) in self.place.iter().zip([address].into_iter().chain(kind)) {
             word.store(value, Ordering::Relaxed);
         }
         self.check.store(self.sum(), Ordering::Relaxed);
@@ -161,7 +161,7 @@ mod tests {
     use super::*;
 
     fn fault() -> Fault {
-        Fault::panic("crates/wimu-node/src/sampler/mod.rs", 300)
+        Fault::panic([0x0001_1128, 0x0002_5678])
     }
 
     #[test]

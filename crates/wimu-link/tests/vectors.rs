@@ -313,7 +313,7 @@ fn hello_is_as_it_was() {
         },
         Hello {
             reset_reason: ResetReason::Fault,
-            fault: Some(Fault::panic("sampler/mod.rs", 300)),
+            fault: Some(Fault::processor("sampler/mod.rs", 300)),
             safe_mode: true,
             ..Hello::new(LinkRole::Cable)
         },

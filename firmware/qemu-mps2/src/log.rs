@@ -5,7 +5,6 @@ use core::panic::PanicInfo;
 
 use cortex_m_rt::{ExceptionFrame, exception};
 use critical_section::RestoreState;
-use wimu_link::hello::Fault;
 
 use crate::semihosting;
 use crate::uart::LOG;
@@ -73,9 +72,7 @@ unsafe impl defmt::Logger for Logger {
 fn panic(info: &PanicInfo<'_>) -> ! {
     cortex_m::interrupt::disable();
     defmt::error!("{}", defmt::Display2Format(info));
-    let place = info.location();
-    let fault = place.map(|place| Fault::panic(place.file(), place.line()));
-    kept().start.record(&fault.unwrap_or_default());
+    kept().start.record(&wimu_cortex_m::panicked());
     semihosting::exit(exit_code::PANIC)
 }
 

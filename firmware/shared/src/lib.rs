@@ -39,21 +39,24 @@ pub fn fault_of(frame: &cortex_m_rt::ExceptionFrame) -> Fault {
     }
 }
 
-/// Defines the handlers of panics and processor faults. They record the place in [`START`] and call `$restart`, a
+/// The fault of a panic. Call it in the panic handler. It does not read the panic's location, so the linker drops
+/// the names of all source files.
+#[inline(always)]
+pub fn panicked() -> Fault {
+    Fault::panic(stack::callers())
+}
+
+/// Defines the handlers of panics and processor faults. They record the addresses in [`START`] and call `$restart`, a
 /// function `fn() -> !` that resets the chip. With the board's feature `defmt` a panic is also logged.
 #[macro_export]
 macro_rules! fault_handlers {
     ($restart:path) => {
         #[panic_handler]
-        fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
-            use $crate::wimu_embassy::wimu_link::hello::Fault;
+        fn panic(_info: &core::panic::PanicInfo<'_>) -> ! {
             $crate::cortex_m::interrupt::disable();
             #[cfg(feature = "defmt")]
-            defmt::error!("{}", defmt::Display2Format(info));
-            let place = info.location();
-            let fault =
-                place.map_or(Fault::default(), |place| Fault::panic(place.file(), place.line()));
-            $crate::START.record(&fault);
+            defmt::error!("{}", defmt::Display2Format(_info));
+            $crate::START.record(&$crate::panicked());
             $restart()
         }
 

@@ -49,6 +49,33 @@ pub(crate) fn is_overflow(address: u32) -> bool {
     address < floor()
 }
 
+/// Addresses of the two calls that led to the panic handler that calls this: that of `panic_fmt` of `core`, often in
+/// another function of `core`, and that of the function with this call. 0 where the stack holds none.
+#[inline(always)]
+pub(crate) fn callers() -> [u32; 2] {
+    let handler: u32;
+    // SAFETY: it reads a register. Code for Arm's Thumb state keeps frame pointers in r7.
+    unsafe { core::arch::asm!("mov {}, r7", out(reg) handler, options(nomem, nostack)) };
+    callers_of(handler)
+}
+
+/// The same of the handler with this frame. A frame holds the caller's frame and the return address.
+#[inline(never)]
+fn callers_of(handler: u32) -> [u32; 2] {
+    let mut frame = handler;
+    let mut returns = [0; 3];
+    for address in &mut returns {
+        if frame % 4 != 0 || frame < floor() || frame + 8 > addr_of!(_stack_start) as u32 {
+            break;
+        }
+        // SAFETY: the two aligned words are in the stack.
+        [frame, *address] = unsafe { (frame as *const [u32; 2]).read_volatile() };
+    }
+    let [_, callers @ ..] = returns;
+    // A call takes four bytes, and bit 0 of a return address is set: the second half of the call.
+    callers.map(|address| address.saturating_sub(3))
+}
+
 /// The stack above the guard: its size, and how much has been written to.
 pub fn status() -> Option<StackStatus> {
     let (floor, top) = (floor(), addr_of!(_stack_start) as u32);

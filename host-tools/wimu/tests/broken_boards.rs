@@ -92,12 +92,12 @@ fn a_fault_of_the_sensor_is_reported_with_a_remedy_to_everyone_who_connects() {
 }
 
 #[test]
-fn the_reset_reason_is_reported_with_file_and_line_after_a_panic() {
+fn the_reset_reason_is_reported_with_addresses_after_a_panic() {
     for (reason, fault, expected) in [
         (
             ResetReason::Fault,
-            Some(Fault::panic("crates/wimu-node/src/adxl345.rs", 170)),
-            "adxl345.rs:170",
+            Some(Fault::panic([0x0001_1128, 0x0002_5678])),
+            "panic 00025678 at 0x00011128",
         ),
         (
             ResetReason::Fault,

@@ -1,17 +1,9 @@
 //! What is where in the image, from its ELF file.
 
-use wimu_link::hello::Fault;
-
 const SYMBOLS: u32 = 2;
 
 /// The image as the linker left it.
 pub struct Image(Vec<u8>);
-
-/// What a panic of the image's own would tell, and where that is kept.
-pub struct Place {
-    pub address: u32,
-    pub fault: Fault,
-}
 
 impl Image {
     /// That of `cargo xtask release --only pico`.
@@ -52,35 +44,5 @@ impl Image {
         let symbol = found.next().unwrap_or_else(|| panic!("no {part}"));
         assert!(found.next().is_none(), "several {part}");
         self.word(symbol + 4)
-    }
-
-    /// What is in the flash at `address`.
-    fn memory(&self, address: u32, length: u32) -> Option<&[u8]> {
-        let header = |index| self.word(0x1C) as usize + index * self.half(0x2A);
-        (0..self.half(0x2C)).map(header).find_map(|header| {
-            let [offset, start, size] = [4, 8, 16].map(|field| self.word(header + field));
-            let inside = address.checked_sub(start)?;
-            let at = (inside.checked_add(length)? <= size).then_some(offset + inside)? as usize;
-            self.0.get(at..at + length as usize)
-        })
-    }
-
-    /// A place in `file` at which the image can panic: `&'static Location`, a string and two numbers.
-    pub fn place_in(&self, file: &str) -> Place {
-        let numbers = |bytes: &[u8]| {
-            let words = bytes.chunks_exact(4);
-            let mut words = words.map(|word| u32::from_le_bytes(word.try_into().expect("four")));
-            [(); 4].map(|()| words.next().expect("four of them"))
-        };
-        (0x1000_0000..0x1010_0000_u32)
-            .step_by(4)
-            .find_map(|address| {
-                let [text, length, line, column] = numbers(self.memory(address, 16)?);
-                let is_text = (3..256).contains(&length) && line < 10_000 && column < 200;
-                let text = is_text.then(|| self.memory(text, length))??;
-                let text = std::str::from_utf8(text).ok()?;
-                text.ends_with(file).then(|| Place { address, fault: Fault::panic(text, line) })
-            })
-            .unwrap_or_else(|| panic!("it cannot panic in {file}"))
     }
 }

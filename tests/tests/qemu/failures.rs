@@ -93,7 +93,7 @@ fn three_starts_that_panic_lead_to_safe_mode_until_the_next_reset() {
     assert_eq!(ended, None);
     let hello = boot.hello.expect("a Hello");
     assert!(hello.safe_mode);
-    assert!(hello.fault.expect("a fault").to_string().contains("watchdog.rs:"));
+    assert!(hello.fault.expect("a fault").to_string().starts_with("panic "));
     assert_eq!(hello.parameter_id, ParameterId::UNCALIBRATED);
     assert!(boot.raw.len() > 1900, "{}", boot.raw.len());
     assert!(boot.corrected.is_empty() && boot.navigation.is_empty());

@@ -254,34 +254,33 @@ impl defmt::Format for Name {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Fault {
-    /// Line of the source file; for a processor fault, the address of the instruction.
-    pub line: u32,
-    /// The end of the source file's path, or the kind of the processor's fault.
-    pub file: Name,
+    /// Address of the instruction.
+    pub address: u32,
+    /// Its kind.
+    pub kind: Name,
 }
 
 impl Fault {
-    /// A panic in `line` of `file`, of which the end is kept.
-    pub fn panic(file: impl AsRef<[u8]>, line: u32) -> Self {
-        let file = file.as_ref();
-        let surplus = file.len().saturating_sub(NAME_LENGTH);
-        let end = file.get(surplus..).unwrap_or_default();
-        Self { line, file: Name::from_bytes(end) }
+    /// A panic at `address` in a function that was called at `caller`. The caller is written in hexadecimal after the
+    /// kind, as the wire has one address: `panic 0001a2b4`.
+    pub fn panic([address, caller]: [u32; 2]) -> Self {
+        let mut kind = *b"panic 00000000";
+        for (place, digit) in kind.iter_mut().rev().zip(0..8) {
+            let value = (caller >> (4 * digit) & 0xF) as u8;
+            *place = if value < 10 { b'0' + value } else { b'a' + value - 10 };
+        }
+        Self { address, kind: Name::from_bytes(&kind) }
     }
 
     /// A fault of the processor at the instruction at `address`.
     pub const fn processor(kind: &str, address: u32) -> Self {
-        Self { line: address, file: Name::new(kind) }
+        Self { address, kind: Name::new(kind) }
     }
 }
 
 impl fmt::Display for Fault {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.file.as_str().ends_with(".rs") {
-            write!(out, "panic at …{}:{}", self.file, self.line)
-        } else {
-            write!(out, "{} at {:#010x}", self.file, self.line)
-        }
+        write!(out, "{} at {:#010x}", self.kind, self.address)
     }
 }
 

@@ -28,7 +28,7 @@
 //!
 //! | extension | size | content |
 //! |---|---|---|
-//! | 1 | 4, 0–15 | where the firmware stopped before this start, [`Fault`]: line or address, file in ASCII |
+//! | 1 | 4, 0–15 | where the firmware stopped before this start, [`Fault`]: address, kind in ASCII |
 //!
 //! | offset | size | field of `WhoAreYou` (frame kind 2) |
 //! |---|---|---|
@@ -167,11 +167,11 @@ impl Hello {
                 body.push(&[part.name.length])?;
                 body.push(&part.name.bytes)?;
             }
-            if let Some(Fault { line, file }) = &self.fault {
-                let name = file.as_bytes();
-                body.push(&[FAULT, 4 + name.len() as u8])?;
-                body.push(&line.to_le_bytes())?;
-                body.push(name)?;
+            if let Some(Fault { address, kind }) = &self.fault {
+                let kind = kind.as_bytes();
+                body.push(&[FAULT, 4 + kind.len() as u8])?;
+                body.push(&address.to_le_bytes())?;
+                body.push(kind)?;
             }
             Ok(())
         })
@@ -219,10 +219,10 @@ impl Hello {
             firmware,
             reset_reason: ResetReason::from_number(reset_reason),
             fault: extensions(body).find_map(|(number, content)| {
-                let (line, file) = content.split_first_chunk()?;
+                let (address, kind) = content.split_first_chunk()?;
                 (number == FAULT).then(|| Fault {
-                    line: u32::from_le_bytes(*line),
-                    file: Name::from_bytes(file),
+                    address: u32::from_le_bytes(*address),
+                    kind: Name::from_bytes(kind),
                 })
             }),
             sensitivity_known: flags & SENSITIVITY_KNOWN != 0,

@@ -108,12 +108,12 @@ fn who_are_you_is_read_in_every_version() {
 
 #[test]
 fn where_the_firmware_stopped_is_an_extension() {
-    let fault = Fault::panic("crates/wimu-node/src/sampler.rs", 321);
+    let fault = Fault::panic([0x0001_1128, 0x1009_afff]);
     let stopped = Hello { reset_reason: ResetReason::Fault, fault: Some(fault), ..example() };
     let (body, length) = body(&stopped);
-    assert_eq!(&body[80..length], b"\x01\x13\x41\x01\x00\x00/src/sampler.rs");
+    assert_eq!(&body[80..length], b"\x01\x12\x28\x11\x01\x00panic 1009afff");
     assert_eq!(Hello::decode(&body[..length]), Ok(stopped));
-    assert_eq!(fault.to_string(), "panic at …/src/sampler.rs:321");
+    assert_eq!(fault.to_string(), "panic 1009afff at 0x00011128");
     let processor = Fault::processor("hard fault", 0x1000_0231);
     assert_eq!(processor.to_string(), "hard fault at 0x10000231");
     // A truncated one is ignored.

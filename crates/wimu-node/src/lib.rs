@@ -25,8 +25,6 @@ mod rate;
 mod sample;
 mod sampler;
 mod secondary;
-#[cfg(feature = "self-check")]
-mod self_check;
 pub mod sensor;
 mod shared;
 mod slot;

@@ -101,8 +101,6 @@ where
                 shared: common,
                 record: [0; RECORD],
                 parameters_changed: false,
-                #[cfg(feature = "self-check")]
-                self_check: Default::default(),
                 latched: None,
             },
         }

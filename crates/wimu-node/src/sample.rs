@@ -27,10 +27,8 @@ impl RawSample for WideCounts {}
 impl RawSample for (Counts, Counts) {}
 impl RawSample for (WideCounts, WideCounts) {}
 
-/// Whether the quality of a calibration, and the magnetometer's model, are used. The heading's uncertainty
-/// depends on the quality too.
-const QUALITY: bool = cfg!(any(feature = "self-check", feature = "heading"));
-const MAGNETOMETER: bool = cfg!(feature = "heading");
+/// Whether the magnetometer's model and the quality of a calibration are used: the heading's uncertainty depends on both.
+const HEADING: bool = cfg!(feature = "heading");
 
 pub(crate) mod sealed {
     use super::*;
@@ -118,7 +116,7 @@ impl<C: Triad> sealed::Process for C {
     type Gyroscope = ();
 
     fn decode(wire: &WireParameters) -> Result<ParameterSet, ParameterFault> {
-        wire.to_set::<QUALITY, MAGNETOMETER, false>()
+        wire.to_set::<HEADING, HEADING, false>()
     }
 
     fn compile_gyroscope(
@@ -156,7 +154,7 @@ where
     type Gyroscope = GyroscopeCorrector;
 
     fn decode(wire: &WireParameters) -> Result<ParameterSet, ParameterFault> {
-        wire.to_set::<QUALITY, MAGNETOMETER, true>()
+        wire.to_set::<HEADING, HEADING, true>()
     }
 
     fn compile_gyroscope(

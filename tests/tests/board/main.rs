@@ -12,7 +12,6 @@ mod middleman;
 mod pieces;
 mod rates;
 mod requests;
-mod self_check;
 mod sensor;
 mod tags;
 mod versions;

@@ -202,27 +202,4 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
             _ => Ok(()),
         }
     }
-
-    /// Compares |f| at a rest with gravity, and reports if the calibration no longer holds.
-    #[cfg(feature = "self-check")]
-    pub(super) fn check_calibration(&mut self, mean: [i64; 3], parameters: ParameterId) {
-        let published = self.shared.published();
-        if published.parameters != parameters {
-            return;
-        }
-        let gravity_um_s2 = published.settings.gravity_um_s2;
-        let mut active = Set::NONE;
-        self.shared.active(&mut active);
-        let wire = active.get().and_then(|set| set.decode().ok());
-        let set = wire.and_then(|wire| A::Sample::decode(&wire).ok());
-        let set = set.map(|set| (parameters, set));
-        match self.self_check.rest(set.as_ref(), gravity_um_s2, self.latched, mean) {
-            crate::self_check::Finding::Contradicted(event) => {
-                self.set_fault(PersistentFault::Calibration, event);
-                self.shared.report(self.timer.now(), event);
-            }
-            crate::self_check::Finding::Holds => self.clear_fault(PersistentFault::Calibration),
-            crate::self_check::Finding::Unknown => {}
-        }
-    }
 }

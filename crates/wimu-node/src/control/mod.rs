@@ -42,8 +42,6 @@ pub struct Control<'a, A: InertialSensor, T, S, M: RawMutex> {
     pub(crate) record: [u8; RECORD],
     /// The new parameters have to be announced.
     pub(crate) parameters_changed: bool,
-    #[cfg(feature = "self-check")]
-    pub(crate) self_check: crate::self_check::CalibrationCheck,
     pub(crate) latched: Option<CentiCelsius>,
 }
 
@@ -61,26 +59,19 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                     self.timer.until(next_status),
                     self.shared.key_lost.wait(),
                 ),
-                select(self.shared.rates.receive(), self.shared.rest.wait()),
+                self.shared.rates.receive(),
             )
             .await;
             let event = match event {
                 Either::First(event) => event,
                 #[cfg(not(feature = "line-rates"))]
-                Either::Second(Either::First(_)) => continue,
+                Either::Second(_) => continue,
                 #[cfg(feature = "line-rates")]
-                Either::Second(Either::First((role, baud))) => {
+                Either::Second((role, baud)) => {
                     // A rate that cannot be stored is used until the next start.
                     let _ = self.save_rate(role, baud).await;
                     continue;
                 }
-                #[cfg(feature = "self-check")]
-                Either::Second(Either::Second((mean, parameters))) => {
-                    self.check_calibration(mean, parameters);
-                    continue;
-                }
-                #[cfg(not(feature = "self-check"))]
-                Either::Second(Either::Second(_)) => continue,
             };
             match event {
                 #[cfg(feature = "line-rates")]

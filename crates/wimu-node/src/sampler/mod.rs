@@ -273,10 +273,6 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             if running.correction.compass.is_some() {
                 self.next_surroundings = time;
             }
-            if let Some(integrator) = running.integrator.first() {
-                let mean = integrator.rest_force();
-                self.shared.rest.signal((mean, running.correction.parameters));
-            }
         }
         let since_epoch = time.0.saturating_sub(running.last_epoch.0);
         running.epoch_reason = match transition {

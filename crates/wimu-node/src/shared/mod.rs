@@ -134,9 +134,6 @@ pub(crate) struct Common<M: RawMutex> {
     pub(crate) key_lost: Signal<M, ()>,
     /// Rates to store.
     pub(crate) rates: Channel<M, (LinkRole, u32), 2>,
-    /// Mean specific force of a rest that has begun, 2⁻³² m/s², body axes, and the parameters it
-    /// was corrected with.
-    pub(crate) rest: Signal<M, ([i64; 3], ParameterId)>,
     /// Empty until something is published.
     published: Mutex<M, RefCell<Slot<Published>>>,
 }
@@ -214,13 +211,11 @@ pub(crate) enum PersistentFault {
     Settings,
     Parameters,
     DeviceKey,
-    #[cfg(feature = "self-check")]
-    Calibration,
 }
 
 impl PersistentFault {
     /// The number of variants.
-    const COUNT: usize = 6;
+    const COUNT: usize = 5;
 }
 
 /// Summary of the device's state.
@@ -285,7 +280,6 @@ impl<M: RawMutex> Common<M> {
             active: Mutex::new(RefCell::new(Set::NONE)),
             key_lost: Signal::new(),
             rates: Channel::new(),
-            rest: Signal::new(),
             published: Mutex::new(RefCell::new(Slot::Empty)),
         }
     }

@@ -267,7 +267,7 @@ fn freedoms(fitted: &Fitted) -> [f64; 2] {
 }
 
 /// The model's parameters with the drift among them.
-fn all_of(estimate: &Estimate) -> Theta<f64> {
+fn all_of(estimate: &Estimate) -> Theta {
     let mut theta = theta_of(&estimate.model);
     if let Some(drift) = estimate.drift {
         for (axis, change) in drift.change_mps2.into_iter().enumerate() {

@@ -215,7 +215,7 @@ fn check(estimates: &[Estimate]) -> Result<(), CombineRefusal> {
     Ok(())
 }
 
-fn model(theta: &terms::Theta<f64>, sessions: &Sessions<'_>) -> Result<ErrorModel, ModelError> {
+fn model(theta: &terms::Theta, sessions: &Sessions<'_>) -> Result<ErrorModel, ModelError> {
     ErrorModel::new(ErrorTerms {
         bias_mps2: terms::bias(theta),
         matrix: terms::matrix(theta),

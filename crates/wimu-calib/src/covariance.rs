@@ -59,24 +59,19 @@ impl Covariance {
 
     /// Adds the uncertainty of gravity: A is proportional to 1/g, so its relative error is common
     /// to all of A. The last term of equation (15).
-    pub(crate) fn add_gravity(&mut self, theta: &Theta<f64>, gravity: Gravity) {
+    pub(crate) fn add_gravity(&mut self, theta: &Theta, gravity: Gravity) {
         let relative = gravity.sd_mps2() / gravity.mps2();
         self.add_common_scale(theta, relative * relative);
     }
 
     /// Removes the uncertainty of gravity, as far as it is included.
-    pub(crate) fn remove_gravity(&mut self, theta: &Theta<f64>, gravity: Gravity) {
+    pub(crate) fn remove_gravity(&mut self, theta: &Theta, gravity: Gravity) {
         let held = self.held_of_gravity(theta, gravity);
         self.add_common_scale(theta, -held);
     }
 
     /// Part of the variance of a parameter that is due to gravity.
-    pub(crate) fn of_gravity(
-        &self,
-        theta: &Theta<f64>,
-        gravity: Gravity,
-        parameter: Parameter,
-    ) -> f64 {
+    pub(crate) fn of_gravity(&self, theta: &Theta, gravity: Gravity, parameter: Parameter) -> f64 {
         match parameter.index() {
             0..3 => 0.0,
             i => theta[i] * theta[i] * self.held_of_gravity(theta, gravity),
@@ -84,7 +79,7 @@ impl Covariance {
     }
 
     /// Relative variance of gravity, as far as it is included.
-    fn held_of_gravity(&self, theta: &Theta<f64>, gravity: Gravity) -> f64 {
+    fn held_of_gravity(&self, theta: &Theta, gravity: Gravity) -> f64 {
         let relative = gravity.sd_mps2() / gravity.mps2();
         let held = |axis: usize| {
             let scale = theta[3 + 4 * axis];
@@ -94,7 +89,7 @@ impl Covariance {
         (relative * relative).min(most)
     }
 
-    fn add_common_scale(&mut self, theta: &Theta<f64>, variance: f64) {
+    fn add_common_scale(&mut self, theta: &Theta, variance: f64) {
         for i in 3..Parameter::COUNT {
             for j in 3..Parameter::COUNT {
                 self.0[i][j] += theta[i] * theta[j] * variance;

@@ -4,7 +4,6 @@ use core::fmt;
 
 use wimu_model::{CentiCelsius, ErrorModel, Matrix3, ModelError, SpecificForceMps2};
 
-use crate::linear::Real;
 use crate::terms::{self, Slot, Terms, Theta};
 use crate::weights::Rejected;
 use crate::{Covariance, Face, Gravity, Model, Parameter, Parameters, Pose, force, student};
@@ -326,11 +325,7 @@ pub(crate) struct Residuals {
 
 impl Residuals {
     /// Residuals under the first twelve parameters.
-    pub fn of<'a, R: Real>(
-        theta: &Theta<R>,
-        poses: impl Iterator<Item = &'a Pose>,
-        gravity_mps2: f64,
-    ) -> Self {
+    pub fn of<'a>(theta: &Theta, poses: impl Iterator<Item = &'a Pose>, gravity_mps2: f64) -> Self {
         let mut residuals = Self::default();
         for (k, pose) in poses.enumerate() {
             residuals.add(k, force::residual(theta, pose, gravity_mps2));

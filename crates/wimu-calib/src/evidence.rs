@@ -1,7 +1,6 @@
 //! Marginal likelihood of a model: equation (49).
 
 use crate::least_squares::{Fit, Magnitude};
-use crate::linear::{Real, double};
 use crate::symmetric::{MOST, Scaled, Symmetric, dot};
 use crate::terms::{PERFECT, Term};
 use crate::weights::{POSE_SCATTER_DOF, POSE_SCATTER_MPS2};
@@ -20,7 +19,7 @@ const BAD_POSE: f64 = -4.6;
 /// ln p(y | model), with the prior of the parameters from typical datasheets, and an inverse gamma
 /// prior of the residuals' variance about that of [`POSE_SCATTER_MPS2`] and of the poses' mean
 /// noise, (m/s²)².
-pub(crate) fn evidence<R: Real>(fit: &Fit<R>, problem: &Magnitude, telling: f64) -> f64 {
+pub(crate) fn evidence(fit: &Fit, problem: &Magnitude, telling: f64) -> f64 {
     let (free, rejected) = (&problem.free, problem.rejected);
     let (kept, noise) = (problem.poses.len() - rejected.count(), problem.mean_noise());
     // Poses of one orientation with a common error count as fewer poses.
@@ -31,7 +30,7 @@ pub(crate) fn evidence<R: Real>(fit: &Fit<R>, problem: &Magnitude, telling: f64)
     let cost = share * fit.cost + prior_dof * expected;
     let variance = 0.5 * cost / half_dof;
     let n = free.len();
-    let inverse = Symmetric::from_fn(n, |r, c| double(fit.inverse.at(r, c)) / share);
+    let inverse = Symmetric::from_fn(n, |r, c| fit.inverse.at(r, c) / share);
     // About a perfect sensor. Parameters with a flat prior do not contribute.
     let known = Symmetric::from_fn(n, |r, c| match (free[r].usual_sd(), free[c].usual_sd()) {
         (Some(usual), Some(_)) => {
@@ -45,7 +44,7 @@ pub(crate) fn evidence<R: Real>(fit: &Fit<R>, problem: &Magnitude, telling: f64)
     let mut constants = 0.0;
     for (off, slot) in off.iter_mut().zip(free) {
         if slot.usual_sd().is_some() {
-            *off = double(fit.theta[slot.index()]) - PERFECT[slot.index()];
+            *off = fit.theta[slot.index()] - PERFECT[slot.index()];
             constants += libm::log(core::f64::consts::TAU);
         }
     }

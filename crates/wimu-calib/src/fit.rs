@@ -4,10 +4,9 @@ use wimu_model::{ErrorModel, ErrorTerms, TemperatureTerms};
 
 use crate::estimate::{Drift, Residuals, TermDeviations};
 use crate::force::Conditions;
-use crate::knowledge::{Condition, Knowledge};
+use crate::knowledge::Knowledge;
 use crate::least_squares::{Fit, Magnitude, Without};
-use crate::linear::{Real, double, real};
-use crate::multi_position::{Fitted, MinimalEstimate, Violation, range};
+use crate::multi_position::{Fitted, Violation, range};
 use crate::shared::{Shared, Visited};
 use crate::terms::{self, PERFECT, Term, Terms, Theta};
 use crate::unfitted::Unfitted;
@@ -33,85 +32,62 @@ const GOOD_LEFT_OUT_MPS2: f64 = 1e-4;
 
 /// Weights the poses, and rejects outliers if that is asked for, and fits again, from the least-squares
 /// fit with equal weights if that converged. `None` if no fit converges.
-pub(crate) type Refine<R> =
-    fn(&mut Magnitude, Option<Fit<R>>, MultiPosition) -> Result<Option<Fit<R>>, Refusal>;
-
-/// Parts of a fit that a program may do without. As pointers, so that it contains those that it uses.
-pub(crate) struct Parts<R: Real> {
-    pub conditions: Conditions,
-    /// Starting values, if there are better ones than a perfect sensor.
-    pub start: fn(&[Pose], Gravity, Model) -> Option<Theta<R>>,
-    pub refine: Refine<R>,
-    pub condition: Condition<R>,
-    /// Observability where no fit converges.
-    pub unsolved: fn(&mut Magnitude, MultiPosition) -> Option<Knowledge<R>>,
-    /// Variance components; `None` when the parameters use up the differences between orientations.
-    pub shared: fn(&Magnitude, &Fit<R>, &Visited) -> Option<Shared<R>>,
-}
-
-impl<R: Real> Parts<R> {
-    pub fn all(refine: Refine<R>, conditions: Conditions) -> Self {
-        Self {
-            conditions,
-            start: ellipsoid::start,
-            refine,
-            condition: |problem, inverse| problem.condition(inverse),
-            unsolved: near_solution,
-            shared: |problem, fit, visited| problem.shared(fit, visited),
-        }
-    }
-}
+pub(crate) type Refine =
+    fn(&mut Magnitude, Option<Fit>, MultiPosition) -> Result<Option<Fit>, Refusal>;
 
 /// A fit whose parameters are observable.
-pub(crate) struct Found<'a, R: Real> {
+pub(crate) struct Found<'a> {
     pub problem: Magnitude<'a>,
-    pub fit: Fit<R>,
-    knowledge: Knowledge<R>,
+    pub fit: Fit,
+    knowledge: Knowledge,
     gravity: Gravity,
     what: MultiPosition,
-    shared: fn(&Magnitude, &Fit<R>, &Visited) -> Option<Shared<R>>,
 }
 
 /// A fit that explains the poses, before poses are left out.
-pub(crate) struct Basis<R: Real> {
-    pub minimal: MinimalEstimate,
+struct Basis {
+    model: ErrorModel,
+    /// Covariance of its 12 parameters, including the uncertainty of gravity.
+    covariance: Covariance,
+    /// Residuals of the poses that are not rejected, m/s² rms.
+    rms_mps2: f64,
     visited: Visited,
-    shared: Shared<R>,
+    shared: Shared,
 }
 
-pub(crate) fn fit<'a, R: Real>(
+pub(crate) fn fit<'a>(
     poses: &'a [Pose],
     visits: &'a Visits,
     gravity: Gravity,
     what: MultiPosition,
-    parts: Parts<R>,
-) -> Result<Found<'a, R>, Refusal> {
+    refine: Refine,
+    conditions: Conditions,
+) -> Result<Found<'a>, Refusal> {
     let mut problem = Magnitude {
         poses,
         visits,
         gravity_mps2: gravity.mps2(),
-        conditions: parts.conditions,
+        conditions,
         weighting: Weighting::EQUAL,
         rejected: Rejected::default(),
         far: None,
         free: what.slots(),
         terms: what.terms != Terms::NONE,
     };
-    let perfect = PERFECT.map(real::<R>);
     let defect = || {
         let dead = || input::dead_axis(poses, gravity).map(|axis| Refusal::AxisStuck { axis });
         input::mixed_units(poses).or_else(dead)
     };
-    let solve = |start: &Theta<R>| problem.solve(start, Without::Nothing);
-    let squares = (parts.start)(poses, gravity, what.model).and_then(|start| solve(&start));
-    let squares = squares.or_else(|| solve(&perfect));
-    let fit = (parts.refine)(&mut problem, squares, what).map_err(|refusal| match refusal {
+    let solve = |start: &Theta| problem.solve(start, Without::Nothing);
+    let squares = ellipsoid::start(poses, gravity, what.model).and_then(|start| solve(&start));
+    let squares = squares.or_else(|| solve(&PERFECT));
+    let fit = refine(&mut problem, squares, what).map_err(|refusal| match refusal {
         Refusal::NotConverged => defect().unwrap_or(refusal),
         refusal => refusal,
     })?;
     let knowledge = match &fit {
-        Some(fit) => problem.knowledge(fit, parts.condition),
-        None => (parts.unsolved)(&mut problem, what),
+        Some(fit) => problem.knowledge(fit, |problem, inverse| problem.condition(inverse)),
+        None => near_solution(&mut problem, what),
     };
     if let Some(knowledge) = knowledge.as_ref().filter(|knowledge| !knowledge.suffices()) {
         return Err(defect().unwrap_or_else(|| knowledge.refusal(what, &problem.free)));
@@ -122,27 +98,26 @@ pub(crate) fn fit<'a, R: Real>(
     if let Some(axis) = input::stuck_axis(poses) {
         return Err(Refusal::AxisStuck { axis });
     }
-    Ok(Found { shared: parts.shared, problem, fit, knowledge, gravity, what })
+    Ok(Found { problem, fit, knowledge, gravity, what })
 }
 
 /// Observability at the bias and scale factors that fit best.
-fn near_solution<R: Real>(problem: &mut Magnitude, what: MultiPosition) -> Option<Knowledge<R>> {
-    let perfect = PERFECT.map(real);
+fn near_solution(problem: &mut Magnitude, what: MultiPosition) -> Option<Knowledge> {
     problem.free = MultiPosition { model: Model::BiasScale6, ..MultiPosition::default() }.slots();
-    let smaller = problem.solve(&perfect, Without::Nothing);
+    let smaller = problem.solve(&PERFECT, Without::Nothing);
     problem.free = what.slots();
-    problem.knowledge_at(&smaller.map_or(perfect, |fit| fit.theta))
+    problem.knowledge_at(&smaller.map_or(PERFECT, |fit| fit.theta))
 }
 
 /// Rejects outliers.
-pub(crate) fn searched<R: Real>(
+pub(crate) fn searched(
     problem: &mut Magnitude,
-    squares: Option<Fit<R>>,
+    squares: Option<Fit>,
     what: MultiPosition,
-) -> Result<Option<Fit<R>>, Refusal> {
+) -> Result<Option<Fit>, Refusal> {
     // A gross outlier may keep least squares, but not the robust fit, from converging.
     let converged = squares.is_some();
-    let robust = || problem.solve_robust(&PERFECT.map(real), FAR_OFF_MPS2);
+    let robust = || problem.solve_robust(&PERFECT, FAR_OFF_MPS2);
     let Some(first) = squares.or_else(robust) else {
         return Ok(None);
     };
@@ -150,11 +125,11 @@ pub(crate) fn searched<R: Real>(
     Ok(fit.filter(|_| converged || problem.rejected.count() > 0))
 }
 
-fn refined<R: Real>(
+fn refined(
     problem: &mut Magnitude,
-    first: Fit<R>,
+    first: Fit,
     what: MultiPosition,
-) -> Result<Option<Fit<R>>, Refusal> {
+) -> Result<Option<Fit>, Refusal> {
     let start = first.theta;
     let fit = outliers::reject(problem, first, what.model).map_err(|pose| {
         let mut squares = 0.0;
@@ -193,11 +168,11 @@ fn refined<R: Real>(
 }
 
 /// Weights the poses, if every one has a noise figure.
-pub(crate) fn weighted<R: Real>(
+pub(crate) fn weighted(
     problem: &mut Magnitude,
-    mut fit: Option<Fit<R>>,
+    mut fit: Option<Fit>,
     _: MultiPosition,
-) -> Result<Option<Fit<R>>, Refusal> {
+) -> Result<Option<Fit>, Refusal> {
     if !problem.has_noise() {
         return Ok(fit);
     }
@@ -211,22 +186,22 @@ pub(crate) fn weighted<R: Real>(
     Ok(fit)
 }
 
-impl<R: Real> Found<'_, R> {
-    pub fn basis(&self, violation: Option<&mut Violation>) -> Result<Basis<R>, Refusal> {
+impl Found<'_> {
+    fn basis(&self, violation: Option<&mut Violation>) -> Result<Basis, Refusal> {
         let Self { problem, fit, what, .. } = self;
         let poses = problem.poses;
-        let theta = fit.theta.map(double);
+        let theta = &fit.theta;
         let free = &problem.free;
         let error_terms = ErrorTerms {
-            bias_mps2: terms::bias(&theta),
-            matrix: terms::matrix(&theta),
+            bias_mps2: terms::bias(theta),
+            matrix: terms::matrix(theta),
             temperature: TemperatureTerms {
                 reference_c: problem.conditions.reference_c,
-                bias_mps2_per_k: terms::triple(&theta, 15),
-                scale_per_k: terms::triple(&theta, 18),
+                bias_mps2_per_k: terms::triple(theta, 15),
+                scale_per_k: terms::triple(theta, 18),
                 ..TemperatureTerms::default()
             },
-            nonlinearity: terms::triple(&theta, 21),
+            nonlinearity: terms::triple(theta, 21),
         };
         let fitted_poses = poses.len() - problem.rejected.count();
         let dof = fitted_poses - free.len();
@@ -237,7 +212,7 @@ impl<R: Real> Found<'_, R> {
             Refusal::OutOfBounds(error)
         })?;
         let visited = problem.visited();
-        let shared = (self.shared)(problem, fit, &visited).ok_or_else(|| Refusal::TooFewPoses {
+        let shared = problem.shared(fit, &visited).ok_or_else(|| Refusal::TooFewPoses {
             have: visited.apart,
             need: free.len() + 1,
             model: what.model,
@@ -263,31 +238,21 @@ impl<R: Real> Found<'_, R> {
             return Err(input::mixed_units(poses)
                 .unwrap_or(Refusal::PoorFit { rms_mps2: kept.rms_mps2(), pose: kept.worst_pose }));
         }
-        let known = |r, c| shared.variance * double(shared.spread.at(r, c));
+        let known = |r, c| shared.variance * shared.spread.at(r, c);
         let mut covariance = Covariance::ZERO;
         covariance.add_fitted(free, known);
         if what.model != Model::Bias3 {
-            covariance.add_gravity(&theta, self.gravity);
+            covariance.add_gravity(theta, self.gravity);
         }
-        Ok(Basis {
-            minimal: MinimalEstimate {
-                model,
-                covariance,
-                interval_dof: shared.dof,
-                rms_mps2: kept.rms_mps2(),
-                worst_pose: kept.worst_pose,
-            },
-            visited,
-            shared,
-        })
+        Ok(Basis { model, covariance, rms_mps2: kept.rms_mps2(), visited, shared })
     }
 
     /// The estimate, judged by leaving poses out and by what its model leaves out.
     pub fn fitted(&self, violation: Option<&mut Violation>) -> Result<Fitted, Refusal> {
-        let Basis { minimal, visited, shared } = self.basis(violation)?;
+        let Basis { model, covariance, rms_mps2, visited, shared } = self.basis(violation)?;
         let Self { problem, fit, what, .. } = self;
         let (poses, free) = (problem.poses, &problem.free);
-        let theta = fit.theta.map(double);
+        let theta = &fit.theta;
         let fitted_poses = poses.len() - problem.rejected.count();
         let (mut all, mut left_out) = (Residuals::default(), Residuals::default());
         // By orientation: a repeated orientation does not confirm the model elsewhere.
@@ -309,13 +274,13 @@ impl<R: Real> Found<'_, R> {
         });
         let sd = libm::sqrt(shared.variance);
         let mut term_sd = TermDeviations::default();
-        term_sd.add_fitted(free, |i| shared.variance * double(shared.spread.at(i, i)));
+        term_sd.add_fitted(free, |i| shared.variance * shared.spread.at(i, i));
         let mut estimate = Estimate {
-            model: minimal.model,
+            model,
             method: Method::MultiPosition(what.model),
             terms: what.terms,
             fitted: what.model.fitted(),
-            covariance: minimal.covariance,
+            covariance,
             term_sd,
             gravity: self.gravity,
             poses: fitted_poses,
@@ -323,7 +288,7 @@ impl<R: Real> Found<'_, R> {
             dof: fitted_poses - free.len(),
             interval_dof: Some(shared.dof),
             rms_mps2: all.rms_mps2(),
-            fitted_rms_mps2: minimal.rms_mps2,
+            fitted_rms_mps2: rms_mps2,
             max_mps2: all.largest_mps2,
             worst_pose: all.worst_pose,
             loo_rms_mps2: None,
@@ -337,7 +302,7 @@ impl<R: Real> Found<'_, R> {
             temperature_c: pose::mean_temperature(poses.iter()),
             temperature_range_c: range(poses, |pose| pose.temperature_c),
             drift: what.terms.contains(Term::Drift).then(|| Drift {
-                change_mps2: terms::triple(&theta, 12),
+                change_mps2: terms::triple(theta, 12),
                 end_s: problem.conditions.end_s,
                 span_s: 1.0 / problem.conditions.per_span,
             }),
@@ -382,8 +347,7 @@ impl<R: Real> Found<'_, R> {
 }
 
 /// `fit` with the derivatives of a perfect sensor.
-fn at_perfect<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> Option<Fit<R>> {
-    let theta = PERFECT.map(real::<R>);
-    let information = problem.information(&theta, &problem.weighting)?;
-    Some(Fit { inverse: information.inverse()?, cost: fit.cost, theta })
+fn at_perfect(problem: &Magnitude, fit: &Fit) -> Option<Fit> {
+    let information = problem.information(&PERFECT, &problem.weighting)?;
+    Some(Fit { inverse: information.inverse()?, cost: fit.cost, theta: PERFECT })
 }

@@ -3,7 +3,6 @@
 use nalgebra::{Matrix3, Vector3};
 use wimu_model::TemperatureTerms;
 
-use crate::linear::{Real, double, real};
 use crate::terms::{Slot, Theta};
 use crate::{Orientation, Pose};
 
@@ -35,11 +34,11 @@ impl Conditions {
 }
 
 /// Parameters prepared for application to poses.
-pub(crate) struct Evaluated<'a, R: Real> {
-    theta: &'a Theta<R>,
+pub(crate) struct Evaluated<'a> {
+    theta: &'a Theta,
     /// A⁻¹ at T₀.
-    inverse: Matrix3<R>,
-    invert: Invert<R>,
+    inverse: Matrix3<f64>,
+    invert: Invert,
     /// Whether A depends on temperature.
     warms: bool,
     /// Whether terms beyond the first twelve parameters are evaluated.
@@ -48,9 +47,9 @@ pub(crate) struct Evaluated<'a, R: Real> {
 
 /// A⁻¹ of a matrix with positive determinant. A mirrored A gives the same magnitudes; a step that
 /// leads to one was too long.
-type Invert<R> = fn(&Matrix3<R>) -> Option<Matrix3<R>>;
+type Invert = fn(&Matrix3<f64>) -> Option<Matrix3<f64>>;
 
-fn general<R: Real>(a: &Matrix3<R>) -> Option<Matrix3<R>> {
+fn general(a: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     let minor = |r: usize, c: usize| {
         let (i, j) = ((r + 1) % 3, (r + 2) % 3);
         let (k, l) = ((c + 1) % 3, (c + 2) % 3);
@@ -59,14 +58,14 @@ fn general<R: Real>(a: &Matrix3<R>) -> Option<Matrix3<R>> {
     let minors = Matrix3::from_fn(|r, c| minor(c, r));
     let determinant =
         a[(0, 0)] * minors[(0, 0)] + a[(0, 1)] * minors[(1, 0)] + a[(0, 2)] * minors[(2, 0)];
-    let factor = R::one() / determinant;
-    (determinant > R::zero() && factor.is_finite()).then(|| minors * factor)
+    let factor = 1.0 / determinant;
+    (determinant > 0.0 && factor.is_finite()).then(|| minors * factor)
 }
 
 /// Of a lower triangular A, as determined by gravity alone.
 #[cfg_attr(not(target_os = "none"), inline(always))]
-fn triangular<R: Real>(a: &Matrix3<R>) -> Option<Matrix3<R>> {
-    let (zero, one) = (R::zero(), R::one());
+fn triangular(a: &Matrix3<f64>) -> Option<Matrix3<f64>> {
+    let (zero, one) = (0.0, 1.0);
     // The divisions are independent of each other.
     let [x, y, z] = [one / a[(0, 0)], one / a[(1, 1)], one / a[(2, 2)]];
     let yx = -a[(1, 0)] * x * y;
@@ -78,37 +77,37 @@ fn triangular<R: Real>(a: &Matrix3<R>) -> Option<Matrix3<R>> {
 }
 
 /// Intermediate results for one pose.
-pub(crate) struct Applied<R: Real> {
-    inverse: Matrix3<R>,
-    z: Vector3<R>,
-    pub force: Vector3<R>,
-    progress: R,
-    warmer: R,
+pub(crate) struct Applied {
+    inverse: Matrix3<f64>,
+    z: Vector3<f64>,
+    pub force: Vector3<f64>,
+    progress: f64,
+    warmer: f64,
 }
 
-impl<'a, R: Real> Evaluated<'a, R> {
+impl<'a> Evaluated<'a> {
     #[cfg_attr(not(target_os = "none"), inline(always))]
-    fn with(theta: &'a Theta<R>, terms: bool, invert: Invert<R>) -> Option<Self> {
+    fn with(theta: &'a Theta, terms: bool, invert: Invert) -> Option<Self> {
         Some(Self {
             theta,
-            inverse: invert(&Self::matrix(theta, R::zero()))?,
+            inverse: invert(&Self::matrix(theta, 0.0))?,
             invert,
-            warms: terms && Slot::SCALE_SLOPE.iter().any(|slot| !theta[slot.index()].is_zero()),
+            warms: terms && Slot::SCALE_SLOPE.iter().any(|slot| theta[slot.index()] != 0.0),
             terms,
         })
     }
 
     /// Of parameters with a lower triangular A.
     #[cfg_attr(not(target_os = "none"), inline(always))]
-    pub fn new(theta: &'a Theta<R>, terms: bool) -> Option<Self> {
+    pub fn new(theta: &'a Theta, terms: bool) -> Option<Self> {
         Self::with(theta, terms, triangular)
     }
 
-    fn matrix(theta: &Theta<R>, warmer: R) -> Matrix3<R> {
+    fn matrix(theta: &Theta, warmer: f64) -> Matrix3<f64> {
         let mut a = Matrix3::from_fn(|r, c| theta[3 + 3 * r + c]);
-        if !warmer.is_zero() {
+        if warmer != 0.0 {
             for axis in 0..3 {
-                a[(axis, axis)] *= R::one() + theta[Slot::SCALE_SLOPE[axis].index()] * warmer;
+                a[(axis, axis)] *= 1.0 + theta[Slot::SCALE_SLOPE[axis].index()] * warmer;
             }
         }
         a
@@ -116,9 +115,9 @@ impl<'a, R: Real> Evaluated<'a, R> {
 
     /// Specific force from `output`: equation (41).
     #[cfg_attr(not(target_os = "none"), inline(always))]
-    pub fn apply(&self, output: [R; 3], progress: R, warmer: R) -> Applied<R> {
+    pub fn apply(&self, output: [f64; 3], progress: f64, warmer: f64) -> Applied {
         let theta = self.theta;
-        let inverse = if self.warms && !warmer.is_zero() {
+        let inverse = if self.warms && warmer != 0.0 {
             (self.invert)(&Self::matrix(theta, warmer)).unwrap_or(self.inverse)
         } else {
             self.inverse
@@ -140,32 +139,31 @@ impl<'a, R: Real> Evaluated<'a, R> {
     }
 
     /// Of a given specific force at the last pose and T₀.
-    pub fn at(&self, force: Vector3<R>) -> Applied<R> {
-        Applied { inverse: self.inverse, z: force, force, progress: R::zero(), warmer: R::zero() }
+    pub fn at(&self, force: Vector3<f64>) -> Applied {
+        Applied { inverse: self.inverse, z: force, force, progress: 0.0, warmer: 0.0 }
     }
 
     /// Common factors of the derivatives of |f|: w = A⁻ᵀ (1 − 2 diag(q ∘ z)) n, and n = f/|f|.
     #[cfg_attr(not(target_os = "none"), inline(always))]
-    fn directions(&self, at: &Applied<R>) -> (Vector3<R>, Vector3<R>) {
+    fn directions(&self, at: &Applied) -> (Vector3<f64>, Vector3<f64>) {
         let mut m = at.force;
         if self.terms {
-            let two: R = real(2.0);
             for i in 0..3 {
-                m[i] *= R::one() - two * self.theta[21 + i] * at.z[i];
+                m[i] *= 1.0 - 2.0 * self.theta[21 + i] * at.z[i];
             }
         }
         // The division by |f| comes last, to overlap with the square root.
         let norm = at.force.norm();
-        let per_norm = if norm > R::zero() { R::one() / norm } else { R::one() };
+        let per_norm = if norm > 0.0 { 1.0 / norm } else { 1.0 };
         (at.inverse.tr_mul(&m) * per_norm, at.force * per_norm)
     }
 
     /// ∂|f|/∂θ of all parameters: equations (13) and (41).
     #[cfg_attr(not(target_os = "none"), inline(always))]
-    pub fn derivatives(&self, at: &Applied<R>) -> Theta<R> {
+    pub fn derivatives(&self, at: &Applied) -> Theta {
         let (w, n) = self.directions(at);
         let z = &at.z;
-        let mut d = [R::zero(); Slot::COUNT];
+        let mut d = [0.0; Slot::COUNT];
         for row in 0..3 {
             d[row] = -w[row];
             for column in 0..3 {
@@ -179,7 +177,7 @@ impl<'a, R: Real> Evaluated<'a, R> {
             d[12 + row] = -w[row] * at.progress;
             d[15 + row] = -w[row] * at.warmer;
             d[18 + row] = d[3 + 4 * row] * self.theta[3 + 4 * row] * at.warmer;
-            d[3 + 4 * row] *= R::one() + self.theta[18 + row] * at.warmer;
+            d[3 + 4 * row] *= 1.0 + self.theta[18 + row] * at.warmer;
             d[21 + row] = -n[row] * z[row] * z[row];
         }
         d
@@ -188,40 +186,32 @@ impl<'a, R: Real> Evaluated<'a, R> {
 
 /// |f| from `output` at `warmer` K above T₀, m/s², and its derivatives with respect to the first
 /// twelve parameters: equation (13).
-pub(crate) fn magnitude<R: Real>(
-    theta: &Theta<R>,
-    output: [R; 3],
-    warmer: R,
-) -> Option<(R, [R; 12])> {
+pub(crate) fn magnitude(theta: &Theta, output: [f64; 3], warmer: f64) -> Option<(f64, [f64; 12])> {
     let at = Evaluated::with(theta, true, general)?;
-    let applied = at.apply(output, R::zero(), warmer);
+    let applied = at.apply(output, 0.0, warmer);
     let all = at.derivatives(&applied);
     Some((applied.force.norm(), core::array::from_fn(|i| all[i])))
 }
 
 /// Residual |f| − g of a pose under the first twelve parameters, m/s²; infinite if A is singular.
-pub(crate) fn residual<R: Real>(theta: &Theta<R>, pose: &Pose, gravity_mps2: f64) -> f64 {
+pub(crate) fn residual(theta: &Theta, pose: &Pose, gravity_mps2: f64) -> f64 {
     Evaluated::with(theta, false, general).map_or(f64::INFINITY, |at| {
-        let applied = at.apply(pose.mean_mps2.map(real), R::zero(), R::zero());
-        double(applied.force.norm() - real(gravity_mps2))
+        let applied = at.apply(pose.mean_mps2, 0.0, 0.0);
+        applied.force.norm() - gravity_mps2
     })
 }
 
 /// Standard deviation of |f| − g in the worst of 26 orientations, m/s², from the covariance of the
 /// first twelve parameters: equation (17).
-pub(crate) fn worst_sd<R: Real>(
-    theta: &Theta<R>,
-    covariance: &crate::Covariance,
-    gravity_mps2: f64,
-) -> f64 {
+pub(crate) fn worst_sd(theta: &Theta, covariance: &crate::Covariance, gravity_mps2: f64) -> f64 {
     let Some(at) = Evaluated::with(theta, true, general) else {
         return f64::INFINITY;
     };
-    let covariance = covariance.matrix().map(|row| row.map(real::<R>));
+    let covariance = covariance.matrix();
     let variance = |orientation: Orientation| {
-        let applied = at.at(Vector3::from(orientation.up().map(|c| real(c * gravity_mps2))));
+        let applied = at.at(Vector3::from(orientation.up().map(|c| c * gravity_mps2)));
         let row = at.derivatives(&applied);
-        let mut sum = R::zero();
+        let mut sum = 0.0;
         for (covariances, d) in covariance.iter().zip(row) {
             for (covariance, e) in covariances.iter().zip(row) {
                 sum += d * *covariance * e;
@@ -229,7 +219,6 @@ pub(crate) fn worst_sd<R: Real>(
         }
         sum
     };
-    let worst =
-        Orientation::ALL.into_iter().map(variance).fold(R::zero(), |most, one| most.max(one));
-    double(worst.sqrt())
+    let worst = Orientation::ALL.into_iter().map(variance).fold(0.0, f64::max);
+    libm::sqrt(worst)
 }

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use crate::force::Evaluated;
 use crate::least_squares::{Fit, Magnitude};
-use crate::linear::{Real, double, eigenvalue_range, real};
+use crate::linear::eigenvalue_range;
 use crate::shared::Shared;
 use crate::symmetric::{MOST, Scaled, Symmetric, Vector};
 use crate::terms::{Slot, Theta};
@@ -19,10 +19,10 @@ const MOST_AMPLIFICATION: f64 = 10.0;
 const MOST_REGULARISATIONS: usize = 10;
 
 /// Condition number of a problem with this inverse of the information matrix.
-pub(crate) type Condition<R> = fn(&Magnitude, &Symmetric<R>) -> f64;
+pub(crate) type Condition = fn(&Magnitude, &Symmetric) -> f64;
 
 /// Observability of the fitted parameters.
-pub(crate) struct Knowledge<R: Real> {
+pub(crate) struct Knowledge {
     /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g.
     pub condition: f64,
     /// Standard deviation of |f| − g in the worst of 26 orientations, relative to that of the
@@ -31,21 +31,21 @@ pub(crate) struct Knowledge<R: Real> {
     /// That orientation: a pose there adds most information.
     pub poorest: Orientation,
     /// Variance of each parameter for residuals of unit variance, in terms of the error at 1 g.
-    pub variance: Vector<R>,
+    pub variance: Vector,
 }
 
-impl<R: Real> Knowledge<R> {
+impl Knowledge {
     pub(crate) fn suffices(&self) -> bool {
         self.amplification < MOST_AMPLIFICATION
     }
 
     pub(crate) fn refusal(&self, what: MultiPosition, free: &[Slot]) -> Refusal {
-        let largest = self.variance.iter().copied().map(double);
+        let largest = self.variance.iter().copied();
         let largest = largest.fold(0.0, f64::max);
         let poor = || {
             free.iter()
                 .zip(self.variance.iter())
-                .filter(|&(_, &variance)| double(variance) >= 0.1 * largest)
+                .filter(|&(_, &variance)| variance >= 0.1 * largest)
                 .map(|(&slot, _)| slot)
         };
         Refusal::NotObservable {
@@ -62,12 +62,7 @@ impl<R: Real> Knowledge<R> {
 
 impl Magnitude<'_> {
     /// Standard deviation of |f| − g in the worst orientation, m/s².
-    pub fn worst_sd<R: Real>(
-        &self,
-        fit: &Fit<R>,
-        knowledge: &Knowledge<R>,
-        shared: &Shared<R>,
-    ) -> f64 {
+    pub fn worst_sd(&self, fit: &Fit, knowledge: &Knowledge, shared: &Shared) -> f64 {
         let amplification = if shared.spread == fit.inverse {
             knowledge.amplification
         } else {
@@ -79,11 +74,7 @@ impl Magnitude<'_> {
     }
 
     /// Observability of the fitted parameters, with equal weights.
-    pub fn knowledge<R: Real>(
-        &self,
-        fit: &Fit<R>,
-        condition: Condition<R>,
-    ) -> Option<Knowledge<R>> {
+    pub fn knowledge(&self, fit: &Fit, condition: Condition) -> Option<Knowledge> {
         let at = Evaluated::new(&fit.theta, self.terms)?;
         if self.weighting.is_equal() {
             return Some(self.with_inverse(&at, condition, &fit.inverse));
@@ -93,23 +84,23 @@ impl Magnitude<'_> {
     }
 
     /// Observability at `theta`, which need not be a solution; the parameters may be undetermined.
-    pub fn knowledge_at<R: Real>(&self, theta: &Theta<R>) -> Option<Knowledge<R>> {
+    pub fn knowledge_at(&self, theta: &Theta) -> Option<Knowledge> {
         let at = Evaluated::new(theta, self.terms)?;
         let information = self.information(theta, &Weighting::EQUAL)?;
         // Where singular, the smallest addition to the diagonal at the level of rounding that makes it
         // invertible.
-        let squares = self.units::<R>().map(|unit| unit * unit);
+        let squares = self.units().map(|unit| unit * unit);
         let scaled = information.diagonal().zip(squares);
-        let largest = scaled.fold(R::zero(), |most, (d, square)| most.max(d * square));
-        let mut rounding = largest * R::default_epsilon();
+        let largest = scaled.fold(0.0_f64, |most, (d, square)| most.max(d * square));
+        let mut rounding = largest * f64::EPSILON;
         let regular = || {
             (0..MOST_REGULARISATIONS).find_map(|_| {
                 let mut regular = information.clone();
                 for i in 0..self.free.len() {
                     regular.row_mut(i)[i] += rounding / squares[i];
                 }
-                rounding *= real(4.0);
-                Some(Scaled::with_pivots(&regular, R::zero(), R::zero())?.inverse())
+                rounding *= 4.0;
+                Some(Scaled::with_pivots(&regular, 0.0, 0.0)?.inverse())
             })
         };
         let inverse = information.inverse().or_else(regular)?;
@@ -117,41 +108,36 @@ impl Magnitude<'_> {
     }
 
     /// Value of each parameter that causes an error of 1 m/s² at 1 g.
-    fn units<R: Real>(&self) -> Vector<R> {
-        let mut units = [R::zero(); MOST];
+    fn units(&self) -> Vector {
+        let mut units = [0.0; MOST];
         for (unit, slot) in units.iter_mut().zip(&self.free) {
-            *unit = real(slot.per_mps2(self.gravity_mps2));
+            *unit = slot.per_mps2(self.gravity_mps2);
         }
         units
     }
 
     /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g.
-    pub fn condition<R: Real>(&self, inverse: &Symmetric<R>) -> f64 {
+    pub fn condition(&self, inverse: &Symmetric) -> f64 {
         let mut inverse = inverse.clone();
-        inverse.rescale(&self.units().map(|unit| R::one() / unit));
+        inverse.rescale(&self.units().map(|unit| 1.0 / unit));
         let (least, largest) = eigenvalue_range(inverse);
         // A zero eigenvalue comes out as rounding of about this size.
-        let floor = largest * R::default_epsilon() * real(0.5);
-        double((largest / least.max(floor)).sqrt())
+        let floor = largest * f64::EPSILON * 0.5;
+        libm::sqrt(largest / least.max(floor))
     }
 
-    fn with_inverse<R: Real>(
-        &self,
-        at: &Evaluated<R>,
-        condition: Condition<R>,
-        inverse: &Symmetric<R>,
-    ) -> Knowledge<R> {
-        let units = self.units::<R>();
-        let mut worst = R::zero();
+    fn with_inverse(&self, at: &Evaluated, condition: Condition, inverse: &Symmetric) -> Knowledge {
+        let units = self.units();
+        let mut worst = 0.0;
         let mut poorest = Orientation::ALL[0];
-        let mut see = |variance: R, orientation: Orientation| {
+        let mut see = |variance: f64, orientation: Orientation| {
             if variance > worst {
                 worst = variance;
                 poorest = orientation;
             }
         };
         let row = |orientation: Orientation| {
-            let force = Vector3::from(orientation.up().map(|c| real(c * self.gravity_mps2)));
+            let force = Vector3::from(orientation.up().map(|c| c * self.gravity_mps2));
             self.derivatives(at, &at.at(force))
         };
         let opposites = Orientation::ALL.iter().zip(Orientation::ALL.iter().rev());
@@ -170,11 +156,11 @@ impl Magnitude<'_> {
         }
         Knowledge {
             condition: condition(self, inverse),
-            amplification: double(worst.sqrt()),
+            amplification: libm::sqrt(worst),
             poorest,
             variance: core::array::from_fn(|i| match i < inverse.n() {
                 true => inverse.at(i, i) / (units[i] * units[i]),
-                false => R::zero(),
+                false => 0.0,
             }),
         }
     }

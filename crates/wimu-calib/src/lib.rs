@@ -34,7 +34,6 @@ mod pose;
 mod quality;
 mod reference;
 mod refusal;
-mod scalar;
 mod self_check;
 mod session;
 mod set;
@@ -65,7 +64,7 @@ pub use magnetometer::{
     Disturbed, MagneticEstimate, MagneticPose, MagneticRefusal, MirroredAxes, magnetometer,
 };
 pub use model::{Model, MultiPosition};
-pub use multi_position::{minimal_fit, multi_position, multi_position_f32, multi_position_with};
+pub use multi_position::{multi_position, multi_position_with};
 pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured, NoiseRefusal, is_clipped};
 pub use orientation::{Face, Instruction, Orientation};
 pub use parameter::{Parameter, Parameters};
@@ -75,7 +74,6 @@ pub use reference::{
     AxisTransfer, Line, NoiseFrom, NoiseRatio, ReferenceTransfer, Transfer, TransferRefusal,
 };
 pub use refusal::{Refusal, UnitHint};
-pub use scalar::Scalar;
 pub use self_check::{Ageing, Check, SelfCheck};
 pub use session::{Phase, Session};
 pub use six_position::{six_position, six_position_labelled};

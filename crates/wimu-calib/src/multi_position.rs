@@ -1,16 +1,13 @@
 //! Calibration from the magnitude of gravity alone, in unknown orientations.
 
-use wimu_model::{ErrorModel, ModelError};
+use wimu_model::ModelError;
 
 use crate::evidence::evidence;
-use crate::fit::{Parts, fit, searched, weighted};
+use crate::fit::{fit, searched, weighted};
 use crate::force::Conditions;
-use crate::linear::Real;
 use crate::terms::{Term, Terms};
 use crate::visits::Visits;
-use crate::{
-    Covariance, Estimate, Gravity, Model, MultiPosition, Pose, Refusal, Scalar, input, pose,
-};
+use crate::{Estimate, Gravity, Model, MultiPosition, Pose, Refusal, input, pose};
 
 /// Smallest temperature range for a temperature term, K: thermometers have as much noise.
 const LEAST_WARMING_K: f64 = 1.0;
@@ -26,77 +23,13 @@ const LEAST_WARMING_K: f64 = 1.0;
 /// # Errors
 /// [`Refusal`] when the poses do not determine the model. Its text says what to do.
 pub fn multi_position(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Estimate, Refusal> {
-    basic::<f64>(poses, gravity, model)
-}
-
-/// [`multi_position`] computed in f32, for processors without f64. For a condition up to 10 the
-/// result agrees with f64 within 10⁻⁵ m/s² (bias) and 10⁻⁶ (A), far below the noise of any sensor.
-///
-/// # Errors
-/// Those of [`multi_position`].
-pub fn multi_position_f32(
-    poses: &[Pose],
-    gravity: Gravity,
-    model: Model,
-) -> Result<Estimate, Refusal> {
-    basic::<f32>(poses, gravity, model)
-}
-
-fn basic<R: Real>(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Estimate, Refusal> {
     let visits = Visits::of(poses);
     let of = |model| {
         let what = MultiPosition { model, ..MultiPosition::default() };
         check(poses, gravity, what)?;
-        let found =
-            fit(poses, &visits, gravity, what, Parts::<R>::all(weighted, Conditions::none()))?;
-        found.fitted(None)
+        fit(poses, &visits, gravity, what, weighted, Conditions::none())?.fitted(None)
     };
     advised(model, of)
-}
-
-/// A nine-parameter fit with its covariance only: [`minimal_fit`].
-#[derive(Clone, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
-pub struct MinimalEstimate {
-    /// The error model.
-    pub model: ErrorModel,
-    /// Covariance of its 12 parameters, including the uncertainty of gravity.
-    pub covariance: Covariance,
-    /// Degrees of freedom of the standard deviations, without the contribution of gravity.
-    pub interval_dof: f64,
-    /// Residual |f| − g over the poses, m/s² rms, unweighted.
-    pub rms_mps2: f64,
-    /// Index of the pose with the largest residual.
-    pub worst_pose: usize,
-}
-
-/// The nine-parameter fit of [`multi_position`] for the flash of a device, in f32 or f64: without
-/// leave-one-out errors, condition number and advice.
-///
-/// Poses of the same orientation count as fully correlated, where [`multi_position`] estimates their
-/// correlation: where at least 20 % of the poses repeat an orientation, standard deviations are larger.
-///
-/// # Errors
-/// Those of [`multi_position`], without [`Refusal::PoorPrediction`]; the condition number in
-/// [`Refusal::NotObservable`] is NaN.
-pub fn minimal_fit<R: Scalar>(
-    poses: &[Pose],
-    gravity: Gravity,
-) -> Result<MinimalEstimate, Refusal> {
-    let visits = Visits::of(poses);
-    let parts = Parts::<R> {
-        conditions: Conditions::none(),
-        start: |_, _, _| None,
-        refine: weighted,
-        condition: |_, _| f64::NAN,
-        unsolved: |_, _| None,
-        shared: |problem, fit, visited| problem.correlated(fit, visited),
-    };
-    let what = MultiPosition::default();
-    check(poses, gravity, what)?;
-    let found = fit(poses, &visits, gravity, what, parts)?;
-    Ok(found.basis(None)?.minimal)
 }
 
 /// [`multi_position`] with further terms, and optionally with rejection of outliers. Equations (41)
@@ -170,13 +103,7 @@ pub(crate) fn with_terms(
     let refine = if what.reject { searched } else { weighted };
     check(poses, gravity, what)?;
     check_terms(poses, what.terms)?;
-    let found = fit(
-        poses,
-        visits,
-        gravity,
-        what,
-        Parts::<f64>::all(refine, conditions(poses, what.terms)),
-    )?;
+    let found = fit(poses, visits, gravity, what, refine, conditions(poses, what.terms))?;
     let weighed = weigh.is_some();
     let mut fitted = found.fitted(weigh)?;
     if weighed {

@@ -2,7 +2,6 @@
 
 use crate::force::Evaluated;
 use crate::least_squares::{Fit, Magnitude, Without};
-use crate::linear::{Real, double};
 use crate::terms::{Theta, USUAL_ACROSS, USUAL_SCALE};
 use crate::weights::{FarOff, Rejected, Weighting};
 use crate::{Model, Pose, student};
@@ -50,11 +49,7 @@ const ROBUST_FITS: usize = 4;
 ///
 /// # Errors
 /// The worst pose, when more than every fifth of very many is an outlier.
-pub(crate) fn reject<R: Real>(
-    problem: &mut Magnitude,
-    fit: Fit<R>,
-    model: Model,
-) -> Result<Fit<R>, usize> {
+pub(crate) fn reject(problem: &mut Magnitude, fit: Fit, model: Model) -> Result<Fit, usize> {
     let count = problem.poses.len();
     if count > MANY {
         return leave_far_off(problem, fit, model);
@@ -96,7 +91,7 @@ pub(crate) fn reject<R: Real>(
             return Ok(inner);
         }
         problem.rejected = problem.rejected.without(place);
-        if problem.change(&mut inner, pose, R::one()).is_none() {
+        if problem.change(&mut inner, pose, 1.0).is_none() {
             break;
         }
         linearised = !noisy;
@@ -138,9 +133,9 @@ pub(crate) struct Contradicted {
 /// The pose with the largest leave-one-out residual, if it is significant: equation (42d). It is
 /// found even if it has great leverage. Not used for very many poses, where a single one has little
 /// influence.
-pub(crate) fn contradicted<R: Real>(
+pub(crate) fn contradicted(
     problem: &mut Magnitude,
-    fit: &Fit<R>,
+    fit: &Fit,
     model: Model,
 ) -> Option<Contradicted> {
     let count = problem.poses.len();
@@ -181,7 +176,7 @@ pub(crate) fn contradicted<R: Real>(
 }
 
 /// The poses whose removal reduces the cost of the linearised fit most.
-fn suspects<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> [Option<usize>; TRIED] {
+fn suspects(problem: &Magnitude, fit: &Fit) -> [Option<usize>; TRIED] {
     let mut worst = [(0.0, None); TRIED];
     let Some(at) = Evaluated::new(&fit.theta, problem.terms) else {
         return [None; TRIED];
@@ -191,8 +186,7 @@ fn suspects<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> [Option<usize>; TRIED
             continue;
         }
         let (residual, row) = problem.weighted_row(&at, pose);
-        let left = 1.0 - double(fit.inverse.form(&row));
-        let residual = double(residual);
+        let left = 1.0 - fit.inverse.form(&row);
         keep_largest(&mut worst, (residual * residual / left.max(0.0), Some(k)));
     }
     worst.map(|(_, pose)| pose)
@@ -209,9 +203,9 @@ fn keep_largest<T>(largest: &mut [(f64, T)], mut candidate: (f64, T)) {
 
 /// Residual of a pose under the fit of all others, m/s², and in standard deviations of its
 /// prediction; `None` if these do not exceed `limit`.
-fn doubt<R: Real>(
+fn doubt(
     problem: &Magnitude,
-    fit: &Fit<R>,
+    fit: &Fit,
     pose: usize,
     unfitted_mps2: f64,
     limit: f64,
@@ -219,14 +213,14 @@ fn doubt<R: Real>(
     let inside = problem.poses.len() - problem.rejected.count();
     let dof = inside.checked_sub(problem.free.len() + 1).filter(|dof| *dof > 0)?;
     let own = 1.0 / problem.weighting.of(problem.poses.get(pose)?);
-    let predicted = |without: &Fit<R>| {
+    let predicted = |without: &Fit| {
         let (residual, growth) = problem.predicted(without, pose)?;
         let squares = without.cost + REPEATS * REPEATS_MPS2 * REPEATS_MPS2;
         let variance = squares / dof as f64 * (own + growth) + unfitted_mps2 * unfitted_mps2;
         Some((residual, residual.abs() / libm::sqrt(variance), growth))
     };
     let mut without = fit.clone();
-    problem.change(&mut without, pose, -R::one())?;
+    problem.change(&mut without, pose, -1.0)?;
     let (_, deviate, growth) = predicted(&without)?;
     // Of a leverage above one half, the linearised fit does not decide.
     if growth < own && deviate < CLOSE * limit {
@@ -248,18 +242,14 @@ fn unfitted(gravity_mps2: f64, model: Model) -> f64 {
 }
 
 /// Rejects all distant poses: equation (42c).
-fn leave_far_off<R: Real>(
-    problem: &mut Magnitude,
-    fit: Fit<R>,
-    model: Model,
-) -> Result<Fit<R>, usize> {
+fn leave_far_off(problem: &mut Magnitude, fit: Fit, model: Model) -> Result<Fit, usize> {
     let count = problem.poses.len();
     let least = unfitted(problem.gravity_mps2, model);
     let mut fit = fit;
     let mut theta = robust(problem, &fit);
     for _ in 0..FAR_OFF_FITS {
         let far = FarOff {
-            theta: theta.map(double),
+            theta,
             sd_mps2: libm::hypot(PER_MEDIAN * median_residual(problem, &theta), least),
             deviations: student::normal_two_sided(SIGNIFICANCE / count as f64),
             rejects: FarOff::rejects,
@@ -293,7 +283,7 @@ fn leave_far_off<R: Real>(
 }
 
 /// Robust fit, starting from the least-squares fit.
-fn robust<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> Theta<R> {
+fn robust(problem: &Magnitude, fit: &Fit) -> Theta {
     let mut theta = fit.theta;
     let count = problem.poses.len();
     let mut last = 0.0;
@@ -314,7 +304,7 @@ fn robust<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> Theta<R> {
 }
 
 /// Median of |r| to 1 %, by bisection: there is no memory to sort the residuals of very many poses.
-fn median_residual<R: Real>(problem: &Magnitude, theta: &Theta<R>) -> f64 {
+fn median_residual(problem: &Magnitude, theta: &Theta) -> f64 {
     let mut sizes = heapless::Vec::<f64, MANY>::new();
     let mut largest = 0.0_f64;
     problem.residuals(theta, |_, residual| {
@@ -347,7 +337,7 @@ fn median_residual<R: Real>(problem: &Magnitude, theta: &Theta<R>) -> f64 {
 }
 
 /// The `most` poses with the largest residuals.
-fn farthest<R: Real>(problem: &Magnitude, theta: &Theta<R>, most: usize) -> Rejected {
+fn farthest(problem: &Magnitude, theta: &Theta, most: usize) -> Rejected {
     let mut worst = [(0.0, 0); Rejected::MOST];
     problem.residuals(theta, |k, residual| {
         let pose = problem.poses.get(k);
@@ -366,11 +356,7 @@ fn farthest<R: Real>(problem: &Magnitude, theta: &Theta<R>, most: usize) -> Reje
 
 /// The rejected pose that the fit predicts best: its index among the rejected poses and
 /// among all, and its residual in standard deviations of the prediction.
-fn nearest<R: Real>(
-    problem: &Magnitude,
-    fit: &Fit<R>,
-    unfitted_mps2: f64,
-) -> Option<(usize, usize, f64)> {
+fn nearest(problem: &Magnitude, fit: &Fit, unfitted_mps2: f64) -> Option<(usize, usize, f64)> {
     let inside = problem.poses.len() - problem.rejected.as_slice().len();
     let sd = fit.sd(inside - problem.free.len());
     let mut nearest: Option<(usize, usize, f64)> = None;
@@ -388,7 +374,7 @@ fn nearest<R: Real>(
 
 /// Weights from the residuals: the variance σ₀² between poses is chosen such that the residuals
 /// agree with it and with the noise of the poses. Equation (40).
-pub(crate) fn weighting<R: Real>(problem: &Magnitude, fit: &Fit<R>) -> Weighting {
+pub(crate) fn weighting(problem: &Magnitude, fit: &Fit) -> Weighting {
     let kept = |k: usize, pose: &Pose| !problem.is_rejected(k, pose);
     let (mut count, mut mean_noise) = (0.0, 0.0);
     let poses = problem.poses.iter().enumerate();

@@ -2,16 +2,15 @@
 
 use crate::force::Evaluated;
 use crate::least_squares::{Fit, Magnitude};
-use crate::linear::{Real, double, real};
 use crate::symmetric::{self, Symmetric};
 use crate::visits::{MOST, apart};
 
 /// Variance components of the residuals: equation (42b).
-pub(crate) struct Shared<R: Real> {
+pub(crate) struct Shared {
     /// Variance of a residual of weight 1, (m/s²)².
     pub variance: f64,
     /// Covariance of the fitted parameters, relative to `variance`.
-    pub spread: Symmetric<R>,
+    pub spread: Symmetric,
     /// Degrees of freedom of `variance`.
     pub dof: f64,
     /// Effective number of poses: poses in different orientations that would carry as much
@@ -59,22 +58,9 @@ impl Magnitude<'_> {
             && self.poses.get(k).is_some_and(|pose| visited.of(self.visits.group(k, pose)) > 1)
     }
 
-    /// With residuals that are equal within an orientation and independent between orientations, each
-    /// visited equally often: conservative. Equation (159). `variance` is that of the mean of an
-    /// orientation, for the weight of its poses together.
-    pub fn correlated<R: Real>(&self, fit: &Fit<R>, visited: &Visited) -> Option<Shared<R>> {
-        let dof = visited.apart.checked_sub(self.free.len())?;
-        (dof > 0).then(|| Shared {
-            variance: fit.cost / dof as f64,
-            spread: fit.inverse.clone(),
-            dof: dof as f64,
-            poses: visited.apart as f64,
-        })
-    }
-
     /// Variance within and between orientations. `None` when the differences between orientations
     /// are used up by the parameters.
-    pub fn shared<R: Real>(&self, fit: &Fit<R>, visited: &Visited) -> Option<Shared<R>> {
+    pub fn shared(&self, fit: &Fit, visited: &Visited) -> Option<Shared> {
         let orientations = visited.orientations;
         let kept = self.poses.len() - self.rejected.count();
         let (n, p) = (kept as f64, self.free.len() as f64);
@@ -105,7 +91,7 @@ impl Magnitude<'_> {
             squares += f64::from(m);
             let (residual, mut row) = self.weighted_row(&at, pose);
             if let Some(sum) = sums.get_mut(group) {
-                *sum += double(residual);
+                *sum += residual;
             }
             if m > 1 && few {
                 if core::mem::replace(&mut seen[group.min(MOST - 1)], true) {
@@ -114,23 +100,23 @@ impl Magnitude<'_> {
                 for (j, other) in self.poses.iter().enumerate().skip(k + 1) {
                     if self.visits.group(j, other) == group && !self.is_rejected(j, other) {
                         let (_, other) = self.weighted_row(&at, other);
-                        symmetric::add(&mut row, R::one(), &other);
+                        symmetric::add(&mut row, 1.0, &other);
                     }
                 }
             } else if m > 1 {
                 // Poses of one orientation are taken as identical when there are many.
-                let root = real::<R>(f64::from(m)).sqrt();
+                let root = libm::sqrt(f64::from(m));
                 row = row.map(|d| d * root);
             }
-            rows.add_outer(&row, R::one());
-            weighted.add_outer(&row, real(f64::from(m)));
+            rows.add_outer(&row, 1.0);
+            weighted.add_outer(&row, f64::from(m));
         }
         let together: f64 = sums.iter().map(|sum| sum * sum).sum();
         let around = fit.inverse.around(&rows);
-        let trace = double(fit.inverse.trace_with(&rows));
-        let fourth = double(around.trace_with(&rows));
+        let trace = fit.inverse.trace_with(&rows);
+        let fourth = around.trace_with(&rows);
         let a = n - trace;
-        let k = squares - 2.0 * double(fit.inverse.trace_with(&weighted)) + fourth;
+        let k = squares - 2.0 * fit.inverse.trace_with(&weighted) + fourth;
         // The parameters use up the differences between orientations.
         if a < 0.5 * n / orientations as f64 {
             return None;
@@ -150,7 +136,7 @@ impl Magnitude<'_> {
             .iter()
             .map(|&m| f64::from(m) / (1.0 + share * (f64::from(m) - 1.0).max(0.0)))
             .sum();
-        let (of_inverse, of_around): (R, R) = (real(1.0 - share), real(share));
+        let (of_inverse, of_around) = (1.0 - share, share);
         Some(Shared {
             variance,
             spread: Symmetric::from_fn(self.free.len(), |r, c| {
@@ -164,9 +150,9 @@ impl Magnitude<'_> {
     /// Calls `take` with the index and the residual, under the fit without its orientation, of each
     /// pose in a repeated orientation. The residual is infinite when the other poses do not
     /// determine the model. Only for up to 256 poses.
-    pub fn leave_orientations_out<R: Real>(
+    pub fn leave_orientations_out(
         &self,
-        fit: &Fit<R>,
+        fit: &Fit,
         visited: &Visited,
         mut take: impl FnMut(usize, f64),
     ) {

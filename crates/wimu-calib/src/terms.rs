@@ -9,7 +9,7 @@ use crate::symmetric::MOST;
 
 /// All parameters of a fit: the 12 of [`Parameter::ALL`], then three each of the drift of the bias
 /// (m/s² from the first pose to the last), b₁, s₁ and q.
-pub(crate) type Theta<R> = [R; Slot::COUNT];
+pub(crate) type Theta = [f64; Slot::COUNT];
 
 /// The fitted parameters.
 pub(crate) type Slots = heapless::Vec<Slot, MOST>;
@@ -85,7 +85,7 @@ pub(crate) const USUAL_SCALE: f64 = 0.03;
 pub(crate) const USUAL_ACROSS: f64 = 0.02;
 
 /// A perfect sensor.
-pub(crate) const PERFECT: Theta<f64> = {
+pub(crate) const PERFECT: Theta = {
     let mut theta = [0.0; Slot::COUNT];
     theta[3] = 1.0;
     theta[7] = 1.0;
@@ -93,7 +93,7 @@ pub(crate) const PERFECT: Theta<f64> = {
     theta
 };
 
-pub(crate) fn theta_of(model: &ErrorModel) -> Theta<f64> {
+pub(crate) fn theta_of(model: &ErrorModel) -> Theta {
     let terms = model.terms();
     let mut theta = theta(terms.bias_mps2, terms.matrix);
     theta[15..18].copy_from_slice(&terms.temperature.bias_mps2_per_k);
@@ -103,7 +103,7 @@ pub(crate) fn theta_of(model: &ErrorModel) -> Theta<f64> {
 }
 
 /// Of bias `bias` and matrix `a`, without further terms.
-pub(crate) fn theta(bias: [f64; 3], a: [[f64; 3]; 3]) -> Theta<f64> {
+pub(crate) fn theta(bias: [f64; 3], a: [[f64; 3]; 3]) -> Theta {
     let mut theta = PERFECT;
     for axis in 0..3 {
         theta[axis] = bias[axis];
@@ -112,16 +112,16 @@ pub(crate) fn theta(bias: [f64; 3], a: [[f64; 3]; 3]) -> Theta<f64> {
     theta
 }
 
-pub(crate) fn bias(theta: &Theta<f64>) -> [f64; 3] {
+pub(crate) fn bias(theta: &Theta) -> [f64; 3] {
     triple(theta, 0)
 }
 
-pub(crate) fn matrix(theta: &Theta<f64>) -> [[f64; 3]; 3] {
+pub(crate) fn matrix(theta: &Theta) -> [[f64; 3]; 3] {
     [triple(theta, 3), triple(theta, 6), triple(theta, 9)]
 }
 
 /// Three elements, from `first` on.
-pub(crate) fn triple(theta: &Theta<f64>, first: usize) -> [f64; 3] {
+pub(crate) fn triple(theta: &Theta, first: usize) -> [f64; 3] {
     [theta[first], theta[first + 1], theta[first + 2]]
 }
 

@@ -4,7 +4,6 @@ use nalgebra::Vector3;
 
 use crate::force::Evaluated;
 use crate::least_squares::{Fit, Magnitude};
-use crate::linear::{Real, double, real};
 use crate::shared::Shared;
 use crate::symmetric::{self, Symmetric, Vector, dot};
 use crate::terms::{Slot, USUAL_BIAS_MPS2};
@@ -21,7 +20,7 @@ const LEAST_KNOWN_BEFORE: f64 = 1.0;
 /// show them, they bias the fitted parameters.
 pub(crate) struct Unfitted {
     /// Their contribution to the covariance of the fitted parameters.
-    pub covariance: Symmetric<f64>,
+    pub covariance: Symmetric,
     /// Standard deviation of |f| − g in the worst of 26 orientations from noise and these
     /// parameters, m/s².
     pub worst_sd_mps2: f64,
@@ -36,10 +35,10 @@ pub(crate) struct Unfitted {
 impl Unfitted {
     /// `None` for a model that leaves nothing out. If `seen`, the residuals limit the size of the
     /// parameters left out; otherwise the prior alone does.
-    pub fn of<R: Real>(
+    pub fn of(
         problem: &Magnitude,
-        fit: &Fit<R>,
-        shared: &Shared<R>,
+        fit: &Fit,
+        shared: &Shared,
         what: MultiPosition,
         seen: bool,
     ) -> Option<Self> {
@@ -58,14 +57,13 @@ impl Unfitted {
             sd * sd
         });
         let at = Evaluated::new(&fit.theta, problem.terms)?;
-        let pick = |all: &crate::terms::Theta<R>| {
-            slots.map(|slot: Option<Slot>| slot.map_or(R::zero(), |slot| all[slot.index()]))
+        let pick = |all: &crate::terms::Theta| {
+            slots.map(|slot: Option<Slot>| slot.map_or(0.0, |slot| all[slot.index()]))
         };
-        let mut both = [[R::zero(); symmetric::MOST]; MOST];
+        let mut both = [[0.0; symmetric::MOST]; MOST];
         let mut own = Symmetric::zero(MOST);
         for (row, all, weight) in problem.rows(&at) {
             let others = pick(&all);
-            let weight: R = real(weight);
             for (both, other) in both.iter_mut().zip(others) {
                 symmetric::add(both, weight * other, &row);
             }
@@ -73,11 +71,10 @@ impl Unfitted {
         }
         // Change of the fitted parameters per unit of a parameter left out, and what remains of it
         // in the residuals.
-        let gain: [Vector<R>; MOST] = core::array::from_fn(|j| fit.inverse.times(&both[j]));
-        let left = |i: usize, j: usize| double(own.at(i, j) - dot(&both[i], &gain[j]));
-        let gain = gain.map(|column| column.map(double));
+        let gain: [Vector; MOST] = core::array::from_fn(|j| fit.inverse.times(&both[j]));
+        let left = |i: usize, j: usize| own.at(i, j) - dot(&both[i], &gain[j]);
         let (variance, dof) = (shared.variance, shared.dof);
-        let own_variance = |i: usize| variance * double(shared.spread.at(i, i));
+        let own_variance = |i: usize| variance * shared.spread.at(i, i);
         let (mut trace, mut square) = (0.0, 0.0);
         for i in 0..MOST {
             trace += usual[i] * left(i, i).max(0.0);
@@ -131,12 +128,11 @@ impl Unfitted {
         }
         let mut worst = 0.0;
         for orientation in Orientation::ALL {
-            let up = orientation.up().map(|c| real(c * problem.gravity_mps2));
+            let up = orientation.up().map(|c| c * problem.gravity_mps2);
             let applied = at.at(Vector3::from(up));
             let row = problem.derivatives(&at, &applied);
-            let others = pick(&at.derivatives(&applied)).map(double);
-            let noise = variance * double(shared.spread.form(&row));
-            let row = row.map(double);
+            let others = pick(&at.derivatives(&applied));
+            let noise = variance * shared.spread.form(&row);
             let more: f64 = (0..MOST)
                 .map(|j| {
                     let passed = dot(&row, &gain[j]);

@@ -24,7 +24,7 @@ pub struct Rejected {
 #[derive(Clone, Copy)]
 pub(crate) struct FarOff {
     /// Parameters of the fit that the residuals refer to.
-    pub theta: Theta<f64>,
+    pub theta: Theta,
     /// Standard deviation of the residuals of the other poses, m/s².
     pub sd_mps2: f64,
     /// Threshold, standard deviations.

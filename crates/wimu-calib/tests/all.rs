@@ -13,7 +13,6 @@ mod gyroscope_data;
 mod honesty;
 mod judgement;
 mod magnetometer;
-mod minimal;
 mod model_choice;
 mod multi_position;
 mod noise;

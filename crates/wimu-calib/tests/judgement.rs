@@ -1,4 +1,4 @@
-//! Terms, choice of the model, bad poses, weights, axes that are stuck or clipped, and f32, on simulated sensors.
+//! Terms, choice of the model, bad poses, weights, axes that are stuck or clipped, on simulated sensors.
 
 use crate::common;
 
@@ -6,8 +6,7 @@ use common::{DrawModel as _, G, Random, exact, jitter, parameters, pose, twelve,
 use proptest::prelude::*;
 use wimu_calib::{
     Face, Gravity, Model, MultiPosition, Orientation, Placement, Pose, Refusal, Term, Terms,
-    best_model, four_angle, multi_position, multi_position_f32, multi_position_with, six_position,
-    three_angle,
+    best_model, four_angle, multi_position, multi_position_with, six_position, three_angle,
 };
 use wimu_model::{CentiCelsius, ErrorModel, ErrorTerms, SpecificForceMps2};
 use wimu_testkit::{Coverage, coverage_figure, trials};
@@ -70,30 +69,6 @@ proptest! {
         }
         for pose in &poses {
             prop_assert!(estimate.residual_mps2(pose).abs() < 1e-4);
-        }
-    }
-
-    #[test]
-    fn f32_gives_the_answer_of_f64(seed: u64, more in 0_usize..30) {
-        let mut random = Random::new(seed);
-        let truth = random.model(true);
-        let mut poses: Vec<Pose> =
-            ups(&mut random, more).into_iter().map(|up| pose(&truth, G, up)).collect();
-        for pose in &mut poses {
-            jitter(&mut random, pose, 0.003);
-        }
-        for model in [Model::BiasScale6, Model::Full9] {
-            let double = multi_position(&poses, exact(), model).expect("an answer");
-            let single = multi_position_f32(&poses, exact(), model).expect("an answer");
-            for (i, (a, b)) in
-                parameters(&double.model).into_iter().zip(parameters(&single.model)).enumerate()
-            {
-                let most = if i < 3 { 1e-5 } else { 1e-6 };
-                prop_assert!((a - b).abs() < most, "{i}: {a} {b}");
-            }
-            let loo = [&double, &single].map(|e| e.loo_rms_mps2.expect("it has"));
-            prop_assert!((loo[0] / loo[1] - 1.0).abs() < 0.01);
-            prop_assert!((double.condition / single.condition - 1.0).abs() < 0.01);
         }
     }
 

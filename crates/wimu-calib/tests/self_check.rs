@@ -214,7 +214,7 @@ fn a_bias_whose_temperature_term_is_known_ages_by_what_that_term_may_be_off_only
     };
     let no_turn_on = Ageing { turn_on_mps2: 0.0, ..Ageing::default() };
     // Over what was seen the rests are as well known as at the mean, and a jump is found out.
-    let check = || SelfCheck::<f64>::of(&set, gravity, no_turn_on).expect("a quality");
+    let check = || SelfCheck::of(&set, gravity, no_turn_on).expect("a quality");
     for celsius in [16.0, 33.0, 49.0] {
         let said = check().push(&hold([0.0, 0.6, 0.8], celsius, 0.0)).expect("a pose");
         assert!(said.holds && said.expected_sd_mps2 < 0.006, "{celsius}: {said:?}");
@@ -262,65 +262,4 @@ proptest! {
             }
         }
     }
-}
-
-#[test]
-fn a_self_check_in_f32_comes_to_the_same_verdicts() {
-    let (mut rests, mut contradicted, mut other) = (0, 0, 0);
-    let mut worst: f64 = 0.0;
-    for seed in 0..200 {
-        let mut random = Random::new(seed);
-        let truth = random.model(true);
-        let poses: Vec<Pose> = (0..20)
-            .map(|_| {
-                let up = random.direction();
-                let force = SpecificForceMps2(up.map(|c| c * G));
-                Pose::from_mean(truth.distort(force, None).0.map(|y| y + 0.002 * random.normal()))
-            })
-            .collect();
-        let gravity = Gravity::UNKNOWN_PLACE;
-        let Ok(stored) = multi_position(&poses, gravity, Model::Full9) else {
-            continue;
-        };
-        let set = ParameterSet {
-            model: stored.model,
-            quality: stored.quality(None, &poses),
-            ..ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0).expect("sound"))
-        };
-        let mut long = SelfCheck::<f64>::of(&set, gravity, Ageing::default()).expect("a quality");
-        let mut short = SelfCheck::<f32>::of(&set, gravity, Ageing::default()).expect("a quality");
-        // The bias has moved by what a run may, or by far more.
-        let moved = if seed % 2 == 0 { 0.015 } else { 0.06 };
-        let shift = [0; 3].map(|_| moved * random.normal());
-        for _ in 0..300 {
-            let up = random.direction();
-            let force = SpecificForceMps2(up.map(|c| c * G));
-            let output = truth.distort(force, None).0;
-            let mean: [f64; 3] =
-                std::array::from_fn(|i| output[i] + shift[i] + 0.003 * random.normal());
-            let pose = Pose::from_mean(mean);
-            let (a, b) = (long.push(&pose).expect("a rest"), short.push(&pose).expect("a rest"));
-            rests += 1;
-            contradicted += u32::from(!a.holds);
-            other += u32::from(a.holds != b.holds);
-            if a.holds == b.holds {
-                let off = (a.residual_mps2 - b.residual_mps2).abs() / a.expected_sd_mps2;
-                worst = worst.max(off);
-            } else {
-                // What one took and the other left parts them from here on.
-                break;
-            }
-        }
-        let (a, b) = (long.covariance(), short.covariance());
-        for parameter in Parameter::ALL {
-            let (a, b) = (a.sd(parameter), b.sd(parameter));
-            assert!(b.is_finite() && (a - b).abs() <= 0.02 * a + 1e-7, "{parameter}: {a} {b}");
-        }
-    }
-    println!(
-        "{rests} rests, {contradicted} of them contradicted, {other} judged otherwise in f32; residuals \
-         {worst:.1e} standard deviations apart at most"
-    );
-    assert!(contradicted > 100 && other <= 2);
-    assert!(worst < 0.02);
 }

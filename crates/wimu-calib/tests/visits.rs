@@ -5,7 +5,7 @@ use crate::common;
 use common::{DrawModel as _, G, Random, exact, misplaced, parameters, pose};
 use wimu_calib::{
     Estimate, Model, MultiPosition, Orientation, Pose, Refusal, Terms, best_model, multi_position,
-    multi_position_f32, multi_position_with,
+    multi_position_with,
 };
 use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
 use wimu_testkit::{Coverage, coverage_figure, draws, trials};
@@ -96,14 +96,6 @@ fn intervals_hold_where_an_error_comes_back_with_its_orientation_and_where_it_is
             }),
             ("auto", |poses| best_model(poses, exact(), Terms::NONE, true)),
         ],
-    );
-}
-
-#[test]
-fn intervals_in_f32_hold_where_an_error_comes_back_with_its_orientation() {
-    assert_intervals_hold(
-        "95 % intervals in f32, an error that returns with its orientation",
-        &[("nine parameters", |poses| multi_position_f32(poses, exact(), Model::Full9))],
     );
 }
 

@@ -3,7 +3,7 @@
 use core::hint::black_box;
 
 use cortex_m_semihosting::hprintln;
-use wimu_calib::{Estimate, Gravity, Model, Pose, Refusal, multi_position, multi_position_f32};
+use wimu_calib::{Gravity, Model, Pose, multi_position};
 use wimu_model::{ErrorModel, SpecificForceMps2};
 
 use crate::counter::Counter;
@@ -27,24 +27,18 @@ fn poses(truth: &ErrorModel) -> [Pose; POSES] {
     })
 }
 
-/// Nine parameters of 38 poses with covariance and leave-one-out, in f64 and f32.
+/// Nine parameters of 38 poses with covariance and leave-one-out.
 pub fn measure(counter: &mut Counter) -> Result<(), &'static str> {
-    type Method = fn(&[Pose], Gravity, Model) -> Result<Estimate, Refusal>;
     let parameters = crate::parameters().ok_or("the parameters are refused")?;
     let poses = black_box(poses(&parameters.model));
     let gravity = Gravity::new(G, 0.0).map_err(|_| "no gravity")?;
-    for (name, method) in
-        [("fit", multi_position as Method), ("fit-f32", multi_position_f32 as Method)]
-    {
-        let mut result = None;
-        let cost = counter.count_long(|| {
-            result = black_box(method(&poses, gravity, Model::Full9)).ok();
-        });
-        let sound = result.is_some_and(|estimate| estimate.rms_mps2 < 0.005);
-        if !sound {
-            return Err("the residual of the fit is too large");
-        }
-        hprintln!("{} {}.0 {}", name, cost, cost);
+    let mut result = None;
+    let cost = counter.count_long(|| {
+        result = black_box(multi_position(&poses, gravity, Model::Full9)).ok();
+    });
+    if result.is_none_or(|estimate| estimate.rms_mps2 >= 0.005) {
+        return Err("the residual of the fit is too large");
     }
+    hprintln!("fit {}.0 {}", cost, cost);
     Ok(())
 }

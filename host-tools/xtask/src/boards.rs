@@ -41,11 +41,11 @@ pub const RADIO: Board =
     Board { folder: "firmware/nrf52840-ble", program: "wimu-nrf52840-ble", ..MICROBIT };
 const STM32: Board =
     Board { has_log: true, ..board("firmware/stm32f411", "wimu-stm32f411", TARGETS[0]) };
-pub const CALIBRATION: Board = board("firmware/calibration", "bare-loop", TARGETS[0]);
+pub const BARE_LOOP: Board = board("firmware/bare-loop", "bare-loop", TARGETS[0]);
 pub const BENCH: Board = board("firmware/bench", "bench", TARGETS[0]);
 const PORT: Board = board("examples/port-template", "port-template", TARGETS[0]);
 
-pub const ALL: [Board; 8] = [QEMU, MICROBIT, PICO, RADIO, STM32, CALIBRATION, BENCH, PORT];
+pub const ALL: [Board; 8] = [QEMU, MICROBIT, PICO, RADIO, STM32, BARE_LOOP, BENCH, PORT];
 
 /// The boards that can be built on this machine.
 pub fn buildable(sh: &Shell) -> Vec<Board> {

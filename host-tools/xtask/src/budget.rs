@@ -5,7 +5,7 @@ use std::path::Path;
 use wimu_testkit::figure;
 use xshell::{Shell, cmd};
 
-use crate::boards::{Board, CALIBRATION, MICROBIT, PICO, QEMU, RADIO, buildable};
+use crate::boards::{BARE_LOOP, Board, MICROBIT, PICO, QEMU, RADIO, buildable};
 use crate::size::Size;
 use crate::{Result, instructions};
 
@@ -43,29 +43,25 @@ const fn profile(
 
 /// A function on a Cortex-M4F; its flash is that beyond the program [`EMPTY`].
 const fn function(what: &'static str, program: &'static str, aim: u32, limit: u32) -> Image {
-    Image { program, ..image(what, CALIBRATION, [aim, 0], [limit, u32::MAX]) }
+    Image { program, ..image(what, BARE_LOOP, [aim, 0], [limit, u32::MAX]) }
 }
 
-const EMPTY: &str = "calibration-empty";
+const EMPTY: &str = "empty";
 /// The image of the lane `test`, optimised for speed.
 const QEMU_IMAGE: Image = image("image for QEMU", QEMU, [0, 0], [252_000, 27_300]);
-const IMAGES: [Image; 11] = [
+const IMAGES: [Image; 7] = [
     QEMU_IMAGE,
-    profile("profile stream", "", [48, 8], [54_700, 8_192]),
-    profile("profile navigate", "navigate", [64, 12], [95_900, 15_700]),
+    profile("profile stream", "", [48, 8], [50_700, 8_192]),
+    profile("profile navigate", "navigate", [64, 12], [90_500, 15_700]),
     // The default: the image that is left.
-    image("profile full, micro:bit", MICROBIT, [80, 16], [115_712, 22_000]),
+    image("profile full, micro:bit", MICROBIT, [80, 16], [110_300, 22_000]),
     image("Pico", PICO, [80, 16], [113_664, 22_000]),
     // Half of it is the controller and the host stack of Bluetooth: it has no target.
     image("nRF52840 with BLE", RADIO, [0, 0], [230 << 10, 42_000]),
-    function("bare loop", "bare-loop", 3, 13_000),
-    function("minimal_fit::<f32>", "calibration-minimal-f32", 24, 24 << 10),
-    function("minimal_fit::<f64>", "calibration-minimal-f64", 0, u32::MAX),
-    function("multi_position", "calibration-multi-position", 0, u32::MAX),
-    function("best_model", "calibration-best-model", 0, u32::MAX),
+    function("bare loop", "bare-loop", 8, 14_000),
 ];
 
-/// Prints all measured figures: sizes, the stack of a calibration, bytes on the wire, accuracy, instructions.
+/// Prints all measured figures: sizes, bytes on the wire, accuracy, instructions.
 pub fn run(sh: &Shell) -> Result {
     sizes(sh)?;
     cmd!(sh, "cargo run --release --quiet -p wimu-integrator --example accuracy").run()?;
@@ -75,7 +71,7 @@ pub fn run(sh: &Shell) -> Result {
     instructions::run(sh)
 }
 
-/// Builds the images and prints their sizes, and the stack of a calibration.
+/// Builds the images and prints their sizes.
 pub fn sizes(sh: &Shell) -> Result {
     let boards = buildable(sh);
     let mut problems = Vec::new();
@@ -90,10 +86,6 @@ pub fn sizes(sh: &Shell) -> Result {
             None => image.board.build(sh, &[])?,
         }
         problems.extend(image.measure()?);
-        if image.program.starts_with("calibration-") {
-            let stack = qemu(sh, "mps2-an386", &[], &image.board.image(image.program))?;
-            println!("stack, {}: {:.1} KiB", image.what, stack.trim().parse::<f64>()? / 1024.0);
-        }
     }
     if problems.is_empty() { Ok(()) } else { Err(problems.join("; ").into()) }
 }
@@ -109,7 +101,7 @@ impl Image {
     fn measure(&self) -> Result<Vec<String>> {
         let mut size = Size::read(&self.board.image(self.program))?;
         let mut problems = Vec::new();
-        if self.board.folder == CALIBRATION.folder {
+        if self.board.folder == BARE_LOOP.folder {
             size.flash = size.flash.saturating_sub(Size::read(&self.board.image(EMPTY))?.flash);
         } else {
             println!("authentication, {}: {} bytes of flash", self.what, size.authentication);

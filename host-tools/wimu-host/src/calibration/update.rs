@@ -74,7 +74,7 @@ pub fn update(
             .map_err(|error| ErrorCode::Usage.error(error.to_string(), "check --gravity"))?,
         None => Gravity::UNKNOWN_PLACE,
     };
-    let check = SelfCheck::<f64>::of(stored, gravity, Ageing::default());
+    let check = SelfCheck::of(stored, gravity, Ageing::default());
     let (Some(mut check), Some(quality)) = (check, &stored.quality) else {
         return Err(ErrorCode::DataRefused.error(
             "the stored calibration has no standard deviations",

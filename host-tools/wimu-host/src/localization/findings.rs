@@ -24,6 +24,10 @@ const LEAST_BLOCK: usize = 5;
 /// Median residual of a block that is reported: in standard deviations of a range, and m.
 const RESIDUAL_SIGMA: f64 = 6.0;
 const LEAST_RESIDUAL_M: f64 = 0.4;
+/// Deviation of a median over that of one value and √n, 1.25, times the standard score of a probability of 10⁻⁴: of a block
+/// whose noise, as estimated, is larger than assumed.
+const MEDIAN_SIGMA: f64 = 4.66;
+
 /// Refuses what cannot be solved, and reports gaps.
 pub(super) fn before(recording: &RangeRecording) -> Result<Vec<Finding>> {
     let mut seen: Vec<usize> = recording.ranges.iter().map(|r| r.anchor).collect();
@@ -155,7 +159,8 @@ fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Findin
         let mut spans: Vec<(f64, f64, f64)> = Vec::new();
         for block in pairs.chunk_by(|a, b| (a.0 / BLOCK_S).floor() == (b.0 / BLOCK_S).floor()) {
             let median = median(block.iter().map(|(_, r)| *r)).unwrap_or_default();
-            if block.len() < LEAST_BLOCK || median.abs() < limit_m {
+            let chance_m = MEDIAN_SIGMA * model.ranges.noise_m / (block.len() as f64).sqrt();
+            if block.len() < LEAST_BLOCK || median.abs() < limit_m.max(chance_m) {
                 continue;
             }
             let (from, to) = (block[0].0, block[block.len() - 1].0);

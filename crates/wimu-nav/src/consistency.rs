@@ -19,7 +19,7 @@ use nalgebra::RealField;
 
 use crate::rotation::real;
 
-/// Probability that either test finds a fault where there is none.
+/// Probability of a false alarm of either test.
 const FALSE_ALARM: f64 = 1e-4;
 
 /// Normalised innovations of an interval.

@@ -634,9 +634,10 @@ where
         let zero = Velocity::zero(real(REST_SPEED), self.model.hidden_velocity());
         let gravity = self.model.gravity(&self.filter, real(REST_ACCELERATION));
         let accelerates = gravity.is_some_and(|innovation| !innovation.accepted);
-        let velocity = match accelerates {
-            true => self.filter.test(&zero),
-            false => self.filter.update_recorded(&zero, Gate::ChiSquare, &mut self.recorder),
+        let velocity = if accelerates {
+            self.filter.test(&zero)
+        } else {
+            self.filter.update_recorded(&zero, Gate::ChiSquare, &mut self.recorder)
         };
         self.resting = !accelerates && velocity.accepted;
         self.check_rest(&velocity);

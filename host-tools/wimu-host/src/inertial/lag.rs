@@ -2,6 +2,7 @@
 
 use wimu_nav::navigator::{Gyroscope, Profile, Sample};
 
+use super::segments::IMPROBABLE;
 use super::track::Track;
 use super::unit::{Unit, sample};
 use super::{Choice, Fixes, Method};
@@ -13,8 +14,6 @@ const LARGEST_S: f64 = 0.2;
 /// Part of a recording that shows a delay, s, and the least degrees of freedom of its innovations.
 const SHOWN_S: f64 = 20.0;
 const INNOVATIONS: usize = 30;
-/// Standard score of a probability of 10⁻⁴.
-const IMPROBABLE: f64 = 3.719;
 
 impl Unit<'_> {
     /// The delay of the angular rate with the smallest innovations at rests and stances, s: least squares. `None` where they

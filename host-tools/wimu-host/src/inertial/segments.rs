@@ -15,7 +15,7 @@ const LOST: f64 = 100.0;
 
 /// Upper quartile of the standard normal distribution, and its quantile at 1 − 10⁻⁴.
 const UPPER_QUARTILE: f64 = 0.6745;
-const IMPROBABLE: f64 = 3.719;
+pub(super) const IMPROBABLE: f64 = 3.719;
 
 /// Variance factor of innovations up to a quarter of which are outliers: their upper quartile, if a sign test shows that
 /// it is above that of the distribution.
@@ -169,15 +169,14 @@ impl Segments {
         let mut named = self.ended.iter().filter(|segment| segment.factor > least);
         let first = named.next()?;
         let times = significant(worst.sqrt(), 2);
-        let finding = match is_lost {
-            true => {
-                let text =
-                    format!("rests or fixes contradict the path by {times} times its σ: not valid");
-                Finding::new(FindingCode::Residuals, Severity::Error, text)
-            }
-            false => FindingCode::Residuals.warning(format!(
+        let finding = if is_lost {
+            let text =
+                format!("rests or fixes contradict the path by {times} times its σ: not valid");
+            Finding::new(FindingCode::Residuals, Severity::Error, text)
+        } else {
+            FindingCode::Residuals.warning(format!(
                 "rests or fixes contradict the path: its σ is enlarged up to {times} times"
-            )),
+            ))
         };
         let until_s = named.next_back().unwrap_or(first).to_s;
         let remedy = "check axes, signs, units and times of the sensors";

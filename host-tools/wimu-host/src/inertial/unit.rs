@@ -292,11 +292,10 @@ impl<'a> Unit<'a> {
 
     /// The stances of a foot: the standard deviation of the velocity there, m/s.
     fn stances(&self, samples: &[Sample<f64>], choice: &Choice) -> Vec<Option<f64>> {
-        let used = choice.rests_s.is_none() && choice.zupt.rests() != Rests::Ignored;
-        match used {
-            true => self.found_stances(samples),
-            false => vec![None; samples.len()],
+        if choice.rests_s.is_some() || choice.zupt.rests() == Rests::Ignored {
+            return vec![None; samples.len()];
         }
+        self.found_stances(samples)
     }
 
     fn found_stances(&self, samples: &[Sample<f64>]) -> Vec<Option<f64>> {
@@ -323,7 +322,7 @@ impl<'a> Unit<'a> {
                 "the path is measured from the first rest, and that ends it, at {:.2} s",
                 point.time_s
             ),
-            None => "the path is measured from the first rest, and there is none".to_owned(),
+            None => "the recording has no rest from which the path is measured".to_owned(),
         };
         let remedy =
             "hold the unit still for a second before the motion; on a foot: --profile foot";

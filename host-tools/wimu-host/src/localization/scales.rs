@@ -29,7 +29,7 @@ const FAR_WEIGHT: f64 = 0.01;
 const MOST_FAR: f64 = 0.2;
 /// Directions of the search. The last but one is that of a likelihood that changes little: the range's error is slow, or the
 /// unit moves. The last is the bias that all anchors have in common, such as an antenna delay: a wide prior from the
-/// beginning would cost accuracy where there is none.
+/// beginning would cost accuracy of calibrated ranges.
 const DIRECTIONS: usize = 6;
 
 /// The model a step further, where it has the scale and allows the value.

@@ -34,15 +34,8 @@ use crate::message::{Piece, WireParameters};
 /// The version of the wire protocol, independent of the crate's version.
 pub const WIRE_VERSION: u8 = 2;
 
-/// The oldest version whose recordings are readable: batches and telemetry, and replies except those with
-/// parameters. Nothing else is exchanged with a device of another version.
-pub const OLDEST_RECORDED: u8 = 1;
-
 /// The longest body, bytes: the longest epoch has 743.
 pub const MAX_BODY: usize = 752;
-
-/// The longest body of wire version 1, bytes: a complete parameter set.
-const MAX_BODY_V1: usize = 896;
 
 /// The longest frame, bytes, with its closing zero.
 pub const MAX_FRAME: usize = frame_of(MAX_BODY);
@@ -102,15 +95,9 @@ impl Kind {
         matches!(self, Self::Batch | Self::Inertial)
     }
 
-    /// Whether this crate reads this kind in `version`: what devices sent stays readable in recordings.
+    /// Whether this crate reads this kind in `version`.
     fn is_readable_in(self, version: u8) -> bool {
-        match self {
-            Self::Hello | Self::WhoAreYou => true,
-            Self::Batch | Self::Telemetry | Self::Reply => {
-                matches!(version, OLDEST_RECORDED..=WIRE_VERSION)
-            }
-            Self::Request | Self::Inertial => version == WIRE_VERSION,
-        }
+        matches!(self, Self::Hello | Self::WhoAreYou) || version == WIRE_VERSION
     }
 }
 
@@ -189,8 +176,7 @@ pub(crate) fn fill(
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Frame<'a> {
-    /// The sender's wire version, 0..=15: this crate's own; down to [`OLDEST_RECORDED`] on batches, telemetry and
-    /// replies of recordings; any on the kinds that every version reads.
+    /// The sender's wire version, 0..=15: this crate's own, or any on the kinds that every version reads.
     pub version: u8,
     /// The kind of the body.
     pub kind: Kind,
@@ -206,9 +192,6 @@ pub struct Deframer<const PLAIN: usize = MAX_PLAIN> {
     length: usize,
     plain: [u8; PLAIN],
 }
-
-/// A [`Deframer`] with room for the longest frame of wire version 1 too, for recordings.
-pub type RecordedDeframer = Deframer<{ 1 + MAX_BODY_V1 + CRC_BYTES }>;
 
 /// A [`Deframer`] with room for the longest request, for devices. Any longer frame is
 /// [`FrameError::TooLong`].

@@ -3,7 +3,7 @@
 //! them.
 //!
 //! Frozen ones never change: `WRITE_VECTORS=1 cargo test -p wimu-link --test all vectors` adds frames that
-//! are new, and changes none. Those of version 1 are recordings, which stay readable.
+//! are new, and changes none.
 
 use std::fmt::Write as _;
 use std::num::NonZeroU8;
@@ -11,7 +11,7 @@ use std::path::PathBuf;
 
 use wimu_link::auth::{DeviceKey, KeyId, KeyState, Lock};
 use wimu_link::batch::Layout;
-use wimu_link::frame::{self, EncodeError, FrameError, RecordedDeframer};
+use wimu_link::frame::{self, Deframer, EncodeError};
 use wimu_link::hello::{
     Capabilities, Fault, LinkRole, Part, ResetReason, WriteAccess, board, sensor,
 };
@@ -53,7 +53,7 @@ impl Vectors {
     /// Makes sure that the file has each frame, and none that is not made any more; returns their
     /// bodies.
     pub fn check(self) -> Vec<Vec<u8>> {
-        let path = folder(WIRE_VERSION).join(self.name).with_extension("hex");
+        let path = folder().join(self.name).with_extension("hex");
         let mut golden = std::fs::read_to_string(&path).unwrap_or_default();
         let made: Vec<String> = self.frames.iter().map(|(_, frame)| hex(frame)).collect();
         for ((what, _), digits) in self.frames.iter().zip(&made) {
@@ -69,8 +69,8 @@ impl Vectors {
             assert!(made.iter().any(|digits| digits == kept), "no more: {kept}");
         }
         let body = |(_, frame): &(String, Vec<u8>)| {
-            let (version, kind, body) = opened(frame).unwrap();
-            assert_eq!((version, kind), (WIRE_VERSION, self.kind));
+            let (kind, body) = opened(frame);
+            assert_eq!(kind, self.kind);
             body
         };
         self.frames.iter().map(body).collect()
@@ -88,66 +88,46 @@ fn frames_of(text: &str) -> impl Iterator<Item = &str> {
     text.lines().filter(|line| !line.starts_with('#'))
 }
 
-/// Version, kind and body of a frame.
-fn opened(frame: &[u8]) -> Result<(u8, Kind, Vec<u8>), FrameError> {
-    let mut deframer = RecordedDeframer::default();
+/// Kind and body of a frame.
+fn opened(frame: &[u8]) -> (Kind, Vec<u8>) {
+    let mut deframer = Deframer::new();
     let mut bytes = frame;
-    let frame = deframer.next(&mut bytes).unwrap()?;
-    Ok((frame.version, frame.kind, frame.body.to_vec()))
+    let frame = deframer.next(&mut bytes).unwrap().unwrap();
+    assert_eq!(frame.version, WIRE_VERSION);
+    (frame.kind, frame.body.to_vec())
 }
 
-/// The frozen frames: version, file, number of its first frames, and the CRC-32C of their hex digits.
-const FROZEN: [(u8, &str, usize, u32); 13] = [
-    (1, "batch", 9, 0xe476_f54d),
-    (1, "hello", 2, 0x981e_9c73),
-    (1, "reply", 51, 0xabe2_2c4d),
-    (1, "request", 12, 0x8197_c3da),
-    (1, "telemetry", 30, 0xa9e1_79c3),
-    (1, "who_are_you", 1, 0xb2fa_aa2e),
-    (2, "batch", 9, 0xc602_ccda),
-    (2, "hello", 2, 0xe82a_bbdd),
-    (2, "inertial", 10, 0x9495_f6e2),
-    (2, "reply", 66, 0xae2e_a0bc),
-    (2, "request", 18, 0x868b_0143),
-    (2, "telemetry", 41, 0xd0c0_1de7),
-    (2, "who_are_you", 1, 0xcd76_9215),
+/// The frozen frames: file, number of its first frames, and the CRC-32C of their hex digits.
+const FROZEN: [(&str, usize, u32); 7] = [
+    ("batch", 9, 0xc602_ccda),
+    ("hello", 2, 0xe82a_bbdd),
+    ("inertial", 10, 0x9495_f6e2),
+    ("reply", 66, 0xae2e_a0bc),
+    ("request", 18, 0x868b_0143),
+    ("telemetry", 41, 0xd0c0_1de7),
+    ("who_are_you", 1, 0xcd76_9215),
 ];
 
 #[test]
 fn what_was_frozen_is_what_it_was_and_is_read() {
-    for (version, name, count, crc) in FROZEN {
-        let path = folder(version).join(name).with_extension("hex");
+    for (name, count, crc) in FROZEN {
+        let path = folder().join(name).with_extension("hex");
         let text = std::fs::read_to_string(&path).unwrap();
         let frozen: Vec<&str> = frames_of(&text).take(count).collect();
         assert_eq!(frozen.len(), count, "{name}: frames are gone");
         let found = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI).checksum(frozen.concat().as_bytes());
-        assert_eq!(found, crc, "v{version} {name}: {found:#x}");
+        assert_eq!(found, crc, "{name}: {found:#x}");
         for digits in frozen {
-            is_read(version, digits);
+            is_read(digits);
         }
     }
 }
 
 /// Reads a frozen frame. Encoded again, it may have gained fields at its end.
-fn is_read(frozen_version: u8, digits: &str) {
-    let (kind, body) = match opened(&bytes_of(digits)) {
-        Ok((version, kind, body)) => {
-            assert_eq!(version, frozen_version);
-            (kind, body)
-        }
-        // Requests are executed in their own version only.
-        Err(error) => {
-            let FrameError::UnknownVersion { version, kind } = error else {
-                panic!("{error}");
-            };
-            assert!(version == frozen_version && version < WIRE_VERSION);
-            assert_eq!(kind, Kind::Request as u8);
-            return;
-        }
-    };
+fn is_read(digits: &str) {
+    let (kind, body) = opened(&bytes_of(digits));
     let mut line = [0; MAX_FRAME];
     let length = match kind {
-        Kind::Reply if frozen_version < WIRE_VERSION => return,
         Kind::Hello => Hello::decode(&body).unwrap().encode(&mut line),
         Kind::WhoAreYou => WhoAreYou::decode(&body).unwrap().encode(&mut line),
         Kind::Telemetry => match Telemetry::decode(&body).unwrap() {
@@ -167,7 +147,7 @@ fn is_read(frozen_version: u8, digits: &str) {
             return;
         }
     };
-    let (_, _, again) = opened(&line[..length.unwrap()]).unwrap();
+    let (_, again) = opened(&line[..length.unwrap()]);
     assert!(again.starts_with(&body), "{digits}");
 }
 
@@ -184,95 +164,36 @@ fn bytes_of(digits: &str) -> Vec<u8> {
         .collect()
 }
 
+/// What a board stores: parameters and settings.
 #[test]
-fn a_batch_of_three_axes_has_the_bytes_of_version_1() {
-    let [first, second] = [1, WIRE_VERSION].map(|version| {
-        let text = std::fs::read_to_string(folder(version).join("batch.hex")).unwrap();
-        let bodies = frames_of(&text).map(|digits| opened(&bytes_of(digits)).unwrap().2);
-        bodies.collect::<Vec<_>>()
-    });
-    assert_eq!(first, second);
-}
-
-/// What firmware of each version stored on its board: parameters and settings.
-#[test]
-fn stored_records_of_every_version_are_read() {
-    for version in 0..=WIRE_VERSION {
-        let text = std::fs::read_to_string(folder(version).join("telemetry.hex")).unwrap();
-        let (mut sets, mut settings) = (0, 0);
-        for digits in frames_of(&text) {
-            let mut stored = bytes_of(digits);
-            let length = frame::open(&mut stored).unwrap();
-            assert_eq!(stored[0] >> 4, version);
-            match Record::decode(&stored[..length]) {
-                Ok(Record::Parameters(set)) => {
-                    set.decode().unwrap();
-                    sets += 1;
-                }
-                Ok(Record::Settings(_)) => settings += 1,
-                Err(_) => {}
+fn stored_records_are_read() {
+    let text = std::fs::read_to_string(folder().join("telemetry.hex")).unwrap();
+    let (mut sets, mut settings) = (0, 0);
+    for digits in frames_of(&text) {
+        let mut stored = bytes_of(digits);
+        let length = frame::open(&mut stored).unwrap();
+        match Record::decode(&stored[..length]) {
+            Ok(Record::Parameters(set)) => {
+                set.decode().unwrap();
+                sets += 1;
             }
+            Ok(Record::Settings(_)) => settings += 1,
+            Err(_) => {}
         }
-        assert!(sets >= 1 && settings == 1, "version {version}");
     }
+    assert!(sets >= 1 && settings == 1);
     // A record of later firmware.
     assert!(Record::decode(&[(WIRE_VERSION + 1) << 4 | 4, 4, 0]).is_err());
 }
 
-/// Recordings of version 1 hold the samples and messages that their descriptions name.
-#[test]
-fn what_devices_of_version_1_sent_is_read_as_what_it_is() {
-    for name in ["batch", "telemetry", "reply"] {
-        let path = folder(1).join(name).with_extension("hex");
-        let text = std::fs::read_to_string(path).unwrap();
-        let lines: Vec<&str> = text.lines().collect();
-        for pair in lines.chunks_exact(2) {
-            let (_, kind, body) = opened(&bytes_of(pair[1])).unwrap();
-            // A parameter set has gained fields since, and replies hold pieces of sets.
-            if pair[0].starts_with("# Parameters(") || pair[0].contains("Accepted(Parameters") {
-                continue;
-            }
-            match Batch::decode(kind, &body) {
-                Ok(batch) => {
-                    assert!(pair[0].ends_with(&format!("{:?}", batch.samples())));
-                    assert!(batch.sensor() == 0 && batch.angular_rates().is_empty());
-                }
-                Err(_) => {
-                    let message = match kind {
-                        Kind::Reply => format!("# {:?}", Reply::decode(&body).unwrap()),
-                        _ => format!("# {:?}", Telemetry::decode(&body).unwrap()),
-                    };
-                    // What version 1 does not have is absent.
-                    let added = ", sensor: 0, gyroscope: None, tag: Signature { length: 0, bytes: [0, 0, 0, 0, 0, 0, 0, 0] }";
-                    let message = message.replace(added, "");
-                    let message = message.replace(", sensor_index: 0, gyroscope: None", "");
-                    let message = message.replace(", rotation: None", "");
-                    let message = message.replace(", stack: None", "");
-                    assert_eq!(message, pair[0]);
-                }
-            }
-        }
-    }
-}
-
-fn folder(version: u8) -> PathBuf {
+fn folder() -> PathBuf {
     let vectors = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/vectors");
-    vectors.join(format!("v{version}"))
-}
-
-/// Flash as firmware of each version left it, which later firmware reads (a test of whole boards does).
-#[test]
-fn stored_images_are_what_they_were() {
-    for (name, crc) in [("v0.hex", 0x3cc0_c1bc), ("v1.hex", 0x0dfb_02da)] {
-        let image = std::fs::read(folder(1).join("../store").join(name)).unwrap();
-        let found = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI).checksum(&image);
-        assert_eq!(found, crc, "{name} has changed");
-    }
+    vectors.join(format!("v{WIRE_VERSION}"))
 }
 
 #[test]
 fn every_file_is_checked() {
-    let mut names: Vec<_> = std::fs::read_dir(folder(WIRE_VERSION))
+    let mut names: Vec<_> = std::fs::read_dir(folder())
         .unwrap()
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
         .collect();

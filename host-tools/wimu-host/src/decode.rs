@@ -4,9 +4,8 @@ use std::cmp::Ordering;
 
 use wimu_link::auth::DeviceKey;
 use wimu_link::batch;
-use wimu_link::frame::RecordedDeframer;
 use wimu_link::message::{Attitude, Environment, Epoch, Navigation};
-use wimu_link::{Batch, FrameError, Hello};
+use wimu_link::{Batch, Deframer, FrameError, Hello};
 use wimu_model::{DeviceTimeUs, PeriodNs};
 
 mod anchor;
@@ -79,7 +78,7 @@ impl Received {
 /// ```
 #[derive(Debug, Default)]
 pub struct Decoder {
-    deframer: RecordedDeframer,
+    deframer: Deframer,
     statistics: LinkStatistics,
     start: Start,
     /// Whether an undamaged frame has arrived since reception began.
@@ -137,18 +136,16 @@ impl Decoder {
                     self.listening = true;
                     self.latest_version = Some(frame.version);
                     let message = read(&frame);
-                    if !matches!(message, Ok(Some(Message::Tag(_)))) {
+                    if !matches!(message, Ok(Message::Tag(_))) {
                         self.verifier.take(host_ns, &frame);
                     }
                     let message = match message {
-                        Ok(None) => continue,
-                        Ok(Some(Message::Piece(piece))) => match self.pieces.take(&piece) {
+                        Ok(Message::Piece(piece)) => match self.pieces.take(&piece) {
                             Ok(None) => continue,
                             Ok(Some(active)) => Ok(Message::Event(Event::Parameters(active))),
                             Err(why) => Err(why.to_string()),
                         },
-                        Ok(Some(message)) => Ok(message),
-                        Err(why) => Err(why),
+                        message => message,
                     };
                     match message {
                         Ok(message) => message,
@@ -195,7 +192,7 @@ impl Decoder {
 
     /// The link was lost: later data do not continue earlier ones.
     pub fn interrupt(&mut self) {
-        self.deframer = RecordedDeframer::default();
+        self.deframer = Deframer::default();
         self.listening = false;
         self.began_ns = None;
         self.verifier.interrupt();
@@ -206,7 +203,7 @@ impl Decoder {
 
     /// A part of the link's data is unknown: it is not counted as missing or damaged.
     pub fn skip(&mut self) {
-        self.deframer = RecordedDeframer::default();
+        self.deframer = Deframer::default();
         self.listening = false;
         self.began_ns = None;
         self.verifier.interrupt();

@@ -368,7 +368,7 @@ fn garbage_before_the_greeting_does_not_hide_it() {
 
 #[test]
 fn a_board_of_another_version_is_named_even_if_it_does_not_hear() {
-    // Telemetry of version 3, empty, and its CRC-32C; an event of version 1, which recordings hold.
+    // Telemetry of version 3, empty, and its CRC-32C; an event of version 1.
     let later = vec![6, 0x34, 0xFF, 0x8D, 0x04, 0xA5, 0];
     let earlier = vec![9, 0x14, 6, 5, 1, 0xB6, 0x47, 0xD3, 0xA4, 0];
     for (version, sent) in [(3, later), (1, earlier)] {

@@ -159,7 +159,7 @@ impl WireParameters {
     };
 
     fn exchange(&mut self, wire: &mut dyn Wire) -> Result<(), MessageError> {
-        self.exchange_v0(wire)?;
+        self.exchange_terms(wire)?;
         let more = self.sensor_index != 0 || self.gyroscope.is_some();
         let [mut low, mut high] = self.sensor.unwrap_or(0).to_le_bytes();
         if !begins(wire, more || self.sensor.is_some(), &mut low)? {
@@ -174,8 +174,8 @@ impl WireParameters {
         option(wire, &mut self.gyroscope, WireGyroscope::BLANK, WireGyroscope::exchange)
     }
 
-    /// The fields of wire version 0.
-    fn exchange_v0(&mut self, wire: &mut dyn Wire) -> Result<(), MessageError> {
+    /// The fields that every set has.
+    fn exchange_terms(&mut self, wire: &mut dyn Wire) -> Result<(), MessageError> {
         byte(wire, &mut self.range_g)?;
         for values in [
             core::slice::from_mut(&mut self.sensitivity_lsb_per_g),
@@ -386,16 +386,6 @@ impl ParametersPiece {
 pub struct EncodedParameters<'a>(pub &'a [u8]);
 
 impl<'a> EncodedParameters<'a> {
-    /// The set of wire version 0 at the start of `bytes`, and the rest.
-    pub(super) fn split_off_v0(bytes: &'a [u8]) -> Result<(Self, &'a [u8]), MessageError> {
-        let mut reader = Reader(bytes);
-        let mut parameters = WireParameters::BLANK;
-        parameters.exchange_v0(&mut reader)?;
-        let length = bytes.len().saturating_sub(reader.0.len());
-        let (parameters, rest) = bytes.split_at_checked(length).ok_or(MessageError::TooShort)?;
-        Ok((Self(parameters), rest))
-    }
-
     /// The set.
     ///
     /// # Errors

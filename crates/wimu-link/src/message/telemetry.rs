@@ -26,7 +26,7 @@ pub enum Telemetry<P = WireParameters> {
     Environment(Environment),
     /// Velocity and position.
     Navigation(Navigation),
-    /// The parameters in use: in recordings of wire version 1 and in a device's store only.
+    /// The parameters in use: in a device's store only.
     Parameters(ActiveParameters<P>),
     /// The settings in use.
     Settings(Settings),
@@ -48,7 +48,7 @@ pub enum Telemetry<P = WireParameters> {
     Tag(Tag),
 }
 
-/// The messages that a device also stores. All later firmware can read them.
+/// The messages that a device also stores.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Record<'a> {
@@ -72,18 +72,15 @@ impl<'a> Record<'a> {
         super::encode_within(MAX_RECORD_BODY, Kind::Telemetry, &message, frame)
     }
 
-    /// Decodes an [opened](crate::frame::open) record of this wire version or an earlier one.
+    /// Decodes an [opened](crate::frame::open) record.
     ///
     /// # Errors
     /// [`MessageError`] when it is not exactly one of these messages.
     pub fn decode(opened: &'a [u8]) -> Result<Self, MessageError> {
-        const TELEMETRY: u8 = Kind::Telemetry as u8;
-        const V0: u8 = TELEMETRY;
-        const V1: u8 = (1 << 4) | TELEMETRY;
-        const V2: u8 = (WIRE_VERSION << 4) | TELEMETRY;
+        const TELEMETRY: u8 = (WIRE_VERSION << 4) | Kind::Telemetry as u8;
         match opened {
             // The index of the variant, the id, and a set.
-            [V1 | V2, 3, rest @ ..] => match postcard::take_from_bytes::<u32>(rest)? {
+            [TELEMETRY, 3, rest @ ..] => match postcard::take_from_bytes::<u32>(rest)? {
                 (_, [1, set @ ..]) => {
                     let parameters = EncodedParameters(set);
                     parameters.decode()?;
@@ -91,13 +88,7 @@ impl<'a> Record<'a> {
                 }
                 _ => Err(MessageError::Malformed),
             },
-            // Version 0: the id follows the set.
-            [V0, 3, 1, rest @ ..] => {
-                let (parameters, id) = EncodedParameters::split_off_v0(rest)?;
-                super::decode::<u32>(id)?;
-                Ok(Self::Parameters(parameters))
-            }
-            [V0 | V1 | V2, 4, settings @ ..] => super::decode(settings).map(Self::Settings),
+            [TELEMETRY, 4, settings @ ..] => super::decode(settings).map(Self::Settings),
             _ => Err(MessageError::Malformed),
         }
     }

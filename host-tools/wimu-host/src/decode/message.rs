@@ -1,9 +1,9 @@
 //! Decoding of a frame's body.
 
 use wimu_link::batch::MAX_SENSOR;
-use wimu_link::message::{Epoch, ParametersPiece, Payload};
+use wimu_link::message::{Epoch, ParametersPiece};
 use wimu_link::tag::Tag;
-use wimu_link::{Answer, Frame, Hello, Kind, Reply, Telemetry, WIRE_VERSION};
+use wimu_link::{Frame, Hello, Kind, Reply, Telemetry};
 use wimu_model::DeviceTimeUs;
 
 use super::event::Event;
@@ -18,24 +18,8 @@ pub enum Message {
     Event(Event),
 }
 
-/// Reads a frame that is not a batch; `None` for a reply of an earlier version that later ones do not have.
-pub fn read(frame: &Frame<'_>) -> Result<Option<Message>, String> {
-    let (kind, body) = (frame.kind, frame.body);
-    if kind == Kind::Reply && frame.version < WIRE_VERSION {
-        return Ok(earlier_reply(body));
-    }
-    message(kind, body).map(Some)
-}
-
-/// Parameters came in one piece in version 1; its telemetry repeats them.
-fn earlier_reply(body: &[u8]) -> Option<Message> {
-    match Reply::decode(body).ok()? {
-        Reply { answer: Answer::Accepted(Payload::Parameters { .. }), .. } => None,
-        reply => Some(Message::Event(Event::Reply { reply, body: body.to_vec() })),
-    }
-}
-
-fn message(kind: Kind, body: &[u8]) -> Result<Message, String> {
+/// Reads a frame that is not a batch.
+pub fn read(&Frame { kind, body, .. }: &Frame<'_>) -> Result<Message, String> {
     let text = |error: &dyn std::error::Error| error.to_string();
     Ok(Message::Event(match kind {
         Kind::Hello => {

@@ -7,7 +7,6 @@ use std::sync::OnceLock;
 
 use wimu_link::auth::DeviceKey;
 use wimu_link::batch::Stream;
-use wimu_link::frame::OLDEST_RECORDED;
 use wimu_link::message::ActiveParameters;
 use wimu_link::{LinkRole, WIRE_VERSION};
 
@@ -218,16 +217,15 @@ impl Recording {
 
 /// Refuses a recording whose links all use another wire version.
 fn readable(links: &BTreeMap<u8, LinkHistory>, versions: &BTreeMap<u8, u8>) -> Result<()> {
-    let readable = OLDEST_RECORDED..=WIRE_VERSION;
     let foreign = |(role, link): (&u8, &LinkHistory)| {
         let version = versions.get(role)?;
         let has_epochs = link.boots.iter().any(|boot| boot.counts.epochs > 0);
-        (!has_epochs && !readable.contains(version)).then_some(*version)
+        (!has_epochs && *version != WIRE_VERSION).then_some(*version)
     };
     match links.iter().map(foreign).collect::<Option<Vec<u8>>>().as_deref() {
         Some([version, ..]) => Err(ErrorCode::BadRecording.error(
             format!(
-                "the board uses version {version} of the protocol, this wimu reads versions {OLDEST_RECORDED} to {WIRE_VERSION}"
+                "the board uses version {version} of the protocol, this wimu version {WIRE_VERSION}"
             ),
             "read it with the version of wimu that recorded it",
         )),

@@ -1,7 +1,5 @@
 //! Integration with a gyroscope: equation (29) of docs/EQUATIONS.md.
 
-use core::sync::atomic::{AtomicBool, Ordering};
-
 use wimu_model::{AngularRateQ20, PeriodNs, SpecificForceQ16};
 
 use crate::attitude::to_direction;
@@ -92,7 +90,7 @@ impl RateTest {
 /// [`RotationState`] in the form in which it is advanced.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub(crate) struct Inertial {
+pub struct Inertial {
     pub(crate) rotation: Rotation,
     bias: [i32; 3],
     window: [i64; 3],
@@ -102,7 +100,6 @@ pub(crate) struct Inertial {
 
 impl Inertial {
     fn new(period: PeriodNs) -> Self {
-        USED.store(true, Ordering::Relaxed);
         Self {
             rotation: Rotation::new([1.0, 0.0, 0.0, 0.0], period),
             bias: [0; 3],
@@ -113,7 +110,6 @@ impl Inertial {
     }
 
     pub(crate) fn from_state(state: RotationState, period: PeriodNs) -> Self {
-        USED.store(true, Ordering::Relaxed);
         Self::resumed(state, period)
     }
 
@@ -191,20 +187,42 @@ impl Inertial {
     }
 }
 
-/// Whether an [`Inertial`] has ever been made. Images whose sensor has no gyroscope never write it, so that the
-/// linker's optimiser drops everything behind [`Integrator::inertial`]: 2 kB of quaternion arithmetic.
-static USED: AtomicBool = AtomicBool::new(false);
+/// What an integrator keeps of a gyroscope: nothing, `()`, or an [`Inertial`] from the first angular rate on.
+pub trait Gyroscope: sealed::Gyroscope {}
 
-impl Integrator {
-    /// The rotation, if there is one.
-    #[inline]
-    pub(crate) fn inertial(&self) -> Option<&Inertial> {
-        match USED.load(Ordering::Relaxed) {
-            true => self.inertial.as_ref(),
-            false => None,
+impl Gyroscope for () {}
+impl Gyroscope for Option<Inertial> {}
+
+pub(crate) mod sealed {
+    use super::Inertial;
+
+    pub trait Gyroscope {
+        fn get(&self) -> Option<&Inertial>;
+        fn get_mut(&mut self) -> Option<&mut Inertial>;
+    }
+
+    impl Gyroscope for () {
+        fn get(&self) -> Option<&Inertial> {
+            None
+        }
+
+        fn get_mut(&mut self) -> Option<&mut Inertial> {
+            None
         }
     }
 
+    impl Gyroscope for Option<Inertial> {
+        fn get(&self) -> Option<&Inertial> {
+            self.as_ref()
+        }
+
+        fn get_mut(&mut self) -> Option<&mut Inertial> {
+            self.as_mut()
+        }
+    }
+}
+
+impl Integrator {
     /// Adds the next corrected sample of accelerometer and gyroscope, body axes; `saturated`: which
     /// of them had an axis at full scale.
     ///
@@ -259,6 +277,14 @@ impl Integrator {
         }
         self.inertial = Some(inertial);
         transition
+    }
+}
+
+impl<G: Gyroscope> Integrator<G> {
+    /// The rotation, if there is one.
+    #[inline]
+    pub(crate) fn inertial(&self) -> Option<&Inertial> {
+        self.inertial.get()
     }
 
     /// Mean specific force over the latest rest, 2⁻³² m/s², in the present body axes; zero before the

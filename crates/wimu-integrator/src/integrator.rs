@@ -4,7 +4,7 @@ use wimu_model::{PeriodNs, PositionNm, SpecificForceQ16, VelocityNmps};
 
 use crate::attitude::{Attitude, DIRECTION_BITS, unit};
 use crate::compass::MagneticHeading;
-use crate::inertial::{Inertial, RateTest, RotationState};
+use crate::inertial::{Gyroscope, Inertial, RateTest, RotationState};
 use crate::segment::{Segment, billionth, product};
 use crate::state::{Config, ConfigError, Flags, Phase, State, StateError};
 use crate::stationarity::{
@@ -87,10 +87,10 @@ pub(crate) enum Progress {
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Integrator {
+pub struct Integrator<G = Option<Inertial>> {
     /// Without its rotation.
     pub(crate) state: State,
-    pub(crate) inertial: Option<Inertial>,
+    pub(crate) inertial: G,
     // Derived from the state.
     /// Of the integration axes.
     pub(crate) attitude: Attitude,
@@ -104,28 +104,7 @@ pub struct Integrator {
 impl Integrator {
     /// Starts at position zero, searching for a first rest.
     pub fn new(config: Config) -> Self {
-        Self {
-            state: State {
-                config,
-                phase: Phase::Searching,
-                flags: Flags::default(),
-                rest_mean: [0; 3],
-                east: Attitude::LEVEL.east(),
-                base_position_nm: [0; 3],
-                base_velocity_nmps: [0; 3],
-                base_since_rest_ns: 0,
-                segment: Segment::default(),
-                window: Window::default(),
-                run: None,
-                heading_sd_mrad: None,
-                rotation: None,
-            },
-            inertial: None,
-            attitude: Attitude::LEVEL,
-            gravity: [0; 3],
-            whole_gravity: [0; 3],
-            window_steps: window_steps(config.period),
-        }
+        Self::starting(config, None)
     }
 
     /// Continues from a state of this or another device.
@@ -135,11 +114,9 @@ impl Integrator {
     pub fn from_state(state: State) -> Result<Self, StateError> {
         let config = state.config.checked().map_err(StateError::Config)?;
         let rotation = state.rotation.map(RotationState::checked).transpose()?;
-        let mut integrator = Self {
-            state: State { rotation: None, ..state },
-            inertial: rotation.map(|rotation| Inertial::from_state(rotation, config.period)),
-            ..Self::new(config)
-        };
+        let inertial = rotation.map(|rotation| Inertial::from_state(rotation, config.period));
+        let mut integrator =
+            Self { state: State { rotation: None, ..state }, ..Self::starting(config, inertial) };
         if state.phase != Phase::Searching {
             if state.rest_mean.iter().any(|mean| mean.unsigned_abs() > 1 << 37) {
                 return Err(StateError::Attitude);
@@ -157,6 +134,41 @@ impl Integrator {
             return Err(StateError::Stationarity);
         }
         Ok(integrator)
+    }
+}
+
+impl Integrator<()> {
+    /// Starts at position zero, searching for a first rest, for a sensor without a gyroscope: the code of rotations is
+    /// not linked.
+    pub fn three_axes(config: Config) -> Self {
+        Self::starting(config, ())
+    }
+}
+
+impl<G: Gyroscope> Integrator<G> {
+    fn starting(config: Config, inertial: G) -> Self {
+        Self {
+            state: State {
+                config,
+                phase: Phase::Searching,
+                flags: Flags::default(),
+                rest_mean: [0; 3],
+                east: Attitude::LEVEL.east(),
+                base_position_nm: [0; 3],
+                base_velocity_nmps: [0; 3],
+                base_since_rest_ns: 0,
+                segment: Segment::default(),
+                window: Window::default(),
+                run: None,
+                heading_sd_mrad: None,
+                rotation: None,
+            },
+            inertial,
+            attitude: Attitude::LEVEL,
+            gravity: [0; 3],
+            whole_gravity: [0; 3],
+            window_steps: window_steps(config.period),
+        }
     }
 
     /// Everything that determines the future outputs.
@@ -196,7 +208,7 @@ impl Integrator {
     /// leg is flagged; nothing is interpolated, and the attitude is held.
     pub fn gap(&mut self) {
         self.state.segment.previous = None;
-        if let Some(inertial) = &mut self.inertial {
+        if let Some(inertial) = self.inertial.get_mut() {
             inertial.rotation.gap();
         }
         if self.state.phase == Phase::Moving {
@@ -220,7 +232,9 @@ impl Integrator {
         self.state.config = config;
         self.state.segment =
             Segment { previous: self.state.segment.previous, ..Segment::default() };
-        self.inertial = (self.inertial()).map(|inertial| inertial.with_period(period));
+        if let Some(inertial) = self.inertial.get_mut() {
+            *inertial = inertial.with_period(period);
+        }
         self.window_steps = window_steps(period);
         self.state.window = Window::starting_at(&self.state.segment);
         self.state.run = None;
@@ -358,7 +372,7 @@ impl Integrator {
             (Phase::Moving, Some(run))
                 if windows >= self.windows_of_a_rest(&window, total, rate.as_held) =>
             {
-                if self.inertial.is_none() && self.attitude.cosine_to(run.sum) < TURN_COSINE {
+                if self.inertial().is_none() && self.attitude.cosine_to(run.sum) < TURN_COSINE {
                     self.state.flags = self.state.flags.with(Flags::TURNED);
                 }
                 if self.state.config.zupt {

@@ -15,7 +15,7 @@ mod state;
 mod stationarity;
 
 pub use compass::{Compass, FieldMean, MagneticHeading};
-pub use inertial::{RotationState, Saturation};
+pub use inertial::{Gyroscope, Inertial, RotationState, Saturation};
 pub use integrator::{Integrator, Navigation, Transition};
 pub use rotation::Rotation;
 pub use segment::Segment;

@@ -2,7 +2,7 @@
 
 use core::ops::RangeInclusive;
 
-use wimu_integrator::{Integrator, Saturation, Transition};
+use wimu_integrator::{Config, Gyroscope, Inertial, Integrator, Saturation, Transition};
 use wimu_link::batch;
 use wimu_link::message::{ParameterFault, WireParameters};
 use wimu_model::{
@@ -41,6 +41,8 @@ pub(crate) mod sealed {
         type Corrected: batch::Sample;
         /// The compiled corrector of the gyroscope; `()` without one.
         type Gyroscope: Copy;
+        /// What the integrator keeps of the gyroscope.
+        type Rotation: Gyroscope;
 
         /// Decodes the parts of a set that this node uses.
         ///
@@ -64,12 +66,15 @@ pub(crate) mod sealed {
         /// Corrects the sample, body axes.
         fn correct(self, corrector: &Corrector, gyroscope: &Self::Gyroscope) -> Self::Corrected;
 
+        /// An integrator of such samples.
+        fn integrator(config: Config) -> Integrator<Self::Rotation>;
+
         /// Integrates the sample, of a sensor that operates as `plan` says.
         fn integrate(
             self,
             corrected: Self::Corrected,
             plan: &SensorPlan,
-            integrator: &mut Integrator,
+            integrator: &mut Integrator<Self::Rotation>,
         ) -> Transition;
     }
 
@@ -114,6 +119,7 @@ impl<C: Triad> sealed::Process for C {
     type Accelerometer = C;
     type Corrected = SpecificForceQ16;
     type Gyroscope = ();
+    type Rotation = ();
 
     fn decode(wire: &WireParameters) -> Result<ParameterSet, ParameterFault> {
         wire.to_set::<HEADING, HEADING, false>()
@@ -135,11 +141,15 @@ impl<C: Triad> sealed::Process for C {
         self.force(corrector)
     }
 
+    fn integrator(config: Config) -> Integrator<()> {
+        Integrator::three_axes(config)
+    }
+
     fn integrate(
         self,
         corrected: SpecificForceQ16,
         plan: &SensorPlan,
-        integrator: &mut Integrator,
+        integrator: &mut Integrator<Self::Rotation>,
     ) -> Transition {
         integrator.step(corrected, self.saturated(plan.full_scale))
     }
@@ -152,6 +162,7 @@ where
     type Accelerometer = C;
     type Corrected = (SpecificForceQ16, AngularRateQ20);
     type Gyroscope = GyroscopeCorrector;
+    type Rotation = Option<Inertial>;
 
     fn decode(wire: &WireParameters) -> Result<ParameterSet, ParameterFault> {
         wire.to_set::<HEADING, HEADING, true>()
@@ -192,11 +203,15 @@ where
         (force, self.1.rate(gyroscope, force))
     }
 
+    fn integrator(config: Config) -> Integrator {
+        Integrator::new(config)
+    }
+
     fn integrate(
         self,
         (force, rate): Self::Corrected,
         plan: &SensorPlan,
-        integrator: &mut Integrator,
+        integrator: &mut Integrator<Self::Rotation>,
     ) -> Transition {
         let saturation = Saturation {
             accelerometer: self.0.saturated(plan.full_scale),

@@ -24,7 +24,7 @@ const FULL_SCALE: i32 = 4095;
 pub fn run<I: I2c>(
     i2c: &mut I,
     corrector: &Corrector,
-    integrator: &mut Integrator,
+    integrator: &mut Integrator<()>,
     mut goes_on: impl FnMut(&Navigation) -> bool,
 ) -> Result<(), I::Error> {
     for write in SETUP {
@@ -91,7 +91,7 @@ mod tests {
         let sensitivity = Sensitivity::from_lsb_per_g(256.0).unwrap();
         let set = ParameterSet::uncalibrated(2, sensitivity);
         let corrector = Corrector::compile(&set, None).unwrap();
-        let mut integrator = Integrator::new(Config::new(PeriodNs(10_000_000)).unwrap());
+        let mut integrator = Integrator::three_axes(Config::new(PeriodNs(10_000_000)).unwrap());
         let mut seen = Vec::new();
         let goes_on = |navigation: &Navigation| {
             seen.push(*navigation);
@@ -128,7 +128,7 @@ mod tests {
         let sensitivity = Sensitivity::from_lsb_per_g(256.0).unwrap();
         let set = ParameterSet::uncalibrated(2, sensitivity);
         let corrector = Corrector::compile(&set, None).unwrap();
-        let mut integrator = Integrator::new(Config::new(PeriodNs(10_000_000)).unwrap());
+        let mut integrator = Integrator::three_axes(Config::new(PeriodNs(10_000_000)).unwrap());
         let outcome = run(&mut i2c, &corrector, &mut integrator, |_| true);
         assert_eq!(outcome, Err(absent));
         i2c.done();

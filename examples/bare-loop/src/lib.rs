@@ -24,7 +24,7 @@ pub fn run(
     mut read: impl FnMut() -> Option<Counts>,
     mut report: impl FnMut(&Navigation),
 ) -> Result<(), ConfigError> {
-    let mut integrator = Integrator::new(Config::new(period)?);
+    let mut integrator = Integrator::three_axes(Config::new(period)?);
     while let Some(counts) = read() {
         let force = corrector.correct(counts);
         integrator.step(force, counts.saturated(FULL_SCALE));

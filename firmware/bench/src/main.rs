@@ -66,7 +66,7 @@ fn correct_and_integrate(fused: &mut Fused, counts: Counts) {
 }
 
 #[inline(never)]
-fn integrator_step(integrator: &mut Integrator, force: SpecificForceQ16) {
+fn integrator_step(integrator: &mut Integrator<()>, force: SpecificForceQ16) {
     integrator.step(force, false);
 }
 
@@ -105,7 +105,7 @@ fn pack_batch(first: u32, samples: &[Counts], frame: &mut [u8]) -> usize {
 /// The processing of a sample in the sampler's task.
 struct Path {
     corrector: Corrector,
-    integrator: Integrator,
+    integrator: Integrator<()>,
     samples: [Counts; BATCH],
     count: usize,
     frame: [u8; MAX_FRAME],
@@ -153,7 +153,7 @@ fn measure() -> Result<(), &'static str> {
 fn samples(counter: &mut Counter) -> Result<(), &'static str> {
     let parameters = parameters().ok_or("the parameters are refused")?;
     let corrector = black_box(Corrector::compile(&parameters, None).map_err(|_| "no corrector")?);
-    let integrator = Integrator::new(Config::new(PERIOD).map_err(|_| "no period")?);
+    let integrator = Integrator::three_axes(Config::new(PERIOD).map_err(|_| "no period")?);
 
     let rest = signals::rest::<SAMPLES>();
     let motion = signals::motion::<SAMPLES>();

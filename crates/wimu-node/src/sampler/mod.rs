@@ -60,7 +60,7 @@ pub struct Sampler<'a, A: InertialSensor, T, M: RawMutex> {
 struct Running<S: RawSample> {
     plan: Plan,
     correction: Correction<S>,
-    integrator: [Integrator; INTEGRATORS],
+    integrator: [Integrator<S::Rotation>; INTEGRATORS],
     clock: SampleClock,
     epoch_reason: Option<EpochReason>,
     last_epoch: DeviceTimeUs,
@@ -172,7 +172,8 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         let reason = if correction.parameters == running.correction.parameters {
             EpochReason::Temperature
         } else {
-            running.integrator = integrator(&running.plan.settings, running.clock.period);
+            running.integrator =
+                integrator::<A::Sample>(&running.plan.settings, running.clock.period);
             EpochReason::Parameters
         };
         running.correction = correction;
@@ -419,9 +420,12 @@ pub(crate) fn epoch_gyroscope(plan: &SensorPlan) -> Option<EpochGyroscope> {
     })
 }
 
-fn integrator(settings: &Settings, period: PeriodNs) -> [Integrator; INTEGRATORS] {
+fn integrator<S: RawSample>(
+    settings: &Settings,
+    period: PeriodNs,
+) -> [Integrator<S::Rotation>; INTEGRATORS] {
     let config = Config { period, zupt: settings.zupt, gravity_um_s2: settings.gravity_um_s2 };
-    [(); INTEGRATORS].map(|()| Integrator::new(config))
+    [(); INTEGRATORS].map(|()| S::integrator(config))
 }
 
 impl<S: RawSample> Running<S> {
@@ -429,7 +433,7 @@ impl<S: RawSample> Running<S> {
         Self {
             plan,
             correction,
-            integrator: integrator(&plan.settings, plan.sensor.period),
+            integrator: integrator::<S>(&plan.settings, plan.sensor.period),
             clock: SampleClock::new(plan.sensor.period),
             epoch_reason: Some(reason),
             last_epoch: DeviceTimeUs(0),
@@ -482,7 +486,8 @@ impl<S: RawSample> Running<S> {
     /// Integrates with the measured sample period from now on. Not in motion, where a change of the period
     /// would add an error.
     fn adopt_measured_period(&mut self) {
-        let moving = |integrator: &Integrator| integrator.navigation().phase == Phase::Moving;
+        let moving =
+            |integrator: &Integrator<S::Rotation>| integrator.navigation().phase == Phase::Moving;
         if self.integrator.iter().any(moving) {
             return;
         }

@@ -354,7 +354,7 @@ def test_bad_input_raises_wimu_error_with_code_place_and_remedy():
     ):
         fails("usage", wimu.calibrate, recording, **options)
     fails("usage", wimu.allan, recording, sensitivity=np.nan)
-    for options in ({"method": "none"}, {"zupt": "none"}, {"limit": np.nan}, {"sensitivity": 0.0}):
+    for options in ({"zupt": "none"}, {"limit": np.nan}, {"sensitivity": 0.0}):
         fails("usage", wimu.navigate, recording, **options)
     for options in ({"link": "none"}, {"where": "x"}, {"format": "none"}):
         fails("usage", wimu.read, write(here / "a.csv", times, Accelerometer=("m/s²", output)), **options)

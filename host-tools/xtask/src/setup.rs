@@ -104,10 +104,15 @@ fn succeeds(sh: &Shell, line: &str) -> bool {
     cmd!(sh, "sh -c {line}").quiet().ignore_stdout().ignore_stderr().run().is_ok()
 }
 
+/// Whether the active toolchain has `core` for the microcontrollers.
+pub fn has_core(sh: &Shell) -> bool {
+    succeeds(sh, TOOLCHAIN_CORE)
+}
+
 /// `cargo VERB` for the microcontrollers: of the active toolchain if it has their `core`, otherwise Debian's, which
 /// builds `core` from source and has no rust-lld.
 pub fn embedded_cargo<'a>(sh: &'a Shell, verb: &str) -> Cmd<'a> {
-    if succeeds(sh, TOOLCHAIN_CORE) {
+    if has_core(sh) {
         return cmd!(sh, "cargo {verb} --locked");
     }
     let from_source = ["-Zbuild-std=core,alloc", "-Zbuild-std-features=compiler-builtins-mem"];

@@ -7,7 +7,7 @@ mod probe;
 use std::ops::Range;
 use std::path::PathBuf;
 
-use wimu_host::{ErrorCode, HostError, Result};
+use wimu_host::{ErrorCode, Result};
 
 use crate::arguments::{Board, Flash};
 use crate::output::Output;
@@ -129,7 +129,7 @@ fn write(image: &Image, arguments: &Flash, _: &Output) -> Result<()> {
 }
 
 #[cfg(not(feature = "flash"))]
-fn left_out(command: &str, otherwise: &str) -> HostError {
+fn left_out(command: &str, otherwise: &str) -> wimu_host::HostError {
     ErrorCode::FeatureMissing.error(
         "this wimu was built without support for debug probes",
         format!("cargo run --release -p wimu --features flash -- {command}{otherwise}"),

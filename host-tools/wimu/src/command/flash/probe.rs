@@ -187,7 +187,7 @@ fn refused(chip: &str, error: probe_rs::Error) -> HostError {
     }
 }
 
-fn progress<'a>(output: &Output) -> FlashProgress<'a> {
+fn progress(output: &Output) -> FlashProgress<'_> {
     let mut totals = [0_u64; 4];
     let mut done = [0_u64; 4];
     let place = |operation: ProgressOperation| match operation {

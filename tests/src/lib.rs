@@ -9,28 +9,23 @@ pub mod tags;
 pub mod wire;
 
 use std::collections::HashSet;
-use std::future::Future;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
-use std::pin::pin;
-use std::task::{Context, Poll, Waker};
 
-use wimu_host::decode::{Decoder, Event, Pieces, TimedSample};
+use embassy_futures::block_on;
+use wimu_host::calibration::parameter_id;
+use wimu_host::decode::{Decoder, Event, TimedSample};
 use wimu_host::history::{Boot, LinkHistory, Recording};
 use wimu_host::mcap_file::{ClockAnchor, Received, RecordingReader, RecordingWriter};
 use wimu_host::replay;
 use wimu_link::batch;
 use wimu_link::frame::EncodeError;
-use wimu_link::message::{
-    EncodedParameters, Event as DeviceEvent, Payload, Piece, Status, WireParameters,
-};
+use wimu_link::message::{Event as DeviceEvent, Payload, SetBytes, Status};
 use wimu_link::{
     Answer, Command, Deframer, Hello, Kind, LinkRole, MAX_FRAME, Reply, Request, Settings,
     WIRE_VERSION, WhoAreYou,
 };
-use wimu_model::{
-    Counts, DeviceTimeUs, GyroscopeModel, GyroscopeParameters, ParameterSet, Sensitivity,
-};
+use wimu_model::{CompiledSet, Counts, DeviceTimeUs, ParameterSet};
 use wimu_node::{FlashLayout, FlashStore, Key, MAX_RECORD, Store, StoreFault};
 use wimu_sim::board::{Board, BoardConfig};
 use wimu_sim::motion;
@@ -141,18 +136,6 @@ impl Rig {
             }
         }
         panic!("no answer on the {role} link to {command:?}");
-    }
-
-    /// Stages a set; returns the answer to its last piece, or the first that is not accepted.
-    pub fn stage(&mut self, role: LinkRole, set: &WireParameters) -> Answer {
-        let mut answer = Answer::Unknown;
-        for command in set.stage() {
-            answer = self.ask(role, command);
-            if !matches!(answer, Answer::Accepted(_)) {
-                break;
-            }
-        }
-        answer
     }
 
     /// The board's settings.
@@ -331,15 +314,13 @@ pub fn encoded<E: std::fmt::Debug>(encode: impl FnOnce(&mut [u8]) -> Result<usiz
     frame[..length].to_vec()
 }
 
-/// The command that stages a set which fits a piece.
+/// A calibration as any board takes it.
 ///
 /// # Panics
-/// When it does not fit.
-pub fn staging(set: &WireParameters) -> Command {
-    let mut commands = set.stage();
-    let command = commands.next().expect("a piece");
-    assert!(commands.next().is_none(), "{set:?} does not fit a piece");
-    command
+/// When it cannot be compiled.
+pub fn compiled(set: &ParameterSet) -> SetBytes {
+    let set = CompiledSet::compile(set, parameter_id(set), 0);
+    SetBytes::from(&set.expect("compiled"))
 }
 
 /// The question who is there.
@@ -373,7 +354,7 @@ pub fn frame_of(version: u8, kind: u8, body: &[u8]) -> Vec<u8> {
 
 /// A record for a store.
 fn record(random: &mut Random) -> Vec<u8> {
-    let length = 1 + random.below(400);
+    let length = 1 + random.below(MAX_RECORD);
     random.bytes(length)
 }
 
@@ -428,45 +409,7 @@ pub fn fuzz_once(seeded: &mut Random) {
     let statistics = decoder.statistics();
     assert_eq!(statistics.bytes, line.len() as u64);
     fuzz_order(seeded);
-    fuzz_pieces(seeded);
     tags::fuzz_tags(seeded);
-}
-
-/// Pieces of two parameter sets that are lost, repeated, exchanged and damaged: a set that becomes complete is
-/// one of them.
-///
-/// # Panics
-/// When it is not.
-fn fuzz_pieces(seeded: &mut Random) {
-    let sets: Vec<WireParameters> = (0..2)
-        .map(|_| {
-            let sensitivity = Sensitivity::from_lsb_per_g(16384.0).expect("in range");
-            let mut set = WireParameters::from(&ParameterSet::uncalibrated(2, sensitivity));
-            set.bias_mps2[seeded.below(3)] = seeded.below(100) as f64 / 100.0;
-            let gyroscope = GyroscopeModel::default();
-            let gyroscope = GyroscopeParameters::new(500, 0.0003, gyroscope, Some([0.01; 12]));
-            set.gyroscope = Some((&gyroscope.expect("in range")).into());
-            set
-        })
-        .collect();
-    let mut pieces = Pieces::default();
-    for _ in 0..seeded.below(40) {
-        let mut bytes = [0; WireParameters::MAX];
-        let length = sets[seeded.below(2)].encode(&mut bytes).expect("room");
-        let set = EncodedParameters(&bytes[..length]);
-        let offset = match seeded.below(8) {
-            0 => seeded.below(length + 20),
-            _ => seeded.below(3) * Piece::MAX,
-        };
-        let mut piece = set.piece(set.id(), offset as u16);
-        if seeded.below(30) == 0 {
-            let length = seeded.below(Piece::MAX);
-            piece.piece = Piece::new(&seeded.bytes(length)).expect("room");
-        }
-        if let Ok(Some(complete)) = pieces.take(&piece) {
-            assert!(complete.active.is_some_and(|set| sets.contains(&set)));
-        }
-    }
 }
 
 /// One to three starts of a device whose frames are lost, repeated, exchanged, damaged and held up, each
@@ -568,7 +511,7 @@ pub fn fuzz_store(seeded: &mut Random) -> u64 {
     let mut store = FlashStore::new(storage.clone(), STORE, 0);
     for _ in 0..1 + seeded.below(12) {
         let (which, record) = (seeded.below(4), record(seeded));
-        if done(store.save(STORED[which], &record)).is_ok() {
+        if block_on(store.save(STORED[which], &record)).is_ok() {
             saved[which].push(record);
         }
     }
@@ -581,17 +524,10 @@ pub fn fuzz_store(seeded: &mut Random) -> u64 {
 
 const STORE: FlashLayout<Storage> = FlashLayout::new(0..0x2000);
 const STORED: [Key; 4] =
-    [Key::Parameters { range_g: 2 }, Key::Settings, Key::BootCount, Key::DeviceKey];
+    [Key::Parameters { range_g: 2 }, Key::Settings, Key::CableRate, Key::DeviceKey];
 
 /// All that was ever saved under each key, the oldest first.
 type Saved = [Vec<Vec<u8>>; STORED.len()];
-
-fn done<T>(future: impl Future<Output = T>) -> T {
-    match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
-        Poll::Ready(value) => value,
-        Poll::Pending => panic!("the flash has power"),
-    }
-}
 
 /// How new each record is that a restart finds: its place in what was saved, the last if there are
 /// several; 0 is none. An error is `None`.
@@ -599,7 +535,7 @@ fn ages(storage: &Storage, saved: &Saved) -> [Option<usize>; STORED.len()] {
     let mut store = FlashStore::new(storage.clone(), STORE, 0);
     let mut buffer = [0; MAX_RECORD];
     std::array::from_fn(|which| {
-        let found = match done(store.load(STORED[which], &mut buffer)) {
+        let found = match store.load(STORED[which], &mut buffer) {
             Err(StoreFault) => return None,
             Ok(None) => return Some(0),
             Ok(Some(length)) => &buffer[..length],
@@ -630,7 +566,7 @@ fn damaged_store(seeded: &mut Random, image: &[u8], mut saved: Saved) {
     let mut store = FlashStore::new(storage.clone(), STORE, 0);
     for _ in 0..1 + seeded.below(2) {
         let (changed, record) = (seeded.below(4), record(seeded));
-        let is_saved = done(store.save(STORED[changed], &record)).is_ok();
+        let is_saved = block_on(store.save(STORED[changed], &record)).is_ok();
         saved[changed].push(record);
         let after = ages(&storage, &saved);
         assert!(is_saved, "this flash cannot be written any more");

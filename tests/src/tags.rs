@@ -52,7 +52,7 @@ pub fn fuzz_tags(seeded: &mut Random) {
             0 | 1 => {
                 let time_us = index * 1000;
                 let epoch = Epoch { time_us, ..Epoch::default() };
-                encoded(|line| Telemetry::<()>::Epoch(epoch).encode(line))
+                encoded(|line| Telemetry::Epoch(epoch).encode(line))
             }
             // Now and then two frames of an interval are equal.
             kind => {
@@ -60,7 +60,7 @@ pub fn fuzz_tags(seeded: &mut Random) {
                     time_us: if kind == 2 { 1_000_000 + u64::from(number) } else { index },
                     ..Environment::default()
                 };
-                encoded(|line| Telemetry::<()>::Environment(environment).encode(line))
+                encoded(|line| Telemetry::Environment(environment).encode(line))
             }
         };
         let cut = seeded.below(frame.len());
@@ -85,7 +85,7 @@ pub fn fuzz_tags(seeded: &mut Random) {
             assert_eq!(tag.number, number);
             fate.tag_lost = seeded.below(100) < loss;
             if !fate.tag_lost {
-                line.extend(encoded(|line| Telemetry::<()>::Tag(tag).encode(line)));
+                line.extend(encoded(|line| Telemetry::Tag(tag).encode(line)));
             }
             number += 1;
             sent.clear();

@@ -4,7 +4,7 @@
 use std::num::NonZeroU8;
 
 use wimu_model::{
-    AngularRateQ20, Counts, DeviceTimeUs, ParameterSet, SpecificForceQ16, WideCounts,
+    AngularRateQ20, CentiCelsius, CompiledSet, Counts, DeviceTimeUs, SpecificForceQ16, WideCounts,
 };
 
 use wimu_link::auth::{DeviceKey, KeyState, Lock, Session};
@@ -13,7 +13,6 @@ use wimu_link::frame::{self, Deframer, Frame, Kind, MAX_BODY, MAX_FRAME};
 use wimu_link::hello::{self, Hello, LinkRole, WhoAreYou};
 use wimu_link::message::{
     Answer, Command, Event, Payload, Refusal, Reply, Request, Settings, Signature, Telemetry,
-    WireParameters,
 };
 use wimu_link::responder::{Decision, Responder};
 
@@ -183,28 +182,18 @@ fn with_body(line: &[u8], check: impl FnOnce(&[u8])) {
 /// Any bytes of a parameter set: what is read is written again with the same values, and validating it does
 /// not panic.
 pub fn parameters(data: &[u8]) {
-    let Ok(set) = WireParameters::decode(data) else {
+    let Ok(set) = CompiledSet::from_bytes(data) else {
         return;
     };
-    let encoded = |set: &WireParameters| {
-        let mut bytes = [0; WireParameters::MAX];
-        let length = set.encode(&mut bytes).expect("room");
-        bytes[..length].to_vec()
-    };
-    let bytes = encoded(&set);
-    assert!(bytes.len() <= data.len());
-    let again = WireParameters::decode(&bytes).expect("own set");
-    // As bytes, because NaN differs from itself.
-    assert_eq!(encoded(&again), bytes);
-    let _ = ParameterSet::try_from(&set);
-    let staged: Vec<u8> = set.stage().fold(Vec::new(), |mut staged, command| {
-        if let Command::StageParameters { offset, piece, .. } = command {
-            assert_eq!(usize::from(offset), staged.len());
-            staged.extend_from_slice(piece.as_bytes());
+    let mut bytes = [0; CompiledSet::MAX_BYTES];
+    let length = set.to_bytes(&mut bytes);
+    assert_eq!(&bytes[..length], data);
+    for temperature in [None, Some(CentiCelsius(i16::MIN)), Some(CentiCelsius(i16::MAX))] {
+        let force = set.corrector(temperature).correct(Counts([i16::MIN; 3]));
+        if let Some(gyroscope) = set.gyroscope(temperature) {
+            gyroscope.correct(Counts([i16::MAX; 3]), force);
         }
-        staged
-    });
-    assert_eq!(staged, bytes);
+    }
 }
 
 /// Any body of a batch: a decoded batch is packed again without loss.
@@ -433,7 +422,7 @@ pub fn signed_requests(data: &[u8]) {
             && let Some(session) = sessions[which]
         {
             ids[which] = ids[which].wrapping_add(1);
-            let command = Command::CommitParameters { hash: count as u32 };
+            let command = Command::SetLineRate { link: 1, baud: count as u32 };
             let request = Request {
                 session: session.number,
                 id: ids[which],
@@ -460,7 +449,7 @@ pub fn signed_requests(data: &[u8]) {
             if let Decision::Execute(command) = responder.accept(&body_of[..length], &lock) {
                 if command.is_write() {
                     assert!(whole, "an unsigned write was executed");
-                    assert_eq!(command, Command::CommitParameters { hash: chosen as u32 });
+                    assert_eq!(command, Command::SetLineRate { link: 1, baud: chosen as u32 });
                     assert!(!executed[chosen], "a request had two effects");
                     executed[chosen] = true;
                 }

@@ -1,6 +1,6 @@
 //! The wire's fuzz bodies on seeded bytes, and a whole board that is talked at.
 
-use wimu_link::message::Piece;
+use wimu_link::message::SetBytes;
 use wimu_link::{Answer, Command, WIRE_VERSION};
 use wimu_sim::board::BoardConfig;
 use wimu_sim::scene::World;
@@ -39,15 +39,12 @@ fn anything(seeded: &mut Random, rig: &mut Rig) -> Vec<u8> {
             let command = [
                 Command::GetStatus,
                 Command::GetTime,
-                Command::GetParameters { offset: 0 },
+                Command::GetParameters,
                 Command::FactoryReset,
-                Command::CommitParameters { hash: 5 },
-                Command::StageParameters {
-                    offset: seeded.below(3) as u16 * 256,
-                    total: seeded.below(1200) as u16,
-                    piece: Piece::new(&seeded.bytes(length.min(256))).expect("room"),
-                },
-            ][seeded.below(6)];
+                Command::SetParameters(
+                    SetBytes::new(&seeded.bytes(length.min(256))).expect("room"),
+                ),
+            ][seeded.below(5)];
             let mut frame = rig.frame_of(command);
             for _ in 0..seeded.below(3) {
                 damage(seeded, &mut frame);

@@ -5,12 +5,13 @@ use std::cell::{Cell, RefCell};
 use std::time::Duration;
 
 use wimu_host::ErrorCode;
+use wimu_host::calibration::parameter_id;
 use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::decode::Event;
 use wimu_host::transport::Transport;
 use wimu_link::LinkRole;
 use wimu_link::auth::DeviceKey;
-use wimu_link::message::{EpochReason, Settings, Streams, parameter_id};
+use wimu_link::message::{EpochReason, Settings, Streams};
 use wimu_model::{ErrorModel, ErrorTerms, ParameterSet, Sensitivity};
 use wimu_sim::board::{Board, BoardConfig, SimLink};
 use wimu_sim::scene::World;

@@ -7,8 +7,9 @@ use crate::segment::{product, round_shift};
 
 /// Fraction bits of a direction.
 pub(crate) const DIRECTION_BITS: u32 = 30;
+const ONE: i32 = 1 << DIRECTION_BITS;
 /// cos 10°, of the product of two directions.
-const HEADED_AS: i128 = 1_135_406_036_351_323_008;
+const HEADED_AS: i64 = 1_135_406_036_351_323_008;
 
 /// Axes of the navigation frame in body axes: unit vectors east, north, up, 2⁻³⁰ per LSB.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,32 +30,25 @@ impl Attitude {
 
     /// From specific force at rest (any unit) and the previous east direction, both in body axes.
     /// `None` if the force is zero.
-    ///
-    /// Plain f64 in a fixed order: the same bits on every target.
     pub(crate) fn from_rest(force: [i64; 3], east_before: [i32; 3]) -> Option<Self> {
-        let up = unit(force.map(|f| f as f64))?;
+        let up = direction(force)?;
         // If the previous east is vertical now, another axis replaces it.
-        let forward = [east_before.map(f64::from), [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]
-            .into_iter()
-            .find_map(|direction| {
-                let direction = unit(direction)?;
-                let along = dot(direction, up);
-                let level = [0, 1, 2].map(|axis| direction[axis] - along * up[axis]);
-                // Within 6° of the vertical a heading is noise.
-                (dot(level, level) > 0.01).then_some(level)
-            })?;
-        let east = unit(forward)?;
-        let north = cross(up, east);
-        Some(Self { axes: [east, north, up].map(|axis| axis.map(to_direction)) })
+        let level = [east_before, [0, ONE, 0], [ONE, 0, 0]].into_iter().find_map(|forward| {
+            let forward = direction(forward.map(i64::from))?;
+            let along = (dot(forward, up) >> DIRECTION_BITS) as i32;
+            let level = [0, 1, 2].map(|axis| {
+                forward[axis] - ((i64::from(along) * i64::from(up[axis])) >> DIRECTION_BITS) as i32
+            });
+            // Within 6° of the vertical a heading is noise: sin² 6° is 1 %.
+            (dot(level, level) > dot([0, 0, ONE], [0, 0, ONE]) / 100).then_some(level)
+        })?;
+        let east = direction(level.map(i64::from))?;
+        Some(Self { axes: [east, cross(up, east), up] })
     }
 
-    /// Cosine of the angle between specific force at rest and this attitude's up.
-    pub(crate) fn cosine_to(&self, force: [i64; 3]) -> f64 {
-        let up = self.axes[2].map(f64::from);
-        match (unit(force.map(|f| f as f64)), unit(up)) {
-            (Some(force), Some(up)) => dot(force, up),
-            _ => 0.0,
-        }
+    /// Cosine of the angle between specific force at rest and this attitude's up, 2⁻³⁰.
+    pub(crate) fn cosine_to(&self, force: [i64; 3]) -> i32 {
+        direction(force).map_or(0, |force| (dot(force, self.axes[2]) >> DIRECTION_BITS) as i32)
     }
 
     pub(crate) fn east(&self) -> [i32; 3] {
@@ -63,8 +57,7 @@ impl Attitude {
 
     /// Angle of the direction `forward` clockwise from north, rad, −π..=π; 0 where it is vertical.
     pub(crate) fn heading_rad(&self, forward: [i32; 3]) -> f64 {
-        let forward = forward.map(f64::from);
-        let [east, north, _] = self.axes.map(|axis| dot(axis.map(f64::from), forward));
+        let [east, north, _] = self.axes.map(|axis| dot(axis, forward) as f64);
         libm::atan2(east, north)
     }
 
@@ -97,10 +90,7 @@ impl Attitude {
 
     /// Whether this east is within 10° of another attitude's.
     pub(crate) fn is_headed_as(&self, other: &Self) -> bool {
-        let along: i128 = (self.east().iter().zip(other.east()))
-            .map(|(a, b)| i128::from(i64::from(*a) * i64::from(b)))
-            .sum();
-        along >= HEADED_AS
+        dot(self.east(), other.east()) >= HEADED_AS
     }
 
     pub(crate) fn position(&self, body_nm: [i64; 3]) -> PositionNm {
@@ -124,17 +114,33 @@ pub(crate) fn to_direction(value: f64) -> i32 {
     (scaled + if scaled < 0.0 { -0.5 } else { 0.5 }) as i32
 }
 
-pub(crate) fn unit(v: [f64; 3]) -> Option<[f64; 3]> {
-    let norm = root::sqrt(dot(v, v));
-    (norm > 0.0).then(|| v.map(|x| x / norm))
+/// The unit vector along `v`, to about 2⁻³⁰; `None` for zero.
+pub(crate) fn direction(v: [i64; 3]) -> Option<[i32; 3]> {
+    let largest = v.iter().fold(0, |largest, axis| largest | axis.unsigned_abs());
+    if largest == 0 {
+        return None;
+    }
+    // The largest component gets 30 bits.
+    let shift = 34 - largest.leading_zeros() as i32;
+    let v = v.map(|axis| if shift > 0 { axis >> shift } else { axis << -shift });
+    let square: u64 = v.iter().map(|axis| axis.unsigned_abs().pow(2)).sum();
+    // Twice the length; its square fits 64 bits.
+    let length = (4 * square).isqrt() as i64;
+    Some(v.map(|axis| {
+        let doubled = axis << (DIRECTION_BITS + 1);
+        ((doubled + (length / 2) * doubled.signum()) / length) as i32
+    }))
 }
 
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+/// a · b, 2⁻⁶⁰.
+fn dot(a: [i32; 3], b: [i32; 3]) -> i64 {
+    (0..3).map(|axis| i64::from(a[axis]) * i64::from(b[axis])).sum()
 }
 
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+fn cross(a: [i32; 3], b: [i32; 3]) -> [i32; 3] {
+    let [a, b] = [a, b].map(|v| v.map(i64::from));
+    let product = |i: usize, j: usize| (a[i] * b[j] - a[j] * b[i] + (1 << 29)) >> DIRECTION_BITS;
+    [(1, 2), (2, 0), (0, 1)].map(|(i, j)| product(i, j) as i32)
 }
 
 #[cfg(test)]

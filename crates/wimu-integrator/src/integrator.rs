@@ -2,17 +2,17 @@
 
 use wimu_model::{PeriodNs, PositionNm, SpecificForceQ16, VelocityNmps};
 
-use crate::attitude::{Attitude, DIRECTION_BITS, unit};
+use crate::attitude::{Attitude, DIRECTION_BITS, direction};
 use crate::compass::MagneticHeading;
 use crate::inertial::{Gyroscope, Inertial, RateTest, RotationState};
-use crate::segment::{Segment, billionth, product};
+use crate::segment::{Segment, billionth, product, round_shift};
 use crate::state::{Config, ConfigError, Flags, Phase, State, StateError};
 use crate::stationarity::{
     LONGEST_RUN, REST_WINDOWS, Run, TURNED_REST_WINDOWS, Window, window_steps,
 };
 
-/// Cosine of the largest change of the direction of gravity within a leg: 1°.
-const TURN_COSINE: f64 = 0.999_847_695;
+/// Cosine of the largest change of the direction of gravity within a leg, 2⁻³⁰: 1°.
+const TURN_COSINE: i32 = 1_073_578_288;
 /// Limit of a sum before it overflows 64 bits.
 const SUM_LIMIT: u64 = 1 << 62;
 
@@ -458,9 +458,9 @@ impl<G: Gyroscope> Integrator<G> {
         self.gravity = if self.state.config.zupt {
             mean
         } else {
-            let magnitude =
-                f64::from(self.state.config.gravity_um_s2) * (4_294_967_296.0 / 1_000_000.0);
-            unit(mean.map(|m| m as f64))?.map(|direction| (direction * magnitude) as i64)
+            let magnitude = (i64::from(self.state.config.gravity_um_s2) << 32) / 1_000_000;
+            direction(mean)?
+                .map(|axis| round_shift(product(magnitude.into(), axis.into()), DIRECTION_BITS))
         };
         self.whole_gravity = self.gravity.map(|gravity| ((gravity + (1 << 15)) >> 16) as i32);
         Some(())

@@ -14,7 +14,7 @@ mod segment;
 mod state;
 mod stationarity;
 
-pub use compass::{Compass, FieldMean, MagneticHeading};
+pub use compass::{FieldMean, MagneticHeading};
 pub use inertial::{Gyroscope, Inertial, RotationState, Saturation};
 pub use integrator::{Integrator, Navigation, Transition};
 pub use rotation::Rotation;

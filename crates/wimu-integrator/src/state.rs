@@ -145,6 +145,27 @@ pub struct State {
     pub rotation: Option<RotationState>,
 }
 
+impl Default for State {
+    /// All zeros, from which no integrator continues.
+    fn default() -> Self {
+        Self {
+            config: Config { period: PeriodNs(0), zupt: false, gravity_um_s2: 0 },
+            phase: Phase::Searching,
+            flags: Flags(0),
+            rest_mean: [0; 3],
+            east: [0; 3],
+            base_position_nm: [0; 3],
+            base_velocity_nmps: [0; 3],
+            base_since_rest_ns: 0,
+            segment: Segment::default(),
+            window: Window::default(),
+            run: None,
+            heading_sd_mrad: None,
+            rotation: None,
+        }
+    }
+}
+
 /// A configuration outside its range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

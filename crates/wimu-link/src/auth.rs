@@ -171,11 +171,7 @@ impl Lock {
     }
 
     /// Why a signed `command` is refused on a link, if it is.
-    pub(crate) fn signed_refusal<P>(
-        &self,
-        command: &Command<P>,
-        role: LinkRole,
-    ) -> Option<Refusal> {
+    pub(crate) fn signed_refusal(&self, command: &Command, role: LinkRole) -> Option<Refusal> {
         if command.is_key_change() && role != LinkRole::Cable {
             return Some(Refusal::CableOnly);
         }
@@ -185,7 +181,7 @@ impl Lock {
     }
 
     /// Why an unsigned `command` is refused on a link, if it is.
-    pub(crate) fn refusal<P>(&self, command: &Command<P>, role: LinkRole) -> Option<Refusal> {
+    pub(crate) fn refusal(&self, command: &Command, role: LinkRole) -> Option<Refusal> {
         let access = self.access(role);
         match (command, access) {
             _ if command.is_key_change() && role != LinkRole::Cable => Some(Refusal::CableOnly),
@@ -285,12 +281,7 @@ impl Session {
     }
 
     /// Signs the answer to a request that was signed with `request`.
-    pub(crate) fn sign_answer<P: Serialize>(
-        &self,
-        id: u32,
-        request: Signature,
-        answer: &Answer<P>,
-    ) -> Signature {
+    pub(crate) fn sign_answer(&self, id: u32, request: Signature, answer: &Answer) -> Signature {
         let mut mac = self.of_answer(id, request);
         message::feed(answer, &mut mac);
         Signature::whole(truncated(mac))

@@ -28,23 +28,17 @@ use core::fmt;
 use cobs::{CobsEncoder, DecodeResult, DecoderState};
 use heapless::VecView;
 
-use crate::checksum::{Digest, crc_32c};
-use crate::message::{Piece, WireParameters};
+use crate::message::SetBytes;
+use wimu_model::checksum::{Digest, crc_32c};
 
 /// The version of the wire protocol, independent of the crate's version.
-pub const WIRE_VERSION: u8 = 2;
+pub const WIRE_VERSION: u8 = 3;
 
 /// The longest body, bytes: the longest epoch has 743.
 pub const MAX_BODY: usize = 752;
 
 /// The longest frame, bytes, with its closing zero.
 pub const MAX_FRAME: usize = frame_of(MAX_BODY);
-
-/// The longest stored frame, bytes, with its closing zero: a record of the longest parameter set.
-pub const MAX_RECORD: usize = frame_of(MAX_RECORD_BODY);
-
-/// The body of that record: variant, id, flag, set.
-pub(crate) const MAX_RECORD_BODY: usize = 1 + 5 + 1 + WireParameters::MAX;
 
 /// Kind byte, body, CRC.
 const MAX_PLAIN: usize = 1 + MAX_BODY + CRC_BYTES;
@@ -117,18 +111,8 @@ pub(crate) fn build(
     frame: &mut [u8],
     write: &mut dyn FnMut(&mut BodyWriter) -> Result<(), EncodeError>,
 ) -> Result<usize, EncodeError> {
-    build_within(MAX_BODY, kind, frame, write)
-}
-
-/// The same with a body of at most `longest` bytes.
-pub(crate) fn build_within(
-    longest: usize,
-    kind: Kind,
-    frame: &mut [u8],
-    write: &mut dyn FnMut(&mut BodyWriter) -> Result<(), EncodeError>,
-) -> Result<usize, EncodeError> {
     let mut writer =
-        BodyWriter { cobs: CobsEncoder::new(frame), digest: Digest::new(), left: longest };
+        BodyWriter { cobs: CobsEncoder::new(frame), digest: Digest::new(), left: MAX_BODY };
     writer.code(&[(WIRE_VERSION << 4) | kind as u8])?;
     write(&mut writer)?;
     let BodyWriter { mut cobs, digest, .. } = writer;
@@ -197,9 +181,8 @@ pub struct Deframer<const PLAIN: usize = MAX_PLAIN> {
 /// [`FrameError::TooLong`].
 pub type RequestDeframer = Deframer<{ 1 + MAX_REQUEST + CRC_BYTES }>;
 
-/// Longest body of a request, bytes: session, id, signature, and a piece of parameters with its variant,
-/// offset, total and length.
-const MAX_REQUEST: usize = 5 + 5 + (1 + 8) + (1 + 3 + 3 + 2 + Piece::MAX);
+/// Longest body of a request, bytes: session, id, signature, and a parameter set with its variant and length.
+const MAX_REQUEST: usize = 5 + 5 + (1 + 8) + (1 + 2 + SetBytes::MAX);
 
 impl Deframer {
     /// A deframer for a stream. In the middle of a stream, the bytes before the first zero are reported as

@@ -8,7 +8,6 @@ extern crate std;
 pub mod auth;
 pub mod batch;
 mod bits;
-mod checksum;
 pub mod frame;
 pub mod hello;
 pub mod message;
@@ -17,7 +16,6 @@ pub mod responder;
 pub mod tag;
 
 pub use batch::Batch;
-pub use checksum::crc_32c;
 pub use frame::{
     Deframer, EncodeError, Frame, FrameError, Kind, MAX_BODY, MAX_FRAME, WIRE_VERSION,
 };
@@ -25,3 +23,4 @@ pub use hello::{Hello, LinkRole, WhoAreYou, WriteAccess};
 pub use message::{Answer, Command, Reply, Request, Settings, Telemetry};
 pub use requester::Requester;
 pub use responder::Responder;
+pub use wimu_model::checksum::crc_32c;

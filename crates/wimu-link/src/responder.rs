@@ -1,13 +1,12 @@
 //! The device's side of requests: every request has one effect, however often it is repeated.
 
 use heapless::Vec;
-use serde::Serialize;
 
 use crate::auth::{KeyState, Lock, Session, Sessions, Standing, put_first};
-use crate::checksum::crc_32c;
 use crate::frame::{MAX_FRAME, fill};
 use crate::hello::LinkRole;
 use crate::message::{Answer, Command, Head, Payload, Refusal, Reply, Signature};
+use wimu_model::checksum::crc_32c;
 
 /// Unsigned sessions whose latest request is remembered.
 const SESSIONS: usize = 4;
@@ -35,10 +34,10 @@ enum Class {
 /// What the device has to do about a request.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Decision<'a, 'b> {
-    /// Execute this command, then send the frame that [`Responder::reply`] returns. A piece of parameters refers to
-    /// the request's body.
-    Execute(Command<&'b [u8]>),
+#[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
+pub enum Decision<'a> {
+    /// Execute this command, then send the frame that [`Responder::reply`] returns.
+    Execute(Command),
     /// Send this frame: the request was answered before, or is refused.
     Send(&'a [u8]),
     /// Do nothing: the bytes are not a request, another one is being executed, or the rate limit is reached
@@ -122,9 +121,6 @@ pub struct Responder {
 /// refusal, kind, CRC, COBS overhead, zero.
 const REFUSAL_FRAME: usize = 5 + 5 + 9 + 16 + 2 + 1 + 4 + 1 + 1;
 
-/// An answer without parameters.
-type ShortAnswer = Answer<&'static [u8]>;
-
 /// Longest frame of an answer to a write, bytes.
 const KEPT_FRAME: usize = 80;
 
@@ -146,16 +142,11 @@ enum Executing {
 }
 
 impl Known {
-    fn answer<P: Copy>(&self, answer: &Answer<P>) -> Reply<P> {
+    fn answer(&self, answer: &Answer) -> Reply {
         Reply { session: self.session, id: self.id, signature: Signature::NONE, answer: *answer }
     }
 
-    fn signed_answer<P: Copy + Serialize>(
-        &self,
-        session: &Session,
-        request: Signature,
-        answer: &Answer<P>,
-    ) -> Reply<P> {
+    fn signed_answer(&self, session: &Session, request: Signature, answer: &Answer) -> Reply {
         Reply { signature: session.sign_answer(self.id, request, answer), ..self.answer(answer) }
     }
 }
@@ -182,13 +173,13 @@ impl Responder {
     /// requests without it are limited to about 4 kB/s in total after a burst of 1 s; requests beyond the
     /// limit are ignored and have no effect. New signed requests are always processed, so a flood of
     /// unsigned requests leaves most of the link to telemetry and to the owner.
-    pub fn accept_at<'b>(&mut self, body: &'b [u8], lock: &Lock, now_us: u64) -> Decision<'_, 'b> {
+    pub fn accept_at(&mut self, body: &[u8], lock: &Lock, now_us: u64) -> Decision<'_> {
         self.limited_at_us = matches!(lock.key, KeyState::Set(_)).then_some(now_us);
         self.accept(body, lock)
     }
 
     /// Processes the body of a frame of kind [`Request`](crate::Kind::Request) under the present `lock`.
-    pub fn accept<'b>(&mut self, body: &'b [u8], lock: &Lock) -> Decision<'_, 'b> {
+    pub fn accept(&mut self, body: &[u8], lock: &Lock) -> Decision<'_> {
         let Ok((head, command)) = Head::split(body) else {
             return Decision::Ignore;
         };
@@ -196,8 +187,8 @@ impl Responder {
         if head.signature == Signature::NONE {
             // The variant's number is the whole command.
             let class = match command {
-                [8] => Class::Session,
-                [9] => Class::KeyStatus,
+                [7] => Class::Session,
+                [8] => Class::KeyStatus,
                 _ => Class::Other,
             };
             if self.is_spent(class) {
@@ -228,13 +219,13 @@ impl Responder {
         }
     }
 
-    fn accept_unsigned<'b>(
+    fn accept_unsigned(
         &mut self,
         request: Known,
         class: Class,
-        command: &'b [u8],
+        command: &[u8],
         lock: &Lock,
-    ) -> Decision<'_, 'b> {
+    ) -> Decision<'_> {
         let mut sessions = self.latest.iter();
         let known = sessions.position(|latest| latest.session == request.session);
         let latest = known.and_then(|place| self.latest.get(place).copied());
@@ -291,13 +282,13 @@ impl Responder {
         }
     }
 
-    fn accept_signed<'b>(
+    fn accept_signed(
         &mut self,
         request: Known,
         signature: Signature,
-        command: &'b [u8],
+        command: &[u8],
         lock: &Lock,
-    ) -> Decision<'_, 'b> {
+    ) -> Decision<'_> {
         let repeats = self.latest_signed == Some(request);
         if repeats {
             self.repeated = self.repeated.wrapping_add(1);
@@ -327,7 +318,7 @@ impl Responder {
         if !session.has_signed(request.id, command, signature) {
             return self.refuse(Class::Other, refused(Refusal::WrongSignature));
         }
-        let signed = |answer: &ShortAnswer| request.signed_answer(&session, signature, answer);
+        let signed = |answer: &Answer| request.signed_answer(&session, signature, answer);
         // An equal CRC may belong to another request, so the signature is verified first.
         if !repeats && matches!(standing, Standing::Used) {
             return self.refuse(Class::Other, signed(&Answer::Refused(Refusal::Stale)));
@@ -363,7 +354,7 @@ impl Responder {
         }
     }
 
-    fn refuse<'b>(&mut self, class: Class, reply: Reply<&'static [u8]>) -> Decision<'_, 'b> {
+    fn refuse(&mut self, class: Class, reply: Reply) -> Decision<'_> {
         if self.is_spent(class) {
             return Decision::Ignore;
         }
@@ -372,7 +363,7 @@ impl Responder {
         Decision::Send(&self.refusal)
     }
 
-    fn open_session(&mut self, lock: &Lock) -> ShortAnswer {
+    fn open_session(&mut self, lock: &Lock) -> Answer {
         let number = self.sessions.open().filter(|_| cfg!(feature = "auth"));
         match number.and_then(|number| lock.session(self.role, number)) {
             Some(session) => {
@@ -394,11 +385,7 @@ impl Responder {
 
     /// Encodes the answer to the request being executed into `frame`, of which [`MAX_FRAME`] bytes are
     /// enough, and returns it. Empty if no request is being executed.
-    pub fn reply<'f, P: Copy + Serialize>(
-        &mut self,
-        answer: &Answer<P>,
-        frame: &'f mut [u8],
-    ) -> &'f [u8] {
+    pub fn reply<'f>(&mut self, answer: &Answer, frame: &'f mut [u8]) -> &'f [u8] {
         let executing = self.executing.take();
         let reply = match executing {
             Some(Executing::Unsigned(request, ..)) => request.answer(answer),

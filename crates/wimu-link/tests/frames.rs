@@ -38,7 +38,7 @@ fn framed(kind: Kind, body: &[u8]) -> Vec<u8> {
 fn framed_as(first: u8, body: &[u8]) -> Vec<u8> {
     let mut plain = vec![first];
     plain.extend(body);
-    let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI).checksum(&plain);
+    let crc = wimu_link::crc_32c(&plain);
     plain.extend(crc.to_le_bytes());
     let mut coded = vec![0; cobs::max_encoding_length(plain.len())];
     let length = cobs::encode(&plain, &mut coded);

@@ -6,13 +6,12 @@ use proptest::prelude::*;
 use wimu_link::auth::{DeviceKey, KeyId, KeyState, Lock, Session};
 use wimu_link::hello::LinkRole;
 use wimu_link::message::{
-    Answer, Command, EncodedParameters, ParameterFault, ParametersPiece, Payload, Piece, Refusal,
-    Reply, Request, Resolution, Settings, Signature, Streams, WireParameters, WireTerm,
+    Answer, Command, Payload, Refusal, Reply, Request, Resolution, SetBytes, Settings, Signature,
+    Streams,
 };
 use wimu_link::requester::{Next, Requester};
 use wimu_link::responder::{Decision, Responder};
 use wimu_link::{Deframer, Kind, MAX_FRAME};
-use wimu_model::{ParameterId, ParameterSet, Sensitivity};
 use wimu_testkit::trials;
 
 const NOW: Duration = Duration::from_secs(5);
@@ -39,20 +38,14 @@ fn answer(line: &[u8]) -> Answer {
     Reply::decode(&body(line, Kind::Reply)).unwrap().answer
 }
 
-fn uncalibrated() -> WireParameters {
-    let sensitivity = Sensitivity::from_lsb_per_g(16384.0).unwrap();
-    WireParameters::from(&ParameterSet::uncalibrated(2, sensitivity))
+/// A long set.
+fn set() -> SetBytes {
+    SetBytes::new(&[7; 240]).unwrap()
 }
 
-/// A long answer.
-fn piece() -> ParametersPiece {
-    EncodedParameters(&[7; 300]).piece(ParameterId(1), 0)
-}
-
-fn writes() -> [Command; 4] {
+fn writes() -> [Command; 3] {
     [
-        uncalibrated().stage().next().unwrap(),
-        Command::CommitParameters { hash: 1 },
+        Command::SetParameters(set()),
         Command::FactoryReset,
         Command::SetSettings(Settings::default()),
     ]
@@ -77,13 +70,13 @@ impl Device {
 
     fn hear(&mut self, body: &[u8]) -> Vec<u8> {
         let command = match self.responder.accept(body, &open()) {
-            Decision::Execute(command) => command.map(|piece| Piece::new(piece).unwrap()),
+            Decision::Execute(command) => command,
             Decision::Send(frame) => return frame.to_vec(),
             Decision::Ignore => return Vec::new(),
         };
         self.effects.push(command);
         let answer: Answer = match command {
-            Command::GetParameters { .. } => Answer::Accepted(Payload::Parameters(piece())),
+            Command::GetParameters => Answer::Accepted(Payload::Parameters(set())),
             Command::SetSettings(settings) => {
                 self.settings = settings;
                 Answer::Accepted(Payload::None)
@@ -112,32 +105,20 @@ fn a_repeated_request_has_one_effect_and_gets_the_same_bytes() {
 #[test]
 fn a_long_answer_to_a_read_is_made_anew_when_it_was_lost() {
     let mut device = Device::new(LinkRole::Cable);
-    let read = request(1, 1, Command::GetParameters { offset: 0 });
+    let read = request(1, 1, Command::GetParameters);
     let first = device.hear(&read);
     assert!(first.len() > 200, "{}", first.len());
     assert_eq!(device.hear(&read), first);
-    assert_eq!(device.effects, [Command::GetParameters { offset: 0 }; 2]);
+    assert_eq!(device.effects, [Command::GetParameters; 2]);
 }
 
 #[test]
 fn every_answer_to_a_write_is_kept_at_its_longest() {
-    let longest: [Answer; 7] = [
+    let longest: [Answer; 4] = [
         Answer::Accepted(Payload::Session { number: u32::MAX, nonce: [0xff; 16] }),
         Answer::Accepted(Payload::Settings(FARTHEST)),
-        Answer::Accepted(Payload::Staged { hash: u32::MAX }),
         Answer::Accepted(Payload::KeyStatus { key: Some(KeyId([0xff; 4])) }),
         Answer::Refused(Refusal::UnsupportedSettings { nearest: FARTHEST }),
-        Answer::Refused(Refusal::InvalidParameters(ParameterFault::OutOfBounds {
-            term: WireTerm::Nonlinearity,
-            axis: 255,
-            value: f64::MIN,
-            low: f64::MIN,
-            high: f64::MAX,
-        })),
-        Answer::Refused(Refusal::WrongSensitivity {
-            parameters_lsb_per_g: f64::MAX,
-            device_lsb_per_g: f64::MIN,
-        }),
     ];
     let key = DeviceKey::new([1; 32]);
     let lock = Lock { key: KeyState::Set(key), ..open() };
@@ -249,7 +230,7 @@ fn with_session(responder: &mut Responder) -> (Lock, Requester) {
 
 /// Bytes of answers to requests that come every millisecond for 20 s.
 fn answered(responder: &mut Responder, lock: &Lock, mut ask: impl FnMut(u32) -> Vec<u8>) -> usize {
-    let long: Answer = Answer::Accepted(Payload::Parameters(piece()));
+    let long: Answer = Answer::Accepted(Payload::Parameters(set()));
     let asked = (0..20_000_u32).map(|ms| {
         let body = ask(ms);
         match responder.accept_at(&body, lock, u64::from(ms) * 1000) {
@@ -269,7 +250,7 @@ fn answers_that_take_no_key_are_limited_where_there_is_one() {
     for (command, rate) in [
         (Command::OpenSession, 500),
         (Command::GetKeyStatus, 500),
-        (Command::GetParameters { offset: 0 }, 2000),
+        (Command::GetParameters, 2000),
         (Command::FactoryReset, 2000),
     ] {
         let mut responder = Responder::new(LinkRole::Wireless);
@@ -285,7 +266,7 @@ fn answers_that_take_no_key_are_limited_where_there_is_one() {
             let decision = responder.accept_at(&fresh, &lock, ms * 1000);
             let ignored = decision == Decision::Ignore;
             assert_eq!(ignored, other == command && ms == 20_000, "{other:?}");
-            responder.reply(&Answer::<WireParameters>::Unknown, &mut [0; MAX_FRAME]);
+            responder.reply(&Answer::Unknown, &mut [0; MAX_FRAME]);
         }
         // Without a key all are.
         let mut responder = Responder::new(LinkRole::Wireless);
@@ -294,9 +275,9 @@ fn answers_that_take_no_key_are_limited_where_there_is_one() {
     }
     // Each new one that the owner signs is taken, whatever is between.
     for ms in 0..2000_u64 {
-        let garbage = request(ms as u32, 1, Command::GetParameters { offset: 0 });
+        let garbage = request(ms as u32, 1, Command::GetParameters);
         if let Decision::Execute(_) = responder.accept_at(&garbage, &lock, ms * 1000) {
-            responder.reply(&Answer::<WireParameters>::Unknown, &mut [0; MAX_FRAME]);
+            responder.reply(&Answer::Unknown, &mut [0; MAX_FRAME]);
         }
         let signed = body(requester.start(Command::FactoryReset, NOW), Kind::Request);
         let decision = responder.accept_at(&signed, &lock, ms * 1000);
@@ -373,7 +354,6 @@ fn an_unsigned_write_passes_only_on_the_cable_of_a_device_without_a_key() {
             let mut responder = Responder::new(role);
             match (responder.accept(&request(1, 1, command), &lock), expected) {
                 (Decision::Execute(executed), None) => {
-                    let executed = executed.map(|piece| Piece::new(piece).unwrap());
                     assert_eq!(executed, command);
                 }
                 (Decision::Send(frame), Some(refusal)) => {

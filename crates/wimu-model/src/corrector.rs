@@ -3,8 +3,11 @@
 use core::fmt;
 
 use crate::kernel::{Fixed, Kernel, LOW_BITS, whole};
-use crate::matrix::{self, Matrix3};
-use crate::{CentiCelsius, Counts, ParameterSet, SpecificForceQ16, WideCounts};
+use crate::matrix::Matrix3;
+use crate::{
+    CentiCelsius, CompiledSet, Counts, ParameterId, ParameterSet, STANDARD_GRAVITY_MPS2,
+    Sensitivity, SpecificForceQ16, WideCounts,
+};
 
 /// Fraction bits of the high part: with fewer than the minimum the error can exceed 1 LSB.
 const MIN_SHIFT: u32 = 3;
@@ -34,33 +37,27 @@ const LARGEST_OUTPUT: f64 = 536_870_912.0;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Corrector {
-    kernel: Kernel,
+    pub(crate) kernel: Kernel,
 }
 
 impl Corrector {
-    /// Compiles `parameters` at `temperature` (at the model's reference if `None`).
-    ///
-    /// Uses f64 with + − × ÷ only, in a fixed order, so that every target gets the same integers.
+    /// That of a [`CompiledSet`] of `parameters` at `temperature` (at the model's reference if `None`).
     ///
     /// # Errors
-    /// [`CompileError::Overflow`] when specific force over the 16-bit input range cannot be held
-    /// to one LSB in 32 bits; [`CompileError::Singular`] when A(T) cannot be inverted at this
-    /// temperature.
+    /// [`CompileError`].
     pub fn compile(
         parameters: &ParameterSet,
         temperature: Option<CentiCelsius>,
     ) -> Result<Self, CompileError> {
-        let (bias, a) = parameters.model.at(temperature);
-        if matrix::determinant(&a) < 0.01 {
-            return Err(CompileError::Singular);
-        }
-        let inverse = matrix::multiply(&parameters.alignment.matrix(), &matrix::inverse(&a));
-        let scale = parameters.sensitivity.mps2_per_lsb() * SpecificForceQ16::LSB_PER_MPS2;
-        let coefficients = inverse.map(|row| row.map(|k| k * scale));
-        let offset = matrix::apply(&inverse, bias).map(|o| -o * SpecificForceQ16::LSB_PER_MPS2);
+        let parameters = ParameterSet { gyroscope: None, ..*parameters };
+        let set = CompiledSet::compile(&parameters, ParameterId::UNCALIBRATED, 0)?;
+        Ok(set.corrector(temperature))
+    }
 
-        let kernel = kernel(coefficients, offset).ok_or(CompileError::Overflow)?;
-        Ok(Self { kernel })
+    /// That of an uncalibrated sensor in body axes. Called in a constant, it leaves no floating point in the image.
+    pub const fn ideal(sensitivity: Sensitivity) -> Self {
+        let count = STANDARD_GRAVITY_MPS2 / sensitivity.lsb_per_g();
+        Self { kernel: Kernel::new(&diagonal(count * SpecificForceQ16::LSB_PER_MPS2)) }
     }
 
     /// The corrector of these integers, for a calibration in the source of a firmware: without a model,
@@ -109,19 +106,13 @@ impl Corrector {
             }
             axis += 1;
         }
-        Some(Self {
-            kernel: Kernel::new(&Fixed {
-                shift,
-                coefficients: parts.coefficients,
-                offset: parts.offset,
-            }),
-        })
+        let CorrectorParts { coefficients, offset, .. } = parts;
+        Some(Self { kernel: Kernel::new(&Fixed { shift, coefficients, offset }) })
     }
 
     /// Its integers.
     pub fn to_parts(&self) -> CorrectorParts {
-        let Fixed { shift, coefficients, offset } = self.kernel.fixed();
-        CorrectorParts { shift: shift as u8, coefficients, offset }
+        CorrectorParts::of(&self.kernel)
     }
 
     /// Specific force in body axes for counts in sensor axes.
@@ -141,7 +132,7 @@ impl Corrector {
 
 /// The integers of a [`Corrector`], the same for every target: those of M and o in equation (3) of
 /// docs/EQUATIONS.md.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct CorrectorParts {
@@ -153,16 +144,51 @@ pub struct CorrectorParts {
     pub offset: [i32; 3],
 }
 
-/// The integers of y = M c + o, LSB; `None` where full-scale counts exceed [`LARGEST_OUTPUT`] or the
-/// result would be more than 1 LSB from the f64 result.
-pub(crate) fn kernel(coefficients: Matrix3, offset: [f64; 3]) -> Option<Kernel> {
+impl CorrectorParts {
+    pub(crate) fn of(kernel: &Kernel) -> Self {
+        let Fixed { shift, coefficients, offset } = kernel.fixed();
+        Self { shift: shift as u8, coefficients, offset }
+    }
+}
+
+/// The integers of y = k c with k LSB per count, at most 4095.
+pub(crate) const fn diagonal(lsb_per_count: f64) -> Fixed {
+    let k = if lsb_per_count < 4095.0 { lsb_per_count } else { 4095.0 };
+    let mut shift = MAX_SHIFT;
+    while shift > MIN_SHIFT && k * (1_u32 << shift) as f64 > 32766.0 {
+        shift -= 1;
+    }
+    let value = k * (1_u32 << shift) as f64;
+    // Rounded to nearest; positive.
+    let high = (value + 0.5) as i32;
+    let low = ((value - high as f64) * (1_u32 << LOW_BITS) as f64 + 32768.5) as i32 - 32768;
+    let whole = whole(high, low);
+    Fixed {
+        shift,
+        coefficients: [[whole, 0, 0], [0, whole, 0], [0, 0, whole]],
+        offset: [(1 << (shift - 1)) + 1; 3],
+    }
+}
+
+/// The integers of y = M c + o, LSB, with room for the offset to change by `drift` and for all to grow by the factor
+/// `growth`; `None` where full-scale counts exceed [`LARGEST_OUTPUT`] or the result would be more than 1 LSB from the f64
+/// result.
+pub(crate) fn kernel(
+    coefficients: Matrix3,
+    offset: [f64; 3],
+    drift: [f64; 3],
+    growth: f64,
+) -> Option<Kernel> {
     let mut largest = 0.0_f64;
     let mut reach = 0.0_f64;
-    for (row, o) in coefficients.iter().zip(offset) {
-        let magnitudes = row.map(f64::abs);
+    for axis in 0..3 {
+        let magnitudes = coefficients[axis].map(f64::abs);
         largest = magnitudes.iter().fold(largest, |l, &m| l.max(m));
-        reach = reach.max((magnitudes[0] + magnitudes[1] + magnitudes[2]) * 32768.0 + o.abs());
+        let offset = offset[axis].abs() + drift[axis];
+        let counts = (magnitudes[0] + magnitudes[1] + magnitudes[2]) * 32768.0;
+        reach = reach.max((counts + offset) * growth);
     }
+    largest *= growth;
     // The sum of the high parts may exceed the total by that of the low parts, 3 · 2¹⁵ / 2, and
     // the rounding; 2¹⁷ covers both.
     let fits = |shift: u32| {
@@ -194,11 +220,16 @@ pub(crate) fn round(value: f64) -> i32 {
 /// Why parameters cannot be compiled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum CompileError {
     /// The result would not fit 32 bits, or not be exact to one LSB.
     Overflow,
-    /// A cannot be inverted at the latched temperature.
+    /// A cannot be inverted.
     Singular,
+    /// Bias or scale factor change too much with temperature: the scale factor by more than 0.1 %/K.
+    Slope,
+    /// The set has both a gyroscope and a magnetometer: more than 256 bytes.
+    TooLong,
 }
 
 impl fmt::Display for CompileError {
@@ -207,8 +238,12 @@ impl fmt::Display for CompileError {
             Self::Overflow => {
                 "full-scale counts under these parameters exceed what 32 bits hold at 2⁻¹⁶ m/s²; check sensitivity, bias and scale"
             }
-            Self::Singular => {
-                "the matrix cannot be inverted at this temperature; check the scale factor's temperature slope"
+            Self::Singular => "the matrix of scale factors and misalignments cannot be inverted",
+            Self::Slope => {
+                "bias or scale factor change too much with temperature (scale factor: at most 0.1 %/K); check the temperature terms"
+            }
+            Self::TooLong => {
+                "a device takes either a gyroscope or a magnetometer beside the accelerometer; leave out one"
             }
         })
     }

@@ -3,11 +3,11 @@
 
 use core::fmt;
 
-use crate::corrector::{CompileError, kernel, round};
+use crate::corrector::{CompileError, diagonal, round};
 use crate::fixed::scaled_dot;
 use crate::kernel::Kernel;
 use crate::matrix::{self, Matrix3};
-use crate::{Alignment, AngularRateQ20, CentiCelsius, Counts, SpecificForceQ16, WideCounts};
+use crate::{AngularRateQ20, CentiCelsius, Counts, SpecificForceQ16, WideCounts};
 
 /// Temperature terms about a reference temperature T₀: b(T) = b₀ + b₁ (T−T₀), S(T) = S₀ (1 + s₁ (T−T₀)).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -176,38 +176,15 @@ pub struct GyroscopeCorrector {
 }
 
 impl GyroscopeCorrector {
-    /// Compiles `model` at `temperature` (T₀ if `None`) for a sensor of `rad_s_per_lsb`, mounted by
-    /// `alignment` (sensor to body).
-    ///
-    /// # Errors
-    /// [`CompileError::Overflow`] when full-scale counts exceed ±128 rad/s, or the g-sensitivity in body
-    /// axes 0.0625 rad/s per m/s²; [`CompileError::Singular`] when A(T) cannot be inverted at this temperature.
-    pub fn compile(
-        model: &GyroscopeModel,
-        rad_s_per_lsb: f64,
-        alignment: Alignment,
-        temperature: Option<CentiCelsius>,
-    ) -> Result<Self, CompileError> {
-        let (bias, a) = model.at(temperature);
-        if matrix::determinant(&a) < 0.01 {
-            return Err(CompileError::Singular);
-        }
-        let rotation = alignment.matrix();
-        let inverse = matrix::multiply(&rotation, &matrix::inverse(&a));
-        let lsb = AngularRateQ20::LSB_PER_RAD_S;
-        let scale = rad_s_per_lsb * lsb;
-        let coefficients = inverse.map(|row| row.map(|k| k * scale));
-        let offset = matrix::apply(&inverse, bias).map(|o| -o * lsb);
-        let kernel = kernel(coefficients, offset).ok_or(CompileError::Overflow)?;
-        let g = &model.terms().g_sensitivity;
-        let transposed = [0, 1, 2].map(|row| [0, 1, 2].map(|column| rotation[column][row]));
-        let g_body = matrix::multiply(&matrix::multiply(&inverse, g), &transposed);
-        let unit = (1_u32 << G_BITS) as f64 * lsb / SpecificForceQ16::LSB_PER_MPS2;
-        let g_sensitivity = g_body.map(|row| row.map(|k| round(-k * unit)));
-        if g_sensitivity.as_flattened().iter().any(|k| k.unsigned_abs() > LARGEST_G) {
-            return Err(CompileError::Overflow);
-        }
-        Ok(Self { kernel, g_sensitivity: (*g != [[0.0; 3]; 3]).then_some(g_sensitivity) })
+    /// That of an uncalibrated sensor in body axes, of `rad_s_per_lsb`, at most 0.0039 rad/s. Called in a constant, it
+    /// leaves no floating point in the image.
+    pub const fn ideal(rad_s_per_lsb: f64) -> Self {
+        let kernel = Kernel::new(&diagonal(rad_s_per_lsb * AngularRateQ20::LSB_PER_RAD_S));
+        Self { kernel, g_sensitivity: None }
+    }
+
+    pub(crate) fn new(kernel: Kernel, g_sensitivity: [[i32; 3]; 3]) -> Self {
+        Self { kernel, g_sensitivity: (g_sensitivity != [[0; 3]; 3]).then_some(g_sensitivity) }
     }
 
     /// Angular rate in body axes for counts in sensor axes, and the corrected specific force of the same
@@ -237,6 +214,24 @@ impl GyroscopeCorrector {
         }
         AngularRateQ20(rate)
     }
+}
+
+/// −R A⁻¹ G Rᵀ, LSB of rate per LSB of force, 2⁻²⁸, of R A⁻¹, G and R.
+///
+/// # Errors
+/// [`CompileError::Overflow`] beyond 0.0625 rad/s per m/s².
+pub(crate) fn g_sensitivity(
+    to_body: &Matrix3,
+    g: &Matrix3,
+    rotation: &Matrix3,
+) -> Result<[[i32; 3]; 3], CompileError> {
+    let transposed = matrix::transposed(rotation);
+    let body = matrix::multiply(&matrix::multiply(to_body, g), &transposed);
+    let lsb = AngularRateQ20::LSB_PER_RAD_S / SpecificForceQ16::LSB_PER_MPS2;
+    let unit = (1_u32 << G_BITS) as f64 * lsb;
+    let integers = body.map(|row| row.map(|k| round(-k * unit)));
+    let fits = integers.as_flattened().iter().all(|k| k.unsigned_abs() <= LARGEST_G);
+    if fits { Ok(integers) } else { Err(CompileError::Overflow) }
 }
 
 /// Fraction bits of a g-sensitivity coefficient.
@@ -342,7 +337,27 @@ impl core::error::Error for GyroscopeError {}
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{
+        Alignment, CompiledSet, GyroscopeParameters, ParameterId, ParameterSet, Sensitivity,
+    };
     use proptest::prelude::*;
+
+    fn compile(
+        model: &GyroscopeModel,
+        rad_s_per_lsb: f64,
+        alignment: Alignment,
+        temperature: Option<CentiCelsius>,
+    ) -> Result<GyroscopeCorrector, CompileError> {
+        let gyroscope = GyroscopeParameters::new(2000, rad_s_per_lsb, *model, None);
+        let sensitivity = Sensitivity::from_lsb_per_g(16384.0).expect("within bounds");
+        let set = ParameterSet {
+            alignment,
+            gyroscope: Some(gyroscope.expect("within bounds")),
+            ..ParameterSet::uncalibrated(2, sensitivity)
+        };
+        let set = CompiledSet::compile(&set, ParameterId(1), 0)?;
+        Ok(set.gyroscope(temperature).expect("a gyroscope"))
+    }
 
     prop_compose! {
         fn terms()(
@@ -383,7 +398,7 @@ mod tests {
             let model = GyroscopeModel::new(terms).expect("within bounds");
             let temperature = Some(CentiCelsius::from_celsius(celsius));
             let rad_s_per_lsb = 0.0011;
-            let corrector = GyroscopeCorrector::compile(&model, rad_s_per_lsb, alignment, temperature)
+            let corrector = compile(&model, rad_s_per_lsb, alignment, temperature)
                 .expect("in range");
             let force = SpecificForceQ16(force);
             let rotation = alignment.matrix();
@@ -416,7 +431,7 @@ mod tests {
                 let model = GyroscopeModel::new(terms).expect("within bounds");
                 let identity = Alignment::IDENTITY;
                 let corrector =
-                    GyroscopeCorrector::compile(&model, rad_s_per_lsb, identity, temperature).expect("in range");
+                    compile(&model, rad_s_per_lsb, identity, temperature).expect("in range");
                 for counts in [counts, edge(0), [WideCounts::MIN; 3], [WideCounts::MAX; 3]] {
                     let output = counts.map(|c| f64::from(c) * rad_s_per_lsb);
                     let exact = model.correct(output, force.to_mps2().0, temperature);
@@ -470,7 +485,7 @@ mod tests {
                 ..GyroscopeTerms::default()
             })
             .expect("within bounds");
-            GyroscopeCorrector::compile(&model, 0.0011, Alignment::IDENTITY, None)
+            compile(&model, 0.0011, Alignment::IDENTITY, None)
         };
         assert!(compiled(0.005).is_ok());
         assert_eq!(compiled(0.02), Err(CompileError::Overflow));
@@ -479,12 +494,7 @@ mod tests {
     #[test]
     fn a_sensor_beyond_128_rad_s_is_refused() {
         let compiled = |rad_s_per_lsb| {
-            GyroscopeCorrector::compile(
-                &GyroscopeModel::default(),
-                rad_s_per_lsb,
-                Alignment::IDENTITY,
-                None,
-            )
+            compile(&GyroscopeModel::default(), rad_s_per_lsb, Alignment::IDENTITY, None)
         };
         assert!(compiled(0.0038).is_ok());
         assert_eq!(compiled(0.004), Err(CompileError::Overflow));

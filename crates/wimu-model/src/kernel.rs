@@ -4,7 +4,7 @@
 // A target uses one of the two.
 #![cfg_attr(not(test), allow(dead_code))]
 
-use crate::WideCounts;
+use crate::{CorrectorParts, WideCounts};
 
 /// Cortex-M0 and M0+ have only a 32-bit product of 32-bit factors. They are also the ARM cores
 /// without atomic read-modify-write, which is the property that a target declares.
@@ -26,6 +26,13 @@ pub(crate) struct Fixed {
     pub(crate) coefficients: [[i32; 3]; 3],
     /// Offset and rounding in the unit of the high parts.
     pub(crate) offset: [i32; 3],
+}
+
+impl From<CorrectorParts> for Fixed {
+    fn from(parts: CorrectorParts) -> Self {
+        let CorrectorParts { shift, coefficients, offset } = parts;
+        Self { shift: shift.into(), coefficients, offset }
+    }
 }
 
 /// Largest magnitude of an output from wide counts, LSB: the integrator adds two samples in 32 bits.

@@ -5,6 +5,9 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod checksum;
+mod compass;
+mod compiled;
 mod corrector;
 mod covariance;
 mod error_model;
@@ -19,6 +22,8 @@ mod quality;
 mod quantities;
 pub mod root;
 
+pub use compass::CompassTerms;
+pub use compiled::{CompiledSet, SetError};
 pub use corrector::{CompileError, Corrector, CorrectorParts};
 pub use covariance::{CovarianceError, ModelCovariance, RotationCovariance};
 pub use error_model::{ErrorModel, ErrorTerms, ModelError, TemperatureTerms, Term};

@@ -38,6 +38,10 @@ pub(crate) fn multiply(a: &Matrix3, b: &Matrix3) -> Matrix3 {
     product
 }
 
+pub(crate) fn transposed(m: &Matrix3) -> Matrix3 {
+    [0, 1, 2].map(|row| [0, 1, 2].map(|column| m[column][row]))
+}
+
 pub(crate) fn determinant(m: &Matrix3) -> f64 {
     dot(&m[0], &cross(&m[1], &m[2]))
 }

@@ -36,6 +36,26 @@ impl Alignment {
         }
     }
 
+    /// From a rotation as a matrix, row by row [Shepperd 1978].
+    pub(crate) fn from_matrix(m: &Matrix3) -> Self {
+        let trace = m[0][0] + m[1][1] + m[2][2];
+        let differences = [m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]];
+        // 4 q q_i for the largest component q.
+        let column = if trace > 0.0 {
+            [1.0 + trace, differences[0], differences[1], differences[2]]
+        } else {
+            let i = (0..3).fold(0, |l, i| if m[i][i] > m[l][l] { i } else { l });
+            let mut column = [differences[i], 0.0, 0.0, 0.0];
+            for j in 0..3 {
+                column[1 + j] = m[i][j] + m[j][i];
+            }
+            column[1 + i] = 1.0 + 2.0 * m[i][i] - trace;
+            column
+        };
+        let norm = root::sqrt(column.iter().map(|q| q * q).sum());
+        Self(column.map(|q| q / norm))
+    }
+
     /// The unit quaternion, W, X, Y, Z.
     pub fn quaternion(self) -> [f64; 4] {
         self.0

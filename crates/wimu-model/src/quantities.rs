@@ -207,8 +207,8 @@ impl Sensitivity {
     ///
     /// # Errors
     /// [`SensitivityError`] when it is not finite or outside 160..=1048576.
-    pub fn from_lsb_per_g(lsb_per_g: f64) -> Result<Self, SensitivityError> {
-        if (160.0..=1_048_576.0).contains(&lsb_per_g) {
+    pub const fn from_lsb_per_g(lsb_per_g: f64) -> Result<Self, SensitivityError> {
+        if 160.0 <= lsb_per_g && lsb_per_g <= 1_048_576.0 {
             Ok(Self(lsb_per_g))
         } else {
             Err(SensitivityError(lsb_per_g))
@@ -216,7 +216,7 @@ impl Sensitivity {
     }
 
     /// LSB per *g*.
-    pub fn lsb_per_g(self) -> f64 {
+    pub const fn lsb_per_g(self) -> f64 {
         self.0
     }
 

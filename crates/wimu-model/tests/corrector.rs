@@ -5,8 +5,9 @@ use std::cell::Cell;
 use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 use wimu_model::{
-    Alignment, CentiCelsius, CompileError, Corrector, CorrectorParts, Counts, ErrorModel,
-    ErrorTerms, ParameterSet, Sensitivity, SpecificForceMps2, TemperatureTerms, WideCounts,
+    Alignment, CentiCelsius, CompileError, CompiledSet, Corrector, CorrectorParts, Counts,
+    ErrorModel, ErrorTerms, ParameterId, ParameterSet, Sensitivity, SetError, SpecificForceMps2,
+    TemperatureTerms, WideCounts,
 };
 use wimu_testkit::{figure, trials};
 
@@ -18,7 +19,7 @@ prop_compose! {
         reference_c in -20.0..60.0_f64,
         b1 in prop::array::uniform3(-0.02..0.02_f64),
         b2 in prop::array::uniform3(-0.0005..0.0005_f64),
-        s1 in prop::array::uniform3(-0.001..0.001_f64),
+        s1 in prop::array::uniform3(-0.0005..0.0005_f64),
     ) -> ErrorTerms {
         ErrorTerms {
             bias_mps2: bias,
@@ -57,11 +58,17 @@ prop_compose! {
     }
 }
 
+/// Error of an axis, LSB, without 3 · 10⁻⁶ of the specific force: the rounding of the scale factor's slope.
+fn beyond_slope(integer: i32, exact: [f64; 3], axis: usize) -> f64 {
+    let off = (f64::from(integer) - exact[axis] * 65536.0).abs();
+    off - 3e-6 * 65536.0 * SpecificForceMps2(exact).norm()
+}
+
 fn worst_lsb(parameters: &ParameterSet, at: CentiCelsius, counts: [i16; 3]) -> f64 {
     let corrector = Corrector::compile(parameters, Some(at)).unwrap();
     let integer = corrector.correct(Counts(counts)).0;
     let exact = parameters.correct(Counts(counts), Some(at)).0;
-    (0..3).map(|axis| (f64::from(integer[axis]) - exact[axis] * 65536.0).abs()).fold(0.0, f64::max)
+    (0..3).map(|axis| beyond_slope(integer[axis], exact, axis)).fold(0.0, f64::max)
 }
 
 fn cases() -> ProptestConfig {
@@ -69,36 +76,59 @@ fn cases() -> ProptestConfig {
 }
 
 #[test]
-fn is_within_1_lsb_of_f64_on_every_input() {
-    let inputs = (parameters(), -4000_i16..8500, prop::array::uniform3(any::<i16>()));
+fn at_the_reference_is_within_1_lsb_of_f64_on_every_input() {
+    let inputs = (parameters(), prop::array::uniform3(any::<i16>()));
+    let run = TestRunner::new(cases()).run(&inputs, |(mut parameters, counts)| {
+        let at = CentiCelsius::from_celsius(parameters.model.terms().temperature.reference_c);
+        let mut terms = *parameters.model.terms();
+        terms.temperature.reference_c = at.to_celsius();
+        parameters.model = ErrorModel::new(terms).unwrap();
+        let corrector = Corrector::compile(&parameters, Some(at)).unwrap();
+        let ends = counts.map(|c| if c < 0 { i16::MIN } else { i16::MAX });
+        for counts in [counts, [i16::MIN; 3], [i16::MAX; 3], ends] {
+            let integer = corrector.correct(Counts(counts)).0;
+            let exact = parameters.correct(Counts(counts), Some(at)).0;
+            for axis in 0..3 {
+                let off = (f64::from(integer[axis]) - exact[axis] * 65536.0).abs();
+                prop_assert!(off <= 1.0, "{off} LSB at {counts:?}");
+            }
+        }
+        Ok(())
+    });
+    run.unwrap_or_else(|error| panic!("{error}"));
+}
+
+#[test]
+fn is_within_2_lsb_of_f64_on_every_input() {
+    let inputs = (parameters(), -1500_i16..7900, prop::array::uniform3(any::<i16>()));
     let largest = Cell::new(0.0_f64);
     let run = TestRunner::new(cases()).run(&inputs, |(parameters, at, counts)| {
         let ends = counts.map(|c| if c < 0 { i16::MIN } else { i16::MAX });
         for counts in [counts, [i16::MIN; 3], [i16::MAX; 3], ends] {
             let worst = worst_lsb(&parameters, CentiCelsius(at), counts);
             largest.set(largest.get().max(worst));
-            prop_assert!(worst <= 1.0, "{worst} LSB at {counts:?}");
+            prop_assert!(worst <= 2.0, "{worst} LSB at {counts:?}");
         }
         Ok(())
     });
     figure(
         "corrector in integers against the model in f64, 2⁻¹⁶ m/s²",
         format!("{:.3}", largest.get()),
-        "at most 1",
+        "at most 2",
         run.is_ok(),
     );
     run.unwrap_or_else(|error| panic!("{error}"));
 }
 
 #[test]
-fn wide_counts_are_within_1_lsb_of_f64_and_clamped_beyond_20_bits() {
+fn wide_counts_are_within_2_lsb_of_f64_and_clamped_beyond_20_bits() {
     let inputs = (
         parameters().prop_map(|set| ParameterSet {
             sensitivity: Sensitivity::from_lsb_per_g(set.sensitivity.lsb_per_g().max(2000.0))
                 .unwrap(),
             ..set
         }),
-        -4000_i16..8500,
+        -1500_i16..7900,
         prop::array::uniform3(WideCounts::MIN..=WideCounts::MAX),
     );
     let run = TestRunner::new(cases()).run(&inputs, |(parameters, at, counts)| {
@@ -118,8 +148,8 @@ fn wide_counts_are_within_1_lsb_of_f64_and_clamped_beyond_20_bits() {
             let output = SpecificForceMps2(counts.map(|c| f64::from(c) * scale));
             let exact = parameters.alignment.rotate(parameters.model.correct(output, at).0);
             for axis in 0..3 {
-                let off = (f64::from(wide(counts).0[axis]) - exact[axis] * 65536.0).abs();
-                prop_assert!(off <= 1.0, "{off} LSB at {counts:?}");
+                let off = beyond_slope(wide(counts).0[axis], exact, axis);
+                prop_assert!(off <= 2.0, "{off} LSB at {counts:?}");
             }
         }
         prop_assert_eq!(wide(edge(1)), wide(edge(0)));
@@ -218,17 +248,13 @@ fn a_model_out_of_bounds_is_refused_by_name() {
 }
 
 #[test]
-fn a_model_that_turns_singular_when_hot_is_refused_there() {
+fn a_scale_factor_that_changes_too_much_with_temperature_is_refused() {
     let model = terms_with(|t| t.temperature.scale_per_k = [-0.01; 3]).unwrap();
     let parameters = ParameterSet {
         model,
         ..ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0).unwrap())
     };
-    assert!(Corrector::compile(&parameters, Some(CentiCelsius(2500))).is_ok());
-    assert_eq!(
-        Corrector::compile(&parameters, Some(CentiCelsius(12_400))),
-        Err(CompileError::Singular)
-    );
+    assert_eq!(Corrector::compile(&parameters, None), Err(CompileError::Slope));
 }
 
 #[test]
@@ -270,5 +296,50 @@ proptest! {
         } else {
             prop_assert!(!(3..=14).contains(&shift) || smaller < 10);
         }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(trials(20_000) as u32))]
+
+    #[test]
+    fn the_model_of_a_compiled_set_corrects_as_its_source(
+        set in parameters(), change in -1000_i16..1000, counts in prop::array::uniform3(any::<i16>())
+    ) {
+        let compiled = CompiledSet::compile(&set, ParameterId(1), 0).unwrap();
+        let Ok(again) = compiled.to_model(Some(set.sensitivity)) else { return Ok(()) };
+        let reference = CentiCelsius::from_celsius(set.model.terms().temperature.reference_c);
+        let at = Some(CentiCelsius(reference.0 + change));
+        let [exact, found] = [&set, &again].map(|set| SpecificForceMps2(set.correct(Counts(counts), at).0));
+        // Misalignments of 0.1 rad turn the scale factor's slope of 0.05 %/K, over 10 K.
+        let bound = 3e-4 + f64::from(change.abs()) / 1000.0 * 1e-3 * exact.norm();
+        for axis in 0..3 {
+            let off = (found.0[axis] - exact.0[axis]).abs();
+            prop_assert!(off < bound, "{off} m/s²");
+        }
+    }
+
+    #[test]
+    fn a_set_is_read_as_it_was_written_and_no_change_of_a_byte_goes_unnoticed(
+        set in parameters(), place: prop::sample::Index, change in 1..=255_u8
+    ) {
+        let compiled = CompiledSet::compile(&set, ParameterId(0x1234_5678), 42).unwrap();
+        let mut bytes = [0; CompiledSet::MAX_BYTES];
+        let length = compiled.to_bytes(&mut bytes);
+        prop_assert_eq!(CompiledSet::from_bytes(&bytes[..length]), Ok(compiled));
+        for short in 0..length {
+            prop_assert!(CompiledSet::from_bytes(&bytes[..short]).is_err());
+        }
+        bytes[place.index(length)] ^= change;
+        prop_assert_eq!(CompiledSet::from_bytes(&bytes[..length]), Err(SetError::Checksum));
+    }
+}
+
+#[test]
+fn an_ideal_sensor_is_that_of_an_uncalibrated_set() {
+    for lsb_per_g in [160.0, 256.0, 1024.0, 4098.36, 16384.0, 1_048_576.0] {
+        let sensitivity = Sensitivity::from_lsb_per_g(lsb_per_g).unwrap();
+        let compiled = Corrector::compile(&ParameterSet::uncalibrated(2, sensitivity), None);
+        assert_eq!(Ok(Corrector::ideal(sensitivity)), compiled, "{lsb_per_g}");
     }
 }

@@ -4,18 +4,24 @@ use wimu_adxl345::{
     Bus, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution as Step, Setup,
 };
 use wimu_link::message::{Resolution, Settings};
-use wimu_model::{Counts, PeriodNs, Sensitivity};
+use wimu_model::{Counts, PeriodNs};
 
 use crate::data_ready::DataReady;
 use crate::fifo::{FifoState, SensorFifo};
 use crate::sensor::{
-    Batch, InertialSensor, Plan, SensorFault, SensorPlan, Supported, Surroundings,
+    AccelerometerScale, Batch, InertialSensor, Plan, SensorFault, SensorPlan, Supported,
+    Surroundings,
 };
 use crate::timer::Timer;
 
 /// Rates are whole numbers of Hz, up to the fastest on a bus of 400 kHz.
-const SUPPORTED: Supported<Range, Rate> = Supported {
-    ranges: &[(2, Range::G2), (4, Range::G4), (8, Range::G8), (16, Range::G16)],
+const SUPPORTED: Supported<(Range, &AccelerometerScale), Rate> = Supported {
+    ranges: &[
+        (2, (Range::G2, &scale(Range::G2))),
+        (4, (Range::G4, &scale(Range::G4))),
+        (8, (Range::G8, &scale(Range::G8))),
+        (16, (Range::G16, &scale(Range::G16))),
+    ],
     rates: &[
         (25, Rate::Hz25),
         (50, Rate::Hz50),
@@ -26,6 +32,12 @@ const SUPPORTED: Supported<Range, Rate> = Supported {
     ],
     has_low_power: Rate::has_low_power,
 };
+
+/// Left-justified counts have this scale in both resolutions.
+const fn scale(range: Range) -> AccelerometerScale {
+    let format = DataFormat { range, resolution: Step::Full, justify: Justify::Left };
+    AccelerometerScale::of(format.lsb_per_g() as f64)
+}
 
 /// Capacity of the FIFO, samples.
 const DEPTH: u8 = 32;
@@ -58,7 +70,7 @@ impl<B: Bus, D: DataReady, T: Timer> Adxl345<B, D, T> {
     }
 
     async fn start(&mut self, plan: &Plan) -> Result<(), Error<B::Error>> {
-        let Some((_, range, rate)) = SUPPORTED.nearest(&plan.settings) else {
+        let Some((_, (range, _), rate)) = SUPPORTED.nearest(&plan.settings) else {
             return Ok(()); // Not a plan of this sensor.
         };
         let setup = Setup {
@@ -101,13 +113,12 @@ impl<B, D, T> Adxl345<B, D, T> {
     /// # Errors
     /// The nearest supported settings.
     pub fn plan(wanted: &Settings) -> Result<Plan, Settings> {
-        SUPPORTED.plan(wanted, |range, rate| {
+        SUPPORTED.plan(wanted, |(range, scale), rate| {
             let format = format(range, wanted.resolution);
-            let sensitivity = Sensitivity::from_lsb_per_g(f64::from(format.lsb_per_g()))?;
             let period = PeriodNs(rate.period_ns());
             // The largest digit, left-justified.
             let full_scale = i16::MAX >> (16 - format.bits()) << (16 - format.bits());
-            Ok(SensorPlan::new(period, sensitivity, full_scale.into()))
+            SensorPlan::new(period, scale, full_scale.into())
         })
     }
 }

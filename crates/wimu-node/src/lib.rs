@@ -37,7 +37,7 @@ pub use control::Control;
 pub use data_ready::DataReady;
 pub use fifo::{FifoState, SensorFifo};
 #[cfg(feature = "flash-store")]
-pub use flash_store::{FlashLayout, FlashStore};
+pub use flash_store::{FlashLayout, FlashStore, PageFlash};
 pub use link::{LinkReader, LinkWriter, NoLink};
 pub use lsm6dso::Lsm6dso;
 pub use lsm303agr::Lsm303agr;

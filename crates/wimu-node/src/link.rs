@@ -6,7 +6,7 @@ use core::future::pending;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_io_async::{ErrorType, Read, Write};
 use wimu_link::frame::RequestDeframer;
-use wimu_link::message::{Command, Refusal};
+use wimu_link::message::Command;
 use wimu_link::responder::Decision;
 #[cfg(feature = "auth")]
 use wimu_link::tag::{Tag, Tagger};
@@ -149,8 +149,6 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
                         let Some(command) = self.accept(frame.body).await else {
                             continue;
                         };
-                        let taken = self.stage(&command).await;
-                        let command = command.map(|_| taken);
                         self.shared.requests.send((self.role, command)).await;
                     }
                     // Frames of a device, looped back; those longer than a request count as damaged.
@@ -166,23 +164,8 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
         }
     }
 
-    /// Takes a piece of parameters.
-    #[cfg(feature = "correction")]
-    async fn stage(&self, command: &Command<&[u8]>) -> Result<(), Refusal> {
-        let &Command::StageParameters { offset, total, piece } = command else {
-            return Ok(());
-        };
-        let mut staging = self.shared.staging.lock().await;
-        staging.take(self.role, offset, total, piece)
-    }
-
-    #[cfg(not(feature = "correction"))]
-    async fn stage(&self, _: &Command<&[u8]>) -> Result<(), Refusal> {
-        Ok(())
-    }
-
     /// The command to execute; a request that needs none is answered here.
-    async fn accept<'b>(&self, request: &'b [u8]) -> Option<Command<&'b [u8]>> {
+    async fn accept(&self, request: &[u8]) -> Option<Command> {
         let lock = self.shared.lock();
         let mut responder = self.shared.responder(self.role).await;
         let command = match responder.accept_at(request, &lock, self.timer.now().0) {

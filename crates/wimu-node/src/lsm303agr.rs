@@ -7,13 +7,14 @@
 
 use embedded_hal_async::i2c::I2c;
 use wimu_link::message::{Resolution, Settings};
-use wimu_model::{CentiCelsius, Counts, MagneticFieldNt, PeriodNs, Sensitivity};
+use wimu_model::{CentiCelsius, Counts, MagneticFieldNt, PeriodNs};
 
 use crate::data_ready::DataReady;
 use crate::fifo::{FifoState, MAX_WATERMARK, SensorFifo};
 use crate::mounting::Mounting;
 use crate::sensor::{
-    Batch, InertialSensor, Plan, SensorFault, SensorPlan, Supported, Surroundings,
+    AccelerometerScale, Batch, InertialSensor, Plan, SensorFault, SensorPlan, Supported,
+    Surroundings,
 };
 use crate::timer::Timer;
 
@@ -60,8 +61,13 @@ const NT_PER_LSB: i32 = 150;
 
 /// Ranges with code and sensitivity of 16-bit counts, LSB/g, and rates with code and nominal period, ns. A 12-bit
 /// digit is 1, 2, 4 and 12 times 1/1024 g, so that ± 16 g is actually ± 24 g.
-const SUPPORTED: Supported<(u8, f64), (u8, u32)> = Supported {
-    ranges: &[(2, (0, 16384.0)), (4, (1, 8192.0)), (8, (2, 4096.0)), (16, (3, 16384.0 / 12.0))],
+const SUPPORTED: Supported<(u8, &AccelerometerScale), (u8, u32)> = Supported {
+    ranges: &[
+        (2, (0, &AccelerometerScale::of(16384.0))),
+        (4, (1, &AccelerometerScale::of(8192.0))),
+        (8, (2, &AccelerometerScale::of(4096.0))),
+        (16, (3, &AccelerometerScale::of(16384.0 / 12.0))),
+    ],
     rates: &[
         (1, (1, 1_000_000_000)),
         (10, (2, 100_000_000)),
@@ -176,14 +182,13 @@ impl<I2C, D, T> Lsm303agr<I2C, D, T> {
     /// # Errors
     /// The nearest supported settings.
     pub fn plan(wanted: &Settings) -> Result<Plan, Settings> {
-        SUPPORTED.plan(wanted, |(_, lsb_per_g), (_, period)| {
+        SUPPORTED.plan(wanted, |(_, scale), (_, period)| {
             let full_scale = match wanted.resolution {
                 Resolution::LowPower => 0x7F00,
                 Resolution::Normal => 0x7FC0,
                 Resolution::High => 0x7FF0,
             };
-            let sensitivity = Sensitivity::from_lsb_per_g(lsb_per_g)?;
-            Ok(SensorPlan::new(PeriodNs(period), sensitivity, full_scale))
+            SensorPlan::new(PeriodNs(period), scale, full_scale)
         })
     }
 }

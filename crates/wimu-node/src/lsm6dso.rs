@@ -4,23 +4,24 @@ use wimu_link::message::{Resolution, Settings};
 use wimu_lsm6dso::{
     AccelerationRange, AngularRateRange, Bus, FifoFault, Power, Rate, Sample, Setup,
 };
-use wimu_model::{CentiCelsius, Counts, PeriodNs, Sensitivity};
+use wimu_model::{CentiCelsius, Counts, PeriodNs};
 
 use crate::data_ready::DataReady;
 use crate::fifo::{FifoState, MAX_WATERMARK, SensorFifo};
 use crate::sensor::{
-    Batch, InertialSensor, Plan, SensorFault, SensorPlan, Supported, Surroundings,
+    AccelerometerScale, Batch, GyroscopePlan, InertialSensor, Plan, SensorFault, SensorPlan,
+    Supported, Surroundings,
 };
 use crate::timer::{Delay, Timer};
 
 /// Rates up to the fastest on an I²C bus of 400 kHz; the first is 12.5 Hz by its name, 13.02 Hz by the datasheet's
 /// formula.
-const SUPPORTED: Supported<AccelerationRange, Rate> = Supported {
+const SUPPORTED: Supported<(AccelerationRange, &AccelerometerScale), Rate> = Supported {
     ranges: &[
-        (2, AccelerationRange::G2),
-        (4, AccelerationRange::G4),
-        (8, AccelerationRange::G8),
-        (16, AccelerationRange::G16),
+        (2, (AccelerationRange::G2, &scale(AccelerationRange::G2))),
+        (4, (AccelerationRange::G4, &scale(AccelerationRange::G4))),
+        (8, (AccelerationRange::G8, &scale(AccelerationRange::G8))),
+        (16, (AccelerationRange::G16, &scale(AccelerationRange::G16))),
     ],
     rates: &[
         (13, Rate::Hz12_5),
@@ -38,6 +39,12 @@ const SUPPORTED: Supported<AccelerationRange, Rate> = Supported {
 /// Range of the gyroscope: the widest, because a hand exceeds 1000 °/s, and a saturated rate ends the attitude.
 /// Its LSB, 70 m°/s, is as large as the noise at 208 Hz.
 const ANGULAR_RATE: AngularRateRange = AngularRateRange::Dps2000;
+static GYROSCOPE: GyroscopePlan =
+    GyroscopePlan::new((ANGULAR_RATE.udps_per_lsb() as f64 * 1e-6).to_radians(), i16::MAX as i32);
+
+const fn scale(range: AccelerationRange) -> AccelerometerScale {
+    AccelerometerScale::of(1e6 / range.ug_per_lsb() as f64)
+}
 
 /// Capacity of the FIFO, pairs.
 const DEPTH: u16 = 256;
@@ -74,12 +81,9 @@ impl<B, D, T> Lsm6dso<B, D, T> {
     /// # Errors
     /// The nearest supported settings.
     pub fn plan(wanted: &Settings) -> Result<Plan, Settings> {
-        SUPPORTED.plan(wanted, |range, rate| {
-            let sensitivity = Sensitivity::from_lsb_per_g(1e6 / f64::from(range.ug_per_lsb()))?;
-            let rad_s_per_lsb = (f64::from(ANGULAR_RATE.udps_per_lsb()) * 1e-6).to_radians();
-            let period = PeriodNs(rate.period_ns());
-            let sensor = SensorPlan::new(period, sensitivity, i16::MAX.into());
-            Ok(sensor.with_gyroscope(rad_s_per_lsb, i16::MAX.into()))
+        SUPPORTED.plan(wanted, |(_, scale), rate| {
+            let sensor = SensorPlan::new(PeriodNs(rate.period_ns()), scale, i16::MAX as i32);
+            sensor.with_gyroscope(&GYROSCOPE)
         })
     }
 }
@@ -96,7 +100,7 @@ impl<B: Bus, D: DataReady, T: Timer> InertialSensor for Lsm6dso<B, D, T> {
     async fn configure(&mut self, plan: &Plan) -> Result<(), SensorFault> {
         self.fifo = SensorFifo::new(DEPTH, plan.sensor.period, TRANSFER_US);
         let settings = &plan.settings;
-        let Some((_, acceleration, rate)) = SUPPORTED.nearest(settings) else {
+        let Some((_, (acceleration, _), rate)) = SUPPORTED.nearest(settings) else {
             return Ok(()); // Not a plan of this sensor.
         };
         let setup = Setup {

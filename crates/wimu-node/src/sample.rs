@@ -1,20 +1,13 @@
 //! Counts of one sample: their correction and integration.
 
-use core::ops::RangeInclusive;
-
 use wimu_integrator::{Config, Gyroscope, Inertial, Integrator, Saturation, Transition};
 use wimu_link::batch;
-use wimu_link::message::{ParameterFault, WireParameters};
 use wimu_model::{
-    AngularRateQ20, CentiCelsius, Corrector, Counts, GyroscopeCorrector, GyroscopeError,
-    GyroscopeModel, GyroscopeTerm, ParameterSet, SpecificForceQ16, WideCounts,
+    AngularRateQ20, CentiCelsius, CompiledSet, Corrector, Counts, GyroscopeCorrector,
+    SpecificForceQ16, WideCounts,
 };
 
 use crate::sensor::SensorPlan;
-
-/// Allowed ratio of a parameter set's sensitivity to the sensor's nominal one: covers the tolerance of a
-/// sensor, excludes another range.
-pub(crate) const SENSITIVITY_RATIO: RangeInclusive<f64> = 0.8..=1.25;
 
 /// Counts of one sample of a sensor: [`Counts`] of a three-axis accelerometer, [`WideCounts`] of one with up to
 /// 20 bits, or a pair of the same type, accelerometer and gyroscope at the same instant.
@@ -26,9 +19,6 @@ impl RawSample for Counts {}
 impl RawSample for WideCounts {}
 impl RawSample for (Counts, Counts) {}
 impl RawSample for (WideCounts, WideCounts) {}
-
-/// Whether the magnetometer's model and the quality of a calibration are used: the heading's uncertainty depends on both.
-const HEADING: bool = cfg!(feature = "heading");
 
 pub(crate) mod sealed {
     use super::*;
@@ -44,21 +34,12 @@ pub(crate) mod sealed {
         /// What the integrator keeps of the gyroscope.
         type Rotation: Gyroscope;
 
-        /// Decodes the parts of a set that this node uses.
-        ///
-        /// # Errors
-        /// What is invalid in them.
-        fn decode(wire: &WireParameters) -> Result<ParameterSet, ParameterFault>;
-
-        /// Compiles the gyroscope's part of `set`; without one, the nominal scale of `plan`.
-        ///
-        /// # Errors
-        /// The part is for another scale than `plan`'s, or cannot be compiled.
-        fn compile_gyroscope(
-            set: &ParameterSet,
+        /// The gyroscope's corrector of `set` at `temperature`; without one, that of the nominal scale in `plan`.
+        fn gyroscope(
+            set: Option<&CompiledSet>,
             plan: &SensorPlan,
             temperature: Option<CentiCelsius>,
-        ) -> Result<Self::Gyroscope, ParameterFault>;
+        ) -> Self::Gyroscope;
 
         /// The sample without a gyroscope's counts.
         fn accelerometer(self) -> Self::Accelerometer;
@@ -121,17 +102,7 @@ impl<C: Triad> sealed::Process for C {
     type Gyroscope = ();
     type Rotation = ();
 
-    fn decode(wire: &WireParameters) -> Result<ParameterSet, ParameterFault> {
-        wire.to_set::<HEADING, HEADING, false>()
-    }
-
-    fn compile_gyroscope(
-        _: &ParameterSet,
-        _: &SensorPlan,
-        _: Option<CentiCelsius>,
-    ) -> Result<(), ParameterFault> {
-        Ok(())
-    }
+    fn gyroscope(_: Option<&CompiledSet>, _: &SensorPlan, _: Option<CentiCelsius>) {}
 
     fn accelerometer(self) -> C {
         self
@@ -164,34 +135,14 @@ where
     type Gyroscope = GyroscopeCorrector;
     type Rotation = Option<Inertial>;
 
-    fn decode(wire: &WireParameters) -> Result<ParameterSet, ParameterFault> {
-        wire.to_set::<HEADING, HEADING, true>()
-    }
-
-    fn compile_gyroscope(
-        set: &ParameterSet,
+    fn gyroscope(
+        set: Option<&CompiledSet>,
         plan: &SensorPlan,
         temperature: Option<CentiCelsius>,
-    ) -> Result<GyroscopeCorrector, ParameterFault> {
-        let nominal = plan.gyroscope.map_or(0.0, |nominal| nominal.rad_s_per_lsb);
-        let Some(calibrated) = &set.gyroscope else {
-            let ideal = GyroscopeModel::default();
-            return Ok(GyroscopeCorrector::compile(&ideal, nominal, set.alignment, temperature)?);
-        };
-        let scale = calibrated.rad_s_per_lsb;
-        let [low, high] = [SENSITIVITY_RATIO.start(), SENSITIVITY_RATIO.end()].map(|r| r * nominal);
-        if !(low..=high).contains(&scale) {
-            return Err(ParameterFault::from(GyroscopeError::OutOfBounds {
-                term: GyroscopeTerm::Sensitivity,
-                axis: 0,
-                value: scale,
-                low,
-                high,
-            }));
-        }
-        let compiled =
-            GyroscopeCorrector::compile(&calibrated.model, scale, set.alignment, temperature);
-        Ok(compiled?)
+    ) -> GyroscopeCorrector {
+        let calibrated = set.and_then(|set| set.gyroscope(temperature));
+        let ideal = || plan.gyroscope.map(|plan| plan.ideal());
+        calibrated.or_else(ideal).unwrap_or(const { GyroscopeCorrector::ideal(0.0) })
     }
 
     fn accelerometer(self) -> C {
@@ -216,7 +167,7 @@ where
         let saturation = Saturation {
             accelerometer: self.0.saturated(plan.full_scale),
             // Angular rates of unknown scale are not valid.
-            gyroscope: (plan.gyroscope).is_none_or(|plan| self.1.saturated(plan.full_scale)),
+            gyroscope: (plan.gyroscope).is_none_or(|plan| self.1.saturated(plan.full_scale())),
         };
         integrator.step_inertial(force, rate, saturation)
     }

@@ -73,7 +73,7 @@ impl Secondary {
         if let Some(reason) = reason {
             self.last_epoch = time;
             self.epochs = self.epochs.wrapping_add(1);
-            let lsb_per_g = plan.sensitivity.lsb_per_g();
+            let lsb_per_g = plan.accelerometer.sensitivity().lsb_per_g();
             let epoch = Message::Epoch(Epoch {
                 reason,
                 number: self.epochs,

@@ -5,7 +5,8 @@ use core::fmt;
 use embedded_hal_async::i2c::{self, ErrorKind, NoAcknowledgeSource};
 use wimu_link::message::{Resolution, Settings};
 use wimu_model::{
-    CentiCelsius, DeviceTimeUs, MagneticFieldNt, PeriodNs, Sensitivity, SensitivityError,
+    CentiCelsius, Corrector, DeviceTimeUs, GyroscopeCorrector, MagneticFieldNt, PeriodNs,
+    Sensitivity,
 };
 
 pub use crate::sample::RawSample;
@@ -36,40 +37,95 @@ impl Plan {
 pub struct SensorPlan {
     /// Nominal time between samples.
     pub period: PeriodNs,
-    /// Nominal sensitivity of the accelerometer's counts.
-    pub sensitivity: Sensitivity,
+    /// Nominal scale of the accelerometer's counts.
+    pub accelerometer: &'static AccelerometerScale,
     /// Positive full scale of the accelerometer, LSB: at or beyond it, in either direction, an axis is
     /// saturated.
     pub full_scale: i32,
     /// The gyroscope; `None` without one.
-    pub gyroscope: Option<GyroscopePlan>,
+    pub gyroscope: Option<&'static GyroscopePlan>,
 }
 
 impl SensorPlan {
-    /// An accelerometer with a sample every `period`, in counts of `sensitivity`, saturated at ±`full_scale`
-    /// LSB.
-    pub fn new(period: PeriodNs, sensitivity: Sensitivity, full_scale: i32) -> Self {
-        Self { period, sensitivity, full_scale, gyroscope: None }
+    /// An accelerometer with a sample every `period`, saturated at ±`full_scale` LSB.
+    pub const fn new(
+        period: PeriodNs,
+        accelerometer: &'static AccelerometerScale,
+        full_scale: i32,
+    ) -> Self {
+        Self { period, accelerometer, full_scale, gyroscope: None }
     }
 
-    /// Adds a gyroscope, sampled together with the accelerometer, in counts of `rad_s_per_lsb`, saturated at
-    /// ±`full_scale` LSB.
+    /// Adds a gyroscope, sampled together with the accelerometer.
     #[must_use]
-    pub fn with_gyroscope(self, rad_s_per_lsb: f64, full_scale: i32) -> Self {
-        let gyroscope = Some(GyroscopePlan { rad_s_per_lsb, full_scale });
-        Self { gyroscope, ..self }
+    pub const fn with_gyroscope(self, gyroscope: &'static GyroscopePlan) -> Self {
+        Self { gyroscope: Some(gyroscope), ..self }
     }
 }
 
-/// Scale of a gyroscope's counts.
+/// Nominal scale of an accelerometer's counts. Made in a constant, it leaves no floating point in the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
+pub struct AccelerometerScale {
+    sensitivity: Sensitivity,
+    ideal: Corrector,
+}
+
+impl AccelerometerScale {
+    /// Counts of `sensitivity`.
+    pub const fn new(sensitivity: Sensitivity) -> Self {
+        Self { sensitivity, ideal: Corrector::ideal(sensitivity) }
+    }
+
+    /// Counts of `lsb_per_g` LSB/*g*.
+    ///
+    /// # Panics
+    /// Outside 160..=1048576 LSB/*g*: call it in a constant.
+    pub const fn of(lsb_per_g: f64) -> Self {
+        match Sensitivity::from_lsb_per_g(lsb_per_g) {
+            Ok(sensitivity) => Self::new(sensitivity),
+            Err(_) => panic!("a sensitivity of 160 to 1048576 LSB/g"),
+        }
+    }
+
+    /// The sensitivity.
+    pub const fn sensitivity(&self) -> Sensitivity {
+        self.sensitivity
+    }
+
+    pub(crate) const fn ideal(&self) -> Corrector {
+        self.ideal
+    }
+}
+
+/// Scale of a gyroscope's counts. Made in a constant, it leaves no floating point in the image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GyroscopePlan {
+    rad_s_per_lsb: f64,
+    ideal: GyroscopeCorrector,
+    full_scale: i32,
+}
+
+impl GyroscopePlan {
+    /// Counts of `rad_s_per_lsb`, rad/s, at most 0.0039, saturated at ±`full_scale` LSB.
+    pub const fn new(rad_s_per_lsb: f64, full_scale: i32) -> Self {
+        Self { rad_s_per_lsb, ideal: GyroscopeCorrector::ideal(rad_s_per_lsb), full_scale }
+    }
+
     /// Nominal size of a count, rad/s.
-    pub rad_s_per_lsb: f64,
+    pub const fn rad_s_per_lsb(&self) -> f64 {
+        self.rad_s_per_lsb
+    }
+
     /// Positive full scale, LSB: at or beyond it, in either direction, an axis is saturated.
-    pub full_scale: i32,
+    pub const fn full_scale(&self) -> i32 {
+        self.full_scale
+    }
+
+    pub(crate) const fn ideal(&self) -> GyroscopeCorrector {
+        self.ideal
+    }
 }
 
 /// Result of [`InertialSensor::next`].
@@ -215,12 +271,13 @@ impl<A: Copy, R: Copy> Supported<A, R> {
     pub(crate) fn plan(
         &self,
         wanted: &Settings,
-        sensor: impl Fn(A, R) -> Result<SensorPlan, SensitivityError>,
+        sensor: impl Fn(A, R) -> SensorPlan,
     ) -> Result<Plan, Settings> {
         let (settings, range, rate) = self.nearest(wanted).ok_or(*wanted)?;
-        match sensor(range, rate) {
-            Ok(sensor) if settings == *wanted => Ok(Plan::new(settings, sensor)),
-            _ => Err(settings),
+        if settings == *wanted {
+            Ok(Plan::new(settings, sensor(range, rate)))
+        } else {
+            Err(settings)
         }
     }
 }

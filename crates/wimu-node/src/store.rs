@@ -11,8 +11,6 @@ pub enum Key {
     },
     /// The settings.
     Settings,
-    /// The number of starts.
-    BootCount,
     /// The key that writes are signed with.
     DeviceKey,
     /// The rate of the cable's line.
@@ -22,12 +20,10 @@ pub enum Key {
 }
 
 impl Key {
-    /// Its number in a store: below 128 for single records, 128 + range for parameters. Numbers are never
-    /// reused. `None` for an invalid range.
+    /// Its number in a store: below 128 for single records, 128 + range for parameters. `None` for an invalid range.
     pub const fn number(self) -> Option<u8> {
         match self {
             Self::Settings => Some(2),
-            Self::BootCount => Some(3),
             Self::DeviceKey => Some(4),
             Self::CableRate => Some(5),
             Self::WirelessRate => Some(6),
@@ -42,7 +38,6 @@ impl Key {
     pub const fn from_number(number: u8) -> Option<Self> {
         match number {
             2 => Some(Self::Settings),
-            3 => Some(Self::BootCount),
             4 => Some(Self::DeviceKey),
             5 => Some(Self::CableRate),
             6 => Some(Self::WirelessRate),
@@ -68,13 +63,19 @@ pub trait Store {
     ///
     /// # Errors
     /// [`StoreFault`] when the memory cannot be read, or a record that was saved is damaged.
-    async fn load(&mut self, key: Key, buffer: &mut [u8]) -> Result<Option<usize>, StoreFault>;
+    fn load(&mut self, key: Key, buffer: &mut [u8]) -> Result<Option<usize>, StoreFault>;
 
     /// Writes a record of at least one byte, replacing the old one.
     ///
     /// # Errors
     /// [`StoreFault`] when it could not be written; the old record is unchanged then.
     async fn save(&mut self, key: Key, record: &[u8]) -> Result<(), StoreFault>;
+
+    /// Counts a start of the device; returns the number of starts so far, which is never returned again.
+    ///
+    /// # Errors
+    /// [`StoreFault`] when the number is unreadable, or could not be written.
+    async fn count_start(&mut self) -> Result<u32, StoreFault>;
 
     /// Removes the records whose keys are among `which`: all of them or none.
     ///
@@ -104,12 +105,16 @@ pub(crate) fn records<S>(_: S) -> Records<S> {
 
 #[cfg(not(feature = "store"))]
 impl<S> Store for Volatile<S> {
-    async fn load(&mut self, _: Key, _: &mut [u8]) -> Result<Option<usize>, StoreFault> {
+    fn load(&mut self, _: Key, _: &mut [u8]) -> Result<Option<usize>, StoreFault> {
         Ok(None)
     }
 
     async fn save(&mut self, _: Key, _: &[u8]) -> Result<(), StoreFault> {
         Ok(())
+    }
+
+    async fn count_start(&mut self) -> Result<u32, StoreFault> {
+        Ok(0)
     }
 
     async fn remove(&mut self, _: fn(Key) -> bool) -> Result<(), StoreFault> {
@@ -118,7 +123,7 @@ impl<S> Store for Volatile<S> {
 }
 
 /// Longest record, bytes.
-pub const MAX_RECORD: usize = wimu_link::frame::MAX_RECORD;
+pub const MAX_RECORD: usize = wimu_model::CompiledSet::MAX_BYTES;
 
 /// The memory could not be read or written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -20,16 +20,18 @@ use wimu_link::auth::DeviceKey;
 use wimu_link::batch::Stream;
 use wimu_link::hello::Capabilities;
 use wimu_link::message::{
-    Answer, BusFault, Command, EncodedParameters, Epoch, EpochReason, Event, ParameterFault,
-    Payload, Record, Refusal, Reply, Request, Settings, Streams, Telemetry, WireGyroscopeTerm,
-    WireParameters,
+    Answer, BusFault, Command, Epoch, EpochReason, Event, Payload, Refusal, Reply, Request,
+    SetBytes, Settings, Streams, Telemetry,
 };
 use wimu_link::{Batch as WireBatch, Deframer, Hello, Kind, LinkRole, MAX_FRAME};
 use wimu_model::{
-    Counts, DeviceTimeUs, GyroscopeModel, GyroscopeParameters, GyroscopeTerms, ParameterSet,
-    PeriodNs, Sensitivity, WideCounts,
+    CompiledSet, Counts, DeviceTimeUs, GyroscopeModel, GyroscopeParameters, GyroscopeTerms,
+    ParameterId, ParameterSet, PeriodNs, Sensitivity, SetError, WideCounts,
 };
-use wimu_node::sensor::{Batch, Plan, RawSample, SensorFault, SensorPlan, Surroundings};
+use wimu_node::sensor::{
+    AccelerometerScale, Batch, GyroscopePlan, Plan, RawSample, SensorFault, SensorPlan,
+    Surroundings,
+};
 use wimu_node::{Board, InertialSensor, Key, Secondary, Shared, Store, StoreFault, Timer};
 
 /// A clock that moves while somebody waits.
@@ -57,19 +59,23 @@ impl Timer for Clock {
 struct Memory(Option<ParameterSet>);
 
 impl Store for Memory {
-    async fn load(&mut self, key: Key, record: &mut [u8]) -> Result<Option<usize>, StoreFault> {
+    fn load(&mut self, key: Key, record: &mut [u8]) -> Result<Option<usize>, StoreFault> {
         let Some(set) = self.0.filter(|_| key == Key::Parameters { range_g: 2 }) else {
             return Ok(None);
         };
-        let mut bytes = [0; WireParameters::MAX];
-        let length = WireParameters::from(&set).encode(&mut bytes);
-        let set = EncodedParameters(&bytes[..length.expect("it fits")]);
-        let length = Record::encode_parameters(set, record);
-        Ok(Some(length.expect("it fits")))
+        let set = CompiledSet::compile(&set, ParameterId(7), 0).expect("compiled");
+        let mut bytes = [0; CompiledSet::MAX_BYTES];
+        let length = set.to_bytes(&mut bytes);
+        record[..length].copy_from_slice(&bytes[..length]);
+        Ok(Some(length))
     }
 
     async fn save(&mut self, _: Key, _: &[u8]) -> Result<(), StoreFault> {
         Ok(())
+    }
+
+    async fn count_start(&mut self) -> Result<u32, StoreFault> {
+        Ok(1)
     }
 
     async fn remove(&mut self, _: fn(Key) -> bool) -> Result<(), StoreFault> {
@@ -287,14 +293,15 @@ fn run_asked<S: RawSample>(
 
 /// 16384 LSB/g and 0.001 rad/s per LSB.
 fn six_axes() -> SensorPlan {
-    three_axes().with_gyroscope(RAD_S_PER_LSB, 0x7FFF)
+    static GYROSCOPE: GyroscopePlan = GyroscopePlan::new(RAD_S_PER_LSB, 0x7FFF);
+    three_axes().with_gyroscope(&GYROSCOPE)
 }
 
 const RAD_S_PER_LSB: f64 = 1e-3;
+static ACCELEROMETER: AccelerometerScale = AccelerometerScale::of(16384.0);
 
 fn three_axes() -> SensorPlan {
-    let sensitivity = Sensitivity::from_lsb_per_g(16384.0).expect("in range");
-    SensorPlan::new(PeriodNs(10_000_000), sensitivity, 0x7FFF)
+    SensorPlan::new(PeriodNs(10_000_000), &ACCELEROMETER, 0x7FFF)
 }
 
 /// `count` reads of 16 samples, a batch each: 0.16 s.
@@ -332,7 +339,7 @@ fn six_axes_are_sent_raw_and_corrected_and_turn_the_attitude() {
     assert!((80.0..90.5).contains(&angle), "{angle}°");
     assert!(x.hypot(y) < 1e-3, "{x} {y}");
     assert!(!received.flags.contains(Flags::GYROSCOPE_SATURATED));
-    assert!(received.epochs[0].state.is_ours());
+    assert!(received.epochs[0].is_ours());
 }
 
 #[cfg(feature = "full")]
@@ -376,9 +383,9 @@ fn another_chip_is_named() {
 #[test]
 fn counts_beyond_20_bits_are_clamped_and_saturated() {
     let (most, least) = (WideCounts::MAX, WideCounts::MIN);
-    let sensitivity = Sensitivity::from_lsb_per_g(256_000.0).expect("in range");
-    let plan = SensorPlan::new(PeriodNs(10_000_000), sensitivity, most)
-        .with_gyroscope(RAD_S_PER_LSB / 16.0, most);
+    static FINE: AccelerometerScale = AccelerometerScale::of(256_000.0);
+    static RATE: GyroscopePlan = GyroscopePlan::new(RAD_S_PER_LSB / 16.0, WideCounts::MAX);
+    let plan = SensorPlan::new(PeriodNs(10_000_000), &FINE, most).with_gyroscope(&RATE);
     let wide = |force, rate| (WideCounts(force), WideCounts(rate));
     let steps = reads(20, wide([0, 0, 256_000], [0; 3]))
         .chain(reads(6, wide([i32::MAX, i32::MIN, 0], [i32::MIN, 0, i32::MAX])));
@@ -399,8 +406,8 @@ fn counts_beyond_20_bits_are_clamped_and_saturated() {
 #[cfg(feature = "full")]
 #[test]
 fn a_second_sensor_is_sent_raw_with_its_own_numbers_and_epochs() {
-    let sensitivity = Sensitivity::from_lsb_per_g(163.84).expect("in range");
-    let coarse = SensorPlan::new(PeriodNs(10_000_000), sensitivity, 0x7FFF);
+    static COARSE: AccelerometerScale = AccelerometerScale::of(163.84);
+    let coarse = SensorPlan::new(PeriodNs(10_000_000), &COARSE, 0x7FFF);
     let mut number = 0;
     let steps = (0..360).map(|step| match step % 3 {
         0 | 1 => Ok((0, vec![level([0; 3]); 5])),
@@ -446,7 +453,7 @@ fn a_second_sensor_is_sent_raw_with_its_own_numbers_and_epochs() {
 
 #[cfg(feature = "full")]
 #[test]
-fn three_axes_stay_in_batches_of_version_1() {
+fn three_axes_stay_in_batches_of_three_axes() {
     let received = run(&[three_axes()], reads(6, LEVEL));
     assert!(received.batches.iter().all(|batch| batch.angular_rates().is_empty()));
     assert_eq!(received.samples(0, Stream::Raw).0.len(), 96);
@@ -456,12 +463,12 @@ fn three_axes_stay_in_batches_of_version_1() {
 
 #[cfg(feature = "full")]
 #[test]
-fn a_calibrated_gyroscope_is_corrected_and_a_set_for_another_scale_is_refused() {
+fn a_calibrated_gyroscope_is_corrected() {
     let calibrated = |rad_s_per_lsb| {
         let terms = GyroscopeTerms { bias_rad_s: [0.0, 0.0, 0.25], ..GyroscopeTerms::default() };
         let model = GyroscopeModel::new(terms).expect("within bounds");
         let gyroscope = GyroscopeParameters::new(2000, rad_s_per_lsb, model, None);
-        let set = ParameterSet::uncalibrated(2, three_axes().sensitivity);
+        let set = ParameterSet::uncalibrated(2, ACCELEROMETER.sensitivity());
         let gyroscope = Some(gyroscope.expect("within bounds"));
         Some(ParameterSet { gyroscope, ..set })
     };
@@ -474,24 +481,14 @@ fn a_calibrated_gyroscope_is_corrected_and_a_set_for_another_scale_is_refused() 
     let rad_s = |rate: f64| [0, 0, (rate * f64::from(1 << 20)).round() as i32];
     assert_eq!(corrected(None), (rad_s(0.5), false, vec![]));
     assert_eq!(corrected(calibrated(RAD_S_PER_LSB)), (rad_s(0.25), true, vec![]));
-    // A set of wire version 1 has no gyroscope, whose nominal sensitivity applies then.
-    let v1 = calibrated(RAD_S_PER_LSB).map(|set| ParameterSet { gyroscope: None, ..set });
-    assert_eq!(corrected(v1), (rad_s(0.5), true, vec![]));
-    let (rate, _, events) = corrected(calibrated(RAD_S_PER_LSB / 2.0));
-    assert_eq!(rate, rad_s(0.5), "nominal");
-    let refused = |event: &Event| {
-        let Event::ModelRejected(ParameterFault::Gyroscope { term, .. }) = event else {
-            return false;
-        };
-        *term == WireGyroscopeTerm::Sensitivity
-    };
-    assert!(events.iter().any(refused), "{events:?}");
+    // Without a gyroscope's part its nominal scale applies.
+    let without = calibrated(RAD_S_PER_LSB).map(|set| ParameterSet { gyroscope: None, ..set });
+    assert_eq!(corrected(without), (rad_s(0.5), true, vec![]));
 }
 
 /// The answer of a node with three axes to a command, what it says of itself, and what it sends.
 fn asked(command: Command) -> (Answer, Capabilities, Received) {
-    let sensitivity = Sensitivity::from_lsb_per_g(16384.0).expect("in bounds");
-    let plan = SensorPlan::new(PeriodNs(10_000_000), sensitivity, i16::MAX.into());
+    let plan = SensorPlan::new(PeriodNs(10_000_000), &ACCELEROMETER, i16::MAX.into());
     let steps = (0..6).map(|_| Ok((0, vec![Counts([0, 0, 16384]); 16])));
     let received = run_asked(Some(command), None, &[plan], steps);
     let hello = received.hello.expect("a Hello");
@@ -500,8 +497,8 @@ fn asked(command: Command) -> (Answer, Capabilities, Received) {
 }
 
 const FUNCTIONS: [(Command, Capabilities); 4] = [
-    (Command::GetParameters { offset: 0 }, Capabilities::CORRECTION),
-    (Command::CommitParameters { hash: 1 }, Capabilities::CORRECTION),
+    (Command::GetParameters, Capabilities::CORRECTION),
+    (Command::SetParameters(SetBytes::NONE), Capabilities::CORRECTION),
     (Command::SetKey(DeviceKey::new([1; 32])), Capabilities::AUTHENTICATION),
     (Command::SetLineRate { link: 1, baud: 9600 }, Capabilities::LINE_RATES),
 ];

@@ -4,8 +4,8 @@ use core::hint::black_box;
 
 use wimu_integrator::{Config, Integrator, Rotation, Saturation};
 use wimu_model::{
-    Alignment, AngularRateQ20, Corrector, Counts, GyroscopeCorrector, GyroscopeModel,
-    GyroscopeTerms, SpecificForceQ16,
+    AngularRateQ20, CompiledSet, Corrector, Counts, GyroscopeCorrector, GyroscopeModel,
+    GyroscopeParameters, GyroscopeTerms, ParameterId, ParameterSet, SpecificForceQ16,
 };
 
 use crate::counter::Counter;
@@ -68,7 +68,6 @@ impl Unit {
 pub fn measure(counter: &Counter) -> Result<(), &'static str> {
     let motion = signals::motion::<SAMPLES>();
     let parameters = crate::parameters().ok_or("the parameters are refused")?;
-    let accelerometer = Corrector::compile(&parameters, None).map_err(|_| "no corrector")?;
     let model = GyroscopeModel::new(GyroscopeTerms {
         bias_rad_s: [0.01, -0.02, 0.03],
         matrix: [[1.02, 0.01, -0.02], [0.015, 0.98, 0.01], [-0.01, 0.02, 1.01]],
@@ -76,8 +75,11 @@ pub fn measure(counter: &Counter) -> Result<(), &'static str> {
         ..GyroscopeTerms::default()
     })
     .map_err(|_| "the gyroscope's terms are refused")?;
-    let gyroscope = GyroscopeCorrector::compile(&model, RAD_S_PER_LSB, Alignment::IDENTITY, None)
-        .map_err(|_| "no corrector of the gyroscope")?;
+    let gyroscope = GyroscopeParameters::new(2000, RAD_S_PER_LSB, model, None).ok();
+    let set = ParameterSet { gyroscope, ..parameters };
+    let set = CompiledSet::compile(&set, ParameterId(1), 0).map_err(|_| "no compiled set")?;
+    let accelerometer = set.corrector(None);
+    let gyroscope = set.gyroscope(None).ok_or("no corrector of the gyroscope")?;
     let mut unit = black_box(Unit {
         integrator: Integrator::new(Config::new(PERIOD).map_err(|_| "no period")?),
         rotation: Rotation::new([1.0, 0.0, 0.0, 0.0], PERIOD),

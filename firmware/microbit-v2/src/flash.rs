@@ -1,14 +1,13 @@
 //! The chip's flash, whose pages are erased in small steps.
 //!
 //! Erasing a page stalls the processor for 87 ms, in which the sensor's FIFO of 32 samples would overflow. So
-//! it is erased in steps; interrupts and tasks run between them.
+//! the store's pages are erased in steps; interrupts and tasks run between them.
 
 use embassy_nrf::nvmc::{Error, FLASH_SIZE, Nvmc, PAGE_SIZE};
 use embassy_nrf::pac;
 use embassy_nrf::pac::nvmc::vals::Wen;
-use embedded_storage::nor_flash::{NorFlash as _, ReadNorFlash as _};
-use embedded_storage_async::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
-use wimu_node::Timer;
+use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
+use wimu_node::{PageFlash, Timer};
 use wimu_nrf::BoardTimer;
 
 /// Total time to erase a page (datasheet), ms.
@@ -28,7 +27,7 @@ impl ErrorType for StoreFlash {
 impl ReadNorFlash for StoreFlash {
     const READ_SIZE: usize = 1;
 
-    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Error> {
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Error> {
         self.0.read(offset, bytes)
     }
 
@@ -41,24 +40,29 @@ impl NorFlash for StoreFlash {
     const WRITE_SIZE: usize = 4;
     const ERASE_SIZE: usize = PAGE_SIZE;
 
-    async fn erase(&mut self, from: u32, to: u32) -> Result<(), Error> {
-        if from > to || to as usize > FLASH_SIZE {
-            return Err(Error::OutOfBounds);
-        }
-        if [from, to].iter().any(|at| !(*at as usize).is_multiple_of(PAGE_SIZE)) {
-            return Err(Error::Unaligned);
-        }
-        for page in (from..to).step_by(PAGE_SIZE) {
-            for _ in 0..ERASE_MS.div_ceil(STEP_MS) {
-                erase_partly(page);
-                BoardTimer.after_us(BETWEEN_US).await;
-            }
-        }
-        Ok(())
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), Error> {
+        self.0.erase(from, to)
     }
 
-    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Error> {
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Error> {
         self.0.write(offset, bytes)
+    }
+}
+
+impl PageFlash for StoreFlash {
+    async fn erase_page(&mut self, at: u32) -> Result<(), Error> {
+        let page = at as usize;
+        if page >= FLASH_SIZE {
+            return Err(Error::OutOfBounds);
+        }
+        if !page.is_multiple_of(PAGE_SIZE) {
+            return Err(Error::Unaligned);
+        }
+        for _ in 0..ERASE_MS.div_ceil(STEP_MS) {
+            erase_partly(at);
+            BoardTimer.after_us(BETWEEN_US).await;
+        }
+        Ok(())
     }
 }
 

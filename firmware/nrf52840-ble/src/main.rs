@@ -4,6 +4,7 @@
 #![no_std]
 #![no_main]
 
+mod flash;
 mod nus;
 mod radio;
 
@@ -19,7 +20,7 @@ use embassy_nrf::twim::{self, Twim};
 use embassy_nrf::wdt::{self, Watchdog, WatchdogHandle};
 use embassy_nrf::{bind_interrupts, uarte};
 use embassy_time::Duration;
-use nrf_sdc::mpsl::{self, Flash};
+use nrf_sdc::mpsl;
 // Where the log goes: to the debug probe.
 #[cfg(feature = "defmt")]
 use defmt_rtt as _;
@@ -31,6 +32,7 @@ use wimu_node::wimu_lsm6dso::{Address, I2cBus};
 use wimu_node::{Board, FlashLayout, FlashStore, Lsm6dso, TimeoutBus};
 use wimu_nrf::{BoardTimer, Bus, Line};
 
+use crate::flash::StoreFlash;
 use crate::tasks::Shared;
 
 bind_interrupts!(struct Interrupts {
@@ -45,8 +47,6 @@ bind_interrupts!(struct Interrupts {
 
 /// The types of the node.
 type Sensor = Lsm6dso<I2cBus<TimeoutBus<Bus, BoardTimer>>, Line, BoardTimer>;
-/// Written through the multiprotocol layer, in the pauses of the radio.
-type StoreFlash = Flash<'static>;
 type Memory = FlashStore<StoreFlash>;
 
 /// The tasks of the node.
@@ -177,7 +177,7 @@ fn start(spawner: Spawner) {
         ),
         sensor: Sensor::new(I2cBus { i2c, address }, line, BoardTimer),
         timer: BoardTimer,
-        store: FlashStore::new(Flash::take(mpsl, chip.NVMC), LAYOUT, PAUSE_MS),
+        store: FlashStore::new(StoreFlash::new(mpsl, chip.NVMC), LAYOUT, PAUSE_MS),
         entropy,
         cable: cable.split(),
         wireless: WIRELESS.split(),

@@ -1,7 +1,10 @@
 //! The radio: Nordic's multiprotocol layer, which shares it with the flash, and the SoftDevice Controller on it.
 
+use embassy_futures::select::{Either, select};
 use embassy_nrf::mode::Blocking;
 use embassy_nrf::rng::Rng;
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::signal::Signal;
 use nrf_sdc::mpsl::{self, MultiprotocolServiceLayer, SessionMem, raw};
 use nrf_sdc::{Builder, Mem, SoftdeviceController};
 use static_cell::StaticCell;
@@ -55,6 +58,9 @@ macro_rules! controller_peripherals {
 }
 pub(crate) use {controller_peripherals, layer_peripherals};
 
+/// The layer's task has to run it again.
+static TURN: Signal<CriticalSectionRawMutex, ()> = Signal::new();
+
 /// Starts the layer, with a session for the flash. Call it once.
 pub fn layer(peripherals: mpsl::Peripherals<'static>) -> &'static Layer {
     static LAYER: StaticCell<Layer> = StaticCell::new();
@@ -101,5 +107,18 @@ pub fn controller(
 #[embassy_executor::task]
 pub async fn run(layer: &'static Layer) -> ! {
     let _crystal = layer.request_hfclk().await;
-    layer.run().await
+    loop {
+        select(layer.run(), TURN.wait()).await;
+    }
+}
+
+/// Runs the layer until `future` has ended, and nothing else meanwhile.
+pub fn block_on<T>(layer: &'static Layer, future: impl Future<Output = T>) -> T {
+    let outcome = embassy_futures::block_on(select(layer.run(), future));
+    // The layer wakes whoever ran it last.
+    TURN.signal(());
+    match outcome {
+        Either::First(never) => never,
+        Either::Second(value) => value,
+    }
 }

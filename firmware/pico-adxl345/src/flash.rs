@@ -8,8 +8,8 @@ use embassy_rp::Peri;
 use embassy_rp::flash::{Blocking, ERASE_SIZE, FLASH_BASE, PAGE_SIZE};
 use embassy_rp::peripherals::FLASH;
 use embassy_rp::rom_data;
-use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
-use wimu_node::FlashLayout;
+use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
+use wimu_node::{FlashLayout, PageFlash};
 
 /// Size of a Pico's flash, bytes.
 const CHIP: usize = 2 << 20;
@@ -47,7 +47,7 @@ impl ErrorType for StoreFlash {
 impl ReadNorFlash for StoreFlash {
     const READ_SIZE: usize = 1;
 
-    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
         let from = Self::range(offset, bytes.len(), 1)?;
         let flash = FLASH_BASE.cast::<u8>();
         for (index, byte) in bytes.iter_mut().enumerate() {
@@ -66,18 +66,16 @@ impl NorFlash for StoreFlash {
     const WRITE_SIZE: usize = 4;
     const ERASE_SIZE: usize = ERASE_SIZE;
 
-    async fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
         let length = to.checked_sub(from).ok_or(NorFlashErrorKind::OutOfBounds)? as usize;
         let start = Self::range(from, length, ERASE_SIZE)?;
         for at in (start..start + length).step_by(ERASE_SIZE) {
             change(Change::Erase { at });
-            // Interrupts and tasks run between two sectors.
-            yield_now().await;
         }
         Ok(())
     }
 
-    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
         let mut at = Self::range(offset, bytes.len(), Self::WRITE_SIZE)?;
         let mut rest = bytes;
         while !rest.is_empty() {
@@ -90,6 +88,15 @@ impl NorFlash for StoreFlash {
             at += count;
             rest = rest.get(count..).unwrap_or_default();
         }
+        Ok(())
+    }
+}
+
+impl PageFlash for StoreFlash {
+    async fn erase_page(&mut self, at: u32) -> Result<(), NorFlashErrorKind> {
+        self.erase(at, at + ERASE_SIZE as u32)?;
+        // Tasks run between two sectors.
+        yield_now().await;
         Ok(())
     }
 }

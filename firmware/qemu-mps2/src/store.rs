@@ -3,10 +3,10 @@
 use core::ops::Range;
 use core::sync::atomic::{AtomicU32, Ordering};
 
-use embedded_storage_async::nor_flash::{
+use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
 };
-use wimu_node::FlashLayout;
+use wimu_node::{FlashLayout, PageFlash};
 
 use crate::log::exit_code;
 use crate::semihosting;
@@ -102,7 +102,7 @@ impl ErrorType for Flash {
 impl ReadNorFlash for Flash {
     const READ_SIZE: usize = 1;
 
-    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FlashError> {
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FlashError> {
         let addresses = Self::range(offset, bytes.len())?;
         for (place, address) in bytes.iter_mut().zip(addresses) {
             // SAFETY: the address is in the flash.
@@ -120,7 +120,7 @@ impl NorFlash for Flash {
     const WRITE_SIZE: usize = WORD;
     const ERASE_SIZE: usize = PAGE;
 
-    async fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashError> {
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashError> {
         let length = to.checked_sub(from).ok_or(NorFlashErrorKind::OutOfBounds)? as usize;
         aligned(from, length, PAGE)?;
         for address in Self::range(from, length)?.step_by(WORD) {
@@ -129,7 +129,7 @@ impl NorFlash for Flash {
         Ok(())
     }
 
-    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashError> {
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashError> {
         aligned(offset, bytes.len(), WORD)?;
         let words = bytes.as_chunks::<WORD>().0;
         let addresses = Self::range(offset, bytes.len())?.step_by(WORD);
@@ -141,6 +141,8 @@ impl NorFlash for Flash {
         Ok(())
     }
 }
+
+impl PageFlash for Flash {}
 
 /// The pages of the store.
 pub const LAYOUT: FlashLayout<Flash> = FlashLayout::new(RANGE);

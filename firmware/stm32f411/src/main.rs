@@ -61,7 +61,7 @@ mod tasks {
 wimu_cortex_m::fault_handlers!(restart);
 
 /// Sectors 1 to 3, which memory.x excludes.
-const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0x4000..0x1_0000);
+const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0x4000..0xC000);
 /// Longest erase of a sector of 16 KiB (datasheet, table "Flash memory programming"), ms.
 const PAUSE_MS: u16 = 800;
 /// Timeout of the watchdog, longer than an erase of a sector, µs.

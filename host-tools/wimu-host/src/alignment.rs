@@ -2,9 +2,9 @@
 
 use std::fmt;
 
+use crate::calibration::parameter_id;
 use serde::Serialize;
 use wimu_calib::{KnownDirection, Pose, align, straight_move};
-use wimu_link::message::parameter_id;
 use wimu_model::ParameterSet;
 
 use crate::calibration::describe;

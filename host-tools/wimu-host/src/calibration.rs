@@ -9,6 +9,7 @@ mod export;
 mod file;
 mod gravity;
 mod gyroscope;
+mod identity;
 mod input;
 mod magnetometer;
 mod numbers;
@@ -21,6 +22,7 @@ mod report;
 mod saturation;
 mod sensitivity;
 mod several;
+pub mod source;
 mod text;
 mod update;
 mod weights;
@@ -35,6 +37,7 @@ pub use file::{
     read_model, read_parameters, sessions, zero_count,
 };
 pub use gyroscope::GyroscopeReport;
+pub use identity::parameter_id;
 pub use magnetometer::{FieldPose, MagneticHalfWidths, MagnetometerReport, calibrate_magnetometer};
 pub use paired::Paired;
 pub use reference::{AxisReport, NoiseSource, ReferenceReport, compare_with_reference};
@@ -45,6 +48,7 @@ pub use report::{
 pub use several::{
     DepartureReport, Repeatability, SessionReport, SeveralFit, SeveralReport, calibrate_several,
 };
+pub use source::compiled_for;
 pub use update::{RestReport, UpdateReport, update};
 
 use wimu_calib::{
@@ -52,7 +56,6 @@ use wimu_calib::{
     Refusal, Term, Terms, best_model, four_angle, multi_position_with, six_position,
     six_position_labelled, three_angle,
 };
-use wimu_link::message::parameter_id;
 use wimu_model::{ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity};
 
 use crate::csv::AccelerationUnit;

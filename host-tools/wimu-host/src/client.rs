@@ -6,10 +6,7 @@ use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
 
 use wimu_link::auth::{DeviceKey, KeyId, Session};
-use wimu_link::message::{
-    ActiveParameters, Answer, Event as DeviceEvent, Payload, Refusal, Status, WireParameters,
-    parameter_id,
-};
+use wimu_link::message::{Answer, Event as DeviceEvent, Payload, Refusal, Status};
 use wimu_link::requester::Next;
 use wimu_link::{
     Command, Hello, LinkRole, MAX_FRAME, Requester, Settings, WIRE_VERSION, WhoAreYou, WriteAccess,
@@ -134,6 +131,8 @@ pub struct Client<T> {
     pauses_left: Duration,
     /// Length of time requests, bytes.
     time_bytes: usize,
+    /// Nominal scales of sensor 0, LSB/*g* and rad/s per LSB, from its latest epoch.
+    nominal: Option<(f64, Option<f64>)>,
 }
 
 impl<T: Transport> Client<T> {
@@ -165,6 +164,7 @@ impl<T: Transport> Client<T> {
             deaf_until: Duration::ZERO,
             pauses_left: MAX_PAUSES,
             time_bytes: 0,
+            nominal: None,
         }
     }
 
@@ -278,6 +278,7 @@ impl<T: Transport> Client<T> {
             deaf_until: self.deaf_until,
             pauses_left: self.pauses_left,
             time_bytes: self.time_bytes,
+            nominal: self.nominal,
         }
     }
 
@@ -463,6 +464,7 @@ impl<T: Transport> Client<T> {
             deaf_until,
             pauses_left,
             time_bytes,
+            nominal,
             ..
         } = self;
         let received = self.transport.received_at();
@@ -483,6 +485,10 @@ impl<T: Transport> Client<T> {
                         *deaf_until = Duration::ZERO;
                         *pauses_left = MAX_PAUSES;
                     }
+                }
+                Event::Epoch { epoch, .. } if epoch.sensor == 0 => {
+                    let gyroscope = epoch.gyroscope.map(|gyroscope| gyroscope.rad_s_per_lsb);
+                    *nominal = Some((epoch.sensitivity_lsb_per_g, gyroscope));
                 }
                 Event::Device { event: DeviceEvent::Pause { longest_ms }, .. } => {
                     let pause = Duration::from_millis((*longest_ms).into()).min(MAX_PAUSE);

@@ -14,13 +14,11 @@ mod event;
 mod gaps;
 mod message;
 mod order;
-mod pieces;
 mod repeats;
 mod start;
 mod tags;
 
 pub use event::{Arrival, Event, LinkStatistics, Samples, StreamStatistics, TimedSample};
-pub use pieces::Pieces;
 pub use tags::{Authenticity, Interval};
 
 use anchor::Anchor;
@@ -91,7 +89,6 @@ pub struct Decoder {
     identity: Option<(u64, u32)>,
     identity_before: Option<(u64, u32)>,
     foreign_version: Option<u8>,
-    pieces: Pieces,
     latest_version: Option<u8>,
     verifier: Verifier,
 }
@@ -139,14 +136,6 @@ impl Decoder {
                     if !matches!(message, Ok(Message::Tag(_))) {
                         self.verifier.take(host_ns, &frame);
                     }
-                    let message = match message {
-                        Ok(Message::Piece(piece)) => match self.pieces.take(&piece) {
-                            Ok(None) => continue,
-                            Ok(Some(active)) => Ok(Message::Event(Event::Parameters(active))),
-                            Err(why) => Err(why.to_string()),
-                        },
-                        message => message,
-                    };
                     match message {
                         Ok(message) => message,
                         Err(why) => {
@@ -178,7 +167,6 @@ impl Decoder {
                     }
                 }
                 Message::Epoch(epoch) => self.take_epoch(received, epoch, &mut each),
-                Message::Piece(_) => {}
                 Message::Event(event) if self.start.order.holds() && event.is_of_a_start() => {
                     self.start.order.hold((received, Held::Event(Box::new(event))));
                 }

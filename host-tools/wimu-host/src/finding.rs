@@ -64,6 +64,8 @@ pub enum FindingCode {
     Clock,
     /// A quantity that a calibration does not correct.
     Uncalibrated,
+    /// The calibration in f64 from which a device's integers were compiled is not known.
+    SourceUnknown,
     /// There is no result: the data do not support one, or the command failed.
     NoResult,
     /// Static poses or rests are left out, or contradict the others.

@@ -6,16 +6,19 @@ use std::sync::OnceLock;
 use wimu_link::batch::Stream;
 use wimu_link::hello::sensor;
 use wimu_link::message::{
-    ActiveParameters, Answer, Attitude, Environment, Epoch, Event as DeviceEvent, Navigation,
-    Payload, Status,
+    Answer, Attitude, Environment, Epoch, Event as DeviceEvent, Navigation, Payload, Status,
 };
 use wimu_link::{Hello, LinkRole, Settings};
-use wimu_model::{DeviceTimeUs, MagneticFieldNt, ParameterId, ParameterSet, Sensitivity, SensorId};
+use wimu_model::{
+    CompiledSet, DeviceTimeUs, MagneticFieldNt, ParameterId, ParameterSet, Sensitivity, SensorId,
+};
 
 use crate::authentication::Authentication;
+use crate::calibration::source::ActiveParameters;
 use crate::clock::{ClockEstimator, ClockModel};
 use crate::decode::{Arrival, Event, LinkStatistics, Samples, TimedSample, sequence_order};
 use crate::error::{ErrorCode, Result};
+use crate::finding::Finding;
 use crate::units::RawUnit;
 use crate::walk::Start;
 
@@ -181,25 +184,40 @@ impl Boot {
                 .map(|sensitivity| ParameterSet::uncalibrated(epoch.range_g, sensitivity))
                 .map_err(|error| bad(error.to_string()));
         }
-        let wire = self
-            .parameters
-            .iter()
-            .find(|active| active.id == epoch.parameters)
-            .and_then(|active| active.active)
-            .ok_or_else(|| {
-                bad(format!("the recording lacks the parameters {:08x}", epoch.parameters))
-            })?;
-        let set = ParameterSet::try_from(&wire).map_err(|fault| bad(fault.to_string()))?;
-        if wimu_link::message::parameter_id(&set).0 != epoch.parameters {
-            return Err(ErrorCode::BadRecording.error(
-                format!(
-                    "the parameters {:08x} have terms unknown to this version of wimu",
-                    epoch.parameters
-                ),
-                "update wimu on this computer",
-            ));
+        let sensitivity = Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g).ok();
+        let calibration = self.reported(epoch)?.calibration(sensitivity);
+        let calibration = calibration.map_err(|error| bad(error.to_string()))?;
+        calibration.ok_or_else(|| bad("the parameters are missing".to_owned()))
+    }
+
+    /// The compiled set of an epoch, with which the device corrects; `None` of an uncalibrated one.
+    ///
+    /// # Errors
+    /// `bad_recording` when it was not sent.
+    pub fn set_of(&self, epoch: &Epoch) -> Result<Option<CompiledSet>> {
+        match epoch.parameters {
+            0 => Ok(None),
+            _ => Ok(self.reported(epoch)?.active),
         }
-        Ok(set)
+    }
+
+    /// A note where the source of parameters that its epochs name is not known here.
+    pub fn unknown_source(&self) -> Option<Finding> {
+        let is_used =
+            |set: &ActiveParameters| self.epochs.iter().any(|mark| mark.epoch.parameters == set.id);
+        self.parameters.iter().filter(|set| is_used(set)).find_map(ActiveParameters::unknown_source)
+    }
+
+    fn reported(&self, epoch: &Epoch) -> Result<&ActiveParameters> {
+        let mut reports = self.parameters.iter();
+        let report =
+            reports.find(|report| report.id == epoch.parameters && report.active.is_some());
+        report.ok_or_else(|| {
+            ErrorCode::BadRecording.error(
+                format!("the recording lacks the parameters {:08x}", epoch.parameters),
+                "record from the connection on: the device then sends its parameters",
+            )
+        })
     }
 
     /// The magnetic field, nT, body axes, corrected by the parameters then in use; `None` where
@@ -392,10 +410,20 @@ impl LinkHistory {
     /// # Errors
     /// Those of [`Boot::parameters_of`].
     pub fn last_parameters(&self) -> Result<Option<ParameterSet>> {
-        let boot = self.boots.iter().rev().find(|boot| !boot.raw.is_empty());
-        boot.and_then(|boot| Some((boot, boot.epochs.last()?)))
+        self.last_with_raw()
+            .and_then(|boot| Some((boot, boot.epochs.last()?)))
             .map(|(boot, mark)| boot.parameters_of(&mark.epoch))
             .transpose()
+    }
+
+    /// A note where the source of [`last_parameters`](Self::last_parameters) is not known here.
+    pub fn unknown_source(&self) -> Option<Finding> {
+        let boot = self.last_with_raw()?;
+        boot.reported(&boot.epochs.last()?.epoch).ok()?.unknown_source()
+    }
+
+    fn last_with_raw(&self) -> Option<&Boot> {
+        self.boots.iter().rev().find(|boot| !boot.raw.is_empty())
     }
 
     /// Removes the latest `count` raw samples of sensor 0.

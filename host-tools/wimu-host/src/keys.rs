@@ -9,6 +9,29 @@ use wimu_link::auth::{DeviceKey, KeyId};
 use crate::OutputFile;
 use crate::error::{ErrorCode, HostError, Result};
 
+/// The user's folder for wimu: `wimu` in `$XDG_CONFIG_HOME` or `~/.config`, on Windows in `%APPDATA%`, on macOS in
+/// `~/Library/Application Support`.
+///
+/// # Errors
+/// `usage` when none of these is known.
+pub fn configuration() -> Result<PathBuf> {
+    let variable = |name| std::env::var_os(name).filter(|value| !value.is_empty());
+    let home = |rest: &str| variable("HOME").map(|home| Path::new(&home).join(rest));
+    let base = if cfg!(windows) {
+        variable("APPDATA").map(PathBuf::from)
+    } else {
+        let fallback =
+            if cfg!(target_os = "macos") { "Library/Application Support" } else { ".config" };
+        variable("XDG_CONFIG_HOME").map(PathBuf::from).or_else(|| home(fallback))
+    };
+    base.map(|base| base.join("wimu")).ok_or_else(|| {
+        ErrorCode::Usage.error(
+            "this user has no folder for configuration, where keys are kept",
+            "set HOME or XDG_CONFIG_HOME",
+        )
+    })
+}
+
 /// A folder of keys, one file per device: 64 hexadecimal digits, readable by the user only (mode 0600
 /// in a folder of mode 0700, where there are modes).
 ///
@@ -19,27 +42,12 @@ use crate::error::{ErrorCode, HostError, Result};
 pub struct KeyFolder(PathBuf);
 
 impl KeyFolder {
-    /// The user's: `wimu/keys` in `$XDG_CONFIG_HOME` or `~/.config`, on Windows in `%APPDATA%`, on
-    /// macOS in `~/Library/Application Support`.
+    /// The user's: `keys` in the folder of [`configuration`].
     ///
     /// # Errors
-    /// `usage` when none of these is known.
+    /// Those of [`configuration`].
     pub fn of_user() -> Result<Self> {
-        let variable = |name| std::env::var_os(name).filter(|value| !value.is_empty());
-        let home = |rest: &str| variable("HOME").map(|home| Path::new(&home).join(rest));
-        let base = if cfg!(windows) {
-            variable("APPDATA").map(PathBuf::from)
-        } else {
-            let fallback =
-                if cfg!(target_os = "macos") { "Library/Application Support" } else { ".config" };
-            variable("XDG_CONFIG_HOME").map(PathBuf::from).or_else(|| home(fallback))
-        };
-        base.map(|base| Self(base.join("wimu").join("keys"))).ok_or_else(|| {
-            ErrorCode::Usage.error(
-                "this user has no folder for configuration, where keys are kept",
-                "set HOME or XDG_CONFIG_HOME",
-            )
-        })
+        Ok(Self(configuration()?.join("keys")))
     }
 
     /// The folder at `path`.

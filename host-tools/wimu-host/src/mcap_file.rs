@@ -87,6 +87,8 @@ uint32 size
 uint32 stride
 ";
 const METADATA: &str = "wimu";
+/// Name of the metadata record with sources of parameters, by id: the text of a calibration file.
+const CALIBRATION: &str = "wimu.calibration";
 /// A chunk is closed after this time, or at this size.
 const FLUSH_NS: u64 = 1_000_000_000;
 const CHUNK_BYTES: u64 = 256 * 1024;

@@ -6,7 +6,7 @@ pub use traffic::{LinkHealth, Traffic};
 
 use std::collections::VecDeque;
 
-use wimu_integrator::{Integrator, State};
+use wimu_integrator::Integrator;
 use wimu_link::LinkRole;
 use wimu_link::batch::{MAX_BATCH, Stream};
 use wimu_link::message::{Attitude, Environment, Epoch, Navigation};
@@ -44,7 +44,7 @@ pub struct Heading {
 impl Heading {
     /// The device's heading at an epoch; `None` before the first rest.
     pub fn of(epoch: &Epoch) -> Option<Self> {
-        let state = State::from(epoch.state);
+        let state = epoch.state;
         let integrator = Integrator::from_state(state).ok()?;
         Some(Self {
             rad: integrator.heading_rad()?,

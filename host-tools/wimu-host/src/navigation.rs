@@ -1,7 +1,7 @@
 //! Velocity and position of a recording: as computed by the device, and recomputed.
 
 use wimu_integrator::{Config, Integrator, Navigation, Phase};
-use wimu_link::message::{self, Epoch, WirePhase};
+use wimu_link::message::{self, Epoch};
 use wimu_model::{
     AngularRateQ20, CentiCelsius, DeviceTimeUs, MagneticFieldNt, ParameterSet, PeriodNs,
     PositionNm, SpecificForceMps2, SpecificForceQ16, VelocityNmps,
@@ -55,11 +55,7 @@ fn from_wire(sent: &message::Navigation, attitude: Option<[i32; 4]>) -> Navigati
         position: PositionNm(sent.position_nm),
         velocity: VelocityNmps(sent.velocity_nmps),
         since_rest_ms: sent.since_rest_ms,
-        phase: match sent.phase {
-            WirePhase::Searching => Phase::Searching,
-            WirePhase::Resting => Phase::Resting,
-            WirePhase::Moving => Phase::Moving,
-        },
+        phase: sent.phase,
         flags: wimu_integrator::Flags(sent.flags),
         heading_sd_mrad: sent.heading_sd_mrad,
         attitude,
@@ -81,22 +77,30 @@ pub fn replayed(boot: &Boot) -> Vec<Point> {
         .collect()
 }
 
-/// The recorded raw samples corrected with other parameters, integrated with or without ZUPT.
+/// The recorded raw samples corrected with these parameters, else with the latest of the device, integrated with or
+/// without ZUPT.
 ///
 /// # Errors
-/// `no_rows` without an epoch; `data_refused` when the parameters cannot be compiled.
-pub fn recomputed(boot: &Boot, parameters: &ParameterSet, zupt: bool) -> Result<Vec<Point>> {
-    let Some(first) = boot.epochs.first() else {
+/// `no_rows` without an epoch; `data_refused` when the parameters cannot be compiled; `bad_recording` when those of the
+/// device were not sent.
+pub fn recomputed(
+    boot: &Boot,
+    parameters: Option<&ParameterSet>,
+    zupt: bool,
+) -> Result<Vec<Point>> {
+    let (Some(first), Some(latest)) = (boot.epochs.first(), boot.epochs.last()) else {
         return Err(ErrorCode::NoRows.error(
             "the recording has no epoch, so the sample period is unknown",
             "record for longer than a second",
         ));
     };
-    let correction = correction(boot, &first.epoch, parameters)?;
+    let correction = match parameters {
+        Some(parameters) => correction(boot, &first.epoch, parameters)?,
+        None => Correction::at(boot, &latest.epoch, first_temperature(boot))?,
+    };
     // The latest epoch has the best estimate of the true period.
-    let period = boot.epochs.last().map_or(first, |last| last).epoch.period_ns;
-    let config =
-        Config { period: PeriodNs(period), zupt, gravity_um_s2: first.epoch.state.gravity_um_s2 };
+    let period = PeriodNs(latest.epoch.period_ns);
+    let config = Config { period, zupt, gravity_um_s2: first.epoch.state.config.gravity_um_s2 };
     let config = config.checked().map_err(refused)?;
     let mut integrator = Integrator::new(config);
     let mut next = None;
@@ -117,8 +121,11 @@ pub fn recomputed(boot: &Boot, parameters: &ParameterSet, zupt: bool) -> Result<
 
 /// The correction of raw samples with other parameters than the device's, at the first temperature.
 fn correction(boot: &Boot, epoch: &Epoch, parameters: &ParameterSet) -> Result<Correction> {
-    let temperature = boot.environment.iter().find_map(|e| e.temperature_centi_c);
-    Correction::compile(parameters, epoch, temperature.map(CentiCelsius)).map_err(refused)
+    Correction::compile(parameters, epoch, first_temperature(boot)).map_err(refused)
+}
+
+fn first_temperature(boot: &Boot) -> Option<CentiCelsius> {
+    boot.environment.iter().find_map(|e| e.temperature_centi_c).map(CentiCelsius)
 }
 
 fn refused(error: impl std::error::Error) -> HostError {
@@ -137,15 +144,20 @@ pub fn motion(
     parameters: Option<&ParameterSet>,
 ) -> Result<MotionRecording> {
     type Corrected = (DeviceTimeUs, (SpecificForceQ16, Option<AngularRateQ20>));
-    let latest = if parameters.is_none() { replaced(boot) } else { None };
-    let parameters = parameters.or(latest.as_ref());
-    let forces: Vec<Corrected> = match (parameters, boot.epochs.first()) {
-        (Some(parameters), Some(first)) => {
-            let correction = correction(boot, &first.epoch, parameters)?;
+    let is_given = parameters.is_some();
+    let latest = if is_given { None } else { replaced(boot) };
+    let correction = match (parameters, &latest, boot.epochs.first()) {
+        (Some(parameters), _, Some(first)) => Some(correction(boot, &first.epoch, parameters)?),
+        (None, Some((epoch, _)), _) => Some(Correction::at(boot, epoch, first_temperature(boot))?),
+        _ => None,
+    };
+    let parameters = parameters.or(latest.as_ref().map(|(_, set)| set));
+    let forces: Vec<Corrected> = match (correction, boot.epochs.first()) {
+        (Some(correction), _) => {
             let correct = |raw: &TimedSample| (raw.time, correction.correct(raw));
             boot.raw.iter().map(correct).collect()
         }
-        (Some(_), None) => Vec::new(),
+        (None, _) if is_given => Vec::new(),
         (None, first) if first.is_none() || boot.raw.is_empty() => boot
             .corrected
             .iter()
@@ -200,20 +212,25 @@ pub fn motion(
     let has_field = boot.environment.iter().any(|e| e.magnetic_field_nt.is_some());
     recording.field_uncalibrated =
         has_field && recording.samples.iter().all(|s| s.field_ut.is_none());
+    if recording.field_uncalibrated && !is_given {
+        recording.findings.extend(boot.unknown_source());
+    }
     if !boot.further.is_empty() && !boot.raw.is_empty() {
         widen(&mut recording, boot, parameters)?;
     }
     Ok(recording)
 }
 
-/// The latest parameters of a device that had others before, if they are known and belong to the range of all samples.
-fn replaced(boot: &Boot) -> Option<ParameterSet> {
+/// The latest parameters of a device that had others before, with an epoch, if they are known and belong to the range of
+/// all samples.
+fn replaced(boot: &Boot) -> Option<(&Epoch, ParameterSet)> {
     let (first, last) = (&boot.epochs.first()?.epoch, &boot.epochs.last()?.epoch);
     if first.parameters == last.parameters || boot.raw.is_empty() {
         return None;
     }
     let one_range = boot.epochs.iter().all(|mark| mark.epoch.range_g == last.range_g);
-    boot.parameters_of(last).ok().filter(|_| one_range)
+    let set = boot.parameters_of(last).ok().filter(|_| one_range)?;
+    Some((last, set))
 }
 
 /// Merges further accelerometers of other ranges with the first. Where that is not possible, the first stays as it is.

@@ -6,11 +6,12 @@ use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 
 use wimu_link::{Hello, LinkRole};
+use wimu_model::ParameterId;
 
 use crate::authentication::Authentication;
 use crate::client::{Client, ConnectOptions};
 use crate::clock::{ClockSummary, Pace};
-use crate::decode::LinkStatistics;
+use crate::decode::{Event, LinkStatistics};
 use crate::live::{LiveClient, LiveLinks, Tap};
 use crate::mcap_file::{ClockAnchor, RecordingWriter};
 use crate::transport::{self, Transport};
@@ -106,6 +107,9 @@ impl Recorder {
     ) -> Result<Progress> {
         let now = self.links.first_mut().map_or(Duration::ZERO, |(_, link)| link.transport().now());
         let mut writer = RecordingWriter::create(path, ClockAnchor::now(now))?;
+        for hello in self.hellos() {
+            writer.keep_calibration(hello.parameter_id)?;
+        }
         let mut progress = Progress {
             links: self
                 .links
@@ -133,6 +137,12 @@ impl Recorder {
                 Ok((index, heard)) => {
                     for entry in heard.entries {
                         outcome = outcome.and_then(|()| writer.record(&entry));
+                    }
+                    for arrival in heard.arrivals {
+                        if let Event::Parameters(reported) = arrival.event {
+                            let id = ParameterId(reported.id);
+                            outcome = outcome.and_then(|()| writer.keep_calibration(id));
+                        }
                     }
                     if let Some(link) = progress.links.get_mut(index) {
                         link.statistics = heard.statistics;

@@ -1,13 +1,14 @@
 //! Replay of the device's arithmetic: corrected samples, velocity, position and attitude from raw samples and
 //! epochs, bit for bit.
 
-use wimu_integrator::{Integrator, Navigation, Saturation, State};
+use wimu_integrator::{Integrator, Navigation, Saturation};
 use wimu_link::message::{ARITHMETIC_REVISION, Epoch, EpochReason};
 use wimu_model::{
-    AngularRateQ20, CentiCelsius, CompileError, Corrector, GyroscopeCorrector, GyroscopeModel,
-    ParameterSet, PeriodNs, SpecificForceQ16, WideCounts,
+    AngularRateQ20, CentiCelsius, CompileError, CompiledSet, Corrector, GyroscopeCorrector,
+    ParameterSet, PeriodNs, Sensitivity, SpecificForceQ16, WideCounts,
 };
 
+use crate::calibration::compiled_for;
 use crate::decode::{TimedSample, sequence_order};
 use crate::error::{ErrorCode, HostError, Result};
 use crate::history::{Boot, EpochMark};
@@ -81,18 +82,17 @@ struct Running {
 
 impl Running {
     fn from_epoch(boot: &Boot, mark: &EpochMark) -> Result<Self> {
-        if !mark.epoch.state.is_ours() {
+        if !mark.epoch.is_ours() {
             return Err(ErrorCode::BadRecording.error(format!(
                     "the device uses revision {} of the arithmetic, this wimu {ARITHMETIC_REVISION}: a bit-exact replay is not possible",
-                    mark.epoch.state.revision
+                    mark.epoch.revision
                 ),
                 "replay it with the wimu of the device's firmware version; the samples themselves are readable",
             ));
         }
-        let state = State::from(mark.epoch.state);
         Ok(Self {
             correction: Correction::of(boot, mark)?,
-            integrator: Integrator::from_state(state).map_err(unusable)?,
+            integrator: Integrator::from_state(mark.epoch.state).map_err(unusable)?,
             next_sequence: mark.epoch.sequence,
             since_epoch: 0,
             most: most_samples(mark),
@@ -104,7 +104,7 @@ impl Running {
         self.correction = Correction::of(boot, mark)?;
         self.integrator.set_period(PeriodNs(mark.epoch.period_ns)).map_err(unusable)?;
         if mark.epoch.reason == EpochReason::Heading {
-            self.integrator.adopt_heading(&State::from(mark.epoch.state));
+            self.integrator.adopt_heading(&mark.epoch.state);
         }
         self.since_epoch = 0;
         self.most = most_samples(mark);
@@ -123,29 +123,51 @@ pub(crate) struct Correction {
 impl Correction {
     /// As the device corrects.
     fn of(boot: &Boot, mark: &EpochMark) -> Result<Self> {
-        let set = boot.parameters_of(&mark.epoch)?;
         let temperature = mark.epoch.temperature_centi_c.map(CentiCelsius);
-        Self::compile(&set, &mark.epoch, temperature).map_err(unusable)
+        Self::at(boot, &mark.epoch, temperature)
     }
 
-    /// With a set, for the sensor of an epoch.
+    /// As the device corrects with the parameters of an epoch, at a temperature.
+    ///
+    /// # Errors
+    /// `bad_recording` when they were not sent.
+    pub fn at(boot: &Boot, epoch: &Epoch, temperature: Option<CentiCelsius>) -> Result<Self> {
+        if let Some(set) = boot.set_of(epoch)? {
+            return Ok(Self::calibrated(&set, epoch, temperature));
+        }
+        let nominal = Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g);
+        Ok(Self::with(Corrector::ideal(nominal.map_err(unusable)?), None, epoch))
+    }
+
+    fn calibrated(set: &CompiledSet, epoch: &Epoch, temperature: Option<CentiCelsius>) -> Self {
+        Self::with(set.corrector(temperature), set.gyroscope(temperature), epoch)
+    }
+
+    /// A gyroscope that is not calibrated is corrected as an ideal one.
+    fn with(
+        accelerometer: Corrector,
+        calibrated: Option<GyroscopeCorrector>,
+        epoch: &Epoch,
+    ) -> Self {
+        let gyroscope = epoch.gyroscope.map(|nominal| {
+            let ideal = || GyroscopeCorrector::ideal(nominal.rad_s_per_lsb);
+            (calibrated.unwrap_or_else(ideal), nominal.full_scale)
+        });
+        Self { accelerometer, full_scale: epoch.full_scale, gyroscope }
+    }
+
+    /// With a calibration, for the sensor of an epoch.
+    ///
+    /// # Errors
+    /// [`CompileError`].
     pub fn compile(
         set: &ParameterSet,
         epoch: &Epoch,
         temperature: Option<CentiCelsius>,
     ) -> std::result::Result<Self, CompileError> {
-        let gyroscope = epoch.gyroscope.map(|nominal| {
-            let calibrated = (set.gyroscope).map(|known| (known.model, known.rad_s_per_lsb));
-            let uncalibrated = (GyroscopeModel::default(), nominal.rad_s_per_lsb);
-            let (model, rad_s_per_lsb) = calibrated.unwrap_or(uncalibrated);
-            GyroscopeCorrector::compile(&model, rad_s_per_lsb, set.alignment, temperature)
-                .map(|corrector| (corrector, nominal.full_scale))
-        });
-        Ok(Self {
-            accelerometer: Corrector::compile(set, temperature)?,
-            full_scale: epoch.full_scale,
-            gyroscope: gyroscope.transpose()?,
-        })
+        let nominal = epoch.gyroscope.map(|gyroscope| gyroscope.rad_s_per_lsb);
+        let set = compiled_for(set, 0, nominal, false)?;
+        Ok(Self::calibrated(&set, epoch, temperature))
     }
 
     /// Whether all axes of a sample are there.
@@ -209,15 +231,11 @@ impl<'a> Replay<'a> {
         self.epoch += 1;
         let began_anew = matches!(
             mark.epoch.reason,
-            EpochReason::Start
-                | EpochReason::Gap
-                | EpochReason::Settings
-                | EpochReason::Parameters
-                | EpochReason::Other(_)
+            EpochReason::Start | EpochReason::Gap | EpochReason::Settings | EpochReason::Parameters
         ) || mark.after_loss;
         let outcome = match &mut self.running {
             Some(running) if !began_anew => running.adopt(self.boot, mark).map(|()| {
-                let agrees = running.integrator.state() == State::from(mark.epoch.state);
+                let agrees = running.integrator.state() == mark.epoch.state;
                 Some(agrees)
             }),
             _ => Running::from_epoch(self.boot, mark).map(|running| {

@@ -22,9 +22,10 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::Serialize;
+use wimu_integrator::Phase;
 use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
-use wimu_link::message::{Attitude, Environment, Navigation, WirePhase};
+use wimu_link::message::{Attitude, Environment, Navigation};
 use wimu_model::{DeviceTimeUs, Matrix3};
 
 use crate::clock::ClockModel;
@@ -286,7 +287,7 @@ impl Writer<'_> {
                 self.decoded.late += samples.values.len() as u64;
                 self.samples(source, boot, samples)?;
             }
-            Event::Navigation(sent) if sent.flags == 0 && sent.phase != WirePhase::Searching => {
+            Event::Navigation(sent) if sent.flags == 0 && sent.phase != Phase::Searching => {
                 self.positions(source, boot)?;
             }
             Event::Navigation(_) => {

@@ -156,10 +156,7 @@ impl Mark {
             | EpochReason::Temperature
             | EpochReason::Heading
             | EpochReason::Gap => false,
-            EpochReason::Start
-            | EpochReason::Settings
-            | EpochReason::Parameters
-            | EpochReason::Other(_) => true,
+            EpochReason::Start | EpochReason::Settings | EpochReason::Parameters => true,
         }
     }
 

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use wimu_calib::Orientation;
+use wimu_host::calibration::parameter_id;
 use wimu_host::calibration::{
     self, CalibrateOptions, CalibrationFile, CalibrationReport, Session, further_sensors,
     read_model, read_parameters, sessions,
@@ -12,7 +13,6 @@ use wimu_host::formats::{self, ReadOptions};
 use wimu_host::history::LinkHistory;
 use wimu_host::recording::{Quantity, Recording, Selection, Sink, TrackInfo, Unit};
 use wimu_host::{ErrorCode, Result};
-use wimu_link::message::parameter_id;
 use wimu_link::{LinkRole, Telemetry};
 use wimu_model::{
     Alignment, Counts, ErrorModel, ErrorTerms, GyroscopeModel, GyroscopeParameters, GyroscopeTerms,

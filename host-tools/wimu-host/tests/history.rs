@@ -3,20 +3,20 @@
 use std::io::Cursor;
 
 use wimu_host::ErrorCode;
+use wimu_host::calibration::parameter_id;
+use wimu_host::calibration::source::{self, ActiveParameters};
 use wimu_host::decode::{Arrival, Event};
 use wimu_host::history::{LinkHistory, Recording};
 use wimu_host::mcap_file::{ClockAnchor, RecordingReader, RecordingWriter};
-use wimu_link::message::{
-    ActiveParameters, Epoch, Event as DeviceEvent, WireParameters, parameter_id,
-};
+use wimu_link::message::{Epoch, Event as DeviceEvent, SetBytes};
 use wimu_link::{LinkRole, Settings, Telemetry};
-use wimu_model::{Counts, DeviceTimeUs, ParameterSet, Sensitivity};
+use wimu_model::{CompiledSet, Counts, DeviceTimeUs, ParameterSet, Sensitivity};
 
 use crate::common::frames::{self, hello, raw, telemetry};
 
 const ANCHOR: ClockAnchor = ClockAnchor { monotonic_ns: 0, utc_ns: 1_795_222_920_000_000_000 };
-/// Telemetry of version 3, empty.
-const FOREIGN: [u8; 7] = [6, 0x34, 0xFF, 0x8D, 0x04, 0xA5, 0];
+/// Telemetry of version 4, empty.
+const FOREIGN: [u8; 7] = [6, 0x44, 0xF2, 0xD9, 0x9C, 0xD4, 0];
 
 /// A second of samples of a start from `first` at 100 Hz, after an epoch.
 fn second_of(boot: u32, first: u32) -> Vec<u8> {
@@ -88,12 +88,12 @@ fn links_and_starts_share_the_parameter_sets_that_their_epochs_name() {
     let sensitivity = Sensitivity::from_lsb_per_g(8192.0).unwrap();
     let set = ParameterSet::uncalibrated(4, sensitivity);
     let id = parameter_id(&set).0;
-    let active = Some(WireParameters::from(&set));
+    let compiled = CompiledSet::compile(&set, parameter_id(&set), 0).unwrap();
     let epoch = |number, parameters| {
         let epoch = frames::epoch(0, 0);
         telemetry(&Telemetry::Epoch(Epoch { number, parameters, ..epoch }))
     };
-    let parameters = telemetry(&Telemetry::Parameters(ActiveParameters { active, id }));
+    let parameters = telemetry(&Telemetry::Parameters(SetBytes::from(&compiled)));
     let recording = read(&recorded(&[
         (LinkRole::Cable, 0, [parameters, epoch(0, id)].concat()),
         (LinkRole::Wireless, 1, epoch(0, id)),
@@ -103,6 +103,11 @@ fn links_and_starts_share_the_parameter_sets_that_their_epochs_name() {
     let wireless = recording.link(Some(LinkRole::Wireless)).unwrap();
     let marks: Vec<_> = wireless.boots.iter().flat_map(|boot| &boot.epochs).collect();
     let found = |mark: usize| wireless.boots[0].parameters_of(&marks[mark].epoch);
+    // The integers of a perfect sensor are one; its source is known by its id.
+    let integers = found(0).unwrap();
+    let off = integers.model.terms().bias_mps2[0].abs();
+    assert!(integers.range_g == 4 && integers.quality.is_none() && off < 1e-4, "{integers:?}");
+    source::learn(&set);
     assert_eq!(found(0).unwrap(), set);
     let error = found(1).unwrap_err();
     assert!(error.message().contains("lacks the parameters"), "{error}");

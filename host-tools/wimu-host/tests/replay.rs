@@ -45,7 +45,7 @@ fn any_difference_is_found_and_located() {
     // By other arithmetic nothing is computed again, and nothing is said to differ; without
     // parameters neither.
     let others: [&dyn Fn(&mut Boot); 2] =
-        [&|boot| boot.epochs.iter_mut().for_each(|mark| mark.epoch.state.revision += 1), &|boot| {
+        [&|boot| boot.epochs.iter_mut().for_each(|mark| mark.epoch.revision += 1), &|boot| {
             boot.parameters.clear()
         }];
     for change in others {

@@ -1,18 +1,15 @@
 //! The simulated board's non-volatile memory: a NOR flash that can wear out, lose bits and lose power.
 
 use std::cell::RefCell;
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
-use std::future::pending;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 use std::path::Path;
 use std::rc::Rc;
-use std::task::Poll;
 
-use embassy_futures::poll_once;
-use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
-use wimu_node::{FlashLayout, FlashStore, Key, MAX_RECORD, Store};
+use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
+use wimu_node::{FlashLayout, FlashStore, Key, MAX_RECORD, PageFlash, Store};
 
 const PAGES: usize = 4;
 /// As on an nRF52.
@@ -33,8 +30,8 @@ struct Chip {
     bytes: Vec<u8>,
     file: Option<File>,
     worn_out: bool,
-    /// Bytes that always read 0.
-    stuck: BTreeSet<usize>,
+    /// Bytes that have one value.
+    stuck: BTreeMap<usize, u8>,
     /// Bytes that can be written or erased before power is lost.
     left: Option<u64>,
     /// Bytes written or erased so far.
@@ -48,7 +45,7 @@ impl Default for Chip {
             bytes: vec![0xFF; PAGES * PAGE],
             file: None,
             worn_out: false,
-            stuck: BTreeSet::new(),
+            stuck: BTreeMap::new(),
             left: None,
             changed: 0,
             erases: [0; PAGES],
@@ -106,13 +103,13 @@ impl Storage {
         self.0.borrow_mut().worn_out = worn_out;
     }
 
-    /// Wears out the byte at `at`: it reads 0 once it is written or erased.
-    pub fn stick(&self, at: usize) {
-        self.0.borrow_mut().stuck.insert(at);
+    /// Wears out the byte at `at`: it reads `value` once it is written or erased.
+    pub fn stick(&self, at: usize, value: u8) {
+        self.0.borrow_mut().stuck.insert(at, value);
     }
 
-    /// Removes power after this many more bytes have been written or erased: the next write
-    /// never completes. `None` restores power.
+    /// Removes power after this many more bytes have been written or erased: the next write and what follows has no
+    /// effect and fails. `None` restores power.
     pub fn lose_power_after(&self, bytes: Option<u64>) {
         self.0.borrow_mut().left = bytes;
     }
@@ -127,11 +124,22 @@ impl Storage {
         self.0.borrow().erases
     }
 
+    /// Damages all headers.
+    pub fn corrupt_headers(&self) {
+        let mut chip = self.0.borrow_mut();
+        let half = chip.bytes.len() / 2;
+        for start in [0, half] {
+            chip.bytes[start..start + 800].iter_mut().for_each(|byte| *byte ^= 0x55);
+        }
+        let everything = 0..chip.bytes.len();
+        chip.keep(everything);
+    }
+
     /// Damages the stored record of `key`, if there is one.
     pub fn corrupt(&self, key: Key) {
         let mut record = [0; MAX_RECORD];
         let mut store = Self::from_image(&self.image()).store();
-        let Poll::Ready(Ok(Some(length))) = poll_once(store.load(key, &mut record)) else {
+        let Ok(Some(length)) = store.load(key, &mut record) else {
             return;
         };
         let mut chip = self.0.borrow_mut();
@@ -159,10 +167,8 @@ impl Chip {
         if let Some(byte) = self.bytes.get_mut(at)
             && !self.worn_out
         {
-            *byte = change(*byte);
-            if self.stuck.contains(&at) {
-                *byte = 0;
-            }
+            let changed = change(*byte);
+            *byte = self.stuck.get(&at).copied().unwrap_or(changed);
         }
         true
     }
@@ -183,7 +189,7 @@ impl ErrorType for Storage {
 impl ReadNorFlash for Storage {
     const READ_SIZE: usize = 1;
 
-    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
         let offset = offset as usize;
         let chip = self.0.borrow();
         let held = chip.bytes.get(offset..offset + bytes.len());
@@ -200,7 +206,7 @@ impl NorFlash for Storage {
     const WRITE_SIZE: usize = WORD;
     const ERASE_SIZE: usize = PAGE;
 
-    async fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
         let range = within(from as usize..to as usize, PAGE)?;
         let done = {
             let mut chip = self.0.borrow_mut();
@@ -211,10 +217,10 @@ impl NorFlash for Storage {
             chip.keep(range);
             done
         };
-        if done { Ok(()) } else { pending().await }
+        if done { Ok(()) } else { Err(NorFlashErrorKind::Other) }
     }
 
-    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
         let offset = offset as usize;
         within(offset..offset + bytes.len(), WORD)?;
         let done = {
@@ -224,9 +230,11 @@ impl NorFlash for Storage {
             chip.keep(offset..offset + bytes.len());
             done
         };
-        if done { Ok(()) } else { pending().await }
+        if done { Ok(()) } else { Err(NorFlashErrorKind::Other) }
     }
 }
+
+impl PageFlash for Storage {}
 
 fn within(range: Range<usize>, unit: usize) -> Result<Range<usize>, NorFlashErrorKind> {
     if !range.start.is_multiple_of(unit) || !range.end.is_multiple_of(unit) {

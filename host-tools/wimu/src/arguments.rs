@@ -491,6 +491,7 @@ Examples:
   wimu export session.mcap -o session.csv --stream corrected
   wimu export session.mcap --merge -o merged.csv
   wimu export CAL.json --format c -o wimu_calibration.h
+  wimu export CAL.json --format device -o sensor.wimu
   wimu export CAL.json --format kalibr --noise NOISE.json -o imu.yaml
   wimu export session.mcap --format ros -o topics.mcap
 
@@ -545,6 +546,8 @@ pub enum ExportFormat {
     Px4,
     /// Calibration as parameters of ArduPilot
     Ardupilot,
+    /// Calibration as the bytes of a `CompiledSet`, for `wimu-model` on a device
+    Device,
 }
 
 /// A stream of a recording.

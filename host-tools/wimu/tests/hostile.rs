@@ -12,11 +12,10 @@ use std::time::{Duration, Instant};
 
 use kit::folder;
 use wimu_link::message::{
-    EncodedParameters, Environment, Epoch, EpochReason, Event, Navigation, ParametersPiece,
-    Payload, Reply, Signature, WireParameters,
+    Environment, Epoch, EpochReason, Event, Navigation, Payload, Reply, SetBytes, Signature,
 };
 use wimu_link::{Answer, Hello, LinkRole, MAX_FRAME, Telemetry, batch, frame::EncodeError};
-use wimu_model::{Counts, DeviceTimeUs, ParameterSet, Sensitivity};
+use wimu_model::{CompiledSet, Counts, DeviceTimeUs, ParameterId, ParameterSet, Sensitivity};
 use wimu_testkit::trials;
 
 /// Bytes that a line of 921 600 baud carries in a second.
@@ -66,14 +65,14 @@ const INPUTS: [(&str, Step); 10] = [
     }),
     ("ever new parameters", |n, out| {
         telemetry(n, out);
-        put_message(out, &Telemetry::ParametersPiece(piece(n)));
+        put_message(out, &Telemetry::Parameters(set(n)));
     }),
     ("answers that nobody asked for", |n, out| {
         let reply = Reply {
             session: any(n) as u32,
             id: n as u32,
             signature: Signature::NONE,
-            answer: Answer::Accepted(Payload::Parameters(piece(n))),
+            answer: Answer::Accepted(Payload::Parameters(set(n))),
         };
         put(out, |frame| reply.encode(frame));
     }),
@@ -132,15 +131,11 @@ fn telemetry(n: u64, out: &mut Vec<u8>) {
     samples(out, first);
 }
 
-/// A set that fits a piece.
-fn piece(n: u64) -> ParametersPiece {
+fn set(n: u64) -> SetBytes {
     let sensitivity = Sensitivity::from_lsb_per_g(16384.0).expect("one");
-    let mut wire = WireParameters::from(&ParameterSet::uncalibrated(2, sensitivity));
-    wire.bias_mps2[0] = n as f64;
-    let mut bytes = [0; WireParameters::MAX];
-    let length = wire.encode(&mut bytes).expect("room");
-    let set = EncodedParameters(&bytes[..length]);
-    set.piece(set.id(), 0)
+    let set = ParameterSet::uncalibrated(2, sensitivity);
+    let set = CompiledSet::compile(&set, ParameterId(n as u32 + 1), n);
+    SetBytes::from(&set.expect("compiled"))
 }
 
 /// Some number, the same in every run.

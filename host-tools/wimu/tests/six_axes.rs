@@ -9,7 +9,7 @@ use std::path::Path;
 
 use kit::{folder, wimu};
 use serde_json::Value;
-use wimu_host::calibration::StoredModel;
+use wimu_host::calibration::{CalibrationFile, StoredModel, parameter_id, source};
 use wimu_host::decode::{Decoder, LinkStatistics};
 use wimu_host::history::{Boot, LinkHistory};
 use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
@@ -18,14 +18,13 @@ use wimu_host::replay::verify;
 use wimu_integrator::{Config, Flags, Integrator, Saturation, Transition};
 use wimu_link::batch::{self, Layout};
 use wimu_link::message::{
-    Attitude, BusFault, EncodedParameters, Epoch, EpochGyroscope, EpochReason, Event, Navigation,
-    Piece, WireParameters, parameter_id,
+    Attitude, BusFault, Epoch, EpochGyroscope, EpochReason, Event, Navigation, SetBytes,
 };
 use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry};
 use wimu_model::{
-    Alignment, AngularRateQ20, CentiCelsius, Corrector, Counts, DeviceTimeUs, ErrorModel,
-    ErrorTerms, GyroscopeCorrector, GyroscopeModel, GyroscopeParameters, GyroscopeTerms,
-    ParameterSet, PeriodNs, Sensitivity, SpecificForceQ16, WideCounts,
+    Alignment, AngularRateQ20, CentiCelsius, CompiledSet, Corrector, Counts, DeviceTimeUs,
+    ErrorModel, ErrorTerms, GyroscopeCorrector, GyroscopeModel, GyroscopeParameters,
+    GyroscopeTerms, ParameterSet, PeriodNs, Sensitivity, SpecificForceQ16, WideCounts,
 };
 use wimu_testkit::Random;
 
@@ -77,6 +76,10 @@ fn parameters() -> ParameterSet {
     }
 }
 
+fn compiled(set: &ParameterSet) -> CompiledSet {
+    CompiledSet::compile(set, parameter_id(set), 0).unwrap()
+}
+
 /// What a device does per sample, without a sensor or a link: the same crates, and frames.
 struct Device {
     set: ParameterSet,
@@ -93,12 +96,8 @@ type Corrected = (SpecificForceQ16, AngularRateQ20);
 
 impl Device {
     fn compile(set: &ParameterSet, at: CentiCelsius) -> (Corrector, GyroscopeCorrector) {
-        let gyroscope = set.gyroscope.unwrap();
-        let (model, scale) = (&gyroscope.model, gyroscope.rad_s_per_lsb);
-        (
-            Corrector::compile(set, Some(at)).unwrap(),
-            GyroscopeCorrector::compile(model, scale, set.alignment, Some(at)).unwrap(),
-        )
+        let set = compiled(set);
+        (set.corrector(Some(at)), set.gyroscope(Some(at)).unwrap())
     }
 
     fn send(
@@ -130,7 +129,7 @@ impl Device {
             full_scale: FULL_SCALE,
             parameters: parameter_id(&self.set).0,
             temperature_centi_c: Some(self.temperature.0),
-            state: self.integrator.state().into(),
+            state: self.integrator.state(),
             gyroscope: Some(EpochGyroscope {
                 rad_s_per_lsb: RAD_S_PER_LSB,
                 full_scale: FULL_SCALE,
@@ -224,13 +223,8 @@ fn run(stops: bool) -> (Vec<Frame>, Vec<Pair>) {
         since_epoch: 0,
         frames: Vec::new(),
     };
-    let mut bytes = [0; WireParameters::MAX];
-    let length = WireParameters::from(&set).encode(&mut bytes).unwrap();
-    for offset in (0..length).step_by(Piece::MAX) {
-        let encoded = EncodedParameters(&bytes[..length]);
-        let piece = encoded.piece(encoded.id(), offset as u16);
-        device.say(What::Other, 0, Telemetry::ParametersPiece(piece));
-    }
+    let parameters = SetBytes::from(&compiled(&set));
+    device.say(What::Other, 0, Telemetry::Parameters(parameters));
     let mut random = Random::new(6);
     let (mut all, mut raw, mut corrected) = (Vec::new(), Vec::new(), Vec::new());
     let mut due = Some(EpochReason::Start);
@@ -309,9 +303,18 @@ fn heard<'a>(frames: impl IntoIterator<Item = &'a Frame>) -> (Boot, LinkStatisti
 
 /// A recording of both links; the wireless one loses every tenth raw batch.
 fn file(folder: &Path, stops: bool) -> String {
-    let path = folder.join("six.mcap");
+    file_with(folder, stops, true)
+}
+
+/// The same with or without the source of the parameters.
+fn file_with(folder: &Path, stops: bool, has_source: bool) -> String {
+    let path = folder.join(format!("six-{has_source}.mcap"));
     let anchor = ClockAnchor { monotonic_ns: 0, utc_ns: 1_795_222_920_000_000_000 };
     let mut writer = RecordingWriter::create(&path, anchor).unwrap();
+    if has_source {
+        source::learn(&parameters());
+        writer.keep_calibration(parameter_id(&parameters())).unwrap();
+    }
     for role in [LinkRole::Cable, LinkRole::Wireless] {
         writer.append(role, 1_000_000_000, &hello(role)).unwrap();
     }
@@ -579,6 +582,39 @@ fn ros_messages_have_angular_velocity_with_covariance_and_orientation() {
     let second = imu(&out, "/cable/imu_1/data_raw");
     assert_eq!(second.len(), boot.further[&1].raw.len());
     assert!(second.iter().all(|fields| fields[16] == -1.0));
+}
+
+#[test]
+fn a_calibration_whose_source_is_not_known_corrects_with_its_integers() {
+    let folder = folder();
+    let [known, unknown] = [true, false].map(|has| file_with(folder.path(), false, has));
+    let path = |session: &str| {
+        let report = wimu(&["navigate", session, "--zupt", "off"]).succeeds();
+        report["starts"][0]["recomputed"].clone()
+    };
+    assert!(path(&known)["final_position_m"].is_array(), "{}", path(&known));
+    assert_eq!(path(&known), path(&unknown));
+
+    let notes = |session: &str| {
+        let ran = wimu(&["align", session, "--up", "z", "--forward"]);
+        let problems = ran.problems();
+        problems.into_iter().filter(|p| p["code"] == "source_unknown").collect::<Vec<_>>()
+    };
+    assert_eq!(notes(&known), Vec::<Value>::new());
+    let text = notes(&unknown)[0]["text"].to_string();
+    assert!(text.contains("part for the gyroscope is left out"), "{text}");
+}
+
+#[test]
+fn a_calibration_exported_for_a_device_is_the_set_that_the_device_compiles() {
+    let folder = folder();
+    let [calibration, out] =
+        ["CAL.json", "sensor.wimu"].map(|name| folder.path().join(name).display().to_string());
+    CalibrationFile::new(&parameters(), &[], "").write(Path::new(&calibration)).unwrap();
+    let report = wimu(&["export", &calibration, "--format", "device", "-o", &out]).succeeds();
+    let bytes = fs::read(&out).unwrap();
+    assert_eq!(report["bytes"], bytes.len());
+    assert_eq!(CompiledSet::from_bytes(&bytes).unwrap(), compiled(&parameters()));
 }
 
 #[test]

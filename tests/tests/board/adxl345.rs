@@ -1,7 +1,7 @@
 //! A board whose sensor is an ADXL345: no magnetometer, no thermometer, an oscillator that is off
 //! by percents, and a FIFO.
 
-use wimu_host::calibration::{CalibrateOptions, calibrate};
+use wimu_host::calibration::{CalibrateOptions, calibrate, parameter_id};
 use wimu_host::recording::{Recording, Selection};
 use wimu_link::hello::Capabilities;
 use wimu_link::message::{BusFault, Event, Payload, Refusal, Resolution, Settings};
@@ -13,7 +13,7 @@ use wimu_sim::pipe::LinkConfig;
 use wimu_sim::scene::{Scene, World};
 use wimu_sim::source::Physics;
 use wimu_sim::truth::{Gauge, SensorTruth};
-use wimu_tests::{ROLES, Rig, assert_replays, gaps, who_are_you};
+use wimu_tests::{ROLES, Rig, assert_replays, compiled, gaps, who_are_you};
 
 fn config() -> BoardConfig {
     BoardConfig { sensor: SensorPart::Adxl345, ..BoardConfig::default() }
@@ -34,13 +34,9 @@ fn rig() -> Rig {
 
 /// Writes a parameter set; returns its id.
 fn push(rig: &mut Rig, set: &ParameterSet) -> u32 {
-    let staged = rig.stage(LinkRole::Cable, &set.into());
-    let Answer::Accepted(Payload::Staged { hash }) = staged else {
-        panic!("{staged:?}");
-    };
-    let committed = rig.ask(LinkRole::Cable, Command::CommitParameters { hash });
-    assert!(matches!(committed, Answer::Accepted(_)), "{committed:?}");
-    hash
+    let answer = rig.ask(LinkRole::Cable, Command::SetParameters(compiled(set)));
+    assert_eq!(answer, Answer::Accepted(Payload::None));
+    parameter_id(set).0
 }
 
 #[test]

@@ -6,11 +6,12 @@ use std::fmt;
 use std::time::Duration;
 
 use wimu_host::Result;
+use wimu_host::calibration::parameter_id;
 use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::decode::Event;
 use wimu_host::transport::Transport;
 use wimu_link::auth::DeviceKey;
-use wimu_link::message::{Settings, Signature, WireParameters};
+use wimu_link::message::{Settings, Signature};
 use wimu_link::{Command, LinkRole, Request, WIRE_VERSION};
 use wimu_model::{
     CalibrationMethod, CalibrationQuality, ErrorModel, ErrorTerms, ModelCovariance, ParameterSet,
@@ -19,7 +20,7 @@ use wimu_model::{
 use wimu_sim::board::{Board, BoardConfig, SimLink};
 use wimu_sim::scene::World;
 use wimu_testkit::{Lane, figure};
-use wimu_tests::{Random, encoded, frame_of, sensor, who_are_you};
+use wimu_tests::{Random, compiled, encoded, frame_of, sensor, who_are_you};
 
 const KEY: DeviceKey = DeviceKey::new([0x11; 32]);
 const CABLE: LinkRole = LinkRole::Cable;
@@ -64,9 +65,8 @@ const IDS: [Ids; 4] = [Ids::NewSessions, Ids::Counted, Ids::Repeated, Ids::Owner
 /// One of each kind.
 fn commands() -> Vec<Command> {
     let all = vec![
-        Command::GetParameters { offset: 0 },
-        WireParameters::from(&set_of(0.4)).stage().next().expect("a piece"),
-        Command::CommitParameters { hash: 1 },
+        Command::GetParameters,
+        Command::SetParameters(compiled(&set_of(0.4))),
         Command::FactoryReset,
         Command::GetSettings,
         Command::SetSettings(Settings::default()),
@@ -81,19 +81,18 @@ fn commands() -> Vec<Command> {
     for (index, command) in all.iter().enumerate() {
         // Does not compile when there is another one: give it its number here, and add it above.
         let number = match command {
-            Command::GetParameters { .. } => 0,
-            Command::StageParameters { .. } => 1,
-            Command::CommitParameters { .. } => 2,
-            Command::FactoryReset => 3,
-            Command::GetSettings => 4,
-            Command::SetSettings(_) => 5,
-            Command::GetStatus => 6,
-            Command::SetLineRate { .. } => 7,
-            Command::OpenSession => 8,
-            Command::GetKeyStatus => 9,
-            Command::SetKey(_) => 10,
-            Command::ForgetKey => 11,
-            Command::GetTime => 12,
+            Command::GetParameters => 0,
+            Command::SetParameters(_) => 1,
+            Command::FactoryReset => 2,
+            Command::GetSettings => 3,
+            Command::SetSettings(_) => 4,
+            Command::GetStatus => 5,
+            Command::SetLineRate { .. } => 6,
+            Command::OpenSession => 7,
+            Command::GetKeyStatus => 8,
+            Command::SetKey(_) => 9,
+            Command::ForgetKey => 10,
+            Command::GetTime => 11,
         };
         assert_eq!(index, number);
     }
@@ -105,7 +104,7 @@ fn attacks() -> Vec<Attack> {
         commands().into_iter().flat_map(|command| IDS.map(|ids| Attack::Unsigned(command, ids)));
     let others = [
         Attack::Unknown,
-        Attack::Forged(Command::GetParameters { offset: 0 }),
+        Attack::Forged(Command::GetParameters),
         Attack::Forged(Command::FactoryReset),
         Attack::Replayed,
         Attack::WhoAreYou,
@@ -332,7 +331,7 @@ fn under(attack: Attack, rate_hz: u16, pushes: u32) -> Outcome {
         outcome.longest = outcome.longest.max(flooded().now() - begun);
         match pushed {
             Ok(id) => {
-                held = Some((id, WireParameters::from(&set)));
+                held = Some(id);
                 outcome.pushed += 1;
             }
             Err(error) => println!("{attack}: {error}"),
@@ -343,11 +342,11 @@ fn under(attack: Attack, rate_hz: u16, pushes: u32) -> Outcome {
         Ok(mut client) => outcome.samples = samples(&mut client) as f64 / usual as f64,
         Err(error) => println!("{attack}: {error}"),
     }
-    if let Some((id, wire)) = held {
+    if let Some(id) = held {
         let cable = SimLink::new(&board, CABLE);
         let mut cable = Client::connect(cable, "cable", options(3)).expect("a board");
         let found = cable.parameters().expect("answered");
-        assert_eq!((found.id, found.active), (id.0, Some(wire)), "{attack:?}");
+        assert_eq!(found.id, id.0, "{attack:?}");
         assert_eq!(cable.key_status(), Ok(Some(KEY.id())), "{attack:?}");
     }
     outcome
@@ -410,8 +409,8 @@ fn hosts_without_the_key_are_answered_as_often_as_they_usually_ask() {
     let begun = Duration::from_micros(board.borrow().now_us());
     for session in 10..14 {
         let mut host = connect(session);
-        let held = host.parameters().expect("answered").active;
-        assert_eq!(held, Some((&set_of(0.1)).into()));
+        let held = host.parameters().expect("answered").id;
+        assert_eq!(held, parameter_id(&set_of(0.1)).0);
         assert_eq!(host.settings(), Ok(Settings::default()));
         assert!(host.status().is_ok());
         assert_eq!(host.key_status(), Ok(Some(KEY.id())));

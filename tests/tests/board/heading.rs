@@ -3,15 +3,16 @@
 use wimu_host::calibration::{CalibrateOptions, calibrate, calibrate_magnetometer};
 use wimu_host::monitor::Heading;
 use wimu_host::recording::{Recording, Selection};
+use wimu_integrator::Phase;
 use wimu_link::LinkRole;
-use wimu_link::message::{Epoch, EpochReason, WirePhase};
+use wimu_link::message::{Epoch, EpochReason};
 use wimu_model::ParameterSet;
 use wimu_sim::board::BoardConfig;
 use wimu_sim::motion;
 use wimu_sim::scene::World;
 use wimu_sim::truth::{Gauge, SensorTruth};
 use wimu_testkit::{Coverage, Lane, coverage_figure};
-use wimu_tests::{ROLES, Rig, assert_replays, sensor};
+use wimu_tests::{ROLES, Rig, assert_replays, compiled, sensor};
 
 /// What a session in many orientations finds of the sensor of `seed`.
 fn calibrated(seed: u64) -> ParameterSet {
@@ -52,18 +53,18 @@ fn heading_is_uncalibrated_until_a_magnetometer_is_pushed_and_then_within_its_de
         let mut rig = Rig::new(BoardConfig::default(), sensor(motion, World::default(), seed));
         rig.run(4.0);
         let before = rig.boot(LinkRole::Wireless).epochs.len();
-        super::requests::push(&mut rig, &(&set).into());
+        super::requests::push(&mut rig, &compiled(&ParameterSet { gyroscope: None, ..set }));
         let truth = motion::named(motion, seed).unwrap();
         rig.run(truth.duration() - 4.0);
         let boot = rig.boot(LinkRole::Wireless);
         let held = boot.epochs[before - 1].epoch;
-        assert_eq!(held.state.phase, WirePhase::Resting);
+        assert_eq!(held.state.phase, Phase::Resting);
         assert_eq!(Heading::of(&held).unwrap().sd_rad, None);
         // How many rests had a heading, and whether the present one has.
         let (mut rests, mut known) = (0, false);
         for mark in &boot.epochs {
             let epoch = &mark.epoch;
-            known &= epoch.state.phase == WirePhase::Resting;
+            known &= epoch.state.phase == Phase::Resting;
             let Some(sd_mrad) = epoch.state.heading_sd_mrad else {
                 continue;
             };

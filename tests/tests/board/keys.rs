@@ -1,22 +1,20 @@
 //! Keys, sessions and what may go wrong with them, with real clients on a whole board.
 
 use std::cell::RefCell;
-use std::path::Path;
 use std::time::Duration;
 
 use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::decode::Event as Heard;
 use wimu_host::{ErrorCode, Result};
+use wimu_link::LinkRole;
 use wimu_link::auth::DeviceKey;
-use wimu_link::hello::{self, WriteAccess};
+use wimu_link::hello::WriteAccess;
 use wimu_link::message::{Event, Settings};
-use wimu_link::{Command, LinkRole, WIRE_VERSION};
-use wimu_model::{ErrorModel, ErrorTerms, ParameterSet, Sensitivity, SensorId};
+use wimu_model::{ErrorModel, ErrorTerms, ParameterSet, Sensitivity};
 use wimu_node::Key;
 use wimu_sim::board::{Board, BoardConfig, SimLink};
 use wimu_sim::scene::World;
-use wimu_sim::storage::Storage;
-use wimu_tests::{sensor, staging};
+use wimu_tests::sensor;
 
 type Link<'a> = Client<SimLink<'a, Board>>;
 
@@ -82,14 +80,11 @@ fn a_key_opens_the_wireless_link_to_its_owner_and_closes_the_cable_to_others() {
         let mut owner = owner(&board, role, session);
         assert_eq!(set_rate(&mut owner, 200).map(|set| set.rate_hz), Ok(200));
         owner.push_parameters(&set_of(f64::from(session) / 10.0)).expect("pushed");
-        // That his key is not the board's, anybody can have said.
-        for (key, session, refused) in
-            [(None, 5, ErrorCode::KeyNeeded), (Some(OTHER), 6, ErrorCode::NoAnswer)]
-        {
+        for (key, session) in [(None, 5), (Some(OTHER), 6)] {
             let mut stranger = connect(&board, role, session);
             stranger.use_key(key);
-            assert_eq!(code(set_rate(&mut stranger, 50)), Some(refused));
-            assert_eq!(code(stranger.factory_reset()), Some(refused));
+            assert_eq!(code(set_rate(&mut stranger, 50)), Some(ErrorCode::KeyNeeded));
+            assert_eq!(code(stranger.factory_reset()), Some(ErrorCode::KeyNeeded));
             let ours = stranger.use_key_among(&[OTHER]);
             assert_eq!(code(ours), Some(ErrorCode::KeyNeeded));
             assert_eq!(stranger.settings().map(|set| set.rate_hz), Ok(200), "reading is free");
@@ -99,12 +94,12 @@ fn a_key_opens_the_wireless_link_to_its_owner_and_closes_the_cable_to_others() {
     let mut cable = owner(&board, CABLE, 7);
     cable.set_key(OTHER).expect("rotated");
     let mut old = owner(&board, WIRELESS, 8);
-    assert_eq!(code(set_rate(&mut old, 50)), Some(ErrorCode::NoAnswer));
+    assert_eq!(code(set_rate(&mut old, 50)), Some(ErrorCode::KeyNeeded));
     assert_eq!(set_rate(&mut cable, 100).map(|set| set.rate_hz), Ok(100));
     cable.forget_key().expect("forgotten");
     assert_eq!(cable.key_status(), Ok(None));
     assert_eq!(set_rate(&mut cable, 200).map(|set| set.rate_hz), Ok(200));
-    assert_eq!(code(set_rate(&mut old, 50)), Some(ErrorCode::NoAnswer));
+    assert_eq!(code(set_rate(&mut old, 50)), Some(ErrorCode::KeyNeeded));
 }
 
 #[test]
@@ -138,34 +133,13 @@ fn two_hosts_at_once_both_get_through_and_agree() {
 }
 
 #[test]
-fn a_host_killed_between_stage_and_commit_leaves_what_was_there() {
-    let board = start_with_key();
-    let mut killed = owner(&board, WIRELESS, 2);
-    let before = killed.push_parameters(&set_of(0.1)).expect("pushed");
-    let staged = staging(&(&set_of(0.2)).into());
-    killed.request(staged).expect("staged");
-    drop(killed);
-    // Another's push is its own, and so is the same host's next one.
-    let mut next = owner(&board, WIRELESS, 3);
-    assert_eq!(next.parameters().map(|held| held.id), Ok(before.0));
-    let pushed = next.push_parameters(&set_of(0.3)).expect("pushed");
-    assert_eq!(next.parameters().map(|held| held.id), Ok(pushed.0));
-    // What was staged is forgotten with the power.
-    next.request(staged).expect("staged");
-    board.borrow_mut().restart();
-    let hash = wimu_link::message::parameter_id(&set_of(0.2)).0;
-    let outcome = next.request(Command::CommitParameters { hash });
-    assert_eq!(code(outcome), Some(ErrorCode::DeviceRefused));
-    assert_eq!(next.parameters().map(|held| held.id), Ok(pushed.0));
-}
-
-#[test]
-fn a_board_unplugged_during_a_commit_holds_the_old_set_or_the_new() {
+fn a_board_unplugged_during_a_push_holds_the_old_set_or_the_new() {
     let board = start_with_key();
     let mut wireless = owner(&board, WIRELESS, 2);
     let mut held = wireless.push_parameters(&set_of(0.1)).expect("pushed").0;
     let mut outcomes = [0; 2];
-    for cut in (0..500).step_by(13) {
+    // Pages are erased first.
+    for cut in (0..8192).step_by(900).chain((8192..9000).step_by(13)) {
         let set = set_of(0.2 + cut as f64 * 1e-4);
         board.borrow().storage().lose_power_after(Some(cut));
         let mut wireless = owner(&board, WIRELESS, cut as u32);
@@ -173,7 +147,7 @@ fn a_board_unplugged_during_a_commit_holds_the_old_set_or_the_new() {
         board.borrow().storage().lose_power_after(None);
         board.borrow_mut().restart();
         let found = wireless.parameters().expect("answered").id;
-        let new = wimu_link::message::parameter_id(&set).0;
+        let new = wimu_host::calibration::parameter_id(&set).0;
         assert!(found == new || !answered && found == held, "{cut}: {found:08x}");
         outcomes[usize::from(found == new)] += 1;
         held = found;
@@ -182,28 +156,20 @@ fn a_board_unplugged_during_a_commit_holds_the_old_set_or_the_new() {
 }
 
 #[test]
-fn an_unreadable_boot_count_locks_both_links_until_the_key_is_exchanged() {
+fn a_memory_without_a_header_locks_both_links_until_the_owner_makes_the_gesture() {
     let board = start_with_key();
-    board.borrow().storage().corrupt(Key::BootCount);
+    board.borrow().storage().corrupt_headers();
     board.borrow_mut().restart();
-    let mut wireless = owner(&board, WIRELESS, 2);
-    assert_eq!(wireless.hello().access, WriteAccess::Locked);
-    let refused = set_rate(&mut wireless, 200).expect_err("locked");
-    assert_eq!(refused.code(), ErrorCode::DeviceRefused);
-    assert!(refused.remedy().contains("wimu key rotate"), "{refused}");
-    // Nor does the cable: what is signed now may pass in another start.
-    let mut cable = owner(&board, CABLE, 3);
-    assert_eq!(cable.hello().access, WriteAccess::Locked);
-    let refused = set_rate(&mut cable, 200).expect_err("locked");
-    assert_eq!(refused.code(), ErrorCode::DeviceRefused);
-    assert!(refused.remedy().contains("wimu key rotate"), "{refused}");
-    assert_eq!(code(cable.forget_key()), Some(ErrorCode::DeviceRefused));
-    // The same key again would make old sessions new ones.
-    cable.set_key(KEY).expect("set");
-    assert_eq!(code(set_rate(&mut cable, 200)), Some(ErrorCode::DeviceRefused));
-    let mut wireless = owner(&board, WIRELESS, 4);
-    assert_eq!(code(set_rate(&mut wireless, 200)), Some(ErrorCode::DeviceRefused));
-    cable.set_key(OTHER).expect("rotated");
+    for (role, session) in [(WIRELESS, 2), (CABLE, 3)] {
+        let mut host = owner(&board, role, session);
+        assert_eq!(host.hello().access, WriteAccess::Locked);
+        let refused = set_rate(&mut host, 200).expect_err("locked");
+        assert_eq!(refused.code(), ErrorCode::DeviceRefused);
+        assert!(refused.remedy().contains("wimu key rotate"), "{refused}");
+    }
+    board.borrow().forget_key();
+    let mut cable = connect(&board, CABLE, 4);
+    cable.set_key(OTHER).expect("set");
     for restart in [false, true] {
         if restart {
             board.borrow_mut().restart();
@@ -300,59 +266,4 @@ fn no_recording_holds_a_key() {
         assert!(!all.contains(&run));
     }
     assert!(all.contains("Sent"));
-}
-
-/// Flash as firmware of each version of the wire left it: `tests/vectors/store`. All firmware from then
-/// on reads it. `WRITE_VECTORS=1 cargo test -p wimu-tests --test all board` writes that of this version if
-/// there is none, and never another.
-#[test]
-fn what_older_firmware_stored_is_read() {
-    for version in 0..=WIRE_VERSION {
-        stored_by(version);
-    }
-}
-
-fn stored_by(version: u8) {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("vectors/store");
-    let file = folder.join(format!("v{version}.hex"));
-    let settings = Settings { rate_hz: 200, ..Settings::default() };
-    let set = ParameterSet {
-        sensor: (version > 0).then_some(SensorId(hello::sensor::LSM303AGR)),
-        ..set_of(0.1)
-    };
-    if std::env::var_os("WRITE_VECTORS").is_some() && version == WIRE_VERSION && !file.exists() {
-        let board = start_with_key();
-        let mut cable = owner(&board, CABLE, 2);
-        cable.push_parameters(&set).expect("pushed");
-        cable.set_settings(settings).expect("set");
-        let image = board.borrow().storage().image();
-        let used = image.iter().rposition(|&byte| byte != 0xFF).map_or(0, |last| last + 1);
-        let lines = image[..used].chunks(32).map(|line| {
-            let digits = line.iter().map(|byte| format!("{byte:02x}"));
-            digits.collect::<String>() + "\n"
-        });
-        std::fs::write(&file, lines.collect::<String>()).expect("written");
-    }
-    let text = std::fs::read_to_string(&file).expect("the stored image");
-    let digits: Vec<char> = text.chars().filter(|c| !c.is_whitespace()).collect();
-    let bytes = digits.chunks(2).map(|pair| {
-        let pair: String = pair.iter().collect();
-        u8::from_str_radix(&pair, 16).expect("hexadecimal")
-    });
-    let config = BoardConfig {
-        storage: Storage::from_image(&bytes.collect::<Vec<u8>>()),
-        ..BoardConfig::default()
-    };
-    let source = sensor("rest", World::default(), 3);
-    let board = RefCell::new(Board::start(config, source));
-    let mut wireless = owner(&board, WIRELESS, 3);
-    assert_eq!(wireless.hello().boot_count, 2);
-    assert_eq!(wireless.key_status(), Ok(Some(KEY.id())));
-    assert_eq!(wireless.settings(), Ok(settings));
-    let held = wireless.parameters().expect("answered");
-    assert_eq!(held.id, wimu_link::message::parameter_id(&set).0);
-    assert_eq!(held.active, Some((&set).into()));
-    // And is written again in its own way.
-    assert_eq!(set_rate(&mut wireless, 50).map(|set| set.rate_hz), Ok(50));
-    wireless.push_parameters(&set_of(0.2)).expect("pushed");
 }

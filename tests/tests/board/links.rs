@@ -133,7 +133,7 @@ fn unknown_kinds_and_versions_are_counted_and_not_fatal() {
             }
         });
         assert!(passes(&frame_of(WIRE_VERSION, 5, b"of this kind and version")));
-        let unknown = [frame_of(3, 5, b""), frame_of(WIRE_VERSION, 9, b"")].map(|frame| {
+        let unknown = [frame_of(4, 5, b""), frame_of(WIRE_VERSION, 9, b"")].map(|frame| {
             let mut deframer = Deframer::new();
             frame
                 .into_iter()
@@ -142,7 +142,7 @@ fn unknown_kinds_and_versions_are_counted_and_not_fatal() {
         assert!(matches!(
             unknown,
             [
-                Some(Err(FrameError::UnknownVersion { version: 3, .. })),
+                Some(Err(FrameError::UnknownVersion { version: 4, .. })),
                 Some(Err(FrameError::UnknownKind { kind: 9, .. }))
             ]
         ));

@@ -9,7 +9,6 @@ mod keys;
 mod links;
 mod lsm6dso;
 mod middleman;
-mod pieces;
 mod rates;
 mod requests;
 mod sensor;

@@ -5,15 +5,14 @@ use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::time::Duration;
 
+use wimu_host::calibration::parameter_id;
 use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::auth::{DeviceKey, KeyId};
-use wimu_link::message::{
-    EncodedParameters, Payload, Piece, Refusal, Reply, Request, Settings, Signature, parameter_id,
-};
+use wimu_link::message::{Payload, Refusal, Reply, Request, SetBytes, Settings, Signature};
 use wimu_link::{Answer, Command, Deframer, Kind, LinkRole};
-use wimu_model::{ErrorModel, ErrorTerms, ParameterId, ParameterSet, Sensitivity};
+use wimu_model::{ErrorModel, ErrorTerms, ParameterSet, Sensitivity};
 use wimu_sim::board::{Board, BoardConfig, SimLink};
 use wimu_sim::scene::World;
 use wimu_tests::{ROLES, encoded, sensor};
@@ -50,7 +49,7 @@ struct Middleman<'a> {
     /// On its way to the host.
     forged: VecDeque<u8>,
     /// What the host wants to be told that the board holds.
-    set: Piece,
+    set: SetBytes,
     settings: Settings,
     /// A write with an effect has come by.
     begun: bool,
@@ -65,7 +64,7 @@ impl<'a> Middleman<'a> {
             key,
             from_host: Deframer::new(),
             forged: VecDeque::new(),
-            set: Piece::NONE,
+            set: SetBytes::NONE,
             settings: Settings::default(),
             begun: false,
             cut: false,
@@ -83,32 +82,20 @@ impl<'a> Middleman<'a> {
     /// What the host wants to hear.
     fn pleasing(&mut self, command: &Command) -> Option<Payload> {
         Some(match *command {
-            Command::StageParameters { piece, .. } => {
-                Payload::Staged { hash: EncodedParameters(piece.as_bytes()).id().0 }
-            }
-            Command::GetParameters { offset } => {
-                let set = EncodedParameters(self.set.as_bytes());
-                let id = match set.0 {
-                    [] => ParameterId::UNCALIBRATED,
-                    _ => set.id(),
-                };
-                Payload::Parameters(set.piece(id, offset))
-            }
+            Command::GetParameters => Payload::Parameters(self.set),
             Command::SetSettings(_) | Command::GetSettings => Payload::Settings(self.settings),
-            Command::CommitParameters { .. } | Command::FactoryReset => Payload::None,
+            Command::SetParameters(_) | Command::FactoryReset => Payload::None,
             _ => return None,
         })
     }
 
     /// Whether a request goes on to the board.
     fn lets_through(&mut self, request: &Request) -> bool {
-        let effect = request.command.is_write()
-            && !matches!(request.command, Command::StageParameters { .. });
-        self.begun |= effect;
+        self.begun |= request.command.is_write();
         match request.command {
-            Command::StageParameters { piece, .. } => self.set = piece,
+            Command::SetParameters(set) => self.set = set,
             Command::SetSettings(settings) => self.settings = settings,
-            Command::FactoryReset => self.set = Piece::NONE,
+            Command::FactoryReset => self.set = SetBytes::NONE,
             _ => {}
         }
         if request.signature == Signature::NONE {
@@ -131,7 +118,7 @@ impl<'a> Middleman<'a> {
                 self.say(request, Answer::Refused(refusal));
                 true
             }
-            Signed::Cut if effect => {
+            Signed::Cut if request.command.is_write() => {
                 self.cut = true;
                 true
             }

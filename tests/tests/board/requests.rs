@@ -1,66 +1,54 @@
 //! Parameters, settings and the memory that keeps them: refused with a reason, done once, kept.
 
-use wimu_host::decode::Pieces;
-use wimu_link::hello::sensor;
-use wimu_link::message::{
-    ActiveParameters, EpochReason, Event, ParameterFault, Payload, Refusal, Resolution, Settings,
-    WireParameters, WireTerm,
-};
+use wimu_link::message::{EpochReason, Event, Payload, Refusal, Resolution, SetBytes, Settings};
 use wimu_link::{Answer, Command, LinkRole, Request, WIRE_VERSION};
-use wimu_model::{ErrorModel, ErrorTerms, ParameterSet, Sensitivity, TemperatureTerms};
+use wimu_model::{
+    CompiledSet, ErrorModel, ErrorTerms, ParameterId, ParameterSet, Sensitivity, SetError,
+    TemperatureTerms,
+};
 use wimu_node::Key;
-use wimu_tests::{ROLES, Rig, assert_replays, encoded, frame_of, reply_frames, staging};
+use wimu_tests::{ROLES, Rig, assert_replays, compiled, encoded, frame_of, reply_frames};
 
 const CABLE: LinkRole = LinkRole::Cable;
 
-/// A valid set of these terms.
-pub fn parameters(range_g: u8, lsb_per_g: f64, terms: ErrorTerms) -> WireParameters {
-    (&ParameterSet {
+/// A calibration of these terms, compiled.
+pub fn parameters(range_g: u8, lsb_per_g: f64, terms: ErrorTerms) -> SetBytes {
+    compiled(&ParameterSet {
         model: ErrorModel::new(terms).unwrap(),
         ..ParameterSet::uncalibrated(range_g, Sensitivity::from_lsb_per_g(lsb_per_g).unwrap())
     })
-        .into()
 }
 
-pub fn usual_parameters(bias: f64) -> WireParameters {
+pub fn usual_parameters(bias: f64) -> SetBytes {
+    of_range(bias, 2)
+}
+
+fn of_range(bias: f64, range_g: u8) -> SetBytes {
     let terms = ErrorTerms {
         bias_mps2: [bias, -bias, bias / 2.0],
         matrix: [[1.02, 0.0, 0.0], [0.01, 0.98, 0.0], [-0.02, 0.005, 1.01]],
         temperature: TemperatureTerms::default(),
         nonlinearity: [0.0; 3],
     };
-    parameters(2, 16384.0, terms)
+    parameters(range_g, 16384.0, terms)
 }
 
-fn stage(rig: &mut Rig, set: &WireParameters) -> u32 {
-    match rig.stage(CABLE, set) {
-        Answer::Accepted(Payload::Staged { hash }) => hash,
-        other => panic!("{other:?}"),
-    }
+pub fn push(rig: &mut Rig, set: &SetBytes) {
+    let answer = rig.ask(CABLE, Command::SetParameters(*set));
+    assert_eq!(answer, Answer::Accepted(Payload::None));
+    assert_eq!(active(rig).0, *set);
 }
 
-/// Stages and commits.
-pub fn push(rig: &mut Rig, set: &WireParameters) {
-    let hash = stage(rig, set);
-    let answer = rig.ask(CABLE, Command::CommitParameters { hash });
-    assert!(matches!(answer, Answer::Accepted(_)), "{answer:?}");
-    assert_eq!(active(rig), (Some(*set), hash));
+/// The parameters in use and the id of their source.
+pub fn active(rig: &mut Rig) -> (SetBytes, u32) {
+    let answer = rig.ask(CABLE, Command::GetParameters);
+    let Answer::Accepted(Payload::Parameters(bytes)) = answer else {
+        panic!("{answer:?}");
+    };
+    (bytes, bytes.set().expect("a set").map_or(0, |set| set.source().0))
 }
 
-/// The parameters in use and their id.
-pub fn active(rig: &mut Rig) -> (Option<WireParameters>, u32) {
-    let mut pieces = Pieces::default();
-    loop {
-        let offset = pieces.received();
-        let answer = rig.ask(CABLE, Command::GetParameters { offset });
-        let Answer::Accepted(Payload::Parameters(piece)) = answer else {
-            panic!("{answer:?}");
-        };
-        if let Some(ActiveParameters { active, id }) = pieces.take(&piece).expect("a set") {
-            return (active, id);
-        }
-    }
-}
+const UNCALIBRATED: (SetBytes, u32) = (SetBytes::NONE, 0);
 
 fn newest_epoch_id(rig: &Rig) -> u32 {
     let epochs = &rig.boot(CABLE).epochs;
@@ -72,104 +60,33 @@ fn parameters_that_are_none_are_refused_with_what_is_wrong_and_change_nothing() 
     let mut rig = Rig::usual();
     rig.run(2.0);
     let good = usual_parameters(0.5);
-    let not_finite = |term, axis| ParameterFault::NotFinite { term, axis };
-    let nan_bias = WireParameters { bias_mps2: [0.0, f64::NAN, 0.0], ..good };
-    let infinite_scale = WireParameters {
-        matrix: [[f64::INFINITY, 0.0, 0.0], good.matrix[1], good.matrix[2]],
-        ..good
+    let source = ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0).unwrap());
+    let others = CompiledSet::compile(&source, ParameterId(1), 0xDEAD).unwrap();
+    let damaged = |at: usize, by: u8| {
+        let mut bytes = good.as_bytes().to_vec();
+        bytes[at] ^= by;
+        SetBytes::new(&bytes).unwrap()
     };
-    let nan_slope = WireParameters { bias_mps2_per_k: [0.0, 0.0, f64::NAN], ..good };
-    let large_bias = WireParameters { bias_mps2: [0.0, 0.0, -5.5], ..good };
-    let mirrored =
-        WireParameters { matrix: [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]], ..good };
-    let singular =
-        WireParameters { matrix: [[0.5, 0.3, 0.3], [0.3, 0.5, -0.3], [0.3, -0.3, 0.5]], ..good };
-    let no_rotation = WireParameters { alignment_wxyz: [0.0; 4], ..good };
-    let insensitive = WireParameters { sensitivity_lsb_per_g: 0.0, ..good };
-    let overflowing = WireParameters {
-        sensitivity_lsb_per_g: 160.0,
-        matrix: [[0.5, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 0.5]],
-        ..good
-    };
-    let singular_when_warm = WireParameters { reference_c: 150.0, scale_per_k: [0.01; 3], ..good };
+    let cut = SetBytes::new(&good.as_bytes()[..3]).unwrap();
     for (set, fault) in [
-        (nan_bias, not_finite(WireTerm::Bias, 1)),
-        (infinite_scale, not_finite(WireTerm::Scale, 0)),
-        (nan_slope, not_finite(WireTerm::BiasSlope, 2)),
-        (
-            large_bias,
-            ParameterFault::OutOfBounds {
-                term: WireTerm::Bias,
-                axis: 2,
-                value: -5.5,
-                low: -5.0,
-                high: 5.0,
-            },
-        ),
-        (
-            mirrored,
-            ParameterFault::OutOfBounds {
-                term: WireTerm::Scale,
-                axis: 1,
-                value: -1.0,
-                low: 0.5,
-                high: 1.5,
-            },
-        ),
-        (no_rotation, ParameterFault::Alignment(0.0)),
-        (insensitive, ParameterFault::Sensitivity(0.0)),
-        (overflowing, ParameterFault::Overflow),
-        (singular_when_warm, ParameterFault::SingularAtTemperature),
+        (SetBytes::NONE, SetError::Length),
+        (cut, SetError::Length),
+        (damaged(30, 1), SetError::Checksum),
+        (damaged(good.as_bytes().len() - 1, 0x80), SetError::Checksum),
+        (SetBytes::from(&others), SetError::Device),
     ] {
-        let answer = rig.stage(CABLE, &set);
+        let answer = rig.ask(CABLE, Command::SetParameters(set));
         let refusal = Answer::Refused(Refusal::InvalidParameters(fault));
         assert_eq!(answer, refusal, "{set:?}");
     }
-    let answer = rig.stage(CABLE, &singular);
-    assert!(
-        matches!(
-            answer,
-            Answer::Refused(Refusal::InvalidParameters(ParameterFault::Singular(d))) if d < 0.05
-        ),
-        "{answer:?}"
-    );
-    let answer = rig.stage(CABLE, &WireParameters { range_g: 4, ..good });
+    let answer = rig.ask(CABLE, Command::SetParameters(of_range(0.5, 4)));
     let wrong_range = Refusal::WrongRange { parameters_g: 4, device_g: 2 };
     assert_eq!(answer, Answer::Refused(wrong_range));
-    let eightfold = WireParameters { sensitivity_lsb_per_g: 2048.0, ..good };
-    let answer = rig.stage(CABLE, &eightfold);
-    let wrong_sensitivity =
-        Refusal::WrongSensitivity { parameters_lsb_per_g: 2048.0, device_lsb_per_g: 16384.0 };
-    assert_eq!(answer, Answer::Refused(wrong_sensitivity));
-    let others = WireParameters { sensor: Some(sensor::ADXL345), ..good };
-    let answer = rig.stage(CABLE, &others);
-    let fault =
-        ParameterFault::OtherSensor { parameters: sensor::ADXL345, device: sensor::LSM303AGR };
-    assert_eq!(answer, Answer::Refused(Refusal::InvalidParameters(fault)));
-    // Nothing of this was staged.
-    let answer = rig.ask(CABLE, Command::CommitParameters { hash: 1 });
-    assert_eq!(answer, Answer::Refused(Refusal::NothingStaged));
-    assert_eq!(active(&mut rig), (None, 0));
+    assert_eq!(active(&mut rig), UNCALIBRATED);
     for role in ROLES {
         rig.link(role).assert_perfect();
     }
-    // Its own sensor's are taken, and so are those that do not say whose they are.
-    for sensor in [None, Some(sensor::LSM303AGR)] {
-        stage(&mut rig, &WireParameters { sensor, ..good });
-    }
-}
-
-#[test]
-fn a_commit_names_what_was_staged_or_is_refused() {
-    let mut rig = Rig::usual();
-    rig.run(1.0);
-    let staged = stage(&mut rig, &usual_parameters(0.5));
-    let answer = rig.ask(CABLE, Command::CommitParameters { hash: !staged });
-    assert_eq!(answer, Answer::Refused(Refusal::HashMismatch { staged }));
-    assert_eq!(active(&mut rig), (None, 0));
-    let answer = rig.ask(CABLE, Command::CommitParameters { hash: staged });
-    assert!(matches!(answer, Answer::Accepted(_)), "{answer:?}");
-    assert_eq!(active(&mut rig).1, staged);
+    push(&mut rig, &good);
 }
 
 #[test]
@@ -177,15 +94,14 @@ fn the_wireless_link_reads_but_does_not_write_without_a_key() {
     let mut rig = Rig::usual();
     rig.run(1.0);
     for write in [
-        staging(&usual_parameters(0.5)),
-        Command::CommitParameters { hash: 1 },
+        Command::SetParameters(usual_parameters(0.5)),
         Command::SetSettings(Settings::default()),
         Command::FactoryReset,
     ] {
         let answer = rig.ask(LinkRole::Wireless, write);
         assert_eq!(answer, Answer::Refused(Refusal::KeyNeeded), "{write:?}");
     }
-    for read in [Command::GetParameters { offset: 0 }, Command::GetSettings, Command::GetStatus] {
+    for read in [Command::GetParameters, Command::GetSettings, Command::GetStatus] {
         let answer = rig.ask(LinkRole::Wireless, read);
         assert!(matches!(answer, Answer::Accepted(_)), "{answer:?}");
     }
@@ -207,13 +123,11 @@ fn insist(rig: &mut Rig, command: Command) -> Vec<Vec<u8>> {
 fn a_request_that_is_repeated_has_one_effect_and_the_same_answer() {
     let mut rig = Rig::usual();
     rig.run(1.0);
-    let hash = stage(&mut rig, &usual_parameters(0.4));
     let faster = Settings { rate_hz: 200, ..Settings::default() };
     for (command, reason) in [
-        (Command::CommitParameters { hash }, EpochReason::Parameters),
+        (Command::SetParameters(usual_parameters(0.4)), EpochReason::Parameters),
         (Command::SetSettings(faster), EpochReason::Settings),
         (Command::FactoryReset, EpochReason::Settings),
-        (staging(&usual_parameters(0.3)), EpochReason::Start),
     ] {
         let effects = |rig: &Rig| {
             let epochs = &rig.boot(CABLE).epochs;
@@ -224,8 +138,7 @@ fn a_request_that_is_repeated_has_one_effect_and_the_same_answer() {
         let answers = insist(&mut rig, command);
         assert!(answers.len() >= 2, "{command:?}");
         assert!(answers.iter().all(|answer| *answer == answers[0]), "{command:?}: {answers:02x?}");
-        let expected = usize::from(reason != EpochReason::Start);
-        assert_eq!(effects(&rig) - before, expected, "{command:?}");
+        assert_eq!(effects(&rig) - before, 1, "{command:?}");
     }
     assert_eq!(rig.settings(), Settings::default());
     assert_replays(rig.boot(CABLE));
@@ -354,7 +267,7 @@ fn settings_and_parameters_survive_a_restart() {
         rig.restart();
         rig.run(3.0);
         assert_eq!(rig.settings(), settings);
-        assert_eq!(active(&mut rig), (Some(set), id));
+        assert_eq!(active(&mut rig), (set, id));
         assert_eq!(newest_epoch_id(&rig), id);
         let hello = rig.boot(CABLE).hello.unwrap();
         assert_eq!((hello.boot_count, hello.parameter_id.0), (start, id));
@@ -368,7 +281,7 @@ fn settings_and_parameters_survive_a_restart() {
             rig.run(2.0);
         }
         assert_eq!(rig.settings(), Settings::default());
-        assert_eq!(active(&mut rig), (None, 0));
+        assert_eq!(active(&mut rig), UNCALIBRATED);
         rig.run(1.0);
         assert_eq!(newest_epoch_id(&rig), 0);
     }
@@ -399,27 +312,22 @@ fn a_worn_out_memory_refuses_writes_and_everything_stays_as_it_was() {
     let id = active(&mut rig).1;
     let before = rig.settings();
     rig.board.storage().set_worn_out(true);
-    let hash = stage(&mut rig, &usual_parameters(0.75));
-    for write in [
-        Command::SetSettings(Settings { rate_hz: 400, ..before }),
-        Command::CommitParameters { hash },
-        Command::FactoryReset,
-    ] {
+    let other = Command::SetParameters(usual_parameters(0.75));
+    for write in
+        [Command::SetSettings(Settings { rate_hz: 400, ..before }), other, Command::FactoryReset]
+    {
         let answer = rig.ask(CABLE, write);
         assert_eq!(answer, Answer::Refused(Refusal::StoreFailed), "{write:?}");
         assert_eq!(rig.settings(), before, "{write:?}");
-        assert_eq!(active(&mut rig), (Some(set), id), "{write:?}");
+        assert_eq!(active(&mut rig), (set, id), "{write:?}");
         rig.run(2.0);
         assert_eq!(newest_epoch_id(&rig), id, "{write:?}");
         let epochs = &rig.boot(CABLE).epochs;
         let period = epochs[epochs.len() - 1].epoch.period_ns;
         assert!(period.abs_diff(10_000_000) < 50_000, "{write:?}: {period}");
     }
-    // What was staged is still there when the memory is.
     rig.board.storage().set_worn_out(false);
-    let answer = rig.ask(CABLE, Command::CommitParameters { hash });
-    assert!(matches!(answer, Answer::Accepted(_)), "{answer:?}");
-    assert_eq!(active(&mut rig).1, hash);
+    push(&mut rig, &usual_parameters(0.75));
     assert_replays(rig.boot(CABLE));
 }
 
@@ -441,7 +349,7 @@ fn a_board_with_a_worn_out_memory_starts_and_says_so() {
 fn a_damaged_record_is_told_and_the_board_runs_without_it() {
     let settings = Settings { rate_hz: 200, ..Settings::default() };
     let parameters = Key::Parameters { range_g: 2 };
-    for key in [parameters, Key::Settings, Key::BootCount] {
+    for key in [parameters, Key::Settings] {
         let mut rig = Rig::usual();
         rig.run(1.0);
         rig.set(settings);
@@ -457,7 +365,7 @@ fn a_damaged_record_is_told_and_the_board_runs_without_it() {
         };
         assert_eq!(rig.settings(), expected, "{key:?}");
         let calibrated = key != parameters;
-        assert_eq!(active(&mut rig).0.is_some(), calibrated, "{key:?}");
+        assert_eq!(active(&mut rig) != UNCALIBRATED, calibrated, "{key:?}");
         assert_eq!(newest_epoch_id(&rig) != 0, calibrated, "{key:?}");
         assert!(rig.boot(CABLE).raw.len() > 250, "{key:?}");
         for role in ROLES {
@@ -469,10 +377,8 @@ fn a_damaged_record_is_told_and_the_board_runs_without_it() {
         rig.restart();
         rig.run(1.0);
         assert_eq!(rig.settings(), settings, "{key:?}");
-        assert!(active(&mut rig).0.is_some(), "{key:?}");
-        if key != Key::BootCount {
-            assert_eq!(rig.link(CABLE).events(), [], "{key:?}");
-        }
+        assert_ne!(active(&mut rig), UNCALIBRATED, "{key:?}");
+        assert_eq!(rig.link(CABLE).events(), [], "{key:?}");
     }
 }
 
@@ -491,7 +397,7 @@ fn a_factory_reset_without_a_sensor_does_all_or_nothing() {
     rig.run(2.0);
     match answer {
         Answer::Accepted(_) => {
-            assert_eq!((rig.settings(), active(&mut rig)), (Settings::default(), (None, 0)));
+            assert_eq!((rig.settings(), active(&mut rig)), (Settings::default(), UNCALIBRATED));
             assert_eq!(newest_epoch_id(&rig), 0);
         }
         Answer::Refused(Refusal::SensorFailed) => {

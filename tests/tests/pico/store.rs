@@ -1,14 +1,15 @@
 //! What the flash keeps.
 
-use wimu_link::message::{Event, Payload, SensorStatus, Status, parameter_id};
+use wimu_host::calibration::parameter_id;
+use wimu_link::message::{Event, Payload, SensorStatus, Status};
 use wimu_link::{Answer, Command, LinkRole, Settings};
 use wimu_model::{ParameterId, ParameterSet, Sensitivity};
 use wimu_testkit::figure;
-use wimu_tests::{ROLES, staging, who_are_you};
+use wimu_tests::{ROLES, compiled, who_are_you};
 
 use super::run::{CABLE, Run, WIRELESS, cut, happens, rate, request, run, send};
 
-/// What the image needs beside its static memory, bytes: staging, storing and reading a set.
+/// What the image needs beside its static memory, bytes: storing and reading a set.
 const MOST_STACK: u64 = 10_240;
 
 fn set(lsb_per_g: f64) -> ParameterSet {
@@ -16,28 +17,26 @@ fn set(lsb_per_g: f64) -> ParameterSet {
     ParameterSet::uncalibrated(2, sensitivity)
 }
 
-/// The two frames that push a set, under ids from `id` on.
-fn push(set: &ParameterSet, id: u32) -> [Vec<u8>; 2] {
-    let hash = parameter_id(set).0;
-    [request(id, staging(&set.into())), request(id + 1, Command::CommitParameters { hash })]
+/// The frame that pushes a set, under an id.
+fn push(set: &ParameterSet, id: u32) -> Vec<u8> {
+    request(id, Command::SetParameters(compiled(set)))
 }
 
 #[test]
 #[ignore = "cargo xtask release --only pico"]
 fn a_set_that_was_pushed_is_in_use_after_the_power_was_off() {
     let set = set(16_500.0);
-    let [stage, commit] = push(&set, 1);
+    let push = push(&set, 1);
     let run = run(
         4.0,
         &[
-            send(1_000, CABLE, &stage),
-            send(1_300, CABLE, &commit),
+            send(1_300, CABLE, &push),
             happens(2_500, "power"),
-            send(3_300, CABLE, &request(1, Command::GetParameters { offset: 0 })),
+            send(3_300, CABLE, &request(1, Command::GetParameters)),
         ],
     );
     let stack = run.report["stack_bytes"].as_u64().expect("a number");
-    let claim = "Pico: stack while a set is staged, stored and read, bytes";
+    let claim = "Pico: stack while a set is stored and read, bytes";
     let target = format!("at most {MOST_STACK}");
     figure(claim, stack, &target, stack <= MOST_STACK);
     assert!(stack <= MOST_STACK, "{stack}");
@@ -57,16 +56,10 @@ fn power_that_fails_in_the_middle_of_any_write_leaves_the_old_set_or_the_new_one
     let [old, new] = [16_500.0, 16_200.0].map(set);
     let mut outcomes = Vec::new();
     for count in 1.. {
-        let ([stage, commit], [stage_new, commit_new]) = (push(&old, 1), push(&new, 3));
+        let (push_old, push_new) = (push(&old, 1), push(&new, 3));
         let run = run(
             3.2,
-            &[
-                send(700, CABLE, &stage),
-                send(1_000, CABLE, &commit),
-                send(1_500, CABLE, &stage_new),
-                cut(1_700, count),
-                send(1_800, CABLE, &commit_new),
-            ],
+            &[send(1_000, CABLE, &push_old), cut(1_700, count), send(1_800, CABLE, &push_new)],
         );
         if run.report["resets"] == 0 {
             break;
@@ -108,9 +101,8 @@ fn pushed_at(rate_hz: u16, pushes: u32, flash: &str) -> Run {
         send(2_600, CABLE, &who_are_you()),
     ];
     for k in 0..pushes {
-        let [stage, commit] = push(&set(16_000.0 + f64::from(k)), 10 + 2 * k);
-        let at = 5_000 + k * 1_000;
-        script.extend([send(at, CABLE, &stage), send(at + 500, CABLE, &commit)]);
+        let push = push(&set(16_000.0 + f64::from(k)), 10 + k);
+        script.push(send(5_500 + k * 1_000, CABLE, &push));
     }
     let end = 7_000 + pushes * 1_000;
     script.push(send(end, CABLE, &request(900, Command::GetStatus)));

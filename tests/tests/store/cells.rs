@@ -1,10 +1,9 @@
 //! Flash whose cells read differently each time after power was lost while they were changed.
 
 use std::cell::RefCell;
-use std::convert::Infallible;
 use std::rc::Rc;
 
-use embedded_storage_async::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
+use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 
 use super::*;
 
@@ -25,6 +24,7 @@ pub struct Chip {
     source: Random,
     /// Units and pages that can be changed before power is lost.
     left: Option<u64>,
+    has_power: bool,
     changed: u64,
     /// That of the change which was interrupted last.
     latest_doubt: Option<Doubt>,
@@ -59,6 +59,7 @@ impl Cells {
             unit,
             source: Random::new(seed),
             left: None,
+            has_power: true,
             changed: 0,
             latest_doubt: None,
         })))
@@ -73,14 +74,16 @@ impl Cells {
         Self(Rc::new(RefCell::new(chip)))
     }
 
-    fn lose_power_after(&self, changes: Option<u64>) {
-        self.0.borrow_mut().left = changes;
+    pub fn lose_power_after(&self, changes: Option<u64>) {
+        let mut chip = self.0.borrow_mut();
+        chip.left = changes;
+        chip.has_power = true;
     }
 
     /// Makes a change without losing power; returns how many units and pages it changed.
     pub fn steps_of(&self, change: &Change, next: &Model) -> u64 {
-        assert_eq!(change.make(&mut self.start()), Some(Ok(())), "{change:?}");
-        assert!(self.held() == Some(Ok(next.clone())), "{change:?}");
+        assert_eq!(change.make(&mut self.start()), Ok(()), "{change:?}");
+        assert!(self.held() == Ok(next.clone()), "{change:?}");
         self.0.borrow().changed
     }
 
@@ -94,26 +97,28 @@ impl Cells {
         FlashStore::new(self.clone(), layout, 0)
     }
 
-    /// What a store finds that has just started; `None` when power was lost.
-    pub fn held(&self) -> Option<Result<Model, StoreFault>> {
+    /// What a store finds that has just started.
+    pub fn held(&self) -> Result<Model, StoreFault> {
         let mut store = self.start();
         let mut model = Model::new();
         let mut record = [0; MAX_RECORD];
         for key in KEYS {
-            match done(store.load(key, &mut record))? {
-                Ok(None) => {}
-                Ok(Some(length)) => drop(model.insert(number(key), record[..length].to_vec())),
-                Err(fault) => return Some(Err(fault)),
+            if let Some(length) = store.load(key, &mut record)? {
+                model.insert(number(key), record[..length].to_vec());
             }
         }
-        Some(Ok(model))
+        Ok(model)
     }
 }
 
 impl Chip {
     /// Changes bytes; false when power is lost meanwhile.
     fn change(&mut self, at: usize, length: usize, change: impl Fn(usize, u8) -> u8) -> bool {
+        if !self.has_power {
+            return false;
+        }
         let interrupted = self.left == Some(0);
+        self.has_power = !interrupted;
         let doubt = DOUBTS[self.source.below(DOUBTS.len())];
         if interrupted {
             self.latest_doubt = Some(doubt);
@@ -138,14 +143,17 @@ impl Chip {
 }
 
 impl ErrorType for Cells {
-    type Error = Infallible;
+    type Error = NorFlashErrorKind;
 }
 
 impl ReadNorFlash for Cells {
     const READ_SIZE: usize = 1;
 
-    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Infallible> {
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
         let chip = &mut *self.0.borrow_mut();
+        if !chip.has_power {
+            return Err(NorFlashErrorKind::Other);
+        }
         let range = offset as usize..offset as usize + bytes.len();
         bytes.copy_from_slice(&chip.before[range.clone()]);
         if bytes == &chip.after[range.clone()] {
@@ -170,21 +178,23 @@ impl ReadNorFlash for Cells {
     }
 }
 
+impl PageFlash for Cells {}
+
 impl NorFlash for Cells {
     const WRITE_SIZE: usize = 4;
     const ERASE_SIZE: usize = PAGE;
 
-    async fn erase(&mut self, from: u32, to: u32) -> Result<(), Infallible> {
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
         for page in (from as usize..to as usize).step_by(PAGE) {
             let done = self.0.borrow_mut().change(page, PAGE, |_, _| 0xFF);
             if !done {
-                std::future::pending().await
+                return Err(NorFlashErrorKind::Other);
             }
         }
         Ok(())
     }
 
-    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Infallible> {
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
         let unit = self.0.borrow().unit;
         let (mut at, mut bytes) = (offset as usize, bytes);
         while !bytes.is_empty() {
@@ -192,7 +202,7 @@ impl NorFlash for Cells {
             let program = |index: usize, byte| byte & part[index];
             let done = self.0.borrow_mut().change(at, part.len(), program);
             if !done {
-                std::future::pending().await
+                return Err(NorFlashErrorKind::Other);
             }
             (at, bytes) = (at + part.len(), rest);
         }
@@ -205,12 +215,12 @@ impl NorFlash for Cells {
 pub fn assert_writable(flash: &Cells, model: &Model, source: &mut Random, context: &str) {
     let flash = flash.copy(source.bits());
     let mut model = model.clone();
-    let save = Change::Save(KEYS[source.below(KEYS.len())], source.bytes(300));
+    let save = Change::Save(KEYS[source.below(KEYS.len())], source.bytes(200));
     for change in [save, Change::FactoryReset, Change::LostKey] {
-        assert_eq!(change.make(&mut flash.start()), Some(Ok(())), "{context}");
+        assert_eq!(change.make(&mut flash.start()), Ok(()), "{context}");
         model = change.apply(&model);
         for _ in 0..2 {
-            assert!(flash.held() == Some(Ok(model.clone())), "{context}: {change:?}");
+            assert!(flash.held() == Ok(model.clone()), "{context}: {change:?}");
         }
     }
 }
@@ -256,7 +266,7 @@ pub fn lose_power_once(
     let torn = flash.copy(source.bits());
     torn.lose_power_after(Some(at));
     // The order of steps can differ where cells read differently: nothing is lost then.
-    let is_done = change.make(&mut torn.start()) == Some(Ok(()));
+    let is_done = change.make(&mut torn.start()) == Ok(());
     counts.cuts += 1;
     if let Some(doubt) = torn.0.borrow().latest_doubt {
         counts.by_doubt[doubt as usize] += 1;
@@ -267,8 +277,7 @@ pub fn lose_power_once(
         counts.cuts_in_repairs += 1;
     }
     torn.lose_power_after(None);
-    let found = torn.held().expect("power");
-    let found = found.unwrap_or_else(|_| panic!("{context}"));
+    let found = torn.held().unwrap_or_else(|_| panic!("{context}"));
     if found == *next {
         counts.took_new += 1;
     } else {
@@ -279,13 +288,13 @@ pub fn lose_power_once(
     }
     // What a start has found stays.
     for _ in 0..2 {
-        assert!(torn.held() == Some(Ok(found.clone())), "{context}");
+        assert!(torn.held() == Ok(found.clone()), "{context}");
     }
     if counts.cuts.is_multiple_of(3) {
         assert_writable(&torn, &found, source, context);
     }
-    assert_eq!(change.make(&mut torn.start()), Some(Ok(())), "{context}");
-    assert!(torn.held() == Some(Ok(next.clone())), "{context}, again");
+    assert_eq!(change.make(&mut torn.start()), Ok(()), "{context}");
+    assert!(torn.held() == Ok(next.clone()), "{context}, again");
     torn
 }
 

@@ -66,12 +66,16 @@ impl InertialSensor for NoSensor {
 struct NoStore;
 
 impl Store for NoStore {
-    async fn load(&mut self, _: Key, _: &mut [u8]) -> Result<Option<usize>, StoreFault> {
+    fn load(&mut self, _: Key, _: &mut [u8]) -> Result<Option<usize>, StoreFault> {
         Ok(None)
     }
 
     async fn save(&mut self, _: Key, _: &[u8]) -> Result<(), StoreFault> {
         Ok(())
+    }
+
+    async fn count_start(&mut self) -> Result<u32, StoreFault> {
+        Ok(1)
     }
 
     async fn remove(&mut self, _: fn(Key) -> bool) -> Result<(), StoreFault> {

@@ -41,7 +41,7 @@ fn body(hello: &Hello) -> ([u8; 256], usize) {
 fn fields_stand_where_the_table_says() {
     let (body, length) = body(&example());
     assert_eq!(length, 80);
-    assert_eq!(&body[..8], b"WIMU\x50\x02\x02\x00");
+    assert_eq!(&body[..8], b"WIMU\x50\x03\x02\x00");
     assert_eq!(body[8..16], 0x0123_4567_89ab_cdef_u64.to_le_bytes());
     assert_eq!(body[16..20], 7_u32.to_le_bytes());
     assert_eq!(body[20..24], 0b10001_u32.to_le_bytes());

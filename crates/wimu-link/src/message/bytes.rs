@@ -4,10 +4,11 @@ use core::fmt;
 
 use serde::de::{self, Deserializer, Visitor};
 use serde::{Deserialize, Serialize, Serializer};
+use wimu_model::{CompiledSet, SetError};
 
 /// A string of up to `$max` bytes.
 macro_rules! short_bytes {
-    ($(#[$attribute:meta])* $name:ident, $max:literal, $length:ident) => {
+    ($(#[$attribute:meta])* $name:ident, $max:expr, $length:ident) => {
         $(#[$attribute])*
         #[derive(Clone, Copy, PartialEq, Eq)]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -62,7 +63,7 @@ macro_rules! short_bytes {
                     type Value = $name;
 
                     fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-                        out.write_str(concat!("at most ", $max, " bytes"))
+                        write!(out, "at most {} bytes", $name::MAX)
                     }
 
                     fn visit_bytes<E: de::Error>(self, bytes: &[u8]) -> Result<$name, E> {
@@ -83,8 +84,9 @@ short_bytes!(
 );
 
 short_bytes!(
-    /// A piece of a parameter set's wire form.
-    Piece, 256, u16
+    /// The bytes of a [`CompiledSet`](wimu_model::CompiledSet); none: uncalibrated. Without the feature `parameters` it has
+    /// room for none.
+    SetBytes, if cfg!(feature = "parameters") { CompiledSet::MAX_BYTES } else { 0 }, u16
 );
 
 impl Signature {
@@ -94,8 +96,29 @@ impl Signature {
     }
 }
 
-impl fmt::Debug for Piece {
+impl fmt::Debug for SetBytes {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.debug_list().entries(self.as_bytes()).finish()
+    }
+}
+
+impl From<&CompiledSet> for SetBytes {
+    fn from(set: &CompiledSet) -> Self {
+        let mut bytes = [0; CompiledSet::MAX_BYTES];
+        let length = set.to_bytes(&mut bytes);
+        Self::new(bytes.get(..length).unwrap_or_default()).unwrap_or_default()
+    }
+}
+
+impl SetBytes {
+    /// The set; `None` without one.
+    ///
+    /// # Errors
+    /// [`SetError`] when it is not one.
+    pub fn set(&self) -> Result<Option<CompiledSet>, SetError> {
+        match self.as_bytes() {
+            [] => Ok(None),
+            bytes => CompiledSet::from_bytes(bytes).map(Some),
+        }
     }
 }

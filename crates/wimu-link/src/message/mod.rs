@@ -19,65 +19,40 @@ use crate::frame::{self, EncodeError, Kind};
 
 mod bytes;
 mod epoch;
-mod exchange;
-mod fault;
-mod parameters;
-mod quality;
 mod request;
 mod settings;
-mod state;
 mod telemetry;
 
-pub use bytes::{Piece, Signature};
-pub use epoch::{Epoch, EpochGyroscope, EpochReason};
-pub use fault::{
-    ParameterFault, WireGyroscopeTerm, WireMagnetometerFault, WireQualityFault, WireTerm,
-};
-pub use parameters::{
-    EncodedParameters, ParametersPiece, WireGyroscope, WireParameters, parameter_id,
-};
-pub use quality::{WireMagnetometer, WireMagnetometerRotation, WireMethod, WireQuality};
+pub use bytes::{SetBytes, Signature};
+pub use epoch::{ARITHMETIC_REVISION, Epoch, EpochGyroscope, EpochReason};
 pub(crate) use request::Head;
 pub use request::{Answer, Command, Payload, Refusal, Reply, Request};
 pub use settings::{Resolution, Settings, Streams};
-pub use state::{
-    ARITHMETIC_REVISION, WirePhase, WireRotation, WireRun, WireSegment, WireState, WireWindow,
-};
 pub use telemetry::{
-    ActiveParameters, Attitude, BusFault, Environment, Event, LinkStatus, Navigation, Record,
-    SensorStatus, StackStatus, Status, Telemetry,
+    Attitude, BusFault, Environment, Event, LinkStatus, Navigation, SensorStatus, StackStatus,
+    Status, Telemetry,
 };
 
 macro_rules! framed {
-    ($message:ident $(<$parameters:ident>)?, $kind:ident) => {
-        impl$(<$parameters: Serialize>)? $message$(<$parameters>)? {
+    ($message:ident) => {
+        impl $message {
             /// Encodes it into a frame; returns the frame's length, bytes.
             ///
             /// # Errors
             /// [`EncodeError::NoRoom`] when the frame does not fit.
             pub fn encode(&self, frame: &mut [u8]) -> Result<usize, EncodeError> {
-                encode(Kind::$kind, self, frame)
+                encode(Kind::$message, self, frame)
             }
         }
     };
 }
 
-framed!(Telemetry<P>, Telemetry);
-framed!(Request, Request);
-framed!(Reply<P>, Reply);
+framed!(Telemetry);
+framed!(Request);
+framed!(Reply);
 
 fn encode<T: Serialize>(kind: Kind, message: &T, frame: &mut [u8]) -> Result<usize, EncodeError> {
-    encode_within(frame::MAX_BODY, kind, message, frame)
-}
-
-/// The same with a body of up to `longest` bytes.
-fn encode_within<T: Serialize>(
-    longest: usize,
-    kind: Kind,
-    message: &T,
-    frame: &mut [u8],
-) -> Result<usize, EncodeError> {
-    frame::build_within(longest, kind, frame, &mut |body| {
+    frame::build(kind, frame, &mut |body| {
         let mut outcome = Ok(());
         let written = serialize(message, &mut |bytes| {
             outcome = body.push(bytes);

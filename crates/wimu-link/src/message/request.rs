@@ -5,12 +5,11 @@ use core::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::MessageError;
-use super::bytes::{Piece, Signature};
-use super::fault::ParameterFault;
-use super::parameters::ParametersPiece;
+use super::bytes::{SetBytes, Signature};
 use super::settings::Settings;
 use super::telemetry::Status;
 use crate::auth::{DeviceKey, KeyId, Nonce};
+use wimu_model::SetError;
 
 /// A request of a host. [`Requester`](crate::Requester) makes requests and
 /// [`Responder`](crate::Responder) processes them.
@@ -37,9 +36,9 @@ impl Request {
     }
 }
 
-impl<'a> Command<&'a [u8]> {
+impl Command {
     /// Decodes the part of a request after its head.
-    pub(crate) fn decode(bytes: &'a [u8]) -> Result<Self, MessageError> {
+    pub(crate) fn decode(bytes: &[u8]) -> Result<Self, MessageError> {
         super::decode(bytes)
     }
 }
@@ -61,32 +60,14 @@ impl Head {
 
 /// A command, and the payload that it returns. Commands set absolute values, so that repeating one has no
 /// further effect. Append only.
-///
-/// `P` is a piece of a parameter set; a device borrows it from the request's body.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
-pub enum Command<P = Piece> {
-    /// A piece of the parameters in use: [`Payload::Parameters`].
-    GetParameters {
-        /// Its first byte.
-        offset: u16,
-    },
-    /// A piece of parameters to check and keep for a commit, in order: [`Payload::None`], and after the
-    /// last one [`Payload::Staged`]. The piece at 0 begins a new set.
-    StageParameters {
-        /// Its first byte.
-        offset: u16,
-        /// Length of the set, bytes.
-        total: u16,
-        /// At most 256 bytes.
-        piece: P,
-    },
-    /// Store the staged parameters and use them: [`Payload::None`].
-    CommitParameters {
-        /// The id that staging them returned.
-        hash: u32,
-    },
+pub enum Command {
+    /// The parameters in use: [`Payload::Parameters`].
+    GetParameters,
+    /// Store these parameters, and use them: [`Payload::None`].
+    SetParameters(SetBytes),
     /// Forget parameters and settings: [`Payload::None`].
     FactoryReset,
     /// The settings in use: [`Payload::Settings`].
@@ -118,39 +99,17 @@ pub enum Command<P = Piece> {
     GetTime,
 }
 
-impl<P> Command<P> {
-    /// The same with another form of the piece.
-    pub fn map<Q>(self, change: impl FnOnce(P) -> Q) -> Command<Q> {
-        match self {
-            Self::StageParameters { offset, total, piece } => {
-                Command::StageParameters { offset, total, piece: change(piece) }
-            }
-            Self::GetParameters { offset } => Command::GetParameters { offset },
-            Self::CommitParameters { hash } => Command::CommitParameters { hash },
-            Self::FactoryReset => Command::FactoryReset,
-            Self::GetSettings => Command::GetSettings,
-            Self::SetSettings(settings) => Command::SetSettings(settings),
-            Self::GetStatus => Command::GetStatus,
-            Self::SetLineRate { link, baud } => Command::SetLineRate { link, baud },
-            Self::OpenSession => Command::OpenSession,
-            Self::GetKeyStatus => Command::GetKeyStatus,
-            Self::SetKey(key) => Command::SetKey(key),
-            Self::ForgetKey => Command::ForgetKey,
-            Self::GetTime => Command::GetTime,
-        }
-    }
-
+impl Command {
     /// Whether it changes the device's state.
     pub fn is_write(&self) -> bool {
         match self {
-            Self::GetParameters { .. }
+            Self::GetParameters
             | Self::GetSettings
             | Self::GetStatus
             | Self::OpenSession
             | Self::GetKeyStatus
             | Self::GetTime => false,
-            Self::StageParameters { .. }
-            | Self::CommitParameters { .. }
+            Self::SetParameters(_)
             | Self::FactoryReset
             | Self::SetSettings(_)
             | Self::SetLineRate { .. }
@@ -167,7 +126,7 @@ impl<P> Command<P> {
 /// A device's answer to a request.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Reply<P = Piece> {
+pub struct Reply {
     /// The request's.
     pub session: u32,
     /// The request's.
@@ -175,7 +134,7 @@ pub struct Reply<P = Piece> {
     /// Authenticates the reply, if the request was signed with the right key.
     pub signature: Signature,
     /// The answer.
-    pub answer: Answer<P>,
+    pub answer: Answer,
 }
 
 impl Reply {
@@ -214,9 +173,9 @@ impl Answer {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
-pub enum Answer<P = Piece> {
+pub enum Answer {
     /// It was executed.
-    Accepted(Payload<P>),
+    Accepted(Payload),
     /// It was not executed.
     Refused(Refusal),
     /// The device does not know this command.
@@ -227,16 +186,11 @@ pub enum Answer<P = Piece> {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
-pub enum Payload<P = Piece> {
+pub enum Payload {
     /// Nothing.
     None,
-    /// A piece of the parameters in use.
-    Parameters(ParametersPiece<P>),
-    /// The parameters are staged.
-    Staged {
-        /// Their id, for the commit.
-        hash: u32,
-    },
+    /// The parameters in use.
+    Parameters(SetBytes),
     /// The settings in use.
     Settings(Settings),
     /// The device's status.
@@ -268,21 +222,14 @@ pub enum Refusal {
     KeyNeeded,
     /// Writes on this link are locked: the device cannot read its key or boot count.
     Locked,
-    /// The parameters are invalid.
-    InvalidParameters(ParameterFault),
+    /// The parameters are not a set for this device.
+    InvalidParameters(SetError),
     /// The parameters are for another full-scale range than the device's.
     WrongRange {
         /// That of the parameters, ± *g*.
         parameters_g: u8,
         /// The device's, ± *g*.
         device_g: u8,
-    },
-    /// A commit without staged parameters.
-    NothingStaged,
-    /// The commit's id differs from that of the staged parameters.
-    HashMismatch {
-        /// The id of the staged parameters.
-        staged: u32,
     },
     /// The device does not support these settings.
     UnsupportedSettings {
@@ -295,13 +242,6 @@ pub enum Refusal {
     SensorFailed,
     /// The request is older than an answered one, or its id was used for another request.
     Stale,
-    /// The parameters are for another sensitivity than the sensor has at this range.
-    WrongSensitivity {
-        /// That of the parameters, LSB/*g*.
-        parameters_lsb_per_g: f64,
-        /// The sensor's, LSB/*g*.
-        device_lsb_per_g: f64,
-    },
     /// The link's rate cannot be set, or there is no such link.
     FixedLineRate,
     /// The radio adapter on the line determines its rate, which cannot be changed over that link.
@@ -319,11 +259,6 @@ pub enum Refusal {
     SessionEnded,
     /// Keys are set and forgotten over the cable only.
     CableOnly,
-    /// The piece of parameters does not continue the pieces that the device has.
-    WrongPiece {
-        /// Number of bytes that it has.
-        received: u16,
-    },
     /// The device's firmware was built without this function ([`Capabilities`](crate::hello::Capabilities)).
     NotSupported,
     /// A reason that is unknown to this version; never sent. Keep it last.
@@ -343,20 +278,13 @@ impl fmt::Display for Refusal {
             Self::Locked => out.write_str(
                 "writes are locked: the device cannot read its key or boot count; run `wimu key rotate` over the cable; if refused, see docs/SECURITY.md (lost key)",
             ),
-            Self::InvalidParameters(fault) => write!(out, "the parameters are invalid: {fault}"),
+            Self::InvalidParameters(fault) => fault.fmt(out),
             Self::WrongRange {
                 parameters_g,
                 device_g,
             } => write!(
                 out,
                 "the parameters are for ±{parameters_g} g, the device is set to ±{device_g} g; set its range or calibrate at this one"
-            ),
-            Self::NothingStaged => {
-                out.write_str("no parameters are staged; push them again from the start")
-            }
-            Self::HashMismatch { staged } => write!(
-                out,
-                "other parameters ({staged:08x}) are staged: another host is writing; push again"
             ),
             Self::UnsupportedSettings { nearest } => write!(
                 out,
@@ -391,23 +319,12 @@ impl fmt::Display for Refusal {
             Self::CableOnly => {
                 out.write_str("keys are changed over the cable only; connect the cable")
             }
-            Self::WrongSensitivity {
-                parameters_lsb_per_g,
-                device_lsb_per_g,
-            } => write!(
-                out,
-                "the parameters are for {parameters_lsb_per_g} LSB/g, the sensor has {device_lsb_per_g} LSB/g; calibrate from this board's own recording"
-            ),
             Self::NotSupported => out.write_str(
                 "the device's firmware was built without this function; flash a firmware that has it",
             ),
             Self::Other { number } => write!(
                 out,
                 "the device refuses for a reason unknown to this version (refusal {number}); update this end"
-            ),
-            Self::WrongPiece { received } => write!(
-                out,
-                "the piece does not continue the {received} bytes of parameters received on this link: another host may be pushing; push again from the start"
             ),
             Self::FixedLineRate => {
                 out.write_str("this link's rate cannot be set on the device; use its present rate")

@@ -4,6 +4,8 @@ use core::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use super::MessageError;
+
 /// The streams of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -77,6 +79,24 @@ pub struct Settings {
     pub cable: Streams,
     /// Streams of the wireless link.
     pub wireless: Streams,
+}
+
+impl Settings {
+    /// Longest form in bytes.
+    pub const MAX_BYTES: usize = 1 + 3 + 1 + 1 + 5 + 2 * 6;
+
+    /// Writes its form in messages, for a store; returns its length, bytes.
+    pub fn to_bytes(&self, bytes: &mut [u8; Self::MAX_BYTES]) -> usize {
+        postcard::to_slice(self, bytes).map_or(0, |used| used.len())
+    }
+
+    /// Reads it.
+    ///
+    /// # Errors
+    /// [`MessageError`] when the bytes are not exactly that.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, MessageError> {
+        super::decode(bytes)
+    }
 }
 
 impl Default for Settings {

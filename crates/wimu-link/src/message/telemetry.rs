@@ -2,32 +2,29 @@
 
 use core::fmt;
 
-use serde::de::{Deserializer, Error as _, SeqAccess, Visitor};
-use serde::ser::{SerializeTuple as _, Serializer};
 use serde::{Deserialize, Serialize};
 
 use super::MessageError;
+use super::bytes::SetBytes;
 use super::epoch::Epoch;
-use super::fault::ParameterFault;
-use super::parameters::{EncodedParameters, ParametersPiece, WireParameters};
 use super::settings::Settings;
-use super::state::WirePhase;
-use crate::frame::{EncodeError, Kind, MAX_RECORD_BODY, WIRE_VERSION};
 use crate::tag::Tag;
+use wimu_integrator::Phase;
+use wimu_model::SetError;
 
 /// Messages that a device sends without a request, other than samples. Append only.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
-pub enum Telemetry<P = WireParameters> {
+pub enum Telemetry {
     /// A start point for replaying samples.
     Epoch(Epoch),
     /// Magnetic field and temperature, at their own rate.
     Environment(Environment),
     /// Velocity and position.
     Navigation(Navigation),
-    /// The parameters in use: in a device's store only.
-    Parameters(ActiveParameters<P>),
+    /// The parameters in use. Sent at the start and whenever they change.
+    Parameters(SetBytes),
     /// The settings in use.
     Settings(Settings),
     /// The device's status.
@@ -41,57 +38,9 @@ pub enum Telemetry<P = WireParameters> {
     },
     /// The attitude, with [`Navigation`] where there is a gyroscope.
     Attitude(Attitude),
-    /// A piece of the parameters in use.
-    ParametersPiece(ParametersPiece),
     /// The authentication of the frames before it. Sent by devices with the feature `auth`: others are as small as before.
     #[cfg_attr(not(feature = "auth"), serde(skip_serializing))]
     Tag(Tag),
-}
-
-/// The messages that a device also stores.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Record<'a> {
-    /// [`Telemetry::Parameters`] with a set.
-    Parameters(EncodedParameters<'a>),
-    /// [`Telemetry::Settings`].
-    Settings(Settings),
-}
-
-impl<'a> Record<'a> {
-    /// Encodes a parameter set into a frame for a store, of which
-    /// [`MAX_RECORD`](crate::frame::MAX_RECORD) bytes are enough; returns its length, bytes.
-    ///
-    /// # Errors
-    /// [`EncodeError`] when the set is too long or the frame does not fit.
-    pub fn encode_parameters(
-        set: EncodedParameters,
-        frame: &mut [u8],
-    ) -> Result<usize, EncodeError> {
-        let message = Telemetry::Parameters(ActiveParameters { active: Some(set), id: set.id().0 });
-        super::encode_within(MAX_RECORD_BODY, Kind::Telemetry, &message, frame)
-    }
-
-    /// Decodes an [opened](crate::frame::open) record.
-    ///
-    /// # Errors
-    /// [`MessageError`] when it is not exactly one of these messages.
-    pub fn decode(opened: &'a [u8]) -> Result<Self, MessageError> {
-        const TELEMETRY: u8 = (WIRE_VERSION << 4) | Kind::Telemetry as u8;
-        match opened {
-            // The index of the variant, the id, and a set.
-            [TELEMETRY, 3, rest @ ..] => match postcard::take_from_bytes::<u32>(rest)? {
-                (_, [1, set @ ..]) => {
-                    let parameters = EncodedParameters(set);
-                    parameters.decode()?;
-                    Ok(Self::Parameters(parameters))
-                }
-                _ => Err(MessageError::Malformed),
-            },
-            [TELEMETRY, 4, settings @ ..] => super::decode(settings).map(Self::Settings),
-            _ => Err(MessageError::Malformed),
-        }
-    }
 }
 
 impl Telemetry {
@@ -101,14 +50,15 @@ impl Telemetry {
     /// # Errors
     /// [`MessageError`] when it is not a known message.
     pub fn decode(body: &[u8]) -> Result<Self, MessageError> {
-        const EVENT: u32 = 6;
-        super::decode_beginning(body).or_else(|error| {
-            match (error, super::decode_beginning::<(u32, u64, u32)>(body)) {
-                (MessageError::Malformed, Ok((EVENT, time_us, number))) => {
-                    Ok(Self::Event { time_us, event: Event::Other { number } })
-                }
-                _ => Err(error),
+        super::decode_beginning(body).or_else(|error| match *body {
+            [0, ref epoch @ ..] => {
+                Epoch::of_another_revision(epoch).map(Self::Epoch).map_err(|_| error)
             }
+            [6, ref event @ ..] if error == MessageError::Malformed => {
+                let (time_us, number) = super::decode_beginning(event).map_err(|_| error)?;
+                Ok(Self::Event { time_us, event: Event::Other { number } })
+            }
+            _ => Err(error),
         })
     }
 }
@@ -138,7 +88,7 @@ pub struct Navigation {
     /// Time since velocity was last known to be zero, ms.
     pub since_rest_ms: u32,
     /// Phase of the integrator; while searching, position and velocity are undefined.
-    pub phase: WirePhase,
+    pub phase: Phase,
     /// The bits of [`wimu_integrator::Flags`].
     pub flags: u8,
     /// Standard deviation of the heading against magnetic north, mrad; `None`:
@@ -154,7 +104,7 @@ impl Navigation {
             position_nm: navigation.position.0,
             velocity_nmps: navigation.velocity.0,
             since_rest_ms: navigation.since_rest_ms,
-            phase: navigation.phase.into(),
+            phase: navigation.phase,
             flags: navigation.flags.0,
             heading_sd_mrad: navigation.heading_sd_mrad,
         }
@@ -178,18 +128,8 @@ impl Attitude {
     }
 }
 
-/// The parameters in use. Sent at start and whenever they change.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct ActiveParameters<P = WireParameters> {
-    /// The id of the committed set, 0 without one.
-    pub id: u32,
-    /// The set; `None` if the device is uncalibrated.
-    pub active: Option<P>,
-}
-
 /// Status of a device. Counts begin at its start and wrap.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Status {
     /// Time since start, µs.
@@ -205,63 +145,8 @@ pub struct Status {
     /// Jitter of the data-ready times, ns: running mean of the deviation of their intervals from the measured
     /// period (equation (95)); `None` until it is known.
     pub jitter_ns: Option<u32>,
-    /// The stack; `None` on a board that does not measure it. The last field on the wire, absent if `None`.
+    /// The stack; `None` on a board that does not measure it.
     pub stack: Option<StackStatus>,
-}
-
-/// The fields of a status before the stack.
-type StatusFields =
-    (u64, Option<LinkStatus>, Option<LinkStatus>, SensorStatus, Option<u32>, Option<u32>);
-
-impl Serialize for Status {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let fields: StatusFields = (
-            self.uptime_us,
-            self.cable,
-            self.wireless,
-            self.sensor,
-            self.measured_period_ns,
-            self.jitter_ns,
-        );
-        let mut tuple = serializer.serialize_tuple(2)?;
-        tuple.serialize_element(&fields)?;
-        if self.stack.is_some() {
-            tuple.serialize_element(&self.stack)?;
-        }
-        tuple.end()
-    }
-}
-
-impl<'de> Deserialize<'de> for Status {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Fields;
-
-        impl<'de> Visitor<'de> for Fields {
-            type Value = Status;
-
-            fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-                out.write_str("a status")
-            }
-
-            fn visit_seq<A: SeqAccess<'de>>(self, mut fields: A) -> Result<Status, A::Error> {
-                let first: Option<StatusFields> = fields.next_element()?;
-                let missing = || A::Error::missing_field("status");
-                let (uptime_us, cable, wireless, sensor, measured_period_ns, jitter_ns) =
-                    first.ok_or_else(missing)?;
-                Ok(Status {
-                    uptime_us,
-                    cable,
-                    wireless,
-                    sensor,
-                    measured_period_ns,
-                    jitter_ns,
-                    // Earlier devices end before it.
-                    stack: fields.next_element().ok().flatten().flatten(),
-                })
-            }
-        }
-        deserializer.deserialize_tuple(2, Fields)
-    }
 }
 
 /// Use of a device's stack, bytes.
@@ -334,7 +219,7 @@ pub enum Event {
     /// Stored parameters or settings cannot be read; defaults are used.
     StoreUnreadable,
     /// Stored parameters are not used.
-    ModelRejected(ParameterFault),
+    ParametersRejected(SetError),
     /// The sensor does not support the stored settings; the nearest ones are used.
     SettingsAdjusted,
     /// The device is about to write its flash and receives nothing meanwhile.
@@ -392,10 +277,9 @@ impl fmt::Display for Event {
             Self::StoreUnreadable => out.write_str(
                 "stored parameters or settings cannot be read, the device runs on defaults; push them again",
             ),
-            Self::ModelRejected(fault) => write!(
-                out,
-                "the stored calibration is not used: {fault}; calibrate again"
-            ),
+            Self::ParametersRejected(fault) => {
+                write!(out, "the stored calibration is not used: {fault}; push it again")
+            }
             Self::SettingsAdjusted => out.write_str(
                 "the sensor does not support the stored settings and uses the nearest ones; see `wimu settings get`",
             ),

@@ -1,46 +1,30 @@
 //! Parameter sets: checked, compiled and given to the sampler.
 
-use core::ops::Range;
-
 use embassy_sync::blocking_mutex::raw::RawMutex;
-use wimu_integrator::Compass;
-use wimu_link::hello::sensor;
-use wimu_link::message::{EncodedParameters, Event, ParameterFault, Refusal, WireParameters};
-use wimu_model::{CentiCelsius, Corrector, ParameterId, ParameterSet};
+use wimu_link::message::{Event, Refusal, SetBytes};
+use wimu_model::{CentiCelsius, CompiledSet, ParameterId, SetError};
 
 use super::Control;
-use crate::sample::SENSITIVITY_RATIO;
 use crate::sample::sealed::Process as _;
 use crate::sensor::{InertialSensor, Plan};
-use crate::shared::{Correction, Order, PersistentFault, Set, Staged};
+use crate::shared::{Correction, Order};
 use crate::store::Store;
 use crate::timer::Timer;
 
-/// Change of the temperature after which the corrector is compiled again, 0.01 °C.
+/// Change of the temperature after which the corrector is made again, 0.01 °C.
 const TEMPERATURE_STEP: u16 = 50;
-/// Index of the sensor whose samples the device corrects.
-const CORRECTED: u8 = 0;
 
 impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> {
-    /// Configures the sensor for `plan`, corrected with the set in use, or with the set at the given position
-    /// in `record`, if there is one.
-    pub(super) async fn configure(
-        &mut self,
-        plan: &Plan,
-        with: Option<&Option<Range<usize>>>,
-    ) -> Result<(), Refusal> {
+    /// Configures the sensor for `plan`, corrected with `set`.
+    pub(super) async fn configure(&mut self, plan: &Plan, set: &SetBytes) -> Result<(), Refusal> {
         self.orders.room().await;
         self.shared.configured.reset();
-        let correction = match with {
-            None => self.correction_in_use(plan)?,
-            Some(position) => self.correction(plan, self.set_at(position))?,
-        };
-        self.orders.give(Order::Configure(*plan, correction));
+        self.orders.give(Order::Configure(*plan, self.correction(plan, set)));
         let outcome = self.shared.configured.wait().await;
         outcome.map_err(|_| Refusal::SensorFailed)
     }
 
-    /// Compiles the corrector again after a temperature step.
+    /// Makes the corrector again after a temperature step.
     pub(super) async fn follow_temperature(&mut self, plan: &Plan, temperature: CentiCelsius) {
         let moved = self
             .latched
@@ -48,158 +32,84 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         if moved {
             self.latched = Some(temperature);
             self.orders.room().await;
-            if let Ok(correction) = self.correction_in_use(plan) {
-                self.orders.give(Order::Correct(correction));
-            }
+            self.orders.give(Order::Correct(self.correction(plan, &self.shared.active())));
         }
     }
 
-    /// The corrector for `plan` with the set in use.
-    pub(super) fn correction_in_use(&self, plan: &Plan) -> Result<Correction<A::Sample>, Refusal> {
-        let mut active = Set::NONE;
-        self.shared.active(&mut active);
-        self.correction(plan, active.get())
-    }
-
-    /// The corrector for `plan`: that of the committed parameters if they are for its range, else that of an
-    /// ideal sensor.
-    pub(super) fn correction(
-        &self,
-        plan: &Plan,
-        committed: Option<EncodedParameters>,
-    ) -> Result<Correction<A::Sample>, Refusal> {
+    /// The corrector for `plan`: that of `set` if it is for its range, else that of an ideal sensor.
+    pub(super) fn correction(&self, plan: &Plan, set: &SetBytes) -> Correction<A::Sample> {
         if !cfg!(feature = "correction") {
-            return Ok(Correction {
+            return Correction {
                 correctors: None,
                 parameters: ParameterId::UNCALIBRATED,
                 temperature: None,
                 compass: None,
-            });
+            };
         }
-        let range_g = plan.settings.range_g;
-        if let Some(set) = committed {
-            match self.compiled(plan, set) {
-                Ok((correction, of)) if of == range_g => {
-                    self.clear_fault(PersistentFault::Parameters);
-                    return Ok(correction);
-                }
-                Err(Refusal::InvalidParameters(fault)) => {
-                    let event = Event::ModelRejected(fault);
-                    self.set_fault(PersistentFault::Parameters, event);
-                    self.shared.report(self.timer.now(), event);
-                }
-                _ => {}
-            }
-        }
-        self.ideal(plan)
-    }
-
-    /// The corrector of an ideal sensor.
-    #[inline(never)] // Keeps its set off the stack of the caller.
-    fn ideal(&self, plan: &Plan) -> Result<Correction<A::Sample>, Refusal> {
-        let range_g = plan.settings.range_g;
-        let uncalibrated = ParameterSet::uncalibrated(range_g, plan.sensor.sensitivity);
-        self.compile(plan, &uncalibrated, ParameterId::UNCALIBRATED)
-    }
-
-    /// The corrector of a set, and its full-scale range, ± *g*.
-    pub(super) fn compiled(
-        &self,
-        plan: &Plan,
-        set: EncodedParameters,
-    ) -> Result<(Correction<A::Sample>, u8), Refusal> {
-        let mut wire = WireParameters::BLANK;
-        wire.read(set.0).map_err(|_| Refusal::NothingStaged)?;
-        // By reference: a copy of the set takes 1.2 kB of stack.
-        let decoded = A::Sample::decode(&wire);
-        let decoded = (decoded.as_ref()).map_err(|fault| Refusal::InvalidParameters(*fault))?;
-        Ok((self.compile(plan, decoded, set.id())?, decoded.range_g))
-    }
-
-    pub(super) fn compile(
-        &self,
-        plan: &Plan,
-        set: &ParameterSet,
-        parameters: ParameterId,
-    ) -> Result<Correction<A::Sample>, Refusal> {
-        Ok(Correction {
-            correctors: Some((
-                Corrector::compile(set, self.latched)
-                    .map_err(|fault| Refusal::InvalidParameters(fault.into()))?,
-                A::Sample::compile_gyroscope(set, &plan.sensor, self.latched)
-                    .map_err(Refusal::InvalidParameters)?,
-            )),
-            parameters,
+        let set = set.set().ok().flatten();
+        let set = set.as_ref().filter(|set| set.range_g() == plan.settings.range_g);
+        let accelerometer = match set {
+            Some(set) => set.corrector(self.latched),
+            None => plan.sensor.accelerometer.ideal(),
+        };
+        let gyroscope = A::Sample::gyroscope(set, &plan.sensor, self.latched);
+        Correction {
+            correctors: Some((accelerometer, gyroscope)),
+            parameters: set.map_or(ParameterId::UNCALIBRATED, CompiledSet::source),
             temperature: self.latched,
-            compass: if A::MAGNETOMETER && cfg!(feature = "heading") {
-                Compass::new(set)
-            } else {
-                None
-            },
-        })
+            compass: (set.and_then(CompiledSet::compass).copied())
+                .filter(|_| A::MAGNETOMETER && cfg!(feature = "heading")),
+        }
     }
 
-    /// Checks the received set and stores it in canonical form (rotations of length 1); returns its id.
-    #[inline(never)] // Keeps the decoded set off the stack afterwards.
-    pub(super) fn check_staged(
-        &self,
+    /// The set, if it is one for this device.
+    pub(super) fn checked(&self, set: &SetBytes) -> Result<CompiledSet, SetError> {
+        let set = set.set()?.ok_or(SetError::Length)?;
+        let device = self.shared.with_published(|published| published.hello.device_id);
+        if [0, device].contains(&set.device()) { Ok(set) } else { Err(SetError::Device) }
+    }
+
+    /// Stores a set and uses it. The one in use is left as it is: the answer was lost.
+    pub(super) async fn set_parameters(
+        &mut self,
         plan: &Plan,
-        staging: &mut Staged,
-    ) -> Result<ParameterId, Refusal> {
-        let set = staging.set.get().ok_or(Refusal::NothingStaged)?;
-        let mut wire = WireParameters::BLANK;
-        let read = wire.read(set.0).map_err(ParameterFault::from);
-        read.map_err(Refusal::InvalidParameters)?;
-        let set = A::Sample::decode(&wire);
-        let set = (set.as_ref()).map_err(|fault| Refusal::InvalidParameters(*fault))?;
-        self.check_sensor(&wire).map_err(Refusal::InvalidParameters)?;
-        wire.take_rotations(set);
-        if set.range_g != plan.settings.range_g {
+        bytes: &SetBytes,
+    ) -> Result<(), Refusal> {
+        let set = self.checked(bytes).map_err(Refusal::InvalidParameters)?;
+        if set.range_g() != plan.settings.range_g {
             return Err(Refusal::WrongRange {
-                parameters_g: set.range_g,
+                parameters_g: set.range_g(),
                 device_g: plan.settings.range_g,
             });
         }
-        self.compile(plan, set, ParameterId::UNCALIBRATED)?;
-        let ratio = set.sensitivity.lsb_per_g() / plan.sensor.sensitivity.lsb_per_g();
-        let known = (self.shared).with_published(|published| published.hello.sensitivity_known);
-        if known && !SENSITIVITY_RATIO.contains(&ratio) {
-            return Err(Refusal::WrongSensitivity {
-                parameters_lsb_per_g: set.sensitivity.lsb_per_g(),
-                device_lsb_per_g: plan.sensor.sensitivity.lsb_per_g(),
-            });
+        if self.shared.active() == *bytes {
+            return Ok(());
         }
-        Ok(staging.set.encode(&wire))
+        self.announce_pause().await;
+        self.save_parameters(set.range_g(), bytes).await?;
+        self.shared.activate(bytes, set.source());
+        self.parameters_changed = true;
+        self.clear_fault(crate::shared::PersistentFault::Parameters);
+        self.orders.room().await;
+        self.orders.give(Order::Correct(self.correction(plan, bytes)));
+        Ok(())
+    }
+
+    /// Uses a stored set from now on.
+    pub(super) fn activate(&self, set: &SetBytes) {
+        if !cfg!(feature = "correction") {
+            return;
+        }
+        let id = set.set().ok().flatten().map_or(ParameterId::UNCALIBRATED, |set| set.source());
+        self.shared.activate(set, id);
     }
 
     /// Why a stored set cannot be used for a range, ± *g*.
-    #[inline(never)] // Keeps the decoded set off the stack afterwards.
-    pub(super) fn fault_of(&self, stored: EncodedParameters, range_g: u8) -> Option<Event> {
-        let mut wire = WireParameters::BLANK;
-        if wire.read(stored.0).is_err() || wire.range_g != range_g {
-            return Some(Event::StoreUnreadable);
-        }
-        let fault = match A::Sample::decode(&wire) {
-            Ok(_) => self.check_sensor(&wire).err(),
-            Err(fault) => Some(fault),
-        };
-        fault.map(Event::ModelRejected)
-    }
-
-    /// Checks that a set was made for sensor 0 and this model of accelerometer.
-    fn check_sensor(&self, wire: &WireParameters) -> Result<(), ParameterFault> {
-        if wire.sensor_index != CORRECTED {
-            return Err(ParameterFault::OtherSensorIndex {
-                parameters: wire.sensor_index,
-                device: CORRECTED,
-            });
-        }
-        let device = self.shared.with_published(|published| published.hello.sensor.number);
-        match wire.sensor {
-            Some(parameters) if parameters != device && sensor::is_one_model(device) => {
-                Err(ParameterFault::OtherSensor { parameters, device })
-            }
-            _ => Ok(()),
+    pub(super) fn fault_of(&self, stored: &SetBytes, range_g: u8) -> Option<Event> {
+        match self.checked(stored) {
+            Ok(set) if set.range_g() == range_g => None,
+            Ok(_) => Some(Event::StoreUnreadable),
+            Err(fault) => Some(Event::ParametersRejected(fault)),
         }
     }
 }

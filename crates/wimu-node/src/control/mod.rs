@@ -9,13 +9,11 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use wimu_link::LinkRole;
 use wimu_link::auth::{DeviceKey, KeyState};
 use wimu_link::frame::MAX_FRAME;
-use wimu_link::message::{Answer, Command, Event, Payload, Record, Refusal, Settings};
-use wimu_model::{CentiCelsius, DeviceTimeUs, ParameterId};
+use wimu_link::message::{Answer, Command, Event, Payload, Refusal, SetBytes, Settings};
+use wimu_model::{CentiCelsius, DeviceTimeUs};
 
 use crate::sensor::{InertialSensor, Plan};
-use crate::shared::{
-    ALL, Common, Message, Order, Orders, PersistentFault, ROLES, RateOrder, Staged, Worker,
-};
+use crate::shared::{ALL, Common, Message, Orders, PersistentFault, ROLES, RateOrder, Worker};
 use crate::slot::put;
 use crate::store::{Key, MAX_RECORD, Records, Store, StoreFault};
 use crate::timer::Timer;
@@ -27,9 +25,6 @@ const STATUS_US: u64 = 5_000_000;
 
 /// Room for a record, bytes.
 pub(crate) const RECORD: usize = if cfg!(feature = "store") { MAX_RECORD } else { 0 };
-
-/// A payload without parameters.
-type ShortPayload = Payload<&'static [u8]>;
 
 /// Executes requests, and stores parameters and settings.
 pub struct Control<'a, A: InertialSensor, T, S, M: RawMutex> {
@@ -88,14 +83,8 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                         self.shared.rate_signals(line).order.signal(order);
                     }
                 }
-                #[cfg(feature = "correction")]
-                Either4::First((role, Command::GetParameters { offset })) => {
-                    let piece = self.shared.active_piece(offset);
-                    let answer = Answer::Accepted(Payload::Parameters(piece.borrowed()));
-                    self.answer(role, &answer).await;
-                }
                 Either4::First((role, command)) => {
-                    let answer = match self.execute(&mut plan, role, command).await {
+                    let answer = match self.execute(&mut plan, command).await {
                         Ok(payload) => Answer::Accepted(payload),
                         Err(refusal) => Answer::Refused(refusal),
                     };
@@ -126,7 +115,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
     }
 
     /// Answers a request.
-    async fn answer(&self, role: LinkRole, answer: &Answer<&[u8]>) {
+    async fn answer(&self, role: LinkRole, answer: &Answer) {
         let mut responder = self.shared.responder(role).await;
         let mut frame = [0; MAX_FRAME];
         match responder.is_signed() {
@@ -160,12 +149,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         }
     }
 
-    async fn execute(
-        &mut self,
-        plan: &mut Plan,
-        role: LinkRole,
-        command: Command<Result<(), Refusal>>,
-    ) -> Result<ShortPayload, Refusal> {
+    async fn execute(&mut self, plan: &mut Plan, command: Command) -> Result<Payload, Refusal> {
         match command {
             Command::GetSettings => Ok(Payload::Settings(plan.settings)),
             Command::GetKeyStatus => Ok(self.key_status()),
@@ -182,18 +166,11 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
             Command::GetTime => Ok(Payload::Time { uptime_us: self.timer.now().0 }),
             Command::GetStatus => Ok(Payload::Status(self.shared.status(self.timer.now()))),
             #[cfg(feature = "correction")]
-            Command::StageParameters { piece: taken, .. } => {
-                taken?;
-                let mut staging = self.shared.staging.lock().await;
-                if !staging.is_whole(role)? {
-                    return Ok(Payload::None);
-                }
-                let id = self.check_staged(plan, &mut staging)?;
-                staging.id = Some(id);
-                Ok(Payload::Staged { hash: id.0 })
-            }
+            Command::GetParameters => Ok(Payload::Parameters(self.shared.active())),
             #[cfg(feature = "correction")]
-            Command::CommitParameters { hash } => self.commit(plan, ParameterId(hash)).await,
+            Command::SetParameters(set) => {
+                self.set_parameters(plan, &set).await.map(|()| Payload::None)
+            }
             Command::SetSettings(wanted) => {
                 let new = plan::or_refusal(&self.planner, &wanted)?;
                 self.change(plan, new).await?;
@@ -202,15 +179,14 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
             Command::FactoryReset => {
                 let new = plan::nearest(&self.planner, &Settings::default())
                     .ok_or(Refusal::SensorFailed)?;
-                self.configure(&new, Some(&None)).await?;
+                self.configure(&new, &SetBytes::NONE).await?;
                 self.announce_pause().await;
                 if let Err(StoreFault) = self.store.remove(is_calibration_or_settings).await {
-                    self.configure(plan, None).await?;
+                    self.configure(plan, &self.shared.active()).await?;
                     return Err(Refusal::StoreFailed);
                 }
                 put(plan, &new);
-                self.shared.staging.lock().await.id = None;
-                self.shared.activate(None);
+                self.activate(&SetBytes::NONE);
                 self.shared.publish(|published| published.settings = new.settings);
                 self.clear_fault(PersistentFault::Settings);
                 self.clear_fault(PersistentFault::Parameters);
@@ -232,11 +208,11 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
             return;
         }
         if let Some(new) = plan::nearest(&self.planner, &Settings::default()) {
-            let parameters = self.load_parameters(new.settings.range_g).await;
+            let parameters = self.load_parameters(new.settings.range_g);
             // A failed sensor is restarted with these settings later.
-            let _ = self.configure(&new, Some(&parameters)).await;
+            let _ = self.configure(&new, &parameters).await;
             put(plan, &new);
-            self.shared.activate(self.set_at(&parameters));
+            self.activate(&parameters);
             self.shared.publish(|published| published.settings = new.settings);
             self.clear_fault(PersistentFault::Settings);
         }
@@ -245,14 +221,14 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
 
     /// Stores a key and uses it. If the boot count could not be read, it restarts with a different key:
     /// sessions of earlier starts are not valid with that key.
-    async fn set_key(&mut self, key: DeviceKey) -> Result<ShortPayload, Refusal> {
+    async fn set_key(&mut self, key: DeviceKey) -> Result<Payload, Refusal> {
         self.announce_pause().await;
         self.save_raw(Key::DeviceKey, key.expose())
             .await
             .map_err(|StoreFault| Refusal::StoreFailed)?;
         let lock = self.shared.lock();
         if lock.boot_count.is_none() && lock.key != KeyState::Set(key) {
-            let boot_count = self.count_start(0).await;
+            let boot_count = self.store.count_start().await.ok();
             self.shared.publish(|published| {
                 published.hello.boot_count = boot_count.unwrap_or(0);
                 published.lock.boot_count = boot_count;
@@ -274,7 +250,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         }
     }
 
-    fn key_status(&self) -> ShortPayload {
+    fn key_status(&self) -> Payload {
         Payload::KeyStatus {
             key: match self.shared.lock().key {
                 KeyState::Set(key) if cfg!(feature = "auth") => Some(key.id()),
@@ -299,47 +275,17 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         }
     }
 
-    async fn commit(&mut self, plan: &Plan, named: ParameterId) -> Result<ShortPayload, Refusal> {
-        let shared = self.shared;
-        let mut staging = shared.staging.lock().await;
-        let Staged { set, id, .. } = &mut *staging;
-        let (Some(staged), Some(set)) = (*id, set.get()) else {
-            // A commit of the parameters in use is repeated because the answer was lost.
-            return if shared.parameters() == named {
-                Ok(Payload::None)
-            } else {
-                Err(Refusal::NothingStaged)
-            };
-        };
-        if staged != named {
-            return Err(Refusal::HashMismatch { staged: staged.0 });
-        }
-        let range_g = self.compiled(plan, set)?.1;
-        let length = Record::encode_parameters(set, &mut self.record).unwrap_or(0);
-        self.announce_pause().await;
-        self.save_record(Key::Parameters { range_g }, length).await?;
-        shared.activate(Some(set));
-        *id = None;
-        self.parameters_changed = true;
-        self.clear_fault(PersistentFault::Parameters);
-        self.orders.room().await;
-        let correction = self.compiled(plan, set)?.0;
-        self.orders.give(Order::Correct(correction));
-        Ok(Payload::None)
-    }
-
     /// Applies new settings and stores them. On failure the old ones stay in use.
     async fn change(&mut self, plan: &mut Plan, new: Plan) -> Result<(), Refusal> {
         let before = self.shared.parameters();
         let other_range = new.settings.range_g != plan.settings.range_g;
-        let mut loaded = None;
-        if other_range {
-            loaded = self.load_parameters(new.settings.range_g).await;
-        }
-        let with = other_range.then_some(&loaded);
-        self.configure(&new, with).await?;
+        let set = match other_range {
+            true => self.load_parameters(new.settings.range_g),
+            false => self.shared.active(),
+        };
+        self.configure(&new, &set).await?;
         if let Err(refusal) = self.save_settings(new.settings).await {
-            self.configure(plan, None).await?;
+            self.configure(plan, &self.shared.active()).await?;
             return Err(refusal);
         }
         put(plan, &new);
@@ -347,9 +293,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         self.clear_fault(PersistentFault::Settings);
         self.announce(&Message::Settings(new.settings));
         if other_range {
-            // The staged set is for the previous range.
-            self.shared.staging.lock().await.id = None;
-            self.shared.activate(self.set_at(&loaded));
+            self.activate(&set);
         }
         if self.shared.parameters() != before {
             self.announce_parameters();

@@ -4,12 +4,12 @@ use core::ops::Range;
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use wimu_link::auth::{DeviceKey, KeyState};
-use wimu_link::message::{EncodedParameters, Event, Record, Refusal, Settings};
+use wimu_link::message::{Event, Refusal, SetBytes, Settings};
 use wimu_link::{Kind, LinkRole, frame};
 
 use super::{Control, plan};
 use crate::sensor::{InertialSensor, Plan};
-use crate::shared::{Message, PersistentFault, ROLES};
+use crate::shared::{PersistentFault, ROLES};
 use crate::store::{Key, Store, StoreFault};
 use crate::timer::Timer;
 
@@ -19,18 +19,13 @@ const SHORT_RECORD: usize = 64;
 impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> {
     /// Reads the store and starts the sensor. Records that cannot be read or used are reported and ignored.
     pub(super) async fn start(&mut self) -> Plan {
-        let mut bytes = [0; 4];
-        let boot_count = match self.load_raw(Key::BootCount, &mut bytes).await {
-            _ if !cfg!(feature = "store") => Some(0),
-            // A count that cannot be stored must not be used: it would be used again.
-            Ok(_) => self.count_start(u32::from_le_bytes(bytes)).await,
-            Err(StoreFault) => None,
-        };
+        // A count that cannot be stored must not be used: it would be used again.
+        let boot_count = self.store.count_start().await.ok();
         if boot_count.is_none() {
             self.set_fault(PersistentFault::BootCount, Event::StoreUnreadable);
         }
         let mut key = [0; DeviceKey::LENGTH];
-        let key = match self.load_raw(Key::DeviceKey, &mut key).await {
+        let key = match self.load_raw(Key::DeviceKey, &mut key) {
             _ if !cfg!(feature = "auth") => KeyState::None,
             Ok(false) => KeyState::None,
             Ok(true) => KeyState::Set(DeviceKey::new(key)),
@@ -42,11 +37,11 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         let is_safe_mode = self.shared.is_safe_mode();
         let loaded = match is_safe_mode {
             true => Ok(None),
-            false => self.load(Key::Settings).await,
+            false => self.load(Key::Settings),
         };
-        let mut wanted = match loaded.map(|place| place.map(|at| Record::decode(self.content(&at))))
-        {
-            Ok(Some(Ok(Record::Settings(settings)))) => settings,
+        let decode = |at| Settings::from_bytes(self.content(&at).get(1..).unwrap_or_default());
+        let mut wanted = match loaded.map(|place| place.map(decode)) {
+            Ok(Some(Ok(settings))) => settings,
             // Nothing is stored: the sensor's settings nearest to the default ones are its default.
             Ok(None) => plan::nearest(&self.planner, &Settings::default())
                 .map_or_else(Settings::default, |plan| plan.settings),
@@ -72,8 +67,8 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
             Some(plan) => plan,
             None => core::future::pending().await,
         };
-        let parameters = self.load_parameters(plan.settings.range_g).await;
-        self.shared.activate(self.set_at(&parameters));
+        let parameters = self.load_parameters(plan.settings.range_g);
+        self.activate(&parameters);
         self.shared.publish(|published| {
             published.hello.boot_count = boot_count.unwrap_or(0);
             published.lock.boot_count = boot_count;
@@ -84,7 +79,8 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         for role in ROLES {
             #[cfg(feature = "line-rates")]
             {
-                let stored = self.load_raw(rate_key(role), &mut bytes).await == Ok(true);
+                let mut bytes = [0; 4];
+                let stored = self.load_raw(rate_key(role), &mut bytes) == Ok(true);
                 let baud = u32::from_le_bytes(bytes);
                 let order = crate::shared::RateOrder::Use(stored.then_some(baud));
                 self.shared.rate_signals(role).order.signal(order);
@@ -92,46 +88,33 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
             self.shared.introduce(role, self.timer.now());
         }
         // The sampler reports a sensor that does not start, and retries.
-        let _ = self.configure(&plan, None).await;
+        let _ = self.configure(&plan, &parameters).await;
         plan
     }
 
     #[cfg(not(feature = "correction"))]
-    pub(super) async fn load_parameters(&mut self, _: u8) -> Option<Range<usize>> {
-        None
+    pub(super) fn load_parameters(&mut self, _: u8) -> SetBytes {
+        SetBytes::NONE
     }
 
-    /// Loads the set committed for a range; returns its position in `record`. A set that cannot be read or
-    /// used is reported. None in safe mode.
+    /// The set stored for a range; none in safe mode. One that cannot be read or used is reported.
     #[cfg(feature = "correction")]
-    pub(super) async fn load_parameters(&mut self, range_g: u8) -> Option<Range<usize>> {
+    pub(super) fn load_parameters(&mut self, range_g: u8) -> SetBytes {
         if self.shared.is_safe_mode() {
-            return None;
+            return SetBytes::NONE;
         }
-        let loaded = self.load(Key::Parameters { range_g }).await;
-        let place = match loaded {
-            Ok(place) => place,
-            Err(StoreFault) => {
-                self.set_fault(PersistentFault::Parameters, Event::StoreUnreadable);
-                return None;
+        let mut bytes = [0; SetBytes::MAX];
+        let (set, fault) = match self.store.load(Key::Parameters { range_g }, &mut bytes) {
+            Ok(None) => (SetBytes::NONE, None),
+            Ok(Some(length)) => {
+                let set = SetBytes::new(bytes.get(..length).unwrap_or_default());
+                let set = set.unwrap_or_default();
+                (set, self.fault_of(&set, range_g))
             }
+            Err(StoreFault) => (SetBytes::NONE, Some(Event::StoreUnreadable)),
         };
-        let fault = match place.clone().map(|place| Record::decode(self.content(&place))) {
-            None => None,
-            Some(Ok(Record::Parameters(stored))) => self.fault_of(stored, range_g),
-            Some(_) => Some(Event::StoreUnreadable),
-        };
-        let now = self.timer.now();
-        self.shared.set_fault(PersistentFault::Parameters, now, fault);
-        if fault.is_some() { None } else { place }
-    }
-
-    /// The parameter set at a position in `record`.
-    pub(super) fn set_at(&self, place: &Option<Range<usize>>) -> Option<EncodedParameters<'_>> {
-        match Record::decode(self.content(place.as_ref()?)) {
-            Ok(Record::Parameters(set)) => Some(set),
-            _ => None,
-        }
+        self.shared.set_fault(PersistentFault::Parameters, self.timer.now(), fault);
+        if fault.is_some() { SetBytes::NONE } else { set }
     }
 
     /// The content of an opened record. Its first byte is the kind.
@@ -140,8 +123,8 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
     }
 
     /// Reads a record; returns the position of its content in `record`. A damaged record is an error.
-    pub(super) async fn load(&mut self, key: Key) -> Result<Option<Range<usize>>, StoreFault> {
-        let Some(length) = self.store.load(key, &mut self.record).await? else {
+    pub(super) fn load(&mut self, key: Key) -> Result<Option<Range<usize>>, StoreFault> {
+        let Some(length) = self.store.load(key, &mut self.record)? else {
             return Ok(None);
         };
         let record = self.record.get_mut(..length).unwrap_or_default();
@@ -150,17 +133,20 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
     }
 
     pub(super) async fn save_settings(&mut self, settings: Settings) -> Result<(), Refusal> {
-        let mut record = [0; SHORT_RECORD];
-        let length = settings_record(settings, &mut record);
+        let mut bytes = [0; Settings::MAX_BYTES];
+        let length = settings.to_bytes(&mut bytes);
         self.announce_pause().await;
-        let record = record.get(..length).unwrap_or_default();
-        let saved = self.store.save(Key::Settings, record).await;
+        let bytes = bytes.get(..length).unwrap_or_default();
+        let saved = self.save_raw(Key::Settings, bytes).await;
         saved.map_err(|StoreFault| Refusal::StoreFailed)
     }
 
-    pub(super) async fn save_record(&mut self, key: Key, length: usize) -> Result<(), Refusal> {
-        let record = self.record.get(..length).unwrap_or_default();
-        let saved = self.store.save(key, record).await;
+    pub(super) async fn save_parameters(
+        &mut self,
+        range_g: u8,
+        set: &SetBytes,
+    ) -> Result<(), Refusal> {
+        let saved = self.store.save(Key::Parameters { range_g }, set.as_bytes()).await;
         saved.map_err(|StoreFault| Refusal::StoreFailed)
     }
 
@@ -170,20 +156,9 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         saved.map_err(|_| Refusal::StoreFailed)
     }
 
-    /// Stores the next boot count; `None` if it cannot be stored.
-    pub(super) async fn count_start(&mut self, before: u32) -> Option<u32> {
-        let count = before.wrapping_add(1).max(1);
-        let saved = self.save_raw(Key::BootCount, &count.to_le_bytes()).await;
-        saved.is_ok().then_some(count)
-    }
-
     /// Reads a record of exactly as many bytes as `bytes` has; returns whether there is one.
-    pub(super) async fn load_raw(
-        &mut self,
-        key: Key,
-        bytes: &mut [u8],
-    ) -> Result<bool, StoreFault> {
-        let Some(place) = self.load(key).await? else {
+    pub(super) fn load_raw(&mut self, key: Key, bytes: &mut [u8]) -> Result<bool, StoreFault> {
+        let Some(place) = self.load(key)? else {
             return Ok(false);
         };
         match self.content(&place).split_first() {
@@ -200,12 +175,6 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         let record = record.get(..length).unwrap_or_default();
         self.store.save(key, record).await
     }
-}
-
-// Not async: an async function would keep the message in the task. It fits.
-
-fn settings_record(settings: Settings, record: &mut [u8]) -> usize {
-    Message::Settings(settings).encode(record).unwrap_or(0)
 }
 
 fn rate_key(line: LinkRole) -> Key {

@@ -4,11 +4,11 @@ pub(crate) mod batches;
 pub(crate) mod clock;
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
-use wimu_integrator::{Config, FieldMean, Integrator, Phase, Transition};
+use wimu_integrator::{Config, FieldMean, Integrator, Phase, State, Transition};
 use wimu_link::batch;
 use wimu_link::message::{
     Attitude, BusFault, Environment, Epoch, EpochGyroscope, EpochReason, Event, Navigation,
-    Settings, WireState,
+    Settings,
 };
 use wimu_model::{DeviceTimeUs, MagneticFieldNt, PeriodNs};
 
@@ -301,13 +301,13 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             time_us: time.0,
             period_ns: running.clock.period.0,
             range_g: running.plan.settings.range_g,
-            sensitivity_lsb_per_g: running.plan.sensor.sensitivity.lsb_per_g(),
+            sensitivity_lsb_per_g: running.plan.sensor.accelerometer.sensitivity().lsb_per_g(),
             full_scale: running.plan.sensor.full_scale,
             parameters: running.correction.parameters.0,
             temperature_centi_c: running.correction.temperature.map(|t| t.0),
             state: match running.integrator.first() {
-                Some(integrator) => integrator.state().into(),
-                None => WireState::default(),
+                Some(integrator) => integrator.state(),
+                None => State::default(),
             },
             gyroscope: epoch_gyroscope(&running.plan.sensor),
             ..Epoch::default()
@@ -415,8 +415,8 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
 
 pub(crate) fn epoch_gyroscope(plan: &SensorPlan) -> Option<EpochGyroscope> {
     plan.gyroscope.map(|gyroscope| EpochGyroscope {
-        rad_s_per_lsb: gyroscope.rad_s_per_lsb,
-        full_scale: gyroscope.full_scale,
+        rad_s_per_lsb: gyroscope.rad_s_per_lsb(),
+        full_scale: gyroscope.full_scale(),
     })
 }
 
@@ -453,7 +453,7 @@ impl<S: RawSample> Running<S> {
     /// because a replay must not continue across a reset.
     fn begin_epoch(&mut self, reason: EpochReason) {
         let severity = |reason| match reason {
-            EpochReason::Periodic | EpochReason::Other(_) => 0,
+            EpochReason::Periodic => 0,
             EpochReason::Stillness => 1,
             EpochReason::Temperature => 2,
             EpochReason::Heading => 3,
@@ -476,7 +476,7 @@ impl<S: RawSample> Running<S> {
         if state.phase != Phase::Resting || !self.field.push(field) {
             return;
         }
-        if let Some(heading) = compass.heading(&self.field, integrator.rest_force())
+        if let Some(heading) = self.field.heading(compass, integrator.rest_force())
             && integrator.set_heading(heading)
         {
             self.begin_epoch(EpochReason::Heading);

@@ -1,7 +1,6 @@
 //! What the node's tasks share.
 
 mod orders;
-mod parameters;
 mod sending;
 
 use core::cell::{Cell, RefCell};
@@ -13,24 +12,18 @@ use embassy_sync::channel::Channel;
 use embassy_sync::mutex::{MappedMutexGuard, Mutex as AsyncMutex, MutexGuard};
 use embassy_sync::signal::Signal;
 use wimu_link::auth::Lock;
-use wimu_link::message::{
-    Command, EncodedParameters, Event, ParametersPiece, Refusal, SensorStatus, Settings,
-    StackStatus, Telemetry,
-};
+use wimu_link::message::{Command, Event, SensorStatus, SetBytes, Settings, StackStatus};
 use wimu_link::{Hello, LinkRole, Responder};
 use wimu_model::{CentiCelsius, Counts, DeviceTimeUs, ParameterId};
 
 pub(crate) use self::orders::{Correction, Order, Orders};
-pub(crate) use self::parameters::{Set, Staged};
 
-use self::parameters::Staging;
 use crate::queue::FrameQueue;
 use crate::sample::RawSample;
 use crate::sensor::SensorFault;
 use crate::slot::Slot;
 
-/// A message of the device, with parameters in their wire form.
-pub(crate) type Message<'a> = Telemetry<EncodedParameters<'a>>;
+pub(crate) use wimu_link::message::Telemetry as Message;
 
 /// The links: both, or without the feature `wireless` the cable.
 #[cfg(feature = "wireless")]
@@ -126,11 +119,10 @@ pub(crate) struct Common<M: RawMutex> {
     links: Roles<LinkShared<M>>,
     pub(crate) configured: Signal<M, Result<(), SensorFault>>,
     pub(crate) temperature: Signal<M, CentiCelsius>,
-    /// Accepted requests. A piece of parameters to stage is in `staging`, unless it was refused.
-    pub(crate) requests: Channel<M, (LinkRole, Command<Result<(), Refusal>>), 1>,
-    pub(crate) staging: Staging<M>,
+    /// Accepted requests.
+    pub(crate) requests: Channel<M, (LinkRole, Command), 1>,
     /// The parameter set in use.
-    active: Mutex<M, RefCell<Set>>,
+    active: Mutex<M, RefCell<SetBytes>>,
     pub(crate) key_lost: Signal<M, ()>,
     /// Rates to store.
     pub(crate) rates: Channel<M, (LinkRole, u32), 2>,
@@ -194,13 +186,13 @@ pub(crate) struct Heard {
     pub(crate) repeated: u32,
     /// The link needs an epoch: it has a new listener, or frames were dropped.
     epoch_wanted: bool,
-    /// The parameters in use have to be sent from this byte on, as soon as there is room.
-    parameters_from: Option<u16>,
+    /// The parameters in use have to be sent, as soon as there is room.
+    parameters_wanted: bool,
 }
 
 impl Heard {
     const NOTHING: Self =
-        Self { damaged: 0, repeated: 0, epoch_wanted: false, parameters_from: None };
+        Self { damaged: 0, repeated: 0, epoch_wanted: false, parameters_wanted: false };
 }
 
 /// Persistent faults of a device.
@@ -276,8 +268,7 @@ impl<M: RawMutex> Common<M> {
             configured: Signal::new(),
             temperature: Signal::new(),
             requests: Channel::new(),
-            staging: Staging::new(Staged::NONE),
-            active: Mutex::new(RefCell::new(Set::NONE)),
+            active: Mutex::new(RefCell::new(SetBytes::NONE)),
             key_lost: Signal::new(),
             rates: Channel::new(),
             published: Mutex::new(RefCell::new(Slot::Empty)),
@@ -349,25 +340,14 @@ impl<M: RawMutex> Common<M> {
         self.published.lock(|published| f(published.borrow_mut().or_new(Published::new)))
     }
 
-    /// Copies the set in use.
-    pub(crate) fn active(&self, copy: &mut Set) {
-        copy.copy(|take| self.active.lock(|active| take(&active.borrow())));
+    /// The set in use.
+    pub(crate) fn active(&self) -> SetBytes {
+        self.active.lock(|active| *active.borrow())
     }
 
-    /// The piece from `offset` on of the set in use.
-    pub(crate) fn active_piece(&self, offset: u16) -> ParametersPiece {
-        let id = self.parameters();
-        self.active.lock(|active| {
-            let active = active.borrow();
-            let set = active.get().unwrap_or(EncodedParameters(&[]));
-            set.piece(id, offset)
-        })
-    }
-
-    /// Uses a set from now on, or none.
-    pub(crate) fn activate(&self, set: Option<EncodedParameters>) {
-        self.active.lock(|active| active.borrow_mut().put(set));
-        let id = parameters::id(set);
+    /// Uses a set, with the id of its source, from now on.
+    pub(crate) fn activate(&self, set: &SetBytes, id: ParameterId) {
+        self.active.lock(|active| *active.borrow_mut() = *set);
         self.publish(|published| published.parameters = id);
     }
 

@@ -5,8 +5,7 @@ use core::cell::RefCell;
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_sync::signal::Signal;
-use wimu_integrator::Compass;
-use wimu_model::{CentiCelsius, Corrector, ParameterId};
+use wimu_model::{CentiCelsius, CompassTerms, Corrector, ParameterId};
 
 use crate::sample::RawSample;
 use crate::sensor::Plan;
@@ -72,5 +71,5 @@ pub(crate) struct Correction<S: RawSample> {
     pub(crate) parameters: ParameterId,
     pub(crate) temperature: Option<CentiCelsius>,
     /// `None` without a calibrated magnetometer.
-    pub(crate) compass: Option<Compass>,
+    pub(crate) compass: Option<CompassTerms>,
 }

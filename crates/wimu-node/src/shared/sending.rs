@@ -65,19 +65,10 @@ impl<M: RawMutex> Common<M> {
         self.announce(message, ROLES.map(|other| other == role));
     }
 
-    /// Sends the parameters in use on one link, one piece whenever no kept frame is queued.
+    /// Sends the parameters in use on one link, when no kept frame is queued.
     pub(crate) fn send_parameters(&self, role: LinkRole) {
-        self.with_heard(role, |heard| heard.parameters_from = Some(0));
+        self.with_heard(role, |heard| heard.parameters_wanted = true);
         self.link(role).waiting.signal(());
-    }
-
-    /// Queues the piece of the parameters in use that begins at `offset`.
-    fn send_piece(&self, role: LinkRole, offset: u16) {
-        let piece = self.active_piece(offset);
-        let next = offset.saturating_add(piece.piece.as_bytes().len() as u16);
-        let rest = (next < piece.total).then_some(next);
-        self.with_heard(role, |heard| heard.parameters_from = rest);
-        self.send(role, &Telemetry::ParametersPiece(piece));
     }
 
     /// Sends an event on both links.
@@ -170,8 +161,9 @@ impl<M: RawMutex> Common<M> {
         let link = self.link(role);
         loop {
             let room = link.outbox.lock(|outbox| outbox.borrow().has_all_room());
-            if room && let Some(offset) = self.with_heard(role, |heard| heard.parameters_from) {
-                self.send_piece(role, offset);
+            if room && self.with_heard(role, |heard| core::mem::take(&mut heard.parameters_wanted))
+            {
+                self.send(role, &Telemetry::Parameters(self.active()));
             }
             let (taken, stalled) = link.outbox.lock(|outbox| {
                 let mut outbox = outbox.borrow_mut();

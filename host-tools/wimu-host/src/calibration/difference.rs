@@ -1,7 +1,7 @@
 //! What changes when a calibration replaces another one.
 
+use crate::calibration::parameter_id;
 use serde::Serialize;
-use wimu_link::message::parameter_id;
 use wimu_model::ParameterSet;
 
 /// A term that changes.

@@ -5,7 +5,7 @@ mod noise;
 use std::fmt::Write;
 use std::path::Path;
 
-use wimu_link::message::parameter_id;
+use crate::calibration::parameter_id;
 use wimu_model::{
     Alignment, Corrector, CorrectorParts, GyroscopeParameters, Matrix3, ParameterSet,
     STANDARD_GRAVITY_MPS2, Sensitivity,

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
+use crate::calibration::parameter_id;
 use serde::{Deserialize, Serialize};
-use wimu_link::message::parameter_id;
 use wimu_model::{
     Alignment, CalibratedTemperature, CalibrationMethod, CalibrationQuality, ErrorModel,
     ErrorTerms, GyroscopeParameters, MagnetometerModel, ModelCovariance, ParameterSet,
@@ -421,6 +421,12 @@ fn invalid(path: &Path) -> impl Fn(String) -> HostError {
 /// of bounds.
 pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
     read(path)?.sensor().and_then(StoredSensor::set).map_err(invalid(path))
+}
+
+/// The parameters in the text of a calibration file.
+pub fn parameters_in(text: &str) -> Option<ParameterSet> {
+    let file: CalibrationFile = serde_json::from_str(text).ok()?;
+    file.sensor().ok()?.set().ok()
 }
 
 /// Indices of the sensors in a calibration file that [`read_parameters`] leaves out; none of an unreadable file.

@@ -2,11 +2,11 @@
 
 use std::fmt;
 
+use crate::calibration::parameter_id;
 use serde::Serialize;
 use wimu_calib::{
     Guide, MagneticEstimate, MagneticPose, MagneticRefusal, Model, Orientation, Pose, magnetometer,
 };
-use wimu_link::message::parameter_id;
 use wimu_model::{MagneticFieldNt, MagnetometerModel, MagnetometerTerms, ParameterSet};
 
 use super::input::magnitude;

@@ -259,7 +259,7 @@ pub fn compare_with_reference(
         ..ParameterSet::uncalibrated(range.g, sensitivity)
     });
     report.parameter_id =
-        report.parameters.as_ref().map(|set| wimu_link::message::parameter_id(set).to_string());
+        report.parameters.as_ref().map(|set| crate::calibration::parameter_id(set).to_string());
     Ok(report)
 }
 

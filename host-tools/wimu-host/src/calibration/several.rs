@@ -1,8 +1,8 @@
 //! Several calibration sessions of one sensor.
 
+use crate::calibration::parameter_id;
 use serde::Serialize;
 use wimu_calib::{Combined, Estimate, Gravity, Parameter, combine};
-use wimu_link::message::parameter_id;
 use wimu_model::{
     CalibratedTemperature, CalibrationMethod, CalibrationQuality, CentiCelsius, ErrorModel,
     ErrorTerms, ModelCovariance, ParameterSet, QualityTerms, SpecificForceMps2, TemperatureTerms,

@@ -2,9 +2,9 @@
 
 use std::fmt;
 
+use crate::calibration::parameter_id;
 use serde::Serialize;
 use wimu_calib::{Ageing, Gravity, Parameter, Pose, SelfCheck};
-use wimu_link::message::parameter_id;
 use wimu_model::{CalibrationQuality, ErrorTerms, ModelCovariance, ParameterSet, QualityTerms};
 
 use super::input::poses;

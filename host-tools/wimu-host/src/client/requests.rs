@@ -1,14 +1,24 @@
 //! Requests to a board: parameters, settings, keys.
 
+use std::ops::RangeInclusive;
+
+use wimu_link::hello::{Capabilities, sensor};
+use wimu_link::message::SetBytes;
+use wimu_model::{CompiledSet, Sensitivity, SensorId};
+
 use super::*;
 use crate::LinkUrl;
-use crate::decode::Pieces;
+use crate::calibration::compiled_for;
+use crate::calibration::source::{self, ActiveParameters};
 use crate::keys::KeyFolder;
 
 /// Largest number of sessions in which a request is repeated when they end.
 const SESSIONS: usize = 4;
-/// Largest number of pieces in which a parameter set is read.
-const MAX_PIECES: usize = 64;
+/// Allowed ratio of a calibration's sensitivity to the sensor's nominal one: covers the tolerance of a sensor, excludes
+/// another range.
+const SENSITIVITY_RATIO: RangeInclusive<f64> = 0.8..=1.25;
+/// Longest wait for an epoch: a device that samples sends one a second.
+const EPOCH_PATIENCE: Duration = Duration::from_secs(3);
 
 impl<T: Transport> Client<T> {
     /// Signs with this key from the next write on; with `None`, signs nothing.
@@ -90,15 +100,18 @@ impl<T: Transport> Client<T> {
     /// `device_refused` or `key_needed` with the board's reason; `no_answer` and `link_lost`, after
     /// which a write may still have been executed. An unsigned refusal of a write does not count as an answer.
     pub fn request(&mut self, command: Command) -> Result<Payload> {
-        if command.is_write() && self.key.is_some() && !self.requester.signs() {
+        let is_verified = self.requester.signs() && self.requester.is_authenticated();
+        if command.is_write() && self.key.is_some() && !is_verified {
             self.open_session()?;
+            // With another key than the board's nothing is written.
+            self.key_status()?;
         }
         let answer = self.insist(command);
-        // Staging has no effect before the commit.
-        let has_effect = command.is_write() && !matches!(command, Command::StageParameters { .. });
         let signs = self.requester.signs();
         let certain = answer.is_ok() && (!signs || self.requester.is_authenticated());
+        // No board obeys it.
         let unsigned_write = command.is_write() && !signs && self.hello.role != LinkRole::Cable;
+        let has_effect = command.is_write() && !unsigned_write;
         let outcome = match answer {
             Ok(Answer::Accepted(_)) if unsigned_write => Err(ErrorCode::KeyNeeded.error("an unsigned write was accepted on this link: the answer is not from a wimu board",
                 "write over the cable, or set a key there with `wimu key set`",
@@ -320,32 +333,10 @@ impl<T: Transport> Client<T> {
     /// # Errors
     /// Those of [`Client::request`].
     pub fn parameters(&mut self) -> Result<ActiveParameters> {
-        let mut pieces = Pieces::default();
-        // It begins again when they change meanwhile.
-        for _ in 0..MAX_PIECES {
-            let offset = pieces.received();
-            let Payload::Parameters(piece) = self.request(Command::GetParameters { offset })?
-            else {
-                return Err(self.unexpected());
-            };
-            let taken = pieces.take(&piece);
-            if let Some(active) = taken.map_err(|_| self.unexpected())? {
-                return Ok(active);
-            }
-        }
-        Err(self.unexpected())
-    }
-
-    /// Sends a parameter set in pieces; returns the id that the board has staged it with.
-    fn stage(&mut self, wire: &WireParameters) -> Result<u32> {
-        let mut payload = Payload::None;
-        for command in wire.stage() {
-            payload = self.request(command)?;
-        }
-        match payload {
-            Payload::Staged { hash } => Ok(hash),
-            _ => Err(self.unexpected()),
-        }
+        let Payload::Parameters(bytes) = self.request(Command::GetParameters)? else {
+            return Err(self.unexpected());
+        };
+        bytes.set().map(ActiveParameters::new).map_err(|_| self.unexpected())
     }
 
     /// The settings in use.
@@ -364,6 +355,8 @@ impl<T: Transport> Client<T> {
     /// # Errors
     /// Those of [`Client::request`]; the message has the nearest settings that the sensor supports.
     pub fn set_settings(&mut self, settings: Settings) -> Result<Settings> {
+        // Another range has other scales.
+        self.nominal = None;
         match self.request(Command::SetSettings(settings))? {
             Payload::Settings(settings) => Ok(settings),
             _ => self.settings(),
@@ -410,72 +403,153 @@ impl<T: Transport> Client<T> {
         self.request(Command::FactoryReset).map(drop)
     }
 
-    /// Stores a calibration on the board and applies it: stages it, compares the staged
-    /// set, and commits it. If the commit is not answered, or refused, the parameters that the board
-    /// holds decide.
+    /// Compiles a calibration for the board, stores it there and applies it. If that is not answered, or refused, the
+    /// parameters that the board holds decide.
     ///
     /// # Errors
-    /// Those of [`Client::request`]; `verify_failed` when the board staged another set: it has not
-    /// changed then.
+    /// Those of [`Client::request`]; `device_refused` when it is not for the board's sensor or cannot be compiled, and
+    /// `no_answer` when a board with a gyroscope does not report its scale: nothing has been sent then.
     pub fn push_parameters(&mut self, set: &ParameterSet) -> Result<ParameterId> {
-        let wire = WireParameters::from(set);
-        let id = parameter_id(set);
-        let differs = |when: &str, found: u32| {
-            ErrorCode::VerifyFailed.error(
-                format!("{when} {found:08x} instead of {id}"),
-                "push again; if it repeats, update firmware and wimu to one version",
-            )
-        };
-        let staged = self.stage(&wire)?;
-        if staged != id.0 {
-            return Err(differs("the board has staged the parameters", staged).at(&self.name));
-        }
-        // When the board accepts, it has read the set back from its flash; the commit names it by hash.
-        let error = match self.request(Command::CommitParameters { hash: id.0 }) {
-            Ok(_) => return Ok(id),
+        let compiled = self.compiled(set)?;
+        self.store(set, &compiled)
+    }
+
+    fn store(&mut self, set: &ParameterSet, compiled: &CompiledSet) -> Result<ParameterId> {
+        source::learn(set);
+        // When the board accepts, it has read the set back from its flash.
+        let error = match self.request(Command::SetParameters(SetBytes::from(compiled))) {
+            Ok(_) => return Ok(compiled.source()),
             Err(error) => error,
         };
-        // The answer may be lost although the commit was done, or a forged refusal: the parameters that the
-        // board holds decide, signed if the commit was. Compared as numbers, because −0 equals 0; NaN does not occur.
+        if !self.requester.signs() && self.hello.role != LinkRole::Cable {
+            return Err(error);
+        }
+        // The answer may be lost although it was done, or a forged refusal: the parameters that the board holds decide,
+        // signed if the request was.
         match self.parameters() {
-            Ok(held) if held.id == id.0 && held.active == Some(wire) => Ok(id),
+            Ok(held) if held.active == Some(*compiled) => Ok(compiled.source()),
             _ => Err(error),
         }
     }
 
-    /// Stores a calibration as [`Client::push_parameters`] does, and verifies that the device holds it.
+    /// Waits for an epoch of a board with a gyroscope: one without a calibration of its own gets an ideal one of the nominal
+    /// scale, because it is rotated to the body with the accelerometer.
+    fn wait_for_scales(&mut self) -> Result<()> {
+        let until = self.transport.now() + EPOCH_PATIENCE;
+        while self.nominal.is_none() {
+            if self.transport.now() >= until {
+                return Err(ErrorCode::NoAnswer
+                    .error(
+                        "the board does not report the scale of its gyroscope",
+                        "check that its sensor runs: `wimu monitor LINK`",
+                    )
+                    .at(&self.name));
+            }
+            self.poll(GLANCE)?;
+        }
+        Ok(())
+    }
+
+    /// A calibration in integers for the board, if it is for its sensor.
+    fn compiled(&mut self, set: &ParameterSet) -> Result<CompiledSet> {
+        if set.gyroscope.is_none() && self.hello.capabilities.contains(Capabilities::GYROSCOPE) {
+            self.wait_for_scales()?;
+        }
+        let refused = |why: String, remedy: &str| {
+            ErrorCode::DeviceRefused.error(why, remedy.to_owned()).at(&self.name)
+        };
+        let again = "calibrate from this board's own recording";
+        if set.sensor_index != 0 {
+            let why = format!(
+                "the parameters are for sensor {} of a board, which corrects its sensor 0",
+                set.sensor_index
+            );
+            return Err(refused(why, "push those of sensor 0"));
+        }
+        let device = self.hello.sensor.number;
+        if let Some(SensorId(number)) = set.sensor
+            && number != device
+            && sensor::is_one_model(device)
+        {
+            let [theirs, ours] = [number, device].map(sensor::name);
+            return Err(refused(
+                format!("the parameters are for the {theirs}, the board has the {ours}"),
+                again,
+            ));
+        }
+        if let Some((lsb_per_g, _)) = self.nominal
+            && self.hello.sensitivity_known
+            && !SENSITIVITY_RATIO.contains(&(set.sensitivity.lsb_per_g() / lsb_per_g))
+        {
+            let why = format!(
+                "the parameters are for {} LSB/g, the sensor has {lsb_per_g} LSB/g",
+                set.sensitivity.lsb_per_g()
+            );
+            return Err(refused(why, again));
+        }
+        let has = |part| self.hello.capabilities.contains(part);
+        let has_gyroscope = has(Capabilities::GYROSCOPE);
+        let heard = self.nominal.and_then(|(_, gyroscope)| gyroscope);
+        let own = set.gyroscope.map(|known| known.rad_s_per_lsb);
+        let gyroscope = heard.or(own).filter(|_| has_gyroscope);
+        if let Some((found, nominal)) = own.zip(gyroscope)
+            && !SENSITIVITY_RATIO.contains(&(found / nominal))
+        {
+            let why = format!(
+                "the gyroscope's parameters are for {found} rad/s per LSB, the sensor has {nominal}"
+            );
+            return Err(refused(why, again));
+        }
+        let magnetometer =
+            has(Capabilities::MAGNETOMETER) && has(Capabilities::HEADING) && !has_gyroscope;
+        compiled_for(set, self.hello.device_id, gyroscope, magnetometer).map_err(|error| {
+            refused(format!("the parameters are invalid: {error}"), "calibrate again")
+        })
+    }
+
+    /// Stores a calibration as [`Client::push_parameters`] does, verifies that the device holds its integers, and keeps it
+    /// on this computer.
     ///
     /// # Errors
-    /// Those of [`Client::push_parameters`]; `verify_failed` when the device holds another one.
+    /// Those of [`Client::push_parameters`]; `verify_failed` when the device holds others.
     pub fn push_verified(&mut self, set: &ParameterSet) -> Result<ParameterId> {
-        let id = self.push_parameters(set)?;
+        let compiled = self.compiled(set)?;
+        let id = self.store(set, &compiled)?;
         let found = self.parameters().map_err(|error| {
             let message =
                 format!("the device accepted {id}, but verifying it failed: {}", error.message());
             HostError::new(error.code(), message, error.remedy()).at(&self.name)
         })?;
-        if found.id != id.0 {
-            return Err(ErrorCode::VerifyFailed.error(
-                format!("the device holds parameters {:08x} instead of the pushed {id}", found.id),
-                "push again; another computer may have pushed at the same time",
-            ));
+        if found.active != Some(compiled) {
+            let held = if found.id == id.0 {
+                format!("the device holds other integers of {id} than were pushed")
+            } else {
+                format!("the device holds parameters {:08x} instead of the pushed {id}", found.id)
+            };
+            return Err(ErrorCode::VerifyFailed
+                .error(held, "push again; another computer may have pushed at the same time")
+                .at(&self.name));
         }
+        // A computer that cannot keep it has still pushed it: the board's integers remain.
+        let _ = source::keep(set);
         Ok(id)
     }
 
-    /// The calibration that the device holds; `None` if it is uncalibrated.
+    /// The calibration that the device holds, with its id; `None` if it is uncalibrated.
     ///
     /// # Errors
     /// Those of [`Client::parameters`]; `verify_failed` when it is invalid.
-    pub fn held_parameters(&mut self) -> Result<Option<ParameterSet>> {
-        let ActiveParameters { active, .. } = self.parameters()?;
-        let held = active.as_ref().map(ParameterSet::try_from).transpose();
-        held.map_err(|fault| {
+    pub fn held_parameters(&mut self) -> Result<Option<(ParameterId, ParameterSet)>> {
+        let nominal =
+            self.nominal.and_then(|(lsb_per_g, _)| Sensitivity::from_lsb_per_g(lsb_per_g).ok());
+        let reported = self.parameters()?;
+        let held = reported.calibration(nominal).map_err(|fault| {
             ErrorCode::VerifyFailed.error(
                 format!("the device holds invalid parameters: {fault}"),
                 "calibrate and push again",
             )
-        })
+        })?;
+        Ok(held.map(|set| (ParameterId(reported.id), set)))
     }
 }
 

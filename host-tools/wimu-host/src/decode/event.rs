@@ -1,7 +1,8 @@
 //! Events of a link, and their statistics.
 
+use crate::calibration::source::ActiveParameters;
 use wimu_link::batch::Stream;
-use wimu_link::message::{ActiveParameters, Attitude, Environment, Epoch, Navigation, Status};
+use wimu_link::message::{Attitude, Environment, Epoch, Navigation, Status};
 use wimu_link::{FrameError, Hello, Reply, Settings};
 use wimu_model::{DeviceTimeUs, PeriodNs};
 

@@ -1,19 +1,19 @@
 //! Decoding of a frame's body.
 
 use wimu_link::batch::MAX_SENSOR;
-use wimu_link::message::{Epoch, ParametersPiece};
+use wimu_link::message::Epoch;
 use wimu_link::tag::Tag;
 use wimu_link::{Frame, Hello, Kind, Reply, Telemetry};
 use wimu_model::DeviceTimeUs;
 
 use super::event::Event;
+use crate::calibration::source::ActiveParameters;
 
 /// Content of a frame, before the decoder converts it to an event.
 #[allow(clippy::large_enum_variant, reason = "lives for one frame")]
 pub enum Message {
     Hello(Hello),
     Epoch(Epoch),
-    Piece(ParametersPiece),
     Tag(Tag),
     Event(Event),
 }
@@ -33,12 +33,13 @@ pub fn read(&Frame { kind, body, .. }: &Frame<'_>) -> Result<Message, String> {
                 return Err(format!("an epoch of sensor {}", epoch.sensor));
             }
             Telemetry::Epoch(epoch) => return Ok(Message::Epoch(epoch)),
-            Telemetry::ParametersPiece(piece) => return Ok(Message::Piece(piece)),
             Telemetry::Tag(tag) => return Ok(Message::Tag(tag)),
             Telemetry::Environment(environment) => Event::Environment(environment),
             Telemetry::Navigation(navigation) => Event::Navigation(navigation),
             Telemetry::Attitude(attitude) => Event::Attitude(attitude),
-            Telemetry::Parameters(parameters) => Event::Parameters(parameters),
+            Telemetry::Parameters(bytes) => {
+                Event::Parameters(ActiveParameters::new(bytes.set().map_err(|e| text(&e))?))
+            }
             Telemetry::Settings(settings) => Event::Settings(settings),
             Telemetry::Status(status) => Event::Status(status),
             Telemetry::Event { time_us, event } => {

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use wimu_link::LinkRole;
 use wimu_link::message::Event as DeviceEvent;
-use wimu_model::{ParameterId, ParameterSet};
+use wimu_model::ParameterId;
 
 use super::commands::{self, Asks};
 use super::gateway::Shared;
@@ -220,12 +220,11 @@ impl Bridge {
             Event::Restart { .. } => self.clock = ClockEstimator::new(),
             Event::Hello(hello) => self.state.identify(hello),
             Event::Parameters(held) => {
-                let set = held.active.as_ref();
-                let set = set.and_then(|set| ParameterSet::try_from(set).ok());
                 let id = Some(ParameterId(held.id).to_string());
                 self.state.contradicted &= self.state.parameter_id == id;
                 self.state.parameter_id = id;
-                self.state.calibrated_utc_s = set.and_then(|set| set.quality?.terms().utc_s);
+                self.state.calibrated_utc_s =
+                    held.active.and_then(|set| set.utc_s()).map(u64::from);
             }
             Event::Device { event: DeviceEvent::CalibrationContradicted { .. }, .. } => {
                 self.state.contradicted = true

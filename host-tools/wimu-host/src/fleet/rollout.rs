@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use wimu_link::message::parameter_id;
+use crate::calibration::parameter_id;
 use wimu_model::ParameterSet;
 
 use super::status::FleetStatus;
@@ -110,13 +110,14 @@ pub fn push(fleet: &Fleet, target: &Target, force: bool) -> Result<bool> {
     let mut client = client::connect(&link)?;
     let name = link.to_string();
     let device_id = client.hello().device_id;
-    let disagrees = |message: String| {
-        let remedy = "find out why before the next boards: run `wimu params get LINK`";
-        Err(ErrorCode::VerifyFailed.error(message, remedy).at(&name))
-    };
     let found = format!("{device_id:016x}");
     if target.device_id.as_ref().is_some_and(|id| *id != found) {
-        return disagrees(format!("device {found} answers, the fleet's state names another one"));
+        return Err(ErrorCode::VerifyFailed
+            .error(
+                format!("device {found} answers, the fleet's state names another one"),
+                "find out why before the next boards: run `wimu params get LINK`",
+            )
+            .at(&name));
     }
     if !client.use_own_key()? {
         return Err(ErrorCode::KeyNeeded
@@ -134,9 +135,6 @@ pub fn push(fleet: &Fleet, target: &Target, force: bool) -> Result<bool> {
     if client.parameters()?.id == id.0 {
         return Ok(false);
     }
-    client.push_parameters(&target.set)?;
-    match client.parameters()?.id {
-        held if held == id.0 => Ok(true),
-        held => disagrees(format!("the board holds {held:08x} instead of the pushed {id}")),
-    }
+    client.push_verified(&target.set)?;
+    Ok(true)
 }

@@ -7,10 +7,10 @@ use std::sync::OnceLock;
 
 use wimu_link::auth::DeviceKey;
 use wimu_link::batch::Stream;
-use wimu_link::message::ActiveParameters;
 use wimu_link::{LinkRole, WIRE_VERSION};
 
 use super::{EpochMark, LinkHistory};
+use crate::calibration::source::ActiveParameters;
 use crate::clock::{ClockEstimator, ClockModel};
 use crate::decode::Event;
 use crate::error::{ErrorCode, Result};

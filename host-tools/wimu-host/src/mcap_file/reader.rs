@@ -2,6 +2,7 @@
 
 use super::records::{self, Channel, Chunk, Message};
 use super::*;
+use crate::calibration::source;
 use crate::progress::Watched;
 
 /// Completeness of a recording, known once it has been read to its end.
@@ -189,6 +190,9 @@ impl<R: Read> RecordingReader<R> {
 
     fn metadata(&mut self, record: &[u8]) -> Option<()> {
         let records::Metadata { name, values } = records::Metadata::parse(record)?;
+        if name == CALIBRATION {
+            values.values().for_each(|text| source::learn_text(text));
+        }
         if name != METADATA || self.anchor.is_some() {
             return Some(());
         }

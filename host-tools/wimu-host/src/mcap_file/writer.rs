@@ -1,9 +1,13 @@
 //! Writer of a recording in progress.
 
+use std::collections::BTreeSet;
+
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{McapError, WriteOptions, Writer};
+use wimu_model::ParameterId;
 
 use super::*;
+use crate::calibration::source;
 use crate::ros::message::{Message as Cdr, schema as ros_schema};
 
 /// Writes ROS 2 messages in CDR to an MCAP file, in chunks without compression.
@@ -120,6 +124,8 @@ pub struct RecordingWriter<W: Write + Seek> {
     channels: [(u16, u32); TOPICS.len()],
     pub(super) last_flush_ns: Option<u64>,
     message: Vec<u8>,
+    /// Calibrations in the file.
+    kept: BTreeSet<u32>,
 }
 
 impl RecordingWriter<File> {
@@ -167,7 +173,30 @@ impl<W: Write + Seek> RecordingWriter<W> {
         let begun =
             (file.container.write_metadata(&metadata)).and_then(|()| file.container.flush());
         begun.map_err(|error| failed(name, error))?;
-        Ok(Self { file, anchor, channels, last_flush_ns: None, message: Vec::new() })
+        Ok(Self {
+            file,
+            anchor,
+            channels,
+            last_flush_ns: None,
+            message: Vec::new(),
+            kept: BTreeSet::new(),
+        })
+    }
+
+    /// Keeps the source of the parameters that a board has, once, if it is known here.
+    ///
+    /// # Errors
+    /// `file_failed`.
+    pub fn keep_calibration(&mut self, id: ParameterId) -> Result<()> {
+        if self.kept.contains(&id.0) {
+            return Ok(());
+        }
+        let Some(set) = source::find(id) else { return Ok(()) };
+        self.kept.insert(id.0);
+        let entry = (id.to_string(), source::to_text(&set));
+        let metadata = Metadata { name: CALIBRATION.to_owned(), metadata: BTreeMap::from([entry]) };
+        let written = self.file.container.write_metadata(&metadata);
+        written.map_err(|error| failed(&self.file.name, error))
     }
 
     /// Appends bytes that the link of `role` received at `host_ns`, ns on the anchored monotonic clock.

@@ -8,12 +8,14 @@ use std::time::Duration;
 
 use wimu_host::Result;
 use wimu_host::client::{Client, ConnectOptions};
+use wimu_host::decode::{Decoder, Event};
 use wimu_host::history::Recording;
 use wimu_host::live::Tap;
 use wimu_host::mcap_file::{ClockAnchor, Recorded, RecordingReader, RecordingWriter};
 use wimu_host::transport::Transport;
 use wimu_link::LinkRole;
 use wimu_link::auth::DeviceKey;
+use wimu_model::ParameterId;
 
 use crate::board::{SimLink, VirtualBoard};
 use crate::scene::Scene;
@@ -117,8 +119,23 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
         let anchor = ClockAnchor { monotonic_ns: 0, utc_ns: 0 };
         let sink = Cursor::new(Vec::new());
         let mut writer = RecordingWriter::new(sink, "the recording", anchor)?;
+        writer.keep_calibration(self.cable.hello().parameter_id)?;
+        let mut decoder = Decoder::new();
+        let mut reported = Vec::new();
         for entry in &self.heard {
             writer.record(entry)?;
+            if let Recorded::Received(received) = entry
+                && received.role == LinkRole::Cable
+            {
+                decoder.push(received.host_ns, &received.bytes, |arrival| {
+                    if let Event::Parameters(parameters) = arrival.event {
+                        reported.push(ParameterId(parameters.id));
+                    }
+                });
+            }
+        }
+        for id in reported {
+            writer.keep_calibration(id)?;
         }
         Ok(writer.finish()?.into_inner())
     }

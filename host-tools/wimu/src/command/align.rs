@@ -57,6 +57,7 @@ pub fn run(arguments: &Align, output: &Output) -> Result<u8> {
             })
         },
         |client, set| listen(client, arguments, set, &options, output),
+        output,
     )?;
     let samples = data.samples(Selection::default())?;
     let report = alignment::alignment(&samples, &set, &options);

@@ -16,7 +16,7 @@ use wimu_host::formats::{self, ReadOptions};
 use wimu_host::history;
 use wimu_host::html::Report;
 use wimu_host::recording::{Recording, Selection};
-use wimu_host::{Input, Result};
+use wimu_host::{ErrorCode, HostError, Input, Result};
 use wimu_model::{ParameterSet, Sensitivity};
 
 use crate::arguments::{Calibrate, Calibrated, Method};
@@ -78,6 +78,7 @@ pub fn read_calibrated(
     push: bool,
     checked: impl Fn(Option<ParameterSet>) -> Result<ParameterSet>,
     listen: impl FnOnce(&mut Connection, &ParameterSet) -> Result<Recording>,
+    output: &Output,
 ) -> Result<(Recording, ParameterSet, Option<Connection>)> {
     let mut load = load.clone();
     load.stored_zero_count = given.and_then(calibration::zero_count);
@@ -89,18 +90,42 @@ pub fn read_calibrated(
             let recording = history::Recording::load(&path)?;
             let link = recording.link(load.role)?;
             let data = Recording::of_link(link, &recording.name)?;
-            let set = given.map_or_else(|| link.last_parameters(), |set| Ok(Some(set)))?;
+            let set = match given {
+                None => {
+                    output.findings(link.unknown_source().as_slice());
+                    link.last_parameters()?
+                }
+                given => given,
+            };
             Ok((data, checked(set)?, None))
         }
         Input::Link(_) => {
             let mut client = connect_for(input, push)?;
             let device_id = client.hello().device_id;
             file.map_or(Ok(()), |file| calibration::check_device(file, device_id))?;
-            let set = given.map_or_else(|| client.held_parameters(), |set| Ok(Some(set)))?;
+            let set = match given {
+                None => {
+                    let reported = client.parameters()?;
+                    if push && reported.lacks_gyroscope() {
+                        return Err(erases_gyroscope().at(client.name()));
+                    }
+                    output.findings(reported.unknown_source().as_slice());
+                    client.held_parameters()?.map(|(_, set)| set)
+                }
+                given => given,
+            };
             let set = checked(set)?;
             Ok((listen(&mut client, &set)?, set, Some(client)))
         }
     }
+}
+
+/// The error where a push would replace a calibration whose source is not known here.
+fn erases_gyroscope() -> HostError {
+    ErrorCode::DataRefused.error(
+        "the source of the board's calibration is not known here: a push would erase that of its gyroscope",
+        "name its CAL.json, or push from the computer that pushed it",
+    )
 }
 
 /// How to read the input, and which of its samples.
@@ -200,6 +225,7 @@ fn update(arguments: &Calibrate, output: &Output) -> Result<u8> {
         false,
         checked,
         |_, _| Err(not_live()),
+        output,
     )?;
     let samples = data.samples(selection)?;
     let report = calibration::update(&samples, &stored, arguments.gravity, utc_s())?;

@@ -3,17 +3,20 @@
 use std::path::Path;
 
 use serde::Serialize;
-use wimu_host::calibration::{CalibrationExport, ExportTarget, KalibrNoise, further_sensors};
+use wimu_host::calibration::{
+    CalibrationExport, ExportTarget, KalibrNoise, compiled_for, further_sensors, read_parameters,
+};
 use wimu_host::compare::LinkModel;
 use wimu_host::csv::SENSITIVITY;
 use wimu_host::export::{self, ExportSource, ExportStream};
-use wimu_host::finding::{FindingCode, without_unit};
+use wimu_host::finding::{Finding, FindingCode, without_unit};
 use wimu_host::formats::{self, ReadOptions};
 use wimu_host::mcap_file::Wholeness;
 use wimu_host::multi_range::{FullScales, Merge, MergedSensor};
 use wimu_host::plural::counted;
 use wimu_host::ros::{self, Decoded};
-use wimu_host::{HostError, Input, OutputFile, Result};
+use wimu_host::{ErrorCode, HostError, Input, OutputFile, Result};
+use wimu_model::CompiledSet;
 
 use crate::arguments::{Export, ExportFormat, Stream};
 use crate::command::not_over_input;
@@ -40,6 +43,14 @@ struct ExportedCalibration {
     text: Option<String>,
 }
 
+/// A calibration for a device.
+#[derive(Serialize)]
+struct CompiledCalibration {
+    file: String,
+    bytes: usize,
+    parameter_id: String,
+}
+
 /// Merged accelerometers.
 #[derive(Serialize)]
 struct Merged {
@@ -64,6 +75,9 @@ pub fn run(arguments: &Export, output: &Output) -> Result<()> {
     let Some(to) = arguments.output.as_deref() else {
         return Err(usage("no output file is given", "name one with -o FILE"));
     };
+    if arguments.format == ExportFormat::Device {
+        return compiled(arguments, to, output);
+    }
     let file = to.display().to_string();
     if arguments.format == ExportFormat::Ros {
         if to.symlink_metadata().is_ok() {
@@ -148,7 +162,7 @@ fn merged(arguments: &Export, to: &Path, output: &Output) -> Result<()> {
 /// What reads the exported calibration; `None` for a recording.
 fn target(arguments: &Export) -> Option<ExportTarget> {
     Some(match arguments.format {
-        ExportFormat::Csv => return None,
+        ExportFormat::Csv | ExportFormat::Device => return None,
         ExportFormat::Ros => {
             let input = Input::parse(&arguments.input.to_string_lossy());
             return (!matches!(input, Ok(Input::Recording(_)))).then_some(ExportTarget::Ros);
@@ -163,17 +177,46 @@ fn target(arguments: &Export) -> Option<ExportTarget> {
     })
 }
 
+/// Writes a calibration in integers, for any device with its sensor.
+fn compiled(arguments: &Export, to: &Path, output: &Output) -> Result<()> {
+    let set = read_parameters(&arguments.input)?;
+    let rad_s_per_lsb = set.gyroscope.map(|gyroscope| gyroscope.rad_s_per_lsb);
+    let compiled = compiled_for(&set, 0, rad_s_per_lsb, true).map_err(|error| {
+        let error = ErrorCode::BadCalibration.error(error.to_string(), "calibrate again");
+        error.at(arguments.input.display().to_string())
+    })?;
+    let mut buffer = [0; CompiledSet::MAX_BYTES];
+    let bytes = compiled.to_bytes(&mut buffer);
+    OutputFile::write(to, &buffer[..bytes])?;
+
+    let file = to.display().to_string();
+    output.print(format!("{file}: {bytes} bytes, parameters {}", compiled.source()));
+    let mut findings = Vec::from_iter(further_left_out(&arguments.input));
+    if set.magnetometer.is_some() && compiled.compass().is_none() {
+        let text =
+            "the magnetometer's calibration is left out: a device with a gyroscope does not use it";
+        findings.push(FindingCode::NotExpressible.warning(text));
+    }
+    output.findings(&findings);
+    let parameter_id = compiled.source().to_string();
+    output.object(&CompiledCalibration { file, bytes, parameter_id });
+    Ok(())
+}
+
+/// The sensors of a calibration that an export leaves out.
+fn further_left_out(input: &Path) -> Option<Finding> {
+    let further = further_sensors(input);
+    let text = format!("sensors {further:?} of the calibration are left out");
+    (!further.is_empty()).then(|| FindingCode::NotExpressible.warning(text))
+}
+
 /// Writes a calibration for other programs, or prints it.
 fn calibration(arguments: &Export, target: ExportTarget, output: &Output) -> Result<()> {
     let export = CalibrationExport::read(&arguments.input)?;
     let noise = arguments.noise.as_deref();
     let text = export.text(target, noise.map(KalibrNoise::read).transpose()?);
-    let further = further_sensors(&arguments.input);
     let mut findings = export.findings(target);
-    if !further.is_empty() {
-        let text = format!("sensors {further:?} of the calibration are left out");
-        findings.push(FindingCode::NotExpressible.warning(text));
-    }
+    findings.extend(further_left_out(&arguments.input));
     let file = arguments.output.as_ref().map(|path| path.display().to_string());
     if let Some(path) = &arguments.output {
         OutputFile::write(path, &text)?;

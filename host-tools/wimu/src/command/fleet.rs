@@ -4,13 +4,13 @@ use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde_json::json;
+use wimu_host::calibration::parameter_id;
 use wimu_host::fleet::rollout::{self, Plan};
 use wimu_host::fleet::state::BoardState;
 use wimu_host::fleet::status::{self, FleetStatus};
 use wimu_host::fleet::topics::Fleet as Address;
 use wimu_host::plural::counted;
 use wimu_host::{ErrorCode, Result};
-use wimu_link::message::parameter_id;
 
 use crate::arguments::Fleet;
 use crate::output::Output;

@@ -206,10 +206,9 @@ fn start(boot: &Boot, arguments: &Navigate, calibration: Option<&ParameterSet>) 
         });
     }
     let mark = &boot.epochs[boot.epochs.len() - 1];
-    let recorded = || boot.parameters_of(&mark.epoch);
-    let parameters = calibration.copied().map_or_else(recorded, Ok)?;
-    let zupt = arguments.zupt.map_or(mark.epoch.state.zupt, |zupt| zupt != ZeroVelocity::Off);
-    let points = navigation::recomputed(boot, &parameters, zupt)?;
+    let zupt =
+        arguments.zupt.map_or(mark.epoch.state.config.zupt, |zupt| zupt != ZeroVelocity::Off);
+    let points = navigation::recomputed(boot, calibration, zupt)?;
     Ok(Start { device, recomputed: Track::of(&points), replay: None })
 }
 

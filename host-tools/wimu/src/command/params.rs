@@ -42,7 +42,7 @@ pub fn run(action: &Params, output: &Output) -> Result<()> {
                 check_device(calibration, client.hello().device_id)?;
             }
             if *dry_run {
-                let before = client.held_parameters()?;
+                let before = client.held_parameters()?.map(|(_, set)| set);
                 print_difference(before.as_ref(), &set, output);
                 output.print("nothing was written");
             } else {
@@ -69,7 +69,7 @@ pub fn run(action: &Params, output: &Output) -> Result<()> {
 
 /// Prints what changes, pushes a calibration, and verifies that the device holds it.
 pub fn push(client: &mut Connection, set: &ParameterSet, output: &Output) -> Result<()> {
-    let before = client.held_parameters()?;
+    let before = client.held_parameters()?.map(|(_, set)| set);
     print_difference(before.as_ref(), set, output);
     let unseen = calibration::not_observed(set);
     if !unseen.is_empty() {
@@ -113,14 +113,14 @@ fn show(
     not_pushed: Vec<u8>,
     output: &Output,
 ) -> Result<()> {
-    let parameters = client.held_parameters()?;
+    let held = client.held_parameters()?;
+    let (id, parameters) =
+        (held.map_or(ParameterId::UNCALIBRATED, |(id, _)| id), held.map(|(_, set)| set));
     // Before anything is printed: an error is the only JSON object.
     if let Some(file) = file {
         save(file, parameters.as_ref(), client.hello().device_id)?;
     }
     let in_use = applies(parameters.as_ref(), client.settings()?.range_g, output);
-    let id =
-        parameters.map_or(ParameterId::UNCALIBRATED, |set| wimu_link::message::parameter_id(&set));
     match &parameters {
         None => output.print("the device is uncalibrated"),
         Some(set) => {
@@ -136,6 +136,11 @@ fn show(
             }
             for line in calibration::describe(set) {
                 output.print(line);
+            }
+            if calibration::source::find(id).is_none() {
+                output.print(
+                    "the calibration itself is not on this computer: these are the board's integers, without uncertainty",
+                );
             }
         }
     }

@@ -54,7 +54,11 @@ pub fn run(action: &arguments::Settings, output: &Output) -> Result<()> {
                 true => before,
                 false => client.set_settings(wanted)?,
             };
-            params::applies(client.held_parameters()?.as_ref(), now.range_g, output);
+            params::applies(
+                client.held_parameters()?.map(|(_, set)| set).as_ref(),
+                now.range_g,
+                output,
+            );
             (now, client.signs().then_some(true))
         }
     };

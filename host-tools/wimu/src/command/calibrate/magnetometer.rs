@@ -20,6 +20,7 @@ pub fn run(arguments: &Calibrate, output: &Output) -> Result<u8> {
         arguments.push,
         calibrated,
         |client, _| collect(client, arguments, &CalibrateOptions::default(), output),
+        output,
     )?;
     let data = data.samples(selection)?;
     let report = calibrate_magnetometer(&data, &set, arguments.dip.map(f64::to_radians))?;

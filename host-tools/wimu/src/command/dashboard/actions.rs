@@ -131,7 +131,7 @@ impl Board {
             }
             Action::Difference(File { file }) => {
                 let set = self.parameters(&file);
-                let held = self.held.as_ref().and_then(Option::as_ref);
+                let held = self.held.as_ref().and_then(Option::as_ref).map(|(_, set)| set);
                 asker.answer(set.map(|set| Difference::of(held, &set)));
                 None
             }

@@ -68,7 +68,7 @@ pub struct Board {
     pub hello: Option<Hello>,
     pub message: String,
     /// The parameters that the device holds, once it has reported them; `None` within: uncalibrated.
-    pub held: Option<Option<ParameterSet>>,
+    pub held: Option<Option<(ParameterId, ParameterSet)>>,
     pub guided: Option<Guided>,
     pub noise: Option<NoiseMeter>,
     pub navigator: Option<Beside>,
@@ -221,8 +221,13 @@ impl Board {
             Event::Restart { .. } => self.begin_again(),
             Event::Hello(hello) => self.hello = Some(*hello),
             Event::Parameters(parameters) => {
-                let set = parameters.active.as_ref().map(ParameterSet::try_from);
-                self.held = Some(set.and_then(std::result::Result::ok));
+                let id = ParameterId(parameters.id);
+                if let Some((_, writer)) = &mut self.writer {
+                    // A recording without it has the board's integers.
+                    let _ = writer.keep_calibration(id);
+                }
+                let set = parameters.calibration(None).ok().flatten();
+                self.held = Some(set.map(|set| (id, set)));
                 self.show_parameters();
             }
             _ => {}
@@ -237,15 +242,15 @@ impl Board {
 
     fn show_parameters(&self) {
         let Some(held) = &self.held else { return };
-        let rows = held.iter().flat_map(calibration::parameter_figures);
+        let set = held.as_ref().map(|(_, set)| set);
+        let rows = set.into_iter().flat_map(calibration::parameter_figures);
         let rows = rows.map(|(name, values)| [name.to_owned(), calibration::values_text(&values)]);
-        let id =
-            held.map_or(ParameterId::UNCALIBRATED, |set| wimu_link::message::parameter_id(&set));
+        let id = held.map_or(ParameterId::UNCALIBRATED, |(id, _)| id);
         let value = json!({
             "calibrated": held.is_some(),
             "id": id.to_string(),
             "rows": Vec::from_iter(rows),
-            "remarks": held.as_ref().map(calibration::describe).unwrap_or_default(),
+            "remarks": set.map(calibration::describe).unwrap_or_default(),
         });
         self.publish("parameters", &value);
     }
@@ -321,7 +326,7 @@ impl Board {
             _ => {}
         }
         let is_recording = self.writer.as_ref().map(|(path, _)| path.display().to_string());
-        let held = self.held.as_ref().and_then(Option::as_ref);
+        let held = self.held.as_ref().and_then(Option::as_ref).map(|(_, set)| set);
         let hello = self.hello.as_ref();
         let device = hello.map(|hello| format!("{} with {}", hello.board.name, hello.sensor.name));
         for (link, traffic) in self.links.iter_mut().zip(&self.traffic) {

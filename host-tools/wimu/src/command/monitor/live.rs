@@ -12,7 +12,7 @@ use wimu_host::live::{Heard, LiveLinks, Tap};
 use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
 use wimu_host::monitor::{LinkHealth, Reading, Readings, Traffic};
 use wimu_host::{LinkUrl, Result, recorder, transport};
-use wimu_model::ParameterSet;
+use wimu_model::ParameterId;
 
 use super::{Line, notice};
 use crate::arguments::{Arguments, Command, Monitor};
@@ -205,8 +205,11 @@ impl Live {
         match event {
             Event::Restart { .. } => self.view.origin_m = [0.0; 3],
             Event::Parameters(parameters) => {
-                let set = parameters.active.as_ref().map(ParameterSet::try_from);
-                let set = set.and_then(std::result::Result::ok);
+                if let Some((_, writer)) = &mut self.writer {
+                    // A recording without it has the board's integers.
+                    let _ = writer.keep_calibration(ParameterId(parameters.id));
+                }
+                let set = parameters.calibration(None).ok().flatten();
                 self.view.force_sd_mps2 = set.as_ref().and_then(calibration::force_sd_mps2);
             }
             _ => {}

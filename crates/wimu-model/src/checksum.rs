@@ -1,13 +1,13 @@
-//! CRC-32C (CRC-32/ISCSI), of frames and parameter sets.
+//! CRC-32C (CRC-32/ISCSI), of frames, parameter sets and what is stored.
 
 // Each target uses one of the two.
 #![cfg_attr(not(test), allow(dead_code))]
 
 #[cfg(target_pointer_width = "64")]
-pub(crate) use self::Fast as Digest;
+pub use self::Fast as Digest;
 
 #[cfg(not(target_pointer_width = "64"))]
-pub(crate) use self::Small as Digest;
+pub use self::Small as Digest;
 
 /// CRC-32C (CRC-32/ISCSI) of `bytes`.
 pub fn crc_32c(bytes: &[u8]) -> u32 {
@@ -21,15 +21,17 @@ static TABLES: crc::Crc<u32, crc::Table<16>> =
 const BLOCK: usize = 16;
 
 /// A running CRC-32C for hosts: 16 KiB of tables.
-pub(crate) struct Fast(crc::Digest<'static, u32, crc::Table<16>>);
+pub struct Fast(crc::Digest<'static, u32, crc::Table<16>>);
 
 impl Fast {
-    pub(crate) fn new() -> Self {
+    /// Of no bytes.
+    #[allow(clippy::new_without_default, reason = "a digest is begun, not defaulted")]
+    pub fn new() -> Self {
         Self(TABLES.digest())
     }
 
     /// CRC-32C of `bytes`; avoids the slow path for a remainder of up to 15 bytes.
-    pub(crate) fn of(bytes: &[u8]) -> u32 {
+    pub fn of(bytes: &[u8]) -> u32 {
         let odd = bytes.len() % BLOCK;
         let mut whole = Self::new();
         let mut rest = bytes;
@@ -45,17 +47,19 @@ impl Fast {
         whole.finalize()
     }
 
-    pub(crate) fn update(&mut self, bytes: &[u8]) {
+    /// Adds bytes.
+    pub fn update(&mut self, bytes: &[u8]) {
         self.0.update(bytes);
     }
 
-    pub(crate) fn finalize(self) -> u32 {
+    /// The CRC.
+    pub fn finalize(self) -> u32 {
         self.0.finalize()
     }
 }
 
 /// A running CRC-32C for a microcontroller: 64 bytes of table, half a byte at a time.
-pub(crate) struct Small(u32);
+pub struct Small(u32);
 
 impl Small {
     /// The CRC of each value of half a byte.
@@ -77,24 +81,28 @@ impl Small {
     };
 
     /// CRC-32C of `bytes`.
-    pub(crate) fn of(bytes: &[u8]) -> u32 {
+    pub fn of(bytes: &[u8]) -> u32 {
         let mut digest = Self::new();
         digest.update(bytes);
         digest.finalize()
     }
 
-    pub(crate) fn new() -> Self {
+    /// Of no bytes.
+    #[allow(clippy::new_without_default, reason = "a digest is begun, not defaulted")]
+    pub fn new() -> Self {
         Self(u32::MAX)
     }
 
-    pub(crate) fn update(&mut self, bytes: &[u8]) {
+    /// Adds bytes.
+    pub fn update(&mut self, bytes: &[u8]) {
         let half = |crc: u32| (crc >> 4) ^ Self::TABLE[(crc & 15) as usize];
         for &byte in bytes {
             self.0 = half(half(self.0 ^ u32::from(byte)));
         }
     }
 
-    pub(crate) fn finalize(self) -> u32 {
+    /// The CRC.
+    pub fn finalize(self) -> u32 {
         !self.0
     }
 }

@@ -524,7 +524,7 @@ pub fn fuzz_store(seeded: &mut Random) -> u64 {
 
 const STORE: FlashLayout<Storage> = FlashLayout::new(0..0x2000);
 const STORED: [Key; 4] =
-    [Key::Parameters { range_g: 2 }, Key::Settings, Key::CableRate, Key::DeviceKey];
+    [Key::Parameters { range_g: 2 }, Key::Settings, Key::LineRate, Key::DeviceKey];
 
 /// All that was ever saved under each key, the oldest first.
 type Saved = [Vec<Vec<u8>>; STORED.len()];

@@ -422,7 +422,7 @@ pub fn signed_requests(data: &[u8]) {
             && let Some(session) = sessions[which]
         {
             ids[which] = ids[which].wrapping_add(1);
-            let command = Command::SetLineRate { link: 1, baud: count as u32 };
+            let command = Command::SetLineRate { baud: count as u32 };
             let request = Request {
                 session: session.number,
                 id: ids[which],
@@ -449,7 +449,7 @@ pub fn signed_requests(data: &[u8]) {
             if let Decision::Execute(command) = responder.accept(&body_of[..length], &lock) {
                 if command.is_write() {
                     assert!(whole, "an unsigned write was executed");
-                    assert_eq!(command, Command::SetLineRate { link: 1, baud: chosen as u32 });
+                    assert_eq!(command, Command::SetLineRate { baud: chosen as u32 });
                     assert!(!executed[chosen], "a request had two effects");
                     executed[chosen] = true;
                 }

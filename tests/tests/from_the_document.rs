@@ -28,12 +28,12 @@ Event: | SensorLost Lost | SensorFound | WrongSensor u8 u8 | StoreUnreadable | P
 Lost: | NoAnswer | Transfer | Timeout
 SetError: | Length | Checksum | Format | Integers | Device
 Request: u32 u32 signature Command
-Command: | GetParameters | SetParameters bytes | FactoryReset | GetSettings | SetSettings Settings | GetStatus | SetLineRate u8 u32 | OpenSession | GetKeyStatus | SetKey key | ForgetKey | GetTime
+Command: | GetParameters | SetParameters bytes | FactoryReset | GetSettings | SetSettings Settings | GetStatus | SetLineRate u32 | OpenSession | GetKeyStatus | SetKey key | ForgetKey | GetTime
 Reply: u32 u32 signature Answer
 Answer: | Accepted Payload | Refused Refusal | Unknown
 Payload: | None | Parameters bytes | Settings Settings | Status Status | Session u32 u8*16 | KeyStatus KeyId? | Time u64
 KeyId: u8*4
-Refusal: | KeyNeeded | Locked | InvalidParameters SetError | WrongRange u8 u8 | UnsupportedSettings Settings | StoreFailed | SensorFailed | Stale | FixedLineRate | AdapterLineRate | UnsupportedLineRate u32 | SignatureNeeded | WrongSignature | SessionEnded | CableOnly | NotSupported
+Refusal: | KeyNeeded | Locked | InvalidParameters SetError | WrongRange u8 u8 | UnsupportedSettings Settings | StoreFailed | SensorFailed | Stale | FixedLineRate | UnsupportedLineRate u32 | SignatureNeeded | WrongSignature | SessionEnded | CableOnly | NotSupported
 ";
 
 /// Names that the examples give their structs, which the wire does not know.

@@ -9,14 +9,11 @@
 /// | `store` | the [`Store`](wimu_node::Store) |
 /// | `links` | the receiving and the sending half of a link: both links have the same types |
 /// | `wireless` | those of the wireless link, if they differ; may be left out |
-/// | `rate` | the [`LineRate`](wimu_node::LineRate) of a link, if both have the same types; may be left out |
 ///
 /// Expands to
 /// - `Shared` and `Node`, the types of the node,
 /// - `place(board, &'static Shared) -> &'static mut Node`, which builds the node in a `static`,
-/// - `spawn(node, above: SendSpawner, others: Spawner)`, which spawns the tasks, the sampler with `above`,
-/// - with `rate`, `spawn_keepers([cable, wireless], baud, timer, &'static Shared, others: Spawner)`, to be called
-///   before `spawn`; `baud` is the rate at which the lines are open, bits/s.
+/// - `spawn(node, above: SendSpawner, others: Spawner)`, which spawns the tasks, the sampler with `above`.
 ///
 /// Each function may be called once; a second call panics. The board depends on `static_cell`.
 #[macro_export]
@@ -38,12 +35,10 @@ macro_rules! tasks {
         timer: $timer:ty,
         store: $store:ty,
         links: ($reader:ty, $writer:ty),
-        $(rate: $rate:ty,)?
     ) => {
         $crate::node_tasks!($sensor, $timer, $store, $reader, $writer, $reader, $writer);
         $crate::link_tasks!($crate::wimu_node::LINKS, listen, talk, $reader, $writer, $timer);
         $crate::spawn_tasks!(listen, talk);
-        $($crate::keeper_tasks!($rate, $timer);)?
     };
 }
 
@@ -159,37 +154,6 @@ macro_rules! link_tasks {
             writer: &'static mut $crate::wimu_node::LinkWriter<'static, $writer, $crate::Mutex>,
         ) -> ! {
             writer.run().await
-        }
-    };
-}
-
-/// The part of [`tasks!`] for lines with an adjustable rate.
-#[doc(hidden)]
-#[macro_export]
-macro_rules! keeper_tasks {
-    ($rate:ty, $timer:ty) => {
-        /// Spawns the tasks that set the rates of the lines.
-        pub fn spawn_keepers(
-            [cable, wireless]: [$rate; 2],
-            baud: u32,
-            timer: $timer,
-            shared: &'static Shared,
-            others: $crate::embassy_executor::Spawner,
-        ) {
-            use $crate::wimu_node::RateKeeper;
-            use $crate::wimu_link::LinkRole::{Cable, Wireless};
-            let lines = [(Cable, cable), (Wireless, wireless)];
-            for (role, line) in lines.into_iter().take($crate::wimu_node::LINKS) {
-                let keeper = RateKeeper::new(role, line, baud, timer.clone(), shared);
-                others.spawn(keep(keeper).unwrap());
-            }
-        }
-
-        #[$crate::embassy_executor::task(pool_size = $crate::wimu_node::LINKS, embassy_executor = $crate::embassy_executor)]
-        async fn keep(
-            mut keeper: $crate::wimu_node::RateKeeper<'static, $rate, $timer, $crate::Mutex>,
-        ) -> ! {
-            keeper.run().await
         }
     };
 }

@@ -122,19 +122,16 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
                 Ok(read) if read > 0 => read,
                 // The line may work again later.
                 _ => {
-                    self.shared.rate_signals(self.role).noise.signal(());
                     self.timer.after_us(10_000).await;
                     continue;
                 }
             };
-            let mut heard = false;
             for &byte in bytes.get(..read).unwrap_or_default() {
                 let Some(received) = deframer.push(byte) else {
                     continue;
                 };
                 match received {
                     Ok(frame) if frame.kind == Kind::WhoAreYou => {
-                        heard = true;
                         // A flood of questions must not displace samples.
                         let now = self.timer.now();
                         if introduced
@@ -145,7 +142,6 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
                         }
                     }
                     Ok(frame) if frame.kind == Kind::Request => {
-                        heard = true;
                         let Some(command) = self.accept(frame.body).await else {
                             continue;
                         };
@@ -155,11 +151,6 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
                     Ok(_) => {}
                     Err(_) => self.count_damaged(),
                 }
-            }
-            let signals = self.shared.rate_signals(self.role);
-            match heard {
-                true => signals.heard.signal(()),
-                false => signals.noise.signal(()),
             }
         }
     }

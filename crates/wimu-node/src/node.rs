@@ -5,7 +5,7 @@ use embedded_io_async::{Read, Write};
 use wimu_link::hello::Capabilities;
 use wimu_link::{Hello, LinkRole};
 
-use crate::control::{Control, RECORD};
+use crate::control::Control;
 use crate::link::{LinkReader, LinkWriter};
 use crate::sampler::Sampler;
 use crate::sensor::InertialSensor;
@@ -31,7 +31,13 @@ pub struct Board<A, T, S, CR, CW, WR, WW> {
     pub cable: (CR, CW),
     /// The wireless link, likewise.
     pub wireless: (WR, WW),
+    /// The rates of the wireless link's serial line, if it has one whose rate can be set. The board opens it at the
+    /// [stored rate](crate::line_rate).
+    pub nearest_rate: Option<NearestRate>,
 }
+
+/// Returns the supported rate nearest to the argument, bit/s.
+pub type NearestRate = fn(u32) -> u32;
 
 /// The tasks of a node. Each has a `run` that never ends. Spawn `sampler` at a higher priority than the others;
 /// it never waits for them.
@@ -69,7 +75,7 @@ where
         let planner = self.sensor.planner();
         common.publish(|published| {
             published.hello = self.hello;
-            published.hello.capabilities = capabilities(self.hello.capabilities);
+            published.hello.capabilities = capabilities(self.hello.capabilities, self.nearest_rate);
             published.lock.device_id = self.hello.device_id;
             published.lock.entropy = self.entropy;
         });
@@ -99,7 +105,7 @@ where
                 store: records(self.store),
                 timer: self.timer,
                 shared: common,
-                record: [0; RECORD],
+                nearest_rate: self.nearest_rate,
                 parameters_changed: false,
                 latched: None,
             },
@@ -108,14 +114,15 @@ where
 }
 
 /// The capabilities of a board, with what this build of the node can do.
-fn capabilities(board: Capabilities) -> Capabilities {
+fn capabilities(board: Capabilities, nearest_rate: Option<NearestRate>) -> Capabilities {
+    let sets_rate = cfg!(all(feature = "wireless", feature = "store")) && nearest_rate.is_some();
     let mut all = board.with(Capabilities::LISTED);
     for (there, functions) in [
         (cfg!(feature = "correction"), Capabilities::CORRECTION),
         (cfg!(feature = "navigation"), Capabilities::NAVIGATION),
         (cfg!(feature = "heading"), Capabilities::HEADING),
         (cfg!(feature = "auth"), Capabilities::AUTHENTICATION),
-        (cfg!(feature = "line-rates"), Capabilities::LINE_RATES),
+        (sets_rate, Capabilities::LINE_RATES),
     ] {
         if there {
             all = all.with(functions);

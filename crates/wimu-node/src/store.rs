@@ -13,10 +13,8 @@ pub enum Key {
     Settings,
     /// The key that writes are signed with.
     DeviceKey,
-    /// The rate of the cable's line.
-    CableRate,
-    /// The rate of the wireless link's line.
-    WirelessRate,
+    /// The rate of the wireless link's serial line.
+    LineRate,
 }
 
 impl Key {
@@ -25,8 +23,7 @@ impl Key {
         match self {
             Self::Settings => Some(2),
             Self::DeviceKey => Some(4),
-            Self::CableRate => Some(5),
-            Self::WirelessRate => Some(6),
+            Self::LineRate => Some(5),
             Self::Parameters { range_g } => match range_g.checked_add(128) {
                 Some(number) if range_g > 0 => Some(number),
                 _ => None,
@@ -39,8 +36,7 @@ impl Key {
         match number {
             2 => Some(Self::Settings),
             4 => Some(Self::DeviceKey),
-            5 => Some(Self::CableRate),
-            6 => Some(Self::WirelessRate),
+            5 => Some(Self::LineRate),
             129.. => Some(Self::Parameters { range_g: number - 128 }),
             _ => None,
         }
@@ -82,6 +78,15 @@ pub trait Store {
     /// # Errors
     /// [`StoreFault`] when they could not be removed; all are unchanged then.
     async fn remove(&mut self, which: fn(Key) -> bool) -> Result<(), StoreFault>;
+}
+
+/// The stored rate of the wireless link's serial line, bit/s, at which a board opens it; `None` without one that can be
+/// read.
+pub fn line_rate(store: &mut impl Store) -> Option<u32> {
+    let mut record = [0; MAX_RECORD];
+    let length = store.load(Key::LineRate, &mut record).ok()??;
+    let baud = record.get(..length)?.try_into().ok()?;
+    Some(u32::from_le_bytes(baud))
 }
 
 /// What the node keeps its records in: the board's store, or, without the feature `store`, nothing.

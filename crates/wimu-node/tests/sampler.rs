@@ -247,6 +247,7 @@ fn run_asked<S: RawSample>(
         entropy: [0; 16],
         cable: (Line(Rc::new(RefCell::new(request))), cable.clone()),
         wireless: (Line::default(), Line::default()),
+        nearest_rate: Some(|baud| baud),
     };
     let shared = Shared::<NoopRawMutex, S>::new();
     let ended = poll_fn(|_| match done.get() {
@@ -500,10 +501,10 @@ const FUNCTIONS: [(Command, Capabilities); 4] = [
     (Command::GetParameters, Capabilities::CORRECTION),
     (Command::SetParameters(SetBytes::NONE), Capabilities::CORRECTION),
     (Command::SetKey(DeviceKey::new([1; 32])), Capabilities::AUTHENTICATION),
-    (Command::SetLineRate { link: 1, baud: 9600 }, Capabilities::LINE_RATES),
+    (Command::SetLineRate { baud: 9600 }, Capabilities::LINE_RATES),
 ];
 
-#[cfg(not(any(feature = "correction", feature = "store", feature = "line-rates")))]
+#[cfg(not(any(feature = "correction", feature = "store")))]
 #[test]
 fn a_node_without_features_streams_and_refuses_what_it_lacks() {
     for (command, function) in FUNCTIONS {

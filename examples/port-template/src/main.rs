@@ -117,6 +117,7 @@ fn start(spawner: Spawner) {
         entropy: [0; 16], // from the chip's source of randomness, zeros without one
         cable: (hal::Uart, hal::Uart),
         wireless: (hal::Uart, hal::Uart),
+        nearest_rate: None,
     };
     let node = tasks::place(board, &SHARED);
     tasks::spawn(node, SAMPLING.start(hal::SpareInterrupt), spawner);

@@ -59,7 +59,6 @@ mod tasks {
         timer: BoardTimer,
         store: Memory,
         links: (BufferedUarteRx<'static>, BufferedUarteTx<'static>),
-        rate: crate::rate::Rate,
     }
     #[cfg(not(feature = "full"))]
     wimu_embassy::tasks! {
@@ -187,7 +186,7 @@ fn start(spawner: Spawner) {
     bus.frequency = twim::Frequency::K400;
     let i2c =
         Twim::new(chip.TWISPI0, Interrupts, chip.P0_16, chip.P0_08, bus, BUS_BUFFER.init([0; 16]));
-    let uart = uarte::Config::default;
+    let mut store = FlashStore::new(StoreFlash(Nvmc::new(chip.NVMC)), LAYOUT, PAUSE_MS);
     let [a, b, _wireless @ ..] = BUFFERS.init([[0; 128]; _]);
     let cable = BufferedUarte::new(
         chip.UARTE0,
@@ -198,7 +197,7 @@ fn start(spawner: Spawner) {
         chip.P1_08,
         chip.P0_06,
         Interrupts,
-        uart(),
+        uarte::Config::default(),
         a,
         b,
     );
@@ -207,6 +206,10 @@ fn start(spawner: Spawner) {
     #[cfg(feature = "full")]
     let wireless = {
         let [c, d] = _wireless;
+        let mut uart = uarte::Config::default();
+        if let Some(baud) = wimu_node::line_rate(&mut store) {
+            uart.baudrate = rate::setting(baud).1;
+        }
         BufferedUarte::new(
             chip.UARTE1,
             chip.TIMER2,
@@ -216,7 +219,7 @@ fn start(spawner: Spawner) {
             chip.P0_03,
             chip.P0_02,
             Interrupts,
-            uart(),
+            uart,
             c,
             d,
         )
@@ -225,14 +228,6 @@ fn start(spawner: Spawner) {
     let shared = &SHARED;
     let mut entropy = [0; 16];
     Rng::new_blocking(chip.RNG).blocking_fill_bytes(&mut entropy);
-    #[cfg(feature = "full")]
-    tasks::spawn_keepers(
-        [embassy_nrf::pac::UARTE0, embassy_nrf::pac::UARTE1].map(rate::Rate),
-        rate::OPENED,
-        BoardTimer,
-        shared,
-        spawner,
-    );
     let board = Board {
         hello: wimu_embassy::hello(
             wimu_nrf::device_id(),
@@ -249,10 +244,14 @@ fn start(spawner: Spawner) {
         sensor: Sensor::new(TimeoutBus::new(Bus(i2c), BoardTimer), line, BoardTimer)
             .mounted(MOUNTING),
         timer: BoardTimer,
-        store: FlashStore::new(StoreFlash(Nvmc::new(chip.NVMC)), LAYOUT, PAUSE_MS),
+        store,
         entropy,
         cable: cable.split(),
         wireless,
+        #[cfg(feature = "full")]
+        nearest_rate: Some(rate::nearest),
+        #[cfg(not(feature = "full"))]
+        nearest_rate: None,
     };
     let node = tasks::place(board, shared);
 

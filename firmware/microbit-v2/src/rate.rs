@@ -1,14 +1,6 @@
 //! The rate of a UART.
 
-use embassy_nrf::pac::uarte::Uarte;
 use embassy_nrf::uarte::Baudrate;
-use wimu_node::LineRate;
-
-/// A UART's rate. The driver can set it only before it is split.
-pub struct Rate(pub Uarte);
-
-/// The rate at which the UARTs are opened, the default of their driver, bit/s, 8N1.
-pub const OPENED: u32 = 115_200;
 
 /// The rates of the datasheet, bit/s.
 const RATES: [(u32, Baudrate); 17] = [
@@ -31,17 +23,13 @@ const RATES: [(u32, Baudrate); 17] = [
     (921_600, Baudrate::Baud921600),
 ];
 
-fn nearest(baud: u32) -> (u32, Baudrate) {
+/// The setting nearest to `baud`, with its rate, bit/s.
+pub fn setting(baud: u32) -> (u32, Baudrate) {
     let nearest = RATES.into_iter().min_by_key(|(rate, _)| rate.abs_diff(baud));
     nearest.unwrap_or((115_200, Baudrate::Baud115200))
 }
 
-impl LineRate for Rate {
-    fn nearest(baud: u32) -> u32 {
-        nearest(baud).0
-    }
-
-    fn set(&mut self, baud: u32) {
-        self.0.baudrate().write(|w| w.set_baudrate(nearest(baud).1));
-    }
+/// The supported rate nearest to `baud`, bit/s.
+pub fn nearest(baud: u32) -> u32 {
+    setting(baud).0
 }

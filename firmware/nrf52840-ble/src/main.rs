@@ -181,6 +181,7 @@ fn start(spawner: Spawner) {
         entropy,
         cable: cable.split(),
         wireless: WIRELESS.split(),
+        nearest_rate: None,
     };
     let shared = &SHARED;
     let node = tasks::place(board, shared);

@@ -7,7 +7,6 @@
 mod clock;
 mod data_ready;
 mod flash;
-mod rate;
 mod sender;
 
 use cortex_m_rt::entry;
@@ -34,7 +33,6 @@ use wimu_node::{Adxl345, Board, FlashStore, TimeoutBus};
 use crate::clock::BoardTimer;
 use crate::data_ready::Line;
 use crate::flash::StoreFlash;
-use crate::rate::Rate;
 use crate::sender::Sender;
 use crate::tasks::Shared;
 
@@ -51,19 +49,18 @@ type Memory = FlashStore<StoreFlash>;
 
 /// The tasks of the node.
 mod tasks {
-    use super::{BoardTimer, BufferedUartRx, Memory, Rate, Sender, Sensor};
+    use super::{BoardTimer, BufferedUartRx, Memory, Sender, Sensor};
     wimu_embassy::tasks! {
         sensor: Sensor,
         timer: BoardTimer,
         store: Memory,
         links: (BufferedUartRx, Sender),
-        rate: Rate,
     }
 }
 
 wimu_cortex_m::fault_handlers!(restart);
 
-/// The rate at which the UARTs are opened, bits/s, 8N1.
+/// The rate of the UARTs unless another one is stored for the wireless link, bit/s, 8N1.
 const BAUD: u32 = 115_200;
 
 /// Timeout of the watchdog, longer than an erase of a sector of the flash.
@@ -108,13 +105,12 @@ fn start(spawner: Spawner) {
     let address = Address::Low;
     let line = Line(Input::new(chip.PIN_6, Pull::Down));
     let [a, b, c, d] = BUFFERS.init([[0; 128]; 4]);
-    let uart = || {
-        let mut config = uart::Config::default();
-        config.baudrate = BAUD;
-        config
-    };
-    let wireless = BufferedUart::new(chip.UART0, chip.PIN_0, chip.PIN_1, Interrupts, a, b, uart());
-    let cable = BufferedUart::new(chip.UART1, chip.PIN_8, chip.PIN_9, Interrupts, c, d, uart());
+    let mut store = FlashStore::new(StoreFlash::new(flash), flash::LAYOUT, PAUSE_MS);
+    let mut uart = uart::Config::default();
+    uart.baudrate = BAUD;
+    let cable = BufferedUart::new(chip.UART1, chip.PIN_8, chip.PIN_9, Interrupts, c, d, uart);
+    uart.baudrate = wimu_node::line_rate(&mut store).map_or(BAUD, nearest_rate);
+    let wireless = BufferedUart::new(chip.UART0, chip.PIN_0, chip.PIN_1, Interrupts, a, b, uart);
     let (wireless_tx, wireless_rx) = wireless.split();
     let (cable_tx, cable_rx) = cable.split();
     let board = Board {
@@ -128,14 +124,13 @@ fn start(spawner: Spawner) {
         ),
         sensor: Sensor::new(I2cBus { i2c, address }, line, BoardTimer),
         timer: BoardTimer,
-        store: FlashStore::new(StoreFlash::new(flash), flash::LAYOUT, PAUSE_MS),
+        store,
         entropy: entropy(),
         cable: (cable_rx, Sender { uart: cable_tx, interrupt: interrupt::UART1_IRQ }),
         wireless: (wireless_rx, Sender { uart: wireless_tx, interrupt: interrupt::UART0_IRQ }),
+        nearest_rate: Some(nearest_rate),
     };
     let shared = &SHARED;
-    let rates = [pac::UART1, pac::UART0].map(Rate);
-    tasks::spawn_keepers(rates, BAUD, BoardTimer, shared, spawner);
     let node = tasks::place(board, shared);
     watchdog.start(WATCHDOG_TIME);
 
@@ -211,6 +206,11 @@ fn restart() -> ! {
     loop {
         cortex_m::asm::nop();
     }
+}
+
+/// The fractional divisor of a UART supports every rate between the usual limits.
+fn nearest_rate(baud: u32) -> u32 {
+    baud.clamp(1200, 921_600)
 }
 
 /// The reset reason.

@@ -71,6 +71,7 @@ fn main() -> ! {
         entropy: [0; 16],
         cable: CABLE.start(),
         wireless: WIRELESS.start(),
+        nearest_rate: None,
     };
     let node = tasks::place(board, &SHARED);
     let executor: &'static Executor = EXECUTOR.init(Executor::new(core::ptr::null_mut()));

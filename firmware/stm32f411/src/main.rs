@@ -169,6 +169,7 @@ fn start(spawner: Spawner) {
         entropy: [0; 16],
         cable,
         wireless,
+        nearest_rate: None,
     };
     let shared = &SHARED;
     let node = tasks::place(board, shared);

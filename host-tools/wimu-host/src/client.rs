@@ -22,12 +22,6 @@ use crate::transport::{self, Transport};
 
 /// Interval between identification requests.
 const ASK_EVERY: Duration = Duration::from_millis(400);
-/// Baud rates at which a board is searched, in order.
-const USUAL_BAUDS: [u32; 8] = [115_200, 9600, 38_400, 57_600, 230_400, 460_800, 921_600, 19_200];
-/// Longest time until the board answers at a new baud rate.
-const RATE_PATIENCE: Duration = Duration::from_secs(3);
-/// Longest time until it answers at the old rate again.
-const FALL_BACK_PATIENCE: Duration = Duration::from_secs(8);
 /// Longest wait between looks at the clock.
 const GLANCE: Duration = Duration::from_millis(50);
 /// Longest pause accepted from one announcement: five times the longest of a supported board
@@ -74,9 +68,6 @@ impl ConnectOptions {
 /// # Errors
 /// Those of [`transport::open`] and [`Client::connect`]. For `auto`, those of the last port tried.
 pub fn connect(link: &LinkUrl) -> Result<Client<Box<dyn Transport + Send>>> {
-    if let LinkUrl::Serial { baud: None, .. } = link {
-        return Client::find_rate(transport::open(link)?, &link.to_string());
-    }
     if *link != LinkUrl::Auto {
         let transport = transport::open(link)?;
         return Client::connect(transport, &link.to_string(), ConnectOptions::default());
@@ -91,17 +82,6 @@ pub fn connect(link: &LinkUrl) -> Result<Client<Box<dyn Transport + Send>>> {
         }
     }
     outcome
-}
-
-/// The error that the baud rate of a radio link is set at the adapter, with the adapter's commands.
-pub fn adapter_decides(link: &str, baud: u32) -> HostError {
-    ErrorCode::Usage.error("the radio adapter sets the baud rate of this link: it cannot be changed here",
-        format!(
-            "set the adapter itself in its command mode (HC-05: AT+UART={baud},0,0; HC-06: AT+BAUD8 for 115200; others alike); \
-             the board finds 115200, 9600 and 38400 by itself, and others after `wimu settings set CABLE --wireless-baud {baud}`"
-        ),
-    )
-    .at(link)
 }
 
 /// A connection to a board.
@@ -166,68 +146,6 @@ impl<T: Transport> Client<T> {
             time_bytes: 0,
             nominal: None,
         }
-    }
-
-    /// Connects at the baud rate of the board: tries the usual ones, 1 s each.
-    ///
-    /// # Errors
-    /// `not_a_wimu_board` without an answer at any rate; those of [`Client::connect`].
-    pub fn find_rate(mut transport: T, name: &str) -> Result<Self> {
-        for baud in USUAL_BAUDS {
-            transport.set_baud(baud)?;
-            let mut client = Self::new(transport, name, None);
-            match client.greet(ConnectOptions::probe().patience) {
-                Ok(()) => return Ok(client),
-                Err(error) if error.code() != ErrorCode::NotAWimuBoard => return Err(error),
-                Err(_) => transport = client.transport,
-            }
-        }
-        Err(ErrorCode::NotAWimuBoard
-            .error(
-                format!("no wimu board answers at any of {USUAL_BAUDS:?} baud"),
-                "check that the board is powered and runs wimu, and that TX and RX are not swapped",
-            )
-            .at(name))
-    }
-
-    /// Changes the baud rate at both ends, and stores it on the board.
-    ///
-    /// # Errors
-    /// `usage` for a link without a baud rate, or a radio link, whose rate its adapter decides; those of
-    /// [`Client::request`]; `no_answer` when the board does not answer at the new rate: both ends are then
-    /// at the old one again.
-    pub fn set_line_rate(&mut self, baud: u32) -> Result<()> {
-        let Some(before) = self.transport.baud() else {
-            return self.transport.set_baud(baud).map_err(|error| error.at(&self.name));
-        };
-        if self.hello.role != LinkRole::Cable {
-            return Err(adapter_decides(&self.name, baud));
-        }
-        let link = LinkRole::Cable.number();
-        match self.request(Command::SetLineRate { link, baud }) {
-            // The answer may be lost although the rate was changed: the identification shows it.
-            Err(error) if error.code() != ErrorCode::NoAnswer => return Err(error),
-            _ => {}
-        }
-        self.transport.set_baud(baud)?;
-        self.decoder.interrupt();
-        if self.greet(RATE_PATIENCE).is_ok() {
-            // The identification is not signed.
-            return match self.requester.signs() {
-                true => self.key_status().map(drop),
-                false => Ok(()),
-            };
-        }
-        self.transport.set_baud(before)?;
-        self.decoder.interrupt();
-        // The board returns to the old rate after 5 s without a request.
-        self.greet(FALL_BACK_PATIENCE)?;
-        Err(ErrorCode::NoAnswer
-            .error(
-                format!("the board does not answer at {baud} baud; it is back at {before}"),
-                "the cable or adapter may not support this rate: choose a lower one",
-            )
-            .at(&self.name))
     }
 
     /// Continues with a new transport to the same board after the old one was lost; counters and

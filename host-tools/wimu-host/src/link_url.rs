@@ -16,7 +16,6 @@ pub const DEFAULT_BAUD: u32 = 115_200;
 /// | text | meaning |
 /// |---|---|
 /// | `serial:///dev/ttyACM0?baud=115200`, `serial://COM5` | a serial port; the baud rate is optional |
-/// | `serial:///dev/ttyACM0?baud=auto` | the same, at the baud rate of the board, which is searched |
 /// | `/dev/ttyACM0`, `/dev/rfcomm0`, `/dev/cu.usbmodem1`, `COM5` | the same, at 115200 baud |
 /// | `tcp://127.0.0.1:7100`, `tcp://[::1]:7100` | a TCP server |
 /// | `ble://wimu-1a2b`, `ble://D4:7C:12:34:56:78` | a unit with the Nordic UART Service; needs the feature `ble` |
@@ -28,8 +27,8 @@ pub enum LinkUrl {
     Serial {
         /// Path or name in the operating system.
         path: String,
-        /// Baud rate; `None` to search it.
-        baud: Option<u32>,
+        /// Baud rate.
+        baud: u32,
     },
     /// A TCP server.
     Tcp {
@@ -87,7 +86,7 @@ impl FromStr for LinkUrl {
             return Err(bad(format!("`{scheme}` is not a kind of link")));
         }
         if text.starts_with("/dev/") || is_com_port(text) {
-            return Ok(Self::Serial { path: text.to_owned(), baud: Some(DEFAULT_BAUD) });
+            return Ok(Self::Serial { path: text.to_owned(), baud: DEFAULT_BAUD });
         }
         Err(bad("this is not a LINK".to_owned()))
     }
@@ -103,13 +102,12 @@ fn parse_serial(rest: &str) -> Result<LinkUrl, String> {
     if path.is_empty() || path == "/" {
         return Err("the serial port is missing".to_owned());
     }
-    let mut baud = Some(DEFAULT_BAUD);
+    let mut baud = DEFAULT_BAUD;
     for pair in query.split('&').filter(|pair| !pair.is_empty()) {
         match pair.split_once('=') {
-            Some(("baud", "auto")) => baud = None,
             Some(("baud", value)) => {
                 let rate = value.parse().ok().filter(|baud| *baud > 0);
-                baud = Some(rate.ok_or_else(|| format!("`{value}` is not a baud rate"))?);
+                baud = rate.ok_or_else(|| format!("`{value}` is not a baud rate"))?;
             }
             _ => return Err(format!("`{pair}` is not an option of a serial link")),
         }
@@ -172,8 +170,7 @@ fn is_com_port(text: &str) -> bool {
 impl fmt::Display for LinkUrl {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Serial { path, baud: Some(baud) } => write!(out, "serial://{path}?baud={baud}"),
-            Self::Serial { path, baud: None } => write!(out, "serial://{path}?baud=auto"),
+            Self::Serial { path, baud } => write!(out, "serial://{path}?baud={baud}"),
             Self::Tcp { host, port } if host.contains(':') => write!(out, "tcp://[{host}]:{port}"),
             Self::Tcp { host, port } => write!(out, "tcp://{host}:{port}"),
             Self::Ble { name } => write!(out, "ble://{name}"),

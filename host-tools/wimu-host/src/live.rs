@@ -263,11 +263,7 @@ impl Listener<'_> {
                 thread::sleep(GLANCE);
             }
             let mut opened_ns = None;
-            let opened = transport::open(&self.url).and_then(|mut transport| {
-                self.baud.map_or(Ok(()), |baud| transport.set_baud(baud))?;
-                Ok(transport)
-            });
-            let resumed = match opened {
+            let resumed = match transport::open(&self.url) {
                 Ok(transport) => {
                     opened_ns = Some(nanoseconds(transport.now()));
                     self.client.resume(Tap::on(transport))
@@ -397,10 +393,6 @@ impl<T: Transport> Transport for Tap<T> {
 
     fn baud(&self) -> Option<u32> {
         self.inner.baud()
-    }
-
-    fn set_baud(&mut self, baud: u32) -> Result<()> {
-        self.inner.set_baud(baud)
     }
 }
 

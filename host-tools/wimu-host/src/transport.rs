@@ -56,15 +56,6 @@ pub trait Transport {
     fn baud(&self) -> Option<u32> {
         None
     }
-
-    /// Changes the baud rate; received data are dropped.
-    ///
-    /// # Errors
-    /// `usage` for a link without a baud rate; `link_lost` when the port refuses it.
-    fn set_baud(&mut self, baud: u32) -> Result<()> {
-        Err(ErrorCode::Usage
-            .error(format!("this link has no baud rate to set to {baud}"), "name a serial port"))
-    }
 }
 
 impl<T: Transport + ?Sized> Transport for Box<T> {
@@ -87,10 +78,6 @@ impl<T: Transport + ?Sized> Transport for Box<T> {
     fn baud(&self) -> Option<u32> {
         (**self).baud()
     }
-
-    fn set_baud(&mut self, baud: u32) -> Result<()> {
-        (**self).set_baud(baud)
-    }
 }
 
 /// Opens a link. [`LinkUrl::Auto`] opens the only port with the USB id of a known board.
@@ -100,10 +87,7 @@ impl<T: Transport + ?Sized> Transport for Box<T> {
 /// match `auto`: [`candidates`] lists them.
 pub fn open(link: &LinkUrl) -> Result<Box<dyn Transport + Send>> {
     match link {
-        LinkUrl::Serial { path, baud } => {
-            let baud = baud.unwrap_or(DEFAULT_BAUD);
-            Ok(Box::new(SerialLink::open(path, baud)?))
-        }
+        LinkUrl::Serial { path, baud } => Ok(Box::new(SerialLink::open(path, *baud)?)),
         LinkUrl::Tcp { host, port } => Ok(Box::new(TcpLink::open(link, host, *port)?)),
         #[cfg(feature = "ble")]
         LinkUrl::Ble { name } => Ok(Box::new(ble::open(name)?)),
@@ -136,7 +120,7 @@ pub fn candidates() -> Result<Vec<LinkUrl>> {
     let found: Vec<_> = ports()?
         .into_iter()
         .filter(|port| port.board.is_some())
-        .map(|port| LinkUrl::Serial { path: port.path, baud: Some(DEFAULT_BAUD) })
+        .map(|port| LinkUrl::Serial { path: port.path, baud: DEFAULT_BAUD })
         .collect();
     if found.is_empty() {
         Err(ErrorCode::LinkAbsent.error("no serial port has the USB id of a known board",
@@ -289,13 +273,6 @@ impl Transport for SerialLink {
 
     fn baud(&self) -> Option<u32> {
         self.port.baud_rate().ok()
-    }
-
-    fn set_baud(&mut self, baud: u32) -> Result<()> {
-        self.port
-            .set_baud_rate(baud)
-            .and_then(|()| self.port.clear(ClearBuffer::Input))
-            .map_err(|error| lost(&self.path, &error.into()))
     }
 }
 

@@ -3,7 +3,7 @@
 use wimu_host::{ErrorCode, Input, LinkUrl};
 
 fn serial(path: &str, baud: u32) -> LinkUrl {
-    LinkUrl::Serial { path: path.to_owned(), baud: Some(baud) }
+    LinkUrl::Serial { path: path.to_owned(), baud }
 }
 
 fn tcp(host: &str, port: u16) -> LinkUrl {
@@ -30,10 +30,6 @@ fn every_documented_form_parses_and_prints_back() {
                 fleet: "hall".parse().unwrap(),
                 board: "b-1".parse().unwrap(),
             },
-        ),
-        (
-            "serial:///dev/ttyACM0?baud=auto",
-            LinkUrl::Serial { path: "/dev/ttyACM0".to_owned(), baud: None },
         ),
         ("auto", LinkUrl::Auto),
     ] {

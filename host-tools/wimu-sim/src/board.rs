@@ -11,7 +11,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::{Context, Wake, Waker};
 use std::time::Duration;
 
-use embassy_futures::join::join;
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embedded_hal_async::digital::Wait;
 use wimu_host::transport::Transport;
@@ -21,7 +20,7 @@ use wimu_link::{Hello, LinkRole};
 use wimu_model::DeviceTimeUs;
 use wimu_node::sensor::RawSample;
 use wimu_node::{
-    DataReady, InertialSensor, Pair, RateKeeper, Shared, TimeoutBus, Timer, wimu_adxl345,
+    DataReady, InertialSensor, NearestRate, Pair, Shared, TimeoutBus, Timer, line_rate, wimu_adxl345,
     wimu_lsm6dso,
 };
 
@@ -30,7 +29,7 @@ use crate::faults::LinkFaults;
 use crate::i2c::{Faults, SimI2c, Target};
 pub use crate::part::SensorPart;
 use crate::pipe::{
-    Channels, DeviceRate, DeviceReader, DeviceWriter, HostEnd, LinkConfig, faulty_link,
+    Channels, DeviceReader, DeviceWriter, HostEnd, LinkConfig, faulty_link,
 };
 use crate::sensor::{DataReadyPin, Sensor};
 use crate::source::Source;
@@ -301,7 +300,7 @@ fn boot(
     let [cable_channels, wireless_channels] = channels;
     let (cable_reader, cable_writer, cable) =
         link(config.cable, &config.cable_faults, cable_channels);
-    let (wireless_reader, wireless_writer, wireless) =
+    let (wireless_reader, wireless_writer, mut wireless) =
         link(config.wireless, &config.wireless_faults, wireless_channels);
     let timer = BoardTimer::new(clock, clock.now(), config);
     let (part, quantities) = config.sensor.identity();
@@ -315,8 +314,11 @@ fn boot(
         ..Hello::new(LinkRole::Cable)
     };
     let storage = config.storage.clone();
+    if let Some(baud) = line_rate(&mut storage.store()) {
+        wireless.set_device_baud(baud);
+    }
+    let nearest_rate = wireless.baud().map(|_| -> NearestRate { |baud| baud.clamp(300, 4_000_000) });
     let links = [(cable_reader, cable_writer), (wireless_reader, wireless_writer)];
-    let rates = [&cable, &wireless].map(|link| Some((link.device_rate(), link.baud()?)));
     let bus = || TimeoutBus::new(i2c.clone(), timer.clone());
     let line = |device: &Sensor| Stamped { pin: device.data_ready(), timer: timer.clone() };
     let lsm303agr = |device: &Sensor| wimu_node::Lsm303agr::new(bus(), line(device), timer.clone());
@@ -329,19 +331,19 @@ fn boot(
     let node = match (config.sensor, second) {
         (SensorPart::Lsm303agr, Some((SensorPart::Adxl345, other))) => {
             let sensor = Pair::new(lsm303agr(device), adxl345(other), time.clone(), SECOND_G);
-            node(hello, sensor, time, storage, links, rates)
+            node(hello, sensor, time, storage, links, nearest_rate)
         }
         (SensorPart::Adxl345, Some((SensorPart::Lsm303agr, other))) => {
             let sensor = Pair::new(adxl345(device), lsm303agr(other), time.clone(), SECOND_G);
-            node(hello, sensor, time, storage, links, rates)
+            node(hello, sensor, time, storage, links, nearest_rate)
         }
-        (SensorPart::Lsm303agr, _) => node(hello, lsm303agr(device), time, storage, links, rates),
-        (SensorPart::Adxl345, _) => node(hello, adxl345(device), time, storage, links, rates),
+        (SensorPart::Lsm303agr, _) => node(hello, lsm303agr(device), time, storage, links, nearest_rate),
+        (SensorPart::Adxl345, _) => node(hello, adxl345(device), time, storage, links, nearest_rate),
         (SensorPart::Lsm6dso, _) => {
             let address = wimu_lsm6dso::Address::Low;
             let bus = wimu_lsm6dso::I2cBus { i2c: bus(), address };
             let sensor = wimu_node::Lsm6dso::new(bus, line(device), timer.clone());
-            node(hello, sensor, time, storage, links, rates)
+            node(hello, sensor, time, storage, links, nearest_rate)
         }
     };
     (node, faults, cable, wireless)
@@ -353,11 +355,10 @@ fn node(
     timer: BoardTimer,
     storage: Storage,
     [cable, wireless]: [(DeviceReader, DeviceWriter); 2],
-    rates: [Option<(DeviceRate, u32)>; 2],
+    nearest_rate: Option<NearestRate>,
 ) -> Running {
     // Different at each start, and the same in every run: a simulation has no secrets.
     let entropy = u128::from(hello.device_id) << 64 | u128::from(timer.started_us);
-    let clock = timer.clone();
     let board = wimu_node::Board {
         hello,
         sensor,
@@ -366,21 +367,12 @@ fn node(
         entropy: entropy.to_le_bytes(),
         cable,
         wireless,
+        nearest_rate,
     };
     let shared = Rc::new(Shared::new());
     let buttons = shared.clone();
     let node = Box::pin(async move {
-        let [cable, wireless] = rates;
-        let keep = async |role, rate| match rate {
-            Some((rate, opened)) => {
-                let mut keeper = RateKeeper::new(role, rate, opened, clock.clone(), &shared);
-                keeper.run().await
-            }
-            None => std::future::pending().await,
-        };
-        let keepers = join(keep(LinkRole::Cable, cable), keep(LinkRole::Wireless, wireless));
-        // The keepers are polled first, so that they are ready for a request.
-        join(keepers, board.split(&shared).run()).await;
+        board.split(&shared).run().await;
     });
     (node, buttons)
 }
@@ -495,9 +487,6 @@ pub trait VirtualBoard {
     fn baud(&mut self, _role: LinkRole) -> Option<u32> {
         None
     }
-
-    /// Changes it, where there is one.
-    fn set_baud(&mut self, _role: LinkRole, _baud: u32) {}
 }
 
 impl VirtualBoard for Board {
@@ -534,10 +523,6 @@ impl VirtualBoard for Board {
 
     fn baud(&mut self, role: LinkRole) -> Option<u32> {
         self.link(role).baud()
-    }
-
-    fn set_baud(&mut self, role: LinkRole, baud: u32) {
-        self.link(role).set_baud(baud);
     }
 }
 
@@ -610,15 +595,5 @@ impl<R: VirtualBoard> Transport for SimLink<'_, R> {
 
     fn baud(&self) -> Option<u32> {
         self.board.borrow_mut().baud(self.role)
-    }
-
-    fn set_baud(&mut self, baud: u32) -> Result<()> {
-        if self.baud().is_none() {
-            return Err(ErrorCode::Usage
-                .error("the simulated link has no baud rate", "give a board whose link has one"));
-        }
-        self.board.borrow_mut().set_baud(self.role, baud);
-        self.arrived.clear();
-        Ok(())
     }
 }

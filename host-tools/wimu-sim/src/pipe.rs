@@ -10,8 +10,6 @@ use std::task::{Poll, Waker};
 
 use embedded_io_async::{ErrorType, Read, Write};
 
-use wimu_node::LineRate;
-
 use crate::clock::VirtualClock;
 use crate::faults::{Channel, LinkFaults};
 
@@ -380,25 +378,6 @@ impl Write for DeviceWriter {
     }
 }
 
-/// The baud rate of a link at the device's end. With different rates at both ends, data are invalid.
-#[derive(Debug)]
-pub struct DeviceRate {
-    to_host: Direction,
-    to_device: Direction,
-}
-
-impl LineRate for DeviceRate {
-    /// Any rate from 300 to 4,000,000 baud.
-    fn nearest(baud: u32) -> u32 {
-        baud.clamp(300, 4_000_000)
-    }
-
-    fn set(&mut self, baud: u32) {
-        self.to_host.settled().set_sender_baud(baud);
-        self.to_device.settled().set_receiver_baud(baud);
-    }
-}
-
 /// The host's end, which never blocks. After it is dropped, data of the device are discarded.
 #[derive(Debug)]
 pub struct HostEnd {
@@ -419,9 +398,10 @@ impl HostEnd {
         self.to_host.settled().set_receiver_baud(baud);
     }
 
-    /// Control of the baud rate at the device's end.
-    pub fn device_rate(&self) -> DeviceRate {
-        DeviceRate { to_host: self.to_host.clone(), to_device: self.to_device.clone() }
+    /// Changes that at the device's end; likewise. What crosses a link of two rates is damaged.
+    pub fn set_device_baud(&mut self, baud: u32) {
+        self.to_host.settled().set_sender_baud(baud);
+        self.to_device.settled().set_receiver_baud(baud);
     }
 
     /// Takes the bytes that have arrived by now.

@@ -71,7 +71,7 @@ fn commands() -> Vec<Command> {
         Command::GetSettings,
         Command::SetSettings(Settings::default()),
         Command::GetStatus,
-        Command::SetLineRate { link: 1, baud: 9600 },
+        Command::SetLineRate { baud: 9600 },
         Command::OpenSession,
         Command::GetKeyStatus,
         Command::SetKey(DeviceKey::new([0x22; 32])),

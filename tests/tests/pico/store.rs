@@ -83,22 +83,17 @@ fn power_that_fails_in_the_middle_of_any_write_leaves_the_old_set_or_the_new_one
     assert!(outcomes.is_sorted_by_key(|id| *id == new), "{outcomes:?}");
 }
 
-/// A run at `rate_hz` in which both links are too slow for what is asked of them and `pushes` sets
-/// are pushed, two a second, on a flash that erases in the time `flash` says.
+/// A run at `rate_hz` in which the wireless link is too slow for what is asked of it and `pushes` sets are pushed, one a
+/// second, on a flash that erases in the time `flash` says.
 fn pushed_at(rate_hz: u16, pushes: u32, flash: &str) -> Run {
     let settings = Settings { rate_hz, ..Settings::default() };
-    let slow = |id, role: LinkRole| {
-        let link = role.number();
-        request(id, Command::SetLineRate { link, baud: 9600 })
-    };
     let mut script = vec![
         happens(0, flash),
-        send(700, CABLE, &slow(1, LinkRole::Wireless)),
-        rate(800, WIRELESS, 9600),
+        send(700, CABLE, &request(1, Command::SetLineRate { baud: 9600 })),
         send(1_000, CABLE, &request(2, Command::SetSettings(settings))),
-        send(1_500, CABLE, &slow(3, LinkRole::Cable)),
-        rate(2_500, CABLE, 9600),
-        send(2_600, CABLE, &who_are_you()),
+        happens(2_000, "power"),
+        rate(2_000, WIRELESS, 9600),
+        send(3_000, CABLE, &who_are_you()),
     ];
     for k in 0..pushes {
         let push = push(&set(16_000.0 + f64::from(k)), 10 + k);
@@ -109,7 +104,7 @@ fn pushed_at(rate_hz: u16, pushes: u32, flash: &str) -> Run {
     run(f64::from(end) / 1_000.0 + 1.0, &script)
 }
 
-/// Its last status, after everything was accepted and both links have shed.
+/// Its last status, after everything was accepted and the wireless link has shed.
 fn status(run: &Run) -> Status {
     let replies = run.link(LinkRole::Cable).replies();
     for reply in replies {
@@ -119,28 +114,26 @@ fn status(run: &Run) -> Status {
     else {
         panic!("{:?}", replies.last());
     };
-    for link in [status.cable, status.wireless] {
-        let link = link.expect("two links");
-        assert!(link.telemetry_shed > 0, "{link:?}");
-    }
+    let wireless = status.wireless.expect("two links");
+    assert!(wireless.telemetry_shed > 0, "{wireless:?}");
     status
 }
 
 #[test]
 #[ignore = "cargo xtask release --only pico"]
-fn no_sample_is_lost_at_the_highest_rate_with_both_links_shedding_and_a_set_being_written() {
+fn no_sample_is_lost_at_the_highest_rate_with_a_link_shedding_and_a_set_being_written() {
     let run = pushed_at(800, 1, "");
     let status = status(&run);
     let SensorStatus { samples, missed, overruns, bus_errors } = status.sensor;
     figure(
-        "Pico, 800 Hz, both links busy, a set written: samples missed",
+        "Pico, 800 Hz, a link shedding, a set written: samples missed",
         format!("{} of {samples}", missed + overruns),
         "none",
         missed + overruns == 0,
     );
     assert_eq!((missed, overruns, bus_errors), (0, 0, 0));
     assert_eq!(run.report["overruns"], 0);
-    assert!(samples > 5_000, "{samples}");
+    assert!(samples > 4_000, "{samples}");
 }
 
 #[test]

@@ -19,7 +19,7 @@ const KEYS: [Key; 7] = [
     Key::Parameters { range_g: 8 },
     Key::Parameters { range_g: 16 },
     Key::Settings,
-    Key::CableRate,
+    Key::LineRate,
     Key::DeviceKey,
 ];
 
@@ -68,7 +68,7 @@ impl Change {
         let (key, length) = match source.below(20) {
             0..8 => (KEYS[source.below(4)], 100 + source.below(157)),
             8..12 => (Key::Settings, 30),
-            12..15 => (Key::CableRate, 5),
+            12..15 => (Key::LineRate, 5),
             15..18 => (Key::DeviceKey, 33),
             18 => return Self::FactoryReset,
             _ => return Self::LostKey,
@@ -413,7 +413,7 @@ fn what_stands_behind_a_hole_in_a_page_never_returns() {
         worth += u32::from(saved);
         // Enough to turn the pages.
         for round in 0..30 {
-            let _ = block_on(store.save(Key::CableRate, &[round; 200]));
+            let _ = block_on(store.save(Key::LineRate, &[round; 200]));
             let found = load(&mut start(&storage, 2), Key::Settings);
             if saved {
                 assert_eq!(found, Ok(Some(settings(9))), "hole at {hole:#x}, round {round}");
@@ -477,14 +477,14 @@ fn noise_is_reported_and_can_be_written_again() {
             let found = load(&mut store, key);
             assert!(found == Err(StoreFault) || (found == Ok(None) && length <= 8192));
         }
-        let change = Change::Save(Key::CableRate, source.bytes(5));
+        let change = Change::Save(Key::LineRate, source.bytes(5));
         assert_eq!(change.make(&mut store), Ok(()), "{seed}");
         let model = change.apply(&Model::new());
         for key in KEYS {
             // What was lost stays an error until it is written.
             let found = load(&mut storage.store(), key);
             let expected = model.get(&number(key)).cloned();
-            assert!(found == Ok(expected) || found == Err(StoreFault) && key != Key::CableRate);
+            assert!(found == Ok(expected) || found == Err(StoreFault) && key != Key::LineRate);
         }
     }
 }

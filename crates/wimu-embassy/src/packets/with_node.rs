@@ -116,6 +116,7 @@ fn each_host_that_connects_gets_a_hello_of_the_wireless_link_and_no_damaged_fram
         entropy: [0; 16],
         cable: cable.split(),
         wireless: wireless.split(),
+        nearest_rate: None,
     };
     let shared = Shared::<Mutex, Counts>::new();
     let mut node = board.split(&shared);

@@ -165,7 +165,7 @@ impl Capabilities {
     pub const HEADING: Self = Self(1 << 9);
     /// Accepts a key and signed requests.
     pub const AUTHENTICATION: Self = Self(1 << 10);
-    /// The rate of its serial lines can be set.
+    /// The rate of its wireless link's serial line can be set.
     pub const LINE_RATES: Self = Self(1 << 11);
 
     /// Both sets.

@@ -76,14 +76,8 @@ pub enum Command {
     SetSettings(Settings),
     /// The device's status: [`Payload::Status`].
     GetStatus,
-    /// Run the line of a link at another rate: [`Payload::None`], at the old rate.
-    ///
-    /// The rate changes after the answer has been sent. If the request came on the same line, the device
-    /// returns to the old rate unless it receives an undamaged frame within 5 s; then it stores the rate.
-    /// The rate of another link is stored at once.
+    /// Run the wireless link's serial line at another rate from the next start on: [`Payload::None`].
     SetLineRate {
-        /// Number of the link's role: [`LinkRole::number`](crate::LinkRole::number).
-        link: u8,
         /// The rate, bit/s.
         baud: u32,
     },
@@ -242,10 +236,8 @@ pub enum Refusal {
     SensorFailed,
     /// The request is older than an answered one, or its id was used for another request.
     Stale,
-    /// The link's rate cannot be set, or there is no such link.
+    /// The device's wireless link has no serial line whose rate can be set.
     FixedLineRate,
-    /// The radio adapter on the line determines its rate, which cannot be changed over that link.
-    AdapterLineRate,
     /// The line does not support this rate.
     UnsupportedLineRate {
         /// The nearest supported rate, bit/s.
@@ -326,11 +318,8 @@ impl fmt::Display for Refusal {
                 out,
                 "the device refuses for a reason unknown to this version (refusal {number}); update this end"
             ),
-            Self::FixedLineRate => {
-                out.write_str("this link's rate cannot be set on the device; use its present rate")
-            }
-            Self::AdapterLineRate => out.write_str(
-                "the radio adapter determines this line's rate; set it there (for example AT+UART=115200,0,0), the device detects the rate",
+            Self::FixedLineRate => out.write_str(
+                "the rate of the device's wireless link cannot be set; use its present rate",
             ),
             Self::UnsupportedLineRate { nearest } => {
                 write!(out, "the line does not support this rate; the nearest is {nearest} baud")

@@ -8,7 +8,7 @@ use super::Control;
 use crate::sample::sealed::Process as _;
 use crate::sensor::{InertialSensor, Plan};
 use crate::shared::{Correction, Order};
-use crate::store::Store;
+use crate::store::{Key, Store};
 use crate::timer::Timer;
 
 /// Change of the temperature after which the corrector is made again, 0.01 °C.
@@ -85,8 +85,8 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         if self.shared.active() == *bytes {
             return Ok(());
         }
-        self.announce_pause().await;
-        self.save_parameters(set.range_g(), bytes).await?;
+        let key = Key::Parameters { range_g: set.range_g() };
+        self.save(key, bytes.as_bytes()).await?;
         self.shared.activate(bytes, set.source());
         self.parameters_changed = true;
         self.clear_fault(crate::shared::PersistentFault::Parameters);

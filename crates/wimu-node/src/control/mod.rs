@@ -4,7 +4,7 @@ mod correction;
 mod plan;
 mod records;
 
-use embassy_futures::select::{Either, Either4, select, select4};
+use embassy_futures::select::{Either4, select4};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use wimu_link::LinkRole;
 use wimu_link::auth::{DeviceKey, KeyState};
@@ -12,19 +12,17 @@ use wimu_link::frame::MAX_FRAME;
 use wimu_link::message::{Answer, Command, Event, Payload, Refusal, SetBytes, Settings};
 use wimu_model::{CentiCelsius, DeviceTimeUs};
 
+use crate::node::NearestRate;
 use crate::sensor::{InertialSensor, Plan};
-use crate::shared::{ALL, Common, Message, Orders, PersistentFault, ROLES, RateOrder, Worker};
+use crate::shared::{ALL, Common, Message, Orders, PersistentFault, ROLES, Worker};
 use crate::slot::put;
-use crate::store::{Key, MAX_RECORD, Records, Store, StoreFault};
+use crate::store::{Key, Records, Store, StoreFault};
 use crate::timer::Timer;
 
 /// Longest wait for the links to send the announcement of a pause, µs.
 const DRAIN_US: u64 = 100_000;
 /// Interval between status messages, µs.
 const STATUS_US: u64 = 5_000_000;
-
-/// Room for a record, bytes.
-pub(crate) const RECORD: usize = if cfg!(feature = "store") { MAX_RECORD } else { 0 };
 
 /// Executes requests, and stores parameters and settings.
 pub struct Control<'a, A: InertialSensor, T, S, M: RawMutex> {
@@ -33,8 +31,7 @@ pub struct Control<'a, A: InertialSensor, T, S, M: RawMutex> {
     pub(crate) timer: T,
     pub(crate) shared: &'a Common<M>,
     pub(crate) orders: &'a Orders<M, A::Sample>,
-    /// A record on its way to the store or from it.
-    pub(crate) record: [u8; RECORD],
+    pub(crate) nearest_rate: Option<NearestRate>,
     /// The new parameters have to be announced.
     pub(crate) parameters_changed: bool,
     pub(crate) latched: Option<CentiCelsius>,
@@ -47,42 +44,13 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         let mut next_status = self.timer.now();
         loop {
             self.shared.progressed(Worker::Control);
-            let event = select(
-                select4(
-                    self.shared.requests.receive(),
-                    self.shared.temperature.wait(),
-                    self.timer.until(next_status),
-                    self.shared.key_lost.wait(),
-                ),
-                self.shared.rates.receive(),
-            )
-            .await;
-            let event = match event {
-                Either::First(event) => event,
-                #[cfg(not(feature = "line-rates"))]
-                Either::Second(_) => continue,
-                #[cfg(feature = "line-rates")]
-                Either::Second((role, baud)) => {
-                    // A rate that cannot be stored is used until the next start.
-                    let _ = self.save_rate(role, baud).await;
-                    continue;
-                }
-            };
-            match event {
-                #[cfg(feature = "line-rates")]
-                Either4::First((role, Command::SetLineRate { link, baud })) => {
-                    let outcome = self.set_rate(role, link, baud).await;
-                    let answer = match outcome {
-                        Ok(_) => Answer::Accepted(Payload::None),
-                        Err(refusal) => Answer::Refused(refusal),
-                    };
-                    self.answer(role, &answer).await;
-                    // If the request came on this line, `RateKeeper` changes the rate after the answer has been
-                    // sent.
-                    if let Ok((line, order)) = outcome {
-                        self.shared.rate_signals(line).order.signal(order);
-                    }
-                }
+            let event = select4(
+                self.shared.requests.receive(),
+                self.shared.temperature.wait(),
+                self.timer.until(next_status),
+                self.shared.key_lost.wait(),
+            );
+            match event.await {
                 Either4::First((role, command)) => {
                     let answer = match self.execute(&mut plan, command).await {
                         Ok(payload) => Answer::Accepted(payload),
@@ -125,28 +93,15 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         }
     }
 
-    /// Checks a `SetLineRate` request from link `role`; returns the line and its rate order. The rate of
-    /// another line is stored at once.
-    async fn set_rate(
-        &mut self,
-        role: LinkRole,
-        link: u8,
-        baud: u32,
-    ) -> Result<(LinkRole, RateOrder), Refusal> {
-        let line = ROLES.into_iter().find(|role| role.number() == link);
-        let line = line.ok_or(Refusal::FixedLineRate)?;
-        match self.shared.nearest_rate(line, baud) {
-            None => Err(Refusal::FixedLineRate),
-            Some(_) if (role, line) == (LinkRole::Wireless, LinkRole::Wireless) => {
-                Err(Refusal::AdapterLineRate)
-            }
-            Some(nearest) if nearest != baud => Err(Refusal::UnsupportedLineRate { nearest }),
-            Some(_) if role == line => Ok((line, RateOrder::Try(baud))),
-            Some(_) => {
-                self.save_rate(line, baud).await?;
-                Ok((line, RateOrder::Use(Some(baud))))
-            }
+    /// Stores the rate of the wireless link's serial line, for the next start.
+    #[cfg(all(feature = "wireless", feature = "store"))]
+    async fn set_line_rate(&mut self, baud: u32) -> Result<Payload, Refusal> {
+        let nearest = self.nearest_rate.ok_or(Refusal::FixedLineRate)?(baud);
+        if nearest != baud {
+            return Err(Refusal::UnsupportedLineRate { nearest });
         }
+        self.save(Key::LineRate, &baud.to_le_bytes()).await?;
+        Ok(Payload::None)
     }
 
     async fn execute(&mut self, plan: &mut Plan, command: Command) -> Result<Payload, Refusal> {
@@ -176,6 +131,8 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                 self.change(plan, new).await?;
                 Ok(Payload::Settings(plan.settings))
             }
+            #[cfg(all(feature = "wireless", feature = "store"))]
+            Command::SetLineRate { baud } => self.set_line_rate(baud).await,
             Command::FactoryReset => {
                 let new = plan::nearest(&self.planner, &Settings::default())
                     .ok_or(Refusal::SensorFailed)?;
@@ -222,10 +179,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
     /// Stores a key and uses it. If the boot count could not be read, it restarts with a different key:
     /// sessions of earlier starts are not valid with that key.
     async fn set_key(&mut self, key: DeviceKey) -> Result<Payload, Refusal> {
-        self.announce_pause().await;
-        self.save_raw(Key::DeviceKey, key.expose())
-            .await
-            .map_err(|StoreFault| Refusal::StoreFailed)?;
+        self.save(Key::DeviceKey, key.expose()).await?;
         let lock = self.shared.lock();
         if lock.boot_count.is_none() && lock.key != KeyState::Set(key) {
             let boot_count = self.store.count_start().await.ok();
@@ -284,7 +238,9 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
             false => self.shared.active(),
         };
         self.configure(&new, &set).await?;
-        if let Err(refusal) = self.save_settings(new.settings).await {
+        let mut bytes = [0; Settings::MAX_BYTES];
+        let length = new.settings.to_bytes(&mut bytes);
+        if let Err(refusal) = self.save(Key::Settings, &bytes[..length]).await {
             self.configure(plan, &self.shared.active()).await?;
             return Err(refusal);
         }

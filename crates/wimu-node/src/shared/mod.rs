@@ -124,8 +124,6 @@ pub(crate) struct Common<M: RawMutex> {
     /// The parameter set in use.
     active: Mutex<M, RefCell<SetBytes>>,
     pub(crate) key_lost: Signal<M, ()>,
-    /// Rates to store.
-    pub(crate) rates: Channel<M, (LinkRole, u32), 2>,
     /// Empty until something is published.
     published: Mutex<M, RefCell<Slot<Published>>>,
 }
@@ -137,9 +135,6 @@ struct LinkShared<M: RawMutex> {
     /// interrupts, which would delay sample times.
     responder: AsyncMutex<M, Slot<Responder>>,
     heard: Mutex<M, Cell<Heard>>,
-    rate: RateSignals<M>,
-    /// The line's supported rates; `None` if the rate cannot be set.
-    nearest_rate: Mutex<M, Cell<Option<NearestRate>>>,
 }
 
 impl<M: RawMutex> LinkShared<M> {
@@ -149,32 +144,8 @@ impl<M: RawMutex> LinkShared<M> {
             waiting: Signal::new(),
             responder: AsyncMutex::new(Slot::Empty),
             heard: Mutex::new(Cell::new(Heard::NOTHING)),
-            rate: RateSignals { order: Signal::new(), heard: Signal::new(), noise: Signal::new() },
-            nearest_rate: Mutex::new(Cell::new(None)),
         }
     }
-}
-
-/// Returns the supported rate nearest to the argument, bit/s.
-type NearestRate = fn(u32) -> u32;
-
-/// Signals to the [`RateKeeper`](crate::RateKeeper) of a line.
-pub(crate) struct RateSignals<M: RawMutex> {
-    pub(crate) order: Signal<M, RateOrder>,
-    /// An undamaged frame from a host has been received.
-    pub(crate) heard: Signal<M, ()>,
-    /// Bytes have been received without an undamaged frame.
-    pub(crate) noise: Signal<M, ()>,
-}
-
-/// An order to change the rate of a line.
-#[derive(Clone, Copy)]
-pub(crate) enum RateOrder {
-    /// Use this stored rate, bit/s; `None`: nothing is stored, keep the opening rate. A wireless link then
-    /// detects the adapter's rate, this one first.
-    Use(Option<u32>),
-    /// Change to this rate, bit/s, and back if no frame from a host is received.
-    Try(u32),
 }
 
 /// The state of the receiving side of a link.
@@ -270,7 +241,6 @@ impl<M: RawMutex> Common<M> {
             requests: Channel::new(),
             active: Mutex::new(RefCell::new(SetBytes::NONE)),
             key_lost: Signal::new(),
-            rates: Channel::new(),
             published: Mutex::new(RefCell::new(Slot::Empty)),
         }
     }
@@ -294,20 +264,6 @@ impl<M: RawMutex> Common<M> {
         // Only the task itself writes it; a Cortex-M0+ has no atomic addition.
         let next = turns.load(Ordering::Relaxed).wrapping_add(1);
         turns.store(next, Ordering::Relaxed);
-    }
-
-    pub(crate) fn has_rate(&self, role: LinkRole, nearest: NearestRate) {
-        self.link(role).nearest_rate.lock(|known| known.set(Some(nearest)));
-    }
-
-    /// The supported rate of a link's line nearest to `baud`, bit/s; `None` if the rate cannot be set.
-    pub(crate) fn nearest_rate(&self, role: LinkRole, baud: u32) -> Option<u32> {
-        let nearest = self.link(role).nearest_rate.lock(Cell::get)?;
-        Some(nearest(baud))
-    }
-
-    pub(crate) fn rate_signals(&self, role: LinkRole) -> &RateSignals<M> {
-        &self.link(role).rate
     }
 
     pub(crate) fn lock(&self) -> Lock {

@@ -363,6 +363,15 @@ impl<T: Transport> Client<T> {
         }
     }
 
+    /// Stores the rate of the board's wireless serial line, bit/s, at which it opens the line from its next start on.
+    ///
+    /// # Errors
+    /// Those of [`Client::request`]; `device_refused` when the board has no such line, or with the nearest rate that the
+    /// line supports.
+    pub fn set_line_rate(&mut self, baud: u32) -> Result<()> {
+        self.request(Command::SetLineRate { baud }).map(drop)
+    }
+
     /// The board's status.
     ///
     /// # Errors

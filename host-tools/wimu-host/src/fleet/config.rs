@@ -154,9 +154,7 @@ impl GatewayConfig {
             let (at, url) = (link.span().start, link.into_inner().0);
             let same = |other: &Name| other.as_str().eq_ignore_ascii_case(board.0.as_str());
             let trouble = match &url {
-                LinkUrl::Auto | LinkUrl::Serial { baud: None, .. } => {
-                    "a gateway needs the port and its baud rate"
-                }
+                LinkUrl::Auto => "a gateway needs the port",
                 LinkUrl::Mqtt { .. } => "a gateway needs a link to the board itself",
                 _ if boards.values().any(|other| *other == url) => "another board has this LINK",
                 _ if boards.keys().any(same) => {

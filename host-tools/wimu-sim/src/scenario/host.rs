@@ -237,10 +237,4 @@ impl<R: VirtualBoard> Transport for End<'_, R> {
     fn baud(&self) -> Option<u32> {
         self.ends.borrow().links[self.link].baud()
     }
-
-    fn set_baud(&mut self, baud: u32) -> Result<()> {
-        let mut ends = self.ends.borrow_mut();
-        ends.arrived[self.link].clear();
-        ends.links[self.link].set_baud(baud)
-    }
 }

@@ -79,7 +79,7 @@ pub enum Settings {
         after_help = "Examples:
   wimu settings set tcp://127.0.0.1:7100 --rate 400 --zupt off
   wimu settings set /dev/ttyACM0 --wireless raw,navigation --wireless-every 4
-  wimu settings set /dev/ttyACM0 --baud 460800"
+  wimu settings set /dev/ttyACM0 --wireless-baud 9600"
     )]
     Set {
         /// Serial port, tcp://HOST:PORT, mqtt://HOST/FLEET/BOARD or `auto`
@@ -113,10 +113,7 @@ pub struct Change {
     /// Streams on the wireless link
     #[arg(long, value_enum, value_delimiter = ',', value_name = "STREAMS")]
     pub wireless: Option<Vec<Carried>>,
-    /// Baud rate of this LINK, bits/s, changed at both ends; restored if the board does not answer
-    #[arg(long, value_name = "N")]
-    pub baud: Option<u32>,
-    /// Baud rate between the board and its radio adapter, bits/s; set the adapter first
+    /// Baud rate between the board and its radio adapter from the board's next start on, bit/s
     #[arg(long, value_name = "N")]
     pub wireless_baud: Option<u32>,
     /// Samples per batch on both links, 1 to 32

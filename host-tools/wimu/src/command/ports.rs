@@ -60,7 +60,7 @@ pub fn run(arguments: &Ports, output: &Output) -> Result<()> {
 }
 
 fn probe(port: &Port) -> Result<String, String> {
-    let link = LinkUrl::Serial { path: port.path.clone(), baud: Some(DEFAULT_BAUD) };
+    let link = LinkUrl::Serial { path: port.path.clone(), baud: DEFAULT_BAUD };
     transport::open(&link)
         .and_then(|line| Client::connect(line, &port.path, ConnectOptions::probe()))
         .map(|client| {

@@ -2,9 +2,7 @@
 
 use serde::Serialize;
 use wimu_host::Result;
-use wimu_host::client::adapter_decides;
 use wimu_link::message::{Resolution, Settings, Streams};
-use wimu_link::{Command, LinkRole};
 
 use crate::arguments::{self, Carried, Change, Switch};
 use crate::command::{connect_to_read, connect_to_write, params};
@@ -33,20 +31,12 @@ pub fn run(action: &arguments::Settings, output: &Output) -> Result<()> {
             (client.settings()?, authenticated)
         }
         arguments::Settings::Set { link, change } => {
-            // The baud rate of a Bluetooth port has no effect.
-            if let Some(baud) = change.baud.filter(|_| link.contains("rfcomm")) {
-                return Err(adapter_decides(link, baud));
-            }
             let mut client = connect_to_write(link)?;
-            if let Some(baud) = change.baud {
+            if let Some(baud) = change.wireless_baud {
                 client.set_line_rate(baud)?;
                 output.print(format!(
-                    "the link now runs at {baud} baud: add ?baud={baud} to the LINK"
+                    "the wireless line runs at {baud} baud from the board's next start on: set its adapter alike"
                 ));
-            }
-            if let Some(baud) = change.wireless_baud {
-                let link = LinkRole::Wireless.number();
-                client.request(Command::SetLineRate { link, baud })?;
             }
             let before = client.settings()?;
             let wanted = changed(before, change);

@@ -2,10 +2,27 @@
 
 /// Room for telemetry, of which the oldest frames are dropped when the link is too slow, bytes.
 const TELEMETRY_BYTES: usize = 1024;
-/// Room for kept frames, bytes: the longest reply, epoch and Hello together, or everything
-/// sent to a new listener except the parameters, which are queued when there is room. Without parameters no
-/// reply is longer than a status, without navigation an epoch has no state.
-const KEPT_BYTES: usize = if cfg!(feature = "correction") { 1450 } else { 750 } + SIGNED_BYTES;
+/// Room for kept frames, bytes: everything that is sent to a new listener at its longest, except the parameters, which are
+/// queued when there is room; and a signed reply. Without navigation an epoch has no state.
+const KEPT_BYTES: usize = kept(if cfg!(feature = "navigation") { EPOCH } else { EPOCH_HEAD })
+    + kept(HELLO)
+    + kept(SETTINGS)
+    + kept(STATUS)
+    + 5 * kept(EVENT)
+    + SIGNED_BYTES;
+/// The longest bodies, bytes.
+const EPOCH: usize = wimu_link::MAX_BODY;
+const EPOCH_HEAD: usize = 160;
+const HELLO: usize = 110;
+const SETTINGS: usize = 24;
+const STATUS: usize = 117;
+const EVENT: usize = 14;
+
+/// Bytes that a frame with this body takes in the queue: length, kind, CRC, COBS, zero.
+const fn kept(body: usize) -> usize {
+    2 + 1 + body + 4 + 4 + 1
+}
+
 /// Room that unsigned replies leave free, bytes: the longest signed reply to a write, and its length.
 const SIGNED_BYTES: usize = 80 + 2;
 /// Bytes of a frame that are taken at once.
@@ -211,6 +228,12 @@ impl Ring<[u8]> {
 
 #[cfg(all(test, feature = "full"))]
 mod tests {
+    use wimu_link::MAX_FRAME;
+    use wimu_link::message::{
+        Epoch, EpochGyroscope, Event, LinkStatus, SensorStatus, Settings, StackStatus, Status,
+        Telemetry,
+    };
+
     use super::*;
 
     fn frame(queue: &mut FrameQueue) -> std::vec::Vec<u8> {
@@ -299,13 +322,48 @@ mod tests {
 
     #[test]
     fn what_a_host_needs_at_once_has_room_at_its_longest() {
-        // The longest epoch's body, a Hello with a fault, settings, a status, an event of each fault.
-        const FRAMING: usize = 1 + 4 + 4 + 1;
-        let frames = [743, 110, 48, 180, 40, 40, 40, 40, 40, 40].map(|body| body + FRAMING + 2);
-        assert!(frames.iter().sum::<usize>() <= KEPT_BYTES);
-        // The longest reply has a piece of a parameter set.
-        let reply = 300 + FRAMING + 2;
-        assert!(reply + frames[0] + frames[1] <= KEPT_BYTES);
+        let link = LinkStatus {
+            frames_sent: u32::MAX,
+            bytes_sent: u64::MAX,
+            telemetry_shed: u32::MAX,
+            frames_damaged: u32::MAX,
+            requests_repeated: u32::MAX,
+        };
+        let [samples, missed, overruns, bus_errors] = [u32::MAX; 4];
+        let status = Telemetry::Status(Status {
+            uptime_us: u64::MAX,
+            cable: Some(link),
+            wireless: Some(link),
+            sensor: SensorStatus { samples, missed, overruns, bus_errors },
+            measured_period_ns: Some(u32::MAX),
+            jitter_ns: Some(u32::MAX),
+            stack: Some(StackStatus { size: u32::MAX, used: u32::MAX }),
+        });
+        let wrong_sensor = Event::WrongSensor { expected: 255, found: 255 };
+        let event = Telemetry::Event { time_us: u64::MAX, event: wrong_sensor };
+        let settings = Telemetry::Settings(Settings {
+            rate_hz: u16::MAX,
+            gravity_um_s2: u32::MAX,
+            ..Settings::default()
+        });
+        let gyroscope = EpochGyroscope { rad_s_per_lsb: 1e-3, full_scale: i32::MIN };
+        let head = Telemetry::Epoch(Epoch {
+            sequence: u32::MAX,
+            time_us: u64::MAX,
+            period_ns: u32::MAX,
+            full_scale: i32::MIN,
+            parameters: u32::MAX,
+            temperature_centi_c: Some(i16::MIN),
+            gyroscope: Some(gyroscope),
+            ..Epoch::default()
+        });
+        for (message, most) in
+            [(status, STATUS), (event, EVENT), (settings, SETTINGS), (head, EPOCH_HEAD)]
+        {
+            let mut frame = [0; MAX_FRAME];
+            let length = message.encode(&mut frame).expect("room");
+            assert!(2 + length <= kept(most), "{message:?}: {length}");
+        }
     }
 
     #[test]

@@ -25,9 +25,24 @@ macro_rules! tasks {
         links: ($reader:ty, $writer:ty),
         wireless: ($wireless_reader:ty, $wireless_writer:ty),
     ) => {
-        $crate::node_tasks!($sensor, $timer, $store, $reader, $writer, $wireless_reader, $wireless_writer);
+        $crate::node_tasks!(
+            $sensor,
+            $timer,
+            $store,
+            $reader,
+            $writer,
+            $wireless_reader,
+            $wireless_writer
+        );
         $crate::link_tasks!(1, listen, talk, $reader, $writer, $timer);
-        $crate::link_tasks!(1, listen_wireless, talk_wireless, $wireless_reader, $wireless_writer, $timer);
+        $crate::link_tasks!(
+            1,
+            listen_wireless,
+            talk_wireless,
+            $wireless_reader,
+            $wireless_writer,
+            $timer
+        );
         $crate::spawn_tasks!(listen_wireless, talk_wireless);
     };
     (

@@ -11,7 +11,7 @@ use std::net::{TcpStream, ToSocketAddrs};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
-use serialport::{ClearBuffer, SerialPort, SerialPortType};
+use serialport::{SerialPort, SerialPortType};
 
 use crate::error::{ErrorCode, HostError, Result};
 use crate::fleet;

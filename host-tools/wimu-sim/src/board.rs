@@ -20,17 +20,15 @@ use wimu_link::{Hello, LinkRole};
 use wimu_model::DeviceTimeUs;
 use wimu_node::sensor::RawSample;
 use wimu_node::{
-    DataReady, InertialSensor, NearestRate, Pair, Shared, TimeoutBus, Timer, line_rate, wimu_adxl345,
-    wimu_lsm6dso,
+    DataReady, InertialSensor, NearestRate, Pair, Shared, TimeoutBus, Timer, line_rate,
+    wimu_adxl345, wimu_lsm6dso,
 };
 
 use crate::clock::{Until, VirtualClock};
 use crate::faults::LinkFaults;
 use crate::i2c::{Faults, SimI2c, Target};
 pub use crate::part::SensorPart;
-use crate::pipe::{
-    Channels, DeviceReader, DeviceWriter, HostEnd, LinkConfig, faulty_link,
-};
+use crate::pipe::{Channels, DeviceReader, DeviceWriter, HostEnd, LinkConfig, faulty_link};
 use crate::sensor::{DataReadyPin, Sensor};
 use crate::source::Source;
 use crate::storage::Storage;
@@ -317,7 +315,8 @@ fn boot(
     if let Some(baud) = line_rate(&mut storage.store()) {
         wireless.set_device_baud(baud);
     }
-    let nearest_rate = wireless.baud().map(|_| -> NearestRate { |baud| baud.clamp(300, 4_000_000) });
+    let nearest_rate =
+        wireless.baud().map(|_| -> NearestRate { |baud| baud.clamp(300, 4_000_000) });
     let links = [(cable_reader, cable_writer), (wireless_reader, wireless_writer)];
     let bus = || TimeoutBus::new(i2c.clone(), timer.clone());
     let line = |device: &Sensor| Stamped { pin: device.data_ready(), timer: timer.clone() };
@@ -337,8 +336,12 @@ fn boot(
             let sensor = Pair::new(adxl345(device), lsm303agr(other), time.clone(), SECOND_G);
             node(hello, sensor, time, storage, links, nearest_rate)
         }
-        (SensorPart::Lsm303agr, _) => node(hello, lsm303agr(device), time, storage, links, nearest_rate),
-        (SensorPart::Adxl345, _) => node(hello, adxl345(device), time, storage, links, nearest_rate),
+        (SensorPart::Lsm303agr, _) => {
+            node(hello, lsm303agr(device), time, storage, links, nearest_rate)
+        }
+        (SensorPart::Adxl345, _) => {
+            node(hello, adxl345(device), time, storage, links, nearest_rate)
+        }
         (SensorPart::Lsm6dso, _) => {
             let address = wimu_lsm6dso::Address::Low;
             let bus = wimu_lsm6dso::I2cBus { i2c: bus(), address };

@@ -11,8 +11,10 @@ mod bits;
 pub mod frame;
 pub mod hello;
 pub mod message;
+#[cfg(feature = "auth")]
 pub mod requester;
 pub mod responder;
+#[cfg(feature = "auth")]
 pub mod tag;
 
 pub use batch::Batch;
@@ -21,6 +23,7 @@ pub use frame::{
 };
 pub use hello::{Hello, LinkRole, WhoAreYou, WriteAccess};
 pub use message::{Answer, Command, Reply, Request, Settings, Telemetry};
+#[cfg(feature = "auth")]
 pub use requester::Requester;
 pub use responder::Responder;
 pub use wimu_model::checksum::crc_32c;

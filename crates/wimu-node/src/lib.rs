@@ -1,8 +1,6 @@
 #![doc = include_str!("../README.md")]
 #![no_std]
 #![forbid(unsafe_code)]
-// A node of fewer features leaves functions of the others out.
-#![cfg_attr(not(feature = "full"), allow(dead_code, unused_variables, unreachable_patterns))]
 
 #[cfg(test)]
 extern crate std;

@@ -105,6 +105,7 @@ where
                 store: records(self.store),
                 timer: self.timer,
                 shared: common,
+                #[cfg(all(feature = "wireless", feature = "store"))]
                 nearest_rate: self.nearest_rate,
                 parameters_changed: false,
                 latched: None,

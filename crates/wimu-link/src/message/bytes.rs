@@ -91,6 +91,7 @@ short_bytes!(
 
 impl Signature {
     /// A signature of 8 bytes.
+    #[cfg(feature = "auth")]
     pub(crate) const fn whole(bytes: [u8; Self::MAX]) -> Self {
         Self { length: Self::MAX as u8, bytes }
     }

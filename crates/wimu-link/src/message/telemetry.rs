@@ -8,6 +8,7 @@ use super::MessageError;
 use super::bytes::SetBytes;
 use super::epoch::Epoch;
 use super::settings::Settings;
+#[cfg(feature = "auth")]
 use crate::tag::Tag;
 use wimu_integrator::Phase;
 use wimu_model::SetError;
@@ -38,8 +39,8 @@ pub enum Telemetry {
     },
     /// The attitude, with [`Navigation`] where there is a gyroscope.
     Attitude(Attitude),
-    /// The authentication of the frames before it. Sent by devices with the feature `auth`: others are as small as before.
-    #[cfg_attr(not(feature = "auth"), serde(skip_serializing))]
+    /// The authentication of the frames before it. Sent by devices with a key.
+    #[cfg(feature = "auth")]
     Tag(Tag),
 }
 

@@ -1,18 +1,15 @@
-//! Parameter sets: checked, compiled and given to the sampler.
+//! The correction that the sampler applies.
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
-use wimu_link::message::{Event, Refusal, SetBytes};
-use wimu_model::{CentiCelsius, CompiledSet, ParameterId, SetError};
+use wimu_link::message::{Refusal, SetBytes};
+use wimu_model::{CompiledSet, ParameterId};
 
 use super::Control;
 use crate::sample::sealed::Process as _;
 use crate::sensor::{InertialSensor, Plan};
 use crate::shared::{Correction, Order};
-use crate::store::{Key, Store};
+use crate::store::Store;
 use crate::timer::Timer;
-
-/// Change of the temperature after which the corrector is made again, 0.01 °C.
-const TEMPERATURE_STEP: u16 = 50;
 
 impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> {
     /// Configures the sensor for `plan`, corrected with `set`.
@@ -22,18 +19,6 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         self.orders.give(Order::Configure(*plan, self.correction(plan, set)));
         let outcome = self.shared.configured.wait().await;
         outcome.map_err(|_| Refusal::SensorFailed)
-    }
-
-    /// Makes the corrector again after a temperature step.
-    pub(super) async fn follow_temperature(&mut self, plan: &Plan, temperature: CentiCelsius) {
-        let moved = self
-            .latched
-            .is_none_or(|latched| latched.0.abs_diff(temperature.0) >= TEMPERATURE_STEP);
-        if moved {
-            self.latched = Some(temperature);
-            self.orders.room().await;
-            self.orders.give(Order::Correct(self.correction(plan, &self.shared.active())));
-        }
     }
 
     /// The corrector for `plan`: that of `set` if it is for its range, else that of an ideal sensor.
@@ -62,39 +47,6 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         }
     }
 
-    /// The set, if it is one for this device.
-    pub(super) fn checked(&self, set: &SetBytes) -> Result<CompiledSet, SetError> {
-        let set = set.set()?.ok_or(SetError::Length)?;
-        let device = self.shared.with_published(|published| published.hello.device_id);
-        if [0, device].contains(&set.device()) { Ok(set) } else { Err(SetError::Device) }
-    }
-
-    /// Stores a set and uses it. The one in use is left as it is: the answer was lost.
-    pub(super) async fn set_parameters(
-        &mut self,
-        plan: &Plan,
-        bytes: &SetBytes,
-    ) -> Result<(), Refusal> {
-        let set = self.checked(bytes).map_err(Refusal::InvalidParameters)?;
-        if set.range_g() != plan.settings.range_g {
-            return Err(Refusal::WrongRange {
-                parameters_g: set.range_g(),
-                device_g: plan.settings.range_g,
-            });
-        }
-        if self.shared.active() == *bytes {
-            return Ok(());
-        }
-        let key = Key::Parameters { range_g: set.range_g() };
-        self.save(key, bytes.as_bytes()).await?;
-        self.shared.activate(bytes, set.source());
-        self.parameters_changed = true;
-        self.clear_fault(crate::shared::PersistentFault::Parameters);
-        self.orders.room().await;
-        self.orders.give(Order::Correct(self.correction(plan, bytes)));
-        Ok(())
-    }
-
     /// Uses a stored set from now on.
     pub(super) fn activate(&self, set: &SetBytes) {
         if !cfg!(feature = "correction") {
@@ -102,14 +54,5 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         }
         let id = set.set().ok().flatten().map_or(ParameterId::UNCALIBRATED, |set| set.source());
         self.shared.activate(set, id);
-    }
-
-    /// Why a stored set cannot be used for a range, ± *g*.
-    pub(super) fn fault_of(&self, stored: &SetBytes, range_g: u8) -> Option<Event> {
-        match self.checked(stored) {
-            Ok(set) if set.range_g() == range_g => None,
-            Ok(_) => Some(Event::StoreUnreadable),
-            Err(fault) => Some(Event::ParametersRejected(fault)),
-        }
     }
 }

@@ -1,18 +1,22 @@
 //! Requests, parameters, settings and what is stored.
 
 mod correction;
+#[cfg(feature = "store")]
+mod keys;
+#[cfg(feature = "correction")]
+mod parameters;
 mod plan;
 mod records;
 
 use embassy_futures::select::{Either4, select4};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use wimu_link::LinkRole;
-use wimu_link::auth::{DeviceKey, KeyState};
+#[cfg(feature = "auth")]
+use wimu_link::auth::KeyState;
 use wimu_link::frame::MAX_FRAME;
 use wimu_link::message::{Answer, Command, Event, Payload, Refusal, SetBytes, Settings};
 use wimu_model::{CentiCelsius, DeviceTimeUs};
 
-use crate::node::NearestRate;
 use crate::sensor::{InertialSensor, Plan};
 use crate::shared::{ALL, Common, Message, Orders, PersistentFault, ROLES, Worker};
 use crate::slot::put;
@@ -31,7 +35,8 @@ pub struct Control<'a, A: InertialSensor, T, S, M: RawMutex> {
     pub(crate) timer: T,
     pub(crate) shared: &'a Common<M>,
     pub(crate) orders: &'a Orders<M, A::Sample>,
-    pub(crate) nearest_rate: Option<NearestRate>,
+    #[cfg(all(feature = "wireless", feature = "store"))]
+    pub(crate) nearest_rate: Option<crate::NearestRate>,
     /// The new parameters have to be announced.
     pub(crate) parameters_changed: bool,
     pub(crate) latched: Option<CentiCelsius>,
@@ -72,7 +77,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
                 #[cfg(feature = "store")]
                 Either4::Fourth(()) => self.forget_lost_key(&mut plan).await,
                 #[cfg(not(all(feature = "correction", feature = "store")))]
-                Either4::Second(_) | Either4::Fourth(()) => {}
+                _ => {}
             }
         }
     }
@@ -111,13 +116,7 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
             #[cfg(feature = "auth")]
             Command::SetKey(key) => self.set_key(key).await,
             #[cfg(feature = "auth")]
-            Command::ForgetKey => {
-                self.announce_pause().await;
-                let removed = self.store.remove(|key| key == Key::DeviceKey).await;
-                removed.map_err(|StoreFault| Refusal::StoreFailed)?;
-                self.use_key(KeyState::None);
-                Ok(self.key_status())
-            }
+            Command::ForgetKey => self.forget_key().await,
             Command::GetTime => Ok(Payload::Time { uptime_us: self.timer.now().0 }),
             Command::GetStatus => Ok(Payload::Status(self.shared.status(self.timer.now()))),
             #[cfg(feature = "correction")]
@@ -156,61 +155,12 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
         }
     }
 
-    /// Removes the key and the settings after the owner's gesture at the board.
-    async fn forget_lost_key(&mut self, plan: &mut Plan) {
-        self.announce_pause().await;
-        let removed = self.store.remove(|key| matches!(key, Key::DeviceKey | Key::Settings)).await;
-        if removed.is_err() {
-            self.shared.report(self.timer.now(), Event::StoreUnreadable);
-            return;
-        }
-        if let Some(new) = plan::nearest(&self.planner, &Settings::default()) {
-            let parameters = self.load_parameters(new.settings.range_g);
-            // A failed sensor is restarted with these settings later.
-            let _ = self.configure(&new, &parameters).await;
-            put(plan, &new);
-            self.activate(&parameters);
-            self.shared.publish(|published| published.settings = new.settings);
-            self.clear_fault(PersistentFault::Settings);
-        }
-        self.use_key(KeyState::None);
-    }
-
-    /// Stores a key and uses it. If the boot count could not be read, it restarts with a different key:
-    /// sessions of earlier starts are not valid with that key.
-    async fn set_key(&mut self, key: DeviceKey) -> Result<Payload, Refusal> {
-        self.save(Key::DeviceKey, key.expose()).await?;
-        let lock = self.shared.lock();
-        if lock.boot_count.is_none() && lock.key != KeyState::Set(key) {
-            let boot_count = self.store.count_start().await.ok();
-            self.shared.publish(|published| {
-                published.hello.boot_count = boot_count.unwrap_or(0);
-                published.lock.boot_count = boot_count;
-            });
-            if boot_count.is_some() {
-                self.clear_fault(PersistentFault::BootCount);
-            }
-        }
-        self.use_key(KeyState::Set(key));
-        Ok(self.key_status())
-    }
-
-    /// Uses this key from now on, and announces it.
-    fn use_key(&mut self, key: KeyState) {
-        self.shared.publish(|published| published.lock.key = key);
-        self.clear_fault(PersistentFault::DeviceKey);
-        for role in ROLES {
-            self.shared.introduce(role, self.timer.now());
-        }
-    }
-
     fn key_status(&self) -> Payload {
-        Payload::KeyStatus {
-            key: match self.shared.lock().key {
-                KeyState::Set(key) if cfg!(feature = "auth") => Some(key.id()),
-                _ => None,
-            },
+        #[cfg(feature = "auth")]
+        if let KeyState::Set(key) = self.shared.lock().key {
+            return Payload::KeyStatus { key: Some(key.id()) };
         }
+        Payload::KeyStatus { key: None }
     }
 
     /// Announces that nothing is received while the flash is written, and waits until the announcement is

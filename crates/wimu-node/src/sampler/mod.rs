@@ -110,7 +110,10 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
                         let outcome = self.sensor.configure(&plan).await;
                         self.configured(&mut running, outcome);
                     }
+                    #[cfg(feature = "correction")]
                     None => self.correct(&mut running),
+                    #[cfg(not(feature = "correction"))]
+                    None => {}
                 }
             }
             if running.lost {
@@ -164,6 +167,7 @@ impl<'a, A: InertialSensor, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         self.shared.configured.signal(outcome);
     }
 
+    #[cfg(feature = "correction")]
     #[inline(never)]
     fn correct(&mut self, running: &mut Running<A::Sample>) {
         let Some(Order::Correct(correction)) = self.orders.take() else {

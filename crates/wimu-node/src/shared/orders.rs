@@ -17,6 +17,7 @@ pub(crate) enum Order<S: RawSample> {
     /// Configure the sensor and signal the result.
     Configure(Plan, Correction<S>),
     /// Use this corrector from the next sample on. Navigation restarts if the parameters changed.
+    #[cfg(feature = "correction")]
     Correct(Correction<S>),
 }
 

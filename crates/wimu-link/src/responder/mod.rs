@@ -1,12 +1,17 @@
 //! The device's side of requests: every request has one effect, however often it is repeated.
 
-use heapless::Vec;
+use heapless::{Vec, VecView};
 
-use crate::auth::{KeyState, Lock, Session, Sessions, Standing, put_first};
-use crate::frame::{MAX_FRAME, fill};
+#[cfg(feature = "auth")]
+use crate::auth::Session;
+use crate::auth::{KeyState, Lock};
+use crate::frame::fill;
 use crate::hello::LinkRole;
-use crate::message::{Answer, Command, Head, Payload, Refusal, Reply, Signature};
+use crate::message::{Answer, Command, Head, Refusal, Reply, Signature};
 use wimu_model::checksum::crc_32c;
+
+#[cfg(feature = "auth")]
+mod signed;
 
 /// Unsigned sessions whose latest request is remembered.
 const SESSIONS: usize = 4;
@@ -28,6 +33,7 @@ enum Class {
     /// To all other unsigned requests, and refusals of signed ones.
     Other,
     /// To a repetition of the latest signed request.
+    #[cfg(feature = "auth")]
     Repeated,
 }
 
@@ -101,11 +107,8 @@ pub struct Responder {
     latest: Vec<Known, SESSIONS>,
     /// The reply to the first of them.
     reply: Vec<u8, KEPT_FRAME>,
-    sessions: Sessions,
-    /// The latest signed request.
-    latest_signed: Option<Known>,
-    /// The reply to it.
-    signed_reply: Vec<u8, KEPT_FRAME>,
+    #[cfg(feature = "auth")]
+    signed: signed::Signed,
     executing: Option<Executing>,
     /// When the token bucket of each [`Class`] is full, µs on the device's clock.
     full_at_us: [u64; 4],
@@ -138,16 +141,13 @@ enum Executing {
     /// With the class of its answer, and whether it is out of order: then its reply is not remembered.
     Unsigned(Known, Class, bool),
     /// With the session and the request's signature, which sign the answer.
+    #[cfg(feature = "auth")]
     Signed(Known, Session, Signature),
 }
 
 impl Known {
     fn answer(&self, answer: &Answer) -> Reply {
         Reply { session: self.session, id: self.id, signature: Signature::NONE, answer: *answer }
-    }
-
-    fn signed_answer(&self, session: &Session, request: Signature, answer: &Answer) -> Reply {
-        Reply { signature: session.sign_answer(self.id, request, answer), ..self.answer(answer) }
     }
 }
 
@@ -158,9 +158,8 @@ impl Responder {
             role,
             latest: Vec::new(),
             reply: Vec::new(),
-            sessions: Sessions::new(),
-            latest_signed: None,
-            signed_reply: Vec::new(),
+            #[cfg(feature = "auth")]
+            signed: signed::Signed::new(),
             executing: None,
             full_at_us: [0; 4],
             limited_at_us: None,
@@ -184,27 +183,30 @@ impl Responder {
             return Decision::Ignore;
         };
         let request = Known { session: head.session, id: head.id, content: crc_32c(body) };
-        if head.signature == Signature::NONE {
-            // The variant's number is the whole command.
-            let class = match command {
-                [7] => Class::Session,
-                [8] => Class::KeyStatus,
-                _ => Class::Other,
-            };
-            if self.is_spent(class) {
-                return Decision::Ignore;
-            }
-            self.accept_unsigned(request, class, command, lock)
-        } else if cfg!(feature = "auth") {
-            self.accept_signed(request, head.signature, command, lock)
-        } else {
-            let answer = Answer::Refused(Refusal::NotSupported);
-            self.refuse(Class::Other, request.answer(&answer))
+        if head.signature != Signature::NONE {
+            #[cfg(feature = "auth")]
+            return self.accept_signed(request, head.signature, command, lock);
+            #[cfg(not(feature = "auth"))]
+            return self
+                .refuse(Class::Other, request.answer(&Answer::Refused(Refusal::NotSupported)));
         }
+        // The variant's number is the whole command.
+        let class = match command {
+            [7] => Class::Session,
+            [8] => Class::KeyStatus,
+            _ => Class::Other,
+        };
+        if self.is_spent(class) {
+            return Decision::Ignore;
+        }
+        self.accept_unsigned(request, class, command, lock)
     }
 
     /// Whether the bucket of a class is empty.
     fn is_spent(&self, class: Class) -> bool {
+        if !cfg!(feature = "auth") {
+            return false;
+        }
         let full_at_us = self.full_at_us.get(class as usize);
         (self.limited_at_us.zip(full_at_us))
             .is_some_and(|(now, full)| *full > now.saturating_add(BURST_US))
@@ -212,6 +214,9 @@ impl Responder {
 
     /// Takes the `bytes` of an answer from the bucket of its class.
     fn spend(&mut self, class: Class, bytes: usize) {
+        if !cfg!(feature = "auth") {
+            return;
+        }
         let (class, bytes) = (class as usize, bytes as u64);
         let bucket = self.full_at_us.get_mut(class).zip(BYTE_US.get(class));
         if let (Some(now), Some((full, byte_us))) = (self.limited_at_us, bucket) {
@@ -264,6 +269,7 @@ impl Responder {
             Ok(command) if repeats && command.is_write() => return Decision::Ignore,
             Ok(command) => match lock.refusal(&command, self.role) {
                 Some(refusal) => Err(Answer::Refused(refusal)),
+                #[cfg(feature = "auth")]
                 None if matches!(command, Command::OpenSession) => Err(self.open_session(lock)),
                 None => Ok(command),
             },
@@ -282,78 +288,6 @@ impl Responder {
         }
     }
 
-    fn accept_signed(
-        &mut self,
-        request: Known,
-        signature: Signature,
-        command: &[u8],
-        lock: &Lock,
-    ) -> Decision<'_> {
-        let repeats = self.latest_signed == Some(request);
-        if repeats {
-            self.repeated = self.repeated.wrapping_add(1);
-            match self.executing {
-                Some(Executing::Signed(..)) => return Decision::Ignore,
-                _ if self.is_spent(Class::Repeated) => return Decision::Ignore,
-                // The same bytes as before: they disclose nothing new.
-                _ if !self.signed_reply.is_empty() => {
-                    self.spend(Class::Repeated, self.signed_reply.len());
-                    return Decision::Send(&self.signed_reply);
-                }
-                _ => {}
-            }
-        }
-        let refused = |refusal| request.answer(&Answer::Refused(refusal));
-        let Some(session) = lock.session(self.role, request.session) else {
-            let refusal = match lock.key {
-                KeyState::None => Refusal::KeyNeeded,
-                _ => Refusal::Locked,
-            };
-            return self.refuse(Class::Other, refused(refusal));
-        };
-        let standing = self.sessions.standing(request.session, request.id);
-        if let Standing::Ended = standing {
-            return self.refuse(Class::Other, refused(Refusal::SessionEnded));
-        }
-        if !session.has_signed(request.id, command, signature) {
-            return self.refuse(Class::Other, refused(Refusal::WrongSignature));
-        }
-        let signed = |answer: &Answer| request.signed_answer(&session, signature, answer);
-        // An equal CRC may belong to another request, so the signature is verified first.
-        if !repeats && matches!(standing, Standing::Used) {
-            return self.refuse(Class::Other, signed(&Answer::Refused(Refusal::Stale)));
-        }
-        if self.executing.is_some() {
-            return Decision::Ignore;
-        }
-        self.sessions.note(request.session, request.id);
-        self.latest_signed = Some(request);
-        let outcome = match Command::decode(command) {
-            Err(_) => Err(Answer::Unknown),
-            Ok(command) if repeats && command.is_write() => return Decision::Ignore,
-            Ok(Command::OpenSession) => Err(self.open_session(lock)),
-            Ok(command) => match lock.signed_refusal(&command, self.role) {
-                Some(refusal) => Err(Answer::Refused(refusal)),
-                None => Ok(command),
-            },
-        };
-        match outcome {
-            Ok(command) => {
-                if repeats {
-                    // The longest answer.
-                    self.spend(Class::Repeated, MAX_FRAME);
-                }
-                self.executing = Some(Executing::Signed(request, session, signature));
-                self.signed_reply.clear();
-                Decision::Execute(command)
-            }
-            Err(answer) => {
-                fill(&mut self.signed_reply, |frame| signed(&answer).encode(frame));
-                Decision::Send(&self.signed_reply)
-            }
-        }
-    }
-
     fn refuse(&mut self, class: Class, reply: Reply) -> Decision<'_> {
         if self.is_spent(class) {
             return Decision::Ignore;
@@ -363,16 +297,6 @@ impl Responder {
         Decision::Send(&self.refusal)
     }
 
-    fn open_session(&mut self, lock: &Lock) -> Answer {
-        let number = self.sessions.open().filter(|_| cfg!(feature = "auth"));
-        match number.and_then(|number| lock.session(self.role, number)) {
-            Some(session) => {
-                Answer::Accepted(Payload::Session { number: session.number, nonce: session.nonce })
-            }
-            None => Answer::Refused(Refusal::Locked),
-        }
-    }
-
     /// Repetitions of the latest request of a session since the start; wraps.
     pub fn repeated(&self) -> u32 {
         self.repeated
@@ -380,36 +304,47 @@ impl Responder {
 
     /// Whether the request being executed is signed.
     pub fn is_signed(&self) -> bool {
-        matches!(self.executing, Some(Executing::Signed(..)))
+        self.executing.is_some_and(|executing| !matches!(executing, Executing::Unsigned(..)))
     }
 
-    /// Encodes the answer to the request being executed into `frame`, of which [`MAX_FRAME`] bytes are
+    /// Encodes the answer to the request being executed into `frame`, of which [`MAX_FRAME`](crate::MAX_FRAME) bytes are
     /// enough, and returns it. Empty if no request is being executed.
     pub fn reply<'f>(&mut self, answer: &Answer, frame: &'f mut [u8]) -> &'f [u8] {
-        let executing = self.executing.take();
+        let Some(executing) = self.executing.take() else { return &[] };
         let reply = match executing {
-            Some(Executing::Unsigned(request, ..)) => request.answer(answer),
-            Some(Executing::Signed(request, session, signature)) if cfg!(feature = "auth") => {
+            Executing::Unsigned(request, ..) => request.answer(answer),
+            #[cfg(feature = "auth")]
+            Executing::Signed(request, session, signature) => {
                 request.signed_answer(&session, signature, answer)
             }
-            _ => return &[],
         };
         let length = reply.encode(frame).unwrap_or(0);
         let frame = frame.get(..length).unwrap_or_default();
-        // A reply that does not fit is made again when the request is repeated.
-        match executing {
-            Some(Executing::Unsigned(_, class, is_old)) => {
+        let kept = match executing {
+            Executing::Unsigned(_, class, is_old) => {
                 self.spend(class, length);
-                if !is_old {
-                    self.reply.clear();
-                    let _ = self.reply.extend_from_slice(frame);
+                if is_old {
+                    return frame;
                 }
+                &mut self.reply
             }
-            _ => {
-                self.signed_reply.clear();
-                let _ = self.signed_reply.extend_from_slice(frame);
-            }
-        }
+            #[cfg(feature = "auth")]
+            Executing::Signed(..) => &mut self.signed.reply,
+        };
+        kept.clear();
+        // A reply that does not fit is made again when the request is repeated.
+        let _ = kept.extend_from_slice(frame);
         frame
+    }
+}
+
+/// Puts `first` at the front in place of the item at `known`, or of the last one if the list is full.
+pub(crate) fn put_first<T: Copy>(list: &mut VecView<T>, known: Option<usize>, first: T) {
+    if known.is_none() {
+        let _ = list.push(first);
+    }
+    let mut next = first;
+    for item in list.iter_mut().take(known.map_or(usize::MAX, |known| known + 1)) {
+        next = core::mem::replace(item, next);
     }
 }

@@ -104,8 +104,8 @@ const FROZEN: [(&str, usize, u32); 7] = [
     ("batch", 9, 0x8599_d8e6),
     ("hello", 3, 0xb447_7e94),
     ("inertial", 10, 0x72dc_3eb1),
-    ("reply", 30, 0xc77d_36e5),
-    ("request", 12, 0x9cd9_7477),
+    ("reply", 29, 0xdb86_2345),
+    ("request", 12, 0x4dbe_c52e),
     ("telemetry", 35, 0x1dd9_d5c3),
     ("who_are_you", 1, 0x0d6e_92fb),
 ];

@@ -52,6 +52,6 @@ fn the_rate_of_the_wireless_line_is_set_or_refused_with_the_nearest() {
     let ran = set("57600");
     ran.succeeds();
     assert!(ran.stderr.contains("from the board's next start on"), "{ran:?}");
-    let refused = set("100").fails(1, "device_refused");
-    assert!(refused["message"].as_str().is_some_and(|text| text.contains("300 baud")), "{refused}");
+    let refused = set("100").fails(4, "device_refused");
+    assert_eq!(refused["remedy"], "the nearest is 300 baud");
 }

@@ -1,5 +1,5 @@
 //! Another host, written from docs/PROTOCOL.md alone: it reads every example message and must find what
-//! stands above it. Nothing of wimu is used here. (Batches are read by the document's own Python.)
+//! stands above it. Nothing of wimu is used here. (Batches are read by `examples/read_batch.py`.)
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -359,7 +359,7 @@ fn a_greeting_and_its_question_read_as_the_document_says() {
     }
 }
 
-/// The document's Python on the document's batches.
+/// The example in Python on the document's batches.
 #[test]
 fn every_batch_reads_as_the_document_says() {
     for file in ["batch", "inertial"] {
@@ -368,12 +368,9 @@ fn every_batch_reads_as_the_document_says() {
 }
 
 fn python_reads(file: &str) {
-    let document = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/PROTOCOL.md");
-    let text = fs::read_to_string(document).expect("the document");
-    let code = text.split("```python\n").nth(1).expect("Python");
-    let code = code.split("```").next().expect("its end");
+    let program = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/read_batch.py");
     let python = std::process::Command::new("python3")
-        .args(["-c", code])
+        .arg(program)
         .arg(folder().join(file).with_extension("hex"))
         .output();
     let Ok(ran) = python else {

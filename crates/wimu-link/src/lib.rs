@@ -14,6 +14,7 @@ pub mod message;
 #[cfg(feature = "auth")]
 pub mod requester;
 pub mod responder;
+pub mod stream;
 #[cfg(feature = "auth")]
 pub mod tag;
 

@@ -52,5 +52,6 @@ mod session;
 mod several_sessions;
 mod single_axes;
 mod six_axes;
+mod smallest_device;
 mod streams;
 mod writes;

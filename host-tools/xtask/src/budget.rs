@@ -51,10 +51,10 @@ const EMPTY: &str = "empty";
 const QEMU_IMAGE: Image = image("image for QEMU", QEMU, [0, 0], [252_000, 27_300]);
 const IMAGES: [Image; 7] = [
     QEMU_IMAGE,
-    profile("profile stream", "", [48, 8], [50_700, 8_192]),
-    profile("profile navigate", "navigate", [64, 12], [90_500, 15_700]),
+    profile("profile stream", "", [48, 8], [46_200, 6_900]),
+    profile("profile navigate", "navigate", [66, 11], [67_584, 10_500]),
     // The default: the image that is left.
-    image("profile full, micro:bit", MICROBIT, [80, 16], [110_300, 22_000]),
+    image("profile full, micro:bit", MICROBIT, [81, 16], [79_600, 16_384]),
     image("Pico", PICO, [80, 16], [113_664, 22_000]),
     // Half of it is the controller and the host stack of Bluetooth: it has no target.
     image("nRF52840 with BLE", RADIO, [0, 0], [230 << 10, 42_000]),

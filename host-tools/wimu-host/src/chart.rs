@@ -1,14 +1,14 @@
-//! Charts: one description, drawn as SVG and PNG in Rust alone and by the script of a [report](crate::html).
+//! Charts: one description, drawn as SVG and by the script of a [report](crate::html).
 
 mod data;
-mod draw;
+mod svg;
 
 use std::path::{Path, PathBuf};
 
 use crate::stats::median;
-use crate::{HostError, Result};
+use crate::{HostError, OutputFile, Result};
 
-/// Writes every chart under its name into a folder, created if necessary, as SVG and PNG; returns the files.
+/// Writes every chart as SVG under its name into a folder, created if necessary; returns the files.
 ///
 /// # Errors
 /// `file_failed`, `file_unreadable`.
@@ -17,11 +17,9 @@ pub fn write_all(folder: &Path, charts: &[(&str, Chart)]) -> Result<Vec<PathBuf>
         .map_err(|error| HostError::file(&folder.display().to_string(), "create", &error))?;
     let mut files = Vec::new();
     for (name, chart) in charts {
-        for extension in ["svg", "png"] {
-            let file = folder.join(name).with_extension(extension);
-            chart.write(&file)?;
-            files.push(file);
-        }
+        let file = folder.join(name).with_extension("svg");
+        OutputFile::write(&file, chart.svg())?;
+        files.push(file);
     }
     Ok(files)
 }

@@ -86,10 +86,7 @@ impl Report {
     }
 
     /// A chart: its data for the script, and its picture where there is no script.
-    ///
-    /// # Errors
-    /// `file_failed` when it cannot be drawn.
-    pub fn chart(&mut self, chart: &Chart) -> Result<&mut Self> {
+    pub fn chart(&mut self, chart: &Chart) -> &mut Self {
         let small = chart.decimated();
         let points = |chart: &Chart| chart.series.iter().map(|s| s.points.len()).sum::<usize>();
         let [before, after] = [points(chart), points(&small)];
@@ -106,10 +103,10 @@ impl Report {
             "<figure><script type=\"application/json\">{}</script><noscript>{}</noscript><figcaption>{}</figcaption></figure>",
             // A `<` could end the script.
             small.json().to_string().replace('<', "\\u003c"),
-            small.svg()?,
+            small.svg(),
             escape(&notes.join(" "))
         );
-        Ok(self)
+        self
     }
 
     /// Writes the page, replacing an existing file.
@@ -141,6 +138,6 @@ impl Report {
     }
 }
 
-fn escape(text: &str) -> String {
+pub(crate) fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

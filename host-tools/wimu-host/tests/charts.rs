@@ -32,14 +32,10 @@ fn any_points_can_be_drawn() {
         vec![(0.0, 1e-3), (1.0, 1e3)],
     ] {
         for log in [false, true] {
-            let svg = chart(points.clone(), log).svg().unwrap();
+            let svg = chart(points.clone(), log).svg();
             assert!(svg.contains("</svg>") && svg.contains("t (s)"));
         }
     }
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.png");
-    chart(vec![(0.0, 1e-3), (1.0, 1e3)], true).write(&path).unwrap();
-    assert!(std::fs::read(path).unwrap().starts_with(b"\x89PNG"));
 }
 
 #[test]
@@ -89,7 +85,7 @@ fn names_cannot_break_the_page() {
         }],
         ..Chart::default()
     };
-    let page = page(report.chart(&chart).unwrap());
+    let page = page(report.chart(&chart));
     assert!(!page.contains("<img") && !page.contains("<!--"), "{page}");
     // The data and the script of the page, once each.
     assert_eq!(page.matches("</script>").count(), 2);
@@ -106,7 +102,7 @@ fn a_page_keeps_every_extreme_and_every_break_of_many_points() {
     points[54_321].1 = -99.0;
     points[77_777].1 = f64::NAN;
     let chart = Chart { series: vec![Series::line("a", points)], ..Chart::default() };
-    let page = page(Report::new("a").chart(&chart).unwrap());
+    let page = page(Report::new("a").chart(&chart));
     let data = data(&page);
     let values = |axis: &str| data["series"][0][axis].as_array().unwrap().clone();
     let (x, y) = (values("x"), values("y"));

@@ -251,7 +251,7 @@ pub struct Demo {
     /// Write the report with pictures to this file
     #[arg(long, value_name = "FILE.html", default_value = "wimu-demo-report.html")]
     pub report: PathBuf,
-    /// Write the pictures to this folder, as SVG and PNG
+    /// Write the pictures to this folder, as SVG
     #[arg(long, value_name = "FOLDER")]
     pub pictures: Option<PathBuf>,
     /// Localize simulated walks instead: ranges to anchors, a unit on a shoe, position fixes
@@ -480,7 +480,7 @@ pub struct Compare {
     /// Write a report with pictures to this file
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
-    /// Write the pictures to this folder, as SVG and PNG
+    /// Write the pictures to this folder, as SVG
     #[arg(long, value_name = "FOLDER")]
     pub pictures: Option<PathBuf>,
 }

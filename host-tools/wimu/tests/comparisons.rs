@@ -209,7 +209,7 @@ fn range_and_rate_may_change_on_the_way() {
 }
 
 #[test]
-fn pictures_are_drawn_as_svg_and_png_and_as_a_page() {
+fn pictures_are_drawn_as_svg_and_as_a_page() {
     let folder = folder();
     let session = file(folder.path(), Part::default().on_both());
     let pictures = folder.path().join("pictures");
@@ -233,12 +233,11 @@ fn pictures_are_drawn_as_svg_and_png_and_as_a_page() {
         "latency",
         "loss",
     ] {
-        let read = |extension| fs::read(pictures.join(name).with_extension(extension)).unwrap();
-        assert!(read("png").starts_with(b"\x89PNG"), "{name}");
-        assert!(read("svg").starts_with(b"<svg"), "{name}");
+        let picture = fs::read(pictures.join(name).with_extension("svg")).unwrap();
+        assert!(picture.starts_with(b"<svg"), "{name}");
     }
     // Not the curves that lie upon each other.
-    assert_eq!(fs::read_to_string(page).unwrap().matches("<svg").count(), 6);
+    assert_eq!(fs::read_to_string(page).unwrap().matches("<svg xmlns").count(), 6);
 }
 
 #[test]

@@ -36,7 +36,7 @@ impl NoiseReport {
                 let name = format!("datasheet, {ug_rthz} µg/√Hz");
                 chart.series.push(Series::line(&name, white.into()));
             }
-            page.chart(&chart)?;
+            page.chart(&chart);
             let unit = &sensor.kind.deviation;
             let rows: Vec<Vec<String>> = sensor
                 .points

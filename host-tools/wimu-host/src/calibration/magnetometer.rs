@@ -300,7 +300,7 @@ impl MagnetometerReport {
                 continue;
             }
             let series = vec![Series::dots(name, points)];
-            page.chart(&Chart::new(title, "pose", "µT", series))?;
+            page.chart(&Chart::new(title, "pose", "µT", series));
         }
         let rows: Vec<Vec<String>> = self
             .poses

@@ -23,7 +23,7 @@ impl CalibrationReport {
         self.key_figures(&mut page);
         page.printed(&self.to_string()).findings(&self.outcome.findings);
         if !self.static_poses.is_empty() {
-            page.chart(&self.residuals())?.chart(&self.sphere())?;
+            page.chart(&self.residuals()).chart(&self.sphere());
         }
         self.table(&mut page);
         Ok(page)

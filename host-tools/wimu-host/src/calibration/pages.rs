@@ -65,7 +65,7 @@ impl SeveralReport {
             dots(AXES[axis], labels, &|s| s.bias_difference_m_s2[axis] * 1e3)
         };
         let title = "Bias of each session less that of the combination";
-        page.chart(&Chart::new(title, x, "mm/s²", [0, 1, 2].map(bias).into()))?;
+        page.chart(&Chart::new(title, x, "mm/s²", [0, 1, 2].map(bias).into()));
         let own = |session: &SessionReport| session.own_rms_mm_s2.max(LEAST_MM_S2);
         let combined = |session: &SessionReport| {
             let rms = session.rms_mm_s2;
@@ -78,7 +78,7 @@ impl SeveralReport {
         page.chart(&Chart {
             log: true,
             ..Chart::new("Size of |f| − g in each session, rms", x, "mm/s²", series)
-        })?;
+        });
         Ok(page)
     }
 }
@@ -113,7 +113,7 @@ impl ReferenceReport {
                 Series::line("after correction", over_time(&after)),
             ];
             let title = format!("{name}: output less reference");
-            page.chart(&Chart::new(title, "time, s", "mm/s²", series))?;
+            page.chart(&Chart::new(title, "time, s", "mm/s²", series));
         }
         Ok(page)
     }
@@ -156,7 +156,7 @@ impl UpdateReport {
                 points: sd.into_iter().map(|(k, sd)| (k, -sd, sd)).collect(),
             }],
             ..Chart::new(title, "rest", "mm/s²", series)
-        })?;
+        });
         Ok(page)
     }
 }

@@ -52,13 +52,13 @@ impl Comparison {
     pub fn pictures(&self, report: &mut Report) -> Result<()> {
         for (name, chart) in self.charts() {
             if !name.starts_with("both") {
-                report.chart(&chart)?;
+                report.chart(&chart);
             }
         }
         Ok(())
     }
 
-    /// Writes every chart into a folder, created if necessary, as SVG and as PNG;
+    /// Writes every chart into a folder, created if necessary, as SVG;
     /// returns the files.
     ///
     /// # Errors

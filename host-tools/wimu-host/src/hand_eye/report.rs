@@ -74,8 +74,8 @@ pub(super) fn page(report: &HandEye, text: &str) -> Result<Report> {
         Chart::new(title, "time, s", unit, vec![dots])
     };
     if !report.residuals.is_empty() {
-        page.chart(&chart("Residual of the rotation", "°", &|r| r.rotation_rad.to_degrees()))?;
-        page.chart(&chart("Residual of the position", "mm", &|r| 1e3 * r.position_m))?;
+        page.chart(&chart("Residual of the rotation", "°", &|r| r.rotation_rad.to_degrees()));
+        page.chart(&chart("Residual of the position", "mm", &|r| 1e3 * r.position_m));
     }
     page.printed(text);
     page.findings(&report.outcome.findings);

@@ -23,7 +23,7 @@ impl InertialPath {
     pub fn page(&self, source: &str, text: &str) -> Result<Report> {
         let mut page = self.summary(source, text);
         for chart in self.charts(&[]) {
-            page.chart(&chart)?;
+            page.chart(&chart);
         }
         Ok(page)
     }

@@ -31,7 +31,7 @@ impl Localization {
         let mut charts = self.path.charts(&[anchors]);
         charts.insert(1, self.innovations());
         for chart in charts {
-            page.chart(&chart)?;
+            page.chart(&chart);
         }
         Ok(page)
     }

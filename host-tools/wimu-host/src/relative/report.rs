@@ -99,7 +99,7 @@ impl RelativePath {
         page.key("hinge axis, 1 σ", &format!("± {:.1}°", self.hinge.worst_sd_rad().to_degrees()));
         page.key("angle, 1 σ, median", &format!("± {:.1}°", self.median_sigma_rad().to_degrees()));
         page.printed(text).findings(&self.findings);
-        page.chart(&self.angle())?.chart(&self.sigma())?;
+        page.chart(&self.angle()).chart(&self.sigma());
         Ok(page)
     }
 

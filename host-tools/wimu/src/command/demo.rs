@@ -317,7 +317,7 @@ fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Resu
         );
     report.printed(&story.join("\n"));
     for (_, chart) in charts {
-        report.chart(chart)?;
+        report.chart(chart);
     }
     if let Some(fit) = &outcome.report.fit {
         let truth = outcome.truth.model.terms();

@@ -155,7 +155,7 @@ pub fn run(arguments: &Demo, output: &Output) -> Result<()> {
     page.key("ranges after calibration, RMS", &three(found.after.rmse_m));
     page.printed(&story.join("\n"));
     for (_, chart) in &charts {
-        page.chart(chart)?;
+        page.chart(chart);
     }
     page.write(&arguments.report)?;
     if let Some(folder) = &arguments.pictures {

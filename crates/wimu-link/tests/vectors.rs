@@ -216,7 +216,9 @@ fn hello_is_as_it_was() {
 #[test]
 fn who_are_you_is_as_it_was() {
     let mut vectors = Vectors::new("who_are_you", Kind::WhoAreYou);
-    vectors.add(format!("WhoAreYou {{ wire_version: {WIRE_VERSION} }}"), |line| WhoAreYou::default().encode(line));
+    vectors.add(format!("WhoAreYou {{ wire_version: {WIRE_VERSION} }}"), |line| {
+        WhoAreYou::default().encode(line)
+    });
     for body in vectors.check() {
         assert_eq!(WhoAreYou::decode(&body), Ok(WhoAreYou::default()));
     }

@@ -323,7 +323,7 @@ fn the_path_is_written_with_the_columns_that_were_promised() {
          Sigma E (m),Sigma N (m),Sigma U (m),Valid"
     );
     assert_eq!(text.lines().count(), 451);
-    path.page("slide", "text").unwrap().write(&out).unwrap();
+    path.page("slide", "text").write(&out).unwrap();
     assert!(std::fs::read_to_string(&out).unwrap().contains("<svg"));
 }
 

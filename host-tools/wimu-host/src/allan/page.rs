@@ -8,17 +8,13 @@ use super::sensor::{SensorNoise, UG};
 use super::{Figure, NoiseReport};
 use crate::chart::{Band, Chart, Series};
 use crate::digits::significant;
-use crate::error::Result;
 use crate::html::Report;
 
 const AXES: [&str; 3] = ["X", "Y", "Z"];
 
 impl NoiseReport {
     /// The report as a page. `datasheet_ug_rthz` is the noise density of the datasheet, µg/√Hz, if it is to be compared.
-    ///
-    /// # Errors
-    /// `file_failed` when a picture cannot be drawn.
-    pub fn page(&self, datasheet_ug_rthz: Option<f64>) -> Result<Report> {
+    pub fn page(&self, datasheet_ug_rthz: Option<f64>) -> Report {
         let mut page = Report::new(format!("Noise of {}", self.source));
         if self.measured().next().is_none() {
             page.result(&self.outcome.to_string());
@@ -52,7 +48,7 @@ impl NoiseReport {
             let head = ["τ, s", &axes[0], &axes[1], &axes[2], "± %"];
             page.table(&format!("Allan deviation of the {}", sensor.kind.name), &head, &rows);
         }
-        Ok(page)
+        page
     }
 
     fn key_figures(&self, sensor: &SensorNoise, page: &mut Report, stated: Option<f64>) {

@@ -272,10 +272,7 @@ impl MagnetometerReport {
     }
 
     /// The report as one HTML page: the text, |B| of each pose before and after correction, and a table of the poses.
-    ///
-    /// # Errors
-    /// `file_failed` when a picture cannot be drawn.
-    pub fn page(&self) -> Result<Report> {
+    pub fn page(&self) -> Report {
         let mut page = Report::new(format!("Magnetometer of {}", self.source));
         let (text, ut) = (self.to_string(), |value: f64| format!("{} µT", significant(value, 3)));
         page.result(text.lines().next().unwrap_or_default());
@@ -323,7 +320,7 @@ impl MagnetometerReport {
             &["pose", "output, µT", "readings", "|B| less the mean field, µT", ""],
             &rows,
         );
-        Ok(page)
+        page
     }
 
     fn accept(&mut self, found: &MagneticEstimate, set: &ParameterSet, fitted: &[MagneticPose]) {

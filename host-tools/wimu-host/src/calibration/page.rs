@@ -5,7 +5,6 @@ use std::f64::consts::{FRAC_PI_6, PI};
 use super::{CalibrationReport, StaticPose, magnitude};
 use crate::chart::{Chart, Series, Style};
 use crate::digits::significant;
-use crate::error::Result;
 use crate::html::Report;
 use crate::plural::counted;
 
@@ -15,10 +14,7 @@ const LEAST_SHOWN_MM_S2: f64 = 1e-3;
 impl CalibrationReport {
     /// The report as one HTML page: the result, |f| − g of each pose before and after, the poses on a sphere, their table,
     /// and the text.
-    ///
-    /// # Errors
-    /// `file_failed` when a picture cannot be drawn.
-    pub fn page(&self) -> Result<Report> {
+    pub fn page(&self) -> Report {
         let mut page = Report::new(format!("Calibration of {}", self.source));
         self.key_figures(&mut page);
         page.printed(&self.to_string()).findings(&self.outcome.findings);
@@ -26,7 +22,7 @@ impl CalibrationReport {
             page.chart(&self.residuals()).chart(&self.sphere());
         }
         self.table(&mut page);
-        Ok(page)
+        page
     }
 
     fn key_figures(&self, page: &mut Report) {

@@ -5,7 +5,6 @@ use wimu_model::{ErrorModel, SpecificForceMps2};
 use super::{Paired, ReferenceReport, RestReport, SessionReport, SeveralReport, UpdateReport};
 use crate::chart::{Band, Chart, Series};
 use crate::digits::significant;
-use crate::error::Result;
 use crate::finding::Outcome;
 use crate::html::Report;
 
@@ -30,15 +29,12 @@ fn page(title: String, outcome: &Outcome, text: &str, result: usize) -> Report {
 
 impl SeveralReport {
     /// A page: the difference of each session's bias from the combination, and the residuals of each session.
-    ///
-    /// # Errors
-    /// `file_failed` when a picture cannot be drawn.
-    pub fn page(&self) -> Result<Report> {
+    pub fn page(&self) -> Report {
         let names: Vec<String> = self.sessions.iter().map(|s| s.source.clone()).collect();
         let title = format!("Calibration of {}", names.join(", "));
         let mut page = page(title, &self.outcome, &self.to_string(), 0);
         let Some(fit) = &self.fit else {
-            return Ok(page);
+            return page;
         };
         let [before, after] = [fit.uncalibrated_rms_mm_s2, fit.rms_mm_s2]
             .map(|rms| significant(rms.unwrap_or_default(), 3));
@@ -79,21 +75,18 @@ impl SeveralReport {
             log: true,
             ..Chart::new("Size of |f| − g in each session, rms", x, "mm/s²", series)
         });
-        Ok(page)
+        page
     }
 }
 
 impl ReferenceReport {
     /// A page: the difference of each axis from the reference in `data`, before and after correction.
-    ///
-    /// # Errors
-    /// `file_failed` when a picture cannot be drawn.
-    pub fn page(&self, data: &Paired) -> Result<Report> {
+    pub fn page(&self, data: &Paired) -> Report {
         let title = format!("{} against {}", self.output, self.reference);
         let mut page = page(title, &self.outcome, &self.to_string(), 1);
         let model = self.model.and_then(|terms| ErrorModel::new(terms).ok());
         let (Some(axes), Some(model)) = (&self.axes, model) else {
-            return Ok(page);
+            return page;
         };
         for (axis, name) in axes.iter().zip(AXES) {
             page.key(&format!("residual of {name}, rms"), &mm_s2(axis.rms_mm_s2));
@@ -115,16 +108,13 @@ impl ReferenceReport {
             let title = format!("{name}: output less reference");
             page.chart(&Chart::new(title, "time, s", "mm/s²", series));
         }
-        Ok(page)
+        page
     }
 }
 
 impl UpdateReport {
     /// A page: |f| − g of each rest beside what the stored calibration explains.
-    ///
-    /// # Errors
-    /// `file_failed` when a picture cannot be drawn.
-    pub fn page(&self) -> Result<Report> {
+    pub fn page(&self) -> Report {
         let title = format!("Calibration {} against {}", self.stored_id, self.source);
         let mut page = page(title, &self.outcome, &self.to_string(), 1);
         page.key("rests", &self.poses.to_string());
@@ -134,7 +124,7 @@ impl UpdateReport {
             page.key("largest change of the bias", &mm_s2(largest * 1e3));
         }
         if self.rests.is_empty() {
-            return Ok(page);
+            return page;
         }
         let over = |of: &dyn Fn(&RestReport) -> f64| -> Vec<(f64, f64)> {
             let numbered = (0_u32..).map(f64::from).zip(&self.rests);
@@ -157,6 +147,6 @@ impl UpdateReport {
             }],
             ..Chart::new(title, "rest", "mm/s²", series)
         });
-        Ok(page)
+        page
     }
 }

@@ -91,14 +91,16 @@ impl Chart {
             if series.style == Style::Dots {
                 // Many dots are small.
                 let radius = if series.points.len() > 200 { 2 } else { 5 };
-                for [x, y] in series.points.iter().filter(|point| !is_break(point)).map(|p| at(*p)) {
+                for [x, y] in series.points.iter().filter(|point| !is_break(point)).map(|p| at(*p))
+                {
                     svg.add(format_args!(
                         "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\" fill=\"{colour}\"/>"
                     ));
                 }
             } else {
                 for run in series.points.split(is_break).filter(|run| !run.is_empty()) {
-                    let (points, wide) = (places(run.iter().map(|point| at(*point))), series.width());
+                    let (points, wide) =
+                        (places(run.iter().map(|point| at(*point))), series.width());
                     svg.add(format_args!(
                         "<polyline points=\"{points}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"{wide}\"/>"
                     ));
@@ -150,7 +152,8 @@ impl Chart {
     fn legend(&self, svg: &mut Svg) {
         let named = || self.series.iter().zip(self.colours()).filter(|(s, _)| !s.name.is_empty());
         let width = |series: &Series| 56.0 + CHARACTER * series.name.chars().count() as f64;
-        let mut x = 0.5 * (SIZE[0] - named().map(|(series, _)| width(series)).sum::<f64>()).max(0.0);
+        let mut x =
+            0.5 * (SIZE[0] - named().map(|(series, _)| width(series)).sum::<f64>()).max(0.0);
         for (series, colour) in named() {
             let y = 42.0;
             match series.style {
@@ -230,7 +233,8 @@ impl Axis {
         }
         let rough = (end - start) / most;
         let power = 10_f64.powf(rough.log10().floor());
-        let step = power * [1.0, 2.0, 5.0, 10.0].into_iter().find(|m| m * power >= rough).unwrap_or(10.0);
+        let step =
+            power * [1.0, 2.0, 5.0, 10.0].into_iter().find(|m| m * power >= rough).unwrap_or(10.0);
         let (first, last) = ((start / step).ceil(), (end / step).floor());
         // A range that rounding makes empty has no ticks.
         let count = (last - first + 1.0).clamp(0.0, 2.0 * most) as usize;

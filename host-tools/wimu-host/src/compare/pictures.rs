@@ -15,10 +15,7 @@ const LEAST_SHOWN_MS: f64 = 0.1;
 
 impl Comparison {
     /// A page with the charts; `printed` is the text of the command.
-    ///
-    /// # Errors
-    /// `file_failed` when one cannot be drawn.
-    pub fn page(&self, printed: &str) -> Result<Report> {
+    pub fn page(&self, printed: &str) -> Report {
         let mut report = Report::new(format!("Wireless against cable: {}", self.source));
         report.result(printed.lines().next().unwrap_or_default());
         let wireless = &self.links[1];
@@ -41,21 +38,17 @@ impl Comparison {
             report.key(name, &format!("{before} → {after} mm/s²"));
         }
         report.printed(printed).findings(&self.findings);
-        self.pictures(&mut report)?;
-        Ok(report)
+        self.pictures(&mut report);
+        report
     }
 
     /// Adds the charts to a page, without those whose curves lie upon each other.
-    ///
-    /// # Errors
-    /// `file_failed` when one cannot be drawn.
-    pub fn pictures(&self, report: &mut Report) -> Result<()> {
+    pub fn pictures(&self, report: &mut Report) {
         for (name, chart) in self.charts() {
             if !name.starts_with("both") {
                 report.chart(&chart);
             }
         }
-        Ok(())
     }
 
     /// Writes every chart into a folder, created if necessary, as SVG;

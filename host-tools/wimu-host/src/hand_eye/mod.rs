@@ -16,9 +16,9 @@ use serde::Serialize;
 pub use fit::Residual;
 pub use stream::{PoseStream, StreamPose};
 
+use crate::digits;
 use crate::finding::{FindingCode, Outcome};
 use crate::plural::counted;
-use crate::{Result, digits};
 use fit::{Fit, Observation, SHARED, State};
 
 /// Least time between two poses that are used, s: the errors of trackers are correlated over it.
@@ -233,7 +233,7 @@ impl HandEye {
     ///
     /// # Errors
     /// Those of [`Report`](crate::html::Report).
-    pub fn page(&self, text: &str) -> Result<crate::html::Report> {
+    pub fn page(&self, text: &str) -> crate::html::Report {
         report::page(self, text)
     }
 }

@@ -3,7 +3,6 @@
 use std::fmt;
 
 use super::HandEye;
-use crate::Result;
 use crate::chart::{Chart, Series};
 use crate::digits::{signed_with_sd, significant};
 use crate::html::Report;
@@ -47,7 +46,7 @@ impl fmt::Display for HandEye {
 }
 
 /// A page with the key figures and both residuals over time.
-pub(super) fn page(report: &HandEye, text: &str) -> Result<Report> {
+pub(super) fn page(report: &HandEye, text: &str) -> Report {
     let mut page = Report::new("Pose of a camera in the body");
     match &report.outcome.reason {
         Some(reason) => page.result(&format!("No result: {reason}")),
@@ -79,5 +78,5 @@ pub(super) fn page(report: &HandEye, text: &str) -> Result<Report> {
     }
     page.printed(text);
     page.findings(&report.outcome.findings);
-    Ok(page)
+    page
 }

@@ -3,7 +3,6 @@
 use std::f64::consts::PI;
 
 use super::{InertialPath, PathPoint};
-use crate::Result;
 use crate::chart::{Band, Chart, Series, Style};
 use crate::digits::significant;
 use crate::html::Report;
@@ -20,12 +19,12 @@ impl InertialPath {
     ///
     /// # Errors
     /// Those of [`Report`].
-    pub fn page(&self, source: &str, text: &str) -> Result<Report> {
+    pub fn page(&self, source: &str, text: &str) -> Report {
         let mut page = self.summary(source, text);
         for chart in self.charts(&[]) {
             page.chart(&chart);
         }
-        Ok(page)
+        page
     }
 
     /// The page without charts.

@@ -1,7 +1,6 @@
 //! Report of a path from ranges: that of a path, with the anchors, and the residuals of each.
 
 use super::Localization;
-use crate::Result;
 use crate::chart::{Chart, Series, Style};
 use crate::html::Report;
 
@@ -21,7 +20,7 @@ impl Localization {
     ///
     /// # Errors
     /// Those of [`Report`].
-    pub fn page(&self, source: &str, text: &str) -> Result<Report> {
+    pub fn page(&self, source: &str, text: &str) -> Report {
         let mut page = self.path.summary(source, text);
         let positions: Vec<_> = self.anchors.iter().map(|a| a.position_m).collect();
         let anchors = Series {
@@ -33,7 +32,7 @@ impl Localization {
         for chart in charts {
             page.chart(&chart);
         }
-        Ok(page)
+        page
     }
 
     /// The innovations of each anchor over time.

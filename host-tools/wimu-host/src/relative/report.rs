@@ -93,14 +93,14 @@ impl RelativePath {
     ///
     /// # Errors
     /// Those of [`Report`].
-    pub fn page(&self, source: &str, text: &str) -> Result<Report> {
+    pub fn page(&self, source: &str, text: &str) -> Report {
         let mut page = Report::new(format!("Angle between {source}"));
         page.result(text.lines().next().unwrap_or_default());
         page.key("hinge axis, 1 σ", &format!("± {:.1}°", self.hinge.worst_sd_rad().to_degrees()));
         page.key("angle, 1 σ, median", &format!("± {:.1}°", self.median_sigma_rad().to_degrees()));
         page.printed(text).findings(&self.findings);
         page.chart(&self.angle()).chart(&self.sigma());
-        Ok(page)
+        page
     }
 
     /// The angle with its 2 σ band.

@@ -24,7 +24,7 @@ pub fn run(arguments: &Allan, output: &Output) -> Result<u8> {
     if report.measured().next().is_some()
         && let Some(path) = &arguments.report
     {
-        report.page(arguments.datasheet)?.write(path)?;
+        report.page(arguments.datasheet).write(path)?;
     }
     output.object(&report);
     Ok(report.outcome.exit_code())

@@ -62,9 +62,9 @@ pub fn finish<R: Display + Serialize>(
 }
 
 /// Writes the report, if one was asked for.
-fn write_page(arguments: &Calibrate, page: impl FnOnce() -> Result<Report>) -> Result<()> {
+fn write_page(arguments: &Calibrate, page: impl FnOnce() -> Report) -> Result<()> {
     match &arguments.report {
-        Some(path) => page()?.write(path),
+        Some(path) => page().write(path),
         None => Ok(()),
     }
 }

@@ -50,7 +50,7 @@ fn recording(path: &Path, arguments: &Compare, output: &Output) -> Result<()> {
         ));
     }
     if let Some(file) = &arguments.report {
-        found.page(&text)?.write(file)?;
+        found.page(&text).write(file)?;
         output.print(format!("wrote {}", file.display()));
     }
     if let Some(folder) = &arguments.pictures {

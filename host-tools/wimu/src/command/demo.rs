@@ -74,8 +74,8 @@ pub fn run(arguments: &Demo, output: &Output) -> Result<()> {
     let recording = arguments.report.with_extension("mcap");
     OutputFile::write(&recording, &outcome.recording)?;
     let charts = charts(&outcome);
-    let mut page = report(&outcome, &charts, &story)?;
-    links.pictures(&mut page)?;
+    let mut page = report(&outcome, &charts, &story);
+    links.pictures(&mut page);
     page.write(&arguments.report)?;
     if let Some(folder) = &arguments.pictures {
         chart::write_all(folder, &charts)?;
@@ -299,7 +299,7 @@ fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
     [("tilts", tilts), ("slide", slide)]
 }
 
-fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Result<Report> {
+fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Report {
     let mut report = Report::new("wimu demo");
     let [before, after] = outcome.tilts_rms_mps2().map(|rms| significant(rms * 1e3, 3));
     let slide =
@@ -341,5 +341,5 @@ fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Resu
             &rows,
         );
     }
-    Ok(report)
+    report
 }

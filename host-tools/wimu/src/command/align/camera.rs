@@ -30,7 +30,7 @@ pub fn run(arguments: &Align, camera: &Path, output: &Output) -> Result<u8> {
     output.print(&text);
     output.findings(&report.outcome.findings);
     if let Some(path) = &arguments.report {
-        report.page(&text)?.write(path)?;
+        report.page(&text).write(path)?;
     }
     output.object(&report);
     Ok(report.outcome.exit_code())

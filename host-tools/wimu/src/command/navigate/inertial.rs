@@ -267,7 +267,7 @@ pub fn present(
         output.print(format!("wrote {} to {}", counted(path.points.len(), "row"), file.display()));
     }
     if let Some(file) = &arguments.report {
-        path.page(&source, &text)?.write(file)?;
+        path.page(&source, &text).write(file)?;
         output.print(format!("wrote {}", file.display()));
     }
     Ok(found(path, choice, source))

@@ -80,7 +80,7 @@ pub fn run(arguments: &Navigate, anchors: &Path, output: &Output) -> Result<()> 
         output.print(format!("wrote {}", file.display()));
     }
     if let Some(file) = &arguments.report {
-        found.page(&source, &text)?.write(file)?;
+        found.page(&source, &text).write(file)?;
         output.print(format!("wrote {}", file.display()));
     }
     output.object(&object(source, found));

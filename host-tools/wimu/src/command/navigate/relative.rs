@@ -78,7 +78,7 @@ fn present(
         output.print(format!("wrote {} rows to {}", found.points.len(), file.display()));
     }
     if let Some(file) = &arguments.report {
-        found.page(&sources.join(" and "), &text)?.write(file)?;
+        found.page(&sources.join(" and "), &text).write(file)?;
         output.print(format!("wrote {}", file.display()));
     }
     output.object(&object(sources, found));

@@ -1,6 +1,7 @@
 //! Counts → [`Corrector`] → [`Integrator`] in a blocking loop, on any microcontroller: the crates
 //! stand alone. `read` is your sensor's driver; `corrector` is what `wimu export CAL.json --format rust`
-//! wrote, or is compiled from a model on the device. [`blocking`] includes the driver, on `embedded-hal`.
+//! wrote, or that of a `wimu_model::CompiledSet` (`--format device`). [`blocking`] includes the driver, on `embedded-hal`.
+//! `wimu_link::stream` makes such a device one that `wimu monitor` reads.
 
 #![no_std]
 #![forbid(unsafe_code)]

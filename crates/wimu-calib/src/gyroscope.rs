@@ -10,7 +10,7 @@ pub use refusal::{GyroscopeAdvice, GyroscopeRefusal, TurnFault};
 
 use nalgebra::SVector;
 use wimu_model::{
-    ErrorModel, GyroscopeError, GyroscopeModel, GyroscopeParameters, GyroscopeTerms,
+    ErrorModel, GyroscopeModel, GyroscopeParameters, GyroscopeTerms, ModelError,
     STANDARD_GRAVITY_MPS2,
 };
 
@@ -252,7 +252,7 @@ fn result(
     theta: &Theta,
     pass: &Pass,
     noise: &Noise,
-) -> Result<GyroscopeEstimate, GyroscopeError> {
+) -> Result<GyroscopeEstimate, ModelError> {
     let rows = |at: usize| [0, 1, 2].map(|r| [0, 1, 2].map(|c| theta[at + 3 * r + c]));
     let model = GyroscopeModel::new(GyroscopeTerms {
         bias_rad_s: [theta[0], theta[1], theta[2]],
@@ -314,12 +314,12 @@ impl GyroscopeEstimate {
     /// The parameters for a board whose gyroscope has this range and sensitivity.
     ///
     /// # Errors
-    /// [`GyroscopeError`] if they are out of bounds.
+    /// [`ModelError`] if they are out of bounds.
     pub fn parameters(
         &self,
         range_dps: u16,
         rad_s_per_lsb: f64,
-    ) -> Result<GyroscopeParameters, GyroscopeError> {
+    ) -> Result<GyroscopeParameters, ModelError> {
         let sd = core::array::from_fn(|i| self.sd(i) as f32);
         GyroscopeParameters::new(range_dps, rad_s_per_lsb, self.model, Some(sd))
     }

@@ -196,7 +196,8 @@ impl CompiledSet {
         };
         let sensitivity = match sensitivity {
             Some(nominal) => nominal,
-            None => average().map_err(|_| ModelError::Singular { determinant: 0.0 })?,
+            None => average()
+                .map_err(|_| ModelError::Singular { name: "the matrix", determinant: 0.0 })?,
         };
         let to_counts = SpecificForceQ16::LSB_PER_MPS2 * sensitivity.mps2_per_lsb();
         let to_body = per_count.map(|row| row.map(|k| k / to_counts));

@@ -1,7 +1,6 @@
 //! y = b(T) + A(T) u, u = f + q ∘ f ∘ f: equation (1) of docs/EQUATIONS.md.
 
-use core::fmt;
-
+use crate::error::{Bounds, ModelError, check_matrix};
 use crate::matrix::{self, Matrix3};
 use crate::{CentiCelsius, SpecificForceMps2};
 
@@ -82,26 +81,13 @@ impl ErrorModel {
     /// [`ErrorTerms`] and [`TemperatureTerms`], or says that A is singular.
     pub fn new(terms: ErrorTerms) -> Result<Self, ModelError> {
         let t = &terms.temperature;
-        check(Term::ReferenceTemperature, &[t.reference_c], -60.0, 150.0)?;
-        check(Term::Bias, &terms.bias_mps2, -5.0, 5.0)?;
-        for (row, values) in terms.matrix.iter().enumerate() {
-            for (column, value) in values.iter().enumerate() {
-                let (term, low, high) = if row == column {
-                    (Term::Scale, 0.5, 1.5)
-                } else {
-                    (Term::Misalignment, -0.3, 0.3)
-                };
-                check_one(term, row, *value, low, high)?;
-            }
-        }
-        check(Term::BiasSlope, &t.bias_mps2_per_k, -0.2, 0.2)?;
-        check(Term::BiasCurvature, &t.bias_mps2_per_k2, -0.01, 0.01)?;
-        check(Term::ScaleSlope, &t.scale_per_k, -0.01, 0.01)?;
-        check(Term::Nonlinearity, &terms.nonlinearity, -0.01, 0.01)?;
-        let determinant = matrix::determinant(&terms.matrix);
-        if determinant < 0.05 {
-            return Err(ModelError::Singular { determinant });
-        }
+        Bounds("reference temperature", " °C", -60.0, 150.0).check(t.reference_c)?;
+        Bounds("bias", " m/s²", -5.0, 5.0).check_axes(&terms.bias_mps2)?;
+        check_matrix("the accelerometer's matrix", &terms.matrix)?;
+        Bounds("bias slope", " m/s²/K", -0.2, 0.2).check_axes(&t.bias_mps2_per_k)?;
+        Bounds("bias curvature", " m/s²/K²", -0.01, 0.01).check_axes(&t.bias_mps2_per_k2)?;
+        Bounds("scale-factor slope", " 1/K", -0.01, 0.01).check_axes(&t.scale_per_k)?;
+        Bounds("nonlinearity", " s²/m", -0.01, 0.01).check_axes(&terms.nonlinearity)?;
         Ok(Self(terms))
     }
 
@@ -171,108 +157,3 @@ impl From<ErrorModel> for ErrorTerms {
         model.0
     }
 }
-
-fn check(term: Term, values: &[f64], low: f64, high: f64) -> Result<(), ModelError> {
-    values.iter().enumerate().try_for_each(|(axis, &value)| check_one(term, axis, value, low, high))
-}
-
-fn check_one(term: Term, axis: usize, value: f64, low: f64, high: f64) -> Result<(), ModelError> {
-    if !value.is_finite() {
-        Err(ModelError::NotFinite { term, axis })
-    } else if value < low || value > high {
-        Err(ModelError::OutOfBounds { term, axis, value, low, high })
-    } else {
-        Ok(())
-    }
-}
-
-/// A term of the error model, for error messages.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Term {
-    /// b₀.
-    Bias,
-    /// S, the diagonal of A.
-    Scale,
-    /// m, A off its diagonal.
-    Misalignment,
-    /// T₀.
-    ReferenceTemperature,
-    /// b₁.
-    BiasSlope,
-    /// b₂.
-    BiasCurvature,
-    /// s₁.
-    ScaleSlope,
-    /// q.
-    Nonlinearity,
-}
-
-impl Term {
-    fn name_and_unit(self) -> (&'static str, &'static str) {
-        match self {
-            Self::Bias => ("bias", " m/s²"),
-            Self::Scale => ("scale factor", ""),
-            Self::Misalignment => ("misalignment", " rad"),
-            Self::ReferenceTemperature => ("reference temperature", " °C"),
-            Self::BiasSlope => ("bias slope", " m/s²/K"),
-            Self::BiasCurvature => ("bias curvature", " m/s²/K²"),
-            Self::ScaleSlope => ("scale-factor slope", " 1/K"),
-            Self::Nonlinearity => ("nonlinearity", " s²/m"),
-        }
-    }
-}
-
-/// Why the parameters of an error model are refused.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum ModelError {
-    /// A term is infinite or not a number.
-    NotFinite {
-        /// Which term.
-        term: Term,
-        /// Its axis (its row in A), 0 = X.
-        axis: usize,
-    },
-    /// A term is outside its physical bounds.
-    OutOfBounds {
-        /// Which term.
-        term: Term,
-        /// Its axis (its row in A), 0 = X.
-        axis: usize,
-        /// Its value, in the term's unit.
-        value: f64,
-        /// The lowest allowed.
-        low: f64,
-        /// The highest allowed.
-        high: f64,
-    },
-    /// A cannot be inverted, or is mirrored.
-    Singular {
-        /// det A; the minimum is 0.05.
-        determinant: f64,
-    },
-}
-
-impl fmt::Display for ModelError {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let axis_name = |axis: usize| ["X", "Y", "Z"].get(axis).copied().unwrap_or("?");
-        match *self {
-            Self::NotFinite { term, axis } => {
-                let (name, _) = term.name_and_unit();
-                write!(out, "{name} {} is not a finite number", axis_name(axis))
-            }
-            Self::OutOfBounds { term, axis, value, low, high } => {
-                let (name, unit) = term.name_and_unit();
-                let axis = axis_name(axis);
-                write!(out, "{name} {axis} = {value}{unit} is outside {low} to {high}{unit}")
-            }
-            Self::Singular { determinant } => write!(
-                out,
-                "the matrix cannot be inverted or is mirrored: its determinant is {determinant}, at least 0.05 is needed"
-            ),
-        }
-    }
-}
-
-impl core::error::Error for ModelError {}

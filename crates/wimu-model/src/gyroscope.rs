@@ -1,9 +1,8 @@
 //! The error model of a gyroscope, and its fixed-point corrector: equations (25) and (26) of
 //! docs/EQUATIONS.md.
 
-use core::fmt;
-
 use crate::corrector::{CompileError, diagonal, round};
+use crate::error::{Bounds, ModelError, check_matrix};
 use crate::fixed::scaled_dot;
 use crate::kernel::Kernel;
 use crate::matrix::{self, Matrix3};
@@ -74,30 +73,18 @@ impl GyroscopeModel {
     /// Checks the terms and makes them a model.
     ///
     /// # Errors
-    /// [`GyroscopeError`] names the first term that is outside the bounds given on [`GyroscopeTerms`]
+    /// [`ModelError`] names the first term that is outside the bounds given on [`GyroscopeTerms`]
     /// and [`GyroscopeTemperatureTerms`] (a NaN is), or says that A is singular.
-    pub fn new(terms: GyroscopeTerms) -> Result<Self, GyroscopeError> {
-        use GyroscopeTerm::*;
+    pub fn new(terms: GyroscopeTerms) -> Result<Self, ModelError> {
         let t = &terms.temperature;
-        check(ReferenceTemperature, 0, t.reference_c, -60.0, 150.0)?;
-        for axis in 0..3 {
-            check(Bias, axis, terms.bias_rad_s[axis], -1.0, 1.0)?;
-            check(BiasSlope, axis, t.bias_rad_s_per_k[axis], -0.05, 0.05)?;
-            check(ScaleSlope, axis, t.scale_per_k[axis], -0.01, 0.01)?;
-            for column in 0..3 {
-                let (term, low, high) = match axis == column {
-                    true => (Scale, 0.5, 1.5),
-                    false => (Misalignment, -0.3, 0.3),
-                };
-                check(term, axis, terms.matrix[axis][column], low, high)?;
-                check(GSensitivity, axis, terms.g_sensitivity[axis][column], -0.02, 0.02)?;
-            }
-        }
-        let determinant = matrix::determinant(&terms.matrix);
-        match determinant < 0.05 {
-            true => Err(GyroscopeError::Singular { determinant }),
-            false => Ok(Self(terms)),
-        }
+        Bounds("reference temperature", " °C", -60.0, 150.0).check(t.reference_c)?;
+        Bounds("gyroscope bias", " rad/s", -1.0, 1.0).check_axes(&terms.bias_rad_s)?;
+        check_matrix("the gyroscope's matrix", &terms.matrix)?;
+        let g = terms.g_sensitivity.as_flattened();
+        Bounds("g-sensitivity", " rad/s per m/s²", -0.02, 0.02).check_axes(g)?;
+        Bounds("gyroscope bias slope", " rad/s/K", -0.05, 0.05).check_axes(&t.bias_rad_s_per_k)?;
+        Bounds("scale-factor slope", " 1/K", -0.01, 0.01).check_axes(&t.scale_per_k)?;
+        Ok(Self(terms))
     }
 
     /// The parameters.
@@ -148,9 +135,9 @@ impl GyroscopeModel {
 }
 
 impl TryFrom<GyroscopeTerms> for GyroscopeModel {
-    type Error = GyroscopeError;
+    type Error = ModelError;
 
-    fn try_from(terms: GyroscopeTerms) -> Result<Self, GyroscopeError> {
+    fn try_from(terms: GyroscopeTerms) -> Result<Self, ModelError> {
         Self::new(terms)
     }
 }
@@ -238,101 +225,6 @@ pub(crate) fn g_sensitivity(
 const G_BITS: u32 = 28;
 /// Largest g-sensitivity coefficient, 2⁻²⁸: 0.0625 rad/s per m/s².
 const LARGEST_G: u32 = (1 << 28) - 1;
-
-pub(crate) fn check(
-    term: GyroscopeTerm,
-    axis: usize,
-    value: f64,
-    low: f64,
-    high: f64,
-) -> Result<(), GyroscopeError> {
-    match (low..=high).contains(&value) {
-        true => Ok(()),
-        false => Err(GyroscopeError::OutOfBounds { term, axis, value, low, high }),
-    }
-}
-
-/// A term of the gyroscope's error model, as errors name it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum GyroscopeTerm {
-    /// b₀, rad/s.
-    Bias,
-    /// S, the diagonal of A.
-    Scale,
-    /// m, A off its diagonal, rad.
-    Misalignment,
-    /// G, rad/s per m/s².
-    GSensitivity,
-    /// T₀, °C.
-    ReferenceTemperature,
-    /// b₁, rad/s per K.
-    BiasSlope,
-    /// s₁, 1/K.
-    ScaleSlope,
-    /// Nominal sensitivity, rad/s per LSB.
-    Sensitivity,
-    /// Full-scale range, °/s.
-    Range,
-    /// Standard deviation of a term, in the term's unit.
-    Deviation,
-}
-
-/// Why numbers are not a gyroscope's error model.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum GyroscopeError {
-    /// A term is not a number, or outside its bounds.
-    OutOfBounds {
-        /// Which term.
-        term: GyroscopeTerm,
-        /// Its axis (its row in a matrix), 0 = X.
-        axis: usize,
-        /// Its value, in the term's unit.
-        value: f64,
-        /// The lowest allowed.
-        low: f64,
-        /// The highest allowed.
-        high: f64,
-    },
-    /// A cannot be inverted, or is mirrored.
-    Singular {
-        /// det A; at least 0.05 is required.
-        determinant: f64,
-    },
-}
-
-impl fmt::Display for GyroscopeError {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
-            Self::OutOfBounds { term, axis, value, low, high } => {
-                let (name, unit) = match term {
-                    GyroscopeTerm::Bias => ("bias", " rad/s"),
-                    GyroscopeTerm::Scale => ("scale factor", ""),
-                    GyroscopeTerm::Misalignment => ("misalignment", " rad"),
-                    GyroscopeTerm::GSensitivity => ("g-sensitivity", " rad/s per m/s²"),
-                    GyroscopeTerm::ReferenceTemperature => ("reference temperature", " °C"),
-                    GyroscopeTerm::BiasSlope => ("bias slope", " rad/s/K"),
-                    GyroscopeTerm::ScaleSlope => ("scale-factor slope", " 1/K"),
-                    GyroscopeTerm::Sensitivity => ("sensitivity", " rad/s/LSB"),
-                    GyroscopeTerm::Range => ("range", " °/s"),
-                    GyroscopeTerm::Deviation => ("standard deviation", ""),
-                };
-                let axis = ["X", "Y", "Z"].get(axis).copied().unwrap_or("?");
-                write!(
-                    out,
-                    "gyroscope {name} {axis} = {value}{unit} is outside {low} to {high}{unit}"
-                )
-            }
-            Self::Singular { determinant } => write!(
-                out,
-                "the gyroscope's matrix cannot be inverted or is mirrored: its determinant is {determinant}, at least 0.05 is required"
-            ),
-        }
-    }
-}
-
-impl core::error::Error for GyroscopeError {}
 
 #[cfg(test)]
 mod tests {
@@ -468,7 +360,7 @@ mod tests {
             terms.bias_rad_s[1] = value;
             assert!(matches!(
                 GyroscopeModel::new(terms),
-                Err(GyroscopeError::OutOfBounds { term: GyroscopeTerm::Bias, axis: 1, .. })
+                Err(ModelError::OutOfBounds { name: "gyroscope bias", axis: Some(1), .. })
             ));
         }
         let mut terms = GyroscopeTerms::default();

@@ -10,6 +10,7 @@ mod compass;
 mod compiled;
 mod corrector;
 mod covariance;
+mod error;
 mod error_model;
 pub mod fixed;
 pub mod geometry;
@@ -26,21 +27,18 @@ pub use compass::CompassTerms;
 pub use compiled::{CompiledSet, SetError};
 pub use corrector::{CompileError, Corrector, CorrectorParts};
 pub use covariance::{CovarianceError, ModelCovariance, RotationCovariance};
-pub use error_model::{ErrorModel, ErrorTerms, ModelError, TemperatureTerms, Term};
+pub use error::ModelError;
+pub use error_model::{ErrorModel, ErrorTerms, TemperatureTerms};
 pub use gyroscope::{
-    GyroscopeCorrector, GyroscopeError, GyroscopeModel, GyroscopeTemperatureTerms, GyroscopeTerm,
-    GyroscopeTerms,
+    GyroscopeCorrector, GyroscopeModel, GyroscopeTemperatureTerms, GyroscopeTerms,
 };
-pub use magnetometer::{
-    MagnetometerError, MagnetometerModel, MagnetometerRotation, MagnetometerTerms,
-};
+pub use magnetometer::{MagnetometerModel, MagnetometerRotation, MagnetometerTerms};
 pub use matrix::Matrix3;
 pub use parameters::{
     Alignment, AlignmentError, GyroscopeParameters, ParameterId, ParameterSet, SensorId,
 };
 pub use quality::{
-    CalibratedTemperature, CalibrationMethod, CalibrationQuality, QualityError, QualityTerms,
-    TermDeviations,
+    CalibratedTemperature, CalibrationMethod, CalibrationQuality, QualityTerms, TermDeviations,
 };
 pub use quantities::{
     AngularRateQ20, CentiCelsius, Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs, PositionNm,

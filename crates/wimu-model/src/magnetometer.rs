@@ -1,7 +1,6 @@
 //! m = h + S Rᵀ B: equation (55) of docs/EQUATIONS.md.
 
-use core::fmt;
-
+use crate::error::{Bounds, ModelError};
 use crate::matrix::{self, Matrix3};
 use crate::{Alignment, MagneticFieldNt, RotationCovariance};
 
@@ -60,38 +59,34 @@ impl MagnetometerModel {
     /// Checks the parameters.
     ///
     /// # Errors
-    /// [`MagnetometerError`] names what is not finite or out of the bounds given on
+    /// [`ModelError`] names what is not finite or out of the bounds given on
     /// [`MagnetometerTerms`].
-    pub fn new(terms: MagnetometerTerms) -> Result<Self, MagnetometerError> {
-        let within = |value: f32, low: f32, high: f32| (low..=high).contains(&value);
+    pub fn new(terms: MagnetometerTerms) -> Result<Self, ModelError> {
         let t = &terms;
-        if !t.hard_iron_nt.iter().all(|h| within(*h, -2e6, 2e6)) {
-            return Err(MagnetometerError::HardIron);
-        }
-        let [xx, yy, zz, xy, xz, yz] = t.soft_iron;
-        if ![xx, yy, zz].iter().all(|s| within(*s, 0.2, 5.0))
-            || ![xy, xz, yz].iter().all(|s| within(*s, -5.0, 5.0))
-        {
-            return Err(MagnetometerError::SoftIron);
-        }
+        Bounds("hard iron", " nT", -2e6, 2e6).check_axes(&t.hard_iron_nt)?;
+        let [diagonal, others] = [0, 3].map(|first| [0, 1, 2].map(|k| t.soft_iron[first + k]));
+        Bounds("soft iron", "", 0.2, 5.0).check_axes(&diagonal)?;
+        Bounds("soft iron", "", -5.0, 5.0).check_axes(&others)?;
         // Positive definite, by its leading minors.
         let s = soft_iron(&terms);
-        if s[0][0] * s[1][1] - s[0][1] * s[1][0] < 1e-3 || matrix::determinant(&s) < 1e-3 {
-            return Err(MagnetometerError::SoftIron);
+        let minor = s[0][0] * s[1][1] - s[0][1] * s[1][0];
+        let determinant = minor.min(matrix::determinant(&s));
+        if determinant < 1e-3 {
+            return Err(ModelError::Singular { name: "the soft iron", determinant });
         }
-        if !within(t.field_nt, 1e3, 1e6) {
-            return Err(MagnetometerError::Field);
-        }
-        let sds = t.hard_iron_sd_nt.into_iter().chain(t.soft_iron_sd);
-        let mut figures = sds.chain([t.rms_nt, t.loo_rms_nt]);
-        if !figures.all(|figure| within(figure, 0.0, 1e6)) || !within(t.condition, 1.0, 1e9) {
-            return Err(MagnetometerError::Quality);
-        }
+        Bounds("field", " nT", 1e3, 1e6).check(t.field_nt)?;
+        let sd = Bounds("standard deviation of the magnetometer", "", 0.0, 1e6);
+        sd.check_axes(&t.hard_iron_sd_nt)?;
+        t.soft_iron_sd.into_iter().try_for_each(|value| sd.check(value))?;
+        let residual = Bounds("residual of the magnetometer", " nT", 0.0, 1e6);
+        residual.check(t.rms_nt)?;
+        residual.check(t.loo_rms_nt)?;
+        Bounds("condition", "", 1.0, 1e9).check(t.condition)?;
         if let Some(mounting) = &t.to_accelerometer {
-            let right = core::f32::consts::FRAC_PI_2 * 1.000_001;
-            if !within(mounting.dip_rad, -right, right) || !within(mounting.dip_rms_rad, 0.0, 3.2) {
-                return Err(MagnetometerError::Dip);
-            }
+            let right = core::f64::consts::FRAC_PI_2 * 1.000_001;
+            Bounds("dip", " rad", -right, right).check(mounting.dip_rad)?;
+            Bounds("standard deviation of the dip", " rad", 0.0, 3.2)
+                .check(mounting.dip_rms_rad)?;
         }
         Ok(Self(terms))
     }
@@ -128,9 +123,9 @@ fn soft_iron(terms: &MagnetometerTerms) -> Matrix3 {
 }
 
 impl TryFrom<MagnetometerTerms> for MagnetometerModel {
-    type Error = MagnetometerError;
+    type Error = ModelError;
 
-    fn try_from(terms: MagnetometerTerms) -> Result<Self, MagnetometerError> {
+    fn try_from(terms: MagnetometerTerms) -> Result<Self, ModelError> {
         Self::new(terms)
     }
 }
@@ -140,37 +135,3 @@ impl From<MagnetometerModel> for MagnetometerTerms {
         model.0
     }
 }
-
-/// Why the parameters of a magnetometer model are refused.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum MagnetometerError {
-    /// The hard iron is not finite or beyond ±2 mT.
-    HardIron,
-    /// The soft iron is out of bounds or not positive definite.
-    SoftIron,
-    /// The field is outside 1 µT to 1 mT.
-    Field,
-    /// A standard deviation, residual or the condition is out of bounds.
-    Quality,
-    /// The dip is not an angle within ±π/2.
-    Dip,
-}
-
-impl fmt::Display for MagnetometerError {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(match self {
-            Self::HardIron => "the magnetometer's hard iron is beyond ±2 mT",
-            Self::SoftIron => {
-                "the magnetometer's soft iron has a scale outside 0.2 to 5, or is not positive definite"
-            }
-            Self::Field => "the magnetometer's field is outside 1 µT to 1 mT",
-            Self::Quality => {
-                "a standard deviation, residual or the condition of the magnetometer is out of bounds"
-            }
-            Self::Dip => "the dip of the magnetometer's calibration is outside ±90°",
-        })
-    }
-}
-
-impl core::error::Error for MagnetometerError {}

@@ -2,12 +2,12 @@
 
 use core::fmt;
 
+use crate::error::Bounds;
 use crate::matrix::{self, Matrix3};
 use crate::root;
 use crate::{
-    CalibrationQuality, Counts, ErrorModel, GyroscopeError, GyroscopeModel, GyroscopeTerm,
-    MagneticFieldNt, MagnetometerModel, RotationCovariance, Sensitivity, SpecificForceMps2,
-    gyroscope,
+    CalibrationQuality, Counts, ErrorModel, GyroscopeModel, MagneticFieldNt, MagnetometerModel,
+    ModelError, RotationCovariance, Sensitivity, SpecificForceMps2,
 };
 
 /// The rotation from the sensor's axes to those of the body it is mounted on, as a unit
@@ -162,18 +162,17 @@ impl GyroscopeParameters {
     /// Checks the values; those of the model have been checked.
     ///
     /// # Errors
-    /// [`GyroscopeError::OutOfBounds`] names the value that is out of bounds (a NaN is).
+    /// [`ModelError::OutOfBounds`] names the value that is out of bounds (a NaN is).
     pub fn new(
         range_dps: u16,
         rad_s_per_lsb: f64,
         model: GyroscopeModel,
         sd: Option<[f32; 12]>,
-    ) -> Result<Self, GyroscopeError> {
-        gyroscope::check(GyroscopeTerm::Range, 0, range_dps.into(), 1.0, 65535.0)?;
-        gyroscope::check(GyroscopeTerm::Sensitivity, 0, rad_s_per_lsb, 1e-8, 1e-2)?;
-        for (place, sd) in sd.iter().flatten().enumerate() {
-            gyroscope::check(GyroscopeTerm::Deviation, place % 3, (*sd).into(), 0.0, 1.0)?;
-        }
+    ) -> Result<Self, ModelError> {
+        Bounds("gyroscope range", " °/s", 1.0, 65535.0).check(range_dps)?;
+        Bounds("gyroscope sensitivity", " rad/s/LSB", 1e-8, 1e-2).check(rad_s_per_lsb)?;
+        let deviation = Bounds("standard deviation of the gyroscope", "", 0.0, 1.0);
+        sd.iter().flatten().try_for_each(|sd| deviation.check(*sd))?;
         Ok(Self { range_dps, rad_s_per_lsb, model, sd })
     }
 }

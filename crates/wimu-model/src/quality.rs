@@ -3,6 +3,7 @@
 use core::fmt;
 
 use crate::ModelCovariance;
+use crate::error::{Bounds, ModelError};
 
 /// How an error model was estimated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -107,30 +108,21 @@ impl CalibrationQuality {
     /// Checks the values.
     ///
     /// # Errors
-    /// [`QualityError`] names the value that is out of bounds.
-    pub fn new(terms: QualityTerms) -> Result<Self, QualityError> {
-        let within = |value: f32, low: f32, high: f32| (low..=high).contains(&value);
+    /// [`ModelError`] names the value that is out of bounds.
+    pub fn new(terms: QualityTerms) -> Result<Self, ModelError> {
         if let Some(t) = &terms.temperature {
-            let ordered = t.lowest_c <= t.mean_c && t.mean_c <= t.highest_c;
-            if !ordered || !within(t.lowest_c, -60.0, 150.0) || !within(t.highest_c, -60.0, 150.0) {
-                return Err(QualityError::Temperature);
-            }
+            Bounds("lowest temperature", " °C", -60.0, t.mean_c.into()).check(t.lowest_c)?;
+            Bounds("highest temperature", " °C", t.mean_c.into(), 150.0).check(t.highest_c)?;
         }
-        if !within(terms.rms_mps2, 0.0, 100.0)
-            || terms.loo_rms_mps2.is_some_and(|loo| !within(loo, 0.0, 100.0))
-        {
-            return Err(QualityError::Residual);
-        }
-        if terms.condition.is_some_and(|c| !within(c, 1.0, 1e9)) {
-            return Err(QualityError::Condition);
-        }
+        let residual = Bounds("residual", " m/s²", 0.0, 100.0);
+        residual.check(terms.rms_mps2)?;
+        terms.loo_rms_mps2.map_or(Ok(()), |loo| residual.check(loo))?;
+        let condition = Bounds("condition", "", 1.0, 1e9);
+        terms.condition.map_or(Ok(()), |found| condition.check(found))?;
         let sd = &terms.other_sd;
-        let mut others = [sd.bias_mps2_per_k, sd.bias_mps2_per_k2, sd.scale_per_k, sd.nonlinearity]
-            .into_iter()
-            .flatten();
-        if !others.all(|sd| within(sd, 0.0, 1.0)) {
-            return Err(QualityError::Deviation);
-        }
+        let others = [sd.bias_mps2_per_k, sd.bias_mps2_per_k2, sd.scale_per_k, sd.nonlinearity];
+        let deviation = Bounds("standard deviation", "", 0.0, 1.0);
+        others.as_flattened().iter().try_for_each(|sd| deviation.check(*sd))?;
         Ok(Self(terms))
     }
 
@@ -141,9 +133,9 @@ impl CalibrationQuality {
 }
 
 impl TryFrom<QualityTerms> for CalibrationQuality {
-    type Error = QualityError;
+    type Error = ModelError;
 
-    fn try_from(terms: QualityTerms) -> Result<Self, QualityError> {
+    fn try_from(terms: QualityTerms) -> Result<Self, ModelError> {
         Self::new(terms)
     }
 }
@@ -153,32 +145,3 @@ impl From<CalibrationQuality> for QualityTerms {
         quality.0
     }
 }
-
-/// Why a quality record is refused.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum QualityError {
-    /// The temperatures are not ascending, or outside −60 to 150 °C.
-    Temperature,
-    /// A residual is outside 0 to 100 m/s².
-    Residual,
-    /// The condition is outside 1 to 10⁹.
-    Condition,
-    /// A standard deviation is outside 0 to 1.
-    Deviation,
-}
-
-impl fmt::Display for QualityError {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(match self {
-            Self::Temperature => {
-                "the calibration's temperatures are out of order or outside -60 to 150 °C"
-            }
-            Self::Residual => "a residual of the calibration is outside 0 to 100 m/s²",
-            Self::Condition => "the calibration's condition is outside 1 to 10⁹",
-            Self::Deviation => "a standard deviation of the calibration is outside 0 to 1",
-        })
-    }
-}
-
-impl core::error::Error for QualityError {}

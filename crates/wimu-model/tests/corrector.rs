@@ -232,18 +232,18 @@ fn terms_with(change: impl FnOnce(&mut ErrorTerms)) -> Result<ErrorModel, String
 #[test]
 fn a_model_out_of_bounds_is_refused_by_name() {
     let refused = |change: fn(&mut ErrorTerms)| terms_with(change).unwrap_err();
-    assert_eq!(refused(|t| t.bias_mps2[1] = f64::NAN), "bias Y is not a finite number");
+    assert_eq!(refused(|t| t.bias_mps2[1] = f64::NAN), "bias Y = NaN m/s² is outside -5 to 5 m/s²");
     assert_eq!(refused(|t| t.bias_mps2[2] = 9.8), "bias Z = 9.8 m/s² is outside -5 to 5 m/s²");
     assert_eq!(refused(|t| t.matrix[0][0] = -1.0), "scale factor X = -1 is outside 0.5 to 1.5");
     assert_eq!(
         refused(|t| t.matrix[0][2] = f64::INFINITY),
-        "misalignment X is not a finite number"
+        "misalignment X = inf rad is outside -0.3 to 0.3 rad"
     );
     assert!(
         refused(|t| {
             t.matrix = [[0.5, 0.3, 0.3], [0.3, 0.5, -0.3], [0.3, -0.3, 0.5]];
         })
-        .starts_with("the matrix cannot be inverted")
+        .starts_with("the accelerometer's matrix cannot be inverted")
     );
 }
 

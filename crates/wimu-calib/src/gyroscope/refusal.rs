@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use wimu_model::GyroscopeError;
+use wimu_model::ModelError;
 
 use crate::orientation::axis_name as name;
 
@@ -44,7 +44,7 @@ pub enum GyroscopeRefusal {
         worst_turn: usize,
     },
     /// The result is not plausible for a gyroscope.
-    OutOfBounds(GyroscopeError),
+    OutOfBounds(ModelError),
 }
 
 impl fmt::Display for GyroscopeRefusal {

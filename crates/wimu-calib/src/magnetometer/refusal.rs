@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use wimu_model::MagnetometerError;
+use wimu_model::ModelError;
 
 use crate::Rejected;
 use crate::orientation::axis_name as name;
@@ -73,7 +73,7 @@ pub enum MagneticRefusal {
         axes: MirroredAxes,
     },
     /// A parameter is out of bounds.
-    OutOfBounds(MagnetometerError),
+    OutOfBounds(ModelError),
 }
 
 /// Poses in a disturbed field, up to [`Disturbed::MOST`].

@@ -25,6 +25,7 @@ pub mod history;
 pub mod html;
 pub mod inertial;
 pub mod keys;
+mod lag;
 mod link_url;
 pub mod live;
 pub mod localization;

@@ -8,14 +8,13 @@ use wimu_calib::ReferenceTransfer;
 use super::{Axis, incomparable, refused};
 use crate::Result;
 use crate::finding::{Finding, FindingCode};
+use crate::lag::{deviations, refine, scores};
 
-pub(crate) mod correlation;
 mod signal;
 mod time_fit;
 mod turn;
 
-use correlation::{deviations, drift, refine, scores};
-use signal::Signal;
+use signal::{Signal, drift};
 use time_fit::TimeFit;
 pub use turn::Turn;
 use turn::scale_along_itself;

@@ -6,6 +6,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::csv::columns::{LENGTH, NUMBER, TIME, Table};
 use crate::finding::{Finding, FindingCode};
+use crate::lag::scores;
 use crate::motion::{MotionRecording, median_step_s};
 use crate::plural::counted;
 use crate::{ErrorCode, Result};
@@ -197,8 +198,8 @@ impl PoseStream {
         })
     }
 
-    /// Magnitudes of the angular rate at equal steps from the first pose on, rad/s; `None` in gaps.
-    fn rates(&self) -> Vec<Option<f64>> {
+    /// Magnitudes of the angular rate at equal steps from the first pose on, rad/s; not a number in gaps.
+    fn rates(&self) -> Vec<f64> {
         let [from, to] = self.span_s();
         let count = ((to - from - RATE_OVER_S) / OFFSET_STEP_S).max(0.0) as usize;
         let rate = |step: usize| {
@@ -206,7 +207,7 @@ impl PoseStream {
             let (a, b) = (self.at(time_s)?, self.at(time_s + RATE_OVER_S)?);
             Some(a.rotation.angle_to(&b.rotation) / RATE_OVER_S)
         };
-        (0..count).map(rate).collect()
+        (0..count).map(|step| rate(step).unwrap_or(f64::NAN)).collect()
     }
 }
 
@@ -229,30 +230,11 @@ pub(super) fn clock_offset(
 ) -> Option<Offset> {
     let (a, b) = (camera.rates(), body.rates());
     let apart_s = body.span_s()[0] - camera.span_s()[0];
-    let lags = -(a.len() as i64)..=b.len() as i64;
-    let of_lag = |lag: i64| Offset {
-        offset_s: apart_s + lag as f64 * OFFSET_STEP_S,
-        correlation: correlation(&a, &b, lag).unwrap_or(f64::NEG_INFINITY),
-    };
-    let all = lags.map(of_lag).filter(|offset| {
-        offset.correlation.is_finite() && limit_s.is_none_or(|limit| offset.offset_s.abs() <= limit)
+    let least = (OVERLAP_S / OFFSET_STEP_S) as usize;
+    let all = scores(&a, &b, least).into_iter().map(|(correlation, lag)| Offset {
+        offset_s: apart_s - lag as f64 * OFFSET_STEP_S,
+        correlation,
     });
-    all.max_by(|a, b| a.correlation.total_cmp(&b.correlation))
-}
-
-/// Correlation of `a` with `b` moved by a lag.
-fn correlation(a: &[Option<f64>], b: &[Option<f64>], lag: i64) -> Option<f64> {
-    let from = (-lag).max(0) as usize;
-    let pairs = a.iter().skip(from).zip(b.iter().skip(lag.max(0) as usize));
-    let (mut n, mut sa, mut sb, mut saa, mut sbb, mut sab) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-    for (a, b) in pairs.filter_map(|(a, b)| Some(((*a)?, (*b)?))) {
-        n += 1.0;
-        (sa, sb) = (sa + a, sb + b);
-        (saa, sbb, sab) = (saa + a * a, sbb + b * b, sab + a * b);
-    }
-    if n * OFFSET_STEP_S < OVERLAP_S {
-        return None;
-    }
-    let variance = (saa - sa * sa / n) * (sbb - sb * sb / n);
-    (variance > 0.0).then(|| (sab - sa * sb / n) / variance.sqrt())
+    all.filter(|offset| limit_s.is_none_or(|limit| offset.offset_s.abs() <= limit))
+        .max_by(|a, b| a.correlation.total_cmp(&b.correlation))
 }

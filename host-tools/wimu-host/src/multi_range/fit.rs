@@ -3,6 +3,7 @@
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use wimu_nav::sensor::{Reading, Transfer, TransferModel};
 
+use crate::lag::correlation;
 use crate::series::Series;
 use crate::stats::{norm, quantile};
 
@@ -224,19 +225,19 @@ impl Fine<'_> {
         let rows: Vec<(f64, f64)> = (rows.into_iter())
             .filter_map(|k| Some((self.times_s[k], self.clean(k)?.norm())))
             .collect();
-        let correlation = |lag_s: f64| {
+        let score = |lag_s: f64| {
             let times: Vec<f64> = rows.iter().map(|(time, _)| time + lag_s).collect();
             let pairs = rows.iter().zip(coarse.sampled(&times));
-            let pairs = pairs.filter(|(_, (value, _, limited))| !limited && value[0].is_finite());
-            correlation(pairs.map(|((_, fine), (value, ..))| (*fine, norm(value))))
+            let pairs = pairs.filter(|(_, (.., limited))| !limited);
+            let pairs = pairs.map(|((_, fine), (value, ..))| (*fine, norm(value)));
+            correlation(pairs, FEWEST).unwrap_or(0.0)
         };
-        let now = correlation(0.0);
-        if now > ALIGNED {
+        if score(0.0) > ALIGNED {
             return 0.0;
         }
         let steps = (SEARCH_S / SEARCH_STEP_S) as i32;
         let lags = (-steps..=steps).map(|step| f64::from(step) * SEARCH_STEP_S);
-        let best = lags.map(|lag| (correlation(lag), lag));
+        let best = lags.map(|lag| (score(lag), lag));
         let best = best.max_by(|a, b| a.0.total_cmp(&b.0));
         best.filter(|(score, _)| *score > 0.5).map_or(0.0, |(_, lag)| lag)
     }
@@ -282,18 +283,6 @@ fn variance(values: impl Iterator<Item = Vector3<f64>> + Clone) -> f64 {
     let count = values.clone().count().max(1) as f64;
     let mean = values.clone().sum::<Vector3<f64>>() / count;
     values.map(|value| (value - mean).norm_squared()).sum::<f64>() / count
-}
-
-fn correlation(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
-    let mut sums = [0.0; 6];
-    for (x, y) in pairs {
-        for (sum, term) in sums.iter_mut().zip([1.0, x, y, x * x, x * y, y * y]) {
-            *sum += term;
-        }
-    }
-    let [n, x, y, xx, xy, yy] = sums;
-    let score = (n * xy - x * y) / ((n * xx - x * x) * (n * yy - y * y)).sqrt();
-    if n >= FEWEST as f64 { score } else { f64::NAN }
 }
 
 /// Angle of the rotation in a matrix, deg; `None` where it mirrors.

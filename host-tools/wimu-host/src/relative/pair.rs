@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use crate::compare::align::correlation::scores;
+use crate::lag::scores;
 use crate::motion::{MotionRecording, UnitSample, gap_s, median_step_s};
 
 /// Shortest common step, s: joints of machines and limbs move below 20 Hz.

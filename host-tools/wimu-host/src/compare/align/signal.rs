@@ -4,7 +4,9 @@ use std::path::Path;
 
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
+use super::{MAX_RATE, MIN_CORRELATION};
 use crate::formats::{self, ReadOptions};
+use crate::lag::refine;
 use crate::recording::{OutputUnit, Selection};
 use crate::series::period_s;
 use crate::stats::norm;
@@ -206,4 +208,35 @@ impl Grid {
         };
         Self { start: self.start, step: self.step * fold as f64, values }
     }
+}
+
+/// Growth of the lag from the first third of the overlap to the last, per second of the
+/// reference; `None` where a third does not fit on its own.
+pub(super) fn drift(
+    a: &Grid,
+    b: &Grid,
+    lag: f64,
+    (start, end): (f64, f64),
+    shift: f64,
+) -> Option<f64> {
+    let third = (end - start) / 3.0;
+    if third < 3.0 {
+        return None;
+    }
+    let lag_of = |from: f64| {
+        let cut = |grid: &Grid, from: f64| {
+            let first = ((from - grid.start) / grid.step).round().max(0.0) as usize;
+            let count = (third / grid.step) as usize;
+            let last = (first + count).min(grid.values.len());
+            (first, grid.values.get(first..last).unwrap_or_default().to_vec())
+        };
+        let ((first_a, a_part), (first_b, b_part)) = (cut(a, from), cut(b, from - shift));
+        let expected = lag - (first_a as f64 - first_b as f64);
+        // The largest rate difference.
+        let reach = (MAX_RATE * (end - start) / a.step).ceil() as i64 + 1;
+        let best = refine(&a_part, &b_part, expected.round() as i64, reach)?;
+        (best.score >= MIN_CORRELATION)
+            .then_some((best.lag + first_a as f64 - first_b as f64) * a.step)
+    };
+    Some((lag_of(end - third)? - lag_of(start)?) / (2.0 * third))
 }

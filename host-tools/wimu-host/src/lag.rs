@@ -1,51 +1,54 @@
 //! Correlation of two signals as a function of the lag.
 
-use super::signal::Grid;
-use super::{MAX_RATE, MIN_CORRELATION};
-
 /// Longest autocorrelation that is considered, s, and largest number of products.
 const MAX_MEMORY_S: f64 = 5.0;
 const MAX_PRODUCTS: usize = 200_000_000;
 
-/// Correlation of the overlap when b is shifted by `lag`; `None` below `least` points.
-fn correlation(a: &[f64], b: &[f64], lag: i64, least: usize) -> Option<f64> {
-    let (a, b) = if lag >= 0 {
-        (a.get(lag as usize..)?, b)
-    } else {
-        (a, b.get(lag.unsigned_abs() as usize..)?)
-    };
-    let n = a.len().min(b.len());
-    if n < least.max(2) {
-        return None;
-    }
-    let (mut x, mut y, mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0, 0.0, 0.0);
-    for (p, q) in a.iter().zip(b) {
+/// Correlation of pairs, those that are not numbers left out; `None` of fewer than `least`.
+pub(crate) fn correlation(pairs: impl Iterator<Item = (f64, f64)>, least: usize) -> Option<f64> {
+    let (mut n, mut x, mut y, mut xx, mut xy, mut yy) = (0_usize, 0.0, 0.0, 0.0, 0.0, 0.0);
+    for (p, q) in pairs.filter(|(p, q)| p.is_finite() && q.is_finite()) {
+        n += 1;
         x += p;
         y += q;
         xx += p * p;
         xy += p * q;
         yy += q * q;
     }
+    if n < least.max(2) {
+        return None;
+    }
     let n = n as f64;
     let (xx, xy, yy) = (xx - x * x / n, xy - x * y / n, yy - y * y / n);
     (xx > 0.0 && yy > 0.0).then(|| xy / (xx * yy).sqrt())
 }
 
+/// The overlap when b is shifted by `lag`.
+fn overlap<'a>(a: &'a [f64], b: &'a [f64], lag: i64) -> (&'a [f64], &'a [f64]) {
+    let from = |values: &'a [f64], lag: i64| values.get(lag.max(0) as usize..).unwrap_or_default();
+    (from(a, lag), from(b, -lag))
+}
+
+fn at_lag(a: &[f64], b: &[f64], lag: i64, least: usize) -> Option<f64> {
+    let (a, b) = overlap(a, b, lag);
+    correlation(a.iter().copied().zip(b.iter().copied()), least)
+}
+
 /// The correlation at every lag.
 pub(crate) fn scores(a: &[f64], b: &[f64], least: usize) -> Vec<(f64, i64)> {
     (-(b.len() as i64)..=a.len() as i64)
-        .filter_map(|lag| Some((correlation(a, b, lag, least)?, lag)))
+        .filter_map(|lag| Some((at_lag(a, b, lag, least)?, lag)))
         .collect()
 }
 
-pub(super) struct Best {
+pub(crate) struct Best {
     pub score: f64,
     pub lag: f64,
 }
 
 /// The best lag within `reach` of `around`, interpolated between points.
-pub(super) fn refine(a: &[f64], b: &[f64], around: i64, reach: i64) -> Option<Best> {
-    let score = |lag: i64| correlation(a, b, lag, 8);
+pub(crate) fn refine(a: &[f64], b: &[f64], around: i64, reach: i64) -> Option<Best> {
+    let score = |lag: i64| at_lag(a, b, lag, 8);
     let (peak, lag) = (around - reach..=around + reach)
         .filter_map(|lag| Some((score(lag)?, lag)))
         .max_by(|x, y| x.0.total_cmp(&y.0))?;
@@ -62,12 +65,8 @@ pub(super) fn refine(a: &[f64], b: &[f64], around: i64, reach: i64) -> Option<Be
 /// By how many standard deviations the correlation of the overlap, with b shifted by `lag`, exceeds
 /// chance: Fisher's transformation, with the number of independent values, which follows from the length of the motion
 /// and its autocorrelation; rest before and after a short motion does not count.
-pub(super) fn deviations(a: &[f64], b: &[f64], lag: i64, step: f64) -> f64 {
-    let (x, y) = if lag >= 0 {
-        (a.get(lag as usize..).unwrap_or_default(), b)
-    } else {
-        (a, b.get(lag.unsigned_abs() as usize..).unwrap_or_default())
-    };
+pub(crate) fn deviations(a: &[f64], b: &[f64], lag: i64, step: f64) -> f64 {
+    let (x, y) = overlap(a, b, lag);
     let count = x.len().min(y.len());
     let about_mean = |values: &[f64]| -> Vec<f64> {
         let mean = values.iter().take(count).sum::<f64>() / count.max(1) as f64;
@@ -90,35 +89,4 @@ pub(super) fn deviations(a: &[f64], b: &[f64], lag: i64, step: f64) -> f64 {
     let independent = moving / (1.0 + 2.0 * shared).max(1.0);
     let score = (product(&x, &y) / (xx * yy).sqrt()).min(1.0 - 1e-6);
     score.atanh() * independent.sqrt()
-}
-
-/// Growth of the lag from the first third of the overlap to the last, per second of the
-/// reference; `None` where a third does not fit on its own.
-pub(super) fn drift(
-    a: &Grid,
-    b: &Grid,
-    lag: f64,
-    (start, end): (f64, f64),
-    shift: f64,
-) -> Option<f64> {
-    let third = (end - start) / 3.0;
-    if third < 3.0 {
-        return None;
-    }
-    let lag_of = |from: f64| {
-        let cut = |grid: &Grid, from: f64| {
-            let first = ((from - grid.start) / grid.step).round().max(0.0) as usize;
-            let count = (third / grid.step) as usize;
-            let last = (first + count).min(grid.values.len());
-            (first, grid.values.get(first..last).unwrap_or_default().to_vec())
-        };
-        let ((first_a, a_part), (first_b, b_part)) = (cut(a, from), cut(b, from - shift));
-        let expected = lag - (first_a as f64 - first_b as f64);
-        // The largest rate difference.
-        let reach = (MAX_RATE * (end - start) / a.step).ceil() as i64 + 1;
-        let best = refine(&a_part, &b_part, expected.round() as i64, reach)?;
-        (best.score >= MIN_CORRELATION)
-            .then_some((best.lag + first_a as f64 - first_b as f64) * a.step)
-    };
-    Some((lag_of(end - third)? - lag_of(start)?) / (2.0 * third))
 }

@@ -81,10 +81,11 @@ pub(crate) fn fit<'a>(
     let solve = |start: &Theta| problem.solve(start, Without::Nothing);
     let squares = ellipsoid::start(poses, gravity, what.model).and_then(|start| solve(&start));
     let squares = squares.or_else(|| solve(&PERFECT));
-    let fit = refine(&mut problem, squares, what).map_err(|refusal| match refusal {
-        Refusal::NotConverged => defect().unwrap_or(refusal),
-        refusal => refusal,
-    })?;
+    let fit = match refine(&mut problem, squares, what) {
+        // Poses about one axis have no unique fit.
+        Err(Refusal::NotConverged) => None,
+        fit => fit?,
+    };
     let knowledge = match &fit {
         Some(fit) => problem.knowledge(fit, |problem, inverse| problem.condition(inverse)),
         None => near_solution(&mut problem, what),

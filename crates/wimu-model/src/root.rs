@@ -1,4 +1,4 @@
-//! Square roots computed digit by digit: correctly rounded like those of `libm`, in a sixth of the
+//! Square roots, digit by digit: correctly rounded like those of `libm`, in a sixth of the
 //! flash.
 //!
 //! Without a hardware instruction a square root takes about a thousand instructions. Some are

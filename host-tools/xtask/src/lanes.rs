@@ -106,9 +106,14 @@ fn children_cpu_s() -> Result<f64> {
 /// Checks that no test left a file of ours in the folder for temporary files.
 fn left_nothing(folder: &Path) -> Result {
     for entry in std::fs::read_dir(folder)? {
-        let name = entry?.file_name().to_string_lossy().into_owned();
+        let entry = entry?;
+        let name = entry.file_name().to_string_lossy().into_owned();
         if name.starts_with("wimu") || name.starts_with(".tmp") {
-            return Err(format!("a test left {name} in the folder for temporary files").into());
+            // What is in it tells the test.
+            let files = std::fs::read_dir(entry.path()).into_iter().flatten().flatten().take(8);
+            let files: Vec<_> = files.map(|file| file.file_name()).collect();
+            let text = format!("a test left {name} {files:?} in the folder for temporary files");
+            return Err(text.into());
         }
     }
     Ok(())

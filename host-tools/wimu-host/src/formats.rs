@@ -27,7 +27,8 @@ pub(crate) use table::acceleration_unit;
 
 use crate::csv::Filter;
 use crate::error::{ErrorCode, HostError, Result};
-use crate::recording::{OF_WIMU, Recording, Sink};
+use crate::finding::Finding;
+use crate::recording::{OF_WIMU, Quantity, Recording, Sink, TrackId, TrackInfo};
 
 /// How to read a file whose content does not say enough.
 #[derive(Clone, Debug, Default)]
@@ -43,8 +44,11 @@ pub struct ReadOptions {
     pub columns: Option<String>,
     /// Rows of a table to keep.
     pub filter: Option<Filter>,
-    /// Unit of the accelerations of a table, whatever it names: `m/s2`, `g`, `mg` or `LSB`.
+    /// Unit of the accelerations, and after a comma of the angular rates, whatever the file says: `m/s2`, `g`, `mg`, `mm/s2`,
+    /// of a table also `LSB`; `rad/s`, `deg/s`.
     pub units: Option<String>,
+    /// Sample rate of a table, Hz, instead of its times.
+    pub rate_hz: Option<f64>,
     /// Output at zero, LSB.
     pub zero_count: Option<f64>,
     /// Output at zero that a calibration holds, LSB: for a table of counts, where [`zero_count`](Self::zero_count) is `None`.
@@ -67,9 +71,9 @@ struct Format {
     takes: &'static [&'static str],
 }
 
-const ALL_OPTIONS: &[&str] = &["topic", "columns", "where", "units", "zero-count", "link"];
-const OF_TABLES: &[&str] = &["columns", "where", "units", "zero-count"];
-const OF_LOGS: &[&str] = &["topic"];
+const ALL_OPTIONS: &[&str] = &["topic", "columns", "where", "units", "rate", "zero-count", "link"];
+const OF_TABLES: &[&str] = &["columns", "where", "units", "rate", "zero-count"];
+const OF_LOGS: &[&str] = &["topic", "units"];
 
 const TABLE: &str = "table";
 const UNSUPPORTED: &str = "unsupported";
@@ -106,8 +110,62 @@ pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Resu
         },
     };
     refuse_ignored(format, options).map_err(|error| error.at(source.name()))?;
-    (format.read)(source, options, sink)?;
+    match &options.units {
+        Some(units) if format.takes == OF_LOGS => {
+            (format.read)(source, options, &mut Scaled::new(units, sink)?)?;
+        }
+        _ => (format.read)(source, options, sink)?,
+    }
     Ok(format.name)
+}
+
+/// Values of a log whose units are not those that its format prescribes.
+struct Scaled<'a> {
+    sink: &'a mut dyn Sink,
+    /// SI of a unit of specific force, and of angular rate.
+    factors: [f64; 2],
+    /// Factor of each track.
+    tracks: Vec<f64>,
+}
+
+impl<'a> Scaled<'a> {
+    fn new(units: &str, sink: &'a mut dyn Sink) -> Result<Self> {
+        Ok(Self { sink, factors: table::si_of(units)?, tracks: Vec::new() })
+    }
+}
+
+impl Sink for Scaled<'_> {
+    fn track(&mut self, info: TrackInfo) -> TrackId {
+        let [force, rate] = self.factors;
+        let factor = match info.quantity {
+            Quantity::SpecificForce | Quantity::LinearAcceleration => force,
+            Quantity::AngularRate => rate,
+            _ => 1.0,
+        };
+        let track = self.sink.track(info);
+        self.tracks.resize(self.tracks.len().max(track.0 + 1), 1.0);
+        self.tracks[track.0] = factor;
+        track
+    }
+
+    fn row(&mut self, track: TrackId, time_ns: i64, values: &[f64]) {
+        let factor = self.tracks.get(track.0).copied().unwrap_or(1.0);
+        let mut row = [f64::NAN; 4];
+        row.iter_mut().zip(values).for_each(|(to, value)| *to = value * factor);
+        self.sink.row(track, time_ns, &row[..values.len().min(4)]);
+    }
+
+    fn gap(&mut self, track: TrackId) {
+        self.sink.gap(track);
+    }
+
+    fn finding(&mut self, finding: Finding) {
+        self.sink.finding(finding);
+    }
+
+    fn takes_any(&self) -> bool {
+        self.sink.takes_any()
+    }
 }
 
 fn refuse_ignored(format: &Format, options: &ReadOptions) -> Result<()> {
@@ -116,6 +174,7 @@ fn refuse_ignored(format: &Format, options: &ReadOptions) -> Result<()> {
         options.columns.is_some(),
         options.filter.is_some(),
         options.units.is_some(),
+        options.rate_hz.is_some(),
         options.zero_count.is_some(),
         options.role.is_some(),
     ];
@@ -183,5 +242,6 @@ pub fn load(path: &Path, options: &ReadOptions) -> Result<Recording> {
     let mut recording = Recording::new(source.name());
     recording.format = read(&source, options, &mut recording)?;
     recording.check(!options.poses)?;
+    recording.remove_zeros();
     Ok(recording)
 }

@@ -20,6 +20,7 @@ mod checks;
 mod join;
 mod link;
 mod samples;
+mod stamps;
 mod times;
 
 use wimu_model::SensorId;
@@ -31,6 +32,7 @@ pub(crate) use checks::Unusable;
 pub(crate) use link::{FORMAT as OF_WIMU, LinkRows};
 pub(crate) use samples::{ASSUMED_RATE_HZ, gaps_finding, no_usable_row, unit_of};
 pub use samples::{Output, OutputUnit, RateSource, Samples, Selection};
+pub(crate) use stamps::Stamps;
 pub(crate) use times::{BREAK_NS, REACH, rate_and_gaps};
 
 /// What a track measures, with the SI unit of its values.

@@ -133,14 +133,15 @@ fn time_columns_are_recognised_by_unit_or_word() {
         assert!((found[1] - found[0] - step).abs() < 10, "{header}: {found:?}");
         assert!(!has(&recording, FindingCode::Rate), "{header}");
     }
-    // A better time counts, as do none of several parts of a time or a column that does not increase.
+    // A better time counts, parts of a time are added, and a column that does not increase is none.
     let table =
         |header: &str, rows: &str| text(&format!("{header},ax_g,ay_g,az_g\n{rows}")).unwrap();
     let better = table("ms,t", "1,5.0,0,0,1\n2,5.5,0,0,1\n");
     let force = better.first(Quantity::SpecificForce).unwrap();
     assert_eq!(force.times_ns()[1], 5_500_000_000);
     let parts = table("sec,usec", "1,999000,0,0,1\n2,4000,0,0,1\n");
-    assert!(has(&parts, FindingCode::Rate));
+    let force = parts.first(Quantity::SpecificForce).unwrap();
+    assert_eq!(force.times_ns(), [1_999_000_000, 2_004_000_000]);
     assert!(has(&timed("run time", ["3", "2", "1"]), FindingCode::Rate));
 }
 

@@ -6,13 +6,14 @@ use wimu_calib::AllanVariance;
 use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
 use super::NoiseReport;
-use crate::error::Result;
+use crate::error::{ErrorCode, Result};
 use crate::finding::{Finding, FindingCode};
 use crate::formats::{self, ReadOptions, Source};
 use crate::recording::{
     ASSUMED_RATE_HZ, BREAK_NS, Origin, OutputUnit, Quantity, REACH, RateSource, Recording, Sink,
     Track, TrackId, TrackInfo, Unit, Unusable, gaps_finding, no_usable_row, rate_and_gaps, unit_of,
 };
+use crate::series::thin_out;
 use crate::stats::{median, norm};
 
 /// Reads a file and measures the noise of an accelerometer and a gyroscope in it, in memory that does not grow with the file.
@@ -59,6 +60,11 @@ pub fn noise_of(
 
 /// Samples among which rate and gaps are judged at a time.
 const BLOCK: usize = 1 << 16;
+/// Steps of which a median is taken, and medians that are kept, at most.
+const STEPS: usize = 32;
+const MOST_MEDIANS: usize = 1 << 14;
+/// Ratio of sample rates that are not the same; a tenth less than a step of usual output data rates, which is 1.4.
+const RATE_CHANGE: f64 = 1.3;
 
 /// The tracks of a file, without their rows, and the noise of the accelerometers.
 struct NoiseOfTracks {
@@ -106,6 +112,16 @@ impl NoiseOfTracks {
             }
         }
         let (rate_hz, source) = rates[0];
+        let name = &recording.name;
+        if source == RateSource::Assumed {
+            let error = ErrorCode::DataRefused.error("the data have no times", "give --rate HZ");
+            return Err(error.at(name));
+        }
+        if let Some([before, after]) = force.or(rate).and_then(|k| self.meters[k].changed_rates()) {
+            let text = format!("the sample rate changes from {before:.4} to {after:.4} Hz");
+            let remedy = "cut the recording where it changes, and measure both parts";
+            return Err(ErrorCode::DataRefused.error(text, remedy).at(name));
+        }
         let measured = |index: usize| Some(&*self.meters[index].allan).filter(|a| a.samples() > 0);
         let allans = [force, rate].map(|index| index.and_then(measured));
         let mut report = NoiseReport::new(&recording.name, rate_hz, source, allans);
@@ -158,6 +174,10 @@ struct TrackMeter {
     steps: (i128, u64),
     /// Number of gaps and their total length, s.
     gaps: (usize, f64),
+    /// Latest steps, and the median of each [`STEPS`] of them, ns.
+    recent: Vec<i64>,
+    medians: Vec<i64>,
+    last_ns: Option<i64>,
 }
 
 impl TrackMeter {
@@ -172,6 +192,9 @@ impl TrackMeter {
             scale: None,
             steps: (0, 0),
             gaps: (0, 0.0),
+            recent: Vec::new(),
+            medians: Vec::new(),
+            last_ns: None,
         }
     }
 
@@ -180,6 +203,17 @@ impl TrackMeter {
         let is_valid = vector.iter().all(|axis| axis.is_finite());
         if !self.unusable.see(time_ns, is_valid, true).1 {
             return;
+        }
+        if let Some(last_ns) = self.last_ns.replace(time_ns) {
+            self.recent.push(time_ns - last_ns);
+        }
+        if self.recent.len() >= STEPS {
+            self.recent.sort_unstable();
+            self.medians.push(self.recent[STEPS / 2]);
+            self.recent.clear();
+        }
+        if self.medians.len() >= MOST_MEDIANS {
+            thin_out(&mut self.medians);
         }
         let after_gap = std::mem::take(&mut self.after_gap);
         self.rows.push((time_ns, vector, after_gap));
@@ -226,6 +260,18 @@ impl TrackMeter {
             self.allan.push(value.map(|axis| axis * scale));
         }
         self.done = end;
+    }
+
+    /// Sample rates of the first and of the last tenth, Hz, where they differ by more than [`RATE_CHANGE`].
+    fn changed_rates(&self) -> Option<[f64; 2]> {
+        let tenth = (self.medians.len() / 10).max(1);
+        let ends = [self.medians.get(..tenth)?, &self.medians[self.medians.len() - tenth..]];
+        let rates =
+            ends.map(|end| median(end.iter().map(|step| *step as f64)).map(|step| 1e9 / step));
+        let [Some(before), Some(after)] = rates else { return None };
+        let ratio = before / after;
+        (ratio.is_finite() && ratio > 0.0 && !(1.0 / RATE_CHANGE..=RATE_CHANGE).contains(&ratio))
+            .then_some([before, after])
     }
 
     /// Measures the rows that are left; returns the rate, Hz, and its source, or `None` without rows.

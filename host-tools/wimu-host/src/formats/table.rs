@@ -28,6 +28,7 @@ use clock::Clock;
 use gravity::WithGravity;
 use header::Table;
 use infer::{Conversion, Evidence};
+pub(super) use layout::si_of;
 use layout::{Group, Layout};
 use rows::{Fault, Next, Values};
 use survey::Survey;
@@ -37,7 +38,7 @@ pub(crate) use units::acceleration_unit;
 use super::{ReadOptions, Source};
 use crate::error::{ErrorCode, Result};
 use crate::finding::{Finding, FindingCode, Severity};
-use crate::recording::{Quantity, Sink, TrackId, TrackInfo, Unit};
+use crate::recording::{Quantity, Sink, Stamps, TrackId, TrackInfo, Unit};
 
 /// Columns of a table, at most.
 const MOST_COLUMNS: usize = 1024;
@@ -75,11 +76,18 @@ pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) 
     }
 }
 
-/// Quantity that the name of a file says, if it has three letters or more.
+/// Quantity that the name of a file says, by all of it or by one of its words, if it has three letters or more.
 fn quantity_of(source: &Source) -> Option<Quantity> {
-    let stem = Path::new(source.name()).file_stem()?;
-    let key = names::key(&stem.to_string_lossy());
-    names::quantity(&key).filter(|_| key.chars().count() >= 3)
+    let stem = Path::new(source.name()).file_stem()?.to_string_lossy();
+    let by = |word: &str| {
+        let key = names::key(word);
+        names::quantity(&key).filter(|_| key.chars().count() >= 3)
+    };
+    let mut words = stem.split(|c: char| !c.is_alphanumeric()).filter_map(by);
+    by(&stem).or_else(|| {
+        let first = words.next()?;
+        words.all(|other| other == first).then_some(first)
+    })
 }
 
 /// Reads a table whose rows have these times, if there are any.
@@ -111,6 +119,11 @@ fn read_table(
     survey.count.check(source.name(), &table)?;
     survey.one_source(&table, !options.poses).map_err(at_header)?;
     let mut findings = Vec::new();
+    if timing::is_dot(&table, &layout, &survey) {
+        layout.program = Some("Xsens DOT");
+        let rates = layout.groups.iter_mut().filter(|g| g.quantity == Quantity::AngularRate);
+        rates.for_each(|group| group.scales.fill(units::scale(group.quantity, "deg/s")));
+    }
     if let Some(program) = layout.program {
         let text = format!("the columns are those of {program}");
         findings.push(Finding::new(FindingCode::TrackChosen, Severity::Note, text));
@@ -132,24 +145,40 @@ fn read_table(
     }
     let conversions = conversions(&layout, &survey, options, &mut findings).map_err(at_header)?;
     let clock = match times.is_empty() {
-        true => timing::choose(&table, &layout, &survey, &mut findings),
+        true => match options.rate_hz {
+            Some(rate_hz) => clock::Source::Rows { period_ns: 1e9 / rate_hz, is_assumed: false },
+            None => timing::choose(&table, &layout, &survey, options.poses, &mut findings),
+        },
         false => clock::Source::List(times),
     };
     let mut timeless = Timeless(sink);
     let sink: &mut dyn Sink = match clock {
-        clock::Source::Rows { .. } => &mut timeless,
+        clock::Source::Rows { is_assumed: true, .. } => &mut timeless,
         _ => timeless.0,
     };
-    let mut writer = Writer::new(&table, &layout, conversions, &survey, sink);
-    let mut clock = Clock::new(clock, table.comma);
-    let count = rows::each_row(source, &table, |fields, fault| {
-        if !rows::passes(&filter, fields) {
-            return Next::Skip;
+    let rows = |sink: &mut dyn Sink| {
+        let mut writer = Writer::new(&table, &layout, conversions, &survey, sink);
+        let mut clock = Clock::new(clock.clone(), table.comma);
+        let count = rows::each_row(source, &table, |fields, fault| {
+            if !rows::passes(&filter, fields) {
+                return Next::Skip;
+            }
+            Next::Count(writer.row(&mut clock, fields, fault))
+        })?;
+        findings.extend(writer.findings());
+        findings.extend(count.findings(&table));
+        Ok(count)
+    };
+    // Means over poses are in any order.
+    let count = match clock.stamp_ns().filter(|_| !options.poses) {
+        Some(tick_ns) => {
+            let mut stamps = Stamps::new(&mut *sink, tick_ns);
+            let count = rows(&mut stamps)?;
+            stamps.finish();
+            count
         }
-        Next::Count(writer.row(&mut clock, fields, fault))
-    })?;
-    findings.extend(writer.findings());
-    findings.extend(count.findings(&table));
+        None => rows(&mut *sink)?,
+    };
     findings.into_iter().for_each(|finding| sink.finding(finding));
     count.check(source.name(), &table)
 }
@@ -197,10 +226,11 @@ fn conversions(
     let convert = |(group, samples): (&Group, &survey::Samples)| {
         let columns = group.columns.iter().map(|column| &survey.columns[*column]);
         let evidence = Evidence {
+            program: layout.program,
             is_own: layout.program.is_none() && group.name.starts_with("Accelerometer"),
             samples: &samples.rows,
             is_integer: group.columns.len() == 3
-                && columns.clone().all(|column| !column.is_fractional),
+                && columns.clone().all(|column| !column.has_fraction),
             zero_count: options.zero_count.or(options.stored_zero_count),
         };
         infer::conversion(group, evidence, findings)

@@ -1,6 +1,6 @@
 //! Checks that hold for recordings of every format.
 
-use super::{Quantity, Recording, TrackInfo};
+use super::{Quantity, Recording, Track, TrackInfo};
 use crate::error::{ErrorCode, Result};
 use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
@@ -87,6 +87,29 @@ impl Unusable {
 }
 
 impl Recording {
+    /// Removes inertial tracks of zeros where another track of the quantity has values: drivers fill the fields of a sensor
+    /// that a message does not have.
+    pub fn remove_zeros(&mut self) {
+        let is_zero = |track: &Track| track.valid().all(|(_, row)| row.iter().all(|v| *v == 0.0));
+        for quantity in [Quantity::SpecificForce, Quantity::AngularRate] {
+            let of = |track: &Track| track.info.quantity == quantity;
+            if self.tracks.iter().filter(|track| of(track)).all(is_zero) {
+                continue;
+            }
+            let (empty, kept) = std::mem::take(&mut self.tracks)
+                .into_iter()
+                .partition(|track| of(track) && !track.is_empty() && is_zero(track));
+            self.tracks = kept;
+            let empty: Vec<Track> = empty;
+            for track in empty {
+                let text =
+                    format!("the {} of {} is 0 throughout", quantity.name(), track.info.name);
+                let finding = FindingCode::TrackChosen.note(text).remedy("it is left out");
+                self.findings.push(finding);
+            }
+        }
+    }
+
     /// Masks rows whose time is earlier than that of a row before, which they are given, and reports masked rows of
     /// accelerometers. `in_order` is false for means over poses.
     ///

@@ -50,7 +50,7 @@ pub struct Navigate {
     pub seconds: Option<Duration>,
     /// Positions a second that are computed while a board sends [default: 10]
     #[arg(long, value_name = "HZ", value_parser = from_to(0.01, 1000.0), help_heading = "Output")]
-    pub rate: Option<f64>,
+    pub updates: Option<f64>,
     /// With --geometry: recordings of further boards on the same body, in the order of the geometry. With --full-scales: those
     /// of the coarser accelerometers. With --relative: that of the second unit
     #[arg(value_name = "BOARD", requires = "several")]

@@ -1,6 +1,7 @@
 //! How recordings are read: options that several commands share.
 
 use clap::Args;
+
 use wimu_host::csv::Filter;
 use wimu_host::formats::ReadOptions;
 
@@ -24,9 +25,12 @@ pub struct Reading {
     /// Columns of a table, by header or by number from 1, with units: "t=timestamp:ns,x=ax:g,y=ay:g,z=az:g"
     #[arg(long, value_name = "LIST")]
     pub columns: Option<String>,
-    /// Unit of accelerations that the file does not name: m/s2, g, mg or LSB
+    /// Units instead of those of the file: of accelerations m/s2, g, mg, mm/s2 or LSB, of rates rad/s or deg/s: g,deg/s
     #[arg(long, value_name = "UNIT")]
     pub units: Option<String>,
+    /// Sample rate of a table, Hz, instead of its times
+    #[arg(long, value_name = "HZ", value_parser = super::from_to(1e-3, 1e6))]
+    pub rate: Option<f64>,
     /// Count at zero acceleration, such as 32768 [default: detected]
     #[arg(long, value_name = "LSB")]
     pub zero_count: Option<f64>,
@@ -40,6 +44,7 @@ impl Reading {
         options.topic = self.topic.clone();
         options.columns = self.columns.clone();
         options.units = self.units.clone();
+        options.rate_hz = self.rate;
         options.zero_count = self.zero_count;
         options.filter = self.filter.clone();
         options.role = self.link.map(Into::into);

@@ -76,7 +76,7 @@ const TABLE: &str = "a table or a recording of another program";
 const FILE: &str = "a file";
 
 /// Options of `align`, `allan`, `calibrate`, `info` and `navigate` that one kind of input has.
-const INPUTS: [(&str, &str); 22] = [
+const INPUTS: [(&str, &str); 23] = [
     ("where", TABLE),
     ("poses", TABLE),
     ("accelerometer", TABLE),
@@ -93,7 +93,8 @@ const INPUTS: [(&str, &str); 22] = [
     ("cable", "a LINK"),
     ("for", "a LINK"),
     ("push", "a LINK"),
-    ("rate", "a LINK"),
+    ("rate", TABLE),
+    ("updates", "a LINK"),
     ("rests", FILE),
     ("smooth", FILE),
     ("loop", FILE),

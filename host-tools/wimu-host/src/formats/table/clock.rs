@@ -7,22 +7,36 @@ use super::units;
 use crate::csv::number;
 
 const DAY_NS: i64 = 86_400_000_000_000;
-/// Ticks after which counters of 32 bits, such as `micros()`, start again.
-const TICKS: i64 = 1 << 32;
 
 /// Where the time of a row comes from.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Source {
-    /// A column of numbers, each times ten to this power, times [`units::multiple`], in ns.
-    Numbers { column: usize, exponent: i32 },
+    /// A column of numbers, each times ten to this power, times [`units::multiple`], in ns; and one of a
+    /// fraction, of another power, beside seconds.
+    /// `digits`: those that a fraction has with its leading zeros, which were not written.
+    Numbers { column: usize, exponent: i32, fraction: Option<(usize, i32)>, digits: Option<usize> },
     /// Columns of dates or times of day.
     Dates { date: Option<usize>, time: usize },
     /// A column that counts sample periods, modulo a number.
     Counter { column: usize, period_ns: f64, modulus: i64 },
-    /// No column.
-    Rows { period_ns: f64 },
+    /// No column: of this period, which may be assumed.
+    Rows { period_ns: f64, is_assumed: bool },
     /// A file of its own, one for each row.
     List(Vec<i64>),
+}
+
+impl Source {
+    /// Length of a tick, ns, of time stamps in the rows, `Some(None)` of dates; `None` where the rows have none.
+    pub fn stamp_ns(&self) -> Option<Option<i64>> {
+        match self {
+            Self::Numbers { exponent, .. } => {
+                let power = u32::try_from(*exponent).ok().and_then(|e| 10_i64.checked_pow(e));
+                Some(power.map(|power| power.saturating_mul(units::multiple(*exponent))))
+            }
+            Self::Dates { .. } => Some(None),
+            _ => None,
+        }
+    }
 }
 
 /// Times of rows, in their order.
@@ -50,19 +64,21 @@ impl Clock {
         };
         match &self.source {
             Source::List(times) => times.get(usize::try_from(self.rows - 1).ok()?).copied(),
-            &Source::Numbers { column, exponent } => {
-                let unit = 10_i64.checked_pow(u32::try_from(exponent).ok()?)?;
-                let cycle = TICKS.saturating_mul(unit);
-                let time = decimal(column, exponent)?.checked_mul(units::multiple(exponent))?;
-                let is_near =
-                    |time: i64, ticks: i64| (time / unit).abs_diff(ticks) < TICKS as u64 / 50;
-                if self.last.is_some_and(|last| is_near(last, TICKS)) && is_near(time, 0) {
-                    self.cycles += 1;
-                }
-                self.last = Some(time);
-                time.checked_add(self.cycles.checked_mul(cycle)?)
+            &Source::Numbers { column, exponent, fraction, digits } => {
+                let time = match digits {
+                    Some(digits) => {
+                        let text = with_point(fields.get(column)?, self.comma);
+                        let (whole, fraction) = text.split_once('.').unwrap_or((&text, "0"));
+                        number::decimal(&format!("{whole}.{fraction:0>digits$}"), exponent)
+                    }
+                    None => decimal(column, exponent),
+                };
+                let time = time?.checked_mul(units::multiple(exponent))?;
+                time.checked_add(
+                    fraction.map_or(Some(0), |(column, exponent)| decimal(column, exponent))?,
+                )
             }
-            &Source::Rows { period_ns } => {
+            &Source::Rows { period_ns, .. } => {
                 Some(((self.rows - 1) as f64 * period_ns).round() as i64)
             }
             &Source::Counter { column, period_ns, modulus } => {
@@ -100,6 +116,9 @@ pub fn date(day: Option<&str>, text: &str) -> Option<(i64, bool)> {
         None => (None, text.trim()),
     };
     let clock = clock.trim_end_matches(['Z', 'z']).trim_end_matches("UTC");
+    let half = [(" AM", 0), (" PM", 12), (" am", 0), (" pm", 12)];
+    let half = half.into_iter().find_map(|(end, hours)| Some((clock.strip_suffix(end)?, hours)));
+    let clock = half.map_or(clock, |(clock, _)| clock);
     let (clock, offset_ns) = match clock.rfind(['+', '-']) {
         Some(at) => (&clock[..at], offset_ns(&clock[at..])?),
         None => (clock, 0),
@@ -107,6 +126,11 @@ pub fn date(day: Option<&str>, text: &str) -> Option<(i64, bool)> {
     let mut parts = clock.trim().splitn(3, ':');
     let whole = |text: &str| text.trim().parse::<u32>().ok();
     let (hour, minute) = (whole(parts.next()?)?, whole(parts.next()?)?);
+    let hour = match half {
+        Some((_, hours)) if (1..=12).contains(&hour) => hour % 12 + hours,
+        Some(_) => return None,
+        None => hour,
+    };
     // Some programs put a colon before the milliseconds.
     let seconds = parts.next().unwrap_or("0").replace([',', ':'], ".");
     let ns = number::decimal(&seconds, 9)?;

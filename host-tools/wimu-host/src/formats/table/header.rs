@@ -118,7 +118,8 @@ fn table(
         is_header.then_some((known, at, names))
     });
     let header = header.max_by_key(|(known, at, _)| (*known, *at));
-    let comma = separator != ',' && !has_point && has_mark(',');
+    // Between commas, decimal commas are in quoted fields.
+    let comma = !has_point && has_mark(',');
     let mut table = Table {
         separator,
         comma,
@@ -131,18 +132,25 @@ fn table(
     };
     let score = numbers(&start[first], separator);
     let Some((known, at, names)) = header else {
+        let is_text =
+            |f: &Cow<str>| field(f, true) == Field::Text && clock::date(None, f).is_none();
+        let texts: Vec<bool> = fields.iter().map(is_text).collect();
+        // Three numbers or more, and the same columns of text in each row.
         let alike = rows.iter().take(ROWS).all(|line| {
             let fields = split(line, separator);
-            fields.len() == width && numbers(line, separator) == fields.len()
+            numbers(line, separator) >= 3 && fields.iter().map(is_text).eq(texts.iter().copied())
         });
         table.increases = increases(rows, &table);
-        if let Some((names, taken_for)) = presets::without_header(&table.increases) {
+        if let Some((names, taken_for)) = presets::without_header(&table.increases, &texts) {
             table.names = names;
             table.taken_for = Some(taken_for);
         }
         return (alike && width >= 3).then_some(((0, score), table));
     };
     table.names = names;
+    if let Some(above) = at.checked_sub(1).and_then(|above| start.get(above)) {
+        prepend_groups(&mut table.names, above, separator);
+    }
     if let Some(units) = start.get(at + 1).filter(|_| at + 1 < first) {
         append_units(&mut table.names, units, separator);
     }
@@ -184,9 +192,8 @@ fn numbers(line: &str, separator: char) -> usize {
     }
     let fields = split(line, separator);
     let filled = fields.iter().filter(|f| !f.is_empty());
-    let is_number = |text: &&Cow<str>| {
-        field(text, separator != ',') != Field::Text || clock::date(None, text).is_some()
-    };
+    let is_number =
+        |text: &&Cow<str>| field(text, true) != Field::Text || clock::date(None, text).is_some();
     let (filled, numbers) = (filled.clone().count(), filled.filter(is_number).count());
     if 2 * numbers > filled { numbers } else { 0 }
 }
@@ -204,6 +211,22 @@ fn names_of(line: &str, separator: char) -> Vec<String> {
 fn known(names: &[String], quantity: Option<Quantity>) -> usize {
     let meanings = names.iter().map(|name| names::meaning(name, quantity).kind);
     meanings.filter(|kind| *kind != Kind::Other).count()
+}
+
+/// Prepends the names of groups of a line above, `IMU Acceleration;;;`, if the names are letters only.
+fn prepend_groups(names: &mut [String], line: &str, separator: char) {
+    let above = split(line, separator);
+    if names.iter().any(|name| name.chars().count() > 1) || names_of(line, separator).len() < 2 {
+        return;
+    }
+    let mut group = "";
+    for (column, name) in names.iter_mut().enumerate() {
+        match above.get(column) {
+            Some(text) if !text.is_empty() => group = text,
+            _ => {}
+        }
+        *name = format!("{group} {name}").trim().to_owned();
+    }
 }
 
 /// Appends the units of a line below the names, if it holds units only.

@@ -35,6 +35,7 @@ pub struct Conversion {
 #[derive(Clone, Copy)]
 pub struct Evidence<'a> {
     pub samples: &'a [[f64; 3]],
+    pub program: Option<&'static str>,
     /// Whether the columns are called as wimu calls them.
     pub is_own: bool,
     /// Whether the file writes them without decimal mark.
@@ -100,6 +101,15 @@ pub fn conversion(
         }
         None => {}
     }
+    let is_1 = |magnitude: f64| (magnitude - 1.0).abs() <= TOLERANCE;
+    if evidence.program == Some("Sensor Logger")
+        && group.quantity == Quantity::SpecificForce
+        && median_norm(&samples).is_some_and(is_1)
+    {
+        conversion.factors.fill(-G);
+        let text = "the accelerations are in g, with the opposite sign: those of iOS";
+        findings.push(FindingCode::UnitInferred.note(text).of_sensor(group.sensor));
+    }
     check_gravity(group, &samples, evidence.is_own, &mut conversion, findings);
     Ok(conversion)
 }
@@ -112,7 +122,7 @@ fn inferred(
     findings: &mut Vec<Finding>,
 ) -> Result<(Unit, f64)> {
     let asks = |message: String| {
-        let remedy = "name it: --units m/s2, g, mg or LSB; linear acceleration (gravity removed) cannot be used";
+        let remedy = "name it: --units m/s2, g, mg, mm/s2 or LSB; linear acceleration (gravity removed) cannot be used";
         ErrorCode::CsvUnknownUnit.error(message, remedy).at(format!("column `{}`", group.name))
     };
     let magnitude = median_norm(samples).ok_or_else(|| {
@@ -134,6 +144,21 @@ fn inferred(
         (false, true, false) if !is_integer => {
             add(format!("median |f| {magnitude:.4}, taken as g"));
             Ok((Unit::Si, G))
+        }
+        _ if !is_integer && is_near(1000.0) => {
+            add(format!("median |f| {magnitude:.1}, taken as mg"));
+            Ok((Unit::Si, 1e-3 * G))
+        }
+        _ if !is_integer && is_near(1e3 * G) => {
+            add(format!("median |f| {magnitude:.0}, taken as mm/s²"));
+            Ok((Unit::Si, 1e-3))
+        }
+        (false, false, false) if is_power_of_two(samples) => {
+            let lsb_per_g = zero::sensitivity(samples).unwrap_or(magnitude);
+            add(format!(
+                "|f| {lsb_per_g:.0} in all orientations, taken as counts of {lsb_per_g:.0} LSB/g"
+            ));
+            Ok((Unit::Counts { si_per_lsb: Some(G / lsb_per_g) }, 1.0))
         }
         (false, false, true) => {
             let lsb_per_g = zero::sensitivity(samples);
@@ -159,6 +184,12 @@ fn inferred(
     }
 }
 
+/// Whether |f| is that of counts of a usual sensitivity, a power of two, averaged.
+fn is_power_of_two(samples: &[[f64; 3]]) -> bool {
+    let lsb_per_g = zero::sensitivity(samples).filter(|lsb| *lsb >= MIN_COUNTS);
+    lsb_per_g.is_some_and(|lsb| (lsb / lsb.log2().round().exp2() - 1.0).abs() < 0.05)
+}
+
 /// Makes an acceleration without gravity a linear acceleration.
 fn check_gravity(
     group: &Group,
@@ -170,7 +201,7 @@ fn check_gravity(
     if !group.is_acceleration() {
         return;
     }
-    let magnitude = zero::at_rest(samples).map(|magnitude| magnitude * conversion.factors[0]);
+    let magnitude = zero::at_rest(samples).map(|magnitude| magnitude * conversion.factors[0].abs());
     let is_small = magnitude.is_some_and(|magnitude| magnitude < WITHOUT_GRAVITY_G * G)
         && samples.len() >= MIN_SAMPLES;
     let reason = match group.quantity {

@@ -38,6 +38,8 @@ impl Group {
 pub struct Layout {
     /// Column of the time, and its unit where it is known.
     pub time: Option<(usize, Option<i32>)>,
+    /// Column of the fraction of a time of whole seconds, and the power of ten of a nanosecond of its unit.
+    pub fraction: Option<(usize, i32)>,
     /// Column of the date of a time of day.
     pub date: Option<usize>,
     pub groups: Vec<Group>,
@@ -74,6 +76,10 @@ pub fn of(table: &Table, quantity: Option<Quantity>, options: &ReadOptions) -> R
     if layout.time.is_none() && options.columns.is_none() {
         layout.time = less_certain_time(table, &meanings);
     }
+    layout.fraction = layout.time.and_then(|(column, _)| fraction(names, column));
+    if let (Some((column, None)), Some(_)) = (layout.time, layout.fraction) {
+        layout.time = Some((column, Some(9)));
+    }
     let mut used = vec![false; names.len()];
     for (column, meaning) in meanings.iter().enumerate() {
         match meaning.kind {
@@ -94,7 +100,11 @@ pub fn of(table: &Table, quantity: Option<Quantity>, options: &ReadOptions) -> R
     if options.columns.is_none() {
         layout.unknown_units = unknown_units(names, &layout, quantity)?;
     }
-    let clock = [layout.time.map(|(column, _)| column), layout.date];
+    let clock = [
+        layout.time.map(|(column, _)| column),
+        layout.fraction.map(|(column, _)| column),
+        layout.date,
+    ];
     layout.others = (0..names.len()).filter(|k| !used[*k] && !clock.contains(&Some(*k))).collect();
     Ok(layout)
 }
@@ -185,6 +195,29 @@ fn choose_time(
     layout.time = of_preset.or_else(|| column.map(|column| (column, meanings[column].exponent)));
     layout.date =
         (0..names.len()).find(|column| ["date", "rtcdate"].contains(&key(*column).as_str()));
+    // `Datum` alone has both.
+    let day = times().find(|column| key(*column) == "datum");
+    if let Some((day, time)) = day.zip(times().find(|column| key(*column) != "datum")) {
+        (layout.date, layout.time) = (Some(day), Some((time, meanings[time].exponent)));
+    }
+}
+
+/// The column of a fraction beside one of seconds: `stamp.nsec` beside `stamp.sec`.
+fn fraction(names: &[String], seconds: usize) -> Option<(usize, i32)> {
+    const ENDS: [(i32, &[&str]); 3] = [
+        (0, &["nanosecs", "nanosec", "nsecs", "nsec", "nanoseconds"]),
+        (3, &["microsecs", "microsec", "usecs", "usec", "microseconds"]),
+        (6, &["millisecs", "millisec", "msecs", "msec", "milliseconds"]),
+    ];
+    let stem = |name: &str, ends: &[&str]| {
+        let key = names::key(names::split_unit(name).0);
+        ends.iter().find_map(|end| key.strip_suffix(end).map(str::to_owned))
+    };
+    let of = stem(&names[seconds], &["secs", "sec", "seconds"])?;
+    ENDS.into_iter().find_map(|(exponent, ends)| {
+        let is_part = |name: &String| stem(name, ends).is_some_and(|stem| stem == of);
+        Some((names.iter().position(is_part)?, exponent))
+    })
 }
 
 /// An increasing column whose name is a unit of time, or else has the word `time`. Of several units, such as seconds and
@@ -274,18 +307,51 @@ fn common_name(names: &[String], columns: &[usize], quantity: Quantity) -> Strin
     }
 }
 
-/// Sets the unit of the accelerations.
-fn override_units(layout: &mut Layout, unit: &str) -> Result<()> {
-    let scale = units::scale(Quantity::SpecificForce, unit).ok_or_else(|| {
-        ErrorCode::Usage.error(
-            format!("`{unit}` is not a unit of acceleration"),
-            "choose one of m/s2, g, mg, LSB",
-        )
-    })?;
-    let groups = layout.groups.iter_mut();
-    let forces = groups.filter(|group| group.is_acceleration());
-    forces.for_each(|group| group.scales.fill(Some(scale)));
+/// Sets the units of the accelerations and of the angular rates.
+fn override_units(layout: &mut Layout, units: &str) -> Result<()> {
+    let [force, rate] = scales(units)?;
+    for group in &mut layout.groups {
+        match (group.quantity, force, rate) {
+            (Quantity::AngularRate, _, Some(rate)) => group.scales.fill(Some(rate)),
+            (_, Some(force), _) if group.is_acceleration() => group.scales.fill(Some(force)),
+            _ => {}
+        }
+    }
     Ok(())
+}
+
+/// The units of `g,deg/s`: of acceleration, of angular rate; either may be alone.
+fn scales(units: &str) -> Result<[Option<Scale>; 2]> {
+    let mut found = [None; 2];
+    for unit in units.split(',') {
+        let of = |quantity| units::scale(quantity, unit.trim());
+        match (of(Quantity::SpecificForce), of(Quantity::AngularRate)) {
+            (Some(force), _) => found[0] = Some(force),
+            (_, Some(rate)) => found[1] = Some(rate),
+            _ => {
+                return Err(ErrorCode::Usage.error(
+                    format!("`{unit}` is not a unit of acceleration or angular rate"),
+                    "choose one of m/s2, g, mg, mm/s2, LSB, and of rad/s, deg/s: --units g,deg/s",
+                ));
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// SI of [`units`](ReadOptions::units) of a log: of acceleration, and of angular rate.
+///
+/// # Errors
+/// `usage`.
+pub fn si_of(units: &str) -> Result<[f64; 2]> {
+    let factor = |scale: Option<Scale>| match scale {
+        None => Ok(1.0),
+        Some(Scale::Si(factor)) => Ok(factor),
+        Some(_) => Err(ErrorCode::Usage
+            .error("a log has no counts", "give --units in m/s2, g or mg, and rad/s or deg/s")),
+    };
+    let [force, rate] = scales(units)?;
+    Ok([factor(force)?, factor(rate)?])
 }
 
 /// Meaning of the columns by [`ReadOptions::columns`].

@@ -60,7 +60,7 @@ const TIMES: &[((), &str)] = &[(
     (),
     "time timestamp t ts timens elapsedtime timeelapsed elapsed secondselapsed epoch unixtime systemtime sampletime micros \
      millis microseconds milliseconds nanoseconds hosttime devicetime stamp fieldheaderstamp chiptime loggingtime datetime \
-     rtctime timestampunix unixtimestamp hhmmss hhmmssfff",
+     rtctime timestampunix unixtimestamp hhmmss hhmmssfff headerstampsec headerstampsecs stampsec stampsecs sec secs datum uhrzeit zeit zeitstempel datumuhrzeit fecha hora heure",
 )];
 
 /// Names of three axes without the axis, as [`key`].
@@ -68,7 +68,7 @@ const STEMS: &[(Quantity, &str)] = &[
     (
         Quantity::SpecificForce,
         "accelerometer acceleration accel acc a ac arss gf gforce totalacceleration rawacc accraw \
-         accelerometeracceleration accelerometeruncalibrated accelerationwithg",
+         accelerometeracceleration accelerometeruncalibrated accelerationwithg accsmooth accelerometerms2",
     ),
     (
         Quantity::LinearAcceleration,
@@ -77,7 +77,7 @@ const STEMS: &[(Quantity, &str)] = &[
     (Quantity::Gravity, "gravity grav"),
     (
         Quantity::AngularRate,
-        "gyroscope gyro gyr gy g w wrss omega angularvelocity angularrate rotationrate angvel rotation rate gyroraw gyrorotation",
+        "gyroscope gyroscopeuncalibrated gyro gyr gy g w wrss omega angularvelocity angularrate rotationrate angvel rotation rate gyroraw gyrorotation gyroadc gyrorad",
     ),
     (Quantity::MagneticField, "magnetometer magneticfield mag m b h"),
     (Quantity::Position, "position"),
@@ -122,6 +122,10 @@ pub fn meaning(name: &str, of_file: Option<Quantity>) -> Meaning {
     if name.len() > MAX_NAME {
         return Meaning::of(Kind::Other);
     }
+    // `accSmooth[0]` is X.
+    let axis = |(index, axis)| Some(format!("{} {axis}", name.strip_suffix(index)?));
+    let indexed = [("[0]", 'x'), ("[1]", 'y'), ("[2]", 'z')].into_iter().find_map(axis);
+    let name = indexed.as_deref().unwrap_or(name);
     let (bare, unit) = split_unit(name);
     let bare = match key(bare).as_str() {
         "xaxis" => "x",

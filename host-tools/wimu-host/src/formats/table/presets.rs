@@ -40,6 +40,8 @@ const ARTEMIS: Units = &[(SpecificForce, "mg"), (AngularRate, "deg/s"), (Magneti
 const TOOLBOX: Units = &[
     (SpecificForce, "g"), (LinearAcceleration, "m/s2"), (AngularRate, "rad/s"), (MagneticField, "uT"),
 ];
+/// Counts of a sensor of ±16 g and 16 bits.
+const BLACKBOX: Units = &[(SpecificForce, "g/2048"), (AngularRate, "deg/s")];
 const WIT: Units = &[(SpecificForce, "g"), (AngularRate, "deg/s"), (MagneticField, "au")];
 
 /// `ROS Imu` are tables of `ros2 topic echo --csv` and tables made from bags.
@@ -54,6 +56,8 @@ const PRESETS: &[Preset] = presets![
     "Physics Toolbox", ["gfx"], TOOLBOX, None;
     "WitMotion", ["chiptime"], WIT, Some(("chiptime", None));
     "Xsens MT Manager", ["packetcounter", "accx"], XSENS, None;
+    "blackbox_decode", ["loopiteration", "accsmooth0"], BLACKBOX, None;
+    "ulog2csv", ["timestampsample", "deviceid"], SI, Some(("timestamp", Some(3)));
     "MATLAB Mobile", ["timestamp", "x", "y", "z"], PHONE, None;
 ];
 
@@ -69,11 +73,27 @@ pub fn of_header(header: &[String]) -> Option<&'static Preset> {
 const OXTS: &str = "lat,lon,alt,roll,pitch,yaw,vn,ve,vf,vl,vu,ax (m/s2),ay (m/s2),az (m/s2),af,al,au,wx (rad/s),wy (rad/s),\
                     wz (rad/s),wf,wl,wu,pos_accuracy,vel_accuracy,navstat,numsats,posmode,velmode,orimode";
 
+/// Columns of `ros2 topic echo --csv` of a sensor_msgs/Imu, to the specific force: stamp, frame, attitude, angular rate, each
+/// with its covariance.
+const ECHO: &str = "sec,nanosec,frame,qx,qy,qz,qw,c,c,c,c,c,c,c,c,c,gx (rad/s),gy (rad/s),gz (rad/s),\
+                    c,c,c,c,c,c,c,c,c,ax (m/s2),ay (m/s2),az (m/s2)";
+const ECHO_WIDTH: usize = 40;
+
 /// Names of the columns of a table without a header, and what it was taken for. `increases` says of each column whether it
-/// only increases.
-pub fn without_header(increases: &[bool]) -> Option<(Vec<String>, &'static str)> {
+/// only increases, `texts` whether it is text.
+pub fn without_header(increases: &[bool], texts: &[bool]) -> Option<(Vec<String>, &'static str)> {
     let width = increases.len();
     let timed = matches!(width, 4 | 7 | 10) && increases[0];
+    let text = texts.iter().position(|is_text| *is_text);
+    if let Some(column) = text {
+        let (names, program) = match (width, column) {
+            (ECHO_WIDTH, 2) => (ECHO, "ros2 topic echo --csv"),
+            (6, 1) if increases[2] => ("user,activity,timestamp,ax,ay,az", "WISDM"),
+            _ => return None,
+        };
+        let names = names.split(',').map(str::to_owned).chain((1..).map(|k| format!("c{k}")));
+        return Some((names.take(width).collect(), program));
+    }
     let (names, program) = match width {
         30 => (OXTS, "KITTI oxts"),
         3 | 6 | 9 => ("ax,ay,az,gx,gy,gz,mx,my,mz", "Arduino without header"),

@@ -26,8 +26,16 @@ pub struct Column {
     pub texts: u64,
     /// Whether a number has a decimal mark or an exponent.
     pub is_fractional: bool,
-    /// Different contents, up to a number; kept where it names a sensor or a run.
+    /// Whether a number is not whole.
+    pub has_fraction: bool,
+    /// The first two numbers.
+    pub first: [Option<f64>; 2],
+    /// Different contents, up to a number.
     pub contents: BTreeSet<String>,
+    last: String,
+    /// Rows whose content is not that of the row before, and of them those whose time goes back.
+    changes: u64,
+    changes_back: u64,
 }
 
 /// Numbers of the time column.
@@ -38,6 +46,14 @@ pub struct Times {
     pub last: f64,
     pub steps: u64,
     pub restarts: u64,
+    /// Whether the last step is back.
+    is_back: bool,
+    /// Steps of 0.
+    pub equal: u64,
+    /// Most digits of a fraction, and times that go back if each has its leading zeros.
+    digits: usize,
+    padded: Option<f64>,
+    padded_restarts: u64,
 }
 
 /// Samples of a track, thinned out evenly.
@@ -77,6 +93,9 @@ pub struct Survey {
 
 /// Columns whose contents identify a sensor or a run.
 const SENSORS: [&str; 6] = ["imu", "sensor", "device", "device name", "unit", "board"];
+const MAX_SENSORS: usize = 16;
+/// Times that go back by which fractions without leading zeros are known, at least.
+const MIN_UNPADDED: u64 = 5;
 const RUNS: [&str; 4] = ["run", "trial", "session", "recording"];
 
 /// Reads the table once.
@@ -136,6 +155,7 @@ impl Survey {
         let restarts = in_order && self.times.restarts > 0;
         for (name, column) in table.names.iter().zip(&self.columns) {
             let (sensor, run) = (is_one_of(name, &SENSORS), is_one_of(name, &RUNS));
+            let sensor = sensor || self.is_cycle(column) || in_order && self.is_block(column);
             if !(sensor || run) || !(2..MAX_TEXTS).contains(&column.contents.len()) {
                 continue;
             }
@@ -154,6 +174,34 @@ impl Survey {
         ))
     }
 
+    /// Step of the times in the unit of their column: the first one, unless it is 0 or back, else the mean.
+    pub fn step(&self, column: usize) -> Option<f64> {
+        let first = match self.columns[column].first {
+            [Some(first), Some(second)] if second > first => Some(second - first),
+            _ => None,
+        };
+        let mean = self.times.mean_step()?;
+        // The mean is not that of neighbours where a counter wraps or a clock restarts.
+        let is_one = self.times.restarts == 0;
+        Some(first.filter(|_| !is_one).unwrap_or(mean))
+    }
+
+    /// Whether a column cycles through N contents while times come N times.
+    fn is_cycle(&self, column: &Column) -> bool {
+        let (rows, sensors) = (self.times.steps as f64, column.contents.len() as f64);
+        let repeated = self.times.equal as f64 / rows.max(1.0);
+        (2..=MAX_SENSORS).contains(&column.contents.len())
+            && column.changes as f64 >= 0.9 * rows
+            && (repeated - (1.0 - 1.0 / sensors)).abs() < 0.1
+    }
+
+    /// Whether a column changes where the times start again, and only there.
+    fn is_block(&self, column: &Column) -> bool {
+        self.times.restarts > 0
+            && column.changes_back == self.times.restarts
+            && column.changes == self.times.restarts + 1
+    }
+
     fn fault(&mut self, table: &Table, layout: &Layout, fields: &[Cow<str>]) -> Option<Fault> {
         if rows::has_text(layout, fields, table.comma) {
             return Some(Fault::NoNumber);
@@ -161,7 +209,7 @@ impl Survey {
         let (column, _) = layout.time?;
         let text = fields.get(column).map_or("", |text| text);
         match field(text, table.comma) {
-            Field::Number(time) => self.times.add(time),
+            Field::Number(time) => self.times.add(time, text),
             _ if clock::date(None, text).is_some() => self.times.dates += 1,
             _ => return Some(Fault::NoTime),
         }
@@ -171,15 +219,26 @@ impl Survey {
     fn add(&mut self, table: &Table, layout: &Layout, fields: &[Cow<str>], is_name: &[bool]) {
         for ((column, text), is_name) in self.columns.iter_mut().zip(fields).zip(is_name) {
             match field(text, table.comma) {
-                Field::Number(_) => {
+                Field::Number(value) => {
+                    if let Some(first) = column.first.get_mut(column.numbers as usize) {
+                        *first = Some(value);
+                    }
                     column.numbers += 1;
                     column.is_fractional |= text.contains(['.', ',', 'e', 'E']);
+                    column.has_fraction |= value.fract() != 0.0;
                 }
                 Field::Text => column.texts += 1,
                 Field::Empty => continue,
             }
-            if *is_name && column.contents.len() < MAX_TEXTS && !column.contents.contains(&**text) {
-                column.contents.insert(text.to_string());
+            let most = if *is_name { MAX_TEXTS } else { MAX_SENSORS + 1 };
+            if column.contents.len() < most && column.last != **text {
+                column.changes += 1;
+                column.changes_back += u64::from(self.times.is_back);
+                column.last.clear();
+                column.last.push_str(text);
+                if !column.contents.contains(&**text) {
+                    column.contents.insert(text.to_string());
+                }
             }
         }
         for (group, samples) in layout.groups.iter().zip(&mut self.samples) {
@@ -194,13 +253,30 @@ impl Survey {
 }
 
 impl Times {
-    fn add(&mut self, time: f64) {
+    fn add(&mut self, time: f64, text: &str) {
+        let fraction = text.split_once('.').map_or("0", |(_, fraction)| fraction);
+        if fraction.len() > self.digits {
+            (self.digits, self.padded) = (fraction.len(), None);
+        }
+        let padded = fraction.parse::<f64>().unwrap_or(0.0) / 10_f64.powi(self.digits as i32);
+        let padded = time.trunc() + padded;
+        self.padded_restarts += u64::from(self.padded.is_some_and(|before| padded < before));
+        self.padded = Some(padded);
         if self.first.is_some() {
             self.steps += 1;
-            self.restarts += u64::from(time < self.last);
+            self.is_back = time < self.last;
+            self.restarts += u64::from(self.is_back);
+            self.equal += u64::from(time == self.last);
         }
         self.first.get_or_insert(time);
         self.last = time;
+    }
+
+    /// Digits of a fraction whose leading zeros were not written, `28.16` for `28.016`: with them the times do not go back.
+    pub fn unpadded_digits(&self) -> Option<usize> {
+        let is_better =
+            10 * self.padded_restarts < self.restarts && 100 * self.restarts > self.steps;
+        (is_better && self.restarts >= MIN_UNPADDED).then_some(self.digits)
     }
 
     /// Mean step in the unit of the column.

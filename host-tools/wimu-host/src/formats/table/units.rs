@@ -27,6 +27,7 @@ const ACCELERATIONS: &Units = &[
     (Scale::Si(1.0), "m/s2 m/s/s ms-2 m/sec2 mps2 mpss ms2"), (Scale::Si(1e-2), "cm/s2"), (Scale::Si(1e-3), "mm/s2"),
     (Scale::Si(0.3048), "ft/s2 ft/s/s ft/sec2"),
     (Scale::Si(G), "g gs"), (Scale::Si(1e-3 * G), "mg millig milli-g"), (Scale::Si(1e-6 * G), "ug"),
+    (Scale::Si(G / 2048.0), "g/2048"),
 ];
 #[rustfmt::skip]
 const RATES: &Units = &[

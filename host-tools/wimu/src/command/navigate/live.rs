@@ -83,7 +83,7 @@ pub fn run(arguments: &Navigate, link: &str, output: &Output) -> Result<()> {
     let mut fixes = Aiding::of(aids, &mut choice)?;
     let mut client = connect(link)?;
     let mut session = Session::new(&choice, link, fixes.late_s(aids));
-    let mut shown = Shown::new(arguments.rate, output);
+    let mut shown = Shown::new(arguments.updates, output);
     let mut points = Vec::new();
     let ended = listen_until(&mut client, arguments.seconds, |arrival| {
         fixes.give(&mut session);

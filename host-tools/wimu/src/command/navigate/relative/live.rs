@@ -84,7 +84,7 @@ pub fn run(
         LiveRelative::new(choice, names.each_ref().map(of))
     };
     let (mut live, mut points, mut ended) = (begin(), Vec::new(), Ok(()));
-    let mut shown = Shown::new(arguments.rate, output);
+    let mut shown = Shown::new(arguments.updates, output);
     thread::scope(|scope| {
         let (send, received) = mpsc::channel();
         for (body, client) in [Body::A, Body::B].into_iter().zip(clients) {

@@ -2,7 +2,7 @@
 
 use std::io::{BufRead, BufReader};
 use std::net::TcpStream;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -16,6 +16,7 @@ use crate::report_pages::chromium;
 /// A Chromium without a window; it is killed when dropped.
 pub struct Browser {
     child: Child,
+    profile: PathBuf,
     socket: WebSocket<TcpStream>,
     next: u64,
     /// What pages have complained of.
@@ -28,11 +29,12 @@ pub struct Tab(String);
 
 impl Browser {
     pub fn start(folder: &Path) -> Self {
+        let profile = folder.join("profile");
         let mut child = Command::new(chromium())
             .args(["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"])
             .args(["--remote-debugging-port=0", "--disable-renderer-backgrounding"])
             .args(["--disable-backgrounding-occluded-windows", "--enable-precise-memory-info"])
-            .arg(format!("--user-data-dir={}", folder.join("profile").display()))
+            .arg(format!("--user-data-dir={}", profile.display()))
             .arg("about:blank")
             .stdin(Stdio::null())
             .stdout(Stdio::null())
@@ -49,7 +51,7 @@ impl Browser {
         let stream = TcpStream::connect(host).expect("it listens");
         stream.set_read_timeout(Some(TIME_LIMIT)).expect("a socket");
         let (socket, _) = tungstenite::client(url.as_str(), stream).expect("a WebSocket");
-        Self { child, socket, next: 1, faults: Vec::new() }
+        Self { child, profile, socket, next: 1, faults: Vec::new() }
     }
 
     fn call(&mut self, tab: Option<&Tab>, method: &str, params: Value) -> Value {
@@ -157,9 +159,15 @@ impl Browser {
 }
 
 impl Drop for Browser {
+    /// Its helper processes write to the profile a moment longer than it lives, which would keep the folder of the
+    /// test from being removed.
     fn drop(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
+        let end = Instant::now() + TIME_LIMIT;
+        while std::fs::remove_dir_all(&self.profile).is_err() && Instant::now() < end {
+            std::thread::sleep(Duration::from_millis(50));
+        }
     }
 }
 

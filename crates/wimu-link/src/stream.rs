@@ -171,7 +171,7 @@ fn with_frame<E>(
     encode: impl FnOnce(&mut [u8]) -> Result<usize, EncodeError>,
 ) -> Result<(), E> {
     let mut frame = [0; MAX_FRAME];
-    // An empty batch is none; everything else fits.
+    // An empty batch has no frame; everything else fits.
     let length = encode(&mut frame).unwrap_or(0);
     match frame.get(..length) {
         Some(frame) if length > 0 => send(frame),

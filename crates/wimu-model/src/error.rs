@@ -79,10 +79,10 @@ impl Bounds {
 
     pub(crate) fn check_on(&self, axis: Option<usize>, value: f64) -> Result<(), ModelError> {
         let &Self(name, unit, low, high) = self;
-        match value >= low && value <= high {
-            true => Ok(()),
-            false => Err(ModelError::OutOfBounds { name, unit, axis, value, low, high }),
+        if (low..=high).contains(&value) {
+            return Ok(());
         }
+        Err(ModelError::OutOfBounds { name, unit, axis, value, low, high })
     }
 }
 
@@ -90,9 +90,10 @@ impl Bounds {
 pub(crate) fn check_matrix(name: &'static str, matrix: &Matrix3) -> Result<(), ModelError> {
     for (row, values) in matrix.iter().enumerate() {
         for (column, value) in values.iter().enumerate() {
-            let bounds = match row == column {
-                true => Bounds("scale factor", "", 0.5, 1.5),
-                false => Bounds("misalignment", " rad", -0.3, 0.3),
+            let bounds = if row == column {
+                Bounds("scale factor", "", 0.5, 1.5)
+            } else {
+                Bounds("misalignment", " rad", -0.3, 0.3)
             };
             bounds.check_on(Some(row), *value)?;
         }

@@ -133,7 +133,7 @@ fn time_columns_are_recognised_by_unit_or_word() {
         assert!((found[1] - found[0] - step).abs() < 10, "{header}: {found:?}");
         assert!(!has(&recording, FindingCode::Rate), "{header}");
     }
-    // A better time counts, parts of a time are added, and a column that does not increase is none.
+    // The finer of two times is used, parts of a time are added, and a column that does not increase is not a time.
     let table =
         |header: &str, rows: &str| text(&format!("{header},ax_g,ay_g,az_g\n{rows}")).unwrap();
     let better = table("ms,t", "1,5.0,0,0,1\n2,5.5,0,0,1\n");

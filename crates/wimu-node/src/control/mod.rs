@@ -183,9 +183,10 @@ impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M>
     async fn change(&mut self, plan: &mut Plan, new: Plan) -> Result<(), Refusal> {
         let before = self.shared.parameters();
         let other_range = new.settings.range_g != plan.settings.range_g;
-        let set = match other_range {
-            true => self.load_parameters(new.settings.range_g),
-            false => self.shared.active(),
+        let set = if other_range {
+            self.load_parameters(new.settings.range_g)
+        } else {
+            self.shared.active()
         };
         self.configure(&new, &set).await?;
         let mut bytes = [0; Settings::MAX_BYTES];

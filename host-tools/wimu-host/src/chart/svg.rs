@@ -122,9 +122,11 @@ impl Chart {
         let all = || shown().flat_map(|series| &series.points);
         let x = self.x_range.unwrap_or_else(|| span(all().map(|point| point.0)));
         let y = self.y_range.unwrap_or_else(|| span(all().map(|point| point.1)));
-        let roomy = |(low, high): (f64, f64), log: bool, part: f64, factor: f64| match log {
-            true => low.max(1e-9) / factor..high.max(1e-9) * factor,
-            false => low - part * (high - low)..high + part * (high - low),
+        let roomy = |(low, high): (f64, f64), log: bool, part: f64, factor: f64| {
+            if log {
+                return low.max(1e-9) / factor..high.max(1e-9) * factor;
+            }
+            low - part * (high - low)..high + part * (high - low)
         };
         let (x, y) = (roomy(x, self.log_x, 0.03, 1.2), roomy(y, self.log, 0.05, 1.5));
         if !self.equal {

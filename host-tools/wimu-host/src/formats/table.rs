@@ -144,12 +144,12 @@ fn read_table(
         findings.push(FindingCode::UnitInferred.warning(text).remedy(remedy));
     }
     let conversions = conversions(&layout, &survey, options, &mut findings).map_err(at_header)?;
-    let clock = match times.is_empty() {
-        true => match options.rate_hz {
-            Some(rate_hz) => clock::Source::Rows { period_ns: 1e9 / rate_hz, is_assumed: false },
-            None => timing::choose(&table, &layout, &survey, options.poses, &mut findings),
-        },
-        false => clock::Source::List(times),
+    let clock = if !times.is_empty() {
+        clock::Source::List(times)
+    } else if let Some(rate_hz) = options.rate_hz {
+        clock::Source::Rows { period_ns: 1e9 / rate_hz, is_assumed: false }
+    } else {
+        timing::choose(&table, &layout, &survey, options.poses, &mut findings)
     };
     let mut timeless = Timeless(sink);
     let sink: &mut dyn Sink = match clock {
@@ -170,14 +170,13 @@ fn read_table(
         Ok(count)
     };
     // Means over poses are in any order.
-    let count = match clock.stamp_ns().filter(|_| !options.poses) {
-        Some(tick_ns) => {
-            let mut stamps = Stamps::new(&mut *sink, tick_ns);
-            let count = rows(&mut stamps)?;
-            stamps.finish();
-            count
-        }
-        None => rows(&mut *sink)?,
+    let count = if clock.is_stamped() && !options.poses {
+        let mut stamps = Stamps::new(&mut *sink, clock.tick_ns());
+        let count = rows(&mut stamps)?;
+        stamps.finish();
+        count
+    } else {
+        rows(&mut *sink)?
     };
     findings.into_iter().for_each(|finding| sink.finding(finding));
     count.check(source.name(), &table)

@@ -26,16 +26,16 @@ pub enum Source {
 }
 
 impl Source {
-    /// Length of a tick, ns, of time stamps in the rows, `Some(None)` of dates; `None` where the rows have none.
-    pub fn stamp_ns(&self) -> Option<Option<i64>> {
-        match self {
-            Self::Numbers { exponent, .. } => {
-                let power = u32::try_from(*exponent).ok().and_then(|e| 10_i64.checked_pow(e));
-                Some(power.map(|power| power.saturating_mul(units::multiple(*exponent))))
-            }
-            Self::Dates { .. } => Some(None),
-            _ => None,
-        }
+    /// Whether each row has a time stamp.
+    pub fn is_stamped(&self) -> bool {
+        matches!(self, Self::Numbers { .. } | Self::Dates { .. })
+    }
+
+    /// Length of a tick of its numbers, ns; `None` of dates, counters and rows, and below 1 ns.
+    pub fn tick_ns(&self) -> Option<i64> {
+        let Self::Numbers { exponent, .. } = *self else { return None };
+        let power = 10_i64.checked_pow(u32::try_from(exponent).ok()?)?;
+        Some(power.saturating_mul(units::multiple(exponent)))
     }
 }
 

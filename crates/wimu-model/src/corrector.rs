@@ -21,8 +21,8 @@ const LARGEST_OUTPUT: f64 = 536_870_912.0;
 /// docs/EQUATIONS.md. Sums are exact, and the same on every target: a processor with a long
 /// multiplication takes nine of them, Cortex-M0+ eighteen of a count and half a coefficient.
 ///
-/// The result is at most 1 LSB (2⁻¹⁶ m/s²) from the f64 result for every count from −32768 to
-/// 32767, and within ±2²⁹ LSB. The nonlinearity q is left out: the host applies it.
+/// At the model's reference temperature the result is at most 1 LSB (2⁻¹⁶ m/s²) from the f64 result for every count from
+/// −32768 to 32767, elsewhere as [`CompiledSet`] says, and within ±2²⁹ LSB. The nonlinearity q is left out: the host applies it.
 ///
 /// ```
 /// use wimu_model::{Corrector, Counts, ParameterSet, Sensitivity};
@@ -123,7 +123,7 @@ impl Corrector {
 
     /// The same for counts of 20 bits; counts beyond are clamped, and so is the result, to ±2²⁹ LSB.
     ///
-    /// Within that range at most 1 LSB from the f64 result, if no row of M is longer than 511 LSB per
+    /// Within that range, at the reference temperature, at most 1 LSB from the f64 result, if no row of M is longer than 511 LSB per
     /// count, which holds for sensors of 2000 LSB/g and more (±262 g).
     pub fn correct_wide(&self, counts: WideCounts) -> SpecificForceQ16 {
         SpecificForceQ16(self.kernel.apply_wide(counts))

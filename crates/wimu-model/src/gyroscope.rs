@@ -151,8 +151,8 @@ impl From<GyroscopeModel> for GyroscopeTerms {
 /// Maps counts of a gyroscope to angular rate in body axes in integers, at one latched temperature:
 /// ω = R A(T)⁻¹ (y − b(T) − G Rᵀ f), equation (26) of docs/EQUATIONS.md.
 ///
-/// Without g-sensitivity the result is at most 1 LSB (2⁻²⁰ rad/s) from the f64 result for all 16-bit
-/// counts, with it at most 2 LSB for specific force within ±2²⁴ LSB (256 m/s²). It is within ±2²⁸ LSB
+/// At the model's reference temperature and without g-sensitivity the result is at most 1 LSB (2⁻²⁰ rad/s) from the f64
+/// result for all 16-bit counts, with it at most 2 LSB for specific force within ±2²⁴ LSB (256 m/s²). It is within ±2²⁸ LSB
 /// (256 rad/s).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

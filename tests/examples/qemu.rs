@@ -8,7 +8,7 @@ mod running {
     use std::sync::Arc;
     use std::sync::atomic::{AtomicBool, Ordering};
 
-    use wimu_host::{ErrorCode, HostError, Result};
+    use wimu_host::{Code, Problem, Result};
     use wimu_sim::board::SensorPart;
     use wimu_sim::motion;
     use wimu_sim::scene::{Scene, World};
@@ -114,17 +114,17 @@ Usage: qemu IMAGE [OPTION VALUE]…
     /// QEMU's own words for a port that is taken are hard to understand.
     fn is_free(address: SocketAddr) -> Result<()> {
         TcpListener::bind(address).map(drop).map_err(|error| {
-            HostError::new(
-                ErrorCode::LinkBusy,
-                format!("cannot listen: {error}"),
-                "stop what listens there, or give other addresses with --cable and --wireless",
-            )
-            .at(address.to_string())
+            Code::LinkBusy
+                .error(
+                    format!("cannot listen: {error}"),
+                    "stop what listens there, or give other addresses with --cable and --wireless",
+                )
+                .at(address.to_string())
         })
     }
 
-    fn usage(problem: impl Into<String>) -> HostError {
-        HostError::new(ErrorCode::Usage, problem, "see --help")
+    fn usage(problem: impl Into<String>) -> Problem {
+        Code::Usage.error(problem, "see --help")
     }
 }
 

@@ -1,6 +1,6 @@
 //! The whole loop on a simulated board in virtual time, over the real driver, node and wire.
 
-use wimu_host::ErrorCode;
+use wimu_host::Code;
 use wimu_sim::board::SensorPart;
 use wimu_sim::scenario::{Calibration, FirstLight, Outcome};
 use wimu_testkit::{Lane, figure};
@@ -22,8 +22,8 @@ fn holds_for_one_board(outcome: &Outcome) {
     // Nobody pushes over the radio without the key, before the board has one and after.
     assert_eq!(outcome.refusals.len(), 3);
     for refusal in &outcome.refusals {
-        let code = refusal.as_ref().map(|error| error.code());
-        assert_eq!(code, Some(ErrorCode::KeyNeeded), "{refusal:?}");
+        let code = refusal.as_ref().map(|error| error.code);
+        assert_eq!(code, Some(Code::KeyNeeded), "{refusal:?}");
     }
     assert!(outcome.push_s < 0.2, "{}", outcome.push_s);
     for replay in &outcome.replays {

@@ -4,7 +4,7 @@
 use std::cell::{Cell, RefCell};
 use std::time::Duration;
 
-use wimu_host::ErrorCode;
+use wimu_host::Code;
 use wimu_host::calibration::parameter_id;
 use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::decode::Event;
@@ -128,7 +128,7 @@ fn push_over(faults: &str, leap_every: Option<u32>, seed: u64, pushes: u32) -> C
                 counts.applied += 1;
             }
             Err(error) => {
-                assert_eq!(error.code(), ErrorCode::NoAnswer, "push {push}: {error}");
+                assert_eq!(error.code, Code::NoAnswer, "push {push}: {error}");
                 if found == id {
                     counts.unknown += 1;
                 } else {

@@ -185,7 +185,7 @@ fn only_raw_counts_are_replayed() {
     let in_si = formats::load(&path, &ReadOptions::default()).unwrap();
     let error = in_si.samples(Selection::default()).unwrap().counts().unwrap_err();
     assert_eq!(error.exit_code(), 2);
-    assert!(error.remedy().contains("LSB"), "{error}");
+    assert!(error.remedy.contains("LSB"), "{error}");
 }
 
 #[test]

@@ -8,9 +8,9 @@ use wimu_calib::{KnownDirection, Pose, align, straight_move};
 use wimu_model::ParameterSet;
 
 use crate::calibration::describe;
-use crate::error::{ErrorCode, HostError, Result};
-use crate::finding::Outcome;
+use crate::problem::Outcome;
 use crate::recording::Samples;
+use crate::{Code, Problem, Result};
 
 /// Largest number of rests that are listed.
 const MAX_RESTS: usize = 64;
@@ -28,7 +28,7 @@ const SAME_ATTITUDE_MPS2: f64 = 0.5;
 pub struct BodyAxis([f64; 3]);
 
 impl std::str::FromStr for BodyAxis {
-    type Err = HostError;
+    type Err = Problem;
 
     fn from_str(text: &str) -> Result<Self> {
         let (sign, axis) = match text.trim().strip_prefix('-') {
@@ -39,7 +39,7 @@ impl std::str::FromStr for BodyAxis {
             .iter()
             .position(|name| name.eq_ignore_ascii_case(axis))
             .ok_or_else(|| {
-                ErrorCode::Usage.error(
+                Code::Usage.error(
                     format!("`{text}` is not an axis of the body"),
                     "name the body axis that points up at each rest: x, -x, y, -y, z or -z",
                 )

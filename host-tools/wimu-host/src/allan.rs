@@ -15,9 +15,9 @@ use wimu_link::batch::Stream;
 use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
 use crate::decode::Event;
-use crate::error::{ErrorCode, Result};
-use crate::finding::{FindingCode, Outcome};
+use crate::problem::Outcome;
 use crate::recording::RateSource;
+use crate::{Code, Result};
 
 /// A number and its standard deviation, 1 σ.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -180,7 +180,7 @@ impl NoiseMeter {
             Event::Restart { .. } => self.next_sequence = None,
             Event::Epoch { epoch, .. } => {
                 let refused = |message: &str, remedy: &str| {
-                    ErrorCode::DataRefused.error(message, remedy).at(&self.name)
+                    Code::DataRefused.error(message, remedy).at(&self.name)
                 };
                 if let Some((rate_hz, _, range_g)) = self.running {
                     let rate = 1e9 / f64::from(epoch.period_ns.max(1));
@@ -256,7 +256,7 @@ impl NoiseMeter {
     /// `no_rows` when the link carried no raw samples.
     pub fn report(&self) -> Result<NoiseReport> {
         if self.force.samples() == 0 {
-            return Err(ErrorCode::NoRows
+            return Err(Code::NoRows
                 .error(
                     "no raw samples came over the link",
                     "switch the raw stream on with `wimu settings set`, or use the other link",
@@ -281,7 +281,7 @@ impl NoiseReport {
         let mut outcome = Outcome::default();
         if rate_source == RateSource::Assumed {
             let text = "the noise densities scale with the square root of the assumed rate";
-            outcome.findings.push(FindingCode::Rate.note(text));
+            outcome.findings.push(Code::Rate.note(text));
         }
         let kinds = [&sensor::ACCELEROMETER, &sensor::GYROSCOPE];
         let sensors =
@@ -292,7 +292,7 @@ impl NoiseReport {
                 }
                 Err(refusal) if place == 1 && allans[0].is_some() => {
                     let text = format!("the gyroscope's noise is not measured: {refusal}");
-                    outcome.findings.push(FindingCode::NotNoise.warning(text));
+                    outcome.findings.push(Code::NotNoise.warning(text));
                     None
                 }
                 Err(refusal) => {

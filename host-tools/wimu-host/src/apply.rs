@@ -21,7 +21,7 @@
 //! let correction = Correction::new(&calibration, &recording)?;
 //! let first = correction.rows().next().expect("a row");
 //! assert!((first.force_mps2[0] + 0.1).abs() < 1e-12 && (first.force_mps2[2] - 9.80665).abs() < 1e-12);
-//! # Ok::<(), wimu_host::HostError>(())
+//! # Ok::<(), wimu_host::Problem>(())
 //! ```
 
 use std::io::BufWriter;
@@ -33,14 +33,13 @@ use wimu_model::{
 
 use crate::calibration::StoredModel;
 use crate::csv::{self, CsvWriter};
-use crate::finding::{Finding, FindingCode};
 use crate::mcap_file::RosFile;
 use crate::motion::FIELD_CALIBRATED;
 use crate::recording::{Origin, Quantity, Recording, Track, Unit};
 use crate::ros::message::Message;
 use crate::ros::rate_covariance;
 use crate::stats::{median, norm};
-use crate::{ErrorCode, HostError, OutputFile, Result};
+use crate::{Code, OutputFile, Problem, Result};
 
 /// Largest departure of the median magnitude from gravity, relative: strong motion stays below. Chosen.
 const NOT_GRAVITY: f64 = 0.3;
@@ -73,7 +72,7 @@ pub struct Correction<'a> {
     field: Option<&'a Track>,
     temperature: Option<&'a Track>,
     /// What was noticed, without the findings of the recording.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Problem>,
 }
 
 impl<'a> Correction<'a> {
@@ -83,13 +82,13 @@ impl<'a> Correction<'a> {
     /// `data_refused` without a specific force or valid rows; `unknown_format` where the units of recording and
     /// calibration do not fit.
     pub fn new(calibration: &'a StoredModel, recording: &'a Recording) -> Result<Self> {
-        let at = |error: HostError| error.at(&recording.name);
+        let at = |error: Problem| error.at(&recording.name);
         let force = chosen(recording, Quantity::SpecificForce);
         let force = force.ok_or_else(|| at(no_force(recording)))?;
         let mut findings = Vec::new();
         if force.info.corrected {
             findings.push(
-                FindingCode::TrackChosen
+                Code::TrackChosen
                     .warning(format!("`{}` was corrected by the device before", force.info.name))
                     .remedy("use its uncorrected output, or the calibration of this output"),
             );
@@ -109,7 +108,7 @@ impl<'a> Correction<'a> {
         correction.findings.extend(correction.not_gravity());
         match force.valid().next() {
             Some(_) => Ok(correction),
-            None => Err(at(ErrorCode::DataRefused.error(
+            None => Err(at(Code::DataRefused.error(
                 format!("`{}` has no valid row", force.info.name),
                 "check the file with `wimu info`",
             ))),
@@ -117,11 +116,11 @@ impl<'a> Correction<'a> {
     }
 
     /// A warning where the median of the corrected magnitudes cannot be gravity: another unit, range or sensor.
-    fn not_gravity(&self) -> Option<Finding> {
+    fn not_gravity(&self) -> Option<Problem> {
         let median = median(self.rows().map(|row| norm(row.force_mps2)))?;
         ((median / STANDARD_GRAVITY_MPS2 - 1.0).abs() > NOT_GRAVITY).then(|| {
             let text = format!("the median magnitude after correction is {median:.2} m/s², and gravity 9.81");
-            let finding = FindingCode::UnitInferred.warning(text);
+            let finding = Code::UnitInferred.warning(text);
             finding.remedy("check the unit, --zero-count, and that the calibration is of this sensor at this range")
         })
     }
@@ -139,12 +138,11 @@ impl<'a> Correction<'a> {
         let name = &track.info.name;
         let finding = match (scale, &self.calibration.gyroscope) {
             (Some(_), Some(_)) => None,
-            (Some(_), None) => Some(FindingCode::Uncalibrated.note(format!(
+            (Some(_), None) => Some(Code::Uncalibrated.note(format!(
                 "`{name}` is only rotated to body axes: the calibration has no gyroscope"
             ))),
             (None, _) => Some(
-                FindingCode::Uncalibrated
-                    .warning(format!("`{name}` is left out: its unit is not known")),
+                Code::Uncalibrated.warning(format!("`{name}` is left out: its unit is not known")),
             ),
         };
         self.rate = scale.map(|scale| (track, scale));
@@ -287,9 +285,9 @@ fn chosen(recording: &Recording, quantity: Quantity) -> Option<&Track> {
     raw.min_by_key(|track| track.info.sensor).or_else(|| recording.first(quantity))
 }
 
-fn no_force(recording: &Recording) -> HostError {
+fn no_force(recording: &Recording) -> Problem {
     match recording.first(Quantity::LinearAcceleration) {
-        Some(track) => ErrorCode::DataRefused.error(
+        Some(track) => Code::DataRefused.error(
             format!(
                 "`{}` is linear acceleration (gravity removed) and cannot be corrected",
                 track.info.name
@@ -299,7 +297,7 @@ fn no_force(recording: &Recording) -> HostError {
         None => {
             let tracks = recording.tracks().iter();
             let names: Vec<&str> = tracks.map(|track| track.info.name.as_str()).collect();
-            ErrorCode::DataRefused.error(
+            Code::DataRefused.error(
                 format!("it has no accelerometer, but: {}", names.join(", ")),
                 "name its topic or columns",
             )
@@ -327,8 +325,7 @@ impl<'a> Corrector<'a> {
         force: &Track,
         given: Option<Option<f64>>,
     ) -> Result<Self> {
-        let wrong =
-            |message: &str, remedy: &str| Err(ErrorCode::UnknownFormat.error(message, remedy));
+        let wrong = |message: &str, remedy: &str| Err(Code::UnknownFormat.error(message, remedy));
         let si_per_lsb = match force.info.unit {
             Unit::Counts { si_per_lsb } => si_per_lsb,
             Unit::Si if stored.is_some_and(|stored| stored.of_counts) => {

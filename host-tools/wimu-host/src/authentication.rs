@@ -4,8 +4,8 @@ use serde::Serialize;
 use wimu_link::auth::KeyId;
 
 use crate::decode::{Arrival, Authenticity, Event};
-use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
+use crate::{Code, Problem};
 
 /// Most intervals that are listed.
 const MAX_LISTED: usize = 100;
@@ -35,7 +35,7 @@ pub struct Authentication {
     pub unknown_key: u64,
     /// The first 100 forged intervals and replayed tags, in device time.
     #[serde(skip)]
-    forgeries: Vec<Finding>,
+    forgeries: Vec<Problem>,
     /// The latest such key.
     #[serde(skip)]
     key: Option<KeyId>,
@@ -48,7 +48,7 @@ pub struct Authentication {
 
 impl Authentication {
     /// Takes the next event; returns what it shows to be forged or replayed.
-    pub fn see(&mut self, arrival: &Arrival) -> Option<&Finding> {
+    pub fn see(&mut self, arrival: &Arrival) -> Option<&Problem> {
         let first_ns = *self.first_ns.get_or_insert(arrival.host_ns);
         self.total_s = seconds(first_ns, arrival.host_ns);
         let interval = match &arrival.event {
@@ -87,7 +87,7 @@ impl Authentication {
         if self.forgeries.len() == MAX_LISTED {
             return None;
         }
-        let finding = FindingCode::Forged
+        let finding = Code::Forged
             .warning(what)
             .between((self.epoch_s - length_s).max(0.0), self.epoch_s)
             .remedy("do not use data of this time; find out who can send on this link");
@@ -102,7 +102,7 @@ impl Authentication {
 
     /// The warning that nothing is authentic of a device whose key this computer has: whoever removes the tags can change
     /// the data.
-    pub fn finding(&self) -> Option<Finding> {
+    pub fn finding(&self) -> Option<Problem> {
         let is_early = self.has_tags() && self.total_s < WHOLE_S;
         if !self.key_known || self.verified > 0 || is_early {
             return None;
@@ -111,13 +111,13 @@ impl Authentication {
             "authentic: 0.0 of {:.1} s, although this computer has the device's key",
             self.total_s
         );
-        Some(FindingCode::NotAuthentic.warning(text).remedy(
+        Some(Code::NotAuthentic.warning(text).remedy(
             "do not trust the data if the device has this key; find out who can change data on this link",
         ))
     }
 
     /// What was forged or replayed, and the warning that nothing is authentic.
-    pub fn findings(&self) -> impl Iterator<Item = Finding> + '_ {
+    pub fn findings(&self) -> impl Iterator<Item = Problem> + '_ {
         self.forgeries.iter().cloned().chain(self.finding())
     }
 

@@ -59,10 +59,10 @@ use wimu_calib::{
 use wimu_model::{ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity};
 
 use crate::csv::AccelerationUnit;
-use crate::error::{ErrorCode, Result};
-use crate::finding::{FindingCode, Outcome};
 use crate::plural::counted;
+use crate::problem::Outcome;
 use crate::recording::{OutputUnit, Samples};
+use crate::{Code, Result};
 use advice::{advice, next_poses};
 use input::{magnitude, median_magnitude, poses, rms, wrong_unit};
 use numbers::{numbers, static_poses};
@@ -132,7 +132,7 @@ pub fn parse_model(text: &str, method: MethodChoice) -> Result<(ModelChoice, Ter
             "temperature" => terms.with(Term::BiasTemperature).with(Term::ScaleTemperature),
             "quadratic" => terms.with(Term::Quadratic),
             other => {
-                return Err(ErrorCode::Usage.error(
+                return Err(Code::Usage.error(
                     format!("--model {text}: unknown term {other:?}"),
                     "the terms are drift, temperature and quadratic, as in 9+drift",
                 ));
@@ -148,14 +148,14 @@ pub fn parse_model(text: &str, method: MethodChoice) -> Result<(ModelChoice, Ter
         ("3", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::Bias3),
         ("auto", MethodChoice::MultiPosition) => ModelChoice::Auto,
         _ => {
-            return Err(ErrorCode::Usage.error(
+            return Err(Code::Usage.error(
                 format!("--model {text} does not go with --method {}", method.name()),
                 "multi-position has 3, 6, 9 or auto, six-position 12, four-angle and three-angle 6",
             ));
         }
     };
     if terms != Terms::NONE && method != MethodChoice::MultiPosition {
-        return Err(ErrorCode::Usage.error(
+        return Err(Code::Usage.error(
             format!("--model {text}: only multi-position has terms"),
             "leave the term out, or use --method multi-position",
         ));
@@ -206,8 +206,7 @@ pub fn local_gravity(options: &CalibrateOptions) -> Result<Gravity> {
 /// # Errors
 /// `usage` when an option is out of bounds.
 pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<CalibrationReport> {
-    let usage =
-        |message: String, flag: &str| ErrorCode::Usage.error(message, format!("check {flag}"));
+    let usage = |message: String, flag: &str| Code::Usage.error(message, format!("check {flag}"));
     let (gravity, gravity_source) = gravity::gravity(options)?;
     let placement = match options.placement_sd_deg {
         Some(degrees) => Placement::new(degrees.to_radians())
@@ -360,7 +359,7 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
     outcome.findings.extend(found.into_iter().chain(repeated));
     outcome.findings.extend(gyroscope_findings);
     outcome.findings.extend(noise_seen_mps2.map(|sd| {
-        FindingCode::Residuals.note(format!(
+        Code::Residuals.note(format!(
             "poses of fewer samples have larger residuals: a noise of {:.0} mm/s² per sample was estimated, and the poses \
              are weighted by it",
             sd * 1e3
@@ -390,7 +389,7 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
         let text = format!(
             "{count} left out because the others contradict them: {rejected_poses:?} (from 0)"
         );
-        (outcome.findings).push(FindingCode::PosesLeftOut.warning(text));
+        (outcome.findings).push(Code::PosesLeftOut.warning(text));
     }
     if let Some(refusal) = &refusal {
         let counts = matches!(data.unit, OutputUnit::Counts { .. });

@@ -6,7 +6,7 @@ mod svg;
 use std::path::{Path, PathBuf};
 
 use crate::stats::median;
-use crate::{HostError, OutputFile, Result};
+use crate::{OutputFile, Problem, Result};
 
 /// Writes every chart as SVG under its name into a folder, created if necessary; returns the files.
 ///
@@ -14,7 +14,7 @@ use crate::{HostError, OutputFile, Result};
 /// `file_failed`, `file_unreadable`.
 pub fn write_all(folder: &Path, charts: &[(&str, Chart)]) -> Result<Vec<PathBuf>> {
     std::fs::create_dir_all(folder)
-        .map_err(|error| HostError::file(&folder.display().to_string(), "create", &error))?;
+        .map_err(|error| Problem::file(&folder.display().to_string(), "create", &error))?;
     let mut files = Vec::new();
     for (name, chart) in charts {
         let file = folder.join(name).with_extension("svg");

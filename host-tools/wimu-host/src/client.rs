@@ -15,10 +15,10 @@ use wimu_model::{ParameterId, ParameterSet};
 
 use crate::clock::wire_length;
 use crate::decode::{Arrival, Decoder, Event, LinkStatistics};
-use crate::error::{ErrorCode, HostError, Result};
 use crate::keys;
 use crate::link_url::LinkUrl;
 use crate::transport::{self, Transport};
+use crate::{Code, Problem, Result};
 
 /// Interval between identification requests.
 const ASK_EVERY: Duration = Duration::from_millis(400);
@@ -72,7 +72,7 @@ pub fn connect(link: &LinkUrl) -> Result<Client<Box<dyn Transport + Send>>> {
         let transport = transport::open(link)?;
         return Client::connect(transport, &link.to_string(), ConnectOptions::default());
     }
-    let mut outcome = Err(ErrorCode::LinkAbsent.error("no port to try", "plug the board in"));
+    let mut outcome = Err(Code::LinkAbsent.error("no port to try", "plug the board in"));
     for candidate in transport::candidates()? {
         outcome = transport::open(&candidate).and_then(|transport| {
             Client::connect(transport, &candidate.to_string(), ConnectOptions::probe())
@@ -165,7 +165,7 @@ impl<T: Transport> Client<T> {
         if greeted.is_ok() && (hello.device_id, hello.role) != (known, role) {
             self.hello.device_id = known;
             self.hello.role = role;
-            return Err(ErrorCode::LinkLost
+            return Err(Code::LinkLost
                 .error(
                     format!(
                         "the {} link of device {:016x} answers now",
@@ -244,11 +244,11 @@ impl<T: Transport> Client<T> {
     }
 
     /// The error for a link that ends before any data: a server that accepts one host at a time.
-    fn turned_away(&self, error: HostError) -> HostError {
-        if error.code() != ErrorCode::LinkLost || self.decoder.statistics().bytes > 0 {
+    fn turned_away(&self, error: Problem) -> Problem {
+        if error.code != Code::LinkLost || self.decoder.statistics().bytes > 0 {
             return error;
         }
-        ErrorCode::LinkBusy
+        Code::LinkBusy
             .error(
                 "the other end closed the link at once",
                 "another program may be using it: close it; else check the address",
@@ -257,12 +257,12 @@ impl<T: Transport> Client<T> {
     }
 
     /// The error for a board of another wire version.
-    fn foreign(&self, version: u8) -> HostError {
+    fn foreign(&self, version: u8) -> Problem {
         let older = match version.cmp(&WIRE_VERSION) {
             Ordering::Less => "the board's firmware",
             _ => "wimu on this computer",
         };
-        ErrorCode::ProtocolVersion.error(format!(
+        Code::ProtocolVersion.error(format!(
                 "the board uses version {version} of the protocol, this wimu version {WIRE_VERSION}"
             ),
             format!("update {older}, which is the older one"),
@@ -270,7 +270,7 @@ impl<T: Transport> Client<T> {
         .at(&self.name)
     }
 
-    fn no_greeting(&self) -> HostError {
+    fn no_greeting(&self) -> Problem {
         let older = self.decoder.latest_version();
         let older = older.filter(|version| *version < WIRE_VERSION);
         if let Some(version) = self.decoder.foreign_version().or(older) {
@@ -293,7 +293,7 @@ impl<T: Transport> Client<T> {
                 "check the line from this computer to the board (TX of this side)",
             )
         };
-        ErrorCode::NotAWimuBoard.error(message, remedy).at(&self.name)
+        Code::NotAWimuBoard.error(message, remedy).at(&self.name)
     }
 
     /// Verifies the board's tags with the keys that this computer has of it; the results are among the events. Returns

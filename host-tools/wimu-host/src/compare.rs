@@ -12,10 +12,10 @@ use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
 
 use crate::clock::{ClockModel, ClockSummary};
-use crate::finding::{Finding, FindingCode, without_unit};
 use crate::history::LinkHistory;
 use crate::mcap_file::{RecordingReader, Wholeness};
-use crate::{ErrorCode, HostError, Result};
+use crate::problem::without_unit;
+use crate::{Code, Problem, Result};
 
 pub(crate) mod align;
 mod arrival;
@@ -87,7 +87,7 @@ pub struct Comparison {
     pub values_reason: Option<String>,
     /// What was noticed.
     #[serde(skip)]
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Problem>,
     /// Data of the charts.
     #[serde(skip)]
     history: History,
@@ -269,12 +269,12 @@ pub fn compare<R: Read>(
 }
 
 /// Why the values of two streams cannot be compared.
-fn incomparable(reason: Option<&str>) -> Option<Finding> {
-    reason.map(|reason| FindingCode::Incomparable.warning(format!("values: {reason}")))
+fn incomparable(reason: Option<&str>) -> Option<Problem> {
+    reason.map(|reason| Code::Incomparable.warning(format!("values: {reason}")))
 }
 
-fn refused(name: &str, message: impl Into<String>, remedy: &str) -> HostError {
-    ErrorCode::DataRefused.error(message, remedy).at(name)
+fn refused(name: &str, message: impl Into<String>, remedy: &str) -> Problem {
+    Code::DataRefused.error(message, remedy).at(name)
 }
 
 /// Orders the values of a link and of the other one: cable first, wireless link second.

@@ -9,7 +9,7 @@ pub(crate) mod number;
 
 use std::io::Write;
 
-use crate::error::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// The column of times.
 pub const TIME: &str = "Time (s)";
@@ -57,14 +57,14 @@ impl Filter {
 }
 
 impl std::str::FromStr for Filter {
-    type Err = HostError;
+    type Err = Problem;
 
     fn from_str(text: &str) -> Result<Self> {
         let pair = |pair: &str| match pair.split_once('=') {
             Some((column, value)) if !column.trim().is_empty() => {
                 Ok((column.trim().to_owned(), value.trim().to_owned()))
             }
-            _ => Err(ErrorCode::Usage.error(
+            _ => Err(Code::Usage.error(
                 format!("`{pair}` in the row filter is not COLUMN=VALUE"),
                 "write for example --where \"Run=2,IMU=0\"",
             )),
@@ -131,7 +131,7 @@ impl<W: Write> CsvWriter<W> {
         self.fields.resize(self.columns, String::new());
         let written = self.writer.write_record(&self.fields);
         self.fields.clear();
-        written.map_err(|error| HostError::file(&self.name, "write", &error.into()))
+        written.map_err(|error| Problem::file(&self.name, "write", &error.into()))
     }
 
     /// Writes what is buffered.
@@ -140,6 +140,6 @@ impl<W: Write> CsvWriter<W> {
     /// `file_failed`.
     pub fn finish(mut self) -> Result<()> {
         let flushed = self.writer.flush();
-        flushed.map_err(|error| HostError::file(&self.name, "write", &error))
+        flushed.map_err(|error| Problem::file(&self.name, "write", &error))
     }
 }

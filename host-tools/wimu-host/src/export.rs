@@ -18,7 +18,7 @@ use crate::motion::FIELD_CALIBRATED;
 use crate::replay::find;
 use crate::stream::{self, Part};
 use crate::units::SampleUnit;
-use crate::{ErrorCode, OutputFile, Result};
+use crate::{Code, OutputFile, Result};
 
 /// Content of a table. With a gyroscope, samples have its axes, too, and positions an attitude.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -89,11 +89,11 @@ pub fn to_csv(
     if link.boots.iter().map(count).sum::<usize>() == 0 {
         let message = format!("the {role} link carried no such samples");
         return Err(match source.sensor {
-            0 => ErrorCode::NoRows.error(
+            0 => Code::NoRows.error(
                 message,
                 "export another stream or the other link, or switch the stream on with `wimu settings set`",
             ),
-            sensor => ErrorCode::NoRows.error(
+            sensor => Code::NoRows.error(
                 format!("{message} of sensor {sensor}"),
                 format!("export the raw stream of one of the sensors {sensors:?}"),
             ),
@@ -101,7 +101,7 @@ pub fn to_csv(
     }
     if let Some(model) = source.link_model {
         if source.sensor > 0 {
-            return Err(ErrorCode::Usage.error(
+            return Err(Code::Usage.error(
                 format!("a link's error model does not apply to sensor {}", source.sensor),
                 "leave out --link-model, or --sensor",
             ));

@@ -26,9 +26,8 @@ pub use summary::{Summary, TrackSummary};
 pub(crate) use table::acceleration_unit;
 
 use crate::csv::Filter;
-use crate::error::{ErrorCode, HostError, Result};
-use crate::finding::Finding;
 use crate::recording::{OF_WIMU, Quantity, Recording, Sink, TrackId, TrackInfo};
+use crate::{Code, Problem, Result};
 
 /// How to read a file whose content does not say enough.
 #[derive(Clone, Debug, Default)]
@@ -159,7 +158,7 @@ impl Sink for Scaled<'_> {
         self.sink.gap(track);
     }
 
-    fn finding(&mut self, finding: Finding) {
+    fn finding(&mut self, finding: Problem) {
         self.sink.finding(finding);
     }
 
@@ -181,7 +180,7 @@ fn refuse_ignored(format: &Format, options: &ReadOptions) -> Result<()> {
     let mut given = given.into_iter().zip(ALL_OPTIONS);
     match given.find(|(given, option)| *given && !format.takes.contains(option)) {
         None => Ok(()),
-        Some((_, option)) => Err(ErrorCode::Usage.error(
+        Some((_, option)) => Err(Code::Usage.error(
             format!("--{option} has no effect on the format `{}`", format.name),
             "leave it out",
         )),
@@ -193,7 +192,7 @@ fn named(name: &str) -> Result<&'static Format> {
     found.ok_or_else(|| {
         let names = FORMATS.iter().map(|format| format.name);
         let names: Vec<&str> = names.filter(|name| *name != UNSUPPORTED).collect();
-        ErrorCode::Usage.error(
+        Code::Usage.error(
             format!("there is no format `{name}`"),
             format!("choose one of {}", names.join(", ")),
         )
@@ -208,24 +207,24 @@ fn recordings(source: &Source) -> Vec<&Source> {
     members.filter(|member| formats().any(|format| (format.detect)(member))).collect()
 }
 
-fn unknown(source: &Source, several: &[&Source]) -> HostError {
+fn unknown(source: &Source, several: &[&Source]) -> Problem {
     let is_workbook = |member: &Source| member.name().contains("xl/workbook");
     let (code, message, remedy) = match several {
         [_, ..] => {
             let names: Vec<&str> = several.iter().map(|member| member.name()).collect();
             let message = format!("it has {} recordings: {}", several.len(), names.join(", "));
-            (ErrorCode::Usage, message, "give one of them")
+            (Code::Usage, message, "give one of them")
         }
         [] if source.members().iter().any(is_workbook) => (
-            ErrorCode::UnknownFormat,
+            Code::UnknownFormat,
             "this is an Excel workbook, which wimu does not read".to_owned(),
             "save its sheet as CSV (UTF-8)",
         ),
         [] if source.start().is_empty() && source.members().is_empty() => {
-            (ErrorCode::CsvEmpty, "the file is empty".to_owned(), "record or export it again")
+            (Code::CsvEmpty, "the file is empty".to_owned(), "record or export it again")
         }
         [] => (
-            ErrorCode::UnknownFormat,
+            Code::UnknownFormat,
             "the format is not known".to_owned(),
             "see docs/FORMATS.md, or convert it to CSV",
         ),

@@ -17,10 +17,9 @@ use crate::authentication::Authentication;
 use crate::calibration::source::ActiveParameters;
 use crate::clock::{ClockEstimator, ClockModel};
 use crate::decode::{Arrival, Event, LinkStatistics, Samples, TimedSample, sequence_order};
-use crate::error::{ErrorCode, Result};
-use crate::finding::Finding;
 use crate::units::RawUnit;
 use crate::walk::Start;
+use crate::{Code, Problem, Result};
 
 mod recording;
 
@@ -174,7 +173,7 @@ impl Boot {
     /// `bad_recording` when they were not sent or are invalid.
     pub fn parameters_of(&self, epoch: &Epoch) -> Result<ParameterSet> {
         let bad = |message: String| {
-            ErrorCode::BadRecording.error(
+            Code::BadRecording.error(
                 message,
                 "record from the connection on: the device then sends its parameters",
             )
@@ -202,7 +201,7 @@ impl Boot {
     }
 
     /// A note where the source of parameters that its epochs name is not known here.
-    pub fn unknown_source(&self) -> Option<Finding> {
+    pub fn unknown_source(&self) -> Option<Problem> {
         let is_used =
             |set: &ActiveParameters| self.epochs.iter().any(|mark| mark.epoch.parameters == set.id);
         self.parameters.iter().filter(|set| is_used(set)).find_map(ActiveParameters::unknown_source)
@@ -213,7 +212,7 @@ impl Boot {
         let report =
             reports.find(|report| report.id == epoch.parameters && report.active.is_some());
         report.ok_or_else(|| {
-            ErrorCode::BadRecording.error(
+            Code::BadRecording.error(
                 format!("the recording lacks the parameters {:08x}", epoch.parameters),
                 "record from the connection on: the device then sends its parameters",
             )
@@ -417,7 +416,7 @@ impl LinkHistory {
     }
 
     /// A note where the source of [`last_parameters`](Self::last_parameters) is not known here.
-    pub fn unknown_source(&self) -> Option<Finding> {
+    pub fn unknown_source(&self) -> Option<Problem> {
         let boot = self.last_with_raw()?;
         boot.reported(&boot.epochs.last()?.epoch).ok()?.unknown_source()
     }

@@ -4,9 +4,9 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use crate::chart::Chart;
-use crate::finding::{self, Finding, FindingCode, Severity};
 use crate::plural::counted;
-use crate::{OutputFile, Result};
+use crate::problem;
+use crate::{Code, OutputFile, Problem, Result, Severity};
 
 /// The script that draws charts into the `figure`s of a page; `new WimuPlot(element, chart)` draws one.
 pub const PLOT_SCRIPT: &str = include_str!("html/plot.js");
@@ -52,15 +52,15 @@ impl Report {
     }
 
     /// All findings, if there are any: warnings with the result, and all of them with the text of the command.
-    pub fn findings(&mut self, findings: &[Finding]) -> &mut Self {
-        let is_warning = |finding: &&Finding| {
-            finding.severity >= Severity::Warning && finding.code != FindingCode::NoResult
+    pub fn findings(&mut self, findings: &[Problem]) -> &mut Self {
+        let is_warning = |finding: &&Problem| {
+            finding.severity >= Severity::Warning && finding.code != Code::NoResult
         };
         for finding in findings.iter().filter(is_warning) {
             let text = escape(&finding.to_string());
             let _ = writeln!(self.warnings, "<p>{text}</p>");
         }
-        match finding::text(findings, usize::MAX) {
+        match problem::text(findings, usize::MAX) {
             text if text.is_empty() => self,
             text => self.printed(text.trim_end()),
         }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use wimu_link::auth::{DeviceKey, KeyId};
 
 use crate::OutputFile;
-use crate::error::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// The user's folder for wimu: `wimu` in `$XDG_CONFIG_HOME` or `~/.config`, on Windows in `%APPDATA%`, on macOS in
 /// `~/Library/Application Support`.
@@ -25,7 +25,7 @@ pub fn configuration() -> Result<PathBuf> {
         variable("XDG_CONFIG_HOME").map(PathBuf::from).or_else(|| home(fallback))
     };
     base.map(|base| base.join("wimu")).ok_or_else(|| {
-        ErrorCode::Usage.error(
+        Code::Usage.error(
             "this user has no folder for configuration, where keys are kept",
             "set HOME or XDG_CONFIG_HOME",
         )
@@ -149,12 +149,12 @@ impl KeyFolder {
         let name = path.display().to_string();
         let known = match fs::read_to_string(&path) {
             Err(error) if error.kind() == ErrorKind::NotFound => String::new(),
-            read => read.map_err(|error| HostError::file(&name, "read", &error))?,
+            read => read.map_err(|error| Problem::file(&name, "read", &error))?,
         };
         let id = format!("{device_id:016x}");
         let mut names = known.lines().filter_map(|line| line.rsplit_once(' '));
         match names.find(|(known, _)| *known == board) {
-            Some((_, first)) if first != id => Err(ErrorCode::DeviceChanged
+            Some((_, first)) if first != id => Err(Code::DeviceChanged
                 .error(
                     format!("device {id} answers, this board was device {first}"),
                     format!("if the board was exchanged on purpose, remove its line from {name}; else do not trust the broker"),
@@ -171,7 +171,7 @@ impl KeyFolder {
     /// When it cannot be written; nothing has changed then.
     pub fn prepare(&self, device_id: u64, key: &DeviceKey) -> Result<()> {
         let path = self.pending(device_id);
-        let failed = |error| HostError::file(&path.display().to_string(), "write", &error);
+        let failed = |error| Problem::file(&path.display().to_string(), "write", &error);
         let mut folder = fs::DirBuilder::new();
         folder.recursive(true);
         #[cfg(unix)]
@@ -198,7 +198,7 @@ impl KeyFolder {
         unless_absent(fs::rename(&file, self.replaced(device_id)))
             .and_then(|()| fs::rename(&path, &file))
             .and_then(|()| self.sync())
-            .map_err(|error| HostError::file(&path.display().to_string(), "rename", &error))
+            .map_err(|error| Problem::file(&path.display().to_string(), "rename", &error))
     }
 
     /// Removes the replaced key, once the device has proved that it has the new one: with the old one
@@ -230,7 +230,7 @@ impl KeyFolder {
             };
             let is_sticky = mode & 0o1000 != 0 && folder != self.0;
             if mode & others != 0 && !is_sticky {
-                return Err(ErrorCode::FileUnreadable
+                return Err(Code::FileUnreadable
                     .error("others can change this folder of keys", remedy)
                     .at(folder.display().to_string()));
             }
@@ -253,7 +253,7 @@ impl KeyFolder {
         let files = [Self::file, Self::pending, Self::replaced];
         for path in files.map(|file| file(self, device_id)) {
             unless_absent(fs::remove_file(&path))
-                .map_err(|error| HostError::file(&path.display().to_string(), "remove", &error))?;
+                .map_err(|error| Problem::file(&path.display().to_string(), "remove", &error))?;
         }
         Ok(())
     }
@@ -272,7 +272,7 @@ pub fn generate() -> Result<DeviceKey> {
 /// Fills `bytes` from the random source of the operating system.
 pub fn random(bytes: &mut [u8]) -> Result<()> {
     getrandom::fill(bytes).map_err(|error| {
-        ErrorCode::FileFailed.error(
+        Code::FileFailed.error(
             format!("no random numbers from the operating system: {error}"),
             "run wimu on a system with a random source",
         )
@@ -305,7 +305,7 @@ enum Found {
     /// There is no such file.
     Nothing,
     /// Not a key, and why.
-    Damaged(HostError),
+    Damaged(Problem),
 }
 
 fn read(path: &Path) -> Result<Found> {
@@ -313,17 +313,17 @@ fn read(path: &Path) -> Result<Found> {
     let bytes = match fs::read(path) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Found::Nothing),
-        Err(error) => return Err(HostError::file(&name, "read", &error)),
+        Err(error) => return Err(Problem::file(&name, "read", &error)),
     };
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;
         let mode = fs::metadata(path)
-            .map_err(|error| HostError::file(&name, "read", &error))?
+            .map_err(|error| Problem::file(&name, "read", &error))?
             .permissions()
             .mode();
         if mode & 0o077 != 0 {
-            return Err(ErrorCode::FileUnreadable.error("others can read this key",
+            return Err(Code::FileUnreadable.error("others can read this key",
                 "set its mode to 600 (chmod 600), and give the device a new one: wimu key rotate",
             )
             .at(name));
@@ -336,7 +336,7 @@ fn read(path: &Path) -> Result<Found> {
     Ok(match key.try_into() {
         Ok(key) if digits.len() == 2 * DeviceKey::LENGTH => Found::Key(DeviceKey::new(key)),
         _ => Found::Damaged(
-            ErrorCode::FileUnreadable.error(format!(
+            Code::FileUnreadable.error(format!(
                         "a key is {} hexadecimal digits, but the {} bytes of this file are not",
                     2 * DeviceKey::LENGTH,
                     digits.len()

@@ -4,9 +4,9 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use crate::error::{ErrorCode, HostError, Result};
 use crate::fleet::topics::{Broker, Name};
 use crate::formats::{self, Source};
+use crate::{Code, Problem, Result};
 
 /// Default baud rate.
 pub const DEFAULT_BAUD: u32 = 115_200;
@@ -56,11 +56,11 @@ pub enum LinkUrl {
 }
 
 impl FromStr for LinkUrl {
-    type Err = HostError;
+    type Err = Problem;
 
     fn from_str(text: &str) -> Result<Self> {
         let bad = |message: String| {
-            ErrorCode::BadLink.error(message,
+            Code::BadLink.error(message,
                 "write serial:///dev/ttyACM0?baud=115200, COM5, /dev/ttyACM0, tcp://127.0.0.1:7100, mqtt://HOST/FLEET/BOARD or auto",
             )
             .at(text)
@@ -75,9 +75,8 @@ impl FromStr for LinkUrl {
             return parse_tcp(rest).map_err(bad);
         }
         if text.starts_with("mqtt://") || text.starts_with("mqtts://") {
-            return parse_mqtt(text).map_err(|why| {
-                ErrorCode::BadLink.error(why, "write mqtt://HOST/FLEET/BOARD").at(text)
-            });
+            return parse_mqtt(text)
+                .map_err(|why| Code::BadLink.error(why, "write mqtt://HOST/FLEET/BOARD").at(text));
         }
         if let Some(name) = text.strip_prefix("ble://") {
             return parse_ble(name, text).map_err(|error| error.at(text));
@@ -119,7 +118,7 @@ fn parse_serial(rest: &str) -> Result<LinkUrl, String> {
 fn parse_ble(name: &str, _: &str) -> Result<LinkUrl> {
     let missing = || {
         let message = "the name of the unit is missing";
-        ErrorCode::BadLink.error(message, "`wimu ports --probe` lists the units in range")
+        Code::BadLink.error(message, "`wimu ports --probe` lists the units in range")
     };
     let name = Some(name.trim_end_matches('/')).filter(|name| !name.is_empty());
     let name = name.ok_or_else(missing)?.to_owned();
@@ -202,7 +201,7 @@ impl Input {
             return match text.parse() {
                 Ok(link) => Ok(Self::Link(link)),
                 Err(error) if text.contains("://") => Err(error),
-                Err(_) => Err(ErrorCode::FileUnreadable.error("there is no such file, and it is not a LINK",
+                Err(_) => Err(Code::FileUnreadable.error("there is no such file, and it is not a LINK",
                     "name a recording (.mcap), a CSV file, or a LINK such as /dev/ttyACM0 or tcp://127.0.0.1:7100",
                 )
                 .at(text)),

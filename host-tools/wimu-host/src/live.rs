@@ -15,7 +15,7 @@ use crate::clock::{ClockEstimator, ClockModel, Pace};
 use crate::decode::{Arrival, Event, LinkStatistics};
 use crate::mcap_file::{Received, Recorded};
 use crate::transport::{self, Transport};
-use crate::{ErrorCode, HostError, LinkUrl, Result};
+use crate::{Code, LinkUrl, Problem, Result};
 
 /// Longest wait for data before the stop flag is checked, and longest time until data are passed on.
 const GLANCE: Duration = Duration::from_millis(20);
@@ -118,7 +118,7 @@ pub struct Heard {
     /// What its tags show.
     pub authentication: Authentication,
     /// Why it is lost at present.
-    pub lost: Option<HostError>,
+    pub lost: Option<Problem>,
 }
 
 /// Receives the data of one link and requests the board's time.
@@ -156,7 +156,7 @@ impl Listener<'_> {
                 entries.push(Recorded::Lost {
                     role: self.role,
                     host_ns,
-                    reason: error.message().to_owned(),
+                    reason: error.text.clone(),
                 });
             }
             // The estimate takes longer than a read.
@@ -253,7 +253,7 @@ impl Listener<'_> {
     }
 
     /// Tries until the link is back.
-    fn reconnect(&mut self, mut error: HostError, tell: &impl Fn(Heard) -> bool) {
+    fn reconnect(&mut self, mut error: Problem, tell: &impl Fn(Heard) -> bool) {
         loop {
             let wait = Instant::now();
             while wait.elapsed() < TRY_EVERY {
@@ -271,7 +271,7 @@ impl Listener<'_> {
                 Err(absent) => Err(absent),
             };
             let back = resumed.is_ok();
-            let another = matches!(&resumed, Err(still) if still.code() == ErrorCode::LinkLost);
+            let another = matches!(&resumed, Err(still) if still.code == Code::LinkLost);
             if let Err(still) = resumed {
                 error = still;
             }
@@ -286,7 +286,7 @@ impl Listener<'_> {
                     entries.push(Recorded::Lost {
                         role,
                         host_ns: nanoseconds(self.client.transport().now()),
-                        reason: error.message().to_owned(),
+                        reason: error.text.clone(),
                     });
                 }
             }

@@ -17,8 +17,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use mcap::records::op;
 use wimu_link::LinkRole;
 
-use crate::error::{ErrorCode, HostError, Result};
-use crate::finding::{Finding, FindingCode};
+use crate::{Code, Problem, Result};
 
 mod reader;
 pub(crate) mod records;

@@ -15,7 +15,7 @@ use std::ops::Range;
 use nalgebra::{Matrix3, SMatrix};
 use wimu_model::{Alignment, ModelCovariance};
 
-use crate::finding::Finding;
+use crate::Problem;
 use crate::stats::{median, norm};
 
 /// A sample of one unit, corrected, body frame.
@@ -96,7 +96,7 @@ pub struct MotionRecording {
     /// `Truth …` columns, where they are filled in.
     pub truth: Vec<Option<Truth>>,
     /// What was noticed at reading.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Problem>,
     /// Covariance of the calibration of its accelerometer, body axes: bias, m/s², then the matrix by rows; `None` where it
     /// is not known.
     pub covariance: Option<[[f64; 12]; 12]>,

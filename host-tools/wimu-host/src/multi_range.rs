@@ -22,7 +22,7 @@
 //! let force = merge.recording.first(Quantity::SpecificForce).expect("one accelerometer");
 //! let peak = force.vectors().map(|(_, [x, ..])| x.abs()).fold(0.0, f64::max);
 //! assert!((peak - 40.0).abs() < 0.4);
-//! # Ok::<(), wimu_host::HostError>(())
+//! # Ok::<(), wimu_host::Problem>(())
 //! ```
 
 mod findings;
@@ -33,10 +33,9 @@ use serde::Serialize;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 use wimu_nav::sensor::Reading;
 
-use crate::finding::Finding;
 use crate::recording::{Origin, Quantity, Recording, Track, Unit};
 use crate::series::{Series, period_s};
-use crate::{ErrorCode, Result};
+use crate::{Code, Problem, Result};
 use findings::{judged, saturated, summary};
 use fit::{Clock, Fine, Fit};
 
@@ -60,7 +59,7 @@ impl FullScales {
     pub fn of(values_g: &[f64]) -> Result<Self> {
         let are_possible = values_g.iter().all(|g| *g > 0.0 && *g <= WIDEST_G);
         if !are_possible || values_g.len() == 1 || values_g.len() > MOST {
-            return Err(ErrorCode::Usage.error(
+            return Err(Code::Usage.error(
                 format!("full scales of two or three accelerometers are needed, got {values_g:?}"),
                 "give them in g, in the order of the accelerometers: 2,16",
             ));
@@ -122,7 +121,7 @@ pub struct Merge {
     /// The accelerometers, the finest first.
     pub sensors: Vec<MergedSensor>,
     /// What was found; the first says what was merged.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Problem>,
 }
 
 impl Merge {
@@ -135,7 +134,7 @@ impl Merge {
     pub fn of(recording: &Recording, given: &FullScales) -> Result<Option<Self>> {
         let tracks = forces(recording);
         if given.count() > 0 && given.count() != tracks.len() {
-            let error = ErrorCode::Usage.error(
+            let error = Code::Usage.error(
                 format!("{} full scales for {} accelerometers", given.count(), tracks.len()),
                 "give the full scale of each accelerometer with times, in g: `wimu info FILE` lists them",
             );
@@ -150,7 +149,7 @@ impl Merge {
         let differ = widest.full_scale >= WIDER * finest.full_scale;
         let are_known = sensors.len() == tracks.len();
         if given.count() > 0 && !are_known {
-            let error = ErrorCode::UnknownFormat.error(
+            let error = Code::UnknownFormat.error(
                 "the unit of an accelerometer is not known",
                 "name it in its columns, as `Accelerometer 0 X (m/s²)` or (g)",
             );
@@ -176,7 +175,7 @@ impl Merge {
         for coarse in coarser {
             let fine = Fine { times_s: &finest.series.times_s, readings: &readings, noise };
             let fit = fine.fit(&coarse.series, coarse.noise).ok_or_else(|| {
-                ErrorCode::DataRefused.error(
+                Code::DataRefused.error(
                     format!(
                         "accelerometers {} and {} have too few samples in common",
                         finest.sensor, coarse.sensor

@@ -8,7 +8,6 @@ use wimu_model::{
 };
 
 use crate::decode::TimedSample;
-use crate::finding::FindingCode;
 use crate::history::Boot;
 use crate::motion::{MotionRecording, UnitSample};
 use crate::multi_range::{FullScales, Merge};
@@ -16,7 +15,7 @@ use crate::recording::{Quantity, Recording};
 use crate::replay::{Correction, Replay, Step, find};
 use crate::stats::norm;
 use crate::stream::Part;
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// Largest specific force after correction per *g* of full-scale range, m/s²: 1.5 g.
 const BEYOND_RANGE: f64 = 1.5 * wimu_model::STANDARD_GRAVITY_MPS2;
@@ -89,7 +88,7 @@ pub fn recomputed(
     zupt: bool,
 ) -> Result<Vec<Point>> {
     let (Some(first), Some(latest)) = (boot.epochs.first(), boot.epochs.last()) else {
-        return Err(ErrorCode::NoRows.error(
+        return Err(Code::NoRows.error(
             "the recording has no epoch, so the sample period is unknown",
             "record for longer than a second",
         ));
@@ -128,8 +127,8 @@ fn first_temperature(boot: &Boot) -> Option<CentiCelsius> {
     boot.environment.iter().find_map(|e| e.temperature_centi_c).map(CentiCelsius)
 }
 
-fn refused(error: impl std::error::Error) -> HostError {
-    ErrorCode::DataRefused.error(error.to_string(), "give the calibration of this sensor")
+fn refused(error: impl std::error::Error) -> Problem {
+    Code::DataRefused.error(error.to_string(), "give the calibration of this sensor")
 }
 
 /// The samples of one start as input of [`crate::inertial::navigate`], with the magnetic field where the
@@ -174,7 +173,7 @@ pub fn motion(
             .collect(),
     };
     if forces.len() < 2 {
-        return Err(ErrorCode::NoRows
+        return Err(Code::NoRows
             .error("fewer than two samples can be corrected", "record for longer than a second")
             .at(name));
     }
@@ -248,9 +247,8 @@ fn widen(
         Ok(Some(merge)) => merge,
         Ok(None) => return Ok(()),
         Err(error) => {
-            let finding =
-                FindingCode::Navigation.warning(format!("not merged: {}", error.message()));
-            motion.findings.push(finding.remedy(error.remedy()));
+            let finding = Code::Navigation.warning(format!("not merged: {}", error.text));
+            motion.findings.push(finding.remedy(error.remedy));
             return Ok(());
         }
     };

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use tempfile::{Builder, TempPath};
 
-use crate::{HostError, Result};
+use crate::{Problem, Result};
 
 /// The name of standard output.
 const STANDARD_OUTPUT: &str = "-";
@@ -30,7 +30,7 @@ impl OutputFile {
     /// `file_unreadable`, `file_failed`: the existing file is unchanged.
     pub fn create(path: &Path) -> Result<(Self, File)> {
         let name = path.display().to_string();
-        let (file, draft) = begun(path).map_err(|e| HostError::file(&name, "create", &e))?;
+        let (file, draft) = begun(path).map_err(|e| Problem::file(&name, "create", &e))?;
         Ok((Self { name, draft }, file))
     }
 
@@ -41,7 +41,7 @@ impl OutputFile {
     pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
         let (output, mut file) = Self::create(path)?;
         let written = file.write_all(content.as_ref());
-        written.map_err(|e| HostError::file(&output.name, "write", &e))?;
+        written.map_err(|e| Problem::file(&output.name, "write", &e))?;
         output.finish()
     }
 
@@ -64,7 +64,7 @@ impl OutputFile {
         let Some((temporary, target)) = self.draft else {
             return Ok(());
         };
-        let failed = |error: io::Error| HostError::file(&self.name, "write", &error);
+        let failed = |error: io::Error| Problem::file(&self.name, "write", &error);
         if target.as_os_str() == STANDARD_OUTPUT {
             let copied = File::open(&temporary)
                 .and_then(|mut file| io::copy(&mut file, &mut stdout().lock()));

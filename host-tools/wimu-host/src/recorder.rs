@@ -15,7 +15,7 @@ use crate::decode::{Event, LinkStatistics};
 use crate::live::{LiveClient, LiveLinks, Tap};
 use crate::mcap_file::{ClockAnchor, RecordingWriter};
 use crate::transport::{self, Transport};
-use crate::{ErrorCode, HostError, LinkUrl, Result};
+use crate::{Code, LinkUrl, Problem, Result};
 
 /// Longest wait for data before the stop flag is checked.
 const GLANCE: Duration = Duration::from_millis(20);
@@ -26,7 +26,7 @@ pub struct Progress {
     /// The links.
     pub links: Vec<LinkProgress>,
     /// Why the recording ended: every link was lost and did not come back in time.
-    pub ended: Option<HostError>,
+    pub ended: Option<Problem>,
 }
 
 /// Progress of one link.
@@ -41,7 +41,7 @@ pub struct LinkProgress {
     /// What its tags show.
     pub authentication: Authentication,
     /// Why it is lost at present.
-    pub lost: Option<HostError>,
+    pub lost: Option<Problem>,
 }
 
 /// A recorder with open links, before its file is created.
@@ -72,7 +72,7 @@ impl Recorder {
                 } else {
                     continue;
                 };
-                return Err(ErrorCode::Usage.error(
+                return Err(Code::Usage.error(
                     format!("{} and {} {trouble}", other.name(), client.name()),
                     "give the wireless link and the cable of one board",
                 ));

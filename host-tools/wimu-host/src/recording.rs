@@ -25,9 +25,9 @@ mod times;
 
 use wimu_model::SensorId;
 
-use crate::finding::{Finding, FindingCode, Severity};
 use crate::stats::median;
 use crate::untrusted::printable;
+use crate::{Code, Problem, Severity};
 pub(crate) use checks::Unusable;
 pub(crate) use link::{FORMAT as OF_WIMU, LinkRows};
 pub(crate) use samples::{ASSUMED_RATE_HZ, gaps_finding, no_usable_row, unit_of};
@@ -217,7 +217,7 @@ pub trait Sink {
     /// Samples of a track are missing before its next row.
     fn gap(&mut self, _track: TrackId) {}
     /// Something noticed.
-    fn finding(&mut self, finding: Finding);
+    fn finding(&mut self, finding: Problem);
     /// Whether a file without inertial data serves.
     fn takes_any(&self) -> bool {
         false
@@ -296,7 +296,7 @@ pub struct Recording {
     pub format: &'static str,
     tracks: Vec<Track>,
     /// What was noticed at reading.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Problem>,
 }
 
 impl Recording {
@@ -328,9 +328,9 @@ impl Recording {
     }
 
     /// Warnings and assumptions of reading, but for those that the caller reports itself.
-    pub(crate) fn relevant(&self, of_caller: &[FindingCode]) -> Vec<Finding> {
-        use FindingCode::{GravityAdded, UnitInferred, ZeroCount};
-        let is_news = |finding: &&Finding| {
+    pub(crate) fn relevant(&self, of_caller: &[Code]) -> Vec<Problem> {
+        use crate::Code::{GravityAdded, UnitInferred, ZeroCount};
+        let is_news = |finding: &&Problem| {
             let assumed = matches!(finding.code, UnitInferred | ZeroCount | GravityAdded);
             let counts = assumed || finding.severity > Severity::Note;
             counts && !of_caller.contains(&finding.code)
@@ -402,7 +402,7 @@ impl Sink for Recording {
     }
 
     /// Each finding is kept once.
-    fn finding(&mut self, finding: Finding) {
+    fn finding(&mut self, finding: Problem) {
         if !self.findings.contains(&finding) {
             self.findings.push(finding);
         }

@@ -10,8 +10,8 @@ use wimu_model::{
 
 use crate::calibration::compiled_for;
 use crate::decode::{TimedSample, sequence_order};
-use crate::error::{ErrorCode, HostError, Result};
 use crate::history::{Boot, EpochMark};
+use crate::{Code, Problem, Result};
 
 /// Longest interval between epochs, ns of samples; without the next one by then
 /// the state of the device is unknown.
@@ -41,7 +41,7 @@ pub enum Step {
         /// Its index.
         index: usize,
         /// Why.
-        error: HostError,
+        error: Problem,
     },
 }
 
@@ -83,7 +83,7 @@ struct Running {
 impl Running {
     fn from_epoch(boot: &Boot, mark: &EpochMark) -> Result<Self> {
         if !mark.epoch.is_ours() {
-            return Err(ErrorCode::BadRecording.error(format!(
+            return Err(Code::BadRecording.error(format!(
                     "the device uses revision {} of the arithmetic, this wimu {ARITHMETIC_REVISION}: a bit-exact replay is not possible",
                     mark.epoch.revision
                 ),
@@ -211,8 +211,8 @@ fn most_samples(mark: &EpochMark) -> u64 {
     EPOCH_WITHIN_NS / u64::from(mark.epoch.period_ns.max(1)) + 1
 }
 
-fn unusable(error: impl std::error::Error) -> HostError {
-    ErrorCode::BadRecording.error(
+fn unusable(error: impl std::error::Error) -> Problem {
+    Code::BadRecording.error(
         format!("an epoch cannot be replayed: {error}"),
         "update firmware and wimu to one version",
     )

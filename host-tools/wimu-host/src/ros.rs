@@ -31,13 +31,13 @@ use wimu_model::{DeviceTimeUs, Matrix3};
 use crate::clock::ClockModel;
 use crate::compare::LinkModel;
 use crate::decode::{Event, Samples, sequence_order};
-use crate::finding::{Finding, FindingCode, without_unit};
 use crate::history::{Boot, LinkHistory, Recording, StartData};
 use crate::mcap_file::{RecordingReader, RecordingWriter, Wholeness};
+use crate::problem::without_unit;
 use crate::replay::find;
 use crate::units::SampleUnit;
 use crate::walk::{Start, Step, Walker};
-use crate::{ErrorCode, OutputFile, Result};
+use crate::{Code, OutputFile, Problem, Result};
 use message::Message;
 use path::{PathTopics, Pose};
 
@@ -63,12 +63,12 @@ pub struct Decoded {
     pub wholeness: Wholeness,
     /// What is left out, and out of order.
     #[serde(skip)]
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Problem>,
 }
 
 impl Decoded {
-    fn lacks(&self) -> Vec<Finding> {
-        let (left_out, late) = (FindingCode::SamplesLeftOut, FindingCode::TimesUnordered);
+    fn lacks(&self) -> Vec<Problem> {
+        let (left_out, late) = (Code::SamplesLeftOut, Code::TimesUnordered);
         let lacks = [
             (left_out, self.without_time, "messages left out: their time is unknown"),
             (late, self.late, "samples are out of order: they arrived late"),
@@ -126,7 +126,7 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
         |link: &&LinkHistory| link.boots.iter().any(|boot| boot.counts.navigation > 0);
     let mut reader = RecordingReader::open(from)?;
     let Some(anchor) = reader.anchor()? else {
-        return Err(ErrorCode::BadRecording
+        return Err(Code::BadRecording
             .error(
                 "it has no anchor from the host's clock to UTC",
                 "give a file written by `wimu record`",

@@ -21,7 +21,7 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::sync::Notify;
 use tokio::time::{sleep, timeout};
 
-use crate::{ErrorCode, Result};
+use crate::{Code, Result};
 
 pub use hyper::{Method, StatusCode, header};
 
@@ -60,7 +60,7 @@ impl Server {
     pub fn start(address: SocketAddr, remedy: &str, answer: impl Answer) -> Result<Self> {
         let failed = |error: io::Error| {
             let message = format!("cannot listen: {error}");
-            ErrorCode::LinkBusy.error(message, remedy).at(address.to_string())
+            Code::LinkBusy.error(message, remedy).at(address.to_string())
         };
         let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build();
         let runtime = runtime.map_err(failed)?;

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use tempfile::{Builder, TempPath};
 
-use crate::{HostError, Result};
+use crate::{Problem, Result};
 
 /// A temporary file with all of standard input; dropping it removes the file.
 #[derive(Debug)]
@@ -18,7 +18,7 @@ impl StandardInput {
     /// `file_failed`, `file_unreadable`.
     pub fn read() -> Result<Self> {
         let mut source = std::io::stdin().lock();
-        let failed = |error| HostError::file("-", "read", &error);
+        let failed = |error| Problem::file("-", "read", &error);
         let mut start = Vec::new();
         let head = source.by_ref().take(mcap::MAGIC.len() as u64);
         { head }.read_to_end(&mut start).map_err(failed)?;

@@ -13,9 +13,9 @@ use std::time::{Duration, Instant};
 
 use serialport::{SerialPort, SerialPortType};
 
-use crate::error::{ErrorCode, HostError, Result};
 use crate::fleet;
 use crate::link_url::{DEFAULT_BAUD, LinkUrl};
+use crate::{Code, Problem, Result};
 
 /// Longest wait for a connection, and for a link to accept data.
 const PATIENCE: Duration = Duration::from_secs(3);
@@ -100,7 +100,7 @@ pub fn open(link: &LinkUrl) -> Result<Box<dyn Transport + Send>> {
             [only] => open(only),
             several => {
                 let names: Vec<_> = several.iter().map(LinkUrl::to_string).collect();
-                Err(ErrorCode::BadLink
+                Err(Code::BadLink
                     .error(
                         format!("several ports may be a board: {}", names.join(", ")),
                         "name one of them instead of `auto`",
@@ -123,7 +123,7 @@ pub fn candidates() -> Result<Vec<LinkUrl>> {
         .map(|port| LinkUrl::Serial { path: port.path, baud: DEFAULT_BAUD })
         .collect();
     if found.is_empty() {
-        Err(ErrorCode::LinkAbsent.error("no serial port has the USB id of a known board",
+        Err(Code::LinkAbsent.error("no serial port has the USB id of a known board",
             "plug the board in, or name its port: `wimu ports` lists them; `wimu simulate` needs none",
         )
         .at("auto"))
@@ -134,8 +134,8 @@ pub fn candidates() -> Result<Vec<LinkUrl>> {
 
 /// The error of a LINK that needs the feature `ble`.
 #[cfg(not(feature = "ble"))]
-pub(crate) fn without_ble(link: &str) -> HostError {
-    ErrorCode::LinkKindMissing
+pub(crate) fn without_ble(link: &str) -> Problem {
+    Code::LinkKindMissing
         .error(
             "Bluetooth Low Energy is not built into this wimu",
             "install it with `cargo install --path host-tools/wimu --features ble` (Debian: package libdbus-1-dev), \
@@ -214,7 +214,7 @@ const KNOWN_BOARDS: [(u16, Option<u16>, &str); 7] = [
 /// `link_absent` when the operating system does not list them.
 pub fn ports() -> Result<Vec<Port>> {
     let found = serialport::available_ports().map_err(|error| {
-        ErrorCode::LinkAbsent.error(
+        Code::LinkAbsent.error(
             format!("the operating system does not list its serial ports: {error}"),
             "name the port",
         )
@@ -276,7 +276,7 @@ impl Transport for SerialLink {
     }
 }
 
-fn serial_error(path: &str, baud: u32, error: &serialport::Error) -> HostError {
+fn serial_error(path: &str, baud: u32, error: &serialport::Error) -> Problem {
     use serialport::ErrorKind as Kind;
     let exists = if cfg!(unix) {
         std::path::Path::new(path).exists()
@@ -284,21 +284,21 @@ fn serial_error(path: &str, baud: u32, error: &serialport::Error) -> HostError {
         ports().is_ok_and(|ports| ports.iter().any(|port| port.path.eq_ignore_ascii_case(path)))
     };
     let failure = match error.kind() {
-        _ if !exists => ErrorCode::LinkAbsent.error("there is no such serial port",
+        _ if !exists => Code::LinkAbsent.error("there is no such serial port",
             "plug in the board or adapter (bind a paired Bluetooth adapter: `sudo rfcomm bind 0 ADDRESS`); `wimu ports` lists the ports",
         ),
-        Kind::Io(ErrorKind::PermissionDenied) if cfg!(unix) => ErrorCode::LinkPermission.error("no permission to open the port",
+        Kind::Io(ErrorKind::PermissionDenied) if cfg!(unix) => Code::LinkPermission.error("no permission to open the port",
             "join the port's group (`sudo usermod -aG dialout $USER`, on Arch `uucp`) and log in again, or put \
              `SUBSYSTEM==\"tty\", ATTRS{idVendor}==\"0d28\", TAG+=\"uaccess\"` with the adapter's own id into \
              /etc/udev/rules.d/70-wimu.rules and plug it in again",
         ),
         // Windows calls a port that is open elsewhere a denied access.
         Kind::NoDevice | Kind::Io(ErrorKind::PermissionDenied | ErrorKind::WouldBlock) => {
-            ErrorCode::LinkBusy.error("another program has the port open",
+            Code::LinkBusy.error("another program has the port open",
                 "close the other terminal, monitor or modem manager",
             )
         }
-        _ => ErrorCode::LinkAbsent.error(format!("the port does not open at {baud} baud: {error}"),
+        _ => Code::LinkAbsent.error(format!("the port does not open at {baud} baud: {error}"),
             "check that it is a serial port and that it supports this baud rate",
         ),
     };
@@ -315,7 +315,7 @@ impl TcpLink {
     fn open(link: &LinkUrl, host: &str, port: u16) -> Result<Self> {
         let name = link.to_string();
         let addresses = (host, port).to_socket_addrs().map_err(|error| {
-            ErrorCode::LinkAbsent
+            Code::LinkAbsent
                 .error(format!("unknown host `{host}`: {error}"), "check the name and the network")
                 .at(&name)
         })?;
@@ -334,11 +334,11 @@ impl TcpLink {
             }
         }
         Err(match last.kind() {
-            ErrorKind::ConnectionRefused => ErrorCode::LinkRefused.error(
+            ErrorKind::ConnectionRefused => Code::LinkRefused.error(
                 "nothing listens at this address",
                 "start `wimu simulate` first, or check the port",
             ),
-            _ => ErrorCode::LinkAbsent.error(
+            _ => Code::LinkAbsent.error(
                 format!("the host does not answer: {last}"),
                 "check the address and the network",
             ),
@@ -377,7 +377,7 @@ fn read_some(source: &mut dyn Read, buffer: &mut [u8], name: &str) -> Result<usi
     }
 }
 
-fn lost(name: &str, error: &io::Error) -> HostError {
+fn lost(name: &str, error: &io::Error) -> Problem {
     let message = match error.kind() {
         ErrorKind::UnexpectedEof => "the other end closed the link".to_owned(),
         ErrorKind::TimedOut | ErrorKind::WouldBlock => {
@@ -385,7 +385,7 @@ fn lost(name: &str, error: &io::Error) -> HostError {
         }
         _ => format!("the link failed: {error}"),
     };
-    ErrorCode::LinkLost
+    Code::LinkLost
         .error(message, "check the cable, the adapter's power and its range, then connect again")
         .at(name)
 }

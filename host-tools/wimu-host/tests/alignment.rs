@@ -1,7 +1,7 @@
 //! Alignment of a sensor with its body: temperature, and the push that tells ahead.
 
 use wimu_host::alignment::{AlignOptions, AlignmentReport, alignment};
-use wimu_host::finding::Outcome;
+use wimu_host::problem::Outcome;
 use wimu_host::recording::{Quantity, Recording, Selection, Sink, TrackInfo, Unit};
 use wimu_model::{
     CentiCelsius, ErrorModel, ErrorTerms, ParameterSet, Sensitivity, SpecificForceMps2,
@@ -68,7 +68,7 @@ fn the_temperature_of_the_rests_is_taken_out() {
     // Without a thermometer it cannot be, and that is said.
     let report = aligned(&cold(false), &warm(), &options);
     let findings = &report.outcome.findings;
-    assert!(findings.iter().any(|f| f.evidence.contains("28.0 °C")), "{findings:?}");
+    assert!(findings.iter().any(|f| f.text.contains("28.0 °C")), "{findings:?}");
     assert!(
         report.alignment_wxyz.is_none() || off_deg(&report).iter().any(|off| *off > 0.5),
         "{report}"

@@ -7,7 +7,7 @@ use common::{Random, cross};
 use wimu_calib::Gravity;
 use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording};
 use wimu_host::inertial::{Choice, InertialPath, Zupt, navigate_array};
-use wimu_host::{ErrorCode, HostError};
+use wimu_host::{Code, Problem};
 use wimu_testkit::figure;
 
 const G: f64 = 9.80665;
@@ -143,7 +143,7 @@ fn path(
     recording: &ArrayRecording,
     geometry: &ArrayGeometry,
     zupt: bool,
-) -> Result<(InertialPath, ArrayCalibration), HostError> {
+) -> Result<(InertialPath, ArrayCalibration), Problem> {
     let arranged = recording.clone().judged().arranged(geometry)?;
     let calibration = ArrayCalibration::of(&arranged, geometry, Gravity::UNKNOWN_PLACE)?;
     let choice = Choice { zupt: if zupt { Zupt::Stated } else { Zupt::Off }, ..Choice::default() };
@@ -151,7 +151,7 @@ fn path(
 }
 
 fn says(path: &InertialPath, what: &str) -> bool {
-    path.findings.iter().any(|f| f.evidence.contains(what))
+    path.findings.iter().any(|f| f.text.contains(what))
 }
 
 fn rate_rms(path: &InertialPath, rates: &[[f64; 3]]) -> f64 {
@@ -227,7 +227,7 @@ fn an_even_turn_about_the_vertical_is_no_rest() {
         &mut Random::new(6),
     );
     let error = path(&all.recording, &geometry, true).unwrap_err();
-    assert!(error.code() == ErrorCode::DataRefused && error.to_string().contains("even turn"));
+    assert!(error.code == Code::DataRefused && error.to_string().contains("even turn"));
 }
 
 /// Rests in one attitude with moves and turns between.

@@ -6,10 +6,9 @@ use std::path::Path;
 
 #[cfg(feature = "sqlite")]
 use crate::common::public;
-use wimu_host::finding::FindingCode;
 use wimu_host::formats::{self, ReadOptions, Source};
 use wimu_host::recording::{Quantity, Recording, Track};
-use wimu_host::{ErrorCode, Result};
+use wimu_host::{Code, Result};
 
 const CRATE: &str = env!("CARGO_MANIFEST_DIR");
 
@@ -64,8 +63,8 @@ fn check_made(recording: &Recording, count: usize) {
     }
     // The other Imu topic marks angular velocity and orientation as absent.
     assert_eq!(recording.tracks().len(), 6);
-    let codes: Vec<FindingCode> = recording.findings.iter().map(|found| found.code).collect();
-    assert_eq!(codes, [FindingCode::TrackChosen]);
+    let codes: Vec<Code> = recording.findings.iter().map(|found| found.code).collect();
+    assert_eq!(codes, [Code::TrackChosen]);
 }
 
 #[test]
@@ -120,8 +119,8 @@ fn chunks_of_wrong_sizes_are_refused() {
     ] {
         let source = mcap_of_chunk(compression, size, &bomb);
         let error = load(&source, &ReadOptions::default()).unwrap_err();
-        assert_eq!(error.code(), ErrorCode::BadRecording);
-        assert!(error.message().contains(reason), "{error}");
+        assert_eq!(error.code, Code::BadRecording);
+        assert!(error.text.contains(reason), "{error}");
     }
 }
 
@@ -174,16 +173,16 @@ fn unusable_header_stamps_are_replaced_by_log_times() {
         assert_eq!(recording.of(Quantity::Attitude).count(), 0);
         let first = if by_log { 1000 } else { i64::from(stamps[0]) };
         assert_eq!(force.times_ns()[0], first * 1_000_000_000);
-        let found: Vec<FindingCode> = recording.findings.iter().map(|f| f.code).collect();
+        let found: Vec<Code> = recording.findings.iter().map(|f| f.code).collect();
         // The index is missing.
-        assert_eq!(found[0], FindingCode::Truncated);
-        assert_eq!(found[1..].contains(&FindingCode::Clock), by_log);
+        assert_eq!(found[0], Code::Truncated);
+        assert_eq!(found[1..].contains(&Code::Clock), by_log);
     }
     let both = [bag_with_stamps("/a", &[5, 6]), bag_with_stamps("/bb", &[900, 901])];
     let bytes = [&b"#ROSBAG V2.0\n"[..], &both[0], &both[1]].concat();
     let recording = load(&Source::of_bytes("b.bag", bytes), &ReadOptions::default()).unwrap();
     let clock = recording.findings.last().unwrap();
-    assert_eq!(clock.evidence, "the clocks of /a and /bb differ by 895 s");
+    assert_eq!(clock.text, "the clocks of /a and /bb differ by 895 s");
 }
 
 #[test]

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use futures::channel::mpsc;
 use futures::stream::Stream;
-use wimu_host::ErrorCode;
+use wimu_host::Code;
 use wimu_host::transport::Transport;
 use wimu_host::transport::ble::{Bridge, Connection};
 use wimu_host::transport::nus::NusLink;
@@ -117,9 +117,9 @@ fn a_connection_that_ends_is_an_error_of_reads_and_writes_however_the_system_sho
         let mut buffer = [0; 8];
         assert_eq!(link.read(&mut buffer, LONG).unwrap(), 1);
         let error = link.read(&mut buffer, LONG).unwrap_err();
-        assert_eq!(error.code(), ErrorCode::LinkLost);
+        assert_eq!(error.code, Code::LinkLost);
         let error = link.write_all(&[1]).unwrap_err();
-        assert!(error.message().contains("gone"), "{error}");
+        assert!(error.text.contains("gone"), "{error}");
         drop((kept, written));
     }
 }
@@ -129,12 +129,12 @@ fn a_write_that_the_system_refuses_is_reported_with_its_reason() {
     let (unit, mut link) = connected();
     drop(unit.written);
     let error = link.write_all(&[1]).unwrap_err();
-    assert!(error.message().contains("refused"), "{error}");
+    assert!(error.text.contains("refused"), "{error}");
 }
 
 #[test]
 fn a_unit_that_does_not_connect_is_reported() {
-    let absent = || ErrorCode::LinkAbsent.error("not in range", "come closer");
+    let absent = || Code::LinkAbsent.error("not in range", "come closer");
     let outcome = Bridge::start::<Fake>(async move || Err(absent()));
     assert_eq!(outcome.err(), Some(absent()));
 }

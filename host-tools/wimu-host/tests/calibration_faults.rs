@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use wimu_calib::Orientation;
 use wimu_host::calibration::{CalibrateOptions, CalibrationReport, ModelChoice, calibrate};
-use wimu_host::finding::{Finding, FindingCode, Severity};
 use wimu_host::recording::{Quantity, Recording, Selection, Sink, TrackInfo, Unit};
+use wimu_host::{Code, Problem, Severity};
 use wimu_model::{ErrorModel, ErrorTerms, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
 use wimu_testkit::{Random, figure, trials};
 
@@ -39,14 +39,14 @@ impl Fault {
     ];
 
     /// The code that should rank first; `None` where there should be no warning.
-    fn code(self) -> Option<FindingCode> {
+    fn code(self) -> Option<Code> {
         match self {
             Self::None | Self::ShortPoses => None,
-            Self::ColdStart => Some(FindingCode::Drift),
-            Self::BiasStep | Self::GainChange | Self::SignFlip => Some(FindingCode::Step),
-            Self::Sensitivity | Self::SensitivityFar => Some(FindingCode::Sensitivity),
-            Self::BeyondBounds => Some(FindingCode::SmallerModel),
-            Self::Normalised => Some(FindingCode::AlreadyCorrected),
+            Self::ColdStart => Some(Code::Drift),
+            Self::BiasStep | Self::GainChange | Self::SignFlip => Some(Code::Step),
+            Self::Sensitivity | Self::SensitivityFar => Some(Code::Sensitivity),
+            Self::BeyondBounds => Some(Code::SmallerModel),
+            Self::Normalised => Some(Code::AlreadyCorrected),
         }
     }
 }
@@ -200,9 +200,9 @@ fn run(session: &Session, options: &CalibrateOptions) -> CalibrationReport {
 }
 
 /// Findings of severity warning or higher, in the order in which they are printed; a refusal by the code of its cause.
-fn warnings(report: &CalibrationReport) -> Vec<&Finding> {
-    let severe = |finding: &&Finding| {
-        finding.severity >= Severity::Warning && finding.code != FindingCode::NoResult
+fn warnings(report: &CalibrationReport) -> Vec<&Problem> {
+    let severe = |finding: &&Problem| {
+        finding.severity >= Severity::Warning && finding.code != Code::NoResult
     };
     report.outcome.findings.iter().filter(severe).collect()
 }

@@ -12,7 +12,7 @@ use wimu_host::decode::Decoder;
 use wimu_host::formats::{self, ReadOptions};
 use wimu_host::history::LinkHistory;
 use wimu_host::recording::{Quantity, Recording, Selection, Sink, TrackInfo, Unit};
-use wimu_host::{ErrorCode, Result};
+use wimu_host::{Code, Result};
 use wimu_link::{LinkRole, Telemetry};
 use wimu_model::{
     Alignment, Counts, ErrorModel, ErrorTerms, GyroscopeModel, GyroscopeParameters, GyroscopeTerms,
@@ -93,12 +93,12 @@ fn a_calibration_file_comes_back_bit_for_bit_and_others_are_refused() {
     ] {
         std::fs::write(&path, &text).unwrap();
         let error = read_parameters(&path).unwrap_err();
-        assert_eq!(error.code(), ErrorCode::BadCalibration);
-        assert!(error.message().contains(part), "{part}: {error}");
+        assert_eq!(error.code, Code::BadCalibration);
+        assert!(error.text.contains(part), "{part}: {error}");
         assert_eq!(error.exit_code(), 2);
     }
     let error = read_parameters(&folder.path().join("absent.json")).unwrap_err();
-    assert_eq!(error.code(), ErrorCode::FileUnreadable);
+    assert_eq!(error.code, Code::FileUnreadable);
 }
 
 /// A set with everything, of the second sensor of a board.
@@ -154,7 +154,7 @@ fn a_file_holds_several_sensors_and_the_sessions_of_each() {
         let bad = good.replace(value, bad);
         std::fs::write(&path, bad.replace("\"index\": 0", "\"index\": 2")).unwrap();
         let error = read_parameters(&path).unwrap_err();
-        assert!(error.message().contains(part), "{part}: {error}");
+        assert!(error.text.contains(part), "{part}: {error}");
     }
 }
 
@@ -235,5 +235,5 @@ fn a_recording_and_a_csv_file_of_the_same_counts_give_the_same_calibration() {
     mark.epoch.range_g = 8;
     boot.epochs.push(mark);
     let error = Recording::of_link(&gap, "link").unwrap_err();
-    assert_eq!((error.code(), error.exit_code()), (ErrorCode::DataRefused, 3));
+    assert_eq!((error.code, error.exit_code()), (Code::DataRefused, 3));
 }

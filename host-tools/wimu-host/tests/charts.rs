@@ -1,7 +1,7 @@
 //! Charts and pages: few points with all extremes, any points, and names that act on nothing.
 
+use wimu_host::Code;
 use wimu_host::chart::{Band, Chart, Series, broken};
-use wimu_host::finding::FindingCode;
 use wimu_host::formats::Overview;
 use wimu_host::html::Report;
 use wimu_host::recording::{Quantity, Sink, TrackInfo, Unit};
@@ -69,12 +69,11 @@ const EVIL: &str = "</script><img src=x onerror=alert(1)><!--\"&";
 #[test]
 fn names_cannot_break_the_page() {
     let mut report = Report::new(EVIL);
-    report
-        .result(EVIL)
-        .key(EVIL, EVIL)
-        .printed(EVIL)
-        .findings(&[FindingCode::Clock.warning(EVIL)])
-        .table(EVIL, &[EVIL], &[vec![EVIL.to_owned()]]);
+    report.result(EVIL).key(EVIL, EVIL).printed(EVIL).findings(&[Code::Clock.warning(EVIL)]).table(
+        EVIL,
+        &[EVIL],
+        &[vec![EVIL.to_owned()]],
+    );
     let chart = Chart {
         title: EVIL.to_owned(),
         x: EVIL.to_owned(),

@@ -1,7 +1,7 @@
 //! Two tables of one motion, aligned by it.
 
 use tempfile::{NamedTempFile, TempPath};
-use wimu_host::ErrorCode;
+use wimu_host::Code;
 use wimu_host::compare::align;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 use wimu_testkit::{Coverage, Lane, Random, coverage_figure, figure};
@@ -250,7 +250,7 @@ fn shakes_that_are_alike_by_chance_are_refused_and_the_same_one_is_not() {
         let [one, other, first, same] =
             [one, other, first, same].map(|rows| table(rows.into_iter(), "m/s²"));
         let error = align(&one, &other).err();
-        refused.count(error.is_some_and(|error| error.code() == ErrorCode::DataRefused));
+        refused.count(error.is_some_and(|error| error.code == Code::DataRefused));
         // A shake along one axis alone is refused, too.
         let found = align(&first, &same);
         aligned.count(found.is_ok());

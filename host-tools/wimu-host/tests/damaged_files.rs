@@ -4,10 +4,9 @@ use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use wimu_host::finding::Severity;
 use wimu_host::formats::{self, ReadOptions, Source};
 use wimu_host::recording::{Quantity, Recording};
-use wimu_host::{ErrorCode, Result};
+use wimu_host::{Code, Result, Severity};
 
 use crate::common::Random;
 use crate::common::public;
@@ -127,10 +126,10 @@ fn archives_are_folders_and_gzip_is_its_file() {
         assert_eq!(recording.first(Quantity::SpecificForce).unwrap().len(), 2, "{name}");
     }
     for cut in [5, 40, bytes.len() - 3] {
-        assert_eq!(load("a.zip", &bytes[..cut]).unwrap_err().code(), ErrorCode::BadRecording);
+        assert_eq!(load("a.zip", &bytes[..cut]).unwrap_err().code, Code::BadRecording);
     }
     // A bomb, of many equal parts.
     let bomb = gzip(&vec![0; 1 << 20]).repeat(257);
     let error = load("bomb.gz", &bomb).unwrap_err();
-    assert!(error.message().contains("256 MB"), "{error}");
+    assert!(error.text.contains("256 MB"), "{error}");
 }

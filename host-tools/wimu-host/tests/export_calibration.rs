@@ -268,7 +268,7 @@ fn autopilots_have_offset_and_scale_and_say_what_is_left_out() {
         ErrorModel::new(ErrorTerms { bias_mps2: [4.0, 0.0, 0.0], ..ErrorTerms::default() })
             .unwrap();
     let biased = export(&biased, true, folder.path()).findings(ExportTarget::Ardupilot);
-    assert!(biased[0].evidence.contains("ArduPilot takes"), "{biased:?}");
+    assert!(biased[0].text.contains("ArduPilot takes"), "{biased:?}");
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Fixes of position, velocity and heading beside a unit on a known path.
 
-use wimu_host::finding::Finding;
+use wimu_host::Problem;
 use wimu_host::inertial::{
     Choice, Fix, Fixes, InertialPath, LeastDelay, Live, PathPoint, StartPose, navigate,
 };
@@ -83,7 +83,7 @@ fn error_m(path: &InertialPath) -> f64 {
 }
 
 fn says(path: &InertialPath, text: &str) -> bool {
-    path.findings.iter().any(|f| f.evidence.contains(text))
+    path.findings.iter().any(|f| f.text.contains(text))
 }
 
 #[test]
@@ -216,7 +216,7 @@ fn a_path_that_its_fixes_cannot_hold_to_the_limit_is_refused_with_their_sigma() 
     let (recording, mut fixes) = recorded(0.0, 0.0);
     fixes.iter_mut().for_each(|fix| fix.position_sd_m = [30.0; 3]);
     let refused = navigate(&recording, &aided(fixes, 0.0)).unwrap_err();
-    assert!(refused.remedy().contains("the fixes are ± 52 m"), "{refused} {}", refused.remedy());
+    assert!(refused.remedy.contains("the fixes are ± 52 m"), "{refused} {}", refused.remedy);
 }
 
 /// The recording as a stream: each fix arrives `late_s` after its time. The answer at each tenth sample.
@@ -262,7 +262,7 @@ fn a_stream_has_the_path_of_its_recording_though_fixes_are_late() {
     let (far, findings) = off(0.0, 0.0);
     println!("{far}");
     assert!(far < 0.15, "{far}");
-    assert_eq!(findings.iter().filter(|f| f.evidence.contains("frame of the fixes")).count(), 1);
+    assert_eq!(findings.iter().filter(|f| f.text.contains("frame of the fixes")).count(), 1);
     // Each answer is up to 2.5 s from the last fix.
     let (far, _) = off(1.5, 1.6);
     println!("{far}");
@@ -272,7 +272,7 @@ fn a_stream_has_the_path_of_its_recording_though_fixes_are_late() {
     // The first three came before the filter began.
     let late = "34 fixes arrived later than the filter waits";
     let found = live.findings();
-    assert!(found.iter().any(|f| f.evidence.contains(late)), "{found:?}");
+    assert!(found.iter().any(|f| f.text.contains(late)), "{found:?}");
 }
 
 #[test]
@@ -285,7 +285,7 @@ fn late_fixes_without_their_delay_name_it() {
         };
         let path = navigate(&recording, &choice(fixes)).unwrap();
         let remedy = |path: &InertialPath| {
-            let named = |f: &&Finding| f.remedy.contains("a delay of");
+            let named = |f: &&Problem| f.remedy.contains("a delay of");
             path.findings.iter().find(named).map(|f| f.remedy.clone())
         };
         let named = remedy(&path).unwrap_or_else(|| panic!("{:?}", path.findings));

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use wimu_host::ErrorCode;
+use wimu_host::Code;
 use wimu_host::fleet::Batch;
 use wimu_host::fleet::batch::{BatchError, MAX_BATCH};
 use wimu_host::fleet::config::GatewayConfig;
@@ -64,9 +64,13 @@ fn every_error_names_its_line() {
         ("fleet = \n", 1, ""),
     ] {
         let error = GatewayConfig::parse(text, Path::new("dir/fleet.toml")).unwrap_err();
-        assert_eq!(error.code(), ErrorCode::BadConfig);
-        assert!(error.message().contains(part), "{text}: {error}");
-        assert_eq!(error.location(), Some(&*format!("dir/fleet.toml, line {line}")), "{error}");
+        assert_eq!(error.code, Code::BadConfig);
+        assert!(error.text.contains(part), "{text}: {error}");
+        assert_eq!(
+            error.place.at.as_deref(),
+            Some(&*format!("dir/fleet.toml, line {line}")),
+            "{error}"
+        );
     }
 }
 

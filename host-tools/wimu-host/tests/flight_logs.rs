@@ -1,9 +1,8 @@
 //! Logs of flight controllers: what they say of themselves, and what is left of damaged ones.
 
-use wimu_host::finding::FindingCode;
 use wimu_host::formats::{self, ReadOptions, Source};
 use wimu_host::recording::{Origin, Quantity, Recording};
-use wimu_host::{ErrorCode, Result};
+use wimu_host::{Code, Result};
 
 use crate::common::public;
 
@@ -37,7 +36,7 @@ fn frames_that_refer_to_a_lost_one_are_left_out() {
     let rows: Vec<_> = recording.first(Quantity::SpecificForce).unwrap().vectors().collect();
     assert!((760..797).contains(&rows.len()), "{}", rows.len());
     assert!(rows.iter().all(|row| whole.contains(row)));
-    let lost = recording.findings.iter().filter(|found| found.code == FindingCode::Truncated);
+    let lost = recording.findings.iter().filter(|found| found.code == Code::Truncated);
     assert_eq!(lost.count(), 2, "{:?}", recording.findings);
 }
 
@@ -58,7 +57,7 @@ fn the_longest_log_is_read_unless_another_is_asked_for() {
     assert_eq!(rows(Some("log 3")).0, 7);
     assert_eq!(rows(Some("1")).0, 7);
     let error = read_bytes(&file, Some("log 4")).unwrap_err();
-    assert_eq!(error.code(), ErrorCode::Usage);
+    assert_eq!(error.code, Code::Usage);
 }
 
 /// A download of the whole memory ends with erased bytes.
@@ -208,5 +207,5 @@ fn the_message_with_more_rows_is_read() {
     assert_eq!(found, "read: ACC (3 rows); not read: IMU (1 row); `--topic IMU` reads IMU instead");
     let other = log.read(Some("IMU")).unwrap();
     assert_eq!(other.first(Quantity::SpecificForce).unwrap().times_ns(), [7_000_000]);
-    assert_eq!(read_bytes(&log.0[..89], None).unwrap_err().code(), ErrorCode::NoRows);
+    assert_eq!(read_bytes(&log.0[..89], None).unwrap_err().code, Code::NoRows);
 }

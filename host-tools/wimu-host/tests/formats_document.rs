@@ -74,7 +74,7 @@ fn row(folder: &Path, check: &Check) -> (String, bool) {
             }
             None => (recording.format.to_owned(), "no such track".to_owned(), false),
         },
-        Err(error) => ("refused".to_owned(), error.message().to_owned(), false),
+        Err(error) => ("refused".to_owned(), error.text.clone(), false),
     };
     let same = if agrees { "same" } else { "–" };
     let line = format!("| {format} | {file} | {channel} | {outcome} | {same} ({}) |", check.reader);

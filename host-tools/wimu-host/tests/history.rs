@@ -2,7 +2,7 @@
 
 use std::io::Cursor;
 
-use wimu_host::ErrorCode;
+use wimu_host::Code;
 use wimu_host::calibration::parameter_id;
 use wimu_host::calibration::source::{self, ActiveParameters};
 use wimu_host::decode::{Arrival, Event};
@@ -110,7 +110,7 @@ fn links_and_starts_share_the_parameter_sets_that_their_epochs_name() {
     source::learn(&set);
     assert_eq!(found(0).unwrap(), set);
     let error = found(1).unwrap_err();
-    assert!(error.message().contains("lacks the parameters"), "{error}");
+    assert!(error.text.contains("lacks the parameters"), "{error}");
 }
 
 #[test]
@@ -126,8 +126,8 @@ fn a_recording_cut_off_gives_what_it_has() {
 fn a_recording_of_another_version_is_named_unless_some_of_it_can_be_read() {
     let foreign = (LinkRole::Cable, 0, FOREIGN.to_vec());
     let error = read(&recorded(std::slice::from_ref(&foreign))).unwrap_err();
-    assert_eq!(error.code(), ErrorCode::BadRecording);
-    assert!(error.message().contains("version 3"), "{error}");
+    assert_eq!(error.code, Code::BadRecording);
+    assert!(error.text.contains("version 3"), "{error}");
     let recording = read(&recorded(&[foreign, (LinkRole::Cable, 1, second_of(1, 0))])).unwrap();
     assert_eq!(recording.link(None).unwrap().boots[0].raw.len(), 100);
 }

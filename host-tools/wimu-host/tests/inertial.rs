@@ -2,7 +2,7 @@
 
 use tempfile::{NamedTempFile, TempPath};
 use wimu_calib::Gravity;
-use wimu_host::ErrorCode;
+use wimu_host::Code;
 use wimu_host::array::{ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording};
 use wimu_host::inertial::{Choice, InertialPath, Method, StartPose, Zupt, navigate};
 use wimu_host::motion::UnitSample;
@@ -118,7 +118,7 @@ fn a_gyroscope_that_contradicts_gravity_is_not_used_and_reported() {
         assert!(said(&wrong, says), "{:?}", wrong.findings);
     }
     let degrees = navigate(&turned(180.0 / std::f64::consts::PI), &Choice::default());
-    assert!(degrees.unwrap_err().remedy().contains("deg/s"));
+    assert!(degrees.unwrap_err().remedy.contains("deg/s"));
 }
 
 /// Turns about the vertical for `lasts_s` with the rate rising and falling in `ramp_s`, at `radius_m` from the axis,
@@ -204,8 +204,8 @@ fn an_accelerometer_that_gives_gravity_and_times_in_another_unit_are_said() {
             sample.step_s *= factor;
         }
         let refused = navigate(&other, &Choice::default()).unwrap_err();
-        assert_eq!(refused.code(), ErrorCode::DataRefused);
-        assert!(refused.remedy().contains(unit), "{refused:?}");
+        assert_eq!(refused.code, Code::DataRefused);
+        assert!(refused.remedy.contains(unit), "{refused:?}");
     }
 }
 
@@ -353,14 +353,14 @@ fn what_a_file_does_not_support_is_refused() {
         sample.force_mps2 = sample.force_mps2.map(|f| 0.5 * f);
     }
     let refused = navigate(&recording, &Choice::default()).unwrap_err();
-    assert_eq!(refused.code(), ErrorCode::DataRefused);
+    assert_eq!(refused.code, Code::DataRefused);
 
     let head = "Time (s),Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)";
     let counts = file(&format!("{head}\n0,1,2,3\n1,1,2,3\n"));
     let refused = MotionRecording::from_csv(&counts).unwrap_err();
-    assert_eq!(refused.code(), ErrorCode::UnknownFormat);
+    assert_eq!(refused.code, Code::UnknownFormat);
     let refused = ArrayRecording::from_csv(&counts, 2048.0).unwrap_err();
-    assert_eq!(refused.code(), ErrorCode::CsvMissingColumn);
+    assert_eq!(refused.code, Code::CsvMissingColumn);
 }
 
 /// An array at rest in one attitude.
@@ -387,7 +387,7 @@ fn places_are_read_in_both_forms_and_must_fit_the_recording() {
     assert_eq!(places.sensors.len(), 4);
     let bad = file("X (m),Y (m),Z (m)\n0.01,zero,0\n");
     let error = ArrayGeometry::read(&bad).unwrap_err();
-    assert!(error.code() == ErrorCode::CsvBadNumber && error.to_string().contains("line 2"));
+    assert!(error.code == Code::CsvBadNumber && error.to_string().contains("line 2"));
 
     let recording = still_array(4);
     let calibration = ArrayCalibration::of(&recording, &places, Gravity::UNKNOWN_PLACE).unwrap();

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use wimu_host::ErrorCode;
+use wimu_host::Code;
 use wimu_host::keys::{KeyFolder, generate};
 use wimu_link::auth::DeviceKey;
 
@@ -119,7 +119,7 @@ fn a_file_that_holds_no_key_says_what_is_wrong_and_never_what_it_holds() {
     ] {
         fs::write(keys.file(7), text).expect("written");
         let error = keys.candidates(7).expect_err("no key");
-        assert_eq!(error.code(), ErrorCode::FileUnreadable);
+        assert_eq!(error.code, Code::FileUnreadable);
         assert!(error.to_string().contains("64 hexadecimal digits"), "{error}");
         assert!(!error.to_string().contains("c5c5"), "{error}");
     }

@@ -1,6 +1,6 @@
 //! Texts that name a link.
 
-use wimu_host::{ErrorCode, Input, LinkUrl};
+use wimu_host::{Code, Input, LinkUrl};
 
 fn serial(path: &str, baud: u32) -> LinkUrl {
     LinkUrl::Serial { path: path.to_owned(), baud }
@@ -42,30 +42,30 @@ fn every_documented_form_parses_and_prints_back() {
 #[test]
 fn what_is_no_link_says_what_is_wrong() {
     for (text, code, part) in [
-        ("serial://", ErrorCode::BadLink, "port is missing"),
-        ("serial:///dev/ttyS0?baud=fast", ErrorCode::BadLink, "`fast`"),
-        ("serial:///dev/ttyS0?baud=0", ErrorCode::BadLink, "`0`"),
-        ("serial:///dev/ttyS0?parity=even", ErrorCode::BadLink, "parity=even"),
-        ("tcp://127.0.0.1", ErrorCode::BadLink, "port is missing"),
-        ("tcp://::1:7100", ErrorCode::BadLink, "brackets"),
-        ("tcp://:7100", ErrorCode::BadLink, "host is missing"),
-        ("tcp://host:99999", ErrorCode::BadLink, "99999"),
-        ("mqtt://host/hall", ErrorCode::BadLink, "missing"),
-        ("mqtt://host/hall/#", ErrorCode::BadLink, "'#'"),
-        ("mqtt://host/a/b/c", ErrorCode::BadLink, "'/'"),
-        ("mqtt:///hall/b", ErrorCode::BadLink, "host is missing"),
+        ("serial://", Code::BadLink, "port is missing"),
+        ("serial:///dev/ttyS0?baud=fast", Code::BadLink, "`fast`"),
+        ("serial:///dev/ttyS0?baud=0", Code::BadLink, "`0`"),
+        ("serial:///dev/ttyS0?parity=even", Code::BadLink, "parity=even"),
+        ("tcp://127.0.0.1", Code::BadLink, "port is missing"),
+        ("tcp://::1:7100", Code::BadLink, "brackets"),
+        ("tcp://:7100", Code::BadLink, "host is missing"),
+        ("tcp://host:99999", Code::BadLink, "99999"),
+        ("mqtt://host/hall", Code::BadLink, "missing"),
+        ("mqtt://host/hall/#", Code::BadLink, "'#'"),
+        ("mqtt://host/a/b/c", Code::BadLink, "'/'"),
+        ("mqtt:///hall/b", Code::BadLink, "host is missing"),
         #[cfg(not(feature = "ble"))]
-        ("ble://wimu", ErrorCode::LinkKindMissing, "Low Energy"),
+        ("ble://wimu", Code::LinkKindMissing, "Low Energy"),
         #[cfg(feature = "ble")]
-        ("ble:///", ErrorCode::BadLink, "name of the unit"),
-        ("http://host", ErrorCode::BadLink, "`http`"),
-        ("COMX", ErrorCode::BadLink, "not a LINK"),
-        ("", ErrorCode::BadLink, "not a LINK"),
-        ("²²", ErrorCode::BadLink, "not a LINK"),
+        ("ble:///", Code::BadLink, "name of the unit"),
+        ("http://host", Code::BadLink, "`http`"),
+        ("COMX", Code::BadLink, "not a LINK"),
+        ("", Code::BadLink, "not a LINK"),
+        ("²²", Code::BadLink, "not a LINK"),
     ] {
         let error = text.parse::<LinkUrl>().unwrap_err();
-        assert_eq!(error.code(), code, "{text}");
-        assert!(error.message().contains(part), "{text}: {error}");
+        assert_eq!(error.code, code, "{text}");
+        assert!(error.text.contains(part), "{text}: {error}");
         assert_eq!(error.exit_code(), 2);
     }
 }
@@ -73,14 +73,14 @@ fn what_is_no_link_says_what_is_wrong() {
 #[test]
 fn an_input_that_is_neither_file_nor_link_is_told_both() {
     let error = Input::parse("no/such/file.csv").unwrap_err();
-    assert_eq!(error.code(), ErrorCode::FileUnreadable);
-    assert!(error.remedy().contains("LINK"));
+    assert_eq!(error.code, Code::FileUnreadable);
+    assert!(error.remedy.contains("LINK"));
     assert_eq!(Input::parse("tcp://127.0.0.1:7100").unwrap(), Input::Link(tcp("127.0.0.1", 7100)));
     #[cfg(not(feature = "ble"))]
     {
         let error = Input::parse("ble://x").unwrap_err();
-        assert_eq!(error.code(), ErrorCode::LinkKindMissing);
-        assert!(error.remedy().contains("--features ble"), "{error}");
+        assert_eq!(error.code, Code::LinkKindMissing);
+        assert!(error.remedy.contains("--features ble"), "{error}");
     }
     #[cfg(feature = "ble")]
     {

@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
-use wimu_host::finding::{Finding, FindingCode, Severity};
 use wimu_host::localization::{
     AnchorPosition, Increment, Localization, LocalizationChoice, RangeRecording, RangeSample,
     localize,
 };
 use wimu_host::motion::{MotionRecording, UnitSample};
+use wimu_host::{Code, Problem, Severity};
 use wimu_testkit::{Coverage, Lane, Random, rms_ratio_can_be};
 
 const G: f64 = 9.80665;
@@ -81,8 +81,8 @@ fn rmse(found: &Localization) -> f64 {
     (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
 }
 
-fn finding<'a>(found: &'a Localization, code: FindingCode, part: &str) -> Option<&'a Finding> {
-    let fits = |f: &&Finding| f.code == code && f.evidence.contains(part);
+fn finding<'a>(found: &'a Localization, code: Code, part: &str) -> Option<&'a Problem> {
+    let fits = |f: &&Problem| f.code == code && f.text.contains(part);
     found.path.findings.iter().find(fits)
 }
 
@@ -105,7 +105,7 @@ fn position_and_biases_are_found_within_their_sigma() {
             let inverse = nalgebra::Matrix3::from(point.covariance_m2).try_inverse().unwrap();
             below.count(error.dot(&(inverse * error)) < 7.81);
         }
-        assert!(finding(&found, FindingCode::Navigation, "contradicted").is_none());
+        assert!(finding(&found, Code::Navigation, "contradicted").is_none());
     }
     let rms = f64::sqrt(squares / count as f64);
     println!("rms of the biases over σ {rms:.2}, positions within 95 % {below}");
@@ -119,18 +119,14 @@ fn a_bias_that_the_data_do_not_show_stays_at_its_prior_and_is_reported() {
     let mut hall = hall(1, &HALL[..3]);
     hall.recording.ranges.retain(|r| r.time_s < 5.0);
     let found = found(&hall.recording);
-    let hidden = finding(&found, FindingCode::NotObserved, "bias of anchor").unwrap();
-    assert!(hidden.evidence.contains("0 ± 0.1"), "{hidden}");
-    for anchor in found.anchors.iter().filter(|a| hidden.evidence.contains(&a.id)) {
+    let hidden = finding(&found, Code::NotObserved, "bias of anchor").unwrap();
+    assert!(hidden.text.contains("0 ± 0.1"), "{hidden}");
+    for anchor in found.anchors.iter().filter(|a| hidden.text.contains(&a.id)) {
         let bias = anchor.bias_m.unwrap();
         assert!((0.07..0.101).contains(&bias.sigma) && bias.value.abs() < 0.15, "{bias:?}");
     }
     let other = found_all();
-    assert!(
-        finding(&other, FindingCode::NotObserved, "bias").is_none(),
-        "{:?}",
-        other.path.findings
-    );
+    assert!(finding(&other, Code::NotObserved, "bias").is_none(), "{:?}", other.path.findings);
 }
 
 fn found_all() -> Localization {
@@ -142,13 +138,12 @@ fn anchors_in_a_plane_leave_two_paths_and_both_are_named() {
     let plane = HALL.map(|[e, n, _]| [e, n, 0.0]);
     let hall = hall(2, &plane);
     let found = found(&hall.recording);
-    let mirror =
-        finding(&found, FindingCode::NotObserved, "equally probable").expect("a mirror image");
+    let mirror = finding(&found, Code::NotObserved, "equally probable").expect("a mirror image");
     assert_eq!(mirror.severity, Severity::Warning);
-    assert!(mirror.evidence.contains("in a plane"), "{mirror}");
+    assert!(mirror.text.contains("in a plane"), "{mirror}");
     assert!(found.path.points[100].position_m[2] > 0.0, "the upper one");
     // Anchors at different heights have one path.
-    assert!(finding(&found_all(), FindingCode::NotObserved, "equally").is_none());
+    assert!(finding(&found_all(), Code::NotObserved, "equally").is_none());
 }
 
 #[test]
@@ -178,14 +173,14 @@ fn a_moved_anchor_is_named_with_its_time() {
         }
         let found = found(&hall.recording);
         let how = if moved_m > 0.0 { "longer" } else { "shorter" };
-        let moved = finding(&found, FindingCode::Residuals, how)
+        let moved = finding(&found, Code::Residuals, how)
             .unwrap_or_else(|| panic!("{:?}", found.path.findings));
-        assert!(moved.evidence.contains("A2"), "{moved}");
-        let [from, to] = moved.span_s.unwrap();
+        assert!(moved.text.contains("A2"), "{moved}");
+        let [from, to] = moved.place.span_s.unwrap();
         assert!((28.0..36.0).contains(&from) && to > 50.0, "{moved}");
         assert!(rmse(&found) < 0.2, "{}", rmse(&found));
     }
-    assert!(finding(&found_all(), FindingCode::Residuals, "").is_none());
+    assert!(finding(&found_all(), Code::Residuals, "").is_none());
 }
 
 #[test]
@@ -215,8 +210,8 @@ fn a_position_that_jumps_is_reported_and_found_again() {
             distance([e - 4.0, n, u], HALL[range.anchor]) - distance([e, n, u], HALL[range.anchor]);
     }
     let found = found(&hall.recording);
-    let jump = finding(&found, FindingCode::Navigation, "may jump").expect("reported");
-    assert!((29.0..33.0).contains(&jump.span_s.unwrap()[0]), "{jump}");
+    let jump = finding(&found, Code::Navigation, "may jump").expect("reported");
+    assert!((29.0..33.0).contains(&jump.place.span_s.unwrap()[0]), "{jump}");
     let last = found.path.points.last().unwrap();
     let [e, n, u] = path(last.time_s);
     assert!(distance(last.position_m, [e - 4.0, n, u]) < 0.3);
@@ -311,7 +306,7 @@ fn odometry_finds_start_heading_and_the_scale_of_the_ranges() {
     let point = found.path.points.iter().find(|p| p.time_s > 60.0).unwrap();
     let truth = vehicle_path()[(point.time_s * 10.0).round() as usize];
     assert!(distance(point.position_m, [truth[0], truth[1], 0.0]) < 0.5, "{point:?}");
-    assert!(finding(&found, FindingCode::Clock, "").is_none());
+    assert!(finding(&found, Code::Clock, "").is_none());
 }
 
 #[test]
@@ -330,7 +325,7 @@ fn a_clock_that_is_off_by_seconds_is_corrected_and_reported() {
     let right = error(&found(&vehicle(0.0)));
     for late_s in [-1.3, 6.5] {
         let found = found(&vehicle(late_s));
-        let clock = finding(&found, FindingCode::Clock, "corrected").expect("reported");
+        let clock = finding(&found, Code::Clock, "corrected").expect("reported");
         let named: f64 = clock.remedy.split(' ').nth(1).unwrap().parse().unwrap();
         println!("{late_s} s: {clock}, {} m, {right} m", error(&found));
         assert!((named + late_s).abs() < 0.1, "{clock}");
@@ -348,9 +343,9 @@ fn a_clock_that_is_off_by_more_than_the_search_is_refused_or_reported() {
     assert!(text.contains("off by -12 s or more"), "{text}");
     assert!(text.contains("give both the times of one clock"), "{text}");
     let found = found(&vehicle(20.0));
-    let unfit = finding(&found, FindingCode::Clock, "at any clock offset within ± 12 s");
+    let unfit = finding(&found, Code::Clock, "at any clock offset within ± 12 s");
     assert!(unfit.is_some(), "{:?}", found.path.findings);
-    assert!(finding(&found, FindingCode::Clock, "corrected").is_none());
+    assert!(finding(&found, Code::Clock, "corrected").is_none());
     let text = refused(&vehicle(400.0));
     assert!(text.contains("none of the ranges is within the time of the odometry"), "{text}");
     let text = refused(&vehicle(1.7e9));

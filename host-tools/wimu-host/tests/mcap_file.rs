@@ -7,7 +7,7 @@ use std::time::Duration;
 use wimu_host::mcap_file::{
     ClockAnchor, Received, Recorded, RecordingReader, RecordingWriter, Wholeness,
 };
-use wimu_host::{ErrorCode, Result};
+use wimu_host::{Code, Result};
 use wimu_link::LinkRole;
 
 const ANCHOR: ClockAnchor = ClockAnchor { monotonic_ns: 5_000, utc_ns: 1_795_222_920_123_456_789 };
@@ -148,7 +148,7 @@ fn a_full_disk_is_told_wherever_it_fills_up() {
             writer.finish()
         });
         let error = recorded.err().unwrap();
-        assert_eq!(error.code(), ErrorCode::FileFailed, "at {room}");
+        assert_eq!(error.code, Code::FileFailed, "at {room}");
     }
 }
 
@@ -201,13 +201,13 @@ fn a_flipped_bit_costs_a_chunk_at_most_and_never_passes() {
 #[test]
 fn what_is_no_recording_says_so() {
     for (bytes, code) in [
-        (&b""[..], ErrorCode::BadRecording),
-        (b"Time (s),Accelerometer X (g)\n1,2\n", ErrorCode::BadRecording),
-        (mcap::MAGIC, ErrorCode::BadRecording),
+        (&b""[..], Code::BadRecording),
+        (b"Time (s),Accelerometer X (g)\n1,2\n", Code::BadRecording),
+        (mcap::MAGIC, Code::BadRecording),
     ] {
         let error = read(bytes).unwrap_err();
-        assert_eq!(error.code(), code, "{error}");
-        assert_eq!(error.location(), Some("a.mcap"));
+        assert_eq!(error.code, code, "{error}");
+        assert_eq!(error.place.at.as_deref(), Some("a.mcap"));
     }
     let mut foreign = mcap::WriteOptions::new().create(Cursor::new(Vec::new())).unwrap();
     let channel = foreign.add_channel(0, "/other", "json", &BTreeMap::new()).unwrap();
@@ -220,7 +220,7 @@ fn what_is_no_recording_says_so() {
     foreign.write_to_known_channel(&header, b"{}").unwrap();
     foreign.finish().unwrap();
     let error = read(&foreign.into_inner().into_inner()).unwrap_err();
-    assert_eq!(error.code(), ErrorCode::NoWimuTopics);
+    assert_eq!(error.code, Code::NoWimuTopics);
 }
 
 #[test]
@@ -232,7 +232,7 @@ fn a_file_that_exists_is_not_overwritten() {
     writer.append(LinkRole::Cable, 3_000_000_007, &[1]).unwrap();
     writer.finish().unwrap();
     let error = RecordingWriter::create(&path, anchor).err().unwrap();
-    assert_eq!(error.code(), ErrorCode::FileExists);
+    assert_eq!(error.code, Code::FileExists);
     let received: Vec<_> = RecordingReader::open(&path).unwrap().collect();
     assert_eq!(received.len(), 1);
     assert_eq!(received[0].as_ref().unwrap().host_ns, 3_000_000_007);

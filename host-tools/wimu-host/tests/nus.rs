@@ -3,7 +3,7 @@
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
-use wimu_host::ErrorCode;
+use wimu_host::Code;
 use wimu_host::transport::Transport;
 use wimu_host::transport::nus::{NusLink, Peripheral};
 
@@ -96,9 +96,9 @@ fn a_lost_connection_delivers_what_has_come_and_then_says_what_to_do() {
     let mut buffer = [0; 8];
     assert_eq!(link.read(&mut buffer, LONG).unwrap(), 1);
     for error in [link.read(&mut buffer, LONG).unwrap_err(), link.write_all(&[1]).unwrap_err()] {
-        assert_eq!(error.code(), ErrorCode::LinkLost);
-        assert_eq!(error.location(), Some("ble://wimu-1a2b"));
-        assert!(error.message().contains("out of range"), "{error}");
-        assert!(error.remedy().contains("connect again"), "{error}");
+        assert_eq!(error.code, Code::LinkLost);
+        assert_eq!(error.place.at.as_deref(), Some("ble://wimu-1a2b"));
+        assert!(error.text.contains("out of range"), "{error}");
+        assert!(error.remedy.contains("connect again"), "{error}");
     }
 }

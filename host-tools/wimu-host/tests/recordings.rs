@@ -1,6 +1,6 @@
 //! Recordings in memory: rates and gaps of their times, rows joined and dropped, tables of them.
 
-use wimu_host::ErrorCode;
+use wimu_host::Code;
 use wimu_host::formats::{self, ReadOptions};
 use wimu_host::motion::sampled_times;
 use wimu_host::recording::{Quantity, Recording, Selection, Sink, TrackInfo, Unit};
@@ -84,7 +84,7 @@ fn an_earlier_recording_comes_first_with_a_gap_behind_it() {
     assert_eq!(counts(&later, Quantity::SpecificForce), expected[..49]);
     let mut other = recording(0, 5, 2.0 * scale);
     let error = other.prepend(&earlier).expect_err("another range");
-    assert_eq!(error.code(), ErrorCode::DataRefused);
+    assert_eq!(error.code, Code::DataRefused);
 }
 
 #[test]

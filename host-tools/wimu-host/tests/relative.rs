@@ -1,14 +1,13 @@
 //! Rotation between two units of a simulated joint, against the truth.
 
 use nalgebra::Vector3;
-use wimu_host::finding::FindingCode;
 use wimu_host::motion::MotionRecording;
 use wimu_host::relative::{
     Body, LiveRelative, RelativeChoice, RelativePath, RelativePoint, relative,
 };
 
 use crate::rig::Rig;
-use wimu_host::{ErrorCode, Result};
+use wimu_host::{Code, Result};
 use wimu_testkit::{Coverage, Lane, Random};
 
 fn run(rig: &Rig, choice: &RelativeChoice) -> Result<RelativePath> {
@@ -44,8 +43,8 @@ fn rms_deg(errors: &[(f64, f64)]) -> f64 {
     (squares / errors.len() as f64).sqrt().to_degrees()
 }
 
-fn has(found: &RelativePath, code: FindingCode, text: &str) -> bool {
-    let finding = |f: &wimu_host::finding::Finding| f.code == code && f.evidence.contains(text);
+fn has(found: &RelativePath, code: Code, text: &str) -> bool {
+    let finding = |f: &wimu_host::problem::Problem| f.code == code && f.text.contains(text);
     found.findings.iter().any(finding)
 }
 
@@ -111,16 +110,16 @@ fn clocks_that_differ_are_aligned() {
         let off_s = found.clock.offset_s - behind_s;
         assert!(off_s.abs() < 0.01, "{behind_s}: {:?}", found.clock);
         assert!(off_s.abs() < 4.0 * found.clock.sd_s, "{behind_s}: {:?}", found.clock);
-        assert!(has(&found, FindingCode::Clock, "behind"), "{:?}", found.findings);
+        assert!(has(&found, Code::Clock, "behind"), "{:?}", found.findings);
         assert!(rms_deg(&errors(&rig, &found)) < 2.0);
     }
     let apart = found(&Rig { behind_s: 3.7, ..Rig::knee(5) });
     println!("NIS of the joint with a wrong clock: {}", apart.joint_nis);
-    assert!(!apart.is_accurate() && has(&apart, FindingCode::Residuals, "common joint"));
+    assert!(!apart.is_accurate() && has(&apart, Code::Residuals, "common joint"));
     let found = found(&Rig::knee(5));
     println!("NIS of the joint: {}", found.joint_nis);
     assert_eq!(found.clock.offset_s, 0.0);
-    assert!(!has(&found, FindingCode::Clock, "behind"));
+    assert!(!has(&found, Code::Clock, "behind"));
 }
 
 #[test]
@@ -143,7 +142,7 @@ fn a_gap_is_not_valid_and_the_angle_is_found_again() {
     let found = relative([&a, &b], &RelativeChoice::default()).unwrap();
     let lost = found.points.iter().filter(|p| !p.valid);
     assert!(lost.clone().count() > 90 && lost.clone().all(|p| (8.9..11.1).contains(&p.time_s)));
-    assert!(has(&found, FindingCode::Rate, "gap"));
+    assert!(has(&found, Code::Rate, "gap"));
     let late: Vec<_> = errors(&rig, &found).split_off(8);
     assert!(late.iter().all(|(e, sigma)| e.abs() < 4.0 * sigma.max(0.005)), "{late:?}");
 }
@@ -152,7 +151,7 @@ fn a_gap_is_not_valid_and_the_angle_is_found_again() {
 fn what_the_data_do_not_show_is_refused_or_reported() {
     let refused = |result: Result<RelativePath>, text: &str| {
         let error = result.unwrap_err();
-        assert_eq!(error.code(), ErrorCode::DataRefused);
+        assert_eq!(error.code, Code::DataRefused);
         assert!(error.to_string().contains(text), "{error}");
     };
     let stiff = Rig { swing_rad: [0.0; 3], ..Rig::knee(9) };
@@ -165,7 +164,7 @@ fn what_the_data_do_not_show_is_refused_or_reported() {
     refused(run(&resting, &RelativeChoice::default()), "in common");
     let ball = Rig { swing_rad: [0.6, 0.6, 0.7], ..Rig::knee(9) };
     let ball = found(&ball);
-    assert!(has(&ball, FindingCode::NotObserved, "more than one axis") && !ball.is_accurate());
+    assert!(has(&ball, Code::NotObserved, "more than one axis") && !ball.is_accurate());
 }
 
 #[test]
@@ -187,7 +186,7 @@ fn magnetometers_give_the_heading_that_a_resting_joint_does_not_show() {
         attitude.to_rotation_matrix().angle_to(&resting.truth(19.0))
     };
     let without = with(false);
-    assert!(!without.is_accurate() && has(&without, FindingCode::NotObserved, ""));
+    assert!(!without.is_accurate() && has(&without, Code::NotObserved, ""));
     let off = heading_off(&with(true)).to_degrees();
     assert!(off < 15.0, "{off}");
 }

@@ -1,7 +1,7 @@
 //! The gyroscope that is calibrated by the turns between poses.
 
+use wimu_host::Code;
 use wimu_host::calibration::{CalibrateOptions, CalibrationReport, calibrate};
-use wimu_host::finding::FindingCode;
 use wimu_host::recording::{Quantity, Recording, Selection, Sink, TrackInfo, Unit};
 use wimu_model::{GyroscopeModel, GyroscopeTerms, STANDARD_GRAVITY_MPS2};
 use wimu_testkit::Random;
@@ -74,8 +74,8 @@ fn a_refused_gyroscope_leaves_the_accelerometer() {
         let report = calibrated(recording);
         assert!(report.fit.is_some() && report.gyroscope.is_none());
         let mut findings = report.outcome.findings.iter();
-        let found = findings.find(|f| f.code == FindingCode::Uncalibrated);
-        found.expect("a finding").evidence.clone()
+        let found = findings.find(|f| f.code == Code::Uncalibrated);
+        found.expect("a finding").text.clone()
     };
     let degrees = evidence(&session(Unit::Si, |w| w.map(f64::to_degrees)));
     assert!(degrees.contains("probably in deg/s"), "{degrees}");

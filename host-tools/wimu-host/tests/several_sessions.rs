@@ -1,10 +1,9 @@
 //! Calibrations of several sessions: temperature, and the change between them.
 
-use wimu_host::Result;
 use wimu_host::calibration::{CalibrateOptions, SeveralReport, calibrate_several};
-use wimu_host::finding::FindingCode;
 use wimu_host::motion::MotionRecording;
 use wimu_host::recording::{Quantity, Recording, Selection, Sink, TrackInfo, Unit};
+use wimu_host::{Code, Result};
 use wimu_model::{
     CentiCelsius, ErrorModel, ErrorTerms, STANDARD_GRAVITY_MPS2, SpecificForceMps2,
     TemperatureTerms,
@@ -121,7 +120,7 @@ fn navigation_takes_the_change_between_sessions_instead_of_a_constant() {
 fn gravity_is_named_only_where_the_default_dominates() {
     let assumed = |report: &SeveralReport| {
         let findings = report.outcome.findings.iter();
-        findings.filter(|f| f.code == FindingCode::GravityAssumed).count()
+        findings.filter(|f| f.code == Code::GravityAssumed).count()
     };
     let recordings = sessions(&[0.5, 0.5, 0.5, 0.5]);
     let with = |gravity_mps2, place| {

@@ -1,6 +1,6 @@
 //! Tables by the published headers of programs of which there is no real file: the values are made up.
 
-use wimu_host::finding::FindingCode;
+use wimu_host::Code;
 use wimu_host::formats::{self, ReadOptions, Source};
 use wimu_host::recording::{Quantity, Recording, Unit};
 
@@ -213,7 +213,7 @@ fn packets_of_kitti_are_read_from_a_file_or_a_folder() {
     };
     let text: String = [5, 6, 7].map(packet).concat();
     let (recording, times, values) = first("oxts.txt", &text);
-    assert!(has(&recording, FindingCode::Rate));
+    assert!(has(&recording, Code::Rate));
     assert_eq!(times, [0, 100_000_000]);
     assert_near(values[0], [0.5, 0.25, 9.5], "oxts");
     assert_near(values[1], [0.01, 0.02, 0.03], "oxts");

@@ -1,9 +1,8 @@
 //! Tables of sensors: columns, units and times.
 
-use wimu_host::finding::{FindingCode, Severity};
 use wimu_host::formats::{self, ReadOptions, Source};
 use wimu_host::recording::{Origin, Quantity, Recording, Track, Unit};
-use wimu_host::{ErrorCode, Result};
+use wimu_host::{Code, Result, Severity};
 use wimu_model::STANDARD_GRAVITY_MPS2 as G;
 
 pub fn text(text: &str) -> Result<Recording> {
@@ -17,7 +16,7 @@ pub fn named(name: &str, text: &str, options: &ReadOptions) -> Result<Recording>
     Ok(recording)
 }
 
-pub fn has(recording: &Recording, code: FindingCode) -> bool {
+pub fn has(recording: &Recording, code: Code) -> bool {
     recording.findings.iter().any(|finding| finding.code == code)
 }
 
@@ -89,7 +88,7 @@ fn unsigned_counts_of_all_widths_are_recognised() {
         [(68.0, 512.0), (400.0, 2048.0), (2048.0, 8192.0), (4096.0, 32768.0), (16384.0, 32768.0)]
     {
         let recording = text(&six_poses("time,ax,ay,az", lsb, zero, whole)).unwrap();
-        assert!(has(&recording, FindingCode::ZeroCount), "{lsb} {zero}");
+        assert!(has(&recording, Code::ZeroCount), "{lsb} {zero}");
         let first = recording.first(Quantity::SpecificForce).unwrap().row(0).unwrap()[0];
         assert!((first / lsb - 1.0).abs() < 0.02, "{lsb} {zero}: {first}");
     }
@@ -99,7 +98,7 @@ fn unsigned_counts_of_all_widths_are_recognised() {
             .map(|k| format!("{},{:.0},{:.0},{:.0}\n", 10 * k, 0.02 * lsb, 0.03 * lsb, lsb))
             .collect();
         let recording = text(&format!("time,ax,ay,az\n{rows}")).unwrap();
-        assert!(!has(&recording, FindingCode::ZeroCount), "{lsb}: {:?}", recording.findings);
+        assert!(!has(&recording, Code::ZeroCount), "{lsb}: {:?}", recording.findings);
     }
 }
 
@@ -131,7 +130,7 @@ fn time_columns_are_recognised_by_unit_or_word() {
         let recording = timed(header, times);
         let found = recording.first(Quantity::SpecificForce).unwrap().times_ns();
         assert!((found[1] - found[0] - step).abs() < 10, "{header}: {found:?}");
-        assert!(!has(&recording, FindingCode::Rate), "{header}");
+        assert!(!has(&recording, Code::Rate), "{header}");
     }
     // The finer of two times is used, parts of a time are added, and a column that does not increase is not a time.
     let table =
@@ -142,13 +141,13 @@ fn time_columns_are_recognised_by_unit_or_word() {
     let parts = table("sec,usec", "1,999000,0,0,1\n2,4000,0,0,1\n");
     let force = parts.first(Quantity::SpecificForce).unwrap();
     assert_eq!(force.times_ns(), [1_999_000_000, 2_004_000_000]);
-    assert!(has(&timed("run time", ["3", "2", "1"]), FindingCode::Rate));
+    assert!(has(&timed("run time", ["3", "2", "1"]), Code::Rate));
 }
 
 #[test]
 fn unknown_units_of_times_are_reported() {
     let recording = timed("Time (days)", ["0", "0.1", "0.2"]);
-    let finding = recording.findings.iter().find(|finding| finding.evidence.contains("`days`"));
+    let finding = recording.findings.iter().find(|finding| finding.text.contains("`days`"));
     let finding = finding.unwrap();
     assert_eq!(finding.severity, Severity::Warning);
     assert!(finding.remedy.contains("t=COLUMN:s"), "{finding}");
@@ -158,7 +157,7 @@ fn unknown_units_of_times_are_reported() {
 fn short_file_names_name_no_quantity() {
     let of = |name| named(name, "t,x,y,z\n0,0.1,0.2,9.8\n1,0.1,0.2,9.8\n", &ReadOptions::default());
     for name in ["h.csv", "a.csv", "gy.csv"] {
-        assert_eq!(of(name).unwrap_err().code(), ErrorCode::CsvMissingColumn, "{name}");
+        assert_eq!(of(name).unwrap_err().code, Code::CsvMissingColumn, "{name}");
     }
     assert!(of("acc.csv").unwrap().first(Quantity::SpecificForce).is_some());
 }
@@ -170,14 +169,14 @@ fn decimal_commas_between_commas_are_refused_with_the_cause() {
         let header = "Time (s),ax (g),ay (g),az (g)";
         let error = table(header, "0,01,0,02,0,03,0,98\n", rows).unwrap_err();
         let message = error.to_string();
-        assert_eq!(error.code(), ErrorCode::BadRecording, "{message}");
+        assert_eq!(error.code, Code::BadRecording, "{message}");
         assert!(message.contains("decimal commas"), "{message}");
-        assert!(error.remedy().contains("semicolons"), "{message}");
+        assert!(error.remedy.contains("semicolons"), "{message}");
         assert_eq!(message.contains("1000 of the first 1000 rows"), rows > 1000, "{message}");
     }
     // The halves of numbers are not read as columns without a header.
     let error = table("x,y,z", "0,02,0,03,0,98\n", 20).unwrap_err();
-    assert_eq!(error.code(), ErrorCode::CsvMissingColumn, "{error}");
+    assert_eq!(error.code, Code::CsvMissingColumn, "{error}");
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::net::TcpListener;
 use std::time::Duration;
 
 use wimu_host::transport::{UsbId, open, ports};
-use wimu_host::{ErrorCode, LinkUrl};
+use wimu_host::{Code, LinkUrl};
 
 const SHORT: Duration = Duration::from_millis(20);
 
@@ -33,8 +33,8 @@ fn tcp_reads_writes_times_out_and_tells_a_closed_link() {
     assert_eq!(buffer[..2], [4, 5]);
     drop(board);
     let error = link.read(&mut buffer, LONG).unwrap_err();
-    assert_eq!(error.code(), ErrorCode::LinkLost);
-    assert_eq!(error.location(), Some(url.to_string().as_str()));
+    assert_eq!(error.code, Code::LinkLost);
+    assert_eq!(error.place.at.as_deref(), Some(url.to_string().as_str()));
 }
 
 #[cfg(unix)]
@@ -47,7 +47,7 @@ fn a_serial_port_carries_bytes_and_has_one_owner() {
     drop(slave);
     let mut link = open(&url).unwrap();
     let error = open(&url).err().unwrap();
-    assert_eq!(error.code(), ErrorCode::LinkBusy, "{error}");
+    assert_eq!(error.code, Code::LinkBusy, "{error}");
     assert_eq!(link.baud(), Some(115_200));
     let mut buffer = [0; 8];
     assert_eq!(link.read(&mut buffer, SHORT).unwrap(), 0);
@@ -62,7 +62,7 @@ fn a_serial_port_carries_bytes_and_has_one_owner() {
     board.read_exact(&mut buffer[..1]).unwrap();
     assert_eq!(buffer[0], 7);
     drop(board);
-    assert_eq!(link.read(&mut buffer, LONG).unwrap_err().code(), ErrorCode::LinkLost);
+    assert_eq!(link.read(&mut buffer, LONG).unwrap_err().code, Code::LinkLost);
 }
 
 #[test]

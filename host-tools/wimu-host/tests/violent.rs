@@ -11,7 +11,7 @@ use wimu_host::inertial::{
     Choice, InertialPath, Profile, Zupt, navigate, navigate_array, navigate_axes,
 };
 use wimu_host::motion::MotionRecording;
-use wimu_host::{ErrorCode, HostError};
+use wimu_host::{Code, Problem};
 use wimu_testkit::{Lane, Random};
 
 const G: f64 = 9.80665;
@@ -27,15 +27,15 @@ fn file(text: &str) -> TempPath {
 }
 
 fn says(path: &InertialPath, what: &str) -> bool {
-    path.findings.iter().any(|f| f.evidence.contains(what))
+    path.findings.iter().any(|f| f.text.contains(what))
 }
 
 /// What is valid is a number, and something is.
-fn check(found: Result<InertialPath, HostError>) -> Result<(), TestCaseError> {
+fn check(found: Result<InertialPath, Problem>) -> Result<(), TestCaseError> {
     let path = match found {
         Ok(path) => path,
         Err(error) => {
-            prop_assert_eq!(error.code(), ErrorCode::DataRefused);
+            prop_assert_eq!(error.code, Code::DataRefused);
             return Ok(());
         }
     };
@@ -200,7 +200,7 @@ fn a_value_beyond_the_full_scale_is_left_out_as_if_it_were_missing_and_said() {
         let csv = file(&table(0.3, &[(300, 0, 1999.0)], columns, 7));
         match navigate(&MotionRecording::from_csv(&csv).unwrap(), &choice) {
             Ok(path) => assert!(!says(&path, "full scale")),
-            Err(error) => assert!(error.message().contains("rests or fixes contradict the path")),
+            Err(error) => assert!(error.text.contains("rests or fixes contradict the path")),
         }
         let missing = with(&[(300, 4, f64::NAN)], &choice);
         let turned = with(&[(300, 4, -360.0)], &choice);
@@ -214,7 +214,7 @@ fn a_value_beyond_the_full_scale_is_left_out_as_if_it_were_missing_and_said() {
     let all: Vec<_> = (0..350).map(|k| (k, 1, 3000.0)).collect();
     let csv = file(&table(0.3, &all, columns, 7));
     let refused = navigate(&MotionRecording::from_csv(&csv).unwrap(), &Choice::default());
-    assert!(refused.unwrap_err().message().contains("full scale, 2000 m/s², in 350 samples"));
+    assert!(refused.unwrap_err().text.contains("full scale, 2000 m/s², in 350 samples"));
 }
 
 #[test]

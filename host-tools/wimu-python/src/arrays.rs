@@ -7,7 +7,7 @@ use numpy::{AllowTypeChange, PyArray1, PyArray2, PyArray3, PyArrayLike, PyArrayM
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use serde::Serialize;
-use wimu_host::ErrorCode;
+use wimu_host::Code;
 
 use crate::failure::Result;
 
@@ -67,7 +67,7 @@ pub fn matrices<const N: usize>(
 /// Lists and dictionaries with the content of the JSON of `value`.
 pub fn plain(py: Python<'_>, value: &impl Serialize) -> Result<Py<PyAny>> {
     let text = serde_json::to_string(value)
-        .map_err(|error| ErrorCode::FileFailed.error(error.to_string(), "report this fault"))?;
+        .map_err(|error| Code::FileFailed.error(error.to_string(), "report this fault"))?;
     let loads = py.import("json")?.getattr("loads")?;
     Ok(loads.call1((text,))?.unbind())
 }

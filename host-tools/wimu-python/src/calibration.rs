@@ -182,7 +182,7 @@ impl Correction {
     pub fn parameters(&self) -> wimu_host::Result<ParameterSet> {
         match self {
             Self::Calibration(held) => held.get().report.parameters.ok_or_else(|| {
-                let error = wimu_host::ErrorCode::BadCalibration.error(
+                let error = wimu_host::Code::BadCalibration.error(
                     "the calibration has no parameters for a board",
                     "calibrate counts, or give the sensitivity",
                 );

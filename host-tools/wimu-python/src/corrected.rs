@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use pyo3::prelude::*;
-use wimu_host::{HostError, apply as correction};
+use wimu_host::{Problem, apply as correction};
 
 use crate::arrays::{Array1, Array2, column, plain, table};
 use crate::calibration::Correction;
@@ -39,7 +39,7 @@ pub fn apply(
         }
         let rows: Vec<correction::Corrected> = applied.rows().collect();
         let findings = [&applied.findings[..], &data.findings].concat();
-        Ok::<_, HostError>((rows, findings))
+        Ok::<_, Problem>((rows, findings))
     })?;
     let vectors = |of: fn(&correction::Corrected) -> Option<[f64; 3]>| {
         let any = rows.iter().any(|row| of(row).is_some());

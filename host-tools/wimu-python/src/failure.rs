@@ -2,7 +2,7 @@
 
 use pyo3::exceptions::PyException;
 use pyo3::prelude::*;
-use wimu_host::{ErrorCode, HostError};
+use wimu_host::{Code, Problem};
 
 pyo3::create_exception!(
     wimu,
@@ -18,26 +18,26 @@ pub type Result<T> = std::result::Result<T, Failure>;
 
 /// A wrong argument.
 pub fn usage(message: impl Into<String>, remedy: impl Into<String>) -> Failure {
-    ErrorCode::Usage.error(message, remedy).into()
+    Code::Usage.error(message, remedy).into()
 }
 
 /// Data that do not support an answer.
 pub fn refused(source: &str, reason: Option<&str>, remedy: String) -> Failure {
     let reason = reason.unwrap_or("the data do not support an answer");
-    let error = ErrorCode::DataRefused.error(reason, remedy);
+    let error = Code::DataRefused.error(reason, remedy);
     error.at(source).into()
 }
 
-impl From<HostError> for Failure {
-    fn from(error: HostError) -> Self {
+impl From<Problem> for Failure {
+    fn from(error: Problem) -> Self {
         Python::attach(|py| {
             let raised = WimuError::new_err(error.to_string());
             let value = raised.value(py);
             let set = [
-                ("code", Some(error.code().as_str())),
-                ("message", Some(error.message())),
-                ("where", error.location()),
-                ("remedy", Some(error.remedy())),
+                ("code", Some(error.code.as_str())),
+                ("message", Some(&*error.text)),
+                ("where", error.place.at.as_deref()),
+                ("remedy", Some(&*error.remedy)),
             ]
             .into_iter()
             .try_for_each(|(name, text)| value.setattr(name, text));

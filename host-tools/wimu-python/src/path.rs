@@ -7,7 +7,7 @@ use wimu_host::inertial::{
     self, Choice, InertialPath, Method, PathPoint, Profile, StartPose, Zupt,
 };
 use wimu_host::motion::{MotionRecording, TableOptions};
-use wimu_host::{ErrorCode, Input, history, navigation};
+use wimu_host::{Code, Input, history, navigation};
 
 use crate::arrays::{Array1, Array2, Array3, column, matrices, plain, table};
 use crate::calibration::Correction;
@@ -247,7 +247,7 @@ fn motion(
         let boots = recording.link(source.options().role)?.boots.iter();
         let longest = boots.max_by_key(|boot| boot.raw.len().max(boot.corrected.len()));
         let boot = longest.ok_or_else(|| {
-            let error = ErrorCode::NoRows.error("the recording has no samples", "record again");
+            let error = Code::NoRows.error("the recording has no samples", "record again");
             error.at(&recording.name)
         })?;
         let parameters = calibration.map(Correction::parameters).transpose()?;

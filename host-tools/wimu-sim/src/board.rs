@@ -14,7 +14,7 @@ use std::time::Duration;
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embedded_hal_async::digital::Wait;
 use wimu_host::transport::Transport;
-use wimu_host::{ErrorCode, Result};
+use wimu_host::{Code, Result};
 use wimu_link::hello::{Capabilities, Part, board, sensor};
 use wimu_link::{Hello, LinkRole};
 use wimu_model::DeviceTimeUs;
@@ -557,7 +557,7 @@ impl<'a, R: VirtualBoard> SimLink<'a, R> {
         if connection.is_some() && connection == self.connection {
             return Ok(());
         }
-        Err(ErrorCode::LinkLost
+        Err(Code::LinkLost
             .error("the simulated link is disconnected", "connect again")
             .at(format!("the simulated {} link", self.role)))
     }

@@ -12,7 +12,7 @@ use wimu_host::history::{Boot, Recording};
 use wimu_host::navigation::{self, Point};
 use wimu_host::recording::{self, Selection};
 use wimu_host::replay::{self, ReplayReport};
-use wimu_host::{ErrorCode, HostError, Result};
+use wimu_host::{Code, Problem, Result};
 use wimu_link::auth::DeviceKey;
 use wimu_link::hello::Capabilities;
 use wimu_link::message::Settings;
@@ -85,7 +85,7 @@ pub struct Outcome {
     pub report: CalibrationReport,
     /// Errors of a push over the wireless link: before the device had a key, without the key
     /// when it had one, and with a wrong one.
-    pub refusals: Vec<Option<HostError>>,
+    pub refusals: Vec<Option<Problem>>,
     /// Parameters of the device after the push over the wireless link with its key.
     pub pushed: ParameterId,
     /// Duration of that push, with session and read-back, s.
@@ -254,7 +254,7 @@ impl FirstLight {
         let report = calibrate(&data.samples(Selection::default())?, &options)?;
         match report.parameters {
             Some(set) => Ok((report, set)),
-            None => Err(ErrorCode::DataRefused
+            None => Err(Code::DataRefused
                 .error(report.outcome.reason.unwrap_or_default(), "choose another seed")),
         }
     }
@@ -347,8 +347,8 @@ impl Played {
     }
 }
 
-fn lacks(what: &str) -> HostError {
-    ErrorCode::NoRows.error(
+fn lacks(what: &str) -> Problem {
+    Code::NoRows.error(
         format!("the recording of the simulated board lacks {what}"),
         "report this as a fault of wimu",
     )
@@ -392,7 +392,7 @@ impl<R: VirtualBoard> Host<'_, R> {
     fn slide_error_m(&self, path: &[Point], slide: Played, end_s: f64) -> Result<f64> {
         let at = |time_s: f64| {
             let point = slide.point(path, time_s)?;
-            Ok::<_, HostError>(point.navigation.position.to_m())
+            Ok::<_, Problem>(point.navigation.position.to_m())
         };
         let truth = |time_s| self.scene.state(slide.begin_s + time_s).position_m;
         let moved = |from: [f64; 3], to: [f64; 3]| [0, 1, 2].map(|axis| to[axis] - from[axis]);

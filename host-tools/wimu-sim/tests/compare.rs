@@ -4,7 +4,7 @@
 use crate::session;
 
 use session::*;
-use wimu_host::ErrorCode;
+use wimu_host::Code;
 use wimu_host::compare::Comparison;
 use wimu_host::decode::{Decoder, Event};
 use wimu_host::mcap_file::Recorded;
@@ -89,8 +89,8 @@ fn a_missing_link_is_named_and_so_are_other_boards_and_no_overlap() {
     let all = entries(&both);
     let refusal = |entries: &[Recorded]| {
         let error = compared(&file(entries)).unwrap_err();
-        assert_eq!((error.code(), error.exit_code()), (ErrorCode::DataRefused, 3));
-        error.message().to_owned()
+        assert_eq!((error.code, error.exit_code()), (Code::DataRefused, 3));
+        error.text.clone()
     };
     for (kept, missing) in [(LinkRole::Cable, "wireless"), (LinkRole::Wireless, "cable")] {
         let only: Vec<_> = all.iter().filter(|e| e.role() == kept).cloned().collect();

@@ -4,7 +4,7 @@ use std::cell::RefCell;
 use std::time::Duration;
 
 use proptest::prelude::*;
-use wimu_host::ErrorCode;
+use wimu_host::Code;
 use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::decode::{Decoder, Event};
 use wimu_host::transport::Transport;
@@ -323,11 +323,11 @@ fn a_disconnected_link_says_so_and_a_new_connection_works() {
             break error;
         }
     };
-    assert_eq!(lost.code(), ErrorCode::LinkLost);
+    assert_eq!(lost.code, Code::LinkLost);
     assert_eq!(board.borrow().now_us() / 1_000_000, 5);
     assert!(connect().is_err(), "there is no connection yet");
     board.borrow_mut().run_until(7_100_000);
-    assert_eq!(client.next_event(Duration::ZERO).expect_err("dead").code(), ErrorCode::LinkLost);
+    assert_eq!(client.next_event(Duration::ZERO).expect_err("dead").code, Code::LinkLost);
     let mut client = connect().expect("a board");
     assert!(client.status().is_ok());
     // What was said meanwhile is gone and counted.

@@ -1,12 +1,12 @@
 //! A walk with ranges that arrive while it goes on, beside the filter of its recording.
 
 use nalgebra::{Matrix3, Vector3};
-use wimu_host::finding::{Finding, FindingCode, Severity};
 use wimu_host::inertial::{Choice, Fix, Fixes, Live, PathPoint, Profile};
 use wimu_host::localization::{
     LocalizationChoice, RangePrior, RangeRecording, RangeSample, Ranging, localize,
 };
 use wimu_host::motion::MotionRecording;
+use wimu_host::{Code, Problem, Severity};
 use wimu_sim::motion::Motion as _;
 use wimu_sim::walk::{HALL_M, RangeWalk, Strides, distance_m, sensed};
 use wimu_testkit::{Coverage, Lane};
@@ -117,7 +117,7 @@ fn late_and_blocked_ranges_are_counted_and_not_believed() {
     assert!(found < 0.3 && valid > 0.99, "{found} {valid}");
     let text = format!("{} ranges arrived later than the filter waits", aided.late);
     let said = live.findings();
-    assert!(said.iter().any(|f| f.evidence.contains(&text)), "{said:?}");
+    assert!(said.iter().any(|f| f.text.contains(&text)), "{said:?}");
 }
 
 #[test]
@@ -131,10 +131,10 @@ fn an_anchor_that_was_moved_is_named() {
     let mut live = live(&ranges.recording, Profile::Foot);
     let points = streamed(&mut live, &motion, &ranges.recording.ranges, |_| 0.0);
     let said = live.findings();
-    let named = |f: &&Finding| f.code == FindingCode::Residuals;
+    let named = |f: &&Problem| f.code == Code::Residuals;
     let named: Vec<_> = said.iter().filter(named).collect();
     assert_eq!(named.len(), 1, "{said:?}");
-    assert!(named[0].evidence.contains("anchor A3 from 1"), "{}", named[0]);
+    assert!(named[0].text.contains("anchor A3 from 1"), "{}", named[0]);
     let (found, _) = error_m(&strides, &points, 8.0);
     assert!(found < 0.3, "{found}");
 }

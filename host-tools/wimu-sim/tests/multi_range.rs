@@ -3,8 +3,7 @@
 use std::cell::RefCell;
 use std::f64::consts::FRAC_PI_2;
 
-use wimu_host::ErrorCode;
-use wimu_host::finding::FindingCode;
+use wimu_host::Code;
 use wimu_host::history::{Boot, Recording as Session};
 use wimu_host::inertial::{Choice, navigate};
 use wimu_host::multi_range::{FullScales, Merge};
@@ -30,13 +29,13 @@ fn merge(recording: &Recording) -> Merge {
 
 fn refusal(recording: &Recording) -> String {
     let error = Merge::of(recording, &FullScales::default()).expect_err("refused");
-    assert_eq!(error.code(), ErrorCode::DataRefused);
-    error.message().to_owned()
+    assert_eq!(error.code, Code::DataRefused);
+    error.text.clone()
 }
 
-fn evidence(merge: &Merge, code: FindingCode) -> Vec<&str> {
+fn evidence(merge: &Merge, code: Code) -> Vec<&str> {
     let of_code = merge.findings.iter().filter(|finding| finding.code == code);
-    of_code.map(|finding| finding.evidence.as_str()).collect()
+    of_code.map(|finding| finding.text.as_str()).collect()
 }
 
 /// Error of the largest |x| in the pulse, relative.
@@ -55,11 +54,11 @@ fn peak_error(simulated: &MultiRange, merge: &Merge) -> f64 {
 fn a_usual_pair_has_no_warning_and_one_line_says_what_was_merged() {
     let simulated = MultiRange::new(1, false);
     let merge = merge(&simulated.record());
-    let notes = evidence(&merge, FindingCode::Navigation);
+    let notes = evidence(&merge, Code::Navigation);
     assert_eq!(notes.len(), 1, "{notes:?}");
     assert!(notes[0].starts_with("accelerometers 0 (±2 g), 1 (±16 g) merged"));
     let warnings =
-        merge.findings.iter().filter(|f| f.severity > wimu_host::finding::Severity::Note);
+        merge.findings.iter().filter(|f| f.severity > wimu_host::problem::Severity::Note);
     assert_eq!(warnings.count(), 0, "{:?}", merge.findings);
 }
 
@@ -69,7 +68,7 @@ fn a_unit_turned_in_its_mount_is_found_and_corrected() {
         let mut simulated = MultiRange::new(2, false);
         simulated.sensors[1].mount = Attitude::from_rotation_vector([0.0, 0.0, angle]);
         let merge = merge(&simulated.record());
-        let found = evidence(&merge, FindingCode::Axes);
+        let found = evidence(&merge, Code::Axes);
         assert_eq!(found.len(), usize::from(!says.is_empty()), "{angle}: {found:?}");
         assert!(found.iter().all(|text| text.contains(says)), "{found:?}");
         assert!(peak_error(&simulated, &merge).abs() < 0.02);
@@ -83,7 +82,7 @@ fn a_turned_unit_that_only_rested_is_refused() {
     simulated.impact = Impact { speed_mps: 0.0, peak_mps2: 0.0, ..simulated.impact };
     // Mounted alike, it is merged, and its scale factors are known from the datasheet only.
     let alike = merge(&simulated.record());
-    assert_eq!(evidence(&alike, FindingCode::NotObserved).len(), 1);
+    assert_eq!(evidence(&alike, Code::NotObserved).len(), 1);
     simulated.sensors[1].mount = Attitude::from_rotation_vector([FRAC_PI_2, 0.0, 0.0]);
     assert!(refusal(&simulated.record()).contains("turned in its mount"));
 }
@@ -101,7 +100,7 @@ fn another_clock_and_a_delay_are_found_and_corrected() {
         let middle_s = 0.5 * (simulated.pulse_s()[1] + 4.0);
         let late_s = delay_s + clock_ppm * 1e-6 * middle_s;
         assert!((relative.delay_s - late_s).abs() < 4e-4, "{relative:?} {late_s}");
-        let says = evidence(&merge, FindingCode::Clock).join(" ");
+        let says = evidence(&merge, Code::Clock).join(" ");
         assert_eq!(says.contains("400 ppm") || says.contains("ppm"), clock_ppm != 0.0, "{says}");
         assert!(peak_error(&simulated, &merge).abs() < 0.02);
     }
@@ -112,7 +111,7 @@ fn a_slower_unit_is_merged_with_a_warning() {
     let mut simulated = MultiRange::new(5, false);
     simulated.sensors[1].rate_hz = 100.0;
     let merge = merge(&simulated.record());
-    let found = evidence(&merge, FindingCode::Rate);
+    let found = evidence(&merge, Code::Rate);
     assert_eq!(found.len(), 1);
     assert!(found[0].contains("100 Hz") && found[0].contains("40 ms"), "{found:?}");
 }
@@ -137,7 +136,7 @@ fn what_exceeds_the_widest_is_no_number_and_is_said() {
     let mut simulated = MultiRange::new(8, false);
     simulated.impact.peak_mps2 = 400.0;
     let merge = merge(&simulated.record());
-    assert_eq!(evidence(&merge, FindingCode::Saturated).len(), 1);
+    assert_eq!(evidence(&merge, Code::Saturated).len(), 1);
     let track = merge.recording.tracks().first().expect("a track");
     let lost = track.mask().iter().filter(|valid| !**valid).count();
     let unknown = merge.deviations_mps2.iter().filter(|sd| sd[0].is_nan() || sd[1].is_nan());
@@ -157,7 +156,7 @@ fn equal_ranges_are_not_merged_unless_asked_and_wrong_numbers_are_refused() {
     assert!(of(&[]).expect("no error").is_none());
     assert!(of(&[2.0, 2.0]).expect("asked").is_some());
     for wrong in [&[2.0][..], &[2.0, 16.0, 200.0], &[2.0, -16.0], &[2.0, f64::NAN], &[1.0; 4]] {
-        assert_eq!(of(wrong).expect_err("wrong").code(), ErrorCode::Usage, "{wrong:?}");
+        assert_eq!(of(wrong).expect_err("wrong").code, Code::Usage, "{wrong:?}");
     }
 }
 

@@ -8,9 +8,9 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use ratatui::crossterm::terminal;
 use serde::Serialize;
 use serde_json::Value;
-use wimu_host::finding::{Finding, labelled, text};
+use wimu_host::problem::{labelled, text};
 use wimu_host::untrusted::{self, is_active, printable};
-use wimu_host::{ErrorCode, HostError, Result};
+use wimu_host::{Code, Problem, Result};
 
 use crate::progress;
 
@@ -33,8 +33,8 @@ struct Envelope<'a, T> {
 }
 
 /// A `usage` error: what is wrong, and what to do.
-pub fn usage(message: impl Into<String>, remedy: impl Into<String>) -> HostError {
-    ErrorCode::Usage.error(message, remedy)
+pub fn usage(message: impl Into<String>, remedy: impl Into<String>) -> Problem {
+    Code::Usage.error(message, remedy)
 }
 
 /// Text whose longer lines are broken between words; what follows is indented as the line and two more.
@@ -193,7 +193,7 @@ impl Output {
     /// `file_failed` when a write to stdout failed. A closed pipe is no failure.
     pub(crate) fn finish(&self) -> Result<()> {
         if self.failed.load(Ordering::Relaxed) {
-            return Err(ErrorCode::FileFailed.error(
+            return Err(Code::FileFailed.error(
                 "the output could not be written to stdout",
                 "check where stdout goes, and that the disk has space",
             ));
@@ -206,7 +206,7 @@ impl Output {
     }
 
     /// Reports findings: as text the most severe, with `--verbose` all; in the next object all.
-    pub(crate) fn findings(&self, findings: &[Finding]) {
+    pub(crate) fn findings(&self, findings: &[Problem]) {
         let most = if self.verbose { usize::MAX } else { MOST_FINDINGS };
         text(findings, most).lines().for_each(|line| self.print(line));
         findings.iter().for_each(|finding| self.problem(finding));
@@ -271,11 +271,11 @@ impl Output {
     }
 
     /// Prints an error, with `--json` as an object too.
-    pub(crate) fn failure(&self, error: &HostError) {
+    pub(crate) fn failure(&self, error: &Problem) {
         progress::clear();
         self.problem(error);
         self.envelope(None::<&()>);
-        let text = labelled("wimu: ", &error.into());
+        let text = labelled("wimu: ", error);
         let _ = write!(self.writers().stderr, "{text}");
     }
 }

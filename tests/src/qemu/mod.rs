@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use wimu_host::{ErrorCode, HostError, Result};
+use wimu_host::{Code, Problem, Result};
 use wimu_link::LinkRole;
 
 use wimu_sim::board::{SensorPart, VirtualBoard};
@@ -88,12 +88,9 @@ impl Machine {
     /// QEMU with the board's UARTs on character devices described as QEMU does.
     fn start(&self, mode: &str, [cable, wireless, sensor_bus]: [&str; 3]) -> Result<Process> {
         if !self.image.is_file() {
-            return Err(HostError::new(
-                ErrorCode::FileUnreadable,
-                "there is no firmware",
-                "run `cargo xtask firmware`",
-            )
-            .at(self.image.display().to_string()));
+            return Err(Code::FileUnreadable
+                .error("there is no firmware", "run `cargo xtask firmware`")
+                .at(self.image.display().to_string()));
         }
         let mut command = Command::new(QEMU);
         command.args(["-display", "none", "-monitor", "none"]);
@@ -129,16 +126,12 @@ impl Machine {
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
         match command.spawn() {
             Ok(child) => Ok(Process(child)),
-            Err(error) if error.kind() == ErrorKind::NotFound => Err(HostError::new(
-                ErrorCode::LinkAbsent,
+            Err(error) if error.kind() == ErrorKind::NotFound => Err(Code::LinkAbsent.error(
                 format!("{QEMU} is not installed"),
                 "run `cargo xtask setup`, or install Debian's package qemu-system-arm",
             )),
-            Err(error) => Err(HostError::new(
-                ErrorCode::LinkAbsent,
-                format!("{QEMU} does not start: {error}"),
-                "check its installation",
-            )),
+            Err(error) => Err(Code::LinkAbsent
+                .error(format!("{QEMU} does not start: {error}"), "check its installation")),
         }
     }
 }
@@ -153,7 +146,7 @@ struct Process(Child);
 
 impl Process {
     /// Why it has ended; `None` while it runs.
-    fn failure(&mut self) -> Option<HostError> {
+    fn failure(&mut self) -> Option<Problem> {
         let status = self.0.try_wait().ok()??;
         let mut message = String::new();
         if let Some(stderr) = &mut self.0.stderr {
@@ -161,9 +154,7 @@ impl Process {
         }
         let message = message.trim();
         let message = if message.is_empty() { "no message" } else { message };
-        Some(HostError::new(
-            ErrorCode::LinkLost,
-            format!("{QEMU} has ended ({status}): {message}"),
+        Some(Code::LinkLost.error(format!("{QEMU} has ended ({status}): {message}"),
             "exit code 3: requested power loss, 4: watchdog, 101: firmware panic, 102: processor fault; see its log",
         ))
     }
@@ -186,13 +177,13 @@ impl Folder {
         let name = format!("wimu-qemu-{}-{number}", std::process::id());
         let path = std::env::temp_dir().join(name);
         fs::create_dir_all(&path)
-            .map_err(|error| HostError::file(&path.display().to_string(), "make", &error))?;
+            .map_err(|error| Problem::file(&path.display().to_string(), "make", &error))?;
         Ok(Self(path))
     }
 
     fn listen(&self, name: &str) -> Result<Listener> {
         let path = self.0.join(name);
-        let failed = |error| HostError::file(&path.display().to_string(), "listen on", &error);
+        let failed = |error| Problem::file(&path.display().to_string(), "listen on", &error);
         // A socket left from the previous start.
         let _ = fs::remove_file(&path);
         let listener = UnixListener::bind(&path).map_err(failed)?;
@@ -230,8 +221,7 @@ impl Listener {
                 return Err(failure);
             }
             if start.elapsed() > START_PATIENCE {
-                return Err(HostError::new(
-                    ErrorCode::LinkAbsent,
+                return Err(Code::LinkAbsent.error(
                     format!("{QEMU} does not connect within {} s", START_PATIENCE.as_secs()),
                     "reduce the load of this computer",
                 ));
@@ -241,12 +231,8 @@ impl Listener {
     }
 }
 
-fn lost(error: &io::Error) -> HostError {
-    HostError::new(
-        ErrorCode::LinkLost,
-        format!("the line to {QEMU} failed: {error}"),
-        "start it again",
-    )
+fn lost(error: &io::Error) -> Problem {
+    Code::LinkLost.error(format!("the line to {QEMU} failed: {error}"), "start it again")
 }
 
 /// A board in QEMU in lockstep: its time passes only when its host lets it, however long the
@@ -336,8 +322,7 @@ impl QemuBoard {
                     return Err(failure);
                 }
                 if heard.elapsed() > PATIENCE {
-                    return Err(HostError::new(
-                        ErrorCode::LinkLost,
+                    return Err(Code::LinkLost.error(
                         format!("the board has not gone on for {} s", PATIENCE.as_secs()),
                         "see its log",
                     ));
@@ -449,7 +434,7 @@ impl Lines {
     }
 
     /// The cause of a failed line: usually that QEMU has ended.
-    fn cause(&mut self, error: &io::Error) -> HostError {
+    fn cause(&mut self, error: &io::Error) -> Problem {
         let start = Instant::now();
         while start.elapsed() < Duration::from_secs(1) {
             if let Some(failure) = self.process.failure() {

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::decode::Event as Heard;
-use wimu_host::{ErrorCode, Result};
+use wimu_host::{Code, Result};
 use wimu_link::LinkRole;
 use wimu_link::auth::DeviceKey;
 use wimu_link::hello::WriteAccess;
@@ -60,8 +60,8 @@ fn set_rate(client: &mut Link<'_>, rate_hz: u16) -> Result<Settings> {
     client.set_settings(Settings { rate_hz, ..Settings::default() })
 }
 
-fn code<T>(outcome: Result<T>) -> Option<ErrorCode> {
-    outcome.err().map(|error| error.code())
+fn code<T>(outcome: Result<T>) -> Option<Code> {
+    outcome.err().map(|error| error.code)
 }
 
 #[test]
@@ -70,9 +70,9 @@ fn a_key_opens_the_wireless_link_to_its_owner_and_closes_the_cable_to_others() {
     let mut cable = connect(&board, CABLE, 1);
     let mut wireless = connect(&board, WIRELESS, 2);
     assert_eq!(cable.hello().access, WriteAccess::Open);
-    assert_eq!(code(set_rate(&mut wireless, 200)), Some(ErrorCode::KeyNeeded));
+    assert_eq!(code(set_rate(&mut wireless, 200)), Some(Code::KeyNeeded));
     // A key does not travel over a radio: not even the host lets it.
-    assert_eq!(code(wireless.set_key(KEY)), Some(ErrorCode::KeyNeeded));
+    assert_eq!(code(wireless.set_key(KEY)), Some(Code::KeyNeeded));
     cable.set_key(KEY).expect("set");
     assert_eq!(cable.key_status(), Ok(Some(KEY.id())));
     assert_eq!(cable.hello().access, WriteAccess::Key);
@@ -83,10 +83,10 @@ fn a_key_opens_the_wireless_link_to_its_owner_and_closes_the_cable_to_others() {
         for (key, session) in [(None, 5), (Some(OTHER), 6)] {
             let mut stranger = connect(&board, role, session);
             stranger.use_key(key);
-            assert_eq!(code(set_rate(&mut stranger, 50)), Some(ErrorCode::KeyNeeded));
-            assert_eq!(code(stranger.factory_reset()), Some(ErrorCode::KeyNeeded));
+            assert_eq!(code(set_rate(&mut stranger, 50)), Some(Code::KeyNeeded));
+            assert_eq!(code(stranger.factory_reset()), Some(Code::KeyNeeded));
             let ours = stranger.use_key_among(&[OTHER]);
-            assert_eq!(code(ours), Some(ErrorCode::KeyNeeded));
+            assert_eq!(code(ours), Some(Code::KeyNeeded));
             assert_eq!(stranger.settings().map(|set| set.rate_hz), Ok(200), "reading is free");
         }
     }
@@ -94,12 +94,12 @@ fn a_key_opens_the_wireless_link_to_its_owner_and_closes_the_cable_to_others() {
     let mut cable = owner(&board, CABLE, 7);
     cable.set_key(OTHER).expect("rotated");
     let mut old = owner(&board, WIRELESS, 8);
-    assert_eq!(code(set_rate(&mut old, 50)), Some(ErrorCode::KeyNeeded));
+    assert_eq!(code(set_rate(&mut old, 50)), Some(Code::KeyNeeded));
     assert_eq!(set_rate(&mut cable, 100).map(|set| set.rate_hz), Ok(100));
     cable.forget_key().expect("forgotten");
     assert_eq!(cable.key_status(), Ok(None));
     assert_eq!(set_rate(&mut cable, 200).map(|set| set.rate_hz), Ok(200));
-    assert_eq!(code(set_rate(&mut old, 50)), Some(ErrorCode::KeyNeeded));
+    assert_eq!(code(set_rate(&mut old, 50)), Some(Code::KeyNeeded));
 }
 
 #[test]
@@ -113,7 +113,7 @@ fn a_key_outlives_a_restart_and_a_factory_reset_and_sessions_do_not() {
     wireless.factory_reset().expect("reset");
     assert_eq!(wireless.key_status(), Ok(Some(KEY.id())));
     let mut stranger = connect(&board, CABLE, 3);
-    assert_eq!(code(set_rate(&mut stranger, 50)), Some(ErrorCode::KeyNeeded));
+    assert_eq!(code(set_rate(&mut stranger, 50)), Some(Code::KeyNeeded));
 }
 
 #[test]
@@ -164,8 +164,8 @@ fn a_memory_without_a_header_locks_both_links_until_the_owner_makes_the_gesture(
         let mut host = owner(&board, role, session);
         assert_eq!(host.hello().access, WriteAccess::Locked);
         let refused = set_rate(&mut host, 200).expect_err("locked");
-        assert_eq!(refused.code(), ErrorCode::DeviceRefused);
-        assert!(refused.remedy().contains("wimu key rotate"), "{refused}");
+        assert_eq!(refused.code, Code::DeviceRefused);
+        assert!(refused.remedy.contains("wimu key rotate"), "{refused}");
     }
     board.borrow().forget_key();
     let mut cable = connect(&board, CABLE, 4);
@@ -194,8 +194,8 @@ fn an_unreadable_key_locks_both_links_until_the_owner_makes_the_gesture() {
         let mut host = owner(&board, role, session);
         assert_eq!(host.hello().access, WriteAccess::Locked);
         let refused = connect(&board, role, session + 10).use_key_among(&[KEY]);
-        assert_eq!(code(refused), Some(ErrorCode::DeviceRefused));
-        assert_eq!(code(set_rate(&mut host, 50)), Some(ErrorCode::DeviceRefused));
+        assert_eq!(code(refused), Some(Code::DeviceRefused));
+        assert_eq!(code(set_rate(&mut host, 50)), Some(Code::DeviceRefused));
         assert_eq!(host.parameters().map(|held| held.id), Ok(held.0));
     }
     board.borrow().forget_key();
@@ -221,7 +221,7 @@ fn the_gesture_erases_key_and_settings_and_never_the_calibration() {
         assert_eq!(cable.settings(), Ok(Settings::default()));
         assert_eq!(cable.parameters().map(|held| held.id), Ok(held.0));
         let mut wireless = owner(&board, WIRELESS, 4);
-        assert_eq!(code(set_rate(&mut wireless, 50)), Some(ErrorCode::KeyNeeded));
+        assert_eq!(code(set_rate(&mut wireless, 50)), Some(Code::KeyNeeded));
     }
 }
 

@@ -8,7 +8,7 @@ use std::time::Duration;
 use wimu_host::calibration::parameter_id;
 use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::transport::Transport;
-use wimu_host::{ErrorCode, HostError, Result};
+use wimu_host::{Code, Result};
 use wimu_link::auth::{DeviceKey, KeyId};
 use wimu_link::message::{Payload, Refusal, Reply, Request, SetBytes, Settings, Signature};
 use wimu_link::{Answer, Command, Deframer, Kind, LinkRole};
@@ -131,7 +131,7 @@ impl Transport for Middleman<'_> {
     fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize> {
         if self.cut {
             let lost = "the other end closed the link";
-            return Err(HostError::new(ErrorCode::LinkLost, lost, "connect again"));
+            return Err(Code::LinkLost.error(lost, "connect again"));
         }
         if self.forged.is_empty() {
             return self.link.read(buffer, timeout);
@@ -236,22 +236,22 @@ fn nobody_without_the_key_makes_a_host_believe_that_a_write_was_done() {
     let refusals =
         [Refusal::KeyNeeded, Refusal::WrongSignature, Refusal::SessionEnded, Refusal::Locked];
     let mut ways = vec![
-        (Key::Forged(None), Signed::Passes, ErrorCode::KeyNeeded),
-        (Key::Forged(Some(KeyId([1, 2, 3, 4]))), Signed::Passes, ErrorCode::KeyNeeded),
+        (Key::Forged(None), Signed::Passes, Code::KeyNeeded),
+        (Key::Forged(Some(KeyId([1, 2, 3, 4]))), Signed::Passes, Code::KeyNeeded),
         // He closes the link: it may have been done.
-        (Key::Told, Signed::Cut, ErrorCode::LinkLost),
+        (Key::Told, Signed::Cut, Code::LinkLost),
     ];
-    ways.extend(refusals.map(|refusal| (Key::Told, Signed::Refused(refusal), ErrorCode::NoAnswer)));
+    ways.extend(refusals.map(|refusal| (Key::Told, Signed::Refused(refusal), Code::NoAnswer)));
     for (key, signed, expected) in ways {
         for role in ROLES {
             for (which, (name, ..)) in writes().into_iter().enumerate() {
                 let (told, done) = write_through(key, signed, role, which);
                 let error = told.expect_err("never done");
                 let case = format!("{name} over the {role} link, {key:?}, {signed:?}: {error}");
-                assert_eq!(error.code(), expected, "{case}");
+                assert_eq!(error.code, expected, "{case}");
                 // Where the write itself has been sent, it may have been done.
-                let sent = expected != ErrorCode::KeyNeeded;
-                assert_eq!(error.message().contains("may have been executed"), sent, "{case}");
+                let sent = expected != Code::KeyNeeded;
+                assert_eq!(error.text.contains("may have been executed"), sent, "{case}");
                 assert_eq!(done, signed == Signed::Cut, "{case}");
             }
         }
@@ -265,8 +265,8 @@ fn a_write_that_was_done_and_refused_by_a_stranger_is_never_said_to_have_failed(
             let signed = Signed::RefusedAndPasses(refusal);
             let (told, done) = write_through(Key::Told, signed, LinkRole::Wireless, which);
             assert!(done, "{name}");
-            let code = told.as_ref().err().map(HostError::code);
-            assert!([None, Some(ErrorCode::NoAnswer)].contains(&code), "{told:?}");
+            let code = told.as_ref().err().map(|problem| problem.code);
+            assert!([None, Some(Code::NoAnswer)].contains(&code), "{told:?}");
         }
     }
 }
@@ -289,8 +289,8 @@ fn what_nobody_has_signed_is_no_answer_to_a_write_over_a_radio() {
         let middleman = Middleman::on(link, Key::Told, Signed::Passes);
         let mut client = Client::connect(middleman, "the link", options(2)).expect("a board");
         let error = write(&mut client).expect_err("never done");
-        assert_eq!(error.code(), ErrorCode::KeyNeeded, "{name}: {error}");
-        assert!(error.message().contains("unsigned write"), "{error}");
+        assert_eq!(error.code, Code::KeyNeeded, "{name}: {error}");
+        assert!(error.text.contains("unsigned write"), "{error}");
     }
 }
 
@@ -305,8 +305,8 @@ fn what_is_read_in_a_session_is_the_boards_or_nothing() {
         assert_eq!(client.settings(), Ok(Settings::default()));
         assert!(client.set_settings(faster()).is_err());
         // He would say otherwise now, were he asked without a signature.
-        let read = client.settings().map_err(|error| error.code());
-        assert_eq!(read, Err(ErrorCode::KeyNeeded));
+        let read = client.settings().map_err(|error| error.code);
+        assert_eq!(read, Err(Code::KeyNeeded));
         assert!(client.parameters().is_err() && client.status().is_err());
     }
 }

@@ -2,7 +2,7 @@
 
 use std::cell::RefCell;
 
-use wimu_host::ErrorCode;
+use wimu_host::Code;
 use wimu_host::client::{Client, ConnectOptions};
 use wimu_link::message::{Payload, Refusal};
 use wimu_link::{Answer, Command, LinkRole};
@@ -26,7 +26,7 @@ fn a_rate_holds_from_the_next_start_on_and_the_cable_keeps_its_own() {
         assert!(connect(&board, LinkRole::Wireless).is_ok(), "the rate is the old one until then");
         board.borrow_mut().restart();
         let error = connect(&board, LinkRole::Wireless).err().expect("rubbish");
-        assert_eq!(error.code(), ErrorCode::NotAWimuBoard);
+        assert_eq!(error.code, Code::NotAWimuBoard);
         board.borrow_mut().link(LinkRole::Wireless).set_baud(baud);
         let mut wireless = connect(&board, LinkRole::Wireless).expect("the new rate");
         assert!(wireless.status().is_ok());

@@ -249,7 +249,7 @@ fn a_recording_is_verified_afterwards_and_its_forged_second_is_named() {
     assert_eq!((changed.forged, changed.findings().count()), (1, 1));
     assert_eq!(changed.verified, genuine.verified - 1);
     let [from_s, to_s] =
-        changed.findings().next().and_then(|finding| finding.span_s).expect("a time");
+        changed.findings().next().and_then(|finding| finding.place.span_s).expect("a time");
     assert!(from_s > 1.0 && to_s < 9.0 && to_s - from_s < 1.2, "{changed:?}");
     let text = surveyed(&sent, Vec::new()).text().expect("tags");
     assert!(text.contains("lacks the key"), "{text}");

@@ -14,7 +14,7 @@ use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::decode::Event;
 use wimu_host::history::LinkHistory;
 use wimu_host::transport::{self, Transport};
-use wimu_host::{ErrorCode, HostError, LinkUrl, Result, replay};
+use wimu_host::{Code, LinkUrl, Problem, Result, replay};
 use wimu_link::message::Event as DeviceEvent;
 use wimu_link::{Deframer, Kind, LinkRole, WIRE_VERSION};
 use wimu_sim::scene::World;
@@ -211,8 +211,8 @@ impl Narrow {
     }
 }
 
-fn lost(error: &std::io::Error) -> HostError {
-    HostError::new(ErrorCode::LinkLost, error.to_string(), "connect again")
+fn lost(error: &std::io::Error) -> Problem {
+    Code::LinkLost.error(error.to_string(), "connect again")
 }
 
 impl Transport for Narrow {
@@ -367,7 +367,7 @@ fn an_image_of_another_wire_version_is_named_with_what_to_do() {
                 said: VecDeque::new(),
             });
             let error = greeted(line).err().expect("refused");
-            assert_eq!(error.code(), ErrorCode::ProtocolVersion, "{error}");
+            assert_eq!(error.code, Code::ProtocolVersion, "{error}");
             let says =
                 format!("version {version} of the protocol, this wimu version {WIRE_VERSION}");
             let text = error.to_string();

@@ -14,7 +14,7 @@ use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::thread;
 
-use wimu_host::{ErrorCode, replay};
+use wimu_host::{Code, replay};
 use wimu_link::LinkRole;
 use wimu_link::message::{EpochReason, Event as DeviceEvent, Settings};
 use wimu_model::{Alignment, GyroscopeParameters, ParameterId, ParameterSet, Sensitivity};
@@ -117,8 +117,8 @@ fn first_light_on_a_cortex_m() {
         assert_eq!(outcome.pushed, outcome.after_restart);
         assert_eq!(outcome.boot_counts, [1, 2]);
         for refusal in &outcome.refusals {
-            let code = refusal.as_ref().map(|error| error.code());
-            assert_eq!(code, Some(ErrorCode::KeyNeeded), "{refusal:?}");
+            let code = refusal.as_ref().map(|error| error.code);
+            assert_eq!(code, Some(Code::KeyNeeded), "{refusal:?}");
         }
         assert!(outcome.slide.uncalibrated_m > 1.0, "{:?}", outcome.slide);
         assert!(outcome.slide.calibrated_m < 0.1, "{:?}", outcome.slide);

@@ -8,7 +8,7 @@ use std::process::Command;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use wimu_host::ErrorCode;
+use wimu_host::Code;
 use wimu_link::LinkRole;
 use wimu_link::message::Event as DeviceEvent;
 use wimu_sim::scenario::Host;
@@ -44,8 +44,8 @@ fn a_corrupted_memory_is_reported_and_taken_for_locked_until_it_is_erased() {
     assert!(events.iter().any(unreadable), "{events:?}");
     // A key may have been in it: nobody writes until hands on the board have erased it.
     let refused = host.cable.push_parameters(&parameters(5)).err();
-    let refused = refused.expect("refused").code();
-    assert_eq!(refused, ErrorCode::DeviceRefused);
+    let refused = refused.expect("refused").code;
+    assert_eq!(refused, Code::DeviceRefused);
     board.borrow_mut().machine().memory = Some(folder.path().join("erased"));
     host.restart().expect("it starts again");
     let pushed = host.cable.push_parameters(&parameters(5)).expect("pushed");

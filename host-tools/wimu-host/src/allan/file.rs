@@ -6,8 +6,6 @@ use wimu_calib::AllanVariance;
 use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
 use super::NoiseReport;
-use crate::error::{ErrorCode, Result};
-use crate::finding::{Finding, FindingCode};
 use crate::formats::{self, ReadOptions, Source};
 use crate::recording::{
     ASSUMED_RATE_HZ, BREAK_NS, Origin, OutputUnit, Quantity, REACH, RateSource, Recording, Sink,
@@ -15,6 +13,7 @@ use crate::recording::{
 };
 use crate::series::thin_out;
 use crate::stats::{median, norm};
+use crate::{Code, Problem, Result};
 
 /// Reads a file and measures the noise of an accelerometer and a gyroscope in it, in memory that does not grow with the file.
 /// `sensitivity` is for counts; without it and a sensitivity of the board, the median magnitude of the first
@@ -114,22 +113,22 @@ impl NoiseOfTracks {
         let (rate_hz, source) = rates[0];
         let name = &recording.name;
         if source == RateSource::Assumed {
-            let error = ErrorCode::DataRefused.error("the data have no times", "give --rate HZ");
+            let error = Code::DataRefused.error("the data have no times", "give --rate HZ");
             return Err(error.at(name));
         }
         if let Some([before, after]) = force.or(rate).and_then(|k| self.meters[k].changed_rates()) {
             let text = format!("the sample rate changes from {before:.4} to {after:.4} Hz");
             let remedy = "cut the recording where it changes, and measure both parts";
-            return Err(ErrorCode::DataRefused.error(text, remedy).at(name));
+            return Err(Code::DataRefused.error(text, remedy).at(name));
         }
         let measured = |index: usize| Some(&*self.meters[index].allan).filter(|a| a.samples() > 0);
         let allans = [force, rate].map(|index| index.and_then(measured));
         let mut report = NoiseReport::new(&recording.name, rate_hz, source, allans);
         // The rate is in the report.
         let read = recording.findings.iter();
-        let read = read.filter(|finding| finding.code != FindingCode::Rate).cloned();
+        let read = read.filter(|finding| finding.code != Code::Rate).cloned();
         let gaps = force.or(rate).and_then(|index| gaps_finding(self.meters[index].gaps));
-        let before: Vec<Finding> = read.chain(gaps).collect();
+        let before: Vec<Problem> = read.chain(gaps).collect();
         report.outcome.findings.splice(0..0, before);
         Ok(report)
     }
@@ -153,7 +152,7 @@ impl Sink for NoiseOfTracks {
         self.meters[track.0].after_gap = true;
     }
 
-    fn finding(&mut self, finding: Finding) {
+    fn finding(&mut self, finding: Problem) {
         self.recording.finding(finding);
     }
 }

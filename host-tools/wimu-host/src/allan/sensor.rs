@@ -7,7 +7,7 @@ use wimu_calib::{AllanVariance, AxisNoise, Measured, NoiseRefusal};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use super::{Figure, PointReport};
-use crate::finding::{Finding, FindingCode};
+use crate::{Code, Problem};
 
 /// Unit of a figure: its name, how many there are in an SI unit, and the decimals that are shown.
 #[derive(Debug)]
@@ -95,7 +95,7 @@ impl SensorNoise {
     }
 
     /// What a user should know beside the numbers.
-    pub(super) fn findings(&self) -> Vec<Finding> {
+    pub(super) fn findings(&self) -> Vec<Problem> {
         let mut findings = Vec::new();
         let deviation = &self.kind.deviation;
         for (name, axis) in self.named() {
@@ -107,17 +107,17 @@ impl SensorNoise {
                     deviation.name,
                     axis.step_mps2 / axis.sample_sd_mps2
                 );
-                let finding = FindingCode::Quantisation.warning(text);
+                let finding = Code::Quantisation.warning(text);
                 findings.push(finding.remedy("choose a smaller range or a higher resolution"));
             } else if !axis.is_noise() {
-                findings.push(FindingCode::NotNoise.warning(format!(
+                findings.push(Code::NotNoise.warning(format!(
                     "{name}: not noise alone (χ² {:.0} times too large): hum or vibration; the numbers are rough, see the \
                      curve",
                     axis.misfit
                 )));
             }
             if let Some(tau_s) = axis.white_from_s {
-                findings.push(FindingCode::NotNoise.note(format!(
+                findings.push(Code::NotNoise.note(format!(
                     "{name}: the output is filtered, or samples repeat: it is white noise from averaging times of \
                      {tau_s:.3} s on, and the figures are from there"
                 )));
@@ -128,10 +128,10 @@ impl SensorNoise {
                     axis.clipped_samples
                 );
                 let remedy = "choose a larger range or rotate the axis away from its end";
-                findings.push(FindingCode::Saturated.warning(text).remedy(remedy));
+                findings.push(Code::Saturated.warning(text).remedy(remedy));
             }
             if axis.is_one_event {
-                let finding = FindingCode::NotNoise.warning(format!(
+                let finding = Code::NotNoise.warning(format!(
                     "{name}: a single event (warm-up or a jump) dominates long times: bias instability and random walk are \
                      left out"
                 ));

@@ -13,7 +13,7 @@ use super::outputs::{
 use super::rests::{EvenTurn, REST_BIAS_MPS2, judged};
 use super::{ArrayGeometry, ArrayRecording};
 use crate::stats::norm;
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Result};
 
 /// Noise that is assumed where there is no rest to see it, m/s².
 const ASSUMED_NOISE_MPS2: f64 = 0.05;
@@ -119,7 +119,7 @@ impl ArrayCalibration {
         check(recording, geometry)?;
         let sensors = recording.sensors();
         let refused = |message: &str, remedy: &str| {
-            HostError::new(ErrorCode::DataRefused, message, remedy).at(&recording.name)
+            Code::DataRefused.error(message, remedy).at(&recording.name)
         };
         let mut left_out: Vec<(usize, String)> = (0..sensors)
             .filter(|sensor| is_dead(recording, *sensor))

@@ -7,8 +7,7 @@ use wimu_nav::array::ArraySolver;
 
 use super::motion::{axes, check, refused, with_room};
 use super::{ArrayCalibration, ArrayGeometry, ArrayRecording};
-use crate::finding::{Finding, FindingCode};
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// Samples in motion that are used, about.
 const MOST_SAMPLES: usize = 2000;
@@ -74,8 +73,8 @@ impl Agreement {
     }
 
     /// The agreement, and the size of the array where it is not that of the geometry.
-    pub fn findings(&self) -> Vec<Finding> {
-        let mut findings = vec![FindingCode::Geometry.note(format!(
+    pub fn findings(&self) -> Vec<Problem> {
+        let mut findings = vec![Code::Geometry.note(format!(
             "{:.1} % of the variance among the sensors in motion, {:.3} m/s² rms, fits no motion of one rigid body",
             100.0 * self.unexplained,
             self.unexplained_mps2
@@ -87,17 +86,15 @@ impl Agreement {
                  are not the integral of the angular acceleration"
             );
             let remedy = "check the unit of the positions and the distances between the sensors";
-            findings.push(FindingCode::Geometry.warning(text).remedy(remedy));
+            findings.push(Code::Geometry.warning(text).remedy(remedy));
         }
         findings
     }
 }
 
 /// Refusal of sensors whose outputs are not those of one rigid body.
-pub(super) fn contradiction(name: &str, what: &str) -> HostError {
-    HostError::new(
-        ErrorCode::DataRefused,
-        format!("the sensors contradict each other: {what}"),
+pub(super) fn contradiction(name: &str, what: &str) -> Problem {
+    Code::DataRefused.error(format!("the sensors contradict each other: {what}"),
         "check the geometry: the order of the sensors, the signs of their positions, and the directions of their \
          axes. If they are right, calibrate the sensors: hold the array still in a dozen orientations, \
          `wimu calibrate RESTS.csv --geometry PLACES.csv -o ARRAY.json`, and navigate with --geometry ARRAY.json",
@@ -335,9 +332,7 @@ pub fn refine(
     let (before, after) = match (&given.agreement, &found.agreement) {
         (Some(before), Some(after)) if after.samples >= LEAST_SAMPLES => (before, after),
         (_, after) => {
-            return Err(HostError::new(
-                ErrorCode::DataRefused,
-                format!("the body rotates fast enough in {} samples only", after.map_or(0, |a| a.samples)),
+            return Err(Code::DataRefused.error(format!("the body rotates fast enough in {} samples only", after.map_or(0, |a| a.samples)),
                 "rotate the array about all axes, fast, for half a minute, besides resting it in several orientations",
             )
             .at(&recording.name));

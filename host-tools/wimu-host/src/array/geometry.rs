@@ -8,7 +8,7 @@ use wimu_model::{ErrorModel, SpecificForceMps2};
 use super::single::SingleAxis;
 use crate::calibration::read_model;
 use crate::navigation::distance_m;
-use crate::{ErrorCode, HostError, OutputFile, Result};
+use crate::{Code, OutputFile, Problem, Result};
 
 /// One triad of an array.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -113,8 +113,7 @@ impl ArrayGeometry {
     /// `usage` for another number of files than of sensors; those of [`read_model`].
     pub fn with_models(mut self, files: &[PathBuf]) -> Result<Self> {
         if files.len() != self.sensors.len() {
-            return Err(HostError::new(
-                ErrorCode::Usage,
+            return Err(Code::Usage.error(
                 format!(
                     "there are {} calibrations for {} sensors of three axes",
                     files.len(),
@@ -187,14 +186,12 @@ impl ArrayGeometry {
         {
             return preset;
         }
-        let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
+        let text = std::fs::read_to_string(path).map_err(|e| Problem::file(&name, "read", &e))?;
         if !text.trim_start().starts_with('{') {
             let geometry = Self::at(&places(&text, &name)?);
             let span = geometry.span_m();
             if span > Self::LARGE_M {
-                return Err(HostError::new(
-                    ErrorCode::BadCalibration,
-                    format!("its places are up to {span:.1} m apart: are they in mm?"),
+                return Err(Code::BadCalibration.error(format!("its places are up to {span:.1} m apart: are they in mm?"),
                     "write the columns `X (mm),Y (mm),Z (mm)`; give an array as large as this as JSON",
                 )
                 .at(&name));
@@ -202,9 +199,7 @@ impl ArrayGeometry {
             return Ok(geometry);
         }
         let bad = |message: String| {
-            HostError::new(
-                ErrorCode::BadCalibration,
-                message,
+            Code::BadCalibration.error(message,
                 "give a file that `wimu calibrate --geometry` or `wimu navigate --refine` wrote, or a table of places in m",
             )
             .at(&name)
@@ -282,22 +277,18 @@ fn places(text: &str, name: &str) -> Result<Vec<[f64; 3]>> {
     let number = |row: &(usize, Vec<&str>), column: usize| {
         let text = row.1.get(column).copied().unwrap_or("");
         text.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
-            HostError::new(
-                ErrorCode::CsvBadNumber,
-                format!("`{text}` is not a finite number"),
-                "give places in m",
-            )
-            .at(format!("{name} line {}", row.0))
+            Code::CsvBadNumber
+                .error(format!("`{text}` is not a finite number"), "give places in m")
+                .at(format!("{name} line {}", row.0))
         })
     };
-    let missing = || {
-        HostError::new(
-            ErrorCode::CsvMissingColumn,
-            "it does not say where the sensors are",
+    let missing =
+        || {
+            Code::CsvMissingColumn.error("it does not say where the sensors are",
             "write a line `X (m),Y (m),Z (m)` and a line with three numbers for each sensor",
         )
         .at(name)
-    };
+        };
     let head = rows.first().ok_or_else(missing)?;
     let row_of = |axis: &str| {
         rows.iter().find(|(_, row)| row.first().is_some_and(|f| f.eq_ignore_ascii_case(axis)))

@@ -10,7 +10,7 @@ use super::fit::{Agreement, Fitted};
 use super::{ArrayCalibration, ArrayGeometry, ArrayRecording};
 use crate::inertial::Zupt;
 use crate::plural::counted;
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// Output that stands for a sensor at its limit, m/s².
 pub(super) const AT_LIMIT_MPS2: f64 = 1e6;
@@ -35,9 +35,7 @@ macro_rules! with_room {
             0..=4 => $function::<12>($($argument),*),
             5..=8 => $function::<24>($($argument),*),
             9..=16 => $function::<48>($($argument),*),
-            many => Err(HostError::new(
-                ErrorCode::Usage,
-                format!("{many} sensors are more than 16"),
+            many => Err(Code::Usage.error(format!("{many} sensors are more than 16"),
                 "leave some out",
             )),
         }
@@ -108,8 +106,7 @@ impl<'a> ArrayBody<'a> {
 
 pub(super) fn check(recording: &ArrayRecording, geometry: &ArrayGeometry) -> Result<()> {
     if !geometry.axes.is_empty() {
-        return Err(HostError::new(
-            ErrorCode::Usage,
+        return Err(Code::Usage.error(
             "single axes are neither calibrated nor refined: nothing tells their errors apart",
             "navigate with the geometry as it is; for a calibration give triads",
         ));
@@ -117,31 +114,33 @@ pub(super) fn check(recording: &ArrayRecording, geometry: &ArrayGeometry) -> Res
     if geometry.sensors.len() == recording.sensors() {
         return Ok(());
     }
-    Err(HostError::new(
-        ErrorCode::Usage,
-        format!(
-            "the geometry has {} sensors, the recording {}",
-            geometry.sensors.len(),
-            recording.sensors()
-        ),
-        format!(
-            "give one line with the place of each sensor, in their order: {}",
-            if geometry.sensors.len() < recording.sensors() {
-                format!("the places from sensor {} (from 0) on are missing", geometry.sensors.len())
-            } else {
-                format!(
-                    "columns from `Accelerometer {} X` on are missing, or leave lines out",
-                    recording.sensors()
-                )
-            }
-        ),
-    )
-    .at(&recording.name))
+    Err(Code::Usage
+        .error(
+            format!(
+                "the geometry has {} sensors, the recording {}",
+                geometry.sensors.len(),
+                recording.sensors()
+            ),
+            format!(
+                "give one line with the place of each sensor, in their order: {}",
+                if geometry.sensors.len() < recording.sensors() {
+                    format!(
+                        "the places from sensor {} (from 0) on are missing",
+                        geometry.sensors.len()
+                    )
+                } else {
+                    format!(
+                        "columns from `Accelerometer {} X` on are missing, or leave lines out",
+                        recording.sensors()
+                    )
+                }
+            ),
+        )
+        .at(&recording.name))
 }
 
-pub(super) fn refused(message: impl ToString) -> HostError {
-    HostError::new(
-        ErrorCode::DataRefused,
+pub(super) fn refused(message: impl ToString) -> Problem {
+    Code::DataRefused.error(
         message.to_string(),
         "four triads and more, not in a plane, show the angular rate best",
     )

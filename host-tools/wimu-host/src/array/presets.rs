@@ -3,7 +3,7 @@
 use wimu_nav::array::{Geometry, GeometryError};
 
 use super::{ArrayGeometry, SingleAxis};
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Result};
 
 /// What they are called, and their lengths.
 const KNOWN: &str = "cube:SIDE (six single axes after Chen, Lee & DeBra), four:ARM (four triads at alternate corners of a cube, ARM \
@@ -23,12 +23,11 @@ const KNOWN: &str = "cube:SIDE (six single axes after Chen, Lee & DeBra), four:A
 /// assert_eq!((cube.axes.len(), cube.axes[5].place_m), (6, [0.0, 0.0, 0.05]));
 /// assert!(preset("hexagon:3mm").is_some_and(|none| none.is_err()));
 /// assert!(preset("places.csv").is_none() && preset("cube:100").is_some_and(|cube| cube.is_err()));
-/// # Ok::<(), wimu_host::HostError>(())
+/// # Ok::<(), wimu_host::Problem>(())
 /// ```
 pub fn preset(text: &str) -> Option<Result<ArrayGeometry>> {
     let (name, lengths) = text.split_once(':')?;
-    let usage =
-        |message: String| HostError::new(ErrorCode::Usage, message, format!("give {KNOWN}"));
+    let usage = |message: String| Code::Usage.error(message, format!("give {KNOWN}"));
     let lengths: Option<Vec<f64>> = lengths.split(',').map(metres).collect();
     let count = match name {
         "cube" | "four" | "octahedron" => 1,

@@ -7,7 +7,6 @@ use wimu_link::LinkRole;
 use wimu_model::{STANDARD_GRAVITY_MPS2, SpecificForceQ16};
 
 use super::ArrayGeometry;
-use crate::finding::FindingCode;
 use crate::formats::{self, ReadOptions};
 use crate::history::{Boot, Recording};
 use crate::motion::{FULL_SCALE_MPS2, Truth};
@@ -16,7 +15,7 @@ use crate::recording::{Origin, Quantity, Track, Unit};
 use crate::series::{Series, period_s};
 use crate::stats::norm;
 use crate::units::RawUnits;
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Result};
 
 /// Counts of a 16-bit sensor from which on an axis is at its limit.
 const LIMIT_COUNTS: f64 = 32_700.0;
@@ -87,9 +86,7 @@ impl ArrayRecording {
                 }
             }
             let Some((unit, values)) = found else {
-                return Err(HostError::new(
-                    ErrorCode::CsvMissingColumn,
-                    format!("there is no column `{name}` for axis {k} (from 0)"),
+                return Err(Code::CsvMissingColumn.error(format!("there is no column `{name}` for axis {k} (from 0)"),
                     "name the columns of single axes `Accelerometer 0 (m/s²)`, `Accelerometer 1 (m/s²)`, … in the order of \
                      the geometry, or give each axis its `column` in the geometry's JSON",
                 )
@@ -139,8 +136,7 @@ impl ArrayRecording {
     /// overlap.
     pub fn from_boards(boards: &[Board]) -> Result<Self> {
         if !(2..=MOST_SENSORS).contains(&boards.len()) {
-            return Err(HostError::new(
-                ErrorCode::Usage,
+            return Err(Code::Usage.error(
                 format!("an array is made of 2 to {MOST_SENSORS} boards, not {}", boards.len()),
                 "give the recording of each board, in the order of the geometry",
             ));
@@ -156,9 +152,7 @@ impl ArrayRecording {
             s.times_s.iter().copied().filter(within).collect()
         });
         if times_s.len() < 4 {
-            return Err(HostError::new(
-                ErrorCode::DataRefused,
-                format!(
+            return Err(Code::DataRefused.error(format!(
                     "the boards' recordings have no time in common: from the first, the last begins \
                      after {from:.1} s and one ends after {to:.1} s"
                 ),
@@ -402,9 +396,7 @@ impl Table {
         let time = forces.first().copied().or(file.tracks().first());
         let timed = time.filter(|track| !track.info.timeless);
         let Some(time) = timed.filter(|_| (least..=MOST_SENSORS).contains(&sensors)) else {
-            return Err(HostError::new(
-                ErrorCode::CsvMissingColumn,
-                format!(
+            return Err(Code::CsvMissingColumn.error(format!(
                     "an array needs times and {least} to {MOST_SENSORS} accelerometers; there are \
                      {sensors}"
                 ),
@@ -419,14 +411,11 @@ impl Table {
             times_s: times.iter().map(|t| (t - first_ns) as f64 * 1e-9).collect(),
             saturated: vec![0; times.len()],
             outputs: vec![Vec::with_capacity(sensors); times.len()],
-            remarks: (file.relevant(&[FindingCode::RowsMasked]).iter())
-                .map(ToString::to_string)
-                .collect(),
+            remarks: (file.relevant(&[Code::RowsMasked]).iter()).map(ToString::to_string).collect(),
             ..ArrayRecording::default()
         };
         if times.len() < 4 {
-            let error =
-                ErrorCode::NoRows.error("there are fewer than four samples", "check the file");
+            let error = Code::NoRows.error("there are fewer than four samples", "check the file");
             return Err(error.at(&file.name));
         }
         for (sensor, force) in forces.iter().enumerate() {
@@ -524,12 +513,12 @@ impl Board {
             let mut recording = table.recording;
             recording.leave_out_beyond();
             if recording.sensors() != 1 {
-                return Err(HostError::new(
-                    ErrorCode::Usage,
-                    format!("it has {} accelerometers", recording.sensors()),
-                    "one of several boards has one; give a table of all by itself",
-                )
-                .at(recording.name));
+                return Err(Code::Usage
+                    .error(
+                        format!("it has {} accelerometers", recording.sensors()),
+                        "one of several boards has one; give a table of all by itself",
+                    )
+                    .at(recording.name));
             }
             return Ok(Self {
                 name: recording.name,
@@ -550,12 +539,12 @@ impl Board {
         };
         let no_rows = || {
             let raw = if options.raw { "raw " } else { "" };
-            HostError::new(
-                ErrorCode::NoRows,
-                format!("no {raw}samples came over the {} link", link.role),
-                "switch a stream on with `wimu settings set`, or use the other link",
-            )
-            .at(&recording.name)
+            Code::NoRows
+                .error(
+                    format!("no {raw}samples came over the {} link", link.role),
+                    "switch a stream on with `wimu settings set`, or use the other link",
+                )
+                .at(&recording.name)
         };
         let boot = link.boots.iter().max_by_key(|boot| samples(boot)).ok_or_else(no_rows)?;
         let corrected = !boot.corrected.is_empty() && !options.raw;
@@ -574,12 +563,12 @@ impl Board {
             i64::try_from(utc).ok()
         };
         let no_clock = || {
-            HostError::new(
-                ErrorCode::DataRefused,
-                "nothing in it tells when its samples were taken by the host's clock",
-                "record for some seconds at the least",
-            )
-            .at(&recording.name)
+            Code::DataRefused
+                .error(
+                    "nothing in it tells when its samples were taken by the host's clock",
+                    "record for some seconds at the least",
+                )
+                .at(&recording.name)
         };
         let origin_ns = host(first.time).ok_or_else(no_clock)?;
         let mut board = Self {

@@ -6,7 +6,7 @@ use wimu_nav::array::ArraySolver;
 use super::motion::{axes_of, with_room};
 use super::{ArrayGeometry, ArrayRecording};
 use crate::stats::{median, norm};
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Result};
 
 /// Length of a block, s.
 const BLOCK_S: f64 = 0.1;

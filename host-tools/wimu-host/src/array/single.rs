@@ -9,7 +9,7 @@ use super::motion::{AT_LIMIT_MPS2, followed, refused, with_room};
 use super::{ArrayGeometry, ArrayRecording, RefineOptions};
 use crate::inertial::Zupt;
 use crate::stats::norm;
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Result};
 
 /// Noise and biases are those of the quietest stretch of so long, s.
 const QUIET_S: f64 = 1.0;
@@ -80,9 +80,7 @@ fn navigate<const M: usize>(
     let (turn, force) = linear.theta.split_at(3);
     let gravity = norm(force);
     if (gravity / STANDARD_GRAVITY_MPS2 - 1.0).abs() > GRAVITY_SHARE {
-        return Err(HostError::new(
-            ErrorCode::DataRefused,
-            format!("where the axes are quietest they show {gravity:.2} m/s², which is not gravity"),
+        return Err(Code::DataRefused.error(format!("where the axes are quietest they show {gravity:.2} m/s², which is not gravity"),
             "check the unit in the columns' names (g, m/s², LSB), --sensitivity, and the directions of the axes",
         )
         .at(&recording.name));
@@ -145,12 +143,15 @@ fn check_moving(recording: &ArrayRecording, geometry: &ArrayGeometry) -> Result<
     let names: Vec<String> = (dead.iter())
         .map(|axis| format!("`{}`", geometry.axes[*axis].column_name(*axis)))
         .collect();
-    Err(HostError::new(
-        ErrorCode::DataRefused,
-        format!("the output of {} never moves: axis {first} (from 0) is dead", names.join(", ")),
-        "check that sensor, its wires and its column; single axes do without none of them",
-    )
-    .at(&recording.name))
+    Err(Code::DataRefused
+        .error(
+            format!(
+                "the output of {} never moves: axis {first} (from 0) is dead",
+                names.join(", ")
+            ),
+            "check that sensor, its wires and its column; single axes do without none of them",
+        )
+        .at(&recording.name))
 }
 
 fn output<const M: usize>(recording: &ArrayRecording, index: usize) -> [f64; M] {

@@ -6,8 +6,7 @@ use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
 use super::delays::corrected_delays;
 use super::fit::{RefineOptions, Refinement, refine};
 use super::{ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
-use crate::finding::{Finding, FindingCode};
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// What a recording of rests, and of turns, says of an array.
 #[derive(Clone, Debug)]
@@ -18,9 +17,9 @@ pub struct CalibratedArray {
     /// What the rests say; the models are in body axes.
     pub calibration: ArrayCalibration,
     /// What turns say of places and delays, or why they say nothing.
-    pub refinement: std::result::Result<Refinement, HostError>,
+    pub refinement: std::result::Result<Refinement, Problem>,
     /// What turns show to be otherwise than given, and how well all agrees.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Problem>,
 }
 
 /// Calibrates an array from a recording in the sensors' own axes: rests in a dozen orientations tell the
@@ -42,13 +41,11 @@ pub fn calibrate_array(
     let calibrated = |geometry: &ArrayGeometry| {
         let arranged = recording.clone().arranged(geometry)?;
         let calibration = ArrayCalibration::of(&arranged, geometry, gravity)?;
-        Ok::<_, HostError>((arranged, calibration))
+        Ok::<_, Problem>((arranged, calibration))
     };
     let (arranged, mut calibration) = calibrated(&geometry)?;
     if let Some(why) = &calibration.uncalibrated {
-        return Err(HostError::new(
-            ErrorCode::DataRefused,
-            format!("the array cannot be calibrated: {why}"),
+        return Err(Code::DataRefused.error(format!("the array cannot be calibrated: {why}"),
             "hold the array still for two seconds in a dozen orientations, all sides and some tilts between",
         )
         .at(&recording.name));
@@ -60,7 +57,7 @@ pub fn calibrate_array(
         for (sensor, delay) in geometry.sensors.iter_mut().zip(found.delays_s) {
             sensor.delay_us += delay * 1e6;
         }
-        findings.extend(found.remarks.into_iter().map(|text| FindingCode::Geometry.note(text)));
+        findings.extend(found.remarks.into_iter().map(|text| Code::Geometry.note(text)));
         (arranged, calibration) = calibrated(&geometry)?;
     }
     let refinement = refine(&arranged, &geometry, &calibration, options);
@@ -72,7 +69,7 @@ pub fn calibrate_array(
             geometry.delay_sd_us = Some(found.known_delay_s() * 1e6);
             (arranged, calibration) = calibrated(&geometry)?;
         }
-        Err(why) if why.code() == ErrorCode::DataRefused => {}
+        Err(why) if why.code == Code::DataRefused => {}
         Err(why) => return Err(why.clone()),
     }
     calibration.place_sd_m = geometry.place_sd_mm.map_or(options.place_sd_m, |mm| mm * 1e-3);
@@ -114,8 +111,7 @@ fn in_own_axes(sensor: &ArraySensor, model: &ErrorModel) -> Result<ErrorModel> {
         ..ErrorTerms::default()
     })
     .map_err(|error| {
-        HostError::new(
-            ErrorCode::DataRefused,
+        Code::DataRefused.error(
             error.to_string(),
             "check the sensor, the sensitivity and the axes of the geometry",
         )

@@ -5,7 +5,7 @@ use wimu_calib::{Estimate, Method, POSE_SCATTER_DOF, POSE_SCATTER_MPS2, Pose, Te
 use wimu_model::STANDARD_GRAVITY_MPS2 as G;
 
 use super::input::{magnitude, same_orientation};
-use crate::finding::{Finding, FindingCode};
+use crate::{Code, Problem};
 
 /// Probability of a finding in a session without a change, for drifts: a cold start is more frequent than a step.
 const FALSE_ALARM_DRIFT: f64 = 0.006;
@@ -53,7 +53,7 @@ pub(super) fn finding(
     estimate: &Estimate,
     refit: impl Fn(&[Pose]) -> Option<Estimate>,
     since_start_s: impl Fn(&Pose) -> f64,
-) -> Option<Finding> {
+) -> Option<Problem> {
     // A model that violates a bound explains the residuals already.
     if !matches!(estimate.method, Method::MultiPosition(_)) || estimate.beyond_bounds.is_some() {
         return None;
@@ -91,21 +91,21 @@ pub(super) fn finding(
     Some(described(&change, estimate.terms.contains(Term::Drift)).between(from_s, to_s))
 }
 
-fn described(change: &Change, drift_fitted: bool) -> Finding {
+fn described(change: &Change, drift_fitted: bool) -> Problem {
     let name = |axis: usize| ["X", "Y", "Z"][axis];
     let (mm, percent) = (change.size * 1e3, change.size * 1e2);
     let what = match change.kind {
         Kind::Drift if drift_fitted => {
             let text = "the bias drift was not linear, as during warm-up: the error of the bias at the end exceeds its \
                         interval";
-            return FindingCode::Drift.warning(text).remedy(
+            return Code::Drift.warning(text).remedy(
                 "record again when the sensor is warm, or with its temperature and --model auto+temperature",
             );
         }
         Kind::Drift => {
             let text = format!("the bias drifted by {:.0} mm/s²", mm.abs());
             let remedy = "use --model 9+drift, or record again when the sensor is warm";
-            return FindingCode::Drift.warning(text).remedy(remedy);
+            return Code::Drift.warning(text).remedy(remedy);
         }
         Kind::Bias(axis) => format!("the bias of {} changed by {mm:+.0} mm/s²", name(axis)),
         Kind::Gain(axis) => {
@@ -113,7 +113,7 @@ fn described(change: &Change, drift_fitted: bool) -> Finding {
         }
         Kind::Sign(axis) => format!("the sign of {} changed", name(axis)),
     };
-    let finding = FindingCode::Step.warning(what + " between two poses");
+    let finding = Code::Step.warning(what + " between two poses");
     finding.remedy(
         "calibrate the poses before and after it separately; check the mounting and the driver",
     )

@@ -6,8 +6,7 @@ use serde::Serialize;
 use wimu_calib::{Datasheet, Estimate, Finding, Quantity, Verdict};
 
 use crate::digits::{signed, significant};
-use crate::error::{ErrorCode, Result};
-use crate::finding::{self, FindingCode};
+use crate::{Code, Problem, Result};
 
 /// The datasheet of the sensor called `name`.
 ///
@@ -15,7 +14,7 @@ use crate::finding::{self, FindingCode};
 /// `usage` when it is unknown; the remedy lists the known ones.
 pub fn datasheet(name: &str) -> Result<&'static Datasheet> {
     Datasheet::of(name).ok_or_else(|| {
-        ErrorCode::Usage.error(
+        Code::Usage.error(
             format!("no datasheet is known for the sensor {name:?}"),
             format!(
                 "known sensors: {}; for others leave out --sensor-model",
@@ -101,8 +100,8 @@ fn limit(finding: &Finding) -> LimitReport {
 
 impl DatasheetReport {
     /// A finding for each quantity, and the number of parameters beyond their limits.
-    pub(super) fn findings(&self) -> Vec<finding::Finding> {
-        let (code, count) = (FindingCode::Datasheet, self.limits.len());
+    pub(super) fn findings(&self) -> Vec<Problem> {
+        let (code, count) = (Code::Datasheet, self.limits.len());
         let document = self.document;
         let summary = match (self.beyond, count) {
             (_, 0) => code.note(format!("{document}: no limits for the fitted parameters")),

@@ -14,8 +14,7 @@ use wimu_model::{
 pub use noise::{KalibrNoise, KalibrTerms};
 
 use super::file::{NOT_FOR_A_BOARD, StoredModel, range_finding, read_model, read_parameters};
-use crate::error::Result;
-use crate::finding::{Finding, FindingCode};
+use crate::{Code, Problem, Result};
 
 /// Bounds of ArduPilot's parameters: offsets, m/s², and scale factors.
 const ARDUPILOT_OFFSET: f64 = 3.5;
@@ -55,14 +54,14 @@ pub enum ExportTarget {
 /// let export = CalibrationExport::read(&path)?;
 /// assert!(export.text(ExportTarget::C, None).contains("void wimu_correct("));
 /// assert!(export.findings(ExportTarget::Px4).is_empty());
-/// # Ok::<(), wimu_host::HostError>(())
+/// # Ok::<(), wimu_host::Problem>(())
 /// ```
 #[derive(Clone, Debug)]
 pub struct CalibrationExport {
     stored: StoredModel,
     title: String,
     /// A range that was assumed.
-    range: Option<Finding>,
+    range: Option<Problem>,
 }
 
 impl CalibrationExport {
@@ -87,7 +86,7 @@ impl CalibrationExport {
                 };
                 format!("Calibration {} of {what}", parameter_id(&set))
             }
-            Err(error) if error.message().starts_with(NOT_FOR_A_BOARD) => {
+            Err(error) if error.text.starts_with(NOT_FOR_A_BOARD) => {
                 "Calibration of an accelerometer".to_owned()
             }
             Err(error) => return Err(error),
@@ -117,9 +116,9 @@ impl CalibrationExport {
     }
 
     /// An assumed range, and terms of the calibration that a target cannot express.
-    pub fn findings(&self, target: ExportTarget) -> Vec<Finding> {
+    pub fn findings(&self, target: ExportTarget) -> Vec<Problem> {
         let left_out = self.left_out(target).into_iter();
-        let left_out = left_out.map(|text| FindingCode::NotExpressible.warning(text));
+        let left_out = left_out.map(|text| Code::NotExpressible.warning(text));
         self.range.iter().cloned().chain(left_out).collect()
     }
 

@@ -15,8 +15,7 @@ use super::covariance::{Covariance, model_order, rotation_order};
 use super::range::Range;
 use crate::OutputFile;
 use crate::csv::AccelerationUnit;
-use crate::error::{ErrorCode, HostError, Result};
-use crate::finding::Finding;
+use crate::{Code, Problem, Result};
 
 /// How to make a file that can be read.
 const REMEDY: &str = "make it with `wimu calibrate … -o CAL.json`";
@@ -242,7 +241,7 @@ impl CalibrationFile {
     /// `file_failed`, `file_unreadable`.
     pub fn write(&self, path: &Path) -> Result<()> {
         let json = serde_json::to_string_pretty(self).map_err(|error| {
-            ErrorCode::FileFailed.error(
+            Code::FileFailed.error(
                 format!("the calibration cannot be written as JSON: {error}"),
                 "report this as a fault of wimu",
             )
@@ -380,7 +379,7 @@ fn read(path: &Path) -> Result<CalibrationFile> {
         schema: Option<String>,
     }
     let name = path.display().to_string();
-    let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
+    let text = std::fs::read_to_string(path).map_err(|e| Problem::file(&name, "read", &e))?;
     let head: Head = parse(&name, &text)?;
     let schema = head.schema.as_deref();
     if schema == Some(CalibrationFile::SCHEMA) {
@@ -392,25 +391,25 @@ fn read(path: &Path) -> Result<CalibrationFile> {
         false => REMEDY,
     };
     let message = format!("its schema is {schema}, not {}", CalibrationFile::SCHEMA);
-    Err(ErrorCode::BadCalibration.error(message, remedy).at(name))
+    Err(Code::BadCalibration.error(message, remedy).at(name))
 }
 
 fn parse<'a, T: Deserialize<'a>>(name: &str, text: &'a str) -> Result<T> {
     serde_json::from_str(text).map_err(|error| {
         let at = format!("{name} line {}, column {}", error.line(), error.column());
         let message = format!("this is not a calibration file: {error}");
-        ErrorCode::BadCalibration.error(message, REMEDY).at(at)
+        Code::BadCalibration.error(message, REMEDY).at(at)
     })
 }
 
 /// The error of a file whose values are not a calibration.
-fn invalid(path: &Path) -> impl Fn(String) -> HostError {
+fn invalid(path: &Path) -> impl Fn(String) -> Problem {
     move |message| {
         let remedy = match message.starts_with(NOT_FOR_A_BOARD) {
             true => SENSITIVITY_REMEDY,
             false => "undo the change, or calibrate again",
         };
-        ErrorCode::BadCalibration.error(message, remedy).at(path.display().to_string())
+        Code::BadCalibration.error(message, remedy).at(path.display().to_string())
     }
 }
 
@@ -451,7 +450,7 @@ pub fn zero_count(path: &Path) -> Option<f64> {
 pub fn check_device(path: &Path, id: u64) -> Result<()> {
     let id = format!("{id:016x}");
     match read(path)?.device {
-        Some(device) if device != id => Err(ErrorCode::OtherDevice
+        Some(device) if device != id => Err(Code::OtherDevice
             .error(
                 format!("this is the calibration of device {device}, the board is device {id}"),
                 "push that of this device; `params push` and `fleet push` also take another one with --force",
@@ -534,7 +533,7 @@ pub(crate) fn worst_sd(sd: impl Fn(usize) -> f64) -> f64 {
 }
 
 /// An assumed range of a calibration file.
-pub(super) fn range_finding(path: &Path, set: &ParameterSet) -> Option<Finding> {
+pub(super) fn range_finding(path: &Path, set: &ParameterSet) -> Option<Problem> {
     let source = read(path).ok()?.sensor().ok()?.accelerometer.range_source;
     let likely = Range { g: set.range_g, source: Source::SixteenBits };
     (source == Some(Source::SixteenBits)).then(|| likely.finding(set.sensitivity))?

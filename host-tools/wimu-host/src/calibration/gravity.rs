@@ -4,8 +4,7 @@ use wimu_calib::{Covariance, Estimate, Gravity, Parameter, Parameters};
 use wimu_model::ErrorTerms;
 
 use super::{CalibrateOptions, Source};
-use crate::error::{ErrorCode, Result};
-use crate::finding::{Finding, FindingCode};
+use crate::{Code, Problem, Result};
 
 /// Percentage of the scale factors' variance from which on gravity dominates it.
 const DOMINATES_PERCENT: f64 = 50.0;
@@ -14,7 +13,7 @@ const DOMINATES_PERCENT: f64 = 50.0;
 pub(super) fn gravity(options: &CalibrateOptions) -> Result<(Gravity, Source)> {
     let (gravity, source, flag) = match (options.gravity_mps2, options.place) {
         (Some(_), Some(_)) => {
-            return Err(ErrorCode::Usage.error(
+            return Err(Code::Usage.error(
                 "gravity is given twice, by its value and by a latitude",
                 "give --gravity or --latitude",
             ));
@@ -25,13 +24,12 @@ pub(super) fn gravity(options: &CalibrateOptions) -> Result<(Gravity, Source)> {
         }
         (None, None) => return Ok((Gravity::UNKNOWN_PLACE, Source::Default)),
     };
-    let gravity =
-        gravity.map_err(|e| ErrorCode::Usage.error(e.to_string(), format!("check {flag}")))?;
+    let gravity = gravity.map_err(|e| Code::Usage.error(e.to_string(), format!("check {flag}")))?;
     Ok((gravity, source))
 }
 
 /// That the default gravity dominates the intervals of the scale factors of an estimate.
-pub(super) fn finding_of(estimate: &Estimate, source: Source) -> Option<Finding> {
+pub(super) fn finding_of(estimate: &Estimate, source: Source) -> Option<Problem> {
     let gravity = [estimate.gravity.mps2(), estimate.gravity.sd_mps2()];
     let (model, fitted) = (estimate.model.terms(), estimate.fitted);
     finding(model, &estimate.covariance, fitted, gravity, source)
@@ -44,7 +42,7 @@ pub(super) fn finding(
     fitted: Parameters,
     gravity: [f64; 2],
     source: Source,
-) -> Option<Finding> {
+) -> Option<Problem> {
     let percent = |(axis, parameter): (usize, Parameter)| {
         let of_gravity = model.matrix[axis][axis] * gravity[1] / gravity[0];
         100.0 * (of_gravity / covariance.sd(parameter)).powi(2)
@@ -58,7 +56,7 @@ pub(super) fn finding(
             "local gravity is not known: 9.80665 ± 0.015 m/s² causes {:.0} % of the variance of the scale factors",
             percent.min(100.0)
         );
-        let finding = FindingCode::GravityAssumed.note(text);
+        let finding = Code::GravityAssumed.note(text);
         finding.remedy("give --latitude and --height of the place, or --gravity")
     })
 }

@@ -10,9 +10,9 @@ use wimu_calib::{
 use wimu_model::{GyroscopeParameters, GyroscopeTerms, STANDARD_GRAVITY_MPS2};
 
 use crate::digits::{signed_with_sd, significant, with_sd};
-use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
 use crate::recording::{Samples, Unit};
+use crate::{Code, Problem};
 
 /// Full-scale range, °/s, of a gyroscope whose output came in °/s or rad/s: the largest usual one.
 const USUAL_DPS: f64 = 2000.0;
@@ -52,7 +52,7 @@ pub(super) fn calibrate(
     mps2: f64,
     poses: &[Pose],
     accelerometer: &Estimate,
-    findings: &mut Vec<Finding>,
+    findings: &mut Vec<Problem>,
 ) -> Option<GyroscopeReport> {
     let track = data.rate.filter(|_| !data.poses)?;
     let full_scale = track.info.full_scale;
@@ -60,8 +60,8 @@ pub(super) fn calibrate(
         Unit::Si => (1.0, None),
         Unit::Counts { si_per_lsb: Some(si) } => (si, Some(si)),
         _ => {
-            let finding = FindingCode::Uncalibrated
-                .note("the gyroscope is not calibrated: its unit is not known");
+            let finding =
+                Code::Uncalibrated.note("the gyroscope is not calibrated: its unit is not known");
             findings.push(finding.remedy("name the unit in its columns: deg/s or rad/s"));
             return None;
         }
@@ -72,7 +72,7 @@ pub(super) fn calibrate(
     let accelerometer = AccelerometerCalibration::from(accelerometer);
     let full_scale_rad_s = full_scale.or(lsb.map(|lsb| 32_700.0 * lsb));
     let refused = |reason: String| {
-        FindingCode::Uncalibrated.warning(format!("the gyroscope is not calibrated: {reason}"))
+        Code::Uncalibrated.warning(format!("the gyroscope is not calibrated: {reason}"))
     };
     let estimate = at_rests(poses, |poses| {
         let session = GyroscopeSession {
@@ -91,7 +91,7 @@ pub(super) fn calibrate(
         }
     };
     if turning > 0 {
-        findings.push(FindingCode::PosesLeftOut.note(format!(
+        findings.push(Code::PosesLeftOut.note(format!(
             "gyroscope: {} left out, in which the sensor rotated about the vertical",
             counted(turning, "pose")
         )));
@@ -135,11 +135,11 @@ fn at_rests(
     }
 }
 
-fn remarks(estimate: &GyroscopeEstimate) -> Vec<Finding> {
+fn remarks(estimate: &GyroscopeEstimate) -> Vec<Problem> {
     let left_out = estimate.left_out().map(|(rest, fault)| {
         let code = match fault {
-            TurnFault::Saturated { .. } => FindingCode::Saturated,
-            _ => FindingCode::SamplesLeftOut,
+            TurnFault::Saturated { .. } => Code::Saturated,
+            _ => Code::SamplesLeftOut,
         };
         code.warning(format!("gyroscope: the turn after rest {rest} (from 0) is left out: {fault}"))
     });
@@ -147,7 +147,7 @@ fn remarks(estimate: &GyroscopeEstimate) -> Vec<Finding> {
     let far = (0..3).filter(|axis| (matrix[*axis][*axis] - 1.0).abs() > TOLERANCE);
     let far = far.map(|axis| {
         let scale = matrix[axis][axis];
-        let finding = FindingCode::Datasheet.warning(format!(
+        let finding = Code::Datasheet.warning(format!(
             "gyroscope: scale factor {} = {scale:.3} is beyond the tolerance of a gyroscope",
             AXES[axis]
         ));

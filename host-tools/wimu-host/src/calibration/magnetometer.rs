@@ -13,10 +13,10 @@ use super::input::magnitude;
 use super::report::NextPose;
 use crate::chart::{Chart, Series};
 use crate::digits::significant;
-use crate::error::{ErrorCode, Result};
-use crate::finding::{Finding, FindingCode, Outcome};
 use crate::html::Report;
+use crate::problem::Outcome;
 use crate::recording::{OutputUnit, RateSource, Samples};
+use crate::{Code, Problem, Result};
 
 /// The report of `wimu calibrate --sensor magnetometer`, and a file that `wimu params push` reads.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -168,10 +168,10 @@ pub fn calibrate_magnetometer(
 fn check(data: &Samples<'_>, set: &ParameterSet) -> Result<()> {
     if data.iter().all(|o| o.magnetic_field_nt.is_none()) {
         let error = match data.rate_source {
-            RateSource::Device => ErrorCode::DataRefused.error("the link carried no magnetic field: the board has no magnetometer, or does not send it",
+            RateSource::Device => Code::DataRefused.error("the link carried no magnetic field: the board has no magnetometer, or does not send it",
                 "use a board that has one, and have its link carry `environment`: see `wimu settings set --help`",
             ),
-            _ => ErrorCode::CsvMissingColumn.error("the file has no magnetometer",
+            _ => Code::CsvMissingColumn.error("the file has no magnetometer",
                 "name the columns `Magnetometer X (µT)`, `Magnetometer Y (µT)` and `Magnetometer Z (µT)`",
             ),
         };
@@ -181,7 +181,7 @@ fn check(data: &Samples<'_>, set: &ParameterSet) -> Result<()> {
         OutputUnit::Counts {
             range_g: Some(range_g),
             ..
-        } if range_g != set.range_g => Err(ErrorCode::DataRefused.error(format!(
+        } if range_g != set.range_g => Err(Code::DataRefused.error(format!(
                     "the data were recorded at ±{range_g} g, the accelerometer's calibration is for ±{} g",
                 set.range_g
             ),
@@ -223,11 +223,11 @@ fn median(fields: &[[f64; 3]]) -> Option<[f64; 3]> {
 
 impl MagnetometerReport {
     /// Findings of the magnetic field.
-    fn of_field(&self, data: &Samples<'_>, dip_rad: Option<f64>) -> Vec<Finding> {
-        let (code, mut findings) = (FindingCode::MagneticField, Vec::new());
+    fn of_field(&self, data: &Samples<'_>, dip_rad: Option<f64>) -> Vec<Problem> {
+        let (code, mut findings) = (Code::MagneticField, Vec::new());
         for &pose in &self.rejected_poses {
             let off = self.poses.get(pose).and_then(|pose| pose.residual_ut);
-            findings.push(FindingCode::PosesLeftOut.warning(format!(
+            findings.push(Code::PosesLeftOut.warning(format!(
                 "pose {pose} (from 0) left out: field disturbed, |B| differs by {:+.2} µT",
                 off.unwrap_or_default()
             )));

@@ -5,8 +5,8 @@ use wimu_model::{ErrorModel, SpecificForceMps2};
 use super::{Paired, ReferenceReport, RestReport, SessionReport, SeveralReport, UpdateReport};
 use crate::chart::{Band, Chart, Series};
 use crate::digits::significant;
-use crate::finding::Outcome;
 use crate::html::Report;
+use crate::problem::Outcome;
 
 const AXES: [&str; 3] = ["X", "Y", "Z"];
 /// Smallest residual on a logarithmic axis, mm/s².

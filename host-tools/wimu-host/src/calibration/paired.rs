@@ -8,9 +8,9 @@ use wimu_model::{Sensitivity, SensorId};
 use super::input::median_magnitude;
 use super::numbers::MAX_POSES;
 use crate::decode::sequence_order;
-use crate::error::{ErrorCode, Result};
 use crate::history;
 use crate::recording::{OutputUnit, Quantity, Recording, Selection};
+use crate::{Code, Result};
 
 /// Two streams of one motion, sample by sample.
 #[derive(Clone, Debug)]
@@ -58,7 +58,7 @@ impl Paired {
         reference_sensitivity: Option<Sensitivity>,
     ) -> Result<Self> {
         let usage = |message: String, remedy: String| {
-            Err(ErrorCode::Usage.error(message, remedy).at(&recording.name))
+            Err(Code::Usage.error(message, remedy).at(&recording.name))
         };
         let sensors: Vec<u8> =
             recording.of(Quantity::SpecificForce).map(|track| track.info.sensor).collect();
@@ -191,7 +191,7 @@ impl Paired {
             }
         }
         let Some((sensitivity, range_g, rate_hz)) = known.filter(|_| !pairs.is_empty()) else {
-            return Err(ErrorCode::NoRows
+            return Err(Code::NoRows
                 .error(
                     "no raw sample came over both links",
                     "record both at once with `wimu record LINK --cable LINK`, raw samples on both",

@@ -3,8 +3,8 @@
 use wimu_model::Sensitivity;
 
 use super::Source;
-use crate::finding::{Finding, FindingCode};
 use crate::recording::OutputUnit;
+use crate::{Code, Problem};
 
 /// A full-scale range, and its source.
 #[derive(Clone, Copy)]
@@ -33,7 +33,7 @@ impl Range {
     }
 
     /// An assumed range.
-    pub fn finding(self, sensitivity: Sensitivity) -> Option<Finding> {
+    pub fn finding(self, sensitivity: Sensitivity) -> Option<Problem> {
         (self.source == Source::SixteenBits).then(|| {
             let text = format!(
                 "the range is unknown: ±{} g assumed (16 bits at {:.0} LSB/g); a board accepts the calibration at this range \
@@ -41,7 +41,7 @@ impl Range {
                 self.g,
                 sensitivity.lsb_per_g()
             );
-            let finding = FindingCode::RangeAssumed.warning(text);
+            let finding = Code::RangeAssumed.warning(text);
             finding.remedy("give the range with --range")
         })
     }

@@ -18,9 +18,9 @@ use super::words::no_sensitivity;
 use super::{CalibrationFile, Source};
 use crate::csv::AccelerationUnit;
 use crate::digits::{signed_with_sd, with_sd};
-use crate::error::{ErrorCode, Result};
-use crate::finding::{FindingCode, Outcome, without_unit};
 use crate::plural::counted;
+use crate::problem::{Outcome, without_unit};
+use crate::{Code, Result};
 
 /// An axis in a [`ReferenceReport`].
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -117,7 +117,7 @@ pub fn compare_with_reference(
 ) -> Result<ReferenceReport> {
     let given = |ratio: f64| {
         NoiseRatio::new(ratio, 1.0).ok_or_else(|| {
-            ErrorCode::Usage.error(format!("a noise ratio of {ratio} is not possible"),
+            Code::Usage.error(format!("a noise ratio of {ratio} is not possible"),
                     "give --noise-ratio, the noise of the output over that of the reference: 2 if it is twice as noisy",
             )
         })
@@ -181,7 +181,7 @@ pub fn compare_with_reference(
     for (axis, transfer) in names.into_iter().zip(&found.axes) {
         for (other, seen) in names.into_iter().zip(transfer.cross_axis) {
             if seen != 0.0 {
-                findings.push(FindingCode::Axes.note(format!(
+                findings.push(Code::Axes.note(format!(
                     "cross-axis sensitivity of {axis} to {other} of the reference: {:+.1} % (axes not parallel); included in the model",
                     seen * 100.0
                 )));
@@ -197,7 +197,7 @@ pub fn compare_with_reference(
                      included in ±",
                     others.join(" and ")
                 );
-                let finding = FindingCode::Axes.warning(text);
+                let finding = Code::Axes.warning(text);
                 findings.push(finding.remedy("move it through all orientations"));
             }
         }

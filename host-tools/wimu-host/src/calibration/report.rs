@@ -6,8 +6,8 @@ use wimu_link::hello::sensor;
 use wimu_model::{CalibrationMethod, ErrorTerms, ParameterSet, SensorId};
 
 use super::{CalibrationFile, DatasheetReport, GyroscopeReport};
-use crate::finding::Outcome;
 use crate::plural::counted;
+use crate::problem::Outcome;
 use crate::recording::RateSource;
 
 /// Where a number comes from.

@@ -3,7 +3,7 @@
 use wimu_calib::{Datasheet, Estimate, Gravity, Parameter, Refusal, UnitHint};
 
 use super::input::{Poses, magnitude, median, rms, same_orientation};
-use crate::finding::{Finding, FindingCode};
+use crate::{Code, Problem};
 
 /// Departure of a scale factor from 1 that is reported: three times the tolerance of usual datasheets, 3 %.
 const UNUSUAL: f64 = 0.1;
@@ -77,7 +77,7 @@ pub(super) fn finding(
     estimate: &Estimate,
     used_lsb_per_g: Option<f64>,
     sensor: Option<&Datasheet>,
-) -> Option<Finding> {
+) -> Option<Problem> {
     let matrix = estimate.model.terms().matrix;
     let fitted = |axis: &usize| estimate.fitted.contains(Parameter::ALL[3 + 4 * axis]);
     let far: Vec<String> = (0..3)
@@ -91,5 +91,5 @@ pub(super) fn finding(
         false => "check these axes for damage or saturation".to_owned(),
     };
     let text = || format!("scale factors more than 10 % from 1: {}", far.join(", "));
-    (!far.is_empty()).then(|| FindingCode::Sensitivity.warning(text()).remedy(remedy))
+    (!far.is_empty()).then(|| Code::Sensitivity.warning(text()).remedy(remedy))
 }

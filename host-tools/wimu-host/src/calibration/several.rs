@@ -14,10 +14,10 @@ use super::input::{magnitude, rms};
 use super::{
     CalibrateOptions, CalibrationFile, CalibrationReport, MethodChoice, Session, Source, calibrate,
 };
-use crate::error::{ErrorCode, Result};
-use crate::finding::{FindingCode, Outcome, Severity};
+use crate::problem::Outcome;
 use crate::recording::{OutputUnit, Samples};
 use crate::untrusted::printable;
+use crate::{Code, Result, Severity};
 
 /// Standard deviations of one kind of parameters.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -176,7 +176,7 @@ pub fn calibrate_several(
 }
 
 fn check(data: &[Samples<'_>], options: &CalibrateOptions) -> Result<()> {
-    let usage = |message: String, remedy: &str| Err(ErrorCode::Usage.error(message, remedy));
+    let usage = |message: String, remedy: &str| Err(Code::Usage.error(message, remedy));
     if !matches!(options.method, MethodChoice::MultiPosition | MethodChoice::SixPosition) {
         let message = format!("--method {} takes one session", options.method.name());
         return usage(message, "use multi-position or six-position, or give one file");
@@ -296,15 +296,14 @@ impl SeveralReport {
             for finding in &single.outcome.findings {
                 let equal = |other: &CalibrationReport| {
                     let others = &mut other.outcome.findings.iter();
-                    others.any(|f| f.code == finding.code && f.evidence == finding.evidence)
+                    others.any(|f| f.code == finding.code && f.text == finding.text)
                 };
                 // What holds for all sessions is said once.
                 if singles.iter().all(equal) || finding.severity <= Severity::Note {
                     findings.extend((k == 0).then(|| finding.clone()));
                 } else {
                     let mut finding = finding.clone();
-                    finding.evidence =
-                        format!("{}: {}", printable(&single.source), finding.evidence);
+                    finding.text = format!("{}: {}", printable(&single.source), finding.text);
                     findings.push(finding);
                 }
             }
@@ -314,12 +313,12 @@ impl SeveralReport {
                 "{} departs from the other sessions by {:.1} standard deviations in {} (limit {:.1})",
                 departs.source, departs.sigmas, departs.parameter, departs.limit
             );
-            let finding = FindingCode::Residuals.warning(text);
+            let finding = Code::Residuals.warning(text);
             findings.push(finding.remedy("repeat it, or leave it out"));
         }
         if fit.temperature.is_none() && singles.len() > 2 {
             let text = "not all sessions have temperatures: no temperature coefficients";
-            findings.push(FindingCode::Temperature.note(text));
+            findings.push(Code::Temperature.note(text));
         }
         let (model, source) = (found.model.terms(), self.gravity_source);
         let gravity = [self.gravity_m_s2, self.gravity_sd_m_s2];

@@ -10,9 +10,8 @@ use wimu_model::{
 };
 
 use super::{CalibrationFile, parameter_id, read_parameters};
-use crate::error::Result;
-use crate::finding::{Finding, FindingCode};
 use crate::keys;
+use crate::{Code, Problem, Result};
 
 /// What has been pushed or read in this process. An id is that of the content, so that none is ever replaced.
 static KNOWN: Mutex<BTreeMap<u32, ParameterSet>> = Mutex::new(BTreeMap::new());
@@ -49,7 +48,7 @@ impl ActiveParameters {
     }
 
     /// A note where the source is not known here: what [`calibration`](Self::calibration) lacks then.
-    pub fn unknown_source(&self) -> Option<Finding> {
+    pub fn unknown_source(&self) -> Option<Problem> {
         let set = self.without_source()?;
         let mut text = format!(
             "the source of the calibration {} is not known here; its uncertainty is unknown",
@@ -63,7 +62,7 @@ impl ActiveParameters {
                 text += &format!(", and its part for the {sensor} is left out");
             }
         }
-        let note = FindingCode::SourceUnknown.note(text);
+        let note = Code::SourceUnknown.note(text);
         Some(note.remedy("name its CAL.json, or use the computer that pushed it"))
     }
 
@@ -100,7 +99,7 @@ pub fn keep(set: &ParameterSet) -> Result<()> {
     if path.exists() {
         return Ok(());
     }
-    let failed = |error| crate::HostError::file(&folder.display().to_string(), "create", &error);
+    let failed = |error| crate::Problem::file(&folder.display().to_string(), "create", &error);
     std::fs::create_dir_all(&folder).map_err(failed)?;
     CalibrationFile::new(set, &[], "").write(&path)
 }

@@ -7,8 +7,8 @@ use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use super::{CalibrationReport, Fit, MethodChoice, Source};
 use crate::digits::{signed, signed_with_sd, significant, with_sd};
-use crate::finding::{Finding, Severity};
 use crate::plural::counted;
+use crate::{Problem, Severity};
 
 /// Suggested poses.
 const SUGGESTED: usize = 3;
@@ -52,7 +52,7 @@ impl CalibrationReport {
             Some(loo) => (loo, "leave-one-out"),
             None => (fit.fitted_rms_mm_s2, "in sample: no pose can be left out"),
         };
-        let warned = |finding: &&Finding| finding.severity == Severity::Warning;
+        let warned = |finding: &&Problem| finding.severity == Severity::Warning;
         let usable = match self.outcome.findings.iter().filter(warned).count() {
             0 => "usable".to_owned(),
             count => format!("usable with {}", counted(count, "warning")),

@@ -9,9 +9,9 @@ use wimu_model::{CalibrationQuality, ErrorTerms, ModelCovariance, ParameterSet, 
 
 use super::input::poses;
 use crate::digits::signed_with_sd;
-use crate::error::{ErrorCode, Result};
-use crate::finding::{Finding, FindingCode, Outcome};
+use crate::problem::Outcome;
 use crate::recording::{OutputUnit, Samples};
+use crate::{Code, Problem, Result};
 
 /// A rest compared with the stored calibration.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -71,12 +71,12 @@ pub fn update(
 ) -> Result<UpdateReport> {
     let gravity = match gravity_mps2 {
         Some(mps2) => Gravity::new(mps2, 0.0)
-            .map_err(|error| ErrorCode::Usage.error(error.to_string(), "check --gravity"))?,
+            .map_err(|error| Code::Usage.error(error.to_string(), "check --gravity"))?,
         None => Gravity::UNKNOWN_PLACE,
     };
     let check = SelfCheck::of(stored, gravity, Ageing::default());
     let (Some(mut check), Some(quality)) = (check, &stored.quality) else {
-        return Err(ErrorCode::DataRefused.error(
+        return Err(Code::DataRefused.error(
             "the stored calibration has no standard deviations",
             "give one that was written by `wimu calibrate … -o CAL.json`, with --with CAL.json",
         ));
@@ -171,10 +171,10 @@ pub fn update(
 }
 
 /// The rests that contradict the calibration.
-fn contradicting(rests: &[RestReport]) -> Vec<Finding> {
+fn contradicting(rests: &[RestReport]) -> Vec<Problem> {
     let bad = (0..).zip(rests).filter(|(_, rest)| !rest.holds);
     let finding = |(k, rest): (usize, &RestReport)| {
-        FindingCode::PosesLeftOut.warning(format!(
+        Code::PosesLeftOut.warning(format!(
             "rest {k} (from 0) contradicts the calibration: |f| − g {:+.2} mm/s², {:.2} expected (1 σ)",
             rest.residual_mm_s2, rest.expected_sd_mm_s2
         ))

@@ -9,16 +9,16 @@ use super::input::{magnitude, median, median_magnitude};
 use super::range::Range;
 use super::{CalibrateOptions, MethodChoice, ModelChoice, sensitivity};
 use crate::digits::significant;
-use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
 use crate::recording::{OutputUnit, RateSource, Samples};
+use crate::{Code, Problem};
 
 /// How many poses were left out because they repeat an earlier one, and how.
-pub(super) fn left_out(poses: usize, why: &str) -> Option<Finding> {
+pub(super) fn left_out(poses: usize, why: &str) -> Option<Problem> {
     (poses > 0).then(|| {
         let count = counted(poses, "pose");
         let text = format!("{count} left out: {why}; pose numbers count only the others");
-        FindingCode::PosesLeftOut.note(text)
+        Code::PosesLeftOut.note(text)
     })
 }
 
@@ -169,7 +169,7 @@ fn looks_like_means(data: &Samples<'_>, found: usize) -> bool {
 }
 
 /// Rejected poses that appear to be in g among poses in m/s².
-fn in_another_unit(poses: &[Pose], estimate: &Estimate) -> Option<Finding> {
+fn in_another_unit(poses: &[Pose], estimate: &Estimate) -> Option<Problem> {
     let g = estimate.gravity.mps2();
     let short = |k: &&usize| {
         let pose = poses.get(**k);
@@ -182,12 +182,12 @@ fn in_another_unit(poses: &[Pose], estimate: &Estimate) -> Option<Finding> {
             "poses that were left out appear to be in g, the others in m/s²: {} (from 0)",
             short.join(", ")
         );
-        FindingCode::PosesLeftOut.warning(text).remedy("use one unit")
+        Code::PosesLeftOut.warning(text).remedy("use one unit")
     })
 }
 
 /// What rotations about level axes cannot observe.
-fn unobserved_by_rotations(poses: &[Pose], estimate: &Estimate) -> Vec<Finding> {
+fn unobserved_by_rotations(poses: &[Pose], estimate: &Estimate) -> Vec<Problem> {
     let steps = match estimate.method {
         Method::FourAngle => 4,
         Method::ThreeAngle => 3,
@@ -207,12 +207,12 @@ fn unobserved_by_rotations(poses: &[Pose], estimate: &Estimate) -> Vec<Finding> 
             share.asin().to_degrees(),
             100.0 * (1.0 - (1.0 - share * share).sqrt()),
         );
-        let finding = FindingCode::NotObserved.warning(text);
+        let finding = Code::NotObserved.warning(text);
         findings.push(finding.remedy("rotate about another axis to separate them"));
     }
     if steps == 3 && poses.len() == steps {
         let text = "three steps leave no redundancy: a step that is 8° off changes the scale factor by 4 %";
-        let finding = FindingCode::NotObserved.warning(text);
+        let finding = Code::NotObserved.warning(text);
         findings.push(finding.remedy("--method four-angle detects it"));
     }
     findings
@@ -240,21 +240,21 @@ fn most_rms_mm_s2(poses: &[Pose], estimate: &Estimate) -> f64 {
 }
 
 /// A model that fits better than the one that was selected, but is not plausible.
-fn beyond_bounds(beyond: BeyondBounds) -> Finding {
+fn beyond_bounds(beyond: BeyondBounds) -> Problem {
     let BeyondBounds { model, terms, error } = beyond;
     let with = match terms == Terms::NONE {
         true => String::new(),
         false => format!(" with {terms}"),
     };
     let text = format!("the {model}{with} fits much better, but is not plausible: {error}");
-    let finding = FindingCode::SmallerModel.warning(text);
+    let finding = Code::SmallerModel.warning(text);
     finding.remedy("a smaller model was used, whose intervals do not include this: check the sensor and the data")
 }
 
 /// Why a calibration cannot be pushed or exported.
-pub(super) fn no_sensitivity() -> Finding {
+pub(super) fn no_sensitivity() -> Problem {
     let remedy = "to push this calibration, calibrate again with --sensitivity, the nominal LSB/g of the board's range";
-    FindingCode::NotForBoards.note("the data are in m/s² or g, a board needs counts").remedy(remedy)
+    Code::NotForBoards.note("the data are in m/s² or g, a board needs counts").remedy(remedy)
 }
 
 /// Largest standard deviation of a pose's mean from white noise, m/s²; 0 if it is unknown.
@@ -271,19 +271,19 @@ pub(super) fn findings(
     options: &CalibrateOptions,
     poses: &[Pose],
     estimate: Option<&Estimate>,
-    changed: Option<Finding>,
+    changed: Option<Problem>,
     board: Option<(Sensitivity, Range)>,
     lsb_per_g: Option<f64>,
-) -> Vec<Finding> {
+) -> Vec<Problem> {
     let mut findings = data.findings();
     if data.rate.is_some() && (data.poses || options.method != MethodChoice::MultiPosition) {
         let note =
             "the gyroscope is not calibrated: multi-position does it with continuous samples";
-        findings.push(FindingCode::Uncalibrated.note(note));
+        findings.push(Code::Uncalibrated.note(note));
     }
     if data.info().corrected {
         let text = format!("`{}` was corrected by the device before", data.info().name);
-        let finding = FindingCode::AlreadyCorrected.warning(text);
+        let finding = Code::AlreadyCorrected.warning(text);
         findings.push(
             finding.remedy(
                 "the result is what that correction left: calibrate the sensor's raw output",
@@ -299,13 +299,13 @@ pub(super) fn findings(
     let scales = missing(&[Parameter::ScaleX, Parameter::ScaleY, Parameter::ScaleZ]);
     if scales {
         let text = "scale factors were not fitted: taken as 1";
-        findings.push(FindingCode::NotObserved.note(text));
+        findings.push(Code::NotObserved.note(text));
     }
     let misalignments = missing(&[Parameter::MisalignmentXy, Parameter::MisalignmentXz]);
     if misalignments {
         let mrad = estimate.sd().matrix[1][0] * 1e3;
         let text = format!("misalignments were not fitted: taken as 0 ± {mrad:.0} mrad");
-        findings.push(FindingCode::NotObserved.note(text));
+        findings.push(Code::NotObserved.note(text));
     }
     let others: Vec<String> = estimate
         .not_observed()
@@ -318,7 +318,7 @@ pub(super) fn findings(
         .map(|parameter| parameter.to_string())
         .collect();
     if !others.is_empty() {
-        findings.push(FindingCode::NotObserved.warning(format!(
+        findings.push(Code::NotObserved.warning(format!(
             "not observed: {}; taken as ideal, with the standard deviations typical of datasheets",
             others.join(", ")
         )));
@@ -340,14 +340,14 @@ pub(super) fn findings(
     let explained = changed.is_some() || estimate.beyond_bounds.is_some();
     findings.extend(changed);
     if rms > most && !explained {
-        findings.push(FindingCode::Residuals.warning(format!(
+        findings.push(Code::Residuals.warning(format!(
             "the residuals, {rms:.0} mm/s² rms, are larger than those of an intact sensor: the model is too small, or poses \
              are disturbed"
         )));
     }
     findings.extend(board.and_then(|(sensitivity, range)| range.finding(sensitivity)));
     if let (None, Some(lsb_per_g)) = (board, lsb_per_g) {
-        findings.push(FindingCode::NotForBoards.warning(format!(
+        findings.push(Code::NotForBoards.warning(format!(
             "{lsb_per_g:.1} LSB/g is outside the range of boards (160 to 1048576): this calibration cannot be pushed or exported"
         )));
     }
@@ -356,14 +356,14 @@ pub(super) fn findings(
     }
     if options.method != MethodChoice::SixPosition || options.sides.is_none() {
         let text = "swapped, mirrored or inverted axes cannot be detected";
-        let finding = FindingCode::Axes.note(text);
+        let finding = Code::Axes.note(text);
         findings.push(finding.remedy("to detect them use --method six-position --sides"));
     }
     findings
 }
 
 /// Errors of the placement and the repeatability of known orientations.
-fn placement(poses: &[Pose], estimate: &Estimate) -> Vec<Finding> {
+fn placement(poses: &[Pose], estimate: &Estimate) -> Vec<Problem> {
     let mut findings = Vec::new();
     let Method::SixPosition {
         placement_sd_rad,
@@ -387,18 +387,18 @@ fn placement(poses: &[Pose], estimate: &Estimate) -> Vec<Finding> {
             side.face,
             side.tilt_rad.to_degrees()
         );
-        let finding = FindingCode::Placement.warning(text);
+        let finding = Code::Placement.warning(text);
         findings.push(finding.remedy("repeat it, placed squarely"));
     }
     if placement_sd_rad > declared_sd_rad {
-        findings.push(FindingCode::Placement.warning(format!(
+        findings.push(Code::Placement.warning(format!(
             "placement was worse than declared: {:.1}° instead of {declared:.1}° (1 σ); the intervals include this",
             placement_sd_rad.to_degrees()
         )));
     }
     let mm = revisit_sd_mps2 * 1e3;
     if unexplained {
-        findings.push(FindingCode::Placement.warning(format!(
+        findings.push(Code::Placement.warning(format!(
             "visits of one side differ by {mm:.1} mm/s² (1 σ), more than noise and placement explain: drift, or different \
              placement; the standard deviations include this"
         )));
@@ -407,7 +407,7 @@ fn placement(poses: &[Pose], estimate: &Estimate) -> Vec<Finding> {
             "each side was measured once: a repeatability of {} mm/s² (1 σ), typical of other sensors, is assumed",
             significant(mm, 3)
         );
-        let finding = FindingCode::Placement.note(text);
+        let finding = Code::Placement.note(text);
         findings.push(finding.remedy("measure each side twice to determine it"));
     }
     findings

@@ -72,7 +72,7 @@ impl<T: Transport> Client<T> {
     }
 
     /// The error for a board that has, or appears to have, none of this computer's keys.
-    fn not_ours(&self, held: Option<KeyId>) -> HostError {
+    fn not_ours(&self, held: Option<KeyId>) -> Problem {
         if held.is_none() && self.hello.access == WriteAccess::Locked {
             // It has a key that it cannot read.
             return self.refused(Refusal::Locked);
@@ -90,7 +90,7 @@ impl<T: Transport> Client<T> {
                  cable with `wimu key set`",
             ),
         };
-        ErrorCode::KeyNeeded.error(message, remedy).at(&self.name)
+        Code::KeyNeeded.error(message, remedy).at(&self.name)
     }
 
     /// Sends a request and waits for the answer, repeating it if necessary. Writes are signed if there
@@ -113,7 +113,7 @@ impl<T: Transport> Client<T> {
         let unsigned_write = command.is_write() && !signs && self.hello.role != LinkRole::Cable;
         let has_effect = command.is_write() && !unsigned_write;
         let outcome = match answer {
-            Ok(Answer::Accepted(_)) if unsigned_write => Err(ErrorCode::KeyNeeded.error("an unsigned write was accepted on this link: the answer is not from a wimu board",
+            Ok(Answer::Accepted(_)) if unsigned_write => Err(Code::KeyNeeded.error("an unsigned write was accepted on this link: the answer is not from a wimu board",
                 "write over the cable, or set a key there with `wimu key set`",
             )
             .at(&self.name)),
@@ -121,7 +121,7 @@ impl<T: Transport> Client<T> {
         };
         match outcome {
             // It has not left this computer.
-            Err(error) if error.code() == ErrorCode::NotThroughBroker => Err(error),
+            Err(error) if error.code == Code::NotThroughBroker => Err(error),
             Err(error) if has_effect && !certain => Err(possibly_done(&error)),
             outcome => outcome,
         }
@@ -206,7 +206,7 @@ impl<T: Transport> Client<T> {
                     continue;
                 }
                 Next::Idle | Next::TimedOut => {
-                    return Err(ErrorCode::NoAnswer
+                    return Err(Code::NoAnswer
                         .error("the board does not answer", "check the line to the board")
                         .at(&self.name));
                 }
@@ -219,18 +219,18 @@ impl<T: Transport> Client<T> {
         match answer {
             Answer::Accepted(payload) => Ok(payload),
             Answer::Refused(refusal) => Err(self.refused(refusal)),
-            Answer::Unknown => Err(ErrorCode::DeviceRefused
+            Answer::Unknown => Err(Code::DeviceRefused
                 .error("the board does not know this command", "update its firmware")
                 .at(&self.name)),
         }
     }
 
-    fn refused(&self, refusal: Refusal) -> HostError {
+    fn refused(&self, refusal: Refusal) -> Problem {
         let code = match refusal {
             Refusal::KeyNeeded | Refusal::SignatureNeeded | Refusal::WrongSignature => {
-                ErrorCode::KeyNeeded
+                Code::KeyNeeded
             }
-            _ => ErrorCode::DeviceRefused,
+            _ => Code::DeviceRefused,
         };
         // A refusal's text is the cause, then the remedy.
         let text = refusal.to_string();
@@ -249,11 +249,11 @@ impl<T: Transport> Client<T> {
             }
             _ => remedy.to_owned(),
         };
-        HostError::new(code, message, remedy).at(&self.name)
+        code.error(message, remedy).at(&self.name)
     }
 
-    fn unexpected(&self) -> HostError {
-        ErrorCode::ProtocolVersion
+    fn unexpected(&self) -> Problem {
+        Code::ProtocolVersion
             .error(
                 "the board's answer does not match the request",
                 "update the older of firmware and wimu",
@@ -293,7 +293,7 @@ impl<T: Transport> Client<T> {
         let held = self.open_session().and_then(|()| self.key_status());
         match held.map_err(|error| possibly_done(&error))? {
             Some(id) if id == key.id() => Ok(()),
-            _ => Err(ErrorCode::VerifyFailed
+            _ => Err(Code::VerifyFailed
                 .error(
                     "the board has a key other than the one that was set",
                     "set the key again; another computer may be setting one too",
@@ -317,7 +317,7 @@ impl<T: Transport> Client<T> {
         if self.hello.role == LinkRole::Cable {
             return Ok(());
         }
-        Err(ErrorCode::KeyNeeded
+        Err(Code::KeyNeeded
             .error(
                 format!(
                     "this is the {} link, and keys are sent over the cable only",
@@ -447,7 +447,7 @@ impl<T: Transport> Client<T> {
         let until = self.transport.now() + EPOCH_PATIENCE;
         while self.nominal.is_none() {
             if self.transport.now() >= until {
-                return Err(ErrorCode::NoAnswer
+                return Err(Code::NoAnswer
                     .error(
                         "the board does not report the scale of its gyroscope",
                         "check that its sensor runs: `wimu monitor LINK`",
@@ -465,7 +465,7 @@ impl<T: Transport> Client<T> {
             self.wait_for_scales()?;
         }
         let refused = |why: String, remedy: &str| {
-            ErrorCode::DeviceRefused.error(why, remedy.to_owned()).at(&self.name)
+            Code::DeviceRefused.error(why, remedy.to_owned()).at(&self.name)
         };
         let again = "calibrate from this board's own recording";
         if set.sensor_index != 0 {
@@ -526,8 +526,8 @@ impl<T: Transport> Client<T> {
         let id = self.store(set, &compiled)?;
         let found = self.parameters().map_err(|error| {
             let message =
-                format!("the device accepted {id}, but verifying it failed: {}", error.message());
-            HostError::new(error.code(), message, error.remedy()).at(&self.name)
+                format!("the device accepted {id}, but verifying it failed: {}", error.text);
+            error.code.error(message, error.remedy).at(&self.name)
         })?;
         if found.active != Some(compiled) {
             let held = if found.id == id.0 {
@@ -535,7 +535,7 @@ impl<T: Transport> Client<T> {
             } else {
                 format!("the device holds parameters {:08x} instead of the pushed {id}", found.id)
             };
-            return Err(ErrorCode::VerifyFailed
+            return Err(Code::VerifyFailed
                 .error(held, "push again; another computer may have pushed at the same time")
                 .at(&self.name));
         }
@@ -553,7 +553,7 @@ impl<T: Transport> Client<T> {
             self.nominal.and_then(|(lsb_per_g, _)| Sensitivity::from_lsb_per_g(lsb_per_g).ok());
         let reported = self.parameters()?;
         let held = reported.calibration(nominal).map_err(|fault| {
-            ErrorCode::VerifyFailed.error(
+            Code::VerifyFailed.error(
                 format!("the device holds invalid parameters: {fault}"),
                 "calibrate and push again",
             )
@@ -569,25 +569,19 @@ fn random_number() -> Result<u32> {
 }
 
 /// The error when it is unknown whether a write was done.
-fn possibly_done(error: &HostError) -> HostError {
-    let code = match error.code() {
-        ErrorCode::LinkLost => ErrorCode::LinkLost,
-        _ => ErrorCode::NoAnswer,
+fn possibly_done(error: &Problem) -> Problem {
+    let code = match error.code {
+        Code::LinkLost => Code::LinkLost,
+        _ => Code::NoAnswer,
     };
-    let message = match error.code() {
-        ErrorCode::KeyNeeded | ErrorCode::DeviceRefused => format!(
+    let message = match error.code {
+        Code::KeyNeeded | Code::DeviceRefused => format!(
             "no authenticated answer was received ({}): the request may have been executed, or may still be",
-            error.message()
+            error.text
         ),
-        _ => format!("{}; the request may have been executed, or may still be", error.message()),
+        _ => format!("{}; the request may have been executed, or may still be", error.text),
     };
-    let perhaps = HostError::new(
-        code,
-        message,
-        "check the board's state before repeating it, over the cable if the link is not trusted",
-    );
-    match error.location() {
-        Some(location) => perhaps.at(location),
-        None => perhaps,
-    }
+    let remedy =
+        "check the board's state before repeating it, over the cable if the link is not trusted";
+    Problem { place: error.place.clone(), ..code.error(message, remedy) }
 }

@@ -6,9 +6,8 @@ use serde::Serialize;
 use wimu_calib::ReferenceTransfer;
 
 use super::{Axis, incomparable, refused};
-use crate::Result;
-use crate::finding::{Finding, FindingCode};
 use crate::lag::{deviations, refine, scores};
+use crate::{Code, Problem, Result};
 
 mod signal;
 mod time_fit;
@@ -81,7 +80,7 @@ pub struct Alignment {
     pub axes_reason: Option<String>,
     /// What was noticed.
     #[serde(skip)]
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Problem>,
 }
 
 /// Aligns two tables by the magnitude of their specific force, which does not depend on the mounting, and
@@ -243,7 +242,7 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
     let mut findings = Vec::from_iter(incomparable(axes_reason.as_deref()));
     for (source, sd) in names.iter().zip(unit_sd) {
         findings.extend(sd.map(|sd| {
-            FindingCode::UnitInferred.warning(format!(
+            Code::UnitInferred.warning(format!(
                 "{source} is in LSB: its median magnitude is taken as 1 g; the standard deviation of all scale factors is {:.0} %",
                 100.0 * sd
             ))
@@ -251,12 +250,12 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
     }
     if saturated > 0 {
         let text = format!("{saturated} saturated samples are left out");
-        findings.push(FindingCode::Saturated.note(text));
+        findings.push(Code::Saturated.note(text));
     }
     if axes.is_some() && turn.is_none() {
         let text = "the motion does not determine the rotation between the axes: 5° change a scale factor by 0.4 % and a bias \
                     by 9 % of the other axes' output";
-        let finding = FindingCode::Axes.warning(text);
+        let finding = Code::Axes.warning(text);
         findings.push(finding.remedy("move both through all orientations"));
     }
     Ok(Alignment {

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use wimu_link::LinkRole;
 
 use super::Axis;
-use crate::{ErrorCode, HostError, OutputFile, Result};
+use crate::{Code, OutputFile, Problem, Result};
 
 /// Bias and scale factor of a link's values against the reference link's, equation (65). It
 /// corrects received values on the host; it is not the sensor's error model and is never pushed.
@@ -61,7 +61,7 @@ impl LinkModel {
         if id == self.device_id {
             return Ok(());
         }
-        Err(ErrorCode::DataRefused.error(
+        Err(Code::DataRefused.error(
             format!("the link model is of device {}, the data of {id}", self.device_id),
             "compare the links of this device: `wimu compare FILE -o LINK.json`",
         ))
@@ -75,7 +75,7 @@ impl LinkModel {
         if self.is_of(role) {
             return Ok(());
         }
-        Err(ErrorCode::DataRefused.error(
+        Err(Code::DataRefused.error(
             format!("the link model is of the {} link", self.link),
             format!("choose it with --link {}", self.link),
         ))
@@ -108,12 +108,12 @@ impl LinkModel {
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let bad = |message: String| {
-            ErrorCode::BadCalibration
+            Code::BadCalibration
                 .error(message, "give a file written by `wimu compare -o`")
                 .at(&name)
         };
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| HostError::file(&name, "read", &error))?;
+        let text =
+            std::fs::read_to_string(path).map_err(|error| Problem::file(&name, "read", &error))?;
         let model: Self = serde_json::from_str(&text)
             .map_err(|error| bad(format!("this is not a link error model: {error}")))?;
         let finite = model.bias_mps2.iter().all(|b| b.is_finite());

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::number::{finite, is_none};
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// Names of units and their size in SI units.
 pub(crate) type Units = &'static [(&'static str, f64)];
@@ -34,7 +34,7 @@ impl Table {
     /// The same of a file that `converted` may turn into a CSV table with a header.
     pub fn read_or(path: &Path, converted: impl Fn(&str) -> Option<String>) -> Result<Self> {
         let name = path.display().to_string();
-        let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
+        let text = std::fs::read_to_string(path).map_err(|e| Problem::file(&name, "read", &e))?;
         Self::of(name, &converted(&text).unwrap_or(text))
     }
 
@@ -48,7 +48,7 @@ impl Table {
             .from_reader(text.as_bytes());
         let bad = |error: csv::Error| {
             let remedy = "check that it is a CSV table with a header";
-            ErrorCode::CsvBadNumber.error(error.to_string(), remedy).at(&name)
+            Code::CsvBadNumber.error(error.to_string(), remedy).at(&name)
         };
         let header = reader.headers().map_err(bad)?;
         let header = header.iter().map(str::to_owned).collect();
@@ -84,16 +84,16 @@ impl Table {
         others.map(|(_, name)| name.as_str()).collect()
     }
 
-    pub fn missing(&self, column: &str) -> HostError {
+    pub fn missing(&self, column: &str) -> Problem {
         let found = self.header.join(", ");
         let remedy = format!("name a column `{column}`; the file has: {found}");
         let message = format!("the column `{column}` is missing");
-        ErrorCode::CsvMissingColumn.error(message, remedy).at(&self.name)
+        Code::CsvMissingColumn.error(message, remedy).at(&self.name)
     }
 
     /// A table without what is looked for.
-    pub fn empty(&self, message: &str, remedy: &str) -> HostError {
-        ErrorCode::NoRows.error(message, remedy).at(&self.name)
+    pub fn empty(&self, message: &str, remedy: &str) -> Problem {
+        Code::NoRows.error(message, remedy).at(&self.name)
     }
 
     /// Value of a row in SI units; `None` if the field is empty or not finite.
@@ -106,7 +106,7 @@ impl Table {
             let line = self.rows[row].position().map_or(0, csv::Position::line);
             let message = format!("`{text}` is not a number");
             let place = format!("{} line {line}, {}", self.name, self.header[column.0]);
-            ErrorCode::CsvBadNumber.error(message, "correct the field, or leave it empty").at(place)
+            Code::CsvBadNumber.error(message, "correct the field, or leave it empty").at(place)
         };
         finite(text).map(|value| Some(value * column.1)).ok_or_else(bad)
     }

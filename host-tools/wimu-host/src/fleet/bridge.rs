@@ -20,7 +20,7 @@ use crate::decode::{Arrival, Event};
 use crate::live::{LiveClient, Tap, Tapped, nanoseconds};
 use crate::mcap_file::Recorded;
 use crate::transport::{self, Transport, now};
-use crate::{HostError, LinkUrl, Result};
+use crate::{LinkUrl, Problem, Result};
 
 /// Longest wait for data before commands and the stop flag are checked; and while a client waits for answers.
 const GLANCE: Duration = Duration::from_millis(250);
@@ -259,8 +259,8 @@ impl Bridge {
         }
     }
 
-    fn lose(&mut self, role: LinkRole, error: &HostError) {
-        let reason = error.message();
+    fn lose(&mut self, role: LinkRole, error: &Problem) {
+        let reason = error.text.as_str();
         if self.state.alive {
             self.record(&[Recorded::Lost {
                 role,

@@ -12,7 +12,7 @@ use serde::{Deserialize, Deserializer};
 use toml::Spanned;
 
 use super::topics::{Broker, Name};
-use crate::{ErrorCode, HostError, LinkUrl, Result};
+use crate::{Code, LinkUrl, Problem, Result};
 
 /// What a gateway does.
 ///
@@ -39,7 +39,7 @@ use crate::{ErrorCode, HostError, LinkUrl, Result};
 ///     Path::new("fleet.toml"),
 /// )?;
 /// assert_eq!(config.boards.len(), 2);
-/// # Ok::<(), wimu_host::HostError>(())
+/// # Ok::<(), wimu_host::Problem>(())
 /// ```
 #[derive(Clone, Debug)]
 #[non_exhaustive]
@@ -129,8 +129,8 @@ impl GatewayConfig {
     /// `file_unreadable`; those of [`parse`](Self::parse).
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| HostError::file(&name, "read", &error))?;
+        let text =
+            std::fs::read_to_string(path).map_err(|error| Problem::file(&name, "read", &error))?;
         Self::parse(&text, path)
     }
 
@@ -141,7 +141,7 @@ impl GatewayConfig {
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         let failed = |at: usize, message: &str| {
             let line = text.get(..at).unwrap_or_default().matches('\n').count() + 1;
-            ErrorCode::BadConfig
+            Code::BadConfig
                 .error(message, "see `wimu gateway --help` for an example; write [boards] last")
                 .at(format!("{}, line {line}", path.display()))
         };

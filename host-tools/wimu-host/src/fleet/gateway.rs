@@ -17,7 +17,7 @@ use super::topics::{Content, Name, all_boards, board_of, gateway_topic};
 use crate::mcap_file::ClockAnchor;
 use crate::serve::Server;
 use crate::transport::now;
-use crate::{HostError, Result};
+use crate::{Problem, Result};
 
 /// Stack of a board's thread, bytes; only pages that are used take memory.
 const STACK: usize = 512 << 10;
@@ -164,8 +164,7 @@ impl Gateway {
         for (name, link) in &config.boards {
             if let Some(folder) = &config.recordings {
                 let folder = folder.join(name.as_str());
-                let failed =
-                    |error| HostError::file(&folder.display().to_string(), "create", &error);
+                let failed = |error| Problem::file(&folder.display().to_string(), "create", &error);
                 std::fs::create_dir_all(&folder).map_err(failed)?;
             }
             let (down, commands) = mpsc::sync_channel(COMMANDS);
@@ -197,9 +196,8 @@ impl Gateway {
         for bridge in bridges {
             let builder = thread::Builder::new().name(bridge.name.to_string()).stack_size(STACK);
             let thread = builder.spawn(|| bridge.run());
-            threads.push(
-                thread.map_err(|error| HostError::file("a board's thread", "start", &error))?,
-            );
+            threads
+                .push(thread.map_err(|error| Problem::file("a board's thread", "start", &error))?);
         }
         Ok(Self { shared, boards, threads, notes, metrics })
     }

@@ -16,7 +16,7 @@ use tokio::sync::Notify;
 use super::lock;
 use super::spool::{Message, Spool};
 use super::topics::Broker;
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// Messages under way to the broker without its acknowledgement: 2,500 a second at a round trip of 200 ms.
 const WINDOW: u16 = 500;
@@ -125,7 +125,7 @@ impl Mqtt {
         let stop = Arc::new(Notify::new());
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         let runtime =
-            runtime.map_err(|error| HostError::file("the MQTT connection", "start", &error))?;
+            runtime.map_err(|error| Problem::file("the MQTT connection", "start", &error))?;
         let (out, stopped) = (outbound.clone(), stop.clone());
         let thread = thread::spawn(move || {
             runtime.block_on(async {
@@ -159,7 +159,7 @@ impl Mqtt {
             let reason = lock(&self.outbound).reason.clone();
             if reason.is_some() || Instant::now() >= until {
                 let reason = reason.unwrap_or_else(|| "no answer".to_owned());
-                return Err(ErrorCode::LinkRefused
+                return Err(Code::LinkRefused
                     .error(
                         format!("cannot connect to the broker: {reason}"),
                         "start it, or check address, user and password (WIMU_MQTT_PASSWORD)",
@@ -229,7 +229,7 @@ fn options(config: &MqttConfig) -> Result<MqttOptions> {
         options.set_transport(rumqttc::Transport::tls_with_default_config());
     }
     if broker.tls && cfg!(not(feature = "mqtt-tls")) {
-        return Err(ErrorCode::FeatureMissing
+        return Err(Code::FeatureMissing
             .error(
                 "TLS is not built into this wimu",
                 "build it with `--features mqtt-tls` (needs a C compiler), or use mqtt://",

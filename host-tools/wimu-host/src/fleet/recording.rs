@@ -8,7 +8,7 @@ use super::gateway::Shared;
 use crate::live::nanoseconds;
 use crate::mcap_file::{Recorded, RecordingWriter};
 use crate::transport::now;
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// Interval between attempts to write again after a full disk.
 const AGAIN: Duration = Duration::from_secs(5);
@@ -78,7 +78,7 @@ impl Recording {
             if !self.path.exists() {
                 let file = self.path.display().to_string();
                 let remedy = "a new file is begun; move files when the next one has been begun";
-                return Err(ErrorCode::FileFailed.error("the file is gone", remedy).at(file));
+                return Err(Code::FileFailed.error("the file is gone", remedy).at(file));
             }
         }
         self.writer = Some((writer, opened));
@@ -87,13 +87,13 @@ impl Recording {
 
     /// A file that is named by UTC in ms: sorted by time.
     fn create(&mut self, shared: &Shared, at: Duration) -> Result<RecordingWriter<fs::File>> {
-        let failed = |error| HostError::file(&self.folder.display().to_string(), "create", &error);
+        let failed = |error| Problem::file(&self.folder.display().to_string(), "create", &error);
         fs::create_dir_all(&self.folder).map_err(failed)?;
         let begin_ms = shared.utc_ns(nanoseconds(at)) / 1_000_000;
         self.path = self.folder.join(format!("{begin_ms:013}.mcap"));
         let writer = RecordingWriter::create(&self.path, shared.anchor).inspect_err(|error| {
             // What a full disk leaves is no recording; but one of before a clock's jump back may have this name.
-            if error.code() != ErrorCode::FileExists {
+            if error.code != Code::FileExists {
                 let _ = fs::remove_file(&self.path);
             }
         })?;

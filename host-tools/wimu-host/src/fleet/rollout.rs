@@ -11,7 +11,7 @@ use super::status::FleetStatus;
 use super::topics::{Fleet, Name};
 use crate::calibration::{check_device, read_parameters};
 use crate::client;
-use crate::{ErrorCode, HostError, LinkUrl, Result};
+use crate::{Code, LinkUrl, Problem, Result};
 
 /// Fraction of the boards after the second stage.
 const SECOND: f64 = 0.1;
@@ -61,7 +61,7 @@ impl Plan {
             };
             if let Some(other) = files.next() {
                 let message = format!("`{other}` is of the board `{board}`, too");
-                let error = ErrorCode::Usage.error(message, "remove one of both files");
+                let error = Code::Usage.error(message, "remove one of both files");
                 return Err(error.at(file.display().to_string()));
             }
             let Some(name) = board.parse().ok().filter(|_| state.alive) else {
@@ -88,7 +88,7 @@ impl Plan {
 fn calibrations(folder: &Path) -> Result<BTreeSet<String>> {
     let name = folder.display().to_string();
     let entries =
-        std::fs::read_dir(folder).map_err(|error| HostError::file(&name, "open", &error))?;
+        std::fs::read_dir(folder).map_err(|error| Problem::file(&name, "open", &error))?;
     let names = entries.flatten().map(|entry| entry.file_name());
     Ok(names
         .filter_map(|name| name.into_string().ok())
@@ -112,7 +112,7 @@ pub fn push(fleet: &Fleet, target: &Target, force: bool) -> Result<bool> {
     let device_id = client.hello().device_id;
     let found = format!("{device_id:016x}");
     if target.device_id.as_ref().is_some_and(|id| *id != found) {
-        return Err(ErrorCode::VerifyFailed
+        return Err(Code::VerifyFailed
             .error(
                 format!("device {found} answers, the fleet's state names another one"),
                 "find out why before the next boards: run `wimu params get LINK`",
@@ -120,7 +120,7 @@ pub fn push(fleet: &Fleet, target: &Target, force: bool) -> Result<bool> {
             .at(&name));
     }
     if !client.use_own_key()? {
-        return Err(ErrorCode::KeyNeeded
+        return Err(Code::KeyNeeded
             .error(
                 "this computer has no key of the board",
                 "copy its key here, or set one over a cable with `wimu key set`",

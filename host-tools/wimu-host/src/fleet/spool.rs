@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// Bytes held in memory before files are used: what a killed gateway may lose beside what is under way.
 const MEMORY: u64 = 1 << 20;
@@ -78,14 +78,14 @@ impl Spool {
     /// `link_busy` when another gateway uses the folder; those of the folder.
     pub fn open(folder: &Path, limit: u64) -> Result<Self> {
         let name = folder.display().to_string();
-        let failed = |error| HostError::file(&name, "open", &error);
+        let failed = |error| Problem::file(&name, "open", &error);
         fs::create_dir_all(folder).map_err(failed)?;
         let path = folder.join("lock");
         let lock = open_lock(&path);
-        let lock = lock.map_err(|e| HostError::file(&path.display().to_string(), "open", &e))?;
+        let lock = lock.map_err(|e| Problem::file(&path.display().to_string(), "open", &e))?;
         if lock.try_lock().is_err() {
             let remedy = "stop it, or give this one a `gateway` name of its own";
-            let error = ErrorCode::LinkBusy.error("another gateway uses this spool", remedy);
+            let error = Code::LinkBusy.error("another gateway uses this spool", remedy);
             return Err(error.at(name));
         }
         let mut spool = Self {

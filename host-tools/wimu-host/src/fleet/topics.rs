@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use crate::{ErrorCode, Result};
+use crate::{Code, Result};
 
 /// Longest name of a fleet, a board or a gateway, bytes.
 pub const MAX_NAME: usize = 64;
@@ -192,12 +192,11 @@ pub struct Fleet {
 }
 
 impl FromStr for Fleet {
-    type Err = crate::HostError;
+    type Err = crate::Problem;
 
     fn from_str(text: &str) -> Result<Self> {
-        let bad = |message: String| {
-            (ErrorCode::BadLink.error(message, "write mqtt://HOST/FLEET")).at(text)
-        };
+        let bad =
+            |message: String| (Code::BadLink.error(message, "write mqtt://HOST/FLEET")).at(text);
         let (broker, fleet) = Broker::split(text).map_err(bad)?;
         let fleet = fleet.strip_suffix('/').unwrap_or(fleet).parse();
         Ok(Self { broker, fleet: fleet.map_err(|why| bad(format!("the fleet: {why}")))? })

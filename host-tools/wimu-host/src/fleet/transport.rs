@@ -11,7 +11,7 @@ use super::session::Follower;
 use super::status::FleetStatus;
 use super::topics::{Broker, Content, Name, all_gateways, topic};
 use crate::transport::{Transport, now};
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// Longest wait for the board's state.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -90,7 +90,7 @@ pub fn open(
     while let Some(why) = link.away() {
         if now() >= link.opened + PATIENCE {
             let remedy = "`wimu fleet status` lists the boards; check the names, that `wimu gateway` runs, and the board's link there";
-            return Err(ErrorCode::LinkAbsent.error(why, remedy).at(name));
+            return Err(Code::LinkAbsent.error(why, remedy).at(name));
         }
         std::thread::sleep(GLANCE);
     }
@@ -151,7 +151,7 @@ impl Transport for MqttLink {
                 ("this does not pass a broker", "connect to the board itself")
             }
         };
-        Err(ErrorCode::NotThroughBroker.error(message, remedy).at(&self.name))
+        Err(Code::NotThroughBroker.error(message, remedy).at(&self.name))
     }
 
     fn received_at(&self) -> Duration {
@@ -160,9 +160,7 @@ impl Transport for MqttLink {
 }
 
 impl MqttLink {
-    fn lost(&self, why: String) -> HostError {
-        ErrorCode::LinkLost
-            .error(why, "check broker and gateway, then connect again")
-            .at(&self.name)
+    fn lost(&self, why: String) -> Problem {
+        Code::LinkLost.error(why, "check broker and gateway, then connect again").at(&self.name)
     }
 }

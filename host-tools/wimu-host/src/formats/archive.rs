@@ -6,7 +6,7 @@ use std::path::Path;
 use zip::ZipArchive;
 
 use super::Source;
-use crate::error::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// Bytes of all files of an archive, at most.
 const MAX_BYTES: u64 = 1 << 28;
@@ -56,7 +56,7 @@ fn bounded(reader: &mut dyn Read, most: u64) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     reader.take(most + 1).read_to_end(&mut bytes).map_err(|error| damaged(&error))?;
     if bytes.len() as u64 > most {
-        return Err(ErrorCode::BadRecording.error(
+        return Err(Code::BadRecording.error(
             format!("it unpacks to more than {} MB", MAX_BYTES >> 20),
             "unpack it, and give the file or the folder",
         ));
@@ -64,6 +64,6 @@ fn bounded(reader: &mut dyn Read, most: u64) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-fn damaged(error: &dyn std::fmt::Display) -> HostError {
-    ErrorCode::BadRecording.error(format!("the archive is damaged: {error}"), "export it again")
+fn damaged(error: &dyn std::fmt::Display) -> Problem {
+    Code::BadRecording.error(format!("the archive is damaged: {error}"), "export it again")
 }

@@ -20,7 +20,7 @@ use std::collections::HashMap;
 use self::dataflash::{Field, Format, Units};
 use super::autopilot::{Choice, Family, Role, Rows, Topic};
 use super::{ReadOptions, Source, ned};
-use crate::error::Result;
+use crate::Result;
 use crate::recording::{Quantity, Sink, TrackId};
 
 /// rad.

@@ -5,10 +5,9 @@ use std::collections::BTreeMap;
 
 use super::window::no_inertial_data;
 use super::{ReadOptions, Source, ned};
-use crate::error::{ErrorCode, Result};
-use crate::finding::FindingCode;
 use crate::plural::counted;
 use crate::recording::{Origin, Quantity, Sink, TrackId, TrackInfo, Unit};
+use crate::{Code, Result};
 
 /// Origin of a topic's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -181,7 +180,7 @@ impl Choice {
             let asked = asked(text, topics, rows).ok_or_else(|| {
                 let found = roles().flat_map(|role| rows.topics(topics, role));
                 let found: Vec<&str> = found.collect();
-                ErrorCode::Usage
+                Code::Usage
                     .error(
                         format!("`{text}` is no topic of sensors in it"),
                         format!("choose one of {}", rows.described(&found)),
@@ -221,12 +220,12 @@ impl Choice {
             if let (Some(_), Some(other)) = (read.first(), left.first()) {
                 let (read, left) = (rows.described(&read), rows.described(&left));
                 let evidence = format!("read: {read}; not read: {left}");
-                let finding = FindingCode::TrackChosen.note(evidence);
+                let finding = Code::TrackChosen.note(evidence);
                 sink.finding(finding.remedy(format!("`--topic {other}` reads {other} instead")));
             }
         }
         let evidence = "times count from the start of the autopilot";
-        sink.finding(FindingCode::Clock.note(evidence));
+        sink.finding(Code::Clock.note(evidence));
     }
 }
 

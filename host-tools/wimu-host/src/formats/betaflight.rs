@@ -18,10 +18,9 @@ use self::frames::{Decoder, Summary};
 use self::header::{Header, MARKER};
 use super::window::{Window, no_inertial_data};
 use super::{ReadOptions, Source};
-use crate::error::{ErrorCode, Result};
-use crate::finding::FindingCode;
 use crate::plural::counted;
 use crate::recording::{Quantity, Sink, TrackId, TrackInfo, Unit};
+use crate::{Code, Result};
 
 /// m/s² (CODATA; the value that 1 g stands for).
 const STANDARD_GRAVITY: f64 = 9.80665;
@@ -69,7 +68,7 @@ pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) 
     let decoder = decoder.ok_or_else(|| {
         let message = format!("no frame of log {} can be decoded", chosen + 1);
         let remedy = "copy the file from the device again, or decode it with blackbox_decode";
-        ErrorCode::BadRecording.error(message, remedy).at(source.name())
+        Code::BadRecording.error(message, remedy).at(source.name())
     })?;
     report(&logs, chosen, sink);
     let tracks = fields.iter().map(|field| track(*field, &header, sink));
@@ -149,12 +148,12 @@ fn choose(logs: &[Log], options: &ReadOptions, source: &Source) -> Result<usize>
         let index = number.and_then(|number| number.checked_sub(1));
         return index.filter(|index| *index < logs.len()).ok_or_else(|| {
             let remedy = format!("choose `log 1` to `log {}`", logs.len());
-            ErrorCode::Usage.error(format!("there is no log `{topic}`"), remedy).at(source.name())
+            Code::Usage.error(format!("there is no log `{topic}`"), remedy).at(source.name())
         });
     }
     let rows = |index: &usize| (logs[*index].summary.rows, std::cmp::Reverse(*index));
     (0..logs.len()).max_by_key(rows).ok_or_else(|| {
-        ErrorCode::BadRecording
+        Code::BadRecording
             .error("there is no start of a blackbox log", "check the file")
             .at(source.name())
     })
@@ -175,7 +174,7 @@ fn report(logs: &[Log], chosen: usize, sink: &mut dyn Sink) {
             names.push(format!("{} more", logs.len() - 1 - MOST_NAMED));
         }
         let evidence = format!("read: {}; not read: {}", name(chosen), names.join(", "));
-        let finding = FindingCode::TrackChosen.note(evidence);
+        let finding = Code::TrackChosen.note(evidence);
         sink.finding(finding.remedy("`--topic \"log N\"` reads another"));
     }
     let [start, end] = logs[chosen].span;
@@ -185,11 +184,11 @@ fn report(logs: &[Log], chosen: usize, sink: &mut dyn Sink) {
     if lost > 0 {
         let frames = counted(lost, "frame");
         let evidence = format!("{frames} refer to damaged ones or have an implausible time");
-        let finding = FindingCode::Truncated.warning(evidence);
+        let finding = Code::Truncated.warning(evidence);
         sink.finding(finding.remedy("they are left out"));
     }
     let evidence = "times count from the start of the flight controller";
-    sink.finding(FindingCode::Clock.note(evidence));
+    sink.finding(Code::Clock.note(evidence));
 }
 
 /// The track of a field, and the factor of its values.

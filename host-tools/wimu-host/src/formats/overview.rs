@@ -2,9 +2,8 @@
 
 use super::{ReadOptions, Source, read};
 use crate::chart::{Chart, Series};
-use crate::error::Result;
-use crate::finding::Finding;
 use crate::recording::{Quantity, Sink, TrackId, TrackInfo, Unit};
+use crate::{Problem, Result};
 
 /// Intervals of a track: at least half of them are filled.
 const INTERVALS: usize = 2048;
@@ -17,7 +16,7 @@ const ROWS: u64 = 20_000;
 #[derive(Default)]
 pub struct Overview<'a> {
     tracks: Vec<Extremes>,
-    findings: Vec<Finding>,
+    findings: Vec<Problem>,
     rows: u64,
     span_ns: Option<[i64; 2]>,
     observer: Option<Observer<'a>>,
@@ -130,7 +129,7 @@ impl<'a> Overview<'a> {
     }
 
     /// What was noticed.
-    pub fn findings(&self) -> &[Finding] {
+    pub fn findings(&self) -> &[Problem] {
         &self.findings
     }
 
@@ -168,7 +167,7 @@ impl Sink for Overview<'_> {
         }
     }
 
-    fn finding(&mut self, finding: Finding) {
+    fn finding(&mut self, finding: Problem) {
         if !self.findings.contains(&finding) {
             self.findings.push(finding);
         }

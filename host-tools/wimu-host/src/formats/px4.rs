@@ -20,10 +20,9 @@ use std::collections::HashMap;
 use self::ulog::{Field, Layout, Message, Subscription};
 use super::autopilot::{Choice, Family, Role, Rows, Topic};
 use super::{ReadOptions, Source};
-use crate::error::Result;
-use crate::finding::FindingCode;
 use crate::plural::counted;
 use crate::recording::{Quantity, Sink, TrackId};
+use crate::{Code, Result};
 
 /// Of `accelerometer_timestamp_relative`: there is no new acceleration (`sensor_combined.msg`).
 const INVALID_RELATIVE_TIME: f64 = i32::MAX as f64;
@@ -83,7 +82,7 @@ pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) 
     if dropouts > 0 {
         let times = counted(dropouts, "dropout");
         let evidence = format!("{times} of the logger, {lost_ms} ms in all");
-        let finding = FindingCode::Rate.warning(evidence);
+        let finding = Code::Rate.warning(evidence);
         sink.finding(finding.remedy("log fewer topics, or use a faster memory card"));
     }
     choice.report(&rows, sink);

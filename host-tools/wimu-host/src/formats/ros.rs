@@ -13,9 +13,8 @@ use std::borrow::Cow;
 
 use self::message::{Encoding, IMU, Kind};
 use super::{ReadOptions, Source};
-use crate::error::{ErrorCode, HostError, Result};
-use crate::finding::{Finding, FindingCode};
 use crate::recording::{Origin, Quantity, Sink, TrackId, TrackInfo, Unit};
+use crate::{Code, Problem, Result};
 
 /// Messages of a topic by which its clock is chosen.
 const FIRST_MESSAGES: usize = 32;
@@ -184,7 +183,7 @@ impl<'a> Messages<'a> {
                 true => "the rest is read",
                 false => "the part before is read",
             };
-            self.report(FindingCode::Truncated.warning(damage), remedy);
+            self.report(Code::Truncated.warning(damage), remedy);
         }
         self.report_topics();
         self.report_clocks();
@@ -196,7 +195,7 @@ impl<'a> Messages<'a> {
         self.topics.iter().filter(is_imu)
     }
 
-    fn report(&mut self, finding: Finding, remedy: impl Into<String>) {
+    fn report(&mut self, finding: Problem, remedy: impl Into<String>) {
         self.sink.finding(finding.remedy(remedy));
     }
 
@@ -208,14 +207,14 @@ impl<'a> Messages<'a> {
                 Some(topic) => format!("only {topic} is read"),
                 None => "each is a sensor of its own; select one by `--topic`".to_owned(),
             };
-            self.report(FindingCode::TrackChosen.note(text), remedy);
+            self.report(Code::TrackChosen.note(text), remedy);
         }
         for topic in self.topics.iter().filter(|topic| topic.undecoded > 0) {
             let text = format!(
                 "{}: {} of {} messages do not have the layout of {}",
                 topic.name, topic.undecoded, topic.messages, topic.message
             );
-            let finding = FindingCode::RowsMasked.warning(text);
+            let finding = Code::RowsMasked.warning(text);
             self.sink.finding(finding.remedy("they are left out"));
         }
     }
@@ -229,7 +228,7 @@ impl<'a> Messages<'a> {
         if !logged.is_empty() {
             let text = format!("header stamps are zero or do not increase: {}", logged.join(", "));
             let remedy = "the log times are used, which include the delays of transport";
-            self.report(FindingCode::Clock.warning(text), remedy);
+            self.report(Code::Clock.warning(text), remedy);
         }
         let offsets = (self.topics.iter()).filter_map(|topic| Some((topic.offset_ns?, topic)));
         let first = offsets.clone().min_by_key(|(offset, _)| *offset);
@@ -246,12 +245,12 @@ impl<'a> Messages<'a> {
                 difference_ns as f64 * 1e-9
             );
             let remedy = "do not combine them, or record them with one clock";
-            self.report(FindingCode::Clock.warning(text), remedy);
+            self.report(Code::Clock.warning(text), remedy);
         }
     }
 
     /// A bag without readable Imu messages.
-    fn refusal(&self, damage: Option<String>) -> HostError {
+    fn refusal(&self, damage: Option<String>) -> Problem {
         let imu: Vec<String> = self.imu_topics().map(Topic::describe).collect();
         let mut topics: Vec<&Topic> = (self.topics.iter().filter(|t| t.messages > 0)).collect();
         topics.sort_by_key(|topic| std::cmp::Reverse(topic.messages));
@@ -263,13 +262,13 @@ impl<'a> Messages<'a> {
         let damage = damage.map(|damage| format!("; {damage}"));
         let damage = damage.unwrap_or_default();
         let error = match &self.options.topic {
-            Some(topic) if !imu.is_empty() => ErrorCode::Usage.error(
+            Some(topic) if !imu.is_empty() => Code::Usage.error(
                 format!("{topic} has no messages of {IMU} that can be read{damage}"),
                 format!("choose one of {}", imu.join(", ")),
             ),
-            _ if topics.is_empty() => ErrorCode::BadRecording
+            _ if topics.is_empty() => Code::BadRecording
                 .error(format!("no message can be read{damage}"), "give a bag with messages"),
-            _ => ErrorCode::NoRows.error(
+            _ => Code::NoRows.error(
                 format!("no inertial data in {IMU} can be read among {}{damage}", named.join(", ")),
                 format!("give a bag with accelerations or angular velocities in {IMU}"),
             ),

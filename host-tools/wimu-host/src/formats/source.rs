@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::archive::unpacked;
-use crate::error::{HostError, Result};
 use crate::progress::Watched;
 use crate::untrusted::{self, printable};
+use crate::{Problem, Result};
 
 /// Number of first bytes by which a format is detected.
 const START: u64 = 4096;
@@ -50,7 +50,7 @@ impl Source {
     /// The same at a depth of folders.
     fn open_at(path: &Path, depth: usize) -> Result<Self> {
         let name = untrusted::name(path);
-        let failed = |error| HostError::file(&name, "read", &error);
+        let failed = |error| Problem::file(&name, "read", &error);
         if path.is_dir() {
             let entries = std::fs::read_dir(path).map_err(failed)?;
             let paths: std::io::Result<Vec<PathBuf>> =
@@ -126,7 +126,7 @@ impl Source {
         match &self.content {
             Content::File(path) => {
                 let file = Watched::open(path);
-                let file = file.map_err(|error| HostError::file(&self.name, "read", &error))?;
+                let file = file.map_err(|error| Problem::file(&self.name, "read", &error))?;
                 Ok(Box::new(BufReader::new(file)))
             }
             Content::Bytes(bytes) => Ok(Box::new(Cursor::new(bytes.clone()))),

@@ -5,11 +5,10 @@ use wimu_calib::PoseFinder;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use super::{ReadOptions, Source, read};
-use crate::error::Result;
-use crate::finding::{Finding, FindingCode, Severity};
 use crate::plural::counted;
 use crate::recording::{Origin, Quantity, Sink, TrackId, TrackInfo, Unit};
 use crate::stats::{median, norm};
+use crate::{Code, Problem, Result, Severity};
 
 /// Rows by which the sample rate and the unit of a track are judged.
 const FIRST_ROWS: usize = 1000;
@@ -30,7 +29,7 @@ pub struct Summary {
     pub tracks: Vec<TrackSummary>,
     /// What was noticed.
     #[serde(skip)]
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Problem>,
 }
 
 /// What a track holds.
@@ -102,7 +101,7 @@ impl Summary {
 #[derive(Default)]
 struct Counter {
     tracks: Vec<TrackCounter>,
-    findings: Vec<Finding>,
+    findings: Vec<Problem>,
 }
 
 impl Sink for Counter {
@@ -117,7 +116,7 @@ impl Sink for Counter {
         }
     }
 
-    fn finding(&mut self, finding: Finding) {
+    fn finding(&mut self, finding: Problem) {
         if !self.findings.contains(&finding) {
             self.findings.push(finding);
         }
@@ -258,14 +257,14 @@ impl TrackCounter {
 
 impl TrackSummary {
     /// Rows of an accelerometer that are left out.
-    fn finding(&self) -> Option<Finding> {
+    fn finding(&self) -> Option<Problem> {
         let is_force = self.quantity == Quantity::SpecificForce.name();
         let out = self.not_finite + self.unordered;
         (is_force && out > 0).then(|| {
             let (code, severity) = match self.unordered {
-                0 => (FindingCode::RowsMasked, Severity::Warning),
-                _ if 2 * out > self.rows => (FindingCode::TimesUnordered, Severity::Error),
-                _ => (FindingCode::TimesUnordered, Severity::Warning),
+                0 => (Code::RowsMasked, Severity::Warning),
+                _ if 2 * out > self.rows => (Code::TimesUnordered, Severity::Error),
+                _ => (Code::TimesUnordered, Severity::Warning),
             };
             let evidence = format!(
                 "{}: {} of {} rows are not finite numbers, {} are earlier than a row before",
@@ -275,7 +274,7 @@ impl TrackSummary {
                 Severity::Error => "most rows cannot be used: sort them, or select one of several runs with --where",
                 _ => "they are left out",
             };
-            Finding::new(code, severity, evidence).of_sensor(self.sensor).remedy(remedy)
+            Problem::new(code, severity, evidence).of_sensor(self.sensor).remedy(remedy)
         })
     }
 }

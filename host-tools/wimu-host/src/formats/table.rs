@@ -36,9 +36,8 @@ use text::{Field, field};
 pub(crate) use units::acceleration_unit;
 
 use super::{ReadOptions, Source};
-use crate::error::{ErrorCode, Result};
-use crate::finding::{Finding, FindingCode, Severity};
 use crate::recording::{Quantity, Sink, Stamps, TrackId, TrackInfo, Unit};
+use crate::{Code, Problem, Result};
 
 /// Columns of a table, at most.
 const MOST_COLUMNS: usize = 1024;
@@ -99,8 +98,9 @@ fn read_table(
 ) -> Result<()> {
     let quantity = quantity_of(source);
     let table = header::find(source, quantity)?;
-    let at_header = |error: crate::HostError| {
-        let column = error.location().map(|column| format!(", {column}")).unwrap_or_default();
+    let at_header = |error: crate::Problem| {
+        let column =
+            error.place.at.as_deref().map(|column| format!(", {column}")).unwrap_or_default();
         error.at(format!("{} line {}{column}", source.name(), table.line))
     };
     let mut layout = layout::of(&table, quantity, options).map_err(at_header)?;
@@ -126,7 +126,7 @@ fn read_table(
     }
     if let Some(program) = layout.program {
         let text = format!("the columns are those of {program}");
-        findings.push(Finding::new(FindingCode::TrackChosen, Severity::Note, text));
+        findings.push(Code::TrackChosen.note(text));
     }
     if let Some(first) = layout.unknown_units.first() {
         let text = format!(
@@ -135,13 +135,13 @@ fn read_table(
             table.names[*first]
         );
         let remedy = "they are not read as such; give --columns with a known unit";
-        findings.push(FindingCode::UnitInferred.warning(text).remedy(remedy));
+        findings.push(Code::UnitInferred.warning(text).remedy(remedy));
     }
     let is_mixed = |group: &&Group| group.scales.iter().any(|scale| *scale != group.scales[0]);
     for group in layout.groups.iter().filter(is_mixed) {
         let text = format!("the components of `{}` have different units", group.name);
         let remedy = "check the units in the header or in --columns";
-        findings.push(FindingCode::UnitInferred.warning(text).remedy(remedy));
+        findings.push(Code::UnitInferred.warning(text).remedy(remedy));
     }
     let conversions = conversions(&layout, &survey, options, &mut findings).map_err(at_header)?;
     let clock = if !times.is_empty() {
@@ -195,7 +195,7 @@ impl Sink for Timeless<'_> {
         self.0.row(track, time_ns, values);
     }
 
-    fn finding(&mut self, finding: Finding) {
+    fn finding(&mut self, finding: Problem) {
         self.0.finding(finding);
     }
 }
@@ -210,7 +210,7 @@ fn has_tracks(table: &Table, layout: &Layout) -> Result<()> {
     if table.names.len() > 30 {
         named += ", …";
     }
-    Err(ErrorCode::CsvMissingColumn.error(
+    Err(Code::CsvMissingColumn.error(
         format!("there is no accelerometer or gyroscope among its columns: {named}"),
         "name the columns `Accelerometer X (g)`, … in LSB, g, mg or m/s², or say which they are: --columns \"t=1:s,x=2:g,y=3:g,z=4:g\"",
     ))
@@ -220,7 +220,7 @@ fn conversions(
     layout: &Layout,
     survey: &Survey,
     options: &ReadOptions,
-    findings: &mut Vec<Finding>,
+    findings: &mut Vec<Problem>,
 ) -> Result<Vec<Conversion>> {
     let convert = |(group, samples): (&Group, &survey::Samples)| {
         let columns = group.columns.iter().map(|column| &survey.columns[*column]);
@@ -364,17 +364,17 @@ impl<'a, 'b> Writer<'a, 'b> {
         }
     }
 
-    fn findings(&self) -> Vec<Finding> {
+    fn findings(&self) -> Vec<Problem> {
         let mut findings = Vec::new();
         if self.without_size > 0 {
             let text = format!("{} rows of counts have no sensitivity", self.without_size);
             let remedy = "they are left out";
-            findings.push(FindingCode::RowsMasked.warning(text).remedy(remedy));
+            findings.push(Code::RowsMasked.warning(text).remedy(remedy));
         }
         if self.scalars_left_out > 0 {
             let left_out = self.scalars_left_out;
             let text = format!("{left_out} further columns of numbers are not read");
-            findings.push(Finding::new(FindingCode::TrackChosen, Severity::Note, text));
+            findings.push(Code::TrackChosen.note(text));
         }
         findings
     }

@@ -1,8 +1,8 @@
 //! Formats that wimu recognises but does not read: a refusal names the export that works.
 
 use super::{ReadOptions, Source};
-use crate::error::{ErrorCode, Result};
 use crate::recording::Sink;
+use crate::{Code, Result};
 
 /// First bytes, name, and what to do.
 const FORMATS: [(&[u8], &str, &str); 9] = [
@@ -49,5 +49,5 @@ pub(super) fn detect(source: &Source) -> bool {
 pub(super) fn read(source: &Source, _: &ReadOptions, _: &mut dyn Sink) -> Result<()> {
     let (name, remedy) = named(source).unwrap_or(("no known format", "see docs/FORMATS.md"));
     let message = format!("this is {name}, which wimu does not read");
-    Err(ErrorCode::UnknownFormat.error(message, remedy).at(source.name()))
+    Err(Code::UnknownFormat.error(message, remedy).at(source.name()))
 }

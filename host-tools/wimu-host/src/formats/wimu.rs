@@ -7,11 +7,11 @@ use wimu_link::batch::Stream;
 
 use super::{ReadOptions, Source};
 use crate::decode::{Decoder, Event};
-use crate::error::{ErrorCode, Result};
 use crate::history::Recording;
 use crate::mcap_file::{self, RecordingReader};
 use crate::recording::{LinkRows, Sink};
 use crate::stream;
+use crate::{Code, Result};
 
 /// Whether it is an MCAP file that `wimu record` wrote, or one that is cut off or damaged at its beginning.
 pub(crate) fn detect(source: &Source) -> bool {
@@ -32,7 +32,7 @@ pub(crate) fn detect(source: &Source) -> bool {
 
 pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Result<()> {
     let Some(path) = source.path() else {
-        let error = ErrorCode::UnknownFormat
+        let error = Code::UnknownFormat
             .error("a recording of wimu in an archive is not read", "extract it first");
         return Err(error.at(source.name()));
     };

@@ -5,9 +5,8 @@ use std::ops::Range;
 
 use super::Source;
 use super::source::ReadSeek;
-use crate::error::{ErrorCode, HostError, Result};
-use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
+use crate::{Code, Problem, Result};
 
 /// Bytes read at once.
 const CHUNK: usize = 1 << 16;
@@ -32,7 +31,7 @@ impl Window {
             position,
         };
         let sought = window.reader.seek(SeekFrom::Start(position));
-        sought.map_err(|error| HostError::file(&window.name, "read", &error))?;
+        sought.map_err(|error| Problem::file(&window.name, "read", &error))?;
         Ok(window)
     }
 
@@ -43,7 +42,7 @@ impl Window {
             self.start = 0;
             let missing = (count - self.buffer.len()).max(CHUNK) as u64;
             let read = (&mut self.reader).take(missing).read_to_end(&mut self.buffer);
-            read.map_err(|error| HostError::file(&self.name, "read", &error))?;
+            read.map_err(|error| Problem::file(&self.name, "read", &error))?;
         }
         let ahead = &self.buffer[self.start..];
         Ok(&ahead[..count.min(ahead.len())])
@@ -84,7 +83,7 @@ impl Damage {
     }
 
     /// The finding of it, if there is any, in a span of a source.
-    pub(super) fn finding(&self, span: Range<u64>) -> Option<Finding> {
+    pub(super) fn finding(&self, span: Range<u64>) -> Option<Problem> {
         let end = match self.end == span.end {
             true => ", the last at the end of the file",
             false => "",
@@ -95,7 +94,7 @@ impl Damage {
             span.end - span.start,
             counted(self.places, "place"),
         );
-        let finding = FindingCode::Truncated.warning(evidence);
+        let finding = Code::Truncated.warning(evidence);
         (self.places > 0).then(|| finding.remedy("they are left out"))
     }
 
@@ -106,7 +105,7 @@ impl Damage {
         }
         let message = format!("{} of {length} bytes belong to no readable record", self.bytes);
         let remedy = "copy the file from the device again";
-        Err(ErrorCode::BadRecording.error(message, remedy).at(source.name()))
+        Err(Code::BadRecording.error(message, remedy).at(source.name()))
     }
 }
 
@@ -116,7 +115,7 @@ pub(super) fn bytes_at<const N: usize>(bytes: &[u8], offset: usize) -> Option<[u
 }
 
 /// Refusal of a source without inertial data: `found` names what it has.
-pub(super) fn no_inertial_data(source: &Source, wanted: &str, found: &[String]) -> HostError {
+pub(super) fn no_inertial_data(source: &Source, wanted: &str, found: &[String]) -> Problem {
     const MOST: usize = 20;
     let mut names = found[..found.len().min(MOST)].join(", ");
     match found.len() {
@@ -124,7 +123,7 @@ pub(super) fn no_inertial_data(source: &Source, wanted: &str, found: &[String]) 
         count if count > MOST => names.push_str(&format!(" and {} more", count - MOST)),
         _ => (),
     }
-    ErrorCode::NoRows
+    Code::NoRows
         .error(format!("it has no inertial data, but {names}"), format!("record {wanted}"))
         .at(source.name())
 }

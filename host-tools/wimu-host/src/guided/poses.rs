@@ -18,7 +18,7 @@ use crate::decode::{Arrival, Event};
 use crate::formats;
 use crate::history::LinkHistory;
 use crate::recording::{Recording, Selection};
-use crate::{ErrorCode, Result};
+use crate::{Code, Result};
 
 /// Capacity of a live calibration, poses.
 pub const CAPACITY: usize = 64;
@@ -53,7 +53,7 @@ impl Plan {
             ModelChoice::Auto => Model::Bias3.parameters() + 1,
         };
         if !six && count < fewest {
-            return Err(ErrorCode::Usage.error(
+            return Err(Code::Usage.error(
                 format!("--count {count} is too small for this model"),
                 format!("give {fewest} or more, or a smaller --model"),
             ));

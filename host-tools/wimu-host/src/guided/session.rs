@@ -11,8 +11,8 @@ use super::poses::{LivePoses, News, Plan, Uncertainty};
 use crate::Result;
 use crate::calibration::{self, CalibrateOptions, CalibrationReport};
 use crate::client::Client;
-use crate::finding;
 use crate::live::Heard;
+use crate::problem;
 use crate::recording::Selection;
 use crate::stats::norm;
 use crate::transport::Transport;
@@ -164,7 +164,7 @@ impl Guided {
 
     /// Takes what a link has received; returns whether a pose was captured.
     pub fn take(&mut self, heard: &Heard) -> bool {
-        self.view.lost = heard.lost.as_ref().map(|error| error.message().to_owned());
+        self.view.lost = heard.lost.as_ref().map(|error| error.text.clone());
         if self.report.is_some() {
             return false;
         }
@@ -262,7 +262,7 @@ impl Guided {
         match report {
             Ok(report) => {
                 self.view.usable = report.outcome.exit_code() == 0;
-                let findings = finding::text(&report.outcome.findings, usize::MAX);
+                let findings = problem::text(&report.outcome.findings, usize::MAX);
                 self.view.result = Some(format!("{report}\n{findings}"));
                 self.view.pushed = false;
                 self.report = Some(report);
@@ -271,7 +271,7 @@ impl Guided {
                     self.write(false);
                 }
             }
-            Err(error) => self.view.message = format!("no calibration: {}", error.message()),
+            Err(error) => self.view.message = format!("no calibration: {}", error.text),
         }
     }
 
@@ -301,7 +301,7 @@ impl Guided {
         };
         self.view.message = match file.write(path) {
             Ok(()) => format!("written to {}", path.display()),
-            Err(error) => format!("not written: {}; {}", error.message(), error.remedy()),
+            Err(error) => format!("not written: {}; {}", error.text, error.remedy),
         };
         self.written = true;
     }
@@ -314,7 +314,7 @@ impl Guided {
         let pushed = push(client, set);
         self.view.message = match &pushed {
             Ok(id) => format!("pushed {id}"),
-            Err(error) => format!("not pushed: {}; {}", error.message(), error.remedy()),
+            Err(error) => format!("not pushed: {}; {}", error.text, error.remedy),
         };
         self.view.pushed = pushed.is_ok();
     }

@@ -16,9 +16,10 @@ use serde::Serialize;
 pub use fit::Residual;
 pub use stream::{PoseStream, StreamPose};
 
+use crate::Code;
 use crate::digits;
-use crate::finding::{FindingCode, Outcome};
 use crate::plural::counted;
+use crate::problem::Outcome;
 use fit::{Fit, Observation, SHARED, State};
 
 /// Least time between two poses that are used, s: the errors of trackers are correlated over it.
@@ -128,7 +129,7 @@ fn solve(
             "the angular rates of the two streams hardly agree (correlation {:.2})",
             offset.correlation
         );
-        let finding = FindingCode::Clock.warning(text);
+        let finding = Code::Clock.warning(text);
         outcome
             .findings
             .push(finding.remedy("check that both are of one rigid body, and the clock"));
@@ -188,7 +189,7 @@ impl HandEye {
                 "{contradicting} of {} contradict the others (jumps of a tracker)",
                 counted(fit.residuals.len(), "pose")
             );
-            self.outcome.findings.push(FindingCode::Residuals.note(text));
+            self.outcome.findings.push(Code::Residuals.note(text));
         }
         let worst = fit.worst_sd(0);
         if worst > options.rotation_limit_rad {
@@ -205,7 +206,7 @@ impl HandEye {
         let worst = fit.worst_sd(3);
         if inertial {
             let text = "inertial data show the rotation and the clock offset, not the translation";
-            let finding = FindingCode::NotObserved.note(text);
+            let finding = Code::NotObserved.note(text);
             let remedy = "for the translation, give poses of the body, such as those of a motion capture system";
             self.outcome.findings.push(finding.remedy(remedy));
         } else if worst > options.translation_limit_m {
@@ -213,7 +214,7 @@ impl HandEye {
                 "the motion does not show the translation (± {} m)",
                 digits::significant(worst, 2)
             );
-            let finding = FindingCode::NotObserved.warning(text);
+            let finding = Code::NotObserved.warning(text);
             self.outcome
                 .findings
                 .push(finding.remedy("turn the body about two axes, by 60° or more"));

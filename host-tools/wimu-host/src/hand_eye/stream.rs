@@ -5,11 +5,10 @@ use std::path::Path;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::csv::columns::{LENGTH, NUMBER, TIME, Table};
-use crate::finding::{Finding, FindingCode};
 use crate::lag::scores;
 use crate::motion::{MotionRecording, median_step_s};
 use crate::plural::counted;
-use crate::{ErrorCode, Result};
+use crate::{Code, Problem, Result};
 
 /// Interval over which the angular rate of a stream is taken, s: longer than the period of a camera, shorter than a motion
 /// of a hand.
@@ -41,7 +40,7 @@ pub struct PoseStream {
     /// Whether it has rotations of a gyroscope only, which drift.
     pub inertial: bool,
     /// What was noticed at reading.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Problem>,
     poses: Vec<StreamPose>,
     /// Longest interval over which poses are interpolated, s.
     gap_s: f64,
@@ -70,13 +69,13 @@ impl PoseStream {
         poses.dedup_by(|b, a| b.time_s <= a.time_s);
         if poses.len() < 2 {
             let message = format!("{name} has fewer than two poses");
-            return Err(ErrorCode::NoRows.error(message, "record the motion for a minute"));
+            return Err(Code::NoRows.error(message, "record the motion for a minute"));
         }
         let mut findings = Vec::new();
         if poses.len() < given {
             let lost = counted(given - poses.len(), "pose");
             let text = format!("{name}: {lost} left out: the time repeats");
-            findings.push(FindingCode::TimesUnordered.warning(text));
+            findings.push(Code::TimesUnordered.warning(text));
         }
         let times: Vec<f64> = poses.iter().map(|pose| pose.time_s).collect();
         let step_s = median_step_s(&times);
@@ -84,7 +83,7 @@ impl PoseStream {
             let message = format!("{name}: the poses are {step_s:.3} s apart");
             let remedy =
                 "check the unit of the times: name the column `Time (ms)` if they are in ms";
-            return Err(ErrorCode::DataRefused.error(message, remedy));
+            return Err(Code::DataRefused.error(message, remedy));
         }
         let gap_s = f64::max(0.15, 3.0 * step_s);
         Ok(Self { name, inertial: false, findings, poses, gap_s })
@@ -139,7 +138,7 @@ impl PoseStream {
                 stream.name,
                 counted(left_out, "row")
             );
-            stream.findings.push(FindingCode::RowsMasked.warning(text));
+            stream.findings.push(Code::RowsMasked.warning(text));
         }
         Ok(stream)
     }
@@ -161,7 +160,7 @@ impl PoseStream {
         if poses.is_empty() {
             let message = format!("{} has no angular rates", recording.name);
             let remedy = "the rotation to a camera needs a gyroscope, or poses of the body";
-            return Err(ErrorCode::NoRows.error(message, remedy));
+            return Err(Code::NoRows.error(message, remedy));
         }
         let mut stream = Self::new(&*recording.name, poses)?;
         stream.inertial = true;

@@ -13,10 +13,10 @@ use super::{EpochMark, LinkHistory};
 use crate::calibration::source::ActiveParameters;
 use crate::clock::{ClockEstimator, ClockModel};
 use crate::decode::Event;
-use crate::error::{ErrorCode, Result};
 use crate::mcap_file::{ClockAnchor, Recorded, RecordingReader, Wholeness};
 use crate::units::{RawUnits, SampleUnit};
 use crate::walk::{Start, Step, Walker};
+use crate::{Code, Result};
 
 /// Items of each kind that a survey keeps.
 const SURVEYED: usize = 64;
@@ -209,7 +209,7 @@ impl Recording {
         found.ok_or_else(|| {
             let what = role.map_or("any link".to_owned(), |role| format!("the {role} link"));
             let message = format!("nothing was recorded on {what}");
-            let error = ErrorCode::NoRows.error(message, "record again, or name the other link");
+            let error = Code::NoRows.error(message, "record again, or name the other link");
             error.at(&self.name)
         })
     }
@@ -223,7 +223,7 @@ fn readable(links: &BTreeMap<u8, LinkHistory>, versions: &BTreeMap<u8, u8>) -> R
         (!has_epochs && *version != WIRE_VERSION).then_some(*version)
     };
     match links.iter().map(foreign).collect::<Option<Vec<u8>>>().as_deref() {
-        Some([version, ..]) => Err(ErrorCode::BadRecording.error(
+        Some([version, ..]) => Err(Code::BadRecording.error(
             format!(
                 "the board uses version {version} of the protocol, this wimu version {WIRE_VERSION}"
             ),

@@ -8,10 +8,9 @@ use crate::array::{
     Agreement, ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions,
     corrected_delays, navigated_axes,
 };
-use crate::finding::{Finding, FindingCode};
 use crate::motion::{LIKELY, heading_rad, nees};
 use crate::stats::norm;
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// A centre nearer to the origin than this, m, is at it.
 const CENTRED_M: f64 = 1e-3;
@@ -48,12 +47,12 @@ pub fn navigate_array(
         standard
     };
     if (gravity / standard - 1.0).abs() > GRAVITY_SHARE {
-        return Err(HostError::new(
-            ErrorCode::DataRefused,
-            format!("the mean output at the rests is {gravity:.2} m/s², which is not gravity"),
-            "check the unit in the columns' names (g, m/s², LSB) and --sensitivity",
-        )
-        .at(&recording.name));
+        return Err(Code::DataRefused
+            .error(
+                format!("the mean output at the rests is {gravity:.2} m/s², which is not gravity"),
+                "check the unit in the columns' names (g, m/s², LSB) and --sensitivity",
+            )
+            .at(&recording.name));
     }
     let body = ArrayBody::of(recording, geometry, calibration)?;
     let (mut states, remarks) = body.navigated(gravity, choice.zupt)?;
@@ -80,7 +79,7 @@ pub fn navigate_array(
         || {
             let text = "whether the sensors are where the geometry says was not checked: the array hardly turned, or its \
                         sensors are too few to contradict each other";
-            vec![FindingCode::Geometry.note(text)]
+            vec![Code::Geometry.note(text)]
         },
         Agreement::findings,
     );
@@ -92,7 +91,7 @@ pub fn navigate_array(
     if span > ArrayGeometry::LARGE_M {
         said.push(format!("the array is {span:.1} m wide: are its places in m?"));
     }
-    let said = said.into_iter().map(|text| FindingCode::Geometry.note(text));
+    let said = said.into_iter().map(|text| Code::Geometry.note(text));
     let mut path =
         path_of(recording, &states, choice, warnings(remarks).chain(findings).chain(said))?;
     path.smoothed_rate = choice.smooth;
@@ -124,7 +123,7 @@ pub fn navigate_axes(
     choice: &Choice,
 ) -> Result<InertialPath> {
     let (states, remarks) = navigated_axes(recording, geometry, known, choice.zupt)?;
-    let point = point_of(geometry).map(|text| FindingCode::Geometry.note(text));
+    let point = point_of(geometry).map(|text| Code::Geometry.note(text));
     path_of(recording, &states, choice, warnings(remarks).chain(point))
 }
 
@@ -132,8 +131,8 @@ fn trace(matrix: &[[f64; 3]; 3]) -> f64 {
     (0..3).map(|i| matrix[i][i]).sum()
 }
 
-fn warnings(texts: Vec<String>) -> impl Iterator<Item = Finding> {
-    (texts.into_iter()).map(|text| FindingCode::Navigation.warning(text))
+fn warnings(texts: Vec<String>) -> impl Iterator<Item = Problem> {
+    (texts.into_iter()).map(|text| Code::Navigation.warning(text))
 }
 
 /// The path of an array whose states are these, against the truth where there is any.
@@ -141,7 +140,7 @@ fn path_of(
     recording: &ArrayRecording,
     states: &[ArrayState<f64>],
     choice: &Choice,
-    said: impl Iterator<Item = Finding>,
+    said: impl Iterator<Item = Problem>,
 ) -> Result<InertialPath> {
     let valid = |k: &usize| states[*k].valid && states[*k].position_sd_m() <= choice.limit_m;
     let points = states
@@ -169,7 +168,7 @@ fn path_of(
     let ambiguous =
         states.iter().filter(|s| !s.resting && s.certainty > 0.0 && s.certainty < 0.99).count();
     if ambiguous > 0 {
-        path.findings.push(FindingCode::Navigation.warning(format!(
+        path.findings.push(Code::Navigation.warning(format!(
             "{ambiguous} samples fit several angular rates; rate and position are the means of all, with \
              their spread"
         )));
@@ -181,7 +180,7 @@ fn path_of(
         "no magnetometer"
     };
     let text = format!("{field}: heading is that of the body at the start");
-    path.findings.push(FindingCode::Navigation.note(text));
+    path.findings.push(Code::Navigation.note(text));
     let mut path = path.checked(&recording.name, super::REMEDY)?;
     let truth = recording.truth();
     let true_rate = recording.true_rate_rad_s();

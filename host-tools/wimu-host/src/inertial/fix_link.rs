@@ -6,11 +6,10 @@ use std::time::Duration;
 
 use super::fixes::{Fix, Fixes};
 use crate::csv::columns::Table;
-use crate::finding::{Finding, FindingCode};
 use crate::localization::Ranging;
 use crate::plural::counted;
 use crate::transport::{self, Transport};
-use crate::{LinkUrl, Result};
+use crate::{Code, LinkUrl, Problem, Result};
 
 /// Time for which a least delay counts, s: two clocks drift apart by 6 ms meanwhile (50 ppm).
 const COUNTS_S: f64 = 120.0;
@@ -57,7 +56,7 @@ pub struct FixLink {
     /// The anchors, of ranges.
     ranging: Option<Ranging>,
     unreadable: usize,
-    finding: Option<Finding>,
+    finding: Option<Problem>,
 }
 
 impl FixLink {
@@ -101,7 +100,7 @@ impl FixLink {
                 Ok(line) => line,
                 Err(error) => {
                     let text = format!("no more {}: {error}", self.kind());
-                    self.finding = Some(FindingCode::Navigation.warning(text));
+                    self.finding = Some(Code::Navigation.warning(text));
                     break;
                 }
             };
@@ -123,7 +122,7 @@ impl FixLink {
                         counted(self.unreadable, "line"),
                         self.kind()
                     );
-                    self.finding = Some(FindingCode::SamplesLeftOut.warning(text));
+                    self.finding = Some(Code::SamplesLeftOut.warning(text));
                 }
             }
         }
@@ -146,7 +145,7 @@ impl FixLink {
     }
 
     /// What was noticed last: a lost link, lines that are no fixes.
-    pub fn finding(&self) -> Option<&Finding> {
+    pub fn finding(&self) -> Option<&Problem> {
         self.finding.as_ref()
     }
 }

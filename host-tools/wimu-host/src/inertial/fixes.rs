@@ -11,14 +11,13 @@ use wimu_nav::smoother::Recorder;
 use super::StartPose;
 use super::segments::Segments;
 use super::suspects::{Lag, Suspects};
-use crate::Result;
 use crate::csv::columns::{ANGLE, Column, LENGTH, SPEED, TIME, Table};
 use crate::digits::significant;
-use crate::finding::{Finding, FindingCode};
 use crate::localization::{AnchorStates, RangeSample, Ranging};
 use crate::motion::other_clock;
 use crate::plural::counted;
 use crate::stats::norm;
+use crate::{Code, Problem, Result};
 
 /// A measurement at one time, east-north-up.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,7 +44,7 @@ pub struct Fixes {
     /// The antenna from the origin of the unit, m, body axes.
     pub lever_arm_m: [f64; 3],
     /// What was noticed while they were read.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Problem>,
     /// The anchors of ranges.
     pub ranging: Option<Ranging>,
     /// Speeds by the wheels of a vehicle, positive forward: time, s, and speed, m/s.
@@ -96,11 +95,11 @@ impl Fixes {
         if !others.is_empty() {
             let text = format!("columns of the fixes that are not used: {}", others.join(", "));
             let remedy = "known names: Position E (m), N, U, Height (m), Velocity E (m/s), N, U, Heading (deg), each with Sigma";
-            findings.push(FindingCode::Navigation.note(text).remedy(remedy));
+            findings.push(Code::Navigation.note(text).remedy(remedy));
         }
         if position[0].is_some() != position[1].is_some() {
             let text = "of Position E (m) and N the fixes have only one: the other is not measured";
-            findings.push(FindingCode::Navigation.warning(text));
+            findings.push(Code::Navigation.warning(text));
         }
         let has_no_sd = |values: &[Option<Column>], sds: &[Option<Column>]| {
             values.iter().any(Option::is_some) && sds.iter().all(Option::is_none)
@@ -108,7 +107,7 @@ impl Fixes {
         if has_no_sd(&position, &position_sd) {
             let text = format!("the fixes have no standard deviation: {POSITION_SD_M} m is used");
             let remedy = "give it as Position Sigma E (m), N, U";
-            findings.push(FindingCode::Navigation.note(text).remedy(remedy));
+            findings.push(Code::Navigation.note(text).remedy(remedy));
         }
         let (mut fixes, mut not_positive) = (Vec::new(), 0);
         for row in 0..table.rows.len() {
@@ -155,7 +154,7 @@ impl Fixes {
                 "{what} of the fixes are not positive: {POSITION_SD_M} m, {VELOCITY_SD_MPS} m/s, {:.0}° are used there",
                 HEADING_SD_RAD.to_degrees()
             );
-            findings.push(FindingCode::Navigation.warning(text));
+            findings.push(Code::Navigation.warning(text));
         }
         if fixes.is_empty() {
             let remedy = "fill in the position, velocity or heading of at least one row";
@@ -450,10 +449,10 @@ impl Aiding {
     }
 
     /// Says how many of `all` fixes were not compared.
-    pub fn outside(&self, all: usize) -> Option<Finding> {
+    pub fn outside(&self, all: usize) -> Option<Problem> {
         let outside = all - self.fixes.compared();
         let text = || format!("{} outside the time of the recording", counted(outside, "fix"));
-        (outside > 0).then(|| FindingCode::Clock.note(text()))
+        (outside > 0).then(|| Code::Clock.note(text()))
     }
 }
 

@@ -8,9 +8,8 @@ use super::fixes::{Aided, Fixes};
 use super::track::{Input, Track};
 use super::unit::{HEADINGS, Unit, sample};
 use super::{Choice, Method, PathPoint, StartPose};
-use crate::finding::{Finding, FindingCode};
 use crate::localization::AnchorStates;
-use crate::{ErrorCode, Result};
+use crate::{Code, Problem, Result};
 
 /// Difference of the logarithms of two likelihoods beyond which the smaller one is ruled out: odds of 1 to 2·10⁹.
 const RULED_OUT: f64 = 21.4;
@@ -37,7 +36,7 @@ impl Unit<'_> {
         let anchors = ranging.map(|ranging| AnchorStates::claim(ranging, &mut start));
         let anchors = anchors.transpose().map_err(|error| {
             let remedy = "give at most 12 anchors beside a board";
-            ErrorCode::DataRefused.error(format!("too many anchors: {error}"), remedy)
+            Code::DataRefused.error(format!("too many anchors: {error}"), remedy)
         })?;
         Ok(Box::new(Headings {
             tracks: vec![Track::new(start, choice, self.times_s[0], at_rest)],
@@ -58,7 +57,7 @@ pub(super) trait Follow {
     /// The point after further samples, which are not taken.
     fn ahead(&self, inputs: &[Input], fixes: &Fixes) -> Option<PathPoint>;
 
-    fn findings(&self, fixes: &Fixes) -> Vec<Finding>;
+    fn findings(&self, fixes: &Fixes) -> Vec<Problem>;
 
     fn headings(&self) -> usize;
 
@@ -190,17 +189,17 @@ impl<M: Model<f64, N> + Clone, const N: usize> Follow for Headings<M, N> {
         self.best().map_or_else(Default::default, of)
     }
 
-    fn findings(&self, fixes: &Fixes) -> Vec<Finding> {
+    fn findings(&self, fixes: &Fixes) -> Vec<Problem> {
         let mut found = Vec::new();
         if let Some(jumped_s) = self.jumped_s {
             let whose = fixes.ranging.as_ref().map_or("fixes", |_| "anchors");
             let text = format!("the path was moved to the frame of the {whose} at {jumped_s:.2} s");
-            found.push(FindingCode::Navigation.note(text));
+            found.push(Code::Navigation.note(text));
         }
         if fixes.ranging.is_some() && !self.placed {
             let text = "the path is not yet in the frame of the anchors: no twelve ranges to three of them within 3 s";
             let remedy = "see whether ranges arrive, or give the start: --start";
-            found.push(FindingCode::Navigation.note(text).remedy(remedy));
+            found.push(Code::Navigation.note(text).remedy(remedy));
         }
         if let Some(best) = self.best() {
             found.extend(best.findings(fixes.ranging.as_ref()));

@@ -2,17 +2,16 @@
 //! left out, as if they were missing.
 
 use super::{InertialPath, PathPoint, frozen};
-use crate::finding::{Finding, FindingCode};
 use crate::motion::{
     FULL_SCALE_MPS2, FULL_SCALE_RAD_S, FULL_SCALE_UT, MotionRecording, UnitSample,
 };
 use crate::plural::counted;
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// Samples that are left out, from a recording's first to its last, and what to say of them.
 pub(crate) struct Holes {
     left_out: Vec<bool>,
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Problem>,
 }
 
 impl Holes {
@@ -34,25 +33,23 @@ impl Holes {
         let mut findings = Vec::new();
         for said in none.into_iter().chain(too_much.map(|(_, said)| said)) {
             if 2 * count > recording.samples.len() {
-                return Err(HostError::new(
-                    ErrorCode::DataRefused,
-                    said,
+                return Err(Code::DataRefused.error(said,
                     "see why the sensor fails, and that its unit is right; leave the part out in which it does",
                 )
                 .at(&recording.name));
             }
             let text = format!("{said}: left out, as if they were missing");
-            findings.push(FindingCode::SamplesLeftOut.warning(text));
+            findings.push(Code::SamplesLeftOut.warning(text));
         }
         let rate = beyond(recording, "gyroscope", FULL_SCALE_RAD_S, "rad/s", |s| s.rate_rad_s);
         let field = beyond(recording, "magnetometer", FULL_SCALE_UT, "µT", |s| s.field_ut);
         let others = rate.into_iter().chain(field);
         let text = |said| format!("{said}: left out there");
-        findings.extend(others.map(|(_, said)| FindingCode::SamplesLeftOut.warning(text(said))));
+        findings.extend(others.map(|(_, said)| Code::SamplesLeftOut.warning(text(said))));
         let frozen = frozen::runs(recording);
         if let Some(first) = frozen.first() {
             let count = frozen.iter().map(ExactSizeIterator::len).sum();
-            findings.push(FindingCode::SamplesLeftOut.warning(format!(
+            findings.push(Code::SamplesLeftOut.warning(format!(
                 "all axes of the accelerometer give one and the same value, without noise, from {:.2} s on, in {}: left \
                  out, as if they were missing",
                 recording.times_s[first.start],

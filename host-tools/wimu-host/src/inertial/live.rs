@@ -10,9 +10,8 @@ use super::sense::{Senses, clipped};
 use super::track::{Input, counted_findings};
 use super::unit::{OnceEachField, Unit, detector, noise_mps2, sample};
 use super::{Choice, InertialPath, Method, PathPoint};
-use crate::Result;
-use crate::finding::{Finding, FindingCode};
 use crate::motion::{MotionRecording, UnitSample, other_clock};
+use crate::{Code, Problem, Result};
 
 /// Samples before the first answer, s: what shows whether the sensors are calibrated, and the alignment.
 const START_S: f64 = 3.0;
@@ -39,7 +38,7 @@ const FAR_S: f64 = 86_400.0;
 /// }
 /// let point = live.now().expect("an answer after three seconds");
 /// assert!(point.valid && point.time_s == 4.99 && point.position_m[2].abs() < 0.01);
-/// # Ok::<(), wimu_host::HostError>(())
+/// # Ok::<(), wimu_host::Problem>(())
 /// ```
 pub struct Live {
     choice: Choice,
@@ -51,7 +50,7 @@ pub struct Live {
     taken: usize,
     once: OnceEachField,
     begun: Option<Begun>,
-    findings: Vec<Finding>,
+    findings: Vec<Problem>,
     /// Fixes and ranges that came too late.
     late: [usize; 2],
     not_finite: usize,
@@ -174,7 +173,7 @@ impl Live {
     }
 
     /// What was noticed up to now.
-    pub fn findings(&self) -> Vec<Finding> {
+    pub fn findings(&self) -> Vec<Problem> {
         let mut found = [&self.choice.fixes.findings[..], &self.findings].concat();
         let late = "arrived later than the filter waits: not used (--fix-delay)";
         let counts = [
@@ -185,7 +184,7 @@ impl Live {
         ];
         for (count, one, what) in counts {
             let counts = [(count, what)];
-            found.extend(counted_findings(FindingCode::SamplesLeftOut, one, &counts));
+            found.extend(counted_findings(Code::SamplesLeftOut, one, &counts));
         }
         found.extend(self.other_clock());
         if let Some(begun) = &self.begun {
@@ -195,7 +194,7 @@ impl Live {
     }
 
     /// Fixes of a file whose times are not those of the device.
-    fn other_clock(&self) -> Option<Finding> {
+    fn other_clock(&self) -> Option<Problem> {
         let fixes = &self.choice.fixes.fixes;
         let (first, last) = fixes.first().zip(fixes.last())?;
         let newest_s = self.newest_s()?;
@@ -204,7 +203,7 @@ impl Live {
         }
         let fixes = ("fixes or ranges", [first.time_s, last.time_s]);
         let error = other_clock([fixes, ("device", [newest_s; 2])]);
-        Some(FindingCode::Clock.warning(error.message()).remedy(error.remedy()))
+        Some(Code::Clock.warning(error.text).remedy(error.remedy))
     }
 
     fn begin(&mut self) -> Result<()> {
@@ -223,7 +222,7 @@ impl Live {
                 "{}: heading is that of the body at the start, until fixes show it",
                 recording.without_field()
             );
-            self.findings.push(FindingCode::Navigation.note(text));
+            self.findings.push(Code::Navigation.note(text));
         }
         let noise_mps2 = noise_mps2(&recording.times_s, &recording.samples);
         let samples = &recording.samples;

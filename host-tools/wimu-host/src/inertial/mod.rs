@@ -15,7 +15,7 @@
 //! let path = navigate(&recording, &Choice::default())?;
 //! assert!(path.distance_m() < 0.01 && path.points[199].valid);
 //! assert!(path.horizon_s(1.0).is_none(), "σ stays below 1 m");
-//! # Ok::<(), wimu_host::HostError>(())
+//! # Ok::<(), wimu_host::Problem>(())
 //! ```
 
 mod array;
@@ -57,10 +57,9 @@ pub use wimu_nav::navigator::Profile;
 
 use wimu_nav::navigator::Rests;
 
-use crate::Result;
 use crate::digits::signed;
-use crate::finding::FindingCode;
 use crate::motion::{MotionRecording, TIME_SD_S, UnitSample, sampled_times};
+use crate::{Code, Result};
 use truth::{compare, moving};
 use unit::{OnceEachField, Unit, noise_mps2};
 
@@ -218,7 +217,7 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
     if let Some(times_s) = sampled_times(&recording.times_s) {
         retime(&mut samples, &times_s);
         time_sd_s = TIME_SD_S;
-        findings.push(FindingCode::Clock.note(
+        findings.push(Code::Clock.note(
             "the times are those of arrival: a constant sample period and the least delay are used",
         ));
     }
@@ -237,13 +236,13 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
             "the angular rate is {} ms late against the specific force: corrected",
             signed(1e3 * delay_s, 0)
         );
-        path.findings.push(FindingCode::Clock.warning(text));
+        path.findings.push(Code::Clock.warning(text));
     }
     let placed = choice.start.is_some() || choice.fixes.origin().is_some();
     if samples.iter().all(|s| s.field_ut.is_none()) && !placed {
         let why = recording.without_field();
         let text = format!("{why}: heading is that of the body at the start");
-        path.findings.push(FindingCode::Navigation.note(text));
+        path.findings.push(Code::Navigation.note(text));
     }
     path.findings.extend(rates.map(|found| found.finding));
     if let Some(from) = senses.force_ends {

@@ -12,12 +12,11 @@ use super::truth::consistency;
 use super::{Method, Move};
 use crate::csv::CsvWriter;
 use crate::digits::significant;
-use crate::finding::{Finding, FindingCode, Severity};
 use crate::mcap_file::RosFile;
 use crate::navigation::distance_m;
 use crate::ros::path::{PathTopics, Pose};
 use crate::stats::{median, norm};
-use crate::{ErrorCode, HostError, OutputFile, Result};
+use crate::{Code, OutputFile, Problem, Result, Severity};
 
 /// Where the unit was at a sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -112,7 +111,7 @@ pub struct InertialPath {
     /// The moves between rests.
     pub moves: Vec<Move>,
     /// What was noticed on the way.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Problem>,
     /// What happened to fixes and to ranges.
     pub aided: [Aided; 2],
     /// Points known no better than this, m, are not valid.
@@ -172,14 +171,14 @@ impl InertialPath {
                 self.points[k].time_s
             )
         });
-        let finding = (diverged.clone()).map(|text| FindingCode::Navigation.warning(text));
+        let finding = (diverged.clone()).map(|text| Code::Navigation.warning(text));
         self.findings.extend(finding);
         if self.points.iter().any(|p| p.valid) {
             return Ok(self);
         }
         let lost = self.findings.iter().find(|finding| finding.severity == Severity::Error);
         if let Some(lost) = lost {
-            let error = ErrorCode::DataRefused.error(&lost.evidence, &lost.remedy);
+            let error = Code::DataRefused.error(&lost.text, &lost.remedy);
             return Err(error.at(name));
         }
         let sigmas = self.points.iter().map(PathPoint::sd_m);
@@ -192,7 +191,7 @@ impl InertialPath {
             ),
             false => "no position could be found to the limit".to_owned(),
         });
-        Err(HostError::new(ErrorCode::DataRefused, message, remedy).at(name))
+        Err(Code::DataRefused.error(message, remedy).at(name))
     }
 
     /// Time from the first point to the last, s.

@@ -6,9 +6,8 @@ use std::ops::Range;
 use nalgebra::{Rotation3, Vector3};
 use wimu_nav::stationarity::{Detector, Stationarity};
 
-use crate::finding::{Finding, FindingCode};
 use crate::motion::{MotionRecording, UnitSample};
-use crate::{ErrorCode, Result};
+use crate::{Code, Problem, Result};
 
 /// Nothing that is carried rotates faster, rad/s.
 const FASTEST_RAD_S: f64 = 100.0;
@@ -24,7 +23,7 @@ const LITTLE: f64 = 0.6;
 
 /// A disagreement of the gyroscope with the accelerometer.
 pub(super) struct Disagreement {
-    pub finding: Finding,
+    pub finding: Problem,
     /// Whether the rate is better not used.
     pub contradicts: bool,
 }
@@ -38,7 +37,7 @@ pub(super) fn checked(recording: &MotionRecording) -> Result<Option<Disagreement
     let fastest = rates.map(|rate| Vector3::from(rate).norm()).fold(0.0, f64::max);
     let refused = |message: String, unit: &str| {
         let remedy = format!("if it is in {unit}, name the columns `Gyroscope X ({unit})`, …");
-        Err(ErrorCode::DataRefused.error(message, remedy).at(&recording.name))
+        Err(Code::DataRefused.error(message, remedy).at(&recording.name))
     };
     if fastest > FASTEST_RAD_S {
         return refused(format!("its angular rate goes up to {fastest:.0} rad/s"), "deg/s");
@@ -77,7 +76,7 @@ pub(super) fn checked(recording: &MotionRecording) -> Result<Option<Disagreement
         "check that its axes, signs and scale are those of the accelerometer"
     };
     Ok(Some(Disagreement {
-        finding: FindingCode::Axes
+        finding: Code::Axes
             .warning(format!(
                 "the angular rate leaves {:.0}° of gravity's rotation between rests",
                 now.to_degrees()

@@ -5,8 +5,8 @@ use wimu_nav::filter::Innovation;
 
 use super::{Move, PathPoint};
 use crate::digits::significant;
-use crate::finding::{Finding, FindingCode, Severity};
 use crate::stats::quantile;
+use crate::{Code, Problem, Severity};
 
 /// Shortest segment, s: ten steps of a foot.
 const SEGMENT_S: f64 = 10.0;
@@ -130,7 +130,7 @@ impl Segments {
     }
 
     /// Ends the path: applies the factors to its points and moves. Returns what contradicted it.
-    pub fn finish(mut self, points: &mut [PathPoint], moves: &mut [Move]) -> Option<Finding> {
+    pub fn finish(mut self, points: &mut [PathPoint], moves: &mut [Move]) -> Option<Problem> {
         let last = points.last()?;
         self.end(last.time_s);
         self.lose_before();
@@ -162,7 +162,7 @@ impl Segments {
     }
 
     /// Where it is lost, else where its covariance is enlarged.
-    fn findings(&self) -> Option<Finding> {
+    fn findings(&self) -> Option<Problem> {
         let worst = self.ended.iter().map(|segment| segment.factor).fold(1.0, f64::max);
         let is_lost = worst > LOST;
         let least = if is_lost { LOST } else { 1.0 };
@@ -172,9 +172,9 @@ impl Segments {
         let finding = if is_lost {
             let text =
                 format!("rests or fixes contradict the path by {times} times its σ: not valid");
-            Finding::new(FindingCode::Residuals, Severity::Error, text)
+            Problem::new(Code::Residuals, Severity::Error, text)
         } else {
-            FindingCode::Residuals.warning(format!(
+            Code::Residuals.warning(format!(
                 "rests or fixes contradict the path: its σ is enlarged up to {times} times"
             ))
         };

@@ -3,11 +3,10 @@
 use std::ops::Range;
 
 use crate::digits::significant;
-use crate::finding::{Finding, FindingCode};
 use crate::motion::{MotionRecording, Second, UnitSample, median_step_s};
 use crate::plural::counted;
 use crate::stats::{median, norm};
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// What a rest shows is gravity within this share.
 const NEAR: f64 = 0.1;
@@ -66,7 +65,7 @@ pub(super) struct Senses {
     pub bias_mps2: f64,
     /// Whether |f| at rest departs from gravity by more than that of a calibrated accelerometer.
     pub uncalibrated: bool,
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Problem>,
 }
 
 impl Senses {
@@ -88,16 +87,16 @@ impl Senses {
             && (rest / standard - 1.0).abs() > CALIBRATED
         {
             senses.uncalibrated = true;
-            senses.findings.push(FindingCode::Uncalibrated.warning(format!(
+            senses.findings.push(Code::Uncalibrated.warning(format!(
                 "at rest it shows {rest:.2} m/s², {:+.1} % from gravity: calibrate it, `wimu calibrate`",
                 100.0 * (rest / standard - 1.0)
             )));
         }
-        let face_down = face_down(recording).map(|text| FindingCode::Axes.warning(text));
+        let face_down = face_down(recording).map(|text| Code::Axes.warning(text));
         senses.findings.extend(face_down);
         senses.clipped = clipped(&recording.samples);
         if let Some(first) = senses.clipped.first() {
-            senses.findings.push(FindingCode::Saturated.warning(format!(
+            senses.findings.push(Code::Saturated.warning(format!(
                 "the accelerometer clips in {}, first at {:.2} s: what it felt there is not \
                  known; take a larger range",
                 counted(senses.clipped.len(), "sample"),
@@ -122,7 +121,7 @@ impl Senses {
         }
         let shown: [Sense; 2] = [|s| Some(s.force_mps2), |s| s.field_ut];
         if let Some(from) = silent(recording, |s| s.field_ut, HELD_S, &shown[..1]) {
-            senses.findings.push(FindingCode::Frozen.warning(format!(
+            senses.findings.push(Code::Frozen.warning(format!(
                 "the magnetometer gives one and the same value from {:.2} s on while gravity turns: it is left out from \
                  there on",
                 recording.times_s[from]
@@ -130,7 +129,7 @@ impl Senses {
             senses.field_ends = Some(from);
         }
         if let Some(from) = silent(recording, |s| s.rate_rad_s, STUCK_S, &shown) {
-            senses.findings.push(FindingCode::Frozen.warning(format!(
+            senses.findings.push(Code::Frozen.warning(format!(
                 "all axes of the gyroscope give one and the same value from {:.2} s on while gravity or the field \
                  turns: it is left out from there on",
                 recording.times_s[from]
@@ -142,7 +141,7 @@ impl Senses {
 
     fn say(&mut self, of: &MotionRecording, sensor: &str, from: usize, axis: usize, so: &str) {
         let (axis, at) = (["X", "Y", "Z"][axis], of.times_s[from]);
-        self.findings.push(FindingCode::Frozen.warning(format!(
+        self.findings.push(Code::Frozen.warning(format!(
             "{sensor} {axis} gives one and the same value from {at:.2} s on while others change: {so}"
         )));
     }
@@ -164,15 +163,15 @@ fn steps(recording: &MotionRecording) -> Result<()> {
             None => "record ten samples a second and more".to_owned(),
         }
     };
-    Err(HostError::new(
-        ErrorCode::DataRefused,
-        format!(
-            "its samples are {} s apart: no position is found from those",
-            significant(step_s, 3)
-        ),
-        remedy,
-    )
-    .at(&recording.name))
+    Err(Code::DataRefused
+        .error(
+            format!(
+                "its samples are {} s apart: no position is found from those",
+                significant(step_s, 3)
+            ),
+            remedy,
+        )
+        .at(&recording.name))
 }
 
 /// What to say where z points down at the start: an accelerometer that gives gravity instead of specific force shows
@@ -239,12 +238,12 @@ fn gravity(recording: &MotionRecording) -> Result<Option<f64>> {
         } else {
             "see that the unit in the columns' names is right, and that the accelerometer works"
         };
-        Err(HostError::new(
-            ErrorCode::DataRefused,
-            format!("its accelerometer shows {seen:.2} m/s² where gravity should be"),
-            remedy,
-        )
-        .at(&recording.name))
+        Err(Code::DataRefused
+            .error(
+                format!("its accelerometer shows {seen:.2} m/s² where gravity should be"),
+                remedy,
+            )
+            .at(&recording.name))
     };
     let near = |seen: &f64| (seen / standard - 1.0).abs() < NEAR;
     if !(standard / FAR..standard * FAR).contains(&median) {

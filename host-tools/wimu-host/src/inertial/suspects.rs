@@ -4,9 +4,9 @@ use nalgebra::Vector3;
 
 use super::fixes::{Aided, Aiding, CONTRADICTIONS};
 use crate::digits::significant;
-use crate::finding::{Finding, FindingCode};
 use crate::localization::{RangeSample, Ranging};
 use crate::plural::counted;
+use crate::{Code, Problem};
 
 /// Ranges of an anchor over which the fraction of contradicting ones is averaged, and the fraction that is reported.
 const RANGES: f64 = 50.0;
@@ -34,7 +34,7 @@ impl Suspects {
         }
     }
 
-    fn finding(&self, ranging: &Ranging) -> Option<Finding> {
+    fn finding(&self, ranging: &Ranging) -> Option<Problem> {
         let pairs = ranging.anchors.iter().zip(&self.since_s);
         let named = pairs.filter_map(|(anchor, since_s)| {
             Some(format!("{} from {:.1} s", anchor.id, (*since_s)?))
@@ -45,7 +45,7 @@ impl Suspects {
             named.join(", ")
         );
         let remedy = "they have little weight; correct its position in --anchors";
-        (!named.is_empty()).then(|| FindingCode::Residuals.warning(text).remedy(remedy))
+        (!named.is_empty()).then(|| Code::Residuals.warning(text).remedy(remedy))
     }
 }
 
@@ -83,7 +83,7 @@ impl Lag {
 
 impl Aiding {
     /// What happened to the fixes and ranges up to now.
-    pub fn findings(&self, ranging: Option<&Ranging>) -> Vec<Finding> {
+    pub fn findings(&self, ranging: Option<&Ranging>) -> Vec<Problem> {
         let mut found = Vec::new();
         if let Some([first, last]) = self.rejected_s {
             let text = format!(
@@ -98,7 +98,7 @@ impl Aiding {
                 ),
                 None => "check their standard deviations, the delay (--fix-delay) and the lever arm (--lever-arm)".to_owned(),
             };
-            let finding = FindingCode::Navigation.warning(text).remedy(remedy);
+            let finding = Code::Navigation.warning(text).remedy(remedy);
             found.push(finding.between(first, last));
         }
         let Aided { rejected, .. } = self.ranges;
@@ -107,7 +107,7 @@ impl Aiding {
                 "{rejected} of {} ranges had no line of sight or contradict the path: little weight",
                 self.ranges.compared()
             );
-            found.push(FindingCode::Navigation.note(text));
+            found.push(Code::Navigation.note(text));
         }
         found.extend(ranging.and_then(|ranging| self.suspects.finding(ranging)));
         if let (Some(first), Some(last)) = (self.jumps.first(), self.jumps.last()) {
@@ -120,7 +120,7 @@ impl Aiding {
                     "{CONTRADICTIONS} fixes in succession contradicted the path, {times}: it jumps to the next one there"
                 ),
             };
-            let finding = FindingCode::Navigation.warning(text);
+            let finding = Code::Navigation.warning(text);
             found.push(finding.between(*first, *last));
         }
         found

@@ -7,9 +7,9 @@ use wimu_nav::smoother::Recorder;
 use super::fixes::{self, Aiding, Fixes};
 use super::segments::Segments;
 use super::{Choice, PathPoint, vehicle};
-use crate::finding::{Finding, FindingCode};
 use crate::localization::Ranging;
 use crate::plural::counted;
+use crate::{Code, Problem};
 
 /// A start in motion ends with the first rest of this length, s.
 pub(super) const FIRST_REST_S: f64 = 0.5;
@@ -131,47 +131,39 @@ impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
     }
 
     /// A magnetic field that is not that of the Earth for part of the time.
-    fn magnet(&self) -> Option<Finding> {
+    fn magnet(&self) -> Option<Problem> {
         let [used, rejected] = self.navigator.fields().map(f64::from);
         let part = rejected / (used + rejected).max(1.0);
         let text = format!(
             "the magnetic field contradicted the motion in {:.0} % of its readings, not used: magnet or iron near the unit?",
             100.0 * part
         );
-        (part > MAGNET).then(|| FindingCode::Navigation.warning(text))
+        (part > MAGNET).then(|| Code::Navigation.warning(text))
     }
 
     /// What was noticed: samples that were not used, recoveries and restarts of the filter, and the use of fixes.
-    pub fn findings(&self, ranging: Option<&Ranging>) -> Vec<Finding> {
+    pub fn findings(&self, ranging: Option<&Ranging>) -> Vec<Problem> {
         let left_out = [
             (self.no_time, "whose time goes back: not used"),
             (self.not_finite, "that is not finite: not used"),
         ];
-        let mut found = counted_findings(FindingCode::SamplesLeftOut, "sample", &left_out);
+        let mut found = counted_findings(Code::SamplesLeftOut, "sample", &left_out);
         found.extend(self.aiding.findings(ranging));
         found.extend(self.magnet());
         found.extend(vehicle::findings(&self.navigator));
         let recoveries = self.navigator.recoveries() as usize;
         let contradicted = "contradicted the estimated velocity: σ was enlarged there";
-        found.extend(counted_findings(
-            FindingCode::Navigation,
-            "rest",
-            &[(recoveries, contradicted)],
-        ));
+        found.extend(counted_findings(Code::Navigation, "rest", &[(recoveries, contradicted)]));
         let divergences = self.navigator.divergences() as usize;
         let diverged =
             "the filter diverged and began again. Check axes, signs and units of the sensors";
-        found.extend(counted_findings(FindingCode::Navigation, "time", &[(divergences, diverged)]));
+        found.extend(counted_findings(Code::Navigation, "time", &[(divergences, diverged)]));
         found
     }
 }
 
 /// A warning for each count above zero: the number of something, and what happened to it.
-pub(super) fn counted_findings(
-    code: FindingCode,
-    one: &str,
-    counts: &[(usize, &str)],
-) -> Vec<Finding> {
+pub(super) fn counted_findings(code: Code, one: &str, counts: &[(usize, &str)]) -> Vec<Problem> {
     let some = counts.iter().filter(|(count, _)| *count > 0);
     some.map(|(count, what)| code.warning(format!("{} {what}", counted(*count, one)))).collect()
 }

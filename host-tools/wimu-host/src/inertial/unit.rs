@@ -18,11 +18,10 @@ use super::smooth::Tape;
 use super::steps::steps;
 use super::track::{FIRST_REST_S, Input, Track, counted_findings};
 use super::{Choice, InertialPath, Method};
-use crate::finding::{Finding, FindingCode};
 use crate::motion::{MotionRecording, UnitSample, median_step_s};
 use crate::plural::counted;
 use crate::stats::quantile;
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// A reading of the magnetometer that is repeated within this time is a held one, s.
 const HELD_S: f64 = 0.25;
@@ -130,7 +129,7 @@ impl<'a> Unit<'a> {
                 Profile::Foot => "record the angular rate, or use another profile",
                 _ => "navigate the ranges alone: `wimu navigate RANGES.csv --anchors ANCHORS.csv`",
             };
-            return Err(ErrorCode::DataRefused.error(message, remedy).at(self.name));
+            return Err(Code::DataRefused.error(message, remedy).at(self.name));
         }
         Ok(())
     }
@@ -192,17 +191,17 @@ impl<'a> Unit<'a> {
                 "no rest at the start: position is measured from the first rest, at {:.2} s",
                 self.times_s[origin]
             );
-            findings.insert(0, FindingCode::Navigation.note(text));
+            findings.insert(0, Code::Navigation.note(text));
         }
         let contradicted =
             "later samples contradict the path by far more than σ: it is not smoothed across";
         findings.extend(counted_findings(
-            FindingCode::Navigation,
+            Code::Navigation,
             "time",
             &[(tape.contradictions, contradicted)],
         ));
         findings.extend(counted_findings(
-            FindingCode::Navigation,
+            Code::Navigation,
             "clipped sample",
             &[(self.clipped.len(), "not used: σ grows there")],
         ));
@@ -306,17 +305,17 @@ impl<'a> Unit<'a> {
     }
 
     /// Whether the motion is that of a foot, which is taken for that of a hand.
-    fn foot(&self, samples: &[Sample<f64>]) -> Option<Finding> {
+    fn foot(&self, samples: &[Sample<f64>]) -> Option<Problem> {
         let stances = self.found_stances(samples);
         let is_stance: Vec<bool> = stances.iter().map(Option::is_some).collect();
         let steps = steps(self.times_s, samples, &runs(&is_stance))?;
         let text = format!("it moves like a foot, in {}", counted(steps, "step"));
         let remedy = "if it was on one: --profile foot, which knows the velocity in each stance";
-        Some(FindingCode::Navigation.warning(text).remedy(remedy))
+        Some(Code::Navigation.warning(text).remedy(remedy))
     }
 
     /// No part of a motion is known relative to a rest that only ends it.
-    fn moves_before(&self, path: &InertialPath, from: usize) -> HostError {
+    fn moves_before(&self, path: &InertialPath, from: usize) -> Problem {
         let message = match path.points.get(from).filter(|point| point.resting) {
             Some(point) => format!(
                 "the path is measured from the first rest, and that ends it, at {:.2} s",
@@ -326,7 +325,7 @@ impl<'a> Unit<'a> {
         };
         let remedy =
             "hold the unit still for a second before the motion; on a foot: --profile foot";
-        HostError::new(ErrorCode::DataRefused, message, remedy).at(self.name)
+        Code::DataRefused.error(message, remedy).at(self.name)
     }
 
     /// Statistic of the window about each sample; the nearest full window at both ends.
@@ -385,7 +384,7 @@ impl<'a> Unit<'a> {
             .collect();
         let refused = |message: &str| {
             let remedy = "hold the unit still for a second at the start";
-            ErrorCode::DataRefused.error(message, remedy).at(self.name)
+            Code::DataRefused.error(message, remedy).at(self.name)
         };
         let start = Start::align(&usable, rest.is_some())
             .ok_or_else(|| refused("the first samples show no gravity to align with"))?;

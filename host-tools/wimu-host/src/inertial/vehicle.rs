@@ -9,9 +9,8 @@ use wimu_nav::smoother::Recorder;
 use wimu_nav::state::{POSITION, VELOCITY};
 
 use super::{Fixes, PathPoint};
-use crate::Result;
 use crate::csv::columns::{LENGTH, SPEED, TIME, Table};
-use crate::finding::{Finding, FindingCode};
+use crate::{Code, Problem, Result};
 
 /// A clock offset that is reported, s: 0.2 m at 10 m/s. Standard deviations that it must exceed.
 const CLOCK_S: f64 = 0.02;
@@ -88,7 +87,7 @@ pub(super) fn by_clock_of_fixes<M: Model<f64, N>, const N: usize, L: Recorder<f6
 /// What the vehicle has shown: slip of the wheels, a unit that was turned, a clock that is off.
 pub(super) fn findings<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>>(
     navigator: &Navigator<f64, M, N, L>,
-) -> Vec<Finding> {
+) -> Vec<Problem> {
     let mut found = Vec::new();
     let Some(vehicle) = navigator.vehicle() else {
         return found;
@@ -102,14 +101,14 @@ pub(super) fn findings<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>>(
             "the time stamps of the samples are {:.3} ± {sd_s:.3} s {order} against those of the fixes: corrected",
             offset_s.abs()
         );
-        found.push(FindingCode::Clock.note(text));
+        found.push(Code::Clock.note(text));
     }
     let (slips, speeds) = vehicle.slips();
     if f64::from(slips) > SLIPS * f64::from(speeds) {
         let text = format!(
             "wheels slip or lock: {slips} of {speeds} speeds contradict the path and are not used"
         );
-        found.push(FindingCode::Navigation.warning(text));
+        found.push(Code::Navigation.warning(text));
     }
     if vehicle.turns() > 0 {
         let text = format!(
@@ -117,7 +116,7 @@ pub(super) fn findings<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>>(
             vehicle.turns()
         );
         let remedy = "fix the unit to the body of the vehicle";
-        found.push(FindingCode::Navigation.warning(text).remedy(remedy));
+        found.push(Code::Navigation.warning(text).remedy(remedy));
     }
     found
 }

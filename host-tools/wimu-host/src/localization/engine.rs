@@ -14,7 +14,7 @@ use super::model::Model;
 use super::{Increment, RangeSample, start};
 use crate::inertial::{PathPoint, StartPose, Tape};
 use crate::motion::UnitSample;
-use crate::{ErrorCode, Result};
+use crate::{Code, Result};
 
 /// What carries the unit from one range to the next.
 #[derive(Clone, Copy, Debug)]
@@ -113,7 +113,7 @@ impl Recording<'_> {
             .or_else(|_| self.run_with::<64>(model, start, smooth, until_s))
             .map_err(|error| {
                 let remedy = "give at most 22 anchors; with --survey at most 9";
-                ErrorCode::DataRefused.error(format!("too many anchors: {error}"), remedy)
+                Code::DataRefused.error(format!("too many anchors: {error}"), remedy)
             })
     }
 

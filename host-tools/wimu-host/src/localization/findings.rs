@@ -8,11 +8,10 @@ use super::model::Model;
 use super::start::principal_axes;
 use super::{AnchorFound, Localization, Parameter, RangeRecording};
 use crate::digits::significant;
-use crate::finding::{Finding, FindingCode};
 use crate::motion::one_clock;
 use crate::plural::counted;
 use crate::stats::median;
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// Fewer ranges do not make a path.
 const LEAST_RANGES: usize = 12;
@@ -29,7 +28,7 @@ const LEAST_RESIDUAL_M: f64 = 0.4;
 const MEDIAN_SIGMA: f64 = 4.66;
 
 /// Refuses what cannot be solved, and reports gaps.
-pub(super) fn before(recording: &RangeRecording) -> Result<Vec<Finding>> {
+pub(super) fn before(recording: &RangeRecording) -> Result<Vec<Problem>> {
     let mut seen: Vec<usize> = recording.ranges.iter().map(|r| r.anchor).collect();
     seen.sort_unstable();
     seen.dedup();
@@ -51,15 +50,15 @@ pub(super) fn before(recording: &RangeRecording) -> Result<Vec<Finding>> {
         (message, "record for longer")
     };
     if seen.len() < least || count < LEAST_RANGES {
-        return Err(ErrorCode::DataRefused.error(message, remedy).at(&recording.name));
+        return Err(Code::DataRefused.error(message, remedy).at(&recording.name));
     }
-    let mut found: Vec<Finding> = gaps(recording).into_iter().collect();
+    let mut found: Vec<Problem> = gaps(recording).into_iter().collect();
     let anchors = recording.anchors.iter().enumerate();
     let silent = anchors.filter(|(k, _)| !seen.contains(k));
     let silent: Vec<&str> = silent.map(|(_, anchor)| anchor.id.as_str()).collect();
     if !silent.is_empty() {
         let text = format!("no range to anchor {}", silent.join(", "));
-        found.push(FindingCode::Navigation.note(text));
+        found.push(Code::Navigation.note(text));
     }
     Ok(found)
 }
@@ -90,7 +89,7 @@ pub(super) fn remedy(recording: &RangeRecording, anchors_m: &[Vector3<f64>]) -> 
 }
 
 /// Times without a range.
-fn gaps(recording: &RangeRecording) -> Option<Finding> {
+fn gaps(recording: &RangeRecording) -> Option<Problem> {
     let steps = recording.ranges.windows(2).map(|pair| [pair[0].time_s, pair[1].time_s]);
     let gaps: Vec<[f64; 2]> = steps.filter(|[from, to]| to - from > GAP_S).collect();
     let longest = gaps.iter().max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])))?;
@@ -100,7 +99,7 @@ fn gaps(recording: &RangeRecording) -> Option<Finding> {
         counted(gaps.len(), "time"),
         to - from
     );
-    Some(FindingCode::Rate.note(text).between(from, to))
+    Some(Code::Rate.note(text).between(from, to))
 }
 
 /// What a run shows.
@@ -109,7 +108,7 @@ pub(super) fn after(
     model: &Model,
     run: &Run,
     chosen: &Chosen,
-) -> Vec<Finding> {
+) -> Vec<Problem> {
     let mut found = Vec::new();
     if let Some(other) = &chosen.other {
         let at = |p: &Vector3<f64>| format!("E {:.2} N {:.2} U {:.2} m", p.x, p.y, p.z);
@@ -120,29 +119,29 @@ pub(super) fn after(
             at(&other.position_m)
         );
         let remedy = "give the side with --start E,N,U, or move an anchor out of it";
-        found.push(FindingCode::NotObserved.warning(text).remedy(remedy));
+        found.push(Code::NotObserved.warning(text).remedy(remedy));
     }
     if chosen.start.inverted {
         let text = "gravity is along the up axis of the anchors: their frame points down";
-        found.push(FindingCode::Axes.note(text));
+        found.push(Code::Axes.note(text));
     }
     for time_s in &run.recoveries {
         let text = "several ranges contradicted the path: the position was found again from the ranges, and may jump";
-        found.push(FindingCode::Navigation.warning(text).between(time_s - 1.0, *time_s));
+        found.push(Code::Navigation.warning(text).between(time_s - 1.0, *time_s));
     }
     if run.contradictions > 0 {
         let text = format!(
             "later ranges contradict the path by far more than σ at {} times: it is not smoothed across",
             run.contradictions
         );
-        found.push(FindingCode::Navigation.note(text));
+        found.push(Code::Navigation.note(text));
     }
     found.extend(residuals(recording, model, run));
     found
 }
 
 /// Anchors whose ranges depart from the path for some time.
-fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Finding> {
+fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Problem> {
     let limit_m = f64::max(LEAST_RESIDUAL_M, RESIDUAL_SIGMA * model.expected_m);
     let mut found = Vec::new();
     for (index, anchor) in recording.anchors.iter().enumerate() {
@@ -180,7 +179,7 @@ fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Findin
                 anchor.id
             );
             found.push(
-                FindingCode::Residuals
+                Code::Residuals
                     .warning(text)
                     .between(from, to)
                     .remedy("they have little weight there"),
@@ -191,29 +190,29 @@ fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Findin
 }
 
 /// A clock that is off by a time, s: corrected where that explains the ranges.
-pub(super) fn clock(shift_s: f64, explains: bool) -> Finding {
+pub(super) fn clock(shift_s: f64, explains: bool) -> Problem {
     if !explains {
         let text = format!(
             "the ranges do not fit the other sensor, at any clock offset within ± {LAST_SHIFT_S} s: the path may be wrong"
         );
         let remedy = "give both the times of one clock; check axes and signs of the other sensor";
-        return FindingCode::Clock.warning(text).remedy(remedy);
+        return Code::Clock.warning(text).remedy(remedy);
     }
     let text = format!(
         "the clock of the ranges is off by {:+.2} s from that of the other sensor: corrected",
         -shift_s
     );
     let remedy = format!("add {shift_s:+.2} s to the times of the ranges");
-    FindingCode::Clock.warning(text).remedy(remedy)
+    Code::Clock.warning(text).remedy(remedy)
 }
 
 /// The best clock offset is at the end of the search.
-pub(super) fn last_shift(shift_s: f64) -> HostError {
+pub(super) fn last_shift(shift_s: f64) -> Problem {
     let end = LAST_SHIFT_S.copysign(-shift_s);
     let message = format!(
         "the clock of the ranges is off by {end:+} s or more from that of the other sensor, the end of the search"
     );
-    ErrorCode::DataRefused.error(message, "give both the times of one clock")
+    Code::DataRefused.error(message, "give both the times of one clock")
 }
 
 /// Refuses ranges of which none is within the time of the other sensor.
@@ -236,7 +235,7 @@ fn ends<T>(all: &[T], time_s: impl Fn(&T) -> f64) -> Option<[f64; 2]> {
 }
 
 /// Calibration parameters that the data do not show.
-pub(super) fn unobserved(found: &Localization) -> Vec<Finding> {
+pub(super) fn unobserved(found: &Localization) -> Vec<Problem> {
     let hidden = |what: &str, unit: &str, of: fn(&AnchorFound) -> Option<Parameter>| {
         let anchors = found.anchors.iter().filter(|a| a.ranges > 0);
         let hidden = anchors.filter_map(|a| Some((a.id.as_str(), of(a)?)));
@@ -248,7 +247,7 @@ pub(super) fn unobserved(found: &Localization) -> Vec<Finding> {
             significant(parameters.first()?.prior, 2)
         );
         let remedy = "move through more of the space between the anchors";
-        Some(FindingCode::NotObserved.note(text).remedy(remedy))
+        Some(Code::NotObserved.note(text).remedy(remedy))
     };
     let bias = hidden("bias", " m", |anchor| anchor.bias_m);
     let scale = hidden("scale error", "", |anchor| anchor.scale);

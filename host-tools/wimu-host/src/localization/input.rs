@@ -5,9 +5,8 @@ use std::path::Path;
 
 use super::{AnchorPosition, Increment, RangeRecording, RangeSample};
 use crate::csv::columns::{ANGLE, Column, LENGTH, TIME, Table};
-use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
-use crate::{ErrorCode, Result};
+use crate::{Code, Problem, Result};
 
 /// Anchors, and whether they have no height.
 pub(super) fn anchors(path: &Path) -> Result<(Vec<AnchorPosition>, bool)> {
@@ -18,7 +17,7 @@ pub(super) fn anchors(path: &Path) -> Result<(Vec<AnchorPosition>, bool)> {
     let up = table.column(&["Position U", "Z"], LENGTH);
     let mut anchors: Vec<AnchorPosition> = Vec::new();
     let bad = |message: String, remedy: &str| {
-        Err(ErrorCode::CsvBadNumber.error(message, remedy).at(&table.name))
+        Err(Code::CsvBadNumber.error(message, remedy).at(&table.name))
     };
     for row in 0..table.rows.len() {
         let id = table.text(row, id).to_owned();
@@ -46,7 +45,7 @@ pub(super) fn samples(
     anchors: &[AnchorPosition],
     known: &str,
     arrived_s: Option<f64>,
-) -> Result<(Vec<RangeSample>, Vec<Finding>)> {
+) -> Result<(Vec<RangeSample>, Vec<Problem>)> {
     let time = match arrived_s {
         Some(_) => table.column(&["Time"], TIME),
         None => Some(table.needed(&["Time"], TIME)?),
@@ -88,7 +87,7 @@ pub(super) fn samples(
     }
     let left_out = left_out.into_iter().map(|(why, count)| {
         let text = format!("{} left out: {why}", counted(count, "range"));
-        FindingCode::SamplesLeftOut.warning(text)
+        Code::SamplesLeftOut.warning(text)
     });
     Ok((samples, left_out.collect()))
 }
@@ -109,8 +108,7 @@ impl RangeRecording {
         if !samples.is_sorted_by(|a, b| a.time_s <= b.time_s) {
             samples.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
             findings.push(
-                FindingCode::TimesUnordered
-                    .warning("the ranges were not in the order of time: sorted"),
+                Code::TimesUnordered.warning("the ranges were not in the order of time: sorted"),
             );
         }
         if samples.is_empty() {
@@ -165,7 +163,7 @@ impl RangeRecording {
                 "{} of the odometry left out: incomplete, or not after the one before",
                 counted(left_out, "row")
             );
-            self.findings.push(FindingCode::SamplesLeftOut.warning(text));
+            self.findings.push(Code::SamplesLeftOut.warning(text));
         }
         let times_s: Vec<f64> = rows.iter().map(|row| row[0]).collect();
         let usual_s = crate::motion::median_step_s(&times_s);

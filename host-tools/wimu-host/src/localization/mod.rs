@@ -19,10 +19,9 @@ pub(crate) use ranging::AnchorStates;
 pub use ranging::Ranging;
 pub use report::Innovation;
 
-use crate::finding::{Finding, FindingCode};
 use crate::inertial::{Holes, InertialPath, Method, StartPose};
 use crate::motion::{MotionRecording, UnitSample};
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 use engine::{Motion, Recording, Run};
 use hypotheses::{Chosen, choose, clock_shift, fits, is_last};
 use model::Model;
@@ -76,7 +75,7 @@ pub struct RangeRecording {
     /// Samples of an inertial sensor.
     pub motion: Option<MotionRecording>,
     /// What was noticed at reading.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Problem>,
 }
 
 /// How to localize.
@@ -231,7 +230,7 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
     let sensed = motion.map(|motion| inertial(motion, first_s));
     if let Some(Err(why)) = &sensed {
         let text = format!("the inertial samples are not used: {why}");
-        noticed.push(FindingCode::Navigation.warning(text));
+        noticed.push(Code::Navigation.warning(text));
     }
     let (motion, level) = sensed.and_then(std::result::Result::ok).unwrap_or_else(|| {
         let motion = match recording.increments.is_empty() {
@@ -250,7 +249,7 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
         given: choice.start.as_ref(),
     };
     let prior = Model::of(recording, choice);
-    let at = |error: HostError| error.at(&recording.name);
+    let at = |error: Problem| error.at(&recording.name);
     let (mut run, mut model, mut chosen) = solved(&problem, prior, choice).map_err(at)?;
     let delay_s = |run: &Run| run.delay_s.map_or(0.0, |[delay_s, _]| delay_s);
     if let Some(shift_s) = clock_shift(&problem, &model, delay_s(&run)).map_err(at)? {
@@ -281,7 +280,7 @@ fn solved(
 ) -> Result<(Run, Model, Chosen)> {
     let mut chosen = choose(problem, &model)?.ok_or_else(|| {
         let remedy = "check units and anchors, or give the start: --start E,N,U";
-        ErrorCode::DataRefused.error("no position explains the first ranges", remedy)
+        Code::DataRefused.error("no position explains the first ranges", remedy)
     })?;
     if model.adapts {
         let prior = model;

@@ -53,7 +53,7 @@ impl Ranging {
     pub(crate) fn ranges(&self, table: &Table, arrived_s: f64) -> Result<Vec<RangeSample>> {
         let (ranges, left_out) = input::samples(table, &self.anchors, &self.name, Some(arrived_s))?;
         match left_out.first().filter(|_| ranges.is_empty()) {
-            Some(why) => Err(table.empty(&why.evidence, "check the names of the anchors")),
+            Some(why) => Err(table.empty(&why.text, "check the names of the anchors")),
             None => Ok(ranges),
         }
     }

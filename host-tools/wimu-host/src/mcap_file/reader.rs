@@ -17,7 +17,7 @@ pub struct Wholeness {
 
 impl Wholeness {
     /// What is wrong with the file; `None` if it is complete.
-    pub fn finding(&self) -> Option<Finding> {
+    pub fn finding(&self) -> Option<Problem> {
         let cut = "the file is cut off at the end, or damaged from there on".to_owned();
         let damaged = match self.damaged_chunks {
             1 => "1 damaged part of the file was left out".to_owned(),
@@ -29,7 +29,7 @@ impl Wholeness {
             (false, _) => damaged,
             (true, _) => format!("{damaged}; {cut}"),
         };
-        Some(FindingCode::Truncated.warning(text))
+        Some(Code::Truncated.warning(text))
     }
 }
 
@@ -57,7 +57,7 @@ impl RecordingReader<BufReader<Watched>> {
     /// was recorded.
     pub fn open(path: &Path) -> Result<Self> {
         let name = crate::untrusted::name(path);
-        let file = Watched::open(path).map_err(|error| HostError::file(&name, "open", &error))?;
+        let file = Watched::open(path).map_err(|error| Problem::file(&name, "open", &error))?;
         Self::new(BufReader::new(file), &name)
     }
 }
@@ -81,7 +81,7 @@ impl<R: Read> RecordingReader<R> {
         };
         let mut start = Vec::new();
         let read = records::fill(&mut reader.source, mcap::MAGIC.len() as u64, &mut start);
-        if read.map_err(|error| HostError::file(name, "read", &error))? && start != mcap::MAGIC {
+        if read.map_err(|error| Problem::file(name, "read", &error))? && start != mcap::MAGIC {
             return Err(bad_recording("it does not begin like an MCAP file").at(name));
         }
         // The header is the first record.
@@ -127,7 +127,7 @@ impl<R: Read> RecordingReader<R> {
             }
             if self.done {
                 if self.channels.is_empty() {
-                    return Err(ErrorCode::NoWimuTopics
+                    return Err(Code::NoWimuTopics
                         .error(
                             "the file has neither `/wireless/bytes` nor `/cable/bytes`",
                             "give a file written by `wimu record`",
@@ -151,7 +151,7 @@ impl<R: Read> RecordingReader<R> {
         let read = self.read(&mut record);
         let Some(code) = read.map_err(|error| {
             self.done = true;
-            HostError::file(&self.name, "read", &error)
+            Problem::file(&self.name, "read", &error)
         })?
         else {
             self.cut();
@@ -217,7 +217,7 @@ impl<R: Read> RecordingReader<R> {
         if !chunk.compression.is_empty() {
             self.done = true;
             let compression = String::from_utf8_lossy(chunk.compression);
-            return Err(ErrorCode::BadRecording
+            return Err(Code::BadRecording
                 .error(
                     format!("it is compressed with {compression}, which wimu does not support"),
                     "decompress it with `mcap decompress`",
@@ -304,8 +304,8 @@ impl<R: Read> Iterator for RecordingReader<R> {
     }
 }
 
-fn bad_recording(message: &str) -> HostError {
-    ErrorCode::BadRecording.error(
+fn bad_recording(message: &str) -> Problem {
+    Code::BadRecording.error(
         format!("this recording cannot be read: {message}"),
         "give a file written by `wimu record`",
     )

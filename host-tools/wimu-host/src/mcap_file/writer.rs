@@ -101,17 +101,17 @@ impl<W: Write + Seek> RosFile<W> {
         finished.map_err(|error| failed(&self.name, error))?;
         let mut sink = self.container.into_inner();
         let flushed = sink.flush();
-        flushed.map_err(|error| HostError::file(&self.name, "write", &error))?;
+        flushed.map_err(|error| Problem::file(&self.name, "write", &error))?;
         Ok(sink)
     }
 }
 
-fn failed(name: &str, error: McapError) -> HostError {
+fn failed(name: &str, error: McapError) -> Problem {
     let error = match error {
         McapError::Io(error) => error,
         other => io::Error::other(other),
     };
-    HostError::file(name, "write", &error)
+    Problem::file(name, "write", &error)
 }
 
 /// Writes a recording in progress. Its index takes about 1 MB for each hour.
@@ -140,7 +140,7 @@ impl RecordingWriter<File> {
             .write(true)
             .create_new(true)
             .open(path)
-            .map_err(|e| HostError::file(&name, "create", &e))?;
+            .map_err(|e| Problem::file(&name, "create", &e))?;
         Self::new(file, &name, anchor)
     }
 }

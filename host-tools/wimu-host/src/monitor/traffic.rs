@@ -65,7 +65,7 @@ impl Traffic {
         if let Some(last) = heard.arrivals.last() {
             self.count(last.host_ns, of_stream.received, heard.statistics.bytes);
         }
-        self.lost = heard.lost.as_ref().map(|error| error.message().to_owned());
+        self.lost = heard.lost.as_ref().map(|error| error.text.clone());
         self.unverified = heard.authentication.findings().last().map(|found| found.to_string());
         self.frames_damaged = heard.statistics.frames_damaged;
         self.counted = (of_stream.received, of_stream.missing);

@@ -1,6 +1,6 @@
 //! Times of two files that must be those of one clock.
 
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// Times since 1970 are above this, s (the year 2001); those since the start of a device are below.
 const UNIX_S: f64 = 1e9;
@@ -18,7 +18,7 @@ pub(crate) fn one_clock(spans: [Span; 2]) -> Result<()> {
 }
 
 /// The error of spans without a common time.
-pub(crate) fn other_clock(spans: [Span; 2]) -> HostError {
+pub(crate) fn other_clock(spans: [Span; 2]) -> Problem {
     let [(what, [a, b]), (other, [c, d])] = spans;
     let message = format!(
         "none of the {what} is within the time of the {other}: {what} from {a:.2} to {b:.2} s, {other} from {c:.2} to {d:.2} s"
@@ -30,7 +30,7 @@ pub(crate) fn other_clock(spans: [Span; 2]) -> HostError {
             (a - c).abs()
         );
     }
-    ErrorCode::DataRefused.error(message, remedy)
+    Code::DataRefused.error(message, remedy)
 }
 
 /// The one that has Unix times, if the other has not.

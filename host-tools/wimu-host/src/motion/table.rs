@@ -5,11 +5,10 @@ use std::path::Path;
 use super::{FIELD_CALIBRATED, MotionRecording, Truth, UnitSample, in_body_axes};
 use crate::apply::Corrector;
 use crate::calibration::StoredModel;
-use crate::finding::{Finding, FindingCode};
 use crate::formats::{self, ReadOptions};
 use crate::multi_range::{FullScales, Merge};
 use crate::recording::{Origin, Quantity, Recording, Track, Unit};
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// What a file does not say itself.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -68,7 +67,7 @@ impl MotionRecording {
         let unscaled = |track: &&Track| track.info.unit == Unit::Counts { si_per_lsb: None };
         let mut rates = recording.of(Quantity::AngularRate);
         if let Some(track) = rates.find(|track| unscaled(track) && own_rate.is_none()) {
-            return Err(ErrorCode::UnknownFormat
+            return Err(Code::UnknownFormat
                 .error(
                     format!("the unit of `{}` is not known: counts", track.info.name),
                     "give it as `Gyroscope X (rad/s)` or `Gyroscope X (deg/s)`",
@@ -86,7 +85,7 @@ impl MotionRecording {
         let calibrated = scalars.iter().find(|t| t.info.name == FIELD_CALIBRATED).copied();
         let mut motion = Self {
             name: name.to_owned(),
-            findings: recording.relevant(&[FindingCode::RowsMasked]),
+            findings: recording.relevant(&[Code::RowsMasked]),
             covariance: stored.and_then(|stored| {
                 let known = stored.covariance?;
                 Some(in_body_axes(&known, &stored.alignment))
@@ -148,7 +147,7 @@ impl MotionRecording {
             last_s = Some(time_s);
         }
         if motion.samples.len() < 2 {
-            return Err(ErrorCode::NoRows
+            return Err(Code::NoRows
                 .error("there are fewer than two samples", "check the file")
                 .at(name));
         }
@@ -156,19 +155,19 @@ impl MotionRecording {
     }
 }
 
-fn without_unit(recording: &Recording) -> HostError {
-    let of_gravity = |finding: &&Finding| finding.code == FindingCode::GravityMissing;
+fn without_unit(recording: &Recording) -> Problem {
+    let of_gravity = |finding: &&Problem| finding.code == Code::GravityMissing;
     let names: Vec<&str> =
         recording.of(Quantity::SpecificForce).map(|track| track.info.name.as_str()).collect();
     let error = match (recording.findings.iter().find(of_gravity), names.len()) {
         (Some(missing), 0) => {
-            ErrorCode::DataRefused.error(missing.evidence.clone(), missing.remedy.clone())
+            Code::DataRefused.error(missing.text.clone(), missing.remedy.clone())
         }
-        (_, count @ 2..) => ErrorCode::CsvMissingColumn.error(
+        (_, count @ 2..) => Code::CsvMissingColumn.error(
             format!("it has {count} accelerometers: {}", names.join(", ")),
             "choose one with --topic; for several on one body give --geometry, or --full-scales where their ranges differ",
         ),
-        _ => ErrorCode::CsvMissingColumn.error(
+        _ => Code::CsvMissingColumn.error(
             "navigation needs times and one accelerometer",
             "name the columns `Time (s)`, `Accelerometer X (m/s²)`, …; for several accelerometers on one body give --geometry",
         ),
@@ -181,7 +180,7 @@ fn vector(row: Option<&[f64]>) -> Option<[f64; 3]> {
 }
 
 /// The finding on a calibration that is applied.
-fn finding(stored: &StoredModel) -> Finding {
+fn finding(stored: &StoredModel) -> Problem {
     let [x, y, z] = stored.model.terms().bias_mps2;
     let sd_mps2 = stored.bias_sd_mps2();
     let known = if sd_mps2 > 0.0 {
@@ -193,7 +192,7 @@ fn finding(stored: &StoredModel) -> Finding {
         Some(_) => ", and the magnetic field too",
         None => "",
     };
-    FindingCode::Navigation.note(format!(
+    Code::Navigation.note(format!(
         "the calibration is applied{field}: a bias of {x:+.4} {y:+.4} {z:+.4} m/s² is taken off{known}"
     ))
 }

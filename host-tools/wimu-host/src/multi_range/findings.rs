@@ -5,8 +5,7 @@ use wimu_nav::sensor::Reading;
 
 use super::fit::{BIAS_MPS2, Fit, MATRIX, rotation_deg};
 use super::{MergedSensor, Sensor, WIDER, name, relative};
-use crate::finding::{Finding, FindingCode};
-use crate::{ErrorCode, Result};
+use crate::{Code, Problem, Result};
 
 /// Standard deviation of an element of the matrix up to which a recording shows it.
 const OBSERVED: f64 = 0.02;
@@ -30,7 +29,7 @@ const EXCEEDS: f64 = 1.25;
 pub(super) fn contradicted(sensors: &[Sensor]) -> Result<()> {
     let is_same = |pair: &&[Sensor]| pair[0].series.values == pair[1].series.values;
     if let Some([a, b]) = sensors.windows(2).find(is_same) {
-        return Err(ErrorCode::DataRefused.error(
+        return Err(Code::DataRefused.error(
             format!("accelerometers {} and {} have the same samples", a.sensor, b.sensor),
             "name the files of different accelerometers",
         ));
@@ -39,7 +38,7 @@ pub(super) fn contradicted(sensors: &[Sensor]) -> Result<()> {
         let axes = sensor.series.values.iter().flatten();
         let most = axes.fold(0.0, |most: f64, axis| most.max(axis.abs()));
         if most > EXCEEDS * sensor.full_scale {
-            return Err(ErrorCode::Usage.error(
+            return Err(Code::Usage.error(
                 format!(
                     "accelerometer {} has samples of {:.3} g",
                     sensor.name(),
@@ -53,14 +52,14 @@ pub(super) fn contradicted(sensors: &[Sensor]) -> Result<()> {
 }
 
 /// What was merged.
-pub(super) fn summary(sensors: &[MergedSensor]) -> Finding {
+pub(super) fn summary(sensors: &[MergedSensor]) -> Problem {
     let names: Vec<String> =
         (sensors.iter()).map(|sensor| name(sensor.sensor, sensor.full_scale_mps2)).collect();
     let stands_in = sensors.iter().filter(|sensor| sensor.relative.is_some());
     let stands_in: Vec<String> = stands_in
         .map(|sensor| format!("{} in {} samples", sensor.sensor, sensor.stands_in))
         .collect();
-    FindingCode::Navigation.note(format!(
+    Code::Navigation.note(format!(
         "accelerometers {} merged; where finer ones are saturated: {}",
         names.join(", "),
         stands_in.join(", ")
@@ -68,11 +67,11 @@ pub(super) fn summary(sensors: &[MergedSensor]) -> Finding {
 }
 
 /// Findings on the calibration of `coarse`.
-pub(super) fn judged(finest: &Sensor, coarse: &Sensor, fit: &Fit) -> Result<Vec<Finding>> {
+pub(super) fn judged(finest: &Sensor, coarse: &Sensor, fit: &Fit) -> Result<Vec<Problem>> {
     let mut findings = Vec::new();
     let [fine_name, fit_name] = [finest, coarse].map(Sensor::name);
     if fit.unexplained > UNEXPLAINED && fit.misfit > 25.0 {
-        return Err(ErrorCode::DataRefused.error(
+        return Err(Code::DataRefused.error(
             format!(
                 "accelerometers {} and {} do not measure one motion: {:.0} % of it differ",
                 fine_name,
@@ -92,7 +91,7 @@ pub(super) fn judged(finest: &Sensor, coarse: &Sensor, fit: &Fit) -> Result<Vec<
     let rotation = rotation_deg(&fit.model.matrix);
     match (observed, departs, rotation) {
         (false, true, _) => {
-            return Err(ErrorCode::DataRefused.error(
+            return Err(Code::DataRefused.error(
                 format!(
                     "accelerometer {fit_name} is turned in its mount against {}, and the recording does not show how",
                     fine_name
@@ -100,7 +99,7 @@ pub(super) fn judged(finest: &Sensor, coarse: &Sensor, fit: &Fit) -> Result<Vec<
                 "begin with a rest on each of three sides, or record units that are mounted alike",
             ));
         }
-        (true, _, None) => findings.push(FindingCode::Axes.warning(format!(
+        (true, _, None) => findings.push(Code::Axes.warning(format!(
             "the axes of accelerometer {fit_name} are mirrored against those of {}: corrected",
             fine_name
         ))),
@@ -109,10 +108,10 @@ pub(super) fn judged(finest: &Sensor, coarse: &Sensor, fit: &Fit) -> Result<Vec<
                 "accelerometer {fit_name} is turned by {deg:.0}° in its mount against {}: corrected",
                 fine_name
             );
-            findings.push(FindingCode::Axes.warning(text));
+            findings.push(Code::Axes.warning(text));
         }
         (false, ..) => findings.push(
-            FindingCode::NotObserved
+            Code::NotObserved
                 .warning(format!(
                     "scale factors of accelerometer {fit_name} are known to ± {:.1} % only",
                     100.0 * relative.matrix_sd
@@ -123,7 +122,7 @@ pub(super) fn judged(finest: &Sensor, coarse: &Sensor, fit: &Fit) -> Result<Vec<
     }
     let [fine_hz, coarse_hz] = [finest, coarse].map(|sensor| 1.0 / sensor.series.period_s);
     if coarse_hz * WIDER < fine_hz {
-        findings.push(FindingCode::Rate.warning(format!(
+        findings.push(Code::Rate.warning(format!(
             "accelerometer {fit_name} has {coarse_hz:.0} Hz and {} {fine_hz:.0} Hz: impacts shorter than {:.0} ms are not \
              resolved",
             fine_name,
@@ -133,14 +132,14 @@ pub(super) fn judged(finest: &Sensor, coarse: &Sensor, fit: &Fit) -> Result<Vec<
     let clock = &fit.clock;
     if clock.drift.abs() > (SEEN * clock.drift_sd).max(FAST) {
         let (ppm, side) = (1e6 * clock.drift, if clock.drift > 0.0 { "fast" } else { "slow" });
-        findings.push(FindingCode::Clock.warning(format!(
+        findings.push(Code::Clock.warning(format!(
             "the clock of accelerometer {fit_name} is {:.0} ppm {side}: corrected",
             ppm.abs()
         )));
     }
     if clock.delay_s.abs() > (SEEN * clock.delay_sd_s).max(LATE_S) {
         let side = if clock.delay_s > 0.0 { "late" } else { "early" };
-        findings.push(FindingCode::Clock.note(format!(
+        findings.push(Code::Clock.note(format!(
             "accelerometer {fit_name} is {:.2} ± {:.2} ms {side}: corrected",
             1e3 * clock.delay_s.abs(),
             1e3 * clock.delay_sd_s
@@ -150,13 +149,13 @@ pub(super) fn judged(finest: &Sensor, coarse: &Sensor, fit: &Fit) -> Result<Vec<
 }
 
 /// A warning on samples in which no accelerometer measures an axis.
-pub(super) fn saturated(readings: &[[Reading; 3]], sensors: &[Sensor]) -> Option<Finding> {
+pub(super) fn saturated(readings: &[[Reading; 3]], sensors: &[Sensor]) -> Option<Problem> {
     let limited = |reading: &Reading| matches!(reading, Reading::AtLeast(_) | Reading::AtMost(_));
     let is_lost = |readings: &&[Reading; 3]| readings.iter().any(limited);
     let times = sensors.first()?.series.times_s.iter();
     let mut lost = readings.iter().zip(times).filter(|(r, _)| is_lost(r));
     let (_, first_s) = lost.next()?;
-    Some(FindingCode::Saturated.warning(format!(
+    Some(Code::Saturated.warning(format!(
         "all accelerometers are saturated in {}, first at {first_s:.2} s: left out",
         crate::plural::counted(1 + lost.count(), "sample")
     )))

@@ -1,9 +1,8 @@
 //! Checks that hold for recordings of every format.
 
 use super::{Quantity, Recording, Track, TrackInfo};
-use crate::error::{ErrorCode, Result};
-use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
+use crate::{Code, Problem, Result};
 
 /// Rows of a track that cannot be used, counted in the order of the file.
 #[derive(Clone, Debug, Default)]
@@ -45,7 +44,7 @@ impl Unusable {
         info: &TrackInfo,
         start_ns: Option<i64>,
         name: &str,
-        findings: &mut Vec<Finding>,
+        findings: &mut Vec<Problem>,
     ) -> Result<()> {
         if info.quantity != Quantity::SpecificForce {
             return Ok(());
@@ -58,10 +57,10 @@ impl Unusable {
                 counted(self.not_finite, "row"),
                 since_s(first)
             );
-            let finding = FindingCode::RowsMasked.warning(evidence).remedy("they are left out");
+            let finding = Code::RowsMasked.warning(evidence).remedy("they are left out");
             findings.push(finding.of_sensor(info.sensor));
         }
-        let is_reported = |finding: &Finding| finding.code == FindingCode::TimesUnordered;
+        let is_reported = |finding: &Problem| finding.code == Code::TimesUnordered;
         let is_news = !findings.iter().any(is_reported);
         if let Some(first) = self.first_early_ns.filter(|_| is_news) {
             let evidence = format!(
@@ -71,7 +70,7 @@ impl Unusable {
             );
             let remedy =
                 "they are left out; sort the rows, or select one of several runs with --where";
-            findings.push(FindingCode::TimesUnordered.warning(evidence).remedy(remedy));
+            findings.push(Code::TimesUnordered.warning(evidence).remedy(remedy));
         }
         if 2 * (self.not_finite + self.early) <= rows {
             return Ok(());
@@ -82,7 +81,7 @@ impl Unusable {
         );
         let remedy = "check the file; if it contains several runs, select one with --where; if its rows are means over static \
                       poses, add --poses";
-        Err(ErrorCode::DataRefused.error(message, remedy).at(name))
+        Err(Code::DataRefused.error(message, remedy).at(name))
     }
 }
 
@@ -104,7 +103,7 @@ impl Recording {
             for track in empty {
                 let text =
                     format!("the {} of {} is 0 throughout", quantity.name(), track.info.name);
-                let finding = FindingCode::TrackChosen.note(text).remedy("it is left out");
+                let finding = Code::TrackChosen.note(text).remedy("it is left out");
                 self.findings.push(finding);
             }
         }

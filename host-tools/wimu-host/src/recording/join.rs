@@ -8,7 +8,7 @@ use wimu_model::STANDARD_GRAVITY_MPS2;
 use super::{Quantity, Recording, Track, Unit};
 use crate::OutputFile;
 use crate::csv::{self, CsvWriter};
-use crate::error::{ErrorCode, Result};
+use crate::{Code, Result};
 
 /// Time between two recordings that are joined, ns.
 const BETWEEN_NS: i64 = 1_000_000_000;
@@ -32,7 +32,7 @@ impl Recording {
                 continue;
             };
             if scale(before).zip(scale(track)).is_some_and(|(a, b)| (a / b - 1.0).abs() > 1e-6) {
-                let error = ErrorCode::DataRefused.error(
+                let error = Code::DataRefused.error(
                     "the earlier poses were captured at another range",
                     "set the range back with `wimu settings set`, or start again without --resume",
                 );
@@ -55,7 +55,7 @@ impl Recording {
     pub fn add_accelerometer(&mut self, other: &Self) -> Result<()> {
         let mut tracks = other.of(Quantity::SpecificForce);
         let (Some(track), None) = (tracks.next(), tracks.next()) else {
-            let error = ErrorCode::CsvMissingColumn.error(
+            let error = Code::CsvMissingColumn.error(
                 "a recording beside another one has one accelerometer",
                 "give one file of each accelerometer, or one file of all",
             );

@@ -10,9 +10,9 @@ use wimu_model::STANDARD_GRAVITY_MPS2;
 use super::samples::ASSUMED_RATE_HZ;
 use super::{Quantity, Recording, Sink, TrackId, TrackInfo, Unit};
 use crate::decode::TimedSample;
-use crate::error::{ErrorCode, Result};
 use crate::history::{Boot, LinkHistory};
 use crate::stream::Part;
+use crate::{Code, Result};
 
 /// Name of the format of wimu's recordings in docs/FORMATS.md.
 pub(crate) const FORMAT: &str = "wimu recording";
@@ -183,7 +183,7 @@ impl<'a> LinkRows<'a> {
         let error = || {
             let message = format!("no raw samples came over the {role} link");
             let remedy = "switch the raw stream on with `wimu settings set`, or use the other link";
-            ErrorCode::NoRows.error(message, remedy).at(name)
+            Code::NoRows.error(message, remedy).at(name)
         };
         self.tracks.map(|_| ()).ok_or_else(error)
     }
@@ -241,7 +241,7 @@ fn one_range(boot: &Boot, tracks: &mut Tracks, name: &str) -> Result<()> {
                 mark.epoch.range_g, mark.epoch.sequence
             );
             let remedy = "record at one range: a calibration is valid at one range only";
-            return Err(ErrorCode::DataRefused.error(message, remedy).at(name));
+            return Err(Code::DataRefused.error(message, remedy).at(name));
         }
     }
     Ok(())

@@ -12,9 +12,8 @@ use wimu_model::{
 use super::beside::Beside;
 use super::times::rate_and_gaps;
 use super::{Origin, Quantity, Recording, Track, TrackInfo, Unit};
-use crate::error::{ErrorCode, HostError, Result};
-use crate::finding::{Finding, FindingCode};
 use crate::plural::counted;
+use crate::{Code, Problem, Result};
 
 /// Assumed sample rate of data without times, Hz.
 pub(crate) const ASSUMED_RATE_HZ: f64 = 100.0;
@@ -94,7 +93,7 @@ pub struct Samples<'a> {
     /// The gyroscope beside it, not corrected.
     pub(crate) rate: Option<&'a Track>,
     /// Warnings and assumptions of reading.
-    pub(crate) findings: Vec<Finding>,
+    pub(crate) findings: Vec<Problem>,
     force: &'a Track,
     /// Valid rows of `force`.
     rows: Vec<usize>,
@@ -138,7 +137,7 @@ impl Recording {
             && rows.len() > MAX_POSES;
         if selection.poses && sampled {
             let rows = rows.len();
-            let error = ErrorCode::Usage.error(
+            let error = Code::Usage.error(
                 format!(
                     "its {rows} rows look like a continuous recording, not means over static poses"
                 ),
@@ -159,7 +158,7 @@ impl Recording {
             let is_count = |value: &f64| value.trunc() == *value && (1.0..=4e9).contains(value);
             let whole = track.valid().filter(|(_, row)| is_count(&row[0])).count();
             if whole < rows.len() {
-                let error = ErrorCode::CsvBadNumber.error(
+                let error = Code::CsvBadNumber.error(
                     format!("{} of {} values of `Samples` are no numbers of samples", rows.len() - whole, rows.len()),
                     "write the number of samples in each mean, a whole number from 1 on, or remove the column",
                 );
@@ -174,7 +173,7 @@ impl Recording {
             rate_source,
             sensor: force.info.device,
             // The rate is in the reports.
-            findings: self.relevant(&[FindingCode::Rate]),
+            findings: self.relevant(&[Code::Rate]),
             rate: of_sensor(Quantity::AngularRate),
             force,
             rows,
@@ -202,7 +201,7 @@ impl Recording {
             }
             None => Vec::new(),
         };
-        let fail = |code: ErrorCode, message: String, remedy: String| {
+        let fail = |code: Code, message: String, remedy: String| {
             Err(code.error(message, remedy).at(&self.name))
         };
         let range = |track: &&Track| match track.info.unit {
@@ -212,7 +211,7 @@ impl Recording {
         let ranges: Vec<String> = of_sensor.iter().filter_map(range).collect();
         if let [first, _, ..] = ranges.as_slice() {
             return fail(
-                ErrorCode::CsvMixedUnits,
+                Code::CsvMixedUnits,
                 format!("the range changes: 1 g is {} LSB", ranges.join(", then ")),
                 format!(
                     "select the rows of one range with --where \"Sensitivity (LSB/g)={first}\", or record at one range"
@@ -222,21 +221,19 @@ impl Recording {
         if ranges.is_empty() && of_sensor.len() > 1 {
             let names: Vec<&str> = all.iter().map(|t| t.info.name.as_str()).collect();
             return fail(
-                ErrorCode::Usage,
+                Code::Usage,
                 format!("several accelerometers have the same number: {}", names.join(", ")),
                 "give one file of the folder or archive, or choose with --topic".to_owned(),
             );
         }
         let numbers: Vec<_> = all.iter().map(|t| t.info.sensor.to_string()).collect();
         let numbers = numbers.join(", ");
-        let gravity = |finding: &&Finding| finding.code == FindingCode::GravityMissing;
+        let gravity = |finding: &&Problem| finding.code == Code::GravityMissing;
         match (all.as_slice(), wanted, of_sensor.first()) {
             ([], ..) => match self.findings.iter().find(gravity) {
-                Some(missing) => {
-                    fail(ErrorCode::NoRows, missing.evidence.clone(), missing.remedy.clone())
-                }
+                Some(missing) => fail(Code::NoRows, missing.text.clone(), missing.remedy.clone()),
                 None => fail(
-                    ErrorCode::NoRows,
+                    Code::NoRows,
                     "there is no accelerometer in it".to_owned(),
                     "`wimu info FILE` lists what it has".to_owned(),
                 ),
@@ -246,12 +243,12 @@ impl Recording {
             (_, None, Some(track)) if self.format == super::OF_WIMU => Ok(track),
             (_, Some(_), Some(track)) => Ok(track),
             (_, Some(number), None) => fail(
-                ErrorCode::Usage,
+                Code::Usage,
                 format!("it has no accelerometer {number}"),
                 format!("choose from: {numbers}"),
             ),
             (_, None, _) => fail(
-                ErrorCode::Usage,
+                Code::Usage,
                 format!("it has {} accelerometers", all.len()),
                 format!(
                     "choose one with --accelerometer: {numbers}; the accelerometers of an array are calibrated together with \
@@ -262,19 +259,19 @@ impl Recording {
     }
 }
 
-/// Finding on a number of gaps and their total length, s; `None` without gaps.
-pub(crate) fn gaps_finding((count, total_s): (usize, f64)) -> Option<Finding> {
+/// Problem on a number of gaps and their total length, s; `None` without gaps.
+pub(crate) fn gaps_finding((count, total_s): (usize, f64)) -> Option<Problem> {
     (count > 0).then(|| {
-        FindingCode::Rate.warning(format!(
+        Code::Rate.warning(format!(
             "samples are missing: {}, {total_s:.1} s in total; no mean includes a gap",
             counted(count, "gap")
         ))
     })
 }
 
-pub(crate) fn no_usable_row(name: &str, force: &TrackInfo) -> HostError {
+pub(crate) fn no_usable_row(name: &str, force: &TrackInfo) -> Problem {
     let message = format!("{} has no usable row", force.name);
-    (ErrorCode::NoRows.error(message, "check the file, and --where")).at(name)
+    (Code::NoRows.error(message, "check the file, and --where")).at(name)
 }
 
 /// Unit of the samples of a track.
@@ -415,7 +412,7 @@ impl<'a> Samples<'a> {
     }
 
     /// What was found while reading, an assumed rate, and missing samples.
-    pub(crate) fn findings(&self) -> Vec<Finding> {
+    pub(crate) fn findings(&self) -> Vec<Problem> {
         let mut findings = self.findings.clone();
         if self.rate_source == RateSource::Assumed && !self.poses {
             let why = match self.is_timed() {
@@ -423,7 +420,7 @@ impl<'a> Samples<'a> {
                 false => "the data have no times",
             };
             let text = format!("{why}: {} Hz assumed", self.rate_hz);
-            findings.push(FindingCode::Rate.warning(text));
+            findings.push(Code::Rate.warning(text));
         }
         findings.extend(gaps_finding(self.gaps()));
         findings
@@ -444,7 +441,7 @@ impl<'a> Samples<'a> {
     }
 
     /// Temperatures that are missing or outside the range of the calibration `set`.
-    pub(crate) fn temperature_finding(&self, set: &ParameterSet) -> Option<Finding> {
+    pub(crate) fn temperature_finding(&self, set: &ParameterSet) -> Option<Problem> {
         let terms = set.model.terms().temperature;
         let moves =
             TemperatureTerms { reference_c: TemperatureTerms::default().reference_c, ..terms }
@@ -456,7 +453,7 @@ impl<'a> Samples<'a> {
             });
         if lowest > highest {
             return moves.then(|| {
-                FindingCode::Temperature.warning(format!(
+                Code::Temperature.warning(format!(
                     "the calibration depends on temperature and the data have none: {:.1} °C assumed",
                     terms.reference_c
                 ))
@@ -465,7 +462,7 @@ impl<'a> Samples<'a> {
         let made = set.quality?.terms().temperature?;
         let (from, to) = (f64::from(made.lowest_c), f64::from(made.highest_c));
         (lowest < from - BEYOND_K || highest > to + BEYOND_K).then(|| {
-            FindingCode::Temperature.warning(format!(
+            Code::Temperature.warning(format!(
                 "the data are from {lowest:.1} to {highest:.1} °C, the calibration from {from:.1} to {to:.1} °C: ± does not \
                  include the error of this extrapolation"
             ))
@@ -508,7 +505,7 @@ impl<'a> Samples<'a> {
     /// `unknown_format` when they are not counts; `csv_bad_number` when one does not fit 16 bits.
     pub fn counts(&self) -> Result<Vec<Counts>> {
         if self.unit == OutputUnit::Mps2 {
-            let error = ErrorCode::UnknownFormat.error(
+            let error = Code::UnknownFormat.error(
                 "its accelerations are not raw counts",
                 "give a file whose accelerometer columns are in LSB",
             );
@@ -517,7 +514,7 @@ impl<'a> Samples<'a> {
         let count = |value: f64| {
             let exact = value.trunc() == value && (-32768.0..=32767.0).contains(&value);
             exact.then_some(value as i16).ok_or_else(|| {
-                let error = ErrorCode::CsvBadNumber.error(
+                let error = Code::CsvBadNumber.error(
                     format!("{value} is not a count of a 16-bit sensor"),
                     "raw counts are whole numbers from -32768 to 32767",
                 );

@@ -6,8 +6,8 @@
 use std::collections::VecDeque;
 
 use super::{Sink, TrackId, TrackInfo};
-use crate::finding::{Finding, FindingCode, Severity};
 use crate::plural::counted;
+use crate::{Code, Problem, Severity};
 
 /// Rows by which a stamp is judged.
 const AHEAD: usize = 32;
@@ -75,8 +75,8 @@ impl<'a> Stamps<'a> {
         while !self.rows.is_empty() {
             self.settle(true);
         }
-        let warning = |code: FindingCode, text: String, remedy: &str| {
-            Finding::new(code, Severity::Warning, text).remedy(remedy)
+        let warning = |code: Code, text: String, remedy: &str| {
+            Problem::new(code, Severity::Warning, text).remedy(remedy)
         };
         if self.equal > 0 {
             let share = self.equal as f64 / self.count as f64;
@@ -87,21 +87,21 @@ impl<'a> Stamps<'a> {
                 100.0 * share
             );
             let severity = if share > MANY_EQUAL { Severity::Warning } else { Severity::Note };
-            let finding = Finding::new(FindingCode::TimesUnordered, severity, text);
+            let finding = Problem::new(Code::TimesUnordered, severity, text);
             self.sink
                 .finding(finding.remedy("such rows are spread over the time to the next stamp"));
         }
         if self.wraps > 0 {
             let text =
                 format!("the counter of the times starts again: {}", counted(self.wraps, "time"));
-            let finding = Finding::new(FindingCode::Clock, Severity::Note, text);
+            let finding = Code::Clock.note(text);
             self.sink.finding(finding.remedy("its times are continued"));
         }
         if self.restarts > 0 {
             let text =
                 format!("the clock of the times restarts: {}", counted(self.restarts, "time"));
             let remedy = "the time in between is not known and taken as 2 s";
-            self.sink.finding(warning(FindingCode::TimesUnordered, text, remedy));
+            self.sink.finding(warning(Code::TimesUnordered, text, remedy));
         }
         let (wrong, first_ns) = self.wrong;
         if wrong > 0 {
@@ -110,7 +110,7 @@ impl<'a> Stamps<'a> {
                 counted(wrong, "time stamp"),
                 first_ns.saturating_sub(self.first_ns) as f64 * 1e-9
             );
-            self.sink.finding(warning(FindingCode::RowsMasked, text, "these rows are left out"));
+            self.sink.finding(warning(Code::RowsMasked, text, "these rows are left out"));
         }
     }
 
@@ -245,7 +245,7 @@ impl Sink for Stamps<'_> {
         }
     }
 
-    fn finding(&mut self, finding: Finding) {
+    fn finding(&mut self, finding: Problem) {
         self.sink.finding(finding);
     }
 
@@ -260,7 +260,7 @@ mod tests {
     use crate::recording::{Quantity, Recording, Unit};
 
     /// The time of each row, `None` of one that is left out.
-    fn clock(stamps: impl IntoIterator<Item = i64>) -> (Vec<Option<i64>>, Vec<FindingCode>) {
+    fn clock(stamps: impl IntoIterator<Item = i64>) -> (Vec<Option<i64>>, Vec<Code>) {
         let mut recording = Recording::new("table");
         let mut stamped = Stamps::new(&mut recording, Some(1));
         let track = stamped.track(TrackInfo::new("f", Quantity::SpecificForce, Unit::Si));
@@ -297,7 +297,7 @@ mod tests {
             let (times, findings) = clock((0..100).map(wrapped));
             let steps = times.windows(2).map(|pair| pair[1].unwrap() - pair[0].unwrap());
             assert!(steps.into_iter().all(|step| step == 1000), "{end}");
-            assert_eq!(findings, [FindingCode::Clock]);
+            assert_eq!(findings, [Code::Clock]);
         }
     }
 
@@ -306,7 +306,7 @@ mod tests {
         // Of ten rows a stamp, and of every fifth that repeats the one before.
         let (times, findings) = clock((0..200).map(|k| 1000 * (k / 10)));
         assert!(times[..190].iter().zip(0..).all(|(time, k)| *time == Some(100 * k)));
-        assert_eq!(findings, [FindingCode::TimesUnordered]);
+        assert_eq!(findings, [Code::TimesUnordered]);
         let (times, _) = clock((0..200).map(|k| 1000 * (k - i64::from(k % 5 == 4))));
         assert!(times.iter().zip(0..).all(|(time, k)| *time == Some(1000 * k) || k == 199));
     }
@@ -316,7 +316,7 @@ mod tests {
         for wrong in [0, 50_001, 4_200_000_000_000_000_000, -5] {
             let (times, findings) = clock((0..100).map(|k| if k == 40 { wrong } else { 1000 * k }));
             let left_out: Vec<_> = (0..100).filter(|k| times[*k].is_none()).collect();
-            assert_eq!((left_out, findings), (vec![40], vec![FindingCode::RowsMasked]), "{wrong}");
+            assert_eq!((left_out, findings), (vec![40], vec![Code::RowsMasked]), "{wrong}");
         }
     }
 
@@ -325,7 +325,7 @@ mod tests {
         let (times, findings) = clock(regular(0..100).chain(regular(0..100)));
         assert_eq!(times[100], Some(99_000 + RESTART_NS));
         assert_eq!(times[199], Some(198_000 + RESTART_NS));
-        assert_eq!(findings, [FindingCode::TimesUnordered]);
+        assert_eq!(findings, [Code::TimesUnordered]);
     }
 
     #[test]

@@ -5,8 +5,7 @@ use nalgebra::Rotation3;
 use super::engine::{self, Model};
 use super::internal;
 use super::pair::{LEAST_OVERLAP_S, Unit, lag, steps};
-use crate::finding::{Finding, FindingCode};
-use crate::{ErrorCode, Result};
+use crate::{Code, Problem, Result};
 
 /// Offsets that are tried on each side of the best one, and their distance, s.
 const TRIED: i32 = 2;
@@ -39,7 +38,7 @@ pub struct Clock {
 }
 
 /// The offset of clocks that differ by more than [`NEAR_S`], by the magnitudes of the angular rates.
-pub(super) fn coarse(units: &[Unit; 2]) -> Result<(Clock, Vec<Finding>)> {
+pub(super) fn coarse(units: &[Unit; 2]) -> Result<(Clock, Vec<Problem>)> {
     let [[a0, a1], [b0, b1]] = [units[0].span_s(), units[1].span_s()];
     let overlap_s = a1.min(b1) - a0.max(b0);
     let as_recorded = Clock { offset_s: 0.0, sd_s: COMMON_SD_S, measured_s: None };
@@ -60,10 +59,10 @@ pub(super) fn coarse(units: &[Unit; 2]) -> Result<(Clock, Vec<Finding>)> {
                 lag.as_recorded.max(-1.0)
             );
             let remedy = "where the clocks are common, the joint moved too little to tell: move both bodies together once";
-            Ok((clock, vec![FindingCode::Clock.warning(evidence).remedy(remedy)]))
+            Ok((clock, vec![Code::Clock.warning(evidence).remedy(remedy)]))
         }
         _ if common => Ok((as_recorded, Vec::new())),
-        _ => Err(ErrorCode::DataRefused.error(
+        _ => Err(Code::DataRefused.error(
             "the recordings have less than 5 s in common, and their motion does not align them",
             "record both at the same time, and shake both bodies together once",
         )),
@@ -76,7 +75,7 @@ pub(super) fn refined(
     mut clock: Clock,
     start: Rotation3<f64>,
     model: &Model,
-    noticed: &mut Vec<Finding>,
+    noticed: &mut Vec<Problem>,
 ) -> Result<Clock> {
     let moved = clock.offset_s != 0.0;
     for _ in 0..2 {
@@ -111,7 +110,7 @@ pub(super) fn refined(
         let evidence = format!(
             "the clock of the second unit is {offset_ms:+.0} ± {sd_ms:.0} ms behind: corrected"
         );
-        noticed.push(FindingCode::Clock.note(evidence));
+        noticed.push(Code::Clock.note(evidence));
     }
     Ok(clock)
 }

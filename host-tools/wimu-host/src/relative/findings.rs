@@ -3,9 +3,8 @@
 use super::engine::Pose;
 use super::hinge::relative;
 use super::{Hinge, RelativePath};
-use crate::finding::{Finding, FindingCode};
 use crate::motion::MotionRecording;
-use crate::{ErrorCode, HostError};
+use crate::{Code, Problem};
 
 /// Standard deviation of the axis up to which it is accurate enough, rad: 10° change an angle by 1 − cos 10° = 1.5 %.
 const AXIS_RAD: f64 = 0.175;
@@ -42,7 +41,7 @@ impl RelativePath {
 }
 
 /// Of a result.
-pub(super) fn after(found: &RelativePath) -> Vec<Finding> {
+pub(super) fn after(found: &RelativePath) -> Vec<Problem> {
     let mut findings = Vec::new();
     let (hinge, sigma_rad) = (&found.hinge, found.median_sigma_rad());
     let axis_deg = hinge.worst_sd_rad().to_degrees();
@@ -52,12 +51,12 @@ pub(super) fn after(found: &RelativePath) -> Vec<Finding> {
             "the joint turns about more than one axis: {percent:.0} % of the rate is across the main one"
         );
         let remedy = "the angle is that about the main axis; the quaternion has the whole rotation; a hinge is given by --hinge X,Y,Z";
-        findings.push(FindingCode::NotObserved.warning(evidence).remedy(remedy));
+        findings.push(Code::NotObserved.warning(evidence).remedy(remedy));
     } else if hinge.worst_sd_rad() > AXIS_RAD {
         let evidence = format!("the hinge axis is known to {axis_deg:.1}° only (1 σ)");
         let remedy =
             "turn the joint through its range several times, or give the axis: --hinge X,Y,Z";
-        findings.push(FindingCode::NotObserved.warning(evidence).remedy(remedy));
+        findings.push(Code::NotObserved.warning(evidence).remedy(remedy));
     }
     if found.joint_nis > CONTRADICTS {
         let nis = found.joint_nis;
@@ -65,13 +64,13 @@ pub(super) fn after(found: &RelativePath) -> Vec<Finding> {
             "the accelerations of both units do not fit a common joint: NIS {nis:.1} (at most 1)"
         );
         let remedy = "the clocks differ (shake both bodies together once), a unit slips, or the bodies have no joint";
-        findings.push(FindingCode::Residuals.warning(evidence).remedy(remedy));
+        findings.push(Code::Residuals.warning(evidence).remedy(remedy));
     }
     if sigma_rad > ANGLE_RAD {
         let evidence =
             format!("the angle is known to {:.1}° only (1 σ, median)", sigma_rad.to_degrees());
         let remedy = "rest for some seconds and swing the joint in several directions, or use --magnetometers";
-        findings.push(FindingCode::NotObserved.warning(evidence).remedy(remedy));
+        findings.push(Code::NotObserved.warning(evidence).remedy(remedy));
     }
     let lost = found.points.iter().filter(|point| !point.valid).count();
     if lost > 0 {
@@ -79,36 +78,36 @@ pub(super) fn after(found: &RelativePath) -> Vec<Finding> {
         let evidence = format!(
             "{percent:.1} % of the points are in a gap of one of the recordings: not valid"
         );
-        findings.push(FindingCode::Rate.warning(evidence));
+        findings.push(Code::Rate.warning(evidence));
     }
     if found.is_accurate() {
         let evidence = format!(
             "the alignment is accurate enough: axis ± {axis_deg:.1}° (limit 10°), angle ± {:.1}° (limit 2°)",
             sigma_rad.to_degrees()
         );
-        findings.push(FindingCode::Axes.note(evidence));
+        findings.push(Code::Axes.note(evidence));
     }
     findings
 }
 
 /// The heading is not unique.
-pub(super) fn ambiguous() -> Finding {
+pub(super) fn ambiguous() -> Problem {
     let evidence = "two headings of the second unit are equally probable";
     let remedy = "swing the joint, give the axis with --hinge X,Y,Z, or use --magnetometers";
-    FindingCode::NotObserved.warning(evidence).remedy(remedy)
+    Code::NotObserved.warning(evidence).remedy(remedy)
 }
 
 /// No field in both.
-pub(super) fn without_field(recordings: [&MotionRecording; 2]) -> Finding {
+pub(super) fn without_field(recordings: [&MotionRecording; 2]) -> Problem {
     let reason = recordings.map(MotionRecording::without_field);
-    FindingCode::MagneticField
+    Code::MagneticField
         .warning(format!("the magnetometers are not used: {}; {}", reason[0], reason[1]))
 }
 
 /// The joint did not move.
-pub(super) fn no_motion(poses: &[Pose]) -> HostError {
+pub(super) fn no_motion(poses: &[Pose]) -> Problem {
     let largest = poses.iter().map(|pose| relative(pose).norm()).fold(0.0, f64::max);
-    ErrorCode::DataRefused.error(
+    Code::DataRefused.error(
         format!(
             "the joint hardly moves (largest relative rate {:.1} deg/s): its axis is not known",
             largest.to_degrees()
@@ -118,7 +117,7 @@ pub(super) fn no_motion(poses: &[Pose]) -> HostError {
 }
 
 /// The filter has no answer.
-pub(super) fn no_answer() -> HostError {
-    ErrorCode::DataRefused
+pub(super) fn no_answer() -> Problem {
+    Code::DataRefused
         .error("no rotation explains the samples", "check units and axes of both recordings")
 }

@@ -3,10 +3,9 @@
 use super::engine::{Engine, Model};
 use super::pair::{Steps, Unit};
 use super::{Angle, Clock, RelativeChoice, RelativePath, RelativePoint, search};
-use crate::finding::{Finding, FindingCode};
 use crate::inertial::LeastDelay;
 use crate::motion::{MotionRecording, UnitSample};
-use crate::{HostError, Result};
+use crate::{Code, Problem, Result};
 use nalgebra::Rotation3;
 
 /// Motion before the first search for clock, axis and start, s.
@@ -48,7 +47,7 @@ pub enum Body {
 ///     live.push(Body::B, time_s, time_s, UnitSample { force_mps2: [0.1, 0.0, 9.8], ..resting });
 /// }
 /// assert!(live.take().is_empty());
-/// assert!(live.lacks().expect("no motion").message().contains("the joint hardly moves"));
+/// assert!(live.lacks().expect("no motion").text.contains("the joint hardly moves"));
 /// ```
 pub struct LiveRelative {
     choice: RelativeChoice,
@@ -61,7 +60,7 @@ pub struct LiveRelative {
     /// Motion after which the next search is due, s.
     due_s: f64,
     running: Option<Running>,
-    lacks: Option<HostError>,
+    lacks: Option<Problem>,
 }
 
 impl LiveRelative {
@@ -123,15 +122,15 @@ impl LiveRelative {
     }
 
     /// Why the last search had no result.
-    pub fn lacks(&self) -> Option<&HostError> {
+    pub fn lacks(&self) -> Option<&Problem> {
         self.lacks.as_ref()
     }
 
     /// What the last search noticed, or what it lacked.
-    pub fn findings(&self) -> Vec<Finding> {
+    pub fn findings(&self) -> Vec<Problem> {
         let lacks = self.lacks.as_ref().map(|error| {
-            let lacks = FindingCode::NotObserved.note(error.message());
-            lacks.remedy(error.remedy())
+            let lacks = Code::NotObserved.note(&error.text);
+            lacks.remedy(&error.remedy)
         });
         let running = self.running.as_ref();
         let noticed = running.map_or(&[][..], |running| &running.found.findings);

@@ -17,9 +17,8 @@ pub use clock::Clock;
 pub use hinge::Hinge;
 pub use live::{Body, LiveRelative};
 
-use crate::finding::Finding;
 use crate::motion::MotionRecording;
-use crate::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 use engine::{Model, Run};
 use pair::{Step, Unit, steps};
 
@@ -75,7 +74,7 @@ pub struct RelativePath {
     /// Position of the joint from each unit, m, in its axes, about: it is not observed along the axis of a hinge.
     pub lever_arms_m: [[f64; 3]; 2],
     /// What was noticed.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Problem>,
 }
 
 /// Estimates the rotation of the second unit relative to the first.
@@ -96,10 +95,10 @@ fn search(
     choice: &RelativeChoice,
 ) -> Result<(RelativePath, Rotation3<f64>, Model)> {
     let names = recordings.map(|recording| recording.name.as_str()).join(" and ");
-    let at = |error: HostError| error.at(&names);
+    let at = |error: Problem| error.at(&names);
     let given = choice.hinge.map(|axis| {
         let remedy = "give three numbers that are not all zero, such as --hinge 0,0,1";
-        Hinge::given(axis).ok_or_else(|| ErrorCode::Usage.error("the hinge axis is zero", remedy))
+        Hinge::given(axis).ok_or_else(|| Code::Usage.error("the hinge axis is zero", remedy))
     });
     let given = given.transpose()?;
     let units = units(recordings).map_err(at)?;
@@ -147,8 +146,8 @@ fn search(
 }
 
 /// The layout of the filter is constant.
-fn internal(error: wimu_nav::state::LayoutFull) -> HostError {
-    ErrorCode::DataRefused.error(error.to_string(), "report it")
+fn internal(error: wimu_nav::state::LayoutFull) -> Problem {
+    Code::DataRefused.error(error.to_string(), "report it")
 }
 
 fn units(recordings: [&MotionRecording; 2]) -> Result<[Unit; 2]> {
@@ -157,19 +156,19 @@ fn units(recordings: [&MotionRecording; 2]) -> Result<[Unit; 2]> {
         |r: &MotionRecording| -> Vec<[f64; 3]> { r.samples.iter().map(|s| s.force_mps2).collect() };
     if force(first) == force(second) {
         let remedy = "give the recordings of two units on two bodies";
-        return Err(ErrorCode::DataRefused.error("both have the same samples", remedy));
+        return Err(Code::DataRefused.error("both have the same samples", remedy));
     }
     let unit = |recording: &MotionRecording| {
         Unit::of(recording).ok_or_else(|| {
             let remedy = "--relative needs an accelerometer and a gyroscope in both units";
-            ErrorCode::DataRefused.error(format!("{} has no angular rates", recording.name), remedy)
+            Code::DataRefused.error(format!("{} has no angular rates", recording.name), remedy)
         })
     };
     Ok([unit(first)?, unit(second)?])
 }
 
 /// The rotation at the start: both units level, and the heading of the second one of greatest likelihood.
-fn start(steps: &[Step], model: &Model, noticed: &mut Vec<Finding>) -> Result<Rotation3<f64>> {
+fn start(steps: &[Step], model: &Model, noticed: &mut Vec<Problem>) -> Result<Rotation3<f64>> {
     let until_s = |duration_s: f64| {
         let end_s = steps.first().map_or(0.0, |first| first.time_s + duration_s);
         &steps[..steps.partition_point(|step| step.time_s <= end_s)]

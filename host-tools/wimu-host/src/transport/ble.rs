@@ -14,7 +14,7 @@ use uuid::Uuid;
 
 use super::Port;
 use super::nus::NusLink;
-use crate::error::{ErrorCode, Result};
+use crate::{Code, Result};
 pub use bridge::{Bridge, Connection};
 
 const SERVICE: Uuid = Uuid::from_u128(0x6e400001_b5a3_f393_e0a9_e50e24dcca9e);
@@ -79,7 +79,7 @@ impl Unit {
 /// The first Bluetooth adapter.
 async fn adapter() -> Result<Adapter> {
     let absent = |message: String| {
-        ErrorCode::LinkAbsent.error(
+        Code::LinkAbsent.error(
             message,
             "switch Bluetooth on (Linux: `sudo systemctl start bluetooth`), or use the board's cable",
         )
@@ -99,7 +99,7 @@ async fn search(
     is_wanted: impl Fn(&Unit) -> bool,
 ) -> Result<Vec<Unit>> {
     let failed = |error: btleplug::Error| {
-        ErrorCode::LinkAbsent.error(
+        Code::LinkAbsent.error(
             format!("the Bluetooth adapter does not search: {error}"),
             "switch it off and on; on macOS allow the terminal to use Bluetooth",
         )
@@ -153,13 +153,13 @@ async fn connect(wanted: &str) -> Result<Nus> {
             [] => "no unit with the Nordic UART Service".to_owned(),
             some => some.join(", "),
         };
-        return Err(ErrorCode::LinkAbsent.error(
+        return Err(Code::LinkAbsent.error(
             format!("the unit is not in range; found: {others}"),
             "check its supply and its distance, and that no other computer is connected; `wimu ports --probe` lists units",
         ));
     };
     service(peripheral).await.map_err(|error| {
-        ErrorCode::LinkRefused.error(
+        Code::LinkRefused.error(
             format!("the unit does not connect: {error}"),
             "restart the board, and remove it from the system's list of Bluetooth devices",
         )

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use super::Transport;
-use crate::error::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// Longest write of a connection whose MTU was not negotiated, bytes: 23 − 3.
 const SHORTEST: usize = 20;
@@ -50,8 +50,8 @@ impl<P: Peripheral> NusLink<P> {
         Self { name: name.into(), peripheral, received: VecDeque::new() }
     }
 
-    fn lost(&self, why: &str) -> HostError {
-        ErrorCode::LinkLost
+    fn lost(&self, why: &str) -> Problem {
+        Code::LinkLost
             .error(
                 format!("the Bluetooth connection has ended: {why}"),
                 "check the board's supply and its distance, then connect again",

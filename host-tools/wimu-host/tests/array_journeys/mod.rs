@@ -6,7 +6,7 @@ use std::fmt;
 
 use super::common::{Random, cross};
 use wimu_calib::Gravity;
-use wimu_host::HostError;
+use wimu_host::Problem;
 use wimu_host::array::{
     ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, navigated_axes,
     preset,
@@ -388,7 +388,7 @@ impl Case {
     ///
     /// # Errors
     /// Those of the command.
-    pub fn run(&self, seed: u64) -> Result<Outcome, HostError> {
+    pub fn run(&self, seed: u64) -> Result<Outcome, Problem> {
         let (recording, geometry) = self.recording(seed);
         // As the user says who knows no better.
         let known = RefineOptions {

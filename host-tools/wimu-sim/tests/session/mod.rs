@@ -14,7 +14,7 @@ use wimu_host::history;
 use wimu_host::live::{Tap, Tapped};
 use wimu_host::mcap_file::{ClockAnchor, Recorded, RecordingReader, RecordingWriter};
 use wimu_host::transport::Transport;
-use wimu_host::{HostError, Result};
+use wimu_host::{Problem, Result};
 use wimu_link::LinkRole;
 use wimu_sim::board::{Board, BoardConfig, SimLink};
 use wimu_sim::motion;
@@ -157,7 +157,7 @@ pub fn entries(file: &[u8]) -> Vec<Recorded> {
     std::iter::from_fn(|| reader.next_entry().unwrap()).collect()
 }
 
-pub fn compared(file: &[u8]) -> Result<Comparison, HostError> {
+pub fn compared(file: &[u8]) -> Result<Comparison, Problem> {
     compare(|| RecordingReader::new(file, "a.mcap"), "a.mcap")
 }
 

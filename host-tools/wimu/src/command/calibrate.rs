@@ -11,12 +11,12 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
 use wimu_host::calibration::{self, CalibrateOptions, CalibrationFile, MethodChoice, Paired};
-use wimu_host::finding::Outcome;
 use wimu_host::formats::{self, ReadOptions};
 use wimu_host::history;
 use wimu_host::html::Report;
+use wimu_host::problem::Outcome;
 use wimu_host::recording::{Recording, Selection};
-use wimu_host::{ErrorCode, HostError, Input, Result};
+use wimu_host::{Code, Input, Problem, Result};
 use wimu_model::{ParameterSet, Sensitivity};
 
 use crate::arguments::{Calibrate, Calibrated, Method};
@@ -121,8 +121,8 @@ pub fn read_calibrated(
 }
 
 /// The error where a push would replace a calibration whose source is not known here.
-fn erases_gyroscope() -> HostError {
-    ErrorCode::DataRefused.error(
+fn erases_gyroscope() -> Problem {
+    Code::DataRefused.error(
         "the source of the board's calibration is not known here: a push would erase that of its gyroscope",
         "name its CAL.json, or push from the computer that pushed it",
     )

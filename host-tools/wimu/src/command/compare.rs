@@ -5,7 +5,7 @@ use std::path::Path;
 use wimu_host::compare::{Alignment, Axis, Comparison, LinkReport, align, compare};
 use wimu_host::digits::{signed_with_sd, with_sd};
 use wimu_host::mcap_file::RecordingReader;
-use wimu_host::{ErrorCode, HostError, Input, Result};
+use wimu_host::{Code, Input, Problem, Result};
 
 use crate::arguments::Compare;
 use crate::command::record::{clock_text, left_out_text};
@@ -25,7 +25,7 @@ pub fn run(arguments: &Compare, output: &Output) -> Result<()> {
     }
 }
 
-fn unsupported(input: &str) -> HostError {
+fn unsupported(input: &str) -> Problem {
     usage("this input cannot be compared", "give one recording of both links, or two CSV files")
         .at(input)
 }
@@ -39,7 +39,7 @@ fn recording(path: &Path, arguments: &Compare, output: &Output) -> Result<()> {
     if let Some(file) = &arguments.output {
         let model = found.values.as_ref().map(|values| &values.model);
         let model = model.ok_or_else(|| {
-            ErrorCode::DataRefused
+            Code::DataRefused
                 .error(found.values_reason.clone().unwrap_or_default(), "record a longer motion")
                 .at(&name)
         })?;

@@ -23,7 +23,7 @@ use serde_json::json;
 use wimu_host::live::{LiveClient, Tap};
 use wimu_host::serve::lock;
 use wimu_host::transport;
-use wimu_host::{ErrorCode, HostError, Input, LinkUrl, Result, client};
+use wimu_host::{Code, Input, LinkUrl, Problem, Result, client};
 
 use self::access::{Access, Token};
 use self::actions::{Action, File, Job};
@@ -128,7 +128,7 @@ fn show(url: &str) -> Result<()> {
     let started = command.args(before).arg(url).spawn();
     started.map(drop).map_err(|error| {
         let message = format!("no browser was found: {program}: {error}");
-        ErrorCode::FileFailed.error(message, "open the printed address yourself")
+        Code::FileFailed.error(message, "open the printed address yourself")
     })
 }
 
@@ -220,7 +220,7 @@ impl Desk {
                         break;
                     }
                     Err(error) => {
-                        let error: HostError = error;
+                        let error: Problem = error;
                         let value = json!({"link": name, "error": error.to_string()});
                         desk.hub.publish(&topic, &value);
                         thread::sleep(TRY_EVERY);

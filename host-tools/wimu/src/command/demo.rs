@@ -12,7 +12,7 @@ use wimu_host::digits::significant;
 use wimu_host::html::Report;
 use wimu_host::mcap_file::RecordingReader;
 use wimu_host::navigation::{Point, distance_m};
-use wimu_host::{ErrorCode, OutputFile, Result};
+use wimu_host::{Code, OutputFile, Result};
 use wimu_sim::board::{Board, BoardConfig};
 use wimu_sim::scenario::{Calibration, FirstLight, Outcome};
 
@@ -51,7 +51,7 @@ pub fn run(arguments: &Demo, output: &Output) -> Result<()> {
             |source| {
                 let config = BoardConfig {
                     wireless_faults: WIRELESS.parse().map_err(|error| {
-                        ErrorCode::VerifyFailed.error(
+                        Code::VerifyFailed.error(
                             format!("the demo's link: {error}"),
                             "report this as a fault of wimu",
                         )
@@ -112,7 +112,7 @@ pub fn run(arguments: &Demo, output: &Output) -> Result<()> {
     if exact && locked && outcome.pushed == outcome.after_restart {
         Ok(())
     } else {
-        Err(ErrorCode::VerifyFailed.error(
+        Err(Code::VerifyFailed.error(
             "the device's results or stored parameters differ from the expected ones",
             "report this as a fault of wimu, with the seed",
         ))

@@ -9,13 +9,13 @@ use wimu_host::calibration::{
 use wimu_host::compare::LinkModel;
 use wimu_host::csv::SENSITIVITY;
 use wimu_host::export::{self, ExportSource, ExportStream};
-use wimu_host::finding::{Finding, FindingCode, without_unit};
 use wimu_host::formats::{self, ReadOptions};
 use wimu_host::mcap_file::Wholeness;
 use wimu_host::multi_range::{FullScales, Merge, MergedSensor};
 use wimu_host::plural::counted;
+use wimu_host::problem::without_unit;
 use wimu_host::ros::{self, Decoded};
-use wimu_host::{ErrorCode, HostError, Input, OutputFile, Result};
+use wimu_host::{Code, Input, OutputFile, Problem, Result};
 use wimu_model::CompiledSet;
 
 use crate::arguments::{Export, ExportFormat, Stream};
@@ -82,7 +82,7 @@ pub fn run(arguments: &Export, output: &Output) -> Result<()> {
     if arguments.format == ExportFormat::Ros {
         if to.symlink_metadata().is_ok() {
             let exists = std::io::ErrorKind::AlreadyExists.into();
-            return Err(HostError::file(&file, "create", &exists));
+            return Err(Problem::file(&file, "create", &exists));
         }
         let decoded = ros::decode(&arguments.input, to, model.as_ref())?;
         for (topic, count) in &decoded.messages {
@@ -115,12 +115,12 @@ pub fn run(arguments: &Export, output: &Output) -> Result<()> {
     };
     let changes = format!("the range changes; column `{SENSITIVITY}` gives the value of each row");
     let sensors = format!("the file has the sensors {:?}", table.sensors);
-    let sensors = FindingCode::TrackChosen.note(sensors);
+    let sensors = Code::TrackChosen.note(sensors);
     let sensors = sensors.remedy("--sensor selects one of them");
     let findings = [
         table.wholeness.finding(),
         without_unit(table.without_unit, "raw sample", what),
-        (table.ranges_differ).then(|| FindingCode::UnitInferred.note(changes)),
+        (table.ranges_differ).then(|| Code::UnitInferred.note(changes)),
         (table.sensors.len() > 1).then_some(sensors),
     ];
     output.findings(&Vec::from_iter(findings.into_iter().flatten()));
@@ -182,7 +182,7 @@ fn compiled(arguments: &Export, to: &Path, output: &Output) -> Result<()> {
     let set = read_parameters(&arguments.input)?;
     let rad_s_per_lsb = set.gyroscope.map(|gyroscope| gyroscope.rad_s_per_lsb);
     let compiled = compiled_for(&set, 0, rad_s_per_lsb, true).map_err(|error| {
-        let error = ErrorCode::BadCalibration.error(error.to_string(), "calibrate again");
+        let error = Code::BadCalibration.error(error.to_string(), "calibrate again");
         error.at(arguments.input.display().to_string())
     })?;
     let mut buffer = [0; CompiledSet::MAX_BYTES];
@@ -195,7 +195,7 @@ fn compiled(arguments: &Export, to: &Path, output: &Output) -> Result<()> {
     if set.magnetometer.is_some() && compiled.compass().is_none() {
         let text =
             "the magnetometer's calibration is left out: a device with a gyroscope does not use it";
-        findings.push(FindingCode::NotExpressible.warning(text));
+        findings.push(Code::NotExpressible.warning(text));
     }
     output.findings(&findings);
     let parameter_id = compiled.source().to_string();
@@ -204,10 +204,10 @@ fn compiled(arguments: &Export, to: &Path, output: &Output) -> Result<()> {
 }
 
 /// The sensors of a calibration that an export leaves out.
-fn further_left_out(input: &Path) -> Option<Finding> {
+fn further_left_out(input: &Path) -> Option<Problem> {
     let further = further_sensors(input);
     let text = format!("sensors {further:?} of the calibration are left out");
-    (!further.is_empty()).then(|| FindingCode::NotExpressible.warning(text))
+    (!further.is_empty()).then(|| Code::NotExpressible.warning(text))
 }
 
 /// Writes a calibration for other programs, or prints it.

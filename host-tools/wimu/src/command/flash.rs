@@ -7,7 +7,7 @@ mod probe;
 use std::ops::Range;
 use std::path::PathBuf;
 
-use wimu_host::{ErrorCode, Result};
+use wimu_host::{Code, Result};
 
 use crate::arguments::{Board, Flash};
 use crate::output::Output;
@@ -85,20 +85,20 @@ fn read(board: Board, file: Option<PathBuf>) -> Result<Image> {
     let location = file.display().to_string();
     let bytes =
         std::fs::read(&file).map_err(|error| {
-            ErrorCode::FileUnreadable.error(format!("the image cannot be read: {error}"),
+            Code::FileUnreadable.error(format!("the image cannot be read: {error}"),
             "build it with `cargo xtask firmware` in the repository, or name one with --image",
         )
         .at(&location)
         })?;
     let segments = image::segments(&bytes).ok_or_else(|| {
-        ErrorCode::UnknownFormat.error("this is not a complete firmware image",
+        Code::UnknownFormat.error("this is not a complete firmware image",
             "give an ELF file for ARM, an Intel HEX file or a UF2 file; `cargo xtask firmware` builds them",
         )
         .at(&location)
     })?;
     match image::objection(board, &segments) {
         None => Ok(Image { board, file, segments }),
-        Some(why) => Err(ErrorCode::WrongImage
+        Some(why) => Err(Code::WrongImage
             .error(
                 format!("this image is not for a {}: {why}", board.name()),
                 format!(
@@ -129,8 +129,8 @@ fn write(image: &Image, arguments: &Flash, _: &Output) -> Result<()> {
 }
 
 #[cfg(not(feature = "flash"))]
-fn left_out(command: &str, otherwise: &str) -> wimu_host::HostError {
-    ErrorCode::FeatureMissing.error(
+fn left_out(command: &str, otherwise: &str) -> wimu_host::Problem {
+    Code::FeatureMissing.error(
         "this wimu was built without support for debug probes",
         format!("cargo run --release -p wimu --features flash -- {command}{otherwise}"),
     )

@@ -10,7 +10,7 @@ use wimu_host::fleet::state::BoardState;
 use wimu_host::fleet::status::{self, FleetStatus};
 use wimu_host::fleet::topics::Fleet as Address;
 use wimu_host::plural::counted;
-use wimu_host::{ErrorCode, Result};
+use wimu_host::{Code, Result};
 
 use crate::arguments::Fleet;
 use crate::output::Output;
@@ -117,10 +117,10 @@ fn push(fleet: &Address, folder: &Path, until: u8, force: bool, output: &Output)
     if plan.targets.is_empty() && !plan.away.is_empty() {
         let message = "all boards that have a file are away";
         let remedy = "`wimu fleet status` says why";
-        return Err(ErrorCode::LinkAbsent.error(message, remedy));
+        return Err(Code::LinkAbsent.error(message, remedy));
     }
     if plan.targets.is_empty() {
-        return Err(ErrorCode::DataRefused.error(
+        return Err(Code::DataRefused.error(
             format!("no board of fleet `{}` has a file in the folder", fleet.fleet),
             "name the files BOARD.json or DEVICE_ID.json; `wimu fleet status` lists the boards",
         ));

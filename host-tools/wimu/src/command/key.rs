@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 use wimu_host::keys::{self, KeyFolder};
-use wimu_host::{ErrorCode, HostError, Result};
+use wimu_host::{Code, Result};
 use wimu_link::auth::DeviceKey;
 use wimu_link::hello::{LinkRole, WriteAccess};
 
@@ -34,12 +34,12 @@ pub fn run(arguments: &Key, output: &Output) -> Result<()> {
         None => None,
     };
     client.use_key(ours);
-    let refused = |code, message: &str, remedy| Err(HostError::new(code, message, remedy).at(link));
+    let refused = |code: Code, message: &str, remedy| Err(code.error(message, remedy).at(link));
     match (arguments.action, held, ours) {
         (KeyAction::Status, ..) => {}
         (_, None, _) if is_lost(&client) => {
             return refused(
-                ErrorCode::DeviceRefused,
+                Code::DeviceRefused,
                 "the device cannot read its own key and refuses all writes",
                 "erase the key by the gesture on the board's page, then run `wimu key set`",
             );
@@ -66,14 +66,14 @@ pub fn run(arguments: &Key, output: &Output) -> Result<()> {
                 "the device has a key that this computer does not have".to_owned()
             };
             return refused(
-                ErrorCode::KeyNeeded,
+                Code::KeyNeeded,
                 &what,
                 "use the computer that has it, or erase it by the gesture on the board's page",
             );
         }
         (KeyAction::Rotate, None, _) => {
             return refused(
-                ErrorCode::KeyNeeded,
+                Code::KeyNeeded,
                 "the device has no key to rotate",
                 "run `wimu key set` over the cable",
             );
@@ -106,10 +106,8 @@ fn store_key(client: &mut Connection, folder: &KeyFolder, device: u64) -> Result
         }
         Err(error) => {
             // After a refusal, or unsent, the device has the old key; otherwise it may have either, and both files are kept.
-            if matches!(
-                error.code(),
-                ErrorCode::KeyNeeded | ErrorCode::DeviceRefused | ErrorCode::NotThroughBroker
-            ) {
+            if matches!(error.code, Code::KeyNeeded | Code::DeviceRefused | Code::NotThroughBroker)
+            {
                 folder.withdraw(device);
             }
             Err(error)

@@ -33,7 +33,7 @@ use wimu_host::client::{self, Client};
 use wimu_host::decode::Arrival;
 use wimu_host::keys::KeyFolder;
 use wimu_host::transport::Transport;
-use wimu_host::{ErrorCode, LinkUrl, Result};
+use wimu_host::{Code, LinkUrl, Result};
 
 use crate::output::{Output, usage};
 use crate::progress;
@@ -67,7 +67,7 @@ fn connect_to_read(link: &str, output: &Output) -> Result<(Connection, Option<bo
     }
     match client.use_own_key() {
         Ok(signs) => Ok((client, signs.then_some(true))),
-        Err(error) if error.code() == ErrorCode::LinkLost => Err(error),
+        Err(error) if error.code == Code::LinkLost => Err(error),
         Err(error) => {
             client.use_key(None);
             output.print(format!("not authenticated: {error}"));
@@ -104,7 +104,7 @@ fn interrupted() -> Result<Arc<AtomicBool>> {
     let flag = FLAG.get_or_init(Arc::default).clone();
     let set = flag.clone();
     ctrlc::set_handler(move || set.store(true, Ordering::Relaxed)).map_err(|error| {
-        ErrorCode::FileFailed.error(
+        Code::FileFailed.error(
             format!("cannot install the Ctrl-C handler: {error}"),
             "run the command in a terminal",
         )

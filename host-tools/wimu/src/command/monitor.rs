@@ -9,7 +9,7 @@ use wimu_host::decode::{Decoder, Event};
 use wimu_host::keys::KeyFolder;
 use wimu_host::mcap_file::RecordingReader;
 use wimu_host::monitor::{Reading, Readings};
-use wimu_host::{ErrorCode, Input, Result};
+use wimu_host::{Code, Input, Result};
 use wimu_link::Hello;
 use wimu_link::message::Status;
 use wimu_model::ParameterId;
@@ -167,7 +167,7 @@ pub fn run(arguments: &Monitor, output: &Output) -> Result<()> {
         )),
         Input::Link(_) => lines(arguments, output),
         Input::Recording(path) => recorded(&path, arguments.rate, output),
-        Input::File(_) => Err(ErrorCode::UnknownFormat.error("monitor does not read files of other programs",
+        Input::File(_) => Err(Code::UnknownFormat.error("monitor does not read files of other programs",
             "give a LINK or a recording of wimu; `wimu simulate --replay` streams counts of a table",
         )
         .at(&arguments.input)),

@@ -16,7 +16,7 @@ use wimu_host::history::{Boot, LinkHistory, Recording};
 use wimu_host::navigation::{self, Point};
 use wimu_host::plural::counted;
 use wimu_host::replay::{self, ReplayReport};
-use wimu_host::{ErrorCode, Input, Result};
+use wimu_host::{Code, Input, Result};
 use wimu_integrator::Phase;
 use wimu_model::ParameterSet;
 
@@ -154,7 +154,7 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
     let starts = link.boots.iter().map(|boot| start(boot, arguments, calibration));
     let starts = starts.collect::<Result<Vec<Start>>>()?;
     if starts.iter().all(|start| start.device.is_none() && start.recomputed.is_none()) {
-        return Err(ErrorCode::DataRefused
+        return Err(Code::DataRefused
             .error(
                 "the recording has no rest, which initial attitude and position need",
                 "hold the board still for at least a second before moving it",

@@ -6,7 +6,7 @@ use serde::Serialize;
 use wimu_host::calibration::{
     self, CalibrationFile, Change, Difference, check_device, further_sensors, read_parameters,
 };
-use wimu_host::{ErrorCode, Result};
+use wimu_host::{Code, Result};
 use wimu_model::{ParameterId, ParameterSet};
 
 use crate::arguments::Params;
@@ -96,7 +96,7 @@ fn print_difference(before: Option<&ParameterSet>, after: &ParameterSet, output:
 /// Writes the parameters to a file for `params push`.
 fn save(path: &Path, parameters: Option<&ParameterSet>, device_id: u64) -> Result<()> {
     let Some(set) = parameters else {
-        return Err(ErrorCode::DataRefused.error(
+        return Err(Code::DataRefused.error(
             "the device is uncalibrated, so there are no parameters to write",
             "calibrate with `wimu calibrate LINK --push`",
         ));

@@ -33,9 +33,7 @@ pub fn run(arguments: &Ports, output: &Output) -> Result<()> {
     if arguments.probe {
         match transport::nearby() {
             Ok(units) => ports.extend(units.into_iter().map(|port| Listed { port, probe: None })),
-            Err(error) => {
-                output.print(format!("Bluetooth: {}; {}", error.message(), error.remedy()))
-            }
+            Err(error) => output.print(format!("Bluetooth: {}; {}", error.text, error.remedy)),
         }
     }
     if ports.is_empty() {
@@ -70,5 +68,5 @@ fn probe(port: &Port) -> Result<String, String> {
                 hello.board.name, hello.sensor.name, hello.device_id, hello.role
             )
         })
-        .map_err(|error| error.message().to_owned())
+        .map_err(|error| error.text.clone())
 }

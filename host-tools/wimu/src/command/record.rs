@@ -10,7 +10,7 @@ use wimu_host::decode::LinkStatistics;
 use wimu_host::digits::{significant, with_sd};
 use wimu_host::recorder::{Progress, Recorder};
 use wimu_host::ros::{self, Decoded};
-use wimu_host::{HostError, LinkUrl, Result};
+use wimu_host::{LinkUrl, Problem, Result};
 
 use crate::arguments::Record;
 use crate::command::{deadline, interrupted, is_over};
@@ -20,7 +20,7 @@ use crate::output::Output;
 struct Recorded {
     file: String,
     /// Why the recording ended without Ctrl-C or --for.
-    ended: Option<HostError>,
+    ended: Option<Problem>,
     links: Vec<Link>,
     /// Topics that `--decoded` added.
     decoded: Option<Decoded>,
@@ -103,7 +103,7 @@ pub fn run(arguments: &Record, output: &Output) -> Result<()> {
     if let Some(error) = &progress.ended {
         output.print(format!(
             "stopped: all links were lost ({}); the file holds everything received",
-            error.message()
+            error.text
         ));
     }
     let links = progress.links.iter().map(|link| Link {

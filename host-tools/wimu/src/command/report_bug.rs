@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 use wimu_host::transport::{self, Port};
-use wimu_host::{HostError, LinkUrl, OutputFile, Result};
+use wimu_host::{LinkUrl, OutputFile, Problem, Result};
 
 use crate::arguments::ReportBug;
 use crate::command::connect;
@@ -33,9 +33,9 @@ struct Link {
     link: String,
     /// What the board answers; null with the error if it does not.
     device: Option<Live>,
-    error: Option<HostError>,
+    error: Option<Problem>,
     /// Why bytes ended before their time.
-    lost: Option<HostError>,
+    lost: Option<Problem>,
     bytes: usize,
     received: Vec<Received>,
 }

@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 use serde::Serialize;
 use wimu_host::formats::{self, ReadOptions};
 use wimu_host::recording::Selection;
-use wimu_host::{ErrorCode, HostError, Result};
+use wimu_host::{Code, Problem, Result};
 use wimu_link::LinkRole;
 use wimu_model::Counts;
 use wimu_sim::board::{Board, BoardConfig, SensorPart};
@@ -59,7 +59,7 @@ pub fn run(arguments: &Simulate, output: &Output) -> Result<()> {
     let [cable_faults, wireless_faults] = faults_of(&arguments.faults)?;
     let storage = match &arguments.store {
         Some(path) => Storage::in_file(path)
-            .map_err(|error| HostError::file(&path.display().to_string(), "read", &error))?,
+            .map_err(|error| Problem::file(&path.display().to_string(), "read", &error))?,
         None => Storage::in_memory(),
     };
     let (part, second) = sensors(arguments)?;
@@ -111,7 +111,7 @@ pub fn run(arguments: &Simulate, output: &Output) -> Result<()> {
     }
     let mut server = Server::bind(board, arguments.cable, arguments.wireless)
         .map_err(|(address, error)| {
-            ErrorCode::LinkBusy.error(format!("cannot listen: {error}"),
+            Code::LinkBusy.error(format!("cannot listen: {error}"),
                 "stop the program that listens there, or give other addresses with --cable and --wireless",
             )
             .at(address.to_string())
@@ -124,7 +124,7 @@ pub fn run(arguments: &Simulate, output: &Output) -> Result<()> {
         server
             .address(role)
             .map(|address| format!("tcp://{address}"))
-            .map_err(|error| HostError::file("the listening port", "read", &error))
+            .map_err(|error| Problem::file("the listening port", "read", &error))
     };
     let listening = Listening { cable: url(LinkRole::Cable)?, wireless: url(LinkRole::Wireless)? };
     output.print(format!(

@@ -16,7 +16,7 @@ use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers
 use ratatui::crossterm::terminal::size;
 use ratatui::layout::Rect;
 use ratatui::prelude::Frame;
-use wimu_host::{HostError, Result};
+use wimu_host::{Problem, Result};
 
 use crate::output::Output;
 use crate::progress;
@@ -164,8 +164,8 @@ fn paint(frame: &mut Frame, ascii: bool, view: impl FnOnce(&mut Frame)) {
     }
 }
 
-fn failed(error: &io::Error) -> HostError {
-    HostError::file("the terminal", "write", error)
+fn failed(error: &io::Error) -> Problem {
+    Problem::file("the terminal", "write", error)
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use crate::error::{ErrorCode, HostError, Result};
+use crate::{Code, Problem, Result};
 
 /// Noise for Kalibr, from `wimu allan`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,9 +61,9 @@ impl KalibrNoise {
     /// `file_unreadable`; `bad_calibration` when it is not such a report, or was refused.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
-        let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
+        let text = std::fs::read_to_string(path).map_err(|e| Problem::file(&name, "read", &e))?;
         let bad = || {
-            ErrorCode::BadCalibration
+            Code::BadCalibration
                 .error(
                     "this is not a noise report",
                     "make it with `wimu allan --json rest.mcap > NOISE.json`",

@@ -10,7 +10,7 @@ use crate::lag::refine;
 use crate::recording::{OutputUnit, Selection};
 use crate::series::period_s;
 use crate::stats::norm;
-use crate::{ErrorCode, Result};
+use crate::{Code, Result};
 
 /// Shortest motion, s.
 const SHORT_S: f64 = 0.1;
@@ -87,7 +87,7 @@ impl Signal {
             }
         }
         if signal.times.len() < 2 {
-            return Err(ErrorCode::NoRows
+            return Err(Code::NoRows
                 .error("the table has fewer than two rows", "give a recording")
                 .at(&recording.name));
         }

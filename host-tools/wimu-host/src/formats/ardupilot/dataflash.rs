@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use super::super::Source;
 use super::super::window::{Damage, Window, bytes_at};
-use crate::error::{ErrorCode, Result};
+use crate::{Code, Result};
 
 /// First bytes of a message; then follows its type.
 const MAGIC: [u8; 2] = [0xA3, 0x95];
@@ -171,7 +171,7 @@ impl Units {
 pub(super) fn walk(source: &Source, each: &mut dyn FnMut(&Format, &[u8])) -> Result<(Damage, u64)> {
     let mut window = Window::new(source, 0)?;
     if !window.peek(START.len())?.starts_with(&START) {
-        return Err(ErrorCode::BadRecording
+        return Err(Code::BadRecording
             .error("it does not start as a DataFlash log", "check the file")
             .at(source.name()));
     }

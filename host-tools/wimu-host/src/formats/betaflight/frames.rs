@@ -3,7 +3,7 @@
 use super::super::window::{Damage, Window};
 use super::encoding::{self, Cursor};
 use super::header::{Header, MARKER};
-use crate::error::Result;
+use crate::Result;
 
 /// First bytes of frames.
 const KINDS: &[u8] = b"IPSGHE";

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::super::window::Window;
-use crate::error::Result;
+use crate::Result;
 
 /// First bytes of a log.
 pub(super) const MARKER: &[u8] = b"H Product:Blackbox flight data recorder";

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use super::super::Source;
 use super::super::window::{Damage, Window, bytes_at};
-use crate::error::{ErrorCode, Result};
+use crate::{Code, Result};
 
 /// First bytes of a file; then follow its version and its start time, 9 bytes.
 pub(super) const MAGIC: [u8; 7] = *b"ULog\x01\x12\x35";
@@ -140,7 +140,7 @@ pub(super) enum Message<'a> {
 pub(super) fn walk(source: &Source, each: &mut dyn FnMut(Message)) -> Result<(Damage, u64)> {
     let mut window = Window::new(source, 0)?;
     if !window.peek(HEADER_BYTES)?.starts_with(&MAGIC) {
-        return Err(ErrorCode::BadRecording
+        return Err(Code::BadRecording
             .error("it does not start as a ULog file", "check the file")
             .at(source.name()));
     }

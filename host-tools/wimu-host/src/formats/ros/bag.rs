@@ -7,10 +7,10 @@ use std::io::{self, SeekFrom};
 use super::chunk;
 use super::message::Encoding;
 use super::{Messages, ReadOptions, Source};
-use crate::error::{ErrorCode, HostError, Result};
 use crate::formats::source::ReadSeek;
 use crate::mcap_file::records::{fill, number, sized};
 use crate::recording::Sink;
+use crate::{Code, Problem, Result};
 
 const MAGIC: &[u8] = b"#ROSBAG V";
 const VERSION: &[u8] = b"#ROSBAG V2.0\n";
@@ -41,7 +41,7 @@ pub(in crate::formats) fn read(
     sink: &mut dyn Sink,
 ) -> Result<()> {
     if !source.start().starts_with(VERSION) {
-        return Err(ErrorCode::UnknownFormat
+        return Err(Code::UnknownFormat
             .error(
                 "this is not a ROS 1 bag of version 2.0",
                 "convert an older bag: `rosbag filter OLD.bag NEW.bag True`",
@@ -55,7 +55,7 @@ pub(in crate::formats) fn read(
         orphans: 0,
         chunk_at: None,
     };
-    let failed = |error| HostError::file(source.name(), "read", &error);
+    let failed = |error| Problem::file(source.name(), "read", &error);
     if let Some(at) = reader.file(&mut *source.reader()?).map_err(failed)? {
         reader.messages.cut(source.name(), at);
     }

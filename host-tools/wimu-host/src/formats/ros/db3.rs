@@ -2,7 +2,7 @@
 
 use super::mcap::files;
 use super::{ReadOptions, Source};
-use crate::error::Result;
+use crate::Result;
 use crate::recording::Sink;
 
 const MAGIC: &[u8] = b"SQLite format 3\0";
@@ -19,7 +19,7 @@ pub(in crate::formats) fn read(
     _options: &ReadOptions,
     _sink: &mut dyn Sink,
 ) -> Result<()> {
-    Err(crate::ErrorCode::FeatureMissing
+    Err(crate::Code::FeatureMissing
         .error(
             "this build does not read ROS 2 bags in sqlite (.db3)",
             "convert it: `pip install rosbags`, `rosbags-convert --src BAG_FOLDER --dst NEW --dst-storage mcap` (or \
@@ -42,7 +42,7 @@ mod with_sqlite {
     use super::super::Messages;
     use super::super::message::Encoding;
     use super::*;
-    use crate::error::HostError;
+    use crate::Problem;
 
     /// Hands the messages to the sink.
     pub(in crate::formats) fn read(
@@ -68,7 +68,7 @@ mod with_sqlite {
     }
 
     fn copy(file: &Source) -> Result<tempfile::NamedTempFile> {
-        let failed = |error: io::Error| HostError::file(file.name(), "copy", &error);
+        let failed = |error: io::Error| Problem::file(file.name(), "copy", &error);
         let mut copy = tempfile::NamedTempFile::new().map_err(failed)?;
         io::copy(&mut file.reader()?, &mut copy).map_err(failed)?;
         Ok(copy)

@@ -9,9 +9,9 @@ use ::mcap::records::op;
 use super::chunk;
 use super::message::Encoding;
 use super::{Messages, ReadOptions, Source};
-use crate::error::{HostError, Result};
 use crate::mcap_file::records::{Channel, Chunk, Message, each, fill, number, text};
 use crate::recording::Sink;
+use crate::{Problem, Result};
 
 /// Files of a bag that begin with `magic`, in the order of recording.
 pub(super) fn files<'a>(source: &'a Source, magic: &[u8]) -> Vec<&'a Source> {
@@ -72,7 +72,7 @@ pub(in crate::formats) fn read(
 /// Hands code, bytes and position of the records on that may lead to messages or count them, and whether a record is
 /// cut off. Returns where the file ends early or cannot be followed.
 fn walk(file: &Source, mut see: impl FnMut(u8, &[u8], u64, bool)) -> Result<Option<u64>> {
-    let failed = |error| HostError::file(file.name(), "read", &error);
+    let failed = |error| Problem::file(file.name(), "read", &error);
     let mut reader = file.reader()?;
     let mut head = [0; 9];
     let mut record = Vec::new();

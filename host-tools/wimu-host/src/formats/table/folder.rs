@@ -4,10 +4,9 @@ use std::path::Path;
 
 use super::gravity::WithGravity;
 use super::{clock, is_text, names, quantity_of, read_table};
-use crate::error::{ErrorCode, HostError, Result};
-use crate::finding::{Finding, FindingCode, Severity};
 use crate::formats::{ReadOptions, Source};
 use crate::recording::Sink;
+use crate::{Code, Problem, Result};
 
 /// Ends of names of tables.
 const ENDINGS: [&str; 3] = ["csv", "txt", "tsv"];
@@ -52,7 +51,7 @@ pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Resu
         let name = file_name(member);
         if has_calibrated && is_uncalibrated(member) {
             let text = format!("`{name}` is not read: the folder has calibrated values");
-            sink.finding(Finding::new(FindingCode::TrackChosen, Severity::Note, text));
+            sink.finding(Code::TrackChosen.note(text));
             continue;
         }
         match read_table(member, options, &mut sink, Vec::new()) {
@@ -61,17 +60,17 @@ pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Resu
         }
     }
     if read == 0 {
-        let reason = |(name, error): &(String, HostError)| format!("{name}: {}", error.message());
+        let reason = |(name, error): &(String, Problem)| format!("{name}: {}", error.text);
         let reasons: Vec<String> = refused.iter().take(8).map(reason).collect();
         let reasons = reasons.join("; ");
         let message = format!("none of its tables is of an inertial sensor: {reasons}");
-        return Err(ErrorCode::UnknownFormat
+        return Err(Code::UnknownFormat
             .error(message, "see docs/FORMATS.md, or give one file")
             .at(source.name()));
     }
     for (name, error) in refused {
-        let text = format!("`{name}` is not read: {}", error.message());
-        sink.finding(Finding::new(FindingCode::TrackChosen, Severity::Note, text));
+        let text = format!("`{name}` is not read: {}", error.text);
+        sink.finding(Code::TrackChosen.note(text));
     }
     sink.finish();
     Ok(())

@@ -1,7 +1,7 @@
 //! Specific force as the sum of linear acceleration and gravity that a phone reports apart.
 
-use crate::finding::{Finding, FindingCode};
 use crate::recording::{Quantity, Sink, TrackId, TrackInfo, Unit};
+use crate::{Code, Problem};
 
 /// Longest time between two samples of gravity between which it is interpolated, ns. Chosen: some periods of the slowest
 /// setting of phones.
@@ -22,7 +22,7 @@ pub struct WithGravity<'a> {
     /// Whether all tracks come before the first row.
     is_one_table: bool,
     /// Findings of missing gravity.
-    missing: Vec<Finding>,
+    missing: Vec<Problem>,
 }
 
 impl<'a> WithGravity<'a> {
@@ -66,9 +66,9 @@ impl Sink for WithGravity<'_> {
         self.inner.row(track, time_ns, values);
     }
 
-    fn finding(&mut self, finding: Finding) {
+    fn finding(&mut self, finding: Problem) {
         match finding.code {
-            FindingCode::GravityMissing => self.missing.push(finding),
+            Code::GravityMissing => self.missing.push(finding),
             _ => self.inner.finding(finding),
         }
     }
@@ -100,7 +100,7 @@ fn add(linear: &Kept, gravity: &Kept, sink: &mut dyn Sink) {
         linear.rows.len()
     );
     let remedy = "gravity is an estimate of the phone: an acceleration with gravity is better";
-    sink.finding(FindingCode::GravityAdded.note(text).remedy(remedy));
+    sink.finding(Code::GravityAdded.note(text).remedy(remedy));
 }
 
 /// Gravity at a time, of which `after` is the first row not before it.

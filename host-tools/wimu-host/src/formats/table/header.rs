@@ -7,9 +7,9 @@ use super::names::{self, Kind};
 use super::presets;
 use super::text::{Field, Lines, field, is_comment, split};
 use super::units;
-use crate::error::{ErrorCode, Result};
 use crate::formats::Source;
 use crate::recording::Quantity;
+use crate::{Code, Result};
 
 /// The table begins within this many lines and bytes.
 const MAX_LINES: usize = 200;
@@ -62,7 +62,7 @@ fn beginning(source: &Source) -> Result<Vec<String>> {
 pub fn find(source: &Source, quantity: Option<Quantity>) -> Result<Table> {
     let start = beginning(source)?;
     if start.iter().all(|line| line.trim().is_empty()) {
-        let error = ErrorCode::CsvEmpty
+        let error = Code::CsvEmpty
             .error("the file is empty", "a table starts with a line of column names and units");
         return Err(error.at(source.name()));
     }
@@ -77,11 +77,11 @@ pub fn find(source: &Source, quantity: Option<Quantity>) -> Result<Table> {
         SEPARATORS.iter().any(|separator| known(separator) >= KNOWN)
     };
     Err(match start.iter().any(is_header) {
-        true => ErrorCode::NoRows.error(
+        true => Code::NoRows.error(
             "there are no rows below the header",
             "check that the recording was saved completely",
         ),
-        false => ErrorCode::CsvNoHeader.error(
+        false => Code::CsvNoHeader.error(
             "there is no table of numbers in the text",
             "a table starts with column names, such as `Time (s),Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)`",
         ),

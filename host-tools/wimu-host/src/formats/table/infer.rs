@@ -5,10 +5,9 @@ use wimu_model::STANDARD_GRAVITY_MPS2 as G;
 use super::layout::Group;
 use super::units::Scale;
 use super::zero::{self, Zero};
-use crate::error::{ErrorCode, Result};
-use crate::finding::{Finding, FindingCode, Severity};
 use crate::recording::{Quantity, Unit};
 use crate::stats::{median, norm};
+use crate::{Code, Problem, Result, Severity};
 
 /// Relative tolerance of the median magnitude of a unit. Chosen: covers bias, scale and moderate motion.
 const TOLERANCE: f64 = 0.15;
@@ -56,7 +55,7 @@ pub fn median_norm(samples: &[[f64; 3]]) -> Option<f64> {
 pub fn conversion(
     group: &Group,
     evidence: Evidence,
-    findings: &mut Vec<Finding>,
+    findings: &mut Vec<Problem>,
 ) -> Result<Conversion> {
     let mut conversion = Conversion {
         quantity: group.quantity,
@@ -95,7 +94,7 @@ pub fn conversion(
         None if is_rate => {
             let text = format!("`{}` is an angular rate without a unit", group.name);
             let remedy = "it is left out; name the unit: --columns \"…,gx=COLUMN:deg/s,…\"";
-            let finding = FindingCode::UnitInferred.warning(text).remedy(remedy);
+            let finding = Code::UnitInferred.warning(text).remedy(remedy);
             findings.push(finding.of_sensor(group.sensor));
             conversion.is_left_out = true;
         }
@@ -108,7 +107,7 @@ pub fn conversion(
     {
         conversion.factors.fill(-G);
         let text = "the accelerations are in g, with the opposite sign: those of iOS";
-        findings.push(FindingCode::UnitInferred.note(text).of_sensor(group.sensor));
+        findings.push(Code::UnitInferred.note(text).of_sensor(group.sensor));
     }
     check_gravity(group, &samples, evidence.is_own, &mut conversion, findings);
     Ok(conversion)
@@ -119,11 +118,11 @@ fn inferred(
     group: &Group,
     samples: &[[f64; 3]],
     is_integer: bool,
-    findings: &mut Vec<Finding>,
+    findings: &mut Vec<Problem>,
 ) -> Result<(Unit, f64)> {
     let asks = |message: String| {
         let remedy = "name it: --units m/s2, g, mg, mm/s2 or LSB; linear acceleration (gravity removed) cannot be used";
-        ErrorCode::CsvUnknownUnit.error(message, remedy).at(format!("column `{}`", group.name))
+        Code::CsvUnknownUnit.error(message, remedy).at(format!("column `{}`", group.name))
     };
     let magnitude = median_norm(samples).ok_or_else(|| {
         asks("no unit is named, and there are no values to infer it from".to_owned())
@@ -132,7 +131,7 @@ fn inferred(
     let counts = is_integer && magnitude >= MIN_COUNTS;
     let mut add = |text: String| {
         let text = format!("no unit is named: {text}");
-        let finding = FindingCode::UnitInferred.note(text).remedy("if not, give --units");
+        let finding = Code::UnitInferred.note(text).remedy("if not, give --units");
         findings.push(finding.of_sensor(group.sensor));
     };
     // Integers near 9.81 or 1 may be values of a coarse sensor in m/s² or g, or counts.
@@ -196,7 +195,7 @@ fn check_gravity(
     samples: &[[f64; 3]],
     is_own: bool,
     conversion: &mut Conversion,
-    findings: &mut Vec<Finding>,
+    findings: &mut Vec<Problem>,
 ) {
     if !group.is_acceleration() {
         return;
@@ -216,6 +215,6 @@ fn check_gravity(
     let name = &group.name;
     let text = format!("`{name}` is linear acceleration, without gravity: {reason}");
     let remedy = "it cannot be used as specific force; export the acceleration with gravity";
-    let finding = Finding::new(FindingCode::GravityMissing, Severity::Error, text).remedy(remedy);
+    let finding = Problem::new(Code::GravityMissing, Severity::Error, text).remedy(remedy);
     findings.push(finding.of_sensor(group.sensor));
 }

@@ -4,9 +4,9 @@ use super::header::Table;
 use super::names::{self, Kind, Meaning};
 use super::presets::{self, Preset};
 use super::units::{self, Scale};
-use crate::error::{ErrorCode, Result};
 use crate::formats::ReadOptions;
 use crate::recording::{Origin, Quantity};
+use crate::{Code, Result};
 
 /// Columns of one track.
 #[derive(Clone, Debug)]
@@ -130,7 +130,7 @@ fn unknown_units(
     if let Some(column) = force.filter(|_| !layout.groups.iter().any(Group::is_acceleration)) {
         let remedy =
             "write one of LSB, g, mg, m/s² in parentheses, or give --columns \"x=COLUMN:g,…\"";
-        let error = ErrorCode::CsvUnknownUnit.error("its unit is unknown", remedy);
+        let error = Code::CsvUnknownUnit.error("its unit is unknown", remedy);
         return Err(error.at(&names[column]));
     }
     let mut found: Vec<usize> = of(Quantity::SpecificForce).collect();
@@ -165,7 +165,7 @@ fn leave_out_repeated(names: &[String], meanings: &mut [Meaning]) -> Result<()> 
         match meanings[column].kind {
             Kind::Other | Kind::Time => {}
             _ if bare(first).eq_ignore_ascii_case(bare(column)) => {
-                return Err(ErrorCode::CsvDuplicateColumn
+                return Err(Code::CsvDuplicateColumn
                     .error(
                         format!("the column `{}` occurs twice", bare(column)),
                         "rename or remove one",
@@ -252,7 +252,7 @@ fn group(
         let ours =
             columns.first().filter(|column| meanings[**column].is_ours && quantity.width() == 3);
         return match (ours, (0..width).find(|k| find(*k).is_none())) {
-            (Some(column), Some(missing)) => Err(ErrorCode::CsvMissingColumn
+            (Some(column), Some(missing)) => Err(Code::CsvMissingColumn
                 .error(
                     format!("`{}` is there, and its axis {} is not", names[*column], ["X", "Y", "Z"][missing]),
                     "all three axes are needed: add it, or rename the others if they are something else",
@@ -270,7 +270,7 @@ fn group(
     let scales: Vec<_> = columns.iter().map(|column| meanings[*column].scale.or(implied)).collect();
     let kind = |scale: &Option<Scale>| scale.map(|scale| std::mem::discriminant(&scale));
     if let Some(k) = (1..width).find(|k| kind(&scales[*k]) != kind(&scales[0])) {
-        return Err(ErrorCode::CsvMixedUnits
+        return Err(Code::CsvMixedUnits
             .error(
                 format!("its unit differs from that of `{}`", names[columns[0]]),
                 "convert the columns to one unit",
@@ -329,7 +329,7 @@ fn scales(units: &str) -> Result<[Option<Scale>; 2]> {
             (Some(force), _) => found[0] = Some(force),
             (_, Some(rate)) => found[1] = Some(rate),
             _ => {
-                return Err(ErrorCode::Usage.error(
+                return Err(Code::Usage.error(
                     format!("`{unit}` is not a unit of acceleration or angular rate"),
                     "choose one of m/s2, g, mg, mm/s2, LSB, and of rad/s, deg/s: --units g,deg/s",
                 ));
@@ -347,7 +347,7 @@ pub fn si_of(units: &str) -> Result<[f64; 2]> {
     let factor = |scale: Option<Scale>| match scale {
         None => Ok(1.0),
         Some(Scale::Si(factor)) => Ok(factor),
-        Some(_) => Err(ErrorCode::Usage
+        Some(_) => Err(Code::Usage
             .error("a log has no counts", "give --units in m/s2, g or mg, and rad/s or deg/s")),
     };
     let [force, rate] = scales(units)?;
@@ -357,7 +357,7 @@ pub fn si_of(units: &str) -> Result<[f64; 2]> {
 /// Meaning of the columns by [`ReadOptions::columns`].
 fn chosen(names: &[String], columns: &str) -> Result<Vec<Meaning>> {
     let usage = |message: String| {
-        ErrorCode::Usage.error(
+        Code::Usage.error(
             message,
             "write for example --columns \"t=timestamp:ns,x=ax:g,y=ay:g,z=az:g,gx=4:deg/s\"; a column is its name, or its number from 1",
         )
@@ -378,7 +378,7 @@ fn chosen(names: &[String], columns: &str) -> Result<Vec<Meaning>> {
         };
         let index = find_column(names, name).ok_or_else(|| {
             let named: Vec<_> = names.iter().take(30).map(String::as_str).collect();
-            ErrorCode::CsvMissingColumn.error(
+            Code::CsvMissingColumn.error(
                 format!("there is no column `{name}`"),
                 format!("choose from: {}", named.join(", ")),
             )

@@ -5,9 +5,8 @@ use std::borrow::Cow;
 use super::header::{Table, splits_decimals};
 use super::layout::{Group, Layout};
 use super::text::{Field, Lines, field, is_comment, split};
-use crate::error::{ErrorCode, Result};
-use crate::finding::{Finding, FindingCode};
 use crate::formats::Source;
+use crate::{Code, Problem, Result};
 
 /// Rows after which a table is refused if most of them are unusable.
 const EARLY: u64 = 1000;
@@ -59,7 +58,7 @@ impl Count {
     /// `no_rows`, `bad_recording`.
     pub fn check(&self, name: &str, table: &Table) -> Result<()> {
         if self.rows == 0 {
-            let error = ErrorCode::NoRows.error(
+            let error = Code::NoRows.error(
                 "there are no rows below the header, or none passes the filter",
                 "check the file and --where",
             );
@@ -87,14 +86,14 @@ impl Count {
                     ),
                 };
                 let text = format!("{rows}; first: {}{cause}", text_of(fault, table));
-                Err(ErrorCode::BadRecording.error(text, remedy).at(format!("{name} line {line}")))
+                Err(Code::BadRecording.error(text, remedy).at(format!("{name} line {line}")))
             }
             _ => Ok(()),
         }
     }
 
     /// Findings on unusable rows.
-    pub fn findings(&self, table: &Table) -> Vec<Finding> {
+    pub fn findings(&self, table: &Table) -> Vec<Problem> {
         let Some((line, fault)) = self.first else {
             return Vec::new();
         };
@@ -108,12 +107,12 @@ impl Count {
                 self.rows,
                 text_of(fault, table)
             );
-            let finding = FindingCode::RowsMasked.warning(evidence).remedy("they are left out");
+            let finding = Code::RowsMasked.warning(evidence).remedy("they are left out");
             findings.push(finding);
         }
         if self.is_cut {
             let (evidence, remedy) = ("the last line is incomplete", "it is left out");
-            findings.push(FindingCode::Truncated.warning(evidence).remedy(remedy));
+            findings.push(Code::Truncated.warning(evidence).remedy(remedy));
         }
         findings
     }
@@ -204,7 +203,7 @@ pub fn values(group: &Group, fields: &[Cow<str>], comma: bool) -> Values {
 pub fn filter(table: &Table, pairs: &[(String, String)]) -> Result<Vec<(usize, String)>> {
     let find = |(name, value): &(String, String)| {
         let column = super::layout::find_column(&table.names, name).ok_or_else(|| {
-            ErrorCode::CsvMissingColumn.error(
+            Code::CsvMissingColumn.error(
                 format!("there is no column `{name}` to filter by"),
                 format!("choose from: {}", table.names.join(", ")),
             )

@@ -8,9 +8,9 @@ use super::header::Table;
 use super::layout::Layout;
 use super::rows::{self, Count, Fault, Next, Values, each_row, values};
 use super::text::{Field, field};
-use crate::error::{ErrorCode, Result};
 use crate::formats::Source;
 use crate::series::thin_out;
+use crate::{Code, Result};
 
 /// Rows after which the survey ends.
 const MAX_ROWS: u64 = 1 << 20;
@@ -168,7 +168,7 @@ impl Survey {
             return Ok(());
         }
         let (several, selected) = (several.join("; "), selected.join(","));
-        Err(ErrorCode::Usage.error(
+        Err(Code::Usage.error(
             format!("the rows are of several sensors or runs: {several}"),
             format!("select one with --where \"{selected}\", or remove the other rows"),
         ))

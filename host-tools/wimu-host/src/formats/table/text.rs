@@ -6,9 +6,9 @@ use std::io::{BufRead, BufReader, Read};
 use encoding_rs_io::{DecodeReaderBytes, DecodeReaderBytesBuilder};
 
 use crate::csv::number;
-use crate::error::{HostError, Result};
 use crate::formats::source::ReadSeek;
 use crate::formats::{Source, table::MOST_COLUMNS};
+use crate::{Problem, Result};
 
 /// Longest line, bytes. The rest of a longer one is skipped.
 const MAX_LINE: u64 = 1 << 16;
@@ -58,7 +58,7 @@ impl<'a> Lines<'a> {
             return Ok(Some(Cow::Owned(names)));
         }
         self.bytes.clear();
-        let failed = |error| HostError::file(self.source.name(), "read", &error);
+        let failed = |error| Problem::file(self.source.name(), "read", &error);
         let mut part = (&mut self.reader).take(MAX_LINE);
         let read = part.read_until(self.end, &mut self.bytes).map_err(failed)?;
         if read == 0 {

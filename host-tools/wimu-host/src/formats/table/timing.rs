@@ -6,7 +6,7 @@ use super::layout::Layout;
 use super::names;
 use super::survey::Survey;
 use super::units;
-use crate::finding::{Finding, FindingCode, Severity};
+use crate::{Code, Problem, Severity};
 
 /// Assumed sample rates of tables without times, Hz; that of KITTI is the rate of its synchronised packets.
 const ASSUMED_RATE_HZ: f64 = 100.0;
@@ -25,14 +25,14 @@ pub fn choose(
     layout: &Layout,
     survey: &Survey,
     of_poses: bool,
-    findings: &mut Vec<Finding>,
+    findings: &mut Vec<Problem>,
 ) -> Source {
     let are_equal = survey.times.steps > 0 && survey.times.equal == survey.times.steps;
     if let (Some((column, _)), true) = (layout.time, are_equal) {
         let text = format!("all times `{}` are equal: {}", table.names[column], survey.times.last);
         let remedy =
             "a spreadsheet may have rounded them: use the original file, or give --rate HZ";
-        findings.push(FindingCode::TimesUnordered.warning(text).remedy(remedy));
+        findings.push(Code::TimesUnordered.warning(text).remedy(remedy));
     } else if let Some((column, exponent)) = layout.time {
         let numbers = survey.columns[column].numbers;
         if survey.times.dates > numbers {
@@ -47,13 +47,13 @@ pub fn choose(
                 "times `{}` in ns are not whole numbers: they were rounded",
                 table.names[column]
             );
-            let finding = Finding::new(FindingCode::Clock, Severity::Warning, text);
+            let finding = Code::Clock.warning(text);
             findings.push(finding.remedy("use the original file, not one saved by a spreadsheet"));
         }
         let digits = survey.times.unpadded_digits();
         if digits.is_some() {
             let text = format!("the fractions of `{}` have no leading zeros", table.names[column]);
-            let finding = Finding::new(FindingCode::Clock, Severity::Warning, text);
+            let finding = Code::Clock.warning(text);
             findings.push(finding.remedy("`28.16` is read as 28.016"));
         }
         return Source::Numbers { column, exponent, fraction: layout.fraction, digits };
@@ -64,7 +64,7 @@ pub fn choose(
         (survey.columns[column].numbers > 0).then_some(column)
     };
     let mut note = |text: String, severity, remedy: &str| {
-        findings.push(Finding::new(FindingCode::Rate, severity, text).remedy(remedy));
+        findings.push(Problem::new(Code::Rate, severity, text).remedy(remedy));
     };
     if let Some(column) = find("sampletimefine") {
         let period_ns = if layout.program == Some("Xsens DOT") { 1e3 } else { FINE_NS };
@@ -120,7 +120,7 @@ pub fn is_dot(table: &Table, layout: &Layout, survey: &Survey) -> bool {
 }
 
 /// Warns of a unit in the header that implies a sample rate below [`RATES_HZ`], where a smaller unit does not.
-fn implausible(table: &Table, survey: &Survey, column: usize, exponent: i32) -> Option<Finding> {
+fn implausible(table: &Table, survey: &Survey, column: usize, exponent: i32) -> Option<Problem> {
     let step = survey.step(column).filter(|step| *step > 0.0)?;
     let rate_hz = |exponent: i32| 1.0 / (step * 10_f64.powi(exponent - 9));
     let smaller = [(6, "ms"), (3, "us"), (0, "ns")];
@@ -134,11 +134,11 @@ fn implausible(table: &Table, survey: &Survey, column: usize, exponent: i32) -> 
     let text = format!("the unit of `{name}` implies {:.3} Hz", rate_hz(exponent));
     let remedy =
         format!("{unit} would be {:.0} Hz: --columns \"t={bare}:{unit},…\"", rate_hz(plausible));
-    Some(FindingCode::UnitInferred.warning(text).remedy(remedy))
+    Some(Code::UnitInferred.warning(text).remedy(remedy))
 }
 
 /// Power of ten of a nanosecond of a time column without a unit.
-fn exponent_of(table: &Table, survey: &Survey, column: usize, findings: &mut Vec<Finding>) -> i32 {
+fn exponent_of(table: &Table, survey: &Survey, column: usize, findings: &mut Vec<Problem>) -> i32 {
     let Some((first, step)) = survey.times.first.zip(survey.step(column)) else {
         return 9;
     };
@@ -170,6 +170,6 @@ fn exponent_of(table: &Table, survey: &Survey, column: usize, findings: &mut Vec
     let text = format!("times `{name}` {why}: mean step {step:.4}, taken as {unit} ({rate:.4} Hz)");
     let remedy =
         "if they are not, give --columns \"t=COLUMN:s,…\" with one of s, ms, us, ns, min, h";
-    findings.push(Finding::new(FindingCode::UnitInferred, severity, text).remedy(remedy));
+    findings.push(Problem::new(Code::UnitInferred, severity, text).remedy(remedy));
     exponent
 }

@@ -3,8 +3,8 @@
 use wimu_model::STANDARD_GRAVITY_MPS2 as G;
 
 use super::names::split_unit;
-use crate::error::{ErrorCode, Result};
 use crate::recording::Quantity;
+use crate::{Code, Result};
 
 /// What one of a column's unit is.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -112,7 +112,7 @@ pub(crate) fn acceleration_unit(column: &str, name: &str) -> Result<Option<Optio
     match unit.and_then(|unit| scale(Quantity::SpecificForce, unit)) {
         Some(Scale::Si(mps2)) => Ok(Some(Some(mps2))),
         Some(Scale::Counts) => Ok(Some(None)),
-        _ => Err(ErrorCode::CsvUnknownUnit
+        _ => Err(Code::CsvUnknownUnit
             .error("the unit is missing or unknown", "write one of LSB, g, mg, m/s² in parentheses")
             .at(column)),
     }

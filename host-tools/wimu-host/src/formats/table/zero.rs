@@ -2,9 +2,9 @@
 
 use super::infer::{Evidence, median_norm};
 use super::layout::Group;
-use crate::finding::{Finding, FindingCode};
 use crate::recording::Quantity;
 use crate::stats::norm;
+use crate::{Code, Problem};
 
 /// Middle of the range of 10, 12, 14 and 16 bits.
 const MIDDLES: [f64; 4] = [512.0, 2048.0, 8192.0, 32768.0];
@@ -47,7 +47,7 @@ impl Zero {
 }
 
 /// Where zero is in the counts of a track.
-pub fn find(group: &Group, evidence: Evidence, findings: &mut Vec<Finding>) -> Zero {
+pub fn find(group: &Group, evidence: Evidence, findings: &mut Vec<Problem>) -> Zero {
     let samples = evidence.samples;
     let zero = match evidence.zero_count {
         // A gyroscope of the same converter, or one that has its zero at 0.
@@ -76,7 +76,7 @@ pub fn find(group: &Group, evidence: Evidence, findings: &mut Vec<Finding>) -> Z
             "65536 is subtracted from those above 32767",
         ),
     };
-    findings.push(FindingCode::ZeroCount.note(text).remedy(remedy).of_sensor(group.sensor));
+    findings.push(Code::ZeroCount.note(text).remedy(remedy).of_sensor(group.sensor));
     zero
 }
 

@@ -9,8 +9,8 @@ use futures::stream::Stream;
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 
-use crate::error::{ErrorCode, Result};
 use crate::transport::nus::Peripheral;
+use crate::{Code, Result};
 
 /// Interval between two looks whether the connection has ended: not every system ends the stream of values.
 const GLANCE: Duration = Duration::from_secs(1);
@@ -63,7 +63,7 @@ pub struct Bridge {
 pub(super) fn runtime() -> Result<Runtime> {
     let built = Builder::new_current_thread().enable_all().build();
     built.map_err(|error| {
-        ErrorCode::LinkAbsent.error(
+        Code::LinkAbsent.error(
             format!("no runtime for Bluetooth: {error}"),
             "close other programs, then try again",
         )
@@ -97,7 +97,7 @@ impl Bridge {
                 Err(error) => drop(ready.send(Err(error))),
             }
         });
-        let gone = ErrorCode::LinkLost.error("the Bluetooth stack failed", "connect again");
+        let gone = Code::LinkLost.error("the Bluetooth stack failed", "connect again");
         let (longest, confirms) = outcome.recv().unwrap_or(Err(gone))?;
         Ok(Self { longest, confirms, orders, values, thread: Some(thread) })
     }

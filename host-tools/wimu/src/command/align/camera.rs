@@ -6,7 +6,7 @@ use wimu_host::calibration::{read_model, zero_count};
 use wimu_host::formats;
 use wimu_host::hand_eye::{HandEyeOptions, PoseStream, hand_eye};
 use wimu_host::motion::{MotionRecording, TableOptions};
-use wimu_host::{ErrorCode, Result};
+use wimu_host::{Code, Result};
 
 use crate::arguments::Align;
 use crate::command::not_over_input;
@@ -39,7 +39,7 @@ pub fn run(arguments: &Align, camera: &Path, output: &Output) -> Result<u8> {
 /// Poses of the body: as the file has them, or the dead reckoning of its inertial data.
 fn body(arguments: &Align, file: &Path) -> Result<PoseStream> {
     match PoseStream::read(file) {
-        Err(error) if error.code() == ErrorCode::CsvMissingColumn || !is_text(file) => {
+        Err(error) if error.code == Code::CsvMissingColumn || !is_text(file) => {
             let calibration = arguments.calibration.as_ref();
             let table = TableOptions {
                 calibration: calibration.map(|file| read_model(file)).transpose()?,

@@ -4,10 +4,9 @@ use std::path::Path;
 
 use serde::Serialize;
 use wimu_calib::Gravity;
-use wimu_host::Result;
 use wimu_host::array::{ArrayGeometry, CalibratedArray, calibrate_array};
 use wimu_host::digits::{signed_with_sd, with_sd};
-use wimu_host::finding::{Finding, FindingCode};
+use wimu_host::{Code, Problem, Result};
 use wimu_model::ErrorModel;
 
 use crate::arguments::Calibrate;
@@ -106,13 +105,13 @@ fn present(
         "corrected sensors differ by {:.4} m/s² rms per axis at the rests",
         calibration.disagreement_mps2
     ));
-    let remarks = calibration.remarks().into_iter().map(|text| FindingCode::Geometry.note(text));
-    let mut findings: Vec<Finding> = remarks.chain(found.findings.iter().cloned()).collect();
+    let remarks = calibration.remarks().into_iter().map(|text| Code::Geometry.note(text));
+    let mut findings: Vec<Problem> = remarks.chain(found.findings.iter().cloned()).collect();
     let refined = match &found.refinement {
         Ok(refinement) => Some(Refined::of(refinement, output)),
         Err(why) => {
-            let text = format!("positions and delays are kept as given: {}", why.message());
-            findings.push(FindingCode::Geometry.warning(text));
+            let text = format!("positions and delays are kept as given: {}", why.text);
+            findings.push(Code::Geometry.warning(text));
             None
         }
     };

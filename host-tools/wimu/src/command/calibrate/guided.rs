@@ -140,7 +140,7 @@ impl OnScreen {
             (Key::Char('s'), None) => guided.skip(),
             (Key::Char('r'), None) if guided.view.resumable => {
                 if let Err(error) = guided.resume() {
-                    guided.view.message = format!("cannot resume: {}", error.message());
+                    guided.view.message = format!("cannot resume: {}", error.text);
                 }
             }
             (Key::Enter | Key::Char('f'), None) => self.calibrate(),

@@ -1,7 +1,7 @@
 //! `wimu calibrate --sensor magnetometer`.
 
 use wimu_host::calibration::{CalibrateOptions, CalibrationFile, calibrate_magnetometer};
-use wimu_host::{ErrorCode, Result};
+use wimu_host::{Code, Result};
 use wimu_model::ParameterSet;
 
 use super::live::collect;
@@ -44,7 +44,7 @@ pub fn run(arguments: &Calibrate, output: &Output) -> Result<u8> {
 fn calibrated(set: Option<ParameterSet>) -> Result<ParameterSet> {
     set.filter(|set| *set != ParameterSet::uncalibrated(set.range_g, set.sensitivity)).ok_or_else(
         || {
-            ErrorCode::DataRefused.error(
+            Code::DataRefused.error(
                 "there is no calibration of the accelerometer beside the magnetometer",
                 "calibrate it with `wimu calibrate … -o CAL.json` and add --with CAL.json",
             )

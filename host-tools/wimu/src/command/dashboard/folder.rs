@@ -7,7 +7,7 @@ use serde::Serialize;
 use serde_json::json;
 use wimu_host::chart::Chart;
 use wimu_host::formats::{Overview, ReadOptions, Source};
-use wimu_host::{ErrorCode, HostError, Result};
+use wimu_host::{Code, Problem, Result};
 
 use super::hub::Hub;
 
@@ -37,14 +37,14 @@ impl Folder {
     /// `file_unreadable` where there is no such folder or file, or one for the other.
     pub fn new(path: &Path, given: Vec<PathBuf>) -> Result<Self> {
         let name = path.display().to_string();
-        let failed = |error: std::io::Error| HostError::file(&name, "open", &error);
+        let failed = |error: std::io::Error| Problem::file(&name, "open", &error);
         let path = path.canonicalize().map_err(failed)?;
         if !path.is_dir() {
             return Err(failed(std::io::ErrorKind::NotADirectory.into()));
         }
         for file in &given {
             let name = file.display().to_string();
-            std::fs::File::open(file).map_err(|error| HostError::file(&name, "open", &error))?;
+            std::fs::File::open(file).map_err(|error| Problem::file(&name, "open", &error))?;
         }
         Ok(Self { path, given })
     }
@@ -64,9 +64,7 @@ impl Folder {
         }
         let refused = || {
             let remedy = "choose a file of the list; `wimu dashboard --folder` sets the folder";
-            ErrorCode::Usage
-                .error("only files of the dashboard's folder can be opened", remedy)
-                .at(name)
+            Code::Usage.error("only files of the dashboard's folder can be opened", remedy).at(name)
         };
         let mut parts = Path::new(name).components();
         match (parts.next(), parts.next()) {
@@ -75,7 +73,7 @@ impl Folder {
             _ => return Err(refused()),
         }
         let path = self.path.join(name);
-        let real = path.canonicalize().map_err(|error| HostError::file(name, "open", &error))?;
+        let real = path.canonicalize().map_err(|error| Problem::file(name, "open", &error))?;
         if real.parent() != Some(&self.path) {
             return Err(refused());
         }
@@ -178,10 +176,7 @@ mod tests {
             &absolute,
         ] {
             let error = folder.file(name).unwrap_err();
-            assert!(
-                matches!(error.code(), ErrorCode::Usage | ErrorCode::FileUnreadable),
-                "{name}: {error}"
-            );
+            assert!(matches!(error.code, Code::Usage | Code::FileUnreadable), "{name}: {error}");
         }
         let names = |folder: &Folder| Vec::from_iter(folder.list().into_iter().map(|one| one.name));
         let listed = names(&folder);
@@ -201,7 +196,7 @@ mod tests {
             [(file.as_path(), vec![]), (folder.path(), vec![folder.path().join("absent.csv")])]
         {
             let error = Folder::new(path, given).err().unwrap();
-            assert_eq!(error.code(), ErrorCode::FileUnreadable);
+            assert_eq!(error.code, Code::FileUnreadable);
         }
     }
 }

@@ -7,7 +7,7 @@ use wimu_host::chart::{Chart, Series};
 use wimu_host::inertial::{Choice, Fixes, InertialPath, PathPoint, Profile, Zupt, navigate};
 use wimu_host::localization::{Localization, LocalizationChoice, RangePrior, localize};
 use wimu_host::motion::MotionRecording;
-use wimu_host::{HostError, OutputFile, Result};
+use wimu_host::{OutputFile, Problem, Result};
 use wimu_sim::walk::{HALL_M, RangeWalk, Strides, carried_m, fixes, sensed};
 
 /// Duration of the walk with ranges, s, and fraction of its ranges without line of sight.
@@ -132,7 +132,7 @@ impl Walks {
     /// The simulated files, in the formats of the guides.
     pub fn write(&self, folder: &Path) -> Result<()> {
         std::fs::create_dir_all(folder)
-            .map_err(|error| HostError::file(&folder.display().to_string(), "create", &error))?;
+            .map_err(|error| Problem::file(&folder.display().to_string(), "create", &error))?;
         let recording = &self.ranges.recording;
         let mut anchors = "Anchor,Position E (m),Position N (m),Position U (m)\n".to_owned();
         for anchor in &recording.anchors {

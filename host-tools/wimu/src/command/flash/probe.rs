@@ -8,7 +8,7 @@ use probe_rs::probe::DebugProbeSelector;
 use probe_rs::probe::list::{Accessibility, Lister, ProbeListItem};
 use probe_rs::{Permissions, Session};
 use serde::Serialize;
-use wimu_host::{ErrorCode, HostError, Result};
+use wimu_host::{Code, Problem, Result};
 
 use super::Image;
 use crate::arguments::Flash;
@@ -109,7 +109,7 @@ fn choose(named: Option<&str>, image: &Image) -> Result<ProbeListItem> {
     let mut probes = Lister::new().list_with_access(selector.as_ref());
     let (file, drive) = (image.file.display(), image.board.file_and_drive().1);
     match probes.len() {
-        0 => Err(ErrorCode::ProbeAbsent.error(match named {
+        0 => Err(Code::ProbeAbsent.error(match named {
                 Some(named) => format!("there is no debug probe {named}"),
                 None => "no debug probe is connected".into(),
             },
@@ -135,9 +135,9 @@ fn choose(named: Option<&str>, image: &Image) -> Result<ProbeListItem> {
     }
 }
 
-fn forbidden(probe: &ProbeListItem) -> HostError {
+fn forbidden(probe: &ProbeListItem) -> Problem {
     let vendor = probe.info.vendor_id;
-    ErrorCode::ProbePermission
+    Code::ProbePermission
         .error(format!("no permission to open the probe {}", probe.info), udev_rule(vendor))
         .at(Probe::from(probe).selector)
 }
@@ -161,7 +161,7 @@ fn attach(probe: &ProbeListItem, chip: &str, erase_all: bool, output: &Output) -
         Permissions::new()
     };
     let open = probe.info.open().map_err(|error| {
-        ErrorCode::ProbePermission.error(
+        Code::ProbePermission.error(
             format!("cannot open the probe {}: {}", probe.info, chain(&error)),
             format!(
                 "close other programs that use it; on Linux, {}",
@@ -173,14 +173,14 @@ fn attach(probe: &ProbeListItem, chip: &str, erase_all: bool, output: &Output) -
 }
 
 /// Why attaching to a chip failed, and what to do.
-fn refused(chip: &str, error: probe_rs::Error) -> HostError {
+fn refused(chip: &str, error: probe_rs::Error) -> Problem {
     match error {
         probe_rs::Error::MissingPermissions(_)
-        | probe_rs::Error::Arm(ArmError::MissingPermissions(_)) => ErrorCode::ChipLocked.error(
+        | probe_rs::Error::Arm(ArmError::MissingPermissions(_)) => Code::ChipLocked.error(
             "the chip is locked; unlocking erases all of it, with its calibration and key",
             "if nothing on it is needed, add --erase-all",
         ),
-        other => ErrorCode::FlashFailed.error(
+        other => Code::FlashFailed.error(
             format!("no {chip} answers at the probe: {}", chain(&other)),
             "check the board's power, the wires to SWDIO, SWCLK and ground, and the board's name",
         ),
@@ -210,8 +210,8 @@ fn progress(output: &Output) -> FlashProgress<'_> {
     })
 }
 
-fn failed(what: &str, error: &dyn std::error::Error) -> HostError {
-    ErrorCode::FlashFailed.error(
+fn failed(what: &str, error: &dyn std::error::Error) -> Problem {
+    Code::FlashFailed.error(
         format!("{what}: {}", chain(error)),
         "keep the cable connected and try again; if it fails again, --erase-all erases the chip",
     )
@@ -249,12 +249,12 @@ mod tests {
     fn a_locked_chip_is_not_erased_without_consent_and_the_cost_is_named() {
         let missing = || ArmError::MissingPermissions("erase_all".into());
         let locked = refused("nRF52833_xxAA", probe_rs::Error::Arm(missing()));
-        assert_eq!(locked.code(), ErrorCode::ChipLocked);
+        assert_eq!(locked.code, Code::ChipLocked);
         let text = locked.to_string();
         assert!(text.contains("erases all") && text.contains("--erase-all"), "{text}");
         // What is not the lock does not end in advice to erase.
         let silent = refused("RP2040", probe_rs::Error::Timeout);
-        assert_eq!(silent.code(), ErrorCode::FlashFailed);
+        assert_eq!(silent.code, Code::FlashFailed);
         let text = silent.to_string();
         assert!(text.contains("RP2040") && !text.contains("erase"), "{text}");
     }

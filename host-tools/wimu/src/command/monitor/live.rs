@@ -193,7 +193,7 @@ impl Live {
             let taken = navigator.map(|n| heard.arrivals.iter().try_for_each(|a| n.take(a)));
             if let Some(Err(error)) = taken {
                 self.navigator = None;
-                self.view.message = format!("not navigated: {}", error.message());
+                self.view.message = format!("not navigated: {}", error.text);
             }
             heard.arrivals.iter().for_each(|arrival| self.event(&arrival.event));
         }
@@ -274,7 +274,7 @@ impl Live {
                     false => self.record(links),
                 };
                 if let Err(error) = done {
-                    self.view.message = format!("not recorded: {}", error.message());
+                    self.view.message = format!("not recorded: {}", error.text);
                 }
             }
             _ => {}

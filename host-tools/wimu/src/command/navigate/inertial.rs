@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use wimu_host::calibration::{read_model, read_parameters, zero_count};
 use wimu_host::digits::east_north_up;
-use wimu_host::finding::Finding;
 use wimu_host::formats;
 use wimu_host::history::Recording;
 use wimu_host::inertial::{
@@ -14,7 +13,7 @@ use wimu_host::inertial::{
 use wimu_host::motion::{MotionRecording, TableOptions};
 use wimu_host::multi_range::{FullScales, Merge};
 use wimu_host::plural::counted;
-use wimu_host::{ErrorCode, Input, Result, navigation};
+use wimu_host::{Code, Input, Problem, Result, navigation};
 
 use super::array;
 use crate::arguments::{Aids, Navigate, Smoothing, ZeroVelocity};
@@ -164,7 +163,7 @@ pub fn unit(
             let recording = Recording::load(file)?;
             let link = recording.link(arguments.reading.link.map(Into::into))?;
             let longest = link.longest().ok_or_else(|| {
-                ErrorCode::NoRows
+                Code::NoRows
                     .error("the recording has no samples", "record again")
                     .at(&recording.name)
             })?;
@@ -254,7 +253,7 @@ pub fn aided_choice(aids: &Aids) -> Result<Choice> {
 pub fn present(
     arguments: &Navigate,
     path: &InertialPath,
-    new: &[Finding],
+    new: &[Problem],
     choice: &Choice,
     source: String,
     output: &Output,

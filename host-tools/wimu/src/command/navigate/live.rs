@@ -2,12 +2,11 @@
 
 use serde::Serialize;
 use wimu_host::decode::{Arrival, Event};
-use wimu_host::finding::Finding;
 use wimu_host::inertial::{Aided, Choice, Fix, FixLink, Fixes, LeastDelay, Live, PathPoint};
 use wimu_host::localization::{RangeRecording, Ranging};
 use wimu_host::monitor::{Reading, Readings};
 use wimu_host::motion::{MotionRecording, UnitSample};
-use wimu_host::{ErrorCode, Input, Result};
+use wimu_host::{Code, Input, Problem, Result};
 
 use super::inertial::{aided_choice, choice, present};
 use super::shown::{Shown, WAIT, corrected_there, writable};
@@ -107,7 +106,7 @@ pub fn run(arguments: &Navigate, link: &str, output: &Output) -> Result<()> {
     if points.is_empty() {
         ended?;
         let message = "no position within the time: the first needs three seconds of samples";
-        return Err(ErrorCode::NoRows.error(message, WAIT).at(link));
+        return Err(Code::NoRows.error(message, WAIT).at(link));
     }
     // A lost link loses no position.
     let mut path = session.live.path(points);
@@ -122,7 +121,7 @@ pub fn run(arguments: &Navigate, link: &str, output: &Output) -> Result<()> {
 enum Aiding {
     None,
     /// At times of the device's clock, and what was noticed at reading.
-    Table(Vec<Fix>, Vec<Finding>),
+    Table(Vec<Fix>, Vec<Problem>),
     Link(Box<FixLink>),
 }
 
@@ -175,7 +174,7 @@ impl Aiding {
         }
     }
 
-    fn findings(&self) -> &[Finding] {
+    fn findings(&self) -> &[Problem] {
         match self {
             Self::None => &[],
             Self::Table(_, findings) => findings,

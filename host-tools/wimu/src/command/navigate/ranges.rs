@@ -3,14 +3,13 @@
 use std::path::Path;
 
 use serde::Serialize;
-use wimu_host::Result;
 use wimu_host::digits::{east_north_up, significant};
-use wimu_host::finding::FindingCode;
 use wimu_host::inertial::Method;
 use wimu_host::localization::{
     AnchorFound, Localization, LocalizationChoice, Noise, Parameter, RangePrior, RangeRecording,
     localize,
 };
+use wimu_host::{Code, Result};
 
 use super::inertial;
 use crate::arguments::{Navigate, Smoothing};
@@ -50,7 +49,7 @@ pub fn run(arguments: &Navigate, anchors: &Path, output: &Output) -> Result<()> 
     let mut recording = RangeRecording::read(ranges, anchors)?.delayed(arguments.aids.fix_delay);
     if recording.planar {
         let text = "the anchors have no Position U (m): all heights are zero";
-        recording.findings.push(FindingCode::Navigation.note(text));
+        recording.findings.push(Code::Navigation.note(text));
     }
     if arguments.aids.ranges.is_some() {
         let calibration = arguments.calibration.first();

@@ -3,8 +3,7 @@
 use std::path::PathBuf;
 
 use serde::Serialize;
-use wimu_host::Result;
-use wimu_host::finding::Finding;
+use wimu_host::{Problem, Result};
 
 use crate::arguments::Navigate;
 use crate::command::not_over_input;
@@ -61,12 +60,12 @@ impl<'a> Shown<'a> {
     }
 
     /// Whether no finding of this kind was printed.
-    pub fn is_new(&self, finding: &Finding) -> bool {
+    pub fn is_new(&self, finding: &Problem) -> bool {
         !self.said.contains(&kind(finding))
     }
 
     /// Prints findings of a kind that was not printed before.
-    pub fn say(&mut self, findings: &[Finding]) {
+    pub fn say(&mut self, findings: &[Problem]) {
         for finding in findings {
             if self.is_new(finding) {
                 self.said.push(kind(finding));
@@ -78,9 +77,9 @@ impl<'a> Shown<'a> {
 }
 
 /// The text of a finding without its figures.
-fn kind(finding: &Finding) -> String {
+fn kind(finding: &Problem) -> String {
     let is_word = |c: &char| !c.is_ascii_digit() && *c != '.' && *c != 's';
-    finding.evidence.chars().filter(is_word).collect()
+    finding.text.chars().filter(is_word).collect()
 }
 
 fn is_due(newest_s: f64, last_s: Option<f64>, every_s: f64) -> bool {

@@ -8,7 +8,7 @@ use wimu_host::decode::{Arrival, Event};
 use wimu_host::monitor::Readings;
 use wimu_host::motion::{MotionRecording, UnitSample};
 use wimu_host::relative::{Body, LiveRelative, RelativeChoice, RelativePoint};
-use wimu_host::{ErrorCode, HostError, LinkUrl, Result};
+use wimu_host::{Code, LinkUrl, Problem, Result};
 
 use super::super::live::sample;
 use super::super::shown::{Shown, WAIT, corrected_there, writable};
@@ -59,7 +59,7 @@ impl Angle {
 enum Message {
     Sample { time_s: f64, arrived_s: f64, sample: UnitSample },
     Restart,
-    Ended(HostError),
+    Ended(Problem),
 }
 
 /// Prints the angle between two boards while they move.
@@ -130,7 +130,7 @@ pub fn run(
         return Err(live
             .lacks()
             .cloned()
-            .unwrap_or_else(|| ErrorCode::NoRows.error(message, WAIT).at(names.join(" and "))));
+            .unwrap_or_else(|| Code::NoRows.error(message, WAIT).at(names.join(" and "))));
     };
     present(arguments, names, path, output)?;
     ended
